@@ -1,0 +1,6 @@
+"""`python -m rainsim`."""
+
+from rainsim.cli import main
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,204 @@
+"""The data that a capture consists of: splats, cameras and the ground frame.
+
+Frames
+------
+capture frame : the frame and units of the trained capture, arbitrary. Splats and cameras live here.
+ground frame : metres, right-handed, z up, ground near z = 0, x along the first camera's view
+    direction on the ground.
+camera frame : x right, y down, z forward. The centre of pixel (row, column) is at image point
+    (column + 0.5, row + 0.5).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+
+@dataclass(frozen=True, slots=True)
+class Splats:
+    """Activated 3D Gaussian splats in the capture frame; arrays are C-contiguous float32.
+
+    Attributes
+    ----------
+    position : ndarray of shape (n, 3), float32 [capture units]
+    rotation : ndarray of shape (n, 4), float32
+        Unit quaternions, w first: the splat's own axes to the capture frame.
+    scale : ndarray of shape (n, 3), float32 [capture units]
+        Standard deviations along the splat's own axes (linear, not logarithms).
+    opacity : ndarray of shape (n,), float32
+        In [0, 1].
+    sh : ndarray of shape (n, k, 3), float32
+        Spherical harmonics of display-referred colour, k = (degree + 1)^2 for degree 0 to 3, in
+        the basis and with the +0.5 offset of the original 3DGS code, for directions from the
+        camera to the splat in the capture frame.
+    """
+
+    position: np.ndarray
+    rotation: np.ndarray
+    scale: np.ndarray
+    opacity: np.ndarray
+    sh: np.ndarray
+
+    def __len__(self):
+        return len(self.position)
+
+    def take(self, which):
+        """Return the splats that the index or mask array `which` selects."""
+        return Splats(
+            *(
+                np.ascontiguousarray(a[which])
+                for a in (self.position, self.rotation, self.scale, self.opacity, self.sh)
+            )
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Camera:
+    """A pinhole or orthographic camera.
+
+    Attributes
+    ----------
+    width, height : int [px]
+    fx, fy : float
+        Focal lengths [px]; for an orthographic camera pixels per unit of length.
+    cx, cy : float [px]
+        Principal point; the image spans 0..width, 0..height.
+    camera_from_world : ndarray of shape (4, 4), float64
+        Rigid; world is the capture frame unless said otherwise.
+    name : str
+    orthographic : bool
+    """
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    camera_from_world: np.ndarray
+    name: str = ""
+    orthographic: bool = False
+
+    @property
+    def position(self):
+        """Camera centre in world coordinates, ndarray of shape (3,), float64."""
+        rotation = self.camera_from_world[:3, :3]
+        return -rotation.T @ self.camera_from_world[:3, 3]
+
+    @property
+    def forward(self):
+        """Unit view direction in world coordinates."""
+        return self.camera_from_world[2, :3].copy()
+
+    @property
+    def image_up(self):
+        """Unit direction of image-up in world coordinates."""
+        return -self.camera_from_world[1, :3]
+
+    def resized(self, width, height):
+        """Return the camera with the picture scaled to `width` x `height` px.
+
+        Each focal length scales with its own side and the principal point with it.
+        """
+        sx, sy = width / self.width, height / self.height
+        return replace(
+            self, width=width, height=height,
+            fx=self.fx * sx, fy=self.fy * sy, cx=self.cx * sx, cy=self.cy * sy,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class GroundFrame:
+    """The similarity that takes the capture frame to the ground frame, and how it was found.
+
+    p_ground = meters_per_unit * rotation @ p_capture + translation
+
+    Attributes
+    ----------
+    rotation : ndarray of shape (3, 3), float64
+        ground_from_capture; rows are the ground frame's axes in the capture frame.
+    meters_per_unit : float [m / capture unit]
+    translation : ndarray of shape (3,), float64 [m]
+    confidence : float
+        0 to 1: how well the ground plane is supported (1 if given by the user).
+    notes : tuple of str
+        One line each: how up, plane and scale were found and what is assumed.
+    scale_assumed : bool
+        True if the scale rests on an assumed camera height.
+    """
+
+    rotation: np.ndarray
+    meters_per_unit: float
+    translation: np.ndarray
+    confidence: float = 1.0
+    notes: tuple = ()
+    scale_assumed: bool = False
+
+    def to_ground(self, points):
+        """Take points of shape (..., 3) from the capture frame to the ground frame [m]."""
+        return np.asarray(points) @ self.rotation.T * self.meters_per_unit + self.translation
+
+    def to_capture(self, points):
+        """Take points of shape (..., 3) from the ground frame [m] to the capture frame."""
+        return (np.asarray(points) - self.translation) / self.meters_per_unit @ self.rotation
+
+    @property
+    def up(self):
+        """Unit up vector in the capture frame."""
+        return self.rotation[2].copy()
+
+    def camera_in_ground(self, camera):
+        """Return the capture-frame `camera` as a rigid camera of the ground frame, in metres.
+
+        Pixels see the same rays; depths are multiplied by `meters_per_unit`.
+        """
+        rotation = camera.camera_from_world[:3, :3] @ self.rotation.T
+        return _with_pose(camera, rotation, self.to_ground(camera.position), self.meters_per_unit)
+
+    def camera_in_capture(self, camera):
+        """Return the ground-frame `camera` (metres) as a rigid camera of the capture frame."""
+        rotation = camera.camera_from_world[:3, :3] @ self.rotation
+        return _with_pose(
+            camera, rotation, self.to_capture(camera.position), 1 / self.meters_per_unit
+        )
+
+
+def _with_pose(camera, rotation, position, scale):
+    matrix = np.eye(4)
+    matrix[:3, :3] = rotation
+    matrix[:3, 3] = -rotation @ position
+    zoom = 1 / scale if camera.orthographic else 1.0  # pixels per unit of length
+    return replace(
+        camera, camera_from_world=matrix, fx=camera.fx * zoom, fy=camera.fy * zoom
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """A capture ready for rain.
+
+    Attributes
+    ----------
+    name : str
+    splats : Splats
+    cameras : tuple of Camera
+        The capture's own cameras in the capture frame; may be empty.
+    ground_frame : GroundFrame
+    source : Path or None
+        The file or folder it was read from; None for a built-in scene.
+    source_hash : str
+        SHA-256 of the splat file (of the generated arrays for a built-in scene).
+    notes : tuple of str
+        What the reader counted, dropped or assumed, one line each.
+    """
+
+    name: str
+    splats: Splats
+    cameras: tuple
+    ground_frame: GroundFrame
+    source: Path | None = None
+    source_hash: str = ""
+    notes: tuple = field(default=())

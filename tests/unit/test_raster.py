@@ -1,0 +1,216 @@
+"""Splatting against closed forms and against float64 blending in plain loops."""
+
+import dataclasses
+
+import naive
+import numpy as np
+import pytest
+
+from rainsim import raster
+from rainsim.jit import set_threads
+from rainsim.scene.types import Camera, Splats
+
+
+def camera(width=64, height=48, focal=60.0, **kwargs):
+    return Camera(
+        width, height, focal, focal * 1.05, width / 2 + 1.5, height / 2 - 0.7, np.eye(4), **kwargs
+    )
+
+
+def one_splat(position=(0, 0, 4.0), scale=(0.3, 0.2, 0.1), opacity=0.8, color=0.7):
+    sh = np.full((1, 1, 3), (color - 0.5) / 0.28209479177387814, np.float32)
+    return Splats(
+        np.array([position], np.float32), np.array([[1, 0, 0, 0]], np.float32),
+        np.array([scale], np.float32), np.array([opacity], np.float32), sh,
+    )  # fmt: skip
+
+
+def cloud(rng, n=400, bands=16):
+    rotation = rng.normal(size=(n, 4))
+    rotation /= np.linalg.norm(rotation, axis=1, keepdims=True)
+    position = rng.uniform((-3, -2, -1), (3, 2, 9), (n, 3))
+    return Splats(
+        position.astype(np.float32), rotation.astype(np.float32),
+        np.exp(rng.normal(-2.5, 0.8, (n, 3))).astype(np.float32),
+        rng.uniform(0, 1, n).astype(np.float32),
+        rng.normal(0, 0.25, (n, bands, 3)).astype(np.float32),
+    )  # fmt: skip
+
+
+def decibel(a, b):
+    return -10 * np.log10(max(np.mean((np.asarray(a, float) - b) ** 2), 1e-30))
+
+
+def draw(splats, cam, near=0.2):
+    return raster.rasterize(raster.prepare(splats), cam, near)
+
+
+def test_one_splat_has_its_closed_form():
+    cam = Camera(33, 33, 50.0, 50.0, 16.5, 16.5, np.eye(4))
+    splats = one_splat(scale=(0.3, 0.3, 0.3), opacity=0.8, color=0.7)
+    layers = draw(splats, cam)
+    variance = (50 / 4 * 0.3) ** 2 + 0.3
+    x, y = np.meshgrid(np.arange(33) - 16, np.arange(33) - 16)
+    alpha = 0.8 * np.exp(-(x * x + y * y) / 2 / variance)
+    alpha[alpha < 1 / 255] = 0
+    np.testing.assert_allclose(layers.alpha, alpha, atol=3e-6)
+    np.testing.assert_allclose(layers.color[..., 1], 0.7 * alpha, atol=3e-6)
+    assert layers.depth[16, 16] == pytest.approx(4.0, abs=1e-5)
+    assert np.isinf(layers.depth[0, 0]) and layers.alpha[0, 0] == 0
+
+
+@pytest.mark.parametrize("bands", [1, 4, 9, 16])
+@pytest.mark.parametrize("orthographic", [False, True])
+def test_agrees_with_float64_blending(rng, bands, orthographic):
+    splats = cloud(rng, bands=bands)
+    cam = camera(orthographic=orthographic, focal=9.0 if orthographic else 60.0)
+    layers = draw(splats, cam)
+    color, alpha, depth = naive.splat_image(splats, cam, 0.2)
+    assert alpha.max() > 0.9
+    assert decibel(layers.color, color) > 90
+    assert decibel(layers.alpha, alpha) > 90
+    solid = alpha > 0.5
+    assert np.percentile(np.abs(layers.depth[solid] / depth[solid] - 1), 99) < 1e-4
+
+
+@pytest.mark.parametrize("size", [(1, 1), (15, 17), (16, 16), (70, 33)])
+def test_any_picture_size(rng, size):
+    splats = cloud(rng, 60, 4)
+    cam = camera(*size)
+    color, _, _ = naive.splat_image(splats, cam, 0.2)
+    assert decibel(draw(splats, cam).color, color) > 85
+
+
+def test_plane_depth_and_normal_of_a_tilted_plane(rng):
+    """Flat splats on one plane: each pixel's plane depth is that of the plane, not of centres."""
+    normal = np.array([0.3, -0.8, -0.5])
+    normal /= np.linalg.norm(normal)
+    u = np.cross(normal, [1.0, 0, 0])
+    u /= np.linalg.norm(u)
+    w = np.cross(normal, u)
+    rotation = np.stack([u, w, normal], axis=1)
+    a, b = np.meshgrid(np.linspace(-4, 4, 40), np.linspace(-4, 4, 40))
+    position = np.array([0, 0, 5.0]) + a.reshape(-1, 1) * u + b.reshape(-1, 1) * w
+    n = len(position)
+    qw = np.sqrt(max(0.0, 1 + np.trace(rotation))) / 2
+    q = np.array([qw, (rotation[2, 1] - rotation[1, 2]) / (4 * qw),
+                  (rotation[0, 2] - rotation[2, 0]) / (4 * qw),
+                  (rotation[1, 0] - rotation[0, 1]) / (4 * qw)])  # fmt: skip
+    splats = Splats(
+        position.astype(np.float32), np.tile(q, (n, 1)).astype(np.float32),
+        np.tile([0.2, 0.2, 0.001], (n, 1)).astype(np.float32), np.full(n, 0.95, np.float32),
+        np.zeros((n, 1, 3), np.float32),
+    )  # fmt: skip
+    cam = camera()
+    layers = draw(splats, cam)
+    v, h = np.mgrid[0:48, 0:64] + 0.5
+    ray = np.stack([(h - cam.cx) / cam.fx, (v - cam.cy) / cam.fy, np.ones_like(h)], axis=-1)
+    exact = (normal @ np.array([0, 0, 5.0])) / (ray @ normal)
+    near_middle = (layers.alpha > 0.99) & (exact > 3) & (exact < 7)
+    assert near_middle.sum() > 500
+    error = np.abs(layers.plane_depth / exact - 1)[near_middle]
+    assert error.max() < 1e-4
+    assert np.abs(layers.depth / exact - 1)[near_middle].max() > 10 * error.max()
+    facing = layers.normal[near_middle] @ normal
+    assert np.degrees(np.arccos(np.clip(np.abs(facing), 0, 1))).max() < 0.1
+    assert (np.einsum("ijk,ijk->ij", layers.normal, ray)[near_middle] < 0).all()
+
+
+def test_orthographic_is_the_limit_of_a_far_perspective(rng):
+    splats = cloud(rng, 200, 1)
+    far = 2000.0
+    back = np.eye(4)
+    back[2, 3] = far
+    flat = camera(focal=8.0, orthographic=True)
+    flat = dataclasses.replace(flat, camera_from_world=back)
+    tele = dataclasses.replace(
+        flat, fx=flat.fx * far, fy=flat.fy * far, orthographic=False
+    )
+    assert decibel(draw(splats, flat).color, draw(splats, tele).color) > 40
+    assert draw(splats, flat).alpha.max() > 0.5
+
+
+def test_rotated_and_rescaled_scene_with_the_inverse_camera(rng):
+    """SH degree 0, for colour would have to be rotated too; the geometry must not care."""
+    splats = cloud(rng, 300, 1)
+    q = rng.normal(size=4)
+    turn = naive.quaternion_matrix(q)
+    q = q / np.linalg.norm(q)
+    size, shift = 3.7, np.array([5.0, -2.0, 11.0])
+    w, x, y, z = splats.rotation.T.astype(float)
+    a, b, c, d = q
+    turned = np.stack([
+        a * w - b * x - c * y - d * z, a * x + b * w + c * z - d * y,
+        a * y - b * z + c * w + d * x, a * z + b * y - c * x + d * w,
+    ], axis=1)  # fmt: skip
+    other = Splats(
+        (splats.position @ turn.T * size + shift).astype(np.float32), turned.astype(np.float32),
+        splats.scale * np.float32(size), splats.opacity, splats.sh,
+    )  # fmt: skip
+    cam = camera()
+    matrix = np.eye(4)
+    matrix[:3, :3] = turn.T
+    matrix[:3, 3] = -turn.T @ shift
+    moved = dataclasses.replace(cam, camera_from_world=matrix)
+    one, two = draw(splats, cam, 0.2), draw(other, moved, 0.2 * size)
+    assert decibel(one.color, two.color) > 80
+    solid = one.alpha > 0.5
+    np.testing.assert_allclose(two.depth[solid], one.depth[solid] * size, rtol=1e-4)
+
+
+def test_same_bytes_on_one_and_two_threads(rng):
+    splats = cloud(rng, 3000, 4)
+    try:
+        set_threads(1)
+        one = draw(splats, camera())
+        set_threads(2)
+        two = draw(splats, camera())
+    finally:
+        set_threads(2)
+    assert one.color.tobytes() == two.color.tobytes()
+    assert one.plane_depth.tobytes() == two.plane_depth.tobytes()
+
+
+def test_every_pixel_is_written_and_working_memory_is_reused(rng):
+    drawer = raster.Rasterizer(raster.prepare(cloud(rng, 500, 4)))
+    first = drawer.draw(camera(), 0.2)
+    drawer.draw(camera(20, 20), 0.2)
+    again = drawer.draw(camera(), 0.2)
+    assert np.isfinite(first.color).all() and np.isfinite(first.alpha).all()
+    assert not np.isnan(first.depth).any() and not np.isnan(first.plane_depth).any()
+    assert first.color.tobytes() == again.color.tobytes()
+    assert first.alpha.max() > 0.5
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"position": (0, 0, -4.0)},
+        {"position": (np.nan, 0, 4.0)},
+        {"opacity": 0.0},
+        {"scale": (np.nan, 1, 1)},
+        {"position": (0, 0, 0.05)},
+    ],
+)
+def test_what_cannot_be_seen_leaves_the_picture_black(change):
+    layers = draw(one_splat(**change), camera())
+    assert not layers.color.any() and not layers.alpha.any() and np.isinf(layers.depth).all()
+
+
+def test_splat_that_fills_the_picture():
+    layers = draw(one_splat(scale=(1e4, 1e4, 1e-3), opacity=1.0, color=0.6), camera())
+    np.testing.assert_allclose(layers.color, 0.6 * 0.999, atol=1e-4)
+    np.testing.assert_allclose(layers.depth, 4.0, rtol=1e-4)
+
+
+def test_empty_scene_and_a_million_at_one_point():
+    empty = one_splat().take(np.zeros(0, int))
+    assert not draw(empty, camera()).alpha.any()
+    many = one_splat(opacity=0.02).take(np.zeros(200_000, int))
+    layers = draw(many, camera())
+    assert layers.alpha[24, 32] > 0.9998 and np.isfinite(layers.color).all()
+
+
+def test_points_with_zero_scale_are_pixels():
+    layers = draw(one_splat(scale=(0, 0, 0), opacity=1.0), camera())
+    assert 0 < (layers.alpha > 0).sum() < 30
