@@ -1,0 +1,219 @@
+"""From the dry picture to the rainy one: grading, wetting, water, air, display.
+
+Everything is linear light, radiance relative to display white. Three kernels, one for each rhythm:
+`grade_and_wet` runs once per camera, `shade_water` and `compose` once per frame.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from rainsim.jit import cpu_kernel, device_function, prange
+from rainsim.light import bilinear, display_from_linear, fresnel, linear_from_display, luminance
+from rainsim.sky import sample_environment
+
+ZERO = np.float32(0)
+ONE = np.float32(1)
+TWO = np.float32(2)
+THREE = np.float32(3)
+HALF = np.float32(0.5)
+
+
+# Wetting: ratio of wet to dry albedo, Lekner and Dorf 1988 after Angstrom, see `wet_ratio`.
+ESCAPE = np.float32(0.066)  # diffuse light reflected by the film from outside
+TRAPPED = np.float32(0.4746)  # light reflected back by the film from inside
+ALBEDO_PER_COLOR = np.float32(0.85)  # sunlit captured colour to albedo: a guess, light is baked in
+
+FAR_AWAY = np.float32(1e4)  # m, stands for the depth of the sky
+SKY_DISTANCE = np.float32(30.0)  # m: bright things beyond, above the horizon, are sky
+SKY_SINE = np.float32(0.03)  # sine of the elevation above which there may be sky
+
+
+
+@device_function
+def wet_ratio(albedo):
+    """Return the albedo of a rough surface under a film of water over its dry albedo.
+
+    (1 - R_e) (1 - p) / (1 - p a), Lekner and Dorf 1988 (Appl. Opt. 27), the
+    surface itself unchanged.
+    """
+    return (ONE - ESCAPE) * (ONE - TRAPPED) / (ONE - TRAPPED * albedo)
+
+
+@device_function
+def graded(r, g, b, exposure, desaturation, compression):
+    """Return captured linear colour as it looks under a dull sky: darker, greyer, flatter.
+
+    `compression` pulls down what lies above a quarter of white: sunlit patches.
+    """
+    y = luminance(r, g, b)
+    gain = exposure / (ONE + max(y * exposure - np.float32(0.25), ZERO) * compression)
+    keep = ONE - desaturation
+    return (y + (r - y) * keep) * gain, (y + (g - y) * keep) * gain, (y + (b - y) * keep) * gain
+
+
+@cpu_kernel
+def grade_and_wet(
+    color, alpha, depth, plane_depth, normal, meters_per_unit, ground_from_camera, eye, lens,
+    bed, grass, exposure_to_rain, origin, spacing, environment, look, wetness,
+    picture_out, depth_out, clearance_out,
+):  # fmt: skip
+    """Grade the dry picture, wet it, and measure it against the ground.
+
+    Parameters
+    ----------
+    color, alpha, depth, plane_depth, normal
+        As `raster.Layers` has them, depth in capture units, normals in the camera frame.
+    ground_from_camera : ndarray of shape (3, 3), float32
+    eye : ndarray of shape (3,), float32 [m]
+    bed, grass, exposure_to_rain : ndarray of shape (ny, nx), float32
+        Ground [m], share of grass, share of the rain that reaches the ground.
+    look : ndarray of shape (4,), float32
+        Exposure, desaturation, compression, share of the captured sky that is replaced.
+    wetness : float32
+        0 dry to 1 wet, of open hard ground.
+    picture_out : ndarray of shape (height, width, 3), float32
+    depth_out : ndarray of shape (height, width), float32 [m]
+        Infinite for sky.
+    clearance_out : ndarray of shape (height, width), float32 [m]
+        Height above the bed; 1e4 outside the map and for the sky.
+    """
+    height, width = alpha.shape
+    ny, nx = bed.shape
+    for row in prange(height):
+        for column in range(width):
+            a = (np.float32(column) + HALF - lens[2]) / lens[0]
+            b = (np.float32(row) + HALF - lens[3]) / lens[1]
+            x = _row(ground_from_camera, 0, a, b, ONE)
+            y = _row(ground_from_camera, 1, a, b, ONE)
+            z = _row(ground_from_camera, 2, a, b, ONE)
+            length = math.sqrt(x * x + y * y + z * z)
+            n0, n1, n2 = normal[row, column, 0], normal[row, column, 1], normal[row, column, 2]
+            upness = (
+                ground_from_camera[2, 0] * n0
+                + ground_from_camera[2, 1] * n1
+                + ground_from_camera[2, 2] * n2
+            )
+            # Plane depth is far better on flat ground, and can be wild on thin things.
+            d = depth[row, column]
+            if upness > np.float32(0.7):
+                d = plane_depth[row, column]
+            d *= meters_per_unit
+            over = alpha[row, column]
+            px, py, pz = eye[0] + d * x, eye[1] + d * y, eye[2] + d * z
+            u, v = (px - origin[0]) / spacing - HALF, (py - origin[1]) / spacing - HALF
+            inside = u > ZERO and v > ZERO and u < np.float32(nx - 1) and v < np.float32(ny - 1)
+            is_sky = over < HALF or (
+                d * length > SKY_DISTANCE and z > SKY_SINE * length and look[3] > ZERO
+            )
+            clearance, reach, lawn = FAR_AWAY, ONE, ZERO
+            if inside and over >= np.float32(0.1):
+                clearance = pz - bilinear(bed, u, v)
+                lawn = bilinear(grass, u, v)
+                if clearance < np.float32(0.3):
+                    reach = bilinear(exposure_to_rain, u, v)
+            depth_out[row, column] = d if over >= np.float32(0.1) else np.inf
+            clearance_out[row, column] = clearance
+            r = linear_from_display(max(color[row, column, 0], ZERO))
+            g = linear_from_display(max(color[row, column, 1], ZERO))
+            bl = linear_from_display(max(color[row, column, 2], ZERO))
+            r, g, bl = graded(r, g, bl, look[0], look[1], look[2])
+            if not is_sky:
+                r, g, bl = wetted(r, g, bl, look[0], wetness, reach, upness, clearance, lawn)
+                sheen = (
+                    wetness * reach * max(TWO * upness - ONE, ZERO) * (ONE - lawn)
+                    * np.float32(0.2)
+                )  # fmt: skip
+                if clearance > np.float32(0.3):
+                    sheen *= HALF
+                if sheen > ZERO:
+                    cosine = -(x * _row(ground_from_camera, 0, n0, n1, n2)
+                               + y * _row(ground_from_camera, 1, n0, n1, n2)
+                               + z * upness) / length  # fmt: skip
+                    # A wet rough surface glosses: a little of the sky, blurred.
+                    gloss = sheen * fresnel(max(cosine, np.float32(0.02)))
+                    r += gloss * sample_environment(environment, ZERO, ZERO, ONE, 0)
+                    g += gloss * sample_environment(environment, ZERO, ZERO, ONE, 1)
+                    bl += gloss * sample_environment(environment, ZERO, ZERO, ONE, 2)
+            # What the capture does not cover, and the sky it holds, is the sky of the day.
+            through = ONE - over
+            if is_sky:
+                through = max(through, look[3])
+                r, g, bl = r * (ONE - look[3]), g * (ONE - look[3]), bl * (ONE - look[3])
+            il = ONE / length
+            if through > np.float32(0.002):
+                r += through * sample_environment(environment, x * il, y * il, z * il, 0)
+                g += through * sample_environment(environment, x * il, y * il, z * il, 1)
+                bl += through * sample_environment(environment, x * il, y * il, z * il, 2)
+            picture_out[row, column, 0] = r
+            picture_out[row, column, 1] = g
+            picture_out[row, column, 2] = bl
+
+
+@device_function
+def _row(matrix, i, x, y, z):
+    return matrix[i, 0] * x + matrix[i, 1] * y + matrix[i, 2] * z
+
+
+@device_function
+def wetted(r, g, b, exposure, wetness, reach, upness, clearance, lawn):
+    """Return the graded colour of a surface in the rain.
+
+    Darkened by the wet/dry albedo ratio with the albedo guessed from the colour; less where rain
+    comes slantwise (walls), little on leaves, which shed water and shine, and more saturated.
+    """
+    top = max(max(r, g), b)
+    green = min(max((TWO * g - r - b) / max(top, np.float32(1e-3)) * TWO, ZERO), ONE)
+    facing = min(max(np.float32(0.4) + np.float32(1.2) * upness, np.float32(0.4)), ONE)
+    if clearance > np.float32(0.3):
+        facing *= np.float32(0.85)
+    amount = wetness * reach * facing * (ONE - np.float32(0.55) * max(green, lawn))
+    y = luminance(r, g, b)
+    albedo = min(max(y / exposure * ALBEDO_PER_COLOR, np.float32(0.02)), np.float32(0.8))
+    darker = ONE - amount * (ONE - wet_ratio(albedo))
+    richer = ONE + np.float32(0.25) * amount
+    return (
+        max(y + (r - y) * richer, ZERO) * darker,
+        max(y + (g - y) * richer, ZERO) * darker,
+        max(y + (b - y) * richer, ZERO) * darker,
+    )
+
+
+@cpu_kernel
+def compose(
+    picture, depth, rain_alpha, splash_alpha, drop_radiance, air_radiance, extinction,
+    lens, brightness, image_out,
+):  # fmt: skip
+    """Put fog, streaks and splashes before the picture and encode it for display.
+
+    Parameters
+    ----------
+    rain_alpha, splash_alpha : ndarray of shape (height, width), float32
+    drop_radiance, air_radiance : ndarray of shape (3,), float32
+    extinction : ndarray of shape (3,), float32
+        Of drops too fine to draw [1/m], of all drops beyond the drawn ones [1/m], where that
+        begins [m].
+    image_out : ndarray of shape (height, width, 3), uint8
+    """
+    height, width = depth.shape
+    for row in prange(height):
+        for column in range(width):
+            a = (np.float32(column) + HALF - lens[2]) / lens[0]
+            b = (np.float32(row) + HALF - lens[3]) / lens[1]
+            slant = math.sqrt(ONE + a * a + b * b)
+            z = min(depth[row, column], np.float32(500))  # m; clouds hang lower, farther is grey
+            thickness = extinction[0] * z + extinction[1] * max(z - extinction[2], ZERO)
+            clear = math.exp(-thickness * slant)
+            streak, drop = rain_alpha[row, column], splash_alpha[row, column]
+            for c in range(3):
+                value = picture[row, column, c] * clear + air_radiance[c] * (ONE - clear)
+                value += drop * (drop_radiance[c] - value)
+                value += streak * (drop_radiance[c] - value)
+                value *= brightness
+                # A soft shoulder: highlights end at white instead of being cut off.
+                if value > HALF:
+                    value = HALF + HALF * (ONE - math.exp(-(value - HALF) * TWO))
+                shown = display_from_linear(max(value, ZERO))
+                image_out[row, column, c] = np.uint8(min(shown, ONE) * np.float32(255) + HALF)

@@ -1,0 +1,91 @@
+"""Optical formulas against their definitions."""
+
+import numpy as np
+import pytest
+
+from rainsim import light, shade, sky
+
+
+def test_fresnel_is_the_exact_dielectric():
+    # Born and Wolf: at normal incidence ((n - 1) / (n + 1))^2; the rest from physics tables.
+    assert light.fresnel(1.0) == pytest.approx((0.333 / 2.333) ** 2, abs=1e-6)
+    for degrees, expected in ((60, 0.060), (75, 0.212), (80, 0.348), (85, 0.584)):
+        assert light.fresnel(np.cos(np.radians(degrees))) == pytest.approx(expected, abs=1.5e-3)
+    assert light.fresnel(0.0) == pytest.approx(1.0)
+    values = [light.fresnel(c) for c in np.linspace(0, 1, 50)]
+    assert all(a > b for a, b in zip(values, values[1:], strict=False))
+
+
+def test_display_curve_is_its_own_inverse_and_spans_the_range():
+    for value in np.linspace(0, 1, 33):
+        c = np.float32(value)
+        assert light.display_from_linear(light.linear_from_display(c)) == pytest.approx(c, abs=1e-5)
+    assert light.linear_from_display(np.float32(0.5)) == pytest.approx(0.2140, abs=1e-4)
+
+
+def test_wet_ratio_is_the_published_curve():
+    for albedo, ratio in ((0.05, 0.50), (0.1, 0.515), (0.2, 0.54), (0.3, 0.57), (0.5, 0.64)):
+        assert shade.wet_ratio(np.float32(albedo)) == pytest.approx(ratio, abs=0.01)
+
+
+def test_wetting_darkens_and_dry_stays():
+    wet = shade.wetted(0.3, 0.3, 0.3, 1.0, 1.0, 1.0, 1.0, 0.0, 0.0)
+    dry = shade.wetted(0.3, 0.3, 0.3, 1.0, 0.0, 1.0, 1.0, 0.0, 0.0)
+    sheltered = shade.wetted(0.3, 0.3, 0.3, 1.0, 1.0, 0.0, 1.0, 0.0, 0.0)
+    np.testing.assert_allclose(dry, 0.3, rtol=1e-6)
+    np.testing.assert_allclose(sheltered, 0.3, rtol=1e-6)
+    assert 0.5 < wet[0] / 0.3 < 0.65
+    leaf = shade.wetted(0.1, 0.3, 0.05, 1.0, 1.0, 1.0, 1.0, 0.5, 0.0)
+    assert sum(leaf) / 0.45 > wet[0] / 0.3  # leaves shed water
+
+
+def test_grading_is_the_identity_when_asked_for():
+    np.testing.assert_allclose(shade.graded(0.2, 0.5, 0.9, 1.0, 0.0, 0.0), (0.2, 0.5, 0.9), rtol=1e-6)
+    r, g, b = shade.graded(0.2, 0.5, 0.9, 0.7, 0.2, 1.2)
+    assert b < 0.7 * 0.9 and (b - r) / b < 0.7 / 0.9
+
+
+def test_overcast_sky_has_moon_and_spencers_irradiance():
+    environment = sky.overcast()
+    zenith = sky.ZENITH_RADIANCE * sky.OVERCAST_TINT
+    np.testing.assert_allclose(sky.irradiance(environment), 7 / 9 * zenith, rtol=0.01)
+    np.testing.assert_allclose(environment[0].mean(0), zenith, rtol=0.01)
+    assert environment[70, 0, 1] < environment[40, 0, 1]
+
+
+def test_environment_lookup_finds_what_was_put_there():
+    rows, columns = sky.ROWS, sky.COLUMNS
+    direction = sky.directions()
+    picture = np.zeros((rows, columns, 3), np.float32)
+    picture[..., 0] = direction[..., 0]
+    picture[..., 1] = direction[..., 1]
+    picture[..., 2] = direction[..., 2]
+    rng = np.random.default_rng(3)
+    for _ in range(50):
+        d = rng.normal(size=3)
+        d = (d / np.linalg.norm(d)).astype(np.float32)
+        got = [sky.sample_environment(picture, *d, c) for c in range(3)]
+        np.testing.assert_allclose(got, d, atol=0.02)
+    # The seam behind (azimuth +-180 degrees) is no edge.
+    a = sky.sample_environment(picture, np.float32(-1), np.float32(1e-4), np.float32(0), 0)
+    b = sky.sample_environment(picture, np.float32(-1), np.float32(-1e-4), np.float32(0), 0)
+    assert a == pytest.approx(b, abs=1e-3)
+
+
+def test_panorama_is_scaled_to_the_skys_irradiance():
+    rng = np.random.default_rng(1)
+    for shape in ((256, 512, 3), (300, 700, 3), (32, 64, 3)):
+        panorama = rng.uniform(3, 40, shape).astype(np.float32)
+        environment = sky.from_panorama(panorama)
+        assert environment.shape == (sky.ROWS, sky.COLUMNS, 3)
+        wanted = sky.irradiance(sky.overcast())[1]
+        assert sky.irradiance(environment)[1] == pytest.approx(wanted, rel=1e-3)
+
+
+def test_drop_shows_the_bright_half_that_it_faces():
+    direction = sky.directions()
+    environment = np.where(direction[..., :1] > 0, 1.0, 0.0) * np.ones(3)
+    bright = sky.drop_radiance(environment, (1.0, 0, 0))
+    dark = sky.drop_radiance(environment, (-1.0, 0, 0))
+    np.testing.assert_allclose(bright, 0.97, atol=0.01)
+    np.testing.assert_allclose(dark, 0.03, atol=0.01)

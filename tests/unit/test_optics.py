@@ -1,0 +1,175 @@
+"""Water in the picture: a tank with a known floor, mirrors, contact, and what must not change."""
+
+import math
+
+import numpy as np
+import pytest
+
+from rainsim import optics
+from rainsim.light import fresnel
+
+WIDTH, HEIGHT, FOCAL = 120, 90, 100.0
+LENS = np.array([FOCAL, FOCAL, WIDTH / 2, HEIGHT / 2], np.float32)
+# Camera 1.5 m above the ground, looking along +x and 30 degrees down.
+PITCH = math.radians(30)
+FORWARD = np.array([math.cos(PITCH), 0, -math.sin(PITCH)])
+RIGHT = np.array([0, -1.0, 0])
+DOWN = np.cross(FORWARD, RIGHT)
+TURN = np.ascontiguousarray(np.stack([RIGHT, DOWN, FORWARD], axis=1), dtype=np.float32)
+EYE = np.array([-2.0, 0, 1.5], np.float32)
+SPACING = 0.05
+SHAPE = (160, 160)
+ORIGIN = np.array([-4.0, -4.0], np.float32)
+
+
+def rays():
+    v, h = np.mgrid[0:HEIGHT, 0:WIDTH] + 0.5
+    camera = np.stack([(h - LENS[2]) / FOCAL, (v - LENS[3]) / FOCAL, np.ones_like(h)], axis=-1)
+    return camera @ TURN.T.astype(float)
+
+
+def floor_picture(z=0.0):
+    """Depth of a floor at height z, and a picture that holds each floor point's x and y."""
+    ray = rays()
+    with np.errstate(divide="ignore"):
+        t = np.where(ray[..., 2] < 0, (z - EYE[2]) / ray[..., 2], np.inf)
+    point = EYE + t[..., None] * np.where(np.isfinite(t[..., None]), ray, 0)
+    picture = np.zeros((HEIGHT, WIDTH, 3))
+    picture[..., 0], picture[..., 1] = point[..., 0], point[..., 1]
+    picture[~np.isfinite(picture)] = 0
+    return t.astype(np.float32), picture.astype(np.float32)
+
+
+def water(depth_of_water, picture=None, depth=None, clearance=None, slopes=0.0, environment=None,
+          sun=None):  # fmt: skip
+    floor_depth, floor = floor_picture()
+    picture = floor if picture is None else picture
+    depth = floor_depth if depth is None else depth
+    clearance = np.zeros((HEIGHT, WIDTH), np.float32) if clearance is None else clearance
+    bed = np.zeros(SHAPE, np.float32)
+    water_depth = np.broadcast_to(np.float32(depth_of_water), SHAPE).copy()
+    levels = [np.full((2, n, n), slopes, np.float32) for n in (32, 16, 8, 4)]
+    if environment is None:
+        environment = np.zeros((16, 32, 3), np.float32)
+    out = np.full((HEIGHT, WIDTH, 3), np.nan, np.float32)
+    coverage = np.full((HEIGHT, WIDTH), np.nan, np.float32)
+    march = np.array([0.4e-3, 2.2e-3, 0.15, 1, 12, 4e-3], np.float32)
+    optics.shade_water(
+        picture, depth, clearance, TURN, EYE, LENS, bed + water_depth, water_depth, bed,
+        np.ones(SHAPE, np.float32), ORIGIN, np.float32(SPACING), *levels, np.float32(1.0),
+        environment, march, np.zeros(6, np.float32) if sun is None else sun, out, coverage,
+    )  # fmt: skip
+    assert np.isfinite(out).all() and np.isfinite(coverage).all()
+    return out, coverage
+
+
+def test_dry_ground_is_left_alone():
+    _, picture = floor_picture()
+    out, coverage = water(0.0)
+    assert not coverage.any()
+    np.testing.assert_array_equal(out, picture)
+
+
+def test_a_tanks_apparent_shift_is_snells():
+    """Through 4 cm of water each pixel shows the floor point that refraction says."""
+    deep = 0.04
+    out, coverage = water(deep)
+    ray = rays()
+    unit = ray / np.linalg.norm(ray, axis=-1, keepdims=True)
+    t = (deep - EYE[2]) / ray[..., 2]
+    surface = EYE + t[..., None] * ray
+    cosine = -unit[..., 2]
+    sine_in = np.sqrt(1 - cosine**2) / 1.333
+    shift = deep * sine_in / np.sqrt(1 - sine_in**2)
+    flat = unit[..., :2] / np.linalg.norm(unit[..., :2], axis=-1, keepdims=True)
+    floor = surface[..., :2] + shift[..., None] * flat
+    mirror = np.vectorize(fresnel)(cosine)
+    path = deep / np.sqrt(1 - sine_in**2)
+    for channel, absorb in ((0, 9.0), (1, 6.0)):
+        expected = floor[..., channel] * (1 - mirror) * np.exp(-absorb * (path + deep))
+        inside = coverage > 0.999
+        inside[:, :5] = inside[:, -5:] = False
+        inside[:8] = inside[-5:] = False  # where the shifted point leaves the picture
+        assert inside.sum() > 2000
+        # Half a pixel on the floor, in metres, for each pixel's own footprint.
+        footprint = t * np.linalg.norm(ray, axis=-1) / FOCAL / np.maximum(cosine, 0.05)
+        assert (np.abs(out[..., channel] - expected) < 0.5 * footprint)[inside].all()
+    dry = floor_picture()[1]
+    assert np.abs(out - dry).max() > 0.02
+
+
+def test_mirrors_the_sky_by_fresnel_where_the_floor_is_black():
+    environment = np.full((16, 32, 3), 2.0, np.float32)
+    out, coverage = water(0.02, picture=np.zeros((HEIGHT, WIDTH, 3), np.float32),
+                          environment=environment)  # fmt: skip
+    unit = rays() / np.linalg.norm(rays(), axis=-1, keepdims=True)
+    expected = 2.0 * np.vectorize(fresnel)(np.clip(-unit[..., 2], 0.02, 1))
+    inside = coverage > 0.999
+    np.testing.assert_allclose(out[..., 1][inside], expected[inside], rtol=1e-4)
+
+
+def test_mirrors_a_wall_that_the_picture_shows():
+    """A bright wall at x = 2: the water shows it where the mirrored ray ends in the picture."""
+    depth, picture = floor_picture()
+    ray = rays()
+    t_wall = (2.0 - EYE[0]) / ray[..., 0]
+    top = EYE[2] + t_wall * ray[..., 2]
+    wall = (t_wall < depth) & (top > 0) & (t_wall > 0)
+    depth = np.where(wall, t_wall, depth).astype(np.float32)
+    picture = np.where(wall[..., None], 1.0, 0.0) * np.ones(3)
+    clearance = np.where(wall, top, 0).astype(np.float32)
+    out, coverage = water(0.005, picture.astype(np.float32), depth, clearance)
+    unit = ray / np.linalg.norm(ray, axis=-1, keepdims=True)
+    mirror = np.vectorize(fresnel)(np.clip(-unit[..., 2], 0.02, 1))
+    t = (0.005 - EYE[2]) / ray[..., 2]
+    point = EYE + t[..., None] * ray
+    height = 0.005 - ray[..., 2] / ray[..., 0] * (2.0 - point[..., 0])  # on the wall
+    # The wall's highest visible row is at the top of the picture.
+    inside = (coverage > 0.999) & ~wall & (height < top[12].min()) & (height > 0.1)
+    inside[:, :20] = inside[:, -20:] = False  # where the mirror fades to the surroundings
+    assert inside.sum() > 300
+    np.testing.assert_allclose(out[..., 0][inside], mirror[inside], rtol=0.05)
+
+
+def test_what_stands_above_the_water_is_not_painted_over():
+    depth, picture = floor_picture()
+    nearer = (depth * 0.7).astype(np.float32)  # an object well above the water
+    out, coverage = water(0.02, depth=nearer, clearance=np.full_like(depth, 0.4))
+    assert not coverage.any()
+    np.testing.assert_array_equal(out, picture)
+
+
+def test_coverage_grows_with_depth_and_softly():
+    middle = (HEIGHT // 2, WIDTH // 2)
+    values = [water(d)[1][middle] for d in (0.0003, 0.0008, 0.0013, 0.0018, 0.003)]
+    assert values[0] == 0 and values[-1] == 1
+    assert all(a < b for a, b in zip(values, values[1:], strict=False))
+
+
+def test_ripples_bend_the_mirror():
+    environment = np.zeros((64, 128, 3), np.float32)
+    environment[:32] = np.linspace(2, 0, 32)[:, None, None]
+    black = np.zeros((HEIGHT, WIDTH, 3), np.float32)
+    flat, coverage = water(0.02, black, environment=environment)
+    bent, _ = water(0.02, black, environment=environment, slopes=0.1)
+    assert np.abs(bent - flat)[coverage > 0.99].mean() > 0.001
+
+
+def test_sun_glint_integrates_to_the_reflected_sun():
+    """The slope density integrates to one: a rough level mirror loses no sunlight."""
+    n = 400
+    tilt = np.linspace(-0.35, 0.35, n)
+    total = 0.0
+    variance = 4e-3
+    for gx in tilt[::8]:
+        for gy in tilt[::8]:
+            h = np.array([-gx, -gy, 1.0])
+            h /= np.linalg.norm(h)
+            sun = np.array([0.3, 0.1, 0.9])
+            sun /= np.linalg.norm(sun)
+            view = sun - 2 * (sun @ h) * h  # from the eye to the water: v with half vector h
+            value = optics.sun_glint(*view, *sun, 0.0, 0.0, variance)
+            f = fresnel(sun @ h)
+            # radiance * cos(view) * 4 h_z^4 / F is the density of slopes.
+            total += value / f * 4 * h[2] ** 4 * max(-view[2], 0.05) * (tilt[8] - tilt[0]) ** 2
+    assert total == pytest.approx(1.0, abs=0.02)
