@@ -1,0 +1,409 @@
+"""Cameras: files of capture tools in and out, and cameras placed by hand.
+
+Two formats are read: `cameras.json` of the original 3D Gaussian Splatting code, and the NeRF
+style `transforms.json`, whose cameras look along their own -z with y up.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import PurePosixPath
+
+import numpy as np
+
+from rainsim.errors import InputError, ParameterError
+from rainsim.scene.files import json_number, number_array, read_json, write_json
+from rainsim.scene.types import Camera
+
+MAX_FOCAL = 1e9  # px
+MAX_SIDE = 65_536  # px; anything longer is a damaged file
+RIGID_TOLERANCE = 1e-3  # files with six decimals pass, scaled or mirrored poses do not
+FLIP = np.array([1.0, -1.0, -1.0])  # OpenGL camera axes (y up, z back) to ours, and back
+PINHOLES = ("PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "SIMPLE_RADIAL", "RADIAL")
+
+
+def read_cameras(path):
+    """Read the cameras of a `cameras.json` or `transforms.json`, told apart by content.
+
+    Parameters
+    ----------
+    path : path-like
+
+    Returns
+    -------
+    list of Camera
+        In the file's order, in the capture frame. Lens distortion is not applied: splats are
+        drawn as an undistorted pinhole camera sees them.
+
+    Raises
+    ------
+    InputError
+        Names the camera and the value that is missing or wrong.
+    """
+    return cameras_from_data(read_json(path, "a camera file"), path)
+
+
+def cameras_from_data(data, source):
+    """Return the cameras in `data`, read from JSON in `source`; see `read_cameras`."""
+    if isinstance(data, list) and data:
+        return [_capture_camera(_Entry(source, f"camera {i}", c)) for i, c in enumerate(data)]
+    if isinstance(data, dict) and isinstance(data.get("frames"), list) and data["frames"]:
+        return [
+            _nerf_camera(_Entry(source, f"frame {i}", frame, data))
+            for i, frame in enumerate(data["frames"])
+        ]
+    raise InputError(
+        f"{source} holds no cameras; it must be a list of cameras (cameras.json) or have a list "
+        "named frames (transforms.json); check the path"
+    )
+
+
+def write_transforms(path, cameras, file_paths=None):
+    """Write cameras as a NeRF style `transforms.json` that `read_cameras` reads back exactly.
+
+    Parameters
+    ----------
+    path : path-like
+        Replaced whole or not at all.
+    cameras : sequence of Camera
+        Pinhole cameras.
+    file_paths : sequence of str, optional
+        The pictures that belong to the cameras; by default the cameras' names.
+    """
+    write_json(path, cameras_to_data(cameras, file_paths))
+
+
+def cameras_to_data(cameras, file_paths=None):
+    """Return what `write_transforms` writes, as a dict."""
+    file_paths = [c.name for c in cameras] if file_paths is None else list(file_paths)
+    frames = [
+        _nerf_frame(camera, file_path)
+        for camera, file_path in zip(cameras, file_paths, strict=True)
+    ]
+    return {"camera_model": "PINHOLE", "frames": frames}
+
+
+def _nerf_frame(camera, file_path):
+    if camera.orthographic:
+        raise ParameterError(
+            f"camera {camera.name!r} is orthographic; transforms.json holds pinhole cameras only"
+        )
+    return {
+        "name": camera.name,
+        "file_path": str(file_path),
+        "w": camera.width,
+        "h": camera.height,
+        "fl_x": camera.fx,
+        "fl_y": camera.fy,
+        "cx": camera.cx,
+        "cy": camera.cy,
+        "transform_matrix": _nerf_matrix(camera.camera_from_world).tolist(),
+        # Inverting a pose rounds; this copy makes the way there and back exact.
+        "camera_from_world": camera.camera_from_world.tolist(),
+    }
+
+
+def _nerf_matrix(camera_from_world):
+    matrix = np.eye(4)
+    rotation = camera_from_world[:3, :3].T
+    matrix[:3, :3] = rotation * FLIP
+    matrix[:3, 3] = -rotation @ camera_from_world[:3, 3]
+    return matrix
+
+
+# --- reading --------------------------------------------------------------------------------------
+
+
+class _Entry:
+    """One camera's values in a file, with what all cameras of the file share."""
+
+    def __init__(self, path, label, values, shared=None):
+        self.label = f"{path} {label}"
+        if not isinstance(values, dict):
+            raise InputError(f"{self.label} is not an object with named values; write it again")
+        self.values, self.shared = values, shared or {}
+
+    def get(self, key):
+        return self.values.get(key, self.shared.get(key))
+
+    def number(self, key, above, below):
+        value = json_number(self.get(key))
+        if value is None or not above < value < below:
+            raise self.error(key, f"a number above {above:g} and below {below:g}")
+        return value
+
+    def side(self, key):
+        value = self.number(key, 0, MAX_SIDE + 1)
+        if value != int(value):
+            raise self.error(key, "a whole number of pixels")
+        return int(value)
+
+    def array(self, key, shape):
+        value = number_array(self.get(key), shape)
+        if value is None:
+            raise self.error(key, f"finite numbers of shape {' x '.join(map(str, shape))}")
+        return value
+
+    def rotation(self, key, matrix):
+        """Return `matrix` if it is a rotation, its nearest rotation if rounding is all it lacks."""
+        away = np.abs(matrix @ matrix.T - np.eye(3)).max()
+        if away > RIGID_TOLERANCE or np.linalg.det(matrix) < 0:
+            raise self.error(key, "a rotation without scale or mirroring")
+        if away > 1e-12:  # more than float64 rounding: clean it up
+            u, _, v = np.linalg.svd(matrix)
+            return u @ v
+        return matrix
+
+    def error(self, key, rule):
+        value = self.get(key)
+        shown = "missing" if value is None else repr(value)
+        if len(shown) > 60:
+            shown = shown[:57] + "..."
+        return InputError(f"{self.label}: {key} is {shown}; it must be {rule}; correct the file")
+
+
+def _capture_camera(entry):
+    # `rotation` has the camera's axes as columns; `position` is its centre.
+    rotation = entry.rotation("rotation", entry.array("rotation", (3, 3)))
+    width, height = entry.side("width"), entry.side("height")
+    name = entry.get("img_name")
+    return Camera(
+        width=width,
+        height=height,
+        fx=entry.number("fx", 0, MAX_FOCAL),
+        fy=entry.number("fy", 0, MAX_FOCAL),
+        cx=width / 2,
+        cy=height / 2,
+        camera_from_world=_pose(rotation.T, entry.array("position", (3,))),
+        name=str(entry.get("id") if name is None else name),
+    )
+
+
+def _nerf_camera(entry):
+    model = entry.get("camera_model")
+    if model is not None and model not in PINHOLES:
+        raise entry.error("camera_model", f"one of {', '.join(PINHOLES)}")
+    width, height = entry.side("w"), entry.side("h")
+    fx, fy = _focal_lengths(entry, width, height)
+    return Camera(
+        width=width,
+        height=height,
+        fx=fx,
+        fy=fy,
+        cx=width / 2 if entry.get("cx") is None else entry.number("cx", -MAX_FOCAL, MAX_FOCAL),
+        cy=height / 2 if entry.get("cy") is None else entry.number("cy", -MAX_FOCAL, MAX_FOCAL),
+        camera_from_world=_nerf_pose(entry),
+        name=_nerf_name(entry),
+    )
+
+
+def _focal_lengths(entry, width, height):
+    """Return fx, fy from whichever of the four usual values the file gives; pixels are square."""
+    if entry.get("fl_x") is not None:
+        fx = entry.number("fl_x", 0, MAX_FOCAL)
+    elif entry.get("camera_angle_x") is not None:
+        fx = width / 2 / math.tan(entry.number("camera_angle_x", 0, math.pi) / 2)
+    else:
+        fx = None
+    if entry.get("fl_y") is not None:
+        fy = entry.number("fl_y", 0, MAX_FOCAL)
+    elif entry.get("camera_angle_y") is not None:
+        fy = height / 2 / math.tan(entry.number("camera_angle_y", 0, math.pi) / 2)
+    else:
+        fy = fx
+    if fy is None:
+        raise entry.error("fl_x", "a number above 0, unless there is a camera_angle_x [radians]")
+    return (fy if fx is None else fx), fy
+
+
+def _nerf_pose(entry):
+    key = "transform_matrix"
+    matrix = number_array(entry.get(key), (3, 4))  # some programs leave out the last row
+    if matrix is None:
+        matrix = entry.array(key, (4, 4))[:3]
+    rotation = entry.rotation(key, matrix[:, :3]) * FLIP
+    pose = _pose(rotation.T, matrix[:, 3])
+    exact = entry.values.get("camera_from_world")
+    if exact is not None:
+        exact = entry.array("camera_from_world", (4, 4))
+        # An editor may have changed the well-known matrix and not our copy: then it counts.
+        if np.allclose(_nerf_matrix(exact)[:3], matrix, rtol=1e-12, atol=1e-12):
+            return exact
+    return pose
+
+
+def _nerf_name(entry):
+    name = entry.values.get("name")
+    if name is None:
+        name = PurePosixPath(str(entry.values.get("file_path") or "")).stem
+    return str(name)
+
+
+def _pose(rotation, position):
+    """Return camera_from_world of the camera at `position` whose axes are the rows `rotation`."""
+    matrix = np.eye(4)
+    matrix[:3, :3] = rotation
+    matrix[:3, 3] = -rotation @ position
+    return matrix
+
+
+# --- placing --------------------------------------------------------------------------------------
+
+
+def look_at(eye, target, up, fov_degrees, width, height, name=""):
+    """Return a camera at `eye` that looks at `target`.
+
+    Parameters
+    ----------
+    eye, target : array_like of shape (3,)
+        In the frame that the camera is for.
+    up : array_like of shape (3,)
+        A direction that points up in the picture; need not be at right angles to the view.
+    fov_degrees : float [degrees]
+        Horizontal field of view.
+    width, height : int [px]
+    name : str
+
+    Returns
+    -------
+    Camera
+        With square pixels and the principal point at the centre.
+
+    Raises
+    ------
+    ParameterError
+        If eye and target are the same point, the view runs along `up`, or a value is out of range.
+    """
+    eye, target, up = (_vector(n, v) for n, v in (("eye", eye), ("look-at", target), ("up", up)))
+    width, height = _side("width", width), _side("height", height)
+    if not 0 < fov_degrees < 180:  # false for NaN
+        raise ParameterError(
+            f"fov is {fov_degrees} degrees; it must be above 0 and below 180; 60 is usual"
+        )
+    forward = target - eye
+    distance = np.linalg.norm(forward)
+    if distance <= 1e-9 * np.abs(eye).max():
+        raise ParameterError(
+            f"eye and look-at are both {_shown(eye)}; they must differ; move one of them"
+        )
+    forward /= distance
+    right = np.cross(forward, up)
+    length = np.linalg.norm(right)
+    if length <= 1e-6 * np.linalg.norm(up):
+        raise ParameterError(
+            f"the view from {_shown(eye)} to {_shown(target)} runs along up {_shown(up)}; it must "
+            "not; move the eye a little aside"
+        )
+    right /= length
+    rotation = np.stack([right, np.cross(forward, right), forward])
+    focal = width / 2 / math.tan(math.radians(fov_degrees) / 2)
+    return Camera(
+        width, height, focal, focal, width / 2, height / 2, _pose(rotation, eye), name=name
+    )
+
+
+def orbit(ground_frame, cameras, target=None, count=24, width=None, height=None):
+    """Return `count` cameras on a full circle about the point that the capture's cameras look at.
+
+    The circle is level and runs counter-clockwise seen from above, starts at the first camera's
+    side, and has the cameras' mean height and mean horizontal distance from its axis.
+
+    Parameters
+    ----------
+    ground_frame : GroundFrame
+    cameras : sequence of Camera
+        The capture's cameras, in the capture frame; at least one.
+    target : array_like of shape (3,), optional
+        The point to look at, in the capture frame; by default the point nearest to all the
+        cameras' view axes (least squares).
+    count : int
+    width, height : int [px], optional
+        See `resize_to`; the horizontal field of view is always the first camera's.
+
+    Returns
+    -------
+    list of Camera
+        In the capture frame, named "orbit_000" and so on.
+    """
+    if not cameras:
+        raise ParameterError(
+            "an orbit needs the capture's cameras and there are none; give a path or an eye and a "
+            "look-at point instead"
+        )
+    if count < 1:
+        raise ParameterError(f"the orbit has {count} frames; it must have at least 1")
+    first = resize_to(cameras[0], width, height)
+    grounded = [ground_frame.camera_in_ground(camera) for camera in cameras]
+    eyes = np.array([camera.position for camera in grounded])
+    centre = _looked_at(grounded) if target is None else ground_frame.to_ground(target)
+    offsets = eyes[:, :2] - centre[:2]
+    radius = np.hypot(*offsets.T).mean()
+    start = math.atan2(offsets[0, 1], offsets[0, 0])
+    fov = 2 * math.degrees(math.atan(first.width / 2 / first.fx))
+    placed = []
+    for i in range(count):
+        angle = start + 2 * math.pi * i / count
+        eye = (
+            centre[0] + radius * math.cos(angle),
+            centre[1] + radius * math.sin(angle),
+            eyes[:, 2].mean(),
+        )
+        camera = look_at(eye, centre, (0, 0, 1), fov, first.width, first.height, f"orbit_{i:03d}")
+        placed.append(ground_frame.camera_in_capture(camera))
+    return placed
+
+
+def _looked_at(cameras):
+    """Return the point nearest to all view axes, or one ahead of them if they do not meet.
+
+    For axes through p_i along unit d_i it solves sum (I - d_i d_i^T) (x - p_i) = 0.
+    """
+    eyes = np.array([camera.position for camera in cameras])
+    views = np.array([camera.forward for camera in cameras])
+    across = np.eye(3) - views[:, :, None] * views[:, None, :]
+    total = across.sum(axis=0)
+    spread = np.linalg.eigvalsh(total)[0] / len(cameras)
+    if spread > 0.01:  # the axes differ by more than some 10 degrees: their crossing is well placed
+        point = np.linalg.solve(total, np.einsum("nij,nj->i", across, eyes))
+        if np.einsum("nj,nj->n", point - eyes, views).mean() > 0:
+            return point
+    middle, ahead = eyes.mean(axis=0), views.mean(axis=0)
+    # To where the mean view meets the ground, but no further than four times the height.
+    return middle + ahead * (abs(middle[2]) / max(-ahead[2], 0.25))
+
+
+def resize_to(camera, width=None, height=None):
+    """Return the camera with its picture `width` px wide, its shape kept unless `height` is given.
+
+    With both, the picture is cropped or widened about its centre line rather than squeezed: the
+    horizontal field of view and the shape of a pixel stay.
+    """
+    if width is None and height is None:
+        return camera
+    if width is None:
+        width = max(1, round(camera.width * _side("height", height) / camera.height))
+    same_shape = max(1, round(camera.height * _side("width", width) / camera.width))
+    scaled = camera.resized(width, same_shape)
+    if height is None or _side("height", height) == same_shape:
+        return scaled
+    return replace(scaled, height=height, cy=scaled.cy + (height - same_shape) / 2)
+
+
+def _vector(name, value):
+    vector = number_array(value, (3,))
+    if vector is None:
+        raise ParameterError(f"{name} is {value!r}; it must be three finite numbers x,y,z")
+    return vector
+
+
+def _side(name, value):
+    if isinstance(value, bool) or value != int(value) or not 1 <= value <= MAX_SIDE:
+        raise ParameterError(
+            f"{name} is {value} px; it must be a whole number from 1 to {MAX_SIDE}"
+        )
+    return int(value)
+
+
+def _shown(vector):
+    return "(" + ", ".join(f"{v:g}" for v in vector) + ")"

@@ -1,0 +1,270 @@
+"""Scenes as files: captures in the layouts that users hold, and the program's own scene folder.
+
+A scene folder holds `scene.json` (name, source, notes, cameras, ground frame) and `splats.npz` (the
+activated arrays of Splats, uncompressed).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import zipfile
+import zlib
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from rainsim.errors import InputError
+from rainsim.scene.cameras import cameras_from_data, cameras_to_data, read_cameras
+from rainsim.scene.files import read_json, replacing, write_json
+from rainsim.scene.ground import (
+    estimate_ground_frame,
+    ground_frame_from_dict,
+    ground_frame_to_dict,
+    read_ground_frame,
+    rescale_ground_frame,
+)
+from rainsim.scene.ply import read_splats
+from rainsim.scene.types import GroundFrame, Scene, Splats
+
+SCENE_FILE, SPLAT_FILE = "scene.json", "splats.npz"
+CAMERA_FILES = ("cameras.json", "transforms.json")  # the first that exists is read
+VERSION = 1
+ARRAYS = {"position": (3,), "rotation": (4,), "scale": (3,), "opacity": (), "sh": (None, 3)}
+COEFFICIENTS = (1, 4, 9, 16)
+
+
+def import_scene(
+    path, cameras=None, up=None, meters_per_unit=None, camera_height=None, ground_frame=None
+):
+    """Read a capture and find its ground frame.
+
+    Parameters
+    ----------
+    path : path-like
+        A trained model's folder (point_cloud/iteration_*/point_cloud.ply, the newest iteration,
+        with cameras.json), a splat PLY with cameras.json or transforms.json beside it, or a scene
+        folder as `write_scene` writes it.
+    cameras : path-like or sequence of Camera, optional
+        Instead of those beside the splats.
+    up, meters_per_unit, camera_height
+        See `estimate_ground_frame`. A scene folder keeps what they do not speak of.
+    ground_frame : path-like or GroundFrame, optional
+        The whole frame; wins over the others.
+
+    Returns
+    -------
+    Scene
+    """
+    path = Path(path)
+    if cameras is not None:
+        cameras = tuple(read_cameras(cameras) if _is_path(cameras) else cameras)
+    folder = path.parent if path.name == SCENE_FILE else path
+    if (folder / SCENE_FILE).is_file():
+        scene = read_scene(folder)
+        if cameras is not None:
+            scene = replace(scene, cameras=cameras)
+        return override_ground_frame(scene, up, meters_per_unit, camera_height, ground_frame)
+    splat_file, model = _locate(path)
+    with ThreadPoolExecutor(1) as pool:  # hashing runs beside reading
+        hashed = pool.submit(_sha256, splat_file)
+        splats, notes = read_splats(splat_file)
+        if cameras is None:
+            cameras = _cameras_beside(splat_file, model)
+        if ground_frame is None:
+            frame = estimate_ground_frame(splats, cameras, up, meters_per_unit, camera_height)
+        else:
+            frame = _as_frame(ground_frame)
+        source_hash = hashed.result()
+    name = path.resolve().name if path.is_dir() else _file_name(path, model)
+    return Scene(name, splats, tuple(cameras), frame, path, source_hash, tuple(notes))
+
+
+def override_ground_frame(
+    scene, up=None, meters_per_unit=None, camera_height=None, ground_frame=None
+):
+    """Return the scene with what is given of its ground frame changed; see `import_scene`.
+
+    A new `up` searches the ground anew, and a scale that was not assumed is kept unless another is
+    given; a new scale alone leaves the ground and the axes where they are.
+    """
+    if ground_frame is not None:
+        return replace(scene, ground_frame=_as_frame(ground_frame))
+    frame = scene.ground_frame
+    if up is not None:
+        if meters_per_unit is None and camera_height is None:
+            if not frame.scale_assumed or not scene.cameras:
+                meters_per_unit = frame.meters_per_unit
+        frame = estimate_ground_frame(
+            scene.splats, scene.cameras, up, meters_per_unit, camera_height
+        )
+    elif meters_per_unit is not None or camera_height is not None:
+        frame = rescale_ground_frame(frame, scene.cameras, meters_per_unit, camera_height)
+    return replace(scene, ground_frame=frame)
+
+
+def is_scene(path):
+    """Whether `import_scene` could read `path`, told by names alone."""
+    path = Path(path)
+    if path.is_dir():
+        return (path / SCENE_FILE).is_file() or newest_splat_file(path) is not None
+    return path.is_file() and path.suffix.lower() == ".ply"
+
+
+def newest_splat_file(folder):
+    """Return the splat file of a trained model's folder, newest iteration, or None."""
+    found = [
+        (int(file.parent.name.removeprefix("iteration_")), file)
+        for file in Path(folder).glob("point_cloud/iteration_*/point_cloud.ply")
+        if file.parent.name.removeprefix("iteration_").isdecimal()
+    ]
+    return max(found)[1] if found else None
+
+
+# --- capture --------------------------------------------------------------------------------------
+
+
+def _is_path(value):
+    return isinstance(value, str | os.PathLike)
+
+
+def _as_frame(value):
+    return value if isinstance(value, GroundFrame) else read_ground_frame(value)
+
+
+def _locate(path):
+    """Return the splat file that `path` means and the folder of the model that it belongs to."""
+    if not path.exists():
+        raise InputError(
+            f"{path} does not exist; it must be a trained model's folder, a splat PLY or a scene "
+            "folder; check the path"
+        )
+    if path.is_dir():
+        file = newest_splat_file(path)
+        if file is None:
+            loose = sorted(p for p in path.iterdir() if p.suffix.lower() == ".ply")
+            if len(loose) != 1:
+                raise InputError(
+                    f"{path} has no point_cloud/iteration_*/point_cloud.ply, no {SCENE_FILE} and "
+                    f"{len(loose)} PLY files; it must be a trained model's folder or a scene "
+                    "folder; name the splat PLY itself"
+                )
+            file = loose[0]
+        return file, path
+    inside = path.parent.name.startswith("iteration_") and path.parent.parent.name == "point_cloud"
+    return path, path.parent.parent.parent if inside else path.parent
+
+
+def _cameras_beside(splat_file, model):
+    for folder in dict.fromkeys((splat_file.parent, model)):
+        for name in CAMERA_FILES:
+            if (folder / name).is_file():
+                return read_cameras(folder / name)
+    return []
+
+
+def _file_name(path, model):
+    return model.resolve().name if path.stem == "point_cloud" else path.stem
+
+
+def _sha256(path):
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+# --- scene folder ---------------------------------------------------------------------------------
+
+
+def write_scene(folder, scene):
+    """Write a scene folder; both files are replaced together, when both are whole.
+
+    Parameters
+    ----------
+    folder : path-like
+        Made if it does not exist; other files in it are left alone.
+    scene : Scene
+    """
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    data = {
+        "rainsim_scene": VERSION,
+        "name": scene.name,
+        "source": scene.source.name if scene.source else None,
+        "source_sha256": scene.source_hash,
+        "notes": list(scene.notes),
+        "splats": len(scene.splats),
+        "ground_frame": ground_frame_to_dict(scene.ground_frame),
+        "cameras": cameras_to_data(scene.cameras) if scene.cameras else None,
+    }
+    with replacing(folder / SCENE_FILE) as scene_file, replacing(folder / SPLAT_FILE) as splat_file:
+        write_json(scene_file, data)
+        with open(splat_file, "wb") as file:
+            np.savez(file, **{name: getattr(scene.splats, name) for name in ARRAYS})
+
+
+def read_scene(folder):
+    """Read a scene folder that `write_scene` wrote; every number comes back exactly.
+
+    The scene's `source` is then the folder and its hash the one of the first source.
+    """
+    folder = Path(folder)
+    path = folder / SCENE_FILE
+    data = read_json(path, "a scene")
+    if not isinstance(data, dict) or data.get("rainsim_scene") != VERSION:
+        raise InputError(
+            f"{path} is not a scene of version {VERSION}; it must be written by rainsim import; "
+            "import the capture again"
+        )
+    splats = _read_arrays(folder / SPLAT_FILE)
+    if len(splats) != data.get("splats"):
+        raise InputError(
+            f"{folder} has {len(splats)} splats but {SCENE_FILE} speaks of {data.get('splats')}; "
+            "the files must belong together; import the capture again"
+        )
+    cameras, notes = data.get("cameras"), data.get("notes")
+    return Scene(
+        name=str(data.get("name", folder.name)),
+        splats=splats,
+        cameras=tuple(cameras_from_data(cameras, path)) if cameras else (),
+        ground_frame=ground_frame_from_dict(data.get("ground_frame"), path),
+        source=folder,
+        source_hash=str(data.get("source_sha256", "")),
+        notes=tuple(map(str, notes)) if isinstance(notes, list) else (),
+    )
+
+
+def _read_arrays(path):
+    """Return the Splats in an .npz file, their shapes and types checked."""
+    try:
+        with open(path, "rb") as file, np.load(file, allow_pickle=False) as archive:
+            splats = Splats(**{name: archive[name] for name in ARRAYS})
+    except FileNotFoundError:
+        raise InputError(f"{path} is missing; import the capture again") from None
+    except (
+        AttributeError, EOFError, KeyError, MemoryError, NotImplementedError, OSError, TypeError,
+        ValueError, zipfile.BadZipFile, zlib.error,
+    ) as error:  # fmt: skip
+        raise InputError(
+            f"{path} is damaged ({type(error).__name__}); it must hold the arrays "
+            f"{', '.join(ARRAYS)}; import the capture again"
+        ) from None
+    for name, shape in ARRAYS.items():
+        array = getattr(splats, name)
+        fits = array.dtype == np.float32 and array.ndim == len(shape) + 1
+        fits = fits and len(array) == len(splats.opacity) > 0
+        fits = fits and all(
+            want in (None, n) for want, n in zip(shape, array.shape[1:], strict=True)
+        )
+        if not fits or not np.isfinite(array).all():
+            raise InputError(
+                f"{path}: {name} is {array.dtype} of shape {array.shape}, or not finite; splats "
+                "must be float32 and match each other; import the capture again"
+            )
+    if splats.sh.shape[1] not in COEFFICIENTS:
+        raise InputError(
+            f"{path}: sh has {splats.sh.shape[1]} coefficients; it must have 1, 4, 9 or 16; import "
+            "the capture again"
+        )
+    return splats

@@ -1,0 +1,335 @@
+"""Where the ground is, which way is up and how long a metre is in a capture.
+
+The ground is the lowest well-supported plane near the cameras, found by random sampling weighted
+with opacity; cameras stand above it and give its sign; its scale follows from a given length or,
+said loudly, from an assumed height of the cameras.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from rainsim.errors import GroundError, InputError, ParameterError, require_positive
+from rainsim.scene.files import json_number, number_array, read_json, write_json
+from rainsim.scene.plane import find_plane
+from rainsim.scene.types import GroundFrame
+
+ASSUMED_CAMERA_HEIGHT = 1.5  # m, mean over the cameras: held before the eyes
+LEAST_CONFIDENCE = 0.2  # below this a found plane is more likely something else
+UP_HINT_ANGLE = math.radians(20)  # how far the ground may lean from an up that the user gives
+IMAGE_UP_ANGLE = math.radians(70)  # from image-up, which leans as far as a camera looks down
+LEAST_IMAGE_UP = 0.3  # mean of unit vectors; shorter means that the cameras do not agree
+MAX_POINTS = 120_000  # that the plane is fitted to; more cost time and change nothing
+LEAST_OPACITY = 0.1  # fainter splats are haze and floaters
+AREA_CAP = 4.0  # times the median area: a big splat must not outweigh the paving's many
+LEAST_SHARE = 0.1  # of the splats must be as near as the cameras, or the search starts wider:
+START_SHARE = 0.4  # around one garden camera 0.2 sees lawn only, 2 degrees off; 0.4 is 0.2 off
+GROWTH = 1.5  # of the search radius when the ground is not within it
+SCALE_REMEDY = "give --meters-per-unit or --camera-height to set it"
+
+
+def estimate_ground_frame(
+    splats, cameras, up=None, meters_per_unit=None, camera_height=None, *, seed=0
+):
+    """Estimate the similarity that takes a capture to metres with z up and the ground near z = 0.
+
+    Parameters
+    ----------
+    splats : Splats
+    cameras : sequence of Camera
+        In the capture frame. They say where to look for the ground, stand above it and fix the
+        scale; without any, `up` and `meters_per_unit` are needed.
+    up : array_like of shape (3,), optional
+        Roughly up in the capture frame. The ground is searched within 20 degrees of level and
+        then made exactly level; to keep a known fall, give the whole ground frame instead.
+    meters_per_unit : float, optional [m / capture unit]
+    camera_height : float, optional [m]
+        Mean height of the cameras above the ground; 1.5 m is assumed if neither is given.
+    seed : int
+        Of the random sampling; different seeds agree to some thousandths of a degree.
+
+    Returns
+    -------
+    GroundFrame
+        x runs along the first camera's view direction on the ground (along its image-up if it
+        looks straight down), or without cameras along the capture's x axis, or its y axis if up
+        is within 45 degrees of that. The origin is the foot of the mean camera position, without
+        cameras the median of the splats on the ground.
+
+    Raises
+    ------
+    GroundError
+        If the ground cannot be found or something needed was not given.
+    ParameterError
+        If a given value is out of range, or both ways to give the scale are used.
+    """
+    cameras = list(cameras)
+    up = _check_hints(cameras, up, meters_per_unit, camera_height)
+    eyes = np.array([camera.position for camera in cameras]).reshape(-1, 3)
+    hint, max_angle = (up, UP_HINT_ANGLE) if up is not None else _image_up(cameras)
+    plane, centre = _search(splats, eyes, hint, max_angle, seed)
+
+    notes = [_plane_note(plane, up, cameras)]
+    heights = plane.height(eyes)
+    scale, assumed = _scale(heights, meters_per_unit, camera_height, notes)
+    origin = (eyes.mean(axis=0) if cameras else centre).copy()
+    origin -= plane.height(origin) * plane.normal
+    rotation = _axes(plane.normal, cameras)
+    return GroundFrame(
+        rotation=rotation,
+        meters_per_unit=scale,
+        translation=-scale * rotation @ origin,
+        confidence=plane.confidence,
+        notes=tuple(notes),
+        scale_assumed=assumed,
+    )
+
+
+def _check_hints(cameras, up, meters_per_unit, camera_height):
+    """Return `up` as a unit vector or None, after checking all that the user gave."""
+    if meters_per_unit is not None and camera_height is not None:
+        raise ParameterError(
+            f"meters-per-unit is {meters_per_unit} and camera-height is {camera_height}; the scale "
+            "must be given in one way only; leave one out"
+        )
+    if meters_per_unit is not None:
+        require_positive("meters-per-unit", meters_per_unit)
+    if camera_height is not None:
+        require_positive("camera-height", camera_height, "m")
+    if up is not None:
+        given, up = up, number_array(up, (3,))
+        if up is None or not np.linalg.norm(up) > 0:
+            raise ParameterError(f"up is {given!r}; it must be three numbers, not all 0, as 0,-1,0")
+        up /= np.linalg.norm(up)
+    if not cameras and (up is None or meters_per_unit is None):
+        missing = [
+            name
+            for name, value in (("--up", up), ("--meters-per-unit", meters_per_unit))
+            if value is None
+        ]
+        raise GroundError(
+            f"there are no cameras to tell up and scale from, and no {' and no '.join(missing)}; "
+            "without cameras both --up x,y,z and --meters-per-unit S are needed; give them, or put "
+            "the capture's cameras.json beside the splats"
+        )
+    return up
+
+
+def _image_up(cameras):
+    """Return the cameras' mean image-up and how far it may lean; None if they do not agree."""
+    mean = np.mean([camera.image_up for camera in cameras], axis=0)
+    length = np.linalg.norm(mean)
+    if length < LEAST_IMAGE_UP:  # pictures taken with the camera on its side, all around
+        return None, math.pi
+    return mean / length, IMAGE_UP_ANGLE
+
+
+# --- plane ----------------------------------------------------------------------------------------
+
+
+def _search(splats, eyes, up, max_angle, seed):
+    """Return the ground Plane and the middle of the splats on it; the radius grows until found."""
+    points, weights = _candidates(splats)
+    centre = eyes.mean(axis=0) if len(eyes) else _weighted_median(points, weights)
+    distance = np.linalg.norm(points - centre, axis=1)
+    radius = np.linalg.norm(eyes - centre, axis=1).max(initial=0.0)
+    start, farthest = np.quantile(distance, [START_SHARE, 0.95])
+    if np.mean(distance <= radius) < LEAST_SHARE:  # one camera, a few close together, or none
+        radius = start
+    best = None
+    while True:
+        near = distance <= radius
+        step = max(1, math.ceil(np.count_nonzero(near) / MAX_POINTS))
+        here, weight = points[near][::step], weights[near][::step]
+        plane = find_plane(here, weight, eyes, up, max_angle, radius, seed)
+        if plane is not None and (best is None or plane.confidence > best[0].confidence):
+            on_it = np.abs(plane.height(here)) < 0.01 * radius
+            best = plane, _weighted_median(here[on_it], weight[on_it])
+        if best is not None and best[0].confidence >= LEAST_CONFIDENCE:
+            return best
+        if radius >= farthest:
+            raise _not_found(best)
+        radius *= GROWTH
+
+
+def _candidates(splats):
+    """Return positions (n, 3) and weights (n,), float64, of the splats that may be ground."""
+    solid = splats.opacity >= LEAST_OPACITY
+    if np.count_nonzero(solid) < 3:
+        raise GroundError(
+            f"{np.count_nonzero(solid)} of {len(splats)} splats have an opacity of at least "
+            f"{LEAST_OPACITY}; the ground needs some; check that the capture is not empty"
+        )
+    scale = splats.scale[solid]
+    area = scale.prod(axis=1, dtype=np.float64) / np.maximum(scale.min(axis=1), 1e-30)
+    cap = AREA_CAP * np.median(area)
+    weight = splats.opacity[solid] * (np.minimum(area, cap) if cap > 0 else 1.0)
+    fine = weight > 0
+    return splats.position[solid][fine].astype(np.float64), weight[fine].astype(np.float64)
+
+
+def _weighted_median(points, weights):
+    """Return the weighted median of each coordinate, ndarray of shape (3,)."""
+    median = np.empty(3)
+    for axis in range(3):
+        order = np.argsort(points[:, axis])
+        total = np.cumsum(weights[order])
+        median[axis] = points[order[np.searchsorted(total, total[-1] / 2)], axis]
+    return median
+
+
+def _not_found(best):
+    if best is None:
+        found = "no plane of splats lies below the cameras and across up"
+    else:
+        found = (
+            f"the best plane has a confidence of {best[0].confidence:.2f}, below "
+            f"{LEAST_CONFIDENCE:g}"
+        )
+    return GroundError(
+        f"the ground cannot be found: {found}; give --up x,y,z to say roughly where up is, or the "
+        "whole frame with --ground-frame FILE.json"
+    )
+
+
+# --- frame ----------------------------------------------------------------------------------------
+
+
+def _plane_note(plane, up, cameras):
+    note = f"ground plane fitted to splats, confidence {plane.confidence:.2f}; up is "
+    note += "(" + ", ".join(f"{v:.4f}" for v in plane.normal) + ") of the capture"
+    if up is None:
+        return f"{note}, its sign from {len(cameras)} cameras that stand above the ground"
+    lean = math.degrees(math.atan2(np.linalg.norm(np.cross(plane.normal, up)), plane.normal @ up))
+    return (
+        f"{note}, {lean:.2f} degrees from the up that was given: the ground is made level "
+        "(to keep its fall, give the whole ground frame)"
+    )
+
+
+def _scale(heights, meters_per_unit, camera_height, notes):
+    """Return metres per unit and whether it is assumed; append one note that says why."""
+    if len(heights):
+        stand = (
+            f"the cameras stand {heights.min():.3g} to {heights.max():.3g} units above the ground, "
+            f"mean {heights.mean():.3g}"
+        )
+    if meters_per_unit is not None:
+        notes.append(f"scale given: {meters_per_unit:g} m per unit")
+        if len(heights):
+            notes[-1] += f"; {stand} ({heights.mean() * meters_per_unit:.2f} m)"
+        return float(meters_per_unit), False
+    mean = float(heights.mean())
+    if camera_height is not None:
+        scale = camera_height / mean
+        notes.append(f"scale from the mean camera height given: {camera_height:g} m; {stand}: "
+                     f"{scale:.4g} m per unit")  # fmt: skip
+        return scale, False
+    scale = ASSUMED_CAMERA_HEIGHT / mean
+    notes.append(f"SCALE IS ASSUMED: {stand}, and that mean is taken as {ASSUMED_CAMERA_HEIGHT} m: "
+                 f"{scale:.4g} m per unit; {SCALE_REMEDY}")  # fmt: skip
+    return scale, True
+
+
+def _axes(up, cameras):
+    """Return the rotation whose rows are x, y and z of the ground frame in the capture frame."""
+    if cameras:
+        wanted = [cameras[0].forward, cameras[0].image_up]
+        least = 0.1  # a view within 6 degrees of straight down tells no direction
+    else:
+        wanted, least = np.eye(3)[:2], math.sqrt(0.5)
+    for direction in wanted:
+        x = direction - (direction @ up) * up
+        if np.linalg.norm(x) > least:
+            break
+    x /= np.linalg.norm(x)
+    return np.stack([x, np.cross(up, x), up])
+
+
+def rescale_ground_frame(frame, cameras, meters_per_unit=None, camera_height=None):
+    """Return the same ground frame with another scale, given as in `estimate_ground_frame`."""
+    _check_hints(cameras, frame.up, meters_per_unit, camera_height)
+    eyes = np.array([frame.to_ground(camera.position) for camera in cameras]).reshape(-1, 3)
+    notes = [note for note in frame.notes if not note.lower().startswith("scale")]
+    scale, assumed = _scale(
+        eyes[:, 2] / frame.meters_per_unit, meters_per_unit, camera_height, notes
+    )
+    return replace(
+        frame,
+        meters_per_unit=scale,
+        translation=frame.translation * (scale / frame.meters_per_unit),
+        notes=tuple(notes),
+        scale_assumed=assumed,
+    )
+
+
+# --- file -----------------------------------------------------------------------------------------
+
+
+def ground_frame_to_dict(frame):
+    """Return the frame as a dict for JSON; `ground_frame_from_dict` takes it back exactly."""
+    return {
+        "rotation": np.asarray(frame.rotation).tolist(),
+        "meters_per_unit": float(frame.meters_per_unit),
+        "translation": np.asarray(frame.translation).tolist(),
+        "confidence": float(frame.confidence),
+        "scale_assumed": bool(frame.scale_assumed),
+        "notes": list(frame.notes),
+    }
+
+
+def ground_frame_from_dict(data, source):
+    """Return the GroundFrame that `data`, read from JSON in `source`, describes."""
+    if not isinstance(data, dict):
+        raise InputError(f"{source} holds no ground frame; write it with rainsim import")
+    rotation = _numbers(data, "rotation", (3, 3), source)
+    if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-6 or np.linalg.det(rotation) < 0:
+        raise InputError(
+            f"{source}: the rotation's rows are not right-handed unit vectors at right angles; "
+            "they must be the ground's x, y and z axes in the capture frame; correct the file"
+        )
+    scale = json_number(data.get("meters_per_unit"))
+    if scale is None or scale <= 0:
+        raise InputError(
+            f"{source}: meters_per_unit is {data.get('meters_per_unit')!r}; it must be a positive "
+            "number; correct the file"
+        )
+    confidence = json_number(data.get("confidence", 1.0))
+    notes = data.get("notes", [])
+    if confidence is None or not 0 <= confidence <= 1 or not isinstance(notes, list):
+        raise InputError(f"{source}: confidence must be 0 to 1 and notes a list; correct the file")
+    return GroundFrame(
+        rotation=rotation,
+        meters_per_unit=scale,
+        translation=_numbers(data, "translation", (3,), source),
+        confidence=confidence,
+        notes=tuple(map(str, notes)),
+        scale_assumed=data.get("scale_assumed") is True,
+    )
+
+
+def _numbers(data, key, shape, source):
+    value = number_array(data.get(key), shape)
+    if value is None:
+        raise InputError(
+            f"{source}: {key} is {str(data.get(key))[:60]}; it must be finite numbers of shape "
+            f"{' x '.join(map(str, shape))}; correct the file"
+        )
+    return value
+
+
+def read_ground_frame(path):
+    """Read the GroundFrame in the JSON file `path`, as `write_ground_frame` writes it.
+
+    Only rotation (3 rows: the ground's x, y and z axes in the capture frame), meters_per_unit and
+    translation [m] are required.
+    """
+    return ground_frame_from_dict(read_json(path, "a ground frame"), path)
+
+
+def write_ground_frame(path, frame):
+    """Write a GroundFrame as a JSON file that reads back exactly."""
+    write_json(path, ground_frame_to_dict(frame))

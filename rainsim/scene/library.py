@@ -1,0 +1,136 @@
+"""Scenes by name or path: the user's own folders first, then the built-in stand-ins."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from importlib import import_module
+from pathlib import Path
+
+from rainsim.errors import ParameterError
+from rainsim.scene.folder import import_scene, is_scene, override_ground_frame
+
+FOLDERS_VARIABLE = "RAINSIM_SCENES"  # folders of scenes, separated as in PATH
+BUILT_IN = {"bicycle": ("rainsim.scene.bicycle", "make_bicycle")}
+
+
+def load_scene(
+    name_or_path="bicycle",
+    cameras=None,
+    up=None,
+    meters_per_unit=None,
+    camera_height=None,
+    ground_frame=None,
+):
+    """Load a scene by name or path.
+
+    Parameters
+    ----------
+    name_or_path : str or path-like
+        What exists as a path or has a path separator is read as a path (`import_scene`). Any other
+        is a name, looked up in the folders that RAINSIM_SCENES lists, in the user's data folder
+        (rainsim/scenes) and among the built-in scenes, in this order.
+    cameras, up, meters_per_unit, camera_height, ground_frame
+        Override what the scene says; see `import_scene`.
+
+    Returns
+    -------
+    Scene
+
+    Raises
+    ------
+    ParameterError
+        If the name is not known or not allowed.
+    InputError, GroundError
+        If the scene cannot be read.
+    """
+    given = {
+        "up": up,
+        "meters_per_unit": meters_per_unit,
+        "camera_height": camera_height,
+        "ground_frame": ground_frame,
+    }
+    path = find_scene(name_or_path)
+    if path is not None:
+        scene = import_scene(path, cameras=cameras, **given)
+        if _is_name(name_or_path):
+            scene = replace(scene, name=str(name_or_path))
+        return scene
+    if cameras is not None:
+        raise ParameterError(
+            f"scene {name_or_path} is built in and has its own cameras; other cameras need a scene "
+            "of yours; leave the cameras out"
+        )
+    module, function = BUILT_IN[str(name_or_path)]
+    scene = getattr(import_module(module), function)()
+    note = (
+        f"scene {name_or_path} is a generated stand-in, not a capture; a scene of that name in a "
+        f"folder that {FOLDERS_VARIABLE} lists takes its place"
+    )
+    return override_ground_frame(replace(scene, notes=(*scene.notes, note)), **given)
+
+
+def list_scenes():
+    """Return all scenes known by name as (name, where, built-in) tuples, sorted by name.
+
+    A name that stands in several folders is listed once, for the one that `load_scene` takes.
+    """
+    found = {}
+    for folder in scene_folders():
+        for path in sorted(_entries(folder)):
+            name = path.name if path.is_dir() else path.stem
+            if is_scene(path) and not name.startswith("."):
+                found.setdefault(name, (name, str(path), False))
+    for name in BUILT_IN:
+        found.setdefault(name, (name, "built-in stand-in", True))
+    return [found[name] for name in sorted(found)]
+
+
+def find_scene(name_or_path):
+    """Return the path that a scene's name or path means, None if it is built in."""
+    if not _is_name(name_or_path):
+        return Path(name_or_path)
+    name = str(name_or_path)
+    if not name or name.startswith(".") or "\\" in name or not name.isprintable():
+        raise ParameterError(
+            f"scene name is {name!r}; a name must not be empty, start with a dot or hold a "
+            "separator; give a path that exists or a name that rainsim scenes lists"
+        )
+    for folder in scene_folders():
+        for path in (folder / name, folder / f"{name}.ply"):
+            if is_scene(path):
+                return path
+    if name in BUILT_IN:
+        return None
+    known = ", ".join(scene[0] for scene in list_scenes())
+    raise ParameterError(
+        f"scene {name!r} is not known; it must be a path that exists or one of {known}; folders of "
+        f"scenes are taken from {FOLDERS_VARIABLE}"
+    )
+
+
+def scene_folders():
+    """Return the folders in which scenes are looked up by name, in order."""
+    listed = os.environ.get(FOLDERS_VARIABLE, "").split(os.pathsep)
+    data = os.environ.get("XDG_DATA_HOME") or "~/.local/share"
+    folders = [*filter(None, listed), Path(data) / "rainsim" / "scenes"]
+    return [Path(folder).expanduser() for folder in folders]
+
+
+def _is_name(name_or_path):
+    """Whether it is to be looked up: no separator, and no path that exists."""
+    if not isinstance(name_or_path, str):
+        return False
+    if any(mark and mark in name_or_path for mark in (os.sep, os.altsep)):
+        return False
+    try:
+        return not name_or_path or not Path(name_or_path).exists()
+    except ValueError:  # a zero byte
+        return True
+
+
+def _entries(folder):
+    try:
+        return list(folder.iterdir())
+    except OSError:  # a folder that is not there holds no scenes
+        return []

@@ -1,0 +1,203 @@
+"""The dominant, lowest plane in a cloud of weighted points: random sampling, then least squares."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+HYPOTHESES = 2048  # with a plane that holds 15 % of the weight some 7 of them lie all in it
+SCORED_POINTS = 6000  # a plane's score is then known to about 1 %
+THRESHOLD = 0.005  # of the search radius: 1 cm for a capture that is walked in a 2 m circle
+ABOVE_SHARE = 0.95  # of the viewpoints must stand above the ground; a few may be badly placed
+LOWER_SHARE = 0.3  # of the best plane's score is what a lower one needs to be preferred
+SPREAD_CELLS = 16  # the support's spread is counted on a grid of this many cells across
+
+# What counts as full support. Points that fill a ball evenly give 0.008, 0.5 and little spread.
+FULL_SUPPORT = 0.05
+LEAST_PEAK, FULL_PEAK = 0.5, 0.8
+FULL_SPREAD = 0.15
+
+
+@dataclass(frozen=True, slots=True)
+class Plane:
+    """Points p with normal @ p + offset = 0; above it the sum is the height.
+
+    Attributes
+    ----------
+    normal : ndarray of shape (3,), float64
+        Unit, pointing up.
+    offset : float [capture units]
+    confidence : float
+        0 to 1: support, sharpness and spread of the points on it.
+    """
+
+    normal: np.ndarray
+    offset: float
+    confidence: float
+
+    def height(self, points):
+        """Height of `points` of shape (..., 3) above the plane [capture units]."""
+        return points @ self.normal + self.offset
+
+
+def find_plane(points, weights, eyes, up, max_angle, radius, seed=0):
+    """Find the lowest well-supported plane among weighted points.
+
+    Parameters
+    ----------
+    points : ndarray of shape (n, 3), float64 [capture units]
+    weights : ndarray of shape (n,), float64
+        Positive.
+    eyes : ndarray of shape (m, 3), float64 [capture units]
+        Viewpoints that must stand above the plane; m may be 0 if `up` is given.
+    up : ndarray of shape (3,), float64, or None
+        Roughly up, unit length.
+    max_angle : float [radians]
+        How far the normal may lean from `up`.
+    radius : float [capture units]
+        Size of the region that holds the points; lengths are measured by it.
+    seed : int
+        Of the random triplets; the answer is the same for the same seed.
+
+    Returns
+    -------
+    Plane or None
+        None if no triplet of points spans a plane that is allowed.
+    """
+    if len(points) < 3:
+        return None
+    origin = points.mean(axis=0)  # keeps rounding small when the capture lies far from zero
+    points, eyes = points - origin, eyes - origin
+    rng = np.random.default_rng(seed)
+    chance = np.cumsum(weights) / weights.sum()
+    normals, offsets = _hypotheses(points, chance, rng)
+    normals, offsets = _allowed(normals, offsets, eyes, up, max_angle)
+    if not len(normals):
+        return None
+    threshold = THRESHOLD * radius
+    sample = points[_draw(chance, SCORED_POINTS, rng)]
+    score = _scores(normals, offsets, sample, threshold)
+    if up is not None:
+        score *= normals @ up  # of equals, the one that leans less
+    best = np.argmax(score)
+    normal, offset = _refine(points, weights, normals[best], offsets[best], threshold)
+    normal, offset = _go_down(points, weights, normal, offset, threshold)
+    normal, offset = _sharpen(points, weights, normal, offset, threshold)
+    if not len(_allowed(normal[None], np.array([offset]), eyes, up, max_angle)[0]):
+        return None
+    confidence = _confidence(points, weights, normal, offset, threshold, radius)
+    return Plane(normal, offset - normal @ origin, confidence)
+
+
+def _draw(chance, size, rng):
+    drawn = np.searchsorted(chance, rng.random(size), side="right")
+    return np.minimum(drawn, len(chance) - 1)
+
+
+def _hypotheses(points, chance, rng):
+    """Return unit normals (n, 3) and offsets (n,) of planes through random triplets."""
+    a, b, c = (points[_draw(chance, HYPOTHESES, rng)] for _ in range(3))
+    normals = np.cross(b - a, c - a)
+    length = np.linalg.norm(normals, axis=1)
+    sides = np.linalg.norm(b - a, axis=1) * np.linalg.norm(c - a, axis=1)
+    fine = length > 0.05 * sides  # slivers span no plane
+    normals = normals[fine] / length[fine, None]
+    return normals, -np.einsum("nj,nj->n", normals, a[fine])
+
+
+def _allowed(normals, offsets, eyes, up, max_angle):
+    """Turn the normals upwards and keep the planes that lie below the eyes and lean little."""
+    heights = normals @ eyes.T + offsets[:, None]
+    rising = normals @ up if up is not None else (heights > 0).sum(axis=1) - len(eyes) / 2
+    sign = np.where(rising < 0, -1.0, 1.0)
+    normals, offsets, heights = normals * sign[:, None], offsets * sign, heights * sign[:, None]
+    keep = np.ones(len(normals), bool)
+    if up is not None:
+        keep &= normals @ up >= np.cos(max_angle)
+    if len(eyes):
+        keep &= (heights > 0).mean(axis=1) >= ABOVE_SHARE
+    return normals[keep], offsets[keep]
+
+
+def _scores(normals, offsets, sample, threshold):
+    """Share of the sample on each plane, counted less the further from it: a triangle window."""
+    normals, offsets = normals.astype(np.float32), offsets.astype(np.float32)
+    sample, scale = sample.T.astype(np.float32), np.float32(1 / threshold)
+    score = np.empty(len(normals))
+    for start in range(0, len(normals), 128):  # 3 MB at a time stays in the cache
+        part = slice(start, start + 128)
+        away = np.abs(normals[part] @ sample + offsets[part, None])
+        np.subtract(np.float32(1), away * scale, out=away)
+        score[part] = np.maximum(away, 0, out=away).mean(axis=1)
+    return score
+
+
+def _refine(points, weights, normal, offset, threshold, rounds=30):
+    """Fit the plane by least squares with Tukey's biweight until it stands still."""
+    for _ in range(rounds):
+        away = (points @ normal + offset) / threshold
+        near = np.abs(away) < 1
+        share = weights[near] * (1 - away[near] ** 2) ** 2
+        total = share.sum()
+        if np.count_nonzero(near) < 3 or not total > 0:
+            break
+        centre = share @ points[near] / total
+        spread = points[near] - centre
+        _, axes = np.linalg.eigh((spread * share[:, None]).T @ spread)
+        before, normal = normal, axes[:, 0] * (1 if axes[:, 0] @ normal > 0 else -1)
+        offset = -normal @ centre
+        if np.linalg.norm(normal - before) < 1e-9:
+            break
+    return normal, offset
+
+
+def _go_down(points, weights, normal, offset, threshold):
+    """Move to the lowest parallel layer that is well supported: the paving, not the lawn."""
+    bin_size = threshold / 2
+    height = points @ normal + offset
+    bins = np.floor(height / bin_size).astype(np.int64)
+    lowest = max(bins.min(), -10_000)
+    inside = (bins >= lowest) & (bins <= 4)
+    mass = np.bincount(bins[inside] - lowest, weights[inside], minlength=5 - lowest)
+    window = np.convolve(mass, [0.5, 1, 1, 0.5], mode="same")
+    peak = window[-10:].max()  # of the plane itself
+    inner = window[1:-1]
+    peaks = (inner >= window[:-2]) & (inner >= window[2:]) & (inner >= LOWER_SHARE * peak)
+    layers = (np.flatnonzero(peaks) + 1 + lowest) * bin_size
+    layers = layers[layers < -2 * threshold]
+    if not len(layers):
+        return normal, offset
+    return _refine(points, weights, normal, offset - layers[0], threshold)
+
+
+def _sharpen(points, weights, normal, offset, threshold):
+    """Fit once more with a threshold that follows from the points' own roughness."""
+    away = np.abs(points @ normal + offset)
+    near = away < threshold
+    if not near.any():
+        return normal, offset
+    order = np.argsort(away[near])
+    total = np.cumsum(weights[near][order])
+    middle = away[near][order][np.searchsorted(total, total[-1] / 2)]
+    wanted = np.clip(6 * middle, threshold / 4, threshold)  # 4 standard deviations
+    return _refine(points, weights, normal, offset, wanted)
+
+
+def _confidence(points, weights, normal, offset, threshold, radius):
+    """Return support x sharpness x spread, each 0 to 1."""
+    away = np.abs(points @ normal + offset)
+    on_it, around = away < threshold, (away >= threshold) & (away < 3 * threshold)
+    inner, ring = weights[on_it].sum(), weights[around].sum()
+    if not inner > 0:
+        return 0.0
+    support = inner / weights.sum() / FULL_SUPPORT
+    peak = (inner / (inner + ring / 2) - LEAST_PEAK) / (FULL_PEAK - LEAST_PEAK)
+    across = np.linalg.svd(normal[None])[2][1:]
+    cells = np.floor(points[on_it] @ across.T / (2 * radius / SPREAD_CELLS)).astype(np.int64)
+    # A cell counts when it holds a tenth of an even share, so that strays do not.
+    _, which = np.unique(cells, axis=0, return_inverse=True)
+    mass = np.bincount(which.ravel(), weights[on_it])
+    filled = np.count_nonzero(mass > 0.1 * inner / SPREAD_CELLS**2)
+    spread = filled / SPREAD_CELLS**2 / FULL_SPREAD
+    return float(np.prod(np.clip([support, peak, spread], 0, 1)))

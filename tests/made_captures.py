@@ -1,0 +1,54 @@
+"""Small captures for the tests of readers and the ground frame, made with numpy alone."""
+
+import numpy as np
+
+from rainsim.scene.cameras import look_at
+from rainsim.scene.types import Splats
+
+
+def splats_at(points, coefficients=1, scale=0.02, opacity=0.9):
+    """Round splats at `points` of shape (n, 3)."""
+    n = len(points)
+    return Splats(
+        position=np.ascontiguousarray(points, np.float32),
+        rotation=np.tile(np.float32([1, 0, 0, 0]), (n, 1)),
+        scale=np.full((n, 3), scale, np.float32),
+        opacity=np.full(n, opacity, np.float32),
+        sh=np.zeros((n, coefficients, 3), np.float32),
+    )
+
+
+def random_splats(count, coefficients=4, seed=0):
+    """Splats with all values random and valid."""
+    rng = np.random.default_rng(seed)
+    turn = rng.normal(size=(count, 4))
+    return Splats(
+        position=rng.normal(size=(count, 3)).astype(np.float32),
+        rotation=(turn / np.linalg.norm(turn, axis=1, keepdims=True)).astype(np.float32),
+        scale=np.exp(rng.normal(-3, 1, size=(count, 3))).astype(np.float32),
+        opacity=rng.uniform(0.01, 0.99, size=count).astype(np.float32),
+        sh=rng.normal(size=(count, coefficients, 3)).astype(np.float32),
+    )
+
+
+def ring(radius=3.0, height=1.5, count=12):
+    """Cameras on a circle that look at a point half a unit above the origin; z is up."""
+    angles = np.linspace(0, 2 * np.pi, count, endpoint=False)
+    eyes = np.column_stack([radius * np.cos(angles), radius * np.sin(angles), angles * 0 + height])
+    return [
+        look_at(eye, (0, 0, 0.5), (0, 0, 1), 60, 64, 48, f"ring{i:02d}")
+        for i, eye in enumerate(eyes)
+    ]
+
+
+def patio(count=6000, seed=0):
+    """Points of paving within 1.5 of the origin, a lawn 0.06 higher about it, a table top."""
+    rng = np.random.default_rng(seed)
+    ground = rng.uniform(-5, 5, (count, 2))
+    paved = np.hypot(*ground.T) < 1.5
+    height = np.where(paved, 0, 0.06) + rng.normal(size=count) * np.where(paved, 0.002, 0.01)
+    table = rng.uniform(-0.5, 0.5, (count // 6, 2))
+    return np.concatenate([
+        np.column_stack([ground, height]),
+        np.column_stack([table, np.full(len(table), 0.75)]),
+    ])  # fmt: skip

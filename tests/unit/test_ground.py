@@ -1,0 +1,250 @@
+"""The ground frame: found, given, refused, stored."""
+
+import math
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from made_captures import patio, ring, splats_at
+
+from rainsim.errors import GroundError, InputError, ParameterError
+from rainsim.scene.cameras import look_at, read_cameras
+from rainsim.scene.ground import (
+    estimate_ground_frame,
+    read_ground_frame,
+    rescale_ground_frame,
+    write_ground_frame,
+)
+from rainsim.scene.ply import read_splats
+from rainsim.scene.types import GroundFrame
+
+UNPACK = Path(__file__).parents[3] / "shared/data/unpack.py"
+
+
+def random_frame(seed=1):
+    """A frame whose capture is tilted, not metric and set off."""
+    rng = np.random.default_rng(seed)
+    turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    return GroundFrame(turn * np.sign(np.linalg.det(turn)), 0.37, rng.normal(size=3) * 5)
+
+
+def captured(frame, points, cameras=()):
+    """The splats and cameras of a ground frame's scene as `frame`'s capture holds them."""
+    return (
+        splats_at(frame.to_capture(points), scale=0.02 / frame.meters_per_unit),
+        [frame.camera_in_capture(camera) for camera in cameras],
+    )
+
+
+def angle(a, b):
+    return math.degrees(math.atan2(np.linalg.norm(np.cross(a, b)), a @ b))
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_paving_is_found_in_any_capture_frame(seed):
+    frame = random_frame(seed)
+    found = estimate_ground_frame(*captured(frame, patio(), ring()))
+    assert angle(found.up, frame.up) < 0.1
+    # The paving stands for the ground, not the lawn 6 cm above it, nor the table top.
+    assert abs(found.to_ground(frame.to_capture(np.zeros(3)))[2]) < 0.002
+    assert found.meters_per_unit == pytest.approx(frame.meters_per_unit, rel=0.002)
+    assert found.scale_assumed and "SCALE IS ASSUMED" in found.notes[-1]
+    assert found.confidence > 0.8
+    np.testing.assert_allclose(found.rotation @ found.rotation.T, np.eye(3), atol=1e-12)
+    assert np.linalg.det(found.rotation) > 0
+
+
+def test_axes_and_origin_follow_the_cameras():
+    cameras = ring()
+    frame = random_frame()
+    found = estimate_ground_frame(*captured(frame, patio(), cameras))
+    first = found.camera_in_ground(frame.camera_in_capture(cameras[0]))
+    assert abs(first.forward[1]) < 1e-9 and first.forward[0] > 0.9
+    middle = found.to_ground(frame.to_capture(np.mean([c.position for c in cameras], axis=0)))
+    np.testing.assert_allclose(middle, [0, 0, 1.5], atol=1e-9)
+
+
+def test_scale_given_as_length_or_camera_height():
+    frame = random_frame()
+    scene = captured(frame, patio(), ring())
+    given = estimate_ground_frame(*scene, meters_per_unit=0.9)
+    assert given.meters_per_unit == 0.9 and not given.scale_assumed
+    high = estimate_ground_frame(*scene, camera_height=3.0)
+    assert high.meters_per_unit == pytest.approx(2 * frame.meters_per_unit, rel=0.002)
+    assert not high.scale_assumed and "3 m" in high.notes[-1]
+
+
+def test_cameras_held_on_their_side_and_a_stray_camera():
+    turn = np.array([[0, 1, 0], [-1, 0, 0], [0, 0, 1.0]])
+    sideways = []
+    for camera in ring():
+        matrix = camera.camera_from_world.copy()
+        matrix[:3] = turn @ matrix[:3]
+        sideways.append(type(camera)(48, 64, 50, 50, 24, 32, matrix))
+    buried = look_at((0.5, 0, -0.5), (0, 0, -1), (0, 1, 0), 60, 64, 48)
+    for cameras in (sideways, [*ring(count=30), buried]):
+        found = estimate_ground_frame(splats_at(patio()), cameras)
+        assert angle(found.up, np.array([0, 0, 1.0])) < 0.1
+
+
+def test_one_camera_is_enough():
+    camera = look_at((3, 0, 1.5), (0, 0, 0.5), (0, 0, 1), 60, 64, 48)
+    found = estimate_ground_frame(splats_at(patio()), [camera])
+    assert angle(found.up, np.array([0, 0, 1.0])) < 0.5
+
+
+def test_camera_that_looks_straight_down_takes_x_from_its_image_up():
+    camera = look_at((0, 0, 2), (0, 0, 0), (0, 1, 0), 60, 64, 48)
+    found = estimate_ground_frame(splats_at(patio()), [camera], up=(0, 0, 1))
+    np.testing.assert_allclose(found.rotation[0], [0, 1, 0], atol=0.01)
+
+
+def test_seeds_agree_and_the_answer_is_fixed():
+    scene = captured(random_frame(), patio(), ring())
+    frames = [estimate_ground_frame(*scene, seed=seed) for seed in range(10)]
+    assert max(angle(f.up, frames[0].up) for f in frames) < 0.02
+    again = estimate_ground_frame(*scene)
+    assert np.array_equal(again.rotation, frames[0].rotation)
+    assert np.array_equal(again.translation, frames[0].translation)
+
+
+def test_far_floaters_and_haze_do_not_matter():
+    rng = np.random.default_rng(5)
+    points = np.concatenate(
+        [patio(), rng.normal(size=(3000, 3)) * 3000, rng.normal(size=(4000, 3))]
+    )
+    splats = splats_at(points)
+    splats.opacity[-4000:] = 0.05
+    splats.scale[-7000:-4000] = 300
+    found = estimate_ground_frame(splats, ring())
+    assert angle(found.up, np.array([0, 0, 1.0])) < 0.1
+    assert found.meters_per_unit == pytest.approx(1, rel=0.002)
+
+
+def test_without_cameras_up_and_scale_are_needed_and_enough():
+    frame = random_frame()
+    splats, _ = captured(frame, patio())
+    rough = np.add(frame.up, (0.1, 0, 0))
+    found = estimate_ground_frame(splats, [], up=rough, meters_per_unit=0.37)
+    assert angle(found.up, frame.up) < 0.1 and found.meters_per_unit == 0.37
+    assert "degrees from the up that was given" in found.notes[0]
+    origin = frame.to_ground(found.to_capture(np.zeros(3)))
+    assert abs(origin[2]) < 0.002 and np.hypot(*origin[:2]) < 1
+    for given in ({}, {"up": rough}, {"meters_per_unit": 1.0}, {"up": rough, "camera_height": 1.5}):
+        with pytest.raises(GroundError, match=r"--up .*--meters-per-unit"):
+            estimate_ground_frame(splats, [], **given)
+
+
+def test_ground_far_from_the_given_up_is_not_taken():
+    with pytest.raises(GroundError, match="cannot be found"):
+        estimate_ground_frame(splats_at(patio()), ring(), up=(0, 1, 0.5))
+
+
+def shell(radius):
+    points = np.random.default_rng(2).normal(size=(20_000, 3))
+    return radius * points / np.linalg.norm(points, axis=1, keepdims=True)
+
+
+@pytest.mark.parametrize(
+    "points",
+    [
+        np.random.default_rng(1).normal(size=(20_000, 3)),
+        shell(1.0),
+        shell(4.0),
+        np.random.default_rng(3).uniform([-5, 3.99, 0], [5, 4.01, 5], (20_000, 3)),  # a wall
+        np.zeros((50, 3)),
+    ],
+    ids=["cloud", "ball", "room without floor", "wall", "one point"],
+)
+def test_what_has_no_ground_is_refused(points):
+    with pytest.raises(GroundError, match=r"cannot be found.*--up"):
+        estimate_ground_frame(splats_at(points), ring())
+
+
+def test_a_capture_of_haze_is_refused():
+    with pytest.raises(GroundError, match="opacity"):
+        estimate_ground_frame(splats_at(patio(), opacity=0.01), ring())
+
+
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [
+        ({"up": (0, 0, 0)}, "up is"),
+        ({"up": (0, 1)}, "up is"),
+        ({"up": (0, math.nan, 1)}, "up is"),
+        ({"up": "z"}, "up is"),
+        ({"meters_per_unit": 0}, "meters-per-unit is 0"),
+        ({"meters_per_unit": math.nan}, "meters-per-unit is nan"),
+        ({"camera_height": -1.5}, "camera-height is -1.5 m"),
+        ({"camera_height": 1.5, "meters_per_unit": 1.0}, "one way only"),
+    ],
+)
+def test_impossible_values_are_refused(given, expected):
+    with pytest.raises(ParameterError, match=expected):
+        estimate_ground_frame(splats_at(patio(60)), ring(), **given)
+
+
+def test_rescaling_keeps_the_ground_and_the_axes():
+    frame = random_frame()
+    splats, cameras = captured(frame, patio(), ring())
+    found = estimate_ground_frame(splats, cameras)
+    by_length = rescale_ground_frame(found, cameras, meters_per_unit=0.9)
+    again = estimate_ground_frame(splats, cameras, meters_per_unit=0.9)
+    np.testing.assert_allclose(by_length.rotation, again.rotation)
+    np.testing.assert_allclose(by_length.translation, again.translation, atol=1e-9)
+    assert by_length.notes == again.notes and not by_length.scale_assumed
+    by_height = rescale_ground_frame(found, cameras, camera_height=3.0)
+    assert by_height.meters_per_unit == pytest.approx(2 * found.meters_per_unit)
+
+
+def test_ground_frame_file_reads_back_exactly(tmp_path):
+    found = estimate_ground_frame(*captured(random_frame(), patio(), ring()))
+    write_ground_frame(tmp_path / "g.json", found)
+    back = read_ground_frame(tmp_path / "g.json")
+    assert np.array_equal(back.rotation, found.rotation)
+    assert np.array_equal(back.translation, found.translation)
+    for name in ("meters_per_unit", "confidence", "notes", "scale_assumed"):
+        assert getattr(back, name) == getattr(found, name)
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("[]", "holds no ground frame"),
+        ('{"rotation": [[1,0,0],[0,1,0],[0,0,1]]}', "meters_per_unit is None"),
+        ('{"rotation": [[1,0,0],[0,1,0],[0,0,-1]], "meters_per_unit": 1}', "right-handed"),
+        ('{"rotation": [[1,0,0],[0,1,0],[0,0,2]], "meters_per_unit": 1}', "right-handed"),
+        ('{"rotation": 3}', "rotation is 3"),
+        ('{"rotation": [[1,0,0],[0,1,0],[0,0,1]], "meters_per_unit": -1}', "meters_per_unit is -1"),
+        ('{"rotation": [[1,0,0],[0,1,0],[0,0,1]], "meters_per_unit": 1}', "translation is None"),
+    ],
+)
+def test_bad_ground_frame_files(tmp_path, text, expected):
+    (tmp_path / "g.json").write_text(text)
+    with pytest.raises(InputError, match=expected):
+        read_ground_frame(tmp_path / "g.json")
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not UNPACK.exists(), reason="the garden is not part of the project")
+def test_the_real_garden(tmp_path):
+    environment = {**os.environ, "PYTHONDONTWRITEBYTECODE": "1"}
+    subprocess.run([sys.executable, UNPACK, tmp_path], check=True, env=environment,
+                   stdout=subprocess.DEVNULL)  # fmt: skip
+    cameras = read_cameras(tmp_path / "garden/cameras.json")
+    start = time.perf_counter()
+    splats, _ = read_splats(tmp_path / "garden/point_cloud/iteration_30000/point_cloud.ply")
+    read_time = time.perf_counter() - start
+    frames = [estimate_ground_frame(splats, cameras, seed=seed) for seed in range(10)]
+    assert max(angle(f.up, frames[0].up) for f in frames) < 0.02
+    found = frames[0]
+    heights = found.to_ground([c.position for c in cameras])[:, 2] / found.meters_per_unit
+    assert heights.min() == pytest.approx(2.1, abs=0.05)  # above the paving, not the lawn
+    assert heights.max() == pytest.approx(4.4, abs=0.05)
+    assert heights.mean() == pytest.approx(3.14, abs=0.01)
+    assert found.meters_per_unit == pytest.approx(0.478, abs=0.001)
+    assert read_time < 5  # some 0.4 s on an idle core
