@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from made_captures import ring
 
+from made_captures import ring
 from rainsim.errors import InputError, ParameterError
 from rainsim.scene.cameras import look_at, orbit, read_cameras, resize_to, write_transforms
 from rainsim.scene.types import GroundFrame

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from made_captures import patio, ring, splats_at
 
+from made_captures import patio, ring, splats_at
 from rainsim.errors import GroundError, InputError, ParameterError
 from rainsim.scene.cameras import look_at, read_cameras
 from rainsim.scene.ground import (

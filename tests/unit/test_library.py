@@ -8,8 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from made_captures import patio, ring, splats_at
 
+from made_captures import patio, ring, splats_at
 from rainsim.errors import GroundError, InputError, ParameterError
 from rainsim.scene import library
 from rainsim.scene.cameras import write_transforms

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from made_captures import random_splats
 
+from made_captures import random_splats
 from rainsim.errors import InputError
 from rainsim.scene.ply import read_splats, write_splats
 

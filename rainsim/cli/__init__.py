@@ -1,0 +1,87 @@
+"""The command line: parse, call one library function, print. Heavy imports wait in the commands.
+
+Exit codes: 0 done, 1 the run failed, 2 wrong usage or values, 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import click
+
+from rainsim import __version__
+from rainsim.cli import film, tools
+from rainsim.errors import ParameterError, RainsimError
+
+INTERRUPTED = 130  # 128 + SIGINT, as shells have it
+
+
+class Commands(click.Group):
+    """A group that turns the errors which a user can meet into one line and an exit code."""
+
+    def invoke(self, ctx):
+        """Run the chosen command."""
+        try:
+            return super().invoke(ctx)
+        except ParameterError as error:
+            raise _failure(error, 2) from error
+        except RainsimError as error:
+            raise _failure(error, 1) from error
+        except BrokenPipeError:  # the reader of our output has gone: click ends quietly
+            raise
+        except OSError as error:
+            where = f"{error.filename}: " if error.filename else ""
+            raise _failure(f"{where}{error.strerror or error}", 1) from error
+        except MemoryError as error:
+            raise _failure(
+                "there is not enough memory; use a larger --spacing, a smaller --width or a "
+                "smaller capture",
+                1,
+            ) from error
+        except KeyboardInterrupt:
+            click.echo("\ninterrupted; what was finished is kept", err=True)
+            ctx.exit(INTERRUPTED)
+
+    def list_commands(self, ctx):
+        """Return the commands in the order in which they are used."""
+        return list(self.commands)
+
+
+def _failure(message, code):
+    failure = click.ClickException(" ".join(str(message).split()))  # one line
+    failure.exit_code = code
+    return failure
+
+
+@click.group(
+    cls=Commands,
+    context_settings={
+        "help_option_names": ["-h", "--help"],
+        "max_content_width": 100,
+    },
+)
+@click.version_option(__version__, prog_name="rainsim")
+def cli():
+    """Physically right, good-looking rain in captured 3D Gaussian Splatting scenes.
+
+    \b
+    Example:
+        rainsim run                                   drizzle on the built-in bicycle
+        rainsim run --scene my-capture --preset downpour --orbit --video
+    """
+
+
+for _command in (
+    film.run,
+    tools.import_,
+    tools.heightmap,
+    film.simulate,
+    film.render,
+    tools.scenes,
+    tools.presets,
+    tools.warmup,
+):
+    cli.add_command(_command)
+
+
+def main():
+    """Run the command line; what `rainsim` and `python -m rainsim` call."""
+    cli(prog_name="rainsim")

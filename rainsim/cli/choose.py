@@ -1,0 +1,178 @@
+"""From what was typed to what the library takes: settings, scene and cameras."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+from rainsim.errors import ParameterError
+
+DEFAULT_FOV = 60.0  # degrees
+DEFAULT_WIDTH = 648  # px, of cameras placed by hand
+DEFAULT_SHAPE = 1.5  # width / height of cameras placed by hand
+MOST_SHOWN = 8  # names of cameras in an error message
+CAMERA_WAYS = ("camera", "path", "orbit", "eye")
+
+
+def settings(preset, given, base=None):
+    """Return the checked Config of a preset with the options that were given on top.
+
+    Parameters
+    ----------
+    preset : str or None
+        None takes `base` instead.
+    given : dict
+        Option names and their values in the command line's units; None is not given.
+    base : Config, optional
+    """
+    from rainsim.config import Config, mm_per_hour
+
+    convert = {
+        "rain": ("rate", mm_per_hour),
+        "past_rain": ("past", lambda mm: mm * 1e-3),
+        "wind": ("wind", lambda wind: (wind[0], wind[1] * math.pi / 180)),
+        "water_level": ("level", float),
+        "water_scheme": ("scheme", str),
+        "seed": ("seed", int),
+        "frames": ("frames", int),
+        "fps": ("fps", float),
+        "exposure": ("exposure", lambda ms: ms * 1e-3),
+        "sky": ("sky", str),
+        "sun": ("sun", _sun),
+        "cloudiness": ("cloudiness", float),
+        "brightness": ("brightness", float),
+        "width": ("width", int),
+        "height": ("height", int),
+        "spacing": ("spacing", float),
+        "extent": ("extent", float),
+        "frame_range": ("frame_range", tuple),
+        "threads": ("threads", int),
+    }
+    changes = {
+        convert[name][0]: convert[name][1](value)
+        for name, value in given.items()
+        if name in convert and value is not None
+    }
+    if "height" in changes:
+        changes.setdefault("width", None)  # the camera's shape gives it
+    config = Config.from_preset(preset) if base is None else base
+    return config.replace(**changes).check()
+
+
+def _sun(sun):
+    return None if sun == "none" else tuple(math.radians(angle) for angle in sun)
+
+
+def scene_of(name, given):
+    """Load a scene with the ground options that were given."""
+    from rainsim.scene.library import load_scene
+
+    names = ("cameras", "up", "meters_per_unit", "camera_height", "ground_frame")
+    return load_scene(name, **{n: given.get(n) for n in names})
+
+
+def check_camera_options(given):
+    """Raise ParameterError if the camera options contradict each other; reads no file."""
+    chosen = [name for name in CAMERA_WAYS if given.get(name) not in (None, False)]
+    if len(chosen) > 1:
+        raise ParameterError(
+            f"--{chosen[0]} and --{chosen[1]} are both given; the camera must be told in one way; "
+            "leave one out"
+        )
+    if (given.get("eye") is None) != (given.get("look_at") is None):
+        one, other = ("--eye", "--look-at")
+        if given.get("eye") is None:
+            one, other = other, one
+        raise ParameterError(f"{one} is given without {other}; they go together; give both")
+    if given.get("fov") is not None and given.get("eye") is None:
+        raise ParameterError(
+            "--fov is given without --eye; it is for a camera placed by hand; leave it out or give "
+            "--eye and --look-at"
+        )
+
+
+def cameras_of(scene, config, given, most=None):
+    """Return the frames' cameras, sized, and the Config with the number of frames that results.
+
+    Parameters
+    ----------
+    scene : Scene
+    config : Config
+    given : dict
+        camera, path, orbit, eye, look_at, fov and frames as they were typed.
+    most : int, optional
+        Frames that there are at most; a longer path is cut there.
+
+    Returns
+    -------
+    cameras : list of Camera
+        One per frame, or a single one for all.
+    config : Config
+    """
+    from rainsim.scene.cameras import orbit, read_cameras
+
+    check_camera_options(given)
+    if given.get("eye") is not None:
+        cameras = [_placed(scene, config, given)]
+    elif given.get("path") is not None:
+        cameras = read_cameras(given["path"])
+        if given.get("frames") is None:
+            config = config.replace(frames=min(len(cameras), most or len(cameras))).check()
+        if len(cameras) < config.frames:
+            raise ParameterError(
+                f"frames is {config.frames}; it must be at most {len(cameras)}, the number of "
+                f"cameras in {given['path']}; lower --frames or leave it out"
+            )
+        cameras = cameras[: config.frames]
+    elif not scene.cameras:
+        raise ParameterError(
+            f"scene {scene.name} has no cameras; one is needed; give --eye x,y,z --look-at x,y,z, "
+            "--path transforms.json or --cameras cameras.json"
+        )
+    elif given.get("orbit"):
+        cameras = orbit(scene.ground_frame, scene.cameras, count=config.frames)
+    else:
+        cameras = [_named(scene, given.get("camera"))]
+    return _sized(cameras, config), config
+
+
+def _placed(scene, config, given):
+    from rainsim.scene.cameras import look_at
+
+    width = config.width or round((config.height or DEFAULT_WIDTH / DEFAULT_SHAPE) * DEFAULT_SHAPE)
+    height = config.height or round(width / DEFAULT_SHAPE)
+    fov = DEFAULT_FOV if given.get("fov") is None else given["fov"]
+    camera = look_at(given["eye"], given["look_at"], scene.ground_frame.up, fov, width, height)
+    return replace(camera, name="eye")
+
+
+def _named(scene, name):
+    if name is None:
+        return scene.cameras[0]
+    for camera in scene.cameras:
+        if camera.name == name:
+            return camera
+    for camera in scene.cameras:  # picture names are often kept with their suffix
+        if camera.name.rpartition(".")[0] == name:
+            return camera
+    from rainsim.config import nearest
+
+    names = [camera.name for camera in scene.cameras]
+    shown = names if len(names) <= MOST_SHOWN else [*names[:3], "...", names[-1]]
+    raise ParameterError(
+        f"scene {scene.name} has no camera {name!r}; it must be one of its {len(names)}: "
+        f"{', '.join(shown)}" + nearest(name, names, "; the nearest is {!r}", "")
+    )
+
+
+def _sized(cameras, config):
+    from rainsim.scene.cameras import resize_to
+
+    sized = [resize_to(camera, config.width, config.height) for camera in cameras]
+    for camera in sized:
+        if (camera.width, camera.height) != (sized[0].width, sized[0].height):
+            raise ParameterError(
+                f"frames would be {sized[0].width} x {sized[0].height} and {camera.width} x "
+                f"{camera.height} px; all must be equal; give --width and --height"
+            )
+    return sized

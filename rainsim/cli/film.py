@@ -1,0 +1,268 @@
+"""The commands that make frames: `run`, and its second and third stage, `simulate` and `render`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+
+from rainsim.cli import options
+from rainsim.cli.choose import cameras_of, check_camera_options, scene_of, settings
+from rainsim.cli.status import Status, tell_compiling, tell_scene
+from rainsim.errors import InputError, ParameterError
+
+SIMULATION = "simulation.json"
+
+
+@click.command(short_help="Draw a scene in the rain: the whole chain.")
+@options.scene_option
+@options.preset_option
+@options.rain_options
+@options.light_options
+@options.camera_options
+@options.picture_options
+@options.range_option
+@options.ground_options
+@options.terrain_options
+@options.output_options("rainsim-out/SCENE-PRESET")
+def run(scene, preset, out, overwrite, as_json, quiet, video, **given):
+    """Draw a scene in the rain: the whole chain, from a capture to frames.
+
+    Writes DIR/frames/00000.png and so on, preview.webp, transforms.json (the frames' cameras) and
+    provenance.json (command, settings, versions, ground frame, ledger of water).
+
+    \b
+    Example:
+        rainsim run
+        rainsim run --scene garden/ --preset moderate --camera DSC07956
+        rainsim run --scene garden/ --rain 50 --wind 4,90 --orbit --frames 48 --out wet
+    """
+    status = Status(quiet)
+    config = settings(preset, given)
+    _check_before_loading(given, video)
+    loaded = scene_of(scene, given)
+    tell_scene(status, loaded)
+    cameras, config = cameras_of(loaded, config, given)
+    out = out or options.default_out(loaded.name, Path(preset).stem)
+
+    def frames():
+        from rainsim.pipeline import render_rain
+
+        def progress(stage, done, total):
+            status.progress(stage, done, total)
+            if done == total:  # what follows unannounced is the first frame
+                status.progress("frames", 0, len(config.indices))
+
+        return render_rain(loaded, cameras, config, progress=progress)
+
+    files = {"out": out, "overwrite": overwrite, "video": video, "as_json": as_json}
+    _film(status, frames, loaded, cameras, config, preset, **files)
+
+
+@click.command(short_help="Let it rain on a height map.")
+@click.argument("terrain", type=click.Path(path_type=Path))
+@options.preset_option
+@options.rain_options
+@options.range_option
+@options.output_options("rainsim-out/TERRAIN-PRESET-states")
+def simulate(terrain, preset, out, overwrite, threads, as_json, quiet, **given):
+    """Let it rain on TERRAIN, a folder that `rainsim heightmap` wrote.
+
+    Writes DIR/states/00000.npz and so on: water depth, flow, ripples and impacts at the time of
+    each frame; and simulation.json with the settings, for `rainsim render`.
+
+    \b
+    Example:
+        rainsim simulate rainsim-out/bicycle-terrain --preset downpour --out states
+    """
+    status = Status(quiet)
+    config = settings(preset, {**given, "threads": threads})
+    from rainsim.output import Record, claimed, read_record, relative, settings_facts
+    from rainsim.pipeline import frames_of, write_state
+    from rainsim.pipeline import simulate as simulate_water
+    from rainsim.terrain import read_terrain
+
+    ground = read_terrain(terrain)
+    source = terrain if terrain.is_dir() else terrain.parent
+    origin = read_record(source).get("input")
+    name = source.resolve().name.removesuffix("-terrain")
+    out = out or options.default_out(name, Path(preset).stem, "states")
+    with status, claimed(out, overwrite):
+        _set_up(config, status)
+        facts = settings_facts(config, preset)
+        record = Record(out, None, **facts, terrain_input=origin)
+        total = len(config.indices)
+        ledger = {}
+        states = frames_of(simulate_water(ground, config, status.progress), config, status.progress)
+        for done, state in enumerate(states):
+            if done == 0:
+                record.begin()
+                (out / "states").mkdir(exist_ok=True)
+                _write_simulation(out, source, terrain, record, config, preset, origin)
+            status.notes(state.notes)
+            name = f"states/{state.index:05d}.npz"
+            write_state(out / name, state)
+            record.add(name)
+            ledger = state.ledger
+            status.progress("simulate frames", done + 1, total)
+        record.write(complete=True, ledger=ledger)
+    status.say(f"{total} water states in {relative(out)}")
+    _print({"out": str(out), "states": record.files, "ledger": ledger}, out, as_json)
+
+
+def _write_simulation(out, source, terrain, record, config, preset, origin):
+    """Write what `render` needs besides the states: settings, terrain and ground frame."""
+    from rainsim.scene.files import replacing, write_json
+
+    copied = {"terrain.npz": source / "terrain.npz" if terrain.is_dir() else terrain}
+    if (source / "ground_frame.json").is_file():
+        copied["ground_frame.json"] = source / "ground_frame.json"
+    for name, path in copied.items():
+        if path.resolve() != (out / name).resolve():
+            with replacing(out / name) as temporary:
+                temporary.write_bytes(path.read_bytes())
+    facts = {"preset": str(preset), "settings": config.as_dict(), "input": origin}
+    write_json(out / SIMULATION, facts)
+    record.add(SIMULATION, *copied)
+    record.write(complete=False)
+
+
+@click.command(short_help="Draw frames from simulated water.")
+@click.argument("states", type=options.FOLDER)
+@click.option(
+    "--scene",
+    "-s",
+    metavar="NAME|PATH",
+    show_default="the one that the states were made for",
+    help="The capture to draw.",
+)
+@options.light_options
+@options.camera_options
+@options.picture_options
+@options.range_option
+@options.ground_options
+@options.output_options("rainsim-out/STATES-frames")
+def render(states, scene, out, overwrite, as_json, quiet, video, **given):
+    """Draw frames from STATES, a folder that `rainsim simulate` wrote, for any camera.
+
+    The drops in the air are made anew from the seed. Settings of the rain are those of the
+    simulation; light, camera and size can be chosen here.
+
+    \b
+    Example:
+        rainsim render states --orbit --width 960 --out frames
+    """
+    status = Status(quiet)
+    made = _read_simulation(states)
+    config = settings(None, given, base=made["config"])
+    _check_before_loading(given, video)
+    origin = made.get("input") or {}
+    scene = scene or origin.get("source") or origin.get("scene")
+    if scene is None:
+        raise ParameterError(
+            f"{states} does not say which scene it was made for; one is needed; give --scene"
+        )
+    ground = ("up", "meters_per_unit", "camera_height", "ground_frame")
+    frame_file = states / "ground_frame.json"
+    if all(given.get(name) is None for name in ground) and frame_file.is_file():
+        given["ground_frame"] = frame_file  # the very frame of the height map
+    loaded = scene_of(scene, given)
+    tell_scene(status, loaded)
+    if origin.get("sha256") not in (None, "", loaded.source_hash):
+        raise InputError(
+            f"the states in {states} were made for other splats than scene {loaded.name}; both "
+            "must be of one capture; give the right --scene, or simulate again"
+        )
+    cameras, config = cameras_of(loaded, config, given, most=config.frames)
+    out = out or options.default_out(states.resolve().name, "frames")
+
+    def frames():
+        from rainsim import pipeline
+        from rainsim.terrain import read_terrain
+
+        found = (pipeline.read_state(_state_file(states, index)) for index in config.indices)
+        return pipeline.render(loaded, read_terrain(states), found, cameras, config)
+
+    for index in config.indices:
+        _state_file(states, index)
+    preset = made.get("preset", "")
+    files = {"out": out, "overwrite": overwrite, "video": video, "as_json": as_json}
+    _film(status, frames, loaded, cameras, config, preset, **files)
+
+
+def _state_file(states, index):
+    path = states / f"states/{index:05d}.npz"
+    if not path.is_file():
+        raise InputError(
+            f"{path} does not exist; each frame needs its state; simulate more frames or give a "
+            "--frame-range of those that there are"
+        )
+    return path
+
+
+def _read_simulation(states):
+    """Return what simulation.json holds, with its settings as a Config under "config"."""
+    from rainsim.config import Config
+    from rainsim.scene.files import read_json
+
+    path = states / SIMULATION
+    if states.is_dir() and not path.is_file():
+        raise InputError(
+            f"{states} has no {SIMULATION}; it must be a folder that `rainsim simulate` wrote"
+        )
+    made = read_json(path, "a simulation")
+    try:
+        return {**made, "config": Config.from_dict(made["settings"])}
+    except (AttributeError, KeyError, TypeError, ParameterError) as error:
+        raise InputError(
+            f"{path} has no usable settings ({error}); `rainsim simulate` writes it; simulate again"
+        ) from None
+
+
+# --- what run and render share --------------------------------------------------------------------
+
+
+def _check_before_loading(given, video):
+    check_camera_options(given)
+    if video:
+        from rainsim.image import require_video
+
+        require_video()
+
+
+def _film(status, frames, scene, cameras, config, preset, *, out, overwrite, video, as_json):
+    """Draw the frames that `frames()` generates into the folder `out`, and say how it went."""
+    from rainsim import output
+
+    total = len(config.indices)
+    with status, output.claimed(out, overwrite):
+        _set_up(config, status)
+        facts = output.settings_facts(config, preset)
+        record = output.Record(out, scene, **facts, cameras=output.cameras_facts(cameras))
+        with output.FilmFolder(out, record, cameras, config, video) as film:
+            for done, (picture, report) in enumerate(frames()):
+                status.notes(report.notes)
+                film.add(picture, report)
+                status.progress("frames", done + 1, total)
+    status.say(f"{total} frames in {output.relative(out)}/frames ({status.seconds:.1f} s)")
+    result = {
+        "out": str(out),
+        "frames": [f"frames/{report.index:05d}.png" for report in film.reports],
+        "seconds": round(status.seconds, 3),
+        "milliseconds": output.mean_milliseconds(film.reports),
+        "ledger": film.reports[-1].ledger,
+        "notes": [*scene.notes, *scene.ground_frame.notes],
+    }
+    _print(result, out, as_json)
+
+
+def _set_up(config, status):
+    from rainsim.jit import set_threads
+
+    set_threads(config.threads)
+    tell_compiling(status)
+
+
+def _print(result, out, as_json):
+    click.echo(json.dumps(result, indent=1) if as_json else str(out))

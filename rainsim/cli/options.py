@@ -1,0 +1,214 @@
+"""Option groups that commands share, and the types of values that have several parts."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import click
+
+PRESETS = "the preset's"  # shown as the default of options that override a preset
+
+
+class Numbers(click.ParamType):
+    """Numbers separated by commas, such as x,y,z; `word` stands for None if it is given."""
+
+    name = "numbers"
+
+    def __init__(self, parts, word=None):
+        self.parts, self.word = parts.split(","), word
+
+    def get_metavar(self, param, ctx=None):
+        """Return how the value is shown in the help."""
+        shown = ",".join(self.parts).upper()
+        return f"{shown}|{self.word}" if self.word else shown
+
+    def convert(self, value, param, ctx):
+        """Return a tuple of floats, or the word itself."""
+        if isinstance(value, tuple):
+            return value
+        if self.word and value == self.word:
+            return value
+        try:
+            numbers = tuple(float(part) for part in value.split(","))
+        except ValueError:
+            numbers = ()
+        if len(numbers) != len(self.parts) or not all(map(math.isfinite, numbers)):
+            other = f" or {self.word}" if self.word else ""
+            self.fail(
+                f"{value!r} is not {len(self.parts)} finite numbers {','.join(self.parts)} "
+                f"without spaces{other}",
+                param,
+                ctx,
+            )
+        return numbers
+
+
+class FrameRange(click.ParamType):
+    """Frames A:B, B not included."""
+
+    name = "A:B"
+
+    def convert(self, value, param, ctx):
+        """Return (A, B)."""
+        if isinstance(value, tuple):
+            return value
+        first, colon, end = value.partition(":")
+        if not (colon and first.isdecimal() and end.isdecimal()):
+            self.fail(f"{value!r} is not a range A:B of frame numbers, such as 0:24", param, ctx)
+        return int(first), int(end)
+
+
+FILE = click.Path(dir_okay=False, path_type=Path)
+FOLDER = click.Path(file_okay=False, path_type=Path)
+
+
+def _group(*options):
+    def decorate(command):
+        for option in reversed(options):
+            command = option(command)
+        return command
+
+    return decorate
+
+
+scene_option = click.option(
+    "--scene",
+    "-s",
+    default="bicycle",
+    show_default=True,
+    metavar="NAME|PATH",
+    help="A name from `rainsim scenes`, a trained model's folder, a splat PLY or a scene folder.",
+)
+
+ground_options = _group(
+    click.option(
+        "--cameras",
+        type=FILE,
+        metavar="FILE.json",
+        help="cameras.json or transforms.json instead of the one beside the splats.",
+    ),
+    click.option("--up", type=Numbers("x,y,z"), help="Roughly up, in the capture's own frame."),
+    click.option(
+        "--meters-per-unit", type=float, metavar="S", help="Scale: metres per capture unit."
+    ),
+    click.option(
+        "--camera-height",
+        type=float,
+        metavar="M",
+        help="Scale from the cameras' mean height above the ground, in metres. "
+        "[default: 1.5, assumed]",
+    ),
+    click.option(
+        "--ground-frame",
+        type=FILE,
+        metavar="FILE.json",
+        help="The whole similarity to the ground frame, as `rainsim import` writes it.",
+    ),
+)
+
+camera_options = _group(
+    click.option("--camera", metavar="NAME", help="A camera of the capture. [default: its first]"),
+    click.option(
+        "--path", type=FILE, metavar="transforms.json", help="A camera path, one camera per frame."
+    ),
+    click.option("--orbit", is_flag=True, help="A full circle about what the cameras look at."),
+    click.option("--eye", type=Numbers("x,y,z"), help="Where to look from, in capture units."),
+    click.option("--look-at", type=Numbers("x,y,z"), help="Where to look to, in capture units."),
+    click.option(
+        "--fov",
+        type=float,
+        metavar="DEG",
+        help="Horizontal field of view with --eye, in degrees. [default: 60]",
+    ),
+)
+
+preset_option = click.option(
+    "--preset",
+    "-p",
+    metavar="NAME|FILE.toml",
+    default="drizzle",
+    show_default=True,
+    help="A name from `rainsim presets`, or a file of such settings.",
+)
+
+rain_options = _group(
+    click.option("--rain", type=float, metavar="MM/H", show_default=PRESETS,
+                 help="Rain rate in mm/h."),
+    click.option("--past-rain", type=float, metavar="MM", show_default=PRESETS,
+                 help="Rain that fell before the first frame and has come to rest, in mm."),
+    click.option("--wind", type=Numbers("speed,direction"), show_default=PRESETS,
+                 help="Wind in m/s and the way it goes, in degrees counter-clockwise seen from "
+                 "above, from the first camera's view."),
+    click.option("--water-level", type=float, metavar="M", show_default=PRESETS,
+                 help="Still water, in metres above the 5th percentile of the ground."),
+    click.option("--water-scheme", metavar="NAME", show_default=PRESETS,
+                 help="auto or paper: how the flow is computed."),
+    click.option("--seed", type=int, show_default=PRESETS, help="Which drops fall; a number."),
+    click.option("--frames", type=int, show_default="the preset's, or the path's length",
+                 help="Number of frames."),
+    click.option("--fps", type=float, show_default=PRESETS, help="Frames per second."),
+)  # fmt: skip
+
+light_options = _group(
+    click.option("--exposure", type=float, metavar="MS", show_default=PRESETS,
+                 help="Shutter time in ms, at most one frame."),
+    click.option("--sky", metavar="FILE.hdr|overcast|capture", show_default=PRESETS,
+                 help="What water mirrors where the capture shows nothing: an equirectangular "
+                 "picture, an overcast sky, or the capture's own."),
+    click.option("--sun", type=Numbers("azimuth,elevation", word="none"), show_default=PRESETS,
+                 help="The sun in degrees, azimuth as for --wind."),
+    click.option("--cloudiness", type=float, metavar="0..1", show_default=PRESETS,
+                 help="0 clear to 1 overcast."),
+    click.option("--brightness", type=float, metavar="FACTOR", show_default=PRESETS,
+                 help="Factor on the finished picture; 1 is as graded."),
+)  # fmt: skip
+
+picture_options = _group(
+    click.option("--width", type=int, metavar="PX", show_default="648, or as --height asks",
+                 help="Width of the frames in px."),
+    click.option("--height", type=int, metavar="PX", show_default="the camera's shape",
+                 help="Height of the frames in px; with --width the picture is cropped."),
+    click.option("--video", is_flag=True, help="Write video.mp4 too (needs rainsim[video])."),
+)  # fmt: skip
+
+terrain_options = _group(
+    click.option("--spacing", type=float, metavar="M", show_default="0.02",
+                 help="Cell size of the height map in metres."),
+    click.option("--extent", type=float, metavar="M", show_default="told by the cameras",
+                 help="Half the width of the height map in metres."),
+)  # fmt: skip
+
+range_option = click.option(
+    "--frame-range",
+    type=FrameRange(),
+    show_default="all",
+    help="Only frames A to B, B not included; the water is simulated up to them.",
+)
+
+
+def output_options(default):
+    """Return the options of a command that fills a folder; `default` says what --out is."""
+    return _group(
+        click.option("--out", "-o", type=FOLDER, metavar="DIR", show_default=default,
+                     help="Output folder."),
+        click.option("--overwrite", is_flag=True,
+                     help="Allow a folder that is not empty; other files in it stay."),
+        click.option("--threads", type=int, metavar="N", show_default="all cores",
+                     help="Number of threads."),
+        json_option,
+        click.option("--quiet", "-q", is_flag=True, help="Print errors only."),
+    )  # fmt: skip
+
+
+json_option = click.option("--json", "as_json", is_flag=True, help="Print results as JSON.")
+
+
+def default_out(*names):
+    """Return the output folder when none was given."""
+    return Path("rainsim-out") / "-".join(plain(name) for name in names)
+
+
+def plain(name):
+    """Return a name that is good as part of a folder's name."""
+    return "".join(c if c.isalnum() or c in "._-" else "-" for c in name).strip(".-") or "scene"

@@ -1,0 +1,217 @@
+"""The commands around the frames: import, heightmap, scenes, presets, warmup."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+
+from rainsim.cli import options
+from rainsim.cli.choose import scene_of, settings
+from rainsim.cli.status import Status, tell_compiling, tell_scene
+
+GROUND_FRAME = "ground_frame.json"
+
+
+@click.command("import", short_help="Read a capture, find its ground.")
+@click.argument("path", type=click.Path(path_type=Path))
+@options.ground_options
+@options.output_options("NAME-scene")
+def import_(path, out, overwrite, threads, as_json, quiet, **given):
+    """Read a capture, find its ground, and write it as a scene folder.
+
+    PATH is a trained model's folder (point_cloud/iteration_*/point_cloud.ply and cameras.json) or a
+    splat PLY with cameras.json beside it. Writes splats.npz, scene.json and ground_frame.json. Put
+    the folder where RAINSIM_SCENES points to use it by name.
+
+    \b
+    Example:
+        rainsim import garden/ --camera-height 1.6 --out ~/scenes/garden
+        rainsim import plaza.ply --up 0,0,1 --meters-per-unit 1
+    """
+    from rainsim.output import Record, claimed, relative
+    from rainsim.scene.folder import write_scene
+    from rainsim.scene.ground import ground_frame_to_dict, write_ground_frame
+
+    status = Status(quiet)
+    scene = scene_of(path, given)
+    tell_scene(status, scene)
+    frame = scene.ground_frame
+    out = out or Path(f"{options.plain(scene.name)}-scene")
+    with claimed(out, overwrite):
+        record = Record(out, scene)
+        write_scene(out, scene)
+        write_ground_frame(out / GROUND_FRAME, frame)
+        record.add("scene.json", "splats.npz", GROUND_FRAME)
+        record.write(complete=True)
+    status.say(f"scene folder {relative(out)}")
+    if as_json:
+        result = {
+            "out": str(out),
+            "name": scene.name,
+            "splats": len(scene.splats),
+            "cameras": [camera.name for camera in scene.cameras],
+            "ground_frame": ground_frame_to_dict(frame),
+            "notes": list(scene.notes),
+        }
+        click.echo(json.dumps(result, indent=1))
+        return
+    click.echo(f"up                {_shown(frame.up)}")
+    click.echo(f"x axis            {_shown(frame.rotation[0])}")
+    click.echo(f"metres per unit   {frame.meters_per_unit:.6g}{_assumed(frame)}")
+    click.echo(f"origin            {_shown(frame.to_capture((0.0, 0.0, 0.0)))} (capture units)")
+    click.echo(f"confidence        {frame.confidence:.2f}")
+    click.echo(f"scene folder      {out}")
+
+
+def _shown(vector):
+    return ", ".join(f"{v:.5f}" for v in vector)
+
+
+def _assumed(frame):
+    return " (ASSUMED from the cameras' height)" if frame.scale_assumed else ""
+
+
+@click.command(short_help="Make the height map of a scene.")
+@click.argument("scene")
+@options.ground_options
+@options.terrain_options
+@options.output_options("rainsim-out/SCENE-terrain")
+def heightmap(scene, out, overwrite, threads, as_json, quiet, **given):
+    """Make the height map of SCENE, a name or a path as for `rainsim run`.
+
+    Writes terrain.npz (ground, occluder top and underside, masks), bed.tif and top.tif (float32
+    metres, north at the top), hillshade.png to look at, and ground_frame.json. Cameras beside the
+    splats are used; without any, --up and --meters-per-unit are needed.
+
+    \b
+    Example:
+        rainsim heightmap garden/ --out terrain
+        rainsim heightmap plaza.ply --up 0,0,1 --meters-per-unit 1 --extent 6
+    """
+    from rainsim.output import Record, claimed, relative
+    from rainsim.scene.ground import write_ground_frame
+
+    status = Status(quiet)
+    config = settings(None, {**given, "threads": threads}, base=_default_config())
+    loaded = scene_of(scene, given)
+    tell_scene(status, loaded)
+    out = out or options.default_out(loaded.name, "terrain")
+    with status, claimed(out, overwrite):
+        from rainsim.jit import set_threads
+        from rainsim.pipeline import extract_terrain
+        from rainsim.terrain import write_terrain
+
+        set_threads(config.threads)
+        tell_compiling(status)
+        record = Record(out, loaded, settings={"terrain": config.as_dict()["terrain"]})
+        status.progress("terrain", 0, 1)
+        terrain = extract_terrain(loaded, config)
+        status.progress("terrain", 1, 1)
+        status.notes(terrain.notes)
+        paths = write_terrain(out, terrain)
+        write_ground_frame(out / GROUND_FRAME, loaded.ground_frame)
+        record.add(*(path.name for path in paths), GROUND_FRAME)
+        record.write(complete=True, notes=list(terrain.notes))
+    grid = terrain.grid
+    status.say(f"{grid.shape[1]} x {grid.shape[0]} cells of {grid.spacing:g} m in {relative(out)}")
+    result = {
+        "out": str(out),
+        "files": record.files,
+        "shape": list(grid.shape),
+        "spacing": grid.spacing,
+        "origin": list(grid.origin),
+        "notes": list(terrain.notes),
+    }
+    click.echo(json.dumps(result, indent=1) if as_json else str(out))
+
+
+def _default_config():
+    from rainsim.config import Config
+
+    return Config()
+
+
+@click.command(short_help="List the scenes known by name.")
+@options.json_option
+def scenes(as_json):
+    """List the scenes that are known by name.
+
+    They are looked up in the folders named by RAINSIM_SCENES and in the user's data folder; the
+    built-in ones are generated stand-ins.
+
+    \b
+    Example:
+        RAINSIM_SCENES=~/scenes rainsim scenes
+    """
+    from rainsim.scene.library import list_scenes
+
+    found = list_scenes()
+    if as_json:
+        rows = [{"name": n, "where": str(w), "built_in": bool(b)} for n, w, b in found]
+        click.echo(json.dumps(rows, indent=1))
+        return
+    for name, where, _ in found:
+        click.echo(f"{name:<20} {where}")
+
+
+@click.command(short_help="List the presets, or print one.")
+@click.argument("name", required=False)
+@options.json_option
+def presets(name, as_json):
+    """List the presets, or print the preset NAME as a file to start your own from.
+
+    \b
+    Example:
+        rainsim presets
+        rainsim presets moderate > mine.toml
+    """
+    from rainsim.config import Config, preset_names, preset_text
+
+    if name is not None:
+        settings_of = Config.from_preset(name).as_dict()
+        click.echo(json.dumps(settings_of, indent=1) if as_json else preset_text(name), nl=as_json)
+        return
+    about = {n: _comment(preset_text(n)) for n in preset_names()}
+    if as_json:
+        click.echo(json.dumps(about, indent=1))
+        return
+    for n, text in about.items():
+        click.echo(f"{n:<10} {text}")
+
+
+def _comment(text):
+    """Return the comment at the head of a preset as one line."""
+    lines = []
+    for line in text.splitlines():
+        if not line.startswith("#"):
+            break
+        lines.append(line.lstrip("# "))
+    return " ".join(lines)
+
+
+@click.command(short_help="Compile once for this machine.")
+@click.option("--quiet", "-q", is_flag=True, help="Print errors only.")
+def warmup(quiet):
+    """Compile everything for this machine, once; later runs start at once.
+
+    \b
+    Example:
+        rainsim warmup
+    """
+    status = Status(quiet)
+    from rainsim.config import Config, mm_per_hour
+    from rainsim.pipeline import render_rain
+    from rainsim.scene.cameras import resize_to
+    from rainsim.scene.library import load_scene
+
+    tell_compiling(status)
+    scene = load_scene("bicycle")
+    camera = resize_to(scene.cameras[0], 96, 64)
+    config = Config().replace(rate=mm_per_hour(50.0), frames=2, width=96, height=64, spacing=0.05)
+    with status:
+        status.progress("warmup", 0, 2)
+        for done, _ in enumerate(render_rain(scene, [camera], config)):
+            status.progress("warmup", done + 1, 2)
+    status.say(f"ready ({status.seconds:.0f} s)")

@@ -1,0 +1,450 @@
+"""All settings as frozen data in SI units, and the preset files that hold them in human units.
+
+The attribute names of all groups differ, so `config.replace(rate=..., width=...)` needs no group.
+Human units (mm/h, degrees, ms) exist here and on the command line only.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import math
+import tomllib
+from dataclasses import dataclass, field
+from importlib import resources
+from pathlib import Path
+
+from rainsim.errors import (
+    InputError,
+    ParameterError,
+    require_choice,
+    require_finite,
+    require_not_negative,
+    require_positive,
+)
+
+DEFAULT_PRESET = "drizzle"
+WATER_SCHEMES = ("auto", "paper")
+SKIES = ("overcast", "capture")
+REFLECTIONS = ("auto", "mirror", "ssr")
+
+MM_PER_HOUR = 1e-3 / 3600  # m/s
+MAX_RATE = 1000.0  # mm/h: the heaviest minutes ever measured stay below 2500, an hour below 400
+MAX_PAST = 1000.0  # mm: more than a day's record almost anywhere
+MAX_WIND = 60.0  # m/s: beyond hurricane strength drops no longer fall as modelled
+MIN_SIDE, MAX_SIDE = 8, 16384  # px
+MAX_FRAMES = 99_999  # what the five digits of a frame's file name hold
+MAX_THREADS = 4096
+MAX_SEED = 2**32 - 1
+
+
+def mm_per_hour(rate):
+    """Convert a rain rate from mm/h to m/s."""
+    return rate * MM_PER_HOUR
+
+
+@dataclass(frozen=True)
+class TerrainConfig:
+    """The height map below the scene."""
+
+    spacing: float = 0.02  # m; a puddle's edge needs cells well below its width
+    extent: float | None = None  # m, half the width of the square map; None: told by the cameras
+    slab: float = 0.12  # m about the ground plane that is taken from under tables
+
+    def check(self):
+        """Raise ParameterError if a value breaks its rule."""
+        require_positive("terrain spacing", self.spacing, "m", "0.02 is usual")
+        if self.spacing > 0.5:
+            raise ParameterError(f"terrain spacing is {self.spacing} m; it must be at most 0.5 m")
+        require_positive("terrain slab", self.slab, "m", "0.12 is usual")
+        if self.extent is not None:
+            require_positive("terrain extent", self.extent, "m", "leave it out to have it chosen")
+            if self.extent < 4 * self.spacing:
+                raise ParameterError(
+                    f"terrain extent is {self.extent} m; it must hold at least 4 cells of "
+                    f"{self.spacing} m; make it larger"
+                )
+
+
+@dataclass(frozen=True)
+class RainConfig:
+    """What falls, and what has fallen before the first frame."""
+
+    rate: float = mm_per_hour(10.0)  # m/s, as a gauge on level ground collects it
+    past: float = 3e-3  # m of rain that fell before the first frame and has come to rest
+    wind: tuple = (0.0, 0.0)  # speed [m/s] and the direction it goes, from x towards y [rad]
+    seed: int = 0
+
+    @property
+    def wind_velocity(self):
+        """Horizontal wind (x, y) in the ground frame [m/s]."""
+        speed, direction = self.wind
+        return speed * math.cos(direction), speed * math.sin(direction)
+
+    def check(self):
+        """Raise ParameterError if a value breaks its rule."""
+        rate = self.rate / MM_PER_HOUR if _is_number(self.rate) else self.rate
+        require_not_negative("rain", _round(rate), "mm/h", "0 is no rain, 50 a downpour")
+        if rate > MAX_RATE * (1 + 1e-9):
+            raise ParameterError(
+                f"rain is {_round(rate)} mm/h; it must be at most {MAX_RATE:g}; 50 is a downpour"
+            )
+        past = self.past * 1e3 if _is_number(self.past) else self.past
+        require_not_negative("past rain", _round(past), "mm", "0 leaves no puddles")
+        if past > MAX_PAST * (1 + 1e-9):
+            raise ParameterError(
+                f"past rain is {_round(past)} mm; it must be at most {MAX_PAST:g}; "
+                "for a flood give a water level"
+            )
+        speed, direction = _pair("wind", self.wind, "a speed and a direction")
+        require_not_negative("wind speed", speed, "m/s", "turn the direction instead")
+        if speed > MAX_WIND:
+            raise ParameterError(f"wind speed is {speed} m/s; it must be at most {MAX_WIND:g} m/s")
+        require_finite("wind direction", direction)
+        require_whole("seed", self.seed, 0, MAX_SEED)
+
+
+@dataclass(frozen=True)
+class WaterConfig:
+    """Water on the ground."""
+
+    scheme: str = "auto"  # auto: the solver chooses and says which
+    level: float | None = None  # m above the 5th percentile of the bed: still water, a flood
+    courant: float | None = None  # share of the largest stable time step; None: the scheme's own
+
+    def check(self):
+        """Raise ParameterError if a value breaks its rule."""
+        require_choice("water scheme", self.scheme, WATER_SCHEMES, "auto chooses by itself")
+        if self.level is not None:
+            require_finite("water level", self.level, "give metres, or leave it out for no flood")
+        if self.courant is not None:
+            require_positive("courant", self.courant, "", "leave it out for the scheme's own")
+            if self.courant > 1:
+                raise ParameterError(f"courant is {self.courant}; it must be at most 1")
+
+
+@dataclass(frozen=True)
+class RenderConfig:
+    """Light, shutter and look."""
+
+    exposure: float = 1 / 60  # s; longer draws longer and fainter streaks
+    sky: str = "overcast"  # or "capture", or the path of an equirectangular Radiance .hdr
+    sun: tuple | None = None  # azimuth from x towards y and elevation [rad]; None: no sun
+    cloudiness: float = 0.8  # 0 clear to 1 overcast
+    brightness: float = 1.0  # factor on the graded picture
+    reflections: str = "auto"  # mirror: one mirrored pass; ssr: march the depth; auto picks
+    streak_far: float = 8.0  # m; farther drops are fog
+    water_coverage: tuple = (0.4e-3, 2.2e-3)  # m of water that begin to close over rough
+    # ground, and that hide it wholly; chosen by eye on a captured patio
+
+    def check(self):
+        """Raise ParameterError if a value breaks its rule."""
+        exposure = self.exposure * 1e3 if _is_number(self.exposure) else self.exposure
+        require_positive("exposure", _round(exposure), "ms", "16.7 is 1/60 s")
+        check_sky(self.sky)
+        if self.sun is not None:
+            azimuth, elevation = _pair("sun", self.sun, "an azimuth and an elevation")
+            require_finite("sun azimuth", azimuth)
+            degrees = math.degrees(require_finite("sun elevation", elevation))
+            if not 0 <= degrees <= 90 + 1e-9:
+                raise ParameterError(
+                    f"sun elevation is {_round(degrees)} degrees; it must lie from 0 (horizon) "
+                    "to 90 (zenith); for no sun give none"
+                )
+        require_finite("cloudiness", self.cloudiness)
+        if not 0 <= self.cloudiness <= 1:
+            raise ParameterError(
+                f"cloudiness is {self.cloudiness}; it must lie from 0 (clear) to 1 (overcast)"
+            )
+        require_positive("brightness", self.brightness, "", "1 is as graded, 0.5 half as bright")
+        require_choice("reflections", self.reflections, REFLECTIONS)
+        require_positive("streak_far", self.streak_far, "m", "8 is usual")
+        low, high = _pair("water_coverage", self.water_coverage, "a low and a high depth")
+        require_not_negative("water_coverage's low depth", low, "m")
+        if require_positive("water_coverage's high depth", high, "m") <= low:
+            raise ParameterError(
+                f"water_coverage is ({low}, {high}) m; the second depth must exceed the first"
+            )
+
+
+@dataclass(frozen=True)
+class Config:
+    """Everything that shapes the frames but the scene and its cameras."""
+
+    terrain: TerrainConfig = field(default_factory=TerrainConfig)
+    rain: RainConfig = field(default_factory=RainConfig)
+    water: WaterConfig = field(default_factory=WaterConfig)
+    render: RenderConfig = field(default_factory=RenderConfig)
+    frames: int = 24
+    fps: float = 24.0  # 1/s
+    width: int | None = 648  # px; None: the camera's own
+    height: int | None = None  # px; None: follows from the camera's shape
+    frame_range: tuple | None = None  # (first, end), end not included; None: all
+    threads: int | None = None  # None: all cores
+
+    @property
+    def frame_interval(self):
+        """Time from one frame to the next [s]."""
+        return 1 / self.fps
+
+    @property
+    def indices(self):
+        """The range of frame numbers that are to be drawn."""
+        return range(*(self.frame_range or (0, self.frames)))
+
+    @classmethod
+    def from_preset(cls, name=DEFAULT_PRESET):
+        """Return the settings of a built-in preset or of a TOML file.
+
+        Parameters
+        ----------
+        name : str or path-like
+            One of `preset_names()`, or the path of a file that ends in .toml.
+
+        Raises
+        ------
+        ParameterError
+            If there is no such preset, or a key or value in it is wrong.
+        """
+        return cls.from_toml(*_preset_text(name))
+
+    @classmethod
+    def from_toml(cls, text, where="settings", folder=None):
+        """Return the settings that the TOML `text` gives; the rest keep their defaults.
+
+        `where` names the text in errors; a relative sky file is looked for in `folder`.
+        """
+        try:
+            table = tomllib.loads(text)
+        except tomllib.TOMLDecodeError as error:
+            raise ParameterError(
+                f"{where} is not valid TOML ({error}); it must hold lines of key = value; "
+                "compare with `rainsim presets moderate`"
+            ) from None
+        config = cls().replace(**_from_human(table, where, folder))
+        try:
+            config._check_each()  # not one against another: options may change either yet
+            return config
+        except ParameterError as error:
+            raise ParameterError(f"{where}: {error}") from None
+
+    def replace(self, **changes):
+        """Return the settings with some attributes changed, named without their group (SI units).
+
+        Raises
+        ------
+        ParameterError
+            If a name is unknown; it names the nearest one.
+        """
+        grouped = {}
+        for name, value in changes.items():
+            if name not in _GROUP_OF:
+                raise ParameterError(
+                    f"{name} is not a setting; {nearest(name, _GROUP_OF)}; correct the name"
+                )
+            grouped.setdefault(_GROUP_OF[name], {})[name] = value
+        top = grouped.pop(None, {})
+        for group, own in grouped.items():
+            top[group] = dataclasses.replace(getattr(self, group), **own)
+        return dataclasses.replace(self, **top)
+
+    def check(self):
+        """Return the settings themselves, or raise ParameterError for the first that is wrong."""
+        self._check_each()
+        if self.frame_range is not None:
+            self._check_range()
+        interval = self.frame_interval
+        if self.render.exposure > interval * (1 + 1e-9):
+            raise ParameterError(
+                f"exposure is {self.render.exposure * 1e3:.4g} ms; it must be at most one frame, "
+                f"{interval * 1e3:.4g} ms at {self.fps:g} frames/s; shorten it or lower fps"
+            )
+        return self
+
+    def _check_each(self):
+        """Check every value but those that depend on another group's."""
+        for group in _GROUPS:
+            getattr(self, group).check()
+        require_whole("frames", self.frames, 1, MAX_FRAMES)
+        require_positive("fps", self.fps, "frames/s", "24 is usual")
+        for name in ("width", "height"):
+            if getattr(self, name) is not None:
+                require_whole(name, getattr(self, name), MIN_SIDE, MAX_SIDE, "px")
+        if self.threads is not None:
+            require_whole("threads", self.threads, 1, MAX_THREADS)
+
+    def _check_range(self):
+        first, end = _pair("frame range", self.frame_range, "a first frame and an end")
+        require_whole("first frame of the range", first, 0, MAX_FRAMES)
+        require_whole("end of the frame range", end, 0, MAX_FRAMES)
+        if not first < end <= self.frames:
+            raise ParameterError(
+                f"frame range is {first}:{end}; it must satisfy 0 <= A < B <= {self.frames} "
+                f"(the end is not included); for all frames give 0:{self.frames}"
+            )
+
+    def as_dict(self):
+        """Return nested plain values in SI units, as JSON holds them; see `from_dict`."""
+        return dataclasses.asdict(self)
+
+    @classmethod
+    def from_dict(cls, groups):
+        """Return the settings that `as_dict` gave, exactly, also after a way through JSON."""
+        flat = {name: value for name, value in groups.items() if name not in _GROUPS}
+        for group in _GROUPS:
+            flat.update(groups.get(group, {}))
+        # JSON has lists where we have tuples.
+        flat = {n: tuple(v) if isinstance(v, list) else v for n, v in flat.items()}
+        return cls().replace(**flat).check()
+
+
+_GROUPS = {
+    "terrain": TerrainConfig,
+    "rain": RainConfig,
+    "water": WaterConfig,
+    "render": RenderConfig,
+}
+_GROUP_OF = {f.name: None for f in dataclasses.fields(Config) if f.name not in _GROUPS}
+for _name, _group in _GROUPS.items():
+    _GROUP_OF |= {f.name: _name for f in dataclasses.fields(_group)}
+
+
+# --- presets --------------------------------------------------------------------------------------
+
+# Key in a preset file: attribute and what one unit of the key is in SI (None: not a number).
+HUMAN_KEYS = {
+    "rain_mm_per_hour": ("rate", MM_PER_HOUR),
+    "past_rain_mm": ("past", 1e-3),
+    "wind_speed_m_per_s": ("wind", 1.0),
+    "wind_direction_degrees": ("wind", math.pi / 180),
+    "seed": ("seed", None),
+    "water_scheme": ("scheme", None),
+    "water_level_m": ("level", 1.0),
+    "courant": ("courant", 1.0),
+    "exposure_ms": ("exposure", 1e-3),
+    "sky": ("sky", None),
+    "sun_azimuth_degrees": ("sun", math.pi / 180),
+    "sun_elevation_degrees": ("sun", math.pi / 180),
+    "cloudiness": ("cloudiness", 1.0),
+    "brightness": ("brightness", 1.0),
+    "streak_far_m": ("streak_far", 1.0),
+    "frames": ("frames", None),
+    "fps": ("fps", 1.0),
+    "width": ("width", None),
+    "height": ("height", None),
+    "terrain_spacing_m": ("spacing", 1.0),
+    "terrain_extent_m": ("extent", 1.0),
+}
+_PAIRS = {  # attributes that two keys fill, with what stands for a missing one (None: required)
+    "wind": (("wind_speed_m_per_s", 0.0), ("wind_direction_degrees", 0.0)),
+    "sun": (("sun_azimuth_degrees", None), ("sun_elevation_degrees", None)),
+}
+
+
+def preset_names():
+    """Return the names of the built-in presets, from dry to wet."""
+    return ["drizzle", "moderate", "downpour", "flood"]
+
+
+def preset_text(name):
+    """Return the TOML text of a built-in preset or of a TOML file."""
+    return _preset_text(name)[0]
+
+
+def _preset_text(name):
+    """Return the text, its name in errors and the folder for relative paths."""
+    if isinstance(name, Path) or str(name).endswith(".toml"):
+        path = Path(name)
+        try:
+            return path.read_text(encoding="utf-8"), str(path), path.parent
+        except (OSError, UnicodeDecodeError) as error:
+            reason = getattr(error, "strerror", None) or "it is not UTF-8 text"
+            raise InputError(
+                f"cannot read {path}: {reason}; a preset file must be TOML text; check the path"
+            ) from None
+    if name not in preset_names():
+        raise ParameterError(
+            f"there is no preset {name!r}; {nearest(name, preset_names())}; see `rainsim "
+            "presets`, or give a path that ends in .toml"
+        )
+    file = resources.files("rainsim").joinpath("presets", f"{name}.toml")
+    return file.read_text(encoding="utf-8"), f"preset {name}", None
+
+
+def _from_human(table, where, folder):
+    """Return attributes in SI units from a table of preset keys."""
+    for key in table:
+        if key not in HUMAN_KEYS:
+            raise ParameterError(
+                f"{where} has the key {key!r}; {nearest(key, HUMAN_KEYS)}; correct the key"
+            )
+    changes = {}
+    for key, value in table.items():
+        attribute, unit = HUMAN_KEYS[key]
+        if unit is not None:
+            if not _is_number(value):
+                raise ParameterError(f"{where}: {key} is {value!r}; it must be a number")
+            value = value * unit
+        table[key] = value
+        if attribute not in _PAIRS:
+            changes[attribute] = value
+    for attribute, keys in _PAIRS.items():
+        given = [key for key, _ in keys if key in table]
+        if not given:
+            continue
+        lacking = [key for key, default in keys if key not in table and default is None]
+        if lacking:
+            raise ParameterError(f"{where} has {given[0]} but no {lacking[0]}; give both")
+        changes[attribute] = tuple(table.get(key, default) for key, default in keys)
+    sky = changes.get("sky")
+    if folder is not None and isinstance(sky, str) and sky not in SKIES:
+        changes["sky"] = str(folder / sky)
+    return changes
+
+
+# --- checks ---------------------------------------------------------------------------------------
+
+
+def nearest(name, known, hint="the nearest is {!r}", otherwise="known are {}"):
+    """Return a hint that names the known word closest to `name`, or all if none is close."""
+    close = difflib.get_close_matches(str(name), list(known), n=1, cutoff=0.5)
+    return hint.format(close[0]) if close else otherwise.format(", ".join(known))
+
+
+def check_sky(sky):
+    """Raise an error unless `sky` is a known name or an existing .hdr file."""
+    if sky in SKIES:
+        return
+    if not isinstance(sky, str) or not sky.lower().endswith(".hdr"):
+        raise ParameterError(
+            f"sky is {sky!r}; it must be {' or '.join(SKIES)} or the path of a Radiance .hdr file"
+        )
+    if not Path(sky).is_file():
+        raise InputError(f"there is no sky file {sky}; check the path, or use overcast")
+
+
+def require_whole(name, value, low, high, unit=""):
+    """Return `value`, or raise ParameterError unless it is a whole number from low to high."""
+    unit = f" {unit}" if unit else ""
+    if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
+        raise ParameterError(
+            f"{name} is {value!r}{unit}; it must be a whole number from {low} to {high}{unit}"
+        )
+    return value
+
+
+def _pair(name, value, what):
+    if not isinstance(value, tuple | list) or len(value) != 2:
+        raise ParameterError(f"{name} is {value!r}; it must be {what}")
+    return value
+
+
+def _is_number(value):
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return False
+    return isinstance(value, float) or abs(value) < 2**63  # TOML allows any length
+
+
+def _round(value):
+    """Return a number as a person wrote it: without the noise of a change of units."""
+    return float(f"{value:.9g}") if _is_number(value) else value

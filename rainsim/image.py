@@ -1,0 +1,332 @@
+"""Pictures in and out: PNG frames, float TIFF maps, previews, video, and Radiance HDR panoramas.
+
+The only module that imports imageio. Every file is written whole under a temporary name and then
+renamed, so that what stood there before survives a failure.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from pathlib import Path
+
+import imageio.v3 as iio
+import numpy as np
+
+from rainsim.errors import InputError, ParameterError, RainsimError
+from rainsim.scene.files import replacing, require_file
+
+PNG_LEVEL = 3  # twice as fast as the usual 6 and a tenth larger
+PREVIEW_WIDTH = 480  # px at most
+PREVIEW_FRAMES = 240  # at most; a longer film's preview skips frames
+PREVIEW_QUALITY = 75
+MAX_HDR_PIXELS = 2**27  # 16384 x 8192; more is a damaged header
+RGBE_BIAS = 128 + 8  # of the exponent, and the eight bits of the mantissa
+MIN_RLE_WIDTH, MAX_RLE_WIDTH = 8, 0x7FFF  # px between which lines may be run-length coded
+
+
+def write_png(path, image):
+    """Write an 8-bit picture.
+
+    Parameters
+    ----------
+    path : path-like
+    image : ndarray of shape (height, width, 3) or (height, width), uint8
+    """
+    image = np.asarray(image)
+    if image.dtype != np.uint8:
+        raise ParameterError(f"the picture for {path} is {image.dtype}; a PNG here must be uint8")
+    with replacing(path) as temporary:
+        iio.imwrite(temporary, image, extension=".png", plugin="pillow", compress_level=PNG_LEVEL)
+
+
+def read_image(path):
+    """Return the pixels of a PNG or TIFF file in the type that the file has."""
+    path = require_file(path, "a picture")
+    try:
+        return iio.imread(path, plugin="pillow")
+    except (OSError, SyntaxError, ValueError) as error:
+        raise InputError(
+            f"{path} cannot be read as a picture ({_first_line(error)}); it must be PNG or TIFF; "
+            "write it again"
+        ) from None
+
+
+def write_tiff(path, values):
+    """Write a map of float32 values, exactly; row 0 is the top line.
+
+    Parameters
+    ----------
+    path : path-like
+    values : ndarray of shape (height, width), float
+    """
+    values = np.ascontiguousarray(values, dtype=np.float32)
+    if values.ndim != 2:
+        raise ParameterError(f"the map for {path} has shape {values.shape}; it must have two axes")
+    with replacing(path) as temporary:
+        iio.imwrite(temporary, values, extension=".tiff", plugin="pillow")
+
+
+def write_npz(path, **arrays):
+    """Write arrays as an uncompressed .npz file, whole or not at all."""
+    with replacing(path) as temporary, open(temporary, "wb") as file:
+        np.savez(file, **arrays)
+
+
+class Preview:
+    """Collects frames small, and writes them as one animation that loops."""
+
+    def __init__(self, frame_count, fps):
+        self._stride = -(-frame_count // PREVIEW_FRAMES)
+        self._duration = 1000 * self._stride / fps  # ms
+        self._frames, self._seen = [], 0
+
+    def add(self, image):
+        """Take the next frame, an ndarray of shape (height, width, 3), uint8."""
+        if self._seen % self._stride == 0:
+            self._frames.append(_shrink(image, PREVIEW_WIDTH))
+        self._seen += 1
+
+    def write(self, path):
+        """Write what was added as an animated WebP picture; with no frames do nothing."""
+        if self._frames:
+            with replacing(path) as temporary:
+                iio.imwrite(
+                    temporary,
+                    np.stack(self._frames),
+                    extension=".webp",
+                    plugin="pillow",
+                    duration=round(self._duration),
+                    loop=0,
+                    quality=PREVIEW_QUALITY,
+                    method=2,  # of 0 to 6: slower ones save a few percent
+                )
+
+
+def _shrink(image, width):
+    """Return the picture at most `width` px wide: means of whole blocks, what is over is cut."""
+    block = -(-image.shape[1] // width)
+    rows, columns = image.shape[0] // block, image.shape[1] // block
+    if block == 1 or rows == 0:
+        return image.copy()
+    blocks = image[: rows * block, : columns * block].reshape(rows, block, columns, block, -1)
+    return blocks.mean(axis=(1, 3), dtype=np.float32).round().astype(np.uint8)
+
+
+# --- video ----------------------------------------------------------------------------------------
+
+
+def require_video():
+    """Raise RainsimError unless MP4 files can be written; to be asked before the first frame."""
+    _ffmpeg()
+
+
+def _ffmpeg():
+    try:
+        import imageio_ffmpeg  # an extra: 70 MB that most runs do not need
+
+        imageio_ffmpeg.get_ffmpeg_exe()
+    except (ImportError, RuntimeError):
+        raise RainsimError(
+            "a video was asked for and no video encoder is installed; it needs the extra: "
+            'pip install "rainsim[video]", or leave out --video'
+        ) from None
+    return imageio_ffmpeg
+
+
+class VideoWriter:
+    """Writes frames to an MP4 file as they come; use as a context manager.
+
+    Parameters
+    ----------
+    path : path-like
+        Replaced when the block ends, also when it ends early with frames written; removed if
+        there were none.
+    fps : float
+    """
+
+    def __init__(self, path, fps):
+        self._module = _ffmpeg()
+        self.path, self._fps = Path(path), fps
+        self._sender, self._temporary = None, None
+
+    def __enter__(self):
+        handle, name = tempfile.mkstemp(
+            prefix=f".{self.path.name}.", suffix=".mp4", dir=self.path.parent
+        )
+        os.close(handle)
+        self._temporary = Path(name)
+        return self
+
+    def add(self, image):
+        """Append a frame, an ndarray of shape (height, width, 3), uint8."""
+        # H.264 with the usual chroma needs even sides: repeat the last line, do not rescale.
+        height, width = image.shape[:2]
+        image = np.pad(image, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")
+        if self._sender is None:
+            self._sender = self._module.write_frames(
+                str(self._temporary),
+                (image.shape[1], image.shape[0]),
+                fps=self._fps,
+                codec="libx264",
+                quality=8,
+                macro_block_size=2,
+                ffmpeg_log_level="error",
+            )
+            self._sender.send(None)
+        self._sender.send(np.ascontiguousarray(image))
+
+    def __exit__(self, *exception):
+        try:
+            if self._sender is not None:
+                self._sender.close()
+                os.replace(self._temporary, self.path)
+        finally:
+            self._temporary.unlink(missing_ok=True)
+
+
+# --- Radiance HDR ---------------------------------------------------------------------------------
+
+
+def read_hdr(path):
+    """Read a Radiance RGBE picture (.hdr), flat or run-length coded.
+
+    Parameters
+    ----------
+    path : path-like
+
+    Returns
+    -------
+    ndarray of shape (height, width, 3), float32
+        Linear radiance, row 0 at the top; exposure notes of the header are divided out.
+
+    Raises
+    ------
+    InputError
+        If the file is not such a picture or ends early.
+
+    References
+    ----------
+    G. Ward, "Real Pixels", Graphics Gems II (1991). A value is mantissa * 2^(exponent - 136); we
+    leave out Ward's half step on the mantissa, as most readers do.
+    """
+    path = require_file(path, "a sky")
+    data = path.read_bytes()
+    width, height, exposure, start = _hdr_header(path, data)
+    pixels = np.frombuffer(data, np.uint8, offset=start)
+    rgbe = np.empty((height, width, 4), np.uint8)
+    for row in range(height):
+        packed_mark = bytes((2, 2, width >> 8 & 255, width & 255))
+        if MIN_RLE_WIDTH <= width <= MAX_RLE_WIDTH and pixels[:4].tobytes() == packed_mark:
+            used = 4 + _unpack_line(path, pixels[4:].data, rgbe[row], row, height)
+        else:
+            used = _flat_line(path, pixels, rgbe[row], row, height)
+        pixels = pixels[used:]
+    scale = np.ldexp(np.float32(1 / exposure), rgbe[..., 3:].astype(np.int32) - RGBE_BIAS)
+    color = rgbe[..., :3] * np.where(rgbe[..., 3:] == 0, np.float32(0), scale)
+    if not np.isfinite(color).all():
+        raise InputError(f"{path} holds values beyond float32; it must be a radiance picture")
+    return np.ascontiguousarray(color, dtype=np.float32)
+
+
+def _hdr_header(path, data):
+    """Return width, height, exposure and where the pixels begin."""
+    end = data.find(b"\n\n", 0, 1 << 16)
+    if not data.startswith((b"#?RADIANCE", b"#?RGBE")) or end < 0:
+        raise InputError(f"{path} is not a Radiance HDR picture; it must begin with #?RADIANCE")
+    exposure = 1.0
+    for line in data[:end].decode("latin-1").splitlines()[1:]:
+        key, _, value = line.partition("=")
+        if key == "FORMAT" and value.strip() != "32-bit_rle_rgbe":
+            raise InputError(
+                f"{path} has the format {value.strip()}; it must be 32-bit_rle_rgbe; convert it"
+            )
+        if key == "EXPOSURE":
+            exposure *= _positive(path, value)
+    stop = data.find(b"\n", end + 2, end + 100)
+    words = data[end + 2 : max(stop, 0)].decode("latin-1").split()
+    if len(words) != 4 or (words[0], words[2]) != ("-Y", "+X"):
+        raise InputError(
+            f"{path} has the size line {' '.join(words)!r}; it must be -Y height +X width; "
+            "write the picture again with its top line first"
+        )
+    height, width = (int(w) if w.isdecimal() else 0 for w in words[1::2])
+    if not (width and height) or width * height > MAX_HDR_PIXELS:
+        raise InputError(
+            f"{path} promises {words[3]} x {words[1]} pixels; they must be positive and at most "
+            f"{MAX_HDR_PIXELS} in all"
+        )
+    return width, height, exposure, stop + 1
+
+
+def _positive(path, text):
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0 < value < float("inf"):
+        raise InputError(f"{path} has the exposure {text.strip()}; it must be a positive number")
+    return value
+
+
+def _unpack_line(path, packed, line_out, row, height):
+    """Undo the run-length code of one line, channel by channel; return the bytes used."""
+    width = len(line_out)
+    at = 0
+    line = bytearray()
+    for channel in range(4):
+        line.clear()
+        while len(line) < width:
+            if at + 1 >= len(packed):
+                raise _cut_off(path, row, height)
+            count = packed[at]
+            if count > 128:  # a run of one value
+                line += bytes(packed[at + 1 : at + 2]) * (count - 128)
+                at += 2
+            else:
+                line += packed[at + 1 : at + 1 + count]
+                at += 1 + count
+            if count == 0 or at > len(packed):
+                raise _cut_off(path, row, height)
+        if len(line) != width:
+            raise InputError(f"{path} line {row} is damaged: its runs do not fill it exactly")
+        line_out[:, channel] = np.frombuffer(line, np.uint8)
+    return at
+
+
+def _flat_line(path, pixels, line_out, row, height):
+    """Read one line of plain or old run-length coded pixels; return the bytes used."""
+    width = len(line_out)
+    ahead = pixels[: 4 * width].reshape(-1, 4) if len(pixels) >= 4 * width else None
+    if ahead is not None and not (ahead[:, :3] == 1).all(axis=1).any():
+        line_out[:] = ahead
+        return 4 * width
+    # Old code: a pixel 1 1 1 n repeats the one before n times, more digits of n may follow.
+    filled, at, shift = 0, 0, 0
+    while filled < width:
+        pixel = pixels[at : at + 4]
+        if len(pixel) < 4:
+            raise _cut_off(path, row, height)
+        if (pixel[:3] == 1).all() and filled > 0:
+            count = int(pixel[3]) << shift
+            if count > width - filled:
+                raise InputError(f"{path} line {row} is damaged: a run is longer than the line")
+            line_out[filled : filled + count] = line_out[filled - 1]
+            filled += count
+            shift += 8
+        else:
+            line_out[filled] = pixel
+            filled += 1
+            shift = 0
+        at += 4
+    return at
+
+
+def _cut_off(path, row, height):
+    return InputError(
+        f"{path} ends or is damaged in line {row} of {height}; it must be whole; copy it again"
+    )
+
+
+def _first_line(error):
+    return str(error).splitlines()[0] if str(error) else type(error).__name__

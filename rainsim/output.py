@@ -1,0 +1,279 @@
+"""Output folders: claimed without touching what is not ours, filled file by file, accounted for.
+
+`provenance.json` in a folder names the files that the program wrote there; only these are ever
+removed, and only when new results are ready to take their place.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import platform
+import re
+import sys
+import tempfile
+import time
+from contextlib import ExitStack, contextmanager
+from importlib import metadata
+from pathlib import Path
+
+from rainsim import __version__
+from rainsim.errors import ParameterError
+from rainsim.scene.files import write_json
+
+PROVENANCE = "provenance.json"
+# Names that the program gives to files: a provenance file from elsewhere cannot name others.
+OURS = re.compile(
+    r"frames/\d{5}\.png|states/\d{5}\.npz|preview\.webp|video\.mp4|transforms\.json"
+    r"|(terrain|splats)\.npz|(scene|ground_frame|simulation)\.json|(bed|top)\.tif|hillshade\.png"
+)
+VERSIONS_OF = ("numpy", "scipy", "numba", "llvmlite", "pillow")
+
+
+@contextmanager
+def claimed(path, overwrite=False):
+    """Yield an output folder that may be filled; remove it again if it stays empty.
+
+    Parameters
+    ----------
+    path : path-like
+        Made, with the folders above it, if it does not exist.
+    overwrite : bool
+        Whether it may hold files already. They stay, but for those that get new contents.
+
+    Raises
+    ------
+    ParameterError
+        If it holds files and `overwrite` is not set, or is no folder.
+    OSError
+        If it cannot be made or written to.
+    """
+    path = Path(path)
+    if path.exists() and not path.is_dir():
+        raise ParameterError(f"output {path} is a file; it must be a folder; give another --out")
+    if path.is_dir() and not overwrite and any(path.iterdir()):
+        raise ParameterError(
+            f"output folder {path} exists and is not empty; it must be new or empty; "
+            "give another --out, or --overwrite to replace results in it"
+        )
+    made = [p for p in (path, *path.parents) if not p.exists()]
+    path.mkdir(parents=True, exist_ok=True)
+    try:
+        tempfile.TemporaryFile(dir=path).close()  # before hours of work, not after
+        yield path
+    finally:
+        for folder in (path / "frames", path / "states", *made):
+            if folder.is_dir() and not any(folder.iterdir()):
+                folder.rmdir()
+
+
+class Record:
+    """What a run did, kept as `provenance.json` in its output folder.
+
+    Parameters
+    ----------
+    folder : Path
+    scene : Scene or None
+    **facts
+        More entries; they must be plain JSON values.
+    """
+
+    def __init__(self, folder, scene=None, **facts):
+        self.folder, self._start = folder, time.perf_counter()
+        self.facts = {
+            "program": "rainsim",
+            "version": __version__,
+            "command": ["rainsim", *sys.argv[1:]],
+            "started": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
+            "versions": versions(),
+            "input": input_facts(scene),
+            **facts,
+        }
+        self.fingerprint = _hash(
+            {k: v for k, v in self.facts.items() if k not in ("command", "started")}
+        )
+        self.files = []
+
+    def begin(self):
+        """Clear away what an earlier run left that does not belong to this one's results."""
+        before = read_record(self.folder)
+        listed = before.get("files") if isinstance(before.get("files"), list) else []
+        kept = [f for f in listed if isinstance(f, str) and OURS.fullmatch(f)]
+        if before.get("fingerprint") == self.fingerprint:
+            self.files = kept  # other frames of the very same film
+        else:
+            for name in kept:
+                (self.folder / name).unlink(missing_ok=True)
+
+    def add(self, *names):
+        """Note that files, named relative to the folder, are written."""
+        self.files += [name for name in names if name not in self.files]
+
+    def write(self, complete, **facts):
+        """Write the record as it stands."""
+        self.facts.update(facts)
+        write_json(
+            self.folder / PROVENANCE,
+            {
+                **self.facts,
+                "complete": complete,
+                "seconds": round(time.perf_counter() - self._start, 3),
+                "fingerprint": self.fingerprint,
+                "files": sorted(self.files),
+            },
+        )
+
+
+def read_record(folder):
+    """Return what an earlier run recorded in a folder, {} if nothing readable."""
+    try:
+        record = json.loads((Path(folder) / PROVENANCE).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    ours = isinstance(record, dict) and record.get("program") == "rainsim"
+    return record if ours else {}
+
+
+def settings_facts(config, preset):
+    """Return the settings for a record: how this run is split up is no part of the result."""
+    settings = config.as_dict()
+    settings["threads"] = settings["frame_range"] = None
+    return {
+        "preset": str(preset),
+        "seed": config.rain.seed,
+        "settings": settings,
+        "settings_units": "SI: m, s, m/s, rad; px",
+    }
+
+
+def input_facts(scene):
+    """Return what identifies a scene and its ground frame, as plain values."""
+    if scene is None:
+        return None
+    from rainsim.scene.ground import ground_frame_to_dict
+
+    return {
+        "scene": scene.name,
+        "source": None if scene.source is None else str(scene.source),
+        "sha256": scene.source_hash,
+        "splats": len(scene.splats),
+        "ground_frame": ground_frame_to_dict(scene.ground_frame),
+        "notes": list(scene.notes),
+    }
+
+
+def cameras_facts(cameras):
+    """Return what identifies the frames' cameras; transforms.json has them in full."""
+    from rainsim.scene.cameras import cameras_to_data
+
+    return {"count": len(cameras), "sha256": _hash(cameras_to_data(cameras))}
+
+
+def versions():
+    """Return the versions of Python and of the libraries that the numbers depend on."""
+    found = {"python": platform.python_version(), "platform": platform.platform()}
+    for name in VERSIONS_OF:
+        try:
+            found[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            found[name] = None
+    return found
+
+
+def _hash(facts):
+    text = json.dumps(facts, sort_keys=True, default=str)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+class FilmFolder:
+    """Takes frames one by one and writes DIR/frames/NNNNN.png and what goes with them.
+
+    Use as a context manager around the loop over frames: what was finished is kept and recorded
+    also when the loop is broken off. Nothing in the folder changes before the first frame.
+
+    Parameters
+    ----------
+    folder : Path
+        Claimed.
+    record : Record
+    cameras : sequence of Camera
+        One per frame of the whole film, or one for all.
+    config : Config
+    video : bool
+        Whether to write video.mp4 too.
+    """
+
+    def __init__(self, folder, record, cameras, config, video=False):
+        from rainsim import image
+
+        self._image, self.folder, self.record = image, folder, record
+        self._cameras, self._config = cameras, config
+        self._preview = image.Preview(len(config.indices), config.fps)
+        self._stack = ExitStack()
+        self._video = None
+        self._wants_video = video
+        self.reports = []
+
+    def __enter__(self):
+        return self
+
+    def add(self, picture, report):
+        """Write the next frame."""
+        if not self.reports:
+            self._begin()
+        name = f"frames/{report.index:05d}.png"
+        self._image.write_png(self.folder / name, picture)
+        self._preview.add(picture)
+        if self._video is not None:
+            self._video.add(picture)
+        self.record.add(name)
+        self.reports.append(report)
+
+    def _begin(self):
+        from rainsim.scene.cameras import write_transforms
+
+        self.record.begin()
+        (self.folder / "frames").mkdir(exist_ok=True)
+        count = self._config.frames
+        cameras = list(self._cameras) if len(self._cameras) > 1 else [self._cameras[0]] * count
+        names = [f"frames/{i:05d}.png" for i in range(count)]
+        write_transforms(self.folder / "transforms.json", cameras[:count], names)
+        self.record.add("transforms.json")
+        self.record.write(complete=False)
+        if self._wants_video:
+            writer = self._image.VideoWriter(self.folder / "video.mp4", self._config.fps)
+            self._video = self._stack.enter_context(writer)
+
+    def __exit__(self, kind, *exception):
+        self._stack.close()
+        if not self.reports:
+            return
+        self._preview.write(self.folder / "preview.webp")
+        self.record.add("preview.webp", *(["video.mp4"] if self._video is not None else []))
+        self.record.write(
+            complete=kind is None and len(self.reports) == len(self._config.indices),
+            frames=[report.index for report in self.reports],
+            milliseconds=mean_milliseconds(self.reports),
+            ledger=self.reports[-1].ledger,
+            notes=list(dict.fromkeys(note for r in self.reports for note in r.notes)),
+        )
+
+
+def mean_milliseconds(reports):
+    """Return the mean time of each stage over frame reports [ms]."""
+    stages = dict.fromkeys(stage for report in reports for stage in report.milliseconds)
+    return {
+        stage: round(sum(r.milliseconds.get(stage, 0.0) for r in reports) / len(reports), 3)
+        for stage in stages
+    }
+
+
+def relative(path):
+    """Return a path as short as it can be shown."""
+    path = Path(path)
+    try:
+        short = os.path.relpath(path)
+    except ValueError:  # another drive
+        return str(path)
+    return str(path) if short.startswith("..") else short

@@ -1,0 +1,265 @@
+"""Frames from the command line, end to end on a tiny scene."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from rainsim import pipeline
+from rainsim.errors import DivergedError
+from rainsim.image import read_image
+from rainsim.scene.cameras import read_cameras
+
+MAP = ["--spacing", "0.04", "--extent", "1"]
+FILM = [*MAP, "--width", "64", "--preset", "downpour"]
+
+
+@pytest.fixture
+def film(rainsim, scene_folder):
+    """Return a function that runs `rainsim run` on the tiny scene into the folder `out`."""
+
+    def run(out, *more, frames=3):
+        count = [] if frames is None else ["--frames", frames]
+        return rainsim("run", "--scene", scene_folder, *FILM, *count, "--out", out, *more)
+
+    return run
+
+
+def pictures(folder):
+    """The frames in an output folder by name."""
+    return {path.name: read_image(path) for path in sorted((folder / "frames").iterdir())}
+
+
+def record(folder):
+    return json.loads((folder / "provenance.json").read_text())
+
+
+def same(one, two):
+    return one.keys() == two.keys() and all(np.array_equal(one[name], two[name]) for name in one)
+
+
+def test_run_writes_all_that_it_promises(film, tmp_path):
+    done = film("out")
+    assert done.code == 0, done.err
+    assert done.out == "out\n"
+    assert "terrain" in done.err and "3 frames in out/frames" in done.err
+    folder = tmp_path / "out"
+    frames = pictures(folder)
+    assert list(frames) == ["00000.png", "00001.png", "00002.png"]
+    for picture in frames.values():
+        assert picture.shape == (48, 64, 3) and picture.dtype == np.uint8
+        assert picture.std() > 5
+    assert not np.array_equal(frames["00000.png"], frames["00001.png"])  # it rains
+    assert len(read_cameras(folder / "transforms.json")) == 3
+    assert (folder / "preview.webp").stat().st_size > 100
+    names = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
+    kept = record(folder)
+    assert names == {*kept["files"], "provenance.json"}  # and no temporary file
+    assert kept["complete"] and kept["frames"] == [0, 1, 2]
+    assert kept["seed"] == 0 and kept["preset"] == "downpour"
+    assert kept["settings"]["rain"]["rate"] == pytest.approx(50 / 3.6e6)
+    assert kept["input"]["ground_frame"]["meters_per_unit"] == 0.6
+    assert kept["versions"]["numba"] and kept["command"][0] == "rainsim"
+    assert abs(kept["ledger"]["residual"]) < 1e-5
+    assert kept["milliseconds"]
+
+
+def test_the_stages_one_by_one_give_the_same_frames(film, rainsim, scene_folder, tmp_path):
+    assert film("whole").code == 0
+    done = rainsim("heightmap", scene_folder, *MAP, "--out", "terrain", "--json")
+    assert done.code == 0, done.err
+    shown = json.loads(done.out)
+    assert shown["shape"] == [50, 50] and shown["spacing"] == 0.04
+    for name in ("terrain.npz", "bed.tif", "top.tif", "hillshade.png", "ground_frame.json"):
+        assert (tmp_path / "terrain" / name).is_file()
+    done = rainsim("simulate", "terrain", "--preset", "downpour", "--frames", 3, "--out", "states")
+    assert done.code == 0, done.err
+    assert len(list((tmp_path / "states" / "states").iterdir())) == 3
+    done = rainsim("render", "states", "--width", 64, "--out", "frames")
+    assert done.code == 0, done.err
+    assert same(pictures(tmp_path / "whole"), pictures(tmp_path / "frames"))
+    assert record(tmp_path / "whole")["ledger"] == record(tmp_path / "frames")["ledger"]
+    missing = rainsim("render", "states", "--width", 64, "--frame-range", "0:4")
+    assert missing.code == 2 and "frame range is 0:4" in missing.error
+    (tmp_path / "states" / "states" / "00001.npz").unlink()
+    missing = rainsim("render", "states", "--width", 64, "--out", "again")
+    assert missing.code == 1 and "00001.npz does not exist" in missing.error
+    assert not (tmp_path / "again").exists()
+
+
+def test_states_of_another_scene_are_refused(rainsim, scene_folder, tmp_path):
+    rainsim("heightmap", scene_folder, *MAP, "--out", "terrain")
+    rainsim("simulate", "terrain", "--frames", 1, "--out", "states")
+    text = (tmp_path / "states" / "simulation.json").read_text()
+    (tmp_path / "states" / "simulation.json").write_text(text.replace("0" * 64, "1" * 64))
+    done = rainsim("render", "states", "--width", 64)
+    assert done.code == 1 and "made for other splats" in done.error
+
+
+def test_frames_of_a_range_are_those_of_the_whole(film, tmp_path):
+    assert film("whole").code == 0
+    done = film("part", "--frame-range", "1:3")
+    assert done.code == 0, done.err
+    whole, part = pictures(tmp_path / "whole"), pictures(tmp_path / "part")
+    assert list(part) == ["00001.png", "00002.png"]
+    assert all(np.array_equal(part[name], whole[name]) for name in part)
+    # The rest of the very same film may join it; another film replaces it.
+    assert film("part", "--frame-range", "0:1", "--overwrite").code == 0
+    assert same(pictures(tmp_path / "part"), whole)
+    assert film("part", "--frame-range", "0:1", "--seed", 7, "--overwrite").code == 0
+    assert list(pictures(tmp_path / "part")) == ["00000.png"]
+
+
+def test_threads_change_nothing_and_the_seed_does(film, tmp_path, threads):
+    assert film("one", "--threads", 1).code == 0
+    assert film("two", "--threads", 2).code == 0
+    assert film("other", "--seed", 5).code == 0
+    assert same(pictures(tmp_path / "one"), pictures(tmp_path / "two"))
+    assert not same(pictures(tmp_path / "one"), pictures(tmp_path / "other"))
+
+
+def test_overwriting_removes_old_frames_and_nothing_else(film, tmp_path):
+    assert film("out", frames=3).code == 0
+    (tmp_path / "out" / "frames" / "notes.txt").write_text("mine")
+    (tmp_path / "out" / "00000.png").write_text("mine")
+    assert film("out", frames=2).code == 2
+    assert len(record(tmp_path / "out")["frames"]) == 3
+    assert film("out", "--overwrite", frames=2).code == 0
+    names = sorted(path.name for path in (tmp_path / "out" / "frames").iterdir())
+    assert names == ["00000.png", "00001.png", "notes.txt"]
+    assert (tmp_path / "out" / "00000.png").read_text() == "mine"
+
+
+def test_an_error_before_the_first_frame_changes_nothing(film, tmp_path, monkeypatch):
+    assert film("out").code == 0
+    before = {path: path.read_bytes() for path in (tmp_path / "out").rglob("*") if path.is_file()}
+
+    def fail(*arguments, **options):
+        raise DivergedError("depth is NaN at 0.1 s; it must be finite; lower --water-scheme")
+        yield
+
+    monkeypatch.setattr(pipeline, "render_rain", fail)
+    for folder in ("out", "new"):
+        done = film(folder, "--overwrite", frames=2)
+        assert done.code == 1 and "depth is NaN" in done.error
+    after = {path: path.read_bytes() for path in (tmp_path / "out").rglob("*") if path.is_file()}
+    assert before == after
+    assert not (tmp_path / "new").exists()
+
+
+@pytest.mark.parametrize(("error", "code"), [(KeyboardInterrupt, 130), (DivergedError, 1)])
+def test_what_was_finished_is_kept(film, tmp_path, monkeypatch, error, code):
+    real = pipeline.render_rain
+
+    def breaks_off(*arguments, **options):
+        for n, each in enumerate(real(*arguments, **options)):
+            if n == 2:
+                raise error("stopped")
+            yield each
+
+    monkeypatch.setattr(pipeline, "render_rain", breaks_off)
+    done = film("out", frames=4)
+    assert done.code == code
+    assert list(pictures(tmp_path / "out")) == ["00000.png", "00001.png"]
+    kept = record(tmp_path / "out")
+    assert not kept["complete"] and kept["frames"] == [0, 1]
+    assert (tmp_path / "out" / "preview.webp").is_file()
+    assert done.out == ""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
+def test_ctrl_c_ends_a_process_with_130(scene_folder, tmp_path, root):
+    out = tmp_path / "out"
+    arguments = ["run", "--scene", scene_folder, *FILM, "--frames", "9999", "--out", out]
+    with subprocess.Popen(
+        [sys.executable, "-m", "rainsim", *map(str, arguments)],
+        cwd=root,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as process:
+        deadline = time.monotonic() + 200
+        first = out / "frames" / "00000.png"
+        while not first.exists() and process.poll() is None and time.monotonic() < deadline:
+            time.sleep(0.1)
+        process.send_signal(signal.SIGINT)
+        try:
+            _, text = process.communicate(timeout=60)
+        finally:
+            process.kill()
+    assert process.returncode == 130, text
+    assert "interrupted; what was finished is kept" in text and "Traceback" not in text
+    assert not record(out)["complete"]
+    assert read_image(out / "frames" / "00000.png").shape == (48, 64, 3)
+    assert not [path for path in out.rglob(".*")]  # no temporary files
+
+
+def test_cameras_in_every_way(film, tmp_path, scene_folder):
+    frame_of = {}
+    for name, options in {
+        "first": [],
+        "named": ["--camera", "view_0"],
+        "second": ["--camera", "view_1"],
+        "eye": ["--eye", "2,1,-1", "--look-at", "0.5,0.2,-1.2", "--fov", "70"],
+        "path": ["--path", "first/transforms.json"],
+        "both": ["--height", "40"],
+    }.items():
+        done = film(name, *options, frames=None if name == "path" else 1)
+        assert done.code == 0, done.err
+        frame_of[name] = pictures(tmp_path / name)["00000.png"]
+    assert np.array_equal(frame_of["first"], frame_of["named"])
+    assert np.array_equal(frame_of["first"], frame_of["path"])
+    assert not np.array_equal(frame_of["first"], frame_of["second"])
+    assert frame_of["both"].shape == (40, 64, 3)
+    assert frame_of["eye"].shape == (43, 64, 3)
+    placed = read_cameras(tmp_path / "eye" / "transforms.json")[0]
+    assert np.allclose(placed.position, (2, 1, -1))
+    done = film("orbit", "--orbit", frames=2)
+    assert done.code == 0, done.err
+    one, two = read_cameras(tmp_path / "orbit" / "transforms.json")
+    assert np.linalg.norm(one.position - two.position) > 1
+    done = film("long", "--path", "first/transforms.json", frames=9)
+    assert done.code == 2 and "frames is 9; it must be at most 1" in done.error
+
+
+def test_json_is_the_only_thing_on_stdout(film, tmp_path):
+    done = film("out", "--json", "--quiet", frames=2)
+    assert done.code == 0 and done.err == ""
+    shown = json.loads(done.out)
+    assert shown["frames"] == ["frames/00000.png", "frames/00001.png"]
+    assert shown["out"] == "out" and shown["seconds"] > 0
+    assert shown["ledger"] == record(tmp_path / "out")["ledger"]
+
+
+def test_a_flood_and_other_light_change_the_picture(film, tmp_path):
+    plain = ["--frame-range", "0:1"]
+    mean = {}
+    for name, options in {
+        "rain": [],
+        "flood": ["--water-level", "0.1"],
+        "dark": ["--brightness", "0.5"],
+        "dry": ["--rain", "0", "--past-rain", "0"],
+        "sun": ["--sun", "40,50", "--cloudiness", "0.2"],
+        "capture": ["--sky", "capture"],
+    }.items():
+        done = film(name, *plain, *options)
+        assert done.code == 0, done.err
+        mean[name] = pictures(tmp_path / name)["00000.png"].astype(float)
+    assert mean["dark"].mean() < 0.8 * mean["rain"].mean()
+    for name in ("flood", "dry", "sun"):
+        assert np.abs(mean[name] - mean["rain"]).mean() > 1, name
+    ground = np.s_[36:]  # rows
+    assert mean["dry"][ground].mean() > mean["rain"][ground].mean() + 3  # wet ground is darker
+
+
+def test_video_has_all_frames(film, tmp_path):
+    ffmpeg = pytest.importorskip("imageio_ffmpeg")
+    done = film("out", "--video", frames=2)
+    assert done.code == 0, done.err
+    frames, _ = ffmpeg.count_frames_and_secs(str(tmp_path / "out" / "video.mp4"))
+    assert frames == 2
+    assert "video.mp4" in record(tmp_path / "out")["files"]

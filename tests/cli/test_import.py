@@ -1,0 +1,69 @@
+"""`rainsim import`: a capture becomes a scene folder, with its ground frame printed."""
+
+import json
+
+import numpy as np
+
+from rainsim.scene.cameras import write_transforms
+from rainsim.scene.folder import read_scene
+from rainsim.scene.ground import read_ground_frame
+from rainsim.scene.ply import write_splats
+from scenes import tiny_scene
+
+
+def capture(folder):
+    """A splat PLY with cameras beside it, as a user has it."""
+    scene = tiny_scene()
+    write_splats(folder / "tiny.ply", scene.splats)
+    write_transforms(folder / "transforms.json", scene.cameras)
+    return scene
+
+
+def test_the_scale_is_assumed_and_says_so(rainsim, tmp_path):
+    scene = capture(tmp_path)
+    done = rainsim("import", "tiny.ply")
+    assert done.code == 0, done.err
+    assert "ASSUMED" in done.out and "ASSUMED" in done.err
+    found = read_scene(tmp_path / "tiny-scene")
+    assert found.ground_frame.scale_assumed
+    assert found.ground_frame.up @ scene.ground_frame.up > np.cos(np.radians(0.2))
+    heights = [found.ground_frame.to_ground(camera.position)[2] for camera in found.cameras]
+    assert abs(np.mean(heights) - 1.5) < 1e-6
+
+
+def test_a_given_scale_is_kept_and_json_is_on_stdout(rainsim, tmp_path):
+    scene = capture(tmp_path)
+    done = rainsim("import", "tiny.ply", "--meters-per-unit", "0.6", "--out", "s", "--json", "-q")
+    assert done.code == 0 and done.err == ""
+    shown = json.loads(done.out)
+    assert shown["splats"] == len(scene.splats)
+    assert shown["cameras"] == [camera.name for camera in scene.cameras]
+    assert shown["ground_frame"]["meters_per_unit"] == 0.6
+    frame = read_ground_frame(tmp_path / "s" / "ground_frame.json")
+    assert np.array_equal(frame.rotation, shown["ground_frame"]["rotation"])
+    points = scene.ground_frame.to_capture(np.array([[0.0, 0, 0], [1, 0.5, 0], [0, 0, 0.5]]))
+    assert np.allclose(frame.to_ground(points)[:, 2], [0, 0, 0.5], atol=0.005)
+
+
+def test_its_ground_frame_can_be_given_back(rainsim, tmp_path):
+    capture(tmp_path)
+    rainsim("import", "tiny.ply", "--camera-height", "1.1", "--out", "one")
+    done = rainsim("import", "tiny.ply", "--ground-frame", "one/ground_frame.json", "--out", "two")
+    assert done.code == 0, done.err
+    one, two = (read_scene(tmp_path / name) for name in ("one", "two"))
+    assert np.array_equal(one.ground_frame.rotation, two.ground_frame.rotation)
+    assert one.ground_frame.meters_per_unit == two.ground_frame.meters_per_unit
+    record = json.loads((tmp_path / "two" / "provenance.json").read_text())
+    assert record["complete"] and record["input"]["sha256"] == two.source_hash != ""
+
+
+def test_overwriting_keeps_what_is_not_ours(rainsim, tmp_path):
+    capture(tmp_path)
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "mine.txt").write_text("mine")
+    assert rainsim("import", "tiny.ply", "--out", "out").code == 2
+    assert rainsim("import", "tiny.ply", "--out", "out", "--overwrite").code == 0
+    assert rainsim("import", "tiny.ply", "--out", "out", "--overwrite").code == 0
+    names = {path.name for path in (tmp_path / "out").iterdir()}
+    ours = {"scene.json", "splats.npz", "ground_frame.json", "provenance.json"}
+    assert names == ours | {"mine.txt"}

@@ -1,0 +1,262 @@
+"""Wrong input on the command line: one line with the value, the rule and the remedy."""
+
+import json
+import os
+import re
+import struct
+
+import pytest
+
+from rainsim.scene.ply import write_splats
+
+
+def splat_ply(path):
+    from scenes import tiny_scene
+
+    write_splats(path, tiny_scene().splats)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "message"),
+    [
+        (["--rain", "-1"], 2, "rain is -1.0 mm/h; it must not be negative"),
+        (["--rain", "nan"], 2, "rain is nan; it must be a finite number"),
+        (["--rain", "much"], 2, "Invalid value for '--rain': 'much' is not a valid float"),
+        (["--past-rain", "-2"], 2, "past rain is -2.0 mm"),
+        (["--frames", "0"], 2, "frames is 0; it must be a whole number from 1"),
+        (["--fps", "0"], 2, "fps is 0.0"),
+        (["--exposure", "100"], 2, "exposure is 100 ms; it must be at most one frame"),
+        (["--width", "0"], 2, "width is 0 px"),
+        (["--threads", "0"], 2, "threads is 0"),
+        (["--seed", "-1"], 2, "seed is -1"),
+        (["--spacing", "0"], 2, "terrain spacing is 0.0 m"),
+        (["--wind", "3"], 2, "'3' is not 2 finite numbers speed,direction"),
+        (["--wind", "-3,0"], 2, "wind speed is -3.0 m/s"),
+        (["--sun", "high"], 2, "'high' is not 2 finite numbers azimuth,elevation without spaces"),
+        (["--sun", "0,-5"], 2, "sun elevation is -5.0 degrees"),
+        (["--sky", "blue"], 2, "sky is 'blue'; it must be overcast or capture or the path"),
+        (["--sky", "none.hdr"], 1, "there is no sky file none.hdr"),
+        (["--cloudiness", "2"], 2, "cloudiness is 2.0"),
+        (["--water-scheme", "magic"], 2, "water scheme is 'magic'"),
+        (["--frame-range", "3"], 2, "'3' is not a range A:B"),
+        (["--frame-range", "5:2"], 2, "frame range is 5:2"),
+        (["--preset", "drizle"], 2, "there is no preset 'drizle'; the nearest is 'drizzle'"),
+        (["--preset", "none.toml"], 1, "cannot read none.toml"),
+        (["--scene", "nowhere"], 2, "nowhere"),
+        (["--scene", "no/where.ply"], 1, "no/where.ply"),
+        (["--scene", "../bicycle"], 1, "../bicycle"),
+        (["--scene", ".."], 1, "point_cloud"),
+        (["--camera", "a", "--orbit"], 2, "--camera and --orbit are both given"),
+        (["--eye", "0,0,0"], 2, "--eye is given without --look-at"),
+        (["--look-at", "0,0,0"], 2, "--look-at is given without --eye"),
+        (["--eye", "0,0"], 2, "'0,0' is not 3 finite numbers x,y,z"),
+        (["--eye", "0,0,nan", "--look-at", "1,1,1"], 2, "is not 3 finite numbers"),
+        (["--fov", "60"], 2, "--fov is given without --eye"),
+        (["--no-such-option"], 2, "No such option"),
+    ],
+    ids=lambda v: "_".join(v) if isinstance(v, list) else None,
+)
+def test_a_bad_option_ends_in_one_line(rainsim, tmp_path, arguments, code, message):
+    done = rainsim("run", *arguments)
+    assert done.code == code
+    assert message in done.error
+    assert done.out == ""
+    assert list(tmp_path.iterdir()) == []  # nothing was written
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "message"),
+    [
+        (["--camera", "nobody"], 2, "has no camera 'nobody'; it must be one of its 3: view_0"),
+        (["--camera", "view_7"], 2, "the nearest is 'view_"),
+        (["--path", "none.json"], 1, "none.json does not exist"),
+        (["--eye", "1,1,1", "--look-at", "1,1,1"], 2, "eye and look-at are both"),
+        (["--eye", "1,1,1", "--look-at", "0,0,0", "--fov", "200"], 2, "fov is 200"),
+        (["--ground-frame", "none.json"], 1, "none.json"),
+        (["--meters-per-unit", "-1"], 2, "meters-per-unit is -1"),
+        (["--meters-per-unit", "1", "--camera-height", "2"], 2, "in one way only"),
+        (["--cameras", "none.json"], 1, "none.json"),
+    ],
+    ids=lambda v: "_".join(v) if isinstance(v, list) else None,
+)
+def test_a_bad_choice_for_a_scene_ends_in_one_line(
+    rainsim, tmp_path, scene_folder, arguments, code, message
+):
+    done = rainsim("run", "--scene", scene_folder, *arguments)
+    assert done.code == code
+    assert message in done.error
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_unknown_toml_key_names_the_nearest(rainsim, tmp_path):
+    (tmp_path / "mine.toml").write_text("rain_mm_hour = 3\n")
+    done = rainsim("run", "--preset", "mine.toml")
+    assert done.code == 2
+    assert "'rain_mm_hour'; the nearest is 'rain_mm_per_hour'" in done.error
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (b"", "empty"),
+        (b"solid nothing", "PLY"),
+        (
+            b"ply\nformat binary_little_endian 1.0\nelement vertex 3\nproperty float x\n"
+            b"property float y\nproperty float z\nelement face 1\n"
+            b"property list uchar int vertex_indices\nend_header\n" + bytes(36 + 13),
+            "mesh",
+        ),
+        (b"ply\nformat binary_little_endian 1.0\nelement vertex 1000000000000\n", ""),
+    ],
+    ids=["empty", "other", "mesh", "huge"],
+)
+def test_files_that_are_no_splats_end_in_one_line(rainsim, tmp_path, data, message):
+    (tmp_path / "s.ply").write_bytes(data)
+    done = rainsim("import", "s.ply")
+    assert done.code == 1
+    assert "s.ply" in done.error and message in done.error
+    assert [p.name for p in tmp_path.iterdir()] == ["s.ply"]
+
+
+def test_a_truncated_ply_ends_in_one_line(rainsim, tmp_path):
+    path = splat_ply(tmp_path / "s.ply")
+    path.write_bytes(path.read_bytes()[:-100])
+    done = rainsim("import", "s.ply")
+    assert done.code == 1 and "s.ply" in done.error
+
+
+def test_a_promise_of_a_trillion_splats_ends_in_one_line(rainsim, tmp_path):
+    path = splat_ply(tmp_path / "s.ply")
+    data = re.sub(rb"element vertex \d+", b"element vertex 1000000000000", path.read_bytes())
+    path.write_bytes(data)
+    done = rainsim("import", "s.ply")
+    assert done.code == 1 and "1000000000000" in done.error.replace(",", "").replace("_", "")
+
+
+def test_many_nan_splats_are_refused_and_few_are_dropped(rainsim, tmp_path):
+    path = splat_ply(tmp_path / "s.ply")
+    head, mark, body = path.read_bytes().partition(b"end_header\n")
+    count = int(re.search(rb"element vertex (\d+)", head)[1])
+    size = len(body) // count
+    ground = ["--up", "0.727,-0.570,-0.383", "--meters-per-unit", "0.6"]
+
+    def spoil(share):
+        spoilt = bytearray(body)
+        for n in range(int(share * count)):
+            spoilt[n * size : n * size + 4] = struct.pack("<f", float("nan"))
+        path.write_bytes(head + mark + bytes(spoilt))
+        return rainsim("import", "s.ply", "--out", "scene", *ground)
+
+    refused = spoil(0.5)
+    assert refused.code == 1 and "s.ply" in refused.error
+    assert not (tmp_path / "scene").exists()
+    dropped = spoil(0.005)
+    assert dropped.code == 0, dropped.err
+    assert "14 splats" in dropped.err or "14 of" in dropped.err
+
+
+def test_no_cameras_where_they_are_needed(rainsim, tmp_path):
+    splat_ply(tmp_path / "s.ply")
+    done = rainsim("heightmap", "s.ply")
+    assert done.code == 1
+    assert "up" in done.error and "meters-per-unit" in done.error
+    done = rainsim("run", "--scene", "./s.ply", "--up", "0.727,-0.570,-0.383",
+                   "--meters-per-unit", "0.6")  # fmt: skip
+    assert done.code == 2
+    assert "has no cameras" in done.error and "--eye" in done.error
+
+
+def test_a_ground_that_cannot_be_found(rainsim, tmp_path):
+    splat_ply(tmp_path / "s.ply")
+    done = rainsim("import", "s.ply", "--up", "-0.38,0.38,-0.85", "--meters-per-unit", "1")
+    assert done.code == 1
+    assert "ground" in done.error
+
+
+def test_an_output_that_cannot_be_written(rainsim, tmp_path, scene_folder):
+    (tmp_path / "file").write_text("mine")
+    done = rainsim("run", "--scene", scene_folder, "--out", "file/under")
+    assert done.code == 1 and "file" in done.error
+    done = rainsim("run", "--scene", scene_folder, "--out", "file")
+    assert done.code == 2
+    assert (tmp_path / "file").read_text() == "mine"
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="root may write all")
+def test_an_output_without_permission(rainsim, tmp_path, scene_folder):
+    (tmp_path / "locked").mkdir(mode=0o500)
+    done = rainsim("run", "--scene", scene_folder, "--out", "locked/out")
+    assert done.code == 1 and "Permission denied" in done.error
+
+
+def test_a_folder_in_use_is_refused(rainsim, tmp_path, scene_folder):
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "mine.txt").write_text("mine")
+    for command in (["run", "--scene", scene_folder], ["import", scene_folder]):
+        done = rainsim(*command, "--out", "out")
+        assert done.code == 2
+        assert "out exists and is not empty" in done.error and "--overwrite" in done.error
+    assert (tmp_path / "out" / "mine.txt").read_text() == "mine"
+
+
+def test_a_video_without_an_encoder_is_told_before_anything_is_drawn(
+    rainsim, tmp_path, scene_folder, monkeypatch
+):
+    monkeypatch.setitem(__import__("sys").modules, "imageio_ffmpeg", None)
+    done = rainsim("run", "--scene", scene_folder, "--video")
+    assert done.code == 1
+    assert 'pip install "rainsim[video]"' in done.error
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_folders_that_are_not_what_a_stage_needs(rainsim, tmp_path):
+    (tmp_path / "empty").mkdir()
+    done = rainsim("render", "empty")
+    assert done.code == 1 and "simulation.json" in done.error
+    (tmp_path / "empty" / "simulation.json").write_text('{"settings": {"rain": {"rate": -1}}}')
+    done = rainsim("render", "empty")
+    assert done.code == 1 and "no usable settings" in done.error
+    done = rainsim("simulate", "empty")
+    assert done.code == 1 and "rainsim heightmap" in done.error
+    done = rainsim("simulate", "nowhere")
+    assert done.code == 1 and "nowhere" in done.error
+
+
+def test_scenes_and_presets_are_listed(rainsim, scene_folder, monkeypatch):
+    monkeypatch.setenv("RAINSIM_SCENES", str(scene_folder.parent))
+    assert "tiny" in rainsim("scenes").out and "bicycle" in rainsim("scenes").out
+    found = {row["name"]: row for row in json.loads(rainsim("scenes", "--json").out)}
+    assert found["bicycle"]["built_in"] and not found["tiny"]["built_in"]
+    assert rainsim("presets").out.split("\n")[0].startswith("drizzle ")
+    assert list(json.loads(rainsim("presets", "--json").out)) == [
+        "drizzle",
+        "moderate",
+        "downpour",
+        "flood",
+    ]
+
+
+def test_a_printed_preset_is_a_file_to_start_from(rainsim, tmp_path):
+    text = rainsim("presets", "flood").out
+    (tmp_path / "mine.toml").write_text(text)
+    shown = json.loads(rainsim("presets", "mine.toml", "--json").out)
+    assert shown == json.loads(rainsim("presets", "flood", "--json").out)
+    assert shown["water"]["level"] > 0
+    assert rainsim("presets", "floods").code == 2
+
+
+@pytest.mark.parametrize(
+    "command", ["", "run", "import", "heightmap", "simulate", "render", "scenes", "presets"]
+)
+def test_help_has_an_example(rainsim, command):
+    done = rainsim(*([command] if command else []), "--help")
+    assert done.code == 0
+    assert "Example:" in done.out and "rainsim" in done.out
+
+
+def test_options_say_their_unit_and_default(rainsim):
+    text = " ".join(rainsim("run", "--help").out.split())
+    for words in ("mm/h", "in mm.", "m/s", "degrees", "in ms", "px", "default: (the preset's)"):
+        assert words in text
+    assert "[default: bicycle]" in text and "[default: drizzle]" in text

@@ -1,0 +1,110 @@
+"""House rules that a script can check: sizes, documentation, and what files must not say."""
+
+import ast
+import configparser
+import re
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from rainsim.cli import cli
+
+ROOT = Path(__file__).resolve().parent.parent.parent
+SOURCES = sorted([*ROOT.glob("rainsim/**/*.py"), *ROOT.glob("examples/*.py")])
+TEXTS = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+LONGEST_FILE = 500
+LONGEST_EXAMPLE = 60
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=lambda p: p.relative_to(ROOT).as_posix())
+def test_files_are_short_and_lines_fit(path):
+    lines = path.read_text(encoding="utf-8").splitlines()
+    assert len(lines) <= (LONGEST_EXAMPLE if path.parent.name == "examples" else LONGEST_FILE)
+    assert max(map(len, lines), default=0) <= 100
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=lambda p: p.relative_to(ROOT).as_posix())
+def test_everything_public_has_a_docstring(path):
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    kinds = (ast.FunctionDef, ast.ClassDef)
+    assert ast.get_docstring(tree), "the module"
+    for node in tree.body:
+        if isinstance(node, kinds) and not node.name.startswith("_"):
+            assert ast.get_docstring(node), node.name
+            for inner in node.body if isinstance(node, ast.ClassDef) else ():
+                if isinstance(inner, ast.FunctionDef) and not inner.name.startswith("_"):
+                    assert ast.get_docstring(inner), f"{node.name}.{inner.name}"
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=lambda p: p.relative_to(ROOT).as_posix())
+def test_docstrings_name_the_real_parameters(path):
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    for node in ast.walk(tree):
+        if isinstance(node, ast.FunctionDef):
+            documented = _documented(ast.get_docstring(node) or "")
+            arguments = node.args
+            real = [a.arg for a in (*arguments.posonlyargs, *arguments.args, *arguments.kwonlyargs)]
+            real += [a.arg for a in (arguments.vararg, arguments.kwarg) if a]
+            wrong = [name for name in documented if name not in real]
+            assert not wrong, f"{node.name} documents {wrong}, its parameters are {real}"
+
+
+def _documented(docstring):
+    """The names in a numpydoc Parameters section."""
+    match = re.search(r"^Parameters\n-+\n(.*?)(?=^\S[^\n]*\n-{3,}|\Z)", docstring, re.M | re.S)
+    names = []
+    for line in match[1].splitlines() if match else ():
+        if line and not line.startswith(" ") and (" : " in line or ":" not in line):
+            names += [name.strip(" *") for name in line.partition(" : ")[0].split(",")]
+    return [name for name in names if name.isidentifier()]
+
+
+@pytest.mark.parametrize("path", [*SOURCES, *TEXTS], ids=lambda p: p.relative_to(ROOT).as_posix())
+def test_texts_name_no_machine(path):
+    text = path.read_text(encoding="utf-8")
+    assert not re.search(r"(?<![\w.])/(work|tmp|home|root|opt)/|TODO|FIXME|XXX", text)
+
+
+@pytest.mark.parametrize("name", list(cli.commands))
+def test_every_command_is_documented(name):
+    command = cli.commands[name]
+    assert f"`rainsim {name}" in README
+    assert command.help and "Example:" in command.help
+    for option in command.params:
+        assert option.param_type_name == "argument" or option.help, option.name
+
+
+def test_every_command_named_in_the_readme_exists():
+    named = set(re.findall(r"^rainsim (\w+)|`rainsim (\w+)", README, flags=re.M))
+    named = {one or other for one, other in named}
+    assert named and named <= set(cli.commands) | {"COMMAND"}
+
+
+def test_every_option_named_in_the_readme_exists():
+    known = {name for c in cli.commands.values() for p in c.params for name in p.opts} | {"--help"}
+    named = set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", README))
+    assert named and named <= known, named - known
+
+
+def test_the_readme_and_ci_run_the_same_tests():
+    assert 'pip install -e ".[test]" && python -m pytest' in README
+    assert 'pip install --quiet ".[test]"' in (ROOT / ".ci/run").read_text()
+    assert "python -m pytest" in (ROOT / ".ci/run").read_text()
+
+
+def test_presets_are_packaged_and_names_agree():
+    from rainsim.config import preset_names
+
+    files = {path.stem for path in ROOT.glob("rainsim/presets/*.toml")}
+    assert files == set(preset_names())
+    setup = configparser.ConfigParser()
+    setup.read(ROOT / "setup.cfg")
+    assert "presets/*.toml" in setup["options.package_data"]["rainsim"]
+    for name in files:
+        assert f"`{name}`" in (ROOT / "CHANGELOG.md").read_text() + README
+
+
+def test_the_shell_script_parses():
+    subprocess.run(["bash", "-n", ROOT / ".ci/run"], check=True)

@@ -1,0 +1,122 @@
+"""Tiny scenes: just enough splats for every stage to have something to do."""
+
+import numpy as np
+
+from rainsim.scene.types import Camera, GroundFrame, Scene, Splats
+
+SH_BASIS_0 = 0.28209479177387814  # the constant spherical harmonic, 1 / (2 sqrt(pi))
+DIP_DEPTH, DIP_RADIUS, DIP_CENTRE = 0.010, 0.30, (0.45, -0.35)  # m
+TABLE_CENTRE, TABLE_HALF, TABLE_HEIGHT = (-0.35, 0.35), 0.22, 0.42  # m
+
+
+def one_splat(position=(0.0, 0.0, 2.0), scale=0.1, opacity=0.8, color=(0.6, 0.3, 0.2)):
+    """A round splat of one colour in the capture frame."""
+    return _splats(np.array([position]), np.full((1, 3), scale), opacity, np.array([color]))
+
+
+def ground_frame():
+    """A similarity far from the identity: tilted, turned, scaled and moved."""
+    rotation = _rotation(0.4, 0) @ _rotation(-2.0, 1) @ _rotation(1.1, 2)
+    return GroundFrame(rotation, 0.6, np.array([0.3, -0.2, 0.7]), 1.0, ("made for a test",))
+
+
+def bed_height(x, y):
+    """The true ground of `tiny_scene` [m]: level but for one dip."""
+    away = (x - DIP_CENTRE[0]) ** 2 + (y - DIP_CENTRE[1]) ** 2
+    return -DIP_DEPTH * np.exp(-away / (2 * (DIP_RADIUS / 2) ** 2))
+
+
+def tiny_scene(width=64, height=48):
+    """A paved 2 x 2 m ground with a 10 mm dip and a table, some 3000 splats, three cameras."""
+    frame = ground_frame()
+    rng = np.random.default_rng(5)
+    parts = [_paving(rng), *_table()]
+    position, scale, color = (np.concatenate(each) for each in zip(*parts, strict=True))
+    splats = _splats(
+        frame.to_capture(position),
+        scale / frame.meters_per_unit,
+        0.97,
+        color,
+        _quaternion(frame.rotation.T),
+    )
+    eyes = [(-1.3, -0.9, 1.0), (-0.2, -1.6, 1.2), (1.4, -0.8, 0.9)]
+    cameras = [
+        frame.camera_in_capture(_looking(eye, (0.1, 0.0, 0.1), width, height, f"view_{n}"))
+        for n, eye in enumerate(eyes)
+    ]
+    return Scene("tiny", splats, tuple(cameras), frame, None, "0" * 64, ())
+
+
+def _paving(rng, side=50):
+    step = 2.0 / side
+    x, y = np.meshgrid((np.arange(side) + 0.5) * step - 1, (np.arange(side) + 0.5) * step - 1)
+    position = np.stack([x, y, bed_height(x, y)], axis=-1).reshape(-1, 3)
+    scale = np.broadcast_to([0.7 * step, 0.7 * step, 0.5e-3], position.shape)
+    grey = 0.45 + 0.1 * rng.random((len(position), 1))
+    return position, scale, grey * np.array([1.0, 0.97, 0.92])
+
+
+def _table(side=14):
+    """Yield the table's top and underside, and its four legs."""
+    step = 2 * TABLE_HALF / side
+    u = (np.arange(side) + 0.5) * step - TABLE_HALF
+    x, y = np.meshgrid(u + TABLE_CENTRE[0], u + TABLE_CENTRE[1])
+    for z in (TABLE_HEIGHT, TABLE_HEIGHT - 0.03):
+        position = np.stack([x, y, np.full_like(x, z)], axis=-1).reshape(-1, 3)
+        scale = np.broadcast_to([0.7 * step, 0.7 * step, 1e-3], position.shape)
+        yield position, scale, np.broadcast_to([0.5, 0.3, 0.15], position.shape)
+    for sx in (-1, 1):
+        for sy in (-1, 1):
+            z = np.linspace(0.02, TABLE_HEIGHT - 0.05, 12)
+            corner = np.array(TABLE_CENTRE) + 0.85 * TABLE_HALF * np.array([sx, sy])
+            position = np.column_stack([np.tile(corner, (len(z), 1)), z])
+            scale = np.broadcast_to([0.012, 0.012, 0.025], position.shape)
+            yield position, scale, np.broadcast_to([0.35, 0.2, 0.1], position.shape)
+
+
+def _splats(position, scale, opacity, color, quaternion=(1.0, 0.0, 0.0, 0.0)):
+    count = len(position)
+    sh = (np.asarray(color) - 0.5) / SH_BASIS_0
+    return Splats(
+        np.ascontiguousarray(position, dtype=np.float32),
+        np.tile(np.asarray(quaternion, dtype=np.float32), (count, 1)),
+        np.ascontiguousarray(scale, dtype=np.float32),
+        np.full(count, opacity, np.float32),
+        np.ascontiguousarray(sh[:, None, :], dtype=np.float32),
+    )
+
+
+def _looking(eye, target, width, height, name):
+    """A camera with a field of view of 60 degrees, z up in the picture."""
+    forward = np.subtract(target, eye) / np.linalg.norm(np.subtract(target, eye))
+    right = np.cross(forward, (0.0, 0.0, 1.0))
+    right /= np.linalg.norm(right)
+    matrix = np.eye(4)
+    matrix[:3, :3] = right, np.cross(forward, right), forward
+    matrix[:3, 3] = -matrix[:3, :3] @ eye
+    focal = width / 2 / np.tan(np.radians(30))
+    return Camera(width, height, focal, focal, width / 2, height / 2, matrix, name)
+
+
+def _rotation(angle, axis):
+    cosine, sine = np.cos(angle), np.sin(angle)
+    matrix = np.eye(3)
+    i, j = (axis + 1) % 3, (axis + 2) % 3
+    matrix[i, i] = matrix[j, j] = cosine
+    matrix[i, j], matrix[j, i] = -sine, sine
+    return matrix
+
+
+def _quaternion(rotation):
+    """w, x, y, z of a rotation matrix, by the eigenvector that is safe for any angle."""
+    (a, b, c), (d, e, f), (g, h, i) = rotation
+    k = np.array(
+        [
+            [a + e + i, h - f, c - g, d - b],
+            [h - f, a - e - i, b + d, c + g],
+            [c - g, b + d, e - a - i, f + h],
+            [d - b, c + g, f + h, i - a - e],
+        ]
+    )
+    _, vectors = np.linalg.eigh(k)
+    return vectors[:, -1] * np.sign(vectors[0, -1] or 1.0)

@@ -1,0 +1,205 @@
+"""Pictures: exact round trips, whole files or none, and HDR files in every coding."""
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from rainsim import image
+from rainsim.errors import InputError, ParameterError, RainsimError
+
+
+def test_png_comes_back_exactly(tmp_path, rng):
+    picture = rng.integers(0, 256, (13, 17, 3), dtype=np.uint8)
+    image.write_png(tmp_path / "a.png", picture)
+    assert np.array_equal(image.read_image(tmp_path / "a.png"), picture)
+    assert [p.name for p in tmp_path.iterdir()] == ["a.png"]  # no temporary file stays
+
+
+def test_png_refuses_other_types(tmp_path):
+    with pytest.raises(ParameterError, match="must be uint8"):
+        image.write_png(tmp_path / "a.png", np.zeros((4, 4, 3)))
+    assert not list(tmp_path.iterdir())
+
+
+def test_tiff_keeps_float32_exactly(tmp_path, rng):
+    values = rng.standard_normal((9, 5)).astype(np.float32)
+    image.write_tiff(tmp_path / "h.tif", values)
+    back = image.read_image(tmp_path / "h.tif")
+    assert back.dtype == np.float32 and np.array_equal(back, values)
+
+
+def test_npz_comes_back(tmp_path):
+    image.write_npz(tmp_path / "a.npz", a=np.arange(3), b=np.float32(2))
+    with np.load(tmp_path / "a.npz") as data:
+        assert np.array_equal(data["a"], [0, 1, 2]) and data["b"] == 2
+
+
+def test_a_failed_write_keeps_what_was_there(tmp_path, monkeypatch):
+    (tmp_path / "a.png").write_bytes(b"before")
+
+    def fail(*args, **kwargs):
+        raise OSError("disk full")
+
+    monkeypatch.setattr(image.iio, "imwrite", fail)
+    with pytest.raises(OSError, match="disk full"):
+        image.write_png(tmp_path / "a.png", np.zeros((4, 4, 3), np.uint8))
+    assert (tmp_path / "a.png").read_bytes() == b"before"
+    assert [p.name for p in tmp_path.iterdir()] == ["a.png"]
+
+
+def test_damaged_pictures_are_one_clear_error(tmp_path):
+    (tmp_path / "a.png").write_bytes(b"\x89PNG\r\n\x1a\nrubbish")
+    with pytest.raises(InputError, match=r"a\.png cannot be read as a picture"):
+        image.read_image(tmp_path / "a.png")
+    with pytest.raises(InputError, match=r"none\.png"):
+        image.read_image(tmp_path / "none.png")
+
+
+def test_preview_shrinks_thins_and_keeps_the_time(tmp_path):
+    preview = image.Preview(image.PREVIEW_FRAMES * 2, fps=25.0)
+    for n in range(8):
+        preview.add(np.full((90, 1000, 3), 30 * n, np.uint8))
+    preview.write(tmp_path / "p.webp")
+    frames = image.iio.imread(tmp_path / "p.webp", plugin="pillow", index=...)
+    assert frames.shape == (4, 30, 333, 3)  # every second frame, a third of each side
+    assert frames.mean(axis=(1, 2, 3)) == pytest.approx([0, 60, 120, 180], abs=3)
+    with Image.open(tmp_path / "p.webp") as animation:
+        animation.seek(1)
+        animation.load()
+        assert animation.info["duration"] == 80  # ms: two frames at 25 a second
+
+
+def test_preview_of_nothing_writes_nothing(tmp_path):
+    image.Preview(3, 24.0).write(tmp_path / "p.webp")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_missing_encoder_is_told_with_its_remedy(monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "imageio_ffmpeg", None)
+    with pytest.raises(RainsimError, match=r'pip install "rainsim\[video\]"'):
+        image.require_video()
+
+
+# The library leaves its pipes to the garbage collector.
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+def test_video_of_odd_size_is_written_whole(tmp_path):
+    ffmpeg = pytest.importorskip("imageio_ffmpeg")
+    with image.VideoWriter(tmp_path / "v.mp4", 24.0) as video:
+        for n in range(4):
+            video.add(np.full((33, 47, 3), 60 * n, np.uint8))
+    frames = ffmpeg.read_frames(str(tmp_path / "v.mp4"))
+    meta = next(frames)
+    assert meta["size"] == (48, 34)
+    assert [np.frombuffer(f, np.uint8).mean() for f in frames] == pytest.approx(
+        [0, 60, 120, 180], abs=4
+    )
+    assert [p.name for p in tmp_path.iterdir()] == ["v.mp4"]
+
+
+def test_video_without_frames_leaves_what_was_there(tmp_path):
+    pytest.importorskip("imageio_ffmpeg")
+    (tmp_path / "v.mp4").write_bytes(b"before")
+    with image.VideoWriter(tmp_path / "v.mp4", 24.0):
+        pass
+    assert (tmp_path / "v.mp4").read_bytes() == b"before"
+
+
+# --- Radiance HDR ---------------------------------------------------------------------------------
+
+WIDTH, HEIGHT = 16, 3
+
+
+def _header(width=WIDTH, height=HEIGHT, more=""):
+    text = f"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n{more}\n-Y {height} +X {width}\n"
+    return text.encode()
+
+
+def _pixels(rng):
+    rgbe = rng.integers(3, 256, (HEIGHT, WIDTH, 4), dtype=np.uint8)
+    rgbe[..., 3] = rng.integers(120, 136, (HEIGHT, WIDTH))
+    rgbe[1, 4:12] = rgbe[1, 4]  # something for runs to find
+    rgbe[2, 5] = 0  # exponent 0 is black
+    return rgbe
+
+
+def _value(rgbe):
+    """The obvious decoding, in plain Python."""
+    out = np.zeros((*rgbe.shape[:2], 3), np.float32)
+    for row, column in np.ndindex(rgbe.shape[:2]):
+        *mantissas, exponent = map(int, rgbe[row, column])
+        for channel in range(3):
+            if exponent:
+                out[row, column, channel] = mantissas[channel] * 2.0 ** (exponent - 136)
+    return out
+
+
+def _new_runs(rgbe):
+    """Run-length code of today: each channel of a line by itself."""
+    data = b""
+    for line in rgbe:
+        data += bytes((2, 2, 0, WIDTH))
+        for channel in line.T:
+            at = 0
+            while at < WIDTH:
+                run = 1
+                while at + run < WIDTH and channel[at + run] == channel[at]:
+                    run += 1
+                data += bytes((128 + run, channel[at])) if run > 1 else bytes((1, channel[at]))
+                at += run
+    return data
+
+
+def _old_runs(rgbe):
+    """Run-length code of old: a pixel 1 1 1 n repeats the one before n times."""
+    data = b""
+    for line in rgbe:
+        at = 0
+        while at < WIDTH:
+            run = 1
+            while at + run < WIDTH and (line[at + run] == line[at]).all():
+                run += 1
+            data += line[at].tobytes() + (bytes((1, 1, 1, run - 1)) if run > 1 else b"")
+            at += run
+    return data
+
+
+@pytest.mark.parametrize("code", [lambda p: p.tobytes(), _new_runs, _old_runs])
+def test_hdr_in_every_coding(tmp_path, rng, code):
+    rgbe = _pixels(rng)
+    (tmp_path / "s.hdr").write_bytes(_header() + code(rgbe))
+    back = image.read_hdr(tmp_path / "s.hdr")
+    assert back.dtype == np.float32 and back.shape == (HEIGHT, WIDTH, 3)
+    assert np.array_equal(back, _value(rgbe))
+
+
+def test_hdr_divides_out_the_exposure(tmp_path, rng):
+    rgbe = _pixels(rng)
+    (tmp_path / "s.hdr").write_bytes(_header(more="EXPOSURE=2\nEXPOSURE= 4\n") + rgbe.tobytes())
+    assert image.read_hdr(tmp_path / "s.hdr") == pytest.approx(_value(rgbe) / 8)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 0.9, 0.999])
+@pytest.mark.parametrize("code", [lambda p: p.tobytes(), _new_runs, _old_runs])
+def test_a_cut_off_hdr_is_one_clear_error(tmp_path, rng, code, share):
+    data = _header() + code(_pixels(rng))
+    (tmp_path / "s.hdr").write_bytes(data[: int(len(data) * share)])
+    with pytest.raises(InputError, match=r"s\.hdr"):
+        image.read_hdr(tmp_path / "s.hdr")
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (b"P6 3 3 255 ", "is not a Radiance HDR picture"),
+        (_header().replace(b"rgbe", b"xyze"), "the format 32-bit_rle_xyze"),
+        (_header(width=10**9, height=10**9), "promises 1000000000 x 1000000000 pixels"),
+        (_header(width=0), "promises 0 x 3 pixels"),
+        (_header().replace(b"-Y", b"+Y"), "the size line '[+]Y 3 [+]X 16'"),
+        (_header(more="EXPOSURE=0\n"), "the exposure 0"),
+        (_header() + bytes((2, 2, 0, 16)) + bytes((255, 7)) * 50, "is damaged"),
+    ],
+)
+def test_a_wrong_hdr_is_named_with_its_rule(tmp_path, data, message):
+    (tmp_path / "s.hdr").write_bytes(data)
+    with pytest.raises(InputError, match=message):
+        image.read_hdr(tmp_path / "s.hdr")
