@@ -1,0 +1,9 @@
+"""Water on the ground: shallow water on a staggered (MAC) grid.
+
+`WaterSolver` owns the fields and names the phases of a step; `paper` holds the kernels of the
+scheme of that name, `sources` what rain, films and infiltration do to a cell.
+"""
+
+from rainsim.grid.solver import SCHEMES, WaterReport, WaterSolver
+
+__all__ = ["SCHEMES", "WaterReport", "WaterSolver"]

@@ -1,0 +1,76 @@
+"""The volume account that every part of the simulation keeps: what came in is somewhere.
+
+initial + rain + inflow = ground + film + airborne + obstacles + infiltrated + drained + outflow
++ evaporated + clamped
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+
+SUPPLY = ("initial", "rain", "inflow")
+WHEREABOUTS = (
+    "ground", "film", "airborne", "obstacles", "infiltrated", "drained", "outflow",
+    "evaporated", "clamped",
+)  # fmt: skip
+
+
+@dataclass
+class Ledger:
+    """Water volumes [m3] in float64, by where the water came from and where it is.
+
+    Attributes
+    ----------
+    initial : float
+        Water that lay on the map when the account was opened.
+    rain : float
+        Rain since then, as a rate or as drops; with airborne water every drop that was released.
+    inflow : float
+        Water let in through the edges.
+    ground : float
+        Water on the ground that can flow, with the traces too thin to flow.
+    film : float
+        Water held back by the storage of the cells.
+    airborne : float
+        Drops in the air.
+    obstacles : float
+        Drops that hit an occluder.
+    infiltrated, drained, outflow, evaporated : float
+        Water that left through the ground, drains, open edges and the air.
+    clamped : float
+        Water removed to keep a depth valid; negative where water had to be made up.
+    """
+
+    initial: float = 0.0
+    rain: float = 0.0
+    inflow: float = 0.0
+    ground: float = 0.0
+    film: float = 0.0
+    airborne: float = 0.0
+    obstacles: float = 0.0
+    infiltrated: float = 0.0
+    drained: float = 0.0
+    outflow: float = 0.0
+    evaporated: float = 0.0
+    clamped: float = 0.0
+
+    @property
+    def supplied(self) -> float:
+        """Volume that was there or came in [m3]."""
+        return sum(getattr(self, name) for name in SUPPLY)
+
+    @property
+    def accounted(self) -> float:
+        """Volume whose whereabouts are booked [m3]."""
+        return sum(getattr(self, name) for name in WHEREABOUTS)
+
+    @property
+    def residual(self) -> float:
+        """Share of the supplied volume that is missing (positive) or too much (negative)."""
+        if self.supplied == 0.0:
+            return -self.accounted
+        return (self.supplied - self.accounted) / self.supplied
+
+    def as_dict(self) -> dict:
+        """Return all volumes [m3] and the residual (a share) by name."""
+        return {**asdict(self), "residual": self.residual}

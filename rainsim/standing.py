@@ -1,0 +1,443 @@
+"""Where rain stands after it has run off: fill, spill and merge of the bed's depressions.
+
+The rain of minutes or hours before the first frame is not stepped. Each cell's rain runs down the
+steepest of its four neighbours to a pit, a permeable cell or an open edge. A depression that
+receives more than it holds spills over its lowest rim into the next one; two that have filled to
+the same rim become one. The result is the state of rest of the water, to float64 rounding of its
+volume. Neighbours are four because the flow solver passes water through faces only.
+
+References
+----------
+Barnes, Callaghan and Wickert 2021, "Computing water flow through complex landscapes, part 3:
+Fill-Spill-Merge", Earth Surf. Dynam. 9. The tree of depressions is theirs. We differ: the tree
+comes from one sweep over the cells in ascending order, and spilling follows a union-find structure
+in which a full depression passes what it gets to where it spills, so each fills up once.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rainsim.errors import ParameterError, require_not_negative, require_positive
+from rainsim.jit import device_function, serial_kernel
+
+# Where a path down ends, besides a leaf of the tree (its number, from 1 on).
+OUT = -1
+SOAKED = -2
+UNSEEN = -3
+
+DRAINED = 0  # the node of all cells from which water leaves before it can stand
+
+PLAIN, EDGE, PERMEABLE = 0, 1, 2  # kinds of cells
+PARENT, SIBLING, TARGET = 0, 1, 2  # rows of the links of a tree
+RIM, PIT, VOLUME = 0, 1, 2  # rows of its levels
+CELLS, HEIGHTS = 0, 1  # rows of the sums over the cells of a node
+
+
+def standing_water(bed, rainfall, spacing, permeable=None, minimum_depth=0.0, open_edges=True):
+    """Find where `rainfall` stands once it has stopped flowing.
+
+    Parameters
+    ----------
+    bed : array_like of shape (ny, nx) [m]
+        Ground height.
+    rainfall : float or array_like of shape (ny, nx) [m]
+        Depth that has fallen on each cell.
+    spacing : float [m]
+        Side of a cell.
+    permeable : array_like of shape (ny, nx), bool, optional
+        Cells that take up whatever falls on them or reaches them.
+    minimum_depth : float [m]
+        Depressions that are less deep when full hold nothing; water passes over them
+        (`count_shallow` counts them). One that has merged counts with its merged depth.
+    open_edges : bool
+        Whether water leaves over the map's edge.
+
+    Returns
+    -------
+    depth : ndarray of shape (ny, nx), float64 [m]
+    outflow_volume : float [m3]
+        Water that left over the edge.
+    infiltrated_volume : float [m3]
+        Water that permeable cells took up.
+    """
+    bed = _require_bed(bed)
+    rainfall = _require_rainfall(rainfall, bed.shape)
+    area = require_positive("spacing", spacing, "m") ** 2
+    minimum_depth = require_not_negative("minimum_depth", minimum_depth, "m")
+    kind = _cell_kinds(bed.shape, permeable, open_edges)
+    # Sums of heights over cells must not cost digits.
+    bed = bed - bed.mean()
+    tree = _Tree(bed, kind)
+    depth, left = np.empty(bed.size), np.empty(2)
+    fill(
+        bed.reshape(-1), rainfall.reshape(-1), tree.order, tree.node, tree.ending, tree.links,
+        tree.levels[RIM], tree.capacity(minimum_depth), depth, left,
+    )  # fmt: skip
+    return depth.reshape(bed.shape), float(left[0]) * area, float(left[1]) * area
+
+
+def full_fill(bed, permeable=None, open_edges=True):
+    """Return the water level when all depressions are full, ndarray of shape (ny, nx) [m].
+
+    Equals the bed where nothing can stand. With closed edges and no permeable cell there is no
+    such level: ParameterError.
+    """
+    bed = _require_bed(bed)
+    kind = _cell_kinds(bed.shape, permeable, open_edges)
+    if not kind.any():
+        raise ParameterError(
+            "open_edges is False and no cell is permeable; a bed without a way out is never full; "
+            "open the edges"
+        )
+    tree = _Tree(bed, kind)
+    level = np.empty(bed.size)
+    raise_levels(bed.reshape(-1), tree.node, tree.links, tree.levels[RIM], level)
+    return level.reshape(bed.shape)
+
+
+def count_shallow(bed, minimum_depth, permeable=None, open_edges=True):
+    """Count the depressions (merged ones too) that are less deep than `minimum_depth` [m]."""
+    bed = _require_bed(bed)
+    tree = _Tree(bed, _cell_kinds(bed.shape, permeable, open_edges))
+    return int(np.count_nonzero(tree.full_depth < minimum_depth))
+
+
+class _Tree:
+    """The tree of depressions; nodes are numbered so that parents come after children.
+
+    Attributes
+    ----------
+    order : ndarray of shape (n,), int64
+        Cells in ascending order of height, ties by number.
+    node, ending : ndarray of shape (n,), int32
+        Each cell's smallest depression (DRAINED if none), and the leaf, OUT or SOAKED where its
+        rain runs to.
+    links : ndarray of shape (3, count), int32
+        PARENT: what two full siblings become (DRAINED: nothing). SIBLING: the depression that
+        shares the rim (DRAINED: the overflow never comes back). TARGET: the leaf, OUT or SOAKED
+        where the overflow runs to.
+    levels : ndarray of shape (3, count), float64 [m]
+        RIM: level of the rim. PIT: lowest point. VOLUME: depth up to the rim summed over the
+        cells. Infinite rim and volume: nothing can spill.
+    """
+
+    def __init__(self, bed, kind):
+        flat, size = bed.reshape(-1), bed.size
+        self.order = np.argsort(flat, kind="stable")  # the same order on every machine
+        self.node, self.ending = np.empty(size, np.int32), np.empty(size, np.int32)
+        # Pits do not touch, so they are at most half the cells; merges are one less, and those
+        # at drained saddles no more.
+        room = 2 * size + 2
+        links, levels = np.empty((3, room), np.int32), np.empty((3, room))
+        count = build(
+            flat, self.order, kind.reshape(-1), bed.shape[1], self.node, self.ending, links, levels
+        )
+        self.links, self.levels = links[:, :count].copy(), levels[:, :count].copy()
+
+    @property
+    def full_depth(self):
+        """Depth of each depression when full, without DRAINED [m]."""
+        return self.levels[RIM, 1:] - self.levels[PIT, 1:]
+
+    def capacity(self, minimum_depth):
+        """Volume that each node holds, none if it is too shallow."""
+        capacity = self.levels[VOLUME].copy()
+        capacity[1:][self.full_depth < minimum_depth] = 0.0
+        return capacity
+
+
+@device_function
+def find(up, node):
+    """Follow `up` to the end, halving the path on the way (modified in place)."""
+    while up[node] != node:
+        up[node] = up[up[node]]
+        node = up[node]
+    return node
+
+
+@device_function
+def neighbour(c, side, nx, size):
+    """Cell on side 0 to 3 (west, east, south, north) of cell c, or -1 off the map."""
+    if side == 0:
+        return c - 1 if c % nx > 0 else -1
+    if side == 1:
+        return c + 1 if c % nx < nx - 1 else -1
+    if side == 2:
+        return c - nx if c >= nx else -1
+    return c + nx if c + nx < size else -1
+
+
+@device_function
+def lower(bed, a, b):
+    """Whether cell a comes before cell b in ascending order."""
+    return bed[a] < bed[b] or (bed[a] == bed[b] and a < b)
+
+
+@device_function
+def look_around(bed, node, c, nx, up, tops_out, doors_out):
+    """List the nodes around cell c and the lowest neighbour (door) in each, lowest door first.
+
+    Only cells below c have a node yet. Returns the number of nodes.
+    """
+    around = 0
+    for side in range(4):
+        door = neighbour(c, side, nx, bed.size)
+        if door < 0 or node[door] == UNSEEN:
+            continue
+        top = find(up, node[door])
+        a = 0
+        while a < around and tops_out[a] != top:
+            a += 1
+        if a == around:
+            around += 1
+        elif lower(bed, doors_out[a], door):
+            continue
+        while a > 0 and lower(bed, door, doors_out[a - 1]):
+            tops_out[a], doors_out[a] = tops_out[a - 1], doors_out[a - 1]
+            a -= 1
+        tops_out[a], doors_out[a] = top, door
+    return around
+
+
+@device_function
+def close(top, other, both, target, level, sums, up_out, links_out, levels_out):
+    """Give node `top` its rim at `level`, shared with `other`; full, the two become `both`."""
+    up_out[top] = both
+    links_out[PARENT, top], links_out[SIBLING, top], links_out[TARGET, top] = both, other, target
+    levels_out[RIM, top] = level
+    # Rounding of the difference must not make it negative.
+    levels_out[VOLUME, top] = max(sums[CELLS, top] * level - sums[HEIGHTS, top], 0.0)
+
+
+@device_function
+def join(a, b, both, a_target, b_target, level, sums_out, up_out, links_out, levels_out):
+    """Merge the nodes a and b at `level` into the new node `both`."""
+    up_out[both] = both
+    sums_out[:, both] = sums_out[:, a] + sums_out[:, b]
+    levels_out[PIT, both] = min(levels_out[PIT, a], levels_out[PIT, b])
+    close(a, b, both, a_target, level, sums_out, up_out, links_out, levels_out)
+    close(b, a, both, b_target, level, sums_out, up_out, links_out, levels_out)
+
+
+@serial_kernel
+def build(bed, order, kind, nx, node_out, ending_out, links_out, levels_out):
+    """Build the tree of depressions in one sweep up; see `_Tree` for the arrays.
+
+    At a saddle water goes to the lowest door that is not its own. So the two nodes with the lowest
+    doors are siblings, what they become is the next one's sibling, and so on; nodes whose door is
+    higher than a drained one spill without return.
+
+    Parameters
+    ----------
+    bed : ndarray of shape (n,), float64 [m]
+    order : ndarray of shape (n,), int64
+    kind : ndarray of shape (n,), uint8
+        PLAIN, EDGE or PERMEABLE.
+    nx : int
+        Cells in a row.
+    node_out, ending_out, links_out, levels_out : ndarray
+
+    Returns
+    -------
+    int
+        Number of nodes, with DRAINED.
+    """
+    up = np.empty(links_out.shape[1], np.int32)  # to the node that now contains a node
+    sums = np.zeros((2, up.size))
+    tops, doors = np.empty(4, np.int32), np.empty(4, np.int64)
+    node_out[:] = UNSEEN
+    up[DRAINED] = DRAINED
+    links_out[:, DRAINED] = DRAINED
+    levels_out[:, DRAINED] = -np.inf
+    count = 1
+    for c in order:
+        around = look_around(bed, node_out, c, nx, up, tops, doors)
+        if kind[c] != PLAIN:
+            node_out[c], ending_out[c] = DRAINED, OUT if kind[c] == EDGE else SOAKED
+            for a in range(around):
+                if tops[a] != DRAINED:
+                    close(tops[a], DRAINED, DRAINED, ending_out[c], bed[c],
+                          sums, up, links_out, levels_out)  # fmt: skip
+            continue
+        if around == 0:
+            top = count
+            count += 1
+            up[top], levels_out[PIT, top], ending_out[c] = top, bed[c], top
+        else:
+            top, first = tops[0], ending_out[doors[0]]
+            ending_out[c] = first
+            drain = 0  # place of the drained door, if there is one
+            while drain < around and tops[drain] != DRAINED:
+                drain += 1
+            for a in range(drain + 1, around):
+                close(tops[a], DRAINED, DRAINED, first, bed[c], sums, up, links_out, levels_out)
+            for a in range(1, drain):
+                join(top, tops[a], count, ending_out[doors[a]], first, bed[c],
+                     sums, up, links_out, levels_out)  # fmt: skip
+                top = count
+                count += 1
+            if drain < around and top != DRAINED:
+                close(top, DRAINED, DRAINED, ending_out[doors[drain]], bed[c],
+                      sums, up, links_out, levels_out)  # fmt: skip
+                top = DRAINED
+        node_out[c] = top
+        sums[CELLS, top] += 1.0
+        sums[HEIGHTS, top] += bed[c]
+    # With no way out one depression is left; it never spills.
+    for top in range(1, count):
+        if up[top] == top:
+            close(top, DRAINED, DRAINED, OUT, np.inf, sums, up, links_out, levels_out)
+    return count
+
+
+@serial_kernel
+def fill(bed, rainfall, order, node, ending, links, rim, capacity, depth_out, left_out):
+    """Pour the rain into the tree and spread what each depression holds over its cells.
+
+    Parameters
+    ----------
+    bed, rainfall : ndarray of shape (n,), float64 [m]
+    order, node, ending, links : ndarray
+        See `_Tree`.
+    rim : ndarray of shape (count,), float64 [m]
+        Level of each node's rim.
+    capacity : ndarray of shape (count,), float64 [m]
+        Depth that each node holds, summed over its cells.
+    depth_out : ndarray of shape (n,), float64 [m]
+    left_out : ndarray of shape (2,), float64 [m]
+        Depth that left over the edge and into permeable cells, summed.
+    """
+    count = rim.size
+    rain = np.zeros(count)
+    left_out[:] = 0.0
+    # Whether a node's water has one level: leaves, and what has merged.
+    whole = np.zeros(count, np.bool_)
+    for c in range(bed.size):
+        if ending[c] > 0:
+            rain[ending[c]] += rainfall[c]
+            whole[ending[c]] = True
+        else:
+            left_out[-1 - ending[c]] += rainfall[c]
+
+    water, full = np.zeros(count), np.zeros(count, np.bool_)
+    # From a full depression to where its overflow ends up by now; past the nodes, to a way out.
+    passes = np.arange(count + 2).astype(np.int32)
+    for leaf in range(1, count):
+        volume = rain[leaf]
+        if volume > 0.0:
+            volume, at = pour(leaf, volume, links, capacity, passes, water, full, whole)
+            if at >= count:
+                left_out[at - count] += volume
+    spread(bed, order, node, links, rim, water, full, whole, depth_out)
+
+
+@device_function
+def pour(leaf, volume, links, capacity, passes_out, water_out, full_out, whole_out):
+    """Pour `volume` into a leaf; return what was left at the last node reached, and that node.
+
+    Each turn fills a node for good, so all pours together take as many turns as there are nodes.
+    """
+    count = capacity.size
+    at = find(passes_out, leaf)
+    while at < count and volume > capacity[at] - water_out[at]:
+        volume -= capacity[at] - water_out[at]
+        water_out[at], full_out[at] = capacity[at], True
+        other, target = links[SIBLING, at], links[TARGET, at]
+        if other != DRAINED and full_out[other]:
+            both = links[PARENT, at]  # `other` already passes everything on to `at`
+            whole_out[both] = True
+            water_out[both] = water_out[at] + water_out[other]
+            passes_out[at] = both
+        else:
+            passes_out[at] = target if target > 0 else count - 1 - target
+        at = find(passes_out, at)
+    if at < count:
+        water_out[at] += volume
+    return volume, at
+
+
+@device_function
+def spread(bed, order, node, links, rim, water, full, whole, depth_out):
+    """Turn the volume of each depression into a level and the level into depths."""
+    count = rim.size
+    pool = np.empty(count, np.int32)  # the depression whose level a node shares, or DRAINED
+    pool[DRAINED] = DRAINED
+    for n in range(count - 1, 0, -1):
+        above = pool[links[PARENT, n]]
+        pool[n] = above if above != DRAINED else (n if whole[n] else DRAINED)
+    cells, heights = np.zeros(count), np.zeros(count)
+    level = np.full(count, -np.inf)
+    for n in range(1, count):
+        if full[n] and water[n] > 0.0:
+            level[n] = rim[n]
+    # The level lies under the first cell, going up, that the water does not reach.
+    for c in order:
+        n = pool[node[c]]
+        if n == DRAINED or level[n] > -np.inf or water[n] <= 0.0:
+            continue
+        if cells[n] * bed[c] - heights[n] >= water[n]:
+            level[n] = (water[n] + heights[n]) / cells[n]
+        else:
+            cells[n] += 1.0
+            heights[n] += bed[c]
+    for n in range(1, count):
+        if pool[n] == n and level[n] == -np.inf and water[n] > 0.0:
+            level[n] = (water[n] + heights[n]) / cells[n]
+    for c in range(bed.size):
+        n = pool[node[c]]
+        depth_out[c] = max(level[n] - bed[c], 0.0) if n != DRAINED else 0.0
+
+
+@serial_kernel
+def raise_levels(bed, node, links, rim, level_out):
+    """Level of every cell when all depressions are full, ndarray of shape (n,) [m]."""
+    brim = np.empty(rim.size)
+    brim[DRAINED] = -np.inf
+    for n in range(rim.size - 1, 0, -1):
+        brim[n] = max(rim[n], brim[links[PARENT, n]])
+    for c in range(bed.size):
+        level_out[c] = max(bed[c], brim[node[c]])
+
+
+def _cell_kinds(shape, permeable, open_edges):
+    kind = np.full(shape, PLAIN, np.uint8)
+    if open_edges:
+        kind[[0, -1]] = EDGE
+        kind[:, [0, -1]] = EDGE
+    if permeable is not None:
+        permeable = np.asarray(permeable)
+        if permeable.shape != shape or permeable.dtype != bool:
+            raise ParameterError(
+                f"permeable has shape {permeable.shape} and type {permeable.dtype}; it must be a "
+                f"mask (bool) of the bed's shape {shape}"
+            )
+        kind[permeable] = PERMEABLE
+    return kind
+
+
+def _require_bed(bed):
+    bed = np.ascontiguousarray(bed, np.float64)
+    if bed.ndim != 2 or bed.size == 0:
+        raise ParameterError(f"bed has shape {bed.shape}; it must be a map (rows, columns)")
+    if not np.isfinite(bed).all():
+        holes = np.count_nonzero(~np.isfinite(bed))
+        raise ParameterError(
+            f"bed has {holes} cells that are not finite; heights must be; fill the holes first"
+        )
+    return bed
+
+
+def _require_rainfall(rainfall, shape):
+    rainfall = np.asarray(rainfall, np.float64)
+    if rainfall.shape not in ((), shape):
+        raise ParameterError(
+            f"rainfall has shape {rainfall.shape}; it must be a number or of the bed's shape "
+            f"{shape}"
+        )
+    bad = ~(np.isfinite(rainfall) & (rainfall >= 0))
+    if bad.any():
+        raise ParameterError(
+            f"rainfall is {rainfall[bad].flat[0]} m; it must be finite and not negative everywhere"
+        )
+    return np.ascontiguousarray(np.broadcast_to(rainfall, shape))

@@ -1,0 +1,66 @@
+"""Every example runs, at tiny size."""
+
+import importlib.util
+import inspect
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from scenes import tiny_scene
+
+FOLDER = Path(__file__).resolve().parent.parent.parent / "examples"
+EXAMPLES = sorted(path.stem for path in FOLDER.glob("*.py"))
+TINY = {"spacing": 0.04, "extent": 1.0}
+
+
+def load(name):
+    spec = importlib.util.spec_from_file_location(f"example_{name}", FOLDER / f"{name}.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_an_example_is_a_script_with_a_main(name):
+    text = (FOLDER / f"{name}.py").read_text(encoding="utf-8")
+    assert 'if __name__ == "__main__":\n    main()\n' in text
+    for parameter in inspect.signature(load(name).main).parameters.values():
+        optional = parameter.default is not parameter.empty
+        assert optional or parameter.kind is parameter.VAR_KEYWORD
+
+
+def test_ten_lines(tmp_path, capsys):
+    load("ten_lines").main(tmp_path, tiny_scene(), width=64, frames=2, **TINY)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["00000.png", "00001.png"]
+    assert "frame 1: " in capsys.readouterr().out
+
+
+def test_height_map(tmp_path, capsys):
+    depth = load("height_map").main(tmp_path, tiny_scene(), **TINY)
+    text = capsys.readouterr().out
+    assert (tmp_path / "hillshade.png").is_file()
+    assert "litres stand" in text
+    assert 1e-3 < depth.max() < 15e-3  # the dip of 10 mm holds water
+
+
+def test_camera_path(tmp_path):
+    module = load("camera_path")
+    module.main(tmp_path, tiny_scene(), frames=2, width=64, height=48, **TINY)
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "00000.png", "00001.png", "transforms.json",
+    ]  # fmt: skip
+    scene = tiny_scene()
+    near, far = (np.linalg.norm(camera.position) for camera in module.dolly(scene, 2, 64, 48))
+    assert near != far
+
+
+def test_solver_on_a_basin(capsys):
+    load("solver_on_a_basin").main(cells=16, seconds=1)
+    assert any(character.isdigit() for character in capsys.readouterr().out)
+
+
+def test_every_example_is_run_here():
+    text = Path(__file__).read_text(encoding="utf-8")
+    for name in EXAMPLES:
+        assert f'load("{name}")' in text
