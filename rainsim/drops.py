@@ -1,0 +1,452 @@
+"""Falling drops without state: which drops are where at any time, and what they hit.
+
+All drops of a size class have one velocity. Seen from a frame that moves with the class they stand
+still: a frozen Poisson field. That frame is cut into cubes; a counter-based hash of (seed, class,
+cube) says how many drops a cube holds, and of (cube, drop) where each is and how big. So the drops
+in any box of air at any time, or the hits in any interval, can be listed alone, without history.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rainsim.errors import ParameterError, require_finite, require_not_negative
+from rainsim.jit import cpu_kernel, device_function, prange
+from rainsim.random import mix, subkey, uniform, uniform_triple
+from rainsim.spectrum import CLASSES, RainSpectrum, drop_volume
+from rainsim.surfaces import (
+    BLOCK,
+    GROUND,
+    OBSTACLE,
+    Surfaces,
+    first_hit,
+    flat_surfaces,
+    stopped_at,
+)
+
+__all__ = [
+    "GROUND", "OBSTACLE", "Drops", "Impacts", "RainField", "RainSpectrum", "Surfaces",
+    "drop_volume", "flat_surfaces", "impacts",
+]  # fmt: skip
+
+_CUBE_FILL = 6.0  # drops per cube aimed at: fewer make cubes cost more than their drops
+_CUBE_SIDES = (0.5, 2.0)  # m; large cubes reach far out of the box that is asked for
+_FILL_RATE = 25.0  # mm/h; fixed, so that cubes, and with them drops, stay when the rate changes
+_TAIL = 1e-15  # of a Poisson distribution, below the resolution of its 53-bit number
+_SPREAD = np.uint64(0x9E3779B97F4A7C15)
+_STEEP = 4.0  # room for hits per hit on level ground; walls in wind catch more than their area
+_MARGIN = 1e-6  # s; hits are searched this far beyond an interval's ends, then cut exactly
+_DIAMETER_STREAM = np.uint64(0xD1A3)  # tells the diameter's random word from the place's
+
+
+@dataclass(frozen=True)
+class Drops:
+    """Drops in the air at one time.
+
+    Attributes
+    ----------
+    position : ndarray of shape (n, 3), float64 [m]
+    velocity : ndarray of shape (n, 3), float64 [m/s]
+    diameter : ndarray of shape (n,), float64 [m]
+    id : ndarray of shape (n,), uint64
+        The drop's own random word: the same at all times; ascending.
+    """
+
+    position: np.ndarray
+    velocity: np.ndarray
+    diameter: np.ndarray
+    id: np.ndarray
+
+    def __len__(self):
+        return len(self.id)
+
+
+@dataclass(frozen=True)
+class Impacts:
+    """Drops that ended on a surface, each with its own time.
+
+    Attributes
+    ----------
+    position : ndarray of shape (n, 3), float64 [m]
+    velocity : ndarray of shape (n, 3), float64 [m/s]
+    diameter : ndarray of shape (n,), float64 [m]
+    time : ndarray of shape (n,), float64 [s]
+    kind : ndarray of shape (n,), uint8
+        GROUND (the ground or the water on it) or OBSTACLE (top or side of an occluder).
+    row, column : ndarray of shape (n,), int32
+        The cell of the map.
+    id : ndarray of shape (n,), uint64
+        The drops' ids, ascending.
+    """
+
+    position: np.ndarray
+    velocity: np.ndarray
+    diameter: np.ndarray
+    time: np.ndarray
+    kind: np.ndarray
+    row: np.ndarray
+    column: np.ndarray
+    id: np.ndarray
+
+    def __len__(self):
+        return len(self.id)
+
+    @property
+    def volume(self):
+        """Volume of each drop, ndarray of shape (n,), float64 [m3]."""
+        return drop_volume(self.diameter)
+
+    def take(self, which):
+        """Return the impacts that the index or mask array `which` selects."""
+        return Impacts(*(getattr(self, name)[which] for name in self.__dataclass_fields__))
+
+
+class RainField:
+    """All drops of a steady rain in a steady wind, everywhere and at every time.
+
+    Parameters
+    ----------
+    spectrum : RainSpectrum
+    wind : (float, float) [m/s]
+        Horizontal velocity of the air along x and y, the same at all heights; drops drift with it.
+    seed : int
+        Rains of different seeds are independent. At the same seed a lighter rain's drops are,
+        nearly all, among a heavier one's.
+
+    Attributes
+    ----------
+    velocity : ndarray of shape (CLASSES, 3), float64 [m/s]
+    cube : ndarray of shape (CLASSES,), float64 [m]
+        Side of the cubes in which the class is listed.
+    """
+
+    def __init__(self, spectrum, wind=(0.0, 0.0), seed=0):
+        self.spectrum = spectrum
+        self.wind = tuple(require_finite("wind component", w) for w in wind)
+        if len(self.wind) != 2:
+            raise ParameterError(f"wind is {wind!r}; it must be two numbers, along x and y in m/s")
+        if isinstance(seed, bool) or int(seed) != seed:
+            raise ParameterError(f"seed is {seed!r}; it must be a whole number")
+        self.seed = int(seed)
+        self.velocity = np.empty((CLASSES, 3))
+        self.velocity[:, :2] = self.wind
+        self.velocity[:, 2] = -spectrum.speed
+        self.cube = _cube_sides()
+        self._key = _class_keys(self.seed)
+        self._count = _poisson_tables(spectrum.density * self.cube**3)
+        self._size = _size_tables(spectrum)
+
+    def arrays(self):
+        """Return what the kernels need to list the drops of a cube, in their order."""
+        return self.velocity, self.cube, self._key, self._count, self._size
+
+    def drops_in_box(self, time, low, high):
+        """List the drops in the box low <= position < high at `time`.
+
+        Parameters
+        ----------
+        time : float [s]
+        low, high : array_like of shape (3,) [m]
+
+        Returns
+        -------
+        Drops
+        """
+        time = require_finite("time", time)
+        low, high = np.array(low, dtype=np.float64), np.array(high, dtype=np.float64)
+        if low.shape != (3,) or high.shape != (3,):
+            raise ParameterError("a box is its low and its high corner, three numbers each")
+        drift = self.velocity * time
+        first, last = self.cube_range(low - drift, high - drift)
+        tasks = slab_tasks(first, last)
+        cubes = np.prod(last - first + 1, axis=1)[tasks[:, 0]] / (last - first + 1)[tasks[:, 0], 0]
+        expected = (self.spectrum.density * self.cube**3)[tasks[:, 0]] * cubes
+        values, labels, ids = _gather(
+            expected, 4, 1, _fill_box, tasks, first, last, time, low, high, *self.arrays()
+        )
+        return Drops(
+            np.ascontiguousarray(values[:, :3]),
+            self.velocity[labels[:, 0]],
+            np.ascontiguousarray(values[:, 3]),
+            ids,
+        )
+
+    def cube_range(self, low, high):
+        """Return the first and last cubes, (CLASSES, 3) int64, of co-moving boxes per class."""
+        side = self.cube[:, None]
+        first = np.floor(low / side).astype(np.int64)
+        return first, np.maximum(np.floor(high / side).astype(np.int64), first - 1)
+
+
+def impacts(field, surfaces, start, stop, smallest=0.0):
+    """List the drops that meet the surfaces at start <= time < stop.
+
+    Intervals that share an end share no drop and lose none. What a drop would have met on its
+    path before `start` counts: under a roof there are no drops. Drops that come in over the map's
+    edge below the highest top count if nothing on the map was in their way.
+
+    Parameters
+    ----------
+    field : RainField
+    surfaces : Surfaces
+    start, stop : float [s]
+    smallest : float [m]
+        Classes with smaller drops only are left out, for whoever asks about big drops.
+
+    Returns
+    -------
+    Impacts
+        Sorted by drop id. Their volume is all the water that tracked drops bring; the drops under
+        `spectrum.SMALLEST` come besides, as `field.spectrum.fine_rate`.
+    """
+    start = require_finite("start", start)
+    duration = require_not_negative("stop - start", stop - start, "s")
+    corner = np.array([*surfaces.origin, 0.0])
+    ny, nx = surfaces.shape
+    opposite = corner + np.array([nx, ny, 0.0]) * surfaces.spacing
+    drift = field.velocity * duration
+    offset = field.velocity * start
+    first, last = field.cube_range(
+        corner - np.maximum(drift, 0.0) - offset, opposite - np.minimum(drift, 0.0) - offset
+    )
+    tasks = slab_tasks(first, last)
+    tasks = tasks[field.spectrum.edges[tasks[:, 0] + 1] > smallest]
+    flux = field.spectrum.density * field.spectrum.speed * field.cube * duration
+    level = (flux * (last - first + 1)[:, 1] * field.cube)[tasks[:, 0]]
+    expected = _STEEP * level
+    values, labels, ids = _gather(
+        expected, 5, 4, _fill_impacts, tasks, first, last, start, float(stop), *field.arrays(),
+        _grown(np.minimum, surfaces.block_low), _grown(np.maximum, surfaces.block_high),
+        *surfaces.arrays(),
+    )  # fmt: skip
+    return Impacts(
+        position=np.ascontiguousarray(values[:, :3]),
+        velocity=field.velocity[labels[:, 0]],
+        diameter=np.ascontiguousarray(values[:, 3]),
+        time=np.ascontiguousarray(values[:, 4]),
+        kind=labels[:, 1].astype(np.uint8),
+        row=np.ascontiguousarray(labels[:, 2]),
+        column=np.ascontiguousarray(labels[:, 3]),
+        id=ids,
+    )
+
+
+# ---- what the kernels of this file and of `streaks` share
+
+
+@device_function
+def cube_key(class_key, i, j, k):
+    """Return the random key (uint64) of cube (i, j, k) of a class."""
+    return subkey(subkey(subkey(class_key, i), j), k)
+
+
+@device_function
+def drops_in_cube(key, size_class, count):
+    """Return how many drops the cube of that key holds, by inverting the Poisson distribution."""
+    chance = uniform(key)
+    drops = 0
+    while chance >= count[size_class, drops]:
+        drops += 1
+    return drops
+
+
+@device_function
+def drop_id(key, drop):
+    """Return the random word of drop number `drop` of a cube; its bits are the drop's place."""
+    return subkey(key, drop + 1)
+
+
+@device_function
+def drop_diameter(word, size_class, size):
+    """Return the diameter [m] of the drop with that id: exponential within its class."""
+    chance = uniform(mix(word ^ _DIAMETER_STREAM))
+    return size[size_class, 0] - np.log(1 - chance * size[size_class, 1]) * size[size_class, 2]
+
+
+def slab_tasks(first, last):
+    """Return the work items (class, i), int64, of cube ranges, shuffled to balance the threads."""
+    counts = np.maximum(last[:, 0] - first[:, 0] + 1, 0)
+    size_class = np.repeat(np.arange(len(counts)), counts)
+    step = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
+    tasks = np.stack([size_class, first[size_class, 0] + step], axis=1).astype(np.int64)
+    return tasks[np.random.Generator(np.random.PCG64(0)).permutation(len(tasks))]
+
+
+# ---- kernels
+
+
+@cpu_kernel
+def _fill_box(
+    tasks, first, last, time, low, high, velocity, cube, class_key, count, size,
+    offset, values_out, labels_out, ids_out, needed_out,
+):  # fmt: skip
+    """List the drops of each slab of cubes that are in the box; see `_gather` for the outputs."""
+    for t in prange(tasks.shape[0]):
+        b, i = tasks[t]
+        side, found = cube[b], 0
+        vx, vy, vz = velocity[b]
+        for j in range(first[b, 1], last[b, 1] + 1):
+            for k in range(first[b, 2], last[b, 2] + 1):
+                key = cube_key(class_key[b], i, j, k)
+                for n in range(drops_in_cube(key, b, count)):
+                    word = drop_id(key, n)
+                    ux, uy, uz = uniform_triple(word)
+                    x = (i + ux) * side + vx * time
+                    y = (j + uy) * side + vy * time
+                    z = (k + uz) * side + vz * time
+                    if low[0] <= x < high[0] and low[1] <= y < high[1] and low[2] <= z < high[2]:
+                        if offset[t] + found < offset[t + 1]:
+                            out = offset[t] + found
+                            values_out[out, 0], values_out[out, 1] = x, y
+                            values_out[out, 2] = z
+                            values_out[out, 3] = drop_diameter(word, b, size)
+                            labels_out[out, 0] = b
+                            ids_out[out] = word
+                        found += 1
+        needed_out[t] = found
+
+
+@cpu_kernel
+def _fill_impacts(
+    tasks, first, last, start, stop, velocity, cube, class_key, count, size, low, high,
+    x0, y0, spacing, sky, ground, underside, top, block_high,
+    offset, values_out, labels_out, ids_out, needed_out,
+):  # fmt: skip
+    """List the drops of each slab of cubes that end in [start, stop)."""
+    duration = stop - start
+    block = spacing * BLOCK
+    for t in prange(tasks.shape[0]):
+        b, i = tasks[t]
+        side, found = cube[b], 0
+        vx, vy, vz = velocity[b]
+        west = i * side + vx * start + min(vx * duration, 0.0) - x0  # of what the slab sweeps
+        east = west + side + abs(vx) * duration
+        for j in range(first[b, 1], last[b, 1] + 1):
+            south = j * side + vy * start + min(vy * duration, 0.0) - y0
+            north = south + side + abs(vy) * duration
+            z_low, z_high = _heights_within(
+                west / block, east / block, south / block, north / block, low, high
+            )
+            if z_low > z_high:
+                continue
+            k_first = int(np.floor((z_low - vz * start) / side)) - 1
+            k_last = int(np.floor((z_high - vz * stop) / side))
+            for k in range(k_first, k_last + 1):
+                key = cube_key(class_key[b], i, j, k)
+                for n in range(drops_in_cube(key, b, count)):
+                    word = drop_id(key, n)
+                    ux, uy, uz = uniform_triple(word)
+                    x, y, z = (i + ux) * side, (j + uy) * side, (k + uz) * side  # at time 0
+                    if z + vz * stop > z_high or z + vz * start < z_low:
+                        continue
+                    # Most meet nothing now: only those that do are followed from the sky.
+                    if stopped_at(
+                        x + vx * start, y + vy * start, z + vz * start,
+                        x0, y0, spacing, ground, underside, top,
+                    ):  # fmt: skip
+                        continue
+                    time, kind, row, column = first_hit(
+                        x, y, z, vx, vy, vz, start - _MARGIN, stop + _MARGIN,
+                        x0, y0, spacing, sky, ground, underside, top, block_high,
+                    )  # fmt: skip
+                    if kind < 0:
+                        continue
+                    time, kind, row, column = first_hit(
+                        x, y, z, vx, vy, vz, -np.inf, stop + _MARGIN,
+                        x0, y0, spacing, sky, ground, underside, top, block_high,
+                    )  # fmt: skip
+                    if start <= time < stop:
+                        if offset[t] + found < offset[t + 1]:
+                            out = offset[t] + found
+                            values_out[out, 0] = x + vx * time
+                            values_out[out, 1] = y + vy * time
+                            values_out[out, 2] = z + vz * time
+                            values_out[out, 3] = drop_diameter(word, b, size)
+                            values_out[out, 4] = time
+                            labels_out[out, 0], labels_out[out, 1] = b, kind
+                            labels_out[out, 2], labels_out[out, 3] = row, column
+                            ids_out[out] = word
+                        found += 1
+        needed_out[t] = found
+
+
+@device_function
+def _heights_within(west, east, south, north, low, high):
+    """Lowest and highest surface of the blocks under a rectangle, in blocks; empty: low > high."""
+    z_low, z_high = np.inf, -np.inf
+    ny, nx = low.shape
+    for j in range(max(int(np.floor(south)), 0), min(int(np.floor(north)) + 1, ny)):
+        for i in range(max(int(np.floor(west)), 0), min(int(np.floor(east)) + 1, nx)):
+            z_low, z_high = min(z_low, low[j, i]), max(z_high, high[j, i])
+    return z_low, z_high
+
+
+# ---- drivers' helpers
+
+
+def _gather(expected, width, label_width, kernel, tasks, *arguments):
+    """Run a listing kernel and return its rows, sorted by id.
+
+    Each task writes to its own stretch of the outputs and says how many rows it needed; if a
+    stretch was too short, all is done once more with what was needed.
+    """
+    capacity = (expected + 6 * np.sqrt(expected) + 8).astype(np.int64)
+    while True:
+        offset = np.concatenate([[0], np.cumsum(capacity)])
+        values = np.empty((offset[-1], width))
+        labels = np.empty((offset[-1], label_width), np.int32)
+        ids = np.empty(offset[-1], np.uint64)
+        needed = np.zeros(len(tasks), np.int64)
+        kernel(tasks, *arguments, offset, values, labels, ids, needed)
+        if (needed <= capacity).all():
+            break
+        capacity = needed
+    skipped = np.repeat(offset[:-1] - (np.cumsum(needed) - needed), needed)
+    rows = skipped + np.arange(needed.sum())
+    rows = rows[np.argsort(ids[rows], kind="stable")]
+    return values[rows], labels[rows], ids[rows]
+
+
+def _grown(reduce, blocks):
+    """Reduce each block with its eight neighbours: a step's side belongs to the cell behind it."""
+    for axis in (0, 1):
+        padded = np.pad(blocks, [(1, 1) if a == axis else (0, 0) for a in (0, 1)], mode="edge")
+        n = blocks.shape[axis]
+        parts = [np.take(padded, range(s, s + n), axis) for s in range(3)]
+        blocks = reduce(reduce(parts[0], parts[1]), parts[2])
+    return np.ascontiguousarray(blocks)
+
+
+def _cube_sides():
+    """Return the cube side [m] of each class: a power of two that holds some drops."""
+    density = RainSpectrum(_FILL_RATE).density
+    side = 2.0 ** np.round(np.log2((_CUBE_FILL / density) ** (1 / 3)))
+    return np.clip(side, *_CUBE_SIDES)
+
+
+def _class_keys(seed):
+    """Return one random key per class, ndarray of shape (CLASSES,), uint64."""
+    root = mix(np.array([seed % 2**64], np.uint64) + _SPREAD)
+    return subkey(root, np.arange(CLASSES, dtype=np.uint64))
+
+
+def _poisson_tables(mean):
+    """Return cumulative Poisson distributions, one row per mean; rows end with 2, beyond any u."""
+    width = int(mean.max() + 9 * np.sqrt(mean.max()) + 24)
+    number = np.arange(width)
+    log_factorial = np.concatenate([[0.0], np.cumsum(np.log(number[1:]))])
+    log_mean = np.log(np.maximum(mean, np.finfo(np.float64).tiny))[:, None]
+    table = np.cumsum(np.exp(number * log_mean - mean[:, None] - log_factorial), axis=1)
+    table[table > 1 - _TAIL] = 2.0
+    table[:, -1] = 2.0
+    return table
+
+
+def _size_tables(spectrum):
+    """Return (lowest diameter, share of the exponential within, its scale) for each class."""
+    low, high = spectrum.edges[:-1], spectrum.edges[1:]
+    span = -np.expm1(-spectrum.decay * (high - low))
+    scale = np.full(len(low), 1 / spectrum.decay)
+    return np.ascontiguousarray(np.stack([low, span, scale], axis=1))

@@ -1,0 +1,141 @@
+"""How many drops of which size and speed a rain of so many mm/h holds.
+
+Marshall and Palmer's exponential spectrum, renormalised so that a gauge reads the rate asked for;
+drops from 0.5 to 6 mm in classes of one speed each, smaller ones as continuous rain and fog.
+"""
+
+import math
+
+import numpy as np
+
+from rainsim.errors import ParameterError, require_not_negative
+from rainsim.jit import device_function
+
+WATER_DENSITY = 1000.0  # kg/m3
+SMALLEST = 0.5e-3  # m; smaller drops are not tracked one by one
+LARGEST = 6.0e-3  # m; larger drops break up as they fall
+CLASSES = 48  # even steps of log speed: 3.1 % from class to class
+_HIGHEST_RATE = 2000.0  # mm/h; about the highest minute ever measured
+_SHAPE_FLOOR = 1e-3  # mm/h; below it the spectrum keeps its shape, which has no limit at 0
+_REFERENCE_RATE = 10.0  # mm/h; the rain whose class means fix the classes' speeds
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(24)
+
+
+@device_function
+def terminal_speed(diameter):
+    """Fall speed of a drop [m/s] in still air at sea level; `diameter` in metres.
+
+    References
+    ----------
+    Brandes, Zhang and Vivekanandan 2002, J. Appl. Meteorol. 41, 674, their polynomial, here from
+    0.1 to 6 mm; within 2 % of Gunn and Kinzer (1949) from 1 to 6 mm. Below 0.02 mm, where it
+    would be negative, the speed is 0.
+    """
+    d = diameter * 1000.0
+    speed = -0.1021 + d * (4.932 + d * (-0.9551 + d * (0.07934 + d * -0.002362)))
+    return np.maximum(speed, 0.0)
+
+
+class RainSpectrum:
+    """The drops of a rain.
+
+    Parameters
+    ----------
+    rate_mm_per_hour : float [mm/h]
+        What a gauge collects; 0 gives a spectrum without drops.
+
+    Attributes
+    ----------
+    rate : float [m/s]
+    decay : float [1/m]
+        Lambda in N(D) = intercept exp(-decay D).
+    intercept : float [1/m4]
+    edges : ndarray of shape (CLASSES + 1,), float64 [m]
+        Diameters between the classes.
+    density : ndarray of shape (CLASSES,), float64 [1/m3]
+        Drops per volume of air.
+    speed : ndarray of shape (CLASSES,), float64 [m/s]
+        The one fall speed of all drops of the class; the same at every rate, so that drops stay
+        where they are when the rate changes.
+    extinction : ndarray of shape (CLASSES,), float64 [1/m]
+        Shadow area per volume, (pi/4) integral N D^2 dD.
+    fine_rate : float [m/s]
+        Rate of the drops under SMALLEST: what to add as continuous rain.
+    fine_extinction : float [1/m]
+
+    Notes
+    -----
+    Marshall and Palmer 1948, J. Meteorol. 5, 165: Lambda = 4.1 R^-0.21 per mm, R in mm/h. Their
+    N0 = 8000 m^-3 mm^-1 with real fall speeds returns 9 to 19 % too much water, so N0 is chosen
+    here to satisfy integral_0^LARGEST N v (pi/6) D^3 dD = rate, with the classes' speeds for v.
+    """
+
+    def __init__(self, rate_mm_per_hour):
+        rate = require_not_negative("rain rate", rate_mm_per_hour, "mm/h")
+        if rate > _HIGHEST_RATE:
+            raise ParameterError(
+                f"rain rate is {rate_mm_per_hour!r} mm/h; it must be at most {_HIGHEST_RATE:g}; "
+                "the rate is in millimetres per hour"
+            )
+        self.rate = rate / 3.6e6
+        self.decay = _decay(max(rate, _SHAPE_FLOOR))
+        self.edges = class_edges()
+        self.speed = class_speeds()
+        fine_edges = np.linspace(0.0, SMALLEST, 9)
+        volume = _moments(drop_volume, self.decay, self.edges)
+        fine_flux = _moments(_volume_flux, self.decay, fine_edges).sum()
+        self.intercept = self.rate / (volume @ self.speed + fine_flux)
+
+        self.density = self.intercept * _moments(np.ones_like, self.decay, self.edges)
+        self.extinction = self.intercept * _moments(_shadow, self.decay, self.edges)
+        self.fine_rate = self.intercept * fine_flux
+        self.fine_extinction = self.intercept * _moments(_shadow, self.decay, fine_edges).sum()
+
+    @property
+    def rate_mm_per_hour(self):
+        """The rate in mm/h, as given."""
+        return self.rate * 3.6e6
+
+
+def class_edges():
+    """Return the diameters [m] between the classes: even steps of log terminal speed."""
+    diameter = np.linspace(SMALLEST, LARGEST, 20001)
+    log_speed = np.log(np.maximum.accumulate(terminal_speed(diameter)))
+    edges = np.interp(np.linspace(log_speed[0], log_speed[-1], CLASSES + 1), log_speed, diameter)
+    edges[0], edges[-1] = SMALLEST, LARGEST
+    return edges
+
+
+def class_speeds():
+    """Return the fall speed [m/s] of each class: the mean by volume in a rain of 10 mm/h.
+
+    Within a class the mean hardly depends on the rate: by 0.7 % in the last, 0.1 % elsewhere.
+    """
+    edges, decay = class_edges(), _decay(_REFERENCE_RATE)
+    return _moments(_volume_flux, decay, edges) / _moments(drop_volume, decay, edges)
+
+
+def drop_volume(diameter):
+    """Volume of a drop [m3] of the given equivalent `diameter` [m]."""
+    return math.pi / 6 * diameter**3
+
+
+def _decay(rate_mm_per_hour):
+    """Marshall and Palmer's Lambda [1/m]."""
+    return 4.1e3 * rate_mm_per_hour**-0.21
+
+
+def _moments(weight, decay, edges):
+    """Integrate weight(D) exp(-decay D) between the edges, by Gauss-Legendre quadrature."""
+    low, high = edges[:-1, None], edges[1:, None]
+    diameter = low + (high - low) * (_NODES + 1) / 2
+    values = weight(diameter) * np.exp(-decay * diameter)
+    return (values * _WEIGHTS).sum(axis=1) * (high - low)[:, 0] / 2
+
+
+def _volume_flux(diameter):
+    return terminal_speed(diameter) * drop_volume(diameter)
+
+
+def _shadow(diameter):
+    return math.pi / 4 * diameter**2

@@ -1,0 +1,244 @@
+"""What a falling drop can hit: the ground, one solid column per cell, and the first hit on a line.
+
+The map is made of flat-topped cells. A drop's path is a straight line from the open sky; it ends
+where it first meets a column's top or side or the ground.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from rainsim.errors import ParameterError, require_positive
+from rainsim.jit import device_function
+
+GROUND, OBSTACLE = 0, 1  # what was hit
+_MISSED, _LOST = -1, -2  # nothing up to the end of the line; stopped before it entered the map
+BLOCK = 16  # cells; side of the blocks whose highest top lets the search skip them
+_CLEARANCE = 0.01  # m; lines are followed from this far above the highest top
+_SKIN = 1e-4  # m; how deep a point must lie in a solid for the cheap test to call it stopped
+_INFINITY = np.inf
+
+
+@dataclass(frozen=True)
+class Surfaces:
+    """The ground and what stands or hangs above it, as flat-topped cells.
+
+    Row 0 is south (smallest y), column 0 west (smallest x). In each cell the space from
+    `underside` to `top` is solid, and so is everything below `ground`. Beyond the map's edge
+    nothing stops a drop.
+
+    Parameters
+    ----------
+    spacing : float [m]
+    origin : (float, float) [m]
+        x and y of the map's lower left corner.
+    ground : ndarray of shape (ny, nx), float32 [m]
+    top : ndarray of shape (ny, nx), float32 [m]
+        Top of the occluder; equals `ground` where there is none. Values below it are raised to it.
+    underside : ndarray of shape (ny, nx), float32 [m]
+        Bottom of the occluder; equals `ground` where it stands on the ground.
+
+    Raises
+    ------
+    ParameterError
+        If the shapes differ, a height is not finite or the spacing is not positive.
+    """
+
+    spacing: float
+    origin: tuple
+    ground: np.ndarray
+    top: np.ndarray
+    underside: np.ndarray
+    block_low: np.ndarray = field(init=False, repr=False)
+    block_high: np.ndarray = field(init=False, repr=False)
+    sky: float = field(init=False, repr=False)
+
+    def __post_init__(self):
+        require_positive("surface spacing", self.spacing, "m")
+        shape = np.shape(self.ground)
+        if len(shape) != 2 or 0 in shape:
+            raise ParameterError(f"ground has shape {shape}; it must be (ny, nx), not empty")
+        put = object.__setattr__  # the class is frozen for its users
+        for name in ("ground", "top", "underside"):
+            heights = np.ascontiguousarray(getattr(self, name), dtype=np.float32)
+            if heights.shape != shape:
+                raise ParameterError(f"{name} has shape {heights.shape}; it must be {shape}")
+            if not np.isfinite(heights).all():
+                raise ParameterError(f"{name} holds heights that are not finite; fill them first")
+            put(self, name, heights)
+        put(self, "top", np.maximum(self.top, self.ground))
+        put(self, "block_low", reduce_blocks(np.minimum, self.ground))
+        put(self, "block_high", reduce_blocks(np.maximum, self.top))
+        put(self, "sky", float(self.block_high.max()) + _CLEARANCE)
+
+    @property
+    def shape(self):
+        """Rows and columns of the map."""
+        return self.ground.shape
+
+    @property
+    def area(self):
+        """Area of the map [m2]."""
+        return self.ground.size * self.spacing**2
+
+    def arrays(self):
+        """Return what `first_hit` takes after the line, in its order."""
+        x0, y0 = map(float, self.origin)
+        return (x0, y0, float(self.spacing), self.sky,
+                self.ground, self.underside, self.top, self.block_high)  # fmt: skip
+
+
+def flat_surfaces(width, depth, spacing, origin=(0.0, 0.0), height=0.0):
+    """Return Surfaces of level ground without occluders, `width` x `depth` m."""
+    shape = (round(depth / spacing), round(width / spacing))
+    level = np.full(shape, height, np.float32)
+    return Surfaces(spacing, origin, level, level, level)
+
+
+def reduce_blocks(reduce, values):
+    """Reduce blocks of BLOCK x BLOCK values to one each by a ufunc; the last may be smaller."""
+    rows, columns = (np.arange(0, n, BLOCK) for n in values.shape)
+    return np.ascontiguousarray(reduce.reduceat(reduce.reduceat(values, rows, 0), columns, 1))
+
+
+@device_function
+def first_hit(
+    x, y, z, vx, vy, vz, since, end, x0, y0, spacing, sky, ground, underside, top, block_high
+):  # fmt: skip
+    """Find where a drop's path first meets the surfaces.
+
+    The drop is at (x, y, z) at time 0 and moves with constant velocity, vz < 0.
+
+    Parameters
+    ----------
+    x, y, z : float64 [m]
+    vx, vy, vz : float64 [m/s]
+    since, end : float64 [s]
+        The part of the path that counts; minus infinity for all of it from the open sky.
+    x0, y0, spacing, sky, ground, underside, top, block_high
+        As `Surfaces.arrays` gives them.
+
+    Returns
+    -------
+    time : float64 [s]
+        Of the hit; infinite if there is none up to `end`, minus infinite if the path begins inside
+        a solid, at `since` or at the map's edge, so that the drop was stopped before.
+    kind : int
+        GROUND or OBSTACLE (top or side of an occluder), negative if there is no hit.
+    row, column : int
+    """
+    if z + vz * end > sky:
+        return _INFINITY, _MISSED, 0, 0
+    ny, nx = ground.shape
+    column_at, row_at = (x - x0) / spacing, (y - y0) / spacing  # in cells, at time 0
+    column_speed, row_speed = vx / spacing, vy / spacing
+    enter = (sky - z) / vz
+    begin, stop = _clip(column_at, column_speed, nx, max(enter, since), end)
+    begin, stop = _clip(row_at, row_speed, ny, begin, stop)
+    if begin >= stop:
+        return _INFINITY, _MISSED, 0, 0
+    midway = begin > enter
+
+    # Block by block; only blocks that reach up to the path are searched cell by cell.
+    i = min(max(int((column_at + column_speed * begin) // BLOCK), 0), block_high.shape[1] - 1)
+    j = min(max(int((row_at + row_speed * begin) // BLOCK), 0), block_high.shape[0] - 1)
+    now = begin
+    while True:
+        leave_i = _leave(i * BLOCK, BLOCK, column_at, column_speed)
+        leave_j = _leave(j * BLOCK, BLOCK, row_at, row_speed)
+        leave = min(leave_i, leave_j, stop)
+        if z + vz * leave <= block_high[j, i]:
+            time, kind, row, column = _search_block(
+                j, i, now, leave, z, vz, column_at, row_at, column_speed, row_speed,
+                midway and now == begin, ground, underside, top,
+            )  # fmt: skip
+            if kind != _MISSED:
+                return time, kind, row, column
+        if leave >= stop:
+            return _INFINITY, _MISSED, 0, 0
+        now = max(now, leave)
+        if leave_i <= leave_j:
+            i += 1 if column_speed > 0 else -1
+        else:
+            j += 1 if row_speed > 0 else -1
+        if i < 0 or j < 0 or i >= block_high.shape[1] or j >= block_high.shape[0]:
+            return _INFINITY, _MISSED, 0, 0
+
+
+@device_function
+def stopped_at(x, y, z, x0, y0, spacing, ground, underside, top):
+    """Tell whether the point lies well inside a solid of the map (a cheap test before the line)."""
+    i, j = int((x - x0) / spacing), int((y - y0) / spacing)
+    if x < x0 or y < y0 or i >= ground.shape[1] or j >= ground.shape[0]:
+        return False
+    if z < ground[j, i] - _SKIN:
+        return True
+    return z < top[j, i] - _SKIN and z > underside[j, i] + _SKIN
+
+
+@device_function
+def _search_block(
+    block_j, block_i, begin, stop, z, vz, column_at, row_at, column_speed, row_speed,
+    midway, ground, underside, top,
+):  # fmt: skip
+    """Follow the path cell by cell through one block, from time `begin` to `stop`."""
+    low_i, low_j = block_i * BLOCK, block_j * BLOCK
+    high_i = min(low_i + BLOCK, ground.shape[1]) - 1
+    high_j = min(low_j + BLOCK, ground.shape[0]) - 1
+    i = min(max(int(np.floor(column_at + column_speed * begin)), low_i), high_i)
+    j = min(max(int(np.floor(row_at + row_speed * begin)), low_j), high_j)
+    now = begin
+    while True:
+        leave_i = _leave(i, 1, column_at, column_speed)
+        leave_j = _leave(j, 1, row_at, row_speed)
+        leave = min(leave_i, leave_j, stop)
+        time, kind = _meet_cell(now, leave, z, vz, ground[j, i], underside[j, i], top[j, i])
+        if kind != _MISSED:
+            if midway and now == begin and time == now:
+                return -_INFINITY, _LOST, j, i
+            return time, kind, j, i
+        if leave >= stop:
+            return _INFINITY, _MISSED, 0, 0
+        now = max(now, leave)
+        if leave_i <= leave_j:
+            i += 1 if column_speed > 0 else -1
+        else:
+            j += 1 if row_speed > 0 else -1
+        if i < low_i or j < low_j or i > high_i or j > high_j:
+            return _INFINITY, _MISSED, 0, 0
+
+
+@device_function
+def _meet_cell(begin, leave, z, vz, ground, underside, top):
+    """Meet one cell's column and ground between two times; return time and kind."""
+    z_begin, z_leave = z + vz * begin, z + vz * leave
+    if top > ground and z_begin > underside and z_leave <= top:
+        if z_begin > top:
+            return (top - z) / vz, OBSTACLE
+        return begin, OBSTACLE  # the column's side
+    if z_leave > ground:
+        return _INFINITY, _MISSED
+    if z_begin > ground:
+        return (ground - z) / vz, GROUND
+    return begin, GROUND  # the side of a step
+
+
+@device_function
+def _leave(cell, size, at, speed):
+    """Time at which the path leaves [cell, cell + size) along one axis."""
+    if speed > 0:
+        return (cell + size - at) / speed
+    if speed < 0:
+        return (cell - at) / speed
+    return _INFINITY
+
+
+@device_function
+def _clip(at, speed, count, begin, stop):
+    """Clip the times [begin, stop] to those at which 0 <= at + speed * time < count."""
+    if speed == 0:
+        return (begin, stop) if 0 <= at < count else (_INFINITY, -_INFINITY)
+    first, last = -at / speed, (count - at) / speed
+    return max(begin, min(first, last)), min(stop, max(first, last))

@@ -1,0 +1,161 @@
+"""Ripples: they run, spread and fade as theory says, and drops give them the right energy."""
+
+import numpy as np
+import pytest
+
+from rainsim.drops import RainField, RainSpectrum, drop_volume, flat_surfaces, impacts
+from rainsim.errors import ParameterError
+from rainsim.ripples import (
+    REFERENCE_DROP,
+    RippleTile,
+    angular_frequency,
+    damping_rate,
+    tile_impacts,
+)
+from rainsim.spectrum import terminal_speed
+
+
+def momentum(diameter):
+    return np.array([1000 * drop_volume(diameter) * terminal_speed(diameter)])
+
+
+def wave(tile, waves):
+    """Put a cosine with `waves` waves per tile on the water; return its wavenumber."""
+    x = np.arange(tile.cells) / tile.cells
+    tile.set_elevation(np.broadcast_to(1e-4 * np.cos(2 * np.pi * waves * x), (tile.cells,) * 2))
+    return 2 * np.pi * waves / tile.size
+
+
+def height_over_time(tile, duration, steps):
+    heights = [tile.elevation[0, 0]]
+    for _ in range(steps):
+        tile.advance(duration / steps)
+        heights.append(tile.elevation[0, 0])
+    return np.arange(steps + 1) * duration / steps, np.array(heights)
+
+
+@pytest.mark.parametrize("depth", [2e-3, 1e-2, 1e-1])
+@pytest.mark.parametrize("waves", [1, 5, 20])  # 10, 2 and 0.5 cm
+def test_the_tile_shows_the_frequency_and_decay_of_theory(depth, waves):
+    """Fit a damped oscillation to the height at a crest; a tile of 10 cm."""
+    tile = RippleTile(size=0.1, cells=48, depth=depth)
+    k = wave(tile, waves)
+    exact = np.sqrt((9.81 * k + 0.0728e-3 * k**3) * np.tanh(k * depth))
+    time, height = height_over_time(tile, 6 * np.pi / exact, 120)
+    crossings = np.flatnonzero(np.diff(np.sign(height)))
+    at = time[crossings] - height[crossings] * np.diff(time)[0] / np.diff(height)[crossings]
+    assert np.pi / np.diff(at).mean() == pytest.approx(exact, rel=0.03)
+    bulk = 2 * 1e-6 * k**2
+    bottom = k * np.sqrt(1e-6 * exact / 2) / np.sinh(2 * k * depth)
+    peaks = np.abs(height[[20 * 2, 20 * 4, 20 * 6]])  # whole periods
+    decay = np.log(peaks[0] / peaks[-1]) / (time[120] - time[40])
+    assert decay == pytest.approx(bulk + bottom, rel=0.1)
+
+
+def test_dispersion_and_damping_of_the_physics_notes():
+    k = 2 * np.pi / 0.01
+    assert angular_frequency(k, 0.03) / k == pytest.approx(0.248, abs=0.002)
+    assert angular_frequency(k, 0.002) / k == pytest.approx(0.229, abs=0.002)
+    assert 1 / damping_rate(k, 0.1) == pytest.approx(1.27, rel=0.01)
+    thin = damping_rate(k, 0.002) - 2e-6 * k**2
+    assert 1 / thin == pytest.approx(1.2, rel=0.06)
+    assert damping_rate(0.0, 0.01) == 0
+
+
+def test_one_long_step_equals_many_short_ones():
+    tiles = [RippleTile(0.5, 64) for _ in range(2)]
+    for tile in tiles:
+        tile.advance(0.0, np.array([[0.2, 0.3]]), momentum(3e-3))
+    tiles[0].advance(0.5)
+    for _ in range(50):
+        tiles[1].advance(0.01)
+    np.testing.assert_allclose(tiles[0].elevation, tiles[1].elevation, atol=1e-14)
+    assert np.ptp(tiles[0].elevation) > 1e-5
+
+
+@pytest.mark.parametrize("depth", [3e-3, 1e-2, 1e-1])
+def test_a_ring_has_one_percent_of_the_drops_energy(depth):
+    """Averaged over places in the cell, for drops about the reference; the share goes with mass."""
+    for diameter in (2.2e-3, REFERENCE_DROP, 2.8e-3):
+        kinetic = 0.5 * momentum(diameter)[0] * terminal_speed(diameter)
+        shares = []
+        for place in (0.0, 0.3, 0.6):
+            tile = RippleTile(0.5, 128, depth)
+            tile.advance(0.0, np.array([[place, 0.7 * place]]) / 128, momentum(diameter))
+            shares.append(tile.energy() / kinetic)
+        expected = 0.01 * (diameter / REFERENCE_DROP) ** 3
+        assert np.mean(shares) == pytest.approx(expected, rel=0.1)
+
+
+def test_energy_only_decays_and_is_conserved_but_for_damping():
+    tile = RippleTile(0.5, 64, 0.05)
+    tile.advance(0.0, np.array([[0.2, 0.2]]), momentum(3e-3))
+    energy = [tile.energy()]
+    for _ in range(20):
+        tile.advance(0.02)
+        energy.append(tile.energy())
+    assert (np.diff(energy) < 0).all()
+    assert energy[-1] > 0.1 * energy[0]
+
+
+def test_a_calm_disc_grows_behind_the_ring_at_the_least_group_speed():
+    """0.178 m/s in deep water: inside it is calm, outside the ring has not come yet."""
+    tile = RippleTile(1.0, 256, 0.1)
+    tile.advance(0.0, np.array([[0.5, 0.5]]), momentum(3e-3))
+    tile.advance(1.0)
+    y, x = (np.indices((256, 256)) / 256) - 0.5
+    radius, height = np.hypot(x, y), tile.elevation
+    inside = np.sqrt((height[radius < 0.10] ** 2).mean())
+    ring = np.sqrt((height[(radius > 0.17) & (radius < 0.25)] ** 2).mean())
+    beyond = np.sqrt((height[(radius > 0.45) & (radius < 0.5)] ** 2).mean())
+    assert inside < 0.1 * ring and beyond < 0.2 * ring and ring > 1e-6
+
+
+def test_slopes_are_the_gradient_of_the_elevation():
+    tile = RippleTile(0.1, 64)
+    k = wave(tile, 4)
+    slopes = tile.slopes()
+    x = np.arange(64) / 64 * 0.1
+    np.testing.assert_allclose(slopes[0], np.tile(-1e-4 * k * np.sin(k * x), (64, 1)), atol=1e-8)
+    assert abs(slopes[1]).max() < 1e-9 and slopes.dtype == np.float32
+    assert tile.rms_slope() == pytest.approx(1e-4 * k / np.sqrt(2), rel=1e-6)
+    assert tile.rms_slope(0.02) < 1e-12
+    assert tile.rms_slope(0.03) == pytest.approx(tile.rms_slope())
+
+
+def test_random_rain_roughens_the_water_and_the_spectrum_agrees_with_the_slopes():
+    field, ground = RainField(RainSpectrum(50), seed=1), flat_surfaces(2, 2, 0.1)
+    tile = RippleTile(1.0, 128)
+    received = 0
+    for n in range(12):
+        found = impacts(field, ground, n / 24, (n + 1) / 24)
+        place, push, age = tile_impacts(found, ground.area, tile.size, (n + 1) / 24)
+        assert ((age >= 0) & (age <= 1 / 24 + 1e-9)).all()
+        received += len(place)
+        tile.advance(1 / 24, place, push, age)
+    expected = field.spectrum.density @ field.spectrum.speed * 0.5
+    assert abs(received - expected) < 4 * np.sqrt(expected)
+    slopes = tile.slopes().astype(np.float64)
+    assert tile.rms_slope() == pytest.approx(np.sqrt((slopes**2).sum(axis=0).mean()), rel=0.02)
+    assert 0.01 < tile.rms_slope() < 0.3
+
+
+def test_falls_are_wrapped_and_born_when_they_fell():
+    a, b, late = (RippleTile(0.5, 64) for _ in range(3))
+    a.advance(0.04, np.array([[0.1, 0.2]]), momentum(3e-3), np.array([0.04]))
+    b.advance(0.04, np.array([[-1.4, 2.7]]), momentum(3e-3), np.array([0.04]))
+    late.advance(0.04, np.array([[0.1, 0.2]]), momentum(3e-3), np.array([0.0]))
+    np.testing.assert_allclose(a.elevation, b.elevation, atol=1e-15)
+    assert np.ptp(a.elevation) > 0
+    assert np.ptp(late.elevation) < 1e-3 * np.ptp(a.elevation)  # pushed, but not yet moved
+
+
+def test_bad_tiles_are_refused():
+    with pytest.raises(ParameterError, match="tile depth"):
+        RippleTile(depth=0.0)
+    with pytest.raises(ParameterError, match="cells"):
+        RippleTile(cells=3)
+    with pytest.raises(ParameterError, match="elevation"):
+        RippleTile(cells=8).set_elevation(np.zeros((4, 4)))
+    with pytest.raises(ParameterError, match="duration"):
+        RippleTile(cells=8).advance(-1.0)

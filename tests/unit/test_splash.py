@@ -1,0 +1,90 @@
+"""Splashes: who splashes, where the droplets are, and that they live and die."""
+
+import numpy as np
+import pytest
+
+from rainsim.drops import Impacts, RainField, RainSpectrum, flat_surfaces, impacts
+from rainsim.errors import ParameterError
+from rainsim.spectrum import terminal_speed
+from rainsim.splash import LONGEST_LIFE, splash_droplets, splashes
+
+
+def fallen(diameters, time=0.0, wind=0.0):
+    """Drops at terminal speed that fell on the origin at `time`."""
+    diameters = np.asarray(diameters, np.float64)
+    n = len(diameters)
+    velocity = np.zeros((n, 3))
+    velocity[:, 0], velocity[:, 2] = wind, -terminal_speed(diameters)
+    return Impacts(
+        np.zeros((n, 3)), velocity, diameters, np.full(n, time), np.zeros(n, np.uint8),
+        np.zeros(n, np.int32), np.zeros(n, np.int32), np.arange(n, dtype=np.uint64) + 77,
+    )  # fmt: skip
+
+
+def test_thresholds_are_those_of_the_cited_papers():
+    diameters = np.linspace(0.5e-3, 3e-3, 2501)
+    wet, dry = (diameters[splashes(fallen(diameters), h)].min() for h in (1e-3, 0.0))
+    assert wet == pytest.approx(1.27e-3, rel=0.02)
+    assert dry == pytest.approx(0.68e-3, rel=0.03)
+
+
+@pytest.mark.parametrize("rate", [10, 50])
+def test_splashes_per_area_and_second(rate):
+    spectrum = RainSpectrum(rate)
+    found = impacts(RainField(spectrum, seed=1), flat_surfaces(4, 4, 0.1), 0, 2.0)
+    diameter = np.linspace(1.27e-3, 6e-3, 20_001)  # sqrt(We) = 20 at terminal speed
+    flux = spectrum.intercept * np.exp(-spectrum.decay * diameter) * terminal_speed(diameter)
+    expected = np.trapezoid(flux, diameter)
+    assert splashes(found, 1e-3).sum() / 32 == pytest.approx(expected, rel=0.03)
+    assert 500 < expected < 2500
+
+
+def test_droplets_fly_up_and_come_down_on_their_ballistic_path():
+    impact = fallen([3e-3])
+    first = splash_droplets(impact, 1e-3, 0.01)
+    second = splash_droplets(impact, 1e-3, 0.03)
+    assert 4 <= len(first) <= 12 and np.array_equal(first.id, second.id)
+    mean = (first.velocity + second.velocity) / 2
+    np.testing.assert_allclose(second.position - first.position, mean * 0.02, atol=1e-12)
+    np.testing.assert_allclose((second.velocity - first.velocity)[:, 2], -9.81 * 0.02, atol=1e-12)
+    assert (first.position[:, 2] > 0).all() and (first.velocity[:, 2] > 0).all()
+    reach = np.hypot(first.position[:, 0], first.position[:, 1])
+    assert reach.min() > 0 and first.diameter.max() < 0.25 * 3e-3
+    angles = np.sort(np.arctan2(first.position[:, 1], first.position[:, 0]))
+    assert np.diff(angles).max() < np.pi  # all around
+
+
+def test_splashes_live_and_die():
+    impact = fallen(np.full(200, 3e-3))
+    alive = [len(splash_droplets(impact, 1e-3, t)) for t in (-1e-6, 0.0, 0.04, 0.08, 0.12)]
+    assert alive[0] == 0 and alive[1] > 800 and alive[-1] == 0
+    assert alive[1] == alive[2] > alive[3] > 0
+    late = splash_droplets(impact, 1e-3, LONGEST_LIFE * 0.99)
+    assert (late.position[:, 2] > -1e-9).all()
+
+
+def test_bigger_splashes_on_a_film_of_a_third_of_the_diameter():
+    impact = fallen(np.full(50, 3e-3))
+    thin, peak, pool = (splash_droplets(impact, h, 0.01).diameter.mean() for h in (2e-4, 1e-3, 0.1))
+    assert thin < peak > pool > 0.5 * peak
+
+
+def test_the_wind_carries_droplets():
+    still, windy = (splash_droplets(fallen([3e-3], wind=w), 1e-3, 0.01) for w in (0.0, 4.0))
+    np.testing.assert_allclose(windy.velocity[:, 0] - still.velocity[:, 0], 0.6, atol=1e-12)
+
+
+def test_a_splash_does_not_depend_on_the_other_impacts():
+    many = fallen(np.linspace(1e-3, 4e-3, 40))
+    alone = splash_droplets(many.take(slice(20, 21)), 1e-3, 0.02)
+    among = splash_droplets(many, 1e-3, 0.02)
+    at = np.flatnonzero(np.isin(among.id, alone.id))
+    assert len(at) == len(alone) > 0
+    assert np.array_equal(among.position[at], alone.position)
+
+
+def test_nothing_splashes_in_no_rain_and_bad_depths_are_refused():
+    none = fallen([])
+    assert len(splash_droplets(none, np.empty(0), 0.0)) == 0
+    with pytest.raises(ParameterError, match="water_depth"):
+        splash_droplets(fallen([1e-3]), np.zeros(3), 0.0)

@@ -1,0 +1,269 @@
+"""Streaks: summed alpha, length, place, occlusion and fog are those of the counted drops."""
+
+import numpy as np
+import pytest
+
+from rainsim.drops import RainField, RainSpectrum, Surfaces, flat_surfaces
+from rainsim.errors import ParameterError
+from rainsim.scene.types import Camera
+from rainsim.streaks import (
+    NEAR,
+    draw_droplets,
+    draw_streaks,
+    fog_extinction,
+    fog_optical_depth,
+)
+
+FOCAL = 500.0  # px
+
+
+def looking(direction, eye=(0.0, 0.0, 0.0), width=96, height=80, focal=FOCAL):
+    """A camera at `eye` that looks along x ("ahead"), straight up or straight down."""
+    rows = {
+        "ahead": [[0, -1, 0], [0, 0, -1], [1, 0, 0]],
+        "up": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
+        "down": [[1, 0, 0], [0, -1, 0], [0, 0, -1]],
+    }[direction]
+    rotation = np.array(rows, dtype=np.float64)
+    matrix = np.eye(4)
+    matrix[:3, :3] = rotation
+    matrix[:3, 3] = -rotation @ np.array(eye, dtype=np.float64)
+    return Camera(width, height, focal, focal, width / 2, height / 2, matrix)
+
+
+def sky(camera):
+    return np.full((camera.height, camera.width), np.inf, np.float32)
+
+
+def one_drop(position, velocity, diameter, camera, exposure, depth=None):
+    """Draw a single drop over nothing."""
+    alpha = np.zeros((camera.height, camera.width), np.float32)
+    draw_droplets(
+        np.array([position], np.float64), np.array([velocity], np.float64), np.array([diameter]),
+        camera, exposure, sky(camera) if depth is None else depth, alpha,
+    )  # fmt: skip
+    return alpha
+
+
+def rain_alpha(field, camera, far=8.0, time=3.0, exposure=1 / 60, surfaces=None, depth=None):
+    alpha = np.full((camera.height, camera.width), np.nan, np.float32)
+    depth = sky(camera) if depth is None else depth
+    draw_streaks(field, surfaces, camera, time, exposure, depth, far, alpha)
+    return alpha
+
+
+# ---- one drop
+
+
+@pytest.mark.parametrize("exposure", [0.1e-3, 0.5e-3, 1e-3, 4e-3, 1 / 60, 33e-3])
+@pytest.mark.parametrize("diameter, depth", [(0.6e-3, 5.0), (2e-3, 5.0), (3e-3, 2.0), (4e-3, 1.1)])
+@pytest.mark.parametrize("wind", [0.0, 9.0])
+def test_summed_alpha_does_not_depend_on_the_exposure(exposure, diameter, depth, wind):
+    """Thin and wide drops, falling and blown sideways, streaks from still to 100 px."""
+    camera = looking("ahead", width=400, height=400)
+    velocity = np.array([0.0, wind, -6.0])
+    middle = np.array([depth, 0.0131, 0.0077]) - velocity * exposure / 2
+    alpha = one_drop(middle, velocity, diameter, camera, exposure)
+    assert alpha.sum() == pytest.approx(np.pi / 4 * (FOCAL * diameter / depth) ** 2, rel=0.02)
+    assert alpha.min() >= 0 and alpha.max() < 1
+
+
+@pytest.mark.parametrize("direction", ["up", "down"])
+def test_summed_alpha_is_the_mean_over_the_path_when_the_depth_changes(direction):
+    camera = looking(direction)
+    start, stop = (1.2, 1.0) if direction == "up" else (1.0, 1.2)
+    z = start if direction == "up" else -start
+    alpha = one_drop((0.01, 0.004, z), (0, 0, -10.0), 0.8e-3, camera, 0.02)
+    mean = 1 / (start * stop)  # of 1/z^2 between the two depths
+    assert alpha.sum() == pytest.approx(np.pi / 4 * (FOCAL * 0.8e-3) ** 2 * mean, rel=0.01)
+
+
+def test_a_streak_is_as_long_as_the_relative_speed_times_the_exposure():
+    camera = looking("ahead")
+    for speed, exposure in ((4.0, 1 / 60), (8.0, 1 / 60), (8.0, 1 / 250)):
+        alpha = one_drop((4, 0, speed * exposure / 2), (0, 0, -speed), 1e-3, camera, exposure)
+        rows = alpha.sum(axis=1)
+        assert rows.sum() / rows.max() == pytest.approx(FOCAL * speed * exposure / 4, rel=0.02)
+
+
+def test_a_moving_camera_sees_the_relative_motion():
+    """A camera that falls with the drop sees it still."""
+    start, stop = looking("ahead"), looking("ahead", eye=(0, 0, -0.1))
+    alpha = np.zeros((80, 96), np.float32)
+    drop = np.array([[4.0, 0, 0]]), np.array([[0, 0, -6.0]]), np.array([1e-3])
+    draw_droplets(*drop, start, 1 / 60, sky(start), alpha, camera_end=stop)
+    assert (alpha > 0).sum() <= 4
+    assert alpha.sum() == pytest.approx(np.pi / 4 * (FOCAL * 1e-3 / 4) ** 2, rel=0.02)
+
+
+@pytest.mark.parametrize("exposure", [1e-6, 1 / 200])
+@pytest.mark.parametrize("diameter", [1e-3, 14e-3])
+def test_a_drop_is_where_the_camera_projects_it(exposure, diameter):
+    """The centroid, for a point-like drop and for a disc, is within a twentieth of a pixel."""
+    camera = looking("ahead")
+    velocity = np.array([0, 2.0, -5.0])
+    middle = np.array([3.0, 0.0613, -0.0411])
+    alpha = one_drop(middle - velocity * exposure / 2, velocity, diameter, camera, exposure)
+    v, u = (np.indices(alpha.shape) + 0.5) * alpha / alpha.sum()
+    assert u.sum() == pytest.approx(48 - FOCAL * 0.0613 / 3, abs=0.05)
+    assert v.sum() == pytest.approx(40 + FOCAL * 0.0411 / 3, abs=0.05)
+
+
+def test_a_wide_still_drop_is_a_disc():
+    alpha = one_drop((2.0, 0, 0), (0, 0, 0), 40e-3, looking("ahead"), 1e-3)  # 10 px wide
+    assert alpha[40, 48] > 0.99 and alpha[40, 48 + 4] > 0.9 and alpha[40, 48 + 6] == 0
+    np.testing.assert_allclose(alpha, alpha[::-1, ::-1], atol=1e-6)
+    np.testing.assert_allclose(alpha[8:72, 16:80], alpha[8:72, 16:80].T, atol=1e-6)
+
+
+def test_drops_behind_things_are_hidden_and_partly_hidden_ones_cut():
+    camera = looking("ahead")
+    depth = sky(camera)
+    depth[:, :48] = 2.0
+    drop = (3.0, 0, 0.05), (0, 0, -6.0), 1e-3  # on the border of the two halves
+    open_air, cut = one_drop(*drop, camera, 1 / 60), one_drop(*drop, camera, 1 / 60, depth)
+    assert cut[:, :48].max() == 0 < open_air[:, :48].max()
+    assert np.array_equal(cut[:, 48:], open_air[:, 48:])
+    depth[:, :48] = 3.5
+    assert np.array_equal(one_drop(*drop, camera, 1 / 60, depth), open_air)
+
+
+def test_droplets_multiply_their_transmittance_to_what_is_there():
+    camera = looking("ahead")
+    drop = (3.0, 0, 0.05), (0, 0, -6.0), 3e-3
+    single = one_drop(*drop, camera, 1 / 60)
+    alpha = np.full_like(single, 0.5)
+    one = [np.array([a]) for a in drop]
+    draw_droplets(*one, camera, 1 / 60, sky(camera), alpha)
+    np.testing.assert_allclose(alpha, 1 - 0.5 * (1 - single), atol=1e-6)
+    double = np.zeros_like(single)
+    two = [np.concatenate([a, a]) for a in one]
+    draw_droplets(*two, camera, 1 / 60, sky(camera), double)
+    np.testing.assert_allclose(double, 1 - (1 - single) ** 2, atol=2e-6)
+
+
+# ---- the field
+
+
+def naive_alpha_sum(field, camera, far, time):
+    """Oracle: sum of (pi/4)(f D / z)^2 over all drops whose centre is in the picture."""
+    drops = field.drops_in_box(time, (0, -far, -far), (far, far, far))
+    z = drops.position[:, 0]
+    with np.errstate(divide="ignore"):
+        u, v = (c - FOCAL * drops.position[:, a] / z for a, c in ((1, camera.cx), (2, camera.cy)))
+    seen = (z >= NEAR) & (z < far)
+    seen &= (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
+    return (np.pi / 4 * (FOCAL * drops.diameter[seen] / z[seen]) ** 2).sum()
+
+
+def test_the_picture_holds_the_drops_that_the_field_lists():
+    field = RainField(RainSpectrum(50), (0.5, 1.0), seed=4)
+    camera = looking("ahead", width=500, height=400)
+    alpha = rain_alpha(field, camera, far=4.0, exposure=1e-5)
+    listed = naive_alpha_sum(field, camera, 4.0, 3.0)
+    assert alpha.sum(dtype=np.float64) == pytest.approx(listed, rel=0.02)
+
+
+def test_one_drop_is_one_place_in_two_cameras():
+    """In thin rain, drops that stand alone in a picture are where that camera projects them."""
+    field = RainField(RainSpectrum(0.2), seed=12)
+    drops = field.drops_in_box(1.0, (NEAR, -2, -2), (5, 2, 2)).position
+    checked = []
+    for eye in ((0, 0, 0), (0, -0.05, 0.02)):
+        camera = looking("ahead", eye)
+        alpha = rain_alpha(field, camera, far=5.0, time=1.0, exposure=1e-5)
+        local = drops - eye
+        image = np.stack([48 - FOCAL * local[:, 1] / local[:, 0],
+                          40 - FOCAL * local[:, 2] / local[:, 0]], axis=1)  # fmt: skip
+        apart = np.linalg.norm(image[:, None] - image[None], axis=2) + 99 * np.eye(len(image))
+        inside = (image > 4).all(axis=1) & (image < [92, 76]).all(axis=1)
+        for n in np.flatnonzero(inside & (apart.min(axis=1) > 9)):
+            column, row = image[n].astype(int)
+            patch = alpha[row - 3 : row + 4, column - 3 : column + 4].astype(np.float64)
+            patch /= patch.sum()
+            dv, du = np.indices(patch.shape)
+            assert column - 2.5 + (du * patch).sum() == pytest.approx(image[n, 0], abs=0.1)
+            assert row - 2.5 + (dv * patch).sum() == pytest.approx(image[n, 1], abs=0.1)
+            checked.append(n)
+    assert len(checked) > len(set(checked)) >= 3  # some were seen by both
+
+
+def test_the_drawn_drops_dim_a_white_plane_by_their_extinction():
+    """-ln of the mean transmission is beta z within 5 %, over 400 m of path in all."""
+    field, camera = RainField(RainSpectrum(50), (1, 2), seed=3), looking("ahead", focal=100.0)
+    pictures = [rain_alpha(field, camera, far=4.0, time=t) for t in np.arange(100) * 0.5]
+    transmission = 1 - np.mean(pictures, dtype=np.float64)
+    expected = field.spectrum.extinction.sum() * (4.0 - NEAR)
+    assert -np.log(transmission) == pytest.approx(expected, rel=0.05)
+
+
+def test_drawn_and_fog_together_do_not_depend_on_the_split():
+    field, camera = RainField(RainSpectrum(50), seed=3), looking("ahead", focal=150.0)
+    depth = np.full((80, 96), 9.0, np.float32)
+    totals = []
+    for far in (3.0, 9.0):
+        drawn = [
+            -np.log1p(-rain_alpha(field, camera, far, t, depth=depth)).mean(dtype=np.float64)
+            for t in np.arange(12) * 0.7
+        ]
+        fog = fog_optical_depth(field, 9.0, far)
+        totals.append((np.mean(drawn) + fog, np.std(drawn) / np.sqrt(12)))
+    (total_3, _), (total_9, error) = totals
+    assert abs(total_3 - total_9) < max(0.01 * total_9, 2 * error)
+    fine, whole = fog_extinction(field)
+    assert whole == pytest.approx(fine + field.spectrum.extinction.sum()) and fine > 0
+
+
+def test_no_drops_under_a_roof_and_drops_beside_it():
+    """The camera looks ahead from under a wide roof; beyond the roof's edge it rains."""
+    ground = np.full((80, 80), -1.5, np.float32)
+    top, underside = ground.copy(), ground.copy()
+    top[:, :60], underside[:, :60] = 1.0, 0.9  # x from -1 to 2
+    surfaces = Surfaces(0.05, (-1.0, -2.0), ground, top, underside)
+    field, camera = RainField(RainSpectrum(50), seed=1), looking("ahead")
+    assert rain_alpha(field, camera, far=2.0, surfaces=surfaces).max() == 0
+    beyond = rain_alpha(field, camera, far=2.9, surfaces=surfaces)
+    assert beyond.max() > 0
+    depth = np.full((80, 96), 2.0, np.float32)
+    assert rain_alpha(field, camera, far=2.9, surfaces=surfaces, depth=depth).max() == 0
+    assert rain_alpha(field, camera, far=2.0).max() > 0
+
+
+def test_streaks_end_on_the_ground():
+    camera = looking("ahead")
+    field = RainField(RainSpectrum(100), seed=1)
+    level = flat_surfaces(6, 6, 0.1, (-1, -3), height=-0.06)
+    alpha = rain_alpha(field, camera, far=2.0, exposure=1 / 15, surfaces=level)
+    horizon_of_nearest = 40 + FOCAL * 0.06 / 2.0  # the ground at 2 m; nearer ground is lower
+    assert alpha[: int(horizon_of_nearest) - 2].mean() > 0
+    buried = flat_surfaces(6, 6, 0.1, (-1, -3), height=0.3)
+    assert rain_alpha(field, camera, far=2.0, surfaces=buried).max() == 0
+
+
+def test_threads_and_history_do_not_matter(threads):
+    camera = looking("ahead")
+    level = flat_surfaces(6, 6, 0.1, (-1, -3), height=-1.0)
+    pictures = []
+    for count in (1, 2):
+        threads(count)
+        field = RainField(RainSpectrum(50), (1, 2), seed=9)
+        if count == 2:
+            rain_alpha(field, camera, time=0.0, surfaces=level)
+        pictures.append(rain_alpha(field, camera, time=2.0, surfaces=level).tobytes())
+    assert pictures[0] == pictures[1]
+    assert np.frombuffer(pictures[0], np.float32).min() >= 0  # and poison is gone
+
+
+def test_no_rain_draws_nothing_over_the_poison():
+    alpha = rain_alpha(RainField(RainSpectrum(0)), looking("ahead"))
+    assert alpha.max() == 0 == alpha.min()
+
+
+def test_bad_input_is_refused():
+    field, camera = RainField(RainSpectrum(1)), looking("ahead")
+    with pytest.raises(ParameterError, match="exposure"):
+        rain_alpha(field, camera, exposure=0.0)
+    with pytest.raises(ParameterError, match="far"):
+        rain_alpha(field, camera, far=-1.0)
+    with pytest.raises(ParameterError, match="shape"):
+        rain_alpha(field, camera, depth=np.zeros((3, 3), np.float32))
