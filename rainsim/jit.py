@@ -13,6 +13,7 @@ from pathlib import Path
 # numba keys its cache on the file that holds a kernel, not on the files of the functions that the
 # kernel calls: an edited helper would keep its old machine code. So the folder carries a hash of
 # all our sources.
+_FOLDER = "rainsim-kernels"
 _KEPT_CACHES = 4  # versions of the program whose machine code is kept
 
 
@@ -27,8 +28,10 @@ def _cache_folder():
     """Return a writable folder for compiled kernels, the user's own if it can be."""
     wanted = [os.environ.get("NUMBA_CACHE_DIR")]
     wanted.append(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"))
-    for base in filter(None, wanted):
-        folder = Path(base) / "rainsim-kernels" / _source_hash()
+    for base in map(Path, filter(None, wanted)):
+        if base.parent.name == _FOLDER:  # set by a process of ours that started this one
+            base = base.parent.parent
+        folder = base / _FOLDER / _source_hash()
         try:
             folder.mkdir(parents=True, exist_ok=True)
             folder.touch()  # the newest are kept

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rainsim.harmonics import sh_color
 from rainsim.jit import cpu_kernel, device_function, prange, serial_kernel
 from rainsim.prepared import PreparedSplats, prepare, select
 
@@ -34,14 +35,13 @@ TRANSMITTANCE_STOP = np.float32(1e-4)  # what is behind cannot change an 8-bit i
 MIN_COVERAGE = np.float32(0.02)  # alpha below which a pixel has no depth
 EDGE_ON = np.float32(0.02)  # cosine at which a blended plane no longer tells the depth
 PLANE_LIMIT = np.float32(0.2)  # share of the depth by which the plane may correct it
+NO_PLANE = np.array([0, 0, 0, -1], np.float32)  # cuts nothing away
 FRUSTUM_MARGIN = 0.15  # of the picture's size: where the linearised projection is clamped
 
 ZERO = np.float32(0)
 ONE = np.float32(1)
 HALF = np.float32(0.5)
 TWO = np.float32(2)
-THREE = np.float32(3)
-FOUR = np.float32(4)
 TWO_LN2 = np.float32(2 * np.log(2))
 HALF_LOG2E = np.float32(0.5 / np.log(2))
 EIGHTH = np.float32(0.125)
@@ -50,24 +50,6 @@ EIGHTH = np.float32(0.125)
 E0, E1, E2, E3, E4, E5 = (
     np.float32(c)
     for c in (0.999999937, 0.693142739, 0.240175324, 0.0552866627, 0.00919464691, 0.000940499363)
-)
-
-# Real spherical harmonics in the order and with the signs of the original 3DGS code.
-SH0 = np.float32(0.28209479177387814)
-SH1 = np.float32(0.4886025119029199)
-SH2 = tuple(
-    np.float32(c) for c in (1.0925484305920792, 0.31539156525252005, 0.5462742152960396)
-)
-SH2A, SH2B, SH2C = SH2
-SH3A, SH3B, SH3C, SH3D, SH3E = (
-    np.float32(c)
-    for c in (
-        0.5900435899266435,
-        2.890611442640554,
-        0.4570457994644658,
-        0.3731763325901154,
-        1.445305721320277,
-    )
 )
 
 
@@ -109,22 +91,30 @@ class Rasterizer:
         self._visible = np.zeros(self._chunks, np.int64)
         self._entry = np.empty(0, np.uint64)
 
-    def draw(self, camera, near):
-        """Return the `Layers` that `camera` sees of the splats farther than `near` [world units].
+    def draw(self, camera, near, plane=None):
+        """Return the `Layers` that `camera` sees; the same bytes for any number of threads.
 
-        The same bytes for any number of threads.
+        Parameters
+        ----------
+        camera : Camera
+            Its matrix may also be a rotation with a reflection: a mirrored view.
+        near : float [world units]
+            Splats whose centres are nearer are left out.
+        plane : array_like of shape (4,), optional
+            (a, b, c, d): splats whose centres have a x + b y + c z < d are left out.
         """
         height, width = camera.height, camera.width
         across, down = -(-width // TILE), -(-height // TILE)
         count = np.zeros((BLOCKS, across * down), np.int64)
         view = camera.camera_from_world.astype(np.float32)
-        eye = np.append(camera.position, 0.0).astype(np.float32)
+        eye = camera.position.astype(np.float32)
         lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float32)
         if camera.orthographic:
-            eye[:3] = camera.forward
+            eye = camera.forward.astype(np.float32)
         p = self.prepared
+        plane = NO_PLANE if plane is None else np.asarray(plane, np.float32)
         _project(
-            p.position, p.covariance, p.normal, p.opacity_log2, p.sh, view, eye, lens,
+            p.position, p.covariance, p.normal, p.opacity_log2, p.sh, view, eye, lens, plane,
             width, height, np.float32(near), camera.orthographic,
             self._record, self._box, self._visible, count,
         )  # fmt: skip
@@ -151,35 +141,9 @@ def rasterize(prepared, camera, near=0.01):
     return Rasterizer(prepared).draw(camera, near)
 
 
-@device_function
-def sh_color(sh, s, channel, bands, x, y, z):
-    """Return one colour channel of splat `s` seen along the unit direction (x, y, z)."""
-    c = channel
-    value = SH0 * sh[s, c] + HALF
-    if bands > 1:
-        value += SH1 * (z * sh[s, 6 + c] - y * sh[s, 3 + c] - x * sh[s, 9 + c])
-    if bands > 2:
-        xx, yy, zz = x * x, y * y, z * z
-        value += (
-            SH2A * (x * y * sh[s, 12 + c] - y * z * sh[s, 15 + c] - x * z * sh[s, 21 + c])
-            + SH2B * (TWO * zz - xx - yy) * sh[s, 18 + c]
-            + SH2C * (xx - yy) * sh[s, 24 + c]
-        )
-        if bands > 3:
-            value += (
-                SH3B * x * y * z * sh[s, 30 + c]
-                - SH3A * y * (THREE * xx - yy) * sh[s, 27 + c]
-                - SH3C * (FOUR * zz - xx - yy) * (y * sh[s, 33 + c] + x * sh[s, 39 + c])
-                + SH3D * z * (TWO * zz - THREE * xx - THREE * yy) * sh[s, 36 + c]
-                + SH3E * z * (xx - yy) * sh[s, 42 + c]
-                - SH3A * x * (xx - THREE * yy) * sh[s, 45 + c]
-            )
-    return max(value, ZERO)
-
-
 @cpu_kernel
 def _project(
-    position, covariance, normal, opacity_log2, sh, view, eye, lens, width, height, near,
+    position, covariance, normal, opacity_log2, sh, view, eye, lens, plane, width, height, near,
     orthographic, record_out, box_out, visible_out, count_out,
 ):  # fmt: skip
     """Project the splats of each chunk to ellipses and count those that each tile meets.
@@ -213,6 +177,8 @@ def _project(
                 z = v20 * px + v21 * py + v22 * pz + v23
                 level = opacity_log2[s] - MIN_ALPHA_LOG2
                 if not (z >= near and level > ZERO):  # also drops NaN
+                    continue
+                if plane[0] * px + plane[1] * py + plane[2] * pz < plane[3]:
                     continue
                 x = v00 * px + v01 * py + v02 * pz + v03
                 y = v10 * px + v11 * py + v12 * pz + v13
@@ -488,4 +454,3 @@ def plane_depth(u, v, lens, orthographic, nx, ny, nz, distance, alpha, z):
     depth = (distance - across) / along
     limit = PLANE_LIMIT * z if not orthographic else np.float32(np.inf)
     return depth if abs(depth - z) < limit else z
-

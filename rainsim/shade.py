@@ -11,7 +11,14 @@ import math
 import numpy as np
 
 from rainsim.jit import cpu_kernel, device_function, prange
-from rainsim.light import bilinear, display_from_linear, fresnel, linear_from_display, luminance
+from rainsim.light import (
+    bilinear,
+    display_from_linear,
+    fresnel,
+    linear_from_display,
+    luminance,
+    smoothstep,
+)
 from rainsim.sky import sample_environment
 
 ZERO = np.float32(0)
@@ -28,8 +35,8 @@ ALBEDO_PER_COLOR = np.float32(0.85)  # sunlit captured colour to albedo: a guess
 
 FAR_AWAY = np.float32(1e4)  # m, stands for the depth of the sky
 SKY_DISTANCE = np.float32(30.0)  # m: bright things beyond, above the horizon, are sky
+SKY_DARK, SKY_BRIGHT = np.float32(0.15), np.float32(0.35)  # linear luminance: no sky, all sky
 SKY_SINE = np.float32(0.03)  # sine of the elevation above which there may be sky
-
 
 
 @device_function
@@ -57,7 +64,7 @@ def graded(r, g, b, exposure, desaturation, compression):
 @cpu_kernel
 def grade_and_wet(
     color, alpha, depth, plane_depth, normal, meters_per_unit, ground_from_camera, eye, lens,
-    bed, grass, exposure_to_rain, origin, spacing, environment, look, wetness,
+    bed, grass, exposure_to_rain, origin, spacing, environment, day_sky, look, wetness,
     picture_out, depth_out, clearance_out,
 ):  # fmt: skip
     """Grade the dry picture, wet it, and measure it against the ground.
@@ -70,6 +77,8 @@ def grade_and_wet(
     eye : ndarray of shape (3,), float32 [m]
     bed, grass, exposure_to_rain : ndarray of shape (ny, nx), float32
         Ground [m], share of grass, share of the rain that reaches the ground.
+    environment, day_sky : ndarray of shape (rows, columns, 3), float32
+        What lies around, for gloss; the sky behind everything.
     look : ndarray of shape (4,), float32
         Exposure, desaturation, compression, share of the captured sky that is replaced.
     wetness : float32
@@ -105,9 +114,6 @@ def grade_and_wet(
             px, py, pz = eye[0] + d * x, eye[1] + d * y, eye[2] + d * z
             u, v = (px - origin[0]) / spacing - HALF, (py - origin[1]) / spacing - HALF
             inside = u > ZERO and v > ZERO and u < np.float32(nx - 1) and v < np.float32(ny - 1)
-            is_sky = over < HALF or (
-                d * length > SKY_DISTANCE and z > SKY_SINE * length and look[3] > ZERO
-            )
             clearance, reach, lawn = FAR_AWAY, ONE, ZERO
             if inside and over >= np.float32(0.1):
                 clearance = pz - bilinear(bed, u, v)
@@ -119,8 +125,9 @@ def grade_and_wet(
             r = linear_from_display(max(color[row, column, 0], ZERO))
             g = linear_from_display(max(color[row, column, 1], ZERO))
             bl = linear_from_display(max(color[row, column, 2], ZERO))
+            sky = look[3] * sky_share(r, g, bl, d * length, z / length)
             r, g, bl = graded(r, g, bl, look[0], look[1], look[2])
-            if not is_sky:
+            if d * length < SKY_DISTANCE:
                 r, g, bl = wetted(r, g, bl, look[0], wetness, reach, upness, clearance, lawn)
                 sheen = (
                     wetness * reach * max(TWO * upness - ONE, ZERO) * (ONE - lawn)
@@ -137,19 +144,33 @@ def grade_and_wet(
                     r += gloss * sample_environment(environment, ZERO, ZERO, ONE, 0)
                     g += gloss * sample_environment(environment, ZERO, ZERO, ONE, 1)
                     bl += gloss * sample_environment(environment, ZERO, ZERO, ONE, 2)
-            # What the capture does not cover, and the sky it holds, is the sky of the day.
-            through = ONE - over
-            if is_sky:
-                through = max(through, look[3])
-                r, g, bl = r * (ONE - look[3]), g * (ONE - look[3]), bl * (ONE - look[3])
+            # The sky of the day stands in for the captured sky and for what no splat covers. Many
+            # captures leave dark places half open: those are not sky.
+            through = over * sky
+            if z > ZERO:
+                through += (ONE - over) * smoothstep(np.float32(0.4), np.float32(0.9), ONE - over)
+            r, g, bl = r * (ONE - sky), g * (ONE - sky), bl * (ONE - sky)
             il = ONE / length
             if through > np.float32(0.002):
-                r += through * sample_environment(environment, x * il, y * il, z * il, 0)
-                g += through * sample_environment(environment, x * il, y * il, z * il, 1)
-                bl += through * sample_environment(environment, x * il, y * il, z * il, 2)
+                r += through * sample_environment(day_sky, x * il, y * il, z * il, 0)
+                g += through * sample_environment(day_sky, x * il, y * il, z * il, 1)
+                bl += through * sample_environment(day_sky, x * il, y * il, z * il, 2)
             picture_out[row, column, 0] = r
             picture_out[row, column, 1] = g
             picture_out[row, column, 2] = bl
+
+
+@device_function
+def sky_share(r, g, b, distance, sine):
+    """Return how surely a captured linear colour is sky: far, above the horizon, bright, not green.
+
+    A guess: a capture does not say what is sky.
+    """
+    if not (distance > SKY_DISTANCE and sine > SKY_SINE):
+        return ZERO
+    bright = smoothstep(SKY_DARK, SKY_BRIGHT, luminance(r, g, b))
+    top = max(max(r, g), np.float32(1e-3))
+    return bright * smoothstep(np.float32(0.6), np.float32(0.85), b / top)
 
 
 @device_function
@@ -184,7 +205,7 @@ def wetted(r, g, b, exposure, wetness, reach, upness, clearance, lawn):
 @cpu_kernel
 def compose(
     picture, depth, rain_alpha, splash_alpha, drop_radiance, air_radiance, extinction,
-    lens, brightness, image_out,
+    brightness, image_out,
 ):  # fmt: skip
     """Put fog, streaks and splashes before the picture and encode it for display.
 
@@ -193,19 +214,16 @@ def compose(
     rain_alpha, splash_alpha : ndarray of shape (height, width), float32
     drop_radiance, air_radiance : ndarray of shape (3,), float32
     extinction : ndarray of shape (3,), float32
-        Of drops too fine to draw [1/m], of all drops beyond the drawn ones [1/m], where that
-        begins [m].
+        Of drops too fine to draw [1/m], of the others [1/m], where those are no longer drawn [m].
     image_out : ndarray of shape (height, width, 3), uint8
     """
     height, width = depth.shape
     for row in prange(height):
         for column in range(width):
-            a = (np.float32(column) + HALF - lens[2]) / lens[0]
-            b = (np.float32(row) + HALF - lens[3]) / lens[1]
-            slant = math.sqrt(ONE + a * a + b * b)
+            # Along the view axis, as drawn drops are counted (see `streaks.draw_streaks`).
             z = min(depth[row, column], np.float32(500))  # m; clouds hang lower, farther is grey
             thickness = extinction[0] * z + extinction[1] * max(z - extinction[2], ZERO)
-            clear = math.exp(-thickness * slant)
+            clear = math.exp(-thickness)
             streak, drop = rain_alpha[row, column], splash_alpha[row, column]
             for c in range(3):
                 value = picture[row, column, c] * clear + air_radiance[c] * (ONE - clear)

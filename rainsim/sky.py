@@ -82,35 +82,31 @@ def irradiance(environment):
     return np.einsum("ij,ijc->c", weight, environment) / weight.sum()
 
 
-def probe(rasterizer, ground_frame, position, near):
-    """Return what the capture shows all around `position` (ground frame, m).
+def probe(draw, position):
+    """Return the map of what lies all around `position` (ground frame, m).
 
-    Returns
-    -------
-    color : ndarray of shape (128, 256, 3), float32
-        Display-referred, over black.
-    alpha, distance : ndarray of shape (128, 256), float32
-        Distance in metres, infinite where nothing is seen.
+    Parameters
+    ----------
+    draw : callable
+        draw(camera) returns the picture (160, 160, 3) in linear light that the ground-frame
+        `camera` sees.
+    position : ndarray of shape (3,) [m]
     """
     direction = directions()
-    color = np.zeros((ROWS, COLUMNS, 3), np.float32)
-    alpha = np.zeros((ROWS, COLUMNS), np.float32)
-    distance = np.full((ROWS, COLUMNS), np.inf, np.float32)
+    radiance = np.zeros((ROWS, COLUMNS, 3), np.float32)
     axis = np.argmax(np.abs(direction), axis=-1)
     for a in range(3):
         for sign in (1, -1):
             which = (axis == a) & (np.sign(direction[..., a]) == sign)
             camera = _face(a, sign, position)
-            layers = rasterizer.draw(ground_frame.camera_in_capture(camera), near)
+            picture = draw(camera)
             local = direction[which] @ camera.camera_from_world[:3, :3].T
             column = camera.fx * local[:, 0] / local[:, 2] + camera.cx
             row = camera.fy * local[:, 1] / local[:, 2] + camera.cy
             row = np.clip(row.astype(int), 0, FACE - 1)
             column = np.clip(column.astype(int), 0, FACE - 1)
-            color[which], alpha[which] = layers.color[row, column], layers.alpha[row, column]
-            depth = layers.depth[row, column] * ground_frame.meters_per_unit
-            distance[which] = depth / local[:, 2]
-    return color, alpha, distance
+            radiance[which] = picture[row, column]
+    return radiance
 
 
 def _face(axis, sign, position):
@@ -146,7 +142,7 @@ def sample_environment(environment, x, y, z, channel):
     u = (HALF - math.atan2(y, x) * INV_TWO_PI) * columns - HALF
     v = (HALF - math.asin(min(max(z, -ONE), ONE)) * INV_PI) * rows - HALF
     v = min(max(v, ZERO), np.float32(rows - 1))
-    i = int(math.floor(u))
+    i = math.floor(u)
     j = min(int(v), rows - 2)
     a, b = np.float32(u - i), np.float32(v - j)
     i %= columns

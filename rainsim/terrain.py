@@ -154,7 +154,7 @@ def choose_grid(scene, config):
             half, why = min(reach, LARGEST_HALF_WIDTH), "the cameras' reach"
     if config.extent is not None:
         half, why = config.extent, "given"
-    cells = max(8, int(round(2 * half / config.spacing)))
+    cells = max(8, round(2 * half / config.spacing))
     corner = centre - cells * config.spacing / 2
     grid = Grid((cells, cells), (float(corner[0]), float(corner[1])), config.spacing)
     size = cells * config.spacing
@@ -207,7 +207,7 @@ def _ground(seen, grid):
         return zero, source, zero, np.full(grid.shape, GRASS, np.uint8), color
     filled = inpaint(np.where(known, height, 0), known)
     # What sticks out of the ground by more than an opening leaves is an object.
-    width = max(3, int(round(OPENING_WIDTH / grid.spacing)))
+    width = max(3, round(OPENING_WIDTH / grid.spacing))
     opened = ndimage.grey_opening(ndimage.median_filter(filled, 3), size=(width, width))
     green = 2 * color[..., 1] - color[..., 0] - color[..., 2]
     grass = ~known | (ndimage.gaussian_filter(green, 0.06 / grid.spacing) > EXCESS_GREEN)
@@ -224,7 +224,7 @@ def _ground(seen, grid):
 
 def _tidy(grass, spacing):
     """Return the mask without specks: moss in a joint is no lawn, a stone in it no paving."""
-    iterations = max(1, int(round(0.03 / spacing)))
+    iterations = max(1, round(0.03 / spacing))
     grass = ndimage.binary_opening(grass, iterations=iterations) | (grass & _edge(grass.shape, 8))
     cells = int(SMALLEST_PATCH / spacing**2)
     grass = remove_small_objects(grass, max_size=cells)
@@ -262,7 +262,7 @@ def _smooth(height, spacing):
     """Return `height` smoothed by a Gaussian, but only by a median at kerbs and steps."""
     median = ndimage.median_filter(height, 3)
     smooth = ndimage.gaussian_filter(median, SMOOTHING / spacing)
-    size = max(3, 2 * int(round(0.05 / spacing)) + 1)
+    size = max(3, 2 * round(0.05 / spacing) + 1)
     relief = ndimage.maximum_filter(median, size) - ndimage.minimum_filter(median, size)
     steep = ndimage.gaussian_filter((relief > STEP_RELIEF).astype(np.float32), 1.5)
     return (smooth + (median - smooth) * np.clip(2 * steep, 0, 1)).astype(np.float32)

@@ -1,5 +1,7 @@
 """Optical formulas against their definitions."""
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -13,7 +15,7 @@ def test_fresnel_is_the_exact_dielectric():
         assert light.fresnel(np.cos(np.radians(degrees))) == pytest.approx(expected, abs=1.5e-3)
     assert light.fresnel(0.0) == pytest.approx(1.0)
     values = [light.fresnel(c) for c in np.linspace(0, 1, 50)]
-    assert all(a > b for a, b in zip(values, values[1:], strict=False))
+    assert all(a > b for a, b in itertools.pairwise(values))
 
 
 def test_display_curve_is_its_own_inverse_and_spans_the_range():
@@ -40,8 +42,10 @@ def test_wetting_darkens_and_dry_stays():
 
 
 def test_grading_is_the_identity_when_asked_for():
-    np.testing.assert_allclose(shade.graded(0.2, 0.5, 0.9, 1.0, 0.0, 0.0), (0.2, 0.5, 0.9), rtol=1e-6)
-    r, g, b = shade.graded(0.2, 0.5, 0.9, 0.7, 0.2, 1.2)
+    np.testing.assert_allclose(
+        shade.graded(0.2, 0.5, 0.9, 1.0, 0.0, 0.0), (0.2, 0.5, 0.9), rtol=1e-6
+    )
+    r, _g, b = shade.graded(0.2, 0.5, 0.9, 0.7, 0.2, 1.2)
     assert b < 0.7 * 0.9 and (b - r) / b < 0.7 / 0.9
 
 

@@ -1,5 +1,6 @@
 """Water in the picture: a tank with a known floor, mirrors, contact, and what must not change."""
 
+import itertools
 import math
 
 import numpy as np
@@ -41,23 +42,28 @@ def floor_picture(z=0.0):
 
 
 def water(depth_of_water, picture=None, depth=None, clearance=None, slopes=0.0, environment=None,
-          sun=None):  # fmt: skip
+          sun=None, mirror=None, mirror_depth=None, level=0.0):  # fmt: skip
     floor_depth, floor = floor_picture()
     picture = floor if picture is None else picture
     depth = floor_depth if depth is None else depth
     clearance = np.zeros((HEIGHT, WIDTH), np.float32) if clearance is None else clearance
     bed = np.zeros(SHAPE, np.float32)
     water_depth = np.broadcast_to(np.float32(depth_of_water), SHAPE).copy()
-    levels = [np.full((2, n, n), slopes, np.float32) for n in (32, 16, 8, 4)]
+    slopes = np.broadcast_to(np.asarray(slopes, np.float32), 2)[:, None, None]
+    levels = [np.tile(slopes, (1, n, n)) for n in (32, 16, 8, 4)]
     if environment is None:
         environment = np.zeros((16, 32, 3), np.float32)
+    none = np.zeros((1, 1, 3), np.float32)
     out = np.full((HEIGHT, WIDTH, 3), np.nan, np.float32)
     coverage = np.full((HEIGHT, WIDTH), np.nan, np.float32)
-    march = np.array([0.4e-3, 2.2e-3, 0.15, 1, 12, 4e-3], np.float32)
+    march = np.array([0.4e-3, 2.2e-3, 0.15, 1, 12, 4e-3, level], np.float32)
+    sun = np.zeros(6, np.float32) if sun is None else sun
+    mirrored = mirror is not None
     optics.shade_water(
-        picture, depth, clearance, TURN, EYE, LENS, bed + water_depth, water_depth, bed,
-        np.ones(SHAPE, np.float32), ORIGIN, np.float32(SPACING), *levels, np.float32(1.0),
-        environment, march, np.zeros(6, np.float32) if sun is None else sun, out, coverage,
+        picture, depth, clearance, TURN, EYE, LENS, bed + water_depth, water_depth,
+        np.ones(SHAPE, np.float32), ORIGIN, np.float32(SPACING), *levels, np.zeros(4, np.float32),
+        np.float32(1.0), environment, mirrored, mirror if mirrored else none,
+        mirror_depth if mirrored else depth, march, sun, out, coverage,
     )  # fmt: skip
     assert np.isfinite(out).all() and np.isfinite(coverage).all()
     return out, coverage
@@ -131,6 +137,32 @@ def test_mirrors_a_wall_that_the_picture_shows():
     np.testing.assert_allclose(out[..., 0][inside], mirror[inside], rtol=0.05)
 
 
+def test_mirrored_pass_is_shown_as_it_is_on_flat_water_and_bent_on_ripples():
+    """A mirrored picture of stripes: flat water shows each pixel its own, a slope moves it."""
+    stripes = np.zeros((HEIGHT, WIDTH, 3), np.float32)
+    stripes[::2] = 1.0
+    far = np.full((HEIGHT, WIDTH), 20.0, np.float32)
+    black = np.zeros((HEIGHT, WIDTH, 3), np.float32)
+    out, coverage = water(0.005, black, mirror=stripes, mirror_depth=far, level=0.005)
+    unit = rays() / np.linalg.norm(rays(), axis=-1, keepdims=True)
+    share = np.vectorize(fresnel)(np.clip(-unit[..., 2], 0.02, 1))
+    inside = coverage > 0.999
+    assert inside.sum() > 2000
+    np.testing.assert_allclose((out / share[..., None])[inside], stripes[inside], atol=2e-3)
+    # A surface that rises away from the camera by a slope s turns the mirror ray by 2 s.
+    ramp = np.tile(np.arange(HEIGHT, dtype=np.float32)[:, None, None], (1, WIDTH, 3))
+    slope = 0.01
+    bent, coverage = water(0.02, black, mirror=ramp, mirror_depth=np.full_like(far, 1e4),
+                           level=0.02, slopes=(slope, 0.0))  # fmt: skip
+    row, column = 60, WIDTH // 2
+    angle = math.atan((row + 0.5 - HEIGHT / 2) / FOCAL)
+    # The sky is far: its mirror image moves by the angle that the mirror turns the ray.
+    expected = HEIGHT / 2 - 0.5 + FOCAL * math.tan(angle + 2 * slope)
+    shares = bent[row, column, 0] / fresnel(math.sin(PITCH + angle + slope))
+    assert abs(abs(shares - row) - abs(expected - row)) < 0.15
+    assert abs(shares - row) > 1
+
+
 def test_what_stands_above_the_water_is_not_painted_over():
     depth, picture = floor_picture()
     nearer = (depth * 0.7).astype(np.float32)  # an object well above the water
@@ -143,7 +175,7 @@ def test_coverage_grows_with_depth_and_softly():
     middle = (HEIGHT // 2, WIDTH // 2)
     values = [water(d)[1][middle] for d in (0.0003, 0.0008, 0.0013, 0.0018, 0.003)]
     assert values[0] == 0 and values[-1] == 1
-    assert all(a < b for a, b in zip(values, values[1:], strict=False))
+    assert all(a < b for a, b in itertools.pairwise(values))
 
 
 def test_ripples_bend_the_mirror():

@@ -2,10 +2,10 @@
 
 import dataclasses
 
-import naive
 import numpy as np
 import pytest
 
+import naive
 from rainsim import raster
 from rainsim.jit import set_threads
 from rainsim.scene.types import Camera, Splats
@@ -123,9 +123,7 @@ def test_orthographic_is_the_limit_of_a_far_perspective(rng):
     back[2, 3] = far
     flat = camera(focal=8.0, orthographic=True)
     flat = dataclasses.replace(flat, camera_from_world=back)
-    tele = dataclasses.replace(
-        flat, fx=flat.fx * far, fy=flat.fy * far, orthographic=False
-    )
+    tele = dataclasses.replace(flat, fx=flat.fx * far, fy=flat.fy * far, orthographic=False)
     assert decibel(draw(splats, flat).color, draw(splats, tele).color) > 40
     assert draw(splats, flat).alpha.max() > 0.5
 

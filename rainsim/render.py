@@ -1,0 +1,362 @@
+"""Rainy frames: a capture, its terrain and the water's state in, pictures for display out."""
+
+from __future__ import annotations
+
+import math
+import time as clock
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import ndimage
+
+from rainsim import optics, shade, sky
+from rainsim.drops import impacts
+from rainsim.errors import ParameterError
+from rainsim.raster import Rasterizer, prepare
+from rainsim.simulation import rain_exposure, rain_field, surfaces_of
+from rainsim.splash import LONGEST_LIFE, SMALLEST_SPLASH, splash_droplets
+from rainsim.streaks import draw_droplets, draw_streaks, fog_extinction
+from rainsim.terrain import GRASS, HARD
+
+NEAR = 0.05  # m: splats nearer than this are not drawn
+WET_AFTER = 0.5e-3  # m of past rain after which open ground is wet through
+WET_RATE = 2.0 / 3.6e6  # m/s of rain that keeps ground wet whatever fell before
+WET_CELL = 3e-4  # m: cells with more carry the water surface; thinner water only darkens
+RELIEF = 0.5e-3  # m, standard deviation of the roughness that a capture does not show; by eye
+RELIEF_WIDTHS = (0.02, 0.05, 0.12)  # m
+SURFACE_REACH = 2  # cells by which the surface is continued into the dry, for soft rims
+REFLECTION_THICKNESS = 0.15  # m
+MIRROR_CLEARANCE = 0.015  # m above the water: what is lower cannot be told from the ground
+MIRROR_SPREAD = 0.06  # m: puddles at levels farther apart have no mirror in common
+LEVEL_STEP = 2e-3  # m
+REFLECTION_LENGTH = 12.0  # m
+GLINT_VARIANCE = 4e-3  # of slopes below a pixel on a puddle in the rain
+SUN_IRRADIANCE = 25.0  # of display white: full sun over the overcast sky's some 1
+
+
+@dataclass(frozen=True)
+class FrameReport:
+    """What was done for a frame.
+
+    Attributes
+    ----------
+    index : int
+    time : float [s]
+    milliseconds : dict of str to float
+        Wall time of each stage.
+    ledger : dict
+        Water volumes [m3] and their relative residual.
+    notes : tuple of str
+    """
+
+    index: int
+    time: float
+    milliseconds: dict
+    ledger: dict
+    notes: tuple = ()
+
+
+class Renderer:
+    """Draws frames of one scene, terrain and configuration; draws a still camera's capture once."""
+
+    def __init__(self, scene, terrain, config, first_camera):
+        self.scene, self.terrain, self.config = scene, terrain, config
+        self.frame = scene.ground_frame
+        self.near = NEAR / self.frame.meters_per_unit
+        self.rasterizer = Rasterizer(prepare(scene.splats))
+        self.surfaces = surfaces_of(terrain)
+        self.field = rain_field(config)
+        self.exposure = rain_exposure(terrain, config.rain.wind)
+        self.grass = ndimage.gaussian_filter((terrain.ground_class == GRASS).astype(np.float32), 1)
+        self.wetness = np.float32(wetness(config))
+        self.look = look(config)
+        self.relief = fine_relief(terrain)
+        self.day = day_sky(config.render)
+        eye = self.frame.to_ground(first_camera.position)
+        self.environment = self._surroundings(eye)
+        self._camera = None  # that the kept layers belong to
+        self._level = None  # m, that the kept mirror image belongs to
+
+    def draw(self, camera, state):
+        """Return the picture (height, width, 3) uint8 that `camera` (capture frame) takes."""
+        timer = Timer()
+        if camera is not self._camera:
+            self._see(camera, timer)
+        picture, _coverage = self._water(state, timer)
+        rain_alpha, splash_alpha = self._drops(camera, state, timer)
+        image = np.empty((camera.height, camera.width, 3), np.uint8)
+        extinction = np.zeros(3, np.float32)
+        if self.field is not None:
+            before, beyond = fog_extinction(self.field)
+            extinction[:] = before, beyond - before, self.config.render.streak_far
+        forward = self.view.camera_from_world[2, :3]
+        drop = sky.drop_radiance(self.environment, forward)
+        air = sky.irradiance(self.environment).astype(np.float32)
+        shade.compose(
+            picture, self.depth, rain_alpha, splash_alpha, drop, air, extinction,
+            np.float32(self.config.render.brightness), image,
+        )  # fmt: skip
+        timer.mark("compose")
+        return image, FrameReport(state.index, state.time, timer.stages, state.ledger, state.notes)
+
+    def _see(self, camera, timer):
+        """Splat the capture for a new camera, grade and wet it."""
+        self.view = self.frame.camera_in_ground(camera)
+        self.lens = _lens(camera)
+        self.picture, self.depth, self.clearance = self._wet_picture(camera, None, timer)
+        self.turn, self.eye = _pose(self.view)
+        self._camera, self._level = camera, None
+
+    def _wet_picture(self, camera, plane, timer):
+        """Return the wet picture, its depth [m] and clearance [m] as `camera` sees them."""
+        layers = self.rasterizer.draw(camera, self.near, plane)
+        timer.mark("splat" if plane is None else "mirror")
+        turn, eye = _pose(self.frame.camera_in_ground(camera))
+        lens = _lens(camera)
+        shape = (camera.height, camera.width)
+        picture = np.empty((*shape, 3), np.float32)
+        depth, clearance = np.empty(shape, np.float32), np.empty(shape, np.float32)
+        shade.grade_and_wet(
+            layers.color, layers.alpha, layers.depth, layers.plane_depth, layers.normal,
+            np.float32(self.frame.meters_per_unit), turn, eye, lens,
+            self.terrain.bed, self.grass, self.exposure, self._origin, self._spacing,
+            self.environment, self.day, self.look, self.wetness, picture, depth, clearance,
+        )  # fmt: skip
+        timer.mark("grade and wet" if plane is None else "mirror")
+        return picture, depth, clearance
+
+    def _mirror(self, level, timer):
+        """Draw what stands above the water as the camera mirrored at `level` [m] sees it."""
+        if level == self._level:
+            return
+        plane, camera = mirrored_camera(self._camera, self.frame, level)
+        self.mirror, self.mirror_depth, _ = self._wet_picture(camera, plane, timer)
+        self._level = level
+
+    def _water(self, state, timer):
+        """Return the picture with water on it, and the water's coverage."""
+        surface, depth = water_surface(self.terrain, state.depth, self.relief)
+        levels = ripple_levels(state.slopes)
+        rms = np.array([np.sqrt(np.mean(s * s)) for s in levels], np.float32)
+        timer.mark("water surface")
+        level, spread = water_level(surface, depth)
+        mirrored = choose_reflections(self.config.render.reflections, spread)
+        if mirrored:
+            self._mirror(level, timer)
+        low, high = self.config.render.water_coverage
+        stride = max(1.0, self._camera.width / 960)
+        settings = np.array(
+            [low, high, REFLECTION_THICKNESS, stride, REFLECTION_LENGTH, GLINT_VARIANCE, level],
+            np.float32,
+        )
+        picture = np.empty_like(self.picture)
+        coverage = np.empty_like(self.depth)
+        optics.shade_water(
+            self.picture, self.depth, self.clearance, self.turn, self.eye, self.lens,
+            surface, depth, self.exposure, self._origin, self._spacing,
+            *levels, rms, np.float32(state.tile_size), self.environment, mirrored,
+            self.mirror if mirrored else self.picture,
+            self.mirror_depth if mirrored else self.depth, settings, self._sun, picture, coverage,
+        )  # fmt: skip
+        timer.mark("water and reflection")
+        return picture, coverage
+
+    def _drops(self, camera, state, timer):
+        """Return the alpha of streaks and of splash droplets."""
+        rain = np.zeros((camera.height, camera.width), np.float32)
+        splash = np.zeros_like(rain)
+        if self.field is None:
+            return rain, splash
+        config = self.config.render
+        draw_streaks(
+            self.field, self.surfaces, self.view, state.time, config.exposure, self.depth,
+            config.streak_far, rain,
+        )  # fmt: skip
+        timer.mark("streaks")
+        hits = impacts(
+            self.field, self.surfaces, state.time - LONGEST_LIFE, state.time, SMALLEST_SPLASH
+        )
+        under = state.depth[hits.row, hits.column]
+        droplets = splash_droplets(hits, under, state.time)
+        draw_droplets(
+            droplets.position, droplets.velocity, droplets.diameter, self.view, config.exposure,
+            self.depth, splash,
+        )  # fmt: skip
+        timer.mark("splashes")
+        return rain, splash
+
+    @property
+    def _origin(self):
+        return np.array(self.terrain.grid.origin, np.float32)
+
+    @property
+    def _spacing(self):
+        return np.float32(self.terrain.grid.spacing)
+
+    @property
+    def _sun(self):
+        sun = self.config.render.sun
+        if sun is None:
+            return np.zeros(6, np.float32)
+        azimuth, elevation = sun
+        direction = (
+            math.cos(elevation) * math.cos(azimuth),
+            math.cos(elevation) * math.sin(azimuth),
+            math.sin(elevation),
+        )
+        clear = SUN_IRRADIANCE * (1 - self.config.render.cloudiness)
+        return np.array([*direction, clear, 0.95 * clear, 0.88 * clear], np.float32)
+
+    def _surroundings(self, position):
+        """Return the wet capture around `position` [m] with the sky of the day, as a map."""
+        self.environment = self.day  # what gloss shows while the surroundings are drawn
+
+        def draw(view):
+            return self._wet_picture(self.frame.camera_in_capture(view), None, Timer())[0]
+
+        return sky.probe(draw, position)
+
+
+def _pose(view):
+    """Return ground_from_camera (3, 3) and the eye [m] of a ground-frame camera, float32."""
+    turn = np.ascontiguousarray(view.camera_from_world[:3, :3].T, dtype=np.float32)
+    return turn, view.position.astype(np.float32)
+
+
+def _lens(camera):
+    return np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float32)
+
+
+def mirrored_camera(camera, frame, level):
+    """Return the plane to cut at and the camera mirrored at the water `level` [m].
+
+    The mirrored camera sees, pixel for pixel, what level water mirrors to the camera; its matrix
+    holds a reflection. What lies below the water is cut away.
+    """
+    up = frame.up
+    height = (level - frame.translation[2]) / frame.meters_per_unit  # along up, capture units
+    flip = np.eye(4)
+    flip[:3, :3] -= 2 * np.outer(up, up)
+    flip[:3, 3] = 2 * height * up
+    plane = np.append(up, height + MIRROR_CLEARANCE / frame.meters_per_unit)
+    return plane, replace(camera, camera_from_world=camera.camera_from_world @ flip)
+
+
+def water_level(surface, depth):
+    """Return the level [m] that most water lies at, and how far the levels spread [m]."""
+    wet = depth > 1e-3
+    if not wet.any():
+        return 0.0, 0.0
+    low, middle, high = np.percentile(surface[wet], (5, 50, 95))
+    # Stepped, so that a slowly filling puddle keeps its mirror image for a while.
+    return round(middle / LEVEL_STEP) * LEVEL_STEP, high - low
+
+
+def choose_reflections(name, spread):
+    """Return whether reflections come from the mirrored pass: by name, or where water is level."""
+    return name == "mirror" or (name == "auto" and spread < MIRROR_SPREAD)
+
+
+def day_sky(config):
+    """Return the environment map of the sky that a render configuration names."""
+    if config.sky in ("overcast", "capture"):
+        return sky.overcast()
+    from rainsim import image
+
+    return sky.from_panorama(image.read_hdr(config.sky))
+
+
+def look(config):
+    """Return exposure, desaturation, compression and share of replaced sky, float32 (4,)."""
+    c = config.render.cloudiness
+    replaced = 0.0 if config.render.sky == "capture" else c
+    return np.array([1 - 0.3 * c, 0.2 * c, 1.2 * c, replaced], np.float32)
+
+
+def wetness(config):
+    """Return how wet open hard ground is, 0 to 1."""
+    if config.water.level is not None:
+        return 1.0
+    return min(1.0, config.rain.past / WET_AFTER + config.rain.rate / WET_RATE)
+
+
+def fine_relief(terrain):
+    """Return a made-up roughness of hard ground below what a capture resolves, (ny, nx) [m].
+
+    Captured beds are smoothed, so their puddles would end in lines too smooth for stone. This only
+    moves the drawn rim by less than a millimetre of depth; the water itself does not know of it.
+    """
+    rng = np.random.Generator(np.random.PCG64(0))
+    relief = np.zeros(terrain.grid.shape)
+    for width in RELIEF_WIDTHS:
+        part = ndimage.gaussian_filter(rng.normal(size=relief.shape), width / terrain.grid.spacing)
+        relief += part / part.std()
+    return (RELIEF / math.sqrt(len(RELIEF_WIDTHS)) * relief).astype(np.float32)
+
+
+def water_surface(terrain, depth, relief):
+    """Return the height of the water surface and the water's depth, both float32 (ny, nx) [m].
+
+    The solver's cells are wet or dry; a picture needs a surface that goes on below the ground at
+    the rim, so that depth falls to zero smoothly. Grass is wet, but no mirror: it has no surface.
+    """
+    wet = (depth > WET_CELL) & (terrain.ground_class == HARD)
+    if not wet.any():
+        return terrain.bed, np.zeros_like(terrain.bed)
+    nearest = ndimage.distance_transform_edt(~wet, return_distances=False, return_indices=True)
+    surface = ndimage.gaussian_filter((terrain.bed + depth)[tuple(nearest)], 1.5)
+    near = ndimage.binary_dilation(wet, iterations=SURFACE_REACH)
+    over = np.where(near & (terrain.ground_class == HARD), surface - terrain.bed - relief, 0)
+    over = ndimage.gaussian_filter(np.maximum(over, 0), 0.7)
+    return surface.astype(np.float32), over.astype(np.float32)
+
+
+def ripple_levels(slopes):
+    """Return the slopes (2, n, n) at four resolutions, each half of the one before."""
+    levels = [np.ascontiguousarray(slopes, dtype=np.float32)]
+    for _ in range(3):
+        s = levels[-1]
+        two, n, _ = s.shape
+        half = s.reshape(two, n // 2, 2, n // 2, 2).mean(axis=(2, 4))
+        levels.append(np.ascontiguousarray(half, dtype=np.float32))
+    return levels
+
+
+class Timer:
+    """Wall time of named stages in milliseconds."""
+
+    def __init__(self):
+        self.stages = {}
+        self._last = clock.perf_counter()
+
+    def mark(self, name):
+        """Book the time since the last mark on `name`."""
+        now = clock.perf_counter()
+        self.stages[name] = self.stages.get(name, 0.0) + (now - self._last) * 1e3
+        self._last = now
+
+
+def render(scene, terrain, states, cameras, config):
+    """Yield (picture, FrameReport) for each state and its camera.
+
+    Parameters
+    ----------
+    scene : Scene
+    terrain : Terrain
+    states : iterable of SimState
+        In the order of their frames.
+    cameras : sequence of Camera
+        One per frame of the whole sequence (the state's index picks), or one for all.
+    config : Config
+
+    Yields
+    ------
+    picture : ndarray of shape (height, width, 3), uint8
+    report : FrameReport
+    """
+    if not cameras:
+        raise ParameterError("no camera was given; a frame needs one")
+    renderer = Renderer(scene, terrain, config, cameras[0])
+    for state in states:
+        camera = cameras[0] if len(cameras) == 1 else cameras[state.index]
+        yield renderer.draw(camera, state)
