@@ -327,6 +327,7 @@ HUMAN_KEYS = {
     "sun_elevation_degrees": ("sun", math.pi / 180),
     "cloudiness": ("cloudiness", 1.0),
     "brightness": ("brightness", 1.0),
+    "reflections": ("reflections", None),
     "streak_far_m": ("streak_far", 1.0),
     "frames": ("frames", None),
     "fps": ("fps", 1.0),

@@ -171,9 +171,7 @@ def _with_pose(camera, rotation, position, scale):
     matrix[:3, :3] = rotation
     matrix[:3, 3] = -rotation @ position
     zoom = 1 / scale if camera.orthographic else 1.0  # pixels per unit of length
-    return replace(
-        camera, camera_from_world=matrix, fx=camera.fx * zoom, fy=camera.fy * zoom
-    )
+    return replace(camera, camera_from_world=matrix, fx=camera.fx * zoom, fy=camera.fy * zoom)
 
 
 @dataclass(frozen=True, slots=True)
