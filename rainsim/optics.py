@@ -19,9 +19,9 @@ THREE = np.float32(3)
 FOUR = np.float32(4)
 HALF = np.float32(0.5)
 
-# Absorption of clear water with some silt [1/m], red, green, blue. Clean water takes .35, .07, .02
-# (Pope and Fry 1997); puddle water is turbid, and no measurement of it is used here: a guess.
-ABSORB_R, ABSORB_G, ABSORB_B = np.float32(9), np.float32(6), np.float32(5)
+# Absorption of puddle water [1/m], red, green, blue. Clean water takes .35, .07, .02 (Pope and Fry
+# 1997); puddles hold fine soil, which takes blue most. No measurement of it is used here: a guess.
+ABSORB_R, ABSORB_G, ABSORB_B = np.float32(5), np.float32(5.5), np.float32(7)
 NOT_GROUND = np.float32(0.03)  # m over the bed: what stands higher can be reflected
 HIDE_LOW, HIDE_HIGH = np.float32(0.004), np.float32(0.014)  # m above water: hides it, softly
 EDGE_SHARE = np.float32(0.06)  # of the picture, over which reflections fade to the surroundings

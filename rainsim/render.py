@@ -21,6 +21,7 @@ from rainsim.terrain import GRASS, HARD
 NEAR = 0.05  # m: splats nearer than this are not drawn
 WET_AFTER = 0.5e-3  # m of past rain after which open ground is wet through
 WET_RATE = 2.0 / 3.6e6  # m/s of rain that keeps ground wet whatever fell before
+GRASS_HEIGHT = 0.05  # m of water that closes over a lawn
 WET_CELL = 3e-4  # m: cells with more carry the water surface; thinner water only darkens
 RELIEF = 0.5e-3  # m, standard deviation of the roughness that a capture does not show; by eye
 RELIEF_WIDTHS = (0.02, 0.05, 0.12)  # m
@@ -91,7 +92,7 @@ class Renderer:
             extinction[:] = before, beyond - before, self.config.render.streak_far
         forward = self.view.camera_from_world[2, :3]
         drop = sky.drop_radiance(self.environment, forward)
-        air = sky.irradiance(self.environment).astype(np.float32)
+        air = sky.horizon_radiance(self.day)
         shade.compose(
             picture, self.depth, rain_alpha, splash_alpha, drop, air, extinction,
             np.float32(self.config.render.brightness), image,
@@ -298,15 +299,16 @@ def water_surface(terrain, depth, relief):
     """Return the height of the water surface and the water's depth, both float32 (ny, nx) [m].
 
     The solver's cells are wet or dry; a picture needs a surface that goes on below the ground at
-    the rim, so that depth falls to zero smoothly. Grass is wet, but no mirror: it has no surface.
+    the rim, so that depth falls to zero smoothly. Grass that stands out of the water hides it.
     """
-    wet = (depth > WET_CELL) & (terrain.ground_class == HARD)
+    smooth = (terrain.ground_class == HARD) | (depth > GRASS_HEIGHT)
+    wet = (depth > WET_CELL) & smooth
     if not wet.any():
         return terrain.bed, np.zeros_like(terrain.bed)
     nearest = ndimage.distance_transform_edt(~wet, return_distances=False, return_indices=True)
     surface = ndimage.gaussian_filter((terrain.bed + depth)[tuple(nearest)], 1.5)
     near = ndimage.binary_dilation(wet, iterations=SURFACE_REACH)
-    over = np.where(near & (terrain.ground_class == HARD), surface - terrain.bed - relief, 0)
+    over = np.where(near & smooth, surface - terrain.bed - relief, 0)
     over = ndimage.gaussian_filter(np.maximum(over, 0), 0.7)
     return surface.astype(np.float32), over.astype(np.float32)
 

@@ -221,9 +221,11 @@ def compose(
     for row in prange(height):
         for column in range(width):
             # Along the view axis, as drawn drops are counted (see `streaks.draw_streaks`).
-            z = min(depth[row, column], np.float32(500))  # m; clouds hang lower, farther is grey
-            thickness = extinction[0] * z + extinction[1] * max(z - extinction[2], ZERO)
-            clear = math.exp(-thickness)
+            z = depth[row, column]
+            clear = ONE  # the sky is seen through all the air already
+            if z < FAR_AWAY:
+                thickness = extinction[0] * z + extinction[1] * max(z - extinction[2], ZERO)
+                clear = math.exp(-thickness)
             streak, drop = rain_alpha[row, column], splash_alpha[row, column]
             for c in range(3):
                 value = picture[row, column, c] * clear + air_radiance[c] * (ONE - clear)

@@ -151,7 +151,8 @@ def initial_water(terrain, config, exposure):
         permeable=terrain.ground_class == GRASS, minimum_depth=shallow,
     )  # fmt: skip
     depth = standing[0]
-    wet = np.mean(depth[terrain.ground_class == HARD] > 1e-3) if config.rain.past else 0.0
+    hard = max(np.count_nonzero(terrain.ground_class == HARD), 1)
+    wet = np.count_nonzero((depth > 1e-3) & (terrain.ground_class == HARD)) / hard
     return depth, (
         f"{config.rain.past * 1e3:g} mm of past rain stand at rest; {wet:.0%} of the hard ground "
         "under more than 1 mm",

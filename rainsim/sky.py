@@ -82,6 +82,12 @@ def irradiance(environment):
     return np.einsum("ij,ijc->c", weight, environment) / weight.sum()
 
 
+def horizon_radiance(environment):
+    """Return the mean radiance just above the horizon, float32 (3,): the light of distant air."""
+    sine = directions(*environment.shape[:2])[..., 2]
+    return environment[(sine > 0.03) & (sine < 0.15)].mean(axis=0)
+
+
 def probe(draw, position):
     """Return the map of what lies all around `position` (ground frame, m).
 

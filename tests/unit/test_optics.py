@@ -91,7 +91,7 @@ def test_a_tanks_apparent_shift_is_snells():
     floor = surface[..., :2] + shift[..., None] * flat
     mirror = np.vectorize(fresnel)(cosine)
     path = deep / np.sqrt(1 - sine_in**2)
-    for channel, absorb in ((0, 9.0), (1, 6.0)):
+    for channel, absorb in ((0, 5.0), (1, 5.5)):
         expected = floor[..., channel] * (1 - mirror) * np.exp(-absorb * (path + deep))
         inside = coverage > 0.999
         inside[:, :5] = inside[:, -5:] = False

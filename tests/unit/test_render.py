@@ -1,0 +1,156 @@
+"""Whole frames of the tiny scene: what must change in rain and what must not."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from rainsim import render as rendering
+from rainsim.config import Config, mm_per_hour
+from rainsim.errors import ParameterError
+from rainsim.pipeline import extract_terrain, render_rain, simulate
+from rainsim.scene.types import GroundFrame
+from scenes import tiny_scene
+
+SIZE = (96, 72)
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return tiny_scene()
+
+
+@pytest.fixture(scope="module")
+def camera(scene):
+    return scene.cameras[0].resized(*SIZE)
+
+
+def config(**changes):
+    base = {
+        "rate": mm_per_hour(10.0), "past": 4e-3, "frames": 1, "width": SIZE[0], "extent": 1.0,
+        "spacing": 0.025, "wind": (0.0, 0.0),
+    }  # fmt: skip
+    return Config().replace(**{**base, **changes})
+
+
+def frame(scene, camera, **changes):
+    return next(render_rain(scene, [camera], config(**changes)))
+
+
+def decibel(a, b):
+    error = np.mean((np.asarray(a, float) - np.asarray(b, float)) ** 2) / 255**2
+    return -10 * np.log10(max(error, 1e-12))
+
+
+def test_report_names_stages_and_closes_the_ledger(scene, camera):
+    picture, report = frame(scene, camera)
+    assert picture.shape == (SIZE[1], SIZE[0], 3) and picture.dtype == np.uint8
+    assert {"splat", "grade and wet", "water and reflection", "compose"} <= set(report.milliseconds)
+    assert abs(report.ledger["residual"]) < 1e-9
+    assert picture.std() > 5
+
+
+def test_no_rain_on_a_clear_day_is_the_capture_itself(scene, camera):
+    """Without rain, clouds and puddles only the soft shoulder of the display curve is left."""
+    picture, _ = frame(scene, camera, rate=0.0, past=0.0, cloudiness=0.0, sky="capture")
+    from rainsim.raster import prepare, rasterize
+
+    layers = rasterize(prepare(scene.splats), camera, 0.05 / scene.ground_frame.meters_per_unit)
+    inside = layers.alpha > 0.99
+    assert inside.sum() > 1000
+    captured = np.clip(layers.color, 0, 1) * 255
+    dark = inside & (captured.max(axis=-1) < 180)  # below the shoulder
+    assert dark.sum() > 500
+    assert np.abs(picture[dark].astype(float) - captured[dark]).max() < 2.5
+
+
+def test_rain_wets_and_darkens_the_ground(scene, camera):
+    dry, _ = frame(scene, camera, rate=0.0, past=0.0)
+    wet, _ = frame(scene, camera, rate=0.0, past=2e-3)
+    lower = slice(SIZE[1] // 2, None)
+    assert wet[lower].mean() < 0.95 * dry[lower].mean()
+
+
+@pytest.mark.parametrize("reflections", ["mirror", "ssr"])
+def test_water_shows_only_where_it_stands(scene, camera, reflections):
+    dry, _ = frame(scene, camera, rate=0.0, past=2e-3, reflections=reflections)
+    flood, _ = frame(scene, camera, rate=0.0, past=2e-3, level=0.03, reflections=reflections)
+    changed = np.abs(flood.astype(int) - dry).max(axis=-1) > 3
+    assert 0.05 < changed.mean() < 0.95
+
+
+def test_march_and_mirror_tell_much_the_same(scene, camera):
+    mirror, _ = frame(scene, camera, rate=0.0, level=0.03, reflections="mirror")
+    march, _ = frame(scene, camera, rate=0.0, level=0.03, reflections="ssr")
+    assert decibel(mirror, march) > 25
+    assert (mirror != march).any()
+
+
+def test_streaks_change_with_time_and_longer_exposure_keeps_their_light(scene, camera):
+    heavy = {"rate": mm_per_hour(50.0), "past": 0.0, "frames": 2}
+    frames = [p for p, _ in render_rain(scene, [camera], config(**heavy))]
+    assert (frames[0] != frames[1]).any()
+
+
+def test_rescaled_and_turned_capture_gives_the_same_frame(scene, camera):
+    """SH of the tiny scene is of degree 0, so turning needs no rotation of colours."""
+    picture, _ = frame(scene, camera, level=0.03)
+    size, shift = 2.7, np.array([3.0, -1.0, 0.5])
+    c, s = np.cos(0.7), np.sin(0.7)  # about y
+    turn = np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
+    splats = scene.splats
+    w, x, y, z = splats.rotation.T
+    c, s = np.cos(0.35), np.sin(0.35)
+    rotation = np.stack([c * w - s * y, c * x + s * z, c * y + s * w, c * z - s * x], axis=1)
+    moved = dataclasses.replace(
+        splats, position=(splats.position @ turn.T * size + shift).astype(np.float32),
+        rotation=rotation.astype(np.float32), scale=splats.scale * np.float32(size),
+    )  # fmt: skip
+    old = scene.ground_frame
+    unit = old.meters_per_unit / size
+    new = GroundFrame(
+        old.rotation @ turn.T, unit, old.translation - unit * old.rotation @ turn.T @ shift
+    )
+
+    def move(camera):
+        matrix = np.eye(4)
+        matrix[:3, :3] = camera.camera_from_world[:3, :3] @ turn.T
+        matrix[:3, 3] = -matrix[:3, :3] @ (turn @ camera.position * size + shift)
+        return dataclasses.replace(camera, camera_from_world=matrix)
+
+    turned = dataclasses.replace(
+        scene, splats=moved, ground_frame=new, cameras=tuple(map(move, scene.cameras))
+    )
+    again, _ = frame(turned, move(camera), level=0.03)
+    assert decibel(picture, again) > 50
+
+
+def test_a_still_camera_is_splatted_once_and_a_moving_one_each_time(scene, camera):
+    other = scene.cameras[1].resized(*SIZE)
+    reports = [r for _, r in render_rain(scene, [camera], config(frames=3))]
+    assert "splat" in reports[0].milliseconds
+    assert "splat" not in reports[1].milliseconds and "splat" not in reports[2].milliseconds
+    reports = [r for _, r in render_rain(scene, [camera, other], config(frames=2))]
+    assert all("splat" in r.milliseconds for r in reports)
+
+
+def test_no_camera_and_unknown_backend_are_told(scene, camera):
+    ground = extract_terrain(scene, config())
+    with pytest.raises(ParameterError, match="camera"):
+        next(rendering.render(scene, ground, simulate(ground, config()), [], config()))
+    with pytest.raises(ParameterError, match="backend"):
+        next(render_rain(scene, [camera], config(), backend="abacus"))
+
+
+def test_the_mirrored_camera_sees_a_point_where_its_mirror_image_is(scene):
+    frame_, camera = scene.ground_frame, scene.cameras[0]
+    level = 0.04
+    plane, mirrored = rendering.mirrored_camera(camera, frame_, level)
+    point = np.array([0.3, 0.2, 0.5])
+    image = np.array([0.3, 0.2, 2 * level - 0.5])
+    seen = mirrored.camera_from_world @ np.append(frame_.to_capture(point), 1)
+    expected = camera.camera_from_world @ np.append(frame_.to_capture(image), 1)
+    np.testing.assert_allclose(seen, expected, atol=1e-9)
+    above = frame_.to_capture(np.array([1.0, -2.0, level + 0.02])) @ plane[:3] - plane[3]
+    below = frame_.to_capture(np.array([1.0, -2.0, level + 0.01])) @ plane[:3] - plane[3]
+    assert above > 0 > below
