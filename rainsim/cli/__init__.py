@@ -8,7 +8,7 @@ from __future__ import annotations
 import click
 
 from rainsim import __version__
-from rainsim.cli import film, tools
+from rainsim.cli import film, ground, splat, tools
 from rainsim.errors import ParameterError, RainsimError
 
 INTERRUPTED = 130  # 128 + SIGINT, as shells have it
@@ -72,9 +72,10 @@ def cli():
 for _command in (
     film.run,
     tools.import_,
-    tools.heightmap,
+    ground.heightmap,
     film.simulate,
     film.render,
+    splat.splat,
     tools.scenes,
     tools.presets,
     tools.warmup,

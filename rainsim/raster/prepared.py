@@ -1,4 +1,9 @@
-"""What rasterizing needs of a scene and no camera changes: prepared once, used for all pictures."""
+"""What rasterizing needs of a scene and no camera changes: prepared once, used for all pictures.
+
+Splats lie in Morton order, near in space and near in memory, in chunks of 256. Within a chunk each
+quantity has a row of its own, so that the projection runs on 16 splats at a time. Each chunk knows
+the box its splats lie in: most of what is out of the picture is left out chunk by chunk.
+"""
 
 from __future__ import annotations
 
@@ -8,72 +13,99 @@ import numpy as np
 
 from rainsim.jit import cpu_kernel, prange
 
+LANES = 256  # splats of a chunk
+SIGMAS = np.float32(3.33)  # sqrt(2 ln 255): an opaque splat ends here
+
+# Runs of a chunk's geometry.
+OPACITY, GEOMETRY = 12, 13  # after position (3), covariance (6) and normal (3)
+
 ONE = np.float32(1)
 TWO = np.float32(2)
 
 
 @dataclass(frozen=True)
 class PreparedSplats:
-    """What rasterizing needs of a scene and no camera changes; splats in Morton order.
+    """A scene's splats in the order and layout that projection wants.
 
     Attributes
     ----------
-    position : ndarray of shape (n, 3), float32 [capture units]
-    covariance : ndarray of shape (n, 6), float32 [capture units^2]
-        xx, xy, xz, yy, yz, zz.
-    normal : ndarray of shape (n, 3), float32
-        The splat's thinnest axis, sign free.
-    opacity_log2 : ndarray of shape (n,), float32
-    sh : ndarray of shape (n, 3 k), float32
-    order : ndarray of shape (n,), int64
+    geometry : ndarray of shape (chunks, 13 * 256), float32
+        In each chunk 13 runs of 256: position x, y, z [capture units]; covariance xx, xy, xz, yy,
+        yz, zz; the thinnest axis x, y, z, sign free; log2 of the opacity (-inf for the places left
+        over).
+    sh : ndarray of shape (chunks, 3 k * 256), float32
+        In each chunk 3 k runs of 256: the three channels of a spherical harmonic one after the
+        other.
+    box : ndarray of shape (chunks, 6), float32 [capture units]
+        Lowest and highest x, y, z that any splat of the chunk reaches.
+    order : ndarray of shape (n,), int32
         Index of each prepared splat in the scene it came from.
     """
 
-    position: np.ndarray
-    covariance: np.ndarray
-    normal: np.ndarray
-    opacity_log2: np.ndarray
+    geometry: np.ndarray
     sh: np.ndarray
+    box: np.ndarray
     order: np.ndarray
+
+    def __len__(self):
+        return len(self.order)
+
+    @property
+    def position(self):
+        """Positions in the prepared order, a copy of shape (n, 3), float32."""
+        rows = self.geometry[:, : 3 * LANES].reshape(-1, 3, LANES).transpose(0, 2, 1)
+        return rows.reshape(-1, 3)[: len(self)]
 
 
 def prepare(splats):
-    """Return the `PreparedSplats` of `splats`: Morton order, covariances and normals."""
-    order = _morton_order(splats.position)
-    n = len(order)
-    covariance = np.empty((n, 6), np.float32)
-    normal = np.empty((n, 3), np.float32)
-    _covariances(splats.scale, splats.rotation, order, covariance, normal)
-    with np.errstate(divide="ignore"):
-        opacity_log2 = np.log2(splats.opacity[order], dtype=np.float32)
-    sh = splats.sh.reshape(n, -1) if n else np.zeros((0, 3), np.float32)
-    position = splats.position[order]
-    return PreparedSplats(position, covariance, normal, opacity_log2, sh[order], order)
+    """Return the `PreparedSplats` of `splats`."""
+    order = morton_order(splats.position)
+    chunks = -(-len(order) // LANES)
+    geometry = np.empty((chunks, GEOMETRY, LANES), np.float32)
+    _lay_out(splats.position, splats.scale, splats.rotation, splats.opacity, order, geometry)
+    values = splats.sh.reshape(len(order), -1) if len(order) else np.zeros((0, 3), np.float32)
+    return _with_boxes(geometry, _in_chunks(values, order), order)
 
 
 def select(prepared, keep):
-    """Return those of the prepared splats that the mask `keep` (in prepared order) selects."""
-    return PreparedSplats(
-        prepared.position[keep],
-        prepared.covariance[keep],
-        prepared.normal[keep],
-        prepared.opacity_log2[keep],
-        prepared.sh[keep],
-        prepared.order[keep],
-    )
+    """Return those of the prepared splats that the mask `keep` (n,), in their order, selects."""
+    which = np.flatnonzero(keep).astype(np.int32)
+    parts = []
+    for runs, spare in ((prepared.geometry, -np.inf), (prepared.sh, 0)):
+        rows = runs.reshape(len(runs), -1, LANES)
+        flat = np.ascontiguousarray(rows.transpose(0, 2, 1)).reshape(-1, rows.shape[1])
+        parts.append(_in_chunks(flat, which))
+        if spare:  # the places left over hold nothing
+            parts[-1][len(which) // LANES :, OPACITY, len(which) % LANES :] = spare
+    return _with_boxes(*parts, prepared.order[which])
 
 
-def _morton_order(position):
-    """Return the order of `position` (n, 3) along a Morton curve: near in space, near in memory."""
+def _with_boxes(geometry, sh, order):
+    box = np.empty((len(geometry), 6), np.float32)
+    _boxes(geometry, len(order), box)
+    n = len(geometry)
+    runs = (a.reshape(n, a.shape[1] * LANES) for a in (geometry, sh))
+    return PreparedSplats(*runs, box, order)
+
+
+def _in_chunks(values, order):
+    """Return values[order] (n, m) as rows (chunks, m, 256)."""
+    rows = np.empty((-(-len(order) // LANES), values.shape[1], LANES), np.float32)
+    _transpose(values, order, rows)
+    return rows
+
+
+def morton_order(position):
+    """Return the order of `position` (n, 3) along a Morton curve, int32."""
     if len(position) == 0:
-        return np.zeros(0, np.int64)
+        return np.zeros(0, np.int32)
     low, high = np.percentile(position[:: max(1, len(position) // 100_000)], (0.5, 99.5), axis=0)
     cell = (position - low) / np.maximum(high - low, np.finfo(np.float32).tiny) * 1023
     cell = np.clip(np.nan_to_num(cell), 0, 1023).astype(np.uint32)
     code = _spread_bits(cell[:, 0])
     code |= _spread_bits(cell[:, 1]) << np.uint32(1)
     code |= _spread_bits(cell[:, 2]) << np.uint32(2)
-    return np.argsort(code, kind="stable")
+    return np.argsort(code, kind="stable").astype(np.int32)
 
 
 def _spread_bits(x):
@@ -84,24 +116,67 @@ def _spread_bits(x):
 
 
 @cpu_kernel
-def _covariances(scale, rotation, order, covariance_out, normal_out):
-    for s in prange(len(order)):
-        o = order[s]
-        w, x, y, z = rotation[o, 0], rotation[o, 1], rotation[o, 2], rotation[o, 3]
-        r00, r01, r02 = ONE - TWO * (y * y + z * z), TWO * (x * y - w * z), TWO * (x * z + w * y)
-        r10, r11, r12 = TWO * (x * y + w * z), ONE - TWO * (x * x + z * z), TWO * (y * z - w * x)
-        r20, r21, r22 = TWO * (x * z - w * y), TWO * (y * z + w * x), ONE - TWO * (x * x + y * y)
-        s0, s1, s2 = scale[o, 0], scale[o, 1], scale[o, 2]
-        a, b, c = s0 * s0, s1 * s1, s2 * s2
-        covariance_out[s, 0] = a * r00 * r00 + b * r01 * r01 + c * r02 * r02
-        covariance_out[s, 1] = a * r00 * r10 + b * r01 * r11 + c * r02 * r12
-        covariance_out[s, 2] = a * r00 * r20 + b * r01 * r21 + c * r02 * r22
-        covariance_out[s, 3] = a * r10 * r10 + b * r11 * r11 + c * r12 * r12
-        covariance_out[s, 4] = a * r10 * r20 + b * r11 * r21 + c * r12 * r22
-        covariance_out[s, 5] = a * r20 * r20 + b * r21 * r21 + c * r22 * r22
-        if s0 <= s1 and s0 <= s2:
-            normal_out[s, 0], normal_out[s, 1], normal_out[s, 2] = r00, r10, r20
-        elif s1 <= s2:
-            normal_out[s, 0], normal_out[s, 1], normal_out[s, 2] = r01, r11, r21
-        else:
-            normal_out[s, 0], normal_out[s, 1], normal_out[s, 2] = r02, r12, r22
+def _lay_out(position, scale, rotation, opacity, order, geometry_out):
+    """Write the geometry rows of each chunk."""
+    for chunk in prange(len(geometry_out)):
+        g = geometry_out[chunk]
+        g[:] = 0
+        g[OPACITY] = -np.inf
+        for i in range(min(LANES, len(order) - chunk * LANES)):
+            o = order[chunk * LANES + i]
+            w, x, y, z = rotation[o, 0], rotation[o, 1], rotation[o, 2], rotation[o, 3]
+            r00, r01 = ONE - TWO * (y * y + z * z), TWO * (x * y - w * z)
+            r10, r11 = TWO * (x * y + w * z), ONE - TWO * (x * x + z * z)
+            r20, r21 = TWO * (x * z - w * y), TWO * (y * z + w * x)
+            r02, r12, r22 = (
+                TWO * (x * z + w * y),
+                TWO * (y * z - w * x),
+                ONE - TWO * (x * x + y * y),
+            )
+            s0, s1, s2 = scale[o, 0], scale[o, 1], scale[o, 2]
+            a, b, c = s0 * s0, s1 * s1, s2 * s2
+            g[0, i], g[1, i], g[2, i] = position[o, 0], position[o, 1], position[o, 2]
+            g[3, i] = a * r00 * r00 + b * r01 * r01 + c * r02 * r02
+            g[4, i] = a * r00 * r10 + b * r01 * r11 + c * r02 * r12
+            g[5, i] = a * r00 * r20 + b * r01 * r21 + c * r02 * r22
+            g[6, i] = a * r10 * r10 + b * r11 * r11 + c * r12 * r12
+            g[7, i] = a * r10 * r20 + b * r11 * r21 + c * r12 * r22
+            g[8, i] = a * r20 * r20 + b * r21 * r21 + c * r22 * r22
+            if s0 <= s1 and s0 <= s2:
+                g[9, i], g[10, i], g[11, i] = r00, r10, r20
+            elif s1 <= s2:
+                g[9, i], g[10, i], g[11, i] = r01, r11, r21
+            else:
+                g[9, i], g[10, i], g[11, i] = r02, r12, r22
+            g[OPACITY, i] = np.log2(opacity[o])
+
+
+@cpu_kernel
+def _boxes(geometry, n, box_out):
+    """Write the box that the first `n` splats reach, chunk by chunk."""
+    for chunk in prange(len(box_out)):
+        g, box = geometry[chunk], box_out[chunk]
+        box[:3] = np.inf
+        box[3:] = -np.inf
+        for i in range(min(LANES, n - chunk * LANES)):
+            for k in range(3):
+                variance = g[3, i] if k == 0 else (g[6, i] if k == 1 else g[8, i])
+                reach = SIGMAS * np.sqrt(variance)
+                # Not a number compares false: such a splat does not move the box.
+                if g[k, i] - reach < box[k]:
+                    box[k] = g[k, i] - reach
+                if g[k, i] + reach > box[3 + k]:
+                    box[3 + k] = g[k, i] + reach
+
+
+@cpu_kernel
+def _transpose(values, order, rows_out):
+    """Write values[order] (n, m) as rows_out (chunks, m, 256); zero in the places left over."""
+    for chunk in prange(len(rows_out)):
+        rows = rows_out[chunk]
+        count = min(LANES, len(order) - chunk * LANES)
+        rows[:, count:] = 0
+        for i in range(count):
+            o = order[chunk * LANES + i]
+            for k in range(values.shape[1]):
+                rows[k, i] = values[o, k]

@@ -7,6 +7,7 @@ import pytest
 
 import naive
 from rainsim import raster
+from rainsim.errors import ParameterError
 from rainsim.jit import set_threads
 from rainsim.scene.types import Camera, Splats
 
@@ -212,3 +213,95 @@ def test_empty_scene_and_a_million_at_one_point():
 def test_points_with_zero_scale_are_pixels():
     layers = draw(one_splat(scale=(0, 0, 0), opacity=1.0), camera())
     assert 0 < (layers.alpha > 0).sum() < 30
+
+
+def test_median_depth_is_the_splat_that_stops_half_the_light():
+    cam = Camera(33, 33, 50.0, 50.0, 16.5, 16.5, np.eye(4))
+    parts = [one_splat((0, 0, z), (1, 1, 0.01), o) for z, o in ((3, 0.3), (4, 0.4), (5, 0.9))]
+    stack = Splats(*(np.concatenate([getattr(p, n) for p in parts]) for n in Splats.__slots__))
+    layers = raster.rasterize(raster.prepare(stack), cam, 0.2, depth="median")
+    # 0.7, then 0.42 of the light is left: the second splat.
+    assert layers.depth[16, 16] == pytest.approx(4.0)
+    mean = draw(stack, cam).depth[16, 16]
+    weights = np.array([0.3, 0.7 * 0.4, 0.7 * 0.6 * 0.9])
+    assert mean == pytest.approx(weights @ [3, 4, 5] / weights.sum(), rel=1e-5)
+    faint = raster.rasterize(raster.prepare(parts[0]), cam, 0.2, depth="median")
+    assert np.isinf(faint.depth).all() and faint.alpha.max() > 0.29
+    np.testing.assert_array_equal(layers.color, draw(stack, cam).color)
+
+
+def test_compensation_keeps_the_light_of_what_the_low_pass_widens():
+    """Mip-Splatting: alpha times the root of the areas' ratio; big splats hardly change."""
+    cam = Camera(33, 33, 50.0, 50.0, 16.5, 16.5, np.eye(4))
+    for size, near_one in ((0.01, False), (2.0, True)):
+        splats = one_splat(scale=(size, size, size), opacity=0.9)
+        prepared = raster.prepare(splats)
+        plain = raster.rasterize(prepared, cam, 0.2).alpha[16, 16]
+        weaker = raster.rasterize(prepared, cam, 0.2, compensate=True).alpha[16, 16]
+        area = (50 / 4 * size) ** 2
+        assert weaker / plain == pytest.approx(area / (area + 0.3), rel=1e-4)
+        assert (weaker / plain > 0.99) == near_one
+
+
+def test_cutting_at_a_plane_leaves_what_is_above(rng):
+    splats = cloud(rng, 300, 1)
+    prepared = raster.prepare(splats)
+    plane = np.array([0.2, -0.9, 0.1, 0.3])
+    cut = raster.rasterize(prepared, camera(), 0.2, plane=plane)
+    kept = splats.take(splats.position @ plane[:3].astype(np.float32) >= plane[3])
+    assert 20 < len(kept) < 280
+    assert decibel(cut.color, draw(kept, camera()).color) > 100
+
+
+def test_lower_degrees_of_harmonics_are_those_of_a_truncated_scene(rng):
+    splats = cloud(rng, 200, 16)
+    prepared = raster.prepare(splats)
+    for degree in (0, 1, 2):
+        fewer = dataclasses.replace(
+            splats, sh=np.ascontiguousarray(splats.sh[:, : (degree + 1) ** 2])
+        )
+        one = raster.rasterize(prepared, camera(), 0.2, degree=degree).color
+        assert decibel(one, draw(fewer, camera()).color) > 110
+        assert decibel(one, draw(splats, camera()).color) < 60
+
+
+def test_selecting_prepared_splats_is_preparing_selected_ones(rng):
+    splats = cloud(rng, 1000, 4)
+    prepared = raster.prepare(splats)
+    np.testing.assert_array_equal(prepared.position, splats.position[prepared.order])
+    keep = prepared.position[:, 2] > 3
+    some = raster.select(prepared, keep)
+    assert len(some) == keep.sum()
+    np.testing.assert_array_equal(some.position, prepared.position[keep])
+    expected = draw(splats.take(splats.position[:, 2] > 3), camera())
+    assert decibel(raster.rasterize(some, camera(), 0.2).color, expected.color) > 110
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_leaving_out_chunks_changes_nothing(seed):
+    """Chunks far out, near the eye, and across the picture's edges; cameras within the cloud."""
+    rng = np.random.default_rng(seed)
+    splats = cloud(rng, 4000, 1)
+    turn = naive.quaternion_matrix(rng.normal(size=4))
+    matrix = np.eye(4)
+    matrix[:3, :3] = turn
+    matrix[:3, 3] = -turn @ rng.uniform((-3, -2, -1), (3, 2, 9))
+    cam = dataclasses.replace(camera(48, 32, 40.0), camera_from_world=matrix)
+    color, _, _ = naive.splat_image(splats, cam, 0.2)
+    assert decibel(draw(splats, cam).color, color) > 85
+
+
+def test_thin_slanted_splats_reach_every_pixel_they_should(rng):
+    """The block test is conservative: needles at all angles, one at a time."""
+    cam = camera(64, 64, 60.0)
+    for angle in np.linspace(0, np.pi, 13):
+        needle = one_splat((0.05, -0.03, 4.0), (2.0, 0.01, 0.01), 0.95)
+        q = np.array([[np.cos(angle / 2), 0, 0, np.sin(angle / 2)]], np.float32)
+        needle = dataclasses.replace(needle, rotation=q)
+        color, _, _ = naive.splat_image(needle, cam, 0.2)
+        assert decibel(draw(needle, cam).color, color) > 95
+
+
+def test_unknown_depth_mode_is_told():
+    with pytest.raises(ParameterError, match="expected, median"):
+        raster.rasterize(raster.prepare(one_splat()), camera(), depth="nearest")

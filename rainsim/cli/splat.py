@@ -1,0 +1,169 @@
+"""`rainsim splat`: the dry capture from any camera, as a picture or as arrays."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import click
+
+from rainsim.cli import options
+from rainsim.cli.choose import DEFAULT_FOV, DEFAULT_SHAPE, DEFAULT_WIDTH, named_camera
+from rainsim.cli.options import FILE, Numbers
+from rainsim.errors import ParameterError, require_positive
+
+NEAR = 0.01  # capture units, as gsplat has it
+SIDES = (1, 16384)  # px
+
+
+@click.command(short_help="Draw the dry capture from a camera.")
+@click.argument("scene", default="bicycle")
+@click.option("--camera", metavar="NAME", help="A camera of the capture. [default: its first]")
+@click.option("--cameras", type=FILE, metavar="FILE.json", help="Cameras instead of its own.")
+@click.option("--eye", type=Numbers("x,y,z"), help="Where to look from, in capture units.")
+@click.option("--look-at", type=Numbers("x,y,z"), help="Where to look to, in capture units.")
+@click.option("--fov", type=float, metavar="DEG", help="Horizontal, with --eye. [default: 60]")
+@click.option("--up", type=Numbers("x,y,z"), help="Up in the picture, with --eye. [default: the "
+              "cameras' mean]")  # fmt: skip
+@click.option("--ortho-height", type=float, metavar="UNITS",
+              help="Orthographic, with --eye: capture units that the picture is high.")  # fmt: skip
+@click.option("--width", type=int, metavar="PX", help="[default: 648]")
+@click.option("--height", type=int, metavar="PX", help="[default: the camera's shape]")
+@click.option("--depth", type=click.Choice(["expected", "median", "plane"]), default="expected",
+              show_default=True, help="Mean of the centres, the half-way splat, or the ray's "
+              "meeting with the blended plane.")  # fmt: skip
+@click.option("--compensate", is_flag=True, help="Weaken splats below a pixel, as Mip-Splatting.")
+@click.option("--out", "-o", type=FILE, required=True, metavar="FILE.png|FILE.npz",
+              help="Picture, or float32 arrays rgb, alpha, depth, normal.")  # fmt: skip
+@click.option("--overwrite", is_flag=True, help="Replace the file if it exists.")
+@click.option("--threads", type=int, metavar="N", show_default="all cores", help="Threads.")
+@options.json_option
+def splat(scene, out, overwrite, threads, as_json, depth, compensate, **given):
+    """Draw the dry capture SCENE from a camera, without looking for its ground.
+
+    Arrays: rgb (height, width, 3) display-referred over black; alpha; depth in capture units,
+    infinite where nothing is; normal in the capture frame, zero where nothing is.
+
+    \b
+    Example:
+        rainsim splat garden --camera DSC07956 --out view.png
+        rainsim splat truck.splat --up 0,-1,0 --eye 1.2,-.25,-1.6 --look-at 0,.25,0 -o truck.png
+    """
+    from rainsim.scene.library import load_scene
+    from rainsim.scene.types import GroundFrame
+
+    if out.suffix.lower() not in (".png", ".npz"):
+        raise ParameterError(f"--out is {out}; it must end in .png or .npz; correct the name")
+    if out.exists() and not overwrite:
+        raise ParameterError(f"{out} exists; it is kept; give --overwrite or another --out")
+    if not out.parent.is_dir():
+        raise ParameterError(f"the folder {out.parent} does not exist; make it first")
+    _check(given)
+    import numpy as np
+
+    from rainsim.jit import set_threads
+
+    set_threads(threads)
+    nowhere = GroundFrame(np.eye(3), 1.0, np.zeros(3))  # drawing needs no ground
+    capture = load_scene(scene, cameras=given["cameras"], ground_frame=nowhere)
+    camera = _camera(capture, given)
+    layers, milliseconds = draw(capture, camera, depth, compensate)
+    _write(Path(out), layers, camera)
+    facts = {
+        "out": str(out), "camera": camera.name, "width": camera.width, "height": camera.height,
+        "splats": len(capture.splats), "milliseconds": round(milliseconds, 1),
+        "notes": list(capture.notes),
+    }  # fmt: skip
+    if as_json:
+        import json
+
+        click.echo(json.dumps(facts, indent=1))
+        return
+    for note in capture.notes:
+        click.echo(note, err=True)
+    click.echo(f"{out}: {len(capture.splats)} splats in {milliseconds:.0f} ms", err=True)
+
+
+def _check(given):
+    """Raise ParameterError if the camera options contradict each other."""
+    if (given["eye"] is None) != (given["look_at"] is None):
+        raise ParameterError("--eye and --look-at go together; give both")
+    if given["eye"] is not None and given["camera"] is not None:
+        raise ParameterError("--camera and --eye are both given; leave one out")
+    for name in ("fov", "up", "ortho_height"):
+        if given[name] is not None and given["eye"] is None:
+            option = name.replace("_", "-")
+            raise ParameterError(f"--{option} goes with --eye and --look-at; give them or leave it")
+    if given["ortho_height"] is not None:
+        require_positive("--ortho-height", given["ortho_height"], "units")
+        if given["fov"] is not None:
+            raise ParameterError("--fov and --ortho-height are both given; leave one out")
+    for name in ("width", "height"):
+        if given[name] is not None and not SIDES[0] <= given[name] <= SIDES[1]:
+            low, high = SIDES
+            raise ParameterError(f"--{name} is {given[name]}; it must be {low} to {high} px")
+
+
+def _camera(capture, given):
+    """Return the camera that the options name or place, in the size asked for."""
+    from rainsim.scene.cameras import look_at
+
+    width, height = given["width"], given["height"]
+    if given["eye"] is None:
+        camera = named_camera(capture, given["camera"])
+        if height is None:
+            width = width or DEFAULT_WIDTH
+            height = max(round(width * camera.height / camera.width), 1)
+        return camera.resized(width or round(height * camera.width / camera.height), height)
+    width = width or (round(height * DEFAULT_SHAPE) if height else DEFAULT_WIDTH)
+    height = height or max(round(width / DEFAULT_SHAPE), 1)
+    fov = DEFAULT_FOV if given["fov"] is None else given["fov"]
+    camera = look_at(given["eye"], given["look_at"], _up(capture, given), fov, width, height, "eye")
+    if given["ortho_height"] is not None:
+        scale = height / given["ortho_height"]
+        camera = replace(camera, fx=scale, fy=scale, orthographic=True)
+    return camera
+
+
+def _up(capture, given):
+    import numpy as np
+
+    if given["up"] is not None:
+        return given["up"]
+    if not capture.cameras:
+        raise ParameterError(
+            f"{capture.name} has no cameras that tell which way is up; give --up x,y,z"
+        )
+    return np.mean([camera.image_up for camera in capture.cameras], axis=0)
+
+
+def draw(capture, camera, depth="expected", compensate=False):
+    """Return the layers that a camera sees, with `depth` as the mode asks, and milliseconds."""
+    import time
+
+    from rainsim.raster import Rasterizer, prepare
+
+    drawer = Rasterizer(prepare(capture.splats))
+    begin = time.perf_counter()
+    mode = "median" if depth == "median" else "expected"
+    layers = drawer.draw(camera, NEAR, depth=mode, compensate=compensate)
+    milliseconds = (time.perf_counter() - begin) * 1e3
+    if depth == "plane":
+        layers = replace(layers, depth=layers.plane_depth)
+    return layers, milliseconds
+
+
+def _write(out, layers, camera):
+    import numpy as np
+
+    from rainsim import image
+
+    if out.suffix.lower() == ".png":
+        shown = np.clip(layers.color, 0, 1) * 255 + 0.5
+        image.write_png(out, shown.astype(np.uint8))
+        return
+    normal = layers.normal @ camera.camera_from_world[:3, :3].astype(np.float32)
+    image.write_npz(
+        out, rgb=layers.color, alpha=layers.alpha, depth=layers.depth,
+        normal=np.ascontiguousarray(normal, dtype=np.float32),
+    )  # fmt: skip
