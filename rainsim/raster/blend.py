@@ -1,0 +1,183 @@
+"""Blending: each tile's list, sorted and blended front to back, in blocks of 4 x 4 pixels."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rainsim.jit import cpu_kernel, device_function, prange
+from rainsim.raster.lanes import CHANNELS, LANES, blend_lanes, lowest_bit, meets_blocks, prefetch
+from rainsim.raster.project import TILE
+from rainsim.raster.tiles import DIGITS, sort_keys
+
+SIDE = 4  # px of a block: sixteen pixels, one vector
+SHIFT = 2  # log2 of the side
+ROW = TILE // SIDE  # blocks across a tile
+BLOCKS = ROW * ROW
+BATCH = 128  # entries that are dealt to the blocks before these blend
+AHEAD = 12  # entries by which records are fetched before they are read
+LOW_WORD = np.uint64(0xFFFFFFFF)
+
+TRANSMITTANCE_STOP = np.float32(1e-4)  # what is behind cannot change an 8-bit image
+MIN_COVERAGE = np.float32(0.02)  # alpha below which a pixel has no depth
+EDGE_ON = np.float32(0.02)  # cosine at which a blended plane no longer tells the depth
+PLANE_LIMIT = np.float32(0.2)  # share of the depth by which the plane may correct it
+
+# Unsigned numbers for indexing.
+RED, GREEN, BLUE, DEPTH, NORMAL_X, NORMAL_Y, NORMAL_Z, PLANE = (
+    np.uint64(row * LANES) for row in range(1, CHANNELS)
+)
+NEXT, AFTER, THREE = np.uint64(1), np.uint64(2), np.uint64(3)
+WIDE_SHIFT, WIDE_MASK, WIDE_ROW = np.uint64(SHIFT), np.uint64(SIDE - 1), np.uint64(ROW)
+BLOCK_NUMBERS = np.uint64(CHANNELS * LANES)
+
+NOWHERE = np.float32(np.inf)
+ZERO = np.float32(0)
+ONE = np.float32(1)
+HALF = np.float32(0.5)
+
+
+@device_function
+def deal(entry, record, begin, end, left, top, is_open, chosen_out, count_out):
+    """Put each entry's record into the list of every open block of the tile that it can reach."""
+    count_out[:] = 0
+    wanted = 0
+    for block in range(BLOCKS):
+        wanted |= np.int64(is_open[block]) << block
+    x, y = np.float32(left + SIDE // 2), np.float32(top + SIDE // 2)
+    for k in range(begin, end):
+        if k + AHEAD < len(entry):
+            prefetch(record, np.int64(entry[k + AHEAD] & LOW_WORD))
+        o = np.int64(entry[k] & LOW_WORD)
+        blocks = meets_blocks(record, o, x, y) & wanted
+        while blocks != 0:
+            block = lowest_bit(blocks)
+            blocks &= blocks - 1
+            n = count_out[block]
+            chosen_out[block * BATCH + n] = o
+            count_out[block] = n + 1
+
+
+@cpu_kernel
+def blend_tiles(
+    record, entry, start, turn, height, width, lens, orthographic, median,
+    color_out, alpha_out, depth_out, plane_out, normal_out,
+):  # fmt: skip
+    """Sort each tile's list, blend it front to back and write the tile's pixels.
+
+    `turn` holds the rows of tiles in the order in which loop iterations take them: neighbours share
+    splats, so a thread goes along a row, and rows are shared out so that threads end together.
+    The outputs are flat.
+    """
+    across = (width + TILE - 1) // TILE
+    tiles = len(start) - 1
+    longest = 0
+    for tile in range(tiles):
+        longest = max(longest, start[tile + 1] - start[tile])
+    for k in prange(len(turn)):
+        spare = np.empty(longest, np.uint64)
+        histogram = np.empty(DIGITS, np.int64)
+        state = np.empty(BLOCKS * CHANNELS * LANES, np.float32)
+        chosen = np.empty(BLOCKS * BATCH, np.uint32)
+        count = np.empty(BLOCKS, np.int64)
+        is_open = np.empty(BLOCKS, np.bool_)
+        for tile in range(turn[k] * across, turn[k] * across + across):
+            begin, end = start[tile], start[tile + 1]
+            sort_keys(entry[begin:end], spare, histogram, end - begin)
+            top, left = tile // across * TILE, tile % across * TILE
+            state[:] = ZERO
+            for block in range(BLOCKS):
+                state[block * CHANNELS * LANES : block * CHANNELS * LANES + LANES] = ONE
+                inside = top + block // ROW * SIDE < height and left + block % ROW * SIDE < width
+                is_open[block] = inside
+            any_open = True
+            while begin < end and any_open:
+                stop = min(begin + BATCH, end)
+                deal(entry, record, begin, stop, left, top, is_open, chosen, count)
+                begin = stop
+                any_open = False
+                for block in range(BLOCKS):
+                    if count[block] == 0:
+                        any_open |= is_open[block]
+                        continue
+                    at = block * CHANNELS * LANES
+                    x = np.float32(left + block % ROW * SIDE) + HALF
+                    y = np.float32(top + block // ROW * SIDE) + HALF
+                    first, last = block * BATCH, block * BATCH + count[block]
+                    if median:
+                        blend_lanes(record, chosen, first, last, state, at, x, y, 1)
+                    else:
+                        blend_lanes(record, chosen, first, last, state, at, x, y, 0)
+                    clearest = ZERO
+                    for i in range(LANES):
+                        clearest = max(clearest, state[at + i])
+                    is_open[block] = clearest > TRANSMITTANCE_STOP
+                    any_open |= is_open[block]
+            write_tile(
+                state, top, left, height, width, lens, orthographic, median,
+                color_out, alpha_out, depth_out, plane_out, normal_out,
+            )  # fmt: skip
+
+
+@device_function
+def finish_block(rows, x, y, lens, orthographic, median):
+    """Turn what a block's pixels have gathered into depths and unit normals; in place.
+
+    Row 0 becomes alpha, row 4 the depth, rows 5 to 7 the normal, row 8 the plane depth: the depth
+    at which the pixel's ray meets n.p = distance, with n and distance blended alike. That falls
+    back on the depth where the plane is nearly edge-on or far from the splats that were blended.
+    """
+    fx, fy = ONE / lens[0], ONE / lens[1]
+    x, y = x - lens[2], y - lens[3]
+    for i in range(LANES):
+        alpha = ONE - rows[i]
+        nx, ny = rows[5 * LANES + i], rows[6 * LANES + i]
+        nz, distance = rows[7 * LANES + i], rows[8 * LANES + i]
+        z = rows[4 * LANES + i]
+        z = z if median else z / max(alpha, MIN_COVERAGE)
+        length = np.sqrt(nx * nx + ny * ny + nz * nz)
+        known = alpha >= MIN_COVERAGE and length > ZERO and z > ZERO
+        share = ONE / length if known else ZERO
+        a = (x + np.float32(i & SIDE - 1)) * fx
+        b = (y + np.float32(i >> SHIFT)) * fy
+        flat = nx * a + ny * b
+        along = nz if orthographic else flat + nz
+        plane = (distance - flat if orthographic else distance) / along
+        limit = NOWHERE if orthographic else PLANE_LIMIT * z
+        plane = plane if along <= -EDGE_ON * alpha and abs(plane - z) < limit else z
+        rows[i] = alpha
+        rows[4 * LANES + i] = z if known else NOWHERE
+        rows[5 * LANES + i] = nx * share
+        rows[6 * LANES + i] = ny * share
+        rows[7 * LANES + i] = nz * share
+        rows[8 * LANES + i] = plane if known else NOWHERE
+
+
+@device_function
+def write_tile(
+    state, top, left, height, width, lens, orthographic, median,
+    color_out, alpha_out, depth_out, plane_out, normal_out,
+):  # fmt: skip
+    """Write the tile's pixels."""
+    for block in range(BLOCKS):
+        x, y = np.float32(left + block % ROW * SIDE), np.float32(top + block // ROW * SIDE)
+        at = block * CHANNELS * LANES
+        rows = state[at : at + CHANNELS * LANES]  # indices from 0: no look for negative ones
+        finish_block(rows, x + HALF, y + HALF, lens, orthographic, median)
+    # Unsigned, or numba would look for negative indices at each access.
+    for j in range(np.uint64(min(TILE, height - top))):
+        first = (np.uint64(top) + j) * np.uint64(width) + np.uint64(left)
+        for i in range(np.uint64(min(TILE, width - left))):
+            block = (j >> WIDE_SHIFT) * WIDE_ROW + (i >> WIDE_SHIFT)
+            inside = (j & WIDE_MASK) * WIDE_ROW + (i & WIDE_MASK)
+            at = block * BLOCK_NUMBERS + inside
+            pixel = first + i
+            three = pixel * THREE
+            alpha_out[pixel] = state[at]
+            color_out[three] = state[at + RED]
+            color_out[three + NEXT] = state[at + GREEN]
+            color_out[three + AFTER] = state[at + BLUE]
+            depth_out[pixel] = state[at + DEPTH]
+            normal_out[three] = state[at + NORMAL_X]
+            normal_out[three + NEXT] = state[at + NORMAL_Y]
+            normal_out[three + AFTER] = state[at + NORMAL_Z]
+            plane_out[pixel] = state[at + PLANE]

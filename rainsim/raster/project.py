@@ -1,0 +1,303 @@
+"""Projection: each splat to an ellipse in the picture, its colour, and the tiles it meets."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rainsim.jit import cpu_kernel, device_function, prange
+from rainsim.raster.prepared import LANES, OPACITY
+
+TILE = 16  # px
+BLOCKS = 32  # parts of the scene with tile counts of their own; fixed, whatever the threads
+RECORD = 16  # float32 numbers of a projected splat: one cache line
+
+LOW_PASS = np.float32(0.3)  # px^2, added to the projected covariance (Kerbl et al. 2023)
+BLOCK_HALF = np.float32(1.5)  # px from the centre of a block to those of its outer pixels
+LOW_PASS_REACH = np.float32(2)  # px, rounded up
+MIN_ALPHA_LOG2 = np.float32(np.log2(1 / 255))  # below this an 8-bit image does not change
+FRUSTUM_MARGIN = np.float32(0.15)  # of the picture: where the linearised projection is clamped
+NO_PLANE = np.array([0, 0, 0, -1], np.float32)  # cuts nothing away
+
+ZERO = np.float32(0)
+ONE = np.float32(1)
+HALF = np.float32(0.5)
+TWO = np.float32(2)
+THREE = np.float32(3)
+FOUR = np.float32(4)
+TWO_LN2 = np.float32(2 * np.log(2))
+# Exponents are kept as eighths of log2: e^x = (2^(x log2(e) / 8))^8.
+EIGHTH = np.float32(0.125)
+HALF_LOG2E = np.float32(0.125 * 0.5 / np.log(2))
+
+# Real spherical harmonics in the order and with the signs of the original 3DGS code.
+SH0 = np.float32(0.28209479177387814)
+SH1 = np.float32(0.4886025119029199)
+SH2A, SH2B, SH2C = (
+    np.float32(c) for c in (1.0925484305920792, 0.31539156525252005, 0.5462742152960396)
+)
+SH3A, SH3B, SH3C, SH3D, SH3E = (
+    np.float32(c)
+    for c in (
+        0.5900435899266435,
+        2.890611442640554,
+        0.4570457994644658,
+        0.3731763325901154,
+        1.445305721320277,
+    )
+)
+
+# Rows of a chunk's scratch: what the first pass leaves for the others.
+# All lie in one array at fixed distances: so LLVM knows that they do not overlap, and vectorises.
+X, Y, Z, U, V, CONIC_A, CONIC_B, CONIC_C, LEVEL, LEFT, RIGHT, FIRST, LAST, RED, GREEN, BLUE = (
+    LANES * row for row in range(16)
+)
+DX, DY, DZ, SPREAD, SCRATCH = (LANES * row for row in range(16, 21))
+
+
+@device_function
+def chunk_is_out(box, view, lens, size, near, plane, orthographic):
+    """Return whether no splat of the chunk's box can touch the picture; False if in doubt."""
+    corners = 8
+    beside0, beside1, beside2, beside3, behind, cut = 0, 0, 0, 0, 0, 0
+    # With the margin at which projection is clamped, a box beside the picture holds no splat whose
+    # linearised ellipse comes back into it.
+    mx, my = FRUSTUM_MARGIN * size[0] + LOW_PASS_REACH, FRUSTUM_MARGIN * size[1] + LOW_PASS_REACH
+    for corner in range(corners):
+        px = box[0] if corner & 1 == 0 else box[3]
+        py = box[1] if corner & 2 == 0 else box[4]
+        pz = box[2] if corner & 4 == 0 else box[5]
+        if plane[0] * px + plane[1] * py + plane[2] * pz < plane[3]:
+            cut += 1
+        z = view[2, 0] * px + view[2, 1] * py + view[2, 2] * pz + view[2, 3]
+        if z < near:
+            behind += 1
+        x = view[0, 0] * px + view[0, 1] * py + view[0, 2] * pz + view[0, 3]
+        y = view[1, 0] * px + view[1, 1] * py + view[1, 2] * pz + view[1, 3]
+        w = ONE if orthographic else z  # u = lens * x / w + centre, without the division
+        u, v = lens[0] * x + lens[2] * w, lens[1] * y + lens[3] * w
+        beside0 += u < -mx * w
+        beside1 += u > (size[0] + mx) * w
+        beside2 += v < -my * w
+        beside3 += v > (size[1] + my) * w
+    if behind == corners or cut == corners:
+        return True
+    if behind > 0 and not orthographic:
+        return False  # the linearised projection of what crosses the near plane may go anywhere
+    return beside0 == corners or beside1 == corners or beside2 == corners or beside3 == corners
+
+
+@device_function
+def project_chunk(g, view, lens, size, near, plane, orthographic, compensate, s):
+    """Fill the scratch rows `s` up to LAST; FIRST is above LAST for what is not seen."""
+    fx, fy, cx, cy = lens[0], lens[1], lens[2], lens[3]
+    w, h = size[0], size[1]
+    x_low, x_high = (-cx - FRUSTUM_MARGIN * w) / fx, (w - cx + FRUSTUM_MARGIN * w) / fx
+    y_low, y_high = (-cy - FRUSTUM_MARGIN * h) / fy, (h - cy + FRUSTUM_MARGIN * h) / fy
+    v00, v01, v02, v03 = view[0, 0], view[0, 1], view[0, 2], view[0, 3]
+    v10, v11, v12, v13 = view[1, 0], view[1, 1], view[1, 2], view[1, 3]
+    v20, v21, v22, v23 = view[2, 0], view[2, 1], view[2, 2], view[2, 3]
+    p0, p1, p2, p3 = plane[0], plane[1], plane[2], plane[3]
+    for i in range(LANES):
+        px, py, pz = g[i], g[1 * LANES + i], g[2 * LANES + i]
+        x = v00 * px + v01 * py + v02 * pz + v03
+        y = v10 * px + v11 * py + v12 * pz + v13
+        z = v20 * px + v21 * py + v22 * pz + v23
+        iz = ONE if orthographic else ONE / z
+        tx, ty = x * iz, y * iz
+        lx = ZERO if orthographic else min(max(tx, x_low), x_high)
+        ly = ZERO if orthographic else min(max(ty, y_low), y_high)
+        a, b = fx * iz, fy * iz
+        # Rows of J V: the linearised projection (Zwicker et al. 2001).
+        j00, j01, j02 = a * (v00 - lx * v20), a * (v01 - lx * v21), a * (v02 - lx * v22)
+        j10, j11, j12 = b * (v10 - ly * v20), b * (v11 - ly * v21), b * (v12 - ly * v22)
+        c0, c1, c2 = g[3 * LANES + i], g[4 * LANES + i], g[5 * LANES + i]
+        c3, c4, c5 = g[6 * LANES + i], g[7 * LANES + i], g[8 * LANES + i]
+        t0 = c0 * j00 + c1 * j01 + c2 * j02
+        t1 = c1 * j00 + c3 * j01 + c4 * j02
+        t2 = c2 * j00 + c4 * j01 + c5 * j02
+        m00 = j00 * t0 + j01 * t1 + j02 * t2
+        m01 = j10 * t0 + j11 * t1 + j12 * t2
+        q0 = c0 * j10 + c1 * j11 + c2 * j12
+        q1 = c1 * j10 + c3 * j11 + c4 * j12
+        q2 = c2 * j10 + c4 * j11 + c5 * j12
+        m11 = j10 * q0 + j11 * q1 + j12 * q2
+        s[SPREAD + i] = m00 * m11 - m01 * m01  # before the low-pass
+        m00 += LOW_PASS
+        m11 += LOW_PASS
+        determinant = m00 * m11 - m01 * m01
+        scale = HALF_LOG2E / determinant
+        s[X + i], s[Y + i], s[Z + i] = x, y, z
+        s[U + i], s[V + i] = fx * tx + cx, fy * ty + cy
+        s[CONIC_A + i], s[CONIC_B + i], s[CONIC_C + i] = (
+            m11 * scale,
+            -TWO * m01 * scale,
+            m00 * scale,
+        )
+        s[LEFT + i], s[FIRST + i] = m00, m11
+        s[RIGHT + i] = determinant
+        kept = z >= near and determinant > ZERO and p0 * px + p1 * py + p2 * pz >= p3
+        s[LEVEL + i] = g[OPACITY * LANES + i] if kept else np.float32(-np.inf)
+    if compensate:
+        # Mip-Splatting (Yu et al. 2024, eq. 9): a splat widened by the low-pass keeps its light.
+        for i in range(LANES):
+            share = max(s[SPREAD + i], ZERO) / s[RIGHT + i]
+            s[LEVEL + i] += HALF * np.log2(share)
+    for i in range(LANES):
+        m00, m11, determinant = s[LEFT + i], s[FIRST + i], s[RIGHT + i]
+        level = s[LEVEL + i]
+        reach = TWO_LN2 * max(level - MIN_ALPHA_LOG2, ZERO)  # -2 ln(1/255 / opacity)
+        ex, ey = np.sqrt(reach * m00), np.sqrt(reach * m11)
+        u, v = s[U + i], s[V + i]
+        # Pixels whose centres lie in the ellipse's box.
+        left, right = np.ceil(max(u - ex - HALF, ZERO)), np.floor(min(u + ex - HALF, w - ONE))
+        first, last = np.ceil(max(v - ey - HALF, ZERO)), np.floor(min(v + ey - HALF, h - ONE))
+        seen = level > MIN_ALPHA_LOG2 and right >= left and last >= first
+        # A block of 4 x 4 pixels is within 1.5 px of its centre each way: by the triangle rule in
+        # the ellipse's own metric it is out of reach where its centre's exponent exceeds this.
+        a, b, c = s[CONIC_A + i], s[CONIC_B + i], s[CONIC_C + i]
+        half = BLOCK_HALF * np.sqrt(a + abs(b) + c)
+        beyond = np.sqrt(EIGHTH * max(level - MIN_ALPHA_LOG2, ZERO)) + half
+        s[SPREAD + i] = beyond * beyond
+        s[LEFT + i], s[RIGHT + i] = left, right
+        s[FIRST + i], s[LAST + i] = (first if seen else ONE), (last if seen else ZERO)
+
+
+@device_function
+def color_chunk(g, sh, eye, orthographic, bands, s):
+    """Fill the scratch rows RED to RED + 2 with the colours seen from `eye`.
+
+    `eye` is the camera's position, or its view direction if orthographic.
+    """
+    e0, e1, e2 = eye[0], eye[1], eye[2]
+    for i in range(LANES):
+        dx = e0 if orthographic else g[i] - e0
+        dy = e1 if orthographic else g[1 * LANES + i] - e1
+        dz = e2 if orthographic else g[2 * LANES + i] - e2
+        length = ONE / np.sqrt(dx * dx + dy * dy + dz * dz)
+        s[DX + i], s[DY + i], s[DZ + i] = dx * length, dy * length, dz * length
+    for c in range(3):
+        color = RED + c * LANES
+        if bands == 1:
+            for i in range(LANES):
+                q = c * LANES + i
+                s[color + i] = max(SH0 * sh[q] + HALF, ZERO)
+        elif bands == 2:
+            for i in range(LANES):
+                q = c * LANES + i
+                x, y, z = s[DX + i], s[DY + i], s[DZ + i]
+                value = SH1 * (
+                    z * sh[6 * LANES + q] - y * sh[3 * LANES + q] - x * sh[9 * LANES + q]
+                )
+                s[color + i] = max(value + SH0 * sh[q] + HALF, ZERO)
+        else:
+            for i in range(LANES):
+                q = c * LANES + i
+                x, y, z = s[DX + i], s[DY + i], s[DZ + i]
+                xx, yy, zz = x * x, y * y, z * z
+                value = SH1 * (
+                    z * sh[6 * LANES + q] - y * sh[3 * LANES + q] - x * sh[9 * LANES + q]
+                )
+                value += SH2A * (
+                    x * y * sh[12 * LANES + q]
+                    - y * z * sh[15 * LANES + q]
+                    - x * z * sh[21 * LANES + q]
+                )
+                value += SH2B * (TWO * zz - xx - yy) * sh[18 * LANES + q]
+                value += SH2C * (xx - yy) * sh[24 * LANES + q]
+                s[color + i] = value + SH0 * sh[q] + HALF
+            if bands == 4:
+                for i in range(LANES):
+                    q = c * LANES + i
+                    x, y, z = s[DX + i], s[DY + i], s[DZ + i]
+                    xx, yy, zz = x * x, y * y, z * z
+                    value = SH3B * x * y * z * sh[30 * LANES + q]
+                    value -= SH3A * y * (THREE * xx - yy) * sh[27 * LANES + q]
+                    value -= (
+                        SH3C
+                        * (FOUR * zz - xx - yy)
+                        * (y * sh[33 * LANES + q] + x * sh[39 * LANES + q])
+                    )
+                    value += SH3D * z * (TWO * zz - THREE * xx - THREE * yy) * sh[36 * LANES + q]
+                    value += SH3E * z * (xx - yy) * sh[42 * LANES + q]
+                    value -= SH3A * x * (xx - THREE * yy) * sh[45 * LANES + q]
+                    s[color + i] += value
+            for i in range(LANES):
+                s[color + i] = max(s[color + i], ZERO)
+
+
+@device_function
+def write_records(
+    g, s, view, orthographic, across, place, record_out, box_out, count_out
+):  # fmt: skip
+    """Write the seen splats of a chunk one after the other; return their number."""
+    o = place
+    for i in range(LANES):
+        if s[FIRST + i] > s[LAST + i]:
+            continue
+        r = record_out[o]
+        r[0], r[1] = s[U + i], s[V + i]
+        r[2], r[3], r[4] = s[CONIC_A + i], s[CONIC_B + i], s[CONIC_C + i]
+        r[5], r[14] = s[LEVEL + i] * EIGHTH, s[SPREAD + i]
+        r[6], r[7], r[8] = s[RED + i], s[GREEN + i], s[BLUE + i]
+        x, y, z = s[X + i], s[Y + i], s[Z + i]
+        r[9] = z
+        nx, ny, nz = g[9 * LANES + i], g[10 * LANES + i], g[11 * LANES + i]
+        n0 = view[0, 0] * nx + view[0, 1] * ny + view[0, 2] * nz
+        n1 = view[1, 0] * nx + view[1, 1] * ny + view[1, 2] * nz
+        n2 = view[2, 0] * nx + view[2, 1] * ny + view[2, 2] * nz
+        distance = n0 * x + n1 * y + n2 * z
+        away = n2 if orthographic else distance
+        if away > ZERO:
+            n0, n1, n2, distance = -n0, -n1, -n2, -distance
+        r[10], r[11], r[12], r[13] = n0, n1, n2, distance
+        left, right = np.int32(s[LEFT + i]), np.int32(s[RIGHT + i])
+        first, last = np.int32(s[FIRST + i]), np.int32(s[LAST + i])
+        box_out[o, 0], box_out[o, 1], box_out[o, 2], box_out[o, 3] = left, right, first, last
+        for j in range(first // TILE, last // TILE + 1):
+            for k in range(left // TILE, right // TILE + 1):
+                count_out[j * across + k] += 1
+        o += 1
+    return o - place
+
+
+@cpu_kernel
+def find_chunks(box, view, lens, size, near, plane, orthographic, seen_out):
+    """Mark the chunks that may touch the picture."""
+    for chunk in prange(len(box)):
+        seen_out[chunk] = not chunk_is_out(box[chunk], view, lens, size, near, plane, orthographic)
+
+
+@cpu_kernel
+def project_chunks(
+    geometry, sh, chunks, view, eye, lens, size, near, plane, orthographic, compensate, degree,
+    across, record_out, splat_out, box_out, visible_out, count_out,
+):  # fmt: skip
+    """Project the splats of the listed chunks and count those that each tile meets.
+
+    The visible splats of the k-th listed chunk are written from place 256 k on. Record: u, v, conic
+    (3) and opacity as eighths of log2, colour (3), depth, normal (3), plane distance, reach for
+    blocks. Box: first and last column and row. `splat_out` gets the place of each in the prepared
+    order.
+    """
+    n = len(chunks)
+    for block in prange(BLOCKS):
+        s = np.empty(SCRATCH, np.float32)
+        count = count_out[block]
+        for k in range(block * n // BLOCKS, (block + 1) * n // BLOCKS):
+            g = geometry[chunks[k]]
+            project_chunk(g, view, lens, size, near, plane, orthographic, compensate, s)
+            seen = False
+            for i in range(LANES):
+                seen |= s[FIRST + i] <= s[LAST + i]
+            visible_out[k] = 0
+            if not seen:
+                continue
+            color_chunk(g, sh[chunks[k]], eye, orthographic, degree + 1, s)
+            visible_out[k] = write_records(
+                g, s, view, orthographic, across, k * LANES, record_out, box_out, count
+            )
+            place = k * LANES
+            for i in range(LANES):
+                if s[FIRST + i] <= s[LAST + i]:
+                    splat_out[place] = chunks[k] * LANES + i
+                    place += 1

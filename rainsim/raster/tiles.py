@@ -1,0 +1,95 @@
+"""Which splats each tile shows, and in which order."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rainsim.jit import cpu_kernel, device_function, prange, serial_kernel
+from rainsim.raster.prepared import LANES
+from rainsim.raster.project import BLOCKS, TILE
+
+FEW = 48  # entries up to which insertion beats the radix sort
+DIGIT_BITS = 8
+DIGITS = 1 << DIGIT_BITS
+DIGIT = np.uint64(DIGITS - 1)
+
+
+@serial_kernel
+def tile_starts(count):
+    """Turn counts per block and tile into places; return the first place of each tile."""
+    blocks, tiles = count.shape
+    start = np.empty(tiles + 1, np.int64)
+    place = 0
+    for tile in range(tiles):
+        start[tile] = place
+        for block in range(blocks):
+            n = count[block, tile]
+            count[block, tile] = place
+            place += n
+    start[tiles] = place
+    return start
+
+
+@cpu_kernel
+def list_tiles(record, box, visible, across, place, entry_out):
+    """Write (depth bits, record) of each splat into the list of each tile that it meets.
+
+    `place` (blocks, tiles) holds the next free place of each block's share; modified in place.
+    """
+    n = len(visible)
+    bits = record.view(np.uint32)  # positive floats sort like their bits
+    for block in prange(BLOCKS):
+        mine = place[block]
+        for k in range(block * n // BLOCKS, (block + 1) * n // BLOCKS):
+            for o in range(k * LANES, k * LANES + visible[k]):
+                key = np.uint64(bits[o, 9]) << np.uint64(32) | np.uint64(o)
+                for j in range(box[o, 2] // TILE, box[o, 3] // TILE + 1):
+                    for i in range(box[o, 0] // TILE, box[o, 1] // TILE + 1):
+                        tile = j * across + i
+                        entry_out[mine[tile]] = key
+                        mine[tile] += 1
+
+
+@device_function
+def sort_keys(key, spare, histogram, n):
+    """Sort key[:n]: by insertion if few; else by radix, and insertion puts the rest right.
+
+    The radix passes look at the highest 16 bits of the depths' span, two digits of a byte: after
+    them hardly a key is more than a place or two from where it belongs. Whole keys are compared at
+    the end, so ties in depth end in the order of the records.
+    """
+    if n >= FEW:
+        low, high = key[0], key[0]
+        for i in range(n):
+            low, high = min(low, key[i]), max(high, key[i])
+        span = (high - low) >> np.uint64(32)
+        shift = np.uint64(32)
+        while span >> np.uint64(2 * DIGIT_BITS):
+            span >>= np.uint64(1)
+            shift += np.uint64(1)
+        scatter(key, spare, histogram, n, low, shift)
+        scatter(spare, key, histogram, n, low, shift + np.uint64(DIGIT_BITS))
+    for i in range(1, n):
+        k = key[i]
+        j = i - 1
+        while j >= 0 and key[j] > k:
+            key[j + 1] = key[j]
+            j -= 1
+        key[j + 1] = k
+
+
+@device_function
+def scatter(source, target, histogram, n, low, shift):
+    """Sort source[:n] into `target` by one digit, keeping the order of equal ones."""
+    histogram[:] = 0
+    for i in range(n):
+        histogram[((source[i] - low) >> shift) & DIGIT] += 1
+    place = 0
+    for d in range(DIGITS):
+        number = histogram[d]
+        histogram[d] = place
+        place += number
+    for i in range(n):
+        d = ((source[i] - low) >> shift) & DIGIT
+        target[histogram[d]] = source[i]
+        histogram[d] += 1
