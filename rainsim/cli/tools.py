@@ -1,4 +1,4 @@
-"""The commands around the frames: import, heightmap, scenes, presets, warmup."""
+"""The commands around the frames: import, scenes, presets, warmup."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from rainsim.cli import options
-from rainsim.cli.choose import scene_of, settings
+from rainsim.cli.choose import scene_of
 from rainsim.cli.status import Status, tell_compiling, tell_scene
 
 GROUND_FRAME = "ground_frame.json"
@@ -16,20 +16,29 @@ GROUND_FRAME = "ground_frame.json"
 
 @click.command("import", short_help="Read a capture, find its ground.")
 @click.argument("path", type=click.Path(path_type=Path))
+@click.option("--info", is_flag=True, help="Only tell what PATH holds; writes nothing.")
 @options.ground_options
 @options.output_options("NAME-scene")
-def import_(path, out, overwrite, threads, as_json, quiet, **given):
+def import_(path, info, out, overwrite, threads, as_json, quiet, **given):
     """Read a capture, find its ground, and write it as a scene folder.
 
     PATH is a trained model's folder (point_cloud/iteration_*/point_cloud.ply and cameras.json) or a
-    splat PLY with cameras.json beside it. Writes splats.npz, scene.json and ground_frame.json. Put
-    the folder where RAINSIM_SCENES points to use it by name.
+    splat file (PLY, compressed PLY, SPZ, SOG, .splat) with cameras.json, transforms.json or a
+    COLMAP model (sparse/0) beside it. Writes splats.npz, scene.json and ground_frame.json. Put the
+    folder where RAINSIM_SCENES points to use it by name.
+
+    With --info it tells counts, degree of spherical harmonics, bounds, percentiles of opacity and
+    scale, unusable splats and the memory needed; lengths are in the capture's own units.
 
     \b
     Example:
         rainsim import garden/ --camera-height 1.6 --out ~/scenes/garden
         rainsim import plaza.ply --up 0,0,1 --meters-per-unit 1
+        rainsim import --info biker.spz
     """
+    if info:
+        _tell_info(path, as_json)
+        return
     from rainsim.output import Record, claimed, relative
     from rainsim.scene.folder import write_scene
     from rainsim.scene.ground import ground_frame_to_dict, write_ground_frame
@@ -65,72 +74,19 @@ def import_(path, out, overwrite, threads, as_json, quiet, **given):
     click.echo(f"scene folder      {out}")
 
 
+def _tell_info(path, as_json):
+    from rainsim.scene.info import as_text, describe
+
+    found = describe(path)
+    click.echo(json.dumps(found, indent=1) if as_json else as_text(found))
+
+
 def _shown(vector):
     return ", ".join(f"{v:.5f}" for v in vector)
 
 
 def _assumed(frame):
     return " (ASSUMED from the cameras' height)" if frame.scale_assumed else ""
-
-
-@click.command(short_help="Make the height map of a scene.")
-@click.argument("scene")
-@options.ground_options
-@options.terrain_options
-@options.output_options("rainsim-out/SCENE-terrain")
-def heightmap(scene, out, overwrite, threads, as_json, quiet, **given):
-    """Make the height map of SCENE, a name or a path as for `rainsim run`.
-
-    Writes terrain.npz (ground, occluder top and underside, masks), bed.tif and top.tif (float32
-    metres, north at the top), hillshade.png to look at, and ground_frame.json. Cameras beside the
-    splats are used; without any, --up and --meters-per-unit are needed.
-
-    \b
-    Example:
-        rainsim heightmap garden/ --out terrain
-        rainsim heightmap plaza.ply --up 0,0,1 --meters-per-unit 1 --extent 6
-    """
-    from rainsim.output import Record, claimed, relative
-    from rainsim.scene.ground import write_ground_frame
-
-    status = Status(quiet)
-    config = settings(None, {**given, "threads": threads}, base=_default_config())
-    loaded = scene_of(scene, given)
-    tell_scene(status, loaded)
-    out = out or options.default_out(loaded.name, "terrain")
-    with status, claimed(out, overwrite):
-        from rainsim.jit import set_threads
-        from rainsim.pipeline import extract_terrain
-        from rainsim.terrain import write_terrain
-
-        set_threads(config.threads)
-        tell_compiling(status)
-        record = Record(out, loaded, settings={"terrain": config.as_dict()["terrain"]})
-        status.progress("terrain", 0, 1)
-        terrain = extract_terrain(loaded, config)
-        status.progress("terrain", 1, 1)
-        status.notes(terrain.notes)
-        paths = write_terrain(out, terrain)
-        write_ground_frame(out / GROUND_FRAME, loaded.ground_frame)
-        record.add(*(path.name for path in paths), GROUND_FRAME)
-        record.write(complete=True, notes=list(terrain.notes))
-    grid = terrain.grid
-    status.say(f"{grid.shape[1]} x {grid.shape[0]} cells of {grid.spacing:g} m in {relative(out)}")
-    result = {
-        "out": str(out),
-        "files": record.files,
-        "shape": list(grid.shape),
-        "spacing": grid.spacing,
-        "origin": list(grid.origin),
-        "notes": list(terrain.notes),
-    }
-    click.echo(json.dumps(result, indent=1) if as_json else str(out))
-
-
-def _default_config():
-    from rainsim.config import Config
-
-    return Config()
 
 
 @click.command(short_help="List the scenes known by name.")

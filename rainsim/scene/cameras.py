@@ -1,18 +1,19 @@
 """Cameras: files of capture tools in and out, and cameras placed by hand.
 
-Two formats are read: `cameras.json` of the original 3D Gaussian Splatting code, and the NeRF
-style `transforms.json`, whose cameras look along their own -z with y up.
+Three formats are read: `cameras.json` of the original 3D Gaussian Splatting code, the NeRF style
+`transforms.json`, whose cameras look along their own -z with y up, and COLMAP sparse models.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import replace
-from pathlib import PurePosixPath
+from pathlib import Path, PurePosixPath
 
 import numpy as np
 
 from rainsim.errors import InputError, ParameterError
+from rainsim.scene.colmap import MODEL_FILES, read_model
 from rainsim.scene.files import json_number, number_array, read_json, write_json
 from rainsim.scene.types import Camera
 
@@ -20,28 +21,60 @@ MAX_FOCAL = 1e9  # px
 MAX_SIDE = 65_536  # px; anything longer is a damaged file
 RIGID_TOLERANCE = 1e-3  # files with six decimals pass, scaled or mirrored poses do not
 FLIP = np.array([1.0, -1.0, -1.0])  # OpenGL camera axes (y up, z back) to ours, and back
+JSON_FILES = ("cameras.json", "transforms.json")  # looked for in a folder, in this order
+DISTORTION = ("k1", "k2", "k3", "k4", "p1", "p2")
 PINHOLES = ("PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "SIMPLE_RADIAL", "RADIAL")
 
 
 def read_cameras(path):
-    """Read the cameras of a `cameras.json` or `transforms.json`, told apart by content.
+    """Read the cameras of a `cameras.json`, a `transforms.json` or a COLMAP sparse model.
 
     Parameters
     ----------
     path : path-like
+        A JSON file, told apart by content; one of the files of a COLMAP model; or a folder with
+        either, or with sparse/0 in it.
 
     Returns
     -------
     list of Camera
-        In the file's order, in the capture frame. Lens distortion is not applied: splats are
-        drawn as an undistorted pinhole camera sees them.
+        In the file's order (of a COLMAP model sorted by name), in the capture frame. Lens
+        distortion is not applied: splats are drawn as an undistorted pinhole camera sees them.
 
     Raises
     ------
     InputError
         Names the camera and the value that is missing or wrong.
     """
-    return cameras_from_data(read_json(path, "a camera file"), path)
+    return load_cameras(path)[0]
+
+
+def load_cameras(path):
+    """Return the cameras that `read_cameras` reads and a list of notes on what was ignored."""
+    path = Path(path)
+    if path.is_dir():
+        found = next((path / name for name in JSON_FILES if (path / name).is_file()), None)
+        if found is None:
+            return read_model(path)
+        path = found
+    elif path.name in MODEL_FILES:
+        return read_model(path.parent)
+    data = read_json(path, "a camera file")
+    return cameras_from_data(data, path), _distortion_notes(data)
+
+
+def _distortion_notes(data):
+    """Return a note if a transforms.json speaks of lens distortion."""
+    if not isinstance(data, dict):
+        return []
+    entries = [data, *(f for f in data.get("frames") or () if isinstance(f, dict))]
+    bent = sorted({key for entry in entries for key in DISTORTION if json_number(entry.get(key))})
+    if not bent:
+        return []
+    return [
+        f"lens distortion of the cameras ({', '.join(bent)}) is ignored: pictures are those of a "
+        "pinhole camera"
+    ]
 
 
 def cameras_from_data(data, source):

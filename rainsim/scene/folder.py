@@ -17,8 +17,15 @@ from pathlib import Path
 import numpy as np
 
 from rainsim.errors import InputError
-from rainsim.scene.cameras import cameras_from_data, cameras_to_data, read_cameras
+from rainsim.scene.cameras import (
+    JSON_FILES,
+    cameras_from_data,
+    cameras_to_data,
+    load_cameras,
+)
+from rainsim.scene.colmap import find_model
 from rainsim.scene.files import read_json, replacing, write_json
+from rainsim.scene.formats import META, SUFFIXES, read_splats, source_files
 from rainsim.scene.ground import (
     estimate_ground_frame,
     ground_frame_from_dict,
@@ -26,11 +33,9 @@ from rainsim.scene.ground import (
     read_ground_frame,
     rescale_ground_frame,
 )
-from rainsim.scene.ply import read_splats
 from rainsim.scene.types import GroundFrame, Scene, Splats
 
 SCENE_FILE, SPLAT_FILE = "scene.json", "splats.npz"
-CAMERA_FILES = ("cameras.json", "transforms.json")  # the first that exists is read
 VERSION = 1
 ARRAYS = {"position": (3,), "rotation": (4,), "scale": (3,), "opacity": (), "sh": (None, 3)}
 COEFFICIENTS = (1, 4, 9, 16)
@@ -45,10 +50,11 @@ def import_scene(
     ----------
     path : path-like
         A trained model's folder (point_cloud/iteration_*/point_cloud.ply, the newest iteration,
-        with cameras.json), a splat PLY with cameras.json or transforms.json beside it, or a scene
-        folder as `write_scene` writes it.
+        with cameras.json), a splat file of any format that `rainsim.scene.formats` reads with
+        cameras.json, transforms.json or a COLMAP model (sparse/0) beside it, or a scene folder as
+        `write_scene` writes it.
     cameras : path-like or sequence of Camera, optional
-        Instead of those beside the splats.
+        Instead of those beside the splats; see `read_cameras`.
     up, meters_per_unit, camera_height
         See `estimate_ground_frame`. A scene folder keeps what they do not speak of.
     ground_frame : path-like or GroundFrame, optional
@@ -58,28 +64,30 @@ def import_scene(
     -------
     Scene
     """
-    path = Path(path)
-    if cameras is not None:
-        cameras = tuple(read_cameras(cameras) if _is_path(cameras) else cameras)
+    path, camera_notes = Path(path), []
+    if _is_path(cameras):
+        cameras, camera_notes = load_cameras(cameras)
     folder = path.parent if path.name == SCENE_FILE else path
     if (folder / SCENE_FILE).is_file():
         scene = read_scene(folder)
         if cameras is not None:
-            scene = replace(scene, cameras=cameras)
+            notes = (*scene.notes, *camera_notes)
+            scene = replace(scene, cameras=tuple(cameras), notes=notes)
         return override_ground_frame(scene, up, meters_per_unit, camera_height, ground_frame)
-    splat_file, model = _locate(path)
+    splat_file, model = locate(path)
     with ThreadPoolExecutor(1) as pool:  # hashing runs beside reading
         hashed = pool.submit(_sha256, splat_file)
         splats, notes = read_splats(splat_file)
         if cameras is None:
-            cameras = _cameras_beside(splat_file, model)
+            cameras, camera_notes = cameras_beside(splat_file, model)
         if ground_frame is None:
             frame = estimate_ground_frame(splats, cameras, up, meters_per_unit, camera_height)
         else:
             frame = _as_frame(ground_frame)
         source_hash = hashed.result()
     name = path.resolve().name if path.is_dir() else _file_name(path, model)
-    return Scene(name, splats, tuple(cameras), frame, path, source_hash, tuple(notes))
+    notes = (*notes, *camera_notes)
+    return Scene(name, splats, tuple(cameras), frame, path, source_hash, notes)
 
 
 def override_ground_frame(
@@ -109,8 +117,9 @@ def is_scene(path):
     """Whether `import_scene` could read `path`, told by names alone."""
     path = Path(path)
     if path.is_dir():
-        return (path / SCENE_FILE).is_file() or newest_splat_file(path) is not None
-    return path.is_file() and path.suffix.lower() == ".ply"
+        named = any((path / name).is_file() for name in (SCENE_FILE, META))
+        return named or newest_splat_file(path) is not None
+    return path.is_file() and path.suffix.lower() in SUFFIXES
 
 
 def newest_splat_file(folder):
@@ -134,44 +143,59 @@ def _as_frame(value):
     return value if isinstance(value, GroundFrame) else read_ground_frame(value)
 
 
-def _locate(path):
+def locate(path):
     """Return the splat file that `path` means and the folder of the model that it belongs to."""
+    path = Path(path)
     if not path.exists():
         raise InputError(
-            f"{path} does not exist; it must be a trained model's folder, a splat PLY or a scene "
+            f"{path} does not exist; it must be a trained model's folder, a splat file or a scene "
             "folder; check the path"
         )
     if path.is_dir():
-        file = newest_splat_file(path)
-        if file is None:
-            loose = sorted(p for p in path.iterdir() if p.suffix.lower() == ".ply")
-            if len(loose) != 1:
-                raise InputError(
-                    f"{path} has no point_cloud/iteration_*/point_cloud.ply, no {SCENE_FILE} and "
-                    f"{len(loose)} PLY files; it must be a trained model's folder or a scene "
-                    "folder; name the splat PLY itself"
-                )
-            file = loose[0]
-        return file, path
+        return newest_splat_file(path) or _only_splat_file(path), path
     inside = path.parent.name.startswith("iteration_") and path.parent.parent.name == "point_cloud"
     return path, path.parent.parent.parent if inside else path.parent
 
 
-def _cameras_beside(splat_file, model):
-    for folder in dict.fromkeys((splat_file.parent, model)):
-        for name in CAMERA_FILES:
+def _only_splat_file(folder):
+    """Return the one splat file that lies in a folder, or the meta.json of a SOG."""
+    if (folder / META).is_file():
+        return folder / META
+    loose = sorted(p for p in folder.iterdir() if p.suffix.lower() in SUFFIXES and p.is_file())
+    if len(loose) != 1:
+        raise InputError(
+            f"{folder} has no point_cloud/iteration_*/point_cloud.ply, no {SCENE_FILE} and "
+            f"{len(loose)} splat files ({', '.join(SUFFIXES)}); it must be a trained model's "
+            "folder or a scene folder; name the splat file itself"
+        )
+    return loose[0]
+
+
+def cameras_beside(splat_file, model):
+    """Return the cameras found beside a splat file or in its model's folder, and notes."""
+    folders = list(dict.fromkeys((splat_file.parent, model)))
+    for folder in folders:
+        for name in JSON_FILES:
             if (folder / name).is_file():
-                return read_cameras(folder / name)
-    return []
+                return load_cameras(folder / name)
+    for folder in folders:
+        if find_model(folder) is not None:
+            return load_cameras(find_model(folder))
+    return [], []
 
 
 def _file_name(path, model):
-    return model.resolve().name if path.stem == "point_cloud" else path.stem
+    return model.resolve().name if path.stem in ("point_cloud", "meta") else path.stem
 
 
 def _sha256(path):
-    with open(path, "rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+    """Return the SHA-256 of a splat file; of a SOG folder that of all its files in a row."""
+    digest = hashlib.sha256()
+    for part in source_files(path):
+        with open(part, "rb") as file:
+            while block := file.read(1 << 20):
+                digest.update(block)
+    return digest.hexdigest()
 
 
 # --- scene folder ---------------------------------------------------------------------------------

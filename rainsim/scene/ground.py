@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from rainsim.errors import GroundError, InputError, ParameterError, require_positive
+from rainsim.errors import GroundError, InputError, ParameterError, require_finite, require_positive
 from rainsim.scene.files import json_number, number_array, read_json, write_json
 from rainsim.scene.plane import find_plane
 from rainsim.scene.types import GroundFrame
@@ -28,6 +28,7 @@ AREA_CAP = 4.0  # times the median area: a big splat must not outweigh the pavin
 LEAST_SHARE = 0.1  # of the splats must be as near as the cameras, or the search starts wider:
 START_SHARE = 0.4  # around one garden camera 0.2 sees lawn only, 2 degrees off; 0.4 is 0.2 off
 GROWTH = 1.5  # of the search radius when the ground is not within it
+LARGEST_FALL = 0.3  # a steep drive has 0.2
 SCALE_REMEDY = "give --meters-per-unit or --camera-height to set it"
 
 
@@ -263,6 +264,58 @@ def rescale_ground_frame(frame, cameras, meters_per_unit=None, camera_height=Non
         translation=frame.translation * (scale / frame.meters_per_unit),
         notes=tuple(notes),
         scale_assumed=assumed,
+    )
+
+
+def scale_from_length(a, b, length):
+    """Return the metres per unit if the points a and b [capture units] are `length` [m] apart."""
+    length = require_positive("known-length", length, "m")
+    units = float(np.linalg.norm(np.subtract(a, b)))
+    if not units > 0:
+        raise ParameterError(
+            "known-length has the same point twice; the points must differ; pick two ends of "
+            "something whose length is known"
+        )
+    return length / units
+
+
+def with_fall(frame, fall, direction):
+    """Return the frame of ground that is not level but falls.
+
+    Parameters
+    ----------
+    frame : GroundFrame
+        With the ground plane level.
+    fall : float
+        Metres down per metre; patios are laid with 0.01 to 0.03.
+    direction : float [rad]
+        The way it goes down, from x towards y.
+    """
+    require_finite("fall direction", direction)
+    if not abs(require_finite("fall", fall)) <= LARGEST_FALL:
+        raise ParameterError(
+            f"fall is {fall * 100:g} percent; it must be within {LARGEST_FALL:.0%}; a slope that "
+            "steep is seen in the splats"
+        )
+    angle = math.atan(fall)
+    down = np.array([math.cos(direction), math.sin(direction), 0.0])
+    z = np.array([0.0, 0.0, 1.0])
+    across = np.cross(z, down)
+    # Rodrigues' formula about the level axis across the fall.
+    tilt = sum(
+        np.outer(own, axis)
+        for axis, own in (
+            (across, across),
+            (down, math.cos(angle) * down - math.sin(angle) * z),
+            (z, math.cos(angle) * z + math.sin(angle) * down),
+        )
+    )
+    note = f"a fall of {fall * 100:g} % towards {math.degrees(direction):g} degrees was given"
+    return replace(
+        frame,
+        rotation=tilt @ frame.rotation,
+        translation=tilt @ frame.translation,
+        notes=(*frame.notes, note),
     )
 
 

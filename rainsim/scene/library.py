@@ -9,6 +9,7 @@ from pathlib import Path
 
 from rainsim.errors import ParameterError
 from rainsim.scene.folder import import_scene, is_scene, override_ground_frame
+from rainsim.scene.formats import SUFFIXES
 
 FOLDERS_VARIABLE = "RAINSIM_SCENES"  # folders of scenes, separated as in PATH
 BUILT_IN = {"bicycle": ("rainsim.scene.bicycle", "make_bicycle")}
@@ -97,7 +98,7 @@ def find_scene(name_or_path):
             "separator; give a path that exists or a name that rainsim scenes lists"
         )
     for folder in scene_folders():
-        for path in (folder / name, folder / f"{name}.ply"):
+        for path in (folder / name, *(folder / f"{name}{suffix}" for suffix in SUFFIXES)):
             if is_scene(path):
                 return path
     if name in BUILT_IN:

@@ -1,54 +1,60 @@
-"""Splats from and to the PLY files of the original 3D Gaussian Splatting code.
+"""Splats from and to the PLY files of the original 3D Gaussian Splatting code and its relatives.
 
 A splat is one `vertex` with its centre (x, y, z), spherical harmonics (f_dc_0..2, f_rest_*),
 opacity as a logit, scales as logarithms and a quaternion, w first, of any length. Properties may
-stand in any order and any others are ignored.
+stand in any order and any others are ignored, but for these variants, known by their properties:
+
+- 2DGS: two scales. The splat is a disc whose normal is the third axis, which is made thin.
+- Mip-Splatting, Gaussian Opacity Fields: filter_3D widens the splats and thins their opacity.
+- GaussianShader: roughness and specular0..2. The colour is its base colour, the rest is dropped.
+
+PGSR writes the original properties.
 """
 
 from __future__ import annotations
 
-import os
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
 
 from rainsim.errors import InputError
-from rainsim.scene.files import MAX_LENGTH, replacing, require_file
-from rainsim.scene.types import Splats
-
-MAX_BROKEN_SHARE = 0.01  # above this the file is damaged, not merely untidy
-HEADER_LIMIT = 1 << 18  # bytes; a real header has some 2,000
-ROWS_PER_READ = 1 << 14  # 4 MB of the usual 62 properties: fits a core's share of cache
-REMEDY = "export the capture as a standard 3D Gaussian Splatting PLY"
-
-TYPES = {
-    "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1",
-    "short": "i2", "int16": "i2", "ushort": "u2", "uint16": "u2",
-    "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4",
-    "float": "f4", "float32": "f4", "double": "f8", "float64": "f8",
-}  # fmt: skip
-ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">"}
+from rainsim.scene.activate import (
+    MAX_BROKEN_SHARE,
+    REST_COEFFICIENTS,
+    ROWS_PER_STEP,
+    SH_C0,
+    activate_rows,
+    dropped_note,
+    empty_splats,
+    keep_good,
+)
+from rainsim.scene.files import replacing, require_file
+from rainsim.scene.plyheader import REMEDY, Element, read_header
 
 POSITION = ("x", "y", "z")
 BASE_COLOR = ("f_dc_0", "f_dc_1", "f_dc_2")
 SCALE = ("scale_0", "scale_1", "scale_2")
 ROTATION = ("rot_0", "rot_1", "rot_2", "rot_3")
 REQUIRED = (*POSITION, *BASE_COLOR, "opacity", *SCALE, *ROTATION)
-COEFFICIENTS = {0: 1, 9: 4, 24: 9, 45: 16}  # number of f_rest_* -> (degree + 1)^2
+FILTER = "filter_3D"
+SHADER = ("roughness", "specular0")
+DISC_THICKNESS = 1e-3  # of a 2D splat's smaller axis: thin to the eye, yet safe in float32
+READERS = 2  # threads; reading is then bound by memory
 
 
 @dataclass(frozen=True, slots=True)
-class _Table:
-    """Where the splats' rows lie in the file and what one row holds."""
+class _Layout:
+    """What one row of splats holds."""
 
-    offset: int
-    count: int
-    row: np.dtype
     coefficients: int
+    disc: bool
+    filtered: bool
+    shader: bool
 
 
 def read_splats(path):
-    """Read a 3D Gaussian Splatting PLY file, found by its content and not by its name.
+    """Read an uncompressed splat PLY file, found by its content and not by its name.
 
     Parameters
     ----------
@@ -59,7 +65,7 @@ def read_splats(path):
     splats : Splats
         Activated: linear scales, opacity in [0, 1], unit quaternions.
     notes : list of str
-        What was dropped, one line each; usually empty.
+        What was converted or dropped, one line each; usually empty.
 
     Raises
     ------
@@ -69,19 +75,17 @@ def read_splats(path):
     """
     path = require_file(path, "a splat PLY")
     with open(path, "rb") as file:
-        table = _read_header(path, file)
-        file.seek(table.offset)
-        splats, good = _read_rows(path, file, table)
-    broken = table.count - np.count_nonzero(good)
-    if not broken:
-        return splats, []
-    share = f"{broken} of {table.count} splats ({100 * broken / table.count:.3g} %)"
-    if broken > MAX_BROKEN_SHARE * table.count:
-        raise InputError(
-            f"{path} has {share} with NaN, infinite or absurd values; at most "
-            f"{100 * MAX_BROKEN_SHARE:g} % are tolerated; export the capture again"
-        )
-    return splats.take(good), [f"dropped {share} with NaN, infinite or absurd values"]
+        header = read_header(path, file)
+    return read_plain(path, header, MAX_BROKEN_SHARE)[:2]
+
+
+def read_plain(path, header, max_broken):
+    """Return the Splats of an uncompressed PLY, notes and how many splats were dropped."""
+    vertex = _require_splats(path, header)
+    layout = _layout(path, vertex)
+    splats, good = _read_rows(path, vertex, layout)
+    splats, broken = keep_good(path, splats, good, max_broken)
+    return splats, [*_variant_notes(layout), *dropped_note(broken, len(splats))], broken
 
 
 def write_splats(path, splats):
@@ -105,8 +109,8 @@ def write_splats(path, splats):
     header += [f"property float {name}" for name in names] + ["end_header", ""]
     with replacing(path) as temporary, open(temporary, "wb") as file:
         file.write("\n".join(header).encode("ascii"))
-        for start in range(0, n, ROWS_PER_READ):
-            rows = splats.take(slice(start, start + ROWS_PER_READ))
+        for start in range(0, n, ROWS_PER_STEP):
+            rows = splats.take(slice(start, start + ROWS_PER_STEP))
             file.write(_stored_rows(rows).tobytes())
 
 
@@ -126,95 +130,27 @@ def _stored_rows(splats):
     return np.concatenate(columns, axis=1).astype("<f4")
 
 
-# --- header ---------------------------------------------------------------------------------------
+# --- what the rows hold ---------------------------------------------------------------------------
 
 
-def _read_header(path, file):
-    """Return the _Table that the header describes, checked against the file's size."""
-    start = file.read(HEADER_LIMIT)
-    if not start.startswith((b"ply\n", b"ply\r")):
-        raise InputError(f"{path} is not a PLY file{_kind(start)}; {REMEDY}")
-    end = start.find(b"\nend_header")
-    stop = start.find(b"\n", end + 1)
-    if end < 0 or stop < 0:
-        raise InputError(f"{path} has no end_header line; a PLY must have one; {REMEDY}")
-    offset = stop + 1
-    for name, count, properties in _parse_header(path, start[:end].decode("ascii", "replace")):
-        if name == "vertex":
-            return _splat_table(path, os.fstat(file.fileno()).st_size, offset, count, properties)
-        if any(kind == "list" for _, kind in properties):
-            raise InputError(
-                f"{path} has lists before its vertices; that is no splat PLY; {REMEDY}"
-            )
-        offset += count * sum(np.dtype(kind).itemsize for _, kind in properties)
-    raise InputError(f"{path} has no vertex element; splats are stored as vertices; {REMEDY}")
-
-
-def _kind(start):
-    if start.startswith(b"PK\x03\x04"):
-        return " (it looks like a zip archive, perhaps SOG)"
-    if start.startswith(b"\x1f\x8b"):
-        return " (it looks like gzip, perhaps SPZ)"
-    return "" if start.strip() else " (it is empty)"
-
-
-def _parse_header(path, text):
-    """Return the elements in order, each as (name, count, [(property, numpy type)])."""
-    order, elements = None, []
-    for number, line in enumerate(text.splitlines()[1:], start=2):
-        match line.split():
-            case [] | ["comment" | "obj_info", *_]:
-                continue
-            case ["format", "ascii", *_]:
-                raise InputError(
-                    f"{path} is an ASCII PLY; splats must be stored as binary; {REMEDY}"
-                )
-            case ["format", kind, *_] if kind in ORDERS:
-                order = ORDERS[kind]
-            case ["element", name, count] if count.isdecimal() and len(count) < 19:
-                elements.append((name, int(count), []))
-            case ["property", "list", _, _, name] if elements:
-                elements[-1][2].append((name, "list"))
-            case ["property", kind, name] if elements and order and kind in TYPES:
-                elements[-1][2].append((name, order + TYPES[kind]))
-            case _:
-                shown = line.strip()[:60]
-                raise InputError(f"{path} line {number} is {shown!r}; no PLY has that; {REMEDY}")
-    if order is None:
-        raise InputError(f"{path} has no format line; a PLY must have one; {REMEDY}")
-    return elements
-
-
-def _splat_table(path, size, offset, count, properties):
-    names = [name for name, _ in properties]
-    if len(set(names)) < len(names):
-        twice = next(name for name in names if names.count(name) > 1)
-        raise InputError(f"{path} has the property {twice} twice; names must differ; {REMEDY}")
-    _require_splat_properties(path, names)
-    rest = sum(name.startswith("f_rest_") for name in names)
-    if rest not in COEFFICIENTS or any(f"f_rest_{i}" not in names for i in range(rest)):
-        raise InputError(
-            f"{path} has {rest} f_rest properties; spherical harmonics of degree 0 to 3 have 0, "
-            f"9, 24 or 45; {REMEDY}"
-        )
-    if any(kind == "list" for _, kind in properties):
+def _require_splats(path, header):
+    """Return the vertex element, its place and size checked against the file."""
+    vertex = header.find("vertex")
+    if vertex is None:
+        raise InputError(f"{path} has no vertex element; splats are stored as vertices; {REMEDY}")
+    _require_properties(path, header, vertex.names)
+    if vertex.offset is None:
+        raise InputError(f"{path} has lists before its vertices; that is no splat PLY; {REMEDY}")
+    if vertex.row is None:
         raise InputError(f"{path} has lists in its vertices; splats have none; {REMEDY}")
-    row = np.dtype(properties)
-    if count == 0:
-        raise InputError(f"{path} holds 0 splats; it must hold at least one; {REMEDY}")
-    if offset + count * row.itemsize > size:
-        raise InputError(
-            f"{path} promises {count} splats of {row.itemsize} bytes but has room for "
-            f"{max(size - offset, 0) // row.itemsize}; it is truncated or damaged; copy or export "
-            "it again"
-        )
-    return _Table(offset, count, row, COEFFICIENTS[rest])
+    vertex.require_room(path)
+    return vertex
 
 
-def _require_splat_properties(path, names):
-    if "packed_position" in names:
+def _require_properties(path, header, names):
+    if header.compressed:
         raise InputError(f"{path} is a compressed PLY; its splats must be uncompressed; {REMEDY}")
-    missing = [name for name in REQUIRED if name not in names]
+    missing = [name for name in REQUIRED if name not in names and name != SCALE[2]]
     if not missing:
         return
     if "opacity" in missing and "rot_0" in missing:
@@ -222,32 +158,57 @@ def _require_splat_properties(path, names):
             f"{path} is a mesh or point cloud (its vertices have {', '.join(names[:8])}); splats "
             f"have opacity, scales and rotations too; {REMEDY}"
         )
-    if missing == ["scale_2"]:
-        raise InputError(f"{path} holds 2D splats (no scale_2); splats must be 3D; {REMEDY}")
     raise InputError(f"{path} lacks the property {', '.join(missing)}; splats need it; {REMEDY}")
+
+
+def _layout(path, vertex: Element):
+    names = vertex.names
+    shader = all(name in names for name in SHADER)
+    rest = 0 if shader else sum(name.startswith("f_rest_") for name in names)
+    if rest not in REST_COEFFICIENTS or any(f"f_rest_{i}" not in names for i in range(rest)):
+        raise InputError(
+            f"{path} has {rest} f_rest properties; spherical harmonics of degree 0 to 3 have 0, "
+            f"9, 24 or 45; {REMEDY}"
+        )
+    return _Layout(REST_COEFFICIENTS[rest], SCALE[2] not in names, FILTER in names, shader)
+
+
+def _variant_notes(layout):
+    notes = []
+    if layout.disc:
+        notes.append(
+            f"2D splats (2DGS): the third axis is made {DISC_THICKNESS:g} of the smaller of the two"
+        )
+    if layout.filtered:
+        notes.append("filter_3D (Mip-Splatting, GOF) is applied to scales and opacities")
+    if layout.shader:
+        notes.append(
+            "GaussianShader: the base colour is used; its specular colour, roughness, normals and "
+            "environment light are dropped, so shiny things look dull"
+        )
+    return notes
 
 
 # --- rows -----------------------------------------------------------------------------------------
 
 
-def _read_rows(path, file, table):
+def _read_rows(path, vertex, layout):
     """Return the activated Splats and a mask of those whose values are all usable."""
-    n, k = table.count, table.coefficients
-    splats = Splats(
-        position=np.empty((n, 3), np.float32),
-        rotation=np.empty((n, 4), np.float32),
-        scale=np.empty((n, 3), np.float32),
-        opacity=np.empty(n, np.float32),
-        sh=np.empty((n, k, 3), np.float32),
-    )
-    good = np.empty(n, bool)
-    for start in range(0, n, ROWS_PER_READ):
-        rows = np.fromfile(file, table.row, min(ROWS_PER_READ, n - start))
-        if len(rows) < min(ROWS_PER_READ, n - start):
+    splats = empty_splats(vertex.count, layout.coefficients)
+    good = np.empty(vertex.count, bool)
+
+    def read_part(start):
+        count = min(ROWS_PER_STEP, vertex.count - start)
+        offset = vertex.offset + start * vertex.row.itemsize
+        with open(path, "rb", buffering=0) as file:
+            rows = np.fromfile(file, vertex.row, count, offset=offset)
+        if len(rows) < count:
             raise InputError(f"{path} became shorter while it was read; try again")
-        part = slice(start, start + len(rows))
-        with np.errstate(all="ignore"):  # what overflows is counted as broken
-            good[part] = _activate(_columns(rows), k, splats, part)
+        part = slice(start, start + count)
+        good[part] = _activate(_columns(rows), layout, splats, part)
+
+    with ThreadPoolExecutor(READERS) as pool:  # numpy works outside Python's lock
+        list(pool.map(read_part, range(0, vertex.count, ROWS_PER_STEP)))
     return splats, good
 
 
@@ -265,25 +226,46 @@ def _columns(rows):
             return table[:, [place[name] for name in names]]
 
         return pick
-    return lambda names: np.stack([rows[name].astype(np.float32) for name in names], axis=1)
+
+    def convert(names):
+        with np.errstate(all="ignore"):  # what float32 cannot hold is counted as broken
+            return np.stack([rows[name].astype(np.float32) for name in names], axis=1)
+
+    return convert
 
 
-def _activate(pick, k, splats, part):
+def _activate(pick, layout, splats, part):
     """Fill rows `part` of `splats` in place; return which of them are usable."""
-    position, log_scale, turn = pick(POSITION), pick(SCALE), pick(ROTATION)
-    logit, base = pick(("opacity",))[:, 0], pick(BASE_COLOR)
-    length = np.linalg.norm(turn, axis=1)
-    splats.position[part] = position
-    np.exp(log_scale, out=splats.scale[part])
-    splats.opacity[part] = 1 / (1 + np.exp(-logit))
-    np.divide(turn, length[:, None], out=splats.rotation[part])
-    splats.sh[part, 0] = base
-    good = np.isfinite(logit) & (length > 0) & np.isfinite(length)
-    good &= (np.abs(position) < MAX_LENGTH).all(axis=1)  # false for NaN
-    good &= (splats.scale[part] < MAX_LENGTH).all(axis=1)
-    good &= np.isfinite(log_scale).all(axis=1) & np.isfinite(base).all(axis=1)
-    if k > 1:
-        rest = pick([f"f_rest_{i}" for i in range(3 * (k - 1))])
-        splats.sh[part, 1:] = rest.reshape(-1, 3, k - 1).transpose(0, 2, 1)
-        good &= np.isfinite(rest).all(axis=1)
-    return good
+    base, rest = pick(BASE_COLOR), None
+    if layout.shader:
+        base = _shader_base(base)
+    if layout.coefficients > 1:
+        bands = layout.coefficients - 1
+        rest = pick([f"f_rest_{i}" for i in range(3 * bands)])
+        rest = rest.reshape(-1, 3, bands).transpose(0, 2, 1)
+    log_scale = pick(SCALE[:2] if layout.disc else SCALE)
+    if layout.disc:
+        thin = log_scale.min(axis=1, keepdims=True) + np.float32(np.log(DISC_THICKNESS))
+        log_scale = np.concatenate([log_scale, thin], axis=1)
+    return activate_rows(
+        splats,
+        part,
+        position=pick(POSITION),
+        log_scale=log_scale,
+        turn=pick(ROTATION),
+        logit=pick(("opacity",))[:, 0],
+        base=base,
+        rest=rest,
+        widen=pick((FILTER,))[:, 0] if layout.filtered else None,
+    )
+
+
+def _shader_base(raw):
+    """Return GaussianShader's diffuse colour as first coefficients of spherical harmonics.
+
+    Its renderer shows sigmoid(raw - ln 3) plus the reflection of a light that the PLY lacks.
+    """
+    with np.errstate(all="ignore"):
+        color = 1 / (1 + 3 * np.exp(-raw))
+    color[np.isnan(raw) | np.isinf(raw)] = np.nan  # a broken value must not pass for black or white
+    return ((color - 0.5) / SH_C0).astype(np.float32)

@@ -186,7 +186,7 @@ def test_damaged_scene_folders(tmp_path, damage, expected):
 def test_paths_that_hold_no_scene(tmp_path):
     with pytest.raises(InputError, match="does not exist"):
         load_scene(str(tmp_path / "none"))
-    with pytest.raises(InputError, match="0 PLY files"):
+    with pytest.raises(InputError, match="0 splat files"):
         load_scene(tmp_path)
 
 

@@ -142,7 +142,6 @@ BAD = {
     "ascii": (header(USUAL, form="ascii"), "ASCII PLY"),
     "middle endian": (header(USUAL, form="binary_middle_endian"), "line 2"),
     "missing": (one_splat(USUAL[:-1]), "lacks the property rot_3"),
-    "2D": (one_splat([n for n in USUAL if n != "scale_2"]), "2D splats"),
     "degree": (one_splat([*USUAL, "f_rest_0", "f_rest_1"]), "2 f_rest"),
     "gap": (one_splat([*USUAL, *(f"f_rest_{i}" for i in range(1, 10))]), "9 f_rest"),
     "twice": (one_splat([*USUAL, "x"]), "property x twice"),

@@ -1,0 +1,142 @@
+"""Splat files in all formats that are read, known by their content and never by their name.
+
+| format | how it is known | needs |
+|---|---|---|
+| PLY: 3DGS, PGSR, 2DGS, Mip-Splatting, GOF, GaussianShader | `ply` and its properties | nothing |
+| `.splat`, 32-byte records | its numbers | nothing |
+| compressed PLY (PlayCanvas) | `ply` and packed properties | `rainsim[formats]` |
+| SPZ versions 2 to 4 | gzip, or `NGSP` | `rainsim[formats]` |
+| SOG, one file or a folder of pictures | zip, or `meta.json` | `rainsim[formats]` |
+
+All come as the one type `Splats` in the frame of the capture tools (x right, y down, z forward of
+the first camera, or what they chose); SPZ alone stores other axes and is turned.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from rainsim.errors import InputError
+from rainsim.scene.activate import MAX_BROKEN_SHARE
+from rainsim.scene.files import require_file
+from rainsim.scene.types import Splats
+
+SUFFIXES = (".ply", ".splat", ".spz", ".sog")  # usual names, for listing folders only
+META = "meta.json"  # of an unbundled SOG
+START = 1 << 17  # bytes that are looked at to know a file
+REMEDY = "export the capture as a splat PLY, compressed PLY, SPZ, SOG or .splat"
+HINTS = {
+    b"glTF": " (it is a binary glTF model)",
+    b"\x89PNG": " (it is a picture)",
+    b"\xff\xd8\xff": " (it is a picture)",
+    b"RIFF": " (it is a picture or sound; of a SOG name its meta.json)",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """What was read from a splat file.
+
+    Attributes
+    ----------
+    splats : Splats
+    format : str
+        For people: "3DGS PLY", "SPZ" and so on.
+    notes : tuple of str
+        What was converted or dropped, one line each.
+    broken : int
+        Splats that were dropped because their values are not usable.
+    """
+
+    splats: Splats
+    format: str
+    notes: tuple
+    broken: int
+
+
+def read_splats(path):
+    """Read a splat file of any format.
+
+    Parameters
+    ----------
+    path : path-like
+        The file; of an unbundled SOG its meta.json or its folder.
+
+    Returns
+    -------
+    splats : Splats
+        Activated: linear scales, opacity in [0, 1], unit quaternions.
+    notes : list of str
+        What was converted or dropped, one line each; usually empty.
+
+    Raises
+    ------
+    InputError
+        If it is no splat file, is damaged, lies about its size, or holds more than 1 % of splats
+        with unusable values; or if the extra that reads the format is not installed.
+    """
+    reading = read(path)
+    return reading.splats, list(reading.notes)
+
+
+def read(path, max_broken=MAX_BROKEN_SHARE):
+    """Return the Reading of a splat file of any format; see `read_splats`.
+
+    `max_broken` is the largest share of unusable splats that is dropped rather than refused.
+    """
+    path = Path(path)
+    if path.is_dir() and (path / META).is_file():
+        path = path / META
+    path = require_file(path, "a splat file")
+    with open(path, "rb") as file:
+        start = file.read(START)
+        kind, reader = _reader_of(path, start, file)
+    splats, notes, broken = reader(path, max_broken)
+    return Reading(splats, kind, tuple(notes), broken)
+
+
+def source_files(path):
+    """Return the files that a splat file consists of: itself, or all of an unbundled SOG."""
+    path = Path(path)
+    if path.name == META:
+        return [path, *sorted(path.parent.glob("*.webp"))]
+    return [path]
+
+
+def _reader_of(path, start, file):
+    """Return the format's name and its reader, a function of the path and the broken share."""
+    if start.startswith((b"ply\n", b"ply\r")):
+        return _ply_reader(path, file)
+    if start.startswith((b"PK\x03\x04", b"PK\x05\x06")):
+        from rainsim.scene.formats.sog import read_bundle
+
+        return "SOG (one file)", read_bundle
+    if start.startswith((b"\x1f\x8b", b"NGSP")):
+        from rainsim.scene.formats.spz import read_spz
+
+        return "SPZ", read_spz
+    if start.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"{"):
+        from rainsim.scene.formats.sog import read_folder
+
+        return "SOG (folder)", read_folder
+    from rainsim.scene.formats.antimatter import looks_like_records, read_antimatter
+
+    hint = next((text for magic, text in HINTS.items() if start.startswith(magic)), None)
+    if hint is None and looks_like_records(start):
+        return ".splat", read_antimatter
+    hint = hint or ("" if start else " (it is empty)")
+    raise InputError(f"{path} is no splat file that is known{hint}; {REMEDY}")
+
+
+def _ply_reader(path, file):
+    from rainsim.scene.ply import read_plain
+    from rainsim.scene.plyheader import read_header
+
+    file.seek(0)
+    header = read_header(path, file)
+    if header.compressed:
+        from rainsim.scene.formats.compressed import read_compressed
+
+        return "compressed PLY", lambda path, broken: read_compressed(path, header, broken)
+    return "3DGS PLY", lambda path, broken: read_plain(path, header, broken)

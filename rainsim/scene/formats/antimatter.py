@@ -1,0 +1,63 @@
+"""Splats from `.splat` files, the 32-byte records of the first web viewers.
+
+A record holds the centre and the linear scales (6 float32), red, green, blue and opacity (4 bytes)
+and a quaternion, w first (4 bytes about 128). There is no header: a file is known by its numbers.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rainsim.errors import InputError
+from rainsim.scene.activate import SH_C0, dropped_note, empty_splats, keep_good
+from rainsim.scene.files import MAX_LENGTH
+
+RECORD = np.dtype(
+    [("position", "<f4", 3), ("scale", "<f4", 3), ("color", "u1", 4), ("turn", "u1", 4)]
+)
+BELIEVABLE = 0.98  # share of the records at its start by which a file is known
+
+
+def looks_like_records(start):
+    """Whether `start`, the first bytes of a file, looks like 32-byte splat records."""
+    count = len(start) // RECORD.itemsize
+    if count == 0 or _is_text(start[:4096]):
+        return False
+    records = np.frombuffer(start, RECORD, count)
+    usable = _usable(records)
+    seen = records[usable]
+    blank = not seen["scale"].any() or not seen["color"][:, 3].any()
+    return not blank and usable.mean() >= BELIEVABLE
+
+
+def _is_text(data):
+    return not data.translate(None, bytes([9, 10, 13, *range(32, 127)]))
+
+
+def _usable(records):
+    """Which records hold numbers that a splat can have."""
+    with np.errstate(invalid="ignore"):
+        good = (np.abs(records["position"]) < MAX_LENGTH).all(axis=1)  # false for NaN
+        good &= ((records["scale"] >= 0) & (records["scale"] < MAX_LENGTH)).all(axis=1)
+    return good & (records["turn"] != 128).any(axis=1)
+
+
+def read_antimatter(path, max_broken):
+    """Return the Splats of a `.splat` file, notes and how many splats were dropped."""
+    size = path.stat().st_size
+    if size % RECORD.itemsize:
+        raise InputError(
+            f"{path} has {size} bytes; a .splat file holds whole records of {RECORD.itemsize} "
+            "bytes; it is cut off, copy or export it again"
+        )
+    records = np.fromfile(path, RECORD)
+    splats = empty_splats(len(records), 1)
+    with np.errstate(all="ignore"):
+        splats.position[:] = records["position"]
+        splats.scale[:] = records["scale"]
+        splats.opacity[:] = records["color"][:, 3] / np.float32(255)
+        splats.sh[:, 0] = (records["color"][:, :3] / np.float32(255) - np.float32(0.5)) / SH_C0
+        turn = records["turn"].astype(np.float32) - 128
+        np.divide(turn, np.linalg.norm(turn, axis=1, keepdims=True), out=splats.rotation)
+    splats, broken = keep_good(path, splats, _usable(records), max_broken)
+    return splats, dropped_note(broken, len(splats)), broken

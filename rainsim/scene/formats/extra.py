@@ -1,0 +1,49 @@
+"""The optional reader of compressed formats (gsply): found or asked for, and kept on a leash.
+
+Its decoders are compiled without bounds checks and trust what they read. So files are checked here
+first, down to the size of every array that a decoder indexes; what still goes wrong inside becomes
+one clear line.
+"""
+
+from __future__ import annotations
+
+from contextlib import contextmanager
+from importlib import import_module
+
+from rainsim.errors import InputError
+
+INSTALL = 'pip install "rainsim[formats]"'
+
+
+def load_extra(path, kind, *modules):
+    """Return gsply after importing it and the `modules` that it needs to read `path`.
+
+    Raises
+    ------
+    InputError
+        If one is not installed; names the command that installs it.
+    """
+    import rainsim.jit  # noqa: F401  (its compiled kernels belong into our cache folder)
+
+    for module in (*modules, "gsply"):
+        try:
+            found = import_module(module)
+        except ImportError:
+            raise InputError(
+                f"{path} is {kind}; reading it needs the package {module}; {INSTALL}"
+            ) from None
+    return found
+
+
+@contextmanager
+def leash(path, kind):
+    """Turn whatever a third-party decoder raises into one InputError about `path`."""
+    try:
+        yield
+    except InputError:
+        raise
+    except Exception as error:  # whatever a damaged file does to a decoder: never a traceback
+        raise InputError(
+            f"{path} cannot be decoded as {kind} ({type(error).__name__}); it must be whole and "
+            "undamaged; export it again"
+        ) from None

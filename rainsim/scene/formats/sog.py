@@ -1,0 +1,306 @@
+"""Splats from SOG: lossless WebP pictures whose pixels are splats, and a meta.json about them.
+
+Bundled, all lie in one zip file; unbundled, in one folder. Both are checked and handed to the
+decoder as a fresh bundle in memory, so that it meets no name, size or value it cannot trust.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import struct
+import zipfile
+from dataclasses import dataclass
+from pathlib import PurePosixPath
+
+from rainsim.errors import InputError
+from rainsim.scene.activate import activate, dropped_note, keep_good, require_believable
+from rainsim.scene.files import json_number, require_file
+from rainsim.scene.formats.extra import leash, load_extra
+
+KIND = "SOG"
+META = "meta.json"
+REMEDY = "it is damaged, export it again"
+META_LIMIT = 1 << 22  # bytes; real ones have some 15,000
+MEMBER_FREE = 1 << 20  # bytes that a zip member may unpack to, whatever the bundle's size
+MEMBER_GROWTH = 4  # times the bundle's size that it may unpack to; WebP does not shrink in a zip
+SPARE_PIXELS = 1 << 16  # beyond twice the splats; pictures are nearly full
+CODES = 256  # entries of a codebook
+PALETTE_ROW = 64  # palette entries in a row of the picture of spherical harmonics
+PALETTE_LIMIT = 1 << 16
+BANDS = {1: 3, 2: 8, 3: 15}  # SH degree -> coefficients beyond the first
+LOG_LIMIT = 27.0  # positions are stored as sign * (exp(|v|) - 1); beyond is past MAX_LENGTH
+
+
+def read_bundle(path, max_broken):
+    """Return the Splats of a bundled SOG file, notes and how many splats were dropped."""
+    size = path.stat().st_size
+    try:
+        with zipfile.ZipFile(path) as archive:
+            infos = {info.filename: info for info in archive.infolist()}
+            root = _root(path, infos)
+
+            def load(name):
+                return _unpack(path, archive, infos.get(root + name), name, size)
+
+            return _read(path, load, size, max_broken)
+    except (zipfile.BadZipFile, zipfile.LargeZipFile, NotImplementedError, RuntimeError) as error:
+        raise InputError(
+            f"{path} is not a whole zip file ({type(error).__name__}); {REMEDY}"
+        ) from None
+    except (EOFError, OSError, ValueError, struct.error) as error:
+        raise InputError(f"{path} cannot be unpacked ({type(error).__name__}); {REMEDY}") from None
+
+
+def read_folder(path, max_broken):
+    """Return the Splats of an unbundled SOG whose meta.json is `path`; see `read_bundle`."""
+
+    def load(name):
+        file = path if name == META else path.parent / name
+        return require_file(file, "a part of a SOG").read_bytes()
+
+    if path.stat().st_size > META_LIMIT:  # before it is read
+        raise InputError(f"{path} is too large for the meta.json of a SOG; check the path")
+    size = sum(f.stat().st_size for f in path.parent.glob("*.webp") if f.is_file())
+    return _read(path, load, size, max_broken)
+
+
+# --- the archive ----------------------------------------------------------------------------------
+
+
+def _root(path, infos):
+    """Return the folder in the archive that holds meta.json, as a prefix of names."""
+    found = [name for name in infos if PurePosixPath(name).name == META]
+    if len(found) != 1:
+        raise InputError(
+            f"{path} is a zip file with {len(found)} meta.json; a SOG bundle has one; check the "
+            "path or export it again"
+        )
+    return found[0].removesuffix(META)
+
+
+def _unpack(path, archive, info, name, size):
+    if info is None:
+        raise InputError(f"{path} lacks {name}, which its meta.json names; {REMEDY}")
+    limit = max(MEMBER_FREE, MEMBER_GROWTH * size)
+    if info.file_size > limit:
+        raise InputError(
+            f"{path}: {name} unpacks to {info.file_size} bytes; from a file of {size} at most "
+            f"{limit} are believable; {REMEDY}"
+        )
+    try:
+        with archive.open(info) as member:
+            data = member.read(limit + 1)  # zipfile stops at the size that it was told
+    except Exception as error:  # decompressors raise errors of their own
+        raise InputError(
+            f"{path}: {name} cannot be unpacked ({type(error).__name__}); {REMEDY}"
+        ) from None
+    if len(data) != info.file_size:
+        raise InputError(f"{path}: {name} is cut off; {REMEDY}")
+    return data
+
+
+# --- meta.json and pictures -----------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class _Meta:
+    """The values of a meta.json, each taken out only after a check."""
+
+    path: object
+    data: dict
+
+    def group(self, key):
+        value = self.data.get(key)
+        if not isinstance(value, dict):
+            raise self.error(key, value, "an object with named values")
+        return _Meta(f"{self.path}: {key}", value)
+
+    def numbers(self, key, count, limit=1e6):
+        value = self.data.get(key)
+        numbers = [json_number(v) for v in value] if isinstance(value, list) else []
+        if len(numbers) != count or any(v is None or abs(v) > limit for v in numbers):
+            raise self.error(key, value, f"a list of {count} numbers")
+        return numbers
+
+    def number(self, key):
+        value = json_number(self.data.get(key))
+        if value is None:
+            raise self.error(key, self.data.get(key), "a number")
+        return value
+
+    def whole(self, key, low, high):
+        value = self.data.get(key)
+        if type(value) is not int or not low <= value <= high:
+            raise self.error(key, value, f"a whole number from {low} to {high}")
+        return value
+
+    def files(self, count):
+        names = self.data.get("files")
+        good = isinstance(names, list) and len(names) == count
+        if not good or not all(isinstance(n, str) and _is_plain_name(n) for n in names):
+            raise self.error("files", names, f"a list of {count} names of .webp files beside it")
+        return names
+
+    def error(self, key, value, rule):
+        shown = repr(value)
+        shown = shown if len(shown) <= 60 else shown[:57] + "..."
+        return InputError(f"{self.path}: {key} is {shown}; it must be {rule}; {REMEDY}")
+
+
+def _is_plain_name(name):
+    """Whether it names a picture in the same folder and nothing else."""
+    return name.endswith(".webp") and name.isprintable() and not set(name) & set("/\\:")
+
+
+def _read(path, load, size, max_broken):
+    meta = _Meta(path, _parse(path, load(META)))
+    first = meta.data.get("version") is None  # version 1 did not name itself
+    if not first and meta.data["version"] != 2:
+        raise meta.error("version", meta.data["version"], "2, or missing as in version 1")
+    checked = {} if first else {"version": 2}
+    if first:
+        shape = meta.group("means").data.get("shape")
+        count = shape[0] if isinstance(shape, list) and shape else None
+        if type(count) is not int:
+            raise meta.error("means.shape", shape, "a list of whole numbers")
+    else:
+        count = meta.whole("count", 0, 1 << 40)
+        checked["count"] = count
+    require_believable(path, count, size)
+    load_extra(path, KIND, "imagecodecs")
+    pictures = _Pictures(path, load, count)
+    checked |= _checked_splats(meta, pictures, first, count)
+    if "shN" in meta.data:
+        checked["shN"] = _checked_harmonics(meta.group("shN"), pictures, first)
+    with leash(path, KIND):
+        from gsply.sog_reader import sogread
+
+        data = sogread(pictures.bundle(checked))
+        rest = data.shN if data.shN is not None and data.shN.shape[1] else None
+        splats, good = activate(
+            data.means, data.scales, data.quats, data.opacities.reshape(-1), data.sh0, rest
+        )
+    splats, broken = keep_good(path, splats, good, max_broken)
+    return splats, dropped_note(broken, len(splats)), broken
+
+
+def _parse(path, data):
+    if len(data) > META_LIMIT:
+        raise InputError(f"{path}: meta.json is too large for a SOG; check the path")
+    try:
+        meta = json.loads(data.decode("utf-8-sig"))
+    except (ValueError, RecursionError):
+        raise InputError(f"{path}: meta.json is not valid JSON; {REMEDY}") from None
+    if not isinstance(meta, dict) or "means" not in meta:
+        raise InputError(
+            f"{path} does not describe splats; the meta.json of a SOG has means, scales, quats and "
+            "sh0; check the path"
+        )
+    return meta
+
+
+def _checked_splats(meta, pictures, first, count):
+    """Return the parts of meta.json that all SOG files have, checked, pictures included."""
+    means, quats, scales, sh0 = (meta.group(k) for k in ("means", "quats", "scales", "sh0"))
+    checked = {
+        "means": {
+            "mins": means.numbers("mins", 3, LOG_LIMIT),
+            "maxs": means.numbers("maxs", 3, LOG_LIMIT),
+            "files": pictures.take(means.files(2)),
+        },
+        "quats": {"files": pictures.take(quats.files(1))},
+        "scales": {"files": pictures.take(scales.files(1))},
+        "sh0": {"files": pictures.take(sh0.files(1))},
+    }
+    if not first:
+        checked["scales"]["codebook"] = scales.numbers("codebook", CODES)
+        checked["sh0"]["codebook"] = sh0.numbers("codebook", CODES)
+        return checked
+    checked["means"]["shape"] = [count, 3]
+    for group, key, channels in ((scales, "scales", 3), (sh0, "sh0", 4)):
+        for end in ("mins", "maxs"):
+            checked[key][end] = group.numbers(end, channels)
+    return checked
+
+
+def _checked_harmonics(harmonics, pictures, first):
+    centroids, labels = harmonics.files(2)
+    if first:
+        pictures.take([labels])
+        pictures.take_palette(centroids, [PALETTE_ROW * n for n in BANDS.values()])
+        checked = {"mins": harmonics.number("mins"), "maxs": harmonics.number("maxs")}
+    else:
+        bands = harmonics.whole("bands", 1, 3)
+        palette = harmonics.whole("count", 1, PALETTE_LIMIT)
+        pictures.take([labels])
+        _, height = pictures.take_palette(centroids, [PALETTE_ROW * BANDS[bands]])
+        if height * PALETTE_ROW < palette:
+            raise harmonics.error("count", palette, f"at most {height * PALETTE_ROW}")
+        codebook = harmonics.numbers("codebook", CODES)
+        checked = {"count": palette, "bands": bands, "codebook": codebook}
+    return checked | {"files": [centroids, labels]}
+
+
+class _Pictures:
+    """The pictures that were checked, ready to be bundled for the decoder."""
+
+    def __init__(self, path, load, count):
+        self.path, self.load, self.count = path, load, count
+        self.data = {}
+
+    def take(self, names):
+        """Load pictures with a pixel for each splat; return their names."""
+        for name in names:
+            width, height = self._load(name)
+            if not self.count <= width * height <= 2 * self.count + SPARE_PIXELS:
+                raise InputError(
+                    f"{self.path}: {name} has {width} x {height} pixels for {self.count} splats; "
+                    f"it must have one for each and few more; {REMEDY}"
+                )
+        return names
+
+    def take_palette(self, name, widths):
+        """Load the picture of spherical harmonics; return its size."""
+        width, height = self._load(name)
+        if width not in widths or height * PALETTE_ROW > PALETTE_LIMIT:
+            raise InputError(
+                f"{self.path}: {name} has {width} x {height} pixels; its width must be "
+                f"{' or '.join(map(str, widths))} and its height at most "
+                f"{PALETTE_LIMIT // PALETTE_ROW}; {REMEDY}"
+            )
+        return width, height
+
+    def _load(self, name):
+        self.data[name] = data = self.load(name)
+        size = webp_size(data)
+        if size is None:
+            raise InputError(f"{self.path}: {name} is no lossless WebP picture; {REMEDY}")
+        return size
+
+    def bundle(self, meta):
+        """Return a SOG bundle of `meta` and the pictures as bytes."""
+        buffer = io.BytesIO()
+        with zipfile.ZipFile(buffer, "w") as archive:  # stored, not compressed
+            archive.writestr(META, json.dumps(meta))
+            for name, data in self.data.items():
+                archive.writestr(name, data)
+        return buffer.getvalue()
+
+
+def webp_size(data):
+    """Return width and height of a lossless still WebP picture from its first bytes, else None.
+
+    The header is read by hand so that no picture is unpacked before its size is known.
+    """
+    if len(data) < 30 or data[:4] != b"RIFF" or data[8:12] != b"WEBP":
+        return None
+    if data[12:16] == b"VP8L" and data[20] == 0x2F:
+        bits = int.from_bytes(data[21:25], "little")
+        return (bits & 0x3FFF) + 1, (bits >> 14 & 0x3FFF) + 1
+    if data[12:16] == b"VP8X" and not data[20] & 2:  # 2: animated
+        return (
+            int.from_bytes(data[24:27], "little") + 1,
+            int.from_bytes(data[27:30], "little") + 1,
+        )
+    return None

@@ -1,0 +1,300 @@
+"""Splat formats: what is written is read, whatever the file is called."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import made_formats as made
+import naive
+from made_captures import random_splats
+from rainsim.errors import InputError
+from rainsim.scene.folder import import_scene
+from rainsim.scene.formats import read, read_splats
+from rainsim.scene.ply import write_splats
+from rainsim.scene.types import GroundFrame
+
+DATA = Path(__file__).parents[3] / "shared/data"
+needs_data = pytest.mark.skipif(not DATA.exists(), reason="the samples are not part of the project")
+UP = GroundFrame(np.eye(3), 1.0, np.zeros(3))
+
+
+@pytest.fixture
+def extra():
+    """Skip unless the optional reader is installed."""
+    for module in ("gsply", "imagecodecs", "zstandard"):
+        pytest.importorskip(module)
+
+
+def compare(found, splats, position, turn, scale, opacity, color, rest=None):
+    """Compare with absolute tolerances; of `scale` relative, of `turn` up to the sign."""
+    assert len(found) == len(splats)
+    np.testing.assert_allclose(found.position, splats.position, atol=position)
+    dots = np.abs(np.einsum("ni,ni->n", found.rotation, splats.rotation))
+    assert dots.min() > 1 - turn
+    np.testing.assert_allclose(found.scale, splats.scale, rtol=scale)
+    np.testing.assert_allclose(found.opacity, splats.opacity, atol=opacity)
+    np.testing.assert_allclose(found.sh[:, 0], splats.sh[:, 0], atol=color)
+    if rest is not None:
+        assert found.sh.shape == splats.sh.shape
+        np.testing.assert_allclose(found.sh[:, 1:], splats.sh[:, 1:], atol=rest)
+    made.check_arrays(found)
+
+
+def test_splat_records(tmp_path):
+    splats = made.tame_splats(300, 1)
+    (tmp_path / "named.ply").write_bytes(made.splat_records(splats))  # the name lies
+    reading = read(tmp_path / "named.ply")
+    assert reading.format == ".splat" and reading.notes == ()
+    compare(reading.splats, splats, 0, 1e-4, 1e-6, 0.003, 0.008)
+
+
+@pytest.mark.parametrize("coefficients", [1, 4, 9, 16])
+@pytest.mark.parametrize("with_colors", [True, False])
+def test_compressed_ply(tmp_path, extra, coefficients, with_colors):
+    splats = made.tame_splats(700, coefficients)  # two whole chunks and a part
+    (tmp_path / "named.splat").write_bytes(made.compressed_ply(splats, with_colors))
+    reading = read(tmp_path / "named.splat")
+    assert reading.format == "compressed PLY" and reading.notes == ()
+    compare(reading.splats, splats, 0.006, 1e-5, 0.005, 0.003, 0.01, 0.02)
+
+
+@pytest.mark.parametrize("version", [2, 3, 4])
+@pytest.mark.parametrize("coefficients", [1, 4, 9, 16])
+def test_spz_is_turned_into_the_frame_of_the_others(tmp_path, extra, version, coefficients):
+    stored = made.tame_splats(500, coefficients)  # these are x right, y up, z back
+    (tmp_path / "a.bin").write_bytes(made.spz(stored, version))
+    reading = read(tmp_path / "a.bin")
+    found = reading.splats
+    assert reading.format == "SPZ" and reading.notes == ()
+    turn = np.diag([1.0, -1.0, -1.0])
+    np.testing.assert_allclose(found.position, stored.position @ turn, atol=2e-4)
+    np.testing.assert_allclose(found.opacity, stored.opacity, atol=0.003)
+    np.testing.assert_allclose(found.scale, stored.scale, rtol=0.04)
+    for s in range(20):
+        parts = [naive.quaternion_matrix(q.rotation[s]) * q.scale[s] for q in (stored, found)]
+        expected, got = (axes @ axes.T for axes in parts)
+        size = np.abs(expected).max()
+        np.testing.assert_allclose(got, turn @ expected @ turn, atol=0.12 * size)
+    rng = np.random.default_rng(1)
+    bands = round(coefficients**0.5)
+    for direction in rng.normal(size=(8, 3)):
+        direction /= np.linalg.norm(direction)
+        before = np.einsum("k,nkc->nc", naive.sh_basis(turn @ direction, bands), stored.sh)
+        after = np.einsum("k,nkc->nc", naive.sh_basis(direction, bands), found.sh)
+        np.testing.assert_allclose(after, before, atol=0.04)
+    made.check_arrays(found)
+
+
+def test_spz_rotations_are_as_exact_as_their_bits(tmp_path, extra):
+    stored = made.tame_splats(500)
+    for version, slack in ((2, 4e-3), (3, 1e-5), (4, 1e-5)):
+        (tmp_path / "a.spz").write_bytes(made.spz(stored, version))
+        turned = read_splats(tmp_path / "a.spz")[0].rotation * np.float32([1, 1, -1, -1])
+        assert np.abs(np.einsum("ni,ni->n", turned, stored.rotation)).min() > 1 - slack
+
+
+def test_spz_flags_are_noted(tmp_path, extra):
+    (tmp_path / "a.spz").write_bytes(made.spz(made.tame_splats(9), 3, flags=3))
+    notes = read_splats(tmp_path / "a.spz")[1]
+    assert "Mip-Splatting" in notes[0] and "extensions" in notes[1]
+
+
+@pytest.mark.parametrize("coefficients", [1, 4, 9, 16])
+def test_sog_in_a_folder_and_in_one_file(tmp_path, extra, coefficients):
+    splats = made.tame_splats(700, coefficients)
+    files = made.sog(splats)
+    folder = made.write_folder(tmp_path / "sog", files)
+    (tmp_path / "plain.ply").write_bytes(made.bundle(files))
+    (tmp_path / "deep.sog").write_bytes(made.bundle(files, 8, "inside/"))
+    for path in (folder, folder / "meta.json", tmp_path / "plain.ply", tmp_path / "deep.sog"):
+        reading = read(path)
+        assert reading.format.startswith("SOG") and reading.notes == ()
+        compare(reading.splats, splats, 5e-4, 1e-4, 0.02, 0.003, 0.005, 0.005)
+
+
+def test_sog_of_the_first_version(tmp_path, extra):
+    splats = made.tame_splats(700, 1)
+    reading = read(made.write_folder(tmp_path / "sog", made.sog_v1(splats)))
+    compare(reading.splats, splats, 5e-4, 1e-4, 0.03, 0.01, 0.01)
+
+
+# --- relatives of the original PLY ----------------------------------------------------------------
+
+
+def test_2dgs_discs_are_thin_along_their_third_axis(tmp_path):
+    splats = random_splats(50)
+    columns = made.stored_columns(splats)
+    del columns["scale_2"]
+    (tmp_path / "a.ply").write_bytes(made.ply(columns))
+    found, notes = read_splats(tmp_path / "a.ply")
+    np.testing.assert_allclose(found.scale[:, :2], splats.scale[:, :2], rtol=1e-5)
+    np.testing.assert_allclose(found.scale[:, 2], 1e-3 * splats.scale[:, :2].min(1), rtol=1e-5)
+    np.testing.assert_allclose(found.rotation, splats.rotation, atol=1e-6)
+    assert len(notes) == 1 and "2DGS" in notes[0]
+
+
+def test_3d_filter_of_mip_splatting_and_gof(tmp_path):
+    splats = random_splats(50)
+    width = np.random.default_rng(1).uniform(0, 0.1, 50).astype(np.float32)
+    width[0] = 0
+    columns = made.stored_columns(splats) | {"filter_3D": width}
+    (tmp_path / "a.ply").write_bytes(made.ply(columns))
+    found, notes = read_splats(tmp_path / "a.ply")
+    # The projects' formula: scales add in squares, opacity times sqrt(det before / det after).
+    before = splats.scale.astype(float) ** 2
+    after = before + width.astype(float)[:, None] ** 2
+    np.testing.assert_allclose(found.scale, np.sqrt(after), rtol=1e-5)
+    opacity = splats.opacity * np.sqrt(before.prod(axis=1) / after.prod(axis=1))
+    np.testing.assert_allclose(found.opacity, opacity, rtol=1e-4)
+    np.testing.assert_allclose(found.opacity[0], splats.opacity[0], rtol=1e-5)
+    assert (found.opacity[1:] < splats.opacity[1:]).all()
+    assert len(notes) == 1 and "filter_3D" in notes[0]
+
+
+def test_3d_filter_of_splats_so_small_that_squares_vanish(tmp_path):
+    splats = random_splats(1)
+    splats.scale[:] = 1e-20
+    columns = made.stored_columns(splats) | {"filter_3D": np.float32([1e-20])}
+    (tmp_path / "a.ply").write_bytes(made.ply(columns))
+    found, _ = read_splats(tmp_path / "a.ply")
+    np.testing.assert_allclose(found.scale, np.sqrt(2) * 1e-20, rtol=1e-4)
+    np.testing.assert_allclose(found.opacity, splats.opacity / 2**1.5, rtol=1e-4)
+
+
+def test_gaussian_shader_shows_its_base_color(tmp_path):
+    splats = random_splats(40, 1)
+    columns = made.stored_columns(splats)
+    extras = ("nx2", "ny2", "nz2", *(f"f_rest_{i}" for i in range(12)), "roughness")
+    columns |= {name: np.ones(40) for name in (*extras, "specular0", "specular1", "specular2")}
+    (tmp_path / "a.ply").write_bytes(made.ply(columns))
+    found, notes = read_splats(tmp_path / "a.ply")
+    assert found.sh.shape == (40, 1, 3)
+    color = found.sh[:, 0] * made.SH_C0 + 0.5
+    expected = 1 / (1 + np.exp(-(splats.sh[:, 0].astype(float) - np.log(3))))
+    np.testing.assert_allclose(color, expected, atol=1e-5)
+    assert len(notes) == 1 and "specular colour" in notes[0] and "dropped" in notes[0]
+
+
+def test_pgsr_and_files_without_normals(tmp_path):
+    splats = random_splats(40, 16)
+    columns = made.stored_columns(splats, normals=False)
+    (tmp_path / "a.ply").write_bytes(made.ply(columns))
+    found, notes = read_splats(tmp_path / "a.ply")
+    compare(found, splats, 0, 1e-6, 1e-5, 1e-6, 0, 0)
+    assert notes == []
+
+
+@pytest.mark.parametrize("name", ["filter_3D", "f_dc_1", "scale_1"])
+def test_broken_values_of_the_variants_are_counted(tmp_path, name):
+    columns = made.stored_columns(random_splats(1000, 1)) | {
+        "filter_3D": np.full(1000, 0.01), "roughness": np.ones(1000), "specular0": np.ones(1000),
+    }  # fmt: skip
+    columns[name] = np.array(columns[name], np.float32)
+    columns[name][:3] = np.nan, np.inf, -np.inf
+    (tmp_path / "a.ply").write_bytes(made.ply(columns))
+    reading = read(tmp_path / "a.ply")
+    # A scale whose logarithm is minus infinity is zero; the other values have no such excuse.
+    assert reading.broken == 3 and len(reading.splats) == 997
+    assert "dropped 3 of 1000" in reading.notes[-1]
+    made.check_arrays(reading.splats)
+
+
+# --- telling formats apart ------------------------------------------------------------------------
+
+
+UNKNOWN = {
+    "empty": (b"", "it is empty"),
+    "text": (b"I am a text of at least thirty-two letters, really.\n" * 9, "no splat file"),
+    "glb": (b"glTF" + bytes(60), "glTF"),
+    "picture": (b"\x89PNG\r\n\x1a\n" + bytes(99), "picture"),
+    "noise": (np.random.default_rng(0).bytes(3200), "no splat file"),
+    "zeros": (bytes(3200), "no splat file"),
+    "json": (b'{"frames": []}', "does not describe splats"),
+    "other zip": (made.bundle({"a.txt": b"hello"}), "0 meta.json"),
+    "other gzip": (__import__("gzip").compress(b"hello" * 9), "gzip but not SPZ"),
+}
+
+
+@pytest.mark.parametrize("case", UNKNOWN)
+def test_other_files_are_refused_in_one_line(tmp_path, case):
+    data, expected = UNKNOWN[case]
+    (tmp_path / "some.splat").write_bytes(data)
+    with pytest.raises(InputError, match=expected) as caught:
+        read(tmp_path / "some.splat")
+    assert "\n" not in str(caught.value) and str(tmp_path) in str(caught.value)
+
+
+def test_missing_extra_is_named_with_the_command_that_installs_it(tmp_path, monkeypatch):
+    splats = made.tame_splats(30, 1)
+    write_splats(tmp_path / "plain.ply", splats)
+    cases = {
+        "gsply": {"c.ply": made.compressed_ply(splats), "a.spz": made.spz(splats, 3)},
+        "imagecodecs": {"a.sog": made.bundle(made.sog(splats))},
+    }
+    for module, files in cases.items():
+        with monkeypatch.context() as patch:
+            patch.setitem(sys.modules, module, None)
+            for name, data in files.items():
+                (tmp_path / name).write_bytes(data)
+                command = rf'{module}; pip install "rainsim\[formats\]"'
+                with pytest.raises(InputError, match=command):
+                    read(tmp_path / name)
+            assert len(read(tmp_path / "plain.ply").splats) == 30
+
+
+def test_missing_zstandard_is_named(tmp_path, extra, monkeypatch):
+    (tmp_path / "a.spz").write_bytes(made.spz(made.tame_splats(30, 1), 4))
+    monkeypatch.setitem(sys.modules, "zstandard", None)
+    with pytest.raises(InputError, match="needs the package zstandard; pip install"):
+        read(tmp_path / "a.spz")
+
+
+def test_import_takes_each_format(tmp_path, extra):
+    splats = made.tame_splats(200, 4)
+    write_splats(tmp_path / "a.ply", splats)
+    (tmp_path / "b.ply").write_bytes(made.compressed_ply(splats))
+    (tmp_path / "c.spz").write_bytes(made.spz(splats, 4))
+    (tmp_path / "d.splat").write_bytes(made.splat_records(splats))
+    (tmp_path / "e.sog").write_bytes(made.bundle(made.sog(splats)))
+    made.write_folder(tmp_path / "f", made.sog(splats))
+    hashes = set()
+    for name in ("a.ply", "b.ply", "c.spz", "d.splat", "e.sog", "f"):
+        scene = import_scene(tmp_path / name, ground_frame=UP)
+        assert len(scene.splats) == 200 and scene.name == name.partition(".")[0]
+        hashes.add(scene.source_hash)
+    assert len(hashes) == 6
+    (tmp_path / "f/scales.webp").write_bytes((tmp_path / "f/sh0.webp").read_bytes())
+    assert import_scene(tmp_path / "f", ground_frame=UP).source_hash not in hashes
+
+
+# --- samples --------------------------------------------------------------------------------------
+
+
+@needs_data
+def test_the_same_object_in_two_formats(extra):
+    spz, packed = (read(DATA / f"formats/biker.{e}").splats for e in ("spz", "compressed.ply"))
+    assert len(spz) == len(packed) == 152_746
+    np.testing.assert_allclose(spz.position, packed.position, atol=5e-4)
+    assert np.median(np.abs(np.log(spz.scale / packed.scale))) < 0.03
+    np.testing.assert_allclose(spz.opacity, packed.opacity, atol=0.01)
+    np.testing.assert_allclose(spz.sh, packed.sh, atol=0.05)
+    turn = np.abs(np.einsum("ni,ni->n", spz.rotation, packed.rotation))
+    assert np.median(turn) > 0.99999 and np.quantile(turn, 0.01) > 0.999
+
+
+@needs_data
+def test_samples_hold_what_their_description_says(extra):
+    samples = {
+        "truck.splat": (116_544, 1),
+        "flowers_sog": (26_895, 9),
+        "formats/environment.sog": (8_688, 1),
+        "formats/train_1000_sh3.ply": (1_000, 16),
+    }
+    for name, (count, coefficients) in samples.items():
+        splats, notes = read_splats(DATA / name)
+        assert splats.sh.shape == (count, coefficients, 3) and notes == [], name
+        made.check_arrays(splats)
+    flowers = read_splats(DATA / "flowers_sog")[0]
+    assert np.ptp(np.percentile(flowers.position[:, 0], (1, 99))) == pytest.approx(0.65, abs=0.1)

@@ -1,0 +1,216 @@
+"""Mutated files: a clear error or a right scene, never a crash; and memory in proportion."""
+
+import gzip
+import struct
+import tracemalloc
+
+import numpy as np
+import pytest
+
+import made_formats as made
+import mutate
+from made_captures import random_splats, ring
+from rainsim.errors import InputError
+from rainsim.scene.cameras import load_cameras
+from rainsim.scene.formats import read
+
+QUICK, THOROUGH = 120, 10_000
+COUNT = 300  # splats of the files that are mutated
+SMALL = made.tame_splats(COUNT, 4)
+
+
+def ply_with_everything():
+    columns = made.stored_columns(random_splats(COUNT, 9)) | {"filter_3D": np.full(COUNT, 0.01)}
+    return made.ply(columns)
+
+
+READERS = {
+    "ply": (ply_with_everything, mutate.plain),
+    "splat": (lambda: made.splat_records(SMALL), mutate.plain),
+    "compressed": (lambda: made.compressed_ply(SMALL), mutate.plain),
+    "spz 2": (lambda: made.spz(SMALL, 2), mutate.zipped),
+    "spz 3": (lambda: made.spz(SMALL, 3), mutate.zipped),
+    "spz 4": (lambda: made.spz(SMALL, 4), mutate.plain),
+    "sog": (lambda: made.sog(SMALL), mutate.bundled),
+    "sog folder": (lambda: made.sog(SMALL), mutate.one_mutated),
+    "sog 1": (lambda: made.sog_v1(SMALL), mutate.one_mutated),
+}
+NEED_EXTRA = {name for name in READERS if name not in ("ply", "splat")}
+
+
+def one_clear_line(error):
+    text = str(error)
+    assert "\n" not in text and len(text) < 700 and text.count(";") >= 1, text
+
+
+def fuzz_reader(kind, folder, count, seed):
+    """Read mutated files; return how many were read and how many refused."""
+    if kind in NEED_EXTRA:
+        for module in ("gsply", "imagecodecs", "zstandard"):
+            pytest.importorskip(module)
+    build, damage = READERS[kind]
+    rng, whole = np.random.default_rng(seed), build()
+    outcome = {"read": 0, "refused": 0}
+    for _ in range(count):
+        data = damage(rng, whole)
+        if isinstance(data, dict):
+            path = made.write_folder(folder / "sog", data)
+        else:
+            path = folder / "file"
+            path.write_bytes(data)
+        try:
+            reading = read(path)
+        except InputError as error:
+            one_clear_line(error)
+            outcome["refused"] += 1
+            continue
+        made.check_arrays(reading.splats)
+        assert 0 < len(reading.splats) <= 65_536
+        outcome["read"] += 1
+    return outcome
+
+
+@pytest.mark.parametrize("kind", READERS)
+def test_mutated_files(tmp_path, kind):
+    outcome = fuzz_reader(kind, tmp_path, QUICK, seed=1)
+    assert outcome["refused"] > QUICK // 10 and outcome["read"] > 0, outcome
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", READERS)
+def test_mutated_files_by_the_thousand(tmp_path, kind):
+    outcome = fuzz_reader(kind, tmp_path, THOROUGH, seed=2)
+    assert outcome["refused"] > THOROUGH // 10 and outcome["read"] > 0, outcome
+
+
+def fuzz_cameras(folder, write, count, seed):
+    write(folder, ring(count=6))
+    whole = {path.name: path.read_bytes() for path in folder.iterdir()}
+    rng = np.random.default_rng(seed)
+    outcome = {"read": 0, "refused": 0}
+    for _ in range(count):
+        name = list(whole)[rng.integers(2)]
+        made.write_folder(folder, whole | {name: mutate.mutated(rng, whole[name])})
+        try:
+            cameras, _ = load_cameras(folder)
+        except InputError as error:
+            one_clear_line(error)
+            outcome["refused"] += 1
+            continue
+        outcome["read"] += 1
+        for camera in cameras:
+            turn = camera.camera_from_world[:3, :3]
+            np.testing.assert_allclose(turn @ turn.T, np.eye(3), atol=1e-9)
+            assert np.isfinite(camera.camera_from_world).all() and camera.fx > 0 and camera.fy > 0
+            assert camera.width > 0 and camera.height > 0 and camera.name.isprintable()
+    assert outcome["refused"] > count // 10 and outcome["read"] > 0, outcome
+
+
+@pytest.mark.parametrize("write", [made.colmap_binary, made.colmap_text])
+def test_mutated_colmap_models(tmp_path, write):
+    fuzz_cameras(tmp_path, write, QUICK, seed=1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("write", [made.colmap_binary, made.colmap_text])
+def test_mutated_colmap_models_by_the_thousand(tmp_path, write):
+    fuzz_cameras(tmp_path, write, THOROUGH, seed=2)
+
+
+@pytest.mark.parametrize("kind", READERS)
+def test_files_cut_off_anywhere(tmp_path, kind):
+    if kind in NEED_EXTRA:
+        pytest.importorskip("gsply")
+    whole = READERS[kind][0]()
+    if isinstance(whole, dict):
+        whole = made.bundle(whole)
+    for length in sorted({*range(0, len(whole), len(whole) // 40), len(whole) - 1}):
+        (tmp_path / "cut").write_bytes(whole[:length])
+        if kind == "splat" and length and length % 32 == 0:
+            continue  # a whole file of fewer splats
+        with pytest.raises(InputError) as caught:
+            read(tmp_path / "cut")
+        one_clear_line(caught.value)
+
+
+def refused_within(limit, path):
+    """The message of the error that reading ends in, with the peak of memory checked."""
+    tracemalloc.start()
+    try:
+        with pytest.raises(InputError) as caught:
+            read(path)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert peak < limit
+    one_clear_line(caught.value)
+    return str(caught.value)
+
+
+BOMB = 200_000_000  # bytes that unpack from a small file
+
+
+def test_gzip_bombs(tmp_path):
+    pytest.importorskip("gsply")
+    read_once = tmp_path / "warm"  # compiling and importing take memory of their own
+    read_once.write_bytes(made.spz(SMALL, 3))
+    read(read_once)
+    head = made.spz_head(SMALL, 3)
+    (tmp_path / "more").write_bytes(gzip.compress(head + bytes(BOMB), 9))
+    assert "unpacks to more" in refused_within(40e6, tmp_path / "more")
+    head = made.spz_head(SMALL, 3, count=BOMB // 20, degree=0)
+    (tmp_path / "lying").write_bytes(gzip.compress(head + bytes(BOMB), 9))
+    assert "splats in" in refused_within(40e6, tmp_path / "lying")
+
+
+def test_zstd_frames_that_promise_a_terabyte(tmp_path):
+    pytest.importorskip("gsply")
+    pytest.importorskip("zstandard")
+    data = bytearray(made.spz(SMALL, 4))
+    streams = data[15]
+    start = 32 + 16 * streams
+    # Frame: magic, descriptor (8-byte size, no single segment), window, size.
+    data[start : start + 14] = struct.pack("<IBBQ", 0xFD2FB528, 0xC0, 0x60, 10**12)
+    (tmp_path / "a").write_bytes(data)
+    assert "1000000000000 bytes" in refused_within(10e6, tmp_path / "a")
+    data = bytearray(made.spz(SMALL, 4))
+    struct.pack_into("<Q", data, 40, 10**12)  # the table of contents lies
+    (tmp_path / "b").write_bytes(data)
+    assert "stream 0" in refused_within(10e6, tmp_path / "b")
+
+
+def test_zip_bombs(tmp_path):
+    files = made.sog(SMALL)
+    bomb = files | {"quats.webp": bytes(BOMB)}
+    (tmp_path / "a").write_bytes(made.bundle(bomb, 8))
+    pytest.importorskip("gsply")
+    assert "quats.webp unpacks to 200000000" in refused_within(10e6, tmp_path / "a")
+
+
+def test_pictures_that_promise_a_gigapixel(tmp_path):
+    pytest.importorskip("gsply")
+    files = made.sog(SMALL)
+    side = (1 << 14) - 1
+    lying = bytearray(files["scales.webp"])
+    assert lying[12:16] == b"VP8L"
+    bits = int.from_bytes(lying[21:25], "little") | side | side << 14
+    lying[21:25] = bits.to_bytes(4, "little")
+    folder = made.write_folder(tmp_path / "a", files | {"scales.webp": bytes(lying)})
+    assert "16384 x 16384 pixels for 300" in refused_within(10e6, folder)
+
+
+def test_names_that_climb_out_of_the_folder(tmp_path):
+    pytest.importorskip("gsply")
+    files = made.sog(SMALL)
+    made.write_folder(tmp_path, {"secret.webp": files["quats.webp"]})
+    for name in ("../secret.webp", "..\\\\secret.webp", "/etc/passwd", "C:secret.webp", "a.json"):
+        meta = files["meta.json"].replace(b"quats.webp", name.encode())
+        folder = made.write_folder(tmp_path / "sog", files | {"meta.json": meta})
+        assert "names of .webp files" in refused_within(10e6, folder)
+
+
+def test_deeply_nested_and_huge_meta(tmp_path):
+    files = made.sog(SMALL)
+    for meta in (b'{"means":' + b"[" * 200_000, b'{"a":"' + b"a" * (1 << 23) + b'"}'):
+        folder = made.write_folder(tmp_path / "sog", files | {"meta.json": meta})
+        assert "meta.json" in refused_within(60e6, folder)
