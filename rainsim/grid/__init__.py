@@ -4,6 +4,8 @@
 scheme of that name, `sources` what rain, films and infiltration do to a cell.
 """
 
-from rainsim.grid.solver import SCHEMES, WaterReport, WaterSolver
+from rainsim.grid.choose import SCHEMES
+from rainsim.grid.inputs import Horton
+from rainsim.grid.solver import WaterReport, WaterSolver
 
-__all__ = ["SCHEMES", "WaterReport", "WaterSolver"]
+__all__ = ["SCHEMES", "Horton", "WaterReport", "WaterSolver"]

@@ -1,4 +1,4 @@
-"""The water solver: owns the fields of the MAC grid, checks what comes in, names the phases."""
+"""The water solver: checks what comes in, keeps the account of the water, names the phases."""
 
 from __future__ import annotations
 
@@ -14,22 +14,30 @@ from rainsim.errors import (
     require_not_negative,
     require_positive,
 )
-from rainsim.grid.paper import BLOCK, extrapolate, flow, push, push_rough
-from rainsim.grid.sources import soak
+from rainsim.grid.choose import MAX_COURANT, SCHEMES, choose
+from rainsim.grid.conserving_flow import ConservingFlow
+from rainsim.grid.inputs import (
+    EDGES,
+    field,
+    horton,
+    open_edges,
+    require_bed,
+    require_courant,
+    require_drains,
+    require_drops,
+    require_dtype,
+    require_inflow,
+)
+from rainsim.grid.paper_flow import PaperFlow
+from rainsim.grid.sources import soak, tally
 from rainsim.ledger import Ledger
 
-SCHEMES = ("auto", "paper")
-BOUNDARIES = ("wall", "open")
-EDGES = ("west", "east", "south", "north")
-
-COURANT = 0.5  # cells that the fastest wave or twice the flow crosses in a step
-MAX_COURANT = 0.5  # above, a cell could give more than it holds through its four faces
-ROUNDING_ROOM = 1 - 1e-6  # of a step, so that float32 factors keep that promise too
 DRY_DEPTH = 1e-6  # m, below this water does not flow (RainyGS supplement, step 2)
-CAP = 0.5  # cells per step, the most a face may be sped up to (Chentanez and Mueller 2010)
-REST_ROUNDINGS = 2  # rounding units of bed and depth within which two levels are equal
+REST_ROUNDINGS = {"paper": 2}  # rounding units of bed and depth within which levels are equal
 MAX_SPEED = 1000.0  # m/s, no water on the ground is as fast: the run has diverged
-MIN_CELLS = 2  # per side, so that there is a face between two cells
+SOURCE_PERIOD = 0.02  # s, rain and losses of shorter steps are booked together
+DECIDE_EVERY = 8  # calls of `advance`, between two looks of "auto" at the water
+QUIET_FALL = 0.5  # cells that water may fall from rest in the first step that moves it
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,20 +83,32 @@ class WaterSolver:
         Ground height; row 0 is south, column 0 is west.
     spacing : float [m]
         Side of a cell.
-    scheme : {"auto", "paper"}
-        "paper" is the staggered scheme of RainyGS (see `rainsim.grid.paper`); "auto" decides.
+    scheme : {"auto", "accurate", "lean", "paper"}
+        "accurate" conserves momentum to second order, linear waves to fourth; "lean" is its first
+        order; "paper" is the staggered scheme of RainyGS; "auto" decides from what it sees. See
+        `rainsim.grid.conserving`, `rainsim.grid.paper` and `rainsim.grid.choose`.
     boundary : {"wall", "open"} or dict
         One for all edges, or by edge: west, east, south, north (those left out are walls). Water
         leaves through an open edge at the speed that it has just inside; none comes in.
     manning : float or array_like of shape (ny, nx) [s m^(-1/3)]
         Manning's roughness; 0 is no friction.
+    kinematic_viscosity : float [m2/s]
+        Drag of a laminar film, 3 nu u / h^2; 0 is none. Not for "paper".
     gravity : float [m/s2]
     courant : float, optional
-        Cells crossed per step by the fastest wave, at most 0.5, the default.
+        Cells crossed per step by the fastest wave, at most 0.7 (0.5 for "paper"). By default
+        0.4 ("accurate"), 0.6 ("lean"), 0.5 ("paper"); "auto" takes 0.35 at fronts, else 0.6.
     storage : float or array_like of shape (ny, nx) [m]
         Depth that a cell holds back; only water above it flows.
-    infiltration : float or array_like of shape (ny, nx), optional [m/s]
+    infiltration : float, array_like of shape (ny, nx) or Horton, optional [m/s]
         Rate at which the ground takes water, as long as there is some.
+    drains : list of (row, column, rate [m3/s]), optional
+        Cells that lose water at up to that rate.
+    evaporation : float or array_like of shape (ny, nx) [m/s]
+        Rate at which water, then film, evaporates.
+    inflow : dict, optional
+        Discharge [m3/s] by edge, spread evenly along it; the edge's boundary is "wall". Not for
+        "paper".
     dtype : numpy.float32 or numpy.float64
         Type of the fields. Volumes are float64 either way.
 
@@ -105,42 +125,60 @@ class WaterSolver:
         scheme="auto",
         boundary="wall",
         manning=0.0,
+        kinematic_viscosity=0.0,
         gravity=9.81,
         courant=None,
         storage=0.0,
         infiltration=None,
+        drains=None,
+        evaporation=0.0,
+        inflow=None,
         dtype=np.float32,
     ):
-        bed = _require_bed(bed)
+        bed = require_bed(bed)
         self.shape = bed.shape
         self.spacing = require_positive("spacing", spacing, "m")
-        self.scheme, self.reason = _choose_scheme(scheme)
+        self._asked = require_choice("scheme", scheme, SCHEMES)
         self.gravity = require_positive("gravity", gravity, "m/s2")
-        self.courant = _require_courant(courant)
-        self._open = _open_edges(boundary)
-        self._type = _require_dtype(dtype)
-
-        manning = _field("manning", manning, self.shape)
-        storage = _field("storage", storage, self.shape)
-        drink = _field("infiltration", 0.0 if infiltration is None else infiltration, self.shape)
-        self._roughness = (manning**2).astype(self._type) if manning.any() else None
-        self._storage, self._infiltration = storage.astype(self._type), drink.astype(self._type)
-        self._stores, self._drinks = bool(storage.any()), bool(drink.any())
+        self._courant = require_courant(courant, MAX_COURANT[scheme])
+        self._type = require_dtype(dtype)
+        viscosity = require_not_negative("kinematic_viscosity", kinematic_viscosity, "m2/s")
+        is_open = open_edges(boundary)
+        inflow = require_inflow(inflow, is_open)
+        storage = field("storage", storage, self.shape)
+        self._horton = horton(infiltration, self.shape)
+        self._drains = require_drains(drains, self.shape)
+        evaporation = field("evaporation", evaporation, self.shape)
+        manning = field("manning", manning, self.shape)
+        rough = (manning**2).astype(self._type) if manning.any() else None
         # Levels are compared, so the height of the map itself must not cost digits.
-        self._bed = (bed + self._storage - bed.mean()).astype(self._type)
-        self._rest = self._type(REST_ROUNDINGS * np.finfo(self._type).eps)
-        self._allocate()
+        level_bed = (bed + storage.astype(self._type) - bed.mean()).astype(self._type)
+        rest = self._type(REST_ROUNDINGS.get(scheme, 1) * np.finfo(self._type).eps)
+        common = level_bed, self.spacing, self.gravity, is_open
+        if scheme == "paper":
+            _refuse_in_paper(kinematic_viscosity=viscosity, inflow=inflow)
+            self._flow = PaperFlow(*common, rough, rest, self._type(DRY_DEPTH))
+        else:
+            numbers = rest, self._type(DRY_DEPTH), scheme == "lean"
+            self._flow = ConservingFlow(*common, inflow, rough, viscosity, *numbers)
+        self._inner = self._flow.inner if self._flow.pad else np.s_[:, :]
+        self._storage, self._evaporation = self._framed(storage), self._framed(evaporation)
+        self._infiltration = self._framed(self._horton.rate(0.0))
+        self._film, self._rain = self._framed(0.0), self._framed(0.0)
+        self._lost = np.zeros(len(self._flow.tiles(True)))
+        self._stands = np.zeros((3, len(self._lost)))  # water, film and least depth of each tile
+        self._rain_set, self._rain_sum = 0.0, 0.0
+        self._stores = bool(storage.any())
+        self._drinks = bool(np.any(self._horton.first) or np.any(self._horton.last))
+        self._wanes = bool(np.any(self._horton.first != self._horton.last))
+        self._dries = bool(evaporation.any())
         self.set_state(0.0)
 
-    def _allocate(self):
-        (ny, nx), dtype = self.shape, self._type
-        self._h, self._h_spare = np.zeros((ny, nx), dtype), np.zeros((ny, nx), dtype)
-        self._u, self._u_spare = np.zeros((ny, nx + 1), dtype), np.zeros((ny, nx + 1), dtype)
-        self._v, self._v_spare = np.zeros((ny + 1, nx), dtype), np.zeros((ny + 1, nx), dtype)
-        self._damp, self._film = np.zeros((ny, nx), dtype), np.zeros((ny, nx), dtype)
-        self._rain = np.zeros((ny, nx), dtype)
-        self._reaches = np.zeros((-(-ny // BLOCK), nx), dtype)
-        self._row_infiltrated = np.zeros(ny)
+    def _framed(self, values):
+        """Return a map of the fields' type with the flow's ghost cells, zero there, around it."""
+        full = np.zeros(self._flow.h.shape, self._type)
+        full[self._inner] = values
+        return full
 
     # -- state ---------------------------------------------------------------------------------
 
@@ -155,21 +193,20 @@ class WaterSolver:
             Velocity at cell centres. A face takes the mean of its wet neighbours; closed faces
             are 0.
         """
-        depth = _field("depth", depth, self.shape)
-        u = _field("u", 0.0 if u is None else u, self.shape, signed=True)
-        v = _field("v", 0.0 if v is None else v, self.shape, signed=True)
-        self._film[:] = np.minimum(depth, self._storage)
-        free = depth - self._film
-        self._h[:] = np.where(free >= DRY_DEPTH, free, 0.0)
-        self._damp[:] = free - self._h
-        self._u[:, 1:-1] = _face_mean(u, self._h, self._bed, axis=1)
-        self._v[1:-1] = _face_mean(v, self._h, self._bed, axis=0)
-        self._set_edges()
-        self._moves = bool(self._u.any() or self._v.any())
-        self._speed = self._fastest()
-        self._reach = self._speed + max(self._wave_speed(self._h), self._speed)
+        depth = field("depth", depth, self.shape)
+        u = field("u", 0.0 if u is None else u, self.shape, signed=True)
+        v = field("v", 0.0 if v is None else v, self.shape, signed=True)
+        flow, inner = self._flow, self._inner
+        self._film[inner] = np.minimum(depth, self._storage[inner])
+        free = depth - self._film[inner]
+        flow.h[inner] = np.where(free >= DRY_DEPTH, free, 0.0)
+        flow.damp[inner] = free - flow.h[inner]
+        h, bed = flow.h[inner], flow.bed[inner]
+        flow.start(_face_mean(u, h, bed, axis=1), _face_mean(v, h, bed, axis=0))
+        self._advances = 0
         self._added, self._settled = False, False  # drops to take in; pressure seen and at rest
-        self.time = 0.0
+        self._decide()
+        self.time = self._owed = 0.0
         self._ledger = Ledger()
         self._book_stores()
         self._ledger.initial = self._ledger.ground + self._ledger.film
@@ -177,16 +214,16 @@ class WaterSolver:
     @property
     def depth(self):
         """Depth above the bed, film included, ndarray of shape (ny, nx) [m]; a copy."""
-        return self._film + (self._h + self._damp)
+        flow, inner = self._flow, self._inner
+        return self._film[inner] + (flow.h[inner] + flow.damp[inner])
 
     @property
     def velocity(self):
         """Velocity (u, v) at cell centres, two ndarrays of shape (ny, nx) [m/s]; copies."""
-        wet = self._h > 0
-        half = self._type(0.5)
-        u = np.where(wet, half * (self._u[:, :-1] + self._u[:, 1:]), self._type(0))
-        v = np.where(wet, half * (self._v[:-1] + self._v[1:]), self._type(0))
-        return u, v
+        wet = self._flow.h[self._inner] > 0
+        half, (u, v) = self._type(0.5), self._flow.faces()
+        across = np.where(wet, half * (u[:, :-1] + u[:, 1:]), self._type(0))
+        return across, np.where(wet, half * (v[:-1] + v[1:]), self._type(0))
 
     @property
     def ledger(self):
@@ -194,29 +231,27 @@ class WaterSolver:
         return replace(self._ledger)
 
     def discharge(self, edge):
-        """Return the flow that leaves through `edge` now [m3/s]."""
+        """Return the flow that leaves through `edge` now [m3/s]; negative where water comes in."""
         require_choice("edge", edge, EDGES)
+        (u, v), h = self._flow.faces(), self._flow.h[self._inner]
         speed, h = {
-            "west": (-self._u[:, 0], self._h[:, 0]),
-            "east": (self._u[:, -1], self._h[:, -1]),
-            "south": (-self._v[0], self._h[0]),
-            "north": (self._v[-1], self._h[-1]),
-        }[edge]
+            "west": (-u[:, 0], h[:, 0]), "east": (u[:, -1], h[:, -1]),
+            "south": (-v[0], h[0]), "north": (v[-1], h[-1]),
+        }[edge]  # fmt: skip
         return float((speed.astype(np.float64) * h).sum()) * self.spacing
 
     def deposit(self, rows, columns, volumes):
         """Add drops: `volumes` [m3] into the cells (`rows`, `columns`), arrays of one length."""
         rows, columns, volumes = np.atleast_1d(rows), np.atleast_1d(columns), np.atleast_1d(volumes)
-        _require_drops(rows, columns, volumes, self.shape)
+        require_drops(rows, columns, volumes, self.shape)
         if not len(rows):
             return
         # Rounded once in the sum of a cell, not once for each of its drops.
-        cells, which = np.unique(rows * self.shape[1] + columns, return_inverse=True)
+        width, pad = self._film.shape[1], self._flow.pad
+        cells, which = np.unique((rows + pad) * width + columns + pad, return_inverse=True)
         depth = np.bincount(which, np.asarray(volumes, np.float64)) / self.spacing**2
-        self._damp.reshape(-1)[cells] += depth.astype(self._type)
+        self._flow.damp.reshape(-1)[cells] += depth.astype(self._type)
         self._ledger.rain += float(volumes.sum(dtype=np.float64))
-        wave = self._wave_speed(self._h.reshape(-1)[cells] + depth)
-        self._reach = max(self._reach, self._speed + max(wave, self._speed))
         self._added = True
 
     # -- time ----------------------------------------------------------------------------------
@@ -238,120 +273,117 @@ class WaterSolver:
         substeps = 0
         if self._added:
             self._take_in(0.0, 0.0)
+            self._flow.refresh()
             self._added, self._settled = False, False
+        self._advances += 1
+        if self._flow.moves and self._advances % DECIDE_EVERY == 0:
+            self._decide()
         while end > self.time:
-            waits = self._settled and not self._moves
-            if waits and not (rain_sum > 0.0 or (self._drinks and self._holds_water())):
+            waits = self._settled and not self._flow.moves
+            if waits and not (rain_sum > 0.0 or (self._loses() and self._holds_water())):
                 self.time = end  # a step would change no number
                 break
             left = end - self.time
             steps = max(1, math.ceil(left / self._stable_step(left, rain_sum)))
-            self._substep(left / steps, rain_sum)
+            self._substep(left / steps, rain_sum, last=steps == 1)
             substeps += 1
             self.time = end if steps == 1 else self.time + left / steps
             self._require_sane()
-        self._speed = self._fastest()
         self._book_stores()
         return self._report(substeps)
 
-    def _substep(self, dt, rain_sum):
-        dtype, k = self._type, self._type(dt / self.spacing)
-        dry = dtype(DRY_DEPTH)
-        kg, cap = dtype(self.gravity * dt / self.spacing), dtype(CAP * self.spacing / dt)
-        old_u, old_v = self._u, self._v
-        if self._moves:
-            self._ledger.outflow += self._outflow() * float(k) * self.spacing
-            flow(
-                self._h, self._u, self._v, k, dry,
-                self._damp, self._h_spare, self._u_spare, self._v_spare,
-            )  # fmt: skip
-            self._h, self._h_spare = self._h_spare, self._h  # h at n+1
-            self._swap_velocity()  # carried, not yet pushed
-        else:
-            self._swap_velocity()  # pressure and friction read the velocity at n beside the new
-            self._u[:] = 0
-            self._v[:] = 0
-        if rain_sum > 0.0 or self._stores or self._drinks:
-            self._take_in(dt, rain_sum)
-        scalars = cap, dtype(self.gravity), self._rest, dry
-        if self._roughness is None:
-            push(self._h, self._bed, kg, *scalars, self._u, self._v, self._reaches)
-        else:
-            drag = dtype(self.gravity * dt)
-            push_rough(
-                self._h, self._bed, self._roughness, old_u, old_v, kg, drag, *scalars,
-                self._u, self._v, self._reaches,
-            )  # fmt: skip
-        self._reach = float(self._reaches.max())
-        self._moves = bool(self._u.any() or self._v.any())
+    def _substep(self, dt, rain_sum, last):
+        left, entered = self._flow.flow(dt)  # h at n+1
+        self._ledger.outflow += left
+        self._ledger.inflow += entered
+        if rain_sum > 0.0 or self._stores or self._loses():
+            self._owed += dt
+            if last or self._owed >= SOURCE_PERIOD:
+                self._take_in(self._owed, rain_sum)
+                self._owed = 0.0
+        self._flow.turn(dt)  # velocity after h at n+1
         self._settled = True
-        if self._moves:
-            extrapolate(self._h, self._u, self._v, self._u_spare, self._v_spare)
-            self._swap_velocity()
-        self._set_edges()  # u at n+1
 
-    def _swap_velocity(self):
-        self._u, self._u_spare = self._u_spare, self._u
-        self._v, self._v_spare = self._v_spare, self._v
+    def _loses(self):
+        return bool(self._drinks or self._dries or len(self._drains[0]))
 
     def _take_in(self, dt, rain_sum):
         """Give the waiting drops and the rain of `dt` to the ground, the film and the water."""
-        soak(
-            self._rain, self._infiltration, self._storage, dt, DRY_DEPTH,
-            self._h, self._damp, self._film, self._row_infiltrated,
-        )  # fmt: skip
-        area = self.spacing**2
-        self._ledger.rain += rain_sum * dt * area
-        self._ledger.infiltrated += float(self._row_infiltrated.sum()) * area
+        flow, ledger, area = self._flow, self._ledger, self.spacing**2
+        if self._wanes:
+            self._infiltration[self._inner] = self._horton.rate(self.time)
+        # Without rain and losses only water that moves can still fill films.
+        everywhere = rain_sum > 0.0 or self._loses() or self._added
+        tiles = flow.tiles(everywhere)
+        lost = self._lost[: len(tiles)]
+        water = flow.h, flow.damp, self._film, lost
+        soak(tiles, self._rain, self._infiltration, self._storage, dt, DRY_DEPTH, *water)
+        ledger.rain += rain_sum * dt * area
+        ledger.infiltrated += float(lost.sum()) * area
+        if self._dries:
+            nothing = np.zeros_like(self._rain)
+            soak(tiles, nothing, self._evaporation, self._storage, dt, DRY_DEPTH, *water)
+            ledger.evaporated += float(lost.sum()) * area
+        if len(self._drains[0]):
+            ledger.drained += self._drain(dt) * area
+        flow.touched(everywhere)
+
+    def _drain(self, dt):
+        """Let the drains take what they can in `dt`; return the depth taken [m]."""
+        taken = 0.0
+        for row, column, rate in zip(*self._drains, strict=True):
+            j, i = row + self._flow.pad, column + self._flow.pad
+            free = float(self._flow.h[j, i]) + float(self._flow.damp[j, i])
+            stays = free - min(rate * dt / self.spacing**2, free)
+            self._flow.h[j, i] = stays if stays >= DRY_DEPTH else 0.0
+            self._flow.damp[j, i] = stays - float(self._flow.h[j, i])
+            taken += free - float(self._flow.h[j, i]) - float(self._flow.damp[j, i])
+        return taken
 
     def _stable_step(self, left, rain_sum):
         """Longest step that the waves, the flow and the rain of the step itself allow."""
-        dt = left
-        if self._reach > 0.0:
-            dt = min(dt, ROUNDING_ROOM * self.courant * self.spacing / self._reach)
+        dt = min(left, self._flow.stable_step(self.courant))
         if rain_sum > 0.0:
             # On dry ground the wave speed is that of the rain of the step, sqrt(g rain dt).
             rate = self.gravity * float(self._rain.max())
             dt = min(dt, (self.courant * self.spacing) ** (2 / 3) / rate ** (1 / 3))
+            if not self._flow.moves:
+                dt = min(dt, math.sqrt(QUIET_FALL * self.spacing / self.gravity))
         return dt
+
+    def _decide(self):
+        """Choose scheme and Courant number, "auto" from the state."""
+        h, bed = self._flow.h[self._inner], self._flow.bed[self._inner]
+        self.scheme, courant, self.reason = choose(self._asked, h, bed)
+        self.courant = courant if self._courant is None else self._courant
 
     def _set_rain(self, rain):
         """Fill the map of rain rates and return its sum over the cells [m/s]."""
-        self._rain[:] = _field("rain", rain, self.shape)
-        return float(self._rain.sum(dtype=np.float64))
-
-    def _set_edges(self):
-        """Edge faces: zero at walls, the outward part of the next face at open edges."""
-        u, v, edges = self._u, self._v, self._open
-        u[:, 0] = np.minimum(u[:, 1], 0) if edges["west"] else 0
-        u[:, -1] = np.maximum(u[:, -2], 0) if edges["east"] else 0
-        v[0] = np.minimum(v[1], 0) if edges["south"] else 0
-        v[-1] = np.maximum(v[-2], 0) if edges["north"] else 0
-
-    def _outflow(self):
-        """Flow through all open edges [m3/s]."""
-        return sum(self.discharge(edge) for edge in EDGES if self._open[edge])
-
-    def _fastest(self):
-        return float(max(self._u.max(), -self._u.min(), self._v.max(), -self._v.min()))
-
-    def _wave_speed(self, h):
-        return math.sqrt(self.gravity * float(h.max()))
+        if np.ndim(rain) > 0 or rain != self._rain_set:
+            self._rain[self._inner] = field("rain", rain, self.shape)
+            self._rain_sum = float(self._rain.sum(dtype=np.float64))
+            self._rain_set = rain if np.ndim(rain) == 0 else None
+        return self._rain_sum
 
     def _holds_water(self):
-        return bool(self._h.any() or self._damp.any() or self._film.any())
+        flow = self._flow
+        return bool(flow.h.any() or flow.damp.any() or self._film.any())
 
     def _book_stores(self):
-        area = self.spacing**2
-        ground = self._h.sum(dtype=np.float64) + self._damp.sum(dtype=np.float64)
-        self._ledger.ground = float(ground) * area
-        self._ledger.film = float(self._film.sum(dtype=np.float64)) * area
+        """Bring the account of what stands on the map up to date, tile by tile."""
+        area, flow = self.spacing**2, self._flow
+        which = flow.changed()
+        sums = np.empty((3, len(which)))
+        tally(flow.tiles(True)[which], flow.h, flow.damp, self._film, *sums)
+        self._stands[:, which] = sums
+        self._ledger.ground = float(self._stands[0].sum()) * area
+        self._ledger.film = float(self._stands[1].sum()) * area
 
     def _require_sane(self):
-        if not self._reach <= MAX_SPEED:  # catches NaN too
+        if not self._flow.reach <= MAX_SPEED:  # catches NaN too
             raise DivergedError(
-                f"the water reached {self._fastest():.3g} m/s at {self.time:.6g} s; no water on "
-                f"the ground is that fast; use a smaller courant than {self.courant:g}"
+                f"the water reached {self._flow.fastest():.3g} m/s at {self.time:.6g} s; no water "
+                f"on the ground is that fast; use a smaller courant than {self.courant:g}"
             )
 
     def _report(self, substeps):
@@ -367,17 +399,17 @@ class WaterSolver:
             reason=self.reason,
             ledger=self.ledger,
             residual=self._ledger.residual,
-            max_speed=self._speed,
-            min_depth=float(self.depth.min()),
+            max_speed=self._flow.swift,
+            min_depth=float(self._stands[2].min()),
         )
 
 
-def _choose_scheme(name):
-    """Return the scheme that runs and why."""
-    require_choice("scheme", name, SCHEMES)
-    if name == "auto":
-        return "paper", "auto: paper is the only scheme so far"
-    return name, "asked for by name"
+def _refuse_in_paper(**given):
+    for name, value in given.items():
+        if value:
+            raise ParameterError(
+                f'{name} is {value}, which scheme "paper" does not have; use "accurate"'
+            )
 
 
 def _face_mean(values, h, bed, axis):
@@ -392,76 +424,3 @@ def _face_mean(values, h, bed, axis):
     walled = (h[before] <= 0) & (bed[before] + DRY_DEPTH >= level[after])
     walled |= (h[after] <= 0) & (bed[after] + DRY_DEPTH >= level[before])
     return np.where(walled, 0.0, mean)
-
-
-def _require_bed(bed):
-    bed = np.asarray(bed, np.float64)
-    if bed.ndim != 2 or min(bed.shape) < MIN_CELLS:
-        raise ParameterError(
-            f"bed has shape {bed.shape}; it must be a map of at least {MIN_CELLS} by {MIN_CELLS} "
-            "cells"
-        )
-    holes = int(np.count_nonzero(~np.isfinite(bed)))
-    if holes:
-        j, i = np.argwhere(~np.isfinite(bed))[0]
-        raise ParameterError(
-            f"bed is {bed[j, i]} at row {j}, column {i} ({holes} such cells); heights must be "
-            "finite; fill the holes first"
-        )
-    return bed
-
-
-def _require_courant(courant):
-    if courant is None:
-        return COURANT
-    if require_positive("courant", courant) > MAX_COURANT:
-        raise ParameterError(
-            f"courant is {courant!r}; it must be at most {MAX_COURANT}; above, a cell could give "
-            "more water than it holds"
-        )
-    return float(courant)
-
-
-def _require_dtype(dtype):
-    dtype = np.dtype(dtype)
-    if dtype not in (np.dtype(np.float32), np.dtype(np.float64)):
-        raise ParameterError(f"dtype is {dtype}; it must be float32 or float64")
-    return dtype.type
-
-
-def _open_edges(boundary):
-    """Return {edge: whether it is open} from one name or a dict of names."""
-    if not isinstance(boundary, dict):
-        boundary = dict.fromkeys(EDGES, boundary)
-    for edge, kind in boundary.items():
-        require_choice("boundary edge", edge, EDGES)
-        require_choice(f"boundary {edge}", kind, BOUNDARIES)
-    return {edge: boundary.get(edge, "wall") == "open" for edge in EDGES}
-
-
-def _field(name, value, shape, signed=False):
-    """Return `value` as a float64 map, or raise ParameterError naming what is wrong with it."""
-    value = np.asarray(value, np.float64)
-    if value.shape not in ((), shape):
-        raise ParameterError(
-            f"{name} has shape {value.shape}; it must be a number or of the bed's shape {shape}"
-        )
-    bad = ~np.isfinite(value) if signed else ~((value >= 0) & np.isfinite(value))
-    if bad.any():
-        rule = "finite" if signed else "finite and not negative"
-        raise ParameterError(f"{name} is {value[bad].flat[0]}; it must be {rule} everywhere")
-    return np.broadcast_to(value, shape)
-
-
-def _require_drops(rows, columns, volumes, shape):
-    if not rows.shape == columns.shape == volumes.shape or rows.ndim != 1:
-        raise ParameterError(
-            f"rows, columns and volumes have shapes {rows.shape}, {columns.shape} and "
-            f"{volumes.shape}; they must be one-dimensional and of one length"
-        )
-    for name, cells, size in (("rows", rows, shape[0]), ("columns", columns, shape[1])):
-        if len(cells) and (cells.dtype.kind not in "iu" or cells.min() < 0 or cells.max() >= size):
-            raise ParameterError(f"{name} must be whole numbers from 0 to {size - 1}")
-    if not (np.isfinite(volumes) & (volumes >= 0)).all():
-        bad = volumes[~(np.isfinite(volumes) & (volumes >= 0))][0]
-        raise ParameterError(f"volumes hold {bad} m3; a drop's volume must be finite, not negative")

@@ -2,43 +2,79 @@
 
 import numpy as np
 
-from rainsim.grid.paper import split_depth
 from rainsim.jit import cpu_kernel, prange
 
 
 @cpu_kernel
-def soak(rain, infiltration, storage, dt, dry, h_out, damp_out, film_out, infiltrated_out):
+def soak(tiles, rain, infiltration, storage, dt, dry, h_out, damp_out, film_out, infiltrated_out):
     """Add rain, let the ground drink, fill the film; the rest flows.
 
     All sums are float64, so that rain far below the rounding of `h` is not lost.
 
     Parameters
     ----------
-    rain, infiltration : ndarray of shape (ny, nx) [m/s]
+    tiles : ndarray of shape (tiles, 4), int64
+        First and last row + 1, first and last column + 1 of each tile to treat.
+    rain, infiltration : ndarray of the shape of the maps [m/s]
         Rate that falls, and rate that the ground takes as long as there is water.
-    storage : ndarray of shape (ny, nx) [m]
+    storage : ndarray [m]
         Depth held back in the cell.
     dt : float [s]
     dry : float [m]
         Depths below do not flow.
-    h_out, damp_out, film_out : ndarray of shape (ny, nx) [m]
+    h_out, damp_out, film_out : ndarray [m]
         Flowing depth, its remainder and the held film; modified in place.
-    infiltrated_out : ndarray of shape (ny,), float64 [m]
-        Depth taken by the ground, summed over each row.
+    infiltrated_out : ndarray of shape (tiles,), float64 [m]
+        Depth taken by the ground, summed over each tile.
     """
-    ny, nx = h_out.shape
-    for j in prange(ny):
+    for t in prange(tiles.shape[0]):
         drunk = 0.0
-        for i in range(nx):
-            free = np.float64(h_out[j, i]) + np.float64(damp_out[j, i]) + dt * rain[j, i]
-            film = np.float64(film_out[j, i])
-            thirst = dt * infiltration[j, i]
-            from_free = min(thirst, free)
-            from_film = min(thirst - from_free, film)
-            drunk += from_free + from_film
-            held = min(storage[j, i] - (film - from_film), free - from_free)
-            film_out[j, i] = film - from_film + held
-            # What the film's type cannot represent stays with the free water.
-            held = np.float64(film_out[j, i]) - (film - from_film)
-            split_depth(j, i, free - from_free - held, dry, h_out, damp_out)
-        infiltrated_out[j] = drunk
+        west, east = tiles[t, 2], tiles[t, 3]
+        for j in range(tiles[t, 0], tiles[t, 1]):
+            fall, takes, store = (
+                rain[j, west:east],
+                infiltration[j, west:east],
+                storage[j, west:east],
+            )
+            h, damp, films = h_out[j, west:east], damp_out[j, west:east], film_out[j, west:east]
+            for c in range(east - west):
+                free = np.float64(h[c]) + np.float64(damp[c]) + dt * fall[c]
+                film = np.float64(films[c])
+                thirst = dt * takes[c]
+                from_free = min(thirst, free)
+                from_film = min(thirst - from_free, film)
+                drunk += from_free + from_film
+                held = min(store[c] - (film - from_film), free - from_free)
+                films[c] = film - from_film + held
+                # What the film's type cannot represent stays with the free water.
+                held = np.float64(films[c]) - (film - from_film)
+                free -= from_free + held
+                h[c] = free if free >= dry else 0.0
+                damp[c] = free - np.float64(h[c])
+        infiltrated_out[t] = drunk
+
+
+@cpu_kernel
+def tally(tiles, h, damp, film, ground_out, film_out, least_out):
+    """Sum up what stands in each of `tiles`.
+
+    Parameters
+    ----------
+    tiles : ndarray of shape (tiles, 4), int64
+    h, damp, film : ndarray of the shape of the maps [m]
+    ground_out, film_out : ndarray of shape (tiles,), float64 [m]
+        Sums of flowing water with its remainder, and of the held film.
+    least_out : ndarray of shape (tiles,), float64 [m]
+        Smallest depth, film included.
+    """
+    for t in prange(tiles.shape[0]):
+        ground, held, least = 0.0, 0.0, np.inf
+        west, east = tiles[t, 2], tiles[t, 3]
+        for j in range(tiles[t, 0], tiles[t, 1]):
+            d, rest, films = h[j, west:east], damp[j, west:east], film[j, west:east]
+            for c in range(east - west):
+                free = np.float64(d[c]) + np.float64(rest[c])
+                ground += free
+                held += np.float64(films[c])
+                least = min(least, free + np.float64(films[c]))
+        ground_out[t], film_out[t], least_out[t] = ground, held, least

@@ -1,0 +1,1 @@
+"""Accuracy against time: cases with exact solutions, runs on every scheme, tables and charts."""

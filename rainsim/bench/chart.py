@@ -1,0 +1,76 @@
+"""Charts of accuracy against time; the one module that draws with matplotlib, an extra."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from rainsim.errors import ParameterError
+
+COLORS = ("#0b6e99", "#d1495b", "#8a8d91", "#5c8001", "#8d5a97", "#e09f3e")
+MARKERS = "osv^Dx"
+
+
+def require_matplotlib():
+    """Return matplotlib's pyplot for files, or raise an error that names the remedy."""
+    try:
+        import matplotlib
+    except ImportError:
+        raise ParameterError(
+            'a chart needs matplotlib, which is not installed; run pip install "rainsim[chart]", '
+            "or leave out --chart"
+        ) from None
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    return pyplot
+
+
+def front(points):
+    """Return those of (time, error) that no other point beats in both, sorted by time."""
+    best, kept = float("inf"), []
+    for time, error in sorted(points):
+        if error < best:
+            best = error
+            kept.append((time, error))
+    return kept
+
+
+def draw_fronts(path, panels, title):
+    """Draw error against time, one panel per case, one line per method, the front marked.
+
+    Parameters
+    ----------
+    path : path-like
+        PNG to write.
+    panels : dict
+        {case: {"least": error or None, "lines": {method: [(seconds, error), ...]}}}
+    title : str
+    """
+    pyplot = require_matplotlib()
+    columns = min(3, len(panels))
+    rows = -(-len(panels) // columns)
+    figure, axes = pyplot.subplots(
+        rows, columns, figsize=(4.2 * columns, 3.4 * rows), squeeze=False, layout="constrained"
+    )
+    for axis in axes.flat[len(panels) :]:
+        axis.set_visible(False)
+    styles = {}
+    for axis, (name, panel) in zip(axes.flat, panels.items(), strict=False):
+        everything = []
+        for method, points in panel["lines"].items():
+            n = styles.setdefault(method, len(styles))
+            time, error = zip(*sorted(points), strict=True)
+            axis.plot(
+                time, error, marker=MARKERS[n % len(MARKERS)], color=COLORS[n % len(COLORS)],
+                label=method, linewidth=1.2, markersize=5,
+            )  # fmt: skip
+            everything += points
+        axis.plot(*zip(*front(everything), strict=True), color="0.8", linewidth=7, zorder=0)
+        if panel.get("least"):
+            axis.axhline(panel["least"], color="0.4", linestyle=":", linewidth=1)
+        axis.set(title=name, xscale="log", yscale="log", xlabel="seconds", ylabel="relative error")
+        axis.grid(alpha=0.3, which="both")
+    axes.flat[0].legend(fontsize=8)
+    figure.suptitle(title)
+    figure.savefig(Path(path), dpi=110, format="png")
+    pyplot.close(figure)

@@ -1,0 +1,269 @@
+"""`rainsim bench rain`: the rain against what was asked for, and what its parts cost."""
+
+from __future__ import annotations
+
+import math
+import os
+import platform
+import time
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from rainsim.bench.chart import COLORS, MARKERS, require_matplotlib
+from rainsim.drops import RainField, RainSpectrum, flat_surfaces, impacts
+from rainsim.grid import WaterSolver
+from rainsim.jit import set_threads
+from rainsim.ripples import RippleTile, angular_frequency, tile_impacts
+from rainsim.scene.types import Camera
+from rainsim.splash import WET_FILM, draw_splashes
+from rainsim.streaks import draw_streaks, fog_optical_depth, streak_reach
+
+RATES = (1.0, 10.0, 50.0, 100.0)  # mm/h
+GAUGE_DROPS = {False: 100_000, True: 10_000}
+RATE, WIND = 50.0, (2.6, 1.5)  # mm/h, m/s: the downpour preset
+FAR = 8.0  # m, at which all drops end in the single split
+EXPOSURES = (1 / 250, 1 / 60, 1 / 15)  # s
+SIZES = {"648 x 420": (648, 420, 480.0), "1297 x 840": (1297, 840, 961.0)}
+FRAME = 1 / 30  # s
+MAP_SIDE, MAP_SPACING = 8.0, 0.02  # m
+DEPTHS = (2e-3, 1e-2, 1e-1)  # m of water
+WAVELENGTHS = (0.1, 0.05, 0.02, 0.01, 0.005)  # m
+GRAVITY = 9.81  # m/s2
+TILE_CELLS = (128, 256, 512)
+ROUNDS = {False: 15, True: 2}  # alternating, of which the least and the median count
+EYE_HEIGHT = 1.5  # m
+
+
+def run(quick=False, tell=lambda line: None):
+    """Return all figures as plain values.
+
+    Parameters
+    ----------
+    quick : bool
+        Fewer drops and rounds.
+    tell : callable
+        Called with a line on what is being done.
+    """
+    tell("gauge")
+    gauge = [read_gauge(rate, GAUGE_DROPS[quick]) for rate in RATES]
+    tell("waves")
+    waves = [fit_wave(length, depth) for depth in DEPTHS for length in WAVELENGTHS]
+    tell("streaks")
+    streaks = time_streaks(ROUNDS[quick])
+    tell("frame")
+    frame = time_frame(ROUNDS[quick])
+    tell("ripple tiles")
+    tiles = time_tiles(ROUNDS[quick])
+    return {
+        "gauge": gauge, "waves": waves, "streaks": streaks, "frame": frame, "tiles": tiles,
+        "machine": {
+            "processor": platform.machine(), "threads": set_threads(None), "load": os.getloadavg(),
+        },
+    }  # fmt: skip
+
+
+def read_gauge(rate, drops):
+    """Return what a gauge under a rain reads over what was asked for, and its sampling error."""
+    spectrum = RainSpectrum(rate)
+    duration = drops / (spectrum.density @ spectrum.speed) / 16
+    found = impacts(RainField(spectrum, WIND, seed=1), flat_surfaces(4, 4, 0.1), 0.0, duration)
+    volume = found.volume
+    read = volume.sum() / 16 + spectrum.fine_rate * duration
+    spread = math.sqrt((volume**2).sum()) / volume.sum()
+    return {
+        "rate": rate, "drops": len(found), "ratio": read / (spectrum.rate * duration),
+        "sampling": spread,
+    }  # fmt: skip
+
+
+def fit_wave(wavelength, depth):
+    """Return the frequency [rad/s] of a wave on the tile, of theory and of shallow water."""
+    waves = round(0.1 / wavelength)
+    tile = RippleTile(size=0.1, cells=48, depth=depth)
+    k = 2 * math.pi * waves / tile.size
+    x = np.arange(tile.cells) / tile.cells
+    tile.set_elevation(np.broadcast_to(1e-4 * np.cos(2 * np.pi * waves * x), (tile.cells,) * 2))
+    exact = float(angular_frequency(k, depth))
+    step = 6 * math.pi / exact / 120
+    height = [tile.elevation[0, 0]]
+    for _ in range(120):
+        tile.advance(step)
+        height.append(tile.elevation[0, 0])
+    height = np.array(height)
+    before = np.flatnonzero(np.diff(np.sign(height)))
+    at = before * step - height[before] * step / np.diff(height)[before]
+    return {
+        "wavelength": wavelength, "depth": depth, "wavenumber": k, "theory": exact,
+        "fitted": float(math.pi / np.diff(at).mean()), "shallow": k * math.sqrt(GRAVITY * depth),
+    }  # fmt: skip
+
+
+def _camera(width, height, focal):
+    """Return a level camera at EYE_HEIGHT that looks along x, and the depth of level ground."""
+    matrix = np.eye(4)
+    matrix[:3, :3] = [[0, -1, 0], [0, 0, -1], [1, 0, 0]]
+    matrix[1, 3] = EYE_HEIGHT
+    below = (np.arange(height) + 0.5 - height / 2) / focal
+    row = np.where(below > 0, EYE_HEIGHT / np.maximum(below, 1e-9), np.inf)
+    depth = np.ascontiguousarray(np.broadcast_to(row[:, None], (height, width)), np.float32)
+    return Camera(width, height, focal, focal, width / 2, height / 2, matrix), depth
+
+
+def time_streaks(rounds):
+    """Return time and total optical depth of streaks, one split for all classes and one for each.
+
+    Both ways alternate, so that the load of the machine falls on both.
+    """
+    field, ground = RainField(RainSpectrum(RATE), WIND), _ground()
+    records = []
+    for name, size in SIZES.items():
+        camera, depth = _camera(*size)
+        alpha = np.empty(depth.shape, np.float32)
+        seen = np.minimum(depth, 30.0).astype(np.float64)
+        for exposure in EXPOSURES:
+            reach = streak_reach(field, camera, exposure, FAR)
+            jobs = {"one split": np.full_like(reach, FAR), "by class": reach}
+            arguments = (field, ground, camera, 1.0, exposure, depth)
+            milliseconds = _alternate(
+                {way: partial(draw_streaks, *arguments, far, alpha) for way, far in jobs.items()},
+                rounds,
+            )
+            for way, far in jobs.items():
+                draw_streaks(*arguments, far, alpha)
+                drawn = float(-np.log1p(-alpha.astype(np.float64)).mean())
+                fog = float(fog_optical_depth(field, seen, far).mean())
+                records.append(
+                    {
+                        "size": name,
+                        "exposure": exposure,
+                        "way": way,
+                        **milliseconds[way],
+                        "drops": _expected(field, camera, far),
+                        "drawn": drawn,
+                        "total": drawn + fog,
+                    }
+                )
+    return records
+
+
+def _expected(field, camera, far):
+    """Return the mean number of drops in the view up to `far` of each class, nothing in the way."""
+    window = camera.width * camera.height / (camera.fx * camera.fy)
+    return float((field.spectrum.density * far**3).sum() * window / 3)
+
+
+def time_frame(rounds):
+    """Return the times of a frame's drops, deposits, ripples and splashes on the map."""
+    field, ground = RainField(RainSpectrum(RATE), WIND), _ground()
+    solver = WaterSolver(ground.ground, MAP_SPACING, boundary="open")
+    solver.set_state(np.full(ground.shape, 2e-3))
+    tile = RippleTile(depth=0.01, dtype=np.float32)
+    camera, depth = _camera(*SIZES["648 x 420"])
+    alpha = np.empty(depth.shape, np.float32)
+    water = np.full(ground.shape, 2e-3, np.float32)
+    found = impacts(field, ground, 1.0, 1.0 + FRAME)
+    falls = tile_impacts(found, ground.area, tile.size, 1.0 + FRAME)
+    jobs = {
+        "drops": lambda: impacts(field, ground, 1.0, 1.0 + FRAME),
+        "deposits": lambda: solver.deposit(found.row, found.column, found.volume),
+        "ripples": lambda: (tile.advance(FRAME, *falls), tile.slopes()),
+        "splashes": lambda: draw_splashes(
+            field, ground, camera, 1.0, 1 / 60, water, WET_FILM, depth, alpha
+        ),
+    }
+    return {"impacts": len(found), **_alternate(jobs, rounds)}
+
+
+def time_tiles(rounds):
+    """Return the time of a frame's step of ripple tiles of several sizes and types."""
+    field, ground = RainField(RainSpectrum(RATE), WIND), _ground()
+    found = impacts(field, ground, 1.0, 1.0 + FRAME)
+    jobs = {}
+    for cells in TILE_CELLS:
+        for dtype in ("float32", "float64"):
+            tile = RippleTile(cells=cells, dtype=dtype)
+            falls = tile_impacts(found, ground.area, tile.size, 1.0 + FRAME)
+            jobs[f"{cells} {dtype}"] = lambda tile=tile, falls=falls: tile.advance(FRAME, *falls)
+    return _alternate(jobs, rounds)
+
+
+def _ground():
+    return flat_surfaces(MAP_SIDE, MAP_SIDE, MAP_SPACING, (0.0, -MAP_SIDE / 2))
+
+
+def _alternate(jobs, rounds):
+    """Run the jobs in turn and return least and median milliseconds of each; the first warms up."""
+    times = {name: [] for name in jobs}
+    for _ in range(rounds + 1):
+        for name, job in jobs.items():
+            start = time.perf_counter()
+            job()
+            times[name].append((time.perf_counter() - start) * 1e3)
+    return {
+        name: {"least_ms": min(t[1:]), "median_ms": float(np.median(t[1:]))}
+        for name, t in times.items()
+    }
+
+
+def table(result):
+    """Return the figures as text in Markdown."""
+    lines = ["| rain mm/h | drops | gauge / asked | sampling error |", "|---|---|---|---|"]
+    lines += [
+        f"| {g['rate']:g} | {g['drops']} | {g['ratio']:.4f} | {g['sampling']:.4f} |"
+        for g in result["gauge"]
+    ]
+    lines += ["", "| depth mm | wavelength mm | fitted / theory | shallow water / theory |",
+              "|---|---|---|---|"]  # fmt: skip
+    lines += [
+        f"| {w['depth'] * 1e3:g} | {w['wavelength'] * 1e3:g} | {w['fitted'] / w['theory']:.4f} | "
+        f"{w['shallow'] / w['theory']:.2f} |"
+        for w in result["waves"]
+    ]
+    lines += ["", "| streaks | exposure ms | split | drops | least ms | median ms | drawn + fog |",
+              "|---|---|---|---|---|---|---|"]  # fmt: skip
+    lines += [
+        f"| {s['size']} | {s['exposure'] * 1e3:.3g} | {s['way']} | {s['drops']:.0f} | "
+        f"{s['least_ms']:.1f} | {s['median_ms']:.1f} | {s['total']:.5f} |"
+        for s in result["streaks"]
+    ]
+    lines += ["", "| part of a frame | least ms | median ms |", "|---|---|---|"]
+    parts = {k: v for k, v in result["frame"].items() if k != "impacts"}
+    for name, t in (*parts.items(), *result["tiles"].items()):
+        label = f"ripple tile {name}" if name[0].isdigit() else name
+        lines.append(f"| {label} | {t['least_ms']:.2f} | {t['median_ms']:.2f} |")
+    total = sum(t["least_ms"] for t in parts.values())
+    lines.append(f"| drops, deposits, ripples, splashes | {total:.2f} | |")
+    load = ", ".join(f"{x:.1f}" for x in result["machine"]["load"])
+    return "\n".join([*lines, "", f"{result['machine']['threads']} threads, load {load}"])
+
+
+def draw(result, path):
+    """Draw omega(k) of the tile beside theory and shallow water, and what ripple tiles cost."""
+    pyplot = require_matplotlib()
+    figure, (left, right) = pyplot.subplots(1, 2, figsize=(10, 4), layout="constrained")
+    for n, depth in enumerate(DEPTHS):
+        own = [w for w in result["waves"] if w["depth"] == depth]
+        k = np.geomspace(50, 1600, 200)
+        label = f"{depth * 1e3:g} mm of water"
+        left.plot(k, angular_frequency(k, depth), color=COLORS[n], linewidth=1, label=label)
+        left.plot(k, k * math.sqrt(GRAVITY * depth), color=COLORS[n], linewidth=1, linestyle=":")
+        left.plot([w["wavenumber"] for w in own], [w["fitted"] for w in own], MARKERS[n],
+                  color=COLORS[n], markersize=5)  # fmt: skip
+    left.set(
+        xscale="log", yscale="log", xlabel="wavenumber [rad/m]", ylabel="frequency [rad/s]",
+        title="Marks: the tile; lines: theory; dotted: shallow water",
+    )  # fmt: skip
+    left.legend(fontsize=8)
+    for n, dtype in enumerate(("float32", "float64")):
+        cost = [result["tiles"][f"{cells} {dtype}"]["least_ms"] for cells in TILE_CELLS]
+        right.plot(TILE_CELLS, cost, marker=MARKERS[n], color=COLORS[n], label=dtype)
+    right.set(xscale="log", yscale="log", xlabel="cells along a side", ylabel="ms per frame",
+              title="Cost of a ripple tile")  # fmt: skip
+    right.set_xticks(TILE_CELLS, [str(c) for c in TILE_CELLS])
+    right.legend(fontsize=8)
+    for axis in (left, right):
+        axis.grid(alpha=0.3, which="both")
+    figure.savefig(Path(path), dpi=110, format="png")
+    pyplot.close(figure)

@@ -1,0 +1,191 @@
+"""`rainsim bench water`: the cases on every scheme at several sizes, error and time per case."""
+
+from __future__ import annotations
+
+import os
+import platform
+import time
+
+import numpy as np
+
+from rainsim.bench import cases
+from rainsim.bench.chart import draw_fronts, front
+from rainsim.grid import WaterSolver
+from rainsim.jit import set_threads
+
+SCHEMES = ("auto", "accurate", "lean", "paper")
+SUITE = {
+    "stoker": (cases.stoker, (128, 256, 512), 0.0015),
+    "ritter": (cases.ritter, (128, 256, 512), 0.0016),
+    "bowl planar": (cases.bowl_planar, (50, 100, 200), 0.010),
+    "bowl radial": (cases.bowl_radial, (50, 100, 200), 0.009),
+    "ripple": (cases.ripple, (64, 128, 256), 0.012),
+    "rain": (cases.rain, (64, 128, 250), 0.0075),
+}
+QUICK = {
+    "stoker": (64, 128), "ritter": (64, 128), "bowl planar": (30, 50), "bowl radial": (30, 50),
+    "ripple": (32, 64), "rain": (64,),
+}  # fmt: skip
+LAKE_CELLS = {False: 200, True: 32}
+REPEATS = {False: 3, True: 1}  # runs of a case, of which the fastest counts
+GAUGE_PERIOD = 2.0  # s, between readings of the rain gauge
+SPEED_CELLS = {False: 1024, True: 128}
+SPEED_ROUNDS = 5  # alternating, of which the median counts
+BYTES_PER_CELL = 28  # least that a fused float32 step moves: read h, bed, u, v; write h, u, v
+
+
+def solve(case, scheme, dtype=np.float32):
+    """Run a case; return the solver, its last report, the steps, seconds and gauge readings."""
+    solver = WaterSolver(
+        case.bed, case.spacing, scheme=scheme, boundary=case.boundary, manning=case.manning,
+        gravity=cases.GRAVITY, dtype=dtype,
+    )  # fmt: skip
+    solver.set_state(case.depth, v=case.v)
+    steps, readings = 0, []
+    start = time.perf_counter()
+    if "gauge" not in case.extra:
+        report = solver.advance(case.duration)
+        steps = report.substeps
+    else:
+        for n in range(round(case.duration / GAUGE_PERIOD)):
+            falls = n * GAUGE_PERIOD < case.extra["until"]
+            report = solver.advance(GAUGE_PERIOD, rain=case.extra["rate"] * falls)
+            steps += report.substeps
+            readings.append((solver.time, _gauge(case, solver)))
+    return solver, report, steps, time.perf_counter() - start, readings
+
+
+def _gauge(case, solver):
+    """Discharge per width [m2/s] at the gauge, from the depth and velocity of its two cells."""
+    middle, i = case.bed.shape[0] // 2, round(case.extra["gauge"] / case.spacing)
+    u, _ = solver.velocity
+    return float((u * solver.depth)[middle, i - 1 : i + 1].mean())
+
+
+def measure(case, scheme, repeats=1, dtype=np.float32):
+    """Return a record of error, time and balance of a case on a scheme."""
+    best = None
+    for _ in range(repeats):
+        solver, report, steps, seconds, readings = solve(case, scheme, dtype)
+        best = seconds if best is None else min(best, seconds)
+    depth = solver.depth.astype(np.float64)
+    if readings:
+        at, flow = np.array(readings).T
+        exact = np.interp(at, case.extra["time"], case.extra["flow"])
+        error = float(np.abs(flow - exact).sum() / exact.sum())
+    else:
+        error = cases.error_of(case, depth)
+    record = {
+        "case": case.name, "cells": case.cells, "scheme": scheme, "error": error,
+        "seconds": best, "steps": steps, "max_speed": report.max_speed,
+        "residual": report.residual, "reason": report.reason,
+    }  # fmt: skip
+    if case.name == "ripple":
+        record["crest"] = cases.crest_of(case, depth)
+    return record
+
+
+def throughput(cells, schemes=("accurate", "lean", "paper"), steps=32):
+    """Return {scheme: cells per second} on a wavy lake, in alternating runs, medians."""
+    y, x = np.mgrid[:cells, :cells] * (20.0 / cells)
+    wave = 0.3 + 0.003 * np.sin(x) * np.cos(1.3 * y)
+    solvers, rates = {}, {}
+    for scheme in schemes:
+        solvers[scheme] = WaterSolver(np.zeros((cells, cells)), 20.0 / cells, scheme=scheme)
+        solvers[scheme].set_state(wave)
+        solvers[scheme].advance(1e-3)
+        rates[scheme] = []
+    span = steps * 0.3 * (20.0 / cells) / np.sqrt(cases.GRAVITY * 0.303)
+    for _ in range(SPEED_ROUNDS):
+        for scheme, solver in solvers.items():
+            start = time.perf_counter()
+            report = solver.advance(span)
+            rates[scheme].append(report.substeps * cells**2 / (time.perf_counter() - start))
+    return {scheme: float(np.median(rate)) for scheme, rate in rates.items()}
+
+
+def run(quick=False, tell=None):
+    """Run the whole bench.
+
+    Parameters
+    ----------
+    quick : bool
+        Small sizes, one run each.
+    tell : callable, optional
+        Called with a line of text for each result.
+
+    Returns
+    -------
+    dict
+        "machine", "records" (a list of dicts) and "throughput" (cells per second by scheme).
+    """
+    tell = tell or (lambda line: None)
+    records = []
+    for scheme in SCHEMES:  # compile outside the clock
+        measure(cases.rain(32), scheme)
+    for name, (make, sizes, _) in SUITE.items():
+        for cells in QUICK[name] if quick else sizes:
+            case = make(cells)
+            for scheme in SCHEMES:
+                records.append(measure(case, scheme, REPEATS[quick]))
+                tell(_line(records[-1]))
+    still = cases.lake(LAKE_CELLS[quick])
+    for dtype in (np.float32, np.float64):
+        records.append(measure(still, "auto", dtype=dtype))
+        records[-1]["case"] = f"lake {np.dtype(dtype).name}"
+        tell(_line(records[-1]))
+    _mark_front(records)
+    rates = throughput(SPEED_CELLS[quick])
+    for scheme, rate in rates.items():
+        tell(f"{scheme:9s} {rate / 1e6:7.1f} million cells a second")
+    machine = {
+        "cpu": platform.processor() or platform.machine(), "cores": os.cpu_count(),
+        "threads": set_threads(None), "python": platform.python_version(),
+        "numpy": np.__version__, "dtype": "float32",
+    }  # fmt: skip
+    return {"machine": machine, "quick": quick, "records": records, "throughput": rates}
+
+
+def _mark_front(records):
+    for name in {record["case"] for record in records}:
+        ours = [record for record in records if record["case"] == name]
+        best = set(front([(record["seconds"], record["error"]) for record in ours]))
+        for record in ours:
+            record["front"] = (record["seconds"], record["error"]) in best
+
+
+def _line(record):
+    crest = f"  crest {record['crest']:.3f}" if "crest" in record else ""
+    return (
+        f"{record['case']:12s} {record['cells']:4d} {record['scheme']:9s} "
+        f"error {record['error']:.5f}  {record['seconds']:8.3f} s  {record['steps']:5d} steps  "
+        f"ledger {record['residual']:+.0e}{crest}"
+    )
+
+
+def table(result):
+    """Return errors and times [s] as a Markdown table, a row per case and size, the front bold."""
+    lines = ["| case | cells | " + " | ".join(SCHEMES) + " |", "|---" * (len(SCHEMES) + 2) + "|"]
+    rows = {}
+    for record in result["records"]:
+        if record["case"] in SUITE:
+            rows.setdefault((record["case"], record["cells"]), {})[record["scheme"]] = record
+    for (name, cells), row in rows.items():
+        texts = []
+        for scheme in SCHEMES:
+            text = f"{row[scheme]['error']:.4f} / {row[scheme]['seconds']:.3f}"
+            texts.append(f"**{text}**" if row[scheme]["front"] else text)
+        lines.append(f"| {name} | {cells} | " + " | ".join(texts) + " |")
+    return "\n".join(lines)
+
+
+def draw(result, path):
+    """Draw the chart of a result of `run` to a PNG."""
+    panels = {}
+    for name, (_, _, least) in SUITE.items():
+        lines = {}
+        for record in result["records"]:
+            if record["case"] == name:
+                lines.setdefault(record["scheme"], []).append((record["seconds"], record["error"]))
+        panels[name] = {"least": least, "lines": lines}
+    draw_fronts(path, panels, "Shallow water: error against time (dotted: the least to reach)")

@@ -1,0 +1,395 @@
+"""The schemes "accurate" and "lean": formulas and kernels that conserve volume and momentum.
+
+Depth h sits at cell centres (j, i), u at the west faces (j, i) of the cells, v at their south
+faces; row 0 is south. All arrays have PAD rings of ghost cells, so the first cell is (PAD, PAD) and
+no formula knows an edge. Depth is known at whole steps n, velocity at half steps. In one step
+
+    q at n+1/2     = u h*,       h* from the upwind cell with a limited slope           (`flux`)
+    h at n+1       = h - dt div q                                                       (`move`)
+    hu at n+3/2    = hu - dt div(q u*) - dt g h grad(bed + h), u* as h*                 (`push`)
+
+The momentum of a face is that of half of each of its two cells, so the volume flux that carries it
+is the mean of the neighbouring q, and what `div(q u*)` takes from one face it gives to the next.
+
+References
+----------
+Stelling and Duinmeijer 2003, Int. J. Numer. Meth. Fluids 43, eq. (9) to (16): momentum flux of a
+staggered cell, upwind depth. We differ: theirs and the usual second-order form of it takes slopes
+in the advective form u du/dx, which does not conserve momentum and moves bores at a wrong speed;
+here the slopes are in the flux. Slopes are van Leer's (1974).
+
+"accurate" changes the pressure so that linear waves are fourth order in space and time at once:
+grad eta becomes grad(eta - (1 - C^2)/12 d_xx eta + C^2/12 d_yy eta), C = dt sqrt(g h) / spacing,
+which cancels the leading errors of the staggered leapfrog. It fades where the surface is not smooth
+against the depth and where a neighbour is nearly dry.
+"""
+
+import numpy as np
+
+from rainsim.jit import cpu_kernel, device_function, prange, serial_kernel
+
+# Exact in every floating type, so kernels stay generic.
+ZERO = np.float32(0)
+HALF = np.float32(0.5)
+ONE = np.float32(1)
+TWO = np.float32(2)
+THREE = np.float32(3)
+TWELVE = np.float32(12)
+
+PAD = 2  # ghost cells on each side: what a slope beside an edge reaches for
+ROWS, COLUMNS = 16, 64  # cells of a tile, whatever the number of threads
+
+# The third difference of the surface over the depth: the fourth-order term is whole below
+# SMOOTH_END - 1 / FADE, and gone above SMOOTH_END. Waves stay far below, bores far above.
+SMOOTH_END = np.float32(0.1875)
+FADE = np.float32(8)
+
+
+@device_function
+def limited(behind, ahead):
+    """Return van Leer's slope from the differences on both sides: 0 where they disagree."""
+    product = behind * ahead
+    return TWO * product / (behind + ahead) if product > ZERO else ZERO
+
+
+@device_function
+def carried(flow, a_0, a_1, a_2, a_3):
+    """Value that `flow` carries from a_1 to a_2 (or back), with a limited slope."""
+    east = flow > ZERO
+    centre, behind, ahead = (a_1, a_0, a_2) if east else (a_2, a_3, a_1)
+    return centre + HALF * limited(centre - behind, ahead - centre)
+
+
+@device_function
+def face_flux(speed, h_0, h_1, h_2, h_3, bed_1, bed_2):
+    """Volume flux [m2/s] through the face between the cells 1 and 2.
+
+    The depth is the upwind cell's with a limited slope. Against a step in the bed it is only what
+    stands above the step. At `speed` * dt under a quarter of a cell, what four faces take is never
+    more than the cell holds: a slope adds to one face at most the depth of the cell.
+    """
+    east = speed > ZERO
+    centre, behind, ahead = (h_1, h_0, h_2) if east else (h_2, h_3, h_1)
+    step = (bed_2 - bed_1) if east else (bed_1 - bed_2)
+    sloped = centre + HALF * limited(centre - behind, ahead - centre)
+    over = min(max(centre - max(step, ZERO), ZERO), centre)
+    smooth = (centre > ZERO) & (ahead > ZERO) & (step < HALF * centre)
+    return speed * (sloped if smooth else over)
+
+
+@device_function
+def fourth_order(square, h_mean, h_least, third, cross):
+    """Correction to a surface difference that makes waves fourth order.
+
+    `square` is C^2, `third` the third difference of the surface across the face, `cross` the
+    difference across the face of the second difference along it.
+    """
+    change = ((square - ONE) * third + square * cross) / TWELVE
+    fade = min(max((SMOOTH_END - abs(third) / h_mean) * FADE, ZERO), ONE)
+    return fade * change if h_least > HALF * h_mean else ZERO
+
+
+@device_function
+def shore(h_a, h_b, bed_0, bed_a, bed_b, bed_3, behind, ahead):
+    """Velocity of a closed face: that of the water beside it where the bed rises on evenly.
+
+    The waterline lies inside the wet cell and moves with the water. Were the face at rest there, an
+    advancing front would start from rest in every cell, and a receding one drag resting water.
+    """
+    rise = bed_b - bed_a
+    runs_up = (h_a > ZERO) & (h_b <= ZERO) & (rise <= TWO * abs(bed_a - bed_0))
+    runs_down = (h_b > ZERO) & (h_a <= ZERO) & (-rise <= TWO * abs(bed_3 - bed_b))
+    return behind if runs_up else (ahead if runs_down else ZERO)
+
+
+@device_function
+def pushed(w, h_a, h_b, bed_a, bed_b, extra, momentum, volume, still, k, kg, cap, rest, dry):
+    """Face velocity after transport and pressure; `still` where the face is closed.
+
+    `extra` adds to the surface difference; `momentum` and `volume` are what leaves the face's own
+    cell per k. A face is closed between two
+    dry cells, and to a dry cell over whose bed the other's level does not stand by `dry`. Water
+    that a surface difference within rounding (`rest`) could have moved is at rest. No branches, so
+    that the compiler can take many faces at once.
+    """
+    level_a, level_b = bed_a + h_a, bed_b + h_b
+    rise = (bed_b - bed_a) + (h_b - h_a) + extra
+    noise = rest * (h_a + h_b + abs(bed_a) + abs(bed_b))
+    level = abs(rise) <= noise
+    h_mean = HALF * (h_a + h_b)
+    turned = w - k * (momentum - w * volume) / max(h_mean, HALF * dry) - kg * rise
+    closed = (h_a <= ZERO) & ((h_b <= ZERO) | (bed_a + dry >= level_b))
+    closed |= (h_b <= ZERO) & (bed_b + dry >= level_a)
+    rests = level & (abs(turned) <= TWO * kg * noise)
+    turned = still if closed else turned
+    return ZERO if rests else min(max(turned, -cap), cap)
+
+
+@device_function
+def reach(speed, h_a, h_b, gravity):
+    """Speed of the fastest wave at a face."""
+    return abs(speed) + np.sqrt(gravity * max(h_a, h_b))
+
+
+@cpu_kernel
+def flux(tiles, h, bed, u, v, qu_out, qv_out):
+    """Volume flux through the west and south faces of the cells of `tiles`, and the map's edges.
+
+    Parameters
+    ----------
+    tiles : ndarray of shape (tiles, 4), int64
+        First and last row + 1, first and last column + 1 of each tile.
+    h, bed : ndarray of shape (ny + 4, nx + 4) [m]
+        Flowing depth at n and the height on which it flows.
+    u, v : ndarray of shape (ny + 4, nx + 5) and (ny + 5, nx + 4) [m/s]
+        Face velocities at n+1/2.
+    qu_out, qv_out : as u and v [m2/s]
+    """
+    ny, nx = h.shape
+    for n in prange(tiles.shape[0]):
+        south, north, west, east = tiles[n, 0], tiles[n, 1], tiles[n, 2], tiles[n, 3]
+        last = east + (1 if east == nx - PAD else 0)
+        for j in range(south, north):
+            w, q_out = u[j, west:last], qu_out[j, west:last]
+            d, b = h[j, west - 2 : last + 1], bed[j, west - 2 : last + 1]
+            for c in range(last - west):
+                q_out[c] = face_flux(w[c], d[c], d[c + 1], d[c + 2], d[c + 3], b[c + 1], b[c + 2])
+        top = north + (1 if north == ny - PAD else 0)
+        for j in range(south, top):
+            w, q_out = v[j, west:east], qv_out[j, west:east]
+            d_0, d_1 = h[j - 2, west:east], h[j - 1, west:east]
+            d_2, d_3 = h[j, west:east], h[j + 1, west:east]
+            b_1, b_2 = bed[j - 1, west:east], bed[j, west:east]
+            for c in range(east - west):
+                q_out[c] = face_flux(w[c], d_0[c], d_1[c], d_2[c], d_3[c], b_1[c], b_2[c])
+
+
+@cpu_kernel
+def move(tiles, qu, qv, k, dry, h_out, damp_out):
+    """Change the depth by what flows through the four faces; k = dt / spacing.
+
+    The sums are float64, where those of float32 are exact, and what `h` cannot represent or is
+    too little to flow stays in `damp`: volume is conserved to float64 rounding.
+
+    Parameters
+    ----------
+    tiles : ndarray of shape (tiles, 4), int64
+    qu, qv : ndarray of shape (ny + 4, nx + 5) and (ny + 5, nx + 4) [m2/s]
+    k : float64 [s/m]
+    dry : float64 [m]
+        Depths below do not flow.
+    h_out, damp_out : ndarray of shape (ny + 4, nx + 4) [m]
+        Flowing depth and its remainder; modified in place.
+    """
+    for n in prange(tiles.shape[0]):
+        south, north, west, east = tiles[n, 0], tiles[n, 1], tiles[n, 2], tiles[n, 3]
+        for j in range(south, north):
+            q_x, q_s = qu[j, west : east + 1], qv[j, west:east]
+            q_n, d, rest = qv[j + 1, west:east], h_out[j, west:east], damp_out[j, west:east]
+            for c in range(east - west):
+                out = np.float64(q_x[c + 1]) - np.float64(q_x[c])
+                out += np.float64(q_n[c]) - np.float64(q_s[c])
+                total = np.float64(d[c]) + np.float64(rest[c]) - k * out
+                d[c] = total if total >= dry else 0.0
+                rest[c] = total - np.float64(d[c])
+
+
+@device_function
+def carry_along(q, a, n, flux_out):
+    """Fluxes of `a` at n places, each from a[c + 1] to a[c + 2], by the mean of q[c], q[c + 1]."""
+    for c in range(n):
+        flow = HALF * (q[c] + q[c + 1])
+        flux_out[c] = flow * carried(flow, a[c], a[c + 1], a[c + 2], a[c + 3])
+
+
+@device_function
+def carry_across(q_0, q_1, a_0, a_1, a_2, a_3, n, flux_out):
+    """Fluxes of `a` at n places, each between a_1[c] and a_2[c], by the mean of q_0[c], q_1[c]."""
+    for c in range(n):
+        flow = HALF * (q_0[c] + q_1[c])
+        flux_out[c] = flow * carried(flow, a_0[c], a_1[c], a_2[c], a_3[c])
+
+
+@device_function
+def largest(a, n):
+    """Largest of the first n values."""
+    top = a[0]
+    for c in range(1, n):
+        top = max(top, a[c])
+    return top
+
+
+@cpu_kernel
+def push(
+    tiles, h, damp, bed, u, v, qu, qv, k, kg, wave, gravity, cap, rest, dry,
+    u_out, v_out, reach_out, fast_out,
+):  # fmt: skip
+    """Carry momentum and apply pressure with the fourth-order term, at all inner faces of `tiles`.
+
+    Parameters
+    ----------
+    tiles : ndarray of shape (tiles, 4), int64
+    h, damp, bed : ndarray of shape (ny + 4, nx + 4) [m]
+        Flowing depth at n+1, its remainder and the height on which it flows.
+    u, v : ndarray of shape (ny + 4, nx + 5) and (ny + 5, nx + 4) [m/s]
+        Velocity at n+1/2.
+    qu, qv : as u and v [m2/s]
+        Volume flux at n+1/2, zero for a first half step.
+    k, kg : float [s/m], [1/s]
+        dt / spacing, and that times gravity.
+    wave : float [1/m]
+        C^2 of a wave over its depth: gravity dt^2 / spacing^2.
+    gravity : float [m/s2]
+    cap : float [m/s]
+        Speed that no face may exceed: all energy there is.
+    rest : float
+        Relative rounding under which levels are equal.
+    dry : float [m]
+    u_out, v_out : as u and v [m/s]
+        Velocity at n+3/2; edge faces are left alone.
+    reach_out, fast_out : ndarray of shape (tiles,) [m/s]
+        Largest `reach` and largest speed of each tile.
+    """
+    for t in prange(tiles.shape[0]):
+        south, north, west, east = tiles[t, 0], tiles[t, 1], tiles[t, 2], tiles[t, 3]
+        rows = np.empty((3, COLUMNS + 1), h.dtype)
+        tops = np.zeros((2, COLUMNS), h.dtype)
+        below, above, across = rows[0], rows[1], rows[2]
+        far, fast = tops[0], tops[1]
+
+        a = max(west, PAD + 1)
+        n = east - a
+        carry_across(
+            qv[south, a - 1 : east - 1], qv[south, a:east], u[south - 2, a:east],
+            u[south - 1, a:east], u[south, a:east], u[south + 1, a:east], n, below,
+        )  # fmt: skip
+        for j in range(south, north):
+            carry_across(
+                qv[j + 1, a - 1 : east - 1], qv[j + 1, a:east], u[j - 1, a:east], u[j, a:east],
+                u[j + 1, a:east], u[j + 2, a:east], n, above,
+            )  # fmt: skip
+            carry_along(qu[j, a - 1 : east + 1], u[j, a - 2 : east + 2], n + 1, across)
+            w, w_out, q = u[j, a - 1 : east + 1], u_out[j, a:east], qu[j, a - 1 : east + 1]
+            q_s, q_n = qv[j, a - 1 : east], qv[j + 1, a - 1 : east]
+            e = damp[j, a - 1 : east]
+            d, d_s, d_n = h[j, a - 2 : east + 1], h[j - 1, a - 1 : east], h[j + 1, a - 1 : east]
+            b, b_s = bed[j, a - 2 : east + 1], bed[j - 1, a - 1 : east]
+            b_n = bed[j + 1, a - 1 : east]
+            for c in range(n):
+                h_a, h_b, bed_a, bed_b = d[c + 1], d[c + 2], b[c + 1], b[c + 2]
+                level_a, level_b = bed_a + h_a, bed_b + h_b
+                third = b[c + 3] + d[c + 3] - b[c] - d[c] - THREE * (level_b - level_a)
+                cross = (b_n[c + 1] + d_n[c + 1] - b_n[c] - d_n[c]) - TWO * (level_b - level_a)
+                cross += b_s[c + 1] + d_s[c + 1] - b_s[c] - d_s[c]
+                least = min(min(d[c], d[c + 3]), min(d_s[c], d_s[c + 1]))
+                least = min(min(least, min(d_n[c], d_n[c + 1])), min(h_a, h_b))
+                mean = HALF * (h_a + h_b)
+                extra = e[c + 1] - e[c] + fourth_order(wave * mean, mean, least, third, cross)
+                momentum = across[c + 1] - across[c] + above[c] - below[c]
+                volume = HALF * (q[c + 2] - q[c] + q_n[c] + q_n[c + 1] - q_s[c] - q_s[c + 1])
+                still = shore(h_a, h_b, b[c], bed_a, bed_b, b[c + 3], w[c], w[c + 2])
+                s = pushed(
+                    w[c + 1], h_a, h_b, bed_a, bed_b, extra, momentum, volume, still, k, kg, cap,
+                    rest, dry,
+                )  # fmt: skip
+                w_out[c] = s
+                far[c] = max(far[c], reach(s, h_a, h_b, gravity))
+                fast[c] = max(fast[c], abs(s))
+            below, above = above, below
+
+        n = east - west
+        a = max(south, PAD + 1)
+        carry_across(
+            qv[a - 1, west:east], qv[a, west:east], v[a - 2, west:east], v[a - 1, west:east],
+            v[a, west:east], v[a + 1, west:east], n, below,
+        )  # fmt: skip
+        for j in range(a, north):
+            carry_across(
+                qv[j, west:east], qv[j + 1, west:east], v[j - 1, west:east], v[j, west:east],
+                v[j + 1, west:east], v[j + 2, west:east], n, above,
+            )  # fmt: skip
+            q_s, q_n = qu[j - 1, west : east + 1], qu[j, west : east + 1]
+            v_w, v_c = v[j, west - 2 : east - 1], v[j, west - 1 : east]
+            v_e, v_f = v[j, west : east + 1], v[j, west + 1 : east + 2]
+            carry_across(q_s, q_n, v_w, v_c, v_e, v_f, n + 1, across)
+            w_s, w, w_n = v[j - 1, west:east], v[j, west:east], v[j + 1, west:east]
+            w_out = v_out[j, west:east]
+            q_0, q_2 = qv[j - 1, west:east], qv[j + 1, west:east]
+            e_1, e_2 = damp[j - 1, west:east], damp[j, west:east]
+            d_0, d_1 = h[j - 2, west:east], h[j - 1, west - 1 : east + 1]
+            d_2, d_3 = h[j, west - 1 : east + 1], h[j + 1, west:east]
+            b_0, b_1 = bed[j - 2, west:east], bed[j - 1, west - 1 : east + 1]
+            b_2, b_3 = bed[j, west - 1 : east + 1], bed[j + 1, west:east]
+            for c in range(n):
+                h_a, h_b, bed_a, bed_b = d_1[c + 1], d_2[c + 1], b_1[c + 1], b_2[c + 1]
+                level_a, level_b = bed_a + h_a, bed_b + h_b
+                third = b_3[c] + d_3[c] - b_0[c] - d_0[c] - THREE * (level_b - level_a)
+                cross = b_2[c + 2] + d_2[c + 2] - b_1[c + 2] - d_1[c + 2]
+                cross += b_2[c] + d_2[c] - b_1[c] - d_1[c] - TWO * (level_b - level_a)
+                least = min(min(d_0[c], d_3[c]), min(d_1[c], d_2[c]))
+                least = min(min(least, min(d_1[c + 2], d_2[c + 2])), min(h_a, h_b))
+                mean = HALF * (h_a + h_b)
+                extra = e_2[c] - e_1[c] + fourth_order(wave * mean, mean, least, third, cross)
+                momentum = across[c + 1] - across[c] + above[c] - below[c]
+                volume = HALF * (q_2[c] - q_0[c] + q_s[c + 1] + q_n[c + 1] - q_s[c] - q_n[c])
+                still = shore(h_a, h_b, b_0[c], bed_a, bed_b, b_3[c], w_s[c], w_n[c])
+                s = pushed(
+                    w[c], h_a, h_b, bed_a, bed_b, extra, momentum, volume, still, k, kg, cap,
+                    rest, dry,
+                )  # fmt: skip
+                w_out[c] = s
+                far[c] = max(far[c], reach(s, h_a, h_b, gravity))
+                fast[c] = max(fast[c], abs(s))
+            below, above = above, below
+        reach_out[t], fast_out[t] = largest(far, COLUMNS), largest(fast, COLUMNS)
+
+
+@serial_kernel
+def fill_depth(kinds, a_out):
+    """Fill the ghost cells of a cell map: mirrored at walls, as the edge cell at open edges.
+
+    Parameters
+    ----------
+    kinds : ndarray of shape (4,), int64
+        1 where the west, east, south, north edge is open, 0 where it is a wall.
+    a_out : ndarray of shape (ny + 4, nx + 4)
+    """
+    ny, nx = a_out.shape
+    for j in range(PAD, ny - PAD):
+        a_out[j, 1], a_out[j, nx - 2] = a_out[j, 2], a_out[j, nx - 3]
+        a_out[j, 0] = a_out[j, 2] if kinds[0] else a_out[j, 3]
+        a_out[j, nx - 1] = a_out[j, nx - 3] if kinds[1] else a_out[j, nx - 4]
+    for i in range(nx):
+        a_out[1, i], a_out[ny - 2, i] = a_out[2, i], a_out[ny - 3, i]
+        a_out[0, i] = a_out[2, i] if kinds[2] else a_out[3, i]
+        a_out[ny - 1, i] = a_out[ny - 3, i] if kinds[3] else a_out[ny - 4, i]
+
+
+@serial_kernel
+def fill_velocity(kinds, u_out, v_out):
+    """Set the velocity of the edge faces and of the ghost faces beyond them.
+
+    Nothing crosses a wall, and beyond it the flow is mirrored. Water leaves through an open edge at
+    the speed that it has just inside; none comes in.
+    """
+    ny, nx = v_out.shape[0] - 1, u_out.shape[1] - 1
+    for j in range(PAD, ny - PAD):
+        west, east = min(u_out[j, 3], ZERO), max(u_out[j, nx - 3], ZERO)
+        u_out[j, 2] = west if kinds[0] else ZERO
+        u_out[j, nx - 2] = east if kinds[1] else ZERO
+        u_out[j, 1] = u_out[j, 2] if kinds[0] else -u_out[j, 3]
+        u_out[j, nx - 1] = u_out[j, nx - 2] if kinds[1] else -u_out[j, nx - 3]
+        u_out[j, 0], u_out[j, nx] = u_out[j, 1], u_out[j, nx - 1]
+    for i in range(PAD, nx - PAD):
+        south, north = min(v_out[3, i], ZERO), max(v_out[ny - 3, i], ZERO)
+        v_out[2, i] = south if kinds[2] else ZERO
+        v_out[ny - 2, i] = north if kinds[3] else ZERO
+        v_out[1, i] = v_out[2, i] if kinds[2] else -v_out[3, i]
+        v_out[ny - 1, i] = v_out[ny - 2, i] if kinds[3] else -v_out[ny - 3, i]
+        v_out[0, i], v_out[ny, i] = v_out[1, i], v_out[ny - 1, i]
+    for i in range(PAD, nx - PAD + 1):  # u slides along the south and north edges
+        u_out[1, i], u_out[ny - 2, i] = u_out[2, i], u_out[ny - 3, i]
+        u_out[0, i], u_out[ny - 1, i] = u_out[3, i], u_out[ny - 4, i]
+    for j in range(PAD, ny - PAD + 1):  # v along the west and east edges
+        v_out[j, 1], v_out[j, nx - 2] = v_out[j, 2], v_out[j, nx - 3]
+        v_out[j, 0], v_out[j, nx - 1] = v_out[j, 3], v_out[j, nx - 4]

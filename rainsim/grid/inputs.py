@@ -1,0 +1,154 @@
+"""What the water solver takes, checked at the border, and the helpers that turn it into maps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rainsim.errors import ParameterError, require_choice, require_not_negative, require_positive
+
+BOUNDARIES = ("wall", "open")
+EDGES = ("west", "east", "south", "north")
+MIN_CELLS = 2  # per side, so that there is a face between two cells
+
+
+@dataclass(frozen=True, slots=True)
+class Horton:
+    """Infiltration that wanes as the ground fills (Horton 1940): f = last + (first - last) e^(-kt).
+
+    Attributes
+    ----------
+    first, last : float or ndarray of shape (ny, nx) [m/s]
+        Rate on dry ground, when the state is set, and in the end.
+    decay : float or ndarray of shape (ny, nx) [1/s]
+    """
+
+    first: object
+    last: object
+    decay: object
+
+    def rate(self, time):
+        """Return the rate [m/s] at `time` [s] since the state was set."""
+        return self.last + (self.first - self.last) * np.exp(-self.decay * time)
+
+
+def horton(infiltration, shape):
+    """Return a `Horton` of float64 maps from None, a rate, a map of rates or a `Horton`."""
+    if not isinstance(infiltration, Horton):
+        rate = field("infiltration", 0.0 if infiltration is None else infiltration, shape)
+        return Horton(rate, rate, np.zeros(shape))
+    names = ("first", "last", "decay")
+    return Horton(*(field(f"infiltration {n}", getattr(infiltration, n), shape) for n in names))
+
+
+def require_drains(drains, shape):
+    """Return rows, columns and rates [m3/s] of drains given as (row, column, rate), or raise."""
+    try:
+        table = np.asarray([] if drains is None else drains, np.float64).reshape(-1, 3)
+    except ValueError:
+        raise ParameterError(
+            "drains must be a list of (row, column, rate in m3/s), three numbers each"
+        ) from None
+    for row, column, rate in table:
+        inside = 0 <= row < shape[0] and 0 <= column < shape[1]
+        if not inside or row != int(row) or column != int(column):
+            raise ParameterError(
+                f"drain ({row:g}, {column:g}) is not a cell of the map; rows go from 0 to "
+                f"{shape[0] - 1}, columns from 0 to {shape[1] - 1}"
+            )
+        require_not_negative("drain rate", float(rate), "m3/s")
+    return table[:, 0].astype(np.int64), table[:, 1].astype(np.int64), table[:, 2]
+
+
+def require_inflow(inflow, is_open):
+    """Return {edge: discharge in m3/s}, or raise ParameterError."""
+    if inflow is None:
+        return {}
+    if not isinstance(inflow, dict):
+        raise ParameterError(f"inflow is {inflow!r}; it must be a dict of edge: discharge in m3/s")
+    for edge, rate in inflow.items():
+        require_choice("inflow edge", edge, EDGES)
+        require_not_negative(f"inflow {edge}", rate, "m3/s")
+        if is_open[edge]:
+            raise ParameterError(
+                f'water flows in at the {edge} edge, which is open; make its boundary "wall"'
+            )
+    return dict(inflow)
+
+
+def require_bed(bed):
+    """Return `bed` as a float64 map, or raise ParameterError."""
+    bed = np.asarray(bed, np.float64)
+    if bed.ndim != 2 or min(bed.shape) < MIN_CELLS:
+        raise ParameterError(
+            f"bed has shape {bed.shape}; it must be a map of at least {MIN_CELLS} by {MIN_CELLS} "
+            "cells"
+        )
+    holes = int(np.count_nonzero(~np.isfinite(bed)))
+    if holes:
+        j, i = np.argwhere(~np.isfinite(bed))[0]
+        raise ParameterError(
+            f"bed is {bed[j, i]} at row {j}, column {i} ({holes} such cells); heights must be "
+            "finite; fill the holes first"
+        )
+    return bed
+
+
+def require_courant(courant, most):
+    """Return `courant` (None stays None), or raise ParameterError if it is above `most`."""
+    if courant is None:
+        return None
+    if require_positive("courant", courant) > most:
+        raise ParameterError(
+            f"courant is {courant!r}; it must be at most {most}; above, waves grow or a cell gives "
+            "more water than it holds"
+        )
+    return float(courant)
+
+
+def require_dtype(dtype):
+    """Return the type of the fields, or raise ParameterError."""
+    dtype = np.dtype(dtype)
+    if dtype not in (np.dtype(np.float32), np.dtype(np.float64)):
+        raise ParameterError(f"dtype is {dtype}; it must be float32 or float64")
+    return dtype.type
+
+
+def open_edges(boundary):
+    """Return {edge: whether it is open} from one name or a dict of names."""
+    if not isinstance(boundary, dict):
+        boundary = dict.fromkeys(EDGES, boundary)
+    for edge, kind in boundary.items():
+        require_choice("boundary edge", edge, EDGES)
+        require_choice(f"boundary {edge}", kind, BOUNDARIES)
+    return {edge: boundary.get(edge, "wall") == "open" for edge in EDGES}
+
+
+def field(name, value, shape, signed=False):
+    """Return `value` as a float64 map, or raise ParameterError naming what is wrong with it."""
+    value = np.asarray(value, np.float64)
+    if value.shape not in ((), shape):
+        raise ParameterError(
+            f"{name} has shape {value.shape}; it must be a number or of the bed's shape {shape}"
+        )
+    bad = ~np.isfinite(value) if signed else ~((value >= 0) & np.isfinite(value))
+    if bad.any():
+        rule = "finite" if signed else "finite and not negative"
+        raise ParameterError(f"{name} is {value[bad].flat[0]}; it must be {rule} everywhere")
+    return np.broadcast_to(value, shape)
+
+
+def require_drops(rows, columns, volumes, shape):
+    """Raise ParameterError unless the arrays name cells of the map and volumes."""
+    if not rows.shape == columns.shape == volumes.shape or rows.ndim != 1:
+        raise ParameterError(
+            f"rows, columns and volumes have shapes {rows.shape}, {columns.shape} and "
+            f"{volumes.shape}; they must be one-dimensional and of one length"
+        )
+    for name, cells, size in (("rows", rows, shape[0]), ("columns", columns, shape[1])):
+        if len(cells) and (cells.dtype.kind not in "iu" or cells.min() < 0 or cells.max() >= size):
+            raise ParameterError(f"{name} must be whole numbers from 0 to {size - 1}")
+    if not (np.isfinite(volumes) & (volumes >= 0)).all():
+        bad = volumes[~(np.isfinite(volumes) & (volumes >= 0))][0]
+        raise ParameterError(f"volumes hold {bad} m3; a drop's volume must be finite, not negative")

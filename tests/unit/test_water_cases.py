@@ -1,0 +1,174 @@
+"""Every scheme on cases with exact answers, and where methods fail. Full sizes are slow."""
+
+import math
+
+import numpy as np
+import pytest
+
+from rainsim.bench import cases
+from rainsim.bench.chart import front
+from rainsim.bench.water import measure, table
+from rainsim.errors import ParameterError
+from rainsim.grid import Horton, WaterSolver
+
+G = 9.81
+LEAST = [
+    (cases.stoker, 512, 0.0015), (cases.ritter, 512, 0.0016), (cases.bowl_planar, 200, 0.010),
+    (cases.bowl_radial, 200, 0.009), (cases.ripple, 128, 0.012), (cases.rain, 128, 0.0075),
+]  # fmt: skip
+SMALL = [
+    (cases.stoker, 128, 0.0040), (cases.ritter, 128, 0.0062), (cases.bowl_planar, 50, 0.055),
+    (cases.bowl_radial, 50, 0.048), (cases.ripple, 64, 0.11),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("make", "cells", "bound"), SMALL)
+def test_small_cases(make, cells, bound):
+    case = make(cells)
+    record = measure(case, "auto")
+    assert record["error"] < bound
+    assert abs(record["residual"]) < 1e-12
+    if np.ndim(case.v) == 0 and make is not cases.bowl_radial:  # bowls come back to their start
+        assert cases.error_of(case, case.depth) > 4 * bound
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("make", "cells", "bound"), LEAST)
+def test_full_cases(make, cells, bound):
+    record = measure(make(cells), "auto")
+    assert record["error"] < bound
+    if "crest" in record:
+        assert record["crest"] == pytest.approx(1, abs=0.02)
+    near = measure(make(cells), "accurate")["error"]
+    assert near < bound * (1 if make in (cases.ripple, cases.rain) else 3)
+
+
+def stress(name, n=48):
+    """Return bed, spacing, depth and rain of a case that breaks methods."""
+    rng = np.random.default_rng(0)
+    y, x = (np.mgrid[:n, :n] + 0.5) * (2 / n) - 1
+    if name == "dam on a step":
+        return np.where(x > 0.4, 0.15, 0.0), 2 / n, np.where(np.hypot(x + 0.3, y) < 0.3, 0.5, 0), 0
+    if name == "film at 45 degrees":
+        return -x + 0.01 * rng.random((n, n)), 2 / n, np.full((n, n), 1e-4), 0
+    if name == "tall steps with rain":
+        blocks = 3 * np.kron(rng.random((n // 4, n // 4)), np.ones((4, 4)))
+        return blocks, 0.05, np.full((n, n), 0.01), 50 / 3.6e6
+    peak = np.maximum(0, 1 - 2 * np.hypot(x, y))
+    return peak, 2 / n, np.where(np.hypot(x, y) < 0.08, 0.3, 0), 0
+
+
+STRESS = ("dam on a step", "film at 45 degrees", "tall steps with rain", "water on a peak")
+
+
+@pytest.mark.parametrize("scheme", ["auto", "lean"])
+@pytest.mark.parametrize("name", STRESS)
+def test_where_methods_fail(scheme, name):
+    bed, spacing, depth, rain = stress(name)
+    solver = WaterSolver(bed, spacing, scheme=scheme)
+    solver.set_state(depth)
+    deepest, highest = depth.max(), (bed + depth)[depth > 0].max()
+    for _ in range(15):
+        report = solver.advance(0.1, rain=rain)
+        now = solver.depth.astype(float)
+        deepest, highest = max(deepest, now.max()), max(highest, (bed + now)[now > 0].max())
+        bound = 2 * math.sqrt(G * deepest) + math.sqrt(2 * G * (highest - bed.min()))
+        assert report.min_depth >= 0.0
+        assert report.max_speed <= 1.1 * bound
+        assert abs(report.residual) < (1e-10 if scheme == "auto" else 3e-6)
+    assert np.abs(now - depth).max() > 0.1 * depth.max()
+
+
+def test_still_tiles_sleep_and_moving_water_wakes_them():
+    bed = np.zeros((64, 256))
+    solver = WaterSolver(bed, 0.05, scheme="accurate")
+    depth = np.full(bed.shape, 0.1)
+    depth[:, :8] += 0.02
+    solver.set_state(depth)
+    solver.advance(0.3)
+    flow = solver._flow
+    assert 0 < len(flow._tiles) < len(flow.tiles(True))
+    np.testing.assert_array_equal(solver.depth[:, 200:], np.float32(0.1))
+    report = solver.advance(15.0)
+    assert np.abs(solver.depth[:, 200:] - 0.1).max() > 1e-3  # the wave has come through
+    assert abs(report.residual) < 1e-12
+
+
+@pytest.mark.parametrize("scheme", ["accurate", "lean"])
+def test_threads_agree(scheme, threads):
+    bed, spacing, depth, _ = stress("dam on a step", 96)
+    results = []
+    for count in (1, 2):
+        threads(count)
+        solver = WaterSolver(bed, spacing, scheme=scheme, boundary={"east": "open"})
+        solver.set_state(depth)
+        solver.advance(0.5)
+        results.append((solver.depth, *solver.velocity))
+    for one, two in zip(*results, strict=True):
+        np.testing.assert_array_equal(one, two)
+
+
+def test_inflow_drain_evaporation_and_horton_are_booked():
+    bed = np.zeros((16, 24))
+    waning = Horton(1e-4, 1e-5, 1.0)
+    solver = WaterSolver(
+        bed, 0.1, inflow={"west": 0.01}, drains=[(8, 12, 1e-3)], evaporation=1e-6,
+        infiltration=waning, kinematic_viscosity=1e-6,
+    )  # fmt: skip
+    solver.set_state(0.02)
+    ledger = solver.advance(4.0).ledger
+    area = bed.size * 0.01
+    assert ledger.inflow == pytest.approx(0.04, rel=1e-5)
+    assert ledger.drained == pytest.approx(4e-3, rel=1e-3)
+    assert ledger.evaporated == pytest.approx(4e-6 * area, rel=1e-3)
+    taken = 4 * 1e-5 + 9e-5 * (1 - math.exp(-4))
+    assert ledger.infiltrated == pytest.approx(taken * area, rel=0.03)
+    assert abs(ledger.residual) < 1e-12
+    assert solver.discharge("west") == pytest.approx(-0.01, rel=1e-3)
+
+
+def test_laminar_film_reaches_its_depth():
+    # q = g S h^3 / (3 nu) on a slope S, in equilibrium with rain.
+    rain, nu, slope, spacing, nx = 50 / 3.6e6, 1e-6, 0.02, 0.05, 40
+    bed = -slope * spacing * np.broadcast_to(np.arange(nx), (4, nx))
+    solver = WaterSolver(bed, spacing, boundary={"east": "open"}, kinematic_viscosity=nu)
+    solver.advance(120.0, rain=rain)
+    x = (np.arange(nx) + 1.0) * spacing
+    truth = (3 * nu * rain * x / (G * slope)) ** (1 / 3)
+    np.testing.assert_allclose(solver.depth[2, 8:-2], truth[8:-2], rtol=0.03)
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"drains": [(1, 9, 1e-3)]}, r"drain \(1, 9\).*columns from 0 to 4"),
+        ({"drains": [1, 2]}, "drains must be a list"),
+        ({"inflow": {"west": -1.0}}, "inflow west is -1.0"),
+        ({"inflow": {"west": 1.0}, "boundary": "open"}, "west edge, which is open"),
+        ({"inflow": {"west": 1.0}, "scheme": "paper"}, '"paper" does not have'),
+        ({"evaporation": -1.0}, "evaporation is -1.0"),
+        ({"kinematic_viscosity": math.nan}, "kinematic_viscosity is nan"),
+        ({"infiltration": Horton(1.0, -1.0, 1.0)}, "infiltration last is -1.0"),
+        ({"scheme": "paper", "courant": 0.6}, "courant is 0.6.*at most 0.5"),
+    ],
+)
+def test_bad_input_is_named(given, words):
+    with pytest.raises(ParameterError, match=words):
+        WaterSolver(np.zeros((4, 5)), 0.1, **given)
+
+
+def test_front_and_table():
+    assert front([(1, 3), (2, 1), (3, 2), (2.5, 1)]) == [(1, 3), (2, 1)]
+    records = [
+        {
+            "case": "stoker",
+            "cells": 8,
+            "scheme": s,
+            "error": 0.5,
+            "seconds": 1.0,
+            "front": s == "lean",
+        }
+        for s in ("auto", "accurate", "lean", "paper")
+    ]
+    text = table({"records": records})
+    assert "| stoker | 8 | 0.5000 / 1.000 |" in text and "**0.5000 / 1.000**" in text
