@@ -3,7 +3,7 @@
 import rainsim
 from rainsim.pipeline import extract_terrain
 from rainsim.standing import standing_water
-from rainsim.terrain import GRASS, write_terrain
+from rainsim.terrain import write_terrain
 
 
 def main(out="height_map", scene="bicycle", past_rain=3e-3, **settings):
@@ -13,7 +13,7 @@ def main(out="height_map", scene="bicycle", past_rain=3e-3, **settings):
     for path in write_terrain(out, terrain):
         print(path)
     depth, runoff, infiltrated = standing_water(
-        terrain.bed, past_rain, terrain.grid.spacing, permeable=terrain.ground_class == GRASS
+        terrain.bed, past_rain, terrain.grid.spacing, permeable=terrain.soaks
     )
     standing = float(depth.sum()) * terrain.grid.cell_area
     print(f"{standing * 1e3:.1f} litres stand, at most {depth.max() * 1e3:.1f} mm deep")

@@ -26,7 +26,8 @@ PROVENANCE = "provenance.json"
 # Names that the program gives to files: a provenance file from elsewhere cannot name others.
 OURS = re.compile(
     r"frames/\d{5}\.png|states/\d{5}\.npz|preview\.webp|video\.mp4|transforms\.json"
-    r"|(terrain|splats)\.npz|(scene|ground_frame|simulation)\.json|(bed|top)\.tif|hillshade\.png"
+    r"|(terrain|splats)\.npz|(scene|ground_frame|simulation)\.json|(bed|top)\.tif"
+    r"|(hillshade|classes|check|puddles-\d+mm)\.png"
 )
 VERSIONS_OF = ("numpy", "scipy", "numba", "llvmlite", "pillow")
 

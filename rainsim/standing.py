@@ -30,11 +30,13 @@ DRAINED = 0  # the node of all cells from which water leaves before it can stand
 
 PLAIN, EDGE, PERMEABLE = 0, 1, 2  # kinds of cells
 PARENT, SIBLING, TARGET = 0, 1, 2  # rows of the links of a tree
-RIM, PIT, VOLUME = 0, 1, 2  # rows of its levels
+RIM, PIT, VOLUME, AREA = range(4)  # rows of its levels
 CELLS, HEIGHTS = 0, 1  # rows of the sums over the cells of a node
 
 
-def standing_water(bed, rainfall, spacing, permeable=None, minimum_depth=0.0, open_edges=True):
+def standing_water(
+    bed, rainfall, spacing, permeable=None, minimum_depth=0.0, minimum_area=0.0, open_edges=True
+):
     """Find where `rainfall` stands once it has stopped flowing.
 
     Parameters
@@ -50,6 +52,8 @@ def standing_water(bed, rainfall, spacing, permeable=None, minimum_depth=0.0, op
     minimum_depth : float [m]
         Depressions that are less deep when full hold nothing; water passes over them
         (`count_shallow` counts them). One that has merged counts with its merged depth.
+    minimum_area : float [m2]
+        The same for depressions whose water, when full, covers less.
     open_edges : bool
         Whether water leaves over the map's edge.
 
@@ -61,20 +65,56 @@ def standing_water(bed, rainfall, spacing, permeable=None, minimum_depth=0.0, op
     infiltrated_volume : float [m3]
         Water that permeable cells took up.
     """
-    bed = _require_bed(bed)
-    rainfall = _require_rainfall(rainfall, bed.shape)
-    area = require_positive("spacing", spacing, "m") ** 2
-    minimum_depth = require_not_negative("minimum_depth", minimum_depth, "m")
-    kind = _cell_kinds(bed.shape, permeable, open_edges)
-    # Sums of heights over cells must not cost digits.
-    bed = bed - bed.mean()
-    tree = _Tree(bed, kind)
-    depth, left = np.empty(bed.size), np.empty(2)
-    fill(
-        bed.reshape(-1), rainfall.reshape(-1), tree.order, tree.node, tree.ending, tree.links,
-        tree.levels[RIM], tree.capacity(minimum_depth), depth, left,
-    )  # fmt: skip
-    return depth.reshape(bed.shape), float(left[0]) * area, float(left[1]) * area
+    graph = SpillGraph(bed, spacing, permeable, minimum_depth, minimum_area, open_edges)
+    return graph.pour(rainfall)
+
+
+class SpillGraph:
+    """Which depression spills into which; kept, so that water can be poured again and again.
+
+    Parameters are those of `standing_water`.
+
+    Attributes
+    ----------
+    shape : tuple of int
+    spacing : float [m]
+    dropped : int
+        Depressions (merged ones too) that hold nothing, for they are too shallow or too small.
+    count : int
+        All depressions.
+    """
+
+    def __init__(
+        self, bed, spacing, permeable=None, minimum_depth=0.0, minimum_area=0.0, open_edges=True
+    ):
+        bed = _require_bed(bed)
+        self.shape = bed.shape
+        self.spacing = require_positive("spacing", spacing, "m")
+        minimum_depth = require_not_negative("minimum_depth", minimum_depth, "m")
+        cells = require_not_negative("minimum_area", minimum_area, "m2") / self.spacing**2
+        kind = _cell_kinds(bed.shape, permeable, open_edges)
+        # Sums of heights over cells must not cost digits.
+        self._bed = (bed - bed.mean()).reshape(-1)
+        self._tree = _Tree(self._bed.reshape(bed.shape), kind)
+        small = self._tree.too_small(minimum_depth, cells)
+        self._capacity = self._tree.levels[VOLUME].copy()
+        self._capacity[1:][small] = 0.0
+        self.dropped, self.count = int(np.count_nonzero(small)), int(small.size)
+
+    def pour(self, rainfall):
+        """Return depth [m] (ny, nx), outflow and infiltrated volume [m3] of `rainfall` [m].
+
+        Water that stands already is poured again with what is new: it stays where it is as long as
+        nothing is added or taken.
+        """
+        rainfall = _require_rainfall(rainfall, self.shape)
+        tree, area = self._tree, self.spacing**2
+        depth, left = np.empty(self._bed.size), np.empty(2)
+        fill(
+            self._bed, rainfall.reshape(-1), tree.order, tree.node, tree.ending, tree.links,
+            tree.levels[RIM], self._capacity, depth, left,
+        )  # fmt: skip
+        return depth.reshape(self.shape), float(left[0]) * area, float(left[1]) * area
 
 
 def full_fill(bed, permeable=None, open_edges=True):
@@ -117,9 +157,9 @@ class _Tree:
         PARENT: what two full siblings become (DRAINED: nothing). SIBLING: the depression that
         shares the rim (DRAINED: the overflow never comes back). TARGET: the leaf, OUT or SOAKED
         where the overflow runs to.
-    levels : ndarray of shape (3, count), float64 [m]
+    levels : ndarray of shape (4, count), float64 [m]
         RIM: level of the rim. PIT: lowest point. VOLUME: depth up to the rim summed over the
-        cells. Infinite rim and volume: nothing can spill.
+        cells. Infinite rim and volume: nothing can spill. AREA: number of its cells.
     """
 
     def __init__(self, bed, kind):
@@ -129,7 +169,7 @@ class _Tree:
         # Pits do not touch, so they are at most half the cells; merges are one less, and those
         # at drained saddles no more.
         room = 2 * size + 2
-        links, levels = np.empty((3, room), np.int32), np.empty((3, room))
+        links, levels = np.empty((3, room), np.int32), np.empty((4, room))
         count = build(
             flat, self.order, kind.reshape(-1), bed.shape[1], self.node, self.ending, links, levels
         )
@@ -140,11 +180,9 @@ class _Tree:
         """Depth of each depression when full, without DRAINED [m]."""
         return self.levels[RIM, 1:] - self.levels[PIT, 1:]
 
-    def capacity(self, minimum_depth):
-        """Volume that each node holds, none if it is too shallow."""
-        capacity = self.levels[VOLUME].copy()
-        capacity[1:][self.full_depth < minimum_depth] = 0.0
-        return capacity
+    def too_small(self, minimum_depth, minimum_cells):
+        """Mask of the depressions that are too shallow or too small when full, without DRAINED."""
+        return (self.full_depth < minimum_depth) | (self.levels[AREA, 1:] < minimum_cells)
 
 
 @device_function
@@ -205,7 +243,7 @@ def close(top, other, both, target, level, sums, up_out, links_out, levels_out):
     """Give node `top` its rim at `level`, shared with `other`; full, the two become `both`."""
     up_out[top] = both
     links_out[PARENT, top], links_out[SIBLING, top], links_out[TARGET, top] = both, other, target
-    levels_out[RIM, top] = level
+    levels_out[RIM, top], levels_out[AREA, top] = level, sums[CELLS, top]
     # Rounding of the difference must not make it negative.
     levels_out[VOLUME, top] = max(sums[CELLS, top] * level - sums[HEIGHTS, top], 0.0)
 

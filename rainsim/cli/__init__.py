@@ -8,7 +8,7 @@ from __future__ import annotations
 import click
 
 from rainsim import __version__
-from rainsim.cli import film, ground, splat, tools
+from rainsim.cli import bench, film, ground, splat, tools
 from rainsim.errors import ParameterError, RainsimError
 
 INTERRUPTED = 130  # 128 + SIGINT, as shells have it
@@ -78,6 +78,7 @@ for _command in (
     splat.splat,
     tools.scenes,
     tools.presets,
+    bench.bench,
     tools.warmup,
 ):
     cli.add_command(_command)

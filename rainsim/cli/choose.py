@@ -68,7 +68,25 @@ def scene_of(name, given):
     from rainsim.scene.library import load_scene
 
     names = ("cameras", "up", "meters_per_unit", "camera_height", "ground_frame")
-    return load_scene(name, **{n: given.get(n) for n in names})
+    given = dict(given)
+    if given.get("known_length") is not None:
+        from rainsim.scene.ground import scale_from_length
+
+        if given.get("meters_per_unit") is not None:
+            raise ParameterError(
+                "--known-length and --meters-per-unit are both given; the scale must be given in "
+                "one way only; leave one out"
+            )
+        *points, length = given["known_length"]
+        given["meters_per_unit"] = scale_from_length(points[:3], points[3:], length)
+    scene = load_scene(name, **{n: given.get(n) for n in names})
+    if given.get("fall") is not None:
+        from rainsim.scene.ground import with_fall
+
+        percent, direction = given["fall"]
+        frame = with_fall(scene.ground_frame, percent / 100, math.radians(direction))
+        scene = replace(scene, ground_frame=frame)
+    return scene
 
 
 def check_camera_options(given):
@@ -132,7 +150,7 @@ def cameras_of(scene, config, given, most=None):
     elif given.get("orbit"):
         cameras = orbit(scene.ground_frame, scene.cameras, count=config.frames)
     else:
-        cameras = [_named(scene, given.get("camera"))]
+        cameras = [named_camera(scene, given.get("camera"))]
     return _sized(cameras, config), config
 
 
@@ -146,7 +164,12 @@ def _placed(scene, config, given):
     return replace(camera, name="eye")
 
 
-def _named(scene, name):
+def named_camera(scene, name):
+    """Return the camera of a scene with a name, its first if `name` is None."""
+    if not scene.cameras:
+        raise ParameterError(
+            f"scene {scene.name} has no cameras; one is needed; give --cameras cameras.json"
+        )
     if name is None:
         return scene.cameras[0]
     for camera in scene.cameras:

@@ -100,6 +100,17 @@ ground_options = _group(
         "[default: 1.5, assumed]",
     ),
     click.option(
+        "--known-length",
+        type=Numbers("x1,y1,z1,x2,y2,z2,m"),
+        help="Scale from two points in capture units and the metres between them.",
+    ),
+    click.option(
+        "--fall",
+        type=Numbers("percent,direction"),
+        help="Fall of the ground plane, which is taken as level otherwise, and the way it goes "
+        "down, in degrees counter-clockwise from the first camera's view.",
+    ),
+    click.option(
         "--ground-frame",
         type=FILE,
         metavar="FILE.json",

@@ -113,7 +113,7 @@ def test_other_units_and_tilt_give_the_same_terrain(yard):
     plain = terrain.extract_terrain(courtyard(identity), CONFIG)
     np.testing.assert_allclose(plain.bed, yard.bed, atol=2e-5)
     # A cell on the lawn's very edge may fall to either side by rounding.
-    assert np.mean(plain.ground_class != yard.ground_class) < 0.005
+    assert np.mean(plain.ground_class != yard.ground_class) < 0.01
 
 
 def test_noise_is_measured_and_smoothed():

@@ -1,0 +1,229 @@
+"""The command that makes a height map, and what it tells about it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+
+from rainsim.cli import options
+from rainsim.cli.choose import scene_of, settings
+from rainsim.cli.status import Status, tell_compiling, tell_scene
+from rainsim.errors import ParameterError
+
+GROUND_FRAME = "ground_frame.json"
+RAINS = (1, 3, 8, 20)  # mm of past rain that puddles are shown for
+
+
+@click.command(short_help="Make the height map of a scene.")
+@click.argument("scene")
+@options.ground_options
+@options.terrain_options
+@click.option(
+    "--class-mask",
+    type=options.FILE,
+    metavar="FILE.png",
+    help="Classes painted in the colours of classes.png; black is left to the program.",
+)
+@click.option(
+    "--check",
+    is_flag=False,
+    flag_value="",
+    metavar="[=CAMERA]",
+    help="Draw the ground's grid and the puddles over what a camera sees. [default: the first]",
+)
+@options.output_options("rainsim-out/SCENE-terrain")
+def heightmap(scene, class_mask, check, out, overwrite, threads, as_json, quiet, **given):
+    """Make the height map of SCENE, a name or a path as for `rainsim run`.
+
+    SCENE may also be a triangle mesh (PLY or OBJ) or a map of heights (float TIFF, metres, north at
+    the top, with --spacing its cell size).
+
+    Writes terrain.npz (ground, occluder top and underside, masks), bed.tif and top.tif (float32
+    metres, north at the top), ground_frame.json, and to look at: hillshade.png, classes.png and
+    puddles-1mm.png to puddles-20mm.png. Cameras beside the splats are used; without any, --up and
+    --meters-per-unit are needed.
+
+    \b
+    Example:
+        rainsim heightmap garden/ --out terrain --check
+        rainsim heightmap plaza.ply --up 0,0,1 --meters-per-unit 1 --extent 6
+    """
+    from rainsim.output import Record, claimed, relative
+    from rainsim.scene.ground import write_ground_frame
+    from rainsim.terrain import is_surface
+
+    status = Status(quiet)
+    config = settings(None, {**given, "threads": threads}, base=_default_config())
+    surface = is_surface(scene)
+    loaded = None
+    if surface:
+        _refuse_with_surface(scene, class_mask, check, given)
+        name = Path(scene).stem
+    else:
+        loaded = scene_of(scene, given)
+        tell_scene(status, loaded)
+        name = loaded.name
+    out = out or options.default_out(name, "terrain")
+    with status, claimed(out, overwrite):
+        from rainsim.jit import set_threads
+        from rainsim.terrain import write_terrain
+
+        set_threads(config.threads)
+        tell_compiling(status)
+        record = Record(out, loaded, settings={"terrain": config.as_dict()["terrain"]})
+        status.progress("terrain", 0, 1)
+        if surface:
+            terrain = _from_surface(scene, config, given)
+        else:
+            terrain = _from_splats(loaded, config, class_mask)
+        status.progress("terrain", 1, 1)
+        status.notes(terrain.notes)
+        record.add(*(path.name for path in write_terrain(out, terrain)))
+        if loaded is not None:
+            write_ground_frame(out / GROUND_FRAME, loaded.ground_frame)
+            record.add(GROUND_FRAME)
+        puddles, depth = _puddles(out, terrain, record)
+        if check is not None:
+            _check(out, loaded, terrain, check, depth, record)
+        record.write(complete=True, notes=list(terrain.notes))
+    status.say(f"height map and pictures in {relative(out)}")
+    result = _result(out, terrain, loaded, puddles, record.files)
+    click.echo(json.dumps(result, indent=1) if as_json else _as_text(result))
+
+
+def _default_config():
+    from rainsim.config import Config
+
+    return Config()
+
+
+def _refuse_with_surface(scene, class_mask, check, given):
+    wrong = [n for n in ("cameras", "camera_height", "ground_frame", "fall", "known_length")
+             if given.get(n) is not None]  # fmt: skip
+    wrong += ["class_mask"] * (class_mask is not None) + ["check"] * (check is not None)
+    if wrong:
+        raise ParameterError(
+            f"--{wrong[0].replace('_', '-')} is given with {scene}, a surface without cameras or "
+            "colours; leave it out"
+        )
+
+
+def _from_surface(scene, config, given):
+    from rainsim.terrain import terrain_from_surface
+
+    return terrain_from_surface(
+        scene, config.terrain, up=given.get("up"), meters_per_unit=given.get("meters_per_unit")
+    )
+
+
+def _from_splats(scene, config, class_mask):
+    from rainsim.pipeline import extract_terrain
+    from rainsim.terrain import read_mask
+
+    mask = None if class_mask is None else read_mask(class_mask)
+    return extract_terrain(scene, config, mask)
+
+
+def _puddles(out, terrain, record):
+    """Write the puddle pictures; return figures per rain and the depth at 3 mm."""
+    from rainsim import image
+    from rainsim.puddles import puddles_of, wet_share
+    from rainsim.terrain.pictures import puddle_overlay
+
+    puddles, rows, fallen, shown = puddles_of(terrain), [], 0, None
+    for rain in RAINS:
+        puddles.rain((rain - fallen) * 1e-3)
+        fallen = rain
+        name = f"puddles-{rain}mm.png"
+        image.write_png(out / name, puddle_overlay(terrain, puddles.depth))
+        record.add(name)
+        shown = puddles.depth if shown is None or rain == 3 else shown
+        rows.append(
+            {
+                "rain_mm": rain,
+                "puddles": puddles.count(),
+                "litres": puddles.volume * 1e3,
+                "wet_share_of_paving": wet_share(puddles.depth, terrain.sealed),
+                "deepest_mm": float(puddles.depth.max()) * 1e3,
+            }
+        )
+    figures = {"hollows": puddles.graph.count, "left_out": puddles.graph.dropped}
+    return {**figures, "residual": puddles.residual, "after_rain": rows}, shown
+
+
+def _check(out, scene, terrain, name, depth, record):
+    from rainsim import image
+    from rainsim.cli.choose import named_camera
+    from rainsim.terrain.pictures import through_camera
+
+    camera = named_camera(scene, name or None)
+    image.write_png(out / "check.png", through_camera(scene, terrain, camera, depth))
+    record.add("check.png")
+
+
+def _result(out, terrain, scene, puddles, files):
+    """Return what is told about a height map as plain values."""
+    import numpy as np
+
+    from rainsim.terrain import INFERRED, MEASURED, UNKNOWN, class_table
+
+    grid, source = terrain.grid, terrain.source
+    kinds = {"measured": MEASURED, "inferred": INFERRED, "unknown": UNKNOWN}
+    result = {
+        "out": str(out),
+        "files": files,
+        "shape": list(grid.shape),
+        "spacing": grid.spacing,
+        "origin": list(grid.origin),
+        "noise_mm": terrain.hard_noise * 1e3,
+        "shares": {name: float(np.mean(source == kind)) for name, kind in kinds.items()},
+        "classes": {
+            name: float(np.mean(terrain.ground_class == code))
+            for code, name in enumerate(class_table().names)
+        },
+        "puddles": puddles,
+        "notes": list(terrain.notes),
+    }
+    if scene is not None:
+        frame = scene.ground_frame
+        result["ground_frame"] = {
+            "up": [float(v) for v in frame.up],
+            "meters_per_unit": frame.meters_per_unit,
+            "scale_assumed": frame.scale_assumed,
+            "confidence": frame.confidence,
+        }
+    return result
+
+
+def _as_text(result):
+    """Return the figures as lines for a person."""
+    lines = [f"height map        {result['out']}"]
+    if "ground_frame" in result:
+        frame = result["ground_frame"]
+        assumed = " (ASSUMED from the cameras' height)" if frame["scale_assumed"] else ""
+        lines += [
+            f"up                {', '.join(f'{v:.5f}' for v in frame['up'])}",
+            f"metres per unit   {frame['meters_per_unit']:.6g}{assumed}",
+            f"confidence        {frame['confidence']:.2f}",
+        ]
+    ny, nx = result["shape"]
+    x, y = result["origin"]
+    share = result["shares"]
+    lines += [
+        f"cells             {nx} x {ny} of {result['spacing']:g} m from ({x:.2f}, {y:.2f}) m",
+        f"noise of paving   {result['noise_mm']:.2f} mm",
+        "ground            " + ", ".join(f"{name} {v:.0%}" for name, v in share.items()),
+        "classes           "
+        + ", ".join(f"{name} {v:.0%}" for name, v in result["classes"].items() if v > 0),
+        f"hollows           {result['puddles']['hollows']}, "
+        f"{result['puddles']['left_out']} of them left out as noise",
+    ]
+    for row in result["puddles"]["after_rain"]:
+        lines.append(
+            f"after {row['rain_mm']:>2} mm       {row['puddles']} puddles, {row['litres']:.1f} "
+            f"litres, {row['wet_share_of_paving']:.0%} of the paving wet, deepest "
+            f"{row['deepest_mm']:.1f} mm"
+        )
+    return "\n".join(lines)

@@ -1,0 +1,187 @@
+"""The bed from measured heights: gaps, objects, noise, smoothing, and the soil under grass."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import ndimage
+
+OBJECT_HEIGHT = 0.02  # m above the opened ground: a leg, a pot, a ball, not the ground
+OPENING_WIDTH = 0.5  # m: wider things that stand in the slab are taken as ground
+STEP_RELIEF = 0.03  # m within 10 cm: a kerb or a step, kept sharp
+STEP_NOISES = 5.0  # times the noise, if that is more
+TREND_WIDTH = 0.025  # m, standard deviation of the trend that noise is measured about
+NOISE_WIDTH = 0.15  # m within which noise is told
+NOISE_CUT = 3.0  # local deviations; what is more is a leaf or a step, not noise
+# Standard deviations of the smoothing [m] and the noise [m] they are for, between which it goes
+# over. 4 cm looked best of eight filters on a captured patio with 0.7 mm.
+SMOOTHING = ((0.02, 0.2e-3), (0.04, 0.7e-3), (0.10, 5e-3))
+SOIL_CELL = 0.2  # m: blades part often enough within this for the soil to be seen
+SOIL_PERCENTILE = 8  # of the splats' heights in such a cell: 1 to 5 are floaters below the ground
+SOIL_COUNT = 12  # splats in a cell that it takes to tell
+RIM_WIDTH = 0.5  # m from paving within which the soil is not taken to lie lower than the paving
+GRASS_DEPTH = 0.08  # m: grass is not taken to be higher
+
+
+def inpaint(values, known, passes=60):
+    """Return `values` (ny, nx) with unknown cells filled smoothly from their known neighbours."""
+    if known.all():
+        return values.astype(np.float32)
+    nearest = ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
+    filled = values[tuple(nearest)].astype(np.float32)
+    for _ in range(passes):
+        smooth = ndimage.uniform_filter(filled, 5)
+        filled[~known] = smooth[~known]
+    return filled
+
+
+def objects(filled, known, grass, spacing):
+    """Return the mask of what stands out of the ground by more than an opening leaves."""
+    width = max(3, round(OPENING_WIDTH / spacing))
+    opened = ndimage.grey_opening(ndimage.median_filter(filled, 3), size=(width, width))
+    standing = known & ~grass & (filled - opened > OBJECT_HEIGHT)
+    return ndimage.binary_dilation(standing, iterations=2) & known & ~grass
+
+
+def local_noise(height, known, spacing):
+    """Return the standard deviation [m] of `height` about its trend, within about 15 cm.
+
+    What is more than three local deviations (by the median) off the trend is a leaf or a kerb and
+    counts as three.
+    """
+    weight = known.astype(np.float32)
+    s = TREND_WIDTH / spacing
+    share = np.maximum(ndimage.gaussian_filter(weight, s), 1e-3)
+    trend = ndimage.gaussian_filter(np.where(known, height, 0).astype(np.float32), s) / share
+    away = np.abs(np.where(known, height - trend, 0)).astype(np.float32)
+    cut = NOISE_CUT * 1.4826 * _block_median(away, known, max(4, round(0.25 / spacing)))
+    square = np.minimum(away, cut) ** 2 * weight
+    wide = NOISE_WIDTH / spacing
+    weight = np.maximum(blur(weight, wide), 1e-3)
+    variance = blur(square.astype(np.float32), wide) / weight
+    if s > 0.5:  # the trend itself follows white noise: what it takes away is given back
+        variance /= 1 - 1 / (np.pi * s * s) + 1 / (4 * np.pi * s * s)
+    return np.sqrt(np.maximum(variance, 0)).astype(np.float32)
+
+
+def blur(values, width):
+    """Return `values` (ny, nx) blurred by a Gaussian of `width` cells, on fewer cells if wide."""
+    step = int(width / 3)
+    if step < 2 or min(values.shape) < 4 * step:
+        return ndimage.gaussian_filter(values, width)
+    ny, nx = values.shape
+    padded = np.pad(values, ((0, -ny % step), (0, -nx % step)), mode="edge")
+    rows, columns = padded.shape[0] // step, padded.shape[1] // step
+    coarse = padded.reshape(rows, step, columns, step).mean(axis=(1, 3))
+    coarse = ndimage.gaussian_filter(coarse, width / step)
+    return _spread(ny, rows, step) @ coarse @ _spread(nx, columns, step).T
+
+
+def _spread(fine, coarse, step):
+    """Return the matrix (fine, coarse) that interpolates linearly between the blocks' centres."""
+    place = np.clip((np.arange(fine) + 0.5) / step - 0.5, 0, coarse - 1)
+    low = np.minimum(place.astype(int), coarse - 2)
+    matrix = np.zeros((fine, coarse), np.float32)
+    matrix[np.arange(fine), low] = 1 - (place - low)
+    matrix[np.arange(fine), low + 1] = place - low
+    return matrix
+
+
+def _block_median(values, known, size):
+    """Return the median of the known values about every cell, from blocks of `size` cells."""
+    ny, nx = values.shape
+    rows, columns = -(-ny // size), -(-nx // size)
+    padded = np.full((rows * size, columns * size), np.nan, np.float32)
+    padded[:ny, :nx] = np.where(known, values, np.nan)
+    blocks = padded.reshape(rows, size, columns, size).swapaxes(1, 2).reshape(rows, columns, -1)
+    counted = np.count_nonzero(np.isfinite(blocks), axis=2)
+    blocks[counted == 0] = 0
+    median = np.nanmedian(blocks, axis=2)
+    median = inpaint(median, counted > size, passes=2) if (counted > size).any() else median
+    coarse = ndimage.median_filter(median, 3)
+    j, i = (np.arange(n) // size for n in (ny, nx))
+    return coarse[np.ix_(j, i)]
+
+
+def smooth(height, noise, spacing):
+    """Return `height` smoothed at the scale of its noise, but only by a median at kerbs and steps.
+
+    Parameters
+    ----------
+    height, noise : ndarray of shape (ny, nx), float32 [m]
+    spacing : float [m]
+    """
+    median = ndimage.median_filter(height, 3)
+    finest, scale = SMOOTHING[0]
+    result = ndimage.gaussian_filter(median, finest / spacing)
+    for width, next_scale in SMOOTHING[1:]:
+        part = ndimage.gaussian_filter(median, width / spacing)
+        share = np.log(np.maximum(noise, 1e-6) / scale) / np.log(next_scale / scale)
+        result = result + (part - result) * np.clip(share, 0, 1)
+        scale = next_scale
+    size = max(3, 2 * round(0.05 / spacing) + 1)
+    relief = ndimage.maximum_filter(median, size) - ndimage.minimum_filter(median, size)
+    step = relief > np.maximum(STEP_RELIEF, STEP_NOISES * noise)
+    steep = np.clip(2 * ndimage.gaussian_filter(step.astype(np.float32), 1.5), 0, 1)
+    return (result + (median - result) * steep).astype(np.float32)
+
+
+def smoothing_width(noise):
+    """Return the standard deviation [m] of the smoothing for a noise [m]."""
+    widths, scales = np.transpose(SMOOTHING)
+    return float(np.interp(np.log(max(noise, 1e-9)), np.log(scales), widths))
+
+
+def soil_under_grass(canopy, grass, points, weights, grid):
+    """Return the height of the ground with the grass taken off, ndarray of shape (ny, nx) [m].
+
+    Blades hide the soil from above, but splats reach down between them: the soil is a low
+    percentile of their heights.
+
+    Parameters
+    ----------
+    canopy : ndarray of shape (ny, nx), float32 [m]
+    grass : ndarray of shape (ny, nx), bool
+    points : ndarray of shape (n, 3) [m]
+        Solid splats near the ground.
+    weights : ndarray of shape (n,)
+        Not used where it is 0.
+    grid : Grid
+    """
+    row, column, inside = grid.cells(points[:, 0], points[:, 1])
+    inside &= weights > 0
+    row, column = row[inside], column[inside]
+    below = canopy[row, column] - points[inside, 2]
+    fine = grass[row, column] & (np.abs(below) < 2 * GRASS_DEPTH)
+    if not fine.any():
+        return canopy
+    size = max(1, round(SOIL_CELL / grid.spacing))
+    rows, columns = -(-grid.shape[0] // size), -(-grid.shape[1] // size)
+    cell = (row[fine] // size) * columns + column[fine] // size
+    depth, told = _percentile_per_cell(cell, below[fine], rows * columns, 100 - SOIL_PERCENTILE)
+    if not told.any():
+        return canopy
+    depth = inpaint(depth.reshape(rows, columns), told.reshape(rows, columns), passes=10)
+    depth = ndimage.gaussian_filter(ndimage.median_filter(depth, 3), 0.7)
+    fine_rows = (np.arange(grid.shape[0]) + 0.5) / size - 0.5
+    fine_columns = (np.arange(grid.shape[1]) + 0.5) / size - 0.5
+    places = np.meshgrid(fine_rows, fine_columns, indexing="ij")
+    depth = ndimage.map_coordinates(depth, places, order=1, mode="nearest")
+    soil = canopy - np.clip(depth, 0, GRASS_DEPTH)
+    if not grass.all():
+        # Blades are short at the rim of paving, and lawns do not lie in a trench beside it.
+        away, nearest = ndimage.distance_transform_edt(grass, return_indices=True)
+        rim = np.minimum(ndimage.gaussian_filter(canopy[tuple(nearest)], 1.0), canopy)
+        soil = np.where(away * grid.spacing < RIM_WIDTH, np.maximum(soil, rim), soil)
+    return np.where(grass, soil, canopy).astype(np.float32)
+
+
+def _percentile_per_cell(cell, values, count, percentile):
+    """Return a percentile of the values in each of `count` cells, and where there were enough."""
+    order = np.lexsort((values, cell))
+    cell, values = cell[order], values[order]
+    start = np.searchsorted(cell, np.arange(count + 1))
+    number = np.diff(start)
+    told = number >= SOIL_COUNT
+    place = start[:-1] + np.minimum((number * percentile / 100).astype(np.int64), number - 1)
+    result = np.where(told, values[np.minimum(np.maximum(place, 0), len(values) - 1)], 0)
+    return result.astype(np.float32), told

@@ -1,0 +1,347 @@
+"""From splats to `Terrain`: three orthographic splattings, tile by tile.
+
+What lies near the bed, seen from above, gives the ground even under a table; everything below the
+ceiling, seen from above, gives the tops of occluders; the same seen from below their undersides.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import ndimage
+
+from rainsim import raster
+from rainsim.errors import GroundError, ParameterError
+from rainsim.scene.types import Camera, Splats
+from rainsim.terrain import bed as bedding
+from rainsim.terrain.classify import EXCESS_GREEN, classify, is_green
+from rainsim.terrain.slab import FAINT, follow_ground, splat_cover
+from rainsim.terrain.types import GAP_HEIGHT, INFERRED, MEASURED, UNKNOWN, Grid, Terrain
+
+MIN_SEEN_ALPHA = 0.5  # of a cell from above: less and the surface is not told
+OCCLUDER_HEIGHT = 0.10  # m above the ground from which something shelters it
+CEILING_OVER_CAMERAS = 1.0  # m: what is higher was hardly seen by any camera
+CEILING_WITHOUT_CAMERAS = 4.0  # m above the ground
+DEFAULT_HALF_WIDTH = 4.0  # m, of the map, unless the cameras roam farther
+CAMERA_REACH = 1.5  # half widths of the map per camera's distance from its centre
+STREET_MARGIN = 6.0  # m beyond cameras that roam farther than that is
+MOST_CELLS = 24_000_000  # of a map: some 3 GB while it is made
+TILE = 1024  # cells across: what is splatted at once
+NEAR_BED = 0.03  # m, and four times the noise: what is farther from the first bed stands on it
+LARGEST_SHIFT, SHIFT_WIDTH = 0.01, 0.05  # m, by which overlapping splats may hide the ground
+LEAST_GROUND = 0.02  # share of the map that must show ground
+
+
+def extract_terrain(scene, config, mask=None):
+    """Return the `Terrain` of a scene.
+
+    Parameters
+    ----------
+    scene : Scene
+    config : TerrainConfig
+        spacing [m], extent (half width [m] or None) and slab (half thickness [m]).
+    mask : ndarray of shape (ny, nx), int, optional
+        Class of each cell as the user has it; -1 where it is to be told from the splats.
+
+    Raises
+    ------
+    GroundError
+        If hardly any ground is seen within the map.
+    ParameterError
+        If the mask does not fit the map.
+    """
+    grid, notes = choose_grid(scene, config)
+    if mask is not None and np.shape(mask) != grid.shape:
+        raise ParameterError(
+            f"the class mask has {np.shape(mask)[1]} x {np.shape(mask)[0]} cells; the map has "
+            f"{grid.shape[1]} x {grid.shape[0]}; paint over the class map that was written for it"
+        )
+    cloud = _Cloud(scene, grid, config.slab)
+    ground = cloud.look(cloud.near_bed)
+    known = ground.alpha > MIN_SEEN_ALPHA
+    if np.mean(known) < LEAST_GROUND:
+        raise GroundError(
+            f"only {np.mean(known):.1%} of the map of {grid.size[0]:g} x {grid.size[1]:g} m shows "
+            f"ground within {config.slab:g} m of the ground plane; give --up and "
+            "--meters-per-unit, or --ground-frame"
+        )
+    kept = cloud.near_bed & ~_floaters(cloud, ground, grid)
+    removed = int(np.count_nonzero(cloud.near_bed & ~kept))
+    if removed:
+        ground = cloud.look(kept)
+    bed, source, noise, color, green = _bed(ground, cloud.look(kept, from_below=True), grid)
+    upper, lower = cloud.look(cloud.below_ceiling), cloud.look(cloud.overhead, from_below=True)
+    top, underside = _cover(upper, lower, bed)
+    classes = classify(bed, top, source, noise, color, green, grid.spacing)
+    if mask is not None:
+        classes = np.where(np.asarray(mask) >= 0, mask, classes).astype(np.uint8)
+    # The soil under grass lies lower; what stands in the grass stands on it.
+    soil = cloud.soil(bed, classes)
+    lowered = soil < bed
+    top = np.where(lowered & (top == bed), soil, top).astype(np.float32)
+    underside = np.where(lowered & (underside == bed), soil, underside).astype(np.float32)
+    terrain = Terrain(grid, soil, top, underside, source, classes, noise, color)
+    notes += (*cloud.notes, *_report(terrain, removed, mask))
+    return Terrain(grid, soil, top, underside, source, classes, noise, color, notes)
+
+
+def _report(terrain, removed, mask):
+    """Return notes on what is known of the ground and what it is."""
+    from rainsim.terrain.table import class_table
+
+    source, classes = terrain.source, terrain.ground_class
+    shares = [np.mean(source == kind) for kind in (MEASURED, INFERRED, UNKNOWN)]
+    yield (
+        f"ground measured {shares[0]:.0%}, inferred {shares[1]:.0%}, unknown {shares[2]:.0%}; "
+        f"noise of the paving {terrain.hard_noise * 1e3:.2f} mm"
+    )
+    names = class_table().names
+    counted = [(np.mean(classes == code), name) for code, name in enumerate(names)]
+    yield "classes: " + ", ".join(f"{name} {share:.0%}" for share, name in counted if share > 0)
+    if mask is not None:
+        yield f"{np.mean(np.asarray(mask) >= 0):.0%} of the classes given by the mask"
+    if removed:
+        yield f"{removed} splats near the bed left out: they float over it or stand on it"
+
+
+def choose_grid(scene, config):
+    """Return the `Grid` that the cameras' surroundings ask for, and notes that say why."""
+    centre, half, why = np.zeros(2), np.full(2, DEFAULT_HALF_WIDTH), "the default"
+    if scene.cameras:
+        foot = np.array([scene.ground_frame.to_ground(c.position)[:2] for c in scene.cameras])
+        centre = foot.mean(axis=0)
+        away = np.abs(foot - centre)
+        radius = np.percentile(np.linalg.norm(foot - centre, axis=1), 90)
+        if CAMERA_REACH * radius > DEFAULT_HALF_WIDTH:
+            low, high = np.percentile(foot, (2, 98), axis=0)
+            centre = (low + high) / 2
+            away = (high - low) / 2
+            half = away + np.minimum(STREET_MARGIN, (CAMERA_REACH - 1) * radius)
+            half, why = np.maximum(half, DEFAULT_HALF_WIDTH), "the cameras' reach"
+    if config.extent is not None:
+        half, why = np.full(2, config.extent), "given"
+    spacing = config.spacing
+    if 4 * half.prod() / spacing**2 > MOST_CELLS:
+        if config.extent is not None:
+            raise ParameterError(
+                f"a map of {2 * half[0]:g} m at {spacing:g} m has "
+                f"{4 * half.prod() / spacing**2:.0f} cells; at most {MOST_CELLS} fit the memory; "
+                "give a larger --spacing or a smaller --extent"
+            )
+        shrink = math.sqrt(4 * half.prod() / spacing**2 / MOST_CELLS)
+        half, why = half / shrink, f"the cameras' reach, cut to {MOST_CELLS} cells"
+    nx, ny = (max(8, round(2 * h / spacing)) for h in half)
+    corner = centre - np.array([nx, ny]) * spacing / 2
+    grid = Grid((ny, nx), (float(corner[0]), float(corner[1])), spacing)
+    note = f"map of {grid.size[0]:g} x {grid.size[1]:g} m ({why}), {nx} x {ny} cells"
+    footprint = _pixel_footprint(scene)
+    if footprint is not None:
+        note += f" of {spacing:g} m; a pixel of the cameras covers {footprint * 1e3:.2g} mm"
+    return grid, (note,)
+
+
+def _pixel_footprint(scene):
+    """Return the median size [m] of a pixel on the ground below what cameras look at, or None."""
+    sizes = []
+    for camera in scene.cameras:
+        view = scene.ground_frame.camera_in_ground(camera)
+        height, sink = view.position[2], -view.forward[2]
+        if height > 0 and sink > 0.05 and not camera.orthographic:
+            sizes.append(height / sink / camera.fx)
+    return float(np.median(sizes)) if sizes else None
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What an orthographic look shows: height [m], alpha (ny, nx) and colour (ny, nx, 3)."""
+
+    height: np.ndarray
+    alpha: np.ndarray
+    color: np.ndarray
+
+
+class _Cloud:
+    """The splats over a map, in ground coordinates, and looks at them from above and below."""
+
+    def __init__(self, scene, grid, slab):
+        self.frame, self.grid = scene.ground_frame, grid
+        position = self.frame.to_ground(scene.splats.position)
+        reach = 3 * scene.splats.scale.max(axis=1) * self.frame.meters_per_unit
+        x0, y0 = grid.origin
+        width, depth = grid.size
+        with np.errstate(invalid="ignore"):
+            over = (
+                (position[:, 0] + reach > x0) & (position[:, 0] - reach < x0 + width)
+                & (position[:, 1] + reach > y0) & (position[:, 1] - reach < y0 + depth)
+            )  # fmt: skip
+        if not over.any():
+            raise GroundError(
+                f"no splat lies over the map of {width:g} x {depth:g} m about ({x0 + width / 2:g}, "
+                f"{y0 + depth / 2:g}) of the ground frame; check --up and --meters-per-unit"
+            )
+        splats = scene.splats.take(over)
+        # The mean colour over all directions: from straight above no camera has looked.
+        self.splats = Splats(splats.position, splats.rotation, splats.scale, splats.opacity,
+                             np.ascontiguousarray(splats.sh[:, :1]))  # fmt: skip
+        self.position, self.reach = position[over], reach[over]
+        self.cover = splat_cover(self.splats, self.frame)
+        start = _start_radius(scene, grid)
+        self.level, share = follow_ground(self.position, self.cover, grid, start)
+        self.above = self.position[:, 2] - self.level(self.position[:, 0], self.position[:, 1])
+        solid = self.cover > 0
+        self.near_bed = (np.abs(self.above) < slab) & solid
+        ceiling = _ceiling(scene)
+        self.below_ceiling = self.above < ceiling
+        self.overhead = self.below_ceiling & (self.above > slab)
+        x, y = grid.centres()
+        level = self.level(*np.meshgrid(x[::8], y[::8]))
+        self.top = float(level.max()) + ceiling
+        self.floor = float(level.min()) - slab
+        self.notes = ()
+        if level.max() - level.min() > slab:
+            self.notes = (
+                f"the ground rises {level.max() - level.min():.2f} m within the map and was "
+                f"followed on {share:.0%} of it",
+            )
+
+    def look(self, which, from_below=False):
+        """Return what the splats of the mask `which` show from above, or from below."""
+        ny, nx = self.grid.shape
+        height, alpha = (np.zeros((ny, nx), np.float32) for _ in range(2))
+        color = np.zeros((ny, nx, 3), np.float32)
+        for j in range(0, ny, TILE):
+            for i in range(0, nx, TILE):
+                part = (slice(j, min(j + TILE, ny)), slice(i, min(i + TILE, nx)))
+                here = which if ny <= TILE and nx <= TILE else which & self._over(part)
+                if here.any():
+                    seen = self._look(self.splats.take(here), part, from_below)
+                    height[part], alpha[part], color[part] = seen
+        return Seen(height, alpha, color)
+
+    def _over(self, part):
+        """Return the mask of the splats that reach over a part of the map."""
+        inside = np.ones(len(self.position), bool)
+        for axis, cells in ((0, part[1]), (1, part[0])):
+            low = self.grid.origin[axis] + cells.start * self.grid.spacing
+            high = self.grid.origin[axis] + cells.stop * self.grid.spacing
+            inside &= self.position[:, axis] + self.reach > low
+            inside &= self.position[:, axis] - self.reach < high
+        return inside
+
+    def _look(self, splats, part, from_below):
+        rows, columns = part
+        spacing = self.grid.spacing
+        west = self.grid.origin[0] + columns.start * spacing
+        if from_below:
+            eye = (west, self.grid.origin[1] + rows.start * spacing, self.floor)
+            axes, flip, sign = np.eye(3), slice(None), 1
+        else:
+            eye = (west, self.grid.origin[1] + rows.stop * spacing, self.top)
+            axes = np.array([[1, 0, 0], [0, -1, 0], [0, 0, -1.0]])
+            flip, sign = slice(None, None, -1), -1  # pictures begin in the north
+        matrix = np.eye(4)
+        matrix[:3, :3] = axes
+        matrix[:3, 3] = -axes @ eye
+        camera = Camera(columns.stop - columns.start, rows.stop - rows.start, 1 / spacing,
+                        1 / spacing, 0.0, 0.0, matrix, orthographic=True)  # fmt: skip
+        prepared = raster.prepare(splats)
+        layers = raster.rasterize(prepared, self.frame.camera_in_capture(camera), near=0.0)
+        height = eye[2] + sign * layers.depth * self.frame.meters_per_unit
+        return height[flip], layers.alpha[flip], layers.color[flip]
+
+    def soil(self, bed, classes):
+        """Return the bed with the grass taken off."""
+        from rainsim.terrain.table import GRASS
+
+        solid = np.where(self.near_bed, self.splats.opacity > 3 * FAINT, False)
+        return bedding.soil_under_grass(bed, classes == GRASS, self.position, solid, self.grid)
+
+
+def _start_radius(scene, grid):
+    """Return how far from the map's middle the ground surely lies on the plane [m]."""
+    if not scene.cameras:
+        return max(grid.size) / 4
+    foot = np.array([scene.ground_frame.to_ground(c.position)[:2] for c in scene.cameras])
+    return float(max(1.0, np.median(np.linalg.norm(foot - foot.mean(axis=0), axis=1))))
+
+
+def _ceiling(scene):
+    if not scene.cameras:
+        return CEILING_WITHOUT_CAMERAS
+    heights = [scene.ground_frame.to_ground(c.position)[2] for c in scene.cameras]
+    return max(heights) + CEILING_OVER_CAMERAS
+
+
+def _floaters(cloud, seen, grid):
+    """Return the mask of the splats near the bed that float over it, under it or stand on it."""
+    known = seen.alpha > MIN_SEEN_ALPHA
+    filled = bedding.inpaint(np.where(known, seen.height, 0), known, passes=10)
+    middle = ndimage.median_filter(filled, 3)
+    width = max(3, round(bedding.OPENING_WIDTH / grid.spacing))
+    opened = ndimage.grey_opening(middle, size=(width, width))
+    noise = bedding.local_noise(filled, known, grid.spacing)
+    # Kerbs and steps: within a few cells of them either level is the ground.
+    size = max(3, 2 * round(0.04 / grid.spacing) + 1)
+    relief = ndimage.maximum_filter(opened, size) - ndimage.minimum_filter(opened, size)
+    limit = np.maximum(NEAR_BED, 4 * noise) + relief
+    row, column, inside = grid.cells(cloud.position[:, 0], cloud.position[:, 1])
+    off = np.abs(cloud.position[:, 2] - opened[row, column]) > limit[row, column]
+    return off & inside & cloud.near_bed & ~is_green(cloud.splats)
+
+
+def _less_bias(above, below, bare, grid):
+    """Return the ground's height moved, slowly over the map, to the middle of its splats.
+
+    Of splats that overlap the upper ones hide the others: seen from above the ground lies higher
+    than it is by about its noise, seen from below lower. The middle is where cameras see it. Only
+    bare ground tells: blades are no noise.
+    """
+    told = bare & (below.alpha > MIN_SEEN_ALPHA)
+    shift = np.where(told, (below.height - above.height) / 2, 0)
+    shift = np.clip(shift, -LARGEST_SHIFT, LARGEST_SHIFT).astype(np.float32)
+    width = SHIFT_WIDTH / grid.spacing
+    share = np.maximum(bedding.blur(told.astype(np.float32), width), 1e-3)
+    return above.height + bedding.blur(shift, width) / share
+
+
+def _bed(seen, below, grid):
+    """Return bed, source, noise, colour and excess green from a look at the ground."""
+    known = seen.alpha > MIN_SEEN_ALPHA
+    color = np.clip(seen.color / np.maximum(seen.alpha, 0.3)[..., None], 0, 1).astype(np.float32)
+    source = np.where(known, MEASURED, UNKNOWN).astype(np.uint8)
+    green = 2 * color[..., 1] - color[..., 0] - color[..., 2]
+    green = ndimage.gaussian_filter(np.where(known, green, 0), 0.06 / grid.spacing)
+    bare = known & (green < EXCESS_GREEN)
+    height = np.where(known, _less_bias(seen, below, bare, grid), 0)
+    filled = bedding.inpaint(height, known)
+    standing = bedding.objects(filled, known, green > EXCESS_GREEN, grid.spacing)
+    # A hole that is all within known ground is where something stood: a table's foot, a pot.
+    holes = ndimage.binary_fill_holes(known) & ~known
+    labels, count = ndimage.label(holes)
+    if count:
+        small = np.bincount(labels.ravel()) * grid.cell_area < 1.0
+        small[0] = False
+        holes = small[labels]
+    source[standing | holes] = INFERRED
+    measured = known & ~standing
+    if measured.any():
+        filled = bedding.inpaint(np.where(measured, height, 0), measured)
+    noise = bedding.local_noise(filled, measured, grid.spacing)
+    bed = bedding.smooth(filled, noise, grid.spacing)
+    if bare.any() and not bare.all():
+        # Blades must not raise the rim of the paving beside them: it would dam puddles.
+        nearest = ndimage.distance_transform_edt(~bare, return_distances=False, return_indices=True)
+        alone = bedding.smooth(filled[tuple(nearest)], noise, grid.spacing)
+        bed = np.where(bare, alone, bed)
+    return bed, source, noise, color, green
+
+
+def _cover(upper, lower, bed):
+    """Return top and underside of what stands on or hangs over the bed."""
+    top = np.where(upper.alpha > MIN_SEEN_ALPHA, ndimage.median_filter(upper.height, 3), bed)
+    top = np.where(top > bed + OCCLUDER_HEIGHT, top, bed)
+    hanging = (lower.alpha > MIN_SEEN_ALPHA) & (lower.height > bed + GAP_HEIGHT) & (top > bed)
+    underside = np.where(hanging, np.minimum(lower.height, top), bed)
+    return top.astype(np.float32), underside.astype(np.float32)

@@ -1,0 +1,92 @@
+"""Pictures to look at: classes and puddles from above, the ground's grid through a camera."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rainsim.terrain.files import hillshade
+from rainsim.terrain.table import class_table
+from rainsim.terrain.types import UNKNOWN
+
+LARGEST_SIDE = 2000  # px of a picture from above
+FADE_DEPTHS = (0.8e-3, 2.8e-3, 20e-3)  # m of water: begins to show, shows fully, is darkest
+WATER_LIGHT, WATER_DARK = np.array([0.35, 0.6, 0.95]), np.array([0.05, 0.15, 0.5])
+GRID_STEP = 0.5  # m between the lines of the checking grid
+ON_GROUND = 0.04  # m, and 1 % of the distance: what is nearer the bed counts as ground
+CHECK_WIDTH = 960  # px
+
+
+def class_map(terrain):
+    """Return the classes in the table's colours, (ny, nx, 3) uint8 with north at the top.
+
+    Painted over, it is a mask for `rainsim heightmap --class-mask`.
+    """
+    return class_table().colors[terrain.ground_class][::-1]
+
+
+def from_above(terrain):
+    """Return the ground's colour with its relief shaded in, (ny, nx, 3) float, south first."""
+    shade = hillshade(terrain.bed, terrain.grid.spacing, exaggerate=4)[..., None]
+    picture = terrain.color * (0.55 + 0.8 * shade)
+    picture[terrain.source == UNKNOWN] *= 0.4
+    return picture
+
+
+def puddle_overlay(terrain, depth):
+    """Return the ground from above with `depth` [m] of water over it, uint8, north at the top."""
+    return _bytes(_with_water(from_above(terrain), depth))[::-1]
+
+
+def _with_water(picture, depth):
+    """Return `picture` with water drawn over it; `depth` has the picture's shape."""
+    low, high, deep = FADE_DEPTHS
+    alpha = np.clip((depth - low) / (high - low), 0, 1)[..., None] * 0.8
+    share = np.clip(depth / deep, 0, 1)[..., None]
+    return picture + alpha * (WATER_LIGHT + (WATER_DARK - WATER_LIGHT) * share - picture)
+
+
+def through_camera(scene, terrain, camera, depth=None):
+    """Return what a camera sees with the ground's grid drawn over it, (height, width, 3) uint8.
+
+    Lines every half metre lie on the bed where the camera sees ground (within 4 cm of it): where
+    they bend or vanish on open ground the bed is wrong. The axes are red (x) and green (y). With a
+    `depth` of water [m] (ny, nx) puddles are shown too.
+    """
+    from rainsim import raster
+
+    width = min(CHECK_WIDTH, camera.width)
+    camera = camera.resized(width, max(1, round(camera.height * width / camera.width)))
+    frame, grid = scene.ground_frame, terrain.grid
+    layers = raster.rasterize(raster.prepare(scene.splats), camera, near=0.05)
+    picture = np.clip(layers.color, 0, 1).astype(np.float64)
+    view = frame.camera_in_ground(camera)
+    points, distance = _seen_points(view, layers.plane_depth * frame.meters_per_unit)
+    row, column, inside = grid.cells(points[..., 0], points[..., 1])
+    away = np.abs(points[..., 2] - terrain.bed[row, column])
+    ground = inside & (layers.alpha > 0.5) & (away < ON_GROUND + 0.01 * distance)
+    if depth is not None:
+        picture = _with_water(picture, np.where(ground, depth[row, column], 0))
+    thick = np.maximum(0.006, 1.2 * distance / view.fx)
+    color = np.array([1.0, 0.95, 0.2])
+    for axis, own in ((0, (0.2, 0.9, 0.2)), (1, (0.95, 0.2, 0.2))):
+        place = points[..., axis]
+        nearest = np.round(place / GRID_STEP) * GRID_STEP
+        line = ground & (np.abs(place - nearest) < thick)
+        picture[line] += 0.7 * (color - picture[line])
+        line &= nearest == 0
+        picture[line] = own
+    return _bytes(picture)
+
+
+def _seen_points(view, depth):
+    """Return the points [m] (height, width, 3) at a view's z-depths and their distances."""
+    u = (np.arange(view.width) + 0.5 - view.cx) / view.fx
+    v = (np.arange(view.height) + 0.5 - view.cy) / view.fy
+    ray = np.stack([*np.meshgrid(u, v), np.ones(depth.shape)], axis=-1)
+    depth = np.where(np.isfinite(depth), depth, 1e4)[..., None]
+    points = view.position + (ray * depth) @ view.camera_from_world[:3, :3]
+    return points, np.linalg.norm(ray, axis=-1) * depth[..., 0]
+
+
+def _bytes(picture):
+    return (np.clip(picture, 0, 1) * 255 + 0.5).astype(np.uint8)

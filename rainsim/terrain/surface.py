@@ -1,0 +1,289 @@
+"""Height maps from what is no capture: triangle meshes (PLY, OBJ) and maps of heights (TIFF)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from rainsim.errors import InputError, ParameterError, require_positive
+from rainsim.jit import serial_kernel
+from rainsim.terrain.bed import inpaint, local_noise
+from rainsim.terrain.extract import MOST_CELLS
+from rainsim.terrain.table import GRASS, HARD
+from rainsim.terrain.types import MEASURED, UNKNOWN, Grid, Terrain
+
+GREY = 0.5  # colour of what has none
+HEADER_LIMIT = 65536  # bytes of a PLY header
+_TYPES = {
+    "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2",
+    "ushort": "u2", "uint16": "u2", "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4",
+    "float": "f4", "float32": "f4", "double": "f8", "float64": "f8",
+}  # fmt: skip
+
+
+def is_surface(path):
+    """Whether `path` is a file with a triangle mesh or heights: OBJ, TIFF, or a PLY with faces."""
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix in (".obj", ".tif", ".tiff"):
+        return path.is_file()
+    if suffix != ".ply" or not path.is_file():
+        return False
+    with open(path, "rb") as file:
+        header = file.read(HEADER_LIMIT).partition(b"end_header")[0]
+    return b"element face" in header and b"scale_0" not in header
+
+
+def terrain_from_surface(path, config, up=None, meters_per_unit=None):
+    """Return the `Terrain` of a mesh or a TIFF.
+
+    Parameters
+    ----------
+    path : path-like
+    config : TerrainConfig
+        spacing [m], of a TIFF its own cell size; extent (half width [m] or None for all).
+    up : array_like of shape (3,), optional
+        Of a mesh; z if not given.
+    meters_per_unit : float, optional
+        1 if not given.
+    """
+    path = Path(path)
+    scale = 1.0 if meters_per_unit is None else require_positive("meters-per-unit", meters_per_unit)
+    if path.suffix.lower() in (".tif", ".tiff"):
+        if up is not None or config.extent is not None:
+            raise ParameterError(f"{path} is a map of heights; --up and --extent do not apply")
+        return _from_tiff(path, config.spacing, scale)
+    points, triangles = (_read_obj if path.suffix.lower() == ".obj" else _read_ply)(path)
+    note = f"{len(triangles)} triangles, z up" if up is None else f"{len(triangles)} triangles"
+    if meters_per_unit is None:
+        note += "; its units are taken as metres"
+    points = points @ _level(up).T * scale
+    return terrain_from_mesh(points, triangles, config, (note,))
+
+
+def _level(up):
+    """Return the rotation that turns `up` to z and leaves level directions as they can be."""
+    if up is None:
+        return np.eye(3)
+    z = np.asarray(up, np.float64)
+    z = z / np.linalg.norm(z)
+    x = np.eye(3)[0] if abs(z[0]) < 0.7 else np.eye(3)[1]
+    x = x - (x @ z) * z
+    x /= np.linalg.norm(x)
+    return np.stack([x, np.cross(z, x), z])
+
+
+def terrain_from_mesh(points, triangles, config, notes=()):
+    """Return the `Terrain` of the uppermost surface of a triangle mesh.
+
+    Parameters
+    ----------
+    points : ndarray of shape (n, 3) [m]
+        z up.
+    triangles : ndarray of shape (m, 3), int
+    config : TerrainConfig
+    notes : tuple of str
+    """
+    used = points[np.unique(triangles)]
+    low, high = used[:, :2].min(axis=0), used[:, :2].max(axis=0)
+    if config.extent is not None:
+        middle = (low + high) / 2
+        low = np.maximum(low, middle - config.extent)
+        high = np.minimum(high, middle + config.extent)
+    nx, ny = (max(3, int(np.ceil(side / config.spacing - 1e-9))) for side in high - low)
+    if nx * ny > MOST_CELLS:
+        raise ParameterError(
+            f"a map of {nx} x {ny} cells is too large; at most {MOST_CELLS} fit the memory; give a "
+            "larger --spacing or an --extent"
+        )
+    grid = Grid((ny, nx), (float(low[0]), float(low[1])), config.spacing)
+    height = np.full(grid.shape, -np.inf, np.float32)
+    corners = points[triangles].astype(np.float64)
+    corners[..., :2] = (corners[..., :2] - low) / config.spacing - 0.5
+    raise_to_triangles(np.ascontiguousarray(corners), height)
+    return terrain_from_heights(np.where(np.isfinite(height), height, np.nan), grid, notes)
+
+
+def _from_tiff(path, spacing, scale):
+    from rainsim import image
+
+    values = image.read_image(path)
+    if values.ndim != 2 or min(values.shape) < 3:
+        raise InputError(
+            f"{path} has shape {values.shape}; a map of heights has one channel and at least 3 x 3 "
+            "cells; convert it"
+        )
+    if values.dtype.kind != "f":
+        raise InputError(
+            f"{path} holds {values.dtype}; heights must be float metres; convert it to a float TIFF"
+        )
+    values = np.where(np.abs(values) < 1e5, values, np.nan)[::-1] * scale  # -9999e30 means no data
+    size = np.array(values.shape[::-1]) * spacing
+    grid = Grid(values.shape, (float(-size[0] / 2), float(-size[1] / 2)), spacing)
+    note = f"{path.name}: {values.shape[1]} x {values.shape[0]} heights, cells of {spacing:g} m"
+    return terrain_from_heights(values, grid, (note,))
+
+
+def terrain_from_heights(height, grid, notes=()):
+    """Return the `Terrain` of heights (ny, nx) [m], row 0 in the south; NaN is not known.
+
+    All known ground is paving; nothing hangs over it. Heights are taken as they are, unsmoothed.
+    """
+    known = np.isfinite(height)
+    if not known.any():
+        raise InputError("the surface has no height within the map; check its units and --extent")
+    bed = inpaint(np.where(known, height, 0).astype(np.float32), known)
+    source = np.where(known, MEASURED, UNKNOWN).astype(np.uint8)
+    classes = np.where(known, HARD, GRASS).astype(np.uint8)
+    noise = local_noise(bed, known, grid.spacing)
+    color = np.full((*grid.shape, 3), GREY, np.float32)
+    notes = (*notes, f"height known on {known.mean():.0%} of {grid.size[0]:g} x {grid.size[1]:g} m")
+    return Terrain(grid, bed, bed.copy(), bed.copy(), source, classes, noise, color, notes)
+
+
+@serial_kernel
+def raise_to_triangles(corners, height_out):
+    """Raise each cell's height to the triangles over its centre.
+
+    Parameters
+    ----------
+    corners : ndarray of shape (m, 3, 3), float64
+        x, y in cells (a centre has whole numbers), z [m].
+    height_out : ndarray of shape (ny, nx), float32 [m]
+    """
+    ny, nx = height_out.shape
+    for n in range(len(corners)):
+        ax, ay, az = corners[n, 0]
+        bx, by, bz = corners[n, 1]
+        cx, cy, cz = corners[n, 2]
+        area = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
+        if not abs(area) > 1e-12:  # seen edge-on, or not a number
+            continue
+        first_i = max(0, int(np.ceil(min(ax, bx, cx) - 1e-9)))
+        last_i = min(nx - 1, int(np.floor(max(ax, bx, cx) + 1e-9)))
+        first_j = max(0, int(np.ceil(min(ay, by, cy) - 1e-9)))
+        last_j = min(ny - 1, int(np.floor(max(ay, by, cy) + 1e-9)))
+        for j in range(first_j, last_j + 1):
+            for i in range(first_i, last_i + 1):
+                u = ((i - ax) * (cy - ay) - (cx - ax) * (j - ay)) / area
+                v = ((bx - ax) * (j - ay) - (i - ax) * (by - ay)) / area
+                if u >= -1e-9 and v >= -1e-9 and u + v <= 1 + 1e-9:
+                    z = az + u * (bz - az) + v * (cz - az)
+                    if z > height_out[j, i]:
+                        height_out[j, i] = z
+
+
+def _read_obj(path):
+    """Return points (n, 3) and triangles (m, 3) of a Wavefront OBJ file."""
+    points, triangles = [], []
+    with open(path, encoding="utf-8", errors="replace") as file:
+        for number, line in enumerate(file, 1):
+            parts = line.split()
+            try:
+                if parts and parts[0] == "v":
+                    points.append([float(v) for v in parts[1:4]])
+                elif parts and parts[0] == "f":
+                    corner = [int(p.partition("/")[0]) for p in parts[1:]]
+                    corner = [c - 1 if c > 0 else len(points) + c for c in corner]
+                    triangles += [
+                        (corner[0], corner[k], corner[k + 1]) for k in range(1, len(corner) - 1)
+                    ]
+            except (ValueError, IndexError):
+                raise InputError(
+                    f"{path}, line {number}: {line.strip()[:60]!r} is no vertex or face; mend it"
+                ) from None
+    return _checked(path, np.array(points, dtype=object), triangles)
+
+
+def _read_ply(path):
+    """Return points (n, 3) and triangles (m, 3) of a PLY mesh, text or binary."""
+    data = path.read_bytes()
+    header, _, body = data.partition(b"end_header")
+    lines = header.decode("ascii", "replace").split("\n")
+    body = body[body.find(b"\n") + 1 :]
+    form, elements = "", []
+    for words in map(str.split, lines):
+        if words[:1] == ["format"] and len(words) > 1:
+            form = words[1]
+        elif words[:1] == ["element"] and len(words) == 3 and words[2].isdecimal():
+            elements.append((words[1], int(words[2]), []))
+        elif words[:1] == ["property"] and elements:
+            elements[-1][2].append(words[1:])
+    try:
+        if form == "ascii":
+            return _checked(path, *_ply_text(body.decode("ascii").split(), elements))
+        order = {"binary_little_endian": "<", "binary_big_endian": ">"}[form]
+        return _checked(path, *_ply_binary(body, elements, order))
+    except (KeyError, ValueError, IndexError, UnicodeDecodeError):
+        raise InputError(
+            f"{path} is no mesh that can be read: a PLY with vertices x, y, z and lists of faces, "
+            "whole; write it again"
+        ) from None
+
+
+def _ply_text(words, elements):
+    at, points, triangles = 0, None, []
+    for name, count, properties in elements:
+        if name == "vertex":
+            table = np.array(words[at : at + count * len(properties)], float).reshape(count, -1)
+            at += count * len(properties)
+            points = table[:, [[p[-1] for p in properties].index(axis) for axis in "xyz"]]
+        elif name == "face":
+            for _ in range(count):
+                size = int(words[at])
+                corner = [int(w) for w in words[at + 1 : at + 1 + size]]
+                at += 1 + size
+                triangles += [(corner[0], corner[k], corner[k + 1]) for k in range(1, size - 1)]
+        else:
+            raise ValueError(name)
+    return points, triangles
+
+
+def _ply_binary(body, elements, order):
+    at, points, triangles = 0, None, []
+    for name, count, properties in elements:
+        if any(p[0] == "list" for p in properties):
+            if name != "face" or len(properties) != 1:
+                raise ValueError(name)
+            size_type, index_type = (np.dtype(order + _TYPES[t]) for t in properties[0][1:3])
+            # Nearly all meshes have triangles only: then the faces are one table.
+            row = np.dtype([("n", size_type), ("i", index_type, 3)])
+            if len(body) - at >= count * row.itemsize:
+                table = np.frombuffer(body, row, count, at)
+                if (table["n"] == 3).all():
+                    triangles, at = table["i"].astype(np.int64), at + count * row.itemsize
+                    continue
+            for _ in range(count):
+                size = int(np.frombuffer(body, size_type, 1, at)[0])
+                at += size_type.itemsize
+                corner = np.frombuffer(body, index_type, size, at).astype(int)
+                at += size * index_type.itemsize
+                triangles += [(corner[0], corner[k], corner[k + 1]) for k in range(1, size - 1)]
+        else:
+            row = np.dtype([(p[1], order + _TYPES[p[0]]) for p in properties])
+            table = np.frombuffer(body, row, count, at)
+            at += count * row.itemsize
+            if name == "vertex":
+                points = np.stack([table[axis] for axis in "xyz"], axis=1).astype(float)
+    return points, triangles
+
+
+def _checked(path, points, triangles):
+    """Return points (n, 3) float64 and triangles (m, 3) int64 after checking that they fit."""
+    try:
+        points = np.asarray(points).astype(np.float64)
+        triangles = np.asarray(triangles, np.int64).reshape(-1, 3)
+    except (TypeError, ValueError):
+        points = np.zeros(0)
+    if points.ndim != 2 or points.shape[1:] != (3,) or not len(triangles):
+        raise InputError(f"{path} has no triangles; a height map needs a surface; write it again")
+    if triangles.min() < 0 or triangles.max() >= len(points):
+        raise InputError(
+            f"{path}: a face names vertex {int(triangles.max())}, but there are {len(points)}; "
+            "write it again"
+        )
+    used = points[np.unique(triangles)]
+    if not np.isfinite(used).all():
+        raise InputError(f"{path} has vertices that are not finite; remove them")
+    return points, triangles

@@ -1,0 +1,137 @@
+"""What a terrain is: a grid, heights, classes and what is known about them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rainsim.terrain.table import GRASS, HARD, class_table
+
+UNKNOWN, INFERRED, MEASURED = 0, 1, 2  # values of Terrain.source
+GAP_HEIGHT = 0.15  # m between ground and underside that rain can be blown into
+
+
+@dataclass(frozen=True)
+class Grid:
+    """A raster on the ground: cell (j, i) spans spacing x spacing m, row 0 in the south (least y).
+
+    Attributes
+    ----------
+    shape : tuple of int
+        (ny, nx).
+    origin : tuple of float [m]
+        x, y of the outer corner of cell (0, 0) in the ground frame.
+    spacing : float [m]
+    """
+
+    shape: tuple
+    origin: tuple
+    spacing: float
+
+    @property
+    def cell_area(self):
+        """Area of a cell [m2]."""
+        return self.spacing**2
+
+    @property
+    def size(self):
+        """Width (x) and depth (y) of the map [m]."""
+        return self.shape[1] * self.spacing, self.shape[0] * self.spacing
+
+    def centres(self):
+        """Return x (nx,) and y (ny,) of the cells' centres [m]."""
+        ny, nx = self.shape
+        x = self.origin[0] + (np.arange(nx) + 0.5) * self.spacing
+        return x, self.origin[1] + (np.arange(ny) + 0.5) * self.spacing
+
+    def cells(self, x, y):
+        """Return rows, columns of the cells that hold points, clipped to the map, and a mask."""
+        column = np.floor((np.asarray(x) - self.origin[0]) / self.spacing).astype(np.int64)
+        row = np.floor((np.asarray(y) - self.origin[1]) / self.spacing).astype(np.int64)
+        ny, nx = self.shape
+        inside = (row >= 0) & (row < ny) & (column >= 0) & (column < nx)
+        return np.clip(row, 0, ny - 1), np.clip(column, 0, nx - 1), inside
+
+
+@dataclass(frozen=True)
+class Terrain:
+    """Ground, cover and classes on a `Grid`.
+
+    Attributes
+    ----------
+    grid : Grid
+    bed : ndarray of shape (ny, nx), float32 [m]
+        Height of the ground, smoothed at the scale of its noise; under grass the soil.
+    top : ndarray of shape (ny, nx), float32 [m]
+        Highest surface; equals `bed` where nothing stands.
+    underside : ndarray of shape (ny, nx), float32 [m]
+        Lower side of what hangs over the ground; equals `bed` where it stands on it.
+    source : ndarray of shape (ny, nx), uint8
+        MEASURED, INFERRED (inpainted under an object) or UNKNOWN (nothing saw it).
+    ground_class : ndarray of shape (ny, nx), uint8
+        Codes of rainsim/classes.toml; unknown ground counts as grass (as object where something
+        stands on it): it takes up water and never mirrors.
+    noise : ndarray of shape (ny, nx), float32 [m]
+        Standard deviation of the measured ground about its trend.
+    color : ndarray of shape (ny, nx, 3), float32
+        Display-referred colour of the ground from above.
+    notes : tuple of str
+    """
+
+    grid: Grid
+    bed: np.ndarray
+    top: np.ndarray
+    underside: np.ndarray
+    source: np.ndarray
+    ground_class: np.ndarray
+    noise: np.ndarray
+    color: np.ndarray
+    notes: tuple = ()
+
+    @property
+    def covered(self):
+        """Mask of the ground cells that something hangs over."""
+        return self.underside > self.bed + GAP_HEIGHT
+
+    @property
+    def soaks(self):
+        """Mask of the cells that take up whatever rain of the past reaches them."""
+        return self.by_class("soaks")
+
+    @property
+    def mirrors(self):
+        """Mask of the cells on which a film of water can be seen as a surface."""
+        return self.by_class("mirrors")
+
+    @property
+    def grassy(self):
+        """Mask of the cells where plants stand between the rain and the ground."""
+        return self.ground_class == GRASS
+
+    @property
+    def sealed(self):
+        """Mask of the paving."""
+        return self.ground_class == HARD
+
+    def by_class(self, name):
+        """Return a column of the class table for every cell, ndarray of shape (ny, nx).
+
+        `name` is storage [m], infiltration [m/s], manning, porosity (float32), soaks or mirrors.
+        """
+        return class_table().column(name)[self.ground_class]
+
+    @property
+    def hard_noise(self):
+        """Median noise [m] of the measured paving in the map's middle half; 0 if there is none.
+
+        Far from the middle few cameras saw the ground and its noise is that of the capture's rim.
+        """
+        measured = self.sealed & (self.source == MEASURED)
+        ny, nx = self.grid.shape
+        middle = np.zeros_like(measured)
+        middle[ny // 4 : ny - ny // 4, nx // 4 : nx - nx // 4] = True
+        if (measured & middle).any():
+            measured &= middle
+        values = self.noise[measured]
+        return float(np.median(values)) if values.size else 0.0

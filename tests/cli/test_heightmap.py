@@ -1,0 +1,55 @@
+"""`rainsim heightmap` on the command line: what it tells and draws, its masks and its meshes."""
+
+import json
+
+import numpy as np
+
+from rainsim import image
+
+MAP = ("--extent", 1, "--spacing", 0.04)
+
+
+def test_heightmap_tells_and_draws(rainsim, scene_folder, tmp_path):
+    done = rainsim("heightmap", scene_folder, *MAP, "--out", "a", "--check", "--json")
+    assert done.code == 0, done.err
+    told = json.loads(done.out)
+    assert told["shares"]["measured"] > 0.4 and 0 < told["noise_mm"] < 20
+    assert abs(sum(told["classes"].values()) - 1) < 1e-6
+    rows = told["puddles"]["after_rain"]
+    assert [row["rain_mm"] for row in rows] == [1, 3, 8, 20]
+    assert rows[-1]["litres"] >= rows[0]["litres"] and told["puddles"]["residual"] < 1e-9
+    check = image.read_image(tmp_path / "a" / "check.png")
+    assert (check[..., 0].astype(int) - check[..., 2] > 60).any()  # yellow and red lines
+    mask = np.zeros((50, 50, 3), np.uint8)
+    mask[:, :] = (80, 150, 60)
+    image.write_png(tmp_path / "grass.png", mask)
+    done = rainsim("heightmap", scene_folder, *MAP, "--out", "b", "--class-mask", "grass.png")
+    assert done.code == 0 and "grass 100%" in done.out, done.err
+
+
+def test_a_mesh_can_be_rained_on(rainsim, tmp_path):
+    u = np.linspace(-1, 1, 9)
+    x, y = np.meshgrid(u, u)
+    lines = [f"v {a} {b} {0.1 * (a * a + b * b)}" for a, b in zip(x.flat, y.flat, strict=True)]
+    for j in range(8):
+        for i in range(8):
+            a = 9 * j + i + 1
+            lines.append(f"f {a} {a + 1} {a + 10} {a + 9}")
+    (tmp_path / "bowl.obj").write_text("\n".join(lines))
+    done = rainsim("heightmap", "bowl.obj", "--spacing", 0.05, "--out", "bowl")
+    assert done.code == 0 and "paving 100%" in done.out, done.err
+    done = rainsim("simulate", "bowl", "--frames", 1, "--out", "states")
+    assert done.code == 0, done.err
+    refused = rainsim("heightmap", "bowl.obj", "--check", "--out", "c")
+    assert refused.code == 2 and "--check" in refused.error
+
+
+def test_fall_and_length_reach_the_frame(rainsim, scene_folder):
+    common = (*MAP, "--json", "--overwrite", "--out", "t")
+    plain = json.loads(rainsim("heightmap", scene_folder, *common).out)
+    done = rainsim("heightmap", scene_folder, *common, "--fall", "2,0")
+    up, tilted = (np.array(t["ground_frame"]["up"]) for t in (plain, json.loads(done.out)))
+    np.testing.assert_allclose(np.degrees(np.arccos(up @ tilted)), 1.146, atol=0.01)
+    both = ("--known-length", "0,0,0,1,0,0,0.6", "--meters-per-unit", 1)
+    refused = rainsim("heightmap", scene_folder, *common, *both)
+    assert refused.code == 2 and "one way only" in refused.error

@@ -1,0 +1,136 @@
+"""Ground classes: the table, the mask that a user paints, lawns and moss; slopes and floaters."""
+
+import numpy as np
+import pytest
+
+from rainsim import image, terrain
+from rainsim.bench import captures
+from rainsim.bench import ground as suite
+from rainsim.config import TerrainConfig
+from rainsim.errors import InputError, ParameterError
+from rainsim.scene.ground import scale_from_length, with_fall
+from rainsim.scene.types import GroundFrame
+from rainsim.terrain.classify import classify
+
+SPACING = 0.04
+
+
+def test_the_table_is_si_and_complete():
+    table = terrain.class_table()
+    assert table.names == ("paving", "grass", "soil", "object", "water")
+    assert table.column("infiltration")[terrain.GRASS] == pytest.approx(3e-5)
+    assert table.column("storage")[terrain.HARD] == pytest.approx(0.3e-3)
+    assert table.column("soaks")[terrain.GRASS] and not table.column("mirrors")[terrain.GRASS]
+    assert len({tuple(c) for c in table.colors}) == len(table.names)
+
+
+def made_ground(lawn_height):
+    """Paving with a green speck in the west, a lawn in the east; 4 x 4 m."""
+    n = round(4 / SPACING)
+    x = (np.arange(n) + 0.5) * SPACING - 2 + np.zeros((n, 1))
+    y = x.T
+    lawn, moss = x > 0.5, np.hypot(x + 1, y) < 0.12
+    bed = np.where(lawn, lawn_height, 0).astype(np.float32)
+    green = np.where(lawn | moss, 0.3, 0.0).astype(np.float32)
+    source = np.full((n, n), terrain.MEASURED, np.uint8)
+    color = np.full((n, n, 3), 0.5, np.float32)
+    return x, bed, source, np.full((n, n), 5e-4, np.float32), color, green, moss
+
+
+@pytest.mark.parametrize("height", [0.0, 0.06])
+def test_moss_lies_on_paving_and_a_lawn_does_not(height):
+    x, bed, source, noise, color, green, moss = made_ground(height)
+    classes = classify(bed, bed, source, noise, color, green, SPACING)
+    assert (classes[moss] == terrain.HARD).all()
+    assert (classes[(x > 0.6)] == terrain.GRASS).all()
+    assert (classes[(x < 0.4)] == terrain.HARD).all()
+
+
+def test_rough_brown_ground_is_soil_and_a_hidden_one_object():
+    x, bed, source, noise, color, green, _ = made_ground(0.0)
+    patch = x < -1
+    noise[patch], color[patch] = 5e-3, (0.5, 0.35, 0.2)
+    source[:20, :20] = terrain.UNKNOWN
+    top = bed + np.where(source == terrain.UNKNOWN, np.float32(1), 0)
+    classes = classify(bed, top, source, noise, color, green, SPACING)
+    assert (classes[40:60, 5:20] == terrain.SOIL).all()
+    assert (classes[:18, :18] == terrain.OBJECT).all()
+    assert (classes[40:60, 40:55] == terrain.HARD).all()
+
+
+@pytest.fixture(scope="module")
+def yard():
+    scene, truth = captures.yard(3, step=0.04)
+    config = TerrainConfig(spacing=SPACING, extent=3.0)
+    return scene, truth, config, terrain.extract_terrain(scene, config)
+
+
+def test_a_painted_mask_wins_and_the_rest_is_told(yard, tmp_path):
+    scene, _, config, plain = yard
+    paint = np.zeros((*plain.grid.shape, 3), np.uint8)
+    paint[:10] = terrain.class_table().colors[terrain.WATER]  # the picture's top is north
+    image.write_png(tmp_path / "mask.png", paint)
+    mask = terrain.read_mask(tmp_path / "mask.png")
+    painted = terrain.extract_terrain(scene, config, mask)
+    assert (painted.ground_class[-10:] == terrain.WATER).all()
+    np.testing.assert_array_equal(painted.ground_class[:-10], plain.ground_class[:-10])
+    with pytest.raises(ParameterError, match="the map has 150 x 150"):
+        terrain.extract_terrain(scene, config, mask[1:])
+    paint[0, 3] = (255, 0, 255)
+    image.write_png(tmp_path / "mask.png", paint)
+    with pytest.raises(InputError, match=r"pixel \(3, 0\)"):
+        terrain.read_mask(tmp_path / "mask.png")
+
+
+def test_soil_below_the_lawn_paving_below_the_table(yard):
+    _, truth, _, ground = yard
+    x, y = np.meshgrid(*ground.grid.centres())
+    lawn = np.maximum(np.abs(x), np.abs(y)) > truth.half + 0.6
+    assert (ground.ground_class[lawn] == terrain.GRASS).all()
+    soil = ground.bed[lawn] - truth.bed(x[lawn], y[lawn])
+    assert abs(np.median(soil)) < 0.012 < captures.LAWN_HEIGHT / 2
+    tx, ty, half, height = captures.TABLE
+    under = (np.abs(x - tx) < half - 0.1) & (np.abs(y - ty) < half - 0.1)
+    assert ground.covered[under].all() and (ground.source[under] == terrain.MEASURED).all()
+    np.testing.assert_allclose(ground.bed[under], truth.bed(x[under], y[under]), atol=0.005)
+    # Faint floaters over it raise a top; the middle of three tenths of them is a decimetre off.
+    assert np.median(ground.top[under] - ground.bed[under]) == pytest.approx(height, abs=0.1)
+
+
+def test_dips_are_found_in_the_yard_among_floaters():
+    found = suite.measure_bed(*captures.yard(101), spacing=0.03)
+    assert found["dips_missed"] <= 0.13 and found["false_puddles"] < 0.03
+    assert found["bed_mm"] < 1.5 and found["bias_mm"] < 0.5
+    assert found["under_table_mm"] < 5 and found["under_table_unknown"] == 0
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_the_frame_of_a_yard_with_and_without_cameras(seed):
+    found = suite.measure_frames(*captures.yard(seed), seed)
+    assert found["up_degrees"] < 0.2 and found["wrong_sign"] == 0
+    assert found["blind_refused"] or found["blind_degrees"] < 1
+
+
+def test_a_hilly_street_is_followed_in_tiles(monkeypatch):
+    monkeypatch.setattr("rainsim.terrain.extract.TILE", 256)
+    found = suite.measure_street(spacing=0.2)
+    assert found["length_m"] > 250 and found["measured"] > 0.97
+    assert found["bed_mm"] < 10  # it rises and falls by 1.4 m and its camber is 100 mm
+
+
+def test_fall_turns_the_frame_about_its_origin():
+    frame = GroundFrame(np.eye(3), 2.0, np.array([0.0, 0.0, 0.0]))
+    tilted = with_fall(frame, 0.02, np.pi / 2)
+    low, high = tilted.to_ground([[0, 5, 0], [0, -5, 0]])[:, 2]
+    assert low == pytest.approx(-0.2, rel=1e-3) and high == pytest.approx(0.2, rel=1e-3)
+    assert tilted.to_ground([5.0, 0, 0])[2] == pytest.approx(0, abs=1e-12)
+    np.testing.assert_allclose(tilted.rotation @ tilted.rotation.T, np.eye(3), atol=1e-12)
+    assert "2 %" in tilted.notes[-1]
+    with pytest.raises(ParameterError, match="30%"):
+        with_fall(frame, 0.5, 0.0)
+
+
+def test_scale_from_a_known_length():
+    assert scale_from_length((0, 0, 0), (3, 4, 0), 2.5) == pytest.approx(0.5)
+    with pytest.raises(ParameterError, match="same point"):
+        scale_from_length((1, 1, 1), (1, 1, 1), 2.5)

@@ -1,0 +1,104 @@
+"""Puddles that rain, evaporation and drains move."""
+
+import numpy as np
+import pytest
+
+from rainsim.errors import ParameterError
+from rainsim.puddles import Puddles, puddles_of, wet_share
+from rainsim.standing import SpillGraph, standing_water
+from rainsim.terrain import HARD, MEASURED, Grid, Terrain
+
+SPACING = 0.05
+
+
+def two_bowls(size=40):
+    """A floor with a 20 mm and a 10 mm bowl apart from each other."""
+    y, x = np.mgrid[:size, :size]
+    bed = np.full((size, size), 0.03)
+    for cx, cy, deep in ((11, 20, 0.02), (29, 20, 0.01)):
+        r = np.hypot(x - cx, y - cy) / 8
+        bed -= np.where(r < 1, deep * (1 - r**2), 0)
+    return bed
+
+
+def made_terrain(bed, noise=0.0):
+    shape = bed.shape
+    bed = bed.astype(np.float32)
+    return Terrain(
+        Grid(shape, (0.0, 0.0), SPACING), bed, bed.copy(), bed.copy(),
+        np.full(shape, MEASURED, np.uint8), np.full(shape, HARD, np.uint8),
+        np.full(shape, noise, np.float32), np.full((*shape, 3), 0.5, np.float32),
+    )  # fmt: skip
+
+
+def puddles():
+    bed = two_bowls()
+    return Puddles(SpillGraph(bed, SPACING), np.zeros(bed.shape))
+
+
+def test_rain_in_steps_is_rain_at_once():
+    one, many = puddles(), puddles()
+    one.rain(3e-3)
+    for _ in range(6):
+        many.rain(0.5e-3)
+    np.testing.assert_allclose(many.depth, one.depth, atol=1e-12)
+    at_once = standing_water(two_bowls(), 3e-3, SPACING)[0]
+    np.testing.assert_array_equal(one.depth, at_once)
+    assert one.volume > 0 and one.residual < 1e-12 and many.residual < 1e-12
+
+
+def test_resting_water_stays():
+    wet = puddles()
+    wet.rain(2e-3)
+    before = wet.depth.copy()
+    wet.rain(0.0)
+    np.testing.assert_allclose(wet.depth, before, atol=1e-13)
+
+
+def test_evaporation_lowers_every_level_and_dries_in_the_end():
+    wet = puddles()
+    wet.rain(4e-3)
+    deepest, count = wet.depth.max(), wet.count()
+    wet.evaporate(2e-3)
+    assert wet.depth.max() == pytest.approx(deepest - 2e-3, abs=1e-9)
+    assert count == 2 and wet.volumes["evaporated"] > 0 and wet.residual < 1e-12
+    wet.evaporate(1.0)
+    assert wet.volume == 0 and wet.residual < 1e-12
+
+
+def test_a_drain_takes_what_is_there_and_no_more():
+    wet = puddles()
+    wet.rain(4e-3)
+    other = wet.depth[20, 29]
+    taken = wet.drain(20, 11, 1e-3)
+    assert taken == pytest.approx(1e-3) and wet.volumes["drained"] == taken
+    assert wet.depth[20, 29] == pytest.approx(other)
+    rest = wet.drain(20, 11, 1.0)
+    assert 0 < rest < 1 and wet.depth[20, 11] < 1e-9 and wet.residual < 1e-12
+    assert wet.drain(0, 0, 1.0) == 0.0
+    with pytest.raises(ParameterError, match="off the map"):
+        wet.drain(40, 0, 1.0)
+
+
+def test_small_and_shallow_hollows_are_left_out_and_counted():
+    bed = two_bowls()
+    bed[5, 5] -= 0.01
+    bed[2:6, 30:36] -= 0.5e-3
+    every = SpillGraph(bed, SPACING)
+    some = SpillGraph(bed, SPACING, minimum_depth=1e-3, minimum_area=2.5 * SPACING**2)
+    assert every.dropped == 0 and some.dropped == 2 and some.count == every.count
+    depth = some.pour(5e-3)[0]
+    assert depth[5, 5] == 0 and depth[2:6, 30:36].max() == 0 and depth[20, 11] > 0.01
+    assert every.pour(5e-3)[0][5, 5] > 0
+
+
+def test_noise_of_the_terrain_sets_what_is_left_out():
+    bed = two_bowls()
+    bed[2:8, 30:38] -= 1.2e-3
+    quiet, rough = puddles_of(made_terrain(bed)), puddles_of(made_terrain(bed, noise=4e-3))
+    assert quiet.graph.dropped == 0 and rough.graph.dropped == 1
+    for wet in (quiet, rough):
+        wet.rain(5e-3)
+    assert rough.depth[2:8, 30:38].max() == 0 < quiet.depth[2:8, 30:38].max()
+    assert 0 < wet_share(rough.depth, np.ones(bed.shape, bool)) < 1
+    assert wet_share(rough.depth, np.zeros(bed.shape, bool)) == 0
