@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from importlib import resources
 from pathlib import Path
 
+import rainsim.timeline as timeline
 from rainsim.errors import (
     InputError,
     ParameterError,
@@ -32,6 +33,7 @@ MM_PER_HOUR = 1e-3 / 3600  # m/s
 MAX_RATE = 1000.0  # mm/h: the heaviest minutes ever measured stay below 2500, an hour below 400
 MAX_PAST = 1000.0  # mm: more than a day's record almost anywhere
 MAX_WIND = 60.0  # m/s: beyond hurricane strength drops no longer fall as modelled
+MAX_GUSTS = 0.5  # beyond it the wind would turn around now and then
 MIN_SIDE, MAX_SIDE = 8, 16384  # px
 MAX_FRAMES = 99_999  # what the five digits of a frame's file name hold
 MAX_THREADS = 4096
@@ -73,6 +75,7 @@ class RainConfig:
     rate: float = mm_per_hour(10.0)  # m/s, as a gauge on level ground collects it
     past: float = 3e-3  # m of rain that fell before the first frame and has come to rest
     wind: tuple = (0.0, 0.0)  # speed [m/s] and the direction it goes, from x towards y [rad]
+    gusts: float = 0.0  # standard deviation of the wind's speed over its mean, 0 to 0.5
     seed: int = 0
 
     @property
@@ -101,6 +104,9 @@ class RainConfig:
         if speed > MAX_WIND:
             raise ParameterError(f"wind speed is {speed} m/s; it must be at most {MAX_WIND:g} m/s")
         require_finite("wind direction", direction)
+        require_not_negative("gusts", self.gusts, "", "0.3 is a gusty wind")
+        if self.gusts > MAX_GUSTS:
+            raise ParameterError(f"gusts is {self.gusts}; it must be at most {MAX_GUSTS}")
         require_whole("seed", self.seed, 0, MAX_SEED)
 
 
@@ -181,6 +187,22 @@ class Config:
     height: int | None = None  # px; None: follows from the camera's shape
     frame_range: tuple | None = None  # (first, end), end not included; None: all
     threads: int | None = None  # None: all cores
+    keyframes: tuple = ()  # what changes in time, see `rainsim.timeline`
+
+    def key_times(self):
+        """Return the times [s] of the keyframes; a single 0 if there are none."""
+        return [time for time, _ in self.keyframes] or [0.0]
+
+    def at(self, time):
+        """Return the settings as they are at a time [s], without keyframes."""
+        if not self.keyframes:
+            return self
+
+        def base(name):
+            return getattr(getattr(self, _GROUP_OF[name]), name)
+
+        values = timeline.values_at(self.keyframes, base, time)
+        return dataclasses.replace(self, keyframes=()).replace(**values)
 
     @property
     def frame_interval(self):
@@ -221,7 +243,10 @@ class Config:
                 f"{where} is not valid TOML ({error}); it must hold lines of key = value; "
                 "compare with `rainsim presets moderate`"
             ) from None
+        frames = table.pop(timeline.LIST_KEY, [])
         config = cls().replace(**_from_human(table, where, folder))
+        frames = timeline.read_keyframes(frames, _from_human, where)
+        config = dataclasses.replace(config, keyframes=frames)
         try:
             config._check_each()  # not one against another: options may change either yet
             return config
@@ -230,6 +255,8 @@ class Config:
 
     def replace(self, **changes):
         """Return the settings with some attributes changed, named without their group (SI units).
+
+        What is changed holds for all times: keyframes no longer say anything about it.
 
         Raises
         ------
@@ -244,6 +271,8 @@ class Config:
                 )
             grouped.setdefault(_GROUP_OF[name], {})[name] = value
         top = grouped.pop(None, {})
+        if self.keyframes:
+            top.setdefault("keyframes", timeline.without(self.keyframes, set(changes)))
         for group, own in grouped.items():
             top[group] = dataclasses.replace(getattr(self, group), **own)
         return dataclasses.replace(self, **top)
@@ -254,15 +283,21 @@ class Config:
         if self.frame_range is not None:
             self._check_range()
         interval = self.frame_interval
-        if self.render.exposure > interval * (1 + 1e-9):
+        exposure = max(self.at(time).render.exposure for time in self.key_times())
+        if exposure > interval * (1 + 1e-9):
             raise ParameterError(
-                f"exposure is {self.render.exposure * 1e3:.4g} ms; it must be at most one frame, "
+                f"exposure is {exposure * 1e3:.4g} ms; it must be at most one frame, "
                 f"{interval * 1e3:.4g} ms at {self.fps:g} frames/s; shorten it or lower fps"
             )
         return self
 
     def _check_each(self):
         """Check every value but those that depend on another group's."""
+        for time in self.key_times() if self.keyframes else ():
+            try:
+                self.at(time)._check_each()
+            except ParameterError as error:
+                raise ParameterError(f"at {time:g} s: {error}") from None
         for group in _GROUPS:
             getattr(self, group).check()
         require_whole("frames", self.frames, 1, MAX_FRAMES)
@@ -295,6 +330,7 @@ class Config:
             flat.update(groups.get(group, {}))
         # JSON has lists where we have tuples.
         flat = {n: tuple(v) if isinstance(v, list) else v for n, v in flat.items()}
+        flat["keyframes"] = timeline.plain(flat.get("keyframes", ()))
         return cls().replace(**flat).check()
 
 
@@ -317,6 +353,7 @@ HUMAN_KEYS = {
     "past_rain_mm": ("past", 1e-3),
     "wind_speed_m_per_s": ("wind", 1.0),
     "wind_direction_degrees": ("wind", math.pi / 180),
+    "gusts": ("gusts", 1.0),
     "seed": ("seed", None),
     "water_scheme": ("scheme", None),
     "water_level_m": ("level", 1.0),
@@ -372,7 +409,7 @@ def _preset_text(name):
     return file.read_text(encoding="utf-8"), f"preset {name}", None
 
 
-def _from_human(table, where, folder):
+def _from_human(table, where, folder=None):
     """Return attributes in SI units from a table of preset keys."""
     for key in table:
         if key not in HUMAN_KEYS:

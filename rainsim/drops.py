@@ -14,7 +14,7 @@ import numpy as np
 
 from rainsim.errors import ParameterError, require_finite, require_not_negative
 from rainsim.jit import cpu_kernel, device_function, prange
-from rainsim.random import mix, subkey, uniform, uniform_triple
+from rainsim.random import mix, poisson_tables, subkey, uniform, uniform_triple
 from rainsim.spectrum import CLASSES, RainSpectrum, drop_volume
 from rainsim.surfaces import (
     BLOCK,
@@ -34,10 +34,10 @@ __all__ = [
 _CUBE_FILL = 6.0  # drops per cube aimed at: fewer make cubes cost more than their drops
 _CUBE_SIDES = (0.5, 2.0)  # m; large cubes reach far out of the box that is asked for
 _FILL_RATE = 25.0  # mm/h; fixed, so that cubes, and with them drops, stay when the rate changes
-_TAIL = 1e-15  # of a Poisson distribution, below the resolution of its 53-bit number
 _SPREAD = np.uint64(0x9E3779B97F4A7C15)
 _STEEP = 4.0  # room for hits per hit on level ground; walls in wind catch more than their area
 _MARGIN = 1e-6  # s; hits are searched this far beyond an interval's ends, then cut exactly
+_SHARE_STREAM = np.uint64(0x51A4)  # and the one that tells whether the drop is there at all
 _DIAMETER_STREAM = np.uint64(0xD1A3)  # tells the diameter's random word from the place's
 
 
@@ -114,6 +114,15 @@ class RainField:
     seed : int
         Rains of different seeds are independent. At the same seed a lighter rain's drops are,
         nearly all, among a heavier one's.
+    offset : (float, float) [m]
+        By which all drops are shifted along x and y, for a wind that was another before.
+    heaviest : RainSpectrum or None
+        The rain whose drops are listed, if it changes; `spectrum` is then only what it is now.
+    share : ndarray of shape (CLASSES, n), float64 or None
+        The share of those drops that there are, at n even times of passing z = 0; the first and
+        last hold before and after.
+    clock : (float, float) [s]
+        The first of those times and the step.
 
     Attributes
     ----------
@@ -122,8 +131,15 @@ class RainField:
         Side of the cubes in which the class is listed.
     """
 
-    def __init__(self, spectrum, wind=(0.0, 0.0), seed=0):
+    def __init__(
+        self, spectrum, wind=(0.0, 0.0), seed=0, offset=(0.0, 0.0), heaviest=None, share=None,
+        clock=(0.0, 1.0),
+    ):  # fmt: skip
         self.spectrum = spectrum
+        self.listed = spectrum if heaviest is None else heaviest
+        self._share = np.ones((CLASSES, 1)) if share is None else share
+        # offset in x and y, first time, steps per second
+        self._frame = np.array([*offset, clock[0], 1 / clock[1]])
         self.wind = tuple(require_finite("wind component", w) for w in wind)
         if len(self.wind) != 2:
             raise ParameterError(f"wind is {wind!r}; it must be two numbers, along x and y in m/s")
@@ -135,12 +151,14 @@ class RainField:
         self.velocity[:, 2] = -spectrum.speed
         self.cube = _cube_sides()
         self._key = _class_keys(self.seed)
-        self._count = _poisson_tables(spectrum.density * self.cube**3)
-        self._size = _size_tables(spectrum)
+        self._count = poisson_tables(self.listed.density * self.cube**3)
+        self._size = _size_tables(self.listed)
 
     def arrays(self):
         """Return what the kernels need to list the drops of a cube, in their order."""
-        return self.velocity, self.cube, self._key, self._count, self._size
+        return (
+            self.velocity, self.cube, self._key, self._count, self._size, self._share, self._frame,
+        )  # fmt: skip
 
     def drops_in_box(self, time, low, high):
         """List the drops in the box low <= position < high at `time`.
@@ -162,7 +180,7 @@ class RainField:
         first, last = self.cube_range(low - drift, high - drift)
         tasks = slab_tasks(first, last)
         cubes = np.prod(last - first + 1, axis=1)[tasks[:, 0]] / (last - first + 1)[tasks[:, 0], 0]
-        expected = (self.spectrum.density * self.cube**3)[tasks[:, 0]] * cubes
+        expected = (self.listed.density * self.cube**3)[tasks[:, 0]] * cubes
         values, labels, ids = _gather(
             expected, 4, 1, _fill_box, tasks, first, last, time, low, high, *self.arrays()
         )
@@ -176,11 +194,13 @@ class RainField:
     def cube_range(self, low, high):
         """Return the first and last cubes, (CLASSES, 3) int64, of co-moving boxes per class."""
         side = self.cube[:, None]
+        offset = np.array([*self._frame[:2], 0.0])
+        low, high = low - offset, high - offset
         first = np.floor(low / side).astype(np.int64)
         return first, np.maximum(np.floor(high / side).astype(np.int64), first - 1)
 
 
-def impacts(field, surfaces, start, stop, smallest=0.0):
+def impacts(field, surfaces, start, stop, smallest=0.0, within=None):
     """List the drops that meet the surfaces at start <= time < stop.
 
     Intervals that share an end share no drop and lose none. What a drop would have met on its
@@ -194,6 +214,8 @@ def impacts(field, surfaces, start, stop, smallest=0.0):
     start, stop : float [s]
     smallest : float [m]
         Classes with smaller drops only are left out, for whoever asks about big drops.
+    within : ndarray of shape (2, 2) [m] or None
+        Low and high corner (x, y): only hits inside are listed.
 
     Returns
     -------
@@ -206,6 +228,9 @@ def impacts(field, surfaces, start, stop, smallest=0.0):
     corner = np.array([*surfaces.origin, 0.0])
     ny, nx = surfaces.shape
     opposite = corner + np.array([nx, ny, 0.0]) * surfaces.spacing
+    if within is not None:
+        corner[:2] = np.maximum(corner[:2], within[0])
+        opposite[:2] = np.maximum(np.minimum(opposite[:2], within[1]), corner[:2])
     drift = field.velocity * duration
     offset = field.velocity * start
     first, last = field.cube_range(
@@ -213,7 +238,7 @@ def impacts(field, surfaces, start, stop, smallest=0.0):
     )
     tasks = slab_tasks(first, last)
     tasks = tasks[field.spectrum.edges[tasks[:, 0] + 1] > smallest]
-    flux = field.spectrum.density * field.spectrum.speed * field.cube * duration
+    flux = field.listed.density * field.listed.speed * field.cube * duration
     level = (flux * (last - first + 1)[:, 1] * field.cube)[tasks[:, 0]]
     expected = _STEEP * level
     values, labels, ids = _gather(
@@ -221,6 +246,10 @@ def impacts(field, surfaces, start, stop, smallest=0.0):
         _grown(np.minimum, surfaces.block_low), _grown(np.maximum, surfaces.block_high),
         *surfaces.arrays(),
     )  # fmt: skip
+    if within is not None:
+        place = values[:, :2]
+        inside = ((place >= corner[:2]) & (place < opposite[:2])).all(axis=1)
+        values, labels, ids = values[inside], labels[inside], ids[inside]
     return Impacts(
         position=np.ascontiguousarray(values[:, :3]),
         velocity=field.velocity[labels[:, 0]],
@@ -259,6 +288,22 @@ def drop_id(key, drop):
 
 
 @device_function
+def left_out(word, size_class, z, vz, share, frame):
+    """Tell whether a drop that would be at height z [m] at time 0 is not in the rain of its time.
+
+    Its time is when it passes z = 0.
+    """
+    ticks = share.shape[1]
+    if ticks == 1:
+        return False
+    at = min(max((-z / vz - frame[2]) * frame[3], 0.0), ticks - 1.0)
+    tick = min(int(at), ticks - 2)
+    part = at - tick
+    there = share[size_class, tick] * (1.0 - part) + share[size_class, tick + 1] * part
+    return uniform(mix(word ^ _SHARE_STREAM)) >= there
+
+
+@device_function
 def drop_diameter(word, size_class, size):
     """Return the diameter [m] of the drop with that id: exponential within its class."""
     chance = uniform(mix(word ^ _DIAMETER_STREAM))
@@ -279,7 +324,7 @@ def slab_tasks(first, last):
 
 @cpu_kernel
 def _fill_box(
-    tasks, first, last, time, low, high, velocity, cube, class_key, count, size,
+    tasks, first, last, time, low, high, velocity, cube, class_key, count, size, share, frame,
     offset, values_out, labels_out, ids_out, needed_out,
 ):  # fmt: skip
     """List the drops of each slab of cubes that are in the box; see `_gather` for the outputs."""
@@ -293,8 +338,10 @@ def _fill_box(
                 for n in range(drops_in_cube(key, b, count)):
                     word = drop_id(key, n)
                     ux, uy, uz = uniform_triple(word)
-                    x = (i + ux) * side + vx * time
-                    y = (j + uy) * side + vy * time
+                    if left_out(word, b, (k + uz) * side, vz, share, frame):
+                        continue
+                    x = (i + ux) * side + vx * time + frame[0]
+                    y = (j + uy) * side + vy * time + frame[1]
                     z = (k + uz) * side + vz * time
                     if low[0] <= x < high[0] and low[1] <= y < high[1] and low[2] <= z < high[2]:
                         if offset[t] + found < offset[t + 1]:
@@ -310,21 +357,24 @@ def _fill_box(
 
 @cpu_kernel
 def _fill_impacts(
-    tasks, first, last, start, stop, velocity, cube, class_key, count, size, low, high,
-    x0, y0, spacing, sky, ground, underside, top, block_high,
+    tasks, first, last, start, stop, velocity, cube, class_key, count, size, share, frame,
+    low, high, x0, y0, spacing, sky, ground, underside, top, block_high,
     offset, values_out, labels_out, ids_out, needed_out,
 ):  # fmt: skip
     """List the drops of each slab of cubes that end in [start, stop)."""
     duration = stop - start
     block = spacing * BLOCK
+    last_row, last_column = low.shape[0] - 1, low.shape[1] - 1
     for t in prange(tasks.shape[0]):
         b, i = tasks[t]
         side, found = cube[b], 0
         vx, vy, vz = velocity[b]
-        west = i * side + vx * start + min(vx * duration, 0.0) - x0  # of what the slab sweeps
+        near = max(abs(vx), abs(vy)) * duration < block  # it stays within the next block
+        # what the slab sweeps
+        west = i * side + frame[0] + vx * start + min(vx * duration, 0.0) - x0
         east = west + side + abs(vx) * duration
         for j in range(first[b, 1], last[b, 1] + 1):
-            south = j * side + vy * start + min(vy * duration, 0.0) - y0
+            south = j * side + frame[1] + vy * start + min(vy * duration, 0.0) - y0
             north = south + side + abs(vy) * duration
             z_low, z_high = _heights_within(
                 west / block, east / block, south / block, north / block, low, high
@@ -338,8 +388,17 @@ def _fill_impacts(
                 for n in range(drops_in_cube(key, b, count)):
                     word = drop_id(key, n)
                     ux, uy, uz = uniform_triple(word)
-                    x, y, z = (i + ux) * side, (j + uy) * side, (k + uz) * side  # at time 0
+                    # At time 0, had the wind always been the one of now.
+                    x, y = (i + ux) * side + frame[0], (j + uy) * side + frame[1]
+                    z = (k + uz) * side
                     if z + vz * stop > z_high or z + vz * start < z_low:
+                        continue
+                    if near:
+                        m = min(max(int((y + vy * start - y0) / block), 0), last_row)
+                        c = min(max(int((x + vx * start - x0) / block), 0), last_column)
+                        if z + vz * stop > high[m, c] or z + vz * start < low[m, c]:
+                            continue
+                    if left_out(word, b, z, vz, share, frame):
                         continue
                     # Most meet nothing now: only those that do are followed from the sky.
                     if stopped_at(
@@ -405,7 +464,7 @@ def _gather(expected, width, label_width, kernel, tasks, *arguments):
         capacity = needed
     skipped = np.repeat(offset[:-1] - (np.cumsum(needed) - needed), needed)
     rows = skipped + np.arange(needed.sum())
-    rows = rows[np.argsort(ids[rows], kind="stable")]
+    rows = rows[np.argsort(ids[rows])]  # ids differ, so any sort gives one order
     return values[rows], labels[rows], ids[rows]
 
 
@@ -430,18 +489,6 @@ def _class_keys(seed):
     """Return one random key per class, ndarray of shape (CLASSES,), uint64."""
     root = mix(np.array([seed % 2**64], np.uint64) + _SPREAD)
     return subkey(root, np.arange(CLASSES, dtype=np.uint64))
-
-
-def _poisson_tables(mean):
-    """Return cumulative Poisson distributions, one row per mean; rows end with 2, beyond any u."""
-    width = int(mean.max() + 9 * np.sqrt(mean.max()) + 24)
-    number = np.arange(width)
-    log_factorial = np.concatenate([[0.0], np.cumsum(np.log(number[1:]))])
-    log_mean = np.log(np.maximum(mean, np.finfo(np.float64).tiny))[:, None]
-    table = np.cumsum(np.exp(number * log_mean - mean[:, None] - log_factorial), axis=1)
-    table[table > 1 - _TAIL] = 2.0
-    table[:, -1] = 2.0
-    return table
 
 
 def _size_tables(spectrum):

@@ -53,8 +53,15 @@ CACHE_FOLDER = _cache_folder()
 os.environ["NUMBA_CACHE_DIR"] = str(CACHE_FOLDER)
 
 import numba  # noqa: E402  (the cache folder must be known before numba is imported)
-from numba import njit, prange  # noqa: E402
-from numba.extending import register_jitable  # noqa: E402
+from llvmlite import ir  # noqa: E402
+from numba import (  # noqa: E402
+    get_num_threads,
+    njit,
+    prange,
+    types,
+)
+from numba.core import cgutils  # noqa: E402
+from numba.extending import intrinsic, register_jitable  # noqa: E402
 
 numba.config.CACHE_DIR = str(CACHE_FOLDER)  # in case numba had been imported before
 
@@ -65,7 +72,18 @@ device_function = register_jitable
 cpu_kernel = njit(parallel=True, nogil=True, error_model="numpy", fastmath=_FAST, cache=True)
 serial_kernel = njit(nogil=True, error_model="numpy", fastmath=_FAST, cache=True)
 
-__all__ = ["CACHE_FOLDER", "cpu_kernel", "device_function", "prange", "serial_kernel"]
+__all__ = [
+    "CACHE_FOLDER",
+    "cgutils",
+    "cpu_kernel",
+    "device_function",
+    "get_num_threads",
+    "intrinsic",
+    "ir",
+    "prange",
+    "serial_kernel",
+    "types",
+]
 
 
 def set_threads(count):

@@ -64,9 +64,12 @@ def render_rain(scene, cameras, config, backend="cpu", progress=None):
     yield from rendering.render(scene, ground, states, cameras, config)
 
 
-def extract_terrain(scene, config):
-    """Return the `Terrain` of a scene as the configuration asks for it."""
-    return terrain.extract_terrain(scene, config.terrain)
+def extract_terrain(scene, config, mask=None):
+    """Return the `Terrain` of a scene as the configuration asks for it.
+
+    `mask` (ny, nx) gives the ground's classes where it is not -1, see `terrain.read_mask`.
+    """
+    return terrain.extract_terrain(scene, config.terrain, mask)
 
 
 def frames_of(states, config, tell=None):

@@ -24,6 +24,7 @@ _MASK_21 = np.uint64(2**21 - 1)
 _UNIT_53 = 2.0**-53
 _UNIT_21 = 2.0**-21
 _HALF = 0.5
+_TAIL = 1e-15  # of a Poisson distribution, below the resolution of its 53-bit number
 
 
 @device_function
@@ -54,3 +55,15 @@ def uniform_triple(word):
         (np.int64((word >> _SHIFT_22) & _MASK_21) + _HALF) * _UNIT_21,
         (np.int64(word >> _SHIFT_43) + _HALF) * _UNIT_21,
     )
+
+
+def poisson_tables(mean):
+    """Return cumulative Poisson distributions, one row per mean; rows end with 2, beyond any u."""
+    width = int(mean.max() + 9 * np.sqrt(mean.max()) + 24)
+    number = np.arange(width)
+    log_factorial = np.concatenate([[0.0], np.cumsum(np.log(number[1:]))])
+    log_mean = np.log(np.maximum(mean, np.finfo(np.float64).tiny))[:, None]
+    table = np.cumsum(np.exp(number * log_mean - mean[:, None] - log_factorial), axis=1)
+    table[table > 1 - _TAIL] = 2.0
+    table[:, -1] = 2.0
+    return table

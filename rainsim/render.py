@@ -10,13 +10,12 @@ import numpy as np
 from scipy import ndimage
 
 from rainsim import optics, shade, sky
-from rainsim.drops import impacts
 from rainsim.errors import ParameterError
 from rainsim.raster import Rasterizer, prepare
-from rainsim.simulation import rain_exposure, rain_field, surfaces_of
-from rainsim.splash import LONGEST_LIFE, SMALLEST_SPLASH, splash_droplets
-from rainsim.streaks import draw_droplets, draw_streaks, fog_extinction
-from rainsim.terrain import GRASS, HARD
+from rainsim.simulation import rain_exposure, surfaces_of, usual_wind
+from rainsim.splash import LONGEST_LIFE, WET_FILM, draw_splashes
+from rainsim.streaks import NO_FOG, draw_streaks, fog_table, streak_reach
+from rainsim.weather import Weather
 
 NEAR = 0.05  # m: splats nearer than this are not drawn
 WET_AFTER = 0.5e-3  # m of past rain after which open ground is wet through
@@ -66,11 +65,10 @@ class Renderer:
         self.near = NEAR / self.frame.meters_per_unit
         self.rasterizer = Rasterizer(prepare(scene.splats))
         self.surfaces = surfaces_of(terrain)
-        self.field = rain_field(config)
-        self.exposure = rain_exposure(terrain, config.rain.wind)
-        self.grass = ndimage.gaussian_filter((terrain.ground_class == GRASS).astype(np.float32), 1)
-        self.wetness = np.float32(wetness(config))
-        self.look = look(config)
+        self.weather = Weather(config)
+        self.exposure = rain_exposure(terrain, usual_wind(config))
+        self.grass = ndimage.gaussian_filter(terrain.grassy.astype(np.float32), 1)
+        self._set_time(0.0)
         self.relief = fine_relief(terrain)
         self.day = day_sky(config.render)
         eye = self.frame.to_ground(first_camera.position)
@@ -81,24 +79,31 @@ class Renderer:
     def draw(self, camera, state):
         """Return the picture (height, width, 3) uint8 that `camera` (capture frame) takes."""
         timer = Timer()
-        if camera is not self._camera:
+        if self._set_time(state.time) or camera is not self._camera:
             self._see(camera, timer)
         picture, _coverage = self._water(state, timer)
         rain_alpha, splash_alpha = self._drops(camera, state, timer)
         image = np.empty((camera.height, camera.width, 3), np.uint8)
-        extinction = np.zeros(3, np.float32)
-        if self.field is not None:
-            before, beyond = fog_extinction(self.field)
-            extinction[:] = before, beyond - before, self.config.render.streak_far
+        fog = NO_FOG if self.field is None else fog_table(self.field, self.reach)
         forward = self.view.camera_from_world[2, :3]
         drop = sky.drop_radiance(self.environment, forward)
         air = sky.horizon_radiance(self.day)
         shade.compose(
-            picture, self.depth, rain_alpha, splash_alpha, drop, air, extinction,
-            np.float32(self.config.render.brightness), image,
+            picture, self.depth, rain_alpha, splash_alpha, drop, air, fog,
+            np.float32(self.now.render.brightness), image,
         )  # fmt: skip
         timer.mark("compose")
         return image, FrameReport(state.index, state.time, timer.stages, state.ledger, state.notes)
+
+    def _set_time(self, time):
+        """Take over the settings of a time; return whether the dry picture's look has changed."""
+        self.now = self.config.at(time)
+        settings = look(self.now), np.float32(wetness(self.now))
+        if hasattr(self, "look") and np.array_equal(np.append(*settings), self._settings):
+            return False
+        self._settings = np.append(*settings)
+        self.look, self.wetness = settings
+        return True
 
     def _see(self, camera, timer):
         """Splat the capture for a new camera, grade and wet it."""
@@ -166,22 +171,19 @@ class Renderer:
         """Return the alpha of streaks and of splash droplets."""
         rain = np.zeros((camera.height, camera.width), np.float32)
         splash = np.zeros_like(rain)
+        config = self.now.render
+        self.field = self.weather.field(state.time - LONGEST_LIFE, state.time + config.exposure)
         if self.field is None:
             return rain, splash
-        config = self.config.render
+        self.reach = streak_reach(self.field, self.view, config.exposure, config.streak_far)
         draw_streaks(
             self.field, self.surfaces, self.view, state.time, config.exposure, self.depth,
-            config.streak_far, rain,
+            self.reach, rain,
         )  # fmt: skip
         timer.mark("streaks")
-        hits = impacts(
-            self.field, self.surfaces, state.time - LONGEST_LIFE, state.time, SMALLEST_SPLASH
-        )
-        under = state.depth[hits.row, hits.column]
-        droplets = splash_droplets(hits, under, state.time)
-        draw_droplets(
-            droplets.position, droplets.velocity, droplets.diameter, self.view, config.exposure,
-            self.depth, splash,
+        draw_splashes(
+            self.field, self.surfaces, self.view, state.time, config.exposure, state.depth,
+            WET_FILM * float(self.wetness), self.depth, splash,
         )  # fmt: skip
         timer.mark("splashes")
         return rain, splash
@@ -205,7 +207,7 @@ class Renderer:
             math.cos(elevation) * math.sin(azimuth),
             math.sin(elevation),
         )
-        clear = SUN_IRRADIANCE * (1 - self.config.render.cloudiness)
+        clear = SUN_IRRADIANCE * (1 - self.now.render.cloudiness)
         return np.array([*direction, clear, 0.95 * clear, 0.88 * clear], np.float32)
 
     def _surroundings(self, position):
@@ -301,7 +303,7 @@ def water_surface(terrain, depth, relief):
     The solver's cells are wet or dry; a picture needs a surface that goes on below the ground at
     the rim, so that depth falls to zero smoothly. Grass that stands out of the water hides it.
     """
-    smooth = (terrain.ground_class == HARD) | (depth > GRASS_HEIGHT)
+    smooth = terrain.mirrors | (depth > GRASS_HEIGHT)
     wet = (depth > WET_CELL) & smooth
     if not wet.any():
         return terrain.bed, np.zeros_like(terrain.bed)

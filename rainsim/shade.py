@@ -33,6 +33,8 @@ ESCAPE = np.float32(0.066)  # diffuse light reflected by the film from outside
 TRAPPED = np.float32(0.4746)  # light reflected back by the film from inside
 ALBEDO_PER_COLOR = np.float32(0.85)  # sunlit captured colour to albedo: a guess, light is baked in
 
+GLOSS = np.float32(0.4)  # of a smooth mirror: what a film on rough stone reflects; by eye
+GLOSS_LIFT = np.float32(0.4)  # sine by which its lobe is lifted above the mirror direction
 FAR_AWAY = np.float32(1e4)  # m, stands for the depth of the sky
 SKY_DISTANCE = np.float32(30.0)  # m: bright things beyond, above the horizon, are sky
 SKY_DARK, SKY_BRIGHT = np.float32(0.15), np.float32(0.35)  # linear luminance: no sky, all sky
@@ -131,7 +133,7 @@ def grade_and_wet(
                 r, g, bl = wetted(r, g, bl, look[0], wetness, reach, upness, clearance, lawn)
                 sheen = (
                     wetness * reach * max(TWO * upness - ONE, ZERO) * (ONE - lawn)
-                    * np.float32(0.2)
+                    * GLOSS
                 )  # fmt: skip
                 if clearance > np.float32(0.3):
                     sheen *= HALF
@@ -139,11 +141,15 @@ def grade_and_wet(
                     cosine = -(x * _row(ground_from_camera, 0, n0, n1, n2)
                                + y * _row(ground_from_camera, 1, n0, n1, n2)
                                + z * upness) / length  # fmt: skip
-                    # A wet rough surface glosses: a little of the sky, blurred.
+                    # A wet rough surface glosses: it mirrors a little of what lies around, blurred,
+                    # which is mostly what lies above the mirror direction.
                     gloss = sheen * fresnel(max(cosine, np.float32(0.02)))
-                    r += gloss * sample_environment(environment, ZERO, ZERO, ONE, 0)
-                    g += gloss * sample_environment(environment, ZERO, ZERO, ONE, 1)
-                    bl += gloss * sample_environment(environment, ZERO, ZERO, ONE, 2)
+                    wx, wy, wz = x / length, y / length, abs(z) / length + GLOSS_LIFT
+                    inv = ONE / math.sqrt(wx * wx + wy * wy + wz * wz)
+                    wx, wy, wz = wx * inv, wy * inv, wz * inv
+                    r += gloss * sample_environment(environment, wx, wy, wz, 0)
+                    g += gloss * sample_environment(environment, wx, wy, wz, 1)
+                    bl += gloss * sample_environment(environment, wx, wy, wz, 2)
             # The sky of the day stands in for the captured sky and for what no splat covers. Many
             # captures leave dark places half open: those are not sky.
             through = over * sky
@@ -202,9 +208,19 @@ def wetted(r, g, b, exposure, wetness, reach, upness, clearance, lawn):
     )
 
 
+@device_function
+def fog_thickness(fog, z):
+    """Return the optical depth up to depth z [m] that a fog table holds."""
+    steps = fog.shape[0] - 3
+    at = min(z / fog[0], ONE) * np.float32(steps)
+    i = min(int(at), steps - 1)
+    within = fog[2 + i] + (fog[3 + i] - fog[2 + i]) * (at - np.float32(i))
+    return within + fog[1] * max(z - fog[0], ZERO)
+
+
 @cpu_kernel
 def compose(
-    picture, depth, rain_alpha, splash_alpha, drop_radiance, air_radiance, extinction,
+    picture, depth, rain_alpha, splash_alpha, drop_radiance, air_radiance, fog,
     brightness, image_out,
 ):  # fmt: skip
     """Put fog, streaks and splashes before the picture and encode it for display.
@@ -213,8 +229,9 @@ def compose(
     ----------
     rain_alpha, splash_alpha : ndarray of shape (height, width), float32
     drop_radiance, air_radiance : ndarray of shape (3,), float32
-    extinction : ndarray of shape (3,), float32
-        Of drops too fine to draw [1/m], of the others [1/m], where those are no longer drawn [m].
+    fog : ndarray of shape (n + 3,), float32
+        Of drops that are not drawn, see `streaks.fog_table`: a depth [m], the extinction beyond it
+        [1/m] and the optical depth at n + 1 even steps up to it.
     image_out : ndarray of shape (height, width, 3), uint8
     """
     height, width = depth.shape
@@ -224,8 +241,7 @@ def compose(
             z = depth[row, column]
             clear = ONE  # the sky is seen through all the air already
             if z < FAR_AWAY:
-                thickness = extinction[0] * z + extinction[1] * max(z - extinction[2], ZERO)
-                clear = math.exp(-thickness)
+                clear = math.exp(-fog_thickness(fog, z))
             streak, drop = rain_alpha[row, column], splash_alpha[row, column]
             for c in range(3):
                 value = picture[row, column, c] * clear + air_radiance[c] * (ONE - clear)

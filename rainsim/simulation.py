@@ -12,20 +12,15 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
-from rainsim.drops import GROUND, RainField, Surfaces, impacts
+from rainsim.drops import GROUND, Surfaces, impacts
 from rainsim.errors import InputError
 from rainsim.grid import WaterSolver
 from rainsim.jit import cpu_kernel, prange
+from rainsim.puddles import WET, puddles_of, wet_share
 from rainsim.ripples import RippleTile, tile_impacts
-from rainsim.spectrum import RainSpectrum, terminal_speed
-from rainsim.standing import standing_water
-from rainsim.terrain import GRASS, HARD, UNKNOWN
+from rainsim.spectrum import terminal_speed
+from rainsim.weather import Weather
 
-HARD_STORAGE = 0.3e-3  # m: what lies in the pores of paving below the cell size and does not flow
-GRASS_STORAGE = 2.0e-3  # m (physics of lawns: 2.5 to 5 mm, some of it taken up before)
-GRASS_INFILTRATION = 3e-5  # m/s (108 mm/h): sandy loam under a lawn at the start of a rain
-MANNING_HARD, MANNING_GRASS = 0.014, 0.25  # asphalt and short grass, SWMM reference manual
-NOISE_FACTOR = 2.0  # depressions shallower than this times the bed's noise hold no water
 RIPPLE_DEPTHS = (2e-3, 0.1)  # m: films thinner carry no rings, deeper water is deep to them
 RIPPLE_WARM_UP = 1.3  # s of rain before the first frame that rings on the water come from
 RIPPLE_STEP = 1 / 30  # s, longest step of the ripple layer
@@ -80,12 +75,8 @@ def surfaces_of(terrain):
 
 
 def rain_field(config):
-    """Return the `RainField` of a configuration, or None if it does not rain."""
-    if config.rain.rate <= 0:
-        return None
-    speed, direction = config.rain.wind
-    wind = (speed * math.cos(direction), speed * math.sin(direction))
-    return RainField(RainSpectrum(config.rain.rate * 3.6e6), wind=wind, seed=config.rain.seed)
+    """Return the `RainField` of the first frame of a configuration, or None if it never rains."""
+    return Weather(config).field(0.0, config.frame_interval)
 
 
 def rain_exposure(terrain, wind):
@@ -141,21 +132,13 @@ def initial_water(terrain, config, exposure):
         level = np.percentile(bed, 5) + config.water.level
         depth = np.maximum(level - bed, 0)
         return depth, (f"still water at {config.water.level:g} m above the low ground",)
-    noise = terrain.noise[(terrain.ground_class == HARD) & (terrain.source != UNKNOWN)]
-    shallow = NOISE_FACTOR * float(np.median(noise)) if noise.size else 0.0
-    # Smoothing has taken most of the noise out of the bed: what counts is the rest of it.
-    cells = 4 * math.pi * (2 * 0.04 / terrain.grid.spacing) ** 2 / 4
-    shallow /= math.sqrt(max(cells, 1.0))
-    standing = standing_water(
-        bed, config.rain.past * exposure.astype(np.float64), terrain.grid.spacing,
-        permeable=terrain.ground_class == GRASS, minimum_depth=shallow,
-    )  # fmt: skip
-    depth = standing[0]
-    hard = max(np.count_nonzero(terrain.ground_class == HARD), 1)
-    wet = np.count_nonzero((depth > 1e-3) & (terrain.ground_class == HARD)) / hard
-    return depth, (
-        f"{config.rain.past * 1e3:g} mm of past rain stand at rest; {wet:.0%} of the hard ground "
-        "under more than 1 mm",
+    puddles = puddles_of(terrain)
+    puddles.rain(config.rain.past * exposure.astype(np.float64))
+    wet = wet_share(puddles.depth, terrain.sealed)
+    return puddles.depth, (
+        f"{config.rain.past * 1e3:g} mm of past rain stand at rest in {puddles.count()} puddles; "
+        f"{wet:.0%} of the paving under {WET * 1e3:g} mm or more; {puddles.graph.dropped} of "
+        f"{puddles.graph.count} hollows left out as noise",
     )
 
 
@@ -167,15 +150,14 @@ def puddle_depth(depth):
 
 def water_solver(terrain, config):
     """Return the `WaterSolver` of a terrain, friction and infiltration by class."""
-    grass = terrain.ground_class == GRASS
     still = config.water.level is not None
     # A flood stands because the land around is flooded too; rain runs off an open map.
     return WaterSolver(
         terrain.bed, terrain.grid.spacing, scheme=config.water.scheme,
         boundary="wall" if still else "open",
-        manning=np.where(grass, MANNING_GRASS, MANNING_HARD).astype(np.float32),
-        storage=np.where(grass, GRASS_STORAGE, HARD_STORAGE).astype(np.float32),
-        infiltration=None if still else np.where(grass, GRASS_INFILTRATION, 0).astype(np.float32),
+        manning=terrain.by_class("manning"),
+        storage=terrain.by_class("storage"),
+        infiltration=None if still else terrain.by_class("infiltration"),
         courant=config.water.courant,
     )  # fmt: skip
 
@@ -190,30 +172,34 @@ def simulate(terrain, config, progress=None):
     progress : callable, optional
         progress(stage, done, total), told before the slow first state.
     """
-    field = rain_field(config)
+    weather = Weather(config)
     surfaces = surfaces_of(terrain)
-    exposure = rain_exposure(terrain, config.rain.wind)
-    depth, notes = initial_water(terrain, config, exposure)
+    exposure = rain_exposure(terrain, usual_wind(config))
+    depth, notes = initial_water(terrain, config.at(0.0), exposure)
+    quick = quick_rain(terrain, config, exposure)
     solver = water_solver(terrain, config)
     solver.set_state(depth)
-    ripples = RippleTile(depth=puddle_depth(depth))
+    ripples = RippleTile(depth=puddle_depth(depth), dtype=np.float32)
     open_area = float(exposure.sum()) * terrain.grid.cell_area
-    if field is not None:
-        _warm_up(ripples, field, surfaces, open_area)
+    _warm_up(ripples, weather, surfaces, open_area)
     obstacles = 0.0
     index, hits, report = 0, None, None
     while True:
         time = index / config.fps
         if index > 0:
             before = (index - 1) / config.fps
-            hits = None
+            hits, fine = None, 0.0
+            field = weather.field(before, time)
             if field is not None:
+                fine = field.spectrum.fine_rate * exposure
                 hits = impacts(field, surfaces, before, time)
                 landed = hits.take(hits.kind == GROUND)
                 solver.deposit(landed.row, landed.column, landed.volume)
                 obstacles += float(hits.volume[hits.kind != GROUND].sum())
                 ripples.advance(time - before, *tile_impacts(landed, open_area, ripples.size, time))
-            fine = 0.0 if field is None else field.spectrum.fine_rate * exposure
+            if quick is not None:
+                rows, columns, volumes = quick(before, time)
+                solver.deposit(rows, columns, volumes)
             report = solver.advance(time - before, rain=fine)
         u, v = solver.velocity
         yield SimState(
@@ -238,11 +224,49 @@ def _ledger(report, solver, obstacles):
     return ledger
 
 
-def _warm_up(ripples, field, surfaces, open_area):
+def usual_wind(config):
+    """Return the mean wind of the keyframes, (speed [m/s], direction [rad]): what shelters."""
+    winds = [config.at(time).rain.wind_velocity for time in config.key_times()]
+    x, y = np.mean(winds, axis=0)
+    return math.hypot(x, y), math.atan2(y, x)
+
+
+def quick_rain(terrain, config, exposure):
+    """Return what adds past rain that keyframes let grow, or None if it is steady.
+
+    The function takes two times and returns the rows, columns and volumes [m3] of the water that
+    has come to rest between them: time passes quickly, so it does not flow there but is put where
+    it would stand (fill, spill and merge). What runs off or seeps away meanwhile is not booked.
+    """
+    past = [config.at(time).rain.past for time in config.key_times()]
+    if np.ptp(past) == 0 or config.water.level is not None:
+        return None
+    puddles = puddles_of(terrain)
+    puddles.rain(config.at(0.0).rain.past * exposure.astype(np.float64))
+
+    def between(before, time):
+        more = config.at(time).rain.past - config.at(before).rain.past
+        stood = puddles.depth
+        if more > 0:
+            puddles.rain(more * exposure.astype(np.float64))
+        grown = np.maximum(puddles.depth - stood, 0.0)
+        rows, columns = np.nonzero(grown)
+        return (
+            rows.astype(np.int32), columns.astype(np.int32),
+            grown[rows, columns] * terrain.grid.cell_area,
+        )  # fmt: skip
+
+    return between
+
+
+def _warm_up(ripples, weather, surfaces, open_area):
     """Let rings of the rain before the first frame spread on the tile."""
     steps = round(RIPPLE_WARM_UP / RIPPLE_STEP)
     for n in range(-steps, 0):
         end = (n + 1) * RIPPLE_STEP
+        field = weather.field(n * RIPPLE_STEP, end)
+        if field is None:
+            return
         hits = impacts(field, surfaces, n * RIPPLE_STEP, end)
         landed = hits.take(hits.kind == GROUND)
         ripples.advance(RIPPLE_STEP, *tile_impacts(landed, open_area, ripples.size, end))

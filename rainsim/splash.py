@@ -1,8 +1,9 @@
 """Splashes: the secondary droplets that impacts throw up, as a function of the impacts alone.
 
-First depth: whether a drop splashes follows published thresholds; how many droplets it throws, how
-big and how fast they are is a plausible crown, not validated against measurement. The droplets are
-drawn and forgotten: their water (a few percent of the drop's) stays booked where the drop fell.
+Whether a drop splashes follows published thresholds; its crown's size (see `crowns`) and how
+many droplets it throws, how big and how fast they are is set by eye, not validated against
+measurement. Splashes are drawn and forgotten: their water (a few percent of the
+drop's) stays booked where the drop fell.
 """
 
 from __future__ import annotations
@@ -11,7 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rainsim.errors import ParameterError, require_finite
+from rainsim.crowns import FINE_PIXEL, LONGEST_CROWN, LONGEST_JET, crown_lines
+from rainsim.drops import GROUND, Impacts
+from rainsim.drops import impacts as list_impacts
+from rainsim.errors import ParameterError, require_finite, require_not_negative
 from rainsim.jit import serial_kernel
 from rainsim.random import subkey, uniform_triple
 from rainsim.streaks import draw_droplets
@@ -21,6 +25,7 @@ __all__ = [
     "SMALLEST_SPLASH",
     "Droplets",
     "draw_droplets",
+    "draw_splashes",
     "splash_droplets",
     "splashes",
 ]
@@ -33,6 +38,8 @@ _GRAVITY = 9.81  # m/s2
 _DENSITY = 998.0  # kg/m3, water at 20 C
 _TENSION = 0.0728  # N/m, water against air at 20 C
 _VISCOSITY = 1.0e-6  # m2/s, water at 20 C
+SMALLEST_ON_FILM = 1.24e-3  # m; smaller drops at terminal speed do not splash on a film
+WET_FILM = 2e-4  # m of water on everything that rain has wetted; a guess
 _WET = 1e-4  # m; less water than this on the ground counts as a dry rough surface
 _WEBER_WET = 400.0  # splash threshold on a film, sqrt(We) = 20
 _MUNDO_DRY = 57.7  # splash threshold on a rough dry wall, sqrt(We) Re^(1/4)
@@ -44,6 +51,9 @@ _SIZE_DRY, _SIZE_POOL = 0.6, 0.75  # relative to the largest splash
 _LEAST_SPREAD, _MOST_SPREAD = 0.5, 1.1  # horizontal over vertical speed: 63 to 42 degrees up
 _CARRIED = 0.15  # share of the drop's horizontal velocity that droplets keep
 _FULL_TURN = 2 * np.pi
+_LEAST_SEEN = 0.07  # px, diameter of a droplet that replaces a two-hundredth of a pixel's light
+_FARTHEST = 100.0  # m
+_MARGIN = 0.03  # m by which splashes reach into the picture from outside
 
 
 @dataclass(frozen=True)
@@ -94,8 +104,8 @@ def splashes(impacts, water_depth):
     return np.where(depth > _WET, weber > _WEBER_WET, np.sqrt(weber) * reynolds**0.25 > _MUNDO_DRY)
 
 
-def splash_droplets(impacts, water_depth, now):
-    """List the droplets that are in the air at `now`.
+def splash_droplets(impacts, water_depth, now, exposure=0.0):
+    """List the droplets that are in the air at `now`, or during an exposure from then on.
 
     Parameters
     ----------
@@ -105,6 +115,10 @@ def splash_droplets(impacts, water_depth, now):
     water_depth : ndarray of shape (n,) or float [m]
         Water where each drop fell, when it fell.
     now : float [s]
+    exposure : float [s]
+        With an exposure a droplet is given as it is drawn: where it is first seen, its way during
+        the exposure over the exposure, and with the diameter of the disc that covers as much for
+        all of the exposure as the droplet does while it lives.
 
     Returns
     -------
@@ -118,9 +132,11 @@ def splash_droplets(impacts, water_depth, now):
     relative to the peak are guesses.
     """
     now = require_finite("now", now)
+    exposure = require_not_negative("exposure", exposure, "s")
     depth = _depths(impacts, water_depth)
     age = now - impacts.time
-    active = np.flatnonzero(splashes(impacts, depth) & (age >= 0) & (age < LONGEST_LIFE))
+    recent = (age >= -exposure) & (age < LONGEST_LIFE)
+    active = np.flatnonzero(recent & splashes(impacts, depth))
     speed = np.abs(impacts.velocity[active, 2])
     weber = _DENSITY * speed**2 * impacts.diameter[active] / _TENSION
     count = np.clip(_FEWEST + (weber - _WEBER_WET) / _WEBER_STEP, _FEWEST, _MOST).astype(np.int64)
@@ -129,7 +145,7 @@ def splash_droplets(impacts, water_depth, now):
     alive = _throw(
         impacts.position[active], impacts.velocity[active],
         impacts.diameter[active] * _relative_size(depth[active] / impacts.diameter[active]),
-        age[active], count, impacts.id[active], state, ids,
+        age[active], exposure, count, impacts.id[active], state, ids,
     )  # fmt: skip
     return Droplets(
         np.ascontiguousarray(state[:alive, :3]),
@@ -137,6 +153,92 @@ def splash_droplets(impacts, water_depth, now):
         np.ascontiguousarray(state[:alive, 6]),
         ids[:alive].copy(),
     )
+
+
+def draw_splashes(
+    field, surfaces, camera, time, exposure, water_depth, film, depth, alpha_out, camera_end=None
+):  # fmt: skip
+    """Draw all that an exposure sees of splashes: crowns, jets and droplets.
+
+    Parameters
+    ----------
+    field : RainField
+    surfaces : Surfaces
+        What the drops fall on: ground, puddles, tables and roofs.
+    camera : Camera
+        Perspective, in the ground frame, in metres.
+    time, exposure : float [s]
+        The shutter is open from `time` to `time + exposure`.
+    water_depth : ndarray of shape (ny, nx) [m]
+        Water on the ground of the map, now.
+    film : float [m]
+        Water on all else, and at least that on the ground: WET_FILM in the rain, 0 at its start.
+    depth : ndarray of shape (height, width), float32 [m]
+        Depth along the view axis of what the splashes are before or behind; inf for sky.
+    alpha_out : ndarray of shape (height, width), float32
+        Overwritten with the share of light that splashes replace.
+    camera_end : Camera or None
+        The camera when the shutter closes, if it moves.
+    """
+    alpha_out[...] = 0
+    smallest = SMALLEST_ON_FILM if film > _WET else SMALLEST_SPLASH
+    # Crowns are short-lived; what lives longer is small, and seen only from near.
+    split = time - LONGEST_CROWN
+    near = FINE_PIXEL * max(camera.fx, camera.fy)
+    parts = [
+        list_impacts(field, surfaces, begin, end, smallest, _footprint(camera, reach))
+        for begin, end, reach in (
+            (time - LONGEST_LIFE, split, near), (split, time + exposure, _FARTHEST),
+        )
+    ]  # fmt: skip
+    found, pixel = _in_view(_joined(*parts), camera)
+    under = np.where(found.kind == GROUND, water_depth[found.row, found.column], 0.0) + film
+    splash = splashes(found, under)
+    found, pixel, under = found.take(splash), pixel[splash], under[splash]
+    clear = found.diameter * _LARGEST_SHARE > _LEAST_SEEN * pixel
+    clear &= pixel < FINE_PIXEL
+    droplets = splash_droplets(found.take(clear), under[clear], time, exposure)
+    late = (time - found.time < LONGEST_JET) & (under > _WET)
+    found, under = found.take(late), under[late]
+    size = _relative_size(under / found.diameter)
+    crowns = crown_lines(found, under, size, time, exposure, pixel[late])
+    draw_droplets(
+        np.concatenate([droplets.position, crowns.position]),
+        np.concatenate([droplets.velocity, crowns.velocity]),
+        np.concatenate([droplets.diameter, crowns.diameter]),
+        camera, exposure, depth, alpha_out, camera_end,
+    )  # fmt: skip
+
+
+def _joined(early, late):
+    """Return the impacts of two intervals as one list."""
+    names = Impacts.__dataclass_fields__
+    return Impacts(*(np.concatenate([getattr(early, n), getattr(late, n)]) for n in names))
+
+
+def _footprint(camera, reach):
+    """Return the low and high corner (x, y) of what the camera sees up to a depth [m]."""
+    corners = np.array([[u, v] for u in (0.0, camera.width) for v in (0.0, camera.height)])
+    rays = np.ones((4, 3))
+    rays[:, :2] = (corners - [camera.cx, camera.cy]) / [camera.fx, camera.fy]
+    points = reach * rays @ camera.camera_from_world[:3, :3] + camera.position
+    points = np.concatenate([points, camera.position[None]])[:, :2]
+    return np.stack([points.min(axis=0) - _MARGIN, points.max(axis=0) + _MARGIN])
+
+
+def _in_view(found, camera):
+    """Return the impacts that the camera may see splash, and the size of a pixel there [m]."""
+    local = found.position @ camera.camera_from_world[:3, :3].T + camera.camera_from_world[:3, 3]
+    z = local[:, 2]
+    seen = z > 0.05
+    for axis, focal, centre, count in (
+        (0, camera.fx, camera.cx, camera.width),
+        (1, camera.fy, camera.cy, camera.height),
+    ):
+        reach = focal * _MARGIN
+        at = focal * local[:, axis]
+        seen &= (at + centre * z > -reach) & (at + (centre - count) * z < reach)
+    return found.take(seen), z[seen] / max(camera.fx, camera.fy)
 
 
 def _relative_size(film):
@@ -154,7 +256,7 @@ def _depths(impacts, water_depth):
 
 
 @serial_kernel
-def _throw(position, velocity, crown, age, count, ids, state_out, ids_out):
+def _throw(position, velocity, crown, age, exposure, count, ids, state_out, ids_out):
     """Fill in the droplets that are still in the air; return their number.
 
     `crown` is the drop's diameter times the splash's relative size. A state is x, y, z, the
@@ -167,21 +269,25 @@ def _throw(position, velocity, crown, age, count, ids, state_out, ids_out):
             life, speed, size = uniform_triple(word)
             jitter, _, _ = uniform_triple(subkey(word, 0))
             life = _SHORTEST_LIFE + (LONGEST_LIFE - _SHORTEST_LIFE) * life * life
-            if age[splash] >= life:
+            begin, end = max(age[splash], 0.0), min(age[splash] + exposure, life)
+            if age[splash] >= life or end < begin:
                 continue
             up = 0.5 * _GRAVITY * life  # comes down again when its life ends
             out = up * (_LEAST_SPREAD + (_MOST_SPREAD - _LEAST_SPREAD) * speed)
             angle = _FULL_TURN * (n + jitter) / count[splash]
             vx = out * np.cos(angle) + _CARRIED * velocity[splash, 0]
             vy = out * np.sin(angle) + _CARRIED * velocity[splash, 1]
-            time = age[splash]
-            state_out[alive, 0] = position[splash, 0] + vx * time
-            state_out[alive, 1] = position[splash, 1] + vy * time
-            state_out[alive, 2] = position[splash, 2] + (up - 0.5 * _GRAVITY * time) * time
-            state_out[alive, 3], state_out[alive, 4] = vx, vy
-            state_out[alive, 5] = up - _GRAVITY * time
+            state_out[alive, 0] = position[splash, 0] + vx * begin
+            state_out[alive, 1] = position[splash, 1] + vy * begin
+            state_out[alive, 2] = position[splash, 2] + (up - 0.5 * _GRAVITY * begin) * begin
+            seen = 1.0
+            if exposure > 0.0:
+                seen = (end - begin) / exposure
+            state_out[alive, 3], state_out[alive, 4] = seen * vx, seen * vy
+            middle = 0.5 * (begin + end) if exposure > 0.0 else begin
+            state_out[alive, 5] = seen * (up - _GRAVITY * middle)
             share = _SMALLEST_SHARE + (_LARGEST_SHARE - _SMALLEST_SHARE) * size * size
-            state_out[alive, 6] = share * crown[splash]
+            state_out[alive, 6] = share * crown[splash] * np.sqrt(seen)
             ids_out[alive] = word
             alive += 1
     return alive

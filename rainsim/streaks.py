@@ -9,33 +9,34 @@ whole numbers, so that neither their order nor the number of threads matters.
 from __future__ import annotations
 
 import math
+import threading
 
 import numpy as np
 
-from rainsim.drops import cube_key, drop_diameter, drop_id, drops_in_cube, slab_tasks
+from rainsim.drops import (
+    cube_key,
+    drop_diameter,
+    drop_id,
+    drops_in_cube,
+    left_out,
+    slab_tasks,
+)
 from rainsim.errors import ParameterError, require_positive
 from rainsim.jit import cpu_kernel, device_function, prange, set_threads
+from rainsim.marks import draw_path, read_depth, resolve_band
 from rainsim.random import uniform_triple
-from rainsim.spectrum import LARGEST
-from rainsim.surfaces import BLOCK, first_hit, flat_surfaces, reduce_blocks
+from rainsim.spectrum import CLASSES, LARGEST
+from rainsim.surfaces import BLOCK, first_hit, flat_surfaces
 
+FAINTEST = 3e-3  # share of light: half of it falls to each of two pixels, and at a contrast of 0.4
+# on a linear mid-grey of 0.2 that is a fifth of a level of an 8-bit picture, on near black more
+FOG_STEPS = 96
 NEAR = 0.3  # m; drops nearer to the camera are out of any focus and are not drawn
-_WIDE = np.float32(1.5)  # px; wider drops are drawn as discs
-_STILL = np.float32(3.0)  # px; a shorter path of a drop nearly as wide as a pixel is a disc too
-_WIDE_STILL = np.float32(0.9)  # px
-_PIECES = np.float32(10.0)  # a path is cut where the depth has changed by a tenth
-_MOST_PIECES = np.float32(63.0)
-
-_SCALE = np.float32(2**23)  # units of the picture per unit of optical depth
-_CEILING = np.int32(2**30)  # optical depth 128: black, and two of them still fit an int32
-_OPAQUE = np.float32(0.9997)  # the most that one drop replaces in one pixel
-_FAINT = np.float32(0.05)  # below it three terms give -log(1 - alpha) to 3e-5
-_ZERO, _HALF, _ONE, _TWO = np.float32(0.0), np.float32(0.5), np.float32(1.0), np.float32(2.0)
 _TILE = np.float32(BLOCK)  # px; side of the tiles whose greatest depth is known
-_THIRD, _QUARTER = np.float32(1 / 3), np.float32(0.25)
-_QUARTER_PI = np.float32(math.pi / 4)
-_SHORTEST = np.float32(0.05)  # px; length given to a path that hardly moves
+_ZERO, _HALF, _ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
 
+NO_FOG = np.zeros(FOG_STEPS + 3, np.float32)  # the fog table of dry air
+NO_FOG[0] = 1.0
 _OPEN = flat_surfaces(1.0, 1.0, 1.0, origin=(1e9, 1e9))  # nothing to hit, far away
 
 
@@ -55,8 +56,9 @@ def draw_streaks(
         The shutter is open from `time` to `time + exposure`.
     depth : ndarray of shape (height, width), float32 [m]
         Depth along the view axis of what the drops are in front of or behind; inf for sky.
-    far : float [m]
-        Depth along the view axis at which drawn drops end and fog begins, counted at `time`.
+    far : float or ndarray of shape (CLASSES,) [m]
+        Depth along the view axis at which drawn drops end and fog begins, counted at `time`; of
+        each class if they differ (see `streak_reach`).
     alpha_out : ndarray of shape (height, width), float32
         Overwritten with the share of light that drops replace, in [0, 1].
     camera_end : Camera or None
@@ -74,9 +76,9 @@ def draw_streaks(
     angle off the axis.
     """
     _check(camera, exposure, depth, alpha_out)
-    require_positive("far", far, "m")
+    far = _checked_far(far)
     camera_end = camera if camera_end is None else camera_end
-    low, high, slack = _view_box(camera, camera_end, far)
+    low, high, slack = _view_boxes(camera, camera_end, far)
     drift, offset = field.velocity * exposure, field.velocity * time
     first, last = field.cube_range(
         low - np.maximum(drift, 0) - offset, high - np.minimum(drift, 0) - offset
@@ -86,8 +88,8 @@ def draw_streaks(
     _draw_field(
         tasks, first, last, float(time), float(exposure), *field.arrays(),
         *_views(camera, camera_end),
-        np.float32(NEAR), np.float32(far), slack, *surfaces.arrays(), depth.ravel(),
-        reduce_blocks(np.maximum, depth), _blank(depth.shape), alpha_out,
+        np.float32(NEAR), far.astype(np.float32), slack, *surfaces.arrays(), depth,
+        *_scratch(depth.shape), alpha_out,
     )  # fmt: skip
 
 
@@ -112,10 +114,22 @@ def draw_droplets(
         np.ascontiguousarray(position), np.ascontiguousarray(velocity),
         np.ascontiguousarray(diameter),
         float(exposure), *_views(camera, camera if camera_end is None else camera_end),
-        np.float32(NEAR), depth.ravel(),
-        reduce_blocks(np.maximum, depth), _blank(depth.shape), own,
+        np.float32(NEAR), depth, *_scratch(depth.shape), own,
     )  # fmt: skip
     alpha_out += own * (1 - alpha_out)
+
+
+def streak_reach(field, camera, exposure, far):
+    """Return the depth [m] of each class, at most `far`, beyond which its drops are better fog.
+
+    There even the largest drop of the class replaces less than FAINTEST in any pixel, so that an
+    8-bit picture would not show it; what all of them replace together belongs to the fog.
+    """
+    focal = max(camera.fx, camera.fy)
+    cover = math.pi / 4 * (focal * field.spectrum.edges[1:]) ** 2  # px m2: over depth squared
+    length = focal * np.linalg.norm(field.velocity, axis=1) * exposure  # px m: over depth
+    reach = np.minimum(cover / (length * FAINTEST), np.sqrt(cover / FAINTEST))
+    return np.clip(reach, NEAR, far)
 
 
 def fog_extinction(field):
@@ -129,9 +143,26 @@ def fog_extinction(field):
 
 
 def fog_optical_depth(field, depth, far):
-    """Return the optical depth of the drops not drawn up to `depth` [m], when `far` [m] splits."""
-    before, beyond = fog_extinction(field)
-    return before * np.minimum(depth, far) + beyond * np.maximum(depth - far, 0)
+    """Return the optical depth of the drops not drawn up to `depth` [m], when `far` [m] splits.
+
+    `far` is a number or, as in `draw_streaks`, one for each class.
+    """
+    spectrum = field.spectrum
+    beyond = np.maximum(np.asarray(depth)[..., None] - np.asarray(far), 0)
+    return spectrum.fine_extinction * depth + (beyond * spectrum.extinction).sum(axis=-1)
+
+
+def fog_table(field, far):
+    """Return what `shade.compose` needs to know of the fog, ndarray of shape (FOG_STEPS + 3,).
+
+    The depth [m] up to which there are steps, the extinction [1/m] beyond it, and the optical depth
+    at FOG_STEPS + 1 even steps of depth; float32.
+    """
+    last = float(np.max(far))
+    steps = np.linspace(0.0, last, FOG_STEPS + 1)
+    _, beyond = fog_extinction(field)
+    depths = fog_optical_depth(field, steps, far)
+    return np.concatenate([[last, beyond], depths]).astype(np.float32)
 
 
 # ---- kernels
@@ -139,10 +170,10 @@ def fog_optical_depth(field, depth, far):
 
 @cpu_kernel
 def _draw_field(
-    tasks, first, last, time, exposure, velocity, cube, class_key, count, size,
+    tasks, first, last, time, exposure, velocity, cube, class_key, count, size, share, frame,
     rotation, eye, rotation_end, eye_end, lens, planes, near, far, slack,
-    x0, y0, spacing, sky, ground, underside, top, block_high, depth, tile_depth, picture,
-    alpha_out,
+    x0, y0, spacing, sky, ground, underside, top, block_high, depth_map, depth, tile_depth,
+    picture, alpha_out,
 ):  # fmt: skip
     """List the drops in view, slab by slab of cubes, and draw each.
 
@@ -151,6 +182,8 @@ def _draw_field(
     workers = picture.shape[0]
     height, width = alpha_out.shape
     high, wide = np.float32(height), np.float32(width)
+    for band in prange(tile_depth.shape[0]):
+        read_depth(band, depth_map, depth, tile_depth)
     for worker in prange(workers):
         mine = picture[worker]
         base, base_end = np.empty(3, np.float32), np.empty(3, np.float32)
@@ -159,21 +192,25 @@ def _draw_field(
             b, i = tasks[t]
             side = cube[b]
             vx, vy, vz = velocity[b]
+            reach = far[b]
+            if reach <= near:
+                continue
             moves = exposure * np.sqrt(vx * vx + vy * vy + vz * vz)
-            radius = np.float32(0.87 * side + 0.5 * moves + slack)
+            radius = np.float32(0.87 * side + 0.5 * moves + slack[b])
             for a in range(3):
                 for c in range(3):
                     axes[a, c] = rotation[a, c] * side
                     axes_end[a, c] = rotation_end[a, c] * side
             for j in range(first[b, 1], last[b, 1] + 1):
                 for k in range(first[b, 2], last[b, 2] + 1):
-                    x, y, z = i * side + vx * time, j * side + vy * time, k * side + vz * time
+                    x, y = i * side + vx * time + frame[0], j * side + vy * time + frame[1]
+                    z = k * side + vz * time
                     _to_camera(rotation, eye, x, y, z, base)
                     _to_camera(
                         rotation_end, eye_end,
                         x + vx * exposure, y + vy * exposure, z + vz * exposure, base_end,
                     )  # fmt: skip
-                    if not _cube_in_view(base, base_end, axes, radius, planes, near, far):
+                    if not _cube_in_view(base, base_end, axes, radius, planes, near, reach):
                         continue
                     key = cube_key(class_key[b], i, j, k)
                     for n in range(drops_in_cube(key, b, count)):
@@ -181,36 +218,41 @@ def _draw_field(
                         ux, uy, uz = uniform_triple(word)
                         p, q, r = _place(base, axes, ux, uy, uz)
                         p_end, q_end, r_end = _place(base_end, axes_end, ux, uy, uz)
-                        if not (near <= r < far) or not _may_show(
+                        if not (near <= r < reach) or not _may_show(
                             p, q, r, p_end, q_end, r_end, lens, near, wide, high, tile_depth
                         ):
                             continue
+                        if left_out(word, b, (k + uz) * side, vz, share, frame):
+                            continue
                         stop, _, _, _ = first_hit(
-                            (i + ux) * side, (j + uy) * side, (k + uz) * side, vx, vy, vz,
-                            -np.inf, time + exposure,
+                            (i + ux) * side + frame[0], (j + uy) * side + frame[1],
+                            (k + uz) * side, vx, vy, vz, -np.inf, time + exposure,
                             x0, y0, spacing, sky, ground, underside, top, block_high,
                         )  # fmt: skip
                         if stop <= time:
                             continue
-                        _draw_path(
+                        draw_path(
                             p, q, r, p_end, q_end, r_end,
                             np.float32(min((stop - time) / exposure, 1.0)),
                             np.float32(drop_diameter(word, b, size)),
                             lens, near, width, height, depth, mine,
                         )  # fmt: skip
-    for row in prange(height):
-        _resolve_row(row, picture, alpha_out)
+    for band in prange(tile_depth.shape[0]):
+        resolve_band(band, picture, alpha_out)
 
 
 @cpu_kernel
 def _draw_list(
     position, velocity, diameter, exposure,
-    rotation, eye, rotation_end, eye_end, lens, planes, near, depth, tile_depth, picture, alpha_out,
+    rotation, eye, rotation_end, eye_end, lens, planes, near, depth_map, depth, tile_depth, picture,
+    alpha_out,
 ):  # fmt: skip
     """Draw listed drops."""
     workers = picture.shape[0]
     height, width = alpha_out.shape
     high, wide = np.float32(height), np.float32(width)
+    for band in prange(tile_depth.shape[0]):
+        read_depth(band, depth_map, depth, tile_depth)
     for worker in prange(workers):
         mine = picture[worker]
         here, there = np.empty(3, np.float32), np.empty(3, np.float32)
@@ -227,12 +269,12 @@ def _draw_list(
             if near <= r and _may_show(
                 p, q, r, p_end, q_end, r_end, lens, near, wide, high, tile_depth
             ):
-                _draw_path(
+                draw_path(
                     p, q, r, p_end, q_end, r_end, _ONE, np.float32(diameter[d]),
                     lens, near, width, height, depth, mine,
                 )  # fmt: skip
-    for row in prange(height):
-        _resolve_row(row, picture, alpha_out)
+    for band in prange(tile_depth.shape[0]):
+        resolve_band(band, picture, alpha_out)
 
 
 @device_function
@@ -293,154 +335,6 @@ def _may_show(x, y, z, x_end, y_end, z_end, lens, near, width, height, tile_dept
     return farthest > nearest
 
 
-@device_function
-def _draw_path(
-    x, y, z, x_end, y_end, z_end, share, diameter, lens, near, width, height, depth, picture
-):  # fmt: skip
-    """Draw the first `share` of a drop's straight path in the camera frame.
-
-    A path towards or away from the camera is cut into pieces of equal time, each with its share of
-    (pi/4) fx fy (D / z)^2, whose mean over a piece is that of 1 / (z0 z1); never so finely that
-    pieces lie on each other in the picture.
-    """
-    dx, dy, dz = (x_end - x) * share, (y_end - y) * share, (z_end - z) * share
-    z_end = max(z + dz, _HALF * near)
-    z0 = z
-    u0, v0 = lens[0] * x / z + lens[2], lens[1] * y / z + lens[3]
-    u_end, v_end = lens[0] * (x + dx) / z_end + lens[2], lens[1] * (y + dy) / z_end + lens[3]
-    nearest = min(z, z_end)
-    long_enough = max(abs(u_end - u0), abs(v_end - v0)) / (_TWO + lens[0] * diameter / nearest)
-    pieces = 1 + int(min(_PIECES * abs(dz) / nearest, min(long_enough, _MOST_PIECES)))
-    step = _ONE / np.float32(pieces)
-    area = _QUARTER_PI * lens[0] * lens[1] * diameter * diameter * share * step
-    for piece in range(1, pieces + 1):
-        passed = np.float32(piece) * step
-        z1 = z + dz * passed
-        u1 = lens[0] * (x + dx * passed) / z1 + lens[2]
-        v1 = lens[1] * (y + dy * passed) / z1 + lens[3]
-        wide = lens[0] * diameter * _TWO / (z0 + z1)
-        alpha = area / (z0 * z1)
-        across, along = abs(u1 - u0), abs(v1 - v0)
-        if wide > _WIDE or (wide > _WIDE_STILL and max(across, along) < _STILL):
-            _draw_disc(u0, v0, z0, u1, v1, z1, _HALF * wide, alpha, width, height, depth, picture)
-        elif along >= across:
-            _draw_thin(v0, u0, z0, v1, u1, z1, alpha, height, width, width, 1, depth, picture)
-        else:
-            _draw_thin(u0, v0, z0, u1, v1, z1, alpha, width, height, 1, width, depth, picture)
-        z0, u0, v0 = z1, u1, v1
-
-
-@device_function
-def _draw_thin(
-    s0, t0, z0, s1, t1, z1, alpha, s_count, t_count, s_stride, t_stride, depth, picture
-):  # fmt: skip
-    """Spread `alpha` evenly over a path; s is the image axis along which it is longer.
-
-    Every point of the path is shared linearly between the pixel centres around it, along both
-    axes, so that the streak's centroid is where it belongs and slides smoothly.
-    """
-    if s1 < s0:
-        s0, s1, t0, t1, z0, z1 = s1, s0, t1, t0, z1, z0
-    lacking = max(_SHORTEST - (s1 - s0), _ZERO) * _HALF
-    s0, s1 = s0 - lacking - _HALF, s1 + lacking - _HALF  # from here on in pixel centres
-    per_length = _ONE / (s1 - s0)
-    # clipped before the conversion: a path may reach far outside the picture
-    start = int(max(np.floor(s0), _ZERO))
-    stop = int(min(np.floor(s1) + _ONE, np.float32(s_count - 1))) + 1
-    for s in range(start, stop):
-        centre = np.float32(s)
-        part = (min(max(centre, s0), s1) - s0) * per_length
-        across = t0 + (t1 - t0) * part - _HALF
-        floor = np.floor(across)
-        if floor < -_ONE or floor >= np.float32(t_count):
-            continue
-        t, right = int(floor), across - floor
-        z = z0 + (z1 - z0) * part
-        amount = alpha * (_hat_integral(s1 - centre) - _hat_integral(s0 - centre)) * per_length
-        at = s * s_stride + t * t_stride
-        if t >= 0:
-            _deposit(at, amount * (_ONE - right), z, depth, picture)
-        if t + 1 < t_count:
-            _deposit(at + t_stride, amount * right, z, depth, picture)
-
-
-@device_function
-def _hat_integral(x):
-    """Integral up to x of the hat 1 - |x| on [-1, 1]."""
-    x = min(max(x, -_ONE), _ONE)
-    return _HALF + x - _HALF * x * abs(x)
-
-
-@device_function
-def _draw_disc(u0, v0, z0, u1, v1, z1, radius, alpha, width, height, depth, picture):
-    """Spread `alpha` over a moving disc by the share of time that it covers each pixel."""
-    du, dv = u1 - u0, v1 - v0
-    length = np.sqrt(du * du + dv * dv)
-    if length > _ZERO:
-        du, dv = du / length, dv / length
-    reach = radius + _ONE
-    top, bottom = int(np.floor(min(v0, v1) - reach)), int(np.floor(max(v0, v1) + reach))
-    left, right = int(np.floor(min(u0, u1) - reach)), int(np.floor(max(u0, u1) + reach))
-    total = _ZERO
-    for row in range(top, bottom + 1):
-        for column in range(left, right + 1):
-            total += _cover(row, column, u0, v0, du, dv, length, radius)
-    scale = alpha / max(total, _SHORTEST)
-    for row in range(max(top, 0), min(bottom, height - 1) + 1):
-        for column in range(max(left, 0), min(right, width - 1) + 1):
-            amount = scale * _cover(row, column, u0, v0, du, dv, length, radius)
-            if amount > _ZERO:
-                u, v = np.float32(column) + _HALF - u0, np.float32(row) + _HALF - v0
-                part = min(max((u * du + v * dv) / max(length, _SHORTEST), _ZERO), _ONE)
-                _deposit(row * width + column, amount, z0 + (z1 - z0) * part, depth, picture)
-
-
-@device_function
-def _cover(row, column, u0, v0, du, dv, length, radius):
-    """Share of time for which the moving disc covers a pixel, from four points in it."""
-    u, v = np.float32(column) + _HALF - u0, np.float32(row) + _HALF - v0
-    if abs(u * dv - v * du) > radius + _ONE:
-        return _ZERO
-    covered = _ZERO
-    for corner in range(4):
-        a = u + (_QUARTER if corner & 1 else -_QUARTER)
-        b = v + (_QUARTER if corner & 2 else -_QUARTER)
-        along, aside = a * du + b * dv, a * dv - b * du
-        if length <= _SHORTEST:  # still: inside or not
-            covered += _QUARTER if a * a + b * b < radius * radius else _ZERO
-            continue
-        half_chord = radius * radius - aside * aside
-        if half_chord > _ZERO:
-            half_chord = np.sqrt(half_chord)
-            inside = min(length, along + half_chord) - max(_ZERO, along - half_chord)
-            covered += _QUARTER * max(inside, _ZERO) / length
-    return covered
-
-
-@device_function
-def _deposit(at, alpha, z, depth, picture):
-    """Add one drop's alpha in one pixel as optical depth, unless something stands before it."""
-    if z >= depth[at]:
-        return
-    if alpha < _FAINT:
-        optical = alpha * (_ONE + alpha * (_HALF + alpha * _THIRD))
-    else:
-        optical = -np.log(_ONE - min(alpha, _OPAQUE))
-    picture[at] = min(picture[at] + np.int32(optical * _SCALE + _HALF), _CEILING)
-
-
-@device_function
-def _resolve_row(row, picture, alpha_out):
-    """Turn the workers' summed optical depths of one row into alpha."""
-    width = alpha_out.shape[1]
-    for column in range(width):
-        total = np.int64(0)
-        for worker in range(picture.shape[0]):
-            total += picture[worker, row * width + column]
-        optical = np.float32(min(total, np.int64(_CEILING))) / _SCALE
-        alpha_out[row, column] = -np.expm1(-optical)
-
-
 # ---- drivers' helpers
 
 
@@ -477,20 +371,47 @@ def _views(camera, camera_end):
     )  # fmt: skip
 
 
-def _view_box(camera, camera_end, far):
-    """Return the world box of what both cameras see up to `far`, and how far that moves between."""
+def _view_boxes(camera, camera_end, far):
+    """Return what both cameras see up to each class's `far`, and how far that moves between.
+
+    As the low and high corners (CLASSES, 3) of boxes of the world and a length (CLASSES,).
+    """
     corners = np.array([[u, v] for u in (0.0, camera.width) for v in (0.0, camera.height)])
-    rays = np.ones((4, 3))
-    rays[:, :2] = (corners - [camera.cx, camera.cy]) / [camera.fx, camera.fy]
-    points = np.concatenate([np.zeros((1, 3)), rays * far])
+    rays = np.zeros((5, 3))
+    rays[1:, :2] = (corners - [camera.cx, camera.cy]) / [camera.fx, camera.fy]
+    rays[1:, 2] = 1.0
     worlds = [
-        points @ c.camera_from_world[:3, :3] + c.position for c in (camera, camera_end)
+        far[:, None, None] * (rays @ c.camera_from_world[:3, :3]) + c.position
+        for c in (camera, camera_end)
     ]  # rows times R is R transposed times columns: world_from_camera
-    both = np.concatenate(worlds)
-    slack = float(np.linalg.norm(worlds[0] - worlds[1], axis=1).max()) + LARGEST
-    return both.min(axis=0) - LARGEST, both.max(axis=0) + LARGEST, slack
+    both = np.concatenate(worlds, axis=1)
+    slack = np.linalg.norm(worlds[0] - worlds[1], axis=2).max(axis=1) + LARGEST
+    return both.min(axis=1) - LARGEST, both.max(axis=1) + LARGEST, slack
 
 
-def _blank(shape):
-    """Return one empty picture of optical depths per worker."""
-    return np.zeros((set_threads(None), shape[0] * shape[1]), np.int32)
+def _checked_far(far):
+    """Return the depth of each class, (CLASSES,), from one for all or one for each."""
+    far = np.asarray(far, dtype=np.float64)
+    if far.shape not in ((), (CLASSES,)):
+        raise ParameterError(f"far has shape {far.shape}; it must be one number or ({CLASSES},)")
+    for value in {float(far.min()), float(far.max())}:
+        require_positive("far", value, "m")
+    return np.broadcast_to(far, (CLASSES,))
+
+
+_kept = threading.local()
+
+
+def _scratch(shape):
+    """Return room for depths, the tiles' depths and a blank picture of optical depths per worker.
+
+    Kept from call to call, for fresh memory costs as much as the drawing; `resolve_band` leaves
+    the pictures blank.
+    """
+    wanted = (set_threads(None), *shape)
+    if getattr(_kept, "shape", None) != wanted:
+        _kept.depth = np.empty(shape[0] * shape[1], np.float32)
+        _kept.tiles = np.empty([-(-n // BLOCK) for n in shape], np.float32)
+        _kept.pictures = np.zeros((wanted[0], shape[0] * shape[1]), np.int32)
+        _kept.shape = wanted
+    return _kept.depth, _kept.tiles, _kept.pictures

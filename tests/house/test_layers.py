@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 PACKAGE = Path(__file__).resolve().parent.parent.parent / "rainsim"
+BASE = ("rainsim.errors", "rainsim.timeline")
 MODULES = sorted(PACKAGE.rglob("*.py"))
 
 
@@ -69,9 +70,9 @@ def test_progress_bars_belong_to_the_command_line():
 
 
 def test_the_base_imports_nothing_above_it():
-    for base in ("errors.py", "jit.py", "config.py", "scene/types.py"):
+    for base in ("errors.py", "jit.py", "timeline.py", "config.py", "scene/types.py"):
         inside = {name for name in _imports(PACKAGE / base) if name.startswith("rainsim")}
-        inside = {name for name in inside if not name.startswith("rainsim.errors")}
+        inside = {name for name in inside if not name.startswith(BASE)}
         assert not inside, f"{base} imports {inside}"
 
 

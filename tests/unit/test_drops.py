@@ -336,3 +336,12 @@ def test_uniform_numbers_are_uniform():
     for values in (uniform(words), *uniform_triple(words)):
         assert stats.kstest(values, "uniform").pvalue > 0.01
     assert len(np.unique(words)) == len(words)
+
+
+def test_hits_within_a_rectangle_are_those_of_all_that_lie_in_it():
+    field, surfaces = RainField(RainSpectrum(50), (3, -1), seed=8), roofed()
+    every = impacts(field, surfaces, 1.0, 1.1)
+    low, high = np.array([0.7, 1.1]), np.array([2.3, 9.0])
+    some = impacts(field, surfaces, 1.0, 1.1, within=np.stack([low, high]))
+    inside = ((every.position[:, :2] >= low) & (every.position[:, :2] < high)).all(axis=1)
+    assert np.array_equal(some.id, every.id[inside]) and 0 < inside.sum() < len(every)

@@ -159,3 +159,25 @@ def test_bad_tiles_are_refused():
         RippleTile(cells=8).set_elevation(np.zeros((4, 4)))
     with pytest.raises(ParameterError, match="duration"):
         RippleTile(cells=8).advance(-1.0)
+
+
+@pytest.mark.parametrize(("wavelength", "life"), [(0.01, 0.36), (0.02, 1.05), (0.005, 0.11)])
+def test_a_surface_film_damps_as_the_physics_notes_say(wavelength, life):
+    k = 2 * np.pi / wavelength
+    assert 1 / (damping_rate(k, 0.1, 1.0) - damping_rate(k, 0.1)) == pytest.approx(life, rel=0.04)
+    clean, filmed = RippleTile(0.5, 64, 0.05), RippleTile(0.5, 64, 0.05, film=1.0)
+    for tile in (clean, filmed):
+        tile.advance(0.0, np.array([[0.2, 0.2]]), momentum(3e-3))
+        tile.advance(0.3)
+    # exp(-2 t / life) with a life of 2 s at 200 rad/m, where most of the energy is
+    assert filmed.energy() == pytest.approx(0.74 * clean.energy(), rel=0.1)
+
+
+def test_a_tile_in_float32_shows_the_slopes_of_float64():
+    tiles = [RippleTile(0.5, 64, 0.05, dtype=d) for d in (np.float32, np.float64)]
+    for tile in tiles:
+        tile.advance(0.0, np.array([[0.2, 0.2]]), momentum(3e-3))
+        for _ in range(30):
+            tile.advance(1 / 30)
+    single, double = (tile.slopes() for tile in tiles)
+    assert np.abs(single - double).max() < 1e-3 * np.abs(double).max() > 0

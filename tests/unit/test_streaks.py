@@ -6,12 +6,17 @@ import pytest
 from rainsim.drops import RainField, RainSpectrum, Surfaces, flat_surfaces
 from rainsim.errors import ParameterError
 from rainsim.scene.types import Camera
+from rainsim.shade import fog_thickness
 from rainsim.streaks import (
+    FAINTEST,
     NEAR,
+    NO_FOG,
     draw_droplets,
     draw_streaks,
     fog_extinction,
     fog_optical_depth,
+    fog_table,
+    streak_reach,
 )
 
 FOCAL = 500.0  # px
@@ -267,3 +272,43 @@ def test_bad_input_is_refused():
         rain_alpha(field, camera, far=-1.0)
     with pytest.raises(ParameterError, match="shape"):
         rain_alpha(field, camera, depth=np.zeros((3, 3), np.float32))
+
+
+# ---- what is left to the fog
+
+
+@pytest.mark.parametrize("exposure", [1 / 250, 1 / 60])
+def test_drops_too_faint_to_see_are_fog_and_nothing_is_lost(exposure):
+    """Drawn + fog with each class's own reach is what it is with one split for all."""
+    field, camera = RainField(RainSpectrum(50), seed=3), looking("ahead", focal=300.0)
+    depth = np.full((80, 96), 9.0, np.float32)
+    reach = streak_reach(field, camera, exposure, 9.0)
+    assert reach.min() < 3 < reach.max() <= 9 and (np.diff(reach) >= 0).all()
+    totals, errors = [], []
+    for far in (9.0, reach):
+        drawn = [
+            -np.log1p(-rain_alpha(field, camera, far, t, exposure, depth=depth)).mean(dtype=float)
+            for t in np.arange(24) * 0.7
+        ]
+        totals.append(np.mean(drawn) + fog_optical_depth(field, 9.0, far))
+        errors.append(np.std(drawn) / np.sqrt(24))
+    assert abs(totals[0] - totals[1]) < max(0.01 * totals[0], 2 * max(errors))
+
+
+def test_beyond_its_reach_a_drop_hardly_changes_a_pixel():
+    field, camera = RainField(RainSpectrum(50)), looking("ahead", height=400)
+    reach = streak_reach(field, camera, 1 / 60, 100.0)
+    for size_class in (0, 20, 40):
+        diameter, speed = field.spectrum.edges[size_class + 1], field.spectrum.speed[size_class]
+        alpha = one_drop((reach[size_class], 0, 0), (0, 0, -speed), diameter, camera, 1 / 60)
+        assert 0.2 * FAINTEST < alpha.max() < 1.1 * FAINTEST
+
+
+def test_the_fog_table_holds_the_optical_depth():
+    field, camera = RainField(RainSpectrum(50)), looking("ahead")
+    reach = streak_reach(field, camera, 1 / 60, 8.0)
+    table = fog_table(field, reach)
+    for depth in (0.5, 2.2, 5.0, 30.0):
+        read = fog_thickness(table, np.float32(depth))
+        assert read == pytest.approx(fog_optical_depth(field, depth, reach), rel=2e-3, abs=2e-6)
+    assert fog_thickness(NO_FOG, np.float32(50.0)) == 0

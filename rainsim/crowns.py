@@ -1,0 +1,190 @@
+"""Crowns: the ring of water that a splashing drop throws up, as lines that a picture can draw.
+
+A crown is a rim on a thin sheet, some milliseconds old; over deep water a jet follows it. What one
+exposure sees of it is given as short lines, each with the area of water that it stands for.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from rainsim.jit import device_function, serial_kernel
+from rainsim.random import subkey, uniform_triple
+
+LONGEST_CROWN = 0.030  # s
+LONGEST_JET = 0.075  # s after the impact
+FINE_PIXEL = 8e-3  # m; where pixels are wider neither jets nor droplets are drawn
+_DENSITY, _TENSION = 998.0, 0.0728  # kg/m3, N/m; water at 20 C
+_WEBER = 600.0  # of a drop of 1.5 mm: what the three numbers below belong to
+_LIFE = 22.0  # of a crown, in units of diameter over speed
+_HEIGHT = 1.8  # diameters, greatest
+_BELOW_INVISCID = 0.65  # narrower than the inviscid estimate: by eye, not measured
+_THINNEST, _THICKEST = 0.2, 3.0  # film over diameter between which the estimate is used
+_FLARE = 0.3  # the rim leans out by this share of its height
+_FINGERS = 0.45  # by which share of its height the rim is jagged
+_RIM = 0.17  # thickness of the rim over the drop's diameter
+_RIM_ALPHA, _SHEET_ALPHA = 0.8, 0.3  # share of light that each replaces; a sheet is a window
+_JET_FROM = 2.0  # film over diameter from which on a jet rises
+_JET_START, _JET_HEIGHT, _JET_WIDTH = 0.018, 3.0, 0.55  # s; diameters
+_SEGMENT = 1.5  # px, length of a piece of the ring
+_FEWEST, _MOST = 5, 40  # pieces of the ring
+_MOST_TIMES = 4  # moments in which a growing crown is drawn
+_FULL_TURN = 2 * math.pi
+
+
+@dataclass(frozen=True)
+class Lines:
+    """Pieces of water that a picture shows, in the form in which streaks are drawn.
+
+    Attributes
+    ----------
+    position : ndarray of shape (n, 3), float64 [m]
+        Where the line begins.
+    velocity : ndarray of shape (n, 3), float64 [m/s]
+        Its length over the exposure.
+    diameter : ndarray of shape (n,), float64 [m]
+        Of the disc with the line's area.
+    """
+
+    position: np.ndarray
+    velocity: np.ndarray
+    diameter: np.ndarray
+
+    def __len__(self):
+        return len(self.diameter)
+
+
+def crown_lines(impacts, film, size, start, exposure, pixel):
+    """Return what an exposure sees of the crowns and jets of some impacts.
+
+    Parameters
+    ----------
+    impacts : Impacts
+        That splash on a film of water.
+    film : ndarray of shape (n,), float64 [m]
+        Depth of water at each.
+    size : ndarray of shape (n,), float64
+        Of each splash over the largest that such a drop makes.
+    start, exposure : float [s]
+        The shutter is open from `start` to `start + exposure`.
+    pixel : ndarray of shape (n,), float64 [m]
+        Width of a pixel at each impact: finer detail than that is left out.
+
+    Returns
+    -------
+    Lines
+
+    Notes
+    -----
+    The crown's foot grows as Yarin and Weiss 1995 (J. Fluid Mech. 283, 141) have it, R / D =
+    (2 / (3 h / D))^(1/4) (V t / D)^(1/2), times a factor chosen by eye. Height
+    and life grow with the square root of the Weber number; their size, and the jet, are by eye, not
+    validated against measurement.
+    """
+    speed = np.abs(impacts.velocity[:, 2])
+    diameter = impacts.diameter
+    strength = np.sqrt(_DENSITY * speed**2 * diameter / _TENSION / _WEBER)
+    life = np.minimum(_LIFE * strength * diameter / speed, LONGEST_CROWN)
+    relative = film / diameter
+    spread = _BELOW_INVISCID * (2 / (3 * np.clip(relative, _THINNEST, _THICKEST))) ** 0.25
+    growth = size * spread * np.sqrt(speed * diameter)  # m / s^(1/2)
+    height = size * _HEIGHT * strength * diameter
+    jet = (relative > _JET_FROM) & (pixel < FINE_PIXEL)
+    shapes = np.stack([diameter, start - impacts.time, life, growth, height, jet, pixel], axis=1)
+    drift = 0.1 * impacts.velocity[:, :2]
+    capacity = 4096
+    while True:
+        out = np.empty((capacity, 7))
+        count = _raise(impacts.position, drift, shapes, impacts.id, float(exposure), out)
+        if count <= capacity:
+            break
+        capacity = count
+    out = out[:count]
+    return Lines(
+        np.ascontiguousarray(out[:, :3]), np.ascontiguousarray(out[:, 3:6]),
+        np.ascontiguousarray(out[:, 6]),
+    )  # fmt: skip
+
+
+@serial_kernel
+def _raise(position, drift, shapes, ids, exposure, out):
+    """Fill in the lines (see `Lines`: 3 + 3 + 1 numbers) that fit and return how many there are."""
+    count = 0
+    for n in range(len(ids)):
+        diameter, age, life, growth, height, jet, pixel = shapes[n]
+        x, y, z = position[n]
+        begin, end = max(age, 0.0), min(age + exposure, life)
+        if begin < end:
+            grown = growth * (math.sqrt(end) - math.sqrt(begin))
+            times = min(1 + int(grown / pixel), _MOST_TIMES)
+            share = (end - begin) / (exposure * times)
+            for moment in range(times):
+                time = begin + (end - begin) * (moment + 0.5) / times
+                passed = time / life
+                top = height * 4 * passed * (1 - passed)
+                foot = growth * math.sqrt(time)
+                fading = share * (1 - passed * passed)
+                count = _ring(
+                    x + drift[n, 0] * time, y + drift[n, 1] * time, z, foot, top,
+                    _RIM * diameter, fading, pixel, ids[n], exposure, count, out,
+                )  # fmt: skip
+        if jet > 0:
+            begin, end = max(age, _JET_START), min(age + exposure, LONGEST_JET)
+            if begin < end:
+                passed = (0.5 * (begin + end) - _JET_START) / (LONGEST_JET - _JET_START)
+                tall = _JET_HEIGHT * diameter * 4 * passed * (1 - passed)
+                area = tall * _JET_WIDTH * diameter * _RIM_ALPHA * (end - begin) / exposure
+                count = _line(x, y, z, x, y, z + tall, area, exposure, count, out)
+    return count
+
+
+@device_function
+def _ring(x, y, z, foot, top, thickness, share, pixel, key, exposure, count, out):
+    """Add one crown at one moment: a jagged rim, and under it the sheet."""
+    rim = foot + _FLARE * top
+    pieces = min(max(int(_FULL_TURN * rim / (_SEGMENT * pixel)), _FEWEST), _MOST)
+    turn = _FULL_TURN / pieces
+    turned, _, _ = uniform_triple(subkey(key, 1 << 20))
+    # The rim's number of fingers is its own, however many pieces draw it.
+    phase_1, phase_2, wave = uniform_triple(subkey(key, (1 << 20) + 1))
+    fingers = 5 + int(4 * wave)
+    last = np.empty(3)
+    length = 2 * rim * math.sin(turn / 2)
+    rim_area = length * thickness * _RIM_ALPHA * share
+    sheet_area = turn * 0.5 * (rim + foot) * _SHEET_ALPHA * share
+    for piece in range(pieces + 1):
+        angle = turn * (piece + turned)
+        jagged = math.sin(fingers * angle + _FULL_TURN * phase_1)
+        jagged = 0.6 * jagged + 0.4 * math.sin(3 * angle + _FULL_TURN * phase_2)
+        high = top * (1 - _FINGERS * (0.5 - 0.5 * jagged))
+        cosine, sine = math.cos(angle), math.sin(angle)
+        out_there = foot + _FLARE * high
+        px, py, pz = x + out_there * cosine, y + out_there * sine, z + high
+        if piece > 0:
+            area = rim_area
+            if high > 0.5 * pixel:
+                slant = math.sqrt(high * high + (out_there - foot) ** 2)
+                count = _line(
+                    x + foot * cosine, y + foot * sine, z, px, py, pz,
+                    sheet_area * slant, exposure, count, out,
+                )  # fmt: skip
+            else:
+                area += sheet_area * high
+            count = _line(last[0], last[1], last[2], px, py, pz, area, exposure, count, out)
+        last[0], last[1], last[2] = px, py, pz
+    return count
+
+
+@device_function
+def _line(x0, y0, z0, x1, y1, z1, area, exposure, count, out):
+    """Add a line of the given area [m2]."""
+    if count < len(out):
+        out[count, 0], out[count, 1], out[count, 2] = x0, y0, z0
+        out[count, 3] = (x1 - x0) / exposure
+        out[count, 4] = (y1 - y0) / exposure
+        out[count, 5] = (z1 - z0) / exposure
+        out[count, 6] = math.sqrt(area * 4 / math.pi)
+    return count + 1

@@ -1,0 +1,252 @@
+"""Marks in a picture of optical depths: drops on short paths, antialiased, of a given summed alpha.
+
+A picture is a flat int32 array of whole units of optical depth, so that neither the order of the
+marks nor the number of threads matters. It is stored column by column, as its depth is: most rain
+falls down the picture, and neighbours in memory are what makes that fast. Everything here is in the
+camera frame, in float32.
+"""
+
+import math
+
+import numpy as np
+
+from rainsim.jit import device_function
+from rainsim.surfaces import BLOCK
+
+_WIDE = np.float32(1.5)  # px; wider drops are drawn as discs
+_STILL = np.float32(3.0)  # px; a shorter path of a drop nearly as wide as a pixel is a disc too
+_WIDE_STILL = np.float32(0.9)  # px
+_LONG = np.float32(3.0)  # widths; a longer wide path is drawn in strips
+_STRIPS = np.float32(1.0)  # per px
+_PIECES = np.float32(10.0)  # a path is cut where the depth has changed by a tenth
+_MOST_PIECES = np.float32(63.0)
+
+_SCALE = np.float32(2**23)  # units of the picture per unit of optical depth
+_CEILING = np.int32(2**30)  # optical depth 128: black, and two of them still fit an int32
+_OPAQUE = np.float32(0.9997)  # the most that one drop replaces in one pixel
+_FAINT = np.float32(0.05)  # below it three terms give -log(1 - alpha) to 3e-5
+_ZERO, _HALF, _ONE, _TWO = np.float32(0.0), np.float32(0.5), np.float32(1.0), np.float32(2.0)
+_SIXTH, _QUARTER = np.float32(1 / 6), np.float32(0.25)
+_HALF_SCALE, _THIRD_SCALE = np.float32(2**22), np.float32(2**23 / 3)
+_QUARTER_PI = np.float32(math.pi / 4)
+_FARTHEST = np.float32(1e6)  # px
+_SHORTEST = np.float32(0.05)  # px; length given to a path that hardly moves
+
+
+@device_function
+def draw_path(
+    x, y, z, x_end, y_end, z_end, share, diameter, lens, near, width, height, depth, picture
+):  # fmt: skip
+    """Draw the first `share` of a drop's straight path in the camera frame.
+
+    A path towards or away from the camera is cut into pieces of equal time, each with its share of
+    (pi/4) fx fy (D / z)^2, whose mean over a piece is that of 1 / (z0 z1); never so finely that
+    pieces lie on each other in the picture.
+    """
+    dx, dy, dz = (x_end - x) * share, (y_end - y) * share, (z_end - z) * share
+    z_end = max(z + dz, _HALF * near)
+    z0 = z
+    u0, v0 = lens[0] * x / z + lens[2], lens[1] * y / z + lens[3]
+    u_end, v_end = lens[0] * (x + dx) / z_end + lens[2], lens[1] * (y + dy) / z_end + lens[3]
+    nearest = min(z, z_end)
+    long_enough = max(abs(u_end - u0), abs(v_end - v0)) / (_TWO + lens[0] * diameter / nearest)
+    pieces = 1 + int(min(_PIECES * abs(dz) / nearest, min(long_enough, _MOST_PIECES)))
+    step = _ONE / np.float32(pieces)
+    area = _QUARTER_PI * lens[0] * lens[1] * diameter * diameter * share * step
+    for piece in range(1, pieces + 1):
+        passed = np.float32(piece) * step
+        z1 = z + dz * passed
+        u1 = lens[0] * (x + dx * passed) / z1 + lens[2]
+        v1 = lens[1] * (y + dy * passed) / z1 + lens[3]
+        wide = lens[0] * diameter * _TWO / (z0 + z1)
+        alpha = area / (z0 * z1)
+        across, along = abs(u1 - u0), abs(v1 - v0)
+        if wide > _WIDE and max(across, along) > _LONG * wide:
+            _draw_strips(u0, v0, z0, u1, v1, z1, wide, alpha, width, height, depth, picture)
+        elif wide > _WIDE or (wide > _WIDE_STILL and max(across, along) < _STILL):
+            _draw_disc(u0, v0, z0, u1, v1, z1, _HALF * wide, alpha, width, height, depth, picture)
+        elif along >= across:
+            _draw_thin(v0, u0, z0, v1, u1, z1, alpha, height, width, 1, height, depth, picture)
+        else:
+            _draw_thin(u0, v0, z0, u1, v1, z1, alpha, width, height, height, 1, depth, picture)
+        z0, u0, v0 = z1, u1, v1
+
+
+@device_function
+def _draw_strips(u0, v0, z0, u1, v1, z1, wide, alpha, width, height, depth, picture):
+    """Spread `alpha` over a wide path that is much longer than wide, as thin paths side by side.
+
+    Each has the share of time that the drop's disc covers it; the round ends are left out.
+    """
+    du, dv = u1 - u0, v1 - v0
+    scale = wide / np.sqrt(du * du + dv * dv)
+    du, dv = du * scale, dv * scale
+    strips = int(wide * _STRIPS) + 1
+    step = _ONE / np.float32(strips)
+    total = _ZERO
+    for strip in range(strips):
+        aside = (np.float32(strip) + _HALF) * step - _HALF
+        total += np.sqrt(_QUARTER - aside * aside)
+    for strip in range(strips):
+        aside = (np.float32(strip) + _HALF) * step - _HALF
+        part = alpha * np.sqrt(_QUARTER - aside * aside) / total
+        u, v = u0 - aside * dv, v0 + aside * du
+        a, b = u1 - aside * dv, v1 + aside * du
+        if abs(dv) >= abs(du):
+            _draw_thin(v, u, z0, b, a, z1, part, height, width, 1, height, depth, picture)
+        else:
+            _draw_thin(u, v, z0, a, b, z1, part, width, height, height, 1, depth, picture)
+
+
+@device_function
+def _draw_thin(
+    s0, t0, z0, s1, t1, z1, alpha, s_count, t_count, s_stride, t_stride, depth, picture
+):  # fmt: skip
+    """Spread `alpha` evenly over a path; s is the image axis along which it is longer.
+
+    Every point of the path is shared linearly between the pixel centres around it, along both
+    axes, so that the streak's centroid is where it belongs and slides smoothly.
+    """
+    if s1 < s0:
+        s0, s1, t0, t1, z0, z1 = s1, s0, t1, t0, z1, z0
+    lacking = max(_SHORTEST - (s1 - s0), _ZERO) * _HALF
+    s0, s1 = s0 - lacking - _HALF, s1 + lacking - _HALF  # from here on in pixel centres
+    per_length = _ONE / (s1 - s0)
+    inner = alpha * per_length
+    lean, recede = (t1 - t0) * per_length, (z1 - z0) * per_length
+    # clipped before the conversion: a path may reach far outside the picture
+    start = int(max(np.floor(s0), _ZERO))
+    stop = int(min(np.floor(s1) + _ONE, np.float32(s_count - 1))) + 1
+    highest = np.float32(t_count)
+    for s in range(start, stop):
+        centre = np.float32(s)
+        amount, passed = inner, centre - s0
+        if centre < s0 + _ONE or centre > s1 - _ONE:
+            amount *= _hat_integral(s1 - centre) - _hat_integral(s0 - centre)
+            passed = min(max(passed, _ZERO), s1 - s0)
+        across = t0 + lean * passed + _HALF  # from the centre of the pixel before the picture
+        if across < _ZERO or across >= highest + _ONE:
+            continue
+        t = int(across) - 1
+        right = across - np.float32(t + 1)
+        z = z0 + recede * passed
+        at = s * s_stride + t * t_stride
+        if t >= 0:
+            _deposit(at, amount * (_ONE - right), z, depth, picture)
+        if t + 1 < t_count:
+            _deposit(at + t_stride, amount * right, z, depth, picture)
+
+
+@device_function
+def _hat_integral(x):
+    """Integral up to x of the hat 1 - |x| on [-1, 1]."""
+    x = min(max(x, -_ONE), _ONE)
+    return _HALF + x - _HALF * x * abs(x)
+
+
+@device_function
+def _draw_disc(u0, v0, z0, u1, v1, z1, radius, alpha, width, height, depth, picture):
+    """Spread `alpha` over a moving disc by the share of time that it covers each pixel."""
+    du, dv = u1 - u0, v1 - v0
+    length = np.sqrt(du * du + dv * dv)
+    if length > _ZERO:
+        du, dv = du / length, dv / length
+    reach = radius + _ONE
+    top, bottom = int(np.floor(min(v0, v1) - reach)), int(np.floor(max(v0, v1) + reach))
+    left, right = int(np.floor(min(u0, u1) - reach)), int(np.floor(max(u0, u1) + reach))
+    # A slanted path fills little of the box around it: only a stretch of each row is looked at.
+    slope, half = _ZERO, _FARTHEST
+    if abs(dv) * length > _ONE:
+        slope, half = du / dv, reach / abs(dv)
+    total = _ZERO
+    for row in range(top, bottom + 1):
+        first, last = _stretch(row, u0, v0, slope, half, left, right)
+        for column in range(first, last + 1):
+            total += _cover(row, column, u0, v0, du, dv, length, radius)
+    scale = alpha / max(total, _SHORTEST)
+    for row in range(max(top, 0), min(bottom, height - 1) + 1):
+        first, last = _stretch(row, u0, v0, slope, half, left, right)
+        for column in range(max(first, 0), min(last, width - 1) + 1):
+            amount = scale * _cover(row, column, u0, v0, du, dv, length, radius)
+            if amount > _ZERO:
+                u, v = np.float32(column) + _HALF - u0, np.float32(row) + _HALF - v0
+                part = min(max((u * du + v * dv) / max(length, _SHORTEST), _ZERO), _ONE)
+                _deposit(column * height + row, amount, z0 + (z1 - z0) * part, depth, picture)
+
+
+@device_function
+def _stretch(row, u0, v0, slope, half, left, right):
+    """Return the first and last column that a path of half width `half` may touch in a row."""
+    middle = u0 + (np.float32(row) + _HALF - v0) * slope
+    first = max(middle - half - _HALF, np.float32(left))
+    last = min(middle + half + _HALF, np.float32(right))
+    return int(np.floor(first)), int(np.floor(last))
+
+
+@device_function
+def _cover(row, column, u0, v0, du, dv, length, radius):
+    """Share of time for which the moving disc covers a pixel, from four points in it."""
+    u, v = np.float32(column) + _HALF - u0, np.float32(row) + _HALF - v0
+    if abs(u * dv - v * du) > radius + _ONE:
+        return _ZERO
+    covered = _ZERO
+    for corner in range(4):
+        a = u + (_QUARTER if corner & 1 else -_QUARTER)
+        b = v + (_QUARTER if corner & 2 else -_QUARTER)
+        along, aside = a * du + b * dv, a * dv - b * du
+        if length <= _SHORTEST:  # still: inside or not
+            covered += _QUARTER if a * a + b * b < radius * radius else _ZERO
+            continue
+        half_chord = radius * radius - aside * aside
+        if half_chord > _ZERO:
+            half_chord = np.sqrt(half_chord)
+            inside = min(length, along + half_chord) - max(_ZERO, along - half_chord)
+            covered += _QUARTER * max(inside, _ZERO) / length
+    return covered
+
+
+@device_function
+def _deposit(at, alpha, z, depth, picture):
+    """Add one drop's alpha in one pixel as optical depth, unless something stands before it."""
+    if z < depth[at]:
+        if alpha < _FAINT:  # too little to reach the ceiling, however many there are
+            optical = alpha * (_SCALE + alpha * (_HALF_SCALE + alpha * _THIRD_SCALE))
+            picture[at] += np.int32(optical + _HALF)
+        else:
+            optical = -np.log(_ONE - min(alpha, _OPAQUE)) * _SCALE
+            picture[at] = min(picture[at] + np.int32(optical + _HALF), _CEILING)
+
+
+@device_function
+def read_depth(band, depth, columns_out, tile_depth_out):
+    """Copy a band of rows, column by column, and fill in the greatest depth of each tile of it."""
+    height, width = depth.shape
+    first, end = band * BLOCK, min((band + 1) * BLOCK, height)
+    for tile in range(tile_depth_out.shape[1]):
+        most = depth[first, tile * BLOCK]
+        for column in range(tile * BLOCK, min((tile + 1) * BLOCK, width)):
+            for row in range(first, end):
+                columns_out[column * height + row] = depth[row, column]
+                most = max(most, depth[row, column])
+        tile_depth_out[band, tile] = most
+
+
+@device_function
+def resolve_band(band, picture, alpha_out):
+    """Turn the workers' summed optical depths of a band into alpha, and blank them again."""
+    height, width = alpha_out.shape
+    first, end = band * BLOCK, min((band + 1) * BLOCK, height)
+    for column in range(width):
+        for row in range(first, end):
+            total = np.int64(0)
+            for worker in range(picture.shape[0]):
+                total += picture[worker, column * height + row]
+                picture[worker, column * height + row] = 0
+            alpha = _ZERO
+            if total > 0:
+                optical = np.float32(min(total, np.int64(_CEILING))) / _SCALE
+                if optical < _FAINT:
+                    alpha = optical * (_ONE - optical * (_HALF - optical * _SIXTH))
+                else:
+                    alpha = -np.expm1(-optical)
+            alpha_out[row, column] = alpha

@@ -1,0 +1,122 @@
+"""Crowns: as wide and as lasting as cited, right in area, drawn, and gone when they should be."""
+
+import numpy as np
+import pytest
+
+from rainsim.crowns import LONGEST_CROWN, crown_lines
+from rainsim.drops import Impacts, RainField, RainSpectrum, Surfaces, flat_surfaces
+from rainsim.scene.types import Camera
+from rainsim.spectrum import terminal_speed
+from rainsim.splash import WET_FILM, draw_splashes, splash_droplets
+
+
+def fallen(diameters, time=0.0):
+    diameters = np.asarray(diameters, np.float64)
+    n = len(diameters)
+    velocity = np.zeros((n, 3))
+    velocity[:, 2] = -terminal_speed(diameters)
+    return Impacts(
+        np.zeros((n, 3)), velocity, diameters, np.full(n, time), np.zeros(n, np.uint8),
+        np.zeros(n, np.int32), np.zeros(n, np.int32), np.arange(n, dtype=np.uint64) + 5,
+    )  # fmt: skip
+
+
+def crown(diameter, age, film=1e-3, exposure=1e-5, pixel=1e-4):
+    one = np.ones(1)
+    return crown_lines(fallen([diameter]), film * one, one, age, exposure, pixel * one)
+
+
+def width(lines):
+    return np.hypot(lines.position[:, 0], lines.position[:, 1]).max()
+
+
+@pytest.mark.parametrize("diameter", [1.5e-3, 2.5e-3, 4e-3])
+def test_the_foot_grows_with_the_square_root_of_time(diameter):
+    feet = []
+    for age in (1e-3, 4e-3):
+        lines = crown(diameter, age)
+        low = lines.position[:, 2] == 0  # where sheets stand
+        feet.append(np.hypot(*lines.position[low, :2].T).mean())
+    assert feet[1] / feet[0] == pytest.approx(2, rel=0.01)
+    speed = terminal_speed(diameter)
+    inviscid = diameter * (2 * diameter / 3e-3) ** 0.25 * (speed * 1e-3 / diameter) ** 0.5
+    assert 0.5 < feet[0] / inviscid < 1  # h / D within the clipped range for these drops
+
+
+def test_a_crown_rises_sinks_and_is_gone():
+    heights = [crown(3e-3, age).position[:, 2].max(initial=0) for age in (1e-3, 8e-3, 16e-3)]
+    assert heights[0] < heights[1] > heights[2]
+    assert 2e-3 < heights[1] < 15e-3
+    assert len(crown(3e-3, LONGEST_CROWN)) == 0 and len(crown(3e-3, -0.01)) == 0
+
+
+def test_bigger_drops_make_bigger_crowns():
+    sizes = [width(crown(d, 4e-3)) for d in (1.5e-3, 2.5e-3, 4e-3)]
+    assert sizes == sorted(sizes) and sizes[2] < 25e-3
+
+
+def test_detail_follows_the_pixel_and_the_area_hardly_does():
+    fine, coarse = crown(3e-3, 5e-3, pixel=2e-4), crown(3e-3, 5e-3, pixel=5e-3)
+    assert len(fine) > 3 * len(coarse) > 5
+    assert (fine.diameter**2).sum() == pytest.approx((coarse.diameter**2).sum(), rel=0.15)
+
+
+def test_an_exposure_shows_the_share_of_time_that_a_crown_lives():
+    short = crown(2e-3, 0.0, exposure=0.03, pixel=1.0)
+    long = crown(2e-3, 0.0, exposure=0.06, pixel=1.0)
+    assert (short.diameter**2).sum() == pytest.approx(2 * (long.diameter**2).sum(), rel=1e-6)
+
+
+def test_a_jet_rises_from_deep_water_only():
+    deep, shallow = crown(3e-3, 0.045, film=0.02), crown(3e-3, 0.045, film=1e-3)
+    assert len(deep) == 1 and len(shallow) == 0
+
+
+def test_droplets_of_an_exposure_are_those_of_its_moments():
+    impact = fallen([3e-3])
+    still = splash_droplets(impact, 1e-3, 0.01)
+    moving = splash_droplets(impact, 1e-3, 0.01, 0.01)
+    end = splash_droplets(impact, 1e-3, 0.02)
+    np.testing.assert_allclose(moving.position, still.position)
+    np.testing.assert_allclose(moving.position + moving.velocity * 0.01, end.position, atol=1e-12)
+    born = splash_droplets(impact, 1e-3, -0.005, 0.01)  # half of the exposure
+    assert len(born) == len(still)
+    np.testing.assert_allclose(born.diameter, still.diameter * np.sqrt(0.5))
+
+
+def camera(size=160):
+    rotation = np.array([[1.0, 0, 0], [0, -0.5, -np.sqrt(0.75)], [0, np.sqrt(0.75), -0.5]])
+    matrix = np.eye(4)
+    matrix[:3, :3] = rotation
+    matrix[:3, 3] = -rotation @ np.array([2.0, 0.4, 1.0])
+    return Camera(size, size, size, size, size / 2, size / 2, matrix)
+
+
+def drawn(surfaces, time=1.0, film=WET_FILM, rate=50, exposure=1 / 60):
+    view = camera()
+    alpha = np.full((view.height, view.width), np.nan, np.float32)
+    depth = np.full_like(alpha, np.inf)
+    water = np.zeros(surfaces.shape, np.float32)
+    field = RainField(RainSpectrum(rate), seed=1)
+    draw_splashes(field, surfaces, view, time, exposure, water, film, depth, alpha)
+    return alpha
+
+
+def test_splashes_are_seen_on_the_ground_and_on_a_table():
+    ground = flat_surfaces(4, 4, 0.05)
+    alpha = drawn(ground)
+    assert alpha.max() > 0.1 and 0.002 < (alpha > 0.03).mean() < 0.5
+    level = np.zeros((80, 80), np.float32)
+    table = Surfaces(0.05, (0, 0), level, level + 0.5, level + 0.45)
+    assert drawn(table).max() > 0.1 and (drawn(table) != alpha).any()
+    assert drawn(ground, rate=0).max() == 0
+
+
+def test_splashes_live_for_some_frames_and_threads_do_not_matter(threads):
+    ground = flat_surfaces(4, 4, 0.05)
+    threads(1)
+    first, soon, late = (drawn(ground, 1.0 + dt, exposure=1e-3) for dt in (0, 0.002, 0.2))
+    threads(2)
+    assert first.tobytes() == drawn(ground, 1.0, exposure=1e-3).tobytes()
+    alike, other = (np.corrcoef(first.ravel(), a.ravel())[0, 1] for a in (soon, late))
+    assert alike > 0.4 > 0.2 > other
