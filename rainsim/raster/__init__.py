@@ -67,7 +67,6 @@ class Rasterizer:
         self.prepared = prepared
         self._record = np.empty((0, RECORD), np.float32)
         self._box = np.empty((0, 4), np.int16)
-        self._splat = np.empty(0, np.int32)
         self._entry = np.empty(0, np.uint64)
 
     def draw(self, camera, near, plane=None, depth="expected", compensate=False, degree=None):
@@ -107,7 +106,7 @@ class Rasterizer:
         project_chunks(
             p.geometry, p.sh, chunks, view, eye, lens, size, near, plane, flat, bool(compensate),
             stored if degree is None else min(degree, stored), across,
-            self._record, self._splat, self._box, visible, count,
+            self._record, self._box, visible, count,
         )  # fmt: skip
         start = tile_starts(count)
         if start[-1] > len(self._entry):
@@ -133,7 +132,6 @@ class Rasterizer:
         if places > len(self._record):
             self._record = np.empty((places, RECORD), np.float32)
             self._box = np.empty((places, 4), np.int16)
-            self._splat = np.empty(places, np.int32)
 
 
 def rasterize(prepared, camera, near=0.01, **options):

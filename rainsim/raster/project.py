@@ -8,6 +8,7 @@ from rainsim.jit import cpu_kernel, device_function, prange
 from rainsim.raster.prepared import LANES, OPACITY
 
 TILE = 16  # px
+TILE_SHIFT = 4  # log2 of it
 BLOCKS = 32  # parts of the scene with tile counts of their own; fixed, whatever the threads
 RECORD = 16  # float32 numbers of a projected splat: one cache line
 
@@ -230,6 +231,9 @@ def write_records(
     g, s, view, orthographic, across, place, record_out, box_out, count_out
 ):  # fmt: skip
     """Write the seen splats of a chunk one after the other; return their number."""
+    v00, v01, v02 = view[0, 0], view[0, 1], view[0, 2]
+    v10, v11, v12 = view[1, 0], view[1, 1], view[1, 2]
+    v20, v21, v22 = view[2, 0], view[2, 1], view[2, 2]
     o = place
     for i in range(LANES):
         if s[FIRST + i] > s[LAST + i]:
@@ -242,9 +246,9 @@ def write_records(
         x, y, z = s[X + i], s[Y + i], s[Z + i]
         r[9] = z
         nx, ny, nz = g[9 * LANES + i], g[10 * LANES + i], g[11 * LANES + i]
-        n0 = view[0, 0] * nx + view[0, 1] * ny + view[0, 2] * nz
-        n1 = view[1, 0] * nx + view[1, 1] * ny + view[1, 2] * nz
-        n2 = view[2, 0] * nx + view[2, 1] * ny + view[2, 2] * nz
+        n0 = v00 * nx + v01 * ny + v02 * nz
+        n1 = v10 * nx + v11 * ny + v12 * nz
+        n2 = v20 * nx + v21 * ny + v22 * nz
         distance = n0 * x + n1 * y + n2 * z
         away = n2 if orthographic else distance
         if away > ZERO:
@@ -253,8 +257,8 @@ def write_records(
         left, right = np.int32(s[LEFT + i]), np.int32(s[RIGHT + i])
         first, last = np.int32(s[FIRST + i]), np.int32(s[LAST + i])
         box_out[o, 0], box_out[o, 1], box_out[o, 2], box_out[o, 3] = left, right, first, last
-        for j in range(first // TILE, last // TILE + 1):
-            for k in range(left // TILE, right // TILE + 1):
+        for j in range(first >> TILE_SHIFT, (last >> TILE_SHIFT) + 1):
+            for k in range(left >> TILE_SHIFT, (right >> TILE_SHIFT) + 1):
                 count_out[j * across + k] += 1
         o += 1
     return o - place
@@ -270,14 +274,13 @@ def find_chunks(box, view, lens, size, near, plane, orthographic, seen_out):
 @cpu_kernel
 def project_chunks(
     geometry, sh, chunks, view, eye, lens, size, near, plane, orthographic, compensate, degree,
-    across, record_out, splat_out, box_out, visible_out, count_out,
+    across, record_out, box_out, visible_out, count_out,
 ):  # fmt: skip
     """Project the splats of the listed chunks and count those that each tile meets.
 
     The visible splats of the k-th listed chunk are written from place 256 k on. Record: u, v, conic
     (3) and opacity as eighths of log2, colour (3), depth, normal (3), plane distance, reach for
-    blocks. Box: first and last column and row. `splat_out` gets the place of each in the prepared
-    order.
+    blocks. Box: first and last column and row.
     """
     n = len(chunks)
     for block in prange(BLOCKS):
@@ -296,8 +299,3 @@ def project_chunks(
             visible_out[k] = write_records(
                 g, s, view, orthographic, across, k * LANES, record_out, box_out, count
             )
-            place = k * LANES
-            for i in range(LANES):
-                if s[FIRST + i] <= s[LAST + i]:
-                    splat_out[place] = chunks[k] * LANES + i
-                    place += 1

@@ -6,7 +6,7 @@ import numpy as np
 
 from rainsim.jit import cpu_kernel, device_function, prange, serial_kernel
 from rainsim.raster.prepared import LANES
-from rainsim.raster.project import BLOCKS, TILE
+from rainsim.raster.project import BLOCKS, TILE_SHIFT
 
 FEW = 48  # entries up to which insertion beats the radix sort
 DIGIT_BITS = 8
@@ -43,8 +43,8 @@ def list_tiles(record, box, visible, across, place, entry_out):
         for k in range(block * n // BLOCKS, (block + 1) * n // BLOCKS):
             for o in range(k * LANES, k * LANES + visible[k]):
                 key = np.uint64(bits[o, 9]) << np.uint64(32) | np.uint64(o)
-                for j in range(box[o, 2] // TILE, box[o, 3] // TILE + 1):
-                    for i in range(box[o, 0] // TILE, box[o, 1] // TILE + 1):
+                for j in range(box[o, 2] >> TILE_SHIFT, (box[o, 3] >> TILE_SHIFT) + 1):
+                    for i in range(box[o, 0] >> TILE_SHIFT, (box[o, 1] >> TILE_SHIFT) + 1):
                         tile = j * across + i
                         entry_out[mine[tile]] = key
                         mine[tile] += 1
