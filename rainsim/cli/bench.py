@@ -1,16 +1,19 @@
-"""`rainsim bench`: measure accuracy against time; what is measured loads when it is asked for."""
+"""`rainsim bench`: programs that draw accuracy against time."""
 
 from __future__ import annotations
 
 import json
+from importlib import import_module
 from pathlib import Path
 
 import click
 
+_FILE = click.Path(dir_okay=False, path_type=Path)
 
-@click.group()
+
+@click.group(short_help="Measure accuracy against time.")
 def bench():
-    """Measure accuracy against time on cases with known answers.
+    """Measure accuracy against time.
 
     \b
     Example:
@@ -18,17 +21,36 @@ def bench():
     """
 
 
+def _options(command):
+    """Add the options that every suite has."""
+    for option in reversed((
+        click.option("--json", "json_path", type=_FILE, help="Write all results to this file."),
+        click.option("--chart", "chart_path", type=_FILE,
+                     help='Draw the results to this PNG; needs pip install "rainsim[chart]".'),
+        click.option("--quick", is_flag=True, help="Small sizes, a minute at most."),
+    )):  # fmt: skip
+        command = option(command)
+    return command
+
+
+def _run(name, json_path, chart_path, quick):
+    """Run the suite `rainsim.bench.NAME`, write what was asked for and print its table."""
+    from rainsim.bench import chart
+
+    suite = import_module(f"rainsim.bench.{name}")
+    if chart_path:
+        chart.require_matplotlib()  # before minutes are spent
+    result = suite.run(quick, tell=lambda line: click.echo(line, err=True))
+    if json_path:
+        json_path.write_text(json.dumps(result, indent=1), encoding="utf-8")
+    if chart_path:
+        suite.draw(result, chart_path)
+    click.echo(suite.table(result))
+
+
 @bench.command()
-@click.option(
-    "--json", "json_path", type=click.Path(dir_okay=False, path_type=Path),
-    help="Write all results to this file.",
-)  # fmt: skip
-@click.option(
-    "--chart", "chart_path", type=click.Path(dir_okay=False, path_type=Path),
-    help='Draw error against time to this PNG; needs pip install "rainsim[chart]".',
-)  # fmt: skip
-@click.option("--quick", is_flag=True, help="Small sizes, a minute at most.")
-def water(json_path, chart_path, quick):
+@_options
+def water(**given):
     """Run dam breaks, bowls, a ripple, a lake and rain on every water scheme.
 
     Prints relative error and time of each, then a table with the front of accuracy against time in
@@ -38,30 +60,12 @@ def water(json_path, chart_path, quick):
     Example:
         rainsim bench water --json water.json --chart water.png
     """
-    from rainsim.bench import chart
-    from rainsim.bench import water as suite
-
-    if chart_path:
-        chart.require_matplotlib()  # before minutes are spent
-    result = suite.run(quick, tell=lambda line: click.echo(line, err=True))
-    if json_path:
-        json_path.write_text(json.dumps(result, indent=1), encoding="utf-8")
-    if chart_path:
-        suite.draw(result, chart_path)
-    click.echo(suite.table(result))
+    _run("water", **given)
 
 
 @bench.command()
-@click.option(
-    "--json", "json_path", type=click.Path(dir_okay=False, path_type=Path),
-    help="Write all results to this file.",
-)  # fmt: skip
-@click.option(
-    "--chart", "chart_path", type=click.Path(dir_okay=False, path_type=Path),
-    help='Draw error against time to this PNG; needs pip install "rainsim[chart]".',
-)  # fmt: skip
-@click.option("--quick", is_flag=True, help="Few captures, a minute at most.")
-def ground(json_path, chart_path, quick):
+@_options
+def ground(**given):
     """Find the ground of generated captures whose truth is known.
 
     Yards with dips, a kerb, a lawn, a table and floaters, tilted and scaled, and a street of 300 m:
@@ -71,30 +75,12 @@ def ground(json_path, chart_path, quick):
     Example:
         rainsim bench ground --json ground.json --chart ground.png
     """
-    from rainsim.bench import chart
-    from rainsim.bench import ground as suite
-
-    if chart_path:
-        chart.require_matplotlib()  # before minutes are spent
-    result = suite.run(quick, tell=lambda line: click.echo(line, err=True))
-    if json_path:
-        json_path.write_text(json.dumps(result, indent=1), encoding="utf-8")
-    if chart_path:
-        suite.draw(result, chart_path)
-    click.echo(suite.table(result))
+    _run("ground", **given)
 
 
 @bench.command()
-@click.option(
-    "--json", "json_path", type=click.Path(dir_okay=False, path_type=Path),
-    help="Write all results to this file.",
-)  # fmt: skip
-@click.option(
-    "--chart", "chart_path", type=click.Path(dir_okay=False, path_type=Path),
-    help='Draw omega(k) and costs to this PNG; needs pip install "rainsim[chart]".',
-)  # fmt: skip
-@click.option("--quick", is_flag=True, help="Fewer drops and rounds, a minute at most.")
-def rain(json_path, chart_path, quick):
+@_options
+def rain(**given):
     """Read a gauge, fit ripples, and time streaks, splashes and ripples.
 
     Prints what the rain is against what was asked for, and what its parts cost.
@@ -103,14 +89,4 @@ def rain(json_path, chart_path, quick):
     Example:
         rainsim bench rain --json rain.json --chart rain.png
     """
-    from rainsim.bench import chart
-    from rainsim.bench import rain as suite
-
-    if chart_path:
-        chart.require_matplotlib()  # before minutes are spent
-    result = suite.run(quick, tell=lambda line: click.echo(line, err=True))
-    if json_path:
-        json_path.write_text(json.dumps(result, indent=1), encoding="utf-8")
-    if chart_path:
-        suite.draw(result, chart_path)
-    click.echo(suite.table(result))
+    _run("rain", **given)

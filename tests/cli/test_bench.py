@@ -1,0 +1,38 @@
+"""`rainsim bench`: what every suite does with its options; the suites have tests of their own."""
+
+import json
+
+import pytest
+from click.testing import CliRunner
+
+from rainsim.bench import chart, ground, rain, water
+from rainsim.cli import cli
+from rainsim.errors import RainsimError
+
+
+@pytest.mark.parametrize("suite", [ground, rain, water])
+def test_results_are_printed_and_written(suite, monkeypatch, tmp_path):
+    seen = []
+
+    def run(quick, tell):
+        seen.append(quick)
+        tell("working")
+        return {"error": 0.5}
+
+    monkeypatch.setattr(suite, "run", run)
+    monkeypatch.setattr(suite, "table", lambda result: f"error {result['error']}")
+    name = suite.__name__.rpartition(".")[2]
+    path = tmp_path / "r.json"
+    done = CliRunner().invoke(cli, ["bench", name, "--quick", "--json", str(path)])
+    assert done.exit_code == 0 and "error 0.5" in done.stdout and "working" in done.stderr
+    assert seen == [True] and json.loads(path.read_text()) == {"error": 0.5}
+
+
+def test_a_chart_without_matplotlib_is_told_before_anything_runs(monkeypatch, tmp_path):
+    def missing():
+        raise RainsimError('a chart needs matplotlib; pip install "rainsim[chart]"')
+
+    monkeypatch.setattr(chart, "require_matplotlib", missing)
+    monkeypatch.setattr(water, "run", lambda *a, **k: pytest.fail("ran"))
+    done = CliRunner().invoke(cli, ["bench", "water", "--chart", str(tmp_path / "c.png")])
+    assert done.exit_code == 1 and "rainsim[chart]" in done.output
