@@ -68,6 +68,7 @@ class Renderer:
         self.weather = Weather(config)
         self.exposure = rain_exposure(terrain, usual_wind(config))
         self.grass = ndimage.gaussian_filter(terrain.grassy.astype(np.float32), 1)
+        self.look = self.wetness = None
         self._set_time(0.0)
         self.relief = fine_relief(terrain)
         self.day = day_sky(config.render)
@@ -98,11 +99,10 @@ class Renderer:
     def _set_time(self, time):
         """Take over the settings of a time; return whether the dry picture's look has changed."""
         self.now = self.config.at(time)
-        settings = look(self.now), np.float32(wetness(self.now))
-        if hasattr(self, "look") and np.array_equal(np.append(*settings), self._settings):
+        new_look, new_wetness = look(self.now), np.float32(wetness(self.now))
+        if np.array_equal(new_look, self.look) and new_wetness == self.wetness:
             return False
-        self._settings = np.append(*settings)
-        self.look, self.wetness = settings
+        self.look, self.wetness = new_look, new_wetness
         return True
 
     def _see(self, camera, timer):

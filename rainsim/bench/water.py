@@ -31,7 +31,6 @@ REPEATS = {False: 3, True: 1}  # runs of a case, of which the fastest counts
 GAUGE_PERIOD = 2.0  # s, between readings of the rain gauge
 SPEED_CELLS = {False: 1024, True: 128}
 SPEED_ROUNDS = 5  # alternating, of which the median counts
-BYTES_PER_CELL = 28  # least that a fused float32 step moves: read h, bed, u, v; write h, u, v
 
 
 def solve(case, scheme, dtype=np.float32):

@@ -8,12 +8,12 @@ The same formula in plain Python is the tests' reference.
 from __future__ import annotations
 
 from rainsim.jit import cgutils, intrinsic, ir, types
+from rainsim.raster.project import MIN_ALPHA_LOG2
 
 LANES = 16
 CHANNELS = 9  # transmittance; colour (3), depth, normal (3), plane distance
 FLAGS = ("contract", "nsz", "arcp", "reassoc")
 
-MIN_ALPHA_LOG2 = -7.994353436858858  # log2(1 / 255)
 MAX_ALPHA = 0.999  # gsplat 1.5; the original code has 0.99
 # 2^x on [-1.02, 0], Chebyshev interpolation of degree 5; the eighth power of it is within 1.3e-6.
 EXP2 = (0.999999937, 0.693142739, 0.240175324, 0.0552866627, 0.00919464691, 0.000940499363)

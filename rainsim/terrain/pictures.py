@@ -8,7 +8,6 @@ from rainsim.terrain.files import hillshade
 from rainsim.terrain.table import class_table
 from rainsim.terrain.types import UNKNOWN
 
-LARGEST_SIDE = 2000  # px of a picture from above
 FADE_DEPTHS = (0.8e-3, 2.8e-3, 20e-3)  # m of water: begins to show, shows fully, is darkest
 WATER_LIGHT, WATER_DARK = np.array([0.35, 0.6, 0.95]), np.array([0.05, 0.15, 0.5])
 GRID_STEP = 0.5  # m between the lines of the checking grid
