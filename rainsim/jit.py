@@ -4,24 +4,23 @@
 `cpu_kernel` is a parallel loop, `serial_kernel` a loop on one thread that may run beside others.
 """
 
+import functools
 import hashlib
 import os
+import re
 import shutil
 import tempfile
 from pathlib import Path
 
 # numba keys its cache on the file that holds a kernel, not on the files of the functions that the
-# kernel calls: an edited helper would keep its old machine code. So the folder carries a hash of
-# all our sources.
+# kernel calls: an edited helper would keep its old machine code. So every module has a folder for
+# its kernels, named by a hash of that module and of all modules of ours that it imports.
 _FOLDER = "rainsim-kernels"
-_KEPT_CACHES = 4  # versions of the program whose machine code is kept
-
-
-def _source_hash():
-    digest = hashlib.sha256()
-    for path in sorted(Path(__file__).parent.rglob("*.py")):
-        digest.update(path.read_bytes())
-    return digest.hexdigest()[:16]
+_KEPT_VERSIONS = 4  # of a module, whose machine code is kept
+_PACKAGE = Path(__file__).parent
+_IMPORT = re.compile(
+    r"^\s*(?:from (rainsim[\w.]*) import (\([^)]*\)|[^\n]*)|import (rainsim[\w.]+))", re.M
+)
 
 
 def _cache_folder():
@@ -29,28 +28,63 @@ def _cache_folder():
     wanted = [os.environ.get("NUMBA_CACHE_DIR")]
     wanted.append(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"))
     for base in map(Path, filter(None, wanted)):
-        if base.parent.name == _FOLDER:  # set by a process of ours that started this one
-            base = base.parent.parent
-        folder = base / _FOLDER / _source_hash()
+        folder = base if base.name == _FOLDER else base / _FOLDER  # ours: set by a parent process
         try:
             folder.mkdir(parents=True, exist_ok=True)
-            folder.touch()  # the newest are kept
         except OSError:
             continue
         if os.access(folder, os.W_OK):
-            _drop_old(folder.parent)
             return folder
     return Path(tempfile.mkdtemp(prefix="rainsim-kernels-"))
 
 
-def _drop_old(parent):
-    folders = sorted(parent.iterdir(), key=lambda f: f.stat().st_mtime, reverse=True)
-    for folder in folders[_KEPT_CACHES:]:
-        shutil.rmtree(folder, ignore_errors=True)
-
-
 CACHE_FOLDER = _cache_folder()
 os.environ["NUMBA_CACHE_DIR"] = str(CACHE_FOLDER)
+
+
+def _file_of(module):
+    path = _PACKAGE.joinpath(*module.split(".")[1:])
+    for file in (path.with_suffix(".py") if path != _PACKAGE else path, path / "__init__.py"):
+        if file.is_file():
+            return file
+    return None
+
+
+@functools.cache
+def _content_and_imports(module):
+    """Return the bytes of a module and the names of the modules of ours that it imports."""
+    content = _file_of(module).read_bytes()
+    names = {module.rpartition(".")[0]} - {""}
+    for package, members, plain in _IMPORT.findall(content.decode()):
+        names.add(package or plain)
+        names.update(f"{package}.{name}" for name in re.findall(r"\w+", members) if package)
+    return content, {name for name in names if _file_of(name)}
+
+
+@functools.cache
+def _kernel_folder(module):
+    """Return the folder for the machine code of one module."""
+    if module.partition(".")[0] != "rainsim":
+        return CACHE_FOLDER  # a test's own kernel
+    found, todo = set(), {module}
+    while todo:
+        name = todo.pop()
+        found.add(name)
+        todo |= _content_and_imports(name)[1] - found
+    digest = hashlib.sha256()
+    for name in sorted(found):
+        digest.update(_content_and_imports(name)[0])
+    folder = CACHE_FOLDER / module / digest.hexdigest()[:16]
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        folder.touch()  # the newest are kept
+        others = sorted(folder.parent.iterdir(), key=lambda f: f.stat().st_mtime, reverse=True)
+        for old in others[_KEPT_VERSIONS:]:
+            shutil.rmtree(old, ignore_errors=True)
+    except OSError:  # another process tidies up at the same time
+        pass
+    return folder
+
 
 import numba  # noqa: E402  (the cache folder must be known before numba is imported)
 from llvmlite import ir  # noqa: E402
@@ -63,14 +97,25 @@ from numba import (  # noqa: E402
 from numba.core import cgutils  # noqa: E402
 from numba.extending import intrinsic, register_jitable  # noqa: E402
 
-numba.config.CACHE_DIR = str(CACHE_FOLDER)  # in case numba had been imported before
-
 # Not fastmath=True: that assumes away NaN and infinity, which kernels must see.
 _FAST = {"nsz", "arcp", "contract", "afn", "reassoc"}
 
 device_function = register_jitable
-cpu_kernel = njit(parallel=True, nogil=True, error_model="numpy", fastmath=_FAST, cache=True)
-serial_kernel = njit(nogil=True, error_model="numpy", fastmath=_FAST, cache=True)
+
+
+def _kernel(**options):
+    def decorate(function):
+        # numba reads the folder when the function is decorated.
+        numba.config.CACHE_DIR = str(_kernel_folder(function.__module__))
+        return njit(nogil=True, error_model="numpy", fastmath=_FAST, cache=True, **options)(
+            function
+        )
+
+    return decorate
+
+
+cpu_kernel = _kernel(parallel=True)
+serial_kernel = _kernel()
 
 __all__ = [
     "CACHE_FOLDER",
