@@ -28,6 +28,9 @@ DEFAULT_PRESET = "drizzle"
 WATER_SCHEMES = ("auto", "paper")
 SKIES = ("overcast", "capture")
 REFLECTIONS = ("auto", "mirror", "ssr")
+DROP_RADII = ("measured", "paper")
+STREAKS = ("shutter", "paper")
+SPLASHES = ("crowns", "paper")
 
 MM_PER_HOUR = 1e-3 / 3600  # m/s
 MAX_RATE = 1000.0  # mm/h: the heaviest minutes ever measured stay below 2500, an hour below 400
@@ -76,6 +79,7 @@ class RainConfig:
     past: float = 3e-3  # m of rain that fell before the first frame and has come to rest
     wind: tuple = (0.0, 0.0)  # speed [m/s] and the direction it goes, from x towards y [rad]
     gusts: float = 0.0  # standard deviation of the wind's speed over its mean, 0 to 0.5
+    drop_radii: str = "measured"  # paper: one exponential for all rates, one speed for all drops
     seed: int = 0
 
     @property
@@ -107,6 +111,7 @@ class RainConfig:
         require_not_negative("gusts", self.gusts, "", "0.3 is a gusty wind")
         if self.gusts > MAX_GUSTS:
             raise ParameterError(f"gusts is {self.gusts}; it must be at most {MAX_GUSTS}")
+        require_choice("drop_radii", self.drop_radii, DROP_RADII)
         require_whole("seed", self.seed, 0, MAX_SEED)
 
 
@@ -139,6 +144,8 @@ class RenderConfig:
     cloudiness: float = 0.8  # 0 clear to 1 overcast
     brightness: float = 1.0  # factor on the graded picture
     reflections: str = "auto"  # mirror: one mirrored pass; ssr: march the depth; auto picks
+    streaks: str = "shutter"  # paper: opaque lines of spheres, whatever the shutter
+    splashes: str = "crowns"  # paper: one Gaussian for each drop
     streak_far: float = 8.0  # m; farther drops are fog
     water_coverage: tuple = (0.4e-3, 2.2e-3)  # m of water that begin to close over rough
     # ground, and that hide it wholly; chosen by eye on a captured patio
@@ -164,6 +171,8 @@ class RenderConfig:
             )
         require_positive("brightness", self.brightness, "", "1 is as graded, 0.5 half as bright")
         require_choice("reflections", self.reflections, REFLECTIONS)
+        require_choice("streaks", self.streaks, STREAKS)
+        require_choice("splashes", self.splashes, SPLASHES)
         require_positive("streak_far", self.streak_far, "m", "8 is usual")
         low, high = _pair("water_coverage", self.water_coverage, "a low and a high depth")
         require_not_negative("water_coverage's low depth", low, "m")
@@ -354,6 +363,7 @@ HUMAN_KEYS = {
     "wind_speed_m_per_s": ("wind", 1.0),
     "wind_direction_degrees": ("wind", math.pi / 180),
     "gusts": ("gusts", 1.0),
+    "drop_radii": ("drop_radii", None),
     "seed": ("seed", None),
     "water_scheme": ("scheme", None),
     "water_level_m": ("level", 1.0),
@@ -365,6 +375,8 @@ HUMAN_KEYS = {
     "cloudiness": ("cloudiness", 1.0),
     "brightness": ("brightness", 1.0),
     "reflections": ("reflections", None),
+    "streaks": ("streaks", None),
+    "splashes": ("splashes", None),
     "streak_far_m": ("streak_far", 1.0),
     "frames": ("frames", None),
     "fps": ("fps", 1.0),

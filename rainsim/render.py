@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import ndimage
 
-from rainsim import optics, shade, sky
+from rainsim import optics, paperrain, shade, sky
 from rainsim.errors import ParameterError
 from rainsim.raster import Rasterizer, prepare
 from rainsim.simulation import rain_exposure, surfaces_of, usual_wind
@@ -85,9 +85,11 @@ class Renderer:
         picture, _coverage = self._water(state, timer)
         rain_alpha, splash_alpha = self._drops(camera, state, timer)
         image = np.empty((camera.height, camera.width, 3), np.uint8)
-        fog = NO_FOG if self.field is None else fog_table(self.field, self.reach)
+        fog = self._fog()
         forward = self.view.camera_from_world[2, :3]
         drop = sky.drop_radiance(self.environment, forward)
+        if self.now.render.streaks == "paper":
+            drop = paperrain.line_radiance(picture)
         air = sky.horizon_radiance(self.day)
         shade.compose(
             picture, self.depth, rain_alpha, splash_alpha, drop, air, fog,
@@ -175,18 +177,29 @@ class Renderer:
         self.field = self.weather.field(state.time - LONGEST_LIFE, state.time + config.exposure)
         if self.field is None:
             return rain, splash
+        where = (self.field, self.surfaces, self.view)
         self.reach = streak_reach(self.field, self.view, config.exposure, config.streak_far)
-        draw_streaks(
-            self.field, self.surfaces, self.view, state.time, config.exposure, self.depth,
-            self.reach, rain,
-        )  # fmt: skip
+        if config.streaks == "paper":
+            paperrain.draw_lines(*where, state.time, config.streak_far, self.depth, rain)
+        else:
+            draw_streaks(*where, state.time, config.exposure, self.depth, self.reach, rain)
         timer.mark("streaks")
-        draw_splashes(
-            self.field, self.surfaces, self.view, state.time, config.exposure, state.depth,
-            WET_FILM * float(self.wetness), self.depth, splash,
-        )  # fmt: skip
+        if config.splashes == "paper":
+            start = state.time - self.config.frame_interval
+            paperrain.draw_gaussians(*where, start, state.time, self.depth, splash)
+        else:
+            draw_splashes(
+                *where, state.time, config.exposure, state.depth,
+                WET_FILM * float(self.wetness), self.depth, splash,
+            )  # fmt: skip
         timer.mark("splashes")
         return rain, splash
+
+    def _fog(self):
+        """Return the fog of drops that are not drawn; the paper has none."""
+        if self.field is None or self.now.render.streaks == "paper":
+            return NO_FOG
+        return fog_table(self.field, self.reach)
 
     @property
     def _origin(self):

@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 
-from rainsim.errors import ParameterError, require_not_negative
+from rainsim.errors import ParameterError, require_choice, require_not_negative
 from rainsim.jit import device_function
 
 WATER_DENSITY = 1000.0  # kg/m3
@@ -18,6 +18,8 @@ CLASSES = 48  # even steps of log speed: 3.1 % from class to class
 _HIGHEST_RATE = 2000.0  # mm/h; about the highest minute ever measured
 _SHAPE_FLOOR = 1e-3  # mm/h; below it the spectrum keeps its shape, which has no limit at 0
 _REFERENCE_RATE = 10.0  # mm/h; the rain whose class means fix the classes' speeds
+PAPER_RADIUS = 0.5e-3  # m, mean of the paper's exponential radii; it does not say which
+PAPER_SPEED = 6.0  # m/s, of all its drops; it leaves that to its user: here that of 1.8 mm
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(24)
 
 
@@ -43,6 +45,10 @@ class RainSpectrum:
     ----------
     rate_mm_per_hour : float [mm/h]
         What a gauge collects; 0 gives a spectrum without drops.
+    radii : str
+        "measured", or "paper" for the baseline of the paper (RainyGS): radii of one exponential
+        distribution whatever the rate, and one speed for all drops. There are as many drops as
+        the rate asks for; the paper leaves their number to its user.
 
     Attributes
     ----------
@@ -70,7 +76,8 @@ class RainSpectrum:
     here to satisfy integral_0^LARGEST N v (pi/6) D^3 dD = rate, with the classes' speeds for v.
     """
 
-    def __init__(self, rate_mm_per_hour):
+    def __init__(self, rate_mm_per_hour, radii="measured"):
+        require_choice("radii", radii, ("measured", "paper"))
         rate = require_not_negative("rain rate", rate_mm_per_hour, "mm/h")
         if rate > _HIGHEST_RATE:
             raise ParameterError(
@@ -78,12 +85,18 @@ class RainSpectrum:
                 "the rate is in millimetres per hour"
             )
         self.rate = rate / 3.6e6
-        self.decay = _decay(max(rate, _SHAPE_FLOOR))
+        self.radii = radii
         self.edges = class_edges()
-        self.speed = class_speeds()
         fine_edges = np.linspace(0.0, SMALLEST, 9)
+        if radii == "paper":
+            self.decay = 1 / (2 * PAPER_RADIUS)  # of diameters
+            self.speed = np.full(CLASSES, PAPER_SPEED)
+            fine_flux = PAPER_SPEED * _moments(drop_volume, self.decay, fine_edges).sum()
+        else:
+            self.decay = _decay(max(rate, _SHAPE_FLOOR))
+            self.speed = class_speeds()
+            fine_flux = _moments(_volume_flux, self.decay, fine_edges).sum()
         volume = _moments(drop_volume, self.decay, self.edges)
-        fine_flux = _moments(_volume_flux, self.decay, fine_edges).sum()
         self.intercept = self.rate / (volume @ self.speed + fine_flux)
 
         self.density = self.intercept * _moments(np.ones_like, self.decay, self.edges)

@@ -186,7 +186,7 @@ def draw_splashes(
     split = time - LONGEST_CROWN
     near = FINE_PIXEL * max(camera.fx, camera.fy)
     parts = [
-        list_impacts(field, surfaces, begin, end, smallest, _footprint(camera, reach))
+        list_impacts(field, surfaces, begin, end, smallest, footprint(camera, reach))
         for begin, end, reach in (
             (time - LONGEST_LIFE, split, near), (split, time + exposure, _FARTHEST),
         )
@@ -216,7 +216,7 @@ def _joined(early, late):
     return Impacts(*(np.concatenate([getattr(early, n), getattr(late, n)]) for n in names))
 
 
-def _footprint(camera, reach):
+def footprint(camera, reach):
     """Return the low and high corner (x, y) of what the camera sees up to a depth [m]."""
     corners = np.array([[u, v] for u in (0.0, camera.width) for v in (0.0, camera.height)])
     rays = np.ones((4, 3))

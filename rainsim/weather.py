@@ -45,7 +45,7 @@ class Weather:
     """
 
     def __init__(self, config):
-        self._seed = config.rain.seed
+        self._seed, self._radii = config.rain.seed, config.rain.drop_radii
         times = config.key_times()
         states = [config.at(time) for time in times]
         self._times = np.array(times)
@@ -58,7 +58,7 @@ class Weather:
         self._steady = len(times) == 1
         self._only = None  # the field of steady rain in steady wind
         if self.rains:
-            self._heaviest = RainSpectrum(self._rates.max())
+            self._heaviest = self._spectrum(self._rates.max())
             self._share, self._clock = self._shares()
 
     def rate(self, time):
@@ -80,7 +80,7 @@ class Weather:
         here, there = self.drift(start), self.drift(stop)
         wind = (there - here) / (stop - start)
         return RainField(
-            RainSpectrum(self.rate(0.5 * (start + stop))), wind, self._seed,
+            self._spectrum(self.rate(0.5 * (start + stop))), wind, self._seed,
             offset=here - wind * start, heaviest=self._heaviest, share=self._share,
             clock=self._clock,
         )  # fmt: skip
@@ -121,6 +121,9 @@ class Weather:
                     total += sign * self._gusts * share * part
         return total
 
+    def _spectrum(self, rate):
+        return RainSpectrum(rate, self._radii)
+
     def _shares(self):
         """Return the share of each class's drops that pass z = 0 at even times, and those times."""
         if np.ptp(self._rates) == 0:
@@ -128,5 +131,5 @@ class Weather:
         first, last = self._times[0] - MARGIN, self._times[-1] + MARGIN
         ticks = min(math.ceil((last - first) / TICK) + 1, MOST_TICKS)
         times = np.linspace(first, last, ticks)
-        share = np.stack([RainSpectrum(self.rate(t)).density for t in times], axis=1)
+        share = np.stack([self._spectrum(self.rate(t)).density for t in times], axis=1)
         return share / self._heaviest.density[:, None], (float(first), float(times[1] - first))
