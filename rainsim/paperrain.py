@@ -18,7 +18,7 @@ SPHERE_RADIUS = 6e-3  # m; the supplement's, in the unknown units of its scenes
 LINE_LENGTH = 0.15  # m; not given
 APART = 0.5  # radii between spheres: "densely aligned"
 GREY = 200 / 255  # of display white: "near-white RGB of [200, 200, 200]"
-DRAWN_SHARE = 1 / 400  # of the drops: with all of them, 12 mm wide, one would see a metre far
+DRAWN_SHARE = 1 / 100  # of the drops: with all of them, 12 mm wide, one would see metres far
 SPLASH_LENGTH = 2.0  # longest axis of a splash over the other two; not given
 _SPLASH_REACH = 100.0  # m
 
