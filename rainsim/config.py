@@ -7,11 +7,9 @@ Human units (mm/h, degrees, ms) exist here and on the command line only.
 from __future__ import annotations
 
 import dataclasses
-import difflib
 import math
 import tomllib
 from dataclasses import dataclass, field
-from importlib import resources
 from pathlib import Path
 
 import rainsim.timeline as timeline
@@ -23,19 +21,34 @@ from rainsim.errors import (
     require_not_negative,
     require_positive,
 )
+from rainsim.keys import (
+    HUMAN_KEYS,
+    MM_PER_HOUR,
+    SKIES,
+    from_human,
+    is_number,
+    nearest,
+    preset_file,
+    preset_names,
+    preset_text,
+)
+
+__all__ = [
+    "HUMAN_KEYS", "MM_PER_HOUR", "Config", "RainConfig", "RenderConfig", "TerrainConfig",
+    "WaterConfig", "check_sky", "mm_per_hour", "nearest", "preset_names", "preset_text",
+]  # fmt: skip
 
 DEFAULT_PRESET = "drizzle"
 WATER_SCHEMES = ("auto", "paper")
-SKIES = ("overcast", "capture")
 REFLECTIONS = ("auto", "mirror", "ssr")
 DROP_RADII = ("measured", "paper")
 STREAKS = ("shutter", "paper")
 SPLASHES = ("crowns", "paper")
 
-MM_PER_HOUR = 1e-3 / 3600  # m/s
 MAX_RATE = 1000.0  # mm/h: the heaviest minutes ever measured stay below 2500, an hour below 400
 MAX_PAST = 1000.0  # mm: more than a day's record almost anywhere
 MAX_WIND = 60.0  # m/s: beyond hurricane strength drops no longer fall as modelled
+MAX_ROUGHNESS = 2.0  # m: Davenport's roughest class
 MAX_GUSTS = 0.5  # beyond it the wind would turn around now and then
 MIN_SIDE, MAX_SIDE = 8, 16384  # px
 MAX_FRAMES = 99_999  # what the five digits of a frame's file name hold
@@ -77,26 +90,27 @@ class RainConfig:
 
     rate: float = mm_per_hour(10.0)  # m/s, as a gauge on level ground collects it
     past: float = 3e-3  # m of rain that fell before the first frame and has come to rest
-    wind: tuple = (0.0, 0.0)  # speed [m/s] and the direction it goes, from x towards y [rad]
+    wind: tuple = (0.0, 0.0)  # speed at 10 m [m/s] and the way it goes, from x towards y [rad]
+    roughness: float = 0.03  # m, roughness length of the land around: grass; 0: one wind everywhere
     gusts: float = 0.0  # standard deviation of the wind's speed over its mean, 0 to 0.5
     drop_radii: str = "measured"  # paper: one exponential for all rates, one speed for all drops
     seed: int = 0
 
     @property
     def wind_velocity(self):
-        """Horizontal wind (x, y) in the ground frame [m/s]."""
+        """Horizontal wind at 10 m (x, y) in the ground frame [m/s]."""
         speed, direction = self.wind
         return speed * math.cos(direction), speed * math.sin(direction)
 
     def check(self):
         """Raise ParameterError if a value breaks its rule."""
-        rate = self.rate / MM_PER_HOUR if _is_number(self.rate) else self.rate
+        rate = self.rate / MM_PER_HOUR if is_number(self.rate) else self.rate
         require_not_negative("rain", _round(rate), "mm/h", "0 is no rain, 50 a downpour")
         if rate > MAX_RATE * (1 + 1e-9):
             raise ParameterError(
                 f"rain is {_round(rate)} mm/h; it must be at most {MAX_RATE:g}; 50 is a downpour"
             )
-        past = self.past * 1e3 if _is_number(self.past) else self.past
+        past = self.past * 1e3 if is_number(self.past) else self.past
         require_not_negative("past rain", _round(past), "mm", "0 leaves no puddles")
         if past > MAX_PAST * (1 + 1e-9):
             raise ParameterError(
@@ -108,6 +122,12 @@ class RainConfig:
         if speed > MAX_WIND:
             raise ParameterError(f"wind speed is {speed} m/s; it must be at most {MAX_WIND:g} m/s")
         require_finite("wind direction", direction)
+        require_not_negative("roughness length", self.roughness, "m", "0.03 is grass")
+        if self.roughness > MAX_ROUGHNESS:
+            raise ParameterError(
+                f"roughness length is {self.roughness} m; it must be at most {MAX_ROUGHNESS:g} m, "
+                "that of a city centre"
+            )
         require_not_negative("gusts", self.gusts, "", "0.3 is a gusty wind")
         if self.gusts > MAX_GUSTS:
             raise ParameterError(f"gusts is {self.gusts}; it must be at most {MAX_GUSTS}")
@@ -152,7 +172,7 @@ class RenderConfig:
 
     def check(self):
         """Raise ParameterError if a value breaks its rule."""
-        exposure = self.exposure * 1e3 if _is_number(self.exposure) else self.exposure
+        exposure = self.exposure * 1e3 if is_number(self.exposure) else self.exposure
         require_positive("exposure", _round(exposure), "ms", "16.7 is 1/60 s")
         check_sky(self.sky)
         if self.sun is not None:
@@ -237,7 +257,7 @@ class Config:
         ParameterError
             If there is no such preset, or a key or value in it is wrong.
         """
-        return cls.from_toml(*_preset_text(name))
+        return cls.from_toml(*preset_file(name))
 
     @classmethod
     def from_toml(cls, text, where="settings", folder=None):
@@ -253,8 +273,8 @@ class Config:
                 "compare with `rainsim presets moderate`"
             ) from None
         frames = table.pop(timeline.LIST_KEY, [])
-        config = cls().replace(**_from_human(table, where, folder))
-        frames = timeline.read_keyframes(frames, _from_human, where)
+        config = cls().replace(**from_human(table, where, folder))
+        frames = timeline.read_keyframes(frames, from_human, where)
         config = dataclasses.replace(config, keyframes=frames)
         try:
             config._check_each()  # not one against another: options may change either yet
@@ -354,113 +374,6 @@ for _name, _group in _GROUPS.items():
     _GROUP_OF |= {f.name: _name for f in dataclasses.fields(_group)}
 
 
-# --- presets --------------------------------------------------------------------------------------
-
-# Key in a preset file: attribute and what one unit of the key is in SI (None: not a number).
-HUMAN_KEYS = {
-    "rain_mm_per_hour": ("rate", MM_PER_HOUR),
-    "past_rain_mm": ("past", 1e-3),
-    "wind_speed_m_per_s": ("wind", 1.0),
-    "wind_direction_degrees": ("wind", math.pi / 180),
-    "gusts": ("gusts", 1.0),
-    "drop_radii": ("drop_radii", None),
-    "seed": ("seed", None),
-    "water_scheme": ("scheme", None),
-    "water_level_m": ("level", 1.0),
-    "courant": ("courant", 1.0),
-    "exposure_ms": ("exposure", 1e-3),
-    "sky": ("sky", None),
-    "sun_azimuth_degrees": ("sun", math.pi / 180),
-    "sun_elevation_degrees": ("sun", math.pi / 180),
-    "cloudiness": ("cloudiness", 1.0),
-    "brightness": ("brightness", 1.0),
-    "reflections": ("reflections", None),
-    "streaks": ("streaks", None),
-    "splashes": ("splashes", None),
-    "streak_far_m": ("streak_far", 1.0),
-    "frames": ("frames", None),
-    "fps": ("fps", 1.0),
-    "width": ("width", None),
-    "height": ("height", None),
-    "terrain_spacing_m": ("spacing", 1.0),
-    "terrain_extent_m": ("extent", 1.0),
-}
-_PAIRS = {  # attributes that two keys fill, with what stands for a missing one (None: required)
-    "wind": (("wind_speed_m_per_s", 0.0), ("wind_direction_degrees", 0.0)),
-    "sun": (("sun_azimuth_degrees", None), ("sun_elevation_degrees", None)),
-}
-
-
-def preset_names():
-    """Return the names of the built-in presets, from dry to wet."""
-    return ["drizzle", "moderate", "downpour", "flood"]
-
-
-def preset_text(name):
-    """Return the TOML text of a built-in preset or of a TOML file."""
-    return _preset_text(name)[0]
-
-
-def _preset_text(name):
-    """Return the text, its name in errors and the folder for relative paths."""
-    if isinstance(name, Path) or str(name).endswith(".toml"):
-        path = Path(name)
-        try:
-            return path.read_text(encoding="utf-8"), str(path), path.parent
-        except (OSError, UnicodeDecodeError) as error:
-            reason = getattr(error, "strerror", None) or "it is not UTF-8 text"
-            raise InputError(
-                f"cannot read {path}: {reason}; a preset file must be TOML text; check the path"
-            ) from None
-    if name not in preset_names():
-        raise ParameterError(
-            f"there is no preset {name!r}; {nearest(name, preset_names())}; see `rainsim "
-            "presets`, or give a path that ends in .toml"
-        )
-    file = resources.files("rainsim").joinpath("presets", f"{name}.toml")
-    return file.read_text(encoding="utf-8"), f"preset {name}", None
-
-
-def _from_human(table, where, folder=None):
-    """Return attributes in SI units from a table of preset keys."""
-    for key in table:
-        if key not in HUMAN_KEYS:
-            raise ParameterError(
-                f"{where} has the key {key!r}; {nearest(key, HUMAN_KEYS)}; correct the key"
-            )
-    changes = {}
-    for key, value in table.items():
-        attribute, unit = HUMAN_KEYS[key]
-        if unit is not None:
-            if not _is_number(value):
-                raise ParameterError(f"{where}: {key} is {value!r}; it must be a number")
-            value = value * unit
-        table[key] = value
-        if attribute not in _PAIRS:
-            changes[attribute] = value
-    for attribute, keys in _PAIRS.items():
-        given = [key for key, _ in keys if key in table]
-        if not given:
-            continue
-        lacking = [key for key, default in keys if key not in table and default is None]
-        if lacking:
-            raise ParameterError(f"{where} has {given[0]} but no {lacking[0]}; give both")
-        changes[attribute] = tuple(table.get(key, default) for key, default in keys)
-    sky = changes.get("sky")
-    if folder is not None and isinstance(sky, str) and sky not in SKIES:
-        changes["sky"] = str(folder / sky)
-    return changes
-
-
-# --- checks ---------------------------------------------------------------------------------------
-
-
-def nearest(name, known, hint="the nearest is {!r}", otherwise="known are {}"):
-    """Return a hint that names the known word closest to `name`, or all if none is close."""
-    close = difflib.get_close_matches(str(name), list(known), n=1, cutoff=0.5)
-    return hint.format(close[0]) if close else otherwise.format(", ".join(known))
-
-
 def check_sky(sky):
     """Raise an error unless `sky` is a known name or an existing .hdr file."""
     if sky in SKIES:
@@ -489,12 +402,6 @@ def _pair(name, value, what):
     return value
 
 
-def _is_number(value):
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        return False
-    return isinstance(value, float) or abs(value) < 2**63  # TOML allows any length
-
-
 def _round(value):
     """Return a number as a person wrote it: without the noise of a change of units."""
-    return float(f"{value:.9g}") if _is_number(value) else value
+    return float(f"{value:.9g}") if is_number(value) else value

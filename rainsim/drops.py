@@ -12,9 +12,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rainsim.cubes import (
+    class_keys,
+    cube_key,
+    cube_sides,
+    drop_diameter,
+    drop_id,
+    drops_in_cube,
+    left_out,
+    size_tables,
+    slab_tasks,
+)
 from rainsim.errors import ParameterError, require_finite, require_not_negative
 from rainsim.jit import cpu_kernel, device_function, prange
-from rainsim.random import mix, poisson_tables, subkey, uniform, uniform_triple
+from rainsim.random import poisson_tables, uniform_triple
 from rainsim.spectrum import CLASSES, RainSpectrum, drop_volume
 from rainsim.surfaces import (
     BLOCK,
@@ -31,14 +42,8 @@ __all__ = [
     "drop_volume", "flat_surfaces", "impacts",
 ]  # fmt: skip
 
-_CUBE_FILL = 6.0  # drops per cube aimed at: fewer make cubes cost more than their drops
-_CUBE_SIDES = (0.5, 2.0)  # m; large cubes reach far out of the box that is asked for
-_FILL_RATE = 25.0  # mm/h; fixed, so that cubes, and with them drops, stay when the rate changes
-_SPREAD = np.uint64(0x9E3779B97F4A7C15)
 _STEEP = 4.0  # room for hits per hit on level ground; walls in wind catch more than their area
 _MARGIN = 1e-6  # s; hits are searched this far beyond an interval's ends, then cut exactly
-_SHARE_STREAM = np.uint64(0x51A4)  # and the one that tells whether the drop is there at all
-_DIAMETER_STREAM = np.uint64(0xD1A3)  # tells the diameter's random word from the place's
 
 
 @dataclass(frozen=True)
@@ -110,12 +115,16 @@ class RainField:
     ----------
     spectrum : RainSpectrum
     wind : (float, float) [m/s]
-        Horizontal velocity of the air along x and y, the same at all heights; drops drift with it.
+        Horizontal velocity of the air along x and y.
     seed : int
         Rains of different seeds are independent. At the same seed a lighter rain's drops are,
         nearly all, among a heavier one's.
     offset : (float, float) [m]
-        By which all drops are shifted along x and y, for a wind that was another before.
+        How much farther the air has come along x and y than this wind alone would have taken it,
+        for a wind that was another before.
+    follow : ndarray of shape (CLASSES,), float64 or None
+        Horizontal speed of each class over the wind's, see `rainsim.weather.wind_shares`; None
+        for a wind that is the same at all heights, which all drops follow.
     heaviest : RainSpectrum or None
         The rain whose drops are listed, if it changes; `spectrum` is then only what it is now.
     share : ndarray of shape (CLASSES, n), float64 or None
@@ -133,13 +142,16 @@ class RainField:
 
     def __init__(
         self, spectrum, wind=(0.0, 0.0), seed=0, offset=(0.0, 0.0), heaviest=None, share=None,
-        clock=(0.0, 1.0),
+        clock=(0.0, 1.0), follow=None,
     ):  # fmt: skip
         self.spectrum = spectrum
         self.listed = spectrum if heaviest is None else heaviest
         self._share = np.ones((CLASSES, 1)) if share is None else share
-        # offset in x and y, first time, steps per second
-        self._frame = np.array([*offset, clock[0], 1 / clock[1]])
+        follow = np.ones(CLASSES) if follow is None else np.asarray(follow, np.float64)
+        # of each class: offset in x and y, first time, steps per second
+        self._frame = np.empty((CLASSES, 4))
+        self._frame[:, :2] = follow[:, None] * np.asarray(offset)
+        self._frame[:, 2:] = clock[0], 1 / clock[1]
         self.wind = tuple(require_finite("wind component", w) for w in wind)
         if len(self.wind) != 2:
             raise ParameterError(f"wind is {wind!r}; it must be two numbers, along x and y in m/s")
@@ -147,12 +159,12 @@ class RainField:
             raise ParameterError(f"seed is {seed!r}; it must be a whole number")
         self.seed = int(seed)
         self.velocity = np.empty((CLASSES, 3))
-        self.velocity[:, :2] = self.wind
+        self.velocity[:, :2] = follow[:, None] * self.wind
         self.velocity[:, 2] = -spectrum.speed
-        self.cube = _cube_sides()
-        self._key = _class_keys(self.seed)
+        self.cube = cube_sides()
+        self._key = class_keys(self.seed)
         self._count = poisson_tables(self.listed.density * self.cube**3)
-        self._size = _size_tables(self.listed)
+        self._size = size_tables(self.listed)
 
     def arrays(self):
         """Return what the kernels need to list the drops of a cube, in their order."""
@@ -194,7 +206,7 @@ class RainField:
     def cube_range(self, low, high):
         """Return the first and last cubes, (CLASSES, 3) int64, of co-moving boxes per class."""
         side = self.cube[:, None]
-        offset = np.array([*self._frame[:2], 0.0])
+        offset = np.concatenate([self._frame[:, :2], np.zeros((CLASSES, 1))], axis=1)
         low, high = low - offset, high - offset
         first = np.floor(low / side).astype(np.int64)
         return first, np.maximum(np.floor(high / side).astype(np.int64), first - 1)
@@ -262,63 +274,6 @@ def impacts(field, surfaces, start, stop, smallest=0.0, within=None):
     )
 
 
-# ---- what the kernels of this file and of `streaks` share
-
-
-@device_function
-def cube_key(class_key, i, j, k):
-    """Return the random key (uint64) of cube (i, j, k) of a class."""
-    return subkey(subkey(subkey(class_key, i), j), k)
-
-
-@device_function
-def drops_in_cube(key, size_class, count):
-    """Return how many drops the cube of that key holds, by inverting the Poisson distribution."""
-    chance = uniform(key)
-    drops = 0
-    while chance >= count[size_class, drops]:
-        drops += 1
-    return drops
-
-
-@device_function
-def drop_id(key, drop):
-    """Return the random word of drop number `drop` of a cube; its bits are the drop's place."""
-    return subkey(key, drop + 1)
-
-
-@device_function
-def left_out(word, size_class, z, vz, share, frame):
-    """Tell whether a drop that would be at height z [m] at time 0 is not in the rain of its time.
-
-    Its time is when it passes z = 0.
-    """
-    ticks = share.shape[1]
-    if ticks == 1:
-        return False
-    at = min(max((-z / vz - frame[2]) * frame[3], 0.0), ticks - 1.0)
-    tick = min(int(at), ticks - 2)
-    part = at - tick
-    there = share[size_class, tick] * (1.0 - part) + share[size_class, tick + 1] * part
-    return uniform(mix(word ^ _SHARE_STREAM)) >= there
-
-
-@device_function
-def drop_diameter(word, size_class, size):
-    """Return the diameter [m] of the drop with that id: exponential within its class."""
-    chance = uniform(mix(word ^ _DIAMETER_STREAM))
-    return size[size_class, 0] - np.log(1 - chance * size[size_class, 1]) * size[size_class, 2]
-
-
-def slab_tasks(first, last):
-    """Return the work items (class, i), int64, of cube ranges, shuffled to balance the threads."""
-    counts = np.maximum(last[:, 0] - first[:, 0] + 1, 0)
-    size_class = np.repeat(np.arange(len(counts)), counts)
-    step = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
-    tasks = np.stack([size_class, first[size_class, 0] + step], axis=1).astype(np.int64)
-    return tasks[np.random.Generator(np.random.PCG64(0)).permutation(len(tasks))]
-
-
 # ---- kernels
 
 
@@ -340,8 +295,8 @@ def _fill_box(
                     ux, uy, uz = uniform_triple(word)
                     if left_out(word, b, (k + uz) * side, vz, share, frame):
                         continue
-                    x = (i + ux) * side + vx * time + frame[0]
-                    y = (j + uy) * side + vy * time + frame[1]
+                    x = (i + ux) * side + vx * time + frame[b, 0]
+                    y = (j + uy) * side + vy * time + frame[b, 1]
                     z = (k + uz) * side + vz * time
                     if low[0] <= x < high[0] and low[1] <= y < high[1] and low[2] <= z < high[2]:
                         if offset[t] + found < offset[t + 1]:
@@ -371,10 +326,10 @@ def _fill_impacts(
         vx, vy, vz = velocity[b]
         near = max(abs(vx), abs(vy)) * duration < block  # it stays within the next block
         # what the slab sweeps
-        west = i * side + frame[0] + vx * start + min(vx * duration, 0.0) - x0
+        west = i * side + frame[b, 0] + vx * start + min(vx * duration, 0.0) - x0
         east = west + side + abs(vx) * duration
         for j in range(first[b, 1], last[b, 1] + 1):
-            south = j * side + frame[1] + vy * start + min(vy * duration, 0.0) - y0
+            south = j * side + frame[b, 1] + vy * start + min(vy * duration, 0.0) - y0
             north = south + side + abs(vy) * duration
             z_low, z_high = _heights_within(
                 west / block, east / block, south / block, north / block, low, high
@@ -389,7 +344,7 @@ def _fill_impacts(
                     word = drop_id(key, n)
                     ux, uy, uz = uniform_triple(word)
                     # At time 0, had the wind always been the one of now.
-                    x, y = (i + ux) * side + frame[0], (j + uy) * side + frame[1]
+                    x, y = (i + ux) * side + frame[b, 0], (j + uy) * side + frame[b, 1]
                     z = (k + uz) * side
                     if z + vz * stop > z_high or z + vz * start < z_low:
                         continue
@@ -476,24 +431,3 @@ def _grown(reduce, blocks):
         parts = [np.take(padded, range(s, s + n), axis) for s in range(3)]
         blocks = reduce(reduce(parts[0], parts[1]), parts[2])
     return np.ascontiguousarray(blocks)
-
-
-def _cube_sides():
-    """Return the cube side [m] of each class: a power of two that holds some drops."""
-    density = RainSpectrum(_FILL_RATE).density
-    side = 2.0 ** np.round(np.log2((_CUBE_FILL / density) ** (1 / 3)))
-    return np.clip(side, *_CUBE_SIDES)
-
-
-def _class_keys(seed):
-    """Return one random key per class, ndarray of shape (CLASSES,), uint64."""
-    root = mix(np.array([seed % 2**64], np.uint64) + _SPREAD)
-    return subkey(root, np.arange(CLASSES, dtype=np.uint64))
-
-
-def _size_tables(spectrum):
-    """Return (lowest diameter, share of the exponential within, its scale) for each class."""
-    low, high = spectrum.edges[:-1], spectrum.edges[1:]
-    span = -np.expm1(-spectrum.decay * (high - low))
-    scale = np.full(len(low), 1 / spectrum.decay)
-    return np.ascontiguousarray(np.stack([low, span, scale], axis=1))

@@ -66,7 +66,7 @@ class Renderer:
         self.rasterizer = Rasterizer(prepare(scene.splats))
         self.surfaces = surfaces_of(terrain)
         self.weather = Weather(config)
-        self.exposure = rain_exposure(terrain, usual_wind(config))
+        self.exposure = rain_exposure(terrain, usual_wind(config), config.rain.roughness)
         self.grass = ndimage.gaussian_filter(terrain.grassy.astype(np.float32), 1)
         self.look = self.wetness = None
         self._set_time(0.0)

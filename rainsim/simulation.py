@@ -19,7 +19,7 @@ from rainsim.jit import cpu_kernel, prange
 from rainsim.puddles import WET, puddles_of, wet_share
 from rainsim.ripples import RippleTile, tile_impacts
 from rainsim.spectrum import terminal_speed
-from rainsim.weather import Weather
+from rainsim.weather import Weather, wind_shares
 
 RIPPLE_DEPTHS = (2e-3, 0.1)  # m: films thinner carry no rings, deeper water is deep to them
 RIPPLE_WARM_UP = 1.3  # s of rain before the first frame that rings on the water come from
@@ -79,17 +79,18 @@ def rain_field(config):
     return Weather(config).field(0.0, config.frame_interval)
 
 
-def rain_exposure(terrain, wind):
+def rain_exposure(terrain, wind, roughness=0.0):
     """Return the share of the rain that reaches each ground cell, float32 (ny, nx).
 
-    `wind` is (speed [m/s], direction [rad]). The paths of drops of three sizes are followed
-    upwards; the result is blurred, for a hard edge of a dry patch is not seen in nature.
+    `wind` is (speed [m/s], direction [rad]) and `roughness` [m] as for `wind_shares`. The paths of
+    drops of three sizes are followed upwards; the result is blurred, for a hard edge of a dry patch
+    is not seen in nature.
     """
     total = np.zeros(terrain.grid.shape, np.float32)
     speed, direction = wind
     ceiling = np.float32(terrain.top.max())
-    for diameter in SHELTER_DIAMETERS:
-        slope = speed / float(terminal_speed(diameter))  # m sideways per m of fall
+    falls = terminal_speed(np.array(SHELTER_DIAMETERS))
+    for slope in speed * wind_shares(falls, roughness) / falls:  # m sideways per m of fall
         open_out = np.full(terrain.grid.shape, np.nan, np.float32)
         _follow_up(
             terrain.bed, terrain.top, terrain.underside, np.float32(terrain.grid.spacing),
@@ -174,7 +175,7 @@ def simulate(terrain, config, progress=None):
     """
     weather = Weather(config)
     surfaces = surfaces_of(terrain)
-    exposure = rain_exposure(terrain, usual_wind(config))
+    exposure = rain_exposure(terrain, usual_wind(config), config.rain.roughness)
     depth, notes = initial_water(terrain, config.at(0.0), exposure)
     quick = quick_rain(terrain, config, exposure)
     solver = water_solver(terrain, config)

@@ -13,7 +13,7 @@ import threading
 
 import numpy as np
 
-from rainsim.drops import (
+from rainsim.cubes import (
     cube_key,
     drop_diameter,
     drop_id,
@@ -203,7 +203,7 @@ def _draw_field(
                     axes_end[a, c] = rotation_end[a, c] * side
             for j in range(first[b, 1], last[b, 1] + 1):
                 for k in range(first[b, 2], last[b, 2] + 1):
-                    x, y = i * side + vx * time + frame[0], j * side + vy * time + frame[1]
+                    x, y = i * side + vx * time + frame[b, 0], j * side + vy * time + frame[b, 1]
                     z = k * side + vz * time
                     _to_camera(rotation, eye, x, y, z, base)
                     _to_camera(
@@ -225,7 +225,7 @@ def _draw_field(
                         if left_out(word, b, (k + uz) * side, vz, share, frame):
                             continue
                         stop, _, _, _ = first_hit(
-                            (i + ux) * side + frame[0], (j + uy) * side + frame[1],
+                            (i + ux) * side + frame[b, 0], (j + uy) * side + frame[b, 1],
                             (k + uz) * side, vx, vy, vz, -np.inf, time + exposure,
                             x0, y0, spacing, sky, ground, underside, top, block_high,
                         )  # fmt: skip

@@ -6,12 +6,10 @@ are continuous; only within one interval is it taken as steady. A rain that chan
 of the heaviest rain and leaves some out by their ids; whether a drop is there is told by the rate
 at the time when it passes z = 0, so that no drop ever appears or vanishes in the air.
 
-A wind that changes with height would not: drops of one class would have different velocities, and
-shear would carry the cubes in which they are listed ever farther apart. Drops of a millimetre and
-more follow the wind only over metres of fall (speed squared over g: 1.6 m at 1 mm, 7 m at 4 mm), so
-over the few metres of a scene each falls nearly straight, with the wind of some metres higher up.
-The wind of the settings is meant as that one, the same for all heights and sizes: no boundary
-layer near the ground, which would slow the wind's drift in the lowest metre by up to a third.
+The wind blows as the logarithm of the height above rough land, and a drop follows it only over
+metres of fall (speed squared over g: 1.6 m at 1 mm, 7 m at 4 mm). So each class drifts with a share
+of the wind at 10 m that grows with its size, see `wind_shares`, on a path that is taken as straight
+over the few metres of a scene.
 """
 
 from __future__ import annotations
@@ -27,8 +25,42 @@ from rainsim.spectrum import CLASSES, RainSpectrum
 MARGIN = 2.0  # s before the first keyframe and after the last that drops aloft may need
 TICK = 0.05  # s, between the times at which the share of drops is tabled; linear between
 MOST_TICKS = 4096
+WIND_HEIGHT = 10.0  # m; where weather services measure the wind, and the settings mean it
+SCENE_HEIGHT = 3.0  # m above the ground, over which a class's drift is averaged
+_GRAVITY = 9.81  # m/s2
+_FALLS, _FALL_WEIGHTS = np.polynomial.laguerre.laggauss(40)
 GUST_PERIODS = (2.3, 5.1, 11.7)  # s; by eye: gusts of some seconds are what a film shows
 GUST_SHARES = (0.45, 0.6, 0.66)  # of the gustiness; their squares sum to 1
+
+
+def wind_shares(speed, roughness):
+    """Return the horizontal speed of drops near the ground over the wind at WIND_HEIGHT.
+
+    Parameters
+    ----------
+    speed : ndarray of shape (n,) [m/s]
+        Fall speeds.
+    roughness : float [m]
+        Roughness length of the land around: 0.005 smooth, 0.03 grass, 0.1 crops, 0.5 suburbs
+        (Davenport's classes); 0 for a wind that is the same at all heights.
+
+    Returns
+    -------
+    ndarray of shape (n,), float64
+
+    Notes
+    -----
+    The wind is u(z) = u_10 ln(1 + z / z0) / ln(1 + 10 m / z0). A drop that falls at v yields to a
+    horizontal wind as dw/dt = (u - w) g / v, the linearised quadratic drag, so that at height z it
+    has w(z) = integral_0^inf u(z + s v^2 / g) exp(-s) ds. Given is the mean of w from the ground to
+    SCENE_HEIGHT: the drop's true path bends away from the straight one by some centimetres.
+    """
+    if roughness == 0:
+        return np.ones(len(speed))
+    height = SCENE_HEIGHT * (np.arange(64) + 0.5) / 64
+    above = height[:, None] + (np.asarray(speed) ** 2 / _GRAVITY)[:, None, None] * _FALLS
+    wind = np.log1p(above / roughness) / math.log1p(WIND_HEIGHT / roughness)
+    return (wind @ _FALL_WEIGHTS).mean(axis=1)
 
 
 class Weather:
@@ -57,9 +89,11 @@ class Weather:
         self.rains = bool(self._rates.max() > 0)
         self._steady = len(times) == 1
         self._only = None  # the field of steady rain in steady wind
+        self._roughness = config.rain.roughness
         if self.rains:
             self._heaviest = self._spectrum(self._rates.max())
             self._share, self._clock = self._shares()
+            self._follow = wind_shares(self._heaviest.speed, self._roughness)
 
     def rate(self, time):
         """Rain rate [mm/h] at a time [s]."""
@@ -75,18 +109,20 @@ class Weather:
             return None
         if self._steady and self._gusts == 0:
             if self._only is None:
-                self._only = RainField(self._heaviest, self._winds[0], self._seed)
+                self._only = RainField(
+                    self._heaviest, self._winds[0], self._seed, follow=self._follow
+                )
             return self._only
         here, there = self.drift(start), self.drift(stop)
         wind = (there - here) / (stop - start)
         return RainField(
             self._spectrum(self.rate(0.5 * (start + stop))), wind, self._seed,
             offset=here - wind * start, heaviest=self._heaviest, share=self._share,
-            clock=self._clock,
+            clock=self._clock, follow=self._follow,
         )  # fmt: skip
 
     def wind(self, time):
-        """Wind (x, y) [m/s] at a time [s], gusts and all."""
+        """Wind (x, y) [m/s] at WIND_HEIGHT at a time [s], gusts and all."""
         base = np.array([np.interp(time, self._times, self._winds[:, a]) for a in (0, 1)])
         swing = sum(
             share * math.sin(2 * math.pi * time / period + phase)

@@ -149,8 +149,8 @@ rain_options = _group(
     click.option("--past-rain", type=float, metavar="MM", show_default=PRESETS,
                  help="Rain that fell before the first frame and has come to rest, in mm."),
     click.option("--wind", type=Numbers("speed,direction"), show_default=PRESETS,
-                 help="Wind in m/s and the way it goes, in degrees counter-clockwise seen from "
-                 "above, from the first camera's view."),
+                 help="Wind in m/s at 10 m and the way it goes, in degrees counter-clockwise seen "
+                 "from above, from the first camera's view."),
     click.option("--water-level", type=float, metavar="M", show_default=PRESETS,
                  help="Still water, in metres above the 5th percentile of the ground."),
     click.option("--water-scheme", metavar="NAME", show_default=PRESETS,

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 PACKAGE = Path(__file__).resolve().parent.parent.parent / "rainsim"
-BASE = ("rainsim.errors", "rainsim.timeline")
+BASE = ("rainsim.errors", "rainsim.keys", "rainsim.timeline")
 MODULES = sorted(PACKAGE.rglob("*.py"))
 
 

@@ -6,7 +6,8 @@ import pytest
 from rainsim.config import Config, mm_per_hour
 from rainsim.drops import flat_surfaces, impacts
 from rainsim.errors import ParameterError
-from rainsim.weather import GUST_SHARES, Weather
+from rainsim.spectrum import terminal_speed
+from rainsim.weather import GUST_SHARES, SCENE_HEIGHT, Weather, wind_shares
 
 
 def timeline(*frames, **base):
@@ -123,3 +124,51 @@ def test_after_the_rain_nothing_falls_and_dry_weather_has_no_field():
 def test_steady_weather_is_one_field():
     weather = Weather(Config.from_preset("downpour"))
     assert weather.field(0.0, 0.1) is weather.field(5.0, 5.1)
+
+
+# ---- wind that grows with height
+
+
+def fall_through(diameter, roughness, step=1e-4):
+    """Oracle: integrate a drop's horizontal speed and way from 60 m down, in a wind of 1 m/s."""
+    fall = float(terminal_speed(diameter))
+    z, speed, way, passed = 60.0, 1.0, 0.0, None
+    ways = []
+    while z > 0:
+        wind = np.log1p(z / roughness) / np.log1p(10 / roughness)
+        speed += (wind - speed) * 9.81 / fall * step
+        way += speed * step
+        z -= fall * step
+        if z < SCENE_HEIGHT:
+            passed = way if passed is None else passed
+            ways.append((SCENE_HEIGHT - z, way - passed))
+    return np.array(ways)
+
+
+@pytest.mark.parametrize("diameter", [0.7e-3, 2e-3, 4e-3])
+def test_drops_drift_as_their_own_path_through_the_wind_profile_says(diameter):
+    fall = float(terminal_speed(diameter))
+    share = wind_shares(np.array([fall]), 0.03)[0]
+    fallen, way = fall_through(diameter, 0.03).T
+    assert way[-1] == pytest.approx(share * SCENE_HEIGHT / fall, rel=0.01)
+    # and bends away from the straight path by centimetres for each m/s of wind
+    bend = np.abs(way - share * fallen / fall).max()
+    assert 1e-4 < bend < 0.15 * SCENE_HEIGHT / fall
+
+
+def test_wind_shares_grow_with_size_and_fall_with_roughness_and_may_be_left_out():
+    speed = terminal_speed(np.array([0.5e-3, 1e-3, 3e-3, 6e-3]))
+    smooth, rough = wind_shares(speed, 0.005), wind_shares(speed, 0.5)
+    assert (np.diff(smooth) > 0).all() and (rough < smooth).all() and rough.min() > 0.3
+    assert (wind_shares(speed, 0.0) == 1).all()
+
+
+def test_no_drop_jumps_in_a_gusty_wind_that_grows_with_height():
+    weather = Weather(Config().replace(rate=mm_per_hour(50), wind=(4.0, 0.3), gusts=0.4))
+    step, low, high = 0.05, np.array([-1.0, -1, 0]), np.array([1.0, 1, 1.5])
+    now, then = weather.field(1.0, 1.0 + step), weather.field(1.0 + step, 1.0 + 2 * step)
+    before = now.drops_in_box(1.0, low, high)
+    after = then.drops_in_box(1.0 + step, low - 1, high + 1)
+    moved = after.position[np.searchsorted(after.id, before.id)] - before.position
+    np.testing.assert_allclose(moved, before.velocity * step, atol=1e-9)
+    assert np.ptp(before.velocity[:, 0]) > 0.1 and len(before) > 1000

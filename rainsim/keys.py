@@ -1,0 +1,122 @@
+"""The keys of preset files: their names, the units that people use, and the files themselves."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from importlib import resources
+from pathlib import Path
+
+from rainsim.errors import InputError, ParameterError
+
+MM_PER_HOUR = 1e-3 / 3600  # m/s
+SKIES = ("overcast", "capture")
+
+# Key in a preset file: attribute and what one unit of the key is in SI (None: not a number).
+HUMAN_KEYS = {
+    "rain_mm_per_hour": ("rate", MM_PER_HOUR),
+    "past_rain_mm": ("past", 1e-3),
+    "wind_speed_m_per_s": ("wind", 1.0),
+    "wind_direction_degrees": ("wind", math.pi / 180),
+    "wind_roughness_m": ("roughness", 1.0),
+    "gusts": ("gusts", 1.0),
+    "drop_radii": ("drop_radii", None),
+    "seed": ("seed", None),
+    "water_scheme": ("scheme", None),
+    "water_level_m": ("level", 1.0),
+    "courant": ("courant", 1.0),
+    "exposure_ms": ("exposure", 1e-3),
+    "sky": ("sky", None),
+    "sun_azimuth_degrees": ("sun", math.pi / 180),
+    "sun_elevation_degrees": ("sun", math.pi / 180),
+    "cloudiness": ("cloudiness", 1.0),
+    "brightness": ("brightness", 1.0),
+    "reflections": ("reflections", None),
+    "streaks": ("streaks", None),
+    "splashes": ("splashes", None),
+    "streak_far_m": ("streak_far", 1.0),
+    "frames": ("frames", None),
+    "fps": ("fps", 1.0),
+    "width": ("width", None),
+    "height": ("height", None),
+    "terrain_spacing_m": ("spacing", 1.0),
+    "terrain_extent_m": ("extent", 1.0),
+}
+_PAIRS = {  # attributes that two keys fill, with what stands for a missing one (None: required)
+    "wind": (("wind_speed_m_per_s", 0.0), ("wind_direction_degrees", 0.0)),
+    "sun": (("sun_azimuth_degrees", None), ("sun_elevation_degrees", None)),
+}
+
+
+def preset_names():
+    """Return the names of the built-in presets, from dry to wet."""
+    return ["drizzle", "moderate", "downpour", "flood"]
+
+
+def preset_text(name):
+    """Return the TOML text of a built-in preset or of a TOML file."""
+    return preset_file(name)[0]
+
+
+def preset_file(name):
+    """Return the text, its name in errors and the folder for relative paths."""
+    if isinstance(name, Path) or str(name).endswith(".toml"):
+        path = Path(name)
+        try:
+            return path.read_text(encoding="utf-8"), str(path), path.parent
+        except (OSError, UnicodeDecodeError) as error:
+            reason = getattr(error, "strerror", None) or "it is not UTF-8 text"
+            raise InputError(
+                f"cannot read {path}: {reason}; a preset file must be TOML text; check the path"
+            ) from None
+    if name not in preset_names():
+        raise ParameterError(
+            f"there is no preset {name!r}; {nearest(name, preset_names())}; see `rainsim "
+            "presets`, or give a path that ends in .toml"
+        )
+    file = resources.files("rainsim").joinpath("presets", f"{name}.toml")
+    return file.read_text(encoding="utf-8"), f"preset {name}", None
+
+
+def from_human(table, where, folder=None):
+    """Return attributes in SI units from a table of preset keys."""
+    for key in table:
+        if key not in HUMAN_KEYS:
+            raise ParameterError(
+                f"{where} has the key {key!r}; {nearest(key, HUMAN_KEYS)}; correct the key"
+            )
+    changes = {}
+    for key, value in table.items():
+        attribute, unit = HUMAN_KEYS[key]
+        if unit is not None:
+            if not is_number(value):
+                raise ParameterError(f"{where}: {key} is {value!r}; it must be a number")
+            value = value * unit
+        table[key] = value
+        if attribute not in _PAIRS:
+            changes[attribute] = value
+    for attribute, keys in _PAIRS.items():
+        given = [key for key, _ in keys if key in table]
+        if not given:
+            continue
+        lacking = [key for key, default in keys if key not in table and default is None]
+        if lacking:
+            raise ParameterError(f"{where} has {given[0]} but no {lacking[0]}; give both")
+        changes[attribute] = tuple(table.get(key, default) for key, default in keys)
+    sky = changes.get("sky")
+    if folder is not None and isinstance(sky, str) and sky not in SKIES:
+        changes["sky"] = str(folder / sky)
+    return changes
+
+
+def nearest(name, known, hint="the nearest is {!r}", otherwise="known are {}"):
+    """Return a hint that names the known word closest to `name`, or all if none is close."""
+    close = difflib.get_close_matches(str(name), list(known), n=1, cutoff=0.5)
+    return hint.format(close[0]) if close else otherwise.format(", ".join(known))
+
+
+def is_number(value):
+    """Tell whether a value is a number that a float can hold."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return False
+    return isinstance(value, float) or abs(value) < 2**63  # TOML allows any length
