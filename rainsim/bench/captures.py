@@ -116,6 +116,29 @@ def street(seed, noise=2e-3, step=0.08):
     return scene, Truth(scene.ground_frame, bed, np.zeros((0, 2)), STREET_HALF)
 
 
+def fold(seed, degrees, share=0.5, noise=2e-3, step=0.05):
+    """Return the Scene and Truth of two planes that meet in a line, both wide and seen as well.
+
+    The first is level and holds `share` of 8 x 8 m; the other rises from it by `degrees` (falls if
+    negative, as a ridge).
+    """
+    rng = np.random.default_rng(seed)
+    place = 8 * share - 4
+    rise = np.tan(np.radians(degrees))
+
+    def bed(x, y):
+        return np.maximum(x - place, 0) * rise + 0 * y
+
+    x, y = _lattice(rng, 4.0, step)
+    z = bed(x, y) + rng.normal(0, noise, x.shape)
+    color = np.tile(PAVING, (len(x), 1)) + rng.normal(0, 0.02, (len(x), 3))
+    parts = [(np.stack([x, y, z], 1), color, 0.7 * step, 0.95), *_air(rng, len(x), 0.3, 4.0)]
+    eyes = _ring(rng, 3.2, 1.5)
+    eyes[:, 2] += bed(eyes[:, 0], eyes[:, 1])
+    scene = _scene(rng, parts, eyes, (0, 0, 0.3), f"fold-{seed}")
+    return scene, Truth(scene.ground_frame, bed, np.zeros((0, 2)), 4.0)
+
+
 def _dips(rng, half, kerb):
     """Return centres of dips that keep off each other, the rim and the kerb."""
     found = []

@@ -21,6 +21,9 @@ NOISES = (1e-3, 3e-3, 10e-3)  # m
 RAIN = 5e-3  # m: fills dips that are 5 mm deep
 SPACINGS = (0.04, 0.02, 0.01)  # m
 UP_HINT_ERROR = 5.0  # degrees that a user's up is off, without cameras
+FRAMES = 50  # captures whose frame is looked for
+FOLDS = ((4, 0.5), (8, 0.5), (15, 0.55), (25, 0.5), (-8, 0.5), (8, 0.7), (25, 0.7), (-15, 0.7))
+WRONG = 2.0  # degrees: what is farther off must be refused
 
 
 def run(quick=False, tell=None):
@@ -37,8 +40,13 @@ def run(quick=False, tell=None):
     seeds = 2 if quick else 10
     spacings = (0.02,) if quick else SPACINGS
     measure_bed(*captures.yard(0), 0.05)  # compiles; not timed
-    tell(f"ground frames of {seeds} captures")
-    frames = [measure_frames(*captures.yard(seed), seed) for seed in range(seeds)]
+    number = seeds if quick else FRAMES
+    tell(f"ground frames of {number} captures")
+    frames = []
+    for seed in range(number):
+        capture = captures.yard(seed, NOISES[seed % 3], kerb=seed % 2 == 1, step=0.05)
+        frames.append(measure_frames(*capture, seed))
+    folds = [measure_fold(*fold, seed) for seed in range(max(1, seeds // 2)) for fold in FOLDS]
     beds = []
     for noise in NOISES:
         tell(f"beds with {noise * 1e3:g} mm of noise")
@@ -47,13 +55,23 @@ def run(quick=False, tell=None):
             rows = [measure_bed(*capture, spacing) for capture in made]
             beds.append({"noise_mm": noise * 1e3, "spacing_m": spacing, **_summary(rows)})
     tell("a street of 300 m")
-    return {"captures": seeds, "frames": _summary(frames), "beds": beds, "street": measure_street()}
+    return {
+        "captures": seeds,
+        "frame_captures": number,
+        "frames": _summary(frames),
+        "two_planes": _summary(folds),
+        "beds": beds,
+        "street": measure_street(),
+    }
 
 
 def table(result):
     """Return the figures as lines: mean and, in brackets, the worst over the captures."""
-    lines = [f"{result['captures']} captures per case, mean (worst)", "", "ground frame"]
+    lines = [f"{result['captures']} captures per case, mean (worst)"]
+    lines += ["", f"ground frame, {result['frame_captures']} captures"]
     lines += [f"  {key:<22} {_shown(value)}" for key, value in result["frames"].items()]
+    lines += ["", "two planes that meet"]
+    lines += [f"  {key:<22} {_shown(value)}" for key, value in result["two_planes"].items()]
     for row in result["beds"]:
         lines += ["", f"bed, {row['noise_mm']:g} mm of noise, cells of {row['spacing_m']:g} m"]
         lines += [f"  {key:<22} {_shown(v)}" for key, v in row.items() if isinstance(v, dict)]
@@ -110,6 +128,25 @@ def measure_frames(scene, truth, seed):
     except GroundError:
         result["blind_refused"] = 1.0
     return result
+
+
+def measure_fold(degrees, share, seed):
+    """Return what becomes of two planes, the first of which holds `share`.
+
+    As good (0.5 to 0.6) they must be refused, else the greater must be found.
+    """
+    scene, truth = captures.fold(seed, degrees, share)
+    try:
+        found = angle(estimate_ground_frame(scene.splats, scene.cameras).up, truth.frame.up)
+    except GroundError:
+        found = None
+    said = estimate_ground_frame(scene.splats, scene.cameras, up=truth.frame.up)
+    return {
+        "refused": float(found is None),
+        "needlessly": float(found is None) if share > 0.6 else None,
+        "wrong": float(found is not None and found > WRONG),
+        "told_degrees": angle(said.up, truth.frame.up),
+    }
 
 
 def _across(up, rng):

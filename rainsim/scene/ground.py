@@ -14,7 +14,7 @@ import numpy as np
 
 from rainsim.errors import GroundError, InputError, ParameterError, require_finite, require_positive
 from rainsim.scene.files import json_number, number_array, read_json, write_json
-from rainsim.scene.plane import find_plane
+from rainsim.scene.plane import ROUGHER, THRESHOLD, find_plane
 from rainsim.scene.types import GroundFrame
 
 ASSUMED_CAMERA_HEIGHT = 1.5  # m, mean over the cameras: held before the eyes
@@ -68,10 +68,12 @@ def estimate_ground_frame(
         If a given value is out of range, or both ways to give the scale are used.
     """
     cameras = list(cameras)
-    up = _check_hints(cameras, up, meters_per_unit, camera_height)
+    up = _check_hints(up, meters_per_unit, camera_height)
+    if not cameras and (up is None or meters_per_unit is None):
+        raise _not_enough(splats, up, meters_per_unit, seed)
     eyes = np.array([camera.position for camera in cameras]).reshape(-1, 3)
     hint, max_angle = (up, UP_HINT_ANGLE) if up is not None else _image_up(cameras)
-    plane, centre = _search(splats, eyes, hint, max_angle, seed)
+    plane, centre = _search(splats, eyes, hint, max_angle, seed, up is not None)
 
     notes = [_plane_note(plane, up, cameras)]
     heights = plane.height(eyes)
@@ -89,7 +91,7 @@ def estimate_ground_frame(
     )
 
 
-def _check_hints(cameras, up, meters_per_unit, camera_height):
+def _check_hints(up, meters_per_unit, camera_height):
     """Return `up` as a unit vector or None, after checking all that the user gave."""
     if meters_per_unit is not None and camera_height is not None:
         raise ParameterError(
@@ -105,18 +107,38 @@ def _check_hints(cameras, up, meters_per_unit, camera_height):
         if up is None or not np.linalg.norm(up) > 0:
             raise ParameterError(f"up is {given!r}; it must be three numbers, not all 0, as 0,-1,0")
         up /= np.linalg.norm(up)
-    if not cameras and (up is None or meters_per_unit is None):
-        missing = [
-            name
-            for name, value in (("--up", up), ("--meters-per-unit", meters_per_unit))
-            if value is None
-        ]
-        raise GroundError(
-            f"there are no cameras to tell up and scale from, and no {' and no '.join(missing)}; "
-            "without cameras both --up x,y,z and --meters-per-unit S are needed; give them, or put "
-            "the capture's cameras.json beside the splats"
-        )
     return up
+
+
+def _not_enough(splats, up, meters_per_unit, seed):
+    """Return the error for a capture without cameras of which up or scale is not told."""
+    given = ("--up", up), ("--meters-per-unit", meters_per_unit)
+    missing = " and no ".join(name for name, value in given if value is None)
+    text = (
+        f"there are no cameras to tell up and scale from, and no {missing}; without cameras both "
+        "--up x,y,z and --meters-per-unit S (or --known-length) are needed; give them, or put the "
+        "capture's cameras.json beside the splats"
+    )
+    max_angle = math.pi if up is None else UP_HINT_ANGLE
+    try:
+        plane, _ = _search(splats, np.zeros((0, 3)), up, max_angle, seed, up is not None)
+    except GroundError:
+        return GroundError(text)
+    if up is None:
+        text += (
+            ". The flattest wide surface, with most of the capture above it, has "
+            f"--up={_said(plane.normal)}"
+        )
+    width = _width(splats, plane)
+    return GroundError(f"{text}. The splats on that surface lie within {width:.3g} units")
+
+
+def _width(splats, plane):
+    """Return how wide the splats on a plane lie [capture units]."""
+    points, _ = _candidates(splats)
+    points = points[np.abs(plane.height(points)) < plane.threshold]
+    low, high = np.percentile(points, (5, 95), axis=0)
+    return float(np.linalg.norm(high - low)) / math.sqrt(2)
 
 
 def _image_up(cameras):
@@ -131,8 +153,11 @@ def _image_up(cameras):
 # --- plane ----------------------------------------------------------------------------------------
 
 
-def _search(splats, eyes, up, max_angle, seed):
-    """Return the ground Plane and the middle of the splats on it; the radius grows until found."""
+def _search(splats, eyes, up, max_angle, seed, up_given):
+    """Return the ground Plane and the middle of the splats on it; the radius grows until found.
+
+    Flat ground is looked for first, then rougher.
+    """
     points, weights = _candidates(splats)
     centre = eyes.mean(axis=0) if len(eyes) else _weighted_median(points, weights)
     distance = np.linalg.norm(points - centre, axis=1)
@@ -140,20 +165,44 @@ def _search(splats, eyes, up, max_angle, seed):
     start, farthest = np.quantile(distance, [START_SHARE, 0.95])
     if np.mean(distance <= radius) < LEAST_SHARE:  # one camera, a few close together, or none
         radius = start
+    if not len(eyes) and up is None:  # nothing tells a table from the ground but its width
+        radius = farthest
+    radii = [radius]
+    while radii[-1] < farthest:
+        radii.append(radii[-1] * GROWTH)
     best = None
-    while True:
-        near = distance <= radius
-        step = max(1, math.ceil(np.count_nonzero(near) / MAX_POINTS))
-        here, weight = points[near][::step], weights[near][::step]
-        plane = find_plane(here, weight, eyes, up, max_angle, radius, seed)
-        if plane is not None and (best is None or plane.confidence > best[0].confidence):
-            on_it = np.abs(plane.height(here)) < 0.01 * radius
-            best = plane, _weighted_median(here[on_it], weight[on_it])
-        if best is not None and best[0].confidence >= LEAST_CONFIDENCE:
-            return best
-        if radius >= farthest:
-            raise _not_found(best)
-        radius *= GROWTH
+    for thickness in (THRESHOLD, *ROUGHER):
+        for radius in radii:
+            near = distance <= radius
+            step = max(1, math.ceil(np.count_nonzero(near) / MAX_POINTS))
+            here, weight = points[near][::step], weights[near][::step]
+            plane = find_plane(here, weight, eyes, up, max_angle, radius, seed, thickness)
+            if plane is None:
+                continue
+            plane = _nearer(plane, up) if up_given else plane
+            if plane.confidence >= LEAST_CONFIDENCE:
+                if plane.rival is not None:  # a wider search would find something between the two
+                    raise _two_grounds(plane)
+                on_it = np.abs(plane.height(here)) < 2 * thickness * radius
+                return plane, _weighted_median(here[on_it], weight[on_it])
+            if best is None or plane.confidence > best.confidence:
+                best = plane
+    raise _not_found(best)
+
+
+def _nearer(plane, up):
+    """Return the one of a plane and its rival that `up` clearly means, else both."""
+    if plane.rival is None:
+        return plane
+    own, other = _angle(plane.normal, up), _angle(plane.rival.normal, up)
+    if abs(own - other) < _angle(plane.normal, plane.rival.normal) / 2:
+        return plane
+    return replace(plane if own < other else plane.rival, rival=None)
+
+
+def _angle(a, b):
+    """Return the angle between two directions [rad]."""
+    return math.atan2(np.linalg.norm(np.cross(a, b)), a @ b)
 
 
 def _candidates(splats):
@@ -187,8 +236,8 @@ def _not_found(best):
         found = "no plane of splats lies below the cameras and across up"
     else:
         found = (
-            f"the best plane has a confidence of {best[0].confidence:.2f}, below "
-            f"{LEAST_CONFIDENCE:g}"
+            f"the best plane has a confidence of {best.confidence:.2f}, below "
+            f"{LEAST_CONFIDENCE:g} ({_reasons(best)})"
         )
     return GroundError(
         f"the ground cannot be found: {found}; give --up x,y,z to say roughly where up is, or the "
@@ -196,15 +245,38 @@ def _not_found(best):
     )
 
 
+def _two_grounds(plane):
+    between = math.degrees(_angle(plane.normal, plane.rival.normal))
+    return GroundError(
+        f"the ground cannot be told: two planes {between:.1f} degrees apart are as good, with up "
+        f"{_said(plane.normal)} and {_said(plane.rival.normal)}; give the right one, as "
+        f"--up={_said(plane.normal)}, or the whole frame with --ground-frame FILE.json"
+    )
+
+
+def _said(direction):
+    """Return a direction as --up takes it."""
+    return ",".join(f"{v:.3f}" for v in direction + 0.0)
+
+
+def _reasons(plane):
+    """Return in words what a plane's confidence is made of."""
+    ratio = plane.peak / max(1 - plane.peak, 1e-3)
+    return (
+        f"{plane.support:.0%} of the splats near by lie within {plane.threshold:.2g} units of it, "
+        f"{min(ratio, 999):.2g} times as many as beside it, across {plane.spread:.0%} of the region"
+    )
+
+
 # --- frame ----------------------------------------------------------------------------------------
 
 
 def _plane_note(plane, up, cameras):
-    note = f"ground plane fitted to splats, confidence {plane.confidence:.2f}; up is "
-    note += "(" + ", ".join(f"{v:.4f}" for v in plane.normal) + ") of the capture"
+    note = f"ground plane fitted to splats, confidence {plane.confidence:.2f} ({_reasons(plane)}); "
+    note += "up is (" + ", ".join(f"{v:.4f}" for v in plane.normal) + ") of the capture"
     if up is None:
         return f"{note}, its sign from {len(cameras)} cameras that stand above the ground"
-    lean = math.degrees(math.atan2(np.linalg.norm(np.cross(plane.normal, up)), plane.normal @ up))
+    lean = math.degrees(_angle(plane.normal, up))
     return (
         f"{note}, {lean:.2f} degrees from the up that was given: the ground is made level "
         "(to keep its fall, give the whole ground frame)"
@@ -252,7 +324,12 @@ def _axes(up, cameras):
 
 def rescale_ground_frame(frame, cameras, meters_per_unit=None, camera_height=None):
     """Return the same ground frame with another scale, given as in `estimate_ground_frame`."""
-    _check_hints(cameras, frame.up, meters_per_unit, camera_height)
+    _check_hints(frame.up, meters_per_unit, camera_height)
+    if not len(cameras) and meters_per_unit is None:
+        raise GroundError(
+            "there are no cameras to tell the scale from; without cameras --meters-per-unit S is "
+            "needed; give it"
+        )
     eyes = np.array([frame.to_ground(camera.position) for camera in cameras]).reshape(-1, 3)
     notes = [note for note in frame.notes if not note.lower().startswith("scale")]
     scale, assumed = _scale(

@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 HYPOTHESES = 2048  # with a plane that holds 15 % of the weight some 7 of them lie all in it
 SCORED_POINTS = 6000  # a plane's score is then known to about 1 %
 THRESHOLD = 0.005  # of the search radius: 1 cm for a capture that is walked in a 2 m circle
+ROUGHER = (0.015, 0.04)  # thresholds for lawns and meadows, once nothing flat was found
 ABOVE_SHARE = 0.95  # of the viewpoints must stand above the ground; a few may be badly placed
 LOWER_SHARE = 0.3  # of the best plane's score is what a lower one needs to be preferred
+RIVAL_ANGLE = np.radians(3.0)  # planes that lean more apart are two; a street's camber has 2.9
+RIVAL_SHARE = 0.65  # of the best plane's score from which another is as good
+# Of two planes the one is a roof or a ramp, not the ground, of which more than the first share lies
+# above the other and which has less than the second share of the other above itself.
+ABOVE_MOST, ABOVE_LEAST = 0.9, 0.6
 SPREAD_CELLS = 16  # the support's spread is counted on a grid of this many cells across
 
 # What counts as full support. Points that fill a ball evenly give 0.008, 0.5 and little spread.
-FULL_SUPPORT = 0.05
+FULL_SUPPORT, MOST_SUPPORT = 0.05, 0.4  # the first at THRESHOLD; a thicker slab holds more anyway
 LEAST_PEAK, FULL_PEAK = 0.5, 0.8
 FULL_SPREAD = 0.15
 
@@ -29,19 +35,34 @@ class Plane:
         Unit, pointing up.
     offset : float [capture units]
     confidence : float
-        0 to 1: support, sharpness and spread of the points on it.
+        0 to 1: support, sharpness and spread of the points on it, each as a share of what is full.
+    threshold : float [capture units]
+        Half thickness of the slab whose points count as on the plane.
+    support : float
+        Share of the weight in that slab.
+    peak : float
+        0.5 if the slab holds no more than as much space beside it, 1 if there is nothing beside it.
+    spread : float
+        Share of the region across which those points lie.
+    rival : Plane or None
+        Another plane as well supported that leans otherwise, if there is one.
     """
 
     normal: np.ndarray
     offset: float
     confidence: float
+    threshold: float = 0.0
+    support: float = 0.0
+    peak: float = 0.0
+    spread: float = 0.0
+    rival: Plane | None = None
 
     def height(self, points):
         """Height of `points` of shape (..., 3) above the plane [capture units]."""
         return points @ self.normal + self.offset
 
 
-def find_plane(points, weights, eyes, up, max_angle, radius, seed=0):
+def find_plane(points, weights, eyes, up, max_angle, radius, seed=0, thickness=THRESHOLD):
     """Find the lowest well-supported plane among weighted points.
 
     Parameters
@@ -50,15 +71,17 @@ def find_plane(points, weights, eyes, up, max_angle, radius, seed=0):
     weights : ndarray of shape (n,), float64
         Positive.
     eyes : ndarray of shape (m, 3), float64 [capture units]
-        Viewpoints that must stand above the plane; m may be 0 if `up` is given.
+        Viewpoints that must stand above the plane; m may be 0.
     up : ndarray of shape (3,), float64, or None
-        Roughly up, unit length.
+        Roughly up, unit length. Without it and without eyes most points lie above the plane.
     max_angle : float [radians]
         How far the normal may lean from `up`.
     radius : float [capture units]
         Size of the region that holds the points; lengths are measured by it.
     seed : int
         Of the random triplets; the answer is the same for the same seed.
+    thickness : float
+        Half thickness of the slab about a plane whose points count as on it, in units of `radius`.
 
     Returns
     -------
@@ -75,19 +98,70 @@ def find_plane(points, weights, eyes, up, max_angle, radius, seed=0):
     normals, offsets = _allowed(normals, offsets, eyes, up, max_angle)
     if not len(normals):
         return None
-    threshold = THRESHOLD * radius
+    threshold = thickness * radius
     sample = points[_draw(chance, SCORED_POINTS, rng)]
     score = _scores(normals, offsets, sample, threshold)
     if up is not None:
         score *= normals @ up  # of equals, the one that leans less
-    best = np.argmax(score)
-    normal, offset = _refine(points, weights, normals[best], offsets[best], threshold)
-    normal, offset = _go_down(points, weights, normal, offset, threshold)
-    normal, offset = _sharpen(points, weights, normal, offset, threshold)
-    if not len(_allowed(normal[None], np.array([offset]), eyes, up, max_angle)[0]):
+    cloud = _Slab(points, weights, eyes, up, max_angle, threshold, radius)
+    best = cloud.settle(normals[np.argmax(score)], offsets[np.argmax(score)])
+    if best is None:
         return None
-    confidence = _confidence(points, weights, normal, offset, threshold, radius)
-    return Plane(normal, offset - normal @ origin, confidence)
+    along = normals @ best.normal
+    leaning = (along if len(eyes) or up is not None else np.abs(along)) < np.cos(RIVAL_ANGLE)
+    rival, second = None, np.where(leaning, score, 0)
+    if second.max() >= 0.5 * RIVAL_SHARE * score.max():  # triplets lie less well than what they fit
+        rival = cloud.settle(normals[np.argmax(second)], offsets[np.argmax(second)])
+    if rival is not None:
+        best, rival = _compared(best, rival, sample, cloud)
+    if rival is not None:
+        rival = replace(rival, offset=float(rival.offset - rival.normal @ origin))
+    return replace(best, offset=float(best.offset - best.normal @ origin), rival=rival)
+
+
+class _Slab:
+    """Weighted points and what a plane through them must fulfil."""
+
+    def __init__(self, points, weights, eyes, up, max_angle, threshold, radius):
+        self.points, self.weights, self.eyes, self.up = points, weights, eyes, up
+        self.max_angle, self.threshold, self.radius = max_angle, threshold, radius
+
+    def settle(self, normal, offset):
+        """Return the Plane that a hypothesis becomes, None if it is not allowed then."""
+        points, weights, threshold = self.points, self.weights, self.threshold
+        normal, offset = _refine(points, weights, normal, offset, threshold)
+        if not len(self.eyes) and self.up is None:
+            away = points @ normal + offset
+            if weights[away > threshold].sum() < weights[away < -threshold].sum():
+                normal, offset = -normal, -offset
+        normal, offset = _go_down(points, weights, normal, offset, threshold)
+        normal, offset = _sharpen(points, weights, normal, offset, threshold)
+        allowed = _allowed(normal[None], np.array([offset]), self.eyes, self.up, self.max_angle)[0]
+        if not len(allowed):
+            return None
+        return _judged(points, weights, normal, offset, threshold, self.radius)
+
+
+def _compared(best, rival, sample, cloud):
+    """Return the better plane, and the other one if it is as good."""
+    if best.normal @ rival.normal > np.cos(RIVAL_ANGLE):  # they have become one
+        return best, None
+    normals = np.stack([best.normal, rival.normal])
+    share = _scores(normals, np.array([best.offset, rival.offset]), sample, cloud.threshold)
+    if share[1] < RIVAL_SHARE * share[0]:
+        return best, None
+    over = [_share_above(one, other, cloud) for one, other in ((best, rival), (rival, best))]
+    if over[0] > ABOVE_MOST and over[1] < ABOVE_LEAST:
+        return rival, None
+    if over[1] > ABOVE_MOST and over[0] < ABOVE_LEAST:
+        return best, None
+    return best, rival
+
+
+def _share_above(one, other, cloud):
+    """Return the share of the weight on the plane `one` that lies above the plane `other`."""
+    weights = cloud.weights * (np.abs(one.height(cloud.points)) < cloud.threshold)
+    return weights[other.height(cloud.points) > 0].sum() / max(weights.sum(), 1e-300)
 
 
 def _draw(chance, size, rng):
@@ -184,20 +258,23 @@ def _sharpen(points, weights, normal, offset, threshold):
     return _refine(points, weights, normal, offset, wanted)
 
 
-def _confidence(points, weights, normal, offset, threshold, radius):
-    """Return support x sharpness x spread, each 0 to 1."""
+def _judged(points, weights, normal, offset, threshold, radius):
+    """Return the Plane with its confidence: support x sharpness x spread, each 0 to 1."""
     away = np.abs(points @ normal + offset)
     on_it, around = away < threshold, (away >= threshold) & (away < 3 * threshold)
     inner, ring = weights[on_it].sum(), weights[around].sum()
     if not inner > 0:
-        return 0.0
-    support = inner / weights.sum() / FULL_SUPPORT
-    peak = (inner / (inner + ring / 2) - LEAST_PEAK) / (FULL_PEAK - LEAST_PEAK)
+        return Plane(normal, offset, 0.0, threshold)
+    support = inner / weights.sum()
+    peak = inner / (inner + ring / 2)
     across = np.linalg.svd(normal[None])[2][1:]
     cells = np.floor(points[on_it] @ across.T / (2 * radius / SPREAD_CELLS)).astype(np.int64)
     # A cell counts when it holds a tenth of an even share, so that strays do not.
     _, which = np.unique(cells, axis=0, return_inverse=True)
     mass = np.bincount(which.ravel(), weights[on_it])
     filled = np.count_nonzero(mass > 0.1 * inner / SPREAD_CELLS**2)
-    spread = filled / SPREAD_CELLS**2 / FULL_SPREAD
-    return float(np.prod(np.clip([support, peak, spread], 0, 1)))
+    spread = filled / SPREAD_CELLS**2
+    full = min(MOST_SUPPORT, FULL_SUPPORT * threshold / (THRESHOLD * radius))
+    shares = support / full, (peak - LEAST_PEAK) / (FULL_PEAK - LEAST_PEAK), spread / FULL_SPREAD
+    confidence = float(np.prod(np.clip(shares, 0, 1)))
+    return Plane(normal, offset, confidence, threshold, float(support), float(peak), spread)
