@@ -48,6 +48,7 @@ SPLASHES = ("crowns", "paper")
 MAX_RATE = 1000.0  # mm/h: the heaviest minutes ever measured stay below 2500, an hour below 400
 MAX_PAST = 1000.0  # mm: more than a day's record almost anywhere
 MAX_WIND = 60.0  # m/s: beyond hurricane strength drops no longer fall as modelled
+MAX_APERTURE = 0.1  # m
 MAX_ROUGHNESS = 2.0  # m: Davenport's roughest class
 MAX_GUSTS = 0.5  # beyond it the wind would turn around now and then
 MIN_SIDE, MAX_SIDE = 8, 16384  # px
@@ -167,6 +168,8 @@ class RenderConfig:
     streaks: str = "shutter"  # paper: opaque lines of spheres, whatever the shutter
     splashes: str = "crowns"  # paper: one Gaussian for each drop
     streak_far: float = 8.0  # m; farther drops are fog
+    aperture: float = 0.0  # m, diameter of the lens's opening: near drops blur; 0: all are sharp
+    focus: float = 4.0  # m, what is in focus
     water_coverage: tuple = (0.4e-3, 2.2e-3)  # m of water that begin to close over rough
     # ground, and that hide it wholly; chosen by eye on a captured patio
 
@@ -193,6 +196,13 @@ class RenderConfig:
         require_choice("reflections", self.reflections, REFLECTIONS)
         require_choice("streaks", self.streaks, STREAKS)
         require_choice("splashes", self.splashes, SPLASHES)
+        aperture = self.aperture * 1e3 if is_number(self.aperture) else self.aperture
+        require_not_negative(
+            "aperture", _round(aperture), "mm", "0 is sharp, 18 that of 50 mm f/2.8"
+        )
+        if aperture > MAX_APERTURE * 1e3:
+            raise ParameterError(f"aperture is {_round(aperture)} mm; it must be at most 100")
+        require_positive("focus", self.focus, "m", "4 is usual")
         require_positive("streak_far", self.streak_far, "m", "8 is usual")
         low, high = _pair("water_coverage", self.water_coverage, "a low and a high depth")
         require_not_negative("water_coverage's low depth", low, "m")

@@ -35,6 +35,8 @@ HUMAN_KEYS = {
     "streaks": ("streaks", None),
     "splashes": ("splashes", None),
     "streak_far_m": ("streak_far", 1.0),
+    "aperture_mm": ("aperture", 1e-3),
+    "focus_m": ("focus", 1.0),
     "frames": ("frames", None),
     "fps": ("fps", 1.0),
     "width": ("width", None),

@@ -39,9 +39,14 @@ def draw_path(
 ):  # fmt: skip
     """Draw the first `share` of a drop's straight path in the camera frame.
 
+    `lens` is fx, fy, cx, cy, half the largest drop times the focal length, the aperture times the
+    focal length and one over the distance in focus. A drop covers (pi/4) fx fy (D / z)^2 over the
+    cosine of its angle off the axis: it subtends (D / distance)^2, but a pixel there subtends less.
+    A drop out of focus is spread over its circle of confusion.
+
     A path towards or away from the camera is cut into pieces of equal time, each with its share of
-    (pi/4) fx fy (D / z)^2, whose mean over a piece is that of 1 / (z0 z1); never so finely that
-    pieces lie on each other in the picture.
+    that area, whose mean over a piece is that of 1 / (z0 z1); never so finely that pieces lie on
+    each other in the picture.
     """
     dx, dy, dz = (x_end - x) * share, (y_end - y) * share, (z_end - z) * share
     z_end = max(z + dz, _HALF * near)
@@ -52,13 +57,18 @@ def draw_path(
     long_enough = max(abs(u_end - u0), abs(v_end - v0)) / (_TWO + lens[0] * diameter / nearest)
     pieces = 1 + int(min(_PIECES * abs(dz) / nearest, min(long_enough, _MOST_PIECES)))
     step = _ONE / np.float32(pieces)
-    area = _QUARTER_PI * lens[0] * lens[1] * diameter * diameter * share * step
+    x_middle, y_middle = (x + _HALF * dx) / (z0 + _HALF * dz), (y + _HALF * dy) / (z0 + _HALF * dz)
+    oblique = np.sqrt(_ONE + x_middle * x_middle + y_middle * y_middle)
+    area = _QUARTER_PI * lens[0] * lens[1] * diameter * diameter * oblique * share * step
     for piece in range(1, pieces + 1):
         passed = np.float32(piece) * step
         z1 = z + dz * passed
         u1 = lens[0] * (x + dx * passed) / z1 + lens[2]
         v1 = lens[1] * (y + dy * passed) / z1 + lens[3]
         wide = lens[0] * diameter * _TWO / (z0 + z1)
+        if lens[5] > _ZERO:
+            blur = lens[5] * (_TWO / (z0 + z1) - lens[6])
+            wide = np.sqrt(wide * wide + blur * blur)
         alpha = area / (z0 * z1)
         across, along = abs(u1 - u0), abs(v1 - v0)
         if wide > _WIDE and max(across, along) > _LONG * wide:

@@ -11,6 +11,7 @@ from scipy import ndimage
 
 from rainsim import optics, paperrain, shade, sky
 from rainsim.errors import ParameterError
+from rainsim.motion import shutter_end
 from rainsim.raster import Rasterizer, prepare
 from rainsim.simulation import rain_exposure, surfaces_of, usual_wind
 from rainsim.splash import LONGEST_LIFE, WET_FILM, draw_splashes
@@ -77,13 +78,17 @@ class Renderer:
         self._camera = None  # that the kept layers belong to
         self._level = None  # m, that the kept mirror image belongs to
 
-    def draw(self, camera, state):
-        """Return the picture (height, width, 3) uint8 that `camera` (capture frame) takes."""
+    def draw(self, camera, state, camera_end=None):
+        """Return the picture (height, width, 3) uint8 that `camera` (capture frame) takes.
+
+        `camera_end` is where it is when the shutter closes, in the ground frame; None: it is still.
+        Only rain shows the motion: what was captured stays sharp.
+        """
         timer = Timer()
         if self._set_time(state.time) or camera is not self._camera:
             self._see(camera, timer)
         picture, _coverage = self._water(state, timer)
-        rain_alpha, splash_alpha = self._drops(camera, state, timer)
+        rain_alpha, splash_alpha = self._drops(camera, state, timer, camera_end)
         image = np.empty((camera.height, camera.width, 3), np.uint8)
         fog = self._fog()
         forward = self.view.camera_from_world[2, :3]
@@ -92,7 +97,7 @@ class Renderer:
             drop = paperrain.line_radiance(picture)
         air = sky.horizon_radiance(self.day)
         shade.compose(
-            picture, self.depth, rain_alpha, splash_alpha, drop, air, fog,
+            picture, self.depth, rain_alpha, splash_alpha, drop, air, fog, self.lens,
             np.float32(self.now.render.brightness), image,
         )  # fmt: skip
         timer.mark("compose")
@@ -169,7 +174,7 @@ class Renderer:
         timer.mark("water and reflection")
         return picture, coverage
 
-    def _drops(self, camera, state, timer):
+    def _drops(self, camera, state, timer, camera_end):
         """Return the alpha of streaks and of splash droplets."""
         rain = np.zeros((camera.height, camera.width), np.float32)
         splash = np.zeros_like(rain)
@@ -177,12 +182,12 @@ class Renderer:
         self.field = self.weather.field(state.time - LONGEST_LIFE, state.time + config.exposure)
         if self.field is None:
             return rain, splash
-        where = (self.field, self.surfaces, self.view)
+        where, lens = (self.field, self.surfaces, self.view), (camera_end, *self._focus)
         self.reach = streak_reach(self.field, self.view, config.exposure, config.streak_far)
         if config.streaks == "paper":
             paperrain.draw_lines(*where, state.time, config.streak_far, self.depth, rain)
         else:
-            draw_streaks(*where, state.time, config.exposure, self.depth, self.reach, rain)
+            draw_streaks(*where, state.time, config.exposure, self.depth, self.reach, rain, *lens)
         timer.mark("streaks")
         if config.splashes == "paper":
             start = state.time - self.config.frame_interval
@@ -190,7 +195,7 @@ class Renderer:
         else:
             draw_splashes(
                 *where, state.time, config.exposure, state.depth,
-                WET_FILM * float(self.wetness), self.depth, splash,
+                WET_FILM * float(self.wetness), self.depth, splash, *lens,
             )  # fmt: skip
         timer.mark("splashes")
         return rain, splash
@@ -200,6 +205,10 @@ class Renderer:
         if self.field is None or self.now.render.streaks == "paper":
             return NO_FOG
         return fog_table(self.field, self.reach)
+
+    @property
+    def _focus(self):
+        return self.now.render.aperture, self.now.render.focus
 
     @property
     def _origin(self):
@@ -374,6 +383,8 @@ def render(scene, terrain, states, cameras, config):
     if not cameras:
         raise ParameterError("no camera was given; a frame needs one")
     renderer = Renderer(scene, terrain, config, cameras[0])
+    path = [scene.ground_frame.camera_in_ground(camera) for camera in cameras]
     for state in states:
         camera = cameras[0] if len(cameras) == 1 else cameras[state.index]
-        yield renderer.draw(camera, state)
+        exposure = config.at(state.time).render.exposure
+        yield renderer.draw(camera, state, shutter_end(path, state.index, exposure, config.fps))

@@ -220,7 +220,7 @@ def fog_thickness(fog, z):
 
 @cpu_kernel
 def compose(
-    picture, depth, rain_alpha, splash_alpha, drop_radiance, air_radiance, fog,
+    picture, depth, rain_alpha, splash_alpha, drop_radiance, air_radiance, fog, lens,
     brightness, image_out,
 ):  # fmt: skip
     """Put fog, streaks and splashes before the picture and encode it for display.
@@ -232,16 +232,19 @@ def compose(
     fog : ndarray of shape (n + 3,), float32
         Of drops that are not drawn, see `streaks.fog_table`: a depth [m], the extinction beyond it
         [1/m] and the optical depth at n + 1 even steps up to it.
+    lens : ndarray of shape (4,), float32
+        fx, fy, cx, cy [px]; towards the corners the way through the air is longer than the depth.
     image_out : ndarray of shape (height, width, 3), uint8
     """
     height, width = depth.shape
     for row in prange(height):
         for column in range(width):
-            # Along the view axis, as drawn drops are counted (see `streaks.draw_streaks`).
             z = depth[row, column]
             clear = ONE  # the sky is seen through all the air already
             if z < FAR_AWAY:
-                clear = math.exp(-fog_thickness(fog, z))
+                a = (np.float32(column) + HALF - lens[2]) / lens[0]
+                b = (np.float32(row) + HALF - lens[3]) / lens[1]
+                clear = math.exp(-fog_thickness(fog, z) * math.sqrt(ONE + a * a + b * b))
             streak, drop = rain_alpha[row, column], splash_alpha[row, column]
             for c in range(3):
                 value = picture[row, column, c] * clear + air_radiance[c] * (ONE - clear)

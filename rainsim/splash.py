@@ -8,6 +8,7 @@ drop's) stays booked where the drop fell.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -156,7 +157,8 @@ def splash_droplets(impacts, water_depth, now, exposure=0.0):
 
 
 def draw_splashes(
-    field, surfaces, camera, time, exposure, water_depth, film, depth, alpha_out, camera_end=None
+    field, surfaces, camera, time, exposure, water_depth, film, depth, alpha_out, camera_end=None,
+    aperture=0.0, focus=math.inf,
 ):  # fmt: skip
     """Draw all that an exposure sees of splashes: crowns, jets and droplets.
 
@@ -179,6 +181,8 @@ def draw_splashes(
         Overwritten with the share of light that splashes replace.
     camera_end : Camera or None
         The camera when the shutter closes, if it moves.
+    aperture, focus : float [m]
+        As in `draw_streaks`.
     """
     alpha_out[...] = 0
     smallest = SMALLEST_ON_FILM if film > _WET else SMALLEST_SPLASH
@@ -206,7 +210,7 @@ def draw_splashes(
         np.concatenate([droplets.position, crowns.position]),
         np.concatenate([droplets.velocity, crowns.velocity]),
         np.concatenate([droplets.diameter, crowns.diameter]),
-        camera, exposure, depth, alpha_out, camera_end,
+        camera, exposure, depth, alpha_out, camera_end, aperture, focus,
     )  # fmt: skip
 
 

@@ -1,9 +1,10 @@
 """Rain in a picture: the path of each drop during the exposure, as the share of light it replaces.
 
 Only the rain's alpha is made here; `shade` gives it radiance. A drop of diameter D at depth z
-covers (pi/4)(f D / z)^2 pixels at any instant, so its alphas over the picture sum to that whatever
-the exposure is. Drops are combined as a product of transmittances, summed as optical depths in
-whole numbers, so that neither their order nor the number of threads matters.
+covers (pi/4)(f D / z)^2 pixels at any instant, over the cosine of its angle off the axis, so its
+alphas over the picture sum to that whatever the exposure is. Drops are combined as a product of
+transmittances, summed as optical depths in whole numbers, so that neither their order nor the
+number of threads matters.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from rainsim.cubes import (
     left_out,
     slab_tasks,
 )
-from rainsim.errors import ParameterError, require_positive
+from rainsim.errors import ParameterError, require_not_negative, require_positive
 from rainsim.jit import cpu_kernel, device_function, prange, set_threads
 from rainsim.marks import draw_path, read_depth, resolve_band
 from rainsim.random import uniform_triple
@@ -41,7 +42,8 @@ _OPEN = flat_surfaces(1.0, 1.0, 1.0, origin=(1e9, 1e9))  # nothing to hit, far a
 
 
 def draw_streaks(
-    field, surfaces, camera, time, exposure, depth, far, alpha_out, camera_end=None
+    field, surfaces, camera, time, exposure, depth, far, alpha_out, camera_end=None,
+    aperture=0.0, focus=math.inf,
 ):  # fmt: skip
     """Draw the drops between NEAR and `far` as they move during the exposure.
 
@@ -63,6 +65,9 @@ def draw_streaks(
         Overwritten with the share of light that drops replace, in [0, 1].
     camera_end : Camera or None
         The camera when the shutter closes, if it moves.
+    aperture, focus : float [m]
+        Diameter of the lens's opening, 0 for a pinhole, and the depth that is in focus. A drop at
+        depth z is spread over aperture f |1/z - 1/focus| pixels, its summed alpha unchanged.
 
     Raises
     ------
@@ -71,14 +76,13 @@ def draw_streaks(
 
     Notes
     -----
-    Both this alpha and `fog_optical_depth` count depth along the view axis, so they agree
-    wherever the split lies; towards the corners of the picture both are low by the cosine of the
-    angle off the axis.
+    The split is a plane across the view axis, for drops and fog alike; beside the axis both count
+    the longer way through the air.
     """
     _check(camera, exposure, depth, alpha_out)
     far = _checked_far(far)
     camera_end = camera if camera_end is None else camera_end
-    low, high, slack = _view_boxes(camera, camera_end, far)
+    low, high, slack = _view_boxes(camera, camera_end, far, aperture, focus)
     drift, offset = field.velocity * exposure, field.velocity * time
     first, last = field.cube_range(
         low - np.maximum(drift, 0) - offset, high - np.minimum(drift, 0) - offset
@@ -87,14 +91,15 @@ def draw_streaks(
     surfaces = _OPEN if surfaces is None else surfaces
     _draw_field(
         tasks, first, last, float(time), float(exposure), *field.arrays(),
-        *_views(camera, camera_end),
+        *_views(camera, camera_end, aperture, focus),
         np.float32(NEAR), far.astype(np.float32), slack, *surfaces.arrays(), depth,
         *_scratch(depth.shape), alpha_out,
     )  # fmt: skip
 
 
 def draw_droplets(
-    position, velocity, diameter, camera, exposure, depth, alpha_out, camera_end=None
+    position, velocity, diameter, camera, exposure, depth, alpha_out, camera_end=None,
+    aperture=0.0, focus=math.inf,
 ):  # fmt: skip
     """Draw given drops over an alpha picture, each along its path during the exposure.
 
@@ -103,7 +108,7 @@ def draw_droplets(
     position, velocity : ndarray of shape (n, 3), float64 [m], [m/s]
         When the shutter opens.
     diameter : ndarray of shape (n,), float64 [m]
-    camera, exposure, depth, camera_end
+    camera, exposure, depth, camera_end, aperture, focus
         As in `draw_streaks`.
     alpha_out : ndarray of shape (height, width), float32
         Modified in place: the transmittances of the droplets are multiplied to what it holds.
@@ -113,7 +118,8 @@ def draw_droplets(
     _draw_list(
         np.ascontiguousarray(position), np.ascontiguousarray(velocity),
         np.ascontiguousarray(diameter),
-        float(exposure), *_views(camera, camera if camera_end is None else camera_end),
+        float(exposure),
+        *_views(camera, camera if camera_end is None else camera_end, aperture, focus),
         np.float32(NEAR), depth, *_scratch(depth.shape), own,
     )  # fmt: skip
     alpha_out += own * (1 - alpha_out)
@@ -145,7 +151,8 @@ def fog_extinction(field):
 def fog_optical_depth(field, depth, far):
     """Return the optical depth of the drops not drawn up to `depth` [m], when `far` [m] splits.
 
-    `far` is a number or, as in `draw_streaks`, one for each class.
+    `far` is a number or, as in `draw_streaks`, one for each class. Straight ahead; elsewhere it is
+    more by one over the cosine of the angle off the axis.
     """
     spectrum = field.spectrum
     beyond = np.maximum(np.asarray(depth)[..., None] - np.asarray(far), 0)
@@ -319,6 +326,9 @@ def _may_show(x, y, z, x_end, y_end, z_end, lens, near, width, height, tile_dept
     v, v_end = lens[1] * y / z + lens[3], lens[1] * y_end / z_end + lens[3]
     nearest = min(z, z_end)
     margin = lens[4] / nearest + _ONE  # half the largest drop, and the filter
+    if lens[5] > _ZERO:
+        blur = max(abs(_ONE / z - lens[6]), abs(_ONE / z_end - lens[6]))
+        margin += _HALF * lens[5] * blur
     left, right = max(min(u, u_end) - margin, _ZERO), min(max(u, u_end) + margin, width - _ONE)
     low, high = max(min(v, v_end) - margin, _ZERO), min(max(v, v_end) + margin, height - _ONE)
     if left > right or low > high:
@@ -350,10 +360,19 @@ def _check(camera, exposure, depth, alpha_out):
         )
 
 
-def _views(camera, camera_end):
-    """Return what the kernels need of the cameras at both ends of the exposure."""
+def _views(camera, camera_end, aperture, focus):
+    """Return what the kernels need of the cameras at both ends of the exposure and of the lens."""
+    require_not_negative("aperture", aperture, "m", "0 is a pinhole")
+    if not focus > 0:
+        raise ParameterError(f"focus is {focus!r} m; it must be more than 0; inf is far away")
     largest = 0.5 * LARGEST * max(camera.fx, camera.fy)
-    lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy, largest], np.float32)
+    lens = np.array(
+        [
+            camera.fx, camera.fy, camera.cx, camera.cy, largest,
+            aperture * max(camera.fx, camera.fy), 1 / focus,
+        ],
+        np.float32,
+    )  # fmt: skip
     planes = np.array(
         [
             [camera.fx, 0, camera.cx],
@@ -371,7 +390,7 @@ def _views(camera, camera_end):
     )  # fmt: skip
 
 
-def _view_boxes(camera, camera_end, far):
+def _view_boxes(camera, camera_end, far, aperture, focus):
     """Return what both cameras see up to each class's `far`, and how far that moves between.
 
     As the low and high corners (CLASSES, 3) of boxes of the world and a length (CLASSES,).
@@ -385,8 +404,10 @@ def _view_boxes(camera, camera_end, far):
         for c in (camera, camera_end)
     ]  # rows times R is R transposed times columns: world_from_camera
     both = np.concatenate(worlds, axis=1)
-    slack = np.linalg.norm(worlds[0] - worlds[1], axis=2).max(axis=1) + LARGEST
-    return both.min(axis=1) - LARGEST, both.max(axis=1) + LARGEST, slack
+    around = LARGEST + aperture * np.maximum(far / focus, 1.0)  # how far a drop's image reaches
+    slack = np.linalg.norm(worlds[0] - worlds[1], axis=2).max(axis=1) + around
+    around = around[:, None]
+    return both.min(axis=1) - around, both.max(axis=1) + around, slack
 
 
 def _checked_far(far):

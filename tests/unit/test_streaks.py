@@ -158,7 +158,8 @@ def naive_alpha_sum(field, camera, far, time):
         u, v = (c - FOCAL * drops.position[:, a] / z for a, c in ((1, camera.cx), (2, camera.cy)))
     seen = (z >= NEAR) & (z < far)
     seen &= (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
-    return (np.pi / 4 * (FOCAL * drops.diameter[seen] / z[seen]) ** 2).sum()
+    oblique = np.linalg.norm(drops.position[seen], axis=1) / z[seen]
+    return (np.pi / 4 * (FOCAL * drops.diameter[seen] / z[seen]) ** 2 * oblique).sum()
 
 
 def test_the_picture_holds_the_drops_that_the_field_lists():
@@ -198,23 +199,41 @@ def test_the_drawn_drops_dim_a_white_plane_by_their_extinction():
     field, camera = RainField(RainSpectrum(50), (1, 2), seed=3), looking("ahead", focal=100.0)
     pictures = [rain_alpha(field, camera, far=4.0, time=t) for t in np.arange(100) * 0.5]
     transmission = 1 - np.mean(pictures, dtype=np.float64)
-    expected = field.spectrum.extinction.sum() * (4.0 - NEAR)
+    expected = field.spectrum.extinction.sum() * (4.0 - NEAR) * oblique(camera).mean()
     assert -np.log(transmission) == pytest.approx(expected, rel=0.05)
 
 
-def test_drawn_and_fog_together_do_not_depend_on_the_split():
+def oblique(camera):
+    """One over the cosine of each pixel's angle off the axis."""
+    v, u = np.indices((camera.height, camera.width)) + 0.5
+    return np.sqrt(1 + ((u - camera.cx) ** 2 + (v - camera.cy) ** 2) / camera.fx**2)
+
+
+def test_corners_of_a_wide_picture_see_the_longer_way_through_the_rain():
+    """Extinction along the true distance: 1.66 times the depth in the corners of this camera."""
+    field, camera = RainField(RainSpectrum(50), (1, 2), seed=3), looking("ahead", focal=47.0)
+    pictures = [rain_alpha(field, camera, far=2.0, time=t) for t in np.arange(120) * 0.5]
+    optical = -np.log1p(-np.mean(pictures, axis=0, dtype=np.float64))
+    way = oblique(camera)
+    expected = field.spectrum.extinction.sum() * (2.0 - NEAR)
+    for part in (way > 1.35, way < 1.1):
+        assert optical[part].mean() == pytest.approx(expected * way[part].mean(), rel=0.08)
+
+
+@pytest.mark.parametrize(("near_split", "far_split"), [(3.0, 9.0), (5.0, 20.0)])
+def test_drawn_and_fog_together_do_not_depend_on_the_split(near_split, far_split):
     field, camera = RainField(RainSpectrum(50), seed=3), looking("ahead", focal=150.0)
-    depth = np.full((80, 96), 9.0, np.float32)
+    depth = np.full((80, 96), far_split, np.float32)
     totals = []
-    for far in (3.0, 9.0):
+    for far in (near_split, far_split):
         drawn = [
             -np.log1p(-rain_alpha(field, camera, far, t, depth=depth)).mean(dtype=np.float64)
             for t in np.arange(12) * 0.7
         ]
-        fog = fog_optical_depth(field, 9.0, far)
+        fog = fog_optical_depth(field, far_split, far) * oblique(camera).mean()
         totals.append((np.mean(drawn) + fog, np.std(drawn) / np.sqrt(12)))
-    (total_3, _), (total_9, error) = totals
-    assert abs(total_3 - total_9) < max(0.01 * total_9, 2 * error)
+    (sooner, _), (later, error) = totals
+    assert abs(sooner - later) < max(0.01 * later, 2 * error)
     fine, whole = fog_extinction(field)
     assert whole == pytest.approx(fine + field.spectrum.extinction.sum()) and fine > 0
 
@@ -290,7 +309,8 @@ def test_drops_too_faint_to_see_are_fog_and_nothing_is_lost(exposure):
             -np.log1p(-rain_alpha(field, camera, far, t, exposure, depth=depth)).mean(dtype=float)
             for t in np.arange(24) * 0.7
         ]
-        totals.append(np.mean(drawn) + fog_optical_depth(field, 9.0, far))
+        fog = fog_optical_depth(field, 9.0, far) * oblique(camera).mean()
+        totals.append(np.mean(drawn) + fog)
         errors.append(np.std(drawn) / np.sqrt(24))
     assert abs(totals[0] - totals[1]) < max(0.01 * totals[0], 2 * max(errors))
 

@@ -1,0 +1,157 @@
+"""Cameras that move while the shutter is open, and lenses that focus: rain as they show it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from rainsim.drops import RainField, RainSpectrum
+from rainsim.errors import ParameterError
+from rainsim.motion import shutter_end
+from rainsim.scene.types import Camera
+from rainsim.streaks import draw_droplets, draw_streaks
+
+FOCAL = 500.0
+
+
+def looking(eye=(0.0, 0.0, 0.0), yaw=0.0, size=200):
+    """A camera that looks along x, turned by `yaw` [rad] to the left."""
+    turn = (
+        np.array([[0, -1, 0], [0, 0, -1], [1, 0, 0]]) @ Rotation.from_euler("z", -yaw).as_matrix()
+    )
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = turn, -turn @ np.array(eye, dtype=np.float64)
+    return Camera(size, size, FOCAL, FOCAL, size / 2, size / 2, matrix)
+
+
+def drop(position, velocity, camera, exposure=1 / 60, diameter=1e-3, **lens):
+    alpha = np.zeros((camera.height, camera.width), np.float32)
+    depth = np.full_like(alpha, np.inf)
+    draw_droplets(
+        np.array([position], float), np.array([velocity], float), np.array([diameter]), camera,
+        exposure, depth, alpha, **lens,
+    )  # fmt: skip
+    return alpha
+
+
+def project(camera, point):
+    p = camera.camera_from_world[:3] @ np.append(point, 1.0)
+    return camera.fx * p[0] / p[2] + camera.cx, camera.fy * p[1] / p[2] + camera.cy
+
+
+def test_the_pose_at_the_shutters_close_lies_on_the_way_to_the_next_frame():
+    path = [looking((0.1 * k, 0.02 * k, 0), yaw=0.05 * k) for k in range(4)]
+    for k in range(4):
+        end = shutter_end(path, k, exposure=1 / 48, fps=24.0)  # half a frame
+        wanted = looking((0.1 * (k + 0.5), 0.02 * (k + 0.5), 0), yaw=0.05 * (k + 0.5))
+        np.testing.assert_allclose(end.camera_from_world, wanted.camera_from_world, atol=1e-12)
+    assert shutter_end(path[:1], 0, 1 / 48, 24.0) is None
+    assert shutter_end([path[0], path[0]], 0, 1 / 48, 24.0) is None
+
+
+def test_a_cut_is_not_a_motion():
+    far = [looking(), looking((5.0, 0, 0))]
+    assert shutter_end(far, 0, 1 / 60, 24.0) is None
+    assert shutter_end(far, 0, 1 / 60, 4.0) is not None
+    around = [looking(), looking(yaw=2.0)]
+    assert shutter_end(around, 0, 1 / 60, 24.0) is None
+
+
+def test_a_streak_begins_and_ends_where_the_moving_camera_sees_the_drop():
+    """Both ends within half a pixel, for a camera that moves and turns; so in two such cameras."""
+    exposure, velocity = 1 / 60, np.array([0.5, 0.3, -6.0])
+    start = np.array([3.0, 0.04, 0.05])
+    for path in (
+        [looking((0, 0, 0)), looking((0.1, 0.05, 0.0), yaw=0.02)],
+        [looking((0.2, 0.1, -0.05), yaw=0.03), looking((0.2, 0.16, 0.0), yaw=0.01)],
+    ):
+        end = shutter_end(path, 0, exposure, 24.0)
+        alpha = drop(start, velocity, path[0], exposure, camera_end=end)
+        ends = np.array([project(path[0], start), project(end, start + velocity * exposure)])
+        v, u = (np.indices(alpha.shape) + 0.5) * alpha.astype(float) / alpha.sum()
+        middle = ends.mean(axis=0)
+        assert u.sum() == pytest.approx(middle[0], abs=0.1)
+        assert v.sum() == pytest.approx(middle[1], abs=0.1)
+        in_row = alpha.sum(axis=1)
+        rows = np.flatnonzero(in_row > 0.5 * np.median(in_row[in_row > 0]))
+        assert rows[0] + 0.5 == pytest.approx(ends[:, 1].min(), abs=1.0)
+        assert rows[-1] + 0.5 == pytest.approx(ends[:, 1].max(), abs=1.0)
+        still = drop(start, velocity, path[0], exposure)
+        assert np.abs(alpha - still).max() > 0.2 * still.max()
+
+
+def test_a_field_seen_by_a_turning_camera_is_the_field_of_drawn_drops():
+    field = RainField(RainSpectrum(2.0), (0.5, 1.0), seed=4)
+    path = [looking(), looking((0.05, 0.0, 0.1), yaw=0.06)]
+    end = shutter_end(path, 0, 1 / 60, 24.0)
+    listed = field.drops_in_box(3.0, (-1, -3, -3), (4.0, 3, 3))
+    z = listed.position[:, 0]
+    seen = (z > 0.3) & (z < 3.0)
+    alpha, single = (np.full((200, 200), np.nan, np.float32) for _ in range(2))
+    depth = np.full_like(alpha, np.inf)
+    draw_streaks(field, None, path[0], 3.0, 1 / 60, depth, 3.0, alpha, end)
+    single[...] = 0
+    draw_droplets(
+        listed.position[seen], listed.velocity[seen], listed.diameter[seen], path[0], 1 / 60,
+        depth, single, end,
+    )  # fmt: skip
+    np.testing.assert_allclose(alpha, single, atol=2e-5)
+    assert alpha.max() > 1e-3
+
+
+# ---- lenses
+
+
+@pytest.mark.parametrize("velocity", [(0, 0, 0), (0, 0, -6.0), (0, 5.0, -5.0)])
+@pytest.mark.parametrize("aperture", [0.0, 2e-3, 10e-3])
+def test_blur_keeps_the_summed_alpha(velocity, aperture):
+    camera, z = looking(size=400), 0.9
+    middle = np.array([z, 0.013, 0.007]) - np.array(velocity) / 120
+    alpha = drop(middle, velocity, camera, aperture=aperture, focus=3.0)
+    assert alpha.sum() == pytest.approx(np.pi / 4 * (FOCAL * 1e-3 / z) ** 2, rel=0.02)
+
+
+def test_a_still_drop_out_of_focus_is_the_circle_of_confusion():
+    for z, focus in ((0.8, 4.0), (4.0, 1.0), (2.0, np.inf)):
+        alpha = drop((z, 0, 0), (0, 0, 0), looking(), aperture=20e-3, focus=focus)
+        circle = 20e-3 * FOCAL * abs(1 / z - 1 / focus)
+        wide = np.hypot(circle, FOCAL * 1e-3 / z)
+        assert np.sqrt((alpha > 0).sum() * 4 / np.pi) == pytest.approx(wide, rel=0.12)
+        assert (alpha > 0.95 * alpha.max()).sum() > 0.4 * (alpha > 0).sum()  # an even disc
+
+
+def test_what_is_in_focus_is_as_sharp_as_through_a_pinhole():
+    sharp = drop((2.0, 0, 0.05), (0, 0, -6.0), looking())
+    focused = drop((2.0, 0, 0.05), (0, 0, -6.0), looking(), aperture=20e-3, focus=2.0)
+    np.testing.assert_allclose(focused, sharp, atol=1e-6)
+
+
+def test_blurred_drops_reach_into_the_picture_from_outside_and_rain_keeps_its_extinction():
+    field, camera = RainField(RainSpectrum(100), seed=4), looking()
+    depth = np.full((200, 200), np.inf, np.float32)
+    means = []
+    for aperture in (0.0, 15e-3):
+        total = 0.0
+        for time in np.arange(8) * 0.6:
+            alpha = np.full_like(depth, np.nan)
+            draw_streaks(
+                field, None, camera, time, 1 / 60, depth, 2.0, alpha, aperture=aperture, focus=2.0
+            )
+            total += -np.log1p(-alpha.astype(float)).mean()
+        means.append(total / 8)
+    assert means[1] == pytest.approx(means[0], rel=0.1) and means[0] > 1e-3
+    outside = drop((0.5, 0.12, 0), (0, 0, 0), looking(), aperture=50e-3, focus=4.0)
+    assert outside.sum() > 0 == drop((0.5, 0.12, 0), (0, 0, 0), looking()).sum()
+
+
+def test_bad_lenses_are_told():
+    with pytest.raises(ParameterError, match="aperture"):
+        drop((1, 0, 0), (0, 0, 0), looking(), aperture=-1.0)
+    with pytest.raises(ParameterError, match="focus"):
+        drop((1, 0, 0), (0, 0, 0), looking(), aperture=1e-3, focus=0.0)
+
+
+def test_a_camera_keeps_its_lens_and_size_through_the_exposure():
+    path = [replace(looking(), fx=400.0), looking((0.1, 0, 0))]
+    assert shutter_end(path, 0, 1 / 60, 24.0).fx == 400.0
