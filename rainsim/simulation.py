@@ -19,11 +19,13 @@ from rainsim.jit import cpu_kernel, prange
 from rainsim.puddles import WET, puddles_of, wet_share
 from rainsim.ripples import RippleTile, tile_impacts
 from rainsim.spectrum import terminal_speed
+from rainsim.terrain.table import DRAIN
 from rainsim.weather import Weather, wind_shares
 
 RIPPLE_DEPTHS = (2e-3, 0.1)  # m: films thinner carry no rings, deeper water is deep to them
 RIPPLE_WARM_UP = 1.3  # s of rain before the first frame that rings on the water come from
 RIPPLE_STEP = 1 / 30  # s, longest step of the ripple layer
+DRAIN_INTAKE = 0.1  # m/s that a grating takes at most: 8 l/s through an opening of 0.08 m2
 SHELTER_BLUR = 0.05  # m: gusts and drops of other sizes soften the edge of a dry patch
 SHELTER_DIAMETERS = (1e-3, 2e-3, 3.5e-3)  # m, drops whose paths tell what is sheltered
 
@@ -160,7 +162,15 @@ def water_solver(terrain, config):
         storage=terrain.by_class("storage"),
         infiltration=None if still else terrain.by_class("infiltration"),
         courant=config.water.courant,
+        drains=None if still else drains_of(terrain),
     )  # fmt: skip
+
+
+def drains_of(terrain):
+    """Return the cells of the drains as (row, column, rate [m3/s]), as `WaterSolver` takes them."""
+    rows, columns = np.nonzero(terrain.ground_class == DRAIN)
+    rate = DRAIN_INTAKE * terrain.grid.cell_area
+    return [(int(row), int(column), rate) for row, column in zip(rows, columns, strict=True)]
 
 
 def simulate(terrain, config, progress=None):

@@ -11,7 +11,7 @@ DEFAULT_FOV = 60.0  # degrees
 DEFAULT_WIDTH = 648  # px, of cameras placed by hand
 DEFAULT_SHAPE = 1.5  # width / height of cameras placed by hand
 MOST_SHOWN = 8  # names of cameras in an error message
-CAMERA_WAYS = ("camera", "path", "orbit", "eye")
+CAMERA_WAYS = ("camera", "path", "orbit", "drive", "eye")
 
 
 def settings(preset, given, base=None):
@@ -117,7 +117,7 @@ def cameras_of(scene, config, given, most=None):
     scene : Scene
     config : Config
     given : dict
-        camera, path, orbit, eye, look_at, fov and frames as they were typed.
+        camera, path, orbit, drive, eye, look_at, fov and frames as they were typed.
     most : int, optional
         Frames that there are at most; a longer path is cut there.
 
@@ -133,15 +133,8 @@ def cameras_of(scene, config, given, most=None):
     if given.get("eye") is not None:
         cameras = [_placed(scene, config, given)]
     elif given.get("path") is not None:
-        cameras = read_cameras(given["path"])
-        if given.get("frames") is None:
-            config = config.replace(frames=min(len(cameras), most or len(cameras))).check()
-        if len(cameras) < config.frames:
-            raise ParameterError(
-                f"frames is {config.frames}; it must be at most {len(cameras)}, the number of "
-                f"cameras in {given['path']}; lower --frames or leave it out"
-            )
-        cameras = cameras[: config.frames]
+        path = read_cameras(given["path"])
+        cameras, config = _one_per_frame(path, given["path"], config, given, most)
     elif not scene.cameras:
         raise ParameterError(
             f"scene {scene.name} has no cameras; one is needed; give --eye x,y,z --look-at x,y,z, "
@@ -149,9 +142,23 @@ def cameras_of(scene, config, given, most=None):
         )
     elif given.get("orbit"):
         cameras = orbit(scene.ground_frame, scene.cameras, count=config.frames)
+    elif given.get("drive"):
+        cameras, config = _one_per_frame(scene.cameras, f"scene {scene.name}", config, given, most)
     else:
         cameras = [named_camera(scene, given.get("camera"))]
     return _sized(cameras, config), config
+
+
+def _one_per_frame(cameras, where, config, given, most):
+    """Return as many of the cameras as there are frames, and the Config that says how many."""
+    if given.get("frames") is None:
+        config = config.replace(frames=min(len(cameras), most or len(cameras))).check()
+    if len(cameras) < config.frames:
+        raise ParameterError(
+            f"frames is {config.frames}; it must be at most {len(cameras)}, the number of "
+            f"cameras in {where}; lower --frames or leave it out"
+        )
+    return list(cameras[: config.frames]), config
 
 
 def _placed(scene, config, given):

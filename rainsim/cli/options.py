@@ -124,6 +124,9 @@ camera_options = _group(
         "--path", type=FILE, metavar="transforms.json", help="A camera path, one camera per frame."
     ),
     click.option("--orbit", is_flag=True, help="A full circle about what the cameras look at."),
+    click.option(
+        "--drive", is_flag=True, help="The capture's own cameras in their order, one per frame."
+    ),
     click.option("--eye", type=Numbers("x,y,z"), help="Where to look from, in capture units."),
     click.option("--look-at", type=Numbers("x,y,z"), help="Where to look to, in capture units."),
     click.option(

@@ -12,7 +12,10 @@ from rainsim.scene.folder import import_scene, is_scene, override_ground_frame
 from rainsim.scene.formats import SUFFIXES
 
 FOLDERS_VARIABLE = "RAINSIM_SCENES"  # folders of scenes, separated as in PATH
-BUILT_IN = {"bicycle": ("rainsim.scene.bicycle", "make_bicycle")}
+BUILT_IN = {
+    "bicycle": ("rainsim.scene.bicycle", "make_bicycle"),
+    "street": ("rainsim.scene.street", "make_street"),
+}
 
 
 def load_scene(

@@ -191,6 +191,8 @@ class Scene:
         SHA-256 of the splat file (of the generated arrays for a built-in scene).
     notes : tuple of str
         What the reader counted, dropped or assumed, one line each.
+    drains : tuple of (x, y, z) [capture units]
+        Middles of gratings that take the water of a street.
     """
 
     name: str
@@ -200,3 +202,4 @@ class Scene:
     source: Path | None = None
     source_hash: str = ""
     notes: tuple = field(default=())
+    drains: tuple = ()

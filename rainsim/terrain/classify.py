@@ -13,7 +13,7 @@ from skimage.morphology import remove_small_objects
 
 from rainsim.errors import InputError
 from rainsim.terrain.bed import blur
-from rainsim.terrain.table import GRASS, HARD, OBJECT, SOIL, class_table
+from rainsim.terrain.table import DRAIN, GRASS, HARD, OBJECT, SOIL, class_table
 from rainsim.terrain.types import MEASURED, UNKNOWN
 
 EXCESS_GREEN = 0.11  # 2 G - R - B above which ground is taken as green (Woebbecke et al. 1995)
@@ -24,6 +24,7 @@ LEVEL_WIDTH = 0.25  # m, standard deviation of the paving's level about a place
 SOIL_ROUGHNESS = 2.5e-3  # m of noise; trodden paving has 0.5 to 1.5 mm
 SOIL_BROWN = 0.10  # R - B of earth
 SMALLEST_SOIL = 0.1  # m2
+DRAIN_RADIUS = 0.16  # m about the middle of a grating that takes water
 OBJECT_TOP = 0.10  # m above the bed
 MASK_DISTANCE = 60.0  # 8-bit levels a painted colour may be off (soft brushes, palettes)
 
@@ -56,6 +57,16 @@ def classify(bed, top, source, noise, color, green, spacing):
     classes[_soil(noise, color, source, plants, spacing)] = SOIL
     classes[unknown & (top > bed + OBJECT_TOP)] = OBJECT
     return classes
+
+
+def mark_drains(classes, grid, scene):
+    """Return the classes with the scene's drains in them."""
+    if not scene.drains:
+        return classes
+    x, y, _ = scene.ground_frame.to_ground(np.array(scene.drains)).T
+    middle_x, middle_y = grid.centres()
+    away = np.hypot(middle_x[None, :, None] - x, middle_y[:, None, None] - y)
+    return np.where((away < DRAIN_RADIUS).any(axis=-1), DRAIN, classes).astype(np.uint8)
 
 
 def _moss(bed, plants, unknown, spacing):

@@ -16,7 +16,7 @@ from rainsim import raster
 from rainsim.errors import GroundError, ParameterError
 from rainsim.scene.types import Camera, Splats
 from rainsim.terrain import bed as bedding
-from rainsim.terrain.classify import EXCESS_GREEN, classify, is_green
+from rainsim.terrain.classify import EXCESS_GREEN, classify, is_green, mark_drains
 from rainsim.terrain.slab import FAINT, follow_ground, splat_cover
 from rainsim.terrain.types import GAP_HEIGHT, INFERRED, MEASURED, UNKNOWN, Grid, Terrain
 
@@ -27,6 +27,7 @@ CEILING_WITHOUT_CAMERAS = 4.0  # m above the ground
 DEFAULT_HALF_WIDTH = 4.0  # m, of the map, unless the cameras roam farther
 CAMERA_REACH = 1.5  # half widths of the map per camera's distance from its centre
 STREET_MARGIN = 6.0  # m beyond cameras that roam farther than that is
+STREET_AHEAD = 14.0  # m of ground before such cameras: there a pixel still shows a puddle
 MOST_CELLS = 24_000_000  # of a map: some 3 GB while it is made
 TILE = 1024  # cells across: what is splatted at once
 NEAR_BED = 0.03  # m, and four times the noise: what is farther from the first bed stands on it
@@ -75,6 +76,7 @@ def extract_terrain(scene, config, mask=None):
     upper, lower = cloud.look(cloud.below_ceiling), cloud.look(cloud.overhead, from_below=True)
     top, underside = _cover(upper, lower, bed)
     classes = classify(bed, top, source, noise, color, green, grid.spacing)
+    classes = mark_drains(classes, grid, scene)
     if mask is not None:
         classes = np.where(np.asarray(mask) >= 0, mask, classes).astype(np.uint8)
     # The soil under grass lies lower; what stands in the grass stands on it.
@@ -115,7 +117,9 @@ def choose_grid(scene, config):
         away = np.abs(foot - centre)
         radius = np.percentile(np.linalg.norm(foot - centre, axis=1), 90)
         if CAMERA_REACH * radius > DEFAULT_HALF_WIDTH:
-            low, high = np.percentile(foot, (2, 98), axis=0)
+            ahead = [scene.ground_frame.camera_in_ground(c).forward[:2] for c in scene.cameras]
+            seen = np.concatenate([foot, foot + STREET_AHEAD * np.array(ahead)])
+            low, high = np.percentile(seen, (2, 98), axis=0)
             centre = (low + high) / 2
             away = (high - low) / 2
             half = away + np.minimum(STREET_MARGIN, (CAMERA_REACH - 1) * radius)

@@ -9,7 +9,7 @@ from importlib import resources
 
 import numpy as np
 
-HARD, GRASS, SOIL, OBJECT, WATER = range(5)  # the codes in the table; HARD is its paving
+HARD, GRASS, SOIL, OBJECT, WATER, DRAIN = range(6)  # the codes in the table; HARD is its paving
 
 # Columns: the TOML's key, and the factor to SI.
 _COLUMNS = {

@@ -17,7 +17,7 @@ SPACING = 0.04
 
 def test_the_table_is_si_and_complete():
     table = terrain.class_table()
-    assert table.names == ("paving", "grass", "soil", "object", "water")
+    assert table.names == ("paving", "grass", "soil", "object", "water", "drain")
     assert table.column("infiltration")[terrain.GRASS] == pytest.approx(3e-5)
     assert table.column("storage")[terrain.HARD] == pytest.approx(0.3e-3)
     assert table.column("soaks")[terrain.GRASS] and not table.column("mirrors")[terrain.GRASS]

@@ -20,7 +20,7 @@ FAR_GREENS = np.array(
 )
 
 
-def sky_cloud(noise, rng, count=4200):
+def sky_cloud(noise, rng, count=4200, radius=SKY_RADIUS):
     """Return the sky as large splats on a dome, from just below the horizon to the zenith."""
     k = np.arange(count) + 0.5
     z = -0.10 + 1.10 * k / count
@@ -34,10 +34,8 @@ def sky_cloud(noise, rng, count=4200):
     cover = np.clip(0.40 + 0.75 * cover, 0, 1)[:, None]
     belly = np.clip(noise(plane + np.array([3.2, 3.25]), (1.5, 0.8), octaves=4), 0, 1)[:, None]
     colour = colour + cover * (CLOUD - 0.20 * belly - colour)
-    cell = SKY_RADIUS * np.sqrt(2 * np.pi * 1.10 / count)
-    return discs(
-        direction * SKY_RADIUS, direction, colour, 0.80 * cell, thickness=0.3, opacity=0.97
-    )
+    cell = radius * np.sqrt(2 * np.pi * 1.10 / count)
+    return discs(direction * radius, direction, colour, 0.80 * cell, thickness=0.3, opacity=0.97)
 
 
 def far_trees(rng, count=84):
