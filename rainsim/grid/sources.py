@@ -2,7 +2,19 @@
 
 import numpy as np
 
-from rainsim.jit import cpu_kernel, prange
+from rainsim.jit import cpu_kernel, device_function, prange
+
+
+@device_function
+def soaked(free, film, thirst, store):
+    """Return what the ground takes of the free water and of the film, and what the film takes.
+
+    The ground drinks up to `thirst`; then free water fills the film up to `store`. All in depth
+    [m], float64.
+    """
+    from_free = min(thirst, free)
+    from_film = min(thirst - from_free, film)
+    return from_free, from_film, min(store - (film - from_film), free - from_free)
 
 
 @cpu_kernel
@@ -40,11 +52,8 @@ def soak(tiles, rain, infiltration, storage, dt, dry, h_out, damp_out, film_out,
             for c in range(east - west):
                 free = np.float64(h[c]) + np.float64(damp[c]) + dt * fall[c]
                 film = np.float64(films[c])
-                thirst = dt * takes[c]
-                from_free = min(thirst, free)
-                from_film = min(thirst - from_free, film)
+                from_free, from_film, held = soaked(free, film, dt * takes[c], store[c])
                 drunk += from_free + from_film
-                held = min(store[c] - (film - from_film), free - from_free)
                 films[c] = film - from_film + held
                 # What the film's type cannot represent stays with the free water.
                 held = np.float64(films[c]) - (film - from_film)

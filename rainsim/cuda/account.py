@@ -1,0 +1,273 @@
+"""The account of the water on a CUDA device, and what decides its steps without the host.
+
+What `rainsim.grid.solver.WaterSolver` keeps in Python stands here in three small arrays, `control`,
+`state` and `now`: the time that is left, how fast waves and water are, what the ledger holds. The
+last block of a launch plans the next step, so that the host need not ask. Sums are float64, in an
+order that does not change.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from rainsim.cuda.jit import SIMULATED, cuda, cuda_kernel
+from rainsim.cuda.scalars import bits_of, float_of
+from rainsim.grid.conserving import PAD, ZERO
+from rainsim.grid.conserving_flow import MAX_STEP, ROUNDING_ROOM
+from rainsim.grid.solver import QUIET_FALL, SOURCE_PERIOD
+from rainsim.grid.sources import soaked
+
+THREADS = 32 if SIMULATED else 128  # of a block of `step`: columns
+# Threads of a block of the kernels that treat each cell alone.
+SIDE, HEIGHT, SQUARE = (8, 4, 32) if SIMULATED else (32, 8, 256)
+
+# `control`, float64: times [s], speeds [m/s], and sums over cells [m].
+(LEFT, OWED, PENDING, MOVE, PUSH, TAKE, CAP, REACH_NOW, SWIFT_NOW) = range(9)
+(OUTFLOW, RAINED, DROPPED, INFILTRATED, GROUND, FILM) = range(9, 15)
+CONTROL = 15
+# `state`, int32
+(PARITY, RUNS, LAST, WAITS, SETTLED, SUBSTEPS, UNSOUND, TICKET) = range(8)
+(REACH, SWIFT, DEEPEST, FALL, HIGHEST) = range(8, 13)  # bits of float32 that blocks raise
+STATE = 13
+# `now`, float64: what the host says of this frame
+(DURATION, RATE, RAIN_SUM, RAIN_STEP, ADDED) = range(5)
+NOW = 5
+# `partial`, float64: sums of each block
+(P_OUT, P_DROPPED, P_DRUNK, P_GROUND, P_FILM) = range(5)
+PARTIAL = 5
+# `numbers`, float64: constants of the map
+(SPACING, GRAVITY, VISCOSITY, COURANT, FLOOR, LOSES, STORES) = range(7)
+
+UNIT = 2.0**-50  # m: drops wait as whole numbers of it, so that their order does not matter
+WEST, EAST, SOUTH, NORTH = 1, 2, 4, 8  # bits of `kinds`: which edges are open
+
+
+@cuda.jit(device=True)
+def block_sum(room, lane, value):
+    """Sum `value` over the threads of a block, always in the same order."""
+    room[lane] = value
+    cuda.syncthreads()
+    n = room.shape[0] // 2
+    while n > 0:
+        if lane < n:
+            room[lane] += room[lane + n]
+        cuda.syncthreads()
+        n //= 2
+    total = room[0]
+    cuda.syncthreads()
+    return total
+
+
+@cuda.jit(device=True)
+def plan(control, state, now, numbers):
+    """Decide the next step as `WaterSolver.advance` does; none if no time is left."""
+    left, swift = control[LEFT], control[SWIFT_NOW]
+    rain, moves = now[RAIN_SUM], control[SWIFT_NOW] > 0.0
+    state[RUNS] = 0
+    if state[SETTLED] == 1 and not moves and rain == 0.0 and numbers[LOSES] == 0.0:
+        control[LEFT] = left = 0.0  # a step would change no number
+    if not left > 0.0:
+        return
+    room = ROUNDING_ROOM * numbers[SPACING]
+    step = min(
+        numbers[COURANT] * room / max(control[REACH_NOW], 1e-30),
+        MAX_STEP * room / max(swift, 1e-30),
+    )
+    step = min(step, left)
+    if rain > 0.0:
+        step = min(step, now[RAIN_STEP])
+        if not moves:
+            step = min(step, math.sqrt(QUIET_FALL * numbers[SPACING] / numbers[GRAVITY]))
+    steps = max(math.ceil(left / step), 1.0)
+    if control[PENDING] > 0.0:
+        steps = control[PENDING]
+        control[PENDING] = 0.0
+    dt = left / steps
+    state[RUNS] = 1
+    control[TAKE] = -1.0
+    if state[WAITS] == 1:
+        # Velocity is known at n like depth: half a step of pressure brings it on.
+        state[WAITS], state[LAST] = 0, 0
+        control[MOVE], control[PUSH], control[PENDING] = 0.0, 0.5 * dt, steps
+        return
+    state[SUBSTEPS] += 1
+    state[LAST] = 1 if steps == 1.0 else 0
+    control[MOVE] = dt if moves else 0.0
+    control[PUSH] = dt
+    control[LEFT] = 0.0 if steps == 1.0 else left - dt
+    if rain > 0.0 or numbers[LOSES] > 0.0 or numbers[STORES] > 0.0:
+        control[OWED] += dt
+        if steps == 1.0 or control[OWED] >= SOURCE_PERIOD:
+            control[TAKE] = control[OWED]
+            control[RAINED] += control[OWED] * rain
+            control[OWED] = 0.0
+    state[SETTLED] = 1
+
+
+@cuda.jit(device=True)
+def is_last_block(state):
+    """Tell one thread of each block whether all other blocks are done."""
+    cuda.threadfence()
+    done = cuda.atomic.add(state, TICKET, 1)
+    return done == cuda.gridDim.x * cuda.gridDim.y - 1
+
+
+@cuda.jit(device=True)
+def raised(state, which):
+    """Return the largest number that blocks have raised a slot to, and blank it."""
+    return np.float64(float_of(cuda.atomic.exch(state, which, 0)))
+
+
+@cuda_kernel
+def take_in(
+    state, now, waiting, storage, ny, nx, dry, h_out, damp_out, film_out, partial_out
+):  # fmt: skip
+    """Give the waiting drops to the film and the water of their cells.
+
+    Parameters
+    ----------
+    state, now
+        See the module's constants.
+    waiting : device array of shape (ny * nx,), int64
+        Depth of drops, in UNIT; blanked.
+    storage : device array of shape (ny * nx,), float32 [m]
+    ny, nx : int
+        Cells with their ghosts.
+    dry : float [m]
+    h_out : device array of shape (2 * ny * nx,), float32 [m]
+    damp_out, film_out : device array of shape (ny * nx,), float32 [m]
+    partial_out : device array of shape (PARTIAL, blocks), float64
+    """
+    if now[ADDED] == 0.0:
+        return
+    room = cuda.shared.array(SQUARE, np.float64)
+    i = cuda.blockIdx.x * SIDE + cuda.threadIdx.x + PAD
+    j = cuda.blockIdx.y * HEIGHT + cuda.threadIdx.y + PAD
+    drops = 0.0
+    if i < nx - PAD and j < ny - PAD:
+        at = j * nx + i
+        base = state[PARITY] * ny * nx
+        drops = np.float64(waiting[at])
+        waiting[at] = 0
+        free = np.float64(damp_out[at] + np.float32(drops * UNIT)) + np.float64(h_out[base + at])
+        film = np.float64(film_out[at])
+        _, _, held = soaked(free, film, 0.0, np.float64(storage[at]))
+        film_out[at] = film + held
+        free -= np.float64(film_out[at]) - film
+        value = np.float32(free) if free >= dry else ZERO
+        damp_out[at] = free - np.float64(value)
+        h_out[base + at] = value
+    block = cuda.blockIdx.y * cuda.gridDim.x + cuda.blockIdx.x
+    lane = cuda.threadIdx.y * SIDE + cuda.threadIdx.x
+    drops = block_sum(room, lane, drops)
+    if lane == 0:
+        partial_out[P_DROPPED, block] += drops
+
+
+@cuda_kernel
+def refresh(control, state, now, numbers, h, u, v, bed, ny, nx):
+    """Begin a frame: measure what the first step and the cap follow, and plan that step.
+
+    Parameters
+    ----------
+    control, state, now, numbers
+        See the module's constants; the first two are modified.
+    h, u, v : device arrays, float32
+        Both copies of depth [m] and face velocities [m/s].
+    bed : device array of shape (ny * nx,), float32 [m]
+    ny, nx : int
+        Cells with their ghosts.
+    """
+    tops = cuda.shared.array(4, np.int32)
+    lane = cuda.threadIdx.y * SIDE + cuda.threadIdx.x
+    if lane < 4:
+        tops[lane] = 0
+    cuda.syncthreads()
+    i = cuda.blockIdx.x * SIDE + cuda.threadIdx.x + PAD
+    j = cuda.blockIdx.y * HEIGHT + cuda.threadIdx.y + PAD
+    if i < nx - PAD and j < ny - PAD:
+        p = state[PARITY]
+        at, base = j * nx + i, p * ny * nx
+        here = h[base + at]
+        level = bed[at] + here
+        fall = ZERO
+        for side in range(2):
+            inside = i + 1 < nx - PAD if side == 0 else j + 1 < ny - PAD
+            if inside:
+                there = at + 1 if side == 0 else at + nx
+                drop = level - (bed[there] + h[base + there])
+                if here > ZERO:
+                    fall = max(fall, drop)
+                if h[base + there] > ZERO:
+                    fall = max(fall, -drop)
+        face = p * ny * (nx + 1) + j * (nx + 1) + i
+        swift = max(abs(u[face]), abs(u[face + 1]))
+        face = p * (ny + 1) * nx + at
+        swift = max(swift, max(abs(v[face]), abs(v[face + nx])))
+        cuda.atomic.max(tops, 0, bits_of(swift))
+        cuda.atomic.max(tops, 1, bits_of(here))
+        cuda.atomic.max(tops, 2, bits_of(fall))
+        if here > ZERO:
+            cuda.atomic.max(tops, 3, bits_of(level - np.float32(numbers[FLOOR])))
+    cuda.syncthreads()
+    if lane > 0:
+        return
+    cuda.atomic.max(state, SWIFT, tops[0])
+    cuda.atomic.max(state, DEEPEST, tops[1])
+    cuda.atomic.max(state, FALL, tops[2])
+    cuda.atomic.max(state, HIGHEST, tops[3])
+    if not is_last_block(state):
+        return
+    state[TICKET] = 0
+    swift, deepest = raised(state, SWIFT), raised(state, DEEPEST)
+    fall, highest = raised(state, FALL), raised(state, HIGHEST)
+    gravity = numbers[GRAVITY]
+    if now[ADDED] != 0.0:
+        control[SWIFT_NOW] = swift
+        control[REACH_NOW] = swift + math.sqrt(gravity * max(deepest, fall))
+        state[SETTLED] = 0
+    bound = 2.0 * math.sqrt(gravity * deepest) + math.sqrt(2.0 * gravity * highest)
+    control[CAP] = max(control[CAP], bound)
+    control[LEFT] += now[DURATION]
+    state[SUBSTEPS] = 0
+    plan(control, state, now, numbers)
+
+
+@cuda_kernel
+def close(control, state, blocks, whole, partial_out):
+    """Bring the account up to date at a frame's end; one block.
+
+    Parameters
+    ----------
+    control, state
+        See the module's constants; `control` is modified.
+    blocks : int
+        Number of sums in each row of `partial_out`.
+    whole : float [m]
+        Depth that a flux of 1 m2/s leaves in a cell in a second: 1 / spacing, summed over time.
+    partial_out : device array of shape (PARTIAL, blocks), float64
+        Blanked.
+    """
+    room = cuda.shared.array(THREADS, np.float64)
+    lane = cuda.threadIdx.x
+    for which in range(PARTIAL):
+        total = 0.0
+        for block in range(lane, blocks, THREADS):
+            total += partial_out[which, block]
+            if which < P_GROUND:
+                partial_out[which, block] = 0.0
+        total = block_sum(room, lane, total)
+        if lane > 0:
+            continue
+        if which == P_OUT:
+            control[OUTFLOW] += total * whole
+        elif which == P_DROPPED:
+            control[DROPPED] += total * UNIT
+        elif which == P_DRUNK:
+            control[INFILTRATED] += total
+        elif state[LAST] == 1 and which == P_GROUND:
+            control[GROUND] = total
+        elif state[LAST] == 1:
+            control[FILM] = total

@@ -1,0 +1,53 @@
+"""What the shared formulas call of numpy, for the CUDA compiler: it knows math's functions only.
+
+The compiler of the CPU kernels takes `np.sqrt(x)` of a number, that of CUDA does not. With these
+stand-ins one formula serves both, in the type of its argument: no float64 sneaks in.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import cuda, types
+from numba.extending import overload
+
+_SAME = ("sqrt", "exp", "expm1", "log", "cos", "sin", "floor", "ceil", "tanh")
+
+
+def _stand_in(function):
+    def chosen(x):
+        if isinstance(x, types.Float):
+            return lambda x: function(x)
+        return None
+
+    return chosen
+
+
+for _name in _SAME:
+    overload(getattr(np, _name), target="cuda")(_stand_in(getattr(math, _name)))
+
+if cuda.config.ENABLE_CUDASIM:
+
+    @cuda.jit(device=True)
+    def bits_of(x):
+        """Return the bits of a float32 as an int32: for numbers from 0 up they order alike."""
+        return np.float32(x).view(np.int32)
+
+    @cuda.jit(device=True)
+    def float_of(bits):
+        """Return the float32 with the given bits."""
+        return np.int32(bits).view(np.float32)
+
+else:
+    from numba.cuda import libdevice
+
+    @cuda.jit(device=True)
+    def bits_of(x):
+        """Return the bits of a float32 as an int32: for numbers from 0 up they order alike."""
+        return libdevice.float_as_int(np.float32(x))
+
+    @cuda.jit(device=True)
+    def float_of(bits):
+        """Return the float32 with the given bits."""
+        return libdevice.int_as_float(np.int32(bits))

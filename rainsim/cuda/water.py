@@ -1,0 +1,222 @@
+"""The water solver on a CUDA device: takes over the state of a `WaterSolver`, a frame at a time.
+
+`launch` only queues work, so that a frame's launches can be captured in a graph. How many steps a
+frame needs is decided on the device; `capacity` are launched, and what is left over is counted.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from rainsim.cuda import account, lean
+from rainsim.cuda.jit import cuda, pinned
+from rainsim.errors import DivergedError, ParameterError
+from rainsim.grid.conserving import PAD
+from rainsim.grid.conserving_flow import EDGES
+from rainsim.grid.solver import DRY_DEPTH
+
+CAPACITY = 12  # steps queued for a frame
+
+
+class Water:
+    """Shallow water on a CUDA device, by the scheme "lean".
+
+    Parameters
+    ----------
+    solver : WaterSolver
+        Of scheme "lean" and float32; its state is copied and it is left alone. Inflow, drains,
+        evaporation and infiltration that wanes are not taken over.
+    exposure : ndarray of shape (ny, nx), float32, or None
+        Share of the rain that falls on each cell; None for 1.
+    capacity : int
+        Steps queued for a frame.
+    stream : cuda.stream
+
+    Attributes
+    ----------
+    depth : device array of shape (ny, nx), float32 [m]
+        Depth above the bed, film included, at the last frame's end.
+    waiting : device array of shape ((ny + 4) * (nx + 4),), int64
+        Depth of drops that fell since, in `account.UNIT`, of cells with their ghosts.
+
+    Raises
+    ------
+    ParameterError
+        If the solver has what this one has not.
+    """
+
+    def __init__(self, solver, exposure=None, capacity=CAPACITY, stream=0):
+        flow = solver._flow
+        _require_lean(solver, flow)
+        self.shape, self.spacing = solver.shape, solver.spacing
+        self.stream, self.capacity = stream, capacity
+        self._ledger = solver.ledger
+        ny, nx = flow.h.shape
+        self._size = ny, nx
+        ones = np.ones(self.shape, np.float32)
+        self._exposure = ones if exposure is None else np.asarray(exposure, np.float32)
+        self._rate = None
+        self._kinds = sum(1 << k for k, is_open in enumerate(flow._kinds) if is_open)
+        self._rough = flow._roughness is not None
+        rough = flow._roughness if self._rough else np.zeros_like(flow.h)
+        self._limits = [np.float32(v) for v in (solver.gravity, flow._rest, flow._dry)]
+        self._h, self._u, self._v = (
+            cuda.to_device(np.stack([a, a]).reshape(-1), stream) for a in (flow.h, flow.u, flow.v)
+        )
+        maps = flow.bed, rough, np.pad(self._exposure, PAD), solver._infiltration, solver._storage
+        self._maps = [_sent(field, stream) for field in maps]
+        self._damp, self._film = _sent(flow.damp, stream), _sent(solver._film, stream)
+        self.waiting = cuda.to_device(np.zeros(ny * nx, np.int64), stream)
+        self.depth = cuda.to_device(np.ascontiguousarray(solver.depth), stream)
+        self._wide = (nx - 2 * PAD + lean.THREADS - 1) // lean.THREADS
+        self._high = (ny - 2 * PAD + lean.ROWS - 1) // lean.ROWS
+        side = (nx - 2 * PAD + account.SIDE - 1) // account.SIDE
+        height = (ny - 2 * PAD + account.HEIGHT - 1) // account.HEIGHT
+        self._squares = side, height
+        blocks = max(self._wide * self._high, side * height)
+        self._partial = cuda.to_device(np.zeros((account.PARTIAL, blocks)), stream)
+        self._begin(solver, flow)
+
+    def _begin(self, solver, flow):
+        numbers = np.zeros(7)
+        numbers[account.SPACING], numbers[account.GRAVITY] = solver.spacing, solver.gravity
+        numbers[account.VISCOSITY], numbers[account.COURANT] = flow._viscosity, solver.courant
+        numbers[account.FLOOR], numbers[account.LOSES] = flow._floor, float(solver._drinks)
+        numbers[account.STORES] = float(solver._stores)
+        control = np.zeros(account.CONTROL)
+        control[account.CAP] = flow.cap
+        control[account.REACH_NOW], control[account.SWIFT_NOW] = flow.reach, flow.swift
+        state = np.zeros(account.STATE, np.int32)
+        state[account.WAITS], state[account.SETTLED] = int(flow._waits), int(solver._settled)
+        self._courant = solver.courant
+        self._numbers = cuda.to_device(numbers, self.stream)
+        self._control = cuda.to_device(control, self.stream)
+        self._state = cuda.to_device(state, self.stream)
+        self._pinned = pinned(account.NOW, np.float64)
+        self._now = cuda.to_device(self._pinned, self.stream)
+
+    def deposit(self, rows, columns, volumes):
+        """Let drops wait for the next frame: arrays of rows, columns and volumes [m3]."""
+        width = self._size[1]
+        depth = np.asarray(volumes, np.float64) / (self.spacing**2 * account.UNIT)
+        cells = (np.asarray(rows, np.int64) + PAD) * width + np.asarray(columns, np.int64) + PAD
+        waiting = self.waiting.copy_to_host(stream=self.stream)
+        np.add.at(waiting, cells, np.rint(depth).astype(np.int64))
+        self.waiting.copy_to_device(waiting, stream=self.stream)
+
+    def update(self, duration, rate=0.0, added=True):
+        """Say what the next frame is: its length [s], the rain [m/s], whether drops fell."""
+        now = self._pinned
+        now[account.DURATION], now[account.ADDED] = duration, float(added)
+        if rate != self._rate:
+            rain = np.float32(rate) * self._exposure
+            now[account.RATE], now[account.RAIN_SUM] = rate, rain.sum(dtype=np.float64)
+            now[account.RAIN_STEP] = np.inf
+            if rate > 0.0:
+                most = self._numbers_gravity * float(rain.max())
+                room = self._courant * self.spacing
+                now[account.RAIN_STEP] = room ** (2 / 3) / most ** (1 / 3)
+            self._rate = rate
+
+    @property
+    def _numbers_gravity(self):
+        return float(self._limits[0])
+
+    def launch(self):
+        """Queue a frame: drops, steps, the account. No visit to the host."""
+        self._now.copy_to_device(self._pinned, stream=self.stream)
+        square = account.SIDE, account.HEIGHT
+        ny, nx = self._size
+        account.take_in[self._squares, square, self.stream](
+            self._state, self._now, self.waiting, self._maps[4], ny, nx, DRY_DEPTH, self._h,
+            self._damp, self._film, self._partial,
+        )  # fmt: skip
+        account.refresh[self._squares, square, self.stream](
+            self._control, self._state, self._now, self._numbers, self._h, self._u, self._v,
+            self._maps[0], ny, nx,
+        )  # fmt: skip
+        self.go_on()
+
+    def go_on(self):
+        """Queue `capacity` steps and the account; again if time was left over."""
+        ny, nx = self._size
+        step = lean.step[(self._wide, self._high), lean.THREADS, self.stream]
+        for _ in range(self.capacity):
+            step(
+                self._control, self._state, self._now, self._numbers, *self._maps, ny, nx,
+                self._kinds, self._rough, *self._limits, self._h, self._u, self._v, self._damp,
+                self._film, self.depth, self._partial,
+            )  # fmt: skip
+        account.close[1, lean.THREADS, self.stream](
+            self._control, self._state, self._partial.shape[1], 1 / self.spacing, self._partial
+        )
+
+    def missing(self):
+        """Return the time [s] of the frame that the queued steps did not reach; waits for them."""
+        return float(self._control.copy_to_host(stream=self.stream)[account.LEFT])
+
+    def advance(self, duration, rate=0.0, added=True):
+        """Advance by `duration` [s] and wait; return the number of steps.
+
+        Raises
+        ------
+        DivergedError
+            If the water is faster than water on the ground can be, or no longer finite.
+        """
+        self.update(duration, rate, added)
+        self.launch()
+        while self.missing() > 0.0:
+            self.go_on()
+        state = self._state.copy_to_host(stream=self.stream)
+        if state[account.UNSOUND] or not np.isfinite(self.ledger().ground):
+            raise DivergedError(
+                "the water on the CUDA device is faster than water can be; use a smaller courant "
+                f"than {self._courant:g}"
+            )
+        return int(state[account.SUBSTEPS])
+
+    def ledger(self):
+        """Return the `Ledger` at the last frame's end; waits for it."""
+        control = self._control.copy_to_host(stream=self.stream)
+        area, before = self.spacing**2, self._ledger
+        return replace(
+            before,
+            rain=before.rain + area * float(control[account.RAINED] + control[account.DROPPED]),
+            outflow=before.outflow + area * float(control[account.OUTFLOW]),
+            infiltrated=before.infiltrated + area * float(control[account.INFILTRATED]),
+            ground=area * float(control[account.GROUND]),
+            film=area * float(control[account.FILM]),
+        )
+
+    def fields(self):
+        """Return depth (ny, nx), u (ny, nx + 1) and v (ny + 1, nx) as host arrays; waits."""
+        parity = self._state.copy_to_host(stream=self.stream)[account.PARITY]
+        ny, nx = self._size
+        inner, out = np.s_[PAD:-PAD, PAD:-PAD], [self.depth.copy_to_host(stream=self.stream)]
+        for field, shape in ((self._u, (2, ny, nx + 1)), (self._v, (2, ny + 1, nx))):
+            out.append(field.copy_to_host(stream=self.stream).reshape(shape)[parity][inner])
+        return out
+
+
+def _sent(field, stream):
+    return cuda.to_device(np.ascontiguousarray(field, dtype=np.float32).reshape(-1), stream)
+
+
+def _require_lean(solver, flow):
+    """Raise ParameterError for what the device's solver does not have."""
+    if not getattr(flow, "_lean", False) or flow.h.dtype != np.float32:
+        raise ParameterError(
+            f"the water scheme is {solver.scheme!r} in {flow.h.dtype}; on a CUDA device it must be "
+            '"lean" in float32'
+        )
+    for name, there in (
+        ("inflow", flow._inflow), ("drains", len(solver._drains[0])),
+        ("evaporation", solver._dries), ("infiltration that wanes", solver._wanes),
+    ):  # fmt: skip
+        if there:
+            raise ParameterError(f'a CUDA device has no {name}; leave it out or use backend "cpu"')
+
+
+assert EDGES == ("west", "east", "south", "north")  # the order of the bits in `kinds`

@@ -1,0 +1,67 @@
+"""The water's twin in numba's CUDA simulator; `tests/unit/test_cuda.py` runs this file."""
+
+import numpy as np
+import pytest
+
+from rainsim.cuda import simulated
+from rainsim.cuda.water import Water
+from rainsim.errors import ParameterError
+from rainsim.grid import WaterSolver
+
+assert simulated()
+N = 16
+
+
+def basin(**changes):
+    """Return a solver on uneven, rough, thirsty ground with two open edges, and water in it."""
+    rng = np.random.default_rng(0)
+    y, x = np.mgrid[:N, : N + 3] / N
+    bed = 0.02 * np.sin(9 * x) * np.cos(7 * y) + 0.002 * rng.random(x.shape)
+    bed[N // 3, N // 3 : N // 2] += 0.3
+    options = {
+        "scheme": "lean", "boundary": {"west": "open", "north": "open"}, "manning": 0.02,
+        "kinematic_viscosity": 1e-6, "storage": 2e-4 * (x > 0.5), "infiltration": 2e-6 * (y > 0.4),
+    }  # fmt: skip
+    solver = WaterSolver(bed, 0.01, **{**options, **changes})
+    solver.set_state(np.maximum(0.015 - bed, 0))
+    return solver, rng.random(bed.shape).astype(np.float32)
+
+
+def test_a_frame_is_that_of_the_cpu():
+    solver, exposure = basin()
+    water = Water(solver, exposure, capacity=3)  # too few: the frame goes on
+    before = solver.depth
+    rows, columns = np.array([3, 3, 9]), np.array([4, 4, 18])
+    volumes = np.array([1e-8, 3e-8, 2e-8])
+    solver.deposit(rows, columns, volumes)
+    water.deposit(rows, columns, volumes)
+    report = solver.advance(1 / 30, rain=np.float32(1e-5) * exposure)
+    assert water.advance(1 / 30, 1e-5) == report.substeps > 3
+    depth, u, v = water.fields()
+    wanted_u, wanted_v = solver._flow.faces()
+    assert np.abs(depth - before).max() > 1e-4
+    np.testing.assert_allclose(depth, solver.depth, atol=1e-8)
+    np.testing.assert_allclose(u, wanted_u, atol=1e-6)
+    np.testing.assert_allclose(v, wanted_v, atol=1e-6)
+    found, wanted = water.ledger().as_dict(), solver.ledger.as_dict()
+    assert wanted["outflow"] > 0 and wanted["infiltrated"] > 0 and wanted["film"] > 0
+    for name in ("rain", "infiltrated", "film", "outflow", "ground"):
+        assert found[name] == pytest.approx(wanted[name], rel=1e-7), name
+    assert abs(found["residual"]) < 1e-7
+
+
+def test_water_at_rest_stays_and_costs_no_step():
+    bed = np.zeros((N, N))
+    bed[4:8, 4:8] = 0.02
+    solver = WaterSolver(bed, 0.01, scheme="lean")
+    solver.set_state(np.maximum(0.01 - bed, 0))
+    water = Water(solver, capacity=2)
+    assert water.advance(0.1, added=False) == solver.advance(0.1).substeps == 1
+    assert water.advance(0.1, added=False) == solver.advance(0.1).substeps == 0
+    np.testing.assert_array_equal(water.fields()[0], solver.depth)
+
+
+def test_what_the_device_lacks_is_refused():
+    for options in ({"scheme": "accurate"}, {"drains": [(1, 1, 1e-6)]}, {"evaporation": 1e-8}):
+        with pytest.raises(ParameterError, match=r"lean|cpu"):
+            Water(basin(**options)[0])
