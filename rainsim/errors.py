@@ -24,6 +24,10 @@ class GroundError(RainsimError):
     """The ground, the up direction or the scale cannot be told from what was given."""
 
 
+class BackendError(RainsimError):
+    """The backend that was asked for cannot run here."""
+
+
 class DivergedError(RainsimError):
     """A simulation produced values that no physical state has."""
 

@@ -62,7 +62,7 @@ def _content_and_imports(module):
 
 
 @functools.cache
-def _kernel_folder(module):
+def kernel_folder(module):
     """Return the folder for the machine code of one module."""
     if module.partition(".")[0] != "rainsim":
         return CACHE_FOLDER  # a test's own kernel
@@ -101,12 +101,14 @@ from numba.extending import intrinsic, register_jitable  # noqa: E402
 _FAST = {"nsz", "arcp", "contract", "afn", "reassoc"}
 
 device_function = register_jitable
+# Inlined by force: loops that LLVM is to vectorise must not hold calls.
+inlined_function = register_jitable(forceinline=True)
 
 
 def _kernel(**options):
     def decorate(function):
         # numba reads the folder when the function is decorated.
-        numba.config.CACHE_DIR = str(_kernel_folder(function.__module__))
+        numba.config.CACHE_DIR = str(kernel_folder(function.__module__))
         return njit(nogil=True, error_model="numpy", fastmath=_FAST, cache=True, **options)(
             function
         )
@@ -123,8 +125,10 @@ __all__ = [
     "cpu_kernel",
     "device_function",
     "get_num_threads",
+    "inlined_function",
     "intrinsic",
     "ir",
+    "kernel_folder",
     "prange",
     "serial_kernel",
     "types",

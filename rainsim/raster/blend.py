@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
-from rainsim.jit import cpu_kernel, device_function, prange
+from rainsim.jit import cpu_kernel, device_function, inlined_function, prange
 from rainsim.raster.lanes import CHANNELS, LANES, blend_lanes, lowest_bit, meets_blocks, prefetch
 from rainsim.raster.project import TILE
 from rainsim.raster.tiles import DIGITS, sort_keys
@@ -118,38 +120,47 @@ def blend_tiles(
             )  # fmt: skip
 
 
+@inlined_function
+def finish_pixel(alpha, z, nx, ny, nz, distance, a, b, orthographic, median):
+    """Turn what a pixel has gathered into depth, unit normal (3) and plane depth.
+
+    (a, b, 1) is the pixel's ray. The plane depth is where the ray meets n.p = distance, with n and
+    distance blended alike. That falls back on the depth where the plane is nearly edge-on or far
+    from the splats that were blended.
+    """
+    z = z if median else z / max(alpha, MIN_COVERAGE)
+    length = math.sqrt(nx * nx + ny * ny + nz * nz)
+    known = alpha >= MIN_COVERAGE and length > ZERO and z > ZERO
+    share = ONE / length if known else ZERO
+    flat = nx * a + ny * b
+    along = nz if orthographic else flat + nz
+    plane = (distance - flat if orthographic else distance) / along
+    limit = NOWHERE if orthographic else PLANE_LIMIT * z
+    plane = plane if along <= -EDGE_ON * alpha and abs(plane - z) < limit else z
+    return (
+        z if known else NOWHERE, nx * share, ny * share, nz * share, plane if known else NOWHERE
+    )  # fmt: skip
+
+
 @device_function
 def finish_block(rows, x, y, lens, orthographic, median):
     """Turn what a block's pixels have gathered into depths and unit normals; in place.
 
-    Row 0 becomes alpha, row 4 the depth, rows 5 to 7 the normal, row 8 the plane depth: the depth
-    at which the pixel's ray meets n.p = distance, with n and distance blended alike. That falls
-    back on the depth where the plane is nearly edge-on or far from the splats that were blended.
+    Row 0 becomes alpha, row 4 the depth, rows 5 to 7 the normal, row 8 the plane depth.
     """
     fx, fy = ONE / lens[0], ONE / lens[1]
     x, y = x - lens[2], y - lens[3]
     for i in range(LANES):
         alpha = ONE - rows[i]
-        nx, ny = rows[5 * LANES + i], rows[6 * LANES + i]
-        nz, distance = rows[7 * LANES + i], rows[8 * LANES + i]
-        z = rows[4 * LANES + i]
-        z = z if median else z / max(alpha, MIN_COVERAGE)
-        length = np.sqrt(nx * nx + ny * ny + nz * nz)
-        known = alpha >= MIN_COVERAGE and length > ZERO and z > ZERO
-        share = ONE / length if known else ZERO
-        a = (x + np.float32(i & SIDE - 1)) * fx
-        b = (y + np.float32(i >> SHIFT)) * fy
-        flat = nx * a + ny * b
-        along = nz if orthographic else flat + nz
-        plane = (distance - flat if orthographic else distance) / along
-        limit = NOWHERE if orthographic else PLANE_LIMIT * z
-        plane = plane if along <= -EDGE_ON * alpha and abs(plane - z) < limit else z
+        z, n0, n1, n2, plane = finish_pixel(
+            alpha, rows[4 * LANES + i], rows[5 * LANES + i], rows[6 * LANES + i],
+            rows[7 * LANES + i], rows[8 * LANES + i],
+            (x + np.float32(i & SIDE - 1)) * fx, (y + np.float32(i >> SHIFT)) * fy,
+            orthographic, median,
+        )  # fmt: skip
         rows[i] = alpha
-        rows[4 * LANES + i] = z if known else NOWHERE
-        rows[5 * LANES + i] = nx * share
-        rows[6 * LANES + i] = ny * share
-        rows[7 * LANES + i] = nz * share
-        rows[8 * LANES + i] = plane if known else NOWHERE
+        rows[4 * LANES + i], rows[8 * LANES + i] = z, plane
+        rows[5 * LANES + i], rows[6 * LANES + i], rows[7 * LANES + i] = n0, n1, n2
 
 
 @device_function

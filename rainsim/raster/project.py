@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
-from rainsim.jit import cpu_kernel, device_function, prange
+from rainsim.jit import cpu_kernel, device_function, inlined_function, prange
 from rainsim.raster.prepared import LANES, OPACITY
 
+BAND = 3 * LANES  # numbers of a chunk from one coefficient of a channel to the next
 TILE = 16  # px
 TILE_SHIFT = 4  # log2 of it
 BLOCKS = 32  # parts of the scene with tile counts of their own; fixed, whatever the threads
@@ -87,6 +90,113 @@ def chunk_is_out(box, view, lens, size, near, plane, orthographic):
     return beside0 == corners or beside1 == corners or beside2 == corners or beside3 == corners
 
 
+@inlined_function
+def project_splat(
+    px, py, pz, c0, c1, c2, c3, c4, c5,
+    v00, v01, v02, v03, v10, v11, v12, v13, v20, v21, v22, v23,
+    fx, fy, cx, cy, x_low, x_high, y_low, y_high, orthographic,
+):  # fmt: skip
+    """Project one splat: position, covariance (xx, xy, xz, yy, yz, zz), view matrix and lens.
+
+    Returns camera point (3), image point (2), conic in eighths of log2 (3), the variances along
+    the picture's axes and the determinant with the low-pass, and the determinant before it.
+    """
+    x = v00 * px + v01 * py + v02 * pz + v03
+    y = v10 * px + v11 * py + v12 * pz + v13
+    z = v20 * px + v21 * py + v22 * pz + v23
+    iz = ONE if orthographic else ONE / z
+    tx, ty = x * iz, y * iz
+    lx = ZERO if orthographic else min(max(tx, x_low), x_high)
+    ly = ZERO if orthographic else min(max(ty, y_low), y_high)
+    a, b = fx * iz, fy * iz
+    # Rows of J V: the linearised projection (Zwicker et al. 2001).
+    j00, j01, j02 = a * (v00 - lx * v20), a * (v01 - lx * v21), a * (v02 - lx * v22)
+    j10, j11, j12 = b * (v10 - ly * v20), b * (v11 - ly * v21), b * (v12 - ly * v22)
+    t0 = c0 * j00 + c1 * j01 + c2 * j02
+    t1 = c1 * j00 + c3 * j01 + c4 * j02
+    t2 = c2 * j00 + c4 * j01 + c5 * j02
+    m00 = j00 * t0 + j01 * t1 + j02 * t2
+    m01 = j10 * t0 + j11 * t1 + j12 * t2
+    q0 = c0 * j10 + c1 * j11 + c2 * j12
+    q1 = c1 * j10 + c3 * j11 + c4 * j12
+    q2 = c2 * j10 + c4 * j11 + c5 * j12
+    m11 = j10 * q0 + j11 * q1 + j12 * q2
+    spread = m00 * m11 - m01 * m01
+    m00 += LOW_PASS
+    m11 += LOW_PASS
+    determinant = m00 * m11 - m01 * m01
+    scale = HALF_LOG2E / determinant
+    u, v = fx * tx + cx, fy * ty + cy
+    conic_a, conic_b, conic_c = m11 * scale, -TWO * m01 * scale, m00 * scale
+    return x, y, z, u, v, conic_a, conic_b, conic_c, m00, m11, determinant, spread
+
+
+@inlined_function
+def half_extents(level, m00, m11):
+    """Return how far [px] a splat of log2 opacity `level` reaches along each axis."""
+    reach = TWO_LN2 * max(level - MIN_ALPHA_LOG2, ZERO)  # -2 ln(1/255 / opacity)
+    return math.sqrt(reach * m00), math.sqrt(reach * m11)
+
+
+@inlined_function
+def compensation(spread, determinant):
+    """Return what Mip-Splatting (Yu et al. 2024, eq. 9) adds to a splat's log2 opacity.
+
+    A splat widened by the low-pass keeps its light.
+    """
+    return HALF * math.log2(max(spread, ZERO) / determinant)
+
+
+@inlined_function
+def color_constant(s0):
+    """Return a channel's colour of degree 0 from its coefficient."""
+    return SH0 * s0 + HALF
+
+
+@inlined_function
+def color_degree_1(x, y, z, s1, s2, s3):
+    """Return what degree 1 adds to a channel seen along the unit vector (x, y, z)."""
+    return SH1 * (z * s2 - y * s1 - x * s3)
+
+
+@inlined_function
+def color_degree_2(x, y, z, s4, s5, s6, s7, s8):
+    """Return what degree 2 adds."""
+    xx, yy, zz = x * x, y * y, z * z
+    value = SH2A * (x * y * s4 - y * z * s5 - x * z * s7)
+    value += SH2B * (TWO * zz - xx - yy) * s6
+    value += SH2C * (xx - yy) * s8
+    return value
+
+
+@inlined_function
+def color_degree_3(x, y, z, s9, s10, s11, s12, s13, s14, s15):
+    """Return what degree 3 adds."""
+    xx, yy, zz = x * x, y * y, z * z
+    value = SH3B * x * y * z * s10
+    value -= SH3A * y * (THREE * xx - yy) * s9
+    value -= SH3C * (FOUR * zz - xx - yy) * (y * s11 + x * s13)
+    value += SH3D * z * (TWO * zz - THREE * xx - THREE * yy) * s12
+    value += SH3E * z * (xx - yy) * s14
+    value -= SH3A * x * (xx - THREE * yy) * s15
+    return value
+
+
+@inlined_function
+def facing_normal(
+    nx, ny, nz, x, y, z, v00, v01, v02, v10, v11, v12, v20, v21, v22, orthographic
+):  # fmt: skip
+    """Return a splat's normal in the camera frame, towards the camera, and its plane's distance."""
+    n0 = v00 * nx + v01 * ny + v02 * nz
+    n1 = v10 * nx + v11 * ny + v12 * nz
+    n2 = v20 * nx + v21 * ny + v22 * nz
+    distance = n0 * x + n1 * y + n2 * z
+    away = n2 if orthographic else distance
+    if away > ZERO:
+        n0, n1, n2, distance = -n0, -n1, -n2, -distance
+    return n0, n1, n2, distance
+
+
 @device_function
 def project_chunk(g, view, lens, size, near, plane, orthographic, compensate, s):
     """Fill the scratch rows `s` up to LAST; FIRST is above LAST for what is not seen."""
@@ -100,54 +210,26 @@ def project_chunk(g, view, lens, size, near, plane, orthographic, compensate, s)
     p0, p1, p2, p3 = plane[0], plane[1], plane[2], plane[3]
     for i in range(LANES):
         px, py, pz = g[i], g[1 * LANES + i], g[2 * LANES + i]
-        x = v00 * px + v01 * py + v02 * pz + v03
-        y = v10 * px + v11 * py + v12 * pz + v13
-        z = v20 * px + v21 * py + v22 * pz + v23
-        iz = ONE if orthographic else ONE / z
-        tx, ty = x * iz, y * iz
-        lx = ZERO if orthographic else min(max(tx, x_low), x_high)
-        ly = ZERO if orthographic else min(max(ty, y_low), y_high)
-        a, b = fx * iz, fy * iz
-        # Rows of J V: the linearised projection (Zwicker et al. 2001).
-        j00, j01, j02 = a * (v00 - lx * v20), a * (v01 - lx * v21), a * (v02 - lx * v22)
-        j10, j11, j12 = b * (v10 - ly * v20), b * (v11 - ly * v21), b * (v12 - ly * v22)
-        c0, c1, c2 = g[3 * LANES + i], g[4 * LANES + i], g[5 * LANES + i]
-        c3, c4, c5 = g[6 * LANES + i], g[7 * LANES + i], g[8 * LANES + i]
-        t0 = c0 * j00 + c1 * j01 + c2 * j02
-        t1 = c1 * j00 + c3 * j01 + c4 * j02
-        t2 = c2 * j00 + c4 * j01 + c5 * j02
-        m00 = j00 * t0 + j01 * t1 + j02 * t2
-        m01 = j10 * t0 + j11 * t1 + j12 * t2
-        q0 = c0 * j10 + c1 * j11 + c2 * j12
-        q1 = c1 * j10 + c3 * j11 + c4 * j12
-        q2 = c2 * j10 + c4 * j11 + c5 * j12
-        m11 = j10 * q0 + j11 * q1 + j12 * q2
-        s[SPREAD + i] = m00 * m11 - m01 * m01  # before the low-pass
-        m00 += LOW_PASS
-        m11 += LOW_PASS
-        determinant = m00 * m11 - m01 * m01
-        scale = HALF_LOG2E / determinant
+        x, y, z, u, v, a, b, c, m00, m11, determinant, spread = project_splat(
+            px, py, pz, g[3 * LANES + i], g[4 * LANES + i], g[5 * LANES + i],
+            g[6 * LANES + i], g[7 * LANES + i], g[8 * LANES + i],
+            v00, v01, v02, v03, v10, v11, v12, v13, v20, v21, v22, v23,
+            fx, fy, cx, cy, x_low, x_high, y_low, y_high, orthographic,
+        )  # fmt: skip
+        s[SPREAD + i] = spread
         s[X + i], s[Y + i], s[Z + i] = x, y, z
-        s[U + i], s[V + i] = fx * tx + cx, fy * ty + cy
-        s[CONIC_A + i], s[CONIC_B + i], s[CONIC_C + i] = (
-            m11 * scale,
-            -TWO * m01 * scale,
-            m00 * scale,
-        )
+        s[U + i], s[V + i] = u, v
+        s[CONIC_A + i], s[CONIC_B + i], s[CONIC_C + i] = a, b, c
         s[LEFT + i], s[FIRST + i] = m00, m11
         s[RIGHT + i] = determinant
         kept = z >= near and determinant > ZERO and p0 * px + p1 * py + p2 * pz >= p3
         s[LEVEL + i] = g[OPACITY * LANES + i] if kept else np.float32(-np.inf)
     if compensate:
-        # Mip-Splatting (Yu et al. 2024, eq. 9): a splat widened by the low-pass keeps its light.
         for i in range(LANES):
-            share = max(s[SPREAD + i], ZERO) / s[RIGHT + i]
-            s[LEVEL + i] += HALF * np.log2(share)
+            s[LEVEL + i] += compensation(s[SPREAD + i], s[RIGHT + i])
     for i in range(LANES):
-        m00, m11, determinant = s[LEFT + i], s[FIRST + i], s[RIGHT + i]
         level = s[LEVEL + i]
-        reach = TWO_LN2 * max(level - MIN_ALPHA_LOG2, ZERO)  # -2 ln(1/255 / opacity)
-        ex, ey = np.sqrt(reach * m00), np.sqrt(reach * m11)
+        ex, ey = half_extents(level, s[LEFT + i], s[FIRST + i])
         u, v = s[U + i], s[V + i]
         # Pixels whose centres lie in the ellipse's box.
         left, right = np.ceil(max(u - ex - HALF, ZERO)), np.floor(min(u + ex - HALF, w - ONE))
@@ -180,50 +262,30 @@ def color_chunk(g, sh, eye, orthographic, bands, s):
         color = RED + c * LANES
         if bands == 1:
             for i in range(LANES):
-                q = c * LANES + i
-                s[color + i] = max(SH0 * sh[q] + HALF, ZERO)
-        elif bands == 2:
+                s[color + i] = max(color_constant(sh[c * LANES + i]), ZERO)
+            continue
+        for i in range(LANES):
+            q = c * LANES + i
+            x, y, z = s[DX + i], s[DY + i], s[DZ + i]
+            value = color_degree_1(x, y, z, sh[q + BAND], sh[q + 2 * BAND], sh[q + 3 * BAND])
+            s[color + i] = value + color_constant(sh[q])
+        if bands > 2:
             for i in range(LANES):
                 q = c * LANES + i
-                x, y, z = s[DX + i], s[DY + i], s[DZ + i]
-                value = SH1 * (
-                    z * sh[6 * LANES + q] - y * sh[3 * LANES + q] - x * sh[9 * LANES + q]
-                )
-                s[color + i] = max(value + SH0 * sh[q] + HALF, ZERO)
-        else:
+                s[color + i] += color_degree_2(
+                    s[DX + i], s[DY + i], s[DZ + i], sh[q + 4 * BAND], sh[q + 5 * BAND],
+                    sh[q + 6 * BAND], sh[q + 7 * BAND], sh[q + 8 * BAND],
+                )  # fmt: skip
+        if bands > 3:
             for i in range(LANES):
                 q = c * LANES + i
-                x, y, z = s[DX + i], s[DY + i], s[DZ + i]
-                xx, yy, zz = x * x, y * y, z * z
-                value = SH1 * (
-                    z * sh[6 * LANES + q] - y * sh[3 * LANES + q] - x * sh[9 * LANES + q]
-                )
-                value += SH2A * (
-                    x * y * sh[12 * LANES + q]
-                    - y * z * sh[15 * LANES + q]
-                    - x * z * sh[21 * LANES + q]
-                )
-                value += SH2B * (TWO * zz - xx - yy) * sh[18 * LANES + q]
-                value += SH2C * (xx - yy) * sh[24 * LANES + q]
-                s[color + i] = value + SH0 * sh[q] + HALF
-            if bands == 4:
-                for i in range(LANES):
-                    q = c * LANES + i
-                    x, y, z = s[DX + i], s[DY + i], s[DZ + i]
-                    xx, yy, zz = x * x, y * y, z * z
-                    value = SH3B * x * y * z * sh[30 * LANES + q]
-                    value -= SH3A * y * (THREE * xx - yy) * sh[27 * LANES + q]
-                    value -= (
-                        SH3C
-                        * (FOUR * zz - xx - yy)
-                        * (y * sh[33 * LANES + q] + x * sh[39 * LANES + q])
-                    )
-                    value += SH3D * z * (TWO * zz - THREE * xx - THREE * yy) * sh[36 * LANES + q]
-                    value += SH3E * z * (xx - yy) * sh[42 * LANES + q]
-                    value -= SH3A * x * (xx - THREE * yy) * sh[45 * LANES + q]
-                    s[color + i] += value
-            for i in range(LANES):
-                s[color + i] = max(s[color + i], ZERO)
+                s[color + i] += color_degree_3(
+                    s[DX + i], s[DY + i], s[DZ + i], sh[q + 9 * BAND], sh[q + 10 * BAND],
+                    sh[q + 11 * BAND], sh[q + 12 * BAND], sh[q + 13 * BAND], sh[q + 14 * BAND],
+                    sh[q + 15 * BAND],
+                )  # fmt: skip
+        for i in range(LANES):
+            s[color + i] = max(s[color + i], ZERO)
 
 
 @device_function
@@ -243,17 +305,11 @@ def write_records(
         r[2], r[3], r[4] = s[CONIC_A + i], s[CONIC_B + i], s[CONIC_C + i]
         r[5], r[14] = s[LEVEL + i] * EIGHTH, s[SPREAD + i]
         r[6], r[7], r[8] = s[RED + i], s[GREEN + i], s[BLUE + i]
-        x, y, z = s[X + i], s[Y + i], s[Z + i]
-        r[9] = z
-        nx, ny, nz = g[9 * LANES + i], g[10 * LANES + i], g[11 * LANES + i]
-        n0 = v00 * nx + v01 * ny + v02 * nz
-        n1 = v10 * nx + v11 * ny + v12 * nz
-        n2 = v20 * nx + v21 * ny + v22 * nz
-        distance = n0 * x + n1 * y + n2 * z
-        away = n2 if orthographic else distance
-        if away > ZERO:
-            n0, n1, n2, distance = -n0, -n1, -n2, -distance
-        r[10], r[11], r[12], r[13] = n0, n1, n2, distance
+        r[9] = s[Z + i]
+        r[10], r[11], r[12], r[13] = facing_normal(
+            g[9 * LANES + i], g[10 * LANES + i], g[11 * LANES + i], s[X + i], s[Y + i], s[Z + i],
+            v00, v01, v02, v10, v11, v12, v20, v21, v22, orthographic,
+        )  # fmt: skip
         left, right = np.int32(s[LEFT + i]), np.int32(s[RIGHT + i])
         first, last = np.int32(s[FIRST + i]), np.int32(s[LAST + i])
         box_out[o, 0], box_out[o, 1], box_out[o, 2], box_out[o, 3] = left, right, first, last

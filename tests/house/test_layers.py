@@ -47,8 +47,24 @@ def test_the_walk_finds_imports():
     assert "pipeline.py" in _users("rainsim.errors")
 
 
+COMPILERS = {"jit.py", "cuda/jit.py"}  # one for each backend
+OPTIONS = {"fastmath", "nogil", "error_model", "parallel", "forceinline"}
+
+
 def test_only_jit_imports_numba():
-    assert _users("numba") == {"jit.py"}
+    users = _users("numba")
+    assert COMPILERS <= users
+    assert users <= COMPILERS | {"cuda/__init__.py", "cuda/scalars.py", "cuda/warp.py"}
+
+
+def test_nothing_needs_cuda_before_it_is_asked_for():
+    for path in MODULES:
+        if _name(path).startswith("cuda/"):
+            continue
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:  # not inside functions
+            if isinstance(node, ast.ImportFrom | ast.Import):
+                names = [getattr(node, "module", None) or "", *(a.name for a in node.names)]
+                assert not any(name.startswith("rainsim.cuda.") for name in names), _name(path)
 
 
 def test_only_image_imports_imageio():
@@ -94,8 +110,8 @@ def test_compiler_options_are_named_in_one_place():
             if isinstance(node, ast.Call)
             for keyword in node.keywords
         }
-        if _name(path) != "jit.py":
-            assert not names & {"fastmath", "nogil", "error_model", "parallel"}, _name(path)
+        if _name(path) not in COMPILERS:
+            assert not names & OPTIONS, _name(path)
 
 
 @pytest.mark.parametrize("arguments", [["--help"], ["run", "--help"], ["presets"], ["--version"]])

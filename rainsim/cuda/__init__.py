@@ -1,0 +1,62 @@
+"""Twins of the hot loops for NVIDIA GPUs: `--backend cuda`.
+
+Optional: `pip install rainsim[cuda]` and a driver. Nothing here is imported before it is asked for;
+what cannot run says what is missing and never falls back on the CPU.
+
+The twins call the scalar formulas of the CPU kernels and differ in how the work is laid out:
+`raster` (splatting), `water`, `ripples`, `drops`, `streaks`, `shading` and `march` hold kernels,
+`frame` puts them into one queue that does not visit the host before the picture is finished.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+
+from rainsim.errors import BackendError
+
+BACKENDS = ("cpu", "cuda")
+REMEDY = "pip install rainsim[cuda]"
+
+
+def simulated():
+    """Return whether numba's CUDA simulator stands in for the GPU (NUMBA_ENABLE_CUDASIM=1)."""
+    return os.environ.get("NUMBA_ENABLE_CUDASIM") == "1"
+
+
+def trouble():
+    """Return what keeps the CUDA backend from running here, with the remedy; None if nothing."""
+    if simulated():
+        return None
+    for package in ("numba_cuda", "cuda.compute"):
+        if not _is_installed(package):
+            name = {"numba_cuda": "numba-cuda", "cuda.compute": "cuda-cccl"}[package]
+            return f"{name} is not installed; {REMEDY}"
+    import numba.cuda as numba_cuda
+
+    try:
+        import cuda.compute  # noqa: F401
+    except Exception as error:  # its libraries raise errors of their own kinds while they load
+        return f"cuda.compute of cuda-cccl does not load ({error}); {REMEDY}"
+    try:
+        devices = len(numba_cuda.list_devices())
+    except Exception as error:
+        first = str(error).strip().splitlines() or [type(error).__name__]
+        return f"no CUDA driver answers ({first[0]}); install NVIDIA's driver, or take backend cpu"
+    if devices == 0:
+        return "the CUDA driver finds no GPU; take backend cpu"
+    return None
+
+
+def _is_installed(package):
+    try:
+        return importlib.util.find_spec(package) is not None
+    except ImportError:  # of the package that it lies in
+        return False
+
+
+def require():
+    """Raise BackendError unless kernels can run on a GPU (or in the simulator)."""
+    found = trouble()
+    if found is not None:
+        raise BackendError(f"backend is 'cuda', but {found}")

@@ -1,0 +1,157 @@
+"""Compiler options and intrinsics of the CUDA twins: the only module that names either.
+
+`cuda_kernel` keeps NaN and infinity, as the CPU kernels do; `fast_kernel` assumes there are none.
+In numba's simulator the intrinsics are plain Python; warp instructions have no stand-in there, so
+kernels that need them have a plain brother.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rainsim.cuda import require
+from rainsim.jit import CACHE_FOLDER, kernel_folder
+
+require()
+
+import numba  # noqa: E402
+from numba import cuda, types  # noqa: E402
+
+SIMULATED = bool(cuda.config.ENABLE_CUDASIM)
+WARP = 32
+FULL = 0xFFFFFFFF  # all lanes of a warp
+
+
+def _kernel(**options):
+    def decorate(function):
+        # As in rainsim.jit: numba reads the folder when the function is decorated.
+        numba.config.CACHE_DIR = str(kernel_folder(function.__module__))
+        return cuda.jit(**options)(function)
+
+    return decorate
+
+
+cuda_kernel = _kernel(cache=not SIMULATED)
+fast_kernel = _kernel(cache=not SIMULATED, fastmath=True)
+# Functions that only kernels of the twins call; the formulas shared with the CPU need neither.
+_INLINED = {} if SIMULATED else {"forceinline": True}
+cuda_device = cuda.jit(device=True)
+fast_device = cuda.jit(device=True, fastmath=True, **_INLINED)
+
+if SIMULATED:
+
+    @cuda.jit(device=True)
+    def float_bits(x):
+        """Return the bits of a float32 as an integer."""
+        return np.int64(np.float32(x).view(np.uint32))
+
+    @cuda.jit(device=True)
+    def load4(array, i):
+        """Return the four numbers of a float32 array from index i on, a multiple of 4."""
+        return array[i], array[i + 1], array[i + 2], array[i + 3]
+
+    @cuda.jit(device=True)
+    def store4(array, i, x, y, z, w):
+        """Store four numbers in a float32 array from index i on, a multiple of 4."""
+        array[i], array[i + 1], array[i + 2], array[i + 3] = x, y, z, w
+
+    @cuda.jit(device=True)
+    def load_halves(array, i):
+        """Return eight numbers of a float16 array from index i on, a multiple of 8, as float32."""
+        return tuple(np.float32(array[i + k]) for k in range(8))
+
+else:
+    from llvmlite import ir
+    from numba.cuda import cgutils
+    from numba.cuda.extending import intrinsic
+
+    _FLOAT = ir.FloatType()
+    _FOUR = ir.VectorType(_FLOAT, 4)
+    _HALVES, _WORDS = ir.VectorType(ir.HalfType(), 8), ir.VectorType(ir.IntType(32), 4)
+
+    def _place(context, builder, kind, array, index):
+        data = cgutils.create_struct_proxy(kind)(context, builder, array).data
+        return builder.bitcast(builder.gep(data, [index]), _FOUR.as_pointer())
+
+    @intrinsic
+    def float_bits(typingctx, x):
+        """Return the bits of a float32 as an integer."""
+
+        def codegen(context, builder, signature, arguments):
+            bits = builder.bitcast(arguments[0], ir.IntType(32))
+            return builder.zext(bits, ir.IntType(64))
+
+        return types.int64(types.float32), codegen
+
+    @intrinsic
+    def load4(typingctx, array, i):
+        """Return the four numbers of a float32 array from index i on, a multiple of 4."""
+
+        def codegen(context, builder, signature, arguments):
+            place = _place(context, builder, signature.args[0], arguments[0], arguments[1])
+            four = builder.load(place)
+            four.align = 16
+            numbers = [builder.extract_element(four, ir.IntType(32)(k)) for k in range(4)]
+            return context.make_tuple(builder, signature.return_type, numbers)
+
+        return types.UniTuple(types.float32, 4)(array, types.int64), codegen
+
+    @intrinsic
+    def load_halves(typingctx, array, i):
+        """Return eight numbers of a float16 array from index i on, a multiple of 8, as float32."""
+
+        def codegen(context, builder, signature, arguments):
+            place = _place(context, builder, signature.args[0], arguments[0], arguments[1])
+            eight = builder.load(builder.bitcast(place, _WORDS.as_pointer()))
+            eight.align = 16
+            eight = builder.bitcast(eight, _HALVES)
+            numbers = [
+                builder.fpext(builder.extract_element(eight, ir.IntType(32)(k)), _FLOAT)
+                for k in range(8)
+            ]
+            return context.make_tuple(builder, signature.return_type, numbers)
+
+        return types.UniTuple(types.float32, 8)(array, types.int64), codegen
+
+    @intrinsic
+    def store4(typingctx, array, i, x, y, z, w):
+        """Store four numbers in a float32 array from index i on, a multiple of 4."""
+
+        def codegen(context, builder, signature, arguments):
+            four = ir.Constant(_FOUR, ir.Undefined)
+            for k in range(4):
+                four = builder.insert_element(four, arguments[2 + k], ir.IntType(32)(k))
+            place = _place(context, builder, signature.args[0], arguments[0], arguments[1])
+            builder.store(four, place).align = 16
+            return context.get_dummy_value()
+
+        x = types.float32
+        return types.void(array, types.int64, x, x, x, x), codegen
+
+
+def pinned(shape, dtype):
+    """Return a zeroed host array that copies without visiting pageable memory."""
+    array = np.zeros(shape, dtype) if SIMULATED else cuda.pinned_array(shape, dtype)
+    array[...] = 0
+    return array
+
+
+if not SIMULATED:
+    import rainsim.cuda.scalars  # noqa: F401  (numpy's functions of numbers, for CUDA)
+
+__all__ = [
+    "CACHE_FOLDER",
+    "FULL",
+    "SIMULATED",
+    "WARP",
+    "cuda",
+    "cuda_device",
+    "cuda_kernel",
+    "fast_device",
+    "fast_kernel",
+    "float_bits",
+    "load4",
+    "load_halves",
+    "pinned",
+    "store4",
+]

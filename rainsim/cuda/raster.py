@@ -1,0 +1,280 @@
+"""Twin of `rainsim.raster`: splats and a camera in, colour, alpha, depth and normals out.
+
+Same rules of the picture and same prepared splats as on the CPU; colours' coefficients are kept in
+half precision. The work is laid out as a GPU wants it: one list of all tiles' entries, sorted by
+tile and depth in one radix sort (`project`), blended by warps (`blend`). A picture is a fixed
+queue of launches that asks the host nothing. The lists have a capacity; how many entries there were
+is counted, and a picture with too many is drawn again with more room.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rainsim import raster
+from rainsim.cuda import blend, project
+from rainsim.cuda.jit import SIMULATED, cuda, pinned
+from rainsim.errors import ParameterError, require_choice
+from rainsim.raster.prepared import LANES, OPACITY
+from rainsim.raster.project import FRUSTUM_MARGIN, NO_PLANE, TILE
+
+ROOM = 1.06  # entries there is room for, over the number that a picture had
+NEARLY_FULL = 0.985  # share of the room from which on more is made before the next picture
+FIRST_ROOM = 4  # entries per splat before anything was counted
+THREADS = 256
+CHUNKS_AT_ONCE = 4096  # of colours that are converted and sent together
+
+
+@dataclass(frozen=True)
+class DeviceLayers:
+    """The pictures of `rainsim.raster.Layers` on the device, flat arrays."""
+
+    color: object
+    alpha: object
+    depth: object
+    plane_depth: object
+    normal: object
+
+    def to_host(self, height, width):
+        """Return the pictures as `rainsim.raster.Layers`."""
+        shape = (height, width)
+        return raster.Layers(
+            self.color.copy_to_host().reshape(*shape, 3), self.alpha.copy_to_host().reshape(shape),
+            self.depth.copy_to_host().reshape(shape),
+            self.plane_depth.copy_to_host().reshape(shape),
+            self.normal.copy_to_host().reshape(*shape, 3),
+        )  # fmt: skip
+
+
+class DeviceSplats:
+    """Prepared splats on the device: sent once, shared by all pictures.
+
+    Parameters
+    ----------
+    prepared : rainsim.raster.PreparedSplats
+    """
+
+    def __init__(self, prepared):
+        self.count, self.chunks = len(prepared), len(prepared.box)
+        if self.chunks * LANES > project.MOST_SPLATS:
+            raise ParameterError(
+                f"the scene has {self.count} splats; backend cuda takes at most "
+                f"{project.MOST_SPLATS}; take backend cpu"
+            )
+        geometry = _clean(prepared.geometry)
+        self.geometry = cuda.to_device(geometry.reshape(-1))
+        count = prepared.sh.shape[1] // LANES
+        self.bands, self.groups = int(np.sqrt(count // 3)), -(-count // 8)
+        row = self.groups * 8 * LANES
+        self.sh = cuda.device_array(max(self.chunks, 1) * row, np.float16)
+        for first in range(0, self.chunks, CHUNKS_AT_ONCE):
+            part = prepared.sh[first : first + CHUNKS_AT_ONCE]
+            halves = project.in_groups(part.reshape(len(part), count, LANES)).reshape(-1)
+            self.sh[first * row : first * row + halves.size].copy_to_device(halves)
+        self.centre, self.reach = _reach(prepared.box)
+        # A chunk of nothing but holes has an infinite box, which no comparison finds outside.
+        self.box = cuda.to_device(prepared.box)
+        self.record = cuda.device_array(self.chunks * LANES * project.RECORD, np.float32)
+        self.seen = cuda.device_array(self.chunks, np.bool_)
+
+
+def _reach(box):
+    """Return the middle of most chunks and the radius about it that holds nearly all."""
+    middle = 0.5 * (box[:, :3] + box[:, 3:])
+    middle = middle[np.isfinite(middle).all(axis=1)]
+    if len(middle) == 0:
+        return np.zeros(3), 1.0
+    centre = np.median(middle, axis=0).astype(np.float64)
+    return centre, float(np.percentile(np.linalg.norm(middle - centre, axis=1), 99))
+
+
+def _clean(geometry):
+    """Return the geometry with a finite opacity everywhere and nothing that is not a number."""
+    rows = geometry.reshape(len(geometry), -1, LANES)
+    bad = ~np.isfinite(rows).all(axis=1)
+    if bad.any():
+        rows = rows.copy()
+        rows[bad[:, None].repeat(rows.shape[1], axis=1)] = 0
+        rows[:, OPACITY][bad] = project.FAINT
+    return rows
+
+
+class Rasterizer:
+    """Draws prepared splats on the GPU; keeps its working memory from one picture to the next.
+
+    Parameters
+    ----------
+    prepared : PreparedSplats
+    stream : numba.cuda.stream, optional
+    plain : bool
+        Take the kernels without warp instructions: slow, for tests of the others.
+    """
+
+    def __init__(self, prepared, stream=None, plain=False):
+        self.splats = prepared if isinstance(prepared, DeviceSplats) else DeviceSplats(prepared)
+        self.stream = cuda.stream() if stream is None else stream
+        self.plain = plain or SIMULATED
+        self._numbers = pinned(project.CAMERA, np.float32)
+        self._now = cuda.device_array(project.CAMERA, np.float32)
+        self._count = pinned(1, np.int32)
+        self._total = cuda.device_array(1, np.int32)
+        self._size = None
+        self._capacity = 0
+
+    def draw(self, camera, near, plane=None, depth="expected", compensate=False, degree=None):
+        """Return the `Layers` that `camera` sees, on the host; see `rainsim.raster`."""
+        self.update(camera, near, plane, depth, compensate, degree)
+        while True:
+            self.launch()
+            self.stream.synchronize()
+            if not self.overflows():
+                break
+            self.make_room()
+        return self.layers.to_host(camera.height, camera.width)
+
+    def update(self, camera, near, plane=None, depth="expected", compensate=False, degree=None):
+        """Take over what the next pictures show; of the device only room for them is asked."""
+        require_choice("depth", depth, ("expected", "median"))
+        s, width, height = self.splats, camera.width, camera.height
+        self._bands = s.bands if degree is None else min(degree + 1, s.bands)
+        numbers = self._numbers
+        numbers[project.VIEW : project.EYE] = camera.camera_from_world[:3].ravel()
+        eye = camera.forward if camera.orthographic else camera.position
+        numbers[project.EYE : project.EYE + 3] = eye
+        fx, fy, cx, cy = camera.fx, camera.fy, camera.cx, camera.cy
+        numbers[project.LENS : project.LENS + 4] = fx, fy, cx, cy
+        numbers[project.PLANE : project.PLANE + 4] = NO_PLANE if plane is None else plane
+        numbers[project.NEAR : project.NEAR + 3] = near, width, height
+        x, y = FRUSTUM_MARGIN * width, FRUSTUM_MARGIN * height
+        limits = (-cx - x) / fx, (width - cx + x) / fx, (-cy - y) / fy, (height - cy + y) / fy
+        numbers[project.LIMITS : project.LIMITS + 4] = limits
+        tiles = -(-width // TILE) * -(-height // TILE)
+        self._levels = min((1 << 32) // tiles, 1 << 24) - 1
+        ahead = camera.camera_from_world[2, :3] @ s.centre + camera.camera_from_world[2, 3]
+        far = max(ahead + s.reach, 2 * near)
+        numbers[project.SCALE : project.SCALE + 5] = project.depth_scale(near, far, self._levels)
+        self._kind = bool(camera.orthographic), bool(compensate), depth == "median"
+        if self._size != (width, height):
+            self._size = width, height
+            self._room_for_picture(width, height, tiles)
+        if self._capacity == 0:
+            self._room_for_entries(FIRST_ROOM * s.count + tiles)
+
+    def launch(self):
+        """Queue the picture: copies and kernels only, so that a graph can record it."""
+        s, stream = self.splats, self.stream
+        width, height = self._size
+        flat, compensate, median = self._kind
+        across = -(-width // TILE)
+        now, key, value = self._now, self._key, self._value
+        now.copy_to_device(self._numbers, stream=stream)
+        blocks = max(1, min(-(-max(len(self._key), s.chunks) // THREADS), 2048))
+        blocks = max(blocks, -(-s.chunks // THREADS))
+        project.start[blocks, THREADS, stream](
+            s.box, now[: project.EYE].reshape(3, 4), now[project.LENS : project.PLANE],
+            now[project.NEAR + 1 : project.NEAR + 3], now[project.NEAR : project.NEAR + 1],
+            now[project.PLANE : project.NEAR], flat, s.seen, key, self._range, self._total,
+        )  # fmt: skip
+        if s.chunks:
+            lister = project.list_kernel(self.plain)
+            lister[s.chunks, THREADS, stream](
+                s.geometry, s.sh, s.seen, now, flat, compensate, self._bands, s.groups, across,
+                self._levels, s.record, key, value, self._total,
+            )  # fmt: skip
+        key, value = self._sort(key, value)
+        tiles = len(self._range) // 2
+        begin, end = self._range[:tiles], self._range[tiles:]
+        project.find_ranges[-(-len(key) // THREADS), THREADS, stream](
+            self._total, self._levels, key, value, s.record, begin, end
+        )
+        out = self.layers
+        pictures = out.color, out.alpha, out.depth, out.plane_depth, out.normal
+        if self.plain:
+            blend.blend_pixel_by_pixel[
+                (-(-width // TILE), -(-height // TILE)), (TILE, TILE), stream
+            ](value, begin, end, s.record, now, width, height, flat, median, *pictures)
+        else:
+            kernel = blend.blend_squares_median if median else blend.blend_squares_mean
+            kernel[tiles, 32 * blend.WARPS, stream](
+                value, begin, end, s.record, now, width, height, flat, across,
+                np.float32(1 / across), *pictures,
+            )  # fmt: skip
+        self._total.copy_to_host(self._count, stream=stream)
+
+    def overflows(self):
+        """Return whether the finished picture had more entries than there was room for."""
+        return self.entries > self._capacity
+
+    def is_tight(self):
+        """Return whether the next picture of a moving camera may find too little room."""
+        return self.entries > NEARLY_FULL * self._capacity
+
+    def make_room(self):
+        """Make room for as many entries as the finished picture had, and some more."""
+        self._room_for_entries(int(self._count[0]))
+
+    @property
+    def entries(self):
+        """Number of entries of the finished picture."""
+        return int(self._count[0])
+
+    def _room_for_picture(self, width, height, tiles):
+        n = width * height
+        self.layers = DeviceLayers(
+            cuda.device_array(3 * n, np.float32), cuda.device_array(n, np.float32),
+            cuda.device_array(n, np.float32), cuda.device_array(n, np.float32),
+            cuda.device_array(3 * n, np.float32),
+        )  # fmt: skip
+        self._range = cuda.device_array(2 * tiles, np.int32)
+
+    def _room_for_entries(self, count):
+        self._capacity = int(ROOM * count) + THREADS
+        self._key, self._value, self._key_sorted, self._value_sorted = (
+            cuda.device_array(self._capacity, np.uint32) for _ in range(4)
+        )
+        self._sorter = None if SIMULATED else _Sorter(
+            self._key, self._value, self._key_sorted, self._value_sorted, self.stream
+        )  # fmt: skip
+
+    def trim(self):
+        """Give back what the finished picture left unused of the room for entries."""
+        if self._capacity > ROOM * self.entries + THREADS:
+            self._room_for_entries(self.entries)
+
+    def _sort(self, key, value):
+        """Queue the sort of all entries by key; return the sorted arrays."""
+        if self._sorter is not None:
+            self._sorter()
+        else:  # the simulator has no such library
+            keys, values = key.copy_to_host(), value.copy_to_host()
+            order = np.argsort(keys, kind="stable")
+            self._key_sorted.copy_to_device(keys[order])
+            self._value_sorted.copy_to_device(values[order])
+        return self._key_sorted, self._value_sorted
+
+
+class _Sorter:
+    """cuda.compute's radix sort of a fixed number of pairs, with memory of its own."""
+
+    def __init__(self, key, value, key_out, value_out, stream):
+        from cuda.compute import SortOrder, make_radix_sort
+
+        arrays = {
+            "d_in_keys": key, "d_out_keys": key_out, "d_in_values": value,
+            "d_out_values": value_out,
+        }  # fmt: skip
+        self._sort = make_radix_sort(**arrays, order=SortOrder.ASCENDING)
+        self._options = {**arrays, "num_items": len(key), "begin_bit": 0, "end_bit": 32}
+        self._stream = stream
+        size = self._sort(temp_storage=None, stream=stream, **self._options)
+        self._memory = cuda.device_array(max(1, int(size)), np.uint8)
+
+    def __call__(self):
+        self._sort(temp_storage=self._memory, stream=self._stream, **self._options)
+
+
+def rasterize(prepared, camera, near=0.01, **options):
+    """Return the `Layers` that `camera` sees of `prepared` splats; see `Rasterizer.draw`."""
+    return Rasterizer(prepared).draw(camera, near, **options)

@@ -1,0 +1,152 @@
+"""The splatting twin in numba's CUDA simulator; `tests/unit/test_cuda.py` runs this file."""
+
+import inspect
+
+import numpy as np
+import pytest
+
+from rainsim import raster
+from rainsim.cuda import raster as twin
+from rainsim.cuda import simulated
+from rainsim.cuda.jit import cuda
+from rainsim.scene.types import Camera, Splats
+
+assert simulated()
+# Plain numpy numbers warn where a GPU's do not; kernels divide by zero and choose afterwards.
+pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
+
+
+def camera(width=24, height=17, focal=22.0, **kwargs):
+    return Camera(
+        width, height, focal, focal * 1.05, width / 2 + 1.5, height / 2 - 0.7, np.eye(4), **kwargs
+    )
+
+
+def cloud(n=60, bands=16, seed=3):
+    rng = np.random.default_rng(seed)
+    rotation = rng.normal(size=(n, 4))
+    rotation /= np.linalg.norm(rotation, axis=1, keepdims=True)
+    return Splats(
+        rng.uniform((-3, -2, -1), (3, 2, 9), (n, 3)).astype(np.float32),
+        rotation.astype(np.float32), np.exp(rng.normal(-1.5, 0.8, (n, 3))).astype(np.float32),
+        rng.uniform(0, 1, n).astype(np.float32),
+        rng.normal(0, 0.25, (n, bands, 3)).astype(np.float32),
+    )  # fmt: skip
+
+
+def decibel(a, b):
+    return -10 * np.log10(max(np.mean((np.asarray(a, float) - b) ** 2), 1e-30))
+
+
+def assert_alike(layers, wanted, least=80):
+    assert wanted.alpha.max() > 0.9
+    assert decibel(layers.color, wanted.color) > least
+    assert decibel(layers.alpha, wanted.alpha) > least
+    assert decibel(layers.normal, wanted.normal) > 60
+    np.testing.assert_array_equal(np.isinf(layers.depth), np.isinf(wanted.depth))
+    seen = np.isfinite(wanted.depth)
+    np.testing.assert_allclose(layers.depth[seen], wanted.depth[seen], rtol=1e-3)
+    np.testing.assert_allclose(layers.plane_depth[seen], wanted.plane_depth[seen], rtol=2e-2)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"plane": (0.0, 1.0, 0.2, 0.3)},
+        {"depth": "median"},
+        {"compensate": True},
+    ],
+)
+def test_the_twin_draws_what_the_cpu_draws(options):
+    prepared = raster.prepare(cloud())
+    wanted = raster.rasterize(prepared, camera(), 0.2, **options)
+    assert_alike(twin.rasterize(prepared, camera(), 0.2, **options), wanted)
+    if options:
+        assert decibel(raster.rasterize(prepared, camera(), 0.2).depth[8:], wanted.depth[8:]) < 80
+
+
+@pytest.mark.parametrize("bands", [1, 4, 9])
+def test_orthographic_and_all_degrees(bands):
+    prepared = raster.prepare(cloud(bands=bands))
+    cam = camera(focal=4.0, orthographic=True)
+    assert_alike(twin.rasterize(prepared, cam, 0.2), raster.rasterize(prepared, cam, 0.2))
+
+
+def test_too_many_entries_are_counted_and_the_picture_is_drawn_again():
+    prepared = raster.prepare(cloud())
+    rasterizer = twin.Rasterizer(prepared)
+    first = rasterizer.draw(camera(), 0.2)
+    assert rasterizer.entries > 60
+    small = twin.Rasterizer(prepared)
+    small.update(camera(), 0.2)
+    small._capacity = 8
+    small._key, small._value, small._key_sorted, small._value_sorted = (
+        cuda.device_array(8, np.uint32) for _ in range(4)
+    )
+    small.launch()
+    assert small.overflows() and small.entries == rasterizer.entries
+    again = small.draw(camera(), 0.2)
+    for name in ("color", "alpha", "depth", "plane_depth", "normal"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(first, name))
+
+
+def test_equal_depths_keep_the_order_of_the_cpu():
+    splats = cloud(40, 1)
+    position = splats.position.copy()
+    position[:, 2] = np.where(np.arange(40) % 2, 3.0, 3.0 + 1e-6 * np.arange(40))
+    flat = Splats(position, splats.rotation, splats.scale, splats.opacity, splats.sh)
+    prepared = raster.prepare(flat)
+    assert_alike(twin.rasterize(prepared, camera(), 0.2), raster.rasterize(prepared, camera(), 0.2))
+
+
+def test_tiles_are_empty_again_when_nothing_is_there():
+    prepared = raster.prepare(cloud())
+    rasterizer = twin.Rasterizer(prepared)
+    assert rasterizer.draw(camera(), 0.2).alpha.max() > 0.9
+    nothing = rasterizer.draw(camera(), 0.2, plane=(0, 0, 0, 1))
+    assert nothing.alpha.max() == 0 and np.isinf(nothing.depth).all()
+
+
+def test_splats_that_are_not_numbers_are_not_drawn():
+    splats = cloud()
+    position = splats.position.copy()
+    position[::7, 1] = np.nan
+    broken = Splats(position, splats.rotation, splats.scale, splats.opacity, splats.sh)
+    prepared = raster.prepare(broken)
+    layers = twin.rasterize(prepared, camera(), 0.2)
+    assert np.isfinite(layers.color).all()
+    assert_alike(layers, raster.rasterize(prepared, camera(), 0.2))
+
+
+def test_signatures_are_those_of_the_cpu():
+    for name in ("draw",):
+        ours, theirs = getattr(twin.Rasterizer, name), getattr(raster.Rasterizer, name)
+        assert inspect.signature(ours) == inspect.signature(theirs)
+    assert inspect.signature(twin.rasterize) == inspect.signature(raster.rasterize)
+
+
+def test_a_lower_degree_than_the_scene_has():
+    prepared = raster.prepare(cloud())
+    layers = twin.rasterize(prepared, camera(), 0.2, degree=1)
+    assert_alike(layers, raster.rasterize(prepared, camera(), 0.2, degree=1))
+    assert decibel(layers.color, twin.rasterize(prepared, camera(), 0.2).color) < 40
+
+
+def test_levels_of_depth_increase_and_are_dense_where_the_scene_lies():
+    levels = 900_000
+    now = np.zeros(twin.project.CAMERA, np.float32)
+    now[twin.project.SCALE : twin.project.SCALE + 5] = twin.project.depth_scale(0.01, 50, levels)
+    depth = np.concatenate([np.geomspace(0.01, 1e6, 500), np.linspace(2, 8, 500)])
+    depth = np.sort(depth).astype(np.float32)
+    found = np.zeros(1000, np.int32)
+
+    @cuda.jit
+    def look(depth, now, found):
+        i = cuda.grid(1)
+        found[i] = twin.project.depth_level(depth[i], now)
+
+    look[10, 100](depth, now, found)
+    assert (np.diff(found) >= 0).all() and found[0] >= 0 and found[-1] <= levels
+    middle = (depth > 2) & (depth < 8)
+    assert np.ptp(found[middle]) > 0.15 * levels

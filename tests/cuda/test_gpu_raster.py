@@ -1,0 +1,158 @@
+"""The splatting twin on a real GPU: `pytest -m gpu`."""
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rainsim import raster
+from rainsim.scene.types import Camera, Splats
+
+pytestmark = pytest.mark.gpu
+SHARED = Path(__file__).resolve().parents[3] / "shared"
+LAYERS = ("color", "alpha", "depth", "plane_depth", "normal")
+
+
+def decibel(a, b):
+    return -10 * np.log10(max(np.mean((np.asarray(a, float) - b) ** 2), 1e-30))
+
+
+@pytest.fixture(scope="module")
+def twin():
+    from rainsim.cuda import raster as module
+
+    return module
+
+
+@pytest.fixture(scope="module")
+def cloud():
+    rng = np.random.default_rng(5)
+    n = 60_000
+    rotation = rng.normal(size=(n, 4))
+    rotation /= np.linalg.norm(rotation, axis=1, keepdims=True)
+    return raster.prepare(Splats(
+        rng.uniform((-3, -2, -1), (3, 2, 9), (n, 3)).astype(np.float32),
+        rotation.astype(np.float32), np.exp(rng.normal(-3.5, 0.8, (n, 3))).astype(np.float32),
+        rng.uniform(0, 1, n).astype(np.float32), rng.normal(0, 0.25, (n, 16, 3)).astype(np.float32),
+    ))  # fmt: skip
+
+
+def camera(width=419, height=307, focal=400.0, **kwargs):
+    return Camera(
+        width, height, focal, focal * 1.05, width / 2 + 1.5, height / 2 - 0.7, np.eye(4), **kwargs
+    )
+
+
+def assert_alike(layers, wanted):
+    assert wanted.alpha.max() > 0.9
+    assert decibel(layers.color, wanted.color) >= 80
+    assert decibel(layers.alpha, wanted.alpha) >= 80
+    assert (np.isinf(layers.depth) != np.isinf(wanted.depth)).mean() < 1e-4
+    seen = np.isfinite(wanted.depth) & np.isfinite(layers.depth)
+    error = np.abs(layers.depth[seen] / wanted.depth[seen] - 1)
+    assert np.percentile(error, 99.9) < 1e-3
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{}, {"plane": (0.0, 1.0, 0.2, 0.3)}, {"compensate": True}],
+)
+def test_agrees_with_the_cpu(twin, cloud, options):
+    wanted = raster.rasterize(cloud, camera(), 0.2, **options)
+    layers = twin.rasterize(cloud, camera(), 0.2, **options)
+    assert_alike(layers, wanted)
+    assert decibel(layers.normal, wanted.normal) > 50
+
+
+def test_orthographic_and_median(twin, cloud):
+    flat = camera(focal=50.0, orthographic=True)
+    assert_alike(twin.rasterize(cloud, flat, 0.2), raster.rasterize(cloud, flat, 0.2))
+    layers = twin.rasterize(cloud, camera(), 0.2, depth="median")
+    wanted = raster.rasterize(cloud, camera(), 0.2, depth="median")
+    assert decibel(layers.color, wanted.color) >= 80
+    seen = np.isfinite(wanted.depth) & np.isfinite(layers.depth)
+    assert (np.abs(layers.depth[seen] / wanted.depth[seen] - 1) < 1e-4).mean() > 0.995
+
+
+def test_warps_agree_with_the_plain_way(twin, cloud):
+    quick = twin.Rasterizer(cloud).draw(camera(), 0.2)
+    plain = twin.Rasterizer(cloud, plain=True).draw(camera(), 0.2)
+    assert decibel(quick.color, plain.color) >= 85
+
+
+def test_the_same_bytes_twice_and_after_an_overflow(twin, cloud):
+    rasterizer = twin.Rasterizer(cloud)
+    first = rasterizer.draw(camera(), 0.2)
+    second = rasterizer.draw(camera(), 0.2)
+    rasterizer._room_for_entries(1000)
+    third = rasterizer.draw(camera(), 0.2)
+    assert rasterizer.entries > 100_000
+    for name in LAYERS:
+        np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
+        np.testing.assert_array_equal(getattr(first, name), getattr(third, name))
+    other = rasterizer.draw(camera(focal=500.0), 0.2)
+    assert (other.color != first.color).mean() > 0.5
+
+
+def test_a_recorded_frame_follows_the_camera(twin, cloud):
+    from rainsim.cuda.graph import Graph
+
+    rasterizer = twin.Rasterizer(cloud)
+    rasterizer.draw(camera(), 0.2)
+    graph = Graph(rasterizer.stream, rasterizer.launch)
+    rasterizer.update(camera(focal=500.0), 0.2)
+    graph.launch()
+    rasterizer.stream.synchronize()
+    recorded = rasterizer.layers.to_host(307, 419)
+    for name in LAYERS:
+        wanted = getattr(twin.rasterize(cloud, camera(focal=500.0), 0.2), name)
+        np.testing.assert_array_equal(getattr(recorded, name), wanted)
+
+
+def garden(children=1, seed=0):
+    """Return the garden's splats, each replaced by `children` smaller ones."""
+    if not (SHARED / "data" / "garden.npz").is_file():
+        pytest.skip("the garden is not here")
+    sys.path.insert(0, str(SHARED / "data"))
+    import unpack
+
+    parts = unpack.load_garden()
+    if children > 1:
+        parts = unpack.split(*parts, children=children, seed=seed)
+    position, scale, quaternion, opacity, dc, rest = parts
+    quaternion = quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)
+    return Splats(
+        position, quaternion.astype(np.float32), np.exp(scale), 1 / (1 + np.exp(-opacity)),
+        np.concatenate([dc[:, None], rest], axis=1),
+    )  # fmt: skip
+
+
+def garden_camera(name, width, height):
+    views = json.loads((SHARED / "data" / "garden_cameras.json").read_text())
+    view = next(v for v in views if v["img_name"] == name)
+    turn, eye = np.array(view["rotation"]), np.array(view["position"])
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = turn.T, -turn.T @ eye
+    return Camera(
+        width, height, view["fx"] * width / view["width"], view["fy"] * height / view["height"],
+        width / 2, height / 2, matrix,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ["DSC07956", "DSC07996"])
+def test_the_garden_as_gsplat_and_the_cpu_draw_it(twin, name):
+    prepared = raster.prepare(garden())
+    reference = np.load(SHARED / "reference" / "garden_gsplat.npz")
+    cam = garden_camera(name, 648, 420)
+    layers = twin.rasterize(prepared, cam, 0.01)
+    wanted = raster.rasterize(prepared, cam, 0.01)
+    against_gsplat = decibel(layers.color, reference[f"{name}_rgb"] / 32768)
+    print(
+        f"{name}: against gsplat {against_gsplat:.1f} dB"
+        f" (CPU {decibel(wanted.color, reference[f'{name}_rgb'] / 32768):.1f} dB),"
+        f" against the CPU {decibel(layers.color, wanted.color):.1f} dB"
+    )
+    assert against_gsplat >= 70
+    assert decibel(layers.color, wanted.color) >= 80

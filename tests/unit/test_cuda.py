@@ -1,0 +1,31 @@
+"""The CUDA twins: their tests in numba's simulator, and what is said where there is no GPU."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+import rainsim.cuda
+from rainsim.errors import BackendError
+
+
+@pytest.mark.parametrize("name", ["raster", "water"])
+def test_the_twins_in_the_simulator(root, name):
+    """In a process of its own: the simulator is chosen when numba is first imported."""
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider",
+         f"tests/cuda/simulated_{name}.py"],
+        cwd=root, env=os.environ | {"NUMBA_ENABLE_CUDASIM": "1"}, capture_output=True, text=True,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout[-4000:]
+    assert " passed" in done.stdout
+
+
+def test_what_is_missing_is_named_with_its_remedy(monkeypatch):
+    monkeypatch.setattr(rainsim.cuda, "_is_installed", lambda package: package != "numba_cuda")
+    assert rainsim.cuda.trouble() == ("numba-cuda is not installed; pip install rainsim[cuda]")
+    with pytest.raises(BackendError, match="pip install rainsim"):
+        rainsim.cuda.require()
+    monkeypatch.setattr(rainsim.cuda, "_is_installed", lambda package: package != "cuda.compute")
+    assert "cuda-cccl is not installed" in rainsim.cuda.trouble()
