@@ -90,3 +90,19 @@ def rain(**given):
         rainsim bench rain --json rain.json --chart rain.png
     """
     _run("rain", **given)
+
+
+@bench.command()
+@_options
+def frame(**given):
+    """Draw whole rainy frames at several levels of quality, with a still and a moving camera.
+
+    Prints the time of each stage, and time and error of each level against the same frame drawn at
+    twice the size. A scene named garden in a folder of RAINSIM_SCENES is measured too, but not
+    charted.
+
+    \b
+    Example:
+        rainsim bench frame --json frame.json --chart frame.png
+    """
+    _run("frame", **given)

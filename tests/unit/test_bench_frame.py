@@ -1,0 +1,37 @@
+"""`bench frame`: errors are those of pictures whose difference is known; a quick run is whole."""
+
+import numpy as np
+import pytest
+
+from rainsim.bench import chart, frame
+
+
+def test_error_of_known_pictures():
+    truth = np.full((8, 12, 3), 0.5, np.float32)
+    picture = np.full((8, 12, 3), 0.5 * 255 + 25.5)
+    assert frame._error(picture, truth) == pytest.approx(0.1, abs=1e-6)
+    assert frame._error(picture[::2, ::2], truth) == pytest.approx(0.1, abs=1e-6)  # enlarged
+
+
+def test_shrinking_averages_light_not_display_values():
+    picture = np.zeros((4, 4, 3), np.uint8)
+    picture[::2] = 255
+    assert frame._shrunk(picture).mean() == pytest.approx(0.5 ** (1 / 2.2), abs=1e-4)
+    assert frame._shrunk(picture).shape == (2, 2, 3)
+
+
+@pytest.mark.slow
+def test_a_quick_run_measures_every_level(tmp_path):
+    result = frame.run(quick=True)
+    assert {row["level"] for row in result["rows"]} == set(frame.LEVELS)
+    assert {row["motion"] for row in result["rows"]} == {"still", "moving"}
+    for row in result["rows"]:
+        assert 0 < row["rmse"] < 0.3 and row["milliseconds"]["frame"] > 0
+    own = {(r["motion"], r["level"]): r for r in result["rows"]}
+    assert own["still", "half size"]["rmse"] > own["still", "as set"]["rmse"]
+    assert own["moving", "as set"]["milliseconds"]["splat"] > 0
+    assert own["still", "as set"]["milliseconds"].get("splat", 0) == 0
+    assert "| as set |" in frame.table(result)
+    chart.require_matplotlib()
+    frame.draw(result, tmp_path / "c.png")
+    assert (tmp_path / "c.png").stat().st_size > 10_000
