@@ -40,7 +40,13 @@ __all__ = [
 
 DEFAULT_PRESET = "drizzle"
 WATER_SCHEMES = ("auto", "paper")
-REFLECTIONS = ("auto", "mirror", "ssr")
+REFLECTIONS = ("auto", "mirror", "ssr", "paper")
+# What the paper does instead of the default stands second.
+REFRACTIONS = ("snell", "shift")
+FRESNELS = ("exact", "schlick")
+HIGHLIGHTS = ("cox-munk", "blinn-phong")
+COVERAGES = ("soft", "hard")
+WATER_GEOMETRIES = ("height-field", "spheres")
 DROP_RADII = ("measured", "paper")
 STREAKS = ("shutter", "paper")
 SPLASHES = ("crowns", "paper")
@@ -164,7 +170,13 @@ class RenderConfig:
     sun: tuple | None = None  # azimuth from x towards y and elevation [rad]; None: no sun
     cloudiness: float = 0.8  # 0 clear to 1 overcast
     brightness: float = 1.0  # factor on the graded picture
-    reflections: str = "auto"  # mirror: one mirrored pass; ssr: march the depth; auto picks
+    reflections: str = "auto"  # mirror: one mirrored pass; ssr: march the depth; auto: a mirror
+    # for each level that much water stands at, the march for the rest; paper: march, point test
+    refraction: str = "snell"  # shift: the image shifted by the normal, the paper's
+    fresnel: str = "exact"  # schlick: the paper's approximation
+    highlight: str = "cox-munk"  # of the sun; blinn-phong: the paper's (n.h)^p
+    coverage: str = "soft"  # hard: a pixel is water or it is not, the nearer, the paper's
+    water_geometry: str = "height-field"  # spheres: of 6 mm at the map's cells, the paper's
     streaks: str = "shutter"  # paper: opaque lines of spheres, whatever the shutter
     splashes: str = "crowns"  # paper: one Gaussian for each drop
     streak_far: float = 8.0  # m; farther drops are fog
@@ -194,6 +206,11 @@ class RenderConfig:
             )
         require_positive("brightness", self.brightness, "", "1 is as graded, 0.5 half as bright")
         require_choice("reflections", self.reflections, REFLECTIONS)
+        require_choice("refraction", self.refraction, REFRACTIONS)
+        require_choice("fresnel", self.fresnel, FRESNELS)
+        require_choice("highlight", self.highlight, HIGHLIGHTS)
+        require_choice("coverage", self.coverage, COVERAGES)
+        require_choice("water_geometry", self.water_geometry, WATER_GEOMETRIES)
         require_choice("streaks", self.streaks, STREAKS)
         require_choice("splashes", self.splashes, SPLASHES)
         aperture = self.aperture * 1e3 if is_number(self.aperture) else self.aperture

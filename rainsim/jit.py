@@ -87,6 +87,7 @@ def kernel_folder(module):
 
 
 import numba  # noqa: E402  (the cache folder must be known before numba is imported)
+import numpy as np  # noqa: E402
 from llvmlite import ir  # noqa: E402
 from numba import (  # noqa: E402
     get_num_threads,
@@ -123,6 +124,7 @@ __all__ = [
     "CACHE_FOLDER",
     "cgutils",
     "cpu_kernel",
+    "dealt",
     "device_function",
     "get_num_threads",
     "inlined_function",
@@ -133,6 +135,16 @@ __all__ = [
     "serial_kernel",
     "types",
 ]
+
+
+def dealt(count):
+    """Return 0 to count - 1, int64, in the order in which a parallel loop should take rows.
+
+    A loop gives each thread a run of iterations: this way each gets every n-th row, so that rows
+    with much to do are shared out.
+    """
+    threads = numba.get_num_threads()
+    return np.concatenate([np.arange(n, count, threads) for n in range(threads)]).astype(np.int64)
 
 
 def set_threads(count):

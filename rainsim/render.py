@@ -9,29 +9,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import ndimage
 
-from rainsim import optics, paperrain, shade, sky
+from rainsim import paperrain, shade, sky
 from rainsim.errors import ParameterError
 from rainsim.motion import shutter_end
 from rainsim.raster import Rasterizer, prepare
 from rainsim.simulation import rain_exposure, surfaces_of, usual_wind
 from rainsim.splash import LONGEST_LIFE, WET_FILM, draw_splashes
 from rainsim.streaks import NO_FOG, draw_streaks, fog_table, streak_reach
+from rainsim.waterview import View, WaterView
 from rainsim.weather import Weather
 
 NEAR = 0.05  # m: splats nearer than this are not drawn
 WET_AFTER = 0.5e-3  # m of past rain after which open ground is wet through
 WET_RATE = 2.0 / 3.6e6  # m/s of rain that keeps ground wet whatever fell before
-GRASS_HEIGHT = 0.05  # m of water that closes over a lawn
-WET_CELL = 3e-4  # m: cells with more carry the water surface; thinner water only darkens
-RELIEF = 0.5e-3  # m, standard deviation of the roughness that a capture does not show; by eye
-RELIEF_WIDTHS = (0.02, 0.05, 0.12)  # m
-SURFACE_REACH = 2  # cells by which the surface is continued into the dry, for soft rims
-REFLECTION_THICKNESS = 0.15  # m
 MIRROR_CLEARANCE = 0.015  # m above the water: what is lower cannot be told from the ground
-MIRROR_SPREAD = 0.06  # m: puddles at levels farther apart have no mirror in common
-LEVEL_STEP = 2e-3  # m
-REFLECTION_LENGTH = 12.0  # m
-GLINT_VARIANCE = 4e-3  # of slopes below a pixel on a puddle in the rain
 SUN_IRRADIANCE = 25.0  # of display white: full sun over the overcast sky's some 1
 
 
@@ -71,12 +62,11 @@ class Renderer:
         self.grass = ndimage.gaussian_filter(terrain.grassy.astype(np.float32), 1)
         self.look = self.wetness = None
         self._set_time(0.0)
-        self.relief = fine_relief(terrain)
+        self.water = WaterView(terrain, self.exposure, config.render)
         self.day = day_sky(config.render)
         eye = self.frame.to_ground(first_camera.position)
         self.environment = self._surroundings(eye)
         self._camera = None  # that the kept layers belong to
-        self._level = None  # m, that the kept mirror image belongs to
 
     def draw(self, camera, state, camera_end=None):
         """Return the picture (height, width, 3) uint8 that `camera` (capture frame) takes.
@@ -87,17 +77,16 @@ class Renderer:
         timer = Timer()
         if self._set_time(state.time) or camera is not self._camera:
             self._see(camera, timer)
-        picture, _coverage = self._water(state, timer)
+        picture = self.water.draw(state, self._mirrored, self.environment, self._sun, timer)
         rain_alpha, splash_alpha = self._drops(camera, state, timer, camera_end)
         image = np.empty((camera.height, camera.width, 3), np.uint8)
         fog = self._fog()
-        forward = self.view.camera_from_world[2, :3]
-        drop = sky.drop_radiance(self.environment, forward)
+        drop = self.drop_light
         if self.now.render.streaks == "paper":
             drop = paperrain.line_radiance(picture)
-        air = sky.horizon_radiance(self.day)
         shade.compose(
-            picture, self.depth, rain_alpha, splash_alpha, drop, air, fog, self.lens,
+            picture, self.wet.depth, rain_alpha, splash_alpha, drop, self.air_light, fog,
+            self.wet.lens,
             np.float32(self.now.render.brightness), image,
         )  # fmt: skip
         timer.mark("compose")
@@ -115,13 +104,14 @@ class Renderer:
     def _see(self, camera, timer):
         """Splat the capture for a new camera, grade and wet it."""
         self.view = self.frame.camera_in_ground(camera)
-        self.lens = _lens(camera)
-        self.picture, self.depth, self.clearance = self._wet_picture(camera, None, timer)
-        self.turn, self.eye = _pose(self.view)
-        self._camera, self._level = camera, None
+        self.wet = self._wet_picture(camera, None, timer)
+        self.water.look(self.wet)
+        self.drop_light = sky.drop_radiance(self.environment, self.view.forward)
+        self.air_light = sky.horizon_radiance(self.day)
+        self._camera = camera
 
     def _wet_picture(self, camera, plane, timer):
-        """Return the wet picture, its depth [m] and clearance [m] as `camera` sees them."""
+        """Return the `View` of the wet capture that `camera` takes, cut at a plane or whole."""
         layers = self.rasterizer.draw(camera, self.near, plane)
         timer.mark("splat" if plane is None else "mirror")
         turn, eye = _pose(self.frame.camera_in_ground(camera))
@@ -136,43 +126,16 @@ class Renderer:
             self.environment, self.day, self.look, self.wetness, picture, depth, clearance,
         )  # fmt: skip
         timer.mark("grade and wet" if plane is None else "mirror")
-        return picture, depth, clearance
+        return View(picture, depth, clearance, turn, eye, lens)
 
-    def _mirror(self, level, timer):
-        """Draw what stands above the water as the camera mirrored at `level` [m] sees it."""
-        if level == self._level:
-            return
+    def _mirrored(self, level, window):
+        """Return what stands above the water as the camera mirrored at `level` [m] sees it.
+
+        Picture, depth and lens of a `window` (left, top, right, bottom) of its picture.
+        """
         plane, camera = mirrored_camera(self._camera, self.frame, level)
-        self.mirror, self.mirror_depth, _ = self._wet_picture(camera, plane, timer)
-        self._level = level
-
-    def _water(self, state, timer):
-        """Return the picture with water on it, and the water's coverage."""
-        surface, depth = water_surface(self.terrain, state.depth, self.relief)
-        levels = ripple_levels(state.slopes)
-        rms = np.array([np.sqrt(np.mean(s * s)) for s in levels], np.float32)
-        timer.mark("water surface")
-        level, spread = water_level(surface, depth)
-        mirrored = choose_reflections(self.config.render.reflections, spread)
-        if mirrored:
-            self._mirror(level, timer)
-        low, high = self.config.render.water_coverage
-        stride = max(1.0, self._camera.width / 960)
-        settings = np.array(
-            [low, high, REFLECTION_THICKNESS, stride, REFLECTION_LENGTH, GLINT_VARIANCE, level],
-            np.float32,
-        )
-        picture = np.empty_like(self.picture)
-        coverage = np.empty_like(self.depth)
-        optics.shade_water(
-            self.picture, self.depth, self.clearance, self.turn, self.eye, self.lens,
-            surface, depth, self.exposure, self._origin, self._spacing,
-            *levels, rms, np.float32(state.tile_size), self.environment, mirrored,
-            self.mirror if mirrored else self.picture,
-            self.mirror_depth if mirrored else self.depth, settings, self._sun, picture, coverage,
-        )  # fmt: skip
-        timer.mark("water and reflection")
-        return picture, coverage
+        view = self._wet_picture(cropped(camera, window), plane, Timer())
+        return view.picture, view.depth, view.lens
 
     def _drops(self, camera, state, timer, camera_end):
         """Return the alpha of streaks and of splash droplets."""
@@ -185,17 +148,19 @@ class Renderer:
         where, lens = (self.field, self.surfaces, self.view), (camera_end, *self._focus)
         self.reach = streak_reach(self.field, self.view, config.exposure, config.streak_far)
         if config.streaks == "paper":
-            paperrain.draw_lines(*where, state.time, config.streak_far, self.depth, rain)
+            paperrain.draw_lines(*where, state.time, config.streak_far, self.wet.depth, rain)
         else:
-            draw_streaks(*where, state.time, config.exposure, self.depth, self.reach, rain, *lens)
+            draw_streaks(
+                *where, state.time, config.exposure, self.wet.depth, self.reach, rain, *lens
+            )
         timer.mark("streaks")
         if config.splashes == "paper":
             start = state.time - self.config.frame_interval
-            paperrain.draw_gaussians(*where, start, state.time, self.depth, splash)
+            paperrain.draw_gaussians(*where, start, state.time, self.wet.depth, splash)
         else:
             draw_splashes(
                 *where, state.time, config.exposure, state.depth,
-                WET_FILM * float(self.wetness), self.depth, splash, *lens,
+                WET_FILM * float(self.wetness), self.wet.depth, splash, *lens,
             )  # fmt: skip
         timer.mark("splashes")
         return rain, splash
@@ -237,7 +202,7 @@ class Renderer:
         self.environment = self.day  # what gloss shows while the surroundings are drawn
 
         def draw(view):
-            return self._wet_picture(self.frame.camera_in_capture(view), None, Timer())[0]
+            return self._wet_picture(self.frame.camera_in_capture(view), None, Timer()).picture
 
         return sky.probe(draw, position)
 
@@ -267,19 +232,12 @@ def mirrored_camera(camera, frame, level):
     return plane, replace(camera, camera_from_world=camera.camera_from_world @ flip)
 
 
-def water_level(surface, depth):
-    """Return the level [m] that most water lies at, and how far the levels spread [m]."""
-    wet = depth > 1e-3
-    if not wet.any():
-        return 0.0, 0.0
-    low, middle, high = np.percentile(surface[wet], (5, 50, 95))
-    # Stepped, so that a slowly filling puddle keeps its mirror image for a while.
-    return round(middle / LEVEL_STEP) * LEVEL_STEP, high - low
-
-
-def choose_reflections(name, spread):
-    """Return whether reflections come from the mirrored pass: by name, or where water is level."""
-    return name == "mirror" or (name == "auto" and spread < MIRROR_SPREAD)
+def cropped(camera, window):
+    """Return the camera that takes only a window (left, top, right, bottom) [px] of the picture."""
+    left, top, right, bottom = window
+    return replace(
+        camera, width=right - left, height=bottom - top, cx=camera.cx - left, cy=camera.cy - top
+    )
 
 
 def day_sky(config):
@@ -303,49 +261,6 @@ def wetness(config):
     if config.water.level is not None:
         return 1.0
     return min(1.0, config.rain.past / WET_AFTER + config.rain.rate / WET_RATE)
-
-
-def fine_relief(terrain):
-    """Return a made-up roughness of hard ground below what a capture resolves, (ny, nx) [m].
-
-    Captured beds are smoothed, so their puddles would end in lines too smooth for stone. This only
-    moves the drawn rim by less than a millimetre of depth; the water itself does not know of it.
-    """
-    rng = np.random.Generator(np.random.PCG64(0))
-    relief = np.zeros(terrain.grid.shape)
-    for width in RELIEF_WIDTHS:
-        part = ndimage.gaussian_filter(rng.normal(size=relief.shape), width / terrain.grid.spacing)
-        relief += part / part.std()
-    return (RELIEF / math.sqrt(len(RELIEF_WIDTHS)) * relief).astype(np.float32)
-
-
-def water_surface(terrain, depth, relief):
-    """Return the height of the water surface and the water's depth, both float32 (ny, nx) [m].
-
-    The solver's cells are wet or dry; a picture needs a surface that goes on below the ground at
-    the rim, so that depth falls to zero smoothly. Grass that stands out of the water hides it.
-    """
-    smooth = terrain.mirrors | (depth > GRASS_HEIGHT)
-    wet = (depth > WET_CELL) & smooth
-    if not wet.any():
-        return terrain.bed, np.zeros_like(terrain.bed)
-    nearest = ndimage.distance_transform_edt(~wet, return_distances=False, return_indices=True)
-    surface = ndimage.gaussian_filter((terrain.bed + depth)[tuple(nearest)], 1.5)
-    near = ndimage.binary_dilation(wet, iterations=SURFACE_REACH)
-    over = np.where(near & smooth, surface - terrain.bed - relief, 0)
-    over = ndimage.gaussian_filter(np.maximum(over, 0), 0.7)
-    return surface.astype(np.float32), over.astype(np.float32)
-
-
-def ripple_levels(slopes):
-    """Return the slopes (2, n, n) at four resolutions, each half of the one before."""
-    levels = [np.ascontiguousarray(slopes, dtype=np.float32)]
-    for _ in range(3):
-        s = levels[-1]
-        two, n, _ = s.shape
-        half = s.reshape(two, n // 2, 2, n // 2, 2).mean(axis=(2, 4))
-        levels.append(np.ascontiguousarray(half, dtype=np.float32))
-    return levels
 
 
 class Timer:

@@ -14,6 +14,7 @@ from rainsim.jit import cpu_kernel, device_function, prange
 from rainsim.light import (
     bilinear,
     display_from_linear,
+    exp_minus,
     fresnel,
     linear_from_display,
     luminance,
@@ -38,6 +39,9 @@ GLOSS_LIFT = np.float32(0.4)  # sine by which its lobe is lifted above the mirro
 FAR_AWAY = np.float32(1e4)  # m, stands for the depth of the sky
 SKY_DISTANCE = np.float32(30.0)  # m: bright things beyond, above the horizon, are sky
 SKY_DARK, SKY_BRIGHT = np.float32(0.15), np.float32(0.35)  # linear luminance: no sky, all sky
+FLAT = np.float32(0.7)  # cosine to the vertical above which a surface counts as level ground
+LEAST_ALPHA = np.float32(0.1)  # what covers less of a pixel has no depth
+ON_GROUND = np.float32(0.3)  # m over the bed: what stands higher is no ground
 SKY_SINE = np.float32(0.03)  # sine of the elevation above which there may be sky
 
 
@@ -93,87 +97,88 @@ def grade_and_wet(
     """
     height, width = alpha.shape
     ny, nx = bed.shape
+    m = ground_from_camera
+    flat_color = color.reshape(height, width * 3)
     for row in prange(height):
+        linear = np.empty(width * 3, np.float32)
+        shown = flat_color[row]
+        for k in range(width * 3):  # in vectors
+            linear[k] = linear_from_display(max(shown[k], ZERO))
+        b = (np.float32(row) + HALF - lens[3]) / lens[1]
         for column in range(width):
             a = (np.float32(column) + HALF - lens[2]) / lens[0]
-            b = (np.float32(row) + HALF - lens[3]) / lens[1]
-            x = _row(ground_from_camera, 0, a, b, ONE)
-            y = _row(ground_from_camera, 1, a, b, ONE)
-            z = _row(ground_from_camera, 2, a, b, ONE)
+            x, y, z = _row(m, 0, a, b, ONE), _row(m, 1, a, b, ONE), _row(m, 2, a, b, ONE)
             length = math.sqrt(x * x + y * y + z * z)
+            il = ONE / length
             n0, n1, n2 = normal[row, column, 0], normal[row, column, 1], normal[row, column, 2]
-            upness = (
-                ground_from_camera[2, 0] * n0
-                + ground_from_camera[2, 1] * n1
-                + ground_from_camera[2, 2] * n2
-            )
+            upness = _row(m, 2, n0, n1, n2)
             # Plane depth is far better on flat ground, and can be wild on thin things.
-            d = depth[row, column]
-            if upness > np.float32(0.7):
-                d = plane_depth[row, column]
+            d = plane_depth[row, column] if upness > FLAT else depth[row, column]
             d *= meters_per_unit
             over = alpha[row, column]
-            px, py, pz = eye[0] + d * x, eye[1] + d * y, eye[2] + d * z
-            u, v = (px - origin[0]) / spacing - HALF, (py - origin[1]) / spacing - HALF
+            solid = over >= LEAST_ALPHA
+            u = (eye[0] + d * x - origin[0]) / spacing - HALF
+            v = (eye[1] + d * y - origin[1]) / spacing - HALF
             inside = u > ZERO and v > ZERO and u < np.float32(nx - 1) and v < np.float32(ny - 1)
             clearance, reach, lawn = FAR_AWAY, ONE, ZERO
-            if inside and over >= np.float32(0.1):
-                clearance = pz - bilinear(bed, u, v)
+            if inside and solid:
+                clearance = eye[2] + d * z - bilinear(bed, u, v)
                 lawn = bilinear(grass, u, v)
-                if clearance < np.float32(0.3):
+                if clearance < ON_GROUND:
                     reach = bilinear(exposure_to_rain, u, v)
-            depth_out[row, column] = d if over >= np.float32(0.1) else np.inf
+            depth_out[row, column] = d if solid else np.inf
             clearance_out[row, column] = clearance
-            r = linear_from_display(max(color[row, column, 0], ZERO))
-            g = linear_from_display(max(color[row, column, 1], ZERO))
-            bl = linear_from_display(max(color[row, column, 2], ZERO))
-            sky = look[3] * sky_share(r, g, bl, d * length, z / length)
+            r, g, bl = linear[3 * column], linear[3 * column + 1], linear[3 * column + 2]
+            far = d * length
+            sky = ZERO
+            if far > SKY_DISTANCE and z * il > SKY_SINE:
+                sky = look[3] * sky_share(r, g, bl)
             r, g, bl = graded(r, g, bl, look[0], look[1], look[2])
-            if d * length < SKY_DISTANCE:
+            if far < SKY_DISTANCE and wetness > ZERO:
                 r, g, bl = wetted(r, g, bl, look[0], wetness, reach, upness, clearance, lawn)
-                sheen = (
-                    wetness * reach * max(TWO * upness - ONE, ZERO) * (ONE - lawn)
-                    * GLOSS
-                )  # fmt: skip
-                if clearance > np.float32(0.3):
+                sheen = wetness * reach * max(TWO * upness - ONE, ZERO) * (ONE - lawn) * GLOSS
+                if clearance > ON_GROUND:
                     sheen *= HALF
                 if sheen > ZERO:
-                    cosine = -(x * _row(ground_from_camera, 0, n0, n1, n2)
-                               + y * _row(ground_from_camera, 1, n0, n1, n2)
-                               + z * upness) / length  # fmt: skip
-                    # A wet rough surface glosses: it mirrors a little of what lies around, blurred,
-                    # which is mostly what lies above the mirror direction.
+                    cosine = -(x * _row(m, 0, n0, n1, n2) + y * _row(m, 1, n0, n1, n2)
+                               + z * upness) * il  # fmt: skip
                     gloss = sheen * fresnel(max(cosine, np.float32(0.02)))
-                    wx, wy, wz = x / length, y / length, abs(z) / length + GLOSS_LIFT
-                    inv = ONE / math.sqrt(wx * wx + wy * wy + wz * wz)
-                    wx, wy, wz = wx * inv, wy * inv, wz * inv
-                    r += gloss * sample_environment(environment, wx, wy, wz, 0)
-                    g += gloss * sample_environment(environment, wx, wy, wz, 1)
-                    bl += gloss * sample_environment(environment, wx, wy, wz, 2)
+                    e0, e1, e2 = glossed(environment, x * il, y * il, z * il)
+                    r, g, bl = r + gloss * e0, g + gloss * e1, bl + gloss * e2
             # The sky of the day stands in for the captured sky and for what no splat covers. Many
             # captures leave dark places half open: those are not sky.
             through = over * sky
             if z > ZERO:
                 through += (ONE - over) * smoothstep(np.float32(0.4), np.float32(0.9), ONE - over)
-            r, g, bl = r * (ONE - sky), g * (ONE - sky), bl * (ONE - sky)
-            il = ONE / length
+            keep = ONE - sky
             if through > np.float32(0.002):
-                r += through * sample_environment(day_sky, x * il, y * il, z * il, 0)
-                g += through * sample_environment(day_sky, x * il, y * il, z * il, 1)
-                bl += through * sample_environment(day_sky, x * il, y * il, z * il, 2)
-            picture_out[row, column, 0] = r
-            picture_out[row, column, 1] = g
-            picture_out[row, column, 2] = bl
+                e0, e1, e2 = sample_environment(day_sky, x * il, y * il, z * il)
+                picture_out[row, column, 0] = r * keep + through * e0
+                picture_out[row, column, 1] = g * keep + through * e1
+                picture_out[row, column, 2] = bl * keep + through * e2
+            else:
+                picture_out[row, column, 0] = r * keep
+                picture_out[row, column, 1] = g * keep
+                picture_out[row, column, 2] = bl * keep
 
 
 @device_function
-def sky_share(r, g, b, distance, sine):
-    """Return how surely a captured linear colour is sky: far, above the horizon, bright, not green.
+def glossed(environment, x, y, z):
+    """Return what a wet rough surface seen along the unit direction (x, y, z) mirrors, blurred.
+
+    That is mostly what lies above the mirror direction.
+    """
+    z = abs(z) + GLOSS_LIFT
+    inv = ONE / math.sqrt(x * x + y * y + z * z)
+    return sample_environment(environment, x * inv, y * inv, z * inv)
+
+
+@device_function
+def sky_share(r, g, b):
+    """Return how surely a far captured linear colour above the horizon is sky: bright, not green.
 
     A guess: a capture does not say what is sky.
     """
-    if not (distance > SKY_DISTANCE and sine > SKY_SINE):
-        return ZERO
     bright = smoothstep(SKY_DARK, SKY_BRIGHT, luminance(r, g, b))
     top = max(max(r, g), np.float32(1e-3))
     return bright * smoothstep(np.float32(0.6), np.float32(0.85), b / top)
@@ -194,7 +199,7 @@ def wetted(r, g, b, exposure, wetness, reach, upness, clearance, lawn):
     top = max(max(r, g), b)
     green = min(max((TWO * g - r - b) / max(top, np.float32(1e-3)) * TWO, ZERO), ONE)
     facing = min(max(np.float32(0.4) + np.float32(1.2) * upness, np.float32(0.4)), ONE)
-    if clearance > np.float32(0.3):
+    if clearance > ON_GROUND:
         facing *= np.float32(0.85)
     amount = wetness * reach * facing * (ONE - np.float32(0.55) * max(green, lawn))
     y = luminance(r, g, b)
@@ -237,22 +242,27 @@ def compose(
     image_out : ndarray of shape (height, width, 3), uint8
     """
     height, width = depth.shape
+    light = picture.reshape(height, width * 3)
+    image = image_out.reshape(height, width * 3)
     for row in prange(height):
+        clear, keep = np.empty(width, np.float32), np.empty(width, np.float32)
+        b = (np.float32(row) + HALF - lens[3]) / lens[1]
+        square = ONE + b * b
         for column in range(width):
             z = depth[row, column]
-            clear = ONE  # the sky is seen through all the air already
-            if z < FAR_AWAY:
-                a = (np.float32(column) + HALF - lens[2]) / lens[0]
-                b = (np.float32(row) + HALF - lens[3]) / lens[1]
-                clear = math.exp(-fog_thickness(fog, z) * math.sqrt(ONE + a * a + b * b))
-            streak, drop = rain_alpha[row, column], splash_alpha[row, column]
-            for c in range(3):
-                value = picture[row, column, c] * clear + air_radiance[c] * (ONE - clear)
-                value += drop * (drop_radiance[c] - value)
-                value += streak * (drop_radiance[c] - value)
-                value *= brightness
+            a = (np.float32(column) + HALF - lens[2]) / lens[0]
+            through = fog_thickness(fog, min(z, FAR_AWAY)) * math.sqrt(square + a * a)
+            # The sky is seen through all the air already.
+            air = exp_minus(through)
+            clear[column] = air if z < FAR_AWAY else ONE
+            keep[column] = (ONE - rain_alpha[row, column]) * (ONE - splash_alpha[row, column])
+        for c in range(3):
+            drop, air = drop_radiance[c], air_radiance[c]
+            for column in range(width):
+                value = air + (light[row, 3 * column + c] - air) * clear[column]
+                value = (drop + (value - drop) * keep[column]) * brightness
                 # A soft shoulder: highlights end at white instead of being cut off.
-                if value > HALF:
-                    value = HALF + HALF * (ONE - math.exp(-(value - HALF) * TWO))
+                over = max(value - HALF, ZERO)
+                value = min(value, HALF) + HALF * (ONE - exp_minus(over * TWO))
                 shown = display_from_linear(max(value, ZERO))
-                image_out[row, column, c] = np.uint8(min(shown, ONE) * np.float32(255) + HALF)
+                image[row, 3 * column + c] = np.uint8(min(shown, ONE) * np.float32(255) + HALF)

@@ -11,6 +11,7 @@ import math
 import numpy as np
 
 from rainsim.jit import device_function
+from rainsim.light import angle, four_colors
 from rainsim.scene.types import Camera
 
 ROWS, COLUMNS = 128, 256
@@ -142,17 +143,15 @@ def drop_radiance(environment, forward):
 
 
 @device_function
-def sample_environment(environment, x, y, z, channel):
-    """Return one channel of the map in the unit direction (x, y, z), interpolated."""
+def sample_environment(environment, x, y, z):
+    """Return the map's radiance (three numbers) in the unit direction (x, y, z), interpolated."""
     rows, columns = environment.shape[0], environment.shape[1]
-    u = (HALF - math.atan2(y, x) * INV_TWO_PI) * columns - HALF
-    v = (HALF - math.asin(min(max(z, -ONE), ONE)) * INV_PI) * rows - HALF
+    u = (HALF - angle(y, x) * INV_TWO_PI) * np.float32(columns) - HALF
+    v = (HALF - angle(z, math.sqrt(x * x + y * y)) * INV_PI) * np.float32(rows) - HALF
     v = min(max(v, ZERO), np.float32(rows - 1))
-    i = math.floor(u)
+    i = int(u + ONE) - 1  # the floor: u is above -1
     j = min(int(v), rows - 2)
-    a, b = np.float32(u - i), np.float32(v - j)
-    i %= columns
-    k = (i + 1) % columns
-    upper = environment[j, i, channel] * (ONE - a) + environment[j, k, channel] * a
-    lower = environment[j + 1, i, channel] * (ONE - a) + environment[j + 1, k, channel] * a
-    return upper * (ONE - b) + lower * b
+    a, b = u - np.float32(i), v - np.float32(j)
+    i = i + columns if i < 0 else i
+    k = i + 1 if i + 1 < columns else 0
+    return four_colors(environment, j, j + 1, i, k, a, b)

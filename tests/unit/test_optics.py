@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from rainsim import optics
+from rainsim import optics, reflect
 from rainsim.light import fresnel
 
 WIDTH, HEIGHT, FOCAL = 120, 90, 100.0
@@ -42,30 +42,56 @@ def floor_picture(z=0.0):
 
 
 def water(depth_of_water, picture=None, depth=None, clearance=None, slopes=0.0, environment=None,
-          sun=None, mirror=None, mirror_depth=None, level=0.0):  # fmt: skip
+          sun=None, mirror=None, mirror_depth=None, level=0.0, cover=(0.4e-3, 2.2e-3), hard=False,
+          schlick=False, shift=False, phong=False):  # fmt: skip
+    """The picture with water on it, and the water's coverage."""
     floor_depth, floor = floor_picture()
     picture = floor if picture is None else picture
     depth = floor_depth if depth is None else depth
     clearance = np.zeros((HEIGHT, WIDTH), np.float32) if clearance is None else clearance
-    bed = np.zeros(SHAPE, np.float32)
-    water_depth = np.broadcast_to(np.float32(depth_of_water), SHAPE).copy()
-    slopes = np.broadcast_to(np.asarray(slopes, np.float32), 2)[:, None, None]
-    levels = [np.tile(slopes, (1, n, n)) for n in (32, 16, 8, 4)]
+    deep = np.broadcast_to(np.float32(depth_of_water), SHAPE).copy()
     if environment is None:
         environment = np.zeros((16, 32, 3), np.float32)
-    none = np.zeros((1, 1, 3), np.float32)
-    out = np.full((HEIGHT, WIDTH, 3), np.nan, np.float32)
     coverage = np.full((HEIGHT, WIDTH), np.nan, np.float32)
-    march = np.array([0.4e-3, 2.2e-3, 0.15, 1, 12, 4e-3, level], np.float32)
-    sun = np.zeros(6, np.float32) if sun is None else sun
-    mirrored = mirror is not None
-    optics.shade_water(
-        picture, depth, clearance, TURN, EYE, LENS, bed + water_depth, water_depth,
-        np.ones(SHAPE, np.float32), ORIGIN, np.float32(SPACING), *levels, np.zeros(4, np.float32),
-        np.float32(1.0), environment, mirrored, mirror if mirrored else none,
-        mirror_depth if mirrored else depth, march, sun, out, coverage,
+    hit, count = np.full_like(coverage, np.nan), np.full(HEIGHT, -1, np.int64)
+    rows, spacing = np.arange(HEIGHT), np.float32(SPACING)
+    optics.meet_water(
+        depth, TURN, EYE, LENS, deep, deep, ORIGIN, spacing, deep.max(), rows,
+        np.array(cover, np.float32), hard, hit, coverage, count,
     )  # fmt: skip
-    assert np.isfinite(out).all() and np.isfinite(coverage).all()
+    assert np.isfinite(coverage).all() and (count == (coverage > 0).sum(axis=1)).all()
+    n = count.sum()
+    pixel, record = np.full(n, -1, np.int32), np.full((n, optics.RECORD), np.nan, np.float32)
+    optics.list_water(
+        hit, coverage, np.cumsum(count) - count, rows, TURN, EYE, LENS, deep,
+        np.ones(SHAPE, np.float32), ORIGIN, spacing, pixel, record,
+    )  # fmt: skip
+    slopes = np.broadcast_to(np.asarray(slopes, np.float32), 2)[:, None, None]
+    levels = [np.tile(slopes, (1, k, k)) for k in (32, 16, 8, 4)]
+    optics.tilt_water(record, *levels, np.zeros(4, np.float32), np.float32(1.0))
+    assert np.isfinite(record[:, :14]).all()
+    light, source = np.full((n, 3), np.nan, np.float32), np.full(n, 99, np.uint8)
+    if mirror is not None:
+        reflect.mirror_light(
+            np.arange(n), record, TURN, EYE, LENS, np.float32(level), mirror, mirror_depth,
+            light, source,
+        )  # fmt: skip
+    else:
+        tall = np.full_like(depth, np.nan)
+        reflect.keep_tall(depth, clearance, tall)
+        reflect.march_light(
+            np.arange(n), record, picture, tall, TURN, EYE, LENS, environment,
+            np.array([0.15, 1, 12], np.float32), light, source,
+        )  # fmt: skip
+    assert np.isfinite(light).all() and (source != 99).all()
+    sun = np.zeros(6, np.float32) if sun is None else sun
+    out = picture.copy()
+    out.reshape(-1, 3)[pixel] = np.nan
+    optics.lay_water(
+        pixel, record, light, picture, depth, TURN, LENS, schlick, shift, phong,
+        np.float32(4e-3), sun, out,
+    )  # fmt: skip
+    assert np.isfinite(out).all()
     return out, coverage
 
 

@@ -45,7 +45,9 @@ def decibel(a, b):
 def test_report_names_stages_and_closes_the_ledger(scene, camera):
     picture, report = frame(scene, camera)
     assert picture.shape == (SIZE[1], SIZE[0], 3) and picture.dtype == np.uint8
-    assert {"splat", "grade and wet", "water and reflection", "compose"} <= set(report.milliseconds)
+    assert {"splat", "grade and wet", "mirror", "reflection", "water", "compose"} <= set(
+        report.milliseconds
+    )
     assert abs(report.ledger["residual"]) < 1e-9
     assert picture.std() > 5
 

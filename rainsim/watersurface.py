@@ -1,0 +1,196 @@
+"""The water surface that pictures show: smooth where the solver's is made of wet and dry cells."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from scipy import ndimage
+
+from rainsim.jit import cpu_kernel, device_function, prange
+from rainsim.light import bilinear
+
+GRASS_HEIGHT = 0.05  # m of water that closes over a lawn
+WET_CELL = np.float32(3e-4)  # m: cells with more carry the surface; thinner water only darkens
+RELIEF = 0.5e-3  # m, standard deviation of the roughness that a capture does not show; by eye
+RELIEF_WIDTHS = (0.02, 0.05, 0.12)  # m
+SURFACE_REACH = 2  # cells by which the surface is continued into the dry, for soft rims
+LEAST_WEIGHT = np.float32(1e-4)  # of wet cells around, below which there is no surface
+BLOCK = 8  # cells of a block, of which the mean level is kept
+ZERO, ONE, HALF = np.float32(0), np.float32(1), np.float32(0.5)
+
+
+def _gauss(sigma, radius):
+    """Return the weights of a Gaussian of `sigma` cells at -radius to radius, sum 1, float32."""
+    weight = np.exp(-0.5 * (np.arange(-radius, radius + 1) / sigma) ** 2)
+    return (weight / weight.sum()).astype(np.float32)
+
+
+WIDE, NARROW = _gauss(1.5, 6), _gauss(0.7, 3)
+
+
+def fine_relief(terrain):
+    """Return a made-up roughness of hard ground below what a capture resolves, (ny, nx) [m].
+
+    Captured beds are smoothed, so their puddles would end in lines too smooth for stone. This only
+    moves the drawn rim by less than a millimetre of depth; the water itself does not know of it.
+    """
+    rng = np.random.Generator(np.random.PCG64(0))
+    relief = np.zeros(terrain.grid.shape)
+    for width in RELIEF_WIDTHS:
+        part = ndimage.gaussian_filter(rng.normal(size=relief.shape), width / terrain.grid.spacing)
+        relief += part / part.std()
+    return (RELIEF / math.sqrt(len(RELIEF_WIDTHS)) * relief).astype(np.float32)
+
+
+def water_surface(terrain, depth, relief, mirrors):
+    """Return the height of the water surface and the water's depth, both float32 (ny, nx) [m].
+
+    The solver's cells are wet or dry; a picture needs a surface that goes on below the ground at
+    the rim, so that depth falls to zero smoothly: the surface is the Gaussian mean over the wet
+    cells around, and the height of the nearest water where none is near, so that view rays can be
+    followed to it. Grass that stands out of the water hides it.
+
+    Parameters
+    ----------
+    terrain : Terrain
+    depth : ndarray of shape (ny, nx), float32 [m]
+    relief : ndarray of shape (ny, nx), float32 [m]
+        As `fine_relief` gives it.
+    mirrors : ndarray of shape (ny, nx), bool
+        Cells on which a film of water can be seen as a surface.
+    """
+    surface, over = np.empty_like(terrain.bed), np.empty_like(terrain.bed)
+    smooth = mirrors | (depth > GRASS_HEIGHT)
+    depth = np.asarray(depth, np.float32)
+    far = _far_surface(terrain.bed, depth, smooth)
+    if far is None:
+        return terrain.bed, np.zeros_like(terrain.bed)
+    _continue(terrain.bed, depth, smooth, relief, WIDE, NARROW, far, surface, over)
+    return surface, over
+
+
+def _far_surface(bed, depth, smooth):
+    """Return the mean water level of each block of BLOCK x BLOCK cells, or of the nearest block.
+
+    None if nothing is wet.
+    """
+    ny, nx = bed.shape
+    count = np.zeros((-(-ny // BLOCK), -(-nx // BLOCK)), np.float32)
+    total = np.zeros_like(count)
+    _sum_blocks(bed, depth, smooth, count, total)
+    empty = count == 0
+    if empty.all():
+        return None
+    nearest = ndimage.distance_transform_edt(empty, return_distances=False, return_indices=True)
+    return (total / np.maximum(count, 1))[tuple(nearest)]
+
+
+@cpu_kernel
+def _sum_blocks(bed, depth, smooth, count_out, total_out):
+    """Count the wet cells of each block and add up their water levels."""
+    ny, nx = bed.shape
+    rows = len(count_out)
+    for m in prange(rows):
+        for j in range(m * BLOCK, min(m * BLOCK + BLOCK, ny)):
+            for i in range(nx):
+                if depth[j, i] > WET_CELL and smooth[j, i]:
+                    count_out[m, i // BLOCK] += ONE
+                    total_out[m, i // BLOCK] += bed[j, i] + depth[j, i]
+
+
+@cpu_kernel
+def _continue(bed, depth, smooth, relief, wide, narrow, far, surface_out, over_out):
+    """Fill in `water_surface`'s results: Gaussian means by rows, then by columns."""
+    ny, nx = bed.shape
+    weight, height = np.empty((ny, nx), np.float32), np.empty((ny, nx), np.float32)
+    wet = np.empty((ny, nx), np.bool_)
+    any_wet = np.zeros(ny, np.bool_)
+    base = bed[ny // 2, nx // 2]  # heights are taken from here: small numbers, small rounding
+    for j in prange(ny):
+        for i in range(nx):
+            wet[j, i] = depth[j, i] > WET_CELL and smooth[j, i]
+            any_wet[j] |= wet[j, i]
+        weight[j] = ZERO
+        height[j] = ZERO
+        if any_wet[j]:
+            for i in range(nx):
+                if wet[j, i]:
+                    eta = bed[j, i] + depth[j, i] - base
+                    for k in range(max(i - 6, 0), min(i + 7, nx)):
+                        weight[j, k] += wide[i - k + 6]
+                        height[j, k] += wide[i - k + 6] * eta
+    rough = np.zeros((ny, nx), np.float32)
+    for j in prange(ny):
+        row_at = (np.float32(j) + HALF) / np.float32(BLOCK) - HALF
+        for i in range(nx):
+            surface_out[j, i] = bilinear(
+                far, (np.float32(i) + HALF) / np.float32(BLOCK) - HALF, row_at
+            )
+        total, mean = np.zeros(nx, np.float32), np.zeros(nx, np.float32)
+        near = False
+        for k in range(max(j - 6, 0), min(j + 7, ny)):
+            if any_wet[k]:
+                near = True
+                w = wide[k - j + 6]
+                for i in range(nx):
+                    total[i] += w * weight[k, i]
+                    mean[i] += w * height[k, i]
+        if near:
+            for i in range(nx):
+                if total[i] > LEAST_WEIGHT:
+                    surface_out[j, i] = base + mean[i] / total[i]
+                    if smooth[j, i] and _wet_near(wet, j, i):
+                        over = surface_out[j, i] - bed[j, i] - relief[j, i]
+                        rough[j, i] = max(over, ZERO)
+    for j in prange(ny):
+        row = np.zeros(nx, np.float32)
+        for k in range(max(j - 3, 0), min(j + 4, ny)):
+            for i in range(nx):
+                row[i] += narrow[k - j + 3] * rough[k, i]
+        for i in range(nx):
+            value = ZERO
+            for k in range(max(i - 3, 0), min(i + 4, nx)):
+                value += narrow[k - i + 3] * row[k]
+            over_out[j, i] = value
+
+
+@device_function
+def _wet_near(wet, j, i):
+    """Tell whether a cell within SURFACE_REACH steps is wet."""
+    ny, nx = wet.shape
+    for k in range(max(j - SURFACE_REACH, 0), min(j + SURFACE_REACH + 1, ny)):
+        reach = SURFACE_REACH - abs(k - j)
+        for m in range(max(i - reach, 0), min(i + reach + 1, nx)):
+            if wet[k, m]:
+                return True
+    return False
+
+
+@cpu_kernel
+def _halve(slopes, half_out):
+    """Average blocks of 2 x 2 cells."""
+    n = half_out.shape[1]
+    quarter = np.float32(0.25)
+    for j in prange(n):
+        for axis in range(2):
+            a, b = slopes[axis, 2 * j], slopes[axis, 2 * j + 1]
+            for i in range(n):
+                total = a[2 * i] + a[2 * i + 1] + b[2 * i] + b[2 * i + 1]
+                half_out[axis, j, i] = quarter * total
+
+
+def ripple_levels(slopes):
+    """Return the slopes (2, n, n) at four resolutions, each half of the one before."""
+    levels = [np.ascontiguousarray(slopes, dtype=np.float32)]
+    for _ in range(3):
+        n = levels[-1].shape[1] // 2
+        half = np.empty((2, n, n), np.float32)
+        _halve(levels[-1], half)
+        levels.append(half)
+    return levels
+
+
+def rms_slopes(levels):
+    """Return the root mean square slope along one axis that each level holds, float32 (4,)."""
+    return np.array([np.sqrt(np.mean(np.square(s))) for s in levels], np.float32)

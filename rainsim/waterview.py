@@ -1,0 +1,274 @@
+"""The water in a camera's picture: found, tilted by ripples, lit; what stays is kept."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rainsim import optics, paperwater, reflect
+from rainsim.jit import dealt
+from rainsim.watersurface import (
+    fine_relief,
+    ripple_levels,
+    rms_slopes,
+    water_surface,
+)
+
+MIRROR_SPREAD = 0.06  # m: water at levels farther apart has no mirror in common
+MOST_MIRRORS = 3  # levels that auto draws mirrored; what stands at others is marched
+LEAST_SHARE = 0.04  # of the water's pixels for which another mirror is drawn
+LEVEL_STEP = 2e-3  # m, of a mirror's level: a slowly filling puddle keeps its mirror for a while
+WINDOW_STEP = 64  # px, of the part of the picture that is drawn mirrored: whole tiles
+WINDOW_SLOPE = 0.08  # tilt of the water up to which a ripple finds its image in that part
+REFLECTION_THICKNESS = 0.15  # m
+REFLECTION_LENGTH = 12.0  # m
+GLINT_VARIANCE = 4e-3  # of slopes below a pixel on a puddle in the rain
+
+
+@dataclass(frozen=True)
+class View:
+    """A wet picture without water and where it was taken from (ground frame).
+
+    Attributes
+    ----------
+    picture : ndarray of shape (height, width, 3), float32
+        Linear light.
+    depth : ndarray of shape (height, width), float32 [m]
+        Along the view axis; infinite for sky.
+    clearance : ndarray of shape (height, width), float32 [m]
+        Height above the ground.
+    turn : ndarray of shape (3, 3), float32
+        ground_from_camera.
+    eye : ndarray of shape (3,), float32 [m]
+    lens : ndarray of shape (4,), float32 [px]
+        fx, fy, cx, cy.
+    """
+
+    picture: np.ndarray
+    depth: np.ndarray
+    clearance: np.ndarray
+    turn: np.ndarray
+    eye: np.ndarray
+    lens: np.ndarray
+
+
+class WaterView:
+    """Water as one camera after another sees it.
+
+    Parameters
+    ----------
+    terrain : Terrain
+    exposure : ndarray of shape (ny, nx), float32
+        Share of the rain that reaches each cell.
+    config : RenderConfig
+        Names the methods.
+
+    Attributes
+    ----------
+    pixel, record : ndarray
+        The list of the water that the last picture shows, see `optics`.
+    light : ndarray of shape (n, 3), float32
+        What each record mirrors, before Fresnel's factor.
+    source : ndarray of shape (n,), uint8
+        Where that was found: a code of `reflect`.
+    coverage : ndarray of shape (height, width), float32
+        Share of each pixel that is water.
+    """
+
+    def __init__(self, terrain, exposure, config):
+        self.terrain, self.exposure, self.config = terrain, exposure, config
+        self.relief = fine_relief(terrain)
+        self._mirroring = terrain.mirrors
+        self._origin = np.array(terrain.grid.origin, np.float32)
+        self._spacing = np.float32(terrain.grid.spacing)
+        self._depth = None  # of the water that the kept surface belongs to
+        self.view = None
+
+    def look(self, view):
+        """Take over what a camera sees without water."""
+        self.view = view
+        self._shown = view.picture.copy()  # the picture with water on the listed pixels
+        self.pixel = np.empty(0, np.int32)
+        self.coverage = None
+        self._tall, self._mirrors = None, {}
+
+    def draw(self, state, draw_mirrored, environment, sun, timer):
+        """Return the picture with the water of a state on it.
+
+        Parameters
+        ----------
+        state : SimState
+        draw_mirrored : callable
+            draw_mirrored(level, window) returns the wet picture, depth and lens of the camera
+            mirrored at a level [m], of a window (left, top, right, bottom) [px] of its picture.
+        environment : ndarray of shape (rows, columns, 3), float32
+        sun : ndarray of shape (6,), float32
+        timer : Timer
+
+        Returns
+        -------
+        ndarray of shape (height, width, 3), float32
+            Overwritten by the next call.
+        """
+        moved = self._depth is None or not np.array_equal(state.depth, self._depth)
+        if moved:
+            self._depth = state.depth
+            self.surface, self.deep = water_surface(
+                self.terrain, state.depth, self.relief, self._mirroring
+            )
+            wet = self.deep > 0
+            self._highest = np.float32(self.surface[wet].max()) if wet.any() else None
+        timer.mark("water surface")
+        before = self.pixel
+        if moved or self.coverage is None:
+            self._find()
+        timer.mark("find water")
+        _restore(self.view.picture, before, self._shown)
+        if len(self.pixel):
+            levels = ripple_levels(state.slopes)
+            optics.tilt_water(self.record, *levels, rms_slopes(levels), np.float32(state.tile_size))
+            self._reflect(draw_mirrored, environment, timer)
+            c = self.config
+            optics.lay_water(
+                self.pixel, self.record, self.light, self.view.picture, self.view.depth,
+                self.view.turn, self.view.lens, c.fresnel == "schlick", c.refraction == "shift",
+                c.highlight == "blinn-phong", np.float32(GLINT_VARIANCE), sun, self._shown,
+            )  # fmt: skip
+        timer.mark("water")
+        return self._shown
+
+    def _find(self):
+        """List the pixels that show water."""
+        v = self.view
+        height, width = v.depth.shape
+        self.coverage = np.empty((height, width), np.float32)
+        if self._highest is None:  # nothing is wet
+            self.coverage[:] = 0
+            self._list(np.zeros(height, np.int64), None, None)
+            return
+        hit, count = np.empty((height, width), np.float32), np.empty(height, np.int64)
+        turn = dealt(height)
+        where = (
+            v.depth, v.turn, v.eye, v.lens, self.surface, self.deep, self._origin, self._spacing
+        )  # fmt: skip
+        if self.config.water_geometry == "spheres":
+            paperwater.meet_spheres(*where, hit, self.coverage, count)
+        else:
+            hard = self.config.coverage == "hard"
+            cover = (paperwater.LEAST_WATER,) * 2 if hard else self.config.water_coverage
+            optics.meet_water(
+                *where, self._highest, turn, np.array(cover, np.float32), hard,
+                hit, self.coverage, count,
+            )  # fmt: skip
+        self._list(count, hit, turn)
+
+    def _list(self, count, hit, turn):
+        n, v = int(count.sum()), self.view
+        self.pixel, self.record = np.empty(n, np.int32), np.empty((n, optics.RECORD), np.float32)
+        self.light, self.source = np.empty((n, 3), np.float32), np.empty(n, np.uint8)
+        if n:
+            optics.list_water(
+                hit, self.coverage, np.cumsum(count) - count, turn, v.turn, v.eye, v.lens,
+                self.deep, self.exposure, self._origin, self._spacing, self.pixel, self.record,
+            )  # fmt: skip
+        self._groups = None
+
+    def _reflect(self, draw_mirrored, environment, timer):
+        """Fill in the mirrored light of every record."""
+        name = self.config.reflections
+        if self._groups is None:
+            self._groups = group_levels(self.record[:, 2], name)
+            self._window = self._mirror_window()
+        mirrors, rest = self._groups
+        kept, self._mirrors = self._mirrors, {}
+        for level, _ in mirrors:
+            key = (level, *self._window)
+            self._mirrors[key] = kept[key] if key in kept else draw_mirrored(level, self._window)
+        timer.mark("mirror")
+        v = self.view
+        for level, which in mirrors:
+            picture, depth, lens = self._mirrors[level, *self._window]
+            reflect.mirror_light(
+                which, self.record, v.turn, v.eye, lens, np.float32(level), picture, depth,
+                self.light, self.source,
+            )  # fmt: skip
+        if len(rest):
+            self._march(rest, environment)
+        timer.mark("reflection")
+
+    def _march(self, which, environment):
+        v, paper = self.view, self.config.reflections == "paper"
+        if self._tall is None:
+            self._tall = np.empty_like(v.depth)
+            reflect.keep_tall(v.depth, v.clearance, self._tall)
+        thickness = paperwater.EPSILON if paper else REFLECTION_THICKNESS
+        stride = max(1.0, v.depth.shape[1] / 960)
+        settings = np.array([thickness, stride, REFLECTION_LENGTH], np.float32)
+        (paperwater.paper_light if paper else reflect.march_light)(
+            which, self.record, v.picture, self._tall, v.turn, v.eye, v.lens, environment,
+            settings, self.light, self.source,
+        )  # fmt: skip
+
+    def _mirror_window(self):
+        """Return left, top, right and bottom of the part of the picture that water mirrors [px]."""
+        height, width = self.view.depth.shape
+        if not len(self.pixel):
+            return 0, 0, width, height
+        rows, columns = np.divmod(self.pixel, width)
+        across, down = (2 * WINDOW_SLOPE * float(f) for f in self.view.lens[:2])
+        step = WINDOW_STEP
+        return (
+            max(int((columns.min() - across) // step * step), 0),
+            max(int((rows.min() - down) // step * step), 0),
+            min(int(-(-(columns.max() + 1 + across) // step) * step), width),
+            min(int(-(-(rows.max() + 1 + down) // step) * step), height),
+        )
+
+
+def _restore(picture, pixel, shown):
+    """Put the picture without water back where the last frame's water was."""
+    shown.reshape(-1, 3)[pixel] = picture.reshape(-1, 3)[pixel]
+
+
+def group_levels(height, name):
+    """Share out water pixels between mirrors.
+
+    Parameters
+    ----------
+    height : ndarray of shape (n,), float32 [m]
+        Of the water in each pixel.
+    name : str
+        A name of reflections: "mirror" takes one mirror for all, "auto" one for each level at
+        which much of the water stands, others none.
+
+    Returns
+    -------
+    mirrors : list of (float [m], ndarray of int64)
+        Level of each mirror and the pixels that it serves.
+    rest : ndarray of int64
+        The other pixels.
+    """
+    everything = np.arange(len(height))
+    if name not in ("mirror", "auto") or not len(height):
+        return [], everything
+    lowest = float(height.min())
+    place = ((height - lowest) / LEVEL_STEP).astype(np.int64)
+    count = np.bincount(place)
+    wide = int(MIRROR_SPREAD / LEVEL_STEP)
+    left, mirrors = np.ones(len(height), bool), []
+    for _ in range(MOST_MIRRORS if name == "auto" else 1):
+        if count.sum() < LEAST_SHARE * len(height):
+            break
+        sums = np.convolve(count, np.ones(wide, np.int64))[wide - 1 :]
+        first = int(np.argmax(sums))
+        inside = count[first : first + wide].cumsum()
+        if inside[-1] < LEAST_SHARE * len(height):
+            break
+        middle = first + int(np.searchsorted(inside, inside[-1] / 2))
+        level = round((lowest + (middle + 0.5) * LEVEL_STEP) / LEVEL_STEP) * LEVEL_STEP
+        mine = left & (place >= first) & (place < first + wide)
+        mirrors.append((level, everything if name == "mirror" else np.flatnonzero(mine)))
+        left &= ~mine
+        count[first : first + wide] = 0
+    return mirrors, everything[left] if name == "auto" else everything[:0]
