@@ -43,13 +43,24 @@ def sh_basis(direction, bands):
 
 
 def splat_image(splats, camera, near=0.01):
-    """Blend splats in order of depth, each over every pixel; return colour, alpha, mean depth."""
+    """Return colour, alpha and mean depth of `splat_layers`."""
+    layers = splat_layers(splats, camera, near)
+    return layers["color"], layers["alpha"], layers["depth"]
+
+
+def splat_layers(splats, camera, near=0.01, drop_last=False):
+    """Blend splats in order of depth, each over every pixel; return all layers by name."""
     height, width = camera.height, camera.width
     view, turn = camera.camera_from_world, camera.camera_from_world[:3, :3]
     column, row = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
     color = np.zeros((height, width, 3))
     depth = np.zeros((height, width))
     clear = np.ones((height, width))
+    median = np.full((height, width), np.inf)
+    hit = np.full((height, width), -1)
+    normal = np.zeros((height, width, 3))
+    distance = np.zeros((height, width))
+    ended = np.zeros((height, width), bool)
     position = np.asarray(splats.position, float) @ turn.T + view[:3, 3]
     bands = int(np.sqrt(splats.sh.shape[1]))
     for s in np.argsort(position[:, 2], kind="stable"):
@@ -81,10 +92,35 @@ def splat_image(splats, camera, near=0.01):
         alpha[alpha < 1 / 255] = 0
         basis = sh_basis(direction, bands)
         shade = np.maximum(basis @ np.asarray(splats.sh[s], float) + 0.5, 0)
+        alpha[ended] = 0
+        if drop_last:
+            ended |= (alpha > 0) & (clear * (1 - alpha) <= 1e-4)
+            alpha[ended] = 0
         weight = alpha * clear
         color += weight[..., None] * shade
         depth += weight * z
+        axis = turn @ quaternion_matrix(splats.rotation[s])[:, np.argmin(splats.scale[s])]
+        towards = axis[2] if camera.orthographic else axis @ position[s]
+        axis = -axis if towards > 0 else axis
+        normal += weight[..., None] * axis
+        distance += weight * (axis @ position[s])
+        half = (clear > 0.5) & (clear - weight <= 0.5)
+        median[half], hit[half] = z, s
         clear -= weight
     alpha = 1 - clear
     with np.errstate(invalid="ignore", divide="ignore"):
-        return color, alpha, np.where(alpha >= 0.02, depth / alpha, np.inf)
+        depth = np.where(alpha >= 0.02, depth / alpha, np.inf)
+        rays = np.stack([(column - camera.cx) / camera.fx, (row - camera.cy) / camera.fy], -1)
+        flat = np.einsum("ijk,ijk->ij", normal[..., :2], rays)
+        if camera.orthographic:
+            along, plane = normal[..., 2], (distance - flat) / normal[..., 2]
+        else:
+            along = flat + normal[..., 2]
+            plane = distance / along
+        usable = along <= -0.02 * alpha
+        usable &= camera.orthographic | (np.abs(plane - depth) < 0.2 * depth)
+        return {
+            "color": color, "alpha": alpha, "depth": depth, "median": median, "hit": hit,
+            "plane_depth": np.where(usable, plane, depth),
+            "normal": normal / np.linalg.norm(normal, axis=-1, keepdims=True),
+        }  # fmt: skip

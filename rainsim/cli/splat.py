@@ -32,17 +32,27 @@ SIDES = (1, 16384)  # px
 @click.option("--depth", type=click.Choice(["expected", "median", "plane"]), default="expected",
               show_default=True, help="Mean of the centres, the half-way splat, or the ray's "
               "meeting with the blended plane.")  # fmt: skip
+@click.option(
+    "--background",
+    type=Numbers("r,g,b"),
+    default=(0.0, 0.0, 0.0),
+    help="Colour behind the splats, 0 to 1, display-referred. [default: 0,0,0]",
+)
+@click.option("--hit", is_flag=True, help="Add to FILE.npz the splat at which half of the light "
+              "is stopped, int32, -1 for none: its place in the file.")  # fmt: skip
 @click.option("--compensate", is_flag=True, help="Weaken splats below a pixel, as Mip-Splatting.")
 @click.option("--out", "-o", type=FILE, required=True, metavar="FILE.png|FILE.npz",
               help="Picture, or float32 arrays rgb, alpha, depth, normal.")  # fmt: skip
 @click.option("--overwrite", is_flag=True, help="Replace the file if it exists.")
 @click.option("--threads", type=int, metavar="N", show_default="all cores", help="Threads.")
 @options.json_option
-def splat(scene, out, overwrite, threads, as_json, depth, compensate, **given):
+def splat(scene, out, overwrite, threads, as_json, **given):
     """Draw the dry capture SCENE from a camera, without looking for its ground.
 
-    Arrays: rgb (height, width, 3) display-referred over black; alpha; depth in capture units,
-    infinite where nothing is; normal in the capture frame, zero where nothing is.
+    Arrays: rgb (height, width, 3) display-referred over the background; alpha; depth in capture
+    units, infinite where nothing is; normal in the capture frame, zero where nothing is. As in the
+    codes that train captures, a splat that would bring a pixel's transmittance under 1e-4 is left
+    out.
 
     \b
     Example:
@@ -58,6 +68,8 @@ def splat(scene, out, overwrite, threads, as_json, depth, compensate, **given):
         raise ParameterError(f"{out} exists; it is kept; give --overwrite or another --out")
     if not out.parent.is_dir():
         raise ParameterError(f"the folder {out.parent} does not exist; make it first")
+    if given["hit"] and out.suffix.lower() != ".npz":
+        raise ParameterError(f"--hit goes with --out FILE.npz, not {out}; leave it out")
     _check(given)
     import numpy as np
 
@@ -67,7 +79,10 @@ def splat(scene, out, overwrite, threads, as_json, depth, compensate, **given):
     nowhere = GroundFrame(np.eye(3), 1.0, np.zeros(3))  # drawing needs no ground
     capture = load_scene(scene, cameras=given["cameras"], ground_frame=nowhere)
     camera = _camera(capture, given)
-    layers, milliseconds = draw(capture, camera, depth, compensate)
+    layers, milliseconds = draw(
+        capture, camera, given["depth"], compensate=given["compensate"],
+        background=given["background"], hit=given["hit"],
+    )  # fmt: skip
     _write(Path(out), layers, camera)
     facts = {
         "out": str(out), "camera": camera.name, "width": camera.width, "height": camera.height,
@@ -85,7 +100,10 @@ def splat(scene, out, overwrite, threads, as_json, depth, compensate, **given):
 
 
 def _check(given):
-    """Raise ParameterError if the camera options contradict each other."""
+    """Raise ParameterError if the camera options contradict each other or a colour is none."""
+    if not all(0 <= channel <= 1 for channel in given["background"]):
+        shown = ",".join(f"{channel:g}" for channel in given["background"])
+        raise ParameterError(f"--background is {shown}; it must be r,g,b from 0 to 1 each")
     if (given["eye"] is None) != (given["look_at"] is None):
         raise ParameterError("--eye and --look-at go together; give both")
     if given["eye"] is not None and given["camera"] is not None:
@@ -137,7 +155,7 @@ def _up(capture, given):
     return np.mean([camera.image_up for camera in capture.cameras], axis=0)
 
 
-def draw(capture, camera, depth="expected", compensate=False):
+def draw(capture, camera, depth="expected", **options):
     """Return the layers that a camera sees, with `depth` as the mode asks, and milliseconds."""
     import time
 
@@ -146,7 +164,7 @@ def draw(capture, camera, depth="expected", compensate=False):
     drawer = Rasterizer(prepare(capture.splats))
     begin = time.perf_counter()
     mode = "median" if depth == "median" else "expected"
-    layers = drawer.draw(camera, NEAR, depth=mode, compensate=compensate)
+    layers = drawer.draw(camera, NEAR, depth=mode, drop_last=True, **options)
     milliseconds = (time.perf_counter() - begin) * 1e3
     if depth == "plane":
         layers = replace(layers, depth=layers.plane_depth)
@@ -163,7 +181,8 @@ def _write(out, layers, camera):
         image.write_png(out, shown.astype(np.uint8))
         return
     normal = layers.normal @ camera.camera_from_world[:3, :3].astype(np.float32)
+    hit = {} if layers.hit is None else {"hit": layers.hit}
     image.write_npz(
         out, rgb=layers.color, alpha=layers.alpha, depth=layers.depth,
-        normal=np.ascontiguousarray(normal, dtype=np.float32),
+        normal=np.ascontiguousarray(normal, dtype=np.float32), **hit,
     )  # fmt: skip

@@ -14,16 +14,16 @@ is that of its centre. A block of 4 x 4 pixels stops when each lets less than 1e
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rainsim.errors import require_choice
+from rainsim.errors import ParameterError, require_choice
 from rainsim.jit import get_num_threads
 from rainsim.raster.blend import blend_tiles
 from rainsim.raster.prepared import LANES, PreparedSplats, prepare, select
 from rainsim.raster.project import BLOCKS, NO_PLANE, RECORD, TILE, find_chunks, project_chunks
-from rainsim.raster.tiles import list_tiles, tile_starts
+from rainsim.raster.tiles import RECORD_BITS, list_tiles, tile_starts
 
 __all__ = ["Layers", "PreparedSplats", "Rasterizer", "prepare", "rasterize", "select"]
 
@@ -35,7 +35,7 @@ class Layers:
     Attributes
     ----------
     color : ndarray of shape (height, width, 3), float32
-        Display-referred, over black (multiplied by alpha).
+        Display-referred, over black (multiplied by alpha) or the background asked for.
     alpha : ndarray of shape (height, width), float32
     depth : ndarray of shape (height, width), float32 [world units]
         Depth along the camera's z axis: the mean over the splats' centres, weighted as the colour
@@ -46,6 +46,9 @@ class Layers:
         2024, eq. 4): exact on flat surfaces. Equals `depth` where the plane is seen edge-on.
     normal : ndarray of shape (height, width, 3), float32
         Unit, camera frame, towards the camera; zero where there is no depth.
+    hit : ndarray of shape (height, width), int32, or None
+        If asked for: index, in the scene that was prepared, of the splat at which half of the light
+        is stopped; -1 where alpha never reaches a half.
     """
 
     color: np.ndarray
@@ -53,6 +56,7 @@ class Layers:
     depth: np.ndarray
     plane_depth: np.ndarray
     normal: np.ndarray
+    hit: np.ndarray | None = None
 
 
 class Rasterizer:
@@ -67,9 +71,13 @@ class Rasterizer:
         self.prepared = prepared
         self._record = np.empty((0, RECORD), np.float32)
         self._box = np.empty((0, 4), np.int16)
+        self._lane = np.empty(0, np.uint8)
         self._entry = np.empty(0, np.uint64)
 
-    def draw(self, camera, near, plane=None, depth="expected", compensate=False, degree=None):
+    def draw(
+        self, camera, near, plane=None, depth="expected", compensate=False, degree=None,
+        background=(0, 0, 0), hit=False, drop_last=False,
+    ):  # fmt: skip
         """Return the `Layers` that `camera` sees; the same bytes for any number of threads.
 
         Parameters
@@ -85,14 +93,54 @@ class Rasterizer:
             Weaken splats that the low-pass widens, as Mip-Splatting does.
         degree : int, optional
             Highest degree of spherical harmonics used; all by default.
+        background : array_like of shape (3,)
+            Display-referred colour behind all splats.
+        hit : bool
+            Also tell each pixel's splat; costs nothing if `depth` is "median", else one more
+            blending.
+        drop_last : bool
+            Leave out, as gsplat and the original code do, the splat that would bring a pixel's
+            transmittance under 1e-4, and all behind it, however bright.
         """
         require_choice("depth", depth, ("expected", "median"))
         height, width = camera.height, camera.width
-        across, down = -(-width // TILE), -(-height // TILE)
-        view = np.ascontiguousarray(camera.camera_from_world, dtype=np.float32)
-        eye = (camera.forward if camera.orthographic else camera.position).astype(np.float32)
         lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float32)
-        size = np.array([width, height], np.float32)
+        flat = bool(camera.orthographic)
+        background = np.asarray(background, np.float32)
+        chunks, start = self._list(camera, lens, near, plane, bool(compensate), degree)
+        down = -(-height // TILE)
+        threads = get_num_threads()
+        turn = np.concatenate([np.arange(first, down, threads) for first in range(threads)])
+
+        def blend(halfway):
+            layers = Layers(
+                np.empty((height, width, 3), np.float32),
+                np.empty((height, width), np.float32),
+                np.empty((height, width), np.float32),
+                np.empty((height, width), np.float32),
+                np.empty((height, width, 3), np.float32),
+            )
+            half = np.empty(height * width if halfway else 0, np.uint32)
+            blend_tiles(
+                self._record, self._entry, start, turn, height, width, lens, flat, background,
+                halfway, bool(drop_last), layers.color.ravel(), layers.alpha.ravel(),
+                layers.depth.ravel(), layers.plane_depth.ravel(), layers.normal.ravel(), half,
+            )  # fmt: skip
+            return layers, half
+
+        layers, half = blend(depth == "median")
+        if hit:
+            half = half if depth == "median" else blend(True)[1]
+            layers = replace(layers, hit=self._splats(half, chunks).reshape(height, width))
+        return layers
+
+    def _list(self, camera, lens, near, plane, compensate, degree):
+        """Project what is in sight and list it tile by tile; return chunks and lists' starts."""
+        across, down = -(-camera.width // TILE), -(-camera.height // TILE)
+        view = np.ascontiguousarray(camera.camera_from_world, dtype=np.float32)
+        deep = np.ascontiguousarray(camera.camera_from_world[2], dtype=np.float64)
+        eye = (camera.forward if camera.orthographic else camera.position).astype(np.float32)
+        size = np.array([camera.width, camera.height], np.float32)
         plane = NO_PLANE if plane is None else np.asarray(plane, np.float32)
         near, flat = np.float32(near), bool(camera.orthographic)
         p = self.prepared
@@ -104,34 +152,34 @@ class Rasterizer:
         count = np.zeros((BLOCKS, across * down), np.int64)
         stored = int(np.sqrt(p.sh.shape[1] // (3 * LANES))) - 1
         project_chunks(
-            p.geometry, p.sh, chunks, view, eye, lens, size, near, plane, flat, bool(compensate),
+            p.geometry, p.sh, chunks, view, deep, eye, lens, size, near, plane, flat, compensate,
             stored if degree is None else min(degree, stored), across,
-            self._record, self._box, visible, count,
+            self._record, self._box, self._lane, visible, count,
         )  # fmt: skip
         start = tile_starts(count)
         if start[-1] > len(self._entry):
             self._entry = np.empty(int(start[-1] * 1.1), np.uint64)
         list_tiles(self._record, self._box, visible, across, count, self._entry)
-        layers = Layers(
-            np.empty((height, width, 3), np.float32),
-            np.empty((height, width), np.float32),
-            np.empty((height, width), np.float32),
-            np.empty((height, width), np.float32),
-            np.empty((height, width, 3), np.float32),
-        )
-        threads = get_num_threads()
-        turn = np.concatenate([np.arange(first, down, threads) for first in range(threads)])
-        blend_tiles(
-            self._record, self._entry, start, turn, height, width, lens, flat, depth == "median",
-            layers.color.ravel(), layers.alpha.ravel(), layers.depth.ravel(),
-            layers.plane_depth.ravel(), layers.normal.ravel(),
-        )  # fmt: skip
-        return layers
+        return chunks, start
+
+    def _splats(self, half, chunks):
+        """Return the scene's splats behind records that `blend_tiles` told, -1 for none."""
+        hit = np.full(len(half), -1, np.int32)
+        pixels = np.flatnonzero(half)
+        record = half[pixels].astype(np.int64) - 1
+        hit[pixels] = self.prepared.order[chunks[record // LANES] * LANES + self._lane[record]]
+        return hit
 
     def _make_room(self, places):
+        if places > 1 << RECORD_BITS:
+            raise ParameterError(
+                f"{places} splats are in sight; they must be {1 << RECORD_BITS} at most; "
+                "take a part of the scene"
+            )
         if places > len(self._record):
             self._record = np.empty((places, RECORD), np.float32)
             self._box = np.empty((places, 4), np.int16)
+            self._lane = np.empty(places, np.uint8)
 
 
 def rasterize(prepared, camera, near=0.01, **options):

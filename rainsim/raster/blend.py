@@ -9,7 +9,7 @@ import numpy as np
 from rainsim.jit import cpu_kernel, device_function, inlined_function, prange
 from rainsim.raster.lanes import CHANNELS, LANES, blend_lanes, lowest_bit, meets_blocks, prefetch
 from rainsim.raster.project import TILE
-from rainsim.raster.tiles import DIGITS, sort_keys
+from rainsim.raster.tiles import DIGITS, RECORD_MASK, sort_keys
 
 SIDE = 4  # px of a block: sixteen pixels, one vector
 SHIFT = 2  # log2 of the side
@@ -17,7 +17,6 @@ ROW = TILE // SIDE  # blocks across a tile
 BLOCKS = ROW * ROW
 BATCH = 128  # entries that are dealt to the blocks before these blend
 AHEAD = 12  # entries by which records are fetched before they are read
-LOW_WORD = np.uint64(0xFFFFFFFF)
 
 TRANSMITTANCE_STOP = np.float32(1e-4)  # what is behind cannot change an 8-bit image
 MIN_COVERAGE = np.float32(0.02)  # alpha below which a pixel has no depth
@@ -48,8 +47,8 @@ def deal(entry, record, begin, end, left, top, is_open, chosen_out, count_out):
     x, y = np.float32(left + SIDE // 2), np.float32(top + SIDE // 2)
     for k in range(begin, end):
         if k + AHEAD < len(entry):
-            prefetch(record, np.int64(entry[k + AHEAD] & LOW_WORD))
-        o = np.int64(entry[k] & LOW_WORD)
+            prefetch(record, np.int64(entry[k + AHEAD] & RECORD_MASK))
+        o = np.int64(entry[k] & RECORD_MASK)
         blocks = meets_blocks(record, o, x, y) & wanted
         while blocks != 0:
             block = lowest_bit(blocks)
@@ -61,14 +60,15 @@ def deal(entry, record, begin, end, left, top, is_open, chosen_out, count_out):
 
 @cpu_kernel
 def blend_tiles(
-    record, entry, start, turn, height, width, lens, orthographic, median,
-    color_out, alpha_out, depth_out, plane_out, normal_out,
+    record, entry, start, turn, height, width, lens, orthographic, background, halfway, drop_last,
+    color_out, alpha_out, depth_out, plane_out, normal_out, half_out,
 ):  # fmt: skip
     """Sort each tile's list, blend it front to back and write the tile's pixels.
 
     `turn` holds the rows of tiles in the order in which loop iterations take them: neighbours share
     splats, so a thread goes along a row, and rows are shared out so that threads end together.
-    The outputs are flat.
+    The outputs are flat. `halfway` asks for the record that stops half of the light: its depth is
+    written as the pixel's, and one more than its number to `half_out`, 0 where there is none.
     """
     across = (width + TILE - 1) // TILE
     tiles = len(start) - 1
@@ -105,17 +105,23 @@ def blend_tiles(
                     x = np.float32(left + block % ROW * SIDE) + HALF
                     y = np.float32(top + block // ROW * SIDE) + HALF
                     first, last = block * BATCH, block * BATCH + count[block]
-                    if median:
-                        blend_lanes(record, chosen, first, last, state, at, x, y, 1)
+                    if drop_last and halfway:
+                        blend_lanes(record, chosen, first, last, state, at, x, y, 1, 1)
+                    elif drop_last:
+                        blend_lanes(record, chosen, first, last, state, at, x, y, 0, 1)
+                    elif halfway:
+                        blend_lanes(record, chosen, first, last, state, at, x, y, 1, 0)
                     else:
-                        blend_lanes(record, chosen, first, last, state, at, x, y, 0)
+                        blend_lanes(record, chosen, first, last, state, at, x, y, 0, 0)
                     clearest = ZERO
                     for i in range(LANES):
                         clearest = max(clearest, state[at + i])
                     is_open[block] = clearest > TRANSMITTANCE_STOP
                     any_open |= is_open[block]
+            if halfway:
+                write_halves(state, record, top, left, height, width, half_out)
             write_tile(
-                state, top, left, height, width, lens, orthographic, median,
+                state, top, left, height, width, lens, orthographic, background, halfway,
                 color_out, alpha_out, depth_out, plane_out, normal_out,
             )  # fmt: skip
 
@@ -143,29 +149,50 @@ def finish_pixel(alpha, z, nx, ny, nz, distance, a, b, orthographic, median):
 
 
 @device_function
-def finish_block(rows, x, y, lens, orthographic, median):
-    """Turn what a block's pixels have gathered into depths and unit normals; in place.
+def write_halves(state, record, top, left, height, width, half_out):
+    """Write which records stop half of the light; put their depths in the depth rows."""
+    bits = state.view(np.uint32)
+    for block in range(BLOCKS):
+        for i in range(LANES):
+            at = (block * CHANNELS + 4) * LANES + i
+            number = bits[at]
+            state[at] = record[number - 1, 9] if number > 0 else ZERO
+            row = top + block // ROW * SIDE + (i >> SHIFT)
+            column = left + block % ROW * SIDE + (i & SIDE - 1)
+            if row < height and column < width:
+                half_out[row * width + column] = number
 
-    Row 0 becomes alpha, row 4 the depth, rows 5 to 7 the normal, row 8 the plane depth.
+
+@device_function
+def finish_block(rows, x, y, lens, orthographic, background, halfway):
+    """Turn what a block's pixels have gathered into colours, depths and unit normals; in place.
+
+    Row 0 becomes alpha, rows 1 to 3 get the background's share, row 4 becomes the depth, rows 5 to
+    7 the normal, row 8 the plane depth.
     """
     fx, fy = ONE / lens[0], ONE / lens[1]
+    red, green, blue = background[0], background[1], background[2]
     x, y = x - lens[2], y - lens[3]
     for i in range(LANES):
-        alpha = ONE - rows[i]
+        clear = abs(rows[i])  # negative in pixels that `drop_last` has ended
+        alpha = ONE - clear
         z, n0, n1, n2, plane = finish_pixel(
             alpha, rows[4 * LANES + i], rows[5 * LANES + i], rows[6 * LANES + i],
             rows[7 * LANES + i], rows[8 * LANES + i],
             (x + np.float32(i & SIDE - 1)) * fx, (y + np.float32(i >> SHIFT)) * fy,
-            orthographic, median,
+            orthographic, halfway,
         )  # fmt: skip
         rows[i] = alpha
+        rows[1 * LANES + i] += clear * red
+        rows[2 * LANES + i] += clear * green
+        rows[3 * LANES + i] += clear * blue
         rows[4 * LANES + i], rows[8 * LANES + i] = z, plane
         rows[5 * LANES + i], rows[6 * LANES + i], rows[7 * LANES + i] = n0, n1, n2
 
 
 @device_function
 def write_tile(
-    state, top, left, height, width, lens, orthographic, median,
+    state, top, left, height, width, lens, orthographic, background, halfway,
     color_out, alpha_out, depth_out, plane_out, normal_out,
 ):  # fmt: skip
     """Write the tile's pixels."""
@@ -173,7 +200,7 @@ def write_tile(
         x, y = np.float32(left + block % ROW * SIDE), np.float32(top + block // ROW * SIDE)
         at = block * CHANNELS * LANES
         rows = state[at : at + CHANNELS * LANES]  # indices from 0: no look for negative ones
-        finish_block(rows, x + HALF, y + HALF, lens, orthographic, median)
+        finish_block(rows, x + HALF, y + HALF, lens, orthographic, background, halfway)
     # Unsigned, or numba would look for negative indices at each access.
     for j in range(np.uint64(min(TILE, height - top))):
         first = (np.uint64(top) + j) * np.uint64(width) + np.uint64(left)

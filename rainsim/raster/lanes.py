@@ -14,12 +14,15 @@ LANES = 16
 CHANNELS = 9  # transmittance; colour (3), depth, normal (3), plane distance
 FLAGS = ("contract", "nsz", "arcp", "reassoc")
 
+LAST_LIGHT = 1e-4  # transmittance under which the training codes let no splat take a pixel
 MAX_ALPHA = 0.999  # gsplat 1.5; the original code has 0.99
 # 2^x on [-1.02, 0], Chebyshev interpolation of degree 5; the eighth power of it is within 1.3e-6.
 EXP2 = (0.999999937, 0.693142739, 0.240175324, 0.0552866627, 0.00919464691, 0.000940499363)
 
 _float = ir.FloatType()
 _vector = ir.VectorType(_float, LANES)
+_word = ir.IntType(32)
+_words = ir.VectorType(_word, LANES)
 _int = ir.IntType(64)
 
 
@@ -44,9 +47,9 @@ class _Tools:
 
     def copies(self, number):
         """Sixteen copies of a number."""
-        undefined = ir.Constant(_vector, ir.Undefined)
-        single = self.builder.insert_element(undefined, number, ir.Constant(ir.IntType(32), 0))
-        mask = ir.Constant(ir.VectorType(ir.IntType(32), LANES), [0] * LANES)
+        undefined = ir.Constant(ir.VectorType(number.type, LANES), ir.Undefined)
+        single = self.builder.insert_element(undefined, number, ir.Constant(_word, 0))
+        mask = ir.Constant(_words, [0] * LANES)
         return self.builder.shuffle_vector(single, undefined, mask)
 
     def spread(self, c):
@@ -115,7 +118,7 @@ def lowest_bit(typingctx, bits):
 
 
 @intrinsic
-def blend_lanes(typingctx, record, chosen, first, last, state, at, x, y, median):
+def blend_lanes(typingctx, record, chosen, first, last, state, at, x, y, halfway, drop):
     """Blend the splats record[chosen[first:last]] into sixteen pixels, front to back.
 
     Parameters
@@ -129,12 +132,16 @@ def blend_lanes(typingctx, record, chosen, first, last, state, at, x, y, median)
     at : int64
     x, y : float32
         Image point of the first pixel; the others follow in rows of four.
-    median : literal int
-        1: the depth row gets the depth of the splat that brings the transmittance to 0.5.
+    halfway : literal int
+        1: the depth row gets, as bits, one more than the number of the record that brings the
+        transmittance to 0.5.
+    drop : literal int
+        1: a splat that would bring the transmittance to LAST_LIGHT is left out, and the pixel ends:
+        its transmittance is negative from then on.
     """
-    if not isinstance(median, types.IntegerLiteral):
+    if not all(isinstance(rule, types.IntegerLiteral) for rule in (halfway, drop)):
         return None
-    use_median = bool(median.literal_value)
+    find_half, drop_last = halfway.literal_value, drop.literal_value
 
     def codegen(context, builder, signature, arguments):
         def pointer(k):
@@ -175,15 +182,15 @@ def blend_lanes(typingctx, record, chosen, first, last, state, at, x, y, median)
         rows = [builder.phi(_vector) for _ in range(CHANNELS)]
         for phi, value in zip(rows, initial, strict=True):
             phi.add_incoming(value, entry)
-        splat = builder.zext(builder.load(builder.gep(chosen_at, [k])), _int)
-        tools.base = builder.mul(splat, ir.Constant(_int, 16))
+        splat = builder.load(builder.gep(chosen_at, [k]))
+        tools.base = builder.mul(builder.zext(splat, _int), ir.Constant(_int, 16))
 
         dx, dy = sub(px, spread(0)), sub(py, spread(1))
         along = mul(dx, add(mul(spread(2), dx), mul(spread(3), dy)))
         power = sub(sub(spread(5), along), mul(spread(4), mul(dy, dy)))
         above = builder.fcmp_ordered(">=", power, _constant(MIN_ALPHA_LOG2 / 8))
-        e = _constant(EXP2[5])  # below the threshold this may be anything: it is not selected
-        for c in EXP2[4::-1]:
+        e = _constant(EXP2[-1])  # below the threshold this may be anything: it is not selected
+        for c in EXP2[-2::-1]:
             e = add(mul(e, power), _constant(c))
         e = mul(e, e)
         e = mul(e, e)
@@ -194,17 +201,24 @@ def blend_lanes(typingctx, record, chosen, first, last, state, at, x, y, median)
         weight = mul(alpha, rows[0])
         clear = sub(rows[0], weight)
         after = [clear]
+        if drop_last:
+            kept = builder.fcmp_ordered(">", clear, _constant(LAST_LIGHT))
+            weight = builder.select(kept, weight, _constant(0))
+            sign = ir.Constant(_words, [1 << 31] * LANES)
+            ended = builder.or_(builder.bitcast(rows[0], _words), sign)
+            after = [builder.select(kept, clear, builder.bitcast(ended, _vector))]
         for c in range(1, CHANNELS):
-            number = spread(5 + c)
-            if c == 4 and use_median:
+            if c == 4 and find_half:
                 half = _constant(0.5)
                 crossed = builder.and_(
                     builder.fcmp_ordered(">", rows[0], half),
                     builder.fcmp_ordered("<=", clear, half),
                 )
+                number = tools.copies(builder.add(splat, ir.Constant(_word, 1)))
+                number = builder.bitcast(number, _vector)
                 after.append(builder.select(crossed, number, rows[c]))
             else:
-                after.append(add(rows[c], mul(weight, number)))
+                after.append(add(rows[c], mul(weight, spread(5 + c))))
         following = builder.add(k, ir.Constant(_int, 1))
         k.add_incoming(following, loop)
         for phi, value in zip(rows, after, strict=True):
@@ -222,4 +236,4 @@ def blend_lanes(typingctx, record, chosen, first, last, state, at, x, y, median)
             builder.store(value, place).align = 4
         return context.get_dummy_value()
 
-    return types.void(*[record, chosen, first, last, state, at, x, y, median]), codegen
+    return types.void(*[record, chosen, first, last, state, at, x, y, halfway, drop]), codegen

@@ -290,7 +290,7 @@ def color_chunk(g, sh, eye, orthographic, bands, s):
 
 @device_function
 def write_records(
-    g, s, view, orthographic, across, place, record_out, box_out, count_out
+    g, s, view, deep, orthographic, across, place, record_out, box_out, lane_out, count_out
 ):  # fmt: skip
     """Write the seen splats of a chunk one after the other; return their number."""
     v00, v01, v02 = view[0, 0], view[0, 1], view[0, 2]
@@ -305,7 +305,10 @@ def write_records(
         r[2], r[3], r[4] = s[CONIC_A + i], s[CONIC_B + i], s[CONIC_C + i]
         r[5], r[14] = s[LEVEL + i] * EIGHTH, s[SPREAD + i]
         r[6], r[7], r[8] = s[RED + i], s[GREEN + i], s[BLUE + i]
-        r[9] = s[Z + i]
+        # What rounding took from the depth: splats are put in order by the sum.
+        exact = deep[0] * g[i] + deep[1] * g[1 * LANES + i] + deep[2] * g[2 * LANES + i] + deep[3]
+        r[9], r[15] = s[Z + i], np.float32(exact - np.float64(s[Z + i]))
+        lane_out[o] = i
         r[10], r[11], r[12], r[13] = facing_normal(
             g[9 * LANES + i], g[10 * LANES + i], g[11 * LANES + i], s[X + i], s[Y + i], s[Z + i],
             v00, v01, v02, v10, v11, v12, v20, v21, v22, orthographic,
@@ -329,14 +332,15 @@ def find_chunks(box, view, lens, size, near, plane, orthographic, seen_out):
 
 @cpu_kernel
 def project_chunks(
-    geometry, sh, chunks, view, eye, lens, size, near, plane, orthographic, compensate, degree,
-    across, record_out, box_out, visible_out, count_out,
+    geometry, sh, chunks, view, deep, eye, lens, size, near, plane, orthographic, compensate,
+    degree, across, record_out, box_out, lane_out, visible_out, count_out,
 ):  # fmt: skip
     """Project the splats of the listed chunks and count those that each tile meets.
 
     The visible splats of the k-th listed chunk are written from place 256 k on. Record: u, v, conic
     (3) and opacity as eighths of log2, colour (3), depth, normal (3), plane distance, reach for
-    blocks. Box: first and last column and row.
+    blocks, what rounding took from the depth. Box: first and last column and row. Lane: the splat's
+    place in its chunk. `deep` is the third row of `view` in float64.
     """
     n = len(chunks)
     for block in prange(BLOCKS):
@@ -353,5 +357,6 @@ def project_chunks(
                 continue
             color_chunk(g, sh[chunks[k]], eye, orthographic, degree + 1, s)
             visible_out[k] = write_records(
-                g, s, view, orthographic, across, k * LANES, record_out, box_out, count
-            )
+                g, s, view, deep, orthographic, across, k * LANES,
+                record_out, box_out, lane_out, count,
+            )  # fmt: skip

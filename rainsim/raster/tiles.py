@@ -12,6 +12,11 @@ FEW = 48  # entries up to which insertion beats the radix sort
 DIGIT_BITS = 8
 DIGITS = 1 << DIGIT_BITS
 DIGIT = np.uint64(DIGITS - 1)
+# An entry of a tile's list: the depth's highest 38 bits as float64, without its sign, then the
+# record's number. With fewer, splats a millionth of their depth apart would change places.
+RECORD_BITS = 26
+RECORD_SHIFT = np.uint64(RECORD_BITS)
+RECORD_MASK = np.uint64((1 << RECORD_BITS) - 1)
 
 
 @serial_kernel
@@ -37,12 +42,14 @@ def list_tiles(record, box, visible, across, place, entry_out):
     `place` (blocks, tiles) holds the next free place of each block's share; modified in place.
     """
     n = len(visible)
-    bits = record.view(np.uint32)  # positive floats sort like their bits
     for block in prange(BLOCKS):
         mine = place[block]
+        depth = np.empty(1, np.float64)
+        bits = depth.view(np.uint64)  # positive floats sort like their bits
         for k in range(block * n // BLOCKS, (block + 1) * n // BLOCKS):
             for o in range(k * LANES, k * LANES + visible[k]):
-                key = np.uint64(bits[o, 9]) << np.uint64(32) | np.uint64(o)
+                depth[0] = np.float64(record[o, 9]) + np.float64(record[o, 15])
+                key = bits[0] << np.uint64(1) & ~RECORD_MASK | np.uint64(o)
                 for j in range(box[o, 2] >> TILE_SHIFT, (box[o, 3] >> TILE_SHIFT) + 1):
                     for i in range(box[o, 0] >> TILE_SHIFT, (box[o, 1] >> TILE_SHIFT) + 1):
                         tile = j * across + i
@@ -62,8 +69,8 @@ def sort_keys(key, spare, histogram, n):
         low, high = key[0], key[0]
         for i in range(n):
             low, high = min(low, key[i]), max(high, key[i])
-        span = (high - low) >> np.uint64(32)
-        shift = np.uint64(32)
+        span = (high - low) >> RECORD_SHIFT
+        shift = RECORD_SHIFT
         while span >> np.uint64(2 * DIGIT_BITS):
             span >>= np.uint64(1)
             shift += np.uint64(1)

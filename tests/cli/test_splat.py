@@ -64,6 +64,8 @@ def test_orthographic_from_above_has_one_depth_on_level_ground(folder, tmp_path)
         (["--camera", "nobody", "--out", "x.png"], "nobody"),
         (["--width", "0", "--out", "x.png"], "must be 1 to"),
         (["--out", "nowhere/x.png"], "does not exist"),
+        (["--background", "0,0,2", "--out", "x.png"], "from 0 to 1"),
+        (["--hit", "--out", "x.png"], "FILE.npz"),
     ],
 )
 def test_bad_use_is_one_line(folder, tmp_path, monkeypatch, arguments, told):
@@ -80,3 +82,31 @@ def test_an_existing_file_is_kept(folder, tmp_path):
     assert out.read_bytes() == b"precious"
     assert run(folder, "--out", out, "--overwrite").exit_code == 0
     assert out.read_bytes()[:4] == b"\x89PNG"
+
+
+def test_background_shows_where_the_splats_do_not_cover(folder, tmp_path):
+    for name, color in (("a", "0,0,0"), ("b", "0.25,0.5,1")):
+        done = run(folder, "--background", color, "-o", tmp_path / f"{name}.npz")
+        assert done.exit_code == 0, done.output
+    with np.load(tmp_path / "a.npz") as one, np.load(tmp_path / "b.npz") as two:
+        one, two = dict(one), dict(two)
+    clear = 1 - one["alpha"]
+    assert clear.max() == 1 and clear.min() < 0.01
+    np.testing.assert_allclose(
+        two["rgb"], one["rgb"] + clear[..., None] * (0.25, 0.5, 1), atol=1e-6
+    )
+    np.testing.assert_array_equal(two["depth"], one["depth"])
+
+
+def test_hits_name_splats_of_the_scene(folder, tmp_path):
+    done = run(folder, "--camera", "view_0", "--hit", "--depth", "median", "-o", tmp_path / "h.npz")
+    assert done.exit_code == 0, done.output
+    scene = tiny_scene()
+    camera = scene.cameras[0].resized(648, 486)
+    with np.load(tmp_path / "h.npz") as data:
+        hit, depth, alpha = data["hit"], data["depth"], data["alpha"]
+    assert hit.dtype == np.int32 and hit.shape == alpha.shape
+    np.testing.assert_array_equal(hit >= 0, np.isfinite(depth))
+    assert len(np.unique(hit)) > 500
+    z = scene.splats.position @ camera.camera_from_world[2, :3] + camera.camera_from_world[2, 3]
+    np.testing.assert_allclose(z[hit[hit >= 0]], depth[hit >= 0], rtol=1e-5)

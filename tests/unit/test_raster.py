@@ -74,6 +74,77 @@ def test_agrees_with_float64_blending(rng, bands, orthographic):
     assert np.percentile(np.abs(layers.depth[solid] / depth[solid] - 1), 99) < 1e-4
 
 
+@pytest.mark.parametrize("orthographic", [False, True])
+def test_depths_normals_and_hits_agree_with_float64(rng, orthographic):
+    splats = cloud(rng, 600, 1)
+    cam = camera(orthographic=orthographic, focal=9.0 if orthographic else 60.0)
+    exact = naive.splat_layers(splats, cam, 0.2)
+    prepared = raster.prepare(splats)
+    layers = raster.rasterize(prepared, cam, 0.2, hit=True)
+    halves = raster.rasterize(prepared, cam, 0.2, depth="median", hit=True)
+    solid = exact["alpha"] > 0.5
+    assert solid.mean() > 0.3
+    for got, name in (
+        (layers.depth, "depth"), (layers.plane_depth, "plane_depth"), (halves.depth, "median"),
+    ):  # fmt: skip
+        assert np.abs(got[solid] / exact[name][solid] - 1).max() < 1e-4, name
+        assert np.abs(got[solid] / exact["depth"][solid] - 1).max() > 0.01 or name == "depth"
+    across = np.linalg.norm(np.cross(layers.normal, exact["normal"]), axis=-1)[solid]
+    assert np.degrees(np.arcsin(across.max())) < 0.1
+    assert (np.einsum("ijk,ijk->ij", layers.normal, exact["normal"])[solid] > 0).all()
+    for hit in (layers.hit, halves.hit):
+        np.testing.assert_array_equal(hit, exact["hit"])
+    assert len(np.unique(layers.hit)) > 50 and layers.hit.dtype == np.int32
+    assert raster.rasterize(prepared, cam, 0.2).hit is None
+
+
+def test_background_is_blended_with_what_is_left_of_the_light(rng):
+    prepared, cam = raster.prepare(cloud(rng, 100, 1)), camera()
+    black = raster.rasterize(prepared, cam, 0.2)
+    over = raster.rasterize(prepared, cam, 0.2, background=(0.2, 0.5, 0.9))
+    clear = 1 - black.alpha
+    assert clear.max() == 1 and clear.min() < 0.1
+    np.testing.assert_allclose(over.color - black.color, clear[..., None] * (0.2, 0.5, 0.9),
+                               atol=1e-6)  # fmt: skip
+    np.testing.assert_array_equal(over.alpha, black.alpha)
+
+
+def test_the_last_splat_is_dropped_as_the_training_codes_do(rng):
+    """One opaque splat behind another would leave 1e-6 of the light; a faint one behind counts."""
+    cam = Camera(33, 33, 50.0, 50.0, 16.5, 16.5, np.eye(4))
+    parts = [one_splat((0, 0, z), (9, 9, 0.01), o, c)
+             for z, o, c in ((3, 0.99, 0.2), (4, 0.995, 1.0), (5, 0.5, 1.0))]  # fmt: skip
+    stack = Splats(*(np.concatenate([getattr(p, n) for p in parts]) for n in Splats.__slots__))
+    prepared = raster.prepare(stack)
+    plain = raster.rasterize(prepared, cam, 0.2)
+    dropped = raster.rasterize(prepared, cam, 0.2, drop_last=True, background=(1, 0, 0), hit=True)
+    at = (16, 16)
+    assert plain.alpha[at] == pytest.approx(1 - 0.01 * 0.005 * 0.5, abs=1e-6)
+    assert plain.color[at][1] == pytest.approx(0.99 * 0.2 + 0.01 * 0.995, abs=5e-5)
+    assert dropped.alpha[at] == pytest.approx(0.99, abs=1e-5)
+    assert dropped.color[at] == pytest.approx([0.99 * 0.2 + 0.01, 0.99 * 0.2, 0.99 * 0.2], abs=1e-5)
+    assert dropped.hit[at] == 0
+    splats = cloud(rng, 3000, 1)
+    splats = dataclasses.replace(splats, opacity=np.sqrt(splats.opacity))
+    exact = naive.splat_layers(splats, camera(), 0.2, drop_last=True)
+    got = raster.rasterize(raster.prepare(splats), camera(), 0.2, drop_last=True)
+    assert decibel(got.color, exact["color"]) > 90 and decibel(got.alpha, exact["alpha"]) > 90
+    assert decibel(draw(splats, camera()).color, exact["color"]) < 75
+
+
+def test_splats_a_millionth_of_their_depth_apart_keep_their_order():
+    """Float32 alone gives depths near 8 in steps of 1e-6: the order would be that of the scene."""
+    cam = dataclasses.replace(camera(), camera_from_world=np.eye(4))
+    cam.camera_from_world[2, 3] = 7.3
+    parts = [one_splat((0, 0, 0.7 + 1e-7 * k), (9, 9, 0.01), 0.9, c)
+             for k, c in ((2, 0.2), (1, 0.5), (0, 1.0))]  # fmt: skip
+    stack = Splats(*(np.concatenate([getattr(p, n) for p in parts]) for n in Splats.__slots__))
+    assert len(np.unique(stack.position[:, 2])) == 3
+    assert draw(stack, cam).color[24, 32, 0] == pytest.approx(
+        0.9 + 0.09 * 0.5 + 9e-3 * 0.2, abs=1e-3
+    )
+
+
 @pytest.mark.parametrize("size", [(1, 1), (15, 17), (16, 16), (70, 33)])
 def test_any_picture_size(rng, size):
     splats = cloud(rng, 60, 4)
