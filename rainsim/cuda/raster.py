@@ -123,8 +123,17 @@ class Rasterizer:
         self._size = None
         self._capacity = 0
 
-    def draw(self, camera, near, plane=None, depth="expected", compensate=False, degree=None):
-        """Return the `Layers` that `camera` sees, on the host; see `rainsim.raster`."""
+    def draw(
+        self, camera, near, plane=None, depth="expected", compensate=False, degree=None,
+        background=(0, 0, 0), hit=False, drop_last=False,
+    ):  # fmt: skip
+        """Return the `Layers` that `camera` sees, on the host; see `rainsim.raster`.
+
+        Hits and the training codes' stop are not told here: they raise ParameterError.
+        """
+        for name, wanted in (("hit", hit), ("drop_last", drop_last)):
+            if wanted:
+                raise ParameterError(f"{name} is asked for; only the CPU has it; use backend cpu")
         self.update(camera, near, plane, depth, compensate, degree)
         while True:
             self.launch()
@@ -132,7 +141,11 @@ class Rasterizer:
             if not self.overflows():
                 break
             self.make_room()
-        return self.layers.to_host(camera.height, camera.width)
+        layers = self.layers.to_host(camera.height, camera.width)
+        if np.any(background):
+            clear = (1 - layers.alpha)[..., None]
+            layers.color[...] += clear * np.asarray(background, np.float32)
+        return layers
 
     def update(self, camera, near, plane=None, depth="expected", compensate=False, degree=None):
         """Take over what the next pictures show; of the device only room for them is asked."""

@@ -9,6 +9,7 @@ from rainsim import raster
 from rainsim.cuda import raster as twin
 from rainsim.cuda import simulated
 from rainsim.cuda.jit import cuda
+from rainsim.errors import ParameterError
 from rainsim.scene.types import Camera, Splats
 
 assert simulated()
@@ -56,14 +57,24 @@ def assert_alike(layers, wanted, least=80):
         {"plane": (0.0, 1.0, 0.2, 0.3)},
         {"depth": "median"},
         {"compensate": True},
+        {"background": (0.2, 0.9, 0.4)},
     ],
 )
 def test_the_twin_draws_what_the_cpu_draws(options):
     prepared = raster.prepare(cloud())
     wanted = raster.rasterize(prepared, camera(), 0.2, **options)
     assert_alike(twin.rasterize(prepared, camera(), 0.2, **options), wanted)
-    if options:
-        assert decibel(raster.rasterize(prepared, camera(), 0.2).depth[8:], wanted.depth[8:]) < 80
+    plain = raster.rasterize(prepared, camera(), 0.2)
+    if "background" in options:
+        assert decibel(plain.color, wanted.color) < 40
+    elif options:
+        assert decibel(plain.depth[8:], wanted.depth[8:]) < 80
+
+
+@pytest.mark.parametrize("option", ["hit", "drop_last"])
+def test_what_only_the_cpu_has_is_told(option):
+    with pytest.raises(ParameterError, match=f"{option} .* backend cpu"):
+        twin.rasterize(raster.prepare(cloud()), camera(), 0.2, **{option: True})
 
 
 @pytest.mark.parametrize("bands", [1, 4, 9])
