@@ -26,6 +26,7 @@ against the depth and where a neighbour is nearly dry.
 
 import numpy as np
 
+from rainsim.grid.rows import ROOM, copy_row, largest_of, stack_row
 from rainsim.jit import cpu_kernel, device_function, prange, serial_kernel
 
 # Exact in every floating type, so kernels stay generic.
@@ -37,7 +38,6 @@ THREE = np.float32(3)
 TWELVE = np.float32(12)
 
 PAD = 2  # ghost cells on each side: what a slope beside an edge reaches for
-ROWS, COLUMNS = 16, 64  # cells of a tile, whatever the number of threads
 
 # The third difference of the surface over the depth: the fourth-order term is whole below
 # SMOOTH_END - 1 / FADE, and gone above SMOOTH_END. Waves stay far below, bores far above.
@@ -78,14 +78,14 @@ def face_flux(speed, h_0, h_1, h_2, h_3, bed_1, bed_2):
 
 
 @device_function
-def fourth_order(square, h_mean, h_least, third, cross):
+def fourth_order(square, h_mean, share, h_least, third, cross):
     """Correction to a surface difference that makes waves fourth order.
 
-    `square` is C^2, `third` the third difference of the surface across the face, `cross` the
-    difference across the face of the second difference along it.
+    `square` is C^2, `share` one over `h_mean`, `third` the third difference of the surface across
+    the face, `cross` the difference across the face of the second difference along it.
     """
     change = ((square - ONE) * third + square * cross) / TWELVE
-    fade = min(max((SMOOTH_END - abs(third) / h_mean) * FADE, ZERO), ONE)
+    fade = min(max((SMOOTH_END - abs(third) * share) * FADE, ZERO), ONE)
     return fade * change if h_least > HALF * h_mean else ZERO
 
 
@@ -103,25 +103,26 @@ def shore(h_a, h_b, bed_0, bed_a, bed_b, bed_3, behind, ahead):
 
 
 @device_function
-def pushed(w, h_a, h_b, bed_a, bed_b, extra, momentum, volume, still, k, kg, cap, rest, dry):
+def standing(h_a, h_b, step):
+    """Height of the water above the higher bed of two cells; b's is `step` above a's."""
+    return max(h_a - max(step, ZERO), h_b + min(step, ZERO))
+
+
+@device_function
+def pushed(w, h_a, h_b, bed_a, bed_b, extra, gain, still, k, kg, cap, rest, dry):
     """Face velocity after transport and pressure; `still` where the face is closed.
 
-    `extra` adds to the surface difference; `momentum` and `volume` are what leaves the face's own
-    cell per k. A face is closed between two
-    dry cells, and to a dry cell over whose bed the other's level does not stand by `dry`. Water
-    that a surface difference within rounding (`rest`) could have moved is at rest. No branches, so
-    that the compiler can take many faces at once.
+    `extra` adds to the surface difference; `gain` is the momentum, less `w` times the volume, that
+    leaves the face's own cell per k, over its depth. A face is closed where the water stands by
+    less than `dry` above the higher bed. Water that a surface difference within rounding (`rest`)
+    could have moved is at rest. No branches, so that the compiler can take many faces at once.
     """
-    level_a, level_b = bed_a + h_a, bed_b + h_b
-    rise = (bed_b - bed_a) + (h_b - h_a) + extra
+    step = bed_b - bed_a
+    rise = step + (h_b - h_a) + extra
     noise = rest * (h_a + h_b + abs(bed_a) + abs(bed_b))
-    level = abs(rise) <= noise
-    h_mean = HALF * (h_a + h_b)
-    turned = w - k * (momentum - w * volume) / max(h_mean, HALF * dry) - kg * rise
-    closed = (h_a <= ZERO) & ((h_b <= ZERO) | (bed_a + dry >= level_b))
-    closed |= (h_b <= ZERO) & (bed_b + dry >= level_a)
-    rests = level & (abs(turned) <= TWO * kg * noise)
-    turned = still if closed else turned
+    turned = w - k * gain - kg * rise
+    rests = (abs(rise) <= noise) & (abs(turned) <= TWO * kg * noise)
+    turned = still if standing(h_a, h_b, step) < dry else turned
     return ZERO if rests else min(max(turned, -cap), cap)
 
 
@@ -194,7 +195,7 @@ def move(tiles, qu, qv, k, dry, h_out, damp_out):
                 rest[c] = total - np.float64(d[c])
 
 
-@device_function
+@device_function(inline="always")
 def carry_along(q, a, n, flux_out):
     """Fluxes of `a` at n places, each from a[c + 1] to a[c + 2], by the mean of q[c], q[c + 1]."""
     for c in range(n):
@@ -202,7 +203,7 @@ def carry_along(q, a, n, flux_out):
         flux_out[c] = flow * carried(flow, a[c], a[c + 1], a[c + 2], a[c + 3])
 
 
-@device_function
+@device_function(inline="always")
 def carry_across(q_0, q_1, a_0, a_1, a_2, a_3, n, flux_out):
     """Fluxes of `a` at n places, each between a_1[c] and a_2[c], by the mean of q_0[c], q_1[c]."""
     for c in range(n):
@@ -210,24 +211,24 @@ def carry_across(q_0, q_1, a_0, a_1, a_2, a_3, n, flux_out):
         flux_out[c] = flow * carried(flow, a_0[c], a_1[c], a_2[c], a_3[c])
 
 
-@device_function
-def largest(a, n):
-    """Largest of the first n values."""
-    top = a[0]
-    for c in range(1, n):
-        top = max(top, a[c])
-    return top
+@device_function(inline="always")
+def level_row(h, bed, n, level_out):
+    """Levels of n cells of a row."""
+    for c in range(n):
+        level_out[c] = bed[c] + h[c]
 
 
 @cpu_kernel
 def push(
-    tiles, h, damp, bed, u, v, qu, qv, k, kg, wave, gravity, cap, rest, dry,
+    runs, tiles, h, damp, bed, u, v, qu, qv, k, kg, wave, gravity, cap, rest, dry,
     u_out, v_out, reach_out, fast_out,
 ):  # fmt: skip
-    """Carry momentum and apply pressure with the fourth-order term, at all inner faces of `tiles`.
+    """Carry momentum and apply pressure with the fourth-order term in the tiles of `runs`.
 
     Parameters
     ----------
+    runs : ndarray of shape (runs, 6), int64
+        See `rows.runs_of`.
     tiles : ndarray of shape (tiles, 4), int64
     h, damp, bed : ndarray of shape (ny + 4, nx + 4) [m]
         Flowing depth at n+1, its remainder and the height on which it flows.
@@ -246,102 +247,107 @@ def push(
         Relative rounding under which levels are equal.
     dry : float [m]
     u_out, v_out : as u and v [m/s]
-        Velocity at n+3/2; edge faces are left alone.
+        Velocity at n+3/2; edge faces are to be set anew.
     reach_out, fast_out : ndarray of shape (tiles,) [m/s]
         Largest `reach` and largest speed of each tile.
     """
-    for t in prange(tiles.shape[0]):
-        south, north, west, east = tiles[t, 0], tiles[t, 1], tiles[t, 2], tiles[t, 3]
-        rows = np.empty((3, COLUMNS + 1), h.dtype)
-        tops = np.zeros((2, COLUMNS), h.dtype)
-        below, above, across = rows[0], rows[1], rows[2]
-        far, fast = tops[0], tops[1]
-
-        a = max(west, PAD + 1)
-        n = east - a
-        carry_across(
-            qv[south, a - 1 : east - 1], qv[south, a:east], u[south - 2, a:east],
-            u[south - 1, a:east], u[south, a:east], u[south + 1, a:east], n, below,
+    for t in prange(runs.shape[0]):
+        south, north, west, east = runs[t, 0], runs[t, 1], runs[t, 2], runs[t, 3]
+        below, above, across = stack_row(h, ROOM), stack_row(h, ROOM), stack_row(h, ROOM)
+        low, high = stack_row(h, ROOM), stack_row(h, ROOM)
+        eta_ss, eta_s, eta, eta_n = (
+            stack_row(h, ROOM), stack_row(h, ROOM), stack_row(h, ROOM), stack_row(h, ROOM)
         )  # fmt: skip
+        new_u, new_v = stack_row(h, ROOM), stack_row(h, ROOM)
+        far, fast = stack_row(h, ROOM), stack_row(h, ROOM)
+        n, a, z = east - west, west - 1, west - 2
+        for c in range(n):
+            far[c], fast[c] = ZERO, ZERO
+        j = south
+        carry_across(
+            qv[j, a : east - 1], qv[j, west:east], u[j - 2, west:east], u[j - 1, west:east],
+            u[j, west:east], u[j + 1, west:east], n, below,
+        )  # fmt: skip
+        carry_across(
+            qv[j - 1, west:east], qv[j, west:east], v[j - 2, west:east], v[j - 1, west:east],
+            v[j, west:east], v[j + 1, west:east], n, low,
+        )  # fmt: skip
+        level_row(h[j - 2, z : east + 1], bed[j - 2, z : east + 1], n + 3, eta_ss)
+        level_row(h[j - 1, z : east + 1], bed[j - 1, z : east + 1], n + 3, eta_s)
+        level_row(h[j, z : east + 1], bed[j, z : east + 1], n + 3, eta)
         for j in range(south, north):
+            level_row(h[j + 1, z : east + 1], bed[j + 1, z : east + 1], n + 3, eta_n)
+            d_ss, d_s = h[j - 2, west:east], h[j - 1, a : east + 1]
+            d, d_n = h[j, z : east + 1], h[j + 1, a:east]
+            b_ss, b_s, b_n = bed[j - 2, west:east], bed[j - 1, west:east], bed[j + 1, west:east]
+            b, e, e_s = bed[j, z : east + 1], damp[j, a:east], damp[j - 1, west:east]
+            q, q_below = qu[j, a : east + 1], qu[j - 1, west : east + 1]
+            p_s, p, p_n = qv[j - 1, west:east], qv[j, a:east], qv[j + 1, a:east]
+            w, x_s, x, x_n = (
+                u[j, a : east + 1],
+                v[j - 1, west:east],
+                v[j, west:east],
+                v[j + 1, west:east],
+            )
+
             carry_across(
-                qv[j + 1, a - 1 : east - 1], qv[j + 1, a:east], u[j - 1, a:east], u[j, a:east],
-                u[j + 1, a:east], u[j + 2, a:east], n, above,
+                p_n, p_n[1:], u[j - 1, west:east], u[j, west:east], u[j + 1, west:east],
+                u[j + 2, west:east], n, above,
             )  # fmt: skip
-            carry_along(qu[j, a - 1 : east + 1], u[j, a - 2 : east + 2], n + 1, across)
-            w, w_out, q = u[j, a - 1 : east + 1], u_out[j, a:east], qu[j, a - 1 : east + 1]
-            q_s, q_n = qv[j, a - 1 : east], qv[j + 1, a - 1 : east]
-            e = damp[j, a - 1 : east]
-            d, d_s, d_n = h[j, a - 2 : east + 1], h[j - 1, a - 1 : east], h[j + 1, a - 1 : east]
-            b, b_s = bed[j, a - 2 : east + 1], bed[j - 1, a - 1 : east]
-            b_n = bed[j + 1, a - 1 : east]
+            carry_along(q, u[j, z : east + 2], n + 1, across)
             for c in range(n):
                 h_a, h_b, bed_a, bed_b = d[c + 1], d[c + 2], b[c + 1], b[c + 2]
-                level_a, level_b = bed_a + h_a, bed_b + h_b
-                third = b[c + 3] + d[c + 3] - b[c] - d[c] - THREE * (level_b - level_a)
-                cross = (b_n[c + 1] + d_n[c + 1] - b_n[c] - d_n[c]) - TWO * (level_b - level_a)
-                cross += b_s[c + 1] + d_s[c + 1] - b_s[c] - d_s[c]
+                rise = eta[c + 2] - eta[c + 1]
+                third = (eta[c + 3] - eta[c]) - THREE * rise
+                cross = (eta_n[c + 2] - eta_n[c + 1]) + (eta_s[c + 2] - eta_s[c + 1]) - TWO * rise
                 least = min(min(d[c], d[c + 3]), min(d_s[c], d_s[c + 1]))
                 least = min(min(least, min(d_n[c], d_n[c + 1])), min(h_a, h_b))
                 mean = HALF * (h_a + h_b)
-                extra = e[c + 1] - e[c] + fourth_order(wave * mean, mean, least, third, cross)
+                share = ONE / max(mean, HALF * dry)
+                extra = (
+                    e[c + 1] - e[c] + fourth_order(wave * mean, mean, share, least, third, cross)
+                )
                 momentum = across[c + 1] - across[c] + above[c] - below[c]
-                volume = HALF * (q[c + 2] - q[c] + q_n[c] + q_n[c + 1] - q_s[c] - q_s[c + 1])
+                volume = q[c + 2] - q[c] + p_n[c] + p_n[c + 1] - p[c] - p[c + 1]
+                gain = share * (momentum - HALF * w[c + 1] * volume)
                 still = shore(h_a, h_b, b[c], bed_a, bed_b, b[c + 3], w[c], w[c + 2])
-                s = pushed(
-                    w[c + 1], h_a, h_b, bed_a, bed_b, extra, momentum, volume, still, k, kg, cap,
-                    rest, dry,
-                )  # fmt: skip
-                w_out[c] = s
-                far[c] = max(far[c], reach(s, h_a, h_b, gravity))
-                fast[c] = max(fast[c], abs(s))
-            below, above = above, below
+                new_u[c] = pushed(
+                    w[c + 1], h_a, h_b, bed_a, bed_b, extra, gain, still, k, kg, cap, rest, dry
+                )
+            copy_row(new_u, n, u_out[j, west:east])
 
-        n = east - west
-        a = max(south, PAD + 1)
-        carry_across(
-            qv[a - 1, west:east], qv[a, west:east], v[a - 2, west:east], v[a - 1, west:east],
-            v[a, west:east], v[a + 1, west:east], n, below,
-        )  # fmt: skip
-        for j in range(a, north):
+            carry_across(p[1:], p_n[1:], x_s, x, x_n, v[j + 2, west:east], n, high)
             carry_across(
-                qv[j, west:east], qv[j + 1, west:east], v[j - 1, west:east], v[j, west:east],
-                v[j + 1, west:east], v[j + 2, west:east], n, above,
+                q_below, q[1:], v[j, z : east - 1], v[j, a:east], v[j, west : east + 1],
+                v[j, west + 1 : east + 2], n + 1, across,
             )  # fmt: skip
-            q_s, q_n = qu[j - 1, west : east + 1], qu[j, west : east + 1]
-            v_w, v_c = v[j, west - 2 : east - 1], v[j, west - 1 : east]
-            v_e, v_f = v[j, west : east + 1], v[j, west + 1 : east + 2]
-            carry_across(q_s, q_n, v_w, v_c, v_e, v_f, n + 1, across)
-            w_s, w, w_n = v[j - 1, west:east], v[j, west:east], v[j + 1, west:east]
-            w_out = v_out[j, west:east]
-            q_0, q_2 = qv[j - 1, west:east], qv[j + 1, west:east]
-            e_1, e_2 = damp[j - 1, west:east], damp[j, west:east]
-            d_0, d_1 = h[j - 2, west:east], h[j - 1, west - 1 : east + 1]
-            d_2, d_3 = h[j, west - 1 : east + 1], h[j + 1, west:east]
-            b_0, b_1 = bed[j - 2, west:east], bed[j - 1, west - 1 : east + 1]
-            b_2, b_3 = bed[j, west - 1 : east + 1], bed[j + 1, west:east]
             for c in range(n):
-                h_a, h_b, bed_a, bed_b = d_1[c + 1], d_2[c + 1], b_1[c + 1], b_2[c + 1]
-                level_a, level_b = bed_a + h_a, bed_b + h_b
-                third = b_3[c] + d_3[c] - b_0[c] - d_0[c] - THREE * (level_b - level_a)
-                cross = b_2[c + 2] + d_2[c + 2] - b_1[c + 2] - d_1[c + 2]
-                cross += b_2[c] + d_2[c] - b_1[c] - d_1[c] - TWO * (level_b - level_a)
-                least = min(min(d_0[c], d_3[c]), min(d_1[c], d_2[c]))
-                least = min(min(least, min(d_1[c + 2], d_2[c + 2])), min(h_a, h_b))
+                h_a, h_b, bed_a, bed_b = d_s[c + 1], d[c + 2], b_s[c], b[c + 2]
+                rise = eta[c + 2] - eta_s[c + 2]
+                third = (eta_n[c + 2] - eta_ss[c + 2]) - THREE * rise
+                cross = (eta[c + 3] - eta_s[c + 3]) + (eta[c + 1] - eta_s[c + 1]) - TWO * rise
+                least = min(min(d_ss[c], d_n[c + 1]), min(d_s[c], d[c + 1]))
+                least = min(min(least, min(d_s[c + 2], d[c + 3])), min(h_a, h_b))
                 mean = HALF * (h_a + h_b)
-                extra = e_2[c] - e_1[c] + fourth_order(wave * mean, mean, least, third, cross)
-                momentum = across[c + 1] - across[c] + above[c] - below[c]
-                volume = HALF * (q_2[c] - q_0[c] + q_s[c + 1] + q_n[c + 1] - q_s[c] - q_n[c])
-                still = shore(h_a, h_b, b_0[c], bed_a, bed_b, b_3[c], w_s[c], w_n[c])
-                s = pushed(
-                    w[c], h_a, h_b, bed_a, bed_b, extra, momentum, volume, still, k, kg, cap,
-                    rest, dry,
-                )  # fmt: skip
-                w_out[c] = s
-                far[c] = max(far[c], reach(s, h_a, h_b, gravity))
-                fast[c] = max(fast[c], abs(s))
+                share = ONE / max(mean, HALF * dry)
+                extra = (
+                    e[c + 1] - e_s[c] + fourth_order(wave * mean, mean, share, least, third, cross)
+                )
+                momentum = across[c + 1] - across[c] + high[c] - low[c]
+                volume = p_n[c + 1] - p_s[c] + q_below[c + 1] + q[c + 2] - q_below[c] - q[c + 1]
+                still = shore(h_a, h_b, b_ss[c], bed_a, bed_b, b_n[c], x_s[c], x_n[c])
+                gain = share * (momentum - HALF * x[c] * volume)
+                s = pushed(x[c], h_a, h_b, bed_a, bed_b, extra, gain, still, k, kg, cap, rest, dry)
+                new_v[c] = s
+                fast[c] = max(fast[c], max(abs(new_u[c]), abs(s)))
+                top = max(reach(new_u[c], d[c + 1], h_b, gravity), reach(s, h_a, h_b, gravity))
+                far[c] = max(far[c], top)
+            copy_row(new_v, n, v_out[j, west:east])
             below, above = above, below
-        reach_out[t], fast_out[t] = largest(far, COLUMNS), largest(fast, COLUMNS)
+            low, high = high, low
+            eta_ss, eta_s, eta, eta_n = eta_s, eta, eta_n, eta_ss
+        largest_of(runs[t], tiles, far, reach_out)
+        largest_of(runs[t], tiles, fast, fast_out)
 
 
 @serial_kernel

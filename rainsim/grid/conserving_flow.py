@@ -7,9 +7,7 @@ import math
 import numpy as np
 
 from rainsim.grid.conserving import (
-    COLUMNS,
     PAD,
-    ROWS,
     fill_depth,
     fill_velocity,
     flux,
@@ -18,6 +16,7 @@ from rainsim.grid.conserving import (
 )
 from rainsim.grid.friction import rub
 from rainsim.grid.lean import step
+from rainsim.grid.rows import COLUMNS, ROWS, runs_of
 
 EDGES = ("west", "east", "south", "north")
 MAX_STEP = 0.25  # cells that water may cross in a step: four faces then take what a cell holds
@@ -57,6 +56,7 @@ class ConservingFlow:
         self._spacing, self._gravity, self._rest, self._dry = spacing, gravity, rest, dry
         self._kinds = np.array([is_open[edge] for edge in EDGES], np.int64)
         self._inflow = {edge: rate for edge, rate in inflow.items() if rate > 0.0}
+        self._passages = [edge for edge in EDGES if is_open[edge] or edge in self._inflow]
         self._viscosity = viscosity
         self._roughness = None
         if roughness is not None or viscosity > 0.0:
@@ -87,7 +87,7 @@ class ConservingFlow:
         count = len(self._all_tiles)
         self._reaches, self._fasts = np.zeros(count, self._type), np.zeros(count, self._type)
         self._still = np.zeros(count, np.int64)  # steps since the tile last moved
-        self._changed = np.ones(count, bool)
+        self._changed, self._moving = np.ones(count, bool), None
         self._wake()
 
     # -- state -------------------------------------------------------------------------------------
@@ -166,11 +166,15 @@ class ConservingFlow:
         self._still[which] = 0
         for edge in self._inflow:
             self._still.reshape(self._tile_shape)[EDGE_TILES[edge]] = 0
-        near = np.pad((self._still < STILL_STEPS).reshape(self._tile_shape), 1)
-        near = near[:-2] | near[1:-1] | near[2:]
-        near = near[:, :-2] | near[:, 1:-1] | near[:, 2:]
-        self._awake = np.flatnonzero(near)
-        self._tiles = self._all_tiles[self._awake]
+        moving = self._still < STILL_STEPS
+        if not np.array_equal(moving, self._moving):
+            self._moving = moving
+            near = np.pad(moving.reshape(self._tile_shape), 1)
+            near = near[:-2] | near[1:-1] | near[2:]
+            near = near[:, :-2] | near[:, 1:-1] | near[:, 2:]
+            self._awake = np.flatnonzero(near)
+            self._tiles = self._all_tiles[self._awake]
+            self._runs = runs_of(self._tiles, self._awake, self._tile_shape[1])
         self._changed[self._awake] = True
 
     def refresh(self):
@@ -227,25 +231,33 @@ class ConservingFlow:
             self._step(dt, dt)
         else:
             k = dt / self._spacing
-            flux(self._tiles, self.h, self.bed, self.u, self.v, self._qu, self._qv)
-            move(self._tiles, self._qu, self._qv, k, float(self._dry), self.h, self.damp)
+            flux(self._runs, self.h, self.bed, self.u, self.v, self._qu, self._qv)
+            move(self._runs, self._qu, self._qv, k, float(self._dry), self.h, self.damp)
             fill_depth(self._kinds, self.h)
-            qu, qv = self._qu[PAD:-PAD, PAD:-PAD], self._qv[PAD:-PAD, PAD:-PAD]
-            through = -qu[:, 0], qu[:, -1], -qv[0], qv[-1]
+            through = self._outward(self._qu, self._qv).values()
         left = sum(float(q.clip(min=0).sum(dtype=np.float64)) for q in through)
         entered = -sum(float(q.clip(max=0).sum(dtype=np.float64)) for q in through)
         return left * dt * self._spacing, entered * dt * self._spacing
 
+    def _outward(self, along, across):
+        """Views of what two face maps hold at the edges that let water through, outward > 0."""
+        w, s = along[PAD:-PAD, PAD:-PAD], across[PAD:-PAD, PAD:-PAD]
+        edges = {"west": -w[:, 0], "east": w[:, -1], "south": -s[0], "north": s[-1]}
+        return {edge: edges[edge] for edge in self._passages}
+
     def _through_edges(self):
         """Volume flux [m2/s] out of the map through each face of its edges, as "lean" has it."""
-        h, (u, v) = self.h, self.faces()
-        inner, along = np.s_[PAD:-PAD], (-u[:, 0], u[:, -1], -v[0], v[-1])
-        inside = h[inner, PAD], h[inner, -PAD - 1], h[PAD, inner], h[-PAD - 1, inner]
-        beyond = h[inner, PAD - 1], h[inner, -PAD], h[PAD - 1, inner], h[-PAD, inner]
-        fluxes = []
-        for speed, a, b in zip(along, inside, beyond, strict=True):
-            depth = np.where(speed > 0, a, b)
-            fluxes.append(np.where(depth > self._dry, speed * depth, 0))
+        h, inner, fluxes = self.h, np.s_[PAD:-PAD], []
+        inside = {
+            "west": h[inner, PAD], "east": h[inner, -PAD - 1],
+            "south": h[PAD, inner], "north": h[-PAD - 1, inner],
+        }  # fmt: skip
+        beyond = {
+            "west": h[inner, PAD - 1], "east": h[inner, -PAD],
+            "south": h[PAD - 1, inner], "north": h[-PAD, inner],
+        }  # fmt: skip
+        for edge, speed in self._outward(self.u, self.v).items():
+            fluxes.append(speed * np.where(speed > 0, inside[edge], beyond[edge]))
         return fluxes
 
     def turn(self, dt):
@@ -266,7 +278,7 @@ class ConservingFlow:
         k, kg = dtype(dt / self._spacing), dtype(self._gravity * push_time / self._spacing)
         tops = self._reaches[: len(self._tiles)], self._fasts[: len(self._tiles)]
         step(
-            self._tiles, self.h, self.bed, self.u, self.v, k, kg, dtype(self._gravity),
+            self._runs, self._tiles, self.h, self.bed, self.u, self.v, k, kg, dtype(self._gravity),
             dtype(self.cap), self._rest, self._dry,
             self._h_spare, self._u_spare, self._v_spare, *tops,
         )  # fmt: skip
@@ -284,9 +296,9 @@ class ConservingFlow:
         wave = dtype(self._gravity * (dt / self._spacing) ** 2)
         tops = self._reaches[: len(self._tiles)], self._fasts[: len(self._tiles)]
         push(
-            self._tiles, self.h, self.damp, self.bed, self.u, self.v, self._qu, self._qv, k, kg,
-            wave, dtype(self._gravity), dtype(self.cap), self._rest, self._dry,
-            self._u_spare, self._v_spare, *tops,
+            self._runs, self._tiles, self.h, self.damp, self.bed, self.u, self.v,
+            self._qu, self._qv, k, kg, wave, dtype(self._gravity), dtype(self.cap),
+            self._rest, self._dry, self._u_spare, self._v_spare, *tops,
         )  # fmt: skip
         self._swap_velocity()
         if self._roughness is not None:
@@ -297,8 +309,9 @@ class ConservingFlow:
     def _rub(self, dt, tops):
         drag, film = self._type(self._gravity * dt), self._type(3 * self._viscosity * dt)
         rub(
-            self._tiles, self.h, self.bed, self._roughness, self._u_spare, self._v_spare,
-            drag, film, self._type(self._gravity), self._dry, self.u, self.v, *tops,
+            self._runs, self._tiles, self.h, self.bed, self._roughness,
+            self._u_spare, self._v_spare, drag, film, self._type(self._gravity), self._dry,
+            self.u, self.v, *tops,
         )  # fmt: skip
 
     def _swap_velocity(self):

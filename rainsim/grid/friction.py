@@ -2,10 +2,12 @@
 
 import numpy as np
 
-from rainsim.grid.conserving import COLUMNS, PAD, largest, reach
+from rainsim.grid.conserving import reach, standing
 from rainsim.grid.paper import cube_root
+from rainsim.grid.rows import ROOM, copy_row, largest_of, stack_row
 from rainsim.jit import cpu_kernel, device_function, prange
 
+ZERO = np.float32(0)
 ONE = np.float32(1)
 TWO = np.float32(2)
 FOUR = np.float32(4)
@@ -33,12 +35,15 @@ def rubbed(speed, along, depth, drag, film):
 
 @cpu_kernel
 def rub(
-    tiles, h, bed, roughness, u, v, drag, film, gravity, dry, u_out, v_out, reach_out, fast_out
+    runs, tiles, h, bed, roughness, u, v, drag, film, gravity, dry,
+    u_out, v_out, reach_out, fast_out,
 ):  # fmt: skip
-    """Slow all inner faces of `tiles` by friction.
+    """Slow the faces of `runs` by friction.
 
     Parameters
     ----------
+    runs : ndarray of shape (runs, 6), int64
+        See `rows.runs_of`.
     tiles : ndarray of shape (tiles, 4), int64
     h, bed : ndarray of shape (ny + 4, nx + 4) [m]
     roughness : ndarray of shape (ny + 4, nx + 4) [s2 m^(-2/3)]
@@ -53,36 +58,37 @@ def rub(
     dry : float [m]
         Least depth that friction sees.
     u_out, v_out : as u and v
-        Modified in place.
+        Modified in place; edge faces are to be set anew.
     reach_out, fast_out : ndarray of shape (tiles,) [m/s]
         Largest `conserving.reach` and largest speed of each tile.
     """
-    for t in prange(tiles.shape[0]):
-        south, north, west, east = tiles[t, 0], tiles[t, 1], tiles[t, 2], tiles[t, 3]
-        tops = np.zeros((2, COLUMNS), h.dtype)
-        far, fast = tops[0], tops[1]
-        a = max(west, PAD + 1)
+    for t in prange(runs.shape[0]):
+        south, north, west, east = runs[t, 0], runs[t, 1], runs[t, 2], runs[t, 3]
+        new_u, new_v = stack_row(h, ROOM), stack_row(h, ROOM)
+        far, fast = stack_row(h, ROOM), stack_row(h, ROOM)
+        n, a = east - west, west - 1
+        for c in range(n):
+            far[c], fast[c] = ZERO, ZERO
         for j in range(south, north):
-            d, b, r = h[j, a - 1 : east], bed[j, a - 1 : east], roughness[j, a - 1 : east]
-            v_s, v_n, w = v[j, a - 1 : east], v[j + 1, a - 1 : east], u_out[j, a:east]
-            for c in range(east - a):
-                level = max(b[c] + d[c], b[c + 1] + d[c + 1])
-                depth = max(level - max(b[c], b[c + 1]), dry)
-                along = QUARTER * (v_s[c] + v_s[c + 1] + v_n[c] + v_n[c + 1])
-                s = rubbed(w[c], along, depth, drag * max(r[c], r[c + 1]), film)
-                w[c] = s
-                far[c] = max(far[c], reach(s, d[c], d[c + 1], gravity))
-                fast[c] = max(fast[c], abs(s))
-        for j in range(max(south, PAD + 1), north):
-            d_0, b_0, r_0 = h[j - 1, west:east], bed[j - 1, west:east], roughness[j - 1, west:east]
-            d_1, b_1, r_1 = h[j, west:east], bed[j, west:east], roughness[j, west:east]
-            u_s, u_n = u[j - 1, west : east + 1], u[j, west : east + 1]
-            w = v_out[j, west:east]
-            for c in range(east - west):
-                depth = max(max(b_0[c] + d_0[c], b_1[c] + d_1[c]) - max(b_0[c], b_1[c]), dry)
-                along = QUARTER * (u_s[c] + u_s[c + 1] + u_n[c] + u_n[c + 1])
-                s = rubbed(w[c], along, depth, drag * max(r_0[c], r_1[c]), film)
-                w[c] = s
-                far[c] = max(far[c], reach(s, d_0[c], d_1[c], gravity))
-                fast[c] = max(fast[c], abs(s))
-        reach_out[t], fast_out[t] = largest(far, COLUMNS), largest(fast, COLUMNS)
+            d, b, r = h[j, a:east], bed[j, a:east], roughness[j, a:east]
+            d_s, b_s, r_s = h[j - 1, west:east], bed[j - 1, west:east], roughness[j - 1, west:east]
+            v_c, v_n, w = v[j, a:east], v[j + 1, a:east], u_out[j, west:east]
+            u_s, u_c, x = u[j - 1, west : east + 1], u[j, west : east + 1], v_out[j, west:east]
+            for c in range(n):
+                depth = max(standing(d[c], d[c + 1], b[c + 1] - b[c]), dry)
+                along = QUARTER * (v_c[c] + v_c[c + 1] + v_n[c] + v_n[c + 1])
+                new_u[c] = rubbed(w[c], along, depth, drag * max(r[c], r[c + 1]), film)
+            for c in range(n):
+                depth = max(standing(d_s[c], d[c + 1], b[c + 1] - b_s[c]), dry)
+                along = QUARTER * (u_s[c] + u_s[c + 1] + u_c[c] + u_c[c + 1])
+                s = rubbed(x[c], along, depth, drag * max(r_s[c], r[c + 1]), film)
+                new_v[c] = s
+                fast[c] = max(fast[c], max(abs(new_u[c]), abs(s)))
+                top = max(
+                    reach(new_u[c], d[c], d[c + 1], gravity), reach(s, d_s[c], d[c + 1], gravity)
+                )
+                far[c] = max(far[c], top)
+            copy_row(new_u, n, w)
+            copy_row(new_v, n, x)
+        largest_of(runs[t], tiles, far, reach_out)
+        largest_of(runs[t], tiles, fast, fast_out)

@@ -3,81 +3,89 @@
 Volume and momentum are conserved as in "accurate", but depths and velocities are carried upwind
 without slopes, waves are second order, and the sums are of the fields' own type: rounding may
 change the volume by some 1e-8 in a thousand steps, which the ledger's residual shows. Each value
-is read and written once in a step; what a row of a tile needs of the row below is kept in buffers.
+is read and written once in a step; what a row needs of the row below waits on the stack.
+
+With q summed over the two halves of a face's own cell, what momentum gains less what volume does is
+
+    (h u)' - u h' = max(q_west, 0) (u - u_west) + min(q_east, 0) (u_east - u) + the same across
+
+which is Stelling and Duinmeijer's (2003) upwind form, exactly the flux form's.
 """
 
-import numpy as np
-
-from rainsim.grid.conserving import HALF, PAD, TWO, ZERO, largest, reach
+from rainsim.grid.conserving import TWO, ZERO, reach, standing
+from rainsim.grid.rows import ROOM, copy_row, largest_of, stack_row
 from rainsim.jit import cpu_kernel, device_function, prange
 
-WIDTH = 68  # of a row buffer: the columns of a tile and a cell on each side
-
 
 @device_function
-def upwind_flux(speed, h_1, h_2, bed_1, bed_2, dry):
-    """Volume flux [m2/s] through the face between the cells 1 and 2; depths under `dry` stay."""
-    east = speed > ZERO
-    centre = h_1 if east else h_2
-    step = (bed_2 - bed_1) if east else (bed_1 - bed_2)
-    over = max(centre - max(step, ZERO), ZERO)
-    return speed * over if centre > dry else ZERO
+def upwind_flux(speed, h_1, h_2, step):
+    """Volume flux [m2/s] from cell 1 to cell 2, whose bed is higher by `step`.
 
-
-@device_function
-def upwind(flow, a_1, a_2):
-    """Flux of `a` that `flow` carries from a_1 to a_2, or back."""
-    return max(flow, ZERO) * a_1 + min(flow, ZERO) * a_2
-
-
-@device_function
-def pushed_lean(w, h_a, h_b, bed_a, bed_b, momentum, volume, still, k, kg, cap, rest, dry):
-    """Face velocity after transport and pressure; `still` where the face is closed.
-
-    As `conserving.pushed`; `dry` also tells wet cells from dry ones.
+    The upwind cell gives what stands above the step.
     """
-    level_a, level_b = bed_a + h_a, bed_b + h_b
-    rise = level_b - level_a
-    noise = rest * (h_a + h_b + abs(bed_a) + abs(bed_b))
-    carried = w - k * (momentum - w * volume) / max(HALF * (h_a + h_b), HALF * dry)
-    turned = carried - kg * rise
-    closed = (h_a <= dry) & ((h_b <= dry) | (bed_a + dry >= level_b))
-    closed |= (h_b <= dry) & (bed_b + dry >= level_a)
+    east = speed > ZERO
+    depth = (h_1 if east else h_2) - max(step if east else -step, ZERO)
+    return speed * max(depth, ZERO)
+
+
+@device_function
+def upwind_gain(w, w_west, w_east, w_south, w_north, q_west, q_east, q_south, q_north):
+    """Momentum less `w` times volume that leaves the cell of a face: upwind, q doubled."""
+    along = max(q_west, ZERO) * (w - w_west) + min(q_east, ZERO) * (w_east - w)
+    return along + (max(q_south, ZERO) * (w - w_south) + min(q_north, ZERO) * (w_north - w))
+
+
+@device_function
+def pushed_lean(w, h_a, h_b, step, noise, gain, k, kg, cap, dry):
+    """Face velocity after transport and pressure; zero where the face is closed.
+
+    A face is closed where the water stands by no more than `dry` above the higher bed. Water that
+    a surface difference within rounding (`noise`) could have moved is at rest.
+    """
+    rise = (h_b - h_a) + step
+    turned = w - k * gain / max(h_a + h_b, dry) - kg * rise
     rests = (abs(rise) <= noise) & (abs(turned) <= TWO * kg * noise)
-    turned = still if closed else turned
-    return ZERO if rests else min(max(turned, -cap), cap)
+    return ZERO if rests | (standing(h_a, h_b, step) <= dry) else min(max(turned, -cap), cap)
 
 
-@device_function
-def flux_row(w, d, b, n, dry, q_out):
-    """Fluxes through the n faces between the cells c and c + 1 of a row."""
+@device_function(inline="always")
+def flux_row(w, d, b, n, q_out, step_out):
+    """Fluxes through the n faces between the cells c and c + 1 of a row, and the bed's steps."""
     for c in range(n):
-        q_out[c] = upwind_flux(w[c], d[c], d[c + 1], b[c], b[c + 1], dry)
+        step = b[c + 1] - b[c]
+        step_out[c] = step
+        q_out[c] = upwind_flux(w[c], d[c], d[c + 1], step)
 
 
-@device_function
-def flux_rows(w, d_0, d_1, b_0, b_1, n, dry, q_out):
-    """Fluxes through the n faces between two rows."""
+@device_function(inline="always")
+def flux_rows(w, d_0, d_1, b_0, b_1, n, q_out, step_out):
+    """Fluxes through the n faces between two rows, and the bed's steps."""
     for c in range(n):
-        q_out[c] = upwind_flux(w[c], d_0[c], d_1[c], b_0[c], b_1[c], dry)
+        step = b_1[c] - b_0[c]
+        step_out[c] = step
+        q_out[c] = upwind_flux(w[c], d_0[c], d_1[c], step)
 
 
-@device_function
-def move_row(d, q_x, q_s, q_n, n, k, d_out):
+@device_function(inline="always")
+def move_row(d, b, q_x, q_s, q_n, n, k, rest, d_out, noise_out):
     """Depths of n cells after the step; rounding must not make them negative."""
     for c in range(n):
-        d_out[c] = max(d[c] - k * ((q_x[c + 1] - q_x[c]) + (q_n[c] - q_s[c])), ZERO)
+        depth = max(d[c] - k * ((q_x[c + 1] - q_x[c]) + (q_n[c] - q_s[c])), ZERO)
+        d_out[c] = depth
+        noise_out[c] = rest * (depth + abs(b[c]))
 
 
 @cpu_kernel
 def step(
-    tiles, h, bed, u, v, k, kg, gravity, cap, rest, dry,
+    runs, tiles, h, bed, u, v, k, kg, gravity, cap, rest, dry,
     h_out, u_out, v_out, reach_out, fast_out,
 ):  # fmt: skip
-    """Bring depth from n to n+1 and velocity from n+1/2 to n+3/2 in `tiles`.
+    """Bring depth from n to n+1 and velocity from n+1/2 to n+3/2 in the tiles of `runs`.
 
     Parameters
     ----------
+    runs : ndarray of shape (runs, 6), int64
+        See `rows.runs_of`.
     tiles : ndarray of shape (tiles, 4), int64
         First and last row + 1, first and last column + 1 of each tile.
     h, bed : ndarray of shape (ny + 4, nx + 4) [m]
@@ -94,81 +102,67 @@ def step(
     dry : float [m]
         Depths below do not flow.
     h_out, u_out, v_out : as h, u and v
-        Edge faces are left alone.
+        Edge faces are to be set anew.
     reach_out, fast_out : ndarray of shape (tiles,) [m/s]
         Largest `conserving.reach` and largest speed of each tile.
     """
-    for t in prange(tiles.shape[0]):
-        south, north, west, east = tiles[t, 0], tiles[t, 1], tiles[t, 2], tiles[t, 3]
-        rows = np.empty((9, WIDTH), h.dtype)
-        tops = np.zeros((2, WIDTH), h.dtype)
-        far, fast = tops[0], tops[1]
-        q_x, q_x_below, q_s, q_n = rows[0], rows[1], rows[2], rows[3]
-        d, d_below, m_s, m_n, q_ss = rows[4], rows[5], rows[6], rows[7], rows[8]
-        n = east - west
-        # Buffers begin at the cell west of the tile: cell or face c stands at c + west - 1.
-        j = south - 1
-        a = west - 1
-        flux_rows(
-            v[j, a:east], h[j - 1, a:east], h[j, a:east], bed[j - 1, a:east], bed[j, a:east],
-            n + 1, dry, q_s,
+    for t in prange(runs.shape[0]):
+        south, north, west, east = runs[t, 0], runs[t, 1], runs[t, 2], runs[t, 3]
+        q_x, q_below, s_x = stack_row(h, ROOM), stack_row(h, ROOM), stack_row(h, ROOM)
+        q_ss, q_s, q_n = stack_row(h, ROOM), stack_row(h, ROOM), stack_row(h, ROOM)
+        s_y, s_n = stack_row(h, ROOM), stack_row(h, ROOM)
+        d, d_below, e, e_below = (
+            stack_row(h, ROOM), stack_row(h, ROOM), stack_row(h, ROOM), stack_row(h, ROOM)
         )  # fmt: skip
+        new_u, new_v = stack_row(h, ROOM), stack_row(h, ROOM)
+        far, fast = stack_row(h, ROOM), stack_row(h, ROOM)
+        n, a = east - west, west - 1
+        for c in range(n):
+            far[c], fast[c] = ZERO, ZERO
+        # Rows on the stack begin at the cell west of the run: cell or face c is c + west - 1.
+        j = south - 1
+        flux_rows(v[j, a:east], h[j - 1, a:east], h[j, a:east], bed[j - 1, a:east],
+                  bed[j, a:east], n + 1, q_s, s_y)  # fmt: skip
         for j in range(south - 1, north):
             flux_row(u[j, a : east + 1], h[j, a - 1 : east + 1], bed[j, a - 1 : east + 1], n + 2,
-                     dry, q_x)  # fmt: skip
-            flux_rows(
-                v[j + 1, a:east], h[j, a:east], h[j + 1, a:east], bed[j, a:east],
-                bed[j + 1, a:east], n + 1, dry, q_n,
-            )  # fmt: skip
-            move_row(h[j, a:east], q_x, q_s, q_n, n + 1, k, d)
-            u_0, u_1 = u[j, a - 1 : east + 1], u[j + 1, a : east + 1]
-            for c in range(n):
-                m_n[c] = upwind(HALF * (q_n[c] + q_n[c + 1]), u_0[c + 2], u_1[c + 1])
+                     q_x, s_x)  # fmt: skip
+            flux_rows(v[j + 1, a:east], h[j, a:east], h[j + 1, a:east], bed[j, a:east],
+                      bed[j + 1, a:east], n + 1, q_n, s_n)  # fmt: skip
+            move_row(h[j, a:east], bed[j, a:east], q_x, q_s, q_n, n + 1, k, rest, d, e)
             if j >= south:
-                first = 1 if west == PAD else 0  # the west edge's face is not ours
-                w, b, b_s = u[j, a : east + 1], bed[j, a - 1 : east + 1], bed[j - 1, west:east]
-                w_out, v_new, h_new = u_out[j, west:east], v_out[j, west:east], h_out[j, west:east]
+                u_s, u_c, u_n = u[j - 1, west:east], u[j, a : east + 1], u[j + 1, west:east]
+                v_s, v_c, v_n = v[j - 1, west:east], v[j, a : east + 1], v[j + 1, west:east]
                 for c in range(n):
-                    h_new[c] = d[c + 1]
-                edge = w_out[0]
-                for c in range(n):
-                    h_a, h_b, bed_a, bed_b = d[c], d[c + 1], b[c + 1], b[c + 2]
-                    momentum = upwind(HALF * (q_x[c + 1] + q_x[c + 2]), w[c + 1], w[c + 2])
-                    momentum -= upwind(HALF * (q_x[c] + q_x[c + 1]), w[c], w[c + 1])
-                    momentum += m_n[c] - m_s[c]
-                    volume = HALF * (
-                        q_x[c + 2] - q_x[c] + q_n[c] + q_n[c + 1] - q_s[c] - q_s[c + 1]
-                    )
-                    s = pushed_lean(
-                        w[c + 1], h_a, h_b, bed_a, bed_b, momentum, volume, ZERO, k, kg, cap,
-                        rest, dry,
+                    h_c, h_w, h_s = d[c + 1], d[c], d_below[c + 1]
+                    w = u_c[c + 1]
+                    gain = upwind_gain(
+                        w, u_c[c], u_c[c + 2], u_s[c], u_n[c],
+                        q_x[c] + q_x[c + 1], q_x[c + 1] + q_x[c + 2],
+                        q_s[c] + q_s[c + 1], q_n[c] + q_n[c + 1],
                     )  # fmt: skip
-                    w_out[c] = s
-                    far[c] = max(far[c], reach(s, h_a, h_b, gravity))
-                    fast[c] = max(fast[c], abs(s))
-                if first:
-                    w_out[0] = edge
-                if j > PAD:
-                    v_s, v_c, v_n = v[j - 1, west:east], v[j, a : east + 1], v[j + 1, west:east]
-                    b_c = bed[j, west:east]
-                    for c in range(n):
-                        h_a, h_b, bed_a, bed_b = d_below[c + 1], d[c + 1], b_s[c], b_c[c]
-                        w_c = v_c[c + 1]
-                        momentum = upwind(HALF * (q_s[c + 1] + q_n[c + 1]), w_c, v_n[c])
-                        momentum -= upwind(HALF * (q_ss[c + 1] + q_s[c + 1]), v_s[c], w_c)
-                        q_w = HALF * (q_x_below[c + 1] + q_x[c + 1])
-                        q_e = HALF * (q_x_below[c + 2] + q_x[c + 2])
-                        momentum += upwind(q_e, w_c, v_c[c + 2]) - upwind(q_w, v_c[c], w_c)
-                        volume = HALF * (q_n[c + 1] - q_ss[c + 1]) + q_e - q_w
-                        s = pushed_lean(
-                            w_c, h_a, h_b, bed_a, bed_b, momentum, volume, ZERO, k, kg, cap,
-                            rest, dry,
-                        )  # fmt: skip
-                        v_new[c] = s
-                        far[c] = max(far[c], reach(s, h_a, h_b, gravity))
-                        fast[c] = max(fast[c], abs(s))
-            q_x, q_x_below = q_x_below, q_x
+                    east_speed = pushed_lean(
+                        w, h_w, h_c, s_x[c + 1], e[c] + e[c + 1], gain, k, kg, cap, dry
+                    )
+                    w = v_c[c + 1]
+                    gain = upwind_gain(
+                        w, v_c[c], v_c[c + 2], v_s[c], v_n[c],
+                        q_below[c + 1] + q_x[c + 1], q_below[c + 2] + q_x[c + 2],
+                        q_ss[c + 1] + q_s[c + 1], q_s[c + 1] + q_n[c + 1],
+                    )  # fmt: skip
+                    north_speed = pushed_lean(
+                        w, h_s, h_c, s_y[c + 1], e_below[c + 1] + e[c + 1], gain, k, kg, cap, dry
+                    )
+                    new_u[c], new_v[c] = east_speed, north_speed
+                    fast[c] = max(fast[c], max(abs(east_speed), abs(north_speed)))
+                    top = reach(east_speed, h_w, h_c, gravity)
+                    far[c] = max(far[c], max(top, reach(north_speed, h_s, h_c, gravity)))
+                copy_row(new_u, n, u_out[j, west:east])
+                copy_row(new_v, n, v_out[j, west:east])
+                copy_row(d[1:], n, h_out[j, west:east])
+            q_x, q_below = q_below, q_x
             d, d_below = d_below, d
-            m_s, m_n = m_n, m_s
+            e, e_below = e_below, e
+            s_y, s_n = s_n, s_y
             q_ss, q_s, q_n = q_s, q_n, q_ss
-        reach_out[t], fast_out[t] = largest(far, n), largest(fast, n)
+        largest_of(runs[t], tiles, far, reach_out)
+        largest_of(runs[t], tiles, fast, fast_out)

@@ -77,13 +77,16 @@ def tally(tiles, h, damp, film, ground_out, film_out, least_out):
         Smallest depth, film included.
     """
     for t in prange(tiles.shape[0]):
-        ground, held, least = 0.0, 0.0, np.inf
+        ground, held = 0.0, 0.0
         west, east = tiles[t, 2], tiles[t, 3]
+        lows = np.full(east - west, np.inf)  # a minimum along the row would be taken cell by cell
         for j in range(tiles[t, 0], tiles[t, 1]):
             d, rest, films = h[j, west:east], damp[j, west:east], film[j, west:east]
             for c in range(east - west):
-                free = np.float64(d[c]) + np.float64(rest[c])
-                ground += free
+                ground += np.float64(d[c]) + np.float64(rest[c])
+            for c in range(east - west):
                 held += np.float64(films[c])
-                least = min(least, free + np.float64(films[c]))
-        ground_out[t], film_out[t], least_out[t] = ground, held, least
+            for c in range(east - west):
+                free = np.float64(d[c]) + np.float64(rest[c])
+                lows[c] = min(lows[c], free + np.float64(films[c]))
+        ground_out[t], film_out[t], least_out[t] = ground, held, lows.min()
