@@ -49,9 +49,9 @@ from rainsim.cuda.account import (
 )
 from rainsim.cuda.jit import cuda, fast_kernel
 from rainsim.cuda.scalars import bits_of
-from rainsim.grid.conserving import HALF, PAD, ZERO, reach
+from rainsim.grid.conserving import PAD, ZERO, reach, standing
 from rainsim.grid.friction import QUARTER, rubbed
-from rainsim.grid.lean import pushed_lean, upwind, upwind_flux
+from rainsim.grid.lean import pushed_lean, upwind_flux, upwind_gain
 from rainsim.grid.solver import MAX_SPEED
 from rainsim.grid.sources import soaked
 
@@ -124,10 +124,10 @@ def step(
         h_w, h_c, b_w, b_c = h_out[hc - _ONE], h_out[hc], bed[at - _ONE], bed[at]
         v_s, v_w, v_c = v_out[vc - wide], v_out[vc - _ONE], v_out[vc]
         u_c = u_out[uc]
-        q_sw = upwind_flux(v_w, h_out[hc - wide - _ONE], h_w, bed[at - wide - _ONE], b_w, dry)
-        q_s = upwind_flux(v_c, h_out[hc - wide], h_c, bed[at - wide], b_c, dry)
-        d_s, b_s, r_s, q_ss, q_cs, q_es, m_s, u_s, u_es = (
-            ZERO, ZERO, ZERO, ZERO, ZERO, ZERO, ZERO, ZERO, ZERO,
+        q_sw = upwind_flux(v_w, h_out[hc - wide - _ONE], h_w, b_w - bed[at - wide - _ONE])
+        q_s = upwind_flux(v_c, h_out[hc - wide], h_c, b_c - bed[at - wide])
+        d_s, b_s, r_s, q_ss, q_cs, q_es, u_s, u_es = (
+            ZERO, ZERO, ZERO, ZERO, ZERO, ZERO, ZERO, ZERO,
         )  # fmt: skip
         for j in range(first - 1, end):
             hc, uc, vc = h_here + at, u_here + face, v_here + at
@@ -136,28 +136,25 @@ def step(
             v_e, v_nw, v_n = v_out[vc + _ONE], v_out[vc + wide - _ONE], v_out[vc + wide]
             h_e, h_nw, h_n = h_out[hc + _ONE], h_out[hc + wide - _ONE], h_out[hc + wide]
             b_e, b_nw, b_n = bed[at + _ONE], bed[at + wide - _ONE], bed[at + wide]
-            q_w = upwind_flux(u_w, h_out[hc - _TWO], h_w, bed[at - _TWO], b_w, dry)
-            q_c = upwind_flux(u_c, h_w, h_c, b_w, b_c, dry)
-            q_e = upwind_flux(u_e, h_c, h_e, b_c, b_e, dry)
-            q_nw = upwind_flux(v_nw, h_w, h_nw, b_w, b_nw, dry)
-            q_n = upwind_flux(v_n, h_c, h_n, b_c, b_n, dry)
+            q_w = upwind_flux(u_w, h_out[hc - _TWO], h_w, b_w - bed[at - _TWO])
+            q_c = upwind_flux(u_c, h_w, h_c, b_c - b_w)
+            q_e = upwind_flux(u_e, h_c, h_e, b_e - b_c)
+            q_nw = upwind_flux(v_nw, h_w, h_nw, b_nw - b_w)
+            q_n = upwind_flux(v_n, h_c, h_n, b_n - b_c)
             d_w = max(h_w - k * ((q_c - q_w) + (q_nw - q_sw)), ZERO)
             d = max(h_c - k * ((q_e - q_c) + (q_n - q_s)), ZERO)
-            m_n = upwind(HALF * (q_nw + q_n), u_c, u_n)
             r_w, r_c = ZERO, ZERO
             if rough:
                 r_w, r_c = roughness[at - _ONE], roughness[at]
             if j >= first:
                 if i > PAD:
-                    momentum = upwind(HALF * (q_c + q_e), u_c, u_e)
-                    momentum -= upwind(HALF * (q_w + q_c), u_w, u_c)
-                    momentum += m_n - m_s
-                    volume = HALF * (q_e - q_w + q_nw + q_n - q_sw - q_s)
-                    s = pushed_lean(
-                        u_c, d_w, d, b_w, b_c, momentum, volume, ZERO, k, kg, cap, rest, dry
+                    gain = upwind_gain(
+                        u_c, u_w, u_e, u_s, u_n, q_w + q_c, q_c + q_e, q_sw + q_s, q_nw + q_n
                     )
+                    noise = rest * (d_w + abs(b_w)) + rest * (d + abs(b_c))
+                    s = pushed_lean(u_c, d_w, d, b_c - b_w, noise, gain, k, kg, cap, dry)
                     if rough and s != ZERO:
-                        deep = max(max(b_w + d_w, b_c + d) - max(b_w, b_c), dry)
+                        deep = max(standing(d_w, d, b_c - b_w), dry)
                         along = QUARTER * (v_w + v_c + v_nw + v_n)
                         s = rubbed(s, along, deep, drag * max(r_w, r_c), laminar)
                     u_out[u_there + face] = s
@@ -168,16 +165,13 @@ def step(
                     far = max(far, reach(s, d_w, d, gravity))
                     fast = max(fast, abs(s))
                 if j > PAD:
-                    flow_w, flow_e = HALF * (q_cs + q_c), HALF * (q_es + q_e)
-                    momentum = upwind(HALF * (q_s + q_n), v_c, v_n)
-                    momentum -= upwind(HALF * (q_ss + q_s), v_s, v_c)
-                    momentum += upwind(flow_e, v_c, v_e) - upwind(flow_w, v_w, v_c)
-                    volume = HALF * (q_n - q_ss) + flow_e - flow_w
-                    s = pushed_lean(
-                        v_c, d_s, d, b_s, b_c, momentum, volume, ZERO, k, kg, cap, rest, dry
+                    gain = upwind_gain(
+                        v_c, v_w, v_e, v_s, v_n, q_cs + q_c, q_es + q_e, q_ss + q_s, q_s + q_n
                     )
+                    noise = rest * (d_s + abs(b_s)) + rest * (d + abs(b_c))
+                    s = pushed_lean(v_c, d_s, d, b_c - b_s, noise, gain, k, kg, cap, dry)
                     if rough and s != ZERO:
-                        deep = max(max(b_s + d_s, b_c + d) - max(b_s, b_c), dry)
+                        deep = max(standing(d_s, d, b_c - b_s), dry)
                         along = QUARTER * (u_s + u_es + u_c + u_e)
                         s = rubbed(s, along, deep, drag * max(r_s, r_c), laminar)
                     v_out[v_there + at] = s
@@ -216,9 +210,8 @@ def step(
                     sums[S_GROUND, lane] += np.float64(value) + np.float64(damp)
                     sums[S_FILM, lane] += np.float64(film_now)
                     depth_out[j - PAD, i - PAD] = film_now + (value + damp)
-            d_s, b_s, r_s, q_ss, q_cs, q_es, m_s, u_s, u_es = (
-                d, b_c, r_c, q_s, q_c, q_e, m_n, u_c, u_e,
-            )  # fmt: skip
+            d_s, b_s, r_s, q_ss, q_cs, q_es, u_s, u_es = d, b_c, r_c, q_s, q_c, q_e, u_c, u_e
+
             h_w, h_c, b_w, b_c, q_sw, q_s = h_nw, h_n, b_nw, b_n, q_nw, q_n
             v_s, v_w, v_c, u_c = v_c, v_nw, v_n, u_n
             at, face = at + wide, face + wider
