@@ -40,6 +40,71 @@ def write_png(path, image):
         iio.imwrite(temporary, image, extension=".png", plugin="pillow", compress_level=PNG_LEVEL)
 
 
+def write_png16(path, values):
+    """Write a map of whole numbers up to 65535 as a grey 16-bit PNG, exactly.
+
+    Parameters
+    ----------
+    path : path-like
+    values : ndarray of shape (height, width)
+    """
+    values = np.ascontiguousarray(values).astype(np.uint16)
+    with replacing(path) as temporary:
+        iio.imwrite(temporary, values, extension=".png", plugin="pillow", compress_level=PNG_LEVEL)
+
+
+def data_suffix():
+    """Return how files of `write_data` end: exr with the extra `exr`, else npz."""
+    return "npz" if _openexr() is None else "exr"
+
+
+def _openexr():
+    try:
+        import OpenEXR  # an extra: most runs need no float pictures
+    except ImportError:
+        return None
+    return OpenEXR
+
+
+def write_data(path, values, channels):
+    """Write a float32 picture, exactly: OpenEXR if the name ends so, else an .npz of its channels.
+
+    Parameters
+    ----------
+    path : path-like
+    values : ndarray of shape (height, width) or (height, width, n), float
+    channels : sequence of str
+        A name for each channel.
+    """
+    values = np.asarray(values, np.float32)
+    planes = values[..., None] if values.ndim == 2 else values
+    if planes.shape[-1] != len(channels):
+        raise ParameterError(
+            f"the picture for {path} has {planes.shape[-1]} channels; it has {len(channels)} names"
+        )
+    parts = {n: np.ascontiguousarray(planes[..., k]) for k, n in enumerate(channels)}
+    if not str(path).endswith(".exr"):
+        write_npz(path, **parts)
+        return
+    exr = _openexr()
+    header = {"compression": exr.ZIP_COMPRESSION, "type": exr.scanlineimage}
+    with replacing(path) as temporary, exr.File(header, parts) as file:
+        file.write(str(temporary))
+
+
+def read_data(path, channels):
+    """Return what `write_data` wrote, ndarray of shape (height, width[, n]), float32."""
+    path = require_file(path, "a float picture")
+    if path.suffix == ".exr":
+        with _openexr().File(str(path), separate_channels=True) as file:
+            parts = {name: channel.pixels for name, channel in file.channels().items()}
+    else:
+        with np.load(path, allow_pickle=False) as data:
+            parts = {name: data[name] for name in channels}
+    planes = np.stack([parts[name] for name in channels], axis=-1)
+    return planes[..., 0] if len(channels) == 1 else planes
+
+
 def read_image(path):
     """Return the pixels of a PNG or TIFF file in the type that the file has."""
     path = require_file(path, "a picture")

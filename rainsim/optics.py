@@ -298,44 +298,88 @@ def lay_water(
     """
     width = depth.shape[1]
     m = ground_from_camera
-    sunny = sun[3] + sun[4] + sun[5] > ZERO
     for n in prange(len(pixel)):
         r = record[n]
         row, column = pixel[n] // width, pixel[n] % width
-        vx, vy, vz, deep, gx, gy = r[3], r[4], r[5], r[7], r[10], r[11]
-        ux, uy, uz = normal_of(gx, gy)
-        cosine = max(-(vx * ux + vy * uy + vz * uz), LEAST_COSINE)
-        share = schlick(cosine) if schlick_law else fresnel(cosine)
-        u, v = np.float32(column) + HALF, np.float32(row) + HALF
-        if image_shift:
-            bu, bv = shifted(m, lens, ux, uy, uz, deep, r[6], u, v)
-            travel = ZERO  # the paper's water is clear
-        else:
-            # Where on the bed does the bent view ray end, and what was seen there?
-            qx, qy, qz = refracted(vx, vy, vz, ux, uy, uz, cosine)
-            path = deep / max(-qz, np.float32(0.1))
-            t = r[6] / column_of(m, 2, vx, vy, vz)
-            bu, bv = bed_seen_at(
-                depth, m, lens, t * vx + path * qx, t * vy + path * qy, t * vz + path * qz, u, v
-            )
-            travel = path + deep  # down along the view, up again straight to the sky
-        b0, b1, b2 = bilinear_color(picture, bu, bv)
-        glint = ZERO
-        if sunny and phong:
-            glint = share * phong_highlight(vx, vy, vz, sun[0], sun[1], sun[2], ux, uy, uz)
-        elif sunny:
-            glint = sun_glint(vx, vy, vz, sun[0], sun[1], sun[2], gx, gy, glint_variance)
+        b0, b1, b2, share, glint = terms_of(
+            r, row, column, picture, depth, m, lens, schlick_law, image_shift, phong,
+            glint_variance, sun,
+        )  # fmt: skip
         through, covers, dry = ONE - share, r[8], ONE - r[8]
         out = picture_out[row, column]
         out[0] = dry * picture[row, column, 0] + covers * (
-            through * b0 * exp_minus(ABSORB_R * travel) + share * light[n, 0] + glint * sun[3]
+            through * b0 + share * light[n, 0] + glint * sun[3]
         )
         out[1] = dry * picture[row, column, 1] + covers * (
-            through * b1 * exp_minus(ABSORB_G * travel) + share * light[n, 1] + glint * sun[4]
+            through * b1 + share * light[n, 1] + glint * sun[4]
         )
         out[2] = dry * picture[row, column, 2] + covers * (
-            through * b2 * exp_minus(ABSORB_B * travel) + share * light[n, 2] + glint * sun[5]
+            through * b2 + share * light[n, 2] + glint * sun[5]
         )
+
+
+@cpu_kernel
+def separate_water(
+    pixel, record, picture, depth, ground_from_camera, lens, schlick_law, image_shift, phong,
+    glint_variance, sun, through_out, share_out, glint_out,
+):  # fmt: skip
+    """Write the terms that `lay_water` adds up, apart; for layers.
+
+    Parameters
+    ----------
+    through_out : ndarray of shape (n, 3), float32
+        Radiance from below the water, before it is multiplied by 1 - Fresnel's factor.
+    share_out : ndarray of shape (n,), float32
+        Fresnel's factor.
+    glint_out : ndarray of shape (n, 3), float32
+        The sun's glint as it is added.
+    """
+    width = depth.shape[1]
+    for n in prange(len(pixel)):
+        b0, b1, b2, share, glint = terms_of(
+            record[n], pixel[n] // width, pixel[n] % width, picture, depth, ground_from_camera,
+            lens, schlick_law, image_shift, phong, glint_variance, sun,
+        )  # fmt: skip
+        through_out[n, 0], through_out[n, 1], through_out[n, 2] = b0, b1, b2
+        share_out[n] = share
+        for c in range(3):
+            glint_out[n, c] = glint * sun[3 + c]
+
+
+@device_function
+def terms_of(r, row, column, picture, depth, m, lens, schlick_law, image_shift, phong,
+             glint_variance, sun):  # fmt: skip
+    """Return what shows through the water of a record (three numbers), the mirrored share, glint.
+
+    The glint is per irradiance of the sun; the parameters are those of `lay_water`.
+    """
+    vx, vy, vz, deep, gx, gy = r[3], r[4], r[5], r[7], r[10], r[11]
+    ux, uy, uz = normal_of(gx, gy)
+    cosine = max(-(vx * ux + vy * uy + vz * uz), LEAST_COSINE)
+    share = schlick(cosine) if schlick_law else fresnel(cosine)
+    u, v = np.float32(column) + HALF, np.float32(row) + HALF
+    if image_shift:
+        bu, bv = shifted(m, lens, ux, uy, uz, deep, r[6], u, v)
+        travel = ZERO  # the paper's water is clear
+    else:
+        # Where on the bed does the bent view ray end, and what was seen there?
+        qx, qy, qz = refracted(vx, vy, vz, ux, uy, uz, cosine)
+        path = deep / max(-qz, np.float32(0.1))
+        t = r[6] / column_of(m, 2, vx, vy, vz)
+        bu, bv = bed_seen_at(
+            depth, m, lens, t * vx + path * qx, t * vy + path * qy, t * vz + path * qz, u, v
+        )
+        travel = path + deep  # down along the view, up again straight to the sky
+    b0, b1, b2 = bilinear_color(picture, bu, bv)
+    glint = ZERO
+    if sun[3] + sun[4] + sun[5] > ZERO and phong:
+        glint = share * phong_highlight(vx, vy, vz, sun[0], sun[1], sun[2], ux, uy, uz)
+    elif sun[3] + sun[4] + sun[5] > ZERO:
+        glint = sun_glint(vx, vy, vz, sun[0], sun[1], sun[2], gx, gy, glint_variance)
+    return (
+        b0 * exp_minus(ABSORB_R * travel), b1 * exp_minus(ABSORB_G * travel),
+        b2 * exp_minus(ABSORB_B * travel), share, glint,
+    )  # fmt: skip
 
 
 @device_function

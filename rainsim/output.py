@@ -15,8 +15,11 @@ import sys
 import tempfile
 import time
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from importlib import metadata
 from pathlib import Path
+
+import numpy as np
 
 from rainsim import __version__
 from rainsim.errors import ParameterError
@@ -28,6 +31,7 @@ OURS = re.compile(
     r"frames/\d{5}\.png|states/\d{5}\.npz|preview\.webp|video\.mp4|transforms\.json"
     r"|(terrain|splats)\.npz|(scene|ground_frame|simulation)\.json|(bed|top)\.tif"
     r"|(hillshade|classes|check|puddles-\d+mm)\.png"
+    r"|layers/(\d{5}\.json|[a-z_]+/\d{5}\.(png|exr|npz))"
 )
 VERSIONS_OF = ("numpy", "scipy", "numba", "llvmlite", "pillow")
 
@@ -64,7 +68,7 @@ def claimed(path, overwrite=False):
         tempfile.TemporaryFile(dir=path).close()  # before hours of work, not after
         yield path
     finally:
-        for folder in (path / "frames", path / "states", *made):
+        for folder in (path / "frames", path / "states", path / "layers", *made):
             if folder.is_dir() and not any(folder.iterdir()):
                 folder.rmdir()
 
@@ -229,7 +233,9 @@ class FilmFolder:
         if self._video is not None:
             self._video.add(picture)
         self.record.add(name)
-        self.reports.append(report)
+        if report.layers:
+            self.record.add(*write_layers(self.folder, report))
+        self.reports.append(replace(report, layers={}))
 
     def _begin(self):
         from rainsim.scene.cameras import write_transforms
@@ -259,6 +265,35 @@ class FilmFolder:
             ledger=self.reports[-1].ledger,
             notes=list(dict.fromkeys(note for r in self.reports for note in r.notes)),
         )
+
+
+def write_layers(folder, report):
+    """Write a frame's layers as folder/layers/NAME/NNNNN.*, and what recomposing them needs.
+
+    Returns the names of the files.
+    """
+    from rainsim import image
+    from rainsim.layers import DATA, INDEX, LAYERS, PICTURE, channels
+
+    written = []
+    for name, values in report.layers.items():
+        kind = LAYERS[name].kind
+        end = "png" if kind != DATA else image.data_suffix()
+        path = f"layers/{name}/{report.index:05d}.{end}"
+        (folder / path).parent.mkdir(parents=True, exist_ok=True)
+        if kind == PICTURE:
+            image.write_png(folder / path, values)
+        elif kind == INDEX:
+            image.write_png16(folder / path, values)
+        elif kind == DATA:
+            image.write_data(folder / path, values, channels(name))
+        else:
+            image.write_png16(folder / path, np.rint(np.clip(values, 0, 1) * 65535))
+        written.append(path)
+    name = f"layers/{report.index:05d}.json"
+    units = {n: LAYERS[n].unit for n in report.layers}
+    write_json(folder / name, {"light": report.light, "units": units, "files": written})
+    return [*written, name]
 
 
 def mean_milliseconds(reports):

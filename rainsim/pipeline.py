@@ -28,7 +28,7 @@ __all__ = [
 BACKENDS = ("cpu",)
 
 
-def render_rain(scene, cameras, config, backend="cpu", progress=None):
+def render_rain(scene, cameras, config, backend="cpu", progress=None, layers=()):
     """Yield the rainy frames of a scene: the whole program.
 
     Parameters
@@ -41,6 +41,8 @@ def render_rain(scene, cameras, config, backend="cpu", progress=None):
         "cpu".
     progress : callable, optional
         progress(stage, done, total) is told what is being done.
+    layers : sequence of str
+        Layers that the reports are to hold, see `rainsim.layers`.
 
     Yields
     ------
@@ -61,7 +63,7 @@ def render_rain(scene, cameras, config, backend="cpu", progress=None):
     ground = extract_terrain(scene, config)
     tell("terrain", 1, 1)
     states = frames_of(simulate(ground, config), config, tell)
-    yield from rendering.render(scene, ground, states, cameras, config)
+    yield from rendering.render(scene, ground, states, cameras, config, layers)
 
 
 def extract_terrain(scene, config, mask=None):

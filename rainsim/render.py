@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 import time as clock
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy import ndimage
 
-from rainsim import paperrain, shade, sky
+from rainsim import layers, paperrain, shade, sky
 from rainsim.errors import ParameterError
 from rainsim.motion import shutter_end
 from rainsim.raster import Rasterizer, prepare
@@ -39,6 +39,10 @@ class FrameReport:
     ledger : dict
         Water volumes [m3] and their relative residual.
     notes : tuple of str
+    layers : dict of str to ndarray
+        What was asked for, see `rainsim.layers`.
+    light : dict
+        What `layers.recompose` needs besides: radiance of drops and air, and brightness.
     """
 
     index: int
@@ -46,6 +50,8 @@ class FrameReport:
     milliseconds: dict
     ledger: dict
     notes: tuple = ()
+    layers: dict = field(default_factory=dict)
+    light: dict = field(default_factory=dict)
 
 
 class Renderer:
@@ -68,11 +74,12 @@ class Renderer:
         self.environment = self._surroundings(eye)
         self._camera = None  # that the kept layers belong to
 
-    def draw(self, camera, state, camera_end=None):
+    def draw(self, camera, state, camera_end=None, names=()):
         """Return the picture (height, width, 3) uint8 that `camera` (capture frame) takes.
 
         `camera_end` is where it is when the shutter closes, in the ground frame; None: it is still.
-        Only rain shows the motion: what was captured stays sharp.
+        Only rain shows the motion: what was captured stays sharp. `names` are the layers that the
+        report is to hold.
         """
         timer = Timer()
         if self._set_time(state.time) or camera is not self._camera:
@@ -90,7 +97,29 @@ class Renderer:
             np.float32(self.now.render.brightness), image,
         )  # fmt: skip
         timer.mark("compose")
-        return image, FrameReport(state.index, state.time, timer.stages, state.ledger, state.notes)
+        found, light = {}, {}
+        if names:
+            found = layers.collect(names, self._shot(names, state, rain_alpha, splash_alpha, fog))
+            brightness = float(self.now.render.brightness)
+            light = {"drop": drop.tolist(), "air": self.air_light.tolist()}
+            light["brightness"] = brightness
+            timer.mark("layers")
+        return image, FrameReport(
+            state.index, state.time, timer.stages, state.ledger, state.notes, found, light
+        )
+
+    def _shot(self, names, state, rain_alpha, splash_alpha, fog):
+        """Return what the frame just drawn was put together from."""
+        dry = None
+        if "clean" in names or "normal" in names:
+            dry = self.rasterizer.draw(self._camera, self.near)
+        return layers.Shot(
+            layers=dry, view=self.wet, water=self.water, environment=self.environment,
+            sun=self._sun, field=self.field, surfaces=self.surfaces, camera=self.view, state=state,
+            exposure=self.now.render.exposure, interval=self.config.frame_interval,
+            film=WET_FILM * float(self.wetness), wetness=float(self.wetness), reach=self.exposure,
+            rain=rain_alpha, splash=splash_alpha, fog=fog, far=self.now.render.streak_far,
+        )  # fmt: skip
 
     def _set_time(self, time):
         """Take over the settings of a time; return whether the dry picture's look has changed."""
@@ -112,7 +141,7 @@ class Renderer:
 
     def _wet_picture(self, camera, plane, timer):
         """Return the `View` of the wet capture that `camera` takes, cut at a plane or whole."""
-        layers = self.rasterizer.draw(camera, self.near, plane)
+        dry = self.rasterizer.draw(camera, self.near, plane)
         timer.mark("splat" if plane is None else "mirror")
         turn, eye = _pose(self.frame.camera_in_ground(camera))
         lens = _lens(camera)
@@ -120,7 +149,7 @@ class Renderer:
         picture = np.empty((*shape, 3), np.float32)
         depth, clearance = np.empty(shape, np.float32), np.empty(shape, np.float32)
         shade.grade_and_wet(
-            layers.color, layers.alpha, layers.depth, layers.plane_depth, layers.normal,
+            dry.color, dry.alpha, dry.depth, dry.plane_depth, dry.normal,
             np.float32(self.frame.meters_per_unit), turn, eye, lens,
             self.terrain.bed, self.grass, self.exposure, self._origin, self._spacing,
             self.environment, self.day, self.look, self.wetness, picture, depth, clearance,
@@ -277,7 +306,7 @@ class Timer:
         self._last = now
 
 
-def render(scene, terrain, states, cameras, config):
+def render(scene, terrain, states, cameras, config, names=()):
     """Yield (picture, FrameReport) for each state and its camera.
 
     Parameters
@@ -289,6 +318,8 @@ def render(scene, terrain, states, cameras, config):
     cameras : sequence of Camera
         One per frame of the whole sequence (the state's index picks), or one for all.
     config : Config
+    names : sequence of str
+        Layers that the reports are to hold, see `rainsim.layers`.
 
     Yields
     ------
@@ -302,4 +333,5 @@ def render(scene, terrain, states, cameras, config):
     for state in states:
         camera = cameras[0] if len(cameras) == 1 else cameras[state.index]
         exposure = config.at(state.time).render.exposure
-        yield renderer.draw(camera, state, shutter_end(path, state.index, exposure, config.fps))
+        end = shutter_end(path, state.index, exposure, config.fps)
+        yield renderer.draw(camera, state, end, names)

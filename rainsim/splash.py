@@ -27,6 +27,7 @@ __all__ = [
     "Droplets",
     "draw_droplets",
     "draw_splashes",
+    "seen_splashes",
     "splash_droplets",
     "splashes",
 ]
@@ -185,20 +186,7 @@ def draw_splashes(
         As in `draw_streaks`.
     """
     alpha_out[...] = 0
-    smallest = SMALLEST_ON_FILM if film > _WET else SMALLEST_SPLASH
-    # Crowns are short-lived; what lives longer is small, and seen only from near.
-    split = time - LONGEST_CROWN
-    near = FINE_PIXEL * max(camera.fx, camera.fy)
-    parts = [
-        list_impacts(field, surfaces, begin, end, smallest, footprint(camera, reach))
-        for begin, end, reach in (
-            (time - LONGEST_LIFE, split, near), (split, time + exposure, _FARTHEST),
-        )
-    ]  # fmt: skip
-    found, pixel = _in_view(_joined(*parts), camera)
-    under = np.where(found.kind == GROUND, water_depth[found.row, found.column], 0.0) + film
-    splash = splashes(found, under)
-    found, pixel, under = found.take(splash), pixel[splash], under[splash]
+    found, pixel, under = _splashing(field, surfaces, camera, time, exposure, water_depth, film)
     clear = found.diameter * _LARGEST_SHARE > _LEAST_SEEN * pixel
     clear &= pixel < FINE_PIXEL
     droplets = splash_droplets(found.take(clear), under[clear], time, exposure)
@@ -212,6 +200,29 @@ def draw_splashes(
         np.concatenate([droplets.diameter, crowns.diameter]),
         camera, exposure, depth, alpha_out, camera_end, aperture, focus,
     )  # fmt: skip
+
+
+def seen_splashes(field, surfaces, camera, time, exposure, water_depth, film):
+    """Return the impacts that splash where the camera may see it; as in `draw_splashes`."""
+    return _splashing(field, surfaces, camera, time, exposure, water_depth, film)[0]
+
+
+def _splashing(field, surfaces, camera, time, exposure, water_depth, film):
+    """Return the impacts that splash in view, the size of a pixel there and the water there [m]."""
+    smallest = SMALLEST_ON_FILM if film > _WET else SMALLEST_SPLASH
+    # Crowns are short-lived; what lives longer is small, and seen only from near.
+    split = time - LONGEST_CROWN
+    near = FINE_PIXEL * max(camera.fx, camera.fy)
+    parts = [
+        list_impacts(field, surfaces, begin, end, smallest, footprint(camera, reach))
+        for begin, end, reach in (
+            (time - LONGEST_LIFE, split, near), (split, time + exposure, _FARTHEST),
+        )
+    ]  # fmt: skip
+    found, pixel = _in_view(_joined(*parts), camera)
+    under = np.where(found.kind == GROUND, water_depth[found.row, found.column], 0.0) + film
+    splash = splashes(found, under)
+    return found.take(splash), pixel[splash], under[splash]
 
 
 def _joined(early, late):

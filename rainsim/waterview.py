@@ -129,14 +129,20 @@ class WaterView:
             levels = ripple_levels(state.slopes)
             optics.tilt_water(self.record, *levels, rms_slopes(levels), np.float32(state.tile_size))
             self._reflect(draw_mirrored, environment, timer)
-            c = self.config
             optics.lay_water(
                 self.pixel, self.record, self.light, self.view.picture, self.view.depth,
-                self.view.turn, self.view.lens, c.fresnel == "schlick", c.refraction == "shift",
-                c.highlight == "blinn-phong", np.float32(GLINT_VARIANCE), sun, self._shown,
+                self.view.turn, self.view.lens, *self.laws(), sun, self._shown,
             )  # fmt: skip
         timer.mark("water")
         return self._shown
+
+    def laws(self):
+        """Return what `optics.lay_water` takes of the laws that the configuration names."""
+        c = self.config
+        return (
+            c.fresnel == "schlick", c.refraction == "shift", c.highlight == "blinn-phong",
+            np.float32(GLINT_VARIANCE),
+        )  # fmt: skip
 
     def _find(self):
         """List the pixels that show water."""

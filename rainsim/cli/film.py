@@ -26,7 +26,7 @@ SIMULATION = "simulation.json"
 @options.ground_options
 @options.terrain_options
 @options.output_options("rainsim-out/SCENE-PRESET")
-def run(scene, preset, out, overwrite, as_json, quiet, video, **given):
+def run(scene, preset, out, overwrite, as_json, quiet, video, layers, **given):
     """Draw a scene in the rain: the whole chain, from a capture to frames.
 
     Writes DIR/frames/00000.png and so on, preview.webp, transforms.json (the frames' cameras) and
@@ -40,7 +40,7 @@ def run(scene, preset, out, overwrite, as_json, quiet, video, **given):
     """
     status = Status(quiet)
     config = settings(preset, given)
-    _check_before_loading(given, video)
+    names = _check_before_loading(given, video, layers)
     loaded = scene_of(scene, given)
     tell_scene(status, loaded)
     cameras, config = cameras_of(loaded, config, given)
@@ -54,7 +54,7 @@ def run(scene, preset, out, overwrite, as_json, quiet, video, **given):
             if done == total:  # what follows unannounced is the first frame
                 status.progress("frames", 0, len(config.indices))
 
-        return render_rain(loaded, cameras, config, progress=progress)
+        return render_rain(loaded, cameras, config, progress=progress, layers=names)
 
     files = {"out": out, "overwrite": overwrite, "video": video, "as_json": as_json}
     _film(status, frames, loaded, cameras, config, preset, **files)
@@ -143,7 +143,7 @@ def _write_simulation(out, source, terrain, record, config, preset, origin):
 @options.range_option
 @options.ground_options
 @options.output_options("rainsim-out/STATES-frames")
-def render(states, scene, out, overwrite, as_json, quiet, video, **given):
+def render(states, scene, out, overwrite, as_json, quiet, video, layers, **given):
     """Draw frames from STATES, a folder that `rainsim simulate` wrote, for any camera.
 
     The drops in the air are made anew from the seed. Settings of the rain are those of the
@@ -156,7 +156,7 @@ def render(states, scene, out, overwrite, as_json, quiet, video, **given):
     status = Status(quiet)
     made = _read_simulation(states)
     config = settings(None, given, base=made["config"])
-    _check_before_loading(given, video)
+    names = _check_before_loading(given, video, layers)
     origin = made.get("input") or {}
     scene = scene or origin.get("source") or origin.get("scene")
     if scene is None:
@@ -182,7 +182,7 @@ def render(states, scene, out, overwrite, as_json, quiet, video, **given):
         from rainsim.terrain import read_terrain
 
         found = (pipeline.read_state(_state_file(states, index)) for index in config.indices)
-        return pipeline.render(loaded, read_terrain(states), found, cameras, config)
+        return pipeline.render(loaded, read_terrain(states), found, cameras, config, names)
 
     for index in config.indices:
         _state_file(states, index)
@@ -223,12 +223,18 @@ def _read_simulation(states):
 # --- what run and render share --------------------------------------------------------------------
 
 
-def _check_before_loading(given, video):
+def _check_before_loading(given, video, layers):
+    """Return the names of the layers; raise for what could only fail later."""
     check_camera_options(given)
     if video:
         from rainsim.image import require_video
 
         require_video()
+    if layers is None:
+        return ()
+    from rainsim.layers import parse_names
+
+    return parse_names(layers)
 
 
 def _film(status, frames, scene, cameras, config, preset, *, out, overwrite, video, as_json):

@@ -184,6 +184,8 @@ picture_options = _group(
     click.option("--height", type=int, metavar="PX", show_default="the camera's shape",
                  help="Height of the frames in px; with --width the picture is cropped."),
     click.option("--video", is_flag=True, help="Write video.mp4 too (needs rainsim[video])."),
+    click.option("--layers", metavar="all|NAME,NAME", show_default="none",
+                 help="Write layers of each frame too, such as depth,water_depth."),
 )  # fmt: skip
 
 terrain_options = _group(

@@ -12,8 +12,10 @@ import pytest
 
 from rainsim import pipeline
 from rainsim.errors import DivergedError
-from rainsim.image import read_image
+from rainsim.image import read_data, read_image
+from rainsim.layers import LAYERS, channels, recompose
 from rainsim.scene.cameras import read_cameras
+from rainsim.scene.library import load_scene
 
 MAP = ["--spacing", "0.04", "--extent", "1"]
 FILM = [*MAP, "--width", "64", "--preset", "downpour"]
@@ -222,8 +224,40 @@ def test_cameras_in_every_way(film, tmp_path, scene_folder):
     assert done.code == 0, done.err
     one, two = read_cameras(tmp_path / "orbit" / "transforms.json")
     assert np.linalg.norm(one.position - two.position) > 1
+    done = film("drive", "--drive", frames=None)
+    assert done.code == 0, done.err
+    own = load_scene(str(scene_folder)).cameras
+    driven = read_cameras(tmp_path / "drive" / "transforms.json")
+    assert len(pictures(tmp_path / "drive")) == len(driven) == len(own)
+    assert all(np.allclose(a.position, b.position) for a, b in zip(driven, own, strict=True))
+    done = film("both ways", "--drive", "--orbit")
+    assert done.code == 2 and "--orbit and --drive are both given" in done.error
     done = film("long", "--path", "first/transforms.json", frames=9)
     assert done.code == 2 and "frames is 9; it must be at most 1" in done.error
+
+
+def test_layers_are_written_and_make_the_frame(film, tmp_path):
+    done = film("out", "--layers", "all", frames=1)
+    assert done.code == 0, done.err
+    folder = tmp_path / "out"
+    facts = json.loads((folder / "layers/00000.json").read_text())
+    assert set(facts["units"]) == set(LAYERS)
+    assert set(facts["files"]) < set(record(folder)["files"])
+    found = {}
+    for file in facts["files"]:
+        name = file.split("/")[1]
+        if file.endswith(".png"):
+            values = read_image(folder / file)
+            found[name] = values / 65535 if LAYERS[name].kind == "share" else values
+        else:
+            found[name] = read_data(folder / file, channels(name))
+    frame = pictures(folder)["00000.png"].astype(int)
+    assert np.abs(recompose(found, **facts["light"]) - frame).max() <= 1
+    assert film("out", "--overwrite", "--rain", 3, frames=1).code == 0  # another film
+    assert not (folder / "layers/00000.json").exists()
+    done = film("other", "--layers", "depth,wetnes")
+    assert done.code == 2 and "there is no layer 'wetnes'" in done.error
+    assert not (tmp_path / "other").exists()
 
 
 def test_json_is_the_only_thing_on_stdout(film, tmp_path):

@@ -1,0 +1,122 @@
+"""Layers: they make the frame again, mean what they say, and cost nothing unless asked for."""
+
+import numpy as np
+import pytest
+
+from rainsim import image, layers, pipeline
+from rainsim.config import Config
+from rainsim.errors import ParameterError
+from rainsim.layers import LAYERS, NEEDED, recompose
+from rainsim.render import Renderer
+from scenes import tiny_scene
+
+
+@pytest.fixture(scope="module")
+def shot():
+    """A frame of a small wet scene with all layers: picture, report and renderer."""
+    scene = tiny_scene()
+    camera = scene.cameras[0].resized(160, 120)
+    config = Config.from_preset("downpour").replace(
+        past=6e-3, sun=(0.0, 0.7), cloudiness=0.5, extent=1.0, spacing=0.025
+    )
+    ground = pipeline.extract_terrain(scene, config)
+    states = pipeline.simulate(ground, config)
+    state = next(s for s in states if s.index == 2)
+    renderer = Renderer(scene, ground, config, camera)
+    picture, report = renderer.draw(camera, state, None, tuple(LAYERS))
+    return picture, report, renderer, camera, state
+
+
+def test_layers_make_the_frame_again(shot):
+    picture, report, *_ = shot
+    again = recompose(report.layers, **report.light)
+    assert np.abs(again.astype(int) - picture).max() <= 1
+    # Each part is needed: without it the frame is another.
+    for name in NEEDED:
+        other = {**report.layers, name: np.zeros_like(report.layers[name])}
+        if report.layers[name].any():
+            changed = recompose(other, **report.light).astype(int)
+            assert np.abs(changed - picture).max() > 1, name
+
+
+def test_every_layer_has_the_frames_size_and_its_kind(shot):
+    picture, report, *_ = shot
+    assert set(report.layers) == set(LAYERS)
+    for name, values in report.layers.items():
+        assert values.shape[:2] == picture.shape[:2], name
+        kind = LAYERS[name].kind
+        if kind == layers.SHARE:
+            assert values.min() >= 0 and values.max() <= 1
+        elif kind == layers.DATA:
+            assert values.dtype == np.float32 and values.ndim == 2 + (
+                len(layers.channels(name)) > 1
+            )
+
+
+def test_layers_say_what_is_there(shot):
+    _, report, *_ = shot
+    found = report.layers
+    water = found["coverage"] > 0
+    assert 0.01 < water.mean() < 0.9
+    assert (found["water_depth"][water] > 0).all() and not found["water_depth"][~water].any()
+    assert set(np.unique(found["reflection_source"][water])) <= {1, 2, 3, 4}
+    assert not found["reflection_source"][~water].any()
+    up = found["normal"][water] @ [0, 0, 1]
+    assert np.median(up) > 0.95  # the ground below water is level
+    assert found["wetness"][water].min() > 0.2
+    assert found["highlight"].max() > 0  # the sun is given
+    assert ((found["splash_id"] > 0) <= (found["splash_alpha"] > 0)).all()
+
+
+def test_flow_is_that_of_falling_drops(shot):
+    _, report, _, camera, _ = shot
+    flow = report.layers["drop_flow"]
+    seen = np.abs(flow).max(axis=-1) > 0
+    assert seen.any() and (report.layers["rain_alpha"][seen] > 0).all()
+    assert np.median(flow[seen][:, 1]) > 5  # down the picture
+    # A drop of v m/s at depth z moves f v / (z fps) pixels: between the fastest near, slowest far.
+    fastest = 10.0 * camera.fy / 0.3 / 24
+    assert np.linalg.norm(flow[seen], axis=1).max() < fastest
+
+
+def test_nothing_is_computed_unless_asked(shot, monkeypatch):
+    picture, _, renderer, camera, state = shot
+    monkeypatch.setattr(layers, "collect", lambda *a: pytest.fail("computed"))
+    again, report = renderer.draw(camera, state)
+    assert report.layers == {} and "layers" not in report.milliseconds
+    assert (again == picture).mean() > 0.999
+
+
+def test_names_are_checked():
+    assert layers.parse_names("all") == tuple(LAYERS)
+    assert layers.parse_names("depth, wet,depth") == ("depth", "wet")
+    with pytest.raises(ParameterError, match=r"no layer 'depht'.*known are all, clean"):
+        layers.parse_names("depht")
+
+
+def test_every_layer_is_documented():
+    from pathlib import Path
+
+    text = (Path(__file__).parents[2] / "docs/layers.md").read_text(encoding="utf-8")
+    for name, layer in LAYERS.items():
+        row = next(line for line in text.splitlines() if line.startswith(f"| `{name}` |"))
+        assert f"| {layer.kind} |" in row and layer.unit in row, name
+
+
+@pytest.mark.parametrize("suffix", ["npz", "exr"])
+def test_float_pictures_come_back_exactly(tmp_path, rng, suffix):
+    if suffix == "exr":
+        pytest.importorskip("OpenEXR")
+    for channels in (("Z",), ("X", "Y"), ("R", "G", "B")):
+        values = rng.normal(size=(7, 9, len(channels))).astype(np.float32)
+        values[0, 0] = np.inf
+        values = values[..., 0] if len(channels) == 1 else values
+        path = tmp_path / f"a{len(channels)}.{suffix}"
+        image.write_data(path, values, channels)
+        np.testing.assert_array_equal(image.read_data(path, channels), values)
+
+
+def test_indices_come_back_exactly(tmp_path):
+    values = np.arange(0, 65536, 257, dtype=np.uint16).reshape(16, 16)
+    image.write_png16(tmp_path / "i.png", values)
+    np.testing.assert_array_equal(image.read_image(tmp_path / "i.png"), values)
