@@ -18,6 +18,7 @@ from rainsim.scene.types import Camera, Splats
 from rainsim.terrain import bed as bedding
 from rainsim.terrain.classify import EXCESS_GREEN, classify, is_green, mark_drains
 from rainsim.terrain.slab import FAINT, follow_ground, splat_cover
+from rainsim.terrain.table import GRASS, HARD
 from rainsim.terrain.types import GAP_HEIGHT, INFERRED, MEASURED, UNKNOWN, Grid, Terrain
 
 MIN_SEEN_ALPHA = 0.5  # of a cell from above: less and the surface is not told
@@ -31,7 +32,9 @@ STREET_AHEAD = 14.0  # m of ground before such cameras: there a pixel still show
 MOST_CELLS = 24_000_000  # of a map: some 3 GB while it is made
 TILE = 1024  # cells across: what is splatted at once
 NEAR_BED = 0.03  # m, and four times the noise: what is farther from the first bed stands on it
-LARGEST_SHIFT, SHIFT_WIDTH = 0.01, 0.05  # m, by which overlapping splats may hide the ground
+LARGEST_SHIFT, SHIFT_WIDTH = 0.02, 0.05  # m, by which overlapping splats may hide the ground
+EDGE_THICKNESS = 5e-3  # m between the looks from above and below from where an edge begins
+EDGE_WIDTH = 0.06  # m: splats of a kerb's top reach so far over its edge
 LEAST_GROUND = 0.02  # share of the map that must show ground
 
 
@@ -79,6 +82,7 @@ def extract_terrain(scene, config, mask=None):
     classes = mark_drains(classes, grid, scene)
     if mask is not None:
         classes = np.where(np.asarray(mask) >= 0, mask, classes).astype(np.uint8)
+    bed = bedding.lower_rim(bed, classes == HARD, classes == GRASS, grid.spacing)
     # The soil under grass lies lower; what stands in the grass stands on it.
     soil = cloud.soil(bed, classes)
     lowered = soil < bed
@@ -257,8 +261,6 @@ class _Cloud:
 
     def soil(self, bed, classes):
         """Return the bed with the grass taken off."""
-        from rainsim.terrain.table import GRASS
-
         solid = np.where(self.near_bed, self.splats.opacity > 3 * FAINT, False)
         return bedding.soil_under_grass(bed, classes == GRASS, self.position, solid, self.grid)
 
@@ -303,11 +305,22 @@ def _less_bias(above, below, bare, grid):
     bare ground tells: blades are no noise.
     """
     told = bare & (below.alpha > MIN_SEEN_ALPHA)
-    shift = np.where(told, (below.height - above.height) / 2, 0)
+    thick = np.where(told, above.height - below.height, 0)
+    usual = 2 * max(np.median(thick[told]), 0.0) if told.any() else 0.0
+    edge = thick > bedding.STEP_RELIEF + usual
+    edge = ndimage.binary_propagation(edge, mask=thick > EDGE_THICKNESS + usual)
+    told &= ~edge
+    shift = np.where(told, -thick / 2, 0)
     shift = np.clip(shift, -LARGEST_SHIFT, LARGEST_SHIFT).astype(np.float32)
     width = SHIFT_WIDTH / grid.spacing
     share = np.maximum(bedding.blur(told.astype(np.float32), width), 1e-3)
-    return above.height + bedding.blur(shift, width) / share
+    height = above.height + bedding.blur(shift, width) / share
+    if edge.any() and told.any():
+        # Both levels of a step cover these cells; its edge lies halfway.
+        away, nearest = ndimage.distance_transform_edt(~told, return_indices=True)
+        edge &= away < max(EDGE_WIDTH / grid.spacing, 1.5)
+        height = np.where(edge, height[tuple(nearest)], height)
+    return height
 
 
 def _bed(seen, below, grid):

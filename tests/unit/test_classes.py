@@ -1,5 +1,7 @@
 """Ground classes: the table, the mask that a user paints, lawns and moss; slopes and floaters."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -104,11 +106,30 @@ def test_dips_are_found_in_the_yard_among_floaters():
     assert found["under_table_mm"] < 5 and found["under_table_unknown"] == 0
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2])
-def test_the_frame_of_a_yard_with_and_without_cameras(seed):
-    found = suite.measure_frames(*captures.yard(seed), seed)
-    assert found["up_degrees"] < 0.2 and found["wrong_sign"] == 0
-    assert found["blind_refused"] or found["blind_degrees"] < 1
+def test_a_kerb_is_sharp_and_in_its_place():
+    scene, truth = captures.yard(101, kerb=True)
+    found = suite.measure_bed(scene, truth, spacing=0.02)
+    assert found["kerb_cells"] <= 1 and found["bed_mm"] < 0.5
+    ground = terrain.extract_terrain(
+        replace(scene, ground_frame=truth.frame), TerrainConfig(spacing=0.02, extent=1.5)
+    )
+    x, y = ground.grid.centres()
+    low, high = (np.abs(x - captures.KERB_X - side * 0.03) < 0.011 for side in (-1, 1))
+    rows = np.abs(y) < 1
+    for columns, level in ((low, 0.0), (high, captures.KERB_HEIGHT)):
+        height = ground.bed[np.ix_(rows, columns)] - level
+        assert np.percentile(np.abs(height), 80) < 0.02  # no ramp
+
+
+def test_blades_at_the_rim_of_paving_dam_no_water():
+    found = suite.measure_bed(*captures.yard(100), spacing=0.04)
+    assert found["false_puddles"] < 0.01
+    height = np.zeros((20, 20), np.float32)
+    grass = np.zeros((20, 20), bool)
+    grass[:, 12:], height[:, 11:] = True, 0.02  # blades in the last column of paving
+    lowered = terrain.bed.lower_rim(height, ~grass, grass, 0.02)
+    assert (lowered[:, :12] == 0).all() and (lowered[:, 12:] == height[:, 12:]).all()
+    assert (terrain.bed.lower_rim(-height, ~grass, grass, 0.02) == -height).all()
 
 
 def test_a_hilly_street_is_followed_in_tiles(monkeypatch):
