@@ -40,7 +40,7 @@ __all__ = [
 
 DEFAULT_PRESET = "drizzle"
 WATER_SCHEMES = ("auto", "paper")
-REFLECTIONS = ("auto", "mirror", "ssr", "paper")
+REFLECTIONS = ("auto", "mirror", "ssr", "traced", "paper")
 # What the paper does instead of the default stands second.
 REFRACTIONS = ("snell", "shift")
 FRESNELS = ("exact", "schlick")
@@ -171,7 +171,8 @@ class RenderConfig:
     cloudiness: float = 0.8  # 0 clear to 1 overcast
     brightness: float = 1.0  # factor on the graded picture
     reflections: str = "auto"  # mirror: one mirrored pass; ssr: march the depth; auto: a mirror
-    # for each level that much water stands at, the march for the rest; paper: march, point test
+    # for each level that much water stands at, the march for the rest;
+    # traced: rays through the splats, slow; paper: march with a point test
     refraction: str = "snell"  # shift: the image shifted by the normal, the paper's
     fresnel: str = "exact"  # schlick: the paper's approximation
     highlight: str = "cox-munk"  # of the sun; blinn-phong: the paper's (n.h)^p

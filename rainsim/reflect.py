@@ -145,6 +145,56 @@ def march_light(
 
 
 @cpu_kernel
+def mirror_rays(which, record, ground_from_camera, sample, direction_out, before_out):
+    """Give the mirrored ray of each record in `which`, for one of the ROUGH_SAMPLES slopes.
+
+    Parameters
+    ----------
+    sample : int
+        Number of the slope; 0 is the one that the picture resolves.
+    direction_out : ndarray of shape (k, 3), float32
+        Unit, ground frame.
+    before_out : ndarray of shape (k,), float32 [m]
+        Way from the eye to the water.
+    """
+    m = ground_from_camera
+    for k in prange(len(which)):
+        r = record[which[k]]
+        sx, sy = r[10] + r[12] * ROUGH_X[sample], r[11] + r[12] * ROUGH_Y[sample]
+        ux, uy, uz = normal_of(sx, sy)
+        rx, ry, rz = reflected_upwards(r[3], r[4], r[5], ux, uy, uz)
+        direction_out[k, 0], direction_out[k, 1], direction_out[k, 2] = rx, ry, rz
+        before_out[k] = r[6] / column_of(m, 2, r[3], r[4], r[5])
+
+
+def traced_light(record, ground_from_camera, lens, trace, light_out, source_out):
+    """Trace the mirrored light of every record through the splats.
+
+    Parameters
+    ----------
+    record, ground_from_camera, lens, light_out, source_out
+        As in `mirror_light`; the source is TRACED or, where the ray met little, ENVIRONMENT.
+    trace : callable
+        trace(origin [m], direction, before [m], pixel) returns radiance (k, 3) and alpha (k,) of
+        rays in the ground frame; `pixel` is the width of a pixel over the distance.
+    """
+    smooth = record[:, 12] < LEAST_ROUGHNESS
+    for sample in range(ROUGH_SAMPLES):
+        which = np.flatnonzero(~smooth) if sample else np.arange(len(record))
+        direction = np.empty((len(which), 3), np.float32)
+        before = np.empty(len(which), np.float32)
+        mirror_rays(which, record, ground_from_camera, sample, direction, before)
+        pixel = record[which, 6] / before / lens[0]
+        light, alpha = trace(record[which, :3], direction, before, pixel)
+        if sample:
+            light_out[which] += light
+        else:
+            light_out[:] = light
+            source_out[:] = np.where(alpha > HALF, TRACED, ENVIRONMENT)
+    light_out[~smooth] /= ROUGH_SAMPLES
+
+
+@cpu_kernel
 def keep_tall(depth, clearance, tall_out):
     """Keep the depth of what water can mirror: level water cannot mirror the ground it lies on."""
     height, width = depth.shape

@@ -16,6 +16,7 @@ from rainsim.raster import Rasterizer, prepare
 from rainsim.simulation import rain_exposure, surfaces_of, usual_wind
 from rainsim.splash import LONGEST_LIFE, WET_FILM, draw_splashes
 from rainsim.streaks import NO_FOG, draw_streaks, fog_table, streak_reach
+from rainsim.traced import Tracer
 from rainsim.waterview import View, WaterView
 from rainsim.weather import Weather
 
@@ -23,6 +24,7 @@ NEAR = 0.05  # m: splats nearer than this are not drawn
 WET_AFTER = 0.5e-3  # m of past rain after which open ground is wet through
 WET_RATE = 2.0 / 3.6e6  # m/s of rain that keeps ground wet whatever fell before
 MIRROR_CLEARANCE = 0.015  # m above the water: what is lower cannot be told from the ground
+FIRST_SEGMENT = 0.5  # m of a traced ray that are searched at first
 SUN_IRRADIANCE = 25.0  # of display white: full sun over the overcast sky's some 1
 
 
@@ -73,6 +75,7 @@ class Renderer:
         eye = self.frame.to_ground(first_camera.position)
         self.environment = self._surroundings(eye)
         self._camera = None  # that the kept layers belong to
+        self._tracer = None  # made when it is first asked for
 
     def draw(self, camera, state, camera_end=None, names=()):
         """Return the picture (height, width, 3) uint8 that `camera` (capture frame) takes.
@@ -84,7 +87,9 @@ class Renderer:
         timer = Timer()
         if self._set_time(state.time) or camera is not self._camera:
             self._see(camera, timer)
-        picture = self.water.draw(state, self._mirrored, self.environment, self._sun, timer)
+        picture = self.water.draw(
+            state, self._mirrored, self._traced, self.environment, self._sun, timer
+        )
         rain_alpha, splash_alpha = self._drops(camera, state, timer, camera_end)
         image = np.empty((camera.height, camera.width, 3), np.uint8)
         fog = self._fog()
@@ -165,6 +170,27 @@ class Renderer:
         plane, camera = mirrored_camera(self._camera, self.frame, level)
         view = self._wet_picture(cropped(camera, window), plane, Timer())
         return view.picture, view.depth, view.lens
+
+    def _traced(self, origin, direction, before, pixel):
+        """Return the graded radiance and the alpha that rays meet, see `reflect.traced_light`."""
+        if self._tracer is None:
+            self._tracer = Tracer(self.scene.splats)
+        unit, turn = self.frame.meters_per_unit, self.frame.rotation
+        clear = np.append(self.frame.up, MIRROR_CLEARANCE / unit)
+        found = self._tracer.trace(
+            self.frame.to_capture(origin), direction @ turn, before / unit, pixel,
+            FIRST_SEGMENT / unit, clear,
+        )  # fmt: skip
+        light = np.empty_like(found.color)
+        shade.grade_rays(
+            found.color, found.alpha, found.distance * np.float32(unit),
+            found.plane_distance * np.float32(unit),
+            np.ascontiguousarray(found.normal @ turn.T, np.float32),
+            (origin - before[:, None] * direction).astype(np.float32), direction,
+            self.terrain.bed, self.grass, self.exposure, self._origin, self._spacing,
+            self.environment, self.day, self.look, self.wetness, light,
+        )  # fmt: skip
+        return light, found.alpha
 
     def _drops(self, camera, state, timer, camera_end):
         """Return the alpha of streaks and of splash droplets."""

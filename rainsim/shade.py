@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from rainsim.jit import cpu_kernel, device_function, prange
+from rainsim.jit import cpu_kernel, device_function, inlined_function, prange
 from rainsim.light import (
     bilinear,
     display_from_linear,
@@ -40,6 +40,7 @@ FAR_AWAY = np.float32(1e4)  # m, stands for the depth of the sky
 SKY_DISTANCE = np.float32(30.0)  # m: bright things beyond, above the horizon, are sky
 SKY_DARK, SKY_BRIGHT = np.float32(0.15), np.float32(0.35)  # linear luminance: no sky, all sky
 FLAT = np.float32(0.7)  # cosine to the vertical above which a surface counts as level ground
+LEAST_SKY = np.float32(0.002)  # share of sky that does not change an 8-bit picture
 LEAST_ALPHA = np.float32(0.1)  # what covers less of a pixel has no depth
 ON_GROUND = np.float32(0.3)  # m over the bed: what stands higher is no ground
 SKY_SINE = np.float32(0.03)  # sine of the elevation above which there may be sky
@@ -96,7 +97,6 @@ def grade_and_wet(
         Height above the bed; 1e4 outside the map and for the sky.
     """
     height, width = alpha.shape
-    ny, nx = bed.shape
     m = ground_from_camera
     flat_color = color.reshape(height, width * 3)
     for row in prange(height):
@@ -117,49 +117,115 @@ def grade_and_wet(
             d *= meters_per_unit
             over = alpha[row, column]
             solid = over >= LEAST_ALPHA
-            u = (eye[0] + d * x - origin[0]) / spacing - HALF
-            v = (eye[1] + d * y - origin[1]) / spacing - HALF
-            inside = u > ZERO and v > ZERO and u < np.float32(nx - 1) and v < np.float32(ny - 1)
             clearance, reach, lawn = FAR_AWAY, ONE, ZERO
-            if inside and solid:
-                clearance = eye[2] + d * z - bilinear(bed, u, v)
-                lawn = bilinear(grass, u, v)
-                if clearance < ON_GROUND:
-                    reach = bilinear(exposure_to_rain, u, v)
+            if solid:
+                clearance, reach, lawn = ground_below(
+                    bed, grass, exposure_to_rain, origin, spacing,
+                    eye[0] + d * x, eye[1] + d * y, eye[2] + d * z,
+                )  # fmt: skip
             depth_out[row, column] = d if solid else np.inf
             clearance_out[row, column] = clearance
-            r, g, bl = linear[3 * column], linear[3 * column + 1], linear[3 * column + 2]
-            far = d * length
-            sky = ZERO
-            if far > SKY_DISTANCE and z * il > SKY_SINE:
-                sky = look[3] * sky_share(r, g, bl)
-            r, g, bl = graded(r, g, bl, look[0], look[1], look[2])
-            if far < SKY_DISTANCE and wetness > ZERO:
-                r, g, bl = wetted(r, g, bl, look[0], wetness, reach, upness, clearance, lawn)
-                sheen = wetness * reach * max(TWO * upness - ONE, ZERO) * (ONE - lawn) * GLOSS
-                if clearance > ON_GROUND:
-                    sheen *= HALF
-                if sheen > ZERO:
-                    cosine = -(x * _row(m, 0, n0, n1, n2) + y * _row(m, 1, n0, n1, n2)
-                               + z * upness) * il  # fmt: skip
-                    gloss = sheen * fresnel(max(cosine, np.float32(0.02)))
-                    e0, e1, e2 = glossed(environment, x * il, y * il, z * il)
-                    r, g, bl = r + gloss * e0, g + gloss * e1, bl + gloss * e2
-            # The sky of the day stands in for the captured sky and for what no splat covers. Many
-            # captures leave dark places half open: those are not sky.
-            through = over * sky
-            if z > ZERO:
-                through += (ONE - over) * smoothstep(np.float32(0.4), np.float32(0.9), ONE - over)
-            keep = ONE - sky
-            if through > np.float32(0.002):
+            cosine = -(n0 * a + n1 * b + n2) * il
+            r, g, bl, gloss, through = rainy(
+                linear[3 * column], linear[3 * column + 1], linear[3 * column + 2], over,
+                d * length, z * il, cosine, upness, clearance, reach, lawn,
+                look[0], look[1], look[2], look[3], wetness,
+            )  # fmt: skip
+            if gloss > ZERO:
+                e0, e1, e2 = glossed(environment, x * il, y * il, z * il)
+                r, g, bl = r + gloss * e0, g + gloss * e1, bl + gloss * e2
+            if through > LEAST_SKY:
                 e0, e1, e2 = sample_environment(day_sky, x * il, y * il, z * il)
-                picture_out[row, column, 0] = r * keep + through * e0
-                picture_out[row, column, 1] = g * keep + through * e1
-                picture_out[row, column, 2] = bl * keep + through * e2
-            else:
-                picture_out[row, column, 0] = r * keep
-                picture_out[row, column, 1] = g * keep
-                picture_out[row, column, 2] = bl * keep
+                r, g, bl = r + through * e0, g + through * e1, bl + through * e2
+            picture_out[row, column, 0] = r
+            picture_out[row, column, 1] = g
+            picture_out[row, column, 2] = bl
+
+
+@cpu_kernel
+def grade_rays(
+    color, alpha, distance, plane_distance, normal, eye, direction,
+    bed, grass, exposure_to_rain, origin, spacing, environment, day_sky, look, wetness, light_out,
+):  # fmt: skip
+    """Grade and wet what rays have met, as `grade_and_wet` does a picture.
+
+    Parameters
+    ----------
+    color, alpha
+        As `traced.Traced` has them.
+    distance, plane_distance : ndarray of shape (n,), float32 [m]
+        Along each ray from its `eye` (n, 3) [m] in its unit `direction` (n, 3), ground frame.
+    normal : ndarray of shape (n, 3), float32
+        Ground frame.
+    light_out : ndarray of shape (n, 3), float32
+        Linear radiance.
+    """
+    for n in prange(len(alpha)):
+        x, y, z = direction[n, 0], direction[n, 1], direction[n, 2]
+        upness = normal[n, 2]
+        d = plane_distance[n] if upness > FLAT else distance[n]
+        clearance, reach, lawn = FAR_AWAY, ONE, ZERO
+        if alpha[n] >= LEAST_ALPHA:
+            clearance, reach, lawn = ground_below(
+                bed, grass, exposure_to_rain, origin, spacing,
+                eye[n, 0] + d * x, eye[n, 1] + d * y, eye[n, 2] + d * z,
+            )  # fmt: skip
+        r, g, b, gloss, through = rainy(
+            linear_from_display(max(color[n, 0], ZERO)),
+            linear_from_display(max(color[n, 1], ZERO)),
+            linear_from_display(max(color[n, 2], ZERO)), alpha[n], d, z,
+            -(x * normal[n, 0] + y * normal[n, 1] + z * upness), upness, clearance, reach, lawn,
+            look[0], look[1], look[2], look[3], wetness,
+        )  # fmt: skip
+        if gloss > ZERO:
+            e0, e1, e2 = glossed(environment, x, y, z)
+            r, g, b = r + gloss * e0, g + gloss * e1, b + gloss * e2
+        if through > LEAST_SKY:
+            e0, e1, e2 = sample_environment(day_sky, x, y, z)
+            r, g, b = r + through * e0, g + through * e1, b + through * e2
+        light_out[n, 0], light_out[n, 1], light_out[n, 2] = r, g, b
+
+
+@inlined_function
+def ground_below(bed, grass, exposure_to_rain, origin, spacing, x, y, z):
+    """Return a point's height over the bed [m], the share of rain there and that of grass."""
+    ny, nx = bed.shape
+    u, v = (x - origin[0]) / spacing - HALF, (y - origin[1]) / spacing - HALF
+    if not (u > ZERO and v > ZERO and u < np.float32(nx - 1) and v < np.float32(ny - 1)):
+        return FAR_AWAY, ONE, ZERO
+    clearance = z - bilinear(bed, u, v)
+    reach = bilinear(exposure_to_rain, u, v) if clearance < ON_GROUND else ONE
+    return clearance, reach, bilinear(grass, u, v)
+
+
+@inlined_function
+def rainy(
+    r, g, b, over, far, z, cosine, upness, clearance, reach, lawn,
+    exposure, desaturation, compression, sky_replaced, wetness,
+):  # fmt: skip
+    """Return the colour in the rain of what was captured, and the shares of gloss and of sky in it.
+
+    `far` is its distance [m], z the sine of the elevation that it is seen at, `over` its alpha,
+    `cosine` the one between its normal and the way back; the rest is as in `grade_and_wet`.
+    """
+    sky, gloss = ZERO, ZERO
+    if far > SKY_DISTANCE and z > SKY_SINE:
+        sky = sky_replaced * sky_share(r, g, b)
+    r, g, b = graded(r, g, b, exposure, desaturation, compression)
+    if far < SKY_DISTANCE and wetness > ZERO:
+        r, g, b = wetted(r, g, b, exposure, wetness, reach, upness, clearance, lawn)
+        gloss = wetness * reach * max(TWO * upness - ONE, ZERO) * (ONE - lawn) * GLOSS
+        if clearance > ON_GROUND:
+            gloss *= HALF
+        if gloss > ZERO:
+            gloss *= fresnel(max(cosine, np.float32(0.02)))
+    # The sky of the day stands in for the captured sky and for what no splat covers. Many
+    # captures leave dark places half open: those are not sky.
+    through = over * sky
+    if z > ZERO:
+        through += (ONE - over) * smoothstep(np.float32(0.4), np.float32(0.9), ONE - over)
+    keep = ONE - sky
+    return r * keep, g * keep, b * keep, gloss * keep, through
 
 
 @device_function

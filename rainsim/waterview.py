@@ -93,7 +93,7 @@ class WaterView:
         self.coverage = None
         self._tall, self._mirrors = None, {}
 
-    def draw(self, state, draw_mirrored, environment, sun, timer):
+    def draw(self, state, draw_mirrored, trace, environment, sun, timer):
         """Return the picture with the water of a state on it.
 
         Parameters
@@ -102,6 +102,8 @@ class WaterView:
         draw_mirrored : callable
             draw_mirrored(level, window) returns the wet picture, depth and lens of the camera
             mirrored at a level [m], of a window (left, top, right, bottom) [px] of its picture.
+        trace : callable
+            As `reflect.traced_light` takes it.
         environment : ndarray of shape (rows, columns, 3), float32
         sun : ndarray of shape (6,), float32
         timer : Timer
@@ -128,7 +130,12 @@ class WaterView:
         if len(self.pixel):
             levels = ripple_levels(state.slopes)
             optics.tilt_water(self.record, *levels, rms_slopes(levels), np.float32(state.tile_size))
-            self._reflect(draw_mirrored, environment, timer)
+            if self.config.reflections == "traced":
+                v = self.view
+                reflect.traced_light(self.record, v.turn, v.lens, trace, self.light, self.source)
+                timer.mark("reflection")
+            else:
+                self._reflect(draw_mirrored, environment, timer)
             optics.lay_water(
                 self.pixel, self.record, self.light, self.view.picture, self.view.depth,
                 self.view.turn, self.view.lens, *self.laws(), sun, self._shown,

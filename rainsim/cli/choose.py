@@ -40,6 +40,7 @@ def settings(preset, given, base=None):
         "sky": ("sky", str),
         "sun": ("sun", _sun),
         "cloudiness": ("cloudiness", float),
+        "reflections": ("reflections", str),
         "brightness": ("brightness", float),
         "width": ("width", int),
         "height": ("height", int),

@@ -174,6 +174,11 @@ light_options = _group(
                  help="The sun in degrees, azimuth as for --wind."),
     click.option("--cloudiness", type=float, metavar="0..1", show_default=PRESETS,
                  help="0 clear to 1 overcast."),
+    click.option("--reflections", metavar="NAME", show_default=PRESETS,
+                 help="What water mirrors: mirror, by drawing the capture once more from below; "
+                 "ssr, by marching through the picture; auto, mirrors for the levels that most "
+                 "water stands at and the march for the rest; traced, by rays through the splats, "
+                 "slow; paper, as the paper does."),
     click.option("--brightness", type=float, metavar="FACTOR", show_default=PRESETS,
                  help="Factor on the finished picture; 1 is as graded."),
 )  # fmt: skip

@@ -73,7 +73,7 @@ def test_rain_wets_and_darkens_the_ground(scene, camera):
     assert wet[lower].mean() < 0.95 * dry[lower].mean()
 
 
-@pytest.mark.parametrize("reflections", ["mirror", "ssr"])
+@pytest.mark.parametrize("reflections", ["mirror", "ssr", "traced", "paper"])
 def test_water_shows_only_where_it_stands(scene, camera, reflections):
     dry, _ = frame(scene, camera, rate=0.0, past=2e-3, reflections=reflections)
     flood, _ = frame(scene, camera, rate=0.0, past=2e-3, level=0.03, reflections=reflections)
@@ -84,8 +84,21 @@ def test_water_shows_only_where_it_stands(scene, camera, reflections):
 def test_march_and_mirror_tell_much_the_same(scene, camera):
     mirror, _ = frame(scene, camera, rate=0.0, level=0.03, reflections="mirror")
     march, _ = frame(scene, camera, rate=0.0, level=0.03, reflections="ssr")
+    traced, _ = frame(scene, camera, rate=0.0, level=0.03, reflections="traced")
     assert decibel(mirror, march) > 25
+    assert decibel(mirror, traced) > 35
     assert (mirror != march).any()
+
+
+@pytest.mark.parametrize(
+    "setting", [{"refraction": "shift"}, {"fresnel": "schlick"}, {"coverage": "hard"},
+                {"water_geometry": "spheres"}, {"highlight": "blinn-phong"}],
+)  # fmt: skip
+def test_each_of_the_papers_choices_makes_another_picture(scene, camera, setting):
+    light = {"rate": 0.0, "past": 4e-3, "sun": (0.0, 0.6), "cloudiness": 0.3, "level": 0.002}
+    ours, _ = frame(scene, camera, **light)
+    papers, _ = frame(scene, camera, **light, **setting)
+    assert (ours != papers).any() and decibel(ours, papers) > 10
 
 
 def test_streaks_change_with_time_and_longer_exposure_keeps_their_light(scene, camera):
