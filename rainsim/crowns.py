@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rainsim.jit import device_function, serial_kernel
+from rainsim.marks import FAINTEST
 from rainsim.random import subkey, uniform_triple
 
 LONGEST_CROWN = 0.030  # s
@@ -21,16 +22,17 @@ _DENSITY, _TENSION = 998.0, 0.0728  # kg/m3, N/m; water at 20 C
 _WEBER = 600.0  # of a drop of 1.5 mm: what the three numbers below belong to
 _LIFE = 22.0  # of a crown, in units of diameter over speed
 _HEIGHT = 1.8  # diameters, greatest
-_BELOW_INVISCID = 0.65  # narrower than the inviscid estimate: by eye, not measured
+_BELOW_INVISCID = 0.65  # what friction leaves of the inviscid estimate; chosen
 _THINNEST, _THICKEST = 0.2, 3.0  # film over diameter between which the estimate is used
 _FLARE = 0.3  # the rim leans out by this share of its height
 _FINGERS = 0.45  # by which share of its height the rim is jagged
 _RIM = 0.17  # thickness of the rim over the drop's diameter
 _RIM_ALPHA, _SHEET_ALPHA = 0.8, 0.3  # share of light that each replaces; a sheet is a window
-_JET_FROM = 2.0  # film over diameter from which on a jet rises
+JET_FROM = 2.0  # film over diameter from which on a jet rises
 _JET_START, _JET_HEIGHT, _JET_WIDTH = 0.018, 3.0, 0.55  # s; diameters
 _SEGMENT = 1.5  # px, length of a piece of the ring
 _FEWEST, _MOST = 5, 40  # pieces of the ring
+_DOT = 1.5  # px; narrower rings are one line
 _MOST_TIMES = 4  # moments in which a growing crown is drawn
 _FULL_TURN = 2 * math.pi
 
@@ -57,7 +59,12 @@ class Lines:
         return len(self.diameter)
 
 
-def crown_lines(impacts, film, size, start, exposure, pixel):
+def crown_life(diameter, speed):
+    """Return how long [s] a crown of drops of `diameter` [m] that fell at `speed` [m/s] stands."""
+    return np.minimum(_LIFE * _strength(diameter, speed) * diameter / speed, LONGEST_CROWN)
+
+
+def crown_lines(impacts, film, size, start, exposure, pixel, crowns=True, jets=True):
     """Return what an exposure sees of the crowns and jets of some impacts.
 
     Parameters
@@ -72,33 +79,40 @@ def crown_lines(impacts, film, size, start, exposure, pixel):
         The shutter is open from `start` to `start + exposure`.
     pixel : ndarray of shape (n,), float64 [m]
         Width of a pixel at each impact: finer detail than that is left out.
+    crowns, jets : bool or ndarray of shape (n,), bool
+        Whose crowns and whose jets.
 
     Returns
     -------
     Lines
+        Without those that replace less than FAINTEST of any pixel's light.
 
     Notes
     -----
     The crown's foot grows as Yarin and Weiss 1995 (J. Fluid Mech. 283, 141) have it, R / D =
-    (2 / (3 h / D))^(1/4) (V t / D)^(1/2), times a factor chosen by eye. Height
-    and life grow with the square root of the Weber number; their size, and the jet, are by eye, not
-    validated against measurement.
+    (2 / (3 h / D))^(1/4) (V t / D)^(1/2), times one factor for what the friction takes, which
+    cannot be neglected for most of the spreading (Lamanna et al. 2022, J. Fluid Mech.).
+    Height and life both grow with the square root of the Weber number, so that a higher crown takes
+    longer but does not grow faster, as Cossali et al. 2004 (Exp. Fluids 36, 888) measured. The
+    factors themselves and the jet are chosen, not fitted to measurements.
     """
     speed = np.abs(impacts.velocity[:, 2])
     diameter = impacts.diameter
-    strength = np.sqrt(_DENSITY * speed**2 * diameter / _TENSION / _WEBER)
-    life = np.minimum(_LIFE * strength * diameter / speed, LONGEST_CROWN)
+    life = crown_life(diameter, speed) * crowns
     relative = film / diameter
     spread = _BELOW_INVISCID * (2 / (3 * np.clip(relative, _THINNEST, _THICKEST))) ** 0.25
     growth = size * spread * np.sqrt(speed * diameter)  # m / s^(1/2)
-    height = size * _HEIGHT * strength * diameter
-    jet = (relative > _JET_FROM) & (pixel < FINE_PIXEL)
-    shapes = np.stack([diameter, start - impacts.time, life, growth, height, jet, pixel], axis=1)
-    drift = 0.1 * impacts.velocity[:, :2]
+    height = size * _HEIGHT * _strength(diameter, speed) * diameter
+    jet = (relative > JET_FROM) & (pixel < FINE_PIXEL) & jets
+    age = start - impacts.time
+    seen = (age < life) & (life > 0) | jet & (age < LONGEST_JET)
+    shapes = np.stack([diameter, age, life, growth, height, jet, pixel], axis=1)[seen]
+    drift, keys = 0.1 * impacts.velocity[seen, :2], impacts.id[seen]
+    place = impacts.position[seen]
     capacity = 4096
     while True:
         out = np.empty((capacity, 7))
-        count = _raise(impacts.position, drift, shapes, impacts.id, float(exposure), out)
+        count = _raise(place, drift, shapes, keys, float(exposure), out)
         if count <= capacity:
             break
         capacity = count
@@ -107,6 +121,11 @@ def crown_lines(impacts, film, size, start, exposure, pixel):
         np.ascontiguousarray(out[:, :3]), np.ascontiguousarray(out[:, 3:6]),
         np.ascontiguousarray(out[:, 6]),
     )  # fmt: skip
+
+
+def _strength(diameter, speed):
+    """Square root of the Weber number over that of the reference drop."""
+    return np.sqrt(_DENSITY * speed**2 * diameter / _TENSION / _WEBER)
 
 
 @serial_kernel
@@ -126,10 +145,9 @@ def _raise(position, drift, shapes, ids, exposure, out):
                 passed = time / life
                 top = height * 4 * passed * (1 - passed)
                 foot = growth * math.sqrt(time)
-                fading = share * (1 - passed * passed)
                 count = _ring(
-                    x + drift[n, 0] * time, y + drift[n, 1] * time, z, foot, top,
-                    _RIM * diameter, fading, pixel, ids[n], exposure, count, out,
+                    x + drift[n, 0] * time, y + drift[n, 1] * time, z, foot, top, _RIM * diameter,
+                    share * (1 - passed * passed), pixel, ids[n], exposure, count, out,
                 )  # fmt: skip
         if jet > 0:
             begin, end = max(age, _JET_START), min(age + exposure, LONGEST_JET)
@@ -137,7 +155,7 @@ def _raise(position, drift, shapes, ids, exposure, out):
                 passed = (0.5 * (begin + end) - _JET_START) / (LONGEST_JET - _JET_START)
                 tall = _JET_HEIGHT * diameter * 4 * passed * (1 - passed)
                 area = tall * _JET_WIDTH * diameter * _RIM_ALPHA * (end - begin) / exposure
-                count = _line(x, y, z, x, y, z + tall, area, exposure, count, out)
+                count = _line(x, y, z, x, y, z + tall, area, pixel, exposure, count, out)
     return count
 
 
@@ -145,13 +163,20 @@ def _raise(position, drift, shapes, ids, exposure, out):
 def _ring(x, y, z, foot, top, thickness, share, pixel, key, exposure, count, out):
     """Add one crown at one moment: a jagged rim, and under it the sheet."""
     rim = foot + _FLARE * top
+    if 2 * rim < _DOT * pixel:  # no more than a spot to this camera
+        mean = top * (1 - 0.5 * _FINGERS)
+        slant = mean * math.sqrt(1 + _FLARE * _FLARE)
+        area = _FULL_TURN * rim * thickness * _RIM_ALPHA
+        area = (area + math.pi * (rim + foot) * slant * _SHEET_ALPHA) * share
+        return _line(x - rim, y, z + 0.5 * mean, x + rim, y, z + 0.5 * mean, area, pixel,
+                     exposure, count, out)  # fmt: skip
     pieces = min(max(int(_FULL_TURN * rim / (_SEGMENT * pixel)), _FEWEST), _MOST)
     turn = _FULL_TURN / pieces
     turned, _, _ = uniform_triple(subkey(key, 1 << 20))
     # The rim's number of fingers is its own, however many pieces draw it.
     phase_1, phase_2, wave = uniform_triple(subkey(key, (1 << 20) + 1))
     fingers = 5 + int(4 * wave)
-    last = np.empty(3)
+    last_x, last_y, last_z = 0.0, 0.0, 0.0
     length = 2 * rim * math.sin(turn / 2)
     rim_area = length * thickness * _RIM_ALPHA * share
     sheet_area = turn * 0.5 * (rim + foot) * _SHEET_ALPHA * share
@@ -168,19 +193,21 @@ def _ring(x, y, z, foot, top, thickness, share, pixel, key, exposure, count, out
             if high > 0.5 * pixel:
                 slant = math.sqrt(high * high + (out_there - foot) ** 2)
                 count = _line(
-                    x + foot * cosine, y + foot * sine, z, px, py, pz,
-                    sheet_area * slant, exposure, count, out,
+                    x + foot * cosine, y + foot * sine, z, px, py, pz, sheet_area * slant, pixel,
+                    exposure, count, out,
                 )  # fmt: skip
             else:
                 area += sheet_area * high
-            count = _line(last[0], last[1], last[2], px, py, pz, area, exposure, count, out)
-        last[0], last[1], last[2] = px, py, pz
+            count = _line(last_x, last_y, last_z, px, py, pz, area, pixel, exposure, count, out)
+        last_x, last_y, last_z = px, py, pz
     return count
 
 
 @device_function
-def _line(x0, y0, z0, x1, y1, z1, area, exposure, count, out):
-    """Add a line of the given area [m2]."""
+def _line(x0, y0, z0, x1, y1, z1, area, pixel, exposure, count, out):
+    """Add a line of the given area [m2], unless it is too faint to be seen."""
+    if area < FAINTEST * pixel * pixel:
+        return count
     if count < len(out):
         out[count, 0], out[count, 1], out[count, 2] = x0, y0, z0
         out[count, 3] = (x1 - x0) / exposure

@@ -8,6 +8,7 @@ in any box of air at any time, or the hits in any interval, can be listed alone,
 
 from __future__ import annotations
 
+import threading
 from dataclasses import dataclass
 
 import numpy as np
@@ -43,6 +44,7 @@ __all__ = [
 ]  # fmt: skip
 
 _STEEP = 4.0  # room for hits per hit on level ground; walls in wind catch more than their area
+_MOST_VALUES, _MOST_LABELS = 5, 4  # per row of a listing
 _MARGIN = 1e-6  # s; hits are searched this far beyond an interval's ends, then cut exactly
 
 
@@ -255,8 +257,7 @@ def impacts(field, surfaces, start, stop, smallest=0.0, within=None):
     expected = _STEEP * level
     values, labels, ids = _gather(
         expected, 5, 4, _fill_impacts, tasks, first, last, start, float(stop), *field.arrays(),
-        _grown(np.minimum, surfaces.block_low), _grown(np.maximum, surfaces.block_high),
-        *surfaces.arrays(),
+        surfaces.around_low, surfaces.around_high, *surfaces.arrays(),
     )  # fmt: skip
     if within is not None:
         place = values[:, :2]
@@ -283,6 +284,7 @@ def _fill_box(
     offset, values_out, labels_out, ids_out, needed_out,
 ):  # fmt: skip
     """List the drops of each slab of cubes that are in the box; see `_gather` for the outputs."""
+    changes = share.shape[1] > 1
     for t in prange(tasks.shape[0]):
         b, i = tasks[t]
         side, found = cube[b], 0
@@ -293,7 +295,7 @@ def _fill_box(
                 for n in range(drops_in_cube(key, b, count)):
                     word = drop_id(key, n)
                     ux, uy, uz = uniform_triple(word)
-                    if left_out(word, b, (k + uz) * side, vz, share, frame):
+                    if changes and left_out(word, b, (k + uz) * side, vz, share, frame):
                         continue
                     x = (i + ux) * side + vx * time + frame[b, 0]
                     y = (j + uy) * side + vy * time + frame[b, 1]
@@ -317,6 +319,7 @@ def _fill_impacts(
     offset, values_out, labels_out, ids_out, needed_out,
 ):  # fmt: skip
     """List the drops of each slab of cubes that end in [start, stop)."""
+    changes = share.shape[1] > 1
     duration = stop - start
     block = spacing * BLOCK
     last_row, last_column = low.shape[0] - 1, low.shape[1] - 1
@@ -336,24 +339,24 @@ def _fill_impacts(
             )
             if z_low > z_high:
                 continue
-            k_first = int(np.floor((z_low - vz * start) / side)) - 1
-            k_last = int(np.floor((z_high - vz * stop) / side))
+            lowest, highest = z_low - vz * start, z_high - vz * stop  # of the drops at time 0
+            k_first, k_last = int(np.floor(lowest / side)), int(np.floor(highest / side))
             for k in range(k_first, k_last + 1):
                 key = cube_key(class_key[b], i, j, k)
                 for n in range(drops_in_cube(key, b, count)):
                     word = drop_id(key, n)
                     ux, uy, uz = uniform_triple(word)
+                    z = (k + uz) * side
+                    if z > highest or z < lowest:
+                        continue
                     # At time 0, had the wind always been the one of now.
                     x, y = (i + ux) * side + frame[b, 0], (j + uy) * side + frame[b, 1]
-                    z = (k + uz) * side
-                    if z + vz * stop > z_high or z + vz * start < z_low:
-                        continue
                     if near:
                         m = min(max(int((y + vy * start - y0) / block), 0), last_row)
                         c = min(max(int((x + vx * start - x0) / block), 0), last_column)
                         if z + vz * stop > high[m, c] or z + vz * start < low[m, c]:
                             continue
-                    if left_out(word, b, z, vz, share, frame):
+                    if changes and left_out(word, b, z, vz, share, frame):
                         continue
                     # Most meet nothing now: only those that do are followed from the sky.
                     if stopped_at(
@@ -367,10 +370,11 @@ def _fill_impacts(
                     )  # fmt: skip
                     if kind < 0:
                         continue
-                    time, kind, row, column = first_hit(
-                        x, y, z, vx, vy, vz, -np.inf, stop + _MARGIN,
-                        x0, y0, spacing, sky, ground, underside, top, block_high,
-                    )  # fmt: skip
+                    if z + vz * (start - _MARGIN) < sky:  # it may have ended before
+                        time, kind, row, column = first_hit(
+                            x, y, z, vx, vy, vz, -np.inf, stop + _MARGIN,
+                            x0, y0, spacing, sky, ground, underside, top, block_high,
+                        )  # fmt: skip
                     if start <= time < stop:
                         if offset[t] + found < offset[t + 1]:
                             out = offset[t] + found
@@ -409,9 +413,7 @@ def _gather(expected, width, label_width, kernel, tasks, *arguments):
     capacity = (expected + 6 * np.sqrt(expected) + 8).astype(np.int64)
     while True:
         offset = np.concatenate([[0], np.cumsum(capacity)])
-        values = np.empty((offset[-1], width))
-        labels = np.empty((offset[-1], label_width), np.int32)
-        ids = np.empty(offset[-1], np.uint64)
+        values, labels, ids = _room(offset[-1], width, label_width)
         needed = np.zeros(len(tasks), np.int64)
         kernel(tasks, *arguments, offset, values, labels, ids, needed)
         if (needed <= capacity).all():
@@ -423,11 +425,18 @@ def _gather(expected, width, label_width, kernel, tasks, *arguments):
     return values[rows], labels[rows], ids[rows]
 
 
-def _grown(reduce, blocks):
-    """Reduce each block with its eight neighbours: a step's side belongs to the cell behind it."""
-    for axis in (0, 1):
-        padded = np.pad(blocks, [(1, 1) if a == axis else (0, 0) for a in (0, 1)], mode="edge")
-        n = blocks.shape[axis]
-        parts = [np.take(padded, range(s, s + n), axis) for s in range(3)]
-        blocks = reduce(reduce(parts[0], parts[1]), parts[2])
-    return np.ascontiguousarray(blocks)
+_kept = threading.local()
+
+
+def _room(rows, width, label_width):
+    """Return outputs for a listing kernel, kept from call to call: fresh memory costs its time."""
+    if getattr(_kept, "rows", -1) < rows:
+        _kept.rows = int(1.2 * rows)
+        _kept.values = np.empty(_kept.rows * _MOST_VALUES)
+        _kept.labels = np.empty(_kept.rows * _MOST_LABELS, np.int32)
+        _kept.ids = np.empty(_kept.rows, np.uint64)
+    return (
+        _kept.values[: rows * width].reshape(rows, width),
+        _kept.labels[: rows * label_width].reshape(rows, label_width),
+        _kept.ids[:rows],
+    )

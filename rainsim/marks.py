@@ -13,6 +13,8 @@ import numpy as np
 from rainsim.jit import device_function
 from rainsim.surfaces import BLOCK
 
+FAINTEST = 3e-3  # share of light: half of it falls to each of two pixels, and at a contrast of 0.4
+# on a linear mid-grey of 0.2 that is a fifth of a level of an 8-bit picture, on near black more
 _WIDE = np.float32(1.5)  # px; wider drops are drawn as discs
 _STILL = np.float32(3.0)  # px; a shorter path of a drop nearly as wide as a pixel is a disc too
 _WIDE_STILL = np.float32(0.9)  # px
@@ -22,6 +24,7 @@ _PIECES = np.float32(10.0)  # a path is cut where the depth has changed by a ten
 _MOST_PIECES = np.float32(63.0)
 
 _SCALE = np.float32(2**23)  # units of the picture per unit of optical depth
+_PER_UNIT = np.float32(2**-23)
 _CEILING = np.int32(2**30)  # optical depth 128: black, and two of them still fit an int32
 _OPAQUE = np.float32(0.9997)  # the most that one drop replaces in one pixel
 _FAINT = np.float32(0.05)  # below it three terms give -log(1 - alpha) to 3e-5
@@ -35,7 +38,7 @@ _SHORTEST = np.float32(0.05)  # px; length given to a path that hardly moves
 
 @device_function
 def draw_path(
-    x, y, z, x_end, y_end, z_end, share, diameter, lens, near, width, height, depth, picture
+    x, y, z, x_end, y_end, z_end, share, diameter, lens, near, width, height, depth, clear, picture
 ):  # fmt: skip
     """Draw the first `share` of a drop's straight path in the camera frame.
 
@@ -44,9 +47,9 @@ def draw_path(
     cosine of its angle off the axis: it subtends (D / distance)^2, but a pixel there subtends less.
     A drop out of focus is spread over its circle of confusion.
 
-    A path towards or away from the camera is cut into pieces of equal time, each with its share of
-    that area, whose mean over a piece is that of 1 / (z0 z1); never so finely that pieces lie on
-    each other in the picture.
+    Nothing stands before the path if `clear`: no depth is read then. A path towards or away from
+    the camera is cut into pieces of equal time, each with its share of that area, whose mean over a
+    piece is that of 1 / (z0 z1); never so finely that pieces lie on each other in the picture.
     """
     dx, dy, dz = (x_end - x) * share, (y_end - y) * share, (z_end - z) * share
     z_end = max(z + dz, _HALF * near)
@@ -72,18 +75,24 @@ def draw_path(
         alpha = area / (z0 * z1)
         across, along = abs(u1 - u0), abs(v1 - v0)
         if wide > _WIDE and max(across, along) > _LONG * wide:
-            _draw_strips(u0, v0, z0, u1, v1, z1, wide, alpha, width, height, depth, picture)
+            _draw_strips(u0, v0, z0, u1, v1, z1, wide, alpha, width, height, depth, clear, picture)
         elif wide > _WIDE or (wide > _WIDE_STILL and max(across, along) < _STILL):
-            _draw_disc(u0, v0, z0, u1, v1, z1, _HALF * wide, alpha, width, height, depth, picture)
+            _draw_disc(
+                u0, v0, z0, u1, v1, z1, _HALF * wide, alpha, width, height, depth, clear, picture
+            )
         elif along >= across:
-            _draw_thin(v0, u0, z0, v1, u1, z1, alpha, height, width, 1, height, depth, picture)
+            _draw_thin(
+                v0, u0, z0, v1, u1, z1, alpha, height, width, 1, height, depth, clear, picture
+            )
         else:
-            _draw_thin(u0, v0, z0, u1, v1, z1, alpha, width, height, height, 1, depth, picture)
+            _draw_thin(
+                u0, v0, z0, u1, v1, z1, alpha, width, height, height, 1, depth, clear, picture
+            )
         z0, u0, v0 = z1, u1, v1
 
 
 @device_function
-def _draw_strips(u0, v0, z0, u1, v1, z1, wide, alpha, width, height, depth, picture):
+def _draw_strips(u0, v0, z0, u1, v1, z1, wide, alpha, width, height, depth, clear, picture):
     """Spread `alpha` over a wide path that is much longer than wide, as thin paths side by side.
 
     Each has the share of time that the drop's disc covers it; the round ends are left out.
@@ -103,14 +112,14 @@ def _draw_strips(u0, v0, z0, u1, v1, z1, wide, alpha, width, height, depth, pict
         u, v = u0 - aside * dv, v0 + aside * du
         a, b = u1 - aside * dv, v1 + aside * du
         if abs(dv) >= abs(du):
-            _draw_thin(v, u, z0, b, a, z1, part, height, width, 1, height, depth, picture)
+            _draw_thin(v, u, z0, b, a, z1, part, height, width, 1, height, depth, clear, picture)
         else:
-            _draw_thin(u, v, z0, a, b, z1, part, width, height, height, 1, depth, picture)
+            _draw_thin(u, v, z0, a, b, z1, part, width, height, height, 1, depth, clear, picture)
 
 
 @device_function
 def _draw_thin(
-    s0, t0, z0, s1, t1, z1, alpha, s_count, t_count, s_stride, t_stride, depth, picture
+    s0, t0, z0, s1, t1, z1, alpha, s_count, t_count, s_stride, t_stride, depth, clear, picture
 ):  # fmt: skip
     """Spread `alpha` evenly over a path; s is the image axis along which it is longer.
 
@@ -128,6 +137,7 @@ def _draw_thin(
     start = int(max(np.floor(s0), _ZERO))
     stop = int(min(np.floor(s1) + _ONE, np.float32(s_count - 1))) + 1
     highest = np.float32(t_count)
+    bold = inner >= _FAINT
     for s in range(start, stop):
         centre = np.float32(s)
         amount, passed = inner, centre - s0
@@ -141,10 +151,11 @@ def _draw_thin(
         right = across - np.float32(t + 1)
         z = z0 + recede * passed
         at = s * s_stride + t * t_stride
-        if t >= 0:
-            _deposit(at, amount * (_ONE - right), z, depth, picture)
-        if t + 1 < t_count:
-            _deposit(at + t_stride, amount * right, z, depth, picture)
+        if t >= 0 and (clear or z < depth[at]):
+            picture[at] = _added(picture[at], amount * (_ONE - right), bold)
+        at += t_stride
+        if t + 1 < t_count and (clear or z < depth[at]):
+            picture[at] = _added(picture[at], amount * right, bold)
 
 
 @device_function
@@ -155,7 +166,7 @@ def _hat_integral(x):
 
 
 @device_function
-def _draw_disc(u0, v0, z0, u1, v1, z1, radius, alpha, width, height, depth, picture):
+def _draw_disc(u0, v0, z0, u1, v1, z1, radius, alpha, width, height, depth, clear, picture):
     """Spread `alpha` over a moving disc by the share of time that it covers each pixel."""
     du, dv = u1 - u0, v1 - v0
     length = np.sqrt(du * du + dv * dv)
@@ -181,7 +192,9 @@ def _draw_disc(u0, v0, z0, u1, v1, z1, radius, alpha, width, height, depth, pict
             if amount > _ZERO:
                 u, v = np.float32(column) + _HALF - u0, np.float32(row) + _HALF - v0
                 part = min(max((u * du + v * dv) / max(length, _SHORTEST), _ZERO), _ONE)
-                _deposit(column * height + row, amount, z0 + (z1 - z0) * part, depth, picture)
+                at = column * height + row
+                if clear or z0 + (z1 - z0) * part < depth[at]:
+                    picture[at] = _added(picture[at], amount, amount >= _FAINT)
 
 
 @device_function
@@ -216,29 +229,30 @@ def _cover(row, column, u0, v0, du, dv, length, radius):
 
 
 @device_function
-def _deposit(at, alpha, z, depth, picture):
-    """Add one drop's alpha in one pixel as optical depth, unless something stands before it."""
-    if z < depth[at]:
-        if alpha < _FAINT:  # too little to reach the ceiling, however many there are
-            optical = alpha * (_SCALE + alpha * (_HALF_SCALE + alpha * _THIRD_SCALE))
-            picture[at] += np.int32(optical + _HALF)
-        else:
-            optical = -np.log(_ONE - min(alpha, _OPAQUE)) * _SCALE
-            picture[at] = min(picture[at] + np.int32(optical + _HALF), _CEILING)
+def _added(units, alpha, bold):
+    """Return a pixel's optical depth with one drop's alpha added; not `bold`: it is faint."""
+    if bold:
+        optical = -np.log(_ONE - min(alpha, _OPAQUE)) * _SCALE
+        return np.int32(min(units + np.int32(optical + _HALF), _CEILING))
+    # too little to reach the ceiling, however many there are
+    optical = alpha * (_SCALE + alpha * (_HALF_SCALE + alpha * _THIRD_SCALE))
+    return units + np.int32(optical + _HALF)
 
 
 @device_function
 def read_depth(band, depth, columns_out, tile_depth_out):
-    """Copy a band of rows, column by column, and fill in the greatest depth of each tile of it."""
+    """Copy a band of rows, column by column, and find each tile's greatest and least depth."""
     height, width = depth.shape
     first, end = band * BLOCK, min((band + 1) * BLOCK, height)
-    for tile in range(tile_depth_out.shape[1]):
-        most = depth[first, tile * BLOCK]
+    for tile in range(tile_depth_out.shape[2]):
+        most = least = depth[first, tile * BLOCK]
         for column in range(tile * BLOCK, min((tile + 1) * BLOCK, width)):
+            at = column * height
             for row in range(first, end):
-                columns_out[column * height + row] = depth[row, column]
-                most = max(most, depth[row, column])
-        tile_depth_out[band, tile] = most
+                z = depth[row, column]
+                columns_out[at + row] = z
+                most, least = max(most, z), min(least, z)
+        tile_depth_out[0, band, tile], tile_depth_out[1, band, tile] = most, least
 
 
 @device_function
@@ -246,17 +260,17 @@ def resolve_band(band, picture, alpha_out):
     """Turn the workers' summed optical depths of a band into alpha, and blank them again."""
     height, width = alpha_out.shape
     first, end = band * BLOCK, min((band + 1) * BLOCK, height)
+    workers = picture.shape[0]
     for column in range(width):
+        at = column * height
         for row in range(first, end):
-            total = np.int64(0)
-            for worker in range(picture.shape[0]):
-                total += picture[worker, column * height + row]
-                picture[worker, column * height + row] = 0
-            alpha = _ZERO
-            if total > 0:
-                optical = np.float32(min(total, np.int64(_CEILING))) / _SCALE
-                if optical < _FAINT:
-                    alpha = optical * (_ONE - optical * (_HALF - optical * _SIXTH))
-                else:
-                    alpha = -np.expm1(-optical)
+            total = np.int64(picture[0, at + row])
+            picture[0, at + row] = 0
+            for worker in range(1, workers):
+                total += picture[worker, at + row]
+                picture[worker, at + row] = 0
+            optical = np.float32(min(total, np.int64(_CEILING))) * _PER_UNIT
+            alpha = optical * (_ONE - optical * (_HALF - optical * _SIXTH))
+            if optical >= _FAINT:
+                alpha = -np.expm1(-optical)
             alpha_out[row, column] = alpha

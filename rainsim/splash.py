@@ -13,13 +13,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rainsim.crowns import FINE_PIXEL, LONGEST_CROWN, LONGEST_JET, crown_lines
+from rainsim.crowns import FINE_PIXEL, JET_FROM, LONGEST_CROWN, crown_life, crown_lines
 from rainsim.drops import GROUND, Impacts
 from rainsim.drops import impacts as list_impacts
 from rainsim.errors import ParameterError, require_finite, require_not_negative
 from rainsim.jit import serial_kernel
+from rainsim.marks import FAINTEST
 from rainsim.random import subkey, uniform_triple
-from rainsim.streaks import draw_droplets
+from rainsim.spectrum import terminal_speed
+from rainsim.streaks import NEAR, draw_droplets
 
 __all__ = [
     "LONGEST_LIFE",
@@ -53,7 +55,8 @@ _SIZE_DRY, _SIZE_POOL = 0.6, 0.75  # relative to the largest splash
 _LEAST_SPREAD, _MOST_SPREAD = 0.5, 1.1  # horizontal over vertical speed: 63 to 42 degrees up
 _CARRIED = 0.15  # share of the drop's horizontal velocity that droplets keep
 _FULL_TURN = 2 * np.pi
-_LEAST_SEEN = 0.07  # px, diameter of a droplet that replaces a two-hundredth of a pixel's light
+_DROPLET_SPEED = 0.6  # m/s, of a droplet, typically
+_BIG = 2.4e-3  # m; only bigger drops have crowns that stand longer than theirs
 _FARTHEST = 100.0  # m
 _MARGIN = 0.03  # m by which splashes reach into the picture from outside
 
@@ -186,49 +189,80 @@ def draw_splashes(
         As in `draw_streaks`.
     """
     alpha_out[...] = 0
-    found, pixel, under = _splashing(field, surfaces, camera, time, exposure, water_depth, film)
-    clear = found.diameter * _LARGEST_SHARE > _LEAST_SEEN * pixel
-    clear &= pixel < FINE_PIXEL
-    droplets = splash_droplets(found.take(clear), under[clear], time, exposure)
-    late = (time - found.time < LONGEST_JET) & (under > _WET)
-    found, under = found.take(late), under[late]
-    size = _relative_size(under / found.diameter)
-    crowns = crown_lines(found, under, size, time, exposure, pixel[late])
+    nearest = max(float(depth.min()), NEAR)
+    recent, crowned, thrown = _splashing(
+        field, surfaces, camera, time, exposure, water_depth, film, nearest
+    )
+    parts = [
+        recent.lines(time, exposure), crowned.lines(time, exposure, jets=False),
+        thrown.lines(time, exposure, crowns=False),
+        recent.droplets(time, exposure), thrown.droplets(time, exposure),
+    ]  # fmt: skip
     draw_droplets(
-        np.concatenate([droplets.position, crowns.position]),
-        np.concatenate([droplets.velocity, crowns.velocity]),
-        np.concatenate([droplets.diameter, crowns.diameter]),
+        *(np.concatenate([getattr(p, n) for p in parts])
+          for n in ("position", "velocity", "diameter")),
         camera, exposure, depth, alpha_out, camera_end, aperture, focus,
     )  # fmt: skip
 
 
 def seen_splashes(field, surfaces, camera, time, exposure, water_depth, film):
     """Return the impacts that splash where the camera may see it; as in `draw_splashes`."""
-    return _splashing(field, surfaces, camera, time, exposure, water_depth, film)[0]
-
-
-def _splashing(field, surfaces, camera, time, exposure, water_depth, film):
-    """Return the impacts that splash in view, the size of a pixel there and the water there [m]."""
-    smallest = SMALLEST_ON_FILM if film > _WET else SMALLEST_SPLASH
-    # Crowns are short-lived; what lives longer is small, and seen only from near.
-    split = time - LONGEST_CROWN
-    near = FINE_PIXEL * max(camera.fx, camera.fy)
-    parts = [
-        list_impacts(field, surfaces, begin, end, smallest, footprint(camera, reach))
-        for begin, end, reach in (
-            (time - LONGEST_LIFE, split, near), (split, time + exposure, _FARTHEST),
-        )
-    ]  # fmt: skip
-    found, pixel = _in_view(_joined(*parts), camera)
-    under = np.where(found.kind == GROUND, water_depth[found.row, found.column], 0.0) + film
-    splash = splashes(found, under)
-    return found.take(splash), pixel[splash], under[splash]
-
-
-def _joined(early, late):
-    """Return the impacts of two intervals as one list."""
+    parts = _splashing(field, surfaces, camera, time, exposure, water_depth, film, NEAR)
     names = Impacts.__dataclass_fields__
-    return Impacts(*(np.concatenate([getattr(early, n), getattr(late, n)]) for n in names))
+    every = Impacts(*(np.concatenate([getattr(p.found, n) for p in parts]) for n in names))
+    return every.take(np.unique(every.id, return_index=True)[1])
+
+
+def _splashing(field, surfaces, camera, time, exposure, water_depth, film, nearest):
+    """Return what splashes in view, as three lists.
+
+    What fell in the last milliseconds; the big drops before it, whose crowns may still stand; and
+    those before it near the camera whose droplets and jets may be in the air.
+    """
+    smallest = SMALLEST_ON_FILM if film > _WET else SMALLEST_SPLASH
+    focal = max(camera.fx, camera.fy)
+    near, all_around = footprint(camera, FINE_PIXEL * focal), footprint(camera, _FARTHEST)
+    lately = time - crown_life(_BIG, float(terminal_speed(_BIG)))
+    least = max(smallest, _least_seen(nearest / focal, exposure) / _LARGEST_SHARE)
+    if water_depth.max() > JET_FROM * smallest:
+        least = smallest
+    parts = (
+        (lately, time + exposure, smallest, all_around),
+        (time - LONGEST_CROWN, lately, _BIG, all_around),
+        (time - LONGEST_LIFE, lately, least, near),
+    )
+    return [_Wet(list_impacts(field, surfaces, *part), camera, water_depth, film) for part in parts]
+
+
+class _Wet:
+    """Impacts that splash in the picture, with the water there and a pixel's width."""
+
+    def __init__(self, found, camera, water_depth, film):
+        found, pixel = _in_view(found, camera)
+        under = np.where(found.kind == GROUND, water_depth[found.row, found.column], 0.0) + film
+        splash = splashes(found, under)
+        self.found, self.pixel, self.under = found.take(splash), pixel[splash], under[splash]
+
+    def droplets(self, time, exposure):
+        """Return the droplets that are large enough to be seen."""
+        clear = self.found.diameter * _LARGEST_SHARE > _least_seen(self.pixel, exposure)
+        clear &= self.pixel < FINE_PIXEL
+        return splash_droplets(self.found.take(clear), self.under[clear], time, exposure)
+
+    def lines(self, time, exposure, crowns=True, jets=True):
+        """Return the crowns and jets of what fell on water."""
+        wet = self.under > _WET
+        found, under = self.found.take(wet), self.under[wet]
+        size = _relative_size(under / found.diameter)
+        return crown_lines(
+            found, under, size, time, exposure, self.pixel[wet], crowns=crowns, jets=jets
+        )
+
+
+def _least_seen(pixel, exposure):
+    """Return the diameter [m] of a droplet in flight that replaces FAINTEST of a pixel's light."""
+    way = np.maximum(_DROPLET_SPEED * exposure / pixel, 1.0)  # px
+    return pixel * np.sqrt(4 / math.pi * FAINTEST * way)
 
 
 def footprint(camera, reach):

@@ -24,16 +24,15 @@ from rainsim.cubes import (
 )
 from rainsim.errors import ParameterError, require_not_negative, require_positive
 from rainsim.jit import cpu_kernel, device_function, prange, set_threads
-from rainsim.marks import draw_path, read_depth, resolve_band
+from rainsim.marks import FAINTEST, draw_path, read_depth, resolve_band
 from rainsim.random import uniform_triple
 from rainsim.spectrum import CLASSES, LARGEST
 from rainsim.surfaces import BLOCK, first_hit, flat_surfaces
 
-FAINTEST = 3e-3  # share of light: half of it falls to each of two pixels, and at a contrast of 0.4
-# on a linear mid-grey of 0.2 that is a fifth of a level of an 8-bit picture, on near black more
 FOG_STEPS = 96
 NEAR = 0.3  # m; drops nearer to the camera are out of any focus and are not drawn
-_TILE = np.float32(BLOCK)  # px; side of the tiles whose greatest depth is known
+HIDDEN, PARTLY, CLEAR = 0, 1, 2  # of a path, by the depths of the tiles that it touches
+_MOST_TILES = 24  # that are looked at; a longer path is drawn pixel by pixel against the depth
 _ZERO, _HALF, _ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
 
 NO_FOG = np.zeros(FOG_STEPS + 3, np.float32)  # the fog table of dry air
@@ -186,10 +185,10 @@ def _draw_field(
 
     Each worker has a picture of its own; adding whole numbers makes their sum exact.
     """
-    workers = picture.shape[0]
+    workers, changes = picture.shape[0], share.shape[1] > 1
     height, width = alpha_out.shape
     high, wide = np.float32(height), np.float32(width)
-    for band in prange(tile_depth.shape[0]):
+    for band in prange(tile_depth.shape[1]):
         read_depth(band, depth_map, depth, tile_depth)
     for worker in prange(workers):
         mine = picture[worker]
@@ -224,12 +223,15 @@ def _draw_field(
                         word = drop_id(key, n)
                         ux, uy, uz = uniform_triple(word)
                         p, q, r = _place(base, axes, ux, uy, uz)
-                        p_end, q_end, r_end = _place(base_end, axes_end, ux, uy, uz)
-                        if not (near <= r < reach) or not _may_show(
-                            p, q, r, p_end, q_end, r_end, lens, near, wide, high, tile_depth
-                        ):
+                        if not near <= r < reach:
                             continue
-                        if left_out(word, b, (k + uz) * side, vz, share, frame):
+                        p_end, q_end, r_end = _place(base_end, axes_end, ux, uy, uz)
+                        shows = _may_show(
+                            p, q, r, p_end, q_end, r_end, lens, near, wide, high, tile_depth
+                        )
+                        if shows == HIDDEN:
+                            continue
+                        if changes and left_out(word, b, (k + uz) * side, vz, share, frame):
                             continue
                         stop, _, _, _ = first_hit(
                             (i + ux) * side + frame[b, 0], (j + uy) * side + frame[b, 1],
@@ -242,9 +244,9 @@ def _draw_field(
                             p, q, r, p_end, q_end, r_end,
                             np.float32(min((stop - time) / exposure, 1.0)),
                             np.float32(drop_diameter(word, b, size)),
-                            lens, near, width, height, depth, mine,
+                            lens, near, width, height, depth, shows == CLEAR, mine,
                         )  # fmt: skip
-    for band in prange(tile_depth.shape[0]):
+    for band in prange(tile_depth.shape[1]):
         resolve_band(band, picture, alpha_out)
 
 
@@ -258,7 +260,7 @@ def _draw_list(
     workers = picture.shape[0]
     height, width = alpha_out.shape
     high, wide = np.float32(height), np.float32(width)
-    for band in prange(tile_depth.shape[0]):
+    for band in prange(tile_depth.shape[1]):
         read_depth(band, depth_map, depth, tile_depth)
     for worker in prange(workers):
         mine = picture[worker]
@@ -273,14 +275,15 @@ def _draw_list(
             )  # fmt: skip
             p, q, r = here
             p_end, q_end, r_end = there
-            if near <= r and _may_show(
-                p, q, r, p_end, q_end, r_end, lens, near, wide, high, tile_depth
-            ):
+            if near > r:
+                continue
+            shows = _may_show(p, q, r, p_end, q_end, r_end, lens, near, wide, high, tile_depth)
+            if shows != HIDDEN:
                 draw_path(
                     p, q, r, p_end, q_end, r_end, _ONE, np.float32(diameter[d]),
-                    lens, near, width, height, depth, mine,
+                    lens, near, width, height, depth, shows == CLEAR, mine,
                 )  # fmt: skip
-    for band in prange(tile_depth.shape[0]):
+    for band in prange(tile_depth.shape[1]):
         resolve_band(band, picture, alpha_out)
 
 
@@ -319,9 +322,12 @@ def _cube_in_view(base, base_end, axes, radius, planes, near, far):
 
 @device_function
 def _may_show(x, y, z, x_end, y_end, z_end, lens, near, width, height, tile_depth):
-    """Tell whether a path's image may be in the picture and in front of something."""
+    """Tell whether a path's image may be in the picture: HIDDEN, PARTLY or CLEAR.
+
+    Clear is what lies in front of all that its image touches.
+    """
     if z_end < _HALF * near:
-        return False
+        return HIDDEN
     u, u_end = lens[0] * x / z + lens[2], lens[0] * x_end / z_end + lens[2]
     v, v_end = lens[1] * y / z + lens[3], lens[1] * y_end / z_end + lens[3]
     nearest = min(z, z_end)
@@ -332,17 +338,18 @@ def _may_show(x, y, z, x_end, y_end, z_end, lens, near, width, height, tile_dept
     left, right = max(min(u, u_end) - margin, _ZERO), min(max(u, u_end) + margin, width - _ONE)
     low, high = max(min(v, v_end) - margin, _ZERO), min(max(v, v_end) + margin, height - _ONE)
     if left > right or low > high:
-        return False
-    if right - left > _TILE or low + _TILE < high:
-        return True
-    # not longer than a tile, so the tiles at its corners are all that it touches
+        return HIDDEN
     west, east = int(left) // BLOCK, int(right) // BLOCK
     top, bottom = int(low) // BLOCK, int(high) // BLOCK
-    farthest = max(
-        max(tile_depth[top, west], tile_depth[top, east]),
-        max(tile_depth[bottom, west], tile_depth[bottom, east]),
-    )
-    return farthest > nearest
+    if (east - west + 1) * (bottom - top + 1) > _MOST_TILES:
+        return PARTLY
+    most, least = _ZERO, np.float32(np.inf)
+    for j in range(top, bottom + 1):
+        for i in range(west, east + 1):
+            most, least = max(most, tile_depth[0, j, i]), min(least, tile_depth[1, j, i])
+    if most <= nearest:
+        return HIDDEN
+    return CLEAR if max(z, z_end) < least else PARTLY
 
 
 # ---- drivers' helpers
@@ -432,7 +439,7 @@ def _scratch(shape):
     wanted = (set_threads(None), *shape)
     if getattr(_kept, "shape", None) != wanted:
         _kept.depth = np.empty(shape[0] * shape[1], np.float32)
-        _kept.tiles = np.empty([-(-n // BLOCK) for n in shape], np.float32)
+        _kept.tiles = np.empty([2, *(-(-n // BLOCK) for n in shape)], np.float32)
         _kept.pictures = np.zeros((wanted[0], shape[0] * shape[1]), np.int32)
         _kept.shape = wanted
     return _kept.depth, _kept.tiles, _kept.pictures

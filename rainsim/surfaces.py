@@ -53,6 +53,8 @@ class Surfaces:
     underside: np.ndarray
     block_low: np.ndarray = field(init=False, repr=False)
     block_high: np.ndarray = field(init=False, repr=False)
+    around_low: np.ndarray = field(init=False, repr=False)
+    around_high: np.ndarray = field(init=False, repr=False)
     sky: float = field(init=False, repr=False)
 
     def __post_init__(self):
@@ -71,6 +73,8 @@ class Surfaces:
         put(self, "top", np.maximum(self.top, self.ground))
         put(self, "block_low", reduce_blocks(np.minimum, self.ground))
         put(self, "block_high", reduce_blocks(np.maximum, self.top))
+        put(self, "around_low", grow_blocks(np.minimum, self.block_low))
+        put(self, "around_high", grow_blocks(np.maximum, self.block_high))
         put(self, "sky", float(self.block_high.max()) + _CLEARANCE)
 
     @property
@@ -101,6 +105,16 @@ def reduce_blocks(reduce, values):
     """Reduce blocks of BLOCK x BLOCK values to one each by a ufunc; the last may be smaller."""
     rows, columns = (np.arange(0, n, BLOCK) for n in values.shape)
     return np.ascontiguousarray(reduce.reduceat(reduce.reduceat(values, rows, 0), columns, 1))
+
+
+def grow_blocks(reduce, blocks):
+    """Reduce each block with its eight neighbours: a step's side belongs to the cell behind it."""
+    for axis in (0, 1):
+        padded = np.pad(blocks, [(1, 1) if a == axis else (0, 0) for a in (0, 1)], mode="edge")
+        n = blocks.shape[axis]
+        parts = [np.take(padded, range(s, s + n), axis) for s in range(3)]
+        blocks = reduce(reduce(parts[0], parts[1]), parts[2])
+    return np.ascontiguousarray(blocks)
 
 
 @device_function
