@@ -65,7 +65,7 @@ def _content_and_imports(module):
 def kernel_folder(module):
     """Return the folder for the machine code of one module."""
     if module.partition(".")[0] != "rainsim":
-        return CACHE_FOLDER  # a test's own kernel
+        return CACHE_FOLDER / module  # a test's own kernel, a variant in a benchmark
     found, todo = set(), {module}
     while todo:
         name = todo.pop()

@@ -106,3 +106,19 @@ def frame(**given):
         rainsim bench frame --json frame.json --chart frame.png
     """
     _run("frame", **given)
+
+
+@bench.command()
+@_options
+def splat(**given):
+    """Draw captures with other choices of the rasterizer, each beside the picture in float64.
+
+    Prints accuracy and time of each choice: polynomial of the exponential, cut-off, stop, storage
+    and degree of harmonics, level of detail, depth. A scene named garden in a folder of
+    RAINSIM_SCENES is measured too, but not charted.
+
+    \b
+    Example:
+        rainsim bench splat --json splat.json --chart splat.png
+    """
+    _run("splat", **given)

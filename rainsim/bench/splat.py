@@ -1,0 +1,225 @@
+"""`rainsim bench splat`: accuracy of a picture against its time, for each choice of the rasterizer.
+
+Truth is the same capture in float64 (`splat_truth`). Within a group all choices take turns on one
+thread, and processor time counts, so that ratios mean something on a busy machine too. What more
+threads bring is wall time, stage by stage: that wants a machine of its own.
+"""
+
+from __future__ import annotations
+
+import os
+import platform
+import time
+
+import numpy as np
+
+from rainsim import raster
+from rainsim.bench.chart import COLORS, require_matplotlib
+from rainsim.bench.splat_choices import all_choices
+from rainsim.bench.splat_truth import draw_truth
+from rainsim.jit import set_threads
+from rainsim.scene.library import list_scenes, load_scene
+
+SCENE = "bicycle"
+CAPTURE = "garden"  # measured too when a folder of RAINSIM_SCENES holds a scene of that name
+WIDTH = {False: 648, True: 96}  # px
+ROUNDS = {False: 15, True: 2}  # of which the least and the median count; one more warms up
+NEAR = 0.01  # capture units
+SOLID = 0.5  # alpha above which depth is compared
+CHARTED = 6  # groups
+# Kernels of a picture by stage.
+STAGES = {
+    "cull": "find_chunks", "project": "project_chunks", "places": "tile_starts",
+    "list": "list_tiles", "sort and blend": "blend_tiles",
+}  # fmt: skip
+
+
+def run(quick=False, tell=None):
+    """Return all figures as plain values.
+
+    Parameters
+    ----------
+    quick : bool
+        A small picture and few rounds.
+    tell : callable, optional
+        Called with a line of text for each result.
+
+    Returns
+    -------
+    dict
+        "machine" and "records", one for each scene, group and choice.
+    """
+    tell = tell or (lambda line: None)
+    records, sizes, scaling = [], {}, []
+    known = [name for name, _, built_in in list_scenes() if name == CAPTURE and not built_in]
+    for name in (SCENE, *known):
+        scene = load_scene(name)
+        camera = scene.cameras[0]
+        height = round(WIDTH[quick] * camera.height / camera.width)
+        camera = camera.resized(WIDTH[quick], height)
+        sizes[name] = {"width": camera.width, "height": height, "splats": len(scene.splats)}
+        tell(f"{name}: float64")
+        truth = draw_truth(scene.splats, camera, NEAR)
+        prepared = raster.prepare(scene.splats)
+        for group, choices in all_choices().items():
+            tell(f"{name}: {group}")
+            if quick:
+                choices = [c for k, c in enumerate(choices) if k == 0 or c.default]
+            found = measure(choices, scene.splats, prepared, camera, truth, ROUNDS[quick])
+            records += [{"scene": name, "group": group, **record} for record in found]
+        tell(f"{name}: threads")
+        found = time_stages(prepared, camera, ROUNDS[quick])
+        scaling += [{"scene": name, **record} for record in found]
+    return {
+        "machine": {
+            "processor": platform.machine(), "threads": 1, "dtype": "float32",
+            "load": os.getloadavg(),
+        },
+        "quick": quick, "rounds": ROUNDS[quick], "scenes": sizes, "records": records,
+        "scaling": scaling,
+    }  # fmt: skip
+
+
+def measure(choices, splats, prepared, camera, truth, rounds):
+    """Return a record for each choice: times of alternating drawings, errors of its picture."""
+    drawers = [(choice, choice.rasterizer(splats, prepared)) for choice in choices]
+    seconds = np.empty((rounds + 1, len(drawers)))
+    layers = [None] * len(drawers)
+    threads = set_threads(None)
+    set_threads(1)
+    for turn in range(rounds + 1):
+        for k, (choice, drawer) in enumerate(drawers):
+            begin = time.process_time()
+            layers[k] = drawer.draw(camera, NEAR, **choice.options)
+            seconds[turn, k] = time.process_time() - begin
+    set_threads(threads)
+    seconds = seconds[1:]
+    standard = [choice.default for choice in choices].index(True)
+    ratio = np.median(seconds / seconds[:, [standard]], axis=0)
+    records = []
+    for k, choice in enumerate(choices):
+        depth = truth.median_depth if choice.options.get("depth") == "median" else truth.depth
+        records.append({
+            "choice": choice.name, "default": choice.default,
+            "decibel": decibel(layers[k].color, truth.color),
+            "worst": float(np.abs(layers[k].color - truth.color).max()),
+            "depth_error": _depth_error(layers[k].depth, depth, truth.alpha),
+            "plane_error": _depth_error(layers[k].plane_depth, truth.plane_depth, truth.alpha),
+            "least_ms": float(seconds[:, k].min() * 1e3),
+            "median_ms": float(np.median(seconds[:, k]) * 1e3), "ratio": float(ratio[k]),
+        })  # fmt: skip
+    return records
+
+
+def time_stages(prepared, camera, rounds):
+    """Return wall times of the stages on one thread and on all, in turns, median milliseconds."""
+    threads, times = sorted({1, set_threads(None)}), {}
+    drawer, kernels = (
+        raster.Rasterizer(prepared),
+        {s: getattr(raster, k) for s, k in STAGES.items()},
+    )
+
+    def timed(stage):
+        def call(*arguments):
+            begin = time.perf_counter()
+            out = kernels[stage](*arguments)
+            times.setdefault((count, stage), []).append(time.perf_counter() - begin)
+            return out
+
+        return call
+
+    try:
+        for stage, name in STAGES.items():
+            setattr(raster, name, timed(stage))
+        for _ in range(rounds + 1):
+            for count in threads:
+                set_threads(count)
+                begin = time.perf_counter()
+                drawer.draw(camera, NEAR)
+                times.setdefault((count, "all"), []).append(time.perf_counter() - begin)
+    finally:
+        set_threads(threads[-1])
+        for stage, name in STAGES.items():
+            setattr(raster, name, kernels[stage])
+    return [
+        {"threads": count, "stage": stage, "least_ms": min(found[1:]) * 1e3,
+         "median_ms": float(np.median(found[1:]) * 1e3)}
+        for (count, stage), found in times.items()
+    ]  # fmt: skip
+
+
+def decibel(picture, truth):
+    """Return the peak signal-to-noise ratio of a picture, peak 1; 200 at most."""
+    return float(-10 * np.log10(max(np.mean((picture - truth) ** 2), 1e-20)))
+
+
+def _depth_error(depth, truth, alpha):
+    """Return the relative error that 99 of 100 solid pixels keep."""
+    solid = (alpha > SOLID) & np.isfinite(truth)
+    if not solid.any():
+        return 0.0
+    error = np.abs(depth[solid] / truth[solid] - 1)
+    return float(np.percentile(np.where(np.isfinite(error), error, 1.0), 99))
+
+
+def table(result):
+    """Return the figures as text in Markdown, what the product does in bold."""
+    lines = []
+    for name, size in result["scenes"].items():
+        lines += [
+            f"{name}: {size['splats']} splats, {size['width']} x {size['height']}", "",
+            "| choice | value | dB | worst | depth, 99 % | least ms | median ms | x default |",
+            "|---|---|---|---|---|---|---|---|",
+        ]  # fmt: skip
+        for r in result["records"]:
+            if r["scene"] == name:
+                mark = "**" if r["default"] else ""
+                lines.append(
+                    f"| {r['group']} | {mark}{r['choice']}{mark} | {r['decibel']:.1f} | "
+                    f"{r['worst']:.4f} | {r['depth_error']:.0e} | {r['least_ms']:.1f} | "
+                    f"{r['median_ms']:.1f} | {r['ratio']:.2f} |"
+                )
+        lines += ["", "| wall time, least / median ms | " + " | ".join((*STAGES, "all")) + " |",
+                  "|---" * (len(STAGES) + 2) + "|"]  # fmt: skip
+        found = [r for r in result["scaling"] if r["scene"] == name]
+        for count in dict.fromkeys(r["threads"] for r in found):
+            cells = {r["stage"]: f"{r['least_ms']:.1f} / {r['median_ms']:.1f}"
+                     for r in found if r["threads"] == count}  # fmt: skip
+            row = " | ".join(cells[stage] for stage in (*STAGES, "all"))
+            lines.append(f"| {count} thread{'s' if count > 1 else ''} | {row} |")
+        lines.append("")
+    machine = result["machine"]
+    load = ", ".join(f"{x:.1f}" for x in machine["load"])
+    lines.append(f"choices: processor time on one thread; {machine['dtype']}; load {load}")
+    return "\n".join(lines)
+
+
+def draw(result, path):
+    """Draw accuracy against time relative to the default, a panel per group; built-in scene."""
+    pyplot = require_matplotlib()
+    records = [r for r in result["records"] if r["scene"] == SCENE]
+    groups = list(dict.fromkeys(r["group"] for r in records))[:CHARTED]
+    figure, axes = pyplot.subplots(2, 3, figsize=(12, 7), sharey=True, layout="constrained")
+    for n, (axis, group) in enumerate(zip(axes.flat, groups, strict=False)):
+        own = [r for r in records if r["group"] == group]
+        axis.set_xlim(0.0, 1.25)
+        x, y = [r["ratio"] for r in own], [r["decibel"] for r in own]
+        axis.plot(x, y, color=COLORS[n], linewidth=1, marker="o", markersize=5)
+        for r in own:
+            if r["default"]:
+                axis.plot(r["ratio"], r["decibel"], "*", color="black", markersize=13, zorder=3)
+        told = [f"{r['choice']:15s} {r['ratio']:4.2f} {r['decibel']:4.0f} dB" for r in own]
+        axis.text(0.03, 0.04, "\n".join(told), transform=axis.transAxes, fontsize=8,
+                  family="monospace")  # fmt: skip
+        axis.axhline(90, color="0.4", linestyle=":", linewidth=1)
+        axis.set(title=group, xlabel="time / time of the default")
+        axis.grid(alpha=0.3)
+    for row in axes:
+        row[0].set_ylabel("dB against float64")
+    size = result["scenes"][SCENE]
+    figure.suptitle(
+        f"Splatting {size['splats']} splats at {size['width']} x {size['height']}, one thread "
+        "(star: the default; dotted: the least to reach)"
+    )
+    figure.savefig(path, dpi=110, format="png")
+    pyplot.close(figure)

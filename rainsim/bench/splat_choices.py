@@ -1,0 +1,205 @@
+"""What can be traded in splatting, accuracy for time: each choice as a rasterizer of its own."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from rainsim.bench.variants import variant
+from rainsim.jit import device_function, intrinsic, ir, types
+from rainsim.raster import prepare, select
+from rainsim.raster.lanes import EXP2
+from rainsim.raster.prepared import LANES, morton_order
+from rainsim.raster.project import color_chunk
+from rainsim.scene.types import Splats
+
+LARGEST = np.float32(32767)  # of 16 bits with a sign
+
+
+@dataclass(frozen=True)
+class Choice:
+    """One value of one choice.
+
+    Attributes
+    ----------
+    name : str
+    changes : dict
+        Constants or functions of `rainsim.raster` that are others; see `variants.variant`.
+    options : dict
+        Of `Rasterizer.draw`.
+    adapt : callable, optional
+        adapt(splats, prepared) returns what is drawn instead of `prepared`.
+    default : bool
+        Whether it is what the product does.
+    """
+
+    name: str
+    changes: dict = field(default_factory=dict)
+    options: dict = field(default_factory=dict)
+    adapt: object = None
+    default: bool = False
+
+    def rasterizer(self, splats, prepared):
+        """Return a Rasterizer that draws as this choice says."""
+        drawn = self.adapt(splats, prepared) if self.adapt else prepared
+        return variant(**self.changes).Rasterizer(drawn)
+
+
+def polynomial(degree, lowest=-1.02):
+    """Return the coefficients of 2^x on [lowest, 0] by Chebyshev interpolation, constant first."""
+    chebyshev = np.polynomial.chebyshev.Chebyshev
+    fit = chebyshev.interpolate(lambda x: 2.0**x, degree, [lowest, 0.0])
+    return tuple(map(float, fit.convert(kind=np.polynomial.Polynomial).coef))
+
+
+def all_choices():
+    """Return {group: [Choice, ...]}, the cheapest first."""
+    ours = Choice("", default=True)
+    degree = len(EXP2) - 1
+    stops = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5)
+    thresholds = (32, 64, 128, 255, 1024)
+    return {
+        "polynomial of 2^x": [
+            replace(ours, name=f"degree {d}") if d == degree
+            else Choice(f"degree {d}", {"EXP2": polynomial(d)})
+            for d in (2, 3, 4, 5, 6)
+        ],
+        "cut-off of a splat": [
+            replace(ours, name=f"1/{n}") if n == 255
+            else Choice(f"1/{n}", {"MIN_ALPHA_LOG2": np.float32(-np.log2(n)),
+                                   "EXP2": polynomial(degree + (n > 255), -np.log2(n) / 7.8)})
+            for n in thresholds
+        ],
+        "stop": [
+            *(replace(ours, name=f"{t:g}") if t == 1e-4
+              else Choice(f"{t:g}", {"TRANSMITTANCE_STOP": np.float32(t)}) for t in stops),
+            Choice("never", {"TRANSMITTANCE_STOP": np.float32(-1)}),
+            Choice("training codes", options={"drop_last": True}),
+        ],
+        "storage of harmonics": [
+            Choice("16 bits, float", {"color_chunk": color_half}, adapt=in_halves),
+            Choice("16 bits, scaled", {"color_chunk": color_scaled}, adapt=in_steps),
+            replace(ours, name="32 bits"),
+        ],
+        "degree of harmonics": [
+            *(Choice(f"{d}", options={"degree": d}) for d in (0, 1, 2)),
+            replace(ours, name="all"),
+        ],
+        "level of detail": [
+            Choice("pairs merged", adapt=lambda splats, prepared: prepare(merge_pairs(splats))),
+            *(Choice(f"{share:.0%} kept", adapt=_keeping(share)) for share in (0.5, 0.75, 0.9)),
+            replace(ours, name="all"),
+        ],
+        "depth": [
+            replace(ours, name="expected"),
+            Choice("median", options={"depth": "median"}),
+            Choice("expected, with hits", options={"hit": True}),
+        ],
+    }  # fmt: skip
+
+
+# --- harmonics in 16 bits -------------------------------------------------------------------------
+
+
+@intrinsic
+def from_half(typingctx, bits):
+    """Return the float32 of a number of half precision, given as uint16."""
+
+    def codegen(context, builder, signature, arguments):
+        half = builder.bitcast(arguments[0], ir.HalfType())
+        return builder.fpext(half, ir.FloatType())
+
+    return types.float32(types.uint16), codegen
+
+
+def in_halves(_splats, prepared):
+    """Return the prepared splats with harmonics in half precision, as uint16."""
+    return replace(prepared, sh=prepared.sh.astype(np.float16).view(np.uint16))
+
+
+@device_function
+def color_half(g, sh, eye, orthographic, bands, s):
+    """Twin of `color_chunk` for `in_halves`."""
+    row = np.empty(3 * bands * bands * LANES, np.float32)
+    for i in range(len(row)):
+        row[i] = from_half(sh[i])
+    color_chunk(g, row, eye, orthographic, bands, s)
+
+
+def in_steps(_splats, prepared):
+    """Return the prepared splats with harmonics as int16, the factor of each run at the end."""
+    rows = prepared.sh.reshape(len(prepared.sh), -1, LANES)
+    step = np.abs(rows).max(axis=2) / LARGEST
+    step[step == 0] = 1
+    numbers = np.rint(rows / step[..., None]).astype(np.int16).reshape(len(rows), -1)
+    return replace(prepared, sh=np.hstack([numbers, step.astype(np.float32).view(np.int16)]))
+
+
+@device_function
+def color_scaled(g, sh, eye, orthographic, bands, s):
+    """Twin of `color_chunk` for `in_steps`."""
+    runs = 3 * bands * bands
+    step = sh[len(sh) // (LANES + 2) * LANES :].view(np.float32)
+    row = np.empty(runs * LANES, np.float32)
+    for k in range(runs):
+        for i in range(LANES):
+            row[k * LANES + i] = np.float32(sh[k * LANES + i]) * step[k]
+    color_chunk(g, row, eye, orthographic, bands, s)
+
+
+# --- fewer splats ---------------------------------------------------------------------------------
+
+
+def _keeping(share):
+    """Return a function that keeps the share of splats with most opacity times area."""
+
+    def adapt(splats, prepared):
+        weight = (splats.opacity * _area(splats.scale))[prepared.order]
+        return select(prepared, weight >= np.quantile(weight, 1 - share))
+
+    return adapt
+
+
+def _area(scale):
+    """Return the product of the two largest scales."""
+    return np.prod(np.sort(scale, axis=1)[:, 1:], axis=1)
+
+
+def merge_pairs(splats):
+    """Return half as many splats: each two neighbours on a Morton curve as one.
+
+    The one has both's mean and covariance, weighted with opacity times area, their mean harmonics,
+    and the opacity with which it covers as much as both.
+    """
+    order = morton_order(splats.position)
+    order = order[: len(order) // 2 * 2].reshape(-1, 2)
+    weight = (splats.opacity * _area(splats.scale)).astype(float)[order]
+    weight = np.maximum(weight, np.finfo(np.float32).tiny)
+    share = (weight / weight.sum(axis=1, keepdims=True))[..., None]
+    position = splats.position.astype(float)[order]
+    middle = (share * position).sum(axis=1)
+    apart = position - middle[:, None]
+    spread = _covariance(splats.rotation, splats.scale)[order]
+    spread = spread + apart[..., :, None] * apart[..., None, :]
+    value, axes = np.linalg.eigh((share[..., None] * spread).sum(axis=1))
+    axes[:, :, 0] *= np.sign(np.linalg.det(axes))[:, None]
+    scale = np.sqrt(np.maximum(value, 0))
+    opacity = np.minimum(weight.sum(axis=1) / np.maximum(_area(scale), 1e-30), 1)
+    sh = (share[..., None] * splats.sh[order]).sum(axis=1)
+    parts = middle, _quaternion(axes), scale, opacity, sh
+    return Splats(*(np.ascontiguousarray(part, np.float32) for part in parts))
+
+
+def _covariance(rotation, scale):
+    from scipy.spatial.transform import Rotation
+
+    turn = Rotation.from_quat(rotation, scalar_first=True).as_matrix()
+    half = turn * scale[:, None, :]
+    return half @ half.transpose(0, 2, 1)
+
+
+def _quaternion(axes):
+    from scipy.spatial.transform import Rotation
+
+    return Rotation.from_matrix(axes).as_quat(scalar_first=True)
