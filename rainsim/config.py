@@ -72,22 +72,24 @@ def mm_per_hour(rate):
 class TerrainConfig:
     """The height map below the scene."""
 
-    spacing: float = 0.02  # m; a puddle's edge needs cells well below its width
+    spacing: float | None = None  # m; None: told by splats, cameras and the map's size
     extent: float | None = None  # m, half the width of the square map; None: told by the cameras
     slab: float = 0.12  # m about the ground plane that is taken from under tables
 
     def check(self):
         """Raise ParameterError if a value breaks its rule."""
-        require_positive("terrain spacing", self.spacing, "m", "0.02 is usual")
-        if self.spacing > 0.5:
+        if self.spacing is not None:
+            require_positive("terrain spacing", self.spacing, "m", "0.02 is usual")
+        if (self.spacing or 0) > 0.5:
             raise ParameterError(f"terrain spacing is {self.spacing} m; it must be at most 0.5 m")
         require_positive("terrain slab", self.slab, "m", "0.12 is usual")
         if self.extent is not None:
             require_positive("terrain extent", self.extent, "m", "leave it out to have it chosen")
-            if self.extent < 4 * self.spacing:
+            least = 4 * (self.spacing or 0.005)
+            if self.extent < least:
                 raise ParameterError(
-                    f"terrain extent is {self.extent} m; it must hold at least 4 cells of "
-                    f"{self.spacing} m; make it larger"
+                    f"terrain extent is {self.extent} m; it must be at least {least:g} m, 4 cells; "
+                    "make it larger"
                 )
 
 

@@ -194,7 +194,7 @@ picture_options = _group(
 )  # fmt: skip
 
 terrain_options = _group(
-    click.option("--spacing", type=float, metavar="M", show_default="0.02",
+    click.option("--spacing", type=float, metavar="M", show_default="about 0.02, chosen",
                  help="Cell size of the height map in metres."),
     click.option("--extent", type=float, metavar="M", show_default="told by the cameras",
                  help="Half the width of the height map in metres."),

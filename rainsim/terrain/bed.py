@@ -6,6 +6,7 @@ import numpy as np
 from scipy import ndimage
 
 OBJECT_HEIGHT = 0.02  # m above the opened ground: a leg, a pot, a ball, not the ground
+OBJECT_NOISES = 4.0  # times the ground's noise, if that is more
 KERB_WIGGLE = 0.03  # m by which the edge of a kerb as captured is not straight
 OPENING_WIDTH = 0.5  # m: wider things that stand in the slab are taken as ground
 STEP_RELIEF = 0.03  # m within 10 cm: a kerb or a step, kept sharp
@@ -43,7 +44,8 @@ def objects(filled, known, grass, spacing):
     opened = ndimage.grey_opening(ndimage.median_filter(filled, 3), size=(width, width))
     # An opening cuts the corners of kerbs; beside the upper level they are no objects.
     opened = ndimage.maximum_filter(opened, max(3, 2 * round(KERB_WIGGLE / spacing) + 1))
-    standing = known & ~grass & (filled - opened > OBJECT_HEIGHT)
+    limit = np.maximum(OBJECT_HEIGHT, OBJECT_NOISES * local_noise(filled, known, spacing))
+    standing = known & ~grass & (filled - opened > limit)
     return ndimage.binary_dilation(standing, iterations=2) & known & ~grass
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from rainsim.errors import InputError, ParameterError, require_positive
 from rainsim.jit import serial_kernel
 from rainsim.terrain.bed import inpaint, local_noise
-from rainsim.terrain.extract import MOST_CELLS
+from rainsim.terrain.extract import MOST_CELLS, choose_spacing
 from rainsim.terrain.table import GRASS, HARD
 from rainsim.terrain.types import MEASURED, UNKNOWN, Grid, Terrain
 
@@ -53,6 +53,10 @@ def terrain_from_surface(path, config, up=None, meters_per_unit=None):
     if path.suffix.lower() in (".tif", ".tiff"):
         if up is not None or config.extent is not None:
             raise ParameterError(f"{path} is a map of heights; --up and --extent do not apply")
+        if config.spacing is None:
+            raise ParameterError(
+                f"{path} is a map of heights; the size of its cells is needed; give --spacing M"
+            )
         return _from_tiff(path, config.spacing, scale)
     points, triangles = (_read_obj if path.suffix.lower() == ".obj" else _read_ply)(path)
     note = f"{len(triangles)} triangles, z up" if up is None else f"{len(triangles)} triangles"
@@ -91,16 +95,20 @@ def terrain_from_mesh(points, triangles, config, notes=()):
         middle = (low + high) / 2
         low = np.maximum(low, middle - config.extent)
         high = np.minimum(high, middle + config.extent)
-    nx, ny = (max(3, int(np.ceil(side / config.spacing - 1e-9))) for side in high - low)
+    spacing, why = config.spacing, "given"
+    if spacing is None:
+        spacing, why = choose_spacing((high - low) / 2)
+    notes += (f"cells of {spacing:g} m ({why})",)
+    nx, ny = (max(3, int(np.ceil(side / spacing - 1e-9))) for side in high - low)
     if nx * ny > MOST_CELLS:
         raise ParameterError(
             f"a map of {nx} x {ny} cells is too large; at most {MOST_CELLS} fit the memory; give a "
             "larger --spacing or an --extent"
         )
-    grid = Grid((ny, nx), (float(low[0]), float(low[1])), config.spacing)
+    grid = Grid((ny, nx), (float(low[0]), float(low[1])), spacing)
     height = np.full(grid.shape, -np.inf, np.float32)
     corners = points[triangles].astype(np.float64)
-    corners[..., :2] = (corners[..., :2] - low) / config.spacing - 0.5
+    corners[..., :2] = (corners[..., :2] - low) / spacing - 0.5
     raise_to_triangles(np.ascontiguousarray(corners), height)
     return terrain_from_heights(np.where(np.isfinite(height), height, np.nan), grid, notes)
 
