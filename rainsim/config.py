@@ -99,6 +99,7 @@ class RainConfig:
 
     rate: float = mm_per_hour(10.0)  # m/s, as a gauge on level ground collects it
     past: float = 3e-3  # m of rain that fell before the first frame and has come to rest
+    drying: float = 0.0  # s since that rain ended: films, pores and puddles have dried so long
     wind: tuple = (0.0, 0.0)  # speed at 10 m [m/s] and the way it goes, from x towards y [rad]
     roughness: float = 0.03  # m, roughness length of the land around: grass; 0: one wind everywhere
     gusts: float = 0.0  # standard deviation of the wind's speed over its mean, 0 to 0.5
@@ -126,6 +127,8 @@ class RainConfig:
                 f"past rain is {_round(past)} mm; it must be at most {MAX_PAST:g}; "
                 "for a flood give a water level"
             )
+        drying = self.drying / 3600 if is_number(self.drying) else self.drying
+        require_not_negative("drying", drying, "h", "0 is still wet from the rain")
         speed, direction = _pair("wind", self.wind, "a speed and a direction")
         require_not_negative("wind speed", speed, "m/s", "turn the direction instead")
         if speed > MAX_WIND:

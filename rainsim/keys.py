@@ -16,6 +16,7 @@ SKIES = ("overcast", "capture")
 HUMAN_KEYS = {
     "rain_mm_per_hour": ("rate", MM_PER_HOUR),
     "past_rain_mm": ("past", 1e-3),
+    "drying_hours": ("drying", 3600.0),
     "wind_speed_m_per_s": ("wind", 1.0),
     "wind_direction_degrees": ("wind", math.pi / 180),
     "wind_roughness_m": ("roughness", 1.0),

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from rainsim import optics
+from rainsim import optics, shade
 from rainsim.errors import ParameterError
 from rainsim.splash import seen_splashes
 from rainsim.streaks import NEAR
@@ -109,9 +109,8 @@ class Shot:
         Of the shutter, and from frame to frame.
     film : float [m]
         Water on all that is wet.
-    wetness : float
-    reach : ndarray of shape (ny, nx), float32
-        Share of the rain that reaches each cell.
+    ground, others : ndarray
+        See `wetness.ground_maps` and `wetness.others`.
     rain, splash : ndarray of shape (height, width), float32
     fog : ndarray
         See `streaks.fog_table`.
@@ -131,8 +130,8 @@ class Shot:
     exposure: float
     interval: float
     film: float
-    wetness: float
-    reach: np.ndarray
+    ground: np.ndarray
+    others: np.ndarray
     rain: np.ndarray
     splash: np.ndarray
     fog: np.ndarray
@@ -195,23 +194,13 @@ def _normal(shot):
     return (shot.layers.normal @ shot.view.turn.T).astype(np.float32)
 
 
-def _points(shot):
-    """Return where the pixels' surfaces are in the ground frame, (height, width, 3) [m]."""
-    height, width = shot.view.depth.shape
-    fx, fy, cx, cy = shot.view.lens
-    a, b = (np.arange(width) + 0.5 - cx) / fx, (np.arange(height) + 0.5 - cy) / fy
-    ray = np.stack(np.broadcast_arrays(a[None], b[:, None], 1.0), axis=-1) @ shot.view.turn.T
-    depth = np.where(np.isfinite(shot.view.depth), shot.view.depth, 0)
-    return shot.view.eye + depth[..., None] * ray
-
-
 def _wetness(shot):
-    points = _points(shot)
-    grid = shot.water.terrain.grid
-    row, column, inside = grid.cells(points[..., 0], points[..., 1])
-    low = inside & (shot.view.clearance < 0.3)
-    reached = np.where(low, shot.reach[row, column], 1.0)
-    return np.where(np.isfinite(shot.view.depth), shot.wetness * reached, 0).astype(np.float32)
+    damp = np.empty(shot.view.depth.shape, np.float32)
+    shade.dampness(
+        shot.view.depth, shot.view.clearance, shot.layers.normal, shot.view.turn, shot.view.eye,
+        shot.view.lens, shot.ground, *shot.water.place, shot.others, damp,
+    )  # fmt: skip
+    return damp
 
 
 def _transmission(shot):

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy import ndimage
 
-from rainsim import layers, paperrain, shade, sky
+from rainsim import layers, paperrain, shade, sky, wetness
 from rainsim.errors import ParameterError
 from rainsim.motion import shutter_end
 from rainsim.raster import Rasterizer, prepare
@@ -21,8 +21,7 @@ from rainsim.waterview import View, WaterView
 from rainsim.weather import Weather
 
 NEAR = 0.05  # m: splats nearer than this are not drawn
-WET_AFTER = 0.5e-3  # m of past rain after which open ground is wet through
-WET_RATE = 2.0 / 3.6e6  # m/s of rain that keeps ground wet whatever fell before
+SKY_SHARE, NEAREST_SKY = 0.7, 30.0  # of the capture's reach [m] where its sky may begin
 MIRROR_CLEARANCE = 0.015  # m above the water: what is lower cannot be told from the ground
 FIRST_SEGMENT = 0.5  # m of a traced ray that are searched at first
 SUN_IRRADIANCE = 25.0  # of display white: full sun over the overcast sky's some 1
@@ -68,7 +67,8 @@ class Renderer:
         self.weather = Weather(config)
         self.exposure = rain_exposure(terrain, usual_wind(config), config.rain.roughness)
         self.grass = ndimage.gaussian_filter(terrain.grassy.astype(np.float32), 1)
-        self.look = self.wetness = None
+        self.look = self.others = None
+        self.sky_distance = sky_distance(scene)
         self._set_time(0.0)
         self.water = WaterView(terrain, self.exposure, config.render)
         self.day = day_sky(config.render)
@@ -116,23 +116,26 @@ class Renderer:
     def _shot(self, names, state, rain_alpha, splash_alpha, fog):
         """Return what the frame just drawn was put together from."""
         dry = None
-        if "clean" in names or "normal" in names:
+        if not {"clean", "normal", "wetness"}.isdisjoint(names):
             dry = self.rasterizer.draw(self._camera, self.near)
         return layers.Shot(
             layers=dry, view=self.wet, water=self.water, environment=self.environment,
             sun=self._sun, field=self.field, surfaces=self.surfaces, camera=self.view, state=state,
             exposure=self.now.render.exposure, interval=self.config.frame_interval,
-            film=WET_FILM * float(self.wetness), wetness=float(self.wetness), reach=self.exposure,
+            film=WET_FILM * self.wetness, ground=self.ground, others=self.others,
             rain=rain_alpha, splash=splash_alpha, fog=fog, far=self.now.render.streak_far,
         )  # fmt: skip
 
     def _set_time(self, time):
         """Take over the settings of a time; return whether the dry picture's look has changed."""
         self.now = self.config.at(time)
-        new_look, new_wetness = look(self.now), np.float32(wetness(self.now))
-        if np.array_equal(new_look, self.look) and new_wetness == self.wetness:
+        new_look, new_others = look(self.now), wetness.others(self.now)
+        new_look[4] = self.sky_distance
+        if np.array_equal(new_look, self.look) and np.array_equal(new_others, self.others):
             return False
-        self.look, self.wetness = new_look, new_wetness
+        self.look, self.others = new_look, new_others
+        self.wetness = wetness.overall(self.now)
+        self.ground = wetness.ground_maps(self.terrain, self.grass, self.exposure, self.now)
         return True
 
     def _see(self, camera, timer):
@@ -156,8 +159,8 @@ class Renderer:
         shade.grade_and_wet(
             dry.color, dry.alpha, dry.depth, dry.plane_depth, dry.normal,
             np.float32(self.frame.meters_per_unit), turn, eye, lens,
-            self.terrain.bed, self.grass, self.exposure, self._origin, self._spacing,
-            self.environment, self.day, self.look, self.wetness, picture, depth, clearance,
+            self.terrain.bed, self.ground, self._origin, self._spacing,
+            self.environment, self.day, self.look, self.others, picture, depth, clearance,
         )  # fmt: skip
         timer.mark("grade and wet" if plane is None else "mirror")
         return View(picture, depth, clearance, turn, eye, lens)
@@ -187,8 +190,8 @@ class Renderer:
             found.plane_distance * np.float32(unit),
             np.ascontiguousarray(found.normal @ turn.T, np.float32),
             (origin - before[:, None] * direction).astype(np.float32), direction,
-            self.terrain.bed, self.grass, self.exposure, self._origin, self._spacing,
-            self.environment, self.day, self.look, self.wetness, light,
+            self.terrain.bed, self.ground, self._origin, self._spacing,
+            self.environment, self.day, self.look, self.others, light,
         )  # fmt: skip
         return light, found.alpha
 
@@ -215,7 +218,7 @@ class Renderer:
         else:
             draw_splashes(
                 *where, state.time, config.exposure, state.depth,
-                WET_FILM * float(self.wetness), self.wet.depth, splash, *lens,
+                WET_FILM * self.wetness, self.wet.depth, splash, *lens,
             )  # fmt: skip
         timer.mark("splashes")
         return rain, splash
@@ -305,17 +308,19 @@ def day_sky(config):
 
 
 def look(config):
-    """Return exposure, desaturation, compression and share of replaced sky, float32 (4,)."""
+    """Return exposure, desaturation, compression, share of replaced sky and its distance [m]."""
     c = config.render.cloudiness
     replaced = 0.0 if config.render.sky == "capture" else c
-    return np.array([1 - 0.3 * c, 0.2 * c, 1.2 * c, replaced], np.float32)
+    return np.array([1 - 0.3 * c, 0.2 * c, 1.2 * c, replaced, NEAREST_SKY], np.float32)
 
 
-def wetness(config):
-    """Return how wet open hard ground is, 0 to 1."""
-    if config.water.level is not None:
-        return 1.0
-    return min(1.0, config.rain.past / WET_AFTER + config.rain.rate / WET_RATE)
+def sky_distance(scene):
+    """Return the distance [m] beyond which what a capture shows may be sky: most is nearer."""
+    if not scene.cameras:
+        return NEAREST_SKY
+    eye = np.mean([camera.position for camera in scene.cameras], axis=0)
+    away = np.linalg.norm(scene.splats.position - eye, axis=1) * scene.ground_frame.meters_per_unit
+    return max(NEAREST_SKY, SKY_SHARE * float(np.percentile(away, 99.5)))
 
 
 class Timer:

@@ -26,6 +26,7 @@ ZERO = np.float32(0)
 ONE = np.float32(1)
 TWO = np.float32(2)
 THREE = np.float32(3)
+FOUR = np.float32(4)
 HALF = np.float32(0.5)
 
 
@@ -34,11 +35,16 @@ ESCAPE = np.float32(0.066)  # diffuse light reflected by the film from outside
 TRAPPED = np.float32(0.4746)  # light reflected back by the film from inside
 ALBEDO_PER_COLOR = np.float32(0.85)  # sunlit captured colour to albedo: a guess, light is baked in
 
-GLOSS = np.float32(0.4)  # of a smooth mirror: what a film on rough stone reflects; by eye
-GLOSS_LIFT = np.float32(0.4)  # sine by which its lobe is lifted above the mirror direction
+GLOSS = np.float32(0.3)  # of a smooth mirror: what a film on rough stone reflects; by eye
+GLOSS_LIFT = np.float32(0.3)  # sine by which its lobe is lifted above the mirror direction
 FAR_AWAY = np.float32(1e4)  # m, stands for the depth of the sky
-SKY_DISTANCE = np.float32(30.0)  # m: bright things beyond, above the horizon, are sky
+FILLING = np.float32(1.55)  # of the similarity: its asymmetry goes from some 0.64 to 0.85
+WALL_SPRAY = np.float32(0.06)  # share of the rain that walls get which no drop meets
+SOFFIT = np.float32(0.7)  # share of that which undersides do not get
+STREAK_WIDTH, STREAK_LENGTH = np.float32(0.11), np.float32(1.7)  # m, of paths down a wall
+STREAK_SOFT = np.float32(0.30)  # of the edge of a path
 SKY_DARK, SKY_BRIGHT = np.float32(0.15), np.float32(0.35)  # linear luminance: no sky, all sky
+EDGE_COSINE = np.float32(0.25)  # of the view to a thing's surface, below which it glosses less
 FLAT = np.float32(0.7)  # cosine to the vertical above which a surface counts as level ground
 LEAST_SKY = np.float32(0.002)  # share of sky that does not change an 8-bit picture
 LEAST_ALPHA = np.float32(0.1)  # what covers less of a pixel has no depth
@@ -71,7 +77,7 @@ def graded(r, g, b, exposure, desaturation, compression):
 @cpu_kernel
 def grade_and_wet(
     color, alpha, depth, plane_depth, normal, meters_per_unit, ground_from_camera, eye, lens,
-    bed, grass, exposure_to_rain, origin, spacing, environment, day_sky, look, wetness,
+    bed, ground, origin, spacing, environment, day_sky, look, others,
     picture_out, depth_out, clearance_out,
 ):  # fmt: skip
     """Grade the dry picture, wet it, and measure it against the ground.
@@ -82,14 +88,16 @@ def grade_and_wet(
         As `raster.Layers` has them, depth in capture units, normals in the camera frame.
     ground_from_camera : ndarray of shape (3, 3), float32
     eye : ndarray of shape (3,), float32 [m]
-    bed, grass, exposure_to_rain : ndarray of shape (ny, nx), float32
-        Ground [m], share of grass, share of the rain that reaches the ground.
+    bed : ndarray of shape (ny, nx), float32 [m]
+    ground : ndarray of shape (ny, nx, 5), float32
+        As `wetness.ground_maps` gives it.
     environment, day_sky : ndarray of shape (rows, columns, 3), float32
         What lies around, for gloss; the sky behind everything.
-    look : ndarray of shape (4,), float32
-        Exposure, desaturation, compression, share of the captured sky that is replaced.
-    wetness : float32
-        0 dry to 1 wet, of open hard ground.
+    look : ndarray of shape (5,), float32
+        Exposure, desaturation, compression, share of the captured sky that is replaced, distance
+        [m] beyond which what is bright may be sky.
+    others : ndarray of shape (5,), float32
+        As `wetness.others` gives it.
     picture_out : ndarray of shape (height, width, 3), float32
     depth_out : ndarray of shape (height, width), float32 [m]
         Infinite for sky.
@@ -117,19 +125,19 @@ def grade_and_wet(
             d *= meters_per_unit
             over = alpha[row, column]
             solid = over >= LEAST_ALPHA
-            clearance, reach, lawn = FAR_AWAY, ONE, ZERO
-            if solid:
-                clearance, reach, lawn = ground_below(
-                    bed, grass, exposure_to_rain, origin, spacing,
-                    eye[0] + d * x, eye[1] + d * y, eye[2] + d * z,
-                )  # fmt: skip
+            where = eye[0] + d * x, eye[1] + d * y, eye[2] + d * z
+            nx_, ny_ = _row(m, 0, n0, n1, n2), _row(m, 1, n0, n1, n2)
+            clearance, height_here, lawn, damp, film, pores = wet_state(
+                bed, ground, origin, spacing, others, solid, where[0], where[1], where[2],
+                nx_, ny_, upness,
+            )  # fmt: skip
             depth_out[row, column] = d if solid else np.inf
             clearance_out[row, column] = clearance
             cosine = -(n0 * a + n1 * b + n2) * il
             r, g, bl, gloss, through = rainy(
                 linear[3 * column], linear[3 * column + 1], linear[3 * column + 2], over,
-                d * length, z * il, cosine, upness, clearance, reach, lawn,
-                look[0], look[1], look[2], look[3], wetness,
+                d * length, z * il, cosine, upness, height_here, lawn, damp, film, pores,
+                look[0], look[1], look[2], look[3], look[4],
             )  # fmt: skip
             if gloss > ZERO:
                 e0, e1, e2 = glossed(environment, x * il, y * il, z * il)
@@ -145,7 +153,7 @@ def grade_and_wet(
 @cpu_kernel
 def grade_rays(
     color, alpha, distance, plane_distance, normal, eye, direction,
-    bed, grass, exposure_to_rain, origin, spacing, environment, day_sky, look, wetness, light_out,
+    bed, ground, origin, spacing, environment, day_sky, look, others, light_out,
 ):  # fmt: skip
     """Grade and wet what rays have met, as `grade_and_wet` does a picture.
 
@@ -164,18 +172,17 @@ def grade_rays(
         x, y, z = direction[n, 0], direction[n, 1], direction[n, 2]
         upness = normal[n, 2]
         d = plane_distance[n] if upness > FLAT else distance[n]
-        clearance, reach, lawn = FAR_AWAY, ONE, ZERO
-        if alpha[n] >= LEAST_ALPHA:
-            clearance, reach, lawn = ground_below(
-                bed, grass, exposure_to_rain, origin, spacing,
-                eye[n, 0] + d * x, eye[n, 1] + d * y, eye[n, 2] + d * z,
-            )  # fmt: skip
+        _, height_here, lawn, damp, film, pores = wet_state(
+            bed, ground, origin, spacing, others, alpha[n] >= LEAST_ALPHA,
+            eye[n, 0] + d * x, eye[n, 1] + d * y, eye[n, 2] + d * z,
+            normal[n, 0], normal[n, 1], upness,
+        )  # fmt: skip
         r, g, b, gloss, through = rainy(
             linear_from_display(max(color[n, 0], ZERO)),
             linear_from_display(max(color[n, 1], ZERO)),
             linear_from_display(max(color[n, 2], ZERO)), alpha[n], d, z,
-            -(x * normal[n, 0] + y * normal[n, 1] + z * upness), upness, clearance, reach, lawn,
-            look[0], look[1], look[2], look[3], wetness,
+            -(x * normal[n, 0] + y * normal[n, 1] + z * upness), upness, height_here,
+            lawn, damp, film, pores, look[0], look[1], look[2], look[3], look[4],
         )  # fmt: skip
         if gloss > ZERO:
             e0, e1, e2 = glossed(environment, x, y, z)
@@ -187,38 +194,50 @@ def grade_rays(
 
 
 @inlined_function
-def ground_below(bed, grass, exposure_to_rain, origin, spacing, x, y, z):
-    """Return a point's height over the bed [m], the share of rain there and that of grass."""
-    ny, nx = bed.shape
+def wet_state(bed, ground, origin, spacing, others, solid, x, y, z, nx, ny, nz):
+    """Return how wet a surface with the unit normal n at (x, y, z) is.
+
+    Its height over the bed [m] (FAR_AWAY off the map), its height [m] over the bed or off the map
+    over the ground plane, and its lawn, dampness, film and porosity.
+    """
+    rows, columns = bed.shape
     u, v = (x - origin[0]) / spacing - HALF, (y - origin[1]) / spacing - HALF
-    if not (u > ZERO and v > ZERO and u < np.float32(nx - 1) and v < np.float32(ny - 1)):
-        return FAR_AWAY, ONE, ZERO
-    clearance = z - bilinear(bed, u, v)
-    reach = bilinear(exposure_to_rain, u, v) if clearance < ON_GROUND else ONE
-    return clearance, reach, bilinear(grass, u, v)
+    inside = u > ZERO and v > ZERO
+    inside = inside and u < np.float32(columns - 1) and v < np.float32(rows - 1)
+    if not solid:
+        return FAR_AWAY, FAR_AWAY, ZERO, ZERO, ZERO, ZERO
+    clearance = z - bilinear(bed, u, v) if inside else FAR_AWAY
+    height = clearance if inside else z
+    if clearance < ON_GROUND and nz > FLAT:
+        lawn, damp, film, pores = on_ground(ground, u, v)
+        return clearance, height, lawn, damp, film, pores
+    damp = damp_off_ground(others, nx, ny, nz, x, y, z)
+    film = damp * others[3] * (ONE if height < ON_GROUND else HALF)
+    return clearance, height, ZERO, damp, film, others[4]
 
 
 @inlined_function
 def rainy(
-    r, g, b, over, far, z, cosine, upness, clearance, reach, lawn,
-    exposure, desaturation, compression, sky_replaced, wetness,
+    r, g, b, over, far, z, cosine, upness, height, lawn, damp, film, pores,
+    exposure, desaturation, compression, sky_replaced, sky_distance,
 ):  # fmt: skip
     """Return the colour in the rain of what was captured, and the shares of gloss and of sky in it.
 
     `far` is its distance [m], z the sine of the elevation that it is seen at, `over` its alpha,
-    `cosine` the one between its normal and the way back; the rest is as in `grade_and_wet`.
+    `cosine` the one between its normal and the way back; the rest is as `wet_state` and
+    `grade_and_wet` have it.
     """
     sky, gloss = ZERO, ZERO
-    if far > SKY_DISTANCE and z > SKY_SINE:
+    if far > sky_distance and z > SKY_SINE:
         sky = sky_replaced * sky_share(r, g, b)
     r, g, b = graded(r, g, b, exposure, desaturation, compression)
-    if far < SKY_DISTANCE and wetness > ZERO:
-        r, g, b = wetted(r, g, b, exposure, wetness, reach, upness, clearance, lawn)
-        gloss = wetness * reach * max(TWO * upness - ONE, ZERO) * (ONE - lawn) * GLOSS
-        if clearance > ON_GROUND:
-            gloss *= HALF
+    if sky < ONE and damp > ZERO:
+        r, g, b = wetted(r, g, b, exposure, damp, pores, lawn)
+        gloss = film * max(TWO * upness - ONE, ZERO) * (ONE - lawn) * GLOSS
         if gloss > ZERO:
             gloss *= fresnel(max(cosine, np.float32(0.02)))
+            if height > ON_GROUND:  # blended normals of edges look grazed; they are not
+                gloss *= smoothstep(ZERO, EDGE_COSINE, cosine)
     # The sky of the day stands in for the captured sky and for what no splat covers. Many
     # captures leave dark places half open: those are not sky.
     through = over * sky
@@ -226,6 +245,38 @@ def rainy(
         through += (ONE - over) * smoothstep(np.float32(0.4), np.float32(0.9), ONE - over)
     keep = ONE - sky
     return r * keep, g * keep, b * keep, gloss * keep, through
+
+
+@cpu_kernel
+def dampness(
+    depth, clearance, normal, ground_from_camera, eye, lens, ground, origin, spacing, others,
+    damp_out,
+):  # fmt: skip
+    """Write how wet what a picture shows is, 0 to 1; zero for the sky. For layers.
+
+    Parameters are those of `grade_and_wet`; depth [m] and clearance [m] as it left them.
+    """
+    height, width = depth.shape
+    m = ground_from_camera
+    for row in prange(height):
+        b = (np.float32(row) + HALF - lens[3]) / lens[1]
+        for column in range(width):
+            a = (np.float32(column) + HALF - lens[2]) / lens[0]
+            d = depth[row, column]
+            damp_out[row, column] = ZERO
+            if not d < FAR_AWAY:
+                continue
+            x, y = eye[0] + d * _row(m, 0, a, b, ONE), eye[1] + d * _row(m, 1, a, b, ONE)
+            n0, n1, n2 = normal[row, column, 0], normal[row, column, 1], normal[row, column, 2]
+            upness = _row(m, 2, n0, n1, n2)
+            if clearance[row, column] < ON_GROUND and upness > FLAT:
+                u, v = (x - origin[0]) / spacing - HALF, (y - origin[1]) / spacing - HALF
+                damp_out[row, column] = on_ground(ground, u, v)[1]
+            else:
+                damp_out[row, column] = damp_off_ground(
+                    others, _row(m, 0, n0, n1, n2), _row(m, 1, n0, n1, n2), upness, x, y,
+                    eye[2] + d * _row(m, 2, a, b, ONE),
+                )  # fmt: skip
 
 
 @device_function
@@ -256,21 +307,95 @@ def _row(matrix, i, x, y, z):
 
 
 @device_function
-def wetted(r, g, b, exposure, wetness, reach, upness, clearance, lawn):
-    """Return the graded colour of a surface in the rain.
+def on_ground(ground, u, v):
+    """Return lawn, dampness, gloss and porosity of the ground at column u and row v."""
+    i, j = int(u), int(v)
+    a, b = u - np.float32(i), v - np.float32(j)
+    w0, w1, w2, w3 = (ONE - a) * (ONE - b), a * (ONE - b), (ONE - a) * b, a * b
+    p, q, s, t = ground[j, i], ground[j, i + 1], ground[j + 1, i], ground[j + 1, i + 1]
+    return (
+        p[0] * w0 + q[0] * w1 + s[0] * w2 + t[0] * w3,
+        p[2] * w0 + q[2] * w1 + s[2] * w2 + t[2] * w3,
+        p[3] * w0 + q[3] * w1 + s[3] * w2 + t[3] * w3,
+        p[4] * w0 + q[4] * w1 + s[4] * w2 + t[4] * w3,
+    )
 
-    Darkened by the wet/dry albedo ratio with the albedo guessed from the colour; less where rain
-    comes slantwise (walls), little on leaves, which shed water and shine, and more saturated.
+
+@device_function
+def damp_off_ground(others, nx, ny, nz, x, y, z):
+    """Return how wet a surface with the unit normal n at (x, y, z) is, 0 to 1.
+
+    It catches rain as it faces the slanting drops; walls that they miss get a little spray. A
+    wall that is not wet through is wet in streaks, for what it catches runs down in paths.
+    """
+    slant = -(nx * others[1] + ny * others[2])
+    caught = max(max(nz + slant, ZERO), WALL_SPRAY * (ONE + min(nz, ZERO) * SOFFIT))
+    full = others[0] * caught
+    if full >= ONE or nz > HALF:
+        return min(full, ONE)
+    # Across the wall: along the axis that it faces less; a normal's noise does not matter then.
+    across = y if abs(nx) > abs(ny) else x
+    path = _streak_noise(across / STREAK_WIDTH, z / STREAK_LENGTH)
+    return smoothstep(path - STREAK_SOFT, path + STREAK_SOFT, full * (ONE + TWO * STREAK_SOFT)
+                      - STREAK_SOFT)  # fmt: skip
+
+
+@device_function
+def _streak_noise(u, v):
+    """Return smooth noise of 0 to 1: octaves of random numbers on a lattice."""
+    return (TWO * _lattice(u, v) + _lattice(u * THREE + HALF, v * TWO)) / THREE
+
+
+@device_function
+def _lattice(u, v):
+    i, j = math.floor(u), math.floor(v)
+    a, b = u - np.float32(i), v - np.float32(j)
+    a, b = a * a * (THREE - TWO * a), b * b * (THREE - TWO * b)
+    i, j = int(i), int(j)
+    low = _random(i, j) * (ONE - a) + _random(i + 1, j) * a
+    high = _random(i, j + 1) * (ONE - a) + _random(i + 1, j + 1) * a
+    return low * (ONE - b) + high * b
+
+
+@device_function
+def _random(i, j):
+    h = (i * 374761393 + j * 668265263) & 0xFFFFFFFF
+    h = ((h ^ (h >> 13)) * 1274126177) & 0xFFFFFFFF
+    return np.float32((h ^ (h >> 16)) & 0xFFFF) * np.float32(1 / 65535)
+
+
+@device_function
+def filled_ratio(albedo):
+    """Return the albedo of a porous surface whose pores are full of water over its dry albedo.
+
+    In water grains scatter less sideways, so that light goes deeper and less comes back (Twomey,
+    Bohren and Mergenthaler 1986, Appl. Opt. 25). Here by the albedo of a deep layer,
+    (1 - s)(1 - 0.139 s) / (1 + 1.17 s) with the similarity s (van de Hulst 1980, table 12.1), and s
+    larger by FILLING when the pores are full.
+    """
+    a = np.float32(0.139)
+    b = np.float32(1.139) + np.float32(1.17) * albedo
+    s = (b - math.sqrt(b * b - FOUR * a * (ONE - albedo))) / (TWO * a)
+    s = min(s * FILLING, ONE)
+    return (ONE - s) * (ONE - a * s) / (ONE + np.float32(1.17) * s) / albedo
+
+
+@device_function
+def wetted(r, g, b, exposure, damp, pores, lawn):
+    """Return the graded colour of a surface that is damp, 0 to 1.
+
+    Darkened by the wet/dry albedo ratio with the albedo guessed from the colour: that of a film,
+    and for the share `pores` that of filled pores; little on leaves, which shed water and shine;
+    and more saturated.
     """
     top = max(max(r, g), b)
     green = min(max((TWO * g - r - b) / max(top, np.float32(1e-3)) * TWO, ZERO), ONE)
-    facing = min(max(np.float32(0.4) + np.float32(1.2) * upness, np.float32(0.4)), ONE)
-    if clearance > ON_GROUND:
-        facing *= np.float32(0.85)
-    amount = wetness * reach * facing * (ONE - np.float32(0.55) * max(green, lawn))
+    amount = damp * (ONE - np.float32(0.55) * max(green, lawn))
     y = luminance(r, g, b)
     albedo = min(max(y / exposure * ALBEDO_PER_COLOR, np.float32(0.02)), np.float32(0.8))
-    darker = ONE - amount * (ONE - wet_ratio(albedo))
+    ratio = wet_ratio(albedo)
+    ratio += pores * (min(filled_ratio(albedo), ratio) - ratio)
+    darker = ONE - amount * (ONE - ratio)
     richer = ONE + np.float32(0.25) * amount
     return (
         max(y + (r - y) * richer, ZERO) * darker,

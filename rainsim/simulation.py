@@ -21,6 +21,7 @@ from rainsim.ripples import RippleTile, tile_impacts
 from rainsim.spectrum import terminal_speed
 from rainsim.terrain.table import DRAIN
 from rainsim.weather import Weather, wind_shares
+from rainsim.wetness import evaporation_rate
 
 RIPPLE_DEPTHS = (2e-3, 0.1)  # m: films thinner carry no rings, deeper water is deep to them
 RIPPLE_WARM_UP = 1.3  # s of rain before the first frame that rings on the water come from
@@ -137,6 +138,8 @@ def initial_water(terrain, config, exposure):
         return depth, (f"still water at {config.water.level:g} m above the low ground",)
     puddles = puddles_of(terrain)
     puddles.rain(config.rain.past * exposure.astype(np.float64))
+    if config.rain.drying > 0:
+        puddles.evaporate(evaporation_rate(config) * config.rain.drying)
     wet = wet_share(puddles.depth, terrain.sealed)
     return puddles.depth, (
         f"{config.rain.past * 1e3:g} mm of past rain stand at rest in {puddles.count()} puddles; "

@@ -15,7 +15,7 @@ from rainsim.errors import ParameterError, require_finite
 TIME_KEY = "time_s"
 LIST_KEY = "keyframe"  # [[keyframe]] in TOML
 # What a keyframe may set. Water that is given as a level cannot rise or fall with time.
-CHANGING = ("rate", "past", "wind", "exposure", "cloudiness", "brightness")
+CHANGING = ("rate", "past", "drying", "wind", "exposure", "cloudiness", "brightness")
 
 
 def read_keyframes(tables, from_human, where):

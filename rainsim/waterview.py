@@ -143,6 +143,11 @@ class WaterView:
         timer.mark("water")
         return self._shown
 
+    @property
+    def place(self):
+        """Corner (2,) and spacing [m] of the map, float32."""
+        return self._origin, self._spacing
+
     def laws(self):
         """Return what `optics.lay_water` takes of the laws that the configuration names."""
         c = self.config

@@ -30,6 +30,7 @@ def settings(preset, given, base=None):
     convert = {
         "rain": ("rate", mm_per_hour),
         "past_rain": ("past", lambda mm: mm * 1e-3),
+        "drying": ("drying", lambda hours: hours * 3600),
         "wind": ("wind", lambda wind: (wind[0], wind[1] * math.pi / 180)),
         "water_level": ("level", float),
         "water_scheme": ("scheme", str),

@@ -151,6 +151,8 @@ rain_options = _group(
                  help="Rain rate in mm/h."),
     click.option("--past-rain", type=float, metavar="MM", show_default=PRESETS,
                  help="Rain that fell before the first frame and has come to rest, in mm."),
+    click.option("--drying", type=float, metavar="HOURS", show_default=PRESETS,
+                 help="Hours since that rain ended: films dry first, then pores and puddles."),
     click.option("--wind", type=Numbers("speed,direction"), show_default=PRESETS,
                  help="Wind in m/s at 10 m and the way it goes, in degrees counter-clockwise seen "
                  "from above, from the first camera's view."),

@@ -31,14 +31,51 @@ def test_wet_ratio_is_the_published_curve():
 
 
 def test_wetting_darkens_and_dry_stays():
-    wet = shade.wetted(0.3, 0.3, 0.3, 1.0, 1.0, 1.0, 1.0, 0.0, 0.0)
-    dry = shade.wetted(0.3, 0.3, 0.3, 1.0, 0.0, 1.0, 1.0, 0.0, 0.0)
-    sheltered = shade.wetted(0.3, 0.3, 0.3, 1.0, 1.0, 0.0, 1.0, 0.0, 0.0)
+    wet = shade.wetted(0.3, 0.3, 0.3, 1.0, 1.0, 0.0, 0.0)
+    dry = shade.wetted(0.3, 0.3, 0.3, 1.0, 0.0, 0.0, 0.0)
     np.testing.assert_allclose(dry, 0.3, rtol=1e-6)
-    np.testing.assert_allclose(sheltered, 0.3, rtol=1e-6)
     assert 0.5 < wet[0] / 0.3 < 0.65
-    leaf = shade.wetted(0.1, 0.3, 0.05, 1.0, 1.0, 1.0, 1.0, 0.5, 0.0)
+    soaked = shade.wetted(0.3, 0.3, 0.3, 1.0, 1.0, 0.45, 0.0)
+    assert 0.4 < soaked[0] / wet[0] < 0.95  # filled pores darken more than a film
+    leaf = shade.wetted(0.1, 0.3, 0.05, 1.0, 1.0, 0.0, 0.0)
     assert sum(leaf) / 0.45 > wet[0] / 0.3  # leaves shed water
+
+
+def test_filled_pores_follow_the_similarity_of_deep_layers():
+    for albedo in (0.05, 0.1, 0.3, 0.5, 0.8):
+        s = np.linspace(0, 1, 200_001)
+        curve = (1 - s) * (1 - 0.139 * s) / (1 + 1.17 * s)
+        dry = np.interp(-albedo, -curve, s)
+        wanted = np.interp(min(dry * 1.55, 1.0), s, curve) / albedo
+        assert shade.filled_ratio(np.float32(albedo)) == pytest.approx(wanted, abs=2e-3)
+    assert shade.filled_ratio(np.float32(0.3)) < shade.wet_ratio(np.float32(0.3))
+
+
+def test_walls_catch_what_slants_towards_them():
+    rain = np.array([1.0, 0.5, 0.0, 1.0, 0.1], np.float32)  # one film, slanting to +x
+
+    def damp(nx, ny, nz, supply=1.0):
+        rain[0] = supply
+        spots = np.random.default_rng(1).uniform(0, 40, (400, 3))
+        return np.mean([shade.damp_off_ground(rain, nx, ny, nz, *spot) for spot in spots])
+
+    assert damp(0.0, 0.0, 1.0) == 1.0
+    side, lee = damp(0.0, 1.0, 0.0, 8.0), damp(1.0, 0.0, 0.0, 8.0)
+    assert damp(-1.0, 0.0, 0.0) > 0.2 > damp(0.0, 1.0, 0.0)
+    assert 0.2 < side < 0.8 and side == pytest.approx(lee, abs=0.1)
+    assert damp(-1.0, 0.0, 0.0, 30.0) == 1.0 and damp(0.0, 0.0, -1.0) < 0.01  # soffits stay dry
+    assert damp(-1.0, 0.0, 0.0, 0.0) == 0.0
+
+
+def test_a_wall_is_wet_in_streaks_longer_than_wide():
+    rain = np.array([1.0, 0.5, 0.0, 1.0, 0.1], np.float32)
+    at = np.arange(0, 3, 0.02)
+    wall = np.array(
+        [[shade.damp_off_ground(rain, -1.0, 0.0, 0.0, 0.0, y, z) for y in at] for z in at]
+    )
+    assert wall.std() > 0.1
+    across = np.abs(np.diff(wall, axis=1)).mean()
+    assert across > 4 * np.abs(np.diff(wall, axis=0)).mean()
 
 
 def test_grading_is_the_identity_when_asked_for():

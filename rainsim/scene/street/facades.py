@@ -63,8 +63,10 @@ class Wall:
         """Return a box that stands `out` metres before the wall."""
         axes = np.stack([self.along, self.out, (0, 0, 1)])
         middle = self.at(np.array([(u0 + u1) / 2]), (z0 + z1) / 2, out / 2)[0]
-        return box(middle, ((u1 - u0) / 2, out / 2, (z1 - z0) / 2), colour,
+        part = box(middle, ((u1 - u0) / 2, out / 2, (z1 - z0) / 2), colour,
                    spacing=spacing or self.spacing, along=0, stretch=3, axes=axes)  # fmt: skip
+        below = np.minimum(part.normal[:, 2], 0)  # the sky does not reach undersides
+        return replace_colour(part, part.colour * (1 + 0.45 * below)[:, None])
 
     def bar(self, points, colour, width, out=0.02):
         """Return a thin line through (u, z) points."""
