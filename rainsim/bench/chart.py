@@ -74,3 +74,44 @@ def draw_fronts(path, panels, title):
     figure.suptitle(title)
     figure.savefig(Path(path), dpi=110, format="png")
     pyplot.close(figure)
+
+
+def draw_marks(path, panels, title):
+    """Draw how one number of each method stands in each case, side by side, and its limit.
+
+    Parameters
+    ----------
+    path : path-like
+        PNG to write.
+    panels : dict
+        {name: {"limits": [number, ...], "marks": {method: {case: number}}}}; an infinite number
+        stands at the right edge.
+    title : str
+    """
+    pyplot = require_matplotlib()
+    cases = list(dict.fromkeys(
+        case for panel in panels.values() for marks in panel["marks"].values() for case in marks
+    ))  # fmt: skip
+    figure, axes = pyplot.subplots(
+        1, len(panels), figsize=(4.2 * len(panels), 0.45 * len(cases) + 1.6), squeeze=False,
+        sharey=True, layout="constrained",
+    )  # fmt: skip
+    for axis, (name, panel) in zip(axes.flat, panels.items(), strict=True):
+        numbers = [v for marks in panel["marks"].values() for v in marks.values()]
+        edge = 10 * max([v for v in numbers if v != float("inf")] + panel["limits"])
+        for n, (method, marks) in enumerate(panel["marks"].items()):
+            rows = [cases.index(case) + 0.16 * (n - 1.5) for case in marks]
+            axis.plot(
+                [min(v, edge) for v in marks.values()], rows, linestyle="", label=method,
+                marker=MARKERS[n % len(MARKERS)], color=COLORS[n % len(COLORS)], markersize=5,
+            )  # fmt: skip
+        for limit in panel["limits"]:
+            axis.axvline(limit, color="0.4", linestyle=":", linewidth=1)
+        axis.set(title=name, xscale="log")
+        axis.set_yticks(range(len(cases)), cases)
+        axis.grid(alpha=0.3)
+    axes.flat[0].invert_yaxis()
+    axes.flat[0].legend(fontsize=8)
+    figure.suptitle(title)
+    figure.savefig(Path(path), dpi=110, format="png")
+    pyplot.close(figure)

@@ -65,6 +65,21 @@ def water(**given):
 
 @bench.command()
 @_options
+def stress(**given):
+    """Try every water scheme where methods fail.
+
+    Tall steps, thin films, falls, drains, random rain, long steps: prints whether the volume stays,
+    depths stay positive and speeds below what the energy allows.
+
+    \b
+    Example:
+        rainsim bench stress --json stress.json --chart stress.png
+    """
+    _run("stress", **given)
+
+
+@bench.command()
+@_options
 def ground(**given):
     """Find the ground of generated captures whose truth is known.
 

@@ -267,9 +267,10 @@ class ConservingFlow:
             self._raise_cap()
         if not self._lean:
             # Velocity was half of the last step ahead of the depth; now it shall be half of this.
-            shift = 0.5 * min(dt - self._ahead, dt)
-            self._ahead = dt
-            self._push(dt, dt + shift)
+            # After a step three times as long it waits instead: friction does not run backwards.
+            push_time = max(dt + 0.5 * (dt - self._ahead), 0.0)
+            self._ahead += 2 * (push_time - dt)
+            self._push(dt, push_time)
         elif not self.moves:
             self._step(0.0, dt)
 

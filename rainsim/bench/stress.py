@@ -1,0 +1,270 @@
+"""`rainsim bench stress`: where water schemes fail, does the water stay, below its speed limit.
+
+Each case is a closed box, but for its drain. Noted are the ledger's residual, the largest speed
+over what all energy there is can give, 2 sqrt(g h) + sqrt(2 g fall) with running maxima, and the
+smallest depth.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass
+
+import numpy as np
+
+from rainsim.errors import DivergedError, ParameterError
+from rainsim.grid import WaterSolver
+
+GRAVITY = 9.81  # m/s2
+SCHEMES = ("auto", "accurate", "lean", "paper")
+COURANTS = (0.3, 0.5, 0.7, 0.9, 1.1)
+MOST_DRIFT = {np.float32: 3e-6, np.float64: 1e-12}
+LONG_DRIFT = 1e-5  # float32, after 1e5 steps
+MOST_SPEED = 1.1  # of the energy bound
+CELLS = {False: 64, True: 24}
+SPAN = {False: 3.0, True: 0.5}  # s
+LOOKS = 30  # at the water, evenly in that time
+LONG_STEPS = {False: 10_000, True: 500}  # of random rain
+FRAME = 0.1  # s
+DROPS = 40  # in a frame of random rain
+LARGEST_DROP = 1e-6  # m3
+HEAVIEST_RAIN = 100 / 3.6e6  # m/s
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A closed box that breaks methods, in SI units; maps of shape (ny, nx)."""
+
+    name: str
+    bed: np.ndarray
+    spacing: float
+    depth: np.ndarray
+    rain: float = 0.0
+    drains: tuple = ()
+
+
+def _grid(cells):
+    y, x = (np.mgrid[:cells, :cells] + 0.5) * (2 / cells) - 1
+    return x, y, 2 / cells
+
+
+def dam(cells):
+    """A column of water falls on dry ground and against a step."""
+    x, y, spacing = _grid(cells)
+    bed, start = np.where(x > 0.4, 0.15, 0.0), np.where(np.hypot(x + 0.3, y) < 0.3, 0.5, 0.0)
+    return Trial("dam on a step", bed, spacing, start)
+
+
+def film(cells):
+    """A tenth of a millimetre of water without friction on rough ground at 45 degrees."""
+    x, _, spacing = _grid(cells)
+    bed = -x + 0.01 * np.random.default_rng(0).random(x.shape)
+    return Trial("film at 45 degrees", bed, spacing, np.full(x.shape, 1e-4))
+
+
+def steps(cells):
+    """Blocks up to 3 m high and 20 cm wide under a centimetre of water, and rain."""
+    rng = np.random.default_rng(2)
+    blocks = -(-cells // 4)
+    bed = 3 * np.kron(rng.random((blocks, blocks)), np.ones((4, 4)))[:cells, :cells]
+    return Trial("tall steps, rain", bed, 0.05, np.full(bed.shape, 0.01), rain=50 / 3.6e6)
+
+
+def peak(cells):
+    """Water is set down on a peak."""
+    x, y, spacing = _grid(cells)
+    r = np.hypot(x, y)
+    return Trial("water on a peak", np.maximum(0, 1 - 2 * r), spacing, np.where(r < 0.1, 0.3, 0.0))
+
+
+def drain(cells):
+    """A drain in a full basin, greedier than what can flow to it in the end."""
+    x, y, spacing = _grid(cells)
+    middle = cells // 2
+    bed, drains = 0.3 * (x**2 + y**2), ((middle, middle, 0.05),)
+    return Trial("drain in a basin", bed, spacing, np.maximum(0.3 - bed, 0), drains=drains)
+
+
+def bumps(cells):
+    """Uneven ground: hills, stones with walls and noise, dry at first."""
+    x, y, _ = _grid(cells)
+    rng = np.random.default_rng(3)
+    bed = 0.05 * np.sin(7 * x) * np.cos(5 * y) + 0.02 * rng.random(x.shape) - 0.05 * x
+    bed += 0.3 * (np.hypot((3 * x) % 1 - 0.5, (3 * y) % 1 - 0.5) < 0.15)
+    return Trial("random rain", bed, 0.05, np.zeros(x.shape))
+
+
+TRIALS = (dam, film, steps, peak, drain)
+
+
+class _Watch:
+    """Largest speed over its bound, smallest depth and largest change of depth seen so far."""
+
+    def __init__(self, bed, start):
+        self._bed, self._lowest, self._start = bed, float(bed.min()), start
+        self._deepest, self._highest = 0.0, self._lowest
+        self.speed, self.least, self.moved = 0.0, math.inf, 0.0
+        self.look(start)
+
+    def look(self, depth, report=None):
+        """Take in the depth [m] and, with a report, the speed and the smallest depth."""
+        depth = depth.astype(np.float64)
+        self.moved = max(self.moved, float(np.abs(depth - self._start).max()))
+        wet = depth > 0
+        self._deepest = max(self._deepest, float(depth.max()))
+        if wet.any():
+            self._highest = max(self._highest, float((self._bed + depth)[wet].max()))
+        fall = math.sqrt(2 * GRAVITY * (self._highest - self._lowest))
+        bound = 2 * math.sqrt(GRAVITY * self._deepest) + fall
+        if report is not None:
+            self.speed = max(self.speed, report.max_speed / bound if bound > 0 else 0.0)
+            self.least = min(self.least, report.min_depth)
+
+
+def _record(name, scheme, dtype, courant, watch, drift, allowed, count, seconds, why=None):
+    if why is None:
+        holds = [
+            ("loses depth", watch.least >= 0),
+            ("changes volume", abs(drift) <= allowed),
+            ("too fast", watch.speed <= MOST_SPEED),
+        ]
+        why = ", ".join(word for word, good in holds if not good) or "holds"
+    return {
+        "case": name, "scheme": scheme, "dtype": np.dtype(dtype).name, "courant": courant,
+        "outcome": why, "drift": drift, "speed": watch.speed if watch else math.nan,
+        "least": watch.least if watch else math.nan,
+        "moved": watch.moved if watch else math.nan, "steps": count, "seconds": seconds,
+    }  # fmt: skip
+
+
+def endure(trial, scheme, span=3.0, dtype=np.float32, courant=None):
+    """Run a trial for `span` [s] on a scheme and return its record, whatever becomes of it."""
+    allowed, count, start = MOST_DRIFT[dtype], 0, time.perf_counter()
+    try:
+        solver = WaterSolver(
+            trial.bed, trial.spacing, scheme=scheme, courant=courant, drains=list(trial.drains),
+            gravity=GRAVITY, dtype=dtype,
+        )  # fmt: skip
+    except ParameterError:
+        return _record(trial.name, scheme, dtype, courant, None, math.nan, 0, 0, 0, "refused")
+    solver.set_state(trial.depth)
+    watch, worst = _Watch(trial.bed, trial.depth), 0.0
+    try:
+        for _ in range(LOOKS):
+            report = solver.advance(span / LOOKS, rain=trial.rain)
+            count += report.substeps
+            watch.look(solver.depth, report)
+            worst = max(worst, abs(report.residual))
+    except DivergedError as error:
+        why = f"diverges: {error}".partition(";")[0]
+        return _record(trial.name, scheme, dtype, courant, watch, math.nan, 0, count, 0, why)
+    seconds = time.perf_counter() - start
+    return _record(trial.name, scheme, dtype, courant, watch, worst, allowed, count, seconds)
+
+
+def endure_rain(trial, scheme, most_steps, dtype=np.float32, seed=0):
+    """Let random rain fall for at least `most_steps` steps: drops, and a rate that changes."""
+    rng, start = np.random.default_rng(seed), time.perf_counter()
+    solver = WaterSolver(
+        trial.bed, trial.spacing, scheme=scheme, manning=0.02, gravity=GRAVITY, dtype=dtype
+    )
+    watch, count, worst = _Watch(trial.bed, trial.depth), 0, 0.0
+    ny, nx = trial.bed.shape
+    while count < most_steps:
+        places = rng.integers(0, ny, DROPS), rng.integers(0, nx, DROPS)
+        solver.deposit(*places, LARGEST_DROP * rng.random(DROPS) ** 3)
+        report = solver.advance(FRAME, rain=HEAVIEST_RAIN * rng.random() ** 2)
+        count += report.substeps
+        watch.look(solver.depth, report)
+        worst = max(worst, abs(report.residual))
+    allowed = MOST_DRIFT[dtype] if most_steps < 100_000 else LONG_DRIFT
+    seconds = time.perf_counter() - start
+    return _record(trial.name, scheme, dtype, None, watch, worst, allowed, count, seconds)
+
+
+def run(quick=False, tell=None):
+    """Run all trials on all schemes in both types, and the dam at several Courant numbers.
+
+    Parameters
+    ----------
+    quick : bool
+        Small sizes and short runs.
+    tell : callable, optional
+        Called with a line of text for each result.
+
+    Returns
+    -------
+    dict
+        "quick" and "records", a list of dicts.
+    """
+    tell, records = tell or (lambda line: None), []
+
+    def note(record):
+        records.append(record)
+        tell(_line(record))
+
+    for scheme in SCHEMES:
+        for make in TRIALS:
+            for dtype in (np.float32, np.float64):
+                note(endure(make(CELLS[quick]), scheme, SPAN[quick], dtype))
+        for courant in COURANTS:
+            note(endure(dam(CELLS[quick]), scheme, SPAN[quick], courant=courant))
+        for dtype in (np.float32, np.float64):
+            note(endure_rain(bumps(CELLS[quick]), scheme, LONG_STEPS[quick], dtype))
+    return {"quick": quick, "records": records}
+
+
+def _line(record):
+    at = f" at {record['courant']:g}" if record["courant"] else ""
+    return (
+        f"{record['case'] + at:20s} {record['scheme']:9s} {record['dtype']}  drift "
+        f"{record['drift']:.0e}  speed {record['speed']:.2f}  {record['steps']:6d} steps  "
+        f"{record['outcome']}"
+    )
+
+
+def table(result):
+    """Return drift and speed over its bound as a Markdown table, float32, failures in bold."""
+    rows = {}
+    for record in result["records"]:
+        if record["dtype"] == "float32":
+            name = record["case"]
+            if record["courant"]:
+                name += f", Courant {record['courant']:g}"
+            text = f"{record['drift']:.0e} / {record['speed']:.2f}"
+            if record["outcome"] == "refused":
+                text = "refused"
+            elif record["outcome"] != "holds":
+                text = f"**{text} {record['outcome'].partition(':')[0]}**"
+            rows.setdefault(name, {})[record["scheme"]] = text
+    lines = ["| case | " + " | ".join(SCHEMES) + " |", "|---" * (len(SCHEMES) + 1) + "|"]
+    lines += [
+        f"| {name} | " + " | ".join(row[scheme] for scheme in SCHEMES) + " |"
+        for name, row in rows.items()
+    ]
+    return "\n".join(lines)
+
+
+def draw(result, path):
+    """Draw the drift of every run and its speed over the bound to a PNG."""
+    from rainsim.bench.chart import draw_marks
+
+    panels = {}
+    for name, key, floor, limits in (
+        ("change of volume, float32", "drift", 1e-17, [MOST_DRIFT[np.float32]]),
+        ("change of volume, float64", "drift", 1e-17, [MOST_DRIFT[np.float64]]),
+        ("speed over its bound, float32", "speed", 1e-2, [MOST_SPEED]),
+    ):
+        marks = {}
+        for record in result["records"]:
+            if record["dtype"] in name and record["outcome"] != "refused":
+                label = record["case"]
+                if record["courant"]:
+                    label = f"dam, Courant {record['courant']:g}"
+                value = record[key] if math.isfinite(record[key]) else math.inf
+                marks.setdefault(record["scheme"], {})[label] = max(value, floor)
+            elif record["dtype"] in name:
+                marks.setdefault(record["scheme"], {})
+        panels[name] = {"marks": marks, "limits": limits}
+    draw_marks(path, panels, "Where methods fail (dotted: the limit; at the right edge: diverged)")
