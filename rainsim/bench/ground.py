@@ -171,8 +171,10 @@ def measure_bed(scene, truth, spacing=0.02):
     kerb = truth.bed(3 * captures.KERB_X, 0.0) > truth.bed(-3 * captures.KERB_X, 0.0) + 0.05
     inside = np.maximum(np.abs(x), np.abs(y)) < truth.half - 0.15
     smooth = inside & (np.abs(x - captures.KERB_X) > 0.1) if kerb else inside
-    tx, ty, half, _ = captures.TABLE
+    tx, ty, half, height = captures.TABLE
     under = (np.abs(x - tx) < half - 0.05) & (np.abs(y - ty) < half - 0.05)
+    top = terrain.top - truth.bed(x, y) - height
+    beside = np.maximum(np.abs(x - tx), np.abs(y - ty)) > half + 0.15
     puddles = puddles_of(terrain)
     puddles.rain(RAIN)
     wet = puddles.depth >= WET
@@ -187,6 +189,8 @@ def measure_bed(scene, truth, spacing=0.02):
         "bias_mm": abs(float(error[smooth].mean())) * 1e3,
         "under_table_mm": float(np.percentile(np.abs(error[under]), 95)) * 1e3,
         "under_table_unknown": float(np.mean(terrain.source[under] == UNKNOWN)),
+        "table_top_mm": float(np.percentile(np.abs(top[under]), 95)) * 1e3,
+        "false_cover": float(np.mean((terrain.top > terrain.bed)[beside])),
         "kerb_cells": _kerb_error(terrain, x, y) if kerb else None,
         "dips_missed": 1 - found / max(len(held), 1),
         "false_puddles": float(np.mean((wet & ~true_wet)[smooth])),

@@ -11,18 +11,20 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import ndimage
+from skimage.morphology import remove_small_objects
 
 from rainsim import raster
 from rainsim.errors import GroundError, ParameterError
 from rainsim.scene.types import Camera, Splats
 from rainsim.terrain import bed as bedding
 from rainsim.terrain.classify import EXCESS_GREEN, classify, is_green, mark_drains
-from rainsim.terrain.slab import FAINT, follow_ground, splat_cover
+from rainsim.terrain.slab import FAINT, follow_ground, lonely, splat_cover
 from rainsim.terrain.table import GRASS, HARD
 from rainsim.terrain.types import GAP_HEIGHT, INFERRED, MEASURED, UNKNOWN, Grid, Terrain
 
 MIN_SEEN_ALPHA = 0.5  # of a cell from above: less and the surface is not told
 OCCLUDER_HEIGHT = 0.10  # m above the ground from which something shelters it
+SMALLEST_TOP = 2e-3  # m2 of a thing that shelters the ground
 CEILING_OVER_CAMERAS = 1.0  # m: what is higher was hardly seen by any camera
 CEILING_WITHOUT_CAMERAS = 4.0  # m above the ground
 DEFAULT_HALF_WIDTH = 4.0  # m, of the map, unless the cameras roam farther
@@ -85,7 +87,7 @@ def extract_terrain(scene, config, mask=None):
         ground = cloud.look(kept)
     bed, source, noise, color, green = _bed(ground, cloud.look(kept, from_below=True), grid)
     upper, lower = cloud.look(cloud.below_ceiling), cloud.look(cloud.overhead, from_below=True)
-    top, underside = _cover(upper, lower, bed)
+    top, underside = _cover(upper, lower, bed, grid.cell_area)
     classes = classify(bed, top, source, noise, color, green, grid.spacing)
     classes = mark_drains(classes, grid, scene)
     if mask is not None:
@@ -279,12 +281,14 @@ class _Cloud:
         solid = self.cover > 0
         self.near_bed = (np.abs(self.above) < slab) & solid
         ceiling = _ceiling(scene)
-        self.below_ceiling = self.above < ceiling
-        self.overhead = self.below_ceiling & (self.above > slab)
         x, y = grid.centres()
         level = self.level(*np.meshgrid(x[::8], y[::8]))
         self.top = float(level.max()) + ceiling
         self.floor = float(level.min()) - slab
+        self.below_ceiling = self.above < ceiling
+        floating = lonely(self.position, self.splats, self.frame, grid, self.top)
+        self.below_ceiling &= ~floating | (self.above <= slab)
+        self.overhead = self.below_ceiling & (self.above > slab)
         self.notes = ()
         if level.max() - level.min() > slab:
             self.notes = (
@@ -433,10 +437,12 @@ def _bed(seen, below, grid):
     return bed, source, noise, color, green
 
 
-def _cover(upper, lower, bed):
+def _cover(upper, lower, bed, cell_area):
     """Return top and underside of what stands on or hangs over the bed."""
     top = np.where(upper.alpha > MIN_SEEN_ALPHA, ndimage.median_filter(upper.height, 3), bed)
-    top = np.where(top > bed + OCCLUDER_HEIGHT, top, bed)
+    standing = top > bed + OCCLUDER_HEIGHT
+    standing = remove_small_objects(standing, max_size=int(SMALLEST_TOP / cell_area))
+    top = np.where(standing, top, bed)
     hanging = (lower.alpha > MIN_SEEN_ALPHA) & (lower.height > bed + GAP_HEIGHT) & (top > bed)
     underside = np.where(hanging, np.minimum(lower.height, top), bed)
     return top.astype(np.float32), underside.astype(np.float32)

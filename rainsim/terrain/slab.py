@@ -22,6 +22,8 @@ CARRY = 16  # cells without ground over which the level is carried on
 SEED_REACH = 0.06  # m from the plane, of the cells that the search starts from
 FAINT = 0.1  # opacity of haze
 BLOB = 0.15  # m of standard deviation upwards: haze, not a surface
+VOXEL, MOST_VOXELS = 0.1, 4_000_000  # m; larger over large maps
+LONELY_COVER = 1.0  # of a voxel's face: a surface through the 27 voxels about it covers 9
 UNSEEN, CARRIED, FOUND = 0, 1, 2
 
 
@@ -193,3 +195,39 @@ def upward_spread(splats, frame):
     )
     total = sum((axis * splats.scale[:, k]) ** 2 for k, axis in enumerate(own))
     return np.sqrt(total) * frame.meters_per_unit
+
+
+def lonely(points, splats, frame, grid, top):
+    """Return the mask of splats with too little surface about them to be a thing: floaters.
+
+    Within three voxels of about 10 cm each way the splats of a surface cover it; floaters, be they
+    many, are small or faint.
+
+    Parameters
+    ----------
+    points : ndarray of shape (n, 3) [m]
+        Centres in the ground frame.
+    splats : Splats
+        In the capture frame.
+    frame : GroundFrame
+    grid : Grid
+        Of the map; what lies beyond it is not lonely.
+    top : float [m]
+        Height up to which is looked.
+    """
+    lonely = np.zeros(len(points), bool)
+    low = np.array([*grid.origin, points[:, 2].min(initial=0.0, where=np.isfinite(points[:, 2]))])
+    low[2] = max(low[2], -top)
+    size = np.array([*grid.size, top - low[2]])
+    voxel = max(VOXEL, float(size.prod() / MOST_VOXELS) ** (1 / 3))
+    shape = np.maximum(np.ceil(size / voxel).astype(np.int64), 1)
+    with np.errstate(invalid="ignore"):
+        place = np.floor((points - low) / voxel)
+        inside = ((place >= 0) & (place < shape)).all(axis=1)
+    index = np.ravel_multi_index(place[inside].astype(np.int64).T, shape)
+    two = np.sort(splats.scale[inside].astype(np.float64), axis=1)[:, 1:] * frame.meters_per_unit
+    area = 2 * np.pi * two.prod(axis=1) * splats.opacity[inside]
+    cover = np.bincount(index, area, minlength=shape.prod()).reshape(shape)
+    near = 27 * ndimage.uniform_filter(cover.astype(np.float32), 3, mode="constant")
+    lonely[inside] = near.ravel()[index] < LONELY_COVER * voxel**2
+    return lonely
