@@ -14,8 +14,6 @@ from rainsim.raster.prepared import LANES, morton_order
 from rainsim.raster.project import color_chunk
 from rainsim.scene.types import Splats
 
-LARGEST = np.float32(32767)  # of 16 bits with a sign
-
 
 @dataclass(frozen=True)
 class Choice:
@@ -78,9 +76,9 @@ def all_choices():
             Choice("training codes", options={"drop_last": True}),
         ],
         "storage of harmonics": [
-            Choice("16 bits, float", {"color_chunk": color_half}, adapt=in_halves),
-            Choice("16 bits, scaled", {"color_chunk": color_scaled}, adapt=in_steps),
-            replace(ours, name="32 bits"),
+            Choice("half precision", {"color_chunk": color_half}, adapt=in_halves),
+            replace(ours, name="degree 2 and 3 in 16 bits"),
+            Choice("32 bits", adapt=in_floats),
         ],
         "degree of harmonics": [
             *(Choice(f"{d}", options={"degree": d}) for d in (0, 1, 2)),
@@ -113,39 +111,33 @@ def from_half(typingctx, bits):
     return types.float32(types.uint16), codegen
 
 
-def in_halves(_splats, prepared):
-    """Return the prepared splats with harmonics in half precision, as uint16."""
-    return replace(prepared, sh=prepared.sh.astype(np.float16).view(np.uint16))
+def in_floats(splats, prepared):
+    """Return the prepared splats with all harmonics in float32."""
+    coarse = prepared.sh.shape[1] // LANES
+    values = splats.sh.reshape(len(splats), -1)[prepared.order, coarse:]
+    padded = np.zeros((len(prepared.sh) * LANES, values.shape[1]), np.float32)
+    padded[: len(values)] = values
+    rows = padded.reshape(len(prepared.sh), LANES, -1).transpose(0, 2, 1)
+    fine = np.ascontiguousarray(rows).reshape(len(rows), -1)
+    return replace(prepared, fine=fine, step=np.ones_like(prepared.step))
+
+
+def in_halves(splats, prepared):
+    """Return the prepared splats with all harmonics in half precision, as uint16."""
+    full = in_floats(splats, prepared)
+    sh, fine = (a.astype(np.float16).view(np.uint16) for a in (full.sh, full.fine))
+    return replace(full, sh=sh, fine=fine)
 
 
 @device_function
-def color_half(g, sh, eye, orthographic, bands, s):
+def color_half(g, sh, fine, step, eye, orthographic, bands, s):
     """Twin of `color_chunk` for `in_halves`."""
-    row = np.empty(3 * bands * bands * LANES, np.float32)
-    for i in range(len(row)):
-        row[i] = from_half(sh[i])
-    color_chunk(g, row, eye, orthographic, bands, s)
-
-
-def in_steps(_splats, prepared):
-    """Return the prepared splats with harmonics as int16, the factor of each run at the end."""
-    rows = prepared.sh.reshape(len(prepared.sh), -1, LANES)
-    step = np.abs(rows).max(axis=2) / LARGEST
-    step[step == 0] = 1
-    numbers = np.rint(rows / step[..., None]).astype(np.int16).reshape(len(rows), -1)
-    return replace(prepared, sh=np.hstack([numbers, step.astype(np.float32).view(np.int16)]))
-
-
-@device_function
-def color_scaled(g, sh, eye, orthographic, bands, s):
-    """Twin of `color_chunk` for `in_steps`."""
-    runs = 3 * bands * bands
-    step = sh[len(sh) // (LANES + 2) * LANES :].view(np.float32)
-    row = np.empty(runs * LANES, np.float32)
-    for k in range(runs):
-        for i in range(LANES):
-            row[k * LANES + i] = np.float32(sh[k * LANES + i]) * step[k]
-    color_chunk(g, row, eye, orthographic, bands, s)
+    low, high = np.empty(len(sh), np.float32), np.empty(len(fine), np.float32)
+    for i in range(len(low)):
+        low[i] = from_half(sh[i])
+    for i in range(len(high)):
+        high[i] = from_half(fine[i])
+    color_chunk(g, low, high, step, eye, orthographic, bands, s)
 
 
 # --- fewer splats ---------------------------------------------------------------------------------

@@ -65,13 +65,13 @@ class DeviceSplats:
             )
         geometry = _clean(prepared.geometry)
         self.geometry = cuda.to_device(geometry.reshape(-1))
-        count = prepared.sh.shape[1] // LANES
+        count = 3 * (prepared.degree + 1) ** 2
         self.bands, self.groups = int(np.sqrt(count // 3)), -(-count // 8)
         row = self.groups * 8 * LANES
         self.sh = cuda.device_array(max(self.chunks, 1) * row, np.float16)
         for first in range(0, self.chunks, CHUNKS_AT_ONCE):
-            part = prepared.sh[first : first + CHUNKS_AT_ONCE]
-            halves = project.in_groups(part.reshape(len(part), count, LANES)).reshape(-1)
+            part = prepared.harmonics(first, first + CHUNKS_AT_ONCE)
+            halves = project.in_groups(part).reshape(-1)
             self.sh[first * row : first * row + halves.size].copy_to_device(halves)
         self.centre, self.reach = _reach(prepared.box)
         # A chunk of nothing but holes has an infinite box, which no comparison finds outside.

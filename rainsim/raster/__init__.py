@@ -150,10 +150,9 @@ class Rasterizer:
         self._make_room(len(chunks) * LANES)
         visible = np.zeros(len(chunks), np.int64)
         count = np.zeros((BLOCKS, across * down), np.int64)
-        stored = int(np.sqrt(p.sh.shape[1] // (3 * LANES))) - 1
         project_chunks(
-            p.geometry, p.sh, chunks, view, deep, eye, lens, size, near, plane, flat, compensate,
-            stored if degree is None else min(degree, stored), across,
+            p.geometry, p.sh, p.fine, p.step, chunks, view, deep, eye, lens, size, near, plane,
+            flat, compensate, p.degree if degree is None else min(degree, p.degree), across,
             self._record, self._box, self._lane, visible, count,
         )  # fmt: skip
         start = tile_starts(count)

@@ -246,9 +246,10 @@ def project_chunk(g, view, lens, size, near, plane, orthographic, compensate, s)
 
 
 @device_function
-def color_chunk(g, sh, eye, orthographic, bands, s):
+def color_chunk(g, sh, fine, step, eye, orthographic, bands, s):
     """Fill the scratch rows RED to RED + 2 with the colours seen from `eye`.
 
+    Harmonics up to degree 1 are in `sh`, those above in `fine`, one factor per run in `step`.
     `eye` is the camera's position, or its view direction if orthographic.
     """
     e0, e1, e2 = eye[0], eye[1], eye[2]
@@ -270,19 +271,22 @@ def color_chunk(g, sh, eye, orthographic, bands, s):
             value = color_degree_1(x, y, z, sh[q + BAND], sh[q + 2 * BAND], sh[q + 3 * BAND])
             s[color + i] = value + color_constant(sh[q])
         if bands > 2:
+            t4, t5, t6, t7, t8 = step[c], step[c + 3], step[c + 6], step[c + 9], step[c + 12]
             for i in range(LANES):
                 q = c * LANES + i
                 s[color + i] += color_degree_2(
-                    s[DX + i], s[DY + i], s[DZ + i], sh[q + 4 * BAND], sh[q + 5 * BAND],
-                    sh[q + 6 * BAND], sh[q + 7 * BAND], sh[q + 8 * BAND],
+                    s[DX + i], s[DY + i], s[DZ + i], t4 * fine[q], t5 * fine[q + BAND],
+                    t6 * fine[q + 2 * BAND], t7 * fine[q + 3 * BAND], t8 * fine[q + 4 * BAND],
                 )  # fmt: skip
         if bands > 3:
+            t0, t1, t2, t3 = step[c + 15], step[c + 18], step[c + 21], step[c + 24]
+            t4, t5, t6 = step[c + 27], step[c + 30], step[c + 33]
             for i in range(LANES):
                 q = c * LANES + i
                 s[color + i] += color_degree_3(
-                    s[DX + i], s[DY + i], s[DZ + i], sh[q + 9 * BAND], sh[q + 10 * BAND],
-                    sh[q + 11 * BAND], sh[q + 12 * BAND], sh[q + 13 * BAND], sh[q + 14 * BAND],
-                    sh[q + 15 * BAND],
+                    s[DX + i], s[DY + i], s[DZ + i], t0 * fine[q + 5 * BAND],
+                    t1 * fine[q + 6 * BAND], t2 * fine[q + 7 * BAND], t3 * fine[q + 8 * BAND],
+                    t4 * fine[q + 9 * BAND], t5 * fine[q + 10 * BAND], t6 * fine[q + 11 * BAND],
                 )  # fmt: skip
         for i in range(LANES):
             s[color + i] = max(s[color + i], ZERO)
@@ -332,8 +336,8 @@ def find_chunks(box, view, lens, size, near, plane, orthographic, seen_out):
 
 @cpu_kernel
 def project_chunks(
-    geometry, sh, chunks, view, deep, eye, lens, size, near, plane, orthographic, compensate,
-    degree, across, record_out, box_out, lane_out, visible_out, count_out,
+    geometry, sh, fine, step, chunks, view, deep, eye, lens, size, near, plane, orthographic,
+    compensate, degree, across, record_out, box_out, lane_out, visible_out, count_out,
 ):  # fmt: skip
     """Project the splats of the listed chunks and count those that each tile meets.
 
@@ -355,7 +359,8 @@ def project_chunks(
             visible_out[k] = 0
             if not seen:
                 continue
-            color_chunk(g, sh[chunks[k]], eye, orthographic, degree + 1, s)
+            c = chunks[k]
+            color_chunk(g, sh[c], fine[c], step[c], eye, orthographic, degree + 1, s)
             visible_out[k] = write_records(
                 g, s, view, deep, orthographic, across, k * LANES,
                 record_out, box_out, lane_out, count,

@@ -66,15 +66,13 @@ def test_a_variant_has_its_own_constants_and_leaves_the_product_alone():
 def test_harmonics_in_sixteen_bits_are_nearly_those_in_thirty_two():
     splats, cam = fog(), camera()
     prepared = raster.prepare(splats)
-    full = raster.rasterize(prepared, cam, 0.2).color
-    found = {}
+    truth, found = draw_truth(splats, cam).color, {}
     for choice in splat_choices.all_choices()["storage of harmonics"]:
         drawer = choice.rasterizer(splats, prepared)
-        found[choice.name] = splat.decibel(drawer.draw(cam, 0.2).color, full)
-        if not choice.default:
-            assert drawer.prepared.sh.itemsize == 2
-    assert 70 < found["16 bits, float"] < found["16 bits, scaled"] < 120
-    assert found["32 bits"] == 200
+        found[choice.name] = splat.decibel(drawer.draw(cam, 0.01).color, truth)
+    assert drawer.prepared.fine.dtype == np.float32
+    assert 70 < found["half precision"] < found["degree 2 and 3 in 16 bits"] - 6
+    assert 90 < found["degree 2 and 3 in 16 bits"] < found["32 bits"]
 
 
 def test_pairs_merged_keep_place_size_and_cover():

@@ -1,6 +1,7 @@
 """Splatting against closed forms and against float64 blending in plain loops."""
 
 import dataclasses
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -376,3 +377,43 @@ def test_thin_slanted_splats_reach_every_pixel_they_should(rng):
 def test_unknown_depth_mode_is_told():
     with pytest.raises(ParameterError, match="expected, median"):
         raster.rasterize(raster.prepare(one_splat()), camera(), depth="nearest")
+
+
+def nbytes(*arrays):
+    return sum(a.nbytes for a in arrays)
+
+
+def test_memory_on_top_of_the_splats_own_arrays(rng):
+    """SH 3, all splats in sight: what is prepared and what a picture works with."""
+    splats = cloud(rng, 40_000)
+    splats.position[:, 2] += 6
+    own = nbytes(*(getattr(splats, name) for name in splats.__slots__))
+    tracemalloc.start()
+    try:
+        drawer = raster.Rasterizer(raster.prepare(splats))
+        held, peak = (n / own for n in tracemalloc.get_traced_memory())
+        drawer.draw(camera(), 0.2)
+    finally:
+        tracemalloc.stop()
+    p = drawer.prepared
+    prepared = nbytes(p.geometry, p.sh, p.fine, p.step, p.box, p.order) / own
+    assert 0.7 < prepared < 0.8 and held < 0.8 and peak < 1.3
+    working = nbytes(drawer._record, drawer._box, drawer._lane, drawer._entry) / own
+    assert 0.2 < working and prepared + working < 1.3
+
+
+def test_harmonics_come_back_within_half_a_step(rng):
+    splats = cloud(rng, 700)
+    prepared = raster.prepare(splats)
+    assert prepared.degree == 3 and prepared.fine.dtype == np.int16
+    back = prepared.harmonics().transpose(0, 2, 1).reshape(-1, 16, 3)[:700]
+    wanted = splats.sh[prepared.order]
+    np.testing.assert_array_equal(back[:, :4], wanted[:, :4])
+    error = np.abs(back[:, 4:] - wanted[:, 4:])
+    assert 0 < error.max() <= 0.51 * prepared.step.max() and prepared.step.max() < 5e-5
+    splats.sh[5, 9, 1] = np.inf
+    spoilt = raster.prepare(splats).harmonics()
+    assert np.isfinite(spoilt).all() and abs(spoilt).max() < 2
+    for bands, degree in ((1, 0), (4, 1), (9, 2)):
+        fewer = dataclasses.replace(splats, sh=np.ascontiguousarray(wanted[:, :bands]))
+        assert raster.prepare(fewer).degree == degree
