@@ -46,6 +46,7 @@ REFRACTIONS = ("snell", "shift")
 FRESNELS = ("exact", "schlick")
 HIGHLIGHTS = ("cox-munk", "blinn-phong")
 COVERAGES = ("soft", "hard")
+WETTINGS = ("class", "none")
 WATER_GEOMETRIES = ("height-field", "spheres")
 DROP_RADII = ("measured", "paper")
 STREAKS = ("shutter", "paper")
@@ -172,9 +173,11 @@ class RenderConfig:
 
     exposure: float = 1 / 60  # s; longer draws longer and fainter streaks
     sky: str = "overcast"  # or "capture", or the path of an equirectangular Radiance .hdr
-    sun: tuple | None = None  # azimuth from x towards y and elevation [rad]; None: no sun
+    sun: tuple | str | None = None  # azimuth from x towards y and elevation [rad]; "sky": as the
+    # sky has it; None: no sun
     cloudiness: float = 0.8  # 0 clear to 1 overcast
     brightness: float = 1.0  # factor on the graded picture
+    wetting: str = "class"  # things darken and gloss by class; none: they stay dry, the paper's
     reflections: str = "auto"  # mirror: one mirrored pass; ssr: march the depth; auto: a mirror
     # for each level that much water stands at, the march for the rest;
     # traced: rays through the splats, slow; paper: march with a point test
@@ -196,7 +199,7 @@ class RenderConfig:
         exposure = self.exposure * 1e3 if is_number(self.exposure) else self.exposure
         require_positive("exposure", _round(exposure), "ms", "16.7 is 1/60 s")
         check_sky(self.sky)
-        if self.sun is not None:
+        if self.sun not in (None, "sky"):
             azimuth, elevation = _pair("sun", self.sun, "an azimuth and an elevation")
             require_finite("sun azimuth", azimuth)
             degrees = math.degrees(require_finite("sun elevation", elevation))
@@ -211,6 +214,7 @@ class RenderConfig:
                 f"cloudiness is {self.cloudiness}; it must lie from 0 (clear) to 1 (overcast)"
             )
         require_positive("brightness", self.brightness, "", "1 is as graded, 0.5 half as bright")
+        require_choice("wetting", self.wetting, WETTINGS)
         require_choice("reflections", self.reflections, REFLECTIONS)
         require_choice("refraction", self.refraction, REFRACTIONS)
         require_choice("fresnel", self.fresnel, FRESNELS)

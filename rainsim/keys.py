@@ -32,6 +32,7 @@ HUMAN_KEYS = {
     "sun_elevation_degrees": ("sun", math.pi / 180),
     "cloudiness": ("cloudiness", 1.0),
     "brightness": ("brightness", 1.0),
+    "wetting": ("wetting", None),
     "reflections": ("reflections", None),
     "refraction": ("refraction", None),
     "fresnel": ("fresnel", None),
@@ -58,7 +59,7 @@ _PAIRS = {  # attributes that two keys fill, with what stands for a missing one 
 
 def preset_names():
     """Return the names of the built-in presets, from dry to wet."""
-    return ["drizzle", "moderate", "downpour", "flood"]
+    return ["drizzle", "moderate", "downpour", "flood", "after", "paper"]
 
 
 def preset_text(name):

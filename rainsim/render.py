@@ -71,8 +71,11 @@ class Renderer:
         self.sky_distance = sky_distance(scene)
         self._set_time(0.0)
         self.water = WaterView(terrain, self.exposure, config.render)
-        self.day = day_sky(config.render)
+        self.day, self.notes = day_sky(config.render), []
         eye = self.frame.to_ground(first_camera.position)
+        if config.render.sky == "capture":
+            self.day = self._captured_sky(eye)
+        self.sun = self._find_sun()
         self.environment = self._surroundings(eye)
         self._camera = None  # that the kept layers belong to
         self._tracer = None  # made when it is first asked for
@@ -102,6 +105,7 @@ class Renderer:
             np.float32(self.now.render.brightness), image,
         )  # fmt: skip
         timer.mark("compose")
+        notes, self.notes = self.notes, []  # told once
         found, light = {}, {}
         if names:
             found = layers.collect(names, self._shot(names, state, rain_alpha, splash_alpha, fog))
@@ -110,7 +114,13 @@ class Renderer:
             light["brightness"] = brightness
             timer.mark("layers")
         return image, FrameReport(
-            state.index, state.time, timer.stages, state.ledger, state.notes, found, light
+            state.index,
+            state.time,
+            timer.stages,
+            state.ledger,
+            (*state.notes, *notes),
+            found,
+            light,
         )
 
     def _shot(self, names, state, rain_alpha, splash_alpha, fog):
@@ -243,10 +253,9 @@ class Renderer:
 
     @property
     def _sun(self):
-        sun = self.config.render.sun
-        if sun is None:
+        if self.sun is None:
             return np.zeros(6, np.float32)
-        azimuth, elevation = sun
+        azimuth, elevation = self.sun
         direction = (
             math.cos(elevation) * math.cos(azimuth),
             math.cos(elevation) * math.sin(azimuth),
@@ -254,6 +263,36 @@ class Renderer:
         )
         clear = SUN_IRRADIANCE * (1 - self.now.render.cloudiness)
         return np.array([*direction, clear, 0.95 * clear, 0.88 * clear], np.float32)
+
+    def _find_sun(self):
+        """Return the sun that is given, or that the sky has, or None."""
+        sun = self.config.render.sun
+        if sun != "sky":
+            return sun
+        found = sky.brightest(self.day)
+        told = "nothing in the sky stands out as the sun: none is drawn"
+        if found is not None:
+            azimuth, elevation = (math.degrees(angle) for angle in found)
+            told = f"the sun of the sky: azimuth {azimuth:.0f}, elevation {elevation:.0f} degrees"
+        self.notes.append(told)
+        return found
+
+    def _captured_sky(self, position):
+        """Return the sky that the capture shows from `position` [m], completed."""
+
+        def draw(view):
+            dry = self.rasterizer.draw(self.frame.camera_in_capture(view), self.near)
+            far = dry.depth * self.frame.meters_per_unit > self.sky_distance
+            linear = np.clip(dry.color, 0, 4) ** np.float32(2.2)
+            seen = far & (dry.alpha > 0.9) & (linear.mean(axis=-1) > 0.15)
+            return np.where(seen[..., None], linear, -1)
+
+        found = sky.probe(draw, position)
+        made, share = sky.completed(found, found[..., 0] >= 0)
+        self.notes.append(
+            f"the capture shows {share:.0%} of the sky; an overcast one stands for the rest"
+        )
+        return made * self.look[0]  # graded as the rest is
 
     def _surroundings(self, position):
         """Return the wet capture around `position` [m] with the sky of the day, as a map."""
@@ -301,7 +340,7 @@ def cropped(camera, window):
 def day_sky(config):
     """Return the environment map of the sky that a render configuration names."""
     if config.sky in ("overcast", "capture"):
-        return sky.overcast()
+        return sky.clouded(sky.overcast())
     from rainsim import image
 
     return sky.from_panorama(image.read_hdr(config.sky))

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from scipy import ndimage
 
 from rainsim.jit import device_function
 from rainsim.light import angle, four_colors
@@ -20,6 +21,11 @@ OVERCAST_TINT = np.array([0.95, 1.0, 1.06])  # a dull sky is slightly blue (abou
 GROUND_ALBEDO = 0.15  # what the lower half of a plain sky map shows
 DROP_FIELD = np.radians(165 / 2)  # half the angle that a drop gathers light from (Garg, Nayar 2007)
 DROP_TRANSMISSION, DROP_AMBIENT = 0.94, 0.06  # share refracted from that field, and the rest
+PANORAMA_ROWS = 512  # of the map of a panorama: it is seen behind the scene, too
+CLOUD_DEPTH = 0.16  # of the noise in the logarithm of a clouded sky's radiance
+LEAST_SKY_SEEN = 0.02  # share of the upper half below which a captured sky tells nothing
+SEAM = 5.0  # texels of the map, over which a captured sky goes over into the filled one
+SUN_BLUR, SUN_PEAK = math.radians(2.5), 4.0
 FACE = 160  # px, side of the pictures that a probe of the capture is made from
 
 ZERO = np.float32(0)
@@ -54,21 +60,104 @@ def overcast(brightness=1.0):
     return np.ascontiguousarray(radiance[..., None] * OVERCAST_TINT, dtype=np.float32)
 
 
+def clouded(environment, rows=2 * ROWS, depth=CLOUD_DEPTH):
+    """Return an even sky with the bellies of its clouds, (rows, 2 rows, 3), irradiance unchanged.
+
+    Smooth noise on a sheet of cloud above, whose parts crowd towards the horizon, where haze hides
+    them. By eye: a dull sky is no even grey.
+    """
+    direction = directions(rows, 2 * rows)
+    row, column = np.indices(direction.shape[:2]) / rows
+    scale = environment.shape[0]
+    where = [row * scale - 0.5, column * environment.shape[1] / 2 - 0.5]
+    even = np.stack(
+        [
+            ndimage.map_coordinates(environment[..., c], where, order=1, mode="nearest")
+            for c in range(3)
+        ],
+        axis=-1,
+    )
+    height = np.maximum(direction[..., 2], 0)
+    sheet = direction[..., :2] / (height[..., None] + 0.25)
+    lattice = np.random.Generator(np.random.PCG64(3)).uniform(-1, 1, (64, 64))
+    noise = np.zeros(height.shape)
+    for octave, (size, amplitude) in enumerate(((1.7, 1.0), (0.8, 0.5), (0.36, 0.25), (0.17, 0.1))):
+        at = [sheet[..., k] / size * (1.0, 0.6)[k] + 7.3 * octave for k in range(2)]
+        noise += amplitude * ndimage.map_coordinates(lattice, at, order=3, mode="grid-wrap")
+    fade = np.clip(height / 0.25, 0, 1)
+    factor = np.exp(depth * fade * noise)
+    made = even * factor[..., None]
+    made *= irradiance(environment)[1] / irradiance(made)[1]
+    return np.ascontiguousarray(made, dtype=np.float32)
+
+
+def completed(radiance, known):
+    """Return a sky map with what no camera saw filled by an overcast sky, and the share known.
+
+    Parameters
+    ----------
+    radiance : ndarray of shape (rows, columns, 3), float32
+    known : ndarray of shape (rows, columns), bool
+        Where it is the captured sky. The fill is as bright as that, and goes over into it softly.
+    """
+    plain = overcast()
+    above = directions()[..., 2] > 0
+    area = np.cos((0.5 - (np.arange(ROWS) + 0.5) / ROWS) * np.pi)[:, None]
+    share = float((area * (known & above)).sum() / (area * above).sum())
+    if share < LEAST_SKY_SEEN:
+        return plain, share
+    ratio = np.median(radiance[known & above] / plain[known & above], axis=0)
+    weight = ndimage.gaussian_filter(
+        (known & above).astype(np.float64), SEAM, mode=("nearest", "wrap")
+    )
+    held = np.where((known & above)[..., None], radiance, 0)
+    near = ndimage.gaussian_filter(held, (SEAM, SEAM, 0), mode=("nearest", "wrap", "nearest"))
+    near = near / np.maximum(weight, 1e-6)[..., None]
+    mix = np.clip(2 * weight, 0, 1)[..., None]
+    filled = plain * ratio * (1 - mix) + near * mix
+    return np.where((known & above)[..., None], radiance, filled).astype(np.float32), share
+
+
+def brightest(environment):
+    """Return azimuth and elevation [rad] of the sun in a sky, or None if nothing stands out.
+
+    The sun is taken to be where the radiance, blurred over SUN_BLUR, exceeds the upper half's
+    mean by SUN_PEAK.
+    """
+    rows, columns = environment.shape[:2]
+    light = environment @ np.array([0.2126, 0.7152, 0.0722])
+    blur = SUN_BLUR * rows / np.pi
+    smooth = ndimage.gaussian_filter(light, blur, mode=("nearest", "wrap"))
+    direction = directions(rows, columns)
+    upper = direction[..., 2] > 0.02
+    area = np.sqrt(1 - direction[..., 2] ** 2)
+    mean = float((light * area)[upper].sum() / area[upper].sum())
+    smooth = np.where(upper, smooth, 0)
+    if smooth.max() < SUN_PEAK * mean:
+        return None
+    # The centroid of what is nearly as bright, not the texel.
+    weight = np.where(smooth > 0.7 * smooth.max(), light * area, 0)
+    x, y, z = np.einsum("ij,ijc->c", weight, direction)
+    return math.atan2(y, x), math.atan2(z, math.hypot(x, y))
+
+
 def from_panorama(panorama, brightness=1.0):
     """Return the map of an equirectangular HDR picture, scaled to the overcast sky's irradiance.
 
     An HDR panorama has arbitrary units; the captured picture has its own exposure. So the mean
     radiance of the upper half, weighted by the cosine, is set to that of `overcast`.
     """
-    rows = np.linspace(0, panorama.shape[0], ROWS + 1).astype(int)
-    columns = np.linspace(0, panorama.shape[1], COLUMNS + 1).astype(int)
-    if panorama.shape[0] >= ROWS and panorama.shape[1] >= COLUMNS:
+    high = min(max(panorama.shape[0], ROWS), PANORAMA_ROWS)
+    wide = 2 * high
+    rows = np.linspace(0, panorama.shape[0], high + 1).astype(int)
+    columns = np.linspace(0, panorama.shape[1], wide + 1).astype(int)
+    if panorama.shape[0] >= high and panorama.shape[1] >= wide:
         total = np.add.reduceat(np.add.reduceat(panorama, rows[:-1], axis=0), columns[:-1], axis=1)
         area = np.diff(rows)[:, None] * np.diff(columns)[None, :]
         scaled = total / area[..., None]
     else:
-        row = np.minimum((np.arange(ROWS) + 0.5) / ROWS * panorama.shape[0], panorama.shape[0] - 1)
-        column = (np.arange(COLUMNS) + 0.5) / COLUMNS * panorama.shape[1]
+        row = np.minimum((np.arange(high) + 0.5) / high * panorama.shape[0], panorama.shape[0] - 1)
+        column = (np.arange(wide) + 0.5) / wide * panorama.shape[1]
         column = np.minimum(column, panorama.shape[1] - 1)
         scaled = panorama[row.astype(int)][:, column.astype(int)]
     wanted = irradiance(overcast(brightness))[1]

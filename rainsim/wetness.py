@@ -75,7 +75,7 @@ def ground_maps(terrain, grass, reach, config):
         Of one time.
     """
     film, porosity = terrain.by_class("storage"), terrain.by_class("porosity")
-    damp = dampness(config, film, porosity, reach)
+    damp = dampness(config, film, porosity, reach) * (config.render.wetting != "none")
     gloss = damp * film_left(config, film) * (1 - 0.5 * porosity)
     maps = np.stack([grass, reach, damp, gloss, porosity], axis=-1)
     return np.ascontiguousarray(maps, dtype=np.float32)
@@ -91,6 +91,8 @@ def others(config):
     lost = evaporation_rate(config) * config.rain.drying
     pores = OTHER_POROSITY * PORE_DEPTH
     supply *= float(np.clip(1 - max(lost - OTHER_FILM, 0.0) / pores, 0, 1))
+    if config.render.wetting == "none":
+        supply = 0.0
     x, y = config.rain.wind_velocity
     fall = float(terminal_speed(USUAL_DROP))
     left = float(film_left(config, OTHER_FILM))

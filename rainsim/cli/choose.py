@@ -62,7 +62,9 @@ def settings(preset, given, base=None):
 
 
 def _sun(sun):
-    return None if sun == "none" else tuple(math.radians(angle) for angle in sun)
+    if sun in ("none", "sky"):
+        return None if sun == "none" else sun
+    return tuple(math.radians(angle) for angle in sun)
 
 
 def scene_of(name, given):

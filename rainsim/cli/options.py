@@ -11,30 +11,30 @@ PRESETS = "the preset's"  # shown as the default of options that override a pres
 
 
 class Numbers(click.ParamType):
-    """Numbers separated by commas, such as x,y,z; `word` stands for None if it is given."""
+    """Numbers separated by commas, such as x,y,z, or one of `words` (with | between them)."""
 
     name = "numbers"
 
-    def __init__(self, parts, word=None):
-        self.parts, self.word = parts.split(","), word
+    def __init__(self, parts, words=""):
+        self.parts, self.words = parts.split(","), words
 
     def get_metavar(self, param, ctx=None):
         """Return how the value is shown in the help."""
         shown = ",".join(self.parts).upper()
-        return f"{shown}|{self.word}" if self.word else shown
+        return f"{shown}|{self.words}" if self.words else shown
 
     def convert(self, value, param, ctx):
         """Return a tuple of floats, or the word itself."""
         if isinstance(value, tuple):
             return value
-        if self.word and value == self.word:
+        if value in self.words.split("|"):
             return value
         try:
             numbers = tuple(float(part) for part in value.split(","))
         except ValueError:
             numbers = ()
         if len(numbers) != len(self.parts) or not all(map(math.isfinite, numbers)):
-            other = f" or {self.word}" if self.word else ""
+            other = f" or {self.words}" if self.words else ""
             self.fail(
                 f"{value!r} is not {len(self.parts)} finite numbers {','.join(self.parts)} "
                 f"without spaces{other}",
@@ -172,8 +172,8 @@ light_options = _group(
     click.option("--sky", metavar="FILE.hdr|overcast|capture", show_default=PRESETS,
                  help="What water mirrors where the capture shows nothing: an equirectangular "
                  "picture, an overcast sky, or the capture's own."),
-    click.option("--sun", type=Numbers("azimuth,elevation", word="none"), show_default=PRESETS,
-                 help="The sun in degrees, azimuth as for --wind."),
+    click.option("--sun", type=Numbers("azimuth,elevation", words="none|sky"), show_default=PRESETS,
+                 help="The sun in degrees, azimuth as for --wind; sky: its brightest spot."),
     click.option("--cloudiness", type=float, metavar="0..1", show_default=PRESETS,
                  help="0 clear to 1 overcast."),
     click.option("--reflections", metavar="NAME", show_default=PRESETS,

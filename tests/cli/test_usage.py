@@ -234,6 +234,8 @@ def test_scenes_and_presets_are_listed(rainsim, scene_folder, monkeypatch):
         "moderate",
         "downpour",
         "flood",
+        "after",
+        "paper",
     ]
 
 

@@ -94,6 +94,44 @@ def test_overcast_sky_has_moon_and_spencers_irradiance():
     assert environment[70, 0, 1] < environment[40, 0, 1]
 
 
+def test_clouds_keep_the_irradiance_and_the_haze():
+    plain = sky.overcast()
+    made = sky.clouded(plain)
+    assert sky.irradiance(made)[1] == pytest.approx(sky.irradiance(plain)[1], rel=1e-5)
+    elevation = sky.directions(*made.shape[:2])[..., 2]
+    high, low = (elevation > 0.4) & (elevation < 0.45), (elevation > 0.0) & (elevation < 0.02)
+    assert 0.05 < made[high, 1].std() / made[high, 1].mean() < 0.3
+    assert made[low, 1].std() / made[low, 1].mean() < 0.2
+    np.testing.assert_array_equal(made, sky.clouded(plain))
+    seam = np.abs(made[:, 0] - made[:, -1]).max()
+    assert seam <= 2 * np.abs(np.diff(made, axis=1)).max()
+
+
+def test_a_captured_sky_is_kept_where_it_was_seen_and_filled_elsewhere():
+    direction = sky.directions()
+    captured = np.where(direction[..., :1] > 0, (0.2, 0.4, 0.8), (0.0, 0.0, 0.0)).astype(np.float32)
+    known = (direction[..., 0] > 0) & (direction[..., 2] > 0)
+    made, share = sky.completed(captured, known)
+    assert share == pytest.approx(0.5, abs=0.01)
+    np.testing.assert_array_equal(made[known], captured[known])
+    behind = made[(direction[..., 0] < -0.5) & (direction[..., 2] > 0.3)]
+    assert (behind[:, 2] > 2 * behind[:, 0]).all()  # as blue as what was seen
+    nothing, share = sky.completed(captured, np.zeros_like(known))
+    assert share == 0
+    np.testing.assert_array_equal(nothing, sky.overcast())
+
+
+def test_the_sun_is_found_in_a_sky_that_has_one():
+    environment = sky.overcast()
+    assert sky.brightest(environment) is None
+    azimuth, elevation = np.radians(130), np.radians(35)
+    there = [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth)]
+    near = sky.directions() @ np.array([*there, np.sin(elevation)]) > np.cos(np.radians(3))
+    environment[near] = 400.0
+    found = sky.brightest(environment)
+    np.testing.assert_allclose(np.degrees(found), (130, 35), atol=1.0)
+
+
 def test_environment_lookup_finds_what_was_put_there():
     rows, columns = sky.ROWS, sky.COLUMNS
     direction = sky.directions()
@@ -118,7 +156,8 @@ def test_panorama_is_scaled_to_the_skys_irradiance():
     for shape in ((256, 512, 3), (300, 700, 3), (32, 64, 3)):
         panorama = rng.uniform(3, 40, shape).astype(np.float32)
         environment = sky.from_panorama(panorama)
-        assert environment.shape == (sky.ROWS, sky.COLUMNS, 3)
+        rows = max(shape[0], sky.ROWS)
+        assert environment.shape == (rows, 2 * rows, 3)
         wanted = sky.irradiance(sky.overcast())[1]
         assert sky.irradiance(environment)[1] == pytest.approx(wanted, rel=1e-3)
 
