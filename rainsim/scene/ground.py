@@ -207,7 +207,8 @@ def _angle(a, b):
 
 def _candidates(splats):
     """Return positions (n, 3) and weights (n,), float64, of the splats that may be ground."""
-    solid = splats.opacity >= LEAST_OPACITY
+    solid = splats.opacity >= LEAST_OPACITY  # false for NaN
+    solid &= np.isfinite(splats.position).all(axis=1) & np.isfinite(splats.scale).all(axis=1)
     if np.count_nonzero(solid) < 3:
         raise GroundError(
             f"{np.count_nonzero(solid)} of {len(splats)} splats have an opacity of at least "

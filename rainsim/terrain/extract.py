@@ -133,9 +133,10 @@ def choose_grid(scene, config):
     ground = _on_plane(scene, config.slab)
     low, high, why = _surroundings(scene)
     if len(ground) >= LEAST_SPLATS:
-        first, last = np.percentile(ground, (2, 98) if low is None else (0.5, 99.5), axis=0)
+        first, last = np.percentile(ground, (4, 96) if low is None else (0.5, 99.5), axis=0)
         if low is None:
-            low, high, why = first, last, "as far as splats lie on the ground"
+            rim = 0.04 * (last - first)
+            low, high, why = first - rim, last + rim, "as far as splats lie on the ground"
         elif (np.maximum(low, first) < np.minimum(high, last)).all():
             cut = np.maximum(low, first - EMPTY_MARGIN), np.minimum(high, last + EMPTY_MARGIN)
             if (cut[1] - cut[0]).prod() < 0.8 * (high - low).prod():
@@ -193,8 +194,8 @@ def _surroundings(scene):
 
 def _on_plane(scene, slab):
     """Return x, y (n, 2) [m] of solid splats on ground that may slope away from the middle."""
-    position = scene.ground_frame.to_ground(scene.splats.position)
     with np.errstate(invalid="ignore", over="ignore"):
+        position = scene.ground_frame.to_ground(scene.splats.position)
         reach = slab + GROUND_SLOPE * np.linalg.norm(position[:, :2], axis=1)
         near = (np.abs(position[:, 2]) < reach) & (scene.splats.opacity > FAINT)
     return position[near, :2]
@@ -255,7 +256,8 @@ class _Cloud:
 
     def __init__(self, scene, grid, slab):
         self.frame, self.grid = scene.ground_frame, grid
-        position = self.frame.to_ground(scene.splats.position)
+        with np.errstate(invalid="ignore"):
+            position = self.frame.to_ground(scene.splats.position)
         reach = 3 * scene.splats.scale.max(axis=1) * self.frame.meters_per_unit
         x0, y0 = grid.origin
         width, depth = grid.size
