@@ -73,17 +73,22 @@ def scene_of(name, given):
 
     names = ("cameras", "up", "meters_per_unit", "camera_height", "ground_frame")
     given = dict(given)
-    if given.get("known_length") is not None:
-        from rainsim.scene.ground import scale_from_length
-
-        if given.get("meters_per_unit") is not None:
-            raise ParameterError(
-                "--known-length and --meters-per-unit are both given; the scale must be given in "
-                "one way only; leave one out"
-            )
-        *points, length = given["known_length"]
-        given["meters_per_unit"] = scale_from_length(points[:3], points[3:], length)
+    length = given.get("known_length")
+    if length is not None:
+        for other in ("meters_per_unit", "camera_height"):
+            if given.get(other) is not None:
+                raise ParameterError(
+                    f"--known-length and --{other.replace('_', '-')} are both given; the scale "
+                    "must be given in one way only; leave one out"
+                )
+        if length[0] is None:
+            given["meters_per_unit"] = _scale_in_space(*length[1])
     scene = load_scene(name, **{n: given.get(n) for n in names})
+    if length is not None and length[0] is not None:
+        from rainsim.scene.folder import override_ground_frame
+
+        scale = _scale_in_picture(scene, *length)
+        scene = override_ground_frame(scene, meters_per_unit=scale)
     if given.get("fall") is not None:
         from rainsim.scene.ground import with_fall
 
@@ -91,6 +96,23 @@ def scene_of(name, given):
         frame = with_fall(scene.ground_frame, percent / 100, math.radians(direction))
         scene = replace(scene, ground_frame=frame)
     return scene
+
+
+def _scale_in_space(x1, y1, z1, x2, y2, z2, length):
+    """Return the metres per unit from two points [capture units] and the metres between them."""
+    from rainsim.scene.ground import scale_from_length
+
+    return scale_from_length((x1, y1, z1), (x2, y2, z2), length)
+
+
+def _scale_in_picture(scene, camera, numbers):
+    """Return the metres per unit from two pixels of a camera and the metres between them."""
+    from rainsim.scene.ground import scale_from_length
+    from rainsim.terrain.pictures import points_at
+
+    u1, v1, u2, v2, length = numbers
+    ends = points_at(scene.splats, named_camera(scene, camera), ((u1, v1), (u2, v2)))
+    return scale_from_length(*ends, length)
 
 
 def check_camera_options(given):

@@ -59,6 +59,29 @@ class FrameRange(click.ParamType):
         return int(first), int(end)
 
 
+class KnownLength(Numbers):
+    """Two points and the metres between them: in space, or in the picture of a camera."""
+
+    name = "length"
+
+    def __init__(self):
+        super().__init__("x1,y1,z1,x2,y2,z2,m")
+        self._in_picture = Numbers("u1,v1,u2,v2,m")
+
+    def get_metavar(self, param, ctx=None):
+        """Return how the value is shown in the help."""
+        return "X1,Y1,Z1,X2,Y2,Z2,M|CAMERA:U1,V1,U2,V2,M"
+
+    def convert(self, value, param, ctx):
+        """Return the camera's name or None, and a tuple of floats."""
+        if isinstance(value, tuple):
+            return value
+        camera, colon, numbers = value.rpartition(":")
+        if colon:
+            return camera, self._in_picture.convert(numbers, param, ctx)
+        return None, super().convert(value, param, ctx)
+
+
 FILE = click.Path(dir_okay=False, path_type=Path)
 FOLDER = click.Path(file_okay=False, path_type=Path)
 
@@ -101,8 +124,9 @@ ground_options = _group(
     ),
     click.option(
         "--known-length",
-        type=Numbers("x1,y1,z1,x2,y2,z2,m"),
-        help="Scale from two points in capture units and the metres between them.",
+        type=KnownLength(),
+        help="Scale from two points and the metres between them: in capture units, or as columns "
+        "and rows of a camera's full picture.",
     ),
     click.option(
         "--fall",

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
+from rainsim.errors import ParameterError
 from rainsim.terrain.files import hillshade
 from rainsim.terrain.table import class_table
 from rainsim.terrain.types import UNKNOWN
@@ -75,6 +78,48 @@ def through_camera(scene, terrain, camera, depth=None):
         line &= nearest == 0
         picture[line] = own
     return _bytes(picture)
+
+
+def points_at(splats, camera, pixels):
+    """Return what a camera sees at pixels as points of the capture frame.
+
+    Parameters
+    ----------
+    splats : Splats
+    camera : Camera
+    pixels : array_like of shape (n, 2) [px]
+        Column and row in the camera's full picture, from its upper left corner.
+
+    Returns
+    -------
+    ndarray of shape (n, 3), float64 [capture units]
+
+    Raises
+    ------
+    ParameterError
+        If a pixel lies outside the picture or shows nothing solid.
+    """
+    from rainsim import raster
+
+    width = CHECK_WIDTH
+    small = camera.resized(width, max(1, round(camera.height * width / camera.width)))
+    layers = raster.rasterize(raster.prepare(splats), small, near=1e-3)
+    points, _ = _seen_points(small, layers.plane_depth)
+    found = []
+    for u, v in pixels:
+        column, row = math.floor(u * width / camera.width), math.floor(v * width / camera.width)
+        if not (0 <= u < camera.width and 0 <= v < camera.height and row < small.height):
+            raise ParameterError(
+                f"pixel ({u:g}, {v:g}) is outside the picture of camera {camera.name}, which has "
+                f"{camera.width} x {camera.height} px; give column,row from its upper left corner"
+            )
+        if not layers.alpha[row, column] > 0.5 or not np.isfinite(layers.plane_depth[row, column]):
+            raise ParameterError(
+                f"pixel ({u:g}, {v:g}) of camera {camera.name} shows nothing solid; pick a point "
+                "on a surface"
+            )
+        found.append(points[row, column])
+    return np.array(found)
 
 
 def _seen_points(view, depth):

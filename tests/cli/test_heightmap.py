@@ -3,8 +3,10 @@
 import json
 
 import numpy as np
+import pytest
 
 from rainsim import image
+from rainsim.scene.folder import read_scene
 
 MAP = ("--extent", 1, "--spacing", 0.04)
 
@@ -53,3 +55,30 @@ def test_fall_and_length_reach_the_frame(rainsim, scene_folder):
     both = ("--known-length", "0,0,0,1,0,0,0.6", "--meters-per-unit", 1)
     refused = rainsim("heightmap", scene_folder, *common, *both)
     assert refused.code == 2 and "one way only" in refused.error
+
+
+def test_a_length_picked_in_a_picture_gives_the_scale(rainsim, scene_folder):
+    common = (*MAP, "--json", "--overwrite", "--out", "t")
+    scene = read_scene(scene_folder)
+    camera, frame = scene.cameras[0], scene.ground_frame
+    # Two places on the ground, as the camera's picture shows them.
+    ends = []
+    for place in ((0.5, -0.4, 0.0), (0.5, 0.4, 0.0)):
+        x, y, z = camera.camera_from_world[:3] @ np.append(frame.to_capture(place), 1.0)
+        ends += [camera.cx + camera.fx * x / z, camera.cy + camera.fy * y / z]
+    pick = ",".join(f"{v:.2f}" for v in ends)
+    done = rainsim(
+        "heightmap", scene_folder, *common, "--known-length", f"{camera.name}:{pick},1.6"
+    )
+    assert done.code == 0, done.err
+    told = json.loads(done.out)["ground_frame"]
+    assert told["meters_per_unit"] == pytest.approx(2 * frame.meters_per_unit, rel=0.05)
+    assert not told["scale_assumed"]
+    for wrong, message in (
+        (f"{camera.name}:-5,0,{pick.split(',', 2)[2]},1.6", "outside the picture"),
+        (f"{camera.name}:{pick}", "5 finite numbers"),
+        (f"nobody:{pick},1", "no camera 'nobody'"),
+        ("1,2,3", "7 finite numbers"),
+    ):
+        refused = rainsim("heightmap", scene_folder, *common, "--known-length", wrong)
+        assert refused.code == 2 and message in refused.err, refused.err
