@@ -23,6 +23,7 @@ OPACITY, GEOMETRY = 12, 13  # after position (3), covariance (6) and normal (3)
 COARSE = 4  # coefficients of a channel up to degree 1
 LARGEST = np.float32(32767)
 
+ZERO = np.float32(0)
 ONE = np.float32(1)
 TWO = np.float32(2)
 
@@ -79,25 +80,31 @@ class PreparedSplats:
 
 
 def prepare(splats):
-    """Return the `PreparedSplats` of `splats`."""
+    """Return the `PreparedSplats` of `splats`; quaternions may have any length.
+
+    Splats with a number that is none, or with a quaternion of zero, are never drawn.
+    """
     order = morton_order(splats.position)
     chunks = -(-len(order) // LANES)
     geometry = np.empty((chunks, GEOMETRY, LANES), np.float32)
     _lay_out(splats.position, splats.scale, splats.rotation, splats.opacity, order, geometry)
     values = splats.sh.reshape(len(order), -1) if len(order) else np.zeros((0, 3), np.float32)
-    return _finish(geometry, values, order, order)
+    bad = np.zeros((chunks, LANES), np.bool_)
+    prepared = _finish(geometry, values, order, order, bad)
+    geometry[:, OPACITY][bad] = -np.inf
+    return prepared
 
 
 def select(prepared, keep):
     """Return those of the prepared splats that the mask `keep` (n,), in their order, selects."""
     which = np.flatnonzero(keep).astype(np.int32)
-    geometry = np.empty((-(-len(which) // LANES), GEOMETRY, LANES), np.float32)
-    rows = prepared.geometry.reshape(-1, GEOMETRY, LANES)
-    _pack(_by_splat(rows), which, geometry, np.empty((len(geometry), 0, LANES), np.int16),
-          np.empty((len(geometry), 0), np.float32))  # fmt: skip
-    # The places left over hold nothing.
-    geometry[len(which) // LANES :, OPACITY, len(which) % LANES :] = -np.inf
-    return _finish(geometry, _by_splat(prepared.harmonics()), which, prepared.order[which])
+    chunks = -(-len(which) // LANES)
+    flat = np.zeros((chunks * LANES, GEOMETRY), np.float32)
+    flat[: len(which)] = _by_splat(prepared.geometry.reshape(-1, GEOMETRY, LANES))[which]
+    flat[len(which) :, OPACITY] = -np.inf  # the places left over hold nothing
+    geometry = np.ascontiguousarray(flat.reshape(chunks, LANES, GEOMETRY).transpose(0, 2, 1))
+    bad = np.empty((chunks, LANES), np.bool_)  # none: they have no opacity already
+    return _finish(geometry, _by_splat(prepared.harmonics()), which, prepared.order[which], bad)
 
 
 def _by_splat(rows):
@@ -105,14 +112,14 @@ def _by_splat(rows):
     return np.ascontiguousarray(rows.transpose(0, 2, 1)).reshape(-1, rows.shape[1])
 
 
-def _finish(geometry, values, which, order):
+def _finish(geometry, values, which, order, bad_out):
     """Return the PreparedSplats of a geometry and the harmonics values[which] (n, 3 k)."""
     n, coefficients = len(geometry), values.shape[1]
     coarse = min(coefficients, 3 * COARSE)
     sh = np.empty((n, coarse, LANES), np.float32)
     fine = np.empty((n, coefficients - coarse, LANES), np.int16)
     step = np.empty((n, coefficients - coarse), np.float32)
-    _pack(values, which, sh, fine, step)
+    _pack(values, which, sh, fine, step, bad_out)
     box = np.empty((n, 6), np.float32)
     _boxes(geometry, len(which), box)
     runs = (a.reshape(n, a.shape[1] * LANES) for a in (geometry, sh, fine))
@@ -149,6 +156,9 @@ def _lay_out(position, scale, rotation, opacity, order, geometry_out):
         for i in range(min(LANES, len(order) - chunk * LANES)):
             o = order[chunk * LANES + i]
             w, x, y, z = rotation[o, 0], rotation[o, 1], rotation[o, 2], rotation[o, 3]
+            # A turn of no length makes what follows no number, and the splat is not drawn.
+            unit = ONE / np.sqrt(w * w + x * x + y * y + z * z)
+            w, x, y, z = w * unit, x * unit, y * unit, z * unit
             r00, r01 = ONE - TWO * (y * y + z * z), TWO * (x * y - w * z)
             r10, r11 = TWO * (x * y + w * z), ONE - TWO * (x * x + z * z)
             r20, r21 = TWO * (x * z - w * y), TWO * (y * z + w * x)
@@ -194,10 +204,11 @@ def _boxes(geometry, n, box_out):
 
 
 @cpu_kernel
-def _pack(values, order, rows_out, fine_out, step_out):
+def _pack(values, order, rows_out, fine_out, step_out, bad_out):
     """Write values[order] (n, m) as rows (chunks, a, 256) and the other m - a as `fine` and `step`.
 
-    The places left over are zero. What is not finite counts as zero in `fine`.
+    The places left over are zero. What is not finite counts as zero; `bad` (chunks, 256) tells
+    which splats have such numbers.
     """
     coarse = rows_out.shape[1]
     for chunk in prange(len(rows_out)):
@@ -208,12 +219,17 @@ def _pack(values, order, rows_out, fine_out, step_out):
         step[:] = 0
         for i in range(count):
             o = order[chunk * LANES + i]
+            bad = False
             for k in range(coarse):
-                rows[k, i] = values[o, k]
+                finite = abs(values[o, k]) < np.inf
+                rows[k, i] = values[o, k] if finite else ZERO
+                bad |= not finite
             for k in range(len(step)):
                 size = abs(values[o, coarse + k])
-                if size < np.inf:
-                    step[k] = max(step[k], size / LARGEST)
+                finite = size < np.inf
+                step[k] = max(step[k], size / LARGEST if finite else ZERO)
+                bad |= not finite
+            bad_out[chunk, i] = bad
         for i in range(count):
             o = order[chunk * LANES + i]
             for k in range(len(step)):

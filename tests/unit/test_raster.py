@@ -88,13 +88,14 @@ def test_depths_normals_and_hits_agree_with_float64(rng, orthographic):
     for got, name in (
         (layers.depth, "depth"), (layers.plane_depth, "plane_depth"), (halves.depth, "median"),
     ):  # fmt: skip
-        assert np.abs(got[solid] / exact[name][solid] - 1).max() < 1e-4, name
+        # What adds 1/255 to a pixel may fall on either side in float32: two pixels are let off.
+        assert np.sort(np.abs(got[solid] / exact[name][solid] - 1))[-3] < 1e-4, name
         assert np.abs(got[solid] / exact["depth"][solid] - 1).max() > 0.01 or name == "depth"
     across = np.linalg.norm(np.cross(layers.normal, exact["normal"]), axis=-1)[solid]
-    assert np.degrees(np.arcsin(across.max())) < 0.1
+    assert np.degrees(np.arcsin(np.sort(across)[-3])) < 0.1
     assert (np.einsum("ijk,ijk->ij", layers.normal, exact["normal"])[solid] > 0).all()
     for hit in (layers.hit, halves.hit):
-        np.testing.assert_array_equal(hit, exact["hit"])
+        assert (hit != exact["hit"]).sum() <= 2
     assert len(np.unique(layers.hit)) > 50 and layers.hit.dtype == np.int32
     assert raster.rasterize(prepared, cam, 0.2).hit is None
 
@@ -191,14 +192,20 @@ def test_plane_depth_and_normal_of_a_tilted_plane(rng):
 
 def test_orthographic_is_the_limit_of_a_far_perspective(rng):
     splats = cloud(rng, 200, 1)
-    far = 2000.0
-    back = np.eye(4)
-    back[2, 3] = far
-    flat = camera(focal=8.0, orthographic=True)
-    flat = dataclasses.replace(flat, camera_from_world=back)
-    tele = dataclasses.replace(flat, fx=flat.fx * far, fy=flat.fy * far, orthographic=False)
-    assert decibel(draw(splats, flat).color, draw(splats, tele).color) > 40
-    assert draw(splats, flat).alpha.max() > 0.5
+    found = []
+    for far in (200.0, 2000.0, 20000.0):
+        back = np.eye(4)
+        back[2, 3] = far
+        flat = camera(focal=8.0, orthographic=True)
+        flat = dataclasses.replace(flat, camera_from_world=back)
+        tele = dataclasses.replace(flat, fx=flat.fx * far, fy=flat.fy * far, orthographic=False)
+        one, two = draw(splats, flat), draw(splats, tele)
+        found.append(decibel(one.color, two.color))
+    # The difference falls with the distance: 20 dB each, until float32 positions set a floor.
+    assert found[1] > found[0] + 14 and found[2] > found[1] + 8 and found[2] > 60
+    assert one.alpha.max() > 0.5
+    solid = one.alpha > 0.5
+    np.testing.assert_allclose(two.depth[solid], one.depth[solid], rtol=1e-4)
 
 
 def test_rotated_and_rescaled_scene_with_the_inverse_camera(rng):
@@ -230,16 +237,17 @@ def test_rotated_and_rescaled_scene_with_the_inverse_camera(rng):
 
 
 def test_same_bytes_on_one_and_two_threads(rng):
-    splats = cloud(rng, 3000, 4)
+    prepared = raster.prepare(cloud(rng, 3000, 16))
     try:
         set_threads(1)
-        one = draw(splats, camera())
+        one = raster.rasterize(prepared, camera(), 0.2, hit=True)
         set_threads(2)
-        two = draw(splats, camera())
+        two = raster.rasterize(prepared, camera(), 0.2, hit=True)
     finally:
         set_threads(2)
-    assert one.color.tobytes() == two.color.tobytes()
-    assert one.plane_depth.tobytes() == two.plane_depth.tobytes()
+    for field in dataclasses.fields(one):
+        assert getattr(one, field.name).tobytes() == getattr(two, field.name).tobytes(), field.name
+    assert one.alpha.max() > 0.9 and len(np.unique(one.hit)) > 50
 
 
 def test_every_pixel_is_written_and_working_memory_is_reused(rng):
@@ -259,13 +267,69 @@ def test_every_pixel_is_written_and_working_memory_is_reused(rng):
         {"position": (0, 0, -4.0)},
         {"position": (np.nan, 0, 4.0)},
         {"opacity": 0.0},
+        {"opacity": np.nan},
         {"scale": (np.nan, 1, 1)},
+        {"scale": (np.inf, 1, 1)},
+        {"color": np.nan},
+        {"color": np.inf},
         {"position": (0, 0, 0.05)},
     ],
 )
 def test_what_cannot_be_seen_leaves_the_picture_black(change):
     layers = draw(one_splat(**change), camera())
     assert not layers.color.any() and not layers.alpha.any() and np.isinf(layers.depth).all()
+
+
+@pytest.mark.parametrize("quaternion", [(0, 0, 0, 0), (np.nan, 0, 0, 0), (np.inf, 0, 0, 1)])
+def test_a_splat_without_a_direction_is_not_drawn(quaternion):
+    bad = dataclasses.replace(one_splat(), rotation=np.array([quaternion], np.float32))
+    assert not draw(bad, camera()).alpha.any()
+
+
+def test_broken_splats_leave_the_others_alone(rng):
+    """One splat of each kind among good ones in one chunk: the picture is that of the good ones."""
+    splats = cloud(rng, 200, 16)
+    clean = draw(splats, camera())
+    spoilt = splats.take(np.concatenate([np.arange(200), np.arange(7)]))
+    spoilt.position[200] = np.nan
+    spoilt.rotation[201] = 0
+    spoilt.scale[202] = np.inf
+    spoilt.opacity[203] = np.nan
+    spoilt.sh[204, 0, 0] = np.nan
+    spoilt.sh[205, 2, 1] = np.inf
+    spoilt.sh[206, 14, 2] = -np.inf
+    drawn = draw(spoilt, camera())
+    assert decibel(drawn.color, clean.color) > 110 and np.isfinite(drawn.color).all()
+    np.testing.assert_allclose(drawn.alpha, clean.alpha, atol=1e-6)
+    kept = raster.select(raster.prepare(spoilt), np.ones(207, bool))
+    assert decibel(raster.rasterize(kept, camera(), 0.2).color, clean.color) > 90
+
+
+def test_quaternions_of_any_length_mean_the_same(rng):
+    splats = cloud(rng, 200, 1)
+    length = rng.uniform(0.01, 50, (200, 1)).astype(np.float32)
+    longer = dataclasses.replace(splats, rotation=splats.rotation * length)
+    assert decibel(draw(longer, camera()).color, draw(splats, camera()).color) > 110
+
+
+def test_splats_across_the_near_plane_agree_with_float64(rng):
+    splats = cloud(rng, 600, 1)
+    splats.position[:] = rng.uniform((-0.4, -0.3, 0.1), (0.4, 0.3, 0.6), (600, 3))
+    splats.scale[:] *= 0.3
+    color, alpha, _ = naive.splat_image(splats, camera(), 0.2)
+    behind = splats.position[:, 2] < 0.2
+    assert 50 < behind.sum() < 300 and alpha.max() > 0.9
+    assert decibel(draw(splats, camera()).color, color) > 85
+    assert decibel(draw(splats, camera(), 0.01).color, color) < 40
+
+
+def test_opacity_one_is_capped_and_what_is_behind_shows_a_thousandth():
+    cam = Camera(33, 33, 50.0, 50.0, 16.5, 16.5, np.eye(4))
+    parts = [one_splat((0, 0, z), (9, 9, 0.01), 1.0, c) for z, c in ((3, 0.1), (5, 0.9))]
+    stack = Splats(*(np.concatenate([getattr(p, n) for p in parts]) for n in Splats.__slots__))
+    layers = draw(stack, cam)
+    assert layers.color[16, 16, 0] == pytest.approx(0.999 * 0.1 + 0.001 * 0.999 * 0.9, abs=1e-6)
+    assert layers.alpha[16, 16] == pytest.approx(1 - 1e-6, abs=2e-7)
 
 
 def test_splat_that_fills_the_picture():
@@ -277,7 +341,7 @@ def test_splat_that_fills_the_picture():
 def test_empty_scene_and_a_million_at_one_point():
     empty = one_splat().take(np.zeros(0, int))
     assert not draw(empty, camera()).alpha.any()
-    many = one_splat(opacity=0.02).take(np.zeros(200_000, int))
+    many = one_splat(opacity=0.02).take(np.zeros(1_000_000, int))
     layers = draw(many, camera())
     assert layers.alpha[24, 32] > 0.9998 and np.isfinite(layers.color).all()
 
