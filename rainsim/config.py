@@ -104,6 +104,7 @@ class RainConfig:
     wind: tuple = (0.0, 0.0)  # speed at 10 m [m/s] and the way it goes, from x towards y [rad]
     roughness: float = 0.03  # m, roughness length of the land around: grass; 0: one wind everywhere
     gusts: float = 0.0  # standard deviation of the wind's speed over its mean, 0 to 0.5
+    drips: bool = True  # what falls on objects drips from their edges
     drop_radii: str = "measured"  # paper: one exponential for all rates, one speed for all drops
     seed: int = 0
 
@@ -145,6 +146,7 @@ class RainConfig:
         if self.gusts > MAX_GUSTS:
             raise ParameterError(f"gusts is {self.gusts}; it must be at most {MAX_GUSTS}")
         require_choice("drop_radii", self.drop_radii, DROP_RADII)
+        require_choice("drips", self.drips, (True, False))
         require_whole("seed", self.seed, 0, MAX_SEED)
 
 

@@ -22,6 +22,7 @@ HUMAN_KEYS = {
     "wind_roughness_m": ("roughness", 1.0),
     "gusts": ("gusts", 1.0),
     "drop_radii": ("drop_radii", None),
+    "drips": ("drips", None),
     "seed": ("seed", None),
     "water_scheme": ("scheme", None),
     "water_level_m": ("level", 1.0),

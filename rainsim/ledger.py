@@ -71,6 +71,11 @@ class Ledger:
             return -self.accounted
         return (self.supplied - self.accounted) / self.supplied
 
+    @classmethod
+    def from_dict(cls, volumes):
+        """Return the account that `as_dict` gave; its residual is computed anew."""
+        return cls(**{name: volumes[name] for name in (*SUPPLY, *WHEREABOUTS)})
+
     def as_dict(self) -> dict:
         """Return all volumes [m3] and the residual (a share) by name."""
         return {**asdict(self), "residual": self.residual}

@@ -10,12 +10,13 @@ import numpy as np
 from scipy import ndimage
 
 from rainsim import layers, paperrain, shade, sky, wetness
+from rainsim.drips import drip_impacts, drips_seen
 from rainsim.errors import ParameterError
 from rainsim.motion import shutter_end
 from rainsim.raster import Rasterizer, prepare
 from rainsim.simulation import rain_exposure, surfaces_of, usual_wind
 from rainsim.splash import LONGEST_LIFE, WET_FILM, draw_splashes
-from rainsim.streaks import NO_FOG, draw_streaks, fog_table, streak_reach
+from rainsim.streaks import NO_FOG, draw_droplets, draw_streaks, fog_table, streak_reach
 from rainsim.traced import Tracer
 from rainsim.waterview import View, WaterView
 from rainsim.weather import Weather
@@ -221,6 +222,10 @@ class Renderer:
             draw_streaks(
                 *where, state.time, config.exposure, self.wet.depth, self.reach, rain, *lens
             )
+            draw_droplets(
+                *drips_seen(state.drips, state.time, config.exposure), self.view, config.exposure,
+                self.wet.depth, rain, *lens,
+            )  # fmt: skip
         timer.mark("streaks")
         if config.splashes == "paper":
             start = state.time - self.config.frame_interval
@@ -229,6 +234,10 @@ class Renderer:
             draw_splashes(
                 *where, state.time, config.exposure, state.depth,
                 WET_FILM * self.wetness, self.wet.depth, splash, *lens,
+                more=drip_impacts(
+                    state.drips, state.drip_id, self.surfaces, state.time - LONGEST_LIFE,
+                    state.time + config.exposure,
+                ),
             )  # fmt: skip
         timer.mark("splashes")
         return rain, splash

@@ -7,15 +7,17 @@ the capture, the terrain and the seed: the drops in the air follow from the seed
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy import ndimage
 
+from rainsim.drips import DRIP_COLUMNS, Drips
 from rainsim.drops import GROUND, Surfaces, impacts
 from rainsim.errors import InputError
 from rainsim.grid import WaterSolver
 from rainsim.jit import cpu_kernel, prange
+from rainsim.ledger import Ledger
 from rainsim.puddles import WET, puddles_of, wet_share
 from rainsim.ripples import RippleTile, tile_impacts
 from rainsim.spectrum import terminal_speed
@@ -54,6 +56,9 @@ class SimState:
     ledger : dict
         Volumes in m3, see `rainsim.ledger`.
     notes : tuple of str
+    drips : ndarray of shape (m, 7), float64
+        Drops from edges that are in the air or have just landed, see `drips.DRIP_COLUMNS`.
+    drip_id : ndarray of shape (m,), uint64
     """
 
     index: int
@@ -67,6 +72,8 @@ class SimState:
     impact_kind: np.ndarray
     ledger: dict
     notes: tuple = ()
+    drips: np.ndarray = field(default_factory=lambda: np.zeros((0, len(DRIP_COLUMNS))))
+    drip_id: np.ndarray = field(default_factory=lambda: np.zeros(0, np.uint64))
 
 
 def surfaces_of(terrain):
@@ -154,7 +161,7 @@ def puddle_depth(depth):
     return float(np.clip(np.median(deep) if deep.size else 0.0, *RIPPLE_DEPTHS))
 
 
-def water_solver(terrain, config):
+def water_solver(terrain, config, dtype=np.float32):
     """Return the `WaterSolver` of a terrain, friction and infiltration by class."""
     still = config.water.level is not None
     # A flood stands because the land around is flooded too; rain runs off an open map.
@@ -165,7 +172,7 @@ def water_solver(terrain, config):
         storage=terrain.by_class("storage"),
         infiltration=None if still else terrain.by_class("infiltration"),
         courant=config.water.courant,
-        drains=None if still else drains_of(terrain),
+        drains=None if still else drains_of(terrain), dtype=dtype,
     )  # fmt: skip
 
 
@@ -176,7 +183,7 @@ def drains_of(terrain):
     return [(int(row), int(column), rate) for row, column in zip(rows, columns, strict=True)]
 
 
-def simulate(terrain, config, progress=None):
+def simulate(terrain, config, progress=None, dtype=np.float32):
     """Yield the `SimState` at the time of each frame, from frame 0 on, without end.
 
     Parameters
@@ -185,32 +192,38 @@ def simulate(terrain, config, progress=None):
     config : Config
     progress : callable, optional
         progress(stage, done, total), told before the slow first state.
+    dtype : dtype
+        Of the water; float64 closes the ledger to rounding.
     """
     weather = Weather(config)
     surfaces = surfaces_of(terrain)
     exposure = rain_exposure(terrain, usual_wind(config), config.rain.roughness)
     depth, notes = initial_water(terrain, config.at(0.0), exposure)
     quick = quick_rain(terrain, config, exposure)
-    solver = water_solver(terrain, config)
+    solver = water_solver(terrain, config, dtype)
     solver.set_state(depth)
     ripples = RippleTile(depth=puddle_depth(depth), dtype=np.float32)
     open_area = float(exposure.sum()) * terrain.grid.cell_area
-    _warm_up(ripples, weather, surfaces, open_area)
-    obstacles = 0.0
+    start = config.at(0.0)
+    wet = start.rain.past > 0 or start.water.level is not None
+    objects = Objects(surfaces, config.rain, wet)
+    _warm_up(ripples, objects, weather, surfaces, open_area)
+    objects.open_account()
     index, hits, report = 0, None, None
     while True:
         time = index / config.fps
         if index > 0:
             before = (index - 1) / config.fps
             hits, fine = None, 0.0
-            field = weather.field(before, time)
-            if field is not None:
-                fine = field.spectrum.fine_rate * exposure
-                hits = impacts(field, surfaces, before, time)
+            rain = weather.field(before, time)
+            if rain is not None:
+                fine = rain.spectrum.fine_rate * exposure
+                hits = impacts(rain, surfaces, before, time)
                 landed = hits.take(hits.kind == GROUND)
                 solver.deposit(landed.row, landed.column, landed.volume)
-                obstacles += float(hits.volume[hits.kind != GROUND].sum())
+                objects.take_rain(hits, rain.spectrum.fine_rate * (time - before))
                 ripples.advance(time - before, *tile_impacts(landed, open_area, ripples.size, time))
+            solver.deposit(*objects.advance(before, time))
             if quick is not None:
                 rows, columns, volumes = quick(before, time)
                 solver.deposit(rows, columns, volumes)
@@ -220,8 +233,8 @@ def simulate(terrain, config, progress=None):
             index, time, np.array(solver.depth, np.float32),
             np.stack([u, v]).astype(np.float32), ripples.slopes(), ripples.size,
             _of(hits, "position", (0, 3)), _of(hits, "diameter", (0,)),
-            _of(hits, "kind", (0,), np.uint8), _ledger(report, solver, obstacles),
-            notes if index == 0 else (),
+            _of(hits, "kind", (0,), np.uint8), objects.book(report, solver),
+            notes if index == 0 else (), *objects.falling(),
         )  # fmt: skip
         index += 1
 
@@ -230,12 +243,51 @@ def _of(hits, name, shape, dtype=np.float32):
     return np.zeros(shape, dtype) if hits is None else np.asarray(getattr(hits, name), dtype)
 
 
-def _ledger(report, solver, obstacles):
-    """Return the solver's ledger with what fell on obstacles added to both of its sides."""
-    ledger = (solver.ledger if report is None else report.ledger).as_dict()
-    ledger["rain"] += obstacles
-    ledger["obstacles"] += obstacles
-    return ledger
+class Objects:
+    """The water on what stands above the ground, with its account; drips from it if asked for."""
+
+    def __init__(self, surfaces, rain, wet):
+        self._drips = Drips(surfaces, rain.seed, wet) if rain.drips else None
+        self._initial = self._came = self._returned = self._kept = 0.0
+
+    def open_account(self):
+        """Count what is on the objects and in the air now as there from the start."""
+        self._came = self._returned = self._kept = 0.0
+        if self._drips is not None:
+            self._initial = self._drips.held + self._drips.airborne
+
+    def take_rain(self, hits, fine_depth):
+        """Give the objects what fell on them, and a depth [m] of finer rain."""
+        if self._drips is not None:
+            self._came += self._drips.take_rain(hits, fine_depth)
+        else:
+            fallen = float(hits.volume[hits.kind != GROUND].sum())
+            self._came += fallen
+            self._kept += fallen
+
+    def advance(self, start, stop):
+        """Return the rows, columns and volumes [m3] of what comes down from them."""
+        if self._drips is None:
+            return np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0)
+        rows, columns, volumes = self._drips.advance(start, stop)
+        self._returned += float(volumes.sum())
+        return rows, columns, volumes
+
+    def falling(self):
+        """Return the drips in the air and their ids, as `SimState` holds them."""
+        return () if self._drips is None else self._drips.falling()
+
+    def book(self, report, solver):
+        """Return the solver's ledger with the objects' water in it, as a dict."""
+        ledger = (solver.ledger if report is None else report.ledger).as_dict()
+        ledger["initial"] += self._initial
+        ledger["rain"] += self._came - self._returned  # what returned the solver took for rain
+        held = airborne = 0.0
+        if self._drips is not None:
+            held, airborne = self._drips.held, self._drips.airborne
+        ledger["obstacles"] += held + self._kept
+        ledger["airborne"] += airborne
+        return Ledger.from_dict(ledger).as_dict()
 
 
 def usual_wind(config):
@@ -273,20 +325,25 @@ def quick_rain(terrain, config, exposure):
     return between
 
 
-def _warm_up(ripples, weather, surfaces, open_area):
-    """Let rings of the rain before the first frame spread on the tile."""
+def _warm_up(ripples, objects, weather, surfaces, open_area):
+    """Let rings of the rain before the first frame spread on the tile, and edges begin to drip."""
     steps = round(RIPPLE_WARM_UP / RIPPLE_STEP)
     for n in range(-steps, 0):
         end = (n + 1) * RIPPLE_STEP
-        field = weather.field(n * RIPPLE_STEP, end)
-        if field is None:
+        rain = weather.field(n * RIPPLE_STEP, end)
+        if rain is None:
             return
-        hits = impacts(field, surfaces, n * RIPPLE_STEP, end)
+        hits = impacts(rain, surfaces, n * RIPPLE_STEP, end)
         landed = hits.take(hits.kind == GROUND)
         ripples.advance(RIPPLE_STEP, *tile_impacts(landed, open_area, ripples.size, end))
+        objects.take_rain(hits, rain.spectrum.fine_rate * RIPPLE_STEP)
+        objects.advance(n * RIPPLE_STEP, end)
 
 
-_FIELDS = ("depth", "velocity", "slopes", "impact_position", "impact_diameter", "impact_kind")
+_FIELDS = (
+    "depth", "velocity", "slopes", "impact_position", "impact_diameter", "impact_kind", "drips",
+    "drip_id",
+)  # fmt: skip
 
 
 def write_state(path, state):

@@ -162,7 +162,7 @@ def splash_droplets(impacts, water_depth, now, exposure=0.0):
 
 def draw_splashes(
     field, surfaces, camera, time, exposure, water_depth, film, depth, alpha_out, camera_end=None,
-    aperture=0.0, focus=math.inf,
+    aperture=0.0, focus=math.inf, more=None,
 ):  # fmt: skip
     """Draw all that an exposure sees of splashes: crowns, jets and droplets.
 
@@ -187,13 +187,19 @@ def draw_splashes(
         The camera when the shutter closes, if it moves.
     aperture, focus : float [m]
         As in `draw_streaks`.
+    more : Impacts or None
+        Of drops that are not the field's: drips.
     """
     alpha_out[...] = 0
     nearest = max(float(depth.min()), NEAR)
     recent, crowned, thrown = _splashing(
         field, surfaces, camera, time, exposure, water_depth, film, nearest
     )
-    parts = [
+    parts = []
+    if more is not None and len(more):
+        own = _Wet(more, camera, water_depth, film)
+        parts = [own.lines(time, exposure), own.droplets(time, exposure)]
+    parts += [
         recent.lines(time, exposure), crowned.lines(time, exposure, jets=False),
         thrown.lines(time, exposure, crowns=False),
         recent.droplets(time, exposure), thrown.droplets(time, exposure),

@@ -1,0 +1,306 @@
+"""Water that leaves what stands above the ground: drips from edges, run-off down walls.
+
+Rain on the top of an object goes to the nearest edge along the object, where it collects until it
+is enough for a drop. Under an overhang the drop falls, from rest; at a wall that stands on the
+ground the water runs down and off at its foot. What a surface holds back as a film stays there.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import sparse
+
+from rainsim.drops import Impacts
+from rainsim.random import mix, subkey, uniform
+from rainsim.spectrum import drop_volume, terminal_speed
+from rainsim.surfaces import GROUND, OBSTACLE
+
+STEP = 0.05  # m: where the top falls by more to the next cell there is an edge
+LOWEST = 0.05  # m: lower things are ground
+FILM = 2e-4  # m that a surface holds back, as `splash.WET_FILM`; a guess
+SMALLEST, LARGEST = 4.0e-3, 5.2e-3  # m, of drops that part from an edge
+GATHERING = 0.1  # m: drops leave at one point of an edge of this length
+CLIMB = 200.0  # m of detour along the object that a metre of climb is worth
+KEPT = 0.15  # s that landed drops are remembered for their splashes
+_GRAVITY = 9.81  # m/s2
+_MOST_AT_ONCE = 64  # drops from one point in one step; more is a jet
+
+
+class Drips:
+    """The water on the objects of a map and the drops that leave them.
+
+    Parameters
+    ----------
+    surfaces : Surfaces
+    seed : int
+    wet : bool
+        Whether it has rained before: films are full and each edge holds part of a drop.
+
+    Attributes
+    ----------
+    held : float
+        Water on the objects [m3]: films, hanging drops, and what lies where no edge can be reached.
+    point : ndarray of shape (ny, nx), int32
+        The drip point that a cell's water goes to; -1 for ground, -2 where it finds no edge.
+    """
+
+    def __init__(self, surfaces, seed=0, wet=True):
+        self._surfaces = surfaces
+        self.point, edge, foot = _catchments(surfaces)
+        spacing = surfaces.spacing
+        count = len(edge)
+        key = mix(np.array([seed % 2**64], np.uint64) ^ np.uint64(0xD21B))
+        self._key = subkey(np.broadcast_to(key, count), np.arange(count, dtype=np.uint64))
+        chance = uniform(mix(self._key))
+        self._diameter = SMALLEST + (LARGEST - SMALLEST) * chance
+        self._volume = drop_volume(self._diameter)
+        self._row, self._column = foot.T if count else np.zeros((2, 0), np.int64)
+        # half of the way into the lower cell: drops fall clear of the edge
+        middle = 0.25 * edge + 0.75 * foot if count else np.zeros((0, 2))
+        self._x = surfaces.origin[0] + (middle[:, 1] + 0.5) * spacing
+        self._y = surfaces.origin[1] + (middle[:, 0] + 0.5) * spacing
+        rows, columns = edge.T if count else np.zeros((2, 0), np.int64)
+        lands = surfaces.top[self._row, self._column].astype(np.float64)
+        under = surfaces.underside[rows, columns].astype(np.float64)
+        self._falls = under - lands > STEP
+        self._from = np.where(self._falls, under, lands)
+        self._to = lands
+        self._next = self.point[self._row, self._column]  # drips on a lower object go on
+        cells = np.bincount(self.point[self.point >= 0], minlength=count)
+        self._room = cells * spacing**2 * FILM * (0.0 if wet else 1.0)
+        part = uniform(mix(self._key ^ np.uint64(7)))
+        self._store = self._volume * part * (1.0 if wet else 0.0)
+        self._store[~self._falls] = 0.0
+        self._drops = np.zeros(count, np.int64)
+        self._lost = 0.0  # lies where no edge can be reached
+        self._film = 0.0
+        self._flight = _no_drops()
+        self._landed = _no_drops()
+
+    @property
+    def held(self):
+        """Water on the objects [m3]."""
+        return float(self._store.sum()) + self._film + self._lost
+
+    @property
+    def airborne(self):
+        """Water in falling drips [m3]."""
+        return float(drop_volume(self._flight["diameter"]).sum())
+
+    def take_rain(self, hits, fine_depth=0.0):
+        """Give the objects the drops that fell on them and a depth [m] of finer rain.
+
+        Returns
+        -------
+        float
+            The water that came [m3].
+        """
+        hit = hits.kind == OBSTACLE
+        goes, volume = self.point[hits.row[hit], hits.column[hit]], hits.volume[hit]
+        fine = fine_depth * self._surfaces.spacing**2
+        cells = np.bincount(self.point[self.point >= 0], minlength=len(self._store))
+        came = cells * fine
+        came += np.bincount(goes[goes >= 0], volume[goes >= 0], minlength=len(came))
+        lost = float(volume[goes < 0].sum()) + fine * np.count_nonzero(self.point == -2)
+        self._lost += lost
+        self._receive(came)
+        return float(came.sum()) + lost
+
+    def advance(self, start, stop):
+        """Let drops part, fall and land from `start` to `stop` [s].
+
+        Returns
+        -------
+        row, column : ndarray of shape (m,), int64
+        volume : ndarray of shape (m,), float64 [m3]
+            What came to the ground.
+        """
+        gone, still = _split(self._flight, self._flight["end"] < stop)
+        self._flight = still
+        new = self._part(start, stop)
+        early, later = _split(new, new["end"] < stop)
+        self._flight = _join(self._flight, later)
+        landed = _join(gone, early)
+        flows = ~self._falls
+        run_off = np.where(flows, self._store, 0.0)
+        self._store[flows] = 0.0
+        site = np.concatenate([landed["site"], np.flatnonzero(run_off)])
+        volume = np.concatenate([drop_volume(landed["diameter"]), run_off[run_off > 0]])
+        again = self._next[site]
+        self._receive(
+            np.bincount(again[again >= 0], volume[again >= 0], minlength=len(self._store))
+        )
+        self._lost += float(volume[again == -2].sum())
+        down = again == -1
+        recent = self._landed["end"] >= stop - KEPT
+        self._landed = _join(_split(self._landed, recent)[0], landed)
+        return self._row[site[down]], self._column[site[down]], volume[down]
+
+    def falling(self):
+        """Return drips in the air and those that have just landed: see `DRIP_COLUMNS`, and ids."""
+        both = _join(self._flight, self._landed)
+        site = both["site"]
+        table = np.stack(
+            [
+                self._x[site], self._y[site], self._from[site], self._to[site],
+                both["diameter"], both["begin"], both["end"],
+            ],
+            axis=1,
+        )  # fmt: skip
+        return table, both["id"]
+
+    def _receive(self, came):
+        """Fill the films first, then the edges."""
+        taken = np.minimum(came, self._room)
+        self._room -= taken
+        self._film += float(taken.sum())
+        self._store += came - taken
+
+    def _part(self, start, stop):
+        """Return the drops that part from their edges in an interval, evenly over it."""
+        count = np.where(self._falls, self._store / self._volume, 0.0).astype(np.int64)
+        count = np.minimum(count, _MOST_AT_ONCE)
+        self._store -= count * self._volume
+        site = np.repeat(np.arange(len(count)), count)
+        within = np.arange(len(site)) - np.repeat(np.cumsum(count) - count, count)
+        ids = subkey(self._key[site], self._drops[site] + within + 16)
+        self._drops += count
+        share = (within + uniform(ids)) / np.maximum(count[site], 1)
+        begin = start + (stop - start) * share
+        diameter = self._diameter[site]
+        end = begin + fall_time(self._from[site] - self._to[site], diameter)
+        return {"site": site, "diameter": diameter, "begin": begin, "end": end, "id": ids}
+
+
+DRIP_COLUMNS = ("x", "y", "top", "bottom", "diameter", "begin", "end")  # [m] and [s]
+
+
+def fall_time(height, diameter):
+    """Return how long [s] a drop takes to fall `height` [m] from rest.
+
+    Quadratic drag, whose terminal speed v is the drop's: z = v^2 / g ln cosh(g t / v).
+    """
+    speed = terminal_speed(diameter)
+    return speed / _GRAVITY * np.arccosh(np.exp(_GRAVITY * np.asarray(height) / speed**2))
+
+
+def fallen(time, diameter):
+    """Return how far [m] a drop has fallen and how fast [m/s] it is, `time` [s] after it parted."""
+    speed = terminal_speed(diameter)
+    t = _GRAVITY * np.maximum(time, 0.0) / speed
+    return speed**2 / _GRAVITY * np.log(np.cosh(t)), speed * np.tanh(t)
+
+
+def drips_seen(table, time, exposure):
+    """Return position, velocity and diameter of drips as `draw_droplets` takes them.
+
+    A drip that lands while the shutter is open is there for a share of the exposure.
+    """
+    begin, end = np.maximum(table[:, 5], time), np.minimum(table[:, 6], time + exposure)
+    table, begin, end = (a[end > begin] for a in (table, begin, end))
+    high, _ = fallen(begin - table[:, 5], table[:, 4])
+    low, _ = fallen(end - table[:, 5], table[:, 4])
+    position = np.stack([table[:, 0], table[:, 1], table[:, 2] - high], axis=1)
+    velocity = np.zeros_like(position)
+    velocity[:, 2] = (high - low) / exposure
+    return position, velocity, table[:, 4] * np.sqrt((end - begin) / exposure)
+
+
+def drip_impacts(table, ids, surfaces, before, after):
+    """Return as `Impacts` the drips that landed from `before` to `after` [s]."""
+    hit = (table[:, 6] >= before) & (table[:, 6] < after)
+    table, ids = table[hit], ids[hit]
+    velocity = np.zeros((len(table), 3))
+    velocity[:, 2] = -fallen(table[:, 6] - table[:, 5], table[:, 4])[1]
+    cell = np.floor((table[:, :2] - surfaces.origin) / surfaces.spacing).astype(np.int32)
+    cell = np.clip(cell, 0, np.array(surfaces.shape[::-1]) - 1)
+    column, row = np.ascontiguousarray(cell.T)
+    on_ground = surfaces.top[row, column] <= surfaces.ground[row, column]
+    return Impacts(
+        np.ascontiguousarray(table[:, [0, 1, 3]]), velocity, np.ascontiguousarray(table[:, 4]),
+        np.ascontiguousarray(table[:, 6]), np.where(on_ground, GROUND, OBSTACLE).astype(np.uint8),
+        row, column, ids,
+    )  # fmt: skip
+
+
+# ---- where water goes on an object
+
+
+def _catchments(surfaces):
+    """Return each cell's drip point, and the edge cell and the lower cell of each point.
+
+    Water takes the shortest way to an edge along the object, around what it would have to climb.
+    """
+    top = surfaces.top.astype(np.float64)
+    ny, nx = top.shape
+    solid = top - surfaces.ground > LOWEST
+    point = np.full((ny, nx), -1, np.int32)
+    if not solid.any():
+        return point, np.zeros((0, 2), np.int64), np.zeros((0, 2), np.int64)
+    drop = np.zeros((ny, nx))  # to the lowest neighbour
+    foot = np.zeros((ny, nx, 2), np.int64)
+    rows, columns = np.indices((ny, nx))
+    for dj, di in ((0, 1), (0, -1), (1, 0), (-1, 0)):
+        j, i = np.clip(rows + dj, 0, ny - 1), np.clip(columns + di, 0, nx - 1)
+        deeper = top - top[j, i] > drop
+        drop[deeper] = (top - top[j, i])[deeper]
+        foot[deeper] = np.stack([j, i], axis=-1)[deeper]
+    edge = solid & (drop > STEP)
+    # One point gathers the edge cells of a small square: the lowest of them.
+    side = max(round(GATHERING / surfaces.spacing), 1)
+    edge_row, edge_column = np.nonzero(edge)
+    order = np.argsort(top[edge_row, edge_column], kind="stable")
+    edge_row, edge_column = edge_row[order], edge_column[order]
+    square = (edge_row // side) * (nx // side + 1) + edge_column // side
+    _, first, which = np.unique(square, return_index=True, return_inverse=True)
+    chosen = np.stack([edge_row[first], edge_column[first]], axis=1)
+    point[solid] = -2
+    if len(chosen):
+        source = _nearest_edge(top, solid, edge_row * nx + edge_column, surfaces.spacing)
+        number = np.full(ny * nx, -2, np.int32)
+        number[edge_row * nx + edge_column] = which
+        reached = source >= 0
+        point.ravel()[reached] = number[source[reached]]
+    return point, chosen, foot[chosen[:, 0], chosen[:, 1]]
+
+
+def _nearest_edge(top, solid, edges, spacing):
+    """Return for each cell the edge cell that its water reaches first, flat; -1 for none."""
+    ny, nx = top.shape
+    index = np.arange(ny * nx).reshape(ny, nx)
+    starts, ends, costs = [], [], []
+    for a, b in (
+        (np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:, 1:], np.s_[:, :-1]),
+        (np.s_[:-1], np.s_[1:]), (np.s_[1:], np.s_[:-1]),
+    ):  # fmt: skip
+        rise = top[a] - top[b]  # of water that flows from b to a
+        joined = solid[a] & solid[b] & (np.abs(rise) <= STEP)
+        starts.append(index[a][joined])
+        ends.append(index[b][joined])
+        costs.append(spacing + CLIMB * np.maximum(rise[joined], 0.0))
+    graph = sparse.csr_array(
+        (np.concatenate(costs), (np.concatenate(starts), np.concatenate(ends))), (ny * nx, ny * nx)
+    )
+    _, _, source = sparse.csgraph.dijkstra(
+        graph, indices=edges, min_only=True, return_predecessors=True
+    )
+    return np.where(source < 0, -1, source)
+
+
+# ---- drops in the air, as arrays by name
+
+
+def _no_drops():
+    return {
+        "site": np.zeros(0, np.int64), "diameter": np.zeros(0), "begin": np.zeros(0),
+        "end": np.zeros(0), "id": np.zeros(0, np.uint64),
+    }  # fmt: skip
+
+
+def _split(drops, which):
+    """Return the drops that `which` selects and the others."""
+    return {k: v[which] for k, v in drops.items()}, {k: v[~which] for k, v in drops.items()}
+
+
+def _join(a, b):
+    return {k: np.concatenate([a[k], b[k]]) for k in a}
