@@ -16,7 +16,7 @@ from rainsim.grid.conserving import (
 )
 from rainsim.grid.friction import rub
 from rainsim.grid.lean import step
-from rainsim.grid.rows import COLUMNS, ROWS, runs_of
+from rainsim.grid.rows import COLUMNS, ROWS, peaks, runs_of
 
 EDGES = ("west", "east", "south", "north")
 MAX_STEP = 0.25  # cells that water may cross in a step: four faces then take what a cell holds
@@ -200,11 +200,11 @@ class ConservingFlow:
 
     def _raise_cap(self):
         """Speed of a dam break on the deepest water and of a fall from the highest [m/s]."""
-        h = self.h[self.inner]
-        deepest = float(h.max())
+        tops = np.empty((2, len(self._all_tiles)), self._type)
+        peaks(self._all_tiles, self.h, self.bed, *tops)
+        deepest, highest = (float(top) for top in tops.max(axis=1))
         if deepest <= 0.0:
             return
-        highest = float(np.where(h > 0, h + self.bed[self.inner], self._floor).max())
         fall = max(highest - self._floor, 0.0)
         bound = 2 * math.sqrt(self._gravity * deepest) + math.sqrt(2 * self._gravity * fall)
         self.cap = max(self.cap, bound, self.swift if self._steps == 0 else 0.0)

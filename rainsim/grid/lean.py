@@ -49,30 +49,24 @@ def pushed_lean(w, h_a, h_b, step, noise, gain, k, kg, cap, dry):
 
 
 @device_function(inline="always")
-def flux_row(w, d, b, n, q_out, step_out):
-    """Fluxes through the n faces between the cells c and c + 1 of a row, and the bed's steps."""
+def flux_row(w, d, b, n, q_out):
+    """Fluxes through the n faces between the cells c and c + 1 of a row."""
     for c in range(n):
-        step = b[c + 1] - b[c]
-        step_out[c] = step
-        q_out[c] = upwind_flux(w[c], d[c], d[c + 1], step)
+        q_out[c] = upwind_flux(w[c], d[c], d[c + 1], b[c + 1] - b[c])
 
 
 @device_function(inline="always")
-def flux_rows(w, d_0, d_1, b_0, b_1, n, q_out, step_out):
-    """Fluxes through the n faces between two rows, and the bed's steps."""
+def flux_rows(w, d_0, d_1, b_0, b_1, n, q_out):
+    """Fluxes through the n faces between two rows."""
     for c in range(n):
-        step = b_1[c] - b_0[c]
-        step_out[c] = step
-        q_out[c] = upwind_flux(w[c], d_0[c], d_1[c], step)
+        q_out[c] = upwind_flux(w[c], d_0[c], d_1[c], b_1[c] - b_0[c])
 
 
 @device_function(inline="always")
-def move_row(d, b, q_x, q_s, q_n, n, k, rest, d_out, noise_out):
+def move_row(d, q_x, q_s, q_n, n, k, d_out):
     """Depths of n cells after the step; rounding must not make them negative."""
     for c in range(n):
-        depth = max(d[c] - k * ((q_x[c + 1] - q_x[c]) + (q_n[c] - q_s[c])), ZERO)
-        d_out[c] = depth
-        noise_out[c] = rest * (depth + abs(b[c]))
+        d_out[c] = max(d[c] - k * ((q_x[c + 1] - q_x[c]) + (q_n[c] - q_s[c])), ZERO)
 
 
 @cpu_kernel
@@ -108,13 +102,10 @@ def step(
     """
     for t in prange(runs.shape[0]):
         south, north, west, east = runs[t, 0], runs[t, 1], runs[t, 2], runs[t, 3]
-        q_x, q_below, s_x = stack_row(h, ROOM), stack_row(h, ROOM), stack_row(h, ROOM)
+        q_x, q_below = stack_row(h, ROOM), stack_row(h, ROOM)
         q_ss, q_s, q_n = stack_row(h, ROOM), stack_row(h, ROOM), stack_row(h, ROOM)
-        s_y, s_n = stack_row(h, ROOM), stack_row(h, ROOM)
-        d, d_below, e, e_below = (
-            stack_row(h, ROOM), stack_row(h, ROOM), stack_row(h, ROOM), stack_row(h, ROOM)
-        )  # fmt: skip
         new_u, new_v = stack_row(h, ROOM), stack_row(h, ROOM)
+        d, d_below = stack_row(h, ROOM), stack_row(h, ROOM)
         far, fast = stack_row(h, ROOM), stack_row(h, ROOM)
         n, a = east - west, west - 1
         for c in range(n):
@@ -122,16 +113,17 @@ def step(
         # Rows on the stack begin at the cell west of the run: cell or face c is c + west - 1.
         j = south - 1
         flux_rows(v[j, a:east], h[j - 1, a:east], h[j, a:east], bed[j - 1, a:east],
-                  bed[j, a:east], n + 1, q_s, s_y)  # fmt: skip
+                  bed[j, a:east], n + 1, q_s)  # fmt: skip
         for j in range(south - 1, north):
             flux_row(u[j, a : east + 1], h[j, a - 1 : east + 1], bed[j, a - 1 : east + 1], n + 2,
-                     q_x, s_x)  # fmt: skip
+                     q_x)  # fmt: skip
             flux_rows(v[j + 1, a:east], h[j, a:east], h[j + 1, a:east], bed[j, a:east],
-                      bed[j + 1, a:east], n + 1, q_n, s_n)  # fmt: skip
-            move_row(h[j, a:east], bed[j, a:east], q_x, q_s, q_n, n + 1, k, rest, d, e)
+                      bed[j + 1, a:east], n + 1, q_n)  # fmt: skip
+            move_row(h[j, a:east], q_x, q_s, q_n, n + 1, k, d)
             if j >= south:
                 u_s, u_c, u_n = u[j - 1, west:east], u[j, a : east + 1], u[j + 1, west:east]
                 v_s, v_c, v_n = v[j - 1, west:east], v[j, a : east + 1], v[j + 1, west:east]
+                b_c, b_s = bed[j, a:east], bed[j - 1, west:east]
                 for c in range(n):
                     h_c, h_w, h_s = d[c + 1], d[c], d_below[c + 1]
                     w = u_c[c + 1]
@@ -140,17 +132,17 @@ def step(
                         q_x[c] + q_x[c + 1], q_x[c + 1] + q_x[c + 2],
                         q_s[c] + q_s[c + 1], q_n[c] + q_n[c + 1],
                     )  # fmt: skip
-                    east_speed = pushed_lean(
-                        w, h_w, h_c, s_x[c + 1], e[c] + e[c + 1], gain, k, kg, cap, dry
-                    )
+                    step, noise = b_c[c + 1] - b_c[c], h_w + h_c + abs(b_c[c]) + abs(b_c[c + 1])
+                    east_speed = pushed_lean(w, h_w, h_c, step, rest * noise, gain, k, kg, cap, dry)
                     w = v_c[c + 1]
                     gain = upwind_gain(
                         w, v_c[c], v_c[c + 2], v_s[c], v_n[c],
                         q_below[c + 1] + q_x[c + 1], q_below[c + 2] + q_x[c + 2],
                         q_ss[c + 1] + q_s[c + 1], q_s[c + 1] + q_n[c + 1],
                     )  # fmt: skip
+                    step, noise = b_c[c + 1] - b_s[c], h_s + h_c + abs(b_s[c]) + abs(b_c[c + 1])
                     north_speed = pushed_lean(
-                        w, h_s, h_c, s_y[c + 1], e_below[c + 1] + e[c + 1], gain, k, kg, cap, dry
+                        w, h_s, h_c, step, rest * noise, gain, k, kg, cap, dry
                     )
                     new_u[c], new_v[c] = east_speed, north_speed
                     fast[c] = max(fast[c], max(abs(east_speed), abs(north_speed)))
@@ -161,8 +153,6 @@ def step(
                 copy_row(d[1:], n, h_out[j, west:east])
             q_x, q_below = q_below, q_x
             d, d_below = d_below, d
-            e, e_below = e_below, e
-            s_y, s_n = s_n, s_y
             q_ss, q_s, q_n = q_s, q_n, q_ss
         largest_of(runs[t], tiles, far, reach_out)
         largest_of(runs[t], tiles, fast, fast_out)

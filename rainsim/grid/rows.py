@@ -11,7 +11,7 @@ import functools
 
 import numpy as np
 
-from rainsim.jit import cgutils, device_function, intrinsic, types
+from rainsim.jit import cgutils, cpu_kernel, device_function, intrinsic, prange, types
 
 ROWS, COLUMNS = 16, 64  # cells of a tile, whatever the number of threads
 RUN = 1024  # columns, the most that a kernel takes at once
@@ -95,3 +95,28 @@ def largest_of(run, tiles, tops, top_out):
         for c in range(tiles[m, 2] - run[2], tiles[m, 3] - run[2]):
             top = max(top, tops[c])
         top_out[m] = top
+
+
+@cpu_kernel
+def peaks(tiles, h, bed, deepest_out, highest_out):
+    """Find the largest depth and the highest level of water in each of `tiles`.
+
+    Parameters
+    ----------
+    tiles : ndarray of shape (tiles, 4), int64
+    h, bed : ndarray of the shape of the maps [m]
+    deepest_out, highest_out : ndarray of shape (tiles,) [m]
+        Zero and minus infinity where all is dry.
+    """
+    for t in prange(tiles.shape[0]):
+        west, east = tiles[t, 2], tiles[t, 3]
+        deep, high = stack_row(h, COLUMNS), stack_row(h, COLUMNS)
+        for c in range(east - west):
+            deep[c], high[c] = 0.0, -np.inf
+        for j in range(tiles[t, 0], tiles[t, 1]):
+            d, b = h[j, west:east], bed[j, west:east]
+            for c in range(east - west):
+                deep[c] = max(deep[c], d[c])
+                level = b[c] + d[c]
+                high[c] = max(high[c], level) if d[c] > 0.0 else high[c]
+        deepest_out[t], highest_out[t] = deep[: east - west].max(), high[: east - west].max()
