@@ -156,11 +156,15 @@ class WaterConfig:
 
     scheme: str = "auto"  # auto: the solver chooses and says which
     level: float | None = None  # m above the 5th percentile of the bed: still water, a flood
+    surface_film: float = 0.0  # 0 clean water to 1 a film of dirt that stops rings soonest
     courant: float | None = None  # share of the largest stable time step; None: the scheme's own
 
     def check(self):
         """Raise ParameterError if a value breaks its rule."""
         require_choice("water scheme", self.scheme, WATER_SCHEMES, "auto chooses by itself")
+        require_not_negative("surface film", self.surface_film, "", "0 is clean, 1 street dirt")
+        if self.surface_film > 1:
+            raise ParameterError(f"surface film is {self.surface_film}; it must be at most 1")
         if self.level is not None:
             require_finite("water level", self.level, "give metres, or leave it out for no flood")
         if self.courant is not None:
@@ -361,11 +365,20 @@ class Config:
 
     def _check_each(self):
         """Check every value but those that depend on another group's."""
+        highest = -math.inf
         for time in self.key_times() if self.keyframes else ():
             try:
-                self.at(time)._check_each()
+                now = self.at(time)
+                now._check_each()
             except ParameterError as error:
                 raise ParameterError(f"at {time:g} s: {error}") from None
+            if now.water.level is not None:
+                if now.water.level < highest:
+                    raise ParameterError(
+                        f"at {time:g} s: water level is {now.water.level} m, below {highest} m; it "
+                        "may rise only; let drains or the open edges empty the ground"
+                    )
+                highest = now.water.level
         for group in _GROUPS:
             getattr(self, group).check()
         require_whole("frames", self.frames, 1, MAX_FRAMES)

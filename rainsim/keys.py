@@ -26,6 +26,7 @@ HUMAN_KEYS = {
     "seed": ("seed", None),
     "water_scheme": ("scheme", None),
     "water_level_m": ("level", 1.0),
+    "surface_film": ("surface_film", 1.0),
     "courant": ("courant", 1.0),
     "exposure_ms": ("exposure", 1e-3),
     "sky": ("sky", None),

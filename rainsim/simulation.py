@@ -200,11 +200,14 @@ def simulate(terrain, config, progress=None, dtype=np.float32):
     exposure = rain_exposure(terrain, usual_wind(config), config.rain.roughness)
     depth, notes = initial_water(terrain, config.at(0.0), exposure)
     quick = quick_rain(terrain, config, exposure)
-    solver = water_solver(terrain, config, dtype)
-    solver.set_state(depth)
-    ripples = RippleTile(depth=puddle_depth(depth), dtype=np.float32)
-    open_area = float(exposure.sum()) * terrain.grid.cell_area
     start = config.at(0.0)
+    solver = water_solver(terrain, start, dtype)
+    solver.set_state(depth)
+    ripples = RippleTile(
+        depth=puddle_depth(depth), film=config.water.surface_film, dtype=np.float32
+    )
+    rise = rising_level(terrain, config)
+    open_area = float(exposure.sum()) * terrain.grid.cell_area
     wet = start.rain.past > 0 or start.water.level is not None
     objects = Objects(surfaces, config.rain, wet)
     _warm_up(ripples, objects, weather, surfaces, open_area)
@@ -224,6 +227,8 @@ def simulate(terrain, config, progress=None, dtype=np.float32):
                 objects.take_rain(hits, rain.spectrum.fine_rate * (time - before))
                 ripples.advance(time - before, *tile_impacts(landed, open_area, ripples.size, time))
             solver.deposit(*objects.advance(before, time))
+            if rise is not None:
+                objects.let_in(solver, *rise(before, time))
             if quick is not None:
                 rows, columns, volumes = quick(before, time)
                 solver.deposit(rows, columns, volumes)
@@ -248,7 +253,7 @@ class Objects:
 
     def __init__(self, surfaces, rain, wet):
         self._drips = Drips(surfaces, rain.seed, wet) if rain.drips else None
-        self._initial = self._came = self._returned = self._kept = 0.0
+        self._initial = self._came = self._returned = self._kept = self._inflow = 0.0
 
     def open_account(self):
         """Count what is on the objects and in the air now as there from the start."""
@@ -264,6 +269,11 @@ class Objects:
             fallen = float(hits.volume[hits.kind != GROUND].sum())
             self._came += fallen
             self._kept += fallen
+
+    def let_in(self, solver, rows, columns, volumes):
+        """Give the ground water that rises from outside."""
+        solver.deposit(rows, columns, volumes)
+        self._inflow += float(volumes.sum())
 
     def advance(self, start, stop):
         """Return the rows, columns and volumes [m3] of what comes down from them."""
@@ -281,7 +291,9 @@ class Objects:
         """Return the solver's ledger with the objects' water in it, as a dict."""
         ledger = (solver.ledger if report is None else report.ledger).as_dict()
         ledger["initial"] += self._initial
-        ledger["rain"] += self._came - self._returned  # what returned the solver took for rain
+        # What came down from objects, or in from outside, the solver took for rain.
+        ledger["rain"] += self._came - self._returned - self._inflow
+        ledger["inflow"] += self._inflow
         held = airborne = 0.0
         if self._drips is not None:
             held, airborne = self._drips.held, self._drips.airborne
@@ -305,7 +317,7 @@ def quick_rain(terrain, config, exposure):
     it would stand (fill, spill and merge). What runs off or seeps away meanwhile is not booked.
     """
     past = [config.at(time).rain.past for time in config.key_times()]
-    if np.ptp(past) == 0 or config.water.level is not None:
+    if np.ptp(past) == 0 or config.at(0.0).water.level is not None:
         return None
     puddles = puddles_of(terrain)
     puddles.rain(config.at(0.0).rain.past * exposure.astype(np.float64))
@@ -321,6 +333,27 @@ def quick_rain(terrain, config, exposure):
             rows.astype(np.int32), columns.astype(np.int32),
             grown[rows, columns] * terrain.grid.cell_area,
         )  # fmt: skip
+
+    return between
+
+
+def rising_level(terrain, config):
+    """Return what adds the water of a level that keyframes let rise, or None if it is steady.
+
+    The function takes two times and returns the rows, columns and volumes [m3] of the water that a
+    level surface gains between them.
+    """
+    levels = [config.at(time).water.level for time in config.key_times()]
+    if levels[0] is None or np.ptp(levels) == 0:
+        return None
+    bed = terrain.bed.astype(np.float64)
+    low = np.percentile(bed, 5)
+
+    def between(before, time):
+        old, new = (np.maximum(low + config.at(t).water.level - bed, 0) for t in (before, time))
+        rows, columns = np.nonzero(new > old)
+        gained = (new - old)[rows, columns] * terrain.grid.cell_area
+        return rows.astype(np.int32), columns.astype(np.int32), gained
 
     return between
 

@@ -14,8 +14,10 @@ from rainsim.errors import ParameterError, require_finite
 
 TIME_KEY = "time_s"
 LIST_KEY = "keyframe"  # [[keyframe]] in TOML
-# What a keyframe may set. Water that is given as a level cannot rise or fall with time.
-CHANGING = ("rate", "past", "drying", "wind", "exposure", "cloudiness", "brightness")
+# What a keyframe may set. Water that is given as a level may rise with time, not fall.
+CHANGING = (
+    "rate", "past", "drying", "level", "wind", "exposure", "cloudiness", "brightness",
+)  # fmt: skip
 
 
 def read_keyframes(tables, from_human, where):
@@ -92,6 +94,11 @@ def _value(frames, name, value, time):
     """Interpolate one setting between the keyframes that name it."""
     track = [(at, dict(changes)[name]) for at, changes in frames if name in dict(changes)]
     if track[0][0] > frames[0][0]:  # not named by the first: it starts from what held before
+        if value is None:
+            raise ParameterError(
+                f"{name} is set by a later keyframe only; it has no value before; set it in the "
+                "first keyframe too"
+            )
         track.insert(0, (frames[0][0], value))
     later = bisect_right([at for at, _ in track], time)
     if later in (0, len(track)):

@@ -22,6 +22,7 @@ from rainsim.streaks import draw_streaks, fog_optical_depth, streak_reach
 
 RATES = (1.0, 10.0, 50.0, 100.0)  # mm/h
 GAUGE_DROPS = {False: 100_000, True: 10_000}
+GAUGE_SEEDS = {False: 12, True: 2}
 RATE, WIND = 50.0, (2.6, 1.5)  # mm/h, m/s: the downpour preset
 FAR = 8.0  # m, at which all drops end in the single split
 EXPOSURES = (1 / 250, 1 / 60, 1 / 15)  # s
@@ -47,7 +48,7 @@ def run(quick=False, tell=lambda line: None):
         Called with a line on what is being done.
     """
     tell("gauge")
-    gauge = [read_gauge(rate, GAUGE_DROPS[quick]) for rate in RATES]
+    gauge = [read_gauge(rate, GAUGE_DROPS[quick], GAUGE_SEEDS[quick]) for rate in RATES]
     tell("waves")
     waves = [fit_wave(length, depth) for depth in DEPTHS for length in WAVELENGTHS]
     tell("streaks")
@@ -64,17 +65,26 @@ def run(quick=False, tell=lambda line: None):
     }  # fmt: skip
 
 
-def read_gauge(rate, drops):
-    """Return what a gauge under a rain reads over what was asked for, and its sampling error."""
+def read_gauge(rate, drops, seeds=1):
+    """Return what gauges under a rain read over what was asked for, and the error of that mean.
+
+    `drops` fall on each gauge, one for each of the `seeds`. The error is the one that is expected of
+    so many drops of such sizes, for one gauge and for the mean.
+    """
     spectrum = RainSpectrum(rate)
     duration = drops / (spectrum.density @ spectrum.speed) / 16
-    found = impacts(RainField(spectrum, WIND, seed=1), flat_surfaces(4, 4, 0.1), 0.0, duration)
-    volume = found.volume
-    read = volume.sum() / 16 + spectrum.fine_rate * duration
-    spread = math.sqrt((volume**2).sum()) / volume.sum()
+    ratios, spreads, count = [], [], 0
+    for seed in range(1, seeds + 1):
+        rain = RainField(spectrum, WIND, seed=seed)
+        volume = impacts(rain, flat_surfaces(4, 4, 0.1), 0.0, duration).volume
+        read = volume.sum() / 16 + spectrum.fine_rate * duration
+        ratios.append(read / (spectrum.rate * duration))
+        spreads.append(math.sqrt((volume**2).sum()) / volume.sum())
+        count += len(volume)
+    one = float(np.mean(spreads))
     return {
-        "rate": rate, "drops": len(found), "ratio": read / (spectrum.rate * duration),
-        "sampling": spread,
+        "rate": rate, "drops": count, "ratio": float(np.mean(ratios)), "first": ratios[0],
+        "sampling": one, "error": one / math.sqrt(seeds),
     }  # fmt: skip
 
 
@@ -133,7 +143,7 @@ def time_streaks(rounds):
             for way, far in jobs.items():
                 draw_streaks(*arguments, far, alpha)
                 drawn = float(-np.log1p(-alpha.astype(np.float64)).mean())
-                fog = float(fog_optical_depth(field, seen, far).mean())
+                fog = float((fog_optical_depth(field, seen, far) * _slant(camera)).mean())
                 records.append(
                     {
                         "size": name,
@@ -146,6 +156,12 @@ def time_streaks(rounds):
                     }
                 )
     return records
+
+
+def _slant(camera):
+    """Return one over the cosine of each pixel's angle off the axis."""
+    v, u = np.indices((camera.height, camera.width)) + 0.5
+    return np.hypot(1, np.hypot((u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy))
 
 
 def _expected(field, camera, far):
@@ -209,9 +225,13 @@ def _alternate(jobs, rounds):
 
 def table(result):
     """Return the figures as text in Markdown."""
-    lines = ["| rain mm/h | drops | gauge / asked | sampling error |", "|---|---|---|---|"]
+    lines = [
+        "| rain mm/h | drops | mean gauge / asked | error of the mean | error of one gauge |",
+        "|---|---|---|---|---|",
+    ]
     lines += [
-        f"| {g['rate']:g} | {g['drops']} | {g['ratio']:.4f} | {g['sampling']:.4f} |"
+        f"| {g['rate']:g} | {g['drops']} | {g['ratio']:.4f} | {g['error']:.4f} | "
+        f"{g['sampling']:.4f} |"
         for g in result["gauge"]
     ]
     lines += ["", "| depth mm | wavelength mm | fitted / theory | shallow water / theory |",

@@ -1,5 +1,6 @@
 """Rain on terrain over time."""
 
+import dataclasses
 import math
 
 import numpy as np
@@ -72,6 +73,27 @@ def test_level_ground_gets_a_flood_at_the_level_asked_for():
     low = np.percentile(bowl(), 5)
     np.testing.assert_allclose(state.depth + bowl(), low + 0.05, atol=1e-5)
     assert state.ledger["outflow"] == 0
+
+
+def test_a_level_of_keyframes_rises_and_is_booked_as_inflow():
+    frames = ((0.0, (("level", 0.02),)), (0.2, (("level", 0.06),)))
+    rising = dataclasses.replace(config(rate=0.0), keyframes=frames).check()
+    run = states(ground(bowl()), rising, 7)
+    low = np.percentile(bowl(), 5)
+    for state, level in ((run[0], 0.02), (run[2], 0.04), (run[-1], 0.06)):
+        np.testing.assert_allclose(state.depth + bowl(), low + level, atol=2e-5)
+    ledger = run[-1].ledger
+    assert ledger["inflow"] == pytest.approx(0.04 * (NX * SPACING) ** 2, rel=0.02)
+    assert abs(ledger["residual"]) < 1e-7  # of float32
+    assert ledger["rain"] == pytest.approx(0, abs=1e-9)
+
+
+def test_a_surface_film_calms_the_rings():
+    rough, calm = (
+        states(ground(bowl()), config(past=2e-3, surface_film=f, rate=mm_per_hour(60)), 2)[-1]
+        for f in (0.0, 1.0)
+    )
+    assert 0 < np.std(calm.slopes) < 0.9 * np.std(rough.slopes)
 
 
 def test_grass_swallows_the_past_rain():

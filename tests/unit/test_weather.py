@@ -51,7 +51,7 @@ def test_an_option_that_is_given_holds_for_all_times():
     [
         ({"rain_mm_per_hour": 1.0}, "keyframe 2 has no time_s"),
         ({"time_s": -1.0}, "times must rise"),
-        ({"time_s": 1.0, "water_level_m": 0.1}, "keyframe 2 sets level"),
+        ({"time_s": 1.0, "water_level_m": 0.1}, "level is set by a later keyframe only"),
         ({"time_s": 1.0, "rain_mm_per_hour": -3.0}, "at 1 s: rain is -3.0 mm/h"),
         ({"time_s": 1.0, "rains_mm_per_hour": 3.0}, "rain_mm_per_hour"),
     ],
@@ -59,6 +59,13 @@ def test_an_option_that_is_given_holds_for_all_times():
 def test_bad_keyframes_are_told(frame, message):
     with pytest.raises(ParameterError, match=message):
         timeline({"time_s": 0.0}, frame)
+
+
+def test_a_water_level_may_rise_with_time_and_not_fall():
+    rising = [{"time_s": 0.0, "water_level_m": 0.02}, {"time_s": 2.0, "water_level_m": 0.06}]
+    assert timeline(*rising).at(1.0).water.level == pytest.approx(0.04)
+    with pytest.raises(ParameterError, match="may rise only"):
+        timeline(rising[0], {"time_s": 2.0, "water_level_m": 0.01})
 
 
 def test_drift_is_the_integral_of_the_wind():
