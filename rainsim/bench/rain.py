@@ -68,8 +68,8 @@ def run(quick=False, tell=lambda line: None):
 def read_gauge(rate, drops, seeds=1):
     """Return what gauges under a rain read over what was asked for, and the error of that mean.
 
-    `drops` fall on each gauge, one for each of the `seeds`. The error is the one that is expected of
-    so many drops of such sizes, for one gauge and for the mean.
+    `drops` fall on each gauge, one for each of the `seeds`. The errors, of one gauge and of the
+    mean, are those to expect of so many drops of such sizes.
     """
     spectrum = RainSpectrum(rate)
     duration = drops / (spectrum.density @ spectrum.speed) / 16
