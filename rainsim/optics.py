@@ -375,7 +375,8 @@ def terms_of(r, row, column, picture, depth, m, lens, schlick_law, image_shift, 
     if sun[3] + sun[4] + sun[5] > ZERO and phong:
         glint = share * phong_highlight(vx, vy, vz, sun[0], sun[1], sun[2], ux, uy, uz)
     elif sun[3] + sun[4] + sun[5] > ZERO:
-        glint = sun_glint(vx, vy, vz, sun[0], sun[1], sun[2], gx, gy, glint_variance)
+        rough = glint_variance + r[12] * r[12]
+        glint = sun_glint(vx, vy, vz, sun[0], sun[1], sun[2], gx, gy, rough)
     return (
         b0 * exp_minus(ABSORB_R * travel), b1 * exp_minus(ABSORB_G * travel),
         b2 * exp_minus(ABSORB_B * travel), share, glint,

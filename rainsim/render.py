@@ -77,7 +77,9 @@ class Renderer:
         if config.render.sky == "capture":
             self.day = self._captured_sky(eye)
         self.sun = self._find_sun()
+        self.gloss = sky.blurred(self.day)  # until the surroundings are drawn
         self.environment = self._surroundings(eye)
+        self.gloss = sky.blurred(self.environment)
         self._camera = None  # that the kept layers belong to
         self._tracer = None  # made when it is first asked for
 
@@ -171,7 +173,7 @@ class Renderer:
             dry.color, dry.alpha, dry.depth, dry.plane_depth, dry.normal,
             np.float32(self.frame.meters_per_unit), turn, eye, lens,
             self.terrain.bed, self.ground, self._origin, self._spacing,
-            self.environment, self.day, self.look, self.others, picture, depth, clearance,
+            self.gloss, self.day, self.look, self.others, picture, depth, clearance,
         )  # fmt: skip
         timer.mark("grade and wet" if plane is None else "mirror")
         return View(picture, depth, clearance, turn, eye, lens)
@@ -202,7 +204,7 @@ class Renderer:
             np.ascontiguousarray(found.normal @ turn.T, np.float32),
             (origin - before[:, None] * direction).astype(np.float32), direction,
             self.terrain.bed, self.ground, self._origin, self._spacing,
-            self.environment, self.day, self.look, self.others, light,
+            self.gloss, self.day, self.look, self.others, light,
         )  # fmt: skip
         return light, found.alpha
 
@@ -305,7 +307,6 @@ class Renderer:
 
     def _surroundings(self, position):
         """Return the wet capture around `position` [m] with the sky of the day, as a map."""
-        self.environment = self.day  # what gloss shows while the surroundings are drawn
 
         def draw(view):
             return self._wet_picture(self.frame.camera_in_capture(view), None, Timer()).picture

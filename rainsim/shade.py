@@ -43,7 +43,9 @@ WALL_SPRAY = np.float32(0.06)  # share of the rain that walls get which no drop 
 SOFFIT = np.float32(0.7)  # share of that which undersides do not get
 STREAK_WIDTH, STREAK_LENGTH = np.float32(0.11), np.float32(1.7)  # m, of paths down a wall
 STREAK_SOFT = np.float32(0.30)  # of the edge of a path
-SKY_DARK, SKY_BRIGHT = np.float32(0.15), np.float32(0.35)  # linear luminance: no sky, all sky
+STREAK_NEAR, STREAK_FAR = np.float32(8), np.float32(25)  # m, between which paths are seen less
+WALL_SHARE = np.float32(0.15)  # of the depth by which a wall's plane may differ from it
+SKY_DARK, SKY_BRIGHT = np.float32(0.10), np.float32(0.22)  # linear luminance: no sky, all sky
 EDGE_COSINE = np.float32(0.25)  # of the view to a thing's surface, below which it glosses less
 FLAT = np.float32(0.7)  # cosine to the vertical above which a surface counts as level ground
 LEAST_SKY = np.float32(0.002)  # share of sky that does not change an 8-bit picture
@@ -125,11 +127,13 @@ def grade_and_wet(
             d *= meters_per_unit
             over = alpha[row, column]
             solid = over >= LEAST_ALPHA
-            where = eye[0] + d * x, eye[1] + d * y, eye[2] + d * z
+            # Along a wall seen at a slant the splats' own depths scatter.
+            e = plane_depth[row, column] * meters_per_unit
+            e = e if abs(e - d) < WALL_SHARE * d else d
             nx_, ny_ = _row(m, 0, n0, n1, n2), _row(m, 1, n0, n1, n2)
             clearance, height_here, lawn, damp, film, pores = wet_state(
-                bed, ground, origin, spacing, others, solid, where[0], where[1], where[2],
-                nx_, ny_, upness,
+                bed, ground, origin, spacing, others, solid,
+                eye[0] + e * x, eye[1] + e * y, eye[2] + e * z, nx_, ny_, upness, e * length,
             )  # fmt: skip
             depth_out[row, column] = d if solid else np.inf
             clearance_out[row, column] = clearance
@@ -175,7 +179,7 @@ def grade_rays(
         _, height_here, lawn, damp, film, pores = wet_state(
             bed, ground, origin, spacing, others, alpha[n] >= LEAST_ALPHA,
             eye[n, 0] + d * x, eye[n, 1] + d * y, eye[n, 2] + d * z,
-            normal[n, 0], normal[n, 1], upness,
+            normal[n, 0], normal[n, 1], upness, d,
         )  # fmt: skip
         r, g, b, gloss, through = rainy(
             linear_from_display(max(color[n, 0], ZERO)),
@@ -194,8 +198,8 @@ def grade_rays(
 
 
 @inlined_function
-def wet_state(bed, ground, origin, spacing, others, solid, x, y, z, nx, ny, nz):
-    """Return how wet a surface with the unit normal n at (x, y, z) is.
+def wet_state(bed, ground, origin, spacing, others, solid, x, y, z, nx, ny, nz, far):
+    """Return how wet a surface with the unit normal n at (x, y, z) is, seen from `far` [m].
 
     Its height over the bed [m] (FAR_AWAY off the map), its height [m] over the bed or off the map
     over the ground plane, and its lawn, dampness, film and porosity.
@@ -211,7 +215,7 @@ def wet_state(bed, ground, origin, spacing, others, solid, x, y, z, nx, ny, nz):
     if clearance < ON_GROUND and nz > FLAT:
         lawn, damp, film, pores = on_ground(ground, u, v)
         return clearance, height, lawn, damp, film, pores
-    damp = damp_off_ground(others, nx, ny, nz, x, y, z)
+    damp = damp_off_ground(others, nx, ny, nz, x, y, z, far)
     film = damp * others[3] * (ONE if height < ON_GROUND else HALF)
     return clearance, height, ZERO, damp, film, others[4]
 
@@ -229,9 +233,11 @@ def rainy(
     """
     sky, gloss = ZERO, ZERO
     if far > sky_distance and z > SKY_SINE:
-        sky = sky_replaced * sky_share(r, g, b)
+        sky = sky_share(r, g, b)
+        damp *= ONE - sky
+        sky *= sky_replaced
     r, g, b = graded(r, g, b, exposure, desaturation, compression)
-    if sky < ONE and damp > ZERO:
+    if damp > ZERO:
         r, g, b = wetted(r, g, b, exposure, damp, pores, lawn)
         gloss = film * max(TWO * upness - ONE, ZERO) * (ONE - lawn) * GLOSS
         if gloss > ZERO:
@@ -275,7 +281,7 @@ def dampness(
             else:
                 damp_out[row, column] = damp_off_ground(
                     others, _row(m, 0, n0, n1, n2), _row(m, 1, n0, n1, n2), upness, x, y,
-                    eye[2] + d * _row(m, 2, a, b, ONE),
+                    eye[2] + d * _row(m, 2, a, b, ONE), d,
                 )  # fmt: skip
 
 
@@ -322,8 +328,8 @@ def on_ground(ground, u, v):
 
 
 @device_function
-def damp_off_ground(others, nx, ny, nz, x, y, z):
-    """Return how wet a surface with the unit normal n at (x, y, z) is, 0 to 1.
+def damp_off_ground(others, nx, ny, nz, x, y, z, far):
+    """Return how wet a surface with the unit normal n at (x, y, z) is, 0 to 1, seen from `far` [m].
 
     It catches rain as it faces the slanting drops; walls that they miss get a little spray. A
     wall that is not wet through is wet in streaks, for what it catches runs down in paths.
@@ -336,8 +342,11 @@ def damp_off_ground(others, nx, ny, nz, x, y, z):
     # Across the wall: along the axis that it faces less; a normal's noise does not matter then.
     across = y if abs(nx) > abs(ny) else x
     path = _streak_noise(across / STREAK_WIDTH, z / STREAK_LENGTH)
-    return smoothstep(path - STREAK_SOFT, path + STREAK_SOFT, full * (ONE + TWO * STREAK_SOFT)
-                      - STREAK_SOFT)  # fmt: skip
+    wet = smoothstep(
+        path - STREAK_SOFT, path + STREAK_SOFT, full * (ONE + TWO * STREAK_SOFT) - STREAK_SOFT
+    )
+    # From afar paths are narrower than pixels.
+    return wet + (full - wet) * smoothstep(STREAK_NEAR, STREAK_FAR, far)
 
 
 @device_function

@@ -22,9 +22,10 @@ GROUND_ALBEDO = 0.15  # what the lower half of a plain sky map shows
 DROP_FIELD = np.radians(165 / 2)  # half the angle that a drop gathers light from (Garg, Nayar 2007)
 DROP_TRANSMISSION, DROP_AMBIENT = 0.94, 0.06  # share refracted from that field, and the rest
 PANORAMA_ROWS = 512  # of the map of a panorama: it is seen behind the scene, too
-CLOUD_DEPTH = 0.16  # of the noise in the logarithm of a clouded sky's radiance
+CLOUD_DEPTH = 0.3  # of the noise in the logarithm of a clouded sky's radiance
 LEAST_SKY_SEEN = 0.02  # share of the upper half below which a captured sky tells nothing
 SEAM = 5.0  # texels of the map, over which a captured sky goes over into the filled one
+GLOSS_BLUR = (math.radians(10), math.radians(6))  # of elevation and azimuth; by eye
 SUN_BLUR, SUN_PEAK = math.radians(2.5), 4.0
 FACE = 160  # px, side of the pictures that a probe of the capture is made from
 
@@ -139,6 +140,14 @@ def brightest(environment):
     weight = np.where(smooth > 0.7 * smooth.max(), light * area, 0)
     x, y, z = np.einsum("ij,ijc->c", weight, direction)
     return math.atan2(y, x), math.atan2(z, math.hypot(x, y))
+
+
+def blurred(environment):
+    """Return what a wet rough surface mirrors of a map: its lobe is longer than wide."""
+    rows = environment.shape[0]
+    sigma = (GLOSS_BLUR[0] * rows / np.pi, GLOSS_BLUR[1] * rows / np.pi, 0)
+    made = ndimage.gaussian_filter(environment, sigma, mode=("nearest", "wrap", "nearest"))
+    return np.ascontiguousarray(made, dtype=np.float32)
 
 
 def from_panorama(panorama, brightness=1.0):

@@ -23,7 +23,7 @@ WINDOW_STEP = 64  # px, of the part of the picture that is drawn mirrored: whole
 WINDOW_SLOPE = 0.08  # tilt of the water up to which a ripple finds its image in that part
 REFLECTION_THICKNESS = 0.15  # m
 REFLECTION_LENGTH = 12.0  # m
-GLINT_VARIANCE = 4e-3  # of slopes below a pixel on a puddle in the rain
+GLINT_VARIANCE = 3e-4  # of slopes that neither the picture nor the ripples hold: a breath of air
 
 
 @dataclass(frozen=True)

@@ -57,7 +57,7 @@ def test_walls_catch_what_slants_towards_them():
     def damp(nx, ny, nz, supply=1.0):
         rain[0] = supply
         spots = np.random.default_rng(1).uniform(0, 40, (400, 3))
-        return np.mean([shade.damp_off_ground(rain, nx, ny, nz, *spot) for spot in spots])
+        return np.mean([shade.damp_off_ground(rain, nx, ny, nz, *spot, 2.0) for spot in spots])
 
     assert damp(0.0, 0.0, 1.0) == 1.0
     side, lee = damp(0.0, 1.0, 0.0, 8.0), damp(1.0, 0.0, 0.0, 8.0)
@@ -71,11 +71,12 @@ def test_a_wall_is_wet_in_streaks_longer_than_wide():
     rain = np.array([1.0, 0.5, 0.0, 1.0, 0.1], np.float32)
     at = np.arange(0, 3, 0.02)
     wall = np.array(
-        [[shade.damp_off_ground(rain, -1.0, 0.0, 0.0, 0.0, y, z) for y in at] for z in at]
+        [[shade.damp_off_ground(rain, -1.0, 0.0, 0.0, 0.0, y, z, 2.0) for y in at] for z in at]
     )
     assert wall.std() > 0.1
     across = np.abs(np.diff(wall, axis=1)).mean()
     assert across > 4 * np.abs(np.diff(wall, axis=0)).mean()
+    assert shade.damp_off_ground(rain, -1.0, 0.0, 0.0, 0.0, 1.0, 1.0, 40.0) == 0.5  # from afar
 
 
 def test_grading_is_the_identity_when_asked_for():
@@ -100,8 +101,8 @@ def test_clouds_keep_the_irradiance_and_the_haze():
     assert sky.irradiance(made)[1] == pytest.approx(sky.irradiance(plain)[1], rel=1e-5)
     elevation = sky.directions(*made.shape[:2])[..., 2]
     high, low = (elevation > 0.4) & (elevation < 0.45), (elevation > 0.0) & (elevation < 0.02)
-    assert 0.05 < made[high, 1].std() / made[high, 1].mean() < 0.3
-    assert made[low, 1].std() / made[low, 1].mean() < 0.2
+    assert 0.08 < made[high, 1].std() / made[high, 1].mean() < 0.4
+    assert made[low, 1].std() / made[low, 1].mean() < 0.25
     np.testing.assert_array_equal(made, sky.clouded(plain))
     seam = np.abs(made[:, 0] - made[:, -1]).max()
     assert seam <= 2 * np.abs(np.diff(made, axis=1)).max()

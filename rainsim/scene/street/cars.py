@@ -260,6 +260,8 @@ def _cluster(u, y, low, high, half, colour, out):
 
 def _floor():
     """Return the dark underside."""
-    x, y = (v.ravel() for v in np.meshgrid(np.arange(0.2, LENGTH, 0.2), np.arange(-0.7, 0.8, 0.2)))
+    x, y = (
+        v.ravel() for v in np.meshgrid(np.arange(0.1, LENGTH, 0.15), np.arange(-0.8, 0.81, 0.16))
+    )
     points = np.stack([x, y, np.full(x.size, SILL + 0.02)], axis=1)
     return discs(points, (0, 0, -1), (0.03, 0.03, 0.032), 0.14, thickness=4e-3)
