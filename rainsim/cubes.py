@@ -6,6 +6,8 @@ In the frame that moves with a size class its drops are a frozen Poisson field, 
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 
 from rainsim.jit import device_function
@@ -71,7 +73,12 @@ def slab_tasks(first, last):
     size_class = np.repeat(np.arange(len(counts)), counts)
     step = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
     tasks = np.stack([size_class, first[size_class, 0] + step], axis=1).astype(np.int64)
-    return tasks[np.random.Generator(np.random.PCG64(0)).permutation(len(tasks))]
+    return tasks[_shuffled(len(tasks))]
+
+
+@functools.lru_cache(64)
+def _shuffled(count):
+    return np.random.Generator(np.random.PCG64(0)).permutation(count)
 
 
 def cube_sides():

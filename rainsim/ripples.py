@@ -22,7 +22,7 @@ VISCOSITY = 1.0e-6  # m2/s, water at 20 C
 FOOTPRINT = 5e-3  # m; a Gaussian push of this width has its energy peak at 200 rad/m
 RING_SHARE = 0.01  # of the reference drop's kinetic energy
 REFERENCE_DROP = 2.5e-3  # m; between the measured 2.2 and 2.8 mm
-_LONGEST_STEP = 1 / 96  # s; impacts of one such step are born together
+_LONGEST_STEP = 1 / 60  # s; impacts of one such step are born together, its end
 
 
 def angular_frequency(wavenumber, depth):
@@ -107,7 +107,7 @@ class RippleTile:
             Downward.
         age : ndarray of shape (n,) [s] or None
             Time since each fall when the step ends, 0 to `duration`; None for 0. Falls are put
-            together in sub-steps of at most 1/96 s.
+            together in sub-steps of at most 1/60 s.
         """
         duration = require_not_negative("duration", duration, "s")
         steps = max(math.ceil(duration / _LONGEST_STEP - 1e-9), 1)
