@@ -169,3 +169,21 @@ def test_the_mirrored_camera_sees_a_point_where_its_mirror_image_is(scene):
     above = frame_.to_capture(np.array([1.0, -2.0, level + 0.02])) @ plane[:3] - plane[3]
     below = frame_.to_capture(np.array([1.0, -2.0, level + 0.01])) @ plane[:3] - plane[3]
     assert above > 0 > below
+
+
+def test_streaks_are_drawn_with_the_pose_at_the_shutters_close(scene, camera, monkeypatch):
+    seen = []
+    monkeypatch.setattr(rendering, "draw_streaks", lambda *a: seen.append(a[8]))
+    near = scene.ground_frame.camera_in_ground(camera)
+    matrix = near.camera_from_world.copy()
+    matrix[0, 3] -= 0.05  # m to its right
+    moved = scene.ground_frame.camera_in_capture(
+        dataclasses.replace(near, camera_from_world=matrix)
+    )
+    list(render_rain(scene, [camera, moved], config(frames=2, rate=mm_per_hour(50.0))))
+    list(render_rain(scene, [camera], config(frames=1, rate=mm_per_hour(50.0))))
+    first, second, still = seen
+    way = first.position - near.position
+    share = config().render.exposure * config().fps
+    np.testing.assert_allclose(np.linalg.norm(way), 0.05 * share, rtol=1e-6)
+    assert second.position @ way > first.position @ way and still is None
