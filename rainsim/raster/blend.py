@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from rainsim.jit import cpu_kernel, device_function, inlined_function, prange
-from rainsim.raster.lanes import CHANNELS, LANES, blend_lanes, lowest_bit, meets_blocks, prefetch
+from rainsim.raster.lanes import CHANNELS, LANES, blend_lanes, meets_blocks, prefetch, put_chosen
 from rainsim.raster.project import TILE
 from rainsim.raster.tiles import DIGITS, RECORD_MASK, sort_keys
 
@@ -16,6 +16,7 @@ SHIFT = 2  # log2 of the side
 ROW = TILE // SIDE  # blocks across a tile
 BLOCKS = ROW * ROW
 BATCH = 128  # entries that are dealt to the blocks before these blend
+LIST = BATCH + LANES  # places of a block's list: sixteen are written at a time
 AHEAD = 12  # entries by which records are fetched before they are read
 
 TRANSMITTANCE_STOP = np.float32(1e-4)  # what is behind cannot change an 8-bit image
@@ -38,24 +39,22 @@ HALF = np.float32(0.5)
 
 
 @device_function
-def deal(entry, record, begin, end, left, top, is_open, chosen_out, count_out):
+def deal(entry, record, begin, end, left, top, is_open, bits, number, chosen_out, count_out):
     """Put each entry's record into the list of every open block of the tile that it can reach."""
-    count_out[:] = 0
-    wanted = 0
-    for block in range(BLOCKS):
-        wanted |= np.int64(is_open[block]) << block
     x, y = np.float32(left + SIDE // 2), np.float32(top + SIDE // 2)
     for k in range(begin, end):
         if k + AHEAD < len(entry):
             prefetch(record, np.int64(entry[k + AHEAD] & RECORD_MASK))
         o = np.int64(entry[k] & RECORD_MASK)
-        blocks = meets_blocks(record, o, x, y) & wanted
-        while blocks != 0:
-            block = lowest_bit(blocks)
-            blocks &= blocks - 1
-            n = count_out[block]
-            chosen_out[block * BATCH + n] = o
-            count_out[block] = n + 1
+        number[k - begin] = o
+        bits[k - begin] = meets_blocks(record, o, x, y)
+    bits[end - begin : -(-(end - begin) // LANES) * LANES] = 0
+    for block in range(BLOCKS):
+        n = 0
+        if is_open[block]:
+            for k in range(0, end - begin, LANES):
+                n += put_chosen(bits, number, k, block, chosen_out, block * LIST + n)
+        count_out[block] = n
 
 
 @cpu_kernel
@@ -79,7 +78,8 @@ def blend_tiles(
         spare = np.empty(longest, np.uint64)
         histogram = np.empty(DIGITS, np.int64)
         state = np.empty(BLOCKS * CHANNELS * LANES, np.float32)
-        chosen = np.empty(BLOCKS * BATCH, np.uint32)
+        bits, number = np.empty(BATCH, np.uint32), np.empty(BATCH, np.uint32)
+        chosen = np.empty(BLOCKS * LIST, np.uint32)
         count = np.empty(BLOCKS, np.int64)
         is_open = np.empty(BLOCKS, np.bool_)
         for tile in range(turn[k] * across, turn[k] * across + across):
@@ -94,7 +94,7 @@ def blend_tiles(
             any_open = True
             while begin < end and any_open:
                 stop = min(begin + BATCH, end)
-                deal(entry, record, begin, stop, left, top, is_open, chosen, count)
+                deal(entry, record, begin, stop, left, top, is_open, bits, number, chosen, count)
                 begin = stop
                 any_open = False
                 for block in range(BLOCKS):
@@ -104,7 +104,7 @@ def blend_tiles(
                     at = block * CHANNELS * LANES
                     x = np.float32(left + block % ROW * SIDE) + HALF
                     y = np.float32(top + block // ROW * SIDE) + HALF
-                    first, last = block * BATCH, block * BATCH + count[block]
+                    first, last = block * LIST, block * LIST + count[block]
                     if drop_last and halfway:
                         blend_lanes(record, chosen, first, last, state, at, x, y, 1, 1)
                     elif drop_last:

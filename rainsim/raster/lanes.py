@@ -108,13 +108,48 @@ def prefetch(typingctx, record, splat):
 
 
 @intrinsic
-def lowest_bit(typingctx, bits):
-    """Return the place of the lowest bit that is set in a positive int64."""
+def put_chosen(typingctx, bits, number, k, block, chosen, place):
+    """Write those of sixteen numbers that a block has to blend, one after the other; count them.
+
+    Parameters
+    ----------
+    bits, number : ndarray of uint32
+        From `k` on: what `meets_blocks` told of sixteen splats, and their numbers.
+    k, block : int64
+    chosen : ndarray of uint32
+        From `place` on sixteen numbers are written; the first of them count.
+    place : int64
+    """
 
     def codegen(context, builder, signature, arguments):
-        return builder.cttz(arguments[0], ir.Constant(ir.IntType(1), 1))
+        def pointer(k):
+            array = signature.args[k]
+            return cgutils.create_struct_proxy(array)(context, builder, arguments[k]).data
 
-    return types.int64(types.int64), codegen
+        def at(base, index):
+            return builder.bitcast(builder.gep(base, [index]), _words.as_pointer())
+
+        def load(base):
+            value = builder.load(at(base, arguments[2]))
+            value.align = 4
+            return value
+
+        tools = _Tools(builder, None, None)
+        one = builder.shl(ir.Constant(_word, 1), builder.trunc(arguments[3], _word))
+        wanted = builder.and_(load(pointer(0)), tools.copies(one))
+        mask = builder.icmp_unsigned("!=", wanted, ir.Constant(_words, [0] * LANES))
+        masks = ir.VectorType(ir.IntType(1), LANES)
+        compress = cgutils.get_or_insert_function(
+            builder.module,
+            ir.FunctionType(_words, [_words, masks, _words]),
+            f"llvm.experimental.vector.compress.v{LANES}i32",
+        )
+        packed = builder.call(compress, [load(pointer(1)), mask, ir.Constant(_words, ir.Undefined)])
+        builder.store(packed, at(pointer(4), arguments[5])).align = 4
+        count = builder.ctpop(builder.bitcast(mask, ir.IntType(LANES)))
+        return builder.zext(count, _int)
+
+    return types.int64(bits, number, k, block, chosen, place), codegen
 
 
 @intrinsic
