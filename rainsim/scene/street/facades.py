@@ -119,6 +119,11 @@ def house(wall, width, storeys, style, noise, rng):
         top += STOREY
     parts.append(wall.block(0, width, top - 0.22, top + 0.10, 0.22, SILL * 0.85))
     wall_part(0, width, top + 0.10, top + 0.55)
+    # What shows between the splats of a front must not be the sky behind the house.
+    dark = np.array([0.30, 0.27, 0.24])
+    parts.append(
+        wall.panel(0, width, 0, top + 0.5, lambda u, z: _flat(u, dark), out=-0.2, fine=2.5)
+    )
     # a roof, seen at a slant from below
     parts.append(_roof(wall, width, top + 0.55, rng))
     parts.append(wall.bar([(0.06, 0.2), (0.06, top)], (0.17, 0.17, 0.18), 0.035, out=0.07))
