@@ -11,7 +11,7 @@ import numpy as np
 from rainsim.bench import cases
 from rainsim.bench.chart import draw_fronts, front
 from rainsim.grid import WaterSolver
-from rainsim.jit import set_threads
+from rainsim.jit import cpu_kernel, prange, set_threads
 
 SCHEMES = ("auto", "accurate", "lean", "paper")
 SUITE = {
@@ -31,6 +31,8 @@ REPEATS = {False: 3, True: 1}  # runs of a case, of which the fastest counts
 GAUGE_PERIOD = 2.0  # s, between readings of the rain gauge
 SPEED_CELLS = {False: 1024, True: 128}
 SPEED_ROUNDS = 5  # alternating, of which the median counts
+CELL_BYTES = 28  # that a fused step reads (depth, bed, two velocities) and writes (all but the bed)
+COPY_SIZE = {False: 1 << 25, True: 1 << 20}  # numbers, more than caches hold
 
 
 def solve(case, scheme, dtype=np.float32):
@@ -103,6 +105,28 @@ def throughput(cells, schemes=("accurate", "lean", "paper"), steps=32):
     return {scheme: float(np.median(rate)) for scheme, rate in rates.items()}
 
 
+@cpu_kernel
+def copy(a, a_out):
+    """Copy, with all threads.
+
+    Parameters
+    ----------
+    a, a_out : ndarray of shape (n,), float32
+    """
+    for c in prange(a.shape[0]):
+        a_out[c] = a[c]
+
+
+def memory_limit(numbers):
+    """Return the cells per second that memory alone would allow a fused step, from a copy."""
+    a, b, best = np.ones(numbers, np.float32), np.zeros(numbers, np.float32), np.inf
+    for _ in range(SPEED_ROUNDS):
+        start = time.perf_counter()
+        copy(a, b)
+        best = min(best, time.perf_counter() - start)
+    return 2 * a.nbytes / best / CELL_BYTES
+
+
 def run(quick=False, tell=None):
     """Run the whole bench.
 
@@ -116,7 +140,8 @@ def run(quick=False, tell=None):
     Returns
     -------
     dict
-        "machine", "records" (a list of dicts) and "throughput" (cells per second by scheme).
+        "machine", "records" (a list of dicts), "throughput" (cells per second by scheme) and
+        "memory_limit" (cells per second).
     """
     tell = tell or (lambda line: None)
     records = []
@@ -134,15 +159,19 @@ def run(quick=False, tell=None):
         records[-1]["case"] = f"lake {np.dtype(dtype).name}"
         tell(_line(records[-1]))
     _mark_front(records)
-    rates = throughput(SPEED_CELLS[quick])
+    rates, limit = throughput(SPEED_CELLS[quick]), memory_limit(COPY_SIZE[quick])
     for scheme, rate in rates.items():
-        tell(f"{scheme:9s} {rate / 1e6:7.1f} million cells a second")
+        share = f"{rate / limit:.0%} of what memory allows a fused step"
+        tell(f"{scheme:9s} {rate / 1e6:7.1f} million cells a second, {share}")
     machine = {
         "cpu": platform.processor() or platform.machine(), "cores": os.cpu_count(),
         "threads": set_threads(None), "python": platform.python_version(),
         "numpy": np.__version__, "dtype": "float32",
     }  # fmt: skip
-    return {"machine": machine, "quick": quick, "records": records, "throughput": rates}
+    return {
+        "machine": machine, "quick": quick, "records": records, "throughput": rates,
+        "memory_limit": limit,
+    }  # fmt: skip
 
 
 def _mark_front(records):

@@ -1,7 +1,8 @@
 """Water on the ground: shallow water on a staggered (MAC) grid.
 
-`WaterSolver` owns the fields and names the phases of a step; `paper` holds the kernels of the
-scheme of that name, `sources` what rain, films and infiltration do to a cell.
+`WaterSolver` keeps the account and names the phases of a step; `conserving`, `lean` and `paper`
+hold the kernels of the schemes, `rows` the tiles and the rows that kernels work on, `friction` and
+`sources` what slows water and what adds to it.
 """
 
 from rainsim.grid.choose import SCHEMES

@@ -8,7 +8,7 @@ import pytest
 from rainsim.bench import cases
 from rainsim.bench.chart import front
 from rainsim.bench.stress import dam
-from rainsim.bench.water import measure, table
+from rainsim.bench.water import copy, measure, memory_limit, table
 from rainsim.errors import ParameterError
 from rainsim.grid import Horton, WaterSolver
 
@@ -163,3 +163,10 @@ def test_front_and_table():
     ]
     text = table({"records": records})
     assert "| stoker | 8 | 0.5000 / 1.000 |" in text and "**0.5000 / 1.000**" in text
+
+
+def test_memory_limit_is_that_of_a_copy(poisoned):
+    a, b = np.arange(100, dtype=np.float32), poisoned(100)
+    copy(a, b)
+    np.testing.assert_array_equal(a, b)
+    assert memory_limit(1 << 12) > 0
