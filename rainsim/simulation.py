@@ -13,7 +13,7 @@ import numpy as np
 from scipy import ndimage
 
 from rainsim.drips import DRIP_COLUMNS, Drips
-from rainsim.drops import GROUND, Surfaces, impacts
+from rainsim.drops import GROUND, Surfaces, flat_surfaces, impacts
 from rainsim.errors import InputError
 from rainsim.grid import WaterSolver
 from rainsim.jit import cpu_kernel, prange
@@ -26,8 +26,9 @@ from rainsim.weather import Weather, wind_shares
 from rainsim.wetness import evaporation_rate
 
 RIPPLE_DEPTHS = (2e-3, 0.1)  # m: films thinner carry no rings, deeper water is deep to them
-RIPPLE_WARM_UP = 1.3  # s of rain before the first frame that rings on the water come from
-RIPPLE_STEP = 1 / 30  # s, longest step of the ripple layer
+RIPPLE_WARM_UP = 5.0  # s of rain before the first frame: then rings come and go in balance
+DRIP_WARM_UP = 1.0  # s of it for the edges of objects: the longest fall from them
+WARM_UP_STEP = 1 / 15  # s
 DRAIN_INTAKE = 0.1  # m/s that a grating takes at most: 8 l/s through an opening of 0.08 m2
 SHELTER_BLUR = 0.05  # m: gusts and drops of other sizes soften the edge of a dry patch
 SHELTER_DIAMETERS = (1e-3, 2e-3, 3.5e-3)  # m, drops whose paths tell what is sheltered
@@ -210,7 +211,7 @@ def simulate(terrain, config, progress=None, dtype=np.float32):
     open_area = float(exposure.sum()) * terrain.grid.cell_area
     wet = start.rain.past > 0 or start.water.level is not None
     objects = Objects(surfaces, config.rain, wet)
-    _warm_up(ripples, objects, weather, surfaces, open_area)
+    _warm_up(ripples, objects, weather, surfaces)
     objects.open_account()
     index, hits, report = 0, None, None
     while True:
@@ -358,19 +359,26 @@ def rising_level(terrain, config):
     return between
 
 
-def _warm_up(ripples, objects, weather, surfaces, open_area):
+def _warm_up(ripples, objects, weather, surfaces):
     """Let rings of the rain before the first frame spread on the tile, and edges begin to drip."""
-    steps = round(RIPPLE_WARM_UP / RIPPLE_STEP)
-    for n in range(-steps, 0):
-        end = (n + 1) * RIPPLE_STEP
-        rain = weather.field(n * RIPPLE_STEP, end)
+    square = flat_surfaces(ripples.size, ripples.size, ripples.size / 8)
+    for begin, end in _steps(RIPPLE_WARM_UP):
+        rain = weather.field(begin, end)
         if rain is None:
             return
-        hits = impacts(rain, surfaces, n * RIPPLE_STEP, end)
-        landed = hits.take(hits.kind == GROUND)
-        ripples.advance(RIPPLE_STEP, *tile_impacts(landed, open_area, ripples.size, end))
-        objects.take_rain(hits, rain.spectrum.fine_rate * RIPPLE_STEP)
-        objects.advance(n * RIPPLE_STEP, end)
+        landed = impacts(rain, square, begin, end)
+        ripples.advance(end - begin, *tile_impacts(landed, square.area, ripples.size, end))
+    for begin, end in _steps(DRIP_WARM_UP):
+        rain = weather.field(begin, end)
+        hits = impacts(rain, surfaces, begin, end)
+        objects.take_rain(hits, rain.spectrum.fine_rate * (end - begin))
+        objects.advance(begin, end)
+
+
+def _steps(duration):
+    """Return even steps up to time 0 of a warm-up, as (begin, end) [s]."""
+    count = round(duration / WARM_UP_STEP)
+    return [((n - count) * WARM_UP_STEP, (n + 1 - count) * WARM_UP_STEP) for n in range(count)]
 
 
 _FIELDS = (

@@ -88,6 +88,13 @@ def test_a_level_of_keyframes_rises_and_is_booked_as_inflow():
     assert ledger["rain"] == pytest.approx(0, abs=1e-9)
 
 
+def test_rings_are_in_balance_from_the_first_frame_on():
+    """So that a film does not begin with water that roughens as it goes."""
+    run = states(ground(bowl()), config(past=6e-3, rate=mm_per_hour(50.0), fps=5.0), 16)
+    rough = np.array([np.std(s.slopes) for s in run])
+    assert 0.7 < rough[:3].mean() / rough[-6:].mean() < 1.3
+
+
 def test_a_surface_film_calms_the_rings():
     rough, calm = (
         states(ground(bowl()), config(past=2e-3, surface_film=f, rate=mm_per_hour(60)), 2)[-1]
