@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import ndimage
 
+FINE_PASSES = 10  # of smoothing what was filled on coarser cells
 OBJECT_HEIGHT = 0.02  # m above the opened ground: a leg, a pot, a ball, not the ground
 OBJECT_NOISES = 4.0  # times the ground's noise, if that is more
 KERB_WIGGLE = 0.03  # m by which the edge of a kerb as captured is not straight
@@ -27,15 +28,37 @@ GRASS_DEPTH = 0.08  # m: grass is not taken to be higher
 
 
 def inpaint(values, known, passes=60):
-    """Return `values` (ny, nx) with unknown cells filled smoothly from their known neighbours."""
+    """Return `values` (ny, nx) with unknown cells filled smoothly from their known neighbours.
+
+    Wide gaps are filled on coarser cells first; `passes` is how often a gap is smoothed at most.
+    """
     if known.all():
         return values.astype(np.float32)
-    nearest = ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
-    filled = values[tuple(nearest)].astype(np.float32)
+    if passes > FINE_PASSES and min(values.shape) >= 32:
+        coarse = inpaint(*_halved(values, known), passes // 2)
+        filled = np.repeat(np.repeat(coarse, 2, axis=0), 2, axis=1)
+        filled = filled[: values.shape[0], : values.shape[1]]
+        filled = np.where(known, values, filled).astype(np.float32)
+        passes = FINE_PASSES
+    else:
+        nearest = ndimage.distance_transform_edt(
+            ~known, return_distances=False, return_indices=True
+        )
+        filled = values[tuple(nearest)].astype(np.float32)
     for _ in range(passes):
         smooth = ndimage.uniform_filter(filled, 5)
-        filled[~known] = smooth[~known]
+        np.copyto(filled, smooth, where=~known)
     return filled
+
+
+def _halved(values, known):
+    """Return the means of the known values in blocks of 2 x 2 cells, and where there are any."""
+    odd = [(0, n % 2) for n in values.shape]
+    weight = np.pad(known, odd).astype(np.float32)
+    total = np.pad(np.where(known, values, 0).astype(np.float32), odd)
+    shape = (weight.shape[0] // 2, 2, weight.shape[1] // 2, 2)
+    weight, total = (a.reshape(shape).sum(axis=(1, 3)) for a in (weight, total))
+    return total / np.maximum(weight, 1), weight > 0
 
 
 def objects(filled, known, grass, spacing):
