@@ -25,6 +25,7 @@ HALF = np.float32(0.5)
 
 NOT_GROUND = np.float32(0.03)  # m over the bed: what stands higher can be reflected
 EDGE_SHARE = np.float32(0.06)  # of the picture, over which reflections fade to the surroundings
+SAME = np.float32(0.05)  # share of a depth within which two points are taken for one
 MIRROR_FAR = np.float32(100)  # m, stands for the sky's distance
 LEAST_ROUGHNESS = np.float32(0.003)  # rms slope below which a mirror is smooth
 ROUGH_SAMPLES = 7  # one in the middle, six around: the variance of the slopes is kept
@@ -36,7 +37,7 @@ ROUGH_Y = np.append(0, _RADIUS * np.sin(_RING)).astype(np.float32)
 
 @cpu_kernel
 def mirror_light(
-    which, record, ground_from_camera, eye, lens, level, mirror, mirror_depth,
+    which, record, ground_from_camera, eye, lens, level, mirror, mirror_depth, steps, thickness,
     light_out, source_out,
 ):  # fmt: skip
     """Look the mirrored light up in the picture that the mirrored camera took.
@@ -54,6 +55,11 @@ def mirror_light(
         The wet picture that the mirrored camera sees of what stands above the water.
     mirror_depth : ndarray of shape (rows, columns), float32 [m]
         Its depth along the view axis.
+    steps : int
+        Of the march along a bent ray in the mirrored picture; 0: every ray is taken to be as long
+        as that of level water.
+    thickness : float32 [m]
+        How far behind its depth a surface still stops such a ray.
     light_out : ndarray of shape (n, 3), float32
     source_out : ndarray of shape (n,), uint8
         MIRROR or ENVIRONMENT.
@@ -70,7 +76,9 @@ def mirror_light(
         v = lens[1] * column_of(m, 1, vx, vy, vz) * length + lens[3]
         i, j = min(max(int(u), 0), columns - 1), min(max(int(v), 0), rows - 1)
         there = mirror_depth[j, i]
-        distance = max((min(there, MIRROR_FAR) - r[6]) * length, ZERO)
+        # Where the water does not stand at the mirror's level, its virtual image stands off too.
+        start = r[6] + TWO * (level - r[2]) * m[2, 2]
+        distance = max((min(there, MIRROR_FAR) - start) * length, ZERO)
         samples = 1 if rough < LEAST_ROUGHNESS else ROUGH_SAMPLES
         light0, light1, light2 = ZERO, ZERO, ZERO
         for s in range(samples):
@@ -80,6 +88,11 @@ def mirror_light(
             ux, uy, uz = normal_of(sx, sy)
             rx, ry, rz = reflected_upwards(vx, vy, vz, ux, uy, uz)
             hu, hv = in_mirror(m, lens, level, eye, distance, r[0], r[1], r[2], rx, ry, rz)
+            if steps > 0:
+                hu, hv = march_mirror(
+                    m, lens, level, eye, r[0], r[1], r[2], rx, ry, rz, mirror_depth, steps,
+                    thickness,
+                )  # fmt: skip
             c0, c1, c2 = bilinear_color(mirror, hu, hv)
             light0, light1, light2 = light0 + c0, light1 + c1, light2 + c2
         share = ONE / np.float32(samples)
@@ -175,9 +188,17 @@ def traced_light(record, ground_from_camera, lens, trace, light_out, source_out)
     record, ground_from_camera, lens, light_out, source_out
         As in `mirror_light`; the source is TRACED or, where the ray met little, ENVIRONMENT.
     trace : callable
-        trace(origin [m], direction, before [m], pixel) returns radiance (k, 3) and alpha (k,) of
-        rays in the ground frame; `pixel` is the width of a pixel over the distance.
+        trace(origin [m], direction, before [m], pixel) returns radiance (k, 3), alpha (k,) and
+        distance (k,) [m] from the eye of rays in the ground frame; `pixel` is the width of a pixel
+        over the distance.
+
+    Returns
+    -------
+    alpha : ndarray of shape (n,), float32
+    end : ndarray of shape (n, 3), float32 [m]
+        Where the rays of the slopes that the picture resolves end.
     """
+    alpha_of, end = None, None
     smooth = record[:, 12] < LEAST_ROUGHNESS
     for sample in range(ROUGH_SAMPLES):
         which = np.flatnonzero(~smooth) if sample else np.arange(len(record))
@@ -185,13 +206,16 @@ def traced_light(record, ground_from_camera, lens, trace, light_out, source_out)
         before = np.empty(len(which), np.float32)
         mirror_rays(which, record, ground_from_camera, sample, direction, before)
         pixel = record[which, 6] / before / lens[0]
-        light, alpha = trace(record[which, :3], direction, before, pixel)
+        light, alpha, distance = trace(record[which, :3], direction, before, pixel)
         if sample:
             light_out[which] += light
         else:
             light_out[:] = light
+            alpha_of = alpha
+            end = record[:, :3] + (distance - before)[:, None] * direction
             source_out[:] = np.where(alpha > HALF, TRACED, ENVIRONMENT)
     light_out[~smooth] /= ROUGH_SAMPLES
+    return alpha_of, end
 
 
 @cpu_kernel
@@ -231,6 +255,58 @@ def in_mirror(m, lens, level, eye, distance, sx, sy, sz, rx, ry, rz):
     inv = ONE / max(column_of(m, 2, ex, ey, ez), NEAREST)
     u = lens[0] * column_of(m, 0, ex, ey, ez) * inv + lens[2]
     return u, lens[1] * column_of(m, 1, ex, ey, ez) * inv + lens[3]
+
+
+@device_function
+def march_mirror(m, lens, level, eye, sx, sy, sz, rx, ry, rz, depth, steps, thickness):
+    """Return where the mirrored picture shows what a ray r from surface point s meets.
+
+    The ray's virtual image starts at the pixel itself and ends at r's vanishing point; between them
+    1/z is linear in the picture: z = z0 / (1 - t). A ray that passes behind something, where the
+    picture shows nothing of it, ends where it was last in front of all.
+    """
+    vz = TWO * level - sz - eye[2]
+    vx, vy = sx - eye[0], sy - eye[1]
+    z0 = column_of(m, 2, vx, vy, vz)
+    u0 = lens[0] * column_of(m, 0, vx, vy, vz) / z0 + lens[2]
+    v0 = lens[1] * column_of(m, 1, vx, vy, vz) / z0 + lens[3]
+    gain = max(column_of(m, 2, rx, ry, -rz), np.float32(0.02))
+    u1 = lens[0] * column_of(m, 0, rx, ry, -rz) / gain + lens[2]
+    v1 = lens[1] * column_of(m, 1, rx, ry, -rz) / gain + lens[3]
+    rows, columns = depth.shape
+    # What level water would mirror here is often what the bent ray meets, too.
+    i, j = min(max(int(u0), 0), columns - 1), min(max(int(v0), 0), rows - 1)
+    guess = max(ONE - z0 / min(depth[j, i], MIRROR_FAR), ZERO)
+    i = min(max(int(u0 + guess * (u1 - u0)), 0), columns - 1)
+    j = min(max(int(v0 + guess * (v1 - v0)), 0), rows - 1)
+    there = min(depth[j, i], MIRROR_FAR)
+    if abs(there * (ONE - guess) - z0) < SAME * there * (ONE - guess):
+        return u0 + guess * (u1 - u0), v0 + guess * (v1 - v0)
+    before, past, free = z0, ZERO, ZERO
+    inv = ONE / np.float32(steps)
+    for k in range(steps):
+        t = np.float32(k + 1) * inv
+        t *= t  # finer near the water, where what stands in it begins
+        now = z0 / max(ONE - t, np.float32(1e-4))
+        i = min(max(int(u0 + t * (u1 - u0)), 0), columns - 1)
+        j = min(max(int(v0 + t * (v1 - v0)), 0), rows - 1)
+        there = depth[j, i]
+        if now >= there and before <= there + thickness:
+            low, high = past, t
+            for _ in range(3):
+                middle = HALF * (low + high)
+                i = min(max(int(u0 + middle * (u1 - u0)), 0), columns - 1)
+                j = min(max(int(v0 + middle * (v1 - v0)), 0), rows - 1)
+                if z0 / (ONE - middle) >= depth[j, i]:
+                    high = middle
+                else:
+                    low = middle
+            free = high
+            break
+        if now < there:
+            free = t
+        before, past = now, t
+    return u0 + free * (u1 - u0), v0 + free * (v1 - v0)
 
 
 @device_function

@@ -178,24 +178,28 @@ class Renderer:
         timer.mark("grade and wet" if plane is None else "mirror")
         return View(picture, depth, clearance, turn, eye, lens)
 
-    def _mirrored(self, level, window):
+    def _mirrored(self, level, window, share):
         """Return what stands above the water as the camera mirrored at `level` [m] sees it.
 
-        Picture, depth and lens of a `window` (left, top, right, bottom) of its picture.
+        Picture, depth and lens of a `window` (left, top, right, bottom) of its picture, at a
+        `share` of its resolution.
         """
         plane, camera = mirrored_camera(self._camera, self.frame, level)
-        view = self._wet_picture(cropped(camera, window), plane, Timer())
+        camera = cropped(camera, window)
+        if share != 1:
+            camera = camera.resized(round(camera.width * share), round(camera.height * share))
+        view = self._wet_picture(camera, plane, Timer())
         return view.picture, view.depth, view.lens
 
-    def _traced(self, origin, direction, before, pixel):
-        """Return the graded radiance and the alpha that rays meet, see `reflect.traced_light`."""
+    def _traced(self, origin, direction, before, pixel, color_eye=None):
+        """Return the graded radiance, alpha and distance of rays, see `reflect.traced_light`."""
         if self._tracer is None:
             self._tracer = Tracer(self.scene.splats)
         unit, turn = self.frame.meters_per_unit, self.frame.rotation
         clear = np.append(self.frame.up, MIRROR_CLEARANCE / unit)
         found = self._tracer.trace(
             self.frame.to_capture(origin), direction @ turn, before / unit, pixel,
-            FIRST_SEGMENT / unit, clear,
+            FIRST_SEGMENT / unit, clear, color_eye,
         )  # fmt: skip
         light = np.empty_like(found.color)
         shade.grade_rays(
@@ -206,7 +210,7 @@ class Renderer:
             self.terrain.bed, self.ground, self._origin, self._spacing,
             self.gloss, self.day, self.look, self.others, light,
         )  # fmt: skip
-        return light, found.alpha
+        return light, found.alpha, found.distance * np.float32(unit)
 
     def _drops(self, camera, state, timer, camera_end):
         """Return the alpha of streaks and of splash droplets."""

@@ -22,6 +22,8 @@ LEVEL_STEP = 2e-3  # m, of a mirror's level: a slowly filling puddle keeps its m
 WINDOW_STEP = 64  # px, of the part of the picture that is drawn mirrored: whole tiles
 WINDOW_SLOPE = 0.08  # tilt of the water up to which a ripple finds its image in that part
 REFLECTION_THICKNESS = 0.15  # m
+MIRROR_STEPS, MIRROR_THICKNESS = 8, 0.1  # m, see docs/light.md
+REFLECTION_STRIDE = 1 / 960  # of the width
 REFLECTION_LENGTH = 12.0  # m
 GLINT_VARIANCE = 3e-4  # of slopes that neither the picture nor the ripples hold: a breath of air
 
@@ -74,6 +76,16 @@ class WaterView:
         Where that was found: a code of `reflect`.
     coverage : ndarray of shape (height, width), float32
         Share of each pixel that is water.
+    thickness : float [m]
+        How far behind its depth a surface still stops a marched ray.
+    stride : float
+        Step of the march over the picture's width; at least a pixel.
+    mirror_share : float
+        Resolution of the mirrored pictures over the picture's.
+    mirror_steps : int
+        Steps of the march of a bent ray in a mirrored picture.
+    mirror_thickness : float [m]
+        As `thickness`, there.
     """
 
     def __init__(self, terrain, exposure, config):
@@ -82,6 +94,9 @@ class WaterView:
         self._mirroring = terrain.mirrors
         self._origin = np.array(terrain.grid.origin, np.float32)
         self._spacing = np.float32(terrain.grid.spacing)
+        self.thickness, self.stride = REFLECTION_THICKNESS, REFLECTION_STRIDE
+        self.mirror_share, self.mirror_steps = 1.0, MIRROR_STEPS
+        self.mirror_thickness = MIRROR_THICKNESS
         self._depth = None  # of the water that the kept surface belongs to
         self.view = None
 
@@ -100,8 +115,9 @@ class WaterView:
         ----------
         state : SimState
         draw_mirrored : callable
-            draw_mirrored(level, window) returns the wet picture, depth and lens of the camera
-            mirrored at a level [m], of a window (left, top, right, bottom) [px] of its picture.
+            draw_mirrored(level, window, share) returns the wet picture, depth and lens of the
+            camera mirrored at a level [m], of a window (left, top, right, bottom) [px] of its
+            picture, at a share of its resolution.
         trace : callable
             As `reflect.traced_light` takes it.
         environment : ndarray of shape (rows, columns, 3), float32
@@ -130,12 +146,8 @@ class WaterView:
         if len(self.pixel):
             levels = ripple_levels(state.slopes)
             optics.tilt_water(self.record, *levels, rms_slopes(levels), np.float32(state.tile_size))
-            if self.config.reflections == "traced":
-                v = self.view
-                reflect.traced_light(self.record, v.turn, v.lens, trace, self.light, self.source)
-                timer.mark("reflection")
-            else:
-                self._reflect(draw_mirrored, environment, timer)
+            name = self.config.reflections
+            self.light_up(name, draw_mirrored, trace, environment, timer)
             optics.lay_water(
                 self.pixel, self.record, self.light, self.view.picture, self.view.depth,
                 self.view.turn, self.view.lens, *self.laws(), sun, self._shown,
@@ -190,38 +202,48 @@ class WaterView:
                 hit, self.coverage, np.cumsum(count) - count, turn, v.turn, v.eye, v.lens,
                 self.deep, self.exposure, self._origin, self._spacing, self.pixel, self.record,
             )  # fmt: skip
-        self._groups = None
+        self._groups = {}  # how each method shares the pixels out
 
-    def _reflect(self, draw_mirrored, environment, timer):
-        """Fill in the mirrored light of every record."""
-        name = self.config.reflections
-        if self._groups is None:
-            self._groups = group_levels(self.record[:, 2], name)
+    def light_up(self, name, draw_mirrored, trace, environment, timer):
+        """Fill in the mirrored light of every record by the method `name`; the rest as in `draw`.
+
+        Returns what `reflect.traced_light` does if that is the method.
+        """
+        v = self.view
+        if name == "traced":
+            found = reflect.traced_light(
+                self.record, v.turn, v.lens, trace, self.light, self.source
+            )  # fmt: skip
+            timer.mark("reflection")
+            return found
+        if name not in self._groups:
+            self._groups[name] = group_levels(self.record[:, 2], name)
             self._window = self._mirror_window()
-        mirrors, rest = self._groups
+        mirrors, rest = self._groups[name]
         kept, self._mirrors = self._mirrors, {}
         for level, _ in mirrors:
-            key = (level, *self._window)
-            self._mirrors[key] = kept[key] if key in kept else draw_mirrored(level, self._window)
+            key = (level, self._window, self.mirror_share)
+            self._mirrors[key] = kept[key] if key in kept else draw_mirrored(*key)
         timer.mark("mirror")
-        v = self.view
         for level, which in mirrors:
-            picture, depth, lens = self._mirrors[level, *self._window]
+            picture, depth, lens = self._mirrors[level, self._window, self.mirror_share]
             reflect.mirror_light(
                 which, self.record, v.turn, v.eye, lens, np.float32(level), picture, depth,
+                self.mirror_steps, np.float32(self.mirror_thickness),
                 self.light, self.source,
             )  # fmt: skip
         if len(rest):
-            self._march(rest, environment)
+            self._march(rest, name == "paper", environment)
         timer.mark("reflection")
+        return None
 
-    def _march(self, which, environment):
-        v, paper = self.view, self.config.reflections == "paper"
+    def _march(self, which, paper, environment):
+        v = self.view
         if self._tall is None:
             self._tall = np.empty_like(v.depth)
             reflect.keep_tall(v.depth, v.clearance, self._tall)
-        thickness = paperwater.EPSILON if paper else REFLECTION_THICKNESS
-        stride = max(1.0, v.depth.shape[1] / 960)
+        thickness = paperwater.EPSILON if paper else self.thickness
+        stride = max(1.0, self.stride * v.depth.shape[1])
         settings = np.array([thickness, stride, REFLECTION_LENGTH], np.float32)
         (paperwater.paper_light if paper else reflect.march_light)(
             which, self.record, v.picture, self._tall, v.turn, v.eye, v.lens, environment,
@@ -229,7 +251,10 @@ class WaterView:
         )  # fmt: skip
 
     def _mirror_window(self):
-        """Return left, top, right and bottom of the part of the picture that water mirrors [px]."""
+        """Return left, top, right and bottom of what water mirrors [px].
+
+        It reaches beyond the picture where ripples look there.
+        """
         height, width = self.view.depth.shape
         if not len(self.pixel):
             return 0, 0, width, height
@@ -237,10 +262,10 @@ class WaterView:
         across, down = (2 * WINDOW_SLOPE * float(f) for f in self.view.lens[:2])
         step = WINDOW_STEP
         return (
-            max(int((columns.min() - across) // step * step), 0),
-            max(int((rows.min() - down) // step * step), 0),
-            min(int(-(-(columns.max() + 1 + across) // step) * step), width),
-            min(int(-(-(rows.max() + 1 + down) // step) * step), height),
+            int((columns.min() - across) // step * step),
+            int((rows.min() - down) // step * step),
+            int(-(-(columns.max() + 1 + across) // step) * step),
+            int(-(-(rows.max() + 1 + down) // step) * step),
         )
 
 

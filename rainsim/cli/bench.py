@@ -137,3 +137,18 @@ def splat(**given):
         rainsim bench splat --json splat.json --chart splat.png
     """
     _run("splat", **given)
+
+
+@bench.command()
+@_options
+def look(**given):
+    """Compare reflections with rays traced through the splats, and the rest of water's optics.
+
+    Prints accuracy, time and memory of each way to find what water mirrors, why the camera does
+    not see what the other pixels mirror, and how far the paper's choices are from the defaults.
+
+    \b
+    Example:
+        rainsim bench look --json look.json --chart look.png
+    """
+    _run("look", **given)

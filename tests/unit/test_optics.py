@@ -74,7 +74,7 @@ def water(depth_of_water, picture=None, depth=None, clearance=None, slopes=0.0, 
     if mirror is not None:
         reflect.mirror_light(
             np.arange(n), record, TURN, EYE, LENS, np.float32(level), mirror, mirror_depth,
-            light, source,
+            8, np.float32(0.1), light, source,
         )  # fmt: skip
     else:
         tall = np.full_like(depth, np.nan)
@@ -138,6 +138,35 @@ def test_mirrors_the_sky_by_fresnel_where_the_floor_is_black():
     expected = 2.0 * np.vectorize(fresnel)(np.clip(-unit[..., 2], 0.02, 1))
     inside = coverage > 0.999
     np.testing.assert_allclose(out[..., 1][inside], expected[inside], rtol=1e-4)
+
+
+def test_a_white_furnace_stays_white_or_darker():
+    """Light of 1 from everywhere, bed and sky: water gives back at most 1, clear water nearly 1."""
+    white = np.ones((16, 32, 3), np.float32)
+    bed = np.ones((HEIGHT, WIDTH, 3), np.float32)
+    for slopes in (0.0, 0.05, (0.2, -0.1)):
+        for schlick in (False, True):
+            out, coverage = water(0.003, bed, environment=white, slopes=slopes, schlick=schlick)
+            assert out.max() <= 1 + 1e-5
+            assert out[coverage > 0.99].min() > 0.9  # 3 mm of water absorb little
+    clear, _ = water(0.003, bed, environment=white, shift=True)
+    np.testing.assert_allclose(clear, 1, atol=1e-5)
+    deep, coverage = water(0.5, bed, environment=white)
+    assert deep[coverage > 0.99].mean() < 0.5
+
+
+def test_water_absorbs_by_beer_and_lambert():
+    bed = np.ones((HEIGHT, WIDTH, 3), np.float32)
+    cosine = -(rays() / np.linalg.norm(rays(), axis=-1, keepdims=True))[..., 2]
+    through = 1 - np.vectorize(fresnel)(np.clip(cosine, 0.02, 1))
+    for deep in (0.01, 0.05, 0.2):
+        out, coverage = water(deep, bed)
+        path = deep * (1 + 1 / np.sqrt(1 - (1 - cosine**2) / 1.333**2))
+        inside = coverage > 0.999
+        assert inside.sum() > 2000
+        for channel, absorb in enumerate((5.0, 5.5, 7.0)):
+            expected = through * np.exp(-absorb * path)
+            np.testing.assert_allclose(out[..., channel][inside], expected[inside], rtol=1e-4)
 
 
 def test_mirrors_a_wall_that_the_picture_shows():
