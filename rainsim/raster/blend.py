@@ -17,7 +17,7 @@ ROW = TILE // SIDE  # blocks across a tile
 BLOCKS = ROW * ROW
 BATCH = 128  # entries that are dealt to the blocks before these blend
 LIST = BATCH + LANES  # places of a block's list: sixteen are written at a time
-AHEAD = 12  # entries by which records are fetched before they are read
+AHEAD = 24  # entries by which records are fetched before they are read
 
 TRANSMITTANCE_STOP = np.float32(1e-4)  # what is behind cannot change an 8-bit image
 MIN_COVERAGE = np.float32(0.02)  # alpha below which a pixel has no depth
