@@ -33,7 +33,7 @@ FRAMES = {False: 2, True: 1}  # compared with the truth
 EXTENT = {False: None, True: 3.0}  # m
 ORBIT = 240  # cameras of a full circle: a slow walk
 TRUTH_SCALE = 2
-TRUTH_WIDTH = 700  # px, up to which errors are measured: the truth's traced rays take long
+TRUTH_WIDTH = 700  # px, up to which all levels are measured: the truth's traced rays take long
 # What each level changes of the preset, and the share of the width that it is drawn at.
 LEVELS = {
     "as set": ({}, 1.0),
@@ -71,8 +71,8 @@ def run(quick=False, tell=None):
         scene = load_scene(name)
         for width in WIDTHS[quick]:
             for motion in ("still", "moving"):
-                rows += measure(scene, width, motion, quick)
-                for row in rows[-len(LEVELS) :]:
+                for row in measure(scene, width, motion, quick):
+                    rows.append(row)
                     tell(_line(row))
     machine = {
         "cpu": platform.processor() or platform.machine(), "cores": os.cpu_count(),
@@ -83,7 +83,10 @@ def run(quick=False, tell=None):
 
 
 def measure(scene, width, motion, quick=False):
-    """Return a row of times and error for each level, one scene, width and motion."""
+    """Return a row of times and error for each level, one scene, width and motion.
+
+    Wider pictures than TRUTH_WIDTH are only timed, as they are set.
+    """
     count, rounds = FRAMES[quick], ROUNDS[quick]
     config = Config.from_preset(PRESET).replace(
         width=width, frames=count, spacing=SPACING[quick], extent=EXTENT[quick]
@@ -110,12 +113,13 @@ def measure(scene, width, motion, quick=False):
         sized = [camera.resized(*size) for camera in cameras]
         return Renderer(scene, ground, settings, sized[0]), states, sized
 
-    levels = {name: renderer(*level) for name, level in LEVELS.items()}
+    small = width <= TRUTH_WIDTH
+    levels = {n: renderer(*level) for n, level in LEVELS.items() if small or n == "as set"}
     for own, states, sized in levels.values():
         own.draw(sized[-1], states[0])  # compiles, and sees a camera that is not timed
         if motion == "still":
             own.draw(sized[0], states[0])
-    best, best_states, large = renderer(TRUTH, TRUTH_SCALE if width <= TRUTH_WIDTH else 0.1)
+    best, best_states, large = renderer(TRUTH, TRUTH_SCALE) if small else (None, None, None)
     times = {name: [] for name in levels}
     errors = {name: [] for name in levels}
     for n in range(count * rounds):
@@ -127,7 +131,7 @@ def measure(scene, width, motion, quick=False):
             picture, report = own.draw(sized[at], states[k])
             report.milliseconds["frame"] = (time.perf_counter() - start) * 1e3
             times[name].append(report.milliseconds)
-            if n < count and width <= TRUTH_WIDTH:
+            if n < count and small:
                 if truth is None:
                     truth = _shrunk(best.draw(large[at], best_states[k])[0])
                 errors[name].append(_error(picture, truth))
@@ -194,12 +198,13 @@ def table(result):
     for stage in dict.fromkeys(s for row in own for s in row["milliseconds"]):
         cells = [f"{row['milliseconds'].get(stage, 0.0):.0f}" for row in own]
         lines.append(f"| {stage} | " + " | ".join(cells) + " |")
-    lines += ["", "| ms / dB | " + " | ".join(heads) + " |", "|---" * (len(own) + 1) + "|"]
+    heads = [h for h, row in zip(heads, own, strict=True) if row["rmse"] is not None]
+    lines += ["", "| ms / dB | " + " | ".join(heads) + " |", "|---" * (len(heads) + 1) + "|"]
     for level in LEVELS:
         cells = [
             f"{row['milliseconds']['frame']:.0f} / {_decibel(row['rmse'])}"
             for row in rows
-            if row["level"] == level
+            if row["level"] == level and row["rmse"] is not None
         ]
         lines.append(f"| {level} | " + " | ".join(cells) + " |")
     load = ", ".join(f"{x:.1f}" for x in result["machine"]["load"])

@@ -20,6 +20,21 @@ def test_shrinking_averages_light_not_display_values():
     assert frame._shrunk(picture).shape == (2, 2, 3)
 
 
+def test_table_has_a_column_for_each_size_and_errors_where_measured():
+    def row(width, level, rmse):
+        return {
+            "scene": "bicycle", "width": width, "height": 432, "motion": "still", "level": level,
+            "milliseconds": {"water": 3.0, "frame": 50.0}, "least_ms": 40.0, "rmse": rmse,
+        }  # fmt: skip
+
+    rows = [row(648, level, 0.01) for level in frame.LEVELS] + [row(1296, "as set", None)]
+    machine = {"load": (1.0, 1.0, 1.0), "peak_mib": 500.0, "threads": 2}
+    text = frame.table({"rows": rows, "machine": machine}).splitlines()
+    assert text[0] == "| ms | bicycle 648 x 432 still | bicycle 1296 x 432 still |"
+    assert "| water | 3 | 3 |" in text and "| as set | 50 / 40.0 |" in text
+    assert sum(line.endswith("50 / 40.0 |") for line in text) == len(frame.LEVELS)
+
+
 @pytest.mark.slow
 def test_a_quick_run_measures_every_level(tmp_path):
     result = frame.run(quick=True)
