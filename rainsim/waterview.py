@@ -24,7 +24,7 @@ WINDOW_SLOPE = 0.08  # tilt of the water up to which a ripple finds its image in
 REFLECTION_THICKNESS = 0.15  # m
 MIRROR_STEPS, MIRROR_THICKNESS = 8, 0.1  # m, see docs/light.md
 REFLECTION_STRIDE = 1 / 960  # of the width
-REFLECTION_LENGTH = 12.0  # m
+REFLECTION_LENGTH = 100.0  # m: facades across a street; the march ends at the edge anyway
 GLINT_VARIANCE = 3e-4  # of slopes that neither the picture nor the ripples hold: a breath of air
 
 
