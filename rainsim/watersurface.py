@@ -66,7 +66,8 @@ def water_surface(terrain, depth, relief, mirrors):
     far = _far_surface(terrain.bed, depth, smooth)
     if far is None:
         return terrain.bed, np.zeros_like(terrain.bed)
-    _continue(terrain.bed, depth, smooth, relief, WIDE, NARROW, far, surface, over)
+    lift = relief + np.float32(GRASS_HEIGHT) * ~mirrors  # depth counts from the tips of the grass
+    _continue(terrain.bed, depth, smooth, lift, WIDE, NARROW, far, surface, over)
     return surface, over
 
 

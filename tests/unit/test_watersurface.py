@@ -1,0 +1,47 @@
+"""The drawn water surface: level over pools, soft at the rim, over grass from its tips on."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from rainsim.watersurface import GRASS_HEIGHT, water_surface
+
+SHAPE = (60, 60)
+
+
+def bowl():
+    """A bowl 4 cm deep in its middle, in metres."""
+    y, x = np.mgrid[0:60, 0:60] - 29.5
+    return (0.04 * (x * x + y * y) / 30**2).astype(np.float32)
+
+
+def drawn(depth, mirrors=True, bed=None):
+    bed = bowl() if bed is None else bed
+    mirrors = np.broadcast_to(np.asarray(mirrors), SHAPE).copy()
+    none = np.zeros(SHAPE, np.float32)
+    return water_surface(SimpleNamespace(bed=bed), depth.astype(np.float32), none, mirrors)
+
+
+def test_a_pool_is_level_and_falls_to_nothing_at_its_rim():
+    bed = bowl()
+    depth = np.maximum(0.02 - bed, 0)
+    surface, over = drawn(depth)
+    np.testing.assert_allclose(surface[depth > 0], 0.02, atol=1e-4)
+    np.testing.assert_allclose(over[depth > 0.003], depth[depth > 0.003], atol=5e-4)
+    assert not over[depth == 0].max() > 1e-3 and over.max() > 0.015
+    assert np.abs(np.diff(over, axis=0)).max() < 2e-3  # no step at the rim
+    dry, none = drawn(np.zeros(SHAPE))
+    assert not none.any() and np.isfinite(dry).all()
+
+
+def test_a_lawn_is_covered_from_its_tips_on_without_a_step():
+    """Water 6 cm deep stands 1 cm over grass of 5 cm; at 5 cm it is just not seen."""
+    flat = np.zeros(SHAPE, np.float32)
+    lawn = np.zeros(SHAPE, bool)
+    values = [drawn(flat + d, lawn, flat)[1][30, 30] for d in (0.049, 0.0501, 0.052, 0.06)]
+    assert values[0] == 0
+    assert values[1] == pytest.approx(0.0501 - GRASS_HEIGHT, abs=1e-5)
+    assert values[3] == pytest.approx(0.01, abs=1e-5)
+    paved = drawn(flat + 0.049, True, flat)[1][30, 30]
+    assert paved == pytest.approx(0.049, abs=1e-5)
