@@ -25,7 +25,7 @@ from rainsim.cubes import (
     slab_tasks,
 )
 from rainsim.errors import ParameterError, require_finite, require_not_negative
-from rainsim.jit import cpu_kernel, device_function, prange
+from rainsim.jit import cpu_kernel, device_function, inlined_function, prange
 from rainsim.random import poisson_tables, uniform_triple
 from rainsim.spectrum import CLASSES, RainSpectrum, drop_volume
 from rainsim.surfaces import (
@@ -312,6 +312,77 @@ def _fill_box(
         needed_out[t] = found
 
 
+@inlined_function
+def cubes_swept(b, i, j, start, stop, velocity, cube, frame, low, high, x0, y0, spacing):
+    """Return which cubes (i, j, k) of class b may hold drops that end in [start, stop).
+
+    As the first and last k, none if the last is less, and the lowest and highest that such a drop
+    would be at time 0 [m].
+    """
+    side, block, duration = cube[b], spacing * BLOCK, stop - start
+    vx, vy, vz = velocity[b, 0], velocity[b, 1], velocity[b, 2]
+    west = i * side + frame[b, 0] + vx * start + min(vx * duration, 0.0) - x0
+    east = west + side + abs(vx) * duration
+    south = j * side + frame[b, 1] + vy * start + min(vy * duration, 0.0) - y0
+    north = south + side + abs(vy) * duration
+    z_low, z_high = _heights_within(
+        west / block, east / block, south / block, north / block, low, high
+    )
+    if z_low > z_high:
+        return 0, -1, z_low, z_high
+    lowest, highest = z_low - vz * start, z_high - vz * stop
+    return int(np.floor(lowest / side)), int(np.floor(highest / side)), lowest, highest
+
+
+@inlined_function
+def landing(
+    word, b, i, j, k, start, stop, lowest, highest, changes, velocity, cube, share, frame,
+    low, high, x0, y0, spacing, sky, ground, underside, top, block_high,
+):  # fmt: skip
+    """Return when and where the drop `word` of cube (i, j, k) of class b ends, if in [start, stop).
+
+    Returns
+    -------
+    time : float64 [s]
+        Infinite, or not in the interval, if it does not.
+    kind, row, column : int
+        As `surfaces.first_hit` has them.
+    x, y, z : float64 [m]
+    """
+    side, block, duration = cube[b], spacing * BLOCK, stop - start
+    vx, vy, vz = velocity[b, 0], velocity[b, 1], velocity[b, 2]
+    ux, uy, uz = uniform_triple(word)
+    # At time 0, had the wind always been the one of now.
+    x, y = (i + ux) * side + frame[b, 0], (j + uy) * side + frame[b, 1]
+    z = (k + uz) * side
+    if z > highest or z < lowest:
+        return np.inf, -1, 0, 0, x, y, z
+    if max(abs(vx), abs(vy)) * duration < block:  # it stays within the next block
+        m = min(max(int((y + vy * start - y0) / block), 0), low.shape[0] - 1)
+        c = min(max(int((x + vx * start - x0) / block), 0), low.shape[1] - 1)
+        if z + vz * stop > high[m, c] or z + vz * start < low[m, c]:
+            return np.inf, -1, 0, 0, x, y, z
+    if changes and left_out(word, b, z, vz, share, frame):
+        return np.inf, -1, 0, 0, x, y, z
+    # Most meet nothing now: only those that do are followed from the sky.
+    if stopped_at(
+        x + vx * start, y + vy * start, z + vz * start, x0, y0, spacing, ground, underside, top
+    ):
+        return np.inf, -1, 0, 0, x, y, z
+    time, kind, row, column = first_hit(
+        x, y, z, vx, vy, vz, start - _MARGIN, stop + _MARGIN,
+        x0, y0, spacing, sky, ground, underside, top, block_high,
+    )  # fmt: skip
+    if kind < 0:
+        return np.inf, -1, 0, 0, x, y, z
+    if z + vz * (start - _MARGIN) < sky:  # it may have ended before
+        time, kind, row, column = first_hit(
+            x, y, z, vx, vy, vz, -np.inf, stop + _MARGIN,
+            x0, y0, spacing, sky, ground, underside, top, block_high,
+        )  # fmt: skip
+    return time, kind, row, column, x + vx * time, y + vy * time, z + vz * time
+
+
 @cpu_kernel
 def _fill_impacts(
     tasks, first, last, start, stop, velocity, cube, class_key, count, size, share, frame,
@@ -320,67 +391,27 @@ def _fill_impacts(
 ):  # fmt: skip
     """List the drops of each slab of cubes that end in [start, stop)."""
     changes = share.shape[1] > 1
-    duration = stop - start
-    block = spacing * BLOCK
-    last_row, last_column = low.shape[0] - 1, low.shape[1] - 1
     for t in prange(tasks.shape[0]):
         b, i = tasks[t]
-        side, found = cube[b], 0
-        vx, vy, vz = velocity[b]
-        near = max(abs(vx), abs(vy)) * duration < block  # it stays within the next block
-        # what the slab sweeps
-        west = i * side + frame[b, 0] + vx * start + min(vx * duration, 0.0) - x0
-        east = west + side + abs(vx) * duration
+        found = 0
         for j in range(first[b, 1], last[b, 1] + 1):
-            south = j * side + frame[b, 1] + vy * start + min(vy * duration, 0.0) - y0
-            north = south + side + abs(vy) * duration
-            z_low, z_high = _heights_within(
-                west / block, east / block, south / block, north / block, low, high
+            k_first, k_last, lowest, highest = cubes_swept(
+                b, i, j, start, stop, velocity, cube, frame, low, high, x0, y0, spacing
             )
-            if z_low > z_high:
-                continue
-            lowest, highest = z_low - vz * start, z_high - vz * stop  # of the drops at time 0
-            k_first, k_last = int(np.floor(lowest / side)), int(np.floor(highest / side))
             for k in range(k_first, k_last + 1):
                 key = cube_key(class_key[b], i, j, k)
                 for n in range(drops_in_cube(key, b, count)):
                     word = drop_id(key, n)
-                    ux, uy, uz = uniform_triple(word)
-                    z = (k + uz) * side
-                    if z > highest or z < lowest:
-                        continue
-                    # At time 0, had the wind always been the one of now.
-                    x, y = (i + ux) * side + frame[b, 0], (j + uy) * side + frame[b, 1]
-                    if near:
-                        m = min(max(int((y + vy * start - y0) / block), 0), last_row)
-                        c = min(max(int((x + vx * start - x0) / block), 0), last_column)
-                        if z + vz * stop > high[m, c] or z + vz * start < low[m, c]:
-                            continue
-                    if changes and left_out(word, b, z, vz, share, frame):
-                        continue
-                    # Most meet nothing now: only those that do are followed from the sky.
-                    if stopped_at(
-                        x + vx * start, y + vy * start, z + vz * start,
-                        x0, y0, spacing, ground, underside, top,
-                    ):  # fmt: skip
-                        continue
-                    time, kind, row, column = first_hit(
-                        x, y, z, vx, vy, vz, start - _MARGIN, stop + _MARGIN,
-                        x0, y0, spacing, sky, ground, underside, top, block_high,
+                    time, kind, row, column, x, y, z = landing(
+                        word, b, i, j, k, start, stop, lowest, highest, changes, velocity, cube,
+                        share, frame, low, high, x0, y0, spacing, sky, ground, underside, top,
+                        block_high,
                     )  # fmt: skip
-                    if kind < 0:
-                        continue
-                    if z + vz * (start - _MARGIN) < sky:  # it may have ended before
-                        time, kind, row, column = first_hit(
-                            x, y, z, vx, vy, vz, -np.inf, stop + _MARGIN,
-                            x0, y0, spacing, sky, ground, underside, top, block_high,
-                        )  # fmt: skip
                     if start <= time < stop:
                         if offset[t] + found < offset[t + 1]:
                             out = offset[t] + found
-                            values_out[out, 0] = x + vx * time
-                            values_out[out, 1] = y + vy * time
-                            values_out[out, 2] = z + vz * time
+                            values_out[out, 0], values_out[out, 1] = x, y
+                            values_out[out, 2] = z
                             values_out[out, 3] = drop_diameter(word, b, size)
                             values_out[out, 4] = time
                             labels_out[out, 0], labels_out[out, 1] = b, kind

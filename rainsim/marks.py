@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from rainsim.jit import device_function
+from rainsim.jit import device_function, inlined_function
 from rainsim.surfaces import BLOCK
 
 FAINTEST = 3e-3  # share of light: half of it falls to each of two pixels, and at a contrast of 0.4
@@ -138,7 +138,7 @@ def _draw_thin(
     stop = int(min(np.floor(s1) + _ONE, np.float32(s_count - 1))) + 1
     highest = np.float32(t_count)
     bold = inner >= _FAINT
-    for s in range(start, stop):
+    for s in range(start + lane(), stop, lanes()):
         centre = np.float32(s)
         amount, passed = inner, centre - s0
         if centre < s0 + _ONE or centre > s1 - _ONE:
@@ -152,10 +152,10 @@ def _draw_thin(
         z = z0 + recede * passed
         at = s * s_stride + t * t_stride
         if t >= 0 and (clear or z < depth[at]):
-            picture[at] = _added(picture[at], amount * (_ONE - right), bold)
+            add(picture, at, amount * (_ONE - right), bold)
         at += t_stride
         if t + 1 < t_count and (clear or z < depth[at]):
-            picture[at] = _added(picture[at], amount * right, bold)
+            add(picture, at, amount * right, bold)
 
 
 @device_function
@@ -180,12 +180,12 @@ def _draw_disc(u0, v0, z0, u1, v1, z1, radius, alpha, width, height, depth, clea
     if abs(dv) * length > _ONE:
         slope, half = du / dv, reach / abs(dv)
     total = _ZERO
-    for row in range(top, bottom + 1):
+    for row in range(top + lane(), bottom + 1, lanes()):
         first, last = _stretch(row, u0, v0, slope, half, left, right)
         for column in range(first, last + 1):
             total += _cover(row, column, u0, v0, du, dv, length, radius)
-    scale = alpha / max(total, _SHORTEST)
-    for row in range(max(top, 0), min(bottom, height - 1) + 1):
+    scale = alpha / max(over_lanes(total), _SHORTEST)
+    for row in range(max(top, 0) + lane(), min(bottom, height - 1) + 1, lanes()):
         first, last = _stretch(row, u0, v0, slope, half, left, right)
         for column in range(max(first, 0), min(last, width - 1) + 1):
             amount = scale * _cover(row, column, u0, v0, du, dv, length, radius)
@@ -194,7 +194,7 @@ def _draw_disc(u0, v0, z0, u1, v1, z1, radius, alpha, width, height, depth, clea
                 part = min(max((u * du + v * dv) / max(length, _SHORTEST), _ZERO), _ONE)
                 at = column * height + row
                 if clear or z0 + (z1 - z0) * part < depth[at]:
-                    picture[at] = _added(picture[at], amount, amount >= _FAINT)
+                    add(picture, at, amount, amount >= _FAINT)
 
 
 @device_function
@@ -228,8 +228,32 @@ def _cover(row, column, u0, v0, du, dv, length, radius):
     return covered
 
 
+@inlined_function
+def add(picture, at, alpha, bold):
+    """Add one drop's alpha to a pixel's optical depth."""
+    picture[at] = added(picture[at], alpha, bold)
+
+
 @device_function
-def _added(units, alpha, bold):
+def lane():
+    """Return which share of a mark is to be drawn: all, unless threads work on it together."""
+    return 0
+
+
+@device_function
+def lanes():
+    """Return among how many threads a mark is shared."""
+    return 1
+
+
+@device_function
+def over_lanes(part):
+    """Return the sum of a number over the threads that share a mark."""
+    return part
+
+
+@device_function
+def added(units, alpha, bold):
     """Return a pixel's optical depth with one drop's alpha added; not `bold`: it is faint."""
     if bold:
         optical = -np.log(_ONE - min(alpha, _OPAQUE)) * _SCALE
@@ -237,6 +261,16 @@ def _added(units, alpha, bold):
     # too little to reach the ceiling, however many there are
     optical = alpha * (_SCALE + alpha * (_HALF_SCALE + alpha * _THIRD_SCALE))
     return units + np.int32(optical + _HALF)
+
+
+@device_function
+def alpha_of(total):
+    """Return the alpha of a pixel's summed optical depth."""
+    optical = np.float32(min(total, np.int64(_CEILING))) * _PER_UNIT
+    alpha = optical * (_ONE - optical * (_HALF - optical * _SIXTH))
+    if optical >= _FAINT:
+        alpha = -np.expm1(-optical)
+    return alpha
 
 
 @device_function
@@ -269,8 +303,4 @@ def resolve_band(band, picture, alpha_out):
             for worker in range(1, workers):
                 total += picture[worker, at + row]
                 picture[worker, at + row] = 0
-            optical = np.float32(min(total, np.int64(_CEILING))) * _PER_UNIT
-            alpha = optical * (_ONE - optical * (_HALF - optical * _SIXTH))
-            if optical >= _FAINT:
-                alpha = -np.expm1(-optical)
-            alpha_out[row, column] = alpha
+            alpha_out[row, column] = alpha_of(total)

@@ -128,6 +128,7 @@ def class_speeds():
     return _moments(_volume_flux, decay, edges) / _moments(drop_volume, decay, edges)
 
 
+@device_function
 def drop_volume(diameter):
     """Volume of a drop [m3] of the given equivalent `diameter` [m]."""
     return math.pi / 6 * diameter**3

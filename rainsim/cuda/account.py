@@ -14,12 +14,15 @@ import numpy as np
 
 from rainsim.cuda.jit import SIMULATED, cuda, cuda_kernel
 from rainsim.cuda.scalars import bits_of, float_of
+from rainsim.cuda.warp import most
 from rainsim.grid.conserving import PAD, ZERO
 from rainsim.grid.conserving_flow import MAX_STEP, ROUNDING_ROOM
 from rainsim.grid.solver import QUIET_FALL, SOURCE_PERIOD
 from rainsim.grid.sources import soaked
 
 THREADS = 32 if SIMULATED else 128  # of a block of `step`: columns
+STRIPE = 8  # cells that a thread of `refresh` looks at
+CLOSERS = 32 if SIMULATED else 512  # threads of `close`
 # Threads of a block of the kernels that treat each cell alone.
 SIDE, HEIGHT, SQUARE = (8, 4, 32) if SIMULATED else (32, 8, 256)
 
@@ -122,7 +125,7 @@ def raised(state, which):
 
 @cuda_kernel
 def take_in(
-    state, now, waiting, storage, ny, nx, dry, h_out, damp_out, film_out, partial_out
+    state, now, waiting, storage, ny, nx, dry, w_out, damp_out, film_out, partial_out
 ):  # fmt: skip
     """Give the waiting drops to the film and the water of their cells.
 
@@ -130,14 +133,15 @@ def take_in(
     ----------
     state, now
         See the module's constants.
-    waiting : device array of shape (ny * nx,), int64
+    waiting : device array of shape (cells,), int64
         Depth of drops, in UNIT; blanked.
-    storage : device array of shape (ny * nx,), float32 [m]
+    storage : device array of shape (cells,), float32 [m]
     ny, nx : int
-        Cells with their ghosts.
+        Cells with their ghosts; there are (ny + 1) * (nx + 1) in a map.
     dry : float [m]
-    h_out : device array of shape (2 * ny * nx,), float32 [m]
-    damp_out, film_out : device array of shape (ny * nx,), float32 [m]
+    w_out : device array of shape (2 * 3 * cells,), float32
+        Both copies of depth [m] and face velocities [m/s].
+    damp_out, film_out : device array of shape (cells,), float32 [m]
     partial_out : device array of shape (PARTIAL, blocks), float64
     """
     if now[ADDED] == 0.0:
@@ -147,18 +151,18 @@ def take_in(
     j = cuda.blockIdx.y * HEIGHT + cuda.threadIdx.y + PAD
     drops = 0.0
     if i < nx - PAD and j < ny - PAD:
-        at = j * nx + i
-        base = state[PARITY] * ny * nx
+        at = j * (nx + 1) + i
+        here = state[PARITY] * 3 * (ny + 1) * (nx + 1) + at
         drops = np.float64(waiting[at])
         waiting[at] = 0
-        free = np.float64(damp_out[at] + np.float32(drops * UNIT)) + np.float64(h_out[base + at])
+        free = np.float64(damp_out[at] + np.float32(drops * UNIT)) + np.float64(w_out[here])
         film = np.float64(film_out[at])
         _, _, held = soaked(free, film, 0.0, np.float64(storage[at]))
         film_out[at] = film + held
         free -= np.float64(film_out[at]) - film
         value = np.float32(free) if free >= dry else ZERO
         damp_out[at] = free - np.float64(value)
-        h_out[base + at] = value
+        w_out[here] = value
     block = cuda.blockIdx.y * cuda.gridDim.x + cuda.blockIdx.x
     lane = cuda.threadIdx.y * SIDE + cuda.threadIdx.x
     drops = block_sum(room, lane, drops)
@@ -166,17 +170,25 @@ def take_in(
         partial_out[P_DROPPED, block] += drops
 
 
+@cuda.jit(device=True)
+def _fall(here, level, there, bed_there):
+    """Return how far water may fall between two cells [m]."""
+    drop = level - (bed_there + there)
+    fall = drop if here > ZERO else ZERO
+    return max(fall, -drop) if there > ZERO else fall
+
+
 @cuda_kernel
-def refresh(control, state, now, numbers, h, u, v, bed, ny, nx):
+def refresh(control, state, now, numbers, w, bed, ny, nx):
     """Begin a frame: measure what the first step and the cap follow, and plan that step.
 
     Parameters
     ----------
     control, state, now, numbers
         See the module's constants; the first two are modified.
-    h, u, v : device arrays, float32
+    w : device array of shape (2 * 3 * cells,), float32
         Both copies of depth [m] and face velocities [m/s].
-    bed : device array of shape (ny * nx,), float32 [m]
+    bed : device array of shape (cells,), float32 [m]
     ny, nx : int
         Cells with their ghosts.
     """
@@ -186,31 +198,29 @@ def refresh(control, state, now, numbers, h, u, v, bed, ny, nx):
         tops[lane] = 0
     cuda.syncthreads()
     i = cuda.blockIdx.x * SIDE + cuda.threadIdx.x + PAD
-    j = cuda.blockIdx.y * HEIGHT + cuda.threadIdx.y + PAD
-    if i < nx - PAD and j < ny - PAD:
-        p = state[PARITY]
-        at, base = j * nx + i, p * ny * nx
-        here = h[base + at]
-        level = bed[at] + here
-        fall = ZERO
-        for side in range(2):
-            inside = i + 1 < nx - PAD if side == 0 else j + 1 < ny - PAD
-            if inside:
-                there = at + 1 if side == 0 else at + nx
-                drop = level - (bed[there] + h[base + there])
-                if here > ZERO:
-                    fall = max(fall, drop)
-                if h[base + there] > ZERO:
-                    fall = max(fall, -drop)
-        face = p * ny * (nx + 1) + j * (nx + 1) + i
-        swift = max(abs(u[face]), abs(u[face + 1]))
-        face = p * (ny + 1) * nx + at
-        swift = max(swift, max(abs(v[face]), abs(v[face + nx])))
-        cuda.atomic.max(tops, 0, bits_of(swift))
-        cuda.atomic.max(tops, 1, bits_of(here))
-        cuda.atomic.max(tops, 2, bits_of(fall))
-        if here > ZERO:
-            cuda.atomic.max(tops, 3, bits_of(level - np.float32(numbers[FLOOR])))
+    first = cuda.blockIdx.y * HEIGHT * STRIPE + cuda.threadIdx.y + PAD
+    p, wide, plane = state[PARITY], nx + 1, (ny + 1) * (nx + 1)
+    swift, deepest, fall, highest = ZERO, ZERO, ZERO, ZERO
+    for j in range(first, min(first + HEIGHT * STRIPE, ny - PAD), HEIGHT):
+        if i < nx - PAD:
+            at = j * wide + i
+            c = p * 3 * plane + at
+            here, floor = w[c], bed[at]
+            level = floor + here
+            deepest = max(deepest, here)
+            if here > ZERO:
+                highest = max(highest, level - np.float32(numbers[FLOOR]))
+            if i + 1 < nx - PAD:
+                fall = max(fall, _fall(here, level, w[c + 1], bed[at + 1]))
+            if j + 1 < ny - PAD:
+                fall = max(fall, _fall(here, level, w[c + wide], bed[at + wide]))
+            swift = max(swift, max(abs(w[c + plane]), abs(w[c + plane + 1])))
+            c += 2 * plane
+            swift = max(swift, max(abs(w[c]), abs(w[c + wide])))
+    cuda.atomic.max(tops, 0, bits_of(most(swift)))
+    cuda.atomic.max(tops, 1, bits_of(most(deepest)))
+    cuda.atomic.max(tops, 2, bits_of(most(fall)))
+    cuda.atomic.max(tops, 3, bits_of(most(highest)))
     cuda.syncthreads()
     if lane > 0:
         return
@@ -250,24 +260,24 @@ def close(control, state, blocks, whole, partial_out):
     partial_out : device array of shape (PARTIAL, blocks), float64
         Blanked.
     """
-    room = cuda.shared.array(THREADS, np.float64)
+    room = cuda.shared.array(CLOSERS, np.float64)
     lane = cuda.threadIdx.x
-    for which in range(PARTIAL):
-        total = 0.0
-        for block in range(lane, blocks, THREADS):
-            total += partial_out[which, block]
-            if which < P_GROUND:
-                partial_out[which, block] = 0.0
-        total = block_sum(room, lane, total)
-        if lane > 0:
-            continue
-        if which == P_OUT:
-            control[OUTFLOW] += total * whole
-        elif which == P_DROPPED:
-            control[DROPPED] += total * UNIT
-        elif which == P_DRUNK:
-            control[INFILTRATED] += total
-        elif state[LAST] == 1 and which == P_GROUND:
-            control[GROUND] = total
-        elif state[LAST] == 1:
-            control[FILM] = total
+    drunk, out, drops, ground, film = 0.0, 0.0, 0.0, 0.0, 0.0
+    for block in range(lane, blocks, CLOSERS):
+        out += partial_out[P_OUT, block]
+        drops += partial_out[P_DROPPED, block]
+        drunk += partial_out[P_DRUNK, block]
+        ground += partial_out[P_GROUND, block]
+        film += partial_out[P_FILM, block]
+        partial_out[P_OUT, block] = 0.0
+        partial_out[P_DROPPED, block] = 0.0
+        partial_out[P_DRUNK, block] = 0.0
+    out, drops = block_sum(room, lane, out), block_sum(room, lane, drops)
+    drunk, ground = block_sum(room, lane, drunk), block_sum(room, lane, ground)
+    film = block_sum(room, lane, film)
+    if lane == 0:
+        control[OUTFLOW] += out * whole
+        control[DROPPED] += drops * UNIT
+        control[INFILTRATED] += drunk
+        if state[LAST] == 1:
+            control[GROUND], control[FILM] = ground, film

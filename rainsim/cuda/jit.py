@@ -18,6 +18,7 @@ import numba  # noqa: E402
 from numba import cuda, types  # noqa: E402
 
 SIMULATED = bool(cuda.config.ENABLE_CUDASIM)
+cuda.config.CUDA_LOW_OCCUPANCY_WARNINGS = 0  # small maps and pictures are no mistake
 WARP = 32
 FULL = 0xFFFFFFFF  # all lanes of a warp
 
@@ -33,6 +34,9 @@ def _kernel(**options):
 
 cuda_kernel = _kernel(cache=not SIMULATED)
 fast_kernel = _kernel(cache=not SIMULATED, fastmath=True)
+# With fewer registers than the compiler would take, so that more threads are there at once.
+_TIGHT = {} if SIMULATED else {"max_registers": 80}
+tight_kernel = _kernel(cache=not SIMULATED, fastmath=True, **_TIGHT)
 # Functions that only kernels of the twins call; the formulas shared with the CPU need neither.
 _INLINED = {} if SIMULATED else {"forceinline": True}
 cuda_device = cuda.jit(device=True)
@@ -154,4 +158,5 @@ __all__ = [
     "load_halves",
     "pinned",
     "store4",
+    "tight_kernel",
 ]

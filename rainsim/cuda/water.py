@@ -38,8 +38,10 @@ class Water:
     ----------
     depth : device array of shape (ny, nx), float32 [m]
         Depth above the bed, film included, at the last frame's end.
-    waiting : device array of shape ((ny + 4) * (nx + 4),), int64
-        Depth of drops that fell since, in `account.UNIT`, of cells with their ghosts.
+    waiting : device array of shape ((ny + 5) * width,), int64
+        Depth of drops that fell since, in `account.UNIT`; cell (j, i) is at (j + 2) width + i + 2.
+    width : int
+        Of a row of `waiting`.
 
     Raises
     ------
@@ -62,19 +64,22 @@ class Water:
         self._rough = flow._roughness is not None
         rough = flow._roughness if self._rough else np.zeros_like(flow.h)
         self._limits = [np.float32(v) for v in (solver.gravity, flow._rest, flow._dry)]
-        self._h, self._u, self._v = (
-            cuda.to_device(np.stack([a, a]).reshape(-1), stream) for a in (flow.h, flow.u, flow.v)
-        )
+        self.width = nx + 1  # cells of a row of the maps below
+        fields = np.stack([_wide(a, self._size) for a in (flow.h, flow.u, flow.v)])
+        self._fields = cuda.to_device(np.stack([fields, fields]).reshape(-1), stream)
         maps = flow.bed, rough, np.pad(self._exposure, PAD), solver._infiltration, solver._storage
-        self._maps = [_sent(field, stream) for field in maps]
-        self._damp, self._film = _sent(flow.damp, stream), _sent(solver._film, stream)
-        self.waiting = cuda.to_device(np.zeros(ny * nx, np.int64), stream)
+        maps = *maps, flow.damp, solver._film
+        *self._maps, self._damp, self._film = (
+            cuda.to_device(_wide(field, self._size).reshape(-1), stream) for field in maps
+        )
+        self.waiting = cuda.to_device(np.zeros((ny + 1) * (nx + 1), np.int64), stream)
         self.depth = cuda.to_device(np.ascontiguousarray(solver.depth), stream)
         self._wide = (nx - 2 * PAD + lean.THREADS - 1) // lean.THREADS
-        self._high = (ny - 2 * PAD + lean.ROWS - 1) // lean.ROWS
+        self._rows = lean.rows_for(ny - 2 * PAD, self._wide)
+        self._high = -(-(ny - 2 * PAD) // self._rows)
         side = (nx - 2 * PAD + account.SIDE - 1) // account.SIDE
         height = (ny - 2 * PAD + account.HEIGHT - 1) // account.HEIGHT
-        self._squares = side, height
+        self._squares, self._stripes = (side, height), (side, -(-height // account.STRIPE))
         blocks = max(self._wide * self._high, side * height)
         self._partial = cuda.to_device(np.zeros((account.PARTIAL, blocks)), stream)
         self._begin(solver, flow)
@@ -99,9 +104,10 @@ class Water:
 
     def deposit(self, rows, columns, volumes):
         """Let drops wait for the next frame: arrays of rows, columns and volumes [m3]."""
-        width = self._size[1]
         depth = np.asarray(volumes, np.float64) / (self.spacing**2 * account.UNIT)
-        cells = (np.asarray(rows, np.int64) + PAD) * width + np.asarray(columns, np.int64) + PAD
+        cells = (
+            (np.asarray(rows, np.int64) + PAD) * self.width + np.asarray(columns, np.int64) + PAD
+        )
         waiting = self.waiting.copy_to_host(stream=self.stream)
         np.add.at(waiting, cells, np.rint(depth).astype(np.int64))
         self.waiting.copy_to_device(waiting, stream=self.stream)
@@ -130,12 +136,12 @@ class Water:
         square = account.SIDE, account.HEIGHT
         ny, nx = self._size
         account.take_in[self._squares, square, self.stream](
-            self._state, self._now, self.waiting, self._maps[4], ny, nx, DRY_DEPTH, self._h,
+            self._state, self._now, self.waiting, self._maps[4], ny, nx, DRY_DEPTH, self._fields,
             self._damp, self._film, self._partial,
         )  # fmt: skip
-        account.refresh[self._squares, square, self.stream](
-            self._control, self._state, self._now, self._numbers, self._h, self._u, self._v,
-            self._maps[0], ny, nx,
+        account.refresh[self._stripes, square, self.stream](
+            self._control, self._state, self._now, self._numbers, self._fields, self._maps[0],
+            ny, nx,
         )  # fmt: skip
         self.go_on()
 
@@ -146,10 +152,10 @@ class Water:
         for _ in range(self.capacity):
             step(
                 self._control, self._state, self._now, self._numbers, *self._maps, ny, nx,
-                self._kinds, self._rough, *self._limits, self._h, self._u, self._v, self._damp,
+                self._rows, self._kinds, self._rough, *self._limits, self._fields, self._damp,
                 self._film, self.depth, self._partial,
             )  # fmt: skip
-        account.close[1, lean.THREADS, self.stream](
+        account.close[1, account.CLOSERS, self.stream](
             self._control, self._state, self._partial.shape[1], 1 / self.spacing, self._partial
         )
 
@@ -194,14 +200,17 @@ class Water:
         """Return depth (ny, nx), u (ny, nx + 1) and v (ny + 1, nx) as host arrays; waits."""
         parity = self._state.copy_to_host(stream=self.stream)[account.PARITY]
         ny, nx = self._size
-        inner, out = np.s_[PAD:-PAD, PAD:-PAD], [self.depth.copy_to_host(stream=self.stream)]
-        for field, shape in ((self._u, (2, ny, nx + 1)), (self._v, (2, ny + 1, nx))):
-            out.append(field.copy_to_host(stream=self.stream).reshape(shape)[parity][inner])
-        return out
+        fields = self._fields.copy_to_host(stream=self.stream)
+        _, u, v = fields.reshape(2, 3, ny + 1, nx + 1)[parity]
+        depth = self.depth.copy_to_host(stream=self.stream)
+        return depth, u[PAD : -PAD - 1, PAD:-PAD], v[PAD:-PAD, PAD : -PAD - 1]
 
 
-def _sent(field, stream):
-    return cuda.to_device(np.ascontiguousarray(field, dtype=np.float32).reshape(-1), stream)
+def _wide(field, size):
+    """Return a map with room for the last faces, (ny + 1, nx + 1), float32."""
+    wide = np.zeros((size[0] + 1, size[1] + 1), np.float32)
+    wide[: field.shape[0], : field.shape[1]] = field
+    return wide
 
 
 def _require_lean(solver, flow):

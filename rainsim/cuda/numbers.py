@@ -1,0 +1,54 @@
+"""Small arrays that change from frame to frame, sent to the device in one copy."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rainsim.cuda.jit import SIMULATED, cuda, pinned
+
+_ALIGN = 16
+
+
+class Numbers:
+    """Named arrays, on the host in `host` and on the device in `device`, at fixed addresses.
+
+    A captured graph reads what `send` has last copied.
+
+    Parameters
+    ----------
+    stream : cuda.stream
+    arrays : dict of str to (shape, dtype)
+    """
+
+    def __init__(self, stream, arrays):
+        self.stream, self.host, self.device = stream, {}, {}
+        places, size = {}, 0
+        for name, (shape, dtype) in arrays.items():
+            count = int(np.prod(shape)) * np.dtype(dtype).itemsize
+            places[name] = size, size + count
+            size += -(-count // _ALIGN) * _ALIGN
+        self._bytes = pinned(size, np.uint8)
+        self._sent = None if SIMULATED else cuda.to_device(self._bytes, stream)
+        for name, (shape, dtype) in arrays.items():
+            first, end = places[name]
+            self.host[name] = self._bytes[first:end].view(dtype).reshape(shape)
+            if SIMULATED:
+                self.device[name] = cuda.to_device(self.host[name])
+            else:
+                self.device[name] = self._sent[first:end].view(dtype).reshape(shape)
+
+    def __getitem__(self, name):
+        return self.device[name]
+
+    def update(self, **values):
+        """Set arrays on the host; `send` brings them to the device."""
+        for name, value in values.items():
+            self.host[name][...] = value
+
+    def send(self):
+        """Queue the copy of all arrays to the device."""
+        if SIMULATED:
+            for name, values in self.host.items():
+                self.device[name].copy_to_device(values)
+        else:
+            self._sent.copy_to_device(self._bytes, stream=self.stream)

@@ -1,0 +1,82 @@
+"""The impacts' twin in numba's CUDA simulator; `tests/unit/test_cuda.py` runs this file."""
+
+import numpy as np
+import pytest
+
+from rainsim.cuda import simulated
+from rainsim.cuda.account import UNIT
+from rainsim.cuda.drops import VOLUME_UNIT, Impacts, room_for
+from rainsim.drops import GROUND, OBSTACLE, RainField, RainSpectrum, Surfaces, impacts
+from rainsim.grid.conserving import PAD
+
+assert simulated()
+# Plain numpy numbers warn where a GPU's wrap.
+pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
+START, STOP = 3.0, 3.004
+SMALLEST = 2.5e-3  # m; few classes are quicker
+
+
+def roofed():
+    """Level ground with a roof over part of it."""
+    ground = np.full((16, 16), -0.5, np.float32)
+    top, under = ground.copy(), ground.copy()
+    top[:6], under[:6] = -0.1, -0.2
+    return Surfaces(0.08, (-0.5, -0.6), ground, top, under)
+
+
+class Ground:
+    """What `settle` adds to, blank."""
+
+    def __init__(self, surfaces, cells=8):
+        ny, nx = surfaces.shape
+        self.width = nx + 2 * PAD + 1
+        self.waiting = np.zeros((ny + 2 * PAD + 1) * self.width, np.int64)
+        self.size, self.steps, self.cells = 1.0, 4, cells
+        self.pushes = np.zeros(self.steps * cells * cells, np.int64)
+
+
+@pytest.fixture(scope="module")
+def listed():
+    field, surfaces = RainField(RainSpectrum(900.0), (1.0, 2.0), seed=4), roofed()
+    wanted = impacts(field, surfaces, START, STOP, SMALLEST)
+    assert len(wanted) > 10 and {GROUND, OBSTACLE} == set(wanted.kind)
+    twin = Impacts(field, surfaces, room_for(field, surfaces, STOP - START))
+    twin.update(field, START, STOP, SMALLEST)
+    twin.launch()
+    return field, surfaces, wanted, twin
+
+
+def test_the_list_is_that_of_the_cpu(listed):
+    _, _, wanted, twin = listed
+    count = int(twin.found.copy_to_host()[0])
+    assert count == len(wanted) and twin.missing() == 0
+    order = np.argsort(twin.ids.copy_to_host()[:count])
+    values = twin.values.copy_to_host()[:count][order]
+    labels = twin.labels.copy_to_host()[:count][order]
+    np.testing.assert_array_equal(twin.ids.copy_to_host()[:count][order], wanted.id)
+    np.testing.assert_allclose(values[:, :3], wanted.position, atol=1e-9)
+    np.testing.assert_allclose(values[:, 3], wanted.diameter, rtol=1e-9)
+    np.testing.assert_allclose(values[:, 4], wanted.time, atol=1e-9)
+    np.testing.assert_array_equal(labels[:, 1], wanted.kind)
+    np.testing.assert_array_equal(labels[:, 2:], np.stack([wanted.row, wanted.column], axis=1))
+
+
+def test_the_water_goes_where_it_fell(listed):
+    _, surfaces, wanted, twin = listed
+    ground = Ground(surfaces)
+    twin.settle(ground, ground, share=2.0)
+    landed = wanted.take(wanted.kind == GROUND)
+    depth = np.zeros(surfaces.shape)
+    np.add.at(depth, (landed.row, landed.column), landed.volume / surfaces.spacing**2)
+    waiting = ground.waiting.reshape(-1, ground.width)[PAD : -PAD - 1, PAD : -PAD - 1] * UNIT
+    np.testing.assert_allclose(waiting, depth, atol=1e-14)
+    lost = wanted.volume[wanted.kind == OBSTACLE].sum()
+    assert twin.obstacles.copy_to_host()[0] * VOLUME_UNIT == pytest.approx(lost, rel=1e-6)
+
+
+def test_a_short_list_is_counted(listed):
+    field, surfaces, wanted, _ = listed
+    twin = Impacts(field, surfaces, 5)
+    twin.update(field, START, STOP, SMALLEST)
+    twin.launch()
+    assert twin.missing() == len(wanted) - 5

@@ -1,0 +1,52 @@
+"""The streaks' twin in numba's CUDA simulator; `tests/unit/test_cuda.py` runs this file."""
+
+import numpy as np
+import pytest
+
+from rainsim.cuda import simulated
+from rainsim.cuda.streaks import Streaks
+from rainsim.drops import RainField, RainSpectrum, Surfaces
+from rainsim.scene.types import Camera
+from rainsim.streaks import draw_streaks
+
+assert simulated()
+# Plain numpy numbers warn where a GPU's wrap.
+pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
+WIDTH, HEIGHT = 32, 24
+
+
+def looking_ahead(eye):
+    matrix = np.eye(4)
+    matrix[:3, :3] = [[0, -1, 0], [0, 0, -1], [1, 0, 0]]
+    matrix[:3, 3] = -matrix[:3, :3] @ np.array(eye)
+    return Camera(WIDTH, HEIGHT, 200.0, 200.0, WIDTH / 2, HEIGHT / 2, matrix)
+
+
+def roofed():
+    """Level ground 0.5 m below the camera with a roof over part of it."""
+    ground = np.full((16, 16), -0.5, np.float32)
+    top, under = ground.copy(), ground.copy()
+    top[:6], under[:6] = 1.1, 1.0
+    return Surfaces(0.25, (-0.5, -2.0), ground, top, under)
+
+
+def test_a_picture_is_that_of_the_cpu(poisoned):
+    field = RainField(RainSpectrum(200.0), (1.0, 2.0), seed=4)
+    camera, surfaces = looking_ahead((0.0, 0.0, 0.0)), roofed()
+    later = looking_ahead((0.01, 0.02, 0.0))
+    depth = np.full((HEIGHT, WIDTH), np.inf, np.float32)
+    depth[12:, :9] = 0.9
+    wanted = poisoned((HEIGHT, WIDTH))
+    options = {"camera_end": later, "aperture": 0.002, "focus": 2.0}
+    draw_streaks(field, surfaces, camera, 3.0, 1 / 1000, depth, 1.3, wanted, **options)
+    twin = Streaks(field, surfaces, WIDTH, HEIGHT, depth)
+    twin.update(field, camera, 3.0, 1 / 1000, 1.3, **options)
+    for _ in range(2):  # the second time over what the first left behind
+        twin.alpha.copy_to_device(poisoned((HEIGHT, WIDTH)))
+        twin.launch()
+        found = twin.alpha.copy_to_host()
+        assert wanted.max() > 0.1 and (wanted > 0).sum() > 60
+        np.testing.assert_allclose(found, wanted, atol=2e-5)
+    twin.update(field, camera, 3.1, 1 / 1000, 1.3)
+    twin.launch()
+    assert np.abs(twin.alpha.copy_to_host() - wanted).max() > 0.1
