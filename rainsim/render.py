@@ -63,7 +63,7 @@ class Renderer:
         self.scene, self.terrain, self.config = scene, terrain, config
         self.frame = scene.ground_frame
         self.near = NEAR / self.frame.meters_per_unit
-        self.rasterizer = Rasterizer(prepare(scene.splats))
+        self.rasterizer = self._rasterizer_of(prepare(scene.splats))
         self.surfaces = surfaces_of(terrain)
         self.weather = Weather(config)
         self.exposure = rain_exposure(terrain, usual_wind(config), config.rain.roughness)
@@ -82,6 +82,10 @@ class Renderer:
         self.gloss = sky.blurred(self.environment)
         self._camera = None  # that the kept layers belong to
         self._tracer = None  # made when it is first asked for
+
+    @staticmethod
+    def _rasterizer_of(prepared):
+        return Rasterizer(prepared)
 
     def draw(self, camera, state, camera_end=None, names=()):
         """Return the picture (height, width, 3) uint8 that `camera` (capture frame) takes.

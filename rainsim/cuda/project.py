@@ -48,6 +48,7 @@ NUMBERS = 9 + 4  # rows of a chunk's geometry, see `rainsim.raster.prepared`
 SPLAT_BITS = 28
 SPLAT_MASK = np.int64((1 << SPLAT_BITS) - 1)
 MOST_SPLATS = 1 << SPLAT_BITS
+WIDE = np.float64
 FREE = np.uint32(0xFFFFFFFF)  # a key behind all others
 OCTAVES = 20  # of depth beyond the scene's reach that levels tell apart
 FAR_SHARE = 0.1  # of the levels that they get
@@ -58,8 +59,9 @@ WARPS = LANES // 32  # of a block
 COUNTS = WARPS + 1
 
 # Places of the numbers that a camera brings.
-# In fours, for loads of 16 bytes; NEAR: near, width, height.
-VIEW, EYE, LENS, PLANE, NEAR, LIMITS, SCALE, CAMERA = 0, 12, 16, 20, 24, 28, 32, 40
+# In fours, for loads of 16 bytes; NEAR: near, width, height; REST: what rounding took from the
+# view matrix's third row.
+VIEW, EYE, LENS, PLANE, NEAR, LIMITS, SCALE, REST, CAMERA = 0, 12, 16, 20, 24, 28, 32, 40, 44
 
 
 @cuda_kernel
@@ -196,8 +198,13 @@ def record_splat(
     # The conic in whole log2: alpha = 2^(level - a dx^2 - b dx dy - c dy^2).
     store4(record_out, at, u, v, EIGHT * a, EIGHT * b)
     store4(record_out, at + 4, EIGHT * c, level, red, green)
+    # Depth to more digits than a float32 has decides the order: what was rounded away is kept.
+    l0, l1, l2, l3 = load4(now, REST)
+    exact = (WIDE(v20) + WIDE(l0)) * WIDE(px) + (WIDE(v21) + WIDE(l1)) * WIDE(py)
+    exact += (WIDE(v22) + WIDE(l2)) * WIDE(pz) + (WIDE(v23) + WIDE(l3))
+    z = np.float32(exact)
     store4(record_out, at + 8, blue, z, n0, n1)
-    store4(record_out, at + 12, n2, distance, ZERO, ZERO)
+    store4(record_out, at + 12, n2, distance, np.float32(exact - WIDE(z)), ZERO)
     return (
         True, min(max(depth_level(z, now), none), low),
         np.int32(left) >> 3, np.int32(right) >> 3, np.int32(first) >> 3, np.int32(last) >> 3,
@@ -345,12 +352,14 @@ def find_ranges(total, levels, key, value, record, begin_out, end_out):
     for a in range(i + 1, end):
         entry = value[a]
         splat = np.int64(entry) & SPLAT_MASK
-        depth = record[RECORD * splat + 9]
+        depth, rest = record[RECORD * splat + 9], record[RECORD * splat + 14]
         b = a - 1
         while b >= i:
             other = np.int64(value[b]) & SPLAT_MASK
-            there = record[RECORD * other + 9]
-            if there < depth or (there == depth and other < splat):
+            there, more = record[RECORD * other + 9], record[RECORD * other + 14]
+            if there < depth or (
+                there == depth and (more < rest or (more == rest and other < splat))
+            ):
                 break
             value[b + 1] = value[b]
             b -= 1

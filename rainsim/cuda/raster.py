@@ -154,6 +154,8 @@ class Rasterizer:
         self._bands = s.bands if degree is None else min(degree + 1, s.bands)
         numbers = self._numbers
         numbers[project.VIEW : project.EYE] = camera.camera_from_world[:3].ravel()
+        exact = camera.camera_from_world[2]
+        numbers[project.REST : project.REST + 4] = exact - exact.astype(np.float32)
         eye = camera.forward if camera.orthographic else camera.position
         numbers[project.EYE : project.EYE + 3] = eye
         fx, fy, cx, cy = camera.fx, camera.fy, camera.cx, camera.cy
@@ -227,6 +229,11 @@ class Rasterizer:
     def make_room(self):
         """Make room for as many entries as the finished picture had, and some more."""
         self._room_for_entries(int(self._count[0]))
+
+    @property
+    def queue(self):
+        """What a recorded queue of launches depends on: when it changes, record anew."""
+        return self._size, self._kind, self._bands, self._levels, self._capacity, id(self._key)
 
     @property
     def entries(self):

@@ -1,0 +1,258 @@
+"""Whole rainy frames on the GPU: twin of `rainsim.render`.
+
+All that a frame is made of lies in one queue: splatting, grading and wetting, the water surface,
+reflections, refraction, streaks, splashes, composition to 8 bit and the copy of the picture to the
+host. It is recorded once and replayed; the host only brings what has changed and waits at the end.
+What had too little room is then known: room is made and the frame is drawn again.
+"""
+
+from __future__ import annotations
+
+import time as clock
+
+import numpy as np
+
+from rainsim import sky, waterview
+from rainsim.cuda import optics, shading
+from rainsim.cuda.graph import Graph
+from rainsim.cuda.jit import cuda, pinned
+from rainsim.cuda.numbers import Numbers
+from rainsim.cuda.raster import DeviceSplats, Rasterizer
+from rainsim.cuda.streaks import Streaks
+from rainsim.cuda.watersurface import WaterSurface
+from rainsim.errors import ParameterError
+from rainsim.paperwater import LEAST_WATER
+from rainsim.render import FrameReport, _lens, _pose
+from rainsim.render import Renderer as HostRenderer
+from rainsim.splash import LONGEST_LIFE
+from rainsim.streaks import FOG_STEPS, NO_FOG, fog_table, streak_reach
+from rainsim.watersurface import ripple_levels, rms_slopes
+
+LEVELS = 4  # resolutions of the ripple tile
+NOTHING = np.array([0, np.inf, -np.inf], np.float32)  # a mirror that serves no height
+MOST_TRIES = 8  # of a frame for which there was too little room
+
+
+class Renderer(HostRenderer):
+    """Draws frames of one scene, terrain and configuration on the GPU.
+
+    Takes the states that the CPU's simulation yields, or those of `rainsim.cuda.simulate`, whose
+    water never leaves the device.
+    """
+
+    def __init__(self, scene, terrain, config, first_camera):
+        _require_known(config.render)
+        self.stream = cuda.stream()
+        super().__init__(scene, terrain, config, first_camera)
+        send = self._send
+        self._maps = [send(terrain.bed), send(self.grass), send(self.exposure)]
+        self._place = send(self._origin), self._spacing
+        self._light = send(self.environment), send(self.day)
+        self._directions = cuda.to_device(sky.directions(*self.environment.shape[:2]))
+        self._drop = cuda.device_array(3, np.float32)
+        self._air = sky.horizon_radiance(self.day).astype(np.float32)
+        self._water = cuda.device_array(terrain.grid.shape, np.float32)
+        self._surface = WaterSurface(
+            terrain.bed, self.water.relief, terrain.mirrors, self._water, self.stream
+        )
+        self._slopes = None
+        self._size = self._graph = self._queue = None
+        self._fog_of = None, None
+
+    def _rasterizer_of(self, prepared):
+        return Rasterizer(DeviceSplats(prepared), self.stream)
+
+    @staticmethod
+    def _send(array):
+        return cuda.to_device(np.ascontiguousarray(array, dtype=np.float32))
+
+    def draw(self, camera, state, camera_end=None):
+        """Return the picture (height, width, 3) uint8 that `camera` (capture frame) takes.
+
+        The picture is overwritten by the next call. `camera_end`: see `rainsim.render`.
+        """
+        begin = clock.perf_counter()
+        self.update(camera, state, camera_end)
+        self.run()
+        stages = {"frame": (clock.perf_counter() - begin) * 1e3}
+        return self.image, FrameReport(state.index, state.time, stages, state.ledger, state.notes)
+
+    def run(self):
+        """Draw what `update` has brought, again if there was too little room; wait for it."""
+        for _ in range(MOST_TRIES):
+            if self._graph is None:
+                self.launch()  # compiles, and allocates what only then is known
+                self.stream.synchronize()
+                self._graph = Graph(self.stream, self.launch)
+            self._graph.launch()
+            self.stream.synchronize()
+            if not self.rasterizer.overflows():
+                break
+            self._make_room()
+        if self.rasterizer.is_tight():
+            self._make_room()
+
+    def _make_room(self):
+        self.rasterizer.make_room()
+        self._graph = None
+
+    def update(self, camera, state, camera_end=None):
+        """Take over what the next frame shows."""
+        self._set_time(state.time)
+        self.view = self.frame.camera_in_ground(camera)
+        if self._size != (camera.height, camera.width):
+            self._size = camera.height, camera.width
+            self._room_for(camera, state)
+        self.rasterizer.update(camera, self.near)
+        if self.rasterizer.queue != self._queue:
+            self._queue, self._graph = self.rasterizer.queue, None
+        turn, eye = _pose(self.view)
+        fog = NO_FOG
+        field = self.weather.field(
+            state.time - LONGEST_LIFE, state.time + self.now.render.exposure
+        )
+        if self.streaks is not None:
+            fog = self._update_drops(field, state, camera_end)
+        self.numbers.update(
+            turn=turn, eye=eye, lens=_lens(camera), look=self.look, wetness=self.wetness,
+            brightness=self.now.render.brightness, fog=fog, sun=self._sun, air=self._air,
+            forward=self.view.forward,
+        )  # fmt: skip
+        self._bring(state)
+
+    def _update_drops(self, field, state, camera_end):
+        """Say which drops are in the air; return the fog of those that are not drawn."""
+        render = self.now.render
+        reach = streak_reach(field, self.view, render.exposure, render.streak_far)
+        self.streaks.update(
+            field, self.view, state.time, render.exposure, reach, camera_end, *self._focus
+        )
+        key = field, self.view.fx, self.view.fy, render.exposure, render.streak_far
+        if key != self._fog_of[0]:
+            self._fog_of = key, fog_table(field, reach)
+        return self._fog_of[1]
+
+    def _bring(self, state):
+        """Bring the water and its ripples to the device, unless they are there."""
+        levels = getattr(state, "levels", None)
+        if levels is None:
+            self._water.copy_to_device(np.ascontiguousarray(state.depth, np.float32))
+            levels = ripple_levels(state.slopes)
+            if self._slopes is None:
+                self._slopes = [cuda.to_device(level) for level in levels]
+                self._rms = cuda.device_array(LEVELS, np.float32)
+            for device, level in zip(self._slopes, levels, strict=True):
+                device.copy_to_device(level)
+            self._rms.copy_to_device(rms_slopes(levels))
+        elif self._slopes is None:
+            self._slopes, self._rms = levels, state.rms
+            self._surface.depth = state.depth
+        self._tile = np.float32(state.tile_size)
+
+    def _room_for(self, camera, state):
+        """Allocate what a picture of this size needs."""
+        height, width = self._size
+        f4 = np.float32
+        self._graph = None
+        self._picture, self._shown = (cuda.device_array((height, width, 3), f4) for _ in range(2))
+        self._depth, self._clearance, self._tall, self._hit, self._coverage, self._none = (
+            cuda.device_array((height, width), f4) for _ in range(6)
+        )
+        self._none.copy_to_device(np.zeros((height, width), f4))
+        self._image = cuda.device_array((height, width, 3), np.uint8)
+        self.image = pinned((height, width, 3), np.uint8)
+        self.numbers = Numbers(self.stream, {
+            "turn": ((3, 3), f4), "eye": ((3,), f4), "lens": ((4,), f4), "look": ((4,), f4),
+            "wetness": ((1,), f4), "brightness": ((1,), f4), "fog": ((FOG_STEPS + 3,), f4),
+            "sun": ((6,), f4), "air": ((3,), f4), "settings": ((3,), f4), "cover": ((2,), f4),
+            "served": ((3,), f4), "forward": ((3,), np.float64),
+        })  # fmt: skip
+        render = self.config.render
+        hard = render.coverage == "hard"
+        stride = max(1.0, width / 960)
+        self.numbers.update(
+            settings=(waterview.REFLECTION_THICKNESS, stride, waterview.REFLECTION_LENGTH),
+            cover=(LEAST_WATER,) * 2 if hard else render.water_coverage, served=NOTHING,
+        )  # fmt: skip
+        self.streaks = None
+        field = self.weather.field(state.time - LONGEST_LIFE, state.time + render.exposure)
+        if field is not None:
+            self.streaks = Streaks(
+                field, self.surfaces, width, height, self._depth, self.stream
+            )
+
+    # ---- the queue
+
+    def launch(self):
+        """Queue the frame; nothing here waits, allocates or reads results."""
+        for stage in self.stages():
+            stage()
+
+    def stages(self):
+        """Return the frame's parts in their order: functions that put them on the stream."""
+        parts = [self.numbers.send, self.rasterizer.launch, self._grade, self._surface.launch]
+        parts.append(self._lay_water)
+        if self.streaks is not None:
+            parts.append(self.streaks.launch)
+        return [*parts, self._compose, self._hand_over]
+
+    def _grade(self):
+        height, width = self._size
+        layers, n = self.rasterizer.layers, self.numbers
+        shape = (height, width)
+        grid = shading.blocks(height, width), shading.BLOCK, self.stream
+        shading.grade_and_wet[grid](
+            layers.color.reshape(*shape, 3), layers.alpha.reshape(shape),
+            layers.depth.reshape(shape), layers.plane_depth.reshape(shape),
+            layers.normal.reshape(*shape, 3), np.float32(self.frame.meters_per_unit),
+            n["turn"], n["eye"], n["lens"], *self._maps, *self._place, *self._light, n["look"],
+            n["wetness"], self._picture, self._depth, self._clearance,
+        )  # fmt: skip
+
+    def _lay_water(self):
+        height, width = self._size
+        n, render = self.numbers, self.config.render
+        grid = shading.blocks(height, width), shading.BLOCK, self.stream
+        surface, exposure = self._surface, self._maps[2]
+        optics.keep_tall[grid](self._depth, self._clearance, self._tall)
+        optics.meet_water[grid](
+            self._depth, n["turn"], n["eye"], n["lens"], surface.surface, surface.over,
+            *self._place, surface.highest, n["cover"], render.coverage == "hard",
+            self._hit, self._coverage,
+        )  # fmt: skip
+        optics.shade_water[grid](
+            self._hit, self._coverage, self._picture, self._depth, self._tall,
+            n["turn"], n["eye"], n["lens"], surface.over, exposure, *self._place, *self._slopes,
+            self._rms, self._tile, self._light[0], n["settings"], n["served"], self._picture,
+            self._depth, render.fresnel == "schlick", render.refraction == "shift",
+            render.highlight == "blinn-phong", np.float32(waterview.GLINT_VARIANCE), n["sun"],
+            self._shown,
+        )  # fmt: skip
+
+    def _compose(self):
+        n = self.numbers
+        grid = shading.blocks(*self._size), shading.BLOCK, self.stream
+        shading.drop_radiance[1, shading.SUMMERS, self.stream](
+            self._directions, self._light[0], n["forward"], self._drop
+        )
+        rain = self._none if self.streaks is None else self.streaks.alpha
+        shading.compose[grid](
+            self._shown, self._depth, rain, self._none, self._drop, n["air"], n["fog"], n["lens"],
+            n["brightness"], self._image,
+        )  # fmt: skip
+
+    def _hand_over(self):
+        self._image.copy_to_host(self.image, stream=self.stream)
+
+
+def _require_known(render):
+    """Raise ParameterError for looks that only the CPU draws."""
+    for name, wanted in (
+        ("reflections", ("auto", "mirror", "ssr")), ("water_geometry", ("height-field",)),
+        ("streaks", ("shutter",)), ("splashes", ("crowns",)),
+    ):  # fmt: skip
+        value = getattr(render, name)
+        if value not in wanted:
+            raise ParameterError(
+                f"{name} is {value!r}; backend cuda draws {' or '.join(wanted)}; take backend cpu"
+            )

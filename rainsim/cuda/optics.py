@@ -1,0 +1,255 @@
+"""Twins of `rainsim.optics` and `rainsim.reflect`: the water in a picture, found and lit.
+
+On the CPU the water's pixels are a list; here each pixel is a thread, so `shade_water` does for its
+own pixel what list_water, tilt_water, mirror_light or march_light, and lay_water do there.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from rainsim.cuda.jit import cuda, cuda_device, cuda_kernel
+from rainsim.light import bilinear, bilinear_color, exp_minus, fresnel, schlick, smoothstep
+from rainsim.optics import (
+    ABSORB_B,
+    ABSORB_G,
+    ABSORB_R,
+    HALF,
+    HIDE_HIGH,
+    HIDE_LOW,
+    LEAST_COSINE,
+    LEAST_COVERAGE,
+    LEAST_DIP,
+    MOST_SLANT,
+    ONE,
+    RIPPLE_HIGH,
+    RIPPLE_LOW,
+    RIPPLE_REST,
+    ZERO,
+    bed_seen_at,
+    column_of,
+    hidden_slope,
+    meet_surface,
+    normal_of,
+    phong_highlight,
+    refracted,
+    sample_tile,
+    shifted,
+    sun_glint,
+    tile_level,
+)
+from rainsim.reflect import (
+    LEAST_ROUGHNESS,
+    MIRROR_FAR,
+    NOT_GROUND,
+    ROUGH_SAMPLES,
+    ROUGH_X,
+    ROUGH_Y,
+    in_mirror,
+    on_screen,
+    reflected_upwards,
+)
+from rainsim.sky import sample_environment
+from rainsim.ssr import march
+
+LEAST_DROP = np.float32(0.1)
+NOWHERE = np.float32(np.inf)
+
+
+@cuda_kernel
+def keep_tall(depth, clearance, tall_out):
+    """Keep the depth of what water can mirror; see `rainsim.reflect`."""
+    column, row = cuda.grid(2)
+    height, width = depth.shape
+    if row < height and column < width:
+        low = clearance[row, column] < NOT_GROUND
+        tall_out[row, column] = NOWHERE if low else depth[row, column]
+
+
+@cuda_kernel
+def meet_water(
+    depth, ground_from_camera, eye, lens, surface, water_depth, origin, spacing, highest, cover,
+    hard, hit_out, coverage_out,
+):  # fmt: skip
+    """Find where each pixel's ray meets the water and how much it covers; see `rainsim.optics`."""
+    column, row = cuda.grid(2)
+    height, width = depth.shape
+    if row >= height or column >= width:
+        return
+    ny, nx = surface.shape
+    m, top = ground_from_camera, highest[0]
+    coverage_out[row, column] = ZERO
+    a = (np.float32(column) + HALF - lens[2]) / lens[0]
+    b = (np.float32(row) + HALF - lens[3]) / lens[1]
+    z = m[2, 0] * a + m[2, 1] * b + m[2, 2]
+    there = depth[row, column]
+    if z > LEAST_DIP or eye[2] + there * z > top + HIDE_HIGH:
+        return
+    x = m[0, 0] * a + m[0, 1] * b + m[0, 2]
+    y = m[1, 0] * a + m[1, 1] * b + m[1, 2]
+    t, u, v = meet_surface(surface, origin, spacing, eye, x, y, z, top)
+    if not (t > ZERO and u > ONE and v > ONE):
+        return
+    if u > np.float32(nx - 2) or v > np.float32(ny - 2):
+        return
+    deep = bilinear(water_depth, u, v)
+    above = (there - t) * z
+    if hard:
+        covers = ONE if deep > cover[0] and above < ZERO else ZERO
+    else:
+        covers = smoothstep(cover[0], cover[1], deep)
+        covers *= ONE - smoothstep(HIDE_LOW, HIDE_HIGH, above)
+    if covers > LEAST_COVERAGE:
+        coverage_out[row, column], hit_out[row, column] = covers, t
+
+
+@cuda_device
+def marched(
+    picture, tall, m, lens, environment, settings, px, py, pz, t, vx, vy, vz, gx, gy, rough
+):  # fmt: skip
+    """Return the mirrored light found by marching; see `rainsim.reflect.march_light`."""
+    cx, cy, cz = column_of(m, 0, px, py, pz), column_of(m, 1, px, py, pz), t
+    distance = march(
+        tall, lens, cx, cy, cz, column_of(m, 0, vx, vy, -vz), column_of(m, 1, vx, vy, -vz),
+        column_of(m, 2, vx, vy, -vz), settings[0], settings[1], settings[2],
+    )  # fmt: skip
+    samples = 1 if rough < LEAST_ROUGHNESS else ROUGH_SAMPLES
+    light0, light1, light2 = ZERO, ZERO, ZERO
+    for s in range(samples):
+        sx, sy = gx, gy
+        if samples > 1:
+            sx, sy = sx + rough * ROUGH_X[s], sy + rough * ROUGH_Y[s]
+        ux, uy, uz = normal_of(sx, sy)
+        rx, ry, rz = reflected_upwards(vx, vy, vz, ux, uy, uz)
+        hu, hv, found = on_screen(
+            tall, m, lens, cx, cy, cz, vx, vy, -vz, rx, ry, rz, distance, settings[0]
+        )
+        if found < ONE:
+            c0, c1, c2 = sample_environment(environment, rx, ry, rz)
+            rest = ONE - found
+            light0, light1, light2 = light0 + rest * c0, light1 + rest * c1, light2 + rest * c2
+        if found > ZERO:
+            c0, c1, c2 = bilinear_color(picture, hu, hv)
+            light0, light1 = light0 + found * c0, light1 + found * c1
+            light2 += found * c2
+    share = ONE / np.float32(samples)
+    return light0 * share, light1 * share, light2 * share
+
+
+@cuda_device
+def mirrored(
+    mirror, mirror_depth, m, eye, lens, level, sx, sy, sz, t, vx, vy, vz, gx, gy, rough
+):  # fmt: skip
+    """Return the light found in the mirrored camera's picture; see `reflect.mirror_light`."""
+    rows, columns = mirror_depth.shape
+    length = ONE / column_of(m, 2, vx, vy, vz)
+    u = lens[0] * column_of(m, 0, vx, vy, vz) * length + lens[2]
+    v = lens[1] * column_of(m, 1, vx, vy, vz) * length + lens[3]
+    i, j = min(max(int(u), 0), columns - 1), min(max(int(v), 0), rows - 1)
+    distance = max((min(mirror_depth[j, i], MIRROR_FAR) - t) * length, ZERO)
+    samples = 1 if rough < LEAST_ROUGHNESS else ROUGH_SAMPLES
+    light0, light1, light2 = ZERO, ZERO, ZERO
+    for s in range(samples):
+        ax, ay = gx, gy
+        if samples > 1:
+            ax, ay = ax + rough * ROUGH_X[s], ay + rough * ROUGH_Y[s]
+        ux, uy, uz = normal_of(ax, ay)
+        rx, ry, rz = reflected_upwards(vx, vy, vz, ux, uy, uz)
+        hu, hv = in_mirror(m, lens, level, eye, distance, sx, sy, sz, rx, ry, rz)
+        c0, c1, c2 = bilinear_color(mirror, hu, hv)
+        light0, light1, light2 = light0 + c0, light1 + c1, light2 + c2
+    share = ONE / np.float32(samples)
+    return light0 * share, light1 * share, light2 * share
+
+
+@cuda_kernel
+def shade_water(
+    hit, coverage, picture, depth, tall, ground_from_camera, eye, lens, water_depth,
+    exposure_to_rain, origin, spacing, slopes0, slopes1, slopes2, slopes3, rms_slopes, tile_size,
+    environment, settings, mirror_range, mirror, mirror_depth, schlick_law, image_shift, phong,
+    glint_variance, sun, picture_out,
+):  # fmt: skip
+    """Lay the water over the picture: ripples, what it mirrors, what shows through, the glint.
+
+    Parameters are those of the kernels that this one stands for, and:
+
+    mirror_range : ndarray of shape (3,), float32 [m]
+        Level of the mirror and the heights from which and below which water looks into it; what
+        stands elsewhere is marched.
+    """
+    column, row = cuda.grid(2)
+    height, width = depth.shape
+    if row >= height or column >= width:
+        return
+    covers = coverage[row, column]
+    if covers == ZERO:
+        for c in range(3):
+            picture_out[row, column, c] = picture[row, column, c]
+        return
+    m = ground_from_camera
+    a = (np.float32(column) + HALF - lens[2]) / lens[0]
+    b = (np.float32(row) + HALF - lens[3]) / lens[1]
+    x = m[0, 0] * a + m[0, 1] * b + m[0, 2]
+    y = m[1, 0] * a + m[1, 1] * b + m[1, 2]
+    z = m[2, 0] * a + m[2, 1] * b + m[2, 2]
+    t = hit[row, column]
+    sx, sy, sz = eye[0] + t * x, eye[1] + t * y, eye[2] + t * z
+    u, v = (sx - origin[0]) / spacing - HALF, (sy - origin[1]) / spacing - HALF
+    deep = bilinear(water_depth, u, v)
+    grow = smoothstep(RIPPLE_LOW, RIPPLE_HIGH, deep)
+    grow *= RIPPLE_REST + (ONE - RIPPLE_REST) * bilinear(exposure_to_rain, u, v)
+    length = math.sqrt(x * x + y * y + z * z)
+    inv = ONE / length
+    vx, vy, vz = x * inv, y * inv, z * inv
+    gx, gy, rough = ZERO, ZERO, ZERO
+    if grow > ZERO:
+        footprint = t * length / lens[0] * min(-length / z, MOST_SLANT)
+        level = tile_level(footprint, tile_size / np.float32(slopes0.shape[1]))
+        gx, gy = sample_tile(slopes0, slopes1, slopes2, slopes3, sx, sy, tile_size, level)
+        rough = grow * hidden_slope(rms_slopes, level)
+        gx, gy = grow * gx, grow * gy
+    if sz >= mirror_range[1] and sz < mirror_range[2]:
+        light0, light1, light2 = mirrored(
+            mirror, mirror_depth, m, eye, lens, mirror_range[0], sx, sy, sz, t, vx, vy, vz,
+            gx, gy, rough,
+        )  # fmt: skip
+    else:
+        light0, light1, light2 = marched(
+            picture, tall, m, lens, environment, settings, sx - eye[0], sy - eye[1], sz - eye[2],
+            t, vx, vy, vz, gx, gy, rough,
+        )  # fmt: skip
+    ux, uy, uz = normal_of(gx, gy)
+    cosine = max(-(vx * ux + vy * uy + vz * uz), LEAST_COSINE)
+    share = schlick(cosine) if schlick_law else fresnel(cosine)
+    u, v = np.float32(column) + HALF, np.float32(row) + HALF
+    travel = ZERO
+    if image_shift:
+        bu, bv = shifted(m, lens, ux, uy, uz, deep, t, u, v)
+    else:
+        qx, qy, qz = refracted(vx, vy, vz, ux, uy, uz, cosine)
+        path = deep / max(-qz, LEAST_DROP)
+        ahead = t / column_of(m, 2, vx, vy, vz)
+        bu, bv = bed_seen_at(
+            depth, m, lens, ahead * vx + path * qx, ahead * vy + path * qy,
+            ahead * vz + path * qz, u, v,
+        )  # fmt: skip
+        travel = path + deep
+    b0, b1, b2 = bilinear_color(picture, bu, bv)
+    glint = ZERO
+    if sun[3] + sun[4] + sun[5] > ZERO:
+        if phong:
+            glint = share * phong_highlight(vx, vy, vz, sun[0], sun[1], sun[2], ux, uy, uz)
+        else:
+            glint = sun_glint(vx, vy, vz, sun[0], sun[1], sun[2], gx, gy, glint_variance)
+    through, dry = ONE - share, ONE - covers
+    picture_out[row, column, 0] = dry * picture[row, column, 0] + covers * (
+        through * b0 * exp_minus(ABSORB_R * travel) + share * light0 + glint * sun[3]
+    )
+    picture_out[row, column, 1] = dry * picture[row, column, 1] + covers * (
+        through * b1 * exp_minus(ABSORB_G * travel) + share * light1 + glint * sun[4]
+    )
+    picture_out[row, column, 2] = dry * picture[row, column, 2] + covers * (
+        through * b2 * exp_minus(ABSORB_B * travel) + share * light2 + glint * sun[5]
+    )

@@ -1,0 +1,184 @@
+"""Twins of `rainsim.shade`: from the dry picture to the wet one, and from light to 8 bit.
+
+A thread takes a pixel. Kernels have the parameters of their brothers on the CPU; numbers that
+change from frame to frame are arrays of one element, for a recorded frame reads them anew.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from rainsim.cuda.jit import cuda, cuda_kernel
+from rainsim.light import (
+    bilinear,
+    display_from_linear,
+    exp_minus,
+    fresnel,
+    linear_from_display,
+    smoothstep,
+)
+from rainsim.shade import (
+    FAR_AWAY,
+    FLAT,
+    GLOSS,
+    HALF,
+    LEAST_ALPHA,
+    ON_GROUND,
+    ONE,
+    SKY_DISTANCE,
+    SKY_SINE,
+    TWO,
+    ZERO,
+    fog_thickness,
+    glossed,
+    graded,
+    sky_share,
+    wetted,
+)
+from rainsim.sky import DROP_AMBIENT, DROP_FIELD, DROP_TRANSMISSION, sample_environment
+
+BLOCK = (32, 8)  # threads: columns, rows
+LEAST_COSINE, LEAST_THROUGH = np.float32(0.02), np.float32(0.002)
+OPEN_LOW, OPEN_HIGH = np.float32(0.4), np.float32(0.9)
+WHITE = np.float32(255)
+NOWHERE = np.float32(np.inf)
+SUMMERS = 256  # threads that add up the environment
+SUMS = 8
+ROOM = SUMMERS * SUMS
+COSINE = float(np.cos(DROP_FIELD))
+
+
+def blocks(height, width):
+    """Return the grid of blocks that covers a picture."""
+    return -(-width // BLOCK[0]), -(-height // BLOCK[1])
+
+
+@cuda_kernel
+def grade_and_wet(
+    color, alpha, depth, plane_depth, normal, meters_per_unit, ground_from_camera, eye, lens,
+    bed, grass, exposure_to_rain, origin, spacing, environment, day_sky, look, wetness,
+    picture_out, depth_out, clearance_out,
+):  # fmt: skip
+    """Grade the dry picture, wet it, and measure it against the ground; see `rainsim.shade`."""
+    column, row = cuda.grid(2)
+    height, width = alpha.shape
+    if row >= height or column >= width:
+        return
+    ny, nx = bed.shape
+    m = ground_from_camera
+    b = (np.float32(row) + HALF - lens[3]) / lens[1]
+    a = (np.float32(column) + HALF - lens[2]) / lens[0]
+    x = m[0, 0] * a + m[0, 1] * b + m[0, 2]
+    y = m[1, 0] * a + m[1, 1] * b + m[1, 2]
+    z = m[2, 0] * a + m[2, 1] * b + m[2, 2]
+    length = math.sqrt(x * x + y * y + z * z)
+    il = ONE / length
+    n0, n1, n2 = normal[row, column, 0], normal[row, column, 1], normal[row, column, 2]
+    upness = m[2, 0] * n0 + m[2, 1] * n1 + m[2, 2] * n2
+    d = plane_depth[row, column] if upness > FLAT else depth[row, column]
+    d *= meters_per_unit
+    over = alpha[row, column]
+    solid = over >= LEAST_ALPHA
+    u = (eye[0] + d * x - origin[0]) / spacing - HALF
+    v = (eye[1] + d * y - origin[1]) / spacing - HALF
+    inside = u > ZERO and v > ZERO and u < np.float32(nx - 1) and v < np.float32(ny - 1)
+    clearance, reach, lawn = FAR_AWAY, ONE, ZERO
+    if inside and solid:
+        clearance = eye[2] + d * z - bilinear(bed, u, v)
+        lawn = bilinear(grass, u, v)
+        if clearance < ON_GROUND:
+            reach = bilinear(exposure_to_rain, u, v)
+    depth_out[row, column] = d if solid else NOWHERE
+    clearance_out[row, column] = clearance
+    red = linear_from_display(max(color[row, column, 0], ZERO))
+    green = linear_from_display(max(color[row, column, 1], ZERO))
+    blue = linear_from_display(max(color[row, column, 2], ZERO))
+    far = d * length
+    sky = ZERO
+    if far > SKY_DISTANCE and z * il > SKY_SINE:
+        sky = look[3] * sky_share(red, green, blue)
+    red, green, blue = graded(red, green, blue, look[0], look[1], look[2])
+    wet = wetness[0]
+    if far < SKY_DISTANCE and wet > ZERO:
+        red, green, blue = wetted(
+            red, green, blue, look[0], wet, reach, upness, clearance, lawn
+        )
+        sheen = wet * reach * max(TWO * upness - ONE, ZERO) * (ONE - lawn) * GLOSS
+        if clearance > ON_GROUND:
+            sheen *= HALF
+        if sheen > ZERO:
+            e = m[0, 0] * n0 + m[0, 1] * n1 + m[0, 2] * n2
+            f = m[1, 0] * n0 + m[1, 1] * n1 + m[1, 2] * n2
+            gloss = sheen * fresnel(max(-(x * e + y * f + z * upness) * il, LEAST_COSINE))
+            e0, e1, e2 = glossed(environment, x * il, y * il, z * il)
+            red, green, blue = red + gloss * e0, green + gloss * e1, blue + gloss * e2
+    through = over * sky
+    if z > ZERO:
+        through += (ONE - over) * smoothstep(OPEN_LOW, OPEN_HIGH, ONE - over)
+    keep = ONE - sky
+    red, green, blue = red * keep, green * keep, blue * keep
+    if through > LEAST_THROUGH:
+        e0, e1, e2 = sample_environment(day_sky, x * il, y * il, z * il)
+        red, green, blue = red + through * e0, green + through * e1, blue + through * e2
+    picture_out[row, column, 0] = red
+    picture_out[row, column, 1] = green
+    picture_out[row, column, 2] = blue
+
+
+@cuda_kernel
+def compose(
+    picture, depth, rain_alpha, splash_alpha, drop_radiance, air_radiance, fog, lens,
+    brightness, image_out,
+):  # fmt: skip
+    """Put fog, streaks and splashes before the picture and encode it; see `rainsim.shade`."""
+    column, row = cuda.grid(2)
+    height, width = depth.shape
+    if row >= height or column >= width:
+        return
+    a = (np.float32(column) + HALF - lens[2]) / lens[0]
+    b = (np.float32(row) + HALF - lens[3]) / lens[1]
+    z = depth[row, column]
+    through = fog_thickness(fog, min(z, FAR_AWAY)) * math.sqrt(ONE + b * b + a * a)
+    clear = exp_minus(through) if z < FAR_AWAY else ONE
+    keep = (ONE - rain_alpha[row, column]) * (ONE - splash_alpha[row, column])
+    for c in range(3):
+        drop, air = drop_radiance[c], air_radiance[c]
+        value = air + (picture[row, column, c] - air) * clear
+        value = (drop + (value - drop) * keep) * brightness[0]
+        over = max(value - HALF, ZERO)
+        value = min(value, HALF) + HALF * (ONE - exp_minus(over * TWO))
+        shown = display_from_linear(max(value, ZERO))
+        image_out[row, column, c] = np.uint8(min(shown, ONE) * WHITE + HALF)
+
+
+@cuda_kernel
+def drop_radiance(direction, environment, forward, radiance_out):
+    """Twin of `rainsim.sky.drop_radiance`: the light of a drop seen along `forward` [0..2]."""
+    shared = cuda.shared.array(ROOM, np.float64)
+    tid = cuda.threadIdx.x
+    rows, columns = environment.shape[0], environment.shape[1]
+    s0, s1, s2, s3, t0, t1, t2, t3 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for k in range(tid, rows * columns, SUMMERS):
+        j, i = k // columns, k % columns
+        x, y, z = direction[j, i, 0], direction[j, i, 1], direction[j, i, 2]
+        area = math.sqrt(max(1.0 - z * z, 0.0))
+        red, green, blue = environment[j, i, 0], environment[j, i, 1], environment[j, i, 2]
+        t0, t1, t2, t3 = t0 + area * red, t1 + area * green, t2 + area * blue, t3 + area
+        if x * forward[0] + y * forward[1] + z * forward[2] > COSINE:
+            s0, s1, s2, s3 = s0 + area * red, s1 + area * green, s2 + area * blue, s3 + area
+    at = tid * SUMS
+    shared[at], shared[at + 1], shared[at + 2], shared[at + 3] = s0, s1, s2, s3
+    shared[at + 4], shared[at + 5], shared[at + 6], shared[at + 7] = t0, t1, t2, t3
+    cuda.syncthreads()
+    half = SUMMERS // 2
+    while half > 0:
+        if tid < half:
+            for k in range(SUMS):
+                shared[at + k] += shared[at + k + half * SUMS]
+        cuda.syncthreads()
+        half //= 2
+    if tid < 3:
+        field, around = shared[tid] / shared[3], shared[4 + tid] / shared[7]
+        radiance_out[tid] = np.float32(DROP_TRANSMISSION * field + DROP_AMBIENT * around)

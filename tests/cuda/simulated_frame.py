@@ -1,0 +1,67 @@
+"""Whole rainy frames of the twin in the simulator, against the CPU's."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from rainsim import render as rendering
+from rainsim.config import Config, mm_per_hour
+from rainsim.cuda import frame as twin
+from rainsim.cuda import simulated
+from rainsim.errors import ParameterError
+from rainsim.pipeline import extract_terrain, simulate
+from scenes import tiny_scene
+
+assert simulated()
+pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
+SIZE = (32, 24)
+
+
+@pytest.fixture(autouse=True)
+def quick(monkeypatch):
+    """The day's sky as surroundings: six pictures are much for the simulator."""
+    for renderer in (rendering.Renderer, twin.Renderer):
+        monkeypatch.setattr(renderer, "_surroundings", lambda self, position: self.day)
+
+
+def config(**changes):
+    base = {
+        "rate": mm_per_hour(20.0), "past": 4e-3, "frames": 2, "width": SIZE[0], "extent": 0.5,
+        "spacing": 0.05, "wind": (0.0, 0.0), "reflections": "ssr",
+    }  # fmt: skip
+    return Config().replace(**{**base, **changes})
+
+
+def decibel(a, b):
+    error = np.mean((np.asarray(a, float) - np.asarray(b, float)) ** 2) / 255**2
+    return -10 * np.log10(max(error, 1e-12))
+
+
+def drawn(renderer, scene, camera, states):
+    return [renderer.draw(camera, state)[0].copy() for state in states]
+
+
+def test_frames_are_those_of_the_cpu(monkeypatch):
+    scene = tiny_scene()
+    camera = scene.cameras[0].resized(*SIZE)
+    settings = config(level=0.03)
+    terrain = extract_terrain(scene, settings)
+    states = [state for state, _ in zip(simulate(terrain, settings), range(2), strict=False)]
+    wanted = drawn(rendering.Renderer(scene, terrain, settings, camera), scene, camera, states)
+    renderer = twin.Renderer(scene, terrain, settings, camera)
+    found = drawn(renderer, scene, camera, states)
+    for a, b in zip(found, wanted, strict=True):
+        assert decibel(a, b) > 45
+    assert decibel(wanted[0], wanted[1]) < 45
+    again = renderer.draw(camera, states[0])[0]
+    np.testing.assert_array_equal(again, found[0])
+    dry = dataclasses.replace(states[0], depth=np.zeros_like(states[0].depth))
+    assert decibel(renderer.draw(camera, dry)[0], found[0]) < 40
+
+
+def test_looks_that_only_the_cpu_draws_are_refused():
+    scene = tiny_scene()
+    settings = config(streaks="paper")
+    with pytest.raises(ParameterError, match="streaks is 'paper'.*backend cpu"):
+        twin.Renderer(scene, None, settings, scene.cameras[0])

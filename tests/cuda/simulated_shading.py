@@ -1,0 +1,209 @@
+"""The twins of shading, water surface and water light in the simulator, against the CPU's."""
+
+import inspect
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from rainsim import optics, reflect, shade, sky, watersurface
+from rainsim.cuda import optics as cuda_optics
+from rainsim.cuda import shading, simulated
+from rainsim.cuda import watersurface as cuda_surface
+from rainsim.cuda.jit import cuda
+
+assert simulated()
+pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
+HEIGHT, WIDTH, CELLS = 20, 30, 28
+SPACING, ORIGIN = np.float32(0.1), np.array([-1.4, -1.4], np.float32)
+F4 = np.float32
+
+
+def decibel(a, b, peak=1.0):
+    return -10 * np.log10(max(np.mean((np.asarray(a, float) - b) ** 2), 1e-30) / peak**2)
+
+
+@pytest.fixture(scope="module")
+def view():
+    """A camera over a pool: turn, eye, lens and what a dry picture has."""
+    rng = np.random.default_rng(4)
+    down = np.radians(35)
+    right, ahead = np.array([1.0, 0, 0]), np.array([0, np.cos(down), -np.sin(down)])
+    turn = np.stack([right, np.cross(ahead, right), ahead], axis=1).astype(F4)
+    eye, lens = np.array([0.05, -1.6, 1.2], F4), np.array([26, 27, 15.2, 9.7], F4)
+    v, h = np.mgrid[:HEIGHT, :WIDTH] + 0.5
+    ray = np.stack([(h - lens[2]) / lens[0], (v - lens[3]) / lens[1], np.ones_like(h)], -1)
+    z = (ray @ turn.T)[..., 2]
+    depth = np.where(z < -0.05, -eye[2] / np.minimum(z, -0.05), 60.0).astype(F4)
+    depth[4:12, 10:14] = 1.4  # a post
+    normal = np.zeros((HEIGHT, WIDTH, 3), F4)
+    normal[...] = np.array([0, 0, 1], F4) @ turn
+    alpha = rng.uniform(0.05, 1, (HEIGHT, WIDTH)).astype(F4)
+    return SimpleNamespace(
+        turn=turn, eye=eye, lens=lens, depth=depth, normal=normal, alpha=alpha,
+        color=rng.uniform(0, 1.2, (HEIGHT, WIDTH, 3)).astype(F4),
+        bed=rng.normal(0, 0.004, (CELLS, CELLS)).astype(F4),
+        grass=rng.uniform(0, 1, (CELLS, CELLS)).astype(F4),
+        exposure=rng.uniform(0.2, 1, (CELLS, CELLS)).astype(F4),
+    )  # fmt: skip
+
+
+def launch(kernel, *arguments):
+    kernel[shading.blocks(HEIGHT, WIDTH), shading.BLOCK](*arguments)
+
+
+def test_grade_and_wet(view, poisoned):
+    day, around = sky.overcast(), sky.overcast(0.7)
+    look = np.array([0.8, 0.15, 0.9, 0.8], F4)
+
+    def arguments(wetness):
+        return (
+            view.color, view.alpha, view.depth, view.depth * F4(1.01), view.normal, F4(0.9),
+            view.turn, view.eye, view.lens, view.bed, view.grass, view.exposure, ORIGIN, SPACING,
+            around, day, look, wetness,
+        )  # fmt: skip
+
+    shapes = (HEIGHT, WIDTH, 3), (HEIGHT, WIDTH), (HEIGHT, WIDTH)
+    wanted, found, dry = ([poisoned(shape) for shape in shapes] for _ in range(3))
+    shade.grade_and_wet(*arguments(F4(0.9)), *wanted)
+    launch(shading.grade_and_wet, *arguments(np.array([0.9], F4)), *found)
+    launch(shading.grade_and_wet, *arguments(np.array([0.0], F4)), *dry)
+    assert decibel(found[0], wanted[0]) > 100
+    np.testing.assert_allclose(found[1], wanted[1], rtol=1e-6)
+    np.testing.assert_allclose(found[2], wanted[2], atol=1e-5)
+    assert decibel(dry[0], wanted[0]) < 40
+
+
+def test_compose(view, poisoned, rng):
+    alphas = [rng.uniform(0, 0.5, (HEIGHT, WIDTH)).astype(F4) for _ in range(2)]
+    fog = np.linspace(0, 0.6, 99).astype(F4)
+    fog[0], fog[1] = 20, 0.02
+    light = view.color * 2, view.depth, *alphas, F4([0.5, 0.6, 0.7]), F4([0.8, 0.8, 0.9]), fog
+    wanted, found = (poisoned((HEIGHT, WIDTH, 3), np.uint8) for _ in range(2))
+    shade.compose(*light, view.lens, F4(1.1), wanted)
+    launch(shading.compose, *light, view.lens, np.array([1.1], F4), found)
+    difference = np.abs(found.astype(int) - wanted)
+    assert difference.max() <= 1 and (difference > 0).mean() < 0.01
+    assert wanted.std() > 10
+
+
+def test_drop_radiance(rng):
+    around = rng.uniform(0, 1, (16, 32, 3)).astype(F4)
+    around[:8] += 1
+    found = []
+    for forward in (np.array([0.1, 0.9, -0.2]), np.array([0.0, 0.1, 0.99])):
+        forward /= np.linalg.norm(forward)
+        out = np.full(3, np.nan, F4)
+        shading.drop_radiance[1, shading.SUMMERS](sky.directions(16, 32), around, forward, out)
+        np.testing.assert_allclose(out, sky.drop_radiance(around, forward), rtol=1e-5)
+        found.append(out)
+    assert np.abs(found[0] - found[1]).min() > 0.1
+
+
+@pytest.fixture(scope="module")
+def pond(view):
+    """Depth of water, and the surface that the CPU makes of it."""
+    rng = np.random.default_rng(9)
+    y, x = np.mgrid[:CELLS, :CELLS]
+    depth = np.clip(0.03 - 0.004 * np.hypot(x - 14, y - 15), 0, None).astype(F4)
+    depth[2:4, 2:5] = 0.02
+    relief = rng.normal(0, 5e-4, (CELLS, CELLS)).astype(F4)
+    mirrors = rng.uniform(size=(CELLS, CELLS)) < 0.9
+    terrain = SimpleNamespace(bed=view.bed)
+    return depth, relief, mirrors, watersurface.water_surface(terrain, depth, relief, mirrors)
+
+
+def test_water_surface(view, pond):
+    depth, relief, mirrors, (surface, over) = pond
+    twin = cuda_surface.WaterSurface(view.bed, relief, mirrors, depth, cuda.stream())
+    twin.launch()
+    np.testing.assert_allclose(twin.over.copy_to_host(), over, atol=2e-7)
+    found = twin.surface.copy_to_host()
+    near = over > 0
+    np.testing.assert_allclose(found[near], surface[near], atol=2e-7)
+    # Far from water the nearest block decides, and of two as near either may.
+    assert (np.abs(found - surface) < 1e-6).mean() > 0.95
+    assert twin.highest.copy_to_host()[0] == pytest.approx(surface[near].max(), abs=1e-6)
+    twin.depth[...] = 0
+    twin.launch()
+    assert twin.highest.copy_to_host()[0] == cuda_surface.NO_HEIGHT
+    assert (twin.over.copy_to_host() == 0).all()
+
+
+@pytest.mark.parametrize("reflection", ["march", "mirror"])
+@pytest.mark.parametrize("hard", [False, True])
+def test_water_light(view, pond, poisoned, rng, reflection, hard):
+    *_, (surface, over) = pond
+    where = view.turn, view.eye, view.lens, surface, over, ORIGIN, SPACING
+    highest, cover = F4(surface[over > 0].max()), np.array([0.0005, 0.002], F4)
+    rows = np.arange(HEIGHT, dtype=np.int64)
+    hit, hit2, coverage, coverage2 = (poisoned((HEIGHT, WIDTH)) for _ in range(4))
+    count = np.zeros(HEIGHT, np.int64)
+    optics.meet_water(view.depth, *where, highest, rows, cover, hard, hit, coverage, count)
+    launch(
+        cuda_optics.meet_water, view.depth, *where, np.array([highest]), cover, hard, hit2,
+        coverage2,
+    )  # fmt: skip
+    np.testing.assert_allclose(coverage2, coverage, atol=1e-4)
+    assert 50 < count.sum() < HEIGHT * WIDTH
+
+    slopes = rng.normal(0, 0.05, (2, 32, 32)).astype(F4)
+    levels = watersurface.ripple_levels(slopes)
+    rms = watersurface.rms_slopes(levels)
+    picture, clearance = view.color, np.where(view.depth == F4(1.4), 1.0, 0).astype(F4)
+    clearance[view.depth > 50] = 1e4
+    tall, tall2 = poisoned((HEIGHT, WIDTH)), poisoned((HEIGHT, WIDTH))
+    reflect.keep_tall(view.depth, clearance, tall)
+    launch(cuda_optics.keep_tall, view.depth, clearance, tall2)
+    np.testing.assert_array_equal(tall, tall2)
+    around, sun = sky.overcast(), np.array([0.1, 0.7, 0.7, 9, 8, 7], F4)
+    settings = np.array([0.15, 1.0, 12.0], F4)
+    n = int(count.sum())
+    pixel, record = np.empty(n, np.int32), np.empty((n, 16), F4)
+    light, source = poisoned((n, 3)), poisoned(n, np.uint8)
+    optics.list_water(
+        hit, coverage, np.cumsum(count) - count, rows, view.turn, view.eye, view.lens, over,
+        view.exposure, ORIGIN, SPACING, pixel, record,
+    )  # fmt: skip
+    optics.tilt_water(record, *levels, rms, F4(1.0))
+    mirror = rng.uniform(0, 1, (HEIGHT, WIDTH, 3)).astype(F4)
+    mirror_depth = rng.uniform(2, 5, (HEIGHT, WIDTH)).astype(F4)
+    everything = np.arange(n)
+    if reflection == "mirror":
+        reflect.mirror_light(
+            everything, record, view.turn, view.eye, view.lens, F4(0.02), mirror, mirror_depth,
+            light, source,
+        )  # fmt: skip
+        served = np.array([0.02, -10, 10], F4)
+    else:
+        reflect.march_light(
+            everything, record, picture, tall, view.turn, view.eye, view.lens, around, settings,
+            light, source,
+        )  # fmt: skip
+        served = np.array([0, 10, -10], F4)
+    wanted, found = picture.copy(), poisoned(picture.shape)
+    flags = False, hard, hard  # schlick_law, image_shift, phong
+    optics.lay_water(
+        pixel, record, light, picture, view.depth, view.turn, view.lens, *flags, F4(4e-3), sun,
+        wanted,
+    )  # fmt: skip
+    launch(
+        cuda_optics.shade_water, hit, coverage, picture, view.depth, tall, view.turn, view.eye,
+        view.lens, over, view.exposure, ORIGIN, SPACING, *levels, rms, F4(1.0), around, settings,
+        served, mirror, mirror_depth, *flags, F4(4e-3), sun, found,
+    )  # fmt: skip
+    assert decibel(found, wanted) > 70
+    assert decibel(wanted, picture) < 30
+
+
+def test_signatures_are_those_of_the_cpu():
+    """What the twins leave out is what a list of pixels needs, and they add nothing else."""
+    pairs = [
+        (shade.grade_and_wet, shading.grade_and_wet, set()),
+        (shade.compose, shading.compose, set()),
+        (reflect.keep_tall, cuda_optics.keep_tall, set()),
+        (optics.meet_water, cuda_optics.meet_water, {"turn", "count_out"}),
+    ]
+    for theirs, ours, without in pairs:
+        theirs = [n for n in inspect.signature(theirs).parameters if n not in without]
+        assert list(inspect.signature(ours.fn).parameters) == theirs
