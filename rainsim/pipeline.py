@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from rainsim import render as rendering
 from rainsim import terrain
-from rainsim.errors import ParameterError
 from rainsim.render import FrameReport, render
 from rainsim.simulation import SimState, read_state, simulate, write_state
 from rainsim.terrain import Terrain
@@ -25,8 +24,6 @@ __all__ = [
     "write_state",
 ]
 
-BACKENDS = ("cpu",)
-
 
 def render_rain(scene, cameras, config, backend="cpu", progress=None, layers=()):
     """Yield the rainy frames of a scene: the whole program.
@@ -37,8 +34,8 @@ def render_rain(scene, cameras, config, backend="cpu", progress=None, layers=())
     cameras : sequence of Camera
         One per frame, or one for all, in the capture frame.
     config : Config
-    backend : str
-        "cpu".
+    backend : {"cpu", "cuda"}
+        What draws the frames, see `rainsim.cuda`. Pictures of "cuda" are overwritten by the next.
     progress : callable, optional
         progress(stage, done, total) is told what is being done.
     layers : sequence of str
@@ -54,16 +51,17 @@ def render_rain(scene, cameras, config, backend="cpu", progress=None, layers=())
     ------
     ParameterError
         If the configuration breaks a rule or the cameras do not match the frames.
+    BackendError
+        If the backend cannot run here.
     """
-    if backend not in BACKENDS:
-        raise ParameterError(f"backend is {backend!r}; it must be one of {', '.join(BACKENDS)}")
+    rendering.renderer_class(backend)  # before anything is computed
     config.check()
     tell = progress or (lambda stage, done, total: None)
     tell("terrain", 0, 1)
     ground = extract_terrain(scene, config)
     tell("terrain", 1, 1)
     states = frames_of(simulate(ground, config), config, tell)
-    yield from rendering.render(scene, ground, states, cameras, config, layers)
+    yield from rendering.render(scene, ground, states, cameras, config, layers, backend)
 
 
 def extract_terrain(scene, config, mask=None):

@@ -11,7 +11,7 @@ from scipy import ndimage
 
 from rainsim import layers, paperrain, shade, sky, wetness
 from rainsim.drips import drip_impacts, drips_seen
-from rainsim.errors import ParameterError
+from rainsim.errors import ParameterError, require_choice
 from rainsim.motion import shutter_end
 from rainsim.raster import Rasterizer, prepare
 from rainsim.simulation import rain_exposure, surfaces_of, usual_wind
@@ -21,6 +21,7 @@ from rainsim.traced import Tracer
 from rainsim.waterview import View, WaterView
 from rainsim.weather import Weather
 
+BACKENDS = ("cpu", "cuda")
 NEAR = 0.05  # m: splats nearer than this are not drawn
 SKY_SHARE, NEAREST_SKY = 0.7, 30.0  # of the capture's reach [m] where its sky may begin
 MIRROR_CLEARANCE = 0.015  # m above the water: what is lower cannot be told from the ground
@@ -394,7 +395,28 @@ class Timer:
         self._last = now
 
 
-def render(scene, terrain, states, cameras, config, names=()):
+def renderer_class(backend):
+    """Return the class that draws frames on a backend.
+
+    Raises
+    ------
+    ParameterError
+        If there is no such backend.
+    BackendError
+        If it cannot run here; the message names the remedy.
+    """
+    require_choice("backend", backend, BACKENDS)
+    if backend == "cpu":
+        return Renderer
+    from rainsim.cuda import require
+
+    require()
+    from rainsim.cuda.frame import Renderer as OnGpu
+
+    return OnGpu
+
+
+def render(scene, terrain, states, cameras, config, names=(), backend="cpu"):
     """Yield (picture, FrameReport) for each state and its camera.
 
     Parameters
@@ -408,6 +430,8 @@ def render(scene, terrain, states, cameras, config, names=()):
     config : Config
     names : sequence of str
         Layers that the reports are to hold, see `rainsim.layers`.
+    backend : {"cpu", "cuda"}
+        What draws. Pictures of "cuda" are overwritten by the next one.
 
     Yields
     ------
@@ -416,7 +440,7 @@ def render(scene, terrain, states, cameras, config, names=()):
     """
     if not cameras:
         raise ParameterError("no camera was given; a frame needs one")
-    renderer = Renderer(scene, terrain, config, cameras[0])
+    renderer = renderer_class(backend)(scene, terrain, config, cameras[0])
     path = [scene.ground_frame.camera_in_ground(camera) for camera in cameras]
     for state in states:
         camera = cameras[0] if len(cameras) == 1 else cameras[state.index]

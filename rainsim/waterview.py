@@ -19,6 +19,7 @@ MIRROR_SPREAD = 0.06  # m: water at levels farther apart has no mirror in common
 MOST_MIRRORS = 3  # levels that auto draws mirrored; what stands at others is marched
 LEAST_SHARE = 0.04  # of the water's pixels for which another mirror is drawn
 LEVEL_STEP = 2e-3  # m, of a mirror's level: a slowly filling puddle keeps its mirror for a while
+MIRROR_STEPS = int(MIRROR_SPREAD / LEVEL_STEP)
 WINDOW_STEP = 64  # px, of the part of the picture that is drawn mirrored: whole tiles
 WINDOW_SLOPE = 0.08  # tilt of the water up to which a ripple finds its image in that part
 REFLECTION_THICKNESS = 0.15  # m
@@ -295,23 +296,40 @@ def group_levels(height, name):
     everything = np.arange(len(height))
     if name not in ("mirror", "auto") or not len(height):
         return [], everything
-    lowest = float(height.min())
-    place = ((height - lowest) / LEVEL_STEP).astype(np.int64)
-    count = np.bincount(place)
-    wide = int(MIRROR_SPREAD / LEVEL_STEP)
+    place = np.floor(height.astype(np.float64) / LEVEL_STEP).astype(np.int64)
+    lowest = int(place.min())
+    place -= lowest
     left, mirrors = np.ones(len(height), bool), []
-    for _ in range(MOST_MIRRORS if name == "auto" else 1):
-        if count.sum() < LEAST_SHARE * len(height):
-            break
-        sums = np.convolve(count, np.ones(wide, np.int64))[wide - 1 :]
-        first = int(np.argmax(sums))
-        inside = count[first : first + wide].cumsum()
-        if inside[-1] < LEAST_SHARE * len(height):
-            break
-        middle = first + int(np.searchsorted(inside, inside[-1] / 2))
-        level = round((lowest + (middle + 0.5) * LEVEL_STEP) / LEVEL_STEP) * LEVEL_STEP
-        mine = left & (place >= first) & (place < first + wide)
+    for first, middle in mirror_levels(np.bincount(place), MOST_MIRRORS if name == "auto" else 1):
+        mine = left & (place >= first) & (place < first + MIRROR_STEPS)
+        level = (lowest + middle + 0.5) * LEVEL_STEP
         mirrors.append((level, everything if name == "mirror" else np.flatnonzero(mine)))
         left &= ~mine
-        count[first : first + wide] = 0
     return mirrors, everything[left] if name == "auto" else everything[:0]
+
+
+def mirror_levels(count, most):
+    """Choose levels at which much of the water stands.
+
+    Parameters
+    ----------
+    count : ndarray of shape (n,), int64
+        Pixels of each step of height.
+    most : int
+
+    Yields
+    ------
+    first, middle : int
+        The first of the MIRROR_STEPS steps that a mirror serves, and that of its level.
+    """
+    count, total = count.copy(), count.sum()
+    for _ in range(most):
+        if count.sum() < LEAST_SHARE * total:
+            break
+        sums = np.convolve(count, np.ones(MIRROR_STEPS, np.int64))[MIRROR_STEPS - 1 :]
+        first = int(np.argmax(sums))
+        inside = count[first : first + MIRROR_STEPS].cumsum()
+        if inside[-1] < LEAST_SHARE * total:
+            break
+        yield first, first + int(np.searchsorted(inside, inside[-1] / 2))
+        count[first : first + MIRROR_STEPS] = 0

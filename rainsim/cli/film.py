@@ -22,11 +22,12 @@ SIMULATION = "simulation.json"
 @options.light_options
 @options.camera_options
 @options.picture_options
+@options.backend_option
 @options.range_option
 @options.ground_options
 @options.terrain_options
 @options.output_options("rainsim-out/SCENE-PRESET")
-def run(scene, preset, out, overwrite, as_json, quiet, video, layers, **given):
+def run(scene, preset, out, overwrite, as_json, quiet, video, layers, backend, **given):
     """Draw a scene in the rain: the whole chain, from a capture to frames.
 
     Writes DIR/frames/00000.png and so on, preview.webp, transforms.json (the frames' cameras) and
@@ -40,7 +41,7 @@ def run(scene, preset, out, overwrite, as_json, quiet, video, layers, **given):
     """
     status = Status(quiet)
     config = settings(preset, given)
-    names = _check_before_loading(given, video, layers)
+    names = _check_before_loading(given, video, layers, backend)
     loaded = scene_of(scene, given)
     tell_scene(status, loaded)
     cameras, config = cameras_of(loaded, config, given)
@@ -54,7 +55,7 @@ def run(scene, preset, out, overwrite, as_json, quiet, video, layers, **given):
             if done == total:  # what follows unannounced is the first frame
                 status.progress("frames", 0, len(config.indices))
 
-        return render_rain(loaded, cameras, config, progress=progress, layers=names)
+        return render_rain(loaded, cameras, config, backend, progress, names)
 
     files = {"out": out, "overwrite": overwrite, "video": video, "as_json": as_json}
     _film(status, frames, loaded, cameras, config, preset, **files)
@@ -140,10 +141,11 @@ def _write_simulation(out, source, terrain, record, config, preset, origin):
 @options.light_options
 @options.camera_options
 @options.picture_options
+@options.backend_option
 @options.range_option
 @options.ground_options
 @options.output_options("rainsim-out/STATES-frames")
-def render(states, scene, out, overwrite, as_json, quiet, video, layers, **given):
+def render(states, scene, out, overwrite, as_json, quiet, video, layers, backend, **given):
     """Draw frames from STATES, a folder that `rainsim simulate` wrote, for any camera.
 
     The drops in the air are made anew from the seed. Settings of the rain are those of the
@@ -156,7 +158,7 @@ def render(states, scene, out, overwrite, as_json, quiet, video, layers, **given
     status = Status(quiet)
     made = _read_simulation(states)
     config = settings(None, given, base=made["config"])
-    names = _check_before_loading(given, video, layers)
+    names = _check_before_loading(given, video, layers, backend)
     origin = made.get("input") or {}
     scene = scene or origin.get("source") or origin.get("scene")
     if scene is None:
@@ -182,7 +184,8 @@ def render(states, scene, out, overwrite, as_json, quiet, video, layers, **given
         from rainsim.terrain import read_terrain
 
         found = (pipeline.read_state(_state_file(states, index)) for index in config.indices)
-        return pipeline.render(loaded, read_terrain(states), found, cameras, config, names)
+        ground = read_terrain(states)
+        return pipeline.render(loaded, ground, found, cameras, config, names, backend)
 
     for index in config.indices:
         _state_file(states, index)
@@ -223,9 +226,13 @@ def _read_simulation(states):
 # --- what run and render share --------------------------------------------------------------------
 
 
-def _check_before_loading(given, video, layers):
+def _check_before_loading(given, video, layers, backend):
     """Return the names of the layers; raise for what could only fail later."""
     check_camera_options(given)
+    if backend == "cuda":
+        from rainsim.cuda import require
+
+        require()
     if video:
         from rainsim.image import require_video
 

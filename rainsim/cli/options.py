@@ -248,6 +248,11 @@ def output_options(default):
     )  # fmt: skip
 
 
+backend_option = click.option(
+    "--backend", type=click.Choice(["cpu", "cuda"]), default="cpu", show_default=True,
+    help="What draws: cuda needs an NVIDIA GPU and rainsim[cuda]; see `rainsim doctor`.",
+)  # fmt: skip
+
 json_option = click.option("--json", "as_json", is_flag=True, help="Print results as JSON.")
 
 

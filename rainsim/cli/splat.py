@@ -45,6 +45,7 @@ SIDES = (1, 16384)  # px
               help="Picture, or float32 arrays rgb, alpha, depth, normal.")  # fmt: skip
 @click.option("--overwrite", is_flag=True, help="Replace the file if it exists.")
 @click.option("--threads", type=int, metavar="N", show_default="all cores", help="Threads.")
+@options.backend_option
 @options.json_option
 def splat(scene, out, overwrite, threads, as_json, **given):
     """Draw the dry capture SCENE from a camera, without looking for its ground.
@@ -80,7 +81,7 @@ def splat(scene, out, overwrite, threads, as_json, **given):
     capture = load_scene(scene, cameras=given["cameras"], ground_frame=nowhere)
     camera = _camera(capture, given)
     layers, milliseconds = draw(
-        capture, camera, given["depth"], compensate=given["compensate"],
+        capture, camera, given["depth"], given["backend"], compensate=given["compensate"],
         background=given["background"], hit=given["hit"],
     )  # fmt: skip
     _write(Path(out), layers, camera)
@@ -155,12 +156,17 @@ def _up(capture, given):
     return np.mean([camera.image_up for camera in capture.cameras], axis=0)
 
 
-def draw(capture, camera, depth="expected", **options):
+def draw(capture, camera, depth="expected", backend="cpu", **options):
     """Return the layers that a camera sees, with `depth` as the mode asks, and milliseconds."""
     import time
 
     from rainsim.raster import Rasterizer, prepare
 
+    if backend == "cuda":
+        from rainsim.cuda import require
+
+        require()
+        from rainsim.cuda.raster import Rasterizer
     drawer = Rasterizer(prepare(capture.splats))
     begin = time.perf_counter()
     mode = "median" if depth == "median" else "expected"

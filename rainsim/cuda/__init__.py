@@ -15,7 +15,6 @@ import os
 
 from rainsim.errors import BackendError
 
-BACKENDS = ("cpu", "cuda")
 REMEDY = "pip install rainsim[cuda]"
 
 

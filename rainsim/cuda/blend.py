@@ -23,13 +23,14 @@ from rainsim.cuda.jit import (
 )
 from rainsim.cuda.project import FAINT, LENS, RECORD, SPLAT_BITS, SPLAT_MASK
 from rainsim.raster.blend import HALF, ONE, TRANSMITTANCE_STOP, ZERO, finish_pixel
-from rainsim.raster.lanes import MAX_ALPHA
+from rainsim.raster.lanes import LAST_LIGHT, MAX_ALPHA
 from rainsim.raster.project import MIN_ALPHA_LOG2, TILE
 
 SQUARE = 8  # px, side of what a warp owns
 WARPS = 4  # of a block: the four quarters of a tile
 SHARED = WARPS * (32 + 1) * RECORD
 MOST = np.float32(MAX_ALPHA)
+LAST = np.float32(LAST_LIGHT)
 TWO, FOUR, SEVEN = np.float32(2), np.float32(4), np.float32(7)
 SMALL = np.float32(1e-4)
 
@@ -77,7 +78,7 @@ def square_is_met(u, v, a, b, c, level, left, right, top, bottom):
 
 @cuda_kernel
 def blend_pixel_by_pixel(
-    value, begin, end, record, now, width, height, orthographic, median,
+    value, begin, end, record, now, width, height, orthographic, median, drop_last,
     color_out, alpha_out, depth_out, plane_out, normal_out,
 ):  # fmt: skip
     """Blend each tile's list: the plain way, a thread a pixel."""
@@ -99,6 +100,8 @@ def blend_pixel_by_pixel(
             continue
         weight = min(np.float32(math.exp2(power)), MOST) * clear
         after = clear - weight
+        if drop_last and after <= LAST:
+            break
         red += weight * record[r + 6]
         green += weight * record[r + 7]
         blue += weight * record[r + 8]
@@ -121,8 +124,8 @@ def blend_pixel_by_pixel(
 
 @fast_device
 def add_splat(
-    shared, o, px, py, median, t0, t1, r0, g0, b0, z0, x0, y0, w0, d0, r1, g1, b1, z1, x1, y1, w1,
-    d1,
+    shared, o, px, py, median, drop_last,
+    t0, t1, r0, g0, b0, z0, x0, y0, w0, d0, r1, g1, b1, z1, x1, y1, w1, d1,
 ):  # fmt: skip
     """Blend one staged splat into a lane's two pixels, four rows apart; return their sums."""
     u, v, a, b = load4(shared, o)
@@ -138,14 +141,24 @@ def add_splat(
         s0 = min(math.exp2(upper), MOST) * t0
     if lower >= MIN_ALPHA_LOG2:
         s1 = min(math.exp2(lower), MOST) * t1
+    after0, after1 = t0 - s0, t1 - s1
+    if drop_last:  # a pixel that has ended has a negative transmittance, and takes no more
+        if t0 <= ZERO:
+            s0, after0 = ZERO, t0
+        elif after0 <= LAST:
+            s0, after0 = ZERO, -t0
+        if t1 <= ZERO:
+            s1, after1 = ZERO, t1
+        elif after1 <= LAST:
+            s1, after1 = ZERO, -t1
     if median:
-        z0 = z if t0 > HALF and t0 - s0 <= HALF else z0
-        z1 = z if t1 > HALF and t1 - s1 <= HALF else z1
+        z0 = z if t0 > HALF and after0 <= HALF and after0 > ZERO else z0
+        z1 = z if t1 > HALF and after1 <= HALF and after1 > ZERO else z1
     else:
         z0 += s0 * z
         z1 += s1 * z
     return (
-        t0 - s0, t1 - s1,
+        after0, after1,
         r0 + s0 * red, g0 + s0 * green, b0 + s0 * blue, z0,
         x0 + s0 * n0, y0 + s0 * n1, w0 + s0 * n2, d0 + s0 * distance,
         r1 + s1 * red, g1 + s1 * green, b1 + s1 * blue, z1,
@@ -153,8 +166,8 @@ def add_splat(
     )  # fmt: skip
 
 
-def _blend_squares(median):
-    """Return the kernel for the mean depth or for the median one."""
+def _blend_squares(median, drop_last):
+    """Return the kernel for the mean or the median depth, and for either stop."""
 
     @fast_kernel
     def blend_squares(
@@ -225,17 +238,19 @@ def _blend_squares(median):
             last = np.int32(staged + count * RECORD)
             while o < last:
                 t0, t1, r0, g0, b0, z0, x0, y0, w0, d0, r1, g1, b1, z1, x1, y1, w1, d1 = add_splat(
-                    shared, o, px, py, median, t0, t1, r0, g0, b0, z0, x0, y0, w0, d0,
-                    r1, g1, b1, z1, x1, y1, w1, d1,
+                    shared, o, px, py, median, drop_last,
+                    t0, t1, r0, g0, b0, z0, x0, y0, w0, d0, r1, g1, b1, z1, x1, y1, w1, d1,
                 )  # fmt: skip
                 t0, t1, r0, g0, b0, z0, x0, y0, w0, d0, r1, g1, b1, z1, x1, y1, w1, d1 = add_splat(
-                    shared, o + RECORD, px, py, median, t0, t1, r0, g0, b0, z0, x0, y0, w0, d0,
-                    r1, g1, b1, z1, x1, y1, w1, d1,
+                    shared, o + RECORD, px, py, median, drop_last,
+                    t0, t1, r0, g0, b0, z0, x0, y0, w0, d0, r1, g1, b1, z1, x1, y1, w1, d1,
                 )  # fmt: skip
                 o = np.int32(o + 2 * RECORD)
             if not cuda.any_sync(FULL, t0 > SMALL or t1 > SMALL):
                 break
             cuda.syncwarp()
+        if drop_last:
+            t0, t1 = abs(t0), abs(t1)
         write_pixel(
             x, y, width, height, now, orthographic, median, t0, r0, g0, b0, z0, x0, y0, w0, d0,
             color_out, alpha_out, depth_out, plane_out, normal_out,
@@ -248,5 +263,9 @@ def _blend_squares(median):
     return blend_squares
 
 
-blend_squares_mean = _blend_squares(False)
-blend_squares_median = _blend_squares(True)
+# By whether the depth is the median one and whether the training codes' stop is taken.
+BLEND_SQUARES = {
+    (median, drop): _blend_squares(median, drop)
+    for median in (False, True)
+    for drop in (False, True)
+}

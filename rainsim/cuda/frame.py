@@ -16,6 +16,7 @@ from rainsim import sky, waterview
 from rainsim.cuda import optics, shading
 from rainsim.cuda.graph import Graph
 from rainsim.cuda.jit import cuda, pinned
+from rainsim.cuda.mirror import Mirrors
 from rainsim.cuda.numbers import Numbers
 from rainsim.cuda.raster import DeviceSplats, Rasterizer
 from rainsim.cuda.streaks import Streaks
@@ -29,7 +30,6 @@ from rainsim.streaks import FOG_STEPS, NO_FOG, fog_table, streak_reach
 from rainsim.watersurface import ripple_levels, rms_slopes
 
 LEVELS = 4  # resolutions of the ripple tile
-NOTHING = np.array([0, np.inf, -np.inf], np.float32)  # a mirror that serves no height
 MOST_TRIES = 8  # of a frame for which there was too little room
 
 
@@ -45,7 +45,8 @@ class Renderer(HostRenderer):
         self.stream = cuda.stream()
         super().__init__(scene, terrain, config, first_camera)
         send = self._send
-        self._maps = [send(terrain.bed), send(self.grass), send(self.exposure)]
+        self._bed, self._exposed = send(terrain.bed), send(self.exposure)
+        self._ground, self._ground_sent = send(self.ground), self.ground
         self._place = send(self._origin), self._spacing
         self._light = send(self.environment), send(self.day)
         self._directions = cuda.to_device(sky.directions(*self.environment.shape[:2]))
@@ -55,6 +56,7 @@ class Renderer(HostRenderer):
         self._surface = WaterSurface(
             terrain.bed, self.water.relief, terrain.mirrors, self._water, self.stream
         )
+        self.mirrors = Mirrors(self, config.render.reflections)
         self._slopes = None
         self._size = self._graph = self._queue = None
         self._fog_of = None, None
@@ -66,11 +68,14 @@ class Renderer(HostRenderer):
     def _send(array):
         return cuda.to_device(np.ascontiguousarray(array, dtype=np.float32))
 
-    def draw(self, camera, state, camera_end=None):
+    def draw(self, camera, state, camera_end=None, names=()):
         """Return the picture (height, width, 3) uint8 that `camera` (capture frame) takes.
 
-        The picture is overwritten by the next call. `camera_end`: see `rainsim.render`.
+        The picture is overwritten by the next call. `camera_end`: see `rainsim.render`. Layers
+        (`names`) are not told here.
         """
+        if names:
+            raise ParameterError("layers are asked for; only the CPU has them; take backend cpu")
         begin = clock.perf_counter()
         self.update(camera, state, camera_end)
         self.run()
@@ -86,35 +91,40 @@ class Renderer(HostRenderer):
                 self._graph = Graph(self.stream, self.launch)
             self._graph.launch()
             self.stream.synchronize()
-            if not self.rasterizer.overflows():
+            lacking = self.mirrors.grow()
+            if self.rasterizer.overflows():
+                self.rasterizer.make_room()
+            elif not lacking:
                 break
-            self._make_room()
+            self._graph = None
         if self.rasterizer.is_tight():
-            self._make_room()
-
-    def _make_room(self):
-        self.rasterizer.make_room()
-        self._graph = None
+            self.rasterizer.make_room()
+            self._graph = None
+        if self.mirrors.make_ahead():
+            self._graph = None
 
     def update(self, camera, state, camera_end=None):
         """Take over what the next frame shows."""
         self._set_time(state.time)
+        if self.ground is not self._ground_sent:
+            self._ground.copy_to_device(np.ascontiguousarray(self.ground, np.float32))
+            self._ground_sent = self.ground
         self.view = self.frame.camera_in_ground(camera)
         if self._size != (camera.height, camera.width):
             self._size = camera.height, camera.width
             self._room_for(camera, state)
         self.rasterizer.update(camera, self.near)
-        if self.rasterizer.queue != self._queue:
-            self._queue, self._graph = self.rasterizer.queue, None
+        self.mirrors.update(camera, self.near, self.frame)
+        queue = self.rasterizer.queue, self.mirrors.queue
+        if queue != self._queue:
+            self._queue, self._graph = queue, None
         turn, eye = _pose(self.view)
         fog = NO_FOG
-        field = self.weather.field(
-            state.time - LONGEST_LIFE, state.time + self.now.render.exposure
-        )
+        field = self.weather.field(state.time - LONGEST_LIFE, state.time + self.now.render.exposure)
         if self.streaks is not None:
             fog = self._update_drops(field, state, camera_end)
         self.numbers.update(
-            turn=turn, eye=eye, lens=_lens(camera), look=self.look, wetness=self.wetness,
+            turn=turn, eye=eye, lens=_lens(camera), look=self.look, others=self.others,
             brightness=self.now.render.brightness, fog=fog, sun=self._sun, air=self._air,
             forward=self.view.forward,
         )  # fmt: skip
@@ -154,6 +164,7 @@ class Renderer(HostRenderer):
         height, width = self._size
         f4 = np.float32
         self._graph = None
+        self.mirrors.room_for(height, width)
         self._picture, self._shown = (cuda.device_array((height, width, 3), f4) for _ in range(2))
         self._depth, self._clearance, self._tall, self._hit, self._coverage, self._none = (
             cuda.device_array((height, width), f4) for _ in range(6)
@@ -162,24 +173,22 @@ class Renderer(HostRenderer):
         self._image = cuda.device_array((height, width, 3), np.uint8)
         self.image = pinned((height, width, 3), np.uint8)
         self.numbers = Numbers(self.stream, {
-            "turn": ((3, 3), f4), "eye": ((3,), f4), "lens": ((4,), f4), "look": ((4,), f4),
-            "wetness": ((1,), f4), "brightness": ((1,), f4), "fog": ((FOG_STEPS + 3,), f4),
+            "turn": ((3, 3), f4), "eye": ((3,), f4), "lens": ((4,), f4), "look": ((5,), f4),
+            "others": ((5,), f4), "brightness": ((1,), f4), "fog": ((FOG_STEPS + 3,), f4),
             "sun": ((6,), f4), "air": ((3,), f4), "settings": ((3,), f4), "cover": ((2,), f4),
-            "served": ((3,), f4), "forward": ((3,), np.float64),
+            "forward": ((3,), np.float64),
         })  # fmt: skip
         render = self.config.render
         hard = render.coverage == "hard"
         stride = max(1.0, width / 960)
         self.numbers.update(
             settings=(waterview.REFLECTION_THICKNESS, stride, waterview.REFLECTION_LENGTH),
-            cover=(LEAST_WATER,) * 2 if hard else render.water_coverage, served=NOTHING,
+            cover=(LEAST_WATER,) * 2 if hard else render.water_coverage,
         )  # fmt: skip
         self.streaks = None
         field = self.weather.field(state.time - LONGEST_LIFE, state.time + render.exposure)
         if field is not None:
-            self.streaks = Streaks(
-                field, self.surfaces, width, height, self._depth, self.stream
-            )
+            self.streaks = Streaks(field, self.surfaces, width, height, self._depth, self.stream)
 
     # ---- the queue
 
@@ -191,41 +200,52 @@ class Renderer(HostRenderer):
     def stages(self):
         """Return the frame's parts in their order: functions that put them on the stream."""
         parts = [self.numbers.send, self.rasterizer.launch, self._grade, self._surface.launch]
-        parts.append(self._lay_water)
+        parts += [self._meet_water, self._mirror, self._lay_water]
         if self.streaks is not None:
             parts.append(self.streaks.launch)
         return [*parts, self._compose, self._hand_over]
 
     def _grade(self):
-        height, width = self._size
-        layers, n = self.rasterizer.layers, self.numbers
-        shape = (height, width)
-        grid = shading.blocks(height, width), shading.BLOCK, self.stream
-        shading.grade_and_wet[grid](
+        n = self.numbers
+        self.grade(
+            self.rasterizer.layers, n["turn"], n["eye"], self._picture, self._depth,
+            self._clearance,
+        )  # fmt: skip
+
+    def grade(self, layers, turn, eye, picture, depth, clearance):
+        """Queue the grading and wetting of a splatted picture."""
+        shape, n = self._size, self.numbers
+        shading.grade_and_wet[shading.blocks(*shape), shading.BLOCK, self.stream](
             layers.color.reshape(*shape, 3), layers.alpha.reshape(shape),
             layers.depth.reshape(shape), layers.plane_depth.reshape(shape),
             layers.normal.reshape(*shape, 3), np.float32(self.frame.meters_per_unit),
-            n["turn"], n["eye"], n["lens"], *self._maps, *self._place, *self._light, n["look"],
-            n["wetness"], self._picture, self._depth, self._clearance,
+            turn, eye, n["lens"], self._bed, self._ground, *self._place, *self._light,
+            n["look"], n["others"], picture, depth, clearance,
         )  # fmt: skip
 
-    def _lay_water(self):
-        height, width = self._size
+    def _meet_water(self):
         n, render = self.numbers, self.config.render
-        grid = shading.blocks(height, width), shading.BLOCK, self.stream
-        surface, exposure = self._surface, self._maps[2]
+        grid = shading.blocks(*self._size), shading.BLOCK, self.stream
+        surface = self._surface
         optics.keep_tall[grid](self._depth, self._clearance, self._tall)
         optics.meet_water[grid](
             self._depth, n["turn"], n["eye"], n["lens"], surface.surface, surface.over,
             *self._place, surface.highest, n["cover"], render.coverage == "hard",
             self._hit, self._coverage,
         )  # fmt: skip
+
+    def _mirror(self):
+        self.mirrors.launch(self._hit, self._coverage)
+
+    def _lay_water(self):
+        n, render = self.numbers, self.config.render
+        grid = shading.blocks(*self._size), shading.BLOCK, self.stream
         optics.shade_water[grid](
             self._hit, self._coverage, self._picture, self._depth, self._tall,
-            n["turn"], n["eye"], n["lens"], surface.over, exposure, *self._place, *self._slopes,
-            self._rms, self._tile, self._light[0], n["settings"], n["served"], self._picture,
-            self._depth, render.fresnel == "schlick", render.refraction == "shift",
-            render.highlight == "blinn-phong", np.float32(waterview.GLINT_VARIANCE), n["sun"],
+            n["turn"], n["eye"], n["lens"], self._surface.over, self._exposed,
+            *self._place, *self._slopes, self._rms, self._tile, self._light[0], n["settings"], self.mirrors.range,
+            self.mirrors.picture, self.mirrors.depth, render.fresnel == "schlick",
+            render.refraction == "shift", render.highlight == "blinn-phong", np.float32(waterview.GLINT_VARIANCE), n["sun"],
             self._shown,
         )  # fmt: skip
 

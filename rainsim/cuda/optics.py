@@ -175,9 +175,10 @@ def shade_water(
 
     Parameters are those of the kernels that this one stands for, and:
 
-    mirror_range : ndarray of shape (3,), float32 [m]
-        Level of the mirror and the heights from which and below which water looks into it; what
+    mirror_range : ndarray of shape (k, 3), float32 [m]
+        Level of each mirror and the heights from which and below which water looks into it; what
         stands elsewhere is marched.
+    mirror, mirror_depth : ndarray of shape (k, rows, columns, 3) and (k, rows, columns), float32
     """
     column, row = cuda.grid(2)
     height, width = depth.shape
@@ -210,10 +211,14 @@ def shade_water(
         gx, gy = sample_tile(slopes0, slopes1, slopes2, slopes3, sx, sy, tile_size, level)
         rough = grow * hidden_slope(rms_slopes, level)
         gx, gy = grow * gx, grow * gy
-    if sz >= mirror_range[1] and sz < mirror_range[2]:
+    which = -1
+    for k in range(mirror_range.shape[0]):
+        if which < 0 and sz >= mirror_range[k, 1] and sz < mirror_range[k, 2]:
+            which = k
+    if which >= 0:
         light0, light1, light2 = mirrored(
-            mirror, mirror_depth, m, eye, lens, mirror_range[0], sx, sy, sz, t, vx, vy, vz,
-            gx, gy, rough,
+            mirror[which], mirror_depth[which], m, eye, lens, mirror_range[which, 0],
+            sx, sy, sz, t, vx, vy, vz, gx, gy, rough,
         )  # fmt: skip
     else:
         light0, light1, light2 = marched(

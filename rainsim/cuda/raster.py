@@ -80,6 +80,12 @@ class DeviceSplats:
         self.seen = cuda.device_array(self.chunks, np.bool_)
 
 
+def _levels(width, height):
+    """Return how many levels of depth a key tells apart beside the tiles of a picture."""
+    tiles = -(-width // TILE) * -(-height // TILE)
+    return min((1 << 32) // tiles, 1 << 24) - 1
+
+
 def _reach(box):
     """Return the middle of most chunks and the radius about it that holds nearly all."""
     middle = 0.5 * (box[:, :3] + box[:, 3:])
@@ -129,12 +135,11 @@ class Rasterizer:
     ):  # fmt: skip
         """Return the `Layers` that `camera` sees, on the host; see `rainsim.raster`.
 
-        Hits and the training codes' stop are not told here: they raise ParameterError.
+        Hits are not told here: they raise ParameterError.
         """
-        for name, wanted in (("hit", hit), ("drop_last", drop_last)):
-            if wanted:
-                raise ParameterError(f"{name} is asked for; only the CPU has it; use backend cpu")
-        self.update(camera, near, plane, depth, compensate, degree)
+        if hit:
+            raise ParameterError("hit is asked for; only the CPU has it; use backend cpu")
+        self.update(camera, near, plane, depth, compensate, degree, drop_last)
         while True:
             self.launch()
             self.stream.synchronize()
@@ -147,12 +152,27 @@ class Rasterizer:
             layers.color[...] += clear * np.asarray(background, np.float32)
         return layers
 
-    def update(self, camera, near, plane=None, depth="expected", compensate=False, degree=None):
+    def update(
+        self, camera, near, plane=None, depth="expected", compensate=False, degree=None,
+        drop_last=False,
+    ):  # fmt: skip
         """Take over what the next pictures show; of the device only room for them is asked."""
         require_choice("depth", depth, ("expected", "median"))
         s, width, height = self.splats, camera.width, camera.height
         self._bands = s.bands if degree is None else min(degree + 1, s.bands)
-        numbers = self._numbers
+        self._numbers[:] = self.numbers_of(camera, near, plane)
+        tiles = -(-width // TILE) * -(-height // TILE)
+        self._kind = bool(camera.orthographic), bool(compensate), depth == "median", bool(drop_last)
+        if self._size != (width, height):
+            self._size = width, height
+            self._room_for_picture(width, height, tiles)
+        if self._capacity == 0:
+            self._room_for_entries(FIRST_ROOM * s.count + tiles)
+
+    def numbers_of(self, camera, near, plane=None):
+        """Return the numbers that the kernels read of a camera, float64; see `project`."""
+        numbers = np.zeros(project.CAMERA)
+        width, height = camera.width, camera.height
         numbers[project.VIEW : project.EYE] = camera.camera_from_world[:3].ravel()
         exact = camera.camera_from_world[2]
         numbers[project.REST : project.REST + 4] = exact - exact.astype(np.float32)
@@ -165,26 +185,23 @@ class Rasterizer:
         x, y = FRUSTUM_MARGIN * width, FRUSTUM_MARGIN * height
         limits = (-cx - x) / fx, (width - cx + x) / fx, (-cy - y) / fy, (height - cy + y) / fy
         numbers[project.LIMITS : project.LIMITS + 4] = limits
-        tiles = -(-width // TILE) * -(-height // TILE)
-        self._levels = min((1 << 32) // tiles, 1 << 24) - 1
-        ahead = camera.camera_from_world[2, :3] @ s.centre + camera.camera_from_world[2, 3]
-        far = max(ahead + s.reach, 2 * near)
+        self._levels = _levels(width, height)
+        ahead = exact[:3] @ self.splats.centre + exact[3]
+        far = max(ahead + self.splats.reach, 2 * near)
         numbers[project.SCALE : project.SCALE + 5] = project.depth_scale(near, far, self._levels)
-        self._kind = bool(camera.orthographic), bool(compensate), depth == "median"
-        if self._size != (width, height):
-            self._size = width, height
-            self._room_for_picture(width, height, tiles)
-        if self._capacity == 0:
-            self._room_for_entries(FIRST_ROOM * s.count + tiles)
+        return numbers
+
+    def _bring_numbers(self):
+        self._now.copy_to_device(self._numbers, stream=self.stream)
 
     def launch(self):
         """Queue the picture: copies and kernels only, so that a graph can record it."""
         s, stream = self.splats, self.stream
         width, height = self._size
-        flat, compensate, median = self._kind
+        flat, compensate, median, drop = self._kind
         across = -(-width // TILE)
         now, key, value = self._now, self._key, self._value
-        now.copy_to_device(self._numbers, stream=stream)
+        self._bring_numbers()
         blocks = max(1, min(-(-max(len(self._key), s.chunks) // THREADS), 2048))
         blocks = max(blocks, -(-s.chunks // THREADS))
         project.start[blocks, THREADS, stream](
@@ -209,9 +226,9 @@ class Rasterizer:
         if self.plain:
             blend.blend_pixel_by_pixel[
                 (-(-width // TILE), -(-height // TILE)), (TILE, TILE), stream
-            ](value, begin, end, s.record, now, width, height, flat, median, *pictures)
+            ](value, begin, end, s.record, now, width, height, flat, median, drop, *pictures)
         else:
-            kernel = blend.blend_squares_median if median else blend.blend_squares_mean
+            kernel = blend.BLEND_SQUARES[median, drop]
             kernel[tiles, 32 * blend.WARPS, stream](
                 value, begin, end, s.record, now, width, height, flat, across,
                 np.float32(1 / across), *pictures,

@@ -11,37 +11,24 @@ import math
 import numpy as np
 
 from rainsim.cuda.jit import cuda, cuda_kernel
-from rainsim.light import (
-    bilinear,
-    display_from_linear,
-    exp_minus,
-    fresnel,
-    linear_from_display,
-    smoothstep,
-)
+from rainsim.light import display_from_linear, exp_minus, linear_from_display
 from rainsim.shade import (
     FAR_AWAY,
     FLAT,
-    GLOSS,
     HALF,
     LEAST_ALPHA,
-    ON_GROUND,
+    LEAST_SKY,
     ONE,
-    SKY_DISTANCE,
-    SKY_SINE,
     TWO,
     ZERO,
     fog_thickness,
     glossed,
-    graded,
-    sky_share,
-    wetted,
+    rainy,
+    wet_state,
 )
 from rainsim.sky import DROP_AMBIENT, DROP_FIELD, DROP_TRANSMISSION, sample_environment
 
 BLOCK = (32, 8)  # threads: columns, rows
-LEAST_COSINE, LEAST_THROUGH = np.float32(0.02), np.float32(0.002)
-OPEN_LOW, OPEN_HIGH = np.float32(0.4), np.float32(0.9)
 WHITE = np.float32(255)
 NOWHERE = np.float32(np.inf)
 SUMMERS = 256  # threads that add up the environment
@@ -58,7 +45,7 @@ def blocks(height, width):
 @cuda_kernel
 def grade_and_wet(
     color, alpha, depth, plane_depth, normal, meters_per_unit, ground_from_camera, eye, lens,
-    bed, grass, exposure_to_rain, origin, spacing, environment, day_sky, look, wetness,
+    bed, ground, origin, spacing, environment, day_sky, look, others,
     picture_out, depth_out, clearance_out,
 ):  # fmt: skip
     """Grade the dry picture, wet it, and measure it against the ground; see `rainsim.shade`."""
@@ -66,7 +53,6 @@ def grade_and_wet(
     height, width = alpha.shape
     if row >= height or column >= width:
         return
-    ny, nx = bed.shape
     m = ground_from_camera
     b = (np.float32(row) + HALF - lens[3]) / lens[1]
     a = (np.float32(column) + HALF - lens[2]) / lens[0]
@@ -76,50 +62,30 @@ def grade_and_wet(
     length = math.sqrt(x * x + y * y + z * z)
     il = ONE / length
     n0, n1, n2 = normal[row, column, 0], normal[row, column, 1], normal[row, column, 2]
+    across = m[0, 0] * n0 + m[0, 1] * n1 + m[0, 2] * n2
+    along = m[1, 0] * n0 + m[1, 1] * n1 + m[1, 2] * n2
     upness = m[2, 0] * n0 + m[2, 1] * n1 + m[2, 2] * n2
     d = plane_depth[row, column] if upness > FLAT else depth[row, column]
     d *= meters_per_unit
     over = alpha[row, column]
     solid = over >= LEAST_ALPHA
-    u = (eye[0] + d * x - origin[0]) / spacing - HALF
-    v = (eye[1] + d * y - origin[1]) / spacing - HALF
-    inside = u > ZERO and v > ZERO and u < np.float32(nx - 1) and v < np.float32(ny - 1)
-    clearance, reach, lawn = FAR_AWAY, ONE, ZERO
-    if inside and solid:
-        clearance = eye[2] + d * z - bilinear(bed, u, v)
-        lawn = bilinear(grass, u, v)
-        if clearance < ON_GROUND:
-            reach = bilinear(exposure_to_rain, u, v)
+    clearance, above, lawn, damp, film, pores = wet_state(
+        bed, ground, origin, spacing, others, solid, eye[0] + d * x, eye[1] + d * y,
+        eye[2] + d * z, across, along, upness,
+    )  # fmt: skip
     depth_out[row, column] = d if solid else NOWHERE
     clearance_out[row, column] = clearance
-    red = linear_from_display(max(color[row, column, 0], ZERO))
-    green = linear_from_display(max(color[row, column, 1], ZERO))
-    blue = linear_from_display(max(color[row, column, 2], ZERO))
-    far = d * length
-    sky = ZERO
-    if far > SKY_DISTANCE and z * il > SKY_SINE:
-        sky = look[3] * sky_share(red, green, blue)
-    red, green, blue = graded(red, green, blue, look[0], look[1], look[2])
-    wet = wetness[0]
-    if far < SKY_DISTANCE and wet > ZERO:
-        red, green, blue = wetted(
-            red, green, blue, look[0], wet, reach, upness, clearance, lawn
-        )
-        sheen = wet * reach * max(TWO * upness - ONE, ZERO) * (ONE - lawn) * GLOSS
-        if clearance > ON_GROUND:
-            sheen *= HALF
-        if sheen > ZERO:
-            e = m[0, 0] * n0 + m[0, 1] * n1 + m[0, 2] * n2
-            f = m[1, 0] * n0 + m[1, 1] * n1 + m[1, 2] * n2
-            gloss = sheen * fresnel(max(-(x * e + y * f + z * upness) * il, LEAST_COSINE))
-            e0, e1, e2 = glossed(environment, x * il, y * il, z * il)
-            red, green, blue = red + gloss * e0, green + gloss * e1, blue + gloss * e2
-    through = over * sky
-    if z > ZERO:
-        through += (ONE - over) * smoothstep(OPEN_LOW, OPEN_HIGH, ONE - over)
-    keep = ONE - sky
-    red, green, blue = red * keep, green * keep, blue * keep
-    if through > LEAST_THROUGH:
+    red, green, blue, gloss, through = rainy(
+        linear_from_display(max(color[row, column, 0], ZERO)),
+        linear_from_display(max(color[row, column, 1], ZERO)),
+        linear_from_display(max(color[row, column, 2], ZERO)), over, d * length, z * il,
+        -(n0 * a + n1 * b + n2) * il, upness, above, lawn, damp, film, pores,
+        look[0], look[1], look[2], look[3], look[4],
+    )  # fmt: skip
+    if gloss > ZERO:
+        e0, e1, e2 = glossed(environment, x * il, y * il, z * il)
+        red, green, blue = red + gloss * e0, green + gloss * e1, blue + gloss * e2
+    if through > LEAST_SKY:
         e0, e1, e2 = sample_environment(day_sky, x * il, y * il, z * il)
         red, green, blue = red + through * e0, green + through * e1, blue + through * e2
     picture_out[row, column, 0] = red

@@ -1,4 +1,4 @@
-"""Twin of `rainsim.watersurface`: the smooth surface that pictures show, from the solver's cells."""
+"""Twin of `rainsim.watersurface`: the smooth surface that pictures show, from solver cells."""
 
 from __future__ import annotations
 
@@ -192,6 +192,7 @@ class WaterSurface:
 
     def launch(self):
         """Queue the surface of the water as it is then."""
+
         def over(shape):
             across, down = THREADS
             return (-(-shape[1] // across), -(-shape[0] // down)), THREADS, self.stream

@@ -71,10 +71,18 @@ def test_the_twin_draws_what_the_cpu_draws(options):
         assert decibel(plain.depth[8:], wanted.depth[8:]) < 80
 
 
-@pytest.mark.parametrize("option", ["hit", "drop_last"])
-def test_what_only_the_cpu_has_is_told(option):
-    with pytest.raises(ParameterError, match=f"{option} .* backend cpu"):
-        twin.rasterize(raster.prepare(cloud()), camera(), 0.2, **{option: True})
+def test_what_only_the_cpu_has_is_told():
+    with pytest.raises(ParameterError, match=r"hit .* backend cpu"):
+        twin.rasterize(raster.prepare(cloud()), camera(), 0.2, hit=True)
+
+
+def test_the_training_codes_stop():
+    splats = cloud(150)
+    splats.opacity[:] = 0.98
+    prepared = raster.prepare(splats)
+    wanted = raster.rasterize(prepared, camera(), 0.2, drop_last=True)
+    assert_alike(twin.rasterize(prepared, camera(), 0.2, drop_last=True), wanted)
+    assert np.abs(raster.rasterize(prepared, camera(), 0.2).alpha - wanted.alpha).max() > 1e-4
 
 
 @pytest.mark.parametrize("bands", [1, 4, 9])

@@ -54,20 +54,21 @@ def launch(kernel, *arguments):
 
 def test_grade_and_wet(view, poisoned):
     day, around = sky.overcast(), sky.overcast(0.7)
-    look = np.array([0.8, 0.15, 0.9, 0.8], F4)
+    look = np.array([0.8, 0.15, 0.9, 0.8, 30], F4)
+    ground = np.random.default_rng(2).uniform(0, 1, (CELLS, CELLS, 5)).astype(F4)
 
-    def arguments(wetness):
+    def arguments(damp):
         return (
             view.color, view.alpha, view.depth, view.depth * F4(1.01), view.normal, F4(0.9),
-            view.turn, view.eye, view.lens, view.bed, view.grass, view.exposure, ORIGIN, SPACING,
-            around, day, look, wetness,
+            view.turn, view.eye, view.lens, view.bed, ground * F4(damp), ORIGIN, SPACING,
+            around, day, look, np.array([damp, 0.2, -0.4, 0.8, 0.3], F4),
         )  # fmt: skip
 
     shapes = (HEIGHT, WIDTH, 3), (HEIGHT, WIDTH), (HEIGHT, WIDTH)
     wanted, found, dry = ([poisoned(shape) for shape in shapes] for _ in range(3))
-    shade.grade_and_wet(*arguments(F4(0.9)), *wanted)
-    launch(shading.grade_and_wet, *arguments(np.array([0.9], F4)), *found)
-    launch(shading.grade_and_wet, *arguments(np.array([0.0], F4)), *dry)
+    shade.grade_and_wet(*arguments(0.9), *wanted)
+    launch(shading.grade_and_wet, *arguments(0.9), *found)
+    launch(shading.grade_and_wet, *arguments(0.0), *dry)
     assert decibel(found[0], wanted[0]) > 100
     np.testing.assert_allclose(found[1], wanted[1], rtol=1e-6)
     np.testing.assert_allclose(found[2], wanted[2], atol=1e-5)
@@ -174,23 +175,24 @@ def test_water_light(view, pond, poisoned, rng, reflection, hard):
             everything, record, view.turn, view.eye, view.lens, F4(0.02), mirror, mirror_depth,
             light, source,
         )  # fmt: skip
-        served = np.array([0.02, -10, 10], F4)
+        served = np.array([[0, 9, -9], [0.02, -10, 10]], F4)
     else:
         reflect.march_light(
             everything, record, picture, tall, view.turn, view.eye, view.lens, around, settings,
             light, source,
         )  # fmt: skip
-        served = np.array([0, 10, -10], F4)
+        served = np.array([[0, 10, -10], [0, 9, -9]], F4)
     wanted, found = picture.copy(), poisoned(picture.shape)
     flags = False, hard, hard  # schlick_law, image_shift, phong
     optics.lay_water(
         pixel, record, light, picture, view.depth, view.turn, view.lens, *flags, F4(4e-3), sun,
         wanted,
     )  # fmt: skip
+    both = (np.stack([0 * m, m]) for m in (mirror, mirror_depth))
     launch(
         cuda_optics.shade_water, hit, coverage, picture, view.depth, tall, view.turn, view.eye,
         view.lens, over, view.exposure, ORIGIN, SPACING, *levels, rms, F4(1.0), around, settings,
-        served, mirror, mirror_depth, *flags, F4(4e-3), sun, found,
+        served, *both, *flags, F4(4e-3), sun, found,
     )  # fmt: skip
     assert decibel(found, wanted) > 70
     assert decibel(wanted, picture) < 30

@@ -57,7 +57,7 @@ def assert_alike(layers, wanted):
 
 @pytest.mark.parametrize(
     "options",
-    [{}, {"plane": (0.0, 1.0, 0.2, 0.3)}, {"compensate": True}],
+    [{}, {"plane": (0.0, 1.0, 0.2, 0.3)}, {"compensate": True}, {"drop_last": True}],
 )
 def test_agrees_with_the_cpu(twin, cloud, options):
     wanted = raster.rasterize(cloud, camera(), 0.2, **options)
@@ -146,14 +146,17 @@ def test_the_garden_as_gsplat_and_the_cpu_draw_it(twin, name):
     prepared = raster.prepare(garden())
     reference = np.load(SHARED / "reference" / "garden_gsplat.npz")
     cam = garden_camera(name, 648, 420)
-    layers = twin.rasterize(prepared, cam, 0.01)
-    wanted = raster.rasterize(prepared, cam, 0.01)
+    # With the stop that gsplat has.
+    layers = twin.rasterize(prepared, cam, 0.01, drop_last=True)
+    wanted = raster.rasterize(prepared, cam, 0.01, drop_last=True)
     against_gsplat = decibel(layers.color, reference[f"{name}_rgb"] / 32768)
+    against_cpu = decibel(layers.color, wanted.color)
     print(
         f"{name}: against gsplat {against_gsplat:.1f} dB"
         f" (CPU {decibel(wanted.color, reference[f'{name}_rgb'] / 32768):.1f} dB),"
-        f" against the CPU {decibel(layers.color, wanted.color):.1f} dB"
+        f" against the CPU {against_cpu:.1f} dB"
     )
-    # The stop at 1e-4 of the light differs: the CPU's picture is as far from gsplat's.
-    assert against_gsplat >= 69.5
-    assert decibel(layers.color, wanted.color) >= 80
+    assert against_gsplat >= 70
+    assert against_cpu >= 80
+    plain = twin.rasterize(prepared, cam, 0.01)
+    assert decibel(plain.color, raster.rasterize(prepared, cam, 0.01).color) >= 80
