@@ -238,15 +238,14 @@ class Renderer(HostRenderer):
         self.mirrors.launch(self._hit, self._coverage)
 
     def _lay_water(self):
-        n, render = self.numbers, self.config.render
+        n = self.numbers
         grid = shading.blocks(*self._size), shading.BLOCK, self.stream
         optics.shade_water[grid](
             self._hit, self._coverage, self._picture, self._depth, self._tall,
             n["turn"], n["eye"], n["lens"], self._surface.over, self._exposed,
-            *self._place, *self._slopes, self._rms, self._tile, self._light[0], n["settings"], self.mirrors.range,
-            self.mirrors.picture, self.mirrors.depth, render.fresnel == "schlick",
-            render.refraction == "shift", render.highlight == "blinn-phong", np.float32(waterview.GLINT_VARIANCE), n["sun"],
-            self._shown,
+            *self._place, *self._slopes, self._rms, self._tile, self._light[0],
+            n["settings"], self.mirrors.range, self.mirrors.picture, self.mirrors.depth,
+            *self.water.laws(), n["sun"], self._shown,
         )  # fmt: skip
 
     def _compose(self):
