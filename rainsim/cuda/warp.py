@@ -53,7 +53,8 @@ else:
     @cuda.jit(device=True)
     def ballot(flag):
         """Return a bit for each lane of the warp: whether its `flag` is true."""
-        return cuda.ballot_sync(FULL, flag)
+        # As a number that is not negative: as an int32 the last lane's bit would be a sign.
+        return np.int64(cuda.ballot_sync(FULL, flag)) & FULL
 
     @cuda.jit(device=True)
     def from_lane(value, source):

@@ -1,0 +1,106 @@
+"""The twins of streaks, impacts and ripples on a real GPU: `pytest -m gpu`."""
+
+import numpy as np
+import pytest
+
+from rainsim.drops import GROUND, RainField, RainSpectrum, Surfaces, impacts
+from rainsim.ripples import RippleTile
+from rainsim.scene.types import Camera
+from rainsim.streaks import draw_streaks, streak_reach
+from rainsim.watersurface import ripple_levels
+
+pytestmark = pytest.mark.gpu
+WIDTH, HEIGHT, EXPOSURE = 320, 240, 1 / 60
+
+
+@pytest.fixture(scope="module")
+def field():
+    return RainField(RainSpectrum(80.0), (1.0, 2.0), seed=4)
+
+
+@pytest.fixture(scope="module")
+def surfaces():
+    ground = 0.02 * np.sin(np.arange(256, dtype=np.float32) * 0.1)[None] + np.zeros((256, 1))
+    top, under = ground.copy(), ground.copy()
+    top[60:110, 90:150], under[60:110, 90:150] = 1.5, 1.4
+    return Surfaces(0.03, (-1.0, -4.0), ground, top, under)
+
+
+def looking_down():
+    matrix, tilt = np.eye(4), 0.35
+    c, s = np.cos(tilt), np.sin(tilt)
+    matrix[:3, :3] = np.array([[0, -1, 0], [-s, 0, -c], [c, 0, -s]])
+    matrix[:3, 3] = -matrix[:3, :3] @ np.array([0.0, 0.0, 1.5])
+    return Camera(WIDTH, HEIGHT, 260.0, 260.0, WIDTH / 2, HEIGHT / 2, matrix)
+
+
+def depth_of_ground(camera):
+    row, column = np.mgrid[:HEIGHT, :WIDTH]
+    x, y = (column + 0.5 - camera.cx) / camera.fx, (row + 0.5 - camera.cy) / camera.fy
+    down = (np.stack([x, y, np.ones_like(x)], -1) @ camera.camera_from_world[:3, :3])[..., 2]
+    return np.where(down < -1e-3, -1.5 / np.minimum(down, -1e-3), np.inf).astype(np.float32)
+
+
+def test_streaks_are_those_of_the_cpu(field, surfaces, poisoned):
+    from rainsim.cuda.jit import cuda
+    from rainsim.cuda.streaks import Streaks
+
+    camera = looking_down()
+    depth, far = depth_of_ground(camera), streak_reach(field, camera, EXPOSURE, 8.0)
+    twin = Streaks(field, surfaces, WIDTH, HEIGHT, cuda.to_device(depth))
+    for time in (3.0, 3.4):
+        wanted = poisoned((HEIGHT, WIDTH))
+        draw_streaks(field, surfaces, camera, time, EXPOSURE, depth, far, wanted)
+        twin.update(field, camera, time, EXPOSURE, far)
+        pictures = []
+        for _ in range(2):
+            twin.alpha.copy_to_device(poisoned((HEIGHT, WIDTH)))
+            twin.launch()
+            pictures.append(twin.alpha.copy_to_host())
+        assert wanted.max() > 0.05
+        np.testing.assert_array_equal(*pictures)
+        difference = np.abs(pictures[0] - wanted)
+        assert (difference > 1e-3).mean() < 1e-3  # a drop at the limit of a kind of mark may differ
+        assert np.sqrt(np.mean(difference**2)) < 1e-4
+
+
+def test_impacts_are_those_of_the_cpu(field, surfaces):
+    from rainsim.cuda.drops import Impacts, room_for
+
+    wanted = impacts(field, surfaces, 3.0, 3.03)
+    twin = Impacts(field, surfaces, room_for(field, surfaces, 0.03))
+    twin.update(field, 3.0, 3.03)
+    twin.launch()
+    count = int(twin.found.copy_to_host()[0])
+    ids = twin.ids.copy_to_host()[:count]
+    order = np.argsort(ids)
+    np.testing.assert_array_equal(ids[order], wanted.id)
+    values = twin.values.copy_to_host()[:count][order]
+    labels = twin.labels.copy_to_host()[:count][order]
+    np.testing.assert_allclose(values[:, :3], wanted.position, atol=1e-9)
+    np.testing.assert_allclose(values[:, 3], wanted.diameter, rtol=1e-9)
+    assert (labels[:, 1] == wanted.kind).all() and (wanted.kind != GROUND).any()
+
+
+def test_ripples_are_those_of_the_cpu():
+    from rainsim.cuda.drops import PUSH_UNIT
+    from rainsim.cuda.ripples import Ripples
+
+    rng = np.random.default_rng(0)
+    tile = RippleTile(depth=0.02, dtype=np.float32)
+    twin = Ripples(tile, 1 / 30)
+    for _ in range(20):
+        cells, part = rng.integers(0, 256, (300, 2)), rng.integers(0, twin.steps, 300)
+        momentum = 5e-6 * rng.random(300)
+        pushes = np.zeros((twin.steps, 256, 256))
+        np.add.at(pushes, (part, cells[:, 1], cells[:, 0]), momentum)
+        tile.advance(1 / 30, cells / 256, momentum, (twin.steps - 0.5 - part) / twin.steps / 30)
+        twin.pushes.copy_to_device(np.rint(pushes / PUSH_UNIT).astype(np.int64).reshape(-1))
+        twin.launch()
+    levels = ripple_levels(tile.slopes())
+    for found, wanted in zip(twin.slopes, levels, strict=True):
+        np.testing.assert_allclose(
+            found.copy_to_host(), wanted, atol=1e-4 * np.abs(levels[0]).max()
+        )
+    rms = [np.sqrt(np.mean(level.astype(float) ** 2)) for level in levels]
+    np.testing.assert_allclose(twin.rms.copy_to_host(), rms, rtol=1e-3)
