@@ -17,7 +17,7 @@ from rainsim.crowns import FINE_PIXEL, JET_FROM, LONGEST_CROWN, crown_life, crow
 from rainsim.drops import GROUND, Impacts
 from rainsim.drops import impacts as list_impacts
 from rainsim.errors import ParameterError, require_finite, require_not_negative
-from rainsim.jit import serial_kernel
+from rainsim.jit import device_function, serial_kernel
 from rainsim.marks import FAINTEST
 from rainsim.random import subkey, uniform_triple
 from rainsim.spectrum import terminal_speed
@@ -103,10 +103,24 @@ def splashes(impacts, water_depth):
     Flow 21, 151). Both with the vertical speed, also on sloping ground and on the sides of objects.
     """
     depth = _depths(impacts, water_depth)
-    speed = np.abs(impacts.velocity[:, 2])
-    weber = _DENSITY * speed**2 * impacts.diameter / _TENSION
-    reynolds = speed * impacts.diameter / _VISCOSITY
-    return np.where(depth > _WET, weber > _WEBER_WET, np.sqrt(weber) * reynolds**0.25 > _MUNDO_DRY)
+    return splashes_on(depth, impacts.diameter, np.abs(impacts.velocity[:, 2]))
+
+
+@device_function
+def splashes_on(depth, diameter, speed):
+    """Tell whether a drop splashes on water of some depth; numbers or arrays, see `splashes`."""
+    weber = _DENSITY * speed**2 * diameter / _TENSION
+    mundo = np.sqrt(weber) * (speed * diameter / _VISCOSITY) ** 0.25
+    on_film = (depth > _WET) & (weber > _WEBER_WET)
+    return on_film | (depth <= _WET) & (mundo > _MUNDO_DRY)
+
+
+@device_function
+def droplets_of(diameter, speed):
+    """Return how many droplets a splash throws, a float that is to be cut; numbers or arrays."""
+    weber = _DENSITY * speed**2 * diameter / _TENSION
+    wanted = _FEWEST + (weber - _WEBER_WET) / _WEBER_STEP
+    return np.minimum(np.maximum(wanted, float(_FEWEST)), float(_MOST))
 
 
 def splash_droplets(impacts, water_depth, now, exposure=0.0):
@@ -143,13 +157,12 @@ def splash_droplets(impacts, water_depth, now, exposure=0.0):
     recent = (age >= -exposure) & (age < LONGEST_LIFE)
     active = np.flatnonzero(recent & splashes(impacts, depth))
     speed = np.abs(impacts.velocity[active, 2])
-    weber = _DENSITY * speed**2 * impacts.diameter[active] / _TENSION
-    count = np.clip(_FEWEST + (weber - _WEBER_WET) / _WEBER_STEP, _FEWEST, _MOST).astype(np.int64)
+    count = droplets_of(impacts.diameter[active], speed).astype(np.int64)
     most = int(count.sum())
     state, ids = np.empty((most, 7)), np.empty(most, np.uint64)
     alive = _throw(
         impacts.position[active], impacts.velocity[active],
-        impacts.diameter[active] * _relative_size(depth[active] / impacts.diameter[active]),
+        impacts.diameter[active] * relative_size(depth[active] / impacts.diameter[active]),
         age[active], exposure, count, impacts.id[active], state, ids,
     )  # fmt: skip
     return Droplets(
@@ -229,7 +242,7 @@ def _splashing(field, surfaces, camera, time, exposure, water_depth, film, neare
     focal = max(camera.fx, camera.fy)
     near, all_around = footprint(camera, FINE_PIXEL * focal), footprint(camera, _FARTHEST)
     lately = time - crown_life(_BIG, float(terminal_speed(_BIG)))
-    least = max(smallest, _least_seen(nearest / focal, exposure) / _LARGEST_SHARE)
+    least = max(smallest, least_seen(nearest / focal, exposure) / _LARGEST_SHARE)
     if water_depth.max() > JET_FROM * smallest:
         least = smallest
     parts = (
@@ -251,7 +264,7 @@ class _Wet:
 
     def droplets(self, time, exposure):
         """Return the droplets that are large enough to be seen."""
-        clear = self.found.diameter * _LARGEST_SHARE > _least_seen(self.pixel, exposure)
+        clear = self.found.diameter * _LARGEST_SHARE > least_seen(self.pixel, exposure)
         clear &= self.pixel < FINE_PIXEL
         return splash_droplets(self.found.take(clear), self.under[clear], time, exposure)
 
@@ -259,13 +272,14 @@ class _Wet:
         """Return the crowns and jets of what fell on water."""
         wet = self.under > _WET
         found, under = self.found.take(wet), self.under[wet]
-        size = _relative_size(under / found.diameter)
+        size = relative_size(under / found.diameter)
         return crown_lines(
             found, under, size, time, exposure, self.pixel[wet], crowns=crowns, jets=jets
         )
 
 
-def _least_seen(pixel, exposure):
+@device_function
+def least_seen(pixel, exposure):
     """Return the diameter [m] of a droplet in flight that replaces FAINTEST of a pixel's light."""
     way = np.maximum(_DROPLET_SPEED * exposure / pixel, 1.0)  # px
     return pixel * np.sqrt(4 / math.pi * FAINTEST * way)
@@ -296,9 +310,13 @@ def _in_view(found, camera):
     return found.take(seen), z[seen] / max(camera.fx, camera.fy)
 
 
-def _relative_size(film):
+@device_function
+def relative_size(film):
     """Size of a splash relative to the largest; `film` is depth over drop diameter."""
-    return np.interp(film, [0.0, _DEPTH_OF_PEAK, _DEPTH_OF_POOL], [_SIZE_DRY, 1.0, _SIZE_POOL])
+    rise = np.minimum(film / _DEPTH_OF_PEAK, 1.0)
+    fall = (film - _DEPTH_OF_PEAK) / (_DEPTH_OF_POOL - _DEPTH_OF_PEAK)
+    fall = np.minimum(np.maximum(fall, 0.0), 1.0)
+    return _SIZE_DRY + (1 - _SIZE_DRY) * rise - (1 - _SIZE_POOL) * fall
 
 
 def _depths(impacts, water_depth):
@@ -320,29 +338,40 @@ def _throw(position, velocity, crown, age, exposure, count, ids, state_out, ids_
     alive = 0
     for splash in range(len(age)):
         for n in range(count[splash]):
-            word = subkey(ids[splash], -1 - n)
-            life, speed, size = uniform_triple(word)
-            jitter, _, _ = uniform_triple(subkey(word, 0))
-            life = _SHORTEST_LIFE + (LONGEST_LIFE - _SHORTEST_LIFE) * life * life
-            begin, end = max(age[splash], 0.0), min(age[splash] + exposure, life)
-            if age[splash] >= life or end < begin:
+            seen, x, y, z, vx, vy, vz, diameter, word = droplet(
+                ids[splash], n, count[splash], position[splash, 0], position[splash, 1],
+                position[splash, 2], velocity[splash, 0], velocity[splash, 1], crown[splash],
+                age[splash], exposure,
+            )  # fmt: skip
+            if not seen:
                 continue
-            up = 0.5 * _GRAVITY * life  # comes down again when its life ends
-            out = up * (_LEAST_SPREAD + (_MOST_SPREAD - _LEAST_SPREAD) * speed)
-            angle = _FULL_TURN * (n + jitter) / count[splash]
-            vx = out * np.cos(angle) + _CARRIED * velocity[splash, 0]
-            vy = out * np.sin(angle) + _CARRIED * velocity[splash, 1]
-            state_out[alive, 0] = position[splash, 0] + vx * begin
-            state_out[alive, 1] = position[splash, 1] + vy * begin
-            state_out[alive, 2] = position[splash, 2] + (up - 0.5 * _GRAVITY * begin) * begin
-            seen = 1.0
-            if exposure > 0.0:
-                seen = (end - begin) / exposure
-            state_out[alive, 3], state_out[alive, 4] = seen * vx, seen * vy
-            middle = 0.5 * (begin + end) if exposure > 0.0 else begin
-            state_out[alive, 5] = seen * (up - _GRAVITY * middle)
-            share = _SMALLEST_SHARE + (_LARGEST_SHARE - _SMALLEST_SHARE) * size * size
-            state_out[alive, 6] = share * crown[splash] * np.sqrt(seen)
+            state_out[alive, 0], state_out[alive, 1], state_out[alive, 2] = x, y, z
+            state_out[alive, 3], state_out[alive, 4], state_out[alive, 5] = vx, vy, vz
+            state_out[alive, 6] = diameter
             ids_out[alive] = word
             alive += 1
     return alive
+
+
+@device_function
+def droplet(key, n, count, x, y, z, drop_vx, drop_vy, crown, age, exposure):
+    """Return droplet n of a splash: whether it is seen, place, velocity, diameter and id."""
+    word = subkey(key, -1 - n)
+    life, speed, size = uniform_triple(word)
+    jitter, _, _ = uniform_triple(subkey(word, 0))
+    life = _SHORTEST_LIFE + (LONGEST_LIFE - _SHORTEST_LIFE) * life * life
+    begin, end = max(age, 0.0), min(age + exposure, life)
+    up = 0.5 * _GRAVITY * life  # comes down again when its life ends
+    out = up * (_LEAST_SPREAD + (_MOST_SPREAD - _LEAST_SPREAD) * speed)
+    angle = _FULL_TURN * (n + jitter) / count
+    vx = out * np.cos(angle) + _CARRIED * drop_vx
+    vy = out * np.sin(angle) + _CARRIED * drop_vy
+    seen, middle = 1.0, begin
+    if exposure > 0.0:
+        seen, middle = max(end - begin, 0.0) / exposure, 0.5 * (begin + end)
+    share = _SMALLEST_SHARE + (_LARGEST_SHARE - _SMALLEST_SHARE) * size * size
+    return (
+        age < life and end >= begin, x + vx * begin, y + vy * begin,
+        z + (up - 0.5 * _GRAVITY * begin) * begin, seen * vx, seen * vy,
+        seen * (up - _GRAVITY * middle), share * crown * np.sqrt(seen), word,
+    )  # fmt: skip

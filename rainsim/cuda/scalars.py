@@ -27,8 +27,19 @@ def _stand_in(function):
     return chosen
 
 
+def _of_two(function):
+    def chosen(x, y):
+        if isinstance(x, types.Number) and isinstance(y, types.Number):
+            return lambda x, y: function(x, y)
+        return None
+
+    return chosen
+
+
 for _name in _SAME:
     overload(getattr(np, _name), target="cuda")(_stand_in(getattr(math, _name)))
+for _name, _builtin in (("minimum", min), ("maximum", max)):
+    overload(getattr(np, _name), target="cuda")(_of_two(_builtin))
 
 
 if cuda.config.ENABLE_CUDASIM:
