@@ -60,7 +60,11 @@ def render_rain(scene, cameras, config, backend="cpu", progress=None, layers=())
     tell("terrain", 0, 1)
     ground = extract_terrain(scene, config)
     tell("terrain", 1, 1)
-    states = frames_of(simulate(ground, config), config, tell)
+    if backend == "cuda":
+        from rainsim.cuda.simulate import simulate as simulate_on_backend
+    else:
+        simulate_on_backend = simulate
+    states = frames_of(simulate_on_backend(ground, config), config, tell)
     yield from rendering.render(scene, ground, states, cameras, config, layers, backend)
 
 

@@ -58,7 +58,7 @@ class Renderer(HostRenderer):
         )
         self.mirrors = Mirrors(self, config.render.reflections)
         self._slopes = None
-        self._size = self._graph = self._queue = None
+        self._size = self._graphs = self._queue = None
         self._fog_of = None, None
 
     def _rasterizer_of(self, prepared):
@@ -78,30 +78,51 @@ class Renderer(HostRenderer):
             raise ParameterError("layers are asked for; only the CPU has them; take backend cpu")
         begin = clock.perf_counter()
         self.update(camera, state, camera_end)
-        self.run()
+        self.run(getattr(state, "simulation", None))
         stages = {"frame": (clock.perf_counter() - begin) * 1e3}
         return self.image, FrameReport(state.index, state.time, stages, state.ledger, state.notes)
 
-    def run(self):
-        """Draw what `update` has brought, again if there was too little room; wait for it."""
+    def run(self, simulation=None):
+        """Draw what `update` has brought, again if there was too little room; wait for it.
+
+        What does not need the water is drawn beside the `simulation` of its step.
+        """
         for _ in range(MOST_TRIES):
-            if self._graph is None:
-                self.launch()  # compiles, and allocates what only then is known
-                self.stream.synchronize()
-                self._graph = Graph(self.stream, self.launch)
-            self._graph.launch()
+            if self._graphs is None:
+                self._record(simulation)
+            dry, wet = self._graphs
+            dry.launch()
+            if simulation is not None:
+                simulation.before(self.stream)
+            wet.launch()
+            if simulation is not None:
+                simulation.after(self.stream)
             self.stream.synchronize()
-            lacking = self.mirrors.grow()
+            lacking = simulation is not None and simulation.lacked()
+            lacking |= self.mirrors.grow()
             if self.rasterizer.overflows():
                 self.rasterizer.make_room()
-            elif not lacking:
+                lacking = True
+            if not lacking:
                 break
-            self._graph = None
+            self._check_queue()
         if self.rasterizer.is_tight():
             self.rasterizer.make_room()
-            self._graph = None
-        if self.mirrors.make_ahead():
-            self._graph = None
+        self.mirrors.make_ahead()
+
+    def _record(self, simulation):
+        if simulation is not None:
+            simulation.before(self.stream)
+        self.launch()  # compiles, and allocates what only then is known
+        self.stream.synchronize()
+        halves = self.stages()
+        self._graphs = [Graph(self.stream, _chain(half)) for half in halves]
+
+    def _check_queue(self):
+        """Record anew if what the queues depend on has changed."""
+        queue = self.rasterizer.queue, self.mirrors.queue, id(self._slopes)
+        if queue != self._queue:
+            self._queue, self._graphs = queue, None
 
     def update(self, camera, state, camera_end=None):
         """Take over what the next frame shows."""
@@ -115,9 +136,6 @@ class Renderer(HostRenderer):
             self._room_for(camera, state)
         self.rasterizer.update(camera, self.near)
         self.mirrors.update(camera, self.near, self.frame)
-        queue = self.rasterizer.queue, self.mirrors.queue
-        if queue != self._queue:
-            self._queue, self._graph = queue, None
         turn, eye = _pose(self.view)
         fog = NO_FOG
         field = self.weather.field(state.time - LONGEST_LIFE, state.time + self.now.render.exposure)
@@ -129,6 +147,7 @@ class Renderer(HostRenderer):
             forward=self.view.forward,
         )  # fmt: skip
         self._bring(state)
+        self._check_queue()
 
     def _update_drops(self, field, state, camera_end):
         """Say which drops are in the air; return the fog of those that are not drawn."""
@@ -154,7 +173,7 @@ class Renderer(HostRenderer):
             for device, level in zip(self._slopes, levels, strict=True):
                 device.copy_to_device(level)
             self._rms.copy_to_device(rms_slopes(levels))
-        elif self._slopes is None:
+        elif self._slopes is not levels:
             self._slopes, self._rms = levels, state.rms
             self._surface.depth = state.depth
         self._tile = np.float32(state.tile_size)
@@ -163,7 +182,7 @@ class Renderer(HostRenderer):
         """Allocate what a picture of this size needs."""
         height, width = self._size
         f4 = np.float32
-        self._graph = None
+        self._graphs = None
         self.mirrors.room_for(height, width)
         self._picture, self._shown = (cuda.device_array((height, width, 3), f4) for _ in range(2))
         self._depth, self._clearance, self._tall, self._hit, self._coverage, self._none = (
@@ -194,16 +213,19 @@ class Renderer(HostRenderer):
 
     def launch(self):
         """Queue the frame; nothing here waits, allocates or reads results."""
-        for stage in self.stages():
-            stage()
+        for half in self.stages():
+            _chain(half)()
 
     def stages(self):
-        """Return the frame's parts in their order: functions that put them on the stream."""
-        parts = [self.numbers.send, self.rasterizer.launch, self._grade, self._surface.launch]
-        parts += [self._meet_water, self._mirror, self._lay_water]
+        """Return the frame's parts in their order: those that need no water, and the others.
+
+        Each is a function that puts its part on the stream.
+        """
+        dry = [self.numbers.send, self.rasterizer.launch, self._grade]
+        wet = [self._surface.launch, self._meet_water, self._mirror, self._lay_water]
         if self.streaks is not None:
-            parts.append(self.streaks.launch)
-        return [*parts, self._compose, self._hand_over]
+            dry.append(self.streaks.launch)
+        return dry, [*wet, self._compose, self._hand_over]
 
     def _grade(self):
         n = self.numbers
@@ -262,6 +284,16 @@ class Renderer(HostRenderer):
 
     def _hand_over(self):
         self._image.copy_to_host(self.image, stream=self.stream)
+
+
+def _chain(parts):
+    """Return a function that calls all of `parts`."""
+
+    def queue():
+        for part in parts:
+            part()
+
+    return queue
 
 
 def _require_known(render):

@@ -1,0 +1,206 @@
+"""Twin of `rainsim.simulation`: rain on terrain over time, its water never leaving the device.
+
+A step is a recorded queue on a stream of its own: drops that end, their water and their rings, and
+the flow. What draws the frame waits for it on the device; the host is not asked. Steps of the
+water that were not reached, and drops that found no room, are counted; the former go on, the latter
+end the run with an error, for their list has room for far more than ever fall.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rainsim import simulation as host
+from rainsim.cuda import account
+from rainsim.cuda.drops import VOLUME_UNIT, Impacts, room_for
+from rainsim.cuda.graph import Graph
+from rainsim.cuda.jit import cuda, pinned
+from rainsim.cuda.ripples import Ripples
+from rainsim.cuda.water import Water
+from rainsim.errors import BackendError, DivergedError
+from rainsim.ripples import RippleTile
+from rainsim.weather import Weather
+
+
+@dataclass(frozen=True)
+class DeviceState:
+    """Water at one frame's time, on the device; valid until the next is asked for.
+
+    Attributes
+    ----------
+    index : int
+    time : float [s]
+    depth : device array of shape (ny, nx), float32 [m]
+    levels : list of device arrays of shape (2, n, n), float32
+        Ripple slopes at four resolutions.
+    rms : device array of shape (4,), float32
+    tile_size : float [m]
+    simulation : Simulation
+    notes : tuple of str
+    """
+
+    index: int
+    time: float
+    depth: object
+    levels: list
+    rms: object
+    tile_size: float
+    simulation: object
+    notes: tuple = ()
+
+    @property
+    def ledger(self):
+        """Volumes in m3, see `rainsim.ledger`; waits for the device."""
+        return self.simulation.ledger()
+
+
+class Simulation:
+    """Rain, water and ripples of a configuration on a terrain, frame by frame.
+
+    Parameters
+    ----------
+    terrain : Terrain
+    config : Config
+        Water of scheme "auto" is computed by "lean" here.
+    """
+
+    def __init__(self, terrain, config):
+        if config.water.scheme == "auto":
+            config = replace(config, water=replace(config.water, scheme="lean"))
+        self.terrain, self.config = terrain, config
+        self.stream = cuda.stream()
+        self.weather = Weather(config)
+        surfaces = host.surfaces_of(terrain)
+        exposure = host.rain_exposure(terrain, host.usual_wind(config), config.rain.roughness)
+        depth, self.notes = host.initial_water(terrain, config.at(0.0), exposure)
+        self._quick = host.quick_rain(terrain, config, exposure)
+        solver = host.water_solver(terrain, config)
+        solver.set_state(depth)
+        tile = RippleTile(depth=host.puddle_depth(depth), dtype=np.float32)
+        open_area = float(exposure.sum()) * terrain.grid.cell_area
+        host._warm_up(tile, self.weather, surfaces, open_area)
+        self._first_slopes = tile.slopes()
+        interval = 1 / config.fps
+        self.water = Water(solver, exposure, stream=self.stream)
+        self.ripples = Ripples(tile, interval, self.stream)
+        self._share = tile.size**2 / open_area if open_area > 0 else 0.0
+        self.impacts = None
+        field = self.weather.field(0.0, interval)
+        if field is not None:
+            room = room_for(field, surfaces, interval)
+            self.impacts = Impacts(field, surfaces, room, self.stream)
+        self._control = pinned(account.CONTROL, np.float64)
+        self._found = pinned(1, np.int32)
+        self._ready = cuda.event()
+        self._graph = None
+        self._index = -1
+
+    def advance(self):
+        """Go on to the next frame and return its `DeviceState`; only queues the work."""
+        self._index += 1
+        index, time = self._index, self._index / self.config.fps
+        if index == 0:
+            self._show_first_slopes()
+        else:
+            self._bring((index - 1) / self.config.fps, time)
+            if self._graph is None:
+                self.launch()  # compiles; that was the step itself
+                self.stream.synchronize()
+                self._graph = Graph(self.stream, self.launch)
+            else:
+                self._graph.launch()
+        self._ready.record(self.stream)
+        return DeviceState(
+            index, time, self.water.depth, self.ripples.slopes, self.ripples.rms,
+            self.ripples.size, self, self.notes if index == 0 else (),
+        )  # fmt: skip
+
+    def _show_first_slopes(self):
+        from rainsim.watersurface import ripple_levels, rms_slopes
+
+        levels = ripple_levels(self._first_slopes)
+        for device, level in zip(self.ripples.slopes, levels, strict=True):
+            device.copy_to_device(level)
+        self.ripples.rms.copy_to_device(rms_slopes(levels))
+
+    def _bring(self, before, time):
+        """Say what falls between two times."""
+        field = self.weather.field(before, time)
+        fine = 0.0
+        if field is not None:
+            fine = field.spectrum.fine_rate
+            self.impacts.update(field, before, time)
+        if self._quick is not None:
+            self.water.deposit(*self._quick(before, time))
+        self.water.update(time - before, fine)
+
+    def launch(self):
+        """Queue a step; nothing here waits, allocates or reads results."""
+        if self.impacts is not None:
+            self.impacts.launch()
+            self.impacts.settle(self.water, self.ripples, self._share)
+            self.impacts.found.copy_to_host(self._found, stream=self.stream)
+        self.ripples.launch()
+        self.water.launch()
+        self.water._control.copy_to_host(self._control, stream=self.stream)
+
+    def before(self, stream):
+        """Let what is queued on another stream from now on wait for the step."""
+        self._ready.wait(stream)
+
+    def after(self, stream):
+        """Let the next step wait for what is queued on another stream."""
+        done = cuda.event()
+        done.record(stream)
+        done.wait(self.stream)
+
+    def lacked(self):
+        """Finish a step that had too little room; return whether it had.
+
+        Call it when the step has ended.
+
+        Raises
+        ------
+        BackendError
+            If more drops fell than the list has room for.
+        DivergedError
+            If the water is no longer finite or faster than water can be.
+        """
+        if self._index == 0:
+            return False
+        if self.impacts is not None and self._found[0] > len(self.impacts.ids):
+            raise BackendError(
+                f"{self._found[0]} drops ended in one frame, {len(self.impacts.ids)} were expected "
+                "at most; use more frames per second, or backend cpu"
+            )
+        more = False
+        while self._control[account.LEFT] > 0.0:
+            self.water.go_on()
+            self.water._control.copy_to_host(self._control, stream=self.stream)
+            self.stream.synchronize()
+            more = True
+        if not np.isfinite(self._control).all():
+            raise DivergedError(
+                "the water on the CUDA device is no longer finite; use a smaller courant than "
+                f"{self.config.water.courant}"
+            )
+        return more
+
+    def ledger(self):
+        """Return the account of the water so far, m3, as `rainsim.simulation` gives it."""
+        found = self.water.ledger().as_dict()
+        if self.impacts is not None:
+            volume = float(self.impacts.obstacles.copy_to_host(stream=self.stream)[0])
+            found["rain"] += volume * VOLUME_UNIT
+            found["obstacles"] += volume * VOLUME_UNIT
+        return found
+
+
+def simulate(terrain, config, progress=None):
+    """Yield the `DeviceState` at the time of each frame, from frame 0 on, without end."""
+    run = Simulation(terrain, config)
+    while True:
+        state = run.advance()
+        yield state

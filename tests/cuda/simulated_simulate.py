@@ -1,0 +1,43 @@
+"""Rain, water and rings on the twin, frame by frame, in the simulator, against the CPU's."""
+
+import functools
+
+import numpy as np
+import pytest
+
+from rainsim import simulation
+from rainsim.config import Config, mm_per_hour
+from rainsim.cuda import simulate as twin
+from rainsim.cuda import simulated
+from rainsim.pipeline import extract_terrain
+from scenes import tiny_scene
+
+assert simulated()
+pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
+
+
+def test_frames_are_those_of_the_cpu(monkeypatch):
+    small = functools.partial(simulation.RippleTile, cells=16, size=0.5)
+    for module in (simulation, twin):
+        monkeypatch.setattr(module, "RippleTile", small)
+    config = Config().replace(
+        rate=mm_per_hour(200.0), past=3e-3, extent=0.5, spacing=0.1, wind=(0.5, 0.2), fps=60.0,
+        scheme="lean", frames=3,
+    )  # fmt: skip
+    terrain = extract_terrain(tiny_scene(), config)
+    wanted = simulation.simulate(terrain, config)
+    found = twin.simulate(terrain, config)
+    depths = []
+    for _ in range(3):
+        cpu, gpu = next(wanted), next(found)
+        assert gpu.index == cpu.index and gpu.time == cpu.time
+        depth = gpu.depth.copy_to_host()
+        np.testing.assert_allclose(depth, cpu.depth, atol=1e-8)
+        slopes = gpu.levels[0].copy_to_host()
+        assert np.abs(slopes - cpu.slopes).max() < 1e-3 * np.abs(cpu.slopes).max()
+        assert not gpu.simulation.lacked()
+        ledger = gpu.ledger
+        for name in ("rain", "obstacles", "ground", "outflow"):
+            assert ledger[name] == pytest.approx(cpu.ledger[name], rel=1e-5, abs=1e-15), name
+        depths.append(depth)
+    assert (depths[2] != depths[1]).any() and np.abs(cpu.slopes).max() > 1e-6
