@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rainsim import marks
+from rainsim import crowns, marks
 from rainsim.cuda.jit import FULL, SIMULATED, cuda
 
 LANES = 1 if SIMULATED else 32
@@ -89,6 +89,10 @@ else:
             return part
 
         return total
+
+    @overload(crowns.next_row, target="cuda")
+    def _next_row(count):
+        return lambda count: cuda.atomic.add(count, 0, 1)
 
     @overload(marks.add, target="cuda")
     def _add(picture, at, alpha, bold):

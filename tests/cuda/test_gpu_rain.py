@@ -6,6 +6,7 @@ import pytest
 from rainsim.drops import GROUND, RainField, RainSpectrum, Surfaces, impacts
 from rainsim.ripples import RippleTile
 from rainsim.scene.types import Camera
+from rainsim.splash import draw_splashes
 from rainsim.streaks import draw_streaks, streak_reach
 from rainsim.watersurface import ripple_levels
 
@@ -104,3 +105,32 @@ def test_ripples_are_those_of_the_cpu():
         )
     rms = [np.sqrt(np.mean(level.astype(float) ** 2)) for level in levels]
     np.testing.assert_allclose(twin.rms.copy_to_host(), rms, rtol=1e-3)
+
+
+def test_splashes_are_those_of_the_cpu(field, surfaces, poisoned):
+    from rainsim.cuda.jit import cuda
+    from rainsim.cuda.splash import Splashes
+    from rainsim.cuda.streaks import Streaks
+
+    camera = looking_down()
+    depth = depth_of_ground(camera)
+    water = np.zeros(surfaces.shape, np.float32)
+    water[:, 60:140] = 0.006
+    streaks = Streaks(field, surfaces, WIDTH, HEIGHT, cuda.to_device(depth))
+    twin = Splashes(streaks, field, surfaces, cuda.to_device(water))
+    for time in (3.0, 3.4):
+        wanted = poisoned((HEIGHT, WIDTH))
+        draw_splashes(field, surfaces, camera, time, EXPOSURE, water, 2e-4, depth, wanted)
+        streaks.update(field, camera, time, EXPOSURE, 8.0)
+        twin.update(field, camera, time, EXPOSURE, 2e-4)
+        pictures = []
+        for _ in range(2):
+            twin.alpha.copy_to_device(poisoned((HEIGHT, WIDTH)))
+            streaks.launch()
+            twin.launch()
+            pictures.append(twin.alpha.copy_to_host())
+        assert wanted.max() > 0.05 and twin.missing() == 0
+        np.testing.assert_array_equal(*pictures)
+        difference = np.abs(pictures[0] - wanted)
+        assert (difference > 1e-3).mean() < 1e-3
+        assert np.sqrt(np.mean(difference**2)) < 1e-4

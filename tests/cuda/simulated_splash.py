@@ -1,0 +1,39 @@
+"""The splashes' twin in numba's CUDA simulator; `tests/unit/test_cuda.py` runs this file."""
+
+import numpy as np
+import pytest
+
+from rainsim.cuda import simulated
+from rainsim.cuda.splash import Splashes
+from rainsim.cuda.streaks import Streaks
+from rainsim.drops import RainField, RainSpectrum, flat_surfaces
+from rainsim.scene.types import Camera
+from rainsim.splash import draw_splashes
+
+assert simulated()
+# Plain numpy numbers warn where a GPU's wrap.
+pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
+WIDTH, HEIGHT, TIME, EXPOSURE, FILM = 32, 24, 3.0, 1 / 120, 2e-4
+
+
+def test_a_picture_is_that_of_the_cpu(poisoned):
+    field = RainField(RainSpectrum(200.0), (0.5, 0.0), seed=5)
+    surfaces = flat_surfaces(0.25, 0.2, 0.05, (-0.1, -0.1))
+    matrix = np.diag([1.0, -1.0, -1.0, 1.0])
+    matrix[2, 3] = 0.8  # 0.8 m up, looking down
+    camera = Camera(WIDTH, HEIGHT, 80.0, 80.0, WIDTH / 2, HEIGHT / 2, matrix)
+    depth = np.full((HEIGHT, WIDTH), 0.8, np.float32)
+    water = np.zeros(surfaces.shape, np.float32)
+    water[:, 2:] = 0.008
+    wanted = poisoned((HEIGHT, WIDTH))
+    draw_splashes(field, surfaces, camera, TIME, EXPOSURE, water, FILM, depth, wanted)
+    streaks = Streaks(field, surfaces, WIDTH, HEIGHT, depth)
+    streaks.update(field, camera, TIME, EXPOSURE, 0.31)  # hardly any streaks
+    streaks.launch()
+    twin = Splashes(streaks, field, surfaces, water)
+    twin.alpha.copy_to_device(poisoned((HEIGHT, WIDTH)))
+    twin.update(field, camera, TIME, EXPOSURE, FILM)
+    twin.launch()
+    assert wanted.max() > 0.02 and (wanted > 1e-4).sum() > 40
+    assert twin.missing() == 0 and int(twin.now["count"].copy_to_host()[0]) > 10
+    np.testing.assert_allclose(twin.alpha.copy_to_host(), wanted, atol=1e-5)
