@@ -38,7 +38,7 @@ def mix(word):
 @device_function
 def subkey(key, item):
     """Return the uint64 key of child `item` (an int64 of any sign) of the uint64 `key`."""
-    return mix(key + _STEP * np.uint64(item))
+    return mix(key + _STEP * np.uint64(np.int64(item)))
 
 
 @device_function

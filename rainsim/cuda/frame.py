@@ -19,13 +19,14 @@ from rainsim.cuda.jit import cuda, pinned
 from rainsim.cuda.mirror import Mirrors
 from rainsim.cuda.numbers import Numbers
 from rainsim.cuda.raster import DeviceSplats, Rasterizer
+from rainsim.cuda.splash import ROOM, Splashes
 from rainsim.cuda.streaks import Streaks
 from rainsim.cuda.watersurface import WaterSurface
-from rainsim.errors import ParameterError
+from rainsim.errors import BackendError, ParameterError
 from rainsim.paperwater import LEAST_WATER
 from rainsim.render import FrameReport, _lens, _pose
 from rainsim.render import Renderer as HostRenderer
-from rainsim.splash import LONGEST_LIFE
+from rainsim.splash import LONGEST_LIFE, WET_FILM
 from rainsim.streaks import FOG_STEPS, NO_FOG, fog_table, streak_reach
 from rainsim.watersurface import ripple_levels, rms_slopes
 
@@ -99,7 +100,7 @@ class Renderer(HostRenderer):
                 simulation.after(self.stream)
             self.stream.synchronize()
             lacking = simulation is not None and simulation.lacked()
-            lacking |= self.mirrors.grow()
+            lacking |= self.mirrors.grow() | self._splashes_lacked()
             if self.rasterizer.overflows():
                 self.rasterizer.make_room()
                 lacking = True
@@ -109,6 +110,28 @@ class Renderer(HostRenderer):
         if self.rasterizer.is_tight():
             self.rasterizer.make_room()
         self.mirrors.make_ahead()
+
+    def _splashes_lacked(self):
+        """Make room for splashes where the finished frame had too little; return whether it had."""
+        if self.streaks is None:
+            return False
+        lines, *impacts = (int(found[0]) for found in self._found)
+        for found, room in zip(impacts, self.splashes.rooms, strict=True):
+            if found > room:
+                raise BackendError(
+                    f"{found} drops that may splash were found for one frame, {room} were expected "
+                    "at most; take backend cpu"
+                )
+        if lines <= len(self.splashes.lines):
+            return False
+        self._new_splashes(2 * lines)
+        return True
+
+    def _new_splashes(self, room):
+        args = self._drops_of
+        self.splashes = Splashes(self.streaks, args[0], self.surfaces, self._surface.depth, room)
+        self.splashes.update(*args)
+        self._graphs = None
 
     def _record(self, simulation):
         if simulation is not None:
@@ -136,6 +159,7 @@ class Renderer(HostRenderer):
             self._room_for(camera, state)
         self.rasterizer.update(camera, self.near)
         self.mirrors.update(camera, self.near, self.frame)
+        self._bring(state)
         turn, eye = _pose(self.view)
         fog = NO_FOG
         field = self.weather.field(state.time - LONGEST_LIFE, state.time + self.now.render.exposure)
@@ -146,7 +170,6 @@ class Renderer(HostRenderer):
             brightness=self.now.render.brightness, fog=fog, sun=self._sun, air=self._air,
             forward=self.view.forward,
         )  # fmt: skip
-        self._bring(state)
         self._check_queue()
 
     def _update_drops(self, field, state, camera_end):
@@ -156,6 +179,10 @@ class Renderer(HostRenderer):
         self.streaks.update(
             field, self.view, state.time, render.exposure, reach, camera_end, *self._focus
         )
+        self._drops_of = field, self.view, state.time, render.exposure, WET_FILM * self.wetness
+        if self.splashes is None or self.splashes._depth is not self._surface.depth:
+            self._new_splashes(ROOM)
+        self.splashes.update(*self._drops_of)
         key = field, self.view.fx, self.view.fy, render.exposure, render.streak_far
         if key != self._fog_of[0]:
             self._fog_of = key, fog_table(field, reach)
@@ -204,7 +231,8 @@ class Renderer(HostRenderer):
             settings=(waterview.REFLECTION_THICKNESS, stride, waterview.REFLECTION_LENGTH),
             cover=(LEAST_WATER,) * 2 if hard else render.water_coverage,
         )  # fmt: skip
-        self.streaks = None
+        self.streaks = self.splashes = None
+        self._found = [pinned(1, np.int32) for _ in range(4)]  # lines, and impacts of three lists
         field = self.weather.field(state.time - LONGEST_LIFE, state.time + render.exposure)
         if field is not None:
             self.streaks = Streaks(field, self.surfaces, width, height, self._depth, self.stream)
@@ -225,6 +253,7 @@ class Renderer(HostRenderer):
         wet = [self._surface.launch, self._meet_water, self._mirror, self._lay_water]
         if self.streaks is not None:
             dry.append(self.streaks.launch)
+            wet.append(self.splashes.launch)
         return dry, [*wet, self._compose, self._hand_over]
 
     def _grade(self):
@@ -276,14 +305,19 @@ class Renderer(HostRenderer):
         shading.drop_radiance[1, shading.SUMMERS, self.stream](
             self._directions, self._light[0], n["forward"], self._drop
         )
-        rain = self._none if self.streaks is None else self.streaks.alpha
+        rain = splash = self._none
+        if self.streaks is not None:
+            rain, splash = self.streaks.alpha, self.splashes.alpha
         shading.compose[grid](
-            self._shown, self._depth, rain, self._none, self._drop, n["air"], n["fog"], n["lens"],
+            self._shown, self._depth, rain, splash, self._drop, n["air"], n["fog"], n["lens"],
             n["brightness"], self._image,
         )  # fmt: skip
 
     def _hand_over(self):
         self._image.copy_to_host(self.image, stream=self.stream)
+        if self.streaks is not None:
+            for there, here in zip(self.splashes.counts, self._found, strict=True):
+                there.copy_to_host(here, stream=self.stream)
 
 
 def _chain(parts):

@@ -245,6 +245,16 @@ class Splashes:
         )  # fmt: skip
         streaks.resolve(self.alpha, over=False)
 
+    @property
+    def counts(self):
+        """Device arrays of one number: the lines, and the impacts of each list, that there were."""
+        return [self.now["count"], *(impacts.found for impacts in self._lists)]
+
+    @property
+    def rooms(self):
+        """How many impacts each list has room for."""
+        return [len(impacts.ids) for impacts in self._lists]
+
     def missing(self):
         """Return how many impacts and lines there was no room for; waits for them."""
         lines = int(self.now["count"].copy_to_host(stream=self.stream)[0]) - len(self.lines)

@@ -10,12 +10,18 @@ import rainsim.cuda
 from rainsim.errors import BackendError
 
 
-@pytest.mark.parametrize("name", ["raster", "water"])
-def test_the_twins_in_the_simulator(root, name):
+QUICK = ("raster", "shading", "water", "streaks", "drops", "splash")
+LONG = ("ripples", "simulate", "frame")
+
+
+@pytest.mark.parametrize(
+    "names", [QUICK, *(pytest.param((name,), marks=pytest.mark.slow) for name in LONG)]
+)
+def test_the_twins_in_the_simulator(root, names):
     """In a process of its own: the simulator is chosen when numba is first imported."""
     done = subprocess.run(
         [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider",
-         f"tests/cuda/simulated_{name}.py"],
+         *(f"tests/cuda/simulated_{name}.py" for name in names)],
         cwd=root, env=os.environ | {"NUMBA_ENABLE_CUDASIM": "1"}, capture_output=True, text=True,
     )  # fmt: skip
     assert done.returncode == 0, done.stdout[-4000:]
