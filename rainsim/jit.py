@@ -148,6 +148,11 @@ def dealt(count):
     return np.concatenate([np.arange(n, count, threads) for n in range(threads)]).astype(np.int64)
 
 
+def threading_layer():
+    """Return the name of numba's threading layer, once a kernel has run, and its threads."""
+    return numba.threading_layer(), numba.get_num_threads()
+
+
 def set_threads(count):
     """Use `count` threads in all kernels (None: all cores that numba found at start)."""
     if count is not None:

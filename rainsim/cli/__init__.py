@@ -8,7 +8,7 @@ from __future__ import annotations
 import click
 
 from rainsim import __version__
-from rainsim.cli import bench, film, ground, splat, tools
+from rainsim.cli import bench, doctor, film, ground, splat, tools
 from rainsim.errors import ParameterError, RainsimError
 
 INTERRUPTED = 130  # 128 + SIGINT, as shells have it
@@ -80,6 +80,7 @@ for _command in (
     tools.presets,
     bench.bench,
     tools.warmup,
+    doctor.doctor,
 ):
     cli.add_command(_command)
 

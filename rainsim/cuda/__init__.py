@@ -59,3 +59,14 @@ def require():
     found = trouble()
     if found is not None:
         raise BackendError(f"backend is 'cuda', but {found}")
+
+
+def device():
+    """Return name, compute capability and memory [bytes] of the GPU in use, as a dict."""
+    from numba import cuda
+
+    chosen = cuda.get_current_device()
+    free, total = (0, 0) if simulated() else cuda.current_context().get_memory_info()
+    name = chosen.name.decode() if isinstance(chosen.name, bytes) else str(chosen.name)
+    capability = ".".join(map(str, chosen.compute_capability))
+    return {"name": name, "capability": capability, "free": int(free), "total": int(total)}

@@ -52,6 +52,7 @@ class Renderer(HostRenderer):
         self._light = send(self.environment), send(self.day)
         self._directions = cuda.to_device(sky.directions(*self.environment.shape[:2]))
         self._drop = cuda.device_array(3, np.float32)
+        self._sums = cuda.device_array((shading.SUMMERS, shading.SUMS), np.float64)
         self._air = sky.horizon_radiance(self.day).astype(np.float32)
         self._water = cuda.device_array(terrain.grid.shape, np.float32)
         self._surface = WaterSurface(
@@ -81,7 +82,8 @@ class Renderer(HostRenderer):
         self.update(camera, state, camera_end)
         self.run(getattr(state, "simulation", None))
         stages = {"frame": (clock.perf_counter() - begin) * 1e3}
-        return self.image, FrameReport(state.index, state.time, stages, state.ledger, state.notes)
+        notes, self.notes = (*state.notes, *self.notes), []  # the renderer's are told once
+        return self.image, FrameReport(state.index, state.time, stages, state.ledger, notes)
 
     def run(self, simulation=None):
         """Draw what `update` has brought, again if there was too little room; wait for it.
@@ -302,9 +304,10 @@ class Renderer(HostRenderer):
     def _compose(self):
         n = self.numbers
         grid = shading.blocks(*self._size), shading.BLOCK, self.stream
-        shading.drop_radiance[1, shading.SUMMERS, self.stream](
-            self._directions, self._light[0], n["forward"], self._drop
+        shading.sum_environment[shading.SUMMERS, shading.SUM_THREADS, self.stream](
+            self._directions, self._light[0], n["forward"], self._sums
         )
+        shading.drop_radiance[1, 32, self.stream](self._sums, self._drop)
         rain = splash = self._none
         if self.streaks is not None:
             rain, splash = self.streaks.alpha, self.splashes.alpha

@@ -31,9 +31,9 @@ from rainsim.sky import DROP_AMBIENT, DROP_FIELD, DROP_TRANSMISSION, sample_envi
 BLOCK = (32, 8)  # threads: columns, rows
 WHITE = np.float32(255)
 NOWHERE = np.float32(np.inf)
-SUMMERS = 256  # threads that add up the environment
+SUMMERS, SUM_THREADS = 64, 64  # blocks that add up the environment, and their threads
 SUMS = 8
-ROOM = SUMMERS * SUMS
+ROOM = SUM_THREADS * SUMS
 COSINE = float(np.cos(DROP_FIELD))
 
 
@@ -120,13 +120,18 @@ def compose(
 
 
 @cuda_kernel
-def drop_radiance(direction, environment, forward, radiance_out):
-    """Twin of `rainsim.sky.drop_radiance`: the light of a drop seen along `forward` [0..2]."""
+def sum_environment(direction, environment, forward, partial_out):
+    """Add up the light of parts of the environment, all of it and what a drop gathers most from.
+
+    partial_out : ndarray of shape (SUMMERS, 8), float64
+        Sums of red, green, blue and solid angle, of the field of a drop seen along `forward` and of
+        everything; a row per block of SUM_THREADS threads.
+    """
     shared = cuda.shared.array(ROOM, np.float64)
-    tid = cuda.threadIdx.x
+    tid, row = cuda.threadIdx.x, cuda.blockIdx.x
     rows, columns = environment.shape[0], environment.shape[1]
     s0, s1, s2, s3, t0, t1, t2, t3 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for k in range(tid, rows * columns, SUMMERS):
+    for k in range(row * SUM_THREADS + tid, rows * columns, SUMMERS * SUM_THREADS):
         j, i = k // columns, k % columns
         x, y, z = direction[j, i, 0], direction[j, i, 1], direction[j, i, 2]
         area = math.sqrt(max(1.0 - z * z, 0.0))
@@ -138,13 +143,22 @@ def drop_radiance(direction, environment, forward, radiance_out):
     shared[at], shared[at + 1], shared[at + 2], shared[at + 3] = s0, s1, s2, s3
     shared[at + 4], shared[at + 5], shared[at + 6], shared[at + 7] = t0, t1, t2, t3
     cuda.syncthreads()
-    half = SUMMERS // 2
-    while half > 0:
-        if tid < half:
-            for k in range(SUMS):
-                shared[at + k] += shared[at + k + half * SUMS]
-        cuda.syncthreads()
-        half //= 2
-    if tid < 3:
-        field, around = shared[tid] / shared[3], shared[4 + tid] / shared[7]
-        radiance_out[tid] = np.float32(DROP_TRANSMISSION * field + DROP_AMBIENT * around)
+    if tid < SUMS:
+        total = 0.0
+        for k in range(SUM_THREADS):
+            total += shared[k * SUMS + tid]
+        partial_out[row, tid] = total
+
+
+@cuda_kernel
+def drop_radiance(partial, radiance_out):
+    """Finish `rainsim.sky.drop_radiance`: the light of a drop, from what `sum_environment` left."""
+    tid = cuda.threadIdx.x
+    if tid >= 3:
+        return
+    field, field_area, around, area = 0.0, 0.0, 0.0, 0.0
+    for row in range(SUMMERS):
+        field, field_area = field + partial[row, tid], field_area + partial[row, 3]
+        around, area = around + partial[row, 4 + tid], area + partial[row, 7]
+    field, around = field / field_area, around / area
+    radiance_out[tid] = np.float32(DROP_TRANSMISSION * field + DROP_AMBIENT * around)

@@ -19,9 +19,11 @@ from rainsim.cuda.graph import Graph
 from rainsim.cuda.jit import cuda, pinned
 from rainsim.cuda.ripples import Ripples
 from rainsim.cuda.water import Water
-from rainsim.errors import BackendError, DivergedError
+from rainsim.errors import BackendError, DivergedError, ParameterError
 from rainsim.ripples import RippleTile
 from rainsim.weather import Weather
+
+NO_DRIPS = "backend cuda keeps on objects what falls on them: no drips from their edges"
 
 
 @dataclass(frozen=True)
@@ -74,13 +76,23 @@ class Simulation:
         self.weather = Weather(config)
         surfaces = host.surfaces_of(terrain)
         exposure = host.rain_exposure(terrain, host.usual_wind(config), config.rain.roughness)
-        depth, self.notes = host.initial_water(terrain, config.at(0.0), exposure)
+        start = config.at(0.0)
+        depth, self.notes = host.initial_water(terrain, start, exposure)
         self._quick = host.quick_rain(terrain, config, exposure)
-        solver = host.water_solver(terrain, config)
+        if host.rising_level(terrain, config) is not None:
+            raise ParameterError(
+                "the water level changes in time; backend cuda keeps it; take backend cpu"
+            )
+        if config.rain.drips:
+            self.notes = *self.notes, NO_DRIPS
+        solver = host.water_solver(terrain, start)
         solver.set_state(depth)
-        tile = RippleTile(depth=host.puddle_depth(depth), dtype=np.float32)
+        tile = RippleTile(
+            depth=host.puddle_depth(depth), film=config.water.surface_film, dtype=np.float32
+        )
         open_area = float(exposure.sum()) * terrain.grid.cell_area
-        host._warm_up(tile, self.weather, surfaces, open_area)
+        objects = host.Objects(surfaces, replace(config.rain, drips=False), wet=False)
+        host._warm_up(tile, objects, self.weather, surfaces, open_area)
         self._first_slopes = tile.slopes()
         interval = 1 / config.fps
         self.water = Water(solver, exposure, stream=self.stream)

@@ -20,99 +20,119 @@ from rainsim.watersurface import (
 )
 
 THREADS = (32, 8)
+CELLS_OF_A_BLOCK = 256
 HIGH_GRASS = np.float32(GRASS_HEIGHT)
 CELLS = np.float32(BLOCK)
+DRY = np.float32(-1e6)  # m, the level of a cell without a surface
 NO_HEIGHT = np.float32(-1e9)  # m, of the highest water where there is none
 FAR = np.int64(1 << 40)
 
 
-@cuda_device
-def wet_cell(depth, mirrors, j, i):
-    """Tell whether a cell carries the water surface."""
-    d = depth[j, i]
-    return d > WET_CELL and (mirrors[j, i] or d > HIGH_GRASS)
-
-
 @cuda_kernel
-def sum_blocks(bed, depth, mirrors, count_out, mean_out, highest):
-    """Count the wet cells of each block and take the mean of their levels."""
+def sum_blocks(bed, depth, mirrors, eta_out, count_out, mean_out, highest):
+    """Write the levels of wet cells, count those of each block and take the mean of their levels.
+
+    Levels are relative to the middle of the map; DRY where a cell carries no water surface.
+    """
     i, j = cuda.grid(2)
     if i == 0 and j == 0:
         highest[0] = NO_HEIGHT
-    rows, columns = count_out.shape
-    if j >= rows or i >= columns:
-        return
     ny, nx = bed.shape
-    count, total = ZERO, ZERO
-    for k in range(j * BLOCK, min(j * BLOCK + BLOCK, ny)):
-        for m in range(i * BLOCK, min(i * BLOCK + BLOCK, nx)):
-            if wet_cell(depth, mirrors, k, m):
-                count += ONE
-                total += bed[k, m] + depth[k, m]
-    count_out[j, i] = count
-    mean_out[j, i] = total / max(count, ONE)
+    room = cuda.shared.array(THREADS, np.float32)  # rows of a block of threads: one block high
+    x, y = cuda.threadIdx.x, cuda.threadIdx.y
+    eta, base = DRY, bed[ny // 2, nx // 2]
+    if j < ny and i < nx:
+        d = depth[j, i]
+        if d > WET_CELL and (mirrors[j, i] or d > HIGH_GRASS):
+            eta = bed[j, i] - base + d
+        eta_out[j, i] = eta
+    room[x, y] = eta
+    cuda.syncthreads()
+    rows, columns = count_out.shape
+    block_j, block_i = j // BLOCK, i // BLOCK
+    if x % BLOCK == 0 and y == 0 and block_j < rows and block_i < columns:
+        count, total = ZERO, ZERO
+        for k in range(BLOCK):
+            for m in range(BLOCK):
+                eta = room[x + m, k]
+                if eta > DRY:
+                    count += ONE
+                    total += eta
+        count_out[block_j, block_i] = count
+        mean_out[block_j, block_i] = base + total / max(count, ONE)
 
 
 @cuda_kernel
-def nearest_blocks(count, mean, far_out):
-    """Give each block its own level, or that of the nearest block that has one."""
+def nearest_rows(count, row_out):
+    """Find, within each block's column, the row of the nearest block that has water; -1 if none."""
     i, j = cuda.grid(2)
     rows, columns = count.shape
     if j >= rows or i >= columns:
         return
-    if count[j, i] > ZERO:
-        far_out[j, i] = mean[j, i]
+    row_out[j, i] = -1
+    for away in range(rows):
+        if j - away >= 0 and count[j - away, i] > ZERO:
+            row_out[j, i] = j - away
+            return
+        if j + away < rows and count[j + away, i] > ZERO:
+            row_out[j, i] = j + away
+            return
+
+
+@cuda_kernel
+def nearest_blocks(row, mean, far_out):
+    """Give each block the level of the nearest block that has one."""
+    i, j = cuda.grid(2)
+    rows, columns = row.shape
+    if j >= rows or i >= columns:
         return
     best, level = FAR, ZERO
-    ring = 1
-    # Rings outwards, until none farther out can be nearer.
-    while ring < max(rows, columns) and np.int64(ring) * ring <= best:
-        for k in range(max(j - ring, 0), min(j + ring + 1, rows)):
-            edge = k == j - ring or k == j + ring
-            step = 1 if edge else 2 * ring
-            m = i - ring
-            while m <= i + ring:
-                if m >= 0 and m < columns and count[k, m] > ZERO:
-                    square = np.int64(k - j) * (k - j) + np.int64(m - i) * (m - i)
+    away = 0
+    while away < columns and away * away < best:
+        for side in range(2):
+            m = i - away if side == 0 else i + away
+            if m >= 0 and m < columns:
+                k = row[j, m]
+                if k >= 0:
+                    square = away * away + (k - j) * (k - j)
                     if square < best:
                         best, level = square, mean[k, m]
-                m += step
-        ring += 1
+        away += 1
     far_out[j, i] = level
 
 
 @cuda_kernel
-def spread_rows(bed, depth, mirrors, wide, weight_out, height_out):
+def spread_rows(eta, wide, weight_out, height_out):
     """Take weighted sums of wet cells along rows."""
     i, j = cuda.grid(2)
-    ny, nx = bed.shape
+    ny, nx = eta.shape
     if j >= ny or i >= nx:
         return
-    base = bed[ny // 2, nx // 2]
     weight, height = ZERO, ZERO
     for k in range(max(i - 6, 0), min(i + 7, nx)):
-        if wet_cell(depth, mirrors, j, k):
+        level = eta[j, k]
+        if level > DRY:
             w = wide[k - i + 6]
             weight += w
-            height += w * (bed[j, k] + depth[j, k] - base)
+            height += w * level
     weight_out[j, i], height_out[j, i] = weight, height
 
 
 @cuda_device
-def wet_near(depth, mirrors, j, i):
+def wet_near(eta, j, i):
     """Tell whether a cell within SURFACE_REACH steps is wet."""
-    ny, nx = depth.shape
+    ny, nx = eta.shape
     for k in range(max(j - SURFACE_REACH, 0), min(j + SURFACE_REACH + 1, ny)):
         reach = SURFACE_REACH - abs(k - j)
         for m in range(max(i - reach, 0), min(i + reach + 1, nx)):
-            if wet_cell(depth, mirrors, k, m):
+            if eta[k, m] > DRY:
                 return True
     return False
 
 
 @cuda_kernel
 def spread_columns(
-    bed, depth, mirrors, relief, wide, weight, height, far, surface_out, rough_out
+    bed, depth, mirrors, relief, wide, eta, weight, height, far, surface_out, rough_out
 ):  # fmt: skip
     """Finish the means along columns; write the surface, and the water over the ground."""
     i, j = cuda.grid(2)
@@ -128,7 +148,7 @@ def spread_columns(
     rough = ZERO
     if total > LEAST_WEIGHT:
         surface = base + mean / total
-        if (mirrors[j, i] or depth[j, i] > HIGH_GRASS) and wet_near(depth, mirrors, j, i):
+        if (mirrors[j, i] or depth[j, i] > HIGH_GRASS) and wet_near(eta, j, i):
             rough = max(surface - bed[j, i] - relief[j, i], ZERO)
     else:
         surface = bilinear(
@@ -140,19 +160,31 @@ def spread_columns(
 @cuda_kernel
 def soften(rough, surface, narrow, over_out, highest):
     """Blur the water's depth a little and find the highest water."""
+    room = cuda.shared.array(CELLS_OF_A_BLOCK, np.float32)
     i, j = cuda.grid(2)
+    tid = cuda.threadIdx.y * cuda.blockDim.x + cuda.threadIdx.x
     ny, nx = rough.shape
-    if j >= ny or i >= nx:
-        return
-    over = ZERO
-    for m in range(max(i - 3, 0), min(i + 4, nx)):
-        column = ZERO
-        for k in range(max(j - 3, 0), min(j + 4, ny)):
-            column += narrow[k - j + 3] * rough[k, m]
-        over += narrow[m - i + 3] * column
-    over_out[j, i] = over
-    if over > ZERO and surface[j, i] > highest[0]:
-        cuda.atomic.max(highest, 0, surface[j, i])
+    top = NO_HEIGHT
+    if j < ny and i < nx:
+        over = ZERO
+        for m in range(max(i - 3, 0), min(i + 4, nx)):
+            column = ZERO
+            for k in range(max(j - 3, 0), min(j + 4, ny)):
+                column += narrow[k - j + 3] * rough[k, m]
+            over += narrow[m - i + 3] * column
+        over_out[j, i] = over
+        if over > ZERO:
+            top = surface[j, i]
+    room[tid] = top
+    cuda.syncthreads()
+    half = CELLS_OF_A_BLOCK // 2
+    while half > 0:
+        if tid < half:
+            room[tid] = max(room[tid], room[tid + half])
+        cuda.syncthreads()
+        half //= 2
+    if tid == 0 and room[0] > highest[0]:
+        cuda.atomic.max(highest, 0, room[0])
 
 
 class WaterSurface:
@@ -181,13 +213,14 @@ class WaterSurface:
         self._bed, self._relief = cuda.to_device(bed), cuda.to_device(relief)
         self._mirrors = cuda.to_device(np.ascontiguousarray(mirrors))
         self._wide, self._narrow = cuda.to_device(WIDE), cuda.to_device(NARROW)
-        self.surface, self.over, self._weight, self._height, self._rough = (
-            cuda.device_array(shape, np.float32) for _ in range(5)
+        self.surface, self.over, self._weight, self._height, self._rough, self._eta = (
+            cuda.device_array(shape, np.float32) for _ in range(6)
         )
         coarse = -(-shape[0] // BLOCK), -(-shape[1] // BLOCK)
         self._count, self._mean, self._far = (
             cuda.device_array(coarse, np.float32) for _ in range(3)
         )
+        self._row = cuda.device_array(coarse, np.int32)
         self.highest = cuda.device_array(1, np.float32)
 
     def launch(self):
@@ -199,11 +232,12 @@ class WaterSurface:
 
         cells, coarse = over(self.surface.shape), over(self._count.shape)
         water = self._bed, self.depth, self._mirrors
-        sum_blocks[coarse](*water, self._count, self._mean, self.highest)
-        nearest_blocks[coarse](self._count, self._mean, self._far)
-        spread_rows[cells](*water, self._wide, self._weight, self._height)
+        sum_blocks[cells](*water, self._eta, self._count, self._mean, self.highest)
+        nearest_rows[coarse](self._count, self._row)
+        nearest_blocks[coarse](self._row, self._mean, self._far)
+        spread_rows[cells](self._eta, self._wide, self._weight, self._height)
         spread_columns[cells](
-            *water, self._relief, self._wide, self._weight, self._height, self._far,
+            *water, self._relief, self._wide, self._eta, self._weight, self._height, self._far,
             self.surface, self._rough,
         )  # fmt: skip
         soften[cells](self._rough, self.surface, self._narrow, self.over, self.highest)

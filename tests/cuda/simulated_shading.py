@@ -95,7 +95,11 @@ def test_drop_radiance(rng):
     for forward in (np.array([0.1, 0.9, -0.2]), np.array([0.0, 0.1, 0.99])):
         forward /= np.linalg.norm(forward)
         out = np.full(3, np.nan, F4)
-        shading.drop_radiance[1, shading.SUMMERS](sky.directions(16, 32), around, forward, out)
+        partial = np.full((shading.SUMMERS, shading.SUMS), np.nan)
+        shading.sum_environment[shading.SUMMERS, shading.SUM_THREADS](
+            sky.directions(16, 32), around, forward, partial
+        )
+        shading.drop_radiance[1, 32](partial, out)
         np.testing.assert_allclose(out, sky.drop_radiance(around, forward), rtol=1e-5)
         found.append(out)
     assert np.abs(found[0] - found[1]).min() > 0.1

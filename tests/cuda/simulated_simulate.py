@@ -22,7 +22,7 @@ def test_frames_are_those_of_the_cpu(monkeypatch):
         monkeypatch.setattr(module, "RippleTile", small)
     config = Config().replace(
         rate=mm_per_hour(200.0), past=3e-3, extent=0.5, spacing=0.1, wind=(0.5, 0.2), fps=60.0,
-        scheme="lean", frames=3,
+        scheme="lean", frames=3, drips=False,
     )  # fmt: skip
     terrain = extract_terrain(tiny_scene(), config)
     wanted = simulation.simulate(terrain, config)

@@ -9,7 +9,6 @@ import pytest
 import rainsim.cuda
 from rainsim.errors import BackendError
 
-
 QUICK = ("raster", "shading", "water", "streaks", "drops", "splash")
 LONG = ("ripples", "simulate", "frame")
 

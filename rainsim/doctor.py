@@ -1,0 +1,149 @@
+"""What rainsim runs on here, and what is wrong with it: `rainsim doctor`."""
+
+from __future__ import annotations
+
+import os
+import platform
+import shutil
+from importlib import metadata
+
+import numpy as np
+
+from rainsim import __version__
+from rainsim.jit import CACHE_FOLDER, cpu_kernel, prange, threading_layer
+
+PACKAGES = ("numpy", "numba", "llvmlite", "scipy", "numba-cuda", "cuda-cccl")
+OPTIONAL = {
+    "gsply": "formats", "imagecodecs": "formats", "imageio-ffmpeg": "video", "matplotlib": "chart",
+}  # fmt: skip
+LEAST_MEMORY = 4e9  # bytes; a scene of some hundred thousand splats and its map
+LEAST_CACHE = 300e6  # bytes for compiled kernels
+
+
+@cpu_kernel
+def _use_threads(out):
+    for i in prange(len(out)):
+        out[i] = i
+
+
+def report():
+    """Return the facts, and under "wrong" a list of lines, each with its remedy.
+
+    Returns
+    -------
+    dict
+        "versions", "threads", "backends", "memory", "cache" and "wrong".
+    """
+    wrong = []
+    _use_threads(np.empty(64))
+    layer, threads = threading_layer()
+    if threads == 1 and (os.cpu_count() or 1) > 1:
+        wrong.append(
+            f"one thread of {os.cpu_count()} cores is used; unset NUMBA_NUM_THREADS or raise it"
+        )
+    memory = _memory()
+    if memory["total"] and memory["total"] < LEAST_MEMORY:
+        wrong.append(
+            f"{memory['total'] / 1e9:.1f} GB of memory; large captures need {LEAST_MEMORY / 1e9:g}"
+        )
+    cache = _cache()
+    if not cache["writable"]:
+        wrong.append(f"{cache['folder']} cannot be written; set NUMBA_CACHE_DIR to a folder")
+    elif cache["free"] < LEAST_CACHE:
+        wrong.append(
+            f"{cache['free'] / 1e6:.0f} MB are free for compiled kernels in {cache['folder']}; "
+            "make room or set NUMBA_CACHE_DIR"
+        )
+    elif not cache["kept"]:
+        wrong.append(
+            f"compiled kernels go to {cache['folder']} and are lost; set NUMBA_CACHE_DIR to a "
+            "folder that can be written"
+        )
+    versions = {"rainsim": __version__, "python": platform.python_version()}
+    versions |= {name: _version(name) for name in (*PACKAGES, *OPTIONAL)}
+    return {
+        "versions": versions,
+        "threads": {"number": threads, "cores": os.cpu_count(), "layer": layer},
+        "backends": {"cpu": {"ready": True, "name": _processor()}, "cuda": _cuda()},
+        "memory": memory, "cache": cache, "wrong": wrong,
+    }  # fmt: skip
+
+
+def _version(name):
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return None
+
+
+def _processor():
+    try:
+        with open("/proc/cpuinfo", encoding="utf-8") as file:
+            for line in file:
+                if line.startswith("model name"):
+                    return line.partition(":")[2].strip()
+    except OSError:
+        pass
+    return platform.processor() or platform.machine()
+
+
+def _memory():
+    """Return all and free memory in bytes; None where the system does not say."""
+    try:
+        page = os.sysconf("SC_PAGE_SIZE")
+        return {
+            "total": page * os.sysconf("SC_PHYS_PAGES"),
+            "free": page * os.sysconf("SC_AVPHYS_PAGES"),
+        }
+    except (ValueError, OSError, AttributeError):
+        return {"total": None, "free": None}
+
+
+def _cache():
+    size = sum(file.stat().st_size for file in CACHE_FOLDER.rglob("*") if file.is_file())
+    return {
+        "folder": str(CACHE_FOLDER), "writable": os.access(CACHE_FOLDER, os.W_OK), "size": size,
+        "free": shutil.disk_usage(CACHE_FOLDER).free,
+        "kept": CACHE_FOLDER.name == "rainsim-kernels",
+    }  # fmt: skip
+
+
+def _cuda():
+    """Return what the CUDA backend runs on, or why it does not."""
+    from rainsim import cuda
+
+    trouble = cuda.trouble()
+    if trouble is not None:
+        return {"ready": False, "why": trouble}
+    return {"ready": True, **cuda.device()}
+
+
+def table(found):
+    """Return a report as lines of text."""
+    present = {k: v for k, v in found["versions"].items() if v and k not in OPTIONAL}
+    lines = ["versions   " + ", ".join(f"{k} {v}" for k, v in present.items())]
+    extras = ", ".join(
+        f"{name} {found['versions'][name] or f'missing: pip install rainsim[{extra}]'}"
+        for name, extra in OPTIONAL.items()
+    )
+    threads, memory, cache = found["threads"], found["memory"], found["cache"]
+    lines += [
+        f"extras     {extras}",
+        f"threads    {threads['number']} of {threads['cores']} cores, layer {threads['layer']}",
+        f"cpu        ready: {found['backends']['cpu']['name']}",
+    ]
+    gpu = found["backends"]["cuda"]
+    if gpu["ready"]:
+        lines.append(
+            f"cuda       ready: {gpu['name']}, compute capability {gpu['capability']}, "
+            f"{gpu['free'] / 1e9:.1f} of {gpu['total'] / 1e9:.1f} GB free"
+        )
+    else:
+        lines.append(f"cuda       not ready: {gpu['why']}")
+    if memory["total"]:
+        lines.append(
+            f"memory     {memory['free'] / 1e9:.1f} of {memory['total'] / 1e9:.1f} GB free"
+        )
+    lines.append(f"cache      {cache['folder']}: {cache['size'] / 1e6:.0f} MB of compiled kernels")
+    lines += [f"WRONG      {line}" for line in found["wrong"]] or ["nothing is wrong"]
+    return "\n".join(lines)
