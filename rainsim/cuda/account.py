@@ -13,8 +13,8 @@ import math
 import numpy as np
 
 from rainsim.cuda.jit import SIMULATED, cuda, cuda_kernel
-from rainsim.cuda.scalars import bits_of, float_of
-from rainsim.cuda.warp import most
+from rainsim.cuda.scalars import float_of
+from rainsim.cuda.warp import raise_to
 from rainsim.grid.conserving import PAD, ZERO
 from rainsim.grid.conserving_flow import MAX_STEP, ROUNDING_ROOM
 from rainsim.grid.solver import QUIET_FALL, SOURCE_PERIOD
@@ -198,29 +198,30 @@ def refresh(control, state, now, numbers, w, bed, ny, nx):
         tops[lane] = 0
     cuda.syncthreads()
     i = cuda.blockIdx.x * SIDE + cuda.threadIdx.x + PAD
-    first = cuda.blockIdx.y * HEIGHT * STRIPE + cuda.threadIdx.y + PAD
+    first = (cuda.blockIdx.y * HEIGHT + cuda.threadIdx.y) * STRIPE + PAD
     p, wide, plane = state[PARITY], nx + 1, (ny + 1) * (nx + 1)
     swift, deepest, fall, highest = ZERO, ZERO, ZERO, ZERO
-    for j in range(first, min(first + HEIGHT * STRIPE, ny - PAD), HEIGHT):
-        if i < nx - PAD:
-            at = j * wide + i
-            c = p * 3 * plane + at
-            here, floor = w[c], bed[at]
-            level = floor + here
+    if i < nx - PAD and first < ny - PAD:
+        at = first * wide + i
+        c = p * 3 * plane + at
+        here, floor, south = w[c], bed[at], abs(w[c + 2 * plane])
+        for j in range(first, min(first + STRIPE, ny - PAD)):
+            level, below = floor + here, here
             deepest = max(deepest, here)
             if here > ZERO:
                 highest = max(highest, level - np.float32(numbers[FLOOR]))
             if i + 1 < nx - PAD:
                 fall = max(fall, _fall(here, level, w[c + 1], bed[at + 1]))
-            if j + 1 < ny - PAD:
-                fall = max(fall, _fall(here, level, w[c + wide], bed[at + wide]))
             swift = max(swift, max(abs(w[c + plane]), abs(w[c + plane + 1])))
-            c += 2 * plane
-            swift = max(swift, max(abs(w[c]), abs(w[c + wide])))
-    cuda.atomic.max(tops, 0, bits_of(most(swift)))
-    cuda.atomic.max(tops, 1, bits_of(most(deepest)))
-    cuda.atomic.max(tops, 2, bits_of(most(fall)))
-    cuda.atomic.max(tops, 3, bits_of(most(highest)))
+            at, c = at + wide, c + wide
+            here, floor, north = w[c], bed[at], abs(w[c + 2 * plane])
+            swift, south = max(swift, max(south, north)), north
+            if j + 1 < ny - PAD:
+                fall = max(fall, _fall(below, level, here, floor))
+    raise_to(tops, 0, swift)
+    raise_to(tops, 1, deepest)
+    raise_to(tops, 2, fall)
+    raise_to(tops, 3, highest)
     cuda.syncthreads()
     if lane > 0:
         return
@@ -260,21 +261,25 @@ def close(control, state, blocks, whole, partial_out):
     partial_out : device array of shape (PARTIAL, blocks), float64
         Blanked.
     """
-    room = cuda.shared.array(CLOSERS, np.float64)
+    room = cuda.shared.array((PARTIAL, CLOSERS), np.float64)
     lane = cuda.threadIdx.x
-    drunk, out, drops, ground, film = 0.0, 0.0, 0.0, 0.0, 0.0
-    for block in range(lane, blocks, CLOSERS):
-        out += partial_out[P_OUT, block]
-        drops += partial_out[P_DROPPED, block]
-        drunk += partial_out[P_DRUNK, block]
-        ground += partial_out[P_GROUND, block]
-        film += partial_out[P_FILM, block]
-        partial_out[P_OUT, block] = 0.0
-        partial_out[P_DROPPED, block] = 0.0
-        partial_out[P_DRUNK, block] = 0.0
-    out, drops = block_sum(room, lane, out), block_sum(room, lane, drops)
-    drunk, ground = block_sum(room, lane, drunk), block_sum(room, lane, ground)
-    film = block_sum(room, lane, film)
+    for which in range(PARTIAL):
+        total = 0.0
+        for block in range(lane, blocks, CLOSERS):
+            total += partial_out[which, block]
+            if which < P_GROUND:
+                partial_out[which, block] = 0.0
+        room[which, lane] = total
+    cuda.syncthreads()
+    n = CLOSERS // 2
+    while n > 0:
+        for place in range(lane, PARTIAL * n, CLOSERS):
+            which, at = place // n, place % n
+            room[which, at] += room[which, at + n]
+        cuda.syncthreads()
+        n //= 2
+    out, drops, drunk = room[P_OUT, 0], room[P_DROPPED, 0], room[P_DRUNK, 0]
+    ground, film = room[P_GROUND, 0], room[P_FILM, 0]
     if lane == 0:
         control[OUTFLOW] += out * whole
         control[DROPPED] += drops * UNIT

@@ -49,8 +49,7 @@ from rainsim.cuda.account import (
     raised,
 )
 from rainsim.cuda.jit import SIMULATED, cuda, tight_kernel
-from rainsim.cuda.scalars import bits_of
-from rainsim.cuda.warp import most
+from rainsim.cuda.warp import raise_to
 from rainsim.grid.conserving import PAD, ZERO, reach, standing
 from rainsim.grid.friction import QUARTER, rubbed
 from rainsim.grid.lean import pushed_lean, upwind_flux, upwind_gain
@@ -210,8 +209,8 @@ def step(
             h_w, h_c, b_w, b_c, q_sw, q_s = h_nw, h_n, b_nw, b_n, q_nw, q_n
             v_s, v_w, v_c, u_c = v_c, v_nw, v_n, u_n
             at += wide
-    cuda.atomic.max(tops, 0, bits_of(most(far)))
-    cuda.atomic.max(tops, 1, bits_of(most(fast)))
+    raise_to(tops, 0, far)
+    raise_to(tops, 1, fast)
     block = cuda.blockIdx.y * cuda.gridDim.x + cuda.blockIdx.x
     edge = first == PAD or end == ny - PAD or cuda.blockIdx.x == 0
     if kinds != 0 and (edge or cuda.blockIdx.x == cuda.gridDim.x - 1):

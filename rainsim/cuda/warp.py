@@ -10,6 +10,7 @@ import numpy as np
 
 from rainsim import crowns, marks
 from rainsim.cuda.jit import FULL, SIMULATED, cuda
+from rainsim.cuda.scalars import bits_of
 
 LANES = 1 if SIMULATED else 32
 _NOTHING = np.int32(0)
@@ -100,3 +101,11 @@ else:
             cuda.atomic.add(picture, at, np.int64(marks.added(_NOTHING, alpha, bold)))
 
         return atomic if picture.dtype == int64 else None
+
+
+@cuda.jit(device=True)
+def raise_to(tops, which, value):
+    """Raise a shared int32 to the bits of the largest `value`, from 0 up, of the warp's lanes."""
+    value = most(value)
+    if lane() == 0:
+        cuda.atomic.max(tops, which, bits_of(value))
