@@ -11,7 +11,7 @@ from rainsim.ripples import RippleTile
 from rainsim.watersurface import ripple_levels
 
 assert simulated()
-N, DURATION = 16, 1 / 30
+N, DURATION = 8, 1 / 30
 
 
 def test_two_frames_are_those_of_the_cpu():
