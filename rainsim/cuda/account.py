@@ -43,8 +43,14 @@ PARTIAL = 5
 # `numbers`, float64: constants of the map
 (SPACING, GRAVITY, VISCOSITY, COURANT, FLOOR, LOSES, STORES) = range(7)
 
+LEAD = 32 - PAD  # floats before a row, so that the first cell begins a line of memory
 UNIT = 2.0**-50  # m: drops wait as whole numbers of it, so that their order does not matter
 WEST, EAST, SOUTH, NORTH = 1, 2, 4, 8  # bits of `kinds`: which edges are open
+
+
+def pitch(nx):
+    """Return the floats from one row of a map to the next: nx cells with ghosts, a face, a lead."""
+    return -(-(LEAD + nx + 1) // 32) * 32
 
 
 @cuda.jit(device=True)
@@ -125,7 +131,7 @@ def raised(state, which):
 
 @cuda_kernel
 def take_in(
-    state, now, waiting, storage, ny, nx, dry, w_out, damp_out, film_out, partial_out
+    state, now, waiting, storage, ny, nx, wide, dry, w_out, damp_out, film_out, partial_out
 ):  # fmt: skip
     """Give the waiting drops to the film and the water of their cells.
 
@@ -137,7 +143,9 @@ def take_in(
         Depth of drops, in UNIT; blanked.
     storage : device array of shape (cells,), float32 [m]
     ny, nx : int
-        Cells with their ghosts; there are (ny + 1) * (nx + 1) in a map.
+        Cells with their ghosts.
+    wide : int
+        Floats from one row of a map to the next, see `pitch`; a map has ny + 1 rows.
     dry : float [m]
     w_out : device array of shape (2 * 3 * cells,), float32
         Both copies of depth [m] and face velocities [m/s].
@@ -151,8 +159,8 @@ def take_in(
     j = cuda.blockIdx.y * HEIGHT + cuda.threadIdx.y + PAD
     drops = 0.0
     if i < nx - PAD and j < ny - PAD:
-        at = j * (nx + 1) + i
-        here = state[PARITY] * 3 * (ny + 1) * (nx + 1) + at
+        at = j * wide + i + LEAD
+        here = state[PARITY] * 3 * (ny + 1) * wide + at
         drops = np.float64(waiting[at])
         waiting[at] = 0
         free = np.float64(damp_out[at] + np.float32(drops * UNIT)) + np.float64(w_out[here])
@@ -179,7 +187,7 @@ def _fall(here, level, there, bed_there):
 
 
 @cuda_kernel
-def refresh(control, state, now, numbers, w, bed, ny, nx):
+def refresh(control, state, now, numbers, w, bed, ny, nx, wide):
     """Begin a frame: measure what the first step and the cap follow, and plan that step.
 
     Parameters
@@ -189,8 +197,8 @@ def refresh(control, state, now, numbers, w, bed, ny, nx):
     w : device array of shape (2 * 3 * cells,), float32
         Both copies of depth [m] and face velocities [m/s].
     bed : device array of shape (cells,), float32 [m]
-    ny, nx : int
-        Cells with their ghosts.
+    ny, nx, wide : int
+        Cells with their ghosts, and from row to row.
     """
     tops = cuda.shared.array(4, np.int32)
     lane = cuda.threadIdx.y * SIDE + cuda.threadIdx.x
@@ -199,10 +207,10 @@ def refresh(control, state, now, numbers, w, bed, ny, nx):
     cuda.syncthreads()
     i = cuda.blockIdx.x * SIDE + cuda.threadIdx.x + PAD
     first = (cuda.blockIdx.y * HEIGHT + cuda.threadIdx.y) * STRIPE + PAD
-    p, wide, plane = state[PARITY], nx + 1, (ny + 1) * (nx + 1)
+    p, plane = state[PARITY], (ny + 1) * wide
     swift, deepest, fall, highest = ZERO, ZERO, ZERO, ZERO
     if i < nx - PAD and first < ny - PAD:
-        at = first * wide + i
+        at = first * wide + i + LEAD
         c = p * 3 * plane + at
         here, floor, south = w[c], bed[at], abs(w[c + 2 * plane])
         for j in range(first, min(first + STRIPE, ny - PAD)):

@@ -17,7 +17,6 @@ from rainsim.cuda.jit import SIMULATED, cuda, cuda_kernel
 from rainsim.cuda.numbers import Numbers
 from rainsim.cuda.warp import LANES, ballot, from_lane, lane, lowest
 from rainsim.drops import GROUND, cubes_swept, landing
-from rainsim.grid.conserving import PAD
 from rainsim.random import mix
 from rainsim.spectrum import CLASSES, WATER_DENSITY, drop_volume
 
@@ -116,8 +115,8 @@ def _column_of(task, counts, first, last):
 
 @cuda_kernel
 def settle(
-    found, values, labels, ids, times, velocity, area, width, tile, steps, cells, share,
-    waiting_out, obstacles_out, pushes_out,
+    found, values, labels, ids, times, velocity, area, first, width, tile, steps, cells,
+    share, waiting_out, obstacles_out, pushes_out,
 ):  # fmt: skip
     """Give the water of listed drops to the cells that they fell on, and some to the ripples.
 
@@ -130,8 +129,8 @@ def settle(
     velocity : device array of shape (CLASSES, 3), float64 [m/s]
     area : float [m2]
         Of a cell.
-    width : int
-        Of a row of `waiting_out`.
+    first, width : int
+        Where the first cell is in `waiting_out`, and from one row to the next.
     tile : float [m]
         Side of the tile of ripples.
     steps, cells : int
@@ -151,7 +150,7 @@ def settle(
         if labels[at, 1] != GROUND:
             cuda.atomic.add(obstacles_out, 0, np.int64(volume / VOLUME_UNIT + 0.5))
             continue
-        cell = (labels[at, 2] + PAD) * width + labels[at, 3] + PAD
+        cell = first + labels[at, 2] * width + labels[at, 3]
         cuda.atomic.add(waiting_out, cell, np.int64(volume / (area * UNIT) + 0.5))
         if np.float64(mix(ids[at]) >> _SHIFT_11) * 2.0**-53 >= share:
             continue
@@ -251,7 +250,7 @@ class Impacts:
         blocks = -(-len(self.ids) // THREADS) if not SIMULATED else 2
         settle[blocks, THREADS, self.stream](
             self.found, self.values, self.labels, self.ids, self.now["times"],
-            self.now["velocity"], self._map.spacing**2, water.width, ripples.size,
+            self.now["velocity"], self._map.spacing**2, water.first, water.width, ripples.size,
             ripples.steps, ripples.cells, share, water.waiting, self.obstacles, ripples.pushes,
         )  # fmt: skip
 

@@ -5,7 +5,7 @@ the account. A thread marches up a column of cells and keeps what the next row n
 registers. How long the step is, the launch before has decided (see `rainsim.cuda.account`); one for
 which no time is left returns at once.
 
-All fields are flat, (ny + 1) * (nx + 1) cells row by row, with the `PAD` ghost cells of
+All fields are flat, ny + 1 rows of `account.pitch` numbers, with the `PAD` ghost cells of
 `rainsim.grid.conserving` in ny and nx and room for the last faces; depth and velocity are kept
 twice, and `state[PARITY]` tells which copy is the present one. Ghost cells stay
 as they are: water only leaves through the edges, and what is upwind then is inside. The faces of
@@ -21,6 +21,7 @@ from rainsim.cuda.account import (
     EAST,
     GRAVITY,
     LAST,
+    LEAD,
     MOVE,
     NORTH,
     P_DRUNK,
@@ -78,8 +79,8 @@ def rows_for(ny, wide):
 
 @tight_kernel
 def step(
-    control, state, now, numbers, bed, roughness, exposure, infiltration, storage, ny, nx, rows,
-    kinds, rough, gravity, rest, dry, w_out, damp_out, film_out, depth_out, partial_out,
+    control, state, now, numbers, bed, roughness, exposure, infiltration, storage, ny, nx, pitch,
+    rows, kinds, rough, gravity, rest, dry, w_out, damp_out, film_out, depth_out, partial_out,
 ):  # fmt: skip
     """Bring depth from n to n+1 and velocity from n+1/2 to n+3/2; then rain and infiltration.
 
@@ -90,8 +91,8 @@ def step(
     bed, roughness, exposure, infiltration, storage : device arrays of shape (cells,), float32
         Height [m], square of Manning's n [s2 m^(-2/3)], share of the rain that falls here, rate
         that the ground takes [m/s], depth held back [m].
-    ny, nx : int
-        Cells with their ghosts.
+    ny, nx, pitch : int
+        Cells with their ghosts, and from row to row.
     rows : int
         Of cells that a thread marches through.
     kinds : int
@@ -130,9 +131,9 @@ def step(
     end = min(first + rows, ny - PAD)
     far, fast = ZERO, ZERO
     if i < nx - PAD:
-        wide, plane = np.uint64(nx + 1), np.uint64((ny + 1) * (nx + 1))
+        wide, plane = np.uint64(pitch), np.uint64((ny + 1) * pitch)
         here, there = np.uint64(3 * p) * plane, np.uint64(3 * (1 - p)) * plane
-        at = np.uint64((first - 1) * (nx + 1) + i)
+        at = np.uint64((first - 1) * pitch + i + LEAD)
         hc, uc, vc = here + at, here + at + plane, here + at + plane + plane
         h_w, h_c, b_w, b_c = w_out[hc - _ONE], w_out[hc], bed[at - _ONE], bed[at]
         v_s, v_w, v_c, u_c = w_out[vc - wide], w_out[vc - _ONE], w_out[vc], w_out[uc]
@@ -221,8 +222,8 @@ def step(
         drunk, ground, held = 0.0, 0.0, 0.0
         if i < nx - PAD:
             drunk, ground, held = _take_and_tell(
-                control, now, exposure, infiltration, storage, first, end, i, nx,
-                3 * (1 - p) * (ny + 1) * (nx + 1),
+                control, now, exposure, infiltration, storage, first, end, i, pitch,
+                3 * (1 - p) * (ny + 1) * pitch,
                 dry, wets, w_out, damp_out, film_out, depth_out,
             )  # fmt: skip
         drunk = block_sum(room, lane, drunk)
@@ -247,7 +248,7 @@ def step(
 
 @cuda.jit(device=True)
 def _take_and_tell(
-    control, now, exposure, infiltration, storage, first, end, i, nx, base, dry, wets,
+    control, now, exposure, infiltration, storage, first, end, i, pitch, base, dry, wets,
     w_out, damp_out, film_out, depth_out,
 ):  # fmt: skip
     """Give a thread's cells their rain and losses, as `sources.soak`; return three sums [m].
@@ -257,7 +258,7 @@ def _take_and_tell(
     take, rate = control[TAKE], np.float32(now[RATE])
     drunk, ground, held_sum = 0.0, 0.0, 0.0
     for j in range(first, end):
-        at = np.uint64(j * (nx + 1) + i)
+        at = np.uint64(j * pitch + i + LEAD)
         here = np.uint64(base) + at
         value, damp, kept = w_out[here], damp_out[at], film_out[at]
         if wets:

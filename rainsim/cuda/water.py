@@ -39,9 +39,9 @@ class Water:
     depth : device array of shape (ny, nx), float32 [m]
         Depth above the bed, film included, at the last frame's end.
     waiting : device array of shape ((ny + 5) * width,), int64
-        Depth of drops that fell since, in `account.UNIT`; cell (j, i) is at (j + 2) width + i + 2.
-    width : int
-        Of a row of `waiting`.
+        Depth of drops that fell since, in `account.UNIT`.
+    first, width : int
+        Where the first cell is in `waiting`, and from one row to the next.
 
     Raises
     ------
@@ -64,15 +64,16 @@ class Water:
         self._rough = flow._roughness is not None
         rough = flow._roughness if self._rough else np.zeros_like(flow.h)
         self._limits = [np.float32(v) for v in (solver.gravity, flow._rest, flow._dry)]
-        self.width = nx + 1  # cells of a row of the maps below
-        fields = np.stack([_wide(a, self._size) for a in (flow.h, flow.u, flow.v)])
+        self.width = account.pitch(nx)
+        self.first = PAD * self.width + PAD + account.LEAD
+        fields = np.stack([self._framed(a) for a in (flow.h, flow.u, flow.v)])
         self._fields = cuda.to_device(np.stack([fields, fields]).reshape(-1), stream)
         maps = flow.bed, rough, np.pad(self._exposure, PAD), solver._infiltration, solver._storage
         maps = *maps, flow.damp, solver._film
         *self._maps, self._damp, self._film = (
-            cuda.to_device(_wide(field, self._size).reshape(-1), stream) for field in maps
+            cuda.to_device(self._framed(field).reshape(-1), stream) for field in maps
         )
-        self.waiting = cuda.to_device(np.zeros((ny + 1) * (nx + 1), np.int64), stream)
+        self.waiting = cuda.to_device(np.zeros((ny + 1) * self.width, np.int64), stream)
         self.depth = cuda.to_device(np.ascontiguousarray(solver.depth), stream)
         self._wide = (nx - 2 * PAD + lean.THREADS - 1) // lean.THREADS
         self._rows = lean.rows_for(ny - 2 * PAD, self._wide)
@@ -102,12 +103,17 @@ class Water:
         self._pinned = pinned(account.NOW, np.float64)
         self._now = cuda.to_device(self._pinned, self.stream)
 
+    def _framed(self, field):
+        """Return a map as the device has it, (ny + 1, width), float32."""
+        framed = np.zeros((self._size[0] + 1, self.width), np.float32)
+        framed[: field.shape[0], account.LEAD : account.LEAD + field.shape[1]] = field
+        return framed
+
     def deposit(self, rows, columns, volumes):
         """Let drops wait for the next frame: arrays of rows, columns and volumes [m3]."""
         depth = np.asarray(volumes, np.float64) / (self.spacing**2 * account.UNIT)
-        cells = (
-            (np.asarray(rows, np.int64) + PAD) * self.width + np.asarray(columns, np.int64) + PAD
-        )
+        cells = self.first + np.asarray(rows, np.int64) * self.width
+        cells += np.asarray(columns, np.int64)
         waiting = self.waiting.copy_to_host(stream=self.stream)
         np.add.at(waiting, cells, np.rint(depth).astype(np.int64))
         self.waiting.copy_to_device(waiting, stream=self.stream)
@@ -133,28 +139,40 @@ class Water:
     def launch(self):
         """Queue a frame: drops, steps, the account. No visit to the host."""
         self._now.copy_to_device(self._pinned, stream=self.stream)
-        square = account.SIDE, account.HEIGHT
-        ny, nx = self._size
-        account.take_in[self._squares, square, self.stream](
-            self._state, self._now, self.waiting, self._maps[4], ny, nx, DRY_DEPTH, self._fields,
-            self._damp, self._film, self._partial,
-        )  # fmt: skip
-        account.refresh[self._stripes, square, self.stream](
-            self._control, self._state, self._now, self._numbers, self._fields, self._maps[0],
-            ny, nx,
-        )  # fmt: skip
+        self.take_in()
+        self.refresh()
         self.go_on()
 
     def go_on(self):
         """Queue `capacity` steps and the account; again if time was left over."""
-        ny, nx = self._size
-        step = lean.step[(self._wide, self._high), lean.THREADS, self.stream]
         for _ in range(self.capacity):
-            step(
-                self._control, self._state, self._now, self._numbers, *self._maps, ny, nx,
-                self._rows, self._kinds, self._rough, *self._limits, self._fields, self._damp,
-                self._film, self.depth, self._partial,
-            )  # fmt: skip
+            self.step()
+        self.close()
+
+    def take_in(self):
+        """Queue the taking in of drops that wait."""
+        account.take_in[self._squares, (account.SIDE, account.HEIGHT), self.stream](
+            self._state, self._now, self.waiting, self._maps[4], *self._size, self.width,
+            DRY_DEPTH, self._fields, self._damp, self._film, self._partial,
+        )  # fmt: skip
+
+    def refresh(self):
+        """Queue the plan of a frame's first step."""
+        account.refresh[self._stripes, (account.SIDE, account.HEIGHT), self.stream](
+            self._control, self._state, self._now, self._numbers, self._fields, self._maps[0],
+            *self._size, self.width,
+        )  # fmt: skip
+
+    def step(self):
+        """Queue a step."""
+        lean.step[(self._wide, self._high), lean.THREADS, self.stream](
+            self._control, self._state, self._now, self._numbers, *self._maps, *self._size,
+            self.width, self._rows, self._kinds, self._rough, *self._limits, self._fields,
+            self._damp, self._film, self.depth, self._partial,
+        )  # fmt: skip
+
+    def close(self):
+        """Queue the account at a frame's end."""
         account.close[1, account.CLOSERS, self.stream](
             self._control, self._state, self._partial.shape[1], 1 / self.spacing, self._partial
         )
@@ -199,18 +217,11 @@ class Water:
     def fields(self):
         """Return depth (ny, nx), u (ny, nx + 1) and v (ny + 1, nx) as host arrays; waits."""
         parity = self._state.copy_to_host(stream=self.stream)[account.PARITY]
-        ny, nx = self._size
         fields = self._fields.copy_to_host(stream=self.stream)
-        _, u, v = fields.reshape(2, 3, ny + 1, nx + 1)[parity]
-        depth = self.depth.copy_to_host(stream=self.stream)
-        return depth, u[PAD : -PAD - 1, PAD:-PAD], v[PAD:-PAD, PAD : -PAD - 1]
-
-
-def _wide(field, size):
-    """Return a map with room for the last faces, (ny + 1, nx + 1), float32."""
-    wide = np.zeros((size[0] + 1, size[1] + 1), np.float32)
-    wide[: field.shape[0], : field.shape[1]] = field
-    return wide
+        _, u, v = fields.reshape(2, 3, -1, self.width)[parity]
+        west, depth = account.LEAD + PAD, self.depth.copy_to_host(stream=self.stream)
+        east = west + self.shape[1]
+        return depth, u[PAD : -PAD - 1, west : east + 1], v[PAD:-PAD, west:east]
 
 
 def _require_lean(solver, flow):

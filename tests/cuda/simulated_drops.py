@@ -7,7 +7,6 @@ from rainsim.cuda import simulated
 from rainsim.cuda.account import UNIT
 from rainsim.cuda.drops import VOLUME_UNIT, Impacts, room_for
 from rainsim.drops import GROUND, OBSTACLE, RainField, RainSpectrum, Surfaces, impacts
-from rainsim.grid.conserving import PAD
 
 assert simulated()
 # Plain numpy numbers warn where a GPU's wrap.
@@ -29,8 +28,8 @@ class Ground:
 
     def __init__(self, surfaces, cells=8):
         ny, nx = surfaces.shape
-        self.width = nx + 2 * PAD + 1
-        self.waiting = np.zeros((ny + 2 * PAD + 1) * self.width, np.int64)
+        self.width, self.first = nx + 7, 2 * nx
+        self.waiting = np.zeros(self.first + ny * self.width, np.int64)
         self.size, self.steps, self.cells = 1.0, 4, cells
         self.pushes = np.zeros(self.steps * cells * cells, np.int64)
 
@@ -68,7 +67,8 @@ def test_the_water_goes_where_it_fell(listed):
     landed = wanted.take(wanted.kind == GROUND)
     depth = np.zeros(surfaces.shape)
     np.add.at(depth, (landed.row, landed.column), landed.volume / surfaces.spacing**2)
-    waiting = ground.waiting.reshape(-1, ground.width)[PAD : -PAD - 1, PAD : -PAD - 1] * UNIT
+    waiting = ground.waiting[ground.first :].reshape(-1, ground.width) * UNIT
+    waiting = waiting[:, : surfaces.shape[1]]
     np.testing.assert_allclose(waiting, depth, atol=1e-14)
     lost = wanted.volume[wanted.kind == OBSTACLE].sum()
     assert twin.obstacles.copy_to_host()[0] * VOLUME_UNIT == pytest.approx(lost, rel=1e-6)
