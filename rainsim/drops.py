@@ -335,40 +335,51 @@ def cubes_swept(b, i, j, start, stop, velocity, cube, frame, low, high, x0, y0, 
 
 
 @inlined_function
-def landing(
+def may_land(
     word, b, i, j, k, start, stop, lowest, highest, changes, velocity, cube, share, frame,
-    low, high, x0, y0, spacing, sky, ground, underside, top, block_high,
+    low, high, x0, y0, spacing, ground, underside, top,
 ):  # fmt: skip
-    """Return when and where the drop `word` of cube (i, j, k) of class b ends, if in [start, stop).
-
-    Returns
-    -------
-    time : float64 [s]
-        Infinite, or not in the interval, if it does not.
-    kind, row, column : int
-        As `surfaces.first_hit` has them.
-    x, y, z : float64 [m]
-    """
+    """Tell cheaply whether the drop `word` of cube (i, j, k) of class b may end in the interval."""
     side, block, duration = cube[b], spacing * BLOCK, stop - start
     vx, vy, vz = velocity[b, 0], velocity[b, 1], velocity[b, 2]
     ux, uy, uz = uniform_triple(word)
-    # At time 0, had the wind always been the one of now.
-    x, y = (i + ux) * side + frame[b, 0], (j + uy) * side + frame[b, 1]
     z = (k + uz) * side
     if z > highest or z < lowest:
-        return np.inf, -1, 0, 0, x, y, z
+        return False
+    # At time 0, had the wind always been the one of now.
+    x, y = (i + ux) * side + frame[b, 0], (j + uy) * side + frame[b, 1]
     if max(abs(vx), abs(vy)) * duration < block:  # it stays within the next block
         m = min(max(int((y + vy * start - y0) / block), 0), low.shape[0] - 1)
         c = min(max(int((x + vx * start - x0) / block), 0), low.shape[1] - 1)
         if z + vz * stop > high[m, c] or z + vz * start < low[m, c]:
-            return np.inf, -1, 0, 0, x, y, z
+            return False
     if changes and left_out(word, b, z, vz, share, frame):
-        return np.inf, -1, 0, 0, x, y, z
+        return False
     # Most meet nothing now: only those that do are followed from the sky.
-    if stopped_at(
+    return not stopped_at(
         x + vx * start, y + vy * start, z + vz * start, x0, y0, spacing, ground, underside, top
-    ):
-        return np.inf, -1, 0, 0, x, y, z
+    )
+
+
+@inlined_function
+def landing(
+    word, b, i, j, k, start, stop, velocity, cube, frame, x0, y0, spacing, sky, ground, underside,
+    top, block_high,
+):  # fmt: skip
+    """Return when and where a drop that may land ends.
+
+    Returns
+    -------
+    time : float64 [s]
+        Infinite, or not in [start, stop), if it does not end then.
+    kind, row, column : int
+        As `surfaces.first_hit` has them.
+    x, y, z : float64 [m]
+    """
+    side, (ux, uy, uz) = cube[b], uniform_triple(word)
+    vx, vy, vz = velocity[b, 0], velocity[b, 1], velocity[b, 2]
+    x, y = (i + ux) * side + frame[b, 0], (j + uy) * side + frame[b, 1]
+    z = (k + uz) * side
     time, kind, row, column = first_hit(
         x, y, z, vx, vy, vz, start - _MARGIN, stop + _MARGIN,
         x0, y0, spacing, sky, ground, underside, top, block_high,
@@ -402,10 +413,14 @@ def _fill_impacts(
                 key = cube_key(class_key[b], i, j, k)
                 for n in range(drops_in_cube(key, b, count)):
                     word = drop_id(key, n)
-                    time, kind, row, column, x, y, z = landing(
+                    if not may_land(
                         word, b, i, j, k, start, stop, lowest, highest, changes, velocity, cube,
-                        share, frame, low, high, x0, y0, spacing, sky, ground, underside, top,
-                        block_high,
+                        share, frame, low, high, x0, y0, spacing, ground, underside, top,
+                    ):  # fmt: skip
+                        continue
+                    time, kind, row, column, x, y, z = landing(
+                        word, b, i, j, k, start, stop, velocity, cube, frame, x0, y0, spacing, sky,
+                        ground, underside, top, block_high,
                     )  # fmt: skip
                     if start <= time < stop:
                         if offset[t] + found < offset[t + 1]:

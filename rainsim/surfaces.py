@@ -16,6 +16,7 @@ from rainsim.jit import device_function
 GROUND, OBSTACLE = 0, 1  # what was hit
 _MISSED, _LOST = -1, -2  # nothing up to the end of the line; stopped before it entered the map
 BLOCK = 16  # cells; side of the blocks whose highest top lets the search skip them
+_PER_BLOCK = 1 / BLOCK
 _CLEARANCE = 0.01  # m; lines are followed from this far above the highest top
 _SKIN = 1e-4  # m; how deep a point must lie in a solid for the cheap test to call it stopped
 _INFINITY = np.inf
@@ -156,8 +157,11 @@ def first_hit(
     midway = begin > enter
 
     # Block by block; only blocks that reach up to the path are searched cell by cell.
-    i = min(max(int((column_at + column_speed * begin) // BLOCK), 0), block_high.shape[1] - 1)
-    j = min(max(int((row_at + row_speed * begin) // BLOCK), 0), block_high.shape[0] - 1)
+    # A product and not a quotient of whole numbers, which takes a processor long; it is exact.
+    i = int(np.floor((column_at + column_speed * begin) * _PER_BLOCK))
+    j = int(np.floor((row_at + row_speed * begin) * _PER_BLOCK))
+    i = min(max(i, 0), block_high.shape[1] - 1)
+    j = min(max(j, 0), block_high.shape[0] - 1)
     now = begin
     while True:
         leave_i = _leave(i * BLOCK, BLOCK, column_at, column_speed)

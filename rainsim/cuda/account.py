@@ -135,6 +135,8 @@ def take_in(
 ):  # fmt: skip
     """Give the waiting drops to the film and the water of their cells.
 
+    The other cells have had theirs in the last step of the frame before.
+
     Parameters
     ----------
     state, now
@@ -156,13 +158,16 @@ def take_in(
         return
     room = cuda.shared.array(SQUARE, np.float64)
     i = cuda.blockIdx.x * SIDE + cuda.threadIdx.x + PAD
-    j = cuda.blockIdx.y * HEIGHT + cuda.threadIdx.y + PAD
-    drops = 0.0
-    if i < nx - PAD and j < ny - PAD:
+    first = (cuda.blockIdx.y * HEIGHT + cuda.threadIdx.y) * STRIPE + PAD
+    total = 0.0
+    for j in range(first, min(first + STRIPE, ny - PAD)):
         at = j * wide + i + LEAD
-        here = state[PARITY] * 3 * (ny + 1) * wide + at
+        if i >= nx - PAD or waiting[at] == 0:
+            continue
         drops = np.float64(waiting[at])
         waiting[at] = 0
+        total += drops
+        here = state[PARITY] * 3 * (ny + 1) * wide + at
         free = np.float64(damp_out[at] + np.float32(drops * UNIT)) + np.float64(w_out[here])
         film = np.float64(film_out[at])
         _, _, held = soaked(free, film, 0.0, np.float64(storage[at]))
@@ -173,9 +178,9 @@ def take_in(
         w_out[here] = value
     block = cuda.blockIdx.y * cuda.gridDim.x + cuda.blockIdx.x
     lane = cuda.threadIdx.y * SIDE + cuda.threadIdx.x
-    drops = block_sum(room, lane, drops)
+    total = block_sum(room, lane, total)
     if lane == 0:
-        partial_out[P_DROPPED, block] += drops
+        partial_out[P_DROPPED, block] += total
 
 
 @cuda.jit(device=True)

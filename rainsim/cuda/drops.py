@@ -16,7 +16,7 @@ from rainsim.cuda.account import UNIT
 from rainsim.cuda.jit import SIMULATED, cuda, cuda_kernel
 from rainsim.cuda.numbers import Numbers
 from rainsim.cuda.warp import LANES, ballot, from_lane, lane, lowest
-from rainsim.drops import GROUND, cubes_swept, landing
+from rainsim.drops import GROUND, cubes_swept, landing, may_land
 from rainsim.random import mix
 from rainsim.spectrum import CLASSES, WATER_DENSITY, drop_volume
 
@@ -26,6 +26,8 @@ ABREAST = (
     1 if SIMULATED else 8
 )  # columns that a warp looks at before it goes through those that count
 THREADS = 32 if SIMULATED else 128
+FOLLOWERS = 2 if SIMULATED else 132 * 4  # blocks of `fill_impacts`
+SOUGHT = 4  # drops sought, at most, for one that is found
 ROOM = 1.5  # of a list, over the hits that are expected on level ground
 VOLUME_UNIT = 2.0**-64  # m3: what fell on obstacles is counted in whole numbers of it
 PUSH_UNIT = 2.0**-60  # kg m/s: and so is the momentum that rings come from
@@ -34,12 +36,11 @@ _SHIFT_11 = np.uint64(11)
 
 
 @cuda_kernel
-def fill_impacts(
-    counts, first, last, times, velocity, cube, class_key, count, size, share, frame,
-    low, high, x0, y0, spacing, sky, ground, underside, top, block_high,
-    found_out, values_out, labels_out, ids_out,
+def seek(
+    counts, first, last, times, velocity, cube, class_key, count, share, frame,
+    low, high, x0, y0, spacing, ground, underside, top, sought_out, places_out, words_out,
 ):  # fmt: skip
-    """List the drops that end in an interval.
+    """List the drops that may end in an interval: a cheap test of each in the air.
 
     Parameters
     ----------
@@ -49,14 +50,12 @@ def fill_impacts(
         First and last cube of each class along x, y and z.
     times : device array of shape (2,), float64 [s]
         Start and end.
-    found_out : device array of shape (1,), int32
-        Raised by the number of hits, also of those for which the list has no room.
-    values_out : device array of shape (room, 5), float64
-        Place [m], diameter [m] and time [s].
-    labels_out : device array of shape (room, 4), int32
-        Class, kind, row and column.
-    ids_out : device array of shape (room,), uint64
-        The other arrays are those of the CPU's kernel.
+    sought_out : device array of shape (1,), int32
+        Raised by the number of drops, also of those for which the list has no room.
+    places_out : device array of shape (room, 4), int64
+        Class and cube.
+    words_out : device array of shape (room,), uint64
+        The drops' ids. The other arrays are those of the CPU's kernel.
     """
     start, stop = times[0], times[1]
     warp = cuda.blockIdx.x * WARPS + cuda.threadIdx.x // LANES
@@ -76,26 +75,67 @@ def fill_impacts(
         while there != 0:
             source = lowest(there)
             there &= there - 1
-            b, i, j = _column_of(source * chunks + chunk, counts, first, last)
+            c, x, y = from_lane(b, source), from_lane(i, source), from_lane(j, source)
             begin, end = from_lane(k_first, source), from_lane(k_last, source)
             from_z, to_z = from_lane(low_z, source), from_lane(high_z, source)
             for k in range(begin, end + 1):
-                key = cube_key(class_key[b], i, j, k)
-                for n in range(lane(), drops_in_cube(key, b, count), LANES):
+                key = cube_key(class_key[c], x, y, k)
+                for n in range(lane(), drops_in_cube(key, c, count), LANES):
                     word = drop_id(key, n)
-                    time, kind, row, column, x, y, z = landing(
-                        word, b, i, j, k, start, stop, from_z, to_z, changes, velocity, cube, share,
-                        frame, low, high, x0, y0, spacing, sky, ground, underside, top, block_high,
-                    )  # fmt: skip
-                    if start <= time < stop:
-                        at = cuda.atomic.add(found_out, 0, 1)
-                        if at < ids_out.shape[0]:
-                            values_out[at, 0], values_out[at, 1], values_out[at, 2] = x, y, z
-                            values_out[at, 3] = drop_diameter(word, b, size)
-                            values_out[at, 4] = time
-                            labels_out[at, 0], labels_out[at, 1] = b, kind
-                            labels_out[at, 2], labels_out[at, 3] = row, column
-                            ids_out[at] = word
+                    if may_land(
+                        word, c, x, y, k, start, stop, from_z, to_z, changes, velocity, cube, share,
+                        frame, low, high, x0, y0, spacing, ground, underside, top,
+                    ):  # fmt: skip
+                        at = cuda.atomic.add(sought_out, 0, 1)
+                        if at < words_out.shape[0]:
+                            places_out[at, 0], places_out[at, 1] = c, x
+                            places_out[at, 2], places_out[at, 3] = y, k
+                            words_out[at] = word
+
+
+@cuda_kernel
+def fill_impacts(
+    sought, places, words, times, velocity, cube, size, frame,
+    x0, y0, spacing, sky, ground, underside, top, block_high,
+    found_out, values_out, labels_out, ids_out,
+):  # fmt: skip
+    """List those of the drops sought that end in an interval; a thread follows each.
+
+    Parameters
+    ----------
+    sought, places, words
+        As `seek` left them.
+    times : device array of shape (2,), float64 [s]
+        Start and end.
+    found_out : device array of shape (1,), int32
+        Raised by the number of hits, also of those for which the list has no room; beyond all room
+        if there was none for a drop sought.
+    values_out : device array of shape (room, 5), float64
+        Place [m], diameter [m] and time [s].
+    labels_out : device array of shape (room, 4), int32
+        Class, kind, row and column.
+    ids_out : device array of shape (room,), uint64
+        The other arrays are those of the CPU's kernel.
+    """
+    start, stop = times[0], times[1]
+    thread, room = cuda.grid(1), words.shape[0]
+    if thread == 0 and sought[0] > room:
+        cuda.atomic.add(found_out, 0, ids_out.shape[0] + sought[0] - room)
+    for n in range(thread, min(sought[0], room), cuda.gridsize(1)):
+        b, word = places[n, 0], words[n]
+        time, kind, row, column, x, y, z = landing(
+            word, b, places[n, 1], places[n, 2], places[n, 3], start, stop, velocity, cube, frame,
+            x0, y0, spacing, sky, ground, underside, top, block_high,
+        )  # fmt: skip
+        if start <= time < stop:
+            at = cuda.atomic.add(found_out, 0, 1)
+            if at < ids_out.shape[0]:
+                values_out[at, 0], values_out[at, 1], values_out[at, 2] = x, y, z
+                values_out[at, 3] = drop_diameter(word, b, size)
+                values_out[at, 4] = time
+                labels_out[at, 0], labels_out[at, 1] = b, kind
+                labels_out[at, 2], labels_out[at, 3] = row, column
+                ids_out[at] = word
 
 
 @cuda.jit(device=True)
@@ -203,12 +243,15 @@ class Impacts:
         f8, i8 = np.float64, np.int64
         names = {
             "counts": ((CLASSES + 1,), i8), "first": ((CLASSES, 3), i8), "last": ((CLASSES, 3), i8),
-            "times": ((2,), f8), "found": ((1,), np.int32),
+            "times": ((2,), f8), "found": ((1,), np.int32), "sought": ((1,), np.int32),
         }  # fmt: skip
         for name, array in zip(FIELD, field.arrays(), strict=True):
             names[name] = array.shape, array.dtype
         self.now = Numbers(stream, names)
-        self.found = self.now["found"]  # blanked by each `send`
+        self.found = self.now["found"]  # blanked by each `send`, as "sought" is
+        many = SOUGHT * room + 2**16  # those near tall things are sought for longer
+        self._places = cuda.device_array((many, 4), np.int64, stream=stream)
+        self._words = cuda.device_array(many, np.uint64, stream=stream)
         self.values = cuda.device_array((room, 5), np.float64, stream=stream)
         self.labels = cuda.device_array((room, 4), np.int32, stream=stream)
         self.ids = cuda.device_array(room, np.uint64, stream=stream)
@@ -240,10 +283,17 @@ class Impacts:
     def launch(self):
         """Queue the listing."""
         self.now.send()
-        now = [self.now[name] for name in ("counts", "first", "last", "times", *FIELD)]
-        fill_impacts[BLOCKS, WARPS * LANES, self.stream](
-            *now, *self._around, *self._surfaces, self.found, self.values, self.labels, self.ids
-        )
+        now, sought = self.now, (self.now["sought"], self._places, self._words)
+        x0, y0, spacing, _, ground, underside, top, _ = self._surfaces
+        seek[BLOCKS, WARPS * LANES, self.stream](
+            now["counts"], now["first"], now["last"], now["times"], now["velocity"], now["cube"],
+            now["class_key"], now["count"], now["share"], now["frame"], *self._around, x0, y0,
+            spacing, ground, underside, top, *sought,
+        )  # fmt: skip
+        fill_impacts[FOLLOWERS, THREADS, self.stream](
+            *sought, now["times"], now["velocity"], now["cube"], now["size"], now["frame"],
+            *self._surfaces, self.found, self.values, self.labels, self.ids,
+        )  # fmt: skip
 
     def settle(self, water, ripples, share):
         """Queue what the listed drops do to `water` and `ripples`; `share` rings on the tile."""

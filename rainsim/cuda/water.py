@@ -151,7 +151,7 @@ class Water:
 
     def take_in(self):
         """Queue the taking in of drops that wait."""
-        account.take_in[self._squares, (account.SIDE, account.HEIGHT), self.stream](
+        account.take_in[self._stripes, (account.SIDE, account.HEIGHT), self.stream](
             self._state, self._now, self.waiting, self._maps[4], *self._size, self.width,
             DRY_DEPTH, self._fields, self._damp, self._film, self._partial,
         )  # fmt: skip
