@@ -118,7 +118,7 @@ class Renderer(HostRenderer):
         if self.streaks is None:
             return False
         lines, *impacts = (int(found[0]) for found in self._found)
-        for found, room in zip(impacts, self.splashes.rooms, strict=True):
+        for found, room in zip(impacts, self.splashes.rooms[1:], strict=True):
             if found > room:
                 raise BackendError(
                     f"{found} drops that may splash were found for one frame, {room} were expected "
@@ -234,7 +234,7 @@ class Renderer(HostRenderer):
             cover=(LEAST_WATER,) * 2 if hard else render.water_coverage,
         )  # fmt: skip
         self.streaks = self.splashes = None
-        self._found = [pinned(1, np.int32) for _ in range(4)]  # lines, and impacts of three lists
+        self._found = [pinned(1, np.int32) for _ in range(7)]  # see Splashes.counts
         field = self.weather.field(state.time - LONGEST_LIFE, state.time + render.exposure)
         if field is not None:
             self.streaks = Streaks(field, self.surfaces, width, height, self._depth, self.stream)

@@ -104,7 +104,7 @@ class Simulation:
             room = room_for(field, surfaces, interval)
             self.impacts = Impacts(field, surfaces, room, self.stream)
         self._control = pinned(account.CONTROL, np.float64)
-        self._found = pinned(1, np.int32)
+        self._found, self._sought = pinned(1, np.int32), pinned(1, np.int32)
         self._ready = cuda.event()
         self._graph = None
         self._index = -1
@@ -154,6 +154,7 @@ class Simulation:
             self.impacts.launch()
             self.impacts.settle(self.water, self.ripples, self._share)
             self.impacts.found.copy_to_host(self._found, stream=self.stream)
+            self.impacts.now["sought"].copy_to_host(self._sought, stream=self.stream)
         self.ripples.launch()
         self.water.launch()
         self.water._control.copy_to_host(self._control, stream=self.stream)
@@ -182,11 +183,13 @@ class Simulation:
         """
         if self._index == 0:
             return False
-        if self.impacts is not None and self._found[0] > len(self.impacts.ids):
-            raise BackendError(
-                f"{self._found[0]} drops ended in one frame, {len(self.impacts.ids)} were expected "
-                "at most; use more frames per second, or backend cpu"
-            )
+        if self.impacts is not None:
+            found, sought = int(self._found[0]), int(self._sought[0])
+            if found > len(self.impacts.ids) or sought > len(self.impacts._words):
+                raise BackendError(
+                    f"{max(found, sought)} drops may end in one frame, which is more than there is "
+                    "room for; use more frames per second, or backend cpu"
+                )
         more = False
         while self._control[account.LEFT] > 0.0:
             self.water.go_on()

@@ -247,13 +247,15 @@ class Splashes:
 
     @property
     def counts(self):
-        """Device arrays of one number: the lines, and the impacts of each list, that there were."""
-        return [self.now["count"], *(impacts.found for impacts in self._lists)]
+        """Device arrays of one number: of lines, and of what each list held and what was sought."""
+        of_lists = (a for i in self._lists for a in (i.found, i.now["sought"]))
+        return [self.now["count"], *of_lists]
 
     @property
     def rooms(self):
-        """How many impacts each list has room for."""
-        return [len(impacts.ids) for impacts in self._lists]
+        """How much each of `counts` has room for."""
+        of_lists = (n for i in self._lists for n in (len(i.ids), len(i._words)))
+        return [len(self.lines), *of_lists]
 
     def missing(self):
         """Return how many impacts and lines there was no room for; waits for them."""
