@@ -44,7 +44,7 @@ def _in_cli(names):
 
 def test_the_walk_finds_imports():
     assert "rainsim.errors" in _imports(PACKAGE / "config.py")
-    assert "pipeline.py" in _users("rainsim.errors")
+    assert "render.py" in _users("rainsim.errors")
 
 
 COMPILERS = {"jit.py", "cuda/jit.py"}  # one for each backend
