@@ -1,8 +1,9 @@
 """Rain in a picture on a CUDA device: twin of `rainsim.streaks`.
 
 A warp looks at some cubes of air, a lane at each; those in view it goes through together, a lane a
-drop, and what is to be seen it draws together, a lane a stretch of the path. Optical depths are
-whole numbers that are added up, so that no order matters.
+drop, and lists what may be seen. A thread follows each of those through the map, and a warp draws
+it, a lane a stretch of the path. Optical depths are whole numbers that are added up, so that no
+order matters.
 """
 
 from __future__ import annotations
@@ -14,7 +15,8 @@ import numpy as np
 from rainsim.cubes import cube_key, drop_diameter, drop_id, drops_in_cube, left_out
 from rainsim.cuda.jit import SIMULATED, cuda, cuda_kernel
 from rainsim.cuda.numbers import Numbers
-from rainsim.cuda.warp import LANES, ballot, from_lane, lane, lowest
+from rainsim.cuda.warp import LANES, ballot, lane, lowest
+from rainsim.errors import ParameterError
 from rainsim.marks import alpha_of, draw_path
 from rainsim.random import uniform_triple
 from rainsim.spectrum import CLASSES
@@ -38,7 +40,10 @@ BLOCKS = 2 if SIMULATED else 132 * 8
 ABREAST = (
     1 if SIMULATED else 8
 )  # cubes that a warp looks at before it goes through those that count
-_ONE = np.float32(1)
+FOLLOWERS, THREADS = (2, 32) if SIMULATED else (132 * 8, 128)  # of `follow`
+ROOM = 2**15 if SIMULATED else 2**20  # drops that may be in view
+PATH = 9  # numbers of a path
+_ZERO, _ONE = np.float32(0), np.float32(1)
 
 
 @cuda_kernel
@@ -143,13 +148,12 @@ def _see_cube(
 
 
 @cuda_kernel
-def draw_field(
-    counts, first, last, times, velocity, cube, class_key, count, size, share, frame,
+def look(
+    counts, first, last, times, velocity, cube, class_key, count, share, frame,
     rotation, eye, rotation_end, eye_end, lens, planes, near, far, slack,
-    x0, y0, spacing, sky, ground, underside, top, block_high, width, height, depth, tile_depth,
-    picture,
+    width, height, tile_depth, sought_out, places_out, words_out, paths_out,
 ):  # fmt: skip
-    """List the drops in view, cube by cube, and draw each.
+    """List the drops that may be in view, cube by cube.
 
     Parameters
     ----------
@@ -159,8 +163,15 @@ def draw_field(
         First and last cube of each class along x, y and z.
     times : device array of shape (2,), float64 [s]
         When the shutter opens, and for how long.
-    picture : device array of shape (width * height,), int64
-        Added to. The other arrays are those of the CPU's kernel.
+    sought_out : device array of shape (1,), int32
+        Raised by the number of drops.
+    places_out : device array of shape (room, 4), int64
+        Class and cube.
+    words_out : device array of shape (room,), uint64
+        The drops' ids.
+    paths_out : device array of shape (room, PATH), float32
+        Places in the camera's frame when the shutter opens and closes [m], and whether nothing
+        stands before them. The other arrays are those of the CPU's kernel.
     """
     time, exposure = times[0], times[1]
     high, wide = np.float32(height), np.float32(width)
@@ -196,47 +207,84 @@ def draw_field(
                 eye_end, base, base_end, axes, axes_end,
             )  # fmt: skip
             side, reach = cube[b], far[b]
-            vx, vy, vz = velocity[b, 0], velocity[b, 1], velocity[b, 2]
+            vz = velocity[b, 2]
             key = cube_key(class_key[b], i, j, k)
-            drops = drops_in_cube(key, b, count)
-            for begin in range(0, drops, LANES):
-                n = begin + lane()
-                shows, clear = HIDDEN, np.int32(0)
-                p, q, r = base[0], base[1], base[2]
-                p_end, q_end, r_end, part, diameter = p, q, r, p, p
-                if n < drops:
-                    word = drop_id(key, n)
-                    ux, uy, uz = uniform_triple(word)
-                    p, q, r = _place(base, axes, ux, uy, uz)
-                    p_end, q_end, r_end = _place(base_end, axes_end, ux, uy, uz)
-                    if near <= r < reach:
-                        shows = _may_show(
-                            p, q, r, p_end, q_end, r_end, lens, near, wide, high, tile_depth
-                        )
-                    if shows != HIDDEN and changes:
-                        if left_out(word, b, (k + uz) * side, vz, share, frame):
-                            shows = HIDDEN
-                    if shows != HIDDEN:
-                        stop, _, _, _ = first_hit(
-                            (i + ux) * side + frame[b, 0], (j + uy) * side + frame[b, 1],
-                            (k + uz) * side, vx, vy, vz, -np.inf, time + exposure,
-                            x0, y0, spacing, sky, ground, underside, top, block_high,
-                        )  # fmt: skip
-                        if stop <= time:
-                            shows = HIDDEN
-                        clear = np.int32(shows == CLEAR)
-                        part = np.float32(min((stop - time) / exposure, 1.0))
-                        diameter = np.float32(drop_diameter(word, b, size))
-                drawn = ballot(shows != HIDDEN)
-                while drawn != 0:
-                    who = lowest(drawn)
-                    drawn &= drawn - 1
-                    draw_path(
-                        from_lane(p, who), from_lane(q, who), from_lane(r, who),
-                        from_lane(p_end, who), from_lane(q_end, who), from_lane(r_end, who),
-                        from_lane(part, who), from_lane(diameter, who),
-                        lens, near, width, height, depth, from_lane(clear, who) != 0, picture,
-                    )  # fmt: skip
+            for n in range(lane(), drops_in_cube(key, b, count), LANES):
+                word = drop_id(key, n)
+                ux, uy, uz = uniform_triple(word)
+                p, q, r = _place(base, axes, ux, uy, uz)
+                if not near <= r < reach:
+                    continue
+                p_end, q_end, r_end = _place(base_end, axes_end, ux, uy, uz)
+                shows = _may_show(p, q, r, p_end, q_end, r_end, lens, near, wide, high, tile_depth)
+                if changes and left_out(word, b, (k + uz) * side, vz, share, frame):
+                    shows = HIDDEN
+                if shows == HIDDEN:
+                    continue
+                at = cuda.atomic.add(sought_out, 0, 1)
+                if at < words_out.shape[0]:
+                    places_out[at, 0], places_out[at, 1] = b, i
+                    places_out[at, 2], places_out[at, 3] = j, k
+                    words_out[at] = word
+                    paths_out[at, 0], paths_out[at, 1], paths_out[at, 2] = p, q, r
+                    paths_out[at, 3], paths_out[at, 4], paths_out[at, 5] = p_end, q_end, r_end
+                    paths_out[at, 6] = _ONE if shows == CLEAR else _ZERO
+
+
+@cuda_kernel
+def follow(
+    sought, places, words, times, velocity, cube, size, frame,
+    x0, y0, spacing, sky, ground, underside, top, block_high, paths_out,
+):  # fmt: skip
+    """Tell how much of their path the drops in view go before they meet something.
+
+    Parameters
+    ----------
+    sought, places, words
+        As `look` left them.
+    times : device array of shape (2,), float64 [s]
+        When the shutter opens, and for how long.
+    paths_out : device array of shape (room, PATH), float32
+        The share of the path, 0 for drops that are no more, and the diameter [m]. The other arrays
+        are those of the CPU's kernel.
+    """
+    time, exposure = times[0], times[1]
+    for n in range(cuda.grid(1), min(sought[0], words.shape[0]), cuda.gridsize(1)):
+        b, word = places[n, 0], words[n]
+        side, (ux, uy, uz) = cube[b], uniform_triple(word)
+        stop, _, _, _ = first_hit(
+            (places[n, 1] + ux) * side + frame[b, 0], (places[n, 2] + uy) * side + frame[b, 1],
+            (places[n, 3] + uz) * side, velocity[b, 0], velocity[b, 1], velocity[b, 2], -np.inf,
+            time + exposure, x0, y0, spacing, sky, ground, underside, top, block_high,
+        )  # fmt: skip
+        paths_out[n, 7] = max(np.float32(min((stop - time) / exposure, 1.0)), _ZERO)
+        paths_out[n, 8] = drop_diameter(word, b, size)
+
+
+@cuda_kernel
+def draw_field(sought, paths, lens, near, width, height, depth, picture):
+    """Draw the drops in view, a warp for each.
+
+    Parameters
+    ----------
+    sought : device array of shape (1,), int32
+        Drops in view.
+    paths : device array of shape (room, PATH), float32
+        As `look` and `follow` left them.
+    lens, near, depth
+        As the CPU's kernel has them.
+    width, height : int [px]
+    picture : device array of shape (width * height,), int64
+        Added to.
+    """
+    warp = cuda.blockIdx.x * WARPS + cuda.threadIdx.x // LANES
+    for n in range(warp, min(sought[0], paths.shape[0]), cuda.gridDim.x * WARPS):
+        if paths[n, 7] > _ZERO:
+            draw_path(
+                paths[n, 0], paths[n, 1], paths[n, 2], paths[n, 3], paths[n, 4], paths[n, 5],
+                paths[n, 7], paths[n, 8], lens, near, width, height, depth, paths[n, 6] > _ZERO,
+                picture,
+            )  # fmt: skip
 
 
 class Streaks:
@@ -271,6 +319,7 @@ class Streaks:
             "times": ((2,), f8), "rotation": ((3, 3), f8), "eye": ((3,), f8),
             "rotation_end": ((3, 3), f8), "eye_end": ((3,), f8), "lens": ((7,), f4),
             "planes": ((4, 3), f4), "far": ((CLASSES,), f4), "slack": ((CLASSES,), f8),
+            "sought": ((1,), np.int32),
         }  # fmt: skip
         for name, array in zip(_FIELD, field.arrays(), strict=True):
             names[name] = array.shape, array.dtype
@@ -279,6 +328,12 @@ class Streaks:
         self.alpha = cuda.device_array((height, width), np.float32, stream=stream)
         self.columns = cuda.device_array(width * height, np.float32, stream=stream)
         self.tile_depth = cuda.device_array(tiles, np.float32, stream=stream)
+        self._sought = (
+            self.now["sought"],  # blanked by each `send`
+            cuda.device_array((ROOM, 4), np.int64, stream=stream),
+            cuda.device_array(ROOM, np.uint64, stream=stream),
+        )
+        self._paths = cuda.device_array((ROOM, PATH), np.float32, stream=stream)
         self.picture = cuda.to_device(np.zeros(width * height, np.int64), stream)
 
     def update(
@@ -294,6 +349,12 @@ class Streaks:
             low - np.maximum(drift, 0) - offset, high - np.minimum(drift, 0) - offset
         )
         cubes = np.prod(np.maximum(last - first + 1, 0), axis=1) * (far > NEAR)
+        drops = float((cubes * field.listed.density * field.cube**3).sum())
+        if drops + 6 * math.sqrt(drops) > ROOM:
+            raise ParameterError(
+                f"{drops:.3g} drops may be in view; on a CUDA device they must be fewer than "
+                f'{ROOM}; let drawn drops end nearer (streak_far) or use backend "cpu"'
+            )
         self.now.update(
             counts=np.concatenate([[0], np.cumsum(cubes)]), first=first, last=last,
             times=(time, exposure), far=far, slack=slack,
@@ -310,10 +371,18 @@ class Streaks:
         read_depth[(columns, rows), threads, self.stream](
             self._depth, self.columns, self.tile_depth
         )
-        now = [self.now[name] for name in ("counts", "first", "last", "times", *_FIELD, *_VIEWS)]
+        now, near = self.now, np.float32(NEAR)
+        names = "counts", "first", "last", "times", *_SOUGHT, *_VIEWS
+        look[BLOCKS, WARPS * LANES, self.stream](
+            *(now[name] for name in names), near, now["far"], now["slack"], width, height,
+            self.tile_depth, *self._sought, self._paths,
+        )  # fmt: skip
+        follow[FOLLOWERS, THREADS, self.stream](
+            *self._sought, *(now[name] for name in _FOLLOWED), *self._surfaces, self._paths
+        )
         draw_field[BLOCKS, WARPS * LANES, self.stream](
-            *now, np.float32(NEAR), self.now["far"], self.now["slack"], *self._surfaces,
-            width, height, self.columns, self.tile_depth, self.picture,
+            now["sought"], self._paths, now["lens"], near, width, height, self.columns,
+            self.picture,
         )  # fmt: skip
         self.resolve(self.alpha, over=False)
 
@@ -327,3 +396,5 @@ class Streaks:
 
 _FIELD = ("velocity", "cube", "class_key", "count", "size", "share", "frame")
 _VIEWS = ("rotation", "eye", "rotation_end", "eye_end", "lens", "planes")
+_SOUGHT = tuple(name for name in _FIELD if name != "size")  # what `look` needs of them
+_FOLLOWED = ("times", "velocity", "cube", "size", "frame")
