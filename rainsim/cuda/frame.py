@@ -49,7 +49,8 @@ class Renderer(HostRenderer):
         self._bed, self._exposed = send(terrain.bed), send(self.exposure)
         self._ground, self._ground_sent = send(self.ground), self.ground
         self._place = send(self._origin), self._spacing
-        self._light = send(self.environment), send(self.day)
+        self._around, self._gloss = send(self.environment), send(self.gloss)
+        self._sky = send(self.day)
         self._directions = cuda.to_device(sky.directions(*self.environment.shape[:2]))
         self._drop = cuda.device_array(3, np.float32)
         self._sums = cuda.device_array((shading.SUMMERS, shading.SUMS), np.float64)
@@ -272,7 +273,7 @@ class Renderer(HostRenderer):
             layers.color.reshape(*shape, 3), layers.alpha.reshape(shape),
             layers.depth.reshape(shape), layers.plane_depth.reshape(shape),
             layers.normal.reshape(*shape, 3), np.float32(self.frame.meters_per_unit),
-            turn, eye, n["lens"], self._bed, self._ground, *self._place, *self._light,
+            turn, eye, n["lens"], self._bed, self._ground, *self._place, self._gloss, self._sky,
             n["look"], n["others"], picture, depth, clearance,
         )  # fmt: skip
 
@@ -296,7 +297,7 @@ class Renderer(HostRenderer):
         optics.shade_water[grid](
             self._hit, self._coverage, self._picture, self._depth, self._tall,
             n["turn"], n["eye"], n["lens"], self._surface.over, self._exposed,
-            *self._place, *self._slopes, self._rms, self._tile, self._light[0],
+            *self._place, *self._slopes, self._rms, self._tile, self._around,
             n["settings"], self.mirrors.range, self.mirrors.picture, self.mirrors.depth,
             *self.water.laws(), n["sun"], self._shown,
         )  # fmt: skip
@@ -305,7 +306,7 @@ class Renderer(HostRenderer):
         n = self.numbers
         grid = shading.blocks(*self._size), shading.BLOCK, self.stream
         shading.sum_environment[shading.SUMMERS, shading.SUM_THREADS, self.stream](
-            self._directions, self._light[0], n["forward"], self._sums
+            self._directions, self._around, n["forward"], self._sums
         )
         shading.drop_radiance[1, 32, self.stream](self._sums, self._drop)
         rain = splash = self._none

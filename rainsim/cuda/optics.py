@@ -247,7 +247,8 @@ def shade_water(
         if phong:
             glint = share * phong_highlight(vx, vy, vz, sun[0], sun[1], sun[2], ux, uy, uz)
         else:
-            glint = sun_glint(vx, vy, vz, sun[0], sun[1], sun[2], gx, gy, glint_variance)
+            variance = glint_variance + rough * rough
+            glint = sun_glint(vx, vy, vz, sun[0], sun[1], sun[2], gx, gy, variance)
     through, dry = ONE - share, ONE - covers
     picture_out[row, column, 0] = dry * picture[row, column, 0] + covers * (
         through * b0 * exp_minus(ABSORB_R * travel) + share * light0 + glint * sun[3]

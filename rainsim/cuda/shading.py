@@ -20,6 +20,7 @@ from rainsim.shade import (
     LEAST_SKY,
     ONE,
     TWO,
+    WALL_SHARE,
     ZERO,
     fog_thickness,
     glossed,
@@ -69,9 +70,11 @@ def grade_and_wet(
     d *= meters_per_unit
     over = alpha[row, column]
     solid = over >= LEAST_ALPHA
+    e = plane_depth[row, column] * meters_per_unit
+    e = e if abs(e - d) < WALL_SHARE * d else d
     clearance, above, lawn, damp, film, pores = wet_state(
-        bed, ground, origin, spacing, others, solid, eye[0] + d * x, eye[1] + d * y,
-        eye[2] + d * z, across, along, upness,
+        bed, ground, origin, spacing, others, solid, eye[0] + e * x, eye[1] + e * y,
+        eye[2] + e * z, across, along, upness, e * length,
     )  # fmt: skip
     depth_out[row, column] = d if solid else NOWHERE
     clearance_out[row, column] = clearance

@@ -92,7 +92,7 @@ class Simulation:
         )
         open_area = float(exposure.sum()) * terrain.grid.cell_area
         objects = host.Objects(surfaces, replace(config.rain, drips=False), wet=False)
-        host._warm_up(tile, objects, self.weather, surfaces, open_area)
+        host._warm_up(tile, objects, self.weather, surfaces)
         self._first_slopes = tile.slopes()
         interval = 1 / config.fps
         self.water = Water(solver, exposure, stream=self.stream)
