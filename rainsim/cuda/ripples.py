@@ -105,14 +105,15 @@ def transform(re_in, im_in, cosines, sines, n, sign, re_out, im_out):
 
 
 @cuda_kernel
-def turn(re, im, maps, n, cosine, sine, push, wave, waves_out, re_out, im_out):
+def turn(re, im, steps, n, cosine, sine, push, wave, waves_out, re_out, im_out):
     """Evolve all waves over an interval, add its drops, and give the spectrum of the slopes.
 
     Parameters
     ----------
     re, im : device array of shape (maps * n * n,), float32
         Transforms of the momentum in the parts of the interval, two in one.
-    maps, n : int
+    steps, n : int
+        Parts of the interval, and cells along a side.
     cosine, sine, push : device array of shape (n * (n // 2 + 1),), float32
         What a wave turns by in a part of the interval, damping included, and what momentum adds.
     wave : device array of shape (n,), float32 [rad/m]
@@ -130,11 +131,11 @@ def turn(re, im, maps, n, cosine, sine, push, wave, waves_out, re_out, im_out):
     back_row, back_column = (n - row) % n, (n - column) % n
     a, b, p, q = waves_out[0, here], waves_out[1, here], waves_out[2, here], waves_out[3, here]
     c, s, g = cosine[here], sine[here], push[here]
-    for which in range(maps):
+    for which in range((steps + 1) // 2):
         at = (which * n + row) * n + column
         back = (which * n + back_row) * n + back_column
         x, y, z, w = re[at], im[at], re[back], im[back]
-        for part in range(2):
+        for part in range(min(steps - 2 * which, 2)):
             a, b, p, q = c * a + s * p, c * b + s * q, c * p - s * a, c * q - s * b
             if part == 0:
                 p += g * _HALF * (x + z)
@@ -236,8 +237,9 @@ class Ripples:
     ----------
     size, cells, steps : float [m], int, int
         Of the tile, along a side; parts of the interval in which impacts are put together.
-    pushes : device array of shape (steps * cells * cells,), int64
-        Momentum of drops that fell since, in `drops.PUSH_UNIT`.
+    pushes : device array, int64
+        Momentum of drops that fell since, in `drops.PUSH_UNIT`: a map of (cells, cells) for each
+        part, one after the other.
     slopes : list of device arrays of shape (2, n, n), float32
         Slopes along x and y at four resolutions, each half of the one before.
     rms : device array of shape (4,), float32
@@ -257,9 +259,8 @@ class Ripples:
                 f"to {MOST}"
             )
         self.stream, self.size, self.cells = stream, tile.size, n
-        parts = max(math.ceil(duration / _LONGEST_STEP - 1e-9), 1)
-        self.steps = parts + parts % 2
-        self._maps = self.steps // 2
+        self.steps = max(math.ceil(duration / _LONGEST_STEP - 1e-9), 1)
+        self._maps = (self.steps + 1) // 2
         step = duration / self.steps
         shrink, angle = np.exp(-tile._damping * step), tile._omega * step
         wave = np.array(tile._ky[:, 0])
@@ -274,7 +275,7 @@ class Ripples:
         parts = tile._eta.real, tile._eta.imag, tile._lag.real, tile._lag.imag
         waves = np.stack([part.reshape(-1) for part in parts]).astype(np.float32)
         self._waves = cuda.to_device(waves, stream)
-        self.pushes = cuda.to_device(np.zeros(self.steps * n * n, np.int64), stream)
+        self.pushes = cuda.to_device(np.zeros(2 * self._maps * n * n, np.int64), stream)
         maps = np.zeros(self._maps * n * n, np.float32)
         self._maps_on_device = [cuda.to_device(maps, stream) for _ in range(4)]
         levels = [np.zeros((2, n >> k, n >> k), np.float32) for k in range(LEVELS)]
@@ -294,7 +295,7 @@ class Ripples:
         transform[rows, n // 2, self.stream](re, im, *tables, forth, other_re, other_im)
         blocks = -(-n * (n // 2 + 1) // THREADS)
         turn[blocks, THREADS, self.stream](
-            other_re, other_im, self._maps, n, *self._turn, self._waves, re, im
+            other_re, other_im, self.steps, n, *self._turn, self._waves, re, im
         )
         one = n, 1
         transform[one, n // 2, self.stream](re, im, *tables, back, other_re, other_im)

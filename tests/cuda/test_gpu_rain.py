@@ -96,7 +96,9 @@ def test_ripples_are_those_of_the_cpu():
         pushes = np.zeros((twin.steps, 256, 256))
         np.add.at(pushes, (part, cells[:, 1], cells[:, 0]), momentum)
         tile.advance(1 / 30, cells / 256, momentum, (twin.steps - 0.5 - part) / twin.steps / 30)
-        twin.pushes.copy_to_device(np.rint(pushes / PUSH_UNIT).astype(np.int64).reshape(-1))
+        waiting = np.zeros(twin.pushes.shape, np.int64)
+        waiting[: pushes.size] = np.rint(pushes / PUSH_UNIT).astype(np.int64).reshape(-1)
+        twin.pushes.copy_to_device(waiting)
         twin.launch()
     levels = ripple_levels(tile.slopes())
     for found, wanted in zip(twin.slopes, levels, strict=True):
