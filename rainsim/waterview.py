@@ -19,7 +19,7 @@ MIRROR_SPREAD = 0.06  # m: water at levels farther apart has no mirror in common
 MOST_MIRRORS = 3  # levels that auto draws mirrored; what stands at others is marched
 LEAST_SHARE = 0.04  # of the water's pixels for which another mirror is drawn
 LEVEL_STEP = 2e-3  # m, of a mirror's level: a slowly filling puddle keeps its mirror for a while
-MIRROR_STEPS = int(MIRROR_SPREAD / LEVEL_STEP)
+LEVEL_STEPS = int(MIRROR_SPREAD / LEVEL_STEP)
 WINDOW_STEP = 64  # px, of the part of the picture that is drawn mirrored: whole tiles
 WINDOW_SLOPE = 0.08  # tilt of the water up to which a ripple finds its image in that part
 REFLECTION_THICKNESS = 0.15  # m
@@ -301,7 +301,7 @@ def group_levels(height, name):
     place -= lowest
     left, mirrors = np.ones(len(height), bool), []
     for first, middle in mirror_levels(np.bincount(place), MOST_MIRRORS if name == "auto" else 1):
-        mine = left & (place >= first) & (place < first + MIRROR_STEPS)
+        mine = left & (place >= first) & (place < first + LEVEL_STEPS)
         level = (lowest + middle + 0.5) * LEVEL_STEP
         mirrors.append((level, everything if name == "mirror" else np.flatnonzero(mine)))
         left &= ~mine
@@ -320,16 +320,16 @@ def mirror_levels(count, most):
     Yields
     ------
     first, middle : int
-        The first of the MIRROR_STEPS steps that a mirror serves, and that of its level.
+        The first of the LEVEL_STEPS steps that a mirror serves, and that of its level.
     """
     count, total = count.copy(), count.sum()
     for _ in range(most):
         if count.sum() < LEAST_SHARE * total:
             break
-        sums = np.convolve(count, np.ones(MIRROR_STEPS, np.int64))[MIRROR_STEPS - 1 :]
+        sums = np.convolve(count, np.ones(LEVEL_STEPS, np.int64))[LEVEL_STEPS - 1 :]
         first = int(np.argmax(sums))
-        inside = count[first : first + MIRROR_STEPS].cumsum()
+        inside = count[first : first + LEVEL_STEPS].cumsum()
         if inside[-1] < LEAST_SHARE * total:
             break
         yield first, first + int(np.searchsorted(inside, inside[-1] / 2))
-        count[first : first + MIRROR_STEPS] = 0
+        count[first : first + LEVEL_STEPS] = 0

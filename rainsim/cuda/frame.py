@@ -229,9 +229,9 @@ class Renderer(HostRenderer):
         })  # fmt: skip
         render = self.config.render
         hard = render.coverage == "hard"
-        stride = max(1.0, width / 960)
+        stride = max(1.0, self.water.stride * width)
         self.numbers.update(
-            settings=(waterview.REFLECTION_THICKNESS, stride, waterview.REFLECTION_LENGTH),
+            settings=(self.water.thickness, stride, waterview.REFLECTION_LENGTH),
             cover=(LEAST_WATER,) * 2 if hard else render.water_coverage,
         )  # fmt: skip
         self.streaks = self.splashes = None

@@ -17,7 +17,7 @@ from rainsim.cuda.jit import cuda, cuda_kernel, pinned
 from rainsim.cuda.raster import Rasterizer
 from rainsim.optics import HALF, ZERO
 from rainsim.render import _pose, mirrored_camera
-from rainsim.waterview import LEAST_SHARE, LEVEL_STEP, MIRROR_STEPS, MOST_MIRRORS
+from rainsim.waterview import LEAST_SHARE, LEVEL_STEP, LEVEL_STEPS, MOST_MIRRORS
 
 BINS = 4096  # of LEVEL_STEP: 8 m of water heights
 THREADS = 256
@@ -76,7 +76,7 @@ def choose_levels(count, first_bin, most, everywhere, served_out, wanted_out):
         for k in range(tid, BINS, THREADS):
             if k >= lowest:
                 inside = np.int64(0)
-                for j in range(k, min(k + MIRROR_STEPS, BINS)):
+                for j in range(k, min(k + LEVEL_STEPS, BINS)):
                     inside += count[j]
                 if inside > best:
                     best, at = inside, np.int64(k)
@@ -93,16 +93,16 @@ def choose_levels(count, first_bin, most, everywhere, served_out, wanted_out):
             served_out[mirror, 1], served_out[mirror, 2] = UNUSED, -UNUSED
             if enough and wanted == mirror:
                 middle, inside = at, np.int64(0)
-                for k in range(at, min(at + MIRROR_STEPS, BINS)):
+                for k in range(at, min(at + LEVEL_STEPS, BINS)):
                     inside += count[k]
                     if 2 * inside >= best:
                         middle = np.int64(k)
                         break
                 served_out[mirror, 0] = (first_bin + middle + 0.5) * LEVEL_STEP
                 served_out[mirror, 1] = -UNUSED if everywhere else (first_bin + at) * LEVEL_STEP
-                top = (first_bin + at + MIRROR_STEPS) * LEVEL_STEP
+                top = (first_bin + at + LEVEL_STEPS) * LEVEL_STEP
                 served_out[mirror, 2] = UNUSED if everywhere else top
-                for k in range(at, min(at + MIRROR_STEPS, BINS)):
+                for k in range(at, min(at + LEVEL_STEPS, BINS)):
                     count[k] = 0
         if enough and wanted == mirror:
             wanted += 1

@@ -42,19 +42,20 @@ from rainsim.optics import (
 )
 from rainsim.reflect import (
     LEAST_ROUGHNESS,
-    MIRROR_FAR,
     NOT_GROUND,
     ROUGH_SAMPLES,
     ROUGH_X,
     ROUGH_Y,
-    in_mirror,
+    march_mirror,
     on_screen,
     reflected_upwards,
 )
 from rainsim.sky import sample_environment
 from rainsim.ssr import march
+from rainsim.waterview import MIRROR_STEPS, MIRROR_THICKNESS
 
 LEAST_DROP = np.float32(0.1)
+THICKNESS = np.float32(MIRROR_THICKNESS)
 NOWHERE = np.float32(np.inf)
 
 
@@ -140,15 +141,9 @@ def marched(
 
 @cuda_device
 def mirrored(
-    mirror, mirror_depth, m, eye, lens, level, sx, sy, sz, t, vx, vy, vz, gx, gy, rough
+    mirror, mirror_depth, m, eye, lens, level, sx, sy, sz, vx, vy, vz, gx, gy, rough
 ):  # fmt: skip
     """Return the light found in the mirrored camera's picture; see `reflect.mirror_light`."""
-    rows, columns = mirror_depth.shape
-    length = ONE / column_of(m, 2, vx, vy, vz)
-    u = lens[0] * column_of(m, 0, vx, vy, vz) * length + lens[2]
-    v = lens[1] * column_of(m, 1, vx, vy, vz) * length + lens[3]
-    i, j = min(max(int(u), 0), columns - 1), min(max(int(v), 0), rows - 1)
-    distance = max((min(mirror_depth[j, i], MIRROR_FAR) - t) * length, ZERO)
     samples = 1 if rough < LEAST_ROUGHNESS else ROUGH_SAMPLES
     light0, light1, light2 = ZERO, ZERO, ZERO
     for s in range(samples):
@@ -157,7 +152,9 @@ def mirrored(
             ax, ay = ax + rough * ROUGH_X[s], ay + rough * ROUGH_Y[s]
         ux, uy, uz = normal_of(ax, ay)
         rx, ry, rz = reflected_upwards(vx, vy, vz, ux, uy, uz)
-        hu, hv = in_mirror(m, lens, level, eye, distance, sx, sy, sz, rx, ry, rz)
+        hu, hv = march_mirror(
+            m, lens, level, eye, sx, sy, sz, rx, ry, rz, mirror_depth, MIRROR_STEPS, THICKNESS
+        )
         c0, c1, c2 = bilinear_color(mirror, hu, hv)
         light0, light1, light2 = light0 + c0, light1 + c1, light2 + c2
     share = ONE / np.float32(samples)
@@ -218,7 +215,7 @@ def shade_water(
     if which >= 0:
         light0, light1, light2 = mirrored(
             mirror[which], mirror_depth[which], m, eye, lens, mirror_range[which, 0],
-            sx, sy, sz, t, vx, vy, vz, gx, gy, rough,
+            sx, sy, sz, vx, vy, vz, gx, gy, rough,
         )  # fmt: skip
     else:
         light0, light1, light2 = marched(

@@ -177,7 +177,7 @@ def test_water_light(view, pond, poisoned, rng, reflection, hard):
     if reflection == "mirror":
         reflect.mirror_light(
             everything, record, view.turn, view.eye, view.lens, F4(0.02), mirror, mirror_depth,
-            light, source,
+            8, F4(0.1), light, source,
         )  # fmt: skip
         served = np.array([[0, 9, -9], [0.02, -10, 10]], F4)
     else:
