@@ -123,7 +123,7 @@ def test_splashes_are_those_of_the_cpu(field, surfaces, poisoned):
     for time in (3.0, 3.4):
         wanted = poisoned((HEIGHT, WIDTH))
         draw_splashes(field, surfaces, camera, time, EXPOSURE, water, 2e-4, depth, wanted)
-        streaks.update(field, camera, time, EXPOSURE, 8.0)
+        streaks.update(field, camera, time, EXPOSURE, 3.0)
         twin.update(field, camera, time, EXPOSURE, 2e-4)
         pictures = []
         for _ in range(2):
