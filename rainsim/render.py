@@ -83,6 +83,7 @@ class Renderer:
         self.gloss = sky.blurred(self.environment)
         self._camera = None  # that the kept layers belong to
         self._tracer = None  # made when it is first asked for
+        self._told = False  # how reflections are made
 
     @staticmethod
     def _rasterizer_of(prepared):
@@ -113,6 +114,9 @@ class Renderer:
             np.float32(self.now.render.brightness), image,
         )  # fmt: skip
         timer.mark("compose")
+        if not self._told and (choice := self.water.choice()):
+            self._told = True
+            self.notes.append(choice)
         notes, self.notes = self.notes, []  # told once
         found, light = {}, {}
         if names:

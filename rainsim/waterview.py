@@ -238,6 +238,18 @@ class WaterView:
         timer.mark("reflection")
         return None
 
+    def choice(self):
+        """Return in words what `auto` took for the last picture; None without water or choice."""
+        if self.config.reflections != "auto" or not len(self.pixel):
+            return None
+        mirrors, rest = self._groups["auto"]
+        pictures = "picture" if len(mirrors) == 1 else "pictures"
+        share = 1 - len(rest) / len(self.pixel)
+        return (
+            f"reflections: {len(mirrors)} mirrored {pictures} for {share:.0%} of the water in view"
+            + (", a march on the screen for the rest" if len(rest) else "")
+        )
+
     def _march(self, which, paper, environment):
         v = self.view
         if self._tall is None:

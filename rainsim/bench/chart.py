@@ -7,7 +7,7 @@ from pathlib import Path
 from rainsim.errors import ParameterError
 
 COLORS = ("#0b6e99", "#d1495b", "#8a8d91", "#5c8001", "#8d5a97", "#e09f3e")
-MARKERS = "osv^Dx"
+MARKERS = "osv^DxP*"
 
 
 def require_matplotlib():
@@ -47,7 +47,7 @@ def draw_fronts(path, panels, title):
     title : str
     """
     pyplot = require_matplotlib()
-    columns = min(3, len(panels))
+    columns = 2 if len(panels) == 4 else min(3, len(panels))
     rows = -(-len(panels) // columns)
     figure, axes = pyplot.subplots(
         rows, columns, figsize=(4.2 * columns, 3.4 * rows), squeeze=False, layout="constrained"
@@ -69,6 +69,7 @@ def draw_fronts(path, panels, title):
         if panel.get("least"):
             axis.axhline(panel["least"], color="0.4", linestyle=":", linewidth=1)
         axis.set(title=name, xscale="log", yscale="log", xlabel="seconds", ylabel="relative error")
+        axis.tick_params(axis="x", which="minor", labelsize=7, rotation=45)
         axis.grid(alpha=0.3, which="both")
     axes.flat[0].legend(fontsize=8)
     figure.suptitle(title)

@@ -221,6 +221,7 @@ def write_scene(folder, scene):
         "splats": len(scene.splats),
         "ground_frame": ground_frame_to_dict(scene.ground_frame),
         "cameras": cameras_to_data(scene.cameras) if scene.cameras else None,
+        "drains": [list(map(float, place)) for place in scene.drains],
     }
     with replacing(folder / SCENE_FILE) as scene_file, replacing(folder / SPLAT_FILE) as splat_file:
         write_json(scene_file, data)
@@ -256,7 +257,22 @@ def read_scene(folder):
         source=folder,
         source_hash=str(data.get("source_sha256", "")),
         notes=tuple(map(str, notes)) if isinstance(notes, list) else (),
+        drains=_read_drains(data.get("drains", []), path),
     )
+
+
+def _read_drains(drains, path):
+    """Return the places of gratings that a scene file lists; older files list none."""
+    try:
+        places = np.array(drains, np.float64).reshape(len(drains), 3)
+    except (TypeError, ValueError):
+        places = np.array([[np.nan]])
+    if not np.isfinite(places).all():
+        raise InputError(
+            f"{path}: drains must be a list of places of three finite numbers [capture units]; "
+            "import the scene again"
+        )
+    return tuple(map(tuple, places.tolist()))
 
 
 def _read_arrays(path):

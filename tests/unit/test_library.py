@@ -1,6 +1,7 @@
 """Captures and scene folders as files, and scenes by name."""
 
 import hashlib
+import json
 import os
 import sys
 import types
@@ -81,9 +82,11 @@ def test_ground_frame_given_as_a_file_wins(model, tmp_path):
 
 @pytest.mark.parametrize("cameras", [tuple(ring()), ()])
 def test_scene_folder_reads_back_exactly(tmp_path, cameras):
-    scene = replace(made_scene(), cameras=cameras, source_hash="abc")
+    drains = ((0.1, -2.0, 1 / 3), (4.0, 5.0, 6.0)) if cameras else ()
+    scene = replace(made_scene(), cameras=cameras, source_hash="abc", drains=drains)
     write_scene(tmp_path / "a/scene", scene)
     back = read_scene(tmp_path / "a/scene")
+    assert back.drains == drains
     for name in ARRAYS:
         assert np.array_equal(getattr(back.splats, name), getattr(scene.splats, name))
         assert getattr(back.splats, name).dtype == np.float32
@@ -157,6 +160,11 @@ def damage_missing(folder):
     (folder / "splats.npz").unlink()
 
 
+def damage_drains(folder):
+    scene = json.loads((folder / "scene.json").read_text())
+    (folder / "scene.json").write_text(json.dumps(scene | {"drains": [[0, 1, "down"]]}))
+
+
 def damage_version(folder):
     (folder / "scene.json").write_text('{"rainsim_scene": 99}')
 
@@ -172,6 +180,7 @@ def damage_version(folder):
         (damage_objects, "damaged"),
         (damage_mixed_up, "belong together"),
         (damage_missing, "missing"),
+        (damage_drains, "three finite numbers"),
         (damage_version, "version 1"),
     ],
 )

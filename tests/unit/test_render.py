@@ -50,6 +50,8 @@ def test_report_names_stages_and_closes_the_ledger(scene, camera):
     )
     assert abs(report.ledger["residual"]) < 1e-9
     assert picture.std() > 5
+    (told,) = (note for note in report.notes if note.startswith("reflections: "))
+    assert "mirrored picture" in told
 
 
 def test_no_rain_on_a_clear_day_is_the_capture_itself(scene, camera):
