@@ -18,10 +18,11 @@ LONG = ("ripples", "simulate", "frame")
 )
 def test_the_twins_in_the_simulator(root, names):
     """In a process of its own: the simulator is chosen when numba is first imported."""
+    own = {"NUMBA_ENABLE_CUDASIM": "1", "RAINSIM_TEST_CACHE": os.environ["NUMBA_CACHE_DIR"]}
     done = subprocess.run(
         [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider",
          *(f"tests/cuda/simulated_{name}.py" for name in names)],
-        cwd=root, env=os.environ | {"NUMBA_ENABLE_CUDASIM": "1"}, capture_output=True, text=True,
+        cwd=root, env=os.environ | own, capture_output=True, text=True,
     )  # fmt: skip
     assert done.returncode == 0, done.stdout[-4000:]
     assert " passed" in done.stdout
