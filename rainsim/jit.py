@@ -102,7 +102,6 @@ from numba.extending import intrinsic, register_jitable  # noqa: E402
 _FAST = {"nsz", "arcp", "contract", "afn", "reassoc"}
 
 device_function = register_jitable
-inlined_function = register_jitable(inline="always")  # a long one that one loop calls: no call
 # Inlined by force: loops that LLVM is to vectorise must not hold calls.
 inlined_function = register_jitable(forceinline=True)
 

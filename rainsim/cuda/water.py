@@ -80,7 +80,7 @@ class Water:
         self._high = -(-(ny - 2 * PAD) // self._rows)
         side = (nx - 2 * PAD + account.SIDE - 1) // account.SIDE
         height = (ny - 2 * PAD + account.HEIGHT - 1) // account.HEIGHT
-        self._squares, self._stripes = (side, height), (side, -(-height // account.STRIPE))
+        self._stripes = (side, -(-height // account.STRIPE))
         blocks = max(self._wide * self._high, side * height)
         self._partial = cuda.to_device(np.zeros((account.PARTIAL, blocks)), stream)
         self._begin(solver, flow)

@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rainsim.errors import ParameterError, require_choice
-from rainsim.jit import get_num_threads
+from rainsim.jit import dealt
 from rainsim.raster.blend import blend_tiles
 from rainsim.raster.prepared import LANES, PreparedSplats, prepare, select
 from rainsim.raster.project import BLOCKS, NO_PLANE, RECORD, TILE, find_chunks, project_chunks
@@ -109,8 +109,7 @@ class Rasterizer:
         background = np.asarray(background, np.float32)
         chunks, start = self._list(camera, lens, near, plane, bool(compensate), degree)
         down = -(-height // TILE)
-        threads = get_num_threads()
-        turn = np.concatenate([np.arange(first, down, threads) for first in range(threads)])
+        turn = dealt(down)
 
         def blend(halfway):
             layers = Layers(

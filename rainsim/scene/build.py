@@ -6,6 +6,7 @@ clouds together and `to_splats` takes the finished one to a capture frame.
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -378,6 +379,27 @@ def quaternions(matrices):
         products[:, a, b] = products[:, b, a] = value
     rows = products[np.arange(len(m)), np.argmax(squares, axis=1)]
     return rows / np.linalg.norm(rows, axis=1, keepdims=True)
+
+
+def tilted_frame(tilt, meters_per_unit, origin):
+    """Return the true ground frame of a generated scene: tilted, not metric, origin off the ground.
+
+    `tilt` [rad] is about x, y and z, `origin` [m] where the capture frame has its origin.
+    """
+    x, y, z = tilt
+    rotation = turn_about((0, 0, 1), z) @ turn_about((0, 1, 0), y) @ turn_about((1, 0, 0), -x)
+    return GroundFrame(
+        rotation, meters_per_unit, origin,
+        notes=("up, plane and scale are exact: the scene was generated with them",),
+    )  # fmt: skip
+
+
+def content_hash(splats):
+    """Return the SHA-256 of generated splats, which stands for that of a file."""
+    digest = hashlib.sha256()
+    for array in (splats.position, splats.rotation, splats.scale, splats.opacity, splats.sh):
+        digest.update(array.tobytes())
+    return digest.hexdigest()
 
 
 def to_splats(cloud, ground_frame: GroundFrame):

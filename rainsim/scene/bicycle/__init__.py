@@ -7,7 +7,6 @@ tilted, has y downwards and is not metric.
 
 from __future__ import annotations
 
-import hashlib
 from functools import partial
 
 import numpy as np
@@ -17,8 +16,18 @@ from rainsim.scene.bicycle import bench, bike
 from rainsim.scene.bicycle.backdrop import far_trees, sky_cloud
 from rainsim.scene.bicycle.paving import bed_height, paving_cloud
 from rainsim.scene.bicycle.plants import BUSHES, HEDGE_FACES, TREES, bush, hedge, lawn_cloud, tree
-from rainsim.scene.build import Noise, join, moved, sky_directions, sky_share, to_splats, turn_about
-from rainsim.scene.types import Camera, GroundFrame, Scene
+from rainsim.scene.build import (
+    Noise,
+    content_hash,
+    join,
+    moved,
+    sky_directions,
+    sky_share,
+    tilted_frame,
+    to_splats,
+    turn_about,
+)
+from rainsim.scene.types import Camera, Scene
 
 SEED = 20140
 BLADES = 64_000
@@ -55,26 +64,13 @@ def make_bicycle() -> Scene:
     eyes = _eyes()
     forward = TARGET - eyes[0]
     turn = turn_about((0, 0, 1), -np.arctan2(forward[1], forward[0]))  # ground_from_path
-    frame = _ground_frame()
+    frame = tilted_frame(CAPTURE_TILT, METERS_PER_UNIT, CAPTURE_ORIGIN)
     splats = to_splats(moved(cloud, turn), frame)
     cameras = tuple(
         frame.camera_in_capture(_camera(turn @ eye, turn @ TARGET, f"{k:02d}"))
         for k, eye in enumerate(eyes)
     )
-    digest = hashlib.sha256()
-    for array in (splats.position, splats.rotation, splats.scale, splats.opacity, splats.sh):
-        digest.update(array.tobytes())
-    return Scene("bicycle", splats, cameras, frame, source_hash=digest.hexdigest())
-
-
-def _ground_frame():
-    """Return the true ground frame: tilted axes, not metric, origin away from the ground."""
-    x, y, z = CAPTURE_TILT
-    rotation = turn_about((0, 0, 1), z) @ turn_about((0, 1, 0), y) @ turn_about((1, 0, 0), -x)
-    return GroundFrame(
-        rotation, METERS_PER_UNIT, CAPTURE_ORIGIN,
-        notes=("up, plane and scale are exact: the scene was generated with them",),
-    )  # fmt: skip
+    return Scene("bicycle", splats, cameras, frame, source_hash=content_hash(splats))
 
 
 def _eyes():

@@ -8,16 +8,15 @@ y downwards and is not metric.
 
 from __future__ import annotations
 
-import hashlib
 from functools import partial
 
 import numpy as np
 
 from rainsim.scene.bicycle.backdrop import sky_cloud
-from rainsim.scene.build import Noise, discs, join, to_splats, turn_about
+from rainsim.scene.build import Noise, content_hash, discs, join, tilted_frame, to_splats
 from rainsim.scene.street import cars, furniture, road
 from rainsim.scene.street.facades import houses
-from rainsim.scene.types import Camera, GroundFrame, Scene
+from rainsim.scene.types import Camera, Scene
 
 SEED = 1871
 SPEED, FRAMES_PER_SECOND, CAMERAS = 10.0, 24.0, 40  # m/s, 1/s
@@ -50,27 +49,14 @@ def make_street() -> Scene:
             sky_cloud(noise, rng, SKY_SPLATS, SKY_RADIUS),
         ]
     )
-    frame = _ground_frame()
+    frame = tilted_frame(CAPTURE_TILT, METERS_PER_UNIT, CAPTURE_ORIGIN)
     splats = to_splats(cloud, frame)
     cameras = tuple(frame.camera_in_capture(camera) for camera in _drive())
-    digest = hashlib.sha256()
-    for array in (splats.position, splats.rotation, splats.scale, splats.opacity, splats.sh):
-        digest.update(array.tobytes())
     height = partial(road.bed_height, noise=noise)
     drains = np.column_stack([road.DRAINS, height(*road.DRAINS.T)])
     return Scene(
-        "street", splats, cameras, frame, source_hash=digest.hexdigest(),
+        "street", splats, cameras, frame, source_hash=content_hash(splats),
         drains=tuple(map(tuple, frame.to_capture(drains))),
-    )  # fmt: skip
-
-
-def _ground_frame():
-    """Return the true ground frame: tilted axes, not metric, origin away from the ground."""
-    x, y, z = CAPTURE_TILT
-    rotation = turn_about((0, 0, 1), z) @ turn_about((0, 1, 0), y) @ turn_about((1, 0, 0), -x)
-    return GroundFrame(
-        rotation, METERS_PER_UNIT, CAPTURE_ORIGIN,
-        notes=("up, plane and scale are exact: the scene was generated with them",),
     )  # fmt: skip
 
 
