@@ -73,7 +73,9 @@ def parked_cars(rng):
     """Return all cars in the street's frame."""
     parts = []
     for x, side, heading, shape, paint, on in PARKED:
-        spacing = 0.052 if -1 < x < 28 else 0.075
+        spacing = (
+            0.04 if -8 < x < 20 else 0.06
+        )  # m: the drive passes the first ones at arm's length
         cloud = car(shape, np.array(paint), on, spacing, rng)
         base = -0.016 - 0.014 * (x < 60)  # where the tyres stand on the camber
         turn = turn_about((0, 0, 1), 0.0 if heading > 0 else np.pi)
@@ -130,7 +132,7 @@ def car(shape, paint, lamps, spacing, rng):
     body = polished(body, 0.16)
     facing = 0.5 + 0.5 * body.normal[:, 2]
     body = lit(body, (0.42 + 0.58 * facing) * np.interp(body.position[:, 2], (0.15, 0.6), (0.5, 1)))
-    parts = [body, *_wheels(spacing), *_lamps(shape, lamps, rng), _floor()]
+    parts = [body, *_wheels(), *_mirrors(shape, paint), *_lamps(shape, lamps, rng), _floor()]
     cloud = join(parts)
     return moved(cloud, np.eye(3), (-LENGTH / 2, 0, 0))
 
@@ -209,7 +211,7 @@ def _ends(shape, paint, spacing, rng):
         yield box((u + out * 0.065, 0, 0.46), (0.006, 0.26, 0.055), plate, spacing=0.05, along=1)
 
 
-def _wheels(spacing):
+def _wheels():
     """Return four wheels: tyres and rims as rings of splats."""
     for axle in AXLES:
         for side in (-1, 1):
@@ -259,9 +261,23 @@ def _cluster(u, y, low, high, half, colour, out):
 
 
 def _floor():
-    """Return the dark underside."""
+    """Return the dark underside; its splats end within the body, or they would veil the wheels."""
     x, y = (
-        v.ravel() for v in np.meshgrid(np.arange(0.1, LENGTH, 0.15), np.arange(-0.8, 0.81, 0.16))
+        v.ravel()
+        for v in np.meshgrid(np.arange(0.18, LENGTH - 0.1, 0.1), np.arange(-0.6, 0.61, 0.1))
     )
     points = np.stack([x, y, np.full(x.size, SILL + 0.02)], axis=1)
-    return discs(points, (0, 0, -1), (0.03, 0.03, 0.032), 0.14, thickness=4e-3)
+    return discs(points, (0, 0, -1), (0.03, 0.03, 0.032), 0.075, thickness=4e-3)
+
+
+def _mirrors(shape, paint):
+    """Return the two door mirrors."""
+    u = 2.72 if shape is VAN else 2.62
+    z = 1.14 if shape is VAN else 1.0
+    for side in (-1, 1):
+        y = side * (WIDTH / 2 + 0.10)
+        yield box((u, y, z), (0.05, 0.085, 0.055), 0.8 * paint, spacing=0.03, sheen=0.25)
+        yield box((u - 0.053, y, z), (0.004, 0.07, 0.042), GLASS, spacing=0.025)
+        yield box(
+            (u + 0.01, side * (WIDTH / 2), z - 0.04), (0.02, 0.05, 0.015), RUBBER, spacing=0.02
+        )
