@@ -16,6 +16,21 @@ else:
 import numpy as np
 import pytest
 
+from simulator import QUICK, Simulator
+
+
+def pytest_collection_finish(session):
+    """Start the twins' simulator beside the other tests, which mostly compile in one thread."""
+    wanted = any(item.name == "test_the_twins_in_the_simulator[quick]" for item in session.items)
+    if wanted and not session.config.option.collectonly:
+        session.config.stash[Simulator.KEY] = Simulator(session.config.rootpath, QUICK)
+
+
+def pytest_sessionfinish(session):
+    """Leave no process behind."""
+    if Simulator.KEY in session.config.stash:
+        session.config.stash[Simulator.KEY].end()
+
 
 @pytest.fixture
 def rng():
