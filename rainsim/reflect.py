@@ -103,7 +103,7 @@ def mirror_light(
 
 @cpu_kernel
 def march_light(
-    which, record, picture, tall, ground_from_camera, eye, lens, environment, settings,
+    which, record, picture, tall, near, ground_from_camera, eye, lens, environment, settings,
     light_out, source_out,
 ):  # fmt: skip
     """Find the mirrored light by marching through the picture's own depth (see `ssr`).
@@ -113,6 +113,8 @@ def march_light(
     picture : ndarray of shape (height, width, 3), float32
     tall : ndarray of shape (height, width), float32 [m]
         Depth of what can be mirrored; infinite for the ground that the water lies on.
+    near : ndarray of shape (rows, columns), float32 [m]
+        Of `tall`, see `ssr.nearest_blocks`.
     environment : ndarray of shape (rows, columns, 3), float32
         Mirrored where the picture shows nothing.
     settings : ndarray of shape (3,), float32
@@ -128,8 +130,9 @@ def march_light(
         px, py, pz = r[0] - eye[0], r[1] - eye[1], r[2] - eye[2]
         cx, cy, cz = column_of(m, 0, px, py, pz), column_of(m, 1, px, py, pz), r[6]
         distance = march(
-            tall, lens, cx, cy, cz, column_of(m, 0, vx, vy, -vz), column_of(m, 1, vx, vy, -vz),
-            column_of(m, 2, vx, vy, -vz), settings[0], settings[1], settings[2],
+            tall, near, lens, cx, cy, cz, column_of(m, 0, vx, vy, -vz),
+            column_of(m, 1, vx, vy, -vz), column_of(m, 2, vx, vy, -vz), settings[0], settings[1],
+            settings[2],
         )  # fmt: skip
         samples = 1 if rough < LEAST_ROUGHNESS else ROUGH_SAMPLES
         light0, light1, light2, seen = ZERO, ZERO, ZERO, ZERO

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rainsim import optics, paperwater, reflect
+from rainsim import optics, paperwater, reflect, ssr
 from rainsim.jit import dealt
 from rainsim.watersurface import (
     fine_relief,
@@ -254,13 +254,18 @@ class WaterView:
         v = self.view
         if self._tall is None:
             self._tall = np.empty_like(v.depth)
+            self._near = np.empty(ssr.blocks_of(*v.depth.shape), np.float32)
             reflect.keep_tall(v.depth, v.clearance, self._tall)
+            ssr.nearest_blocks(self._tall, self._near)
         thickness = paperwater.EPSILON if paper else self.thickness
         stride = max(1.0, self.stride * v.depth.shape[1])
         settings = np.array([thickness, stride, REFLECTION_LENGTH], np.float32)
-        (paperwater.paper_light if paper else reflect.march_light)(
-            which, self.record, v.picture, self._tall, v.turn, v.eye, v.lens, environment,
-            settings, self.light, self.source,
+        look, depths = reflect.march_light, (self._tall, self._near)
+        if paper:
+            look, depths = paperwater.paper_light, (self._tall,)
+        look(
+            which, self.record, v.picture, *depths, v.turn, v.eye, v.lens, environment, settings,
+            self.light, self.source,
         )  # fmt: skip
 
     def _mirror_window(self):

@@ -27,6 +27,7 @@ from rainsim.paperwater import LEAST_WATER
 from rainsim.render import FrameReport, _lens, _pose
 from rainsim.render import Renderer as HostRenderer
 from rainsim.splash import LONGEST_LIFE, WET_FILM
+from rainsim.ssr import blocks_of
 from rainsim.streaks import FOG_STEPS, NO_FOG, fog_table, streak_reach
 from rainsim.watersurface import ripple_levels, rms_slopes
 
@@ -218,6 +219,9 @@ class Renderer(HostRenderer):
         self._depth, self._clearance, self._tall, self._hit, self._coverage, self._none = (
             cuda.device_array((height, width), f4) for _ in range(6)
         )
+        self._least, self._near = (
+            cuda.device_array(blocks_of(height, width), f4) for _ in range(2)
+        )
         self._none.copy_to_device(np.zeros((height, width), f4))
         self._image = cuda.device_array((height, width, 3), np.uint8)
         self.image = pinned((height, width, 3), np.uint8)
@@ -282,6 +286,7 @@ class Renderer(HostRenderer):
         grid = shading.blocks(*self._size), shading.BLOCK, self.stream
         surface = self._surface
         optics.keep_tall[grid](self._depth, self._clearance, self._tall)
+        optics.find_near(self._tall, self._least, self._near, self.stream)
         optics.meet_water[grid](
             self._depth, n["turn"], n["eye"], n["lens"], surface.surface, surface.over,
             *self._place, surface.highest, n["cover"], render.coverage == "hard",
@@ -295,7 +300,7 @@ class Renderer(HostRenderer):
         n = self.numbers
         grid = shading.blocks(*self._size), shading.BLOCK, self.stream
         optics.shade_water[grid](
-            self._hit, self._coverage, self._picture, self._depth, self._tall,
+            self._hit, self._coverage, self._picture, self._depth, self._tall, self._near,
             n["turn"], n["eye"], n["lens"], self._surface.over, self._exposed,
             *self._place, *self._slopes, self._rms, self._tile, self._around,
             n["settings"], self.mirrors.range, self.mirrors.picture, self.mirrors.depth,

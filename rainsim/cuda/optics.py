@@ -51,12 +51,13 @@ from rainsim.reflect import (
     reflected_upwards,
 )
 from rainsim.sky import sample_environment
-from rainsim.ssr import march
+from rainsim.ssr import BLOCK, least_around, march
 from rainsim.waterview import MIRROR_STEPS, MIRROR_THICKNESS
 
 LEAST_DROP = np.float32(0.1)
 THICKNESS = np.float32(MIRROR_THICKNESS)
 NOWHERE = np.float32(np.inf)
+THREADS_OF_BLOCK = BLOCK * BLOCK
 
 
 @cuda_kernel
@@ -67,6 +68,42 @@ def keep_tall(depth, clearance, tall_out):
     if row < height and column < width:
         low = clearance[row, column] < NOT_GROUND
         tall_out[row, column] = NOWHERE if low else depth[row, column]
+
+
+@cuda_kernel
+def least_of_blocks(tall, least_out):
+    """Write the least depth of each block of `rainsim.ssr`; a block of threads takes one."""
+    room = cuda.shared.array(THREADS_OF_BLOCK, np.float32)
+    column, row = cuda.grid(2)
+    tid = cuda.threadIdx.y * BLOCK + cuda.threadIdx.x
+    least = NOWHERE
+    if row < tall.shape[0] and column < tall.shape[1]:
+        least = min(least, tall[row, column])
+    room[tid] = least
+    cuda.syncthreads()
+    half = THREADS_OF_BLOCK // 2
+    while half > 0:
+        if tid < half:
+            room[tid] = min(room[tid], room[tid + half])
+        cuda.syncthreads()
+        half //= 2
+    if tid == 0:
+        least_out[cuda.blockIdx.y, cuda.blockIdx.x] = room[0]
+
+
+@cuda_kernel
+def nearest_blocks(least, near_out):
+    """Write the least of each block and its neighbours; see `rainsim.ssr.nearest_blocks`."""
+    i, j = cuda.grid(2)
+    if j < least.shape[0] and i < least.shape[1]:
+        near_out[j, i] = least_around(least, j, i)
+
+
+def find_near(tall, least, near, stream):
+    """Queue what `rainsim.ssr.nearest_blocks` does."""
+    rows, columns = near.shape
+    least_of_blocks[(columns, rows), (BLOCK, BLOCK), stream](tall, least)
+    nearest_blocks[(-(-columns // 32), -(-rows // 8)), (32, 8), stream](least, near)
 
 
 @cuda_kernel
@@ -108,13 +145,14 @@ def meet_water(
 
 @cuda_device
 def marched(
-    picture, tall, m, lens, environment, settings, px, py, pz, t, vx, vy, vz, gx, gy, rough
+    picture, tall, near, m, lens, environment, settings, px, py, pz, t, vx, vy, vz, gx, gy, rough
 ):  # fmt: skip
     """Return the mirrored light found by marching; see `rainsim.reflect.march_light`."""
     cx, cy, cz = column_of(m, 0, px, py, pz), column_of(m, 1, px, py, pz), t
     distance = march(
-        tall, lens, cx, cy, cz, column_of(m, 0, vx, vy, -vz), column_of(m, 1, vx, vy, -vz),
-        column_of(m, 2, vx, vy, -vz), settings[0], settings[1], settings[2],
+        tall, near, lens, cx, cy, cz, column_of(m, 0, vx, vy, -vz),
+        column_of(m, 1, vx, vy, -vz), column_of(m, 2, vx, vy, -vz), settings[0], settings[1],
+        settings[2],
     )  # fmt: skip
     samples = 1 if rough < LEAST_ROUGHNESS else ROUGH_SAMPLES
     light0, light1, light2 = ZERO, ZERO, ZERO
@@ -163,7 +201,7 @@ def mirrored(
 
 @cuda_kernel
 def shade_water(
-    hit, coverage, picture, depth, tall, ground_from_camera, eye, lens, water_depth,
+    hit, coverage, picture, depth, tall, near, ground_from_camera, eye, lens, water_depth,
     exposure_to_rain, origin, spacing, slopes0, slopes1, slopes2, slopes3, rms_slopes, tile_size,
     environment, settings, mirror_range, mirror, mirror_depth, schlick_law, image_shift, phong,
     glint_variance, sun, picture_out,
@@ -219,8 +257,8 @@ def shade_water(
         )  # fmt: skip
     else:
         light0, light1, light2 = marched(
-            picture, tall, m, lens, environment, settings, sx - eye[0], sy - eye[1], sz - eye[2],
-            t, vx, vy, vz, gx, gy, rough,
+            picture, tall, near, m, lens, environment, settings, sx - eye[0], sy - eye[1],
+            sz - eye[2], t, vx, vy, vz, gx, gy, rough,
         )  # fmt: skip
     ux, uy, uz = normal_of(gx, gy)
     cosine = max(-(vx * ux + vy * uy + vz * uz), LEAST_COSINE)

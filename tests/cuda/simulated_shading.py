@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from rainsim import optics, reflect, shade, sky, watersurface
+from rainsim import optics, reflect, shade, sky, ssr, watersurface
 from rainsim.cuda import optics as cuda_optics
 from rainsim.cuda import shading, simulated
 from rainsim.cuda import watersurface as cuda_surface
@@ -161,6 +161,10 @@ def test_water_light(view, pond, poisoned, rng, reflection, hard):
     reflect.keep_tall(view.depth, clearance, tall)
     launch(cuda_optics.keep_tall, view.depth, clearance, tall2)
     np.testing.assert_array_equal(tall, tall2)
+    near, near2, least = (poisoned(ssr.blocks_of(HEIGHT, WIDTH)) for _ in range(3))
+    ssr.nearest_blocks(tall, near)
+    cuda_optics.find_near(tall, least, near2, 0)
+    np.testing.assert_array_equal(near, near2)
     around, sun = sky.overcast(), np.array([0.1, 0.7, 0.7, 9, 8, 7], F4)
     settings = np.array([0.15, 1.0, 12.0], F4)
     n = int(count.sum())
@@ -182,8 +186,8 @@ def test_water_light(view, pond, poisoned, rng, reflection, hard):
         served = np.array([[0, 9, -9], [0.02, -10, 10]], F4)
     else:
         reflect.march_light(
-            everything, record, picture, tall, view.turn, view.eye, view.lens, around, settings,
-            light, source,
+            everything, record, picture, tall, near, view.turn, view.eye, view.lens, around,
+            settings, light, source,
         )  # fmt: skip
         served = np.array([[0, 10, -10], [0, 9, -9]], F4)
     wanted, found = picture.copy(), poisoned(picture.shape)
@@ -194,9 +198,9 @@ def test_water_light(view, pond, poisoned, rng, reflection, hard):
     )  # fmt: skip
     both = (np.stack([0 * m, m]) for m in (mirror, mirror_depth))
     launch(
-        cuda_optics.shade_water, hit, coverage, picture, view.depth, tall, view.turn, view.eye,
-        view.lens, over, view.exposure, ORIGIN, SPACING, *levels, rms, F4(1.0), around, settings,
-        served, *both, *flags, F4(4e-3), sun, found,
+        cuda_optics.shade_water, hit, coverage, picture, view.depth, tall, near, view.turn,
+        view.eye, view.lens, over, view.exposure, ORIGIN, SPACING, *levels, rms, F4(1.0), around,
+        settings, served, *both, *flags, F4(4e-3), sun, found,
     )  # fmt: skip
     assert decibel(found, wanted) > 70
     assert decibel(wanted, picture) < 30

@@ -11,7 +11,7 @@ import pytest
 from scipy import ndimage
 from test_optics import EYE, FOCAL, HEIGHT, LENS, ORIGIN, SHAPE, SPACING, TURN, WIDTH, rays
 
-from rainsim import optics, reflect
+from rainsim import optics, reflect, ssr
 
 mitsuba = pytest.importorskip("mitsuba")
 pytestmark = pytest.mark.slow
@@ -110,7 +110,9 @@ def ours():
     light, source = np.zeros((len(pixel), 3), np.float32), np.zeros(len(pixel), np.uint8)
     tall = np.empty_like(depth)
     reflect.keep_tall(depth, clearance, tall)
-    reflect.march_light(np.arange(len(pixel)), record, picture, tall, TURN, EYE, LENS,
+    near = np.empty(ssr.blocks_of(*depth.shape), np.float32)
+    ssr.nearest_blocks(tall, near)
+    reflect.march_light(np.arange(len(pixel)), record, picture, tall, near, TURN, EYE, LENS,
                         np.zeros((16, 32, 3), np.float32), np.array([0.15, 1, 12], np.float32),
                         light, source)  # fmt: skip
     out = picture.copy()

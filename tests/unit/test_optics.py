@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from rainsim import optics, reflect
+from rainsim import optics, reflect, ssr
 from rainsim.light import fresnel
 
 WIDTH, HEIGHT, FOCAL = 120, 90, 100.0
@@ -79,8 +79,10 @@ def water(depth_of_water, picture=None, depth=None, clearance=None, slopes=0.0, 
     else:
         tall = np.full_like(depth, np.nan)
         reflect.keep_tall(depth, clearance, tall)
+        near = np.full(ssr.blocks_of(*depth.shape), np.nan, np.float32)
+        ssr.nearest_blocks(tall, near)
         reflect.march_light(
-            np.arange(n), record, picture, tall, TURN, EYE, LENS, environment,
+            np.arange(n), record, picture, tall, near, TURN, EYE, LENS, environment,
             np.array([0.15, 1, 12], np.float32), light, source,
         )  # fmt: skip
     assert np.isfinite(light).all() and (source != 99).all()

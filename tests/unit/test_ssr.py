@@ -4,16 +4,16 @@ import numpy as np
 import pytest
 
 from rainsim.jit import serial_kernel
-from rainsim.ssr import edge_fade, march
+from rainsim.ssr import blocks_of, edge_fade, march, nearest_blocks
 
 WIDTH, HEIGHT, FOCAL = 200, 150, 160.0
 LENS = np.array([FOCAL, FOCAL, WIDTH / 2, HEIGHT / 2], np.float32)
 
 
 @serial_kernel
-def march_once(depth, lens, start, direction, thickness, stride, farthest):
+def march_once(depth, near, lens, start, direction, thickness, stride, farthest):
     return march(
-        depth, lens, start[0], start[1], start[2], direction[0], direction[1], direction[2],
+        depth, near, lens, start[0], start[1], start[2], direction[0], direction[1], direction[2],
         thickness, stride, farthest,
     )  # fmt: skip
 
@@ -22,10 +22,12 @@ def find(depth, start, direction, thickness=0.15, stride=1.0, farthest=30.0):
     start = np.asarray(start, np.float32)
     direction = np.asarray(direction, float)
     direction = (direction / np.linalg.norm(direction)).astype(np.float32)
-    return march_once(
-        depth, LENS, start, direction, np.float32(thickness), np.float32(stride),
-        np.float32(farthest),
-    )  # fmt: skip
+    rest = LENS, start, direction, np.float32(thickness), np.float32(stride), np.float32(farthest)
+    near = np.full(blocks_of(*depth.shape), np.nan, np.float32)
+    nearest_blocks(depth, near)
+    found = march_once(depth, near, *rest)
+    assert found == march_once(depth, np.zeros_like(near), *rest)  # which never jumps
+    return found
 
 
 def wall(z=5.0):
@@ -95,6 +97,33 @@ def test_interval_test_cannot_step_through_a_thin_sheet():
 
 def test_nan_depth_is_no_hit():
     assert find(wall(np.nan), (0, 0.5, 3), (0, -0.1, 1)) < 0
+
+
+def test_jumps_end_where_steps_do(rng):
+    """Posts of many widths on ground that cannot be hit, seen along many rays; see `find`."""
+    depth = wall(np.inf)
+    for column, width, far in zip(range(8, 190, 14), (1, 2, 3, 5) * 4, (4, 6, 9) * 5, strict=False):
+        depth[20:95, column : column + width] = far
+    found = [
+        find(depth, (x, 0.8, 3.0), (dx, -0.15 - dy, 1), stride=stride)
+        for x, dx, dy, stride in zip(
+            rng.uniform(-1, 1, 200), rng.normal(0, 0.4, 200), rng.uniform(0, 0.4, 200),
+            (1.0, 1.35, 3.0, 20.0) * 50, strict=True,
+        )
+    ]  # fmt: skip
+    assert 0.1 < np.mean(np.array(found) > 0) < 0.9
+
+
+def test_rounding_does_not_choose_the_pixel(rng):
+    """Level water mirrors straight up: what a ray starts from may be off in the last digit."""
+    depth = wall(np.inf)
+    depth[20:60] = rng.uniform(3.5, 9, (40, WIDTH)).astype(np.float32)
+    shares = 1 + 1e-6 * rng.normal(size=(4, 3))
+    for column, row in rng.integers((20, 90), (180, 140), (100, 2)):
+        ray = np.array([(column + 0.5) / FOCAL - 0.625, (row + 0.5) / FOCAL - 0.46875, 1.0])
+        start = 3 * ray
+        found = [find(depth, start * share, ray * (1, -1, 1), thickness=5.0) for share in shares]
+        np.testing.assert_allclose(found, found[0], rtol=1e-4)
 
 
 def test_edge_fade():
