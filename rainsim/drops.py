@@ -348,15 +348,18 @@ def may_land(
         return False
     # At time 0, had the wind always been the one of now.
     x, y = (i + ux) * side + frame[b, 0], (j + uy) * side + frame[b, 1]
+    clear = False  # of all that stands around, when the interval begins
     if max(abs(vx), abs(vy)) * duration < block:  # it stays within the next block
-        m = min(max(int((y + vy * start - y0) / block), 0), low.shape[0] - 1)
-        c = min(max(int((x + vx * start - x0) / block), 0), low.shape[1] - 1)
+        per_block = 1.0 / block
+        m = min(max(int((y + vy * start - y0) * per_block), 0), low.shape[0] - 1)
+        c = min(max(int((x + vx * start - x0) * per_block), 0), low.shape[1] - 1)
         if z + vz * stop > high[m, c] or z + vz * start < low[m, c]:
             return False
+        clear = z + vz * start > high[m, c]
     if changes and left_out(word, b, z, vz, share, frame):
         return False
-    # Most meet nothing now: only those that do are followed from the sky.
-    return not stopped_at(
+    # Of the others most were stopped before: only the rest are followed from the sky.
+    return clear or not stopped_at(
         x + vx * start, y + vy * start, z + vz * start, x0, y0, spacing, ground, underside, top
     )
 

@@ -101,9 +101,19 @@ from numba.extending import intrinsic, register_jitable  # noqa: E402
 # Not fastmath=True: that assumes away NaN and infinity, which kernels must see.
 _FAST = {"nsz", "arcp", "contract", "afn", "reassoc"}
 
-device_function = register_jitable
+
+def device_function(function=None, allocates=False, **options):
+    """Mark a formula that kernels call, on any device; one that `allocates` arrays must say so.
+
+    The others need not count who holds an array: for functions of many arrays that counting, twice
+    for each array of each call, takes longer than what they do.
+    """
+    decorate = register_jitable(_nrt=allocates, **options)
+    return decorate if function is None else decorate(function)
+
+
 # Inlined by force: loops that LLVM is to vectorise must not hold calls.
-inlined_function = register_jitable(forceinline=True)
+inlined_function = device_function(forceinline=True)
 
 
 def _kernel(**options):

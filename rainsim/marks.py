@@ -28,6 +28,7 @@ _PER_UNIT = np.float32(2**-23)
 _CEILING = np.int32(2**30)  # optical depth 128: black, and two of them still fit an int32
 _OPAQUE = np.float32(0.9997)  # the most that one drop replaces in one pixel
 _FAINT = np.float32(0.05)  # below it three terms give -log(1 - alpha) to 3e-5
+_FAINT_UNITS = np.int64(_FAINT * _SCALE)
 _ZERO, _HALF, _ONE, _TWO = np.float32(0.0), np.float32(0.5), np.float32(1.0), np.float32(2.0)
 _SIXTH, _QUARTER = np.float32(1 / 6), np.float32(0.25)
 _HALF_SCALE, _THIRD_SCALE = np.float32(2**22), np.float32(2**23 / 3)
@@ -53,26 +54,33 @@ def draw_path(
     """
     dx, dy, dz = (x_end - x) * share, (y_end - y) * share, (z_end - z) * share
     z_end = max(z + dz, _HALF * near)
-    z0 = z
-    u0, v0 = lens[0] * x / z + lens[2], lens[1] * y / z + lens[3]
-    u_end, v_end = lens[0] * (x + dx) / z_end + lens[2], lens[1] * (y + dy) / z_end + lens[3]
-    nearest = min(z, z_end)
-    long_enough = max(abs(u_end - u0), abs(v_end - v0)) / (_TWO + lens[0] * diameter / nearest)
-    pieces = 1 + int(min(_PIECES * abs(dz) / nearest, min(long_enough, _MOST_PIECES)))
+    # quotients cost more than all else here: each depth is divided by once
+    z0, per_z0, per_z_end = z, _ONE / z, _ONE / z_end
+    u0, v0 = lens[0] * x * per_z0 + lens[2], lens[1] * y * per_z0 + lens[3]
+    u1, v1 = lens[0] * (x + dx) * per_z_end + lens[2], lens[1] * (y + dy) * per_z_end + lens[3]
+    per_nearest = max(per_z0, per_z_end)
+    pieces = 1
+    if _PIECES * abs(dz) * per_nearest >= _ONE:
+        long_enough = max(abs(u1 - u0), abs(v1 - v0)) / (_TWO + lens[0] * diameter * per_nearest)
+        pieces += int(min(_PIECES * abs(dz) * per_nearest, min(long_enough, _MOST_PIECES)))
     step = _ONE / np.float32(pieces)
-    x_middle, y_middle = (x + _HALF * dx) / (z0 + _HALF * dz), (y + _HALF * dy) / (z0 + _HALF * dz)
+    per_middle = _ONE / (z0 + _HALF * dz)
+    x_middle, y_middle = (x + _HALF * dx) * per_middle, (y + _HALF * dy) * per_middle
     oblique = np.sqrt(_ONE + x_middle * x_middle + y_middle * y_middle)
     area = _QUARTER_PI * lens[0] * lens[1] * diameter * diameter * oblique * share * step
     for piece in range(1, pieces + 1):
         passed = np.float32(piece) * step
         z1 = z + dz * passed
-        u1 = lens[0] * (x + dx * passed) / z1 + lens[2]
-        v1 = lens[1] * (y + dy * passed) / z1 + lens[3]
-        wide = lens[0] * diameter * _TWO / (z0 + z1)
+        per_z1 = _ONE / z1
+        u1 = lens[0] * (x + dx * passed) * per_z1 + lens[2]
+        v1 = lens[1] * (y + dy * passed) * per_z1 + lens[3]
+        if pieces > 1:
+            per_middle = _TWO / (z0 + z1)
+        wide = lens[0] * diameter * per_middle
         if lens[5] > _ZERO:
-            blur = lens[5] * (_TWO / (z0 + z1) - lens[6])
+            blur = lens[5] * (per_middle - lens[6])
             wide = np.sqrt(wide * wide + blur * blur)
-        alpha = area / (z0 * z1)
+        alpha = area * per_z0 * per_z1
         across, along = abs(u1 - u0), abs(v1 - v0)
         if wide > _WIDE and max(across, along) > _LONG * wide:
             _draw_strips(u0, v0, z0, u1, v1, z1, wide, alpha, width, height, depth, clear, picture)
@@ -88,7 +96,7 @@ def draw_path(
             _draw_thin(
                 u0, v0, z0, u1, v1, z1, alpha, width, height, height, 1, depth, clear, picture
             )
-        z0, u0, v0 = z1, u1, v1
+        z0, per_z0, u0, v0 = z1, per_z1, u1, v1
 
 
 @device_function
@@ -138,7 +146,24 @@ def _draw_thin(
     stop = int(min(np.floor(s1) + _ONE, np.float32(s_count - 1))) + 1
     highest = np.float32(t_count)
     bold = inner >= _FAINT
-    for s in range(start + lane(), stop, lanes()):
+    # Of most pixels there is nothing to ask: between the ends, in the picture, before all else.
+    first = start + 2 if np.float32(start) < s0 + _ONE else start
+    last = stop - 2 if np.float32(stop - 1) > s1 - _ONE else stop
+    across = t0 + lean * (np.float32(first) - s0) + _HALF
+    across_last = t0 + lean * (np.float32(last - 1) - s0) + _HALF
+    lowest = min(across, across_last)
+    if not clear or bold or last <= first or lowest < _ONE or max(across, across_last) >= highest:
+        first = last = start
+    for s in range(first + lane(), last, lanes()):
+        across = t0 + lean * (np.float32(s) - s0) + _HALF  # from before the picture
+        t = int(across)
+        right = across - np.float32(t)
+        at = s * s_stride + t * t_stride
+        add(picture, at - t_stride, inner * (_ONE - right), False)
+        add(picture, at, inner * right, False)
+    before = first - start
+    for n in range(lane(), before + stop - last, lanes()):
+        s = start + n if n < before else last + n - before
         centre = np.float32(s)
         amount, passed = inner, centre - s0
         if centre < s0 + _ONE or centre > s1 - _ONE:
@@ -231,7 +256,8 @@ def _cover(row, column, u0, v0, du, dv, length, radius):
 @inlined_function
 def add(picture, at, alpha, bold):
     """Add one drop's alpha to a pixel's optical depth."""
-    picture[at] = added(picture[at], alpha, bold)
+    here = np.uint64(at)  # no place is counted from the end
+    picture[here] = added(picture[here], alpha, bold)
 
 
 @device_function
@@ -267,40 +293,54 @@ def added(units, alpha, bold):
 def alpha_of(total):
     """Return the alpha of a pixel's summed optical depth."""
     optical = np.float32(min(total, np.int64(_CEILING))) * _PER_UNIT
-    alpha = optical * (_ONE - optical * (_HALF - optical * _SIXTH))
-    if optical >= _FAINT:
-        alpha = -np.expm1(-optical)
-    return alpha
+    return -np.expm1(-optical) if optical >= _FAINT else faint_alpha(optical)
+
+
+@device_function
+def faint_alpha(optical):
+    """Return the alpha of a small optical depth."""
+    return optical * (_ONE - optical * (_HALF - optical * _SIXTH))
 
 
 @device_function
 def read_depth(band, depth, columns_out, tile_depth_out):
     """Copy a band of rows, column by column, and find each tile's greatest and least depth."""
     height, width = depth.shape
-    first, end = band * BLOCK, min((band + 1) * BLOCK, height)
+    # Whole numbers without a sign: numba need not ask whether a place is counted from the end.
+    first, end = np.uint64(band * BLOCK), np.uint64(min((band + 1) * BLOCK, height))
     for tile in range(tile_depth_out.shape[2]):
-        most = least = depth[first, tile * BLOCK]
-        for column in range(tile * BLOCK, min((tile + 1) * BLOCK, width)):
-            at = column * height
-            for row in range(first, end):
-                z = depth[row, column]
-                columns_out[at + row] = z
-                most, least = max(most, z), min(least, z)
+        left, right = np.uint64(tile * BLOCK), np.uint64(min((tile + 1) * BLOCK, width))
+        most = least = depth[first, left]
+        for row in range(first, end):
+            for column in range(left, right):
+                most, least = max(most, depth[row, column]), min(least, depth[row, column])
         tile_depth_out[0, band, tile], tile_depth_out[1, band, tile] = most, least
+        for column in range(left, right):
+            at = column * np.uint64(height)
+            for row in range(first, end):
+                columns_out[at + row] = depth[row, column]
 
 
-@device_function
+@device_function(allocates=True)
 def resolve_band(band, picture, alpha_out):
     """Turn the workers' summed optical depths of a band into alpha, and blank them again."""
     height, width = alpha_out.shape
-    first, end = band * BLOCK, min((band + 1) * BLOCK, height)
-    workers = picture.shape[0]
-    for column in range(width):
-        at = column * height
-        for row in range(first, end):
-            total = np.int64(picture[0, at + row])
+    first, end = np.uint64(band * BLOCK), np.uint64(min((band + 1) * BLOCK, height))
+    rows, workers = end - first, picture.shape[0]
+    total = np.empty(BLOCK, np.int64)
+    for column in range(np.uint64(width)):
+        at, most = column * np.uint64(height) + first, np.int64(0)
+        for row in range(rows):
+            total[row] = picture[0, at + row]
             picture[0, at + row] = 0
             for worker in range(1, workers):
-                total += picture[worker, at + row]
+                total[row] += picture[worker, at + row]
                 picture[worker, at + row] = 0
-            alpha_out[row, column] = alpha_of(total)
+            most = max(most, total[row])
+        if most < _FAINT_UNITS:
+            for row in range(rows):
+                optical = np.float32(total[row]) * _PER_UNIT
+                alpha_out[first + row, column] = faint_alpha(optical)
+        else:
+            for row in range(rows):
+                alpha_out[first + row, column] = alpha_of(total[row])

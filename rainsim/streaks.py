@@ -328,12 +328,13 @@ def _may_show(x, y, z, x_end, y_end, z_end, lens, near, width, height, tile_dept
     """
     if z_end < _HALF * near:
         return HIDDEN
-    u, u_end = lens[0] * x / z + lens[2], lens[0] * x_end / z_end + lens[2]
-    v, v_end = lens[1] * y / z + lens[3], lens[1] * y_end / z_end + lens[3]
+    per_z, per_z_end = _ONE / z, _ONE / z_end
+    u, u_end = lens[0] * x * per_z + lens[2], lens[0] * x_end * per_z_end + lens[2]
+    v, v_end = lens[1] * y * per_z + lens[3], lens[1] * y_end * per_z_end + lens[3]
     nearest = min(z, z_end)
-    margin = lens[4] / nearest + _ONE  # half the largest drop, and the filter
+    margin = lens[4] * max(per_z, per_z_end) + _ONE  # half the largest drop, and the filter
     if lens[5] > _ZERO:
-        blur = max(abs(_ONE / z - lens[6]), abs(_ONE / z_end - lens[6]))
+        blur = max(abs(per_z - lens[6]), abs(per_z_end - lens[6]))
         margin += _HALF * lens[5] * blur
     left, right = max(min(u, u_end) - margin, _ZERO), min(max(u, u_end) + margin, width - _ONE)
     low, high = max(min(v, v_end) - margin, _ZERO), min(max(v, v_end) + margin, height - _ONE)
