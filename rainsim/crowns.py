@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rainsim.jit import device_function, serial_kernel
+from rainsim.jit import device_function, lean_function, serial_kernel
 from rainsim.marks import FAINTEST, lane, lanes
 from rainsim.random import subkey, uniform_triple
 
@@ -155,7 +155,7 @@ def _raise(position, drift, shapes, ids, exposure, count, out):
             raise_jet(x, y, z, diameter, age, pixel, exposure, count, out)
 
 
-@device_function
+@lean_function
 def raise_crown(
     x, y, z, drift_x, drift_y, diameter, age, life, growth, height, pixel, key, exposure, count, out
 ):  # fmt: skip
@@ -177,7 +177,7 @@ def raise_crown(
         )  # fmt: skip
 
 
-@device_function
+@lean_function
 def raise_jet(x, y, z, diameter, age, pixel, exposure, count, out):
     """Add the line of one impact's jet."""
     begin, end = max(age, _JET_START), min(age + exposure, LONGEST_JET)
@@ -189,7 +189,7 @@ def raise_jet(x, y, z, diameter, age, pixel, exposure, count, out):
     _line(x, y, z, x, y, z + tall, area, pixel, exposure, count, out)
 
 
-@device_function
+@lean_function
 def _ring(x, y, z, foot, top, thickness, share, pixel, key, exposure, count, out):
     """Add one crown at one moment: a jagged rim, and under it the sheet."""
     rim = foot + _FLARE * top
@@ -245,7 +245,7 @@ def _rim_point(angle, foot, top, fingers, phase_1, phase_2):
     return foot + _FLARE * high, high, math.cos(angle), math.sin(angle)
 
 
-@device_function
+@lean_function
 def _line(x0, y0, z0, x1, y1, z1, area, pixel, exposure, count, out):
     """Add a line of the given area [m2], unless it is too faint to be seen."""
     if area < FAINTEST * pixel * pixel:
@@ -259,7 +259,7 @@ def _line(x0, y0, z0, x1, y1, z1, area, pixel, exposure, count, out):
         out[row, 6] = math.sqrt(area * 4 / math.pi)
 
 
-@device_function
+@lean_function
 def next_row(count):
     """Return the number of rows before, and count one more."""
     count[0] += 1

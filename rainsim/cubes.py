@@ -10,7 +10,7 @@ import functools
 
 import numpy as np
 
-from rainsim.jit import device_function
+from rainsim.jit import device_function, lean_function
 from rainsim.random import mix, subkey, uniform
 from rainsim.spectrum import CLASSES, RainSpectrum
 
@@ -28,7 +28,7 @@ def cube_key(class_key, i, j, k):
     return subkey(subkey(subkey(class_key, i), j), k)
 
 
-@device_function
+@lean_function
 def drops_in_cube(key, size_class, count):
     """Return how many drops the cube of that key holds, by inverting the Poisson distribution."""
     chance = uniform(key)
@@ -44,7 +44,7 @@ def drop_id(key, drop):
     return subkey(key, drop + 1)
 
 
-@device_function
+@lean_function
 def left_out(word, size_class, z, vz, share, frame):
     """Tell whether a drop that would be at height z [m] at time 0 is not in the rain of its time.
 
@@ -60,7 +60,7 @@ def left_out(word, size_class, z, vz, share, frame):
     return uniform(mix(word ^ _SHARE_STREAM)) >= there
 
 
-@device_function
+@lean_function
 def drop_diameter(word, size_class, size):
     """Return the diameter [m] of the drop with that id: exponential within its class."""
     chance = uniform(mix(word ^ _DIAMETER_STREAM))

@@ -25,7 +25,7 @@ from rainsim.cubes import (
     slab_tasks,
 )
 from rainsim.errors import ParameterError, require_finite, require_not_negative
-from rainsim.jit import cpu_kernel, device_function, inlined_function, prange
+from rainsim.jit import cpu_kernel, inlined_function, lean_function, prange
 from rainsim.random import poisson_tables, uniform_triple
 from rainsim.spectrum import CLASSES, RainSpectrum, drop_volume
 from rainsim.surfaces import (
@@ -439,7 +439,7 @@ def _fill_impacts(
         needed_out[t] = found
 
 
-@device_function
+@lean_function
 def _heights_within(west, east, south, north, low, high):
     """Lowest and highest surface of the blocks under a rectangle, in blocks; empty: low > high."""
     z_low, z_high = np.inf, -np.inf

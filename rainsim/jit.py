@@ -101,19 +101,12 @@ from numba.extending import intrinsic, register_jitable  # noqa: E402
 # Not fastmath=True: that assumes away NaN and infinity, which kernels must see.
 _FAST = {"nsz", "arcp", "contract", "afn", "reassoc"}
 
-
-def device_function(function=None, allocates=False, **options):
-    """Mark a formula that kernels call, on any device; one that `allocates` arrays must say so.
-
-    The others need not count who holds an array: for functions of many arrays that counting, twice
-    for each array of each call, takes longer than what they do.
-    """
-    decorate = register_jitable(_nrt=allocates, **options)
-    return decorate if function is None else decorate(function)
-
-
+device_function = register_jitable
+# Numba counts who holds an array, twice for each array of each call: for functions of many arrays
+# that takes longer than what they do. These make no array, nor keep one, and count nothing.
+lean_function = register_jitable(_nrt=False)
 # Inlined by force: loops that LLVM is to vectorise must not hold calls.
-inlined_function = device_function(forceinline=True)
+inlined_function = register_jitable(forceinline=True, _nrt=False)
 
 
 def _kernel(**options):
@@ -141,6 +134,7 @@ __all__ = [
     "intrinsic",
     "ir",
     "kernel_folder",
+    "lean_function",
     "prange",
     "serial_kernel",
     "types",

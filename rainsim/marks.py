@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from rainsim.jit import device_function, inlined_function
+from rainsim.jit import device_function, inlined_function, lean_function
 from rainsim.surfaces import BLOCK
 
 FAINTEST = 3e-3  # share of light: half of it falls to each of two pixels, and at a contrast of 0.4
@@ -37,7 +37,7 @@ _FARTHEST = np.float32(1e6)  # px
 _SHORTEST = np.float32(0.05)  # px; length given to a path that hardly moves
 
 
-@device_function
+@lean_function
 def draw_path(
     x, y, z, x_end, y_end, z_end, share, diameter, lens, near, width, height, depth, clear, picture
 ):  # fmt: skip
@@ -99,7 +99,7 @@ def draw_path(
         z0, per_z0, u0, v0 = z1, per_z1, u1, v1
 
 
-@device_function
+@lean_function
 def _draw_strips(u0, v0, z0, u1, v1, z1, wide, alpha, width, height, depth, clear, picture):
     """Spread `alpha` over a wide path that is much longer than wide, as thin paths side by side.
 
@@ -125,7 +125,7 @@ def _draw_strips(u0, v0, z0, u1, v1, z1, wide, alpha, width, height, depth, clea
             _draw_thin(u, v, z0, a, b, z1, part, width, height, height, 1, depth, clear, picture)
 
 
-@device_function
+@lean_function
 def _draw_thin(
     s0, t0, z0, s1, t1, z1, alpha, s_count, t_count, s_stride, t_stride, depth, clear, picture
 ):  # fmt: skip
@@ -190,7 +190,7 @@ def _hat_integral(x):
     return _HALF + x - _HALF * x * abs(x)
 
 
-@device_function
+@lean_function
 def _draw_disc(u0, v0, z0, u1, v1, z1, radius, alpha, width, height, depth, clear, picture):
     """Spread `alpha` over a moving disc by the share of time that it covers each pixel."""
     du, dv = u1 - u0, v1 - v0
@@ -302,7 +302,7 @@ def faint_alpha(optical):
     return optical * (_ONE - optical * (_HALF - optical * _SIXTH))
 
 
-@device_function
+@lean_function
 def read_depth(band, depth, columns_out, tile_depth_out):
     """Copy a band of rows, column by column, and find each tile's greatest and least depth."""
     height, width = depth.shape
@@ -321,7 +321,7 @@ def read_depth(band, depth, columns_out, tile_depth_out):
                 columns_out[at + row] = depth[row, column]
 
 
-@device_function(allocates=True)
+@device_function
 def resolve_band(band, picture, alpha_out):
     """Turn the workers' summed optical depths of a band into alpha, and blank them again."""
     height, width = alpha_out.shape

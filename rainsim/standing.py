@@ -395,7 +395,7 @@ def pour(leaf, volume, links, capacity, passes_out, water_out, full_out, whole_o
     return volume, at
 
 
-@device_function(allocates=True)
+@device_function
 def spread(bed, order, node, links, rim, water, full, whole, depth_out):
     """Turn the volume of each depression into a level and the level into depths."""
     count = rim.size

@@ -23,7 +23,7 @@ from rainsim.cubes import (
     slab_tasks,
 )
 from rainsim.errors import ParameterError, require_not_negative, require_positive
-from rainsim.jit import cpu_kernel, device_function, prange, set_threads
+from rainsim.jit import cpu_kernel, lean_function, prange, set_threads
 from rainsim.marks import FAINTEST, draw_path, read_depth, resolve_band
 from rainsim.random import uniform_triple
 from rainsim.spectrum import CLASSES, LARGEST
@@ -287,7 +287,7 @@ def _draw_list(
         resolve_band(band, picture, alpha_out)
 
 
-@device_function
+@lean_function
 def _to_camera(rotation, eye, x, y, z, out):
     """Take a point to the camera frame; the subtraction is in float64, the rest is near 0."""
     x, y, z = x - eye[0], y - eye[1], z - eye[2]
@@ -295,7 +295,7 @@ def _to_camera(rotation, eye, x, y, z, out):
         out[a] = rotation[a, 0] * x + rotation[a, 1] * y + rotation[a, 2] * z
 
 
-@device_function
+@lean_function
 def _place(base, axes, ux, uy, uz):
     """Return the camera-frame place of a drop that is at (ux, uy, uz) of its cube."""
     x, y, z = np.float32(ux), np.float32(uy), np.float32(uz)
@@ -306,7 +306,7 @@ def _place(base, axes, ux, uy, uz):
     )
 
 
-@device_function
+@lean_function
 def _cube_in_view(base, base_end, axes, radius, planes, near, far):
     """Tell whether a moving cube's bounding sphere meets the view; base is its lower corner."""
     x = (base[0] + base_end[0] + axes[0, 0] + axes[0, 1] + axes[0, 2]) * _HALF
@@ -320,7 +320,7 @@ def _cube_in_view(base, base_end, axes, radius, planes, near, far):
     return True
 
 
-@device_function
+@lean_function
 def _may_show(x, y, z, x_end, y_end, z_end, lens, near, width, height, tile_depth):
     """Tell whether a path's image may be in the picture: HIDDEN, PARTLY or CLEAR.
 

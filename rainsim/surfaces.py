@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from rainsim.errors import ParameterError, require_positive
-from rainsim.jit import device_function
+from rainsim.jit import device_function, lean_function
 
 GROUND, OBSTACLE = 0, 1  # what was hit
 _MISSED, _LOST = -1, -2  # nothing up to the end of the line; stopped before it entered the map
@@ -118,7 +118,7 @@ def grow_blocks(reduce, blocks):
     return np.ascontiguousarray(blocks)
 
 
-@device_function
+@lean_function
 def first_hit(
     x, y, z, vx, vy, vz, since, end, x0, y0, spacing, sky, ground, underside, top, block_high
 ):  # fmt: skip
@@ -185,7 +185,7 @@ def first_hit(
             return _INFINITY, _MISSED, 0, 0
 
 
-@device_function
+@lean_function
 def stopped_at(x, y, z, x0, y0, spacing, ground, underside, top):
     """Tell whether the point lies well inside a solid of the map (a cheap test before the line)."""
     i, j = int((x - x0) / spacing), int((y - y0) / spacing)
@@ -196,7 +196,7 @@ def stopped_at(x, y, z, x0, y0, spacing, ground, underside, top):
     return z < top[j, i] - _SKIN and z > underside[j, i] + _SKIN
 
 
-@device_function
+@lean_function
 def _search_block(
     block_j, block_i, begin, stop, z, vz, column_at, row_at, column_speed, row_speed,
     midway, ground, underside, top,

@@ -129,7 +129,7 @@ def in_halves(splats, prepared):
     return replace(full, sh=sh, fine=fine)
 
 
-@device_function(allocates=True)
+@device_function
 def color_half(g, sh, fine, step, eye, orthographic, bands, s):
     """Twin of `color_chunk` for `in_halves`."""
     low, high = np.empty(len(sh), np.float32), np.empty(len(fine), np.float32)
