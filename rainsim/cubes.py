@@ -81,6 +81,36 @@ def _shuffled(count):
     return np.random.Generator(np.random.PCG64(0)).permutation(count)
 
 
+def swept_cubes(field, surfaces, start, stop, within=None):
+    """Return the cubes whose drops may end on the map in an interval.
+
+    Parameters
+    ----------
+    field, surfaces, within
+        As `drops.impacts` has them.
+    start, stop : float or ndarray of shape (CLASSES,) [s]
+
+    Returns
+    -------
+    first, last : ndarray of shape (CLASSES, 3), int64
+        The first and last cubes of each class; `drops.cubes_swept` says which of them along z.
+    corner, opposite : ndarray of shape (2,) [m]
+        Of the part of the map that is asked for.
+    """
+    start = np.asarray(start, np.float64)[..., None]
+    corner, ny, nx = np.array(surfaces.origin, np.float64), *surfaces.shape
+    opposite = corner + np.array([nx, ny]) * surfaces.spacing
+    if within is not None:
+        corner = np.maximum(corner, within[0])
+        opposite = np.maximum(np.minimum(opposite, within[1]), corner)
+    drift, offset = field.velocity * (np.asarray(stop)[..., None] - start), field.velocity * start
+    first, last = field.cube_range(
+        np.append(corner, 0.0) - np.maximum(drift, 0.0) - offset,
+        np.append(opposite, 0.0) - np.minimum(drift, 0.0) - offset,
+    )
+    return first, last, corner, opposite
+
+
 def cube_sides():
     """Return the cube side [m] of each class: a power of two that holds some drops."""
     density = RainSpectrum(_FILL_RATE).density

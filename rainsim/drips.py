@@ -192,7 +192,7 @@ def fallen(time, diameter):
 
 
 def drips_seen(table, time, exposure):
-    """Return position, velocity and diameter of drips as `draw_droplets` takes them.
+    """Return drips as `streaks.draw_lines` takes them, (n, 7).
 
     A drip that lands while the shutter is open is there for a share of the exposure.
     """
@@ -203,7 +203,7 @@ def drips_seen(table, time, exposure):
     position = np.stack([table[:, 0], table[:, 1], table[:, 2] - high], axis=1)
     velocity = np.zeros_like(position)
     velocity[:, 2] = (high - low) / exposure
-    return position, velocity, table[:, 4] * np.sqrt((end - begin) / exposure)
+    return np.column_stack([position, velocity, table[:, 4] * np.sqrt((end - begin) / exposure)])
 
 
 def drip_impacts(table, ids, surfaces, before, after):

@@ -23,6 +23,7 @@ from rainsim.cubes import (
     left_out,
     size_tables,
     slab_tasks,
+    swept_cubes,
 )
 from rainsim.errors import ParameterError, require_finite, require_not_negative
 from rainsim.jit import cpu_kernel, inlined_function, lean_function, prange
@@ -239,17 +240,7 @@ def impacts(field, surfaces, start, stop, smallest=0.0, within=None):
     """
     start = require_finite("start", start)
     duration = require_not_negative("stop - start", stop - start, "s")
-    corner = np.array([*surfaces.origin, 0.0])
-    ny, nx = surfaces.shape
-    opposite = corner + np.array([nx, ny, 0.0]) * surfaces.spacing
-    if within is not None:
-        corner[:2] = np.maximum(corner[:2], within[0])
-        opposite[:2] = np.maximum(np.minimum(opposite[:2], within[1]), corner[:2])
-    drift = field.velocity * duration
-    offset = field.velocity * start
-    first, last = field.cube_range(
-        corner - np.maximum(drift, 0.0) - offset, opposite - np.minimum(drift, 0.0) - offset
-    )
+    first, last, corner, opposite = swept_cubes(field, surfaces, start, stop, within)
     tasks = slab_tasks(first, last)
     tasks = tasks[field.spectrum.edges[tasks[:, 0] + 1] > smallest]
     flux = field.listed.density * field.listed.speed * field.cube * duration
@@ -261,7 +252,7 @@ def impacts(field, surfaces, start, stop, smallest=0.0, within=None):
     )  # fmt: skip
     if within is not None:
         place = values[:, :2]
-        inside = ((place >= corner[:2]) & (place < opposite[:2])).all(axis=1)
+        inside = ((place >= corner) & (place < opposite)).all(axis=1)
         values, labels, ids = values[inside], labels[inside], ids[inside]
     return Impacts(
         position=np.ascontiguousarray(values[:, :3]),

@@ -12,8 +12,10 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from rainsim import optics, shade
+from rainsim.drips import drip_impacts
 from rainsim.errors import ParameterError
-from rainsim.splash import seen_splashes
+from rainsim.splash import LONGEST_LIFE
+from rainsim.splashview import seen_splashes
 from rainsim.streaks import NEAR
 
 PICTURE, SHARE, INDEX, DATA = "picture", "share", "index", "data"  # kinds, see `Layer`
@@ -251,9 +253,10 @@ def _splash_id(shot):
     rows, columns = np.nonzero(shot.splash > SEEN_SPLASH)
     if shot.field is None or not len(rows):
         return labels
+    time, drips = shot.state.time, (shot.state.drips, shot.state.drip_id, shot.surfaces)
     found = seen_splashes(
-        shot.field, shot.surfaces, shot.camera, shot.state.time, shot.exposure, shot.state.depth,
-        shot.film,
+        shot.field, shot.surfaces, shot.camera, time, shot.exposure, shot.state.depth, shot.film,
+        more=drip_impacts(*drips, time - LONGEST_LIFE, time + shot.exposure),
     )  # fmt: skip
     if not len(found):
         return labels

@@ -15,8 +15,9 @@ from rainsim.errors import ParameterError, require_choice
 from rainsim.motion import shutter_end
 from rainsim.raster import Rasterizer, prepare
 from rainsim.simulation import rain_exposure, surfaces_of, usual_wind
-from rainsim.splash import LONGEST_LIFE, WET_FILM, draw_splashes
-from rainsim.streaks import NO_FOG, draw_droplets, draw_streaks, fog_table, streak_reach
+from rainsim.splash import LONGEST_LIFE, WET_FILM
+from rainsim.splashview import draw_splashes
+from rainsim.streaks import NO_FOG, draw_streaks, fog_table, streak_reach
 from rainsim.traced import Tracer
 from rainsim.waterview import View, WaterView
 from rainsim.weather import Weather
@@ -235,11 +236,8 @@ class Renderer:
             paperrain.draw_lines(*where, state.time, config.streak_far, self.wet.depth, rain)
         else:
             draw_streaks(
-                *where, state.time, config.exposure, self.wet.depth, self.reach, rain, *lens
-            )
-            draw_droplets(
-                *drips_seen(state.drips, state.time, config.exposure), self.view, config.exposure,
-                self.wet.depth, rain, *lens,
+                *where, state.time, config.exposure, self.wet.depth, self.reach, rain, *lens,
+                more=drips_seen(state.drips, state.time, config.exposure),
             )  # fmt: skip
         timer.mark("streaks")
         if config.splashes == "paper":

@@ -2,7 +2,7 @@
 
 Whether a drop splashes follows published thresholds; its crown's size (see `crowns`) and how
 many droplets it throws, how big and how fast they are is set by eye, not validated against
-measurement. Splashes are drawn and forgotten: their water (a few percent of the
+measurement. Splashes are drawn (see `splashview`) and forgotten: their water (a few percent of the
 drop's) stays booked where the drop fell.
 """
 
@@ -13,26 +13,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rainsim.crowns import FINE_PIXEL, JET_FROM, LONGEST_CROWN, crown_life, crown_lines
-from rainsim.drops import GROUND, Impacts
-from rainsim.drops import impacts as list_impacts
 from rainsim.errors import ParameterError, require_finite, require_not_negative
 from rainsim.jit import device_function, serial_kernel
 from rainsim.marks import FAINTEST
 from rainsim.random import subkey, uniform_triple
-from rainsim.spectrum import terminal_speed
-from rainsim.streaks import NEAR, draw_droplets
-
-__all__ = [
-    "LONGEST_LIFE",
-    "SMALLEST_SPLASH",
-    "Droplets",
-    "draw_droplets",
-    "draw_splashes",
-    "seen_splashes",
-    "splash_droplets",
-    "splashes",
-]
 
 LONGEST_LIFE = 0.12  # s; impacts older than this have no droplets in the air any more
 SMALLEST_SPLASH = 0.65e-3  # m; smaller drops at terminal speed splash on nothing
@@ -173,111 +157,6 @@ def splash_droplets(impacts, water_depth, now, exposure=0.0):
     )
 
 
-def draw_splashes(
-    field, surfaces, camera, time, exposure, water_depth, film, depth, alpha_out, camera_end=None,
-    aperture=0.0, focus=math.inf, more=None,
-):  # fmt: skip
-    """Draw all that an exposure sees of splashes: crowns, jets and droplets.
-
-    Parameters
-    ----------
-    field : RainField
-    surfaces : Surfaces
-        What the drops fall on: ground, puddles, tables and roofs.
-    camera : Camera
-        Perspective, in the ground frame, in metres.
-    time, exposure : float [s]
-        The shutter is open from `time` to `time + exposure`.
-    water_depth : ndarray of shape (ny, nx) [m]
-        Water on the ground of the map, now.
-    film : float [m]
-        Water on all else, and at least that on the ground: WET_FILM in the rain, 0 at its start.
-    depth : ndarray of shape (height, width), float32 [m]
-        Depth along the view axis of what the splashes are before or behind; inf for sky.
-    alpha_out : ndarray of shape (height, width), float32
-        Overwritten with the share of light that splashes replace.
-    camera_end : Camera or None
-        The camera when the shutter closes, if it moves.
-    aperture, focus : float [m]
-        As in `draw_streaks`.
-    more : Impacts or None
-        Of drops that are not the field's: drips.
-    """
-    alpha_out[...] = 0
-    nearest = max(float(depth.min()), NEAR)
-    recent, crowned, thrown = _splashing(
-        field, surfaces, camera, time, exposure, water_depth, film, nearest
-    )
-    parts = []
-    if more is not None and len(more):
-        own = _Wet(more, camera, water_depth, film)
-        parts = [own.lines(time, exposure), own.droplets(time, exposure)]
-    parts += [
-        recent.lines(time, exposure), crowned.lines(time, exposure, jets=False),
-        thrown.lines(time, exposure, crowns=False),
-        recent.droplets(time, exposure), thrown.droplets(time, exposure),
-    ]  # fmt: skip
-    draw_droplets(
-        *(np.concatenate([getattr(p, n) for p in parts])
-          for n in ("position", "velocity", "diameter")),
-        camera, exposure, depth, alpha_out, camera_end, aperture, focus,
-    )  # fmt: skip
-
-
-def seen_splashes(field, surfaces, camera, time, exposure, water_depth, film):
-    """Return the impacts that splash where the camera may see it; as in `draw_splashes`."""
-    parts = _splashing(field, surfaces, camera, time, exposure, water_depth, film, NEAR)
-    names = Impacts.__dataclass_fields__
-    every = Impacts(*(np.concatenate([getattr(p.found, n) for p in parts]) for n in names))
-    return every.take(np.unique(every.id, return_index=True)[1])
-
-
-def _splashing(field, surfaces, camera, time, exposure, water_depth, film, nearest):
-    """Return what splashes in view, as three lists.
-
-    What fell in the last milliseconds; the big drops before it, whose crowns may still stand; and
-    those before it near the camera whose droplets and jets may be in the air.
-    """
-    smallest = SMALLEST_ON_FILM if film > _WET else SMALLEST_SPLASH
-    focal = max(camera.fx, camera.fy)
-    near, all_around = footprint(camera, FINE_PIXEL * focal), footprint(camera, _FARTHEST)
-    lately = time - crown_life(_BIG, float(terminal_speed(_BIG)))
-    least = max(smallest, least_seen(nearest / focal, exposure) / _LARGEST_SHARE)
-    if water_depth.max() > JET_FROM * smallest:
-        least = smallest
-    parts = (
-        (lately, time + exposure, smallest, all_around),
-        (time - LONGEST_CROWN, lately, _BIG, all_around),
-        (time - LONGEST_LIFE, lately, least, near),
-    )
-    return [_Wet(list_impacts(field, surfaces, *part), camera, water_depth, film) for part in parts]
-
-
-class _Wet:
-    """Impacts that splash in the picture, with the water there and a pixel's width."""
-
-    def __init__(self, found, camera, water_depth, film):
-        found, pixel = _in_view(found, camera)
-        under = np.where(found.kind == GROUND, water_depth[found.row, found.column], 0.0) + film
-        splash = splashes(found, under)
-        self.found, self.pixel, self.under = found.take(splash), pixel[splash], under[splash]
-
-    def droplets(self, time, exposure):
-        """Return the droplets that are large enough to be seen."""
-        clear = self.found.diameter * _LARGEST_SHARE > least_seen(self.pixel, exposure)
-        clear &= self.pixel < FINE_PIXEL
-        return splash_droplets(self.found.take(clear), self.under[clear], time, exposure)
-
-    def lines(self, time, exposure, crowns=True, jets=True):
-        """Return the crowns and jets of what fell on water."""
-        wet = self.under > _WET
-        found, under = self.found.take(wet), self.under[wet]
-        size = relative_size(under / found.diameter)
-        return crown_lines(
-            found, under, size, time, exposure, self.pixel[wet], crowns=crowns, jets=jets
-        )
-
-
 @device_function
 def least_seen(pixel, exposure):
     """Return the diameter [m] of a droplet in flight that replaces FAINTEST of a pixel's light."""
@@ -293,21 +172,6 @@ def footprint(camera, reach):
     points = reach * rays @ camera.camera_from_world[:3, :3] + camera.position
     points = np.concatenate([points, camera.position[None]])[:, :2]
     return np.stack([points.min(axis=0) - _MARGIN, points.max(axis=0) + _MARGIN])
-
-
-def _in_view(found, camera):
-    """Return the impacts that the camera may see splash, and the size of a pixel there [m]."""
-    local = found.position @ camera.camera_from_world[:3, :3].T + camera.camera_from_world[:3, 3]
-    z = local[:, 2]
-    seen = z > 0.05
-    for axis, focal, centre, count in (
-        (0, camera.fx, camera.cx, camera.width),
-        (1, camera.fy, camera.cy, camera.height),
-    ):
-        reach = focal * _MARGIN
-        at = focal * local[:, axis]
-        seen &= (at + centre * z > -reach) & (at + (centre - count) * z < reach)
-    return found.take(seen), z[seen] / max(camera.fx, camera.fy)
 
 
 @device_function

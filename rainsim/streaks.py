@@ -37,12 +37,13 @@ _ZERO, _HALF, _ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
 
 NO_FOG = np.zeros(FOG_STEPS + 3, np.float32)  # the fog table of dry air
 NO_FOG[0] = 1.0
+NO_LINES = np.zeros((0, 7))
 _OPEN = flat_surfaces(1.0, 1.0, 1.0, origin=(1e9, 1e9))  # nothing to hit, far away
 
 
 def draw_streaks(
     field, surfaces, camera, time, exposure, depth, far, alpha_out, camera_end=None,
-    aperture=0.0, focus=math.inf,
+    aperture=0.0, focus=math.inf, more=NO_LINES,
 ):  # fmt: skip
     """Draw the drops between NEAR and `far` as they move during the exposure.
 
@@ -67,6 +68,8 @@ def draw_streaks(
     aperture, focus : float [m]
         Diameter of the lens's opening, 0 for a pinhole, and the depth that is in focus. A drop at
         depth z is spread over aperture f |1/z - 1/focus| pixels, its summed alpha unchanged.
+    more : ndarray of shape (n, 7), float64
+        Drops that are not the field's, such as drips: see `draw_lines`.
 
     Raises
     ------
@@ -91,7 +94,7 @@ def draw_streaks(
     _draw_field(
         tasks, first, last, float(time), float(exposure), *field.arrays(),
         *_views(camera, camera_end, aperture, focus),
-        np.float32(NEAR), far.astype(np.float32), slack, *surfaces.arrays(), depth,
+        np.float32(NEAR), far.astype(np.float32), slack, *surfaces.arrays(), more, depth,
         *_scratch(depth.shape), alpha_out,
     )  # fmt: skip
 
@@ -114,10 +117,8 @@ def draw_droplets(
     """
     _check(camera, exposure, depth, alpha_out)
     own = np.empty_like(alpha_out)
-    _draw_list(
-        np.ascontiguousarray(position), np.ascontiguousarray(velocity),
-        np.ascontiguousarray(diameter),
-        float(exposure),
+    _draw_lines(
+        np.column_stack([position, velocity, diameter]), float(exposure),
         *_views(camera, camera if camera_end is None else camera_end, aperture, focus),
         np.float32(NEAR), depth, *_scratch(depth.shape), own,
     )  # fmt: skip
@@ -178,10 +179,10 @@ def fog_table(field, far):
 def _draw_field(
     tasks, first, last, time, exposure, velocity, cube, class_key, count, size, share, frame,
     rotation, eye, rotation_end, eye_end, lens, planes, near, far, slack,
-    x0, y0, spacing, sky, ground, underside, top, block_high, depth_map, depth, tile_depth,
+    x0, y0, spacing, sky, ground, underside, top, block_high, more, depth_map, depth, tile_depth,
     picture, alpha_out,
 ):  # fmt: skip
-    """List the drops in view, slab by slab of cubes, and draw each.
+    """List the drops in view, slab by slab of cubes, and draw each, and `more`.
 
     Each worker has a picture of its own; adding whole numbers makes their sum exact.
     """
@@ -194,6 +195,10 @@ def _draw_field(
         mine = picture[worker]
         base, base_end = np.empty(3, np.float32), np.empty(3, np.float32)
         axes, axes_end = np.empty((3, 3), np.float32), np.empty((3, 3), np.float32)
+        draw_lines(
+            more, worker, len(more), workers, exposure, rotation, eye, rotation_end, eye_end, lens,
+            near, width, height, depth, tile_depth, base, base_end, mine,
+        )  # fmt: skip
         for t in range(worker, tasks.shape[0], workers):
             b, i = tasks[t]
             side = cube[b]
@@ -251,40 +256,52 @@ def _draw_field(
 
 
 @cpu_kernel
-def _draw_list(
-    position, velocity, diameter, exposure,
-    rotation, eye, rotation_end, eye_end, lens, planes, near, depth_map, depth, tile_depth, picture,
-    alpha_out,
+def _draw_lines(
+    lines, exposure, rotation, eye, rotation_end, eye_end, lens, planes, near, depth_map, depth,
+    tile_depth, picture, alpha_out,
 ):  # fmt: skip
     """Draw listed drops."""
     workers = picture.shape[0]
     height, width = alpha_out.shape
-    high, wide = np.float32(height), np.float32(width)
     for band in prange(tile_depth.shape[1]):
         read_depth(band, depth_map, depth, tile_depth)
     for worker in prange(workers):
-        mine = picture[worker]
         here, there = np.empty(3, np.float32), np.empty(3, np.float32)
-        for d in range(worker, position.shape[0], workers):
-            x, y, z = position[d]
-            _to_camera(rotation, eye, x, y, z, here)
-            vx, vy, vz = velocity[d]
-            _to_camera(
-                rotation_end, eye_end,
-                x + vx * exposure, y + vy * exposure, z + vz * exposure, there,
-            )  # fmt: skip
-            p, q, r = here
-            p_end, q_end, r_end = there
-            if near > r:
-                continue
-            shows = _may_show(p, q, r, p_end, q_end, r_end, lens, near, wide, high, tile_depth)
-            if shows != HIDDEN:
-                draw_path(
-                    p, q, r, p_end, q_end, r_end, _ONE, np.float32(diameter[d]),
-                    lens, near, width, height, depth, shows == CLEAR, mine,
-                )  # fmt: skip
+        draw_lines(
+            lines, worker, len(lines), workers, exposure, rotation, eye, rotation_end, eye_end,
+            lens, near, width, height, depth, tile_depth, here, there, picture[worker],
+        )  # fmt: skip
     for band in prange(tile_depth.shape[1]):
         resolve_band(band, picture, alpha_out)
+
+
+@lean_function
+def draw_lines(
+    lines, first, end, step, exposure, rotation, eye, rotation_end, eye_end, lens, near, width,
+    height, depth, tile_depth, here, there, picture,
+):  # fmt: skip
+    """Draw every `step`-th of listed drops from `first` on, up to `end`.
+
+    `lines` has seven columns: place [m] when the shutter opens, velocity [m/s] and diameter [m].
+    `here` and `there` are scratch, three float32 each.
+    """
+    high, wide = np.float32(height), np.float32(width)
+    for d in range(first, end, step):
+        x, y, z = lines[d, 0], lines[d, 1], lines[d, 2]
+        _to_camera(rotation, eye, x, y, z, here)
+        x, y = x + lines[d, 3] * exposure, y + lines[d, 4] * exposure
+        _to_camera(rotation_end, eye_end, x, y, z + lines[d, 5] * exposure, there)
+        if near > here[2]:
+            continue
+        shows = _may_show(
+            here[0], here[1], here[2], there[0], there[1], there[2], lens, near, wide, high,
+            tile_depth,
+        )  # fmt: skip
+        if shows != HIDDEN:
+            draw_path(
+                here[0], here[1], here[2], there[0], there[1], there[2], _ONE,
+                np.float32(lines[d, 6]), lens, near, width, height, depth, shows == CLEAR, picture,
+            )  # fmt: skip
 
 
 @lean_function

@@ -17,7 +17,8 @@ from rainsim.grid import WaterSolver
 from rainsim.jit import set_threads
 from rainsim.ripples import RippleTile, angular_frequency, tile_impacts
 from rainsim.scene.types import Camera
-from rainsim.splash import WET_FILM, draw_splashes
+from rainsim.splash import WET_FILM
+from rainsim.splashview import draw_splashes
 from rainsim.streaks import draw_streaks, fog_optical_depth, streak_reach
 
 RATES = (1.0, 10.0, 50.0, 100.0)  # mm/h

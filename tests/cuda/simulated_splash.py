@@ -8,7 +8,7 @@ from rainsim.cuda.splash import Splashes
 from rainsim.cuda.streaks import Streaks
 from rainsim.drops import RainField, RainSpectrum, flat_surfaces
 from rainsim.scene.types import Camera
-from rainsim.splash import draw_splashes
+from rainsim.splashview import draw_splashes
 
 assert simulated()
 # Plain numpy numbers warn where a GPU's wrap.

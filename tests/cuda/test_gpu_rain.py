@@ -6,7 +6,7 @@ import pytest
 from rainsim.drops import GROUND, RainField, RainSpectrum, Surfaces, impacts
 from rainsim.ripples import RippleTile
 from rainsim.scene.types import Camera
-from rainsim.splash import draw_splashes
+from rainsim.splashview import draw_splashes
 from rainsim.streaks import draw_streaks, streak_reach
 from rainsim.watersurface import ripple_levels
 

@@ -7,7 +7,8 @@ from rainsim.crowns import LONGEST_CROWN, crown_lines
 from rainsim.drops import Impacts, RainField, RainSpectrum, Surfaces, flat_surfaces
 from rainsim.scene.types import Camera
 from rainsim.spectrum import terminal_speed
-from rainsim.splash import WET_FILM, draw_splashes, splash_droplets
+from rainsim.splash import WET_FILM, splash_droplets
+from rainsim.splashview import draw_splashes, seen_splashes
 
 
 def fallen(diameters, time=0.0):
@@ -120,3 +121,20 @@ def test_splashes_live_for_some_frames_and_threads_do_not_matter(threads):
     assert first.tobytes() == drawn(ground, 1.0, exposure=1e-3).tobytes()
     alike, other = (np.corrcoef(first.ravel(), a.ravel())[0, 1] for a in (soon, late))
     assert alike > 0.4 > 0.2 > other
+
+
+def test_drips_splash_beside_the_rain_and_are_known_by_their_ids():
+    ground, view = flat_surfaces(4, 4, 0.05), camera()
+    drip = fallen([4.5e-3])
+    drip.position[:, :2] = 2.0, 2.0
+    dry = RainField(RainSpectrum(0), seed=1)
+    water = np.zeros(ground.shape, np.float32)
+    where = (dry, ground, view, drip.time[0] + 2e-3, 2e-3, water, WET_FILM)
+    alpha = np.full((view.height, view.width), np.nan, np.float32)
+    depth = np.full_like(alpha, np.inf)
+    draw_splashes(*where, depth, alpha, more=drip)
+    assert alpha.max() > 0.1
+    draw_splashes(*where, depth, alpha)
+    assert alpha.max() == 0
+    assert list(seen_splashes(*where, more=drip).id) == list(drip.id)
+    assert len(seen_splashes(*where)) == 0
