@@ -175,7 +175,7 @@ def test_the_mirrored_camera_sees_a_point_where_its_mirror_image_is(scene):
 
 def test_streaks_are_drawn_with_the_pose_at_the_shutters_close(scene, camera, monkeypatch):
     seen = []
-    monkeypatch.setattr(rendering, "draw_streaks", lambda *a: seen.append(a[8]))
+    monkeypatch.setattr(rendering, "draw_streaks", lambda *a, more: seen.append(a[8]))
     near = scene.ground_frame.camera_in_ground(camera)
     matrix = near.camera_from_world.copy()
     matrix[0, 3] -= 0.05  # m to its right
