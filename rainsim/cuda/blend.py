@@ -21,13 +21,14 @@ from rainsim.cuda.jit import (
     load4,
     store4,
 )
-from rainsim.cuda.project import FAINT, LENS, RECORD, SPLAT_BITS, SPLAT_MASK
+from rainsim.cuda.project import FAINT, LENS, NEAR, RECORD, SPLAT_BITS, SPLAT_MASK
 from rainsim.raster.blend import HALF, ONE, TRANSMITTANCE_STOP, ZERO, finish_pixel
 from rainsim.raster.lanes import LAST_LIGHT, MAX_ALPHA
 from rainsim.raster.project import MIN_ALPHA_LOG2, TILE
 
 SQUARE = 8  # px, side of what a warp owns
 WARPS = 4  # of a block: the four quarters of a tile
+SIZE = NEAR + 1  # place of the drawn part's width and height among a camera's numbers
 SHARED = WARPS * (32 + 1) * RECORD
 MOST = np.float32(MAX_ALPHA)
 LAST = np.float32(LAST_LIGHT)
@@ -83,7 +84,7 @@ def blend_pixel_by_pixel(
 ):  # fmt: skip
     """Blend each tile's list: the plain way, a thread a pixel."""
     x, y = cuda.grid(2)
-    if x >= width or y >= height:
+    if x >= min(width, int(now[SIZE])) or y >= min(height, int(now[SIZE + 1])):
         return
     tile = y // TILE * ((width + TILE - 1) // TILE) + x // TILE
     px, py = np.float32(x) + HALF, np.float32(y) + HALF
@@ -186,6 +187,8 @@ def _blend_squares(median, drop_last):
         sy = np.int32(np.int32(row * TILE) + np.int32(np.int32(quarter >> 1) * SQUARE))
         x, y = np.int32(sx + np.int32(lane & 7)), np.int32(sy + np.int32(lane >> 3))
         px, py = np.float32(x) + HALF, np.float32(y) + HALF
+        if np.float32(sx) >= now[SIZE] or np.float32(sy) >= now[SIZE + 1]:
+            return  # beyond what is drawn of the picture: no warp waits for this one
         left, top = np.float32(sx) + HALF, np.float32(sy) + HALF
         right, bottom = left + SEVEN, top + SEVEN
         at, stop = begin[tile], end[tile]

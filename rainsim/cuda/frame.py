@@ -266,19 +266,19 @@ class Renderer(HostRenderer):
     def _grade(self):
         n = self.numbers
         self.grade(
-            self.rasterizer.layers, n["turn"], n["eye"], self._picture, self._depth,
+            self.rasterizer, self._size, n["turn"], n["eye"], self._picture, self._depth,
             self._clearance,
         )  # fmt: skip
 
-    def grade(self, layers, turn, eye, picture, depth, clearance):
-        """Queue the grading and wetting of a splatted picture."""
-        shape, n = self._size, self.numbers
+    def grade(self, rasterizer, shape, turn, eye, picture, depth, clearance):
+        """Queue the grading and wetting of what a rasterizer has drawn, a picture of `shape`."""
+        layers, n = rasterizer.layers, self.numbers
         shading.grade_and_wet[shading.blocks(*shape), shading.BLOCK, self.stream](
-            layers.color.reshape(*shape, 3), layers.alpha.reshape(shape),
+            rasterizer.size, layers.color.reshape(*shape, 3), layers.alpha.reshape(shape),
             layers.depth.reshape(shape), layers.plane_depth.reshape(shape),
             layers.normal.reshape(*shape, 3), np.float32(self.frame.meters_per_unit),
-            turn, eye, n["lens"], self._bed, self._ground, *self._place, self._gloss, self._sky,
-            n["look"], n["others"], picture, depth, clearance,
+            turn, eye, rasterizer.lens, self._bed, self._ground, *self._place, self._gloss,
+            self._sky, n["look"], n["others"], picture, depth, clearance,
         )  # fmt: skip
 
     def _meet_water(self):
@@ -303,7 +303,8 @@ class Renderer(HostRenderer):
             self._hit, self._coverage, self._picture, self._depth, self._tall, self._near,
             n["turn"], n["eye"], n["lens"], self._surface.over, self._exposed,
             *self._place, *self._slopes, self._rms, self._tile, self._around,
-            n["settings"], self.mirrors.range, self.mirrors.picture, self.mirrors.depth,
+            n["settings"], self.mirrors.range, self.mirrors.window, self.mirrors.picture,
+            self.mirrors.depth,
             *self.water.laws(), n["sun"], self._shown,
         )  # fmt: skip
 

@@ -9,42 +9,93 @@ in a recorded queue is fixed; when a frame wants more, it is recorded anew and d
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
-from rainsim.cuda import project, shading
-from rainsim.cuda.jit import cuda, cuda_kernel, pinned
+from rainsim.cuda import project
+from rainsim.cuda.jit import cuda, cuda_device, cuda_kernel, pinned
 from rainsim.cuda.raster import Rasterizer
 from rainsim.optics import HALF, ZERO
+from rainsim.raster.project import FRUSTUM_MARGIN
 from rainsim.render import _pose, mirrored_camera
-from rainsim.waterview import LEAST_SHARE, LEVEL_STEP, LEVEL_STEPS, MOST_MIRRORS
+from rainsim.waterview import (
+    LEAST_SHARE,
+    LEVEL_STEP,
+    LEVEL_STEPS,
+    MOST_MIRRORS,
+    WINDOW_SLOPE,
+    WINDOW_STEP,
+)
 
 BINS = 4096  # of LEVEL_STEP: 8 m of water heights
+EDGES = BINS + 1
 THREADS = 256
+OWN_BINS = BINS // THREADS  # of a thread
+COUNT_ROWS = 32  # that a block of threads counts
+NONE = 1 << 30  # first column of water where there is none
+TWICE_SLOPE = 2 * WINDOW_SLOPE
+MARGIN = float(FRUSTUM_MARGIN)
 UNUSED = 1e30  # distance of a plane that cuts everything away
 
 
 @cuda_kernel
-def clear_counts(count):
-    """Set all counts to zero."""
+def clear_counts(count, extent):
+    """Set all counts to zero and the water's extent to none."""
     i = cuda.grid(1)
     if i < count.size:
         count[i] = 0
+    if i < 2:
+        extent[i] = NONE
+    elif i < 4:
+        extent[i] = -1
 
 
 @cuda_kernel
-def count_heights(hit, coverage, ground_from_camera, eye, lens, first_bin, count_out):
-    """Count the pixels that show water of each height."""
-    column, row = cuda.grid(2)
+def count_heights(hit, coverage, ground_from_camera, eye, lens, first_bin, count_out, extent_out):
+    """Count the pixels that show water of each height and find the rectangle that holds them.
+
+    A block of THREADS threads takes COUNT_ROWS rows of as many columns; its counts are added up in
+    shared memory, and each thread adds runs of equal heights at once: level water is one bin.
+
+    extent_out : ndarray of shape (4,), int32
+        First column and row, last column and row.
+    """
+    bins = cuda.shared.array(BINS, np.int32)
+    tid = cuda.threadIdx.x
+    for k in range(tid, BINS, THREADS):
+        bins[k] = 0
+    cuda.syncthreads()
     height, width = coverage.shape
-    if row >= height or column >= width or coverage[row, column] == ZERO:
-        return
+    column = cuda.blockIdx.x * THREADS + tid
+    first = cuda.blockIdx.y * COUNT_ROWS
     m = ground_from_camera
     a = (np.float32(column) + HALF - lens[2]) / lens[0]
-    b = (np.float32(row) + HALF - lens[3]) / lens[1]
-    z = eye[2] + hit[row, column] * (m[2, 0] * a + m[2, 1] * b + m[2, 2])
-    place = np.int64(math.floor(np.float64(z) / LEVEL_STEP)) - first_bin
-    cuda.atomic.add(count_out, min(max(place, 0), BINS - 1), 1)
+    upper, lower, run, at = height, -1, 0, 0
+    if column < width:
+        for row in range(first, min(first + COUNT_ROWS, height)):
+            if coverage[row, column] == ZERO:
+                continue
+            b = (np.float32(row) + HALF - lens[3]) / lens[1]
+            z = eye[2] + hit[row, column] * (m[2, 0] * a + m[2, 1] * b + m[2, 2])
+            place = np.int64(math.floor(np.float64(z) / LEVEL_STEP)) - first_bin
+            place = min(max(place, 0), BINS - 1)
+            if place != at:
+                if run > 0:
+                    cuda.atomic.add(bins, at, run)
+                run, at = 0, place
+            run += 1
+            upper, lower = min(upper, row), row
+        if run > 0:
+            cuda.atomic.add(bins, at, run)
+            cuda.atomic.min(extent_out, 0, column)
+            cuda.atomic.min(extent_out, 1, upper)
+            cuda.atomic.max(extent_out, 2, column)
+            cuda.atomic.max(extent_out, 3, lower)
+    cuda.syncthreads()
+    for k in range(tid, BINS, THREADS):
+        if bins[k] > 0:
+            cuda.atomic.add(count_out, k, bins[k])
 
 
 @cuda_kernel
@@ -56,74 +107,132 @@ def choose_levels(count, first_bin, most, everywhere, served_out, wanted_out):
     wanted_out : ndarray of shape (1,), int32
         Number of mirrors.
     """
-    sums, places = cuda.shared.array(THREADS, np.int64), cuda.shared.array(THREADS, np.int64)
+    # Counts up to a bin, its own excluded; then sums of runs of bins, or what to reduce.
+    before = cuda.shared.array(EDGES, np.int32)
+    sums = cuda.shared.array(THREADS, np.int32)
+    places = cuda.shared.array(THREADS, np.int32)  # a line each: the simulator knows them by it
     tid = cuda.threadIdx.x
-    lowest, total = np.int64(BINS), np.int64(0)
-    for k in range(tid, BINS, THREADS):
-        total += count[k]
-        if count[k] > 0:
-            lowest = min(lowest, np.int64(k))
-    sums[tid], places[tid] = total, lowest
-    cuda.syncthreads()
-    total, lowest = np.int64(0), np.int64(BINS)
-    for k in range(THREADS):
-        total += sums[k]
-        lowest = min(lowest, places[k])
-    wanted, left = 0, total
+    first = tid * OWN_BINS
+    wanted, left, total, lowest = 0, 0, 0, 0
     for mirror in range(most):
+        own = 0
+        for k in range(first, first + OWN_BINS):
+            own += count[k]
+        sums[tid] = own
         cuda.syncthreads()
-        best, at = np.int64(-1), np.int64(BINS)
-        for k in range(tid, BINS, THREADS):
-            if k >= lowest:
-                inside = np.int64(0)
-                for j in range(k, min(k + LEVEL_STEPS, BINS)):
-                    inside += count[j]
-                if inside > best:
-                    best, at = inside, np.int64(k)
+        reach = 1
+        while reach < THREADS:  # inclusive sums over threads
+            other = sums[tid - reach] if tid >= reach else 0
+            cuda.syncthreads()
+            sums[tid] += other
+            cuda.syncthreads()
+            reach *= 2
+        running = sums[tid] - own
+        for k in range(first, first + OWN_BINS):
+            before[k] = running
+            running += count[k]
+        if tid == THREADS - 1:
+            before[BINS] = running
+        cuda.syncthreads()
+        if mirror == 0:
+            left = total = before[BINS]
+            low, high = 0, BINS  # the lowest bin that is not empty, by bisection
+            while low < high:
+                middle = (low + high) // 2
+                if before[middle + 1] > 0:
+                    high = middle
+                else:
+                    low = middle + 1
+            lowest = low
+        best, at = -1, BINS
+        for k in range(max(first, lowest), first + OWN_BINS):
+            inside = before[min(k + LEVEL_STEPS, BINS)] - before[k]
+            if inside > best:
+                best, at = inside, k
         sums[tid], places[tid] = best, at
         cuda.syncthreads()
-        best, at = np.int64(-1), np.int64(BINS)
-        for k in range(THREADS):
-            if sums[k] > best or (sums[k] == best and places[k] < at):
-                best, at = sums[k], places[k]
+        half = THREADS // 2
+        while half > 0:
+            if tid < half:
+                better = sums[tid + half] > sums[tid]
+                better |= sums[tid + half] == sums[tid] and places[tid + half] < places[tid]
+                if better:
+                    sums[tid], places[tid] = sums[tid + half], places[tid + half]
+            cuda.syncthreads()
+            half //= 2
+        best, at = sums[0], places[0]
         enough = total > 0 and left >= LEAST_SHARE * total and best >= LEAST_SHARE * total
-        cuda.syncthreads()
+        enough = enough and wanted == mirror
         if tid == 0:
             served_out[mirror, 0] = 0.0
             served_out[mirror, 1], served_out[mirror, 2] = UNUSED, -UNUSED
-            if enough and wanted == mirror:
-                middle, inside = at, np.int64(0)
-                for k in range(at, min(at + LEVEL_STEPS, BINS)):
-                    inside += count[k]
-                    if 2 * inside >= best:
-                        middle = np.int64(k)
-                        break
+            if enough:
+                middle = at
+                while 2 * (before[middle + 1] - before[at]) < best:
+                    middle += 1
                 served_out[mirror, 0] = (first_bin + middle + 0.5) * LEVEL_STEP
                 served_out[mirror, 1] = -UNUSED if everywhere else (first_bin + at) * LEVEL_STEP
                 top = (first_bin + at + LEVEL_STEPS) * LEVEL_STEP
                 served_out[mirror, 2] = UNUSED if everywhere else top
-                for k in range(at, min(at + LEVEL_STEPS, BINS)):
-                    count[k] = 0
-        if enough and wanted == mirror:
+        if enough:
+            if at + tid < min(at + LEVEL_STEPS, BINS):
+                count[at + tid] = 0
             wanted += 1
             left -= best
+        cuda.syncthreads()
     if tid == 0:
         wanted_out[0] = wanted
 
 
+@cuda_device
+def window_edge(pixel, reach, step):
+    """Return the last multiple of WINDOW_STEP up to `reach` before a pixel (after: step -1)."""
+    return step * math.floor((step * pixel - reach) / WINDOW_STEP) * WINDOW_STEP
+
+
 @cuda_kernel
-def aim(served, mirror, numbers, eye, now_out, eye_out, range_out):
-    """Turn a mirror's level into the numbers of its camera.
+def aim(served, mirror, numbers, eye, extent, now_out, eye_out, range_out, window_out):
+    """Turn a mirror's level and the water's extent into the numbers of its camera.
 
     numbers : ndarray of shape (2, project.CAMERA), float64
         Those of the camera mirrored at level 0, and what a metre more adds.
+    extent : ndarray of shape (4,), int32
+        As `count_heights` left it. What is drawn is a window about it, whole tiles, which reaches
+        beyond the picture where ripples look there, as `rainsim.waterview` has it.
+    window_out : ndarray of shape (6,), float32
+        Lens (fx, fy, cx, cy), width and height of the mirrored picture [px].
     """
-    k = cuda.grid(1)
+    k = cuda.threadIdx.x
     level = served[mirror, 0]
+    unused = served[mirror, 1] > served[mirror, 2]
+    fx, fy = numbers[0, project.LENS], numbers[0, project.LENS + 1]
+    across, down = TWICE_SLOPE * fx, TWICE_SLOPE * fy
+    left, top = window_edge(extent[0], across, 1), window_edge(extent[1], down, 1)
+    width = window_edge(extent[2] + 1, across, -1) - left
+    height = window_edge(extent[3] + 1, down, -1) - top
+    cx, cy = numbers[0, project.LENS + 2] - left, numbers[0, project.LENS + 3] - top
+    if unused or extent[2] < 0:
+        width, height = 0.0, 0.0
     if k < project.REST:
         value = numbers[0, k] + level * numbers[1, k]
-        if k == project.PLANE + 3 and served[mirror, 1] > served[mirror, 2]:
+        if k == project.PLANE + 3 and unused:
             value = UNUSED
+        elif k == project.LENS + 2:
+            value = cx
+        elif k == project.LENS + 3:
+            value = cy
+        elif k == project.NEAR + 1:
+            value = width
+        elif k == project.NEAR + 2:
+            value = height
+        elif k == project.LIMITS:
+            value = (-cx - MARGIN * width) / fx
+        elif k == project.LIMITS + 1:
+            value = (width - cx + MARGIN * width) / fx
+        elif k == project.LIMITS + 2:
+            value = (-cy - MARGIN * height) / fy
+        elif k == project.LIMITS + 3:
+            value = (height - cy + MARGIN * height) / fy
         now_out[k] = np.float32(value)
         if 8 <= k < 12:  # the third row of the view matrix
             now_out[project.REST + k - 8] = np.float32(value - np.float64(np.float32(value)))
@@ -133,6 +242,10 @@ def aim(served, mirror, numbers, eye, now_out, eye_out, range_out):
         range_out[mirror, 0] = np.float32(level)
         range_out[mirror, 1] = np.float32(served[mirror, 1])
         range_out[mirror, 2] = np.float32(served[mirror, 2])
+        if not unused:
+            window_out[0], window_out[1] = np.float32(fx), np.float32(fy)
+            window_out[2], window_out[3] = np.float32(cx), np.float32(cy)
+            window_out[4], window_out[5] = np.float32(width), np.float32(height)
 
 
 class _MirroredRasterizer(Rasterizer):
@@ -160,8 +273,11 @@ class Mirrors:
     ----------
     passes : int
         That a queue holds.
-    picture : device array of shape (most, height, width, 3), float32
-    depth : device array of shape (most, height, width), float32 [m]
+    picture : device array of shape (passes, rows, columns, 3), float32
+        Only the window is drawn.
+    depth : device array of shape (passes, rows, columns), float32 [m]
+    window : device array of shape (6,), float32
+        Lens, width and height of the mirrored pictures, all alike.
     range : device array of shape (most, 3), float32 [m]
         Level of each mirror and the heights from which and below which water looks into it.
     """
@@ -181,50 +297,68 @@ class Mirrors:
         self._numbers_host = pinned((2, project.CAMERA), np.float64)
         self._eye = cuda.device_array(3, np.float32)
         self._turn, self._turn_host = cuda.device_array((3, 3), np.float32), pinned((3, 3), "f4")
-        self._rasterizers = []
+        self._extent = cuda.device_array(4, np.int32)
+        self.window = cuda.to_device(np.array([1, 1, 0, 0, 1, 1], np.float32))
+        self.rasterizers = []
         self.room_for(1, 1)
 
     def room_for(self, height, width):
-        """Allocate the pictures."""
-        rows = max(self.most, 1)
-        self._size = height, width
-        self.picture = cuda.device_array((rows, height, width, 3), np.float32)
-        self.depth = cuda.device_array((rows, height, width), np.float32)
-        self._clearance = cuda.device_array((height, width), np.float32)
+        """Allocate the pictures, for a camera's picture of that size."""
+        self._picture_size = height, width
+        self._allocate(1, 1)
+
+    def _allocate(self, rows, columns):
+        self._size = rows, columns
+        passes = max(self.passes, 1)
+        self.picture = self.depth = self._clearance = None  # freed before more is asked for
+        self.picture = cuda.device_array((passes, rows, columns, 3), np.float32)
+        self.depth = cuda.device_array((passes, rows, columns), np.float32)
+        self._clearance = cuda.device_array((rows, columns), np.float32)
 
     def update(self, camera, near, frame):
         """Take over the camera that is to be mirrored."""
         if not self.most:
             return
+        largest = largest_window(camera)
         tables = []
         for level in (0.0, 1.0):
             plane, mirrored = mirrored_camera(camera, frame, level)
+            mirrored = replace(mirrored, width=largest[1], height=largest[0])
             tables.append(self.renderer.rasterizer.numbers_of(mirrored, near, plane))
         self._numbers_host[0] = tables[0]
         self._numbers_host[1] = tables[1] - tables[0]
         self._numbers_host[1, project.SCALE :] = 0
         self._turn_host[...] = _pose(frame.camera_in_ground(mirrored))[0]
-        for rasterizer in self._rasterizers:
-            rasterizer.update(mirrored, near, plane)
         self._mirrored = mirrored, near, plane
+        if self.passes and (self._size != largest or len(self.picture) != self.passes):
+            self._allocate(*largest)
+        for rasterizer in self.rasterizers:
+            rasterizer.update(*self._mirrored)
 
     @property
     def queue(self):
         """What a recorded queue depends on."""
-        return self.passes, *(rasterizer.queue for rasterizer in self._rasterizers)
+        return self.passes, self._size, *(rasterizer.queue for rasterizer in self.rasterizers)
 
     def grow(self):
         """Make room for what the finished frame wanted; return whether it lacked anything."""
         lacking = False
         wanted = min(int(self._wanted_seen[0]), self.most)
         while self.passes < wanted:
-            rasterizer = _MirroredRasterizer(self.renderer.rasterizer.splats, self.stream)
-            rasterizer.update(*self._mirrored)
+            own = self.renderer.rasterizer
+            rasterizer = _MirroredRasterizer(
+                own.splats, self.stream, workspace=own.workspace, first_room=own.entries
+            )
             rasterizer.aim_by(self._aim(self.passes))
-            self._rasterizers.append(rasterizer)
+            self.rasterizers.append(rasterizer)
             self.passes += 1
             lacking = True
-        for rasterizer in self._rasterizers:
+        if lacking:
+            mirrored = self._mirrored[0]
+            self._allocate(mirrored.height, mirrored.width)
+            for rasterizer in self.rasterizers:
+                rasterizer.update(*self._mirrored)
+        for rasterizer in self.rasterizers:
             if rasterizer.overflows():
                 rasterizer.make_room()
                 lacking = True
@@ -232,7 +366,7 @@ class Mirrors:
 
     def make_ahead(self):
         """Make room where little is left; return whether any was made."""
-        tight = [rasterizer for rasterizer in self._rasterizers if rasterizer.is_tight()]
+        tight = [rasterizer for rasterizer in self.rasterizers if rasterizer.is_tight()]
         for rasterizer in tight:
             rasterizer.make_room()
         return bool(tight)
@@ -240,8 +374,8 @@ class Mirrors:
     def _aim(self, mirror):
         def queue(now):
             aim[1, 64, self.stream](
-                self._served, mirror, self._numbers, self.renderer.numbers["eye"], now, self._eye,
-                self.range,
+                self._served, mirror, self._numbers, self.renderer.numbers["eye"], self._extent,
+                now, self._eye, self.range, self.window,
             )  # fmt: skip
 
         return queue
@@ -250,11 +384,12 @@ class Mirrors:
         """Queue the choice of levels and the passes."""
         if not self.most:
             return
-        n, grid = self.renderer.numbers, shading.blocks(*self._size)
-        clear_counts[BINS // THREADS, THREADS, self.stream](self._count)
-        count_heights[grid, shading.BLOCK, self.stream](
-            hit, coverage, n["turn"], n["eye"], n["lens"], self._first_bin, self._count
-        )
+        n, (height, width) = self.renderer.numbers, self._picture_size
+        clear_counts[BINS // THREADS, THREADS, self.stream](self._count, self._extent)
+        count_heights[(-(-width // THREADS), -(-height // COUNT_ROWS)), THREADS, self.stream](
+            hit, coverage, n["turn"], n["eye"], n["lens"], self._first_bin, self._count,
+            self._extent,
+        )  # fmt: skip
         choose_levels[1, THREADS, self.stream](
             self._count, self._first_bin, self.most, self.name == "mirror", self._served,
             self._wanted,
@@ -262,9 +397,19 @@ class Mirrors:
         self._wanted.copy_to_host(self._wanted_seen, stream=self.stream)
         self._numbers.copy_to_device(self._numbers_host, stream=self.stream)
         self._turn.copy_to_device(self._turn_host, stream=self.stream)
-        for mirror, rasterizer in enumerate(self._rasterizers):
+        for mirror, rasterizer in enumerate(self.rasterizers):
             rasterizer.launch()
             self.renderer.grade(
-                rasterizer.layers, self._turn, self._eye, self.picture[mirror],
+                rasterizer, self._size, self._turn, self._eye, self.picture[mirror],
                 self.depth[mirror], self._clearance,
             )  # fmt: skip
+
+
+def largest_window(camera):
+    """Return rows and columns of the largest window that any water in a picture asks for."""
+    sizes = []
+    for pixels, focal in ((camera.height, camera.fy), (camera.width, camera.fx)):
+        reach = TWICE_SLOPE * focal
+        first = math.floor(-reach / WINDOW_STEP)
+        sizes.append(int(math.ceil((pixels + reach) / WINDOW_STEP) - first) * WINDOW_STEP)
+    return tuple(sizes)

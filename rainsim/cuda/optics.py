@@ -203,8 +203,8 @@ def mirrored(
 def shade_water(
     hit, coverage, picture, depth, tall, near, ground_from_camera, eye, lens, water_depth,
     exposure_to_rain, origin, spacing, slopes0, slopes1, slopes2, slopes3, rms_slopes, tile_size,
-    environment, settings, mirror_range, mirror, mirror_depth, schlick_law, image_shift, phong,
-    glint_variance, sun, picture_out,
+    environment, settings, mirror_range, mirror_window, mirror, mirror_depth, schlick_law,
+    image_shift, phong, glint_variance, sun, picture_out,
 ):  # fmt: skip
     """Lay the water over the picture: ripples, what it mirrors, what shows through, the glint.
 
@@ -213,6 +213,8 @@ def shade_water(
     mirror_range : ndarray of shape (k, 3), float32 [m]
         Level of each mirror and the heights from which and below which water looks into it; what
         stands elsewhere is marched.
+    mirror_window : ndarray of shape (6,), float32
+        Lens, columns and rows [px] of the mirrored pictures.
     mirror, mirror_depth : ndarray of shape (k, rows, columns, 3) and (k, rows, columns), float32
     """
     column, row = cuda.grid(2)
@@ -251,9 +253,10 @@ def shade_water(
         if which < 0 and sz >= mirror_range[k, 1] and sz < mirror_range[k, 2]:
             which = k
     if which >= 0:
+        wide, high = int(mirror_window[4]), int(mirror_window[5])
         light0, light1, light2 = mirrored(
-            mirror[which], mirror_depth[which], m, eye, lens, mirror_range[which, 0],
-            sx, sy, sz, vx, vy, vz, gx, gy, rough,
+            mirror[which, :high, :wide], mirror_depth[which, :high, :wide], m, eye, mirror_window,
+            mirror_range[which, 0], sx, sy, sz, vx, vy, vz, gx, gy, rough,
         )  # fmt: skip
     else:
         light0, light1, light2 = marched(

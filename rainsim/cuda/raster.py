@@ -107,6 +107,56 @@ def _clean(geometry):
     return rows
 
 
+class Workspace:
+    """Lists and pictures that rasterizers of one stream share: each is done before the next begins.
+
+    Attributes
+    ----------
+    version : int
+        Another one when what was taken is no longer it.
+    """
+
+    def __init__(self):
+        self.version = 0
+        self._lists, self._memory, self._pictures = (), None, ()
+        self._entries = self._bytes = self._pixels = 0
+
+    def lists(self, count):
+        """Return keys, values and what they are sorted to: device arrays of `count` entries."""
+        if count > self._entries:
+            self._entries, self._lists = count, ()  # freed before more is asked for
+            self._lists = tuple(cuda.device_array(count, np.uint32) for _ in range(4))
+            self.version += 1
+        return tuple(array[:count] for array in self._lists)
+
+    def memory(self, size):
+        """Return at least `size` bytes to sort with."""
+        if size > self._bytes:
+            self._bytes, self._memory = size, None
+            self._memory = cuda.device_array(size, np.uint8)
+            self.version += 1
+        return self._memory
+
+    def pictures(self, pixels):
+        """Return the `DeviceLayers` of a picture."""
+        if pixels > self._pixels:
+            self._pixels, self._pictures = pixels, ()
+            self._pictures = tuple(
+                cuda.device_array(n * pixels, np.float32) for n in (3, 1, 1, 1, 3)
+            )
+            self.version += 1
+        return DeviceLayers(
+            *(a[: n * pixels] for a, n in zip(self._pictures, (3, 1, 1, 1, 3), strict=True))
+        )
+
+    def trim(self, count):
+        """Give lists and memory back if there is room for more than `count` entries."""
+        if self._entries > count:
+            self._entries = self._bytes = 0
+            self._lists, self._memory = (), None
+            self.version += 1
+
+
 class Rasterizer:
     """Draws prepared splats on the GPU; keeps its working memory from one picture to the next.
 
@@ -116,9 +166,13 @@ class Rasterizer:
     stream : numba.cuda.stream, optional
     plain : bool
         Take the kernels without warp instructions: slow, for tests of the others.
+    workspace : Workspace, optional
+        That of another rasterizer of the same stream.
+    first_room : int, optional
+        Entries to make room for before anything was counted.
     """
 
-    def __init__(self, prepared, stream=None, plain=False):
+    def __init__(self, prepared, stream=None, plain=False, workspace=None, first_room=None):
         self.splats = prepared if isinstance(prepared, DeviceSplats) else DeviceSplats(prepared)
         self.stream = cuda.stream() if stream is None else stream
         self.plain = plain or SIMULATED
@@ -127,7 +181,9 @@ class Rasterizer:
         self._count = pinned(1, np.int32)
         self._total = cuda.device_array(1, np.int32)
         self._size = None
-        self._capacity = 0
+        self._capacity, self._first_room = 0, first_room
+        self.workspace = Workspace() if workspace is None else workspace
+        self._taken = None  # version of the workspace that the lists are of
 
     def draw(
         self, camera, near, plane=None, depth="expected", compensate=False, degree=None,
@@ -163,11 +219,39 @@ class Rasterizer:
         self._numbers[:] = self.numbers_of(camera, near, plane)
         tiles = -(-width // TILE) * -(-height // TILE)
         self._kind = bool(camera.orthographic), bool(compensate), depth == "median", bool(drop_last)
+        self._levels = _levels(width, height)
         if self._size != (width, height):
             self._size = width, height
-            self._room_for_picture(width, height, tiles)
+            self._range = cuda.device_array(2 * tiles, np.int32)
+            self._taken = None
         if self._capacity == 0:
-            self._room_for_entries(FIRST_ROOM * s.count + tiles)
+            first = FIRST_ROOM * s.count if self._first_room is None else self._first_room
+            self._room_for_entries(first + tiles)
+        self.take()
+
+    def take(self):
+        """Take the workspace's lists and pictures, unless they are those that were taken."""
+        if self._taken == self.workspace.version:
+            return
+        self._key, self._value, self._key_sorted, self._value_sorted = self.workspace.lists(
+            self._capacity
+        )
+        self.layers = self.workspace.pictures(self._size[0] * self._size[1])
+        self._sorter = None if SIMULATED else _Sorter(
+            self._key, self._value, self._key_sorted, self._value_sorted, self.stream,
+            self.workspace,
+        )  # fmt: skip
+        self._taken = self.workspace.version
+
+    @property
+    def size(self):
+        """Width and height of the picture [px] on the device, float32."""
+        return self._now[project.NEAR + 1 : project.NEAR + 3]
+
+    @property
+    def lens(self):
+        """Focal lengths and principal point (fx, fy, cx, cy) [px] on the device, float32."""
+        return self._now[project.LENS : project.PLANE]
 
     def numbers_of(self, camera, near, plane=None):
         """Return the numbers that the kernels read of a camera, float64; see `project`."""
@@ -185,10 +269,11 @@ class Rasterizer:
         x, y = FRUSTUM_MARGIN * width, FRUSTUM_MARGIN * height
         limits = (-cx - x) / fx, (width - cx + x) / fx, (-cy - y) / fy, (height - cy + y) / fy
         numbers[project.LIMITS : project.LIMITS + 4] = limits
-        self._levels = _levels(width, height)
         ahead = exact[:3] @ self.splats.centre + exact[3]
         far = max(ahead + self.splats.reach, 2 * near)
-        numbers[project.SCALE : project.SCALE + 5] = project.depth_scale(near, far, self._levels)
+        numbers[project.SCALE : project.SCALE + 5] = project.depth_scale(
+            near, far, _levels(width, height)
+        )
         return numbers
 
     def _bring_numbers(self):
@@ -196,6 +281,7 @@ class Rasterizer:
 
     def launch(self):
         """Queue the picture: copies and kernels only, so that a graph can record it."""
+        self.take()
         s, stream = self.splats, self.stream
         width, height = self._size
         flat, compensate, median, drop = self._kind
@@ -206,7 +292,7 @@ class Rasterizer:
         blocks = max(blocks, -(-s.chunks // THREADS))
         project.start[blocks, THREADS, stream](
             s.box, now[: project.EYE].reshape(3, 4), now[project.LENS : project.PLANE],
-            now[project.NEAR + 1 : project.NEAR + 3], now[project.NEAR : project.NEAR + 1],
+            self.size, now[project.NEAR : project.NEAR + 1],
             now[project.PLANE : project.NEAR], flat, s.seen, key, self._range, self._total,
         )  # fmt: skip
         if s.chunks:
@@ -250,35 +336,24 @@ class Rasterizer:
     @property
     def queue(self):
         """What a recorded queue of launches depends on: when it changes, record anew."""
-        return self._size, self._kind, self._bands, self._levels, self._capacity, id(self._key)
+        return self._size, self._kind, self._bands, self._capacity, self.workspace.version
 
     @property
     def entries(self):
         """Number of entries of the finished picture."""
         return int(self._count[0])
 
-    def _room_for_picture(self, width, height, tiles):
-        n = width * height
-        self.layers = DeviceLayers(
-            cuda.device_array(3 * n, np.float32), cuda.device_array(n, np.float32),
-            cuda.device_array(n, np.float32), cuda.device_array(n, np.float32),
-            cuda.device_array(3 * n, np.float32),
-        )  # fmt: skip
-        self._range = cuda.device_array(2 * tiles, np.int32)
-
     def _room_for_entries(self, count):
-        self._capacity = int(ROOM * count) + THREADS
-        self._key, self._value, self._key_sorted, self._value_sorted = (
-            cuda.device_array(self._capacity, np.uint32) for _ in range(4)
-        )
-        self._sorter = None if SIMULATED else _Sorter(
-            self._key, self._value, self._key_sorted, self._value_sorted, self.stream
-        )  # fmt: skip
+        self._capacity, self._taken = int(ROOM * count) + THREADS, None
+        if self._size is not None:
+            self.take()
 
     def trim(self):
         """Give back what the finished picture left unused of the room for entries."""
         if self._capacity > ROOM * self.entries + THREADS:
             self._room_for_entries(self.entries)
+            self.workspace.trim(self._capacity)
+            self.take()
 
     def _sort(self, key, value):
         """Queue the sort of all entries by key; return the sorted arrays."""
@@ -293,9 +368,9 @@ class Rasterizer:
 
 
 class _Sorter:
-    """cuda.compute's radix sort of a fixed number of pairs, with memory of its own."""
+    """cuda.compute's radix sort of a fixed number of pairs, with memory of the workspace."""
 
-    def __init__(self, key, value, key_out, value_out, stream):
+    def __init__(self, key, value, key_out, value_out, stream, workspace):
         from cuda.compute import SortOrder, make_radix_sort
 
         arrays = {
@@ -306,7 +381,7 @@ class _Sorter:
         self._options = {**arrays, "num_items": len(key), "begin_bit": 0, "end_bit": 32}
         self._stream = stream
         size = self._sort(temp_storage=None, stream=stream, **self._options)
-        self._memory = cuda.device_array(max(1, int(size)), np.uint8)
+        self._memory = workspace.memory(max(1, int(size)))
 
     def __call__(self):
         self._sort(temp_storage=self._memory, stream=self._stream, **self._options)

@@ -45,14 +45,16 @@ def blocks(height, width):
 
 @cuda_kernel
 def grade_and_wet(
-    color, alpha, depth, plane_depth, normal, meters_per_unit, ground_from_camera, eye, lens,
+    size, color, alpha, depth, plane_depth, normal, meters_per_unit, ground_from_camera, eye, lens,
     bed, ground, origin, spacing, environment, day_sky, look, others,
     picture_out, depth_out, clearance_out,
 ):  # fmt: skip
-    """Grade the dry picture, wet it, and measure it against the ground; see `rainsim.shade`."""
+    """Grade the dry picture, wet it, and measure it against the ground; see `rainsim.shade`.
+
+    `size` (2,) holds the columns and rows [px] of the part that was drawn.
+    """
     column, row = cuda.grid(2)
-    height, width = alpha.shape
-    if row >= height or column >= width:
+    if row >= size[1] or column >= size[0]:
         return
     m = ground_from_camera
     b = (np.float32(row) + HALF - lens[3]) / lens[1]

@@ -20,7 +20,10 @@ from rainsim.watersurface import (
 )
 
 THREADS = (32, 8)
-CELLS_OF_A_BLOCK = 256
+CELLS_OF_A_BLOCK = 256  # threads
+SIDE = 32  # cells of the square that a block of threads takes
+WIDE_REACH, SOFT_REACH = len(WIDE) // 2, len(NARROW) // 2
+SPREAD_SIDE, SOFT_SIDE = SIDE + 2 * WIDE_REACH, SIDE + 2 * SOFT_REACH
 HIGH_GRASS = np.float32(GRASS_HEIGHT)
 CELLS = np.float32(BLOCK)
 DRY = np.float32(-1e6)  # m, the level of a cell without a surface
@@ -28,12 +31,18 @@ NO_HEIGHT = np.float32(-1e9)  # m, of the highest water where there is none
 FAR = np.int64(1 << 40)
 
 
-@cuda_kernel
-def sum_blocks(bed, depth, mirrors, eta_out, count_out, mean_out, highest):
-    """Write the levels of wet cells, count those of each block and take the mean of their levels.
+@cuda_device
+def level_of(bed, depth, mirrors, j, i, base):
+    """Return the level of a cell's water over `base` [m]; DRY if it carries no water surface."""
+    d = depth[j, i]
+    if d > WET_CELL and (mirrors[j, i] or d > HIGH_GRASS):
+        return bed[j, i] - base + d
+    return DRY
 
-    Levels are relative to the middle of the map; DRY where a cell carries no water surface.
-    """
+
+@cuda_kernel
+def sum_blocks(bed, depth, mirrors, count_out, mean_out, highest):
+    """Count the wet cells of each block and take the mean of their levels."""
     i, j = cuda.grid(2)
     if i == 0 and j == 0:
         highest[0] = NO_HEIGHT
@@ -42,10 +51,7 @@ def sum_blocks(bed, depth, mirrors, eta_out, count_out, mean_out, highest):
     x, y = cuda.threadIdx.x, cuda.threadIdx.y
     eta, base = DRY, bed[ny // 2, nx // 2]
     if j < ny and i < nx:
-        d = depth[j, i]
-        if d > WET_CELL and (mirrors[j, i] or d > HIGH_GRASS):
-            eta = bed[j, i] - base + d
-        eta_out[j, i] = eta
+        eta = level_of(bed, depth, mirrors, j, i, base)
     room[x, y] = eta
     cuda.syncthreads()
     rows, columns = count_out.shape
@@ -101,90 +107,127 @@ def nearest_blocks(row, mean, far_out):
     far_out[j, i] = level
 
 
-@cuda_kernel
-def spread_rows(eta, wide, weight_out, height_out):
-    """Take weighted sums of wet cells along rows."""
-    i, j = cuda.grid(2)
-    ny, nx = eta.shape
-    if j >= ny or i >= nx:
-        return
-    weight, height = ZERO, ZERO
-    for k in range(max(i - 6, 0), min(i + 7, nx)):
-        level = eta[j, k]
-        if level > DRY:
-            w = wide[k - i + 6]
-            weight += w
-            height += w * level
-    weight_out[j, i], height_out[j, i] = weight, height
-
-
 @cuda_device
 def wet_near(eta, j, i):
-    """Tell whether a cell within SURFACE_REACH steps is wet."""
-    ny, nx = eta.shape
-    for k in range(max(j - SURFACE_REACH, 0), min(j + SURFACE_REACH + 1, ny)):
-        reach = SURFACE_REACH - abs(k - j)
-        for m in range(max(i - reach, 0), min(i + reach + 1, nx)):
-            if eta[k, m] > DRY:
+    """Tell whether a cell within SURFACE_REACH steps is wet; (j, i) is no nearer to the edges."""
+    for k in range(-SURFACE_REACH, SURFACE_REACH + 1):
+        reach = SURFACE_REACH - abs(k)
+        for m in range(-reach, reach + 1):
+            if eta[j + k, i + m] > DRY:
                 return True
     return False
 
 
 @cuda_kernel
-def spread_columns(
-    bed, depth, mirrors, relief, wide, eta, weight, height, far, surface_out, rough_out
-):  # fmt: skip
-    """Finish the means along columns; write the surface, and the water over the ground."""
-    i, j = cuda.grid(2)
+def spread(bed, depth, mirrors, relief, wide, far, surface_out, rough_out):
+    """Take Gaussian means of the wet cells' levels; write the surface, and the water over ground.
+
+    A block of threads takes a square of SIDE x SIDE cells and all that is within the mean's reach.
+    """
+    eta = cuda.shared.array((SPREAD_SIDE, SPREAD_SIDE), np.float32)
+    weight = cuda.shared.array((SPREAD_SIDE, SIDE), np.float32)
+    height = cuda.shared.array((SPREAD_SIDE, SIDE), np.float32)
+    tid = cuda.threadIdx.x
     ny, nx = bed.shape
-    if j >= ny or i >= nx:
-        return
     base = bed[ny // 2, nx // 2]
-    total, mean = ZERO, ZERO
-    for k in range(max(j - 6, 0), min(j + 7, ny)):
-        w = wide[k - j + 6]
-        total += w * weight[k, i]
-        mean += w * height[k, i]
-    rough = ZERO
-    if total > LEAST_WEIGHT:
-        surface = base + mean / total
-        if (mirrors[j, i] or depth[j, i] > HIGH_GRASS) and wet_near(eta, j, i):
-            rough = max(surface - bed[j, i] - relief[j, i], ZERO)
-    else:
-        surface = bilinear(
-            far, (np.float32(i) + HALF) / CELLS - HALF, (np.float32(j) + HALF) / CELLS - HALF
-        )
-    surface_out[j, i], rough_out[j, i] = surface, rough
+    left, top = cuda.blockIdx.x * SIDE, cuda.blockIdx.y * SIDE
+    wet = 0
+    for k in range(tid, SPREAD_SIDE * SPREAD_SIDE, CELLS_OF_A_BLOCK):
+        row, column = k // SPREAD_SIDE, k % SPREAD_SIDE
+        j, i = top + row - WIDE_REACH, left + column - WIDE_REACH
+        level = DRY
+        if j >= 0 and i >= 0 and j < ny and i < nx:
+            level = level_of(bed, depth, mirrors, j, i, base)
+        if level > DRY:
+            wet = 1
+        eta[row, column] = level
+    wet = cuda.syncthreads_or(wet)
+    if wet:
+        for k in range(tid, SPREAD_SIDE * SIDE, CELLS_OF_A_BLOCK):
+            row, column = k // SIDE, k % SIDE
+            total, mean = ZERO, ZERO
+            for m in range(2 * WIDE_REACH + 1):
+                level = eta[row, column + m]
+                if level > DRY:
+                    total += wide[m]
+                    mean += wide[m] * level
+            weight[row, column], height[row, column] = total, mean
+    cuda.syncthreads()
+    for k in range(tid, SIDE * SIDE, CELLS_OF_A_BLOCK):
+        row, column = k // SIDE, k % SIDE
+        j, i = top + row, left + column
+        if j >= ny or i >= nx:
+            continue
+        total, mean = ZERO, ZERO
+        if wet:
+            for m in range(2 * WIDE_REACH + 1):
+                total += wide[m] * weight[row + m, column]
+                mean += wide[m] * height[row + m, column]
+        rough = ZERO
+        if total > LEAST_WEIGHT:
+            surface = base + mean / total
+            if mirrors[j, i] or depth[j, i] > HIGH_GRASS:
+                # Depth counts from the tips of the grass.
+                lift = relief[j, i] + (ZERO if mirrors[j, i] else HIGH_GRASS)
+                if wet_near(eta, row + WIDE_REACH, column + WIDE_REACH):
+                    rough = max(surface - bed[j, i] - lift, ZERO)
+        else:
+            surface = bilinear(
+                far, (np.float32(i) + HALF) / CELLS - HALF, (np.float32(j) + HALF) / CELLS - HALF
+            )
+        surface_out[j, i], rough_out[j, i] = surface, rough
 
 
 @cuda_kernel
 def soften(rough, surface, narrow, over_out, highest):
-    """Blur the water's depth a little and find the highest water."""
-    room = cuda.shared.array(CELLS_OF_A_BLOCK, np.float32)
-    i, j = cuda.grid(2)
-    tid = cuda.threadIdx.y * cuda.blockDim.x + cuda.threadIdx.x
+    """Blur the water's depth a little and find the highest water; squares as in `spread`."""
+    around = cuda.shared.array((SOFT_SIDE, SOFT_SIDE), np.float32)
+    means = cuda.shared.array((SIDE, SOFT_SIDE), np.float32)
+    tops = cuda.shared.array(CELLS_OF_A_BLOCK, np.float32)
+    tid = cuda.threadIdx.x
     ny, nx = rough.shape
-    top = NO_HEIGHT
-    if j < ny and i < nx:
-        over = ZERO
-        for m in range(max(i - 3, 0), min(i + 4, nx)):
-            column = ZERO
-            for k in range(max(j - 3, 0), min(j + 4, ny)):
-                column += narrow[k - j + 3] * rough[k, m]
-            over += narrow[m - i + 3] * column
-        over_out[j, i] = over
-        if over > ZERO:
-            top = surface[j, i]
-    room[tid] = top
+    left, top = cuda.blockIdx.x * SIDE, cuda.blockIdx.y * SIDE
+    any_water = 0
+    for k in range(tid, SOFT_SIDE * SOFT_SIDE, CELLS_OF_A_BLOCK):
+        row, column = k // SOFT_SIDE, k % SOFT_SIDE
+        j, i = top + row - SOFT_REACH, left + column - SOFT_REACH
+        value = ZERO
+        if j >= 0 and i >= 0 and j < ny and i < nx:
+            value = rough[j, i]
+        if value > ZERO:
+            any_water = 1
+        around[row, column] = value
+    any_water = cuda.syncthreads_or(any_water)
+    if any_water:
+        for k in range(tid, SIDE * SOFT_SIDE, CELLS_OF_A_BLOCK):
+            row, column = k // SOFT_SIDE, k % SOFT_SIDE
+            value = ZERO
+            for m in range(2 * SOFT_REACH + 1):
+                value += narrow[m] * around[row + m, column]
+            means[row, column] = value
+    cuda.syncthreads()
+    highest_here = NO_HEIGHT
+    for k in range(tid, SIDE * SIDE, CELLS_OF_A_BLOCK):
+        row, column = k // SIDE, k % SIDE
+        j, i = top + row, left + column
+        if j < ny and i < nx:
+            over = ZERO
+            if any_water:
+                for m in range(2 * SOFT_REACH + 1):
+                    over += narrow[m] * means[row, column + m]
+            over_out[j, i] = over
+            if over > ZERO:
+                highest_here = max(highest_here, surface[j, i])
+    tops[tid] = highest_here
     cuda.syncthreads()
     half = CELLS_OF_A_BLOCK // 2
     while half > 0:
         if tid < half:
-            room[tid] = max(room[tid], room[tid + half])
+            tops[tid] = max(tops[tid], tops[tid + half])
         cuda.syncthreads()
         half //= 2
-    if tid == 0 and room[0] > highest[0]:
-        cuda.atomic.max(highest, 0, room[0])
+    if tid == 0 and tops[0] > highest[0]:
+        cuda.atomic.max(highest, 0, tops[0])
 
 
 class WaterSurface:
@@ -213,8 +256,8 @@ class WaterSurface:
         self._bed, self._relief = cuda.to_device(bed), cuda.to_device(relief)
         self._mirrors = cuda.to_device(np.ascontiguousarray(mirrors))
         self._wide, self._narrow = cuda.to_device(WIDE), cuda.to_device(NARROW)
-        self.surface, self.over, self._weight, self._height, self._rough, self._eta = (
-            cuda.device_array(shape, np.float32) for _ in range(6)
+        self.surface, self.over, self._rough = (
+            cuda.device_array(shape, np.float32) for _ in range(3)
         )
         coarse = -(-shape[0] // BLOCK), -(-shape[1] // BLOCK)
         self._count, self._mean, self._far = (
@@ -231,13 +274,11 @@ class WaterSurface:
             return (-(-shape[1] // across), -(-shape[0] // down)), THREADS, self.stream
 
         cells, coarse = over(self.surface.shape), over(self._count.shape)
+        rows, columns = self.surface.shape
+        squares = (-(-columns // SIDE), -(-rows // SIDE)), CELLS_OF_A_BLOCK, self.stream
         water = self._bed, self.depth, self._mirrors
-        sum_blocks[cells](*water, self._eta, self._count, self._mean, self.highest)
+        sum_blocks[cells](*water, self._count, self._mean, self.highest)
         nearest_rows[coarse](self._count, self._row)
         nearest_blocks[coarse](self._row, self._mean, self._far)
-        spread_rows[cells](self._eta, self._wide, self._weight, self._height)
-        spread_columns[cells](
-            *water, self._relief, self._wide, self._eta, self._weight, self._height, self._far,
-            self.surface, self._rough,
-        )  # fmt: skip
-        soften[cells](self._rough, self.surface, self._narrow, self.over, self.highest)
+        spread[squares](*water, self._relief, self._wide, self._far, self.surface, self._rough)
+        soften[squares](self._rough, self.surface, self._narrow, self.over, self.highest)

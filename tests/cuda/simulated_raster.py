@@ -99,10 +99,7 @@ def test_too_many_entries_are_counted_and_the_picture_is_drawn_again():
     assert rasterizer.entries > 60
     small = twin.Rasterizer(prepared)
     small.update(camera(), 0.2)
-    small._capacity = 8
-    small._key, small._value, small._key_sorted, small._value_sorted = (
-        cuda.device_array(8, np.uint32) for _ in range(4)
-    )
+    small._capacity, small._taken = 8, None
     small.launch()
     assert small.overflows() and small.entries == rasterizer.entries
     again = small.draw(camera(), 0.2)

@@ -1,0 +1,97 @@
+"""How the twin chooses mirrors and what part of them is drawn, in the simulator."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from rainsim.cuda import mirror as twin
+from rainsim.cuda import project, simulated
+from rainsim.scene.types import Camera
+from rainsim.waterview import LEVEL_STEP, WaterView, group_levels
+
+assert simulated()
+HEIGHT, WIDTH = 70, 90
+FIRST_BIN = -40
+
+
+@pytest.fixture(scope="module")
+def water():
+    """Water at three levels and some at others, seen from straight above: hit, coverage."""
+    rng = np.random.default_rng(1)
+    z = np.full((HEIGHT, WIDTH), np.nan, np.float32)
+    z[10:40, 12:50] = 0.1
+    z[20:60, 55:80] = 0.3 + 0.02 * rng.random((40, 25))
+    z[45:60, 12:30] = 0.9
+    z[50:55, 40] = 0.6
+    coverage = np.where(np.isnan(z), 0, 0.5).astype(np.float32)
+    return z, coverage
+
+
+def counted(z, coverage):
+    """The twin's counts and extent; rays go straight down from a height of 2 m."""
+    down = np.diag([1, -1, -1]).astype(np.float32)
+    eye, lens = np.array([0, 0, 2], np.float32), np.array([1e9, 1e9, 0, 0], np.float32)
+    count, extent = np.full(twin.BINS, -9, np.int32), np.full(4, -9, np.int32)
+    twin.clear_counts[twin.BINS // twin.THREADS, twin.THREADS](count, extent)
+    blocks = -(-WIDTH // twin.THREADS), -(-HEIGHT // twin.COUNT_ROWS)
+    twin.count_heights[blocks, twin.THREADS](
+        (2 - z).astype(np.float32), coverage, down, eye, lens, FIRST_BIN, count, extent
+    )
+    return count, extent
+
+
+@pytest.mark.parametrize("name", ["auto", "mirror"])
+def test_levels_are_those_of_the_cpu(water, name):
+    z, coverage = water
+    count, extent = counted(z, coverage)
+    shown = coverage > 0
+    assert count.sum() == shown.sum()
+    rows, columns = np.nonzero(shown)
+    np.testing.assert_array_equal(extent, [columns.min(), rows.min(), columns.max(), rows.max()])
+    heights = 2 - (2 - z).astype(np.float32)[shown]
+    wanted, _ = group_levels(heights, name)
+    most = 3 if name == "auto" else 1
+    served, number = np.full((most, 3), np.nan), np.full(1, -9, np.int32)
+    twin.choose_levels[1, twin.THREADS](count, FIRST_BIN, most, name == "mirror", served, number)
+    assert number[0] == len(wanted) == most
+    np.testing.assert_allclose(served[:, 0], [level for level, _ in wanted], atol=1e-9)
+    if name == "auto":
+        for (_, low, top), (_, which) in zip(served, wanted, strict=True):
+            mine = heights[which]
+            assert low <= mine.min() + 1e-6 and mine.max() <= top
+        assert served[0, 0] == pytest.approx(0.1, abs=LEVEL_STEP)
+    nothing = np.zeros_like(coverage)
+    count, extent = counted(z, nothing)
+    assert count.sum() == 0 and extent[2] == -1
+    twin.choose_levels[1, twin.THREADS](count, FIRST_BIN, most, False, served, number)
+    assert number[0] == 0 and (served[:, 1] > served[:, 2]).all()
+
+
+@pytest.mark.parametrize("focal", [40.0, 900.0])
+def test_the_window_is_that_of_the_cpu(water, focal):
+    _, coverage = water
+    camera = Camera(WIDTH, HEIGHT, focal, 1.1 * focal, 44.0, 36.0, np.eye(4))
+    lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float32)
+    view = SimpleNamespace(depth=coverage, lens=lens)
+    left, top, right, bottom = WaterView._mirror_window(
+        SimpleNamespace(view=view, pixel=np.flatnonzero(coverage))
+    )
+    rows, columns = np.nonzero(coverage)
+    extent = np.array([columns.min(), rows.min(), columns.max(), rows.max()], np.int32)
+    numbers = np.zeros((2, project.CAMERA))
+    numbers[0, project.LENS : project.PLANE] = lens
+    served = np.array([[0.25, 0.2, 0.3]])
+    now, eye = np.full(project.CAMERA, np.nan, np.float32), np.full(3, np.nan, np.float32)
+    reach, window = np.full((1, 3), np.nan, np.float32), np.full(6, np.nan, np.float32)
+    twin.aim[1, 64](
+        served, 0, numbers, np.array([1, 2, 3], np.float32), extent, now, eye, reach, window
+    )
+    size = right - left, bottom - top
+    np.testing.assert_allclose(window, [*lens[:2], lens[2] - left, lens[3] - top, *size])
+    np.testing.assert_allclose(now[project.NEAR + 1 : project.NEAR + 3], size)
+    np.testing.assert_allclose(now[project.LENS : project.PLANE], window[:4])
+    np.testing.assert_allclose(reach, served)
+    assert eye[2] == pytest.approx(2 * 0.25 - 3)
+    high, wide = twin.largest_window(camera)
+    assert size[0] <= wide <= size[0] + 128 and size[1] <= high <= size[1] + 128
