@@ -42,6 +42,7 @@ DEFAULT_PRESET = "drizzle"
 WATER_SCHEMES = ("auto", "paper")
 REFLECTIONS = ("auto", "mirror", "ssr", "traced", "paper")
 # What the paper does instead of the default stands second.
+FILMS = ("auto", "mirror", "environment")
 REFRACTIONS = ("snell", "shift")
 FRESNELS = ("exact", "schlick")
 HIGHLIGHTS = ("cox-munk", "blinn-phong")
@@ -187,6 +188,8 @@ class RenderConfig:
     reflections: str = "auto"  # mirror: one mirrored pass; ssr: march the depth; auto: a mirror
     # for each level that much water stands at, the march for the rest;
     # traced: rays through the splats, slow; paper: march with a point test
+    film: str = "auto"  # on wet ground mirrors a mirrored picture, where that shows; mirror:
+    # always; environment: only what lies around the first camera
     refraction: str = "snell"  # shift: the image shifted by the normal, the paper's
     fresnel: str = "exact"  # schlick: the paper's approximation
     highlight: str = "cox-munk"  # of the sun; blinn-phong: the paper's (n.h)^p
@@ -222,6 +225,7 @@ class RenderConfig:
         require_positive("brightness", self.brightness, "", "1 is as graded, 0.5 half as bright")
         require_choice("wetting", self.wetting, WETTINGS)
         require_choice("reflections", self.reflections, REFLECTIONS)
+        require_choice("film", self.film, FILMS)
         require_choice("refraction", self.refraction, REFRACTIONS)
         require_choice("fresnel", self.fresnel, FRESNELS)
         require_choice("highlight", self.highlight, HIGHLIGHTS)

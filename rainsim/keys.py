@@ -36,6 +36,7 @@ HUMAN_KEYS = {
     "brightness": ("brightness", 1.0),
     "wetting": ("wetting", None),
     "reflections": ("reflections", None),
+    "film": ("film", None),
     "refraction": ("refraction", None),
     "fresnel": ("fresnel", None),
     "highlight": ("highlight", None),

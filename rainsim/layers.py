@@ -49,6 +49,7 @@ LAYERS = {
     "water_depth": Layer(DATA, "m", "of the water that the pixel shows"),
     "wetness": Layer(SHARE, "", "of what the rain reaches: 0 dry, 1 wet through"),
     "wet": Layer(DATA, "display white", "linear light: graded and wetted, without water"),
+    "film": Layer(DATA, "display white", "what the film on the ground mirrors, a part of wet"),
     "coverage": Layer(SHARE, "", "of the pixel that is water"),
     "reflection": Layer(DATA, "display white", "what the water mirrors (the paper's specular)"),
     "reflection_source": Layer(
@@ -157,6 +158,7 @@ def collect(names, shot):
         "splash_id": _splash_id, "drop_flow": _drop_flow,
     }  # fmt: skip
     found["depth"], found["wet"] = shot.view.depth, shot.view.picture
+    found["film"] = shot.view.picture - shot.view.below
     found["rain_alpha"], found["splash_alpha"] = shot.rain, shot.splash
     return {n: makers[n](shot) if n in makers else found[n].copy() for n in names}
 
@@ -226,7 +228,7 @@ def _water_terms(shot):
     share = np.empty(n, np.float32)
     if n:
         optics.separate_water(
-            water.pixel, water.record, view.picture, view.depth, view.turn, view.lens,
+            water.pixel, water.record, view.below, view.depth, view.turn, view.lens,
             *water.laws(), shot.sun, through, share, glint,
         )  # fmt: skip
 

@@ -274,8 +274,8 @@ def _tile(slopes, u, v):
 
 @cpu_kernel
 def lay_water(
-    pixel, record, light, picture, depth, ground_from_camera, lens, schlick_law, image_shift,
-    phong, glint_variance, sun, picture_out,
+    pixel, record, light, picture, below, depth, ground_from_camera, lens, schlick_law,
+    image_shift, phong, glint_variance, sun, picture_out,
 ):  # fmt: skip
     """Lay the water over the picture: what it mirrors, what shows through it, the sun's glint.
 
@@ -285,8 +285,8 @@ def lay_water(
         The list of the water.
     light : ndarray of shape (n, 3), float32
         Radiance that each record mirrors, before Fresnel's factor.
-    picture, depth
-        The wet picture without water and its depth [m].
+    picture, below, depth
+        The wet picture without water, what of it shows through water, and its depth [m].
     schlick_law, image_shift, phong : bool
         The paper's: Schlick's reflectance, refraction by shifting the image, (n.h)^p for the sun.
     glint_variance : float32
@@ -302,7 +302,7 @@ def lay_water(
         r = record[n]
         row, column = pixel[n] // width, pixel[n] % width
         b0, b1, b2, share, glint = terms_of(
-            r, row, column, picture, depth, m, lens, schlick_law, image_shift, phong,
+            r, row, column, below, depth, m, lens, schlick_law, image_shift, phong,
             glint_variance, sun,
         )  # fmt: skip
         through, covers, dry = ONE - share, r[8], ONE - r[8]

@@ -12,6 +12,7 @@ from scipy import ndimage
 from rainsim import layers, paperrain, shade, sky, wetness
 from rainsim.drips import drip_impacts, drips_seen
 from rainsim.errors import ParameterError, require_choice
+from rainsim.film import WetGround, standing
 from rainsim.motion import shutter_end
 from rainsim.raster import Rasterizer, prepare
 from rainsim.simulation import rain_exposure, surfaces_of, usual_wind
@@ -27,6 +28,7 @@ NEAR = 0.05  # m: splats nearer than this are not drawn
 SKY_SHARE, NEAREST_SKY = 0.7, 30.0  # of the capture's reach [m] where its sky may begin
 MIRROR_CLEARANCE = 0.015  # m above the water: what is lower cannot be told from the ground
 FIRST_SEGMENT = 0.5  # m of a traced ray that are searched at first
+NO_FILM = np.empty((0, 0), np.float32)  # it glosses as all else does
 SUN_IRRADIANCE = 25.0  # of display white: full sun over the overcast sky's some 1
 
 
@@ -82,7 +84,9 @@ class Renderer:
         self.gloss = sky.blurred(self.day)  # until the surroundings are drawn
         self.environment = self._surroundings(eye)
         self.gloss = sky.blurred(self.environment)
+        self.wet_ground = WetGround(terrain, config.render)
         self._camera = None  # that the kept layers belong to
+        self._standing = None  # splats that stand on the ground, when they are first asked for
         self._tracer = None  # made when it is first asked for
         self._told = False  # how reflections are made
 
@@ -164,15 +168,24 @@ class Renderer:
     def _see(self, camera, timer):
         """Splat the capture for a new camera, grade and wet it."""
         self.view = self.frame.camera_in_ground(camera)
-        self.wet = self._wet_picture(camera, None, timer)
+        shape = (camera.height, camera.width) if self.wet_ground.apart else (0, 0)
+        cover = np.empty(shape, np.float32)
+        self.wet = self.wet_ground.lay(
+            self._wet_picture(camera, None, timer, cover), cover, self.view, self._level_mirrored,
+            self.gloss, self.notes,
+        )  # fmt: skip
+        timer.mark("film")
         self.water.look(self.wet)
         self.drop_light = sky.drop_radiance(self.environment, self.view.forward)
         self.air_light = sky.horizon_radiance(self.day)
         self._camera = camera
 
-    def _wet_picture(self, camera, plane, timer):
-        """Return the `View` of the wet capture that `camera` takes, cut at a plane or whole."""
-        dry = self.rasterizer.draw(camera, self.near, plane)
+    def _wet_picture(self, camera, plane, timer, film=NO_FILM, rasterizer=None):
+        """Return the `View` of the wet capture that `camera` takes, cut at a plane or whole.
+
+        `film`: see `shade.grade_and_wet`; `rasterizer`: of a part of the splats.
+        """
+        dry = (rasterizer or self.rasterizer).draw(camera, self.near, plane)
         timer.mark("splat" if plane is None else "mirror")
         turn, eye = _pose(self.frame.camera_in_ground(camera))
         lens = _lens(camera)
@@ -184,9 +197,19 @@ class Renderer:
             np.float32(self.frame.meters_per_unit), turn, eye, lens,
             self.terrain.bed, self.ground, self._origin, self._spacing,
             self.gloss, self.day, self.look, self.others, picture, depth, clearance,
+            film,
         )  # fmt: skip
         timer.mark("grade and wet" if plane is None else "mirror")
-        return View(picture, depth, clearance, turn, eye, lens)
+        return View(picture, depth, clearance, turn, eye, lens, picture)
+
+    def _level_mirrored(self, level):
+        """Return the `View` of what stands on the ground, `level` (ground frame) mirrored there."""
+        if self._standing is None:
+            self._standing = self._rasterizer_of(
+                standing(self.rasterizer.prepared, self.terrain, self.frame)
+            )
+        _, camera = mirrored_camera(self.frame.camera_in_capture(level), self.frame, 0.0)
+        return self._wet_picture(camera, None, Timer(), NO_FILM, self._standing)
 
     def _mirrored(self, level, window, share):
         """Return what stands above the water as the camera mirrored at `level` [m] sees it.

@@ -80,7 +80,7 @@ def graded(r, g, b, exposure, desaturation, compression):
 def grade_and_wet(
     color, alpha, depth, plane_depth, normal, meters_per_unit, ground_from_camera, eye, lens,
     bed, ground, origin, spacing, environment, day_sky, look, others,
-    picture_out, depth_out, clearance_out,
+    picture_out, depth_out, clearance_out, film_out,
 ):  # fmt: skip
     """Grade the dry picture, wet it, and measure it against the ground.
 
@@ -105,8 +105,12 @@ def grade_and_wet(
         Infinite for sky.
     clearance_out : ndarray of shape (height, width), float32 [m]
         Height above the bed; 1e4 outside the map and for the sky.
+    film_out : ndarray of shape (height, width) or (0, 0), float32
+        Share of a full film on the ground; what that mirrors is then left out of the picture, see
+        `film`. If empty, the ground glosses with the environment as all else does.
     """
     height, width = alpha.shape
+    film_apart = film_out.shape[0] > 0
     m = ground_from_camera
     flat_color = color.reshape(height, width * 3)
     for row in prange(height):
@@ -143,7 +147,14 @@ def grade_and_wet(
                 d * length, z * il, cosine, upness, height_here, lawn, damp, film, pores,
                 look[0], look[1], look[2], look[3], look[4],
             )  # fmt: skip
-            if gloss > ZERO:
+            on_floor = film_apart and upness > FLAT and height_here < ON_GROUND
+            if film_apart:
+                film_out[row, column] = ZERO
+            if on_floor:
+                film_out[row, column] = (
+                    film * (TWO * upness - ONE) * (ONE - lawn) if solid else ZERO
+                )
+            elif gloss > ZERO:
                 e0, e1, e2 = glossed(environment, x * il, y * il, z * il)
                 r, g, bl = r + gloss * e0, g + gloss * e1, bl + gloss * e2
             if through > LEAST_SKY:

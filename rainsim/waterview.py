@@ -46,6 +46,8 @@ class View:
     eye : ndarray of shape (3,), float32 [m]
     lens : ndarray of shape (4,), float32 [px]
         fx, fy, cx, cy.
+    below : ndarray of shape (height, width, 3), float32
+        The picture without what a film on the ground mirrors: what shows through water.
     """
 
     picture: np.ndarray
@@ -54,6 +56,7 @@ class View:
     turn: np.ndarray
     eye: np.ndarray
     lens: np.ndarray
+    below: np.ndarray
 
 
 class WaterView:
@@ -150,8 +153,8 @@ class WaterView:
             name = self.config.reflections
             self.light_up(name, draw_mirrored, trace, environment, timer)
             optics.lay_water(
-                self.pixel, self.record, self.light, self.view.picture, self.view.depth,
-                self.view.turn, self.view.lens, *self.laws(), sun, self._shown,
+                self.pixel, self.record, self.light, self.view.picture, self.view.below,
+                self.view.depth, self.view.turn, self.view.lens, *self.laws(), sun, self._shown,
             )  # fmt: skip
         timer.mark("water")
         return self._shown

@@ -17,6 +17,7 @@ _COLUMNS = {
     "infiltration": ("infiltration_mm_per_hour", 1e-3 / 3600),
     "manning": ("manning", 1.0),
     "porosity": ("porosity", 1.0),
+    "film_slope": ("film_slope", 1.0),
 }
 
 
@@ -30,7 +31,8 @@ class ClassTable:
     colors : ndarray of shape (n, 3), uint8
         Of the class map.
     columns : dict of str to ndarray of shape (n,)
-        storage [m], infiltration [m/s], manning [s/m^(1/3)], porosity (float32); soaks, mirrors.
+        storage [m], infiltration [m/s], manning [s/m^(1/3)], porosity, film_slope
+        (float32); soaks, mirrors.
     """
 
     names: tuple

@@ -117,7 +117,8 @@ class Terrain:
     def by_class(self, name):
         """Return a column of the class table for every cell, ndarray of shape (ny, nx).
 
-        `name` is storage [m], infiltration [m/s], manning, porosity (float32), soaks or mirrors.
+        `name` is storage [m], infiltration [m/s], manning, porosity, film_slope
+        (float32), soaks or mirrors.
         """
         return class_table().column(name)[self.ground_class]
 

@@ -29,7 +29,7 @@ def config(**changes):
     base = {
         "rate": mm_per_hour(20.0), "past": 4e-3, "frames": 2, "width": SIZE[0], "extent": 1.0,
         "spacing": 0.1, "wind": (0.0, 0.0), "reflections": "ssr",
-        "drips": False,
+        "drips": False, "film": "environment",
     }  # fmt: skip
     return Config().replace(**{**base, **changes})
 

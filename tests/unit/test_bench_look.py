@@ -19,8 +19,8 @@ def water(rng):
     clearance[:, :10] = 0.0
     turn = np.eye(3, dtype=np.float32)
     lens = np.array([50, 50, WIDTH / 2, HEIGHT / 2], np.float32)
-    view = View(np.zeros((HEIGHT, WIDTH, 3), np.float32), depth, clearance, turn,
-                np.zeros(3, np.float32), lens)  # fmt: skip
+    dark = np.zeros((HEIGHT, WIDTH, 3), np.float32)
+    view = View(dark, depth, clearance, turn, np.zeros(3, np.float32), lens, dark)  # fmt: skip
     return SimpleNamespace(view=view, pixel=np.arange(HEIGHT * WIDTH // 2, HEIGHT * WIDTH))
 
 

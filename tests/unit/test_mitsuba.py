@@ -116,8 +116,8 @@ def ours():
                         np.zeros((16, 32, 3), np.float32), np.array([0.15, 1, 12], np.float32),
                         light, source)  # fmt: skip
     out = picture.copy()
-    optics.lay_water(pixel, record, light, picture, depth, TURN, LENS, False, False, False,
-                     np.float32(4e-3), np.zeros(6, np.float32), out)  # fmt: skip
+    optics.lay_water(pixel, record, light, picture, picture, depth, TURN, LENS, False, False,
+                     False, np.float32(4e-3), np.zeros(6, np.float32), out)  # fmt: skip
     # Take back what our puddle water absorbs on the way down along the bent ray and straight up.
     normal = np.stack([-record[:, 10], 0 * record[:, 10], np.ones(len(record))], axis=1)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)

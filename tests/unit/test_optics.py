@@ -90,7 +90,7 @@ def water(depth_of_water, picture=None, depth=None, clearance=None, slopes=0.0, 
     out = picture.copy()
     out.reshape(-1, 3)[pixel] = np.nan
     optics.lay_water(
-        pixel, record, light, picture, depth, TURN, LENS, schlick, shift, phong,
+        pixel, record, light, picture, picture, depth, TURN, LENS, schlick, shift, phong,
         np.float32(4e-3), sun, out,
     )  # fmt: skip
     assert np.isfinite(out).all()

@@ -189,3 +189,18 @@ def test_streaks_are_drawn_with_the_pose_at_the_shutters_close(scene, camera, mo
     share = config().render.exposure * config().fps
     np.testing.assert_allclose(np.linalg.norm(way), 0.05 * share, rtol=1e-6)
     assert second.position @ way > first.position @ way and still is None
+
+
+def test_wet_ground_mirrors_what_stands_on_it(scene, camera):
+    """The mirrored picture of the film, and not the blurred surroundings only."""
+    pictures = {}
+    for name in ("mirror", "environment", "auto"):
+        pictures[name], report = frame(scene, camera, rate=0.0, film=name)
+        told = [note for note in report.notes if note.startswith("film")]
+        assert bool(told) == (name == "auto")
+    assert 20 < decibel(pictures["mirror"], pictures["environment"]) < 45
+    np.testing.assert_array_equal(pictures["auto"], pictures["mirror"])
+    dry = {
+        name: frame(scene, camera, rate=0.0, past=0.0, film=name)[0] for name in ("mirror", "auto")
+    }
+    np.testing.assert_array_equal(dry["mirror"], dry["auto"])

@@ -1,0 +1,422 @@
+"""What the film on wet ground mirrors: lights, facades and sky as long streaks.
+
+A wet rough surface is a mirror whose facets tilt: slopes with a Gaussian density, its rms along one
+axis in the class table. A tilt t in the plane of view turns the mirrored ray by 2 t in elevation,
+a tilt across it by 2 t sin(g) only, g being the angle at which the ground is seen: hence streaks.
+Facets that face the viewer are seen larger, which lifts the lobe where g is small. The lobe is cut
+into SAMPLES parts; each is looked up once, as wide as it is.
+
+It is looked up in one small picture: the camera mirrored at the ground plane, but level and
+upright, so that verticals are columns and a part of the lobe is a piece of one. The ground itself
+is left out of that picture (it would hide from below what stands on it), and the height and slope
+of the ground under each pixel are put right when it is looked up. Both the picture and the field of
+mirrored light that comes of it are coarse: nothing in them is sharp.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from dataclasses import replace
+
+import numpy as np
+from scipy import ndimage
+
+from rainsim.jit import cpu_kernel, lean_function, prange
+from rainsim.lobe import LEAST_DIP, LOBE, SAMPLES, lobe_part, reflectance
+from rainsim.raster import select
+from rainsim.ripmap import LEVELS, ripmap, sample_ripmap
+from rainsim.scene.types import Camera
+from rainsim.sky import sample_environment
+
+ZERO, HALF, ONE, TWO, THIRD = (np.float32(v) for v in (0, 0.5, 1, 2, 1 / 3))
+RESOLUTION = 250.0  # px per unit of tangent, of the level picture
+FIELD_STEP = 250.0  # as many, of the field of mirrored light
+MOST_ASIDE, MOST_UP = 1.3, 1.2  # tangents that the level picture reaches to
+MARGIN, ABOVE = 0.12, 0.02  # of it, besides what the camera sees and above the horizon
+STANDING = 0.04  # m above the ground of the map: what is lower is ground
+STANDING_OUTSIDE = 0.15  # m above the ground plane, off the map
+SLOPE_WIDTH = 0.25  # m, over which the ground's height and slope are taken
+FAR = np.float32(200.0)  # m, stands for the sky's distance
+STEPS = 3  # towards where a mirrored ray ends
+COARSE = 8  # px, between those that `mean_share` looks at
+USUAL_SLOPE = np.float32(0.2)  # for a first estimate
+EDGE = np.float32(6.0)  # px, over which the level picture gives way to the environment
+WORTH = 0.006  # mean share of the picture's light that the film mirrors, from which `auto` draws it
+
+
+NOTHING = (  # stands for a level picture that shows nothing
+    np.zeros((0, 0, 3), np.float32), np.zeros((0, 0), np.float32), np.ones(4, np.float32),
+    np.array([1, 0], np.float32),
+)  # fmt: skip
+
+
+def ground_slopes(terrain):
+    """Return height [m], slopes d/dx, d/dy and rms slope of the film, (ny, nx, 4) float32.
+
+    The ground's own height and slopes are those of its mean over SLOPE_WIDTH.
+    """
+    cell = terrain.grid.spacing
+    smooth = ndimage.gaussian_filter(terrain.bed.astype(np.float64), SLOPE_WIDTH / cell)
+    dy, dx = np.gradient(smooth, cell)
+    film = ndimage.gaussian_filter(terrain.by_class("film_slope"), 1)
+    return np.ascontiguousarray(np.stack([smooth, dx, dy, film], axis=-1), dtype=np.float32)
+
+
+def standing(prepared, terrain, frame):
+    """Return the prepared splats of what stands on the ground, with harmonics to degree 1."""
+    place = frame.to_ground(prepared.position.astype(np.float64))
+    (x0, y0), cell = terrain.grid.origin, terrain.grid.spacing
+    column, row = np.floor((place[:, 0] - x0) / cell), np.floor((place[:, 1] - y0) / cell)
+    ny, nx = terrain.bed.shape
+    inside = (column >= 0) & (row >= 0) & (column < nx) & (row < ny)
+    column, row = (np.where(inside, a, 0).astype(np.int64) for a in (column, row))
+    least = np.where(inside, terrain.bed[row, column] + STANDING, STANDING_OUTSIDE)
+    coarse = replace(prepared, fine=prepared.fine[:, :0], step=prepared.step[:, :0])
+    return select(coarse, place[:, 2] > least)
+
+
+def level_camera(view, most=RESOLUTION):
+    """Return the level, upright camera (ground frame) for what wet ground mirrors to a camera.
+
+    Parameters
+    ----------
+    view : Camera
+        In the ground frame.
+    most : float
+        Pixels per unit of tangent, at most; fewer for small pictures.
+    """
+    turn = view.camera_from_world[:3, :3].T
+    edge = np.linspace(0, 1, 33)
+    u = np.concatenate([edge, edge, 0 * edge, 0 * edge + 1]) * view.width
+    v = np.concatenate([0 * edge, 0 * edge + 1, edge, edge]) * view.height
+    ray = np.stack([(u - view.cx) / view.fx, (v - view.cy) / view.fy, np.ones_like(u)], -1) @ turn.T
+    forward = view.forward * (1.0, 1.0, 0.0)
+    if np.linalg.norm(forward) < 1e-3:  # straight down: any direction
+        forward = -turn[:, 1] * (1.0, 1.0, 0.0)
+    forward = forward / np.linalg.norm(forward)
+    right = np.array([forward[1], -forward[0], 0.0])
+    ahead, aside = ray @ forward, ray @ right
+    low = ray[:, 2] < 0
+    with np.errstate(divide="ignore", invalid="ignore"):
+        tangent = np.where(ahead > 0, aside / ahead, np.sign(aside) * np.inf)[low]
+    if not len(tangent):
+        tangent = np.zeros(1)
+    left, rightmost = np.clip(
+        [tangent.min() - MARGIN, tangent.max() + MARGIN], -MOST_ASIDE, MOST_ASIDE
+    )
+    scale = min(most, view.fx)
+    width, height = math.ceil((rightmost - left) * scale), math.ceil((ABOVE + MOST_UP) * scale)
+    matrix = np.eye(4)
+    matrix[:3, :3] = (right, (0.0, 0.0, -1.0), forward)
+    matrix[:3, 3] = -matrix[:3, :3] @ view.position
+    return Camera(width, height, scale, scale, -left * scale, ABOVE * scale, matrix)
+
+
+@cpu_kernel
+def mirrored_field(
+    ground_from_camera, eye, lens, step, wanted, ground, origin, spacing, lobe, atlas, level_depth,
+    level_lens, forward, environment, field_out,
+):  # fmt: skip
+    """Fill in the light that a full film on the ground mirrors to each block of pixels.
+
+    Every block is taken for ground, whatever stands before it: so the field is smooth.
+
+    Parameters
+    ----------
+    step : int [px]
+        Side of the blocks.
+    wanted : ndarray of shape (rows, columns), bool
+        Blocks that show film, or have a neighbour that does.
+    ground : ndarray of shape (ny, nx, 4), float32
+        As `ground_slopes` gives it.
+    lobe : ndarray
+        LOBE.
+    atlas : ndarray of shape (2 height, 2 width, 3), float32
+        The level picture, as `ripmap` makes it; empty: it shows nothing.
+    level_depth : ndarray, float32 [m]
+        Its depth, infinite for the sky.
+    level_lens : ndarray of shape (4,), float32 [px]
+    forward : ndarray of shape (2,), float32
+        Unit, where its axis points to on the ground.
+    environment : ndarray of shape (m, 2 m, 3), float32
+        Mirrored where that picture ends.
+    field_out : ndarray of shape (rows, columns, 3), float32
+        Radiance; zero where not wanted.
+    """
+    rows, columns = wanted.shape
+    m = ground_from_camera
+    for j in prange(rows):
+        b = ((np.float32(j) + HALF) * np.float32(step) - lens[3]) / lens[1]
+        for i in range(columns):
+            field_out[j, i, 0], field_out[j, i, 1], field_out[j, i, 2] = ZERO, ZERO, ZERO
+            if not wanted[j, i]:
+                continue
+            a = ((np.float32(i) + HALF) * np.float32(step) - lens[2]) / lens[0]
+            x = m[0, 0] * a + m[0, 1] * b + m[0, 2]
+            y = m[1, 0] * a + m[1, 1] * b + m[1, 2]
+            z = m[2, 0] * a + m[2, 1] * b + m[2, 2]
+            r, g, bl = mirrored_light(
+                x, y, z, eye, ground, origin, spacing, lobe, atlas, level_depth, level_lens,
+                forward, environment,
+            )  # fmt: skip
+            field_out[j, i, 0], field_out[j, i, 1], field_out[j, i, 2] = r, g, bl
+
+
+@lean_function
+def mirrored_light(
+    x, y, z, eye, ground, origin, spacing, lobe, atlas, depth, lens, forward, environment,
+):  # fmt: skip
+    """Return the radiance that a film on the ground mirrors to the eye from direction (x, y, z).
+
+    Parameters as in `mirrored_field`.
+    """
+    flat = max(math.sqrt(x * x + y * y), np.float32(1e-4))
+    ux, uy = x / flat, y / flat
+    dip = max(-z / flat, LEAST_DIP)
+    # Where the ray meets the ground, which is nearly level.
+    here = ZERO
+    span = ZERO
+    u, v, gx, gy, slope = ZERO, ZERO, ZERO, ZERO, ONE
+    for _ in range(3):
+        span = max(eye[2] - here, np.float32(0.02)) / dip
+        u = (eye[0] + span * ux - origin[0]) / spacing - HALF
+        v = (eye[1] + span * uy - origin[1]) / spacing - HALF
+        here, gx, gy, slope = ground_at(ground, u, v)
+    inside = u > ZERO and v > ZERO
+    inside = inside and u < np.float32(ground.shape[1] - 1) and v < np.float32(ground.shape[0] - 1)
+    if not inside:
+        gx, gy = ZERO, ZERO
+    tilt = gx * ux + gy * uy
+    cross = gy * ux - gx * uy
+    # In the level picture verticals are columns.
+    ahead = ux * forward[0] + uy * forward[1]
+    if ahead < np.float32(0.2):
+        ahead = np.float32(0.2)
+    aside = ux * forward[1] - uy * forward[0]
+    column = lens[0] * aside / ahead + lens[2]
+    drop = eye[2] + here  # of the virtual image of the ground here below the eye
+    rows, columns = depth.shape
+    height, width = np.float32(rows), np.float32(columns)
+    r, gr, b = ZERO, ZERO, ZERO
+    way = ZERO  # of the mirrored ray, level [m]; the last part's is a good guess for the next
+    for k in range(SAMPLES):
+        rise, weight, facet, wide = lobe_part(lobe, k, dip, tilt, slope)
+        if weight <= ZERO:
+            continue
+        # Facets that lean across turn the ray aside; the ground's own lean does so, too.
+        sideways = TWO * facet * math.sqrt(ONE + rise * rise)
+        for _ in range(STEPS if rows > 0 else 0):
+            reach = ONE / ((span + way) * ahead)
+            c = column - cross * sideways * way / (span + way) / (ahead * ahead) * lens[0]
+            row = lens[1] * (drop + way * rise) * reach + lens[3]
+            p = min(max(int(c), 0), columns - 1)
+            q = min(max(int(row), 0), rows - 1)
+            way = max(min(depth[q, p], FAR) / ahead - span, ZERO)
+        bent = way / (span + way)
+        c = column - cross * sideways * bent / (ahead * ahead) * lens[0]
+        row = lens[1] * (drop + way * rise) / ((span + way) * ahead) + lens[3]
+        # Widths in pixels. A level's texel, interpolated, has a deviation of half its width: as
+        # much as a part of 1.7 widths has, and half of what `broad` is.
+        tall = lens[1] * bent / ahead * wide * (ONE + rise * rise)
+        broad = TWO * lens[0] * bent / (ahead * ahead) * slope * sideways
+        high = min(int(math.log2(max(tall, ONE))), LEVELS - 1)
+        lower = min(int(math.log2(max(broad, ONE))), LEVELS - 2)
+        broad /= np.float32(1 << lower)
+        f = min(max((broad * broad - ONE) * THIRD, ZERO), ONE)  # of the variance
+        out = max(max(-c, c - width), max(row - height, ZERO)) / EDGE
+        found = ONE - min(max(out, ZERO), ONE) if rows > 0 else ZERO
+        if found > ZERO:
+            p0, p1, p2 = sample_ripmap(atlas, c, row, lower, high)
+            q0, q1, q2 = sample_ripmap(atlas, c, row, lower + 1, high)
+            found *= weight
+            r += found * (p0 + (q0 - p0) * f)
+            gr += found * (p1 + (q1 - p1) * f)
+            b += found * (p2 + (q2 - p2) * f)
+        if found < weight:
+            e0, e1, e2 = sample_environment(environment, ux, uy, rise)
+            found = weight - found
+            r, gr, b = r + found * e0, gr + found * e1, b + found * e2
+    return r, gr, b
+
+
+@lean_function
+def ground_at(ground, u, v):
+    """Return what `ground_slopes` tells at column u and row v, interpolated, held at the border."""
+    rows, columns = ground.shape[0], ground.shape[1]
+    u = min(max(u, ZERO), np.float32(columns - 1))
+    v = min(max(v, ZERO), np.float32(rows - 1))
+    i, j = min(int(u), columns - 2), min(int(v), rows - 2)
+    k, m = i + 1, j + 1
+    a, b = u - np.float32(i), v - np.float32(j)
+    w0, w1, w2, w3 = (ONE - a) * (ONE - b), a * (ONE - b), (ONE - a) * b, a * b
+    g = ground
+    return (
+        g[j, i, 0] * w0 + g[j, k, 0] * w1 + g[m, i, 0] * w2 + g[m, k, 0] * w3,
+        g[j, i, 1] * w0 + g[j, k, 1] * w1 + g[m, i, 1] * w2 + g[m, k, 1] * w3,
+        g[j, i, 2] * w0 + g[j, k, 2] * w1 + g[m, i, 2] * w2 + g[m, k, 2] * w3,
+        g[j, i, 3] * w0 + g[j, k, 3] * w1 + g[m, i, 3] * w2 + g[m, k, 3] * w3,
+    )
+
+
+@cpu_kernel
+def lay_film(bare, cover, field, step, picture_out):
+    """Add to a picture without film what its film mirrors.
+
+    Parameters
+    ----------
+    bare : ndarray of shape (height, width, 3), float32
+    cover : ndarray of shape (height, width), float32
+        Share of full film in each pixel.
+    field : ndarray of shape (rows, columns, 3), float32
+        As `mirrored_field` makes it, of blocks of `step` pixels.
+    picture_out : ndarray of shape (height, width, 3), float32
+    """
+    height, width = cover.shape
+    rows, columns = field.shape[:2]
+    scale = ONE / np.float32(step)
+    for row in prange(height):
+        v = min(max((np.float32(row) + HALF) * scale - HALF, ZERO), np.float32(rows - 1))
+        j = max(min(int(v), rows - 2), 0)
+        k = min(j + 1, rows - 1)
+        b = v - np.float32(j)
+        for column in range(width):
+            share = cover[row, column]
+            for c in range(3):
+                picture_out[row, column, c] = bare[row, column, c]
+            if share <= ZERO:
+                continue
+            u = min(max((np.float32(column) + HALF) * scale - HALF, ZERO), np.float32(columns - 1))
+            i = max(min(int(u), columns - 2), 0)
+            n = min(i + 1, columns - 1)
+            a = u - np.float32(i)
+            for c in range(3):
+                low = field[j, i, c] + (field[j, n, c] - field[j, i, c]) * a
+                high = field[k, i, c] + (field[k, n, c] - field[k, i, c]) * a
+                picture_out[row, column, c] += share * (low + (high - low) * b)
+
+
+class WetGround:
+    """What the film on the ground mirrors to one camera after another.
+
+    Parameters
+    ----------
+    terrain : Terrain
+    frame : GroundFrame
+    config : RenderConfig
+        `film` and `reflections` name the method.
+    """
+
+    def __init__(self, terrain, config):
+        self.terrain, self.config = terrain, config
+        self._told = False
+        self.drawn = config.film == "mirror"
+
+    @property
+    def apart(self):
+        """Whether the film may get a mirrored picture, so that its cover must be known."""
+        named = self.config.film != "environment"
+        return named and self.config.reflections in ("auto", "mirror", "traced")
+
+    def lay(self, view, cover, camera, draw_mirrored, environment, notes):
+        """Return a view with its film.
+
+        Parameters
+        ----------
+        view : View
+            Its picture is without film.
+        cover : ndarray of shape (height, width), float32
+            Share of a full film in each pixel.
+        camera : Camera
+            Of the view, in the ground frame.
+        draw_mirrored : callable
+            draw_mirrored(camera) returns the `View` of what stands on the ground that a
+            ground-frame camera mirrored at the ground plane takes.
+        environment : ndarray of shape (m, 2 m, 3), float32
+            Mirrored where that picture ends.
+        notes : list of str
+            What `auto` chose is added, once.
+        """
+        step = max(1, round(camera.fx / FIELD_STEP))
+        wanted = np.empty([-(-n // step) for n in cover.shape], bool)
+        film_blocks(cover, step, wanted)
+        if not wanted.any():
+            return view
+        atlas, depth, lens, forward = self._level_picture(view, cover, camera, draw_mirrored, notes)
+        field = np.empty((*wanted.shape, 3), np.float32)
+        mirrored_field(
+            view.turn, view.eye, view.lens, step, wanted, self.ground,
+            np.array(self.terrain.grid.origin, np.float32), np.float32(self.terrain.grid.spacing),
+            LOBE, atlas, depth, lens, forward, environment, field,
+        )  # fmt: skip
+        picture = np.empty_like(view.picture)
+        lay_film(view.picture, cover, field, step, picture)
+        return replace(view, picture=picture, below=view.picture)
+
+    def _level_picture(self, view, cover, camera, draw_mirrored, notes):
+        """Return the ripmap, depth, lens and axis of the level picture; empty if not worth it.
+
+        Once it was worth it, it stays so: a film must not change its look between two frames.
+        """
+        if self.config.film == "auto" and not self.drawn:
+            share = mean_share(view, cover)
+            self.drawn = share > WORTH
+            if self.drawn or not self._told:
+                what = "a mirrored picture" if self.drawn else "the surroundings only"
+                notes.append(
+                    f"film on wet ground: mirrors {what}, {share:.1%} of the light in view"
+                )
+            self._told = True
+        if not self.drawn:
+            return NOTHING
+        level = level_camera(camera)
+        seen = draw_mirrored(level)
+        forward = level.forward[:2].astype(np.float32)
+        return ripmap(seen.picture, round(level.cy)), seen.depth, seen.lens, forward
+
+    @functools.cached_property
+    def ground(self):
+        """As `ground_slopes` gives it."""
+        return ground_slopes(self.terrain)
+
+
+@cpu_kernel
+def film_blocks(cover, step, wanted_out):
+    """Find the blocks of `step` pixels that show film or have a neighbour that does.
+
+    Parameters
+    ----------
+    cover : ndarray of shape (height, width), float32
+    wanted_out : ndarray of shape (rows, columns), bool
+    """
+    height, width = cover.shape
+    rows, columns = wanted_out.shape
+    for j in prange(rows):
+        line = wanted_out[j]
+        line[:] = False
+        top = np.int64(j) * step
+        for row in range(max(top - step, 0), min(top + 2 * step, height)):
+            for column in range(width):
+                if cover[row, column] > ZERO:
+                    line[column // step] = True
+        before = False
+        for i in range(columns):
+            here = line[i]
+            after = i + 1 < columns and line[i + 1]
+            line[i] = before or here or after
+            before = here
+
+
+def mean_share(view, cover):
+    """Return the mean share of light in a view that its film mirrors, from every eighth pixel."""
+    part = cover[::COARSE, ::COARSE]
+    fx, fy, cx, cy = view.lens
+    height, width = cover.shape
+    a = (np.arange(0, width, COARSE) + 0.5 - cx) / fx
+    b = (np.arange(0, height, COARSE) + 0.5 - cy) / fy
+    ray = np.stack(np.broadcast_arrays(a[None], b[:, None], 1.0), axis=-1) @ view.turn.T
+    dip = -ray[..., 2] / np.hypot(ray[..., 0], ray[..., 1])
+    tangent = np.geomspace(LEAST_DIP, 20, 48).astype(np.float32)
+    share = np.empty_like(tangent)
+    reflectance(LOBE, tangent, USUAL_SLOPE, share)
+    return float((part * np.interp(dip, tangent, share)).mean())

@@ -1,0 +1,217 @@
+"""What the film on wet ground mirrors, against closed forms and rays drawn at random."""
+
+import math
+
+import numpy as np
+import pytest
+
+from rainsim import film, lobe
+from rainsim.ripmap import ripmap
+from rainsim.terrain.table import HARD, class_table
+
+F4 = np.float32
+EYE = np.array([0, 0, 1.5], F4)
+# A level camera that looks along y; rows of the ground frame's axes in columns.
+TURN = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]], F4)
+WIDTH, HEIGHT, FOCAL = 64, 48, 60.0
+LENS = np.array([FOCAL, FOCAL, WIDTH / 2, 6], F4)
+FORWARD = np.array([0, 1], F4)
+CELLS, SPACING = 20, F4(2.0)
+ORIGIN = np.array([-20, -5], F4)
+
+
+def dielectric(cosine):
+    """Return Fresnel's reflectance of water, float64."""
+    t = np.sqrt(1 - (1 - cosine**2) / 1.333**2)
+    s, p = (cosine - 1.333 * t) / (cosine + 1.333 * t), (1.333 * cosine - t) / (1.333 * cosine + t)
+    return (s**2 + p**2) / 2
+
+
+def smith(tangent, slope):
+    """Return Smith's Lambda of a Gaussian surface, exact."""
+    a = tangent / slope
+    erfc = np.vectorize(math.erfc)(a / math.sqrt(2))
+    return np.exp(-a * a / 2) / (a * math.sqrt(2 * math.pi)) - erfc / 2
+
+
+def facets(view, slope, count, rng):
+    """Return mirrored rays (n, 3) and weights (n,) whose sum is the reflectance.
+
+    Facets are drawn by their slopes and weighted by how large they are seen.
+    """
+    sx, sy = rng.normal(0, slope, (2, count))
+    normal = np.stack([-sx, -sy, np.ones(count)], -1)
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    cosine = np.maximum(-normal @ view, 0)
+    seen = cosine / normal[:, 2]
+    ray = view + 2 * cosine[:, None] * normal
+    rise = ray[:, 2] / np.hypot(ray[:, 0], ray[:, 1])
+    up = rise > 1e-3
+    out = 1 + smith(-view[2] / np.hypot(view[0], view[1]), slope)
+    hidden = smith(np.where(up, rise, 1), slope)
+    weight = seen / seen.sum() * dielectric(cosine) * np.where(up, out / (out + hidden), 0)
+    return ray, weight
+
+
+def level_ground(slope=0.2):
+    ground = np.zeros((CELLS, CELLS, 4), F4)
+    ground[..., 3] = slope
+    return ground
+
+
+def field_of(atlas, depth, environment, poisoned, ground=None):
+    wanted = np.ones((HEIGHT, WIDTH), bool)
+    field = poisoned((HEIGHT, WIDTH, 3))
+    film.mirrored_field(
+        TURN, EYE, LENS, 1, wanted, level_ground() if ground is None else ground, ORIGIN, SPACING,
+        lobe.LOBE, atlas, depth, LENS, FORWARD, environment, field,
+    )  # fmt: skip
+    assert np.isfinite(field).all()
+    return field
+
+
+def test_lobe_has_the_moments_of_the_visible_facets():
+    mean, width = lobe.LOBE[..., 0].astype(float), lobe.LOBE[..., 1].astype(float)
+    np.testing.assert_allclose(mean[-1] @ lobe.PARTS, 0, atol=2e-3)
+    np.testing.assert_allclose((mean[-1] ** 2 + width[-1] ** 2 / 12) @ lobe.PARTS, 1, rtol=2e-3)
+    # At a grazing angle the density is x exp(-x^2 / 2): mean sqrt(pi / 2).
+    np.testing.assert_allclose(mean[0] @ lobe.PARTS, math.sqrt(math.pi / 2), rtol=2e-3)
+    assert (np.diff(mean, axis=1) > 0).all()
+
+
+@pytest.mark.parametrize("slope", [0.1, 0.2, 0.3])
+def test_reflectance_is_that_of_facets_drawn_at_random(slope, rng, poisoned):
+    tangent = np.array([0.02, 0.1, 0.3, 1, 3], F4)
+    share = poisoned(tangent.shape)
+    lobe.reflectance(lobe.LOBE, tangent, F4(slope), share)
+    for t, found in zip(tangent, share, strict=True):
+        view = np.array([1, 0, -t]) / math.hypot(1, t)
+        wanted = facets(view, slope, 200_000, rng)[1].sum()
+        assert found == pytest.approx(wanted, rel=0.07, abs=2e-3)
+    assert (share < 1).all() and (np.diff(share[1:]) < 0).all()
+
+
+def test_paving_reflects_as_wet_roads_do():
+    """Specular factor S1 and mean luminance coefficient Q0 of the standard tables W2 to W4.
+
+    CIE 47-1979, classes after van Bommel 2015 (Road Lighting, table 12.3): W2 has S1 of 4.5 to 7.2
+    and Q0 0.150, W3 7.2 to 9.8 and 0.196, W4 9.8 to 12 and 0.247, seen at one degree.
+    """
+    diffuse = 0.03  # of wet asphalt, sr^-1
+
+    def coefficient(beta, tangent, slope):
+        eye = np.array([math.cos(math.radians(1)), 0, math.sin(math.radians(1))])
+        gamma = np.arctan(tangent)
+        light = np.stack([-np.sin(gamma) * np.cos(beta), np.sin(gamma) * np.sin(beta),
+                          np.cos(gamma)], -1)  # fmt: skip
+        half = light + eye
+        half /= np.linalg.norm(half, axis=-1, keepdims=True)
+        square = (half[..., 0] ** 2 + half[..., 1] ** 2) / half[..., 2] ** 2
+        density = np.exp(-square / (2 * slope**2)) / (2 * math.pi * slope**2)
+        seen = 1 + smith(eye[2] / eye[0], slope) + smith(1 / np.maximum(tangent, 1e-2), slope)
+        return diffuse + dielectric(half @ eye) * density / (
+            4 * eye[2] * light[..., 2] * half[..., 2] ** 4 * seen
+        )
+
+    x, y = np.meshgrid(np.linspace(-4, 12, 161), np.linspace(-3, 3, 61))  # mounting heights
+    tangent, beta = np.hypot(x, y), np.arctan2(y, x)
+    angle = (1 + tangent**2) ** -1.5
+    found = []
+    for slope in (0.2, 0.25, 0.3):
+        special = coefficient(0.0, np.array(2.0), slope) * math.cos(math.atan(2)) ** 3
+        special /= coefficient(0.0, np.array(0.0), slope)
+        mean = (coefficient(beta, tangent, slope) * angle).sum() / angle.sum()
+        found.append((float(special), float(mean)))
+    np.testing.assert_allclose(found, [(10.5, 0.24), (6.9, 0.19), (4.4, 0.16)], rtol=0.04)
+    assert class_table().column("film_slope")[HARD] == F4(0.2)
+
+
+def test_levels_of_the_ripmap_are_means_of_blocks(rng):
+    picture = rng.uniform(0, 1, (64, 128, 3)).astype(F4)
+    atlas = ripmap(picture, 0)
+    height, width = 64, 128
+    for down, across in ((0, 0), (2, 0), (0, 3), (3, 1)):
+        high, wide = height >> down, width >> across
+        top, left = 2 * (height - high), 2 * (width - wide)
+        means = picture.reshape(high, 1 << down, wide, 1 << across, 3).mean(axis=(1, 3))
+        np.testing.assert_allclose(
+            atlas[top : top + high, left : left + wide], means, rtol=1e-4, atol=1e-6
+        )
+    # Rows above the horizon show what is at the horizon.
+    np.testing.assert_array_equal(ripmap(picture, 5)[:5, :128], np.tile(picture[5], (5, 1, 1)))
+
+
+@pytest.mark.parametrize("pictured", [True, False])
+def test_white_surroundings_give_the_reflectance_and_no_more(pictured, poisoned):
+    white = np.ones((16, 32, 3), F4)
+    atlas, depth = film.NOTHING[:2]
+    if pictured:
+        atlas = ripmap(np.ones((HEIGHT, WIDTH, 3), F4), 6)
+        depth = np.full((HEIGHT, WIDTH), 9, F4)
+    field = field_of(atlas, depth, white, poisoned)
+    assert (field <= 1).all() and (field >= 0).all()
+    dip = (np.arange(HEIGHT) + 0.5 - 6) / FOCAL
+    below = dip > 0.01
+    share = poisoned(below.sum())
+    lobe.reflectance(lobe.LOBE, dip[below].astype(F4), F4(0.2), share)
+    np.testing.assert_allclose(field[below, WIDTH // 2, 0], share, rtol=2e-3)
+
+
+def panel_light(origin, ray, distance, left, right, low, high):
+    """Return whether rays meet a glowing panel across the view; a dark wall stands around it."""
+    along = (distance - origin[1]) / np.where(ray[:, 1] > 0, ray[:, 1], np.nan)
+    x, z = origin[0] + along * ray[:, 0], along * ray[:, 2]
+    return (x > left) & (x < right) & (z > low) & (z < high)
+
+
+@pytest.mark.parametrize(("slope", "least"), [(0.2, 0.98), (0.06, 0.95)])
+def test_a_window_makes_the_streak_that_rays_drawn_at_random_make(slope, least, rng, poisoned):
+    """A lit window in a dark wall: the field against 3000 facets a block."""
+    distance, panel = 12.0, (-0.6, 0.6, 1.0, 2.5)
+    v, u = np.indices((HEIGHT, WIDTH)) + 0.5
+    # The mirrored camera sees the wall's point at height z where z + eye height is below it.
+    x, z = (u - LENS[2]) / FOCAL * distance, (v - LENS[3]) / FOCAL * distance - EYE[2]
+    lit = (x > panel[0]) & (x < panel[1]) & (z > panel[2]) & (z < panel[3])
+    picture = np.repeat(lit[..., None], 3, axis=-1).astype(F4)
+    depth = np.where(z > 0, distance, np.inf).astype(F4)  # below the wall's foot lies ground
+    dark = np.zeros((16, 32, 3), F4)
+    atlas = ripmap(picture, 6)
+    field = field_of(atlas, depth, dark, poisoned, level_ground(slope))[..., 0]
+    wanted = np.zeros_like(field)
+    ground = (v - LENS[3]) / FOCAL > EYE[2] / distance  # before the wall
+    ground &= (u % 4 < 1) & (abs(u - LENS[2]) < 16)
+    for j, i in zip(*np.nonzero(ground), strict=True):
+        ray = np.array([(u[j, i] - LENS[2]) / FOCAL, 1, -(v[j, i] - LENS[3]) / FOCAL])
+        spot = EYE + ray * EYE[2] / -ray[2]
+        mirrored, weight = facets(ray / np.linalg.norm(ray), slope, 3000, rng)
+        wanted[j, i] = (weight * panel_light(spot, mirrored, distance, *panel)).sum()
+    assert wanted.max() > 0.03
+    assert math.sqrt(((field - wanted)[ground] ** 2).mean()) < 0.06 * wanted.max()
+    assert np.corrcoef(field[ground], wanted[ground])[0, 1] > least
+
+
+def test_slope_of_the_ground_moves_what_it_mirrors(poisoned):
+    """Ground that rises away from the eye mirrors what stands twice its slope higher."""
+    picture = np.zeros((HEIGHT, WIDTH, 3), F4)
+    picture[30:] = 1.0  # bright above an elevation of atan(24 / 60)
+    depth = np.full((HEIGHT, WIDTH), np.inf, F4)
+    dark = np.zeros((16, 32, 3), F4)
+    rising = level_ground(0.06)
+    rising[..., 2] = 0.05
+    atlas = ripmap(picture, 6)
+    level = field_of(atlas, depth, dark, poisoned, level_ground(0.06))[14:30, WIDTH // 2, 0]
+    found = field_of(atlas, depth, dark, poisoned, rising)[14:30, WIDTH // 2, 0]
+    assert found.sum() > 1.2 * level.sum() > 0
+
+
+def test_film_is_added_where_it_is(rng, poisoned):
+    bare = rng.uniform(0, 1, (9, 13, 3)).astype(F4)
+    cover = np.zeros((9, 13), F4)
+    cover[4:, 6:] = 0.5
+    wanted = np.zeros((3, 5), bool)
+    film.film_blocks(cover, 3, wanted)
+    assert wanted[1:, 1:].all() and not wanted[:, 0].any() and not wanted[0, 0]
+    field = np.full((3, 5, 3), 0.4, F4)
+    picture = poisoned(bare.shape)
+    film.lay_film(bare, cover, field, 3, picture)
+    np.testing.assert_allclose(picture - bare, 0.4 * cover[..., None] + 0 * bare, atol=1e-6)
