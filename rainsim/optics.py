@@ -6,8 +6,8 @@ what is mirrored, `lay_water` puts it all into the picture.
 
 Numbers of a record: 0 to 2 the surface point x, y, z [m]; 3 to 5 the unit view direction; 6 depth
 of the point along the view axis [m]; 7 water depth [m]; 8 coverage; 9 share of the ripples that
-show; 10, 11 slopes of the surface that the picture resolves; 12 rms slope, along one axis, of what
-it does not.
+show; 10, 11 mean slopes of the surface in the pixel; 12 to 14 how they vary in it: variances of the
+slopes along x and y and their covariance; 15 width of the pixel there [m].
 """
 
 from __future__ import annotations
@@ -26,12 +26,11 @@ from rainsim.light import (
     schlick,
     smoothstep,
 )
+from rainsim.moments import pixel_slopes
 
 ZERO = np.float32(0)
 ONE = np.float32(1)
 TWO = np.float32(2)
-THREE = np.float32(3)
-FOUR = np.float32(4)
 HALF = np.float32(0.5)
 
 RECORD = 16  # numbers of a record: a cache line
@@ -42,7 +41,6 @@ HIDE_LOW, HIDE_HIGH = np.float32(0.004), np.float32(0.014)  # m above water: hid
 LEAST_DIP = np.float32(-0.01)  # rays flatter than this meet water in the haze, if at all
 LEAST_COVERAGE = np.float32(0.004)  # a smaller share does not change an 8-bit picture
 LEAST_COSINE = np.float32(0.02)
-MOST_SLANT = np.float32(6)  # of the pixel's footprint on the water over its width
 RIPPLE_LOW, RIPPLE_HIGH = np.float32(0.0008), np.float32(0.004)  # m of water: none, full rings
 RIPPLE_REST = np.float32(0.07)  # share of the rings that runs in under cover
 NEAREST = np.float32(0.05)  # m
@@ -180,96 +178,34 @@ def list_water(
             r = record_out[n]
             r[0], r[1], r[2], r[3], r[4], r[5] = sx, sy, sz, x * inv, y * inv, z * inv
             r[6], r[7], r[8], r[9] = t, deep, covers, grow
-            r[10], r[11], r[12] = ZERO, ZERO, ZERO
-            r[13] = t * length / lens[0] * min(-length / z, MOST_SLANT)
+            r[10], r[11], r[12], r[13], r[14] = ZERO, ZERO, ZERO, ZERO, ZERO
+            r[15] = t * length / lens[0]
             pixel_out[n] = row * width + column
             n += 1
 
 
 @cpu_kernel
-def tilt_water(record, slopes0, slopes1, slopes2, slopes3, rms_slopes, tile_size):
-    """Tilt the listed water by the ripples; modifies slopes and rms slope of `record`.
+def tilt_water(record, moments, tile_size):
+    """Tilt the listed water by the ripples; modifies numbers 10 to 14 of `record`.
 
     Parameters
     ----------
     record : ndarray of shape (n, 16), float32
-    slopes0, slopes1, slopes2, slopes3 : ndarray of shape (2, k, k), float32
-        Ripple slopes d eta/dx, d eta/dy on a periodic tile of `tile_size` [m], each level half.
-    rms_slopes : ndarray of shape (4,), float32
-        Root mean square slope along one axis that each level holds.
+    moments : ndarray of shape (k, k + k // 2, 5), float32
+        Of the ripples' slopes on a periodic tile of `tile_size` [m], see `moments`.
     tile_size : float32 [m]
     """
-    cell = tile_size / np.float32(slopes0.shape[1])
     for n in prange(len(record)):
         r = record[n]
         grow = r[9]
-        gx, gy, rough = ZERO, ZERO, ZERO
+        gx, gy, xx, yy, xy = ZERO, ZERO, ZERO, ZERO, ZERO
         if grow > ZERO:
-            level = tile_level(r[13], cell)
-            gx, gy = sample_tile(slopes0, slopes1, slopes2, slopes3, r[0], r[1], tile_size, level)
-            rough = hidden_slope(rms_slopes, level)
-        r[10], r[11], r[12] = grow * gx, grow * gy, grow * rough
-
-
-@device_function
-def tile_level(footprint, cell):
-    """Return which resolution of the ripple tile a pixel of `footprint` [m] can show, 0 to 4.
-
-    A wave needs two pixels, so the finest cells that are used are as wide as one.
-    """
-    return min(math.log2(max(footprint / cell, ONE)), FOUR)
-
-
-@device_function
-def hidden_slope(rms_slopes, level):
-    """Return the root mean square slope, along one axis, that `level` of the tile does not hold."""
-    i = min(int(level), 3)
-    f = level - np.float32(i)
-    coarse = rms_slopes[i + 1] if i < 3 else ZERO
-    held = rms_slopes[i] + (coarse - rms_slopes[i]) * f
-    return math.sqrt(max(rms_slopes[0] * rms_slopes[0] - held * held, ZERO))
-
-
-@device_function
-def sample_tile(level0, level1, level2, level3, x, y, size, level):
-    """Return both slopes of the ripple tile at ground point (x, y) at a resolution of 0 to 4.
-
-    The levels hold the same tile, each at half the resolution of the one before; 4 is flat.
-    """
-    u, v = x / size, y / size
-    u, v = u - math.floor(u), v - math.floor(v)
-    if level >= THREE:
-        ax, ay = _tile(level3, u, v)
-        return ax * (FOUR - level), ay * (FOUR - level)
-    if level >= TWO:
-        ax, ay = _tile(level2, u, v)
-        bx, by = _tile(level3, u, v)
-        f = level - TWO
-    elif level >= ONE:
-        ax, ay = _tile(level1, u, v)
-        bx, by = _tile(level2, u, v)
-        f = level - ONE
-    else:
-        ax, ay = _tile(level0, u, v)
-        bx, by = _tile(level1, u, v)
-        f = level
-    return ax + (bx - ax) * f, ay + (by - ay) * f
-
-
-@device_function
-def _tile(slopes, u, v):
-    """Return both slopes at (u, v), shares of the tile from 0 to 1, interpolated."""
-    n = slopes.shape[1]
-    u, v = u * np.float32(n) - HALF, v * np.float32(n) - HALF
-    i, j = int(u + ONE) - 1, int(v + ONE) - 1  # the floor: both are above -1
-    a, b = u - np.float32(i), v - np.float32(j)
-    k, m = i + 1 if i + 1 < n else 0, j + 1 if j + 1 < n else 0
-    i, j = i if i >= 0 else n - 1, j if j >= 0 else n - 1
-    w0, w1, w2, w3 = (ONE - a) * (ONE - b), a * (ONE - b), (ONE - a) * b, a * b
-    return (
-        slopes[0, j, i] * w0 + slopes[0, j, k] * w1 + slopes[0, m, i] * w2 + slopes[0, m, k] * w3,
-        slopes[1, j, i] * w0 + slopes[1, j, k] * w1 + slopes[1, m, i] * w2 + slopes[1, m, k] * w3,
-    )
+            gx, gy, xx, yy, xy = pixel_slopes(
+                moments, tile_size, r[0], r[1], r[3], r[4], r[5], r[15]
+            )
+        square = grow * grow
+        r[10], r[11] = grow * gx, grow * gy
+        r[12], r[13], r[14] = square * xx, square * yy, square * xy
 
 
 @cpu_kernel
@@ -375,8 +311,10 @@ def terms_of(r, row, column, picture, depth, m, lens, schlick_law, image_shift, 
     if sun[3] + sun[4] + sun[5] > ZERO and phong:
         glint = share * phong_highlight(vx, vy, vz, sun[0], sun[1], sun[2], ux, uy, uz)
     elif sun[3] + sun[4] + sun[5] > ZERO:
-        rough = glint_variance + r[12] * r[12]
-        glint = sun_glint(vx, vy, vz, sun[0], sun[1], sun[2], gx, gy, rough)
+        glint = sun_glint(
+            vx, vy, vz, sun[0], sun[1], sun[2], gx, gy, glint_variance + r[12],
+            glint_variance + r[13], r[14],
+        )  # fmt: skip
     return (
         b0 * exp_minus(ABSORB_R * travel), b1 * exp_minus(ABSORB_G * travel),
         b2 * exp_minus(ABSORB_B * travel), share, glint,
@@ -446,11 +384,11 @@ def phong_highlight(vx, vy, vz, lx, ly, lz, ux, uy, uz):
 
 
 @device_function
-def sun_glint(vx, vy, vz, lx, ly, lz, gx, gy, variance):
+def sun_glint(vx, vy, vz, lx, ly, lz, gx, gy, xx, yy, xy):
     """Return the radiance of the sun's glint over its irradiance.
 
-    Cox and Munk 1954: F p(slope) / (4 cos(view) n_z^4), with a Gaussian slope density of `variance`
-    about the slope (gx, gy) that the pixel resolves.
+    Cox and Munk 1954: F p(slope) / (4 cos(view) n_z^4), with a Gaussian slope density about the
+    pixel's mean slope (gx, gy), of variances xx and yy and covariance xy.
     """
     hx, hy, hz = lx - vx, ly - vy, lz - vz
     inv = ONE / max(math.sqrt(hx * hx + hy * hy + hz * hz), np.float32(1e-6))
@@ -458,7 +396,9 @@ def sun_glint(vx, vy, vz, lx, ly, lz, gx, gy, variance):
     if hz < np.float32(0.05) or lz <= ZERO:
         return ZERO
     ex, ey = -hx / hz - gx, -hy / hz - gy
-    density = math.exp(-HALF * (ex * ex + ey * ey) / variance) / (np.float32(2 * np.pi) * variance)
+    spread = max(xx * yy - xy * xy, np.float32(1e-14))
+    away = (yy * ex * ex - TWO * xy * ex * ey + xx * ey * ey) / spread
+    density = math.exp(-HALF * away) / (np.float32(2 * np.pi) * math.sqrt(spread))
     f = fresnel(-(vx * hx + vy * hy + vz * hz))
     n4 = hz * hz * hz * hz
     return f * density / (np.float32(4) * max(-vz, np.float32(0.05)) * n4)

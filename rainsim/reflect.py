@@ -1,8 +1,10 @@
 """What water mirrors: by a mirrored pass, or by marching through the picture's own depth.
 
 Each kernel takes the listed water (see `optics`) and fills in the radiance that comes to the
-surface from the mirror direction, before Fresnel's factor, and where it was found. Slopes that the
-picture cannot resolve blur what is mirrored: the surface is taken at ROUGH_SAMPLES slopes.
+surface from the mirror direction, before Fresnel's factor, and where it was found. The slopes in a
+pixel are taken for normally distributed, with the mean and covariance that its record holds, and
+the light is the mean over SAMPLES of them. In a mirrored picture each stands for its neighbourhood:
+the samples are drawn together, and looked up in a picture that is blurred for the rest.
 """
 
 from __future__ import annotations
@@ -11,7 +13,9 @@ import numpy as np
 
 from rainsim.jit import cpu_kernel, device_function, prange
 from rainsim.light import bilinear_color
+from rainsim.moments import root_of
 from rainsim.optics import LEAST_COSINE, NEAREST, column_of, normal_of
+from rainsim.pyramid import blurred_color
 from rainsim.shade import FAR_AWAY
 from rainsim.sky import sample_environment
 from rainsim.ssr import edge_fade, march
@@ -27,18 +31,20 @@ NOT_GROUND = np.float32(0.03)  # m over the bed: what stands higher can be refle
 EDGE_SHARE = np.float32(0.06)  # of the picture, over which reflections fade to the surroundings
 SAME = np.float32(0.05)  # share of a depth within which two points are taken for one
 MIRROR_FAR = np.float32(100)  # m, stands for the sky's distance
-LEAST_ROUGHNESS = np.float32(0.003)  # rms slope below which a mirror is smooth
-ROUGH_SAMPLES = 7  # one in the middle, six around: the variance of the slopes is kept
+LEAST_VARIANCE = np.float32(2 * 0.003**2)  # of slopes, both axes: below that a mirror is smooth
+SAMPLES = 7  # one in the middle, six around it
 _RING = 2 * np.pi * np.arange(6) / 6
-_RADIUS = np.sqrt(2 * 7 / 6)
-ROUGH_X = np.append(0, _RADIUS * np.cos(_RING)).astype(np.float32)
-ROUGH_Y = np.append(0, _RADIUS * np.sin(_RING)).astype(np.float32)
+_RADIUS = np.sqrt(2 * 7 / 6)  # in deviations: keeps the variance of the slopes
+SAMPLE_X = np.append(0, _RADIUS * np.cos(_RING)).astype(np.float32)
+SAMPLE_Y = np.append(0, _RADIUS * np.sin(_RING)).astype(np.float32)
+SPREAD = np.float32(1.25 / _RADIUS)  # of samples in a blurred picture, over that; see docs/light.md
+BLUR = np.float32(np.sqrt(1 - SPREAD**2))  # of each of those, in deviations: the rest
 
 
 @cpu_kernel
 def mirror_light(
-    which, record, ground_from_camera, eye, lens, level, mirror, mirror_depth, steps, thickness,
-    light_out, source_out,
+    which, record, ground_from_camera, eye, lens, level, mirror, coarse, mirror_depth, steps,
+    thickness, light_out, source_out,
 ):  # fmt: skip
     """Look the mirrored light up in the picture that the mirrored camera took.
 
@@ -53,6 +59,8 @@ def mirror_light(
         Of the mirror.
     mirror : ndarray of shape (rows, columns, 3), float32
         The wet picture that the mirrored camera sees of what stands above the water.
+    coarse : ndarray of shape (rows, columns // 2, 3), float32
+        That picture at coarser resolutions, see `pyramid.coarsened`.
     mirror_depth : ndarray of shape (rows, columns), float32 [m]
         Its depth along the view axis.
     steps : int
@@ -69,7 +77,7 @@ def mirror_light(
     for k in prange(len(which)):
         n = which[k]
         r = record[n]
-        vx, vy, vz, gx, gy, rough = r[3], r[4], r[5], r[10], r[11], r[12]
+        vx, vy, vz, gx, gy = r[3], r[4], r[5], r[10], r[11]
         # Level water would mirror to this pixel what the mirrored camera sees in it.
         length = ONE / column_of(m, 2, vx, vy, vz)
         u = lens[0] * column_of(m, 0, vx, vy, vz) * length + lens[2]
@@ -79,21 +87,22 @@ def mirror_light(
         # Where the water does not stand at the mirror's level, its virtual image stands off too.
         start = r[6] + TWO * (level - r[2]) * m[2, 2]
         distance = max((min(there, MIRROR_FAR) - start) * length, ZERO)
-        samples = 1 if rough < LEAST_ROUGHNESS else ROUGH_SAMPLES
+        samples, a, b, c = samples_of(r[12], r[13], r[14], SPREAD)
+        blur = ZERO
+        if samples > 1:
+            blur = blur_of(m, lens, vx, vy, vz, gx, gy, r[12] * r[13] - r[14] * r[14])
         light0, light1, light2 = ZERO, ZERO, ZERO
         for s in range(samples):
-            sx, sy = gx, gy
-            if samples > 1:
-                sx, sy = sx + rough * ROUGH_X[s], sy + rough * ROUGH_Y[s]
-            ux, uy, uz = normal_of(sx, sy)
-            rx, ry, rz = reflected_upwards(vx, vy, vz, ux, uy, uz)
-            hu, hv = in_mirror(m, lens, level, eye, distance, r[0], r[1], r[2], rx, ry, rz)
+            rx, ry, rz = sample_ray(vx, vy, vz, gx, gy, a, b, c, s)
             if steps > 0:
-                hu, hv = march_mirror(
+                hu, hv, share = march_mirror(
                     m, lens, level, eye, r[0], r[1], r[2], rx, ry, rz, mirror_depth, steps,
                     thickness,
                 )  # fmt: skip
-            c0, c1, c2 = bilinear_color(mirror, hu, hv)
+            else:
+                hu, hv = in_mirror(m, lens, level, eye, distance, r[0], r[1], r[2], rx, ry, rz)
+                share = distance / (distance + start * length)
+            c0, c1, c2 = blurred_color(mirror, coarse, hu, hv, blur * share)
             light0, light1, light2 = light0 + c0, light1 + c1, light2 + c2
         share = ONE / np.float32(samples)
         light_out[n, 0], light_out[n, 1] = light0 * share, light1 * share
@@ -126,7 +135,7 @@ def march_light(
     for k in prange(len(which)):
         n = which[k]
         r = record[n]
-        vx, vy, vz, gx, gy, rough = r[3], r[4], r[5], r[10], r[11], r[12]
+        vx, vy, vz, gx, gy = r[3], r[4], r[5], r[10], r[11]
         px, py, pz = r[0] - eye[0], r[1] - eye[1], r[2] - eye[2]
         cx, cy, cz = column_of(m, 0, px, py, pz), column_of(m, 1, px, py, pz), r[6]
         distance = march(
@@ -134,14 +143,10 @@ def march_light(
             column_of(m, 1, vx, vy, -vz), column_of(m, 2, vx, vy, -vz), settings[0], settings[1],
             settings[2],
         )  # fmt: skip
-        samples = 1 if rough < LEAST_ROUGHNESS else ROUGH_SAMPLES
+        samples, a, b, c = samples_of(r[12], r[13], r[14], ONE)
         light0, light1, light2, seen = ZERO, ZERO, ZERO, ZERO
         for s in range(samples):
-            sx, sy = gx, gy
-            if samples > 1:
-                sx, sy = sx + rough * ROUGH_X[s], sy + rough * ROUGH_Y[s]
-            ux, uy, uz = normal_of(sx, sy)
-            rx, ry, rz = reflected_upwards(vx, vy, vz, ux, uy, uz)
+            rx, ry, rz = sample_ray(vx, vy, vz, gx, gy, a, b, c, s)
             hu, hv, found = on_screen(
                 tall, m, lens, cx, cy, cz, vx, vy, -vz, rx, ry, rz, distance, settings[0]
             )
@@ -162,12 +167,12 @@ def march_light(
 
 @cpu_kernel
 def mirror_rays(which, record, ground_from_camera, sample, direction_out, before_out):
-    """Give the mirrored ray of each record in `which`, for one of the ROUGH_SAMPLES slopes.
+    """Give the mirrored ray of each record in `which`, for one of the SAMPLES slopes.
 
     Parameters
     ----------
     sample : int
-        Number of the slope; 0 is the one that the picture resolves.
+        Number of the slope; 0 is the mean of the pixel's.
     direction_out : ndarray of shape (k, 3), float32
         Unit, ground frame.
     before_out : ndarray of shape (k,), float32 [m]
@@ -176,9 +181,8 @@ def mirror_rays(which, record, ground_from_camera, sample, direction_out, before
     m = ground_from_camera
     for k in prange(len(which)):
         r = record[which[k]]
-        sx, sy = r[10] + r[12] * ROUGH_X[sample], r[11] + r[12] * ROUGH_Y[sample]
-        ux, uy, uz = normal_of(sx, sy)
-        rx, ry, rz = reflected_upwards(r[3], r[4], r[5], ux, uy, uz)
+        a, b, c = root_of(r[12], r[13], r[14])
+        rx, ry, rz = sample_ray(r[3], r[4], r[5], r[10], r[11], a, b, c, sample)
         direction_out[k, 0], direction_out[k, 1], direction_out[k, 2] = rx, ry, rz
         before_out[k] = r[6] / column_of(m, 2, r[3], r[4], r[5])
 
@@ -199,11 +203,11 @@ def traced_light(record, ground_from_camera, lens, trace, light_out, source_out)
     -------
     alpha : ndarray of shape (n,), float32
     end : ndarray of shape (n, 3), float32 [m]
-        Where the rays of the slopes that the picture resolves end.
+        Where the rays of the mean slopes end.
     """
     alpha_of, end = None, None
-    smooth = record[:, 12] < LEAST_ROUGHNESS
-    for sample in range(ROUGH_SAMPLES):
+    smooth = record[:, 12] + record[:, 13] < LEAST_VARIANCE
+    for sample in range(SAMPLES):
         which = np.flatnonzero(~smooth) if sample else np.arange(len(record))
         direction = np.empty((len(which), 3), np.float32)
         before = np.empty(len(which), np.float32)
@@ -217,7 +221,7 @@ def traced_light(record, ground_from_camera, lens, trace, light_out, source_out)
             alpha_of = alpha
             end = record[:, :3] + (distance - before)[:, None] * direction
             source_out[:] = np.where(alpha > HALF, TRACED, ENVIRONMENT)
-    light_out[~smooth] /= ROUGH_SAMPLES
+    light_out[~smooth] /= SAMPLES
     return alpha_of, end
 
 
@@ -229,6 +233,44 @@ def keep_tall(depth, clearance, tall_out):
         for column in range(width):
             low = clearance[row, column] < NOT_GROUND
             tall_out[row, column] = np.float32(np.inf) if low else depth[row, column]
+
+
+@device_function
+def samples_of(xx, yy, xy, share):
+    """Return the number of slopes to take, and the root of their covariance times `share`."""
+    if xx + yy < LEAST_VARIANCE:
+        return 1, ZERO, ZERO, ZERO
+    a, b, c = root_of(xx, yy, xy)
+    return SAMPLES, share * a, share * b, share * c
+
+
+@device_function
+def sample_ray(vx, vy, vz, gx, gy, a, b, c, sample):
+    """Return the mirrored ray of one of the slopes about (gx, gy), see `samples_of`."""
+    p, q = SAMPLE_X[sample], SAMPLE_Y[sample]
+    ux, uy, uz = normal_of(gx + a * p, gy + b * p + c * q)
+    return reflected_upwards(vx, vy, vz, ux, uy, uz)
+
+
+@device_function
+def blur_of(m, lens, vx, vy, vz, gx, gy, spread):
+    """Return how much to blur a mirrored picture of the sky for one of the samples [px].
+
+    The deviation along one axis, a mean over the axes. A mirror's normal that moves by a solid
+    angle w moves the mirrored ray by 4 cos w, cos that of the angle between the two; and that
+    covers fx fy w / g^3 of the picture, g the cosine of the angle to the view axis.
+
+    Parameters
+    ----------
+    spread : float32
+        Determinant of the covariance of the slopes.
+    """
+    ux, uy, uz = normal_of(gx, gy)
+    rx, ry, rz = reflected_upwards(vx, vy, vz, ux, uy, uz)
+    cosine = max(-(vx * ux + vy * uy + vz * uz), LEAST_COSINE)
+    g = max(column_of(m, 2, rx, ry, -rz), np.float32(0.1))
+    area = np.float32(4) * cosine * uz * uz * uz * lens[0] * lens[1] / (g * g * g)
+    return BLUR * np.sqrt(area * np.sqrt(max(spread, ZERO)))
 
 
 @device_function
@@ -264,9 +306,10 @@ def in_mirror(m, lens, level, eye, distance, sx, sy, sz, rx, ry, rz):
 def march_mirror(m, lens, level, eye, sx, sy, sz, rx, ry, rz, depth, steps, thickness):
     """Return where the mirrored picture shows what a ray r from surface point s meets.
 
-    The ray's virtual image starts at the pixel itself and ends at r's vanishing point; between them
-    1/z is linear in the picture: z = z0 / (1 - t). A ray that passes behind something, where the
-    picture shows nothing of it, ends where it was last in front of all.
+    And how far that is on the way to the ray's vanishing point, 0 to 1, in the picture. The ray's
+    virtual image starts at the pixel itself and ends at r's vanishing point; between them 1/z is
+    linear in the picture: z = z0 / (1 - t). A ray that passes behind something, where the picture
+    shows nothing of it, ends where it was last in front of all.
     """
     vz = TWO * level - sz - eye[2]
     vx, vy = sx - eye[0], sy - eye[1]
@@ -284,7 +327,7 @@ def march_mirror(m, lens, level, eye, sx, sy, sz, rx, ry, rz, depth, steps, thic
     j = min(max(int(v0 + guess * (v1 - v0)), 0), rows - 1)
     there = min(depth[j, i], MIRROR_FAR)
     if abs(there * (ONE - guess) - z0) < SAME * there * (ONE - guess):
-        return u0 + guess * (u1 - u0), v0 + guess * (v1 - v0)
+        return u0 + guess * (u1 - u0), v0 + guess * (v1 - v0), guess
     before, past, free = z0, ZERO, ZERO
     inv = ONE / np.float32(steps)
     for k in range(steps):
@@ -309,7 +352,7 @@ def march_mirror(m, lens, level, eye, sx, sy, sz, rx, ry, rz, depth, steps, thic
         if now < there:
             free = t
         before, past = now, t
-    return u0 + free * (u1 - u0), v0 + free * (v1 - v0)
+    return u0 + free * (u1 - u0), v0 + free * (v1 - v0), free
 
 
 @device_function

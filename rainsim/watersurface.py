@@ -166,32 +166,3 @@ def _wet_near(wet, j, i):
             if wet[k, m]:
                 return True
     return False
-
-
-@cpu_kernel
-def _halve(slopes, half_out):
-    """Average blocks of 2 x 2 cells."""
-    n = half_out.shape[1]
-    quarter = np.float32(0.25)
-    for j in prange(n):
-        for axis in range(2):
-            a, b = slopes[axis, 2 * j], slopes[axis, 2 * j + 1]
-            for i in range(n):
-                total = a[2 * i] + a[2 * i + 1] + b[2 * i] + b[2 * i + 1]
-                half_out[axis, j, i] = quarter * total
-
-
-def ripple_levels(slopes):
-    """Return the slopes (2, n, n) at four resolutions, each half of the one before."""
-    levels = [np.ascontiguousarray(slopes, dtype=np.float32)]
-    for _ in range(3):
-        n = levels[-1].shape[1] // 2
-        half = np.empty((2, n, n), np.float32)
-        _halve(levels[-1], half)
-        levels.append(half)
-    return levels
-
-
-def rms_slopes(levels):
-    """Return the root mean square slope along one axis that each level holds, float32 (4,)."""
-    return np.array([np.sqrt(np.mean(np.square(s))) for s in levels], np.float32)

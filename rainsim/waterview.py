@@ -8,12 +8,9 @@ import numpy as np
 
 from rainsim import optics, paperwater, reflect, ssr
 from rainsim.jit import dealt
-from rainsim.watersurface import (
-    fine_relief,
-    ripple_levels,
-    rms_slopes,
-    water_surface,
-)
+from rainsim.moments import ripple_moments
+from rainsim.pyramid import coarsened
+from rainsim.watersurface import fine_relief, water_surface
 
 MIRROR_SPREAD = 0.06  # m: water at levels farther apart has no mirror in common
 MOST_MIRRORS = 3  # levels that auto draws mirrored; what stands at others is marched
@@ -148,8 +145,9 @@ class WaterView:
         timer.mark("find water")
         _restore(self.view.picture, before, self._shown)
         if len(self.pixel):
-            levels = ripple_levels(state.slopes)
-            optics.tilt_water(self.record, *levels, rms_slopes(levels), np.float32(state.tile_size))
+            optics.tilt_water(
+                self.record, ripple_moments(state.slopes), np.float32(state.tile_size)
+            )
             name = self.config.reflections
             self.light_up(name, draw_mirrored, trace, environment, timer)
             optics.lay_water(
@@ -227,12 +225,15 @@ class WaterView:
         kept, self._mirrors = self._mirrors, {}
         for level, _ in mirrors:
             key = (level, self._window, self.mirror_share)
-            self._mirrors[key] = kept[key] if key in kept else draw_mirrored(*key)
+            if key not in kept:
+                picture, depth, lens = draw_mirrored(*key)
+                kept[key] = picture, coarsened(picture), depth, lens
+            self._mirrors[key] = kept[key]
         timer.mark("mirror")
         for level, which in mirrors:
-            picture, depth, lens = self._mirrors[level, self._window, self.mirror_share]
+            picture, coarse, depth, lens = self._mirrors[level, self._window, self.mirror_share]
             reflect.mirror_light(
-                which, self.record, v.turn, v.eye, lens, np.float32(level), picture, depth,
+                which, self.record, v.turn, v.eye, lens, np.float32(level), picture, coarse, depth,
                 self.mirror_steps, np.float32(self.mirror_thickness),
                 self.light, self.source,
             )  # fmt: skip

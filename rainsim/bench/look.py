@@ -133,8 +133,8 @@ def trace_truth(renderer):
     alpha, end = water.light_up("traced", None, renderer._traced, None, Timer())
     seconds = time.perf_counter() - start
     light = water.light.copy()
-    sampled = (water.record[:, 12] >= reflect.LEAST_ROUGHNESS).sum()
-    rays = len(light) + (reflect.ROUGH_SAMPLES - 1) * int(sampled)
+    sampled = (water.record[:, 12:14].sum(axis=1) >= reflect.LEAST_VARIANCE).sum()
+    rays = len(light) + (reflect.SAMPLES - 1) * int(sampled)
     causes = why_unseen(water, alpha, end)
     # What the colours' dependence on the view alone makes: the same rays, colours as seen from the
     # camera, which is all that a march can show.

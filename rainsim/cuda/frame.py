@@ -23,15 +23,14 @@ from rainsim.cuda.splash import ROOM, Splashes
 from rainsim.cuda.streaks import Streaks
 from rainsim.cuda.watersurface import WaterSurface
 from rainsim.errors import BackendError, ParameterError
+from rainsim.moments import ripple_moments
 from rainsim.paperwater import LEAST_WATER
 from rainsim.render import FrameReport, _lens, _pose
 from rainsim.render import Renderer as HostRenderer
 from rainsim.splash import LONGEST_LIFE, WET_FILM
 from rainsim.ssr import blocks_of
 from rainsim.streaks import FOG_STEPS, NO_FOG, fog_table, streak_reach
-from rainsim.watersurface import ripple_levels, rms_slopes
 
-LEVELS = 4  # resolutions of the ripple tile
 MOST_TRIES = 8  # of a frame for which there was too little room
 
 
@@ -61,7 +60,7 @@ class Renderer(HostRenderer):
             terrain.bed, self.water.relief, terrain.mirrors, self._water, self.stream
         )
         self.mirrors = Mirrors(self, config.render.reflections)
-        self._slopes = None
+        self._moments = None
         self._size = self._graphs = self._queue = None
         self._fog_of = None, None
 
@@ -147,7 +146,7 @@ class Renderer(HostRenderer):
 
     def _check_queue(self):
         """Record anew if what the queues depend on has changed."""
-        queue = self.rasterizer.queue, self.mirrors.queue, id(self._slopes)
+        queue = self.rasterizer.queue, self.mirrors.queue, id(self._moments)
         if queue != self._queue:
             self._queue, self._graphs = queue, None
 
@@ -194,19 +193,15 @@ class Renderer(HostRenderer):
 
     def _bring(self, state):
         """Bring the water and its ripples to the device, unless they are there."""
-        levels = getattr(state, "levels", None)
-        if levels is None:
+        moments = getattr(state, "moments", None)
+        if moments is None:
             self._water.copy_to_device(np.ascontiguousarray(state.depth, np.float32))
-            levels = ripple_levels(state.slopes)
-            if self._slopes is None:
-                self._slopes = [cuda.to_device(level) for level in levels]
-                self._rms = cuda.device_array(LEVELS, np.float32)
-            for device, level in zip(self._slopes, levels, strict=True):
-                device.copy_to_device(level)
-            self._rms.copy_to_device(rms_slopes(levels))
-        elif self._slopes is not levels:
-            self._slopes, self._rms = levels, state.rms
-            self._surface.depth = state.depth
+            moments = ripple_moments(state.slopes)
+            if self._moments is None:
+                self._moments = cuda.to_device(moments)
+            self._moments.copy_to_device(moments)
+        elif self._moments is not moments:
+            self._moments, self._surface.depth = moments, state.depth
         self._tile = np.float32(state.tile_size)
 
     def _room_for(self, camera, state):
@@ -302,8 +297,8 @@ class Renderer(HostRenderer):
         optics.shade_water[grid](
             self._hit, self._coverage, self._picture, self._depth, self._tall, self._near,
             n["turn"], n["eye"], n["lens"], self._surface.over, self._exposed,
-            *self._place, *self._slopes, self._rms, self._tile, self._around,
-            n["settings"], self.mirrors.range, self.mirrors.window, self.mirrors.picture,
+            *self._place, self._moments, self._tile, self._around, n["settings"],
+            self.mirrors.range, self.mirrors.window, self.mirrors.picture, self.mirrors.coarse,
             self.mirrors.depth,
             *self.water.laws(), n["sun"], self._shown,
         )  # fmt: skip

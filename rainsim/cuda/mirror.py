@@ -13,10 +13,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from rainsim.cuda import project
+from rainsim.cuda import project, shading
 from rainsim.cuda.jit import cuda, cuda_device, cuda_kernel, pinned
 from rainsim.cuda.raster import Rasterizer
 from rainsim.optics import HALF, ZERO
+from rainsim.pyramid import COARSEST, block_mean, coarse_shape, top_of
 from rainsim.raster.project import FRUSTUM_MARGIN
 from rainsim.render import _pose, mirrored_camera
 from rainsim.waterview import (
@@ -248,6 +249,18 @@ def aim(served, mirror, numbers, eye, extent, now_out, eye_out, range_out, windo
             window_out[4], window_out[5] = np.float32(width), np.float32(height)
 
 
+@cuda_kernel
+def halve(window, picture, level, coarse_out):
+    """Write a coarser resolution of a picture's window; see `rainsim.pyramid.coarsened`."""
+    column, row = cuda.grid(2)
+    width, height = int(window[4]), int(window[5])
+    if row < height >> level and column < width >> level:
+        top = top_of(height, level)
+        for c in range(3):
+            value = block_mean(picture[:height, :width], coarse_out, level, row, column, c)
+            coarse_out[top + row, column, c] = value
+
+
 class _MirroredRasterizer(Rasterizer):
     """A rasterizer whose camera is aimed on the device."""
 
@@ -275,6 +288,8 @@ class Mirrors:
         That a queue holds.
     picture : device array of shape (passes, rows, columns, 3), float32
         Only the window is drawn.
+    coarse : device array of shape (passes, rows, columns // 2, 3), float32
+        Coarser resolutions of the pictures, see `rainsim.pyramid`.
     depth : device array of shape (passes, rows, columns), float32 [m]
     window : device array of shape (6,), float32
         Lens, width and height of the mirrored pictures, all alike.
@@ -310,8 +325,11 @@ class Mirrors:
     def _allocate(self, rows, columns):
         self._size = rows, columns
         passes = max(self.passes, 1)
-        self.picture = self.depth = self._clearance = None  # freed before more is asked for
+        self.picture = self.coarse = self.depth = self._clearance = (
+            None  # freed before more is asked for
+        )
         self.picture = cuda.device_array((passes, rows, columns, 3), np.float32)
+        self.coarse = cuda.device_array((passes, *coarse_shape(rows, columns)), np.float32)
         self.depth = cuda.device_array((passes, rows, columns), np.float32)
         self._clearance = cuda.device_array((rows, columns), np.float32)
 
@@ -403,6 +421,11 @@ class Mirrors:
                 rasterizer, self._size, self._turn, self._eye, self.picture[mirror],
                 self.depth[mirror], self._clearance,
             )  # fmt: skip
+            for level in range(1, COARSEST + 1):
+                cells = shading.blocks(*(side >> level for side in self._size))
+                halve[cells, shading.BLOCK, self.stream](
+                    self.window, self.picture[mirror], level, self.coarse[mirror]
+                )
 
 
 def largest_window(camera):

@@ -12,6 +12,7 @@ import numpy as np
 
 from rainsim.cuda.jit import cuda, cuda_device, cuda_kernel
 from rainsim.light import bilinear, bilinear_color, exp_minus, fresnel, schlick, smoothstep
+from rainsim.moments import pixel_slopes
 from rainsim.optics import (
     ABSORB_B,
     ABSORB_G,
@@ -22,7 +23,6 @@ from rainsim.optics import (
     LEAST_COSINE,
     LEAST_COVERAGE,
     LEAST_DIP,
-    MOST_SLANT,
     ONE,
     RIPPLE_HIGH,
     RIPPLE_LOW,
@@ -30,25 +30,22 @@ from rainsim.optics import (
     ZERO,
     bed_seen_at,
     column_of,
-    hidden_slope,
     meet_surface,
     normal_of,
     phong_highlight,
     refracted,
-    sample_tile,
     shifted,
     sun_glint,
-    tile_level,
 )
+from rainsim.pyramid import blurred_color
 from rainsim.reflect import (
-    LEAST_ROUGHNESS,
     NOT_GROUND,
-    ROUGH_SAMPLES,
-    ROUGH_X,
-    ROUGH_Y,
+    SPREAD,
+    blur_of,
     march_mirror,
     on_screen,
-    reflected_upwards,
+    sample_ray,
+    samples_of,
 )
 from rainsim.sky import sample_environment
 from rainsim.ssr import BLOCK, least_around, march
@@ -145,7 +142,8 @@ def meet_water(
 
 @cuda_device
 def marched(
-    picture, tall, near, m, lens, environment, settings, px, py, pz, t, vx, vy, vz, gx, gy, rough
+    picture, tall, near, m, lens, environment, settings, px, py, pz, t, vx, vy, vz, gx, gy, xx, yy,
+    xy,
 ):  # fmt: skip
     """Return the mirrored light found by marching; see `rainsim.reflect.march_light`."""
     cx, cy, cz = column_of(m, 0, px, py, pz), column_of(m, 1, px, py, pz), t
@@ -154,14 +152,10 @@ def marched(
         column_of(m, 1, vx, vy, -vz), column_of(m, 2, vx, vy, -vz), settings[0], settings[1],
         settings[2],
     )  # fmt: skip
-    samples = 1 if rough < LEAST_ROUGHNESS else ROUGH_SAMPLES
+    samples, a, b, c = samples_of(xx, yy, xy, ONE)
     light0, light1, light2 = ZERO, ZERO, ZERO
     for s in range(samples):
-        sx, sy = gx, gy
-        if samples > 1:
-            sx, sy = sx + rough * ROUGH_X[s], sy + rough * ROUGH_Y[s]
-        ux, uy, uz = normal_of(sx, sy)
-        rx, ry, rz = reflected_upwards(vx, vy, vz, ux, uy, uz)
+        rx, ry, rz = sample_ray(vx, vy, vz, gx, gy, a, b, c, s)
         hu, hv, found = on_screen(
             tall, m, lens, cx, cy, cz, vx, vy, -vz, rx, ry, rz, distance, settings[0]
         )
@@ -179,21 +173,20 @@ def marched(
 
 @cuda_device
 def mirrored(
-    mirror, mirror_depth, m, eye, lens, level, sx, sy, sz, vx, vy, vz, gx, gy, rough
+    mirror, coarse, mirror_depth, m, eye, lens, level, sx, sy, sz, vx, vy, vz, gx, gy, xx, yy, xy
 ):  # fmt: skip
     """Return the light found in the mirrored camera's picture; see `reflect.mirror_light`."""
-    samples = 1 if rough < LEAST_ROUGHNESS else ROUGH_SAMPLES
+    samples, a, b, c = samples_of(xx, yy, xy, SPREAD)
+    blur = ZERO
+    if samples > 1:
+        blur = blur_of(m, lens, vx, vy, vz, gx, gy, xx * yy - xy * xy)
     light0, light1, light2 = ZERO, ZERO, ZERO
     for s in range(samples):
-        ax, ay = gx, gy
-        if samples > 1:
-            ax, ay = ax + rough * ROUGH_X[s], ay + rough * ROUGH_Y[s]
-        ux, uy, uz = normal_of(ax, ay)
-        rx, ry, rz = reflected_upwards(vx, vy, vz, ux, uy, uz)
-        hu, hv = march_mirror(
+        rx, ry, rz = sample_ray(vx, vy, vz, gx, gy, a, b, c, s)
+        hu, hv, way = march_mirror(
             m, lens, level, eye, sx, sy, sz, rx, ry, rz, mirror_depth, MIRROR_STEPS, THICKNESS
         )
-        c0, c1, c2 = bilinear_color(mirror, hu, hv)
+        c0, c1, c2 = blurred_color(mirror, coarse, hu, hv, blur * way)
         light0, light1, light2 = light0 + c0, light1 + c1, light2 + c2
     share = ONE / np.float32(samples)
     return light0 * share, light1 * share, light2 * share
@@ -202,9 +195,9 @@ def mirrored(
 @cuda_kernel
 def shade_water(
     hit, coverage, picture, depth, tall, near, ground_from_camera, eye, lens, water_depth,
-    exposure_to_rain, origin, spacing, slopes0, slopes1, slopes2, slopes3, rms_slopes, tile_size,
-    environment, settings, mirror_range, mirror_window, mirror, mirror_depth, schlick_law,
-    image_shift, phong, glint_variance, sun, picture_out,
+    exposure_to_rain, origin, spacing, moments, tile_size, environment, settings, mirror_range,
+    mirror_window, mirror, coarse, mirror_depth, schlick_law, image_shift, phong, glint_variance,
+    sun, picture_out,
 ):  # fmt: skip
     """Lay the water over the picture: ripples, what it mirrors, what shows through, the glint.
 
@@ -216,6 +209,7 @@ def shade_water(
     mirror_window : ndarray of shape (6,), float32
         Lens, columns and rows [px] of the mirrored pictures.
     mirror, mirror_depth : ndarray of shape (k, rows, columns, 3) and (k, rows, columns), float32
+    coarse : ndarray of shape (k, rows, columns // 2, 3), float32
     """
     column, row = cuda.grid(2)
     height, width = depth.shape
@@ -241,13 +235,13 @@ def shade_water(
     length = math.sqrt(x * x + y * y + z * z)
     inv = ONE / length
     vx, vy, vz = x * inv, y * inv, z * inv
-    gx, gy, rough = ZERO, ZERO, ZERO
+    gx, gy, xx, yy, xy = ZERO, ZERO, ZERO, ZERO, ZERO
     if grow > ZERO:
-        footprint = t * length / lens[0] * min(-length / z, MOST_SLANT)
-        level = tile_level(footprint, tile_size / np.float32(slopes0.shape[1]))
-        gx, gy = sample_tile(slopes0, slopes1, slopes2, slopes3, sx, sy, tile_size, level)
-        rough = grow * hidden_slope(rms_slopes, level)
-        gx, gy = grow * gx, grow * gy
+        gx, gy, xx, yy, xy = pixel_slopes(
+            moments, tile_size, sx, sy, vx, vy, vz, t * length / lens[0]
+        )
+        square = grow * grow
+        gx, gy, xx, yy, xy = grow * gx, grow * gy, square * xx, square * yy, square * xy
     which = -1
     for k in range(mirror_range.shape[0]):
         if which < 0 and sz >= mirror_range[k, 1] and sz < mirror_range[k, 2]:
@@ -255,13 +249,13 @@ def shade_water(
     if which >= 0:
         wide, high = int(mirror_window[4]), int(mirror_window[5])
         light0, light1, light2 = mirrored(
-            mirror[which, :high, :wide], mirror_depth[which, :high, :wide], m, eye, mirror_window,
-            mirror_range[which, 0], sx, sy, sz, vx, vy, vz, gx, gy, rough,
+            mirror[which, :high, :wide], coarse[which], mirror_depth[which, :high, :wide], m, eye,
+            mirror_window, mirror_range[which, 0], sx, sy, sz, vx, vy, vz, gx, gy, xx, yy, xy,
         )  # fmt: skip
     else:
         light0, light1, light2 = marched(
             picture, tall, near, m, lens, environment, settings, sx - eye[0], sy - eye[1],
-            sz - eye[2], t, vx, vy, vz, gx, gy, rough,
+            sz - eye[2], t, vx, vy, vz, gx, gy, xx, yy, xy,
         )  # fmt: skip
     ux, uy, uz = normal_of(gx, gy)
     cosine = max(-(vx * ux + vy * uy + vz * uz), LEAST_COSINE)
@@ -285,8 +279,10 @@ def shade_water(
         if phong:
             glint = share * phong_highlight(vx, vy, vz, sun[0], sun[1], sun[2], ux, uy, uz)
         else:
-            variance = glint_variance + rough * rough
-            glint = sun_glint(vx, vy, vz, sun[0], sun[1], sun[2], gx, gy, variance)
+            glint = sun_glint(
+                vx, vy, vz, sun[0], sun[1], sun[2], gx, gy, glint_variance + xx,
+                glint_variance + yy, xy,
+            )  # fmt: skip
     through, dry = ONE - share, ONE - covers
     picture_out[row, column, 0] = dry * picture[row, column, 0] + covers * (
         through * b0 * exp_minus(ABSORB_R * travel) + share * light0 + glint * sun[3]

@@ -11,16 +11,16 @@ import math
 
 import numpy as np
 
-from rainsim.cuda.account import block_sum
 from rainsim.cuda.drops import PUSH_UNIT
 from rainsim.cuda.jit import SIMULATED, cuda, cuda_kernel
 from rainsim.errors import ParameterError
+from rainsim.moments import MOMENTS, mean_of_four, place_of
 from rainsim.ripples import _LONGEST_STEP
 
 MOST = 256  # cells along a side of the tile
-LEVELS = 4  # resolutions, each half of the one before
 THREADS = 32 if SIMULATED else 128
-_ZERO, _HALF, _QUARTER = np.float32(0), np.float32(0.5), np.float32(0.25)
+CELLS = (4, 4) if SIMULATED else (32, 4)  # threads of a block that take a cell each
+_ZERO, _HALF = np.float32(0), np.float32(0.5)
 
 
 @cuda.jit(device=True)
@@ -154,72 +154,32 @@ def turn(re, im, steps, n, cosine, sine, push, wave, waves_out, re_out, im_out):
 
 
 @cuda_kernel
-def coarsen(n, slopes0, slopes1, slopes2, slopes3, sums_out):
-    """Halve the slopes three times and sum up their squares; a thread for each coarsest cell.
+def lay_moments(slopes, moments_out):
+    """Write the moments of the finest resolution; see `rainsim.moments.ripple_moments`.
 
     Parameters
     ----------
-    n : int
-    slopes0 : device array of shape (2, n, n), float32
-    slopes1, slopes2, slopes3 : device arrays of shape (2, n / 2, n / 2) and so on, float32
-        Overwritten.
-    sums_out : device array of shape (LEVELS, blocks), float64
+    slopes : device array of shape (2, n, n), float32
+    moments_out : device array of shape (n, n + n // 2, 5), float32
+        Its first n columns are written.
     """
-    room = cuda.shared.array(THREADS, np.float64)
-    far = n // 8
-    cell = cuda.grid(1)
-    sum0, sum1, sum2, sum3 = 0.0, 0.0, 0.0, 0.0
-    if cell < 2 * far * far:
-        axis, row, column = cell // (far * far), cell // far % far, cell % far
-        top = _ZERO
-        for j in range(2 * row, 2 * row + 2):
-            for i in range(2 * column, 2 * column + 2):
-                middle = _ZERO
-                for b in range(2 * j, 2 * j + 2):
-                    for a in range(2 * i, 2 * i + 2):
-                        low = _ZERO
-                        for y in range(2 * b, 2 * b + 2):
-                            for x in range(2 * a, 2 * a + 2):
-                                slope = slopes0[axis, y, x]
-                                low += slope
-                                sum0 += np.float64(slope * slope)
-                        low *= _QUARTER
-                        slopes1[axis, b, a] = low
-                        middle += low
-                        sum1 += np.float64(low * low)
-                middle *= _QUARTER
-                slopes2[axis, j, i] = middle
-                top += middle
-                sum2 += np.float64(middle * middle)
-        top *= _QUARTER
-        slopes3[axis, row, column] = top
-        sum3 = np.float64(top * top)
-    lane = cuda.threadIdx.x
-    sum0, sum1 = block_sum(room, lane, sum0), block_sum(room, lane, sum1)
-    sum2, sum3 = block_sum(room, lane, sum2), block_sum(room, lane, sum3)
-    if lane == 0:
-        block = cuda.blockIdx.x
-        sums_out[0, block], sums_out[1, block] = sum0, sum1
-        sums_out[2, block], sums_out[3, block] = sum2, sum3
+    i, j = cuda.grid(2)
+    n = slopes.shape[1]
+    if j < n and i < n:
+        a, b = slopes[0, j, i], slopes[1, j, i]
+        m = moments_out[j, i]
+        m[0], m[1], m[2], m[3], m[4] = a, b, a * a, b * b, a * b
 
 
 @cuda_kernel
-def root_mean_square(sums, n, rms_out):
-    """Turn sums of squares into root mean squares; one thread for each level.
-
-    Parameters
-    ----------
-    sums : device array of shape (LEVELS, blocks), float64
-    n : int
-        Cells along a side at the finest level.
-    rms_out : device array of shape (LEVELS,), float32
-    """
-    level = cuda.threadIdx.x
-    total = 0.0
-    for block in range(sums.shape[1]):
-        total += sums[level, block]
-    cells = n >> level
-    rms_out[level] = np.float32(math.sqrt(total / (2.0 * cells * cells)))
+def halve_moments(level, moments):
+    """Write the moments of a level, from 1 up, from those of the level before."""
+    i, j = cuda.grid(2)
+    n = moments.shape[0]
+    if j < n >> level and i < n >> level:
+        top, left = place_of(n, level)
+        for c in range(MOMENTS):
+            moments[top + j, left + i, c] = mean_of_four(moments, n, level, j, i, c)
 
 
 class Ripples:
@@ -240,10 +200,10 @@ class Ripples:
     pushes : device array, int64
         Momentum of drops that fell since, in `drops.PUSH_UNIT`: a map of (cells, cells) for each
         part, one after the other.
-    slopes : list of device arrays of shape (2, n, n), float32
-        Slopes along x and y at four resolutions, each half of the one before.
-    rms : device array of shape (4,), float32
-        Root mean square slope along one axis that each level holds.
+    slopes : device array of shape (2, n, n), float32
+        Along x and y.
+    moments : device array of shape (n, n + n // 2, 5), float32
+        Of the slopes, see `rainsim.moments`.
 
     Raises
     ------
@@ -278,12 +238,9 @@ class Ripples:
         self.pushes = cuda.to_device(np.zeros(2 * self._maps * n * n, np.int64), stream)
         maps = np.zeros(self._maps * n * n, np.float32)
         self._maps_on_device = [cuda.to_device(maps, stream) for _ in range(4)]
-        levels = [np.zeros((2, n >> k, n >> k), np.float32) for k in range(LEVELS)]
-        self.slopes = [cuda.to_device(level, stream) for level in levels]
-        self._flat = self.slopes[0].reshape(2 * n * n)
-        blocks = -(-2 * (n // 8) ** 2 // THREADS)
-        self._sums = cuda.to_device(np.zeros((LEVELS, blocks)), stream)
-        self.rms = cuda.to_device(np.zeros(LEVELS, np.float32), stream)
+        self.slopes = cuda.to_device(np.zeros((2, n, n), np.float32), stream)
+        self._flat = self.slopes.reshape(2 * n * n)
+        self.moments = cuda.to_device(np.zeros((n, n + n // 2, MOMENTS), np.float32), stream)
 
     def launch(self):
         """Queue a frame: waves run on, the drops that fell ring, the slopes follow."""
@@ -302,5 +259,11 @@ class Ripples:
         transform[one, n // 2, self.stream](
             other_re, other_im, *tables, back, self._flat[:plane], self._flat[plane:]
         )
-        coarsen[self._sums.shape[1], THREADS, self.stream](n, *self.slopes, self._sums)
-        root_mean_square[1, LEVELS, self.stream](self._sums, n, self.rms)
+        lay_moments[_cells(n), CELLS, self.stream](self.slopes, self.moments)
+        for level in range(1, n.bit_length()):
+            halve_moments[_cells(n >> level), CELLS, self.stream](level, self.moments)
+
+
+def _cells(n):
+    """Return the blocks of CELLS threads that cover n x n cells."""
+    return -(-n // CELLS[0]), -(-n // CELLS[1])

@@ -20,6 +20,7 @@ from rainsim.cuda.jit import cuda, pinned
 from rainsim.cuda.ripples import Ripples
 from rainsim.cuda.water import Water
 from rainsim.errors import BackendError, DivergedError, ParameterError
+from rainsim.moments import ripple_moments
 from rainsim.ripples import RippleTile
 from rainsim.weather import Weather
 
@@ -35,9 +36,8 @@ class DeviceState:
     index : int
     time : float [s]
     depth : device array of shape (ny, nx), float32 [m]
-    levels : list of device arrays of shape (2, n, n), float32
-        Ripple slopes at four resolutions.
-    rms : device array of shape (4,), float32
+    moments : device array of shape (n, n + n // 2, 5), float32
+        Of the ripples' slopes, see `rainsim.moments`.
     tile_size : float [m]
     simulation : Simulation
     notes : tuple of str
@@ -46,8 +46,7 @@ class DeviceState:
     index: int
     time: float
     depth: object
-    levels: list
-    rms: object
+    moments: object
     tile_size: float
     simulation: object
     notes: tuple = ()
@@ -125,17 +124,12 @@ class Simulation:
                 self._graph.launch()
         self._ready.record(self.stream)
         return DeviceState(
-            index, time, self.water.depth, self.ripples.slopes, self.ripples.rms,
-            self.ripples.size, self, self.notes if index == 0 else (),
+            index, time, self.water.depth, self.ripples.moments, self.ripples.size,
+            self, self.notes if index == 0 else (),
         )  # fmt: skip
 
     def _show_first_slopes(self):
-        from rainsim.watersurface import ripple_levels, rms_slopes
-
-        levels = ripple_levels(self._first_slopes)
-        for device, level in zip(self.ripples.slopes, levels, strict=True):
-            device.copy_to_device(level)
-        self.ripples.rms.copy_to_device(rms_slopes(levels))
+        self.ripples.moments.copy_to_device(ripple_moments(self._first_slopes))
 
     def _bring(self, before, time):
         """Say what falls between two times."""

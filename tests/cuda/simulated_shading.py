@@ -6,7 +6,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from rainsim import optics, reflect, shade, sky, ssr, watersurface
+from rainsim import moments, optics, pyramid, reflect, shade, sky, ssr, watersurface
+from rainsim.cuda import mirror as cuda_mirror
 from rainsim.cuda import optics as cuda_optics
 from rainsim.cuda import shading, simulated
 from rainsim.cuda import watersurface as cuda_surface
@@ -158,8 +159,7 @@ def test_water_light(view, pond, poisoned, rng, reflection, hard):
     assert 50 < count.sum() < HEIGHT * WIDTH
 
     slopes = rng.normal(0, 0.05, (2, 32, 32)).astype(F4)
-    levels = watersurface.ripple_levels(slopes)
-    rms = watersurface.rms_slopes(levels)
+    ripples = moments.ripple_moments(slopes)
     picture, clearance = view.color, np.where(view.depth == F4(1.4), 1.0, 0).astype(F4)
     clearance[view.depth > 50] = 1e4
     tall, tall2 = poisoned((HEIGHT, WIDTH)), poisoned((HEIGHT, WIDTH))
@@ -179,14 +179,19 @@ def test_water_light(view, pond, poisoned, rng, reflection, hard):
         hit, coverage, np.cumsum(count) - count, rows, view.turn, view.eye, view.lens, over,
         view.exposure, ORIGIN, SPACING, pixel, record,
     )  # fmt: skip
-    optics.tilt_water(record, *levels, rms, F4(1.0))
+    optics.tilt_water(record, ripples, F4(1.0))
     mirror = rng.uniform(0, 1, (HEIGHT, WIDTH, 3)).astype(F4)
     mirror_depth = rng.uniform(2, 5, (HEIGHT, WIDTH)).astype(F4)
+    window = F4([*view.lens, WIDTH, HEIGHT])
+    coarse, coarse2 = pyramid.coarsened(mirror), poisoned(pyramid.coarse_shape(HEIGHT, WIDTH))
+    for level in range(1, pyramid.COARSEST + 1):
+        launch(cuda_mirror.halve, window, mirror, level, coarse2)
+    np.testing.assert_allclose(coarse2[: HEIGHT // 2], coarse[: HEIGHT // 2], rtol=1e-6)
     everything = np.arange(n)
     if reflection == "mirror":
         reflect.mirror_light(
-            everything, record, view.turn, view.eye, view.lens, F4(0.02), mirror, mirror_depth,
-            8, F4(0.1), light, source,
+            everything, record, view.turn, view.eye, view.lens, F4(0.02), mirror,
+            coarse, mirror_depth, 8, F4(0.1), light, source,
         )  # fmt: skip
         served = np.array([[0, 9, -9], [0.02, -10, 10]], F4)
     else:
@@ -201,11 +206,11 @@ def test_water_light(view, pond, poisoned, rng, reflection, hard):
         pixel, record, light, picture, picture, view.depth, view.turn, view.lens, *flags, F4(4e-3),
         sun, wanted,
     )  # fmt: skip
-    both = (np.stack([0 * m, m]) for m in (mirror, mirror_depth))
+    both = (np.stack([0 * m, m]) for m in (mirror, coarse2, mirror_depth))
     launch(
         cuda_optics.shade_water, hit, coverage, picture, view.depth, tall, near, view.turn,
-        view.eye, view.lens, over, view.exposure, ORIGIN, SPACING, *levels, rms, F4(1.0), around,
-        settings, served, F4([*view.lens, WIDTH, HEIGHT]), *both, *flags, F4(4e-3), sun, found,
+        view.eye, view.lens, over, view.exposure, ORIGIN, SPACING, ripples, F4(1.0), around,
+        settings, served, window, *both, *flags, F4(4e-3), sun, found,
     )  # fmt: skip
     assert decibel(found, wanted) > 70
     assert decibel(wanted, picture) < 30

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from rainsim.drops import GROUND, RainField, RainSpectrum, Surfaces, impacts
+from rainsim.moments import ripple_moments
 from rainsim.ripples import RippleTile
 from rainsim.scene.types import Camera
 from rainsim.splashview import draw_splashes
 from rainsim.streaks import draw_streaks, streak_reach
-from rainsim.watersurface import ripple_levels
 
 pytestmark = pytest.mark.gpu
 WIDTH, HEIGHT, EXPOSURE = 320, 240, 1 / 60
@@ -100,13 +100,10 @@ def test_ripples_are_those_of_the_cpu():
         waiting[: pushes.size] = np.rint(pushes / PUSH_UNIT).astype(np.int64).reshape(-1)
         twin.pushes.copy_to_device(waiting)
         twin.launch()
-    levels = ripple_levels(tile.slopes())
-    for found, wanted in zip(twin.slopes, levels, strict=True):
-        np.testing.assert_allclose(
-            found.copy_to_host(), wanted, atol=1e-4 * np.abs(levels[0]).max()
-        )
-    rms = [np.sqrt(np.mean(level.astype(float) ** 2)) for level in levels]
-    np.testing.assert_allclose(twin.rms.copy_to_host(), rms, rtol=1e-3)
+    wanted, found = ripple_moments(tile.slopes()), twin.moments.copy_to_host()
+    scale = np.abs(wanted[..., :2]).max()
+    np.testing.assert_allclose(found[..., :2], wanted[..., :2], atol=1e-4 * scale)
+    np.testing.assert_allclose(found[..., 2:], wanted[..., 2:], atol=2e-4 * scale**2)
 
 
 def test_splashes_are_those_of_the_cpu(field, surfaces, poisoned):

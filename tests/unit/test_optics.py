@@ -8,6 +8,8 @@ import pytest
 
 from rainsim import optics, reflect, ssr
 from rainsim.light import fresnel
+from rainsim.moments import ripple_moments
+from rainsim.pyramid import coarsened
 
 WIDTH, HEIGHT, FOCAL = 120, 90, 100.0
 LENS = np.array([FOCAL, FOCAL, WIDTH / 2, HEIGHT / 2], np.float32)
@@ -67,14 +69,13 @@ def water(depth_of_water, picture=None, depth=None, clearance=None, slopes=0.0, 
         np.ones(SHAPE, np.float32), ORIGIN, spacing, pixel, record,
     )  # fmt: skip
     slopes = np.broadcast_to(np.asarray(slopes, np.float32), 2)[:, None, None]
-    levels = [np.tile(slopes, (1, k, k)) for k in (32, 16, 8, 4)]
-    optics.tilt_water(record, *levels, np.zeros(4, np.float32), np.float32(1.0))
-    assert np.isfinite(record[:, :14]).all()
+    optics.tilt_water(record, ripple_moments(np.tile(slopes, (1, 32, 32))), np.float32(1.0))
+    assert np.isfinite(record).all()
     light, source = np.full((n, 3), np.nan, np.float32), np.full(n, 99, np.uint8)
     if mirror is not None:
         reflect.mirror_light(
-            np.arange(n), record, TURN, EYE, LENS, np.float32(level), mirror, mirror_depth,
-            8, np.float32(0.1), light, source,
+            np.arange(n), record, TURN, EYE, LENS, np.float32(level), mirror,
+            coarsened(mirror), mirror_depth, 8, np.float32(0.1), light, source,
         )  # fmt: skip
     else:
         tall = np.full_like(depth, np.nan)
@@ -257,7 +258,7 @@ def test_sun_glint_integrates_to_the_reflected_sun():
             sun = np.array([0.3, 0.1, 0.9])
             sun /= np.linalg.norm(sun)
             view = sun - 2 * (sun @ h) * h  # from the eye to the water: v with half vector h
-            value = optics.sun_glint(*view, *sun, 0.0, 0.0, variance)
+            value = optics.sun_glint(*view, *sun, 0.0, 0.0, 1.3 * variance, variance, 2e-3)
             f = fresnel(sun @ h)
             # radiance * cos(view) * 4 h_z^4 / F is the density of slopes.
             total += value / f * 4 * h[2] ** 4 * max(-view[2], 0.05) * (tilt[8] - tilt[0]) ** 2

@@ -1,0 +1,166 @@
+"""Ripples as a pixel sees them: mean and covariance of their slopes over what it shows of water.
+
+A picture shows the mean of what all facets in a pixel mirror, so it takes how their slopes are
+spread, not only the slope in the pixel's middle. Slopes and their products are averaged over ever
+larger cells of the ripple tile (Olano and Baker 2010, LEAN mapping, I3D 2010, 181-188): the mean
+of a product less the product of the means is the covariance over any footprint. Two things differ
+from the paper: the footprint of a pixel seen at a slant is put together from several cells in a
+row, and the covariance serves to draw samples of what is mirrored (`reflect`), not a highlight.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from rainsim.jit import cpu_kernel, device_function, prange
+
+ZERO = np.float32(0)
+ONE = np.float32(1)
+TWO = np.float32(2)
+HALF = np.float32(0.5)
+QUARTER = np.float32(0.25)
+
+MOMENTS = 5  # of slopes a, b along x, y: a, b, a^2, b^2, a b
+# Width of a cell over that of the footprint: interpolated, it then has the footprint's variance.
+CELL_SHARE = np.float32(1 / math.sqrt(3))
+MOST_SLANT = np.float32(40)  # of the pixel's footprint on the water over its width
+MOST_CELLS = 8  # in a row that a slanted footprint takes
+ROOT_TWO = np.float32(math.sqrt(2))
+
+
+@device_function
+def place_of(n, level):
+    """Return the first row and column of a level of the moments of n x n cells."""
+    return (n - (n >> (level - 1)), n) if level > 0 else (0, 0)
+
+
+@device_function
+def mean_of_four(moments, n, level, row, column, c):
+    """Return a moment of a cell of `level`, from 1 up, as the mean over the level before."""
+    top, left = place_of(n, level - 1)
+    j, i = top + 2 * row, left + 2 * column
+    return QUARTER * (
+        (moments[j, i, c] + moments[j, i + 1, c])
+        + (moments[j + 1, i, c] + moments[j + 1, i + 1, c])
+    )
+
+
+@cpu_kernel
+def _lay(slopes, moments_out):
+    """Write the moments of the cells, then those of all halved resolutions."""
+    n = slopes.shape[1]
+    for j in prange(n):
+        for i in range(n):
+            a, b = slopes[0, j, i], slopes[1, j, i]
+            m = moments_out[j, i]
+            m[0], m[1], m[2], m[3], m[4] = a, b, a * a, b * b, a * b
+    level, cells = 1, n >> 1
+    while cells > 0 and 2 * cells == n >> (level - 1):
+        top, left = place_of(n, level)
+        for j in prange(cells):
+            for i in range(cells):
+                for c in range(MOMENTS):
+                    value = mean_of_four(moments_out, n, level, j, i, c)
+                    moments_out[top + j, left + i, c] = value
+        level, cells = level + 1, cells >> 1
+
+
+def ripple_moments(slopes):
+    """Return the moments of a tile of slopes (2, n, n) at all resolutions.
+
+    Returns
+    -------
+    ndarray of shape (n, n + n // 2, 5), float32
+        Full resolution in the first n columns; half of that in the first n / 2 rows of the others,
+        a quarter below it, and so on for as long as the number of cells can be halved.
+    """
+    slopes = np.ascontiguousarray(slopes, dtype=np.float32)
+    n = slopes.shape[1]
+    moments = np.zeros((n, n + n // 2, MOMENTS), np.float32)
+    _lay(slopes, moments)
+    return moments
+
+
+@device_function
+def pixel_slopes(moments, size, x, y, vx, vy, vz, width):
+    """Return mean and covariance of the ripples' slopes over what a pixel shows of level water.
+
+    Parameters
+    ----------
+    moments : ndarray of shape (n, n + n // 2, 5), float32
+        Of a periodic tile, see `ripple_moments`.
+    size : float32 [m]
+        Of the tile.
+    x, y : float32 [m]
+        Where the middle of the pixel meets the water.
+    vx, vy, vz : float32
+        Unit view direction, downward.
+    width : float32 [m]
+        Of the pixel there, across the view.
+
+    Returns
+    -------
+    a, b, aa, bb, ab : float32
+        Mean slopes along x and y, their variances and their covariance.
+    """
+    n = moments.shape[0]
+    slant = min(ONE / max(-vz, np.float32(1e-3)), MOST_SLANT)
+    count = min(math.ceil(slant), MOST_CELLS)
+    step = slant * width / np.float32(count)
+    cell = max(width, step) * CELL_SHARE
+    level, edge = 0, ROOT_TWO * size / np.float32(n)
+    while cell > edge and 2 * (n >> (level + 1)) == n >> level:
+        level += 1
+        edge *= TWO
+    inv = ONE / (size * math.sqrt(max(vx * vx + vy * vy, np.float32(1e-9))))
+    du, dv = step * vx * inv, step * vy * inv
+    back = HALF * np.float32(count - 1)
+    u, v = x / size - back * du, y / size - back * dv
+    # What lies within a cell sees the less of its slope's change.
+    small = min(cell * np.float32(n) / size, ONE)
+    small *= small
+    a, b, aa, bb, ab = ZERO, ZERO, ZERO, ZERO, ZERO
+    for _ in range(count):
+        m0, m1, m2, m3, m4 = _mixed(moments, n, level, u - math.floor(u), v - math.floor(v))
+        a, b = a + m0, b + m1
+        aa += m0 * m0 + small * (m2 - m0 * m0)
+        bb += m1 * m1 + small * (m3 - m1 * m1)
+        ab += m0 * m1 + small * (m4 - m0 * m1)
+        u, v = u + du, v + dv
+    share = ONE / np.float32(count)
+    a, b = a * share, b * share
+    return (
+        a, b, max(aa * share - a * a, ZERO), max(bb * share - b * b, ZERO), ab * share - a * b
+    )  # fmt: skip
+
+
+@device_function
+def _mixed(moments, n, level, u, v):
+    """Return the moments of a level at (u, v), shares of the tile from 0 to 1, interpolated."""
+    cells = n >> level
+    top, left = place_of(n, level)
+    u, v = u * np.float32(cells) - HALF, v * np.float32(cells) - HALF
+    i, j = int(u + ONE) - 1, int(v + ONE) - 1  # the floor: both are above -1
+    a, b = u - np.float32(i), v - np.float32(j)
+    k, m = i + 1 if i + 1 < cells else 0, j + 1 if j + 1 < cells else 0
+    i, j = i if i >= 0 else cells - 1, j if j >= 0 else cells - 1
+    w0, w1, w2, w3 = (ONE - a) * (ONE - b), a * (ONE - b), (ONE - a) * b, a * b
+    p, q = moments[top + j, left + i], moments[top + j, left + k]
+    r, s = moments[top + m, left + i], moments[top + m, left + k]
+    return (
+        p[0] * w0 + q[0] * w1 + r[0] * w2 + s[0] * w3,
+        p[1] * w0 + q[1] * w1 + r[1] * w2 + s[1] * w3,
+        p[2] * w0 + q[2] * w1 + r[2] * w2 + s[2] * w3,
+        p[3] * w0 + q[3] * w1 + r[3] * w2 + s[3] * w3,
+        p[4] * w0 + q[4] * w1 + r[4] * w2 + s[4] * w3,
+    )
+
+
+@device_function
+def root_of(xx, yy, xy):
+    """Return the lower triangle (a; b, c) whose product with its transpose is a covariance."""
+    a = math.sqrt(max(xx, np.float32(1e-12)))
+    b = xy / a
+    return a, b, math.sqrt(max(yy - b * b, ZERO))

@@ -1,0 +1,107 @@
+"""A picture at ever coarser resolutions, to look up how it looks blurred."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rainsim.jit import cpu_kernel, device_function, prange
+from rainsim.light import bilinear_color, four_colors
+
+ZERO = np.float32(0)
+ONE = np.float32(1)
+TWO = np.float32(2)
+HALF = np.float32(0.5)
+QUARTER = np.float32(0.25)
+
+COARSEST = 6  # halvings: cells of 64 pixels
+LEAST_CELLS = 2  # along either side of a resolution that is used
+# px, deviation of a blur from which on half the resolution is nearer to it: a cell, interpolated
+# between its neighbours, blurs by half its width.
+FIRST_BLUR = np.float32(np.sqrt(0.5))
+
+
+@device_function
+def top_of(height, level):
+    """Return the first row of a level, 1 or more, of the coarse resolutions."""
+    return height - (height >> (level - 1))
+
+
+@device_function
+def block_mean(picture, coarse, level, row, column, c):
+    """Return a channel of a cell of `level`, from 1 up, as the mean over the level before."""
+    j, i = 2 * row, 2 * column
+    if level == 1:
+        return QUARTER * (
+            (picture[j, i, c] + picture[j, i + 1, c])
+            + (picture[j + 1, i, c] + picture[j + 1, i + 1, c])
+        )
+    j += top_of(picture.shape[0], level - 1)
+    return QUARTER * (
+        (coarse[j, i, c] + coarse[j, i + 1, c]) + (coarse[j + 1, i, c] + coarse[j + 1, i + 1, c])
+    )
+
+
+@cpu_kernel
+def _halve(picture, level, coarse_out):
+    """Write one level."""
+    height, width = picture.shape[0], picture.shape[1]
+    top = top_of(height, level)
+    for row in prange(height >> level):
+        for column in range(width >> level):
+            for c in range(3):
+                value = block_mean(picture, coarse_out, level, row, column, c)
+                coarse_out[top + row, column, c] = value
+
+
+def coarse_shape(height, width):
+    """Return the shape of the array that holds the coarse resolutions of a picture."""
+    return height, width >> 1, 3
+
+
+def coarsened(picture):
+    """Return a picture at half its resolution, a quarter, and so on, COARSEST times.
+
+    Parameters
+    ----------
+    picture : ndarray of shape (height, width, 3), float32
+
+    Returns
+    -------
+    ndarray of shape (height, width // 2, 3), float32
+        Half the resolution in the first height // 2 rows, a quarter below it, and so on; a last
+        row or column that has no partner is left out. The rest is not set.
+    """
+    coarse = np.empty(coarse_shape(*picture.shape[:2]), np.float32)
+    for level in range(1, COARSEST + 1):
+        _halve(picture, level, coarse)
+    return coarse
+
+
+@device_function
+def blurred_color(picture, coarse, u, v, blur):
+    """Return the colour of a picture at image point (u, v), blurred.
+
+    Parameters
+    ----------
+    picture : ndarray of shape (height, width, 3), float32
+    coarse : ndarray of shape (height, width // 2, 3), float32
+        See `coarsened`.
+    u, v : float32 [px]
+        Clamped to the picture.
+    blur : float32 [px]
+        Deviation along one axis; the nearest of the resolutions is taken.
+    """
+    height, width = picture.shape[0], picture.shape[1]
+    level, edge = 0, FIRST_BLUR
+    while blur > edge and level < COARSEST and min(height, width) >> (level + 1) >= LEAST_CELLS:
+        level += 1
+        edge *= TWO
+    if level == 0:
+        return bilinear_color(picture, u, v)
+    top, rows, columns = top_of(height, level), height >> level, width >> level
+    scale = ONE / np.float32(1 << level)
+    u = min(max(u * scale - HALF, ZERO), np.float32(columns - 1))
+    v = min(max(v * scale - HALF, ZERO), np.float32(rows - 1))
+    i, j = min(int(u), columns - 2), min(int(v), rows - 2)
+    a, b = u - np.float32(i), v - np.float32(j)
+    return four_colors(coarse, top + j, top + j + 1, i, i + 1, a, b)

@@ -1,0 +1,146 @@
+"""Slopes of ripples over pixels, and pictures looked up blurred, against brute force."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from rainsim import optics, reflect
+from rainsim.light import bilinear_color
+from rainsim.moments import pixel_slopes, place_of, ripple_moments, root_of
+from rainsim.pyramid import COARSEST, blurred_color, coarsened, top_of
+
+N, SIZE = 64, np.float32(0.5)
+CELL = float(SIZE) / N
+
+
+@pytest.fixture(scope="module")
+def slopes():
+    """Waves of 4 cells and longer on a periodic tile, slopes of some 0.05."""
+    rng = np.random.default_rng(7)
+    white = rng.normal(size=(N, N))
+    eta = ndimage.gaussian_filter(white, 1.3, mode="wrap")
+    dy, dx = (np.roll(eta, -1, k) - np.roll(eta, 1, k) for k in (0, 1))
+    both = np.stack([dx, dy])
+    return (0.05 * both / both.std()).astype(np.float32)
+
+
+def test_every_level_holds_the_means_of_blocks(slopes):
+    moments = ripple_moments(slopes)
+    x, y = slopes.astype(float)
+    for level in range(int(math.log2(N)) + 1):
+        top, left = place_of(N, level)
+        k, cells = 1 << level, N >> level
+        found = moments[top : top + cells, left : left + cells]
+        for c, field in enumerate((x, y, x * x, y * y, x * y)):
+            mean = field.reshape(cells, k, cells, k).mean(axis=(1, 3))
+            np.testing.assert_allclose(found[..., c], mean, atol=3e-8)
+
+
+def footprint(slopes, x, y, view, width):
+    """Slopes (2, k) at points spread over what a pixel shows."""
+    ahead = np.array(view[:2]) / np.hypot(*view[:2])
+    a, b = np.meshgrid(*2 * [(np.arange(16) + 0.5) / 16 - 0.5])
+    u = x + width * (a * ahead[0] / -view[2] - b * ahead[1])
+    v = y + width * (a * ahead[1] / -view[2] + b * ahead[0])
+    at = np.stack([v.ravel(), u.ravel()]) / CELL - 0.5
+    return np.stack([ndimage.map_coordinates(s, at, order=3, mode="grid-wrap") for s in slopes])
+
+
+@pytest.mark.parametrize("dip", [80, 30, 12])
+@pytest.mark.parametrize("cells", [0.4, 2.0, 5.0])
+def test_a_pixel_takes_mean_and_covariance_over_its_footprint(slopes, dip, cells):
+    moments = ripple_moments(slopes)
+    rng = np.random.default_rng(1)
+    away, width = math.radians(40), cells * CELL
+    dip = math.radians(dip)
+    view = math.cos(dip) * math.cos(away), math.cos(dip) * math.sin(away), -math.sin(dip)
+    found, wanted = [], []
+    for x, y in rng.uniform(-1, 1, (60, 2)):
+        arguments = (np.float32(v) for v in (x, y, *view, width))
+        found.append(pixel_slopes(moments, SIZE, *arguments))
+        here = footprint(slopes.astype(float), x, y, view, width)
+        (aa, ab), (_, bb) = np.cov(here, bias=True)
+        wanted.append((*here.mean(axis=1), aa, bb, ab))
+    found, wanted = np.array(found), np.array(wanted)
+    error, held = (found - wanted)[:, :2].std(), wanted[:, :2].std()
+    assert error < 0.35 * held + 0.004  # a share of the energy: cells are not the footprint
+    spread = wanted[:, 2:4].mean()
+    assert found[:, 2:4].mean() == pytest.approx(spread, rel=0.5, abs=1e-5)
+    # Nothing of the slopes is lost: what the mean does not hold, the covariance does.
+    if cells > 1:
+        total = np.mean(found[:, :2] ** 2 + found[:, 2:4])
+        assert total == pytest.approx(np.mean(wanted[:, :2] ** 2 + wanted[:, 2:4]), rel=0.15)
+        assert np.corrcoef(found[:, 2] - found[:, 3], wanted[:, 2] - wanted[:, 3])[0, 1] > 0.5
+
+
+def test_flat_water_stays_flat():
+    moments = ripple_moments(np.zeros((2, N, N)))
+    assert pixel_slopes(moments, SIZE, *np.float32([0.1, 0.2, 0.6, 0, -0.8, 0.01])) == (0,) * 5
+
+
+def test_root_of_a_covariance():
+    a, b, c = root_of(*np.float32([4e-3, 3e-3, -2e-3]))
+    np.testing.assert_allclose([a * a, b * b + c * c, a * b], [4e-3, 3e-3, -2e-3], rtol=1e-5)
+
+
+def test_coarse_pictures_hold_means():
+    rng = np.random.default_rng(3)
+    picture = rng.uniform(0, 1, (77, 130, 3)).astype(np.float32)
+    coarse = coarsened(picture)
+    for level in range(1, COARSEST + 1):
+        k, rows, columns = 1 << level, 77 >> level, 130 >> level
+        blocks = picture[: rows * k, : columns * k].reshape(rows, k, columns, k, 3)
+        found = coarse[top_of(77, level) :][:rows, :columns]
+        np.testing.assert_allclose(found, blocks.mean(axis=(1, 3)), atol=1e-6)
+
+
+@pytest.mark.parametrize("blur", [0.0, 1.0, 2.3, 4.0, 9.0])
+def test_blurred_colours_are_those_of_a_blurred_picture(blur):
+    rng = np.random.default_rng(5)
+    picture = rng.uniform(0, 1, (160, 192, 3)).astype(np.float32)
+    coarse = coarsened(picture)
+    soft = ndimage.gaussian_filter(picture, (blur, blur, 0), mode="nearest")
+    points = rng.uniform(40, 110, (300, 2)).astype(np.float32)
+    found = np.array([blurred_color(picture, coarse, *p, np.float32(blur)) for p in points])
+    wanted = np.array([bilinear_color(soft, *p) for p in points])
+    if blur == 0:
+        np.testing.assert_array_equal(found, wanted)
+        return
+    sharp = np.array([bilinear_color(picture, *p) for p in points])
+    assert np.mean((found - wanted) ** 2) < 0.4 * np.mean((sharp - wanted) ** 2)
+    assert 0.4 < found.std() / wanted.std() < 2.2
+
+
+def test_rough_water_takes_the_contrast_of_stripes_as_a_normal_spread_does():
+    """A mirror of stripes far away: what is left is exp(-2 (pi deviation / width)^2)."""
+    focal, columns, rows = 400.0, 512, 256
+    turn = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]], np.float32)  # level, along y
+    eye, lens = np.array([0, 0, 1], np.float32), np.array([focal, focal, 256, 128], np.float32)
+    # Rays 20 degrees down: a slope along x moves what they mirror sideways by 2 sin(20) of it.
+    dip, deviation = math.radians(20), 0.05
+    n = 200
+    aside = np.linspace(-0.2, 0.2, n)
+    ray = np.stack([aside, np.ones(n), np.full(n, -math.tan(dip))], 1)
+    record = np.zeros((n, optics.RECORD), np.float32)
+    t = 1 / math.tan(dip)
+    record[:, :3] = eye + t * ray
+    record[:, 3:6] = ray / np.linalg.norm(ray, axis=1, keepdims=True)
+    record[:, 6] = t
+    record[:, 12] = deviation**2
+    depth = np.full((rows, columns), 1e4, np.float32)
+    pixels = focal * 2 * deviation * math.tan(dip)
+    light, source = np.full((n, 3), np.nan, np.float32), np.zeros(n, np.uint8)
+    for width in (3.0 * pixels, 6.0 * pixels):
+        stripes = 0.5 + 0.5 * np.cos(2 * np.pi * (np.arange(columns) + 0.5) / width)
+        mirror = np.empty((rows, columns, 3), np.float32)
+        mirror[...] = stripes[:, None]
+        reflect.mirror_light(
+            np.arange(n), record, turn, eye, lens, np.float32(0), mirror, coarsened(mirror), depth,
+            8, np.float32(0.1), light, source,
+        )  # fmt: skip
+        left = math.exp(-2 * (math.pi * pixels / width) ** 2)
+        contrast = np.ptp(light[:, 0])
+        assert contrast == pytest.approx(left, abs=0.12)
+        assert contrast > 0.05
