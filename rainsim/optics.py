@@ -144,13 +144,14 @@ def meet_surface(surface, origin, spacing, eye, x, y, z, start):
 
 @cpu_kernel
 def list_water(
-    hit, coverage, first, turn, ground_from_camera, eye, lens, water_depth, exposure_to_rain,
+    hit, coverage, first, turn, ground_from_camera, eye, lens, water_depth, rings,
     origin, spacing, pixel_out, record_out,
 ):  # fmt: skip
     """Write the record of each covered pixel, row by row.
 
-    `first` holds the place of each row's first record, `exposure_to_rain` the share of the rain
-    that reaches each cell; the rest is as in `meet_water`. Slopes are left at zero.
+    `first` holds the place of each row's first record, `rings` the amplitude of
+    rings in each cell over that in the open; the rest is as in `meet_water`. Slopes are left at
+    zero.
     """
     height, width = coverage.shape
     m = ground_from_camera
@@ -171,8 +172,8 @@ def list_water(
             u, v = (sx - origin[0]) / spacing - HALF, (sy - origin[1]) / spacing - HALF
             deep = bilinear(water_depth, u, v)
             grow = smoothstep(RIPPLE_LOW, RIPPLE_HIGH, deep)
-            # Ripples: none in a film, few where little rain falls.
-            grow *= RIPPLE_REST + (ONE - RIPPLE_REST) * bilinear(exposure_to_rain, u, v)
+            # Ripples: none in a film, few where little rain falls, a breath of wind everywhere.
+            grow *= RIPPLE_REST + (ONE - RIPPLE_REST) * bilinear(rings, u, v)
             length = math.sqrt(x * x + y * y + z * z)
             inv = ONE / length
             r = record_out[n]

@@ -15,6 +15,7 @@ from rainsim.errors import ParameterError, require_choice
 from rainsim.film import WetGround, standing
 from rainsim.motion import shutter_end
 from rainsim.raster import Rasterizer, prepare
+from rainsim.ripples import ring_reach, ring_share
 from rainsim.simulation import rain_exposure, surfaces_of, usual_wind
 from rainsim.splash import LONGEST_LIFE, WET_FILM
 from rainsim.splashview import draw_splashes
@@ -29,6 +30,7 @@ SKY_SHARE, NEAREST_SKY = 0.7, 30.0  # of the capture's reach [m] where its sky m
 MIRROR_CLEARANCE = 0.015  # m above the water: what is lower cannot be told from the ground
 FIRST_SEGMENT = 0.5  # m of a traced ray that are searched at first
 NO_FILM = np.empty((0, 0), np.float32)  # it glosses as all else does
+RING_DEPTH = 5e-3  # m of water on which rings travel in under cover
 SUN_IRRADIANCE = 25.0  # of display white: full sun over the overcast sky's some 1
 
 
@@ -75,7 +77,9 @@ class Renderer:
         self.look = self.others = None
         self.sky_distance = sky_distance(scene)
         self._set_time(0.0)
-        self.water = WaterView(terrain, self.exposure, config.render)
+        reach = ring_reach(RING_DEPTH, config.water.surface_film, self.weather.mean_rate)
+        self.rings = ring_share(self.exposure, terrain.grid.spacing, *reach)
+        self.water = WaterView(terrain, self.rings, config.render)
         self.day, self.notes = day_sky(config.render), []
         eye = self.frame.to_ground(first_camera.position)
         if config.render.sky == "capture":

@@ -205,7 +205,10 @@ def simulate(terrain, config, progress=None, dtype=np.float32):
     solver = water_solver(terrain, start, dtype)
     solver.set_state(depth)
     ripples = RippleTile(
-        depth=puddle_depth(depth), film=config.water.surface_film, dtype=np.float32
+        depth=puddle_depth(depth),
+        film=config.water.surface_film,
+        rate=weather.mean_rate,
+        dtype=np.float32,
     )
     rise = rising_level(terrain, config)
     open_area = float(exposure.sum()) * terrain.grid.cell_area

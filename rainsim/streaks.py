@@ -30,7 +30,7 @@ from rainsim.spectrum import CLASSES, LARGEST
 from rainsim.surfaces import BLOCK, first_hit, flat_surfaces
 
 FOG_STEPS = 96
-NEAR = 0.3  # m; drops nearer to the camera are out of any focus and are not drawn
+NEAR = 0.5  # m; drops nearer to the camera are out of any focus and are not drawn
 HIDDEN, PARTLY, CLEAR = 0, 1, 2  # of a path, by the depths of the tiles that it touches
 _MOST_TILES = 24  # that are looked at; a longer path is drawn pixel by pixel against the depth
 _ZERO, _HALF, _ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)

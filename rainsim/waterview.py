@@ -62,8 +62,8 @@ class WaterView:
     Parameters
     ----------
     terrain : Terrain
-    exposure : ndarray of shape (ny, nx), float32
-        Share of the rain that reaches each cell.
+    rings : ndarray of shape (ny, nx), float32
+        Amplitude of rings in each cell over that in the open, see `ripples.ring_share`.
     config : RenderConfig
         Names the methods.
 
@@ -89,8 +89,8 @@ class WaterView:
         As `thickness`, there.
     """
 
-    def __init__(self, terrain, exposure, config):
-        self.terrain, self.exposure, self.config = terrain, exposure, config
+    def __init__(self, terrain, rings, config):
+        self.terrain, self.rings, self.config = terrain, rings, config
         self.relief = fine_relief(terrain)
         self._mirroring = terrain.mirrors
         self._origin = np.array(terrain.grid.origin, np.float32)
@@ -202,7 +202,7 @@ class WaterView:
         if n:
             optics.list_water(
                 hit, self.coverage, np.cumsum(count) - count, turn, v.turn, v.eye, v.lens,
-                self.deep, self.exposure, self._origin, self._spacing, self.pixel, self.record,
+                self.deep, self.rings, self._origin, self._spacing, self.pixel, self.record,
             )  # fmt: skip
         self._groups = {}  # how each method shares the pixels out
 

@@ -95,6 +95,11 @@ class Weather:
             self._share, self._clock = self._shares()
             self._follow = wind_shares(self._heaviest.speed, self._roughness)
 
+    @property
+    def mean_rate(self):
+        """Rain rate [mm/h] over the keyframes that have rain; 0 without any."""
+        return float(self._rates[self._rates > 0].mean()) if self.rains else 0.0
+
     def rate(self, time):
         """Rain rate [mm/h] at a time [s]."""
         return float(np.interp(time, self._times, self._rates))

@@ -243,7 +243,7 @@ def reflection_levels(renderer, camera, state, truth, rounds):
 
 def _set(water, settings, width):
     """Set a quality level of the reflection; what is not named as by default."""
-    fresh = type(water)(water.terrain, water.exposure, water.config)
+    fresh = type(water)(water.terrain, water.rings, water.config)
     for name in ("thickness", "mirror_share", "mirror_steps"):
         setattr(water, name, settings.get(name, getattr(fresh, name)))
     water.stride = settings["px"] / width if "px" in settings else fresh.stride

@@ -46,7 +46,7 @@ class Renderer(HostRenderer):
         self.stream = cuda.stream()
         super().__init__(scene, terrain, config, first_camera)
         send = self._send
-        self._bed, self._exposed = send(terrain.bed), send(self.exposure)
+        self._bed, self._exposed = send(terrain.bed), send(self.rings)
         self._ground, self._ground_sent = send(self.ground), self.ground
         self._place = send(self._origin), self._spacing
         self._around, self._gloss = send(self.environment), send(self.gloss)

@@ -87,7 +87,10 @@ class Simulation:
         solver = host.water_solver(terrain, start)
         solver.set_state(depth)
         tile = RippleTile(
-            depth=host.puddle_depth(depth), film=config.water.surface_film, dtype=np.float32
+            depth=host.puddle_depth(depth),
+            film=config.water.surface_film,
+            rate=self.weather.mean_rate,
+            dtype=np.float32,
         )
         open_area = float(exposure.sum()) * terrain.grid.cell_area
         objects = host.Objects(surfaces, replace(config.rain, drips=False), wet=False)

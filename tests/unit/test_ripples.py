@@ -1,15 +1,22 @@
 """Ripples: they run, spread and fade as theory says, and drops give them the right energy."""
 
+import math
+
 import numpy as np
 import pytest
 
 from rainsim.drops import RainField, RainSpectrum, drop_volume, flat_surfaces, impacts
 from rainsim.errors import ParameterError
 from rainsim.ripples import (
+    FOOTPRINT,
     REFERENCE_DROP,
+    RING_SHARE,
     RippleTile,
     angular_frequency,
     damping_rate,
+    ring_reach,
+    ring_share,
+    stirring,
     tile_impacts,
 )
 from rainsim.spectrum import terminal_speed
@@ -181,3 +188,52 @@ def test_a_tile_in_float32_shows_the_slopes_of_float64():
             tile.advance(1 / 30)
     single, double = (tile.slopes() for tile in tiles)
     assert np.abs(single - double).max() < 1e-3 * np.abs(double).max() > 0
+
+
+def in_balance(rate, diameter, depth=0.3):
+    """Elevation variance [m2] of the rings that drops of one size keep up, by wavenumber."""
+    k = np.geomspace(2.0, 1500.0, 2000)
+    mass, speed = 998.0 * drop_volume(diameter), float(terminal_speed(diameter))
+    falling = rate / 3.6e6 / drop_volume(diameter)  # drops per m2 and s
+    ring = k**2 * np.tanh(k * depth) * np.exp(-((k * FOOTPRINT) ** 2))
+    ring *= RING_SHARE * 0.5 * mass * speed**2 / np.trapezoid(ring, k)
+    ring *= mass / (998.0 * drop_volume(REFERENCE_DROP))  # a smaller drop puts in a smaller share
+    fading = 2 * damping_rate(k, depth, stirred=stirring(rate))
+    return np.trapezoid(falling * ring / fading / (998.0 * 9.81 + 0.0728 * k**2), k)
+
+
+@pytest.mark.parametrize("rate", [5.0, 20.0, 50.0, 200.0])
+def test_stirred_water_keeps_the_rings_that_were_measured_under_rain(rate):
+    # Bliven, Sobieski and Craeye: S = Sp exp(-pi (ln(f / fp) / (df / fp))^2), Sp in cm2 / Hz
+    f = np.geomspace(0.5, 40.0, 2000)
+    peak, wide = 5.772 - 0.0018 * rate, 4.42 + 0.0028 * rate
+    measured = 6e-4 * rate**0.53 * np.exp(-np.pi * (np.log(f / peak) / (wide / peak)) ** 2)
+    rms = math.sqrt(np.trapezoid(measured, f) * 1e-4)
+    assert math.sqrt(in_balance(rate, 2.8e-3)) == pytest.approx(rms, rel=0.2)
+    assert stirring(0.0) == 0 and stirring(50.0) > 1
+
+
+def test_rings_travel_in_under_cover_and_fade_there():
+    open_half = np.zeros((40, 200), np.float32)
+    open_half[:, :100] = 1.0
+    near, far = (ring_share(open_half, 0.02, np.array([r]), np.ones(1)) for r in (0.1, 0.4))
+    for share in (near, far):
+        line = share[20]
+        assert (np.diff(line) <= 2e-3).all() and line[0] > 0.95
+        assert line[99:101].mean() == pytest.approx(np.sqrt(0.5), abs=0.02)
+    assert near[20, 130] < 0.06 < 0.2 < far[20, 130]
+    np.testing.assert_allclose(ring_share(np.ones((9, 9)), 0.1, *ring_reach(0.01)), 1, atol=1e-5)
+    # 0.3 m in, by the integral of exp(-l / r) / (2 pi l r) over the open half
+    angle = (np.arange(2000) + 0.5) / 2000 * np.pi / 2
+    energy = np.exp(-0.31 / 0.4 / np.cos(angle)).mean() / 2
+    assert far[20, 115] == pytest.approx(np.sqrt(energy), rel=0.03)
+    reach = [(a * b).sum() for a, b in (ring_reach(0.1), ring_reach(0.01), ring_reach(0.01, 1.0))]
+    assert reach[0] > reach[1] > reach[2] > 0.05
+
+
+def test_a_tile_under_heavy_rain_is_damped_by_it():
+    still, stirred = RippleTile(0.5, 64, 0.05), RippleTile(0.5, 64, 0.05, rate=50.0)
+    for tile in (still, stirred):
+        tile.advance(0.0, np.array([[0.2, 0.2]]), np.array([1e-4]))
+        tile.advance(4.0)
+    assert stirred.energy() < 0.75 * still.energy()
