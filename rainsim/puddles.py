@@ -25,14 +25,15 @@ class Puddles:
         Which depression spills into which; built once.
     depth : ndarray of shape (ny, nx), float64 [m]
     volumes : dict of str to float [m3]
-        rain, outflow, infiltrated, evaporated, drained: since the start.
+        captured (what the capture shows), rain, outflow, infiltrated, evaporated, drained: since
+        the start.
     """
 
     graph: SpillGraph
     depth: np.ndarray
     volumes: dict = field(
         default_factory=lambda: dict.fromkeys(
-            ("rain", "outflow", "infiltrated", "evaporated", "drained"), 0.0
+            ("captured", "rain", "outflow", "infiltrated", "evaporated", "drained"), 0.0
         )
     )
 
@@ -48,9 +49,16 @@ class Puddles:
 
     @property
     def residual(self):
-        """Share of the rain that the account does not explain: rounding."""
-        gone = sum(v for name, v in self.volumes.items() if name != "rain")
-        return abs(self.volumes["rain"] - gone - self.volume) / max(self.volumes["rain"], 1e-12)
+        """Share of the water that the account does not explain: rounding."""
+        came = self.volumes["captured"] + self.volumes["rain"]
+        gone = sum(v for name, v in self.volumes.items() if name not in ("captured", "rain"))
+        return abs(came - gone - self.volume) / max(came, 1e-12)
+
+    def start(self, water):
+        """Begin with the depth of `water` [m] (ny, nx) that a capture shows, come to rest."""
+        water = np.asarray(water, np.float64)
+        self.volumes["captured"] += float(water.sum()) * self.cell_area
+        self._settle(self.depth + water)
 
     def rain(self, rainfall):
         """Let `rainfall` [m] (a number or a map) fall and come to rest."""
@@ -109,7 +117,7 @@ def _fall(depth, wanted):
 
 
 def puddles_of(terrain):
-    """Return the dry `Puddles` of a terrain.
+    """Return the `Puddles` of a terrain before rain: dry but for water that the capture shows.
 
     Depressions shallower than twice the noise that is left in the smoothed bed, or smaller than a
     hand, are the capture's own and hold no water; the graph counts them as `dropped`.
@@ -118,7 +126,10 @@ def puddles_of(terrain):
         terrain.bed, terrain.grid.spacing, permeable=terrain.soaks,
         minimum_depth=NOISE_FACTOR * bed_noise(terrain), minimum_area=SMALLEST_PUDDLE,
     )  # fmt: skip
-    return Puddles(graph, np.zeros(terrain.grid.shape))
+    puddles = Puddles(graph, np.zeros(terrain.grid.shape))
+    if terrain.water.any():
+        puddles.start(terrain.water)
+    return puddles
 
 
 def bed_noise(terrain):

@@ -16,10 +16,12 @@ from rainsim.film import WetGround, standing
 from rainsim.motion import shutter_end
 from rainsim.raster import Rasterizer, prepare
 from rainsim.ripples import ring_reach, ring_share
+from rainsim.scene.cameras import MIRROR_CLEARANCE, mirrored_camera
 from rainsim.simulation import rain_exposure, surfaces_of, usual_wind
 from rainsim.splash import LONGEST_LIFE, WET_FILM
 from rainsim.splashview import draw_splashes
 from rainsim.streaks import NO_FOG, draw_streaks, fog_table, streak_reach
+from rainsim.terrain.pond import without_images
 from rainsim.traced import Tracer
 from rainsim.waterview import View, WaterView
 from rainsim.weather import Weather
@@ -27,7 +29,6 @@ from rainsim.weather import Weather
 BACKENDS = ("cpu", "cuda")
 NEAR = 0.05  # m: splats nearer than this are not drawn
 SKY_SHARE, NEAREST_SKY = 0.7, 30.0  # of the capture's reach [m] where its sky may begin
-MIRROR_CLEARANCE = 0.015  # m above the water: what is lower cannot be told from the ground
 FIRST_SEGMENT = 0.5  # m of a traced ray that are searched at first
 NO_FILM = np.empty((0, 0), np.float32)  # it glosses as all else does
 RING_DEPTH = 5e-3  # m of water on which rings travel in under cover
@@ -362,21 +363,6 @@ def _lens(camera):
     return np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float32)
 
 
-def mirrored_camera(camera, frame, level):
-    """Return the plane to cut at and the camera mirrored at the water `level` [m].
-
-    The mirrored camera sees, pixel for pixel, what level water mirrors to the camera; its matrix
-    holds a reflection. What lies below the water is cut away.
-    """
-    up = frame.up
-    height = (level - frame.translation[2]) / frame.meters_per_unit  # along up, capture units
-    flip = np.eye(4)
-    flip[:3, :3] -= 2 * np.outer(up, up)
-    flip[:3, 3] = 2 * height * up
-    plane = np.append(up, height + MIRROR_CLEARANCE / frame.meters_per_unit)
-    return plane, replace(camera, camera_from_world=camera.camera_from_world @ flip)
-
-
 def cropped(camera, window):
     """Return the camera that takes only a window (left, top, right, bottom) [px] of the picture."""
     left, top, right, bottom = window
@@ -469,6 +455,7 @@ def render(scene, terrain, states, cameras, config, names=(), backend="cpu"):
     """
     if not cameras:
         raise ParameterError("no camera was given; a frame needs one")
+    scene = without_images(scene, terrain)
     renderer = renderer_class(backend)(scene, terrain, config, cameras[0])
     path = [scene.ground_frame.camera_in_ground(camera) for camera in cameras]
     for state in states:

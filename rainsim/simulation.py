@@ -142,7 +142,7 @@ def initial_water(terrain, config, exposure):
     bed = terrain.bed.astype(np.float64)
     if config.water.level is not None:
         level = np.percentile(bed, 5) + config.water.level
-        depth = np.maximum(level - bed, 0)
+        depth = np.maximum(level - bed, terrain.water)
         return depth, (f"still water at {config.water.level:g} m above the low ground",)
     puddles = puddles_of(terrain)
     puddles.rain(config.rain.past * exposure.astype(np.float64))

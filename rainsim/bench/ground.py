@@ -9,13 +9,13 @@ from dataclasses import replace
 import numpy as np
 from scipy import ndimage
 
-from rainsim.bench import captures
+from rainsim.bench import captures, ponds
 from rainsim.config import TerrainConfig
 from rainsim.errors import GroundError
 from rainsim.puddles import WET, puddles_of
 from rainsim.scene.ground import estimate_ground_frame
 from rainsim.standing import standing_water
-from rainsim.terrain import MEASURED, UNKNOWN, extract_terrain
+from rainsim.terrain import MEASURED, UNKNOWN, WATER, extract_terrain
 
 NOISES = (1e-3, 3e-3, 10e-3)  # m
 RAIN = 5e-3  # m: fills dips that are 5 mm deep
@@ -23,6 +23,7 @@ SPACINGS = (0.04, 0.02, 0.01)  # m
 UP_HINT_ERROR = 5.0  # degrees that a user's up is off, without cameras
 FRAMES = 50  # captures whose frame is looked for
 FOLDS = ((4, 0.5), (8, 0.5), (15, 0.55), (25, 0.5), (-8, 0.5), (8, 0.7), (25, 0.7), (-15, 0.7))
+WATERS = 3  # captures with water of each kind
 WRONG = 2.0  # degrees: what is farther off must be refused
 
 
@@ -54,6 +55,10 @@ def run(quick=False, tell=None):
         for spacing in spacings:
             rows = [measure_bed(*capture, spacing) for capture in made]
             beds.append({"noise_mm": noise * 1e3, "spacing_m": spacing, **_summary(rows)})
+    tell("water in captures")
+    ways = (ponds.VIRTUAL, ponds.GLOSSY, ponds.MIXED, ponds.PIT)
+    water = {way: _summary([measure_water(*ponds.pond(seed, way)) for seed in range(WATERS)])
+             for way in ways}  # fmt: skip
     tell("a street of 300 m")
     return {
         "captures": seeds,
@@ -61,6 +66,7 @@ def run(quick=False, tell=None):
         "frames": _summary(frames),
         "two_planes": _summary(folds),
         "beds": beds,
+        "water": water,
         "street": measure_street(),
     }
 
@@ -75,6 +81,9 @@ def table(result):
     for row in result["beds"]:
         lines += ["", f"bed, {row['noise_mm']:g} mm of noise, cells of {row['spacing_m']:g} m"]
         lines += [f"  {key:<22} {_shown(v)}" for key, v in row.items() if isinstance(v, dict)]
+    for way, row in result["water"].items():
+        lines += ["", f"water in the capture: {way}"]
+        lines += [f"  {key:<22} {_shown(value)}" for key, value in row.items()]
     lines += ["", "street"]
     lines += [f"  {key:<22} {value:.4g}" for key, value in result["street"].items()]
     return "\n".join(lines)
@@ -207,6 +216,30 @@ def _kerb_error(terrain, x, y):
     first = np.argmax(profile > middle[:, None], axis=1)
     edge = x[0, band][first] - terrain.grid.spacing / 2
     return float(np.percentile(np.abs(edge - captures.KERB_X), 90)) / terrain.grid.spacing
+
+
+def measure_water(scene, truth, spacing=0.02):
+    """Return how well the water that a capture shows is found."""
+    start = time.perf_counter()
+    terrain = extract_terrain(scene, TerrainConfig(spacing=spacing, extent=3.9))
+    seconds = time.perf_counter() - start
+    wet = truth.wet(*np.meshgrid(*terrain.grid.centres()))
+    found = terrain.ground_class == WATER
+    if truth.level is None:
+        wet[:] = False
+    away = ndimage.distance_transform_edt(~wet) * spacing if wet.any() else np.full(wet.shape, 9.0)
+    hit = (wet & found).any()
+    return {
+        "missed": float(not hit) if wet.any() else None,
+        "outline": float((wet & found).sum() / (wet | found).sum()) if hit else None,
+        "level_mm": _level_error(terrain, found, truth) if hit else None,
+        "false_water": float(np.mean(found & (away > 0.1))),
+        "water_seconds": seconds,
+    }
+
+
+def _level_error(terrain, found, truth):
+    return abs(float(np.median((terrain.bed + terrain.water)[found])) - truth.level) * 1e3
 
 
 def measure_street(spacing=0.1):

@@ -183,6 +183,7 @@ def _result(out, terrain, scene, puddles, files):
             name: float(np.mean(terrain.ground_class == code))
             for code, name in enumerate(class_table().names)
         },
+        "captured_water": _captured(terrain),
         "puddles": puddles,
         "notes": list(terrain.notes),
     }
@@ -195,6 +196,18 @@ def _result(out, terrain, scene, puddles, files):
             "confidence": frame.confidence,
         }
     return result
+
+
+def _captured(terrain):
+    """Return area [m2], volume [litres] and highest level [m] of captured water, None without."""
+    wet = terrain.water > 0
+    if not wet.any():
+        return None
+    return {
+        "m2": float(wet.sum()) * terrain.grid.cell_area,
+        "litres": float(terrain.water.sum()) * terrain.grid.cell_area * 1e3,
+        "level": float((terrain.bed + terrain.water)[wet].max()),
+    }
 
 
 def _as_text(result):
@@ -217,6 +230,7 @@ def _as_text(result):
         "ground            " + ", ".join(f"{name} {v:.0%}" for name, v in share.items()),
         "classes           "
         + ", ".join(f"{name} {v:.0%}" for name, v in result["classes"].items() if v > 0),
+        *_water_line(result["captured_water"]),
         f"hollows           {result['puddles']['hollows']}, "
         f"{result['puddles']['left_out']} of them left out as noise",
     ]
@@ -227,3 +241,11 @@ def _as_text(result):
             f"{row['deepest_mm']:.1f} mm"
         )
     return "\n".join(lines)
+
+
+def _water_line(water):
+    if water is not None:
+        yield (
+            f"captured water    {water['m2']:.3g} m2, {water['litres']:.0f} litres over a bed that "
+            f"is ASSUMED, level {water['level']:.2f} m"
+        )

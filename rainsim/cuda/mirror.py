@@ -19,7 +19,8 @@ from rainsim.cuda.raster import Rasterizer
 from rainsim.optics import HALF, ZERO
 from rainsim.pyramid import COARSEST, block_mean, coarse_shape, top_of
 from rainsim.raster.project import FRUSTUM_MARGIN
-from rainsim.render import _pose, mirrored_camera
+from rainsim.render import _pose
+from rainsim.scene.cameras import mirrored_camera
 from rainsim.waterview import (
     LEAST_SHARE,
     LEVEL_STEP,

@@ -23,6 +23,7 @@ RIGID_TOLERANCE = 1e-3  # files with six decimals pass, scaled or mirrored poses
 FLIP = np.array([1.0, -1.0, -1.0])  # OpenGL camera axes (y up, z back) to ours, and back
 JSON_FILES = ("cameras.json", "transforms.json")  # looked for in a folder, in this order
 DISTORTION = ("k1", "k2", "k3", "k4", "p1", "p2")
+MIRROR_CLEARANCE = 0.015  # m above the water: what is lower cannot be told from the ground
 PINHOLES = ("PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "SIMPLE_RADIAL", "RADIAL")
 
 
@@ -404,6 +405,21 @@ def _looked_at(cameras):
     middle, ahead = eyes.mean(axis=0), views.mean(axis=0)
     # To where the mean view meets the ground, but no further than four times the height.
     return middle + ahead * (abs(middle[2]) / max(-ahead[2], 0.25))
+
+
+def mirrored_camera(camera, frame, level):
+    """Return the plane to cut at and the camera mirrored at the water `level` [m].
+
+    The mirrored camera sees, pixel for pixel, what level water mirrors to the camera; its matrix
+    holds a reflection. What lies below the water is cut away.
+    """
+    up = frame.up
+    height = (level - frame.translation[2]) / frame.meters_per_unit  # along up, capture units
+    flip = np.eye(4)
+    flip[:3, :3] -= 2 * np.outer(up, up)
+    flip[:3, 3] = 2 * height * up
+    plane = np.append(up, height + MIRROR_CLEARANCE / frame.meters_per_unit)
+    return plane, replace(camera, camera_from_world=camera.camera_from_world @ flip)
 
 
 def resize_to(camera, width=None, height=None):

@@ -6,8 +6,7 @@ ceiling, seen from above, gives the tops of occluders; the same seen from below 
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import ndimage
@@ -15,36 +14,27 @@ from skimage.morphology import remove_small_objects
 
 from rainsim import raster
 from rainsim.errors import GroundError, ParameterError
-from rainsim.scene.types import Camera, Splats
+from rainsim.scene.types import Camera
 from rainsim.terrain import bed as bedding
+from rainsim.terrain.choose import choose_grid
 from rainsim.terrain.classify import EXCESS_GREEN, classify, is_green, mark_drains
+from rainsim.terrain.pond import fill_ponds
 from rainsim.terrain.slab import FAINT, follow_ground, lonely, splat_cover
-from rainsim.terrain.table import GRASS, HARD
-from rainsim.terrain.types import GAP_HEIGHT, INFERRED, MEASURED, UNKNOWN, Grid, Terrain
+from rainsim.terrain.table import GRASS, HARD, WATER
+from rainsim.terrain.types import GAP_HEIGHT, INFERRED, MEASURED, UNKNOWN, Terrain
+from rainsim.terrain.water import find_water
 
 MIN_SEEN_ALPHA = 0.5  # of a cell from above: less and the surface is not told
 OCCLUDER_HEIGHT = 0.10  # m above the ground from which something shelters it
 SMALLEST_TOP = 2e-3  # m2 of a thing that shelters the ground
 CEILING_OVER_CAMERAS = 1.0  # m: what is higher was hardly seen by any camera
 CEILING_WITHOUT_CAMERAS = 4.0  # m above the ground
-DEFAULT_HALF_WIDTH = 4.0  # m, of the map, unless the cameras roam farther
-CAMERA_REACH = 1.5  # half widths of the map per camera's distance from its centre
-STREET_MARGIN = 6.0  # m beyond cameras that roam farther than that is
-STREET_AHEAD = 14.0  # m of ground before such cameras: there a pixel still shows a puddle
-MOST_CELLS = 24_000_000  # of a map: some 3 GB while it is made
-AUTO_CELLS = 4_000_000  # of a map whose cell size is chosen: some 500 MB while it is made
-USUAL_SPACING, LARGEST_SPACING = 0.02, 0.5  # m; a puddle's edge needs cells well below its width
-LEAST_ACROSS = 128  # cells, of a small map
-ROUND_STEPS = (1, 1.5, 2, 2.5, 3, 4, 5, 6, 8)
-LEAST_SPLATS = 100  # on the ground, to tell how far it reaches
-EMPTY_MARGIN = 0.5  # m of map beyond the last splats on the ground
-GROUND_SLOPE = 0.1  # rise of the ground from the middle outwards within which splats lie on it
-GAP_CELL = 0.25  # m
 TILE = 1024  # cells across: what is splatted at once
 NEAR_BED = 0.03  # m, and four times the noise: what is farther from the first bed stands on it
 LARGEST_SHIFT, SHIFT_WIDTH = 0.02, 0.05  # m, by which overlapping splats may hide the ground
 EDGE_THICKNESS = 5e-3  # m between the looks from above and below from where an edge begins
 EDGE_WIDTH = 0.06  # m: splats of a kerb's top reach so far over its edge
+DARKEST = 0.02  # of a colour that others are told in shares of
 LEAST_GROUND = 0.02  # share of the map that must show ground
 
 
@@ -90,6 +80,9 @@ def extract_terrain(scene, config, mask=None):
     top, underside = _cover(upper, lower, bed, grid.cell_area)
     classes = classify(bed, top, source, noise, color, green, grid.spacing)
     classes = mark_drains(classes, grid, scene)
+    bodies, found = find_water(scene, cloud, grid, ground.height, known)
+    for body in bodies:
+        classes[body.mask] = WATER
     if mask is not None:
         classes = np.where(np.asarray(mask) >= 0, mask, classes).astype(np.uint8)
     bed = bedding.lower_rim(bed, classes == HARD, classes == GRASS, grid.spacing)
@@ -98,9 +91,17 @@ def extract_terrain(scene, config, mask=None):
     lowered = soil < bed
     top = np.where(lowered & (top == bed), soil, top).astype(np.float32)
     underside = np.where(lowered & (underside == bed), soil, underside).astype(np.float32)
-    terrain = Terrain(grid, soil, top, underside, source, classes, noise, color)
-    notes += (*cloud.notes, *_report(terrain, removed, mask))
-    return Terrain(grid, soil, top, underside, source, classes, noise, color, notes)
+    soil, color, water, told = fill_ponds(grid, soil, classes, bodies, color)
+    filled = water > 0
+    if filled.any():
+        source[filled] = INFERRED
+        stands = filled & (top > soil + water + OCCLUDER_HEIGHT)
+        top = np.where(filled & ~stands, soil, top)
+        hangs = stands & (underside > soil + water + GAP_HEIGHT)
+        underside = np.where(filled & ~hangs, soil, underside)
+    terrain = Terrain(grid, soil, top, underside, source, classes, noise, color, water=water)
+    notes += (*cloud.notes, *_report(terrain, removed, mask), *found, *told)
+    return replace(terrain, notes=notes)
 
 
 def _report(terrain, removed, mask):
@@ -120,126 +121,6 @@ def _report(terrain, removed, mask):
         yield f"{np.mean(np.asarray(mask) >= 0):.0%} of the classes given by the mask"
     if removed:
         yield f"{removed} splats near the bed left out: they float over it or stand on it"
-
-
-def choose_grid(scene, config):
-    """Return the `Grid` that a scene asks for, and notes that say why.
-
-    The map reaches as far as the cameras' surroundings, but not beyond the splats on the ground,
-    without cameras as far as those lie. A cell is 2 cm, finer on small maps, but not smaller than a
-    pixel of the cameras on the ground or half the gap between splats, which show no more, and large
-    enough for the whole map to have `AUTO_CELLS`.
-    """
-    ground = _on_plane(scene, config.slab)
-    low, high, why = _surroundings(scene)
-    if len(ground) >= LEAST_SPLATS:
-        first, last = np.percentile(ground, (4, 96) if low is None else (0.5, 99.5), axis=0)
-        if low is None:
-            rim = 0.04 * (last - first)
-            low, high, why = first - rim, last + rim, "as far as splats lie on the ground"
-        elif (np.maximum(low, first) < np.minimum(high, last)).all():
-            cut = np.maximum(low, first - EMPTY_MARGIN), np.minimum(high, last + EMPTY_MARGIN)
-            if (cut[1] - cut[0]).prod() < 0.8 * (high - low).prod():
-                (low, high), why = cut, "as far as splats lie on the ground"
-    if low is None:
-        low, high, why = *np.array([[-1.0], [1.0]]) * np.full(2, DEFAULT_HALF_WIDTH), "the default"
-    centre, half = (low + high) / 2, (high - low) / 2
-    if config.extent is not None:
-        half, why = np.full(2, config.extent), "given"
-    footprint = _pixel_footprint(scene)
-    spacing, because = config.spacing, "given"
-    if spacing is None:
-        spacing, because = choose_spacing(half, _gap(ground), footprint)
-    if 4 * half.prod() / spacing**2 > MOST_CELLS:
-        if config.extent is not None:
-            raise ParameterError(
-                f"a map of {2 * half[0]:g} m at {spacing:g} m has "
-                f"{4 * half.prod() / spacing**2:.0f} cells; at most {MOST_CELLS} fit the memory; "
-                "give a larger --spacing or a smaller --extent"
-            )
-        half = half / math.sqrt(4 * half.prod() / spacing**2 / MOST_CELLS)
-        why += f", cut to {MOST_CELLS} cells"
-    nx, ny = (max(8, round(2 * h / spacing)) for h in half)
-    corner = centre - np.array([nx, ny]) * spacing / 2
-    grid = Grid((ny, nx), (float(corner[0]), float(corner[1])), spacing)
-    note = (
-        f"map of {grid.size[0]:.4g} x {grid.size[1]:.4g} m ({why}), {nx} x {ny} cells of "
-        f"{spacing:g} m ({because})"
-    )
-    if footprint is not None:
-        note += f"; a pixel of the cameras covers {footprint * 1e3:.2g} mm"
-    return grid, (note,)
-
-
-def _surroundings(scene):
-    """Return low and high corner (2,) [m] of what lies about the cameras, and why; None if none."""
-    if not scene.cameras:
-        return None, None, ""
-    views = [scene.ground_frame.camera_in_ground(camera) for camera in scene.cameras]
-    foot = np.array([view.position[:2] for view in views])
-    centre = foot.mean(axis=0)
-    radius = np.percentile(np.linalg.norm(foot - centre, axis=1), 90)
-    half, why = np.full(2, DEFAULT_HALF_WIDTH), "the default"
-    if CAMERA_REACH * radius > DEFAULT_HALF_WIDTH:
-        # Cameras that go around something look inwards and need no ground behind it.
-        ahead = np.array([view.forward[:2] for view in views])
-        outwards = (ahead * (foot - centre)).sum(axis=1) > 0
-        seen = np.concatenate([foot, foot[outwards] + STREET_AHEAD * ahead[outwards]])
-        low, high = np.percentile(seen, (2, 98), axis=0)
-        centre, half = (low + high) / 2, (high - low) / 2
-        half = half + np.minimum(STREET_MARGIN, (CAMERA_REACH - 1) * radius)
-        half, why = np.maximum(half, DEFAULT_HALF_WIDTH), "the cameras' reach"
-    return centre - half, centre + half, why
-
-
-def _on_plane(scene, slab):
-    """Return x, y (n, 2) [m] of solid splats on ground that may slope away from the middle."""
-    with np.errstate(invalid="ignore", over="ignore"):
-        position = scene.ground_frame.to_ground(scene.splats.position)
-        reach = slab + GROUND_SLOPE * np.linalg.norm(position[:, :2], axis=1)
-        near = (np.abs(position[:, 2]) < reach) & (scene.splats.opacity > FAINT)
-    return position[near, :2]
-
-
-def _gap(ground):
-    """Return the usual distance between splats on the ground [m], where most of them lie."""
-    if len(ground) < LEAST_SPLATS:
-        return 0.0
-    cell = np.floor(ground / GAP_CELL).astype(np.int64)
-    _, number = np.unique(cell, axis=0, return_counts=True)
-    return GAP_CELL / math.sqrt(np.median(np.repeat(number, number)))
-
-
-def choose_spacing(half, gap=0.0, footprint=None):
-    """Return the cell size [m] for a map of `half` widths and why."""
-    choices = [
-        (min(USUAL_SPACING, 2 * half.min() / LEAST_ACROSS), "as usual"),
-        (gap / 2, f"splats lie {gap * 100:.2g} cm apart"),
-        (footprint or 0.0, "the cameras' pixels"),
-        (math.sqrt(4 * half.prod() / AUTO_CELLS), "to fit the memory"),
-    ]
-    if choices[0][0] < USUAL_SPACING:
-        choices[0] = (choices[0][0], "the map is small")
-    spacing, why = max(choices)
-    scale = 10.0 ** math.floor(math.log10(spacing))
-    # Rounded down, which leaves a map at most twice as many cells.
-    spacing = round(max(step for step in ROUND_STEPS if step * scale <= spacing * 1.001) * scale, 9)
-    return min(spacing, LARGEST_SPACING), why
-
-
-def _pixel_footprint(scene):
-    """Return the median width [m] of a pixel on the ground in the lower half of pictures, or None.
-
-    A low camera looks at the horizon, but what it shows of the ground is nearer.
-    """
-    sizes = []
-    for camera in scene.cameras:
-        view = scene.ground_frame.camera_in_ground(camera)
-        down = (0.75 * view.height - view.cy) / view.fy
-        ray = np.array([0, down, 1.0]) @ view.camera_from_world[:3, :3]
-        if view.position[2] > 0 and ray[2] < -0.05 and not camera.orthographic:
-            sizes.append(view.position[2] / -ray[2] / view.fx)
-    return float(np.median(sizes)) if sizes else None
 
 
 @dataclass(frozen=True)
@@ -271,10 +152,9 @@ class _Cloud:
                 f"no splat lies over the map of {width:g} x {depth:g} m about ({x0 + width / 2:g}, "
                 f"{y0 + depth / 2:g}) of the ground frame; check --up and --meters-per-unit"
             )
-        splats = scene.splats.take(over)
+        every = scene.splats
         # The mean colour over all directions: from straight above no camera has looked.
-        self.splats = Splats(splats.position, splats.rotation, splats.scale, splats.opacity,
-                             np.ascontiguousarray(splats.sh[:, :1]))  # fmt: skip
+        self.splats = replace(every, sh=every.sh[:, :1]).take(over)
         self.position, self.reach = position[over], reach[over]
         self.cover = splat_cover(self.splats, self.frame)
         start = _start_radius(scene, grid)
@@ -282,6 +162,7 @@ class _Cloud:
         self.above = self.position[:, 2] - self.level(self.position[:, 0], self.position[:, 1])
         solid = self.cover > 0
         self.near_bed = (np.abs(self.above) < slab) & solid
+        self.change = _change(every, np.flatnonzero(over)[self.near_bed])
         ceiling = _ceiling(scene)
         x, y = grid.centres()
         level = self.level(*np.meshgrid(x[::8], y[::8]))
@@ -347,6 +228,15 @@ class _Cloud:
         """Return the bed with the grass taken off."""
         solid = np.where(self.near_bed, self.splats.opacity > 3 * FAINT, False)
         return bedding.soil_under_grass(bed, classes == GRASS, self.position, solid, self.grid)
+
+
+def _change(splats, which):
+    """Return how far the green of splats (indices) changes with the view, over that of degree 0."""
+    if splats.sh.shape[1] == 1:
+        return np.zeros(len(which), np.float32)
+    green = splats.sh[which, :, 1]
+    mean = np.maximum(0.5 + 0.28209479177387814 * green[:, 0], DARKEST)
+    return np.sqrt((green[:, 1:] ** 2).sum(axis=1)) / mean
 
 
 def _start_radius(scene, grid):

@@ -20,6 +20,7 @@ def hillshade(height, spacing, exaggerate=4):
 
 
 _ARRAYS = ("bed", "top", "underside", "source", "ground_class", "noise", "color")
+_WATER = "water"  # not in the files of old versions
 
 
 def write_terrain(folder, terrain):
@@ -35,7 +36,7 @@ def write_terrain(folder, terrain):
 
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    arrays = {name: getattr(terrain, name) for name in _ARRAYS}
+    arrays = {name: getattr(terrain, name) for name in (*_ARRAYS, _WATER)}
     grid = terrain.grid
     image.write_npz(
         folder / "terrain.npz", **arrays, origin=np.array(grid.origin), spacing=grid.spacing,
@@ -62,8 +63,9 @@ def read_terrain(folder):
             shape = arrays[0].shape
             grid = Grid(shape, tuple(map(float, data["origin"])), float(data["spacing"]))
             notes = tuple(map(str, data["notes"]))
+            water = data[_WATER] if _WATER in data else None
     except FileNotFoundError:
         raise InputError(f"{path} does not exist; `rainsim heightmap` writes it") from None
     except (KeyError, ValueError, OSError, EOFError) as error:
         raise InputError(f"{path} is no terrain of rainsim ({error}); write it anew") from error
-    return Terrain(grid, *arrays, notes=notes)
+    return Terrain(grid, *arrays, notes=notes, water=water)

@@ -8,6 +8,7 @@ import numpy as np
 
 from rainsim.errors import ParameterError
 from rainsim.terrain.files import hillshade
+from rainsim.terrain.pond import without_images
 from rainsim.terrain.table import class_table
 from rainsim.terrain.types import UNKNOWN
 
@@ -59,6 +60,7 @@ def through_camera(scene, terrain, camera, depth=None):
     width = min(CHECK_WIDTH, camera.width)
     camera = camera.resized(width, max(1, round(camera.height * width / camera.width)))
     frame, grid = scene.ground_frame, terrain.grid
+    scene = without_images(scene, terrain)
     layers = raster.rasterize(raster.prepare(scene.splats), camera, near=0.05)
     picture = np.clip(layers.color, 0, 1).astype(np.float64)
     view = frame.camera_in_ground(camera)

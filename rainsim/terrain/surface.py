@@ -9,7 +9,7 @@ import numpy as np
 from rainsim.errors import InputError, ParameterError, require_positive
 from rainsim.jit import serial_kernel
 from rainsim.terrain.bed import inpaint, local_noise
-from rainsim.terrain.extract import MOST_CELLS, choose_spacing
+from rainsim.terrain.choose import MOST_CELLS, choose_spacing
 from rainsim.terrain.table import GRASS, HARD
 from rainsim.terrain.types import MEASURED, UNKNOWN, Grid, Terrain
 

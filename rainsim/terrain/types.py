@@ -68,7 +68,8 @@ class Terrain:
     underside : ndarray of shape (ny, nx), float32 [m]
         Lower side of what hangs over the ground; equals `bed` where it stands on it.
     source : ndarray of shape (ny, nx), uint8
-        MEASURED, INFERRED (inpainted under an object) or UNKNOWN (nothing saw it).
+        MEASURED, INFERRED (inpainted under an object, or assumed under captured water) or UNKNOWN
+        (nothing saw it).
     ground_class : ndarray of shape (ny, nx), uint8
         Codes of rainsim/classes.toml; unknown ground counts as grass (as object where something
         stands on it): it takes up water and never mirrors.
@@ -77,6 +78,8 @@ class Terrain:
     color : ndarray of shape (ny, nx, 3), float32
         Display-referred colour of the ground from above.
     notes : tuple of str
+    water : ndarray of shape (ny, nx), float32 [m]
+        Depth of the water that the capture itself shows, over an assumed bed; 0 elsewhere.
     """
 
     grid: Grid
@@ -88,6 +91,12 @@ class Terrain:
     noise: np.ndarray
     color: np.ndarray
     notes: tuple = ()
+    water: np.ndarray | None = None
+
+    def __post_init__(self):
+        """Take no captured water to be none anywhere."""
+        if self.water is None:
+            object.__setattr__(self, "water", np.zeros(self.grid.shape, np.float32))
 
     @property
     def covered(self):

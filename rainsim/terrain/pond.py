@@ -1,0 +1,129 @@
+"""What the program makes of captured water: a body with a level, and a capture without its image.
+
+How deep captured water is nobody knows: its bed is assumed. It starts full, rain runs over its
+lowest rim, and it mirrors by the optics of water. The mirror image that the capture holds is taken
+out for that: it would be seen through the new water.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy import ndimage
+
+from rainsim.scene.types import Splats
+from rainsim.terrain.table import WATER
+
+DEPTH = 0.3  # m that captured water is taken to be deep at most
+SHELF = 1.0  # m of depth per metre from the rim, up to that
+RIM = 0.3  # m about painted water in which its rim is looked for
+RIM_PERCENTILE = 10  # of the rim's heights: as high water stands that was painted
+USUAL_COLOR = np.array([0.02, 0.028, 0.018])  # linear, of painted water without reflections
+DARKEST = 0.004  # linear
+GAMMA = 2.2
+SURFACE = 0.02  # m above the level up to which splats over the water show it
+DEEP, SLOPE = 0.24, 0.1  # m below the ground; off the map the ground may fall by so much a metre
+DISC = 0.75  # of the distance between the splats of the bed, their standard deviation
+LEAST_PITCH = 0.02  # m between them
+
+
+def fill_ponds(grid, bed, classes, bodies, color):
+    """Return bed and colour with the assumed beds of captured water, and its depth.
+
+    Parameters
+    ----------
+    grid : Grid
+    bed : ndarray of shape (ny, nx), float32 [m]
+    classes : ndarray of shape (ny, nx), uint8
+        With WATER where bodies were found or a mask has it.
+    bodies : sequence of Body
+    color : ndarray of shape (ny, nx, 3), float32
+
+    Returns
+    -------
+    bed, color, depth : ndarray
+        depth of shape (ny, nx), float32 [m]; 0 where there is none.
+    notes : tuple of str
+    """
+    wet = classes == WATER
+    depth = np.zeros(grid.shape, np.float32)
+    if not wet.any():
+        return bed, color, depth, ()
+    bed, color = bed.copy(), color.copy()
+    labels, count = ndimage.label(wet)
+    away = ndimage.distance_transform_edt(wet) * grid.spacing
+    notes, litres = [], 0.0
+    for n, part in enumerate(ndimage.find_objects(labels, count), 1):
+        margin = round(RIM / grid.spacing) + 1
+        part = tuple(slice(max(s.start - margin, 0), s.stop + margin) for s in part)
+        here = labels[part] == n
+        body = max(bodies, key=lambda b: np.count_nonzero(b.mask[part] & here), default=None)
+        if body is not None and np.count_nonzero(body.mask[part] & here) > 0.3 * here.sum():
+            level, shown = body.level, body.color
+        else:
+            level, shown = _painted_level(bed[part], here, wet[part], grid.spacing), USUAL_COLOR
+        deep = np.minimum(DEPTH, SHELF * away[part])
+        bed[part] = np.where(here, level - deep, bed[part])
+        depth[part] = np.where(here, deep, depth[part])
+        color[part][here] = np.maximum(shown, DARKEST) ** (1 / GAMMA)
+        litres += float(deep[here].sum()) * grid.cell_area * 1e3
+    bodies_are = "body" if count == 1 else "bodies"
+    notes.append(
+        f"captured water: {count} {bodies_are}, {wet.sum() * grid.cell_area:.3g} m2; its bed is "
+        f"not seen and ASSUMED {DEPTH:g} m deep ({litres:.0f} litres)"
+    )
+    return bed, color, depth, tuple(notes)
+
+
+def _painted_level(bed, here, wet, spacing):
+    """Return the level [m] of painted water: that of its rim where it is low."""
+    around = ndimage.distance_transform_edt(~here) * spacing
+    rim = (around > 0) & (around < RIM) & ~wet
+    return float(np.percentile(bed[rim if rim.any() else here], RIM_PERCENTILE))
+
+
+def without_images(scene, terrain):
+    """Return the scene with the beds of captured water in place of what it shows there.
+
+    Left out are the splats of the surface and, wherever they are, the mirror images below the
+    ground, which would shine through what covers it. The scene itself if no water was captured.
+    """
+    wet = terrain.water > 0
+    if not wet.any():
+        return scene
+    grid, frame = terrain.grid, scene.ground_frame
+    level = np.where(wet, terrain.bed + terrain.water, 0)
+    row, column = np.nonzero(wet)
+    with np.errstate(invalid="ignore", over="ignore"):
+        position = frame.to_ground(scene.splats.position)
+        known = np.isfinite(position).all(axis=1)
+        j, i, inside = grid.cells(*np.where(known[:, None], position, 1e9)[:, :2].T)
+    gone = inside & wet[j, i] & (position[:, 2] < level[j, i] + SURFACE)
+    beyond = [
+        np.abs(
+            position[:, k] - np.clip(position[:, k], grid.origin[k], grid.origin[k] + grid.size[k])
+        )
+        for k in (0, 1)
+    ]
+    ground = np.where(wet, level, terrain.bed)[j, i] - SLOPE * np.hypot(*beyond)
+    gone |= position[:, 2] < ground - DEEP
+    kept = scene.splats.take(~gone)
+    every = max(1, round(LEAST_PITCH / grid.spacing))
+    chosen = (row % every == 0) & (column % every == 0)
+    row, column = row[chosen], column[chosen]
+    x, y = grid.centres()
+    points = np.stack([x[column], y[row], terrain.bed[row, column]], axis=1)
+    size = DISC * every * grid.spacing / frame.meters_per_unit
+    n = len(points)
+    sh = np.zeros((n, *kept.sh.shape[1:]), np.float32)
+    sh[:, 0] = (terrain.color[row, column] - 0.5) / 0.28209479177387814
+    rotation = np.zeros((n, 4), np.float32)
+    rotation[:, 0] = 1
+    added = (
+        frame.to_capture(points).astype(np.float32), rotation,
+        np.full((n, 3), size, np.float32), np.full(n, 0.99, np.float32), sh,
+    )  # fmt: skip
+    old = (kept.position, kept.rotation, kept.scale, kept.opacity, kept.sh)
+    splats = Splats(*(np.concatenate(pair) for pair in zip(old, added, strict=True)))
+    return replace(scene, splats=splats)
