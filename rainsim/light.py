@@ -130,8 +130,11 @@ def bilinear_color(picture, u, v):
     rows, columns = picture.shape[0], picture.shape[1]
     u = min(max(u - HALF, ZERO), np.float32(columns - 1))
     v = min(max(v - HALF, ZERO), np.float32(rows - 1))
-    i, j = min(int(u), columns - 2), min(int(v), rows - 2)
-    return four_colors(picture, j, j + 1, i, i + 1, u - np.float32(i), v - np.float32(j))
+    # Without a sign: negative places would count from the end, which costs a test at each.
+    i, j = np.uint32(u), np.uint32(v)
+    k = np.uint32(min(np.float32(i) + ONE, np.float32(columns - 1)))
+    m = np.uint32(min(np.float32(j) + ONE, np.float32(rows - 1)))
+    return four_colors(picture, j, m, i, k, u - np.float32(i), v - np.float32(j))
 
 
 @device_function

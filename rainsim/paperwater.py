@@ -79,7 +79,7 @@ def paper_light(
 
     The ray of each pixel's own rippled normal is marched pixel by pixel; a point test with the
     thickness settings[0] is the hit; the environment is the fallback. Arguments as in
-    `march_light`, without `near`.
+    `march_light`, without `bounds`.
     """
     m = ground_from_camera
     for k in prange(len(which)):

@@ -112,7 +112,7 @@ def mirror_light(
 
 @cpu_kernel
 def march_light(
-    which, record, picture, tall, near, ground_from_camera, eye, lens, environment, settings,
+    which, record, picture, tall, bounds, ground_from_camera, eye, lens, environment, settings,
     light_out, source_out,
 ):  # fmt: skip
     """Find the mirrored light by marching through the picture's own depth (see `ssr`).
@@ -122,8 +122,8 @@ def march_light(
     picture : ndarray of shape (height, width, 3), float32
     tall : ndarray of shape (height, width), float32 [m]
         Depth of what can be mirrored; infinite for the ground that the water lies on.
-    near : ndarray of shape (rows, columns), float32 [m]
-        Of `tall`, see `ssr.nearest_blocks`.
+    bounds : ndarray of shape (rows, columns, 2), float32 [m]
+        Of `tall`, see `ssr.block_bounds`.
     environment : ndarray of shape (rows, columns, 3), float32
         Mirrored where the picture shows nothing.
     settings : ndarray of shape (3,), float32
@@ -139,7 +139,7 @@ def march_light(
         px, py, pz = r[0] - eye[0], r[1] - eye[1], r[2] - eye[2]
         cx, cy, cz = column_of(m, 0, px, py, pz), column_of(m, 1, px, py, pz), r[6]
         distance = march(
-            tall, near, lens, cx, cy, cz, column_of(m, 0, vx, vy, -vz),
+            tall, bounds, lens, cx, cy, cz, column_of(m, 0, vx, vy, -vz),
             column_of(m, 1, vx, vy, -vz), column_of(m, 2, vx, vy, -vz), settings[0], settings[1],
             settings[2],
         )  # fmt: skip
@@ -319,31 +319,24 @@ def march_mirror(m, lens, level, eye, sx, sy, sz, rx, ry, rz, depth, steps, thic
     gain = max(column_of(m, 2, rx, ry, -rz), np.float32(0.02))
     u1 = lens[0] * column_of(m, 0, rx, ry, -rz) / gain + lens[2]
     v1 = lens[1] * column_of(m, 1, rx, ry, -rz) / gain + lens[3]
-    rows, columns = depth.shape
+    du, dv = u1 - u0, v1 - v0
     # What level water would mirror here is often what the bent ray meets, too.
-    i, j = min(max(int(u0), 0), columns - 1), min(max(int(v0), 0), rows - 1)
-    guess = max(ONE - z0 / min(depth[j, i], MIRROR_FAR), ZERO)
-    i = min(max(int(u0 + guess * (u1 - u0)), 0), columns - 1)
-    j = min(max(int(v0 + guess * (v1 - v0)), 0), rows - 1)
-    there = min(depth[j, i], MIRROR_FAR)
+    guess = max(ONE - z0 / min(_depth_at(depth, u0, v0), MIRROR_FAR), ZERO)
+    there = min(_depth_at(depth, u0 + guess * du, v0 + guess * dv), MIRROR_FAR)
     if abs(there * (ONE - guess) - z0) < SAME * there * (ONE - guess):
-        return u0 + guess * (u1 - u0), v0 + guess * (v1 - v0), guess
+        return u0 + guess * du, v0 + guess * dv, guess
     before, past, free = z0, ZERO, ZERO
     inv = ONE / np.float32(steps)
     for k in range(steps):
         t = np.float32(k + 1) * inv
         t *= t  # finer near the water, where what stands in it begins
         now = z0 / max(ONE - t, np.float32(1e-4))
-        i = min(max(int(u0 + t * (u1 - u0)), 0), columns - 1)
-        j = min(max(int(v0 + t * (v1 - v0)), 0), rows - 1)
-        there = depth[j, i]
+        there = _depth_at(depth, u0 + t * du, v0 + t * dv)
         if now >= there and before <= there + thickness:
             low, high = past, t
             for _ in range(3):
                 middle = HALF * (low + high)
-                i = min(max(int(u0 + middle * (u1 - u0)), 0), columns - 1)
-                j = min(max(int(v0 + middle * (v1 - v0)), 0), rows - 1)
-                if z0 / (ONE - middle) >= depth[j, i]:
+                if z0 >= _depth_at(depth, u0 + middle * du, v0 + middle * dv) * (ONE - middle):
                     high = middle
                 else:
                     low = middle
@@ -352,7 +345,16 @@ def march_mirror(m, lens, level, eye, sx, sy, sz, rx, ry, rz, depth, steps, thic
         if now < there:
             free = t
         before, past = now, t
-    return u0 + free * (u1 - u0), v0 + free * (v1 - v0), free
+    return u0 + free * du, v0 + free * dv, free
+
+
+@device_function
+def _depth_at(depth, u, v):
+    """Return the depth at image point (u, v), or at the edge next to it."""
+    # Without a sign: negative places would count from the end, which costs a test at each.
+    i = np.uint32(min(max(u, ZERO), np.float32(depth.shape[1] - 1)))
+    j = np.uint32(min(max(v, ZERO), np.float32(depth.shape[0] - 1)))
+    return depth[j, i]
 
 
 @device_function

@@ -4,10 +4,12 @@ McGuire and Mara 2014 (JCGT 3(4)): a ray that is straight in space is straight i
 1/z is linear along it, so the march visits each pixel once, perspective-correct. Two things differ
 from the paper (RainyGS): a hit is an overlap of depth intervals with a thickness in metres, not a
 point within an epsilon, so that a fast ray cannot step through a surface; and the end of the ray
-is bisected. Where nothing within some pixels is as near as the ray, the march jumps over them.
+is bisected. Where a ray passes before or behind all that some pixels show, it jumps over them.
 """
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 
@@ -21,52 +23,54 @@ NEAR = np.float32(0.05)  # m: a ray that comes towards the camera ends here
 # with whole steps rounding would choose the pixel at every step or halving.
 FIRST_STEP = np.float32(1 + 1 / 32)
 BISECTIONS = 4
-BLOCK = 16  # px, side of the blocks whose least depth lets a march jump
-JUMP = np.float32(15)  # px: a march that is in a block stays in its neighbours so far
-PLAIN_STEPS = 4  # that are taken where something is near, before a jump is tried again
+BLOCK_BITS = np.uint32(3)
+BLOCK = 8  # px, side of the blocks whose depths let a march jump
+JUMP = np.float32(7)  # px: two places no farther apart lie in one block or in neighbours
+PLAIN_STEPS = 8  # that are taken where a jump was not possible, before another is tried
 
 
-def blocks_of(height, width):
-    """Return how many rows and columns of blocks cover a picture, see `nearest_blocks`."""
-    return -(-height // BLOCK), -(-width // BLOCK)
+def bounds_of(height, width):
+    """Return the shape of a picture's `bounds_out`, see `block_bounds`."""
+    return -(-height // BLOCK), -(-width // BLOCK), 2
 
 
 @cpu_kernel
-def nearest_blocks(depth, near_out):
-    """Write the least depth of each block and its eight neighbours, for `march`.
+def block_bounds(depth, bounds_out):
+    """Write the least and the greatest depth of each block of pixels, for `march`.
 
     Parameters
     ----------
     depth : ndarray of shape (height, width), float32 [m]
-    near_out : ndarray of shape `blocks_of(height, width)`, float32 [m]
+        Infinite where nothing can be hit: that does not count.
+    bounds_out : ndarray of shape `bounds_of(height, width)`, float32 [m]
     """
     height, width = depth.shape
-    rows, columns = near_out.shape
-    least = np.empty((rows, columns), np.float32)
-    for j in prange(rows):
-        least[j] = np.inf
-        for row in range(j * BLOCK, min(j * BLOCK + BLOCK, height)):
-            for i in range(columns):
-                for column in range(i * BLOCK, min(i * BLOCK + BLOCK, width)):
-                    least[j, i] = min(least[j, i], depth[row, column])
+    rows, columns, _ = bounds_out.shape
     for j in prange(rows):
         for i in range(columns):
-            near_out[j, i] = least_around(least, j, i)
+            low, high = np.float32(np.inf), np.float32(-np.inf)
+            for row in range(j * BLOCK, min(j * BLOCK + BLOCK, height)):
+                for column in range(i * BLOCK, min(i * BLOCK + BLOCK, width)):
+                    value = depth[row, column]
+                    if value < np.float32(np.inf):
+                        low, high = min(low, value), max(high, value)
+            bounds_out[j, i, 0], bounds_out[j, i, 1] = low, high
 
 
 @device_function
-def least_around(least, j, i):
-    """Return the least of a block and its eight neighbours."""
-    rows, columns = least.shape
-    found = least[j, i]
-    for m in range(max(j - 1, 0), min(j + 2, rows)):
-        for k in range(max(i - 1, 0), min(i + 2, columns)):
-            found = min(found, least[m, k])
-    return found
+def is_free(bounds, i, j, k, m, nearest, farthest, thickness):
+    """Tell whether a ray cannot hit anything between pixels (i, j) and (k, m).
+
+    They are not farther apart than JUMP; `nearest` and `farthest` are 1/z of the ray there.
+    """
+    i, j, k, m = i >> BLOCK_BITS, j >> BLOCK_BITS, k >> BLOCK_BITS, m >> BLOCK_BITS
+    low = min(min(bounds[j, i, 0], bounds[m, k, 0]), min(bounds[j, k, 0], bounds[m, i, 0]))
+    high = max(max(bounds[j, i, 1], bounds[m, k, 1]), max(bounds[j, k, 1], bounds[m, i, 1]))
+    return low * farthest > ONE or (high + thickness) * nearest < ONE
 
 
 @device_function
-def march(depth, near, lens, x, y, z, dx, dy, dz, thickness, stride, farthest):
+def march(depth, bounds, lens, x, y, z, dx, dy, dz, thickness, stride, farthest):
     """Find where a ray first meets the picture.
 
     Steps are counted in pixels from the ray's start: u, v and 1/z are linear in them. So a step is
@@ -76,8 +80,8 @@ def march(depth, near, lens, x, y, z, dx, dy, dz, thickness, stride, farthest):
     ----------
     depth : ndarray of shape (height, width), float32 [m]
         Depth along the camera's z axis; infinite where nothing can be hit.
-    near : ndarray of shape `blocks_of(height, width)`, float32 [m]
-        See `nearest_blocks`; only saves time.
+    bounds : ndarray of shape `bounds_of(height, width)`, float32 [m]
+        See `block_bounds`; only saves time.
     lens : ndarray of shape (4,), float32
         fx, fy, cx, cy [px].
     x, y, z, dx, dy, dz : float32
@@ -117,37 +121,41 @@ def march(depth, near, lens, x, y, z, dx, dy, dz, thickness, stride, farthest):
         end = min(end, (h - v0) / dv)
     elif dv < ZERO:
         end = min(end, -v0 / dv)
-    jump = int(JUMP / stride)
-    before = ONE / (iz + diz * FIRST_STEP)
-    step, stay = 1, 0
+    jump = np.float32(math.floor(JUMP / stride))
+    right, bottom = w - ONE, h - ONE
+    before = iz + diz * FIRST_STEP  # 1/z, as all that follows
+    step, stay = ONE, 0  # a float32: it is exact, and a graphics processor converts none
     while True:
-        t = FIRST_STEP + stride * np.float32(step)
-        if not t < end:
+        t = FIRST_STEP + stride * step
+        u, v = u0 + du * t, v0 + dv * t
+        if not (t < end and u > -ONE and v > -ONE and u < w and v < h):
             return -ONE
-        i, j = int(u0 + du * t), int(v0 + dv * t)
-        if i < 0 or j < 0 or i >= width or j >= height:
-            return -ONE
-        if stay <= 0 and jump > 1:
-            last = ONE / (iz + diz * (t + stride * np.float32(jump - 1)))
-            # Beyond the ray's end 1 / z may have passed through zero.
-            if last > ZERO and max(before, last) < near[j // BLOCK, i // BLOCK]:
+        # Without a sign: negative places would count from the end, which costs a test at each.
+        i, j = np.uint32(max(u, ZERO)), np.uint32(max(v, ZERO))
+        if stay <= 0 and jump > ZERO:
+            last = t + stride * jump
+            k = np.uint32(min(max(u0 + du * last, ZERO), right))
+            m = np.uint32(min(max(v0 + dv * last, ZERO), bottom))
+            last = iz + diz * last
+            near, away = max(before, last), min(before, last)
+            # Beyond the ray's end 1/z may have passed through zero.
+            if away > ZERO and is_free(bounds, i, j, k, m, near, away, thickness):
                 before = last
-                step += jump
+                step += jump + ONE
                 continue
             stay = PLAIN_STEPS
-        now = ONE / (iz + diz * t)
-        low, high = min(before, now), max(before, now)
+        now = iz + diz * t
         surface = depth[j, i]
-        if high >= surface and low <= surface + thickness:
+        if min(before, now) * surface <= ONE and max(before, now) * (surface + thickness) >= ONE:
             break
         before = now
-        step += 1
+        step += ONE
         stay -= 1
     a, b = t - stride, t
     for _ in range(BISECTIONS):
         middle = HALF * (a + b)
-        i, j = int(u0 + du * middle), int(v0 + dv * middle)
-        if ONE / (iz + diz * middle) >= depth[j, i]:
+        i, j = np.uint32(u0 + du * middle), np.uint32(v0 + dv * middle)
+        if (iz + diz * middle) * depth[j, i] <= ONE:
             b = middle
         else:
             a = middle

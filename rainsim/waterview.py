@@ -258,13 +258,13 @@ class WaterView:
         v = self.view
         if self._tall is None:
             self._tall = np.empty_like(v.depth)
-            self._near = np.empty(ssr.blocks_of(*v.depth.shape), np.float32)
+            self._bounds = np.empty(ssr.bounds_of(*v.depth.shape), np.float32)
             reflect.keep_tall(v.depth, v.clearance, self._tall)
-            ssr.nearest_blocks(self._tall, self._near)
+            ssr.block_bounds(self._tall, self._bounds)
         thickness = paperwater.EPSILON if paper else self.thickness
         stride = max(1.0, self.stride * v.depth.shape[1])
         settings = np.array([thickness, stride, REFLECTION_LENGTH], np.float32)
-        look, depths = reflect.march_light, (self._tall, self._near)
+        look, depths = reflect.march_light, (self._tall, self._bounds)
         if paper:
             look, depths = paperwater.paper_light, (self._tall,)
         look(

@@ -43,7 +43,8 @@ def draw_fronts(path, panels, title):
     path : path-like
         PNG to write.
     panels : dict
-        {case: {"least": error or None, "lines": {method: [(seconds, error), ...]}}}
+        {case: {"least": error or None, "lines": {method: [(seconds, error), ...]}}}; or, for bars
+        side by side instead, {case: {"bars": {name: {stage: milliseconds}}}}
     title : str
     """
     pyplot = require_matplotlib()
@@ -56,6 +57,9 @@ def draw_fronts(path, panels, title):
         axis.set_visible(False)
     styles = {}
     for axis, (name, panel) in zip(axes.flat, panels.items(), strict=False):
+        if "bars" in panel:
+            _draw_bars(axis, name, panel["bars"])
+            continue
         everything = []
         for method, points in panel["lines"].items():
             n = styles.setdefault(method, len(styles))
@@ -75,6 +79,23 @@ def draw_fronts(path, panels, title):
     figure.suptitle(title)
     figure.savefig(Path(path), dpi=110, format="png")
     pyplot.close(figure)
+
+
+def _draw_bars(axis, title, bars):
+    """Draw the milliseconds of stages, one bar of all stages for each name."""
+    stages = list(dict.fromkeys(stage for bar in bars.values() for stage in bar))
+    left = dict.fromkeys(bars, 0.0)
+    for n, stage in enumerate(stages):
+        widths = [bar.get(stage, 0.0) for bar in bars.values()]
+        hatch = "//" if n >= len(COLORS) else None
+        axis.barh(
+            list(bars), widths, left=list(left.values()), label=stage, hatch=hatch,
+            color=COLORS[n % len(COLORS)], edgecolor="white", linewidth=0.4,
+        )  # fmt: skip
+        left = {name: at + w for (name, at), w in zip(left.items(), widths, strict=True)}
+    axis.invert_yaxis()
+    axis.set(title=title, xlabel="milliseconds")
+    axis.legend(fontsize=6, ncols=2)
 
 
 def draw_marks(path, panels, title):

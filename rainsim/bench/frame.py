@@ -19,7 +19,7 @@ from rainsim import pipeline
 from rainsim.bench.chart import draw_fronts
 from rainsim.config import REFLECTIONS, Config
 from rainsim.jit import set_threads
-from rainsim.render import Renderer
+from rainsim.render import Renderer, renderer_class
 from rainsim.scene.cameras import orbit
 from rainsim.scene.library import list_scenes, load_scene
 
@@ -47,7 +47,7 @@ LEVELS = {
 TRUTH = {"reflections": "traced" if "traced" in REFLECTIONS else "auto", "streak_far": 16.0}
 
 
-def run(quick=False, tell=None):
+def run(quick=False, tell=None, backend="cpu"):
     """Run the whole bench.
 
     Parameters
@@ -56,19 +56,35 @@ def run(quick=False, tell=None):
         One scene, small, one drawing of each.
     tell : callable, optional
         Called with a line of text for each result.
+    backend : {"cpu", "cuda"}
+        What draws; see `rainsim.bench.frame_cuda` for what is measured on a GPU.
 
     Returns
     -------
     dict
         "machine" and "rows": scene, size, motion, level, milliseconds by stage, their sum and the
         root mean square error against the truth in shares of display white (None: not measured).
+
+    Raises
+    ------
+    BackendError
+        If the backend cannot run here.
     """
     tell = tell or (lambda line: None)
+    renderer_class(backend)  # before anything is drawn
+    if backend == "cuda":
+        from rainsim.bench import frame_cuda
     known = [name for name, _, _ in list_scenes()]
     names = SCENES[:1] if quick else (*SCENES, *([CAPTURE] if CAPTURE in known else []))
     rows = []
     for name in names:
         scene = load_scene(name)
+        if backend == "cuda":
+            for width in frame_cuda.WIDTHS[quick]:
+                for row in frame_cuda.measure(scene, width, "moving", quick, tell):
+                    rows.append(row)
+                    tell(_line(row))
+            continue
         for width in WIDTHS[quick]:
             for motion in ("still", "moving"):
                 for row in measure(scene, width, motion, quick):
@@ -79,7 +95,9 @@ def run(quick=False, tell=None):
         "threads": set_threads(None), "load": os.getloadavg(),
         "peak_mib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
     }  # fmt: skip
-    return {"machine": machine, "quick": quick, "rows": rows}
+    if backend == "cuda":
+        machine |= frame_cuda.machine()
+    return {"machine": machine, "quick": quick, "backend": backend, "rows": rows}
 
 
 def measure(scene, width, motion, quick=False):
@@ -91,7 +109,7 @@ def measure(scene, width, motion, quick=False):
     config = Config.from_preset(PRESET).replace(
         width=width, frames=count, spacing=SPACING[quick], extent=EXTENT[quick]
     )
-    cameras = _cameras(scene, motion, count * rounds + 1)
+    cameras = cameras_of(scene, motion, count * rounds + 1)
     height = round(width * cameras[0].height / cameras[0].width)
     worlds = {}
 
@@ -133,8 +151,8 @@ def measure(scene, width, motion, quick=False):
             times[name].append(report.milliseconds)
             if n < count and small:
                 if truth is None:
-                    truth = _shrunk(best.draw(large[at], best_states[k])[0])
-                errors[name].append(_error(picture, truth))
+                    truth = shrunk(best.draw(large[at], best_states[k])[0])
+                errors[name].append(error_of(picture, truth))
     rows = []
     for name in levels:
         stages = dict.fromkeys(stage for one in times[name] for stage in one)
@@ -150,7 +168,7 @@ def measure(scene, width, motion, quick=False):
     return rows
 
 
-def _cameras(scene, motion, count):
+def cameras_of(scene, motion, count):
     """Return the cameras: one for all frames, a slow orbit, or the drive that a scene has."""
     if motion == "still":
         return [scene.cameras[0]] * (count - 1) + [scene.cameras[1]]
@@ -160,7 +178,7 @@ def _cameras(scene, motion, count):
     return orbit(scene.ground_frame, scene.cameras, count=ORBIT)[:count]
 
 
-def _shrunk(picture):
+def shrunk(picture):
     """Return the picture averaged over blocks, in linear light as a sensor does."""
     height, width = (n // TRUTH_SCALE * TRUTH_SCALE for n in picture.shape[:2])
     linear = (picture[:height, :width] / np.float32(255)) ** np.float32(2.2)
@@ -168,7 +186,7 @@ def _shrunk(picture):
     return linear.reshape(shape).mean(axis=(1, 3)) ** np.float32(1 / 2.2)
 
 
-def _error(picture, truth):
+def error_of(picture, truth):
     """Return the root mean square error against the truth; a smaller picture is enlarged."""
     picture = picture / np.float32(255)
     if picture.shape != truth.shape:
@@ -192,36 +210,59 @@ def _decibel(rmse):
 def table(result):
     """Return stage times of the setting itself, then time and error of all levels, in Markdown."""
     rows = result["rows"]
-    own = [row for row in rows if row["level"] == "as set"]
-    heads = [f"{r['scene']} {r['width']} x {r['height']} {r['motion']}" for r in own]
+    own = [row for row in rows if row["level"].startswith(("as set", "map 1 cm"))]
+    heads = [
+        f"{r['scene']} {r['width']} x {r['height']} {r['motion']}"
+        + r["level"].removeprefix("as set").replace("map", ", map")
+        for r in own
+    ]
     lines = ["| ms | " + " | ".join(heads) + " |", "|---" * (len(own) + 1) + "|"]
     for stage in dict.fromkeys(s for row in own for s in row["milliseconds"]):
-        cells = [f"{row['milliseconds'].get(stage, 0.0):.0f}" for row in own]
+        cells = [_milliseconds(row["milliseconds"].get(stage, 0.0)) for row in own]
         lines.append(f"| {stage} | " + " | ".join(cells) + " |")
-    heads = [h for h, row in zip(heads, own, strict=True) if row["rmse"] is not None]
-    lines += ["", "| ms / dB | " + " | ".join(heads) + " |", "|---" * (len(heads) + 1) + "|"]
-    for level in LEVELS:
+    for name, title in (("sequence_ms", "frame of a sequence"), ("memory_mib", "MiB of memory")):
+        if any(row.get(name) is not None for row in own):
+            cells = [_milliseconds(row.get(name)) for row in own]
+            lines.append(f"| {title} | " + " | ".join(cells) + " |")
+    measured = [row for row in rows if row["rmse"] is not None]
+    heads = {(r["scene"], r["width"], r["height"], r["motion"]): None for r in measured}
+    titles = [f"{scene} {w} x {h} {motion}" for scene, w, h, motion in heads]
+    lines += ["", "| ms / dB | " + " | ".join(titles) + " |", "|---" * (len(heads) + 1) + "|"]
+    for level in dict.fromkeys(row["level"] for row in measured):
         cells = [
-            f"{row['milliseconds']['frame']:.0f} / {_decibel(row['rmse'])}"
-            for row in rows
-            if row["level"] == level and row["rmse"] is not None
+            f"{_milliseconds(row['milliseconds']['frame'])} / {_decibel(row['rmse'])}"
+            for row in measured
+            if row["level"] == level
         ]
         lines.append(f"| {level} | " + " | ".join(cells) + " |")
     load = ", ".join(f"{x:.1f}" for x in result["machine"]["load"])
-    memory = result["machine"]["peak_mib"]
-    return "\n".join(
-        [*lines, "", f"{result['machine']['threads']} threads, load {load}, peak {memory:.0f} MiB"]
-    )
+    memory, gpu = result["machine"]["peak_mib"], result["machine"].get("gpu")
+    last = f"{result['machine']['threads']} threads, load {load}, peak {memory:.0f} MiB"
+    return "\n".join([*lines, "", last + (f", {gpu}" if gpu else "")])
+
+
+def _milliseconds(value):
+    """Return three digits of a number; - for None."""
+    if value is None:
+        return "-"
+    return f"{value:.0f}" if value >= 100 else f"{value:.3g}"
 
 
 def draw(result, path):
     """Draw the chart of a result of `run` to a PNG; a capture that is not built in stays out."""
-    panels = {}
+    panels, stages = {}, {}
     for row in result["rows"]:
-        if row["scene"] in SCENES and row["rmse"] is not None:
-            panel = panels.setdefault(
-                f"{row['scene']}, {row['width']} x {row['height']}, {row['motion']}", {"lines": {}}
-            )
+        if row["scene"] not in SCENES:
+            continue
+        case = f"{row['scene']}, {row['width']} x {row['height']}"
+        if row["rmse"] is not None:
+            panel = panels.setdefault(f"{case}, {row['motion']}", {"lines": {}})
             point = (row["milliseconds"]["frame"] / 1e3, row["rmse"])
             panel["lines"].setdefault(row["level"], []).append(point)
+        if row.get("memory_mib") is not None and row["level"] in ("as set", "map 1 cm"):
+            bar = dict(row["milliseconds"])
+            bar.pop("frame")
+            stages.setdefault(row["scene"], {})[f"{row['width']} px, {row['level']}"] = bar
+    for scene, bars in stages.items():
+        panels[f"{scene}: stages, one after the other"] = {"bars": bars}
     draw_fronts(path, panels, "A rainy frame: error against the frame at twice the size, and time")

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import click
 
+from rainsim.cli.options import backend_option
+
 _FILE = click.Path(dir_okay=False, path_type=Path)
 
 
@@ -33,14 +35,14 @@ def _options(command):
     return command
 
 
-def _run(name, json_path, chart_path, quick):
+def _run(name, json_path, chart_path, quick, **others):
     """Run the suite `rainsim.bench.NAME`, write what was asked for and print its table."""
     from rainsim.bench import chart
 
     suite = import_module(f"rainsim.bench.{name}")
     if chart_path:
         chart.require_matplotlib()  # before minutes are spent
-    result = suite.run(quick, tell=lambda line: click.echo(line, err=True))
+    result = suite.run(quick, tell=lambda line: click.echo(line, err=True), **others)
     if json_path:
         json_path.write_text(json.dumps(result, indent=1), encoding="utf-8")
     if chart_path:
@@ -108,13 +110,15 @@ def rain(**given):
 
 
 @bench.command()
+@backend_option
 @_options
 def frame(**given):
     """Draw whole rainy frames at several levels of quality, with a still and a moving camera.
 
     Prints the time of each stage, and time and error of each level against the same frame drawn at
     twice the size. A scene named garden in a folder of RAINSIM_SCENES is measured too, but not
-    charted.
+    charted. On a GPU the camera moves, the simulation counts, and three picture sizes, two maps,
+    memory and frames in a sequence are measured, too.
 
     \b
     Example:

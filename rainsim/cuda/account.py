@@ -28,8 +28,8 @@ SIDE, HEIGHT, SQUARE = (8, 4, 32) if SIMULATED else (32, 8, 256)
 
 # `control`, float64: times [s], speeds [m/s], and sums over cells [m].
 (LEFT, OWED, PENDING, MOVE, PUSH, TAKE, CAP, REACH_NOW, SWIFT_NOW) = range(9)
-(OUTFLOW, RAINED, DROPPED, INFILTRATED, GROUND, FILM) = range(9, 15)
-CONTROL = 15
+(OUTFLOW, RAINED, DROPPED, INFILTRATED, DRAINED, GROUND, FILM) = range(9, 16)
+CONTROL = 16
 # `state`, int32
 (PARITY, RUNS, LAST, WAITS, SETTLED, SUBSTEPS, UNSOUND, TICKET) = range(8)
 (REACH, SWIFT, DEEPEST, FALL, HIGHEST) = range(8, 13)  # bits of float32 that blocks raise
@@ -38,11 +38,12 @@ STATE = 13
 (DURATION, RATE, RAIN_SUM, RAIN_STEP, ADDED) = range(5)
 NOW = 5
 # `partial`, float64: sums of each block
-(P_OUT, P_DROPPED, P_DRUNK, P_GROUND, P_FILM) = range(5)
-PARTIAL = 5
+(P_OUT, P_DROPPED, P_DRUNK, P_DRAINED, P_GROUND, P_FILM) = range(6)
+PARTIAL = 6
 # `numbers`, float64: constants of the map
 (SPACING, GRAVITY, VISCOSITY, COURANT, FLOOR, LOSES, STORES) = range(7)
 
+PLANNED = 1e-30  # s, of the time that is left when the last step is planned but has not run
 LEAD = 32 - PAD  # floats before a row, so that the first cell begins a line of memory
 UNIT = 2.0**-50  # m: drops wait as whole numbers of it, so that their order does not matter
 WEST, EAST, SOUTH, NORTH = 1, 2, 4, 8  # bits of `kinds`: which edges are open
@@ -75,6 +76,8 @@ def plan(control, state, now, numbers):
     left, swift = control[LEFT], control[SWIFT_NOW]
     rain, moves = now[RAIN_SUM], control[SWIFT_NOW] > 0.0
     state[RUNS] = 0
+    if left <= PLANNED:
+        control[LEFT] = left = 0.0  # the step that was planned has run
     if state[SETTLED] == 1 and not moves and rain == 0.0 and numbers[LOSES] == 0.0:
         control[LEFT] = left = 0.0  # a step would change no number
     if not left > 0.0:
@@ -297,5 +300,8 @@ def close(control, state, blocks, whole, partial_out):
         control[OUTFLOW] += out * whole
         control[DROPPED] += drops * UNIT
         control[INFILTRATED] += drunk
+        control[DRAINED] += room[P_DRAINED, 0]
+        if state[RUNS] == 1 and control[LEFT] == 0.0:
+            control[LEFT] = PLANNED
         if state[LAST] == 1:
             control[GROUND], control[FILM] = ground, film

@@ -14,6 +14,7 @@ import numpy as np
 
 from rainsim import sky, waterview
 from rainsim.cuda import optics, shading
+from rainsim.cuda.apart import TakesApart
 from rainsim.cuda.graph import Graph
 from rainsim.cuda.jit import cuda, pinned
 from rainsim.cuda.mirror import Mirrors
@@ -21,6 +22,7 @@ from rainsim.cuda.numbers import Numbers
 from rainsim.cuda.raster import DeviceSplats, Rasterizer
 from rainsim.cuda.splash import ROOM, Splashes
 from rainsim.cuda.streaks import Streaks
+from rainsim.cuda.timing import part_times
 from rainsim.cuda.watersurface import WaterSurface
 from rainsim.errors import BackendError, ParameterError
 from rainsim.moments import ripple_moments
@@ -28,13 +30,24 @@ from rainsim.paperwater import LEAST_WATER
 from rainsim.render import FrameReport, _lens, _pose
 from rainsim.render import Renderer as HostRenderer
 from rainsim.splash import LONGEST_LIFE, WET_FILM
-from rainsim.ssr import blocks_of
+from rainsim.ssr import bounds_of
 from rainsim.streaks import FOG_STEPS, NO_FOG, fog_table, streak_reach
 
+STAGES = {  # names of the functions that queue them: those of the CPU where there is one
+    "Numbers.send": "numbers", "Rasterizer.launch": "splat", "Renderer._grade": "grade and wet",
+    "Streaks.launch": "streaks", "WaterSurface.launch": "water surface",
+    "Renderer._meet_water": "find water", "Renderer._mirror": "mirror",
+    "Renderer._lay_water": "water", "Splashes.launch": "splashes", "Renderer._compose": "compose",
+    "Renderer._hand_over": "copy",
+}  # fmt: skip
+NO_MIRRORS_IN_FILMS = (
+    "film: backend cuda mirrors what lies around the first camera in wet ground, as film "
+    '"environment" does; backend cpu mirrors what stands on it'
+)
 MOST_TRIES = 8  # of a frame for which there was too little room
 
 
-class Renderer(HostRenderer):
+class Renderer(TakesApart, HostRenderer):
     """Draws frames of one scene, terrain and configuration on the GPU.
 
     Takes the states that the CPU's simulation yields, or those of `rainsim.cuda.simulate`, whose
@@ -45,6 +58,8 @@ class Renderer(HostRenderer):
         _require_known(config.render)
         self.stream = cuda.stream()
         super().__init__(scene, terrain, config, first_camera)
+        if config.render.film == "auto":
+            self.notes.append(NO_MIRRORS_IN_FILMS)
         send = self._send
         self._bed, self._exposed = send(terrain.bed), send(self.rings)
         self._ground, self._ground_sent = send(self.ground), self.ground
@@ -74,17 +89,16 @@ class Renderer(HostRenderer):
     def draw(self, camera, state, camera_end=None, names=()):
         """Return the picture (height, width, 3) uint8 that `camera` (capture frame) takes.
 
-        The picture is overwritten by the next call. `camera_end`: see `rainsim.render`. Layers
-        (`names`) are not told here.
+        The picture is overwritten by the next call. `camera_end`, `names`: see `rainsim.render`.
         """
-        if names:
-            raise ParameterError("layers are asked for; only the CPU has them; take backend cpu")
         begin = clock.perf_counter()
         self.update(camera, state, camera_end)
         self.run(getattr(state, "simulation", None))
         stages = {"frame": (clock.perf_counter() - begin) * 1e3}
         notes, self.notes = (*state.notes, *self.notes), []  # the renderer's are told once
-        return self.image, FrameReport(state.index, state.time, stages, state.ledger, notes)
+        apart = self._take_apart(names, camera, state) if names else ()
+        report = FrameReport(state.index, state.time, stages, state.ledger, notes, *apart)
+        return self.image, report
 
     def run(self, simulation=None):
         """Draw what `update` has brought, again if there was too little room; wait for it.
@@ -211,12 +225,11 @@ class Renderer(HostRenderer):
         self._graphs = None
         self.mirrors.room_for(height, width)
         self._picture, self._shown = (cuda.device_array((height, width, 3), f4) for _ in range(2))
-        self._depth, self._clearance, self._tall, self._hit, self._coverage, self._none = (
-            cuda.device_array((height, width), f4) for _ in range(6)
+        self._depth, self._clearance, self._tall, self._hit, self._distance = (
+            cuda.device_array((height, width), f4) for _ in range(5)
         )
-        self._least, self._near = (
-            cuda.device_array(blocks_of(height, width), f4) for _ in range(2)
-        )
+        self._coverage, self._none = (cuda.device_array((height, width), f4) for _ in range(2))
+        self._bounds = cuda.device_array(bounds_of(height, width), f4)
         self._none.copy_to_device(np.zeros((height, width), f4))
         self._image = cuda.device_array((height, width, 3), np.uint8)
         self.image = pinned((height, width, 3), np.uint8)
@@ -258,6 +271,15 @@ class Renderer(HostRenderer):
             wet.append(self.splashes.launch)
         return dry, [*wet, self._compose, self._hand_over]
 
+    def stage_times(self):
+        """Return the milliseconds of each stage of the frame drawn last, by events; draws it again.
+
+        The stages follow one another here; what lies beside another stage in use is not told.
+        """
+        dry, wet = self.stages()
+        named = {STAGES.get(part.__qualname__, part.__qualname__): part for part in [*dry, *wet]}
+        return part_times(self.stream, named)
+
     def _grade(self):
         n = self.numbers
         self.grade(
@@ -280,8 +302,7 @@ class Renderer(HostRenderer):
         n, render = self.numbers, self.config.render
         grid = shading.blocks(*self._size), shading.BLOCK, self.stream
         surface = self._surface
-        optics.keep_tall[grid](self._depth, self._clearance, self._tall)
-        optics.find_near(self._tall, self._least, self._near, self.stream)
+        optics.keep_tall[grid](self._depth, self._clearance, self._tall, self._bounds)
         optics.meet_water[grid](
             self._depth, n["turn"], n["eye"], n["lens"], surface.surface, surface.over,
             *self._place, surface.highest, n["cover"], render.coverage == "hard",
@@ -294,8 +315,12 @@ class Renderer(HostRenderer):
     def _lay_water(self):
         n = self.numbers
         grid = shading.blocks(*self._size), shading.BLOCK, self.stream
+        optics.find_hits[grid](
+            self._hit, self._coverage, self._tall, self._bounds, n["turn"], n["eye"], n["lens"],
+            n["settings"], self.mirrors.range, self._distance,
+        )  # fmt: skip
         optics.shade_water[grid](
-            self._hit, self._coverage, self._picture, self._depth, self._tall, self._near,
+            self._hit, self._coverage, self._distance, self._picture, self._depth, self._tall,
             n["turn"], n["eye"], n["lens"], self._surface.over, self._exposed,
             *self._place, self._moments, self._tile, self._around, n["settings"],
             self.mirrors.range, self.mirrors.window, self.mirrors.picture, self.mirrors.coarse,
@@ -339,7 +364,7 @@ def _require_known(render):
     """Raise ParameterError for looks that only the CPU draws."""
     for name, wanted in (
         ("reflections", ("auto", "mirror", "ssr")), ("water_geometry", ("height-field",)),
-        ("streaks", ("shutter",)), ("splashes", ("crowns",)),
+        ("streaks", ("shutter",)), ("splashes", ("crowns",)), ("film", ("auto", "environment")),
     ):  # fmt: skip
         value = getattr(render, name)
         if value not in wanted:

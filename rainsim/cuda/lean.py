@@ -24,6 +24,7 @@ from rainsim.cuda.account import (
     LEAD,
     MOVE,
     NORTH,
+    P_DRAINED,
     P_DRUNK,
     P_FILM,
     P_GROUND,
@@ -90,7 +91,7 @@ def step(
         See the module's constants; the first two are modified.
     bed, roughness, exposure, infiltration, storage : device arrays of shape (cells,), float32
         Height [m], square of Manning's n [s2 m^(-2/3)], share of the rain that falls here, rate
-        that the ground takes [m/s], depth held back [m].
+        that the ground takes [m/s] (negative: that a drain takes), depth held back [m].
     ny, nx, pitch : int
         Cells with their ghosts, and from row to row.
     rows : int
@@ -219,17 +220,18 @@ def step(
         if lane == 0:
             partial_out[P_OUT, block] += out
     if wets or is_last:
-        drunk, ground, held = 0.0, 0.0, 0.0
+        drunk, drained, ground, held = 0.0, 0.0, 0.0, 0.0
         if i < nx - PAD:
-            drunk, ground, held = _take_and_tell(
+            drunk, drained, ground, held = _take_and_tell(
                 control, now, exposure, infiltration, storage, first, end, i, pitch,
                 3 * (1 - p) * (ny + 1) * pitch,
                 dry, wets, w_out, damp_out, film_out, depth_out,
             )  # fmt: skip
-        drunk = block_sum(room, lane, drunk)
+        drunk, drained = block_sum(room, lane, drunk), block_sum(room, lane, drained)
         ground, held = block_sum(room, lane, ground), block_sum(room, lane, held)
         if lane == 0:
             partial_out[P_DRUNK, block] += drunk
+            partial_out[P_DRAINED, block] += drained
             partial_out[P_GROUND, block] = ground
             partial_out[P_FILM, block] = held
     cuda.syncthreads()
@@ -251,12 +253,12 @@ def _take_and_tell(
     control, now, exposure, infiltration, storage, first, end, i, pitch, base, dry, wets,
     w_out, damp_out, film_out, depth_out,
 ):  # fmt: skip
-    """Give a thread's cells their rain and losses, as `sources.soak`; return three sums [m].
+    """Give a thread's cells their rain and losses, as `sources.soak`; return four sums [m].
 
-    What the ground took, what stands that can flow, and what the films hold.
+    What the ground took, what drains took, what stands that can flow, and what the films hold.
     """
     take, rate = control[TAKE], np.float32(now[RATE])
-    drunk, ground, held_sum = 0.0, 0.0, 0.0
+    drunk, drained, ground, held_sum = 0.0, 0.0, 0.0, 0.0
     for j in range(first, end):
         at = np.uint64(j * pitch + i + LEAD)
         here = np.uint64(base) + at
@@ -264,16 +266,18 @@ def _take_and_tell(
         if wets:
             film = np.float64(kept)
             free = np.float64(value) + np.float64(damp) + take * np.float64(rate * exposure[at])
-            from_free, from_film, held = soaked(
-                free, film, take * np.float64(infiltration[at]), np.float64(storage[at])
-            )
+            loss = take * np.float64(infiltration[at])
+            from_free, from_film, held = soaked(free, film, max(loss, 0.0), np.float64(storage[at]))
             drunk += from_free + from_film
             kept = np.float32(film - from_film + held)
             free -= from_free + (np.float64(kept) - (film - from_film))
-            value = np.float32(free) if free >= np.float64(dry) else ZERO
-            damp = np.float32(free - np.float64(value))
+            stays = free - min(-loss, free) if loss < 0.0 else free
+            value = np.float32(stays) if stays >= np.float64(dry) else ZERO
+            damp = np.float32(stays - np.float64(value))
+            if loss < 0.0:
+                drained += free - np.float64(value) - np.float64(damp)
             w_out[here], damp_out[at], film_out[at] = value, damp, kept
         ground += np.float64(value) + np.float64(damp)
         held_sum += np.float64(kept)
         depth_out[j - PAD, i - PAD] = kept + (value + damp)
-    return drunk, ground, held_sum
+    return drunk, drained, ground, held_sum

@@ -34,7 +34,7 @@ BINS = 4096  # of LEVEL_STEP: 8 m of water heights
 EDGES = BINS + 1
 THREADS = 256
 OWN_BINS = BINS // THREADS  # of a thread
-COUNT_ROWS = 32  # that a block of threads counts
+COUNT_ROWS = 8  # that a block of threads counts
 NONE = 1 << 30  # first column of water where there is none
 TWICE_SLOPE = 2 * WINDOW_SLOPE
 MARGIN = float(FRUSTUM_MARGIN)
@@ -181,6 +181,10 @@ def choose_levels(count, first_bin, most, everywhere, served_out, wanted_out):
                 count[at + tid] = 0
             wanted += 1
             left -= best
+        elif wanted == mirror:  # no other will be wanted
+            for k in range(mirror + 1 + tid, most, THREADS):
+                served_out[k, 0], served_out[k, 1], served_out[k, 2] = 0.0, UNUSED, -UNUSED
+            break
         cuda.syncthreads()
     if tid == 0:
         wanted_out[0] = wanted

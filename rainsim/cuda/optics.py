@@ -48,59 +48,44 @@ from rainsim.reflect import (
     samples_of,
 )
 from rainsim.sky import sample_environment
-from rainsim.ssr import BLOCK, least_around, march
+from rainsim.ssr import BLOCK, march
 from rainsim.waterview import MIRROR_STEPS, MIRROR_THICKNESS
 
 LEAST_DROP = np.float32(0.1)
 THICKNESS = np.float32(MIRROR_THICKNESS)
 NOWHERE = np.float32(np.inf)
-THREADS_OF_BLOCK = BLOCK * BLOCK
+WIDE = 32  # threads of a row of `keep_tall`; BLOCK such rows are a block of them
 
 
 @cuda_kernel
-def keep_tall(depth, clearance, tall_out):
-    """Keep the depth of what water can mirror; see `rainsim.reflect`."""
+def keep_tall(depth, clearance, tall_out, bounds_out):
+    """Keep the depth of what water can mirror; see `rainsim.reflect`, `rainsim.ssr.block_bounds`.
+
+    A block of threads takes a row of blocks of pixels.
+    """
+    lows = cuda.shared.array((BLOCK, WIDE), np.float32)
+    highs = cuda.shared.array((BLOCK, WIDE), np.float32)
     column, row = cuda.grid(2)
+    x, y = cuda.threadIdx.x, cuda.threadIdx.y
     height, width = depth.shape
+    low, high = NOWHERE, -NOWHERE
     if row < height and column < width:
-        low = clearance[row, column] < NOT_GROUND
-        tall_out[row, column] = NOWHERE if low else depth[row, column]
-
-
-@cuda_kernel
-def least_of_blocks(tall, least_out):
-    """Write the least depth of each block of `rainsim.ssr`; a block of threads takes one."""
-    room = cuda.shared.array(THREADS_OF_BLOCK, np.float32)
-    column, row = cuda.grid(2)
-    tid = cuda.threadIdx.y * BLOCK + cuda.threadIdx.x
-    least = NOWHERE
-    if row < tall.shape[0] and column < tall.shape[1]:
-        least = min(least, tall[row, column])
-    room[tid] = least
+        value = NOWHERE if clearance[row, column] < NOT_GROUND else depth[row, column]
+        tall_out[row, column] = value
+        if value < NOWHERE:
+            low, high = value, value
+    lows[y, x], highs[y, x] = low, high
     cuda.syncthreads()
-    half = THREADS_OF_BLOCK // 2
-    while half > 0:
-        if tid < half:
-            room[tid] = min(room[tid], room[tid + half])
-        cuda.syncthreads()
-        half //= 2
-    if tid == 0:
-        least_out[cuda.blockIdx.y, cuda.blockIdx.x] = room[0]
-
-
-@cuda_kernel
-def nearest_blocks(least, near_out):
-    """Write the least of each block and its neighbours; see `rainsim.ssr.nearest_blocks`."""
-    i, j = cuda.grid(2)
-    if j < least.shape[0] and i < least.shape[1]:
-        near_out[j, i] = least_around(least, j, i)
-
-
-def find_near(tall, least, near, stream):
-    """Queue what `rainsim.ssr.nearest_blocks` does."""
-    rows, columns = near.shape
-    least_of_blocks[(columns, rows), (BLOCK, BLOCK), stream](tall, least)
-    nearest_blocks[(-(-columns // 32), -(-rows // 8)), (32, 8), stream](least, near)
+    if y == 0:
+        for k in range(1, BLOCK):
+            low, high = min(low, lows[k, x]), max(high, highs[k, x])
+        lows[0, x], highs[0, x] = low, high
+    cuda.syncthreads()
+    j, i = row // BLOCK, column // BLOCK
+    if y == 0 and x % BLOCK == 0 and j < bounds_out.shape[0] and i < bounds_out.shape[1]:
+        for k in range(1, BLOCK):
+            low, high = min(low, lows[0, x + k]), max(high, highs[0, x + k])
+        bounds_out[j, i, 0], bounds_out[j, i, 1] = low, high
 
 
 @cuda_kernel
@@ -141,23 +126,62 @@ def meet_water(
 
 
 @cuda_device
+def mirror_of(mirror_range, z):
+    """Return which mirror serves water at height z [m]; -1: none."""
+    for k in range(mirror_range.shape[0]):
+        if z >= mirror_range[k, 1] and z < mirror_range[k, 2]:
+            return k
+    return -1
+
+
+@cuda_kernel
+def find_hits(
+    hit, coverage, tall, bounds, ground_from_camera, eye, lens, settings, mirror_range, distance_out
+):  # fmt: skip
+    """March from the water that no mirror serves; see `rainsim.reflect.march_light`.
+
+    In a kernel of its own, so that many threads are there to wait for memory.
+
+    distance_out : ndarray of shape (height, width), float32 [m]
+        What `rainsim.ssr.march` returns; only where it was asked.
+    """
+    column, row = cuda.grid(2)
+    height, width = coverage.shape
+    if row >= height or column >= width or coverage[row, column] == ZERO:
+        return
+    m = ground_from_camera
+    a = (np.float32(column) + HALF - lens[2]) / lens[0]
+    b = (np.float32(row) + HALF - lens[3]) / lens[1]
+    x = m[0, 0] * a + m[0, 1] * b + m[0, 2]
+    y = m[1, 0] * a + m[1, 1] * b + m[1, 2]
+    z = m[2, 0] * a + m[2, 1] * b + m[2, 2]
+    t = hit[row, column]
+    sx, sy, sz = eye[0] + t * x, eye[1] + t * y, eye[2] + t * z
+    if mirror_of(mirror_range, sz) >= 0:
+        return
+    inv = ONE / math.sqrt(x * x + y * y + z * z)
+    vx, vy, vz = x * inv, y * inv, z * inv
+    px, py, pz = sx - eye[0], sy - eye[1], sz - eye[2]
+    distance_out[row, column] = march(
+        tall, bounds, lens, column_of(m, 0, px, py, pz), column_of(m, 1, px, py, pz), t,
+        column_of(m, 0, vx, vy, -vz), column_of(m, 1, vx, vy, -vz),
+        column_of(m, 2, vx, vy, -vz), settings[0], settings[1], settings[2],
+    )  # fmt: skip
+
+
+@cuda_device
 def marched(
-    picture, tall, near, m, lens, environment, settings, px, py, pz, t, vx, vy, vz, gx, gy, xx, yy,
-    xy,
+    picture, tall, m, lens, environment, thickness, distance, px, py, pz, t, vx, vy, vz,
+    gx, gy, xx, yy, xy,
 ):  # fmt: skip
     """Return the mirrored light found by marching; see `rainsim.reflect.march_light`."""
     cx, cy, cz = column_of(m, 0, px, py, pz), column_of(m, 1, px, py, pz), t
-    distance = march(
-        tall, near, lens, cx, cy, cz, column_of(m, 0, vx, vy, -vz),
-        column_of(m, 1, vx, vy, -vz), column_of(m, 2, vx, vy, -vz), settings[0], settings[1],
-        settings[2],
-    )  # fmt: skip
     samples, a, b, c = samples_of(xx, yy, xy, ONE)
     light0, light1, light2 = ZERO, ZERO, ZERO
     for s in range(samples):
         rx, ry, rz = sample_ray(vx, vy, vz, gx, gy, a, b, c, s)
         hu, hv, found = on_screen(
-            tall, m, lens, cx, cy, cz, vx, vy, -vz, rx, ry, rz, distance, settings[0]
+            tall, m, lens, cx, cy, cz, vx, vy, -vz, rx, ry, rz, distance, thickness
         )
         if found < ONE:
             c0, c1, c2 = sample_environment(environment, rx, ry, rz)
@@ -194,7 +218,7 @@ def mirrored(
 
 @cuda_kernel
 def shade_water(
-    hit, coverage, picture, depth, tall, near, ground_from_camera, eye, lens, water_depth,
+    hit, coverage, distance, picture, depth, tall, ground_from_camera, eye, lens, water_depth,
     exposure_to_rain, origin, spacing, moments, tile_size, environment, settings, mirror_range,
     mirror_window, mirror, coarse, mirror_depth, schlick_law, image_shift, phong, glint_variance,
     sun, picture_out,
@@ -203,6 +227,8 @@ def shade_water(
 
     Parameters are those of the kernels that this one stands for, and:
 
+    distance : ndarray of shape (height, width), float32 [m]
+        As `find_hits` left it.
     mirror_range : ndarray of shape (k, 3), float32 [m]
         Level of each mirror and the heights from which and below which water looks into it; what
         stands elsewhere is marched.
@@ -242,10 +268,7 @@ def shade_water(
         )
         square = grow * grow
         gx, gy, xx, yy, xy = grow * gx, grow * gy, square * xx, square * yy, square * xy
-    which = -1
-    for k in range(mirror_range.shape[0]):
-        if which < 0 and sz >= mirror_range[k, 1] and sz < mirror_range[k, 2]:
-            which = k
+    which = mirror_of(mirror_range, sz)
     if which >= 0:
         wide, high = int(mirror_window[4]), int(mirror_window[5])
         light0, light1, light2 = mirrored(
@@ -254,8 +277,8 @@ def shade_water(
         )  # fmt: skip
     else:
         light0, light1, light2 = marched(
-            picture, tall, near, m, lens, environment, settings, sx - eye[0], sy - eye[1],
-            sz - eye[2], t, vx, vy, vz, gx, gy, xx, yy, xy,
+            picture, tall, m, lens, environment, settings[0], distance[row, column], sx - eye[0],
+            sy - eye[1], sz - eye[2], t, vx, vy, vz, gx, gy, xx, yy, xy,
         )  # fmt: skip
     ux, uy, uz = normal_of(gx, gy)
     cosine = max(-(vx * ux + vy * uy + vz * uz), LEAST_COSINE)

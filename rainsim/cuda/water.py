@@ -26,7 +26,7 @@ class Water:
     Parameters
     ----------
     solver : WaterSolver
-        Of scheme "lean" and float32; its state is copied and it is left alone. Inflow, drains,
+        Of scheme "lean" and float32; its state is copied and it is left alone. Inflow,
         evaporation and infiltration that wanes are not taken over.
     exposure : ndarray of shape (ny, nx), float32, or None
         Share of the rain that falls on each cell; None for 1.
@@ -68,7 +68,8 @@ class Water:
         self.first = PAD * self.width + PAD + account.LEAD
         fields = np.stack([self._framed(a) for a in (flow.h, flow.u, flow.v)])
         self._fields = cuda.to_device(np.stack([fields, fields]).reshape(-1), stream)
-        maps = flow.bed, rough, np.pad(self._exposure, PAD), solver._infiltration, solver._storage
+        takes = _what_the_ground_takes(solver)
+        maps = flow.bed, rough, np.pad(self._exposure, PAD), takes, solver._storage
         maps = *maps, flow.damp, solver._film
         *self._maps, self._damp, self._film = (
             cuda.to_device(self._framed(field).reshape(-1), stream) for field in maps
@@ -89,7 +90,7 @@ class Water:
         numbers = np.zeros(7)
         numbers[account.SPACING], numbers[account.GRAVITY] = solver.spacing, solver.gravity
         numbers[account.VISCOSITY], numbers[account.COURANT] = flow._viscosity, solver.courant
-        numbers[account.FLOOR], numbers[account.LOSES] = flow._floor, float(solver._drinks)
+        numbers[account.FLOOR], numbers[account.LOSES] = flow._floor, float(solver._loses())
         numbers[account.STORES] = float(solver._stores)
         control = np.zeros(account.CONTROL)
         control[account.CAP] = flow.cap
@@ -210,6 +211,7 @@ class Water:
             rain=before.rain + area * float(control[account.RAINED] + control[account.DROPPED]),
             outflow=before.outflow + area * float(control[account.OUTFLOW]),
             infiltrated=before.infiltrated + area * float(control[account.INFILTRATED]),
+            drained=before.drained + area * float(control[account.DRAINED]),
             ground=area * float(control[account.GROUND]),
             film=area * float(control[account.FILM]),
         )
@@ -224,6 +226,25 @@ class Water:
         return depth, u[PAD : -PAD - 1, west : east + 1], v[PAD:-PAD, west:east]
 
 
+def _what_the_ground_takes(solver):
+    """Return the rate [m/s] at which each cell's ground takes water; negative: its drain does.
+
+    Raises
+    ------
+    ParameterError
+        If a drain lies in ground that takes water by itself.
+    """
+    takes = solver._infiltration.copy()
+    for row, column, rate in zip(*solver._drains, strict=True):
+        if takes[row + PAD, column + PAD] > 0:
+            raise ParameterError(
+                f"the drain in cell ({row}, {column}) lies in ground that takes water by itself; a "
+                'CUDA device has no such drains; use backend "cpu"'
+            )
+        takes[row + PAD, column + PAD] -= rate / solver.spacing**2
+    return takes
+
+
 def _require_lean(solver, flow):
     """Raise ParameterError for what the device's solver does not have."""
     if not getattr(flow, "_lean", False) or flow.h.dtype != np.float32:
@@ -232,8 +253,8 @@ def _require_lean(solver, flow):
             '"lean" in float32'
         )
     for name, there in (
-        ("inflow", flow._inflow), ("drains", len(solver._drains[0])),
-        ("evaporation", solver._dries), ("infiltration that wanes", solver._wanes),
+        ("inflow", flow._inflow), ("evaporation", solver._dries),
+        ("infiltration that wanes", solver._wanes),
     ):  # fmt: skip
         if there:
             raise ParameterError(f'a CUDA device has no {name}; leave it out or use backend "cpu"')

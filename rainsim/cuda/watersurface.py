@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from rainsim.cuda.jit import cuda, cuda_device, cuda_kernel
+from rainsim.errors import ParameterError
 from rainsim.light import bilinear
 from rainsim.watersurface import (
     BLOCK,
@@ -19,9 +20,10 @@ from rainsim.watersurface import (
     ZERO,
 )
 
-THREADS = (32, 8)
-CELLS_OF_A_BLOCK = 256  # threads
-SIDE = 32  # cells of the square that a block of threads takes
+THREADS = SIDE, HIGH = 32, 8
+CELLS_OF_A_BLOCK = SIDE * HIGH  # threads; a block of them takes a square of SIDE x SIDE cells
+LINE = 128  # threads that look along a row or column of blocks of cells
+MOST_BLOCKS = 4096  # in a row or column
 WIDE_REACH, SOFT_REACH = len(WIDE) // 2, len(NARROW) // 2
 SPREAD_SIDE, SOFT_SIDE = SIDE + 2 * WIDE_REACH, SIDE + 2 * SOFT_REACH
 HIGH_GRASS = np.float32(GRASS_HEIGHT)
@@ -54,57 +56,71 @@ def sum_blocks(bed, depth, mirrors, count_out, mean_out, highest):
         eta = level_of(bed, depth, mirrors, j, i, base)
     room[x, y] = eta
     cuda.syncthreads()
+    count, total = ZERO, ZERO
+    if y == 0:
+        for k in range(BLOCK):
+            eta = room[x, k]
+            if eta > DRY:
+                count += ONE
+                total += eta
+        room[x, 0], room[x, 1] = count, total
+    cuda.syncthreads()
     rows, columns = count_out.shape
     block_j, block_i = j // BLOCK, i // BLOCK
     if x % BLOCK == 0 and y == 0 and block_j < rows and block_i < columns:
-        count, total = ZERO, ZERO
-        for k in range(BLOCK):
-            for m in range(BLOCK):
-                eta = room[x + m, k]
-                if eta > DRY:
-                    count += ONE
-                    total += eta
+        for k in range(1, BLOCK):
+            count += room[x + k, 0]
+            total += room[x + k, 1]
         count_out[block_j, block_i] = count
         mean_out[block_j, block_i] = base + total / max(count, ONE)
 
 
 @cuda_kernel
 def nearest_rows(count, row_out):
-    """Find, within each block's column, the row of the nearest block that has water; -1 if none."""
-    i, j = cuda.grid(2)
-    rows, columns = count.shape
-    if j >= rows or i >= columns:
-        return
-    row_out[j, i] = -1
-    for away in range(rows):
-        if j - away >= 0 and count[j - away, i] > ZERO:
-            row_out[j, i] = j - away
-            return
-        if j + away < rows and count[j + away, i] > ZERO:
-            row_out[j, i] = j + away
-            return
+    """Find, within each block's column, the row of the nearest block that has water; -1 if none.
+
+    A block of threads takes a column.
+    """
+    wet = cuda.shared.array(MOST_BLOCKS, np.float32)
+    rows, i = count.shape[0], cuda.blockIdx.x
+    for j in range(cuda.threadIdx.x, rows, cuda.blockDim.x):
+        wet[j] = count[j, i]
+    cuda.syncthreads()
+    for j in range(cuda.threadIdx.x, rows, cuda.blockDim.x):
+        found, away = -1, 0
+        while found < 0 and away < rows:
+            if j + away < rows and wet[j + away] > ZERO:
+                found = j + away
+            if j - away >= 0 and wet[j - away] > ZERO:
+                found = j - away
+            away += 1
+        row_out[j, i] = found
 
 
 @cuda_kernel
 def nearest_blocks(row, mean, far_out):
-    """Give each block the level of the nearest block that has one."""
-    i, j = cuda.grid(2)
-    rows, columns = row.shape
-    if j >= rows or i >= columns:
-        return
-    best, level = FAR, ZERO
-    away = 0
-    while away < columns and away * away < best:
-        for side in range(2):
-            m = i - away if side == 0 else i + away
-            if m >= 0 and m < columns:
-                k = row[j, m]
-                if k >= 0:
+    """Give each block the level of the nearest block that has one.
+
+    A block of threads takes a row.
+    """
+    nearest = cuda.shared.array(MOST_BLOCKS, np.int32)
+    columns, j = row.shape[1], cuda.blockIdx.x
+    for i in range(cuda.threadIdx.x, columns, cuda.blockDim.x):
+        nearest[i] = row[j, i]
+    cuda.syncthreads()
+    for i in range(cuda.threadIdx.x, columns, cuda.blockDim.x):
+        best, at = FAR, -1
+        away = 0
+        while away < columns and away * away < best:
+            for side in range(2):
+                m = i - away if side == 0 else i + away
+                if m >= 0 and m < columns:
+                    k = nearest[m]
                     square = away * away + (k - j) * (k - j)
-                    if square < best:
-                        best, level = square, mean[k, m]
-        away += 1
-    far_out[j, i] = level
+                    if k >= 0 and square < best:
+                        best, at = square, m
+            away += 1
+        far_out[j, i] = mean[nearest[at], at] if at >= 0 else ZERO
 
 
 @cuda_device
@@ -127,49 +143,47 @@ def spread(bed, depth, mirrors, relief, wide, far, surface_out, rough_out):
     eta = cuda.shared.array((SPREAD_SIDE, SPREAD_SIDE), np.float32)
     weight = cuda.shared.array((SPREAD_SIDE, SIDE), np.float32)
     height = cuda.shared.array((SPREAD_SIDE, SIDE), np.float32)
-    tid = cuda.threadIdx.x
+    x, y = cuda.threadIdx.x, cuda.threadIdx.y
     ny, nx = bed.shape
     base = bed[ny // 2, nx // 2]
     left, top = cuda.blockIdx.x * SIDE, cuda.blockIdx.y * SIDE
     wet = 0
-    for k in range(tid, SPREAD_SIDE * SPREAD_SIDE, CELLS_OF_A_BLOCK):
-        row, column = k // SPREAD_SIDE, k % SPREAD_SIDE
-        j, i = top + row - WIDE_REACH, left + column - WIDE_REACH
-        level = DRY
-        if j >= 0 and i >= 0 and j < ny and i < nx:
-            level = level_of(bed, depth, mirrors, j, i, base)
-        if level > DRY:
-            wet = 1
-        eta[row, column] = level
+    for row in range(y, SPREAD_SIDE, HIGH):
+        for column in range(x, SPREAD_SIDE, SIDE):
+            j, i = top + row - WIDE_REACH, left + column - WIDE_REACH
+            level = DRY
+            if j >= 0 and i >= 0 and j < ny and i < nx:
+                level = level_of(bed, depth, mirrors, j, i, base)
+            if level > DRY:
+                wet = 1
+            eta[row, column] = level
     wet = cuda.syncthreads_or(wet)
     if wet:
-        for k in range(tid, SPREAD_SIDE * SIDE, CELLS_OF_A_BLOCK):
-            row, column = k // SIDE, k % SIDE
+        for row in range(y, SPREAD_SIDE, HIGH):
             total, mean = ZERO, ZERO
             for m in range(2 * WIDE_REACH + 1):
-                level = eta[row, column + m]
+                level = eta[row, x + m]
                 if level > DRY:
                     total += wide[m]
                     mean += wide[m] * level
-            weight[row, column], height[row, column] = total, mean
+            weight[row, x], height[row, x] = total, mean
     cuda.syncthreads()
-    for k in range(tid, SIDE * SIDE, CELLS_OF_A_BLOCK):
-        row, column = k // SIDE, k % SIDE
-        j, i = top + row, left + column
+    for row in range(y, SIDE, HIGH):
+        j, i = top + row, left + x
         if j >= ny or i >= nx:
             continue
         total, mean = ZERO, ZERO
         if wet:
             for m in range(2 * WIDE_REACH + 1):
-                total += wide[m] * weight[row + m, column]
-                mean += wide[m] * height[row + m, column]
+                total += wide[m] * weight[row + m, x]
+                mean += wide[m] * height[row + m, x]
         rough = ZERO
         if total > LEAST_WEIGHT:
             surface = base + mean / total
             if mirrors[j, i] or depth[j, i] > HIGH_GRASS:
                 # Depth counts from the tips of the grass.
                 lift = relief[j, i] + (ZERO if mirrors[j, i] else HIGH_GRASS)
-                if wet_near(eta, row + WIDE_REACH, column + WIDE_REACH):
+                if wet_near(eta, row + WIDE_REACH, x + WIDE_REACH):
                     rough = max(surface - bed[j, i] - lift, ZERO)
         else:
             surface = bilinear(
@@ -184,37 +198,37 @@ def soften(rough, surface, narrow, over_out, highest):
     around = cuda.shared.array((SOFT_SIDE, SOFT_SIDE), np.float32)
     means = cuda.shared.array((SIDE, SOFT_SIDE), np.float32)
     tops = cuda.shared.array(CELLS_OF_A_BLOCK, np.float32)
-    tid = cuda.threadIdx.x
+    x, y = cuda.threadIdx.x, cuda.threadIdx.y
+    tid = y * SIDE + x
     ny, nx = rough.shape
     left, top = cuda.blockIdx.x * SIDE, cuda.blockIdx.y * SIDE
     any_water = 0
-    for k in range(tid, SOFT_SIDE * SOFT_SIDE, CELLS_OF_A_BLOCK):
-        row, column = k // SOFT_SIDE, k % SOFT_SIDE
-        j, i = top + row - SOFT_REACH, left + column - SOFT_REACH
-        value = ZERO
-        if j >= 0 and i >= 0 and j < ny and i < nx:
-            value = rough[j, i]
-        if value > ZERO:
-            any_water = 1
-        around[row, column] = value
+    for row in range(y, SOFT_SIDE, HIGH):
+        for column in range(x, SOFT_SIDE, SIDE):
+            j, i = top + row - SOFT_REACH, left + column - SOFT_REACH
+            value = ZERO
+            if j >= 0 and i >= 0 and j < ny and i < nx:
+                value = rough[j, i]
+            if value > ZERO:
+                any_water = 1
+            around[row, column] = value
     any_water = cuda.syncthreads_or(any_water)
     if any_water:
-        for k in range(tid, SIDE * SOFT_SIDE, CELLS_OF_A_BLOCK):
-            row, column = k // SOFT_SIDE, k % SOFT_SIDE
-            value = ZERO
-            for m in range(2 * SOFT_REACH + 1):
-                value += narrow[m] * around[row + m, column]
-            means[row, column] = value
+        for row in range(y, SIDE, HIGH):
+            for column in range(x, SOFT_SIDE, SIDE):
+                value = ZERO
+                for m in range(2 * SOFT_REACH + 1):
+                    value += narrow[m] * around[row + m, column]
+                means[row, column] = value
     cuda.syncthreads()
     highest_here = NO_HEIGHT
-    for k in range(tid, SIDE * SIDE, CELLS_OF_A_BLOCK):
-        row, column = k // SIDE, k % SIDE
-        j, i = top + row, left + column
+    for row in range(y, SIDE, HIGH):
+        j, i = top + row, left + x
         if j < ny and i < nx:
             over = ZERO
             if any_water:
                 for m in range(2 * SOFT_REACH + 1):
-                    over += narrow[m] * means[row, column + m]
+                    over += narrow[m] * means[row, x + m]
             over_out[j, i] = over
             if over > ZERO:
                 highest_here = max(highest_here, surface[j, i])
@@ -260,6 +274,11 @@ class WaterSurface:
             cuda.device_array(shape, np.float32) for _ in range(3)
         )
         coarse = -(-shape[0] // BLOCK), -(-shape[1] // BLOCK)
+        if max(coarse) > MOST_BLOCKS:
+            raise ParameterError(
+                f"the map has {shape} cells; backend cuda takes at most {MOST_BLOCKS * BLOCK} in a "
+                "row; take a coarser --spacing or backend cpu"
+            )
         self._count, self._mean, self._far = (
             cuda.device_array(coarse, np.float32) for _ in range(3)
         )
@@ -268,17 +287,13 @@ class WaterSurface:
 
     def launch(self):
         """Queue the surface of the water as it is then."""
-
-        def over(shape):
-            across, down = THREADS
-            return (-(-shape[1] // across), -(-shape[0] // down)), THREADS, self.stream
-
-        cells, coarse = over(self.surface.shape), over(self._count.shape)
         rows, columns = self.surface.shape
-        squares = (-(-columns // SIDE), -(-rows // SIDE)), CELLS_OF_A_BLOCK, self.stream
+        cells = (-(-columns // SIDE), -(-rows // HIGH)), THREADS, self.stream
+        squares = (-(-columns // SIDE), -(-rows // SIDE)), THREADS, self.stream
+        rows, columns = self._count.shape
         water = self._bed, self.depth, self._mirrors
         sum_blocks[cells](*water, self._count, self._mean, self.highest)
-        nearest_rows[coarse](self._count, self._row)
-        nearest_blocks[coarse](self._row, self._mean, self._far)
+        nearest_rows[columns, LINE, self.stream](self._count, self._row)
+        nearest_blocks[rows, LINE, self.stream](self._row, self._mean, self._far)
         spread[squares](*water, self._relief, self._wide, self._far, self.surface, self._rough)
         soften[squares](self._rough, self.surface, self._narrow, self.over, self.highest)

@@ -14,7 +14,7 @@ from rainsim.errors import RainsimError
 def test_results_are_printed_and_written(suite, monkeypatch, tmp_path):
     seen = []
 
-    def run(quick, tell):
+    def run(quick, tell, **others):
         seen.append(quick)
         tell("working")
         return {"error": 0.5}

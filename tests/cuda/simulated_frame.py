@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from rainsim import layers
 from rainsim import render as rendering
 from rainsim.config import Config, mm_per_hour
 from rainsim.cuda import frame as twin
@@ -62,6 +63,32 @@ def test_frames_are_those_of_the_cpu(reflections, least):
     np.testing.assert_array_equal(again, found[0])
     dry = dataclasses.replace(states[0], depth=np.zeros_like(states[0].depth))
     assert decibel(renderer.draw(camera, dry)[0], found[0]) < 40
+
+
+def test_layers_are_those_of_the_cpu():
+    """They make the frame again, and each is the CPU's."""
+    scene = tiny_scene()
+    camera = scene.cameras[0].resized(*SIZE)
+    settings = config(level=0.06, reflections="auto", sun=(0.5, 0.8))
+    terrain = extract_terrain(scene, settings)
+    state = next(iter(simulate(terrain, settings)))
+    names = tuple(layers.LAYERS)
+    _, wanted = rendering.Renderer(scene, terrain, settings, camera).draw(
+        camera, state, None, names
+    )
+    renderer = twin.Renderer(scene, terrain, settings, camera)
+    plain = renderer.draw(camera, state)[0].copy()
+    picture, found = renderer.draw(camera, state, None, names)
+    np.testing.assert_array_equal(picture, plain)
+    again = layers.recompose(found.layers, **found.light)
+    assert decibel(again, picture) > 50
+    for name, layer in wanted.layers.items():
+        far = np.isfinite(layer)
+        np.testing.assert_array_equal(np.isfinite(found.layers[name]), far)
+        difference = np.abs(found.layers[name][far].astype(float) - layer[far])
+        assert np.mean(difference > 1e-2 * max(np.abs(layer[far]).max(), 1e-6)) < 0.02, name
+    assert found.layers["coverage"].max() > 0.5 and found.layers["rain_alpha"].max() > 0
+    np.testing.assert_array_equal(renderer.draw(camera, state)[0], plain)
 
 
 def test_looks_that_only_the_cpu_draws_are_refused():

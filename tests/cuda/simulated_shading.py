@@ -164,12 +164,11 @@ def test_water_light(view, pond, poisoned, rng, reflection, hard):
     clearance[view.depth > 50] = 1e4
     tall, tall2 = poisoned((HEIGHT, WIDTH)), poisoned((HEIGHT, WIDTH))
     reflect.keep_tall(view.depth, clearance, tall)
-    launch(cuda_optics.keep_tall, view.depth, clearance, tall2)
+    bounds, bounds2 = (poisoned(ssr.bounds_of(HEIGHT, WIDTH)) for _ in range(2))
+    ssr.block_bounds(tall, bounds)
+    launch(cuda_optics.keep_tall, view.depth, clearance, tall2, bounds2)
     np.testing.assert_array_equal(tall, tall2)
-    near, near2, least = (poisoned(ssr.blocks_of(HEIGHT, WIDTH)) for _ in range(3))
-    ssr.nearest_blocks(tall, near)
-    cuda_optics.find_near(tall, least, near2, 0)
-    np.testing.assert_array_equal(near, near2)
+    np.testing.assert_array_equal(bounds, bounds2)
     around, sun = sky.overcast(), np.array([0.1, 0.7, 0.7, 9, 8, 7], F4)
     settings = np.array([0.15, 1.0, 12.0], F4)
     n = int(count.sum())
@@ -196,7 +195,7 @@ def test_water_light(view, pond, poisoned, rng, reflection, hard):
         served = np.array([[0, 9, -9], [0.02, -10, 10]], F4)
     else:
         reflect.march_light(
-            everything, record, picture, tall, near, view.turn, view.eye, view.lens, around,
+            everything, record, picture, tall, bounds, view.turn, view.eye, view.lens, around,
             settings, light, source,
         )  # fmt: skip
         served = np.array([[0, 10, -10], [0, 9, -9]], F4)
@@ -206,9 +205,15 @@ def test_water_light(view, pond, poisoned, rng, reflection, hard):
         pixel, record, light, picture, picture, view.depth, view.turn, view.lens, *flags, F4(4e-3),
         sun, wanted,
     )  # fmt: skip
+    distance = poisoned((HEIGHT, WIDTH))
+    launch(
+        cuda_optics.find_hits, hit, coverage, tall, bounds, view.turn, view.eye, view.lens,
+        settings, served, distance,
+    )  # fmt: skip
+    assert (np.isfinite(distance) == ((coverage > 0) & (reflection == "march"))).all()
     both = (np.stack([0 * m, m]) for m in (mirror, coarse2, mirror_depth))
     launch(
-        cuda_optics.shade_water, hit, coverage, picture, view.depth, tall, near, view.turn,
+        cuda_optics.shade_water, hit, coverage, distance, picture, view.depth, tall, view.turn,
         view.eye, view.lens, over, view.exposure, ORIGIN, SPACING, ripples, F4(1.0), around,
         settings, served, window, *both, *flags, F4(4e-3), sun, found,
     )  # fmt: skip
@@ -217,12 +222,12 @@ def test_water_light(view, pond, poisoned, rng, reflection, hard):
 
 
 def test_signatures_are_those_of_the_cpu():
-    """What the twins leave out is what a list of pixels needs; they add only a part's size."""
+    """What the twins leave out is what a list of pixels needs; they add a size and bounds."""
     pairs = [
         # "size": of a mirror's window; what a film mirrors is not told apart on the device.
         (shade.grade_and_wet, shading.grade_and_wet, {"size", "film_out"}),
         (shade.compose, shading.compose, set()),
-        (reflect.keep_tall, cuda_optics.keep_tall, set()),
+        (reflect.keep_tall, cuda_optics.keep_tall, {"bounds_out"}),
         (optics.meet_water, cuda_optics.meet_water, {"turn", "count_out"}),
     ]
     for theirs, ours, without in pairs:

@@ -50,6 +50,24 @@ def test_a_frame_is_that_of_the_cpu():
     assert abs(found["residual"]) < 1e-7
 
 
+def test_drains_take_what_they_do_on_the_cpu():
+    drains = [(10, 5, 4e-6), (11, 5, 1e-4), (2, 14, 1e-5)]  # the second takes all that comes
+    solver, exposure = basin(drains=drains, infiltration=0.0)
+    water = Water(solver, exposure, capacity=4)
+    drop = np.array([3]), np.array([4]), np.array([1e-8])
+    for _ in range(2):
+        solver.deposit(*drop)
+        water.deposit(*drop)
+        report = solver.advance(1 / 30, rain=np.float32(1e-5) * exposure)
+        assert water.advance(1 / 30, 1e-5) == report.substeps
+    np.testing.assert_allclose(water.fields()[0], solver.depth, atol=1e-8)
+    found, wanted = water.ledger().as_dict(), solver.ledger.as_dict()
+    assert wanted["drained"] > 1e-7
+    for name in ("drained", "ground", "outflow"):
+        assert found[name] == pytest.approx(wanted[name], rel=1e-6), name
+    assert abs(found["residual"]) < 1e-7
+
+
 def test_water_at_rest_stays_and_costs_no_step():
     bed = np.zeros((N, N))
     bed[4:8, 4:8] = 0.02
@@ -62,6 +80,6 @@ def test_water_at_rest_stays_and_costs_no_step():
 
 
 def test_what_the_device_lacks_is_refused():
-    for options in ({"scheme": "accurate"}, {"drains": [(1, 1, 1e-6)]}, {"evaporation": 1e-8}):
+    for options in ({"scheme": "accurate"}, {"drains": [(10, 1, 1e-6)]}, {"evaporation": 1e-8}):
         with pytest.raises(ParameterError, match=r"lean|cpu"):
             Water(basin(**options)[0])

@@ -9,15 +9,15 @@ from rainsim.bench import chart, frame
 def test_error_of_known_pictures():
     truth = np.full((8, 12, 3), 0.5, np.float32)
     picture = np.full((8, 12, 3), 0.5 * 255 + 25.5)
-    assert frame._error(picture, truth) == pytest.approx(0.1, abs=1e-6)
-    assert frame._error(picture[::2, ::2], truth) == pytest.approx(0.1, abs=1e-6)  # enlarged
+    assert frame.error_of(picture, truth) == pytest.approx(0.1, abs=1e-6)
+    assert frame.error_of(picture[::2, ::2], truth) == pytest.approx(0.1, abs=1e-6)  # enlarged
 
 
 def test_shrinking_averages_light_not_display_values():
     picture = np.zeros((4, 4, 3), np.uint8)
     picture[::2] = 255
-    assert frame._shrunk(picture).mean() == pytest.approx(0.5 ** (1 / 2.2), abs=1e-4)
-    assert frame._shrunk(picture).shape == (2, 2, 3)
+    assert frame.shrunk(picture).mean() == pytest.approx(0.5 ** (1 / 2.2), abs=1e-4)
+    assert frame.shrunk(picture).shape == (2, 2, 3)
 
 
 def test_table_has_a_column_for_each_size_and_errors_where_measured():

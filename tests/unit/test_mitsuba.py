@@ -110,9 +110,9 @@ def ours():
     light, source = np.zeros((len(pixel), 3), np.float32), np.zeros(len(pixel), np.uint8)
     tall = np.empty_like(depth)
     reflect.keep_tall(depth, clearance, tall)
-    near = np.empty(ssr.blocks_of(*depth.shape), np.float32)
-    ssr.nearest_blocks(tall, near)
-    reflect.march_light(np.arange(len(pixel)), record, picture, tall, near, TURN, EYE, LENS,
+    bounds = np.empty(ssr.bounds_of(*depth.shape), np.float32)
+    ssr.block_bounds(tall, bounds)
+    reflect.march_light(np.arange(len(pixel)), record, picture, tall, bounds, TURN, EYE, LENS,
                         np.zeros((16, 32, 3), np.float32), np.array([0.15, 1, 12], np.float32),
                         light, source)  # fmt: skip
     out = picture.copy()

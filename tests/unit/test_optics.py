@@ -80,10 +80,10 @@ def water(depth_of_water, picture=None, depth=None, clearance=None, slopes=0.0, 
     else:
         tall = np.full_like(depth, np.nan)
         reflect.keep_tall(depth, clearance, tall)
-        near = np.full(ssr.blocks_of(*depth.shape), np.nan, np.float32)
-        ssr.nearest_blocks(tall, near)
+        bounds = np.full(ssr.bounds_of(*depth.shape), np.nan, np.float32)
+        ssr.block_bounds(tall, bounds)
         reflect.march_light(
-            np.arange(n), record, picture, tall, near, TURN, EYE, LENS, environment,
+            np.arange(n), record, picture, tall, bounds, TURN, EYE, LENS, environment,
             np.array([0.15, 1, 12], np.float32), light, source,
         )  # fmt: skip
     assert np.isfinite(light).all() and (source != 99).all()

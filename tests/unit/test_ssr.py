@@ -4,16 +4,16 @@ import numpy as np
 import pytest
 
 from rainsim.jit import serial_kernel
-from rainsim.ssr import blocks_of, edge_fade, march, nearest_blocks
+from rainsim.ssr import block_bounds, bounds_of, edge_fade, march
 
 WIDTH, HEIGHT, FOCAL = 200, 150, 160.0
 LENS = np.array([FOCAL, FOCAL, WIDTH / 2, HEIGHT / 2], np.float32)
 
 
 @serial_kernel
-def march_once(depth, near, lens, start, direction, thickness, stride, farthest):
+def march_once(depth, bounds, lens, start, direction, thickness, stride, farthest):
     return march(
-        depth, near, lens, start[0], start[1], start[2], direction[0], direction[1], direction[2],
+        depth, bounds, lens, start[0], start[1], start[2], direction[0], direction[1], direction[2],
         thickness, stride, farthest,
     )  # fmt: skip
 
@@ -23,10 +23,12 @@ def find(depth, start, direction, thickness=0.15, stride=1.0, farthest=30.0):
     direction = np.asarray(direction, float)
     direction = (direction / np.linalg.norm(direction)).astype(np.float32)
     rest = LENS, start, direction, np.float32(thickness), np.float32(stride), np.float32(farthest)
-    near = np.full(blocks_of(*depth.shape), np.nan, np.float32)
-    nearest_blocks(depth, near)
-    found = march_once(depth, near, *rest)
-    assert found == march_once(depth, np.zeros_like(near), *rest)  # which never jumps
+    bounds = np.full(bounds_of(*depth.shape), np.nan, np.float32)
+    block_bounds(depth, bounds)
+    found = march_once(depth, bounds, *rest)
+    wide = np.zeros_like(bounds)
+    wide[..., 1] = np.inf
+    assert found == march_once(depth, wide, *rest)  # which never jumps
     return found
 
 
