@@ -369,20 +369,11 @@ class Config:
 
     def _check_each(self):
         """Check every value but those that depend on another group's."""
-        highest = -math.inf
         for time in self.key_times() if self.keyframes else ():
             try:
-                now = self.at(time)
-                now._check_each()
+                self.at(time)._check_each()
             except ParameterError as error:
                 raise ParameterError(f"at {time:g} s: {error}") from None
-            if now.water.level is not None:
-                if now.water.level < highest:
-                    raise ParameterError(
-                        f"at {time:g} s: water level is {now.water.level} m, below {highest} m; it "
-                        "may rise only; let drains or the open edges empty the ground"
-                    )
-                highest = now.water.level
         for group in _GROUPS:
             getattr(self, group).check()
         require_whole("frames", self.frames, 1, MAX_FRAMES)

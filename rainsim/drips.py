@@ -14,6 +14,7 @@ from rainsim.drops import Impacts
 from rainsim.random import mix, subkey, uniform
 from rainsim.spectrum import drop_volume, terminal_speed
 from rainsim.surfaces import GROUND, OBSTACLE
+from rainsim.weather import wind_at
 
 STEP = 0.05  # m: where the top falls by more to the next cell there is an edge
 LOWEST = 0.05  # m: lower things are ground
@@ -106,8 +107,16 @@ class Drips:
         self._receive(came)
         return float(came.sum()) + lost
 
-    def advance(self, start, stop):
+    def advance(self, start, stop, wind=(0.0, 0.0), roughness=0.0):
         """Let drops part, fall and land from `start` to `stop` [s].
+
+        Parameters
+        ----------
+        start, stop : float [s]
+        wind : (float, float) [m/s]
+            At `weather.WIND_HEIGHT`.
+        roughness : float [m]
+            Of the land, see `weather.wind_shares`.
 
         Returns
         -------
@@ -117,7 +126,7 @@ class Drips:
         """
         gone, still = _split(self._flight, self._flight["end"] < stop)
         self._flight = still
-        new = self._part(start, stop)
+        new = self._part(start, stop, np.asarray(wind), roughness)
         early, later = _split(new, new["end"] < stop)
         self._flight = _join(self._flight, later)
         landed = _join(gone, early)
@@ -132,9 +141,12 @@ class Drips:
         )
         self._lost += float(volume[again == -2].sum())
         down = again == -1
+        row, column = self._row[site], self._column[site]
+        drops = len(landed["site"])
+        row[:drops], column[:drops] = self._blown(landed)
         recent = self._landed["end"] >= stop - KEPT
         self._landed = _join(_split(self._landed, recent)[0], landed)
-        return self._row[site[down]], self._column[site[down]], volume[down]
+        return row[down], column[down], volume[down]
 
     def falling(self):
         """Return drips in the air and those that have just landed: see `DRIP_COLUMNS`, and ids."""
@@ -143,7 +155,7 @@ class Drips:
         table = np.stack(
             [
                 self._x[site], self._y[site], self._from[site], self._to[site],
-                both["diameter"], both["begin"], both["end"],
+                both["diameter"], both["begin"], both["end"], both["wind_x"], both["wind_y"],
             ],
             axis=1,
         )  # fmt: skip
@@ -156,7 +168,20 @@ class Drips:
         self._film += float(taken.sum())
         self._store += came - taken
 
-    def _part(self, start, stop):
+    def _blown(self, drops):
+        """Return the cells in which drops land: the foot of the edge or where wind takes them."""
+        site, surfaces = drops["site"], self._surfaces
+        way = drift(drops["end"] - drops["begin"], drops["diameter"])
+        x = self._x[site] + way * drops["wind_x"] - surfaces.origin[0]
+        y = self._y[site] + way * drops["wind_y"] - surfaces.origin[1]
+        row, column = (np.floor(a / surfaces.spacing).astype(np.int64) for a in (y, x))
+        inside = (row >= 0) & (row < surfaces.shape[0])
+        inside &= (column >= 0) & (column < surfaces.shape[1])
+        row, column = np.where(inside, row, 0), np.where(inside, column, 0)
+        inside &= self.point[row, column] == -1
+        return np.where(inside, row, self._row[site]), np.where(inside, column, self._column[site])
+
+    def _part(self, start, stop, wind, roughness):
         """Return the drops that part from their edges in an interval, evenly over it."""
         count = np.where(self._falls, self._store / self._volume, 0.0).astype(np.int64)
         count = np.minimum(count, _MOST_AT_ONCE)
@@ -169,10 +194,15 @@ class Drips:
         begin = start + (stop - start) * share
         diameter = self._diameter[site]
         end = begin + fall_time(self._from[site] - self._to[site], diameter)
-        return {"site": site, "diameter": diameter, "begin": begin, "end": end, "id": ids}
+        wind = wind[:, None] * wind_at(0.5 * (self._from[site] - self._to[site]), roughness)
+        return {
+            "site": site, "diameter": diameter, "begin": begin, "end": end, "id": ids,
+            "wind_x": wind[0], "wind_y": wind[1],
+        }  # fmt: skip
 
 
-DRIP_COLUMNS = ("x", "y", "top", "bottom", "diameter", "begin", "end")  # [m] and [s]
+# in m, s and m/s; the wind is that at half the height of the fall
+DRIP_COLUMNS = ("x", "y", "top", "bottom", "diameter", "begin", "end", "wind_x", "wind_y")
 
 
 def fall_time(height, diameter):
@@ -191,6 +221,17 @@ def fallen(time, diameter):
     return speed**2 / _GRAVITY * np.log(np.cosh(t)), speed * np.tanh(t)
 
 
+def drift(time, diameter):
+    """Return how far [m] a wind of 1 m/s has moved a drop, `time` [s] after it parted from rest.
+
+    Drag turns its velocity to the wind's at the rate g / v tanh(g t / v) while it falls faster than
+    the wind blows: the way is v / g (s - gd s) with s = g t / v and gd Gudermann's function.
+    """
+    speed = terminal_speed(diameter)
+    s = _GRAVITY * np.maximum(time, 0.0) / speed
+    return speed / _GRAVITY * (s - 2 * np.arctan(np.tanh(s / 2)))
+
+
 def drips_seen(table, time, exposure):
     """Return drips as `streaks.draw_lines` takes them, (n, 7).
 
@@ -200,9 +241,10 @@ def drips_seen(table, time, exposure):
     table, begin, end = (a[end > begin] for a in (table, begin, end))
     high, _ = fallen(begin - table[:, 5], table[:, 4])
     low, _ = fallen(end - table[:, 5], table[:, 4])
-    position = np.stack([table[:, 0], table[:, 1], table[:, 2] - high], axis=1)
-    velocity = np.zeros_like(position)
-    velocity[:, 2] = (high - low) / exposure
+    way = drift(begin - table[:, 5], table[:, 4])
+    position = np.column_stack([table[:, :2] + way[:, None] * table[:, 7:], table[:, 2] - high])
+    way = drift(end - table[:, 5], table[:, 4]) - way
+    velocity = np.column_stack([way[:, None] * table[:, 7:], high - low]) / exposure
     return np.column_stack([position, velocity, table[:, 4] * np.sqrt((end - begin) / exposure)])
 
 
@@ -212,12 +254,14 @@ def drip_impacts(table, ids, surfaces, before, after):
     table, ids = table[hit], ids[hit]
     velocity = np.zeros((len(table), 3))
     velocity[:, 2] = -fallen(table[:, 6] - table[:, 5], table[:, 4])[1]
-    cell = np.floor((table[:, :2] - surfaces.origin) / surfaces.spacing).astype(np.int32)
+    way = drift(table[:, 6] - table[:, 5], table[:, 4])
+    place = np.column_stack([table[:, :2] + way[:, None] * table[:, 7:], table[:, 3]])
+    cell = np.floor((place[:, :2] - surfaces.origin) / surfaces.spacing).astype(np.int32)
     cell = np.clip(cell, 0, np.array(surfaces.shape[::-1]) - 1)
     column, row = np.ascontiguousarray(cell.T)
     on_ground = surfaces.top[row, column] <= surfaces.ground[row, column]
     return Impacts(
-        np.ascontiguousarray(table[:, [0, 1, 3]]), velocity, np.ascontiguousarray(table[:, 4]),
+        place, velocity, np.ascontiguousarray(table[:, 4]),
         np.ascontiguousarray(table[:, 6]), np.where(on_ground, GROUND, OBSTACLE).astype(np.uint8),
         row, column, ids,
     )  # fmt: skip
@@ -293,7 +337,8 @@ def _nearest_edge(top, solid, edges, spacing):
 def _no_drops():
     return {
         "site": np.zeros(0, np.int64), "diameter": np.zeros(0), "begin": np.zeros(0),
-        "end": np.zeros(0), "id": np.zeros(0, np.uint64),
+        "end": np.zeros(0), "id": np.zeros(0, np.uint64), "wind_x": np.zeros(0),
+        "wind_y": np.zeros(0),
     }  # fmt: skip
 
 

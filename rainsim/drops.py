@@ -215,6 +215,12 @@ class RainField:
         return first, np.maximum(np.floor(high / side).astype(np.int64), first - 1)
 
 
+def joined(*parts):
+    """Return several `Impacts` as one."""
+    names = Impacts.__dataclass_fields__
+    return Impacts(*(np.concatenate([getattr(p, n) for p in parts]) for n in names))
+
+
 def impacts(field, surfaces, start, stop, smallest=0.0, within=None):
     """List the drops that meet the surfaces at start <= time < stop.
 

@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy import ndimage
 
-from rainsim.drips import DRIP_COLUMNS, Drips
-from rainsim.drops import GROUND, Surfaces, flat_surfaces, impacts
+from rainsim.drips import DRIP_COLUMNS, Drips, drip_impacts
+from rainsim.drops import GROUND, Surfaces, flat_surfaces, impacts, joined
 from rainsim.errors import InputError
 from rainsim.grid import WaterSolver
 from rainsim.jit import cpu_kernel, prange
@@ -57,7 +57,7 @@ class SimState:
     ledger : dict
         Volumes in m3, see `rainsim.ledger`.
     notes : tuple of str
-    drips : ndarray of shape (m, 7), float64
+    drips : ndarray of shape (m, 9), float64
         Drops from edges that are in the air or have just landed, see `drips.DRIP_COLUMNS`.
     drip_id : ndarray of shape (m,), uint64
     """
@@ -210,7 +210,7 @@ def simulate(terrain, config, progress=None, dtype=np.float32):
         rate=weather.mean_rate,
         dtype=np.float32,
     )
-    rise = rising_level(terrain, config)
+    follow = moving_level(terrain, config)
     open_area = float(exposure.sum()) * terrain.grid.cell_area
     wet = start.rain.past > 0 or start.water.level is not None
     objects = Objects(surfaces, config.rain, wet)
@@ -229,10 +229,12 @@ def simulate(terrain, config, progress=None, dtype=np.float32):
                 landed = hits.take(hits.kind == GROUND)
                 solver.deposit(landed.row, landed.column, landed.volume)
                 objects.take_rain(hits, rain.spectrum.fine_rate * (time - before))
-                ripples.advance(time - before, *tile_impacts(landed, open_area, ripples.size, time))
-            solver.deposit(*objects.advance(before, time))
-            if rise is not None:
-                objects.let_in(solver, *rise(before, time))
+            solver.deposit(*objects.advance(before, time, weather))
+            if rain is not None:
+                rings = objects.with_drips(landed, before, time)
+                ripples.advance(time - before, *tile_impacts(rings, open_area, ripples.size, time))
+            if follow is not None:
+                objects.let_in(solver, *follow(before, time))
             if quick is not None:
                 rows, columns, volumes = quick(before, time)
                 solver.deposit(rows, columns, volumes)
@@ -257,6 +259,7 @@ class Objects:
 
     def __init__(self, surfaces, rain, wet):
         self._drips = Drips(surfaces, rain.seed, wet) if rain.drips else None
+        self._surfaces, self._roughness = surfaces, rain.roughness
         self._initial = self._came = self._returned = self._kept = self._inflow = 0.0
 
     def open_account(self):
@@ -275,17 +278,27 @@ class Objects:
             self._kept += fallen
 
     def let_in(self, solver, rows, columns, volumes):
-        """Give the ground water that rises from outside."""
-        solver.deposit(rows, columns, volumes)
-        self._inflow += float(volumes.sum())
+        """Give the ground water that rises from outside, and take what falls."""
+        more, less = volumes > 0, volumes < 0
+        solver.deposit(rows[more], columns[more], volumes[more])
+        solver.withdraw(rows[less], columns[less], -volumes[less])
+        self._inflow += float(volumes[more].sum())
 
-    def advance(self, start, stop):
+    def advance(self, start, stop, weather):
         """Return the rows, columns and volumes [m3] of what comes down from them."""
         if self._drips is None:
             return np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0)
-        rows, columns, volumes = self._drips.advance(start, stop)
+        wind = weather.wind(0.5 * (start + stop)), self._roughness
+        rows, columns, volumes = self._drips.advance(start, stop, *wind)
         self._returned += float(volumes.sum())
         return rows, columns, volumes
+
+    def with_drips(self, hits, start, stop):
+        """Return `hits` and the drips that came to the ground from `start` to `stop` [s]."""
+        if self._drips is None:
+            return hits
+        drips = drip_impacts(*self._drips.falling(), self._surfaces, start, stop)
+        return joined(hits, drips.take(drips.kind == GROUND))
 
     def falling(self):
         """Return the drips in the air and their ids, as `SimState` holds them."""
@@ -341,23 +354,33 @@ def quick_rain(terrain, config, exposure):
     return between
 
 
-def rising_level(terrain, config):
-    """Return what adds the water of a level that keyframes let rise, or None if it is steady.
+def moving_level(terrain, config):
+    """Return how water follows a level that keyframes move, or None if it is steady.
 
-    The function takes two times and returns the rows, columns and volumes [m3] of the water that a
-    level surface gains between them.
+    The function takes two times and returns the rows, columns and volumes [m3] of what a level
+    surface gains between them, negative where it falls. What hollows hold stays in them as puddles.
     """
-    levels = [config.at(time).water.level for time in config.key_times()]
+    times = config.key_times()
+    levels = [config.at(time).water.level for time in times]
     if levels[0] is None or np.ptp(levels) == 0:
         return None
     bed = terrain.bed.astype(np.float64)
-    low = np.percentile(bed, 5)
+    low, hollows = np.percentile(bed, 5), 0.0
+    if np.diff(levels).min() < 0:
+        full = puddles_of(terrain)
+        full.rain(np.ptp(bed) + 1.0)  # more than they hold
+        hollows = full.depth
+
+    def stands(time):
+        level = config.at(time).water.level
+        highest = max([level, *(h for t, h in zip(times, levels, strict=True) if t <= time)])
+        left = np.minimum(hollows, low + highest - bed)
+        return np.maximum(np.maximum(low + level - bed, left), 0.0)
 
     def between(before, time):
-        old, new = (np.maximum(low + config.at(t).water.level - bed, 0) for t in (before, time))
-        rows, columns = np.nonzero(new > old)
-        gained = (new - old)[rows, columns] * terrain.grid.cell_area
-        return rows.astype(np.int32), columns.astype(np.int32), gained
+        gained = (stands(time) - stands(before)) * terrain.grid.cell_area
+        rows, columns = np.nonzero(gained)
+        return rows.astype(np.int32), columns.astype(np.int32), gained[rows, columns]
 
     return between
 
@@ -375,7 +398,7 @@ def _warm_up(ripples, objects, weather, surfaces):
         rain = weather.field(begin, end)
         hits = impacts(rain, surfaces, begin, end)
         objects.take_rain(hits, rain.spectrum.fine_rate * (end - begin))
-        objects.advance(begin, end)
+        objects.advance(begin, end, weather)
 
 
 def _steps(duration):

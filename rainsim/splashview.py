@@ -28,7 +28,7 @@ from rainsim.cubes import (
     slab_tasks,
     swept_cubes,
 )
-from rainsim.drops import GROUND, Impacts, cubes_swept, landing, may_land
+from rainsim.drops import GROUND, cubes_swept, joined, landing, may_land
 from rainsim.drops import impacts as list_impacts
 from rainsim.jit import cpu_kernel, lean_function, prange
 from rainsim.marks import read_depth, resolve_band
@@ -119,8 +119,7 @@ def seen_splashes(field, surfaces, camera, time, exposure, water_depth, film, mo
     parts = [_Wet(found, camera, water_depth, film).still_there(time, exposure)]
     if more is not None:
         parts.append(_Wet(more, camera, water_depth, film).still_there(time, exposure))
-    names = Impacts.__dataclass_fields__
-    return Impacts(*(np.concatenate([getattr(p, n) for p in parts]) for n in names))
+    return joined(*parts)
 
 
 def _windows(field, camera, time, exposure, water_depth, film, nearest):

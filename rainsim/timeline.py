@@ -14,7 +14,7 @@ from rainsim.errors import ParameterError, require_finite
 
 TIME_KEY = "time_s"
 LIST_KEY = "keyframe"  # [[keyframe]] in TOML
-# What a keyframe may set. Water that is given as a level may rise with time, not fall.
+# What a keyframe may set.
 CHANGING = (
     "rate", "past", "drying", "level", "wind", "exposure", "cloudiness", "brightness",
 )  # fmt: skip

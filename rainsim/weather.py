@@ -63,6 +63,13 @@ def wind_shares(speed, roughness):
     return (wind @ _FALL_WEIGHTS).mean(axis=1)
 
 
+def wind_at(height, roughness):
+    """Return the wind at a `height` [m] over that at WIND_HEIGHT, for `wind_shares`' roughness."""
+    if roughness == 0:
+        return np.ones_like(np.asarray(height, np.float64))
+    return np.log1p(np.maximum(height, 0.0) / roughness) / math.log1p(WIND_HEIGHT / roughness)
+
+
 class Weather:
     """What a configuration's timeline says of rain and wind at any time.
 

@@ -78,7 +78,7 @@ class Simulation:
         start = config.at(0.0)
         depth, self.notes = host.initial_water(terrain, start, exposure)
         self._quick = host.quick_rain(terrain, config, exposure)
-        if host.rising_level(terrain, config) is not None:
+        if host.moving_level(terrain, config) is not None:
             raise ParameterError(
                 "the water level changes in time; backend cuda keeps it; take backend cpu"
             )

@@ -254,6 +254,21 @@ class WaterSolver:
         self._ledger.rain += float(volumes.sum(dtype=np.float64))
         self._added = True
 
+    def withdraw(self, rows, columns, volumes):
+        """Drain up to `volumes` [m3] of free water from cells, none of them named twice."""
+        require_drops(rows, columns, volumes, self.shape)
+        if not len(rows):
+            return
+        flow, area = self._flow, self.spacing**2
+        at = np.asarray(rows) + flow.pad, np.asarray(columns) + flow.pad
+        free = flow.h[at].astype(np.float64) + flow.damp[at]
+        stays = np.maximum(free - np.asarray(volumes) / area, 0.0)
+        flow.h[at] = np.where(stays >= DRY_DEPTH, stays, 0.0)
+        flow.damp[at] = stays - flow.h[at]
+        left = flow.h[at].astype(np.float64) + flow.damp[at]
+        self._ledger.drained += float((free - left).sum()) * area
+        self._added = True
+
     # -- time ----------------------------------------------------------------------------------
 
     def advance(self, duration, rain=0.0):

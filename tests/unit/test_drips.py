@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from test_simulation import config, ground, mm_per_hour, states
 
-from rainsim.drips import Drips, drip_impacts, drips_seen, fall_time, fallen
+from rainsim.drips import Drips, drift, drip_impacts, drips_seen, fall_time, fallen
 from rainsim.drops import OBSTACLE, RainField, RainSpectrum, Surfaces, drop_volume, impacts
 from rainsim.simulation import simulate
 from rainsim.spectrum import terminal_speed
@@ -21,7 +21,7 @@ def table(height=0.7, thick=0.04, size=60, half=15):
     return Surfaces(0.02, (-0.6, -0.6), level, top, under)
 
 
-def rain_on(surfaces, drips, rate=60.0, steps=60, step=0.05, fine=True):
+def rain_on(surfaces, drips, rate=60.0, steps=60, step=0.05, fine=True, wind=(0, 0)):
     """Rain on the objects; return what came and where and how much of it reached the ground."""
     field = RainField(RainSpectrum(rate), seed=3)
     came, rows, columns, volumes = 0.0, [], [], []
@@ -30,7 +30,7 @@ def rain_on(surfaces, drips, rate=60.0, steps=60, step=0.05, fine=True):
         depth = field.spectrum.fine_rate * step if fine else 0.0
         came += drips.take_rain(hits, depth)
         for into, values in zip(
-            (rows, columns, volumes), drips.advance(n * step, (n + 1) * step), strict=True
+            (rows, columns, volumes), drips.advance(n * step, (n + 1) * step, wind), strict=True
         ):
             into.append(values)
     return came, np.concatenate(rows), np.concatenate(columns), np.concatenate(volumes)
@@ -137,7 +137,7 @@ def test_frames_with_a_roof_close_the_ledger_in_wind_and_gusts(dtype, bound):
         ledger = run[-1].ledger
         assert abs(ledger["residual"]) < bound
         assert ledger["obstacles"] > 0 and (ledger["airborne"] > 0) == (past > 0)
-    assert len(run[-1].drips) > 3 and run[-1].drips.shape[1] == 7
+    assert len(run[-1].drips) > 3 and run[-1].drips.shape[1] == 9
     without = states(
         roof, config(rate=mm_per_hour(80.0), past=3e-3, wind=(4.0, 0.5), drips=False), 25
     )[-1]
@@ -161,3 +161,23 @@ def test_ground_alone_has_no_drips():
     came, _, _, volumes = rain_on(Surfaces(0.02, (0, 0), level, level, level), drips, steps=2)
     assert came == 0 == volumes.sum() == drips.held
     assert drop_volume(4.5e-3) > 0
+
+
+def test_wind_carries_drips_as_drag_has_it():
+    # against small steps of dw/dt = (u - w) g / v tanh(g t / v)
+    speed, x, w = terminal_speed(4.5e-3), 0.0, 0.0
+    for n in range(8000):
+        w += (1 - w) * 9.81 / speed * np.tanh(9.81 * n * 1e-4 / speed) * 1e-4
+        x += w * 1e-4
+    assert drift(0.8, 4.5e-3) == pytest.approx(x, rel=2e-3)
+    surfaces = table()
+    still, blown = Drips(surfaces), Drips(surfaces)
+    rain_on(surfaces, still)
+    _, _, columns, _ = rain_on(surfaces, blown, wind=(8.0, 0.0))
+    assert columns.max() > 45  # beyond the foot of the edge
+    (calm, ids), (windy, same) = still.falling(), blown.falling()
+    assert len(ids) > 3 and (ids == same).all()
+    calm, windy = (drip_impacts(t, ids, surfaces, 0.0, 9.0).position for t in (calm, windy))
+    moved = windy[:, 0] - calm[:, 0]
+    assert (moved > 0.01).all() and (moved < 0.3).all()
+    assert (drips_seen(blown.falling()[0], 2.9, 1 / 60)[:, 3] > 0).all()

@@ -88,6 +88,22 @@ def test_a_level_of_keyframes_rises_and_is_booked_as_inflow():
     assert ledger["rain"] == pytest.approx(0, abs=1e-9)
 
 
+def test_a_level_that_falls_is_drained_and_leaves_what_hollows_hold():
+    bed = np.zeros((NY, NX), np.float32)
+    bed[:, : NX // 2] = np.linspace(0.03, 0.0, NX // 2)  # falls to the east
+    bed[NY // 4 : NY // 2, NX // 8 : NX // 4] -= 0.02  # a pit in the slope
+    frames = ((0.0, (("level", 0.06),)), (0.4, (("level", 0.0),)))
+    falling = dataclasses.replace(config(rate=0.0), keyframes=frames).check()
+    run = states(ground(bed), falling, 14)
+    assert run[0].depth.mean() > 0.04
+    assert (np.diff([state.depth.sum() for state in run]) <= 1e-4).all()
+    ledger, area = run[-1].ledger, SPACING**2
+    gone = (run[0].depth.astype(float).sum() - run[-1].depth.astype(float).sum()) * area
+    assert ledger["drained"] == pytest.approx(gone, rel=1e-5) and abs(ledger["residual"]) < 1e-7
+    pit = run[-1].depth[NY // 4 : NY // 2, NX // 8 : NX // 4]
+    assert pit.mean() > 0.005 and run[-1].depth[:, NX // 2 :].max() < 2e-3
+
+
 def test_rings_are_in_balance_from_the_first_frame_on():
     """So that a film does not begin with water that roughens as it goes."""
     run = states(ground(bowl()), config(past=6e-3, rate=mm_per_hour(50.0), fps=5.0), 16)
