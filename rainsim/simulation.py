@@ -18,7 +18,7 @@ from rainsim.errors import InputError
 from rainsim.grid import WaterSolver
 from rainsim.jit import cpu_kernel, prange
 from rainsim.ledger import Ledger
-from rainsim.puddles import WET, puddles_of, wet_share
+from rainsim.puddles import WET, doubt, puddles_of, wet_share
 from rainsim.ripples import RippleTile, tile_impacts
 from rainsim.spectrum import terminal_speed
 from rainsim.terrain.table import DRAIN
@@ -149,10 +149,12 @@ def initial_water(terrain, config, exposure):
     if config.rain.drying > 0:
         puddles.evaporate(evaporation_rate(config) * config.rain.drying)
     wet = wet_share(puddles.depth, terrain.sealed)
+    warning = doubt(terrain, config.rain.past)
     return puddles.depth, (
         f"{config.rain.past * 1e3:g} mm of past rain stand at rest in {puddles.count()} puddles; "
         f"{wet:.0%} of the paving under {WET * 1e3:g} mm or more; {puddles.graph.dropped} of "
         f"{puddles.graph.count} hollows left out as noise",
+        *([warning] if warning else []),
     )
 
 

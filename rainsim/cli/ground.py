@@ -129,7 +129,7 @@ def _from_splats(scene, config, class_mask):
 def _puddles(out, terrain, record):
     """Write the puddle pictures; return figures per rain and the depth at 3 mm."""
     from rainsim import image
-    from rainsim.puddles import puddles_of, wet_share
+    from rainsim.puddles import doubt, puddles_of, wet_share
     from rainsim.terrain.pictures import puddle_overlay
 
     puddles, rows, fallen, shown = puddles_of(terrain), [], 0, None
@@ -147,6 +147,7 @@ def _puddles(out, terrain, record):
                 "litres": puddles.volume * 1e3,
                 "wet_share_of_paving": wet_share(puddles.depth, terrain.sealed),
                 "deepest_mm": float(puddles.depth.max()) * 1e3,
+                "doubt": doubt(terrain, rain * 1e-3),
             }
         )
     figures = {"hollows": puddles.graph.count, "left_out": puddles.graph.dropped}
@@ -167,6 +168,7 @@ def _result(out, terrain, scene, puddles, files):
     """Return what is told about a height map as plain values."""
     import numpy as np
 
+    from rainsim.puddles import bed_error
     from rainsim.terrain import INFERRED, MEASURED, UNKNOWN, class_table
 
     grid, source = terrain.grid, terrain.source
@@ -178,6 +180,7 @@ def _result(out, terrain, scene, puddles, files):
         "spacing": grid.spacing,
         "origin": list(grid.origin),
         "noise_mm": terrain.hard_noise * 1e3,
+        "bed_error_mm": bed_error(terrain) * 1e3,
         "shares": {name: float(np.mean(source == kind)) for name, kind in kinds.items()},
         "classes": {
             name: float(np.mean(terrain.ground_class == code))
@@ -226,7 +229,8 @@ def _as_text(result):
     share = result["shares"]
     lines += [
         f"cells             {nx} x {ny} of {result['spacing']:g} m from ({x:.2f}, {y:.2f}) m",
-        f"noise of paving   {result['noise_mm']:.2f} mm",
+        f"noise of paving   {result['noise_mm']:.2f} mm, its smoothed bed some "
+        f"{result['bed_error_mm']:.1f} mm off",
         "ground            " + ", ".join(f"{name} {v:.0%}" for name, v in share.items()),
         "classes           "
         + ", ".join(f"{name} {v:.0%}" for name, v in result["classes"].items() if v > 0),
@@ -240,6 +244,9 @@ def _as_text(result):
             f"litres, {row['wet_share_of_paving']:.0%} of the paving wet, deepest "
             f"{row['deepest_mm']:.1f} mm"
         )
+    doubts = [row["doubt"] for row in result["puddles"]["after_rain"] if row["doubt"]]
+    if doubts:
+        lines.append(f"WARNING           {doubts[-1]}")
     return "\n".join(lines)
 
 

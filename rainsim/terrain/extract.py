@@ -21,7 +21,7 @@ from rainsim.terrain.classify import EXCESS_GREEN, classify, is_green, mark_drai
 from rainsim.terrain.pond import fill_ponds
 from rainsim.terrain.slab import FAINT, follow_ground, lonely, splat_cover
 from rainsim.terrain.table import GRASS, HARD, WATER
-from rainsim.terrain.types import GAP_HEIGHT, INFERRED, MEASURED, UNKNOWN, Terrain
+from rainsim.terrain.types import GAP_HEIGHT, INFERRED, MEASURED, UNKNOWN, Grid, Terrain
 from rainsim.terrain.water import find_water
 
 MIN_SEEN_ALPHA = 0.5  # of a cell from above: less and the surface is not told
@@ -29,7 +29,8 @@ OCCLUDER_HEIGHT = 0.10  # m above the ground from which something shelters it
 SMALLEST_TOP = 2e-3  # m2 of a thing that shelters the ground
 CEILING_OVER_CAMERAS = 1.0  # m: what is higher was hardly seen by any camera
 CEILING_WITHOUT_CAMERAS = 4.0  # m above the ground
-TILE = 1024  # cells across: what is splatted at once
+PIECE = 750_000  # cells of a map that are made at once, with their margins; some 130 MB
+MARGIN = 2.0  # m about the cells of a part that are made with them: nothing reaches farther
 NEAR_BED = 0.03  # m, and four times the noise: what is farther from the first bed stands on it
 LARGEST_SHIFT, SHIFT_WIDTH = 0.02, 0.05  # m, by which overlapping splats may hide the ground
 EDGE_THICKNESS = 5e-3  # m between the looks from above and below from where an edge begins
@@ -63,45 +64,126 @@ def extract_terrain(scene, config, mask=None):
             f"{grid.shape[1]} x {grid.shape[0]}; paint over the class map that was written for it"
         )
     cloud = _Cloud(scene, grid, config.slab)
-    ground = cloud.look(cloud.near_bed)
-    known = ground.alpha > MIN_SEEN_ALPHA
-    if np.mean(known) < LEAST_GROUND:
+    maps = _empty_maps(grid)
+    left_out = np.zeros(len(cloud.position), bool)
+    for core, inner, piece in pieces(grid):
+        found = _piece(scene, cloud, piece, None if mask is None else mask[piece.cells])
+        for name, values in found.items():
+            if name == "left_out":
+                left_out |= values
+            else:
+                maps[name][core] = values[inner]
+    source, bed, top, underside = (maps[n] for n in ("source", "bed", "top", "underside"))
+    seen = np.mean(source != UNKNOWN)
+    if seen < LEAST_GROUND:
         raise GroundError(
-            f"only {np.mean(known):.1%} of the map of {grid.size[0]:g} x {grid.size[1]:g} m shows "
+            f"only {seen:.1%} of the map of {grid.size[0]:g} x {grid.size[1]:g} m shows "
             f"ground within {config.slab:g} m of the ground plane; give --up and "
             "--meters-per-unit, or --ground-frame"
         )
-    kept = cloud.near_bed & ~_floaters(cloud, ground, grid)
-    removed = int(np.count_nonzero(cloud.near_bed & ~kept))
-    if removed:
-        ground = cloud.look(kept)
-    bed, source, noise, color, green = _bed(ground, cloud.look(kept, from_below=True), grid)
-    upper, lower = cloud.look(cloud.below_ceiling), cloud.look(cloud.overhead, from_below=True)
+    bodies, found = find_water(scene, cloud, grid, bed, source == MEASURED)
+    for body in bodies:
+        free = body.mask if mask is None else body.mask & (mask[body.cells] < 0)
+        maps["ground_class"][body.cells][free] = WATER
+    water, told = fill_ponds(grid, bed, maps["ground_class"], bodies, maps["color"])
+    if water is not None:
+        filled = water > 0
+        source[filled] = INFERRED
+        stands = filled & (top > bed + water + OCCLUDER_HEIGHT)
+        np.copyto(top, bed, where=filled & ~stands)
+        np.copyto(underside, bed, where=filled & (underside < bed + water + GAP_HEIGHT))
+    terrain = Terrain(grid, **maps, water=water)
+    removed = int(np.count_nonzero(left_out))
+    notes += (*cloud.notes, *_report(terrain, removed, mask), *found, *told)
+    return replace(terrain, notes=notes)
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A part of a map: its `Grid`, and its `cells` in the whole map (slices of rows, columns)."""
+
+    grid: Grid
+    cells: tuple
+
+
+def pieces(grid):
+    """Yield the parts in which a map is made, so that memory grows only with what is kept.
+
+    Each overlaps its neighbours by a margin, wider than what cells know of each other.
+
+    Yields
+    ------
+    core, inner : tuple of slice
+        The cells that the part is for, in the whole map and in the part.
+    piece : Piece
+    """
+    margin = round(MARGIN / grid.spacing)
+    number = [1, 1]
+
+    def sides():
+        return [-(-n // k) + (2 * margin if k > 1 else 0)
+                for n, k in zip(grid.shape, number, strict=True)]  # fmt: skip
+
+    while np.prod(sides()) > PIECE and max(number) < max(grid.shape):
+        longest = int(np.argmax(sides()))
+        number[longest] += 1
+    cuts = [np.linspace(0, n, k + 1).astype(int)
+            for n, k in zip(grid.shape, number, strict=True)]  # fmt: skip
+    for place in np.ndindex(*number):
+        core, inner, cells, origin = [], [], [], []
+        for axis, k in enumerate(place):
+            first, last = int(cuts[axis][k]), int(cuts[axis][k + 1])
+            start, stop = max(first - margin, 0), min(last + margin, grid.shape[axis])
+            core.append(slice(first, last))
+            inner.append(slice(first - start, last - start))
+            cells.append(slice(start, stop))
+            origin.append(grid.origin[1 - axis] + start * grid.spacing)
+        shape = tuple(c.stop - c.start for c in cells)
+        part = Grid(shape, tuple(origin[::-1]), grid.spacing)
+        yield tuple(core), tuple(inner), Piece(part, tuple(cells))
+
+
+def _empty_maps(grid):
+    """Return the arrays of a `Terrain`, to be filled."""
+    maps = {name: np.empty(grid.shape, np.float32) for name in ("bed", "top", "underside", "noise")}
+    maps |= {name: np.empty(grid.shape, np.uint8) for name in ("source", "ground_class")}
+    return maps | {"color": np.empty((*grid.shape, 3), np.float32)}
+
+
+def _piece(scene, cloud, piece, mask):
+    """Return the arrays of a `Terrain` on a part of the map, and which splats were left out."""
+    grid = piece.grid
+    over = cloud.over(grid)
+    near = cloud.near_bed & over
+    ground = cloud.look(near, grid)
+    known = ground.alpha > MIN_SEEN_ALPHA
+    off = _floaters(cloud, ground, grid) & near if known.any() else np.zeros_like(near)
+    kept = near & ~off
+    if off.any():
+        ground = cloud.look(kept, grid)
+    below = cloud.look(kept, grid, from_below=True)
+    bed, source, noise, color, green = _bed(ground, below, grid, cloud.level)
+    upper = cloud.look(cloud.below_ceiling & over, grid)
+    lower = cloud.look(cloud.overhead & over, grid, from_below=True)
     top, underside = _cover(upper, lower, bed, grid.cell_area)
     classes = classify(bed, top, source, noise, color, green, grid.spacing)
     classes = mark_drains(classes, grid, scene)
-    bodies, found = find_water(scene, cloud, grid, ground.height, known)
-    for body in bodies:
-        classes[body.mask] = WATER
     if mask is not None:
         classes = np.where(np.asarray(mask) >= 0, mask, classes).astype(np.uint8)
     bed = bedding.lower_rim(bed, classes == HARD, classes == GRASS, grid.spacing)
     # The soil under grass lies lower; what stands in the grass stands on it.
-    soil = cloud.soil(bed, classes)
+    soil = cloud.soil(bed, classes, grid)
     lowered = soil < bed
-    top = np.where(lowered & (top == bed), soil, top).astype(np.float32)
-    underside = np.where(lowered & (underside == bed), soil, underside).astype(np.float32)
-    soil, color, water, told = fill_ponds(grid, soil, classes, bodies, color)
-    filled = water > 0
-    if filled.any():
-        source[filled] = INFERRED
-        stands = filled & (top > soil + water + OCCLUDER_HEIGHT)
-        top = np.where(filled & ~stands, soil, top)
-        hangs = stands & (underside > soil + water + GAP_HEIGHT)
-        underside = np.where(filled & ~hangs, soil, underside)
-    terrain = Terrain(grid, soil, top, underside, source, classes, noise, color, water=water)
-    notes += (*cloud.notes, *_report(terrain, removed, mask), *found, *told)
-    return replace(terrain, notes=notes)
+    return {
+        "bed": soil,
+        "top": np.where(lowered & (top == bed), soil, top),
+        "underside": np.where(lowered & (underside == bed), soil, underside),
+        "source": source,
+        "ground_class": classes,
+        "noise": noise,
+        "color": color,
+        "left_out": off,
+    }
 
 
 def _report(terrain, removed, mask):
@@ -136,7 +218,7 @@ class _Cloud:
     """The splats over a map, in ground coordinates, and looks at them from above and below."""
 
     def __init__(self, scene, grid, slab):
-        self.frame, self.grid = scene.ground_frame, grid
+        self.frame = scene.ground_frame
         with np.errstate(invalid="ignore"):
             position = self.frame.to_ground(scene.splats.position)
         reach = 3 * scene.splats.scale.max(axis=1) * self.frame.meters_per_unit
@@ -179,55 +261,41 @@ class _Cloud:
                 f"followed on {share:.0%} of it",
             )
 
-    def look(self, which, from_below=False):
-        """Return what the splats of the mask `which` show from above, or from below."""
-        ny, nx = self.grid.shape
-        height, alpha = (np.zeros((ny, nx), np.float32) for _ in range(2))
-        color = np.zeros((ny, nx, 3), np.float32)
-        for j in range(0, ny, TILE):
-            for i in range(0, nx, TILE):
-                part = (slice(j, min(j + TILE, ny)), slice(i, min(i + TILE, nx)))
-                here = which if ny <= TILE and nx <= TILE else which & self._over(part)
-                if here.any():
-                    seen = self._look(self.splats.take(here), part, from_below)
-                    height[part], alpha[part], color[part] = seen
-        return Seen(height, alpha, color)
-
-    def _over(self, part):
-        """Return the mask of the splats that reach over a part of the map."""
-        inside = np.ones(len(self.position), bool)
-        for axis, cells in ((0, part[1]), (1, part[0])):
-            low = self.grid.origin[axis] + cells.start * self.grid.spacing
-            high = self.grid.origin[axis] + cells.stop * self.grid.spacing
-            inside &= self.position[:, axis] + self.reach > low
-            inside &= self.position[:, axis] - self.reach < high
-        return inside
-
-    def _look(self, splats, part, from_below):
-        rows, columns = part
-        spacing = self.grid.spacing
-        west = self.grid.origin[0] + columns.start * spacing
+    def look(self, which, grid, from_below=False):
+        """Return what the splats of the mask `which` show on a grid from above, or from below."""
+        if not which.any():
+            empty = np.zeros(grid.shape, np.float32)
+            return Seen(empty, empty, np.zeros((*grid.shape, 3), np.float32))
+        spacing, (ny, nx) = grid.spacing, grid.shape
         if from_below:
-            eye = (west, self.grid.origin[1] + rows.start * spacing, self.floor)
+            eye = (*grid.origin, self.floor)
             axes, flip, sign = np.eye(3), slice(None), 1
         else:
-            eye = (west, self.grid.origin[1] + rows.stop * spacing, self.top)
+            eye = (grid.origin[0], grid.origin[1] + grid.size[1], self.top)
             axes = np.array([[1, 0, 0], [0, -1, 0], [0, 0, -1.0]])
             flip, sign = slice(None, None, -1), -1  # pictures begin in the north
         matrix = np.eye(4)
         matrix[:3, :3] = axes
         matrix[:3, 3] = -axes @ eye
-        camera = Camera(columns.stop - columns.start, rows.stop - rows.start, 1 / spacing,
-                        1 / spacing, 0.0, 0.0, matrix, orthographic=True)  # fmt: skip
-        prepared = raster.prepare(splats)
+        camera = Camera(nx, ny, 1 / spacing, 1 / spacing, 0.0, 0.0, matrix, orthographic=True)
+        prepared = raster.prepare(self.splats.take(which))
         layers = raster.rasterize(prepared, self.frame.camera_in_capture(camera), near=0.0)
         height = eye[2] + sign * layers.depth * self.frame.meters_per_unit
-        return height[flip], layers.alpha[flip], layers.color[flip]
+        return Seen(height[flip], layers.alpha[flip], layers.color[flip])
 
-    def soil(self, bed, classes):
+    def over(self, grid):
+        """Return the mask of the splats that reach over a grid."""
+        inside = np.ones(len(self.position), bool)
+        for axis in (0, 1):
+            low, high = grid.origin[axis], grid.origin[axis] + grid.size[axis]
+            inside &= self.position[:, axis] + self.reach > low
+            inside &= self.position[:, axis] - self.reach < high
+        return inside
+
+    def soil(self, bed, classes, grid):
         """Return the bed with the grass taken off."""
         solid = np.where(self.near_bed, self.splats.opacity > 3 * FAINT, False)
-        return bedding.soil_under_grass(bed, classes == GRASS, self.position, solid, self.grid)
+        return bedding.soil_under_grass(bed, classes == GRASS, self.position, solid, grid)
 
 
 def _change(splats, which):
@@ -297,9 +365,14 @@ def _less_bias(above, below, bare, grid):
     return height
 
 
-def _bed(seen, below, grid):
+def _bed(seen, below, grid, level):
     """Return bed, source, noise, colour and excess green from a look at the ground."""
     known = seen.alpha > MIN_SEEN_ALPHA
+    if not known.any():
+        blank = np.zeros(grid.shape, np.float32)
+        carried = level(*np.meshgrid(*grid.centres())).astype(np.float32)
+        unknown = np.full(grid.shape, UNKNOWN, np.uint8)
+        return carried, unknown, blank, np.zeros((*grid.shape, 3), np.float32), blank
     color = np.clip(seen.color / np.maximum(seen.alpha, 0.3)[..., None], 0, 1).astype(np.float32)
     source = np.where(known, MEASURED, UNKNOWN).astype(np.uint8)
     green = 2 * color[..., 1] - color[..., 0] - color[..., 2]

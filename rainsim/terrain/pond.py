@@ -29,7 +29,7 @@ LEAST_PITCH = 0.02  # m between them
 
 
 def fill_ponds(grid, bed, classes, bodies, color):
-    """Return bed and colour with the assumed beds of captured water, and its depth.
+    """Dig the assumed beds of captured water (bed and color are modified in place).
 
     Parameters
     ----------
@@ -42,28 +42,27 @@ def fill_ponds(grid, bed, classes, bodies, color):
 
     Returns
     -------
-    bed, color, depth : ndarray
-        depth of shape (ny, nx), float32 [m]; 0 where there is none.
+    depth : ndarray of shape (ny, nx), float32 [m], or None
+        Of the water, 0 where there is none; None if there is none at all.
     notes : tuple of str
     """
     wet = classes == WATER
-    depth = np.zeros(grid.shape, np.float32)
     if not wet.any():
-        return bed, color, depth, ()
-    bed, color = bed.copy(), color.copy()
+        return None, ()
+    depth = np.zeros(grid.shape, np.float32)
     labels, count = ndimage.label(wet)
-    away = ndimage.distance_transform_edt(wet) * grid.spacing
     notes, litres = [], 0.0
     for n, part in enumerate(ndimage.find_objects(labels, count), 1):
         margin = round(RIM / grid.spacing) + 1
         part = tuple(slice(max(s.start - margin, 0), s.stop + margin) for s in part)
         here = labels[part] == n
-        body = max(bodies, key=lambda b: np.count_nonzero(b.mask[part] & here), default=None)
-        if body is not None and np.count_nonzero(body.mask[part] & here) > 0.3 * here.sum():
+        away = ndimage.distance_transform_edt(np.pad(wet[part], 1, mode="edge"))[1:-1, 1:-1]
+        body = next((b for b in bodies if _holds(b, labels == n)), None)
+        if body is not None:
             level, shown = body.level, body.color
         else:
             level, shown = _painted_level(bed[part], here, wet[part], grid.spacing), USUAL_COLOR
-        deep = np.minimum(DEPTH, SHELF * away[part])
+        deep = np.minimum(DEPTH, SHELF * away * grid.spacing)
         bed[part] = np.where(here, level - deep, bed[part])
         depth[part] = np.where(here, deep, depth[part])
         color[part][here] = np.maximum(shown, DARKEST) ** (1 / GAMMA)
@@ -73,7 +72,12 @@ def fill_ponds(grid, bed, classes, bodies, color):
         f"captured water: {count} {bodies_are}, {wet.sum() * grid.cell_area:.3g} m2; its bed is "
         f"not seen and ASSUMED {DEPTH:g} m deep ({litres:.0f} litres)"
     )
-    return bed, color, depth, tuple(notes)
+    return depth, tuple(notes)
+
+
+def _holds(body, wet):
+    """Whether most of the wet cells (a mask of the map) are a body's."""
+    return np.count_nonzero(wet[body.cells] & body.mask) > np.count_nonzero(wet) / 3
 
 
 def _painted_level(bed, here, wet, spacing):

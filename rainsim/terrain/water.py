@@ -53,7 +53,10 @@ class Body:
 
     Attributes
     ----------
-    mask : ndarray of shape (ny, nx), bool
+    cells : tuple of slice
+        Rows and columns of the map about it.
+    mask : ndarray, bool
+        Its cells among those.
     level : float [m]
     confidence : float
         0 to 1.
@@ -62,6 +65,7 @@ class Body:
         Linear, of the water without its reflections.
     """
 
+    cells: tuple
     mask: np.ndarray
     level: float
     confidence: float
@@ -277,7 +281,13 @@ def _through(looks, level, grid, step):
 
 def _examine(watcher, looks, rough, through, grid, step, height, known):
     """Return the `Body` of a candidate, a mask of coarse cells, or None if it is none."""
-    fine = np.kron(rough, np.ones((step, step), bool))[: grid.shape[0], : grid.shape[1]]
+    margin = -(-RIM // (step * grid.spacing)) + 1
+    box = ndimage.find_objects(rough.astype(np.uint8))[0]
+    box = tuple(slice(max(s.start - int(margin), 0), s.stop + int(margin)) for s in box)
+    cells = tuple(slice(s.start * step, min(s.stop * step, n))
+                  for s, n in zip(box, grid.shape, strict=True))  # fmt: skip
+    height, known = height[cells], known[cells]
+    fine = np.kron(rough[box], np.ones((step, step), bool))[: height.shape[0], : height.shape[1]]
     around = ndimage.distance_transform_edt(~fine) * grid.spacing
     ring = (around > step * grid.spacing) & (around < RIM)
     if np.mean(known[ring]) < LEAST_RIM if ring.any() else True:
@@ -307,7 +317,7 @@ def _examine(watcher, looks, rough, through, grid, step, height, known):
     if flat is not None:
         reasons.append(f"its surface is level within {lean:.1f} degrees and {rest * 1e3:.0f} mm")
         doubt *= 0.6
-    return Body(mask, level, 1 - doubt, "; ".join(reasons), color)
+    return Body(cells, mask, level, 1 - doubt, "; ".join(reasons), color)
 
 
 def _plane_of(height, shown, inner, spacing):

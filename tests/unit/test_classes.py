@@ -1,5 +1,6 @@
 """Ground classes: the table, the mask that a user paints, lawns and moss; slopes and floaters."""
 
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +13,7 @@ from rainsim.config import TerrainConfig
 from rainsim.errors import InputError, ParameterError
 from rainsim.scene.ground import scale_from_length, with_fall
 from rainsim.scene.types import GroundFrame
+from rainsim.terrain import extract
 from rainsim.terrain.classify import classify
 
 SPACING = 0.04
@@ -136,10 +138,44 @@ def test_blades_at_the_rim_of_paving_dam_no_water():
 
 
 def test_a_hilly_street_is_followed_in_tiles(monkeypatch):
-    monkeypatch.setattr("rainsim.terrain.extract.TILE", 256)
+    monkeypatch.setattr("rainsim.terrain.extract.PIECE", 40_000)
     found = suite.measure_street(spacing=0.2)
     assert found["length_m"] > 250 and found["measured"] > 0.97
     assert found["bed_mm"] < 10  # it rises and falls by 1.4 m and its camber is 100 mm
+
+
+def test_parts_of_a_map_fit_together(yard, monkeypatch):
+    scene, _, config, whole = yard
+    monkeypatch.setattr(extract, "PIECE", 20_000)
+    monkeypatch.setattr(extract, "MARGIN", 1.0)
+    parts = list(extract.pieces(whole.grid))
+    covered = np.zeros(whole.grid.shape, int)
+    for core, inner, piece in parts:
+        covered[core] += 1
+        x, y = whole.grid.centres()
+        np.testing.assert_allclose(piece.grid.centres()[0][inner[1]], x[core[1]], atol=1e-9)
+        np.testing.assert_allclose(piece.grid.centres()[1][inner[0]], y[core[0]], atol=1e-9)
+    assert len(parts) > 1 and (covered == 1).all()
+    found = terrain.extract_terrain(scene, config)
+    measured = whole.source == terrain.MEASURED
+    assert np.percentile(np.abs(found.bed - whole.bed)[measured], 99) < 2e-4
+    assert (found.ground_class != whole.ground_class).mean() < 0.005
+
+
+def test_memory_grows_only_with_what_is_kept(monkeypatch):
+    monkeypatch.setattr(extract, "PIECE", 16_000)
+    monkeypatch.setattr(extract, "MARGIN", 0.3)
+    scene, truth = captures.yard(0, floaters=0.0, step=0.15)
+    scene, peaks = replace(scene, ground_frame=truth.frame), []
+    for spacing in (0.04, 0.02):
+        tracemalloc.start()
+        cells = terrain.extract_terrain(scene, TerrainConfig(spacing=spacing, extent=3.0)).bed.size
+        peaks.append((cells, tracemalloc.get_traced_memory()[1]))
+        tracemalloc.stop()
+    (few, low), (many, high) = peaks
+    assert (
+        20 < (high - low) / (many - few) < 60
+    )  # bytes per cell; it was 160 before there were parts
 
 
 def test_fall_turns_the_frame_about_its_origin():

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from rainsim.errors import ParameterError
-from rainsim.puddles import Puddles, puddles_of, wet_share
+from rainsim.puddles import Puddles, bed_error, doubt, puddles_of, wet_share
 from rainsim.standing import SpillGraph, standing_water
-from rainsim.terrain import HARD, MEASURED, Grid, Terrain
+from rainsim.terrain import HARD, MEASURED, UNKNOWN, Grid, Terrain
 
 SPACING = 0.05
 
@@ -102,3 +102,11 @@ def test_noise_of_the_terrain_sets_what_is_left_out():
     assert rough.depth[2:8, 30:38].max() == 0 < quiet.depth[2:8, 30:38].max()
     assert 0 < wet_share(rough.depth, np.ones(bed.shape, bool)) < 1
     assert wet_share(rough.depth, np.zeros(bed.shape, bool)) == 0
+
+
+def test_puddles_on_a_noisy_or_unseen_bed_are_not_to_be_believed():
+    quiet, rough = (made_terrain(two_bowls(), noise) for noise in (0.1e-3, 4e-3))
+    assert doubt(quiet, 3e-3) is None and bed_error(quiet) < 0.5e-3 < bed_error(rough)
+    assert "mm off" in doubt(rough, 1e-3) and doubt(rough, 0.1) is None
+    quiet.source[:30] = UNKNOWN
+    assert "only 25% of the paving is measured" in doubt(quiet, 3e-3)
