@@ -30,8 +30,8 @@ from rainsim.scene.types import Camera
 from rainsim.sky import sample_environment
 
 ZERO, HALF, ONE, TWO, THIRD = (np.float32(v) for v in (0, 0.5, 1, 2, 1 / 3))
-RESOLUTION = 250.0  # px per unit of tangent, of the level picture
-FIELD_STEP = 250.0  # as many, of the field of mirrored light
+RESOLUTION = 160.0  # px per unit of tangent, of the level picture
+FIELD_STEP = 160.0  # as many, of the field of mirrored light
 MOST_ASIDE, MOST_UP = 1.3, 1.2  # tangents that the level picture reaches to
 MARGIN, ABOVE = 0.12, 0.02  # of it, besides what the camera sees and above the horizon
 STANDING = 0.04  # m above the ground of the map: what is lower is ground
@@ -208,13 +208,13 @@ def mirrored_light(
         sideways = TWO * facet * math.sqrt(ONE + rise * rise)
         for _ in range(STEPS if rows > 0 else 0):
             reach = ONE / ((span + way) * ahead)
-            c = column - cross * sideways * way / (span + way) / (ahead * ahead) * lens[0]
+            c = column + cross * sideways * way / (span + way) / (ahead * ahead) * lens[0]
             row = lens[1] * (drop + way * rise) * reach + lens[3]
             p = min(max(int(c), 0), columns - 1)
             q = min(max(int(row), 0), rows - 1)
             way = max(min(depth[q, p], FAR) / ahead - span, ZERO)
         bent = way / (span + way)
-        c = column - cross * sideways * bent / (ahead * ahead) * lens[0]
+        c = column + cross * sideways * bent / (ahead * ahead) * lens[0]
         row = lens[1] * (drop + way * rise) / ((span + way) * ahead) + lens[3]
         # Widths in pixels. A level's texel, interpolated, has a deviation of half its width: as
         # much as a part of 1.7 widths has, and half of what `broad` is.
@@ -337,42 +337,44 @@ class WetGround:
         notes : list of str
             What `auto` chose is added, once.
         """
+        if not cover.any():
+            return view
+        if self.config.film == "auto" and not self.drawn:
+            self._choose(mean_share(view, cover), notes)
+        field, step = self.field(view, cover, camera, draw_mirrored, environment)
+        picture = np.empty_like(view.picture)
+        lay_film(view.picture, cover, field, step, picture)
+        return replace(view, picture=picture, below=view.picture)
+
+    def _choose(self, share, notes):
+        """Decide whether film that mirrors a share of the light in view is worth a picture.
+
+        Once it was worth it, it stays so: a film must not change its look between two frames.
+        """
+        self.drawn = share > WORTH
+        if self.drawn or not self._told:
+            what = "a mirrored picture" if self.drawn else "the surroundings only"
+            notes.append(f"film on wet ground: mirrors {what}, {share:.1%} of the light in view")
+        self._told = True
+
+    def field(self, view, cover, camera, draw_mirrored, environment):
+        """Return the field of light that full film mirrors, and the step of its blocks [px]."""
         step = max(1, round(camera.fx / FIELD_STEP))
         wanted = np.empty([-(-n // step) for n in cover.shape], bool)
         film_blocks(cover, step, wanted)
-        if not wanted.any():
-            return view
-        atlas, depth, lens, forward = self._level_picture(view, cover, camera, draw_mirrored, notes)
+        atlas, depth, lens, forward = NOTHING
+        if self.drawn:
+            level = level_camera(camera)
+            seen = draw_mirrored(level)
+            atlas, depth, lens = ripmap(seen.picture, round(level.cy)), seen.depth, seen.lens
+            forward = level.forward[:2].astype(np.float32)
         field = np.empty((*wanted.shape, 3), np.float32)
         mirrored_field(
             view.turn, view.eye, view.lens, step, wanted, self.ground,
             np.array(self.terrain.grid.origin, np.float32), np.float32(self.terrain.grid.spacing),
             LOBE, atlas, depth, lens, forward, environment, field,
         )  # fmt: skip
-        picture = np.empty_like(view.picture)
-        lay_film(view.picture, cover, field, step, picture)
-        return replace(view, picture=picture, below=view.picture)
-
-    def _level_picture(self, view, cover, camera, draw_mirrored, notes):
-        """Return the ripmap, depth, lens and axis of the level picture; empty if not worth it.
-
-        Once it was worth it, it stays so: a film must not change its look between two frames.
-        """
-        if self.config.film == "auto" and not self.drawn:
-            share = mean_share(view, cover)
-            self.drawn = share > WORTH
-            if self.drawn or not self._told:
-                what = "a mirrored picture" if self.drawn else "the surroundings only"
-                notes.append(
-                    f"film on wet ground: mirrors {what}, {share:.1%} of the light in view"
-                )
-            self._told = True
-        if not self.drawn:
-            return NOTHING
-        level = level_camera(camera)
-        seen = draw_mirrored(level)
-        forward = level.forward[:2].astype(np.float32)
-        return ripmap(seen.picture, round(level.cy)), seen.depth, seen.lens, forward
+        return field, step
 
     @functools.cached_property
     def ground(self):

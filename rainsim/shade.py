@@ -48,6 +48,7 @@ WALL_SHARE = np.float32(0.15)  # of the depth by which a wall's plane may differ
 SKY_DARK, SKY_BRIGHT = np.float32(0.10), np.float32(0.22)  # linear luminance: no sky, all sky
 EDGE_COSINE = np.float32(0.25)  # of the view to a thing's surface, below which it glosses less
 FLAT = np.float32(0.7)  # cosine to the vertical above which a surface counts as level ground
+TO_BORDER = np.float32(1.01)  # cells before the map's end that interpolation still reaches
 LEAST_SKY = np.float32(0.002)  # share of sky that does not change an 8-bit picture
 LEAST_ALPHA = np.float32(0.1)  # what covers less of a pixel has no depth
 ON_GROUND = np.float32(0.3)  # m over the bed: what stands higher is no ground
@@ -147,13 +148,17 @@ def grade_and_wet(
                 d * length, z * il, cosine, upness, height_here, lawn, damp, film, pores,
                 look[0], look[1], look[2], look[3], look[4],
             )  # fmt: skip
-            on_floor = film_apart and upness > FLAT and height_here < ON_GROUND
+            on_floor = solid and upness > FLAT and height_here < ON_GROUND
             if film_apart:
                 film_out[row, column] = ZERO
-            if on_floor:
-                film_out[row, column] = (
-                    film * (TWO * upness - ONE) * (ONE - lawn) if solid else ZERO
-                )
+            if film_apart and on_floor:
+                if not clearance < FAR_AWAY:  # off the map: as at its border
+                    u = (eye[0] + e * x - origin[0]) / spacing - HALF
+                    v = (eye[1] + e * y - origin[1]) / spacing - HALF
+                    u = min(max(u, ZERO), np.float32(ground.shape[1]) - TO_BORDER)
+                    v = min(max(v, ZERO), np.float32(ground.shape[0]) - TO_BORDER)
+                    lawn, _, film, _ = on_ground(ground, u, v)
+                film_out[row, column] = film * (TWO * upness - ONE) * (ONE - lawn)
             elif gloss > ZERO:
                 e0, e1, e2 = glossed(environment, x * il, y * il, z * il)
                 r, g, bl = r + gloss * e0, g + gloss * e1, bl + gloss * e2

@@ -21,6 +21,7 @@ from skimage.metrics import structural_similarity
 
 from rainsim import pipeline, reflect
 from rainsim.bench.chart import COLORS, MARKERS, require_matplotlib
+from rainsim.bench.film import film_accuracy, film_line
 from rainsim.config import Config
 from rainsim.jit import set_threads
 from rainsim.render import Renderer, Timer
@@ -119,7 +120,7 @@ def measure(scene, preset, quick):
         "scene": scene.name, "preset": preset, "size": [camera.width, camera.height],
         "water_pixels": len(renderer.water.pixel), "causes": truth["causes"],
         "view_dependence": truth["view_dependence"], "traced": truth["cost"], "levels": levels,
-        "others": others,
+        "others": others, "film": film_accuracy(renderer, camera),
     }  # fmt: skip
 
 
@@ -327,6 +328,8 @@ def _lines(case):
             f"  {row['name']:24s} {error:>16s}, {row['seconds'] * 1e3:.1f} ms, "
             f"covers {row['covers']:.0%}"
         )
+    if case["film"] is not None:
+        lines.append(film_line(case["film"]))
     return "\n".join(lines)
 
 
