@@ -29,15 +29,17 @@ def top_of(height, level):
 @device_function
 def block_mean(picture, coarse, level, row, column, c):
     """Return a channel of a cell of `level`, from 1 up, as the mean over the level before."""
-    j, i = 2 * row, 2 * column
     if level == 1:
-        return QUARTER * (
-            (picture[j, i, c] + picture[j, i + 1, c])
-            + (picture[j + 1, i, c] + picture[j + 1, i + 1, c])
-        )
-    j += top_of(picture.shape[0], level - 1)
+        return mean_of_four(picture, 2 * row, 2 * column, 1, c)
+    return mean_of_four(coarse, top_of(picture.shape[0], level - 1) + 2 * row, 2 * column, 1, c)
+
+
+@device_function
+def mean_of_four(cells, j, i, apart, c):
+    """Return the mean of a channel of cell (j, i) and the three `apart` from it."""
     return QUARTER * (
-        (coarse[j, i, c] + coarse[j, i + 1, c]) + (coarse[j + 1, i, c] + coarse[j + 1, i + 1, c])
+        (cells[j, i, c] + cells[j, i + apart, c])
+        + (cells[j + apart, i, c] + cells[j + apart, i + apart, c])
     )
 
 

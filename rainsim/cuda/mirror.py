@@ -13,11 +13,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from rainsim.cuda import project, shading
+from rainsim.cuda import project
 from rainsim.cuda.jit import cuda, cuda_device, cuda_kernel, pinned
 from rainsim.cuda.raster import Rasterizer
 from rainsim.optics import HALF, ZERO
-from rainsim.pyramid import COARSEST, block_mean, coarse_shape, top_of
+from rainsim.pyramid import COARSEST, coarse_shape, mean_of_four, top_of
 from rainsim.raster.project import FRUSTUM_MARGIN
 from rainsim.render import _pose
 from rainsim.scene.cameras import mirrored_camera
@@ -34,6 +34,7 @@ BINS = 4096  # of LEVEL_STEP: 8 m of water heights
 EDGES = BINS + 1
 THREADS = 256
 OWN_BINS = BINS // THREADS  # of a thread
+SQUARE_CELLS = 1 << (COARSEST - 1)  # of half the resolution in one of the coarsest
 COUNT_ROWS = 8  # that a block of threads counts
 NONE = 1 << 30  # first column of water where there is none
 TWICE_SLOPE = 2 * WINDOW_SLOPE
@@ -255,15 +256,32 @@ def aim(served, mirror, numbers, eye, extent, now_out, eye_out, range_out, windo
 
 
 @cuda_kernel
-def halve(window, picture, level, coarse_out):
-    """Write a coarser resolution of a picture's window; see `rainsim.pyramid.coarsened`."""
-    column, row = cuda.grid(2)
+def coarsen(window, picture, coarse_out):
+    """Write all coarser resolutions of a picture's window; see `rainsim.pyramid.coarsened`.
+
+    A block of threads takes a square that is one cell of the coarsest resolution.
+    """
+    cells = cuda.shared.array((SQUARE_CELLS, SQUARE_CELLS, 3), np.float32)
+    tid = cuda.threadIdx.x
     width, height = int(window[4]), int(window[5])
-    if row < height >> level and column < width >> level:
-        top = top_of(height, level)
-        for c in range(3):
-            value = block_mean(picture[:height, :width], coarse_out, level, row, column, c)
-            coarse_out[top + row, column, c] = value
+    side = SQUARE_CELLS
+    for level in range(1, COARSEST + 1):
+        top, apart = top_of(height, level), 1 << (level - 1)
+        for k in range(tid, side * side, THREADS):
+            y, x = k // side, k % side
+            row, column = cuda.blockIdx.y * side + y, cuda.blockIdx.x * side + x
+            if row < height >> level and column < width >> level:
+                # A finer cell lies where the first of those that it is the mean of has lain.
+                j, i = y * apart, x * apart
+                for c in range(3):
+                    if level == 1:
+                        value = mean_of_four(picture, 2 * row, 2 * column, 1, c)
+                    else:
+                        value = mean_of_four(cells, j, i, apart >> 1, c)
+                    cells[j, i, c] = value
+                    coarse_out[top + row, column, c] = value
+        cuda.syncthreads()
+        side //= 2
 
 
 class _MirroredRasterizer(Rasterizer):
@@ -426,11 +444,10 @@ class Mirrors:
                 rasterizer, self._size, self._turn, self._eye, self.picture[mirror],
                 self.depth[mirror], self._clearance,
             )  # fmt: skip
-            for level in range(1, COARSEST + 1):
-                cells = shading.blocks(*(side >> level for side in self._size))
-                halve[cells, shading.BLOCK, self.stream](
-                    self.window, self.picture[mirror], level, self.coarse[mirror]
-                )
+            rows, columns = (-(-side // (2 * SQUARE_CELLS)) for side in self._size)
+            coarsen[(columns, rows), THREADS, self.stream](
+                self.window, self.picture[mirror], self.coarse[mirror]
+            )
 
 
 def largest_window(camera):

@@ -21,6 +21,7 @@ from rainsim.raster.prepared import LANES, OPACITY
 from rainsim.raster.project import FRUSTUM_MARGIN, NO_PLANE, TILE
 
 ROOM = 1.06  # entries there is room for, over the number that a picture had
+MOST_ROOM = 1.5  # over what there should be, up to which it is left
 NEARLY_FULL = 0.985  # share of the room from which on more is made before the next picture
 FIRST_ROOM = 4  # entries per splat before anything was counted
 THREADS = 256
@@ -326,12 +327,20 @@ class Rasterizer:
         return self.entries > self._capacity
 
     def is_tight(self):
-        """Return whether the next picture of a moving camera may find too little room."""
-        return self.entries > NEARLY_FULL * self._capacity
+        """Return whether room should be made anew for the next picture of a moving camera.
+
+        It may find too little, or this one took far less than there was: all of it is sorted.
+        """
+        loose = self._capacity > MOST_ROOM * (ROOM * self.entries + THREADS)
+        return loose or self.entries > NEARLY_FULL * self._capacity
 
     def make_room(self):
         """Make room for as many entries as the finished picture had, and some more."""
-        self._room_for_entries(int(self._count[0]))
+        before = self._capacity
+        self._room_for_entries(self.entries)
+        if self._capacity < before:
+            self.workspace.trim(self._capacity)
+            self.take()
 
     @property
     def queue(self):

@@ -107,6 +107,15 @@ def test_too_many_entries_are_counted_and_the_picture_is_drawn_again():
         np.testing.assert_array_equal(getattr(again, name), getattr(first, name))
 
 
+def test_room_that_was_not_taken_is_given_back():
+    rasterizer = twin.Rasterizer(raster.prepare(cloud()), first_room=5000)
+    first = rasterizer.draw(camera(), 0.2)
+    assert rasterizer.is_tight()
+    rasterizer.make_room()
+    assert not rasterizer.is_tight() and len(rasterizer._key) < 2000
+    np.testing.assert_array_equal(rasterizer.draw(camera(), 0.2).color, first.color)
+
+
 def test_equal_depths_keep_the_order_of_the_cpu():
     splats = cloud(40, 1)
     position = splats.position.copy()
