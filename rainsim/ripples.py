@@ -75,6 +75,8 @@ class RippleTile:
         0 for clean water to 1 for water whose surface film does not stretch: street dirt.
     rate : float [mm/h]
         Of the rain that stirs the water; see `stirring`.
+    chord : float [m]
+        Mean way across the water, see `mean_chord`: its shores take the waves that reach them.
     dtype : dtype
         Of the state; float32 is good to a thousandth of a slope and twice as fast.
 
@@ -87,7 +89,9 @@ class RippleTile:
     law a smaller drop puts a smaller share into waves, in proportion to its mass.
     """
 
-    def __init__(self, size=1.0, cells=256, depth=0.01, film=0.0, rate=0.0, dtype=np.float64):
+    def __init__(
+        self, size=1.0, cells=256, depth=0.01, film=0.0, rate=0.0, chord=math.inf, dtype=np.float64
+    ):
         self.size = require_positive("tile size", size, "m")
         self.depth = require_positive("tile depth", depth, "m")
         if isinstance(cells, bool) or int(cells) != cells or cells < 2 or cells % 2:
@@ -103,6 +107,10 @@ class RippleTile:
         self._omega = angular_frequency(self._k, self.depth)
         stirred = stirring(require_not_negative("rain rate", rate, "mm/h"))
         self._damping = damping_rate(self._k, self.depth, self.film, stirred)
+        # Energy that runs over a chord at the group speed is lost at its end.
+        step = 1e-3 * np.maximum(self._k, 1e-3)
+        ahead, behind = (angular_frequency(self._k + s, self.depth) for s in (step, 0.0))
+        self._damping += (ahead - behind) / step / (2 * chord)
         self._weight = np.full(self._k.shape, 2.0)  # the half plane not stored counts too
         self._weight[:, 0] = self._weight[:, -1] = 1.0
         # eta and the quarter period behind it, spectra in the scaling of rfft2
@@ -238,6 +246,17 @@ class RippleTile:
                 at = (j + dj) % n * n + (i + di) % n
                 grid += np.bincount(at, momentum * share_i * share_j, minlength=n * n)
         return scipy.fft.rfft2(grid.reshape(n, n).astype(self._real))
+
+
+def mean_chord(depth, spacing, least):
+    """Return the mean way [m] across water deeper than `least` [m], infinite without shores.
+
+    Of straight lines in all directions that is pi times the area over the length of its shores
+    (Cauchy); a shore of cells is longer than it looks by 4 / pi.
+    """
+    wet = np.asarray(depth) > least
+    shores = sum(np.count_nonzero(np.diff(wet, axis=axis)) for axis in (0, 1))
+    return math.inf if shores == 0 else 4.0 * spacing * np.count_nonzero(wet) / shores
 
 
 def ring_reach(depth, film=0.0, rate=0.0):

@@ -19,7 +19,7 @@ from rainsim.grid import WaterSolver
 from rainsim.jit import cpu_kernel, prange
 from rainsim.ledger import Ledger
 from rainsim.puddles import WET, doubt, puddles_of, wet_share
-from rainsim.ripples import RippleTile, tile_impacts
+from rainsim.ripples import RippleTile, mean_chord, tile_impacts
 from rainsim.spectrum import terminal_speed
 from rainsim.terrain.table import DRAIN
 from rainsim.weather import Weather, wind_shares
@@ -209,6 +209,7 @@ def simulate(terrain, config, progress=None, dtype=np.float32):
     ripples = RippleTile(
         depth=puddle_depth(depth),
         film=config.water.surface_film,
+        chord=mean_chord(depth, terrain.grid.spacing, RIPPLE_DEPTHS[0]),
         rate=weather.mean_rate,
         dtype=np.float32,
     )

@@ -21,7 +21,7 @@ from rainsim.cuda.ripples import Ripples
 from rainsim.cuda.water import Water
 from rainsim.errors import BackendError, DivergedError, ParameterError
 from rainsim.moments import ripple_moments
-from rainsim.ripples import RippleTile
+from rainsim.ripples import RippleTile, mean_chord
 from rainsim.weather import Weather
 
 NO_DRIPS = "backend cuda keeps on objects what falls on them: no drips from their edges"
@@ -89,6 +89,7 @@ class Simulation:
         tile = RippleTile(
             depth=host.puddle_depth(depth),
             film=config.water.surface_film,
+            chord=mean_chord(depth, terrain.grid.spacing, host.RIPPLE_DEPTHS[0]),
             rate=self.weather.mean_rate,
             dtype=np.float32,
         )

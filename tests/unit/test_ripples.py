@@ -14,6 +14,7 @@ from rainsim.ripples import (
     RippleTile,
     angular_frequency,
     damping_rate,
+    mean_chord,
     ring_reach,
     ring_share,
     stirring,
@@ -237,3 +238,18 @@ def test_a_tile_under_heavy_rain_is_damped_by_it():
         tile.advance(0.0, np.array([[0.2, 0.2]]), np.array([1e-4]))
         tile.advance(4.0)
     assert stirred.energy() < 0.75 * still.energy()
+
+
+def test_shores_take_the_waves_of_a_small_puddle():
+    y, x = (np.indices((200, 200)) + 0.5) * 0.01
+    disc = np.where(np.hypot(x - 1, y - 1) < 0.5, 0.01, 0.0)
+    assert mean_chord(disc, 0.01, 2e-3) == pytest.approx(np.pi / 2 * 0.5, rel=0.03)
+    assert mean_chord(np.ones((9, 9)), 0.01, 2e-3) == math.inf
+    small, wide = RippleTile(0.5, 64, 0.05, chord=0.4), RippleTile(0.5, 64, 0.05)
+    k = 2 * np.pi * 10 / 0.5
+    for tile in (small, wide):
+        wave(tile, 10)
+        tile.advance(1.0)
+    speed = (angular_frequency(k * 1.001, 0.05) - angular_frequency(k, 0.05)) / (0.001 * k)
+    lost = small.energy() / wide.energy()
+    assert lost == pytest.approx(np.exp(-speed / 0.4), rel=0.02) and lost < 0.8
