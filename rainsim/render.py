@@ -145,6 +145,11 @@ class Renderer:
             light,
         )
 
+    def film(self, shots, names=()):
+        """Yield what `draw` returns for each (camera, state, camera_end), one after the other."""
+        for camera, state, camera_end in shots:
+            yield self.draw(camera, state, camera_end, names)
+
     def _shot(self, names, state, rain_alpha, splash_alpha, fog):
         """Return what the frame just drawn was put together from."""
         dry = None
@@ -458,8 +463,11 @@ def render(scene, terrain, states, cameras, config, names=(), backend="cpu"):
     scene = without_images(scene, terrain)
     renderer = renderer_class(backend)(scene, terrain, config, cameras[0])
     path = [scene.ground_frame.camera_in_ground(camera) for camera in cameras]
-    for state in states:
-        camera = cameras[0] if len(cameras) == 1 else cameras[state.index]
-        exposure = config.at(state.time).render.exposure
-        end = shutter_end(path, state.index, exposure, config.fps)
-        yield renderer.draw(camera, state, end, names)
+
+    def shots():
+        for state in states:
+            camera = cameras[0] if len(cameras) == 1 else cameras[state.index]
+            exposure = config.at(state.time).render.exposure
+            yield camera, state, shutter_end(path, state.index, exposure, config.fps)
+
+    yield from renderer.film(shots(), names)

@@ -15,8 +15,9 @@ from rainsim.jit import device_function, lean_function
 
 GROUND, OBSTACLE = 0, 1  # what was hit
 _MISSED, _LOST = -1, -2  # nothing up to the end of the line; stopped before it entered the map
-BLOCK = 16  # cells; side of the blocks whose highest top lets the search skip them
-_PER_BLOCK = 1 / BLOCK
+BLOCK = 16  # cells; side of the blocks whose heights tell which air to search
+PATCH = 4  # cells; side of the patches that a path is led over if it is above their highest top
+_PER_PATCH = 1 / PATCH
 _CLEARANCE = 0.01  # m; lines are followed from this far above the highest top
 _SKIN = 1e-4  # m; how deep a point must lie in a solid for the cheap test to call it stopped
 _INFINITY = np.inf
@@ -53,7 +54,7 @@ class Surfaces:
     top: np.ndarray
     underside: np.ndarray
     block_low: np.ndarray = field(init=False, repr=False)
-    block_high: np.ndarray = field(init=False, repr=False)
+    patch_high: np.ndarray = field(init=False, repr=False)
     around_low: np.ndarray = field(init=False, repr=False)
     around_high: np.ndarray = field(init=False, repr=False)
     sky: float = field(init=False, repr=False)
@@ -73,10 +74,10 @@ class Surfaces:
             put(self, name, heights)
         put(self, "top", np.maximum(self.top, self.ground))
         put(self, "block_low", reduce_blocks(np.minimum, self.ground))
-        put(self, "block_high", reduce_blocks(np.maximum, self.top))
+        put(self, "patch_high", reduce_blocks(np.maximum, self.top, PATCH))
         put(self, "around_low", grow_blocks(np.minimum, self.block_low))
-        put(self, "around_high", grow_blocks(np.maximum, self.block_high))
-        put(self, "sky", float(self.block_high.max()) + _CLEARANCE)
+        put(self, "around_high", grow_blocks(np.maximum, reduce_blocks(np.maximum, self.top)))
+        put(self, "sky", float(self.patch_high.max()) + _CLEARANCE)
 
     @property
     def shape(self):
@@ -92,7 +93,7 @@ class Surfaces:
         """Return what `first_hit` takes after the line, in its order."""
         x0, y0 = map(float, self.origin)
         return (x0, y0, float(self.spacing), self.sky,
-                self.ground, self.underside, self.top, self.block_high)  # fmt: skip
+                self.ground, self.underside, self.top, self.patch_high)  # fmt: skip
 
 
 def flat_surfaces(width, depth, spacing, origin=(0.0, 0.0), height=0.0):
@@ -102,9 +103,9 @@ def flat_surfaces(width, depth, spacing, origin=(0.0, 0.0), height=0.0):
     return Surfaces(spacing, origin, level, level, level)
 
 
-def reduce_blocks(reduce, values):
-    """Reduce blocks of BLOCK x BLOCK values to one each by a ufunc; the last may be smaller."""
-    rows, columns = (np.arange(0, n, BLOCK) for n in values.shape)
+def reduce_blocks(reduce, values, side=BLOCK):
+    """Reduce blocks of side x side values to one each by a ufunc; the last may be smaller."""
+    rows, columns = (np.arange(0, n, side) for n in values.shape)
     return np.ascontiguousarray(reduce.reduceat(reduce.reduceat(values, rows, 0), columns, 1))
 
 
@@ -120,7 +121,7 @@ def grow_blocks(reduce, blocks):
 
 @lean_function
 def first_hit(
-    x, y, z, vx, vy, vz, since, end, x0, y0, spacing, sky, ground, underside, top, block_high
+    x, y, z, vx, vy, vz, since, end, x0, y0, spacing, sky, ground, underside, top, patch_high
 ):  # fmt: skip
     """Find where a drop's path first meets the surfaces.
 
@@ -132,7 +133,7 @@ def first_hit(
     vx, vy, vz : float64 [m/s]
     since, end : float64 [s]
         The part of the path that counts; minus infinity for all of it from the open sky.
-    x0, y0, spacing, sky, ground, underside, top, block_high
+    x0, y0, spacing, sky, ground, underside, top, patch_high
         As `Surfaces.arrays` gives them.
 
     Returns
@@ -149,28 +150,31 @@ def first_hit(
     ny, nx = ground.shape
     column_at, row_at = (x - x0) / spacing, (y - y0) / spacing  # in cells, at time 0
     column_speed, row_speed = vx / spacing, vy / spacing
+    # Products with these and not quotients all along the path: a quotient takes many times as long.
+    column_time = 1 / column_speed if column_speed != 0 else _INFINITY
+    row_time = 1 / row_speed if row_speed != 0 else _INFINITY
     enter = (sky - z) / vz
-    begin, stop = _clip(column_at, column_speed, nx, max(enter, since), end)
-    begin, stop = _clip(row_at, row_speed, ny, begin, stop)
+    begin, stop = _clip(column_at, column_time, nx, max(enter, since), end)
+    begin, stop = _clip(row_at, row_time, ny, begin, stop)
     if begin >= stop:
         return _INFINITY, _MISSED, 0, 0
     midway = begin > enter
 
-    # Block by block; only blocks that reach up to the path are searched cell by cell.
+    # Patch by patch; only patches that reach up to the path are searched cell by cell.
     # A product and not a quotient of whole numbers, which takes a processor long; it is exact.
-    i = int(np.floor((column_at + column_speed * begin) * _PER_BLOCK))
-    j = int(np.floor((row_at + row_speed * begin) * _PER_BLOCK))
-    i = min(max(i, 0), block_high.shape[1] - 1)
-    j = min(max(j, 0), block_high.shape[0] - 1)
+    i = int(np.floor((column_at + column_speed * begin) * _PER_PATCH))
+    j = int(np.floor((row_at + row_speed * begin) * _PER_PATCH))
+    i = min(max(i, 0), patch_high.shape[1] - 1)
+    j = min(max(j, 0), patch_high.shape[0] - 1)
     now = begin
     while True:
-        leave_i = _leave(i * BLOCK, BLOCK, column_at, column_speed)
-        leave_j = _leave(j * BLOCK, BLOCK, row_at, row_speed)
+        leave_i = _leave(i * PATCH, PATCH, column_at, column_time)
+        leave_j = _leave(j * PATCH, PATCH, row_at, row_time)
         leave = min(leave_i, leave_j, stop)
-        if z + vz * leave <= block_high[j, i]:
-            time, kind, row, column = _search_block(
+        if z + vz * leave <= patch_high[j, i]:
+            time, kind, row, column = _search_patch(
                 j, i, now, leave, z, vz, column_at, row_at, column_speed, row_speed,
-                midway and now == begin, ground, underside, top,
+                column_time, row_time, midway and now == begin, ground, underside, top,
             )  # fmt: skip
             if kind != _MISSED:
                 return time, kind, row, column
@@ -181,7 +185,7 @@ def first_hit(
             i += 1 if column_speed > 0 else -1
         else:
             j += 1 if row_speed > 0 else -1
-        if i < 0 or j < 0 or i >= block_high.shape[1] or j >= block_high.shape[0]:
+        if i < 0 or j < 0 or i >= patch_high.shape[1] or j >= patch_high.shape[0]:
             return _INFINITY, _MISSED, 0, 0
 
 
@@ -197,20 +201,20 @@ def stopped_at(x, y, z, x0, y0, spacing, ground, underside, top):
 
 
 @lean_function
-def _search_block(
-    block_j, block_i, begin, stop, z, vz, column_at, row_at, column_speed, row_speed,
-    midway, ground, underside, top,
+def _search_patch(
+    patch_j, patch_i, begin, stop, z, vz, column_at, row_at, column_speed, row_speed,
+    column_time, row_time, midway, ground, underside, top,
 ):  # fmt: skip
-    """Follow the path cell by cell through one block, from time `begin` to `stop`."""
-    low_i, low_j = block_i * BLOCK, block_j * BLOCK
-    high_i = min(low_i + BLOCK, ground.shape[1]) - 1
-    high_j = min(low_j + BLOCK, ground.shape[0]) - 1
+    """Follow the path cell by cell through one patch, from time `begin` to `stop`."""
+    low_i, low_j = patch_i * PATCH, patch_j * PATCH
+    high_i = min(low_i + PATCH, ground.shape[1]) - 1
+    high_j = min(low_j + PATCH, ground.shape[0]) - 1
     i = min(max(int(np.floor(column_at + column_speed * begin)), low_i), high_i)
     j = min(max(int(np.floor(row_at + row_speed * begin)), low_j), high_j)
     now = begin
     while True:
-        leave_i = _leave(i, 1, column_at, column_speed)
-        leave_j = _leave(j, 1, row_at, row_speed)
+        leave_i = _leave(i, 1, column_at, column_time)
+        leave_j = _leave(j, 1, row_at, row_time)
         leave = min(leave_i, leave_j, stop)
         time, kind = _meet_cell(now, leave, z, vz, ground[j, i], underside[j, i], top[j, i])
         if kind != _MISSED:
@@ -244,19 +248,17 @@ def _meet_cell(begin, leave, z, vz, ground, underside, top):
 
 
 @device_function
-def _leave(cell, size, at, speed):
-    """Time at which the path leaves [cell, cell + size) along one axis."""
-    if speed > 0:
-        return (cell + size - at) / speed
-    if speed < 0:
-        return (cell - at) / speed
-    return _INFINITY
+def _leave(cell, size, at, per_cell):
+    """Time at which the path leaves [cell, cell + size) on one axis; `per_cell` [s] has a sign."""
+    if per_cell == _INFINITY:
+        return _INFINITY
+    return (cell + size - at) * per_cell if per_cell > 0 else (cell - at) * per_cell
 
 
 @device_function
-def _clip(at, speed, count, begin, stop):
-    """Clip the times [begin, stop] to those at which 0 <= at + speed * time < count."""
-    if speed == 0:
+def _clip(at, per_cell, count, begin, stop):
+    """Clip the times [begin, stop] to those at which 0 <= at + time / per_cell < count."""
+    if per_cell == _INFINITY:
         return (begin, stop) if 0 <= at < count else (_INFINITY, -_INFINITY)
-    first, last = -at / speed, (count - at) / speed
+    first, last = -at * per_cell, (count - at) * per_cell
     return max(begin, min(first, last)), min(stop, max(first, last))

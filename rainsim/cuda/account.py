@@ -264,7 +264,7 @@ def refresh(control, state, now, numbers, w, bed, ny, nx, wide):
 
 @cuda_kernel
 def close(control, state, blocks, whole, partial_out):
-    """Bring the account up to date at a frame's end; one block.
+    """Bring the account up to date at a frame's end; a block for each of the sums.
 
     Parameters
     ----------
@@ -277,31 +277,25 @@ def close(control, state, blocks, whole, partial_out):
     partial_out : device array of shape (PARTIAL, blocks), float64
         Blanked.
     """
-    room = cuda.shared.array((PARTIAL, CLOSERS), np.float64)
-    lane = cuda.threadIdx.x
-    for which in range(PARTIAL):
-        total = 0.0
-        for block in range(lane, blocks, CLOSERS):
-            total += partial_out[which, block]
-            if which < P_GROUND:
-                partial_out[which, block] = 0.0
-        room[which, lane] = total
-    cuda.syncthreads()
-    n = CLOSERS // 2
-    while n > 0:
-        for place in range(lane, PARTIAL * n, CLOSERS):
-            which, at = place // n, place % n
-            room[which, at] += room[which, at + n]
-        cuda.syncthreads()
-        n //= 2
-    out, drops, drunk = room[P_OUT, 0], room[P_DROPPED, 0], room[P_DRUNK, 0]
-    ground, film = room[P_GROUND, 0], room[P_FILM, 0]
-    if lane == 0:
-        control[OUTFLOW] += out * whole
-        control[DROPPED] += drops * UNIT
-        control[INFILTRATED] += drunk
-        control[DRAINED] += room[P_DRAINED, 0]
+    room = cuda.shared.array(CLOSERS, np.float64)
+    lane, which = cuda.threadIdx.x, cuda.blockIdx.x
+    total = 0.0
+    for block in range(lane, blocks, CLOSERS):
+        total += partial_out[which, block]
+        if which < P_GROUND:
+            partial_out[which, block] = 0.0
+    total = block_sum(room, lane, total)
+    if lane > 0:
+        return
+    if which == P_OUT:
+        control[OUTFLOW] += total * whole
         if state[RUNS] == 1 and control[LEFT] == 0.0:
             control[LEFT] = PLANNED
-        if state[LAST] == 1:
-            control[GROUND], control[FILM] = ground, film
+    elif which == P_DROPPED:
+        control[DROPPED] += total * UNIT
+    elif which == P_DRUNK:
+        control[INFILTRATED] += total
+    elif which == P_DRAINED:
+        control[DRAINED] += total
+    elif state[LAST] == 1:
+        control[GROUND if which == P_GROUND else FILM] = total

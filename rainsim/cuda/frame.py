@@ -3,32 +3,35 @@
 All that a frame is made of lies in one queue: splatting, grading and wetting, the water surface,
 reflections, refraction, streaks, splashes, composition to 8 bit and the copy of the picture to the
 host. It is recorded once and replayed; the host only brings what has changed and waits at the end.
-What had too little room is then known: room is made and the frame is drawn again.
+What had too little room is then known: room is made and the frame is drawn again. Streaks and
+splashes are drawn beside the water. In a film the host makes ready the next frame while the device
+draws.
 """
 
 from __future__ import annotations
 
-import time as clock
+import math
 
 import numpy as np
 
 from rainsim import sky, waterview
 from rainsim.cuda import optics, shading
 from rainsim.cuda.apart import TakesApart
-from rainsim.cuda.graph import Graph
 from rainsim.cuda.jit import cuda, pinned
 from rainsim.cuda.mirror import Mirrors
 from rainsim.cuda.numbers import Numbers
 from rainsim.cuda.raster import DeviceSplats, Rasterizer
-from rainsim.cuda.splash import ROOM, Splashes
+from rainsim.cuda.recent import RecentImpacts
+from rainsim.cuda.sequence import InTurn, chain, simulation_of
+from rainsim.cuda.splash import Splashes
 from rainsim.cuda.streaks import Streaks
 from rainsim.cuda.timing import part_times
 from rainsim.cuda.watersurface import WaterSurface
-from rainsim.errors import BackendError, ParameterError
+from rainsim.errors import ParameterError
 from rainsim.moments import ripple_moments
 from rainsim.paperwater import LEAST_WATER
-from rainsim.render import FrameReport, _lens, _pose
 from rainsim.render import Renderer as HostRenderer
+from rainsim.render import _lens, _pose
 from rainsim.splash import LONGEST_LIFE, WET_FILM
 from rainsim.ssr import bounds_of
 from rainsim.streaks import FOG_STEPS, NO_FOG, fog_table, streak_reach
@@ -38,16 +41,15 @@ STAGES = {  # names of the functions that queue them: those of the CPU where the
     "Streaks.launch": "streaks", "WaterSurface.launch": "water surface",
     "Renderer._meet_water": "find water", "Renderer._mirror": "mirror",
     "Renderer._lay_water": "water", "Splashes.launch": "splashes", "Renderer._compose": "compose",
-    "Renderer._hand_over": "copy",
+    "Renderer._hand_over": "counts", "Renderer._copy_picture": "copy",
 }  # fmt: skip
 NO_MIRRORS_IN_FILMS = (
     "film: backend cuda mirrors what lies around the first camera in wet ground, as film "
     '"environment" does; backend cpu mirrors what stands on it'
 )
-MOST_TRIES = 8  # of a frame for which there was too little room
 
 
-class Renderer(TakesApart, HostRenderer):
+class Renderer(InTurn, TakesApart, HostRenderer):
     """Draws frames of one scene, terrain and configuration on the GPU.
 
     Takes the states that the CPU's simulation yields, or those of `rainsim.cuda.simulate`, whose
@@ -56,7 +58,9 @@ class Renderer(TakesApart, HostRenderer):
 
     def __init__(self, scene, terrain, config, first_camera):
         _require_known(config.render)
-        self.stream = cuda.stream()
+        self.stream, *self._beside = (cuda.stream() for _ in range(3))
+        self._forked, self._joined = cuda.event(), cuda.event()
+        self._begin_turns()
         super().__init__(scene, terrain, config, first_camera)
         if config.render.film == "auto":
             self.notes.append(NO_MIRRORS_IN_FILMS)
@@ -76,8 +80,9 @@ class Renderer(TakesApart, HostRenderer):
         )
         self.mirrors = Mirrors(self, config.render.reflections)
         self._moments = None
-        self._size = self._graphs = self._queue = None
+        self._size = None
         self._fog_of = None, None
+        self._own_impacts = None
 
     def _rasterizer_of(self, prepared):
         return Rasterizer(DeviceSplats(prepared), self.stream)
@@ -91,85 +96,28 @@ class Renderer(TakesApart, HostRenderer):
 
         The picture is overwritten by the next call. `camera_end`, `names`: see `rainsim.render`.
         """
-        begin = clock.perf_counter()
         self.update(camera, state, camera_end)
-        self.run(getattr(state, "simulation", None))
-        stages = {"frame": (clock.perf_counter() - begin) * 1e3}
-        notes, self.notes = (*state.notes, *self.notes), []  # the renderer's are told once
-        apart = self._take_apart(names, camera, state) if names else ()
-        report = FrameReport(state.index, state.time, stages, state.ledger, notes, *apart)
-        return self.image, report
-
-    def run(self, simulation=None):
-        """Draw what `update` has brought, again if there was too little room; wait for it.
-
-        What does not need the water is drawn beside the `simulation` of its step.
-        """
-        for _ in range(MOST_TRIES):
-            if self._graphs is None:
-                self._record(simulation)
-            dry, wet = self._graphs
-            dry.launch()
-            if simulation is not None:
-                simulation.before(self.stream)
-            wet.launch()
-            if simulation is not None:
-                simulation.after(self.stream)
-            self.stream.synchronize()
-            lacking = simulation is not None and simulation.lacked()
-            lacking |= self.mirrors.grow() | self._splashes_lacked()
-            if self.rasterizer.overflows():
-                self.rasterizer.make_room()
-                lacking = True
-            if not lacking:
-                break
-            self._check_queue()
-        if self.rasterizer.is_tight():
-            self.rasterizer.make_room()
-        self.mirrors.make_ahead()
+        self.run()
+        return self._report(names)
 
     def _splashes_lacked(self):
         """Make room for splashes where the finished frame had too little; return whether it had."""
         if self.streaks is None:
             return False
-        lines, *impacts = (int(found[0]) for found in self._found)
-        for found, room in zip(impacts, self.splashes.rooms[1:], strict=True):
-            if found > room:
-                raise BackendError(
-                    f"{found} drops that may splash were found for one frame, {room} were expected "
-                    "at most; take backend cpu"
-                )
+        if self._own_impacts is not None:
+            self._own_impacts.check()
+        lines = int(self._lines[0])
         if lines <= len(self.splashes.lines):
             return False
-        self._new_splashes(2 * lines)
+        self.splashes.make_room(2 * lines)
         return True
 
-    def _new_splashes(self, room):
-        args = self._drops_of
-        self.splashes = Splashes(self.streaks, args[0], self.surfaces, self._surface.depth, room)
-        self.splashes.update(*args)
-        self._graphs = None
-
-    def _record(self, simulation):
-        if simulation is not None:
-            simulation.before(self.stream)
-        self.launch()  # compiles, and allocates what only then is known
-        self.stream.synchronize()
-        halves = self.stages()
-        self._graphs = [Graph(self.stream, _chain(half)) for half in halves]
-
-    def _check_queue(self):
-        """Record anew if what the queues depend on has changed."""
-        queue = self.rasterizer.queue, self.mirrors.queue, id(self._moments)
-        if queue != self._queue:
-            self._queue, self._graphs = queue, None
-
     def update(self, camera, state, camera_end=None):
-        """Take over what the next frame shows."""
+        """Take over what the next frame shows; the device may still be drawing the one before."""
+        self._next, self._to_bring = (camera, state, camera_end), []
         self._set_time(state.time)
         if self.ground is not self._ground_sent:
-            self._ground.copy_to_device(np.ascontiguousarray(self.ground, np.float32))
-            self._ground_sent = self.ground
+            self._to_bring.append(self._bring_ground)
         self.view = self.frame.camera_in_ground(camera)
         if self._size != (camera.height, camera.width):
             self._size = camera.height, camera.width
@@ -187,7 +135,10 @@ class Renderer(TakesApart, HostRenderer):
             brightness=self.now.render.brightness, fog=fog, sun=self._sun, air=self._air,
             forward=self.view.forward,
         )  # fmt: skip
-        self._check_queue()
+
+    def _bring_ground(self):
+        self._ground.copy_to_device(np.ascontiguousarray(self.ground, np.float32))
+        self._ground_sent = self.ground
 
     def _update_drops(self, field, state, camera_end):
         """Say which drops are in the air; return the fog of those that are not drawn."""
@@ -196,10 +147,18 @@ class Renderer(TakesApart, HostRenderer):
         self.streaks.update(
             field, self.view, state.time, render.exposure, reach, camera_end, *self._focus
         )
-        self._drops_of = field, self.view, state.time, render.exposure, WET_FILM * self.wetness
-        if self.splashes is None or self.splashes._depth is not self._surface.depth:
-            self._new_splashes(ROOM)
-        self.splashes.update(*self._drops_of)
+        simulation = simulation_of(state)
+        if simulation is None and self._own_impacts is None:
+            # These states' times may lie within an interval: two more are to come.
+            self._own_impacts = RecentImpacts(
+                self.weather, self.surfaces, self.config.fps, 2, self.stream
+            )
+        if self._own_impacts is not None:
+            self._own_impacts.update(math.floor(state.time * self.config.fps + 1e-6))
+        if self.splashes is None:
+            recent = self._own_impacts if simulation is None else simulation.impacts
+            self.splashes = Splashes(self.streaks, recent, self._surface.depth)
+        self.splashes.update(field, WET_FILM * self.wetness)
         key = field, self.view.fx, self.view.fy, render.exposure, render.streak_far
         if key != self._fog_of[0]:
             self._fog_of = key, fog_table(field, reach)
@@ -207,22 +166,23 @@ class Renderer(TakesApart, HostRenderer):
 
     def _bring(self, state):
         """Bring the water and its ripples to the device, unless they are there."""
-        moments = getattr(state, "moments", None)
-        if moments is None:
-            self._water.copy_to_device(np.ascontiguousarray(state.depth, np.float32))
-            moments = ripple_moments(state.slopes)
-            if self._moments is None:
-                self._moments = cuda.to_device(moments)
-            self._moments.copy_to_device(moments)
-        elif self._moments is not moments:
-            self._moments, self._surface.depth = moments, state.depth
         self._tile = np.float32(state.tile_size)
+        if simulation_of(state) is not None:
+            return
+        moments = ripple_moments(state.slopes)
+        if self._moments is None:
+            self._moments = cuda.to_device(moments)
+
+        def bring():
+            self._water.copy_to_device(np.ascontiguousarray(state.depth, np.float32))
+            self._moments.copy_to_device(moments)
+
+        self._to_bring.append(bring)
 
     def _room_for(self, camera, state):
         """Allocate what a picture of this size needs."""
         height, width = self._size
         f4 = np.float32
-        self._graphs = None
         self.mirrors.room_for(height, width)
         self._picture, self._shown = (cuda.device_array((height, width, 3), f4) for _ in range(2))
         self._depth, self._clearance, self._tall, self._hit, self._distance = (
@@ -232,7 +192,7 @@ class Renderer(TakesApart, HostRenderer):
         self._bounds = cuda.device_array(bounds_of(height, width), f4)
         self._none.copy_to_device(np.zeros((height, width), f4))
         self._image = cuda.device_array((height, width, 3), np.uint8)
-        self.image = pinned((height, width, 3), np.uint8)
+        self._images = [pinned((height, width, 3), np.uint8) for _ in range(2)]
         self.numbers = Numbers(self.stream, {
             "turn": ((3, 3), f4), "eye": ((3,), f4), "lens": ((4,), f4), "look": ((5,), f4),
             "others": ((5,), f4), "brightness": ((1,), f4), "fog": ((FOG_STEPS + 3,), f4),
@@ -247,29 +207,54 @@ class Renderer(TakesApart, HostRenderer):
             cover=(LEAST_WATER,) * 2 if hard else render.water_coverage,
         )  # fmt: skip
         self.streaks = self.splashes = None
-        self._found = [pinned(1, np.int32) for _ in range(7)]  # see Splashes.counts
+        self._lines = pinned(1, np.int32)
         field = self.weather.field(state.time - LONGEST_LIFE, state.time + render.exposure)
         if field is not None:
             self.streaks = Streaks(field, self.surfaces, width, height, self._depth, self.stream)
 
     # ---- the queue
 
-    def launch(self):
-        """Queue the frame; nothing here waits, allocates or reads results."""
-        for half in self.stages():
-            _chain(half)()
-
     def stages(self):
         """Return the frame's parts in their order: those that need no water, and the others.
 
         Each is a function that puts its part on the stream.
         """
-        dry = [self.numbers.send, self.rasterizer.launch, self._grade]
-        wet = [self._surface.launch, self._meet_water, self._mirror, self._lay_water]
+        dry, wet, last = self._parts()
+        rain = []
         if self.streaks is not None:
-            dry.append(self.streaks.launch)
-            wet.append(self.splashes.launch)
-        return dry, [*wet, self._compose, self._hand_over]
+            rain = [self.streaks.launch, self.splashes.launch]
+            if self._own_impacts is not None:
+                rain.insert(0, self._own_impacts.launch)
+        return dry, [*rain, *wet, *last, self._copy_picture]
+
+    def _parts(self):
+        """Return the frame's parts but rain: without water, with it, and what needs both."""
+        return (
+            [self.numbers.send, self.rasterizer.launch, self._grade],
+            [self._surface.launch, self._meet_water, self._mirror, self._lay_water],
+            [self._compose, self._hand_over],
+        )
+
+    def _queue_wet(self):
+        """Queue what needs the water; streaks and what splashes beside it."""
+        _, wet, last = self._parts()
+        beside, aside = self._beside
+        if self.streaks is not None:
+            self._forked.record(self.stream)
+            self._forked.wait(beside)
+            self.streaks.launch(beside)
+            self.streaks.sent.wait(aside)
+            if self._own_impacts is not None:
+                self._own_impacts.launch(aside)
+            self.splashes.gather(aside)
+            self._joined.record(aside)
+            self._joined.wait(beside)
+            self.splashes.draw(beside)
+            self._joined.record(beside)
+        chain(wet)()
+        if self.streaks is not None:
+            self._joined.wait(self.stream)
+        chain(last)()
 
     def stage_times(self):
         """Return the milliseconds of each stage of the frame drawn last, by events; draws it again.
@@ -343,21 +328,13 @@ class Renderer(TakesApart, HostRenderer):
             n["brightness"], self._image,
         )  # fmt: skip
 
+    def _copy_picture(self, stream=None):
+        stream = self.stream if stream is None else stream
+        self._image.copy_to_host(self.image, stream=stream)
+
     def _hand_over(self):
-        self._image.copy_to_host(self.image, stream=self.stream)
         if self.streaks is not None:
-            for there, here in zip(self.splashes.counts, self._found, strict=True):
-                there.copy_to_host(here, stream=self.stream)
-
-
-def _chain(parts):
-    """Return a function that calls all of `parts`."""
-
-    def queue():
-        for part in parts:
-            part()
-
-    return queue
+            self.splashes.count.copy_to_host(self._lines, stream=self.stream)
 
 
 def _require_known(render):

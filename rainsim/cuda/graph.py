@@ -6,7 +6,8 @@ recorded is fixed: numbers that change lie in pinned arrays that the recorded co
 
 from __future__ import annotations
 
-from rainsim.cuda.jit import SIMULATED
+from rainsim.cuda.jit import SIMULATED, cuda
+from rainsim.cuda.numbers import recording
 from rainsim.errors import BackendError
 
 
@@ -33,18 +34,30 @@ class Graph:
         stream.synchronize()
         self._done(driver.cuStreamBeginCapture(self._handle, mode))
         try:
-            queue()
+            with recording() as self._sent:
+                queue()
         finally:
             recorded = self._done(driver.cuStreamEndCapture(self._handle))
         self._run = self._done(driver.cuGraphInstantiate(recorded, 0))
         self._done(driver.cuGraphDestroy(recorded))
+        self._done_before = cuda.event()
+        self._done_before.record(stream)
 
     def launch(self):
-        """Queue the recorded work once more."""
+        """Queue the recorded work once more, with the numbers that are set now."""
         if SIMULATED:
             self._queue()
-        else:
-            self._done(self._driver.cuGraphLaunch(self._run, self._handle))
+            return
+        self._done_before.synchronize()  # what is still to be copied must stay
+        for numbers in self._sent:
+            numbers.commit()
+        self._done(self._driver.cuGraphLaunch(self._run, self._handle))
+        self._done_before.record(self._stream)
+
+    def wait(self):
+        """Wait until what was launched last is done."""
+        if not SIMULATED:
+            self._done_before.synchronize()
 
     def __del__(self):
         if hasattr(self, "_run"):

@@ -15,6 +15,7 @@ import numpy as np
 
 from rainsim.cuda import project
 from rainsim.cuda.jit import cuda, cuda_device, cuda_kernel, pinned
+from rainsim.cuda.numbers import Numbers
 from rainsim.cuda.raster import Rasterizer
 from rainsim.optics import HALF, ZERO
 from rainsim.pyramid import COARSEST, coarse_shape, mean_of_four, top_of
@@ -331,10 +332,11 @@ class Mirrors:
         empty = np.tile(np.array([0, UNUSED, -UNUSED], np.float32), (rows, 1))
         self.range = cuda.to_device(empty)
         self._wanted, self._wanted_seen = cuda.device_array(1, np.int32), pinned(1, np.int32)
-        self._numbers = cuda.device_array((2, project.CAMERA), np.float64)
-        self._numbers_host = pinned((2, project.CAMERA), np.float64)
+        self._now = Numbers(self.stream, {
+            "camera": ((2, project.CAMERA), np.float64), "turn": ((3, 3), np.float32),
+        })  # fmt: skip
+        self._numbers, self._turn = self._now["camera"], self._now["turn"]
         self._eye = cuda.device_array(3, np.float32)
-        self._turn, self._turn_host = cuda.device_array((3, 3), np.float32), pinned((3, 3), "f4")
         self._extent = cuda.device_array(4, np.int32)
         self.window = cuda.to_device(np.array([1, 1, 0, 0, 1, 1], np.float32))
         self.rasterizers = []
@@ -366,10 +368,11 @@ class Mirrors:
             plane, mirrored = mirrored_camera(camera, frame, level)
             mirrored = replace(mirrored, width=largest[1], height=largest[0])
             tables.append(self.renderer.rasterizer.numbers_of(mirrored, near, plane))
-        self._numbers_host[0] = tables[0]
-        self._numbers_host[1] = tables[1] - tables[0]
-        self._numbers_host[1, project.SCALE :] = 0
-        self._turn_host[...] = _pose(frame.camera_in_ground(mirrored))[0]
+        numbers = self._now.host["camera"]
+        numbers[0] = tables[0]
+        numbers[1] = tables[1] - tables[0]
+        numbers[1, project.SCALE :] = 0
+        self._now.host["turn"][...] = _pose(frame.camera_in_ground(mirrored))[0]
         self._mirrored = mirrored, near, plane
         if self.passes and (self._size != largest or len(self.picture) != self.passes):
             self._allocate(*largest)
@@ -436,8 +439,7 @@ class Mirrors:
             self._wanted,
         )  # fmt: skip
         self._wanted.copy_to_host(self._wanted_seen, stream=self.stream)
-        self._numbers.copy_to_device(self._numbers_host, stream=self.stream)
-        self._turn.copy_to_device(self._turn_host, stream=self.stream)
+        self._now.send()
         for mirror, rasterizer in enumerate(self.rasterizers):
             rasterizer.launch()
             self.renderer.grade(

@@ -1,18 +1,35 @@
-"""Small arrays that change from frame to frame, sent to the device in one copy."""
+"""Small arrays that change from frame to frame, sent to the device in one copy.
+
+The next frame's are set while the last one is drawn, so what the copy reads is filled late: by
+`commit`, which a recorded queue calls for all that it sends.
+"""
 
 from __future__ import annotations
+
+import contextlib
 
 import numpy as np
 
 from rainsim.cuda.jit import SIMULATED, cuda, pinned
 
 _ALIGN = 16
+_recorded = []  # lists of those sent while a queue is recorded, see `recording`
+
+
+@contextlib.contextmanager
+def recording():
+    """Give the list of the `Numbers` that are sent until its end."""
+    _recorded.append([])
+    try:
+        yield _recorded[-1]
+    finally:
+        _recorded.pop()
 
 
 class Numbers:
     """Named arrays, on the host in `host` and on the device in `device`, at fixed addresses.
 
-    A captured graph reads what `send` has last copied.
+    A captured graph reads what `commit` has last copied.
 
     Parameters
     ----------
@@ -27,11 +44,11 @@ class Numbers:
             count = int(np.prod(shape)) * np.dtype(dtype).itemsize
             places[name] = size, size + count
             size += -(-count // _ALIGN) * _ALIGN
-        self._bytes = pinned(size, np.uint8)
+        self._bytes, self._set = pinned(size, np.uint8), np.zeros(size, np.uint8)
         self._sent = None if SIMULATED else cuda.to_device(self._bytes, stream)
         for name, (shape, dtype) in arrays.items():
             first, end = places[name]
-            self.host[name] = self._bytes[first:end].view(dtype).reshape(shape)
+            self.host[name] = self._set[first:end].view(dtype).reshape(shape)
             if SIMULATED:
                 self.device[name] = cuda.to_device(self.host[name])
             else:
@@ -45,10 +62,17 @@ class Numbers:
         for name, value in values.items():
             self.host[name][...] = value
 
-    def send(self):
-        """Queue the copy of all arrays to the device."""
+    def commit(self):
+        """Let the next copy to the device be of what is set now; the last one must be done."""
+        self._bytes[...] = self._set
+
+    def send(self, stream=None):
+        """Queue the copy of all arrays to the device, on another stream than its own if given."""
+        self.commit()
+        for sent in _recorded:
+            sent.append(self)
         if SIMULATED:
             for name, values in self.host.items():
                 self.device[name].copy_to_device(values)
         else:
-            self._sent.copy_to_device(self._bytes, stream=self.stream)
+            self._sent.copy_to_device(self._bytes, stream=self.stream if stream is None else stream)

@@ -16,6 +16,7 @@ import numpy as np
 from rainsim import raster
 from rainsim.cuda import blend, project
 from rainsim.cuda.jit import SIMULATED, cuda, pinned
+from rainsim.cuda.numbers import Numbers
 from rainsim.errors import ParameterError, require_choice
 from rainsim.raster.prepared import LANES, OPACITY
 from rainsim.raster.project import FRUSTUM_MARGIN, NO_PLANE, TILE
@@ -177,8 +178,8 @@ class Rasterizer:
         self.splats = prepared if isinstance(prepared, DeviceSplats) else DeviceSplats(prepared)
         self.stream = cuda.stream() if stream is None else stream
         self.plain = plain or SIMULATED
-        self._numbers = pinned(project.CAMERA, np.float32)
-        self._now = cuda.device_array(project.CAMERA, np.float32)
+        self._camera = Numbers(self.stream, {"now": ((project.CAMERA,), np.float32)})
+        self._numbers, self._now = self._camera.host["now"], self._camera["now"]
         self._count = pinned(1, np.int32)
         self._total = cuda.device_array(1, np.int32)
         self._size = None
@@ -278,7 +279,7 @@ class Rasterizer:
         return numbers
 
     def _bring_numbers(self):
-        self._now.copy_to_device(self._numbers, stream=self.stream)
+        self._camera.send()
 
     def launch(self):
         """Queue the picture: copies and kernels only, so that a graph can record it."""

@@ -240,7 +240,13 @@ class Ripples:
         self._maps_on_device = [cuda.to_device(maps, stream) for _ in range(4)]
         self.slopes = cuda.to_device(np.zeros((2, n, n), np.float32), stream)
         self._flat = self.slopes.reshape(2 * n * n)
-        self.moments = cuda.to_device(np.zeros((n, n + n // 2, MOMENTS), np.float32), stream)
+        empty = np.zeros((n, n + n // 2, MOMENTS), np.float32)
+        self.pages = [cuda.to_device(empty, stream) for _ in range(2)]
+        self.turn_page(0)
+
+    def turn_page(self, page):
+        """Let the next frame's moments be that array of `pages`, so that the last ones stay."""
+        self.moments = self.pages[page]
 
     def launch(self):
         """Queue a frame: waves run on, the drops that fell ring, the slopes follow."""

@@ -1,25 +1,32 @@
 """Twin of `rainsim.simulation`: rain on terrain over time, its water never leaving the device.
 
-A step is a recorded queue on a stream of its own: drops that end, their water and their rings, and
-the flow. What draws the frame waits for it on the device; the host is not asked. Steps of the
-water that were not reached, and drops that found no room, are counted; the former go on, the latter
-end the run with an error, for their list has room for far more than ever fall.
+A step is a recorded queue on a stream of its own: the water of drops that ended, their rings, and
+the flow. Beside it, on another, the drops are listed that end in the interval that follows: this
+frame's splashes show some of them already. What draws the frame waits for both on the device; the
+host is not asked. Steps of the water that were not reached, and drops that found no room, are
+counted; the former go on, the latter end the run with an error, for their list has room for far
+more than ever fall.
+
+`advance` only says what the next step is; it begins with `begin`, at the latest when its results
+are asked for. So the host can make ready one frame while the device works on the one before, and
+since depth and rings have two pages, the device can take a step while it draws the one before.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from rainsim import simulation as host
 from rainsim.cuda import account
-from rainsim.cuda.drops import VOLUME_UNIT, Impacts, room_for
+from rainsim.cuda.drops import VOLUME_UNIT
 from rainsim.cuda.graph import Graph
 from rainsim.cuda.jit import cuda, pinned
+from rainsim.cuda.recent import RecentImpacts
 from rainsim.cuda.ripples import Ripples
 from rainsim.cuda.water import Water
-from rainsim.errors import BackendError, DivergedError, ParameterError
+from rainsim.errors import DivergedError, ParameterError
 from rainsim.moments import ripple_moments
 from rainsim.ripples import RippleTile, mean_chord
 from rainsim.weather import Weather
@@ -27,34 +34,40 @@ from rainsim.weather import Weather
 NO_DRIPS = "backend cuda keeps on objects what falls on them: no drips from their edges"
 
 
-@dataclass(frozen=True)
 class DeviceState:
-    """Water at one frame's time, on the device; valid until the next is asked for.
+    """Water at one frame's time, on the device; valid until the next but one begins.
 
     Attributes
     ----------
     index : int
     time : float [s]
-    depth : device array of shape (ny, nx), float32 [m]
-    moments : device array of shape (n, n + n // 2, 5), float32
-        Of the ripples' slopes, see `rainsim.moments`.
-    tile_size : float [m]
     simulation : Simulation
+    tile_size : float [m]
     notes : tuple of str
     """
 
-    index: int
-    time: float
-    depth: object
-    moments: object
-    tile_size: float
-    simulation: object
-    notes: tuple = ()
+    def __init__(self, index, time, simulation, notes=()):
+        self.index, self.time, self.simulation, self.notes = index, time, simulation, notes
+        self.tile_size, self.page = simulation.ripples.size, index % 2
+
+    def _there(self):
+        self.simulation.begin(self.index)
+        return self.simulation
+
+    @property
+    def depth(self):
+        """Depth above the bed, film included: device array of shape (ny, nx), float32 [m]."""
+        return self._there().water.depths[self.page]
+
+    @property
+    def moments(self):
+        """Of the ripples' slopes, see `rainsim.moments`: device array (n, n + n // 2, 5)."""
+        return self._there().ripples.pages[self.page]
 
     @property
     def ledger(self):
         """Volumes in m3, see `rainsim.ledger`; waits for the device."""
-        return self.simulation.ledger()
+        return self._there().ledger(self.index)
 
 
 class Simulation:
@@ -99,38 +112,90 @@ class Simulation:
         self._first_slopes = tile.slopes()
         interval = 1 / config.fps
         self.water = Water(solver, exposure, stream=self.stream)
-        self.ripples = Ripples(tile, interval, self.stream)
+        self._beside = cuda.stream()
+        self.ripples = Ripples(tile, interval, self._beside)
         self._share = tile.size**2 / open_area if open_area > 0 else 0.0
         self.impacts = None
-        field = self.weather.field(0.0, interval)
-        if field is not None:
-            room = room_for(field, surfaces, interval)
-            self.impacts = Impacts(field, surfaces, room, self.stream)
+        if self.weather.rains:
+            # An exposure is no longer than a frame: it sees one interval that is still to come.
+            self.impacts = RecentImpacts(self.weather, surfaces, config.fps, 1, cuda.stream())
         self._control = pinned(account.CONTROL, np.float64)
-        self._found, self._sought = pinned(1, np.int32), pinned(1, np.int32)
-        self._ready = cuda.event()
-        self._graph = None
-        self._index = -1
+        self._obstacles = pinned(1, np.int64)
+        self._ready, self._listed, self._forked, self._joined = (cuda.event() for _ in range(4))
+        self._drawn = cuda.event(), cuda.event()  # with either page
+        self._steps, self._lists = [None, None], None
+        self._index = self._begun = self._complete = self._late = -1
+        self._accounts = [None, None]
 
     def advance(self):
-        """Go on to the next frame and return its `DeviceState`; only queues the work."""
+        """Go on to the next frame and return its `DeviceState`; see `begin`."""
+        self.begin(self._index)
         self._index += 1
         index, time = self._index, self._index / self.config.fps
+        if index > 0:
+            self._bring((index - 1) / self.config.fps, time)
+        if self.impacts is not None:
+            self.impacts.update(index)
+        return DeviceState(index, time, self, self.notes if index == 0 else ())
+
+    def begin(self, index):
+        """Queue the step of that number, if it is the one that `advance` has said last."""
+        if index <= self._begun:
+            return
+        self.complete()
+        page, self._begun = index % 2, index
+        self.water.turn_page(page)
+        self.ripples.turn_page(page)
         if index == 0:
             self._show_first_slopes()
         else:
-            self._bring((index - 1) / self.config.fps, time)
-            if self._graph is None:
+            if self._quick is not None:
+                self.water.deposit(*self._quick(*self._interval))
+            self._listed.wait(self.stream)
+            self._drawn[page].wait(self.stream)
+            if index == 1:
                 self.launch()  # compiles; that was the step itself
-                self.stream.synchronize()
-                self._graph = Graph(self.stream, self.launch)
             else:
-                self._graph.launch()
+                if self._steps[page] is None:
+                    self._steps[page] = Graph(self.stream, self.launch)
+                self._steps[page].launch()
         self._ready.record(self.stream)
-        return DeviceState(
-            index, time, self.water.depth, self.ripples.moments, self.ripples.size,
-            self, self.notes if index == 0 else (),
-        )  # fmt: skip
+        if self.impacts is None:
+            return
+        if self._lists is None:
+            self.impacts.launch()
+            self.impacts.stream.synchronize()
+            self._lists = Graph(self.impacts.stream, self.impacts.launch)
+        else:
+            self._lists.launch()
+        self._listed.record(self.impacts.stream)
+
+    def complete(self):
+        """Wait for the step that has begun, and let it go on if it was not at its end.
+
+        Raises
+        ------
+        DivergedError
+            If the water is no longer finite or faster than water can be.
+        """
+        if self._complete == self._begun:
+            return
+        self._complete = index = self._begun
+        self._ready.synchronize()
+        if index == 0:
+            self._accounts[0] = self.water.control(), 0
+            return
+        while self._control[account.LEFT] > 0.0:
+            self.water.go_on()
+            self.water._control.copy_to_host(self._control, stream=self.stream)
+            self.stream.synchronize()
+            self._late = index
+        if not np.isfinite(self._control).all():
+            raise DivergedError(
+                "the water on the CUDA device is no longer finite; use a smaller courant than "
+                f"{self.config.water.courant}"
+            )
+        self._accounts[index % 2] = self._control.copy(), int(self._obstacles[0])
 
     def _show_first_slopes(self):
         self.ripples.moments.copy_to_device(ripple_moments(self._first_slopes))
@@ -138,76 +203,57 @@ class Simulation:
     def _bring(self, before, time):
         """Say what falls between two times."""
         field = self.weather.field(before, time)
-        fine = 0.0
-        if field is not None:
-            fine = field.spectrum.fine_rate
-            self.impacts.update(field, before, time)
-        if self._quick is not None:
-            self.water.deposit(*self._quick(before, time))
-        self.water.update(time - before, fine)
+        self._interval = before, time
+        self.water.update(time - before, 0.0 if field is None else field.spectrum.fine_rate)
 
     def launch(self):
-        """Queue a step; nothing here waits, allocates or reads results."""
+        """Queue a step, rings beside the flow; nothing here waits, allocates or reads results."""
         if self.impacts is not None:
-            self.impacts.launch()
-            self.impacts.settle(self.water, self.ripples, self._share)
-            self.impacts.found.copy_to_host(self._found, stream=self.stream)
-            self.impacts.now["sought"].copy_to_host(self._sought, stream=self.stream)
+            self.impacts.settle(self.water, self.ripples, self._share, self.stream)
+            self.impacts.obstacles.copy_to_host(self._obstacles, stream=self.stream)
+        self._forked.record(self.stream)
+        self._forked.wait(self._beside)
         self.ripples.launch()
+        self._joined.record(self._beside)
         self.water.launch()
         self.water._control.copy_to_host(self._control, stream=self.stream)
+        self._joined.wait(self.stream)
 
     def before(self, stream):
-        """Let what is queued on another stream from now on wait for the step."""
+        """Let what is queued on another stream from now on wait for the step and the impacts."""
         self._ready.wait(stream)
+        self._listed.wait(stream)
 
-    def after(self, stream):
-        """Let the next step wait for what is queued on another stream."""
-        done = cuda.event()
-        done.record(stream)
-        done.wait(self.stream)
+    def after(self, stream, page):
+        """Let the next step that writes to the `page` wait for what is queued on another stream."""
+        self._drawn[page].record(stream)
 
-    def lacked(self):
-        """Finish a step that had too little room; return whether it had.
-
-        Call it when the step has ended.
+    def lacked(self, index):
+        """Finish a step; return whether it had too little room, so that its picture is wrong.
 
         Raises
         ------
         BackendError
             If more drops fell than the list has room for.
-        DivergedError
-            If the water is no longer finite or faster than water can be.
         """
-        if self._index == 0:
-            return False
+        if index == self._begun:
+            self.complete()
         if self.impacts is not None:
-            found, sought = int(self._found[0]), int(self._sought[0])
-            if found > len(self.impacts.ids) or sought > len(self.impacts._words):
-                raise BackendError(
-                    f"{max(found, sought)} drops may end in one frame, which is more than there is "
-                    "room for; use more frames per second, or backend cpu"
-                )
-        more = False
-        while self._control[account.LEFT] > 0.0:
-            self.water.go_on()
-            self.water._control.copy_to_host(self._control, stream=self.stream)
-            self.stream.synchronize()
-            more = True
-        if not np.isfinite(self._control).all():
-            raise DivergedError(
-                "the water on the CUDA device is no longer finite; use a smaller courant than "
-                f"{self.config.water.courant}"
-            )
-        return more
+            self.impacts.check()
+        late, self._late = self._late == index, -1
+        return late
 
-    def ledger(self):
-        """Return the account of the water so far, m3, as `rainsim.simulation` gives it."""
-        found = self.water.ledger().as_dict()
-        if self.impacts is not None:
-            volume = float(self.impacts.obstacles.copy_to_host(stream=self.stream)[0])
-            found["rain"] += volume * VOLUME_UNIT
-            found["obstacles"] += volume * VOLUME_UNIT
+    def ledger(self, index):
+        """Return the account of the water up to a frame, m3, as `rainsim.simulation` gives it.
+
+        It must be the frame that has begun last, or the one before.
+        """
+        if index == self._begun:
+            self.complete()
+        control, obstacles = self._accounts[index % 2]
+        found = self.water.ledger(control).as_dict()
+        found["rain"] += obstacles * VOLUME_UNIT
+        found["obstacles"] += obstacles * VOLUME_UNIT
         return found
 
 

@@ -1,7 +1,8 @@
 """Splashes on a CUDA device: twin of `rainsim.splash.draw_splashes`.
 
-A warp takes an impact: it tells whether it splashes in view, and lists the droplets and the pieces
-of its crown, a lane for each. Then a warp takes each piece and draws it.
+A thread takes an impact and tells whether it splashes in view; then a group of lanes takes each
+that does and lists its droplets and the pieces of its crown, a lane for each. Another group draws
+each piece.
 """
 
 from __future__ import annotations
@@ -10,7 +11,6 @@ import numpy as np
 
 from rainsim.crowns import (
     FINE_PIXEL,
-    LONGEST_CROWN,
     LONGEST_JET,
     crown_life,
     crown_shape,
@@ -18,16 +18,13 @@ from rainsim.crowns import (
     raise_crown,
     raise_jet,
 )
-from rainsim.cuda.drops import BLOCKS, WARPS, Impacts
-from rainsim.cuda.jit import cuda, cuda_kernel
+from rainsim.cuda.drops import BLOCKS
+from rainsim.cuda.jit import SIMULATED, cuda, cuda_kernel
 from rainsim.cuda.numbers import Numbers
-from rainsim.cuda.warp import LANES, lane
+from rainsim.cuda.warp import GROUP, GROUPS, THREADS, take_place
 from rainsim.drops import GROUND
 from rainsim.marks import draw_path
-from rainsim.spectrum import terminal_speed
 from rainsim.splash import (
-    _BIG,
-    _FARTHEST,
     _LARGEST_SHARE,
     _MARGIN,
     _WET,
@@ -36,7 +33,6 @@ from rainsim.splash import (
     SMALLEST_SPLASH,
     droplet,
     droplets_of,
-    footprint,
     least_seen,
     relative_size,
     splashes_on,
@@ -68,8 +64,8 @@ def _seen(x, y, z, rotation, eye, lens, width, height):
 
 @cuda_kernel
 def throw_up(
-    found, values, labels, ids, velocity, times, rotation, eye, lens, width, height,
-    water_depth, film, crowns, jets, droplets, count_out, lines_out,
+    found, values, labels, ids, per_list, velocity, times, rotation, eye, lens, width, height,
+    water_depth, film, least, count_out, lines_out,
 ):  # fmt: skip
     """List the droplets, crowns and jets of listed impacts that splash in view.
 
@@ -77,62 +73,87 @@ def throw_up(
     ----------
     found, values, labels, ids
         As `drops.fill_impacts` left them.
+    per_list : int
+        Blocks of threads for each list.
     velocity : device array of shape (CLASSES, 3), float64 [m/s]
     times : device array of shape (2,), float64 [s]
         When the shutter opens, and for how long.
     rotation, eye, lens : device arrays
-        As `streaks.draw_field` has them.
+        As `streaks.look` has them.
     width, height : int [px]
     water_depth : device array of shape (ny, nx), float32 [m]
     film : device array of shape (1,), float64 [m]
         Water on all else, and at least that on the ground.
-    crowns, jets, droplets : bool
-        What to list of these impacts.
+    least : device array of shape (1,), int32
+        The smallest class of drops that may splash.
     count_out : device array of shape (1,), int32
         Raised by the number of lines, also of those for which there is no room.
     lines_out : device array of shape (room, 7), float64
         Place [m], way over the exposure [m/s] and diameter [m].
     """
+    chosen = cuda.shared.array(THREADS, np.int32)
+    depths = cuda.shared.array((THREADS, 2), np.float64)  # of the scene and of the water there
+    many = cuda.shared.array(1, np.int32)
     time, exposure = times[0], times[1]
-    listed = min(found[0], ids.shape[0])
     sharp = max(np.float64(lens[0]), np.float64(lens[1]))
-    warp = cuda.blockIdx.x * WARPS + cuda.threadIdx.x // LANES
-    for n in range(warp, listed, cuda.gridDim.x * WARPS):
-        x, y, z, diameter = values[n, 0], values[n, 1], values[n, 2], values[n, 3]
-        deep = _seen(x, y, z, rotation, eye, lens, width, height)
-        if deep < 0.0:
-            continue
-        b, under = labels[n, 0], film[0]
-        if labels[n, 1] == GROUND:
-            under += np.float64(water_depth[labels[n, 2], labels[n, 3]])
-        speed, pixel, age = abs(velocity[b, 2]), deep / sharp, time - values[n, 4]
-        if not splashes_on(under, diameter, speed):
-            continue
-        size = relative_size(under / diameter)
-        clear = diameter * _LARGEST_SHARE > least_seen(pixel, exposure) and pixel < FINE_PIXEL
-        if droplets and clear and -exposure <= age < LONGEST_LIFE:
-            most = int(droplets_of(diameter, speed))
-            for which in range(lane(), most, LANES):
-                alive, px, py, pz, vx, vy, vz, wide, _ = droplet(
-                    ids[n], which, most, x, y, z, velocity[b, 0], velocity[b, 1],
-                    diameter * size, age, exposure,
+    lane, group = cuda.threadIdx.x, cuda.threadIdx.y
+    thread = group * GROUP + lane
+    which, block = cuda.blockIdx.x // per_list, cuda.blockIdx.x % per_list
+    listed = min(found[which], ids.shape[1])
+    for begin in range(block * THREADS, listed, per_list * THREADS):
+        if thread == 0:
+            many[0] = 0
+        cuda.syncthreads()
+        n, deep, under, wanted = begin + thread, -1.0, film[0], False
+        if n < listed:
+            b, age = labels[which, n, 0], time - values[which, n, 4]
+            if b >= least[0] and -exposure <= age < LONGEST_LIFE:
+                deep = _seen(
+                    values[which, n, 0], values[which, n, 1], values[which, n, 2],
+                    rotation, eye, lens, width, height,
                 )  # fmt: skip
-                if alive:
-                    row = next_row(count_out)
-                    if row < lines_out.shape[0]:
-                        lines_out[row, 0], lines_out[row, 1], lines_out[row, 2] = px, py, pz
-                        lines_out[row, 3], lines_out[row, 4], lines_out[row, 5] = vx, vy, vz
-                        lines_out[row, 6] = wide
-        if not under > _WET:
-            continue
-        life, growth, tall, jet = crown_shape(diameter, speed, under, size, pixel)
-        if crowns and age < life:
-            raise_crown(
-                x, y, z, 0.1 * velocity[b, 0], 0.1 * velocity[b, 1], diameter, age, life, growth,
-                tall, pixel, ids[n], exposure, count_out, lines_out,
-            )  # fmt: skip
-        if jets and jet and age < LONGEST_JET:
-            raise_jet(x, y, z, diameter, age, pixel, exposure, count_out, lines_out)
+            if deep > 0.0:
+                if labels[which, n, 1] == GROUND:
+                    under += np.float64(water_depth[labels[which, n, 2], labels[which, n, 3]])
+                wanted = splashes_on(under, values[which, n, 3], abs(velocity[b, 2]))
+                fine = deep / sharp < FINE_PIXEL
+                # Far ones show their crowns only, and those not for long.
+                life = crown_life(values[which, n, 3], abs(velocity[b, 2]))
+                wanted = wanted and (fine or (under > _WET and age < life))
+        at = take_place(many, 0, wanted)
+        if wanted:
+            chosen[at], depths[at, 0], depths[at, 1] = n, deep, under
+        cuda.syncthreads()
+        for at in range(group, many[0], THREADS // GROUP):
+            n, under = chosen[at], depths[at, 1]
+            pixel = depths[at, 0] / sharp
+            b, age = labels[which, n, 0], time - values[which, n, 4]
+            x, y, z = values[which, n, 0], values[which, n, 1], values[which, n, 2]
+            diameter, key, speed = values[which, n, 3], ids[which, n], abs(velocity[b, 2])
+            size = relative_size(under / diameter)
+            if pixel < FINE_PIXEL and diameter * _LARGEST_SHARE > least_seen(pixel, exposure):
+                most = int(droplets_of(diameter, speed))
+                for drop in range(lane, most, GROUP):
+                    alive, px, py, pz, vx, vy, vz, wide, _ = droplet(
+                        key, drop, most, x, y, z, velocity[b, 0], velocity[b, 1],
+                        diameter * size, age, exposure,
+                    )  # fmt: skip
+                    if alive:
+                        row = next_row(count_out)
+                        if row < lines_out.shape[0]:
+                            lines_out[row, 0], lines_out[row, 1], lines_out[row, 2] = px, py, pz
+                            lines_out[row, 3], lines_out[row, 4], lines_out[row, 5] = vx, vy, vz
+                            lines_out[row, 6] = wide
+            if under > _WET:
+                life, growth, tall, jet = crown_shape(diameter, speed, under, size, pixel)
+                if age < life:
+                    raise_crown(
+                        x, y, z, 0.1 * velocity[b, 0], 0.1 * velocity[b, 1], diameter, age, life,
+                        growth, tall, pixel, key, exposure, count_out, lines_out,
+                    )  # fmt: skip
+                if jet and age < LONGEST_JET:
+                    raise_jet(x, y, z, diameter, age, pixel, exposure, count_out, lines_out)
+        cuda.syncthreads()
 
 
 @cuda_kernel
@@ -140,20 +161,21 @@ def draw_list(
     count, lines, times, rotation, eye, rotation_end, eye_end, lens, near, width, height,
     depth, tile_depth, picture,
 ):  # fmt: skip
-    """Draw listed lines, a warp for each.
+    """Draw listed lines, a group of lanes for each.
 
     Parameters
     ----------
     count, lines
         As `throw_up` left them.
     picture : device array of shape (width * height,), int64
-        Added to. The other arrays are those of `streaks.draw_field`.
+        Added to. The other arrays are those of `streaks.look` and `streaks.draw_field`.
     """
     here, there = cuda.local.array(3, np.float32), cuda.local.array(3, np.float32)
     exposure = times[1]
     high, wide = np.float32(height), np.float32(width)
-    warp = cuda.blockIdx.x * WARPS + cuda.threadIdx.x // LANES
-    for n in range(warp, min(count[0], lines.shape[0]), cuda.gridDim.x * WARPS):
+    listed = min(count[0], lines.shape[0])
+    first = cuda.blockIdx.x * cuda.blockDim.y + cuda.threadIdx.y
+    for n in range(first, listed, cuda.gridDim.x * cuda.blockDim.y):
         x, y, z = lines[n, 0], lines[n, 1], lines[n, 2]
         _to_camera(rotation, eye, x, y, z, here)
         x, y = x + lines[n, 3] * exposure, y + lines[n, 4] * exposure
@@ -179,8 +201,8 @@ class Splashes:
     streaks : cuda.streaks.Streaks
         Of the same picture; its depth, camera and times are used, so it is updated and launched
         before.
-    field : RainField
-    surfaces : Surfaces
+    recent : cuda.recent.RecentImpacts
+        What falls until the exposure's end.
     water_depth : device array of shape (ny, nx), float32 [m]
         Read by `launch`.
     room : int
@@ -190,79 +212,60 @@ class Splashes:
     ----------
     alpha : device array of shape (height, width), float32
         Share of light that splashes replace.
+    count : device array of shape (1,), int32
+        Lines, also those for which there was no room.
     """
 
-    def __init__(self, streaks, field, surfaces, water_depth, room=ROOM):
-        self._streaks, self._depth, stream = streaks, water_depth, streaks.stream
-        self.stream = stream
-        lately, rate = _lately(), (field.listed.density * field.listed.speed)
-        self._lists = []
-        for duration, smallest in (
-            (lately + 0.1, SMALLEST_SPLASH), (LONGEST_CROWN - lately, _BIG),
-            (LONGEST_LIFE - lately, SMALLEST_SPLASH),
-        ):  # fmt: skip
-            counted = rate[field.spectrum.edges[1:] > smallest].sum() * surfaces.area * duration
-            self._lists.append(Impacts(field, surfaces, int(1.5 * counted) + 256, stream))
-        self.now = Numbers(stream, {"film": ((1,), np.float64), "count": ((1,), np.int32)})
-        self.lines = cuda.device_array((room, 7), np.float64, stream=stream)
+    def __init__(self, streaks, recent, water_depth, room=ROOM):
+        self._streaks, self._recent, self.depth = streaks, recent, water_depth
+        self.stream = stream = streaks.stream
+        self.now = Numbers(stream, {
+            "film": ((1,), np.float64), "least": ((1,), np.int32), "count": ((1,), np.int32),
+        })  # fmt: skip
+        self.count = self.now["count"]  # blanked by each `send`
+        self.make_room(room)
         self.alpha = cuda.device_array(streaks.alpha.shape, np.float32, stream=stream)
 
-    def update(self, field, camera, time, exposure, film):
+    def make_room(self, room):
+        """Make room for so many lines."""
+        self.lines = cuda.device_array((room, 7), np.float64, stream=self.stream)
+
+    def update(self, field, film):
         """Say what the next picture shows; arguments as `splash.draw_splashes` has them."""
         smallest = SMALLEST_ON_FILM if film > _WET else SMALLEST_SPLASH
-        focal, lately = max(camera.fx, camera.fy), time - _lately()
-        near, all_around = footprint(camera, FINE_PIXEL * focal), footprint(camera, _FARTHEST)
-        for impacts, part in zip(self._lists, (
-            (lately, time + exposure, smallest, all_around),
-            (time - LONGEST_CROWN, lately, _BIG, all_around),
-            (time - LONGEST_LIFE, lately, smallest, near),
-        ), strict=True):  # fmt: skip
-            impacts.update(field, *part)
-        self.now.update(film=film)
+        least = np.searchsorted(field.spectrum.edges[1:], smallest, side="right")
+        self.now.update(film=film, least=least)
 
     def launch(self):
         """Queue the picture, after the streaks'."""
-        self.now.send()
-        streaks, grid = self._streaks, (BLOCKS, WARPS * LANES, self.stream)
-        width, height = streaks.size
-        seen = streaks.now
-        # What fell just now, the crowns of big drops, and what near drops threw up before.
-        for impacts, (crowns, jets, droplets) in zip(
-            self._lists, ((True, True, True), (True, False, False), (False, True, True)),
-            strict=True,
-        ):  # fmt: skip
-            impacts.launch()
-            throw_up[grid](
-                impacts.found, impacts.values, impacts.labels, impacts.ids,
-                impacts.now["velocity"], seen["times"], seen["rotation"], seen["eye"],
-                seen["lens"], width, height, self._depth, self.now["film"], crowns, jets, droplets,
-                self.now["count"], self.lines,
-            )  # fmt: skip
-        draw_list[grid](
-            self.now["count"], self.lines, seen["times"], seen["rotation"], seen["eye"],
-            seen["rotation_end"], seen["eye_end"], seen["lens"], np.float32(NEAR), width, height,
+        self.gather()
+        self.draw()
+
+    def gather(self, stream=None):
+        """Queue the listing of what is seen, on another stream than its own if given."""
+        stream = self.stream if stream is None else stream
+        self.now.send(stream)
+        recent, seen = self._recent, self._streaks.now
+        width, height = self._streaks.size
+        per_list = 2 if SIMULATED else -(-recent.room // THREADS)
+        throw_up[per_list * len(recent.found), GROUPS, stream](
+            recent.found, recent.values, recent.labels, recent.ids, per_list,
+            seen["velocity"], seen["times"], seen["rotation"], seen["eye"], seen["lens"],
+            width, height, self.depth, self.now["film"], self.now["least"], self.count, self.lines,
+        )  # fmt: skip
+
+    def draw(self, stream=None):
+        """Queue the drawing of what was gathered, after the streaks' picture."""
+        stream = self.stream if stream is None else stream
+        streaks, seen = self._streaks, self._streaks.now
+        draw_list[BLOCKS, GROUPS, stream](
+            self.count, self.lines, seen["times"], seen["rotation"], seen["eye"],
+            seen["rotation_end"], seen["eye_end"], seen["lens"], np.float32(NEAR), *streaks.size,
             streaks.columns, streaks.tile_depth, streaks.picture,
         )  # fmt: skip
-        streaks.resolve(self.alpha, over=False)
-
-    @property
-    def counts(self):
-        """Device arrays of one number: of lines, and of what each list held and what was sought."""
-        of_lists = (a for i in self._lists for a in (i.found, i.now["sought"]))
-        return [self.now["count"], *of_lists]
-
-    @property
-    def rooms(self):
-        """How much each of `counts` has room for."""
-        of_lists = (n for i in self._lists for n in (len(i.ids), len(i._words)))
-        return [len(self.lines), *of_lists]
+        streaks.resolve(self.alpha, False, stream)
 
     def missing(self):
-        """Return how many impacts and lines there was no room for; waits for them."""
-        lines = int(self.now["count"].copy_to_host(stream=self.stream)[0]) - len(self.lines)
-        return max(lines, 0) + sum(impacts.missing() for impacts in self._lists)
-
-
-def _lately():
-    """Return how long [s] a crown of the drops that count as big stands."""
-    return float(crown_life(_BIG, float(terminal_speed(_BIG))))
+        """Return how many lines there was no room for; waits for them."""
+        lines = int(self.count.copy_to_host(stream=self.stream)[0]) - len(self.lines)
+        return max(lines, 0)

@@ -1,9 +1,9 @@
 """Rain in a picture on a CUDA device: twin of `rainsim.streaks`.
 
-A warp looks at some cubes of air, a lane at each; those in view it goes through together, a lane a
-drop, and lists what may be seen. A thread follows each of those through the map, and a warp draws
-it, a lane a stretch of the path. Optical depths are whole numbers that are added up, so that no
-order matters.
+A thread looks at a cube of air; those in view its block goes through, a group of lanes a cube and a
+lane a drop, and lists what may be seen. A thread follows each of those through the map, and a group
+of lanes draws it, a lane a stretch of the path. Optical depths are whole numbers that are added up,
+so that no order matters.
 """
 
 from __future__ import annotations
@@ -12,13 +12,23 @@ import math
 
 import numpy as np
 
-from rainsim.cubes import cube_key, drop_diameter, drop_id, drops_in_cube, left_out
+from rainsim.cubes import cube_key, drop_diameter, drop_id, left_out
 from rainsim.cuda.jit import SIMULATED, cuda, cuda_kernel
 from rainsim.cuda.numbers import Numbers
-from rainsim.cuda.warp import LANES, ballot, lane, lowest
+from rainsim.cuda.scalars import bits_of, float_of
+from rainsim.cuda.warp import (
+    GROUP,
+    GROUPS,
+    THREADS,
+    WHOLE,
+    ballot,
+    lower_to,
+    raise_to,
+    take_place,
+)
 from rainsim.errors import ParameterError
 from rainsim.marks import alpha_of, draw_path
-from rainsim.random import uniform_triple
+from rainsim.random import uniform, uniform_triple
 from rainsim.spectrum import CLASSES
 from rainsim.streaks import (
     CLEAR,
@@ -28,22 +38,21 @@ from rainsim.streaks import (
     _checked_far,
     _cube_in_view,
     _may_show,
-    _place,
     _to_camera,
     _view_boxes,
     _views,
 )
 from rainsim.surfaces import BLOCK, first_hit
 
-WARPS = 1 if SIMULATED else 4  # of a block
 BLOCKS = 2 if SIMULATED else 132 * 8
-ABREAST = (
-    1 if SIMULATED else 8
-)  # cubes that a warp looks at before it goes through those that count
-FOLLOWERS, THREADS = (2, 32) if SIMULATED else (132 * 8, 128)  # of `follow`
+LARGE = np.float32(400)  # px that a path touches, from which on a whole warp draws it
+MANY = 2**14  # such paths that there is room for; more are drawn as the small ones are
 ROOM = 2**15 if SIMULATED else 2**20  # drops that may be in view
 PATH = 9  # numbers of a path
-_ZERO, _ONE = np.float32(0), np.float32(1)
+TILE = 32  # px, side of what a block of `resolve` turns
+# From row to row in shared memory, so that a column is not in one bank.
+_BLOCK_APART, _TILE_APART = BLOCK + 1, TILE + 1
+_ZERO, _ONE, _TWO, _MOST = np.float32(0), np.float32(1), np.float32(2), np.float32(np.inf)
 
 
 @cuda_kernel
@@ -57,33 +66,30 @@ def read_depth(depth, columns_out, tile_depth_out):
     tile_depth_out : device array of shape (2, rows, columns), float32 [m]
         One block of threads for each tile.
     """
-    room = cuda.shared.array((BLOCK, BLOCK), np.float32)
-    lows = cuda.shared.array(BLOCK, np.float32)
-    highs = cuda.shared.array(BLOCK, np.float32)
+    room = cuda.shared.array((BLOCK, _BLOCK_APART), np.float32)
+    ends = cuda.shared.array(2, np.int32)
     height, width = depth.shape
     left, top = cuda.blockIdx.x * BLOCK, cuda.blockIdx.y * BLOCK
     wide, high = min(BLOCK, width - left), min(BLOCK, height - top)
     x, y = cuda.threadIdx.x, cuda.threadIdx.y
+    if x == 0 and y == 0:
+        ends[0], ends[1] = 0, bits_of(_MOST)
+    cuda.syncthreads()
+    most, least = _ZERO, _MOST
     for row in range(y, high, cuda.blockDim.y):
         for column in range(x, wide, cuda.blockDim.x):
-            room[row, column] = depth[top + row, left + column]
+            z = depth[top + row, left + column]
+            room[row, column] = z
+            most, least = max(most, z), min(least, z)
+    raise_to(ends, 0, most)
+    lower_to(ends, 1, least)
     cuda.syncthreads()
     for column in range(y, wide, cuda.blockDim.y):
         for row in range(x, high, cuda.blockDim.x):
             columns_out[(left + column) * height + top + row] = room[row, column]
-    if y == 0:
-        for column in range(x, wide, cuda.blockDim.x):
-            highs[column] = lows[column] = room[0, column]
-            for row in range(1, high):
-                highs[column] = max(highs[column], room[row, column])
-                lows[column] = min(lows[column], room[row, column])
-    cuda.syncthreads()
     if x == 0 and y == 0:
-        most, least = highs[0], lows[0]
-        for column in range(1, wide):
-            most, least = max(most, highs[column]), min(least, lows[column])
-        tile_depth_out[0, cuda.blockIdx.y, cuda.blockIdx.x] = most
-        tile_depth_out[1, cuda.blockIdx.y, cuda.blockIdx.x] = least
+        tile_depth_out[0, cuda.blockIdx.y, cuda.blockIdx.x] = float_of(ends[0])
+        tile_depth_out[1, cuda.blockIdx.y, cuda.blockIdx.x] = float_of(ends[1])
 
 
 @cuda_kernel
@@ -97,17 +103,26 @@ def resolve(over, picture, alpha_out):
     picture : device array of shape (width * height,), int64
     alpha_out : device array of shape (height, width), float32
     """
+    room = cuda.shared.array((TILE, _TILE_APART), np.float32)
     height, width = alpha_out.shape
-    column, row = cuda.grid(2)
-    if row >= height or column >= width:
-        return
-    at = column * height + row
-    alpha = alpha_of(picture[at])
-    picture[at] = 0
-    if over:
-        before = alpha_out[row, column]
-        alpha = before + alpha * (_ONE - before)
-    alpha_out[row, column] = alpha
+    left, top = cuda.blockIdx.x * TILE, cuda.blockIdx.y * TILE
+    wide, high = min(TILE, width - left), min(TILE, height - top)
+    x, y = cuda.threadIdx.x, cuda.threadIdx.y
+    for column in range(y, wide, cuda.blockDim.y):
+        for row in range(x, high, cuda.blockDim.x):
+            at = (left + column) * height + top + row
+            units = picture[at]
+            if units != 0:
+                picture[at] = 0
+            room[row, column] = alpha_of(units)
+    cuda.syncthreads()
+    for row in range(y, high, cuda.blockDim.y):
+        for column in range(x, wide, cuda.blockDim.x):
+            alpha = room[row, column]
+            if over:
+                before = alpha_out[top + row, left + column]
+                alpha = before + alpha * (_ONE - before)
+            alpha_out[top + row, left + column] = alpha
 
 
 @cuda.jit(device=True)
@@ -131,20 +146,26 @@ def _cube_of(task, counts, first, last):
 @cuda.jit(device=True)
 def _see_cube(
     b, i, j, k, time, exposure, velocity, cube, frame, rotation, eye, rotation_end, eye_end,
-    base_out, base_end_out, axes_out, axes_end_out,
+    base_out, base_end_out,
 ):  # fmt: skip
-    """Fill in where a cube's lower corner and its sides are for the camera, first and last."""
+    """Fill in where a cube's lower corner is for the camera, first and last."""
     side = cube[b]
     vx, vy, vz = velocity[b, 0], velocity[b, 1], velocity[b, 2]
-    for a in range(3):
-        for c in range(3):
-            axes_out[a, c] = rotation[a, c] * side
-            axes_end_out[a, c] = rotation_end[a, c] * side
     x, y = i * side + vx * time + frame[b, 0], j * side + vy * time + frame[b, 1]
     z = k * side + vz * time
     _to_camera(rotation, eye, x, y, z, base_out)
     x, y, z = x + vx * exposure, y + vy * exposure, z + vz * exposure
     _to_camera(rotation_end, eye_end, x, y, z, base_end_out)
+
+
+@cuda.jit(device=True)
+def _turned(axes, x, y, z, px, py, pz):
+    """Return p + axes (x, y, z), as `rainsim.streaks` adds it up."""
+    return (
+        px + axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z,
+        py + axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z,
+        pz + axes[2, 0] * x + axes[2, 1] * y + axes[2, 2] * z,
+    )
 
 
 @cuda_kernel
@@ -165,7 +186,7 @@ def look(
         When the shutter opens, and for how long.
     sought_out : device array of shape (1,), int32
         Raised by the number of drops.
-    places_out : device array of shape (room, 4), int64
+    places_out : device array of shape (room, 4), int32
         Class and cube.
     words_out : device array of shape (room,), uint64
         The drops' ids.
@@ -173,68 +194,95 @@ def look(
         Places in the camera's frame when the shutter opens and closes [m], and whether nothing
         stands before them. The other arrays are those of the CPU's kernel.
     """
+    seen = cuda.shared.array((THREADS, 4), np.int32)  # class and cube
+    corners = cuda.shared.array((THREADS, 6), np.float32)  # of each, first and last
+    many = cuda.shared.array(1, np.int32)
     time, exposure = times[0], times[1]
     high, wide = np.float32(height), np.float32(width)
     base, base_end = cuda.local.array(3, np.float32), cuda.local.array(3, np.float32)
     axes, axes_end = cuda.local.array((3, 3), np.float32), cuda.local.array((3, 3), np.float32)
-    warp = cuda.blockIdx.x * WARPS + cuda.threadIdx.x // LANES
-    warps = cuda.gridDim.x * WARPS
+    sides = cuda.local.array((3, 3), np.float32)
+    for a in range(3):
+        for c in range(3):
+            axes[a, c], axes_end[a, c] = rotation[a, c], rotation_end[a, c]
+    thread, lane = cuda.threadIdx.x, cuda.threadIdx.x % GROUP
     total, changes = counts[CLASSES], share.shape[1] > 1
-    chunks = (total + ABREAST - 1) // ABREAST
-    for chunk in range(warp, chunks, warps):
-        # Lanes look at cubes far from each other, so that all warps find about as many in view.
-        task = lane() * chunks + chunk
-        seen = False
+    batches = (total + THREADS - 1) // THREADS
+    for batch in range(cuda.blockIdx.x, batches, cuda.gridDim.x):
+        if thread == 0:
+            many[0] = 0
+        cuda.syncthreads()
+        # Threads look at cubes far from each other, so that all blocks find about as many in view.
+        task, wanted = thread * batches + batch, False
         b, i, j, k = 0, first[0, 0], first[0, 0], first[0, 0]
-        if lane() < ABREAST and task < total:
+        if task < total:
             b, i, j, k = _cube_of(task, counts, first, last)
             _see_cube(
                 b, i, j, k, time, exposure, velocity, cube, frame, rotation, eye, rotation_end,
-                eye_end, base, base_end, axes, axes_end,
+                eye_end, base, base_end,
             )  # fmt: skip
             vx, vy, vz = velocity[b, 0], velocity[b, 1], velocity[b, 2]
             moves = exposure * math.sqrt(vx * vx + vy * vy + vz * vz)
             radius = np.float32(0.87 * cube[b] + 0.5 * moves + slack[b])
-            seen = _cube_in_view(base, base_end, axes, radius, planes, near, far[b])
-        hits = ballot(seen)
-        while hits != 0:
-            source = lowest(hits)
-            hits &= hits - 1
-            task = source * chunks + chunk
-            b, i, j, k = _cube_of(task, counts, first, last)
-            _see_cube(
-                b, i, j, k, time, exposure, velocity, cube, frame, rotation, eye, rotation_end,
-                eye_end, base, base_end, axes, axes_end,
-            )  # fmt: skip
-            side, reach = cube[b], far[b]
-            vz = velocity[b, 2]
-            key = cube_key(class_key[b], i, j, k)
-            for n in range(lane(), drops_in_cube(key, b, count), LANES):
-                word = drop_id(key, n)
-                ux, uy, uz = uniform_triple(word)
-                p, q, r = _place(base, axes, ux, uy, uz)
-                if not near <= r < reach:
-                    continue
-                p_end, q_end, r_end = _place(base_end, axes_end, ux, uy, uz)
-                shows = _may_show(p, q, r, p_end, q_end, r_end, lens, near, wide, high, tile_depth)
-                if changes and left_out(word, b, (k + uz) * side, vz, share, frame):
-                    shows = HIDDEN
-                if shows == HIDDEN:
-                    continue
-                at = cuda.atomic.add(sought_out, 0, 1)
-                if at < words_out.shape[0]:
-                    places_out[at, 0], places_out[at, 1] = b, i
-                    places_out[at, 2], places_out[at, 3] = j, k
-                    words_out[at] = word
-                    paths_out[at, 0], paths_out[at, 1], paths_out[at, 2] = p, q, r
-                    paths_out[at, 3], paths_out[at, 4], paths_out[at, 5] = p_end, q_end, r_end
-                    paths_out[at, 6] = _ONE if shows == CLEAR else _ZERO
+            for a in range(3):
+                for c in range(3):
+                    sides[a, c] = axes[a, c] * np.float32(cube[b])
+            wanted = _cube_in_view(base, base_end, sides, radius, planes, near, far[b])
+        at = take_place(many, 0, wanted)
+        if wanted:
+            seen[at, 0], seen[at, 1], seen[at, 2], seen[at, 3] = b, i, j, k
+            for a in range(3):
+                corners[at, a], corners[at, 3 + a] = base[a], base_end[a]
+        cuda.syncthreads()
+        for begin in range(0, many[0], THREADS // GROUP):
+            at, n, chance = begin + thread // GROUP, count.shape[1], 0.0
+            word = key = class_key[0]
+            if at < many[0]:
+                b, i, j, k = seen[at, 0], seen[at, 1], seen[at, 2], seen[at, 3]
+                key, n = cube_key(class_key[b], i, j, k), lane
+                chance = uniform(key)
+            while True:
+                # The cube holds drop n if its number is beyond that chance, see `drops_in_cube`.
+                there = n < count.shape[1] and chance >= count[b, n]
+                if ballot(there) == 0:
+                    break
+                p, q, r, p_end, q_end, r_end = _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO
+                shows = HIDDEN
+                if there:
+                    word = drop_id(key, n)
+                    ux, uy, uz = uniform_triple(word)
+                    # A cube's side is a power of two: the same numbers as with longer axes.
+                    side = cube[b]
+                    x, y, z = np.float32(ux * side), np.float32(uy * side), np.float32(uz * side)
+                    p, q, r = _turned(axes, x, y, z, corners[at, 0], corners[at, 1], corners[at, 2])
+                    if near <= r < far[b]:
+                        p_end, q_end, r_end = _turned(
+                            axes_end, x, y, z, corners[at, 3], corners[at, 4], corners[at, 5]
+                        )
+                        shows = _may_show(
+                            p, q, r, p_end, q_end, r_end, lens, near, wide, high, tile_depth
+                        )
+                        if changes and left_out(
+                            word, b, (k + uz) * cube[b], velocity[b, 2], share, frame
+                        ):
+                            shows = HIDDEN
+                place = take_place(sought_out, 0, shows != HIDDEN)
+                if shows != HIDDEN and place < words_out.shape[0]:
+                    places_out[place, 0], places_out[place, 1] = b, i
+                    places_out[place, 2], places_out[place, 3] = j, k
+                    words_out[place] = word
+                    paths_out[place, 0], paths_out[place, 1], paths_out[place, 2] = p, q, r
+                    paths_out[place, 3], paths_out[place, 4] = p_end, q_end
+                    paths_out[place, 5] = r_end
+                    paths_out[place, 6] = _ONE if shows == CLEAR else _ZERO
+                n = n + GROUP if there else count.shape[1]
+        cuda.syncthreads()
 
 
 @cuda_kernel
 def follow(
-    sought, places, words, times, velocity, cube, size, frame,
-    x0, y0, spacing, sky, ground, underside, top, block_high, paths_out,
+    sought, places, words, times, velocity, cube, size, frame, lens,
+    x0, y0, spacing, sky, ground, underside, top, block_high, paths_out, many_out, large_out,
 ):  # fmt: skip
     """Tell how much of their path the drops in view go before they meet something.
 
@@ -245,8 +293,12 @@ def follow(
     times : device array of shape (2,), float64 [s]
         When the shutter opens, and for how long.
     paths_out : device array of shape (room, PATH), float32
-        The share of the path, 0 for drops that are no more, and the diameter [m]. The other arrays
-        are those of the CPU's kernel.
+        The share of the path, 0 for drops that are no more and less for large ones, and the
+        diameter [m].
+    many_out : device array of shape (1,), int32
+        Raised by the number of large ones.
+    large_out : device array of shape (MANY,), int32
+        Which they are. The other arrays are those of the CPU's kernel.
     """
     time, exposure = times[0], times[1]
     for n in range(cuda.grid(1), min(sought[0], words.shape[0]), cuda.gridsize(1)):
@@ -257,13 +309,30 @@ def follow(
             (places[n, 3] + uz) * side, velocity[b, 0], velocity[b, 1], velocity[b, 2], -np.inf,
             time + exposure, x0, y0, spacing, sky, ground, underside, top, block_high,
         )  # fmt: skip
-        paths_out[n, 7] = max(np.float32(min((stop - time) / exposure, 1.0)), _ZERO)
-        paths_out[n, 8] = drop_diameter(word, b, size)
+        share = max(np.float32(min((stop - time) / exposure, 1.0)), _ZERO)
+        paths_out[n, 8] = diameter = np.float32(drop_diameter(word, b, size))
+        if share > _ZERO and _pixels(paths_out[n], diameter, lens) > LARGE:
+            at = cuda.atomic.add(many_out, 0, 1)
+            if at < large_out.shape[0]:
+                large_out[at] = n
+                share = -share
+        paths_out[n, 7] = share
+
+
+@cuda.jit(device=True)
+def _pixels(path, diameter, lens):
+    """Return about how many pixels a path in the camera's frame touches."""
+    nearest = min(path[2], path[5])
+    u = lens[0] * abs(path[3] / path[5] - path[0] / path[2])
+    v = lens[1] * abs(path[4] / path[5] - path[1] / path[2])
+    wide = lens[0] * diameter / nearest
+    wide += lens[5] * max(abs(_ONE / path[2] - lens[6]), abs(_ONE / path[5] - lens[6]))
+    return (wide + _TWO) * (u + v + wide + _TWO)
 
 
 @cuda_kernel
 def draw_field(sought, paths, lens, near, width, height, depth, picture):
-    """Draw the drops in view, a warp for each.
+    """Draw the drops in view but the large ones, a group of lanes for each.
 
     Parameters
     ----------
@@ -277,14 +346,37 @@ def draw_field(sought, paths, lens, near, width, height, depth, picture):
     picture : device array of shape (width * height,), int64
         Added to.
     """
-    warp = cuda.blockIdx.x * WARPS + cuda.threadIdx.x // LANES
-    for n in range(warp, min(sought[0], paths.shape[0]), cuda.gridDim.x * WARPS):
+    listed = min(sought[0], paths.shape[0])
+    first = cuda.blockIdx.x * cuda.blockDim.y + cuda.threadIdx.y
+    for n in range(first, listed, cuda.gridDim.x * cuda.blockDim.y):
         if paths[n, 7] > _ZERO:
-            draw_path(
-                paths[n, 0], paths[n, 1], paths[n, 2], paths[n, 3], paths[n, 4], paths[n, 5],
-                paths[n, 7], paths[n, 8], lens, near, width, height, depth, paths[n, 6] > _ZERO,
-                picture,
-            )  # fmt: skip
+            _draw(paths[n], paths[n, 7], lens, near, width, height, depth, picture)
+
+
+@cuda_kernel
+def draw_large(many, large, paths, lens, near, width, height, depth, picture):
+    """Draw the large drops in view, a warp for each; see `draw_field`.
+
+    Parameters
+    ----------
+    many : device array of shape (1,), int32
+    large : device array of shape (MANY,), int32
+        As `follow` left them.
+    paths, lens, near, width, height, depth, picture
+    """
+    listed = min(many[0], large.shape[0])
+    first = cuda.blockIdx.x * cuda.blockDim.y + cuda.threadIdx.y
+    for at in range(first, listed, cuda.gridDim.x * cuda.blockDim.y):
+        n = large[at]
+        _draw(paths[n], -paths[n, 7], lens, near, width, height, depth, picture)
+
+
+@cuda.jit(device=True)
+def _draw(path, share, lens, near, width, height, depth, picture):
+    draw_path(
+        path[0], path[1], path[2], path[3], path[4], path[5], share, path[8], lens, near, width,
+        height, depth, path[6] > _ZERO, picture,
+    )  # fmt: skip
 
 
 class Streaks:
@@ -304,6 +396,8 @@ class Streaks:
     ----------
     alpha : device array of shape (height, width), float32
         Share of light that drops replace.
+    sent : event
+        When `launch` has sent the camera and the times.
     columns, tile_depth, picture : device arrays
         The depth column by column, that of tiles, and blank optical depths: for what else is drawn
         in the same picture.
@@ -319,21 +413,22 @@ class Streaks:
             "times": ((2,), f8), "rotation": ((3, 3), f8), "eye": ((3,), f8),
             "rotation_end": ((3, 3), f8), "eye_end": ((3,), f8), "lens": ((7,), f4),
             "planes": ((4, 3), f4), "far": ((CLASSES,), f4), "slack": ((CLASSES,), f8),
-            "sought": ((1,), np.int32),
+            "sought": ((1,), np.int32), "many": ((1,), np.int32),
         }  # fmt: skip
         for name, array in zip(_FIELD, field.arrays(), strict=True):
             names[name] = array.shape, array.dtype
-        self.now = Numbers(stream, names)
+        self.now, self.sent = Numbers(stream, names), cuda.event()
         tiles = 2, -(-height // BLOCK), -(-width // BLOCK)
         self.alpha = cuda.device_array((height, width), np.float32, stream=stream)
         self.columns = cuda.device_array(width * height, np.float32, stream=stream)
         self.tile_depth = cuda.device_array(tiles, np.float32, stream=stream)
         self._sought = (
-            self.now["sought"],  # blanked by each `send`
-            cuda.device_array((ROOM, 4), np.int64, stream=stream),
+            self.now["sought"],  # blanked by each `send`, as "many" is
+            cuda.device_array((ROOM, 4), np.int32, stream=stream),
             cuda.device_array(ROOM, np.uint64, stream=stream),
         )
         self._paths = cuda.device_array((ROOM, PATH), np.float32, stream=stream)
+        self._large = cuda.device_array(MANY, np.int32, stream=stream)
         self.picture = cuda.to_device(np.zeros(width * height, np.int64), stream)
 
     def update(
@@ -362,39 +457,41 @@ class Streaks:
             **dict(zip(_FIELD, field.arrays(), strict=True)),
         )  # fmt: skip
 
-    def launch(self):
-        """Queue the picture."""
+    def launch(self, stream=None):
+        """Queue the picture, on another stream than its own if given."""
+        stream = self.stream if stream is None else stream
         width, height = self.size
         _, rows, columns = self.tile_depth.shape
         threads = (1, 1) if SIMULATED else (BLOCK, BLOCK)
-        self.now.send()
-        read_depth[(columns, rows), threads, self.stream](
-            self._depth, self.columns, self.tile_depth
-        )
+        self.now.send(stream)
+        self.sent.record(stream)
+        read_depth[(columns, rows), threads, stream](self._depth, self.columns, self.tile_depth)
         now, near = self.now, np.float32(NEAR)
         names = "counts", "first", "last", "times", *_SOUGHT, *_VIEWS
-        look[BLOCKS, WARPS * LANES, self.stream](
+        look[BLOCKS, THREADS, stream](
             *(now[name] for name in names), near, now["far"], now["slack"], width, height,
             self.tile_depth, *self._sought, self._paths,
         )  # fmt: skip
-        follow[FOLLOWERS, THREADS, self.stream](
-            *self._sought, *(now[name] for name in _FOLLOWED), *self._surfaces, self._paths
-        )
-        draw_field[BLOCKS, WARPS * LANES, self.stream](
-            now["sought"], self._paths, now["lens"], near, width, height, self.columns,
-            self.picture,
+        follow[BLOCKS, THREADS, stream](
+            *self._sought, *(now[name] for name in _FOLLOWED), *self._surfaces, self._paths,
+            now["many"], self._large,
         )  # fmt: skip
-        self.resolve(self.alpha, over=False)
+        rest = now["lens"], near, width, height, self.columns, self.picture
+        draw_large[BLOCKS, WHOLE, stream](now["many"], self._large, self._paths, *rest)
+        draw_field[BLOCKS, GROUPS, stream](now["sought"], self._paths, *rest)
+        self.resolve(self.alpha, False, stream)
 
-    def resolve(self, alpha_out, over):
+    def resolve(self, alpha_out, over, stream):
         """Queue the turning of what was drawn into alpha, and blank the picture."""
         width, height = self.size
-        threads = (8, 4) if SIMULATED else (32, 8)
-        blocks = -(-width // threads[0]), -(-height // threads[1])
-        resolve[blocks, threads, self.stream](over, self.picture, alpha_out)
+        blocks, threads = (
+            (-(-width // TILE), -(-height // TILE)),
+            (4, 1) if SIMULATED else (TILE, 8),
+        )
+        resolve[blocks, threads, stream](over, self.picture, alpha_out)
 
 
 _FIELD = ("velocity", "cube", "class_key", "count", "size", "share", "frame")
 _VIEWS = ("rotation", "eye", "rotation_end", "eye_end", "lens", "planes")
 _SOUGHT = tuple(name for name in _FIELD if name != "size")  # what `look` needs of them
-_FOLLOWED = ("times", "velocity", "cube", "size", "frame")
+_FOLLOWED = ("times", "velocity", "cube", "size", "frame", "lens")

@@ -1,7 +1,9 @@
 """Warps: 32 threads, lanes, that work on one thing together. In the simulator a warp is one lane.
 
-Also the stand-ins, for CUDA, of what `rainsim.marks` leaves open: how a mark in a picture is shared
-between lanes, and how numbers are added to a picture that all threads draw in.
+Most marks in a picture are short: a quarter of a warp, a group, draws one; a whole warp draws a
+large one. A block of threads is a row of lanes by as many groups. Also the stand-ins, for CUDA, of
+what `rainsim.marks` leaves open: how a mark is shared between lanes, and how numbers are added to a
+picture that all threads draw in.
 """
 
 from __future__ import annotations
@@ -12,7 +14,10 @@ from rainsim import crowns, marks
 from rainsim.cuda.jit import FULL, SIMULATED, cuda
 from rainsim.cuda.scalars import bits_of
 
-LANES = 1 if SIMULATED else 32
+GROUP = 1 if SIMULATED else 8  # lanes that share a mark, or a cube's drops
+THREADS = 4 if SIMULATED else 128  # of a block
+GROUPS = GROUP, THREADS // GROUP  # shape of a block of groups
+WHOLE = (1, 4) if SIMULATED else (32, 4)  # and of one of warps
 _NOTHING = np.int32(0)
 
 if SIMULATED:
@@ -28,19 +33,19 @@ if SIMULATED:
         return 1 if flag else 0
 
     @cuda.jit(device=True)
-    def from_lane(value, source):
-        """Return what the lane `source` has for `value`."""
-        return value
-
-    @cuda.jit(device=True)
-    def lowest(mask):
-        """Return the place of the lowest bit of a mask that is not 0."""
-        return 0
-
-    @cuda.jit(device=True)
     def most(value):
         """Return the largest of the values that the lanes of the warp have."""
         return value
+
+    @cuda.jit(device=True)
+    def least(value):
+        """Return the smallest of the values that the lanes of the warp have."""
+        return value
+
+    @cuda.jit(device=True)
+    def take_place(counter, which, wants):
+        """Count the lanes of the warp that want a place in a list; return the lane's place."""
+        return cuda.atomic.add(counter, which, 1) if wants else 0
 
 else:
     from numba import int64
@@ -58,42 +63,64 @@ else:
         return np.int64(cuda.ballot_sync(FULL, flag)) & FULL
 
     @cuda.jit(device=True)
-    def from_lane(value, source):
-        """Return what the lane `source` has for `value`."""
-        return cuda.shfl_sync(FULL, value, source)
-
-    @cuda.jit(device=True)
-    def lowest(mask):
-        """Return the place of the lowest bit of a mask that is not 0."""
-        return cuda.ffs(mask) - 1
-
-    @cuda.jit(device=True)
     def most(value):
         """Return the largest of the values that the lanes of the warp have."""
         for step in (16, 8, 4, 2, 1):
             value = max(value, cuda.shfl_xor_sync(FULL, value, step))
         return value
 
+    @cuda.jit(device=True)
+    def least(value):
+        """Return the smallest of the values that the lanes of the warp have."""
+        for step in (16, 8, 4, 2, 1):
+            value = min(value, cuda.shfl_xor_sync(FULL, value, step))
+        return value
+
+    @cuda.jit(device=True)
+    def take_place(counter, which, wants):
+        """Count the lanes of the warp that want a place in a list; return the lane's place."""
+        mask = np.uint32(ballot(wants))
+        first = 0
+        if cuda.laneid == 0 and mask != 0:
+            first = cuda.atomic.add(counter, which, cuda.popc(mask))
+        first = cuda.shfl_sync(FULL, first, 0)
+        before = np.uint32((np.int64(1) << np.int64(cuda.laneid)) - 1)
+        return first + cuda.popc(mask & before)
+
     @overload(marks.lane, target="cuda")
     def _lane():
-        return lambda: np.int64(cuda.laneid)
+        return lambda: np.int64(cuda.threadIdx.x)
 
     @overload(marks.lanes, target="cuda")
     def _lanes():
-        return lambda: 32
+        return lambda: np.int64(cuda.blockDim.x)
 
     @overload(marks.over_lanes, target="cuda")
     def _over_lanes(part):
         def total(part):
-            for step in (16, 8, 4, 2, 1):
-                part += cuda.shfl_xor_sync(FULL, part, step)
+            step = cuda.blockDim.x >> 1
+            group = FULL if step == 16 else np.int64(255) << (np.int64(cuda.laneid) & 24)
+            while step > 0:
+                part += cuda.shfl_xor_sync(group, part, step)
+                step >>= 1
             return part
 
         return total
 
     @overload(crowns.next_row, target="cuda")
     def _next_row(count):
-        return lambda count: cuda.atomic.add(count, 0, 1)
+        def together(count):
+            # One lane counts for all that are here; one by one they would wait for each other.
+            here = np.uint32(cuda.activemask())
+            leader = cuda.ffs(here) - 1
+            row = 0
+            if cuda.laneid == leader:
+                row = cuda.atomic.add(count, 0, cuda.popc(here))
+            row = cuda.shfl_sync(here, row, leader)
+            before = np.uint32((np.int64(1) << np.int64(cuda.laneid)) - 1)
+            return row + cuda.popc(here & before)
+
+        return together
 
     @overload(marks.add, target="cuda")
     def _add(picture, at, alpha, bold):
@@ -109,3 +136,11 @@ def raise_to(tops, which, value):
     value = most(value)
     if lane() == 0:
         cuda.atomic.max(tops, which, bits_of(value))
+
+
+@cuda.jit(device=True)
+def lower_to(bottoms, which, value):
+    """Lower a shared int32 to the bits of the smallest `value`, from 0 up, of the warp's lanes."""
+    value = least(value)
+    if lane() == 0:
+        cuda.atomic.min(bottoms, which, bits_of(value))

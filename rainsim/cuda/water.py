@@ -11,7 +11,8 @@ from dataclasses import replace
 import numpy as np
 
 from rainsim.cuda import account, lean
-from rainsim.cuda.jit import cuda, pinned
+from rainsim.cuda.jit import cuda
+from rainsim.cuda.numbers import Numbers
 from rainsim.errors import DivergedError, ParameterError
 from rainsim.grid.conserving import PAD
 from rainsim.grid.conserving_flow import EDGES
@@ -37,7 +38,7 @@ class Water:
     Attributes
     ----------
     depth : device array of shape (ny, nx), float32 [m]
-        Depth above the bed, film included, at the last frame's end.
+        Depth above the bed, film included, at the last frame's end: one of `depths`.
     waiting : device array of shape ((ny + 5) * width,), int64
         Depth of drops that fell since, in `account.UNIT`.
     first, width : int
@@ -75,7 +76,9 @@ class Water:
             cuda.to_device(self._framed(field).reshape(-1), stream) for field in maps
         )
         self.waiting = cuda.to_device(np.zeros((ny + 1) * self.width, np.int64), stream)
-        self.depth = cuda.to_device(np.ascontiguousarray(solver.depth), stream)
+        depth = np.ascontiguousarray(solver.depth)
+        self.depths = [cuda.to_device(depth, stream) for _ in range(2)]
+        self.turn_page(0)
         self._wide = (nx - 2 * PAD + lean.THREADS - 1) // lean.THREADS
         self._rows = lean.rows_for(ny - 2 * PAD, self._wide)
         self._high = -(-(ny - 2 * PAD) // self._rows)
@@ -101,14 +104,18 @@ class Water:
         self._numbers = cuda.to_device(numbers, self.stream)
         self._control = cuda.to_device(control, self.stream)
         self._state = cuda.to_device(state, self.stream)
-        self._pinned = pinned(account.NOW, np.float64)
-        self._now = cuda.to_device(self._pinned, self.stream)
+        self._numbers_now = Numbers(self.stream, {"now": ((account.NOW,), np.float64)})
+        self._now = self._numbers_now["now"]
 
     def _framed(self, field):
         """Return a map as the device has it, (ny + 1, width), float32."""
         framed = np.zeros((self._size[0] + 1, self.width), np.float32)
         framed[: field.shape[0], account.LEAD : account.LEAD + field.shape[1]] = field
         return framed
+
+    def turn_page(self, page):
+        """Let the next frame's depth be that array of `depths`, so that the last one's stays."""
+        self._page, self.depth = page, self.depths[page]
 
     def deposit(self, rows, columns, volumes):
         """Let drops wait for the next frame: arrays of rows, columns and volumes [m3]."""
@@ -121,7 +128,7 @@ class Water:
 
     def update(self, duration, rate=0.0, added=True):
         """Say what the next frame is: its length [s], the rain [m/s], whether drops fell."""
-        now = self._pinned
+        now = self._numbers_now.host["now"]
         now[account.DURATION], now[account.ADDED] = duration, float(added)
         if rate != self._rate:
             rain = np.float32(rate) * self._exposure
@@ -139,7 +146,9 @@ class Water:
 
     def launch(self):
         """Queue a frame: drops, steps, the account. No visit to the host."""
-        self._now.copy_to_device(self._pinned, stream=self.stream)
+        self._numbers_now.send()
+        # Where nothing moves no step writes it.
+        self.depth.copy_to_device(self.depths[1 - self._page], stream=self.stream)
         self.take_in()
         self.refresh()
         self.go_on()
@@ -174,7 +183,7 @@ class Water:
 
     def close(self):
         """Queue the account at a frame's end."""
-        account.close[1, account.CLOSERS, self.stream](
+        account.close[account.PARTIAL, account.CLOSERS, self.stream](
             self._control, self._state, self._partial.shape[1], 1 / self.spacing, self._partial
         )
 
@@ -202,9 +211,14 @@ class Water:
             )
         return int(state[account.SUBSTEPS])
 
-    def ledger(self):
-        """Return the `Ledger` at the last frame's end; waits for it."""
-        control = self._control.copy_to_host(stream=self.stream)
+    def control(self):
+        """Return the device's account, see `cuda.account`; waits for it."""
+        return self._control.copy_to_host(stream=self.stream)
+
+    def ledger(self, control=None):
+        """Return the `Ledger` at the last frame's end, of `control` if it is known."""
+        if control is None:
+            control = self.control()
         area, before = self.spacing**2, self._ledger
         return replace(
             before,

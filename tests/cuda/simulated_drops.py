@@ -49,10 +49,10 @@ def test_the_list_is_that_of_the_cpu(listed):
     _, _, wanted, twin = listed
     count = int(twin.found.copy_to_host()[0])
     assert count == len(wanted) and twin.missing() == 0
-    order = np.argsort(twin.ids.copy_to_host()[:count])
-    values = twin.values.copy_to_host()[:count][order]
-    labels = twin.labels.copy_to_host()[:count][order]
-    np.testing.assert_array_equal(twin.ids.copy_to_host()[:count][order], wanted.id)
+    order = np.argsort(twin.ids.copy_to_host()[0, :count])
+    values = twin.values.copy_to_host()[0, :count][order]
+    labels = twin.labels.copy_to_host()[0, :count][order]
+    np.testing.assert_array_equal(twin.ids.copy_to_host()[0, :count][order], wanted.id)
     np.testing.assert_allclose(values[:, :3], wanted.position, atol=1e-9)
     np.testing.assert_allclose(values[:, 3], wanted.diameter, rtol=1e-9)
     np.testing.assert_allclose(values[:, 4], wanted.time, atol=1e-9)

@@ -36,7 +36,7 @@ def test_frames_are_those_of_the_cpu(monkeypatch):
         moments = gpu.moments.copy_to_host()
         slopes = np.moveaxis(moments[:, : len(moments), :2], -1, 0)
         assert np.abs(slopes - cpu.slopes).max() < 1e-3 * np.abs(cpu.slopes).max()
-        assert not gpu.simulation.lacked()
+        assert not gpu.simulation.lacked(gpu.index)
         ledger = gpu.ledger
         for name in ("rain", "obstacles", "ground", "outflow"):
             assert ledger[name] == pytest.approx(cpu.ledger[name], rel=1e-5, abs=1e-15), name

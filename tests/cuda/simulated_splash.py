@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from rainsim.cuda import simulated
+from rainsim.cuda.recent import RecentImpacts
 from rainsim.cuda.splash import Splashes
 from rainsim.cuda.streaks import Streaks
 from rainsim.drops import RainField, RainSpectrum, flat_surfaces
@@ -14,6 +15,14 @@ assert simulated()
 # Plain numpy numbers warn where a GPU's wrap.
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
 WIDTH, HEIGHT, TIME, EXPOSURE, FILM = 32, 24, 3.0, 1 / 120, 2e-4
+RATE = 50  # Hz
+
+
+class Weather:
+    """One steady rain."""
+
+    def __init__(self, field):
+        self.field = lambda start, stop: field
 
 
 def test_a_picture_is_that_of_the_cpu(poisoned):
@@ -30,10 +39,14 @@ def test_a_picture_is_that_of_the_cpu(poisoned):
     streaks = Streaks(field, surfaces, WIDTH, HEIGHT, depth)
     streaks.update(field, camera, TIME, EXPOSURE, 0.31)  # hardly any streaks
     streaks.launch()
-    twin = Splashes(streaks, field, surfaces, water)
+    recent = RecentImpacts(Weather(field), surfaces, RATE, 2)
+    recent.update(int(TIME * RATE))
+    recent.launch()
+    recent.check()
+    twin = Splashes(streaks, recent, water)
     twin.alpha.copy_to_device(poisoned((HEIGHT, WIDTH)))
-    twin.update(field, camera, TIME, EXPOSURE, FILM)
+    twin.update(field, FILM)
     twin.launch()
     assert wanted.max() > 0.02 and (wanted > 1e-4).sum() > 20
-    assert twin.missing() == 0 and int(twin.now["count"].copy_to_host()[0]) > 10
+    assert twin.missing() == 0 and int(twin.count.copy_to_host()[0]) > 10
     np.testing.assert_allclose(twin.alpha.copy_to_host(), wanted, atol=1e-5)

@@ -19,6 +19,13 @@ def field():
     return RainField(RainSpectrum(80.0), (1.0, 2.0), seed=4)
 
 
+class Weather:
+    """One steady rain."""
+
+    def __init__(self, field):
+        self.field = lambda start, stop: field
+
+
 @pytest.fixture(scope="module")
 def surfaces():
     ground = 0.02 * np.sin(np.arange(256, dtype=np.float32) * 0.1)[None] + np.zeros((256, 1))
@@ -73,11 +80,11 @@ def test_impacts_are_those_of_the_cpu(field, surfaces):
     twin.update(field, 3.0, 3.03)
     twin.launch()
     count = int(twin.found.copy_to_host()[0])
-    ids = twin.ids.copy_to_host()[:count]
+    ids = twin.ids.copy_to_host()[0, :count]
     order = np.argsort(ids)
     np.testing.assert_array_equal(ids[order], wanted.id)
-    values = twin.values.copy_to_host()[:count][order]
-    labels = twin.labels.copy_to_host()[:count][order]
+    values = twin.values.copy_to_host()[0, :count][order]
+    labels = twin.labels.copy_to_host()[0, :count][order]
     np.testing.assert_allclose(values[:, :3], wanted.position, atol=1e-9)
     np.testing.assert_allclose(values[:, 3], wanted.diameter, rtol=1e-9)
     assert (labels[:, 1] == wanted.kind).all() and (wanted.kind != GROUND).any()
@@ -108,6 +115,7 @@ def test_ripples_are_those_of_the_cpu():
 
 def test_splashes_are_those_of_the_cpu(field, surfaces, poisoned):
     from rainsim.cuda.jit import cuda
+    from rainsim.cuda.recent import RecentImpacts
     from rainsim.cuda.splash import Splashes
     from rainsim.cuda.streaks import Streaks
 
@@ -116,12 +124,16 @@ def test_splashes_are_those_of_the_cpu(field, surfaces, poisoned):
     water = np.zeros(surfaces.shape, np.float32)
     water[:, 60:140] = 0.006
     streaks = Streaks(field, surfaces, WIDTH, HEIGHT, cuda.to_device(depth))
-    twin = Splashes(streaks, field, surfaces, cuda.to_device(water))
-    for time in (3.0, 3.4):
+    recent = RecentImpacts(Weather(field), surfaces, 30, 2)
+    twin = Splashes(streaks, recent, cuda.to_device(water))
+    for time in (3.0, 3.4, 3.4 + 1 / 30):
+        recent.update(int(time * 30 + 1e-6))
+        recent.launch()
+        recent.check()
         wanted = poisoned((HEIGHT, WIDTH))
         draw_splashes(field, surfaces, camera, time, EXPOSURE, water, 2e-4, depth, wanted)
         streaks.update(field, camera, time, EXPOSURE, 3.0)
-        twin.update(field, camera, time, EXPOSURE, 2e-4)
+        twin.update(field, 2e-4)
         pictures = []
         for _ in range(2):
             twin.alpha.copy_to_device(poisoned((HEIGHT, WIDTH)))
@@ -133,3 +145,42 @@ def test_splashes_are_those_of_the_cpu(field, surfaces, poisoned):
         difference = np.abs(pictures[0] - wanted)
         assert (difference > 1e-3).mean() < 1e-3
         assert np.sqrt(np.mean(difference**2)) < 1e-4
+
+
+def test_a_film_is_its_frames():
+    """What is made ready while the frame before is drawn does not show in it."""
+    import dataclasses
+
+    from rainsim.config import Config, mm_per_hour
+    from rainsim.cuda.frame import Renderer
+    from rainsim.cuda.simulate import simulate
+    from rainsim.pipeline import extract_terrain
+    from scenes import tiny_scene
+
+    scene = tiny_scene()
+    settings = Config().replace(
+        rate=mm_per_hour(50.0), past=4e-3, frames=5, width=WIDTH, extent=4.0, spacing=0.05, fps=30.0
+    )
+    camera = scene.cameras[0].resized(WIDTH, HEIGHT)
+    turn = np.eye(4)
+    turn[0, 3] = 0.02
+    cameras = [camera]
+    for _ in range(4):
+        matrix = turn @ cameras[-1].camera_from_world
+        cameras.append(dataclasses.replace(camera, camera_from_world=matrix))
+    terrain = extract_terrain(scene, settings)
+    films, ledgers = [], []
+    for ahead in (False, True):
+        renderer = Renderer(scene, terrain, settings, camera)
+        shots = (
+            (camera, state, None)
+            for camera, state in zip(cameras, simulate(terrain, settings), strict=False)
+        )
+        frames = renderer.film(shots) if ahead else (renderer.draw(*shot) for shot in shots)
+        films.append([])
+        for picture, report in frames:
+            films[-1].append(picture.copy())
+            ledgers.append(report.ledger)
+    assert len(films[1]) == 5 and (films[0][1] != films[0][2]).any()
+    np.testing.assert_array_equal(*films)
+    assert ledgers[:5] == ledgers[5:] and ledgers[4]["rain"] > ledgers[1]["rain"] > 0

@@ -1,0 +1,79 @@
+"""What fell in the last moments, on a CUDA device: each interval of a film is listed once and kept.
+
+Its water falls in one step of the simulation, and its splashes are seen for some frames.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from rainsim.cuda.drops import Impacts, room_for
+from rainsim.cuda.jit import cuda, pinned
+from rainsim.errors import BackendError
+from rainsim.splash import LONGEST_LIFE
+
+
+class RecentImpacts(Impacts):
+    """What fell in the last moments, interval by interval; each is listed once.
+
+    Parameters
+    ----------
+    weather : Weather
+        Of a rain.
+    surfaces : Surfaces
+    rate : float [Hz]
+        Interval n is from n to n + 1 over this.
+    ahead : int
+        Intervals after a frame's time that its exposure sees.
+    stream : cuda.stream
+    """
+
+    def __init__(self, weather, surfaces, rate, ahead, stream=0):
+        self._weather, self._rate, self._ahead = weather, rate, ahead
+        field = weather.field(0.0, 1 / rate)
+        # One more than a frame looks at: it may be listed while the frame before is drawn.
+        slots = math.ceil(LONGEST_LIFE * rate) + ahead + 1
+        super().__init__(field, surfaces, room_for(field, surfaces, 1 / rate), stream, slots)
+        self._newest = None
+        self._seen = pinned(slots, np.int32)
+
+    def update(self, frame):
+        """Say that the frame of this number is next: `launch` then lists the last that it lacks.
+
+        If it lacks more, because it does not follow on the frame before, they are listed here.
+        """
+        newest, slots = frame + self._ahead - 1, len(self._seen)
+        if self._newest is None or newest not in (self._newest, self._newest + 1):
+            cuda.synchronize()
+            for number in range(newest - slots + 2, newest):
+                self._say(number)
+                super().launch()
+                cuda.synchronize()
+        self._say(newest)
+        self._newest = newest
+        times, slot = self._interval(frame - 1)
+        self.settled.update(times=times, slot=slot)
+
+    def launch(self, stream=None):
+        """Queue the listing and what `check` looks at."""
+        stream = self.stream if stream is None else stream
+        super().launch(stream)
+        self.found.copy_to_host(self._seen, stream=stream)
+
+    def check(self):
+        """Raise BackendError if a finished list had too little room."""
+        if self._seen.max() > self.room:
+            raise BackendError(
+                f"{self._seen.max()} drops may end in one frame, which is more than there is room "
+                "for; use more frames per second, or backend cpu"
+            )
+
+    def _interval(self, number):
+        start, stop = number / self._rate, (number + 1) / self._rate
+        return (start, stop), number % len(self._seen)
+
+    def _say(self, number):
+        times, slot = self._interval(number)
+        super().update(self._weather.field(*times), *times, slot=slot)
