@@ -121,10 +121,9 @@ def _on_the_gpu(scene, settings, ground, cameras, count, quick):
     del own, picture, state
     sequence = []
     begin = time.perf_counter()
-    for _ in render(scene, ground, simulate(ground, settings), cameras, settings, backend="cuda"):
+    states = itertools.islice(simulate(ground, settings), len(cameras))
+    for _ in render(scene, ground, states, cameras, settings, backend="cuda"):
         sequence.append(time.perf_counter() - begin)
-        if len(sequence) == len(cameras):
-            break
     each = np.diff(sequence)[SETTLING[quick] :] * 1e3
     more = {
         "memory_mib": memory, "least": min(times),
