@@ -98,6 +98,7 @@ class WaterView:
         self.thickness, self.stride = REFLECTION_THICKNESS, REFLECTION_STRIDE
         self.mirror_share, self.mirror_steps = 1.0, MIRROR_STEPS
         self.mirror_thickness = MIRROR_THICKNESS
+        self.jumps = True  # of the march, over blocks of nothing near
         self._depth = None  # of the water that the kept surface belongs to
         self.view = None
 
@@ -261,6 +262,8 @@ class WaterView:
             self._bounds = np.empty(ssr.bounds_of(*v.depth.shape), np.float32)
             reflect.keep_tall(v.depth, v.clearance, self._tall)
             ssr.block_bounds(self._tall, self._bounds)
+            if not self.jumps:
+                self._bounds[..., 0], self._bounds[..., 1] = 0, np.inf
         thickness = paperwater.EPSILON if paper else self.thickness
         stride = max(1.0, self.stride * v.depth.shape[1])
         settings = np.array([thickness, stride, REFLECTION_LENGTH], np.float32)

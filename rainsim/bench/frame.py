@@ -17,15 +17,14 @@ from scipy import ndimage
 
 from rainsim import pipeline
 from rainsim.bench.chart import draw_fronts
+from rainsim.bench.scenes import SCENES, scene_names
 from rainsim.config import REFLECTIONS, Config
 from rainsim.jit import set_threads
 from rainsim.render import Renderer, renderer_class
 from rainsim.scene.cameras import orbit
-from rainsim.scene.library import list_scenes, load_scene
+from rainsim.scene.library import load_scene
 
 PRESET = "moderate"
-SCENES = ("bicycle", "street")
-CAPTURE = "garden"  # measured too when a folder of RAINSIM_SCENES holds a scene of that name
 WIDTHS = {False: (648, 1296), True: (96,)}  # px
 SPACING = {False: 0.02, True: 0.08}  # m
 ROUNDS = {False: 3, True: 1}  # drawings of each frame, of which the median counts
@@ -74,10 +73,8 @@ def run(quick=False, tell=None, backend="cpu"):
     renderer_class(backend)  # before anything is drawn
     if backend == "cuda":
         from rainsim.bench import frame_cuda
-    known = [name for name, _, _ in list_scenes()]
-    names = SCENES[:1] if quick else (*SCENES, *([CAPTURE] if CAPTURE in known else []))
     rows = []
-    for name in names:
+    for name in scene_names(quick):
         scene = load_scene(name)
         if backend == "cuda":
             for width in frame_cuda.WIDTHS[quick]:

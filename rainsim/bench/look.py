@@ -1,8 +1,8 @@
 """`rainsim bench look`: accuracy against time of each way to draw what water does with light.
 
-The truth of reflections are the same rays traced through the splats (`traced`), at the same slopes
-of the water. They are compared as radiance before Fresnel's factor, display white being 1, where
-the traced ray ends on something that the camera sees; the other pixels are counted by cause. The
+The truth of reflections are rays traced through the splats, a mean over each pixel's area (see
+`truth`). They are compared as radiance before Fresnel's factor, display white being 1, where the
+traced ray ends on something that the camera sees; the other pixels are counted by cause. The
 other ingredients are compared with what they approximate: refraction with Snell's law on the known
 bed, reflectance with the exact one, spheres with the height field.
 """
@@ -16,27 +16,24 @@ import tracemalloc
 from dataclasses import replace
 
 import numpy as np
-from scipy import ndimage
-from skimage.metrics import structural_similarity
 
 from rainsim import pipeline, reflect
+from rainsim.bench import whole
 from rainsim.bench.chart import COLORS, MARKERS, require_matplotlib
 from rainsim.bench.film import film_accuracy, film_line
+from rainsim.bench.scenes import scene_names
+from rainsim.bench.truth import DARK, compare, trace_truth
 from rainsim.config import Config
 from rainsim.jit import set_threads
 from rainsim.render import Renderer, Timer
-from rainsim.scene.library import list_scenes, load_scene
+from rainsim.scene.library import load_scene
 
-SCENES = ("bicycle", "street")
-CAPTURE = "garden"  # measured too when a folder of RAINSIM_SCENES holds a scene of that name
-WIDTH = {False: 648, True: 120}  # px
+WIDTH = {False: 480, True: 120}  # px
 SPACING = {False: 0.02, True: 0.08}  # m
 EXTENT = {False: None, True: 3.0}  # m
 PRESETS = {False: ("moderate", "flood"), True: ("flood",)}
-ROUNDS = {False: 5, True: 1}  # of which the median counts
-SEEN = 0.05, 0.15  # share of the depth and metres within which a traced end is what the camera sees
-WINDOW = 7  # px, of the structural similarity
-DARK = 0.5  # alpha of a ray that has met something
+ROUNDS = {False: 3, True: 1}  # of which the median counts
+WHOLE = "moderate"  # preset of the whole frames by method
 
 # Quality levels of the reflection: method, and what is set for it.
 MARCHES = {
@@ -53,6 +50,7 @@ LEVELS = {
     "mirror, half size": ("mirror", {"mirror_share": 0.5}),
     "mirror, quarter size": ("mirror", {"mirror_share": 0.25}),
     **MARCHES,
+    "march 15 cm, 1 px, no jumps": ("ssr", {"px": 1, "jumps": False}),
     "paper": ("paper", {}),
 }
 OTHERS = {
@@ -77,17 +75,18 @@ def run(quick=False, tell=lambda line: None):
     tell : callable
         Called with a line on what is being done.
     """
-    known = [name for name, _, _ in list_scenes()]
-    names = SCENES[:1] if quick else (*SCENES, *([CAPTURE] if CAPTURE in known else []))
-    cases = []
-    for name in names:
+    cases, frames = [], {}
+    for name in scene_names(quick):
         scene = load_scene(name)
         for preset in PRESETS[quick]:
             tell(f"{name}, {preset}")
             cases.append(measure(scene, preset, quick))
             tell(_lines(cases[-1]))
+        if not quick:
+            frames[name] = whole.measure(name, WHOLE, WIDTH[quick])
+            tell(_whole(name, frames[name]))
     return {
-        "cases": cases,
+        "cases": cases, "frames": frames,
         "machine": {
             "processor": platform.machine(), "threads": set_threads(None),
             "load": os.getloadavg(),
@@ -113,105 +112,23 @@ def stage(scene, preset, quick):
 def measure(scene, preset, quick):
     """Return the figures of one scene and preset."""
     renderer, camera, state = stage(scene, preset, quick)
-    truth = trace_truth(renderer)
-    levels = reflection_levels(renderer, camera, state, truth, ROUNDS[quick])
+    truth = trace_truth(renderer, camera, state)
+    levels, marched = reflection_levels(renderer, camera, state, truth, ROUNDS[quick])
     others = other_levels(renderer, camera, state, ROUNDS[quick])
     return {
         "scene": scene.name, "preset": preset, "size": [camera.width, camera.height],
         "water_pixels": len(renderer.water.pixel), "causes": truth["causes"],
         "view_dependence": truth["view_dependence"], "traced": truth["cost"], "levels": levels,
         "others": others, "film": film_accuracy(renderer, camera),
+        "march_rays_per_second": {"jumps": marched[True], "steps": marched[False]},
     }  # fmt: skip
-
-
-def trace_truth(renderer):
-    """Return the traced light, which records the camera sees the end of, and why not the others."""
-    water = renderer.water
-    renderer._traced(  # builds the hierarchy, which the time of tracing is counted without
-        water.record[:1, :3], np.array([[0, 0, 1]], np.float32), np.zeros(1, np.float32), 1e-3
-    )
-    start = time.perf_counter()
-    alpha, end = water.light_up("traced", None, renderer._traced, None, Timer())
-    seconds = time.perf_counter() - start
-    light = water.light.copy()
-    sampled = (water.record[:, 12:14].sum(axis=1) >= reflect.LEAST_VARIANCE).sum()
-    rays = len(light) + (reflect.SAMPLES - 1) * int(sampled)
-    causes = why_unseen(water, alpha, end)
-    # What the colours' dependence on the view alone makes: the same rays, colours as seen from the
-    # camera, which is all that a march can show.
-    eye = renderer.frame.to_capture(water.view.eye)
-
-    def trace(*ray):
-        return renderer._traced(*ray, color_eye=eye)
-
-    water.light_up("traced", None, trace, None, Timer())
-    seen = causes == "seen"
-    return {
-        "light": light, "seen": seen, "alpha": alpha,
-        "causes": {str(name): int(n) for name, n in zip(*np.unique(causes, return_counts=True),
-                                                        strict=True)},
-        "view_dependence": compare(water, water.light, light, seen),
-        "cost": {
-            "seconds": seconds, "rays": rays, "rays_per_second": rays / max(seconds, 1e-9),
-            "memory_mb": renderer._tracer.nbytes / 1e6,
-        },
-    }  # fmt: skip
-
-
-def why_unseen(water, alpha, end):
-    """Return for each record "seen", or why the camera does not see where its traced ray ends."""
-    v = water.view
-    local = (np.where(np.isfinite(end), end, v.eye) - v.eye) @ v.turn  # sky: nowhere
-    height, width = v.depth.shape
-    with np.errstate(divide="ignore", invalid="ignore"):
-        u = v.lens[0] * local[:, 0] / local[:, 2] + v.lens[2]
-        w = v.lens[1] * local[:, 1] / local[:, 2] + v.lens[3]
-    inside = (local[:, 2] > 0) & (u >= 0) & (w >= 0) & (u < width) & (w < height)
-    column, row = (np.where(inside, a, 0).astype(int) for a in (u, w))
-    there = v.depth[row, column]
-    off = local[:, 2] - there
-    near = np.abs(off) < np.maximum(SEEN[0] * local[:, 2], SEEN[1])
-    cause = np.full(len(end), "hidden by something nearer", dtype=object)
-    cause[off < 0] = "before what is seen"
-    cause[near] = "seen"
-    cause[near & (v.clearance[row, column] < reflect.NOT_GROUND)] = "ground"
-    cause[~inside] = "outside the picture"
-    cause[local[:, 2] <= 0] = "behind the camera"
-    cause[~(alpha > DARK)] = "sky"
-    return cause.astype(str)
-
-
-def compare(water, light, truth, mask):
-    """Return PSNR [dB] and structural similarity of mirrored radiance over the records in mask.
-
-    The similarity is taken in windows that hold water only.
-    """
-    if not mask.any():
-        return {"psnr": None, "ssim": None, "pixels": 0}
-    error = float(np.mean((light[mask].astype(float) - truth[mask]) ** 2))
-    shape = (*water.view.depth.shape, 3)
-    pictures = []
-    for values in (light, truth):
-        picture = np.zeros(shape)
-        picture.reshape(-1, 3)[water.pixel] = values
-        pictures.append(picture)
-    _, similar = structural_similarity(
-        *pictures, win_size=WINDOW, data_range=1.0, channel_axis=-1, full=True
-    )
-    wet = np.zeros(shape[:2], bool)
-    wet.ravel()[water.pixel] = True
-    whole = ndimage.binary_erosion(wet, np.ones((WINDOW, WINDOW)))
-    wanted = np.zeros_like(wet)
-    wanted.ravel()[water.pixel[mask]] = True
-    wanted &= whole
-    ssim = float(similar[wanted].mean()) if wanted.any() else None
-    return {"psnr": -10 * np.log10(max(error, 1e-12)), "ssim": ssim, "pixels": int(mask.sum())}
 
 
 def reflection_levels(renderer, camera, state, truth, rounds):
     """Return accuracy, time and memory of each quality level, drawn in turn."""
     water = renderer.water
-    seen, sky = truth["seen"], truth["alpha"] <= DARK
+    seen, known, sky = truth["seen"], truth["known"], truth["alpha"] <= DARK
+    mean = (truth["light"][0] + truth["light"][1]) / 2
     rows = {name: {"name": name, "stage": [], "frame": []} for name in LEVELS}
     for turn in range(rounds + 1):
         for name, (method, settings) in LEVELS.items():
@@ -227,25 +144,52 @@ def reflection_levels(renderer, camera, state, truth, rounds):
                 row["memory_mb"] = tracemalloc.get_traced_memory()[1] / 1e6
                 tracemalloc.stop()
                 row["seen"] = compare(water, water.light, truth["light"], seen)
-                row["all"] = compare(water, water.light, truth["light"], np.ones_like(seen))
+                row["all"] = compare(water, water.light, truth["light"], known)
                 missed = water.source == reflect.ENVIRONMENT
-                far = np.abs(water.light - truth["light"]).max(axis=1) > 0.1
-                row["false_sky"] = float((missed & far & ~sky).mean())
+                far = np.abs(water.light - mean).max(axis=1) > 0.1
+                row["false_sky"] = float((missed & far & known & ~sky).mean())
             else:
                 row["stage"].append(seconds)
                 row["frame"].append(_frame_time(renderer, camera, state, method))
     _set(water, {}, camera.width)
+    marched = {jumps: march_rate(renderer, jumps, rounds) for jumps in (True, False)}
     for row in rows.values():
         for part in ("stage", "frame"):
             row[part] = float(np.median(row[part])) if row[part] else None
         row["rays_per_second"] = len(water.pixel) / row["stage"] if row["stage"] else None
-    return list(rows.values())
+    traced = {
+        "name": "traced", "stage": truth["cost"]["seconds"], "frame": None, "false_sky": 0.0,
+        "memory_mb": truth["cost"]["memory_mb"],
+        "rays_per_second": truth["cost"]["rays_per_second"],
+        "seen": compare(water, truth["traced"], truth["light"], seen),
+        "all": compare(water, truth["traced"], truth["light"], known),
+    }  # fmt: skip
+    return [*rows.values(), traced], marched
+
+
+def march_rate(renderer, jumps, rounds):
+    """Return how many rays a second the march follows: one for each pixel, water without ripples.
+
+    With or without jumps over blocks of the picture that hold nothing near.
+    """
+    water = renderer.water
+    ripples = water.record[:, 10:15].copy()
+    water.record[:, 10:15] = 0
+    water.jumps, water._tall = jumps, None
+    seconds = []
+    for _ in range(2 * rounds + 1):
+        start = time.perf_counter()
+        water.light_up("ssr", renderer._mirrored, None, renderer.environment, Timer())
+        seconds.append(time.perf_counter() - start)
+    water.record[:, 10:15] = ripples
+    water.jumps, water._tall = True, None
+    return len(water.pixel) / float(np.median(seconds[1:]))  # the first makes the blocks
 
 
 def _set(water, settings, width):
     """Set a quality level of the reflection; what is not named as by default."""
     fresh = type(water)(water.terrain, water.rings, water.config)
-    for name in ("thickness", "mirror_share", "mirror_steps"):
+    for name in ("thickness", "mirror_share", "mirror_steps", "jumps"):
         setattr(water, name, settings.get(name, getattr(fresh, name)))
     water.stride = settings["px"] / width if "px" in settings else fresh.stride
 
@@ -296,7 +240,19 @@ def other_levels(renderer, camera, state, rounds):
 
 def table(result):
     """Return all cases as text."""
-    return "\n\n".join(_lines(case) for case in result["cases"])
+    parts = [_lines(case) for case in result["cases"]]
+    return "\n\n".join([*parts, *(_whole(*frame) for frame in result["frames"].items())])
+
+
+def _whole(name, methods):
+    """Return time and memory of whole frames by method as text."""
+    lines = [f"{name}, {WHOLE}, whole frames of a moving camera, a process for each method"]
+    for method, row in methods.items():
+        lines.append(
+            f"  {method:8s} {row['milliseconds']:9.1f} ms, peak {row['peak_mb']:.0f} MB "
+            f"({row['before_mb']:.0f} before the first frame)"
+        )
+    return "\n".join(lines)
 
 
 def _lines(case):
@@ -312,20 +268,25 @@ def _lines(case):
         ),
         f"  traced: {cost['rays_per_second'] / 1e3:.1f} k rays/s, {cost['memory_mb']:.0f} MB; "
         f"colours seen from the camera instead: {_accuracy(case['view_dependence'])}",
-        f"  {'reflection':24s} {'seen: dB, SSIM':>16s} {'all':>14s} {'false sky':>10s} "
+        f"  {'reflection':27s} {'seen: dB, SSIM':>16s} {'all':>14s} {'false sky':>10s} "
         f"{'ms':>8s} {'M rays/s':>9s} {'MB':>6s} {'frame ms':>9s}",
     ]  # fmt: skip
+    rate = case["march_rays_per_second"]
+    lines.insert(3, (
+        f"  march alone: {rate['jumps'] / 1e6:.2f} M rays/s, {rate['steps'] / 1e6:.2f} M without "
+        "jumps"
+    ))  # fmt: skip
     for row in case["levels"]:
+        frame = "" if row["frame"] is None else f"{row['frame'] * 1e3:9.1f}"
         lines.append(
-            f"  {row['name']:24s} {_accuracy(row['seen']):>16s} {_accuracy(row['all']):>14s} "
+            f"  {row['name']:27s} {_accuracy(row['seen']):>16s} {_accuracy(row['all']):>14s} "
             f"{row['false_sky']:10.2%} {row['stage'] * 1e3:8.1f} "
-            f"{row['rays_per_second'] / 1e6:9.2f} {row['memory_mb']:6.0f} "
-            f"{row['frame'] * 1e3:9.1f}"
+            f"{row['rays_per_second'] / 1e6:9.2f} {row['memory_mb']:6.0f} {frame:>9s}"
         )
     for row in case["others"]:
         error = "the default" if row["psnr"] is None else f"{row['psnr']:.1f} dB from it"
         lines.append(
-            f"  {row['name']:24s} {error:>16s}, {row['seconds'] * 1e3:.1f} ms, "
+            f"  {row['name']:27s} {error:>16s}, {row['seconds'] * 1e3:.1f} ms, "
             f"covers {row['covers']:.0%}"
         )
     if case["film"] is not None:
@@ -360,11 +321,6 @@ def draw(result, path):
                 color=COLORS[n % len(COLORS)], linestyle="", label=row["name"], markersize=7,
                 fillstyle="full" if n < len(MARKERS) else "none",
             )  # fmt: skip
-        axis.axvline(case["traced"]["seconds"] * 1e3, color="0.4", linestyle=":", linewidth=1)
-        axis.annotate(
-            "traced", (case["traced"]["seconds"] * 1e3, 1), rotation=90, fontsize=8,
-            xycoords=("data", "axes fraction"), xytext=(-9, -36), textcoords="offset points",
-        )  # fmt: skip
         axis.set(
             title=f"{case['scene']}, {case['preset']}",
             xscale="log",
@@ -373,6 +329,6 @@ def draw(result, path):
         )
         axis.grid(alpha=0.3, which="both")
     axes.flat[0].legend(fontsize=7)
-    figure.suptitle("Reflections against traced rays")
+    figure.suptitle("Reflections against the mean of traced rays over each pixel")
     figure.savefig(path, dpi=110, format="png")
     pyplot.close(figure)

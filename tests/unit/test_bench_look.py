@@ -4,8 +4,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy import ndimage
+from skimage.metrics import structural_similarity
 
-from rainsim.bench import look
+from rainsim.bench import truth as truth_bench
 from rainsim.waterview import View
 
 HEIGHT, WIDTH = 40, 60
@@ -31,13 +33,35 @@ def test_accuracy_is_that_of_the_masked_pixels(water, rng):
     mask[: n // 2] = True
     same = truth.copy()
     same[~mask] += 0.5
-    found = look.compare(water, same, truth, mask)
+    found = truth_bench.compare(water, same, (truth, truth), mask)
     assert found["psnr"] == pytest.approx(120) and found["pixels"] == n // 2
-    off = look.compare(water, truth + 0.1, truth, mask)
+    off = truth_bench.compare(water, truth + 0.1, (truth, truth), mask)
     assert off["psnr"] == pytest.approx(20.0, abs=1e-6)
-    noise = look.compare(water, rng.uniform(0, 1, (n, 3)), truth, mask)
+    noise = truth_bench.compare(water, rng.uniform(0, 1, (n, 3)), (truth, truth), mask)
     assert noise["ssim"] < 0.2 < 0.9 < off["ssim"] <= 1
-    assert look.compare(water, truth, truth, ~np.ones_like(mask))["psnr"] is None
+    assert truth_bench.compare(water, truth, (truth, truth), ~np.ones_like(mask))["psnr"] is None
+
+
+def test_the_measures_are_the_usual_ones_and_free_of_the_truths_own_noise(water, rng):
+    n = len(water.pixel)
+    picture = ndimage.gaussian_filter(rng.uniform(0, 1, (HEIGHT // 2, WIDTH, 3)), (2, 2, 0))
+    truth = (picture - picture.min()) / np.ptp(picture)
+    ours = (truth + rng.normal(0, 0.06, truth.shape)).reshape(n, 3)
+    truth = truth.reshape(n, 3)
+    everything = np.ones(n, bool)
+    found = truth_bench.compare(water, ours, (truth, truth), everything)
+    whole = np.zeros((2, HEIGHT, WIDTH, 3))
+    whole.reshape(2, -1, 3)[:, water.pixel] = ours, truth
+    _, similar = structural_similarity(
+        *whole, win_size=7, data_range=1.0, channel_axis=-1, full=True
+    )
+    assert found["ssim"] == pytest.approx(similar[HEIGHT // 2 + 3 : -3, 3:-3].mean(), abs=1e-6)
+    noisy = [truth + rng.normal(0, 0.1, truth.shape) for _ in range(2)]
+    free = truth_bench.compare(water, ours, noisy, everything)
+    assert free["psnr"] == pytest.approx(found["psnr"], abs=0.5)
+    assert free["ssim"] == pytest.approx(found["ssim"], abs=0.02)
+    once = truth_bench.compare(water, ours, (noisy[0], noisy[0]), everything)
+    assert once["psnr"] < found["psnr"] - 3 and once["ssim"] < found["ssim"] - 0.05
 
 
 def test_why_the_camera_does_not_see_a_traced_end(water):
@@ -46,7 +70,7 @@ def test_why_the_camera_does_not_see_a_traced_end(water):
         "before what is seen": (0.0, 0.0, 3.0), "outside the picture": (10.0, 0.0, 5.0),
         "behind the camera": (0.0, 0.0, -1.0), "ground": (-2.8, 0.0, 5.0),
     }  # fmt: skip
-    causes = look.why_unseen(water, np.ones(6), np.array(list(ends.values())))
+    causes = truth_bench.why_unseen(water, np.ones(6), np.array(list(ends.values())))
     assert list(causes) == list(ends)
-    sky = look.why_unseen(water, np.zeros(1), np.full((1, 3), np.inf))
+    sky = truth_bench.why_unseen(water, np.zeros(1), np.full((1, 3), np.inf))
     assert list(sky) == ["sky"]

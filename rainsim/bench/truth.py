@@ -1,0 +1,200 @@
+"""What water mirrors, as rays through the splats say, and how far other light is from it.
+
+The truth of a pixel is the mean over its area. The water is found in a picture of RAYS times the
+size, shifted by part of a pixel, and of each of its pixels one ray is traced, at a slope drawn from
+those that even that pixel does not resolve. Such a mean of some rays has noise of its own: it is
+taken twice, and errors against the two are multiplied, or covariances between the two taken, so
+that the noise falls out (all but its own scatter) and a perfect picture has no error.
+
+Splats are as wide on these rays as the picture itself widens them, so that the truth is that of
+the mirrored light, not of what splatting at this size makes of thin things.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+
+import numpy as np
+from scipy import ndimage
+
+from rainsim import reflect
+from rainsim.render import Timer
+
+RAYS = 4  # along each side of a pixel
+SEEDS = 1, 2
+SEEN = 0.05, 0.15  # share of the depth and metres within which a traced end is what the camera sees
+WINDOW = 7  # px, of the structural similarity
+DARK = 0.5  # alpha of a ray that has met something
+STEADY = 0.01**2, 0.03**2  # constants of the structural similarity for values up to 1
+
+
+def trace_truth(renderer, camera, state):
+    """Return the traced light, what the camera sees of it, and why not the rest.
+
+    Returns
+    -------
+    dict
+        light : pair of ndarray of shape (n, 3), float32
+            Two independent estimates of what each record mirrors.
+        known, seen : ndarray of shape (n,), bool
+            Which records the truth has, and whose ray ends on something that the camera sees.
+        alpha : ndarray of shape (n,), float32
+            Of the ray of the mean slope.
+        traced : ndarray of shape (n, 3), float32
+            What the method "traced" makes of it.
+        causes, view_dependence, cost : dict
+    """
+    water = renderer.water
+    renderer._traced(  # builds the hierarchy, which the time of tracing is counted without
+        water.record[:1, :3], np.array([[0, 0, 1]], np.float32), np.zeros(1, np.float32), 1e-3
+    )
+    start = time.perf_counter()
+    alpha, end = water.light_up("traced", None, renderer._traced, None, Timer())
+    seconds = time.perf_counter() - start
+    traced = water.light.copy()
+    sampled = (water.record[:, 12:14].sum(axis=1) >= reflect.LEAST_VARIANCE).sum()
+    rays = len(traced) + (reflect.SAMPLES - 1) * int(sampled)
+    causes = why_unseen(water, alpha, end)
+    # What the colours' dependence on the view alone makes: the same rays, colours as seen from the
+    # camera, which is all that a march can show.
+    eye = renderer.frame.to_capture(water.view.eye)
+
+    def trace(*ray):
+        return renderer._traced(*ray, color_eye=eye)
+
+    water.light_up("traced", None, trace, None, Timer())
+    view_dependence = compare(water, water.light, (traced, traced), causes == "seen")
+    pixel = water.pixel.copy()
+    light = [area_light(renderer, camera, state, pixel, seed) for seed in SEEDS]
+    renderer.draw(camera, state)
+    known = np.isfinite(light[0] + light[1]).all(axis=1)
+    for estimate in light:
+        estimate[~known] = 0
+    return {
+        "light": light, "known": known, "seen": known & (causes == "seen"), "alpha": alpha,
+        "traced": traced, "view_dependence": view_dependence,
+        "causes": {str(name): int(n) for name, n in zip(*np.unique(causes, return_counts=True),
+                                                        strict=True)},
+        "cost": {
+            "seconds": seconds, "rays": rays, "rays_per_second": rays / max(seconds, 1e-9),
+            "memory_mb": renderer._tracer.nbytes / 1e6,
+        },
+    }  # fmt: skip
+
+
+def area_light(renderer, camera, state, pixel, seed):
+    """Return the mean of RAYS^2 traced rays in each of the given pixels; NaN without water.
+
+    The renderer is left with another picture.
+    """
+    rng = np.random.default_rng(seed)
+    fine = camera.resized(camera.width * RAYS, camera.height * RAYS)
+    dx, dy = rng.uniform(-0.5, 0.5, 2)
+    fine = replace(fine, cx=fine.cx + dx, cy=fine.cy + dy)
+    water = renderer.water
+    before = water.config
+    water.config = replace(before, reflections="ssr")  # what it mirrors is not wanted
+    renderer.draw(fine, state)
+    water.config = before
+    record, count = water.record, len(water.pixel)
+    p, q = rng.standard_normal((2, count)).astype(np.float32)
+    # A normal variable of the covariance that even these pixels hide: its root is triangular.
+    deviation = np.sqrt(np.maximum(record[:, 12], np.float32(1e-12)))
+    along = record[:, 14] / deviation
+    record[:, 10] += deviation * p
+    record[:, 11] += along * p + np.sqrt(np.maximum(record[:, 13] - along**2, 0)) * q
+    direction, way = np.empty((count, 3), np.float32), np.empty(count, np.float32)
+    reflect.mirror_rays(np.arange(count), record, water.view.turn, 0, direction, way)
+    light, _, _ = renderer._traced(
+        record[:, :3], direction, way, record[:, 6] / way / np.float32(camera.fx)
+    )
+    row, column = np.divmod(water.pixel, fine.width)
+    to = (row // RAYS) * camera.width + column // RAYS
+    size = camera.width * camera.height
+    total = np.bincount(to, record[:, 8], size)[pixel]
+    sums = [np.bincount(to, record[:, 8] * light[:, k], size)[pixel] for k in range(3)]
+    with np.errstate(invalid="ignore"):
+        return (np.stack(sums, axis=1) / total[:, None]).astype(np.float32)
+
+
+def why_unseen(water, alpha, end):
+    """Return for each record "seen", or why the camera does not see where its traced ray ends."""
+    v = water.view
+    local = (np.where(np.isfinite(end), end, v.eye) - v.eye) @ v.turn  # sky: nowhere
+    height, width = v.depth.shape
+    with np.errstate(divide="ignore", invalid="ignore"):
+        u = v.lens[0] * local[:, 0] / local[:, 2] + v.lens[2]
+        w = v.lens[1] * local[:, 1] / local[:, 2] + v.lens[3]
+    inside = (local[:, 2] > 0) & (u >= 0) & (w >= 0) & (u < width) & (w < height)
+    column, row = (np.where(inside, a, 0).astype(int) for a in (u, w))
+    there = v.depth[row, column]
+    off = local[:, 2] - there
+    near = np.abs(off) < np.maximum(SEEN[0] * local[:, 2], SEEN[1])
+    cause = np.full(len(end), "hidden by something nearer", dtype=object)
+    cause[off < 0] = "before what is seen"
+    cause[near] = "seen"
+    cause[near & (v.clearance[row, column] < reflect.NOT_GROUND)] = "ground"
+    cause[~inside] = "outside the picture"
+    cause[local[:, 2] <= 0] = "behind the camera"
+    cause[~(alpha > DARK)] = "sky"
+    return cause.astype(str)
+
+
+def compare(water, light, truth, mask):
+    """Return PSNR [dB] and structural similarity of mirrored radiance over the records in mask.
+
+    Parameters
+    ----------
+    water : WaterView
+    light : ndarray of shape (n, 3)
+        Of each record.
+    truth : pair of ndarray of shape (n, 3)
+        Independent estimates; where they are one and the same, these are the usual measures.
+    mask : ndarray of shape (n,), bool
+
+    Returns
+    -------
+    dict
+        psnr, ssim (in windows that hold water only; None if there are none) and pixels.
+    """
+    if not mask.any():
+        return {"psnr": None, "ssim": None, "pixels": 0}
+    light, (a, b) = light.astype(float), (t.astype(float) for t in truth)
+    error = float(np.mean((light[mask] - a[mask]) * (light[mask] - b[mask])))
+    shape = water.view.depth.shape
+    wet = np.zeros(shape, bool)
+    wet.ravel()[water.pixel] = True
+    whole = ndimage.binary_erosion(wet, np.ones((WINDOW, WINDOW)))
+    wanted = np.zeros_like(wet)
+    wanted.ravel()[water.pixel[mask]] = True
+    wanted &= whole
+    similar = None
+    if wanted.any():
+        similar = float(_similarity(*(_picture(water, v) for v in (light, a, b)))[wanted].mean())
+    return {"psnr": -10 * np.log10(max(error, 1e-12)), "ssim": similar, "pixels": int(mask.sum())}
+
+
+def _picture(water, values):
+    picture = np.zeros((*water.view.depth.shape, 3))
+    picture.reshape(-1, 3)[water.pixel] = values
+    return picture
+
+
+def _similarity(x, a, b):
+    """Return the structural similarity (Wang et al. 2004) of x with what a and b estimate.
+
+    The truth's square mean and variance are those that a and b have in common.
+    """
+    mean = [ndimage.uniform_filter(p, (WINDOW, WINDOW, 1)) for p in (x, a, b)]
+    n = WINDOW * WINDOW
+
+    def common(i, j, p, q):
+        both = ndimage.uniform_filter(p * q, (WINDOW, WINDOW, 1))
+        return n / (n - 1) * (both - mean[i] * mean[j])
+
+    own, theirs = common(0, 0, x, x), np.maximum(common(1, 2, a, b), 0)
+    shared = (common(0, 1, x, a) + common(0, 2, x, b)) / 2
+    middle = (mean[1] + mean[2]) / 2
+    level = (2 * mean[0] * middle + STEADY[0]) / (mean[0] ** 2 + mean[1] * mean[2] + STEADY[0])
+    return level * (2 * shared + STEADY[1]) / (own + theirs + STEADY[1])

@@ -1,0 +1,69 @@
+"""Time of a whole frame and peak memory of a process that draws with one method of reflection.
+
+Run as a module, so that a process's peak is that of one method alone:
+`python -m rainsim.bench.whole SCENE PRESET WIDTH METHOD` prints one line of JSON.
+"""
+
+from __future__ import annotations
+
+import json
+import resource
+import subprocess
+import sys
+import time
+from dataclasses import replace
+
+import numpy as np
+
+METHODS = ("ssr", "mirror", "auto", "traced")
+FRAMES = 3  # of a camera that moves, of which the median counts; one more before them compiles
+
+
+def measure(scene, preset, width):
+    """Return for each method the milliseconds of a frame and the peak memory [MB] of its process.
+
+    Returns
+    -------
+    dict of str to dict
+        milliseconds; peak_mb of the whole process; before_mb: its peak before the first frame,
+        what capture, ground and water take.
+    """
+    found = {}
+    for method in METHODS:
+        words = [sys.executable, "-m", "rainsim.bench.whole", scene, preset, str(width), method]
+        done = subprocess.run(words, capture_output=True, text=True, check=True)
+        found[method] = json.loads(done.stdout.splitlines()[-1])
+    return found
+
+
+def _peak_mb():
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+
+def draw_frames(name, preset, width, method):
+    """Draw FRAMES frames and return their figures."""
+    from rainsim import pipeline
+    from rainsim.config import Config
+    from rainsim.render import Renderer
+    from rainsim.scene.library import load_scene
+
+    scene = load_scene(name)
+    config = Config.from_preset(preset).replace(frames=1, width=width, reflections=method)
+    camera = scene.cameras[0]
+    camera = camera.resized(width, round(camera.height * width / camera.width))
+    terrain = pipeline.extract_terrain(scene, config)
+    state = next(pipeline.simulate(terrain, config))
+    before = _peak_mb()
+    renderer = Renderer(scene, terrain, config, camera)
+    seconds = []
+    for _ in range(FRAMES + 1):
+        start = time.perf_counter()
+        renderer.draw(replace(camera), state)  # another camera: nothing is kept
+        seconds.append(time.perf_counter() - start)
+    milliseconds = 1e3 * float(np.median(seconds[1:]))
+    return {"milliseconds": milliseconds, "peak_mb": _peak_mb(), "before_mb": before}
+
+
+if __name__ == "__main__":
+    name, preset, width, method = sys.argv[1:]
+    print(json.dumps(draw_frames(name, preset, int(width), method)))
