@@ -12,6 +12,10 @@ KERB_WIGGLE = 0.03  # m by which the edge of a kerb as captured is not straight
 OPENING_WIDTH = 0.5  # m: wider things that stand in the slab are taken as ground
 STEP_RELIEF = 0.03  # m within 10 cm: a kerb or a step, kept sharp
 STEP_NOISES = 5.0  # times the noise, if that is more
+EDGE_BLUR = 0.12  # m, standard deviation, along which a step's edge is averaged
+EDGE_REACH, EDGE_RAMP = 0.045, 0.03  # m from the edge: cells that may change; that are of both
+EDGE_WIDE = 0.06  # m and more, twice, that both levels of an edge are wide
+EDGE_AROUND, LEAST_EDGE = 0.4, 0.5  # m about a step that are looked at; length of one that counts
 TREND_WIDTH = 0.025  # m, standard deviation of the trend that noise is measured about
 NOISE_WIDTH = 0.15  # m within which noise is told
 NOISE_CUT = 3.0  # local deviations; what is more is a leaf or a step, not noise
@@ -148,11 +152,65 @@ def smooth(height, noise, spacing):
         share = np.log(np.maximum(noise, 1e-6) / scale) / np.log(next_scale / scale)
         result = result + (part - result) * np.clip(share, 0, 1)
         scale = next_scale
-    size = max(3, 2 * round(0.05 / spacing) + 1)
-    relief = ndimage.maximum_filter(median, size) - ndimage.minimum_filter(median, size)
-    step = relief > np.maximum(STEP_RELIEF, STEP_NOISES * noise)
-    steep = np.clip(2 * ndimage.gaussian_filter(step.astype(np.float32), 1.5), 0, 1)
+    steep = steps(median, noise, spacing).astype(np.float32)
+    steep = np.clip(2 * ndimage.gaussian_filter(steep, 1.5), 0, 1)
     return (result + (median - result) * steep).astype(np.float32)
+
+
+def steps(height, noise, spacing):
+    """Return the mask of the cells about kerbs and steps."""
+    size = max(3, 2 * round(0.05 / spacing) + 1)
+    relief = ndimage.maximum_filter(height, size) - ndimage.minimum_filter(height, size)
+    return relief > np.maximum(STEP_RELIEF, STEP_NOISES * noise)
+
+
+def straighten(height, step, spacing):
+    """Return `height` with the edges of its steps put where they are on average along them.
+
+    Splats tell an edge to half the gap between them; along a kerb there are many. The mask of the
+    upper level, blurred, keeps a straight edge in its place and loses the jags; only cells within
+    4 cm of the edge change, between levels that are both wide.
+
+    Parameters
+    ----------
+    height : ndarray of shape (ny, nx), float32 [m]
+    step : ndarray of shape (ny, nx), bool
+        Of the cells about steps.
+    spacing : float [m]
+    """
+    labels, count = ndimage.label(ndimage.binary_dilation(step, np.ones((3, 3), bool)))
+    margin = int(EDGE_AROUND / spacing) + 1
+    result = height
+    for n, part in enumerate(ndimage.find_objects(labels, count), 1):
+        if max(s.stop - s.start for s in part) * spacing < LEAST_EDGE:
+            continue
+        if result is height:
+            result = height.copy()
+        part = tuple(slice(max(s.start - margin, 0), s.stop + margin) for s in part)
+        _straighten_one(height[part], labels[part] == n, spacing, result[part])
+    return result
+
+
+def _straighten_one(height, band, spacing, out):
+    """Put one step's edge in its place, in `out`."""
+    size = max(3, 2 * round(0.08 / spacing) + 1)
+    middle = (ndimage.minimum_filter(height, size) + ndimage.maximum_filter(height, size)) / 2
+    nearest = ndimage.distance_transform_edt(~band, return_distances=False, return_indices=True)
+    upper = height > middle[tuple(nearest)]
+    inside = [ndimage.distance_transform_edt(side) * spacing for side in (upper, ~upper)]
+    away = np.where(upper, inside[0], inside[1])
+    straight = ndimage.gaussian_filter(upper.astype(np.float32), EDGE_BLUR / spacing) > 0.5
+    there = band & (away < EDGE_REACH)
+    for depth in inside:  # both levels must be wide, or a wall would be blurred away
+        wide = ndimage.distance_transform_edt(~(depth > EDGE_WIDE)) * spacing
+        there &= wide < EDGE_WIDE + 2 * EDGE_REACH
+    for side in (True, False):
+        clear = (upper == side) & (away > EDGE_RAMP)
+        if clear.any():
+            nearest = ndimage.distance_transform_edt(
+                ~clear, return_distances=False, return_indices=True
+            )
+            np.copyto(out, height[tuple(nearest)], where=there & (straight == side))
 
 
 def lower_rim(height, hard, grass, spacing):

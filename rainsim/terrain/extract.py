@@ -399,6 +399,9 @@ def _bed(seen, below, grid, level):
         nearest = ndimage.distance_transform_edt(~bare, return_distances=False, return_indices=True)
         alone = bedding.smooth(filled[tuple(nearest)], noise, grid.spacing)
         bed = np.where(bare, alone, bed)
+    edges = bedding.steps(ndimage.median_filter(filled, 3), noise, grid.spacing) & bare & measured
+    if edges.any():
+        bed = bedding.straighten(bed, edges, grid.spacing)
     return bed, source, noise, color, green
 
 

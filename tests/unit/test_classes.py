@@ -112,6 +112,9 @@ def test_dips_are_found_in_the_yard_among_floaters():
 
 
 def test_a_kerb_is_sharp_and_in_its_place():
+    scene, truth = captures.yard(105, 3e-3, kerb=True)  # was 1.1 cells off unstraightened
+    found = suite.measure_bed(scene, truth, spacing=0.02)
+    assert found["kerb_cells"] <= 0.8
     scene, truth = captures.yard(101, kerb=True)
     found = suite.measure_bed(scene, truth, spacing=0.02)
     assert found["kerb_cells"] <= 1 and found["bed_mm"] < 0.5

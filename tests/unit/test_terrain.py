@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from rainsim import terrain
 from rainsim.config import TerrainConfig
@@ -135,6 +136,22 @@ def test_a_kerb_stays_sharp():
     cx = centres(ground)[0][0]
     np.testing.assert_allclose(row[cx < 0.1], 0, atol=0.01)
     np.testing.assert_allclose(row[(cx > 0.3) & (cx < 1)], 0.1, atol=0.01)
+
+
+def test_jags_of_an_edge_go_and_walls_and_corners_stay():
+    rng = np.random.default_rng(3)
+    x = np.tile((np.arange(100) + 0.5) * 0.02, (100, 1))
+    jags = rng.uniform(-0.03, 0.03, (100, 1))
+    height = np.where(x > 1.0 + jags, np.float32(0.1), np.float32(0))
+    step = np.abs(x - 1.0) < 0.08
+    edge = terrain.bed.straighten(height, step, 0.02)
+    assert (edge != height).mean() > 0.005
+    assert np.abs((edge > 0.05).sum(axis=1) - 50).max() <= 1  # columns above; were 1.5 either way
+    wall = np.where(np.abs(x - 1.0) < 0.045, np.float32(0.1), np.float32(0))
+    np.testing.assert_array_equal(terrain.bed.straighten(wall, step, 0.02), wall)
+    corner = np.where((x > 1) & (x.T > 1), np.float32(0.1), np.float32(0))
+    around = ndimage.binary_dilation(corner > 0, iterations=4) & (x < 1.1)
+    assert (terrain.bed.straighten(corner, around, 0.02) != corner).sum() < 12
 
 
 def test_no_ground_is_an_error_with_the_remedy():
