@@ -45,6 +45,7 @@ STREAK_WIDTH, STREAK_LENGTH = np.float32(0.11), np.float32(1.7)  # m, of paths d
 STREAK_SOFT = np.float32(0.30)  # of the edge of a path
 STREAK_NEAR, STREAK_FAR = np.float32(8), np.float32(25)  # m, between which paths are seen less
 WALL_SHARE = np.float32(0.15)  # of the depth by which a wall's plane may differ from it
+SHINES = np.float32(1.5)  # linear luminance that nothing has in a capture but what shines
 SKY_DARK, SKY_BRIGHT = np.float32(0.10), np.float32(0.22)  # linear luminance: no sky, all sky
 EDGE_COSINE = np.float32(0.25)  # of the view to a thing's surface, below which it glosses less
 FLAT = np.float32(0.7)  # cosine to the vertical above which a surface counts as level ground
@@ -69,12 +70,16 @@ def wet_ratio(albedo):
 def graded(r, g, b, exposure, desaturation, compression):
     """Return captured linear colour as it looks under a dull sky: darker, greyer, flatter.
 
-    `compression` pulls down what lies above a quarter of white: sunlit patches.
+    `compression` pulls down what lies above a quarter of white: sunlit patches. What is brighter
+    than SHINES is a lamp and not lit by the day: so much of it as exceeds that is left as it is.
     """
     y = luminance(r, g, b)
+    own = max(ONE - SHINES / max(y, SHINES), ZERO)  # share of its light
+    y *= ONE - own
     gain = exposure / (ONE + max(y * exposure - np.float32(0.25), ZERO) * compression)
-    keep = ONE - desaturation
-    return (y + (r - y) * keep) * gain, (y + (g - y) * keep) * gain, (y + (b - y) * keep) * gain
+    keep, lit = (ONE - desaturation) * gain, y * desaturation * gain
+    kept = (ONE - own) * keep + own
+    return lit + r * kept, lit + g * kept, lit + b * kept
 
 
 @cpu_kernel

@@ -242,10 +242,10 @@ def _lamps(shape, on, rng):
     """Return head and tail lamps."""
     tall = shape is VAN
     for side in (-1, 1):
-        red = np.array([1.05, 0.13, 0.09]) if on else np.array([0.42, 0.055, 0.05])
+        red = np.array([2.4, 0.20, 0.12]) if on else np.array([0.42, 0.055, 0.05])
         low, high = (0.72, 1.02) if tall else (0.62, 0.80)
         yield _cluster(-0.012, side * 0.66, low, high, 0.15, red, -1)
-        white = np.array([2.0, 1.9, 1.65]) if on else np.array([0.60, 0.62, 0.64])
+        white = np.array([3.4, 3.2, 2.7]) if on else np.array([0.60, 0.62, 0.64])
         yield _cluster(LENGTH - 0.055, side * 0.62, 0.55, 0.66, 0.16, white, 1)
 
 

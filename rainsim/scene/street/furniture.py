@@ -10,7 +10,7 @@ from rainsim.scene.street.road import FACADE, KERB
 
 POST = np.array([0.110, 0.125, 0.120])
 LAMPS = ((5.2, 1), (11.8, -1), (21.5, 1), (30.5, -1), (40.0, 1), (50.0, -1), (-9.0, -1))  # x, side
-LAMP_LIGHT = np.array([1.75, 1.42, 0.92])
+LAMP_LIGHT = np.array([3.5, 2.9, 1.9])  # display-referred: 20 times white
 BOLLARDS = tuple((x, -1) for x in (8.4, 9.6, 13.4, 17.9, 22.6)) + tuple(
     (x, 1) for x in (16.6, 18.0, 22.8)
 )
