@@ -124,9 +124,7 @@ def test_lamps_are_not_greyed_by_the_day():
     """What exceeds white by far shines by itself; grading goes on smoothly up to there."""
     lamp = np.array(shade.graded(20.0, 12.0, 4.0, 0.7, 0.2, 1.2))
     assert (lamp > 0.85 * np.array([20, 12, 4])).all() and lamp[0] < 20
-    below, above = (
-        shade.graded(1.5 * k, 1.5 * k, 1.5 * k, 0.7, 0.2, 1.2)[0] for k in (0.999, 1.001)
-    )
+    below, above = (shade.graded(*(1.5 * k,) * 3, 0.7, 0.2, 1.2)[0] for k in (0.999, 1.001))
     assert abs(above - below) < 5e-3 and below < 0.7
 
 
