@@ -52,7 +52,7 @@ class TakesApart:
         state = SimpleNamespace(
             index=state.index, time=when, depth=self._surface.depth.copy_to_host(),
             slopes=slopes, tile_size=state.tile_size,
-            drips=getattr(state, "drips", np.zeros((0, 7))),
+            drips=getattr(state, "drips", np.zeros((0, 9))),
             drip_id=getattr(state, "drip_id", np.zeros(0, np.uint64)),
         )  # fmt: skip
         own = self.rasterizer
