@@ -36,9 +36,9 @@ def stirring(rate):
 
     The energy that drops bring grows with the rate, but the variance of their rings' elevation only
     with its power 0.53, as Bliven, Sobieski and Craeye fitted to 2.8 mm drops on deep water (1997,
-    Int. J. Remote Sensing 18, 221; the constants of their spectrum are taken from papers that use
-    it): dissipation follows the rate of the rain (Lemaire et al. 2002, Int. J. Remote Sensing 23,
-    2345). The two numbers here make the balance of such rings agree from 5 to 200 mm/h.
+    Int. J. Remote Sensing 18, 221; the constants of their spectrum as commonly quoted, the paper
+    was not at hand): dissipation follows the rate of the rain (Lemaire et al. 2002, Int. J. Remote
+    Sensing 23, 2345). The two numbers here make the balance of such rings agree from 5 to 200 mm/h.
     """
     return 0.36 * (rate / 10.0) ** 0.8
 
