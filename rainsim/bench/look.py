@@ -21,7 +21,7 @@ from rainsim import pipeline, reflect
 from rainsim.bench import whole
 from rainsim.bench.chart import COLORS, MARKERS, require_matplotlib
 from rainsim.bench.film import film_accuracy, film_line
-from rainsim.bench.scenes import scene_names
+from rainsim.bench.scenes import SCENES, scene_names
 from rainsim.bench.truth import DARK, compare, trace_truth
 from rainsim.config import Config
 from rainsim.jit import set_threads
@@ -302,9 +302,12 @@ def _accuracy(found):
 
 
 def draw(result, path):
-    """Draw accuracy against time of the reflection levels, a panel for each case, as PNG."""
+    """Draw accuracy against time of the reflection levels, a panel for each case, as PNG.
+
+    A capture that is not built in stays out.
+    """
     pyplot = require_matplotlib()
-    cases = result["cases"]
+    cases = [case for case in result["cases"] if case["scene"] in SCENES]
     columns = min(2, len(cases))
     rows = -(-len(cases) // columns)
     figure, axes = pyplot.subplots(

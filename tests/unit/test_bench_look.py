@@ -1,5 +1,7 @@
 """The bench of light on water: its measures on cases whose answer is known."""
 
+import subprocess
+import sys
 from types import SimpleNamespace
 
 import numpy as np
@@ -74,3 +76,11 @@ def test_why_the_camera_does_not_see_a_traced_end(water):
     assert list(causes) == list(ends)
     sky = truth_bench.why_unseen(water, np.zeros(1), np.full((1, 3), np.inf))
     assert list(sky) == ["sky"]
+
+
+def test_a_process_for_each_method_tells_its_own_memory():
+    """Not that of the process that starts it, which is larger here."""
+    held = np.ones(80_000_000)  # 640 MB
+    code = "from rainsim.bench import whole; print(whole._peak_mb())"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert 10 < float(done.stdout) < 400 < held.nbytes / 2**20
