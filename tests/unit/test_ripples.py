@@ -205,8 +205,8 @@ def in_balance(rate, diameter, depth=0.3):
 
 @pytest.mark.parametrize("rate", [5.0, 20.0, 50.0, 200.0])
 def test_stirred_water_keeps_the_rings_that_were_measured_under_rain(rate):
-    # Bliven, Sobieski and Craeye: S = Sp exp(-pi (ln(f / fp) / (df / fp))^2), Sp in cm2 / Hz, constants
-    # as commonly quoted
+    # Bliven, Sobieski and Craeye: S = Sp exp(-pi (ln(f / fp) / (df / fp))^2), Sp in cm2 / Hz,
+    # constants as commonly quoted
     f = np.geomspace(0.5, 40.0, 2000)
     peak, wide = 5.772 - 0.0018 * rate, 4.42 + 0.0028 * rate
     measured = 6e-4 * rate**0.53 * np.exp(-np.pi * (np.log(f / peak) / (wide / peak)) ** 2)
