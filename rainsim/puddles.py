@@ -172,9 +172,8 @@ def doubt(terrain, rain):
         reasons.append(f"only {measured:.0%} of the paving is measured")
     if not reasons:
         return None
-    return (
-        f"puddles of {rain * 1e3:g} mm of rain are NOT TO BE BELIEVED here: {' and '.join(reasons)}"
-    )
+    why = " and ".join(reasons)
+    return f"puddles of up to {rain * 1e3:g} mm of rain are NOT TO BE BELIEVED here: {why}"
 
 
 def wet_share(depth, mask, wet=WET):

@@ -81,7 +81,7 @@ def extract_terrain(scene, config, mask=None):
             f"ground within {config.slab:g} m of the ground plane; give --up and "
             "--meters-per-unit, or --ground-frame"
         )
-    bodies, found = find_water(scene, cloud, grid, bed, source == MEASURED)
+    bodies, found = find_water(scene, cloud, grid, bed, source == MEASURED, top > bed)
     for body in bodies:
         free = body.mask if mask is None else body.mask & (mask[body.cells] < 0)
         maps["ground_class"][body.cells][free] = WATER

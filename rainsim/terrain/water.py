@@ -178,7 +178,7 @@ def _linear(color, alpha):
     return np.where((alpha > 0.5)[..., None], shown, np.nan)
 
 
-def find_water(scene, cloud, grid, height, known):
+def find_water(scene, cloud, grid, height, known, covered):
     """Return the bodies of water that a capture shows, and notes.
 
     Parameters
@@ -191,6 +191,8 @@ def find_water(scene, cloud, grid, height, known):
     height : ndarray of shape (ny, nx), float32 [m]
         Of the ground from above.
     known : ndarray of shape (ny, nx), bool
+    covered : ndarray of shape (ny, nx), bool
+        Below something: there colours are dark, and change far in shares of themselves.
 
     Returns
     -------
@@ -199,7 +201,7 @@ def find_water(scene, cloud, grid, height, known):
     step = max(1, round(CELL / grid.spacing))
     cell_area = (step * grid.spacing) ** 2
     changing = ndimage.binary_opening(_changing(cloud, grid, step))
-    changing = _level_places(changing, height, known, grid, step)
+    changing = _level_places(changing, height, known & ~covered, grid, step)
     below = float(cloud.cover[cloud.above < -DEEP].sum())
     if below < LEAST_BELOW and changing.sum() * cell_area < LEAST_AREA:
         return [], ()
