@@ -86,6 +86,7 @@ class Renderer:
         if config.render.sky == "capture":
             self.day = self._captured_sky(eye)
         self.sun = self._find_sun()
+        self.air_light = sky.horizon_radiance(self.day)
         self.gloss = sky.blurred(self.day)  # until the surroundings are drawn
         self.environment = self._surroundings(eye)
         self.gloss = sky.blurred(self.environment)
@@ -187,7 +188,6 @@ class Renderer:
         timer.mark("film")
         self.water.look(self.wet)
         self.drop_light = sky.drop_radiance(self.environment, self.view.forward)
-        self.air_light = sky.horizon_radiance(self.day)
         self._camera = camera
 
     def _wet_picture(self, camera, plane, timer, film=NO_FILM, rasterizer=None):

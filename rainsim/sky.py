@@ -6,6 +6,7 @@ azimuth grows to the left (a panorama as seen from inside), row 0 is the zenith.
 
 from __future__ import annotations
 
+import functools
 import math
 
 import numpy as np
@@ -36,13 +37,16 @@ INV_TWO_PI = np.float32(0.5 / np.pi)
 INV_PI = np.float32(1 / np.pi)
 
 
+@functools.cache
 def directions(rows=ROWS, columns=COLUMNS):
-    """Return the unit direction of each map texel, ndarray of shape (rows, columns, 3)."""
+    """Return the unit direction of each map texel, read-only ndarray (rows, columns, 3)."""
     elevation = (0.5 - (np.arange(rows) + 0.5) / rows) * np.pi
     azimuth = (0.5 - (np.arange(columns) + 0.5) / columns) * 2 * np.pi
     elevation, azimuth = np.meshgrid(elevation, azimuth, indexing="ij")
     flat = np.cos(elevation)
-    return np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)], axis=-1)
+    found = np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)], axis=-1)
+    found.flags.writeable = False
+    return found
 
 
 def overcast(brightness=1.0):
