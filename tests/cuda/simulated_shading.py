@@ -102,7 +102,7 @@ def test_drop_radiance(rng):
         out = np.full(3, np.nan, F4)
         partial = np.full((shading.SUMMERS, shading.SUMS), np.nan)
         shading.sum_environment[shading.SUMMERS, shading.SUM_THREADS](
-            sky.directions(16, 32), around, forward, partial
+            sky.directions(16, 32).copy(), around, forward, partial
         )
         shading.drop_radiance[1, 32](partial, out)
         np.testing.assert_allclose(out, sky.drop_radiance(around, forward), rtol=1e-5)
