@@ -23,6 +23,7 @@ import numpy as np
 from scipy import ndimage
 
 from rainsim.jit import cpu_kernel, lean_function, prange
+from rainsim.light import four_colors
 from rainsim.lobe import LEAST_DIP, LOBE, SAMPLES, lobe_part, reflectance
 from rainsim.raster import select
 from rainsim.ripmap import LEVELS, ripmap, sample_ripmap
@@ -39,8 +40,10 @@ STANDING_OUTSIDE = 0.15  # m above the ground plane, off the map
 SLOPE_WIDTH = 0.25  # m, over which the ground's height and slope are taken
 FAR = np.float32(200.0)  # m, stands for the sky's distance
 STEPS = 3  # towards where a mirrored ray ends
-COARSE = 8  # px, between those that `mean_share` looks at
+COARSE = 8  # px, between those that `film_share` looks at
 USUAL_SLOPE = np.float32(0.2)  # for a first estimate
+STEEPEST_DIP, SHARES = np.float32(20), 48  # tangent at which its table ends, and its entries
+PER_LOG = np.float32((SHARES - 1) / math.log(STEEPEST_DIP / LEAST_DIP))
 EDGE = np.float32(6.0)  # px, over which the level picture gives way to the environment
 WORTH = 0.006  # mean share of the picture's light that the film mirrors, from which `auto` draws it
 
@@ -273,27 +276,28 @@ def lay_film(bare, cover, field, step, picture_out):
     picture_out : ndarray of shape (height, width, 3), float32
     """
     height, width = cover.shape
-    rows, columns = field.shape[:2]
     scale = ONE / np.float32(step)
     for row in prange(height):
-        v = min(max((np.float32(row) + HALF) * scale - HALF, ZERO), np.float32(rows - 1))
-        j = max(min(int(v), rows - 2), 0)
-        k = min(j + 1, rows - 1)
-        b = v - np.float32(j)
         for column in range(width):
             share = cover[row, column]
             for c in range(3):
                 picture_out[row, column, c] = bare[row, column, c]
-            if share <= ZERO:
-                continue
-            u = min(max((np.float32(column) + HALF) * scale - HALF, ZERO), np.float32(columns - 1))
-            i = max(min(int(u), columns - 2), 0)
-            n = min(i + 1, columns - 1)
-            a = u - np.float32(i)
-            for c in range(3):
-                low = field[j, i, c] + (field[j, n, c] - field[j, i, c]) * a
-                high = field[k, i, c] + (field[k, n, c] - field[k, i, c]) * a
-                picture_out[row, column, c] += share * (low + (high - low) * b)
+            if share > ZERO:
+                r, g, b = field_at(field, scale, row, column)
+                picture_out[row, column, 0] += share * r
+                picture_out[row, column, 1] += share * g
+                picture_out[row, column, 2] += share * b
+
+
+@lean_function
+def field_at(field, scale, row, column):
+    """Return the light of a field at a pixel, interpolated; `scale` is one over its step."""
+    rows, columns = field.shape[0], field.shape[1]
+    v = min(max((np.float32(row) + HALF) * scale - HALF, ZERO), np.float32(rows - 1))
+    u = min(max((np.float32(column) + HALF) * scale - HALF, ZERO), np.float32(columns - 1))
+    j, i = max(min(int(v), rows - 2), 0), max(min(int(u), columns - 2), 0)
+    k, n = min(j + 1, rows - 1), min(i + 1, columns - 1)
+    return four_colors(field, j, k, i, n, u - np.float32(i), v - np.float32(j))
 
 
 class WetGround:
@@ -340,13 +344,13 @@ class WetGround:
         if not cover.any():
             return view
         if self.config.film == "auto" and not self.drawn:
-            self._choose(mean_share(view, cover), notes)
+            self.choose(mean_share(view, cover), notes)
         field, step = self.field(view, cover, camera, draw_mirrored, environment)
         picture = np.empty_like(view.picture)
         lay_film(view.picture, cover, field, step, picture)
         return replace(view, picture=picture, below=view.picture)
 
-    def _choose(self, share, notes):
+    def choose(self, share, notes):
         """Decide whether film that mirrors a share of the light in view is worth a picture.
 
         Once it was worth it, it stays so: a film must not change its look between two frames.
@@ -411,14 +415,53 @@ def film_blocks(cover, step, wanted_out):
 
 def mean_share(view, cover):
     """Return the mean share of light in a view that its film mirrors, from every eighth pixel."""
-    part = cover[::COARSE, ::COARSE]
-    fx, fy, cx, cy = view.lens
-    height, width = cover.shape
-    a = (np.arange(0, width, COARSE) + 0.5 - cx) / fx
-    b = (np.arange(0, height, COARSE) + 0.5 - cy) / fy
-    ray = np.stack(np.broadcast_arrays(a[None], b[:, None], 1.0), axis=-1) @ view.turn.T
-    dip = -ray[..., 2] / np.hypot(ray[..., 0], ray[..., 1])
-    tangent = np.geomspace(LEAST_DIP, 20, 48).astype(np.float32)
+    rows, columns = (-(-n // COARSE) for n in cover.shape)
+    total = np.empty(rows)
+    film_share(cover, view.turn, view.lens, usual_shares(), total)
+    return float(total.sum() / (rows * columns))
+
+
+@functools.cache
+def usual_shares():
+    """Return the reflectance of usual wet ground at SHARES tangents, see `usual_share`."""
+    tangent = np.geomspace(LEAST_DIP, STEEPEST_DIP, SHARES).astype(np.float32)
     share = np.empty_like(tangent)
     reflectance(LOBE, tangent, USUAL_SLOPE, share)
-    return float((part * np.interp(dip, tangent, share)).mean())
+    return share
+
+
+@lean_function
+def usual_share(table, x, y, z):
+    """Return the share of light that film seen from direction (x, y, z) mirrors, about."""
+    dip = min(max(-z / math.sqrt(x * x + y * y), LEAST_DIP), STEEPEST_DIP)
+    at = math.log(dip / LEAST_DIP) * PER_LOG
+    i = min(int(at), SHARES - 2)
+    return table[i] + (table[i + 1] - table[i]) * (at - np.float32(i))
+
+
+@cpu_kernel
+def film_share(cover, ground_from_camera, lens, table, total_out):
+    """Add up what the film of every eighth pixel of every eighth row mirrors.
+
+    Parameters
+    ----------
+    cover : ndarray of shape (height, width), float32
+    table : ndarray of shape (SHARES,), float32
+        As `usual_shares` gives it.
+    total_out : ndarray of shape (rows,), float64
+        Of each of these rows.
+    """
+    m, width = ground_from_camera, cover.shape[1]
+    for j in prange(len(total_out)):
+        row = np.int64(j) * COARSE
+        b = (np.float32(row) + HALF - lens[3]) / lens[1]
+        total = 0.0
+        for column in range(0, width, COARSE):
+            share = cover[row, column]
+            if share > ZERO:
+                a = (np.float32(column) + HALF - lens[2]) / lens[0]
+                total += share * usual_share(
+                    table, m[0, 0] * a + m[0, 1] * b + m[0, 2],
+                    m[1, 0] * a + m[1, 1] * b + m[1, 2], m[2, 0] * a + m[2, 1] * b + m[2, 2],
+                )  # fmt: skip
+        total_out[j] = total

@@ -157,13 +157,10 @@ def grade_and_wet(
             if film_apart:
                 film_out[row, column] = ZERO
             if film_apart and on_floor:
-                if not clearance < FAR_AWAY:  # off the map: as at its border
-                    u = (eye[0] + e * x - origin[0]) / spacing - HALF
-                    v = (eye[1] + e * y - origin[1]) / spacing - HALF
-                    u = min(max(u, ZERO), np.float32(ground.shape[1]) - TO_BORDER)
-                    v = min(max(v, ZERO), np.float32(ground.shape[0]) - TO_BORDER)
-                    lawn, _, film, _ = on_ground(ground, u, v)
-                film_out[row, column] = film * (TWO * upness - ONE) * (ONE - lawn)
+                film_out[row, column] = film_cover(
+                    ground, origin, spacing, eye[0] + e * x, eye[1] + e * y, clearance, upness,
+                    lawn, film,
+                )  # fmt: skip
             elif gloss > ZERO:
                 e0, e1, e2 = glossed(environment, x * il, y * il, z * il)
                 r, g, bl = r + gloss * e0, g + gloss * e1, bl + gloss * e2
@@ -173,6 +170,17 @@ def grade_and_wet(
             picture_out[row, column, 0] = r
             picture_out[row, column, 1] = g
             picture_out[row, column, 2] = bl
+
+
+@device_function
+def film_cover(ground, origin, spacing, x, y, clearance, upness, lawn, film):
+    """Return the share of a full film on the ground at (x, y), as `wet_state` tells of it."""
+    if not clearance < FAR_AWAY:  # off the map: as at its border
+        u, v = (x - origin[0]) / spacing - HALF, (y - origin[1]) / spacing - HALF
+        u = min(max(u, ZERO), np.float32(ground.shape[1]) - TO_BORDER)
+        v = min(max(v, ZERO), np.float32(ground.shape[0]) - TO_BORDER)
+        lawn, _, film, _ = on_ground(ground, u, v)
+    return film * (TWO * upness - ONE) * (ONE - lawn)
 
 
 @cpu_kernel

@@ -1,6 +1,7 @@
 """What the film on wet ground mirrors, against closed forms and rays drawn at random."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -232,6 +233,19 @@ def test_film_is_added_where_it_is(rng, poisoned):
     picture = poisoned(bare.shape)
     film.lay_film(bare, cover, field, 3, picture)
     np.testing.assert_allclose(picture - bare, 0.4 * cover[..., None] + 0 * bare, atol=1e-6)
+
+
+def test_share_of_light_that_film_mirrors(poisoned):
+    """Of full film on the lower half, seen from tangents of 0 to 0.7."""
+    cover = np.zeros((HEIGHT, WIDTH), F4)
+    cover[HEIGHT // 2 :] = 0.5
+    view = SimpleNamespace(turn=TURN, lens=LENS)
+    u, v = np.meshgrid(np.arange(0, WIDTH, film.COARSE), np.arange(24, HEIGHT, film.COARSE))
+    a, b = (u + 0.5 - LENS[2]) / FOCAL, (v + 0.5 - LENS[3]) / FOCAL
+    share = poisoned(u.size)
+    lobe.reflectance(lobe.LOBE, (b / np.hypot(a, 1)).astype(F4).ravel(), film.USUAL_SLOPE, share)
+    assert film.mean_share(view, cover) == pytest.approx(share.mean() / 4, rel=5e-3)
+    assert film.mean_share(view, 0 * cover) == 0
 
 
 def test_film_is_that_of_lobes_traced_through_the_splats():
