@@ -10,6 +10,7 @@ import numpy as np
 from scipy import ndimage
 
 from rainsim import layers, paperrain, shade, sky, wetness
+from rainsim.backdrop import Backdrop
 from rainsim.drips import drip_impacts, drips_seen
 from rainsim.errors import ParameterError, require_choice
 from rainsim.film import WetGround, standing
@@ -67,8 +68,11 @@ class Renderer:
     """Draws frames of one scene, terrain and configuration; draws a still camera's capture once."""
 
     def __init__(self, scene, terrain, config, first_camera):
-        self.scene, self.terrain, self.config = scene, terrain, config
+        self.terrain, self.config = terrain, config
         self.frame = scene.ground_frame
+        self.sky_distance = sky_distance(scene)
+        self.backdrop = Backdrop(scene, self.sky_distance, replaces_sky(config))
+        self.scene = scene = self.backdrop.scene
         self.near = NEAR / self.frame.meters_per_unit
         self.rasterizer = self._rasterizer_of(prepare(scene.splats))
         self.surfaces = surfaces_of(terrain)
@@ -76,15 +80,15 @@ class Renderer:
         self.exposure = rain_exposure(terrain, usual_wind(config), config.rain.roughness)
         self.grass = ndimage.gaussian_filter(terrain.grassy.astype(np.float32), 1)
         self.look = self.others = None
-        self.sky_distance = sky_distance(scene)
+        self.day = day_sky(config.render)
         self._set_time(0.0)
         reach = ring_reach(RING_DEPTH, config.water.surface_film, self.weather.mean_rate)
         self.rings = ring_share(self.exposure, terrain.grid.spacing, *reach)
         self.water = WaterView(terrain, self.rings, config.render)
-        self.day, self.notes = day_sky(config.render), []
+        self.notes = [self.backdrop.note()] if self.backdrop.count else []
         eye = self.frame.to_ground(first_camera.position)
         if config.render.sky == "capture":
-            self.day = self._captured_sky(eye)
+            self.day = self.behind = self._captured_sky(eye)
         self.sun = self._find_sun()
         self.air_light = sky.horizon_radiance(self.day)
         self.gloss = sky.blurred(self.day)  # until the surroundings are drawn
@@ -156,6 +160,9 @@ class Renderer:
         dry = None
         if not {"clean", "normal", "wetness"}.isdisjoint(names):
             dry = self.rasterizer.draw(self._camera, self.near)
+        if "clean" in names and self.backdrop.count:
+            whole = self._rasterizer_of(prepare(self.backdrop.whole.splats))
+            dry = replace(dry, color=whole.draw(self._camera, self.near).color)
         return layers.Shot(
             layers=dry, view=self.wet, water=self.water, environment=self.environment,
             sun=self._sun, field=self.field, surfaces=self.surfaces, camera=self.view, state=state,
@@ -168,12 +175,13 @@ class Renderer:
         """Take over the settings of a time; return whether the dry picture's look has changed."""
         self.now = self.config.at(time)
         new_look, new_others = look(self.now), wetness.others(self.now)
-        new_look[4] = self.sky_distance
+        new_look[4:] = self.sky_distance, self.backdrop.count > 0
         if np.array_equal(new_look, self.look) and np.array_equal(new_others, self.others):
             return False
         self.look, self.others = new_look, new_others
         self.wetness = wetness.overall(self.now)
         self.ground = wetness.ground_maps(self.terrain, self.grass, self.exposure, self.now)
+        self.behind = self.backdrop.mixed(self.day, self.look)
         return True
 
     def _see(self, camera, timer):
@@ -206,7 +214,7 @@ class Renderer:
             dry.color, dry.alpha, dry.depth, dry.plane_depth, dry.normal,
             np.float32(self.frame.meters_per_unit), turn, eye, lens,
             self.terrain.bed, self.ground, self._origin, self._spacing,
-            self.gloss, self.day, self.look, self.others, picture, depth, clearance,
+            self.gloss, self.behind, self.look, self.others, picture, depth, clearance,
             film,
         )  # fmt: skip
         timer.mark("grade and wet" if plane is None else "mirror")
@@ -251,7 +259,7 @@ class Renderer:
             np.ascontiguousarray(found.normal @ turn.T, np.float32),
             (origin - before[:, None] * direction).astype(np.float32), direction,
             self.terrain.bed, self.ground, self._origin, self._spacing,
-            self.gloss, self.day, self.look, self.others, light,
+            self.gloss, self.behind, self.look, self.others, light,
         )  # fmt: skip
         return light, found.alpha, found.distance * np.float32(unit)
 
@@ -386,10 +394,19 @@ def day_sky(config):
 
 
 def look(config):
-    """Return exposure, desaturation, compression, share of replaced sky and its distance [m]."""
+    """Return the six numbers of a look that `shade.grade_and_wet` takes, for any scene.
+
+    Those are exposure, desaturation, compression, share of replaced sky, its distance [m] and
+    whether the scene's own sky is left out.
+    """
     c = config.render.cloudiness
     replaced = 0.0 if config.render.sky == "capture" else c
-    return np.array([1 - 0.3 * c, 0.2 * c, 1.2 * c, replaced, NEAREST_SKY], np.float32)
+    return np.array([1 - 0.3 * c, 0.2 * c, 1.2 * c, replaced, NEAREST_SKY, 0], np.float32)
+
+
+def replaces_sky(config):
+    """Tell whether the capture's sky gives way to another at any time."""
+    return any(look(config.at(time))[3] > 0 for time in config.key_times())
 
 
 def sky_distance(scene):

@@ -21,11 +21,11 @@ from rainsim.light import (
     smoothstep,
 )
 from rainsim.sky import sample_environment
+from rainsim.walls import damp_off_ground
 
 ZERO = np.float32(0)
 ONE = np.float32(1)
 TWO = np.float32(2)
-THREE = np.float32(3)
 FOUR = np.float32(4)
 HALF = np.float32(0.5)
 
@@ -39,11 +39,6 @@ GLOSS = np.float32(0.3)  # of a smooth mirror: what a film on rough stone reflec
 GLOSS_LIFT = np.float32(0.3)  # sine by which its lobe is lifted above the mirror direction
 FAR_AWAY = np.float32(1e4)  # m, stands for the depth of the sky
 FILLING = np.float32(1.55)  # of the similarity: its asymmetry goes from some 0.64 to 0.85
-WALL_SPRAY = np.float32(0.06)  # share of the rain that walls get which no drop meets
-SOFFIT = np.float32(0.7)  # share of that which undersides do not get
-STREAK_WIDTH, STREAK_LENGTH = np.float32(0.11), np.float32(1.7)  # m, of paths down a wall
-STREAK_SOFT = np.float32(0.30)  # of the edge of a path
-STREAK_NEAR, STREAK_FAR = np.float32(8), np.float32(25)  # m, between which paths are seen less
 WALL_SHARE = np.float32(0.15)  # of the depth by which a wall's plane may differ from it
 SHINES = np.float32(1.5)  # linear luminance that nothing has in a capture but what shines
 SKY_DARK, SKY_BRIGHT = np.float32(0.10), np.float32(0.22)  # linear luminance: no sky, all sky
@@ -51,8 +46,10 @@ EDGE_COSINE = np.float32(0.25)  # of the view to a thing's surface, below which 
 FLAT = np.float32(0.7)  # cosine to the vertical above which a surface counts as level ground
 TO_BORDER = np.float32(1.01)  # cells before the map's end that interpolation still reaches
 LEAST_SKY = np.float32(0.002)  # share of sky that does not change an 8-bit picture
+OPAQUE, LEAST_COVER = np.float32(0.99), np.float32(1e-3)  # alpha that hides all, and next to none
 LEAST_ALPHA = np.float32(0.1)  # what covers less of a pixel has no depth
 ON_GROUND = np.float32(0.3)  # m over the bed: what stands higher is no ground
+OPEN_LOW, OPEN_HIGH = np.float32(-0.12), np.float32(-0.06)  # from which an open sky shows
 SKY_SINE = np.float32(0.03)  # sine of the elevation above which there may be sky
 
 
@@ -101,9 +98,10 @@ def grade_and_wet(
         As `wetness.ground_maps` gives it.
     environment, day_sky : ndarray of shape (rows, columns, 3), float32
         What lies around, for gloss; the sky behind everything.
-    look : ndarray of shape (5,), float32
+    look : ndarray of shape (6,), float32
         Exposure, desaturation, compression, share of the captured sky that is replaced, distance
-        [m] beyond which what is bright may be sky.
+        [m] beyond which what is bright may be sky, and 1 if the splats of the captured sky are left
+        out (see `backdrop`), so that `day_sky` shows wherever something is open.
     others : ndarray of shape (5,), float32
         As `wetness.others` gives it.
     picture_out : ndarray of shape (height, width, 3), float32
@@ -148,10 +146,12 @@ def grade_and_wet(
             depth_out[row, column] = d if solid else np.inf
             clearance_out[row, column] = clearance
             cosine = -(n0 * a + n1 * b + n2) * il
+            r, g, bl = linear[3 * column], linear[3 * column + 1], linear[3 * column + 2]
+            if is_edge(over, look[5]):
+                r, g, bl = undiluted(shown[3 * column : 3 * column + 3], over)
             r, g, bl, gloss, through = rainy(
-                linear[3 * column], linear[3 * column + 1], linear[3 * column + 2], over,
-                d * length, z * il, cosine, upness, height_here, lawn, damp, film, pores,
-                look[0], look[1], look[2], look[3], look[4],
+                r, g, bl, over, d * length, z * il, cosine, upness, height_here, lawn, damp, film,
+                pores, look[0], look[1], look[2], look[3], look[4], look[5],
             )  # fmt: skip
             on_floor = solid and upness > FLAT and height_here < ON_GROUND
             if film_apart:
@@ -210,12 +210,11 @@ def grade_rays(
             eye[n, 0] + d * x, eye[n, 1] + d * y, eye[n, 2] + d * z,
             normal[n, 0], normal[n, 1], upness, d,
         )  # fmt: skip
+        r, g, b = undiluted(color[n], alpha[n] if is_edge(alpha[n], look[5]) else ONE)
         r, g, b, gloss, through = rainy(
-            linear_from_display(max(color[n, 0], ZERO)),
-            linear_from_display(max(color[n, 1], ZERO)),
-            linear_from_display(max(color[n, 2], ZERO)), alpha[n], d, z,
+            r, g, b, alpha[n], d, z,
             -(x * normal[n, 0] + y * normal[n, 1] + z * upness), upness, height_here,
-            lawn, damp, film, pores, look[0], look[1], look[2], look[3], look[4],
+            lawn, damp, film, pores, look[0], look[1], look[2], look[3], look[4], look[5],
         )  # fmt: skip
         if gloss > ZERO:
             e0, e1, e2 = glossed(environment, x, y, z)
@@ -252,13 +251,13 @@ def wet_state(bed, ground, origin, spacing, others, solid, x, y, z, nx, ny, nz, 
 @inlined_function
 def rainy(
     r, g, b, over, far, z, cosine, upness, height, lawn, damp, film, pores,
-    exposure, desaturation, compression, sky_replaced, sky_distance,
+    exposure, desaturation, compression, sky_replaced, sky_distance, open_sky,
 ):  # fmt: skip
     """Return the colour in the rain of what was captured, and the shares of gloss and of sky in it.
 
     `far` is its distance [m], z the sine of the elevation that it is seen at, `over` its alpha,
     `cosine` the one between its normal and the way back; the rest is as `wet_state` and
-    `grade_and_wet` have it.
+    `grade_and_wet` have it. The colour of what `is_edge` is given as if it covered all.
     """
     sky, gloss = ZERO, ZERO
     if far > sky_distance and z > SKY_SINE:
@@ -275,11 +274,30 @@ def rainy(
                 gloss *= smoothstep(ZERO, EDGE_COSINE, cosine)
     # The sky of the day stands in for the captured sky and for what no splat covers. Many
     # captures leave dark places half open: those are not sky.
-    through = over * sky
-    if z > ZERO:
+    through, keep = over * sky, ONE - sky
+    if open_sky > ZERO:
+        keep *= over if is_edge(over, open_sky) else ONE
+        through += (ONE - over) * smoothstep(OPEN_LOW, OPEN_HIGH, z)
+    elif z > ZERO:
         through += (ONE - over) * smoothstep(np.float32(0.4), np.float32(0.9), ONE - over)
-    keep = ONE - sky
     return r * keep, g * keep, b * keep, gloss * keep, through
+
+
+@device_function
+def is_edge(over, open_sky):
+    """Tell whether a sky behind shows past what covers a share `over` of a pixel."""
+    return open_sky > ZERO and over < OPAQUE
+
+
+@device_function
+def undiluted(color, over):
+    """Return the linear colour (three numbers) of what covers a share `over`, shown over black."""
+    inv = ONE / max(over, LEAST_COVER)
+    return (
+        linear_from_display(max(color[0], ZERO) * inv),
+        linear_from_display(max(color[1], ZERO) * inv),
+        linear_from_display(max(color[2], ZERO) * inv),
+    )
 
 
 @cpu_kernel
@@ -354,52 +372,6 @@ def on_ground(ground, u, v):
         p[3] * w0 + q[3] * w1 + s[3] * w2 + t[3] * w3,
         p[4] * w0 + q[4] * w1 + s[4] * w2 + t[4] * w3,
     )
-
-
-@device_function
-def damp_off_ground(others, nx, ny, nz, x, y, z, far):
-    """Return how wet a surface with the unit normal n at (x, y, z) is, 0 to 1, seen from `far` [m].
-
-    It catches rain as it faces the slanting drops; walls that they miss get a little spray. A
-    wall that is not wet through is wet in streaks, for what it catches runs down in paths.
-    """
-    slant = -(nx * others[1] + ny * others[2])
-    caught = max(max(nz + slant, ZERO), WALL_SPRAY * (ONE + min(nz, ZERO) * SOFFIT))
-    full = others[0] * caught
-    if full >= ONE or nz > HALF:
-        return min(full, ONE)
-    # Across the wall: along the axis that it faces less; a normal's noise does not matter then.
-    across = y if abs(nx) > abs(ny) else x
-    path = _streak_noise(across / STREAK_WIDTH, z / STREAK_LENGTH)
-    wet = smoothstep(
-        path - STREAK_SOFT, path + STREAK_SOFT, full * (ONE + TWO * STREAK_SOFT) - STREAK_SOFT
-    )
-    # From afar paths are narrower than pixels.
-    return wet + (full - wet) * smoothstep(STREAK_NEAR, STREAK_FAR, far)
-
-
-@device_function
-def _streak_noise(u, v):
-    """Return smooth noise of 0 to 1: octaves of random numbers on a lattice."""
-    return (TWO * _lattice(u, v) + _lattice(u * THREE + HALF, v * TWO)) / THREE
-
-
-@device_function
-def _lattice(u, v):
-    i, j = math.floor(u), math.floor(v)
-    a, b = u - np.float32(i), v - np.float32(j)
-    a, b = a * a * (THREE - TWO * a), b * b * (THREE - TWO * b)
-    i, j = int(i), int(j)
-    low = _random(i, j) * (ONE - a) + _random(i + 1, j) * a
-    high = _random(i, j + 1) * (ONE - a) + _random(i + 1, j + 1) * a
-    return low * (ONE - b) + high * b
-
-
-@device_function
-def _random(i, j):
-    h = (i * 374761393 + j * 668265263) & 0xFFFFFFFF
-    h = ((h ^ (h >> 13)) * 1274126177) & 0xFFFFFFFF
-    return np.float32((h ^ (h >> 16)) & 0xFFFF) * np.float32(1 / 65535)
 
 
 @device_function

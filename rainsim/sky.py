@@ -191,35 +191,37 @@ def horizon_radiance(environment):
     return environment[(sine > 0.03) & (sine < 0.15)].mean(axis=0)
 
 
-def probe(draw, position):
-    """Return the map of what lies all around `position` (ground frame, m).
+def probe(draw, position, rows=ROWS, columns=COLUMNS):
+    """Return the map (rows, columns, n) of what lies all around `position` (ground frame, m).
 
     Parameters
     ----------
     draw : callable
-        draw(camera) returns the picture (160, 160, 3) in linear light that the ground-frame
-        `camera` sees.
+        draw(camera) returns the square picture of n channels that the ground-frame `camera` sees.
     position : ndarray of shape (3,) [m]
     """
-    direction = directions()
-    radiance = np.zeros((ROWS, COLUMNS, 3), np.float32)
+    direction = directions(rows, columns)
+    side = FACE * rows // ROWS
+    radiance = None
     axis = np.argmax(np.abs(direction), axis=-1)
     for a in range(3):
         for sign in (1, -1):
             which = (axis == a) & (np.sign(direction[..., a]) == sign)
-            camera = _face(a, sign, position)
+            camera = _face(a, sign, position, side)
             picture = draw(camera)
+            if radiance is None:
+                radiance = np.zeros((rows, columns, picture.shape[-1]), np.float32)
             local = direction[which] @ camera.camera_from_world[:3, :3].T
             column = camera.fx * local[:, 0] / local[:, 2] + camera.cx
             row = camera.fy * local[:, 1] / local[:, 2] + camera.cy
-            row = np.clip(row.astype(int), 0, FACE - 1)
-            column = np.clip(column.astype(int), 0, FACE - 1)
+            row = np.clip(row.astype(int), 0, side - 1)
+            column = np.clip(column.astype(int), 0, side - 1)
             radiance[which] = picture[row, column]
     return radiance
 
 
-def _face(axis, sign, position):
-    """Return the camera of the cube face that looks along +-axis of the ground frame."""
+def _face(axis, sign, position, side):
+    """Return the camera of the cube face that looks along +-axis, `side` pixels wide."""
     forward = np.zeros(3)
     forward[axis] = sign
     up = np.array([0.0, 0.0, 1.0]) if axis != 2 else np.array([1.0, 0.0, 0.0])
@@ -227,7 +229,7 @@ def _face(axis, sign, position):
     matrix = np.eye(4)
     matrix[:3, :3] = (right, -up, forward)
     matrix[:3, 3] = -matrix[:3, :3] @ position
-    return Camera(FACE, FACE, FACE / 2, FACE / 2, FACE / 2, FACE / 2, matrix)
+    return Camera(side, side, *(4 * [side / 2]), matrix)
 
 
 def drop_radiance(environment, forward):

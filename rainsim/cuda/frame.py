@@ -69,7 +69,7 @@ class Renderer(InTurn, TakesApart, HostRenderer):
         self._ground, self._ground_sent = send(self.ground), self.ground
         self._place = send(self._origin), self._spacing
         self._around, self._gloss = send(self.environment), send(self.gloss)
-        self._sky = send(self.day)
+        self._sky, self._sky_sent = send(self.behind), self.behind
         self._directions = cuda.to_device(sky.directions(*self.environment.shape[:2]))
         self._drop = cuda.device_array(3, np.float32)
         self._sums = cuda.device_array((shading.SUMMERS, shading.SUMS), np.float64)
@@ -118,6 +118,8 @@ class Renderer(InTurn, TakesApart, HostRenderer):
         self._set_time(state.time)
         if self.ground is not self._ground_sent:
             self._to_bring.append(self._bring_ground)
+        if self.behind is not self._sky_sent:
+            self._to_bring.append(self._bring_sky)
         self.view = self.frame.camera_in_ground(camera)
         if self._size != (camera.height, camera.width):
             self._size = camera.height, camera.width
@@ -139,6 +141,10 @@ class Renderer(InTurn, TakesApart, HostRenderer):
     def _bring_ground(self):
         self._ground.copy_to_device(np.ascontiguousarray(self.ground, np.float32))
         self._ground_sent = self.ground
+
+    def _bring_sky(self):
+        self._sky.copy_to_device(self.behind)
+        self._sky_sent = self.behind
 
     def _update_drops(self, field, state, camera_end):
         """Say which drops are in the air; return the fog of those that are not drawn."""
@@ -194,7 +200,7 @@ class Renderer(InTurn, TakesApart, HostRenderer):
         self._image = cuda.device_array((height, width, 3), np.uint8)
         self._images = [pinned((height, width, 3), np.uint8) for _ in range(2)]
         self.numbers = Numbers(self.stream, {
-            "turn": ((3, 3), f4), "eye": ((3,), f4), "lens": ((4,), f4), "look": ((5,), f4),
+            "turn": ((3, 3), f4), "eye": ((3,), f4), "lens": ((4,), f4), "look": ((6,), f4),
             "others": ((5,), f4), "brightness": ((1,), f4), "fog": ((FOG_STEPS + 3,), f4),
             "sun": ((6,), f4), "air": ((3,), f4), "settings": ((3,), f4), "cover": ((2,), f4),
             "forward": ((3,), np.float64),

@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from rainsim.cuda.jit import cuda, cuda_kernel
-from rainsim.light import display_from_linear, exp_minus, linear_from_display
+from rainsim.light import display_from_linear, exp_minus
 from rainsim.shade import (
     FAR_AWAY,
     FLAT,
@@ -24,7 +24,9 @@ from rainsim.shade import (
     ZERO,
     fog_thickness,
     glossed,
+    is_edge,
     rainy,
+    undiluted,
     wet_state,
 )
 from rainsim.sky import DROP_AMBIENT, DROP_FIELD, DROP_TRANSMISSION, sample_environment
@@ -80,12 +82,11 @@ def grade_and_wet(
     )  # fmt: skip
     depth_out[row, column] = d if solid else NOWHERE
     clearance_out[row, column] = clearance
+    red, green, blue = undiluted(color[row, column], over if is_edge(over, look[5]) else ONE)
     red, green, blue, gloss, through = rainy(
-        linear_from_display(max(color[row, column, 0], ZERO)),
-        linear_from_display(max(color[row, column, 1], ZERO)),
-        linear_from_display(max(color[row, column, 2], ZERO)), over, d * length, z * il,
+        red, green, blue, over, d * length, z * il,
         -(n0 * a + n1 * b + n2) * il, upness, above, lawn, damp, film, pores,
-        look[0], look[1], look[2], look[3], look[4],
+        look[0], look[1], look[2], look[3], look[4], look[5],
     )  # fmt: skip
     if gloss > ZERO:
         e0, e1, e2 = glossed(environment, x * il, y * il, z * il)

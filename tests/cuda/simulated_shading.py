@@ -55,7 +55,7 @@ def launch(kernel, *arguments):
 
 def test_grade_and_wet(view, poisoned):
     day, around = sky.overcast(), sky.overcast(0.7)
-    look = np.array([0.8, 0.15, 0.9, 0.8, 30], F4)
+    look = np.array([0.8, 0.15, 0.9, 0.8, 30, 1], F4)
     ground = np.random.default_rng(2).uniform(0, 1, (CELLS, CELLS, 5)).astype(F4)
 
     def arguments(damp):

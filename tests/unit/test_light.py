@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from rainsim import light, shade, sky
+from rainsim import light, shade, sky, walls
 
 
 def test_fresnel_is_the_exact_dielectric():
@@ -90,7 +90,7 @@ def test_walls_catch_what_slants_towards_them():
     def damp(nx, ny, nz, supply=1.0):
         rain[0] = supply
         spots = np.random.default_rng(1).uniform(0, 40, (400, 3))
-        return np.mean([shade.damp_off_ground(rain, nx, ny, nz, *spot, 2.0) for spot in spots])
+        return np.mean([walls.damp_off_ground(rain, nx, ny, nz, *spot, 2.0) for spot in spots])
 
     assert damp(0.0, 0.0, 1.0) == 1.0
     side, lee = damp(0.0, 1.0, 0.0, 8.0), damp(1.0, 0.0, 0.0, 8.0)
@@ -104,12 +104,12 @@ def test_a_wall_is_wet_in_streaks_longer_than_wide():
     rain = np.array([1.0, 0.5, 0.0, 1.0, 0.1], np.float32)
     at = np.arange(0, 3, 0.02)
     wall = np.array(
-        [[shade.damp_off_ground(rain, -1.0, 0.0, 0.0, 0.0, y, z, 2.0) for y in at] for z in at]
+        [[walls.damp_off_ground(rain, -1.0, 0.0, 0.0, 0.0, y, z, 2.0) for y in at] for z in at]
     )
     assert wall.std() > 0.1
     across = np.abs(np.diff(wall, axis=1)).mean()
     assert across > 4 * np.abs(np.diff(wall, axis=0)).mean()
-    assert shade.damp_off_ground(rain, -1.0, 0.0, 0.0, 0.0, 1.0, 1.0, 40.0) == 0.5  # from afar
+    assert walls.damp_off_ground(rain, -1.0, 0.0, 0.0, 0.0, 1.0, 1.0, 40.0) == 0.5  # from afar
 
 
 def test_grading_is_the_identity_when_asked_for():

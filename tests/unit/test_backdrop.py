@@ -1,0 +1,101 @@
+"""The sky behind a scene: leaves before it are mixed with the day's sky, not with the captured."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from rainsim import backdrop, layers, pipeline, shade, sky
+from rainsim.config import Config
+from rainsim.light import linear_from_display
+from rainsim.render import Renderer
+from rainsim.scene.types import Splats
+from scenes import _looking, _splats, tiny_scene
+
+BLUE, LEAF, SIZE = (0.45, 0.62, 0.9), (0.1, 0.3, 0.05), 48
+LEAF_AT = (0.0, 3.0, 2.5)
+RAY = np.array([0, 2, 1], np.float32) / np.sqrt(np.float32(5))  # from (0, 0, 1) to it
+
+
+@pytest.fixture(scope="module")
+def scene():
+    """The tiny scene below a blue dome, with a half transparent leaf before it."""
+    scene = tiny_scene(SIZE, SIZE)
+    frame = scene.ground_frame
+    azimuth, elevation = np.meshgrid(np.radians(np.arange(0, 360, 12)), np.radians(
+        np.arange(-2, 90, 8)))  # fmt: skip
+    flat = np.cos(elevation)
+    dome = 60 * np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)], -1)
+    unit = frame.meters_per_unit
+    added = _splats(frame.to_capture(dome.reshape(-1, 3)), np.full((dome.size // 3, 3), 6 / unit),
+                    0.97, np.broadcast_to(BLUE, (dome.size // 3, 3)))  # fmt: skip
+    leaf = _splats(frame.to_capture(np.array([LEAF_AT])), np.full((1, 3), 0.5 / unit), 0.5,
+                   np.array([LEAF]))  # fmt: skip
+    parts = zip(*(dataclasses.astuple(s) for s in (scene.splats, added, leaf)), strict=True)
+    return dataclasses.replace(scene, splats=Splats(*(np.concatenate(p) for p in parts)))
+
+
+def drawn(scene, cloudiness=1.0, names=()):
+    """Renderer, report and picture of a dry frame: the leaf and the sky above it."""
+    camera = scene.ground_frame.camera_in_capture(
+        _looking((0.0, 0.0, 1.0), LEAF_AT, SIZE, SIZE, "level")
+    )
+    config = Config().replace(
+        rate=0.0, past=0.0, frames=1, extent=1.0, spacing=0.05, cloudiness=cloudiness,
+        width=SIZE,
+    )  # fmt: skip
+    terrain = pipeline.extract_terrain(tiny_scene(), config)
+    renderer = Renderer(scene, terrain, config, camera)
+    picture, report = renderer.draw(camera, next(pipeline.simulate(terrain, config)), None, names)
+    return renderer, report, picture
+
+
+def test_a_leaf_is_mixed_with_the_sky_of_the_day(scene, monkeypatch):
+    renderer, report, _ = drawn(scene)
+    assert renderer.backdrop.count == 360 and any("360 splats" in note for note in report.notes)
+    middle = SIZE // 2, SIZE // 2
+    leaf = shade.graded(*(linear_from_display(np.float32(c)) for c in LEAF), *renderer.look[:3])
+    day = sky.sample_environment(renderer.day, *RAY)
+    wanted = 0.5 * np.array(leaf) + 0.5 * np.array(day)
+    np.testing.assert_allclose(renderer.wet.picture[middle], wanted, rtol=0.03)
+    # A ray that is traced sees the same.
+    eye = np.array([[0, 0, 1]], np.float32)
+    light, alpha, _ = renderer._traced(eye, RAY[None], np.zeros(1), 0.01)
+    assert alpha[0] == pytest.approx(0.5, abs=0.02)
+    np.testing.assert_allclose(light[0], wanted, rtol=0.05)
+    # Laid over the captured sky it is not: that one has lent the leaf's edge its light.
+    monkeypatch.setattr(sky, "LEAST_SKY_SEEN", 9.0)
+    hard, *_ = drawn(scene)
+    assert hard.backdrop.count == 0 and hard.scene is scene
+    assert np.abs(hard.wet.picture[middle] / wanted - 1).max() > 0.2
+
+
+def test_clouds_that_cover_half_leave_half_of_the_captured_sky(scene):
+    half, *_ = drawn(scene, 0.5)
+    own = shade.graded(*(linear_from_display(np.float32(c)) for c in BLUE), *half.look[:3])
+    up = 0.5 * half.day[20:40] + 0.5 * np.float32(own)
+    np.testing.assert_allclose(half.behind[20:40], up, rtol=0.04)
+    full, *_ = drawn(scene, 1.0)
+    np.testing.assert_array_equal(full.behind, full.day)
+    clear, *_ = drawn(scene, 0.0)
+    assert clear.backdrop.count == 0  # nothing is replaced, so the splats stay
+
+
+def test_layers_tell_the_capture_and_the_sky(scene):
+    names = tuple(layers.LAYERS)
+    _, report, picture = drawn(scene, names=names)
+    top, middle = (2, SIZE // 2), (SIZE // 2, SIZE // 2)
+    np.testing.assert_allclose(report.layers["clean"][top] / 255, BLUE, atol=0.05)
+    assert np.isinf(report.layers["depth"][top])
+    assert report.layers["depth"][middle] == pytest.approx(np.hypot(3, 1.5), abs=0.05)
+    again = layers.recompose(report.layers, **report.light).astype(int)
+    assert np.abs(again - picture).max() <= 1 and picture[top].min() > 150
+
+
+def test_few_far_splats_are_no_sky(scene):
+    bare = tiny_scene()
+    found = backdrop.Backdrop(bare, 30.0, True)
+    assert found.count == 0 and found.scene is bare
+    far = backdrop.sky_splats(scene.splats, scene.ground_frame, scene.cameras[0].position, 30.0)
+    assert far.sum() == 360
+    assert 0.5 < backdrop.covered(scene.splats, scene.cameras[0].position, far)
