@@ -243,7 +243,7 @@ def wet_state(bed, ground, origin, spacing, others, solid, x, y, z, nx, ny, nz, 
     if clearance < ON_GROUND and nz > FLAT:
         lawn, damp, film, pores = on_ground(ground, u, v)
         return clearance, height, lawn, damp, film, pores
-    damp = damp_off_ground(others, nx, ny, nz, x, y, z, far)
+    damp = damp_off_ground(others, nx, ny, nz, x, y, z, height, far)
     film = damp * others[3] * (ONE if height < ON_GROUND else HALF)
     return clearance, height, ZERO, damp, film, others[4]
 
@@ -326,9 +326,10 @@ def dampness(
                 u, v = (x - origin[0]) / spacing - HALF, (y - origin[1]) / spacing - HALF
                 damp_out[row, column] = on_ground(ground, u, v)[1]
             else:
+                z, above = eye[2] + d * _row(m, 2, a, b, ONE), clearance[row, column]
                 damp_out[row, column] = damp_off_ground(
-                    others, _row(m, 0, n0, n1, n2), _row(m, 1, n0, n1, n2), upness, x, y,
-                    eye[2] + d * _row(m, 2, a, b, ONE), d,
+                    others, _row(m, 0, n0, n1, n2), _row(m, 1, n0, n1, n2), upness, x, y, z,
+                    above if above < FAR_AWAY else z, d,
                 )  # fmt: skip
 
 

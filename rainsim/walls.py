@@ -7,36 +7,54 @@ import math
 import numpy as np
 
 from rainsim.jit import device_function
-from rainsim.light import smoothstep
+from rainsim.light import exp_minus, smoothstep
 
-ZERO, HALF, ONE, TWO, THREE = (np.float32(v) for v in (0, 0.5, 1, 2, 3))
+ZERO, QUARTER, HALF, ONE, TWO, THREE = (np.float32(v) for v in (0, 0.25, 0.5, 1, 2, 3))
+FAINT = np.float32(0.01)  # of dampness: no eye sees it
 WALL_SPRAY = np.float32(0.06)  # share of the rain that walls get which no drop meets
 SOFFIT = np.float32(0.7)  # share of that which undersides do not get
-STREAK_WIDTH, STREAK_LENGTH = np.float32(0.11), np.float32(1.7)  # m, of paths down a wall
-STREAK_SOFT = np.float32(0.30)  # of the edge of a path
+LEANING = np.float32(0.1)  # cosine to the rain below which captured normals are mostly noise
+FOOT_SHARE, FOOT_HEIGHT = np.float32(0.3), np.float32(0.15)  # of the rain that splashes back from
+# the ground on what stands on it, and how high [m] it gets: by eye
+STREAK_WIDTH, STREAK_LENGTH = np.float32(0.09), np.float32(2.5)  # m, of paths down a wall
+STREAKS = np.float32(1.2)  # how much a half wet wall differs along them
 STREAK_NEAR, STREAK_FAR = np.float32(8), np.float32(25)  # m, between which paths are seen less
+UPRIGHT, SLOPING = np.float32(0.3), np.float32(0.6)  # cosines to the vertical: paths, and none
+ONE_AXIS = np.float32(0.15)  # share of a normal beyond which it counts along an axis
 
 
 @device_function
-def damp_off_ground(others, nx, ny, nz, x, y, z, far):
+def damp_off_ground(others, nx, ny, nz, x, y, z, height, far):
     """Return how wet a surface with the unit normal n at (x, y, z) is, 0 to 1, seen from `far` [m].
 
-    It catches rain as it faces the slanting drops; walls that they miss get a little spray. A
-    wall that is not wet through is wet in streaks, for what it catches runs down in paths.
+    It catches rain as it faces the slanting drops; walls that they miss get a little spray, and at
+    their foot, `height` [m] over the ground, what splashes back. It all adds up to an even
+    dampness; a wall that is not wet through differs along the paths in which its water runs down.
     """
     slant = -(nx * others[1] + ny * others[2])
-    caught = max(max(nz + slant, ZERO), WALL_SPRAY * (ONE + min(nz, ZERO) * SOFFIT))
-    full = others[0] * caught
-    if full >= ONE or nz > HALF:
-        return min(full, ONE)
-    # Across the wall: along the axis that it faces less; a normal's noise does not matter then.
-    across = y if abs(nx) > abs(ny) else x
-    path = _streak_noise(across / STREAK_WIDTH, z / STREAK_LENGTH)
-    wet = smoothstep(
-        path - STREAK_SOFT, path + STREAK_SOFT, full * (ONE + TWO * STREAK_SOFT) - STREAK_SOFT
-    )
+    caught = max(nz + slant, ZERO)
+    caught *= caught / (caught + LEANING)
+    caught += WALL_SPRAY * (ONE + min(nz, ZERO) * SOFFIT)
+    if nz > -HALF:
+        caught += FOOT_SHARE * exp_minus(max(height, ZERO) / FOOT_HEIGHT)
+    full = min(others[0] * caught, TWO)
+    damp = full * (ONE - QUARTER * full)
+    streaks = STREAKS * damp * (ONE - damp)
+    if streaks < FAINT or far > STREAK_FAR or abs(nz) > SLOPING:
+        return damp
     # From afar paths are narrower than pixels.
-    return wet + (full - wet) * smoothstep(STREAK_NEAR, STREAK_FAR, far)
+    streaks *= ONE - smoothstep(STREAK_NEAR, STREAK_FAR, far)
+    streaks *= ONE - smoothstep(UPRIGHT, SLOPING, abs(nz))
+    # Across the wall: along the axis that it faces less, or a mix of both.
+    square = nx * nx + ny * ny
+    share = nx * nx / max(square, np.float32(1e-6))
+    share = smoothstep(ONE_AXIS, ONE - ONE_AXIS, share)
+    path, v = -HALF, z / STREAK_LENGTH
+    if share > ZERO:
+        path += share * _streak_noise(y / STREAK_WIDTH, v)
+    if share < ONE:
+        path += (ONE - share) * _streak_noise(x / STREAK_WIDTH, v)
+    return min(max(damp + streaks * path, ZERO), ONE)
 
 
 @device_function
