@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from rainsim.jit import device_function
+from rainsim.jit import device_function, inlined_function
 
 ZERO = np.float32(0)
 ONE = np.float32(1)
@@ -33,7 +33,7 @@ REFRACTIVE_INDEX = np.float32(1.333)  # of water against air, visible light
 SCHLICK_0 = np.float32(0.0204)  # reflectance at normal incidence
 
 
-@device_function
+@inlined_function
 def linear_from_display(c):
     """Return linear light of a display-referred value (IEC 61966-2-1), within 4e-6 of it.
 
@@ -58,7 +58,7 @@ def display_from_linear(c):
     return low if c <= np.float32(0.0031308) else np.float32(1.055) * p - np.float32(0.055)
 
 
-@device_function
+@inlined_function
 def exp_minus(x):
     """Return exp(-x) for x from 0 on, within 3e-6 of it; 0 from 20 on."""
     t = min(x, np.float32(20)) * np.float32(1 / 16)
@@ -69,7 +69,7 @@ def exp_minus(x):
     return p * p
 
 
-@device_function
+@inlined_function
 def angle(y, x):
     """Return the angle [rad] of the point (x, y) as atan2 does, within 1e-5."""
     ax, ay = abs(x), abs(y)
@@ -81,7 +81,7 @@ def angle(y, x):
     return -r if y < ZERO else r
 
 
-@device_function
+@inlined_function
 def luminance(r, g, b):
     """Return the luminance of linear Rec. 709 light."""
     return LUMA_R * r + LUMA_G * g + LUMA_B * b
@@ -100,7 +100,7 @@ def bilinear(field, u, v):
     return upper * (ONE - b) + lower * b
 
 
-@device_function
+@inlined_function
 def fresnel(cosine):
     """Return the reflectance of smooth water for unpolarised light, exact dielectric."""
     c = min(max(cosine, ZERO), ONE)
@@ -117,7 +117,7 @@ def schlick(cosine):
     return SCHLICK_0 + (ONE - SCHLICK_0) * (c * c) * (c * c) * c
 
 
-@device_function
+@inlined_function
 def smoothstep(low, high, x):
     """Return 0 below `low`, 1 above `high` and a smooth cubic between."""
     s = min(max((x - low) / (high - low), ZERO), ONE)

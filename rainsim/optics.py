@@ -62,7 +62,7 @@ def meet_water(
     Parameters
     ----------
     depth : ndarray of shape (height, width), float32 [m]
-        Of the scene along the view axis, as `shade.grade_and_wet` left it.
+        Of the scene along the view axis, as `grade.grade_and_wet` left it.
     surface : ndarray of shape (ny, nx), float32 [m]
         Height of the water surface, continued below the ground beside the water.
     water_depth : ndarray of shape (ny, nx), float32 [m]

@@ -14,6 +14,7 @@ from rainsim.backdrop import Backdrop
 from rainsim.drips import drip_impacts, drips_seen
 from rainsim.errors import ParameterError, require_choice
 from rainsim.film import WetGround, standing
+from rainsim.grade import grade_and_wet
 from rainsim.motion import shutter_end
 from rainsim.raster import Rasterizer, prepare
 from rainsim.ripples import ring_reach, ring_share
@@ -201,7 +202,7 @@ class Renderer:
     def _wet_picture(self, camera, plane, timer, film=NO_FILM, rasterizer=None):
         """Return the `View` of the wet capture that `camera` takes, cut at a plane or whole.
 
-        `film`: see `shade.grade_and_wet`; `rasterizer`: of a part of the splats.
+        `film`: see `grade.grade_and_wet`; `rasterizer`: of a part of the splats.
         """
         dry = (rasterizer or self.rasterizer).draw(camera, self.near, plane)
         timer.mark("splat" if plane is None else "mirror")
@@ -210,7 +211,7 @@ class Renderer:
         shape = (camera.height, camera.width)
         picture = np.empty((*shape, 3), np.float32)
         depth, clearance = np.empty(shape, np.float32), np.empty(shape, np.float32)
-        shade.grade_and_wet(
+        grade_and_wet(
             dry.color, dry.alpha, dry.depth, dry.plane_depth, dry.normal,
             np.float32(self.frame.meters_per_unit), turn, eye, lens,
             self.terrain.bed, self.ground, self._origin, self._spacing,
@@ -394,7 +395,7 @@ def day_sky(config):
 
 
 def look(config):
-    """Return the six numbers of a look that `shade.grade_and_wet` takes, for any scene.
+    """Return the six numbers of a look that `grade.grade_and_wet` takes, for any scene.
 
     Those are exposure, desaturation, compression, share of replaced sky, its distance [m] and
     whether the scene's own sky is left out.

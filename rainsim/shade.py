@@ -1,7 +1,7 @@
-"""From the dry picture to the rainy one: grading, wetting, water, air, display.
+"""From the dry picture to the rainy one: formulas of grading and wetting; air and display.
 
-Everything is linear light, radiance relative to display white. Three kernels, one for each rhythm:
-`grade_and_wet` runs once per camera, `shade_water` and `compose` once per frame.
+Everything is linear light, radiance relative to display white. `grade` lays the formulas over a
+picture once per camera, `compose` runs once per frame.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ OPEN_LOW, OPEN_HIGH = np.float32(-0.12), np.float32(-0.06)  # from which an open
 SKY_SINE = np.float32(0.03)  # sine of the elevation above which there may be sky
 
 
-@device_function
+@inlined_function
 def wet_ratio(albedo):
     """Return the albedo of a rough surface under a film of water over its dry albedo.
 
@@ -63,7 +63,7 @@ def wet_ratio(albedo):
     return (ONE - ESCAPE) * (ONE - TRAPPED) / (ONE - TRAPPED * albedo)
 
 
-@device_function
+@inlined_function
 def graded(r, g, b, exposure, desaturation, compression):
     """Return captured linear colour as it looks under a dull sky: darker, greyer, flatter.
 
@@ -77,99 +77,6 @@ def graded(r, g, b, exposure, desaturation, compression):
     keep, lit = (ONE - desaturation) * gain, y * desaturation * gain
     kept = (ONE - own) * keep + own
     return lit + r * kept, lit + g * kept, lit + b * kept
-
-
-@cpu_kernel
-def grade_and_wet(
-    color, alpha, depth, plane_depth, normal, meters_per_unit, ground_from_camera, eye, lens,
-    bed, ground, origin, spacing, environment, day_sky, look, others,
-    picture_out, depth_out, clearance_out, film_out,
-):  # fmt: skip
-    """Grade the dry picture, wet it, and measure it against the ground.
-
-    Parameters
-    ----------
-    color, alpha, depth, plane_depth, normal
-        As `raster.Layers` has them, depth in capture units, normals in the camera frame.
-    ground_from_camera : ndarray of shape (3, 3), float32
-    eye : ndarray of shape (3,), float32 [m]
-    bed : ndarray of shape (ny, nx), float32 [m]
-    ground : ndarray of shape (ny, nx, 5), float32
-        As `wetness.ground_maps` gives it.
-    environment, day_sky : ndarray of shape (rows, columns, 3), float32
-        What lies around, for gloss; the sky behind everything.
-    look : ndarray of shape (6,), float32
-        Exposure, desaturation, compression, share of the captured sky that is replaced, distance
-        [m] beyond which what is bright may be sky, and 1 if the splats of the captured sky are left
-        out (see `backdrop`), so that `day_sky` shows wherever something is open.
-    others : ndarray of shape (5,), float32
-        As `wetness.others` gives it.
-    picture_out : ndarray of shape (height, width, 3), float32
-    depth_out : ndarray of shape (height, width), float32 [m]
-        Infinite for sky.
-    clearance_out : ndarray of shape (height, width), float32 [m]
-        Height above the bed; 1e4 outside the map and for the sky.
-    film_out : ndarray of shape (height, width) or (0, 0), float32
-        Share of a full film on the ground; what that mirrors is then left out of the picture, see
-        `film`. If empty, the ground glosses with the environment as all else does.
-    """
-    height, width = alpha.shape
-    film_apart = film_out.shape[0] > 0
-    m = ground_from_camera
-    flat_color = color.reshape(height, width * 3)
-    for row in prange(height):
-        linear = np.empty(width * 3, np.float32)
-        shown = flat_color[row]
-        for k in range(width * 3):  # in vectors
-            linear[k] = linear_from_display(max(shown[k], ZERO))
-        b = (np.float32(row) + HALF - lens[3]) / lens[1]
-        for column in range(width):
-            a = (np.float32(column) + HALF - lens[2]) / lens[0]
-            x, y, z = _row(m, 0, a, b, ONE), _row(m, 1, a, b, ONE), _row(m, 2, a, b, ONE)
-            length = math.sqrt(x * x + y * y + z * z)
-            il = ONE / length
-            n0, n1, n2 = normal[row, column, 0], normal[row, column, 1], normal[row, column, 2]
-            upness = _row(m, 2, n0, n1, n2)
-            # Plane depth is far better on flat ground, and can be wild on thin things.
-            d = plane_depth[row, column] if upness > FLAT else depth[row, column]
-            d *= meters_per_unit
-            over = alpha[row, column]
-            solid = over >= LEAST_ALPHA
-            # Along a wall seen at a slant the splats' own depths scatter.
-            e = plane_depth[row, column] * meters_per_unit
-            e = e if abs(e - d) < WALL_SHARE * d else d
-            nx_, ny_ = _row(m, 0, n0, n1, n2), _row(m, 1, n0, n1, n2)
-            clearance, height_here, lawn, damp, film, pores = wet_state(
-                bed, ground, origin, spacing, others, solid,
-                eye[0] + e * x, eye[1] + e * y, eye[2] + e * z, nx_, ny_, upness, e * length,
-            )  # fmt: skip
-            depth_out[row, column] = d if solid else np.inf
-            clearance_out[row, column] = clearance
-            cosine = -(n0 * a + n1 * b + n2) * il
-            r, g, bl = linear[3 * column], linear[3 * column + 1], linear[3 * column + 2]
-            if is_edge(over, look[5]):
-                r, g, bl = undiluted(shown[3 * column : 3 * column + 3], over)
-            r, g, bl, gloss, through = rainy(
-                r, g, bl, over, d * length, z * il, cosine, upness, height_here, lawn, damp, film,
-                pores, look[0], look[1], look[2], look[3], look[4], look[5],
-            )  # fmt: skip
-            on_floor = solid and upness > FLAT and height_here < ON_GROUND
-            if film_apart:
-                film_out[row, column] = ZERO
-            if film_apart and on_floor:
-                film_out[row, column] = film_cover(
-                    ground, origin, spacing, eye[0] + e * x, eye[1] + e * y, clearance, upness,
-                    lawn, film,
-                )  # fmt: skip
-            elif gloss > ZERO:
-                e0, e1, e2 = glossed(environment, x * il, y * il, z * il)
-                r, g, bl = r + gloss * e0, g + gloss * e1, bl + gloss * e2
-            if through > LEAST_SKY:
-                e0, e1, e2 = sample_environment(day_sky, x * il, y * il, z * il)
-                r, g, bl = r + through * e0, g + through * e1, bl + through * e2
-            picture_out[row, column, 0] = r
-            picture_out[row, column, 1] = g
-            picture_out[row, column, 2] = bl
 
 
 @device_function
@@ -188,7 +95,7 @@ def grade_rays(
     color, alpha, distance, plane_distance, normal, eye, direction,
     bed, ground, origin, spacing, environment, day_sky, look, others, light_out,
 ):  # fmt: skip
-    """Grade and wet what rays have met, as `grade_and_wet` does a picture.
+    """Grade and wet what rays have met, as `grade` does a picture.
 
     Parameters
     ----------
@@ -210,7 +117,10 @@ def grade_rays(
             eye[n, 0] + d * x, eye[n, 1] + d * y, eye[n, 2] + d * z,
             normal[n, 0], normal[n, 1], upness, d,
         )  # fmt: skip
-        r, g, b = undiluted(color[n], alpha[n] if is_edge(alpha[n], look[5]) else ONE)
+        r, g, b = undiluted(
+            color[n, 0], color[n, 1], color[n, 2],
+            alpha[n] if is_edge(alpha[n], look[5]) else ONE,
+        )  # fmt: skip
         r, g, b, gloss, through = rainy(
             r, g, b, alpha[n], d, z,
             -(x * normal[n, 0] + y * normal[n, 1] + z * upness), upness, height_here,
@@ -244,8 +154,13 @@ def wet_state(bed, ground, origin, spacing, others, solid, x, y, z, nx, ny, nz, 
         lawn, damp, film, pores = on_ground(ground, u, v)
         return clearance, height, lawn, damp, film, pores
     damp = damp_off_ground(others, nx, ny, nz, x, y, z, height, far)
-    film = damp * others[3] * (ONE if height < ON_GROUND else HALF)
-    return clearance, height, ZERO, damp, film, others[4]
+    return clearance, height, ZERO, damp, film_off_ground(others, damp, height), others[4]
+
+
+@inlined_function
+def film_off_ground(others, damp, height):
+    """Return the film of a surface of some dampness that is no ground, at a height [m]."""
+    return damp * others[3] * (ONE if height < ON_GROUND else HALF)
 
 
 @inlined_function
@@ -257,7 +172,7 @@ def rainy(
 
     `far` is its distance [m], z the sine of the elevation that it is seen at, `over` its alpha,
     `cosine` the one between its normal and the way back; the rest is as `wet_state` and
-    `grade_and_wet` have it. The colour of what `is_edge` is given as if it covered all.
+    `grade.grade_and_wet` have it. The colour of what `is_edge` is given as if it covered all.
     """
     sky, gloss = ZERO, ZERO
     if far > sky_distance and z > SKY_SINE:
@@ -283,20 +198,20 @@ def rainy(
     return r * keep, g * keep, b * keep, gloss * keep, through
 
 
-@device_function
+@inlined_function
 def is_edge(over, open_sky):
     """Tell whether a sky behind shows past what covers a share `over` of a pixel."""
     return open_sky > ZERO and over < OPAQUE
 
 
-@device_function
-def undiluted(color, over):
-    """Return the linear colour (three numbers) of what covers a share `over`, shown over black."""
+@inlined_function
+def undiluted(r, g, b, over):
+    """Return the linear colour of what covers a share `over`, shown as (r, g, b) over black."""
     inv = ONE / max(over, LEAST_COVER)
     return (
-        linear_from_display(max(color[0], ZERO) * inv),
-        linear_from_display(max(color[1], ZERO) * inv),
-        linear_from_display(max(color[2], ZERO) * inv),
+        linear_from_display(max(r, ZERO) * inv),
+        linear_from_display(max(g, ZERO) * inv),
+        linear_from_display(max(b, ZERO) * inv),
     )
 
 
@@ -307,7 +222,7 @@ def dampness(
 ):  # fmt: skip
     """Write how wet what a picture shows is, 0 to 1; zero for the sky. For layers.
 
-    Parameters are those of `grade_and_wet`; depth [m] and clearance [m] as it left them.
+    Parameters are those of `grade.grade_and_wet`; depth [m] and clearance [m] as it left them.
     """
     height, width = depth.shape
     m = ground_from_camera
@@ -339,12 +254,10 @@ def glossed(environment, x, y, z):
 
     That is mostly what lies above the mirror direction.
     """
-    z = abs(z) + GLOSS_LIFT
-    inv = ONE / math.sqrt(x * x + y * y + z * z)
-    return sample_environment(environment, x * inv, y * inv, z * inv)
+    return sample_environment(environment, x, y, abs(z) + GLOSS_LIFT)
 
 
-@device_function
+@inlined_function
 def sky_share(r, g, b):
     """Return how surely a far captured linear colour above the horizon is sky: bright, not green.
 
@@ -355,7 +268,7 @@ def sky_share(r, g, b):
     return bright * smoothstep(np.float32(0.6), np.float32(0.85), b / top)
 
 
-@device_function
+@inlined_function
 def _row(matrix, i, x, y, z):
     return matrix[i, 0] * x + matrix[i, 1] * y + matrix[i, 2] * z
 
@@ -375,7 +288,7 @@ def on_ground(ground, u, v):
     )
 
 
-@device_function
+@inlined_function
 def filled_ratio(albedo):
     """Return the albedo of a porous surface whose pores are full of water over its dry albedo.
 
@@ -391,7 +304,7 @@ def filled_ratio(albedo):
     return (ONE - s) * (ONE - a * s) / (ONE + np.float32(1.17) * s) / albedo
 
 
-@device_function
+@inlined_function
 def wetted(r, g, b, exposure, damp, pores, lawn):
     """Return the graded colour of a surface that is damp, 0 to 1.
 

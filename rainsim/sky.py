@@ -12,7 +12,7 @@ import math
 import numpy as np
 from scipy import ndimage
 
-from rainsim.jit import device_function
+from rainsim.jit import device_function, inlined_function
 from rainsim.light import angle, four_colors
 from rainsim.scene.types import Camera
 
@@ -248,11 +248,28 @@ def drop_radiance(environment, forward):
 
 @device_function
 def sample_environment(environment, x, y, z):
-    """Return the map's radiance (three numbers) in the unit direction (x, y, z), interpolated."""
+    """Return the map's radiance (three numbers) in the direction (x, y, z), interpolated."""
+    return color_in_map(environment, azimuth_in_map(x, y), elevation_in_map(x, y, z))
+
+
+@inlined_function
+def azimuth_in_map(x, y):
+    """Return where a map shows the azimuth of (x, y), as a share of its columns."""
+    return HALF - angle(y, x) * INV_TWO_PI
+
+
+@inlined_function
+def elevation_in_map(x, y, z):
+    """Return where a map shows the elevation of (x, y, z), as a share of its rows."""
+    return HALF - angle(z, math.sqrt(x * x + y * y)) * INV_PI
+
+
+@device_function
+def color_in_map(environment, across, down):
+    """Return the map's radiance at shares of its columns and rows, interpolated."""
     rows, columns = environment.shape[0], environment.shape[1]
-    u = (HALF - angle(y, x) * INV_TWO_PI) * np.float32(columns) - HALF
-    v = (HALF - angle(z, math.sqrt(x * x + y * y)) * INV_PI) * np.float32(rows) - HALF
-    v = min(max(v, ZERO), np.float32(rows - 1))
+    u = across * np.float32(columns) - HALF
+    v = min(max(down * np.float32(rows) - HALF, ZERO), np.float32(rows - 1))
     i = int(u + ONE) - 1  # the floor: u is above -1
     j = min(int(v), rows - 2)
     a, b = u - np.float32(i), v - np.float32(j)

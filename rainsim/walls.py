@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from rainsim.jit import device_function
+from rainsim.jit import inlined_function
 from rainsim.light import exp_minus, smoothstep
 
 ZERO, QUARTER, HALF, ONE, TWO, THREE = (np.float32(v) for v in (0, 0.25, 0.5, 1, 2, 3))
@@ -23,7 +23,7 @@ UPRIGHT, SLOPING = np.float32(0.3), np.float32(0.6)  # cosines to the vertical: 
 ONE_AXIS = np.float32(0.15)  # share of a normal beyond which it counts along an axis
 
 
-@device_function
+@inlined_function
 def damp_off_ground(others, nx, ny, nz, x, y, z, height, far):
     """Return how wet a surface with the unit normal n at (x, y, z) is, 0 to 1, seen from `far` [m].
 
@@ -57,13 +57,13 @@ def damp_off_ground(others, nx, ny, nz, x, y, z, height, far):
     return min(max(damp + streaks * path, ZERO), ONE)
 
 
-@device_function
+@inlined_function
 def _streak_noise(u, v):
     """Return smooth noise of 0 to 1: octaves of random numbers on a lattice."""
     return (TWO * _lattice(u, v) + _lattice(u * THREE + HALF, v * TWO)) / THREE
 
 
-@device_function
+@inlined_function
 def _lattice(u, v):
     i, j = math.floor(u), math.floor(v)
     a, b = u - np.float32(i), v - np.float32(j)
@@ -74,7 +74,7 @@ def _lattice(u, v):
     return low * (ONE - b) + high * b
 
 
-@device_function
+@inlined_function
 def _random(i, j):
     h = (i * 374761393 + j * 668265263) & 0xFFFFFFFF
     h = ((h ^ (h >> 13)) * 1274126177) & 0xFFFFFFFF

@@ -82,7 +82,10 @@ def grade_and_wet(
     )  # fmt: skip
     depth_out[row, column] = d if solid else NOWHERE
     clearance_out[row, column] = clearance
-    red, green, blue = undiluted(color[row, column], over if is_edge(over, look[5]) else ONE)
+    red, green, blue = undiluted(
+        color[row, column, 0], color[row, column, 1], color[row, column, 2],
+        over if is_edge(over, look[5]) else ONE,
+    )  # fmt: skip
     red, green, blue, gloss, through = rainy(
         red, green, blue, over, d * length, z * il,
         -(n0 * a + n1 * b + n2) * il, upness, above, lawn, damp, film, pores,

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from rainsim import moments, optics, pyramid, reflect, shade, sky, ssr, watersurface
+from rainsim import grade, moments, optics, pyramid, reflect, shade, sky, ssr, watersurface
 from rainsim.cuda import mirror as cuda_mirror
 from rainsim.cuda import optics as cuda_optics
 from rainsim.cuda import shading, simulated
@@ -67,7 +67,7 @@ def test_grade_and_wet(view, poisoned):
 
     shapes = (HEIGHT, WIDTH, 3), (HEIGHT, WIDTH), (HEIGHT, WIDTH)
     wanted, found, dry = ([poisoned(shape) for shape in shapes] for _ in range(3))
-    shade.grade_and_wet(*arguments(0.9), *wanted, np.empty((0, 0), F4))
+    grade.grade_and_wet(*arguments(0.9), *wanted, np.empty((0, 0), F4))
     whole, part = F4([WIDTH, HEIGHT]), F4([WIDTH - 3, HEIGHT - 5])
     launch(shading.grade_and_wet, whole, *arguments(0.9), *found)
     launch(shading.grade_and_wet, part, *arguments(0.0), *dry)
@@ -227,7 +227,7 @@ def test_signatures_are_those_of_the_cpu():
     """What the twins leave out is what a list of pixels needs; they add a size and bounds."""
     pairs = [
         # "size": of a mirror's window; what a film mirrors is not told apart on the device.
-        (shade.grade_and_wet, shading.grade_and_wet, {"size", "film_out"}),
+        (grade.grade_and_wet, shading.grade_and_wet, {"size", "film_out"}),
         (shade.compose, shading.compose, set()),
         (reflect.keep_tall, cuda_optics.keep_tall, {"bounds_out"}),
         (optics.meet_water, cuda_optics.meet_water, {"turn", "count_out"}),
