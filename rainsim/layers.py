@@ -163,15 +163,18 @@ def collect(names, shot):
     return {n: makers[n](shot) if n in makers else found[n].copy() for n in names}
 
 
-def recompose(layers, drop, air, brightness):
+def recompose(layers, drop, around, air, brightness):
     """Return the frame, uint8, that its layers make.
 
     Parameters
     ----------
     layers : dict of str to ndarray
         At least those of NEEDED.
-    drop, air : array_like of shape (3,)
-        Radiance of drops and of the air, as the frame's facts have them.
+    drop : array_like of shape (3,) or (m, n, 3)
+        Radiance of drops: everywhere, or at places from edge to edge of the picture, between which
+        it is interpolated.
+    around, air : array_like of shape (3,)
+        Mean radiance of everything, and that of the air; all as the frame's facts have them.
     brightness : float
     """
     part = {name: np.asarray(layers[name], np.float64) for name in NEEDED}
@@ -179,15 +182,29 @@ def recompose(layers, drop, air, brightness):
     water = (1 - share) * part["refraction"] + share * part["reflection"] + part["highlight"]
     value = part["wet"] * (1 - cover) + water * cover
     clear = part["transmission"][..., None]
+    drop = spread_field(drop, *part["coverage"].shape)
     value = value * clear + np.asarray(air) * (1 - clear)
-    for name in ("splash_alpha", "rain_alpha"):
-        alpha = part[name][..., None]
-        value = value + alpha * (np.asarray(drop) - value)
+    splash = shade.splash_light(drop, np.asarray(around))
+    for name, shown in (("splash_alpha", splash), ("rain_alpha", drop)):
+        value = value + part[name][..., None] * (shown - value)
     value = value * brightness
     value = np.where(value > 0.5, 0.5 + 0.5 * (1 - np.exp(-2 * (value - 0.5))), value)
     value = np.clip(value, 0, 1)
     shown = np.where(value <= 0.0031308, 12.92 * value, 1.055 * value ** (1 / 2.4) - 0.055)
     return (np.clip(shown, 0, 1) * 255 + 0.5).astype(np.uint8)
+
+
+def spread_field(drop, height, width):
+    """Return the radiance of drops for each pixel, (height, width, 3), or (3,) if it is even."""
+    drop = np.asarray(drop, np.float64)
+    if drop.ndim == 1:
+        return drop
+    v = (np.arange(height) + 0.5) / height * (drop.shape[0] - 1)
+    u = (np.arange(width) + 0.5) / width * (drop.shape[1] - 1)
+    j, i = v.astype(int), u.astype(int)
+    b, a = (v - j)[:, None, None], (u - i)[None, :, None]
+    rows = drop[j] * (1 - b) + drop[j + 1] * b
+    return rows[:, i] * (1 - a) + rows[:, i + 1] * a
 
 
 def _clean(shot):

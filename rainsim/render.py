@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy import ndimage
 
-from rainsim import layers, paperrain, shade, sky, wetness
+from rainsim import droplight, layers, paperrain, shade, sky, wetness
 from rainsim.backdrop import Backdrop
 from rainsim.drips import drip_impacts, drips_seen
 from rainsim.errors import ParameterError, require_choice
@@ -53,7 +53,7 @@ class FrameReport:
     layers : dict of str to ndarray
         What was asked for, see `rainsim.layers`.
     light : dict
-        What `layers.recompose` needs besides: radiance of drops and air, and brightness.
+        What `layers.recompose` needs besides: radiances and the brightness.
     """
 
     index: int
@@ -95,6 +95,7 @@ class Renderer:
         self.gloss = sky.blurred(self.day)  # until the surroundings are drawn
         self.environment = self._surroundings(eye)
         self.gloss = sky.blurred(self.environment)
+        self.everywhere = droplight.mean_radiance(self.gloss)
         self.wet_ground = WetGround(terrain, config.render)
         self._camera = None  # that the kept layers belong to
         self._standing = None  # splats that stand on the ground, when they are first asked for
@@ -121,13 +122,13 @@ class Renderer:
         rain_alpha, splash_alpha = self._drops(camera, state, timer, camera_end)
         image = np.empty((camera.height, camera.width, 3), np.uint8)
         fog = self._fog()
-        drop = self.drop_light
+        drop, around = self.drop_light, self.everywhere
         if self.now.render.streaks == "paper":
-            drop = paperrain.line_radiance(picture)
+            around = paperrain.line_radiance(picture)
+            drop = droplight.even(around)
         shade.compose(
-            picture, self.wet.depth, rain_alpha, splash_alpha, drop, self.air_light, fog,
-            self.wet.lens,
-            np.float32(self.now.render.brightness), image,
+            picture, self.wet.depth, rain_alpha, splash_alpha, drop, around, self.air_light,
+            fog, self.wet.lens, np.float32(self.now.render.brightness), image,
         )  # fmt: skip
         timer.mark("compose")
         if not self._told and (choice := self.water.choice()):
@@ -137,9 +138,9 @@ class Renderer:
         found, light = {}, {}
         if names:
             found = layers.collect(names, self._shot(names, state, rain_alpha, splash_alpha, fog))
-            brightness = float(self.now.render.brightness)
-            light = {"drop": drop.tolist(), "air": self.air_light.tolist()}
-            light["brightness"] = brightness
+            light = {"drop": drop.tolist(), "around": around.tolist()}
+            light["air"] = self.air_light.tolist()
+            light["brightness"] = float(self.now.render.brightness)
             timer.mark("layers")
         return image, FrameReport(
             state.index,
@@ -196,8 +197,14 @@ class Renderer:
         )  # fmt: skip
         timer.mark("film")
         self.water.look(self.wet)
-        self.drop_light = sky.drop_radiance(self.environment, self.view.forward)
+        self.drop_light = self._drop_field(self.wet.turn, self.wet.lens, camera)
         self._camera = camera
+
+    def _drop_field(self, turn, lens, camera):
+        """Return the radiance of drops over a camera's picture."""
+        return droplight.drop_field(
+            self.gloss, self.everywhere, turn, lens, camera.width, camera.height
+        )
 
     def _wet_picture(self, camera, plane, timer, film=NO_FILM, rasterizer=None):
         """Return the `View` of the wet capture that `camera` takes, cut at a plane or whole.

@@ -338,9 +338,25 @@ def fog_thickness(fog, z):
     return within + fog[1] * max(z - fog[0], ZERO)
 
 
+@device_function
+def field_place(pixel, count, places):
+    """Return where between `places` from edge to edge of `count` pixels the pixel's middle is."""
+    return (np.float32(pixel) + HALF) * (np.float32(places - 1) / np.float32(count))
+
+
+@device_function
+def splash_light(drop, around):
+    """Return the radiance of splashes where that of drops is `drop`.
+
+    Half of what a crown shows is taken to come through its rim and its droplets, which are bent as
+    drops are, and half off its sheets, which stand all ways and mirror what is all `around`.
+    """
+    return HALF * (drop + around)
+
+
 @cpu_kernel
 def compose(
-    picture, depth, rain_alpha, splash_alpha, drop_radiance, air_radiance, fog, lens,
+    picture, depth, rain_alpha, splash_alpha, drop_radiance, around, air_radiance, fog, lens,
     brightness, image_out,
 ):  # fmt: skip
     """Put fog, streaks and splashes before the picture and encode it for display.
@@ -348,7 +364,11 @@ def compose(
     Parameters
     ----------
     rain_alpha, splash_alpha : ndarray of shape (height, width), float32
-    drop_radiance, air_radiance : ndarray of shape (3,), float32
+    drop_radiance : ndarray of shape (m, n, 3), float32
+        At places from edge to edge of the picture, see `droplight.drop_field`.
+    around : ndarray of shape (3,), float32
+        Mean radiance of everything: half of what splashes show, see `splash_light`.
+    air_radiance : ndarray of shape (3,), float32
     fog : ndarray of shape (n + 3,), float32
         Of drops that are not drawn, see `streaks.fog_table`: a depth [m], the extinction beyond it
         [1/m] and the optical depth at n + 1 even steps up to it.
@@ -359,8 +379,13 @@ def compose(
     height, width = depth.shape
     light = picture.reshape(height, width * 3)
     image = image_out.reshape(height, width * 3)
+    places = drop_radiance.shape[1]
     for row in prange(height):
-        clear, keep = np.empty(width, np.float32), np.empty(width, np.float32)
+        clear, drop = np.empty(width, np.float32), np.empty(width, np.float32)
+        rain, splash = rain_alpha[row], splash_alpha[row]
+        v = field_place(row, height, drop_radiance.shape[0])
+        j = int(v)
+        below = v - np.float32(j)
         b = (np.float32(row) + HALF - lens[3]) / lens[1]
         square = ONE + b * b
         for column in range(width):
@@ -370,12 +395,19 @@ def compose(
             # The sky is seen through all the air already.
             air = exp_minus(through)
             clear[column] = air if z < FAR_AWAY else ONE
-            keep[column] = (ONE - rain_alpha[row, column]) * (ONE - splash_alpha[row, column])
         for c in range(3):
-            drop, air = drop_radiance[c], air_radiance[c]
+            air = air_radiance[c]
+            upper, lower = drop_radiance[j, :, c], drop_radiance[j + 1, :, c]
+            line = upper + (lower - upper) * below
+            for column in range(width):
+                u = field_place(column, width, places)
+                i = int(u)
+                drop[column] = line[i] + (line[i + 1] - line[i]) * (u - np.float32(i))
             for column in range(width):
                 value = air + (light[row, 3 * column + c] - air) * clear[column]
-                value = (drop + (value - drop) * keep[column]) * brightness
+                thrown = splash_light(drop[column], around[c])
+                value = thrown + (value - thrown) * (ONE - splash[column])
+                value = (drop[column] + (value - drop[column]) * (ONE - rain[column])) * brightness
                 # A soft shoulder: highlights end at white instead of being cut off.
                 over = max(value - HALF, ZERO)
                 value = min(value, HALF) + HALF * (ONE - exp_minus(over * TWO))

@@ -20,8 +20,6 @@ ROWS, COLUMNS = 128, 256
 ZENITH_RADIANCE = 1.2  # of display white: overcast sky over wet ground at a normal exposure
 OVERCAST_TINT = np.array([0.95, 1.0, 1.06])  # a dull sky is slightly blue (about 7000 K)
 GROUND_ALBEDO = 0.15  # what the lower half of a plain sky map shows
-DROP_FIELD = np.radians(165 / 2)  # half the angle that a drop gathers light from (Garg, Nayar 2007)
-DROP_TRANSMISSION, DROP_AMBIENT = 0.94, 0.06  # share refracted from that field, and the rest
 PANORAMA_ROWS = 512  # of the map of a panorama: it is seen behind the scene, too
 CLOUD_DEPTH = 0.3  # of the noise in the logarithm of a clouded sky's radiance
 LEAST_SKY_SEEN = 0.02  # share of the upper half below which a captured sky tells nothing
@@ -230,20 +228,6 @@ def _face(axis, sign, position, side):
     matrix[:3, :3] = (right, -up, forward)
     matrix[:3, 3] = -matrix[:3, :3] @ position
     return Camera(side, side, *(4 * [side / 2]), matrix)
-
-
-def drop_radiance(environment, forward):
-    """Return the radiance of a raindrop seen along `forward` (unit, ground frame).
-
-    A drop is a wide-angle lens: it shows the mean of some 165 degrees of what lies behind it, and
-    hardly what is right behind it (Garg and Nayar 2007, IJCV 75(1), section 3).
-    """
-    direction = directions(*environment.shape[:2])
-    area = np.sqrt(1 - direction[..., 2] ** 2)
-    inside = area * (direction @ np.asarray(forward) > np.cos(DROP_FIELD))
-    field = np.einsum("ij,ijc->c", inside, environment) / inside.sum()
-    around = np.einsum("ij,ijc->c", area, environment) / area.sum()
-    return (DROP_TRANSMISSION * field + DROP_AMBIENT * around).astype(np.float32)
 
 
 @device_function

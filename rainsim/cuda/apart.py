@@ -69,5 +69,6 @@ class TakesApart:
             found = layers.collect(names, self._shot(names, state, rain, splash, fog))
         finally:
             self.rasterizer = own
-        light = {"drop": self._drop.copy_to_host().tolist(), "air": self._air.tolist()}
+        light = {"drop": self.numbers.host["drop"].tolist(), "air": self._air.tolist()}
+        light["around"] = self.everywhere.tolist()
         return found, light | {"brightness": float(render.brightness)}

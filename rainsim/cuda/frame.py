@@ -14,7 +14,7 @@ import math
 
 import numpy as np
 
-from rainsim import sky, waterview
+from rainsim import droplight, sky, waterview
 from rainsim.cuda import optics, shading
 from rainsim.cuda.apart import TakesApart
 from rainsim.cuda.jit import cuda, pinned
@@ -70,9 +70,6 @@ class Renderer(InTurn, TakesApart, HostRenderer):
         self._place = send(self._origin), self._spacing
         self._around, self._gloss = send(self.environment), send(self.gloss)
         self._sky, self._sky_sent = send(self.behind), self.behind
-        self._directions = cuda.to_device(sky.directions(*self.environment.shape[:2]))
-        self._drop = cuda.device_array(3, np.float32)
-        self._sums = cuda.device_array((shading.SUMMERS, shading.SUMS), np.float64)
         self._air = sky.horizon_radiance(self.day).astype(np.float32)
         self._water = cuda.device_array(terrain.grid.shape, np.float32)
         self._surface = WaterSurface(
@@ -135,7 +132,7 @@ class Renderer(InTurn, TakesApart, HostRenderer):
         self.numbers.update(
             turn=turn, eye=eye, lens=_lens(camera), look=self.look, others=self.others,
             brightness=self.now.render.brightness, fog=fog, sun=self._sun, air=self._air,
-            forward=self.view.forward,
+            drop=self._drop_field(turn, _lens(camera), camera), around=self.everywhere,
         )  # fmt: skip
 
     def _bring_ground(self):
@@ -203,7 +200,7 @@ class Renderer(InTurn, TakesApart, HostRenderer):
             "turn": ((3, 3), f4), "eye": ((3,), f4), "lens": ((4,), f4), "look": ((6,), f4),
             "others": ((5,), f4), "brightness": ((1,), f4), "fog": ((FOG_STEPS + 3,), f4),
             "sun": ((6,), f4), "air": ((3,), f4), "settings": ((3,), f4), "cover": ((2,), f4),
-            "forward": ((3,), np.float64),
+            "drop": ((*droplight.GRID, 3), f4), "around": ((3,), f4),
         })  # fmt: skip
         render = self.config.render
         hard = render.coverage == "hard"
@@ -322,16 +319,12 @@ class Renderer(InTurn, TakesApart, HostRenderer):
     def _compose(self):
         n = self.numbers
         grid = shading.blocks(*self._size), shading.BLOCK, self.stream
-        shading.sum_environment[shading.SUMMERS, shading.SUM_THREADS, self.stream](
-            self._directions, self._around, n["forward"], self._sums
-        )
-        shading.drop_radiance[1, 32, self.stream](self._sums, self._drop)
         rain = splash = self._none
         if self.streaks is not None:
             rain, splash = self.streaks.alpha, self.splashes.alpha
         shading.compose[grid](
-            self._shown, self._depth, rain, splash, self._drop, n["air"], n["fog"], n["lens"],
-            n["brightness"], self._image,
+            self._shown, self._depth, rain, splash, n["drop"], n["around"], n["air"], n["fog"],
+            n["lens"], n["brightness"], self._image,
         )  # fmt: skip
 
     def _copy_picture(self, stream=None):

@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from rainsim.cuda.jit import cuda, cuda_kernel
-from rainsim.light import display_from_linear, exp_minus
+from rainsim.light import bilinear_color, display_from_linear, exp_minus
 from rainsim.shade import (
     FAR_AWAY,
     FLAT,
@@ -22,22 +22,20 @@ from rainsim.shade import (
     TWO,
     WALL_SHARE,
     ZERO,
+    field_place,
     fog_thickness,
     glossed,
     is_edge,
     rainy,
+    splash_light,
     undiluted,
     wet_state,
 )
-from rainsim.sky import DROP_AMBIENT, DROP_FIELD, DROP_TRANSMISSION, sample_environment
+from rainsim.sky import sample_environment
 
 BLOCK = (32, 8)  # threads: columns, rows
 WHITE = np.float32(255)
 NOWHERE = np.float32(np.inf)
-SUMMERS, SUM_THREADS = 64, 64  # blocks that add up the environment, and their threads
-SUMS = 8
-ROOM = SUM_THREADS * SUMS
-COSINE = float(np.cos(DROP_FIELD))
 
 
 def blocks(height, width):
@@ -104,7 +102,7 @@ def grade_and_wet(
 
 @cuda_kernel
 def compose(
-    picture, depth, rain_alpha, splash_alpha, drop_radiance, air_radiance, fog, lens,
+    picture, depth, rain_alpha, splash_alpha, drop_radiance, around, air_radiance, fog, lens,
     brightness, image_out,
 ):  # fmt: skip
     """Put fog, streaks and splashes before the picture and encode it; see `rainsim.shade`."""
@@ -117,57 +115,17 @@ def compose(
     z = depth[row, column]
     through = fog_thickness(fog, min(z, FAR_AWAY)) * math.sqrt(ONE + b * b + a * a)
     clear = exp_minus(through) if z < FAR_AWAY else ONE
-    keep = (ONE - rain_alpha[row, column]) * (ONE - splash_alpha[row, column])
+    drops = bilinear_color(
+        drop_radiance, field_place(column, width, drop_radiance.shape[1]) + HALF,
+        field_place(row, height, drop_radiance.shape[0]) + HALF,
+    )  # fmt: skip
     for c in range(3):
-        drop, air = drop_radiance[c], air_radiance[c]
+        drop, air = drops[c], air_radiance[c]
         value = air + (picture[row, column, c] - air) * clear
-        value = (drop + (value - drop) * keep) * brightness[0]
+        thrown = splash_light(drop, around[c])
+        value = thrown + (value - thrown) * (ONE - splash_alpha[row, column])
+        value = (drop + (value - drop) * (ONE - rain_alpha[row, column])) * brightness[0]
         over = max(value - HALF, ZERO)
         value = min(value, HALF) + HALF * (ONE - exp_minus(over * TWO))
         shown = display_from_linear(max(value, ZERO))
         image_out[row, column, c] = np.uint8(min(shown, ONE) * WHITE + HALF)
-
-
-@cuda_kernel
-def sum_environment(direction, environment, forward, partial_out):
-    """Add up the light of parts of the environment, all of it and what a drop gathers most from.
-
-    partial_out : ndarray of shape (SUMMERS, 8), float64
-        Sums of red, green, blue and solid angle, of the field of a drop seen along `forward` and of
-        everything; a row per block of SUM_THREADS threads.
-    """
-    shared = cuda.shared.array(ROOM, np.float64)
-    tid, row = cuda.threadIdx.x, cuda.blockIdx.x
-    rows, columns = environment.shape[0], environment.shape[1]
-    s0, s1, s2, s3, t0, t1, t2, t3 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for k in range(row * SUM_THREADS + tid, rows * columns, SUMMERS * SUM_THREADS):
-        j, i = k // columns, k % columns
-        x, y, z = direction[j, i, 0], direction[j, i, 1], direction[j, i, 2]
-        area = math.sqrt(max(1.0 - z * z, 0.0))
-        red, green, blue = environment[j, i, 0], environment[j, i, 1], environment[j, i, 2]
-        t0, t1, t2, t3 = t0 + area * red, t1 + area * green, t2 + area * blue, t3 + area
-        if x * forward[0] + y * forward[1] + z * forward[2] > COSINE:
-            s0, s1, s2, s3 = s0 + area * red, s1 + area * green, s2 + area * blue, s3 + area
-    at = tid * SUMS
-    shared[at], shared[at + 1], shared[at + 2], shared[at + 3] = s0, s1, s2, s3
-    shared[at + 4], shared[at + 5], shared[at + 6], shared[at + 7] = t0, t1, t2, t3
-    cuda.syncthreads()
-    if tid < SUMS:
-        total = 0.0
-        for k in range(SUM_THREADS):
-            total += shared[k * SUMS + tid]
-        partial_out[row, tid] = total
-
-
-@cuda_kernel
-def drop_radiance(partial, radiance_out):
-    """Finish `rainsim.sky.drop_radiance`: the light of a drop, from what `sum_environment` left."""
-    tid = cuda.threadIdx.x
-    if tid >= 3:
-        return
-    field, field_area, around, area = 0.0, 0.0, 0.0, 0.0
-    for row in range(SUMMERS):
-        field, field_area = field + partial[row, tid], field_area + partial[row, 3]
-        around, area = around + partial[row, 4 + tid], area + partial[row, 7]
-    field, around = field / field_area, around / area
-    radiance_out[tid] = np.float32(DROP_TRANSMISSION * field + DROP_AMBIENT * around)

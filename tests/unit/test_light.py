@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from rainsim import light, shade, sky, walls
+from rainsim import droplight, light, shade, sky, streaks, walls
 
 
 def test_fresnel_is_the_exact_dielectric():
@@ -231,10 +231,55 @@ def test_panorama_is_scaled_to_the_skys_irradiance():
         assert sky.irradiance(environment)[1] == pytest.approx(wanted, rel=1e-3)
 
 
-def test_drop_shows_the_bright_half_that_it_faces():
+def test_drop_is_a_lens_that_shows_what_lies_far_around_behind_it():
+    """Rays through a sphere of water, bent by Snell's law at each face in three dimensions."""
     direction = sky.directions()
-    environment = np.where(direction[..., :1] > 0, 1.0, 0.0) * np.ones(3)
-    bright = sky.drop_radiance(environment, (1.0, 0, 0))
-    dark = sky.drop_radiance(environment, (-1.0, 0, 0))
-    np.testing.assert_allclose(bright, 0.97, atol=0.01)
-    np.testing.assert_allclose(dark, 0.03, atol=0.01)
+    around = (1 + 0.5 * direction[..., :1] + 2 * direction[..., 2:] ** 2) * np.array([1, 0.6, 0.3])
+    around = around.astype(np.float32)
+    mean = droplight.mean_radiance(around)
+    np.testing.assert_allclose(mean, (1 + 2 / 3) * np.array([1, 0.6, 0.3]), rtol=2e-3)
+    turn = np.array([[0, 0, 1], [-1, 0, 0], [0, -1, 0]], np.float32)  # looks along x
+    lens = np.array([100, 100, 60, 40], np.float32)
+    field = droplight.drop_field(around, mean, turn, lens, 120, 80)
+    rng = np.random.default_rng(3)
+
+    def bent(into, normal, ratio):
+        cosine = -(into * normal).sum(1, keepdims=True)
+        slip = np.sqrt(1 - ratio**2 * (1 - cosine**2))
+        return ratio * into + (ratio * cosine - slip) * normal
+
+    for (j, i), (u, v) in {(3, 4): (60, 40), (0, 0): (0, 0), (6, 2): (30, 80)}.items():
+        ahead = turn.astype(float) @ [(u - 60) / 100, (v - 40) / 100, 1]
+        ahead /= np.linalg.norm(ahead)
+        side = np.cross(ahead, [0, 0, 1.0])
+        side /= np.linalg.norm(side)
+        r, angle = np.sqrt(rng.random((4000, 1))), rng.random((4000, 1)) * 2 * np.pi
+        out = r * (np.cos(angle) * side + np.sin(angle) * np.cross(ahead, side))
+        first = out - np.sqrt(1 - r**2) * ahead  # where the ray of sight enters the sphere
+        within = bent(np.broadcast_to(ahead, out.shape), first, 1 / 1.333)
+        second = first - 2 * (first * within).sum(1, keepdims=True) * within
+        leaves = bent(within, -second, 1.333)
+        loss = 1 - np.array([light.fresnel(c) for c in np.sqrt(1 - r[:, 0] ** 2)])[:, None]
+        shown = np.array([sky.sample_environment(around, *d) for d in leaves.astype(np.float32)])
+        wanted = (loss**2 * shown + (1 - loss**2) * mean).mean(axis=0)
+        np.testing.assert_allclose(field[j, i], wanted, rtol=0.02)
+    assert field[3, 4, 0] != pytest.approx(field[0, 4, 0], rel=0.01)
+
+
+def test_drops_before_the_ground_are_darker_than_before_the_sky(poisoned):
+    around = sky.overcast()
+    turn = np.array([[0, 0, 1], [-1, 0, 0], [0, -1, 0]], np.float32)
+    lens = np.array([100, 100, 60, 40], np.float32)
+    field = droplight.drop_field(around, droplight.mean_radiance(around), turn, lens, 120, 80)
+    assert (np.diff(field[:, 4, 1]) < 0).all() and field[0, 4, 1] > 1.5 * field[-1, 4, 1]
+    assert field[-1, 4, 1] > 1.5 * around[-1, 0, 1]  # some sky is in them
+    half, none = np.full((80, 120), 0.5, np.float32), np.zeros((80, 120), np.float32)
+    shown = poisoned((80, 120, 3), np.uint8)
+    shade.compose(
+        np.zeros((80, 120, 3), np.float32), none + 5, half, none, field, around[0, 0], around[0, 0],
+        streaks.NO_FOG, lens, np.float32(1), shown,
+    )  # fmt: skip
+    wanted = [[light.display_from_linear(0.5 * c) * 255 for c in field[j, i]]
+              for j, i in ((0, 0), (-1, 0), (0, -1), (-1, -1))]  # fmt: skip
+    np.testing.assert_allclose(shown[[0, -1, 0, -1], [0, 0, -1, -1]], wanted, atol=2)
+    assert (np.diff(shown[:, 60, 1].astype(int)) <= 0).all()
