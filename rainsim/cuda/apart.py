@@ -42,7 +42,7 @@ class TakesApart:
         picture = self._picture.copy_to_host()
         self.wet = View(
             picture, self._depth.copy_to_host(), self._clearance.copy_to_host(),
-            *_pose(self.view), _lens(camera), picture,
+            *_pose(self.view), _lens(camera), self._below.copy_to_host(),
         )  # fmt: skip
         nothing = np.zeros_like(self.wet.depth)
         rain = self.streaks.alpha.copy_to_host() if shown else nothing

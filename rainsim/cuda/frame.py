@@ -17,6 +17,7 @@ import numpy as np
 from rainsim import droplight, sky, waterview
 from rainsim.cuda import optics, shading
 from rainsim.cuda.apart import TakesApart
+from rainsim.cuda.film import Film
 from rainsim.cuda.jit import cuda, pinned
 from rainsim.cuda.mirror import Mirrors
 from rainsim.cuda.numbers import Numbers
@@ -38,15 +39,12 @@ from rainsim.streaks import FOG_STEPS, NO_FOG, fog_table, streak_reach
 
 STAGES = {  # names of the functions that queue them: those of the CPU where there is one
     "Numbers.send": "numbers", "Rasterizer.launch": "splat", "Renderer._grade": "grade and wet",
-    "Streaks.launch": "streaks", "WaterSurface.launch": "water surface",
+    "Renderer._film": "film", "Streaks.launch": "streaks",
+    "WaterSurface.launch": "water surface",
     "Renderer._meet_water": "find water", "Renderer._mirror": "mirror",
     "Renderer._lay_water": "water", "Splashes.launch": "splashes", "Renderer._compose": "compose",
     "Renderer._hand_over": "counts", "Renderer._copy_picture": "copy",
 }  # fmt: skip
-NO_MIRRORS_IN_FILMS = (
-    "film: backend cuda mirrors what lies around the first camera in wet ground, as film "
-    '"environment" does; backend cpu mirrors what stands on it'
-)
 
 
 class Renderer(InTurn, TakesApart, HostRenderer):
@@ -62,13 +60,11 @@ class Renderer(InTurn, TakesApart, HostRenderer):
         self._forked, self._joined = cuda.event(), cuda.event()
         self._begin_turns()
         super().__init__(scene, terrain, config, first_camera)
-        if config.render.film == "auto":
-            self.notes.append(NO_MIRRORS_IN_FILMS)
         send = self._send
         self._bed, self._exposed = send(terrain.bed), send(self.rings)
         self._ground, self._ground_sent = send(self.ground), self.ground
-        self._place = send(self._origin), self._spacing
-        self._around, self._gloss = send(self.environment), send(self.gloss)
+        self.place = send(self._origin), self._spacing
+        self._around, self.blurred = send(self.environment), send(self.gloss)
         self._sky, self._sky_sent = send(self.behind), self.behind
         self._air = sky.horizon_radiance(self.day).astype(np.float32)
         self._water = cuda.device_array(terrain.grid.shape, np.float32)
@@ -76,6 +72,7 @@ class Renderer(InTurn, TakesApart, HostRenderer):
             terrain.bed, self.water.relief, terrain.mirrors, self._water, self.stream
         )
         self.mirrors = Mirrors(self, config.render.reflections)
+        self.film_light = Film(self)
         self._moments = None
         self._size = None
         self._fog_of = None, None
@@ -123,6 +120,7 @@ class Renderer(InTurn, TakesApart, HostRenderer):
             self._room_for(camera, state)
         self.rasterizer.update(camera, self.near)
         self.mirrors.update(camera, self.near, self.frame)
+        self.film_light.update(camera, self.view)
         self._bring(state)
         turn, eye = _pose(self.view)
         fog = NO_FOG
@@ -187,6 +185,7 @@ class Renderer(InTurn, TakesApart, HostRenderer):
         height, width = self._size
         f4 = np.float32
         self.mirrors.room_for(height, width)
+        self._cover = self.film_light.room_for(height, width)
         self._picture, self._shown = (cuda.device_array((height, width, 3), f4) for _ in range(2))
         self._depth, self._clearance, self._tall, self._hit, self._distance = (
             cuda.device_array((height, width), f4) for _ in range(5)
@@ -194,6 +193,7 @@ class Renderer(InTurn, TakesApart, HostRenderer):
         self._coverage, self._none = (cuda.device_array((height, width), f4) for _ in range(2))
         self._bounds = cuda.device_array(bounds_of(height, width), f4)
         self._none.copy_to_device(np.zeros((height, width), f4))
+        self._below = self.film_light.bare if self.film_light.apart else self._picture
         self._image = cuda.device_array((height, width, 3), np.uint8)
         self._images = [pinned((height, width, 3), np.uint8) for _ in range(2)]
         self.numbers = Numbers(self.stream, {
@@ -223,6 +223,9 @@ class Renderer(InTurn, TakesApart, HostRenderer):
         Each is a function that puts its part on the stream.
         """
         dry, wet, last = self._parts()
+        dry = [part for part in dry if part not in (self.film_light.draw, self._lay_film)]
+        if self.film_light.apart:
+            dry.append(self._film)
         rain = []
         if self.streaks is not None:
             rain = [self.streaks.launch, self.splashes.launch]
@@ -232,8 +235,9 @@ class Renderer(InTurn, TakesApart, HostRenderer):
 
     def _parts(self):
         """Return the frame's parts but rain: without water, with it, and what needs both."""
+        film = self.film_light
         return (
-            [self.numbers.send, self.rasterizer.launch, self._grade],
+            [self.numbers.send, film.draw, self.rasterizer.launch, self._grade, self._lay_film],
             [self._surface.launch, self._meet_water, self._mirror, self._lay_water],
             [self._compose, self._hand_over],
         )
@@ -271,20 +275,29 @@ class Renderer(InTurn, TakesApart, HostRenderer):
     def _grade(self):
         n = self.numbers
         self.grade(
-            self.rasterizer, self._size, n["turn"], n["eye"], self._picture, self._depth,
-            self._clearance,
+            self.rasterizer, self._size, n["turn"], n["eye"], self._below, self._depth,
+            self._clearance, self._cover, self.stream,
         )  # fmt: skip
 
-    def grade(self, rasterizer, shape, turn, eye, picture, depth, clearance):
+    def grade(self, rasterizer, shape, turn, eye, picture, depth, clearance, film, stream):
         """Queue the grading and wetting of what a rasterizer has drawn, a picture of `shape`."""
         layers, n = rasterizer.layers, self.numbers
-        shading.grade_and_wet[shading.blocks(*shape), shading.BLOCK, self.stream](
+        shading.grade_and_wet[shading.blocks(*shape), shading.BLOCK, stream](
             rasterizer.size, layers.color.reshape(*shape, 3), layers.alpha.reshape(shape),
             layers.depth.reshape(shape), layers.plane_depth.reshape(shape),
             layers.normal.reshape(*shape, 3), np.float32(self.frame.meters_per_unit),
-            turn, eye, rasterizer.lens, self._bed, self._ground, *self._place, self._gloss,
-            self._sky, n["look"], n["others"], picture, depth, clearance,
+            turn, eye, rasterizer.lens, self._bed, self._ground, *self.place, self.blurred,
+            self._sky, n["look"], n["others"], picture, depth, clearance, film,
         )  # fmt: skip
+
+    def _film(self):
+        """Queue all of the film, after what it lies beside in use."""
+        self.film_light.draw()
+        self._lay_film()
+
+    def _lay_film(self):
+        if self.film_light.apart:
+            self.film_light.lay(self._picture)
 
     def _meet_water(self):
         n, render = self.numbers, self.config.render
@@ -293,7 +306,7 @@ class Renderer(InTurn, TakesApart, HostRenderer):
         optics.keep_tall[grid](self._depth, self._clearance, self._tall, self._bounds)
         optics.meet_water[grid](
             self._depth, n["turn"], n["eye"], n["lens"], surface.surface, surface.over,
-            *self._place, surface.highest, n["cover"], render.coverage == "hard",
+            *self.place, surface.highest, n["cover"], render.coverage == "hard",
             self._hit, self._coverage,
         )  # fmt: skip
 
@@ -308,9 +321,9 @@ class Renderer(InTurn, TakesApart, HostRenderer):
             n["settings"], self.mirrors.range, self._distance,
         )  # fmt: skip
         optics.shade_water[grid](
-            self._hit, self._coverage, self._distance, self._picture, self._depth, self._tall,
-            n["turn"], n["eye"], n["lens"], self._surface.over, self._exposed,
-            *self._place, self._moments, self._tile, self._around, n["settings"],
+            self._hit, self._coverage, self._distance, self._picture, self._below, self._depth,
+            self._tall, n["turn"], n["eye"], n["lens"], self._surface.over, self._exposed,
+            *self.place, self._moments, self._tile, self._around, n["settings"],
             self.mirrors.range, self.mirrors.window, self.mirrors.picture, self.mirrors.coarse,
             self.mirrors.depth,
             *self.water.laws(), n["sun"], self._shown,
@@ -340,7 +353,7 @@ def _require_known(render):
     """Raise ParameterError for looks that only the CPU draws."""
     for name, wanted in (
         ("reflections", ("auto", "mirror", "ssr")), ("water_geometry", ("height-field",)),
-        ("streaks", ("shutter",)), ("splashes", ("crowns",)), ("film", ("auto", "environment")),
+        ("streaks", ("shutter",)), ("splashes", ("crowns",)),
     ):  # fmt: skip
         value = getattr(render, name)
         if value not in wanted:

@@ -7,6 +7,8 @@ kernels that need them have a plain brother.
 
 from __future__ import annotations
 
+import os
+
 import numpy as np
 
 from rainsim.cuda import require
@@ -18,7 +20,9 @@ import numba  # noqa: E402
 from numba import cuda, types  # noqa: E402
 
 SIMULATED = bool(cuda.config.ENABLE_CUDASIM)
-cuda.config.CUDA_LOW_OCCUPANCY_WARNINGS = 0  # small maps and pictures are no mistake
+# Small maps and pictures are no mistake; numba reads the environment again when that changes.
+os.environ["NUMBA_CUDA_LOW_OCCUPANCY_WARNINGS"] = "0"
+cuda.config.CUDA_LOW_OCCUPANCY_WARNINGS = 0
 WARP = 32
 FULL = 0xFFFFFFFF  # all lanes of a warp
 

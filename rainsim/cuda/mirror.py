@@ -357,6 +357,7 @@ class Mirrors:
         self.coarse = cuda.device_array((passes, *coarse_shape(rows, columns)), np.float32)
         self.depth = cuda.device_array((passes, rows, columns), np.float32)
         self._clearance = cuda.device_array((rows, columns), np.float32)
+        self._no_film = self._clearance[:0]
 
     def update(self, camera, near, frame):
         """Take over the camera that is to be mirrored."""
@@ -444,7 +445,7 @@ class Mirrors:
             rasterizer.launch()
             self.renderer.grade(
                 rasterizer, self._size, self._turn, self._eye, self.picture[mirror],
-                self.depth[mirror], self._clearance,
+                self.depth[mirror], self._clearance, self._no_film, self.stream,
             )  # fmt: skip
             rows, columns = (-(-side // (2 * SQUARE_CELLS)) for side in self._size)
             coarsen[(columns, rows), THREADS, self.stream](

@@ -218,10 +218,10 @@ def mirrored(
 
 @cuda_kernel
 def shade_water(
-    hit, coverage, distance, picture, depth, tall, ground_from_camera, eye, lens, water_depth,
-    exposure_to_rain, origin, spacing, moments, tile_size, environment, settings, mirror_range,
-    mirror_window, mirror, coarse, mirror_depth, schlick_law, image_shift, phong, glint_variance,
-    sun, picture_out,
+    hit, coverage, distance, picture, below, depth, tall, ground_from_camera, eye, lens,
+    water_depth, exposure_to_rain, origin, spacing, moments, tile_size, environment, settings,
+    mirror_range, mirror_window, mirror, coarse, mirror_depth, schlick_law, image_shift, phong,
+    glint_variance, sun, picture_out,
 ):  # fmt: skip
     """Lay the water over the picture: ripples, what it mirrors, what shows through, the glint.
 
@@ -296,7 +296,7 @@ def shade_water(
             ahead * vz + path * qz, u, v,
         )  # fmt: skip
         travel = path + deep
-    b0, b1, b2 = bilinear_color(picture, bu, bv)
+    b0, b1, b2 = bilinear_color(below, bu, bv)
     glint = ZERO
     if sun[3] + sun[4] + sun[5] > ZERO:
         if phong:

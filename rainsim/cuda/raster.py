@@ -212,13 +212,17 @@ class Rasterizer:
 
     def update(
         self, camera, near, plane=None, depth="expected", compensate=False, degree=None,
-        drop_last=False,
+        drop_last=False, room=None,
     ):  # fmt: skip
-        """Take over what the next pictures show; of the device only room for them is asked."""
+        """Take over what the next pictures show; of the device only room for them is asked.
+
+        `room`: columns and rows [px] of which the camera's picture is the upper left part: pictures
+        of changing size are one recorded queue.
+        """
         require_choice("depth", depth, ("expected", "median"))
-        s, width, height = self.splats, camera.width, camera.height
+        s, (width, height) = self.splats, room or (camera.width, camera.height)
         self._bands = s.bands if degree is None else min(degree + 1, s.bands)
-        self._numbers[:] = self.numbers_of(camera, near, plane)
+        self._numbers[:] = self.numbers_of(camera, near, plane, room)
         tiles = -(-width // TILE) * -(-height // TILE)
         self._kind = bool(camera.orthographic), bool(compensate), depth == "median", bool(drop_last)
         self._levels = _levels(width, height)
@@ -255,7 +259,7 @@ class Rasterizer:
         """Focal lengths and principal point (fx, fy, cx, cy) [px] on the device, float32."""
         return self._now[project.LENS : project.PLANE]
 
-    def numbers_of(self, camera, near, plane=None):
+    def numbers_of(self, camera, near, plane=None, room=None):
         """Return the numbers that the kernels read of a camera, float64; see `project`."""
         numbers = np.zeros(project.CAMERA)
         width, height = camera.width, camera.height
@@ -274,7 +278,7 @@ class Rasterizer:
         ahead = exact[:3] @ self.splats.centre + exact[3]
         far = max(ahead + self.splats.reach, 2 * near)
         numbers[project.SCALE : project.SCALE + 5] = project.depth_scale(
-            near, far, _levels(width, height)
+            near, far, _levels(*(room or (width, height)))
         )
         return numbers
 

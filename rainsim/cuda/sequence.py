@@ -70,8 +70,13 @@ class InTurn:
         """Return whether the next frame may begin before it is known what the last one lacked."""
         if self._dry is None or self._to_bring or self._is_stale():
             return False
-        self._dry.wait()  # for the number of entries of the frame that is being drawn
-        return not self.rasterizer.overflows() and not self.rasterizer.is_tight()
+        self._dry.wait()  # for what is counted of the frame that is being drawn
+        tight = any(splats.overflows() or splats.is_tight() for splats in self._dry_splats())
+        return not tight and not self.film_light.lacks()
+
+    def _dry_splats(self):
+        """Return the rasterizers of what needs no water."""
+        return [self.rasterizer, *self.film_light.rasterizers]
 
     def _begin(self):
         """Queue what needs no water of the frame that `update` has brought, and its step."""
@@ -131,9 +136,11 @@ class InTurn:
         for _ in range(MOST_TRIES):
             lacking = simulation is not None and simulation.lacked(state.index)
             lacking |= self.mirrors.grow() | self._splashes_lacked()
-            if not early and self.rasterizer.overflows():
-                self.rasterizer.make_room()
-                lacking = True
+            if not early:
+                full = [splats for splats in self._dry_splats() if splats.overflows()]
+                for splats in full:
+                    splats.make_room()
+                lacking |= bool(full) or self.film_light.grow()
             if not lacking:
                 break
             cuda.synchronize()
@@ -142,8 +149,9 @@ class InTurn:
             self._launch_dry()
             self._go_on()
             self._copied.synchronize()
-        if not early and self.rasterizer.is_tight():
-            self.rasterizer.make_room()
+        for splats in self._dry_splats():
+            if not early and splats.is_tight():
+                splats.make_room()
         self.mirrors.make_ahead()
         drawn_again = self._next is not ahead
         if drawn_again or self._is_stale():
@@ -169,7 +177,8 @@ class InTurn:
     def _depends_on(self):
         """Return what the recorded queues depend on: when it changes, record anew."""
         lines = None if self.splashes is None else id(self.splashes.lines)
-        return self._size, self.rasterizer.queue, self.mirrors.queue, lines
+        film = self.film_light.queue
+        return self._size, self.rasterizer.queue, film, self.mirrors.queue, lines
 
     def _is_stale(self):
         return self._queue != self._depends_on()

@@ -18,11 +18,13 @@ from rainsim.shade import (
     HALF,
     LEAST_ALPHA,
     LEAST_SKY,
+    ON_GROUND,
     ONE,
     TWO,
     WALL_SHARE,
     ZERO,
     field_place,
+    film_cover,
     fog_thickness,
     glossed,
     is_edge,
@@ -47,7 +49,7 @@ def blocks(height, width):
 def grade_and_wet(
     size, color, alpha, depth, plane_depth, normal, meters_per_unit, ground_from_camera, eye, lens,
     bed, ground, origin, spacing, environment, day_sky, look, others,
-    picture_out, depth_out, clearance_out,
+    picture_out, depth_out, clearance_out, film_out,
 ):  # fmt: skip
     """Grade the dry picture, wet it, and measure it against the ground; see `rainsim.shade`.
 
@@ -89,7 +91,14 @@ def grade_and_wet(
         -(n0 * a + n1 * b + n2) * il, upness, above, lawn, damp, film, pores,
         look[0], look[1], look[2], look[3], look[4], look[5],
     )  # fmt: skip
-    if gloss > ZERO:
+    film_apart = film_out.shape[0] > 0
+    if film_apart:
+        film_out[row, column] = ZERO
+    if film_apart and solid and upness > FLAT and above < ON_GROUND:
+        film_out[row, column] = film_cover(
+            ground, origin, spacing, eye[0] + e * x, eye[1] + e * y, clearance, upness, lawn, film
+        )
+    elif gloss > ZERO:
         e0, e1, e2 = glossed(environment, x * il, y * il, z * il)
         red, green, blue = red + gloss * e0, green + gloss * e1, blue + gloss * e2
     if through > LEAST_SKY:

@@ -65,11 +65,34 @@ def test_frames_are_those_of_the_cpu(reflections, least):
     assert decibel(renderer.draw(camera, dry)[0], found[0]) < 40
 
 
+def test_film_gets_a_mirrored_picture_where_it_is_worth_one():
+    """Chosen with the first frame, said once, and kept."""
+    scene = tiny_scene()
+    camera = scene.cameras[0].resized(*SIZE)
+    settings = config(reflections="auto", film="auto", rate=0.0)
+    terrain = extract_terrain(scene, settings)
+    state = next(iter(simulate(terrain, settings)))
+    pictures, notes = [], []
+    for theirs in (rendering.Renderer, twin.Renderer):
+        renderer = theirs(scene, terrain, settings, camera)
+        for _ in range(2):
+            picture, report = renderer.draw(camera, state)
+            pictures.append(picture.copy())
+            notes.append([note for note in report.notes if "film" in note])
+    assert notes[0] == notes[2] and "a mirrored picture" in notes[2][0] and notes[3] == []
+    assert len(renderer.film_light.rasterizers) == 1
+    assert decibel(pictures[2], pictures[0]) > 50
+    np.testing.assert_array_equal(pictures[2], pictures[3])
+    plain = config(reflections="auto", film="environment", rate=0.0)
+    without = rendering.Renderer(scene, terrain, plain, camera).draw(camera, state)[0]
+    assert decibel(pictures[2], without) < 45
+
+
 def test_layers_are_those_of_the_cpu():
     """They make the frame again, and each is the CPU's."""
     scene = tiny_scene()
     camera = scene.cameras[0].resized(*SIZE)
-    settings = config(level=0.06, reflections="auto", sun=(0.5, 0.8))
+    settings = config(level=0.06, reflections="auto", sun=(0.5, 0.8), film="mirror")
     terrain = extract_terrain(scene, settings)
     state = next(iter(simulate(terrain, settings)))
     names = tuple(layers.LAYERS)

@@ -6,7 +6,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from rainsim import grade, moments, optics, pyramid, reflect, shade, sky, ssr, watersurface
+from rainsim import film, grade, moments, optics, pyramid, reflect, shade, sky, ssr, watersurface
+from rainsim.cuda import film as cuda_film
 from rainsim.cuda import mirror as cuda_mirror
 from rainsim.cuda import optics as cuda_optics
 from rainsim.cuda import shading, simulated
@@ -65,19 +66,27 @@ def test_grade_and_wet(view, poisoned):
             around, day, look, np.array([damp, 0.2, -0.4, 0.8, 0.3], F4),
         )  # fmt: skip
 
-    shapes = (HEIGHT, WIDTH, 3), (HEIGHT, WIDTH), (HEIGHT, WIDTH)
-    wanted, found, dry = ([poisoned(shape) for shape in shapes] for _ in range(3))
-    grade.grade_and_wet(*arguments(0.9), *wanted, np.empty((0, 0), F4))
+    shapes = (HEIGHT, WIDTH, 3), *3 * ((HEIGHT, WIDTH),)
+    none = np.empty((0, 0), F4)
     whole, part = F4([WIDTH, HEIGHT]), F4([WIDTH - 3, HEIGHT - 5])
-    launch(shading.grade_and_wet, whole, *arguments(0.9), *found)
-    launch(shading.grade_and_wet, part, *arguments(0.0), *dry)
-    assert decibel(found[0], wanted[0]) > 100
-    np.testing.assert_allclose(found[1], wanted[1], rtol=1e-6)
-    np.testing.assert_allclose(found[2], wanted[2], atol=1e-5)
     drawn = np.zeros((HEIGHT, WIDTH), bool)
     drawn[:-5, :-3] = True
-    np.testing.assert_array_equal(np.isfinite(dry[2]), drawn)
-    assert decibel(dry[0][drawn], wanted[0][drawn]) < 40
+    for damp, size, apart in ((0.9, whole, True), (0.7, part, False)):
+        wanted, found = ([poisoned(shape) for shape in shapes] for _ in range(2))
+        grade.grade_and_wet(*arguments(damp), *wanted[:3], wanted[3] if apart else none)
+        launch(shading.grade_and_wet, size, *arguments(damp), *found[:3],
+               found[3] if apart else found[3][:0])  # fmt: skip
+        where = drawn | apart
+        np.testing.assert_array_equal(np.isfinite(found[2]), where)
+        assert decibel(found[0][where], wanted[0][where]) > 100
+        np.testing.assert_allclose(found[1][where], wanted[1][where], rtol=1e-6)
+        np.testing.assert_allclose(found[2][where], wanted[2][where], atol=1e-5)
+        np.testing.assert_allclose(found[3], wanted[3], atol=1e-5)
+        assert np.isnan(found[3]).all() != apart
+    glossing = [poisoned(shape) for shape in shapes[:3]]
+    grade.grade_and_wet(*arguments(0.9), *glossing, none)
+    grade.grade_and_wet(*arguments(0.9), *wanted[:3], wanted[3])
+    assert wanted[3].max() > 0.3 and decibel(glossing[0], wanted[0]) < 50
 
 
 def test_compose(view, poisoned, rng):
@@ -185,10 +194,11 @@ def test_water_light(view, pond, poisoned, rng, reflection, hard):
             settings, light, source,
         )  # fmt: skip
         served = np.array([[0, 10, -10], [0, 9, -9]], F4)
+    below = rng.uniform(0, 1, picture.shape).astype(F4)
     wanted, found = picture.copy(), poisoned(picture.shape)
     flags = False, hard, hard  # schlick_law, image_shift, phong
     optics.lay_water(
-        pixel, record, light, picture, picture, view.depth, view.turn, view.lens, *flags, F4(4e-3),
+        pixel, record, light, picture, below, view.depth, view.turn, view.lens, *flags, F4(4e-3),
         sun, wanted,
     )  # fmt: skip
     distance = poisoned((HEIGHT, WIDTH))
@@ -199,9 +209,9 @@ def test_water_light(view, pond, poisoned, rng, reflection, hard):
     assert (np.isfinite(distance) == ((coverage > 0) & (reflection == "march"))).all()
     both = (np.stack([0 * m, m]) for m in (mirror, coarse2, mirror_depth))
     launch(
-        cuda_optics.shade_water, hit, coverage, distance, picture, view.depth, tall, view.turn,
-        view.eye, view.lens, over, view.exposure, ORIGIN, SPACING, ripples, F4(1.0), around,
-        settings, served, window, *both, *flags, F4(4e-3), sun, found,
+        cuda_optics.shade_water, hit, coverage, distance, picture, below, view.depth, tall,
+        view.turn, view.eye, view.lens, over, view.exposure, ORIGIN, SPACING, ripples, F4(1.0),
+        around, settings, served, window, *both, *flags, F4(4e-3), sun, found,
     )  # fmt: skip
     assert decibel(found, wanted) > 70
     assert decibel(wanted, picture) < 30
@@ -210,8 +220,11 @@ def test_water_light(view, pond, poisoned, rng, reflection, hard):
 def test_signatures_are_those_of_the_cpu():
     """What the twins leave out is what a list of pixels needs; they add a size and bounds."""
     pairs = [
-        # "size": of a mirror's window; what a film mirrors is not told apart on the device.
-        (grade.grade_and_wet, shading.grade_and_wet, {"size", "film_out"}),
+        (grade.grade_and_wet, shading.grade_and_wet, {"size"}),  # of a mirror's window
+        # The device fills in every block, and its level picture's arrays are larger than that.
+        (film.mirrored_field, cuda_film.mirrored_field, {"wanted", "level_size"}),
+        (film.lay_film, cuda_film.lay_film, set()),
+        (film.film_share, cuda_film.film_share, set()),
         (shade.compose, shading.compose, set()),
         (reflect.keep_tall, cuda_optics.keep_tall, {"bounds_out"}),
         (optics.meet_water, cuda_optics.meet_water, {"turn", "count_out"}),
