@@ -11,8 +11,8 @@ import math
 
 import numpy as np
 
+from rainsim.chunks import CHUNK, CORNERS, interpolate
 from rainsim.jit import cpu_kernel, inlined_function, prange
-from rainsim.light import bilinear
 from rainsim.shade import (
     FAR_AWAY,
     FLAT,
@@ -34,7 +34,6 @@ from rainsim.shade import (
 from rainsim.sky import azimuth_in_map, color_in_map, elevation_in_map
 from rainsim.walls import damp_off_ground
 
-CHUNK = 256
 # Rows of a chunk's numbers. The pixel: colour, alpha, distances along the view axis [m] to the mean
 # and to the plane, normal (camera frame).
 (RED, GREEN, BLUE, ALPHA, DEPTH, PLANE, NORMAL_X, NORMAL_Y, NORMAL_Z) = (
@@ -47,7 +46,7 @@ CHUNK = 256
 )
 # Its wetness, as `shade.wet_state` has it.
 (CLEARANCE, HEIGHT, LAWN, DAMP, FILM, PORES) = (CHUNK * k for k in range(21, 27))
-# Shares of gloss and of sky, and where maps show those.
+# Shares of gloss and of sky, and where maps (at first the ground's) show those.
 (GLOSS, THROUGH, ACROSS, DOWN, LIFTED) = (CHUNK * k for k in range(27, 32))
 NUMBERS = 32 * CHUNK
 
@@ -93,7 +92,7 @@ def grade_and_wet(
     colors, normals = color.reshape(height, 3 * width), normal.reshape(height, 3 * width)
     pictures = picture_out.reshape(height, 3 * width)
     for row in prange(height):
-        s = np.empty(NUMBERS, np.float32)
+        s, corner = np.empty(NUMBERS, np.float32), np.empty(CORNERS, np.float32)
         glossy, open_ = np.empty(CHUNK, np.uint32), np.empty(CHUNK, np.uint32)
         b = (np.float32(row) + HALF - lens[3]) / lens[1]
         for left in range(0, width, CHUNK):
@@ -105,7 +104,7 @@ def grade_and_wet(
                 look[5], n, s,
             )  # fmt: skip
             place(ground_from_camera, eye, lens, b, left, n, s)
-            wet(bed, ground, origin, spacing, others, n, s)
+            wet(bed, ground, origin, spacing, others, n, s, glossy, corner)
             shade(look, film_apart, n, s)
             add_surroundings(environment, day_sky, n, s, glossy, open_)
             give(
@@ -183,20 +182,26 @@ def place(m, eye, lens, b, left, n, s):
 
 
 @inlined_function
-def wet(bed, ground, origin, spacing, others, n, s):
+def wet(bed, ground, origin, spacing, others, n, s, cell, corner):
     """Find how wet each pixel's surface is; see `shade.wet_state`."""
     rows, columns = bed.shape
     right, bottom = np.float32(columns - 1), np.float32(rows - 1)
-    off = False  # whether there is something that is no ground
+    o0, o1 = origin[0], origin[1]
     for i in range(n):
-        u, v = (s[X + i] - origin[0]) / spacing - HALF, (s[Y + i] - origin[1]) / spacing - HALF
-        over = s[Z + i] - bilinear(bed, u, v)
-        solid = s[ALPHA + i] >= LEAST_ALPHA
-        inside = solid and u > ZERO and v > ZERO and u < right and v < bottom
-        s[CLEARANCE + i] = over if inside else FAR_AWAY
-        s[HEIGHT + i] = over if inside else s[Z + i] if solid else FAR_AWAY
-        off |= not (inside and over < ON_GROUND and s[UPNESS + i] > FLAT)
-    if off:
+        u, v = (s[X + i] - o0) / spacing - HALF, (s[Y + i] - o1) / spacing - HALF
+        inside = (u > ZERO) & (v > ZERO) & (u < right) & (v < bottom)
+        s[HEIGHT + i] = ONE if inside else ZERO
+        s[ACROSS + i], s[DOWN + i] = u, v
+    interpolate(bed, n, s, ACROSS, DOWN, cell, corner)
+    off = 0  # pixels that show no ground
+    for i in range(n):
+        z, over = s[Z + i], s[Z + i] - s[ACROSS + i]
+        solid, inside = s[ALPHA + i] >= LEAST_ALPHA, s[HEIGHT + i] > ZERO
+        clear, height = over if inside else FAR_AWAY, over if inside else z
+        clear, height = clear if solid else FAR_AWAY, height if solid else FAR_AWAY
+        s[CLEARANCE + i], s[HEIGHT + i] = clear, height
+        off += np.int64((clear >= ON_GROUND) | (s[UPNESS + i] <= FLAT))
+    if off > 0:
         for i in range(n):
             damp = damp_off_ground(
                 others, s[LEAN_X + i], s[LEAN_Y + i], s[UPNESS + i], s[X + i], s[Y + i], s[Z + i],

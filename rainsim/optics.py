@@ -1,8 +1,8 @@
 """Light on water: where it lies in the picture, how ripples tilt it, and what shows through it.
 
-The water that a picture shows is a list: `find_water` makes it, one record of RECORD numbers for
-each pixel (row n of `record`, pixel number `pixel[n]`). `tilt_water` adds the ripples, `reflect`
-what is mirrored, `lay_water` puts it all into the picture.
+The water that a picture shows, found by `meeting`, is a list: `list_water` makes it, one record of
+RECORD numbers for each pixel (row n of `record`, pixel number `pixel[n]`). `tilt_water` adds the
+ripples, `reflect` what is mirrored, `lay_water` puts it all into the picture.
 
 Numbers of a record: 0 to 2 the surface point x, y, z [m]; 3 to 5 the unit view direction; 6 depth
 of the point along the view axis [m]; 7 water depth [m]; 8 coverage; 9 share of the ripples that
@@ -37,109 +37,13 @@ RECORD = 16  # numbers of a record: a cache line
 # Absorption of puddle water [1/m], red, green, blue. Clean water takes .35, .07, .02 (Pope and Fry
 # 1997); puddles hold fine soil, which takes blue most. No measurement of it is used here: a guess.
 ABSORB_R, ABSORB_G, ABSORB_B = np.float32(5), np.float32(5.5), np.float32(7)
-HIDE_LOW, HIDE_HIGH = np.float32(0.004), np.float32(0.014)  # m above water: hides it, softly
-LEAST_DIP = np.float32(-0.01)  # rays flatter than this meet water in the haze, if at all
-LEAST_COVERAGE = np.float32(0.004)  # a smaller share does not change an 8-bit picture
 LEAST_COSINE = np.float32(0.02)
 RIPPLE_LOW, RIPPLE_HIGH = np.float32(0.0008), np.float32(0.004)  # m of water: none, full rings
 RIPPLE_REST = np.float32(0.07)  # share of the rings that runs in under cover
 NEAREST = np.float32(0.05)  # m
 REFRACT_TOLERANCE = np.float32(0.04)  # m: what lies nearer than the bed by more is foreground
-CLOSE_ENOUGH = np.float32(5e-5)  # m of height between two steps towards the surface
-MOST_STEPS = 6
-FAR_OFF = np.float32(5e-3)  # m of height between the last two steps: they do not meet the surface
 SHIFT_PER_DEPTH = ONE - ONE / REFRACTIVE_INDEX  # of the paper's image shift, see `shifted`
 PHONG_EXPONENT = np.float32(64)  # the paper gives none
-
-
-@cpu_kernel
-def meet_water(
-    depth, ground_from_camera, eye, lens, surface, water_depth, origin, spacing, highest, turn,
-    cover, hard, hit_out, coverage_out, count_out,
-):  # fmt: skip
-    """Find where each pixel's ray meets the water surface, and how much of the pixel it covers.
-
-    Parameters
-    ----------
-    depth : ndarray of shape (height, width), float32 [m]
-        Of the scene along the view axis, as `grade.grade_and_wet` left it.
-    surface : ndarray of shape (ny, nx), float32 [m]
-        Height of the water surface, continued below the ground beside the water.
-    water_depth : ndarray of shape (ny, nx), float32 [m]
-    highest : float32 [m]
-        Of the surface: what shows higher is dry.
-    turn : ndarray of shape (height,), int64
-        Order in which rows are taken, see `jit.dealt`.
-    cover : ndarray of shape (2,), float32 [m]
-        Water depth where coverage begins and is full.
-    hard : bool
-        Cover all or nothing: whether there is water and it is nearer than the scene.
-    hit_out : ndarray of shape (height, width), float32 [m]
-        Depth of the water along the view axis; only where it covers.
-    coverage_out : ndarray of shape (height, width), float32
-        Share of the pixel that is water.
-    count_out : ndarray of shape (height,), int64
-        Covered pixels of each row.
-    """
-    height, width = depth.shape
-    ny, nx = surface.shape
-    m = ground_from_camera
-    for k in prange(height):
-        row = turn[k]
-        count = 0
-        b = (np.float32(row) + HALF - lens[3]) / lens[1]
-        for column in range(width):
-            coverage_out[row, column] = ZERO
-            a = (np.float32(column) + HALF - lens[2]) / lens[0]
-            z = m[2, 0] * a + m[2, 1] * b + m[2, 2]
-            there = depth[row, column]
-            if z > LEAST_DIP or eye[2] + there * z > highest + HIDE_HIGH:
-                continue
-            x = m[0, 0] * a + m[0, 1] * b + m[0, 2]
-            y = m[1, 0] * a + m[1, 1] * b + m[1, 2]
-            t, u, v = meet_surface(surface, origin, spacing, eye, x, y, z, highest)
-            if not (t > ZERO and u > ONE and v > ONE):
-                continue
-            if u > np.float32(nx - 2) or v > np.float32(ny - 2):
-                continue
-            deep = bilinear(water_depth, u, v)
-            above = (there - t) * z  # of the scene over the water [m]
-            if hard:
-                covers = ONE if deep > cover[0] and above < ZERO else ZERO
-            else:
-                # Hidden by what the picture shows above the water, softly at the contact.
-                covers = smoothstep(cover[0], cover[1], deep)
-                covers *= ONE - smoothstep(HIDE_LOW, HIDE_HIGH, above)
-            if covers > LEAST_COVERAGE:
-                coverage_out[row, column], hit_out[row, column] = covers, t
-                count += 1
-        count_out[row] = count
-
-
-@device_function
-def meet_surface(surface, origin, spacing, eye, x, y, z, start):
-    """Return how far along (x, y, z) the ray from `eye` meets the surface, and in which cell.
-
-    The surface is nearly level: a few fixed-point steps from the height `start` meet it. Where
-    they do not, at the foot of steps seen at a grazing angle, there is no hit: negative.
-    """
-    inv = ONE / z
-    t = (start - eye[2]) * inv
-    u, v, step = ZERO, ZERO, ONE
-    before = start
-    for _ in range(MOST_STEPS):
-        u = (eye[0] + t * x - origin[0]) / spacing - HALF
-        v = (eye[1] + t * y - origin[1]) / spacing - HALF
-        now = bilinear(surface, u, v)
-        t = (now - eye[2]) * inv
-        step = abs(now - before)
-        if step < CLOSE_ENOUGH:
-            break
-        before = now
-    if step > FAR_OFF:
-        return -ONE, u, v
-    return t, (eye[0] + t * x - origin[0]) / spacing - HALF, (
-        eye[1] + t * y - origin[1]) / spacing - HALF  # fmt: skip
 
 
 @cpu_kernel
@@ -149,9 +53,8 @@ def list_water(
 ):  # fmt: skip
     """Write the record of each covered pixel, row by row.
 
-    `first` holds the place of each row's first record, `rings` the amplitude of
-    rings in each cell over that in the open; the rest is as in `meet_water`. Slopes are left at
-    zero.
+    `first` holds the place of each row's first record, `rings` the amplitude of rings in each cell
+    over that in the open; the rest is as in `meeting.meet_water`. Slopes are left at zero.
     """
     height, width = coverage.shape
     m = ground_from_camera

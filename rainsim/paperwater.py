@@ -30,7 +30,7 @@ def meet_spheres(
     depth, ground_from_camera, eye, lens, surface, water_depth, origin, spacing,
     hit_out, coverage_out, count_out,
 ):  # fmt: skip
-    """Draw the water as spheres at the height map's cells; arguments as in `optics.meet_water`.
+    """Draw the water as spheres at the height map's cells; arguments as in `meeting.meet_water`.
 
     Between cells wider than the spheres there are holes.
     """

@@ -8,6 +8,7 @@ import numpy as np
 
 from rainsim import optics, paperwater, reflect, ssr
 from rainsim.jit import dealt
+from rainsim.meeting import meet_water
 from rainsim.moments import ripple_moments
 from rainsim.pyramid import coarsened
 from rainsim.watersurface import fine_relief, water_surface
@@ -192,7 +193,7 @@ class WaterView:
         else:
             hard = self.config.coverage == "hard"
             cover = (paperwater.LEAST_WATER,) * 2 if hard else self.config.water_coverage
-            optics.meet_water(
+            meet_water(
                 *where, self._highest, turn, np.array(cover, np.float32), hard,
                 hit, self.coverage, count,
             )  # fmt: skip

@@ -12,17 +12,14 @@ import numpy as np
 
 from rainsim.cuda.jit import cuda, cuda_device, cuda_kernel
 from rainsim.light import bilinear, bilinear_color, exp_minus, fresnel, schlick, smoothstep
+from rainsim.meeting import HIDE_HIGH, LEAST_COVERAGE, LEAST_DIP, covered, meet_surface
 from rainsim.moments import pixel_slopes
 from rainsim.optics import (
     ABSORB_B,
     ABSORB_G,
     ABSORB_R,
     HALF,
-    HIDE_HIGH,
-    HIDE_LOW,
     LEAST_COSINE,
-    LEAST_COVERAGE,
-    LEAST_DIP,
     ONE,
     RIPPLE_HIGH,
     RIPPLE_LOW,
@@ -30,7 +27,6 @@ from rainsim.optics import (
     ZERO,
     bed_seen_at,
     column_of,
-    meet_surface,
     normal_of,
     phong_highlight,
     refracted,
@@ -93,7 +89,7 @@ def meet_water(
     depth, ground_from_camera, eye, lens, surface, water_depth, origin, spacing, highest, cover,
     hard, hit_out, coverage_out,
 ):  # fmt: skip
-    """Find where each pixel's ray meets the water and how much it covers; see `rainsim.optics`."""
+    """Find where each pixel's ray meets the water and how much it covers; see `rainsim.meeting`."""
     column, row = cuda.grid(2)
     height, width = depth.shape
     if row >= height or column >= width:
@@ -115,12 +111,7 @@ def meet_water(
     if u > np.float32(nx - 2) or v > np.float32(ny - 2):
         return
     deep = bilinear(water_depth, u, v)
-    above = (there - t) * z
-    if hard:
-        covers = ONE if deep > cover[0] and above < ZERO else ZERO
-    else:
-        covers = smoothstep(cover[0], cover[1], deep)
-        covers *= ONE - smoothstep(HIDE_LOW, HIDE_HIGH, above)
+    covers = covered(deep, there - t, z, cover[0], cover[1], hard)
     if covers > LEAST_COVERAGE:
         coverage_out[row, column], hit_out[row, column] = covers, t
 

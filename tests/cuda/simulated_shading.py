@@ -6,7 +6,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from rainsim import film, grade, moments, optics, pyramid, reflect, shade, sky, ssr, watersurface
+from rainsim import (
+    film, grade, meeting, moments, optics, pyramid, reflect, shade, sky, ssr, watersurface,
+)  # fmt: skip
 from rainsim.cuda import film as cuda_film
 from rainsim.cuda import mirror as cuda_mirror
 from rainsim.cuda import optics as cuda_optics
@@ -143,7 +145,7 @@ def test_water_light(view, pond, poisoned, rng, reflection, hard):
     rows = np.arange(HEIGHT, dtype=np.int64)
     hit, hit2, coverage, coverage2 = (poisoned((HEIGHT, WIDTH)) for _ in range(4))
     count = np.zeros(HEIGHT, np.int64)
-    optics.meet_water(view.depth, *where, highest, rows, cover, hard, hit, coverage, count)
+    meeting.meet_water(view.depth, *where, highest, rows, cover, hard, hit, coverage, count)
     launch(
         cuda_optics.meet_water, view.depth, *where, np.array([highest]), cover, hard, hit2,
         coverage2,
@@ -227,7 +229,7 @@ def test_signatures_are_those_of_the_cpu():
         (film.film_share, cuda_film.film_share, set()),
         (shade.compose, shading.compose, set()),
         (reflect.keep_tall, cuda_optics.keep_tall, {"bounds_out"}),
-        (optics.meet_water, cuda_optics.meet_water, {"turn", "count_out"}),
+        (meeting.meet_water, cuda_optics.meet_water, {"turn", "count_out"}),
     ]
     for theirs, ours, without in pairs:
         theirs, ours = (list(inspect.signature(f).parameters) for f in (theirs, ours.fn))

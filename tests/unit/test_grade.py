@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from rainsim import grade, shade, sky
+from rainsim import chunks, grade, shade, sky
+from rainsim.light import bilinear
 
 F4 = np.float32
 HEIGHT, WIDTH, CELLS = 3, grade.CHUNK + 37, 40
@@ -89,3 +90,17 @@ def test_chunks_give_what_single_pixels_give(dry, poisoned, open_sky, apart):
     on_map = wanted[2] < shade.FAR_AWAY
     assert 0.1 < on_map.mean() < 0.9 and np.isinf(wanted[1]).any()
     assert not apart or 0.05 < (wanted[3] > 0).mean() < 0.8
+
+
+def test_a_chunk_is_interpolated_as_single_places_are(poisoned):
+    rng = np.random.default_rng(3)
+    field = rng.normal(size=(7, 11)).astype(F4)
+    n = chunks.CHUNK - 9
+    s = poisoned((2 * chunks.CHUNK,))
+    u, v = rng.uniform(-2, 12, n).astype(F4), rng.uniform(-2, 8, n).astype(F4)
+    s[:n], s[chunks.CHUNK :][:n] = u, v
+    place, corner = np.empty(chunks.CHUNK, np.uint32), poisoned((chunks.CORNERS,))
+    chunks.interpolate(field, n, s, 0, chunks.CHUNK, place, corner)
+    wanted = [bilinear(field, *at) for at in zip(u, v, strict=True)]
+    np.testing.assert_allclose(s[:n], wanted, rtol=1e-5, atol=1e-6)
+    assert np.isnan(s[n : chunks.CHUNK]).all()

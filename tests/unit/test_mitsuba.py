@@ -11,7 +11,7 @@ import pytest
 from scipy import ndimage
 from test_optics import EYE, FOCAL, HEIGHT, LENS, ORIGIN, SHAPE, SPACING, TURN, WIDTH, rays
 
-from rainsim import optics, reflect, ssr
+from rainsim import meeting, optics, reflect, ssr
 
 mitsuba = pytest.importorskip("mitsuba")
 pytestmark = pytest.mark.slow
@@ -100,7 +100,7 @@ def ours():
     coverage = np.full((HEIGHT, WIDTH), np.nan, np.float32)
     hit, count = np.full_like(coverage, np.nan), np.zeros(HEIGHT, np.int64)
     rows, spacing = np.arange(HEIGHT), np.float32(SPACING)
-    optics.meet_water(depth, TURN, EYE, LENS, surface, surface, ORIGIN, spacing, surface.max(),
+    meeting.meet_water(depth, TURN, EYE, LENS, surface, surface, ORIGIN, spacing, surface.max(),
                       rows, np.array([1e-4, 2e-4], np.float32), False, hit, coverage,
                       count)  # fmt: skip
     pixel, record = np.zeros(count.sum(), np.int32), np.zeros((count.sum(), 16), np.float32)

@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from rainsim import optics, reflect, ssr
+from rainsim import meeting, optics, reflect, ssr
 from rainsim.light import fresnel
 from rainsim.moments import ripple_moments
 from rainsim.pyramid import coarsened
@@ -57,7 +57,7 @@ def water(depth_of_water, picture=None, depth=None, clearance=None, slopes=0.0, 
     coverage = np.full((HEIGHT, WIDTH), np.nan, np.float32)
     hit, count = np.full_like(coverage, np.nan), np.full(HEIGHT, -1, np.int64)
     rows, spacing = np.arange(HEIGHT), np.float32(SPACING)
-    optics.meet_water(
+    meeting.meet_water(
         depth, TURN, EYE, LENS, deep, deep, ORIGIN, spacing, deep.max(), rows,
         np.array(cover, np.float32), hard, hit, coverage, count,
     )  # fmt: skip

@@ -1,0 +1,56 @@
+"""Pixels by the chunk: rows of numbers that stay in cache, so that loops over them run in vectors.
+
+A kernel that works so has a float32 array of some rows of CHUNK numbers and loops over one pass
+after the other; only loads from tables are done pixel by pixel.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rainsim.jit import serial_kernel
+
+CHUNK = 256  # pixels
+CORNERS = 4 * CHUNK  # numbers that `interpolate` needs to work with
+ZERO, ONE = np.float32(0), np.float32(1)
+SECOND, THIRD, FOURTH = CHUNK, 2 * CHUNK, 3 * CHUNK
+
+
+# Not inlined: LLVM sees that its loops can run in vectors only when it looks at them alone.
+@serial_kernel
+def interpolate(field, n, s, u, v, place, corner):
+    """Put a field's value, interpolated as by `light.bilinear`, in place of n columns of the field.
+
+    Parameters
+    ----------
+    field : ndarray of shape (rows, columns), float32
+    n : int
+        At most CHUNK.
+    s : ndarray of float32
+        From `u` on the columns, which are overwritten, from `v` on the rows, which are lost.
+    u, v : int
+    place : ndarray of shape (CHUNK,), uint32
+    corner : ndarray of shape (CORNERS,), float32
+        Working memory, as `place`.
+    """
+    rows, columns = field.shape
+    flat = field.reshape(rows * columns)
+    right, bottom = np.float32(columns - 1), np.float32(rows - 1)
+    last, lowest = np.float32(columns - 2), np.float32(rows - 2)
+    wide, next_ = np.uint32(columns), np.uint32(1)
+    for i in range(n):
+        x, y = min(max(s[u + i], ZERO), right), min(max(s[v + i], ZERO), bottom)
+        k, m = np.int32(min(x, last)), np.int32(min(y, lowest))
+        place[i] = np.uint32(m) * wide + np.uint32(k)
+        s[u + i], s[v + i] = x - np.float32(k), y - np.float32(m)
+    for i in range(n):
+        k = place[i]
+        corner[i], corner[SECOND + i] = flat[k], flat[k + next_]
+    for i in range(n):
+        k = place[i] + wide
+        corner[THIRD + i], corner[FOURTH + i] = flat[k], flat[k + next_]
+    for i in range(n):
+        a, b = s[u + i], s[v + i]
+        upper = corner[i] * (ONE - a) + corner[SECOND + i] * a
+        lower = corner[THIRD + i] * (ONE - a) + corner[FOURTH + i] * a
+        s[u + i] = upper * (ONE - b) + lower * b
