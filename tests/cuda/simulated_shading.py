@@ -7,7 +7,17 @@ import numpy as np
 import pytest
 
 from rainsim import (
-    film, grade, meeting, moments, optics, pyramid, reflect, shade, sky, ssr, watersurface,
+    film,
+    grade,
+    meeting,
+    moments,
+    optics,
+    pyramid,
+    reflect,
+    shade,
+    sky,
+    ssr,
+    watersurface,
 )  # fmt: skip
 from rainsim.cuda import film as cuda_film
 from rainsim.cuda import mirror as cuda_mirror
