@@ -20,7 +20,17 @@ from rainsim.shade import HALF, ONE, ZERO, graded, sky_share
 
 HARMONIC = np.float32(0.28209479177387814)  # of degree 0
 LOWEST = np.float32(-0.06)  # sine of the elevation: a sky's splats are broad, and reach below 0
+SKY_SHARE, NEAREST_SKY = 0.7, 30.0  # of the capture's reach [m] where its sky may begin
 SURE = np.float32(0.5)  # sky_share from which a splat is sky
+
+
+def sky_distance(scene):
+    """Return the distance [m] beyond which what a capture shows may be sky: most is nearer."""
+    if not scene.cameras:
+        return NEAREST_SKY
+    eye = np.mean([camera.position for camera in scene.cameras], axis=0)
+    away = np.linalg.norm(scene.splats.position - eye, axis=1) * scene.ground_frame.meters_per_unit
+    return max(NEAREST_SKY, SKY_SHARE * float(np.percentile(away, 99.5)))
 
 
 class Backdrop:

@@ -50,14 +50,14 @@ def _halve(picture, level, coarse_out):
     top = top_of(height, level)
     for row in prange(height >> level):
         for column in range(width >> level):
-            for c in range(3):
+            for c in range(picture.shape[2]):
                 value = block_mean(picture, coarse_out, level, row, column, c)
                 coarse_out[top + row, column, c] = value
 
 
-def coarse_shape(height, width):
+def coarse_shape(height, width, channels=3):
     """Return the shape of the array that holds the coarse resolutions of a picture."""
-    return height, width >> 1, 3
+    return height, width >> 1, channels
 
 
 def coarsened(picture):
@@ -65,15 +65,15 @@ def coarsened(picture):
 
     Parameters
     ----------
-    picture : ndarray of shape (height, width, 3), float32
+    picture : ndarray of shape (height, width, channels), float32
 
     Returns
     -------
-    ndarray of shape (height, width // 2, 3), float32
+    ndarray of shape (height, width // 2, channels), float32
         Half the resolution in the first height // 2 rows, a quarter below it, and so on; a last
         row or column that has no partner is left out. The rest is not set.
     """
-    coarse = np.empty(coarse_shape(*picture.shape[:2]), np.float32)
+    coarse = np.empty(coarse_shape(*picture.shape), np.float32)
     for level in range(1, COARSEST + 1):
         _halve(picture, level, coarse)
     return coarse
@@ -94,16 +94,30 @@ def blurred_color(picture, coarse, u, v, blur):
         Deviation along one axis; the nearest of the resolutions is taken.
     """
     height, width = picture.shape[0], picture.shape[1]
+    level = level_of(height, width, blur)
+    if level == 0:
+        return bilinear_color(picture, u, v)
+    j, i, a, b = cell_of(height, width, level, u, v)
+    return four_colors(coarse, j, j + 1, i, i + 1, a, b)
+
+
+@device_function
+def level_of(height, width, blur):
+    """Return the resolution that is nearest to a blur [px]: how often the picture is halved."""
     level, edge = 0, FIRST_BLUR
     while blur > edge and level < COARSEST and min(height, width) >> (level + 1) >= LEAST_CELLS:
         level += 1
         edge *= TWO
-    if level == 0:
-        return bilinear_color(picture, u, v)
-    top, rows, columns = top_of(height, level), height >> level, width >> level
+    return level
+
+
+@device_function
+def cell_of(height, width, level, u, v):
+    """Return row and column of the first of the four cells of a level about (u, v), and shares."""
+    rows, columns = height >> level, width >> level
     scale = ONE / np.float32(1 << level)
     u = min(max(u * scale - HALF, ZERO), np.float32(columns - 1))
     v = min(max(v * scale - HALF, ZERO), np.float32(rows - 1))
     i, j = min(int(u), columns - 2), min(int(v), rows - 2)
-    a, b = u - np.float32(i), v - np.float32(j)
-    return four_colors(coarse, top + j, top + j + 1, i, i + 1, a, b)
+    top = top_of(height, level) if level > 0 else 0
+    return top + j, i, u - np.float32(i), v - np.float32(j)

@@ -10,15 +10,17 @@ import numpy as np
 from scipy import ndimage
 
 from rainsim import droplight, layers, paperrain, shade, sky, wetness
-from rainsim.backdrop import Backdrop
+from rainsim.backdrop import NEAREST_SKY, Backdrop, sky_distance
 from rainsim.drips import drip_impacts, drips_seen
 from rainsim.errors import ParameterError, require_choice
 from rainsim.film import WetGround, standing
 from rainsim.grade import grade_and_wet
+from rainsim.layered import grader, layered
 from rainsim.motion import shutter_end
+from rainsim.pyramid import coarsened
 from rainsim.raster import Rasterizer, prepare
 from rainsim.ripples import ring_reach, ring_share
-from rainsim.scene.cameras import MIRROR_CLEARANCE, mirrored_camera
+from rainsim.scene.cameras import MIRROR_CLEARANCE, cropped, mirrored_camera
 from rainsim.simulation import rain_exposure, surfaces_of, usual_wind
 from rainsim.splash import LONGEST_LIFE, WET_FILM
 from rainsim.splashview import draw_splashes
@@ -30,7 +32,6 @@ from rainsim.weather import Weather
 
 BACKENDS = ("cpu", "cuda")
 NEAR = 0.05  # m: splats nearer than this are not drawn
-SKY_SHARE, NEAREST_SKY = 0.7, 30.0  # of the capture's reach [m] where its sky may begin
 FIRST_SEGMENT = 0.5  # m of a traced ray that are searched at first
 NO_FILM = np.empty((0, 0), np.float32)  # it glosses as all else does
 RING_DEPTH = 5e-3  # m of water on which rings travel in under cover
@@ -213,6 +214,12 @@ class Renderer:
         """
         dry = (rasterizer or self.rasterizer).draw(camera, self.near, plane)
         timer.mark("splat" if plane is None else "mirror")
+        view = self._wetted(dry, camera, film)
+        timer.mark("grade and wet" if plane is None else "mirror")
+        return view
+
+    def _wetted(self, dry, camera, film=NO_FILM):
+        """Return the `View` of splatted layers, graded and wet."""
         turn, eye = _pose(self.frame.camera_in_ground(camera))
         lens = _lens(camera)
         shape = (camera.height, camera.width)
@@ -220,13 +227,18 @@ class Renderer:
         depth, clearance = np.empty(shape, np.float32), np.empty(shape, np.float32)
         grade_and_wet(
             dry.color, dry.alpha, dry.depth, dry.plane_depth, dry.normal,
-            np.float32(self.frame.meters_per_unit), turn, eye, lens,
-            self.terrain.bed, self.ground, self._origin, self._spacing,
-            self.gloss, self.behind, self.look, self.others, picture, depth, clearance,
-            film,
+            np.float32(self.frame.meters_per_unit), turn, eye, lens, *self._shading, picture,
+            depth, clearance, film,
         )  # fmt: skip
-        timer.mark("grade and wet" if plane is None else "mirror")
         return View(picture, depth, clearance, turn, eye, lens, picture)
+
+    @property
+    def _shading(self):
+        """What the grading kernels take of terrain, light and look."""
+        return (
+            self.terrain.bed, self.ground, self._origin, self._spacing, self.gloss, self.behind,
+            self.look, self.others,
+        )  # fmt: skip
 
     def _level_mirrored(self, level):
         """Return the `View` of what stands on the ground, `level` (ground frame) mirrored there."""
@@ -237,18 +249,25 @@ class Renderer:
         _, camera = mirrored_camera(self.frame.camera_in_capture(level), self.frame, 0.0)
         return self._wet_picture(camera, None, Timer(), NO_FILM, self._standing)
 
-    def _mirrored(self, level, window, share):
+    def _mirrored(self, level, window, share, split=None):
         """Return what stands above the water as the camera mirrored at `level` [m] sees it.
 
-        Picture, depth and lens of a `window` (left, top, right, bottom) of its picture, at a
-        `share` of its resolution.
+        The lens of a `window` (left, top, right, bottom) of its picture, at a `share` of its
+        resolution, and the picture as `reflect.mirror_light` takes it, or, if it is to be split at
+        a depth [m], as `layered.layered_light` does.
         """
         plane, camera = mirrored_camera(self._camera, self.frame, level)
         camera = cropped(camera, window)
         if share != 1:
             camera = camera.resized(round(camera.width * share), round(camera.height * share))
-        view = self._wet_picture(camera, plane, Timer())
-        return view.picture, view.depth, view.lens
+        if split is None:
+            view = self._wet_picture(camera, plane, Timer())
+            return view.lens, (view.picture, coarsened(view.picture), view.depth)
+        unit = np.float32(self.frame.meters_per_unit)
+        near, far = self.rasterizer.draw_apart(camera, self.near, split / unit, plane)
+        view = self._wetted(far, camera)
+        grade = grader(view.eye, unit, self._shading)
+        return view.lens, layered(near, far, view, unit, self.look[5], grade)
 
     def _traced(self, origin, direction, before, pixel, color_eye=None):
         """Return the graded radiance, alpha and distance of rays, see `reflect.traced_light`."""
@@ -266,8 +285,7 @@ class Renderer:
             found.plane_distance * np.float32(unit),
             np.ascontiguousarray(found.normal @ turn.T, np.float32),
             (origin - before[:, None] * direction).astype(np.float32), direction,
-            self.terrain.bed, self.ground, self._origin, self._spacing,
-            self.gloss, self.behind, self.look, self.others, light,
+            *self._shading, light,
         )  # fmt: skip
         return light, found.alpha, found.distance * np.float32(unit)
 
@@ -384,14 +402,6 @@ def _lens(camera):
     return np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float32)
 
 
-def cropped(camera, window):
-    """Return the camera that takes only a window (left, top, right, bottom) [px] of the picture."""
-    left, top, right, bottom = window
-    return replace(
-        camera, width=right - left, height=bottom - top, cx=camera.cx - left, cy=camera.cy - top
-    )
-
-
 def day_sky(config):
     """Return the environment map of the sky that a render configuration names."""
     if config.sky in ("overcast", "capture"):
@@ -415,15 +425,6 @@ def look(config):
 def replaces_sky(config):
     """Tell whether the capture's sky gives way to another at any time."""
     return any(look(config.at(time))[3] > 0 for time in config.key_times())
-
-
-def sky_distance(scene):
-    """Return the distance [m] beyond which what a capture shows may be sky: most is nearer."""
-    if not scene.cameras:
-        return NEAREST_SKY
-    eye = np.mean([camera.position for camera in scene.cameras], axis=0)
-    away = np.linalg.norm(scene.splats.position - eye, axis=1) * scene.ground_frame.meters_per_unit
-    return max(NEAREST_SKY, SKY_SHARE * float(np.percentile(away, 99.5)))
 
 
 class Timer:

@@ -8,9 +8,9 @@ import numpy as np
 
 from rainsim import optics, paperwater, reflect, ssr
 from rainsim.jit import dealt
+from rainsim.layered import layered_light, split_depth
 from rainsim.meeting import meet_water
 from rainsim.moments import ripple_moments
-from rainsim.pyramid import coarsened
 from rainsim.watersurface import fine_relief, water_surface
 
 MIRROR_SPREAD = 0.06  # m: water at levels farther apart has no mirror in common
@@ -24,6 +24,9 @@ REFLECTION_THICKNESS = 0.15  # m
 MIRROR_STEPS, MIRROR_THICKNESS = 8, 0.1  # m, see docs/light.md
 REFLECTION_STRIDE = 1 / 960  # of the width
 REFLECTION_LENGTH = 100.0  # m: facades across a street; the march ends at the edge anyway
+WORTH = 0.02  # rms radiance by which two layers change what water mirrors, from which auto has them
+MOST_NEAR = 0.5  # of the mirrored picture that near things may cover for that
+CHECKED, USUAL_SLOPE = 2000, 0.02  # pixels and rms slope along an axis of water that tell
 # Of slopes that neither the picture nor the ripples hold: the sun's disc, whose 0.0046 rad are seen
 # in slopes of up to 0.0023, and still water that is never quite still, an rms slope of 0.003.
 GLINT_VARIANCE = 0.0023**2 / 4 + 0.003**2
@@ -90,6 +93,9 @@ class WaterView:
         Steps of the march of a bent ray in a mirrored picture.
     mirror_thickness : float [m]
         As `thickness`, there.
+    layered : bool, optional
+        Whether mirrored pictures have two layers, see `rainsim.layered`; by default `auto` finds
+        out whether that is worth it, and the others take one.
     """
 
     def __init__(self, terrain, rings, config):
@@ -101,6 +107,8 @@ class WaterView:
         self.thickness, self.stride = REFLECTION_THICKNESS, REFLECTION_STRIDE
         self.mirror_share, self.mirror_steps = 1.0, MIRROR_STEPS
         self.mirror_thickness = MIRROR_THICKNESS
+        self.layered = None
+        self._worth = None  # what auto found for `layered`
         self.jumps = True  # of the march, over blocks of nothing near
         self._depth = None  # of the water that the kept surface belongs to
         self.view = None
@@ -120,9 +128,10 @@ class WaterView:
         ----------
         state : SimState
         draw_mirrored : callable
-            draw_mirrored(level, window, share) returns the wet picture, depth and lens of the
-            camera mirrored at a level [m], of a window (left, top, right, bottom) [px] of its
-            picture, at a share of its resolution.
+            draw_mirrored(level, window, share, split) returns lens and pictures of the camera
+            mirrored at a level [m], of a window (left, top, right, bottom) [px] of its picture, at
+            a share of its resolution: as `reflect.mirror_light` takes them, or, if they are split
+            at a depth [m], `layered.layered_light`.
         trace : callable
             As `reflect.traced_light` takes it.
         environment : ndarray of shape (rows, columns, 3), float32
@@ -227,24 +236,56 @@ class WaterView:
             self._window = self._mirror_window()
         mirrors, rest = self._groups[name]
         kept, self._mirrors = self._mirrors, {}
-        for level, _ in mirrors:
-            key = (level, self._window, self.mirror_share)
+
+        def pictures_of(level, layered):
+            split = split_depth(float(v.eye[2]) - level) if layered else None
+            key = (level, self._window, self.mirror_share, split)
             if key not in kept:
-                picture, depth, lens = draw_mirrored(*key)
-                kept[key] = picture, coarsened(picture), depth, lens
+                kept[key] = draw_mirrored(*key)
             self._mirrors[key] = kept[key]
+            return kept[key]
+
+        layered = self.layered
+        if layered is None and name == "auto" and mirrors and self._worth is None:
+            self._worth = self._is_worth(*mirrors[0], pictures_of)
+            self._mirrors = {}
+        if layered is None:
+            layered = name == "auto" and bool(self._worth)
+        drawn = [pictures_of(level, layered) for level, _ in mirrors]
         timer.mark("mirror")
-        for level, which in mirrors:
-            picture, coarse, depth, lens = self._mirrors[level, self._window, self.mirror_share]
-            reflect.mirror_light(
-                which, self.record, v.turn, v.eye, lens, np.float32(level), picture, coarse, depth,
-                self.mirror_steps, np.float32(self.mirror_thickness),
-                self.light, self.source,
-            )  # fmt: skip
+        for (level, which), mirror in zip(mirrors, drawn, strict=True):
+            self._look_up(mirror, level, which, self.record, self.light, self.source)
         if len(rest):
             self._march(rest, name == "paper", environment)
         timer.mark("reflection")
         return None
+
+    def _look_up(self, mirror, level, which, record, light, source):
+        """Fill in the light of the records `which` from a mirrored picture."""
+        lens, pictures = mirror
+        look = reflect.mirror_light if len(pictures) == 3 else layered_light
+        look(
+            which, record, self.view.turn, self.view.eye, lens, np.float32(level), *pictures,
+            self.mirror_steps, np.float32(self.mirror_thickness), light, source,
+        )  # fmt: skip
+
+    def _is_worth(self, level, which, pictures_of):
+        """Tell whether what water of a level mirrors is worth two layers.
+
+        Judged by some pixels, under usual ripples: what the water does just now does not count.
+        Where near things cover most of the picture, the second layer costs most and shows least.
+        """
+        some = which[:: -(-len(which) // CHECKED)]
+        record = self.record[some]
+        record[:, 10:15] = 0, 0, USUAL_SLOPE**2, USUAL_SLOPE**2, 0
+        lights = np.empty((2, len(some), 3), np.float32)
+        source = np.empty(len(some), np.uint8)
+        for layered, light in zip((False, True), lights, strict=True):
+            mirror = pictures_of(level, layered)
+            self._look_up(mirror, level, np.arange(len(some)), record, light, source)
+        one, two = np.minimum(lights, 1)
+        near = mirror[1][3][..., 3] < 1  # lets less than all through
+        return np.sqrt(np.mean((one - two) ** 2)) > WORTH and near.mean() < MOST_NEAR
 
     def choice(self):
         """Return in words what `auto` took for the last picture; None without water or choice."""
@@ -255,6 +296,7 @@ class WaterView:
         share = 1 - len(rest) / len(self.pixel)
         return (
             f"reflections: {len(mirrors)} mirrored {pictures} for {share:.0%} of the water in view"
+            + (", in two layers" if self._worth else "")
             + (", a march on the screen for the rest" if len(rest) else "")
         )
 

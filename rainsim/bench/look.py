@@ -45,6 +45,7 @@ MARCHES = {
 LEVELS = {
     "auto": ("auto", {}),
     "mirror": ("mirror", {}),
+    "mirror, two layers": ("mirror", {"layered": True}),
     "mirror, 0 steps": ("mirror", {"mirror_steps": 0}),
     "mirror, 32 steps": ("mirror", {"mirror_steps": 32}),
     "mirror, half size": ("mirror", {"mirror_share": 0.5}),
@@ -189,7 +190,7 @@ def march_rate(renderer, jumps, rounds):
 def _set(water, settings, width):
     """Set a quality level of the reflection; what is not named as by default."""
     fresh = type(water)(water.terrain, water.rings, water.config)
-    for name in ("thickness", "mirror_share", "mirror_steps", "jumps"):
+    for name in ("thickness", "mirror_share", "mirror_steps", "jumps", "layered"):
         setattr(water, name, settings.get(name, getattr(fresh, name)))
     water.stride = settings["px"] / width if "px" in settings else fresh.stride
 

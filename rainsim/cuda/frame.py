@@ -71,6 +71,7 @@ class Renderer(InTurn, TakesApart, HostRenderer):
         self._surface = WaterSurface(
             terrain.bed, self.water.relief, terrain.mirrors, self._water, self.stream
         )
+        self.water.layered = False  # layers show what was drawn: one picture for each mirror
         self.mirrors = Mirrors(self, config.render.reflections)
         self.film_light = Film(self)
         self._moments = None

@@ -20,10 +20,10 @@ import numpy as np
 
 from rainsim.errors import ParameterError, require_choice
 from rainsim.jit import dealt
-from rainsim.raster.blend import blend_tiles
+from rainsim.raster.blend import FARTHER, NEARER, WHOLE, blend_tiles
 from rainsim.raster.prepared import LANES, PreparedSplats, prepare, select
 from rainsim.raster.project import BLOCKS, NO_PLANE, RECORD, TILE, find_chunks, project_chunks
-from rainsim.raster.tiles import RECORD_BITS, list_tiles, tile_starts
+from rainsim.raster.tiles import RECORD_BITS, first_entry, list_tiles, tile_starts
 
 __all__ = ["Layers", "PreparedSplats", "Rasterizer", "prepare", "rasterize", "select"]
 
@@ -103,43 +103,58 @@ class Rasterizer:
             transmittance under 1e-4, and all behind it, however bright.
         """
         require_choice("depth", depth, ("expected", "median"))
-        height, width = camera.height, camera.width
-        lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float32)
-        flat = bool(camera.orthographic)
         background = np.asarray(background, np.float32)
-        chunks, start = self._list(camera, lens, near, plane, bool(compensate), degree)
-        down = -(-height // TILE)
-        turn = dealt(down)
-
-        def blend(halfway):
-            layers = Layers(
-                np.empty((height, width, 3), np.float32),
-                np.empty((height, width), np.float32),
-                np.empty((height, width), np.float32),
-                np.empty((height, width), np.float32),
-                np.empty((height, width, 3), np.float32),
-            )
-            half = np.empty(height * width if halfway else 0, np.uint32)
-            blend_tiles(
-                self._record, self._entry, start, turn, height, width, lens, flat, background,
-                halfway, bool(drop_last), layers.color.ravel(), layers.alpha.ravel(),
-                layers.depth.ravel(), layers.plane_depth.ravel(), layers.normal.ravel(), half,
-            )  # fmt: skip
-            return layers, half
-
-        layers, half = blend(depth == "median")
+        chunks, start = self._list(camera, near, plane, bool(compensate), degree)
+        halfway = depth == "median"
+        layers, half = self._blend(camera, start, background, halfway, bool(drop_last))
         if hit:
-            half = half if depth == "median" else blend(True)[1]
-            layers = replace(layers, hit=self._splats(half, chunks).reshape(height, width))
+            half = half if halfway else self._blend(
+                camera, start, background, True, bool(drop_last)
+            )[1]  # fmt: skip
+            layers = replace(layers, hit=self._splats(half, chunks).reshape(half.shape))
         return layers
 
-    def _list(self, camera, lens, near, plane, compensate, degree):
+    def draw_apart(self, camera, near, split, plane=None):
+        """Return the `Layers` of the splats nearer than `split` [world units] and of the others.
+
+        Both over black; each splat is listed and blended once. Other parameters as in `draw`.
+        """
+        _, start = self._list(camera, near, plane, False, None)
+        black = np.zeros(3, np.float32)
+        return tuple(
+            self._blend(camera, start, black, False, False, part, first_entry(split))[0]
+            for part in (NEARER, FARTHER)
+        )
+
+    def _blend(
+        self, camera, start, background, halfway, drop_last, part=WHOLE, border=0
+    ):  # fmt: skip
+        """Return the `Layers` of the listed splats and, if asked for, each pixel's halfway one."""
+        height, width = camera.height, camera.width
+        layers = Layers(
+            np.empty((height, width, 3), np.float32),
+            np.empty((height, width), np.float32),
+            np.empty((height, width), np.float32),
+            np.empty((height, width), np.float32),
+            np.empty((height, width, 3), np.float32),
+        )
+        half = np.empty((height, width) if halfway else (0, width), np.uint32)
+        blend_tiles(
+            self._record, self._entry, start, dealt(-(-height // TILE)), height, width,
+            _lens(camera), bool(camera.orthographic), background, halfway, drop_last, part,
+            np.uint64(border),
+            layers.color.ravel(), layers.alpha.ravel(), layers.depth.ravel(),
+            layers.plane_depth.ravel(), layers.normal.ravel(), half.ravel(),
+        )  # fmt: skip
+        return layers, half
+
+    def _list(self, camera, near, plane, compensate, degree):
         """Project what is in sight and list it tile by tile; return chunks and lists' starts."""
         across, down = -(-camera.width // TILE), -(-camera.height // TILE)
         view = np.ascontiguousarray(camera.camera_from_world, dtype=np.float32)
         deep = np.ascontiguousarray(camera.camera_from_world[2], dtype=np.float64)
         eye = (camera.forward if camera.orthographic else camera.position).astype(np.float32)
-        size = np.array([camera.width, camera.height], np.float32)
+        lens, size = _lens(camera), np.array([camera.width, camera.height], np.float32)
         plane = NO_PLANE if plane is None else np.asarray(plane, np.float32)
         near, flat = np.float32(near), bool(camera.orthographic)
         p = self.prepared
@@ -162,6 +177,7 @@ class Rasterizer:
 
     def _splats(self, half, chunks):
         """Return the scene's splats behind records that `blend_tiles` told, -1 for none."""
+        half = half.ravel()
         hit = np.full(len(half), -1, np.int32)
         pixels = np.flatnonzero(half)
         record = half[pixels].astype(np.int64) - 1
@@ -178,6 +194,10 @@ class Rasterizer:
             self._record = np.empty((places, RECORD), np.float32)
             self._box = np.empty((places, 4), np.int16)
             self._lane = np.empty(places, np.uint8)
+
+
+def _lens(camera):
+    return np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float32)
 
 
 def rasterize(prepared, camera, near=0.01, **options):

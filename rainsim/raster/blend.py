@@ -17,6 +17,7 @@ ROW = TILE // SIDE  # blocks across a tile
 BLOCKS = ROW * ROW
 BATCH = 128  # entries that are dealt to the blocks before these blend
 LIST = BATCH + LANES  # places of a block's list: sixteen are written at a time
+WHOLE, NEARER, FARTHER = 0, 1, 2  # parts of a tile's list
 AHEAD = 24  # entries by which records are fetched before they are read
 
 TRANSMITTANCE_STOP = np.float32(1e-4)  # what is behind cannot change an 8-bit image
@@ -60,7 +61,7 @@ def deal(entry, record, begin, end, left, top, is_open, bits, number, chosen_out
 @cpu_kernel
 def blend_tiles(
     record, entry, start, turn, height, width, lens, orthographic, background, halfway, drop_last,
-    color_out, alpha_out, depth_out, plane_out, normal_out, half_out,
+    part, border, color_out, alpha_out, depth_out, plane_out, normal_out, half_out,
 ):  # fmt: skip
     """Sort each tile's list, blend it front to back and write the tile's pixels.
 
@@ -68,6 +69,8 @@ def blend_tiles(
     splats, so a thread goes along a row, and rows are shared out so that threads end together.
     The outputs are flat. `halfway` asks for the record that stops half of the light: its depth is
     written as the pixel's, and one more than its number to `half_out`, 0 where there is none.
+    `part` is WHOLE, or the splats NEARER or FARTHER than the entry `border`; the farther ones of
+    lists that the nearer have sorted.
     """
     across = (width + TILE - 1) // TILE
     tiles = len(start) - 1
@@ -84,7 +87,12 @@ def blend_tiles(
         is_open = np.empty(BLOCKS, np.bool_)
         for tile in range(turn[k] * across, turn[k] * across + across):
             begin, end = start[tile], start[tile + 1]
-            sort_keys(entry[begin:end], spare, histogram, end - begin)
+            if part != FARTHER:
+                sort_keys(entry[begin:end], spare, histogram, end - begin)
+            if part == NEARER:
+                end = begin + np.searchsorted(entry[begin:end], border)
+            elif part == FARTHER:
+                begin += np.searchsorted(entry[begin:end], border)
             top, left = tile // across * TILE, tile % across * TILE
             state[:] = ZERO
             for block in range(BLOCKS):

@@ -422,6 +422,14 @@ def mirrored_camera(camera, frame, level):
     return plane, replace(camera, camera_from_world=camera.camera_from_world @ flip)
 
 
+def cropped(camera, window):
+    """Return the camera that takes only a window (left, top, right, bottom) [px] of the picture."""
+    left, top, right, bottom = window
+    return replace(
+        camera, width=right - left, height=bottom - top, cx=camera.cx - left, cy=camera.cy - top
+    )
+
+
 def resize_to(camera, width=None, height=None):
     """Return the camera with its picture `width` px wide, its shape kept unless `height` is given.
 
