@@ -11,6 +11,7 @@ import numpy as np
 from scipy import sparse
 
 from rainsim.drops import Impacts
+from rainsim.jit import device_function
 from rainsim.random import mix, subkey, uniform
 from rainsim.spectrum import drop_volume, terminal_speed
 from rainsim.surfaces import GROUND, OBSTACLE
@@ -171,10 +172,12 @@ class Drips:
     def _blown(self, drops):
         """Return the cells in which drops land: the foot of the edge or where wind takes them."""
         site, surfaces = drops["site"], self._surfaces
-        way = drift(drops["end"] - drops["begin"], drops["diameter"])
-        x = self._x[site] + way * drops["wind_x"] - surfaces.origin[0]
-        y = self._y[site] + way * drops["wind_y"] - surfaces.origin[1]
-        row, column = (np.floor(a / surfaces.spacing).astype(np.int64) for a in (y, x))
+        x, y, _ = drip_end(
+            self._x[site], self._y[site],
+            *(drops[name] for name in ("diameter", "begin", "end", "wind_x", "wind_y")),
+        )  # fmt: skip
+        place = (y - surfaces.origin[1], x - surfaces.origin[0])
+        row, column = (np.floor(a / surfaces.spacing).astype(np.int64) for a in place)
         inside = (row >= 0) & (row < surfaces.shape[0])
         inside &= (column >= 0) & (column < surfaces.shape[1])
         row, column = np.where(inside, row, 0), np.where(inside, column, 0)
@@ -205,15 +208,17 @@ class Drips:
 DRIP_COLUMNS = ("x", "y", "top", "bottom", "diameter", "begin", "end", "wind_x", "wind_y")
 
 
+@device_function
 def fall_time(height, diameter):
     """Return how long [s] a drop takes to fall `height` [m] from rest.
 
     Quadratic drag, whose terminal speed v is the drop's: z = v^2 / g ln cosh(g t / v).
     """
     speed = terminal_speed(diameter)
-    return speed / _GRAVITY * np.arccosh(np.exp(_GRAVITY * np.asarray(height) / speed**2))
+    return speed / _GRAVITY * np.arccosh(np.exp(_GRAVITY * height / speed**2))
 
 
+@device_function
 def fallen(time, diameter):
     """Return how far [m] a drop has fallen and how fast [m/s] it is, `time` [s] after it parted."""
     speed = terminal_speed(diameter)
@@ -221,6 +226,7 @@ def fallen(time, diameter):
     return speed**2 / _GRAVITY * np.log(np.cosh(t)), speed * np.tanh(t)
 
 
+@device_function
 def drift(time, diameter):
     """Return how far [m] a wind of 1 m/s has moved a drop, `time` [s] after it parted from rest.
 
@@ -232,20 +238,36 @@ def drift(time, diameter):
     return speed / _GRAVITY * (s - 2 * np.arctan(np.tanh(s / 2)))
 
 
-def drips_seen(table, time, exposure):
-    """Return drips as `streaks.draw_lines` takes them, (n, 7).
+@device_function
+def drip_line(x, y, top, diameter, begin, end, wind_x, wind_y, time, exposure):
+    """Return a drip as an exposure sees it: place, way over the exposure and diameter, 7 numbers.
 
-    A drip that lands while the shutter is open is there for a share of the exposure.
+    One that lands while the shutter is open is there for a share of the exposure. Numbers or
+    arrays; the drip must be in the air for some of it.
     """
-    begin, end = np.maximum(table[:, 5], time), np.minimum(table[:, 6], time + exposure)
-    table, begin, end = (a[end > begin] for a in (table, begin, end))
-    high, _ = fallen(begin - table[:, 5], table[:, 4])
-    low, _ = fallen(end - table[:, 5], table[:, 4])
-    way = drift(begin - table[:, 5], table[:, 4])
-    position = np.column_stack([table[:, :2] + way[:, None] * table[:, 7:], table[:, 2] - high])
-    way = drift(end - table[:, 5], table[:, 4]) - way
-    velocity = np.column_stack([way[:, None] * table[:, 7:], high - low]) / exposure
-    return np.column_stack([position, velocity, table[:, 4] * np.sqrt((end - begin) / exposure)])
+    first, last = np.maximum(begin, time), np.minimum(end, time + exposure)
+    high, _ = fallen(first - begin, diameter)
+    low, _ = fallen(last - begin, diameter)
+    way = drift(first - begin, diameter)
+    more = (drift(last - begin, diameter) - way) / exposure
+    return (
+        x + way * wind_x, y + way * wind_y, top - high, more * wind_x, more * wind_y,
+        (high - low) / exposure, diameter * np.sqrt((last - first) / exposure),
+    )  # fmt: skip
+
+
+@device_function
+def drip_end(x, y, diameter, begin, end, wind_x, wind_y):
+    """Return where a drip comes down (x, y) [m] and how fast [m/s]; numbers or arrays."""
+    way = drift(end - begin, diameter)
+    return x + way * wind_x, y + way * wind_y, fallen(end - begin, diameter)[1]
+
+
+def drips_seen(table, time, exposure):
+    """Return drips as `streaks.draw_lines` takes them, (n, 7); see `drip_line`."""
+    seen = np.minimum(table[:, 6], time + exposure) > np.maximum(table[:, 5], time)
+    x, y, top, _, *rest = table[seen].T
+    return np.column_stack(drip_line(x, y, top, *rest, time, exposure))
 
 
 def drip_impacts(table, ids, surfaces, before, after):
@@ -253,9 +275,10 @@ def drip_impacts(table, ids, surfaces, before, after):
     hit = (table[:, 6] >= before) & (table[:, 6] < after)
     table, ids = table[hit], ids[hit]
     velocity = np.zeros((len(table), 3))
-    velocity[:, 2] = -fallen(table[:, 6] - table[:, 5], table[:, 4])[1]
-    way = drift(table[:, 6] - table[:, 5], table[:, 4])
-    place = np.column_stack([table[:, :2] + way[:, None] * table[:, 7:], table[:, 3]])
+    x, y, _, bottom, *rest = table.T
+    x, y, velocity[:, 2] = drip_end(x, y, *rest)
+    velocity[:, 2] *= -1
+    place = np.column_stack([x, y, bottom])
     cell = np.floor((place[:, :2] - surfaces.origin) / surfaces.spacing).astype(np.int32)
     cell = np.clip(cell, 0, np.array(surfaces.shape[::-1]) - 1)
     column, row = np.ascontiguousarray(cell.T)

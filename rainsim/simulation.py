@@ -215,8 +215,7 @@ def simulate(terrain, config, progress=None, dtype=np.float32):
     )
     follow = moving_level(terrain, config)
     open_area = float(exposure.sum()) * terrain.grid.cell_area
-    wet = start.rain.past > 0 or start.water.level is not None
-    objects = Objects(surfaces, config.rain, wet)
+    objects = Objects(surfaces, start)
     _warm_up(ripples, objects, weather, surfaces)
     objects.open_account()
     index, hits, report = 0, None, None
@@ -258,23 +257,31 @@ def _of(hits, name, shape, dtype=np.float32):
 
 
 class Objects:
-    """The water on what stands above the ground, with its account; drips from it if asked for."""
+    """The water on what stands above the ground, with its account; drips from it if asked for.
 
-    def __init__(self, surfaces, rain, wet):
-        self._drips = Drips(surfaces, rain.seed, wet) if rain.drips else None
+    Attributes
+    ----------
+    drips : Drips or None
+    initial : float [m3]
+        What was on the objects when the account was opened.
+    """
+
+    def __init__(self, surfaces, start):
+        rain, wet = start.rain, start.rain.past > 0 or start.water.level is not None
+        self.drips = Drips(surfaces, rain.seed, wet) if rain.drips else None
         self._surfaces, self._roughness = surfaces, rain.roughness
-        self._initial = self._came = self._returned = self._kept = self._inflow = 0.0
+        self.initial = self._came = self._returned = self._kept = self._inflow = 0.0
 
     def open_account(self):
         """Count what is on the objects and in the air now as there from the start."""
         self._came = self._returned = self._kept = 0.0
-        if self._drips is not None:
-            self._initial = self._drips.held + self._drips.airborne
+        if self.drips is not None:
+            self.initial = self.drips.held + self.drips.airborne
 
     def take_rain(self, hits, fine_depth):
         """Give the objects what fell on them, and a depth [m] of finer rain."""
-        if self._drips is not None:
-            self._came += self._drips.take_rain(hits, fine_depth)
+        if self.drips is not None:
+            self._came += self.drips.take_rain(hits, fine_depth)
         else:
             fallen = float(hits.volume[hits.kind != GROUND].sum())
             self._came += fallen
@@ -289,35 +296,43 @@ class Objects:
 
     def advance(self, start, stop, weather):
         """Return the rows, columns and volumes [m3] of what comes down from them."""
-        if self._drips is None:
+        if self.drips is None:
             return np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0)
         wind = weather.wind(0.5 * (start + stop)), self._roughness
-        rows, columns, volumes = self._drips.advance(start, stop, *wind)
+        rows, columns, volumes = self.drips.advance(start, stop, *wind)
         self._returned += float(volumes.sum())
         return rows, columns, volumes
 
     def with_drips(self, hits, start, stop):
         """Return `hits` and the drips that came to the ground from `start` to `stop` [s]."""
-        if self._drips is None:
+        if self.drips is None:
             return hits
-        drips = drip_impacts(*self._drips.falling(), self._surfaces, start, stop)
+        drips = drip_impacts(*self.drips.falling(), self._surfaces, start, stop)
         return joined(hits, drips.take(drips.kind == GROUND))
 
     def falling(self):
         """Return the drips in the air and their ids, as `SimState` holds them."""
-        return () if self._drips is None else self._drips.falling()
+        return () if self.drips is None else self.drips.falling()
 
     def book(self, report, solver):
         """Return the solver's ledger with the objects' water in it, as a dict."""
-        ledger = (solver.ledger if report is None else report.ledger).as_dict()
-        ledger["initial"] += self._initial
+        held, airborne = self._kept, 0.0
+        if self.drips is not None:
+            held, airborne = held + self.drips.held, self.drips.airborne
+        ledger = solver.ledger if report is None else report.ledger
+        return self.booked(ledger, self._came, self._returned, held, airborne)
+
+    def booked(self, ledger, came, returned, held, airborne):
+        """Return a solver's ledger as a dict, with the objects' water [m3] in it.
+
+        What came to them and came down again, and what is there and in the air now.
+        """
+        ledger = ledger.as_dict()
+        ledger["initial"] += self.initial
         # What came down from objects, or in from outside, the solver took for rain.
-        ledger["rain"] += self._came - self._returned - self._inflow
+        ledger["rain"] += came - returned - self._inflow
         ledger["inflow"] += self._inflow
-        held = airborne = 0.0
-        if self._drips is not None:
-            held, airborne = self._drips.held, self._drips.airborne
-        ledger["obstacles"] += held + self._kept
+        ledger["obstacles"] += held
         ledger["airborne"] += airborne
         return Ledger.from_dict(ledger).as_dict()
 

@@ -285,23 +285,35 @@ def draw_lines(
     `lines` has seven columns: place [m] when the shutter opens, velocity [m/s] and diameter [m].
     `here` and `there` are scratch, three float32 each.
     """
-    high, wide = np.float32(height), np.float32(width)
     for d in range(first, end, step):
-        x, y, z = lines[d, 0], lines[d, 1], lines[d, 2]
-        _to_camera(rotation, eye, x, y, z, here)
-        x, y = x + lines[d, 3] * exposure, y + lines[d, 4] * exposure
-        _to_camera(rotation_end, eye_end, x, y, z + lines[d, 5] * exposure, there)
-        if near > here[2]:
-            continue
-        shows = _may_show(
-            here[0], here[1], here[2], there[0], there[1], there[2], lens, near, wide, high,
-            tile_depth,
+        draw_line(
+            lines[d, 0], lines[d, 1], lines[d, 2], lines[d, 3], lines[d, 4], lines[d, 5],
+            lines[d, 6], exposure, rotation, eye, rotation_end, eye_end, lens, near, width, height,
+            depth, tile_depth, here, there, picture,
         )  # fmt: skip
-        if shows != HIDDEN:
-            draw_path(
-                here[0], here[1], here[2], there[0], there[1], there[2], _ONE,
-                np.float32(lines[d, 6]), lens, near, width, height, depth, shows == CLEAR, picture,
-            )  # fmt: skip
+
+
+@lean_function
+def draw_line(
+    x, y, z, vx, vy, vz, diameter, exposure, rotation, eye, rotation_end, eye_end, lens, near,
+    width, height, depth, tile_depth, here, there, picture,
+):  # fmt: skip
+    """Draw one drop, given as a row of `draw_lines`' `lines`."""
+    _to_camera(rotation, eye, x, y, z, here)
+    _to_camera(
+        rotation_end, eye_end, x + vx * exposure, y + vy * exposure, z + vz * exposure, there
+    )
+    if near > here[2]:
+        return
+    shows = _may_show(
+        here[0], here[1], here[2], there[0], there[1], there[2], lens, near, np.float32(width),
+        np.float32(height), tile_depth,
+    )  # fmt: skip
+    if shows != HIDDEN:
+        draw_path(
+            here[0], here[1], here[2], there[0], there[1], there[2], _ONE, np.float32(diameter),
+            lens, near, width, height, depth, shows == CLEAR, picture,
+        )  # fmt: skip
 
 
 @lean_function

@@ -51,9 +51,7 @@ class TakesApart:
         slopes = np.moveaxis(moments[:, : len(moments), :2], -1, 0)
         state = SimpleNamespace(
             index=state.index, time=when, depth=self._surface.depth.copy_to_host(),
-            slopes=slopes, tile_size=state.tile_size,
-            drips=getattr(state, "drips", np.zeros((0, 9))),
-            drip_id=getattr(state, "drip_id", np.zeros(0, np.uint64)),
+            slopes=slopes, tile_size=state.tile_size, drips=state.drips, drip_id=state.drip_id,
         )  # fmt: skip
         own = self.rasterizer
         if self._aside is None:

@@ -27,7 +27,7 @@ COLUMNS = 4 if SIMULATED else 32  # that a block looks at together
 BLOCKS = 2 if SIMULATED else 132 * 8
 SOUGHT = 16  # drops sought, at most, for one that is found
 ROOM = 1.5  # of a list, over the hits that are expected on level ground
-VOLUME_UNIT = 2.0**-64  # m3: what fell on obstacles is counted in whole numbers of it
+VOLUME_UNIT = 2.0**-56  # m3: what falls on objects is counted in whole numbers of it, up to 128 m3
 PUSH_UNIT = 2.0**-60  # kg m/s: and so is the momentum that rings come from
 FIELD = ("velocity", "cube", "class_key", "count", "size", "share", "frame")
 _CHUNK = 2 * THREADS  # drops sought that a block of `fill_impacts` goes through together
@@ -263,7 +263,7 @@ def _column_of(task, counts, first, last):
 @cuda_kernel
 def settle(
     found, values, labels, ids, times, slot, fall, area, first, width, tile, steps, cells,
-    share, waiting_out, obstacles_out, pushes_out,
+    share, point, waiting_out, obstacles_out, came_out, pushes_out,
 ):  # fmt: skip
     """Give the water of listed drops to the cells that they fell on, and some to the ripples.
 
@@ -287,10 +287,14 @@ def settle(
         Parts of the interval, and cells along a side of the tile.
     share : float
         Of the drops on the ground that ring on the tile.
+    point : device array of shape (ny, nx), int32
+        The point of `came_out` that a cell's water goes to; negative: the last.
     waiting_out : device array, int64
         Depth that waits in each cell, in `account.UNIT`; added to.
     obstacles_out : device array of shape (1,), int64
         Volume that fell on obstacles, in VOLUME_UNIT; added to.
+    came_out : device array of shape (points + 1,), int64
+        And by the point that it goes to; added to. Of shape (0,): nothing drips.
     pushes_out : device array of shape (steps * cells * cells,), int64
         Momentum in each cell of the tile and each part of the interval, in PUSH_UNIT; added to.
     """
@@ -299,24 +303,40 @@ def settle(
     for at in range(cuda.grid(1), listed, cuda.gridsize(1)):
         volume = drop_volume(values[which, at, 3])
         if labels[which, at, 1] != GROUND:
-            cuda.atomic.add(obstacles_out, 0, np.int64(volume / VOLUME_UNIT + 0.5))
+            water = np.int64(volume / VOLUME_UNIT + 0.5)
+            cuda.atomic.add(obstacles_out, 0, water)
+            if len(came_out) > 0:
+                goes = point[labels[which, at, 2], labels[which, at, 3]]
+                cuda.atomic.add(came_out, goes if goes >= 0 else len(came_out) - 1, water)
             continue
         cell = first + labels[which, at, 2] * width + labels[which, at, 3]
         cuda.atomic.add(waiting_out, cell, np.int64(volume / (area * UNIT) + 0.5))
-        if np.float64(mix(ids[which, at]) >> _SHIFT_11) * 2.0**-53 >= share:
-            continue
-        push = WATER_DENSITY * volume * fall[labels[which, at, 0]] / PUSH_UNIT
-        age = (times[1] - values[which, at, 4]) / max(times[1] - times[0], 1e-30)
-        step = min(max(steps - 1 - int(age * steps), 0), steps - 1)
-        x, y = values[which, at, 0] / tile, values[which, at, 1] / tile
-        x, y = (x - math.floor(x)) * cells, (y - math.floor(y)) * cells
-        i, j = int(x), int(y)
-        right, up = x - i, y - j
-        for side in range(4):
-            di, dj = side & 1, side >> 1
-            part = (right if di == 1 else 1.0 - right) * (up if dj == 1 else 1.0 - up)
-            place = (step * cells + (j + dj) % cells) * cells + (i + di) % cells
-            cuda.atomic.add(pushes_out, place, _whole(push * part))
+        momentum = WATER_DENSITY * volume * fall[labels[which, at, 0]]
+        ring(
+            ids[which, at], values[which, at, 0], values[which, at, 1], momentum,
+            values[which, at, 4], times[0], times[1], tile, steps, cells, share, pushes_out,
+        )  # fmt: skip
+
+
+@cuda.jit(device=True)
+def ring(word, x, y, momentum, time, start, stop, tile, steps, cells, share, pushes_out):
+    """Let a drop of a momentum [kg m/s] ring on the tile if it is of those that do; see `settle`.
+
+    `time` [s] is when it came down, in the interval from `start` to `stop`.
+    """
+    if np.float64(mix(word) >> _SHIFT_11) * 2.0**-53 >= share:
+        return
+    push, age = momentum / PUSH_UNIT, (stop - time) / max(stop - start, 1e-30)
+    step = min(max(steps - 1 - int(age * steps), 0), steps - 1)
+    x, y = x / tile, y / tile
+    x, y = (x - math.floor(x)) * cells, (y - math.floor(y)) * cells
+    i, j = int(x), int(y)
+    right, up = x - i, y - j
+    for side in range(4):
+        di, dj = side & 1, side >> 1
+        part = (right if di == 1 else 1.0 - right) * (up if dj == 1 else 1.0 - up)
+        place = (step * cells + (j + dj) % cells) * cells + (i + di) % cells
+        cuda.atomic.add(pushes_out, place, _whole(push * part))
 
 
 @cuda.jit(device=True)
@@ -345,15 +365,21 @@ class Impacts:
         The lists, in no order; see `fill_impacts`.
     obstacles : device array of shape (1,), int64
         Volume that fell on obstacles since the start, in VOLUME_UNIT.
+    ground_and_top : tuple
+        x0, y0, spacing, and heights on the device: see `fill_impacts`.
     """
 
     def __init__(self, field, surfaces, room, stream=0, slots=1):
         self.stream, self._map = stream, surfaces
+        f8, i8, i4 = np.float64, np.int64, np.int32
         x0, y0, spacing, sky, *maps = surfaces.arrays()
         around = surfaces.around_low, surfaces.around_high
         self._around = [cuda.to_device(m, stream) for m in around]
-        self._surfaces = [x0, y0, spacing, sky, *(cuda.to_device(m, stream) for m in maps)]
-        f8, i8, i4 = np.float64, np.int64, np.int32
+        ground, underside, top, high = (cuda.to_device(m, stream) for m in maps)
+        self._surfaces = [x0, y0, spacing, sky, ground, underside, top, high]
+        self.ground_and_top = x0, y0, spacing, ground, top
+        self._no_point = cuda.to_device(np.zeros((0, 0), i4), stream)
+        self._no_drips = cuda.to_device(np.zeros(0, i8), stream)
         names = {
             "counts": ((CLASSES + 1,), i8), "first": ((CLASSES, 3), i8), "last": ((CLASSES, 3), i8),
             "times": ((2,), f8), "slot": ((1,), i4), "sought": ((1,), i4),
@@ -412,15 +438,20 @@ class Impacts:
             self.ids,
         )  # fmt: skip
 
-    def settle(self, water, ripples, share, stream=0):
-        """Queue what a list does to `water` and `ripples`; `share` rings on the tile."""
+    def settle(self, water, ripples, share, stream=0, point=None, came=None):
+        """Queue what a list does to `water` and `ripples`; `share` rings on the tile.
+
+        Where objects drip, `point` and `came` are those of `cuda.drips.Drips`.
+        """
         self.settled.send(stream)
+        if came is None:
+            point, came = self._no_point, self._no_drips
         blocks = -(-self.room // THREADS) if not SIMULATED else 2
         settle[blocks, THREADS, stream](
             self.found, self.values, self.labels, self.ids, self.settled["times"],
             self.settled["slot"], self._fall, self._map.spacing**2, water.first, water.width,
-            ripples.size, ripples.steps, ripples.cells, share, water.waiting, self.obstacles,
-            ripples.pushes,
+            ripples.size, ripples.steps, ripples.cells, share, point, water.waiting,
+            self.obstacles, came, ripples.pushes,
         )  # fmt: skip
 
     def missing(self):

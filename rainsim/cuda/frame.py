@@ -17,6 +17,7 @@ import numpy as np
 from rainsim import droplight, sky, waterview
 from rainsim.cuda import optics, shading
 from rainsim.cuda.apart import TakesApart
+from rainsim.cuda.drips import DripList
 from rainsim.cuda.film import Film
 from rainsim.cuda.jit import cuda, pinned
 from rainsim.cuda.mirror import Mirrors
@@ -77,7 +78,7 @@ class Renderer(InTurn, TakesApart, HostRenderer):
         self._moments = None
         self._size = None
         self._fog_of = None, None
-        self._own_impacts = None
+        self._own_impacts = self._own_drips = None
 
     def _rasterizer_of(self, prepared):
         return Rasterizer(DeviceSplats(prepared), self.stream)
@@ -174,10 +175,16 @@ class Renderer(InTurn, TakesApart, HostRenderer):
         moments = ripple_moments(state.slopes)
         if self._moments is None:
             self._moments = cuda.to_device(moments)
+        room = 0 if self._own_drips is None else self._own_drips.room
+        if self.streaks is not None and len(state.drip_id) > room:
+            self._own_drips = DripList(2 * len(state.drip_id))
 
         def bring():
             self._water.copy_to_device(np.ascontiguousarray(state.depth, np.float32))
             self._moments.copy_to_device(moments)
+            if self._own_drips is not None:
+                self._own_drips.fill(state.drips, state.drip_id)
+                self.streaks.drips = self._own_drips
 
         self._to_bring.append(bring)
 

@@ -15,7 +15,10 @@ from numba.extending import overload
 from rainsim.grid.paper import cube_root
 
 _THIRD = np.float32(1 / 3)
-_SAME = ("sqrt", "exp", "expm1", "log", "cos", "sin", "floor", "ceil", "tanh")
+_SAME = {
+    **{name: name for name in ("sqrt", "exp", "expm1", "log", "cos", "sin", "floor", "ceil")},
+    "tanh": "tanh", "cosh": "cosh", "arccosh": "acosh", "arctan": "atan",
+}  # fmt: skip
 
 
 def _stand_in(function):
@@ -36,8 +39,8 @@ def _of_two(function):
     return chosen
 
 
-for _name in _SAME:
-    overload(getattr(np, _name), target="cuda")(_stand_in(getattr(math, _name)))
+for _name, _known in _SAME.items():
+    overload(getattr(np, _name), target="cuda")(_stand_in(getattr(math, _known)))
 for _name, _builtin in (("minimum", min), ("maximum", max)):
     overload(getattr(np, _name), target="cuda")(_of_two(_builtin))
 

@@ -108,7 +108,7 @@ class InTurn:
             self._moments = state.moments
             self._surface.depth = state.depth
             if self.splashes is not None:
-                self.splashes.depth = state.depth
+                self.splashes.depth, self.streaks.drips = state.depth, state.drip_list
         self._copied.wait(self.stream)
         if page not in self._wet:
             if not self._wet:
@@ -177,8 +177,8 @@ class InTurn:
     def _depends_on(self):
         """Return what the recorded queues depend on: when it changes, record anew."""
         lines = None if self.splashes is None else id(self.splashes.lines)
-        film = self.film_light.queue
-        return self._size, self.rasterizer.queue, film, self.mirrors.queue, lines
+        film, drips = self.film_light.queue, self._own_drips
+        return self._size, self.rasterizer.queue, film, self.mirrors.queue, lines, drips
 
     def _is_stale(self):
         return self._queue != self._depends_on()

@@ -20,18 +20,18 @@ import numpy as np
 
 from rainsim import simulation as host
 from rainsim.cuda import account
+from rainsim.cuda.drips import Drips, volumes
 from rainsim.cuda.drops import VOLUME_UNIT
 from rainsim.cuda.graph import Graph
 from rainsim.cuda.jit import cuda, pinned
 from rainsim.cuda.recent import RecentImpacts
 from rainsim.cuda.ripples import Ripples
 from rainsim.cuda.water import Water
+from rainsim.drips import DRIP_COLUMNS
 from rainsim.errors import DivergedError, ParameterError
 from rainsim.moments import ripple_moments
 from rainsim.ripples import RippleTile, mean_chord
 from rainsim.weather import Weather
-
-NO_DRIPS = "backend cuda keeps on objects what falls on them: no drips from their edges"
 
 
 class DeviceState:
@@ -65,6 +65,28 @@ class DeviceState:
         return self._there().ripples.pages[self.page]
 
     @property
+    def drip_list(self):
+        """Drips in the air and just landed: a `cuda.drips.DripList`, or None without any."""
+        drips = self._there().drips
+        return None if drips is None else drips.pages[self.page]
+
+    @property
+    def drips(self):
+        """The table of `drip_list` on the host, as `SimState` has it; waits for the device."""
+        return self._drips()[0]
+
+    @property
+    def drip_id(self):
+        """The ids of `drips`."""
+        return self._drips()[1]
+
+    def _drips(self):
+        listed = self.drip_list
+        if listed is None:
+            return np.zeros((0, len(DRIP_COLUMNS))), np.zeros(0, np.uint64)
+        return listed.fetch()
+
+    @property
     def ledger(self):
         """Volumes in m3, see `rainsim.ledger`; waits for the device."""
         return self._there().ledger(self.index)
@@ -95,8 +117,6 @@ class Simulation:
             raise ParameterError(
                 "the water level changes in time; backend cuda keeps it; take backend cpu"
             )
-        if config.rain.drips:
-            self.notes = *self.notes, NO_DRIPS
         solver = host.water_solver(terrain, start)
         solver.set_state(depth)
         tile = RippleTile(
@@ -107,18 +127,25 @@ class Simulation:
             dtype=np.float32,
         )
         open_area = float(exposure.sum()) * terrain.grid.cell_area
-        objects = host.Objects(surfaces, replace(config.rain, drips=False), wet=False)
-        host._warm_up(tile, objects, self.weather, surfaces)
+        self._objects = host.Objects(surfaces, start)
+        host._warm_up(tile, self._objects, self.weather, surfaces)
+        self._objects.open_account()
         self._first_slopes = tile.slopes()
         interval = 1 / config.fps
         self.water = Water(solver, exposure, stream=self.stream)
         self._beside = cuda.stream()
         self.ripples = Ripples(tile, interval, self._beside)
         self._share = tile.size**2 / open_area if open_area > 0 else 0.0
-        self.impacts = None
+        self.impacts = self.drips = None
         if self.weather.rains:
             # An exposure is no longer than a frame: it sees one interval that is still to come.
             self.impacts = RecentImpacts(self.weather, surfaces, config.fps, 1, cuda.stream())
+        if self.weather.rains and config.rain.drips:
+            rate = self.weather.field(0.0, interval).listed.rate
+            self.drips = Drips(
+                self._objects.drips, self.impacts, rate, interval, config.rain.roughness,
+                self.stream,
+            )  # fmt: skip
         self._control = pinned(account.CONTROL, np.float64)
         self._obstacles = pinned(1, np.int64)
         self._ready, self._listed, self._forked, self._joined = (cuda.event() for _ in range(4))
@@ -183,7 +210,7 @@ class Simulation:
         self._complete = index = self._begun
         self._ready.synchronize()
         if index == 0:
-            self._accounts[0] = self.water.control(), 0
+            self._accounts[0] = self.water.control(), *self._of_objects()
             return
         while self._control[account.LEFT] > 0.0:
             self.water.go_on()
@@ -195,7 +222,11 @@ class Simulation:
                 "the water on the CUDA device is no longer finite; use a smaller courant than "
                 f"{self.config.water.courant}"
             )
-        self._accounts[index % 2] = self._control.copy(), int(self._obstacles[0])
+        self._accounts[index % 2] = self._control.copy(), *self._of_objects()
+
+    def _of_objects(self):
+        """Return what came to objects and the account of drips, or None, as finished."""
+        return int(self._obstacles[0]), None if self.drips is None else self.drips.told.copy()
 
     def _show_first_slopes(self):
         self.ripples.moments.copy_to_device(ripple_moments(self._first_slopes))
@@ -204,12 +235,22 @@ class Simulation:
         """Say what falls between two times."""
         field = self.weather.field(before, time)
         self._interval = before, time
-        self.water.update(time - before, 0.0 if field is None else field.spectrum.fine_rate)
+        finer = 0.0 if field is None else field.spectrum.fine_rate
+        self.water.update(time - before, finer)
+        if self.drips is not None:
+            wind = self.weather.wind(0.5 * (before + time))
+            self.drips.update(before, time, wind, finer * (time - before))
 
     def launch(self):
         """Queue a step, rings beside the flow; nothing here waits, allocates or reads results."""
         if self.impacts is not None:
-            self.impacts.settle(self.water, self.ripples, self._share, self.stream)
+            land = self.water, self.ripples, self._share, self.stream
+            if self.drips is None:
+                self.impacts.settle(*land)
+            else:
+                page = self.water.page
+                self.impacts.settle(*land, self.drips.point, self.drips.came[page])
+                self.drips.launch(page, *land)
             self.impacts.obstacles.copy_to_host(self._obstacles, stream=self.stream)
         self._forked.record(self.stream)
         self._forked.wait(self._beside)
@@ -240,6 +281,8 @@ class Simulation:
             self.complete()
         if self.impacts is not None:
             self.impacts.check()
+        if self.drips is not None:
+            self.drips.check()
         late, self._late = self._late == index, -1
         return late
 
@@ -250,11 +293,13 @@ class Simulation:
         """
         if index == self._begun:
             self.complete()
-        control, obstacles = self._accounts[index % 2]
-        found = self.water.ledger(control).as_dict()
-        found["rain"] += obstacles * VOLUME_UNIT
-        found["obstacles"] += obstacles * VOLUME_UNIT
-        return found
+        control, fallen, drips = self._accounts[index % 2]
+        came = fallen * VOLUME_UNIT
+        returned, held, airborne = 0.0, came + self._objects.initial, 0.0
+        if drips is not None:
+            held, airborne, returned, fine = volumes(drips)
+            came += fine
+        return self._objects.booked(self.water.ledger(control), came, returned, held, airborne)
 
 
 def simulate(terrain, config, progress=None):

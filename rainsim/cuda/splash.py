@@ -23,7 +23,6 @@ from rainsim.cuda.jit import SIMULATED, cuda, cuda_kernel
 from rainsim.cuda.numbers import Numbers
 from rainsim.cuda.warp import GROUP, GROUPS, THREADS, take_place
 from rainsim.drops import GROUND
-from rainsim.marks import draw_path
 from rainsim.splash import (
     _LARGEST_SHARE,
     _MARGIN,
@@ -37,15 +36,14 @@ from rainsim.splash import (
     relative_size,
     splashes_on,
 )
-from rainsim.streaks import CLEAR, HIDDEN, NEAR, _may_show, _to_camera
+from rainsim.streaks import draw_lines
 
 ROOM = 2**18  # lines
 NEAREST = 0.05  # m, as the CPU has it
-_ONE = np.float32(1)
 
 
 @cuda.jit(device=True)
-def _seen(x, y, z, rotation, eye, lens, width, height):
+def seen_at(x, y, z, rotation, eye, lens, width, height):
     """Return the depth [m] at which the camera sees a splash there; negative if it does not."""
     x, y, z = x - eye[0], y - eye[1], z - eye[2]
     deep = rotation[2, 0] * x + rotation[2, 1] * y + rotation[2, 2] * z
@@ -60,6 +58,46 @@ def _seen(x, y, z, rotation, eye, lens, width, height):
         if focal * across + (centre - count) * deep >= focal * _MARGIN:
             return -1.0
     return deep
+
+
+@cuda.jit(device=True)
+def splashes_still(diameter, speed, under, age, pixel):
+    """Tell whether an impact on water of a depth [m] splashes, and still shows; far ones briefly.
+
+    `pixel` is the width [m] of a pixel there.
+    """
+    if not splashes_on(under, diameter, speed):
+        return False
+    return pixel < FINE_PIXEL or (under > _WET and age < crown_life(diameter, speed))
+
+
+@cuda.jit(device=True)
+def list_splash(
+    key, x, y, z, vx, vy, speed, diameter, under, age, pixel, exposure, count_out, lines_out
+):  # fmt: skip
+    """List what one impact throws up, a piece a lane; twin of `splashview.throw_up`."""
+    size = relative_size(under / diameter)
+    if pixel < FINE_PIXEL and diameter * _LARGEST_SHARE > least_seen(pixel, exposure):
+        most = int(droplets_of(diameter, speed))
+        for drop in range(cuda.threadIdx.x, most, GROUP):
+            alive, px, py, pz, x_speed, y_speed, z_speed, wide, _ = droplet(
+                key, drop, most, x, y, z, vx, vy, diameter * size, age, exposure
+            )
+            if alive:
+                row = next_row(count_out)
+                if row < lines_out.shape[0]:
+                    lines_out[row, 0], lines_out[row, 1], lines_out[row, 2] = px, py, pz
+                    lines_out[row, 3], lines_out[row, 4] = x_speed, y_speed
+                    lines_out[row, 5], lines_out[row, 6] = z_speed, wide
+    if under > _WET:
+        life, growth, tall, jet = crown_shape(diameter, speed, under, size, pixel)
+        if age < life:
+            raise_crown(
+                x, y, z, 0.1 * vx, 0.1 * vy, diameter, age, life, growth, tall, pixel, key,
+                exposure, count_out, lines_out,
+            )  # fmt: skip
+        if jet and age < LONGEST_JET:
+            raise_jet(x, y, z, diameter, age, pixel, exposure, count_out, lines_out)
 
 
 @cuda_kernel
@@ -96,8 +134,8 @@ def throw_up(
     many = cuda.shared.array(1, np.int32)
     time, exposure = times[0], times[1]
     sharp = max(np.float64(lens[0]), np.float64(lens[1]))
-    lane, group = cuda.threadIdx.x, cuda.threadIdx.y
-    thread = group * GROUP + lane
+    group = cuda.threadIdx.y
+    thread = group * GROUP + cuda.threadIdx.x
     which, block = cuda.blockIdx.x // per_list, cuda.blockIdx.x % per_list
     listed = min(found[which], ids.shape[1])
     for begin in range(block * THREADS, listed, per_list * THREADS):
@@ -108,51 +146,28 @@ def throw_up(
         if n < listed:
             b, age = labels[which, n, 0], time - values[which, n, 4]
             if b >= least[0] and -exposure <= age < LONGEST_LIFE:
-                deep = _seen(
+                deep = seen_at(
                     values[which, n, 0], values[which, n, 1], values[which, n, 2],
                     rotation, eye, lens, width, height,
                 )  # fmt: skip
             if deep > 0.0:
                 if labels[which, n, 1] == GROUND:
                     under += np.float64(water_depth[labels[which, n, 2], labels[which, n, 3]])
-                wanted = splashes_on(under, values[which, n, 3], abs(velocity[b, 2]))
-                fine = deep / sharp < FINE_PIXEL
-                # Far ones show their crowns only, and those not for long.
-                life = crown_life(values[which, n, 3], abs(velocity[b, 2]))
-                wanted = wanted and (fine or (under > _WET and age < life))
+                wanted = splashes_still(
+                    values[which, n, 3], abs(velocity[b, 2]), under, age, deep / sharp
+                )
         at = take_place(many, 0, wanted)
         if wanted:
             chosen[at], depths[at, 0], depths[at, 1] = n, deep, under
         cuda.syncthreads()
         for at in range(group, many[0], THREADS // GROUP):
-            n, under = chosen[at], depths[at, 1]
-            pixel = depths[at, 0] / sharp
-            b, age = labels[which, n, 0], time - values[which, n, 4]
-            x, y, z = values[which, n, 0], values[which, n, 1], values[which, n, 2]
-            diameter, key, speed = values[which, n, 3], ids[which, n], abs(velocity[b, 2])
-            size = relative_size(under / diameter)
-            if pixel < FINE_PIXEL and diameter * _LARGEST_SHARE > least_seen(pixel, exposure):
-                most = int(droplets_of(diameter, speed))
-                for drop in range(lane, most, GROUP):
-                    alive, px, py, pz, vx, vy, vz, wide, _ = droplet(
-                        key, drop, most, x, y, z, velocity[b, 0], velocity[b, 1],
-                        diameter * size, age, exposure,
-                    )  # fmt: skip
-                    if alive:
-                        row = next_row(count_out)
-                        if row < lines_out.shape[0]:
-                            lines_out[row, 0], lines_out[row, 1], lines_out[row, 2] = px, py, pz
-                            lines_out[row, 3], lines_out[row, 4], lines_out[row, 5] = vx, vy, vz
-                            lines_out[row, 6] = wide
-            if under > _WET:
-                life, growth, tall, jet = crown_shape(diameter, speed, under, size, pixel)
-                if age < life:
-                    raise_crown(
-                        x, y, z, 0.1 * velocity[b, 0], 0.1 * velocity[b, 1], diameter, age, life,
-                        growth, tall, pixel, key, exposure, count_out, lines_out,
-                    )  # fmt: skip
-                if jet and age < LONGEST_JET:
-                    raise_jet(x, y, z, diameter, age, pixel, exposure, count_out, lines_out)
+            n, b = chosen[at], labels[which, chosen[at], 0]
+            list_splash(
+                ids[which, n], values[which, n, 0], values[which, n, 1], values[which, n, 2],
+                velocity[b, 0], velocity[b, 1], abs(velocity[b, 2]), values[which, n, 3],
+                depths[at, 1], time - values[which, n, 4], depths[at, 0] / sharp, exposure,
+                count_out, lines_out,
+            )  # fmt: skip
         cuda.syncthreads()
 
 
@@ -171,26 +186,12 @@ def draw_list(
         Added to. The other arrays are those of `streaks.look` and `streaks.draw_field`.
     """
     here, there = cuda.local.array(3, np.float32), cuda.local.array(3, np.float32)
-    exposure = times[1]
-    high, wide = np.float32(height), np.float32(width)
-    listed = min(count[0], lines.shape[0])
     first = cuda.blockIdx.x * cuda.blockDim.y + cuda.threadIdx.y
-    for n in range(first, listed, cuda.gridDim.x * cuda.blockDim.y):
-        x, y, z = lines[n, 0], lines[n, 1], lines[n, 2]
-        _to_camera(rotation, eye, x, y, z, here)
-        x, y = x + lines[n, 3] * exposure, y + lines[n, 4] * exposure
-        _to_camera(rotation_end, eye_end, x, y, z + lines[n, 5] * exposure, there)
-        if not near <= here[2]:
-            continue
-        shows = _may_show(
-            here[0], here[1], here[2], there[0], there[1], there[2], lens, near, wide, high,
-            tile_depth,
-        )  # fmt: skip
-        if shows != HIDDEN:
-            draw_path(
-                here[0], here[1], here[2], there[0], there[1], there[2], _ONE,
-                np.float32(lines[n, 6]), lens, near, width, height, depth, shows == CLEAR, picture,
-            )  # fmt: skip
+    draw_lines(
+        lines, first, min(count[0], lines.shape[0]), cuda.gridDim.x * cuda.blockDim.y, times[1],
+        rotation, eye, rotation_end, eye_end, lens, near, width, height, depth, tile_depth, here,
+        there, picture,
+    )  # fmt: skip
 
 
 class Splashes:
@@ -253,17 +254,17 @@ class Splashes:
             seen["velocity"], seen["times"], seen["rotation"], seen["eye"], seen["lens"],
             width, height, self.depth, self.now["film"], self.now["least"], self.count, self.lines,
         )  # fmt: skip
+        if (drips := self._streaks.drips) is not None:
+            drips.gather(
+                *recent.ground_and_top, seen["times"], seen["rotation"], seen["eye"], seen["lens"],
+                width, height, self.depth, self.now["film"], self.count, self.lines, stream=stream,
+            )  # fmt: skip
 
     def draw(self, stream=None):
         """Queue the drawing of what was gathered, after the streaks' picture."""
         stream = self.stream if stream is None else stream
-        streaks, seen = self._streaks, self._streaks.now
-        draw_list[BLOCKS, GROUPS, stream](
-            self.count, self.lines, seen["times"], seen["rotation"], seen["eye"],
-            seen["rotation_end"], seen["eye_end"], seen["lens"], np.float32(NEAR), *streaks.size,
-            streaks.columns, streaks.tile_depth, streaks.picture,
-        )  # fmt: skip
-        streaks.resolve(self.alpha, False, stream)
+        draw_list[BLOCKS, GROUPS, stream](self.count, self.lines, *self._streaks.seen())
+        self._streaks.resolve(self.alpha, False, stream)
 
     def missing(self):
         """Return how many lines there was no room for; waits for them."""

@@ -14,20 +14,11 @@ import numpy as np
 
 from rainsim.cubes import cube_key, drop_diameter, drop_id, left_out
 from rainsim.cuda.jit import SIMULATED, cuda, cuda_kernel
+from rainsim.cuda.marks import TILE, read_depth, resolve
 from rainsim.cuda.numbers import Numbers
-from rainsim.cuda.scalars import bits_of, float_of
-from rainsim.cuda.warp import (
-    GROUP,
-    GROUPS,
-    THREADS,
-    WHOLE,
-    ballot,
-    lower_to,
-    raise_to,
-    take_place,
-)
+from rainsim.cuda.warp import GROUP, GROUPS, THREADS, WHOLE, ballot, take_place
 from rainsim.errors import ParameterError
-from rainsim.marks import alpha_of, draw_path
+from rainsim.marks import draw_path
 from rainsim.random import uniform, uniform_triple
 from rainsim.spectrum import CLASSES
 from rainsim.streaks import (
@@ -49,80 +40,7 @@ LARGE = np.float32(400)  # px that a path touches, from which on a whole warp dr
 MANY = 2**14  # such paths that there is room for; more are drawn as the small ones are
 ROOM = 2**15 if SIMULATED else 2**20  # drops that may be in view
 PATH = 9  # numbers of a path
-TILE = 32  # px, side of what a block of `resolve` turns
-# From row to row in shared memory, so that a column is not in one bank.
-_BLOCK_APART, _TILE_APART = BLOCK + 1, TILE + 1
-_ZERO, _ONE, _TWO, _MOST = np.float32(0), np.float32(1), np.float32(2), np.float32(np.inf)
-
-
-@cuda_kernel
-def read_depth(depth, columns_out, tile_depth_out):
-    """Copy a depth picture column by column, and find each tile's greatest and least depth.
-
-    Parameters
-    ----------
-    depth : device array of shape (height, width), float32 [m]
-    columns_out : device array of shape (width * height,), float32 [m]
-    tile_depth_out : device array of shape (2, rows, columns), float32 [m]
-        One block of threads for each tile.
-    """
-    room = cuda.shared.array((BLOCK, _BLOCK_APART), np.float32)
-    ends = cuda.shared.array(2, np.int32)
-    height, width = depth.shape
-    left, top = cuda.blockIdx.x * BLOCK, cuda.blockIdx.y * BLOCK
-    wide, high = min(BLOCK, width - left), min(BLOCK, height - top)
-    x, y = cuda.threadIdx.x, cuda.threadIdx.y
-    if x == 0 and y == 0:
-        ends[0], ends[1] = 0, bits_of(_MOST)
-    cuda.syncthreads()
-    most, least = _ZERO, _MOST
-    for row in range(y, high, cuda.blockDim.y):
-        for column in range(x, wide, cuda.blockDim.x):
-            z = depth[top + row, left + column]
-            room[row, column] = z
-            most, least = max(most, z), min(least, z)
-    raise_to(ends, 0, most)
-    lower_to(ends, 1, least)
-    cuda.syncthreads()
-    for column in range(y, wide, cuda.blockDim.y):
-        for row in range(x, high, cuda.blockDim.x):
-            columns_out[(left + column) * height + top + row] = room[row, column]
-    if x == 0 and y == 0:
-        tile_depth_out[0, cuda.blockIdx.y, cuda.blockIdx.x] = float_of(ends[0])
-        tile_depth_out[1, cuda.blockIdx.y, cuda.blockIdx.x] = float_of(ends[1])
-
-
-@cuda_kernel
-def resolve(over, picture, alpha_out):
-    """Turn summed optical depths into alpha, and blank them.
-
-    Parameters
-    ----------
-    over : bool
-        Whether to multiply to what `alpha_out` holds; else it is overwritten.
-    picture : device array of shape (width * height,), int64
-    alpha_out : device array of shape (height, width), float32
-    """
-    room = cuda.shared.array((TILE, _TILE_APART), np.float32)
-    height, width = alpha_out.shape
-    left, top = cuda.blockIdx.x * TILE, cuda.blockIdx.y * TILE
-    wide, high = min(TILE, width - left), min(TILE, height - top)
-    x, y = cuda.threadIdx.x, cuda.threadIdx.y
-    for column in range(y, wide, cuda.blockDim.y):
-        for row in range(x, high, cuda.blockDim.x):
-            at = (left + column) * height + top + row
-            units = picture[at]
-            if units != 0:
-                picture[at] = 0
-            room[row, column] = alpha_of(units)
-    cuda.syncthreads()
-    for row in range(y, high, cuda.blockDim.y):
-        for column in range(x, wide, cuda.blockDim.x):
-            alpha = room[row, column]
-            if over:
-                before = alpha_out[top + row, left + column]
-                alpha = before + alpha * (_ONE - before)
-            alpha_out[top + row, left + column] = alpha
+_ZERO, _ONE, _TWO = np.float32(0), np.float32(1), np.float32(2)
 
 
 @cuda.jit(device=True)
@@ -398,9 +316,8 @@ class Streaks:
         Share of light that drops replace.
     sent : event
         When `launch` has sent the camera and the times.
-    columns, tile_depth, picture : device arrays
-        The depth column by column, that of tiles, and blank optical depths: for what else is drawn
-        in the same picture.
+    drips : cuda.drips.DripList or None
+        Drips that are drawn too.
     """
 
     def __init__(self, field, surfaces, width, height, depth, stream=0):
@@ -430,6 +347,7 @@ class Streaks:
         self._paths = cuda.device_array((ROOM, PATH), np.float32, stream=stream)
         self._large = cuda.device_array(MANY, np.int32, stream=stream)
         self.picture = cuda.to_device(np.zeros(width * height, np.int64), stream)
+        self.drips = None
 
     def update(
         self, field, camera, time, exposure, far, camera_end=None, aperture=0.0, focus=np.inf
@@ -479,15 +397,26 @@ class Streaks:
         rest = now["lens"], near, width, height, self.columns, self.picture
         draw_large[BLOCKS, WHOLE, stream](now["many"], self._large, self._paths, *rest)
         draw_field[BLOCKS, GROUPS, stream](now["sought"], self._paths, *rest)
+        if self.drips is not None:
+            self.drips.draw(self.seen(), stream)
         self.resolve(self.alpha, False, stream)
+
+    def seen(self):
+        """Return what kernels need that draw lines into the picture, as `splash.draw_list` has it.
+
+        Times and cameras, the depth column by column and that of tiles, and optical depths.
+        """
+        names = ("times", "rotation", "eye", "rotation_end", "eye_end", "lens")
+        return (
+            *(self.now[name] for name in names), np.float32(NEAR), *self.size, self.columns,
+            self.tile_depth, self.picture,
+        )  # fmt: skip
 
     def resolve(self, alpha_out, over, stream):
         """Queue the turning of what was drawn into alpha, and blank the picture."""
         width, height = self.size
-        blocks, threads = (
-            (-(-width // TILE), -(-height // TILE)),
-            (4, 1) if SIMULATED else (TILE, 8),
-        )
+        blocks, threads = (-(-width // TILE), -(-height // TILE)), (TILE, 8)
+        threads = (4, 1) if SIMULATED else threads
         resolve[blocks, threads, stream](over, self.picture, alpha_out)
 
 

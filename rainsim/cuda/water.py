@@ -38,7 +38,7 @@ class Water:
     Attributes
     ----------
     depth : device array of shape (ny, nx), float32 [m]
-        Depth above the bed, film included, at the last frame's end: one of `depths`.
+        Depth above the bed, film included, at the last frame's end: one of `depths`, `page`.
     waiting : device array of shape ((ny + 5) * width,), int64
         Depth of drops that fell since, in `account.UNIT`.
     first, width : int
@@ -115,7 +115,7 @@ class Water:
 
     def turn_page(self, page):
         """Let the next frame's depth be that array of `depths`, so that the last one's stays."""
-        self._page, self.depth = page, self.depths[page]
+        self.page, self.depth = page, self.depths[page]
 
     def deposit(self, rows, columns, volumes):
         """Let drops wait for the next frame: arrays of rows, columns and volumes [m3]."""
@@ -148,7 +148,7 @@ class Water:
         """Queue a frame: drops, steps, the account. No visit to the host."""
         self._numbers_now.send()
         # Where nothing moves no step writes it.
-        self.depth.copy_to_device(self.depths[1 - self._page], stream=self.stream)
+        self.depth.copy_to_device(self.depths[1 - self.page], stream=self.stream)
         self.take_in()
         self.refresh()
         self.go_on()

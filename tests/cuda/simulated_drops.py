@@ -33,6 +33,11 @@ class Ground:
         self.size, self.steps, self.cells = 1.0, 4, cells
         self.pushes = np.zeros(self.steps * cells * cells, np.int64)
 
+    def depths(self, surfaces):
+        """Return the depth [m] that waits in each cell."""
+        waiting = self.waiting[self.first :].reshape(-1, self.width) * UNIT
+        return waiting[:, : surfaces.shape[1]]
+
 
 @pytest.fixture(scope="module")
 def listed():
@@ -63,15 +68,22 @@ def test_the_list_is_that_of_the_cpu(listed):
 def test_the_water_goes_where_it_fell(listed):
     _, surfaces, wanted, twin = listed
     ground = Ground(surfaces)
-    twin.settle(ground, ground, share=2.0)
+    point, came = np.full(surfaces.shape, -2, np.int32), np.zeros(3, np.int64)
+    point[:, :8], point[:, 8:12] = 0, 1
+    twin.settle(ground, ground, 2.0, 0, point, came)
     landed = wanted.take(wanted.kind == GROUND)
     depth = np.zeros(surfaces.shape)
     np.add.at(depth, (landed.row, landed.column), landed.volume / surfaces.spacing**2)
-    waiting = ground.waiting[ground.first :].reshape(-1, ground.width) * UNIT
-    waiting = waiting[:, : surfaces.shape[1]]
-    np.testing.assert_allclose(waiting, depth, atol=1e-14)
-    lost = wanted.volume[wanted.kind == OBSTACLE].sum()
-    assert twin.obstacles.copy_to_host()[0] * VOLUME_UNIT == pytest.approx(lost, rel=1e-6)
+    np.testing.assert_allclose(ground.depths(surfaces), depth, atol=1e-14)
+    hit = wanted.take(wanted.kind == OBSTACLE)
+    goes = np.searchsorted([8, 12], hit.column, side="right")
+    asked = np.bincount(goes, hit.volume, minlength=3)
+    assert (asked > 0).sum() > 1
+    np.testing.assert_allclose(came * VOLUME_UNIT, asked, rtol=1e-6)
+    kept = twin.obstacles.copy_to_host()[0]
+    assert kept * VOLUME_UNIT == pytest.approx(hit.volume.sum(), rel=1e-6)
+    twin.settle(ground, ground, share=2.0)
+    assert twin.obstacles.copy_to_host()[0] == 2 * kept and came.sum() == kept  # nothing drips
 
 
 def test_a_short_list_is_counted(listed):

@@ -22,7 +22,7 @@ def test_frames_are_those_of_the_cpu(monkeypatch):
         monkeypatch.setattr(module, "RippleTile", small)
     config = Config().replace(
         rate=mm_per_hour(200.0), past=3e-3, extent=0.5, spacing=0.1, wind=(0.5, 0.2), fps=60.0,
-        scheme="lean", frames=3, drips=False,
+        scheme="lean", frames=3,
     )  # fmt: skip
     terrain = extract_terrain(tiny_scene(), config)
     wanted = simulation.simulate(terrain, config)
@@ -38,7 +38,11 @@ def test_frames_are_those_of_the_cpu(monkeypatch):
         assert np.abs(slopes - cpu.slopes).max() < 1e-3 * np.abs(cpu.slopes).max()
         assert not gpu.simulation.lacked(gpu.index)
         ledger = gpu.ledger
-        for name in ("rain", "obstacles", "ground", "outflow"):
-            assert ledger[name] == pytest.approx(cpu.ledger[name], rel=1e-5, abs=1e-15), name
+        for name in ("initial", "rain", "obstacles", "airborne", "ground", "outflow"):
+            assert ledger[name] == pytest.approx(cpu.ledger[name], rel=1e-5, abs=1e-12), name
+        assert abs(ledger["residual"]) < 1e-6
+        order = np.argsort(cpu.drip_id)
+        np.testing.assert_array_equal(gpu.drip_id, cpu.drip_id[order])
+        np.testing.assert_allclose(gpu.drips, cpu.drips[order], rtol=1e-9, atol=1e-12)
         depths.append(depth)
     assert (depths[2] != depths[1]).any() and np.abs(cpu.slopes).max() > 1e-6

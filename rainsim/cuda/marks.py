@@ -1,0 +1,90 @@
+"""The picture of optical depths that rain is drawn in, on a CUDA device: depth in, alpha out.
+
+Twins of `rainsim.marks.read_depth` and `resolve_band`; the marks themselves are the CPU's, see
+`cuda.warp`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rainsim.cuda.jit import cuda, cuda_kernel
+from rainsim.cuda.scalars import bits_of, float_of
+from rainsim.cuda.warp import lower_to, raise_to
+from rainsim.marks import alpha_of
+from rainsim.surfaces import BLOCK
+
+TILE = 32  # px, side of what a block of `resolve` turns
+# From row to row in shared memory, so that a column is not in one bank.
+_BLOCK_APART, _TILE_APART = BLOCK + 1, TILE + 1
+_ZERO, _ONE, _MOST = np.float32(0), np.float32(1), np.float32(np.inf)
+
+
+@cuda_kernel
+def read_depth(depth, columns_out, tile_depth_out):
+    """Copy a depth picture column by column, and find each tile's greatest and least depth.
+
+    Parameters
+    ----------
+    depth : device array of shape (height, width), float32 [m]
+    columns_out : device array of shape (width * height,), float32 [m]
+    tile_depth_out : device array of shape (2, rows, columns), float32 [m]
+        One block of threads for each tile.
+    """
+    room = cuda.shared.array((BLOCK, _BLOCK_APART), np.float32)
+    ends = cuda.shared.array(2, np.int32)
+    height, width = depth.shape
+    left, top = cuda.blockIdx.x * BLOCK, cuda.blockIdx.y * BLOCK
+    wide, high = min(BLOCK, width - left), min(BLOCK, height - top)
+    x, y = cuda.threadIdx.x, cuda.threadIdx.y
+    if x == 0 and y == 0:
+        ends[0], ends[1] = 0, bits_of(_MOST)
+    cuda.syncthreads()
+    most, least = _ZERO, _MOST
+    for row in range(y, high, cuda.blockDim.y):
+        for column in range(x, wide, cuda.blockDim.x):
+            z = depth[top + row, left + column]
+            room[row, column] = z
+            most, least = max(most, z), min(least, z)
+    raise_to(ends, 0, most)
+    lower_to(ends, 1, least)
+    cuda.syncthreads()
+    for column in range(y, wide, cuda.blockDim.y):
+        for row in range(x, high, cuda.blockDim.x):
+            columns_out[(left + column) * height + top + row] = room[row, column]
+    if x == 0 and y == 0:
+        tile_depth_out[0, cuda.blockIdx.y, cuda.blockIdx.x] = float_of(ends[0])
+        tile_depth_out[1, cuda.blockIdx.y, cuda.blockIdx.x] = float_of(ends[1])
+
+
+@cuda_kernel
+def resolve(over, picture, alpha_out):
+    """Turn summed optical depths into alpha, and blank them.
+
+    Parameters
+    ----------
+    over : bool
+        Whether to multiply to what `alpha_out` holds; else it is overwritten.
+    picture : device array of shape (width * height,), int64
+    alpha_out : device array of shape (height, width), float32
+    """
+    room = cuda.shared.array((TILE, _TILE_APART), np.float32)
+    height, width = alpha_out.shape
+    left, top = cuda.blockIdx.x * TILE, cuda.blockIdx.y * TILE
+    wide, high = min(TILE, width - left), min(TILE, height - top)
+    x, y = cuda.threadIdx.x, cuda.threadIdx.y
+    for column in range(y, wide, cuda.blockDim.y):
+        for row in range(x, high, cuda.blockDim.x):
+            at = (left + column) * height + top + row
+            units = picture[at]
+            if units != 0:
+                picture[at] = 0
+            room[row, column] = alpha_of(units)
+    cuda.syncthreads()
+    for row in range(y, high, cuda.blockDim.y):
+        for column in range(x, wide, cuda.blockDim.x):
+            alpha = room[row, column]
+            if over:
+                before = alpha_out[top + row, left + column]
+                alpha = before + alpha * (_ONE - before)
+            alpha_out[top + row, left + column] = alpha
