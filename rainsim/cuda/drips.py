@@ -211,7 +211,7 @@ def _land(
 def _cell(x, y, x0, y0, spacing, top):
     """Return the cell of a place, or the nearest one, and whether it is on the map."""
     ny, nx = top.shape
-    row, column = math.floor((y - y0) / spacing), math.floor((x - x0) / spacing)
+    row, column = np.int64(math.floor((y - y0) / spacing)), np.int64(math.floor((x - x0) / spacing))
     inside = 0 <= row < ny and 0 <= column < nx
     return min(max(row, 0), ny - 1), min(max(column, 0), nx - 1), inside
 

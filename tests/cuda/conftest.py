@@ -56,10 +56,10 @@ if os.environ.get("NUMBA_ENABLE_CUDASIM") == "1":
         syncthreads_and = simulator.BlockThread.syncthreads_and
         syncthreads_or = simulator.BlockThread.syncthreads_or
 
+    _idle = []  # lanes without work
+
     class BlockManager:
         """Runs a block, thread by thread."""
-
-        _idle = []
 
         def __init__(self, function, grid_dim, block_dim, debug):
             self._function, self._block_dim = function, block_dim
@@ -72,7 +72,7 @@ if os.environ.get("NUMBA_ENABLE_CUDASIM") == "1":
             block, size = simulator.Dim3(*grid_point), self._block_dim
             lanes = []
             for x, y, z in np.ndindex(*size):
-                lane = self._idle.pop() if self._idle else Lane()
+                lane = _idle.pop() if _idle else Lane()
                 place, number = simulator.Dim3(x, y, z), x + size[0] * (y + size[1] * z)
                 lane.take(self, block, place, number, lambda: self._function(*arguments))
                 lanes.append(lane)
@@ -83,7 +83,7 @@ if os.environ.get("NUMBA_ENABLE_CUDASIM") == "1":
                     lane.go()
                     failed = failed or lane.error
                 live = [lane for lane in live if not lane.ended]
-            self._idle.extend(lanes)
+            _idle.extend(lanes)
             if failed is not None:
                 raise failed
 

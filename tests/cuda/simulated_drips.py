@@ -102,9 +102,7 @@ def test_what_falls_and_lands_is_that_of_the_cpu(steps):
     assert start + came == pytest.approx(held + airborne + returned, rel=1e-7)
     assert fine == pytest.approx(10 * FINE * 0.08**2 * 46, rel=1e-6)
     assert returned > 1e-6 and airborne > 0 and max(m for *_, (m, _), _ in found) > 0
-    assert any(
-        (a != b).any() for (*_, a, _, _), (*_, b, _, _) in zip(found, found[1:], strict=False)
-    )
+    assert any((a[2] != b[2]).any() for a, b in pairwise(found))
 
 
 def test_a_list_without_room_is_counted(steps):

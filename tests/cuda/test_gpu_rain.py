@@ -184,3 +184,84 @@ def test_a_film_is_its_frames():
     assert len(films[1]) == 5 and (films[0][1] != films[0][2]).any()
     np.testing.assert_array_equal(*films)
     assert ledgers[:5] == ledgers[5:] and ledgers[4]["rain"] > ledgers[1]["rain"] > 0
+
+
+def test_drips_are_those_of_the_cpu(poisoned):
+    """From the tiny scene's table, raised: what is in the air, the account, and pictures of it."""
+    from dataclasses import replace
+    from itertools import islice
+
+    from rainsim import simulation
+    from rainsim.config import Config, mm_per_hour
+    from rainsim.cuda.drips import DripList
+    from rainsim.cuda.drops import Impacts
+    from rainsim.cuda.jit import cuda
+    from rainsim.cuda.simulate import simulate
+    from rainsim.cuda.splash import Splashes
+    from rainsim.cuda.streaks import Streaks
+    from rainsim.drips import drip_impacts, drips_seen
+    from rainsim.pipeline import extract_terrain
+    from scenes import tiny_scene
+
+    settings = Config().replace(
+        rate=mm_per_hour(80.0), past=4e-3, frames=16, extent=1.0, spacing=0.02, fps=30.0,
+        wind=(1.5, 0.3), scheme="lean",
+    )  # fmt: skip
+    terrain, runs = extract_terrain(tiny_scene(), settings), []
+    high = np.where(terrain.top - terrain.bed > 0.3, np.float32(0.8), np.float32(0))
+    terrain = replace(terrain, top=terrain.top + high, underside=terrain.underside + high)
+    for _ in range(2):
+        lists = [
+            (state.drips, state.drip_id, state.ledger)
+            for state in islice(simulate(terrain, settings), settings.frames)
+        ]
+        runs.append(lists)
+    for (a, a_id, a_ledger), (b, b_id, b_ledger) in zip(*runs, strict=True):
+        np.testing.assert_array_equal(a, b)
+        np.testing.assert_array_equal(a_id, b_id)
+        assert a_ledger == b_ledger
+    states = list(islice(simulation.simulate(terrain, settings), settings.frames))
+    for state, (table, ids, ledger) in zip(states, runs[0], strict=True):
+        order = np.argsort(state.drip_id)
+        np.testing.assert_array_equal(ids, state.drip_id[order])
+        np.testing.assert_allclose(table, state.drips[order], rtol=1e-9, atol=1e-12)
+        for name in ("initial", "rain", "obstacles", "airborne"):
+            assert ledger[name] == pytest.approx(state.ledger[name], rel=1e-6), name
+        assert abs(ledger["residual"]) < 1e-6
+    assert len(states[0].drips) > 10 and states[-1].ledger["rain"] > states[1].ledger["rain"] > 0
+
+    last, surfaces = states[-1], simulation.surfaces_of(terrain)
+    weak = RainField(RainSpectrum(1e-6), seed=4)
+    camera = looking_down()
+    matrix = camera.camera_from_world.copy()
+    matrix[:3, 3] -= matrix[:3, :3] @ np.array([-1.2, 0.2, -0.9])
+    camera = Camera(WIDTH, HEIGHT, 260.0, 260.0, WIDTH / 2, HEIGHT / 2, matrix)
+    depth, water = np.full((HEIGHT, WIDTH), 3.0, np.float32), last.depth
+    streaks = Streaks(weak, surfaces, WIDTH, HEIGHT, cuda.to_device(depth))
+    streaks.drips = DripList(len(last.drips))
+    streaks.drips.fill(last.drips, last.drip_id)
+    twin = Splashes(streaks, Impacts(weak, surfaces, 5), cuda.to_device(water))
+    streaks.update(weak, camera, last.time, EXPOSURE, 0.51)
+    twin.update(weak, 2e-4)
+    pictures = []
+    for _ in range(2):
+        for each in (streaks, twin):
+            each.alpha.copy_to_device(poisoned((HEIGHT, WIDTH)))
+            each.launch()
+        pictures.append(np.stack([streaks.alpha.copy_to_host(), twin.alpha.copy_to_host()]))
+    np.testing.assert_array_equal(*pictures)
+    wanted, asked = poisoned((HEIGHT, WIDTH)), poisoned((HEIGHT, WIDTH))
+    draw_streaks(
+        weak, surfaces, camera, last.time, EXPOSURE, depth, 0.51, wanted,
+        more=drips_seen(last.drips, last.time, EXPOSURE),
+    )  # fmt: skip
+    landed = drip_impacts(
+        last.drips, last.drip_id, surfaces, last.time - 0.12, last.time + EXPOSURE
+    )
+    draw_splashes(
+        weak, surfaces, camera, last.time, EXPOSURE, water, 2e-4, depth, asked, more=landed
+    )
+    for found, cpu in zip(pictures[0], (wanted, asked), strict=True):
+        assert cpu.max() > 0.02
+        assert (np.abs(found - cpu) > 1e-3).mean() < 1e-3
+        assert np.sqrt(np.mean((found - cpu) ** 2)) < 1e-4
