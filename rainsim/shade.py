@@ -10,7 +10,8 @@ import math
 
 import numpy as np
 
-from rainsim.jit import cpu_kernel, device_function, inlined_function, prange
+from rainsim.chunks import CHUNK
+from rainsim.jit import cpu_kernel, device_function, inlined_function, prange, serial_kernel
 from rainsim.light import (
     bilinear,
     display_from_linear,
@@ -51,6 +52,10 @@ LEAST_ALPHA = np.float32(0.1)  # what covers less of a pixel has no depth
 ON_GROUND = np.float32(0.3)  # m over the bed: what stands higher is no ground
 OPEN_LOW, OPEN_HIGH = np.float32(-0.12), np.float32(-0.06)  # from which an open sky shows
 SKY_SINE = np.float32(0.03)  # sine of the elevation above which there may be sky
+
+# Rows of a chunk of `compose`: what air, streaks and splashes let through, light of drops, colours.
+(CLEAR, RAIN, SPLASH, DROP, RED, GREEN, BLUE) = (CHUNK * k for k in range(7))
+COMPOSED = 7 * CHUNK
 
 
 @inlined_function
@@ -344,7 +349,7 @@ def field_place(pixel, count, places):
     return (np.float32(pixel) + HALF) * (np.float32(places - 1) / np.float32(count))
 
 
-@device_function
+@inlined_function
 def splash_light(drop, around):
     """Return the radiance of splashes where that of drops is `drop`.
 
@@ -377,39 +382,90 @@ def compose(
     image_out : ndarray of shape (height, width, 3), uint8
     """
     height, width = depth.shape
-    light = picture.reshape(height, width * 3)
-    image = image_out.reshape(height, width * 3)
+    light, image = picture.reshape(height, width * 3), image_out.reshape(height, width * 3)
     places = drop_radiance.shape[1]
     for row in prange(height):
-        clear, drop = np.empty(width, np.float32), np.empty(width, np.float32)
-        rain, splash = rain_alpha[row], splash_alpha[row]
+        s, line = np.empty(COMPOSED, np.float32), np.empty(places, np.float32)
         v = field_place(row, height, drop_radiance.shape[0])
         j = int(v)
         below = v - np.float32(j)
         b = (np.float32(row) + HALF - lens[3]) / lens[1]
-        square = ONE + b * b
-        for column in range(width):
-            z = depth[row, column]
-            a = (np.float32(column) + HALF - lens[2]) / lens[0]
-            through = fog_thickness(fog, min(z, FAR_AWAY)) * math.sqrt(square + a * a)
-            # The sky is seen through all the air already.
-            air = exp_minus(through)
-            clear[column] = air if z < FAR_AWAY else ONE
-        for c in range(3):
-            air = air_radiance[c]
-            upper, lower = drop_radiance[j, :, c], drop_radiance[j + 1, :, c]
-            line = upper + (lower - upper) * below
-            for column in range(width):
-                u = field_place(column, width, places)
-                i = int(u)
-                drop[column] = line[i] + (line[i + 1] - line[i]) * (u - np.float32(i))
-            for column in range(width):
-                value = air + (light[row, 3 * column + c] - air) * clear[column]
-                thrown = splash_light(drop[column], around[c])
-                value = thrown + (value - thrown) * (ONE - splash[column])
-                value = (drop[column] + (value - drop[column]) * (ONE - rain[column])) * brightness
-                # A soft shoulder: highlights end at white instead of being cut off.
-                over = max(value - HALF, ZERO)
-                value = min(value, HALF) + HALF * (ONE - exp_minus(over * TWO))
-                shown = display_from_linear(max(value, ZERO))
-                image[row, 3 * column + c] = np.uint8(min(shown, ONE) * np.float32(255) + HALF)
+        for left in range(0, width, CHUNK):
+            end = min(left + CHUNK, width)
+            n = end - left
+            look_through(depth[row, left:end], fog, lens, b, left, n, s)
+            take_covers(rain_alpha[row, left:end], splash_alpha[row, left:end], n, s)
+            take_colors(light[row, 3 * left : 3 * end], n, s)
+            for c in range(3):
+                for k in range(places):
+                    upper, lower = drop_radiance[j, k, c], drop_radiance[j + 1, k, c]
+                    line[k] = upper + (lower - upper) * below
+                light_drops(line, left, width, n, s)
+                color = s[RED + c * CHUNK : RED + (c + 1) * CHUNK]
+                mix(s, color, n, air_radiance[c], around[c], brightness)
+            give_colors(n, s, image[row, 3 * left : 3 * end])
+
+
+@inlined_function
+def look_through(depth, fog, lens, b, left, n, s):
+    """Find how clear the air before n pixels of a row at height b is."""
+    f, c, square = lens[0], lens[2], ONE + b * b
+    for i in range(n):
+        s[CLEAR + i] = fog_thickness(fog, min(depth[i], FAR_AWAY))
+    for i in range(n):
+        a = (np.float32(left + i) + HALF - c) / f
+        s[CLEAR + i] = exp_minus(s[CLEAR + i] * math.sqrt(square + a * a))
+    for i in range(n):  # the sky is seen through all the air already
+        s[CLEAR + i] = s[CLEAR + i] if depth[i] < FAR_AWAY else ONE
+
+
+@inlined_function
+def take_covers(rain, splash, n, s):
+    """Take over what streaks and splashes leave open."""
+    for i in range(n):
+        s[RAIN + i] = ONE - rain[i]
+    for i in range(n):
+        s[SPLASH + i] = ONE - splash[i]
+
+
+@inlined_function
+def take_colors(light, n, s):
+    """Take over the light of n pixels."""
+    for i in range(n):
+        s[RED + i], s[GREEN + i], s[BLUE + i] = light[3 * i], light[3 * i + 1], light[3 * i + 2]
+
+
+@inlined_function
+def light_drops(line, left, width, n, s):
+    """Interpolate the light of drops between the places of a line."""
+    places = len(line)
+    scale = np.float32(places - 1) / np.float32(width)
+    for i in range(n):
+        u = (np.float32(left + i) + HALF) * scale
+        k = np.uint32(np.int32(u))
+        s[DROP + i] = line[k] + (line[k + np.uint32(1)] - line[k]) * (u - np.float32(k))
+
+
+@serial_kernel
+def mix(s, color, n, air, around, brightness):
+    """Put air, splashes and streaks before a colour and encode it, 0 to 1."""
+    for i in range(n):
+        drop = s[DROP + i]
+        value = air + (color[i] - air) * s[CLEAR + i]
+        thrown = splash_light(drop, around)
+        value = thrown + (value - thrown) * s[SPLASH + i]
+        value = (drop + (value - drop) * s[RAIN + i]) * brightness
+        # A soft shoulder: highlights end at white instead of being cut off.
+        over = max(value - HALF, ZERO)
+        value = min(value, HALF) + HALF * (ONE - exp_minus(over * TWO))
+        color[i] = min(display_from_linear(max(value, ZERO)), ONE)
+
+
+@inlined_function
+def give_colors(n, s, image_out):
+    """Write n pixels of 8 bit."""
+    white = np.float32(255)
+    for i in range(n):
+        image_out[3 * i] = np.uint8(np.int32(s[RED + i] * white + HALF))
+        image_out[3 * i + 1] = np.uint8(np.int32(s[GREEN + i] * white + HALF))
+        image_out[3 * i + 2] = np.uint8(np.int32(s[BLUE + i] * white + HALF))
