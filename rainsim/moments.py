@@ -23,10 +23,13 @@ HALF = np.float32(0.5)
 QUARTER = np.float32(0.25)
 
 MOMENTS = 5  # of slopes a, b along x, y: a, b, a^2, b^2, a b
-# Width of a cell over that of the footprint: interpolated, it then has the footprint's variance.
+# Width of a cell over that of its part of the footprint: interpolated, it then has the variance of
+# that. Cells that are taken are finer: they come in powers of two, and what they add is averaged.
 CELL_SHARE = np.float32(1 / math.sqrt(3))
+FINER = np.float32(0.78)
+LEAST_STEP = np.float32(1.4)  # cells of the finest resolution between two that are taken
 MOST_SLANT = np.float32(40)  # of the pixel's footprint on the water over its width
-MOST_CELLS = 8  # in a row that a slanted footprint takes
+MOST_CELLS = 16  # in a row that a slanted footprint takes
 ROOT_TWO = np.float32(math.sqrt(2))
 
 
@@ -107,11 +110,12 @@ def pixel_slopes(moments, size, x, y, vx, vy, vz, width):
     """
     n = moments.shape[0]
     slant = min(ONE / max(-vz, np.float32(1e-3)), MOST_SLANT)
-    count = min(math.ceil(slant), MOST_CELLS)
+    apart = max(HALF * width, LEAST_STEP * size / np.float32(n))
+    count = min(max(math.ceil(slant * width / apart), 1), MOST_CELLS)
     step = slant * width / np.float32(count)
     cell = max(width, step) * CELL_SHARE
     level, edge = 0, ROOT_TWO * size / np.float32(n)
-    while cell > edge and 2 * (n >> (level + 1)) == n >> level:
+    while FINER * cell > edge and 2 * (n >> (level + 1)) == n >> level:
         level += 1
         edge *= TWO
     inv = ONE / (size * math.sqrt(max(vx * vx + vy * vy, np.float32(1e-9))))
