@@ -28,8 +28,8 @@ WORTH = 0.02  # rms radiance by which two layers change what water mirrors, from
 MOST_NEAR = 0.5  # of the mirrored picture that near things may cover for that
 CHECKED, USUAL_SLOPE = 2000, 0.02  # pixels and rms slope along an axis of water that tell
 # Of slopes that neither the picture nor the ripples hold: the sun's disc, whose 0.0046 rad are seen
-# in slopes of up to 0.0023, and still water that is never quite still, an rms slope of 0.003.
-GLINT_VARIANCE = 0.0023**2 / 4 + 0.003**2
+# in slopes of up to 0.0023, and still water that is never quite still, an rms slope of 0.001.
+GLINT_VARIANCE = 0.0023**2 / 4 + 0.001**2
 
 
 @dataclass(frozen=True)
