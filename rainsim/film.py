@@ -26,6 +26,7 @@ from rainsim.jit import cpu_kernel, lean_function, prange
 from rainsim.light import four_colors
 from rainsim.lobe import LEAST_DIP, LOBE, SAMPLES, lobe_part, reflectance
 from rainsim.raster import select
+from rainsim.raster.coarse import merge_fine
 from rainsim.ripmap import LEVELS, ripmap, sample_ripmap
 from rainsim.scene.types import Camera
 from rainsim.sky import sample_environment
@@ -35,6 +36,7 @@ RESOLUTION = 160.0  # px per unit of tangent, of the level picture
 FIELD_STEP = 160.0  # as many, of the field of mirrored light
 MOST_ASIDE, MOST_UP = 1.3, 1.2  # tangents that the level picture reaches to
 MARGIN, ABOVE = 0.12, 0.02  # of it, besides what the camera sees and above the horizon
+FINE = 0.04  # m, side of cells in which finer splats are one: a pixel at 6 m
 STANDING = 0.04  # m above the ground of the map: what is lower is ground
 STANDING_OUTSIDE = 0.15  # m above the ground plane, off the map
 SLOPE_WIDTH = 0.25  # m, over which the ground's height and slope are taken
@@ -77,6 +79,11 @@ def standing(prepared, terrain, frame):
     least = np.where(inside, terrain.bed[row, column] + STANDING, STANDING_OUTSIDE)
     coarse = replace(prepared, fine=prepared.fine[:, :0], step=prepared.step[:, :0])
     return select(coarse, place[:, 2] > least)
+
+
+def in_level_picture(prepared, terrain, frame):
+    """Return the splats that the level picture is drawn of: what stands, no finer than needed."""
+    return merge_fine(standing(prepared, terrain, frame), FINE / frame.meters_per_unit)
 
 
 def level_camera(view, most=RESOLUTION):

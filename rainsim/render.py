@@ -13,7 +13,7 @@ from rainsim import droplight, layers, paperrain, shade, sky, wetness
 from rainsim.backdrop import NEAREST_SKY, Backdrop, sky_distance
 from rainsim.drips import drip_impacts, drips_seen
 from rainsim.errors import ParameterError, require_choice
-from rainsim.film import WetGround, standing
+from rainsim.film import WetGround, in_level_picture
 from rainsim.grade import grade_and_wet
 from rainsim.layered import grader, layered
 from rainsim.motion import shutter_end
@@ -244,7 +244,7 @@ class Renderer:
         """Return the `View` of what stands on the ground, `level` (ground frame) mirrored there."""
         if self._standing is None:
             self._standing = self._rasterizer_of(
-                standing(self.rasterizer.prepared, self.terrain, self.frame)
+                in_level_picture(self.rasterizer.prepared, self.terrain, self.frame)
             )
         _, camera = mirrored_camera(self.frame.camera_in_capture(level), self.frame, 0.0)
         return self._wet_picture(camera, None, Timer(), NO_FILM, self._standing)

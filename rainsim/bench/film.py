@@ -143,9 +143,8 @@ def ground_under(renderer, spot):
 def _trace(renderer, origin, direction, before, pixel):
     """Return the radiance of rays that meet what stands on the ground."""
     kept = renderer._tracer
-    renderer._level_mirrored(film.level_camera(renderer.view))  # finds what stands
-    standing = np.sort(renderer._standing.prepared.order)
-    renderer._tracer = Tracer(renderer.scene.splats.take(standing))
+    stands = film.standing(renderer.rasterizer.prepared, renderer.terrain, renderer.frame)
+    renderer._tracer = Tracer(renderer.scene.splats.take(np.sort(stands.order)))
     try:
         return renderer._traced(
             origin.astype(np.float32), direction.astype(np.float32), before.astype(np.float32),

@@ -27,9 +27,9 @@ from rainsim.film import (
     ONE,
     ZERO,
     field_at,
+    in_level_picture,
     level_camera,
     mirrored_light,
-    standing,
     usual_share,
     usual_shares,
 )
@@ -226,7 +226,7 @@ class Film:
     def _prepare(self):
         """Take what stands on the ground to the device."""
         r = self.renderer
-        splats = standing(prepare(r.scene.splats), r.terrain, r.frame)
+        splats = in_level_picture(prepare(r.scene.splats), r.terrain, r.frame)
         self.rasterizers = [Rasterizer(splats, self.stream, first_room=len(splats))]
 
     def update(self, camera, view):

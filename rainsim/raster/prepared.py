@@ -68,8 +68,8 @@ class PreparedSplats:
 
     def harmonics(self, first=0, last=None):
         """Return all harmonics of a range of chunks, (chunks, 3 (degree + 1)^2, 256), float32."""
-        sh, fine = (a[first:last].reshape(len(a[first:last]), -1, LANES)
-                    for a in (self.sh, self.fine))  # fmt: skip
+        sh, fine = (part.reshape(len(part), part.shape[1] // LANES, LANES)
+                    for part in (self.sh[first:last], self.fine[first:last]))  # fmt: skip
         return np.concatenate([sh, fine * self.step[first:last, :, None]], axis=1)
 
     @property
@@ -98,16 +98,22 @@ def prepare(splats):
 def select(prepared, keep):
     """Return those of the prepared splats that the mask `keep` (n,), in their order, selects."""
     which = np.flatnonzero(keep).astype(np.int32)
-    chunks = -(-len(which) // LANES)
+    rows = by_splat(prepared.geometry.reshape(-1, GEOMETRY, LANES))[which]
+    return laid_out(rows, by_splat(prepared.harmonics()), which, prepared.order[which])
+
+
+def laid_out(rows, values, which, order):
+    """Return the PreparedSplats of rows (n, 13) of geometry and the harmonics values[which]."""
+    chunks = -(-len(rows) // LANES)
     flat = np.zeros((chunks * LANES, GEOMETRY), np.float32)
-    flat[: len(which)] = _by_splat(prepared.geometry.reshape(-1, GEOMETRY, LANES))[which]
-    flat[len(which) :, OPACITY] = -np.inf  # the places left over hold nothing
+    flat[: len(rows)] = rows
+    flat[len(rows) :, OPACITY] = -np.inf  # the places left over hold nothing
     geometry = np.ascontiguousarray(flat.reshape(chunks, LANES, GEOMETRY).transpose(0, 2, 1))
     bad = np.empty((chunks, LANES), np.bool_)  # none: they have no opacity already
-    return _finish(geometry, _by_splat(prepared.harmonics()), which, prepared.order[which], bad)
+    return _finish(geometry, values, which, order, bad)
 
 
-def _by_splat(rows):
+def by_splat(rows):
     """Return rows (chunks, m, 256) as (256 chunks, m)."""
     return np.ascontiguousarray(rows.transpose(0, 2, 1)).reshape(-1, rows.shape[1])
 

@@ -1,0 +1,88 @@
+"""Splats for small pictures: what is finer than a cell is one splat a cell.
+
+A small picture of a dense scene spends its time on splats far smaller than its pixels, and shows
+them too large, for each is widened to a pixel. Here those of a cell become one Gaussian of their
+mean, covariance and colour (moments are kept, as where mixtures are reduced; Runnalls 2007, IEEE
+Trans. Aerosp. Electron. Syst. 43(3)), each weighted by the light that it stops, and the new one
+stops as much: optical depth times area is kept.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rainsim.raster.prepared import GEOMETRY, LANES, OPACITY, by_splat, laid_out
+
+LEAST = 1e-30
+HALF_CELLS = 1 << 20  # along an axis: three such numbers fit into one
+
+
+def merge_fine(prepared, side):
+    """Return prepared splats of which those finer than a cell are one a cell.
+
+    Parameters
+    ----------
+    prepared : PreparedSplats
+    side : float [world units]
+        Of the cells. A splat is fine if the squares of its deviations along its three axes add up
+        to less than the square of half of it.
+
+    Returns
+    -------
+    PreparedSplats
+        `order` names one of the splats that each stands for.
+    """
+    rows = by_splat(prepared.geometry.reshape(-1, GEOMETRY, LANES))[: len(prepared)]
+    values = by_splat(prepared.harmonics())[: len(prepared)]
+    spread = rows[:, 3] + rows[:, 6] + rows[:, 8]
+    fine = (spread < (side / 2) ** 2) & (rows[:, OPACITY] > -20) & np.isfinite(values).all(axis=1)
+    cell = np.floor(rows[:, :3] / side)
+    fine &= (np.abs(cell) < HALF_CELLS).all(axis=1)
+    key = (cell[fine].astype(np.int64) + HALF_CELLS) @ (2 * HALF_CELLS) ** np.arange(3)
+    _, first, which = np.unique(key, return_index=True, return_inverse=True)
+    place = np.flatnonzero(fine)
+    alone = np.bincount(which) == 1
+    together = ~alone[which]
+    group = (np.cumsum(~alone) - 1)[which[together]]
+    new_rows, new_values = _merged(rows[place[together]], values[place[together]], group)
+    kept = np.concatenate([np.flatnonzero(~fine), place[first[alone]]])
+    source = np.concatenate([kept, place[first[~alone]]])
+    rows = np.concatenate([rows[kept], new_rows])
+    values = np.concatenate([values[kept], new_values])
+    order = np.argsort(source, kind="stable")  # near in space stays near
+    return laid_out(rows[order], values, order.astype(np.int32), prepared.order[source[order]])
+
+
+def _merged(rows, values, group):
+    """Return geometry and harmonics of one splat for each group of some."""
+    if not len(rows):
+        return rows, values
+    weight = np.exp2(rows[:, OPACITY].astype(np.float64))
+    weight = weight * _area(rows[:, 3:9])
+    count = group.max() + 1
+
+    def mean(value):
+        return np.bincount(group, weight * value, count) / total
+
+    total = np.maximum(np.bincount(group, weight, count), LEAST)
+    out = np.zeros((count, GEOMETRY), np.float32)
+    middle = np.stack([mean(rows[:, k].astype(np.float64)) for k in range(3)], -1)
+    away = rows[:, :3] - middle[group]
+    covariance = np.stack([
+        mean(rows[:, 3 + k] + away[:, i] * away[:, j])
+        for k, (i, j) in enumerate(((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)))
+    ], -1)  # fmt: skip
+    out[:, :3], out[:, 3:9] = middle, covariance
+    axes = np.linalg.eigh(covariance[:, [[0, 1, 2], [1, 3, 4], [2, 4, 5]]])[1]
+    out[:, 9:12] = axes[..., 0]
+    depth = total / np.maximum(_area(covariance), LEAST)
+    out[:, OPACITY] = np.log2(np.maximum(-np.expm1(-depth), LEAST))
+    light = np.stack([mean(values[:, k]) for k in range(values.shape[1])], -1)
+    return out, light.astype(np.float32)
+
+
+def _area(covariance):
+    """Return the root of the sum of the principal minors, as a splat's mean shadow goes."""
+    xx, xy, xz, yy, yz, zz = covariance.T.astype(np.float64)
+    minors = xx * yy - xy * xy + yy * zz - yz * yz + xx * zz - xz * xz
+    return np.sqrt(np.maximum(minors, 0))
