@@ -8,7 +8,7 @@ import pytest
 from rainsim import backdrop, layers, pipeline, shade, sky
 from rainsim.config import Config
 from rainsim.light import linear_from_display
-from rainsim.render import Renderer
+from rainsim.render import Renderer, replaces_sky
 from rainsim.scene.types import Splats
 from scenes import _looking, _splats, tiny_scene
 
@@ -50,8 +50,14 @@ def drawn(scene, cloudiness=1.0, names=()):
     return renderer, report, picture
 
 
-def test_a_leaf_is_mixed_with_the_sky_of_the_day(scene, monkeypatch):
-    renderer, report, _ = drawn(scene)
+@pytest.fixture(scope="module")
+def dull(scene):
+    """What `drawn` returns under full cloud, with all layers."""
+    return drawn(scene, names=tuple(layers.LAYERS))
+
+
+def test_a_leaf_is_mixed_with_the_sky_of_the_day(scene, dull, monkeypatch):
+    renderer, report, _ = dull
     assert renderer.backdrop.count == 360 and any("360 splats" in note for note in report.notes)
     middle = SIZE // 2, SIZE // 2
     leaf = shade.graded(*(linear_from_display(np.float32(c)) for c in LEAF), *renderer.look[:3])
@@ -70,20 +76,18 @@ def test_a_leaf_is_mixed_with_the_sky_of_the_day(scene, monkeypatch):
     assert np.abs(hard.wet.picture[middle] / wanted - 1).max() > 0.2
 
 
-def test_clouds_that_cover_half_leave_half_of_the_captured_sky(scene):
+def test_clouds_that_cover_half_leave_half_of_the_captured_sky(scene, dull):
     half, *_ = drawn(scene, 0.5)
     own = shade.graded(*(linear_from_display(np.float32(c)) for c in BLUE), *half.look[:3])
     up = 0.5 * half.day[20:40] + 0.5 * np.float32(own)
     np.testing.assert_allclose(half.behind[20:40], up, rtol=0.04)
-    full, *_ = drawn(scene, 1.0)
-    np.testing.assert_array_equal(full.behind, full.day)
-    clear, *_ = drawn(scene, 0.0)
-    assert clear.backdrop.count == 0  # nothing is replaced, so the splats stay
+    np.testing.assert_array_equal(dull[0].behind, dull[0].day)
+    assert replaces_sky(half.config) and not replaces_sky(half.config.replace(cloudiness=0.0))
+    assert not replaces_sky(half.config.replace(sky="capture"))  # so the splats stay
 
 
-def test_layers_tell_the_capture_and_the_sky(scene):
-    names = tuple(layers.LAYERS)
-    _, report, picture = drawn(scene, names=names)
+def test_layers_tell_the_capture_and_the_sky(dull):
+    _, report, picture = dull
     top, middle = (2, SIZE // 2), (SIZE // 2, SIZE // 2)
     np.testing.assert_allclose(report.layers["clean"][top] / 255, BLUE, atol=0.05)
     assert np.isinf(report.layers["depth"][top])
@@ -96,6 +100,7 @@ def test_few_far_splats_are_no_sky(scene):
     bare = tiny_scene()
     found = backdrop.Backdrop(bare, 30.0, True)
     assert found.count == 0 and found.scene is bare
+    assert backdrop.Backdrop(scene, 30.0, False).scene is scene
     far = backdrop.sky_splats(scene.splats, scene.ground_frame, scene.cameras[0].position, 30.0)
     assert far.sum() == 360
     assert 0.5 < backdrop.covered(scene.splats, scene.cameras[0].position, far)
