@@ -39,7 +39,7 @@ def _kernel(**options):
 cuda_kernel = _kernel(cache=not SIMULATED)
 fast_kernel = _kernel(cache=not SIMULATED, fastmath=True)
 # With fewer registers than the compiler would take, so that more threads are there at once.
-_TIGHT = {} if SIMULATED else {"max_registers": 80}
+_TIGHT = {} if SIMULATED else {"max_registers": 96}
 tight_kernel = _kernel(cache=not SIMULATED, fastmath=True, **_TIGHT)
 # Functions that only kernels of the twins call; the formulas shared with the CPU need neither.
 _INLINED = {} if SIMULATED else {"forceinline": True}

@@ -47,6 +47,7 @@ from rainsim.cuda.account import (
     WEST,
     block_sum,
     is_last_block,
+    known,
     plan,
     raised,
 )
@@ -59,7 +60,7 @@ from rainsim.grid.solver import MAX_SPEED
 from rainsim.grid.sources import soaked
 
 ROWS = 8, 32  # of cells that a thread marches through: fewest, most
-RESIDENT = 6  # blocks of `step` that a multiprocessor holds
+RESIDENT = 5  # blocks of `step` that a multiprocessor holds
 _ONE, _TWO = np.uint64(1), np.uint64(2)
 
 
@@ -81,7 +82,7 @@ def rows_for(ny, wide):
 @tight_kernel
 def step(
     control, state, now, numbers, bed, roughness, exposure, infiltration, storage, ny, nx, pitch,
-    rows, kinds, rough, gravity, rest, dry, w_out, damp_out, film_out, depth_out, partial_out,
+    rows, kinds, gravity, rest, dry, w_out, damp_out, film_out, depth_out, partial_out,
 ):  # fmt: skip
     """Bring depth from n to n+1 and velocity from n+1/2 to n+3/2; then rain and infiltration.
 
@@ -98,8 +99,6 @@ def step(
         Of cells that a thread marches through.
     kinds : int
         Bits of the open edges.
-    rough : bool
-        Whether there is friction.
     gravity, rest, dry : float32
         As `grid.lean.step` has them.
     w_out : device array of shape (2 * 3 * cells,), float32
@@ -127,32 +126,41 @@ def step(
     drag = np.float32(numbers[GRAVITY] * push)
     laminar = np.float32(3.0 * numbers[VISCOSITY] * push)
     cap = np.float32(control[CAP])
-    i = cuda.blockIdx.x * THREADS + lane + PAD
-    first = cuda.blockIdx.y * rows + PAD
-    end = min(first + rows, ny - PAD)
+    # Numbers of 32 bit and offsets that have no sign: a third of all instructions were indices.
+    i, last_column = np.int32(cuda.blockIdx.x * THREADS + lane + PAD), np.int32(nx - PAD - 1)
+    first = np.int32(cuda.blockIdx.y * rows + PAD)
+    end = np.int32(min(first + rows, ny - PAD))
     far, fast = ZERO, ZERO
-    if i < nx - PAD:
-        wide, plane = np.uint64(pitch), np.uint64((ny + 1) * pitch)
-        here, there = np.uint64(3 * p) * plane, np.uint64(3 * (1 - p)) * plane
-        at = np.uint64((first - 1) * pitch + i + LEAD)
-        hc, uc, vc = here + at, here + at + plane, here + at + plane + plane
-        h_w, h_c, b_w, b_c = w_out[hc - _ONE], w_out[hc], bed[at - _ONE], bed[at]
-        v_s, v_w, v_c, u_c = w_out[vc - wide], w_out[vc - _ONE], w_out[vc], w_out[uc]
-        q_sw = upwind_flux(v_w, w_out[hc - wide - _ONE], h_w, b_w - bed[at - wide - _ONE])
-        q_s = upwind_flux(v_c, w_out[hc - wide], h_c, b_c - bed[at - wide])
-        t_s = b_c - bed[at - wide]  # the step of the bed to the south
+    if i <= last_column:
+        wide, plane = np.uint32(pitch), (ny + 1) * pitch
+        h = w_out[3 * p * plane :]
+        u, v = h[plane:], h[2 * plane :]
+        h_out = w_out[3 * (1 - p) * plane :]
+        u_out, v_out = h_out[plane:], h_out[2 * plane :]
+        place = np.uint32((first - 1) * pitch + i + LEAD)
+        at, south = np.uint64(place), np.uint64(np.uint32(place - wide))
+        h_w, h_c, b_w, b_c = h[at - _ONE], h[at], bed[at - _ONE], bed[at]
+        v_s, v_w, v_c, u_c = v[south], v[at - _ONE], v[at], u[at]
+        t_s = b_c - bed[south]  # the step of the bed to the south
+        q_sw = upwind_flux(v_w, h[south - _ONE], h_w, b_w - bed[south - _ONE])
+        q_s = upwind_flux(v_c, h[south], h_c, t_s)
         d_s, e_s, r_s, q_ss, q_cs, q_es, u_s, u_es = (
             ZERO, ZERO, ZERO, ZERO, ZERO, ZERO, ZERO, ZERO,
         )  # fmt: skip
-        for j in range(first - 1, end):
-            hc, uc, vc = here + at, here + at + plane, here + at + plane + plane
+        lowest, highest = first == PAD, end == ny - PAD
+        rim = (i <= PAD + 1) | (i == last_column) | lowest | highest
+        row, faces = np.int32(0), np.int32(1 if lowest else 0)  # of which no face is to the south
+        left = np.int32(end - first)  # rows to come
+        while left >= 0:
+            at, north = np.uint64(place), np.uint64(np.uint32(place + wide))
             # w, e, n: west, east, north of the cell; s: what the row below has left.
-            u_w, u_e, u_n = w_out[uc - _ONE], w_out[uc + _ONE], w_out[uc + wide]
-            v_e, v_nw, v_n = w_out[vc + _ONE], w_out[vc + wide - _ONE], w_out[vc + wide]
-            h_e, h_nw, h_n = w_out[hc + _ONE], w_out[hc + wide - _ONE], w_out[hc + wide]
-            b_e, b_nw, b_n = bed[at + _ONE], bed[at + wide - _ONE], bed[at + wide]
+            u_w, u_e, u_n = u[at - _ONE], u[at + _ONE], u[north]
+            v_e, v_nw, v_n = v[at + _ONE], v[north - _ONE], v[north]
+            h_e, h_nw, h_n = h[at + _ONE], h[north - _ONE], h[north]
+            b_e, b_nw, b_n = bed[at + _ONE], bed[north - _ONE], bed[north]
+            r_w, r_c = roughness[at - _ONE], roughness[at]
             t_c, t_n = b_c - b_w, b_n - b_c
-            q_w = upwind_flux(u_w, w_out[hc - _TWO], h_w, b_w - bed[at - _TWO])
+            q_w = upwind_flux(u_w, h[at - _TWO], h_w, b_w - bed[at - _TWO])
             q_c = upwind_flux(u_c, h_w, h_c, t_c)
             q_e = upwind_flux(u_e, h_c, h_e, b_e - b_c)
             q_nw = upwind_flux(v_nw, h_w, h_nw, b_nw - b_w)
@@ -160,57 +168,59 @@ def step(
             d_w = max(h_w - k * ((q_c - q_w) + (q_nw - q_sw)), ZERO)
             d = max(h_c - k * ((q_e - q_c) + (q_n - q_s)), ZERO)
             e = rest * (d + abs(b_c))
-            r_w, r_c = ZERO, ZERO
-            if rough:
-                r_w, r_c = roughness[at - _ONE], roughness[at]
-            if j >= first:
+            if row > 0:
+                x, y = ZERO, ZERO
                 if i > PAD:
                     gain = upwind_gain(
                         u_c, u_w, u_e, u_s, u_n, q_w + q_c, q_c + q_e, q_sw + q_s, q_nw + q_n
                     )
                     noise = rest * (d_w + abs(b_w)) + e
-                    s = pushed_lean(u_c, d_w, d, t_c, noise, gain, k, kg, cap, dry)
-                    if rough and s != ZERO:
+                    x = pushed_lean(u_c, d_w, d, t_c, noise, gain, k, kg, cap, dry)
+                    if x != ZERO:
                         deep = max(standing(d_w, d, t_c), dry)
                         along = QUARTER * (v_w + v_c + v_nw + v_n)
-                        s = rubbed(s, along, deep, drag * max(r_w, r_c), laminar)
-                    w_out[there + at + plane] = s
-                    if i == PAD + 1 and kinds & WEST:
-                        w_out[there + at + plane - _ONE] = min(s, ZERO)
-                    if i == nx - PAD - 1 and kinds & EAST:
-                        w_out[there + at + plane + _ONE] = max(s, ZERO)
-                    far = max(far, reach(s, d_w, d, gravity))
-                    fast = max(fast, abs(s))
-                if j > PAD:
+                        x = rubbed(x, along, deep, drag * max(r_w, r_c), laminar)
+                    u_out[at] = x
+                    far = max(far, reach(x, d_w, d, gravity))
+                    fast = max(fast, abs(x))
+                if row > faces:
                     gain = upwind_gain(
                         v_c, v_w, v_e, v_s, v_n, q_cs + q_c, q_es + q_e, q_ss + q_s, q_s + q_n
                     )
-                    s = pushed_lean(v_c, d_s, d, t_s, e_s + e, gain, k, kg, cap, dry)
-                    if rough and s != ZERO:
+                    y = pushed_lean(v_c, d_s, d, t_s, e_s + e, gain, k, kg, cap, dry)
+                    if y != ZERO:
                         deep = max(standing(d_s, d, t_s), dry)
                         along = QUARTER * (u_s + u_es + u_c + u_e)
-                        s = rubbed(s, along, deep, drag * max(r_s, r_c), laminar)
-                    w_out[there + at + plane + plane] = s
-                    if j == PAD + 1 and kinds & SOUTH:
-                        w_out[there + at + plane + plane - wide] = min(s, ZERO)
-                    if j == ny - PAD - 1 and kinds & NORTH:
-                        w_out[there + at + plane + plane + wide] = max(s, ZERO)
-                    far = max(far, reach(s, d_s, d, gravity))
-                    fast = max(fast, abs(s))
-                if i == PAD:
-                    through[lane] -= np.float64(q_c)
-                if i == nx - PAD - 1:
-                    through[lane] += np.float64(q_e)
-                if j == PAD:
-                    through[lane] -= np.float64(q_s)
-                if j == ny - PAD - 1:
-                    through[lane] += np.float64(q_n)
-                w_out[there + at] = d
+                        y = rubbed(y, along, deep, drag * max(r_s, r_c), laminar)
+                    v_out[at] = y
+                    far = max(far, reach(y, d_s, d, gravity))
+                    fast = max(fast, abs(y))
+                h_out[at] = d
+                if rim:
+                    passed = 0.0
+                    if i == PAD:
+                        passed -= np.float64(q_c)
+                    if i == PAD + 1 and kinds & WEST:
+                        u_out[at - _ONE] = min(x, ZERO)
+                    if i == last_column:
+                        passed += np.float64(q_e)
+                        if kinds & EAST:
+                            u_out[at + _ONE] = max(x, ZERO)
+                    if lowest and row == 1:
+                        passed -= np.float64(q_s)
+                    if lowest and row == 2 and kinds & SOUTH:
+                        v_out[np.uint64(np.uint32(place - wide))] = min(y, ZERO)
+                    if highest and left == 0:
+                        passed += np.float64(q_n)
+                        if kinds & NORTH:
+                            v_out[north] = max(y, ZERO)
+                    through[lane] += passed
             d_s, e_s, r_s, q_ss, q_cs, q_es, u_s, u_es = d, e, r_c, q_s, q_c, q_e, u_c, u_e
             t_s = t_n
             h_w, h_c, b_w, b_c, q_sw, q_s = h_nw, h_n, b_nw, b_n, q_nw, q_n
             v_s, v_w, v_c, u_c = v_c, v_nw, v_n, u_n
-            at += wide
+            place = np.uint32(place + wide)
+            row, left = np.int32(row + 1), np.int32(left - 1)
     raise_to(tops, 0, far)
     raise_to(tops, 1, fast)
     block = cuda.blockIdx.y * cuda.gridDim.x + cuda.blockIdx.x
@@ -237,15 +247,16 @@ def step(
     cuda.syncthreads()
     if lane > 0:
         return
+    told = known(control, state, now, numbers)
     cuda.atomic.max(state, REACH, tops[0])
     cuda.atomic.max(state, SWIFT, tops[1])
     if is_last_block(state):
-        state[TICKET] = 0
-        state[PARITY] = 1 - p
-        control[REACH_NOW], control[SWIFT_NOW] = raised(state, REACH), raised(state, SWIFT)
-        if not control[REACH_NOW] <= MAX_SPEED:
+        waves, water = raised(state, REACH), raised(state, SWIFT)
+        state[TICKET], state[PARITY] = 0, 1 - p
+        control[REACH_NOW], control[SWIFT_NOW] = waves, water
+        if not waves <= MAX_SPEED:
             state[UNSOUND] = 1
-        plan(control, state, now, numbers)
+        plan(control, state, told, waves, water)
 
 
 @cuda.jit(device=True)

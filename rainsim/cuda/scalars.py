@@ -12,6 +12,7 @@ import numpy as np
 from numba import cuda, types
 from numba.extending import overload
 
+from rainsim.grid.conserving import quotient
 from rainsim.grid.paper import cube_root
 
 _THIRD = np.float32(1 / 3)
@@ -59,6 +60,11 @@ if cuda.config.ENABLE_CUDASIM:
 
 else:
     from numba.cuda import libdevice
+
+    @overload(quotient, target="cuda")
+    def _quotient(a, b):
+        quick = a == b == types.float32
+        return (lambda a, b: libdevice.fast_fdividef(a, b)) if quick else (lambda a, b: a / b)
 
     @overload(cube_root, target="cuda")
     def _cube_root(x):

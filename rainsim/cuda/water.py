@@ -62,8 +62,7 @@ class Water:
         self._exposure = ones if exposure is None else np.asarray(exposure, np.float32)
         self._rate = None
         self._kinds = sum(1 << k for k, is_open in enumerate(flow._kinds) if is_open)
-        self._rough = flow._roughness is not None
-        rough = flow._roughness if self._rough else np.zeros_like(flow.h)
+        rough = np.zeros_like(flow.h) if flow._roughness is None else flow._roughness
         self._limits = [np.float32(v) for v in (solver.gravity, flow._rest, flow._dry)]
         self.width = account.pitch(nx)
         self.first = PAD * self.width + PAD + account.LEAD
@@ -177,8 +176,8 @@ class Water:
         """Queue a step."""
         lean.step[(self._wide, self._high), lean.THREADS, self.stream](
             self._control, self._state, self._now, self._numbers, *self._maps, *self._size,
-            self.width, self._rows, self._kinds, self._rough, *self._limits, self._fields,
-            self._damp, self._film, self.depth, self._partial,
+            self.width, self._rows, self._kinds, *self._limits, self._fields, self._damp,
+            self._film, self.depth, self._partial,
         )  # fmt: skip
 
     def close(self):

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from rainsim.grid.conserving import reach, standing
+from rainsim.grid.conserving import quotient, reach, standing
 from rainsim.grid.paper import cube_root
 from rainsim.grid.rows import ROOM, copy_row, largest_of, stack_row
 from rainsim.jit import cpu_kernel, device_function, prange
@@ -22,14 +22,15 @@ def rubbed(speed, along, depth, drag, film):
     Solves w (1 + film / h^2 + c sqrt(w^2 + t^2)) = speed with c = drag / h^(4/3) and t the velocity
     `along` the face. From the root for t = 0, which lies above, two Newton steps leave 1e-4 of w.
     """
-    thin = ONE + film / (depth * depth)
-    c = drag / (depth * cube_root(depth) * thin)
-    wanted = abs(speed) / thin
-    w = TWO * wanted / (ONE + np.sqrt(ONE + FOUR * c * wanted))
+    share = quotient(ONE, depth)
+    thin = ONE + film * share * share
+    c = drag * share * cube_root(share)
+    wanted, across = abs(speed), along * along + TINY * TINY
+    w = quotient(TWO * wanted, thin + np.sqrt(thin * thin + FOUR * c * wanted))
     for _ in range(2):
-        whole = max(np.sqrt(w * w + along * along), TINY)
-        excess = w + c * w * whole - wanted
-        w -= excess * whole / (whole + c * (whole * whole + w * w))
+        whole = np.sqrt(w * w + across)
+        taken = thin + c * whole
+        w -= quotient((w * taken - wanted) * whole, taken * whole + c * (w * w))
     return w if speed > 0 else -w
 
 

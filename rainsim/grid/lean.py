@@ -12,7 +12,7 @@ With q summed over the two halves of a face's own cell, what momentum gains less
 which is Stelling and Duinmeijer's (2003) upwind form, exactly the flux form's.
 """
 
-from rainsim.grid.conserving import TWO, ZERO, reach, standing
+from rainsim.grid.conserving import TWO, ZERO, quotient, reach, standing
 from rainsim.grid.rows import ROOM, copy_row, largest_of, stack_row
 from rainsim.jit import cpu_kernel, device_function, prange
 
@@ -43,7 +43,7 @@ def pushed_lean(w, h_a, h_b, step, noise, gain, k, kg, cap, dry):
     a surface difference within rounding (`noise`) could have moved is at rest.
     """
     rise = (h_b - h_a) + step
-    turned = w - k * gain / max(h_a + h_b, dry) - kg * rise
+    turned = w - quotient(k * gain, max(h_a + h_b, dry)) - kg * rise
     rests = (abs(rise) <= noise) & (abs(turned) <= TWO * kg * noise)
     return ZERO if rests | (standing(h_a, h_b, step) <= dry) else min(max(turned, -cap), cap)
 
