@@ -54,3 +54,19 @@ def interpolate(field, n, s, u, v, place, corner):
         upper = corner[i] * (ONE - a) + corner[SECOND + i] * a
         lower = corner[THIRD + i] * (ONE - a) + corner[FOURTH + i] * a
         s[u + i] = upper * (ONE - b) + lower * b
+
+
+@serial_kernel
+def nearest(field, n, s, u, v, out, place):
+    """Put a picture's values at n image points s[u:], s[v:], or at its edge beside, to s[out:].
+
+    Parameters are those of `interpolate`.
+    """
+    rows, columns = field.shape
+    flat = field.reshape(rows * columns)
+    right, bottom, wide = np.float32(columns - 1), np.float32(rows - 1), np.uint32(columns)
+    for i in range(n):
+        k, m = np.int32(min(max(s[u + i], ZERO), right)), np.int32(min(max(s[v + i], ZERO), bottom))
+        place[i] = np.uint32(m) * wide + np.uint32(k)
+    for i in range(n):
+        s[out + i] = flat[place[i]]

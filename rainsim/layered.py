@@ -236,7 +236,7 @@ def layered_light(
 ):  # fmt: skip
     """Look the mirrored light up in a mirrored picture of two layers.
 
-    Parameters are those of `reflect.mirror_light` and what `layered` returns.
+    Parameters are those of `mirrorlight.mirror_light` and what `layered` returns.
     """
     m = ground_from_camera
     rows, columns = far_depth.shape

@@ -16,7 +16,7 @@ import math
 
 import numpy as np
 
-from rainsim.jit import cpu_kernel, device_function, prange
+from rainsim.jit import cpu_kernel, device_function, inlined_function, prange
 from rainsim.light import (
     REFRACTIVE_INDEX,
     bilinear,
@@ -225,14 +225,14 @@ def terms_of(r, row, column, picture, depth, m, lens, schlick_law, image_shift, 
     )  # fmt: skip
 
 
-@device_function
+@inlined_function
 def normal_of(gx, gy):
     """Return the unit normal of a surface with slopes gx and gy."""
     inv = ONE / math.sqrt(ONE + gx * gx + gy * gy)
     return -gx * inv, -gy * inv, inv
 
 
-@device_function
+@inlined_function
 def column_of(matrix, i, x, y, z):
     """Return component i of a ground-frame vector in the camera frame."""
     return matrix[0, i] * x + matrix[1, i] * y + matrix[2, i] * z

@@ -11,11 +11,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from rainsim.jit import cpu_kernel, device_function, prange
+from rainsim.jit import cpu_kernel, device_function, inlined_function, prange
 from rainsim.light import bilinear_color
 from rainsim.moments import root_of
 from rainsim.optics import LEAST_COSINE, NEAREST, column_of, normal_of
-from rainsim.pyramid import blurred_color
 from rainsim.shade import FAR_AWAY
 from rainsim.sky import sample_environment
 from rainsim.ssr import edge_fade, march
@@ -32,6 +31,7 @@ EDGE_SHARE = np.float32(0.06)  # of the picture, over which reflections fade to 
 SAME = np.float32(0.05)  # share of a depth within which two points are taken for one
 MIRROR_FAR = np.float32(100)  # m, stands for the sky's distance
 LEAST_VARIANCE = np.float32(2 * 0.003**2)  # of slopes, both axes: below that a mirror is smooth
+HALVINGS = 3  # of the last step, in which something is met
 SAMPLES = 7  # one in the middle, six around it
 _RING = 2 * np.pi * np.arange(6) / 6
 _RADIUS = np.sqrt(2 * 7 / 6)  # in deviations: keeps the variance of the slopes
@@ -39,75 +39,6 @@ SAMPLE_X = np.append(0, _RADIUS * np.cos(_RING)).astype(np.float32)
 SAMPLE_Y = np.append(0, _RADIUS * np.sin(_RING)).astype(np.float32)
 SPREAD = np.float32(1.25 / _RADIUS)  # of samples in a blurred picture, over that; see docs/light.md
 BLUR = np.float32(np.sqrt(1 - SPREAD**2))  # of each of those, in deviations: the rest
-
-
-@cpu_kernel
-def mirror_light(
-    which, record, ground_from_camera, eye, lens, level, mirror, coarse, mirror_depth, steps,
-    thickness, light_out, source_out,
-):  # fmt: skip
-    """Look the mirrored light up in the picture that the mirrored camera took.
-
-    Parameters
-    ----------
-    which : ndarray of shape (k,), int64
-        Records that this mirror serves.
-    record : ndarray of shape (n, 16), float32
-    lens : ndarray of shape (4,), float32
-        Of the mirrored camera: its picture may be a part of the whole one, or coarser.
-    level : float32 [m]
-        Of the mirror.
-    mirror : ndarray of shape (rows, columns, 3), float32
-        The wet picture that the mirrored camera sees of what stands above the water.
-    coarse : ndarray of shape (rows, columns // 2, 3), float32
-        That picture at coarser resolutions, see `pyramid.coarsened`.
-    mirror_depth : ndarray of shape (rows, columns), float32 [m]
-        Its depth along the view axis.
-    steps : int
-        Of the march along a bent ray in the mirrored picture; 0: every ray is taken to be as long
-        as that of level water.
-    thickness : float32 [m]
-        How far behind its depth a surface still stops such a ray.
-    light_out : ndarray of shape (n, 3), float32
-    source_out : ndarray of shape (n,), uint8
-        MIRROR or ENVIRONMENT.
-    """
-    m = ground_from_camera
-    rows, columns = mirror_depth.shape
-    for k in prange(len(which)):
-        n = which[k]
-        r = record[n]
-        vx, vy, vz, gx, gy = r[3], r[4], r[5], r[10], r[11]
-        # Level water would mirror to this pixel what the mirrored camera sees in it.
-        length = ONE / column_of(m, 2, vx, vy, vz)
-        u = lens[0] * column_of(m, 0, vx, vy, vz) * length + lens[2]
-        v = lens[1] * column_of(m, 1, vx, vy, vz) * length + lens[3]
-        i, j = min(max(int(u), 0), columns - 1), min(max(int(v), 0), rows - 1)
-        there = mirror_depth[j, i]
-        # Where the water does not stand at the mirror's level, its virtual image stands off too.
-        start = r[6] + TWO * (level - r[2]) * m[2, 2]
-        distance = max((min(there, MIRROR_FAR) - start) * length, ZERO)
-        samples, a, b, c = samples_of(r[12], r[13], r[14], SPREAD)
-        blur = ZERO
-        if samples > 1:
-            blur = blur_of(m, lens, vx, vy, vz, gx, gy, r[12] * r[13] - r[14] * r[14])
-        light0, light1, light2 = ZERO, ZERO, ZERO
-        for s in range(samples):
-            rx, ry, rz = sample_ray(vx, vy, vz, gx, gy, a, b, c, s)
-            if steps > 0:
-                hu, hv, share = march_mirror(
-                    m, lens, level, eye, r[0], r[1], r[2], rx, ry, rz, mirror_depth, steps,
-                    thickness,
-                )  # fmt: skip
-            else:
-                hu, hv = in_mirror(m, lens, level, eye, distance, r[0], r[1], r[2], rx, ry, rz)
-                share = distance / (distance + start * length)
-            c0, c1, c2 = blurred_color(mirror, coarse, hu, hv, blur * share)
-            light0, light1, light2 = light0 + c0, light1 + c1, light2 + c2
-        share = ONE / np.float32(samples)
-        light_out[n, 0], light_out[n, 1] = light0 * share, light1 * share
-        light_out[n, 2] = light2 * share
-        source_out[n] = MIRROR if there < FAR_AWAY else ENVIRONMENT
 
 
 @cpu_kernel
@@ -129,7 +60,7 @@ def march_light(
     settings : ndarray of shape (3,), float32
         Thickness [m], stride [px] and length [m] of the march.
     light_out, source_out
-        As in `mirror_light`; SCREEN or ENVIRONMENT.
+        As in `mirrorlight.mirror_light`; SCREEN or ENVIRONMENT.
     """
     m = ground_from_camera
     for k in prange(len(which)):
@@ -193,7 +124,8 @@ def traced_light(record, ground_from_camera, lens, trace, light_out, source_out)
     Parameters
     ----------
     record, ground_from_camera, lens, light_out, source_out
-        As in `mirror_light`; the source is TRACED or, where the ray met little, ENVIRONMENT.
+        As in `mirrorlight.mirror_light`; the source is TRACED or, where the ray met little,
+        ENVIRONMENT.
     trace : callable
         trace(origin [m], direction, before [m], pixel) returns radiance (k, 3), alpha (k,) and
         distance (k,) [m] from the eye of rays in the ground frame; `pixel` is the width of a pixel
@@ -273,7 +205,7 @@ def blur_of(m, lens, vx, vy, vz, gx, gy, spread):
     return BLUR * np.sqrt(area * np.sqrt(max(spread, ZERO)))
 
 
-@device_function
+@inlined_function
 def reflected_upwards(vx, vy, vz, ux, uy, uz):
     """Return the unit view direction v mirrored at the unit normal u, turned up if it goes down.
 
@@ -311,30 +243,22 @@ def march_mirror(m, lens, level, eye, sx, sy, sz, rx, ry, rz, depth, steps, thic
     linear in the picture: z = z0 / (1 - t). A ray that passes behind something, where the picture
     shows nothing of it, ends where it was last in front of all.
     """
-    vz = TWO * level - sz - eye[2]
-    vx, vy = sx - eye[0], sy - eye[1]
-    z0 = column_of(m, 2, vx, vy, vz)
-    u0 = lens[0] * column_of(m, 0, vx, vy, vz) / z0 + lens[2]
-    v0 = lens[1] * column_of(m, 1, vx, vy, vz) / z0 + lens[3]
-    gain = max(column_of(m, 2, rx, ry, -rz), np.float32(0.02))
-    u1 = lens[0] * column_of(m, 0, rx, ry, -rz) / gain + lens[2]
-    v1 = lens[1] * column_of(m, 1, rx, ry, -rz) / gain + lens[3]
+    z0, u0, v0 = image_of(m, lens, level, eye, sx, sy, sz)
+    u1, v1 = vanishing_point(m, lens, rx, ry, rz)
     du, dv = u1 - u0, v1 - v0
     # What level water would mirror here is often what the bent ray meets, too.
-    guess = max(ONE - z0 / min(_depth_at(depth, u0, v0), MIRROR_FAR), ZERO)
-    there = min(_depth_at(depth, u0 + guess * du, v0 + guess * dv), MIRROR_FAR)
-    if abs(there * (ONE - guess) - z0) < SAME * there * (ONE - guess):
+    guess = guessed_share(z0, _depth_at(depth, u0, v0))
+    if is_met(z0, guess, _depth_at(depth, u0 + guess * du, v0 + guess * dv)):
         return u0 + guess * du, v0 + guess * dv, guess
     before, past, free = z0, ZERO, ZERO
     inv = ONE / np.float32(steps)
     for k in range(steps):
-        t = np.float32(k + 1) * inv
-        t *= t  # finer near the water, where what stands in it begins
+        t = step_share(k, inv)
         now = z0 / max(ONE - t, np.float32(1e-4))
         there = _depth_at(depth, u0 + t * du, v0 + t * dv)
-        if now >= there and before <= there + thickness:
+        if met_between(before, now, there, thickness):
             low, high = past, t
-            for _ in range(3):
+            for _ in range(HALVINGS):
                 middle = HALF * (low + high)
                 if z0 >= _depth_at(depth, u0 + middle * du, v0 + middle * dv) * (ONE - middle):
                     high = middle
@@ -346,6 +270,50 @@ def march_mirror(m, lens, level, eye, sx, sy, sz, rx, ry, rz, depth, steps, thic
             free = t
         before, past = now, t
     return u0 + free * du, v0 + free * dv, free
+
+
+@device_function
+def image_of(m, lens, level, eye, sx, sy, sz):
+    """Return depth and image point, in the mirrored picture, of the surface point s."""
+    vz = TWO * level - sz - eye[2]
+    vx, vy = sx - eye[0], sy - eye[1]
+    z = column_of(m, 2, vx, vy, vz)
+    u = lens[0] * column_of(m, 0, vx, vy, vz) / z + lens[2]
+    return z, u, lens[1] * column_of(m, 1, vx, vy, vz) / z + lens[3]
+
+
+@inlined_function
+def vanishing_point(m, lens, rx, ry, rz):
+    """Return where the mirrored picture shows the end of an endless ray r."""
+    gain = max(column_of(m, 2, rx, ry, -rz), np.float32(0.02))
+    u = lens[0] * column_of(m, 0, rx, ry, -rz) / gain + lens[2]
+    return u, lens[1] * column_of(m, 1, rx, ry, -rz) / gain + lens[3]
+
+
+@inlined_function
+def guessed_share(z0, there):
+    """Return the share of the way to the vanishing point at which a ray gets to a depth."""
+    return max(ONE - z0 / min(there, MIRROR_FAR), ZERO)
+
+
+@inlined_function
+def is_met(z0, share, there):
+    """Tell whether what is `there` is as far as a ray is at a share of its way."""
+    there = min(there, MIRROR_FAR) * (ONE - share)
+    return abs(there - z0) < SAME * there
+
+
+@inlined_function
+def step_share(k, inv):
+    """Return the share of the way at a step; finer near the water, where things in it begin."""
+    t = np.float32(k + 1) * inv
+    return t * t
+
+
+@inlined_function
+def met_between(before, now, there, thickness):
+    """Tell whether a ray has met what is `there` between two depths."""
+    return (now >= there) & (before <= there + thickness)
 
 
 @device_function

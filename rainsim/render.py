@@ -253,8 +253,8 @@ class Renderer:
         """Return what stands above the water as the camera mirrored at `level` [m] sees it.
 
         The lens of a `window` (left, top, right, bottom) of its picture, at a `share` of its
-        resolution, and the picture as `reflect.mirror_light` takes it, or, if it is to be split at
-        a depth [m], as `layered.layered_light` does.
+        resolution, and the picture as `mirrorlight.mirror_light` takes it, or, if it is to be split
+        at a depth [m], as `layered.layered_light` does.
         """
         plane, camera = mirrored_camera(self._camera, self.frame, level)
         camera = cropped(camera, window)

@@ -10,6 +10,7 @@ from rainsim import optics, paperwater, reflect, ssr
 from rainsim.jit import dealt
 from rainsim.layered import layered_light, split_depth
 from rainsim.meeting import meet_water
+from rainsim.mirrorlight import mirror_light
 from rainsim.moments import ripple_moments
 from rainsim.watersurface import fine_relief, water_surface
 
@@ -130,8 +131,8 @@ class WaterView:
         draw_mirrored : callable
             draw_mirrored(level, window, share, split) returns lens and pictures of the camera
             mirrored at a level [m], of a window (left, top, right, bottom) [px] of its picture, at
-            a share of its resolution: as `reflect.mirror_light` takes them, or, if they are split
-            at a depth [m], `layered.layered_light`.
+            a share of its resolution: as `mirrorlight.mirror_light` takes them, or, if they are
+            split at a depth [m], `layered.layered_light`.
         trace : callable
             As `reflect.traced_light` takes it.
         environment : ndarray of shape (rows, columns, 3), float32
@@ -263,7 +264,7 @@ class WaterView:
     def _look_up(self, mirror, level, which, record, light, source):
         """Fill in the light of the records `which` from a mirrored picture."""
         lens, pictures = mirror
-        look = reflect.mirror_light if len(pictures) == 3 else layered_light
+        look = mirror_light if len(pictures) == 3 else layered_light
         look(
             which, record, self.view.turn, self.view.eye, lens, np.float32(level), *pictures,
             self.mirror_steps, np.float32(self.mirror_thickness), light, source,

@@ -190,7 +190,7 @@ def marched(
 def mirrored(
     mirror, coarse, mirror_depth, m, eye, lens, level, sx, sy, sz, vx, vy, vz, gx, gy, xx, yy, xy
 ):  # fmt: skip
-    """Return the light found in the mirrored camera's picture; see `reflect.mirror_light`."""
+    """Return the light found in the mirrored camera's picture; see `mirrorlight.mirror_light`."""
     samples, a, b, c = samples_of(xx, yy, xy, SPREAD)
     blur = ZERO
     if samples > 1:

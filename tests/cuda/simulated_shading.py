@@ -10,6 +10,7 @@ from rainsim import (
     film,
     grade,
     meeting,
+    mirrorlight,
     moments,
     optics,
     pyramid,
@@ -195,7 +196,7 @@ def test_water_light(view, pond, poisoned, rng, reflection, hard):
         np.testing.assert_allclose(coarse2[part], coarse[part], rtol=1e-6)
     everything = np.arange(n)
     if reflection == "mirror":
-        reflect.mirror_light(
+        mirrorlight.mirror_light(
             everything, record, view.turn, view.eye, view.lens, F4(0.02), mirror,
             coarse, mirror_depth, 8, F4(0.1), light, source,
         )  # fmt: skip

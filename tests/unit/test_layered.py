@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from rainsim import layered, optics, reflect, waterview
+from rainsim import layered, mirrorlight, optics, reflect, waterview
 from rainsim.config import RenderConfig
 from rainsim.pyramid import coarsened
 from rainsim.raster import Layers
@@ -38,7 +38,9 @@ def mirrored():
     far = np.broadcast_to(wall_at(WALL * fine).reshape(-1, 4).mean(axis=1), shape)
     far = np.ascontiguousarray(np.repeat(far[..., None], 3, 2), np.float32)
     single = ((1 - cover[:, None]) * far).astype(np.float32)
-    depth = np.broadcast_to(cover * POST + (1 - cover) * WALL, shape).astype(np.float32)
+    depth = np.ascontiguousarray(
+        np.broadcast_to(cover * POST + (1 - cover) * WALL, shape), np.float32
+    )
     near = layers(shape, 0, cover, np.where(cover > 0, POST, np.inf))
     view = waterview.View(
         far, np.full(shape, WALL, np.float32), None, TURN, EYE, LENS, far
@@ -96,7 +98,7 @@ def test_bent_rays_find_the_post_and_what_it_hides(slope):
     found = look(layered.layered_light, two, record)
     np.testing.assert_allclose(found[inside], wanted[inside], atol=0.03)
     assert {0.0} < set(np.round(wanted, 1))  # some rays meet the post, some do not
-    single = look(reflect.mirror_light, one, record)
+    single = look(mirrorlight.mirror_light, one, record)
     error = [np.sqrt(np.mean((a - wanted)[inside] ** 2)) for a in (found, single)]
     assert error[0] < 0.25 * error[1]
 
@@ -105,7 +107,7 @@ def test_level_water_mirrors_the_picture_itself():
     one, two = mirrored()
     record = water(0.0)
     found, single = (
-        look(layered.layered_light, two, record), look(reflect.mirror_light, one, record)
+        look(layered.layered_light, two, record), look(mirrorlight.mirror_light, one, record)
     )  # fmt: skip
     np.testing.assert_allclose(found, single, atol=0.01)  # between pixels a product is no sum
     assert np.median(abs(found - single)) < 1e-6

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from rainsim import optics, reflect
+from rainsim import mirrorlight, optics
 from rainsim.light import bilinear_color
 from rainsim.moments import pixel_slopes, place_of, ripple_moments, root_of
 from rainsim.pyramid import COARSEST, blurred_color, coarsened, top_of
@@ -136,7 +136,7 @@ def test_rough_water_takes_the_contrast_of_stripes_as_a_normal_spread_does():
         stripes = 0.5 + 0.5 * np.cos(2 * np.pi * (np.arange(columns) + 0.5) / width)
         mirror = np.empty((rows, columns, 3), np.float32)
         mirror[...] = stripes[:, None]
-        reflect.mirror_light(
+        mirrorlight.mirror_light(
             np.arange(n), record, turn, eye, lens, np.float32(0), mirror, coarsened(mirror), depth,
             8, np.float32(0.1), light, source,
         )  # fmt: skip

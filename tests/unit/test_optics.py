@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from rainsim import meeting, optics, reflect, ssr
+from rainsim import meeting, mirrorlight, optics, reflect, ssr
 from rainsim.light import fresnel
 from rainsim.moments import ripple_moments
 from rainsim.pyramid import coarsened
@@ -73,7 +73,7 @@ def water(depth_of_water, picture=None, depth=None, clearance=None, slopes=0.0, 
     assert np.isfinite(record).all()
     light, source = np.full((n, 3), np.nan, np.float32), np.full(n, 99, np.uint8)
     if mirror is not None:
-        reflect.mirror_light(
+        mirrorlight.mirror_light(
             np.arange(n), record, TURN, EYE, LENS, np.float32(level), mirror,
             coarsened(mirror), mirror_depth, 8, np.float32(0.1), light, source,
         )  # fmt: skip
