@@ -2,7 +2,8 @@
 
 The truth of reflections are rays traced through the splats, a mean over each pixel's area (see
 `truth`). They are compared as radiance before Fresnel's factor, display white being 1, where the
-traced ray ends on something that the camera sees; the other pixels are counted by cause. The
+traced ray ends on something that the camera sees; the other pixels are counted by cause. Lamps
+are brighter than white: radiance is compared as it is and clipped at white. The
 other ingredients are compared with what they approximate: refraction with Snell's law on the known
 bed, reflectance with the exact one, spheres with the height field.
 """
@@ -22,7 +23,7 @@ from rainsim.bench import whole
 from rainsim.bench.chart import COLORS, MARKERS, require_matplotlib
 from rainsim.bench.film import film_accuracy, film_line
 from rainsim.bench.scenes import SCENES, scene_names
-from rainsim.bench.truth import DARK, compare, trace_truth
+from rainsim.bench.truth import DARK, clipped, compare, trace_truth
 from rainsim.config import Config
 from rainsim.jit import set_threads
 from rainsim.render import Renderer, Timer
@@ -113,12 +114,13 @@ def stage(scene, preset, quick):
 def measure(scene, preset, quick):
     """Return the figures of one scene and preset."""
     renderer, camera, state = stage(scene, preset, quick)
+    chosen = renderer.water.choice()
     truth = trace_truth(renderer, camera, state)
     levels, marched = reflection_levels(renderer, camera, state, truth, ROUNDS[quick])
     others = other_levels(renderer, camera, state, ROUNDS[quick])
     return {
         "scene": scene.name, "preset": preset, "size": [camera.width, camera.height],
-        "water_pixels": len(renderer.water.pixel), "causes": truth["causes"],
+        "water_pixels": len(renderer.water.pixel), "causes": truth["causes"], "auto": chosen,
         "view_dependence": truth["view_dependence"], "traced": truth["cost"], "levels": levels,
         "others": others, "film": film_accuracy(renderer, camera),
         "march_rays_per_second": {"jumps": marched[True], "steps": marched[False]},
@@ -146,6 +148,7 @@ def reflection_levels(renderer, camera, state, truth, rounds):
                 tracemalloc.stop()
                 row["seen"] = compare(water, water.light, truth["light"], seen)
                 row["all"] = compare(water, water.light, truth["light"], known)
+                row["clipped"] = clipped(water, water.light, truth)
                 missed = water.source == reflect.ENVIRONMENT
                 far = np.abs(water.light - mean).max(axis=1) > 0.1
                 row["false_sky"] = float((missed & far & known & ~sky).mean())
@@ -164,6 +167,7 @@ def reflection_levels(renderer, camera, state, truth, rounds):
         "rays_per_second": truth["cost"]["rays_per_second"],
         "seen": compare(water, truth["traced"], truth["light"], seen),
         "all": compare(water, truth["traced"], truth["light"], known),
+        "clipped": clipped(water, truth["traced"], truth),
     }  # fmt: skip
     return [*rows.values(), traced], marched
 
@@ -269,11 +273,13 @@ def _lines(case):
         ),
         f"  traced: {cost['rays_per_second'] / 1e3:.1f} k rays/s, {cost['memory_mb']:.0f} MB; "
         f"colours seen from the camera instead: {_accuracy(case['view_dependence'])}",
-        f"  {'reflection':27s} {'seen: dB, SSIM':>16s} {'all':>14s} {'false sky':>10s} "
+        f"  {'reflection':27s} {'seen: dB, SSIM':>16s} {'all':>14s} {'clipped, seen':>14s} "
+        f"{'all':>14s} {'false sky':>10s} "
         f"{'ms':>8s} {'M rays/s':>9s} {'MB':>6s} {'frame ms':>9s}",
     ]  # fmt: skip
     rate = case["march_rays_per_second"]
-    lines.insert(3, (
+    lines.insert(3, f"  auto: {case['auto']}")
+    lines.insert(4, (
         f"  march alone: {rate['jumps'] / 1e6:.2f} M rays/s, {rate['steps'] / 1e6:.2f} M without "
         "jumps"
     ))  # fmt: skip
@@ -281,6 +287,7 @@ def _lines(case):
         frame = "" if row["frame"] is None else f"{row['frame'] * 1e3:9.1f}"
         lines.append(
             f"  {row['name']:27s} {_accuracy(row['seen']):>16s} {_accuracy(row['all']):>14s} "
+            f"{_accuracy(row['clipped']['seen']):>14s} {_accuracy(row['clipped']['all']):>14s} "
             f"{row['false_sky']:10.2%} {row['stage'] * 1e3:8.1f} "
             f"{row['rays_per_second'] / 1e6:9.2f} {row['memory_mb']:6.0f} {frame:>9s}"
         )

@@ -175,6 +175,19 @@ def compare(water, light, truth, mask):
     return {"psnr": -10 * np.log10(max(error, 1e-12)), "ssim": similar, "pixels": int(mask.sum())}
 
 
+def clipped(water, light, truth):
+    """Return the accuracy of light that is clipped at display white, as a picture shows it.
+
+    The truth's estimates are clipped each, which takes a little from lamps' edges. `truth` is as
+    `trace_truth` returns it; the result holds what `compare` does for "seen" and "all".
+    """
+    light, estimates = np.minimum(light, 1), [np.minimum(a, 1) for a in truth["light"]]
+    return {
+        name: compare(water, light, estimates, truth[mask])
+        for name, mask in (("seen", "seen"), ("all", "known"))
+    }
+
+
 def _picture(water, values):
     picture = np.zeros((*water.view.depth.shape, 3))
     picture.reshape(-1, 3)[water.pixel] = values

@@ -44,6 +44,23 @@ def test_accuracy_is_that_of_the_masked_pixels(water, rng):
     assert truth_bench.compare(water, truth, (truth, truth), ~np.ones_like(mask))["psnr"] is None
 
 
+def test_what_is_brighter_than_white_counts_as_white_where_it_is_clipped(water, rng):
+    n = len(water.pixel)
+    light = rng.uniform(0, 0.8, (n, 3))
+    lamp = light.copy()
+    lamp[::50] = 20.0
+    everything = np.ones(n, bool)
+    half = np.arange(n) < n // 2
+    truth = {"light": (lamp, lamp), "known": everything, "seen": half}
+    dimmer = np.where(lamp > 1, 15.0, lamp)
+    assert truth_bench.compare(water, dimmer, truth["light"], everything)["psnr"] < 5
+    found = truth_bench.clipped(water, dimmer, truth)
+    assert found["all"]["psnr"] == pytest.approx(120)
+    assert found["seen"]["pixels"] == n // 2
+    found = truth_bench.clipped(water, light, truth)  # without lamps
+    assert found["all"]["psnr"] < 30
+
+
 def test_the_measures_are_the_usual_ones_and_free_of_the_truths_own_noise(water, rng):
     n = len(water.pixel)
     picture = ndimage.gaussian_filter(rng.uniform(0, 1, (HEIGHT // 2, WIDTH, 3)), (2, 2, 0))

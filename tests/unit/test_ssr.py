@@ -134,3 +134,96 @@ def test_edge_fade():
     values = [edge_fade(np.float32(u), np.float32(75), w, np.float32(150), share)
               for u in (0, 10, 20, 100, 190, 200)]  # fmt: skip
     np.testing.assert_allclose(values, [0, 0.5, 1, 1, 0.5, 0], atol=1e-6)
+
+
+def floor_and_wall(far=8.0):
+    """Depth of level ground 1.5 m below the camera up to a wall."""
+    row = np.arange(HEIGHT)[:, None] + 0.5
+    with np.errstate(divide="ignore"):
+        ground = 1.5 * FOCAL / (row - HEIGHT / 2)
+    depth = np.where((ground > 0) & (ground < far), ground, far)
+    return np.ascontiguousarray(np.broadcast_to(depth, (HEIGHT, WIDTH)), np.float32)
+
+
+def test_a_grazing_ray_leaves_the_ground_it_starts_from():
+    depth = floor_and_wall()
+    for slope in (0.2, 0.05, 0.02):
+        found = find(depth, (0.1, 1.5, 4.0), (0, -slope, 1), thickness=0.03)
+        assert found == pytest.approx(4.0 * np.hypot(1, slope), rel=0.02)  # the wall
+    down = find(depth, (0.1, 1.3, 4.0), (0, 0.1, 1), thickness=0.03)
+    assert down == pytest.approx(2.0 * np.hypot(1, 0.1), rel=0.05)  # the ground
+
+
+def test_a_ray_along_the_picture_plane_meets_what_stands_at_its_depth():
+    depth = wall(np.inf)
+    depth[:, 140:150] = 3.0
+    exact = (140 - WIDTH / 2) / FOCAL * 3.0
+    assert find(depth, (0, 0.2, 3.0), (1, 0, 0)) == pytest.approx(exact, rel=0.02)
+    depth[:, 140:150] = 4.0
+    assert find(depth, (0, 0.2, 3.0), (1, 0, 0)) < 0
+    assert find(depth, (0, 0.2, 3.0), (-1, 0, 0)) < 0
+
+
+def test_a_ray_towards_the_camera_meets_a_sheet_from_behind_or_ends_at_the_near_plane():
+    depth = wall(np.inf)
+    depth[:, 60:100] = 1.5
+    start, towards = np.array([0.3, 0.3, 3.0]), np.array([-0.25, -0.1, -1.0])
+    exact = 1.5 * np.linalg.norm(towards)
+    assert find(depth, start, towards) == pytest.approx(exact, abs=0.2)  # its thickness, a step
+    assert find(depth, start, towards * (-1, 1, 1)) < 0  # beside it
+    assert find(wall(np.inf), start, towards) < 0
+    assert find(wall(0.06), (0.01, 0.01, 3.0), (0, -0.001, -1)) < 3.0  # NEAR: ends there
+
+
+@pytest.mark.parametrize("column, row", [(0.01, 75), (199.99, 75), (100, 0.01), (100, 149.99)])
+def test_a_ray_that_starts_on_the_edge_of_the_picture(column, row):
+    point = 3 * np.array([(column - WIDTH / 2) / FOCAL, (row - HEIGHT / 2) / FOCAL, 1.0])
+    inward = np.array([0.0, 0.0, 0.6]) - 0.2 * point * (1, 1, 0)
+    exact = (5 - 3) / 0.6 * np.linalg.norm(inward)
+    assert find(wall(), point, inward) == pytest.approx(exact, rel=0.03)
+    outward = inward * (-1, -1, 1) + 2 * point * (1, 1, 0)
+    assert find(wall(), point, outward) < 0
+    assert find(wall(), point * (1.5, 1.5, 1), inward) < 0  # it starts outside: nothing is known
+
+
+def test_a_thin_post_is_met_and_a_step_in_depth_is_no_surface():
+    depth = wall(np.inf)
+    depth[:, 120:122] = 4.0  # a step may pass within one pixel before the ray gets there
+    start = np.array([0.0, 0.4, 3.0])
+    towards = np.array([(120.5 - WIDTH / 2) / FOCAL * 4 - start[0], -0.1, 1.0])
+    exact = np.linalg.norm(towards)
+    assert find(depth, start, towards) == pytest.approx(exact, rel=0.03)
+    assert find(wall(np.inf), start, towards) < 0
+    step = wall(8.0)
+    step[:, :110] = 4.0  # a near wall on the left, whose edge the ray passes behind
+    start, across = np.array([0.1, 0.4, 5.0]), np.array([0.6, -0.1, 1.0])
+    assert find(step, start, across) == pytest.approx(3 * np.linalg.norm(across), rel=0.02)
+    assert find(step, start, across, thickness=2.0) < 1.5  # so thick that it is met there
+
+
+@pytest.mark.parametrize("hole", [np.nan, np.inf])
+def test_holes_in_the_depth_stop_no_ray(hole):
+    depth = wall(5.0)
+    direction = np.array([0.5, -0.1, 1])
+    exact = 2 * np.linalg.norm(direction)
+    assert find(depth, (0.1, 0.3, 3), direction) == pytest.approx(exact, rel=0.02)
+    depth[:, 105:150] = hole  # where it would meet the wall
+    behind = find(depth, (0.1, 0.3, 3), direction)
+    assert behind < 0 or behind > 1.05 * exact
+    assert find(depth, (0.1, 0.3, 3), direction, thickness=3.0) > 1.05 * exact  # past the hole
+
+
+@pytest.mark.parametrize("shape", [(0, 0), (1, 1), (1, 40), (40, 1)])
+def test_pictures_of_next_to_nothing(shape):
+    for direction in ((0, -0.2, 1), (1, 0, 0), (0, 0, -1)):
+        distance = find(np.full(shape, 5.0, np.float32), (0.1, 0.3, 3.0), direction)
+        assert distance == -1 or distance > 0
+
+
+@pytest.mark.parametrize("z", [0.0, -2.0, np.nan, 1e-30])
+def test_a_start_that_the_camera_cannot_see_finds_nothing(z):
+    for direction in ((0.1, -0.2, 1), (1, 0, 0), (0.1, 0.2, -1)):
+        assert find(wall(), (0.1, 0.3, z), direction) < 0
+    assert find(wall(), (0.1, 0.3, 3.0), (0.1, -0.2, 1)) > 0
+    with np.errstate(invalid="ignore"):
+        assert find(wall(), (0.1, 0.3, 3.0), (np.nan, 0, 1)) < 0
