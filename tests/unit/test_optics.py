@@ -263,3 +263,38 @@ def test_sun_glint_integrates_to_the_reflected_sun():
             # radiance * cos(view) * 4 h_z^4 / F is the density of slopes.
             total += value / f * 4 * h[2] ** 4 * max(-view[2], 0.05) * (tilt[8] - tilt[0]) ** 2
     assert total == pytest.approx(1.0, abs=0.02)
+
+
+@pytest.mark.parametrize("above", [0.3, 0.02, 1e-3, 0.0, -0.02, -0.5])
+def test_a_camera_at_or_under_the_water_sees_none_and_nothing_breaks(above):
+    level = np.float32(0.5)
+    eye = EYE.copy()
+    eye[2] = level + np.float32(above)
+    ray = rays()
+    with np.errstate(divide="ignore"):
+        t = np.where(ray[..., 2] < 0, -eye[2] / ray[..., 2], np.inf)
+    depth = np.where(t > 0, t, np.inf).astype(np.float32)
+    deep = np.full(SHAPE, level, np.float32)
+    coverage = np.full((HEIGHT, WIDTH), np.nan, np.float32)
+    hit, count = np.full_like(coverage, np.nan), np.full(HEIGHT, -1, np.int64)
+    rows, spacing = np.arange(HEIGHT), np.float32(SPACING)
+    meeting.meet_water(
+        depth, TURN, eye, LENS, deep, deep, ORIGIN, spacing, level, rows,
+        np.array([0.4e-3, 2.2e-3], np.float32), False, hit, coverage, count,
+    )  # fmt: skip
+    n = count.sum()
+    assert np.isfinite(coverage).all() and n == (coverage > 0).sum()
+    assert (n > 0) == (above > 0)
+    pixel, record = np.full(n, -1, np.int32), np.full((n, optics.RECORD), np.nan, np.float32)
+    optics.list_water(
+        hit, coverage, np.cumsum(count) - count, rows, TURN, eye, LENS, deep,
+        np.ones(SHAPE, np.float32), ORIGIN, spacing, pixel, record,
+    )  # fmt: skip
+    optics.tilt_water(record, ripple_moments(np.full((2, 32, 32), 0.03)), np.float32(1.0))
+    light, source = np.full((n, 3), np.nan, np.float32), np.full(n, 99, np.uint8)
+    mirror = np.full((HEIGHT, WIDTH, 3), 0.25, np.float32)
+    reflect.mirror_light(
+        np.arange(n), record, TURN, eye, LENS, level, mirror, coarsened(mirror),
+        np.full((HEIGHT, WIDTH), 3.0, np.float32), 8, np.float32(0.1), light, source,
+    )  # fmt: skip
+    np.testing.assert_allclose(light, 0.25, rtol=1e-5)
