@@ -34,6 +34,20 @@ SCHLICK_0 = np.float32(0.0204)  # reflectance at normal incidence
 
 
 @inlined_function
+def pixel_ray(m, lens, row, column):
+    """Return the ray (x, y, z) through a pixel's middle, ground frame, 1 along the view axis.
+
+    `m` is ground_from_camera (3, 3), `lens` fx, fy, cx, cy [px].
+    """
+    a = (np.float32(column) + HALF - lens[2]) / lens[0]
+    b = (np.float32(row) + HALF - lens[3]) / lens[1]
+    return (
+        m[0, 0] * a + m[0, 1] * b + m[0, 2], m[1, 0] * a + m[1, 1] * b + m[1, 2],
+        m[2, 0] * a + m[2, 1] * b + m[2, 2],
+    )  # fmt: skip
+
+
+@inlined_function
 def linear_from_display(c):
     """Return linear light of a display-referred value (IEC 61966-2-1), within 4e-6 of it.
 

@@ -23,6 +23,7 @@ from rainsim.light import (
     bilinear_color,
     exp_minus,
     fresnel,
+    pixel_ray,
     schlick,
     smoothstep,
 )
@@ -61,15 +62,11 @@ def list_water(
     for k in prange(height):
         row = turn[k]
         n = first[row]
-        b = (np.float32(row) + HALF - lens[3]) / lens[1]
         for column in range(width):
             covers = coverage[row, column]
             if covers == ZERO:
                 continue
-            a = (np.float32(column) + HALF - lens[2]) / lens[0]
-            x = m[0, 0] * a + m[0, 1] * b + m[0, 2]
-            y = m[1, 0] * a + m[1, 1] * b + m[1, 2]
-            z = m[2, 0] * a + m[2, 1] * b + m[2, 2]
+            x, y, z = pixel_ray(m, lens, row, column)
             t = hit[row, column]
             sx, sy, sz = eye[0] + t * x, eye[1] + t * y, eye[2] + t * z
             u, v = (sx - origin[0]) / spacing - HALF, (sy - origin[1]) / spacing - HALF

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from rainsim import render as rendering
 from rainsim import terrain
+from rainsim.backends import on_backend
 from rainsim.render import FrameReport, render
 from rainsim.simulation import SimState, read_state, simulate, write_state
 from rainsim.terrain import Terrain
@@ -54,16 +55,12 @@ def render_rain(scene, cameras, config, backend="cpu", progress=None, layers=())
     BackendError
         If the backend cannot run here.
     """
-    rendering.renderer_class(backend)  # before anything is computed
+    _, simulate_on_backend = on_backend(backend)  # an error before anything is computed
     config.check()
     tell = progress or (lambda stage, done, total: None)
     tell("terrain", 0, 1)
     ground = extract_terrain(scene, config)
     tell("terrain", 1, 1)
-    if backend == "cuda":
-        from rainsim.cuda.simulate import simulate as simulate_on_backend
-    else:
-        simulate_on_backend = simulate
     states = frames_of(simulate_on_backend(ground, config), config, tell)
     yield from rendering.render(scene, ground, states, cameras, config, layers, backend)
 

@@ -12,7 +12,7 @@ from scipy import ndimage
 from rainsim import droplight, layers, paperrain, shade, sky, wetness
 from rainsim.backdrop import NEAREST_SKY, Backdrop, sky_distance
 from rainsim.drips import drip_impacts, drips_seen
-from rainsim.errors import ParameterError, require_choice
+from rainsim.errors import ParameterError
 from rainsim.film import WetGround, in_level_picture
 from rainsim.grade import grade_and_wet
 from rainsim.layered import grader, layered
@@ -30,7 +30,6 @@ from rainsim.traced import Tracer
 from rainsim.waterview import View, WaterView
 from rainsim.weather import Weather
 
-BACKENDS = ("cpu", "cuda")
 NEAR = 0.05  # m: splats nearer than this are not drawn
 FIRST_SEGMENT = 0.5  # m of a traced ray that are searched at first
 NO_FILM = np.empty((0, 0), np.float32)  # it glosses as all else does
@@ -220,8 +219,8 @@ class Renderer:
 
     def _wetted(self, dry, camera, film=NO_FILM):
         """Return the `View` of splatted layers, graded and wet."""
-        turn, eye = _pose(self.frame.camera_in_ground(camera))
-        lens = _lens(camera)
+        turn, eye = pose(self.frame.camera_in_ground(camera))
+        lens = lens_of(camera)
         shape = (camera.height, camera.width)
         picture = np.empty((*shape, 3), np.float32)
         depth, clearance = np.empty(shape, np.float32), np.empty(shape, np.float32)
@@ -392,13 +391,14 @@ class Renderer:
         return sky.probe(draw, position)
 
 
-def _pose(view):
+def pose(view):
     """Return ground_from_camera (3, 3) and the eye [m] of a ground-frame camera, float32."""
     turn = np.ascontiguousarray(view.camera_from_world[:3, :3].T, dtype=np.float32)
     return turn, view.position.astype(np.float32)
 
 
-def _lens(camera):
+def lens_of(camera):
+    """Return fx, fy, cx, cy [px], float32."""
     return np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float32)
 
 
@@ -441,27 +441,6 @@ class Timer:
         self._last = now
 
 
-def renderer_class(backend):
-    """Return the class that draws frames on a backend.
-
-    Raises
-    ------
-    ParameterError
-        If there is no such backend.
-    BackendError
-        If it cannot run here; the message names the remedy.
-    """
-    require_choice("backend", backend, BACKENDS)
-    if backend == "cpu":
-        return Renderer
-    from rainsim.cuda import require
-
-    require()
-    from rainsim.cuda.frame import Renderer as OnGpu
-
-    return OnGpu
-
-
 def render(scene, terrain, states, cameras, config, names=(), backend="cpu"):
     """Yield (picture, FrameReport) for each state and its camera.
 
@@ -484,10 +463,12 @@ def render(scene, terrain, states, cameras, config, names=(), backend="cpu"):
     picture : ndarray of shape (height, width, 3), uint8
     report : FrameReport
     """
+    from rainsim.backends import on_backend  # which imports this module
+
     if not cameras:
         raise ParameterError("no camera was given; a frame needs one")
     scene = without_images(scene, terrain)
-    renderer = renderer_class(backend)(scene, terrain, config, cameras[0])
+    renderer = on_backend(backend)[0](scene, terrain, config, cameras[0])
     path = [scene.ground_frame.camera_in_ground(camera) for camera in cameras]
 
     def shots():

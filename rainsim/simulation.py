@@ -85,11 +85,6 @@ def surfaces_of(terrain):
     )  # fmt: skip
 
 
-def rain_field(config):
-    """Return the `RainField` of the first frame of a configuration, or None if it never rains."""
-    return Weather(config).field(0.0, config.frame_interval)
-
-
 def rain_exposure(terrain, wind, roughness=0.0):
     """Return the share of the rain that reaches each ground cell, float32 (ny, nx).
 

@@ -50,8 +50,8 @@ def standing_water(
     permeable : array_like of shape (ny, nx), bool, optional
         Cells that take up whatever falls on them or reaches them.
     minimum_depth : float [m]
-        Depressions that are less deep when full hold nothing; water passes over them
-        (`count_shallow` counts them). One that has merged counts with its merged depth.
+        Depressions that are less deep when full hold nothing; water passes over them. One that has
+        merged counts with its merged depth.
     minimum_area : float [m2]
         The same for depressions whose water, when full, covers less.
     open_edges : bool
@@ -117,32 +117,6 @@ class SpillGraph:
         return depth.reshape(self.shape), float(left[0]) * area, float(left[1]) * area
 
 
-def full_fill(bed, permeable=None, open_edges=True):
-    """Return the water level when all depressions are full, ndarray of shape (ny, nx) [m].
-
-    Equals the bed where nothing can stand. With closed edges and no permeable cell there is no
-    such level: ParameterError.
-    """
-    bed = _require_bed(bed)
-    kind = _cell_kinds(bed.shape, permeable, open_edges)
-    if not kind.any():
-        raise ParameterError(
-            "open_edges is False and no cell is permeable; a bed without a way out is never full; "
-            "open the edges"
-        )
-    tree = _Tree(bed, kind)
-    level = np.empty(bed.size)
-    raise_levels(bed.reshape(-1), tree.node, tree.links, tree.levels[RIM], level)
-    return level.reshape(bed.shape)
-
-
-def count_shallow(bed, minimum_depth, permeable=None, open_edges=True):
-    """Count the depressions (merged ones too) that are less deep than `minimum_depth` [m]."""
-    bed = _require_bed(bed)
-    tree = _Tree(bed, _cell_kinds(bed.shape, permeable, open_edges))
-    return int(np.count_nonzero(tree.full_depth < minimum_depth))
-
-
 class _Tree:
     """The tree of depressions; nodes are numbered so that parents come after children.
 
@@ -175,14 +149,10 @@ class _Tree:
         )
         self.links, self.levels = links[:, :count].copy(), levels[:, :count].copy()
 
-    @property
-    def full_depth(self):
-        """Depth of each depression when full, without DRAINED [m]."""
-        return self.levels[RIM, 1:] - self.levels[PIT, 1:]
-
     def too_small(self, minimum_depth, minimum_cells):
         """Mask of the depressions that are too shallow or too small when full, without DRAINED."""
-        return (self.full_depth < minimum_depth) | (self.levels[AREA, 1:] < minimum_cells)
+        full_depth = self.levels[RIM, 1:] - self.levels[PIT, 1:]
+        return (full_depth < minimum_depth) | (self.levels[AREA, 1:] < minimum_cells)
 
 
 @device_function
@@ -425,17 +395,6 @@ def spread(bed, order, node, links, rim, water, full, whole, depth_out):
     for c in range(bed.size):
         n = pool[node[c]]
         depth_out[c] = max(level[n] - bed[c], 0.0) if n != DRAINED else 0.0
-
-
-@serial_kernel
-def raise_levels(bed, node, links, rim, level_out):
-    """Level of every cell when all depressions are full, ndarray of shape (n,) [m]."""
-    brim = np.empty(rim.size)
-    brim[DRAINED] = -np.inf
-    for n in range(rim.size - 1, 0, -1):
-        brim[n] = max(rim[n], brim[links[PARENT, n]])
-    for c in range(bed.size):
-        level_out[c] = max(bed[c], brim[node[c]])
 
 
 def _cell_kinds(shape, permeable, open_edges):

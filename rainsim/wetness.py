@@ -7,8 +7,6 @@ first, which ends the gloss, and then what the pores of the surface hold, which 
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from rainsim.spectrum import terminal_speed
@@ -102,10 +100,3 @@ def others(config):
 def overall(config):
     """Return how wet open paving is, 0 to 1."""
     return float(dampness(config, OTHER_FILM, OTHER_POROSITY))
-
-
-def hours_to_dry(film, porosity, config):
-    """Return the hours until the film, and until the darkening, of a surface are gone."""
-    rate = evaporation_rate(config) * 3600
-    film = max(film, LEAST_FILM)
-    return film / rate, (film + porosity * PORE_DEPTH) / rate if rate > 0 else math.inf

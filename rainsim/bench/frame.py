@@ -16,11 +16,12 @@ import numpy as np
 from scipy import ndimage
 
 from rainsim import pipeline
+from rainsim.backends import on_backend
 from rainsim.bench.chart import draw_fronts
 from rainsim.bench.scenes import SCENES, scene_names
 from rainsim.config import REFLECTIONS, Config
 from rainsim.jit import set_threads
-from rainsim.render import Renderer, renderer_class
+from rainsim.render import Renderer
 from rainsim.scene.cameras import orbit
 from rainsim.scene.library import load_scene
 
@@ -70,7 +71,7 @@ def run(quick=False, tell=None, backend="cpu"):
         If the backend cannot run here.
     """
     tell = tell or (lambda line: None)
-    renderer_class(backend)  # before anything is drawn
+    on_backend(backend)  # before anything is drawn
     if backend == "cuda":
         from rainsim.bench import frame_cuda
     rows = []

@@ -13,7 +13,7 @@ import numpy as np
 
 from rainsim import layers
 from rainsim.cuda.raster import Rasterizer
-from rainsim.render import Timer, _lens, _pose
+from rainsim.render import Timer, lens_of, pose
 from rainsim.splash import LONGEST_LIFE
 from rainsim.streaks import NO_FOG
 from rainsim.waterview import View
@@ -42,7 +42,7 @@ class TakesApart:
         picture = self._picture.copy_to_host()
         self.wet = View(
             picture, self._depth.copy_to_host(), self._clearance.copy_to_host(),
-            *_pose(self.view), _lens(camera), self._below.copy_to_host(),
+            *pose(self.view), lens_of(camera), self._below.copy_to_host(),
         )  # fmt: skip
         nothing = np.zeros_like(self.wet.depth)
         rain = self.streaks.alpha.copy_to_host() if shown else nothing

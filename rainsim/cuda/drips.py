@@ -35,7 +35,8 @@ from rainsim.weather import wind_at
 
 MOST = 2**20  # drips that there is ever room for
 _STEP_BLOCKS = 2 if SIMULATED else 132 * 2
-# `sites`, float64: what a point is, as in `rainsim.drips.Drips`; no FALL: the water runs off.
+# `sites`, float64: as the first of DRIP_COLUMNS, then the time [s] that a drop falls (negative:
+# the water runs off) and the wind there over that at WIND_HEIGHT
 (X, Y, TOP, BOTTOM, DIAMETER, FALL, WIND) = range(7)
 SITE = 7
 # `ends`, int32: the point that takes what falls there, the foot's cell, and cells that bring water
@@ -130,10 +131,10 @@ def drip(
             if end >= stop - KEPT:
                 at = cuda.atomic.add(book_out, LISTED, 1)
                 if at < len(ids_out):
-                    table_out[at, 0], table_out[at, 1] = sites[n, X], sites[n, Y]
-                    table_out[at, 2], table_out[at, 3] = sites[n, TOP], sites[n, BOTTOM]
-                    table_out[at, 4], table_out[at, 5] = sites[n, DIAMETER], begin
-                    table_out[at, 6], table_out[at, 7], table_out[at, 8] = end, wind_x, wind_y
+                    for column in range(5):  # place, heights, diameter
+                        table_out[at, column] = sites[n, column]
+                    table_out[at, 5], table_out[at, 6] = begin, end
+                    table_out[at, 7], table_out[at, 8] = wind_x, wind_y
                     where_out[at], ids_out[at] = n, word
         parted[n] += drops
     for n in range(cuda.grid(1), min(book[LISTED], len(ids)), cuda.gridsize(1)):

@@ -246,8 +246,8 @@ def _place(n, tasks, words, counts, first, last, cube, frame):
 
 
 @cuda.jit(device=True)
-def _column_of(task, counts, first, last):
-    """Return the class and the place (i, j) of column number `task` of all classes' boxes."""
+def class_of(task, counts):
+    """Return the class that holds number `task` of all classes', and which of it that is."""
     b, end = 0, CLASSES
     while end - b > 1:
         middle = (b + end) // 2
@@ -255,7 +255,13 @@ def _column_of(task, counts, first, last):
             b = middle
         else:
             end = middle
-    rest = task - counts[b]
+    return b, task - counts[b]
+
+
+@cuda.jit(device=True)
+def _column_of(task, counts, first, last):
+    """Return the class and the place (i, j) of column number `task` of all classes' boxes."""
+    b, rest = class_of(task, counts)
     wide = last[b, 1] - first[b, 1] + 1
     return b, first[b, 0] + rest // wide, first[b, 1] + rest % wide
 

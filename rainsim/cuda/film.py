@@ -33,9 +33,10 @@ from rainsim.film import (
     usual_share,
     usual_shares,
 )
+from rainsim.light import pixel_ray
 from rainsim.lobe import LOBE
 from rainsim.raster import prepare
-from rainsim.render import _pose
+from rainsim.render import pose
 from rainsim.ripmap import LEVELS
 from rainsim.scene.cameras import mirrored_camera
 
@@ -148,16 +149,12 @@ def film_share(cover, ground_from_camera, lens, table, total_out):
     sums = cuda.shared.array(SUMMERS, np.float64)
     tid, j = cuda.threadIdx.x, cuda.blockIdx.x
     m, row = ground_from_camera, j * COARSE
-    b = (np.float32(row) + HALF - lens[3]) / lens[1]
     total = 0.0
     for column in range(tid * COARSE, cover.shape[1], SUMMERS * COARSE):
         share = cover[row, column]
         if share > ZERO:
-            a = (np.float32(column) + HALF - lens[2]) / lens[0]
-            total += share * usual_share(
-                table, m[0, 0] * a + m[0, 1] * b + m[0, 2], m[1, 0] * a + m[1, 1] * b + m[1, 2],
-                m[2, 0] * a + m[2, 1] * b + m[2, 2],
-            )  # fmt: skip
+            x, y, z = pixel_ray(m, lens, row, column)
+            total += share * usual_share(table, x, y, z)
     sums[tid] = total
     cuda.syncthreads()
     if tid == 0:
@@ -248,7 +245,7 @@ class Film:
         rasterizer = self.rasterizers[0]
         rasterizer.update(mirrored, self.renderer.near, room=room)
         self._size, self._lens = rasterizer.size, rasterizer.lens
-        turn, eye = _pose(frame.camera_in_ground(mirrored))
+        turn, eye = pose(frame.camera_in_ground(mirrored))
         self._now.update(turn=turn, eye=eye, forward=level.forward[:2])
 
     @property

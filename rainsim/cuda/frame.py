@@ -33,7 +33,7 @@ from rainsim.errors import ParameterError
 from rainsim.moments import ripple_moments
 from rainsim.paperwater import LEAST_WATER
 from rainsim.render import Renderer as HostRenderer
-from rainsim.render import _lens, _pose
+from rainsim.render import lens_of, pose
 from rainsim.splash import LONGEST_LIFE, WET_FILM
 from rainsim.ssr import bounds_of
 from rainsim.streaks import FOG_STEPS, NO_FOG, fog_table, streak_reach
@@ -124,15 +124,15 @@ class Renderer(InTurn, TakesApart, HostRenderer):
         self.mirrors.update(camera, self.near, self.frame)
         self.film_light.update(camera, self.view)
         self._bring(state)
-        turn, eye = _pose(self.view)
+        turn, eye = pose(self.view)
         fog = NO_FOG
         field = self.weather.field(state.time - LONGEST_LIFE, state.time + self.now.render.exposure)
         if self.streaks is not None:
             fog = self._update_drops(field, state, camera_end)
         self.numbers.update(
-            turn=turn, eye=eye, lens=_lens(camera), look=self.look, others=self.others,
+            turn=turn, eye=eye, lens=lens_of(camera), look=self.look, others=self.others,
             brightness=self.now.render.brightness, fog=fog, sun=self._sun, air=self._air,
-            drop=self._drop_field(turn, _lens(camera), camera), around=self.everywhere,
+            drop=self._drop_field(turn, lens_of(camera), camera), around=self.everywhere,
         )  # fmt: skip
 
     def _bring_ground(self):

@@ -20,7 +20,7 @@ from rainsim.cuda.raster import Rasterizer
 from rainsim.optics import HALF, ZERO
 from rainsim.pyramid import COARSEST, coarse_shape, mean_of_four, top_of
 from rainsim.raster.project import FRUSTUM_MARGIN
-from rainsim.render import _pose
+from rainsim.render import pose
 from rainsim.scene.cameras import mirrored_camera
 from rainsim.waterview import (
     LEAST_SHARE,
@@ -373,7 +373,7 @@ class Mirrors:
         numbers[0] = tables[0]
         numbers[1] = tables[1] - tables[0]
         numbers[1, project.SCALE :] = 0
-        self._now.host["turn"][...] = _pose(frame.camera_in_ground(mirrored))[0]
+        self._now.host["turn"][...] = pose(frame.camera_in_ground(mirrored))[0]
         self._mirrored = mirrored, near, plane
         if self.passes and (self._size != largest or len(self.picture) != self.passes):
             self._allocate(*largest)

@@ -11,7 +11,15 @@ import math
 import numpy as np
 
 from rainsim.cuda.jit import cuda, cuda_device, cuda_kernel
-from rainsim.light import bilinear, bilinear_color, exp_minus, fresnel, schlick, smoothstep
+from rainsim.light import (
+    bilinear,
+    bilinear_color,
+    exp_minus,
+    fresnel,
+    pixel_ray,
+    schlick,
+    smoothstep,
+)
 from rainsim.meeting import HIDE_HIGH, LEAST_COVERAGE, LEAST_DIP, covered, meet_surface
 from rainsim.moments import pixel_slopes
 from rainsim.optics import (
@@ -97,14 +105,10 @@ def meet_water(
     ny, nx = surface.shape
     m, top = ground_from_camera, highest[0]
     coverage_out[row, column] = ZERO
-    a = (np.float32(column) + HALF - lens[2]) / lens[0]
-    b = (np.float32(row) + HALF - lens[3]) / lens[1]
-    z = m[2, 0] * a + m[2, 1] * b + m[2, 2]
+    x, y, z = pixel_ray(m, lens, row, column)
     there = depth[row, column]
     if z > LEAST_DIP or eye[2] + there * z > top + HIDE_HIGH:
         return
-    x = m[0, 0] * a + m[0, 1] * b + m[0, 2]
-    y = m[1, 0] * a + m[1, 1] * b + m[1, 2]
     t, u, v = meet_surface(surface, origin, spacing, eye, x, y, z, top)
     if not (t > ZERO and u > ONE and v > ONE):
         return
@@ -141,11 +145,7 @@ def find_hits(
     if row >= height or column >= width or coverage[row, column] == ZERO:
         return
     m = ground_from_camera
-    a = (np.float32(column) + HALF - lens[2]) / lens[0]
-    b = (np.float32(row) + HALF - lens[3]) / lens[1]
-    x = m[0, 0] * a + m[0, 1] * b + m[0, 2]
-    y = m[1, 0] * a + m[1, 1] * b + m[1, 2]
-    z = m[2, 0] * a + m[2, 1] * b + m[2, 2]
+    x, y, z = pixel_ray(m, lens, row, column)
     t = hit[row, column]
     sx, sy, sz = eye[0] + t * x, eye[1] + t * y, eye[2] + t * z
     if mirror_of(mirror_range, sz) >= 0:
@@ -238,11 +238,7 @@ def shade_water(
             picture_out[row, column, c] = picture[row, column, c]
         return
     m = ground_from_camera
-    a = (np.float32(column) + HALF - lens[2]) / lens[0]
-    b = (np.float32(row) + HALF - lens[3]) / lens[1]
-    x = m[0, 0] * a + m[0, 1] * b + m[0, 2]
-    y = m[1, 0] * a + m[1, 1] * b + m[1, 2]
-    z = m[2, 0] * a + m[2, 1] * b + m[2, 2]
+    x, y, z = pixel_ray(m, lens, row, column)
     t = hit[row, column]
     sx, sy, sz = eye[0] + t * x, eye[1] + t * y, eye[2] + t * z
     u, v = (sx - origin[0]) / spacing - HALF, (sy - origin[1]) / spacing - HALF

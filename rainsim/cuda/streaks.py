@@ -13,6 +13,7 @@ import math
 import numpy as np
 
 from rainsim.cubes import cube_key, drop_diameter, drop_id, left_out
+from rainsim.cuda.drops import BLOCKS, class_of
 from rainsim.cuda.jit import SIMULATED, cuda, cuda_kernel
 from rainsim.cuda.marks import TILE, read_depth, resolve
 from rainsim.cuda.numbers import Numbers
@@ -35,7 +36,6 @@ from rainsim.streaks import (
 )
 from rainsim.surfaces import BLOCK, first_hit
 
-BLOCKS = 2 if SIMULATED else 132 * 8
 LARGE = np.float32(400)  # px that a path touches, from which on a whole warp draws it
 MANY = 2**14  # such paths that there is room for; more are drawn as the small ones are
 ROOM = 2**15 if SIMULATED else 2**20  # drops that may be in view
@@ -46,14 +46,7 @@ _ZERO, _ONE, _TWO = np.float32(0), np.float32(1), np.float32(2)
 @cuda.jit(device=True)
 def _cube_of(task, counts, first, last):
     """Return the class and the place (i, j, k) of cube number `task` of all classes' boxes."""
-    b, end = 0, CLASSES
-    while end - b > 1:
-        middle = (b + end) // 2
-        if counts[middle] <= task:
-            b = middle
-        else:
-            end = middle
-    rest = task - counts[b]
+    b, rest = class_of(task, counts)
     deep = last[b, 2] - first[b, 2] + 1
     wide = last[b, 1] - first[b, 1] + 1
     k = rest % deep

@@ -9,6 +9,7 @@ import pytest
 from rainsim import simulation, terrain
 from rainsim.config import Config, mm_per_hour
 from rainsim.errors import InputError
+from rainsim.weather import Weather
 
 NY = NX = 40
 SPACING = 0.05
@@ -179,11 +180,15 @@ def test_state_files_round_trip_and_bad_ones_are_told(tmp_path):
         simulation.read_state(tmp_path / "none.npz")
 
 
+def first_field(config):
+    return Weather(config).field(0.0, config.frame_interval)
+
+
 def test_wind_velocity_is_that_of_the_settings():
-    field = simulation.rain_field(config(wind=(3.0, math.radians(90)), roughness=0.0))
+    field = first_field(config(wind=(3.0, math.radians(90)), roughness=0.0))
     np.testing.assert_allclose(field.velocity[:, 0], 0, atol=1e-12)
     np.testing.assert_allclose(field.velocity[:, 1], 3.0)
-    rough = simulation.rain_field(config(wind=(3.0, math.radians(90))))
+    rough = first_field(config(wind=(3.0, math.radians(90))))
     assert (np.diff(rough.velocity[:, 1]) > 0).all()  # big drops bring the wind of higher up
     assert 0.65 * 3 < rough.velocity[0, 1] < rough.velocity[-1, 1] < 3
-    assert simulation.rain_field(config(rate=0.0)) is None
+    assert first_field(config(rate=0.0)) is None
