@@ -23,20 +23,45 @@ NEAR = np.float32(0.05)  # m: a ray that comes towards the camera ends here
 # with whole steps rounding would choose the pixel at every step or halving.
 FIRST_STEP = np.float32(1 + 1 / 32)
 BISECTIONS = 4
-BLOCK_BITS = np.uint32(3)
 BLOCK = 8  # px, side of the blocks whose depths let a march jump
-JUMP = np.float32(7)  # px: two places no farther apart lie in one block or in neighbours
-PLAIN_STEPS = 8  # that are taken where a jump was not possible, before another is tried
+WIDE = 4  # of them, side of the wide blocks that are tried first
+BLOCK_BITS, WIDE_BITS = np.uint32(3), np.uint32(5)  # of a pixel's place that are within either
+# px: two places no farther apart lie in one block, or in one wide one, or in neighbours.
+JUMP, WIDE_JUMP = np.float32(7), np.float32(31)
+KINDS = 4  # a block alone, with its eastern neighbour, with its southern one, with all three
+PLAIN_STEPS = 4  # that are taken where a jump was not possible, before another is tried
+_ONE, _TWO = np.uint32(1), np.uint32(2)
 
 
 def bounds_of(height, width):
     """Return the shape of a picture's `bounds_out`, see `block_bounds`."""
-    return -(-height // BLOCK), -(-width // BLOCK), 2
+    return sum(KINDS * -(-height // side) * -(-width // side) for side in (BLOCK, WIDE * BLOCK)), 2
+
+
+@device_function
+def span_bounds(bounds, rows, columns, j, i, high, wide):
+    """Return the least and the greatest depth over `high` by `wide` blocks from (j, i) on."""
+    low, most = np.float32(np.inf), np.float32(-np.inf)
+    for row in range(j, min(j + high, rows)):
+        for column in range(i, min(i + wide, columns)):
+            at = row * columns + column
+            low, most = min(low, bounds[at, 0]), max(most, bounds[at, 1])
+    return low, most
+
+
+@device_function
+def join_blocks(bounds, rows, columns, side, kind, j, i):
+    """Return the bounds of `kind` of the block of `side` by `side` blocks that has place (j, i)."""
+    high, wide = side * (1 + kind // 2), side * (1 + kind % 2)
+    return span_bounds(bounds, rows, columns, j * side, i * side, high, wide)
 
 
 @cpu_kernel
 def block_bounds(depth, bounds_out):
-    """Write the least and the greatest depth of each block of pixels, for `march`.
+    """Write the least and the greatest depth of blocks of pixels, for `march`.
+
+    First of the blocks, row by row, then of each with its neighbours, kind by kind; then the same
+    of the wide blocks.
 
     Parameters
     ----------
@@ -45,7 +70,7 @@ def block_bounds(depth, bounds_out):
     bounds_out : ndarray of shape `bounds_of(height, width)`, float32 [m]
     """
     height, width = depth.shape
-    rows, columns, _ = bounds_out.shape
+    rows, columns = -(-height // BLOCK), -(-width // BLOCK)
     for j in prange(rows):
         for i in range(columns):
             low, high = np.float32(np.inf), np.float32(-np.inf)
@@ -54,19 +79,39 @@ def block_bounds(depth, bounds_out):
                     value = depth[row, column]
                     if value < np.float32(np.inf):
                         low, high = min(low, value), max(high, value)
-            bounds_out[j, i, 0], bounds_out[j, i, 1] = low, high
+            at = j * columns + i
+            bounds_out[at, 0], bounds_out[at, 1] = low, high
+    blocks = rows * columns
+    for at in prange(blocks, len(bounds_out)):
+        low, high = joined_at(bounds_out, rows, columns, at)
+        bounds_out[at, 0], bounds_out[at, 1] = low, high
 
 
 @device_function
-def is_free(bounds, i, j, k, m, nearest, farthest, thickness):
+def joined_at(bounds, rows, columns, at):
+    """Return what `block_bounds` writes at place `at`, beyond the blocks themselves."""
+    side, wide = 1, columns
+    if at >= KINDS * rows * columns:
+        at -= KINDS * rows * columns
+        side, wide = WIDE, -(-columns // WIDE)
+        rows_wide = -(-rows // WIDE)
+        kind, at = at // (rows_wide * wide), at % (rows_wide * wide)
+    else:
+        kind, at = at // (rows * columns), at % (rows * columns)
+    return join_blocks(bounds, rows, columns, side, kind, at // wide, at % wide)
+
+
+@device_function
+def is_free(bounds, first, rows, columns, bits, i, j, k, m, nearest, farthest, thickness):
     """Tell whether a ray cannot hit anything between pixels (i, j) and (k, m).
 
-    They are not farther apart than JUMP; `nearest` and `farthest` are 1/z of the ray there.
+    They lie in one block, or in neighbours, of 1 << `bits` pixels; the bounds of these begin at
+    `first`. `nearest` and `farthest` are 1/z of the ray there.
     """
-    i, j, k, m = i >> BLOCK_BITS, j >> BLOCK_BITS, k >> BLOCK_BITS, m >> BLOCK_BITS
-    low = min(min(bounds[j, i, 0], bounds[m, k, 0]), min(bounds[j, k, 0], bounds[m, i, 0]))
-    high = max(max(bounds[j, i, 1], bounds[m, k, 1]), max(bounds[j, k, 1], bounds[m, i, 1]))
-    return low * farthest > ONE or (high + thickness) * nearest < ONE
+    i, j, k, m = i >> bits, j >> bits, k >> bits, m >> bits
+    kind = ((i ^ k) & _ONE) + ((j ^ m) & _ONE) * _TWO
+    at = np.uint32(first + (kind * rows + min(j, m)) * columns + min(i, k))
+    return bounds[at, 0] * farthest > ONE or (bounds[at, 1] + thickness) * nearest < ONE
 
 
 @device_function
@@ -121,36 +166,57 @@ def march(depth, bounds, lens, x, y, z, dx, dy, dz, thickness, stride, farthest)
         end = min(end, (h - v0) / dv)
     elif dv < ZERO:
         end = min(end, -v0 / dv)
-    jump = np.float32(math.floor(JUMP / stride))
+    rows, columns = np.uint32(-(-height // BLOCK)), np.uint32(-(-width // BLOCK))
+    rows_wide = np.uint32((rows + WIDE - 1) // WIDE)
+    columns_wide = np.uint32((columns + WIDE - 1) // WIDE)
+    many, none = np.uint32(KINDS * rows * columns), np.uint32(0)
+    short, long = np.float32(math.floor(JUMP / stride)), np.float32(math.floor(WIDE_JUMP / stride))
     right, bottom = w - ONE, h - ONE
     before = iz + diz * FIRST_STEP  # 1/z, as all that follows
-    step, stay = ONE, 0  # a float32: it is exact, and a graphics processor converts none
-    while True:
-        t = FIRST_STEP + stride * step
-        u, v = u0 + du * t, v0 + dv * t
-        if not (t < end and u > -ONE and v > -ONE and u < w and v < h):
-            return -ONE
-        # Without a sign: negative places would count from the end, which costs a test at each.
-        i, j = np.uint32(max(u, ZERO)), np.uint32(max(v, ZERO))
-        if stay <= 0 and jump > ZERO:
-            last = t + stride * jump
+    step, t = ONE, FIRST_STEP + stride  # a float32: exact, and a graphics processor converts none
+    u, v = u0 + du * t, v0 + dv * t
+    # A long jump, or where none is possible a short one, or else a few steps. No branch leaves the
+    # loop's body: the lanes of a graphics processor come together again after each turn.
+    is_wide, met = True, False
+    while not met and t < end and u > -ONE and v > -ONE and u < w and v < h:
+        jump, is_free_here = long if is_wide else short, False
+        last = FIRST_STEP + stride * (step + jump)
+        far = iz + diz * last
+        near, away = max(before, far), min(before, far)
+        # Beyond the ray's end 1/z may have passed through zero.
+        if jump > ZERO and away > ZERO:
+            # Without a sign: negative places would count from the end, tested for at each.
+            i, j = np.uint32(max(u, ZERO)), np.uint32(max(v, ZERO))
             k = np.uint32(min(max(u0 + du * last, ZERO), right))
             m = np.uint32(min(max(v0 + dv * last, ZERO), bottom))
-            last = iz + diz * last
-            near, away = max(before, last), min(before, last)
-            # Beyond the ray's end 1/z may have passed through zero.
-            if away > ZERO and is_free(bounds, i, j, k, m, near, away, thickness):
-                before = last
-                step += jump + ONE
-                continue
+            is_free_here = is_free(
+                bounds, many if is_wide else none, rows_wide if is_wide else rows,
+                columns_wide if is_wide else columns, WIDE_BITS if is_wide else BLOCK_BITS,
+                i, j, k, m, near, away, thickness,
+            )  # fmt: skip
+        if is_free_here:
+            before, is_wide = far, True
+            step += jump + ONE
+            t = FIRST_STEP + stride * step
+            u, v = u0 + du * t, v0 + dv * t
+        elif is_wide:
+            is_wide = False
+        else:
             stay = PLAIN_STEPS
-        now = iz + diz * t
-        surface = depth[j, i]
-        if min(before, now) * surface <= ONE and max(before, now) * (surface + thickness) >= ONE:
-            break
-        before = now
-        step += ONE
-        stay -= 1
+            while stay > 0 and t < end and u > -ONE and v > -ONE and u < w and v < h:
+                surface = depth[np.uint32(max(v, ZERO)), np.uint32(max(u, ZERO))]
+                now = iz + diz * t
+                low, high = min(before, now), max(before, now)
+                met = low * surface <= ONE and high * (surface + thickness) >= ONE
+                if met:
+                    stay = 0
+                else:
+                    before, stay = now, stay - 1
+                    step += ONE
+                    t = FIRST_STEP + stride * step
+                    u, v = u0 + du * t, v0 + dv * t
+    if not met:
+        return -ONE
     a, b = t - stride, t
     for _ in range(BISECTIONS):
         middle = HALF * (a + b)

@@ -4,8 +4,8 @@ All that a frame is made of lies in one queue: splatting, grading and wetting, t
 reflections, refraction, streaks, splashes, composition to 8 bit and the copy of the picture to the
 host. It is recorded once and replayed; the host only brings what has changed and waits at the end.
 What had too little room is then known: room is made and the frame is drawn again. Streaks and
-splashes are drawn beside the water. In a film the host makes ready the next frame while the device
-draws.
+splashes are drawn beside the water, and the water's surface is found beside the splatting. In a
+film the host makes ready the next frame while the device draws.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from rainsim.streaks import FOG_STEPS, NO_FOG, fog_table, streak_reach
 STAGES = {  # names of the functions that queue them: those of the CPU where there is one
     "Numbers.send": "numbers", "Rasterizer.launch": "splat", "Renderer._grade": "grade and wet",
     "Renderer._film": "film", "Streaks.launch": "streaks",
-    "WaterSurface.launch": "water surface",
+    "WaterSurface.launch": "water surface", "Renderer._keep_tall": "find tall",
     "Renderer._meet_water": "find water", "Renderer._mirror": "mirror",
     "Renderer._lay_water": "water", "Splashes.launch": "splashes", "Renderer._compose": "compose",
     "Renderer._hand_over": "counts", "Renderer._copy_picture": "copy",
@@ -58,7 +58,7 @@ class Renderer(InTurn, TakesApart, HostRenderer):
     def __init__(self, scene, terrain, config, first_camera):
         _require_known(config.render)
         self.stream, *self._beside = (cuda.stream() for _ in range(3))
-        self._forked, self._joined = cuda.event(), cuda.event()
+        self._forked, self._joined, self._found_tall = (cuda.event() for _ in range(3))
         self._begin_turns()
         super().__init__(scene, terrain, config, first_camera)
         send = self._send
@@ -239,24 +239,27 @@ class Renderer(InTurn, TakesApart, HostRenderer):
             rain = [self.streaks.launch, self.splashes.launch]
             if self._own_impacts is not None:
                 rain.insert(0, self._own_impacts.launch)
-        return dry, [*rain, *wet, *last, self._copy_picture]
+        return dry, [*rain, self._surface.launch, *wet, *last, self._copy_picture]
 
     def _parts(self):
         """Return the frame's parts but rain: without water, with it, and what needs both."""
         film = self.film_light
         return (
             [self.numbers.send, film.draw, self.rasterizer.launch, self._grade, self._lay_film],
-            [self._surface.launch, self._meet_water, self._mirror, self._lay_water],
+            [self._keep_tall, self._meet_water, self._mirror, self._lay_water],
             [self._compose, self._hand_over],
         )
 
     def _queue_wet(self):
         """Queue what needs the water; streaks and what splashes beside it."""
-        _, wet, last = self._parts()
+        _, (tall, meet, *wet), last = self._parts()
         beside, aside = self._beside
+        self._forked.record(self.stream)
+        self._forked.wait(beside)
+        self._forked.wait(aside)
+        tall(aside)
+        self._found_tall.record(aside)
         if self.streaks is not None:
-            self._forked.record(self.stream)
-            self._forked.wait(beside)
             self.streaks.launch(beside)
             self.streaks.sent.wait(aside)
             if self._own_impacts is not None:
@@ -265,10 +268,11 @@ class Renderer(InTurn, TakesApart, HostRenderer):
             self._joined.record(aside)
             self._joined.wait(beside)
             self.splashes.draw(beside)
-            self._joined.record(beside)
+        self._joined.record(beside)
+        meet()
+        self._found_tall.wait(self.stream)
         chain(wet)()
-        if self.streaks is not None:
-            self._joined.wait(self.stream)
+        self._joined.wait(self.stream)
         chain(last)()
 
     def stage_times(self):
@@ -307,11 +311,19 @@ class Renderer(InTurn, TakesApart, HostRenderer):
         if self.film_light.apart:
             self.film_light.lay(self._picture)
 
+    def _keep_tall(self, stream=None):
+        stream, joiners = self.stream if stream is None else stream, optics.JOINERS
+        optics.keep_tall[shading.blocks(*self._size), shading.BLOCK, stream](
+            self._depth, self._clearance, self._tall, self._bounds
+        )
+        optics.join_bounds[-(-len(self._bounds) // joiners), joiners, stream](
+            *self._size, self._bounds
+        )
+
     def _meet_water(self):
         n, render = self.numbers, self.config.render
         grid = shading.blocks(*self._size), shading.BLOCK, self.stream
         surface = self._surface
-        optics.keep_tall[grid](self._depth, self._clearance, self._tall, self._bounds)
         optics.meet_water[grid](
             self._depth, n["turn"], n["eye"], n["lens"], surface.surface, surface.over,
             *self.place, surface.highest, n["cover"], render.coverage == "hard",
@@ -324,7 +336,9 @@ class Renderer(InTurn, TakesApart, HostRenderer):
     def _lay_water(self):
         n = self.numbers
         grid = shading.blocks(*self._size), shading.BLOCK, self.stream
-        optics.find_hits[grid](
+        (height, width), (wide, high) = self._size, optics.PATCH
+        patches = (-(-width // wide), -(-height // high)), optics.PATCH, self.stream
+        optics.find_hits[patches](
             self._hit, self._coverage, self._tall, self._bounds, n["turn"], n["eye"], n["lens"],
             n["settings"], self.mirrors.range, self._distance,
         )  # fmt: skip

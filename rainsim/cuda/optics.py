@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from rainsim.cuda.jit import cuda, cuda_device, cuda_kernel
+from rainsim.cuda.jit import SIMULATED, cuda, cuda_device, cuda_kernel
 from rainsim.light import (
     bilinear,
     bilinear_color,
@@ -52,13 +52,15 @@ from rainsim.reflect import (
     samples_of,
 )
 from rainsim.sky import sample_environment
-from rainsim.ssr import BLOCK, march
+from rainsim.ssr import BLOCK, joined_at, march
 from rainsim.waterview import MIRROR_STEPS, MIRROR_THICKNESS
 
 LEAST_DROP = np.float32(0.1)
 THICKNESS = np.float32(MIRROR_THICKNESS)
 NOWHERE = np.float32(np.inf)
 WIDE = 32  # threads of a row of `keep_tall`; BLOCK such rows are a block of them
+PATCH = (8, 4) if SIMULATED else (8, 32)  # threads of a block of `find_hits`: a warp has 8 x 4
+JOINERS = 32 if SIMULATED else 128  # threads of a block of `join_bounds`
 
 
 @cuda_kernel
@@ -85,11 +87,21 @@ def keep_tall(depth, clearance, tall_out, bounds_out):
             low, high = min(low, lows[k, x]), max(high, highs[k, x])
         lows[0, x], highs[0, x] = low, high
     cuda.syncthreads()
-    j, i = row // BLOCK, column // BLOCK
-    if y == 0 and x % BLOCK == 0 and j < bounds_out.shape[0] and i < bounds_out.shape[1]:
+    if y == 0 and x % BLOCK == 0 and row < height and column < width:
         for k in range(1, BLOCK):
             low, high = min(low, lows[0, x + k]), max(high, highs[0, x + k])
-        bounds_out[j, i, 0], bounds_out[j, i, 1] = low, high
+        at = (row // BLOCK) * ((width + BLOCK - 1) // BLOCK) + column // BLOCK
+        bounds_out[at, 0], bounds_out[at, 1] = low, high
+
+
+@cuda_kernel
+def join_bounds(height, width, bounds_out):
+    """Write the bounds of blocks with their neighbours and of wide ones: see `block_bounds`."""
+    rows, columns = (height + BLOCK - 1) // BLOCK, (width + BLOCK - 1) // BLOCK
+    at = rows * columns + cuda.grid(1)
+    if at < bounds_out.shape[0]:
+        low, high = joined_at(bounds_out, rows, columns, at)
+        bounds_out[at, 0], bounds_out[at, 1] = low, high
 
 
 @cuda_kernel

@@ -1,14 +1,15 @@
 """Frames in their turn: what the host makes ready, what the device begins early, what is redone.
 
-A frame has two recorded queues. The first needs no water; the next frame's begins as soon as the
-device has drawn this one, before the host has looked whether there was room for all. The second
-waits for the simulation's step, which the device takes while it draws the frame before. The picture
-goes to the host beside the next frame.
+A frame has three recorded queues. The first needs no water; the next frame's begins as soon as the
+device has drawn this one, before the host has looked whether there was room for all. Beside it lies
+the second, the water's surface, which waits for the simulation's step; the device takes that while
+it draws the frame before. The third needs both. The picture goes to the host beside the next frame.
 """
 
 from __future__ import annotations
 
 import time as clock
+from functools import partial
 
 from rainsim.cuda.graph import Graph
 from rainsim.cuda.jit import cuda
@@ -21,10 +22,10 @@ class InTurn:
     """The part of `rainsim.cuda.frame.Renderer` that says when what is queued."""
 
     def _begin_turns(self):
-        self._copier = cuda.stream()
-        self._composed, self._copied = cuda.event(), cuda.event()
+        self._copier, self._shore = cuda.stream(), cuda.stream()
+        self._composed, self._copied, self._surfaced = (cuda.event() for _ in range(3))
         self._queue = self._dry = None
-        self._wet = {}  # recorded, by the page of the simulation that they show
+        self._wet, self._surfaces = {}, {}  # recorded, by the page of the simulation they show
         self._next = self._flight = self._done = None
         self._drawn = 0
 
@@ -88,6 +89,7 @@ class InTurn:
         self._launch_dry()
         if (simulation := simulation_of(state)) is not None:
             simulation.begin(state.index)
+        self._launch_surface()
 
     def _launch_dry(self):
         if self._is_stale():
@@ -98,6 +100,22 @@ class InTurn:
             self.stream.synchronize()
             self._dry = Graph(self.stream, dry)
         self._dry.launch()
+
+    def _launch_surface(self):
+        """Queue the surface of the water of the frame that has begun, beside its splatting."""
+        state = self._flight[0][1]
+        simulation, page = simulation_of(state), getattr(state, "page", 0)
+        if simulation is not None:
+            simulation.before(self._shore, falls=False)
+            self._surface.depth = state.depth
+        self._composed.wait(self._shore)  # the frame before looks at the last surface until then
+        if page not in self._surfaces:
+            self._surface.launch(self._shore)  # compiles
+            self._shore.synchronize()
+            queue = partial(self._surface.launch, self._shore)
+            self._surfaces[page] = Graph(self._shore, queue)
+        self._surfaces[page].launch()
+        self._surfaced.record(self._shore)
 
     def _go_on(self):
         """Queue the rest of the frame that has begun, and the copy of its picture."""
@@ -110,6 +128,7 @@ class InTurn:
             if self.splashes is not None:
                 self.splashes.depth, self.streaks.drips = state.depth, state.drip_list
         self._copied.wait(self.stream)
+        self._surfaced.wait(self.stream)
         if page not in self._wet:
             if not self._wet:
                 self._queue_wet()  # compiles
@@ -147,6 +166,7 @@ class InTurn:
             self.update(*shot)
             self._flight, early = flight, False
             self._launch_dry()
+            self._launch_surface()
             self._go_on()
             self._copied.synchronize()
         for splats in self._dry_splats():
@@ -156,9 +176,10 @@ class InTurn:
         drawn_again = self._next is not ahead
         if drawn_again or self._is_stale():
             self.update(*ahead)
+        self._flight, self._done = latest, flight
         if drawn_again and latest is not flight:
             self._launch_dry()
-        self._flight, self._done = latest, flight
+            self._launch_surface()
 
     def _report(self, names=()):
         """Return the picture and the report of the frame that is finished."""

@@ -260,10 +260,11 @@ class Simulation:
         self.water._control.copy_to_host(self._control, stream=self.stream)
         self._joined.wait(self.stream)
 
-    def before(self, stream):
-        """Let what is queued on another stream from now on wait for the step and the impacts."""
+    def before(self, stream, falls=True):
+        """Let another stream wait for the step that has begun and, if it `falls`, the impacts."""
         self._ready.wait(stream)
-        self._listed.wait(stream)
+        if falls:
+            self._listed.wait(stream)
 
     def after(self, stream, page):
         """Let the next step that writes to the `page` wait for what is queued on another stream."""

@@ -285,15 +285,15 @@ class WaterSurface:
         self._row = cuda.device_array(coarse, np.int32)
         self.highest = cuda.device_array(1, np.float32)
 
-    def launch(self):
-        """Queue the surface of the water as it is then."""
-        rows, columns = self.surface.shape
-        cells = (-(-columns // SIDE), -(-rows // HIGH)), THREADS, self.stream
-        squares = (-(-columns // SIDE), -(-rows // SIDE)), THREADS, self.stream
+    def launch(self, stream=None):
+        """Queue the surface of the water as it is then, on another stream than its own if given."""
+        stream, (rows, columns) = self.stream if stream is None else stream, self.surface.shape
+        cells = (-(-columns // SIDE), -(-rows // HIGH)), THREADS, stream
+        squares = (-(-columns // SIDE), -(-rows // SIDE)), THREADS, stream
         rows, columns = self._count.shape
         water = self._bed, self.depth, self._mirrors
         sum_blocks[cells](*water, self._count, self._mean, self.highest)
-        nearest_rows[columns, LINE, self.stream](self._count, self._row)
-        nearest_blocks[rows, LINE, self.stream](self._row, self._mean, self._far)
+        nearest_rows[columns, LINE, stream](self._count, self._row)
+        nearest_blocks[rows, LINE, stream](self._row, self._mean, self._far)
         spread[squares](*water, self._relief, self._wide, self._far, self.surface, self._rough)
         soften[squares](self._rough, self.surface, self._narrow, self.over, self.highest)

@@ -173,6 +173,8 @@ def test_water_light(view, pond, poisoned, rng, reflection, hard):
     bounds, bounds2 = (poisoned(ssr.bounds_of(HEIGHT, WIDTH)) for _ in range(2))
     ssr.block_bounds(tall, bounds)
     launch(cuda_optics.keep_tall, view.depth, clearance, tall2, bounds2)
+    many = -(-len(bounds2) // cuda_optics.JOINERS), cuda_optics.JOINERS
+    cuda_optics.join_bounds[many](HEIGHT, WIDTH, bounds2)
     np.testing.assert_array_equal(tall, tall2)
     np.testing.assert_array_equal(bounds, bounds2)
     around, sun = sky.overcast(), np.array([0.1, 0.7, 0.7, 9, 8, 7], F4)
