@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from rainsim import layers
+from rainsim import layers, waterview
 from rainsim import render as rendering
 from rainsim.config import Config, mm_per_hour
 from rainsim.cuda import frame as twin
@@ -21,7 +21,8 @@ SIZE = (32, 24)
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch):
-    """The day's sky as surroundings: six pictures are much for the simulator."""
+    """The day's sky as surroundings: six pictures are much for the simulator; and one layer."""
+    monkeypatch.setattr(waterview, "WORTH", np.inf)
     for renderer in (rendering.Renderer, twin.Renderer):
         monkeypatch.setattr(renderer, "_surroundings", lambda self, position: self.day)
 
