@@ -8,12 +8,19 @@ from __future__ import annotations
 
 import numpy as np
 
-from rainsim.jit import serial_kernel
+from rainsim.jit import inlined_function, serial_kernel
 
 CHUNK = 256  # pixels
 CORNERS = 4 * CHUNK  # numbers that `interpolate` needs to work with
 ZERO, ONE = np.float32(0), np.float32(1)
 SECOND, THIRD, FOURTH = CHUNK, 2 * CHUNK, 3 * CHUNK
+
+
+@inlined_function
+def held(x, most):
+    """Return x, held between 0 and `most`; 0 for NaN: what is made of it is a place in memory."""
+    x = x if x > ZERO else ZERO
+    return x if x < most else most
 
 
 # Not inlined: LLVM sees that its loops can run in vectors only when it looks at them alone.
@@ -39,7 +46,7 @@ def interpolate(field, n, s, u, v, place, corner):
     last, lowest = np.float32(columns - 2), np.float32(rows - 2)
     wide, next_ = np.uint32(columns), np.uint32(1)
     for i in range(n):
-        x, y = min(max(s[u + i], ZERO), right), min(max(s[v + i], ZERO), bottom)
+        x, y = held(s[u + i], right), held(s[v + i], bottom)
         k, m = np.int32(min(x, last)), np.int32(min(y, lowest))
         place[i] = np.uint32(m) * wide + np.uint32(k)
         s[u + i], s[v + i] = x - np.float32(k), y - np.float32(m)
@@ -66,7 +73,7 @@ def nearest(field, n, s, u, v, out, place):
     flat = field.reshape(rows * columns)
     right, bottom, wide = np.float32(columns - 1), np.float32(rows - 1), np.uint32(columns)
     for i in range(n):
-        k, m = np.int32(min(max(s[u + i], ZERO), right)), np.int32(min(max(s[v + i], ZERO), bottom))
+        k, m = np.int32(held(s[u + i], right)), np.int32(held(s[v + i], bottom))
         place[i] = np.uint32(m) * wide + np.uint32(k)
     for i in range(n):
         s[out + i] = flat[place[i]]

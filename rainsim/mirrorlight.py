@@ -195,7 +195,8 @@ def march_rays(depth, steps, thickness, n, s, place, marched):
         s[FROM_U + k], s[FROM_V + k], s[FROM_Z + k] = s[U + i], s[V + i], s[Z + i]
         s[WAY_U + k], s[WAY_V + k] = s[DU + i], s[DV + i]
     for k in range(count):
-        s[BEFORE + k], s[PAST + k], s[FREE + k], s[MET + k] = s[FROM_Z + k], ZERO, ZERO, ZERO
+        s[BEFORE + k], s[PAST + k], s[FREE + k] = s[FROM_Z + k], ZERO, ZERO
+        s[HIGH + k], s[MET + k] = ZERO, ZERO
     inv = ONE / np.float32(steps)
     for k in range(steps):
         share = step_share(k, inv)

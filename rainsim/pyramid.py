@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rainsim.jit import cpu_kernel, device_function, prange
+from rainsim.jit import cpu_kernel, device_function, inlined_function, prange, serial_kernel
 from rainsim.light import bilinear_color, four_colors
 
 ZERO = np.float32(0)
@@ -27,14 +27,6 @@ def top_of(height, level):
 
 
 @device_function
-def block_mean(picture, coarse, level, row, column, c):
-    """Return a channel of a cell of `level`, from 1 up, as the mean over the level before."""
-    if level == 1:
-        return mean_of_four(picture, 2 * row, 2 * column, 1, c)
-    return mean_of_four(coarse, top_of(picture.shape[0], level - 1) + 2 * row, 2 * column, 1, c)
-
-
-@device_function
 def mean_of_four(cells, j, i, apart, c):
     """Return the mean of a channel of cell (j, i) and the three `apart` from it."""
     return QUARTER * (
@@ -45,14 +37,39 @@ def mean_of_four(cells, j, i, apart, c):
 
 @cpu_kernel
 def _halve(picture, level, coarse_out):
-    """Write one level."""
-    height, width = picture.shape[0], picture.shape[1]
-    top = top_of(height, level)
+    """Write one level, each cell the mean over four of the level before."""
+    height, width, channels = picture.shape
+    top, wide = top_of(height, level), width >> level
+    before = top_of(height, level - 1) if level > 1 else 0
     for row in prange(height >> level):
-        for column in range(width >> level):
-            for c in range(picture.shape[2]):
-                value = block_mean(picture, coarse_out, level, row, column, c)
-                coarse_out[top + row, column, c] = value
+        line = np.empty(2 * wide * channels, np.float32)
+        j, out = before + 2 * row, coarse_out[top + row]
+        if level == 1:
+            _add_rows(picture[j], picture[j + 1], line)
+        else:
+            _add_rows(coarse_out[j], coarse_out[j + 1], line)
+        if channels == 3:  # a number that is known when this is compiled runs in vectors
+            _add_pairs(line, wide, 3, out)
+        else:
+            _add_pairs(line, wide, channels, out)
+
+
+@serial_kernel
+def _add_rows(upper, lower, line_out):
+    """Add up two rows of a picture."""
+    a, b = upper.reshape(upper.size), lower.reshape(lower.size)
+    for k in range(len(line_out)):
+        line_out[k] = a[k] + b[k]
+
+
+@inlined_function
+def _add_pairs(line, wide, channels, row_out):
+    """Write the means of what pairs of cells of two rows add up to."""
+    out = row_out.reshape(row_out.size)
+    for i in range(wide):
+        for c in range(channels):
+            here, next_ = line[2 * channels * i + c], line[2 * channels * i + channels + c]
+            out[channels * i + c] = QUARTER * (here + next_)
 
 
 def coarse_shape(height, width, channels=3):

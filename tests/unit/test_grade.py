@@ -104,3 +104,13 @@ def test_a_chunk_is_interpolated_as_single_places_are(poisoned):
     wanted = [bilinear(field, *at) for at in zip(u, v, strict=True)]
     np.testing.assert_allclose(s[:n], wanted, rtol=1e-5, atol=1e-6)
     assert np.isnan(s[n : chunks.CHUNK]).all()
+
+
+def test_nowhere_is_some_place_in_memory(poisoned):
+    n, field = chunks.CHUNK, np.ones((7, 11), F4)
+    s, place, corner = poisoned((3 * n,)), np.empty(n, np.uint32), poisoned((chunks.CORNERS,))
+    s[n // 2 : n], s[n + n // 3 : 2 * n] = np.inf, -np.inf
+    chunks.nearest(field, n, s, 0, n, 2 * n, place)
+    assert (s[2 * n :] == 1).all() and place.max() < field.size
+    chunks.interpolate(field, n, s, 0, n, place, corner)
+    assert place.max() < field.size - 11

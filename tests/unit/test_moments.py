@@ -93,7 +93,7 @@ def test_coarse_pictures_hold_means():
         k, rows, columns = 1 << level, 77 >> level, 130 >> level
         blocks = picture[: rows * k, : columns * k].reshape(rows, k, columns, k, 3)
         found = coarse[top_of(77, level) :][:rows, :columns]
-        np.testing.assert_allclose(found, blocks.mean(axis=(1, 3)), atol=1e-6)
+        np.testing.assert_allclose(found, blocks.mean(axis=(1, 3), dtype=float), atol=1e-6)
 
 
 @pytest.mark.parametrize("blur", [0.0, 1.0, 2.3, 4.0, 9.0])
