@@ -29,9 +29,9 @@ def quick(monkeypatch):
 
 def config(**changes):
     base = {
-        "rate": mm_per_hour(20.0), "past": 4e-3, "frames": 2, "width": SIZE[0], "extent": 1.0,
+        "rate": mm_per_hour(6.0), "past": 4e-3, "frames": 2, "width": SIZE[0], "extent": 1.0,
         "spacing": 0.1, "wind": (0.0, 0.0), "reflections": "ssr",
-        "drips": False, "film": "environment",
+        "film": "environment",
     }  # fmt: skip
     return Config().replace(**{**base, **changes})
 
