@@ -257,15 +257,15 @@ class Objects:
     Attributes
     ----------
     drips : Drips or None
-    initial : float [m3]
-        What was on the objects when the account was opened.
+    initial, inflow : float [m3]
+        What was on the objects when the account was opened, and what has risen from outside.
     """
 
     def __init__(self, surfaces, start):
         rain, wet = start.rain, start.rain.past > 0 or start.water.level is not None
         self.drips = Drips(surfaces, rain.seed, wet) if rain.drips else None
         self._surfaces, self._roughness = surfaces, rain.roughness
-        self.initial = self._came = self._returned = self._kept = self._inflow = 0.0
+        self.initial = self._came = self._returned = self._kept = self.inflow = 0.0
 
     def open_account(self):
         """Count what is on the objects and in the air now as there from the start."""
@@ -287,7 +287,7 @@ class Objects:
         more, less = volumes > 0, volumes < 0
         solver.deposit(rows[more], columns[more], volumes[more])
         solver.withdraw(rows[less], columns[less], -volumes[less])
-        self._inflow += float(volumes[more].sum())
+        self.inflow += float(volumes[more].sum())
 
     def advance(self, start, stop, weather):
         """Return the rows, columns and volumes [m3] of what comes down from them."""
@@ -315,18 +315,18 @@ class Objects:
         if self.drips is not None:
             held, airborne = held + self.drips.held, self.drips.airborne
         ledger = solver.ledger if report is None else report.ledger
-        return self.booked(ledger, self._came, self._returned, held, airborne)
+        return self.booked(ledger, self._came, self._returned, held, airborne, self.inflow)
 
-    def booked(self, ledger, came, returned, held, airborne):
+    def booked(self, ledger, came, returned, held, airborne, inflow):
         """Return a solver's ledger as a dict, with the objects' water [m3] in it.
 
-        What came to them and came down again, and what is there and in the air now.
+        What came to them and came down again, what is there and in the air now, and `inflow`.
         """
         ledger = ledger.as_dict()
         ledger["initial"] += self.initial
         # What came down from objects, or in from outside, the solver took for rain.
-        ledger["rain"] += came - returned - self._inflow
-        ledger["inflow"] += self._inflow
+        ledger["rain"] += came - returned - inflow
+        ledger["inflow"] += inflow
         ledger["obstacles"] += held
         ledger["airborne"] += airborne
         return Ledger.from_dict(ledger).as_dict()

@@ -28,7 +28,7 @@ from rainsim.cuda.recent import RecentImpacts
 from rainsim.cuda.ripples import Ripples
 from rainsim.cuda.water import Water
 from rainsim.drips import DRIP_COLUMNS
-from rainsim.errors import DivergedError, ParameterError
+from rainsim.errors import DivergedError
 from rainsim.moments import ripple_moments
 from rainsim.ripples import RippleTile, mean_chord
 from rainsim.weather import Weather
@@ -113,10 +113,7 @@ class Simulation:
         start = config.at(0.0)
         depth, self.notes = host.initial_water(terrain, start, exposure)
         self._quick = host.quick_rain(terrain, config, exposure)
-        if host.moving_level(terrain, config) is not None:
-            raise ParameterError(
-                "the water level changes in time; backend cuda keeps it; take backend cpu"
-            )
+        self._follow = host.moving_level(terrain, config)
         solver = host.water_solver(terrain, start)
         solver.set_state(depth)
         tile = RippleTile(
@@ -178,6 +175,8 @@ class Simulation:
         else:
             if self._quick is not None:
                 self.water.deposit(*self._quick(*self._interval))
+            if self._follow is not None:
+                self._objects.let_in(self.water, *self._follow(*self._interval))
             self._listed.wait(self.stream)
             self._drawn[page].wait(self.stream)
             if index == 1:
@@ -225,8 +224,9 @@ class Simulation:
         self._accounts[index % 2] = self._control.copy(), *self._of_objects()
 
     def _of_objects(self):
-        """Return what came to objects and the account of drips, or None, as finished."""
-        return int(self._obstacles[0]), None if self.drips is None else self.drips.told.copy()
+        """Return what came to objects, the account of drips or None, and what rose; finished."""
+        drips = None if self.drips is None else self.drips.told.copy()
+        return int(self._obstacles[0]), drips, self._objects.inflow
 
     def _show_first_slopes(self):
         self.ripples.moments.copy_to_device(ripple_moments(self._first_slopes))
@@ -294,13 +294,14 @@ class Simulation:
         """
         if index == self._begun:
             self.complete()
-        control, fallen, drips = self._accounts[index % 2]
+        control, fallen, drips, inflow = self._accounts[index % 2]
         came = fallen * VOLUME_UNIT
         returned, held, airborne = 0.0, came + self._objects.initial, 0.0
         if drips is not None:
             held, airborne, returned, fine = volumes(drips)
             came += fine
-        return self._objects.booked(self.water.ledger(control), came, returned, held, airborne)
+        ledger = self.water.ledger(control)
+        return self._objects.booked(ledger, came, returned, held, airborne, inflow)
 
 
 def simulate(terrain, config, progress=None):

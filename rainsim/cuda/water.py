@@ -17,6 +17,7 @@ from rainsim.errors import DivergedError, ParameterError
 from rainsim.grid.conserving import PAD
 from rainsim.grid.conserving_flow import EDGES
 from rainsim.grid.solver import DRY_DEPTH
+from rainsim.grid.sources import drawn_off
 
 CAPACITY = 12  # steps queued for a frame
 
@@ -96,6 +97,8 @@ class Water:
         numbers[account.STORES] = float(solver._stores)
         control = np.zeros(account.CONTROL)
         control[account.CAP] = flow.cap
+        area, there = solver.spacing**2, self._ledger
+        control[account.GROUND], control[account.FILM] = there.ground / area, there.film / area
         control[account.REACH_NOW], control[account.SWIFT_NOW] = flow.reach, flow.swift
         state = np.zeros(account.STATE, np.int32)
         state[account.WAITS], state[account.SETTLED] = int(flow._waits), int(solver._settled)
@@ -119,11 +122,30 @@ class Water:
     def deposit(self, rows, columns, volumes):
         """Let drops wait for the next frame: arrays of rows, columns and volumes [m3]."""
         depth = np.asarray(volumes, np.float64) / (self.spacing**2 * account.UNIT)
-        cells = self.first + np.asarray(rows, np.int64) * self.width
-        cells += np.asarray(columns, np.int64)
+        cells = self._cells(rows, columns)
         waiting = self.waiting.copy_to_host(stream=self.stream)
         np.add.at(waiting, cells, np.rint(depth).astype(np.int64))
         self.waiting.copy_to_device(waiting, stream=self.stream)
+
+    def withdraw(self, rows, columns, volumes):
+        """Drain up to `volumes` [m3] of free water from cells, none of them named twice; waits."""
+        cells, depth = self._cells(rows, columns), np.asarray(volumes) / self.spacing**2
+        state, control, fields, damp = (
+            array.copy_to_host(stream=self.stream)
+            for array in (self._state, self._control, self._fields, self._damp)
+        )
+        self.stream.synchronize()
+        here = 3 * len(damp) * state[account.PARITY] + cells
+        fields[here], damp[cells], taken = drawn_off(fields[here], damp[cells], depth, DRY_DEPTH)
+        control[account.DRAINED] += taken
+        for array, values in (
+            (self._control, control), (self._fields, fields), (self._damp, damp)
+        ):  # fmt: skip
+            array.copy_to_device(values, stream=self.stream)
+
+    def _cells(self, rows, columns):
+        rows, columns = np.asarray(rows, np.int64), np.asarray(columns, np.int64)
+        return self.first + rows * self.width + columns
 
     def update(self, duration, rate=0.0, added=True):
         """Say what the next frame is: its length [s], the rain [m/s], whether drops fell."""

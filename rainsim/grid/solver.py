@@ -29,7 +29,7 @@ from rainsim.grid.inputs import (
     require_inflow,
 )
 from rainsim.grid.paper_flow import PaperFlow
-from rainsim.grid.sources import soak, tally
+from rainsim.grid.sources import drawn_off, soak, tally
 from rainsim.ledger import Ledger
 
 DRY_DEPTH = 1e-6  # m, below this water does not flow (RainyGS supplement, step 2)
@@ -261,12 +261,9 @@ class WaterSolver:
             return
         flow, area = self._flow, self.spacing**2
         at = np.asarray(rows) + flow.pad, np.asarray(columns) + flow.pad
-        free = flow.h[at].astype(np.float64) + flow.damp[at]
-        stays = np.maximum(free - np.asarray(volumes) / area, 0.0)
-        flow.h[at] = np.where(stays >= DRY_DEPTH, stays, 0.0)
-        flow.damp[at] = stays - flow.h[at]
-        left = flow.h[at].astype(np.float64) + flow.damp[at]
-        self._ledger.drained += float((free - left).sum()) * area
+        depth = np.asarray(volumes) / area
+        flow.h[at], flow.damp[at], taken = drawn_off(flow.h[at], flow.damp[at], depth, DRY_DEPTH)
+        self._ledger.drained += taken * area
         self._added = True
 
     # -- time ----------------------------------------------------------------------------------

@@ -17,6 +17,18 @@ def soaked(free, film, thirst, store):
     return from_free, from_film, min(store - (film - from_film), free - from_free)
 
 
+def drawn_off(h, damp, depth, dry):
+    """Return the water and damp that cells keep, and what they gave up to `depth` in all [m].
+
+    Water less deep than `dry` [m] is damp.
+    """
+    free = h.astype(np.float64) + damp
+    stays = np.maximum(free - depth, 0.0)
+    h = np.where(stays >= dry, stays, 0.0).astype(h.dtype)
+    damp = (stays - h).astype(damp.dtype)
+    return h, damp, float((free - (h.astype(np.float64) + damp)).sum())
+
+
 @cpu_kernel
 def soak(tiles, rain, infiltration, storage, dt, dry, h_out, damp_out, film_out, infiltrated_out):
     """Add rain, let the ground drink, fill the film; the rest flows.

@@ -1,5 +1,6 @@
 """Rain, water and rings on the twin, frame by frame, in the simulator, against the CPU's."""
 
+import dataclasses
 import functools
 
 import numpy as np
@@ -16,10 +17,15 @@ assert simulated()
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
 
 
-def test_frames_are_those_of_the_cpu(monkeypatch):
+@pytest.fixture(autouse=True)
+def small_tile(monkeypatch):
+    """Rings on few cells."""
     small = functools.partial(simulation.RippleTile, cells=16, size=0.5)
     for module in (simulation, twin):
         monkeypatch.setattr(module, "RippleTile", small)
+
+
+def test_frames_are_those_of_the_cpu():
     config = Config().replace(
         rate=mm_per_hour(200.0), past=3e-3, extent=0.5, spacing=0.1, wind=(0.5, 0.2), fps=60.0,
         scheme="lean", frames=3,
@@ -46,3 +52,21 @@ def test_frames_are_those_of_the_cpu(monkeypatch):
         np.testing.assert_allclose(gpu.drips, cpu.drips[order], rtol=1e-9, atol=1e-12)
         depths.append(depth)
     assert (depths[2] != depths[1]).any() and np.abs(cpu.slopes).max() > 1e-6
+
+
+def test_a_level_that_moves_is_followed():
+    config = Config().replace(rate=0.0, extent=0.5, spacing=0.1, fps=20.0, scheme="lean", frames=6)
+    terrain = extract_terrain(tiny_scene(), config)
+    keys = tuple((t, (("level", h),)) for t, h in ((0.0, 0.02), (0.1, 0.05), (0.25, 0.01)))
+    config = dataclasses.replace(config, keyframes=keys)
+    wanted, found = simulation.simulate(terrain, config), twin.simulate(terrain, config)
+    depths = []
+    for _ in range(6):
+        cpu, gpu = next(wanted), next(found)
+        depths.append(gpu.depth.copy_to_host())
+        np.testing.assert_allclose(depths[-1], cpu.depth, atol=1e-6)
+        for name in ("initial", "inflow", "drained", "ground"):
+            assert gpu.ledger[name] == pytest.approx(cpu.ledger[name], rel=1e-5, abs=1e-9), name
+        assert abs(gpu.ledger["residual"]) < 1e-6
+    assert depths[2].max() > 1.2 * depths[0].max() > 1.2 * depths[5].max()
+    assert gpu.ledger["inflow"] > 0 and gpu.ledger["drained"] > 0
