@@ -111,7 +111,8 @@ class Renderer(InTurn, TakesApart, HostRenderer):
     def update(self, camera, state, camera_end=None):
         """Take over what the next frame shows; the device may still be drawing the one before."""
         self._next, self._to_bring = (camera, state, camera_end), []
-        self._set_time(state.time)
+        self._looks += self._set_time(state.time)
+        self._seen = camera, self._looks
         if self.ground is not self._ground_sent:
             self._to_bring.append(self._bring_ground)
         if self.behind is not self._sky_sent:

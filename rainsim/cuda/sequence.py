@@ -24,7 +24,8 @@ class InTurn:
     def _begin_turns(self):
         self._copier, self._shore = cuda.stream(), cuda.stream()
         self._composed, self._copied, self._surfaced = (cuda.event() for _ in range(3))
-        self._queue = self._dry = None
+        self._queue = self._dry = self._last = None
+        self._looks, self._seen, self._kept = 0, (None, 0), None
         self._wet, self._surfaces = {}, {}  # recorded, by the page of the simulation they show
         self._next = self._flight = self._done = None
         self._drawn = 0
@@ -71,7 +72,7 @@ class InTurn:
         """Return whether the next frame may begin before it is known what the last one lacked."""
         if self._dry is None or self._to_bring or self._is_stale():
             return False
-        self._dry.wait()  # for what is counted of the frame that is being drawn
+        self._last.wait()  # for what is counted of the frame that is being drawn
         tight = any(splats.overflows() or splats.is_tight() for splats in self._dry_splats())
         return not tight and not self.film_light.lacks()
 
@@ -86,12 +87,19 @@ class InTurn:
         for bring in self._to_bring:
             bring()
         self._to_bring = []
-        self._launch_dry()
+        self._launch_dry(self._is_still())
         if (simulation := simulation_of(state)) is not None:
             simulation.begin(state.index)
         self._launch_surface()
 
-    def _launch_dry(self):
+    def _is_still(self):
+        """Return whether what needs no water is there: a still camera's, of the same look."""
+        if self._kept is None or self._is_stale():
+            return False
+        return self._seen[0] is self._kept[0] and self._seen[1] == self._kept[1]
+
+    def _launch_dry(self, kept=False):
+        """Queue what needs no water; if that is `kept` of the frame before, the numbers only."""
         if self._is_stale():
             self._queue, self._dry, self._wet = self._depends_on(), None, {}
         if self._dry is None:
@@ -99,7 +107,12 @@ class InTurn:
             dry()  # compiles, and allocates what only then is known
             self.stream.synchronize()
             self._dry = Graph(self.stream, dry)
-        self._dry.launch()
+            self._still = Graph(self.stream, self.numbers.send)
+        if self._last is not None:
+            self._last.wait()  # what is still to be copied must stay
+        self._last = self._still if kept else self._dry
+        self._last.launch()
+        self._kept = self._seen
 
     def _launch_surface(self):
         """Queue the surface of the water of the frame that has begun, beside its splatting."""

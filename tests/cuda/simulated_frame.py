@@ -55,13 +55,20 @@ def test_frames_are_those_of_the_cpu(reflections, least):
     states = [state for state, _ in zip(simulate(terrain, settings), range(2), strict=False)]
     wanted = drawn(rendering.Renderer(scene, terrain, settings, camera), scene, camera, states)
     renderer = twin.Renderer(scene, terrain, settings, camera)
+    launch, launches = renderer.rasterizer.launch, []
+    renderer.rasterizer.launch = lambda: launches.append(launch())
     found = drawn(renderer, scene, camera, states)
+    count = len(launches)
     for a, b in zip(found, wanted, strict=True):
         assert decibel(a, b) > least
     assert (wanted[0] != wanted[1]).any()
     assert renderer.mirrors.passes == (reflections == "auto")
     again = renderer.draw(camera, states[0])[0]
     np.testing.assert_array_equal(again, found[0])
+    assert len(launches) == count > 0  # a still camera's picture is kept
+    again = renderer.draw(dataclasses.replace(camera), states[0])[0]
+    np.testing.assert_array_equal(again, found[0])
+    assert len(launches) == count + 1
     dry = dataclasses.replace(states[0], depth=np.zeros_like(states[0].depth))
     assert decibel(renderer.draw(camera, dry)[0], found[0]) < 40
 
