@@ -293,7 +293,7 @@ def test_a_camera_at_or_under_the_water_sees_none_and_nothing_breaks(above):
     optics.tilt_water(record, ripple_moments(np.full((2, 32, 32), 0.03)), np.float32(1.0))
     light, source = np.full((n, 3), np.nan, np.float32), np.full(n, 99, np.uint8)
     mirror = np.full((HEIGHT, WIDTH, 3), 0.25, np.float32)
-    reflect.mirror_light(
+    mirrorlight.mirror_light(
         np.arange(n), record, TURN, eye, LENS, level, mirror, coarsened(mirror),
         np.full((HEIGHT, WIDTH), 3.0, np.float32), 8, np.float32(0.1), light, source,
     )  # fmt: skip
