@@ -9,6 +9,7 @@ import click
 
 from rainsim import __version__
 from rainsim.cli import bench, doctor, film, ground, splat, tools
+from rainsim.cli.status import interrupts_remembered
 from rainsim.errors import ParameterError, RainsimError
 
 INTERRUPTED = 130  # 128 + SIGINT, as shells have it
@@ -20,7 +21,8 @@ class Commands(click.Group):
     def invoke(self, ctx):
         """Run the chosen command."""
         try:
-            return super().invoke(ctx)
+            with interrupts_remembered():
+                return super().invoke(ctx)
         except ParameterError as error:
             raise _failure(error, 2) from error
         except RainsimError as error:
