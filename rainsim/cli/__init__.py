@@ -9,7 +9,6 @@ import click
 
 from rainsim import __version__
 from rainsim.cli import bench, doctor, film, ground, splat, tools
-from rainsim.cli.status import interrupts_remembered
 from rainsim.errors import ParameterError, RainsimError
 
 INTERRUPTED = 130  # 128 + SIGINT, as shells have it
@@ -21,8 +20,7 @@ class Commands(click.Group):
     def invoke(self, ctx):
         """Run the chosen command."""
         try:
-            with interrupts_remembered():
-                return super().invoke(ctx)
+            return super().invoke(ctx)
         except ParameterError as error:
             raise _failure(error, 2) from error
         except RainsimError as error:

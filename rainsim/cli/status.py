@@ -2,44 +2,12 @@
 
 from __future__ import annotations
 
-import signal
 import sys
-import threading
 import time
-from contextlib import contextmanager
 
 import click
 
 QUARTERS = 4  # without a terminal a stage reports this often
-
-_pressed = False  # Ctrl-C, in this command
-
-
-@contextmanager
-def interrupts_remembered():
-    """Note that Ctrl-C was pressed, so that the next progress raises it again.
-
-    Python drops what a signal raises inside a finalizer or another callback, and the command would
-    go on.
-    """
-    global _pressed
-    _pressed = False
-    default = signal.default_int_handler
-    own = signal.getsignal(signal.SIGINT) is default  # not the caller's, and not ignored
-    if not own or threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    signal.signal(signal.SIGINT, _interrupt)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, default)
-
-
-def _interrupt(number, frame):
-    global _pressed
-    _pressed = True
-    signal.default_int_handler(number, frame)
 
 
 class Status:
@@ -84,8 +52,6 @@ class Status:
 
     def progress(self, stage, done, total):
         """Show that `done` of `total` parts of a stage are done."""
-        if _pressed:
-            raise KeyboardInterrupt
         if self.quiet:
             return
         if stage != self._stage:
