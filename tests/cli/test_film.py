@@ -183,6 +183,8 @@ def test_ctrl_c_ends_a_process_with_130(scene_folder, tmp_path, root):
         cwd=root,
         stderr=subprocess.PIPE,
         text=True,
+        # a shell that runs the tests in the background has all below it ignore the signal
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     ) as process:
         deadline = time.monotonic() + 200
         first = out / "frames" / "00000.png"
