@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 import rainsim
-from rainsim.image import write_png
+from rainsim.io.images import write_png
 from rainsim.scene.cameras import look_at, write_transforms
 
 

@@ -2,8 +2,8 @@
 
 import rainsim
 from rainsim.pipeline import extract_terrain
-from rainsim.standing import standing_water
 from rainsim.terrain import write_terrain
+from rainsim.water.fill_spill_merge import standing_water
 
 
 def main(out="height_map", scene="bicycle", past_rain=3e-3, **settings):

@@ -6,7 +6,7 @@ Run: python examples/solver_on_a_basin.py
 import numpy as np
 
 from rainsim.grid import WaterSolver
-from rainsim.standing import standing_water
+from rainsim.water.fill_spill_merge import standing_water
 
 
 def make_valley(cells, spacing):

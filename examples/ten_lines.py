@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import rainsim
-from rainsim.image import write_png
+from rainsim.io.images import write_png
 from rainsim.scene.cameras import resize_to
 
 

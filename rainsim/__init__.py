@@ -4,7 +4,7 @@ __version__ = "0.1.0"
 
 _PUBLIC = {
     "render_rain": "rainsim.pipeline",
-    "Config": "rainsim.config",
+    "Config": "rainsim.config.settings",
     "load_scene": "rainsim.scene.library",
     "Scene": "rainsim.scene.types",
     "Splats": "rainsim.scene.types",

@@ -1,16 +1,16 @@
-"""What draws and what simulates on each backend: the one place that knows both."""
+"""The renderer and the simulation of each backend: the only module that imports both backends."""
 
 from __future__ import annotations
 
 from rainsim.errors import require_choice
-from rainsim.render import Renderer
+from rainsim.render.renderer import Renderer
 from rainsim.simulation import simulate
 
 BACKENDS = ("cpu", "cuda")
 
 
 def on_backend(backend):
-    """Return the class that draws frames on a backend, and the function that simulates there.
+    """Return the renderer class and the `simulate` function of a backend.
 
     Raises
     ------
@@ -25,7 +25,7 @@ def on_backend(backend):
     from rainsim.cuda import require
 
     require()
-    from rainsim.cuda.frame import Renderer as OnGpu
-    from rainsim.cuda.simulate import simulate as simulate_on_gpu
+    from rainsim.cuda.render.renderer import Renderer as OnGpu
+    from rainsim.cuda.simulation import simulate as simulate_on_gpu
 
     return OnGpu, simulate_on_gpu

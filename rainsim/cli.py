@@ -8,7 +8,7 @@ from __future__ import annotations
 import click
 
 from rainsim import __version__
-from rainsim.cli import bench, doctor, film, ground, splat, tools
+from rainsim.commands import bench, doctor, film, ground, splat, tools
 from rainsim.errors import ParameterError, RainsimError
 
 INTERRUPTED = 130  # 128 + SIGINT, as shells have it

@@ -21,7 +21,7 @@ class InputError(RainsimError):
 
 
 class GroundError(RainsimError):
-    """The ground, the up direction or the scale cannot be told from what was given."""
+    """The ground, the up direction or the scale cannot be found from the given data."""
 
 
 class BackendError(RainsimError):

@@ -1,4 +1,15 @@
-"""The water solver: checks what comes in, keeps the account of the water, names the phases."""
+"""The water solver: the owner of the water on a height field, and its step from top to bottom.
+
+A step from time n to n+1 is the method `_step`:
+
+    h at n+1    = h - dt div(h u)             the flow's `advance_depth`
+    h          += dt (rain - losses)          `_apply_sources`, films first
+    u at n+3/2  = u - dt (transport + g grad(bed + h)), then friction   `advance_velocity`
+
+The scheme of the first and the last line is `rainsim.water.conserving_flow.ConservingFlow`
+("accurate", "lean") or `rainsim.water.paper_flow.PaperFlow` ("paper"). The twin on a CUDA device is
+`rainsim.cuda.grid`.
+"""
 
 from __future__ import annotations
 
@@ -7,33 +18,32 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from rainsim.constants import GRAVITY
 from rainsim.errors import (
     DivergedError,
-    ParameterError,
     require_choice,
     require_not_negative,
     require_positive,
 )
-from rainsim.grid.choose import MAX_COURANT, SCHEMES, choose
-from rainsim.grid.conserving_flow import ConservingFlow
-from rainsim.grid.inputs import (
+from rainsim.ledger import Ledger
+from rainsim.water.choose import MAX_COURANT, SCHEMES, choose
+from rainsim.water.conserving_flow import ConservingFlow
+from rainsim.water.inputs import (
     EDGES,
     field,
-    horton,
+    mean_at_faces,
     open_edges,
+    refuse_viscosity,
     require_bed,
     require_courant,
     require_drains,
     require_drops,
     require_dtype,
-    require_inflow,
 )
-from rainsim.grid.paper_flow import PaperFlow
-from rainsim.grid.sources import drawn_off, soak, tally
-from rainsim.ledger import Ledger
+from rainsim.water.paper_flow import PaperFlow
+from rainsim.water.sources import apply_sources, drain_cells, sum_tiles
 
 DRY_DEPTH = 1e-6  # m, below this water does not flow (RainyGS supplement, step 2)
-REST_ROUNDINGS = {"paper": 2}  # rounding units of bed and depth within which levels are equal
 MAX_SPEED = 1000.0  # m/s, no water on the ground is as fast: the run has diverged
 SOURCE_PERIOD = 0.02  # s, rain and losses of shorter steps are booked together
 DECIDE_EVERY = 8  # calls of `advance`, between two looks of "auto" at the water
@@ -85,10 +95,10 @@ class WaterSolver:
         Side of a cell.
     scheme : {"auto", "accurate", "lean", "paper"}
         "accurate" conserves momentum to second order, linear waves to fourth; "lean" is its first
-        order; "paper" is the staggered scheme of RainyGS; "auto" decides from what it sees. See
-        `rainsim.grid.conserving`, `rainsim.grid.paper` and `rainsim.grid.choose`.
+        order; "paper" is the staggered scheme of RainyGS; "auto" decides from the state. See
+        `rainsim.water.conserving`, `rainsim.water.paper` and `rainsim.water.choose`.
     boundary : {"wall", "open"} or dict
-        One for all edges, or by edge: west, east, south, north (those left out are walls). Water
+        One for all edges, or by edge: west, east, south, north (edges left out are walls). Water
         leaves through an open edge at the speed that it has just inside; none comes in.
     manning : float or array_like of shape (ny, nx) [s m^(-1/3)]
         Manning's roughness; 0 is no friction.
@@ -99,23 +109,28 @@ class WaterSolver:
         Cells crossed per step by the fastest wave, at most 0.7 (0.5 for "paper"). By default
         0.4 ("accurate"), 0.6 ("lean"), 0.5 ("paper"); "auto" takes 0.35 at fronts, else 0.6.
     storage : float or array_like of shape (ny, nx) [m]
-        Depth that a cell holds back; only water above it flows.
-    infiltration : float, array_like of shape (ny, nx) or Horton, optional [m/s]
+        Depth of the film that a cell holds back; only water above it flows.
+    infiltration : float or array_like of shape (ny, nx), optional [m/s]
         Rate at which the ground takes water, as long as there is some.
     drains : list of (row, column, rate [m3/s]), optional
         Cells that lose water at up to that rate.
-    evaporation : float or array_like of shape (ny, nx) [m/s]
-        Rate at which water, then film, evaporates.
-    inflow : dict, optional
-        Discharge [m3/s] by edge, spread evenly along it; the edge's boundary is "wall". Not for
-        "paper".
     dtype : numpy.float32 or numpy.float64
         Type of the fields. Volumes are float64 either way.
 
+    Attributes
+    ----------
+    flow : ConservingFlow or PaperFlow
+        Owner of depth and velocity, with `flow.pad` rings of ghost cells around the map.
+    film, storage, infiltration : ndarray of the shape of `flow.h` [m], [m], [m/s]
+        Depth held back in each cell, its limit, and what the ground takes.
+    drains : tuple of ndarray
+        Rows, columns and rates [m3/s].
+
     Notes
     -----
-    The ledger closes to float64 rounding for both types: what a depth cannot represent is kept
-    beside it. Only drops given to `deposit` are rounded to the fields' type, once.
+    The ledger closes to float64 rounding for both types: the part of a depth that a float32 cannot
+    represent is kept beside it. Only drops given to `deposit` are rounded to the fields' type,
+    once.
     """
 
     def __init__(
@@ -126,58 +141,49 @@ class WaterSolver:
         boundary="wall",
         manning=0.0,
         kinematic_viscosity=0.0,
-        gravity=9.81,
+        gravity=GRAVITY,
         courant=None,
         storage=0.0,
         infiltration=None,
         drains=None,
-        evaporation=0.0,
-        inflow=None,
         dtype=np.float32,
     ):
         bed = require_bed(bed)
         self.shape = bed.shape
         self.spacing = require_positive("spacing", spacing, "m")
-        self._asked = require_choice("scheme", scheme, SCHEMES)
         self.gravity = require_positive("gravity", gravity, "m/s2")
-        self._courant = require_courant(courant, MAX_COURANT[scheme])
+        self._asked_scheme = require_choice("scheme", scheme, SCHEMES)
+        self._asked_courant = require_courant(courant, MAX_COURANT[scheme])
         self._type = require_dtype(dtype)
         viscosity = require_not_negative("kinematic_viscosity", kinematic_viscosity, "m2/s")
-        is_open = open_edges(boundary)
-        inflow = require_inflow(inflow, is_open)
         storage = field("storage", storage, self.shape)
-        self._horton = horton(infiltration, self.shape)
-        self._drains = require_drains(drains, self.shape)
-        evaporation = field("evaporation", evaporation, self.shape)
+        infiltration = field(
+            "infiltration", 0.0 if infiltration is None else infiltration, self.shape
+        )
+        self.drains = require_drains(drains, self.shape)
         manning = field("manning", manning, self.shape)
-        rough = (manning**2).astype(self._type) if manning.any() else None
+        roughness = (manning**2).astype(self._type) if manning.any() else None
         # Levels are compared, so the height of the map itself must not cost digits.
         level_bed = (bed + storage.astype(self._type) - bed.mean()).astype(self._type)
-        rest = self._type(REST_ROUNDINGS.get(scheme, 1) * np.finfo(self._type).eps)
-        common = level_bed, self.spacing, self.gravity, is_open
+        common = level_bed, self.spacing, self.gravity, open_edges(boundary), roughness, DRY_DEPTH
         if scheme == "paper":
-            _refuse_in_paper(kinematic_viscosity=viscosity, inflow=inflow)
-            self._flow = PaperFlow(*common, rough, rest, self._type(DRY_DEPTH))
+            refuse_viscosity(viscosity)
+            self.flow = PaperFlow(*common)
         else:
-            numbers = rest, self._type(DRY_DEPTH), scheme == "lean"
-            self._flow = ConservingFlow(*common, inflow, rough, viscosity, *numbers)
-        self._inner = self._flow.inner if self._flow.pad else np.s_[:, :]
-        self._storage, self._evaporation = self._framed(storage), self._framed(evaporation)
-        self._infiltration = self._framed(self._horton.rate(0.0))
-        self._film, self._rain = self._framed(0.0), self._framed(0.0)
-        self._lost = np.zeros(len(self._flow.tiles(True)))
-        self._stands = np.zeros((3, len(self._lost)))  # water, film and least depth of each tile
-        self._rain_set, self._rain_sum = 0.0, 0.0
-        self._stores = bool(storage.any())
-        self._drinks = bool(np.any(self._horton.first) or np.any(self._horton.last))
-        self._wanes = bool(np.any(self._horton.first != self._horton.last))
-        self._dries = bool(evaporation.any())
+            self.flow = ConservingFlow(*common, viscosity, is_lean=scheme == "lean")
+        self.storage, self.infiltration = self._framed(storage), self._framed(infiltration)
+        self.film, self._rain = self._framed(0.0), self._framed(0.0)
+        self.has_storage, self.has_infiltration = bool(storage.any()), bool(infiltration.any())
+        tiles = len(self.flow.tiles(True))
+        self._infiltrated = np.zeros(tiles)  # m, in each tile in one step
+        self._standing = np.zeros((3, tiles))  # water, film and least depth [m] of each tile
+        self._rain_rate, self._rain_sum = 0.0, 0.0
         self.set_state(0.0)
 
     def _framed(self, values):
         """Return a map of the fields' type with the flow's ghost cells, zero there, around it."""
-        full = np.zeros(self._flow.h.shape, self._type)
-        full[self._inner] = values
+        full = np.zeros(self.flow.h.shape, self._type)
+        full[self.flow.inner] = values
         return full
 
     # -- state ---------------------------------------------------------------------------------
@@ -196,32 +202,35 @@ class WaterSolver:
         depth = field("depth", depth, self.shape)
         u = field("u", 0.0 if u is None else u, self.shape, signed=True)
         v = field("v", 0.0 if v is None else v, self.shape, signed=True)
-        flow, inner = self._flow, self._inner
-        self._film[inner] = np.minimum(depth, self._storage[inner])
-        free = depth - self._film[inner]
+        flow, inner = self.flow, self.flow.inner
+        self.film[inner] = np.minimum(depth, self.storage[inner])
+        free = depth - self.film[inner]
         flow.h[inner] = np.where(free >= DRY_DEPTH, free, 0.0)
-        flow.damp[inner] = free - flow.h[inner]
+        flow.remainder[inner] = free - flow.h[inner]
         h, bed = flow.h[inner], flow.bed[inner]
-        flow.start(_face_mean(u, h, bed, axis=1), _face_mean(v, h, bed, axis=0))
+        flow.start(
+            mean_at_faces(u, h, bed, DRY_DEPTH, axis=1), mean_at_faces(v, h, bed, DRY_DEPTH, axis=0)
+        )
         self._advances = 0
-        self._added, self._settled = False, False  # drops to take in; pressure seen and at rest
-        self._decide()
-        self.time = self._owed = 0.0
+        self._has_deposits = False  # drops that no step has taken in yet
+        self.settled = False  # whether a step has shown that pressure moves nothing
+        self._choose_scheme()
+        self.time = self._unbooked_time = 0.0
         self._ledger = Ledger()
-        self._book_stores()
+        self._book_standing_water()
         self._ledger.initial = self._ledger.ground + self._ledger.film
 
     @property
     def depth(self):
         """Depth above the bed, film included, ndarray of shape (ny, nx) [m]; a copy."""
-        flow, inner = self._flow, self._inner
-        return self._film[inner] + (flow.h[inner] + flow.damp[inner])
+        flow, inner = self.flow, self.flow.inner
+        return self.film[inner] + (flow.h[inner] + flow.remainder[inner])
 
     @property
     def velocity(self):
         """Velocity (u, v) at cell centres, two ndarrays of shape (ny, nx) [m/s]; copies."""
-        wet = self._flow.h[self._inner] > 0
-        half, (u, v) = self._type(0.5), self._flow.faces()
+        wet = self.flow.h[self.flow.inner] > 0
+        half, (u, v) = self._type(0.5), self.flow.faces()
         across = np.where(wet, half * (u[:, :-1] + u[:, 1:]), self._type(0))
         return across, np.where(wet, half * (v[:-1] + v[1:]), self._type(0))
 
@@ -230,10 +239,15 @@ class WaterSolver:
         """The account so far, a copy of the `Ledger`."""
         return replace(self._ledger)
 
+    @property
+    def has_losses(self):
+        """Whether the ground or drains take water."""
+        return self.has_infiltration or len(self.drains[0]) > 0
+
     def discharge(self, edge):
-        """Return the flow that leaves through `edge` now [m3/s]; negative where water comes in."""
+        """Return the flow that leaves through `edge` now [m3/s]."""
         require_choice("edge", edge, EDGES)
-        (u, v), h = self._flow.faces(), self._flow.h[self._inner]
+        (u, v), h = self.flow.faces(), self.flow.h[self.flow.inner]
         speed, h = {
             "west": (-u[:, 0], h[:, 0]), "east": (u[:, -1], h[:, -1]),
             "south": (-v[0], h[0]), "north": (v[-1], h[-1]),
@@ -241,30 +255,37 @@ class WaterSolver:
         return float((speed.astype(np.float64) * h).sum()) * self.spacing
 
     def deposit(self, rows, columns, volumes):
-        """Add drops: `volumes` [m3] into the cells (`rows`, `columns`), arrays of one length."""
+        """Add drops: `volumes` [m3] into the cells (`rows`, `columns`), arrays of one length.
+
+        The next `advance` takes them in.
+        """
         rows, columns, volumes = np.atleast_1d(rows), np.atleast_1d(columns), np.atleast_1d(volumes)
         require_drops(rows, columns, volumes, self.shape)
         if not len(rows):
             return
         # Rounded once in the sum of a cell, not once for each of its drops.
-        width, pad = self._film.shape[1], self._flow.pad
+        width, pad = self.film.shape[1], self.flow.pad
         cells, which = np.unique((rows + pad) * width + columns + pad, return_inverse=True)
         depth = np.bincount(which, np.asarray(volumes, np.float64)) / self.spacing**2
-        self._flow.damp.reshape(-1)[cells] += depth.astype(self._type)
+        self.flow.remainder.reshape(-1)[cells] += depth.astype(self._type)
         self._ledger.rain += float(volumes.sum(dtype=np.float64))
-        self._added = True
+        self._has_deposits = True
 
     def withdraw(self, rows, columns, volumes):
         """Drain up to `volumes` [m3] of free water from cells, none of them named twice."""
         require_drops(rows, columns, volumes, self.shape)
-        if not len(rows):
-            return
-        flow, area = self._flow, self.spacing**2
+        if len(rows):
+            self._ledger.drained += self._drain(rows, columns, np.asarray(volumes))
+            self._has_deposits = True
+
+    def _drain(self, rows, columns, volumes):
+        """Take up to `volumes` [m3] of free water from cells; return the volume taken [m3]."""
+        flow, area = self.flow, self.spacing**2
         at = np.asarray(rows) + flow.pad, np.asarray(columns) + flow.pad
-        depth = np.asarray(volumes) / area
-        flow.h[at], flow.damp[at], taken = drawn_off(flow.h[at], flow.damp[at], depth, DRY_DEPTH)
-        self._ledger.drained += taken * area
-        self._added = True
+        flow.h[at], flow.remainder[at], taken = drain_cells(
+            flow.h[at], flow.remainder[at], volumes / area, DRY_DEPTH
+        )
+        return taken * area
 
     # -- time ----------------------------------------------------------------------------------
 
@@ -281,121 +302,105 @@ class WaterSolver:
             If the state is no longer finite or flows faster than water can.
         """
         end = self.time + require_not_negative("duration", duration, "s")
-        rain_sum = self._set_rain(rain)
-        substeps = 0
-        if self._added:
-            self._take_in(0.0, 0.0)
-            self._flow.refresh()
-            self._added, self._settled = False, False
+        self._set_rain(rain)
+        if self._has_deposits:
+            self._apply_sources(0.0)
+            self.flow.refresh()
+            self._has_deposits, self.settled = False, False
         self._advances += 1
-        if self._flow.moves and self._advances % DECIDE_EVERY == 0:
-            self._decide()
+        if self.flow.moves and self._advances % DECIDE_EVERY == 0:
+            self._choose_scheme()
+        substeps = 0
         while end > self.time:
-            waits = self._settled and not self._flow.moves
-            if waits and not (rain_sum > 0.0 or (self._loses() and self._holds_water())):
-                self.time = end  # a step would change no number
+            if self._is_at_rest():
+                self.time = end
                 break
             left = end - self.time
-            steps = max(1, math.ceil(left / self._stable_step(left, rain_sum)))
-            self._substep(left / steps, rain_sum, last=steps == 1)
+            steps = max(1, math.ceil(left / self._stable_step(left)))
+            self._step(left / steps, last=steps == 1)
             substeps += 1
             self.time = end if steps == 1 else self.time + left / steps
-            self._require_sane()
-        self._book_stores()
+            self._require_possible_speed()
+        self._book_standing_water()
         return self._report(substeps)
 
-    def _substep(self, dt, rain_sum, last):
-        left, entered = self._flow.flow(dt)  # h at n+1
-        self._ledger.outflow += left
-        self._ledger.inflow += entered
-        if rain_sum > 0.0 or self._stores or self._loses():
-            self._owed += dt
-            if last or self._owed >= SOURCE_PERIOD:
-                self._take_in(self._owed, rain_sum)
-                self._owed = 0.0
-        self._flow.turn(dt)  # velocity after h at n+1
-        self._settled = True
+    def _is_at_rest(self):
+        """Whether a step would change no number."""
+        if self.flow.moves or not self.settled or self._rain_sum > 0.0:
+            return False
+        holds_water = self.flow.h.any() or self.flow.remainder.any() or self.film.any()
+        return not (self.has_losses and holds_water)
 
-    def _loses(self):
-        return bool(self._drinks or self._dries or len(self._drains[0]))
-
-    def _take_in(self, dt, rain_sum):
-        """Give the waiting drops and the rain of `dt` to the ground, the film and the water."""
-        flow, ledger, area = self._flow, self._ledger, self.spacing**2
-        if self._wanes:
-            self._infiltration[self._inner] = self._horton.rate(self.time)
-        # Without rain and losses only water that moves can still fill films.
-        everywhere = rain_sum > 0.0 or self._loses() or self._added
-        tiles = flow.tiles(everywhere)
-        lost = self._lost[: len(tiles)]
-        water = flow.h, flow.damp, self._film, lost
-        soak(tiles, self._rain, self._infiltration, self._storage, dt, DRY_DEPTH, *water)
-        ledger.rain += rain_sum * dt * area
-        ledger.infiltrated += float(lost.sum()) * area
-        if self._dries:
-            nothing = np.zeros_like(self._rain)
-            soak(tiles, nothing, self._evaporation, self._storage, dt, DRY_DEPTH, *water)
-            ledger.evaporated += float(lost.sum()) * area
-        if len(self._drains[0]):
-            ledger.drained += self._drain(dt) * area
-        flow.touched(everywhere)
-
-    def _drain(self, dt):
-        """Let the drains take what they can in `dt`; return the depth taken [m]."""
-        taken = 0.0
-        for row, column, rate in zip(*self._drains, strict=True):
-            j, i = row + self._flow.pad, column + self._flow.pad
-            free = float(self._flow.h[j, i]) + float(self._flow.damp[j, i])
-            stays = free - min(rate * dt / self.spacing**2, free)
-            self._flow.h[j, i] = stays if stays >= DRY_DEPTH else 0.0
-            self._flow.damp[j, i] = stays - float(self._flow.h[j, i])
-            taken += free - float(self._flow.h[j, i]) - float(self._flow.damp[j, i])
-        return taken
-
-    def _stable_step(self, left, rain_sum):
-        """Longest step that the waves, the flow and the rain of the step itself allow."""
-        dt = min(left, self._flow.stable_step(self.courant))
-        if rain_sum > 0.0:
+    def _stable_step(self, left):
+        """Longest step [s] that the waves, the flow and the rain of the step itself allow."""
+        dt = min(left, self.flow.stable_step(self.courant))
+        if self._rain_sum > 0.0:
             # On dry ground the wave speed is that of the rain of the step, sqrt(g rain dt).
             rate = self.gravity * float(self._rain.max())
             dt = min(dt, (self.courant * self.spacing) ** (2 / 3) / rate ** (1 / 3))
-            if not self._flow.moves:
+            if not self.flow.moves:
                 dt = min(dt, math.sqrt(QUIET_FALL * self.spacing / self.gravity))
         return dt
 
-    def _decide(self):
+    def _step(self, dt, last):
+        """Advance depth, sources and velocity by `dt` [s]; see the module's docstring."""
+        self._ledger.outflow += self.flow.advance_depth(dt)  # h at n+1
+        if self._rain_sum > 0.0 or self.has_storage or self.has_losses:
+            self._unbooked_time += dt
+            if last or self._unbooked_time >= SOURCE_PERIOD:
+                self._apply_sources(self._unbooked_time)
+                self._unbooked_time = 0.0
+        self.flow.advance_velocity(dt)  # u, v at n+3/2 ("paper": n+1)
+        self.settled = True
+
+    def _apply_sources(self, dt):
+        """Add deposited drops and the rain of `dt` [s] to film and water, and take the losses."""
+        flow, ledger, area = self.flow, self._ledger, self.spacing**2
+        # Without rain and losses only water that moves can still fill films.
+        everywhere = self._rain_sum > 0.0 or self.has_losses or self._has_deposits
+        tiles = flow.tiles(everywhere)
+        infiltrated = self._infiltrated[: len(tiles)]
+        apply_sources(
+            tiles, self._rain, self.infiltration, self.storage, dt, DRY_DEPTH,
+            flow.h, flow.remainder, self.film, infiltrated,
+        )  # fmt: skip
+        ledger.rain += self._rain_sum * dt * area
+        ledger.infiltrated += float(infiltrated.sum()) * area
+        rows, columns, rates = self.drains
+        if len(rows):
+            ledger.drained += self._drain(rows, columns, rates * dt)
+        flow.note_sources(everywhere)
+
+    def _choose_scheme(self):
         """Choose scheme and Courant number, "auto" from the state."""
-        h, bed = self._flow.h[self._inner], self._flow.bed[self._inner]
-        self.scheme, courant, self.reason = choose(self._asked, h, bed)
-        self.courant = courant if self._courant is None else self._courant
+        h, bed = self.flow.h[self.flow.inner], self.flow.bed[self.flow.inner]
+        self.scheme, courant, self.reason = choose(self._asked_scheme, h, bed)
+        self.courant = courant if self._asked_courant is None else self._asked_courant
 
     def _set_rain(self, rain):
-        """Fill the map of rain rates and return its sum over the cells [m/s]."""
-        if np.ndim(rain) > 0 or rain != self._rain_set:
-            self._rain[self._inner] = field("rain", rain, self.shape)
+        """Fill the map of rain rates and its sum over the cells [m/s]."""
+        if np.ndim(rain) > 0 or rain != self._rain_rate:
+            self._rain[self.flow.inner] = field("rain", rain, self.shape)
             self._rain_sum = float(self._rain.sum(dtype=np.float64))
-            self._rain_set = rain if np.ndim(rain) == 0 else None
-        return self._rain_sum
+            self._rain_rate = rain if np.ndim(rain) == 0 else None
 
-    def _holds_water(self):
-        flow = self._flow
-        return bool(flow.h.any() or flow.damp.any() or self._film.any())
+    # -- account -------------------------------------------------------------------------------
 
-    def _book_stores(self):
-        """Bring the account of what stands on the map up to date, tile by tile."""
-        area, flow = self.spacing**2, self._flow
-        which = flow.changed()
+    def _book_standing_water(self):
+        """Bring the ledger's water on the map up to date, tile by tile."""
+        area, flow = self.spacing**2, self.flow
+        which = flow.changed_tiles()
         sums = np.empty((3, len(which)))
-        tally(flow.tiles(True)[which], flow.h, flow.damp, self._film, *sums)
-        self._stands[:, which] = sums
-        self._ledger.ground = float(self._stands[0].sum()) * area
-        self._ledger.film = float(self._stands[1].sum()) * area
+        sum_tiles(flow.tiles(True)[which], flow.h, flow.remainder, self.film, *sums)
+        self._standing[:, which] = sums
+        self._ledger.ground = float(self._standing[0].sum()) * area
+        self._ledger.film = float(self._standing[1].sum()) * area
 
-    def _require_sane(self):
-        if not self._flow.reach <= MAX_SPEED:  # catches NaN too
+    def _require_possible_speed(self):
+        if not self.flow.wave_speed <= MAX_SPEED:  # catches NaN too
             raise DivergedError(
-                f"the water reached {self._flow.fastest():.3g} m/s at {self.time:.6g} s; no water "
-                f"on the ground is that fast; use a smaller courant than {self.courant:g}"
+                f"the water reached {self.flow.largest_speed():.3g} m/s at {self.time:.6g} s; no "
+                f"water on the ground is that fast; use a smaller courant than {self.courant:g}"
             )
 
     def _report(self, substeps):
@@ -411,28 +416,6 @@ class WaterSolver:
             reason=self.reason,
             ledger=self.ledger,
             residual=self._ledger.residual,
-            max_speed=self._flow.swift,
-            min_depth=float(self._stands[2].min()),
+            max_speed=self.flow.water_speed,
+            min_depth=float(self._standing[2].min()),
         )
-
-
-def _refuse_in_paper(**given):
-    for name, value in given.items():
-        if value:
-            raise ParameterError(
-                f'{name} is {value}, which scheme "paper" does not have; use "accurate"'
-            )
-
-
-def _face_mean(values, h, bed, axis):
-    """Mean of the wet neighbours of each inner face along `axis`; 0 at closed faces."""
-    before, after = [slice(None)] * 2, [slice(None)] * 2
-    before[axis], after[axis] = slice(None, -1), slice(1, None)
-    before, after = tuple(before), tuple(after)
-    wet = (h > 0).astype(np.float64)
-    count = wet[before] + wet[after]
-    mean = (wet[before] * values[before] + wet[after] * values[after]) / np.maximum(count, 1)
-    level = bed + h
-    walled = (h[before] <= 0) & (bed[before] + DRY_DEPTH >= level[after])
-    walled |= (h[after] <= 0) & (bed[after] + DRY_DEPTH >= level[before])
-    return np.where(walled, 0.0, mean)

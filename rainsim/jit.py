@@ -6,40 +6,21 @@
 
 import functools
 import hashlib
-import os
 import re
 import shutil
-import tempfile
 from pathlib import Path
 
-# numba keys its cache on the file that holds a kernel, not on the files of the functions that the
-# kernel calls: an edited helper would keep its old machine code. So every module has a folder for
-# its kernels, named by a hash of that module and of all modules of ours that it imports.
-_FOLDER = "rainsim-kernels"
+from rainsim.compiling.folder import CACHE_FOLDER  # before numba: it sets where numba looks
+
+# Kernels of the CPU are kept by `compiling.kernel_cache`. Those of a GPU are kept by numba, which
+# keys them on the file that holds a kernel, not on the files of the functions that the kernel
+# calls: an edited helper would keep its old machine code. So every such module has a folder for its
+# kernels, named by a hash of that module and of all modules of ours that it imports.
 _KEPT_VERSIONS = 4  # of a module, whose machine code is kept
 _PACKAGE = Path(__file__).parent
 _IMPORT = re.compile(
     r"^\s*(?:from (rainsim[\w.]*) import (\([^)]*\)|[^\n]*)|import (rainsim[\w.]+))", re.M
 )
-
-
-def _cache_folder():
-    """Return a writable folder for compiled kernels, the user's own if it can be."""
-    wanted = [os.environ.get("NUMBA_CACHE_DIR")]
-    wanted.append(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"))
-    for base in map(Path, filter(None, wanted)):
-        folder = base if base.name == _FOLDER else base / _FOLDER  # ours: set by a parent process
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError:
-            continue
-        if os.access(folder, os.W_OK):
-            return folder
-    return Path(tempfile.mkdtemp(prefix="rainsim-kernels-"))
-
-
-CACHE_FOLDER = _cache_folder()
-os.environ["NUMBA_CACHE_DIR"] = str(CACHE_FOLDER)
 
 
 def _file_of(module):
@@ -98,24 +79,46 @@ from numba import (  # noqa: E402
 from numba.core import cgutils  # noqa: E402
 from numba.extending import intrinsic, register_jitable  # noqa: E402
 
+from rainsim.compiling.kernel_cache import KernelCache  # noqa: E402
+
 # Not fastmath=True: that assumes away NaN and infinity, which kernels must see.
 _FAST = {"nsz", "arcp", "contract", "afn", "reassoc"}
 
-device_function = register_jitable
-# Numba counts who holds an array, twice for each array of each call: for functions of many arrays
-# that takes longer than what they do. These make no array, nor keep one, and count nothing.
-lean_function = register_jitable(_nrt=False)
+# All kernels whose modules have been imported, by "module:name".
+KERNELS = {}
+
+
+# Kernels alone call device functions: an entry from Python and one from C for each of them took 8 %
+# of the time of compiling.
+_WITHOUT_WRAPPERS = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+
+
+def device_function(function=None, **options):
+    """Mark a scalar formula that kernels call and that stays plain Python."""
+    if function is None:
+        return functools.partial(device_function, **options)
+    function.compiler_options = str(options)  # part of its users' keys in the cache
+    return register_jitable(**_WITHOUT_WRAPPERS, **options)(function)
+
+
+# Numba does reference counting of each array of each call: for functions of many arrays that takes
+# longer than their arithmetic. Lean functions neither make nor keep arrays, and count nothing.
+lean_function = device_function(_nrt=False)
 # Inlined by force: loops that LLVM is to vectorise must not hold calls.
-inlined_function = register_jitable(forceinline=True, _nrt=False)
+inlined_function = device_function(forceinline=True, _nrt=False)
 
 
 def _kernel(**options):
+    options = {"nogil": True, "error_model": "numpy", "fastmath": _FAST, **options}
+    shown = str({**options, "fastmath": sorted(_FAST)})
+
     def decorate(function):
-        # numba reads the folder when the function is decorated.
-        numba.config.CACHE_DIR = str(kernel_folder(function.__module__))
-        return njit(nogil=True, error_model="numpy", fastmath=_FAST, cache=True, **options)(
-            function
-        )
+        kernel = njit(**options)(function)
+        if not numba.config.DISABLE_JIT:
+            folder = CACHE_FOLDER / function.__module__
+            kernel._cache = KernelCache(function, folder, shown)
+            KERNELS[kernel._cache.kernel_name] = kernel
+        return kernel
 
     return decorate
 
@@ -125,9 +128,10 @@ serial_kernel = _kernel()
 
 __all__ = [
     "CACHE_FOLDER",
+    "KERNELS",
     "cgutils",
     "cpu_kernel",
-    "dealt",
+    "interleaved",
     "device_function",
     "get_num_threads",
     "inlined_function",
@@ -141,7 +145,7 @@ __all__ = [
 ]
 
 
-def dealt(count):
+def interleaved(count):
     """Return 0 to count - 1, int64, in the order in which a parallel loop should take rows.
 
     A loop gives each thread a run of iterations: this way each gets every n-th row, so that rows
@@ -149,6 +153,11 @@ def dealt(count):
     """
     threads = numba.get_num_threads()
     return np.concatenate([np.arange(n, count, threads) for n in range(threads)]).astype(np.int64)
+
+
+def held(kernel, signature):
+    """Return whether the cache on disk holds a kernel's machine code for the argument types."""
+    return kernel._cache.holds(signature, kernel.targetctx)
 
 
 def threading_layer():

@@ -1,7 +1,6 @@
-"""The volume account that every part of the simulation keeps: what came in is somewhere.
+"""The account of water volumes: all water that came in is booked as standing or gone somewhere.
 
 initial + rain + inflow = ground + film + airborne + obstacles + infiltrated + drained + outflow
-+ evaporated + clamped
 """
 
 from __future__ import annotations
@@ -11,7 +10,6 @@ from dataclasses import asdict, dataclass
 SUPPLY = ("initial", "rain", "inflow")
 WHEREABOUTS = (
     "ground", "film", "airborne", "obstacles", "infiltrated", "drained", "outflow",
-    "evaporated", "clamped",
 )  # fmt: skip
 
 
@@ -26,7 +24,7 @@ class Ledger:
     rain : float
         Rain since then, as a rate or as drops; with airborne water every drop that was released.
     inflow : float
-        Water let in through the edges.
+        Water that rose from outside the map, where keyframes raise the water level.
     ground : float
         Water on the ground that can flow, with the traces too thin to flow.
     film : float
@@ -35,10 +33,8 @@ class Ledger:
         Drops in the air.
     obstacles : float
         Drops that hit an occluder.
-    infiltrated, drained, outflow, evaporated : float
-        Water that left through the ground, drains, open edges and the air.
-    clamped : float
-        Water removed to keep a depth valid; negative where water had to be made up.
+    infiltrated, drained, outflow : float
+        Water that left through the ground, drains and open edges.
     """
 
     initial: float = 0.0
@@ -51,8 +47,6 @@ class Ledger:
     infiltrated: float = 0.0
     drained: float = 0.0
     outflow: float = 0.0
-    evaporated: float = 0.0
-    clamped: float = 0.0
 
     @property
     def supplied(self) -> float:
@@ -61,7 +55,7 @@ class Ledger:
 
     @property
     def accounted(self) -> float:
-        """Volume whose whereabouts are booked [m3]."""
+        """Volume that is booked as standing or gone [m3]."""
         return sum(getattr(self, name) for name in WHEREABOUTS)
 
     @property
@@ -73,7 +67,7 @@ class Ledger:
 
     @classmethod
     def from_dict(cls, volumes):
-        """Return the account that `as_dict` gave; its residual is computed anew."""
+        """Return the account that `as_dict` gave; a residual in it is ignored."""
         return cls(**{name: volumes[name] for name in (*SUPPLY, *WHEREABOUTS)})
 
     def as_dict(self) -> dict:

@@ -1,4 +1,4 @@
-"""Output folders: claimed without touching what is not ours, filled file by file, accounted for.
+"""Output folders: checked before use, filled file by file, with a record of what was written.
 
 `provenance.json` in a folder names the files that the program wrote there; only these are ever
 removed, and only when new results are ready to take their place.
@@ -14,6 +14,7 @@ import re
 import sys
 import tempfile
 import time
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from importlib import metadata
@@ -23,10 +24,10 @@ import numpy as np
 
 from rainsim import __version__
 from rainsim.errors import ParameterError
-from rainsim.scene.files import write_json
+from rainsim.io.files import write_json
 
 PROVENANCE = "provenance.json"
-# Names that the program gives to files: a provenance file from elsewhere cannot name others.
+# Names that the program gives to files; other names in a provenance file are ignored.
 OURS = re.compile(
     r"frames/\d{5}\.png|states/\d{5}\.npz|preview\.webp|video\.mp4|transforms\.json"
     r"|(terrain|splats)\.npz|(scene|ground_frame|simulation)\.json|(bed|top)\.tif"
@@ -38,14 +39,14 @@ VERSIONS_OF = ("numpy", "scipy", "numba", "llvmlite", "pillow")
 
 @contextmanager
 def claimed(path, overwrite=False):
-    """Yield an output folder that may be filled; remove it again if it stays empty.
+    """Check and make an output folder and yield it; remove it again if it stays empty.
 
     Parameters
     ----------
     path : path-like
         Made, with the folders above it, if it does not exist.
     overwrite : bool
-        Whether it may hold files already. They stay, but for those that get new contents.
+        Whether it may hold files already. Earlier results are replaced, other files stay.
 
     Raises
     ------
@@ -74,7 +75,7 @@ def claimed(path, overwrite=False):
 
 
 class Record:
-    """What a run did, kept as `provenance.json` in its output folder.
+    """The record of a run: `provenance.json` in its output folder.
 
     Parameters
     ----------
@@ -101,12 +102,12 @@ class Record:
         self.files = []
 
     def begin(self):
-        """Clear away what an earlier run left that does not belong to this one's results."""
+        """Delete the files of an earlier run, unless it had the same input and settings."""
         before = read_record(self.folder)
         listed = before.get("files") if isinstance(before.get("files"), list) else []
         kept = [f for f in listed if isinstance(f, str) and OURS.fullmatch(f)]
         if before.get("fingerprint") == self.fingerprint:
-            self.files = kept  # other frames of the very same film
+            self.files = kept  # other frames of the same frame sequence
         else:
             for name in kept:
                 (self.folder / name).unlink(missing_ok=True)
@@ -141,7 +142,7 @@ def read_record(folder):
 
 
 def settings_facts(config, preset):
-    """Return the settings for a record: how this run is split up is no part of the result."""
+    """Return the settings for a record, without threads and frame range, which change no frame."""
     settings = config.as_dict()
     settings["threads"] = settings["frame_range"] = None
     return {
@@ -153,7 +154,7 @@ def settings_facts(config, preset):
 
 
 def input_facts(scene):
-    """Return what identifies a scene and its ground frame, as plain values."""
+    """Return name, source, hash and ground frame of a scene as plain values; None without one."""
     if scene is None:
         return None
     from rainsim.scene.ground import ground_frame_to_dict
@@ -169,7 +170,7 @@ def input_facts(scene):
 
 
 def cameras_facts(cameras):
-    """Return what identifies the frames' cameras; transforms.json has them in full."""
+    """Return number and hash of the frames' cameras; transforms.json holds the cameras."""
     from rainsim.scene.cameras import cameras_to_data
 
     return {"count": len(cameras), "sha256": _hash(cameras_to_data(cameras))}
@@ -191,51 +192,71 @@ def _hash(facts):
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-class FilmFolder:
-    """Takes frames one by one and writes DIR/frames/NNNNN.png and what goes with them.
+class FrameFolder:
+    """Writes frames one by one as DIR/frames/NNNNN.png, with cameras, preview, video and record.
 
-    Use as a context manager around the loop over frames: what was finished is kept and recorded
-    also when the loop is broken off. Nothing in the folder changes before the first frame.
+    Use as a context manager around the loop over frames: if the loop is interrupted, finished
+    frames are kept and recorded. Nothing in the folder changes before the first frame. A frame is
+    written in a thread of its own while the next one is drawn.
 
     Parameters
     ----------
     folder : Path
-        Claimed.
+        As `claimed` yields it.
     record : Record
     cameras : sequence of Camera
-        One per frame of the whole film, or one for all.
+        One per frame of the whole sequence, or one for all.
     config : Config
     video : bool
         Whether to write video.mp4 too.
     """
 
     def __init__(self, folder, record, cameras, config, video=False):
-        from rainsim import image
+        from rainsim.io import images
 
-        self._image, self.folder, self.record = image, folder, record
+        self._image, self.folder, self.record = images, folder, record
         self._cameras, self._config = cameras, config
-        self._preview = image.Preview(len(config.indices), config.fps)
+        self._preview = images.Preview(len(config.indices), config.fps)
         self._stack = ExitStack()
         self._video = None
         self._wants_video = video
+        self._writer, self._written = ThreadPoolExecutor(1), None  # the frame that is being written
         self.reports = []
 
     def __enter__(self):
         return self
 
     def add(self, picture, report):
-        """Write the next frame."""
+        """Begin to write the next frame, when the one before is written.
+
+        Raises
+        ------
+        OSError
+            If this frame's layers or the frame before could not be written.
+        """
+        self._finish_frame()
         if not self.reports:
             self._begin()
-        name = f"frames/{report.index:05d}.png"
+        names = write_layers(self.folder, report) if report.aovs else ()
+        # A copy: on a GPU the next frame overwrites the picture.
+        written = self._writer.submit(self._write, picture.copy(), report.index)
+        self._written = written, names, replace(report, aovs={})
+
+    def _write(self, picture, index):
+        """Write a frame's picture; return its name."""
+        name = f"frames/{index:05d}.png"
         self._image.write_png(self.folder / name, picture)
         self._preview.add(picture)
         if self._video is not None:
             self._video.add(picture)
-        self.record.add(name)
-        if report.layers:
-            self.record.add(*write_layers(self.folder, report))
-        self.reports.append(replace(report, layers={}))
+        return name
+
+    def _finish_frame(self):
+        """Wait for the frame that is being written and record it."""
+        if self._written is not None:
+            (written, names, report), self._written = self._written, None
+            self.record.add(written.result(), *names)
+            self.reports.append(report)
 
     def _begin(self):
         from rainsim.scene.cameras import write_transforms
@@ -253,13 +274,21 @@ class FilmFolder:
             self._video = self._stack.enter_context(writer)
 
     def __exit__(self, kind, *exception):
-        self._stack.close()
+        try:
+            self._finish_frame()
+        finally:
+            self._writer.shutdown()
+            self._stack.close()
+            self._finish(kind is None)
+
+    def _finish(self, undisturbed):
+        """Write preview and record of what was written."""
         if not self.reports:
             return
         self._preview.write(self.folder / "preview.webp")
         self.record.add("preview.webp", *(["video.mp4"] if self._video is not None else []))
         self.record.write(
-            complete=kind is None and len(self.reports) == len(self._config.indices),
+            complete=undisturbed and len(self.reports) == len(self._config.indices),
             frames=[report.index for report in self.reports],
             milliseconds=mean_milliseconds(self.reports),
             ledger=self.reports[-1].ledger,
@@ -268,30 +297,30 @@ class FilmFolder:
 
 
 def write_layers(folder, report):
-    """Write a frame's layers as folder/layers/NAME/NNNNN.*, and what recomposing them needs.
+    """Write a frame's layers as folder/layers/NAME/NNNNN.*, and the light that recomposing needs.
 
     Returns the names of the files.
     """
-    from rainsim import image
-    from rainsim.layers import DATA, INDEX, LAYERS, PICTURE, channels
+    from rainsim.io import images
+    from rainsim.render.aov import AOVS, DATA, INDEX, PICTURE, channels
 
     written = []
-    for name, values in report.layers.items():
-        kind = LAYERS[name].kind
-        end = "png" if kind != DATA else image.data_suffix()
+    for name, values in report.aovs.items():
+        kind = AOVS[name].kind
+        end = "png" if kind != DATA else images.data_suffix()
         path = f"layers/{name}/{report.index:05d}.{end}"
         (folder / path).parent.mkdir(parents=True, exist_ok=True)
         if kind == PICTURE:
-            image.write_png(folder / path, values)
+            images.write_png(folder / path, values)
         elif kind == INDEX:
-            image.write_png16(folder / path, values)
+            images.write_png16(folder / path, values)
         elif kind == DATA:
-            image.write_data(folder / path, values, channels(name))
+            images.write_data(folder / path, values, channels(name))
         else:
-            image.write_png16(folder / path, np.rint(np.clip(values, 0, 1) * 65535))
+            images.write_png16(folder / path, np.rint(np.clip(values, 0, 1) * 65535))
         written.append(path)
     name = f"layers/{report.index:05d}.json"
-    units = {n: LAYERS[n].unit for n in report.layers}
+    units = {n: AOVS[n].unit for n in report.aovs}
     write_json(folder / name, {"light": report.light, "units": units, "files": written})
     return [*written, name]
 
@@ -306,7 +335,7 @@ def mean_milliseconds(reports):
 
 
 def relative(path):
-    """Return a path as short as it can be shown."""
+    """Return a path relative to the current folder if it lies below, else as it is."""
     path = Path(path)
     try:
         short = os.path.relpath(path)

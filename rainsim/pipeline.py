@@ -5,12 +5,14 @@ Each stage can be run alone: `extract_terrain`, `simulate`, `render`; `render_ra
 
 from __future__ import annotations
 
-from rainsim import render as rendering
-from rainsim import terrain
-from rainsim.backends import on_backend
-from rainsim.render import FrameReport, render
+from rainsim.backend import on_backend
+from rainsim.errors import ParameterError
+from rainsim.render.report import FrameReport
+from rainsim.render.shutter import shutter_end
 from rainsim.simulation import SimState, read_state, simulate, write_state
-from rainsim.terrain import Terrain
+from rainsim.terrain.kept import kept_terrain
+from rainsim.terrain.pond import without_images
+from rainsim.terrain.types import Terrain
 
 __all__ = [
     "FrameReport",
@@ -38,9 +40,9 @@ def render_rain(scene, cameras, config, backend="cpu", progress=None, layers=())
     backend : {"cpu", "cuda"}
         What draws the frames, see `rainsim.cuda`. Pictures of "cuda" are overwritten by the next.
     progress : callable, optional
-        progress(stage, done, total) is told what is being done.
+        Called as progress(stage, done, total) as stages go on.
     layers : sequence of str
-        Layers that the reports are to hold, see `rainsim.layers`.
+        Layers that the reports are to hold, see `rainsim.render.aov`.
 
     Yields
     ------
@@ -62,19 +64,26 @@ def render_rain(scene, cameras, config, backend="cpu", progress=None, layers=())
     ground = extract_terrain(scene, config)
     tell("terrain", 1, 1)
     states = frames_of(simulate_on_backend(ground, config), config, tell)
-    yield from rendering.render(scene, ground, states, cameras, config, layers, backend)
+    yield from render(scene, ground, states, cameras, config, layers, backend)
 
 
 def extract_terrain(scene, config, mask=None):
     """Return the `Terrain` of a scene as the configuration asks for it.
 
-    `mask` (ny, nx) gives the ground's classes where it is not -1, see `terrain.read_mask`.
+    Kept for the next run unless RAINSIM_CACHE is "off", see `rainsim.io.cache`.
+
+    Parameters
+    ----------
+    scene : Scene
+    config : Config
+    mask : ndarray of shape (ny, nx), int, optional
+        Class of each cell as the user has it, -1 where the splats decide; see `terrain.read_mask`.
     """
-    return terrain.extract_terrain(scene, config.terrain, mask)
+    return kept_terrain(scene, config.terrain, mask)
 
 
 def frames_of(states, config, tell=None):
-    """Yield the states of the frames that are asked for; the ones before are only simulated."""
+    """Yield the states of the frames of the frame range; earlier frames are only simulated."""
     first, end = config.frame_range or (0, config.frames)
     for state in states:
         if state.index >= end:
@@ -85,3 +94,40 @@ def frames_of(states, config, tell=None):
             tell("simulate", state.index + 1, first)
         if state.index + 1 >= end:
             return
+
+
+def render(scene, terrain, states, cameras, config, names=(), backend="cpu"):
+    """Yield (picture, FrameReport) for each state and its camera.
+
+    Parameters
+    ----------
+    scene : Scene
+    terrain : Terrain
+    states : iterable of SimState
+        In the order of their frames.
+    cameras : sequence of Camera
+        One per frame of the whole sequence (the state's index picks), or one for all.
+    config : Config
+    names : sequence of str
+        Layers that the reports are to hold, see `rainsim.render.aov`.
+    backend : {"cpu", "cuda"}
+        What draws. Pictures of "cuda" are overwritten by the next one.
+
+    Yields
+    ------
+    picture : ndarray of shape (height, width, 3), uint8
+    report : FrameReport
+    """
+    if not cameras:
+        raise ParameterError("no camera was given; a frame needs one")
+    scene = without_images(scene, terrain)
+    renderer = on_backend(backend)[0](scene, terrain, config, cameras[0])
+    path = [scene.ground_frame.camera_in_ground(camera) for camera in cameras]
+
+    def shots():
+        for state in states:
+            camera = cameras[0] if len(cameras) == 1 else cameras[state.index]
+            exposure = config.at(state.time).render.exposure
+            yield camera, state, shutter_end(path, state.index, exposure, config.fps)
+
+    yield from renderer.film(shots(), names)

@@ -19,11 +19,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rainsim.errors import ParameterError, require_choice
-from rainsim.jit import dealt
-from rainsim.raster.blend import FARTHER, NEARER, WHOLE, blend_tiles
-from rainsim.raster.prepared import LANES, PreparedSplats, prepare, select
-from rainsim.raster.project import BLOCKS, NO_PLANE, RECORD, TILE, find_chunks, project_chunks
-from rainsim.raster.tiles import RECORD_BITS, first_entry, list_tiles, tile_starts
+from rainsim.jit import interleaved
+from rainsim.splatting.blend import FARTHER, NEARER, WHOLE, blend_tiles
+from rainsim.splatting.prepared import LANES, PreparedSplats, prepare, select
+from rainsim.splatting.project import (
+    BLOCKS,
+    NO_PLANE,
+    RECORD,
+    TILE,
+    Frustum,
+    SplatChunks,
+    find_chunks,
+    project_chunks,
+)
+from rainsim.splatting.tiles import RECORD_BITS, first_entry, list_tiles, tile_starts
 
 __all__ = ["Layers", "PreparedSplats", "Rasterizer", "prepare", "rasterize", "select"]
 
@@ -140,7 +149,7 @@ class Rasterizer:
         )
         half = np.empty((height, width) if halfway else (0, width), np.uint32)
         blend_tiles(
-            self._record, self._entry, start, dealt(-(-height // TILE)), height, width,
+            self._record, self._entry, start, interleaved(-(-height // TILE)), height, width,
             _lens(camera), bool(camera.orthographic), background, halfway, drop_last, part,
             np.uint64(border),
             layers.color.ravel(), layers.alpha.ravel(), layers.depth.ravel(),
@@ -149,24 +158,29 @@ class Rasterizer:
         return layers, half
 
     def _list(self, camera, near, plane, compensate, degree):
-        """Project what is in sight and list it tile by tile; return chunks and lists' starts."""
+        """Project the visible splats and list them by tile.
+
+        Returns the indices of the chunks in sight and, for each tile, the start of its list.
+        """
         across, down = -(-camera.width // TILE), -(-camera.height // TILE)
         view = np.ascontiguousarray(camera.camera_from_world, dtype=np.float32)
         deep = np.ascontiguousarray(camera.camera_from_world[2], dtype=np.float64)
         eye = (camera.forward if camera.orthographic else camera.position).astype(np.float32)
-        lens, size = _lens(camera), np.array([camera.width, camera.height], np.float32)
-        plane = NO_PLANE if plane is None else np.asarray(plane, np.float32)
-        near, flat = np.float32(near), bool(camera.orthographic)
+        frustum = Frustum(
+            view, _lens(camera), np.array([camera.width, camera.height], np.float32),
+            np.float32(near), NO_PLANE if plane is None else np.asarray(plane, np.float32),
+            bool(camera.orthographic),
+        )  # fmt: skip
         p = self.prepared
         seen = np.empty(len(p.box), np.bool_)
-        find_chunks(p.box, view, lens, size, near, plane, flat, seen)
+        find_chunks(p.box, frustum, seen)
         chunks = np.flatnonzero(seen)
         self._make_room(len(chunks) * LANES)
         visible = np.zeros(len(chunks), np.int64)
         count = np.zeros((BLOCKS, across * down), np.int64)
         project_chunks(
-            p.geometry, p.sh, p.fine, p.step, chunks, view, deep, eye, lens, size, near, plane,
-            flat, compensate, p.degree if degree is None else min(degree, p.degree), across,
+            SplatChunks(p.geometry, p.sh, p.fine, p.step), chunks, frustum, deep, eye, compensate,
+            p.degree if degree is None else min(degree, p.degree), across,
             self._record, self._box, self._lane, visible, count,
         )  # fmt: skip
         start = tile_starts(count)
@@ -176,7 +190,7 @@ class Rasterizer:
         return chunks, start
 
     def _splats(self, half, chunks):
-        """Return the scene's splats behind records that `blend_tiles` told, -1 for none."""
+        """Return the scene's splats behind records that `blend_tiles` wrote, -1 for none."""
         half = half.ravel()
         hit = np.full(len(half), -1, np.int32)
         pixels = np.flatnonzero(half)

@@ -10,28 +10,24 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy import ndimage
 
-from rainsim.drips import DRIP_COLUMNS, Drips, drip_impacts
-from rainsim.drops import GROUND, Surfaces, flat_surfaces, impacts, joined
+from rainsim.drops import GROUND, Surfaces, Weather, flat_surfaces, impacts, joined
 from rainsim.errors import InputError
 from rainsim.grid import WaterSolver
-from rainsim.jit import cpu_kernel, prange
 from rainsim.ledger import Ledger
-from rainsim.puddles import WET, doubt, puddles_of, wet_share
-from rainsim.ripples import RippleTile, mean_chord, tile_impacts
-from rainsim.spectrum import terminal_speed
+from rainsim.rain.dripping import DRIP_COLUMNS, Drips, drip_impacts
+from rainsim.rain.exposure import rain_exposure
+from rainsim.shading.wetness import evaporation_rate
 from rainsim.terrain.table import DRAIN
-from rainsim.weather import Weather, wind_shares
-from rainsim.wetness import evaporation_rate
+from rainsim.water.keyframes import level_changes, past_rain_growth
+from rainsim.water.puddles import WET, doubt, puddles_of, wet_share
+from rainsim.water.ripples import RippleTile, mean_chord, tile_impacts
 
 RIPPLE_DEPTHS = (2e-3, 0.1)  # m: films thinner carry no rings, deeper water is deep to them
 RIPPLE_WARM_UP = 5.0  # s of rain before the first frame: then rings come and go in balance
 DRIP_WARM_UP = 1.0  # s of it for the edges of objects: the longest fall from them
 WARM_UP_STEP = 1 / 15  # s
 DRAIN_INTAKE = 0.1  # m/s that a grating takes at most: 8 l/s through an opening of 0.08 m2
-SHELTER_BLUR = 0.05  # m: gusts and drops of other sizes soften the edge of a dry patch
-SHELTER_DIAMETERS = (1e-3, 2e-3, 3.5e-3)  # m, drops whose paths tell what is sheltered
 
 
 @dataclass(frozen=True)
@@ -58,7 +54,7 @@ class SimState:
         Volumes in m3, see `rainsim.ledger`.
     notes : tuple of str
     drips : ndarray of shape (m, 9), float64
-        Drops from edges that are in the air or have just landed, see `drips.DRIP_COLUMNS`.
+        Drops from edges that are in the air or have just landed, see `dripping.DRIP_COLUMNS`.
     drip_id : ndarray of shape (m,), uint64
     """
 
@@ -83,53 +79,6 @@ def surfaces_of(terrain):
         spacing=terrain.grid.spacing, origin=terrain.grid.origin, ground=terrain.bed,
         top=terrain.top, underside=terrain.underside,
     )  # fmt: skip
-
-
-def rain_exposure(terrain, wind, roughness=0.0):
-    """Return the share of the rain that reaches each ground cell, float32 (ny, nx).
-
-    `wind` is (speed [m/s], direction [rad]) and `roughness` [m] as for `wind_shares`. The paths of
-    drops of three sizes are followed upwards; the result is blurred, for a hard edge of a dry patch
-    is not seen in nature.
-    """
-    total = np.zeros(terrain.grid.shape, np.float32)
-    speed, direction = wind
-    ceiling = np.float32(terrain.top.max())
-    falls = terminal_speed(np.array(SHELTER_DIAMETERS))
-    for slope in speed * wind_shares(falls, roughness) / falls:  # m sideways per m of fall
-        open_out = np.full(terrain.grid.shape, np.nan, np.float32)
-        _follow_up(
-            terrain.bed, terrain.top, terrain.underside, np.float32(terrain.grid.spacing),
-            np.float32(-slope * math.cos(direction)), np.float32(-slope * math.sin(direction)),
-            ceiling, open_out,
-        )  # fmt: skip
-        total += open_out
-    blur = SHELTER_BLUR / terrain.grid.spacing
-    return ndimage.gaussian_filter(total / len(SHELTER_DIAMETERS), blur).astype(np.float32)
-
-
-@cpu_kernel
-def _follow_up(bed, top, underside, spacing, dx, dy, ceiling, open_out):
-    """Mark the ground cells from which the way up along (dx, dy, 1) is free."""
-    ny, nx = bed.shape
-    one, zero, half = np.float32(1), np.float32(0), np.float32(0.5)
-    step = spacing / max(abs(dx), max(abs(dy), half))  # at most a cell sideways, two cells up
-    for j in prange(ny):
-        for i in range(nx):
-            z = bed[j, i]
-            x, y = np.float32(i), np.float32(j)
-            free = one
-            while z < ceiling:
-                k, m = int(x + half), int(y + half)
-                if k < 0 or m < 0 or k >= nx or m >= ny:
-                    break
-                if top[m, k] > bed[m, k] and z >= underside[m, k] and z <= top[m, k]:
-                    free = zero
-                    break
-                z += step
-                x += dx * step / spacing
-                y += dy * step / spacing
-            open_out[j, i] = free
 
 
 def initial_water(terrain, config, exposure):
@@ -189,16 +138,16 @@ def simulate(terrain, config, progress=None, dtype=np.float32):
     terrain : Terrain
     config : Config
     progress : callable, optional
-        progress(stage, done, total), told before the slow first state.
+        progress(stage, done, total) is called before the slow first state.
     dtype : dtype
         Of the water; float64 closes the ledger to rounding.
     """
-    weather = Weather(config)
-    surfaces = surfaces_of(terrain)
+    start, weather, surfaces = config.at(0.0), Weather(config), surfaces_of(terrain)
     exposure = rain_exposure(terrain, usual_wind(config), config.rain.roughness)
-    depth, notes = initial_water(terrain, config.at(0.0), exposure)
-    quick = quick_rain(terrain, config, exposure)
-    start = config.at(0.0)
+    open_area = float(exposure.sum()) * terrain.grid.cell_area
+    puddle_growth = past_rain_growth(terrain, config, exposure)
+    level_change = level_changes(terrain, config)
+    depth, notes = initial_water(terrain, start, exposure)
     solver = water_solver(terrain, start, dtype)
     solver.set_state(depth)
     ripples = RippleTile(
@@ -208,10 +157,8 @@ def simulate(terrain, config, progress=None, dtype=np.float32):
         rate=weather.mean_rate,
         dtype=np.float32,
     )
-    follow = moving_level(terrain, config)
-    open_area = float(exposure.sum()) * terrain.grid.cell_area
     objects = Objects(surfaces, start)
-    _warm_up(ripples, objects, weather, surfaces)
+    warm_up(ripples, objects, weather, surfaces)
     objects.open_account()
     index, hits, report = 0, None, None
     while True:
@@ -220,34 +167,33 @@ def simulate(terrain, config, progress=None, dtype=np.float32):
             before = (index - 1) / config.fps
             hits, fine = None, 0.0
             rain = weather.field(before, time)
-            if rain is not None:
+            if rain is not None:  # drops on ground and objects; the finest as a rate
                 fine = rain.spectrum.fine_rate * exposure
                 hits = impacts(rain, surfaces, before, time)
                 landed = hits.take(hits.kind == GROUND)
                 solver.deposit(landed.row, landed.column, landed.volume)
                 objects.take_rain(hits, rain.spectrum.fine_rate * (time - before))
-            solver.deposit(*objects.advance(before, time, weather))
-            if rain is not None:
+            solver.deposit(*objects.advance(before, time, weather))  # drips from objects
+            if rain is not None:  # rings of both
                 rings = objects.with_drips(landed, before, time)
                 ripples.advance(time - before, *tile_impacts(rings, open_area, ripples.size, time))
-            if follow is not None:
-                objects.let_in(solver, *follow(before, time))
-            if quick is not None:
-                rows, columns, volumes = quick(before, time)
-                solver.deposit(rows, columns, volumes)
+            if level_change is not None:  # what keyframes move
+                objects.let_in(solver, *level_change(before, time))
+            if puddle_growth is not None:
+                solver.deposit(*puddle_growth(before, time))
             report = solver.advance(time - before, rain=fine)
         u, v = solver.velocity
         yield SimState(
             index, time, np.array(solver.depth, np.float32),
             np.stack([u, v]).astype(np.float32), ripples.slopes(), ripples.size,
-            _of(hits, "position", (0, 3)), _of(hits, "diameter", (0,)),
-            _of(hits, "kind", (0,), np.uint8), objects.book(report, solver),
+            _of_hits(hits, "position", (0, 3)), _of_hits(hits, "diameter", (0,)),
+            _of_hits(hits, "kind", (0,), np.uint8), objects.ledger(report, solver),
             notes if index == 0 else (), *objects.falling(),
         )  # fmt: skip
         index += 1
 
 
-def _of(hits, name, shape, dtype=np.float32):
+def _of_hits(hits, name, shape, dtype=np.float32):
     return np.zeros(shape, dtype) if hits is None else np.asarray(getattr(hits, name), dtype)
 
 
@@ -309,22 +255,23 @@ class Objects:
         """Return the drips in the air and their ids, as `SimState` holds them."""
         return () if self.drips is None else self.drips.falling()
 
-    def book(self, report, solver):
+    def ledger(self, report, solver):
         """Return the solver's ledger with the objects' water in it, as a dict."""
         held, airborne = self._kept, 0.0
         if self.drips is not None:
             held, airborne = held + self.drips.held, self.drips.airborne
         ledger = solver.ledger if report is None else report.ledger
-        return self.booked(ledger, self._came, self._returned, held, airborne, self.inflow)
+        return self.with_objects(ledger, self._came, self._returned, held, airborne, self.inflow)
 
-    def booked(self, ledger, came, returned, held, airborne, inflow):
+    def with_objects(self, ledger, came, returned, held, airborne, inflow):
         """Return a solver's ledger as a dict, with the objects' water [m3] in it.
 
-        What came to them and came down again, what is there and in the air now, and `inflow`.
+        `came` to the objects, `returned` to the ground, is `held` on them, is `airborne` as drips
+        now, or came as `inflow` from outside the map.
         """
         ledger = ledger.as_dict()
         ledger["initial"] += self.initial
-        # What came down from objects, or in from outside, the solver took for rain.
+        # The solver books water from objects and from outside as rain.
         ledger["rain"] += came - returned - inflow
         ledger["inflow"] += inflow
         ledger["obstacles"] += held
@@ -339,67 +286,16 @@ def usual_wind(config):
     return math.hypot(x, y), math.atan2(y, x)
 
 
-def quick_rain(terrain, config, exposure):
-    """Return what adds past rain that keyframes let grow, or None if it is steady.
+def warm_up(ripples, objects, weather, surfaces):
+    """Let the rain before the first frame spread rings on the tile and wet the edges of objects.
 
-    The function takes two times and returns the rows, columns and volumes [m3] of the water that
-    has come to rest between them: time passes quickly, so it does not flow there but is put where
-    it would stand (fill, spill and merge). What runs off or seeps away meanwhile is not booked.
+    Parameters
+    ----------
+    ripples : RippleTile
+    objects : Objects
+    weather : Weather
+    surfaces : Surfaces
     """
-    past = [config.at(time).rain.past for time in config.key_times()]
-    if np.ptp(past) == 0 or config.at(0.0).water.level is not None:
-        return None
-    puddles = puddles_of(terrain)
-    puddles.rain(config.at(0.0).rain.past * exposure.astype(np.float64))
-
-    def between(before, time):
-        more = config.at(time).rain.past - config.at(before).rain.past
-        stood = puddles.depth
-        if more > 0:
-            puddles.rain(more * exposure.astype(np.float64))
-        grown = np.maximum(puddles.depth - stood, 0.0)
-        rows, columns = np.nonzero(grown)
-        return (
-            rows.astype(np.int32), columns.astype(np.int32),
-            grown[rows, columns] * terrain.grid.cell_area,
-        )  # fmt: skip
-
-    return between
-
-
-def moving_level(terrain, config):
-    """Return how water follows a level that keyframes move, or None if it is steady.
-
-    The function takes two times and returns the rows, columns and volumes [m3] of what a level
-    surface gains between them, negative where it falls. What hollows hold stays in them as puddles.
-    """
-    times = config.key_times()
-    levels = [config.at(time).water.level for time in times]
-    if levels[0] is None or np.ptp(levels) == 0:
-        return None
-    bed = terrain.bed.astype(np.float64)
-    low, hollows = np.percentile(bed, 5), 0.0
-    if np.diff(levels).min() < 0:
-        full = puddles_of(terrain)
-        full.rain(np.ptp(bed) + 1.0)  # more than they hold
-        hollows = full.depth
-
-    def stands(time):
-        level = config.at(time).water.level
-        highest = max([level, *(h for t, h in zip(times, levels, strict=True) if t <= time)])
-        left = np.minimum(hollows, low + highest - bed)
-        return np.maximum(np.maximum(low + level - bed, left), 0.0)
-
-    def between(before, time):
-        gained = (stands(time) - stands(before)) * terrain.grid.cell_area
-        rows, columns = np.nonzero(gained)
-        return rows.astype(np.int32), columns.astype(np.int32), gained[rows, columns]
-
-    return between
-
-
-def _warm_up(ripples, objects, weather, surfaces):
-    """Let rings of the rain before the first frame spread on the tile, and edges begin to drip."""
     square = flat_surfaces(ripples.size, ripples.size, ripples.size / 8)
     for begin, end in _steps(RIPPLE_WARM_UP):
         rain = weather.field(begin, end)
@@ -430,9 +326,9 @@ def write_state(path, state):
     """Write a `SimState` as an uncompressed .npz."""
     import json
 
-    from rainsim import image
+    from rainsim.io import images
 
-    image.write_npz(
+    images.write_npz(
         path, **{name: getattr(state, name) for name in _FIELDS}, index=state.index,
         time=state.time, tile_size=state.tile_size, ledger=json.dumps(state.ledger),
         notes=json.dumps(state.notes),
@@ -454,4 +350,6 @@ def read_state(path):
     except FileNotFoundError:
         raise InputError(f"{path} does not exist; `rainsim simulate` writes it") from None
     except (KeyError, ValueError, OSError, EOFError) as error:
-        raise InputError(f"{path} is no water state of rainsim ({error}); write it anew") from error
+        raise InputError(
+            f"{path} is no water state of rainsim ({error}); write it again"
+        ) from error

@@ -1,30 +1,35 @@
 """Screen-space reflection: march the mirrored ray through the picture's own depth.
 
 McGuire and Mara 2014 (JCGT 3(4)): a ray that is straight in space is straight in the picture, and
-1/z is linear along it, so the march visits each pixel once, perspective-correct. Two things differ
-from the paper (RainyGS): a hit is an overlap of depth intervals with a thickness in metres, not a
-point within an epsilon, so that a fast ray cannot step through a surface; and the end of the ray
-is bisected. Where a ray passes before or behind all that some pixels show, it jumps over them.
+1/z is linear along it, so the march visits each pixel once, perspective-correct (a digital
+differential analyser, DDA). Two things differ from the paper (RainyGS): a hit is an overlap of
+depth intervals with a thickness in metres, not a point within an epsilon, so that a fast ray cannot
+step through a surface; and the end of the ray is bisected. Where a ray passes before or behind all
+that some pixels show, it jumps over them. Steps are counted in pixels from the ray's start: u, v
+and 1/z are linear in them, so a step is known to a few millionths of a pixel, and every machine
+visits the same pixels.
+
+`march` is the whole of it; below it stand the parts that it calls: the ray's line in the picture,
+the jumps over blocks of pixels, the bisection, and how the blocks' depths are found.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
-from rainsim.jit import cpu_kernel, device_function, prange
+from rainsim.constants import HALF, ONE, ZERO
+from rainsim.jit import cpu_kernel, device_function, inlined_function, lean_function, prange
 
-ZERO = np.float32(0)
-ONE = np.float32(1)
-HALF = np.float32(0.5)
 NEAR = np.float32(0.05)  # m: a ray that comes towards the camera ends here
 # px: no surface hits itself; and rays start in the middle of a pixel, many go straight up, so that
 # with whole steps rounding would choose the pixel at every step or halving.
 FIRST_STEP = np.float32(1 + 1 / 32)
 BISECTIONS = 4
 BLOCK = 8  # px, side of the blocks whose depths let a march jump
-WIDE = 4  # of them, side of the wide blocks that are tried first
+WIDE = 4  # blocks, side of the wide blocks that are tried first
 BLOCK_BITS, WIDE_BITS = np.uint32(3), np.uint32(5)  # of a pixel's place that are within either
 # px: two places no farther apart lie in one block, or in one wide one, or in neighbours.
 JUMP, WIDE_JUMP = np.float32(7), np.float32(31)
@@ -33,27 +38,176 @@ PLAIN_STEPS = 4  # that are taken where a jump was not possible, before another 
 _ONE, _TWO = np.uint32(1), np.uint32(2)
 
 
+class DepthBlocks(NamedTuple):
+    """What a picture shows: its depth, and bounds of that over blocks of pixels."""
+
+    depth: np.ndarray  # (height, width) float32 [m], along the view axis; infinite: never hit
+    bounds: np.ndarray  # `bounds_of(height, width)` float32 [m], see `block_bounds`; saves time
+
+
+class MarchSettings(NamedTuple):
+    """How a ray is marched."""
+
+    thickness: np.float32  # m, how far behind its depth a surface still stops a ray
+    stride: np.float32  # px of a step
+    farthest: np.float32  # m of ray that are searched
+
+
+@lean_function
+def march(blocks, view, start, direction, settings):
+    """Find where a ray first meets what the picture shows.
+
+    Parameters
+    ----------
+    blocks : DepthBlocks
+    view : View
+        Of the picture; only its lens counts.
+    start : tuple of three float32 [m]
+        In the camera frame.
+    direction : tuple of three float32
+        Unit, in the camera frame.
+    settings : MarchSettings
+
+    Returns
+    -------
+    distance : float32 [m]
+        Along the ray; negative if nothing was met within the picture.
+    """
+    depth, bounds = blocks.depth, blocks.bounds
+    thickness, stride = settings.thickness, settings.stride
+    height, width = depth.shape
+    w, h = np.float32(width), np.float32(height)
+    u0, v0, iz, du, dv, diz, inv, end = screen_line(view, w, h, start, direction, settings.farthest)
+    if not end >= ONE:
+        return -ONE
+    rows, columns = np.uint32(-(-height // BLOCK)), np.uint32(-(-width // BLOCK))
+    rows_wide = np.uint32((rows + WIDE - 1) // WIDE)
+    columns_wide = np.uint32((columns + WIDE - 1) // WIDE)
+    many, none = np.uint32(KINDS * rows * columns), np.uint32(0)
+    short, long = np.float32(math.floor(JUMP / stride)), np.float32(math.floor(WIDE_JUMP / stride))
+    right, bottom = w - ONE, h - ONE
+    before = iz + diz * FIRST_STEP  # 1/z, as all depths of the ray that follow
+    step, t = ONE, FIRST_STEP + stride  # a float32: exact, and a graphics processor converts none
+    u, v = u0 + du * t, v0 + dv * t
+    # A long jump, or where none is possible a short one, or else a few steps. No branch leaves the
+    # loop's body: the lanes of a graphics processor come together again after each turn.
+    is_wide, met = True, False
+    while not met and t < end and u > -ONE and v > -ONE and u < w and v < h:
+        jump, is_free_here = long if is_wide else short, False
+        last = FIRST_STEP + stride * (step + jump)
+        far = iz + diz * last
+        near, away = max(before, far), min(before, far)
+        # Beyond the ray's end 1/z may have passed through zero.
+        if jump > ZERO and away > ZERO:
+            # Without a sign: negative places would count from the end, tested for at each.
+            i, j = np.uint32(max(u, ZERO)), np.uint32(max(v, ZERO))
+            k = np.uint32(min(max(u0 + du * last, ZERO), right))
+            m = np.uint32(min(max(v0 + dv * last, ZERO), bottom))
+            is_free_here = is_free(
+                bounds, many if is_wide else none, rows_wide if is_wide else rows,
+                columns_wide if is_wide else columns, WIDE_BITS if is_wide else BLOCK_BITS,
+                i, j, k, m, near, away, thickness,
+            )  # fmt: skip
+        if is_free_here:
+            before, is_wide = far, True
+            step += jump + ONE
+            t = FIRST_STEP + stride * step
+            u, v = u0 + du * t, v0 + dv * t
+        elif is_wide:
+            is_wide = False
+        else:
+            stay = PLAIN_STEPS
+            while stay > 0 and t < end and u > -ONE and v > -ONE and u < w and v < h:
+                surface = depth[np.uint32(max(v, ZERO)), np.uint32(max(u, ZERO))]
+                now = iz + diz * t
+                low, high = min(before, now), max(before, now)
+                met = low * surface <= ONE and high * (surface + thickness) >= ONE
+                if met:
+                    stay = 0
+                else:
+                    before, stay = now, stay - 1
+                    step += ONE
+                    t = FIRST_STEP + stride * step
+                    u, v = u0 + du * t, v0 + dv * t
+    if not met:
+        return -ONE
+    b = bisected(depth, u0, v0, iz, du, dv, diz, t - stride, t)
+    return b * inv * start[2] / (iz + diz * b)
+
+
+@inlined_function
+def screen_line(view, w, h, start, direction, farthest):
+    """Return a ray's line in a picture of w by h pixels, as a march steps along it.
+
+    At length s, with q = s / (z (z + s dz)), the picture shows the ray (du, dv) q from its start.
+
+    Returns
+    -------
+    u0, v0, iz : float32
+        Image point [px] and 1/z [1/m] of the start.
+    du, dv, diz : float32
+        What each pixel of way adds to them; the larger of |du| and |dv| is 1.
+    inv : float32
+        q over the way.
+    end : float32 [px]
+        Of the line: where the search, the picture or the near plane ends it; below 1 if the
+        picture shows next to nothing of the ray.
+    """
+    x, y, z = start
+    dx, dy, dz = direction
+    iz = ONE / z
+    du, dv = view.fx * (dx * z - x * dz), view.fy * (dy * z - y * dz)
+    far = z + dz * farthest
+    length = farthest * iz / far
+    if far < NEAR:
+        length = (iz - ONE / NEAR) / dz
+    span = max(abs(du), abs(dv))
+    end = span * length
+    if not end >= ONE:
+        return ZERO, ZERO, iz, ZERO, ZERO, ZERO, ZERO, -ONE
+    inv = ONE / span
+    du, dv, diz = du * inv, dv * inv, -dz * inv
+    u0, v0 = view.fx * x * iz + view.cx, view.fy * y * iz + view.cy
+    if du > ZERO:
+        end = min(end, (w - u0) / du)
+    elif du < ZERO:
+        end = min(end, -u0 / du)
+    if dv > ZERO:
+        end = min(end, (h - v0) / dv)
+    elif dv < ZERO:
+        end = min(end, -v0 / dv)
+    return u0, v0, iz, du, dv, diz, inv, end
+
+
+@inlined_function
+def bisected(depth, u0, v0, iz, du, dv, diz, a, b):
+    """Return the way [px] between a and b at which a ray passes behind what the picture shows."""
+    for _ in range(BISECTIONS):
+        middle = HALF * (a + b)
+        i, j = np.uint32(u0 + du * middle), np.uint32(v0 + dv * middle)
+        if (iz + diz * middle) * depth[j, i] <= ONE:
+            b = middle
+        else:
+            a = middle
+    return b
+
+
+@device_function
+def is_free(bounds, first, rows, columns, bits, i, j, k, m, nearest, farthest, thickness):
+    """Tell whether a ray cannot hit anything between pixels (i, j) and (k, m).
+
+    They lie in one block, or in neighbours, of 1 << `bits` pixels; the bounds of these begin at
+    `first`. `nearest` and `farthest` are 1/z of the ray there.
+    """
+    i, j, k, m = i >> bits, j >> bits, k >> bits, m >> bits
+    kind = ((i ^ k) & _ONE) + ((j ^ m) & _ONE) * _TWO
+    at = np.uint32(first + (kind * rows + min(j, m)) * columns + min(i, k))
+    return bounds[at, 0] * farthest > ONE or (bounds[at, 1] + thickness) * nearest < ONE
+
+
 def bounds_of(height, width):
     """Return the shape of a picture's `bounds_out`, see `block_bounds`."""
     return sum(KINDS * -(-height // side) * -(-width // side) for side in (BLOCK, WIDE * BLOCK)), 2
-
-
-@device_function
-def span_bounds(bounds, rows, columns, j, i, high, wide):
-    """Return the least and the greatest depth over `high` by `wide` blocks from (j, i) on."""
-    low, most = np.float32(np.inf), np.float32(-np.inf)
-    for row in range(j, min(j + high, rows)):
-        for column in range(i, min(i + wide, columns)):
-            at = row * columns + column
-            low, most = min(low, bounds[at, 0]), max(most, bounds[at, 1])
-    return low, most
-
-
-@device_function
-def join_blocks(bounds, rows, columns, side, kind, j, i):
-    """Return the bounds of `kind` of the block of `side` by `side` blocks that has place (j, i)."""
-    high, wide = side * (1 + kind // 2), side * (1 + kind % 2)
-    return span_bounds(bounds, rows, columns, j * side, i * side, high, wide)
 
 
 @cpu_kernel
@@ -102,130 +256,21 @@ def joined_at(bounds, rows, columns, at):
 
 
 @device_function
-def is_free(bounds, first, rows, columns, bits, i, j, k, m, nearest, farthest, thickness):
-    """Tell whether a ray cannot hit anything between pixels (i, j) and (k, m).
-
-    They lie in one block, or in neighbours, of 1 << `bits` pixels; the bounds of these begin at
-    `first`. `nearest` and `farthest` are 1/z of the ray there.
-    """
-    i, j, k, m = i >> bits, j >> bits, k >> bits, m >> bits
-    kind = ((i ^ k) & _ONE) + ((j ^ m) & _ONE) * _TWO
-    at = np.uint32(first + (kind * rows + min(j, m)) * columns + min(i, k))
-    return bounds[at, 0] * farthest > ONE or (bounds[at, 1] + thickness) * nearest < ONE
+def join_blocks(bounds, rows, columns, side, kind, j, i):
+    """Return the bounds of `kind` of the block of `side` by `side` blocks that has place (j, i)."""
+    high, wide = side * (1 + kind // 2), side * (1 + kind % 2)
+    return span_bounds(bounds, rows, columns, j * side, i * side, high, wide)
 
 
 @device_function
-def march(depth, bounds, lens, x, y, z, dx, dy, dz, thickness, stride, farthest):
-    """Find where a ray first meets the picture.
-
-    Steps are counted in pixels from the ray's start: u, v and 1/z are linear in them. So a step is
-    known to a few millionths of a pixel, and every machine visits the same pixels.
-
-    Parameters
-    ----------
-    depth : ndarray of shape (height, width), float32 [m]
-        Depth along the camera's z axis; infinite where nothing can be hit.
-    bounds : ndarray of shape `bounds_of(height, width)`, float32 [m]
-        See `block_bounds`; only saves time.
-    lens : ndarray of shape (4,), float32
-        fx, fy, cx, cy [px].
-    x, y, z, dx, dy, dz : float32
-        Origin [m] and unit direction in the camera frame.
-    thickness : float32 [m]
-        How far behind its depth a surface still stops a ray.
-    stride : float32 [px]
-    farthest : float32 [m]
-        Length of ray that is searched.
-
-    Returns
-    -------
-    distance : float32 [m]
-        Along the ray; negative if nothing was met within the picture.
-    """
-    height, width = depth.shape
-    w, h = np.float32(width), np.float32(height)
-    iz = ONE / z
-    # At length s, with q = s / (z (z + s dz)), the picture shows the ray (du, dv) q from its start.
-    du, dv = lens[0] * (dx * z - x * dz), lens[1] * (dy * z - y * dz)
-    far = z + dz * farthest
-    length = farthest * iz / far
-    if far < NEAR:
-        length = (iz - ONE / NEAR) / dz
-    span = max(abs(du), abs(dv))
-    end = span * length  # px
-    if not end >= ONE:
-        return -ONE
-    inv = ONE / span
-    du, dv, diz = du * inv, dv * inv, -dz * inv
-    u0, v0 = lens[0] * x * iz + lens[2], lens[1] * y * iz + lens[3]
-    if du > ZERO:
-        end = min(end, (w - u0) / du)
-    elif du < ZERO:
-        end = min(end, -u0 / du)
-    if dv > ZERO:
-        end = min(end, (h - v0) / dv)
-    elif dv < ZERO:
-        end = min(end, -v0 / dv)
-    rows, columns = np.uint32(-(-height // BLOCK)), np.uint32(-(-width // BLOCK))
-    rows_wide = np.uint32((rows + WIDE - 1) // WIDE)
-    columns_wide = np.uint32((columns + WIDE - 1) // WIDE)
-    many, none = np.uint32(KINDS * rows * columns), np.uint32(0)
-    short, long = np.float32(math.floor(JUMP / stride)), np.float32(math.floor(WIDE_JUMP / stride))
-    right, bottom = w - ONE, h - ONE
-    before = iz + diz * FIRST_STEP  # 1/z, as all that follows
-    step, t = ONE, FIRST_STEP + stride  # a float32: exact, and a graphics processor converts none
-    u, v = u0 + du * t, v0 + dv * t
-    # A long jump, or where none is possible a short one, or else a few steps. No branch leaves the
-    # loop's body: the lanes of a graphics processor come together again after each turn.
-    is_wide, met = True, False
-    while not met and t < end and u > -ONE and v > -ONE and u < w and v < h:
-        jump, is_free_here = long if is_wide else short, False
-        last = FIRST_STEP + stride * (step + jump)
-        far = iz + diz * last
-        near, away = max(before, far), min(before, far)
-        # Beyond the ray's end 1/z may have passed through zero.
-        if jump > ZERO and away > ZERO:
-            # Without a sign: negative places would count from the end, tested for at each.
-            i, j = np.uint32(max(u, ZERO)), np.uint32(max(v, ZERO))
-            k = np.uint32(min(max(u0 + du * last, ZERO), right))
-            m = np.uint32(min(max(v0 + dv * last, ZERO), bottom))
-            is_free_here = is_free(
-                bounds, many if is_wide else none, rows_wide if is_wide else rows,
-                columns_wide if is_wide else columns, WIDE_BITS if is_wide else BLOCK_BITS,
-                i, j, k, m, near, away, thickness,
-            )  # fmt: skip
-        if is_free_here:
-            before, is_wide = far, True
-            step += jump + ONE
-            t = FIRST_STEP + stride * step
-            u, v = u0 + du * t, v0 + dv * t
-        elif is_wide:
-            is_wide = False
-        else:
-            stay = PLAIN_STEPS
-            while stay > 0 and t < end and u > -ONE and v > -ONE and u < w and v < h:
-                surface = depth[np.uint32(max(v, ZERO)), np.uint32(max(u, ZERO))]
-                now = iz + diz * t
-                low, high = min(before, now), max(before, now)
-                met = low * surface <= ONE and high * (surface + thickness) >= ONE
-                if met:
-                    stay = 0
-                else:
-                    before, stay = now, stay - 1
-                    step += ONE
-                    t = FIRST_STEP + stride * step
-                    u, v = u0 + du * t, v0 + dv * t
-    if not met:
-        return -ONE
-    a, b = t - stride, t
-    for _ in range(BISECTIONS):
-        middle = HALF * (a + b)
-        i, j = np.uint32(u0 + du * middle), np.uint32(v0 + dv * middle)
-        if (iz + diz * middle) * depth[j, i] <= ONE:
-            b = middle
-        else:
-            a = middle
-    return b * inv * z / (iz + diz * b)
+def span_bounds(bounds, rows, columns, j, i, high, wide):
+    """Return the least and the greatest depth over `high` by `wide` blocks from (j, i) on."""
+    low, most = np.float32(np.inf), np.float32(-np.inf)
+    for row in range(j, min(j + high, rows)):
+        for column in range(i, min(i + wide, columns)):
+            at = row * columns + column
+            low, most = min(low, bounds[at, 0]), max(most, bounds[at, 1])
+    return low, most
 
 
 @device_function

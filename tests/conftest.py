@@ -13,10 +13,33 @@ else:
     # For work at one's own risk: a folder that outlives the session.
     os.environ["NUMBA_CACHE_DIR"] = os.environ["RAINSIM_TEST_CACHE"]
 
+# Tests change constants of modules at will, which no entry's name takes in.
+os.environ["RAINSIM_CACHE"] = "off"
+
 import numpy as np
 import pytest
 
+import plain
 from simulator import QUICK, Simulator
+
+
+def pytest_configure(config):
+    """Let whole numbers wrap where the compiler is off."""
+    if plain.CHOSEN:
+        config.addinivalue_line("filterwarnings", plain.WARNINGS)
+
+
+def pytest_ignore_collect(collection_path):
+    """Leave out what needs the compiler where it is off."""
+    if plain.CHOSEN and collection_path.suffix == ".py":
+        return not plain.is_plain(collection_path)
+    return None
+
+
+def pytest_collection_modifyitems(items):
+    """Leave out what takes minutes without the compiler."""
+    if plain.CHOSEN:
+        items[:] = [item for item in items if item.originalname not in plain.SLOW]
 
 
 def pytest_collection_finish(session):
@@ -57,6 +80,38 @@ def poisoned():
 def root():
     """The folder of the checkout."""
     return Path(__file__).resolve().parent.parent
+
+
+@pytest.fixture(scope="session")
+def bicycle_scene():
+    """The built-in yard, for all tests: 300,000 splats take seconds."""
+    from rainsim import load_scene
+
+    return load_scene("bicycle")
+
+
+@pytest.fixture(scope="session")
+def street_scene():
+    """The built-in street, for all tests."""
+    from rainsim import load_scene
+
+    return load_scene("street")
+
+
+@pytest.fixture(scope="session")
+def shared(root):
+    """Return a function that finds data beside the checkout, and skips the test without it.
+
+    The only place where tests look outside the repository.
+    """
+
+    def find(name):
+        path = root.parent / "shared" / name
+        if not path.exists():
+            pytest.skip(f"../shared/{name} is not there")
+        return path
+
+    return find
 
 
 @pytest.fixture

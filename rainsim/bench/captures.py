@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rainsim.constants import SH_0
 from rainsim.scene.cameras import look_at
 from rainsim.scene.types import GroundFrame, Scene, Splats
 
-SH_0 = 0.28209479177387814  # the constant spherical harmonic
 PAVING, LAWN, WOOD, SKY = (0.55, 0.52, 0.48), (0.35, 0.5, 0.2), (0.4, 0.28, 0.15), (0.7, 0.75, 0.8)
-LAWN_HEIGHT = 0.05  # m that the blades stand above the soil
+LAWN_HEIGHT = 0.05  # m of the blades above the soil
 DIP_DEPTH, DIP_WIDTH = 5e-3, 0.30  # m
 KERB_HEIGHT, KERB_X = 0.12, 1.0  # m
 TABLE = (-1.0, -1.0, 0.5, 0.72)  # m: x, y, half width, height
@@ -20,7 +20,7 @@ STREET_LENGTH, STREET_HALF, STREET_RISE, CAMBER = 300.0, 4.0, 0.03, 0.025
 
 @dataclass(frozen=True)
 class Truth:
-    """What is known of a synthetic capture.
+    """The ground truth of a synthetic capture.
 
     Attributes
     ----------
@@ -41,7 +41,7 @@ class Truth:
 
 
 def random_frame(rng, tilt=40.0):
-    """Return a ground frame of a capture with z up but for up to `tilt` degrees, not metric."""
+    """Return a random ground frame: up to `tilt` degrees off z, any heading, scale and origin."""
     axis, angle = rng.uniform(0, 2 * np.pi), np.radians(rng.uniform(0, tilt))
     turn = rng.uniform(0, 2 * np.pi)
     lean = _rotation((np.cos(axis), np.sin(axis), 0.0), angle)
@@ -62,8 +62,8 @@ def _rotation(axis, angle):
 def yard(seed, noise=1e-3, floaters=0.3, kerb=False, step=0.025):
     """Return the Scene (in its capture frame) and Truth of a paved yard in a lawn.
 
-    Eight dips, a table, a sky and floaters, 24 cameras in a ring; `noise` [m] is that of the
-    splats' heights, `floaters` the share of splats that hang anywhere.
+    Eight dips, a table, a sky and floaters, 24 cameras in a ring; `noise` [m] is the standard
+    deviation of the splats' heights, `floaters` the share of splats that hang at random in the air.
     """
     rng = np.random.default_rng(seed)
     half = 2.2
@@ -117,10 +117,10 @@ def street(seed, noise=2e-3, step=0.08):
 
 
 def fold(seed, degrees, share=0.5, noise=2e-3, step=0.05):
-    """Return the Scene and Truth of two planes that meet in a line, both wide and seen as well.
+    """Return the Scene and Truth of two wide planes that meet in a line.
 
-    The first is level and holds `share` of 8 x 8 m; the other rises from it by `degrees` (falls if
-    negative, as a ridge).
+    One plane is level and covers `share` of 8 x 8 m; the other rises from it by `degrees`, or falls
+    if negative.
     """
     rng = np.random.default_rng(seed)
     place = 8 * share - 4
@@ -140,7 +140,7 @@ def fold(seed, degrees, share=0.5, noise=2e-3, step=0.05):
 
 
 def _dips(rng, half, kerb):
-    """Return centres of dips that keep off each other, the rim and the kerb."""
+    """Return centres of dips that do not touch each other, the rim or the kerb."""
     found = []
     while len(found) < 8:
         place = rng.uniform(-half + 0.4, half - 0.4, 2)
@@ -198,7 +198,7 @@ def _scene(rng, parts, eyes, target, name, tilt=40.0):
 
 
 def _quaternion(m):
-    """Return w, x, y, z of a rotation matrix, by the eigenvector that is safe for any angle."""
+    """Return w, x, y, z of a rotation matrix, from an eigenvector, which is exact at any angle."""
     (a, b, c), (d, e, f), (g, h, i) = m
     k = np.array([[a + e + i, h - f, c - g, d - b], [h - f, a - e - i, b + d, c + g],
                   [c - g, b + d, e - a - i, f + h], [d - b, c + g, f + h, i - a - e]])  # fmt: skip

@@ -15,7 +15,8 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.special import j0
 
-GRAVITY = 9.81  # m/s2
+from rainsim.constants import GRAVITY
+
 WALLS = "wall"
 
 

@@ -26,7 +26,7 @@ def require_matplotlib():
 
 
 def front(points):
-    """Return those of (time, error) that no other point beats in both, sorted by time."""
+    """Return the points (time, error) that no other point beats in both, sorted by time."""
     best, kept = float("inf"), []
     for time, error in sorted(points):
         if error < best:

@@ -11,10 +11,11 @@ import time
 
 import numpy as np
 
-from rainsim import film
-from rainsim.lobe import LEAST_DIP
-from rainsim.render import Timer
-from rainsim.traced import Tracer
+from rainsim.constants import REFRACTIVE_INDEX
+from rainsim.reflection.ray_traced import Tracer
+from rainsim.render.report import Timer
+from rainsim.shading import wet_ground_mirror
+from rainsim.shading.microfacet import LEAST_DIP
 
 PIXELS, RAYS = 250, 160
 FULL = 0.5  # share of film from which a pixel is compared
@@ -39,22 +40,22 @@ def film_accuracy(renderer, camera, pixels=PIXELS, rays=RAYS, seed=0):
         peak 1, and the root mean square error over the mean of the truth.
     """
     cover = np.zeros((camera.height, camera.width), np.float32)
-    view = renderer._wet_picture(camera, None, Timer(), cover)
-    rows, columns = np.nonzero((cover > FULL) & np.isfinite(view.depth))
+    wet_picture = renderer.wet_scene.picture(camera, Timer(), cover)
+    rows, columns = np.nonzero((cover > FULL) & np.isfinite(wet_picture.depth))
     if not len(rows):
         return None
     rng = np.random.Generator(np.random.PCG64(seed))
     chosen = rng.choice(len(rows), min(pixels, len(rows)), replace=False)
     rows, columns = rows[chosen], columns[chosen]
     start = time.perf_counter()
-    wanted, noise = traced_film(renderer, view, rows, columns, rays, rng)
+    wanted, noise = traced_film(renderer, wet_picture, rows, columns, rays, rng)
     seconds = time.perf_counter() - start
     found = {}
     for name in ("mirror", "environment"):
-        field, step = _field(renderer, view, cover, name)
-        full = np.empty_like(view.picture)
+        field, step = _field(renderer, wet_picture, cover, name)
+        full = np.empty_like(wet_picture.picture)
         one = np.ones_like(cover)
-        film.lay_film(np.zeros_like(view.picture), one, field, step, full)
+        wet_ground_mirror.add_reflection(np.zeros_like(wet_picture.picture), one, field, step, full)
         found[name] = _error(full[rows, columns] - wanted, wanted)
     found["noise"] = _error(noise, wanted)
     return {"pixels": len(rows), "rays": rays, "seconds": seconds, **found}
@@ -72,13 +73,14 @@ def film_line(found):
     return f"  film on wet ground against {found['rays']} traced rays a pixel: {told}"
 
 
-def _field(renderer, view, cover, name):
+def _field(renderer, wet_picture, cover, name):
     """Return the field of mirrored light and its step, with or without the mirrored picture."""
     wet = renderer.wet_ground
     before = wet.drawn
     wet.drawn = name == "mirror"
     try:
-        return wet.field(view, cover, renderer.view, renderer._level_mirrored, renderer.gloss)
+        scene = renderer.wet_scene
+        return wet.field(wet_picture.view, cover, renderer.view, scene.level_mirrored, scene.gloss)
     finally:
         wet.drawn = before
 
@@ -91,17 +93,17 @@ def _error(difference, truth):
     }
 
 
-def traced_film(renderer, view, rows, columns, rays, rng):
+def traced_film(renderer, wet_picture, rows, columns, rays, rng):
     """Return the light that a full film mirrors to pixels, and the noise of its estimate.
 
     Both have the shape (pixels, 3); the rays start on the ground that the pixels show, and meet
     only what stands on it.
     """
-    fx, fy, cx, cy = view.lens.astype(np.float64)
+    fx, fy, cx, cy = wet_picture.view.lens.astype(np.float64)
     local = np.stack([(columns + 0.5 - cx) / fx, (rows + 0.5 - cy) / fy, np.ones(len(rows))], -1)
-    ray = local @ view.turn.T.astype(np.float64)
-    spot = view.eye + ray * view.depth[rows, columns][:, None]
-    before = np.linalg.norm(spot - view.eye, axis=1)
+    ray = local @ wet_picture.view.ground_from_camera.T.astype(np.float64)
+    spot = wet_picture.view.eye + ray * wet_picture.depth[rows, columns][:, None]
+    before = np.linalg.norm(spot - wet_picture.view.eye, axis=1)
     ray /= np.linalg.norm(ray, axis=1, keepdims=True)
     height, gx, gy, slope = ground_under(renderer, spot)
     spot[:, 2] = height
@@ -132,7 +134,7 @@ def traced_film(renderer, view, rows, columns, rays, rng):
 
 def ground_under(renderer, spot):
     """Return height, both slopes and the film's rms slope of the ground under points (n, 3)."""
-    terrain, ground = renderer.terrain, renderer.wet_ground.ground
+    terrain, ground = renderer.terrain, renderer.wet_ground.ground.slopes
     (x0, y0), cell = terrain.grid.origin, terrain.grid.spacing
     rows, columns = terrain.bed.shape
     i = np.clip(((spot[:, 0] - x0) / cell).astype(int), 0, columns - 1)
@@ -142,22 +144,25 @@ def ground_under(renderer, spot):
 
 def _trace(renderer, origin, direction, before, pixel):
     """Return the radiance of rays that meet what stands on the ground."""
-    kept = renderer._tracer
-    stands = film.standing(renderer.rasterizer.prepared, renderer.terrain, renderer.frame)
-    renderer._tracer = Tracer(renderer.scene.splats.take(np.sort(stands.order)))
+    kept = renderer.wet_scene.tracer
+    stands = wet_ground_mirror.standing(
+        renderer.wet_scene.rasterizer.prepared, renderer.terrain, renderer.wet_scene.frame
+    )
+    renderer.wet_scene.tracer = Tracer(renderer.wet_scene.scene.splats.take(np.sort(stands.order)))
     try:
-        return renderer._traced(
+        return renderer.wet_scene.traced(
             origin.astype(np.float32), direction.astype(np.float32), before.astype(np.float32),
             np.full(len(origin), pixel, np.float32),
         )[0]  # fmt: skip
     finally:
-        renderer._tracer = kept
+        renderer.wet_scene.tracer = kept
 
 
 def _fresnel(cosine):
-    t = np.sqrt(1 - (1 - cosine**2) / 1.333**2)
-    s, p = (cosine - 1.333 * t) / (cosine + 1.333 * t), (1.333 * cosine - t) / (1.333 * cosine + t)
-    return (s**2 + p**2) / 2
+    t = np.sqrt(1 - (1 - cosine**2) / REFRACTIVE_INDEX**2)
+    across = (cosine - REFRACTIVE_INDEX * t) / (cosine + REFRACTIVE_INDEX * t)
+    along = (REFRACTIVE_INDEX * cosine - t) / (REFRACTIVE_INDEX * cosine + t)
+    return (across**2 + along**2) / 2
 
 
 def _smith(a):

@@ -1,8 +1,8 @@
 """`rainsim bench frame`: the whole rainy frame, accuracy against time over levels of quality.
 
 The truth of a frame is the same rain, water and camera drawn at twice the size with traced
-reflections and averaged down. Stage times are those that `rainsim run` reports; levels are drawn in
-turn, so that the load of the machine falls on all of them alike.
+reflections and averaged down. Stage times are as `rainsim run` reports them; levels are drawn in
+turn, so that the load of the machine affects all of them alike.
 """
 
 from __future__ import annotations
@@ -13,51 +13,36 @@ import resource
 import time
 
 import numpy as np
-from scipy import ndimage
 
 from rainsim import pipeline
-from rainsim.backends import on_backend
+from rainsim.backend import on_backend
+from rainsim.bench import frame_cuda, frame_levels
 from rainsim.bench.chart import draw_fronts
+from rainsim.bench.frame_levels import TRUTH_SCALE, TRUTH_WIDTH
 from rainsim.bench.scenes import SCENES, scene_names
-from rainsim.config import REFLECTIONS, Config
+from rainsim.config.settings import Config
 from rainsim.jit import set_threads
-from rainsim.render import Renderer
-from rainsim.scene.cameras import orbit
+from rainsim.render.renderer import Renderer
 from rainsim.scene.library import load_scene
 
-PRESET = "moderate"
 WIDTHS = {False: (648, 1296), True: (96,)}  # px
 SPACING = {False: 0.02, True: 0.08}  # m
 ROUNDS = {False: 3, True: 1}  # drawings of each frame, of which the median counts
 FRAMES = {False: 2, True: 1}  # compared with the truth
 EXTENT = {False: None, True: 3.0}  # m
-ORBIT = 240  # cameras of a full circle: a slow walk
-TRUTH_SCALE = 2
-TRUTH_WIDTH = 700  # px, up to which all levels are measured: the truth's traced rays take long
-# What each level changes of the preset, and the share of the width that it is drawn at.
-LEVELS = {
-    "as set": ({}, 1.0),
-    "half size": ({}, 0.5),
-    "map 4 cm": ({"spacing": 2.0}, 1.0),
-    "rain to 3 m": ({"streak_far": 3.0}, 1.0),
-    **{
-        name: ({"reflections": name}, 1.0) for name in REFLECTIONS if name not in ("auto", "traced")
-    },
-}
-TRUTH = {"reflections": "traced" if "traced" in REFLECTIONS else "auto", "streak_far": 16.0}
 
 
-def run(quick=False, tell=None, backend="cpu"):
+def run(quick=False, say=None, backend="cpu"):
     """Run the whole bench.
 
     Parameters
     ----------
     quick : bool
         One scene, small, one drawing of each.
-    tell : callable, optional
+    say : callable, optional
         Called with a line of text for each result.
     backend : {"cpu", "cuda"}
-        What draws; see `rainsim.bench.frame_cuda` for what is measured on a GPU.
+        What draws; `rainsim.bench.frame_cuda` says what is measured on a GPU.
 
     Returns
     -------
@@ -70,24 +55,22 @@ def run(quick=False, tell=None, backend="cpu"):
     BackendError
         If the backend cannot run here.
     """
-    tell = tell or (lambda line: None)
+    say = say or (lambda line: None)
     on_backend(backend)  # before anything is drawn
-    if backend == "cuda":
-        from rainsim.bench import frame_cuda
     rows = []
     for name in scene_names(quick):
         scene = load_scene(name)
         if backend == "cuda":
             for width in frame_cuda.WIDTHS[quick]:
-                for row in frame_cuda.measure(scene, width, "moving", quick, tell):
+                for row in frame_cuda.measure(scene, width, "moving", quick, say):
                     rows.append(row)
-                    tell(_line(row))
+                    say(_line(row))
             continue
         for width in WIDTHS[quick]:
             for motion in ("still", "moving"):
                 for row in measure(scene, width, motion, quick):
                     rows.append(row)
-                    tell(_line(row))
+                    say(_line(row))
     machine = {
         "cpu": platform.processor() or platform.machine(), "cores": os.cpu_count(),
         "threads": set_threads(None), "load": os.getloadavg(),
@@ -104,10 +87,10 @@ def measure(scene, width, motion, quick=False):
     Wider pictures than TRUTH_WIDTH are only timed, as they are set.
     """
     count, rounds = FRAMES[quick], ROUNDS[quick]
-    config = Config.from_preset(PRESET).replace(
+    config = Config.from_preset(frame_levels.PRESET).replace(
         width=width, frames=count, spacing=SPACING[quick], extent=EXTENT[quick]
     )
-    cameras = cameras_of(scene, motion, count * rounds + 1)
+    cameras = frame_levels.cameras_of(scene, motion, count * rounds + 1)
     height = round(width * cameras[0].height / cameras[0].width)
     worlds = {}
 
@@ -130,12 +113,16 @@ def measure(scene, width, motion, quick=False):
         return Renderer(scene, ground, settings, sized[0]), states, sized
 
     small = width <= TRUTH_WIDTH
-    levels = {n: renderer(*level) for n, level in LEVELS.items() if small or n == "as set"}
+    levels = {
+        n: renderer(*level) for n, level in frame_levels.LEVELS.items() if small or n == "as set"
+    }
     for own, states, sized in levels.values():
-        own.draw(sized[-1], states[0])  # compiles, and sees a camera that is not timed
+        own.draw(sized[-1], states[0])  # compiles, and draws a camera that is not timed
         if motion == "still":
             own.draw(sized[0], states[0])
-    best, best_states, large = renderer(TRUTH, TRUTH_SCALE) if small else (None, None, None)
+    best, best_states, large = (
+        renderer(frame_levels.TRUTH, TRUTH_SCALE) if small else (None, None, None)
+    )
     times = {name: [] for name in levels}
     errors = {name: [] for name in levels}
     for n in range(count * rounds):
@@ -149,8 +136,8 @@ def measure(scene, width, motion, quick=False):
             times[name].append(report.milliseconds)
             if n < count and small:
                 if truth is None:
-                    truth = shrunk(best.draw(large[at], best_states[k])[0])
-                errors[name].append(error_of(picture, truth))
+                    truth = frame_levels.shrunk(best.draw(large[at], best_states[k])[0])
+                errors[name].append(frame_levels.error_of(picture, truth))
     rows = []
     for name in levels:
         stages = dict.fromkeys(stage for one in times[name] for stage in one)
@@ -164,33 +151,6 @@ def measure(scene, width, motion, quick=False):
             }
         )  # fmt: skip
     return rows
-
-
-def cameras_of(scene, motion, count):
-    """Return the cameras: one for all frames, a slow orbit, or the drive that a scene has."""
-    if motion == "still":
-        return [scene.cameras[0]] * (count - 1) + [scene.cameras[1]]
-    away = np.linalg.norm(scene.cameras[1].position - scene.cameras[0].position)
-    if away * scene.ground_frame.meters_per_unit < 0.5 and len(scene.cameras) >= count:
-        return list(scene.cameras[:count])
-    return orbit(scene.ground_frame, scene.cameras, count=ORBIT)[:count]
-
-
-def shrunk(picture):
-    """Return the picture averaged over blocks, in linear light as a sensor does."""
-    height, width = (n // TRUTH_SCALE * TRUTH_SCALE for n in picture.shape[:2])
-    linear = (picture[:height, :width] / np.float32(255)) ** np.float32(2.2)
-    shape = (height // TRUTH_SCALE, TRUTH_SCALE, width // TRUTH_SCALE, TRUTH_SCALE, 3)
-    return linear.reshape(shape).mean(axis=(1, 3)) ** np.float32(1 / 2.2)
-
-
-def error_of(picture, truth):
-    """Return the root mean square error against the truth; a smaller picture is enlarged."""
-    picture = picture / np.float32(255)
-    if picture.shape != truth.shape:
-        zoom = [a / b for a, b in zip(truth.shape, picture.shape, strict=True)]
-        picture = ndimage.zoom(picture, zoom, order=1, grid_mode=True, mode="nearest")
-    return float(np.sqrt(np.mean((picture - truth) ** 2)))
 
 
 def _line(row):
@@ -247,7 +207,7 @@ def _milliseconds(value):
 
 
 def draw(result, path):
-    """Draw the chart of a result of `run` to a PNG; a capture that is not built in stays out."""
+    """Draw the chart of a result of `run` to a PNG; it shows the built-in scenes only."""
     panels, stages = {}, {}
     for row in result["rows"]:
         if row["scene"] not in SCENES:

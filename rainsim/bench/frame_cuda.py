@@ -13,9 +13,11 @@ import time
 import numpy as np
 
 from rainsim import pipeline
-from rainsim.bench import frame
+from rainsim.bench import frame_levels
+from rainsim.bench.frame_levels import TRUTH, TRUTH_SCALE
+from rainsim.config.settings import Config
 from rainsim.errors import ParameterError
-from rainsim.render import Renderer, render
+from rainsim.render.renderer import Renderer
 
 WIDTHS = {False: (648, 1296, 2592), True: (32,)}  # px
 SHOTS = {False: 40, True: 2}  # frames drawn one by one of each level, of which the median counts
@@ -24,22 +26,22 @@ FRAMES = {False: 2, True: 1}  # compared with the truth
 SPACING = {False: 0.02, True: 0.2}  # m
 EXTENT = {False: None, True: 1.0}  # m
 CPU = "as set, CPU"
-# Besides `frame.LEVELS`; wide pictures are drawn as set and with the finer map.
+# Besides `frame_levels.LEVELS`; wide pictures are drawn as set and with the finer map.
 LEVELS = {"as set": ({}, 1.0), "map 1 cm": ({"spacing": 0.5}, 1.0)}
 MEBIBYTE = 2.0**20
 
 
-def measure(scene, width, motion, quick, tell):
+def measure(scene, width, motion, quick, say):
     """Return a row of times, memory and error for each level, one scene, width and motion."""
     count, shots = FRAMES[quick], SHOTS[quick]
-    config = frame.Config.from_preset(frame.PRESET).replace(
+    config = Config.from_preset(frame_levels.PRESET).replace(
         width=width, frames=count + SETTLING[quick] + shots, spacing=SPACING[quick],
         extent=EXTENT[quick],
     )  # fmt: skip
-    cameras = frame.cameras_of(scene, motion, config.frames + 1)[:-1]
+    cameras = frame_levels.cameras_of(scene, motion, config.frames + 1)[:-1]
     height = round(width * cameras[0].height / cameras[0].width)
-    small = width <= frame.TRUTH_WIDTH
-    levels = LEVELS | {n: v for n, v in frame.LEVELS.items() if small and n not in LEVELS}
+    small = width <= frame_levels.TRUTH_WIDTH
+    levels = LEVELS | {n: v for n, v in frame_levels.LEVELS.items() if small and n not in LEVELS}
     grounds, truths, rows = {}, [], []
 
     def setting(changes, scale):
@@ -54,7 +56,7 @@ def measure(scene, width, motion, quick, tell):
         return settings, grounds[settings.terrain], [camera.resized(*size) for camera in cameras]
 
     def row(name, milliseconds, least, pictures, ground, **more):
-        errors = [frame.error_of(*pair) for pair in zip(pictures, truths, strict=False)]
+        errors = [frame_levels.error_of(*pair) for pair in zip(pictures, truths, strict=False)]
         return {
             "scene": scene.name, "width": width, "height": height, "motion": motion, "level": name,
             "milliseconds": milliseconds, "least_ms": least, "cells": ground.grid.shape,
@@ -62,14 +64,14 @@ def measure(scene, width, motion, quick, tell):
         }  # fmt: skip
 
     if small:
-        truths = _true_pictures(scene, *setting(frame.TRUTH, frame.TRUTH_SCALE), count)
+        truths = _true_pictures(scene, *setting(TRUTH, TRUTH_SCALE), count)
         rows.append(row(CPU, *_on_the_cpu(scene, *setting({}, 1.0), count)))
     for name, (changes, scale) in levels.items():
         settings, ground, sized = setting(changes, scale)
         try:
             found = _on_the_gpu(scene, settings, ground, sized, count, quick)
         except ParameterError as error:
-            tell(f"{name}: {error}")
+            say(f"{name}: {error}")
             continue
         times, pictures, more = found
         rows.append(row(name, times, more.pop("least"), pictures, ground, **more))
@@ -80,7 +82,7 @@ def _true_pictures(scene, settings, ground, cameras, count):
     best = Renderer(scene, ground, settings, cameras[0])
     states = itertools.islice(pipeline.simulate(ground, settings), count)
     return [
-        frame.shrunk(best.draw(camera, state)[0])
+        frame_levels.shrunk(best.draw(camera, state)[0])
         for camera, state in zip(cameras, states, strict=False)
     ]
 
@@ -102,8 +104,8 @@ def _on_the_cpu(scene, settings, ground, cameras, count):
 
 def _on_the_gpu(scene, settings, ground, cameras, count, quick):
     """Return milliseconds of stages and frame, pictures to compare, and what else a row has."""
-    from rainsim.cuda.frame import Renderer as OnGpu
-    from rainsim.cuda.simulate import simulate
+    from rainsim.cuda.render.renderer import Renderer as OnGpu
+    from rainsim.cuda.simulation import simulate
 
     before = _memory_in_use()
     own, pictures, times = OnGpu(scene, ground, settings, cameras[0]), [], []
@@ -122,7 +124,7 @@ def _on_the_gpu(scene, settings, ground, cameras, count, quick):
     sequence = []
     begin = time.perf_counter()
     states = itertools.islice(simulate(ground, settings), len(cameras))
-    for _ in render(scene, ground, states, cameras, settings, backend="cuda"):
+    for _ in pipeline.render(scene, ground, states, cameras, settings, backend="cuda"):
         sequence.append(time.perf_counter() - begin)
     each = np.diff(sequence)[SETTLING[quick] :] * 1e3
     more = {
@@ -133,7 +135,7 @@ def _on_the_gpu(scene, settings, ground, cameras, count, quick):
 
 
 def _memory_in_use():
-    """Return the bytes of the device's memory that are in use, all that is done with given back."""
+    """Return the bytes of device memory in use, after unused memory has been freed."""
     from rainsim.cuda.jit import SIMULATED, cuda
 
     if SIMULATED:

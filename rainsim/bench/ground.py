@@ -9,40 +9,40 @@ from dataclasses import replace
 import numpy as np
 from scipy import ndimage
 
-from rainsim.bench import captures, ponds
-from rainsim.config import TerrainConfig
+from rainsim.bench import captures
+from rainsim.config.settings import TerrainConfig
 from rainsim.errors import GroundError
-from rainsim.puddles import WET, puddles_of
 from rainsim.scene.ground import estimate_ground_frame
-from rainsim.standing import standing_water
-from rainsim.terrain import MEASURED, UNKNOWN, WATER, extract_terrain
+from rainsim.terrain.extract import extract_terrain
+from rainsim.terrain.types import MEASURED, UNKNOWN
+from rainsim.water.fill_spill_merge import standing_water
+from rainsim.water.puddles import WET, puddles_of
 
 NOISES = (1e-3, 3e-3, 10e-3)  # m
 RAIN = 5e-3  # m: fills dips that are 5 mm deep
 SPACINGS = (0.04, 0.02, 0.01)  # m
-UP_HINT_ERROR = 5.0  # degrees that a user's up is off, without cameras
-FRAMES = 50  # captures whose frame is looked for
+UP_HINT_ERROR = 5.0  # degrees between the true up and the up given for captures without cameras
+FRAMES = 50  # captures whose ground frame is estimated
 FOLDS = ((4, 0.5), (8, 0.5), (15, 0.55), (25, 0.5), (-8, 0.5), (8, 0.7), (25, 0.7), (-15, 0.7))
-WATERS = 3  # captures with water of each kind
-WRONG = 2.0  # degrees: what is farther off must be refused
+WRONG = 2.0  # degrees: a ground found farther off than that counts as wrong
 
 
-def run(quick=False, tell=None):
+def run(quick=False, say=None):
     """Return figures on frames, beds, dips and a street as plain values.
 
     Parameters
     ----------
     quick : bool
         Two captures per case instead of ten, and one cell size.
-    tell : callable, optional
-        tell(line), told what is being measured.
+    say : callable, optional
+        Called with a line of text on what is being measured.
     """
-    tell = tell or (lambda line: None)
+    say = say or (lambda line: None)
     seeds = 2 if quick else 10
     spacings = (0.02,) if quick else SPACINGS
     measure_bed(*captures.yard(0), 0.05)  # compiles; not timed
     number = seeds if quick else FRAMES
-    tell(f"ground frames of {number} captures")
+    say(f"ground frames of {number} captures")
     frames = []
     for seed in range(number):
         capture = captures.yard(seed, NOISES[seed % 3], kerb=seed % 2 == 1, step=0.05)
@@ -50,23 +50,18 @@ def run(quick=False, tell=None):
     folds = [measure_fold(*fold, seed) for seed in range(max(1, seeds // 2)) for fold in FOLDS]
     beds = []
     for noise in NOISES:
-        tell(f"beds with {noise * 1e3:g} mm of noise")
+        say(f"beds with {noise * 1e3:g} mm of noise")
         made = [captures.yard(100 + seed, noise, kerb=seed % 2 == 1) for seed in range(seeds)]
         for spacing in spacings:
             rows = [measure_bed(*capture, spacing) for capture in made]
             beds.append({"noise_mm": noise * 1e3, "spacing_m": spacing, **_summary(rows)})
-    tell("water in captures")
-    ways = (ponds.VIRTUAL, ponds.GLOSSY, ponds.MIXED, ponds.PIT)
-    water = {way: _summary([measure_water(*ponds.pond(seed, way)) for seed in range(WATERS)])
-             for way in ways}  # fmt: skip
-    tell("a street of 300 m")
+    say("a street of 300 m")
     return {
         "captures": seeds,
         "frame_captures": number,
         "frames": _summary(frames),
         "two_planes": _summary(folds),
         "beds": beds,
-        "water": water,
         "street": measure_street(),
     }
 
@@ -81,9 +76,6 @@ def table(result):
     for row in result["beds"]:
         lines += ["", f"bed, {row['noise_mm']:g} mm of noise, cells of {row['spacing_m']:g} m"]
         lines += [f"  {key:<22} {_shown(v)}" for key, v in row.items() if isinstance(v, dict)]
-    for way, row in result["water"].items():
-        lines += ["", f"water in the capture: {way}"]
-        lines += [f"  {key:<22} {_shown(value)}" for key, value in row.items()]
     lines += ["", "street"]
     lines += [f"  {key:<22} {value:.4g}" for key, value in result["street"].items()]
     return "\n".join(lines)
@@ -140,9 +132,9 @@ def measure_frames(scene, truth, seed):
 
 
 def measure_fold(degrees, share, seed):
-    """Return what becomes of two planes, the first of which holds `share`.
+    """Return whether two planes are refused or the ground is found; the first covers `share`.
 
-    As good (0.5 to 0.6) they must be refused, else the greater must be found.
+    Planes as good as each other (0.5 to 0.6) must be refused, else the larger one must be found.
     """
     scene, truth = captures.fold(seed, degrees, share)
     try:
@@ -208,7 +200,7 @@ def measure_bed(scene, truth, spacing=0.02):
 
 
 def _kerb_error(terrain, x, y):
-    """Return how many cells off the kerb's edge is, 90th percentile over the rows."""
+    """Return the error of the kerb's edge in cells, 90th percentile over the rows."""
     rows = np.flatnonzero(np.abs(y[:, 0]) < 1.5)
     band = np.abs(x[0] - captures.KERB_X) < 0.3
     profile = terrain.bed[np.ix_(rows, np.flatnonzero(band))]
@@ -216,30 +208,6 @@ def _kerb_error(terrain, x, y):
     first = np.argmax(profile > middle[:, None], axis=1)
     edge = x[0, band][first] - terrain.grid.spacing / 2
     return float(np.percentile(np.abs(edge - captures.KERB_X), 90)) / terrain.grid.spacing
-
-
-def measure_water(scene, truth, spacing=0.02):
-    """Return how well the water that a capture shows is found."""
-    start = time.perf_counter()
-    terrain = extract_terrain(scene, TerrainConfig(spacing=spacing, extent=3.9))
-    seconds = time.perf_counter() - start
-    wet = truth.wet(*np.meshgrid(*terrain.grid.centres()))
-    found = terrain.ground_class == WATER
-    if truth.level is None:
-        wet[:] = False
-    away = ndimage.distance_transform_edt(~wet) * spacing if wet.any() else np.full(wet.shape, 9.0)
-    hit = (wet & found).any()
-    return {
-        "missed": float(not hit) if wet.any() else None,
-        "outline": float((wet & found).sum() / (wet | found).sum()) if hit else None,
-        "level_mm": _level_error(terrain, found, truth) if hit else None,
-        "false_water": float(np.mean(found & (away > 0.1))),
-        "water_seconds": seconds,
-    }
-
-
-def _level_error(terrain, found, truth):
-    return abs(float(np.median((terrain.bed + terrain.water)[found])) - truth.level) * 1e3
 
 
 def measure_street(spacing=0.1):

@@ -1,11 +1,11 @@
 """`rainsim bench look`: accuracy against time of each way to draw what water does with light.
 
-The truth of reflections are rays traced through the splats, a mean over each pixel's area (see
-`truth`). They are compared as radiance before Fresnel's factor, display white being 1, where the
-traced ray ends on something that the camera sees; the other pixels are counted by cause. Lamps
-are brighter than white: radiance is compared as it is and clipped at white. The
-other ingredients are compared with what they approximate: refraction with Snell's law on the known
-bed, reflectance with the exact one, spheres with the height field.
+The reference are rays traced through the splats, a mean over each pixel's area (see `truth`). The
+methods are compared with it as radiance before Fresnel's factor, display white being 1, where the
+traced ray ends on something that the camera sees; the other pixels are counted by cause. Lamps are
+brighter than white: radiance is compared as it is and clipped at white. The paper's choices are
+compared with the defaults: an image shift with Snell's law on the known bed, Schlick's reflectance
+with the exact one, spheres with the height field.
 """
 
 from __future__ import annotations
@@ -18,15 +18,18 @@ from dataclasses import replace
 
 import numpy as np
 
-from rainsim import pipeline, reflect
+from rainsim import pipeline
 from rainsim.bench import whole
 from rainsim.bench.chart import COLORS, MARKERS, require_matplotlib
 from rainsim.bench.film import film_accuracy, film_line
 from rainsim.bench.scenes import SCENES, scene_names
 from rainsim.bench.truth import DARK, clipped, compare, trace_truth
-from rainsim.config import Config
+from rainsim.config.settings import Config
 from rainsim.jit import set_threads
-from rainsim.render import Renderer, Timer
+from rainsim.reflection.mirrored_rays import ENVIRONMENT
+from rainsim.reflection.water_record import SLOPES
+from rainsim.render.renderer import Renderer
+from rainsim.render.report import Timer
 from rainsim.scene.library import load_scene
 
 WIDTH = {False: 480, True: 120}  # px
@@ -46,16 +49,10 @@ MARCHES = {
 LEVELS = {
     "auto": ("auto", {}),
     "mirror": ("mirror", {}),
-    "mirror, two layers": ("mirror", {"layered": True}),
-    "mirror, 0 steps": ("mirror", {"mirror_steps": 0}),
-    "mirror, 32 steps": ("mirror", {"mirror_steps": 32}),
-    "mirror, half size": ("mirror", {"mirror_share": 0.5}),
-    "mirror, quarter size": ("mirror", {"mirror_share": 0.25}),
     **MARCHES,
-    "march 15 cm, 1 px, no jumps": ("ssr", {"px": 1, "jumps": False}),
     "paper": ("paper", {}),
 }
-OTHERS = {
+PAPER_CHOICES = {
     "image shift": {"refraction": "shift"},
     "Schlick": {"fresnel": "schlick"},
     "hard coverage": {"coverage": "hard"},
@@ -67,26 +64,26 @@ OTHERS = {
 }  # fmt: skip
 
 
-def run(quick=False, tell=lambda line: None):
+def run(quick=False, say=lambda line: None):
     """Return all figures as plain values.
 
     Parameters
     ----------
     quick : bool
         One scene, small, each level once.
-    tell : callable
-        Called with a line on what is being done.
+    say : callable
+        Called with a line of text on what is being measured.
     """
     cases, frames = [], {}
     for name in scene_names(quick):
         scene = load_scene(name)
         for preset in PRESETS[quick]:
-            tell(f"{name}, {preset}")
+            say(f"{name}, {preset}")
             cases.append(measure(scene, preset, quick))
-            tell(_lines(cases[-1]))
+            say(_lines(cases[-1]))
         if not quick:
             frames[name] = whole.measure(name, WHOLE, WIDTH[quick])
-            tell(_whole(name, frames[name]))
+            say(_whole(name, frames[name]))
     return {
         "cases": cases, "frames": frames,
         "machine": {
@@ -116,14 +113,14 @@ def measure(scene, preset, quick):
     renderer, camera, state = stage(scene, preset, quick)
     chosen = renderer.water.choice()
     truth = trace_truth(renderer, camera, state)
-    levels, marched = reflection_levels(renderer, camera, state, truth, ROUNDS[quick])
-    others = other_levels(renderer, camera, state, ROUNDS[quick])
+    levels, rate = reflection_levels(renderer, camera, state, truth, ROUNDS[quick])
+    choices = paper_choices(renderer, camera, state, ROUNDS[quick])
     return {
         "scene": scene.name, "preset": preset, "size": [camera.width, camera.height],
         "water_pixels": len(renderer.water.pixel), "causes": truth["causes"], "auto": chosen,
         "view_dependence": truth["view_dependence"], "traced": truth["cost"], "levels": levels,
-        "others": others, "film": film_accuracy(renderer, camera),
-        "march_rays_per_second": {"jumps": marched[True], "steps": marched[False]},
+        "paper_choices": choices, "film": film_accuracy(renderer, camera),
+        "march_rays_per_second": rate,
     }  # fmt: skip
 
 
@@ -137,26 +134,27 @@ def reflection_levels(renderer, camera, state, truth, rounds):
         for name, (method, settings) in LEVELS.items():
             _set(water, settings, camera.width)
             timer = Timer()
-            water._mirrors, water._tall = {}, None
+            water.forget_reflections()
             tracemalloc.start() if turn == 0 else None
             start = time.perf_counter()
-            water.light_up(method, renderer._mirrored, None, renderer.environment, timer)
+            around = renderer.wet_scene.environment
+            water.light_up(method, renderer.mirrored, None, around, timer)
             seconds = time.perf_counter() - start
             row = rows[name]
-            if turn == 0:  # compiles, and tracing memory is slow: not timed
+            if turn == 0:  # not timed: it compiles, and tracing memory is slow
                 row["memory_mb"] = tracemalloc.get_traced_memory()[1] / 1e6
                 tracemalloc.stop()
                 row["seen"] = compare(water, water.light, truth["light"], seen)
                 row["all"] = compare(water, water.light, truth["light"], known)
                 row["clipped"] = clipped(water, water.light, truth)
-                missed = water.source == reflect.ENVIRONMENT
+                missed = water.source == ENVIRONMENT
                 far = np.abs(water.light - mean).max(axis=1) > 0.1
                 row["false_sky"] = float((missed & far & known & ~sky).mean())
             else:
                 row["stage"].append(seconds)
                 row["frame"].append(_frame_time(renderer, camera, state, method))
     _set(water, {}, camera.width)
-    marched = {jumps: march_rate(renderer, jumps, rounds) for jumps in (True, False)}
+    rate = march_rate(renderer, rounds)
     for row in rows.values():
         for part in ("stage", "frame"):
             row[part] = float(np.median(row[part])) if row[part] else None
@@ -169,33 +167,28 @@ def reflection_levels(renderer, camera, state, truth, rounds):
         "all": compare(water, truth["traced"], truth["light"], known),
         "clipped": clipped(water, truth["traced"], truth),
     }  # fmt: skip
-    return [*rows.values(), traced], marched
+    return [*rows.values(), traced], rate
 
 
-def march_rate(renderer, jumps, rounds):
-    """Return how many rays a second the march follows: one for each pixel, water without ripples.
-
-    With or without jumps over blocks of the picture that hold nothing near.
-    """
+def march_rate(renderer, rounds):
+    """Return how many rays a second the march follows: one a pixel, on water without ripples."""
     water = renderer.water
-    ripples = water.record[:, 10:15].copy()
-    water.record[:, 10:15] = 0
-    water.jumps, water._tall = jumps, None
+    ripples = water.record[:, SLOPES].copy()
+    water.record[:, SLOPES] = 0
+    water.forget_reflections()
     seconds = []
     for _ in range(2 * rounds + 1):
         start = time.perf_counter()
-        water.light_up("ssr", renderer._mirrored, None, renderer.environment, Timer())
+        water.light_up("ssr", renderer.mirrored, None, renderer.wet_scene.environment, Timer())
         seconds.append(time.perf_counter() - start)
-    water.record[:, 10:15] = ripples
-    water.jumps, water._tall = True, None
+    water.record[:, SLOPES] = ripples
     return len(water.pixel) / float(np.median(seconds[1:]))  # the first makes the blocks
 
 
 def _set(water, settings, width):
-    """Set a quality level of the reflection; what is not named as by default."""
+    """Set a quality level of the reflection; settings that it does not name get their defaults."""
     fresh = type(water)(water.terrain, water.rings, water.config)
-    for name in ("thickness", "mirror_share", "mirror_steps", "jumps", "layered"):
-        setattr(water, name, settings.get(name, getattr(fresh, name)))
+    water.thickness = settings.get("thickness", fresh.thickness)
     water.stride = settings["px"] / width if "px" in settings else fresh.stride
 
 
@@ -211,25 +204,24 @@ def _frame_time(renderer, camera, state, method):
     return seconds
 
 
-def other_levels(renderer, camera, state, rounds):
-    """Return how far each other choice moves the water's picture from the default, and its time."""
-    water = renderer.water
+def paper_choices(renderer, camera, state, rounds):
+    """Return the difference of each choice of the paper from the default picture, and its time."""
+    water, around = renderer.water, renderer.wet_scene.environment
     before = water.config
     rows = []
-    timings = {name: [] for name in ("as set", *OTHERS)}
+    timings = {name: [] for name in ("as set", *PAPER_CHOICES)}
     pictures = {}
     for _ in range(rounds):
         for name in timings:
-            water.config = replace(before, **OTHERS.get(name, {}))
-            water.coverage, water._mirrors = None, {}
+            water.config = replace(before, **PAPER_CHOICES.get(name, {}))
+            water.coverage = None
+            water.forget_reflections()
             start = time.perf_counter()
-            picture = water.draw(
-                state, renderer._mirrored, None, renderer.environment, renderer._sun, Timer()
-            )
+            picture = water.draw(state, renderer.mirrored, None, around, renderer.sunlight, Timer())
             timings[name].append(time.perf_counter() - start)
             pictures[name] = picture.copy(), water.coverage.copy()
     water.config, water.coverage = before, None
-    water.draw(state, renderer._mirrored, None, renderer.environment, renderer._sun, Timer())
+    water.draw(state, renderer.mirrored, None, around, renderer.sunlight, Timer())
     best, covered = pictures["as set"]
     wet = covered > 0
     for name, seconds in timings.items():
@@ -267,7 +259,7 @@ def _lines(case):
     lines = [
         f"{case['scene']}, {case['preset']}, {case['size'][0]} x {case['size'][1]}: "
         f"{case['water_pixels']} pixels of water, {seen:.0%} mirror what the camera sees",
-        "  others: " + ", ".join(
+        "  the other pixels mirror: " + ", ".join(
             f"{name} {n / case['water_pixels']:.0%}" for name, n in case["causes"].items()
             if name != "seen"
         ),
@@ -280,8 +272,7 @@ def _lines(case):
     rate = case["march_rays_per_second"]
     lines.insert(3, f"  auto: {case['auto']}")
     lines.insert(4, (
-        f"  march alone: {rate['jumps'] / 1e6:.2f} M rays/s, {rate['steps'] / 1e6:.2f} M without "
-        "jumps"
+        f"  march alone: {rate / 1e6:.2f} M rays/s"
     ))  # fmt: skip
     for row in case["levels"]:
         frame = "" if row["frame"] is None else f"{row['frame'] * 1e3:9.1f}"
@@ -291,7 +282,7 @@ def _lines(case):
             f"{row['false_sky']:10.2%} {row['stage'] * 1e3:8.1f} "
             f"{row['rays_per_second'] / 1e6:9.2f} {row['memory_mb']:6.0f} {frame:>9s}"
         )
-    for row in case["others"]:
+    for row in case["paper_choices"]:
         error = "the default" if row["psnr"] is None else f"{row['psnr']:.1f} dB from it"
         lines.append(
             f"  {row['name']:27s} {error:>16s}, {row['seconds'] * 1e3:.1f} ms, "
@@ -312,7 +303,7 @@ def _accuracy(found):
 def draw(result, path):
     """Draw accuracy against time of the reflection levels, a panel for each case, as PNG.
 
-    A capture that is not built in stays out.
+    The chart shows the built-in scenes only.
     """
     pyplot = require_matplotlib()
     cases = [case for case in result["cases"] if case["scene"] in SCENES]

@@ -1,4 +1,4 @@
-"""`rainsim bench rain`: the rain against what was asked for, and what its parts cost."""
+"""`rainsim bench rain`: rain in a gauge over the rate asked for, waves, and time of each stage."""
 
 from __future__ import annotations
 
@@ -12,51 +12,52 @@ from pathlib import Path
 import numpy as np
 
 from rainsim.bench.chart import COLORS, MARKERS, require_matplotlib
+from rainsim.constants import GRAVITY
 from rainsim.drops import RainField, RainSpectrum, flat_surfaces, impacts
 from rainsim.grid import WaterSolver
 from rainsim.jit import set_threads
-from rainsim.ripples import RippleTile, angular_frequency, tile_impacts
+from rainsim.particles.fog import fog_optical_depth
+from rainsim.particles.splash import WET_FILM
+from rainsim.particles.splash_pass import draw_splashes
+from rainsim.particles.streaks import draw_streaks, streak_reach
 from rainsim.scene.types import Camera
-from rainsim.splash import WET_FILM
-from rainsim.splashview import draw_splashes
-from rainsim.streaks import draw_streaks, fog_optical_depth, streak_reach
+from rainsim.water.ripples import RippleTile, angular_frequency, tile_impacts
 
 RATES = (1.0, 10.0, 50.0, 100.0)  # mm/h
 GAUGE_DROPS = {False: 100_000, True: 10_000}
 GAUGE_SEEDS = {False: 12, True: 2}
 RATE, WIND = 50.0, (2.6, 1.5)  # mm/h, m/s: the downpour preset
-FAR = 8.0  # m, at which all drops end in the single split
+FAR = 8.0  # m, beyond which drops are fog if all classes have one depth
 EXPOSURES = (1 / 250, 1 / 60, 1 / 15)  # s
 SIZES = {"648 x 420": (648, 420, 480.0), "1297 x 840": (1297, 840, 961.0)}
 FRAME = 1 / 30  # s
 MAP_SIDE, MAP_SPACING = 8.0, 0.02  # m
 DEPTHS = (2e-3, 1e-2, 1e-1)  # m of water
 WAVELENGTHS = (0.1, 0.05, 0.02, 0.01, 0.005)  # m
-GRAVITY = 9.81  # m/s2
 TILE_CELLS = (128, 256, 512)
 ROUNDS = {False: 15, True: 2}  # alternating, of which the least and the median count
 EYE_HEIGHT = 1.5  # m
 
 
-def run(quick=False, tell=lambda line: None):
+def run(quick=False, say=lambda line: None):
     """Return all figures as plain values.
 
     Parameters
     ----------
     quick : bool
         Fewer drops and rounds.
-    tell : callable
-        Called with a line on what is being done.
+    say : callable
+        Called with a line of text on what is being measured.
     """
-    tell("gauge")
+    say("gauge")
     gauge = [read_gauge(rate, GAUGE_DROPS[quick], GAUGE_SEEDS[quick]) for rate in RATES]
-    tell("waves")
+    say("waves")
     waves = [fit_wave(length, depth) for depth in DEPTHS for length in WAVELENGTHS]
-    tell("streaks")
+    say("streaks")
     streaks = time_streaks(ROUNDS[quick])
-    tell("frame")
+    say("frame")
     frame = time_frame(ROUNDS[quick])
-    tell("ripple tiles")
+    say("ripple tiles")
     tiles = time_tiles(ROUNDS[quick])
     return {
         "gauge": gauge, "waves": waves, "streaks": streaks, "frame": frame, "tiles": tiles,
@@ -67,10 +68,10 @@ def run(quick=False, tell=lambda line: None):
 
 
 def read_gauge(rate, drops, seeds=1):
-    """Return what gauges under a rain read over what was asked for, and the error of that mean.
+    """Return the mean reading of gauges over the rain rate asked for, and its standard error.
 
-    `drops` fall on each gauge, one for each of the `seeds`. The errors, of one gauge and of the
-    mean, are those to expect of so many drops of such sizes.
+    There is a gauge for each of the `seeds`, and `drops` fall on each. The errors of one gauge and
+    of the mean follow from the number and the sizes of the drops.
     """
     spectrum = RainSpectrum(rate)
     duration = drops / (spectrum.density @ spectrum.speed) / 16
@@ -123,9 +124,9 @@ def _camera(width, height, focal):
 
 
 def time_streaks(rounds):
-    """Return time and total optical depth of streaks, one split for all classes and one for each.
+    """Return time and optical depth of streaks with one depth of fog for all classes, and one each.
 
-    Both ways alternate, so that the load of the machine falls on both.
+    Both ways alternate, so that the load of the machine affects both.
     """
     field, ground = RainField(RainSpectrum(RATE), WIND), _ground()
     records = []
@@ -166,7 +167,7 @@ def _slant(camera):
 
 
 def _expected(field, camera, far):
-    """Return the mean number of drops in the view up to `far` of each class, nothing in the way."""
+    """Return the mean number of drops in the view up to `far` of each class, without occlusion."""
     window = camera.width * camera.height / (camera.fx * camera.fy)
     return float((field.spectrum.density * far**3).sum() * window / 3)
 
@@ -261,7 +262,7 @@ def table(result):
 
 
 def draw(result, path):
-    """Draw omega(k) of the tile beside theory and shallow water, and what ripple tiles cost."""
+    """Draw the dispersion of tile, theory and shallow water, and the times of ripple tiles."""
     pyplot = require_matplotlib()
     figure, (left, right) = pyplot.subplots(1, 2, figsize=(10, 4), layout="constrained")
     for n, depth in enumerate(DEPTHS):

@@ -3,7 +3,7 @@
 from rainsim.scene.library import list_scenes
 
 SCENES = ("bicycle", "street")
-CAPTURE = "garden"  # measured too when a folder of RAINSIM_SCENES holds a scene of that name
+CAPTURE = "garden"  # also measured if a folder of RAINSIM_SCENES holds a scene named so
 
 
 def scene_names(quick):

@@ -1,8 +1,8 @@
 """`rainsim bench splat`: accuracy of a picture against its time, for each choice of the rasterizer.
 
-Truth is the same capture in float64 (`splat_truth`). Within a group all choices take turns on one
-thread, and processor time counts, so that ratios mean something on a busy machine too. What more
-threads bring is wall time, stage by stage: that wants a machine of its own.
+The reference is the same capture in float64 (`splat_truth`). Within a group all choices take turns
+on one thread, and processor time counts, so that ratios hold on a busy machine too. The gain of
+more threads is measured as wall time, stage by stage, which needs an idle machine.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from rainsim.jit import set_threads
 from rainsim.scene.library import list_scenes, load_scene
 
 SCENE = "bicycle"
-CAPTURE = "garden"  # measured too when a folder of RAINSIM_SCENES holds a scene of that name
+CAPTURE = "garden"  # also measured if a folder of RAINSIM_SCENES holds a scene named so
 WIDTH = {False: 648, True: 96}  # px
 ROUNDS = {False: 15, True: 2}  # of which the least and the median count; one more warms up
 NEAR = 0.01  # capture units
@@ -34,14 +34,14 @@ STAGES = {
 }  # fmt: skip
 
 
-def run(quick=False, tell=None):
+def run(quick=False, say=None):
     """Return all figures as plain values.
 
     Parameters
     ----------
     quick : bool
         A small picture and few rounds.
-    tell : callable, optional
+    say : callable, optional
         Called with a line of text for each result.
 
     Returns
@@ -49,7 +49,7 @@ def run(quick=False, tell=None):
     dict
         "machine" and "records", one for each scene, group and choice.
     """
-    tell = tell or (lambda line: None)
+    say = say or (lambda line: None)
     records, sizes, scaling = [], {}, []
     known = [name for name, _, built_in in list_scenes() if name == CAPTURE and not built_in]
     for name in (SCENE, *known):
@@ -58,16 +58,16 @@ def run(quick=False, tell=None):
         height = round(WIDTH[quick] * camera.height / camera.width)
         camera = camera.resized(WIDTH[quick], height)
         sizes[name] = {"width": camera.width, "height": height, "splats": len(scene.splats)}
-        tell(f"{name}: float64")
+        say(f"{name}: float64")
         truth = draw_truth(scene.splats, camera, NEAR)
         prepared = raster.prepare(scene.splats)
         for group, choices in all_choices().items():
-            tell(f"{name}: {group}")
+            say(f"{name}: {group}")
             if quick:
                 choices = [c for k, c in enumerate(choices) if k == 0 or c.default]
             found = measure(choices, scene.splats, prepared, camera, truth, ROUNDS[quick])
             records += [{"scene": name, "group": group, **record} for record in found]
-        tell(f"{name}: threads")
+        say(f"{name}: threads")
         found = time_stages(prepared, camera, ROUNDS[quick])
         scaling += [{"scene": name, **record} for record in found]
     return {
@@ -154,7 +154,7 @@ def decibel(picture, truth):
 
 
 def _depth_error(depth, truth, alpha):
-    """Return the relative error that 99 of 100 solid pixels keep."""
+    """Return the 99th percentile of the relative error of depth over solid pixels."""
     solid = (alpha > SOLID) & np.isfinite(truth)
     if not solid.any():
         return 0.0
@@ -163,7 +163,7 @@ def _depth_error(depth, truth, alpha):
 
 
 def table(result):
-    """Return the figures as text in Markdown, what the product does in bold."""
+    """Return the figures as text in Markdown, the defaults in bold."""
     lines = []
     for name, size in result["scenes"].items():
         lines += [
@@ -208,8 +208,8 @@ def draw(result, path):
         for r in own:
             if r["default"]:
                 axis.plot(r["ratio"], r["decibel"], "*", color="black", markersize=13, zorder=3)
-        told = [f"{r['choice']:15s} {r['ratio']:4.2f} {r['decibel']:4.0f} dB" for r in own]
-        axis.text(0.03, 0.04, "\n".join(told), transform=axis.transAxes, fontsize=8,
+        values = [f"{r['choice']:15s} {r['ratio']:4.2f} {r['decibel']:4.0f} dB" for r in own]
+        axis.text(0.03, 0.04, "\n".join(values), transform=axis.transAxes, fontsize=8,
                   family="monospace")  # fmt: skip
         axis.axhline(90, color="0.4", linestyle=":", linewidth=1)
         axis.set(title=group, xlabel="time / time of the default")

@@ -1,4 +1,4 @@
-"""What can be traded in splatting, accuracy for time: each choice as a rasterizer of its own."""
+"""The choices that trade accuracy of splatting for time, each as a rasterizer of its own."""
 
 from __future__ import annotations
 
@@ -9,27 +9,27 @@ import numpy as np
 from rainsim.bench.variants import variant
 from rainsim.jit import device_function, intrinsic, ir, types
 from rainsim.raster import prepare, select
-from rainsim.raster.lanes import EXP2
-from rainsim.raster.prepared import LANES, morton_order
-from rainsim.raster.project import color_chunk
 from rainsim.scene.types import Splats
+from rainsim.splatting.lanes import EXP2
+from rainsim.splatting.prepared import LANES, morton_order
+from rainsim.splatting.project import color_chunk
 
 
 @dataclass(frozen=True)
 class Choice:
-    """One value of one choice.
+    """One way to draw, of a group of alternatives.
 
     Attributes
     ----------
     name : str
     changes : dict
-        Constants or functions of `rainsim.raster` that are others; see `variants.variant`.
+        Constants or functions of `rainsim.raster` to replace, by name; see `variants.variant`.
     options : dict
         Of `Rasterizer.draw`.
     adapt : callable, optional
         adapt(splats, prepared) returns what is drawn instead of `prepared`.
     default : bool
-        Whether it is what the product does.
+        Whether it is what the rasterizer does.
     """
 
     name: str
@@ -159,10 +159,10 @@ def _area(scale):
 
 
 def merge_pairs(splats):
-    """Return half as many splats: each two neighbours on a Morton curve as one.
+    """Return half as many splats: each pair of neighbours on a Morton curve merged to one.
 
-    The one has both's mean and covariance, weighted with opacity times area, their mean harmonics,
-    and the opacity with which it covers as much as both.
+    A merged splat has the mean, covariance and mean harmonics of its two, weighted with opacity
+    times area, and the opacity with which it covers as much as both.
     """
     order = morton_order(splats.position)
     order = order[: len(order) // 2 * 2].reshape(-1, 2)

@@ -1,7 +1,7 @@
-"""A capture's picture in float64: every splat over every pixel it reaches, one after the other.
+"""A capture's picture in float64: every splat is blended over every pixel that it reaches.
 
-The rules are those of `rainsim.raster`, with nothing left out for speed: no tiles, no early stop,
-the exponential of the mathematics library. Slow and plain; what the benchmark measures against.
+It blends by the rules of `rainsim.raster` without any shortcut: no tiles, no early stop, the
+exponential of the mathematics library. It is slow and plain, and the benchmark's reference.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rainsim.constants import SH_0, SH_1, SH_2, SH_3
 from rainsim.jit import serial_kernel
 
 LOW_PASS = 0.3  # px^2
@@ -17,13 +18,9 @@ MIN_ALPHA = 1 / 255
 MAX_ALPHA = 0.999
 MARGIN = 0.15  # of the picture, where the linearised projection is clamped
 MIN_COVERAGE = 0.02  # alpha below which a pixel has no depth
-EDGE_ON, PLANE_LIMIT = 0.02, 0.2  # see `rainsim.raster.blend`
+EDGE_ON, PLANE_LIMIT = 0.02, 0.2  # see `rainsim.splatting.blend`
 LAYERS = 8  # colour (3), depth, normal (3), plane distance
-SH_FACTORS = (
-    0.28209479177387814, 0.4886025119029199, 1.0925484305920792, 0.31539156525252005,
-    0.5462742152960396, 0.5900435899266435, 2.890611442640554, 0.4570457994644658,
-    0.3731763325901154, 1.445305721320277,
-)  # fmt: skip
+SH_FACTORS = (SH_0, SH_1, *SH_2, *SH_3)
 
 
 @dataclass(frozen=True)
@@ -143,7 +140,7 @@ def _blend(ellipse, values, stop, sums_out, clear_out, median_out):
     height, width, layers = sums_out.shape
     for s in range(len(ellipse)):
         u, v, a, b, c, opacity, ex, ey = ellipse[s]
-        # One pixel more than the ellipse's box; not a number reaches nothing.
+        # One pixel more than the ellipse's box; a splat with NaN reaches no pixel.
         if not (abs(u) < 1e9 and abs(v) < 1e9 and ex < 1e9 and ey < 1e9):
             continue
         for j in range(max(0, int(v - ey) - 1), min(height, int(v + ey) + 2)):
@@ -169,7 +166,7 @@ def _blend(ellipse, values, stop, sums_out, clear_out, median_out):
 
 
 def _finish(camera, sums, alpha, median):
-    """Return the Truth of what the pixels have gathered."""
+    """Return the Truth from the sums, alpha and median depth of the pixels."""
     with np.errstate(divide="ignore", invalid="ignore"):
         depth = sums[..., 3] / alpha
         length = np.linalg.norm(sums[..., 4:7], axis=-1)

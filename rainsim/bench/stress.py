@@ -1,7 +1,7 @@
-"""`rainsim bench stress`: where water schemes fail, does the water stay, below its speed limit.
+"""`rainsim bench stress`: volume and speed of the water on cases in which schemes fail.
 
-Each case is a closed box, but for its drain. Noted are the ledger's residual, the largest speed
-over what all energy there is can give, 2 sqrt(g h) + sqrt(2 g fall) with running maxima, and the
+Each case is a closed box, some with a drain. A record holds the ledger's residual, the largest
+speed over the bound that the energy sets, 2 sqrt(g h) + sqrt(2 g fall) with running maxima, and the
 smallest depth.
 """
 
@@ -10,13 +10,14 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
+from rainsim.constants import GRAVITY
 from rainsim.errors import DivergedError, ParameterError
 from rainsim.grid import WaterSolver
 
-GRAVITY = 9.81  # m/s2
 SCHEMES = ("auto", "accurate", "lean", "paper")
 COURANTS = (0.3, 0.5, 0.7, 0.9, 1.1)
 MOST_DRIFT = {np.float32: 3e-6, np.float64: 1e-12}
@@ -24,7 +25,7 @@ LONG_DRIFT = 1e-5  # float32, after 1e5 steps
 MOST_SPEED = 1.1  # of the energy bound
 CELLS = {False: 64, True: 24}
 SPAN = {False: 3.0, True: 0.5}  # s
-LOOKS = 30  # at the water, evenly in that time
+CHECKS = 30  # of the water, evenly in SPAN
 LONG_STEPS = {False: 3_000, True: 300}  # of random rain
 FRAME = 0.1  # s
 DROPS = 40  # in a frame of random rain
@@ -34,7 +35,7 @@ HEAVIEST_RAIN = 100 / 3.6e6  # m/s
 
 @dataclass(frozen=True)
 class Trial:
-    """A closed box that breaks methods, in SI units; maps of shape (ny, nx)."""
+    """A difficult case in a closed box, in SI units; maps of shape (ny, nx)."""
 
     name: str
     bed: np.ndarray
@@ -98,17 +99,17 @@ def bumps(cells):
 TRIALS = (dam, film, steps, peak, drain)
 
 
-class _Watch:
+class _Extremes:
     """Largest speed over its bound, smallest depth and largest change of depth seen so far."""
 
     def __init__(self, bed, start):
         self._bed, self._lowest, self._start = bed, float(bed.min()), start
         self._deepest, self._highest = 0.0, self._lowest
         self.speed, self.least, self.moved = 0.0, math.inf, 0.0
-        self.look(start)
+        self.update(start)
 
-    def look(self, depth, report=None):
-        """Take in the depth [m] and, with a report, the speed and the smallest depth."""
+    def update(self, depth, report=None):
+        """Update the extremes with a depth [m] and, if given, a report of `WaterSolver.advance`."""
         depth = depth.astype(np.float64)
         self.moved = max(self.moved, float(np.abs(depth - self._start).max()))
         wet = depth > 0
@@ -122,45 +123,57 @@ class _Watch:
             self.least = min(self.least, report.min_depth)
 
 
-def _record(name, scheme, dtype, courant, watch, drift, allowed, count, seconds, why=None):
+class _Run(NamedTuple):
+    """What is run: the case's name, the scheme, the type of the fields and a Courant number."""
+
+    case: str
+    scheme: str
+    dtype: type
+    courant: float | None = None
+
+
+def _record(run, extremes, drift, allowed, count, seconds, why=None):
+    """Return the record of a run; `why` says that it was refused or diverged."""
     if why is None:
         holds = [
-            ("loses depth", watch.least >= 0),
+            ("loses depth", extremes.least >= 0),
             ("changes volume", abs(drift) <= allowed),
-            ("too fast", watch.speed <= MOST_SPEED),
+            ("too fast", extremes.speed <= MOST_SPEED),
         ]
         why = ", ".join(word for word, good in holds if not good) or "holds"
     return {
-        "case": name, "scheme": scheme, "dtype": np.dtype(dtype).name, "courant": courant,
-        "outcome": why, "drift": drift, "speed": watch.speed if watch else math.nan,
-        "least": watch.least if watch else math.nan,
-        "moved": watch.moved if watch else math.nan, "steps": count, "seconds": seconds,
+        "case": run.case, "scheme": run.scheme, "dtype": np.dtype(run.dtype).name,
+        "courant": run.courant,
+        "outcome": why, "drift": drift, "speed": extremes.speed if extremes else math.nan,
+        "least": extremes.least if extremes else math.nan,
+        "moved": extremes.moved if extremes else math.nan, "steps": count, "seconds": seconds,
     }  # fmt: skip
 
 
 def endure(trial, scheme, span=3.0, dtype=np.float32, courant=None):
-    """Run a trial for `span` [s] on a scheme and return its record, whatever becomes of it."""
+    """Run a trial for `span` [s] on a scheme; return its record, even if it fails."""
     allowed, count, start = MOST_DRIFT[dtype], 0, time.perf_counter()
+    run = _Run(trial.name, scheme, dtype, courant)
     try:
         solver = WaterSolver(
             trial.bed, trial.spacing, scheme=scheme, courant=courant, drains=list(trial.drains),
             gravity=GRAVITY, dtype=dtype,
         )  # fmt: skip
     except ParameterError:
-        return _record(trial.name, scheme, dtype, courant, None, math.nan, 0, 0, 0, "refused")
+        return _record(run, None, math.nan, 0, 0, 0, "refused")
     solver.set_state(trial.depth)
-    watch, worst = _Watch(trial.bed, trial.depth), 0.0
+    extremes, worst = _Extremes(trial.bed, trial.depth), 0.0
     try:
-        for _ in range(LOOKS):
-            report = solver.advance(span / LOOKS, rain=trial.rain)
+        for _ in range(CHECKS):
+            report = solver.advance(span / CHECKS, rain=trial.rain)
             count += report.substeps
-            watch.look(solver.depth, report)
+            extremes.update(solver.depth, report)
             worst = max(worst, abs(report.residual))
     except DivergedError as error:
         why = f"diverges: {error}".partition(";")[0]
-        return _record(trial.name, scheme, dtype, courant, watch, math.nan, 0, count, 0, why)
+        return _record(run, extremes, math.nan, 0, count, 0, why)
     seconds = time.perf_counter() - start
-    return _record(trial.name, scheme, dtype, courant, watch, worst, allowed, count, seconds)
+    return _record(run, extremes, worst, allowed, count, seconds)
 
 
 def endure_rain(trial, scheme, most_steps, dtype=np.float32, seed=0):
@@ -169,28 +182,28 @@ def endure_rain(trial, scheme, most_steps, dtype=np.float32, seed=0):
     solver = WaterSolver(
         trial.bed, trial.spacing, scheme=scheme, manning=0.02, gravity=GRAVITY, dtype=dtype
     )
-    watch, count, worst = _Watch(trial.bed, trial.depth), 0, 0.0
+    extremes, count, worst = _Extremes(trial.bed, trial.depth), 0, 0.0
     ny, nx = trial.bed.shape
     while count < most_steps:
         places = rng.integers(0, ny, DROPS), rng.integers(0, nx, DROPS)
         solver.deposit(*places, LARGEST_DROP * rng.random(DROPS) ** 3)
         report = solver.advance(FRAME, rain=HEAVIEST_RAIN * rng.random() ** 2)
         count += report.substeps
-        watch.look(solver.depth, report)
+        extremes.update(solver.depth, report)
         worst = max(worst, abs(report.residual))
     allowed = MOST_DRIFT[dtype] if most_steps < 100_000 else LONG_DRIFT
     seconds = time.perf_counter() - start
-    return _record(trial.name, scheme, dtype, None, watch, worst, allowed, count, seconds)
+    return _record(_Run(trial.name, scheme, dtype), extremes, worst, allowed, count, seconds)
 
 
-def run(quick=False, tell=None):
+def run(quick=False, say=None):
     """Run all trials on all schemes in both types, and the dam at several Courant numbers.
 
     Parameters
     ----------
     quick : bool
         Small sizes and short runs.
-    tell : callable, optional
+    say : callable, optional
         Called with a line of text for each result.
 
     Returns
@@ -198,11 +211,11 @@ def run(quick=False, tell=None):
     dict
         "quick" and "records", a list of dicts.
     """
-    tell, records = tell or (lambda line: None), []
+    say, records = say or (lambda line: None), []
 
     def note(record):
         records.append(record)
-        tell(_line(record))
+        say(_line(record))
 
     for scheme in SCHEMES:
         for make in TRIALS:

@@ -1,4 +1,4 @@
-"""What water mirrors, as rays through the splats say, and how far other light is from it.
+"""The light that water mirrors, from rays traced through the splats, and errors against it.
 
 The truth of a pixel is the mean over its area. The water is found in a picture of RAYS times the
 size, shifted by part of a pixel, and of each of its pixels one ray is traced, at a slope drawn from
@@ -18,8 +18,20 @@ from dataclasses import replace
 import numpy as np
 from scipy import ndimage
 
-from rainsim import reflect
-from rainsim.render import Timer
+from rainsim.reflection.mirrored_rays import LEAST_VARIANCE, SAMPLES
+from rainsim.reflection.ray_traced import mirror_rays
+from rainsim.reflection.screen_space import NOT_GROUND
+from rainsim.reflection.water_record import (
+    COVARIANCE,
+    COVERAGE,
+    POINT,
+    SLOPE_X,
+    SLOPE_Y,
+    VARIANCE_X,
+    VARIANCE_Y,
+    VIEW_DEPTH,
+)
+from rainsim.render.report import Timer
 
 RAYS = 4  # along each side of a pixel
 SEEDS = 1, 2
@@ -30,7 +42,7 @@ STEADY = 0.01**2, 0.03**2  # constants of the structural similarity for values u
 
 
 def trace_truth(renderer, camera, state):
-    """Return the traced light, what the camera sees of it, and why not the rest.
+    """Return the traced light, which of it the camera sees, and why it does not see the other.
 
     Returns
     -------
@@ -46,22 +58,22 @@ def trace_truth(renderer, camera, state):
         causes, view_dependence, cost : dict
     """
     water = renderer.water
-    renderer._traced(  # builds the hierarchy, which the time of tracing is counted without
-        water.record[:1, :3], np.array([[0, 0, 1]], np.float32), np.zeros(1, np.float32), 1e-3
+    renderer.wet_scene.traced(  # builds the hierarchy, which the time of tracing is counted without
+        water.record[:1, POINT], np.array([[0, 0, 1]], np.float32), np.zeros(1, np.float32), 1e-3
     )
     start = time.perf_counter()
-    alpha, end = water.light_up("traced", None, renderer._traced, None, Timer())
+    alpha, end = water.light_up("traced", None, renderer.wet_scene.traced, None, Timer())
     seconds = time.perf_counter() - start
     traced = water.light.copy()
-    sampled = (water.record[:, 12:14].sum(axis=1) >= reflect.LEAST_VARIANCE).sum()
-    rays = len(traced) + (reflect.SAMPLES - 1) * int(sampled)
+    sampled = (water.record[:, VARIANCE_X] + water.record[:, VARIANCE_Y] >= LEAST_VARIANCE).sum()
+    rays = len(traced) + (SAMPLES - 1) * int(sampled)
     causes = why_unseen(water, alpha, end)
     # What the colours' dependence on the view alone makes: the same rays, colours as seen from the
     # camera, which is all that a march can show.
-    eye = renderer.frame.to_capture(water.view.eye)
+    eye = renderer.wet_scene.frame.to_capture(water.wet.view.eye)
 
     def trace(*ray):
-        return renderer._traced(*ray, color_eye=eye)
+        return renderer.wet_scene.traced(*ray, color_eye=eye)
 
     water.light_up("traced", None, trace, None, Timer())
     view_dependence = compare(water, water.light, (traced, traced), causes == "seen")
@@ -78,7 +90,7 @@ def trace_truth(renderer, camera, state):
                                                         strict=True)},
         "cost": {
             "seconds": seconds, "rays": rays, "rays_per_second": rays / max(seconds, 1e-9),
-            "memory_mb": renderer._tracer.nbytes / 1e6,
+            "memory_mb": renderer.wet_scene.tracer.nbytes / 1e6,
         },
     }  # fmt: skip
 
@@ -100,41 +112,42 @@ def area_light(renderer, camera, state, pixel, seed):
     record, count = water.record, len(water.pixel)
     p, q = rng.standard_normal((2, count)).astype(np.float32)
     # A normal variable of the covariance that even these pixels hide: its root is triangular.
-    deviation = np.sqrt(np.maximum(record[:, 12], np.float32(1e-12)))
-    along = record[:, 14] / deviation
-    record[:, 10] += deviation * p
-    record[:, 11] += along * p + np.sqrt(np.maximum(record[:, 13] - along**2, 0)) * q
+    deviation = np.sqrt(np.maximum(record[:, VARIANCE_X], np.float32(1e-12)))
+    along = record[:, COVARIANCE] / deviation
+    record[:, SLOPE_X] += deviation * p
+    across = np.sqrt(np.maximum(record[:, VARIANCE_Y] - along**2, 0))
+    record[:, SLOPE_Y] += along * p + across * q
     direction, way = np.empty((count, 3), np.float32), np.empty(count, np.float32)
-    reflect.mirror_rays(np.arange(count), record, water.view.turn, 0, direction, way)
-    light, _, _ = renderer._traced(
-        record[:, :3], direction, way, record[:, 6] / way / np.float32(camera.fx)
+    mirror_rays(np.arange(count), record, water.wet.view, 0, direction, way)
+    light, _, _ = renderer.wet_scene.traced(
+        record[:, POINT], direction, way, record[:, VIEW_DEPTH] / way / np.float32(camera.fx)
     )
     row, column = np.divmod(water.pixel, fine.width)
     to = (row // RAYS) * camera.width + column // RAYS
     size = camera.width * camera.height
-    total = np.bincount(to, record[:, 8], size)[pixel]
-    sums = [np.bincount(to, record[:, 8] * light[:, k], size)[pixel] for k in range(3)]
+    total = np.bincount(to, record[:, COVERAGE], size)[pixel]
+    sums = [np.bincount(to, record[:, COVERAGE] * light[:, k], size)[pixel] for k in range(3)]
     with np.errstate(invalid="ignore"):
         return (np.stack(sums, axis=1) / total[:, None]).astype(np.float32)
 
 
 def why_unseen(water, alpha, end):
     """Return for each record "seen", or why the camera does not see where its traced ray ends."""
-    v = water.view
-    local = (np.where(np.isfinite(end), end, v.eye) - v.eye) @ v.turn  # sky: nowhere
-    height, width = v.depth.shape
+    wet, v = water.wet, water.wet.view
+    local = (np.where(np.isfinite(end), end, v.eye) - v.eye) @ v.ground_from_camera  # sky: nowhere
+    height, width = wet.depth.shape
     with np.errstate(divide="ignore", invalid="ignore"):
-        u = v.lens[0] * local[:, 0] / local[:, 2] + v.lens[2]
-        w = v.lens[1] * local[:, 1] / local[:, 2] + v.lens[3]
+        u = v.fx * local[:, 0] / local[:, 2] + v.cx
+        w = v.fy * local[:, 1] / local[:, 2] + v.cy
     inside = (local[:, 2] > 0) & (u >= 0) & (w >= 0) & (u < width) & (w < height)
     column, row = (np.where(inside, a, 0).astype(int) for a in (u, w))
-    there = v.depth[row, column]
+    there = wet.depth[row, column]
     off = local[:, 2] - there
     near = np.abs(off) < np.maximum(SEEN[0] * local[:, 2], SEEN[1])
     cause = np.full(len(end), "hidden by something nearer", dtype=object)
     cause[off < 0] = "before what is seen"
     cause[near] = "seen"
-    cause[near & (v.clearance[row, column] < reflect.NOT_GROUND)] = "ground"
+    cause[near & (wet.clearance[row, column] < NOT_GROUND)] = "ground"
     cause[~inside] = "outside the picture"
     cause[local[:, 2] <= 0] = "behind the camera"
     cause[~(alpha > DARK)] = "sky"
@@ -146,7 +159,7 @@ def compare(water, light, truth, mask):
 
     Parameters
     ----------
-    water : WaterView
+    water : WaterPass
     light : ndarray of shape (n, 3)
         Of each record.
     truth : pair of ndarray of shape (n, 3)
@@ -162,7 +175,7 @@ def compare(water, light, truth, mask):
         return {"psnr": None, "ssim": None, "pixels": 0}
     light, (a, b) = light.astype(float), (t.astype(float) for t in truth)
     error = float(np.mean((light[mask] - a[mask]) * (light[mask] - b[mask])))
-    shape = water.view.depth.shape
+    shape = water.wet.depth.shape
     wet = np.zeros(shape, bool)
     wet.ravel()[water.pixel] = True
     whole = ndimage.binary_erosion(wet, np.ones((WINDOW, WINDOW)))
@@ -176,10 +189,10 @@ def compare(water, light, truth, mask):
 
 
 def clipped(water, light, truth):
-    """Return the accuracy of light that is clipped at display white, as a picture shows it.
+    """Return the accuracy of light clipped at display white, as a picture shows it.
 
-    The truth's estimates are clipped each, which takes a little from lamps' edges. `truth` is as
-    `trace_truth` returns it; the result holds what `compare` does for "seen" and "all".
+    Each of the truth's estimates is clipped, which darkens the edges of lamps a little. `truth` is
+    as `trace_truth` returns it; the result holds that of `compare` for "seen" and for "all".
     """
     light, estimates = np.minimum(light, 1), [np.minimum(a, 1) for a in truth["light"]]
     return {
@@ -189,7 +202,7 @@ def clipped(water, light, truth):
 
 
 def _picture(water, values):
-    picture = np.zeros((*water.view.depth.shape, 3))
+    picture = np.zeros((*water.wet.depth.shape, 3))
     picture.reshape(-1, 3)[water.pixel] = values
     return picture
 
@@ -197,7 +210,7 @@ def _picture(water, values):
 def _similarity(x, a, b):
     """Return the structural similarity (Wang et al. 2004) of x with what a and b estimate.
 
-    The truth's square mean and variance are those that a and b have in common.
+    The truth's squared mean and variance are estimated as mean product and covariance of a and b.
     """
     mean = [ndimage.uniform_filter(p, (WINDOW, WINDOW, 1)) for p in (x, a, b)]
     n = WINDOW * WINDOW

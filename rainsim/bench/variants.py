@@ -1,8 +1,8 @@
-"""The rasterizer with other constants, each baked into machine code of its own.
+"""Copies of the rasterizer with other constants, each compiled by itself.
 
-The product's kernels hold their accuracy in constants that are fixed when they are compiled, so
-that no chart costs a frame anything. Here the modules are run once more under another name, and the
-constants are replaced before anything is compiled.
+The kernels' accuracy depends on constants that are fixed when they are compiled, so that no frame
+pays for the bench's choices. Here the modules are executed again under another name, and the
+constants are replaced before numba compiles them.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ from pathlib import Path
 from types import ModuleType
 
 import rainsim.jit
-from rainsim.raster import blend, lanes, prepared, project, tiles
+from rainsim.splatting import blend, lanes, prepared, project, tiles
 
 _PACKAGE = import_module("rainsim.raster")
 _MODULES = (project, lanes, blend, _PACKAGE)  # each imports only from those before it
 
 
 def variant(**changes):
-    """Return a copy of `rainsim.raster` in which the named constants or functions are others.
+    """Return a copy of `rainsim.raster` with other values for the named constants or functions.
 
     Parameters
     ----------
@@ -31,7 +31,7 @@ def variant(**changes):
     Returns
     -------
     module
-        With `Rasterizer` and all else that `rainsim.raster` has; that itself without changes.
+        With the names of `rainsim.raster`; without changes it is `rainsim.raster` itself.
 
     Raises
     ------
@@ -50,16 +50,16 @@ def variant(**changes):
     for original in _MODULES:
         own = {name: value for name, value in replaced.items() if hasattr(original, name)}
         if not own:
-            continue  # and so is compiled once for all
+            continue  # this module is shared by all variants
         path = Path(original.__file__)
         copy = ModuleType(_name(original, digest))
         copy.__file__ = original.__file__
-        sys.modules[copy.__name__] = copy  # where numba looks for the home of cached machine code
+        sys.modules[copy.__name__] = copy  # numba looks up the module of a cached kernel here
         exec(compile(path.read_text(encoding="utf-8"), path, "exec"), vars(copy))
-        # What was defined anew takes the place of the original in the modules that follow.
+        # Functions of the copy replace the original ones in the modules that follow.
         for name, value in vars(copy).items():
-            anew = callable(value) and getattr(value, "__module__", None) == copy.__name__
-            if anew and name not in own:
+            copied = callable(value) and getattr(value, "__module__", None) == copy.__name__
+            if copied and name not in own:
                 replaced[name] = value
         vars(copy).update(own)
     return copy
@@ -70,7 +70,7 @@ def _name(module, digest):
 
 
 def _digest(changes):
-    """Return a name for the changes that an edit of any module concerned changes as well."""
+    """Return a hash of the changes and of the source of all modules concerned, for the name."""
     functions = [value for value in changes.values() if callable(value)]
     plain = {name: getattr(value, "__qualname__", value) for name, value in changes.items()}
     digest = hashlib.sha256(repr(sorted(plain.items())).encode())

@@ -31,7 +31,7 @@ REPEATS = {False: 3, True: 1}  # runs of a case, of which the fastest counts
 GAUGE_PERIOD = 2.0  # s, between readings of the rain gauge
 SPEED_CELLS = {False: 1024, True: 128}
 SPEED_ROUNDS = 5  # alternating, of which the median counts
-CELL_BYTES = 28  # that a fused step reads (depth, bed, two velocities) and writes (all but the bed)
+CELL_BYTES = 28  # a cell that a step reads (depth, bed, two velocities) and writes (without bed)
 COPY_SIZE = {False: 1 << 25, True: 1 << 20}  # numbers, more than caches hold
 
 
@@ -57,7 +57,7 @@ def solve(case, scheme, dtype=np.float32):
 
 
 def _gauge(case, solver):
-    """Discharge per width [m2/s] at the gauge, from the depth and velocity of its two cells."""
+    """Return the discharge per width [m2/s] at the gauge, from the two cells beside it."""
     middle, i = case.bed.shape[0] // 2, round(case.extra["gauge"] / case.spacing)
     u, _ = solver.velocity
     return float((u * solver.depth)[middle, i - 1 : i + 1].mean())
@@ -118,7 +118,7 @@ def copy(a, a_out):
 
 
 def memory_limit(numbers):
-    """Return the cells per second that memory alone would allow a fused step, from a copy."""
+    """Return the cells per second of a one-pass step that moves memory as fast as a copy."""
     a, b, best = np.ones(numbers, np.float32), np.zeros(numbers, np.float32), np.inf
     for _ in range(SPEED_ROUNDS):
         start = time.perf_counter()
@@ -127,14 +127,14 @@ def memory_limit(numbers):
     return 2 * a.nbytes / best / CELL_BYTES
 
 
-def run(quick=False, tell=None):
+def run(quick=False, say=None):
     """Run the whole bench.
 
     Parameters
     ----------
     quick : bool
         Small sizes, one run each.
-    tell : callable, optional
+    say : callable, optional
         Called with a line of text for each result.
 
     Returns
@@ -143,7 +143,7 @@ def run(quick=False, tell=None):
         "machine", "records" (a list of dicts), "throughput" (cells per second by scheme) and
         "memory_limit" (cells per second).
     """
-    tell = tell or (lambda line: None)
+    say = say or (lambda line: None)
     records = []
     for scheme in SCHEMES:  # compile outside the clock
         measure(cases.rain(32), scheme)
@@ -152,17 +152,17 @@ def run(quick=False, tell=None):
             case = make(cells)
             for scheme in SCHEMES:
                 records.append(measure(case, scheme, REPEATS[quick]))
-                tell(_line(records[-1]))
+                say(_line(records[-1]))
     still = cases.lake(LAKE_CELLS[quick])
     for dtype in (np.float32, np.float64):
         records.append(measure(still, "auto", dtype=dtype))
         records[-1]["case"] = f"lake {np.dtype(dtype).name}"
-        tell(_line(records[-1]))
+        say(_line(records[-1]))
     _mark_front(records)
     rates, limit = throughput(SPEED_CELLS[quick]), memory_limit(COPY_SIZE[quick])
     for scheme, rate in rates.items():
         share = f"{rate / limit:.0%} of what memory allows a fused step"
-        tell(f"{scheme:9s} {rate / 1e6:7.1f} million cells a second, {share}")
+        say(f"{scheme:9s} {rate / 1e6:7.1f} million cells a second, {share}")
     machine = {
         "cpu": platform.processor() or platform.machine(), "cores": os.cpu_count(),
         "threads": set_threads(None), "python": platform.python_version(),

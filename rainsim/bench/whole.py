@@ -1,6 +1,6 @@
 """Time of a whole frame and peak memory of a process that draws with one method of reflection.
 
-Run as a module, so that a process's peak is that of one method alone:
+Run as a module, so that the process's peak memory belongs to one method alone:
 `python -m rainsim.bench.whole SCENE PRESET WIDTH METHOD` prints one line of JSON.
 """
 
@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 METHODS = ("ssr", "mirror", "auto", "traced")
-FRAMES = 3  # of a camera that moves, of which the median counts; one more before them compiles
+FRAMES = 3  # of a moving camera, of which the median counts; one more before them compiles
 
 
 def measure(scene, preset, width):
@@ -40,7 +40,7 @@ def measure(scene, preset, width):
 def _peak_mb():
     """Return the peak memory [MB] of this process."""
     try:
-        # What getrusage tells begins with the memory of the process that started this one.
+        # getrusage would count the memory of the parent process, from which this one was forked.
         status = Path("/proc/self/status").read_text(encoding="ascii")
         return int(status.partition("VmHWM:")[2].split()[0]) / 1024
     except OSError:  # no Linux
@@ -50,8 +50,8 @@ def _peak_mb():
 def draw_frames(name, preset, width, method):
     """Draw FRAMES frames and return their figures."""
     from rainsim import pipeline
-    from rainsim.config import Config
-    from rainsim.render import Renderer
+    from rainsim.config.settings import Config
+    from rainsim.render.renderer import Renderer
     from rainsim.scene.library import load_scene
 
     scene = load_scene(name)
@@ -65,7 +65,7 @@ def draw_frames(name, preset, width, method):
     seconds = []
     for _ in range(FRAMES + 1):
         start = time.perf_counter()
-        renderer.draw(replace(camera), state)  # another camera: nothing is kept
+        renderer.draw(replace(camera), state)  # a new camera object: the renderer keeps no picture
         seconds.append(time.perf_counter() - start)
     milliseconds = 1e3 * float(np.median(seconds[1:]))
     return {"milliseconds": milliseconds, "peak_mb": _peak_mb(), "before_mb": before}

@@ -8,14 +8,14 @@ from pathlib import Path
 
 import click
 
-from rainsim.cli.options import backend_option
+from rainsim.commands.options import backend_option
 
 _FILE = click.Path(dir_okay=False, path_type=Path)
 
 
-@click.group(short_help="Measure accuracy against time.")
+@click.group(short_help="Measure accuracy and time of the methods.")
 def bench():
-    """Measure accuracy against time.
+    """Measure accuracy and time of the methods, each suite on one subject.
 
     \b
     Example:
@@ -36,13 +36,13 @@ def _options(command):
 
 
 def _run(name, json_path, chart_path, quick, **others):
-    """Run the suite `rainsim.bench.NAME`, write what was asked for and print its table."""
+    """Run the suite `rainsim.bench.NAME`, write JSON and chart if asked, print its table."""
     from rainsim.bench import chart
 
     suite = import_module(f"rainsim.bench.{name}")
     if chart_path:
         chart.require_matplotlib()  # before minutes are spent
-    result = suite.run(quick, tell=lambda line: click.echo(line, err=True), **others)
+    result = suite.run(quick, say=lambda line: click.echo(line, err=True), **others)
     if json_path:
         json_path.write_text(json.dumps(result, indent=1), encoding="utf-8")
     if chart_path:
@@ -50,7 +50,7 @@ def _run(name, json_path, chart_path, quick, **others):
     click.echo(suite.table(result))
 
 
-@bench.command()
+@bench.command(short_help="Accuracy and time of the water schemes.")
 @_options
 def water(**given):
     """Run dam breaks, bowls, a ripple, a lake and rain on every water scheme.
@@ -65,13 +65,13 @@ def water(**given):
     _run("water", **given)
 
 
-@bench.command()
+@bench.command(short_help="Water schemes on cases where such schemes fail.")
 @_options
 def stress(**given):
-    """Try every water scheme where methods fail.
+    """Try every water scheme on cases in which such schemes fail.
 
-    Tall steps, thin films, falls, drains, random rain, long steps: prints whether the volume stays,
-    depths stay positive and speeds below what the energy allows.
+    Tall steps, thin water films, falls, drains, random rain, long time steps: prints whether the
+    volume stays, depths stay positive and speeds stay below the bound that the energy sets.
 
     \b
     Example:
@@ -80,13 +80,13 @@ def stress(**given):
     _run("stress", **given)
 
 
-@bench.command()
+@bench.command(short_help="Accuracy of the ground found in generated captures.")
 @_options
 def ground(**given):
-    """Find the ground of generated captures whose truth is known.
+    """Find the ground of generated captures whose true ground is known.
 
     Yards with dips, a kerb, a lawn, a table and floaters, tilted and scaled, and a street of 300 m:
-    prints the error of up, bed, kerb and puddles and the time.
+    prints the errors of the up direction, bed, kerb and puddles, and the time.
 
     \b
     Example:
@@ -95,12 +95,12 @@ def ground(**given):
     _run("ground", **given)
 
 
-@bench.command()
+@bench.command(short_help="Rain rate, ripples, and times of rain and splashes.")
 @_options
 def rain(**given):
     """Read a gauge, fit ripples, and time streaks, splashes and ripples.
 
-    Prints what the rain is against what was asked for, and what its parts cost.
+    Prints the collected rain over the rain rate that was asked for, and the time of each stage.
 
     \b
     Example:
@@ -109,7 +109,7 @@ def rain(**given):
     _run("rain", **given)
 
 
-@bench.command()
+@bench.command(short_help="Accuracy and time of whole rainy frames.")
 @backend_option
 @_options
 def frame(**given):
@@ -117,8 +117,8 @@ def frame(**given):
 
     Prints the time of each stage, and time and error of each level against the same frame drawn at
     twice the size. A scene named garden in a folder of RAINSIM_SCENES is measured too, but not
-    charted. On a GPU the camera moves, the simulation counts, and three picture sizes, two maps,
-    memory and frames in a sequence are measured, too.
+    charted. On a GPU the camera moves, the times include the simulation, and three picture sizes,
+    two maps, memory and frame sequences are measured too.
 
     \b
     Example:
@@ -127,10 +127,10 @@ def frame(**given):
     _run("frame", **given)
 
 
-@bench.command()
+@bench.command(short_help="Accuracy and time of splatting.")
 @_options
 def splat(**given):
-    """Draw captures with other choices of the rasterizer, each beside the picture in float64.
+    """Draw captures with each choice of the rasterizer and compare them with float64 pictures.
 
     Prints accuracy and time of each choice: polynomial of the exponential, cut-off, stop, storage
     and degree of harmonics, level of detail, depth. A scene named garden in a folder of
@@ -143,13 +143,13 @@ def splat(**given):
     _run("splat", **given)
 
 
-@bench.command()
+@bench.command(short_help="Accuracy and time of reflections.")
 @_options
 def look(**given):
-    """Compare reflections with rays traced through the splats, and the rest of water's optics.
+    """Compare reflections with rays traced through the splats, and measure refraction and coverage.
 
-    Prints accuracy, time and memory of each way to find what water mirrors, why the camera does
-    not see what the other pixels mirror, and how far the paper's choices are from the defaults.
+    Prints accuracy, time and memory of each method of reflection, how many pixels of water mirror
+    something that the camera does not see, and how far the paper's choices are from the defaults.
 
     \b
     Example:

@@ -1,4 +1,4 @@
-"""From what was typed to what the library takes: settings, scene and cameras."""
+"""Settings, scene and cameras from the options of a command."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def settings(preset, given, base=None):
         Option names and their values in the command line's units; None is not given.
     base : Config, optional
     """
-    from rainsim.config import Config, mm_per_hour
+    from rainsim.config.settings import Config, mm_per_hour
 
     convert = {
         "rain": ("rate", mm_per_hour),
@@ -56,7 +56,7 @@ def settings(preset, given, base=None):
         if name in convert and value is not None
     }
     if "height" in changes:
-        changes.setdefault("width", None)  # the camera's shape gives it
+        changes.setdefault("width", None)  # follows from the camera's shape
     config = Config.from_preset(preset) if base is None else base
     return config.replace(**changes).check()
 
@@ -120,7 +120,7 @@ def check_camera_options(given):
     chosen = [name for name in CAMERA_WAYS if given.get(name) not in (None, False)]
     if len(chosen) > 1:
         raise ParameterError(
-            f"--{chosen[0]} and --{chosen[1]} are both given; the camera must be told in one way; "
+            f"--{chosen[0]} and --{chosen[1]} are both given; the camera must be given in one way; "
             "leave one out"
         )
     if (given.get("eye") is None) != (given.get("look_at") is None):
@@ -136,7 +136,7 @@ def check_camera_options(given):
 
 
 def cameras_of(scene, config, given, most=None):
-    """Return the frames' cameras, sized, and the Config with the number of frames that results.
+    """Return the frames' cameras in the frames' size, and the Config with their number of frames.
 
     Parameters
     ----------
@@ -145,7 +145,7 @@ def cameras_of(scene, config, given, most=None):
     given : dict
         camera, path, orbit, drive, eye, look_at, fov and frames as they were typed.
     most : int, optional
-        Frames that there are at most; a longer path is cut there.
+        Largest number of frames; a longer path is cut to it.
 
     Returns
     -------
@@ -176,7 +176,7 @@ def cameras_of(scene, config, given, most=None):
 
 
 def _one_per_frame(cameras, where, config, given, most):
-    """Return as many of the cameras as there are frames, and the Config that says how many."""
+    """Return one camera for each frame, and the Config with the number of frames."""
     if given.get("frames") is None:
         config = config.replace(frames=min(len(cameras), most or len(cameras))).check()
     if len(cameras) < config.frames:
@@ -211,7 +211,7 @@ def named_camera(scene, name):
     for camera in scene.cameras:  # picture names are often kept with their suffix
         if camera.name.rpartition(".")[0] == name:
             return camera
-    from rainsim.config import nearest
+    from rainsim.config.settings import nearest
 
     names = [camera.name for camera in scene.cameras]
     shown = names if len(names) <= MOST_SHOWN else [*names[:3], "...", names[-1]]

@@ -6,23 +6,23 @@ import json
 
 import click
 
-from rainsim.cli.options import json_option
+from rainsim.commands.options import json_option
 
 
-@click.command(short_help="Tell what rainsim runs on and what is wrong.")
+@click.command(short_help="Check the installation and this machine.")
 @json_option
 @click.pass_context
 def doctor(ctx, as_json):
-    """Tell versions, threads, backends, GPU, memory and cache folder, and what is wrong.
+    """Show versions, threads, backends, GPU, memory and cache folder, and what is wrong with them.
 
-    Exits with 1 if something is wrong. A missing GPU is not.
+    Exits with 1 if something is wrong. A missing GPU is not wrong.
 
     \b
     Example:
         rainsim doctor
         rainsim doctor --json
     """
-    from rainsim.doctor import report, table
+    from rainsim.commands.environment import report, table
 
     found = report()
     click.echo(json.dumps(found, indent=1) if as_json else table(found))

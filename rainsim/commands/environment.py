@@ -10,6 +10,7 @@ from importlib import metadata
 import numpy as np
 
 from rainsim import __version__
+from rainsim.io import cache as results
 from rainsim.jit import CACHE_FOLDER, cpu_kernel, prange, threading_layer
 
 PACKAGES = ("numpy", "numba", "llvmlite", "scipy", "numba-cuda", "cuda-cccl")
@@ -32,7 +33,7 @@ def report():
     Returns
     -------
     dict
-        "versions", "threads", "backends", "memory", "cache" and "wrong".
+        "versions", "threads", "backends", "memory", "cache", "results" and "wrong".
     """
     wrong = []
     _use_threads(np.empty(64))
@@ -65,7 +66,7 @@ def report():
         "versions": versions,
         "threads": {"number": threads, "cores": os.cpu_count(), "layer": layer},
         "backends": {"cpu": {"ready": True, "name": _processor()}, "cuda": _cuda()},
-        "memory": memory, "cache": cache, "wrong": wrong,
+        "memory": memory, "cache": cache, "results": results.summary(), "wrong": wrong,
     }  # fmt: skip
 
 
@@ -145,5 +146,15 @@ def table(found):
             f"memory     {memory['free'] / 1e9:.1f} of {memory['total'] / 1e9:.1f} GB free"
         )
     lines.append(f"cache      {cache['folder']}: {cache['size'] / 1e6:.0f} MB of compiled kernels")
+    lines.append(_results_line(found["results"]))
     lines += [f"WRONG      {line}" for line in found["wrong"]] or ["nothing is wrong"]
     return "\n".join(lines)
+
+
+def _results_line(kept):
+    """Return the line of the table on the results of earlier runs."""
+    if kept["folder"] is None:
+        return f"results    not kept: {results.VARIABLE} is {results.OFF}"
+    size = f"{kept['size'] / 1e6:.0f} MB in {kept['entries']} kept scenes, frames and height maps"
+    cannot = "" if kept["writable"] else "; the folder cannot be written, so none is added"
+    return f"results    {kept['folder']}: {size}{cannot}"

@@ -7,15 +7,16 @@ from pathlib import Path
 
 import click
 
-from rainsim.cli import options
-from rainsim.cli.choose import cameras_of, check_camera_options, scene_of, settings
-from rainsim.cli.status import Status, tell_compiling, tell_scene
+from rainsim.commands import options
+from rainsim.commands.choose import cameras_of, check_camera_options, scene_of, settings
+from rainsim.commands.compile import compiled_beside, uses_of
+from rainsim.commands.status import Status, say_scene
 from rainsim.errors import InputError, ParameterError
 
 SIMULATION = "simulation.json"
 
 
-@click.command(short_help="Draw a scene in the rain: the whole chain.")
+@click.command(short_help="Draw a scene in the rain, from capture to frames.")
 @options.scene_option
 @options.preset_option
 @options.rain_options
@@ -28,10 +29,10 @@ SIMULATION = "simulation.json"
 @options.terrain_options
 @options.output_options("rainsim-out/SCENE-PRESET")
 def run(scene, preset, out, overwrite, as_json, quiet, video, layers, backend, **given):
-    """Draw a scene in the rain: the whole chain, from a capture to frames.
+    """Draw a scene in the rain, all steps from a capture to frames.
 
     Writes DIR/frames/00000.png and so on, preview.webp, transforms.json (the frames' cameras) and
-    provenance.json (command, settings, versions, ground frame, ledger of water).
+    provenance.json (command, settings, versions, ground frame, account of the water).
 
     \b
     Example:
@@ -42,23 +43,24 @@ def run(scene, preset, out, overwrite, as_json, quiet, video, layers, backend, *
     status = Status(quiet)
     config = settings(preset, given)
     names = _check_before_loading(given, video, layers, backend)
-    loaded = scene_of(scene, given)
-    tell_scene(status, loaded)
-    cameras, config = cameras_of(loaded, config, given)
-    out = out or options.default_out(loaded.name, Path(preset).stem)
+    with status, compiled_beside(status, uses_of(config, names, backend), config.threads):
+        loaded = scene_of(scene, given)
+        say_scene(status, loaded)
+        cameras, config = cameras_of(loaded, config, given)
+        out = out or options.default_out(loaded.name, Path(preset).stem)
 
-    def frames():
-        from rainsim.pipeline import render_rain
+        def frames():
+            from rainsim.pipeline import render_rain
 
-        def progress(stage, done, total):
-            status.progress(stage, done, total)
-            if done == total:  # what follows unannounced is the first frame
-                status.progress("frames", 0, len(config.indices))
+            def progress(stage, done, total):
+                status.progress(stage, done, total)
+                if done == total:  # what follows unannounced is the first frame
+                    status.progress("frames", 0, len(config.indices))
 
-        return render_rain(loaded, cameras, config, backend, progress, names)
+            return render_rain(loaded, cameras, config, backend, progress, names)
 
-    files = {"out": out, "overwrite": overwrite, "video": video, "as_json": as_json}
-    _film(status, frames, loaded, cameras, config, preset, **files)
+        files = {"out": out, "overwrite": overwrite, "video": video, "as_json": as_json}
+        _write_frames(status, frames, loaded, cameras, config, preset, **files)
 
 
 @click.command(short_help="Let it rain on a height map.")
@@ -79,18 +81,24 @@ def simulate(terrain, preset, out, overwrite, threads, as_json, quiet, **given):
     """
     status = Status(quiet)
     config = settings(preset, {**given, "threads": threads})
-    from rainsim.output import Record, claimed, read_record, relative, settings_facts
+    from rainsim.output_folder import Record, claimed, read_record, relative, settings_facts
     from rainsim.pipeline import frames_of, write_state
     from rainsim.pipeline import simulate as simulate_water
-    from rainsim.terrain import read_terrain
+    from rainsim.terrain.files import read_terrain
 
     ground = read_terrain(terrain)
     source = terrain if terrain.is_dir() else terrain.parent
     origin = read_record(source).get("input")
     name = source.resolve().name.removesuffix("-terrain")
     out = out or options.default_out(name, Path(preset).stem, "states")
-    with status, claimed(out, overwrite):
-        _set_up(config, status)
+    from rainsim.compiling.uses import SIMULATE
+
+    with (
+        status,
+        claimed(out, overwrite),
+        compiled_beside(status, [SIMULATE], config.threads),
+    ):
+        _set_up(config)
         facts = settings_facts(config, preset)
         record = Record(out, None, **facts, terrain_input=origin)
         total = len(config.indices)
@@ -114,7 +122,7 @@ def simulate(terrain, preset, out, overwrite, threads, as_json, quiet, **given):
 
 def _write_simulation(out, source, terrain, record, config, preset, origin):
     """Write what `render` needs besides the states: settings, terrain and ground frame."""
-    from rainsim.scene.files import replacing, write_json
+    from rainsim.io.files import replacing, write_json
 
     copied = {"terrain.npz": source / "terrain.npz" if terrain.is_dir() else terrain}
     if (source / "ground_frame.json").is_file():
@@ -148,8 +156,8 @@ def _write_simulation(out, source, terrain, record, config, preset, origin):
 def render(states, scene, out, overwrite, as_json, quiet, video, layers, backend, **given):
     """Draw frames from STATES, a folder that `rainsim simulate` wrote, for any camera.
 
-    The drops in the air are made anew from the seed. Settings of the rain are those of the
-    simulation; light, camera and size can be chosen here.
+    The drops in the air follow from the seed. The rain is that of the simulation; light, camera and
+    size can be chosen here.
 
     \b
     Example:
@@ -170,7 +178,7 @@ def render(states, scene, out, overwrite, as_json, quiet, video, layers, backend
     if all(given.get(name) is None for name in ground) and frame_file.is_file():
         given["ground_frame"] = frame_file  # the very frame of the height map
     loaded = scene_of(scene, given)
-    tell_scene(status, loaded)
+    say_scene(status, loaded)
     if origin.get("sha256") not in (None, "", loaded.source_hash):
         raise InputError(
             f"the states in {states} were made for other splats than scene {loaded.name}; both "
@@ -181,7 +189,7 @@ def render(states, scene, out, overwrite, as_json, quiet, video, layers, backend
 
     def frames():
         from rainsim import pipeline
-        from rainsim.terrain import read_terrain
+        from rainsim.terrain.files import read_terrain
 
         found = (pipeline.read_state(_state_file(states, index)) for index in config.indices)
         ground = read_terrain(states)
@@ -191,7 +199,8 @@ def render(states, scene, out, overwrite, as_json, quiet, video, layers, backend
         _state_file(states, index)
     preset = made.get("preset", "")
     files = {"out": out, "overwrite": overwrite, "video": video, "as_json": as_json}
-    _film(status, frames, loaded, cameras, config, preset, **files)
+    with status, compiled_beside(status, uses_of(config, names, backend), config.threads):
+        _write_frames(status, frames, loaded, cameras, config, preset, **files)
 
 
 def _state_file(states, index):
@@ -206,8 +215,8 @@ def _state_file(states, index):
 
 def _read_simulation(states):
     """Return what simulation.json holds, with its settings as a Config under "config"."""
-    from rainsim.config import Config
-    from rainsim.scene.files import read_json
+    from rainsim.config.settings import Config
+    from rainsim.io.files import read_json
 
     path = states / SIMULATION
     if states.is_dir() and not path.is_file():
@@ -234,47 +243,50 @@ def _check_before_loading(given, video, layers, backend):
 
         require()
     if video:
-        from rainsim.image import require_video
+        from rainsim.io.images import require_video
 
         require_video()
     if layers is None:
         return ()
-    from rainsim.layers import parse_names
+    from rainsim.render.aov import parse_names
 
     return parse_names(layers)
 
 
-def _film(status, frames, scene, cameras, config, preset, *, out, overwrite, video, as_json):
+def _write_frames(
+    status, frames, scene, cameras, config, preset, *, out, overwrite, video, as_json
+):
     """Draw the frames that `frames()` generates into the folder `out`, and say how it went."""
-    from rainsim import output
+    from rainsim import output_folder
 
     total = len(config.indices)
-    with status, output.claimed(out, overwrite):
-        _set_up(config, status)
-        facts = output.settings_facts(config, preset)
-        record = output.Record(out, scene, **facts, cameras=output.cameras_facts(cameras))
-        with output.FilmFolder(out, record, cameras, config, video) as film:
+    with output_folder.claimed(out, overwrite):
+        _set_up(config)
+        facts = output_folder.settings_facts(config, preset)
+        record = output_folder.Record(
+            out, scene, **facts, cameras=output_folder.cameras_facts(cameras)
+        )
+        with output_folder.FrameFolder(out, record, cameras, config, video) as folder:
             for done, (picture, report) in enumerate(frames()):
                 status.notes(report.notes)
-                film.add(picture, report)
+                folder.add(picture, report)
                 status.progress("frames", done + 1, total)
-    status.say(f"{total} frames in {output.relative(out)}/frames ({status.seconds:.1f} s)")
+    status.say(f"{total} frames in {output_folder.relative(out)}/frames ({status.seconds:.1f} s)")
     result = {
         "out": str(out),
-        "frames": [f"frames/{report.index:05d}.png" for report in film.reports],
+        "frames": [f"frames/{report.index:05d}.png" for report in folder.reports],
         "seconds": round(status.seconds, 3),
-        "milliseconds": output.mean_milliseconds(film.reports),
-        "ledger": film.reports[-1].ledger,
+        "milliseconds": output_folder.mean_milliseconds(folder.reports),
+        "ledger": folder.reports[-1].ledger,
         "notes": [*scene.notes, *scene.ground_frame.notes],
     }
     _print(result, out, as_json)
 
 
-def _set_up(config, status):
+def _set_up(config):
     from rainsim.jit import set_threads
 
     set_threads(config.threads)
-    tell_compiling(status)
 
 
 def _print(result, out, as_json):

@@ -1,4 +1,4 @@
-"""The command that makes a height map, and what it tells about it."""
+"""The command `rainsim heightmap`: makes a height map and prints figures on it."""
 
 from __future__ import annotations
 
@@ -7,9 +7,10 @@ from pathlib import Path
 
 import click
 
-from rainsim.cli import options
-from rainsim.cli.choose import scene_of, settings
-from rainsim.cli.status import Status, tell_compiling, tell_scene
+from rainsim.commands import options
+from rainsim.commands.choose import scene_of, settings
+from rainsim.commands.compile import compiled_beside
+from rainsim.commands.status import Status, say_scene
 from rainsim.errors import ParameterError
 
 GROUND_FRAME = "ground_frame.json"
@@ -50,9 +51,9 @@ def heightmap(scene, class_mask, check, out, overwrite, threads, as_json, quiet,
         rainsim heightmap garden/ --out terrain --check
         rainsim heightmap plaza.ply --up 0,0,1 --meters-per-unit 1 --extent 6
     """
-    from rainsim.output import Record, claimed, relative
+    from rainsim.output_folder import Record, claimed, relative
     from rainsim.scene.ground import write_ground_frame
-    from rainsim.terrain import is_surface
+    from rainsim.terrain.surface import is_surface
 
     status = Status(quiet)
     config = settings(None, {**given, "threads": threads}, base=_default_config())
@@ -63,15 +64,20 @@ def heightmap(scene, class_mask, check, out, overwrite, threads, as_json, quiet,
         name = Path(scene).stem
     else:
         loaded = scene_of(scene, given)
-        tell_scene(status, loaded)
+        say_scene(status, loaded)
         name = loaded.name
     out = out or options.default_out(name, "terrain")
-    with status, claimed(out, overwrite):
+    from rainsim.compiling.uses import HEIGHTMAP
+
+    with (
+        status,
+        claimed(out, overwrite),
+        compiled_beside(status, [HEIGHTMAP], config.threads),
+    ):
         from rainsim.jit import set_threads
-        from rainsim.terrain import write_terrain
+        from rainsim.terrain.files import write_terrain
 
         set_threads(config.threads)
-        tell_compiling(status)
         record = Record(out, loaded, settings={"terrain": config.as_dict()["terrain"]})
         status.progress("terrain", 0, 1)
         if surface:
@@ -94,7 +100,7 @@ def heightmap(scene, class_mask, check, out, overwrite, threads, as_json, quiet,
 
 
 def _default_config():
-    from rainsim.config import Config
+    from rainsim.config.settings import Config
 
     return Config()
 
@@ -111,7 +117,7 @@ def _refuse_with_surface(scene, class_mask, check, given):
 
 
 def _from_surface(scene, config, given):
-    from rainsim.terrain import terrain_from_surface
+    from rainsim.terrain.surface import terrain_from_surface
 
     return terrain_from_surface(
         scene, config.terrain, up=given.get("up"), meters_per_unit=given.get("meters_per_unit")
@@ -120,7 +126,7 @@ def _from_surface(scene, config, given):
 
 def _from_splats(scene, config, class_mask):
     from rainsim.pipeline import extract_terrain
-    from rainsim.terrain import read_mask
+    from rainsim.terrain.classify import read_mask
 
     mask = None if class_mask is None else read_mask(class_mask)
     return extract_terrain(scene, config, mask)
@@ -128,16 +134,16 @@ def _from_splats(scene, config, class_mask):
 
 def _puddles(out, terrain, record):
     """Write the puddle pictures; return figures per rain and the depth at 3 mm."""
-    from rainsim import image
-    from rainsim.puddles import doubt, puddles_of, wet_share
+    from rainsim.io import images
     from rainsim.terrain.pictures import puddle_overlay
+    from rainsim.water.puddles import doubt, puddles_of, wet_share
 
     puddles, rows, fallen, shown = puddles_of(terrain), [], 0, None
     for rain in RAINS:
         puddles.rain((rain - fallen) * 1e-3)
         fallen = rain
         name = f"puddles-{rain}mm.png"
-        image.write_png(out / name, puddle_overlay(terrain, puddles.depth))
+        images.write_png(out / name, puddle_overlay(terrain, puddles.depth))
         record.add(name)
         shown = puddles.depth if shown is None or rain == 3 else shown
         rows.append(
@@ -155,21 +161,22 @@ def _puddles(out, terrain, record):
 
 
 def _check(out, scene, terrain, name, depth, record):
-    from rainsim import image
-    from rainsim.cli.choose import named_camera
+    from rainsim.commands.choose import named_camera
+    from rainsim.io import images
     from rainsim.terrain.pictures import through_camera
 
     camera = named_camera(scene, name or None)
-    image.write_png(out / "check.png", through_camera(scene, terrain, camera, depth))
+    images.write_png(out / "check.png", through_camera(scene, terrain, camera, depth))
     record.add("check.png")
 
 
 def _result(out, terrain, scene, puddles, files):
-    """Return what is told about a height map as plain values."""
+    """Return the printed figures of a height map as plain values."""
     import numpy as np
 
-    from rainsim.puddles import bed_error
-    from rainsim.terrain import INFERRED, MEASURED, UNKNOWN, class_table
+    from rainsim.terrain.table import class_table
+    from rainsim.terrain.types import INFERRED, MEASURED, UNKNOWN
+    from rainsim.water.puddles import bed_error
 
     grid, source = terrain.grid, terrain.source
     kinds = {"measured": MEASURED, "inferred": INFERRED, "unknown": UNKNOWN}
@@ -186,7 +193,7 @@ def _result(out, terrain, scene, puddles, files):
             name: float(np.mean(terrain.ground_class == code))
             for code, name in enumerate(class_table().names)
         },
-        "captured_water": _captured(terrain),
+        "painted_water": _painted_water(terrain),
         "puddles": puddles,
         "notes": list(terrain.notes),
     }
@@ -201,8 +208,8 @@ def _result(out, terrain, scene, puddles, files):
     return result
 
 
-def _captured(terrain):
-    """Return area [m2], volume [litres] and highest level [m] of captured water, None without."""
+def _painted_water(terrain):
+    """Return area [m2], volume [litres] and highest level [m] of painted water, None without."""
     wet = terrain.water > 0
     if not wet.any():
         return None
@@ -234,7 +241,7 @@ def _as_text(result):
         "ground            " + ", ".join(f"{name} {v:.0%}" for name, v in share.items()),
         "classes           "
         + ", ".join(f"{name} {v:.0%}" for name, v in result["classes"].items() if v > 0),
-        *_water_line(result["captured_water"]),
+        *_water_line(result["painted_water"]),
         f"hollows           {result['puddles']['hollows']}, "
         f"{result['puddles']['left_out']} of them left out as noise",
     ]
@@ -253,6 +260,6 @@ def _as_text(result):
 def _water_line(water):
     if water is not None:
         yield (
-            f"captured water    {water['m2']:.3g} m2, {water['litres']:.0f} litres over a bed that "
+            f"painted water     {water['m2']:.3g} m2, {water['litres']:.0f} litres over a bed that "
             f"is ASSUMED, level {water['level']:.2f} m"
         )

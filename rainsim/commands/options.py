@@ -101,7 +101,7 @@ scene_option = click.option(
     default="bicycle",
     show_default=True,
     metavar="NAME|PATH",
-    help="A name from `rainsim scenes`, a trained model's folder, a splat PLY or a scene folder.",
+    help="A name from `rainsim scenes`, a trained model's folder, a splat file or a scene folder.",
 )
 
 ground_options = _group(
@@ -111,7 +111,11 @@ ground_options = _group(
         metavar="FILE.json",
         help="cameras.json or transforms.json instead of the one beside the splats.",
     ),
-    click.option("--up", type=Numbers("x,y,z"), help="Roughly up, in the capture's own frame."),
+    click.option(
+        "--up",
+        type=Numbers("x,y,z"),
+        help="Direction that is roughly up, in the capture's own axes.",
+    ),
     click.option(
         "--meters-per-unit", type=float, metavar="S", help="Scale: metres per capture unit."
     ),
@@ -131,14 +135,14 @@ ground_options = _group(
     click.option(
         "--fall",
         type=Numbers("percent,direction"),
-        help="Fall of the ground plane, which is taken as level otherwise, and the way it goes "
-        "down, in degrees counter-clockwise from the first camera's view.",
+        help="Slope of the ground in percent, and the direction in which it goes down, in degrees "
+        "counter-clockwise from the first camera's view; without it the ground is made level.",
     ),
     click.option(
         "--ground-frame",
         type=FILE,
         metavar="FILE.json",
-        help="The whole similarity to the ground frame, as `rainsim import` writes it.",
+        help="Up, scale and origin of the ground in one file, as `rainsim import` writes it.",
     ),
 )
 
@@ -147,7 +151,11 @@ camera_options = _group(
     click.option(
         "--path", type=FILE, metavar="transforms.json", help="A camera path, one camera per frame."
     ),
-    click.option("--orbit", is_flag=True, help="A full circle about what the cameras look at."),
+    click.option(
+        "--orbit",
+        is_flag=True,
+        help="A full circle around the point that the capture's cameras look at.",
+    ),
     click.option(
         "--drive", is_flag=True, help="The capture's own cameras in their order, one per frame."
     ),
@@ -174,17 +182,20 @@ rain_options = _group(
     click.option("--rain", type=float, metavar="MM/H", show_default=PRESETS,
                  help="Rain rate in mm/h."),
     click.option("--past-rain", type=float, metavar="MM", show_default=PRESETS,
-                 help="Rain that fell before the first frame and has come to rest, in mm."),
+                 help="Rain that fell before the first frame and stands in puddles, in mm."),
     click.option("--drying", type=float, metavar="HOURS", show_default=PRESETS,
-                 help="Hours since that rain ended: films dry first, then pores and puddles."),
+                 help="Hours since the past rain ended: first the gloss dries, then the darkening; "
+                 "puddles shrink."),
     click.option("--wind", type=Numbers("speed,direction"), show_default=PRESETS,
-                 help="Wind in m/s at 10 m and the way it goes, in degrees counter-clockwise seen "
-                 "from above, from the first camera's view."),
+                 help="Wind in m/s at 10 m height, and the direction in which the air moves, in "
+                 "degrees from the first camera's view, counter-clockwise seen from above."),
     click.option("--water-level", type=float, metavar="M", show_default=PRESETS,
-                 help="Still water, in metres above the 5th percentile of the ground."),
+                 help="Flood: level of still water, in metres above the low ground (the 5th "
+                 "percentile of its heights)."),
     click.option("--water-scheme", metavar="NAME", show_default=PRESETS,
-                 help="auto or paper: how the flow is computed."),
-    click.option("--seed", type=int, show_default=PRESETS, help="Which drops fall; a number."),
+                 help="How the flow is computed: auto, or paper, the scheme of the RainyGS paper."),
+    click.option("--seed", type=int, show_default=PRESETS,
+                 help="Random seed: other drops with another number."),
     click.option("--frames", type=int, show_default="the preset's, or the path's length",
                  help="Number of frames."),
     click.option("--fps", type=float, show_default=PRESETS, help="Frames per second."),
@@ -192,21 +203,22 @@ rain_options = _group(
 
 light_options = _group(
     click.option("--exposure", type=float, metavar="MS", show_default=PRESETS,
-                 help="Shutter time in ms, at most one frame."),
+                 help="Shutter time in ms, at most the time from one frame to the next."),
     click.option("--sky", metavar="FILE.hdr|overcast|capture", show_default=PRESETS,
                  help="What water mirrors where the capture shows nothing: an equirectangular "
-                 "picture, an overcast sky, or the capture's own."),
+                 "picture, an overcast sky, or the captured sky."),
     click.option("--sun", type=Numbers("azimuth,elevation", words="none|sky"), show_default=PRESETS,
-                 help="The sun in degrees, azimuth as for --wind; sky: its brightest spot."),
+                 help="Direction of the sun in degrees, azimuth as for --wind; sky: the brightest "
+                 "spot of the sky."),
     click.option("--cloudiness", type=float, metavar="0..1", show_default=PRESETS,
-                 help="0 clear to 1 overcast."),
+                 help="Share of the sky under clouds: 0 clear to 1 overcast."),
     click.option("--reflections", metavar="NAME", show_default=PRESETS,
-                 help="What water mirrors: mirror, by drawing the capture once more from below; "
-                 "ssr, by marching through the picture; auto, mirrors for the levels that most "
-                 "water stands at and the march for the rest; traced, by rays through the splats, "
-                 "slow; paper, as the paper does."),
+                 help="How reflections are found: mirror draws the capture again from the mirrored "
+                 "camera; ssr marches rays through the picture; auto uses mirror at the levels "
+                 "of most water and ssr elsewhere; traced follows rays through the splats and is "
+                 "slow; paper does as the RainyGS paper."),
     click.option("--brightness", type=float, metavar="FACTOR", show_default=PRESETS,
-                 help="Factor on the finished picture; 1 is as graded."),
+                 help="Factor on the brightness of the finished picture."),
 )  # fmt: skip
 
 picture_options = _group(
@@ -214,15 +226,15 @@ picture_options = _group(
                  help="Width of the frames in px."),
     click.option("--height", type=int, metavar="PX", show_default="the camera's shape",
                  help="Height of the frames in px; with --width the picture is cropped."),
-    click.option("--video", is_flag=True, help="Write video.mp4 too (needs rainsim[video])."),
+    click.option("--video", is_flag=True, help="Also write video.mp4 (needs rainsim[video])."),
     click.option("--layers", metavar="all|NAME,NAME", show_default="none",
-                 help="Write layers of each frame too, such as depth,water_depth."),
+                 help="Also write parts of each frame for compositing, such as depth,water_depth."),
 )  # fmt: skip
 
 terrain_options = _group(
     click.option("--spacing", type=float, metavar="M", show_default="about 0.02, chosen",
                  help="Cell size of the height map in metres."),
-    click.option("--extent", type=float, metavar="M", show_default="told by the cameras",
+    click.option("--extent", type=float, metavar="M", show_default="chosen from the cameras",
                  help="Half the width of the height map in metres."),
 )  # fmt: skip
 
@@ -230,17 +242,18 @@ range_option = click.option(
     "--frame-range",
     type=FrameRange(),
     show_default="all",
-    help="Only frames A to B, B not included; the water is simulated up to them.",
+    help="Only frames A to B, B excluded; the water is still simulated from frame 0 on.",
 )
 
 
 def output_options(default):
-    """Return the options of a command that fills a folder; `default` says what --out is."""
+    """Return the options of a command that fills a folder; `default` is shown for --out."""
     return _group(
         click.option("--out", "-o", type=FOLDER, metavar="DIR", show_default=default,
                      help="Output folder."),
         click.option("--overwrite", is_flag=True,
-                     help="Allow a folder that is not empty; other files in it stay."),
+                     help="Allow a folder that is not empty; only earlier results in it are "
+                     "replaced."),
         click.option("--threads", type=int, metavar="N", show_default="all cores",
                      help="Number of threads."),
         json_option,
@@ -250,7 +263,7 @@ def output_options(default):
 
 backend_option = click.option(
     "--backend", type=click.Choice(["cpu", "cuda"]), default="cpu", show_default=True,
-    help="What draws: cuda needs an NVIDIA GPU and rainsim[cuda]; see `rainsim doctor`.",
+    help="What computes: cuda needs an NVIDIA GPU and rainsim[cuda]; see `rainsim doctor`.",
 )  # fmt: skip
 
 json_option = click.option("--json", "as_json", is_flag=True, help="Print results as JSON.")
@@ -262,5 +275,5 @@ def default_out(*names):
 
 
 def plain(name):
-    """Return a name that is good as part of a folder's name."""
+    """Return a name with characters replaced that do not belong in a folder's name."""
     return "".join(c if c.isalnum() or c in "._-" else "-" for c in name).strip(".-") or "scene"

@@ -7,44 +7,52 @@ from pathlib import Path
 
 import click
 
-from rainsim.cli import options
-from rainsim.cli.choose import DEFAULT_FOV, DEFAULT_SHAPE, DEFAULT_WIDTH, named_camera
-from rainsim.cli.options import FILE, Numbers
+from rainsim.commands import options
+from rainsim.commands.choose import DEFAULT_FOV, DEFAULT_SHAPE, DEFAULT_WIDTH, named_camera
+from rainsim.commands.options import FILE, Numbers
 from rainsim.errors import ParameterError, require_positive
 
 NEAR = 0.01  # capture units, as gsplat has it
 SIDES = (1, 16384)  # px
 
 
-@click.command(short_help="Draw the dry capture from a camera.")
+@click.command(short_help="Draw the capture from a camera, without rain.")
 @click.argument("scene", default="bicycle")
 @click.option("--camera", metavar="NAME", help="A camera of the capture. [default: its first]")
-@click.option("--cameras", type=FILE, metavar="FILE.json", help="Cameras instead of its own.")
+@click.option("--cameras", type=FILE, metavar="FILE.json", help="Cameras instead of the capture's.")
 @click.option("--eye", type=Numbers("x,y,z"), help="Where to look from, in capture units.")
 @click.option("--look-at", type=Numbers("x,y,z"), help="Where to look to, in capture units.")
-@click.option("--fov", type=float, metavar="DEG", help="Horizontal, with --eye. [default: 60]")
+@click.option("--fov", type=float, metavar="DEG",
+              help="Horizontal field of view in degrees, with --eye. [default: 60]")  # fmt: skip
 @click.option("--up", type=Numbers("x,y,z"), help="Up in the picture, with --eye. [default: the "
               "cameras' mean]")  # fmt: skip
 @click.option("--ortho-height", type=float, metavar="UNITS",
-              help="Orthographic, with --eye: capture units that the picture is high.")  # fmt: skip
-@click.option("--width", type=int, metavar="PX", help="[default: 648]")
-@click.option("--height", type=int, metavar="PX", help="[default: the camera's shape]")
+              help="Orthographic camera, with --eye: height of the picture in units.")  # fmt: skip
+@click.option("--width", type=int, metavar="PX", help="Width in px. [default: 648]")
+@click.option("--height", type=int, metavar="PX",
+              help="Height in px. [default: the camera's shape]")  # fmt: skip
 @click.option("--depth", type=click.Choice(["expected", "median", "plane"]), default="expected",
-              show_default=True, help="Mean of the centres, the half-way splat, or the ray's "
-              "meeting with the blended plane.")  # fmt: skip
+              show_default=True, help="expected, the mean depth of the splats' centres; median, "
+              "the splat at which half of the light is stopped; or plane, where the ray meets the "
+              "blended plane.")  # fmt: skip
 @click.option(
     "--background",
     type=Numbers("r,g,b"),
     default=(0.0, 0.0, 0.0),
     help="Colour behind the splats, 0 to 1, display-referred. [default: 0,0,0]",
 )
-@click.option("--hit", is_flag=True, help="Add to FILE.npz the splat at which half of the light "
-              "is stopped, int32, -1 for none: its place in the file.")  # fmt: skip
-@click.option("--compensate", is_flag=True, help="Weaken splats below a pixel, as Mip-Splatting.")
+@click.option("--hit", is_flag=True, help="Add an array hit to FILE.npz: the index in the file of "
+              "the splat at which half of the light is stopped, int32; -1 for none.")  # fmt: skip
+@click.option(
+    "--compensate",
+    is_flag=True,
+    help="Lower the opacity of splats smaller than a pixel, as Mip-Splatting does.",
+)
 @click.option("--out", "-o", type=FILE, required=True, metavar="FILE.png|FILE.npz",
               help="Picture, or float32 arrays rgb, alpha, depth, normal.")  # fmt: skip
 @click.option("--overwrite", is_flag=True, help="Replace the file if it exists.")
-@click.option("--threads", type=int, metavar="N", show_default="all cores", help="Threads.")
+@click.option("--threads", type=int, metavar="N", show_default="all cores",
+              help="Number of threads.")  # fmt: skip
 @options.backend_option
 @options.json_option
 def splat(scene, out, overwrite, threads, as_json, **given):
@@ -101,7 +109,7 @@ def splat(scene, out, overwrite, threads, as_json, **given):
 
 
 def _check(given):
-    """Raise ParameterError if the camera options contradict each other or a colour is none."""
+    """Raise ParameterError if camera options contradict each other or a value is out of range."""
     if not all(0 <= channel <= 1 for channel in given["background"]):
         shown = ",".join(f"{channel:g}" for channel in given["background"])
         raise ParameterError(f"--background is {shown}; it must be r,g,b from 0 to 1 each")
@@ -151,13 +159,13 @@ def _up(capture, given):
         return given["up"]
     if not capture.cameras:
         raise ParameterError(
-            f"{capture.name} has no cameras that tell which way is up; give --up x,y,z"
+            f"{capture.name} has no cameras to find the up direction from; give --up x,y,z"
         )
     return np.mean([camera.image_up for camera in capture.cameras], axis=0)
 
 
 def draw(capture, camera, depth="expected", backend="cpu", **options):
-    """Return the layers that a camera sees, with `depth` as the mode asks, and milliseconds."""
+    """Return the `Layers` of a camera, with the depth that `depth` names, and the time [ms]."""
     import time
 
     from rainsim.raster import Rasterizer, prepare
@@ -180,15 +188,15 @@ def draw(capture, camera, depth="expected", backend="cpu", **options):
 def _write(out, layers, camera):
     import numpy as np
 
-    from rainsim import image
+    from rainsim.io import images
 
     if out.suffix.lower() == ".png":
         shown = np.clip(layers.color, 0, 1) * 255 + 0.5
-        image.write_png(out, shown.astype(np.uint8))
+        images.write_png(out, shown.astype(np.uint8))
         return
     normal = layers.normal @ camera.camera_from_world[:3, :3].astype(np.float32)
     hit = {} if layers.hit is None else {"hit": layers.hit}
-    image.write_npz(
+    images.write_npz(
         out, rgb=layers.color, alpha=layers.alpha, depth=layers.depth,
         normal=np.ascontiguousarray(normal, dtype=np.float32), **hit,
     )  # fmt: skip

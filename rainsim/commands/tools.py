@@ -7,16 +7,17 @@ from pathlib import Path
 
 import click
 
-from rainsim.cli import options
-from rainsim.cli.choose import scene_of
-from rainsim.cli.status import Status, tell_compiling, tell_scene
+from rainsim.commands import options
+from rainsim.commands.choose import scene_of
+from rainsim.commands.compile import compiled_beside
+from rainsim.commands.status import Status, say_scene
 
 GROUND_FRAME = "ground_frame.json"
 
 
-@click.command("import", short_help="Read a capture, find its ground.")
+@click.command("import", short_help="Read a capture, find its ground, store both.")
 @click.argument("path", type=click.Path(path_type=Path))
-@click.option("--info", is_flag=True, help="Only tell what PATH holds; writes nothing.")
+@click.option("--info", is_flag=True, help="Only print what PATH holds; write nothing.")
 @options.ground_options
 @options.output_options("NAME-scene")
 def import_(path, info, out, overwrite, threads, as_json, quiet, **given):
@@ -27,7 +28,7 @@ def import_(path, info, out, overwrite, threads, as_json, quiet, **given):
     COLMAP model (sparse/0) beside it. Writes splats.npz, scene.json and ground_frame.json. Put the
     folder where RAINSIM_SCENES points to use it by name.
 
-    With --info it tells counts, degree of spherical harmonics, bounds, percentiles of opacity and
+    With --info it prints counts, degree of spherical harmonics, bounds, percentiles of opacity and
     scale, unusable splats and the memory needed; lengths are in the capture's own units.
 
     \b
@@ -39,13 +40,13 @@ def import_(path, info, out, overwrite, threads, as_json, quiet, **given):
     if info:
         _tell_info(path, as_json)
         return
-    from rainsim.output import Record, claimed, relative
+    from rainsim.output_folder import Record, claimed, relative
     from rainsim.scene.folder import write_scene
     from rainsim.scene.ground import ground_frame_to_dict, write_ground_frame
 
     status = Status(quiet)
     scene = scene_of(path, given)
-    tell_scene(status, scene)
+    say_scene(status, scene)
     frame = scene.ground_frame
     out = out or Path(f"{options.plain(scene.name)}-scene")
     with claimed(out, overwrite):
@@ -123,7 +124,7 @@ def presets(name, as_json):
         rainsim presets
         rainsim presets moderate > mine.toml
     """
-    from rainsim.config import Config, preset_names, preset_text
+    from rainsim.config.settings import Config, preset_names, preset_text
 
     if name is not None:
         settings_of = Config.from_preset(name).as_dict()
@@ -156,18 +157,13 @@ def warmup(quiet):
     Example:
         rainsim warmup
     """
-    status = Status(quiet)
-    from rainsim.config import Config, mm_per_hour
-    from rainsim.pipeline import render_rain
-    from rainsim.scene.cameras import resize_to
-    from rainsim.scene.library import load_scene
+    from rainsim.compiling.start import compile_here
+    from rainsim.compiling.uses import ALL
 
-    tell_compiling(status)
-    scene = load_scene("bicycle")
-    camera = resize_to(scene.cameras[0], 96, 64)
-    config = Config().replace(rate=mm_per_hour(50.0), frames=2, width=96, height=64, spacing=0.05)
-    with status:
-        status.progress("warmup", 0, 2)
-        for done, _ in enumerate(render_rain(scene, [camera], config)):
-            status.progress("warmup", done + 1, 2)
+    status = Status(quiet)
+    with status, compiled_beside(status, ALL) as pool:
+        if pool is None:
+            compile_here(ALL, status.compiling)
+        else:
+            pool.join()
     status.say(f"ready ({status.seconds:.0f} s)")

@@ -86,7 +86,7 @@ def preset_file(name):
             f"there is no preset {name!r}; {nearest(name, preset_names())}; see `rainsim "
             "presets`, or give a path that ends in .toml"
         )
-    file = resources.files("rainsim").joinpath("presets", f"{name}.toml")
+    file = resources.files(__package__).joinpath("presets", f"{name}.toml")
     return file.read_text(encoding="utf-8"), f"preset {name}", None
 
 
@@ -128,7 +128,7 @@ def nearest(name, known, hint="the nearest is {!r}", otherwise="known are {}"):
 
 
 def is_number(value):
-    """Tell whether a value is a number that a float can hold."""
+    """Return whether a value is a number that a float can hold."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         return False
     return isinstance(value, float) or abs(value) < 2**63  # TOML allows any length

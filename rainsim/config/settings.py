@@ -12,16 +12,8 @@ import tomllib
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import rainsim.timeline as timeline
-from rainsim.errors import (
-    InputError,
-    ParameterError,
-    require_choice,
-    require_finite,
-    require_not_negative,
-    require_positive,
-)
-from rainsim.keys import (
+import rainsim.config.timeline as timeline
+from rainsim.config.preset_files import (
     HUMAN_KEYS,
     MM_PER_HOUR,
     SKIES,
@@ -32,6 +24,14 @@ from rainsim.keys import (
     preset_names,
     preset_text,
 )
+from rainsim.errors import (
+    InputError,
+    ParameterError,
+    require_choice,
+    require_finite,
+    require_not_negative,
+    require_positive,
+)
 
 __all__ = [
     "HUMAN_KEYS", "MM_PER_HOUR", "Config", "RainConfig", "RenderConfig", "TerrainConfig",
@@ -41,7 +41,7 @@ __all__ = [
 DEFAULT_PRESET = "drizzle"
 WATER_SCHEMES = ("auto", "paper")
 REFLECTIONS = ("auto", "mirror", "ssr", "traced", "paper")
-# What the paper does instead of the default stands second.
+# Where there are two choices, the second is the paper's.
 FILMS = ("auto", "mirror", "environment")
 REFRACTIONS = ("snell", "shift")
 FRESNELS = ("exact", "schlick")
@@ -74,9 +74,9 @@ def mm_per_hour(rate):
 class TerrainConfig:
     """The height map below the scene."""
 
-    spacing: float | None = None  # m; None: told by splats, cameras and the map's size
-    extent: float | None = None  # m, half the width of the square map; None: told by the cameras
-    slab: float = 0.12  # m about the ground plane that is taken from under tables
+    spacing: float | None = None  # m; None: chosen from splats, cameras and the map's size
+    extent: float | None = None  # m, half the width of the square map; None: chosen from cameras
+    slab: float = 0.12  # m above and below the ground's level within which splats are ground
 
     def check(self):
         """Raise ParameterError if a value breaks its rule."""
@@ -100,8 +100,8 @@ class RainConfig:
     """What falls, and what has fallen before the first frame."""
 
     rate: float = mm_per_hour(10.0)  # m/s, as a gauge on level ground collects it
-    past: float = 3e-3  # m of rain that fell before the first frame and has come to rest
-    drying: float = 0.0  # s since that rain ended: films, pores and puddles have dried so long
+    past: float = 3e-3  # m of rain that fell before the first frame; it stands at rest
+    drying: float = 0.0  # s since the past rain ended; water films, pores and puddles dry meanwhile
     wind: tuple = (0.0, 0.0)  # speed at 10 m [m/s] and the way it goes, from x towards y [rad]
     roughness: float = 0.03  # m, roughness length of the land around: grass; 0: one wind everywhere
     gusts: float = 0.0  # standard deviation of the wind's speed over its mean, 0 to 0.5
@@ -155,9 +155,9 @@ class RainConfig:
 class WaterConfig:
     """Water on the ground."""
 
-    scheme: str = "auto"  # auto: the solver chooses and says which
+    scheme: str = "auto"  # auto: the solver chooses and reports its choice
     level: float | None = None  # m above the 5th percentile of the bed: still water, a flood
-    surface_film: float = 0.0  # 0 clean water to 1 a film of dirt that stops rings soonest
+    surface_film: float = 0.0  # 0 clean water to 1 a film of dirt that damps rings most
     courant: float | None = None  # share of the largest stable time step; None: the scheme's own
 
     def check(self):
@@ -186,10 +186,10 @@ class RenderConfig:
     brightness: float = 1.0  # factor on the graded picture
     wetting: str = "class"  # things darken and gloss by class; none: they stay dry, the paper's
     reflections: str = "auto"  # mirror: one mirrored pass; ssr: march the depth; auto: a mirror
-    # for each level that much water stands at, the march for the rest;
+    # for each level that much water stands at, the march for other water;
     # traced: rays through the splats, slow; paper: march with a point test
-    film: str = "auto"  # on wet ground mirrors a mirrored picture, where that shows; mirror:
-    # always; environment: only what lies around the first camera
+    film: str = "auto"  # wet-ground mirror, drawn where it shows; mirror: always drawn;
+    # environment: wet ground only glosses with the first camera's surroundings
     refraction: str = "snell"  # shift: the image shifted by the normal, the paper's
     fresnel: str = "exact"  # schlick: the paper's approximation
     highlight: str = "cox-munk"  # of the sun; blinn-phong: the paper's (n.h)^p
@@ -261,9 +261,9 @@ class Config:
     fps: float = 24.0  # 1/s
     width: int | None = 648  # px; None: the camera's own
     height: int | None = None  # px; None: follows from the camera's shape
-    frame_range: tuple | None = None  # (first, end), end not included; None: all
+    frame_range: tuple | None = None  # (first, end), end excluded; None: all frames
     threads: int | None = None  # None: all cores
-    keyframes: tuple = ()  # what changes in time, see `rainsim.timeline`
+    keyframes: tuple = ()  # what changes in time, see `rainsim.config.timeline`
 
     def key_times(self):
         """Return the times [s] of the keyframes; a single 0 if there are none."""
@@ -308,7 +308,7 @@ class Config:
 
     @classmethod
     def from_toml(cls, text, where="settings", folder=None):
-        """Return the settings that the TOML `text` gives; the rest keep their defaults.
+        """Return the settings of the TOML `text`; settings not in it keep their defaults.
 
         `where` names the text in errors; a relative sky file is looked for in `folder`.
         """
@@ -332,7 +332,7 @@ class Config:
     def replace(self, **changes):
         """Return the settings with some attributes changed, named without their group (SI units).
 
-        What is changed holds for all times: keyframes no longer say anything about it.
+        A changed setting holds for all times: it is removed from the keyframes.
 
         Raises
         ------
@@ -354,7 +354,7 @@ class Config:
         return dataclasses.replace(self, **top)
 
     def check(self):
-        """Return the settings themselves, or raise ParameterError for the first that is wrong."""
+        """Return `self`, or raise ParameterError for the first value that breaks a rule."""
         self._check_each()
         if self.frame_range is not None:
             self._check_range()
@@ -368,7 +368,7 @@ class Config:
         return self
 
     def _check_each(self):
-        """Check every value but those that depend on another group's."""
+        """Check every value by itself; `check` compares values of different groups."""
         for time in self.key_times() if self.keyframes else ():
             try:
                 self.at(time)._check_each()
@@ -400,7 +400,7 @@ class Config:
 
     @classmethod
     def from_dict(cls, groups):
-        """Return the settings that `as_dict` gave, exactly, also after a way through JSON."""
+        """Return the Config of an `as_dict` result, exactly, also if it was stored as JSON."""
         flat = {name: value for name, value in groups.items() if name not in _GROUPS}
         for group in _GROUPS:
             flat.update(groups.get(group, {}))

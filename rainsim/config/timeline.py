@@ -1,7 +1,7 @@
 """Timelines: settings that change in time, as keyframes, and how they are read and interpolated.
 
-A keyframe names a time and the settings that hold from there on; between two keyframes a setting
-goes linearly from one to the other. Without keyframes a configuration is a timeline of one.
+A keyframe names a time and the settings that hold from then on; between two keyframes a setting
+is interpolated linearly. A configuration without keyframes is steady.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ def check_keyframes(frames, where="keyframes"):
 
 
 def plain(frames):
-    """Return keyframes with tuples for the lists that JSON makes of them."""
+    """Return keyframes that were read from JSON with tuples in place of lists."""
     return tuple(
         (time, tuple((name, tuple(v) if isinstance(v, list) else v) for name, v in changes))
         for time, changes in frames
@@ -74,7 +74,7 @@ def plain(frames):
 
 
 def without(frames, names):
-    """Return the keyframes without the settings `names`, which are then steady."""
+    """Return the keyframes without the settings `names`, which become steady."""
     return tuple(
         (time, tuple((name, value) for name, value in changes if name not in names))
         for time, changes in frames
@@ -84,7 +84,7 @@ def without(frames, names):
 def values_at(frames, base, time):
     """Return the settings, a dict of SI values, that the keyframes give at `time` [s].
 
-    `base(name)` is what holds where no keyframe has set a name yet.
+    `base(name)` is the value that holds before the first keyframe that sets `name`.
     """
     names = {name for _, changes in frames for name, _ in changes}
     return {name: _value(frames, name, base(name), time) for name in sorted(names)}

@@ -1,11 +1,11 @@
 """Twins of the hot loops for NVIDIA GPUs: `--backend cuda`.
 
-Optional: `pip install rainsim[cuda]` and a driver. Nothing here is imported before it is asked for;
-what cannot run says what is missing and never falls back on the CPU.
+Optional: `pip install rainsim[cuda]` and a driver. These modules are imported only for the backend
+"cuda". Where it cannot run, an error names what is missing; there is no fallback to the CPU.
 
-The twins call the scalar formulas of the CPU kernels and differ in how the work is laid out:
-`raster` (splatting), `water`, `ripples`, `drops`, `streaks`, `shading` and `march` hold kernels,
-`frame` puts them into one queue that does not visit the host before the picture is finished.
+A twin stands at the path of its CPU module, calls the same scalar formulas and differs in how the
+work is shared out. `rainsim.cuda.render.renderer` puts the kernels of a frame into queues that run
+on the device until the picture is finished.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ def simulated():
 
 
 def trouble():
-    """Return what keeps the CUDA backend from running here, with the remedy; None if nothing."""
+    """Return why the CUDA backend cannot run here, with the remedy; None if it can."""
     if simulated():
         return None
     for package in ("numba_cuda", "cuda.compute"):

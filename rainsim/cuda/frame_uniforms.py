@@ -1,7 +1,8 @@
 """Small arrays that change from frame to frame, sent to the device in one copy.
 
-The next frame's are set while the last one is drawn, so what the copy reads is filled late: by
-`commit`, which a recorded queue calls for all that it sends.
+The host sets the next frame's values while the device still draws the frame before, which may copy
+late. So the copy reads a pinned buffer of its own, which `commit` fills: a recorded queue calls it
+for all uniforms that it sends, just before it is launched.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ _recorded = []  # lists of those sent while a queue is recorded, see `recording`
 
 @contextlib.contextmanager
 def recording():
-    """Give the list of the `Numbers` that are sent until its end."""
+    """Yield the list of the `FrameUniforms` that are sent inside the context."""
     _recorded.append([])
     try:
         yield _recorded[-1]
@@ -26,7 +27,7 @@ def recording():
         _recorded.pop()
 
 
-class Numbers:
+class FrameUniforms:
     """Named arrays, on the host in `host` and on the device in `device`, at fixed addresses.
 
     A captured graph reads what `commit` has last copied.
@@ -58,12 +59,12 @@ class Numbers:
         return self.device[name]
 
     def update(self, **values):
-        """Set arrays on the host; `send` brings them to the device."""
+        """Set arrays on the host; `send` copies them to the device."""
         for name, value in values.items():
             self.host[name][...] = value
 
     def commit(self):
-        """Let the next copy to the device be of what is set now; the last one must be done."""
+        """Fill the pinned buffer with the present values; its last copy must be finished."""
         self._bytes[...] = self._set
 
     def send(self, stream=None):

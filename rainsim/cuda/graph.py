@@ -1,18 +1,18 @@
-"""A queue of copies and launches recorded once and repeated with one call (a CUDA graph).
+"""A queue of copies and launches, recorded once and replayed with one call: a CUDA graph.
 
 A launch through numba costs the host 20 to 60 us; a whole recorded frame costs a few. What is
-recorded is fixed: numbers that change lie in pinned arrays that the recorded copies read anew.
+recorded is fixed: values that change lie in pinned arrays, which recorded copies read each time.
 """
 
 from __future__ import annotations
 
+from rainsim.cuda.frame_uniforms import recording
 from rainsim.cuda.jit import SIMULATED, cuda
-from rainsim.cuda.numbers import recording
 from rainsim.errors import BackendError
 
 
 class Graph:
-    """Work on a stream, recorded; in the simulator it is simply done again.
+    """Work on a stream, recorded; in the simulator `launch` calls the function again.
 
     Parameters
     ----------
@@ -32,30 +32,30 @@ class Graph:
         self._handle = driver.CUstream(stream.__cuda_stream__()[1])
         mode = driver.CUstreamCaptureMode.CU_STREAM_CAPTURE_MODE_RELAXED
         stream.synchronize()
-        self._done(driver.cuStreamBeginCapture(self._handle, mode))
+        self._checked(driver.cuStreamBeginCapture(self._handle, mode))
         try:
             with recording() as self._sent:
                 queue()
         finally:
-            recorded = self._done(driver.cuStreamEndCapture(self._handle))
-        self._run = self._done(driver.cuGraphInstantiate(recorded, 0))
-        self._done(driver.cuGraphDestroy(recorded))
+            recorded = self._checked(driver.cuStreamEndCapture(self._handle))
+        self._run = self._checked(driver.cuGraphInstantiate(recorded, 0))
+        self._checked(driver.cuGraphDestroy(recorded))
         self._done_before = cuda.event()
         self._done_before.record(stream)
 
     def launch(self):
-        """Queue the recorded work once more, with the numbers that are set now."""
+        """Queue the recorded work once more, with the uniforms that are set now."""
         if SIMULATED:
             self._queue()
             return
-        self._done_before.synchronize()  # what is still to be copied must stay
-        for numbers in self._sent:
-            numbers.commit()
-        self._done(self._driver.cuGraphLaunch(self._run, self._handle))
+        self._done_before.synchronize()  # its copies may still read the pinned arrays
+        for uniforms in self._sent:
+            uniforms.commit()
+        self._checked(self._driver.cuGraphLaunch(self._run, self._handle))
         self._done_before.record(self._stream)
 
     def wait(self):
-        """Wait until what was launched last is done."""
+        """Wait until the last launch is finished."""
         if not SIMULATED:
             self._done_before.synchronize()
 
@@ -64,8 +64,8 @@ class Graph:
             self._driver.cuGraphExecDestroy(self._run)
 
     @staticmethod
-    def _done(result):
-        """Return what a call of the driver gave, or raise if it failed."""
+    def _checked(result):
+        """Return the values of a driver's call, or raise if it failed."""
         code, *values = result
         if int(code) != 0:
             raise BackendError(f"the CUDA driver answered {code.name} to a recorded frame")

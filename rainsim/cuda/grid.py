@@ -10,14 +10,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from rainsim.cuda import account, lean
+from rainsim.cuda.frame_uniforms import FrameUniforms
 from rainsim.cuda.jit import cuda
-from rainsim.cuda.numbers import Numbers
+from rainsim.cuda.water import flow as lean
+from rainsim.cuda.water import step_control
 from rainsim.errors import DivergedError, ParameterError
-from rainsim.grid.conserving import PAD
-from rainsim.grid.conserving_flow import EDGES
-from rainsim.grid.solver import DRY_DEPTH
-from rainsim.grid.sources import drawn_off
+from rainsim.grid import DRY_DEPTH
+from rainsim.water.conserving import PAD
+from rainsim.water.conserving_flow import EDGES
+from rainsim.water.sources import drain_cells
 
 CAPACITY = 12  # steps queued for a frame
 
@@ -28,8 +29,7 @@ class Water:
     Parameters
     ----------
     solver : WaterSolver
-        Of scheme "lean" and float32; its state is copied and it is left alone. Inflow,
-        evaporation and infiltration that wanes are not taken over.
+        Of scheme "lean" and float32; its state is copied.
     exposure : ndarray of shape (ny, nx), float32, or None
         Share of the rain that falls on each cell; None for 1.
     capacity : int
@@ -41,7 +41,7 @@ class Water:
     depth : device array of shape (ny, nx), float32 [m]
         Depth above the bed, film included, at the last frame's end: one of `depths`, `page`.
     waiting : device array of shape ((ny + 5) * width,), int64
-        Depth of drops that fell since, in `account.UNIT`.
+        Depth of drops that fell since, in `step_control.UNIT`.
     first, width : int
         Where the first cell is in `waiting`, and from one row to the next.
 
@@ -52,7 +52,7 @@ class Water:
     """
 
     def __init__(self, solver, exposure=None, capacity=CAPACITY, stream=0):
-        flow = solver._flow
+        flow = solver.flow
         _require_lean(solver, flow)
         self.shape, self.spacing = solver.shape, solver.spacing
         self.stream, self.capacity = stream, capacity
@@ -62,57 +62,77 @@ class Water:
         ones = np.ones(self.shape, np.float32)
         self._exposure = ones if exposure is None else np.asarray(exposure, np.float32)
         self._rate = None
-        self._kinds = sum(1 << k for k, is_open in enumerate(flow._kinds) if is_open)
-        rough = np.zeros_like(flow.h) if flow._roughness is None else flow._roughness
-        self._limits = [np.float32(v) for v in (solver.gravity, flow._rest, flow._dry)]
-        self.width = account.pitch(nx)
-        self.first = PAD * self.width + PAD + account.LEAD
+        open_edges = sum(1 << k for k, is_open in enumerate(flow.edge_is_open) if is_open)
+        rough = np.zeros_like(flow.h) if flow.roughness is None else flow.roughness
+        self._limits = lean.Limits(*map(np.float32, (solver.gravity, flow.rounding, flow.dry)))
+        self.width = step_control.pitch(nx)
+        self.first = PAD * self.width + PAD + step_control.LEAD
         fields = np.stack([self._framed(a) for a in (flow.h, flow.u, flow.v)])
         self._fields = cuda.to_device(np.stack([fields, fields]).reshape(-1), stream)
         takes = _what_the_ground_takes(solver)
-        maps = flow.bed, rough, np.pad(self._exposure, PAD), takes, solver._storage
-        maps = *maps, flow.damp, solver._film
-        *self._maps, self._damp, self._film = (
+        maps = flow.bed, rough, np.pad(self._exposure, PAD), takes, solver.storage
+        maps = *maps, flow.remainder, solver.film
+        *maps, self._remainder, self._film = (
             cuda.to_device(self._framed(field).reshape(-1), stream) for field in maps
         )
+        self._maps = lean.Maps(*maps)
         self.waiting = cuda.to_device(np.zeros((ny + 1) * self.width, np.int64), stream)
         depth = np.ascontiguousarray(solver.depth)
         self.depths = [cuda.to_device(depth, stream) for _ in range(2)]
         self.turn_page(0)
         self._wide = (nx - 2 * PAD + lean.THREADS - 1) // lean.THREADS
-        self._rows = lean.rows_for(ny - 2 * PAD, self._wide)
-        self._high = -(-(ny - 2 * PAD) // self._rows)
-        side = (nx - 2 * PAD + account.SIDE - 1) // account.SIDE
-        height = (ny - 2 * PAD + account.HEIGHT - 1) // account.HEIGHT
-        self._stripes = (side, -(-height // account.STRIPE))
+        rows = lean.rows_for(ny - 2 * PAD, self._wide)
+        self._layout = lean.Layout(ny, nx, self.width, rows, open_edges)
+        self._high = -(-(ny - 2 * PAD) // rows)
+        side = (nx - 2 * PAD + step_control.SIDE - 1) // step_control.SIDE
+        height = (ny - 2 * PAD + step_control.HEIGHT - 1) // step_control.HEIGHT
+        self._stripes = (side, -(-height // step_control.STRIPE))
         blocks = max(self._wide * self._high, side * height)
-        self._partial = cuda.to_device(np.zeros((account.PARTIAL, blocks)), stream)
+        self._partial = cuda.to_device(np.zeros((step_control.PARTIAL, blocks)), stream)
         self._begin(solver, flow)
 
     def _begin(self, solver, flow):
         numbers = np.zeros(7)
-        numbers[account.SPACING], numbers[account.GRAVITY] = solver.spacing, solver.gravity
-        numbers[account.VISCOSITY], numbers[account.COURANT] = flow._viscosity, solver.courant
-        numbers[account.FLOOR], numbers[account.LOSES] = flow._floor, float(solver._loses())
-        numbers[account.STORES] = float(solver._stores)
-        control = np.zeros(account.CONTROL)
-        control[account.CAP] = flow.cap
+        numbers[step_control.SPACING], numbers[step_control.GRAVITY] = (
+            solver.spacing,
+            solver.gravity,
+        )
+        numbers[step_control.VISCOSITY], numbers[step_control.COURANT] = (
+            flow.viscosity,
+            solver.courant,
+        )
+        numbers[step_control.FLOOR], numbers[step_control.LOSES] = (
+            flow.lowest_bed,
+            float(solver.has_losses),
+        )
+        numbers[step_control.STORES] = float(solver.has_storage)
+        control = np.zeros(step_control.CONTROL)
+        control[step_control.CAP] = flow.cap
         area, there = solver.spacing**2, self._ledger
-        control[account.GROUND], control[account.FILM] = there.ground / area, there.film / area
-        control[account.REACH_NOW], control[account.SWIFT_NOW] = flow.reach, flow.swift
-        state = np.zeros(account.STATE, np.int32)
-        state[account.WAITS], state[account.SETTLED] = int(flow._waits), int(solver._settled)
+        control[step_control.GROUND], control[step_control.FILM] = (
+            there.ground / area,
+            there.film / area,
+        )
+        control[step_control.REACH_NOW], control[step_control.SWIFT_NOW] = (
+            flow.wave_speed,
+            flow.water_speed,
+        )
+        state = np.zeros(step_control.STATE, np.int32)
+        state[step_control.WAITS], state[step_control.SETTLED] = (
+            int(flow.is_at_whole_step),
+            int(solver.settled),
+        )
         self._courant = solver.courant
         self._numbers = cuda.to_device(numbers, self.stream)
         self._control = cuda.to_device(control, self.stream)
         self._state = cuda.to_device(state, self.stream)
-        self._numbers_now = Numbers(self.stream, {"now": ((account.NOW,), np.float64)})
+        self._numbers_now = FrameUniforms(self.stream, {"now": ((step_control.NOW,), np.float64)})
         self._now = self._numbers_now["now"]
 
     def _framed(self, field):
         """Return a map as the device has it, (ny + 1, width), float32."""
         framed = np.zeros((self._size[0] + 1, self.width), np.float32)
-        framed[: field.shape[0], account.LEAD : account.LEAD + field.shape[1]] = field
+        framed[: field.shape[0], step_control.LEAD : step_control.LEAD + field.shape[1]] = field
         return framed
 
     def turn_page(self, page):
@@ -121,7 +141,7 @@ class Water:
 
     def deposit(self, rows, columns, volumes):
         """Let drops wait for the next frame: arrays of rows, columns and volumes [m3]."""
-        depth = np.asarray(volumes, np.float64) / (self.spacing**2 * account.UNIT)
+        depth = np.asarray(volumes, np.float64) / (self.spacing**2 * step_control.UNIT)
         cells = self._cells(rows, columns)
         waiting = self.waiting.copy_to_host(stream=self.stream)
         np.add.at(waiting, cells, np.rint(depth).astype(np.int64))
@@ -130,16 +150,18 @@ class Water:
     def withdraw(self, rows, columns, volumes):
         """Drain up to `volumes` [m3] of free water from cells, none of them named twice; waits."""
         cells, depth = self._cells(rows, columns), np.asarray(volumes) / self.spacing**2
-        state, control, fields, damp = (
+        state, control, fields, remainder = (
             array.copy_to_host(stream=self.stream)
-            for array in (self._state, self._control, self._fields, self._damp)
+            for array in (self._state, self._control, self._fields, self._remainder)
         )
         self.stream.synchronize()
-        here = 3 * len(damp) * state[account.PARITY] + cells
-        fields[here], damp[cells], taken = drawn_off(fields[here], damp[cells], depth, DRY_DEPTH)
-        control[account.DRAINED] += taken
+        here = 3 * len(remainder) * state[step_control.PARITY] + cells
+        fields[here], remainder[cells], taken = drain_cells(
+            fields[here], remainder[cells], depth, DRY_DEPTH
+        )
+        control[step_control.DRAINED] += taken
         for array, values in (
-            (self._control, control), (self._fields, fields), (self._damp, damp)
+            (self._control, control), (self._fields, fields), (self._remainder, remainder)
         ):  # fmt: skip
             array.copy_to_device(values, stream=self.stream)
 
@@ -150,20 +172,20 @@ class Water:
     def update(self, duration, rate=0.0, added=True):
         """Say what the next frame is: its length [s], the rain [m/s], whether drops fell."""
         now = self._numbers_now.host["now"]
-        now[account.DURATION], now[account.ADDED] = duration, float(added)
+        now[step_control.DURATION], now[step_control.ADDED] = duration, float(added)
         if rate != self._rate:
             rain = np.float32(rate) * self._exposure
-            now[account.RATE], now[account.RAIN_SUM] = rate, rain.sum(dtype=np.float64)
-            now[account.RAIN_STEP] = np.inf
+            now[step_control.RATE], now[step_control.RAIN_SUM] = rate, rain.sum(dtype=np.float64)
+            now[step_control.RAIN_STEP] = np.inf
             if rate > 0.0:
                 most = self._numbers_gravity * float(rain.max())
                 room = self._courant * self.spacing
-                now[account.RAIN_STEP] = room ** (2 / 3) / most ** (1 / 3)
+                now[step_control.RAIN_STEP] = room ** (2 / 3) / most ** (1 / 3)
             self._rate = rate
 
     @property
     def _numbers_gravity(self):
-        return float(self._limits[0])
+        return float(self._limits.gravity)
 
     def launch(self):
         """Queue a frame: drops, steps, the account. No visit to the host."""
@@ -182,35 +204,34 @@ class Water:
 
     def take_in(self):
         """Queue the taking in of drops that wait."""
-        account.take_in[self._stripes, (account.SIDE, account.HEIGHT), self.stream](
-            self._state, self._now, self.waiting, self._maps[4], *self._size, self.width,
-            DRY_DEPTH, self._fields, self._damp, self._film, self._partial,
+        step_control.take_in[self._stripes, (step_control.SIDE, step_control.HEIGHT), self.stream](
+            self._state, self._now, self.waiting, self._maps.storage, *self._size, self.width,
+            DRY_DEPTH, self._fields, self._remainder, self._film, self._partial,
         )  # fmt: skip
 
     def refresh(self):
         """Queue the plan of a frame's first step."""
-        account.refresh[self._stripes, (account.SIDE, account.HEIGHT), self.stream](
-            self._control, self._state, self._now, self._numbers, self._fields, self._maps[0],
+        step_control.refresh[self._stripes, (step_control.SIDE, step_control.HEIGHT), self.stream](
+            self._control, self._state, self._now, self._numbers, self._fields, self._maps.bed,
             *self._size, self.width,
         )  # fmt: skip
 
     def step(self):
         """Queue a step."""
         lean.step[(self._wide, self._high), lean.THREADS, self.stream](
-            self._control, self._state, self._now, self._numbers, *self._maps, *self._size,
-            self.width, self._rows, self._kinds, *self._limits, self._fields, self._damp,
-            self._film, self.depth, self._partial,
+            self._control, self._state, self._now, self._numbers, self._maps, self._layout,
+            self._limits, self._fields, self._remainder, self._film, self.depth, self._partial,
         )  # fmt: skip
 
     def close(self):
         """Queue the account at a frame's end."""
-        account.close[account.PARTIAL, account.CLOSERS, self.stream](
+        step_control.close[step_control.PARTIAL, step_control.CLOSERS, self.stream](
             self._control, self._state, self._partial.shape[1], 1 / self.spacing, self._partial
         )
 
     def missing(self):
         """Return the time [s] of the frame that the queued steps did not reach; waits for them."""
-        return float(self._control.copy_to_host(stream=self.stream)[account.LEFT])
+        return float(self._control.copy_to_host(stream=self.stream)[step_control.LEFT])
 
     def advance(self, duration, rate=0.0, added=True):
         """Advance by `duration` [s] and wait; return the number of steps.
@@ -225,15 +246,15 @@ class Water:
         while self.missing() > 0.0:
             self.go_on()
         state = self._state.copy_to_host(stream=self.stream)
-        if state[account.UNSOUND] or not np.isfinite(self.ledger().ground):
+        if state[step_control.UNSOUND] or not np.isfinite(self.ledger().ground):
             raise DivergedError(
                 "the water on the CUDA device is faster than water can be; use a smaller courant "
                 f"than {self._courant:g}"
             )
-        return int(state[account.SUBSTEPS])
+        return int(state[step_control.SUBSTEPS])
 
     def control(self):
-        """Return the device's account, see `cuda.account`; waits for it."""
+        """Return the device's account, see `cuda.water.step_control`; waits for it."""
         return self._control.copy_to_host(stream=self.stream)
 
     def ledger(self, control=None):
@@ -243,20 +264,21 @@ class Water:
         area, before = self.spacing**2, self._ledger
         return replace(
             before,
-            rain=before.rain + area * float(control[account.RAINED] + control[account.DROPPED]),
-            outflow=before.outflow + area * float(control[account.OUTFLOW]),
-            infiltrated=before.infiltrated + area * float(control[account.INFILTRATED]),
-            drained=before.drained + area * float(control[account.DRAINED]),
-            ground=area * float(control[account.GROUND]),
-            film=area * float(control[account.FILM]),
+            rain=before.rain
+            + area * float(control[step_control.RAINED] + control[step_control.DROPPED]),
+            outflow=before.outflow + area * float(control[step_control.OUTFLOW]),
+            infiltrated=before.infiltrated + area * float(control[step_control.INFILTRATED]),
+            drained=before.drained + area * float(control[step_control.DRAINED]),
+            ground=area * float(control[step_control.GROUND]),
+            film=area * float(control[step_control.FILM]),
         )
 
     def fields(self):
         """Return depth (ny, nx), u (ny, nx + 1) and v (ny + 1, nx) as host arrays; waits."""
-        parity = self._state.copy_to_host(stream=self.stream)[account.PARITY]
+        parity = self._state.copy_to_host(stream=self.stream)[step_control.PARITY]
         fields = self._fields.copy_to_host(stream=self.stream)
         _, u, v = fields.reshape(2, 3, -1, self.width)[parity]
-        west, depth = account.LEAD + PAD, self.depth.copy_to_host(stream=self.stream)
+        west, depth = step_control.LEAD + PAD, self.depth.copy_to_host(stream=self.stream)
         east = west + self.shape[1]
         return depth, u[PAD : -PAD - 1, west : east + 1], v[PAD:-PAD, west:east]
 
@@ -269,8 +291,8 @@ def _what_the_ground_takes(solver):
     ParameterError
         If a drain lies in ground that takes water by itself.
     """
-    takes = solver._infiltration.copy()
-    for row, column, rate in zip(*solver._drains, strict=True):
+    takes = solver.infiltration.copy()
+    for row, column, rate in zip(*solver.drains, strict=True):
         if takes[row + PAD, column + PAD] > 0:
             raise ParameterError(
                 f"the drain in cell ({row}, {column}) lies in ground that takes water by itself; a "
@@ -282,17 +304,11 @@ def _what_the_ground_takes(solver):
 
 def _require_lean(solver, flow):
     """Raise ParameterError for what the device's solver does not have."""
-    if not getattr(flow, "_lean", False) or flow.h.dtype != np.float32:
+    if not getattr(flow, "is_lean", False) or flow.h.dtype != np.float32:
         raise ParameterError(
             f"the water scheme is {solver.scheme!r} in {flow.h.dtype}; on a CUDA device it must be "
             '"lean" in float32'
         )
-    for name, there in (
-        ("inflow", flow._inflow), ("evaporation", solver._dries),
-        ("infiltration that wanes", solver._wanes),
-    ):  # fmt: skip
-        if there:
-            raise ParameterError(f'a CUDA device has no {name}; leave it out or use backend "cpu"')
 
 
-assert EDGES == ("west", "east", "south", "north")  # the order of the bits in `kinds`
+assert EDGES == ("west", "east", "south", "north")  # the order of the bits in `open_edges`

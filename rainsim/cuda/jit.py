@@ -1,8 +1,8 @@
 """Compiler options and intrinsics of the CUDA twins: the only module that names either.
 
 `cuda_kernel` keeps NaN and infinity, as the CPU kernels do; `fast_kernel` assumes there are none.
-In numba's simulator the intrinsics are plain Python; warp instructions have no stand-in there, so
-kernels that need them have a plain brother.
+In numba's simulator the intrinsics are plain Python. The simulator has no warp instructions, so
+kernels that use them have a second version without.
 """
 
 from __future__ import annotations
@@ -20,7 +20,8 @@ import numba  # noqa: E402
 from numba import cuda, types  # noqa: E402
 
 SIMULATED = bool(cuda.config.ENABLE_CUDASIM)
-# Small maps and pictures are no mistake; numba reads the environment again when that changes.
+# Small maps and pictures are legitimate, so numba must not warn of low occupancy. Numba reads the
+# environment again when it changes, so the variable is set too.
 os.environ["NUMBA_CUDA_LOW_OCCUPANCY_WARNINGS"] = "0"
 cuda.config.CUDA_LOW_OCCUPANCY_WARNINGS = 0
 WARP = 32
@@ -38,10 +39,11 @@ def _kernel(**options):
 
 cuda_kernel = _kernel(cache=not SIMULATED)
 fast_kernel = _kernel(cache=not SIMULATED, fastmath=True)
-# With fewer registers than the compiler would take, so that more threads are there at once.
+# Fewer registers a thread than the compiler would use, so that more warps are resident at once.
 _TIGHT = {} if SIMULATED else {"max_registers": 96}
 tight_kernel = _kernel(cache=not SIMULATED, fastmath=True, **_TIGHT)
-# Functions that only kernels of the twins call; the formulas shared with the CPU need neither.
+# For functions that only the twins' kernels call. Formulas shared with the CPU need no decorator
+# from here.
 _INLINED = {} if SIMULATED else {"forceinline": True}
 cuda_device = cuda.jit(device=True)
 fast_device = cuda.jit(device=True, fastmath=True, **_INLINED)
@@ -138,7 +140,7 @@ else:
 
 
 def pinned(shape, dtype):
-    """Return a zeroed host array that copies without visiting pageable memory."""
+    """Return a zeroed host array in page-locked memory, which the device can copy to directly."""
     array = np.zeros(shape, dtype) if SIMULATED else cuda.pinned_array(shape, dtype)
     array[...] = 0
     return array

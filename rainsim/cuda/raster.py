@@ -14,12 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from rainsim import raster
-from rainsim.cuda import blend, project
+from rainsim.cuda.frame_uniforms import FrameUniforms
 from rainsim.cuda.jit import SIMULATED, cuda, pinned
-from rainsim.cuda.numbers import Numbers
+from rainsim.cuda.splatting import blend, project
 from rainsim.errors import ParameterError, require_choice
-from rainsim.raster.prepared import LANES, OPACITY
-from rainsim.raster.project import FRUSTUM_MARGIN, NO_PLANE, TILE
+from rainsim.splatting.prepared import LANES, OPACITY
+from rainsim.splatting.project import FRUSTUM_MARGIN, NO_PLANE, TILE
 
 ROOM = 1.06  # entries there is room for, over the number that a picture had
 MOST_ROOM = 1.5  # over what there should be, up to which it is left
@@ -178,7 +178,7 @@ class Rasterizer:
         self.splats = prepared if isinstance(prepared, DeviceSplats) else DeviceSplats(prepared)
         self.stream = cuda.stream() if stream is None else stream
         self.plain = plain or SIMULATED
-        self._camera = Numbers(self.stream, {"now": ((project.CAMERA,), np.float32)})
+        self._camera = FrameUniforms(self.stream, {"now": ((project.CAMERA,), np.float32)})
         self._numbers, self._now = self._camera.host["now"], self._camera["now"]
         self._count = pinned(1, np.int32)
         self._total = cuda.device_array(1, np.int32)
@@ -193,7 +193,7 @@ class Rasterizer:
     ):  # fmt: skip
         """Return the `Layers` that `camera` sees, on the host; see `rainsim.raster`.
 
-        Hits are not told here: they raise ParameterError.
+        Hits are not reported on this backend: to ask for them raises ParameterError.
         """
         if hit:
             raise ParameterError("hit is asked for; only the CPU has it; use backend cpu")
@@ -332,7 +332,7 @@ class Rasterizer:
         return self.entries > self._capacity
 
     def is_tight(self):
-        """Return whether room should be made anew for the next picture of a moving camera.
+        """Return whether room should be allocated again for the next picture of a moving camera.
 
         It may find too little, or this one took far less than there was: all of it is sorted.
         """
@@ -349,7 +349,7 @@ class Rasterizer:
 
     @property
     def queue(self):
-        """What a recorded queue of launches depends on: when it changes, record anew."""
+        """What a recorded queue of launches depends on: when it changes, record again."""
         return self._size, self._kind, self._bands, self._capacity, self.workspace.version
 
     @property

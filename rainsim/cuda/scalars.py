@@ -12,8 +12,7 @@ import numpy as np
 from numba import cuda, types
 from numba.extending import overload
 
-from rainsim.grid.conserving import quotient
-from rainsim.grid.paper import cube_root
+from rainsim.numerics.approximations import cube_root, quotient
 
 _THIRD = np.float32(1 / 3)
 _SAME = {

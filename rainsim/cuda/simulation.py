@@ -19,19 +19,21 @@ from dataclasses import replace
 import numpy as np
 
 from rainsim import simulation as host
-from rainsim.cuda import account
-from rainsim.cuda.drips import Drips, volumes
-from rainsim.cuda.drops import VOLUME_UNIT
 from rainsim.cuda.graph import Graph
+from rainsim.cuda.grid import Water
 from rainsim.cuda.jit import cuda, pinned
-from rainsim.cuda.recent import RecentImpacts
-from rainsim.cuda.ripples import Ripples
-from rainsim.cuda.water import Water
-from rainsim.drips import DRIP_COLUMNS
+from rainsim.cuda.rain.dripping import Drips, volumes
+from rainsim.cuda.rain.impact_history import RecentImpacts
+from rainsim.cuda.rain.settling import VOLUME_UNIT
+from rainsim.cuda.water import step_control
+from rainsim.cuda.water.ripples import Ripples
+from rainsim.drops import Weather
 from rainsim.errors import DivergedError
-from rainsim.moments import ripple_moments
-from rainsim.ripples import RippleTile, mean_chord
-from rainsim.weather import Weather
+from rainsim.rain.dripping import DRIP_COLUMNS
+from rainsim.rain.exposure import rain_exposure
+from rainsim.reflection.slope_moments import ripple_moments
+from rainsim.water.keyframes import level_changes, past_rain_growth
+from rainsim.water.ripples import RippleTile, mean_chord
 
 
 class DeviceState:
@@ -61,7 +63,9 @@ class DeviceState:
 
     @property
     def moments(self):
-        """Of the ripples' slopes, see `rainsim.moments`: device array (n, n + n // 2, 5)."""
+        """Of the ripples' slopes, see `reflection.slope_moments`: device array (n, n + n // 2,
+        5).
+        """
         return self._there().ripples.pages[self.page]
 
     @property
@@ -109,11 +113,11 @@ class Simulation:
         self.stream = cuda.stream()
         self.weather = Weather(config)
         surfaces = host.surfaces_of(terrain)
-        exposure = host.rain_exposure(terrain, host.usual_wind(config), config.rain.roughness)
+        exposure = rain_exposure(terrain, host.usual_wind(config), config.rain.roughness)
         start = config.at(0.0)
         depth, self.notes = host.initial_water(terrain, start, exposure)
-        self._quick = host.quick_rain(terrain, config, exposure)
-        self._follow = host.moving_level(terrain, config)
+        self._puddle_growth = past_rain_growth(terrain, config, exposure)
+        self._level_change = level_changes(terrain, config)
         solver = host.water_solver(terrain, start)
         solver.set_state(depth)
         tile = RippleTile(
@@ -125,7 +129,7 @@ class Simulation:
         )
         open_area = float(exposure.sum()) * terrain.grid.cell_area
         self._objects = host.Objects(surfaces, start)
-        host._warm_up(tile, self._objects, self.weather, surfaces)
+        host.warm_up(tile, self._objects, self.weather, surfaces)
         self._objects.open_account()
         self._first_slopes = tile.slopes()
         interval = 1 / config.fps
@@ -143,7 +147,7 @@ class Simulation:
                 self._objects.drips, self.impacts, rate, interval, config.rain.roughness,
                 self.stream,
             )  # fmt: skip
-        self._control = pinned(account.CONTROL, np.float64)
+        self._control = pinned(step_control.CONTROL, np.float64)
         self._obstacles = pinned(1, np.int64)
         self._ready, self._listed, self._forked, self._joined = (cuda.event() for _ in range(4))
         self._drawn = cuda.event(), cuda.event()  # with either page
@@ -173,10 +177,10 @@ class Simulation:
         if index == 0:
             self._show_first_slopes()
         else:
-            if self._quick is not None:
-                self.water.deposit(*self._quick(*self._interval))
-            if self._follow is not None:
-                self._objects.let_in(self.water, *self._follow(*self._interval))
+            if self._puddle_growth is not None:
+                self.water.deposit(*self._puddle_growth(*self._interval))
+            if self._level_change is not None:
+                self._objects.let_in(self.water, *self._level_change(*self._interval))
             self._listed.wait(self.stream)
             self._drawn[page].wait(self.stream)
             if index == 1:
@@ -211,7 +215,7 @@ class Simulation:
         if index == 0:
             self._accounts[0] = self.water.control(), *self._of_objects()
             return
-        while self._control[account.LEFT] > 0.0:
+        while self._control[step_control.LEFT] > 0.0:
             self.water.go_on()
             self.water._control.copy_to_host(self._control, stream=self.stream)
             self.stream.synchronize()
@@ -225,7 +229,7 @@ class Simulation:
 
     def _of_objects(self):
         """Return what came to objects, the account of drips or None, and what rose; finished."""
-        drips = None if self.drips is None else self.drips.told.copy()
+        drips = None if self.drips is None else self.drips.account.copy()
         return int(self._obstacles[0]), drips, self._objects.inflow
 
     def _show_first_slopes(self):
@@ -301,7 +305,7 @@ class Simulation:
             held, airborne, returned, fine = volumes(drips)
             came += fine
         ledger = self.water.ledger(control)
-        return self._objects.booked(ledger, came, returned, held, airborne, inflow)
+        return self._objects.with_objects(ledger, came, returned, held, airborne, inflow)
 
 
 def simulate(terrain, config, progress=None):

@@ -1,18 +1,18 @@
 """Warps: 32 threads, lanes, that work on one thing together. In the simulator a warp is one lane.
 
 Most marks in a picture are short: a quarter of a warp, a group, draws one; a whole warp draws a
-large one. A block of threads is a row of lanes by as many groups. Also the stand-ins, for CUDA, of
-what `rainsim.marks` leaves open: how a mark is shared between lanes, and how numbers are added to a
-picture that all threads draw in.
+large one. A block of threads is a row of lanes by as many groups. This module also replaces, on
+CUDA, the functions of `particles.line_raster` and `particles.crown` by which threads share a mark
+and add to a picture that all threads draw in.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from rainsim import crowns, marks
 from rainsim.cuda.jit import FULL, SIMULATED, cuda
 from rainsim.cuda.scalars import bits_of
+from rainsim.particles import crown, line_raster
 
 GROUP = 1 if SIMULATED else 8  # lanes that share a mark, or a cube's drops
 THREADS = 4 if SIMULATED else 128  # of a block
@@ -43,7 +43,7 @@ if SIMULATED:
         return value
 
     @cuda.jit(device=True)
-    def take_place(counter, which, wants):
+    def claim_row(counter, which, wants):
         """Count the lanes of the warp that want a place in a list; return the lane's place."""
         return cuda.atomic.add(counter, which, 1) if wants else 0
 
@@ -77,7 +77,7 @@ else:
         return value
 
     @cuda.jit(device=True)
-    def take_place(counter, which, wants):
+    def claim_row(counter, which, wants):
         """Count the lanes of the warp that want a place in a list; return the lane's place."""
         mask = np.uint32(ballot(wants))
         first = 0
@@ -87,15 +87,15 @@ else:
         before = np.uint32((np.int64(1) << np.int64(cuda.laneid)) - 1)
         return first + cuda.popc(mask & before)
 
-    @overload(marks.lane, target="cuda")
+    @overload(line_raster.lane, target="cuda")
     def _lane():
         return lambda: np.int64(cuda.threadIdx.x)
 
-    @overload(marks.lanes, target="cuda")
+    @overload(line_raster.lanes, target="cuda")
     def _lanes():
         return lambda: np.int64(cuda.blockDim.x)
 
-    @overload(marks.over_lanes, target="cuda")
+    @overload(line_raster.over_lanes, target="cuda")
     def _over_lanes(part):
         def total(part):
             step = cuda.blockDim.x >> 1
@@ -107,7 +107,7 @@ else:
 
         return total
 
-    @overload(crowns.next_row, target="cuda")
+    @overload(crown.next_row, target="cuda")
     def _next_row(count):
         def together(count):
             # One lane counts for all that are here; one by one they would wait for each other.
@@ -122,10 +122,10 @@ else:
 
         return together
 
-    @overload(marks.add, target="cuda")
+    @overload(line_raster.add, target="cuda")
     def _add(picture, at, alpha, bold):
         def atomic(picture, at, alpha, bold):
-            cuda.atomic.add(picture, at, np.int64(marks.added(_NOTHING, alpha, bold)))
+            cuda.atomic.add(picture, at, np.int64(line_raster.added(_NOTHING, alpha, bold)))
 
         return atomic if picture.dtype == int64 else None
 

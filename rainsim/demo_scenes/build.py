@@ -1,4 +1,4 @@
-"""Build scenes out of splats: noise, light from an overcast sky, and surfaces laid with splats.
+"""Build scenes out of splats: noise, light from an overcast sky, and surfaces covered with splats.
 
 Everything here is in metres with z up. A `Cloud` is a set of splats in the making: `join` puts
 clouds together and `to_splats` takes the finished one to a capture frame.
@@ -12,10 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import map_coordinates
 
+from rainsim.constants import SH_0, SH_1
 from rainsim.scene.types import GroundFrame, Splats
 
-SH_CONSTANT = 0.28209479177387814  # basis function of degree 0, as in the original 3DGS code
-SH_LINEAR = 0.4886025119029199  # factor of the three basis functions of degree 1
 OVERLAP = 0.64  # deviation of a surface splat over its cell: closed, but not blurred
 THIN = 4e-4  # m, deviation of a surface splat along its normal
 DISPLAY_GAMMA = 2.2  # light scales linear colour, colours are stored display-referred
@@ -185,7 +184,7 @@ def _resample(points, piece):
 
 
 def tube(points, radius, colour, *, piece=0.025, around=8, sheen=0.0, opacity=0.97, squash=1.0):
-    """Return a round tube along a polyline, its surface laid with splats.
+    """Return a round tube along a polyline, its surface covered with splats.
 
     Parameters
     ----------
@@ -310,7 +309,7 @@ def lit(cloud, light):
 
 
 def polished(cloud, gloss):
-    """Return the cloud with a soft reflection of the bright sky in what faces upwards.
+    """Return the cloud with a soft reflection of the bright sky on splats that face upwards.
 
     `gloss` 0 to 1 is the share of white at the brightest spot.
     """
@@ -337,7 +336,7 @@ def sky_directions(count=64):
 
 
 def sky_share(points, boxes, directions):
-    """Return the share of an overcast sky's light on level ground that `boxes` leave, (n,).
+    """Return the share of an overcast sky's light that `boxes` let through to level ground, (n,).
 
     Parameters
     ----------
@@ -395,7 +394,7 @@ def tilted_frame(tilt, meters_per_unit, origin):
 
 
 def content_hash(splats):
-    """Return the SHA-256 of generated splats, which stands for that of a file."""
+    """Return the SHA-256 of generated splats, used where a capture has the hash of its file."""
     digest = hashlib.sha256()
     for array in (splats.position, splats.rotation, splats.scale, splats.opacity, splats.sh):
         digest.update(array.tobytes())
@@ -409,9 +408,9 @@ def to_splats(cloud, ground_frame: GroundFrame):
     sh = np.zeros((len(cloud), 4, 3), np.float32)
     # colour + sheen * (1/2 + direction . normal), brighter where direction . normal is near 0
     sheen = cloud.sheen[:, None] * cloud.colour
-    sh[:, 0] = (cloud.colour + 0.5 * sheen - 0.5) / SH_CONSTANT
+    sh[:, 0] = (cloud.colour + 0.5 * sheen - 0.5) / SH_0
     for k, (axis, sign) in enumerate(((1, -1), (2, 1), (0, -1)), start=1):
-        sh[:, k] = sign / SH_LINEAR * axes[:, 2, axis, None] * sheen
+        sh[:, k] = sign / SH_1 * axes[:, 2, axis, None] * sheen
     return Splats(
         np.ascontiguousarray(ground_frame.to_capture(cloud.position), np.float32),
         quaternions(axes.transpose(0, 2, 1)).astype(np.float32),

@@ -30,9 +30,9 @@ def require_file(path, what):
 
 @contextmanager
 def replacing(path):
-    """Yield a temporary path beside `path` that takes its name when the block ends without error.
+    """Yield a temporary path beside `path`; rename it to `path` if the block ends without error.
 
-    What stood there before stays untouched until the new file is whole, and on failure for good.
+    An existing file stays untouched until the new one is complete, and if the block fails.
     """
     path = Path(path)
     handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=path.suffix, dir=path.parent)
@@ -40,7 +40,7 @@ def replacing(path):
     temporary = Path(name)
     try:
         yield temporary
-        os.chmod(temporary, 0o666 & ~_umask())  # mkstemp makes files that only their owner reads
+        os.chmod(temporary, 0o666 & ~_umask())  # mkstemp makes files that only their owner can read
         os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
@@ -53,7 +53,7 @@ def _umask():
 
 
 def read_json(path, what):
-    """Return what the JSON file `path` holds, or raise InputError naming the line that is wrong."""
+    """Return the data of the JSON file `path`, or raise InputError that names the wrong line."""
     path = require_file(path, what)
     try:
         return json.loads(path.read_text(encoding="utf-8"))

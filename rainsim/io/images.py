@@ -14,7 +14,7 @@ import imageio.v3 as iio
 import numpy as np
 
 from rainsim.errors import InputError, ParameterError, RainsimError
-from rainsim.scene.files import replacing, require_file
+from rainsim.io.files import replacing, require_file
 
 PNG_LEVEL = 3  # twice as fast as the usual 6 and a tenth larger
 PREVIEW_WIDTH = 480  # px at most

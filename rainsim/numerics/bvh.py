@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from rainsim.constants import HALF, ONE, TWO, ZERO
 from rainsim.jit import cpu_kernel, prange, serial_kernel
 
 LEAF = 4  # splats of a leaf at most
@@ -12,7 +13,6 @@ LEAST_ALPHA = np.float32(1 / 255)  # where a splat ends
 
 # Numbers of a splat's record: position (3), covariance xx, xy, xz, yy, yz, zz, normal (3), opacity.
 RECORD = 16
-ZERO, ONE, TWO, HALF = (np.float32(v) for v in (0, 1, 2, 0.5))
 
 
 @cpu_kernel

@@ -1,34 +1,32 @@
-"""A picture at ever coarser resolutions, to look up how it looks blurred."""
+"""Mipmaps: a picture at halved sizes, from which a blurred colour is one look-up."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from rainsim.constants import HALF, ONE, TWO, ZERO
 from rainsim.jit import cpu_kernel, device_function, inlined_function, prange, serial_kernel
-from rainsim.light import bilinear_color, four_colors
+from rainsim.numerics.interpolation import bilinear_color, four_colors
 
-ZERO = np.float32(0)
-ONE = np.float32(1)
-TWO = np.float32(2)
-HALF = np.float32(0.5)
 QUARTER = np.float32(0.25)
 
 COARSEST = 6  # halvings: cells of 64 pixels
-LEAST_CELLS = 2  # along either side of a resolution that is used
-# px, deviation of a blur from which on half the resolution is nearer to it: a cell, interpolated
-# between its neighbours, blurs by half its width.
+LEAST_CELLS = 2  # along either side of the coarsest mip level that is used
+# px, standard deviation of a blur above which mip level 1 is nearer to it than the picture itself.
+# Bilinear interpolation of cells of width w blurs by about w / 2, so by 1/2 and 1 px: their
+# geometric mean.
 FIRST_BLUR = np.float32(np.sqrt(0.5))
 
 
 @device_function
 def top_of(height, level):
-    """Return the first row of a level, 1 or more, of the coarse resolutions."""
+    """Return the first row of a mip level, 1 or more, in the array of `coarsened`."""
     return height - (height >> (level - 1))
 
 
 @device_function
 def mean_of_four(cells, j, i, apart, c):
-    """Return the mean of a channel of cell (j, i) and the three `apart` from it."""
+    """Return the mean of channel c over the cells (j, i), (j, i + apart) and the two below them."""
     return QUARTER * (
         (cells[j, i, c] + cells[j, i + apart, c])
         + (cells[j + apart, i, c] + cells[j + apart, i + apart, c])
@@ -37,7 +35,7 @@ def mean_of_four(cells, j, i, apart, c):
 
 @cpu_kernel
 def _halve(picture, level, coarse_out):
-    """Write one level, each cell the mean over four of the level before."""
+    """Write one mip level, each cell the mean over four cells of the level before."""
     height, width, channels = picture.shape
     top, wide = top_of(height, level), width >> level
     before = top_of(height, level - 1) if level > 1 else 0
@@ -48,7 +46,7 @@ def _halve(picture, level, coarse_out):
             _add_rows(picture[j], picture[j + 1], line)
         else:
             _add_rows(coarse_out[j], coarse_out[j + 1], line)
-        if channels == 3:  # a number that is known when this is compiled runs in vectors
+        if channels == 3:  # with a number known to the compiler the loop is vectorised
             _add_pairs(line, wide, 3, out)
         else:
             _add_pairs(line, wide, channels, out)
@@ -64,7 +62,7 @@ def _add_rows(upper, lower, line_out):
 
 @inlined_function
 def _add_pairs(line, wide, channels, row_out):
-    """Write the means of what pairs of cells of two rows add up to."""
+    """Write a quarter of the sums of neighbouring cells in `line`, the sum of two rows."""
     out = row_out.reshape(row_out.size)
     for i in range(wide):
         for c in range(channels):
@@ -73,12 +71,12 @@ def _add_pairs(line, wide, channels, row_out):
 
 
 def coarse_shape(height, width, channels=3):
-    """Return the shape of the array that holds the coarse resolutions of a picture."""
+    """Return the shape of the array that holds the mip levels 1 and up of a picture."""
     return height, width >> 1, channels
 
 
 def coarsened(picture):
-    """Return a picture at half its resolution, a quarter, and so on, COARSEST times.
+    """Return the mip levels 1 to COARSEST of a picture in one array.
 
     Parameters
     ----------
@@ -87,8 +85,8 @@ def coarsened(picture):
     Returns
     -------
     ndarray of shape (height, width // 2, channels), float32
-        Half the resolution in the first height // 2 rows, a quarter below it, and so on; a last
-        row or column that has no partner is left out. The rest is not set.
+        Level 1 in the first height // 2 rows, level 2 below it, and so on; a last row or column
+        without a partner is left out. Cells beside the levels are not set.
     """
     coarse = np.empty(coarse_shape(*picture.shape), np.float32)
     for level in range(1, COARSEST + 1):
@@ -108,7 +106,7 @@ def blurred_color(picture, coarse, u, v, blur):
     u, v : float32 [px]
         Clamped to the picture.
     blur : float32 [px]
-        Deviation along one axis; the nearest of the resolutions is taken.
+        Standard deviation along one axis; the nearest mip level is used.
     """
     height, width = picture.shape[0], picture.shape[1]
     level = level_of(height, width, blur)
@@ -120,7 +118,7 @@ def blurred_color(picture, coarse, u, v, blur):
 
 @device_function
 def level_of(height, width, blur):
-    """Return the resolution that is nearest to a blur [px]: how often the picture is halved."""
+    """Return the mip level whose blur is nearest to `blur` [px], the standard deviation."""
     level, edge = 0, FIRST_BLUR
     while blur > edge and level < COARSEST and min(height, width) >> (level + 1) >= LEAST_CELLS:
         level += 1
@@ -130,7 +128,7 @@ def level_of(height, width, blur):
 
 @device_function
 def cell_of(height, width, level, u, v):
-    """Return row and column of the first of the four cells of a level about (u, v), and shares."""
+    """Return row and column of the first of four cells around (u, v) in a level, and weights."""
     rows, columns = height >> level, width >> level
     scale = ONE / np.float32(1 << level)
     u = min(max(u * scale - HALF, ZERO), np.float32(columns - 1))

@@ -1,32 +1,32 @@
-"""Pixels by the chunk: rows of numbers that stay in cache, so that loops over them run in vectors.
+"""Work on batches of CHUNK pixels: their numbers stay in cache, and loops over them are vectorised.
 
-A kernel that works so has a float32 array of some rows of CHUNK numbers and loops over one pass
-after the other; only loads from tables are done pixel by pixel.
+Such a kernel has a float32 array of some rows of CHUNK numbers and computes one pass over the batch
+after the other; only look-ups in tables are done pixel by pixel.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
+from rainsim.constants import ONE, ZERO
 from rainsim.jit import inlined_function, serial_kernel
 
 CHUNK = 256  # pixels
-CORNERS = 4 * CHUNK  # numbers that `interpolate` needs to work with
-ZERO, ONE = np.float32(0), np.float32(1)
+CORNERS = 4 * CHUNK  # size of the working memory of `interpolate`
 SECOND, THIRD, FOURTH = CHUNK, 2 * CHUNK, 3 * CHUNK
 
 
 @inlined_function
 def held(x, most):
-    """Return x, held between 0 and `most`; 0 for NaN: what is made of it is a place in memory."""
+    """Return x clamped to 0 to `most`, and 0 for NaN, because callers use it as an array index."""
     x = x if x > ZERO else ZERO
     return x if x < most else most
 
 
-# Not inlined: LLVM sees that its loops can run in vectors only when it looks at them alone.
+# Not inlined: LLVM vectorises these loops only if it compiles them in a function of their own.
 @serial_kernel
 def interpolate(field, n, s, u, v, place, corner):
-    """Put a field's value, interpolated as by `light.bilinear`, in place of n columns of the field.
+    """Replace n columns of places in a field by the field's value there, interpolated bilinearly.
 
     Parameters
     ----------
@@ -34,7 +34,8 @@ def interpolate(field, n, s, u, v, place, corner):
     n : int
         At most CHUNK.
     s : ndarray of float32
-        From `u` on the columns, which are overwritten, from `v` on the rows, which are lost.
+        Columns of the places from index `u` on, which the values replace, and their rows from index
+        `v` on, which are overwritten with weights.
     u, v : int
     place : ndarray of shape (CHUNK,), uint32
     corner : ndarray of shape (CORNERS,), float32
@@ -65,9 +66,9 @@ def interpolate(field, n, s, u, v, place, corner):
 
 @serial_kernel
 def nearest(field, n, s, u, v, out, place):
-    """Put a picture's values at n image points s[u:], s[v:], or at its edge beside, to s[out:].
+    """Write a picture's nearest values at n image points s[u:], s[v:] to s[out:].
 
-    Parameters are those of `interpolate`.
+    Points beside the picture get the value at its edge. Parameters are as for `interpolate`.
     """
     rows, columns = field.shape
     flat = field.reshape(rows * columns)

@@ -1,6 +1,6 @@
-"""Counter-based random numbers: a value is a function of its name, not of what was drawn before.
+"""Counter-based random numbers: a value is a hash of its key, not the next one of a sequence.
 
-The name of a value is a chain of integers (seed, class, cube, drop, ...). So any drop of any frame
+The key of a value is a chain of integers (seed, class, cube, drop, ...). So any drop of any frame
 can be made alone, in any order, on any number of threads.
 
 References

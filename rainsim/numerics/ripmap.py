@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from rainsim.constants import HALF, ONE, ZERO
 from rainsim.jit import cpu_kernel, lean_function, prange
 
-ZERO, HALF, ONE = (np.float32(v) for v in (0, 0.5, 1))
 LEVELS = 7  # of widths and of heights, each half of the one before
 
 

@@ -15,14 +15,14 @@ import math
 
 import numpy as np
 
+from rainsim.constants import ONE, ZERO
 from rainsim.jit import cpu_kernel, prange
-from rainsim.light import fresnel
-from rainsim.sky import directions, sample_environment
+from rainsim.shading.environment import directions, sample_environment
+from rainsim.shading.fresnel import fresnel
 
 GRID = (7, 9)  # places over a picture, from edge to edge, between which the light is interpolated
 RINGS, TURNS = 8, 12  # of a drop's disc, of equal area, and places on each
 
-ZERO, HALF, ONE = np.float32(0), np.float32(0.5), np.float32(1)
 _RADIUS = np.sqrt((np.arange(RINGS) + 0.5) / RINGS)
 _BEND = 2 * (np.arcsin(_RADIUS) - np.arcsin(_RADIUS / 1.333))
 THROUGH = np.array([(1 - fresnel(math.sqrt(1 - r * r))) ** 2 for r in _RADIUS], np.float32)
@@ -40,7 +40,7 @@ def mean_radiance(environment):
 def drop_field(environment, everywhere, ground_from_camera, lens, width, height):
     """Return the radiance of drops over a camera's picture, float32 (7, 9, 3).
 
-    At places from edge to edge; between them it is interpolated, see `shade.compose`.
+    At places from edge to edge; between them it is interpolated, see `shading.composite.compose`.
 
     Parameters
     ----------

@@ -9,10 +9,12 @@ from __future__ import annotations
 import numpy as np
 
 from rainsim.drops import impacts
-from rainsim.random import mix
-from rainsim.spectrum import drop_volume
-from rainsim.splash import footprint
-from rainsim.streaks import draw_droplets
+from rainsim.numerics.random import mix, uniform
+from rainsim.particles.line_raster import NEAR
+from rainsim.particles.shutter_view import footprint
+from rainsim.particles.splash_pass import FARTHEST, MARGIN
+from rainsim.particles.streaks import draw_streaks
+from rainsim.rain.size_distribution import drop_volume
 
 SPHERE_RADIUS = 6e-3  # m; the supplement's, in the unknown units of its scenes
 LINE_LENGTH = 0.15  # m; not given
@@ -20,7 +22,6 @@ APART = 0.5  # radii between spheres: "densely aligned"
 GREY = 200 / 255  # of display white: "near-white RGB of [200, 200, 200]"
 DRAWN_SHARE = 1 / 100  # of the drops: with all of them, 12 mm wide, one would see metres far
 SPLASH_LENGTH = 2.0  # longest axis of a splash over the other two; not given
-_SPLASH_REACH = 100.0  # m
 
 
 def draw_lines(field, surfaces, camera, time, far, depth, alpha_out):
@@ -42,7 +43,6 @@ def draw_lines(field, surfaces, camera, time, far, depth, alpha_out):
     A drop is there unless its own place lies below the map's occluder top or ground: the paper
     tests points, so nothing falls under cover, however slanted the rain.
     """
-    alpha_out[...] = 0
     corners = np.array([[u, v] for u in (0.0, camera.width) for v in (0.0, camera.height)])
     rays = np.ones((5, 3))
     rays[:4, :2] = (corners - [camera.cx, camera.cy]) / [camera.fx, camera.fy]
@@ -50,7 +50,7 @@ def draw_lines(field, surfaces, camera, time, far, depth, alpha_out):
     view = far * rays @ camera.camera_from_world[:3, :3] + camera.position
     reach = np.full(3, LINE_LENGTH)
     drops = field.drops_in_box(time, view.min(axis=0) - reach, view.max(axis=0) + reach)
-    chosen = (mix(drops.id) >> np.uint64(11)) * 2.0**-53 < DRAWN_SHARE
+    chosen = uniform(mix(drops.id)) < DRAWN_SHARE
     place = drops.position[chosen]
     column, row = np.floor((place[:, :2] - surfaces.origin) / surfaces.spacing).astype(int).T
     ny, nx = surfaces.shape
@@ -61,9 +61,9 @@ def draw_lines(field, surfaces, camera, time, far, depth, alpha_out):
     along = velocity / np.linalg.norm(velocity, axis=1, keepdims=True)
     steps = np.arange(0.0, LINE_LENGTH, APART * SPHERE_RADIUS)
     spheres = (place[:, None] - along[:, None] * steps[:, None]).reshape(-1, 3)
-    still = np.zeros_like(spheres)
     size = np.full(len(spheres), 2 * SPHERE_RADIUS)
-    draw_droplets(spheres, still, size, camera, 1.0, depth, alpha_out)
+    lines = np.column_stack([spheres, np.zeros_like(spheres), size])
+    draw_streaks(field, None, camera, time, 1.0, depth, NEAR, alpha_out, more=lines)
 
 
 def draw_gaussians(field, surfaces, camera, start, stop, depth, alpha_out):
@@ -87,20 +87,18 @@ def draw_gaussians(field, surfaces, camera, start, stop, depth, alpha_out):
     has no such direction: there it lies along x. Drawn as a disc of the Gaussian's summed opacity,
     2 pi times two standard deviations, spread along the longest.
     """
-    alpha_out[...] = 0
-    found = impacts(field, surfaces, start, stop, within=footprint(camera, _SPLASH_REACH))
-    if len(found) == 0:
-        return
+    found = impacts(field, surfaces, start, stop, within=footprint(camera, FARTHEST, MARGIN))
     longest, middle = gaussian_axes(found.diameter)
     flat = np.array(found.velocity)
     flat[:, 2] = 0
     speed = np.linalg.norm(flat, axis=1)
     flat[speed == 0] = (1.0, 0.0, 0.0)
     axis = flat / np.maximum(np.linalg.norm(flat, axis=1), 1e-12)[:, None]
-    # a disc that moves by sqrt(12 (s1^2 - s2^2)) has the Gaussian's spread along the axis
+    # A disc that moves by sqrt(12 (s1^2 - s2^2)) has the Gaussian's spread along the axis.
     way = axis * np.sqrt(12 * (longest**2 - middle**2))[:, None]
     disc = np.sqrt(8 * longest * middle)  # (pi/4) d^2 = 2 pi s1 s2
-    draw_droplets(found.position - way / 2, way, disc, camera, 1.0, depth, alpha_out)
+    lines = np.column_stack([found.position - way / 2, way, disc])
+    draw_streaks(field, None, camera, start, 1.0, depth, NEAR, alpha_out, more=lines)
 
 
 def gaussian_axes(diameter):

@@ -1,8 +1,8 @@
 """Water that leaves what stands above the ground: drips from edges, run-off down walls.
 
-Rain on the top of an object goes to the nearest edge along the object, where it collects until it
-is enough for a drop. Under an overhang the drop falls, from rest; at a wall that stands on the
-ground the water runs down and off at its foot. What a surface holds back as a film stays there.
+Rain on the top of an object goes to the nearest edge along the object, where water collects until
+there is enough for a drop. Under an overhang the drop falls, from rest; at a wall that stands on
+the ground the water runs down and off at the wall's foot. Every surface keeps a film of water.
 """
 
 from __future__ import annotations
@@ -10,12 +10,14 @@ from __future__ import annotations
 import numpy as np
 from scipy import sparse
 
-from rainsim.drops import Impacts
+from rainsim.constants import GRAVITY
+from rainsim.io import cache
 from rainsim.jit import device_function
-from rainsim.random import mix, subkey, uniform
-from rainsim.spectrum import drop_volume, terminal_speed
-from rainsim.surfaces import GROUND, OBSTACLE
-from rainsim.weather import wind_at
+from rainsim.numerics.random import mix, subkey, uniform
+from rainsim.rain.heightfield import GROUND, OBSTACLE
+from rainsim.rain.impacts import Impacts
+from rainsim.rain.size_distribution import drop_volume, terminal_speed
+from rainsim.rain.wind import wind_at
 
 STEP = 0.05  # m: where the top falls by more to the next cell there is an edge
 LOWEST = 0.05  # m: lower things are ground
@@ -23,8 +25,8 @@ FILM = 2e-4  # m that a surface holds back, as `splash.WET_FILM`; a guess
 SMALLEST, LARGEST = 4.0e-3, 5.2e-3  # m, of drops that part from an edge
 GATHERING = 0.1  # m: drops leave at one point of an edge of this length
 CLIMB = 200.0  # m of detour along the object that a metre of climb is worth
+LEAST_KEPT = 1 << 18  # cells of a map whose drip points are kept; a smaller one takes .1 s
 KEPT = 0.15  # s that landed drops are remembered for their splashes
-_GRAVITY = 9.81  # m/s2
 _MOST_AT_ONCE = 64  # drops from one point in one step; more is a jet
 
 
@@ -41,14 +43,14 @@ class Drips:
     Attributes
     ----------
     held : float
-        Water on the objects [m3]: films, hanging drops, and what lies where no edge can be reached.
+        Water on the objects [m3]: films, hanging drops, and water that can reach no edge.
     point : ndarray of shape (ny, nx), int32
         The drip point that a cell's water goes to; -1 for ground, -2 where it finds no edge.
     """
 
     def __init__(self, surfaces, seed=0, wet=True):
         self._surfaces = surfaces
-        self.point, edge, foot = _catchments(surfaces)
+        self.point, edge, foot = _kept_catchments(surfaces)
         spacing = surfaces.spacing
         count = len(edge)
         key = mix(np.array([seed % 2**64], np.uint64) ^ np.uint64(0xD21B))
@@ -115,9 +117,9 @@ class Drips:
         ----------
         start, stop : float [s]
         wind : (float, float) [m/s]
-            At `weather.WIND_HEIGHT`.
+            At `wind.WIND_HEIGHT`.
         roughness : float [m]
-            Of the land, see `weather.wind_shares`.
+            Of the land, see `wind.wind_shares`.
 
         Returns
         -------
@@ -215,15 +217,15 @@ def fall_time(height, diameter):
     Quadratic drag, whose terminal speed v is the drop's: z = v^2 / g ln cosh(g t / v).
     """
     speed = terminal_speed(diameter)
-    return speed / _GRAVITY * np.arccosh(np.exp(_GRAVITY * height / speed**2))
+    return speed / GRAVITY * np.arccosh(np.exp(GRAVITY * height / speed**2))
 
 
 @device_function
 def fallen(time, diameter):
     """Return how far [m] a drop has fallen and how fast [m/s] it is, `time` [s] after it parted."""
     speed = terminal_speed(diameter)
-    t = _GRAVITY * np.maximum(time, 0.0) / speed
-    return speed**2 / _GRAVITY * np.log(np.cosh(t)), speed * np.tanh(t)
+    t = GRAVITY * np.maximum(time, 0.0) / speed
+    return speed**2 / GRAVITY * np.log(np.cosh(t)), speed * np.tanh(t)
 
 
 @device_function
@@ -234,8 +236,8 @@ def drift(time, diameter):
     the wind blows: the way is v / g (s - gd s) with s = g t / v and gd Gudermann's function.
     """
     speed = terminal_speed(diameter)
-    s = _GRAVITY * np.maximum(time, 0.0) / speed
-    return speed / _GRAVITY * (s - 2 * np.arctan(np.tanh(s / 2)))
+    s = GRAVITY * np.maximum(time, 0.0) / speed
+    return speed / GRAVITY * (s - 2 * np.arctan(np.tanh(s / 2)))
 
 
 @device_function
@@ -291,6 +293,18 @@ def drip_impacts(table, ids, surfaces, before, after):
 
 
 # ---- where water goes on an object
+
+
+def _kept_catchments(surfaces):
+    """Return what `_catchments` returns; that of a large map is kept for the next run."""
+    if surfaces.top.size < LEAST_KEPT:
+        return _catchments(surfaces)
+    found = cache.kept_arrays(
+        "catchments", "rain",
+        lambda: dict(zip(("point", "edge", "foot"), _catchments(surfaces), strict=True)),
+        surfaces.ground, surfaces.top, surfaces.spacing,
+    )  # fmt: skip
+    return found["point"], found["edge"], found["foot"]
 
 
 def _catchments(surfaces):

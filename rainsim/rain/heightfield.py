@@ -7,6 +7,7 @@ where it first meets a column's top or side or the ground.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,12 +16,42 @@ from rainsim.jit import device_function, lean_function
 
 GROUND, OBSTACLE = 0, 1  # what was hit
 _MISSED, _LOST = -1, -2  # nothing up to the end of the line; stopped before it entered the map
-BLOCK = 16  # cells; side of the blocks whose heights tell which air to search
-PATCH = 4  # cells; side of the patches that a path is led over if it is above their highest top
+BLOCK = 16  # cells; side of the blocks whose lowest and highest heights bound the air to search
+PATCH = 4  # cells; side of the patches that a path skips while it is above their highest top
 _PER_PATCH = 1 / PATCH
 _CLEARANCE = 0.01  # m; lines are followed from this far above the highest top
 _SKIN = 1e-4  # m; how deep a point must lie in a solid for the cheap test to call it stopped
 _INFINITY = np.inf
+
+
+class HeightFields(NamedTuple):
+    """What kernels read of `Surfaces`.
+
+    Attributes
+    ----------
+    x0, y0 : float [m]
+        The map's lower left corner.
+    spacing : float [m]
+    sky : float [m]
+        A height above all tops: paths are followed from there.
+    ground, underside, top : ndarray of shape (ny, nx), float32 [m]
+        As `Surfaces` has them.
+    patch_high : ndarray of shape (ceil(ny / PATCH), ceil(nx / PATCH)), float32 [m]
+        The highest top in each patch of PATCH x PATCH cells.
+    around_low, around_high : ndarray of shape (ceil(ny / BLOCK), ceil(nx / BLOCK)), float32 [m]
+        The lowest ground and the highest top of each block and its eight neighbours.
+    """
+
+    x0: float
+    y0: float
+    spacing: float
+    sky: float
+    ground: np.ndarray
+    underside: np.ndarray
+    top: np.ndarray
+    patch_high: np.ndarray
+    around_low: np.ndarray
+    around_high: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -89,11 +120,13 @@ class Surfaces:
         """Area of the map [m2]."""
         return self.ground.size * self.spacing**2
 
-    def arrays(self):
-        """Return what `first_hit` takes after the line, in its order."""
+    def height_fields(self):
+        """Return what kernels read of the map, `HeightFields`."""
         x0, y0 = map(float, self.origin)
-        return (x0, y0, float(self.spacing), self.sky,
-                self.ground, self.underside, self.top, self.patch_high)  # fmt: skip
+        return HeightFields(
+            x0, y0, float(self.spacing), self.sky, self.ground, self.underside, self.top,
+            self.patch_high, self.around_low, self.around_high,
+        )  # fmt: skip
 
 
 def flat_surfaces(width, depth, spacing, origin=(0.0, 0.0), height=0.0):
@@ -119,10 +152,25 @@ def grow_blocks(reduce, blocks):
     return np.ascontiguousarray(blocks)
 
 
+class _CellPath(NamedTuple):
+    """A drop's path over the map: height [m] and place in cells at time 0, and their rates.
+
+    `column_time` and `row_time` are the seconds a cell, with the sign of the motion; infinite for
+    none. A path multiplies with them instead of dividing: a quotient takes many times as long.
+    """
+
+    z: float
+    vz: float
+    column_at: float
+    row_at: float
+    column_speed: float
+    row_speed: float
+    column_time: float
+    row_time: float
+
+
 @lean_function
-def first_hit(
-    x, y, z, vx, vy, vz, since, end, x0, y0, spacing, sky, ground, underside, top, patch_high
-):  # fmt: skip
+def first_hit(x, y, z, vx, vy, vz, since, end, surfaces):
     """Find where a drop's path first meets the surfaces.
 
     The drop is at (x, y, z) at time 0 and moves with constant velocity, vz < 0.
@@ -133,8 +181,7 @@ def first_hit(
     vx, vy, vz : float64 [m/s]
     since, end : float64 [s]
         The part of the path that counts; minus infinity for all of it from the open sky.
-    x0, y0, spacing, sky, ground, underside, top, patch_high
-        As `Surfaces.arrays` gives them.
+    surfaces : HeightFields
 
     Returns
     -------
@@ -145,15 +192,16 @@ def first_hit(
         GROUND or OBSTACLE (top or side of an occluder), negative if there is no hit.
     row, column : int
     """
-    if z + vz * end > sky:
+    if z + vz * end > surfaces.sky:
         return _INFINITY, _MISSED, 0, 0
-    ny, nx = ground.shape
-    column_at, row_at = (x - x0) / spacing, (y - y0) / spacing  # in cells, at time 0
+    ny, nx = surfaces.ground.shape
+    spacing, patch_high = surfaces.spacing, surfaces.patch_high
+    column_at, row_at = (x - surfaces.x0) / spacing, (y - surfaces.y0) / spacing
     column_speed, row_speed = vx / spacing, vy / spacing
-    # Products with these and not quotients all along the path: a quotient takes many times as long.
     column_time = 1 / column_speed if column_speed != 0 else _INFINITY
     row_time = 1 / row_speed if row_speed != 0 else _INFINITY
-    enter = (sky - z) / vz
+    path = _CellPath(z, vz, column_at, row_at, column_speed, row_speed, column_time, row_time)
+    enter = (surfaces.sky - z) / vz
     begin, stop = _clip(column_at, column_time, nx, max(enter, since), end)
     begin, stop = _clip(row_at, row_time, ny, begin, stop)
     if begin >= stop:
@@ -173,9 +221,8 @@ def first_hit(
         leave = min(leave_i, leave_j, stop)
         if z + vz * leave <= patch_high[j, i]:
             time, kind, row, column = _search_patch(
-                j, i, now, leave, z, vz, column_at, row_at, column_speed, row_speed,
-                column_time, row_time, midway and now == begin, ground, underside, top,
-            )  # fmt: skip
+                j, i, now, leave, path, midway and now == begin, surfaces
+            )
             if kind != _MISSED:
                 return time, kind, row, column
         if leave >= stop:
@@ -190,33 +237,37 @@ def first_hit(
 
 
 @lean_function
-def stopped_at(x, y, z, x0, y0, spacing, ground, underside, top):
-    """Tell whether the point lies well inside a solid of the map (a cheap test before the line)."""
-    i, j = int((x - x0) / spacing), int((y - y0) / spacing)
-    if x < x0 or y < y0 or i >= ground.shape[1] or j >= ground.shape[0]:
+def stopped_at(x, y, z, surfaces):
+    """Tell whether the point lies well inside a solid of the map, a cheap test."""
+    x0, y0 = surfaces.x0, surfaces.y0
+    i, j = int((x - x0) / surfaces.spacing), int((y - y0) / surfaces.spacing)
+    if x < x0 or y < y0 or i >= surfaces.ground.shape[1] or j >= surfaces.ground.shape[0]:
         return False
-    if z < ground[j, i] - _SKIN:
+    if z < surfaces.ground[j, i] - _SKIN:
         return True
-    return z < top[j, i] - _SKIN and z > underside[j, i] + _SKIN
+    return z < surfaces.top[j, i] - _SKIN and z > surfaces.underside[j, i] + _SKIN
 
 
 @lean_function
-def _search_patch(
-    patch_j, patch_i, begin, stop, z, vz, column_at, row_at, column_speed, row_speed,
-    column_time, row_time, midway, ground, underside, top,
-):  # fmt: skip
-    """Follow the path cell by cell through one patch, from time `begin` to `stop`."""
+def _search_patch(patch_j, patch_i, begin, stop, path, midway, surfaces):
+    """Follow a `_CellPath` cell by cell through one patch, from time `begin` to `stop` [s].
+
+    `midway`: at `begin` the path comes in over the map's edge or begins, below the open sky.
+    """
+    ground, underside, top = surfaces.ground, surfaces.underside, surfaces.top
     low_i, low_j = patch_i * PATCH, patch_j * PATCH
     high_i = min(low_i + PATCH, ground.shape[1]) - 1
     high_j = min(low_j + PATCH, ground.shape[0]) - 1
-    i = min(max(int(np.floor(column_at + column_speed * begin)), low_i), high_i)
-    j = min(max(int(np.floor(row_at + row_speed * begin)), low_j), high_j)
+    i = min(max(int(np.floor(path.column_at + path.column_speed * begin)), low_i), high_i)
+    j = min(max(int(np.floor(path.row_at + path.row_speed * begin)), low_j), high_j)
     now = begin
     while True:
-        leave_i = _leave(i, 1, column_at, column_time)
-        leave_j = _leave(j, 1, row_at, row_time)
+        leave_i = _leave(i, 1, path.column_at, path.column_time)
+        leave_j = _leave(j, 1, path.row_at, path.row_time)
         leave = min(leave_i, leave_j, stop)
-        time, kind = _meet_cell(now, leave, z, vz, ground[j, i], underside[j, i], top[j, i])
+        time, kind = _meet_cell(
+            now, leave, path.z, path.vz, ground[j, i], underside[j, i], top[j, i]
+        )
         if kind != _MISSED:
             if midway and now == begin and time == now:
                 return -_INFINITY, _LOST, j, i
@@ -225,9 +276,9 @@ def _search_patch(
             return _INFINITY, _MISSED, 0, 0
         now = max(now, leave)
         if leave_i <= leave_j:
-            i += 1 if column_speed > 0 else -1
+            i += 1 if path.column_speed > 0 else -1
         else:
-            j += 1 if row_speed > 0 else -1
+            j += 1 if path.row_speed > 0 else -1
         if i < low_i or j < low_j or i > high_i or j > high_j:
             return _INFINITY, _MISSED, 0, 0
 

@@ -1,39 +1,80 @@
 """Which drops a cube of air holds: counts, places and sizes from random words alone.
 
-In the frame that moves with a size class its drops are a frozen Poisson field, cut into cubes. What
-`drops` lists and `streaks` draws are both read from here.
+In the frame that moves with a size class its drops are a frozen Poisson field, cut into cubes. The
+lists of `rainsim.drops` and the streaks of a picture both take their drops from these functions.
 """
 
 from __future__ import annotations
 
 import functools
+from typing import NamedTuple
 
 import numpy as np
 
-from rainsim.jit import device_function, lean_function
-from rainsim.random import mix, subkey, uniform
-from rainsim.spectrum import CLASSES, RainSpectrum
+from rainsim.jit import device_function, inlined_function, lean_function
+from rainsim.numerics.random import mix, subkey, uniform, uniform_triple
+from rainsim.rain.size_distribution import CLASSES, RainSpectrum
 
 _CUBE_FILL = 6.0  # drops per cube aimed at: fewer make cubes cost more than their drops
 _CUBE_SIDES = (0.5, 2.0)  # m; large cubes reach far out of the box that is asked for
 _FILL_RATE = 25.0  # mm/h; fixed, so that cubes, and with them drops, stay when the rate changes
 _SPREAD = np.uint64(0x9E3779B97F4A7C15)
-_SHARE_STREAM = np.uint64(0x51A4)  # tells whether the drop is there at all
-_DIAMETER_STREAM = np.uint64(0xD1A3)  # tells the diameter's random word from the place's
+# A drop's id gives its place; mixed with these words, independent numbers for the other questions.
+_SHARE_STREAM = np.uint64(0x51A4)  # whether a thinned rain has the drop
+_DIAMETER_STREAM = np.uint64(0xD1A3)
 
 
-@device_function
-def cube_key(class_key, i, j, k):
-    """Return the random key (uint64) of cube (i, j, k) of a class."""
-    return subkey(subkey(subkey(class_key, i), j), k)
+class DropField(NamedTuple):
+    """What kernels read of `rainsim.drops.RainField`, class by class.
+
+    Attributes
+    ----------
+    velocity : ndarray of shape (CLASSES, 3), float64 [m/s]
+    cube : ndarray of shape (CLASSES,), float64 [m]
+        Side of the cubes, a power of two.
+    class_key : ndarray of shape (CLASSES,), uint64
+        The random key that the keys of the cubes come from.
+    count : ndarray of shape (CLASSES, most), float64
+        Cumulative Poisson distribution of the number of drops in a cube.
+    size : ndarray of shape (CLASSES, 3), float64
+        Lowest diameter [m], share of the exponential distribution within the class, its scale [m].
+    share : ndarray of shape (CLASSES, ticks), float64
+        Share of the drops that the rain has at even times; one tick for a steady rain.
+    frame : ndarray of shape (CLASSES, 4), float64
+        Offset of the co-moving frame along x and y [m], first tick [s] and ticks per second.
+    """
+
+    velocity: np.ndarray
+    cube: np.ndarray
+    class_key: np.ndarray
+    count: np.ndarray
+    size: np.ndarray
+    share: np.ndarray
+    frame: np.ndarray
 
 
-@lean_function
-def drops_in_cube(key, size_class, count):
+class Cube(NamedTuple):
+    """A cube of the co-moving frame of a size class: whole numbers of sides along x, y and z."""
+
+    size_class: int
+    i: int
+    j: int
+    k: int
+
+
+@inlined_function
+def cube_key(cube, field):
+    """Return the random key (uint64) of a `Cube`."""
+    key = field.class_key[cube.size_class]
+    return subkey(subkey(subkey(key, cube.i), cube.j), cube.k)
+
+
+@inlined_function
+def drops_in_cube(key, size_class, field):
     """Return how many drops the cube of that key holds, by inverting the Poisson distribution."""
     chance = uniform(key)
     drops = 0
-    while chance >= count[size_class, drops]:
+    while chance >= field.count[size_class, drops]:
         drops += 1
     return drops
 
@@ -44,26 +85,46 @@ def drop_id(key, drop):
     return subkey(key, drop + 1)
 
 
-@lean_function
-def left_out(word, size_class, z, vz, share, frame):
-    """Tell whether a drop that would be at height z [m] at time 0 is not in the rain of its time.
+@inlined_function
+def drop_place(word, cube, field):
+    """Return where (x, y, z) [m] a drop of a `Cube` would be at time 0.
 
-    Its time is when it passes z = 0.
+    In a wind that changes that is the place from which the wind of the field's interval would have
+    carried the drop to where it is.
     """
-    ticks = share.shape[1]
-    if ticks == 1:
-        return False
-    at = min(max((-z / vz - frame[size_class, 2]) * frame[size_class, 3], 0.0), ticks - 1.0)
+    side, (ux, uy, uz) = field.cube[cube.size_class], uniform_triple(word)
+    return (
+        (cube.i + ux) * side + field.frame[cube.size_class, 0],
+        (cube.j + uy) * side + field.frame[cube.size_class, 1],
+        (cube.k + uz) * side,
+    )
+
+
+@inlined_function
+def thinned_out(word, size_class, z, field):
+    """Tell whether the rain lacks a drop that would be at height z [m] at time 0.
+
+    The rain is a thinning of the heaviest rain's Poisson field; its rate when the drop passes z = 0
+    decides, so that a drop is there for all of its fall or for none of it.
+    """
+    return field.share.shape[1] > 1 and _thinned_out(word, size_class, z, field)
+
+
+@lean_function
+def _thinned_out(word, size_class, z, field):
+    share, frame = field.share, field.frame
+    ticks, passes = share.shape[1], -z / field.velocity[size_class, 2]
+    at = min(max((passes - frame[size_class, 2]) * frame[size_class, 3], 0.0), ticks - 1.0)
     tick = min(int(at), ticks - 2)
     part = at - tick
     there = share[size_class, tick] * (1.0 - part) + share[size_class, tick + 1] * part
     return uniform(mix(word ^ _SHARE_STREAM)) >= there
 
 
-@lean_function
-def drop_diameter(word, size_class, size):
+@inlined_function
+def drop_diameter(word, size_class, field):
     """Return the diameter [m] of the drop with that id: exponential within its class."""
-    chance = uniform(mix(word ^ _DIAMETER_STREAM))
+    chance, size = uniform(mix(word ^ _DIAMETER_STREAM)), field.size
     return size[size_class, 0] - np.log(1 - chance * size[size_class, 1]) * size[size_class, 2]
 
 
@@ -93,9 +154,9 @@ def swept_cubes(field, surfaces, start, stop, within=None):
     Returns
     -------
     first, last : ndarray of shape (CLASSES, 3), int64
-        The first and last cubes of each class; `drops.cubes_swept` says which of them along z.
+        The first and last cubes of each class; `impacts.cubes_swept` narrows them along z.
     corner, opposite : ndarray of shape (2,) [m]
-        Of the part of the map that is asked for.
+        Of the part of the map that `within` selects.
     """
     start = np.asarray(start, np.float64)[..., None]
     corner, ny, nx = np.array(surfaces.origin, np.float64), *surfaces.shape

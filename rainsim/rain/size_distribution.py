@@ -11,7 +11,6 @@ import numpy as np
 from rainsim.errors import ParameterError, require_choice, require_not_negative
 from rainsim.jit import device_function
 
-WATER_DENSITY = 1000.0  # kg/m3
 SMALLEST = 0.5e-3  # m; smaller drops are not tracked one by one
 LARGEST = 6.0e-3  # m; larger drops break up as they fall
 CLASSES = 48  # even steps of log speed: 3.1 % from class to class

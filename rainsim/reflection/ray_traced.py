@@ -7,17 +7,32 @@ of 1e-4 is left out. The Gaussian at a ray is the splat's projection along it, w
 greatest value on the ray (3DGRT, Moenne-Loccoz et al. 2024, ACM TOG 43(6), eq. 8), widened by 0.3
 pixels^2 at the distance where it stands, as the picture does. What differs from the picture is that
 each ray projects on its own, where the picture takes one projection for all pixels of a splat.
+
+`Tracer` traces any rays; `traced_light` traces those that listed water mirrors.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from rainsim.bvh import LEAST_ALPHA, RECORD, build, lay_out
-from rainsim.jit import cpu_kernel, device_function, prange
+from rainsim.constants import FOUR, HALF, ONE, SH_0, SH_1, SH_2, SH_3, THREE, TWO, ZERO
+from rainsim.jit import cpu_kernel, device_function, inlined_function, lean_function, prange
+from rainsim.numerics.bvh import LEAST_ALPHA, RECORD, build, lay_out
+from rainsim.reflection import water_record
+from rainsim.reflection.mirrored_rays import (
+    ENVIRONMENT,
+    LEAST_VARIANCE,
+    SAMPLES,
+    TRACED,
+    sample_ray,
+)
+from rainsim.reflection.slope_moments import root_of
+from rainsim.reflection.water_record import read_record
+from rainsim.scene.view import View, camera_component
 
 MAX_ALPHA = np.float32(0.999)
 TRANSMITTANCE_STOP = np.float32(1e-4)
@@ -31,14 +46,40 @@ STACK = 96
 GROWTH = np.float32(2)  # of a segment over the one before
 FAR = np.float32(1e30)
 
-ZERO, ONE, TWO, HALF, FOUR = (np.float32(v) for v in (0, 1, 2, 0.5, 4))
-SH0, SH1 = np.float32(0.28209479177387814), np.float32(0.4886025119029199)
-SH2A, SH2B, SH2C = (np.float32(v) for v in (1.0925484305920792, 0.31539156525252005,
-                                            0.5462742152960396))  # fmt: skip
-SH3A, SH3B, SH3C = (np.float32(v) for v in (0.5900435899266435, 2.890611442640554,
-                                            0.4570457994644658))  # fmt: skip
-SH3D, SH3E = np.float32(0.3731763325901154), np.float32(1.445305721320277)
-THREE = np.float32(3)
+# Factors of the spherical harmonics of degrees 0 to 3 (Kerbl et al. 2023).
+SH0, SH1 = np.float32(SH_0), np.float32(SH_1)
+SH2A, SH2B, SH2C = (np.float32(factor) for factor in SH_2)
+SH3A, SH3B, SH3C, SH3D, SH3E = (np.float32(factor) for factor in SH_3)
+
+
+class SplatTree(NamedTuple):
+    """Splats in a bounding volume hierarchy (BVH), see `rainsim.numerics.bvh`."""
+
+    record: np.ndarray  # (n, bvh.RECORD) float32, in the order of the leaves
+    box: np.ndarray  # (nodes, 6) float32
+    child: np.ndarray  # (nodes, 2) int64
+    order: np.ndarray  # (n,) int64, number of each record's splat
+    sh: np.ndarray  # (n, 3 * bands**2) float32, colours in the splats' own order
+    bands: int  # 1 to 4, degrees of the harmonics and one more
+
+
+class Ray(NamedTuple):
+    """A ray and the plane across it, float32, capture frame."""
+
+    o0: np.float32  # origin
+    o1: np.float32
+    o2: np.float32
+    d0: np.float32  # unit direction
+    d1: np.float32
+    d2: np.float32
+    e0: np.float32  # unit vectors that span the plane across the ray
+    e1: np.float32
+    e2: np.float32
+    f0: np.float32
+    f1: np.float32
+    f2: np.float32
+    way: np.float32  # length of the way from the virtual eye to the origin
+    per_focal: np.float32  # width of the picture's pixel over the distance
 
 
 @dataclass(frozen=True)
@@ -80,18 +121,18 @@ class Tracer:
         n = len(splats)
         record, box = np.empty((n, RECORD), np.float32), np.empty((n, 6), np.float32)
         lay_out(splats.position, splats.scale, splats.rotation, splats.opacity, record, box)
-        self.order = np.arange(n)
+        order = np.arange(n)
         node_box, child = np.empty((2 * n + 1, 6), np.float32), np.empty((2 * n + 1, 2), np.int64)
-        nodes = build(box, self.order, node_box, child) if n else 0
-        self._record = record[self.order]
-        self._box, self._child = node_box[:nodes].copy(), child[:nodes].copy()
-        self._sh = splats.sh.reshape(n, 3 * splats.sh.shape[1])
-        self._bands = math.isqrt(splats.sh.shape[1])
+        nodes = build(box, order, node_box, child) if n else 0
+        self.tree = SplatTree(
+            record[order], node_box[:nodes].copy(), child[:nodes].copy(), order,
+            splats.sh.reshape(n, 3 * splats.sh.shape[1]), math.isqrt(splats.sh.shape[1]),
+        )  # fmt: skip
 
     @property
     def nbytes(self):
         """Memory of the hierarchy [bytes]; the colours are the scene's own."""
-        return sum(a.nbytes for a in (self._record, self._box, self._child, self.order))
+        return sum(a.nbytes for a in self.tree[:4])
 
     def trace(self, origin, direction, before=0.0, pixel=0.0, segment=1.0, plane=None,
               color_eye=None):  # fmt: skip
@@ -107,7 +148,7 @@ class Tracer:
         pixel : ndarray of shape (n,) or float
             Width of the picture's pixel over the distance; 0: splats are not widened.
         segment : float
-            Length of ray searched at first; only speed depends on it.
+            Length of ray that is searched at first; it changes only the speed.
         plane : array_like of shape (4,), optional
             (a, b, c, d): splats whose centres lie at (x, y, z) from the ray's origin with
             a x + b y + c z < d are left out.
@@ -124,7 +165,7 @@ class Tracer:
             np.full(n, np.inf, np.float32), np.full(n, np.inf, np.float32),
             np.zeros((n, 3), np.float32), np.zeros(n, np.int32),
         )  # fmt: skip
-        if not len(self._record) or not n:
+        if not len(self.tree.record) or not n:
             return out
         before, pixel = (np.broadcast_to(np.asarray(a, np.float32), n) for a in (before, pixel))
         cut = np.array([0, 0, 0, -np.inf] if plane is None else plane, np.float32)
@@ -132,24 +173,21 @@ class Tracer:
         _trace(
             np.ascontiguousarray(origin, np.float32), np.ascontiguousarray(direction, np.float32),
             before, pixel, np.float32(segment), cut,
-            eye.astype(np.float32), self._record, self._box, self._child, self.order, self._sh,
-            self._bands, out.color, out.alpha, out.distance, out.plane_distance, out.normal,
-            out.hits,
+            eye.astype(np.float32), self.tree, out.color, out.alpha, out.distance,
+            out.plane_distance, out.normal, out.hits,
         )  # fmt: skip
         return out
 
 
 @cpu_kernel
 def _trace(
-    origin, direction, before, pixel, segment, plane, color_eye, record, box, child, order,
-    sh, bands, color_out, alpha_out, distance_out, plane_out, normal_out, hits_out,
+    origin, direction, before, pixel, segment, plane, color_eye, tree: SplatTree, color_out,
+    alpha_out, distance_out, plane_out, normal_out, hits_out,
 ):  # fmt: skip
     """Trace each ray, segment after segment, until it is stopped or leaves the scene."""
-    for ray in prange(len(origin)):
-        o0, o1, o2 = origin[ray, 0], origin[ray, 1], origin[ray, 2]
-        d0, d1, d2 = direction[ray, 0], direction[ray, 1], direction[ray, 2]
-        e0, e1, e2, f0, f1, f2 = across(d0, d1, d2)
-        way, per_focal = before[ray], pixel[ray]
+    for n in prange(len(origin)):
+        ray = ray_from(origin[n], direction[n], before[n], pixel[n])
+        o0, o1, o2, d0, d1, d2, way = ray.o0, ray.o1, ray.o2, ray.d0, ray.d1, ray.d2, ray.way
         hit, place = np.empty(MOST_HITS, np.float32), np.empty(MOST_HITS, np.int64)
         weight, stack = np.empty(MOST_HITS, np.float32), np.empty(STACK, np.int64)
         own = not (color_eye[0] == color_eye[0])
@@ -159,22 +197,19 @@ def _trace(
         clear, red, green, blue, mean = ONE, ZERO, ZERO, ZERO, ZERO
         n0, n1, n2, flat = ZERO, ZERO, ZERO, ZERO
         begin, size, blended = ZERO, segment, 0
-        last = farthest(box[0], o0, o1, o2, d0, d1, d2)
+        last = farthest(tree.box[0], ray)
         while begin < last and clear > TRANSMITTANCE_STOP:
             end = begin + size
-            count = collect(
-                record, box, child, stack, o0, o1, o2, d0, d1, d2, e0, e1, e2, f0, f1, f2, way,
-                per_focal, plane, begin, end, hit, place, weight,
-            )  # fmt: skip
+            count = collect(tree, ray, plane, begin, end, stack, hit, place, weight)
             if count < 0:
                 size *= HALF
                 continue
             sort_hits(hit, place, weight, count)
             for k in range(count):
-                r = record[place[k]]
+                r = tree.record[place[k]]
                 alpha = weight[k]
                 w = alpha * clear
-                s = sh[order[place[k]]]
+                s, bands = tree.sh[tree.order[place[k]]], tree.bands
                 x, y, z = r[0] - c0, r[1] - c1, r[2] - c2
                 inv = ONE / max(math.sqrt(x * x + y * y + z * z), np.float32(1e-12))
                 x, y, z = x * inv, y * inv, z * inv
@@ -193,8 +228,8 @@ def _trace(
             begin = end
             size *= GROWTH
         alpha = ONE - clear
-        color_out[ray, 0], color_out[ray, 1], color_out[ray, 2] = red, green, blue
-        alpha_out[ray], hits_out[ray] = alpha, blended
+        color_out[n, 0], color_out[n, 1], color_out[n, 2] = red, green, blue
+        alpha_out[n], hits_out[n] = alpha, blended
         length = math.sqrt(n0 * n0 + n1 * n1 + n2 * n2)
         if alpha < MIN_COVERAGE or length == ZERO:
             continue
@@ -202,10 +237,18 @@ def _trace(
         along = n0 * d0 + n1 * d1 + n2 * d2
         level = flat / along if along < -EDGE_ON * alpha else mean
         total = way + mean
-        distance_out[ray] = total
-        plane_out[ray] = way + level if abs(level - mean) < PLANE_LIMIT * total else total
-        normal_out[ray, 0], normal_out[ray, 1] = n0 / length, n1 / length
-        normal_out[ray, 2] = n2 / length
+        distance_out[n] = total
+        plane_out[n] = way + level if abs(level - mean) < PLANE_LIMIT * total else total
+        normal_out[n, 0], normal_out[n, 1] = n0 / length, n1 / length
+        normal_out[n, 2] = n2 / length
+
+
+@inlined_function
+def ray_from(origin, direction, way, per_focal):
+    """Return the `Ray` of an origin (3,) and a unit direction (3,)."""
+    d0, d1, d2 = direction[0], direction[1], direction[2]
+    e0, e1, e2, f0, f1, f2 = across(d0, d1, d2)
+    return Ray(origin[0], origin[1], origin[2], d0, d1, d2, e0, e1, e2, f0, f1, f2, way, per_focal)
 
 
 @device_function
@@ -221,31 +264,31 @@ def across(x, y, z):
 
 
 @device_function
-def farthest(b, o0, o1, o2, d0, d1, d2):
+def farthest(b, ray):
     """Return how far along the ray the farthest corner of a box lies."""
     return (
-        ((b[3] if d0 > ZERO else b[0]) - o0) * d0
-        + ((b[4] if d1 > ZERO else b[1]) - o1) * d1
-        + ((b[5] if d2 > ZERO else b[2]) - o2) * d2
+        ((b[3] if ray.d0 > ZERO else b[0]) - ray.o0) * ray.d0
+        + ((b[4] if ray.d1 > ZERO else b[1]) - ray.o1) * ray.d1
+        + ((b[5] if ray.d2 > ZERO else b[2]) - ray.o2) * ray.d2
     )
 
 
 @device_function
-def nearest(b, o0, o1, o2, d0, d1, d2):
+def nearest(b, ray):
     """Return how far along the ray the nearest corner of a box lies."""
     return (
-        ((b[0] if d0 > ZERO else b[3]) - o0) * d0
-        + ((b[1] if d1 > ZERO else b[4]) - o1) * d1
-        + ((b[2] if d2 > ZERO else b[5]) - o2) * d2
+        ((b[0] if ray.d0 > ZERO else b[3]) - ray.o0) * ray.d0
+        + ((b[1] if ray.d1 > ZERO else b[4]) - ray.o1) * ray.d1
+        + ((b[2] if ray.d2 > ZERO else b[5]) - ray.o2) * ray.d2
     )
 
 
 @device_function
-def meets(b, margin, o0, o1, o2, i0, i1, i2):
-    """Tell whether the ray's line ahead of its origin meets a box widened by a margin."""
-    a0, c0 = (b[0] - margin - o0) * i0, (b[3] + margin - o0) * i0
-    a1, c1 = (b[1] - margin - o1) * i1, (b[4] + margin - o1) * i1
-    a2, c2 = (b[2] - margin - o2) * i2, (b[5] + margin - o2) * i2
+def meets(b, margin, ray, i0, i1, i2):
+    """Tell whether the ray's line meets a box widened by a margin; i is 1 / direction."""
+    a0, c0 = (b[0] - margin - ray.o0) * i0, (b[3] + margin - ray.o0) * i0
+    a1, c1 = (b[1] - margin - ray.o1) * i1, (b[4] + margin - ray.o1) * i1
+    a2, c2 = (b[2] - margin - ray.o2) * i2, (b[5] + margin - ray.o2) * i2
     enter = max(max(min(a0, c0), min(a1, c1)), min(a2, c2))
     leave = min(min(max(a0, c0), max(a1, c1)), max(a2, c2))
     return enter <= leave
@@ -257,31 +300,31 @@ def inverse(d):
     return ONE / d if abs(d) > np.float32(1e-20) else FAR
 
 
-@device_function
-def collect(
-    record, box, child, stack, o0, o1, o2, d0, d1, d2, e0, e1, e2, f0, f1, f2, way, per_focal,
-    plane, begin, end, hit_out, place_out, alpha_out,
-):  # fmt: skip
-    """List the splats whose centres lie from `begin` to `end` along the ray and that it meets.
+@lean_function
+def collect(tree, ray, plane, begin, end, stack, hit_out, place_out, alpha_out):
+    """List the splats that a ray meets and whose centres lie from `begin` to `end` along it.
+
+    `stack` (STACK,) is working memory; `plane` as in `Tracer.trace`.
 
     Returns
     -------
     int
         Their number; negative if there are more than fit.
     """
-    i0, i1, i2 = inverse(d0), inverse(d1), inverse(d2)
+    record, box, child = tree.record, tree.box, tree.child
+    i0, i1, i2 = inverse(ray.d0), inverse(ray.d1), inverse(ray.d2)
     p0, p1, p2, p3 = plane[0], plane[1], plane[2], plane[3]
-    widest = REACH * math.sqrt(LOW_PASS) * per_focal  # of the low-pass, over the distance
+    widest = REACH * math.sqrt(LOW_PASS) * ray.per_focal  # of the low-pass, over the distance
     stack[0] = 0
     top, count = 1, 0
     while top > 0:
         top -= 1
         node = stack[top]
         b = box[node]
-        to = farthest(b, o0, o1, o2, d0, d1, d2)
-        if to < begin or nearest(b, o0, o1, o2, d0, d1, d2) >= end:
+        to = farthest(b, ray)
+        if to < begin or nearest(b, ray) >= end:
             continue
-        if not meets(b, widest * (way + min(to, end)), o0, o1, o2, i0, i1, i2):
+        if not meets(b, widest * (ray.way + min(to, end)), ray, i0, i1, i2):
             continue
         second = child[node, 1]
         if second > 0:
@@ -291,11 +334,11 @@ def collect(
         first = child[node, 0]
         for k in range(first, first - second):
             r = record[k]
-            x, y, z = r[0] - o0, r[1] - o1, r[2] - o2
-            t = x * d0 + y * d1 + z * d2
+            x, y, z = r[0] - ray.o0, r[1] - ray.o1, r[2] - ray.o2
+            t = x * ray.d0 + y * ray.d1 + z * ray.d2
             if t < begin or t >= end or x * p0 + y * p1 + z * p2 < p3:
                 continue
-            alpha = alpha_at(r, x, y, z, t + way, e0, e1, e2, f0, f1, f2, per_focal)
+            alpha = alpha_at(r, x, y, z, t + ray.way, ray)
             if alpha >= LEAST_ALPHA:
                 if count == len(hit_out):
                     return -1
@@ -305,15 +348,13 @@ def collect(
 
 
 @device_function
-def alpha_at(r, x, y, z, distance, e0, e1, e2, f0, f1, f2, per_focal):
-    """Return the alpha of a splat's record on a ray; (x, y, z) is its centre from the origin.
-
-    e and f span the plane across the ray.
-    """
+def alpha_at(r, x, y, z, distance, ray):
+    """Return the alpha of a splat's record on a ray; (x, y, z) is its centre from the origin."""
+    e0, e1, e2, f0, f1, f2 = ray.e0, ray.e1, ray.e2, ray.f0, ray.f1, ray.f2
     u, v = x * e0 + y * e1 + z * e2, x * f0 + y * f1 + z * f2
     a0, a1 = r[3] * e0 + r[4] * e1 + r[5] * e2, r[4] * e0 + r[6] * e1 + r[7] * e2
     a2 = r[5] * e0 + r[7] * e1 + r[8] * e2
-    blur = distance * per_focal
+    blur = distance * ray.per_focal
     blur *= blur * LOW_PASS
     s00 = a0 * e0 + a1 * e1 + a2 * e2 + blur
     s01 = a0 * f0 + a1 * f1 + a2 * f2
@@ -358,3 +399,69 @@ def shaded(sh, c, bands, x, y, z):
             value += SH3D * z * (TWO * zz - THREE * xx - THREE * yy) * sh[36 + c]
             value += SH3E * z * (xx - yy) * sh[42 + c] - SH3A * x * (xx - THREE * yy) * sh[45 + c]
     return max(value, ZERO)
+
+
+def traced_light(record, view, trace, light_out, source_out):
+    """Trace the mirrored light of every record through the splats.
+
+    Parameters
+    ----------
+    record : ndarray of shape (n, RECORD), float32
+    view : View
+    trace : callable
+        trace(origin [m], direction, before [m], pixel) returns radiance (k, 3), alpha (k,) and
+        distance (k,) [m] from the eye of rays in the ground frame; `pixel` is the width of a pixel
+        over the distance.
+    light_out : ndarray of shape (n, 3), float32
+        Radiance that comes to the surface, before it is multiplied by the reflectance.
+    source_out : ndarray of shape (n,), uint8
+        TRACED, or ENVIRONMENT where the ray of the mean slopes met little.
+
+    Returns
+    -------
+    alpha : ndarray of shape (n,), float32
+    end : ndarray of shape (n, 3), float32 [m]
+        Where the rays of the mean slopes end.
+    """
+    alpha_of, end = None, None
+    variance = record[:, water_record.VARIANCE_X] + record[:, water_record.VARIANCE_Y]
+    smooth = variance < LEAST_VARIANCE
+    for sample in range(SAMPLES):
+        which = np.flatnonzero(~smooth) if sample else np.arange(len(record))
+        direction = np.empty((len(which), 3), np.float32)
+        before = np.empty(len(which), np.float32)
+        mirror_rays(which, record, view, sample, direction, before)
+        pixel = record[which, water_record.VIEW_DEPTH] / before / view.fx
+        point = record[:, water_record.POINT]
+        light, alpha, distance = trace(point[which], direction, before, pixel)
+        if sample:
+            light_out[which] += light
+        else:
+            light_out[:] = light
+            alpha_of = alpha
+            end = point + (distance - before)[:, None] * direction
+            source_out[:] = np.where(alpha > HALF, TRACED, ENVIRONMENT)
+    light_out[~smooth] /= SAMPLES
+    return alpha_of, end
+
+
+@cpu_kernel
+def mirror_rays(which, record, view: View, sample, direction_out, before_out):
+    """Write the mirrored ray of each record in `which`, for one of the SAMPLES slopes.
+
+    Parameters
+    ----------
+    sample : int
+        Number of the slope; 0 is the mean of the pixel's.
+    direction_out : ndarray of shape (k, 3), float32
+        Unit, ground frame.
+    before_out : ndarray of shape (k,), float32 [m]
+        Way from the eye to the water.
+    """
+    for k in prange(len(which)):
+        water = read_record(record, which[k])
+        a, b, c = root_of(water.variance_x, water.variance_y, water.covariance)
+        rx, ry, rz = sample_ray(water, a, b, c, sample)
+        direction_out[k, 0], direction_out[k, 1], direction_out[k, 2] = rx, ry, rz
+        ahead = camera_component(view, 2, water.view_x, water.view_y, water.view_z)
+        before_out[k] = water.view_depth / ahead

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from rainsim.chunks import CHUNK, CORNERS, interpolate
-from rainsim.jit import cpu_kernel, device_function, inlined_function, prange
-from rainsim.light import bilinear, smoothstep
-
-ZERO = np.float32(0)
-ONE = np.float32(1)
-HALF = np.float32(0.5)
+from rainsim.constants import HALF, ONE, ZERO
+from rainsim.jit import cpu_kernel, inlined_function, lean_function, prange
+from rainsim.numerics.interpolation import bilinear, smoothstep
+from rainsim.numerics.pixel_batches import CHUNK, CORNERS, interpolate
+from rainsim.reflection.water_surface import WaterMap
+from rainsim.scene.view import View
 
 HIDE_LOW, HIDE_HIGH = np.float32(0.004), np.float32(0.014)  # m above water: hides it, softly
 LEAST_DIP = np.float32(-0.01)  # rays flatter than this meet water in the haze, if at all
@@ -19,34 +18,32 @@ CLOSE_ENOUGH = np.float32(5e-5)  # m of height between two steps towards the sur
 MOST_STEPS = 6
 FAR_OFF = np.float32(5e-3)  # m of height between the last two steps: they do not meet the surface
 
-# Rows of a chunk's numbers: depth of the scene [m], the ray for a depth of 1, the depth [m] that it
-# has got to, height [m] there and the last step's change [m], column and row of the cell.
+# Rows of a chunk's numbers: depth of the scene [m], the ray for a depth of 1, the depth [m] that
+# the ray has reached, the surface's height [m] there and its change [m] in the last step, column
+# and row of the cell.
 (DEPTH, RAY_X, RAY_Y, RAY_Z, WAY, BEFORE, STEP, U, V) = (CHUNK * k for k in range(9))
 NUMBERS = 9 * CHUNK
 
 
 @cpu_kernel
 def meet_water(
-    depth, ground_from_camera, eye, lens, surface, water_depth, origin, spacing, highest, turn,
-    cover, hard, hit_out, coverage_out, count_out,
+    depth, view: View, water_map: WaterMap, highest, row_order, cover, hit_out, coverage_out,
+    count_out,
 ):  # fmt: skip
     """Find where each pixel's ray meets the water surface, and how much of the pixel it covers.
 
     Parameters
     ----------
     depth : ndarray of shape (height, width), float32 [m]
-        Of the scene along the view axis, as `grade.grade_and_wet` left it.
-    surface : ndarray of shape (ny, nx), float32 [m]
-        Height of the water surface, continued below the ground beside the water.
-    water_depth : ndarray of shape (ny, nx), float32 [m]
+        Of the wet picture, along the view axis.
+    view : View
+    water_map : WaterMap
     highest : float32 [m]
-        Of the surface: what shows higher is dry.
-    turn : ndarray of shape (height,), int64
-        Order in which rows are taken, see `jit.dealt`.
+        Height of the highest water: pixels that show something higher are dry.
+    row_order : ndarray of shape (height,), int64
+        Order in which rows are taken, see `jit.interleaved`.
     cover : ndarray of shape (2,), float32 [m]
         Water depth where coverage begins and is full.
-    hard : bool
-        Cover all or nothing: whether there is water and it is nearer than the scene.
     hit_out : ndarray of shape (height, width), float32 [m]
         Depth of the water along the view axis; only where it covers.
     coverage_out : ndarray of shape (height, width), float32
@@ -56,23 +53,20 @@ def meet_water(
     """
     height, width = depth.shape
     for k in prange(height):
-        row = turn[k]
+        row = row_order[k]
         s, place = np.empty(NUMBERS, np.float32), np.empty(CHUNK, np.uint32)
         corner = np.empty(CORNERS, np.float32)
         count = 0
-        b = (np.float32(row) + HALF - lens[3]) / lens[1]
+        b = (np.float32(row) + HALF - view.cy) / view.fy
         for left in range(0, width, CHUNK):
             n = min(CHUNK, width - left)
             here = coverage_out[row, left : left + n]
-            low = aim(
-                depth[row, left : left + n], ground_from_camera, eye, lens, highest, left, b, n, s
-            )
+            low = aim(depth[row, left : left + n], view, highest, left, b, n, s)
             if low > 0:
-                follow(surface, eye, origin, spacing, n, s, place, corner)
+                follow(view, water_map, n, s, place, corner)
                 count += cover_chunk(
-                    surface, water_depth, eye, origin, spacing, cover, hard, n, s, place, corner,
-                    hit_out[row, left : left + n], here,
-                )  # fmt: skip
+                    view, water_map, cover, n, s, place, corner, hit_out[row, left : left + n], here
+                )
             else:
                 for i in range(n):
                     here[i] = ZERO
@@ -80,12 +74,13 @@ def meet_water(
 
 
 @inlined_function
-def aim(depth, m, eye, lens, highest, left, b, n, s):
+def aim(depth, view, highest, left, b, n, s):
     """Start the rays of n pixels at the highest water; return how many may meet any."""
+    m = view.ground_from_camera
     m00, m01, m02 = m[0, 0], m[0, 1], m[0, 2]
     m10, m11, m12 = m[1, 0], m[1, 1], m[1, 2]
     m20, m21, m22 = m[2, 0], m[2, 1], m[2, 2]
-    f, c, up = lens[0], lens[2], eye[2]
+    f, c, up = view.fx, view.cx, view.eye[2]
     for i in range(n):
         s[DEPTH + i] = depth[i]
     low = 0
@@ -102,18 +97,18 @@ def aim(depth, m, eye, lens, highest, left, b, n, s):
 
 
 @inlined_function
-def follow(surface, eye, origin, spacing, n, s, place, corner):
+def follow(view, water_map, n, s, place, corner):
     """Follow n rays to the surface, as `meet_surface` does one, while any of them needs a step."""
-    up = eye[2]
+    up = view.eye[2]
     for _ in range(MOST_STEPS):
-        find_cells(eye, origin, spacing, n, s)
-        interpolate(surface, n, s, U, V, place, corner)
+        find_cells(view, water_map, n, s)
+        interpolate(water_map.surface, n, s, U, V, place, corner)
         moving = 0
         for i in range(n):
             now, t, step = s[U + i], s[WAY + i], s[STEP + i]
-            there, moved = (now - up) / s[RAY_Z + i], abs(now - s[BEFORE + i])
+            reached, moved = (now - up) / s[RAY_Z + i], abs(now - s[BEFORE + i])
             on = step >= CLOSE_ENOUGH
-            t, step = there if on else t, moved if on else step
+            t, step = reached if on else t, moved if on else step
             s[WAY + i], s[STEP + i], s[BEFORE + i] = t, step, now
             moving += np.int64(step >= CLOSE_ENOUGH)
         if moving == 0:
@@ -121,8 +116,9 @@ def follow(surface, eye, origin, spacing, n, s, place, corner):
 
 
 @inlined_function
-def find_cells(eye, origin, spacing, n, s):
-    """Find the cells above which n rays have got to."""
+def find_cells(view, water_map, n, s):
+    """Find the cells that n rays have reached."""
+    eye, origin, spacing = view.eye, water_map.origin, water_map.spacing
     e0, e1, o0, o1 = eye[0], eye[1], origin[0], origin[1]
     for i in range(n):
         s[U + i] = (e0 + s[WAY + i] * s[RAY_X + i] - o0) / spacing - HALF
@@ -130,25 +126,22 @@ def find_cells(eye, origin, spacing, n, s):
 
 
 @inlined_function
-def cover_chunk(
-    surface, water_depth, eye, origin, spacing, cover, hard, n, s, place, corner,
-    hit_out, coverage_out,
-):  # fmt: skip
+def cover_chunk(view, water_map, cover, n, s, place, corner, hit_out, coverage_out):
     """Write where n rays have met the water and how much it covers; return how often it does."""
-    right, bottom = np.float32(surface.shape[1] - 2), np.float32(surface.shape[0] - 2)
+    ny, nx = water_map.surface.shape
+    right, bottom = np.float32(nx - 2), np.float32(ny - 2)
     thin, full = cover[0], cover[1]
-    find_cells(eye, origin, spacing, n, s)
+    find_cells(view, water_map, n, s)
     for i in range(n):
         u, v = s[U + i], s[V + i]
         met = (s[WAY + i] > ZERO) & (s[STEP + i] <= FAR_OFF)
         met = met & (u > ONE) & (v > ONE) & (u <= right) & (v <= bottom)
         s[STEP + i] = ONE if met else ZERO
-    interpolate(water_depth, n, s, U, V, place, corner)
+    interpolate(water_map.depth, n, s, U, V, place, corner)
     count = 0
     for i in range(n):
-        covers = s[STEP + i] * covered(
-            s[U + i], s[DEPTH + i] - s[WAY + i], s[RAY_Z + i], thin, full, hard
-        )
+        behind = s[DEPTH + i] - s[WAY + i]
+        covers = s[STEP + i] * covered(s[U + i], behind, s[RAY_Z + i], thin, full)
         covers = covers if covers > LEAST_COVERAGE else ZERO
         s[U + i] = covers
         count += np.int64(covers > ZERO)
@@ -160,27 +153,26 @@ def cover_chunk(
 
 
 @inlined_function
-def covered(deep, behind, z, thin, full, hard):
-    """Return how much water of a depth [m] covers of a pixel, see `meet_water`.
+def covered(water_depth, behind, z, thin, full):
+    """Return the share of a pixel that water of a depth [m] covers.
 
-    `behind` is how far beyond the water the scene is [m] along the view axis, z the ray's fall
-    along that.
+    It grows from 0 at the depth `thin` to 1 at `full`; what the picture shows above the water
+    hides the water, softly at the contact. `behind` is how far beyond the water the scene lies
+    along the view axis [m], z the ray's fall along that axis.
     """
-    above = behind * z  # of the scene over the water [m]
-    # Hidden by what the picture shows above the water, softly at the contact.
-    soft = smoothstep(thin, full, deep) * (ONE - smoothstep(HIDE_LOW, HIDE_HIGH, above))
-    all_ = ONE if (deep > thin) & (above < ZERO) else ZERO
-    return all_ if hard else soft
+    above = behind * z  # m, height of the scene over the water
+    return smoothstep(thin, full, water_depth) * (ONE - smoothstep(HIDE_LOW, HIDE_HIGH, above))
 
 
-@device_function
-def meet_surface(surface, origin, spacing, eye, x, y, z, start):
-    """Return how far along (x, y, z) the ray from `eye` meets the surface, and in which cell.
+@lean_function
+def meet_surface(view, water_map, x, y, z, start):
+    """Return how far along (x, y, z) the ray from the eye meets the surface, and in which cell.
 
     The surface is nearly level: a few fixed-point steps from the height `start` meet it. Where
     they do not, at the foot of steps seen at a grazing angle, there is no hit: negative.
     """
-    inv = ONE / z
+    surface, origin, spacing = water_map.surface, water_map.origin, water_map.spacing
+    eye, inv = view.eye, ONE / z
     t = (start - eye[2]) * inv
     u, v, step = ZERO, ZERO, ONE
     before = start

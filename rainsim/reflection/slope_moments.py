@@ -1,11 +1,11 @@
-"""Ripples as a pixel sees them: mean and covariance of their slopes over what it shows of water.
+"""Ripples as a pixel sees them: mean and covariance of their slopes over the pixel's footprint.
 
-A picture shows the mean of what all facets in a pixel mirror, so it takes how their slopes are
-spread, not only the slope in the pixel's middle. Slopes and their products are averaged over ever
+A picture shows the mean of what all facets in a pixel mirror, so it needs the spread of their
+slopes, not only the slope in the pixel's middle. Slopes and their products are averaged over ever
 larger cells of the ripple tile (Olano and Baker 2010, LEAN mapping, I3D 2010, 181-188): the mean
 of a product less the product of the means is the covariance over any footprint. Two things differ
 from the paper: the footprint of a pixel seen at a slant is put together from several cells in a
-row, and the covariance serves to draw samples of what is mirrored (`reflect`), not a highlight.
+row, and the covariance serves to draw mirrored rays (`mirrored_rays`), not a highlight.
 """
 
 from __future__ import annotations
@@ -14,22 +14,20 @@ import math
 
 import numpy as np
 
+from rainsim.constants import HALF, ONE, TWO, ZERO
 from rainsim.jit import cpu_kernel, device_function, prange
 
-ZERO = np.float32(0)
-ONE = np.float32(1)
-TWO = np.float32(2)
-HALF = np.float32(0.5)
 QUARTER = np.float32(0.25)
 
 MOMENTS = 5  # of slopes a, b along x, y: a, b, a^2, b^2, a b
-# Width of a cell over that of its part of the footprint: interpolated, it then has the variance of
-# that. Cells that are taken are finer: they come in powers of two, and what they add is averaged.
+# Width c of a cell over the width w of the part of the footprint that the cell stands for. A mean
+# over a cell (variance c^2 / 12), interpolated between neighbours (c^2 / 6), weights places with a
+# variance of c^2 / 4; an even weight over w has w^2 / 12. The two are equal for c = w / sqrt(3).
 CELL_SHARE = np.float32(1 / math.sqrt(3))
-FINER = np.float32(0.78)
-LEAST_STEP = np.float32(1.4)  # cells of the finest resolution between two that are taken
+FINER = np.float32(0.78)  # of that width: a finer mip level is used from here on; levels double
+LEAST_STEP = np.float32(1.4)  # cells of the finest resolution between two that are averaged
 MOST_SLANT = np.float32(40)  # of the pixel's footprint on the water over its width
-MOST_CELLS = 16  # in a row that a slanted footprint takes
+MOST_CELLS = 16  # in a row over a slanted footprint
 ROOT_TWO = np.float32(math.sqrt(2))
 
 
@@ -122,7 +120,7 @@ def pixel_slopes(moments, size, x, y, vx, vy, vz, width):
     du, dv = step * vx * inv, step * vy * inv
     back = HALF * np.float32(count - 1)
     u, v = x / size - back * du, y / size - back * dv
-    # What lies within a cell sees the less of its slope's change.
+    # A footprint smaller than a cell sees only a part of the slope's change over the cell.
     small = min(cell * np.float32(n) / size, ONE)
     small *= small
     a, b, aa, bb, ab = ZERO, ZERO, ZERO, ZERO, ZERO

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from scipy import ndimage
 
+from rainsim.constants import HALF, ONE, ZERO
 from rainsim.jit import cpu_kernel, device_function, prange
-from rainsim.light import bilinear
+from rainsim.numerics.interpolation import bilinear
 
 GRASS_HEIGHT = 0.05  # m of water that closes over a lawn
 WET_CELL = np.float32(3e-4)  # m: cells with more carry the surface; thinner water only darkens
@@ -17,7 +19,16 @@ RELIEF_WIDTHS = (0.02, 0.05, 0.12)  # m
 SURFACE_REACH = 2  # cells by which the surface is continued into the dry, for soft rims
 LEAST_WEIGHT = np.float32(1e-4)  # of wet cells around, below which there is no surface
 BLOCK = 8  # cells of a block, of which the mean level is kept
-ZERO, ONE, HALF = np.float32(0), np.float32(1), np.float32(0.5)
+
+
+class WaterMap(NamedTuple):
+    """The water that pictures show, over the map's cells."""
+
+    surface: np.ndarray  # (ny, nx) float32 [m], height; continued below the ground beside the water
+    depth: np.ndarray  # (ny, nx) float32 [m]
+    rings: np.ndarray  # (ny, nx) float32, amplitude of rings over that in the open
+    origin: np.ndarray  # (2,) float32 [m], corner of the map
+    spacing: np.float32  # m, of its cells
 
 
 def _gauss(sigma, radius):
@@ -32,8 +43,8 @@ WIDE, NARROW = _gauss(1.5, 6), _gauss(0.7, 3)
 def fine_relief(terrain):
     """Return a made-up roughness of hard ground below what a capture resolves, (ny, nx) [m].
 
-    Captured beds are smoothed, so their puddles would end in lines too smooth for stone. This only
-    moves the drawn rim by less than a millimetre of depth; the water itself does not know of it.
+    Captured beds are smoothed, so their puddles would end in lines too smooth for stone. The
+    relief moves the drawn rim by less than a millimetre of depth; the solver's bed has none.
     """
     rng = np.random.Generator(np.random.PCG64(0))
     relief = np.zeros(terrain.grid.shape)
@@ -56,9 +67,9 @@ def water_surface(terrain, depth, relief, mirrors):
     terrain : Terrain
     depth : ndarray of shape (ny, nx), float32 [m]
     relief : ndarray of shape (ny, nx), float32 [m]
-        As `fine_relief` gives it.
+        See `fine_relief`.
     mirrors : ndarray of shape (ny, nx), bool
-        Cells on which a film of water can be seen as a surface.
+        Cells on which even a thin film of water shows as a surface: no grass stands out of it.
     """
     surface, over = np.empty_like(terrain.bed), np.empty_like(terrain.bed)
     smooth = mirrors | (depth > GRASS_HEIGHT)
@@ -89,7 +100,7 @@ def _far_surface(bed, depth, smooth):
 
 @cpu_kernel
 def _sum_blocks(bed, depth, smooth, count_out, total_out):
-    """Count the wet cells of each block and add up their water levels."""
+    """Count the wet cells in the mask `smooth` of each block, and sum their water levels."""
     ny, nx = bed.shape
     rows = len(count_out)
     for m in prange(rows):

@@ -1,4 +1,4 @@
-"""Where a camera is when its shutter closes, told by the cameras of the frames around."""
+"""Where a camera is when its shutter closes, from the cameras of the frames before and after."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""From the numbers that splat files store to those that Splats hold, and what to do with bad ones.
+"""Convert the stored values of splat files to those of `Splats`, and drop unusable splats.
 
-Files store logarithms of scales, logits of opacities and quaternions of any length. All readers go
-through here, so that a splat is judged by the same rules whatever file it came from.
+Files store logarithms of scales, logits of opacities and quaternions of any length. All readers
+call this module, so that the same rules decide for every format which splats are usable.
 """
 
 from __future__ import annotations
@@ -9,18 +9,17 @@ from __future__ import annotations
 import numpy as np
 
 from rainsim.errors import InputError
-from rainsim.scene.files import MAX_LENGTH
+from rainsim.io.files import MAX_LENGTH
 from rainsim.scene.types import Splats
 
-MAX_BROKEN_SHARE = 0.01  # above this the file is damaged, not merely untidy
+MAX_BROKEN_SHARE = 0.01  # with a larger share of unusable splats the file counts as damaged
 ROWS_PER_STEP = 1 << 14  # some 4 MB of splats: fits a core's share of cache
-SH_C0 = 0.28209479177387814  # the constant basis function: colour = SH_C0 * sh[0] + 0.5
 REST_COEFFICIENTS = {0: 1, 9: 4, 24: 9, 45: 16}  # number of f_rest_* -> (degree + 1)^2
-FREE_COUNT = 1 << 16  # splats that any file may promise; see `require_believable`
+FREE_COUNT = 1 << 16  # splats that a file of any size may declare; see `require_believable`
 
 
 def empty_splats(count, coefficients):
-    """Return Splats with room for `count` splats of (degree + 1)^2 `coefficients`, not filled."""
+    """Return uninitialised Splats for `count` splats of (degree + 1)^2 `coefficients`."""
     return Splats(
         position=np.empty((count, 3), np.float32),
         rotation=np.empty((count, 4), np.float32),
@@ -46,7 +45,7 @@ def activate_rows(splats, part, position, log_scale, turn, logit, base, rest=Non
     base : ndarray of shape (n, 3)
         First coefficient of the spherical harmonics.
     rest : ndarray of shape (n, k - 1, 3), optional
-        The other coefficients.
+        Coefficients of the higher degrees.
     widen : ndarray of shape (n,), optional
         Standard deviation [capture units] of the 3D smoothing filter that the capture was trained
         with. It is added to each axis and the opacity reduced so that the splat's mass stays
@@ -57,7 +56,7 @@ def activate_rows(splats, part, position, log_scale, turn, logit, base, rest=Non
     ndarray of shape (n,), bool
         Which splats have usable values.
     """
-    with np.errstate(all="ignore"):  # what overflows is counted as broken
+    with np.errstate(all="ignore"):  # values that overflow are counted as broken
         length = np.linalg.norm(turn, axis=1)
         splats.position[part] = position
         scale = np.exp(log_scale, out=splats.scale[part])
@@ -102,7 +101,7 @@ def keep_good(path, splats, good, max_broken=MAX_BROKEN_SHARE):
     Raises
     ------
     InputError
-        If the share of the others is above `max_broken`, or none is usable.
+        If the share of unusable splats is above `max_broken`, or no splat is usable.
     """
     count = len(good)
     broken = count - int(np.count_nonzero(good))
@@ -117,7 +116,7 @@ def keep_good(path, splats, good, max_broken=MAX_BROKEN_SHARE):
 
 
 def dropped_note(broken, kept):
-    """Return the notes (one or none) that tell how many splats `keep_good` dropped."""
+    """Return a list with a note on the splats that `keep_good` dropped, empty if there are none."""
     if not broken:
         return []
     return [f"dropped {_share(broken, broken + kept)} with NaN, infinite or absurd values"]
@@ -131,7 +130,7 @@ def require_believable(path, count, size):
     """Raise InputError unless `size` bytes of compressed file can hold `count` splats.
 
     Real files take ten bytes a splat and more. A file of a few kilobytes that unpacks to gigabytes
-    is an attack or damage: what is allocated stays in proportion to the file.
+    is an attack or damage. The check keeps allocated memory in proportion to the file.
     """
     if count < 1:
         raise InputError(f"{path} holds {count} splats; it must hold some; export it again")

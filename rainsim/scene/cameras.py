@@ -13,8 +13,8 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 
 from rainsim.errors import InputError, ParameterError
+from rainsim.io.files import json_number, number_array, read_json, write_json
 from rainsim.scene.colmap import MODEL_FILES, read_model
-from rainsim.scene.files import json_number, number_array, read_json, write_json
 from rainsim.scene.types import Camera
 
 MAX_FOCAL = 1e9  # px
@@ -23,7 +23,7 @@ RIGID_TOLERANCE = 1e-3  # files with six decimals pass, scaled or mirrored poses
 FLIP = np.array([1.0, -1.0, -1.0])  # OpenGL camera axes (y up, z back) to ours, and back
 JSON_FILES = ("cameras.json", "transforms.json")  # looked for in a folder, in this order
 DISTORTION = ("k1", "k2", "k3", "k4", "p1", "p2")
-MIRROR_CLEARANCE = 0.015  # m above the water: what is lower cannot be told from the ground
+MIRROR_CLEARANCE = 0.015  # m above the water: lower things cannot be distinguished from the ground
 PINHOLES = ("PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "SIMPLE_RADIAL", "RADIAL")
 
 
@@ -33,7 +33,7 @@ def read_cameras(path):
     Parameters
     ----------
     path : path-like
-        A JSON file, told apart by content; one of the files of a COLMAP model; or a folder with
+        A JSON file of either kind; one of the files of a COLMAP model; or a folder with
         either, or with sparse/0 in it.
 
     Returns
@@ -51,7 +51,7 @@ def read_cameras(path):
 
 
 def load_cameras(path):
-    """Return the cameras that `read_cameras` reads and a list of notes on what was ignored."""
+    """Return the cameras that `read_cameras` reads, and notes on ignored lens distortion."""
     path = Path(path)
     if path.is_dir():
         found = next((path / name for name in JSON_FILES if (path / name).is_file()), None)
@@ -65,7 +65,7 @@ def load_cameras(path):
 
 
 def _distortion_notes(data):
-    """Return a note if a transforms.json speaks of lens distortion."""
+    """Return a list with a note if a transforms.json has lens distortion, else an empty list."""
     if not isinstance(data, dict):
         return []
     entries = [data, *(f for f in data.get("frames") or () if isinstance(f, dict))]
@@ -150,7 +150,7 @@ def _nerf_matrix(camera_from_world):
 
 
 class _Entry:
-    """One camera's values in a file, with what all cameras of the file share."""
+    """One camera's values in a file, and the values that all cameras of the file share."""
 
     def __init__(self, path, label, values, shared=None):
         self.label = f"{path} {label}"
@@ -180,7 +180,7 @@ class _Entry:
         return value
 
     def rotation(self, key, matrix):
-        """Return `matrix` if it is a rotation, its nearest rotation if rounding is all it lacks."""
+        """Return `matrix` if it is a rotation, or the nearest rotation if it is off by rounding."""
         away = np.abs(matrix @ matrix.T - np.eye(3)).max()
         if away > RIGID_TOLERANCE or np.linalg.det(matrix) < 0:
             raise self.error(key, "a rotation without scale or mirroring")
@@ -233,7 +233,7 @@ def _nerf_camera(entry):
 
 
 def _focal_lengths(entry, width, height):
-    """Return fx, fy from whichever of the four usual values the file gives; pixels are square."""
+    """Return fx, fy [px] from the focal lengths or angles in the file; pixels default to square."""
     if entry.get("fl_x") is not None:
         fx = entry.number("fl_x", 0, MAX_FOCAL)
     elif entry.get("camera_angle_x") is not None:
@@ -261,7 +261,7 @@ def _nerf_pose(entry):
     exact = entry.values.get("camera_from_world")
     if exact is not None:
         exact = entry.array("camera_from_world", (4, 4))
-        # An editor may have changed the well-known matrix and not our copy: then it counts.
+        # If another program has edited transform_matrix and not our copy, transform_matrix counts.
         if np.allclose(_nerf_matrix(exact)[:3], matrix, rtol=1e-12, atol=1e-12):
             return exact
     return pose

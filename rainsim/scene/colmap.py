@@ -15,7 +15,7 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 
 from rainsim.errors import InputError
-from rainsim.scene.files import MAX_LENGTH, require_file
+from rainsim.io.files import MAX_LENGTH, require_file
 from rainsim.scene.types import Camera
 
 PLACES = ("", "0", "sparse/0", "sparse", "colmap/sparse/0", "distorted/sparse/0")
@@ -87,7 +87,7 @@ def read_model(folder):
     cameras : list of Camera
         One for each image, sorted by name; named as the images are, without their ending.
     notes : list of str
-        What of the lenses is ignored.
+        Which lens distortion is ignored.
 
     Raises
     ------
@@ -121,7 +121,7 @@ def _printable(name):
 
 
 def _short_names(names):
-    """Return file names without folder and ending, with the folder where that is ambiguous."""
+    """Return file names without folder and suffix; if two would be equal, all keep their folder."""
     paths = [PurePosixPath(name) for name in names]
     stems = [path.stem for path in paths]
     if len(set(stems)) == len(stems):
@@ -200,7 +200,7 @@ def _read_binary(path, parse):
 
 
 class _Bytes:
-    """Values one after the other; struct.error where they end early."""
+    """A reader of consecutive binary values; it raises struct.error if the data end early."""
 
     def __init__(self, data):
         self.data, self.place = data, 0
@@ -226,7 +226,7 @@ class _Bytes:
 
 def _lenses(path, data):
     lenses = {}
-    for _ in range(data.take("<Q")[0]):  # a lying count ends where the file does
+    for _ in range(data.take("<Q")[0]):  # a count that is too large ends in struct.error
         number, model, width, height = data.take("<IiQQ")
         if model not in NAMES:
             raise InputError(
@@ -252,7 +252,7 @@ def _images(path, data):
 
 
 def _lines(path):
-    """Return the numbered lines of a text file that are no comments."""
+    """Return (number, text) of the lines of a text file, comments left out."""
     path = require_file(path, "a part of a COLMAP model")
     try:
         lines = path.read_text(encoding="utf-8").split("\n")

@@ -17,6 +17,8 @@ from pathlib import Path
 import numpy as np
 
 from rainsim.errors import InputError
+from rainsim.io import cache
+from rainsim.io.files import read_json, replacing, write_json
 from rainsim.scene.cameras import (
     JSON_FILES,
     cameras_from_data,
@@ -24,7 +26,6 @@ from rainsim.scene.cameras import (
     load_cameras,
 )
 from rainsim.scene.colmap import find_model
-from rainsim.scene.files import read_json, replacing, write_json
 from rainsim.scene.formats import META, SUFFIXES, read_splats, source_files
 from rainsim.scene.ground import (
     estimate_ground_frame,
@@ -54,11 +55,11 @@ def import_scene(
         cameras.json, transforms.json or a COLMAP model (sparse/0) beside it, or a scene folder as
         `write_scene` writes it.
     cameras : path-like or sequence of Camera, optional
-        Instead of those beside the splats; see `read_cameras`.
+        Cameras to use instead of those in files beside the splats; see `read_cameras`.
     up, meters_per_unit, camera_height
-        See `estimate_ground_frame`. A scene folder keeps what they do not speak of.
+        See `estimate_ground_frame`. Values not given are kept from a scene folder.
     ground_frame : path-like or GroundFrame, optional
-        The whole frame; wins over the others.
+        The whole ground frame; `up` and the scale are then ignored.
 
     Returns
     -------
@@ -80,23 +81,38 @@ def import_scene(
         splats, notes = read_splats(splat_file)
         if cameras is None:
             cameras, camera_notes = cameras_beside(splat_file, model)
-        if ground_frame is None:
-            frame = estimate_ground_frame(splats, cameras, up, meters_per_unit, camera_height)
-        else:
-            frame = _as_frame(ground_frame)
         source_hash = hashed.result()
+    if ground_frame is None:
+        frame = _kept_frame(source_hash, splats, cameras, up, meters_per_unit, camera_height)
+    else:
+        frame = _as_frame(ground_frame)
     name = path.resolve().name if path.is_dir() else _file_name(path, model)
     notes = (*notes, *camera_notes)
     return Scene(name, splats, tuple(cameras), frame, path, source_hash, notes)
 
 
+def _kept_frame(source_hash, splats, *given):
+    """Return the ground frame of the splats in a file: of an earlier run, or estimated and kept.
+
+    `given` is what `estimate_ground_frame` takes besides the splats.
+    """
+    name = cache.name_of("scene", source_hash, *given) if cache.folder() else None
+    found = name and cache.read("frame", name)
+    if found:
+        return ground_frame_from_dict(found[0], "kept ground frame")
+    frame = estimate_ground_frame(splats, *given)
+    if name:
+        cache.write("frame", name, ground_frame_to_dict(frame), {})
+    return frame
+
+
 def override_ground_frame(
     scene, up=None, meters_per_unit=None, camera_height=None, ground_frame=None
 ):
-    """Return the scene with what is given of its ground frame changed; see `import_scene`.
+    """Return the scene with another ground frame, up or scale; see `import_scene`.
 
-    A new `up` searches the ground anew, and a scale that was not assumed is kept unless another is
-    given; a new scale alone leaves the ground and the axes where they are.
+    With a new `up` the ground is searched again; a scale that was not assumed is kept unless a new
+    one is given. A new scale alone leaves the ground plane and the axes unchanged.
     """
     if ground_frame is not None:
         return replace(scene, ground_frame=_as_frame(ground_frame))
@@ -114,7 +130,7 @@ def override_ground_frame(
 
 
 def is_scene(path):
-    """Whether `import_scene` could read `path`, told by names alone."""
+    """Return whether the names at `path` are those of a scene that `import_scene` reads."""
     path = Path(path)
     if path.is_dir():
         named = any((path / name).is_file() for name in (SCENE_FILE, META))
@@ -189,7 +205,7 @@ def _file_name(path, model):
 
 
 def _sha256(path):
-    """Return the SHA-256 of a splat file; of a SOG folder that of all its files in a row."""
+    """Return the SHA-256 of a splat file, or of all files of a SOG folder one after the other."""
     digest = hashlib.sha256()
     for part in source_files(path):
         with open(part, "rb") as file:
@@ -207,24 +223,13 @@ def write_scene(folder, scene):
     Parameters
     ----------
     folder : path-like
-        Made if it does not exist; other files in it are left alone.
+        Made if it does not exist; other files in it stay as they are.
     scene : Scene
     """
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    data = {
-        "rainsim_scene": VERSION,
-        "name": scene.name,
-        "source": scene.source.name if scene.source else None,
-        "source_sha256": scene.source_hash,
-        "notes": list(scene.notes),
-        "splats": len(scene.splats),
-        "ground_frame": ground_frame_to_dict(scene.ground_frame),
-        "cameras": cameras_to_data(scene.cameras) if scene.cameras else None,
-        "drains": [list(map(float, place)) for place in scene.drains],
-    }
     with replacing(folder / SCENE_FILE) as scene_file, replacing(folder / SPLAT_FILE) as splat_file:
-        write_json(scene_file, data)
+        write_json(scene_file, scene_to_data(scene))
         with open(splat_file, "wb") as file:
             np.savez(file, **{name: getattr(scene.splats, name) for name in ARRAYS})
 
@@ -248,16 +253,45 @@ def read_scene(folder):
             f"{folder} has {len(splats)} splats but {SCENE_FILE} speaks of {data.get('splats')}; "
             "the files must belong together; import the capture again"
         )
+    return replace(scene_from_data(data, splats, path, folder.name), source=folder)
+
+
+def scene_to_data(scene):
+    """Return all of a scene but its splats, as a dict for JSON."""
+    return {
+        "rainsim_scene": VERSION,
+        "name": scene.name,
+        "source": scene.source.name if scene.source else None,
+        "source_sha256": scene.source_hash,
+        "notes": list(scene.notes),
+        "splats": len(scene.splats),
+        "ground_frame": ground_frame_to_dict(scene.ground_frame),
+        "cameras": cameras_to_data(scene.cameras) if scene.cameras else None,
+        "drains": [list(map(float, place)) for place in scene.drains],
+    }
+
+
+def scene_from_data(data, splats, where, name=""):
+    """Return the Scene of what `scene_to_data` returned and its splats, without a source.
+
+    Parameters
+    ----------
+    data : dict
+    splats : Splats
+    where : path-like or str
+        Where the data come from, for messages.
+    name : str
+        Of the scene, if the data have none.
+    """
     cameras, notes = data.get("cameras"), data.get("notes")
     return Scene(
-        name=str(data.get("name", folder.name)),
+        name=str(data.get("name", name)),
         splats=splats,
-        cameras=tuple(cameras_from_data(cameras, path)) if cameras else (),
-        ground_frame=ground_frame_from_dict(data.get("ground_frame"), path),
-        source=folder,
+        cameras=tuple(cameras_from_data(cameras, where)) if cameras else (),
+        ground_frame=ground_frame_from_dict(data.get("ground_frame"), where),
         source_hash=str(data.get("source_sha256", "")),
         notes=tuple(map(str, notes)) if isinstance(notes, list) else (),
-        drains=_read_drains(data.get("drains", []), path),
+        drains=_read_drains(data.get("drains", []), where),
     )
 
 

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from rainsim.errors import GroundError, InputError, ParameterError, require_finite, require_positive
-from rainsim.scene.files import json_number, number_array, read_json, write_json
+from rainsim.io.files import json_number, number_array, read_json, write_json
 from rainsim.scene.plane import ROUGHER, THRESHOLD, find_plane
 from rainsim.scene.types import GroundFrame
 
@@ -57,8 +57,8 @@ def estimate_ground_frame(
     GroundFrame
         x runs along the first camera's view direction on the ground (along its image-up if it
         looks straight down), or without cameras along the capture's x axis, or its y axis if up
-        is within 45 degrees of that. The origin is the foot of the mean camera position, without
-        cameras the median of the splats on the ground.
+        is within 45 degrees of the x axis. The origin is the foot of the mean camera position,
+        without cameras the median of the splats on the ground.
 
     Raises
     ------
@@ -111,11 +111,11 @@ def _check_hints(up, meters_per_unit, camera_height):
 
 
 def _not_enough(splats, up, meters_per_unit, seed):
-    """Return the error for a capture without cameras of which up or scale is not told."""
+    """Return the error for a capture without cameras for which up or scale is not given."""
     given = ("--up", up), ("--meters-per-unit", meters_per_unit)
     missing = " and no ".join(name for name, value in given if value is None)
     text = (
-        f"there are no cameras to tell up and scale from, and no {missing}; without cameras both "
+        f"there are no cameras to find up and scale from, and no {missing}; without cameras both "
         "--up x,y,z and --meters-per-unit S (or --known-length) are needed; give them, or put the "
         "capture's cameras.json beside the splats"
     )
@@ -134,7 +134,7 @@ def _not_enough(splats, up, meters_per_unit, seed):
 
 
 def _width(splats, plane):
-    """Return how wide the splats on a plane lie [capture units]."""
+    """Return the width of the area in which the splats on a plane lie [capture units]."""
     points, _ = _candidates(splats)
     points = points[np.abs(plane.height(points)) < plane.threshold]
     low, high = np.percentile(points, (5, 95), axis=0)
@@ -165,7 +165,7 @@ def _search(splats, eyes, up, max_angle, seed, up_given):
     start, farthest = np.quantile(distance, [START_SHARE, 0.95])
     if np.mean(distance <= radius) < LEAST_SHARE:  # one camera, a few close together, or none
         radius = start
-    if not len(eyes) and up is None:  # nothing tells a table from the ground but its width
+    if not len(eyes) and up is None:  # only its width distinguishes the ground from a table
         radius = farthest
     radii = [radius]
     while radii[-1] < farthest:
@@ -181,7 +181,7 @@ def _search(splats, eyes, up, max_angle, seed, up_given):
                 continue
             plane = _nearer(plane, up) if up_given else plane
             if plane.confidence >= LEAST_CONFIDENCE:
-                if plane.rival is not None:  # a wider search would find something between the two
+                if plane.rival is not None:  # a wider search would find a plane between the two
                     raise _two_grounds(plane)
                 on_it = np.abs(plane.height(here)) < 2 * thickness * radius
                 return plane, _weighted_median(here[on_it], weight[on_it])
@@ -191,7 +191,7 @@ def _search(splats, eyes, up, max_angle, seed, up_given):
 
 
 def _nearer(plane, up):
-    """Return the one of a plane and its rival that `up` clearly means, else both."""
+    """Return the plane or its rival, if one is clearly nearer to `up`; else the plane as it is."""
     if plane.rival is None:
         return plane
     own, other = _angle(plane.normal, up), _angle(plane.rival.normal, up)
@@ -249,7 +249,7 @@ def _not_found(best):
 def _two_grounds(plane):
     between = math.degrees(_angle(plane.normal, plane.rival.normal))
     return GroundError(
-        f"the ground cannot be told: two planes {between:.1f} degrees apart are as good, with up "
+        f"the ground is ambiguous: two planes {between:.1f} degrees apart are as good, with up "
         f"{_said(plane.normal)} and {_said(plane.rival.normal)}; give the right one, as "
         f"--up={_said(plane.normal)}, or the whole frame with --ground-frame FILE.json"
     )
@@ -261,7 +261,7 @@ def _said(direction):
 
 
 def _reasons(plane):
-    """Return in words what a plane's confidence is made of."""
+    """Return the factors of a plane's confidence as a sentence."""
     ratio = plane.peak / max(1 - plane.peak, 1e-3)
     return (
         f"{plane.support:.0%} of the splats near by lie within {plane.threshold:.2g} units of it, "
@@ -312,7 +312,7 @@ def _axes(up, cameras):
     """Return the rotation whose rows are x, y and z of the ground frame in the capture frame."""
     if cameras:
         wanted = [cameras[0].forward, cameras[0].image_up]
-        least = 0.1  # a view within 6 degrees of straight down tells no direction
+        least = 0.1  # a view within 6 degrees of straight down has no horizontal direction
     else:
         wanted, least = np.eye(3)[:2], math.sqrt(0.5)
     for direction in wanted:
@@ -328,7 +328,7 @@ def rescale_ground_frame(frame, cameras, meters_per_unit=None, camera_height=Non
     _check_hints(frame.up, meters_per_unit, camera_height)
     if not len(cameras) and meters_per_unit is None:
         raise GroundError(
-            "there are no cameras to tell the scale from; without cameras --meters-per-unit S is "
+            "there are no cameras to find the scale from; without cameras --meters-per-unit S is "
             "needed; give it"
         )
     eyes = np.array([frame.to_ground(camera.position) for camera in cameras]).reshape(-1, 3)
@@ -358,7 +358,7 @@ def scale_from_length(a, b, length):
 
 
 def with_fall(frame, fall, direction):
-    """Return the frame of ground that is not level but falls.
+    """Return a ground frame whose ground slopes instead of being level.
 
     Parameters
     ----------

@@ -8,13 +8,24 @@ from importlib import import_module
 from pathlib import Path
 
 from rainsim.errors import ParameterError
-from rainsim.scene.folder import import_scene, is_scene, override_ground_frame
+from rainsim.io import cache
+from rainsim.scene.folder import (
+    ARRAYS,
+    import_scene,
+    is_scene,
+    override_ground_frame,
+    scene_from_data,
+    scene_to_data,
+)
 from rainsim.scene.formats import SUFFIXES
+from rainsim.scene.types import Splats
 
 FOLDERS_VARIABLE = "RAINSIM_SCENES"  # folders of scenes, separated as in PATH
+KIND = "demo_scenes"  # of entries of `rainsim.io.cache`, and the room of their code
+DEMO_SCENES = "rainsim." + KIND
 BUILT_IN = {
-    "bicycle": ("rainsim.scene.bicycle", "make_bicycle"),
-    "street": ("rainsim.scene.street", "make_street"),
+    "bicycle": ("rainsim.demo_scenes.bicycle", "make_bicycle"),
+    "street": ("rainsim.demo_scenes.street", "make_street"),
 }
 
 
@@ -65,13 +76,27 @@ def load_scene(
             f"scene {name_or_path} is built in and has its own cameras; other cameras need a scene "
             "of yours; leave the cameras out"
         )
-    module, function = BUILT_IN[str(name_or_path)]
-    scene = getattr(import_module(module), function)()
+    scene = _built_in(str(name_or_path))
     note = (
         f"scene {name_or_path} is a generated stand-in, not a capture; a scene of that name in a "
         f"folder that {FOLDERS_VARIABLE} lists takes its place"
     )
     return override_ground_frame(replace(scene, notes=(*scene.notes, note)), **given)
+
+
+def _built_in(name):
+    """Return a built-in scene: kept from an earlier run, or generated and kept for the next."""
+    module, function = BUILT_IN[name]
+    ours = module.startswith(f"{DEMO_SCENES}.")  # code that the entry's name takes in
+    entry = cache.name_of(KIND, module, function) if ours and cache.folder() else None
+    found = entry and cache.read(KIND, entry)
+    if not found:
+        made = getattr(import_module(module), function)()
+        found = scene_to_data(made), {array: getattr(made.splats, array) for array in ARRAYS}
+        if entry:
+            cache.write(KIND, entry, *found)
+    facts, arrays = found
+    return scene_from_data(facts, Splats(**arrays), name)
 
 
 def list_scenes():

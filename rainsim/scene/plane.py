@@ -14,13 +14,17 @@ ABOVE_SHARE = 0.95  # of the viewpoints must stand above the ground; a few may b
 LOWER_SHARE = 0.3  # of the best plane's score is what a lower one needs to be preferred
 RIVAL_ANGLE = np.radians(3.0)  # planes that lean more apart are two; a street's camber has 2.9
 RIVAL_SHARE = 0.65  # of the best plane's score from which another is as good
-# Of two planes the one is a roof or a ramp, not the ground, of which more than the first share lies
-# above the other and which has less than the second share of the other above itself.
+# A plane is a roof or a ramp and not the ground if more than ABOVE_MOST of its weight lies above
+# the other plane and less than ABOVE_LEAST of the other plane's weight lies above it.
 ABOVE_MOST, ABOVE_LEAST = 0.9, 0.6
 SPREAD_CELLS = 16  # the support's spread is counted on a grid of this many cells across
 
-# What counts as full support. Points that fill a ball evenly give 0.008, 0.5 and little spread.
-FULL_SUPPORT, MOST_SUPPORT = 0.05, 0.4  # the first at THRESHOLD; a thicker slab holds more anyway
+# Values of support, peak and spread that give full confidence. Points that fill a ball evenly have
+# a support of 0.008, a peak of 0.5 and little spread.
+FULL_SUPPORT, MOST_SUPPORT = (
+    0.05,
+    0.4,
+)  # FULL_SUPPORT at THRESHOLD; a thicker slab holds more points
 LEAST_PEAK, FULL_PEAK = 0.5, 0.8
 FULL_SPREAD = 0.15
 
@@ -35,17 +39,17 @@ class Plane:
         Unit, pointing up.
     offset : float [capture units]
     confidence : float
-        0 to 1: support, sharpness and spread of the points on it, each as a share of what is full.
+        0 to 1: product of support, peak and spread, each relative to its value for full confidence.
     threshold : float [capture units]
         Half thickness of the slab whose points count as on the plane.
     support : float
         Share of the weight in that slab.
     peak : float
-        0.5 if the slab holds no more than as much space beside it, 1 if there is nothing beside it.
+        0.5 if the slab holds no more weight than equal space beside it, 1 if that is empty.
     spread : float
-        Share of the region across which those points lie.
+        Share of the region across which the points in the slab lie.
     rival : Plane or None
-        Another plane as well supported that leans otherwise, if there is one.
+        Another plane with as much support and another normal, if there is one.
     """
 
     normal: np.ndarray
@@ -102,7 +106,7 @@ def find_plane(points, weights, eyes, up, max_angle, radius, seed=0, thickness=T
     sample = points[_draw(chance, SCORED_POINTS, rng)]
     score = _scores(normals, offsets, sample, threshold)
     if up is not None:
-        score *= normals @ up  # of equals, the one that leans less
+        score *= normals @ up  # of equally good planes the one that leans less is taken
     cloud = _Slab(points, weights, eyes, up, max_angle, threshold, radius)
     best = cloud.settle(normals[np.argmax(score)], offsets[np.argmax(score)])
     if best is None:
@@ -110,7 +114,9 @@ def find_plane(points, weights, eyes, up, max_angle, radius, seed=0, thickness=T
     along = normals @ best.normal
     leaning = (along if len(eyes) or up is not None else np.abs(along)) < np.cos(RIVAL_ANGLE)
     rival, second = None, np.where(leaning, score, 0)
-    if second.max() >= 0.5 * RIVAL_SHARE * score.max():  # triplets lie less well than what they fit
+    if (
+        second.max() >= 0.5 * RIVAL_SHARE * score.max()
+    ):  # triplets fit less well than refined planes
         rival = cloud.settle(normals[np.argmax(second)], offsets[np.argmax(second)])
     if rival is not None:
         best, rival = _compared(best, rival, sample, cloud)
@@ -120,14 +126,14 @@ def find_plane(points, weights, eyes, up, max_angle, radius, seed=0, thickness=T
 
 
 class _Slab:
-    """Weighted points and what a plane through them must fulfil."""
+    """Weighted points, and the conditions that a plane through them must fulfil."""
 
     def __init__(self, points, weights, eyes, up, max_angle, threshold, radius):
         self.points, self.weights, self.eyes, self.up = points, weights, eyes, up
         self.max_angle, self.threshold, self.radius = max_angle, threshold, radius
 
     def settle(self, normal, offset):
-        """Return the Plane that a hypothesis becomes, None if it is not allowed then."""
+        """Refine a hypothesis to a Plane; None if the refined plane breaks the conditions."""
         points, weights, threshold = self.points, self.weights, self.threshold
         normal, offset = _refine(points, weights, normal, offset, threshold)
         if not len(self.eyes) and self.up is None:
@@ -143,8 +149,8 @@ class _Slab:
 
 
 def _compared(best, rival, sample, cloud):
-    """Return the better plane, and the other one if it is as good."""
-    if best.normal @ rival.normal > np.cos(RIVAL_ANGLE):  # they have become one
+    """Return the better plane, and as its rival the other one if that is as good, else None."""
+    if best.normal @ rival.normal > np.cos(RIVAL_ANGLE):  # both were refined to the same plane
         return best, None
     normals = np.stack([best.normal, rival.normal])
     share = _scores(normals, np.array([best.offset, rival.offset]), sample, cloud.threshold)
@@ -195,7 +201,7 @@ def _allowed(normals, offsets, eyes, up, max_angle):
 
 
 def _scores(normals, offsets, sample, threshold):
-    """Share of the sample on each plane, counted less the further from it: a triangle window."""
+    """Share of the sample on each plane, with weights that fall linearly to 0 at the threshold."""
     normals, offsets = normals.astype(np.float32), offsets.astype(np.float32)
     sample, scale = sample.T.astype(np.float32), np.float32(1 / threshold)
     score = np.empty(len(normals))

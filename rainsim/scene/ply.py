@@ -2,11 +2,12 @@
 
 A splat is one `vertex` with its centre (x, y, z), spherical harmonics (f_dc_0..2, f_rest_*),
 opacity as a logit, scales as logarithms and a quaternion, w first, of any length. Properties may
-stand in any order and any others are ignored, but for these variants, known by their properties:
+stand in any order; unknown ones are ignored. These variants are recognised by their properties:
 
 - 2DGS: two scales. The splat is a disc whose normal is the third axis, which is made thin.
 - Mip-Splatting, Gaussian Opacity Fields: filter_3D widens the splats and thins their opacity.
-- GaussianShader: roughness and specular0..2. The colour is its base colour, the rest is dropped.
+- GaussianShader: roughness and specular0..2. Its base colour is kept; roughness and specular
+  colour are dropped.
 
 PGSR writes the original properties.
 """
@@ -18,18 +19,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rainsim.constants import SH_0
 from rainsim.errors import InputError
+from rainsim.io.files import replacing, require_file
 from rainsim.scene.activate import (
     MAX_BROKEN_SHARE,
     REST_COEFFICIENTS,
     ROWS_PER_STEP,
-    SH_C0,
     activate_rows,
     dropped_note,
     empty_splats,
     keep_good,
 )
-from rainsim.scene.files import replacing, require_file
 from rainsim.scene.plyheader import REMEDY, Element, read_header
 
 POSITION = ("x", "y", "z")
@@ -39,7 +40,7 @@ ROTATION = ("rot_0", "rot_1", "rot_2", "rot_3")
 REQUIRED = (*POSITION, *BASE_COLOR, "opacity", *SCALE, *ROTATION)
 FILTER = "filter_3D"
 SHADER = ("roughness", "specular0")
-DISC_THICKNESS = 1e-3  # of a 2D splat's smaller axis: thin to the eye, yet safe in float32
+DISC_THICKNESS = 1e-3  # of a 2D splat's smaller axis: looks flat, and is safe in float32
 READERS = 2  # threads; reading is then bound by memory
 
 
@@ -268,4 +269,4 @@ def _shader_base(raw):
     with np.errstate(all="ignore"):
         color = 1 / (1 + 3 * np.exp(-raw))
     color[np.isnan(raw) | np.isinf(raw)] = np.nan  # a broken value must not pass for black or white
-    return ((color - 0.5) / SH_C0).astype(np.float32)
+    return ((color - 0.5) / SH_0).astype(np.float32)

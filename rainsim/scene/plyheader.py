@@ -25,7 +25,7 @@ ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">"}
 class Element:
     """One element of a PLY file: `count` rows of type `row` from byte `offset` on.
 
-    `row` is None for an element with lists, whose length cannot be told, and `offset` is None
+    `row` is None for an element with lists, whose size is not known, and `offset` is None
     behind one.
     """
 
@@ -56,7 +56,7 @@ class Header:
     elements: tuple
 
     def find(self, name):
-        """Return the first element of that name, or None."""
+        """Return the first element with a name, or None."""
         return next((element for element in self.elements if element.name == name), None)
 
     @property

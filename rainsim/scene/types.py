@@ -16,6 +16,8 @@ from pathlib import Path
 
 import numpy as np
 
+from rainsim.numerics.blocks import in_blocks
+
 
 @dataclass(frozen=True, slots=True)
 class Splats:
@@ -46,13 +48,12 @@ class Splats:
         return len(self.position)
 
     def take(self, which):
-        """Return the splats that the index or mask array `which` selects."""
-        return Splats(
-            *(
-                np.ascontiguousarray(a[which])
-                for a in (self.position, self.rotation, self.scale, self.opacity, self.sh)
-            )
-        )
+        """Return the splats that the slice, index or mask array `which` selects."""
+        arrays = (self.position, self.rotation, self.scale, self.opacity, self.sh)
+        if isinstance(which, slice):
+            return Splats(*(np.ascontiguousarray(a[which]) for a in arrays))
+        index = np.arange(len(self))[which]
+        return Splats(*(np.take(a, index, axis=0) for a in arrays))
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,7 +140,18 @@ class GroundFrame:
 
     def to_ground(self, points):
         """Take points of shape (..., 3) from the capture frame to the ground frame [m]."""
-        return np.asarray(points) @ self.rotation.T * self.meters_per_unit + self.translation
+        points = np.asarray(points)
+        if points.ndim != 2:
+            return points @ self.rotation.T * self.meters_per_unit + self.translation
+        found = np.empty(points.shape)
+
+        def work(part):
+            out = np.matmul(points[part], self.rotation.T, out=found[part])
+            out *= self.meters_per_unit
+            out += self.translation
+
+        in_blocks(work, len(points))
+        return found
 
     def to_capture(self, points):
         """Take points of shape (..., 3) from the ground frame [m] to the capture frame."""

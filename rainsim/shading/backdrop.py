@@ -1,9 +1,9 @@
-"""The sky behind all: the capture's own taken out of the splats, that of the day drawn instead.
+"""The sky behind the scene: the splats of the captured sky left out, the sky of the day drawn.
 
-A captured sky is splats, too: far, high and bright. Where leaves and roofs stand before it their
-edges are mixed with it; a sky that is laid over such a picture leaves a pale fringe and hard steps.
-So those splats are left out, and the sky is drawn behind what the others leave open. What still
-shows of the captured sky, while clouds cover only a part of it, is drawn once, as a panorama.
+A captured sky is made of splats: far, high and bright. The edges of leaves and roofs before it are
+blended with it, and a new sky over such a picture leaves a pale fringe and hard steps. So the
+splats of the sky are left out, and the sky of the day is drawn where the other splats leave a pixel
+open. While clouds cover a part of the sky, the captured sky shows too: drawn once, as a panorama.
 """
 
 from __future__ import annotations
@@ -12,20 +12,22 @@ import dataclasses
 
 import numpy as np
 
-from rainsim import sky
+from rainsim import constants
+from rainsim.constants import HALF, ONE, ZERO
 from rainsim.jit import cpu_kernel, prange, serial_kernel
-from rainsim.light import linear_from_display
 from rainsim.raster import Rasterizer, prepare
-from rainsim.shade import HALF, ONE, ZERO, graded, sky_share
+from rainsim.shading import environment, sky
+from rainsim.shading.color import linear_from_display
+from rainsim.shading.grading import Look, graded, sky_share, undiluted
 
-HARMONIC = np.float32(0.28209479177387814)  # of degree 0
+SH_0 = np.float32(constants.SH_0)
 LOWEST = np.float32(-0.06)  # sine of the elevation: a sky's splats are broad, and reach below 0
 SKY_SHARE, NEAREST_SKY = 0.7, 30.0  # of the capture's reach [m] where its sky may begin
-SURE = np.float32(0.5)  # sky_share from which a splat is sky
+SURE = np.float32(0.5)  # `sky_share` from which a splat is sky
 
 
 def sky_distance(scene):
-    """Return the distance [m] beyond which what a capture shows may be sky: most is nearer."""
+    """Return the distance [m] beyond which splats may be sky; most of a capture is nearer."""
     if not scene.cameras:
         return NEAREST_SKY
     eye = np.mean([camera.position for camera in scene.cameras], axis=0)
@@ -47,13 +49,14 @@ class Backdrop:
     Attributes
     ----------
     scene : Scene
-        Without the splats of its sky; the same scene if it has too few to tell.
+        Without the splats of its sky; the given scene if they cover too little of the sky.
     count : int
         Splats left out.
     """
 
     def __init__(self, scene, distance, wanted):
         self.whole, self.scene, self.count = scene, scene, 0
+        self._seen = None  # the panorama, once it is drawn
         if not wanted or not scene.cameras:
             return
         eye = np.mean([camera.position for camera in scene.cameras], axis=0)
@@ -64,37 +67,37 @@ class Backdrop:
             self.scene = dataclasses.replace(scene, splats=scene.splats.take(~found))
 
     def note(self):
-        """Return in words what was done; None if nothing was."""
+        """Return a note on the splats that the sky of the day replaces, None if there are none."""
         if not self.count:
             return None
         return f"sky: that of the day is drawn behind the scene, for {self.count} splats of its own"
 
-    def mixed(self, day, look):
+    def behind(self, day, look):
         """Return the sky that is seen behind the scene, a map of the shape of `day`.
 
         Parameters
         ----------
         day : ndarray of shape (rows, columns, 3), float32
-            The sky that takes the place of the captured one.
-        look : ndarray of shape (6,), float32
-            See `shade.grade_and_wet`; what it does not replace is the captured sky.
+            The sky that replaces the captured one.
+        look : Look
+            Its `sky_replaced` says how much of the captured sky is replaced.
         """
-        if not self.count or look[3] >= 1:
+        if not self.count or look.sky_replaced >= 1:
             return day
-        made = np.empty_like(day)
-        _mix(self._panorama(day.shape[0]), day, look, made)
-        return made
+        blended = np.empty_like(day)
+        _blend_skies(self._panorama(day.shape[0]), day, look, blended)
+        return blended
 
     def _panorama(self, rows):
         """Return colour over black (display-referred) and alpha of the captured sky, as a map."""
-        if getattr(self, "_seen", None) is None or len(self._seen) != rows:
+        if self._seen is None or len(self._seen) != rows:
             frame, drawn = self.whole.ground_frame, Rasterizer(prepare(self._sky))
 
             def draw(view):
                 shown = drawn.draw(frame.camera_in_capture(view), 0.0)
                 return np.concatenate([shown.color, shown.alpha[..., None]], axis=-1)
 
-            self._seen = sky.probe(draw, frame.to_ground(self._eye), rows, 2 * rows)
+            self._seen = environment.probe(draw, frame.to_ground(self._eye), rows, 2 * rows)
         return self._seen
 
 
@@ -106,9 +109,9 @@ def sky_splats(splats, frame, eye, distance):
     splats : Splats
     frame : GroundFrame
     eye : ndarray of shape (3,) [capture units]
-        From where it is seen.
+        From where the sky is seen.
     distance : float [m]
-        That it is away at least.
+        Least distance of the sky.
     """
     found = np.zeros(len(splats), np.bool_)
     away = (splats.position - eye.astype(np.float32)) * np.float32(frame.meters_per_unit)
@@ -125,38 +128,35 @@ def covered(splats, eye, which):
 
 @serial_kernel
 def _find(away, up, color, distance, found_out):
-    """Tell for each splat whether it is sky; `color` (n, 3) is that of its harmonic of degree 0."""
+    """Find the splats that are sky; `color` (n, 3) holds their coefficients of degree 0."""
     for n in range(len(away)):
         x, y, z = away[n, 0], away[n, 1], away[n, 2]
         far = np.sqrt(x * x + y * y + z * z)
         high = x * up[0] + y * up[1] + z * up[2]
         if far > distance and high > LOWEST * far:
-            r = linear_from_display(max(color[n, 0] * HARMONIC + HALF, ZERO))
-            g = linear_from_display(max(color[n, 1] * HARMONIC + HALF, ZERO))
-            b = linear_from_display(max(color[n, 2] * HARMONIC + HALF, ZERO))
+            r = linear_from_display(max(color[n, 0] * SH_0 + HALF, ZERO))
+            g = linear_from_display(max(color[n, 1] * SH_0 + HALF, ZERO))
+            b = linear_from_display(max(color[n, 2] * SH_0 + HALF, ZERO))
             found_out[n] = sky_share(r, g, b) > SURE
 
 
 @cpu_kernel
-def _mix(seen, day, look, sky_out):
-    """Lay the graded captured sky, so much of it as `look` does not replace, over that of the day.
+def _blend_skies(captured, day, look: Look, sky_out):
+    """Blend the graded captured sky with the day's, by the share that `look` replaces.
 
-    seen : ndarray of shape (rows, columns, 4), float32
+    captured : ndarray of shape (rows, columns, 4), float32
         Colour over black, display-referred, and alpha.
     """
     rows, columns = day.shape[0], day.shape[1]
     for row in prange(rows):
         for column in range(columns):
-            over = seen[row, column, 3]
-            inv = ONE / max(over, np.float32(1e-3))
-            r, g, b = graded(
-                linear_from_display(max(seen[row, column, 0], ZERO) * inv),
-                linear_from_display(max(seen[row, column, 1], ZERO) * inv),
-                linear_from_display(max(seen[row, column, 2], ZERO) * inv),
-                look[0], look[1], look[2],
-            )  # fmt: skip
-            share = over * (ONE - look[3])
-            rest = ONE - share
-            sky_out[row, column, 0] = share * r + rest * day[row, column, 0]
-            sky_out[row, column, 1] = share * g + rest * day[row, column, 1]
-            sky_out[row, column, 2] = share * b + rest * day[row, column, 2]
+            alpha = captured[row, column, 3]
+            r, g, b = undiluted(
+                captured[row, column, 0], captured[row, column, 1], captured[row, column, 2], alpha
+            )
+            r, g, b = graded(r, g, b, look)
+            share = alpha * (ONE - look.sky_replaced)
+            open_ = ONE - share
+            sky_out[row, column, 0] = share * r + open_ * day[row, column, 0]
+            sky_out[row, column, 1] = share * g + open_ * day[row, column, 1]
+            sky_out[row, column, 2] = share * b + open_ * day[row, column, 2]

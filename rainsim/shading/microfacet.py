@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from rainsim.jit import cpu_kernel, lean_function, prange
-from rainsim.light import fresnel
+from rainsim.shading.fresnel import fresnel
 
 ZERO, ONE, TWO = (np.float32(v) for v in (0, 1, 2))
 SAMPLES = 8  # parts of the lobe

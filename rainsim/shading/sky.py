@@ -1,22 +1,17 @@
-"""Light from around: an equirectangular environment map in the ground frame, linear light.
+"""Skies of the day: overcast, clouded, a panorama's, a captured one completed; and their sun.
 
-Column and row of a direction: azimuth 0 (the ground frame's x axis) is the map's middle column,
-azimuth grows to the left (a panorama as seen from inside), row 0 is the zenith.
+All are environment maps, see `environment`.
 """
 
 from __future__ import annotations
 
-import functools
 import math
 
 import numpy as np
 from scipy import ndimage
 
-from rainsim.jit import device_function, inlined_function
-from rainsim.light import angle, four_colors
-from rainsim.scene.types import Camera
+from rainsim.shading.environment import ROWS, directions, irradiance
 
-ROWS, COLUMNS = 128, 256
 ZENITH_RADIANCE = 1.2  # of display white: overcast sky over wet ground at a normal exposure
 OVERCAST_TINT = np.array([0.95, 1.0, 1.06])  # a dull sky is slightly blue (about 7000 K)
 GROUND_ALBEDO = 0.15  # what the lower half of a plain sky map shows
@@ -24,27 +19,9 @@ PANORAMA_ROWS = 512  # of the map of a panorama: it is seen behind the scene, to
 CLOUD_DEPTH = 0.3  # of the noise in the logarithm of a clouded sky's radiance
 LEAST_SKY_SEEN = 0.02  # share of the upper half below which a captured sky tells nothing
 SEAM = 5.0  # texels of the map, over which a captured sky goes over into the filled one
-GLOSS_BLUR = (math.radians(10), math.radians(6))  # of elevation and azimuth; by eye
 SUN_BLUR, SUN_PEAK = math.radians(2.5), 4.0
-FACE = 160  # px, side of the pictures that a probe of the capture is made from
-
-ZERO = np.float32(0)
-ONE = np.float32(1)
-HALF = np.float32(0.5)
-INV_TWO_PI = np.float32(0.5 / np.pi)
-INV_PI = np.float32(1 / np.pi)
-
-
-@functools.cache
-def directions(rows=ROWS, columns=COLUMNS):
-    """Return the unit direction of each map texel, read-only ndarray (rows, columns, 3)."""
-    elevation = (0.5 - (np.arange(rows) + 0.5) / rows) * np.pi
-    azimuth = (0.5 - (np.arange(columns) + 0.5) / columns) * 2 * np.pi
-    elevation, azimuth = np.meshgrid(elevation, azimuth, indexing="ij")
-    flat = np.cos(elevation)
-    found = np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)], axis=-1)
-    found.flags.writeable = False
-    return found
+SUN_IRRADIANCE = 25.0  # of display white: full sun over the overcast sky's some 1
+SUN_TINT = 1.0, 0.95, 0.88
 
 
 def overcast(brightness=1.0):
@@ -144,12 +121,45 @@ def brightest(environment):
     return math.atan2(y, x), math.atan2(z, math.hypot(x, y))
 
 
-def blurred(environment):
-    """Return what a wet rough surface mirrors of a map: its lobe is longer than wide."""
-    rows = environment.shape[0]
-    sigma = (GLOSS_BLUR[0] * rows / np.pi, GLOSS_BLUR[1] * rows / np.pi, 0)
-    made = ndimage.gaussian_filter(environment, sigma, mode=("nearest", "wrap", "nearest"))
-    return np.ascontiguousarray(made, dtype=np.float32)
+def sun_of(setting, environment):
+    """Return the sun that a setting names, and a note on it or None.
+
+    Parameters
+    ----------
+    setting : tuple, "sky" or None
+        Azimuth and elevation [rad]; "sky": the brightest place of the map `environment`, if any;
+        None: no sun.
+
+    Returns
+    -------
+    sun : tuple or None
+        Azimuth and elevation [rad].
+    note : str or None
+    """
+    if setting != "sky":
+        return setting, None
+    found = brightest(environment)
+    if found is None:
+        return None, "nothing in the sky stands out as the sun: none is drawn"
+    azimuth, elevation = (math.degrees(angle) for angle in found)
+    return found, f"the sun of the sky: azimuth {azimuth:.0f}, elevation {elevation:.0f} degrees"
+
+
+def sunlight(sun, cloudiness):
+    """Return unit direction and irradiance of a sun (azimuth, elevation) [rad], float32 (6,).
+
+    Zero without a sun. The irradiance is relative to display white, weaker as clouds cover the sky.
+    """
+    if sun is None:
+        return np.zeros(6, np.float32)
+    azimuth, elevation = sun
+    direction = (
+        math.cos(elevation) * math.cos(azimuth),
+        math.cos(elevation) * math.sin(azimuth),
+        math.sin(elevation),
+    )
+    clear = SUN_IRRADIANCE * (1 - cloudiness)
+    return np.array([*direction, *(tint * clear for tint in SUN_TINT)], np.float32)
 
 
 def from_panorama(panorama, brightness=1.0):
@@ -174,89 +184,3 @@ def from_panorama(panorama, brightness=1.0):
     wanted = irradiance(overcast(brightness))[1]
     present = max(irradiance(scaled)[1], 1e-6)
     return np.ascontiguousarray(scaled * (wanted / present), dtype=np.float32)
-
-
-def irradiance(environment):
-    """Return the irradiance / pi that level ground receives from the map, three numbers."""
-    direction = directions(*environment.shape[:2])
-    weight = np.maximum(direction[..., 2], 0) * np.sqrt(1 - direction[..., 2] ** 2)
-    return np.einsum("ij,ijc->c", weight, environment) / weight.sum()
-
-
-def horizon_radiance(environment):
-    """Return the mean radiance just above the horizon, float32 (3,): the light of distant air."""
-    sine = directions(*environment.shape[:2])[..., 2]
-    return environment[(sine > 0.03) & (sine < 0.15)].mean(axis=0)
-
-
-def probe(draw, position, rows=ROWS, columns=COLUMNS):
-    """Return the map (rows, columns, n) of what lies all around `position` (ground frame, m).
-
-    Parameters
-    ----------
-    draw : callable
-        draw(camera) returns the square picture of n channels that the ground-frame `camera` sees.
-    position : ndarray of shape (3,) [m]
-    """
-    direction = directions(rows, columns)
-    side = FACE * rows // ROWS
-    radiance = None
-    axis = np.argmax(np.abs(direction), axis=-1)
-    for a in range(3):
-        for sign in (1, -1):
-            which = (axis == a) & (np.sign(direction[..., a]) == sign)
-            camera = _face(a, sign, position, side)
-            picture = draw(camera)
-            if radiance is None:
-                radiance = np.zeros((rows, columns, picture.shape[-1]), np.float32)
-            local = direction[which] @ camera.camera_from_world[:3, :3].T
-            column = camera.fx * local[:, 0] / local[:, 2] + camera.cx
-            row = camera.fy * local[:, 1] / local[:, 2] + camera.cy
-            row = np.clip(row.astype(int), 0, side - 1)
-            column = np.clip(column.astype(int), 0, side - 1)
-            radiance[which] = picture[row, column]
-    return radiance
-
-
-def _face(axis, sign, position, side):
-    """Return the camera of the cube face that looks along +-axis, `side` pixels wide."""
-    forward = np.zeros(3)
-    forward[axis] = sign
-    up = np.array([0.0, 0.0, 1.0]) if axis != 2 else np.array([1.0, 0.0, 0.0])
-    right = np.cross(forward, up)
-    matrix = np.eye(4)
-    matrix[:3, :3] = (right, -up, forward)
-    matrix[:3, 3] = -matrix[:3, :3] @ position
-    return Camera(side, side, *(4 * [side / 2]), matrix)
-
-
-@device_function
-def sample_environment(environment, x, y, z):
-    """Return the map's radiance (three numbers) in the direction (x, y, z), interpolated."""
-    return color_in_map(environment, azimuth_in_map(x, y), elevation_in_map(x, y, z))
-
-
-@inlined_function
-def azimuth_in_map(x, y):
-    """Return where a map shows the azimuth of (x, y), as a share of its columns."""
-    return HALF - angle(y, x) * INV_TWO_PI
-
-
-@inlined_function
-def elevation_in_map(x, y, z):
-    """Return where a map shows the elevation of (x, y, z), as a share of its rows."""
-    return HALF - angle(z, math.sqrt(x * x + y * y)) * INV_PI
-
-
-@device_function
-def color_in_map(environment, across, down):
-    """Return the map's radiance at shares of its columns and rows, interpolated."""
-    rows, columns = environment.shape[0], environment.shape[1]
-    u = across * np.float32(columns) - HALF
-    v = min(max(down * np.float32(rows) - HALF, ZERO), np.float32(rows - 1))
-    i = int(u + ONE) - 1  # the floor: u is above -1
-    j = min(int(v), rows - 2)
-    a, b = u - np.float32(i), v - np.float32(j)
-    i = i + columns if i < 0 else i
-    k = i + 1 if i + 1 < columns else 0
-    return four_colors(environment, j, j + 1, i, k, a, b)

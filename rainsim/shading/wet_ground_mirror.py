@@ -1,16 +1,16 @@
-"""What the film on wet ground mirrors: lights, facades and sky as long streaks.
+"""What the water film on wet ground mirrors: lights, facades and sky as long streaks.
 
-A wet rough surface is a mirror whose facets tilt: slopes with a Gaussian density, its rms along one
-axis in the class table. A tilt t in the plane of view turns the mirrored ray by 2 t in elevation,
-a tilt across it by 2 t sin(g) only, g being the angle at which the ground is seen: hence streaks.
-Facets that face the viewer are seen larger, which lifts the lobe where g is small. The lobe is cut
-into SAMPLES parts; each is looked up once, as wide as it is.
+A wet rough surface is a mirror whose facets tilt: their slopes have a Gaussian density, whose rms
+along one axis stands in the class table. A tilt t in the plane of view turns the mirrored ray by
+2 t in elevation, a tilt across it by 2 t sin(g) only, where g is the angle at which the ground is
+seen: hence streaks. Facets that face the viewer look larger, which lifts the lobe where g is small.
+The lobe is cut into SAMPLES parts; each is one look-up, as wide as the part.
 
-It is looked up in one small picture: the camera mirrored at the ground plane, but level and
-upright, so that verticals are columns and a part of the lobe is a piece of one. The ground itself
-is left out of that picture (it would hide from below what stands on it), and the height and slope
-of the ground under each pixel are put right when it is looked up. Both the picture and the field of
-mirrored light that comes of it are coarse: nothing in them is sharp.
+All look-ups are in one small picture: the camera mirrored at the ground plane, but level and
+upright, so that verticals are columns and a part of the lobe is a piece of a column. The ground is
+left out of that picture, for it would hide from below what stands on it; the look-up corrects for
+the height and slope of the ground under each pixel. The picture and the field of mirrored light
+that is made from it are coarse: nothing in them is sharp.
 """
 
 from __future__ import annotations
@@ -18,54 +18,74 @@ from __future__ import annotations
 import functools
 import math
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy import ndimage
 
+from rainsim.constants import HALF, ONE, TWO, ZERO
 from rainsim.jit import cpu_kernel, lean_function, prange
-from rainsim.light import four_colors
-from rainsim.lobe import LEAST_DIP, LOBE, SAMPLES, lobe_part, reflectance
+from rainsim.numerics.interpolation import four_colors
+from rainsim.numerics.ripmap import LEVELS, ripmap, sample_ripmap
 from rainsim.raster import select
-from rainsim.raster.coarse import merge_fine
-from rainsim.ripmap import LEVELS, ripmap, sample_ripmap
 from rainsim.scene.types import Camera
-from rainsim.sky import sample_environment
+from rainsim.scene.view import View, pixel_ray
+from rainsim.shading.environment import sample_environment
+from rainsim.shading.microfacet import LEAST_DIP, LOBE, SAMPLES, lobe_part, reflectance
+from rainsim.splatting.coarse import merge_fine
 
-ZERO, HALF, ONE, TWO, THIRD = (np.float32(v) for v in (0, 0.5, 1, 2, 1 / 3))
+THIRD = np.float32(1 / 3)
 RESOLUTION = 160.0  # px per unit of tangent, of the level picture
-FIELD_STEP = 160.0  # as many, of the field of mirrored light
+FIELD_STEP = 160.0  # blocks per unit of tangent, of the field of mirrored light
 MOST_ASIDE, MOST_UP = 1.3, 1.2  # tangents that the level picture reaches to
-MARGIN, ABOVE = 0.12, 0.02  # of it, besides what the camera sees and above the horizon
+MARGIN, ABOVE = 0.12, 0.02  # tangents that it shows beside the camera's view and over the horizon
 FINE = 0.04  # m, side of cells in which finer splats are one: a pixel at 6 m
-STANDING = 0.04  # m above the ground of the map: what is lower is ground
+STANDING = 0.04  # m above the ground of the map: splats that are lower are ground
 STANDING_OUTSIDE = 0.15  # m above the ground plane, off the map
-SLOPE_WIDTH = 0.25  # m, over which the ground's height and slope are taken
+SLOPE_WIDTH = 0.25  # m, over which the ground's height and slope are averaged
 FAR = np.float32(200.0)  # m, stands for the sky's distance
-STEPS = 3  # towards where a mirrored ray ends
-COARSE = 8  # px, between those that `film_share` looks at
-USUAL_SLOPE = np.float32(0.2)  # for a first estimate
-STEEPEST_DIP, SHARES = np.float32(20), 48  # tangent at which its table ends, and its entries
+STEPS = 3  # of the search for the end of a mirrored ray
+NEAR_RAY = np.float32(0.2)  # cosine to the axis of the level picture at which rays are held
+COARSE = 8  # px, distance of the pixels that `reflected_share` takes
+USUAL_SLOPE = np.float32(0.2)  # rms slope of the film, for an estimate of its share of the light
+STEEPEST_DIP, SHARES = np.float32(20), 48  # tangent at which the estimate's table ends, its entries
 PER_LOG = np.float32((SHARES - 1) / math.log(STEEPEST_DIP / LEAST_DIP))
-EDGE = np.float32(6.0)  # px, over which the level picture gives way to the environment
-WORTH = 0.006  # mean share of the picture's light that the film mirrors, from which `auto` draws it
+EDGE = np.float32(6.0)  # px, over which the level picture fades into the environment
+WORTH = 0.006  # mean share of the light in view from which `auto` draws the level picture
 
 
-NOTHING = (  # stands for a level picture that shows nothing
+class GroundSlopes(NamedTuple):
+    """The ground as the wet-ground mirror takes it; read-only."""
+
+    # (ny, nx, 4) float32: height [m], slopes d/dx and d/dy, rms slope of the water film
+    slopes: np.ndarray
+    origin: np.ndarray  # (2,) float32 [m], corner of the first cell
+    spacing: np.float32  # m
+
+
+class LevelPicture(NamedTuple):
+    """What stands on the ground as the level mirrored camera sees it; read-only."""
+
+    atlas: np.ndarray  # (2 height, 2 width, 3) float32, see `ripmap`
+    depth: np.ndarray  # (height, width) float32 [m], infinite for the sky; empty: nothing is drawn
+    lens: np.ndarray  # (4,) float32 [px]: fx, fy, cx, cy
+    forward: np.ndarray  # (2,) float32, unit: where the axis points to on the ground
+
+
+NO_LEVEL_PICTURE = LevelPicture(
     np.zeros((0, 0, 3), np.float32), np.zeros((0, 0), np.float32), np.ones(4, np.float32),
     np.array([1, 0], np.float32),
 )  # fmt: skip
 
 
 def ground_slopes(terrain):
-    """Return height [m], slopes d/dx, d/dy and rms slope of the film, (ny, nx, 4) float32.
-
-    The ground's own height and slopes are those of its mean over SLOPE_WIDTH.
-    """
+    """Return the `GroundSlopes` of a terrain: its bed is averaged over SLOPE_WIDTH."""
     cell = terrain.grid.spacing
     smooth = ndimage.gaussian_filter(terrain.bed.astype(np.float64), SLOPE_WIDTH / cell)
     dy, dx = np.gradient(smooth, cell)
     film = ndimage.gaussian_filter(terrain.by_class("film_slope"), 1)
-    return np.ascontiguousarray(np.stack([smooth, dx, dy, film], axis=-1), dtype=np.float32)
+    slopes = np.ascontiguousarray(np.stack([smooth, dx, dy, film], axis=-1), dtype=np.float32)
+    return GroundSlopes(slopes, np.array(terrain.grid.origin, np.float32), np.float32(cell))
 
 
 def standing(prepared, terrain, frame):
@@ -125,62 +145,65 @@ def level_camera(view, most=RESOLUTION):
 
 @cpu_kernel
 def mirrored_field(
-    ground_from_camera, eye, lens, step, wanted, ground, origin, spacing, lobe, atlas, level_depth,
-    level_lens, forward, environment, field_out,
+    view: View, step, wanted, ground: GroundSlopes, lobe, level: LevelPicture, environment,
+    field_out,
 ):  # fmt: skip
-    """Fill in the light that a full film on the ground mirrors to each block of pixels.
+    """Write the light that a full water film on the ground mirrors to each block of pixels.
 
-    Every block is taken for ground, whatever stands before it: so the field is smooth.
+    Every block counts as ground, whatever stands before it: so the field is smooth.
 
     Parameters
     ----------
+    view : View
     step : int [px]
         Side of the blocks.
     wanted : ndarray of shape (rows, columns), bool
-        Blocks that show film, or have a neighbour that does.
-    ground : ndarray of shape (ny, nx, 4), float32
-        As `ground_slopes` gives it.
+        Blocks that show wet ground, or have a neighbour that does.
+    ground : GroundSlopes
     lobe : ndarray
         LOBE.
-    atlas : ndarray of shape (2 height, 2 width, 3), float32
-        The level picture, as `ripmap` makes it; empty: it shows nothing.
-    level_depth : ndarray, float32 [m]
-        Its depth, infinite for the sky.
-    level_lens : ndarray of shape (4,), float32 [px]
-    forward : ndarray of shape (2,), float32
-        Unit, where its axis points to on the ground.
+    level : LevelPicture
     environment : ndarray of shape (m, 2 m, 3), float32
         Mirrored where that picture ends.
     field_out : ndarray of shape (rows, columns, 3), float32
         Radiance; zero where not wanted.
     """
     rows, columns = wanted.shape
-    m = ground_from_camera
     for j in prange(rows):
-        b = ((np.float32(j) + HALF) * np.float32(step) - lens[3]) / lens[1]
         for i in range(columns):
             field_out[j, i, 0], field_out[j, i, 1], field_out[j, i, 2] = ZERO, ZERO, ZERO
-            if not wanted[j, i]:
-                continue
-            a = ((np.float32(i) + HALF) * np.float32(step) - lens[2]) / lens[0]
-            x = m[0, 0] * a + m[0, 1] * b + m[0, 2]
-            y = m[1, 0] * a + m[1, 1] * b + m[1, 2]
-            z = m[2, 0] * a + m[2, 1] * b + m[2, 2]
-            r, g, bl = mirrored_light(
-                x, y, z, eye, ground, origin, spacing, lobe, atlas, level_depth, level_lens,
-                forward, environment,
-            )  # fmt: skip
-            field_out[j, i, 0], field_out[j, i, 1], field_out[j, i, 2] = r, g, bl
+            if wanted[j, i]:
+                x, y, z = block_ray(view, step, j, i)
+                r, g, b = mirrored_light(x, y, z, view.eye, ground, lobe, level, environment)
+                field_out[j, i, 0], field_out[j, i, 1], field_out[j, i, 2] = r, g, b
 
 
 @lean_function
-def mirrored_light(
-    x, y, z, eye, ground, origin, spacing, lobe, atlas, depth, lens, forward, environment,
-):  # fmt: skip
-    """Return the radiance that a film on the ground mirrors to the eye from direction (x, y, z).
+def block_ray(view, step, j, i):
+    """Return the ray (x, y, z) through the middle of a block of pixels, 1 along the view axis."""
+    m = view.ground_from_camera
+    b = ((np.float32(j) + HALF) * np.float32(step) - view.cy) / view.fy
+    a = ((np.float32(i) + HALF) * np.float32(step) - view.cx) / view.fx
+    return (
+        m[0, 0] * a + m[0, 1] * b + m[0, 2], m[1, 0] * a + m[1, 1] * b + m[1, 2],
+        m[2, 0] * a + m[2, 1] * b + m[2, 2],
+    )  # fmt: skip
 
-    Parameters as in `mirrored_field`.
+
+@lean_function
+def mirrored_light(x, y, z, eye, ground, lobe, level, environment):
+    """Return the radiance that a water film on the ground mirrors to the eye.
+
+    Parameters
+    ----------
+    x, y, z : float32
+        Direction of view.
+    eye : ndarray of shape (3,), float32 [m]
+    ground, lobe, level, environment
+        As `mirrored_field` takes them.
     """
+    lens, forward, depth, atlas = level.lens, level.forward, level.depth, level.atlas
+    origin, spacing, slopes = ground.origin, ground.spacing, ground.slopes
     flat = max(math.sqrt(x * x + y * y), np.float32(1e-4))
     ux, uy = x / flat, y / flat
     dip = max(-z / flat, LEAST_DIP)
@@ -192,29 +215,29 @@ def mirrored_light(
         span = max(eye[2] - here, np.float32(0.02)) / dip
         u = (eye[0] + span * ux - origin[0]) / spacing - HALF
         v = (eye[1] + span * uy - origin[1]) / spacing - HALF
-        here, gx, gy, slope = ground_at(ground, u, v)
+        here, gx, gy, slope = slopes_at(slopes, u, v)
     inside = u > ZERO and v > ZERO
-    inside = inside and u < np.float32(ground.shape[1] - 1) and v < np.float32(ground.shape[0] - 1)
+    inside = inside and u < np.float32(slopes.shape[1] - 1) and v < np.float32(slopes.shape[0] - 1)
     if not inside:
         gx, gy = ZERO, ZERO
     tilt = gx * ux + gy * uy
     cross = gy * ux - gx * uy
     # In the level picture verticals are columns.
     ahead = ux * forward[0] + uy * forward[1]
-    if ahead < np.float32(0.2):
-        ahead = np.float32(0.2)
+    if ahead < NEAR_RAY:
+        ahead = NEAR_RAY
     aside = ux * forward[1] - uy * forward[0]
     column = lens[0] * aside / ahead + lens[2]
     drop = eye[2] + here  # of the virtual image of the ground here below the eye
     rows, columns = depth.shape
     height, width = np.float32(rows), np.float32(columns)
     r, gr, b = ZERO, ZERO, ZERO
-    way = ZERO  # of the mirrored ray, level [m]; the last part's is a good guess for the next
+    way = ZERO  # level length of the mirrored ray [m]: one part's is a good guess for the next
     for k in range(SAMPLES):
         rise, weight, facet, wide = lobe_part(lobe, k, dip, tilt, slope)
         if weight <= ZERO:
             continue
-        # Facets that lean across turn the ray aside; the ground's own lean does so, too.
+        # Facets that lean across turn the ray aside, and so does the slope of the ground.
         sideways = TWO * facet * math.sqrt(ONE + rise * rise)
         for _ in range(STEPS if rows > 0 else 0):
             reach = ONE / ((span + way) * ahead)
@@ -226,8 +249,8 @@ def mirrored_light(
         bent = way / (span + way)
         c = column + cross * sideways * bent / (ahead * ahead) * lens[0]
         row = lens[1] * (drop + way * rise) / ((span + way) * ahead) + lens[3]
-        # Widths in pixels. A level's texel, interpolated, has a deviation of half its width: as
-        # much as a part of 1.7 widths has, and half of what `broad` is.
+        # Widths in pixels. A texel of a mip level, interpolated, has a standard deviation of half
+        # its width: as a part of the lobe that is 1.7 texels tall, and as `broad` of two texels.
         tall = lens[1] * bent / ahead * wide * (ONE + rise * rise)
         broad = TWO * lens[0] * bent / (ahead * ahead) * slope * sideways
         high = min(int(math.log2(max(tall, ONE))), LEVELS - 1)
@@ -251,16 +274,19 @@ def mirrored_light(
 
 
 @lean_function
-def ground_at(ground, u, v):
-    """Return what `ground_slopes` tells at column u and row v, interpolated, held at the border."""
-    rows, columns = ground.shape[0], ground.shape[1]
+def slopes_at(slopes, u, v):
+    """Return the four numbers of `GroundSlopes.slopes` at column u and row v, interpolated.
+
+    Off the map they are those at its border.
+    """
+    rows, columns = slopes.shape[0], slopes.shape[1]
     u = min(max(u, ZERO), np.float32(columns - 1))
     v = min(max(v, ZERO), np.float32(rows - 1))
     i, j = min(int(u), columns - 2), min(int(v), rows - 2)
     k, m = i + 1, j + 1
     a, b = u - np.float32(i), v - np.float32(j)
     w0, w1, w2, w3 = (ONE - a) * (ONE - b), a * (ONE - b), (ONE - a) * b, a * b
-    g = ground
+    g = slopes
     return (
         g[j, i, 0] * w0 + g[j, k, 0] * w1 + g[m, i, 0] * w2 + g[m, k, 0] * w3,
         g[j, i, 1] * w0 + g[j, k, 1] * w1 + g[m, i, 1] * w2 + g[m, k, 1] * w3,
@@ -270,14 +296,14 @@ def ground_at(ground, u, v):
 
 
 @cpu_kernel
-def lay_film(bare, cover, field, step, picture_out):
-    """Add to a picture without film what its film mirrors.
+def add_reflection(bare, cover, field, step, picture_out):
+    """Add what wet ground mirrors to a picture without it.
 
     Parameters
     ----------
     bare : ndarray of shape (height, width, 3), float32
     cover : ndarray of shape (height, width), float32
-        Share of full film in each pixel.
+        Share of a full water film in each pixel.
     field : ndarray of shape (rows, columns, 3), float32
         As `mirrored_field` makes it, of blocks of `step` pixels.
     picture_out : ndarray of shape (height, width, 3), float32
@@ -307,103 +333,107 @@ def field_at(field, scale, row, column):
     return four_colors(field, j, k, i, n, u - np.float32(i), v - np.float32(j))
 
 
-class WetGround:
-    """What the film on the ground mirrors to one camera after another.
+class WetGroundMirror:
+    """Adds what wet ground mirrors to the pictures of one camera after another.
 
     Parameters
     ----------
     terrain : Terrain
-    frame : GroundFrame
     config : RenderConfig
-        `film` and `reflections` name the method.
+        Its `film` and `reflections` name the method.
+
+    Attributes
+    ----------
+    drawn : bool
+        Whether the level picture is drawn; without it ground mirrors the environment only.
     """
 
     def __init__(self, terrain, config):
         self.terrain, self.config = terrain, config
-        self._told = False
+        self._is_noted = False
         self.drawn = config.film == "mirror"
 
     @property
     def apart(self):
-        """Whether the film may get a mirrored picture, so that its cover must be known."""
+        """Whether the level picture may be drawn, so that the film's cover must be known."""
         named = self.config.film != "environment"
         return named and self.config.reflections in ("auto", "mirror", "traced")
 
-    def lay(self, view, cover, camera, draw_mirrored, environment, notes):
-        """Return a view with its film.
+    def add_to(self, wet, cover, camera, draw_mirrored, environment, notes):
+        """Return a wet picture with what its ground mirrors.
 
         Parameters
         ----------
-        view : View
-            Its picture is without film.
+        wet : WetPicture
+            Without the reflection of level ground.
         cover : ndarray of shape (height, width), float32
-            Share of a full film in each pixel.
+            Share of a full water film in each pixel.
         camera : Camera
-            Of the view, in the ground frame.
+            Of the picture, in the ground frame.
         draw_mirrored : callable
-            draw_mirrored(camera) returns the `View` of what stands on the ground that a
-            ground-frame camera mirrored at the ground plane takes.
+            draw_mirrored(camera) returns the `WetPicture` of what stands on the ground, as a
+            ground-frame camera mirrored at the ground plane takes it.
         environment : ndarray of shape (m, 2 m, 3), float32
             Mirrored where that picture ends.
         notes : list of str
-            What `auto` chose is added, once.
+            The choice of `auto` is added, once.
         """
         if not cover.any():
-            return view
+            return wet
         if self.config.film == "auto" and not self.drawn:
-            self.choose(mean_share(view, cover), notes)
-        field, step = self.field(view, cover, camera, draw_mirrored, environment)
-        picture = np.empty_like(view.picture)
-        lay_film(view.picture, cover, field, step, picture)
-        return replace(view, picture=picture, below=view.picture)
+            self.choose(mean_share(wet.view, cover), notes)
+        field, step = self.field(wet.view, cover, camera, draw_mirrored, environment)
+        picture = np.empty_like(wet.picture)
+        add_reflection(wet.picture, cover, field, step, picture)
+        return replace(wet, picture=picture, below=wet.picture)
 
     def choose(self, share, notes):
-        """Decide whether film that mirrors a share of the light in view is worth a picture.
+        """Decide whether ground that mirrors a share of the light in view is worth a picture.
 
-        Once it was worth it, it stays so: a film must not change its look between two frames.
+        Once it was worth one it stays so: a video must not change its look between two frames.
         """
         self.drawn = share > WORTH
-        if self.drawn or not self._told:
+        if self.drawn or not self._is_noted:
             what = "a mirrored picture" if self.drawn else "the surroundings only"
             notes.append(f"film on wet ground: mirrors {what}, {share:.1%} of the light in view")
-        self._told = True
+        self._is_noted = True
 
     def field(self, view, cover, camera, draw_mirrored, environment):
-        """Return the field of light that full film mirrors, and the step of its blocks [px]."""
+        """Return the field of light that a full film mirrors, and the step of its blocks [px].
+
+        `view` is that of `camera`; the other parameters are those of `add_to`.
+        """
         step = max(1, round(camera.fx / FIELD_STEP))
         wanted = np.empty([-(-n // step) for n in cover.shape], bool)
-        film_blocks(cover, step, wanted)
-        atlas, depth, lens, forward = NOTHING
+        wet_blocks(cover, step, wanted)
+        level = NO_LEVEL_PICTURE
         if self.drawn:
-            level = level_camera(camera)
-            seen = draw_mirrored(level)
-            atlas, depth, lens = ripmap(seen.picture, round(level.cy)), seen.depth, seen.lens
-            forward = level.forward[:2].astype(np.float32)
+            upright = level_camera(camera)
+            seen = draw_mirrored(upright)
+            level = LevelPicture(
+                ripmap(seen.picture, round(upright.cy)), seen.depth, seen.view.lens,
+                upright.forward[:2].astype(np.float32),
+            )  # fmt: skip
         field = np.empty((*wanted.shape, 3), np.float32)
-        mirrored_field(
-            view.turn, view.eye, view.lens, step, wanted, self.ground,
-            np.array(self.terrain.grid.origin, np.float32), np.float32(self.terrain.grid.spacing),
-            LOBE, atlas, depth, lens, forward, environment, field,
-        )  # fmt: skip
+        mirrored_field(view, step, wanted, self.ground, LOBE, level, environment, field)
         return field, step
 
     @functools.cached_property
     def ground(self):
-        """As `ground_slopes` gives it."""
+        """The terrain's `GroundSlopes`."""
         return ground_slopes(self.terrain)
 
 
 @cpu_kernel
-def film_blocks(cover, step, wanted_out):
-    """Find the blocks of `step` pixels that show film or have a neighbour that does.
+def wet_blocks(cover, step, wanted_out):
+    """Find the blocks of `step` pixels that show wet ground or have a neighbour that does.
 
     Parameters
     ----------
     cover : ndarray of shape (height, width), float32
     wanted_out : ndarray of shape (rows, columns), bool
     """
-    height, width = cover.shape
-    rows, columns = wanted_out.shape
+    (height, width), (rows, columns) = cover.shape, wanted_out.shape
     for j in prange(rows):
         line = wanted_out[j]
         line[:] = False
@@ -421,10 +451,10 @@ def film_blocks(cover, step, wanted_out):
 
 
 def mean_share(view, cover):
-    """Return the mean share of light in a view that its film mirrors, from every eighth pixel."""
+    """Return the mean share of the light in view that wet ground mirrors, by every eighth pixel."""
     rows, columns = (-(-n // COARSE) for n in cover.shape)
     total = np.empty(rows)
-    film_share(cover, view.turn, view.lens, usual_shares(), total)
+    reflected_share(cover, view, usual_shares(), total)
     return float(total.sum() / (rows * columns))
 
 
@@ -439,7 +469,7 @@ def usual_shares():
 
 @lean_function
 def usual_share(table, x, y, z):
-    """Return the share of light that film seen from direction (x, y, z) mirrors, about."""
+    """Return about which share of light a full film mirrors that is seen along (x, y, z)."""
     dip = min(max(-z / math.sqrt(x * x + y * y), LEAST_DIP), STEEPEST_DIP)
     at = math.log(dip / LEAST_DIP) * PER_LOG
     i = min(int(at), SHARES - 2)
@@ -447,28 +477,24 @@ def usual_share(table, x, y, z):
 
 
 @cpu_kernel
-def film_share(cover, ground_from_camera, lens, table, total_out):
-    """Add up what the film of every eighth pixel of every eighth row mirrors.
+def reflected_share(cover, view: View, table, total_out):
+    """Sum the shares of light that wet ground mirrors, of every eighth pixel of every eighth row.
 
     Parameters
     ----------
     cover : ndarray of shape (height, width), float32
+    view : View
     table : ndarray of shape (SHARES,), float32
-        As `usual_shares` gives it.
+        As `usual_shares` returns it.
     total_out : ndarray of shape (rows,), float64
-        Of each of these rows.
+        A sum for each of these rows.
     """
-    m, width = ground_from_camera, cover.shape[1]
     for j in prange(len(total_out)):
         row = np.int64(j) * COARSE
-        b = (np.float32(row) + HALF - lens[3]) / lens[1]
         total = 0.0
-        for column in range(0, width, COARSE):
+        for column in range(0, cover.shape[1], COARSE):
             share = cover[row, column]
             if share > ZERO:
-                a = (np.float32(column) + HALF - lens[2]) / lens[0]
-                total += share * usual_share(
-                    table, m[0, 0] * a + m[0, 1] * b + m[0, 2],
-                    m[1, 0] * a + m[1, 1] * b + m[1, 2], m[2, 0] * a + m[2, 1] * b + m[2, 2],
-                )  # fmt: skip
+                x, y, z = pixel_ray(view, row, column)
+                total += share * usual_share(table, x, y, z)
         total_out[j] = total

@@ -1,25 +1,79 @@
-"""How wet things are: films fill while it rains, pores after them, and dry in the other order.
+"""How wet things are: water films fill first and dry first, then the pores of the ground.
 
-Open level ground is wet through when the rain of the past has filled the film that its class holds
-(`storage` in classes.toml), or while rain enough falls. After the rain, evaporation takes the film
-first, which ends the gloss, and then what the pores of the surface hold, which ends the darkening.
+Open level ground is wet through when the rain of the past has filled the water film that its class
+holds (`storage` in classes.toml), or while it rains at WET_RATE. After the rain, evaporation takes
+the film first, which ends the gloss, and then the water in the pores, which ends the darkening.
 """
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
-from rainsim.spectrum import terminal_speed
+from rainsim.constants import ONE
+from rainsim.jit import inlined_function
+from rainsim.rain.size_distribution import terminal_speed
 
 WET_RATE = 2.0 / 3.6e6  # m/s of rain that keeps level ground wet whatever fell before
-LEAST_FILM = 0.2e-3  # m; ground of no storage is wet through with so much
-OTHER_FILM, OTHER_POROSITY = 0.3e-3, 0.10  # m, of walls and things, whose class nobody knows
+LEAST_FILM = 0.2e-3  # m, storage of ground whose class stores less
+OTHER_FILM, OTHER_POROSITY = 0.3e-3, 0.10  # m; of walls and things, whose class is not known
 PORE_DEPTH = 0.010  # m of ground whose pores show their water as darkening; a guess
 # Evaporation from wet ground [m/s], dull and clear: 0.1 and 0.6 mm/h, a wet day's and the noon
 # value of Penman's open water in a temperate summer (Shuttleworth 1993, Handbook of Hydrology 4).
 DULL_EVAPORATION, CLEAR_EVAPORATION = 0.1e-3 / 3600, 0.6e-3 / 3600
 SPRAY = 0.15  # share of the rain that splashes and drift bring to sheltered ground
-USUAL_DROP = 1.5e-3  # m, whose slant tells how much rain a wall catches
+USUAL_DROP = 1.5e-3  # m, whose slant decides how much rain a wall catches
+
+
+class Wetness(NamedTuple):
+    """How wet a surface is; channels of the ground's map and rows of a chunk have this order."""
+
+    lawn: np.float32  # share of grass, 0 to 1
+    dampness: np.float32  # 0 dry to 1 wet through
+    film: np.float32  # share of a full water film that glosses, 0 to 1
+    porosity: np.float32  # 0 to 1
+
+
+@inlined_function
+def wetness_in(maps, j, i, k, m, a, b):
+    """Return the `Wetness` between rows j and k, columns i and m of a map, by shares b and a."""
+    w0, w1, w2, w3 = (ONE - a) * (ONE - b), a * (ONE - b), (ONE - a) * b, a * b
+    return Wetness(
+        maps[j, i, 0] * w0 + maps[j, m, 0] * w1 + maps[k, i, 0] * w2 + maps[k, m, 0] * w3,
+        maps[j, i, 1] * w0 + maps[j, m, 1] * w1 + maps[k, i, 1] * w2 + maps[k, m, 1] * w3,
+        maps[j, i, 2] * w0 + maps[j, m, 2] * w1 + maps[k, i, 2] * w2 + maps[k, m, 2] * w3,
+        maps[j, i, 3] * w0 + maps[j, m, 3] * w1 + maps[k, i, 3] * w2 + maps[k, m, 3] * w3,
+    )
+
+
+@inlined_function
+def store_wetness(wet, s, at, step):
+    """Write a `Wetness` to every `step`-th number of `s` from `at` on."""
+    s[at], s[at + step] = wet.lawn, wet.dampness
+    s[at + 2 * step], s[at + 3 * step] = wet.film, wet.porosity
+
+
+@inlined_function
+def stored_wetness(s, at, step):
+    """Return the `Wetness` that `store_wetness` wrote."""
+    return Wetness(s[at], s[at + step], s[at + 2 * step], s[at + 3 * step])
+
+
+class OffGroundWetness(NamedTuple):
+    """What wets walls and things, which are on no map; see `damp_off_ground`. Five float32."""
+
+    supply: np.float32  # rain that a level surface has got, in full films of it
+    slant_x: np.float32  # m that the rain goes sideways per m of fall
+    slant_y: np.float32
+    film_left: np.float32  # share of the film that evaporation has left
+    porosity: np.float32
+
+
+@inlined_function
+def off_ground_from(numbers):
+    """Return the `OffGroundWetness` that an array holds, as CUDA kernels get it."""
+    return OffGroundWetness(numbers[0], numbers[1], numbers[2], numbers[3], numbers[4])
 
 
 def evaporation_rate(config):
@@ -36,7 +90,7 @@ def dampness(config, film, porosity, reach=1.0):
     config : Config
         Of one time.
     film : float or ndarray [m]
-        Water that the surface holds as a film.
+        Depth of the water film that the surface holds.
     porosity : float or ndarray
     reach : float or ndarray
         Share of the rain that reaches it.
@@ -54,13 +108,13 @@ def dampness(config, film, porosity, reach=1.0):
 
 
 def film_left(config, film):
-    """Return the share of the film that evaporation has left: 1 while it rains."""
+    """Return the share of a water film [m] that evaporation has left; 1 while it rains."""
     lost = evaporation_rate(config) * config.rain.drying
     return np.clip(1 - lost / np.maximum(film, LEAST_FILM), 0, 1)
 
 
-def ground_maps(terrain, grass, reach, config):
-    """Return lawn, rain, dampness, gloss and porosity of each ground cell, (ny, nx, 5) float32.
+def ground_wetness(terrain, grass, reach, config):
+    """Return how wet each ground cell is, (ny, nx, 4) float32: the fields of `Wetness`.
 
     Parameters
     ----------
@@ -75,16 +129,12 @@ def ground_maps(terrain, grass, reach, config):
     film, porosity = terrain.by_class("storage"), terrain.by_class("porosity")
     damp = dampness(config, film, porosity, reach) * (config.render.wetting != "none")
     gloss = damp * film_left(config, film) * (1 - 0.5 * porosity)
-    maps = np.stack([grass, reach, damp, gloss, porosity], axis=-1)
-    return np.ascontiguousarray(maps, dtype=np.float32)
+    wet = Wetness(lawn=grass, dampness=damp, film=gloss, porosity=porosity)
+    return np.ascontiguousarray(np.stack(wet, axis=-1), dtype=np.float32)
 
 
-def others(config):
-    """Return what wets that which is no mapped ground, float32 (5,).
-
-    Films of rain that a level surface has got (more than 1 is plenty), the slant of the rain
-    (metres sideways per metre of fall, x and y), share of the film left, and porosity.
-    """
+def off_ground_wetness(config):
+    """Return the `OffGroundWetness` of the settings of one time."""
     supply = config.rain.past / OTHER_FILM + config.rain.rate / WET_RATE
     lost = evaporation_rate(config) * config.rain.drying
     pores = OTHER_POROSITY * PORE_DEPTH
@@ -94,9 +144,10 @@ def others(config):
     x, y = config.rain.wind_velocity
     fall = float(terminal_speed(USUAL_DROP))
     left = float(film_left(config, OTHER_FILM))
-    return np.array([supply, x / fall, y / fall, left, OTHER_POROSITY], np.float32)
+    numbers = supply, x / fall, y / fall, left, OTHER_POROSITY
+    return OffGroundWetness(*(np.float32(n) for n in numbers))
 
 
-def overall(config):
+def paving_dampness(config):
     """Return how wet open paving is, 0 to 1."""
     return float(dampness(config, OTHER_FILM, OTHER_POROSITY))

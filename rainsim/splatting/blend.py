@@ -6,10 +6,11 @@ import math
 
 import numpy as np
 
+from rainsim.constants import HALF, ONE, ZERO
 from rainsim.jit import cpu_kernel, device_function, inlined_function, prange
-from rainsim.raster.lanes import CHANNELS, LANES, blend_lanes, meets_blocks, prefetch, put_chosen
-from rainsim.raster.project import TILE
-from rainsim.raster.tiles import DIGITS, RECORD_MASK, sort_keys
+from rainsim.splatting.lanes import CHANNELS, LANES, blend_lanes, meets_blocks, prefetch, put_chosen
+from rainsim.splatting.project import R_DEPTH, TILE
+from rainsim.splatting.tiles import DIGITS, RECORD_MASK, sort_keys
 
 SIDE = 4  # px of a block: sixteen pixels, one vector
 SHIFT = 2  # log2 of the side
@@ -34,9 +35,6 @@ WIDE_SHIFT, WIDE_MASK, WIDE_ROW = np.uint64(SHIFT), np.uint64(SIDE - 1), np.uint
 BLOCK_NUMBERS = np.uint64(CHANNELS * LANES)
 
 NOWHERE = np.float32(np.inf)
-ZERO = np.float32(0)
-ONE = np.float32(1)
-HALF = np.float32(0.5)
 
 
 @device_function
@@ -164,7 +162,7 @@ def write_halves(state, record, top, left, height, width, half_out):
         for i in range(LANES):
             at = (block * CHANNELS + 4) * LANES + i
             number = bits[at]
-            state[at] = record[number - 1, 9] if number > 0 else ZERO
+            state[at] = record[number - 1, R_DEPTH] if number > 0 else ZERO
             row = top + block // ROW * SIDE + (i >> SHIFT)
             column = left + block % ROW * SIDE + (i & SIDE - 1)
             if row < height and column < width:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rainsim.raster.prepared import GEOMETRY, LANES, OPACITY, by_splat, laid_out
+from rainsim.splatting.prepared import GEOMETRY, LANES, OPACITY, by_splat, laid_out
 
 LEAST = 1e-30
 HALF_CELLS = 1 << 20  # along an axis: three such numbers fit into one

@@ -8,7 +8,7 @@ The same formula in plain Python is the tests' reference.
 from __future__ import annotations
 
 from rainsim.jit import cgutils, intrinsic, ir, types
-from rainsim.raster.project import MIN_ALPHA_LOG2
+from rainsim.splatting.project import MIN_ALPHA_LOG2
 
 LANES = 16
 CHANNELS = 9  # transmittance; colour (3), depth, normal (3), plane distance
@@ -109,15 +109,15 @@ def prefetch(typingctx, record, splat):
 
 @intrinsic
 def put_chosen(typingctx, bits, number, k, block, chosen, place):
-    """Write those of sixteen numbers that a block has to blend, one after the other; count them.
+    """Write the numbers of the splats, of sixteen, that a block has to blend; return how many.
 
     Parameters
     ----------
     bits, number : ndarray of uint32
-        From `k` on: what `meets_blocks` told of sixteen splats, and their numbers.
+        From `k` on: the masks of sixteen splats, as `meets_blocks` returns them, and their numbers.
     k, block : int64
     chosen : ndarray of uint32
-        From `place` on sixteen numbers are written; the first of them count.
+        From `place` on sixteen numbers are written, of which only the first are valid.
     place : int64
     """
 
@@ -152,6 +152,7 @@ def put_chosen(typingctx, bits, number, k, block, chosen, place):
     return types.int64(bits, number, k, block, chosen, place), codegen
 
 
+# long: it writes out the machine code of one loop, instruction by instruction
 @intrinsic
 def blend_lanes(typingctx, record, chosen, first, last, state, at, x, y, halfway, drop):
     """Blend the splats record[chosen[first:last]] into sixteen pixels, front to back.
@@ -159,7 +160,7 @@ def blend_lanes(typingctx, record, chosen, first, last, state, at, x, y, halfway
     Parameters
     ----------
     record : ndarray of shape (n, 16), float32
-        See `project.project`.
+        See `rainsim.splatting.project`.
     chosen : ndarray of uint32
     first, last : int64
     state : ndarray of shape (m,), float32
@@ -178,6 +179,7 @@ def blend_lanes(typingctx, record, chosen, first, last, state, at, x, y, halfway
         return None
     find_half, drop_last = halfway.literal_value, drop.literal_value
 
+    # long: the instructions of one loop, as said above
     def codegen(context, builder, signature, arguments):
         def pointer(k):
             array = signature.args[k]

@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
+from rainsim.constants import FOUR, HALF, ONE, SH_0, SH_1, SH_2, SH_3, THREE, TWO, ZERO
 from rainsim.jit import cpu_kernel, device_function, inlined_function, prange
-from rainsim.raster.prepared import LANES, OPACITY
+from rainsim.splatting.prepared import LANES, OPACITY
 
 BAND = 3 * LANES  # numbers of a chunk from one coefficient of a channel to the next
 TILE = 16  # px
 TILE_SHIFT = 4  # log2 of it
 BLOCKS = 32  # parts of the scene with tile counts of their own; fixed, whatever the threads
 RECORD = 16  # float32 numbers of a projected splat: one cache line
+# Places in a record: image point [px], conic (3) and log2 opacity in eighths, colour (3), depth,
+# normal (3), distance of the splat's plane, square of the reach for blocks of 4 x 4 pixels, and
+# what rounding took from the depth.
+R_U, R_V, R_CONIC, R_LEVEL, R_COLOR, R_DEPTH = 0, 1, 2, 5, 6, 9
+R_NORMAL, R_PLANE, R_REACH, R_DEPTH_REST = 10, 13, 14, 15
 
 LOW_PASS = np.float32(0.3)  # px^2, added to the projected covariance (Kerbl et al. 2023)
 BLOCK_HALF = np.float32(1.5)  # px from the centre of a block to those of its outer pixels
@@ -22,33 +29,15 @@ MIN_ALPHA_LOG2 = np.float32(np.log2(1 / 255))  # below this an 8-bit image does 
 FRUSTUM_MARGIN = np.float32(0.15)  # of the picture: where the linearised projection is clamped
 NO_PLANE = np.array([0, 0, 0, -1], np.float32)  # cuts nothing away
 
-ZERO = np.float32(0)
-ONE = np.float32(1)
-HALF = np.float32(0.5)
-TWO = np.float32(2)
-THREE = np.float32(3)
-FOUR = np.float32(4)
 TWO_LN2 = np.float32(2 * np.log(2))
 # Exponents are kept as eighths of log2: e^x = (2^(x log2(e) / 8))^8.
 EIGHTH = np.float32(0.125)
 HALF_LOG2E = np.float32(0.125 * 0.5 / np.log(2))
 
-# Real spherical harmonics in the order and with the signs of the original 3DGS code.
-SH0 = np.float32(0.28209479177387814)
-SH1 = np.float32(0.4886025119029199)
-SH2A, SH2B, SH2C = (
-    np.float32(c) for c in (1.0925484305920792, 0.31539156525252005, 0.5462742152960396)
-)
-SH3A, SH3B, SH3C, SH3D, SH3E = (
-    np.float32(c)
-    for c in (
-        0.5900435899266435,
-        2.890611442640554,
-        0.4570457994644658,
-        0.3731763325901154,
-        1.445305721320277,
-    )
-)
+# Factors of the spherical harmonics in single precision.
+SH0, SH1 = np.float32(SH_0), np.float32(SH_1)
+SH2A, SH2B, SH2C = (np.float32(factor) for factor in SH_2)
+SH3A, SH3B, SH3C, SH3D, SH3E = (np.float32(factor) for factor in SH_3)
 
 # Rows of a chunk's scratch: what the first pass leaves for the others.
 # All lie in one array at fixed distances: so LLVM knows that they do not overlap, and vectorises.
@@ -58,9 +47,78 @@ X, Y, Z, U, V, CONIC_A, CONIC_B, CONIC_C, LEVEL, LEFT, RIGHT, FIRST, LAST, RED, 
 DX, DY, DZ, SPREAD, SCRATCH = (LANES * row for row in range(16, 21))
 
 
+class SplatChunks(NamedTuple):
+    """Prepared splats, see `prepared.PreparedSplats`."""
+
+    geometry: np.ndarray
+    sh: np.ndarray
+    fine: np.ndarray
+    step: np.ndarray
+
+
+class Frustum(NamedTuple):
+    """What a camera sees of space.
+
+    Attributes
+    ----------
+    camera_from_world : ndarray of shape (3 or 4, 4), float32
+        Its first three rows are read.
+    lens : ndarray of shape (4,), float32 [px]
+        Focal lengths and principal point: fx, fy, cx, cy.
+    size : ndarray of shape (2,), float32 [px]
+        Width and height.
+    near : float32 [world units]
+    plane : ndarray of shape (4,), float32
+        (a, b, c, d): what has a x + b y + c z < d is cut away.
+    orthographic : bool
+    """
+
+    camera_from_world: np.ndarray
+    lens: np.ndarray
+    size: np.ndarray
+    near: np.float32
+    plane: np.ndarray
+    orthographic: bool
+
+
+class Pose(NamedTuple):
+    """The first three rows of the view matrix as numbers: camera frame from world frame."""
+
+    v00: np.float32
+    v01: np.float32
+    v02: np.float32
+    v03: np.float32
+    v10: np.float32
+    v11: np.float32
+    v12: np.float32
+    v13: np.float32
+    v20: np.float32
+    v21: np.float32
+    v22: np.float32
+    v23: np.float32
+
+
+class Lens(NamedTuple):
+    """Focal lengths and principal point [px], and limits of x / z and y / z for linearising.
+
+    Beyond `x_low` to `x_high` and `y_low` to `y_high` the projection is linearised at the limit.
+    """
+
+    fx: np.float32
+    fy: np.float32
+    cx: np.float32
+    cy: np.float32
+    x_low: np.float32
+    x_high: np.float32
+    y_low: np.float32
+    y_high: np.float32
+    orthographic: bool
+
+
 @device_function
-def chunk_is_out(box, view, lens, size, near, plane, orthographic):
+def chunk_is_out(box, frustum):
     """Return whether no splat of the chunk's box can touch the picture; False if in doubt."""
+    view, lens, size, near, plane, orthographic = frustum
     corners = 8
     beside0, beside1, beside2, beside3, behind, cut = 0, 0, 0, 0, 0, 0
     # With the margin at which projection is clamped, a box beside the picture holds no splat whose
@@ -91,16 +149,27 @@ def chunk_is_out(box, view, lens, size, near, plane, orthographic):
 
 
 @inlined_function
-def project_splat(
-    px, py, pz, c0, c1, c2, c3, c4, c5,
-    v00, v01, v02, v03, v10, v11, v12, v13, v20, v21, v22, v23,
-    fx, fy, cx, cy, x_low, x_high, y_low, y_high, orthographic,
-):  # fmt: skip
-    """Project one splat: position, covariance (xx, xy, xz, yy, yz, zz), view matrix and lens.
+def project_splat(position, covariance, pose, lens):
+    """Project one splat.
 
-    Returns camera point (3), image point (2), conic in eighths of log2 (3), the variances along
-    the picture's axes and the determinant with the low-pass, and the determinant before it.
+    Parameters
+    ----------
+    position : tuple of 3 float32
+    covariance : tuple of 6 float32
+        xx, xy, xz, yy, yz, zz.
+    pose : Pose
+    lens : Lens
+
+    Returns
+    -------
+    tuple of 12 float32
+        Camera point (3), image point (2), conic in eighths of log2 (3), the variances along the
+        picture's axes and the determinant with the low-pass, and the determinant before it.
     """
+    px, py, pz = position
+    c0, c1, c2, c3, c4, c5 = covariance
+    v00, v01, v02, v03, v10, v11, v12, v13, v20, v21, v22, v23 = pose
+    fx, fy, cx, cy, x_low, x_high, y_low, y_high, orthographic = lens
     x = v00 * px + v01 * py + v02 * pz + v03
     y = v10 * px + v11 * py + v12 * pz + v13
     z = v20 * px + v21 * py + v22 * pz + v23
@@ -183,10 +252,14 @@ def color_degree_3(x, y, z, s9, s10, s11, s12, s13, s14, s15):
 
 
 @inlined_function
-def facing_normal(
-    nx, ny, nz, x, y, z, v00, v01, v02, v10, v11, v12, v20, v21, v22, orthographic
-):  # fmt: skip
-    """Return a splat's normal in the camera frame, towards the camera, and its plane's distance."""
+def facing_normal(normal, point, pose, orthographic):
+    """Return a splat's normal in the camera frame, towards the camera, and its plane's distance.
+
+    `normal` is in the world frame, `point` in the camera frame, tuples of three; `pose` is a Pose.
+    """
+    nx, ny, nz = normal
+    x, y, z = point
+    v00, v01, v02, _, v10, v11, v12, _, v20, v21, v22, _ = pose
     n0 = v00 * nx + v01 * ny + v02 * nz
     n1 = v10 * nx + v11 * ny + v12 * nz
     n2 = v20 * nx + v21 * ny + v22 * nz
@@ -198,24 +271,34 @@ def facing_normal(
 
 
 @device_function
-def project_chunk(g, view, lens, size, near, plane, orthographic, compensate, s):
-    """Fill the scratch rows `s` up to LAST; FIRST is above LAST for what is not seen."""
+def pose_of(view):
+    """Return the `Pose` of a view matrix."""
+    return Pose(
+        view[0, 0], view[0, 1], view[0, 2], view[0, 3], view[1, 0], view[1, 1], view[1, 2],
+        view[1, 3], view[2, 0], view[2, 1], view[2, 2], view[2, 3],
+    )  # fmt: skip
+
+
+@device_function
+def project_chunk(g, frustum, compensate, s):
+    """Fill the scratch rows `s` up to LAST; FIRST is above LAST for splats that are not seen."""
+    view, lens, size, near, plane, orthographic = frustum
     fx, fy, cx, cy = lens[0], lens[1], lens[2], lens[3]
     w, h = size[0], size[1]
     x_low, x_high = (-cx - FRUSTUM_MARGIN * w) / fx, (w - cx + FRUSTUM_MARGIN * w) / fx
     y_low, y_high = (-cy - FRUSTUM_MARGIN * h) / fy, (h - cy + FRUSTUM_MARGIN * h) / fy
-    v00, v01, v02, v03 = view[0, 0], view[0, 1], view[0, 2], view[0, 3]
-    v10, v11, v12, v13 = view[1, 0], view[1, 1], view[1, 2], view[1, 3]
-    v20, v21, v22, v23 = view[2, 0], view[2, 1], view[2, 2], view[2, 3]
+    pose = pose_of(view)
+    limited = Lens(fx, fy, cx, cy, x_low, x_high, y_low, y_high, orthographic)
     p0, p1, p2, p3 = plane[0], plane[1], plane[2], plane[3]
     for i in range(LANES):
         px, py, pz = g[i], g[1 * LANES + i], g[2 * LANES + i]
-        x, y, z, u, v, a, b, c, m00, m11, determinant, spread = project_splat(
-            px, py, pz, g[3 * LANES + i], g[4 * LANES + i], g[5 * LANES + i],
+        covariance = (
+            g[3 * LANES + i], g[4 * LANES + i], g[5 * LANES + i],
             g[6 * LANES + i], g[7 * LANES + i], g[8 * LANES + i],
-            v00, v01, v02, v03, v10, v11, v12, v13, v20, v21, v22, v23,
-            fx, fy, cx, cy, x_low, x_high, y_low, y_high, orthographic,
         )  # fmt: skip
+        x, y, z, u, v, a, b, c, m00, m11, determinant, spread = project_splat(
+            (px, py, pz), covariance, pose, limited
+        )
         s[SPREAD + i] = spread
         s[X + i], s[Y + i], s[Z + i] = x, y, z
         s[U + i], s[V + i] = u, v
@@ -294,29 +377,27 @@ def color_chunk(g, sh, fine, step, eye, orthographic, bands, s):
 
 @device_function
 def write_records(
-    g, s, view, deep, orthographic, across, place, record_out, box_out, lane_out, count_out
+    g, s, frustum, deep, across, place, record_out, box_out, lane_out, count_out
 ):  # fmt: skip
     """Write the seen splats of a chunk one after the other; return their number."""
-    v00, v01, v02 = view[0, 0], view[0, 1], view[0, 2]
-    v10, v11, v12 = view[1, 0], view[1, 1], view[1, 2]
-    v20, v21, v22 = view[2, 0], view[2, 1], view[2, 2]
+    pose, orthographic = pose_of(frustum.camera_from_world), frustum.orthographic
     o = place
     for i in range(LANES):
         if s[FIRST + i] > s[LAST + i]:
             continue
         r = record_out[o]
-        r[0], r[1] = s[U + i], s[V + i]
-        r[2], r[3], r[4] = s[CONIC_A + i], s[CONIC_B + i], s[CONIC_C + i]
-        r[5], r[14] = s[LEVEL + i] * EIGHTH, s[SPREAD + i]
-        r[6], r[7], r[8] = s[RED + i], s[GREEN + i], s[BLUE + i]
+        r[R_U], r[R_V] = s[U + i], s[V + i]
+        r[R_CONIC], r[R_CONIC + 1], r[R_CONIC + 2] = s[CONIC_A + i], s[CONIC_B + i], s[CONIC_C + i]
+        r[R_LEVEL], r[R_REACH] = s[LEVEL + i] * EIGHTH, s[SPREAD + i]
+        r[R_COLOR], r[R_COLOR + 1], r[R_COLOR + 2] = s[RED + i], s[GREEN + i], s[BLUE + i]
         # What rounding took from the depth: splats are put in order by the sum.
         exact = deep[0] * g[i] + deep[1] * g[1 * LANES + i] + deep[2] * g[2 * LANES + i] + deep[3]
-        r[9], r[15] = s[Z + i], np.float32(exact - np.float64(s[Z + i]))
+        r[R_DEPTH], r[R_DEPTH_REST] = s[Z + i], np.float32(exact - np.float64(s[Z + i]))
         lane_out[o] = i
-        r[10], r[11], r[12], r[13] = facing_normal(
-            g[9 * LANES + i], g[10 * LANES + i], g[11 * LANES + i], s[X + i], s[Y + i], s[Z + i],
-            v00, v01, v02, v10, v11, v12, v20, v21, v22, orthographic,
-        )  # fmt: skip
+        normal = g[9 * LANES + i], g[10 * LANES + i], g[11 * LANES + i]
+        r[R_NORMAL], r[R_NORMAL + 1], r[R_NORMAL + 2], r[R_PLANE] = facing_normal(
+            normal, (s[X + i], s[Y + i], s[Z + i]), pose, orthographic
+        )
         left, right = np.int32(s[LEFT + i]), np.int32(s[RIGHT + i])
         first, last = np.int32(s[FIRST + i]), np.int32(s[LAST + i])
         box_out[o, 0], box_out[o, 1], box_out[o, 2], box_out[o, 3] = left, right, first, last
@@ -328,40 +409,61 @@ def write_records(
 
 
 @cpu_kernel
-def find_chunks(box, view, lens, size, near, plane, orthographic, seen_out):
-    """Mark the chunks that may touch the picture."""
+def find_chunks(box, frustum: Frustum, seen_out):
+    """Mark the chunks that may touch the picture; `box` (chunks, 6) holds the chunks' boxes."""
     for chunk in prange(len(box)):
-        seen_out[chunk] = not chunk_is_out(box[chunk], view, lens, size, near, plane, orthographic)
+        seen_out[chunk] = not chunk_is_out(box[chunk], frustum)
 
 
 @cpu_kernel
 def project_chunks(
-    geometry, sh, fine, step, chunks, view, deep, eye, lens, size, near, plane, orthographic,
-    compensate, degree, across, record_out, box_out, lane_out, visible_out, count_out,
+    splats: SplatChunks, chunks, frustum: Frustum, deep, eye, compensate, degree, across,
+    record_out, box_out, lane_out, visible_out, count_out,
 ):  # fmt: skip
     """Project the splats of the listed chunks and count those that each tile meets.
 
-    The visible splats of the k-th listed chunk are written from place 256 k on. Record: u, v, conic
-    (3) and opacity as eighths of log2, colour (3), depth, normal (3), plane distance, reach for
-    blocks, what rounding took from the depth. Box: first and last column and row. Lane: the splat's
-    place in its chunk. `deep` is the third row of `view` in float64.
+    The visible splats of the k-th listed chunk are written from place 256 k on.
+
+    Parameters
+    ----------
+    splats : SplatChunks
+    chunks : ndarray of shape (n,), int64
+        Numbers of the chunks that may be in sight.
+    frustum : Frustum
+    deep : ndarray of shape (4,), float64
+        Third row of the view matrix.
+    eye : ndarray of shape (3,), float32
+        Position of the camera, or its view direction if orthographic.
+    compensate : bool
+        Weaken splats that the low-pass widens.
+    degree, across : int
+        Highest degree of harmonics used; tiles across the picture.
+    record_out : ndarray of shape (256 n, RECORD), float32
+    box_out : ndarray of shape (256 n, 4), int16
+        First and last column and row of each visible splat.
+    lane_out : ndarray of shape (256 n,), uint8
+        Its place in its chunk.
+    visible_out : ndarray of shape (n,), int64
+        Visible splats of each chunk.
+    count_out : ndarray of shape (BLOCKS, tiles), int64
+        Splats that each tile meets, for each block of chunks; added to.
     """
+    geometry, sh, fine, step = splats
     n = len(chunks)
     for block in prange(BLOCKS):
         s = np.empty(SCRATCH, np.float32)
         count = count_out[block]
         for k in range(block * n // BLOCKS, (block + 1) * n // BLOCKS):
-            g = geometry[chunks[k]]
-            project_chunk(g, view, lens, size, near, plane, orthographic, compensate, s)
+            c = chunks[k]
+            g = geometry[c]
+            project_chunk(g, frustum, compensate, s)
             seen = False
             for i in range(LANES):
                 seen |= s[FIRST + i] <= s[LAST + i]
             visible_out[k] = 0
             if not seen:
                 continue
-            c = chunks[k]
-            color_chunk(g, sh[c], fine[c], step[c], eye, orthographic, degree + 1, s)
+            color_chunk(g, sh[c], fine[c], step[c], eye, frustum.orthographic, degree + 1, s)
             visible_out[k] = write_records(
-                g, s, view, deep, orthographic, across, k * LANES,
-                record_out, box_out, lane_out, count,
-            )  # fmt: skip
+                g, s, frustum, deep, across, k * LANES, record_out, box_out, lane_out, count
+            )

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from rainsim.jit import cpu_kernel, device_function, prange, serial_kernel
-from rainsim.raster.prepared import LANES
-from rainsim.raster.project import BLOCKS, TILE_SHIFT
+from rainsim.splatting.prepared import LANES
+from rainsim.splatting.project import BLOCKS, R_DEPTH, R_DEPTH_REST, TILE_SHIFT
 
 FEW = 48  # entries up to which insertion beats the radix sort
 DIGIT_BITS = 8
@@ -54,7 +54,7 @@ def list_tiles(record, box, visible, across, place, entry_out):
         bits = depth.view(np.uint64)  # positive floats sort like their bits
         for k in range(block * n // BLOCKS, (block + 1) * n // BLOCKS):
             for o in range(k * LANES, k * LANES + visible[k]):
-                depth[0] = np.float64(record[o, 9]) + np.float64(record[o, 15])
+                depth[0] = np.float64(record[o, R_DEPTH]) + np.float64(record[o, R_DEPTH_REST])
                 key = bits[0] << np.uint64(1) & ~RECORD_MASK | np.uint64(o)
                 for j in range(box[o, 2] >> TILE_SHIFT, (box[o, 3] >> TILE_SHIFT) + 1):
                     for i in range(box[o, 0] >> TILE_SHIFT, (box[o, 1] >> TILE_SHIFT) + 1):
@@ -65,7 +65,7 @@ def list_tiles(record, box, visible, across, place, entry_out):
 
 @device_function
 def sort_keys(key, spare, histogram, n):
-    """Sort key[:n]: by insertion if few; else by radix, and insertion puts the rest right.
+    """Sort key[:n]: by insertion if few; else by radix, and what is out of order then by insertion.
 
     The radix passes look at the highest 16 bits of the depths' span, two digits of a byte: after
     them hardly a key is more than a place or two from where it belongs. Whole keys are compared at

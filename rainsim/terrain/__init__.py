@@ -1,36 +1,24 @@
 """Terrain from splats: the ground, what stands on it or hangs over it, and what it is made of."""
 
-from rainsim.terrain.bed import inpaint, local_noise
-from rainsim.terrain.choose import choose_grid
-from rainsim.terrain.classify import read_mask
-from rainsim.terrain.extract import extract_terrain
-from rainsim.terrain.files import hillshade, read_terrain, write_terrain
-from rainsim.terrain.surface import is_surface, terrain_from_heights, terrain_from_surface
-from rainsim.terrain.table import GRASS, HARD, OBJECT, SOIL, WATER, class_table
-from rainsim.terrain.types import GAP_HEIGHT, INFERRED, MEASURED, UNKNOWN, Grid, Terrain
+_PUBLIC = {
+    "bed": ("inpaint", "local_noise"),
+    "choose": ("choose_grid",),
+    "classify": ("read_mask",),
+    "extract": ("extract_terrain",),
+    "files": ("read_terrain", "write_terrain"),
+    "pictures": ("hillshade",),
+    "surface": ("is_surface", "terrain_from_heights", "terrain_from_surface"),
+    "table": ("GRASS", "HARD", "OBJECT", "SOIL", "WATER", "class_table"),
+    "types": ("GAP_HEIGHT", "INFERRED", "MEASURED", "UNKNOWN", "Grid", "Terrain"),
+}
+_HOME = {name: module for module, names in _PUBLIC.items() for name in names}
+__all__ = sorted(_HOME)
 
-__all__ = [
-    "GAP_HEIGHT",
-    "GRASS",
-    "HARD",
-    "INFERRED",
-    "MEASURED",
-    "OBJECT",
-    "SOIL",
-    "UNKNOWN",
-    "WATER",
-    "Grid",
-    "Terrain",
-    "choose_grid",
-    "class_table",
-    "extract_terrain",
-    "hillshade",
-    "inpaint",
-    "is_surface",
-    "local_noise",
-    "read_mask",
-    "read_terrain",
-    "terrain_from_heights",
-    "terrain_from_surface",
-    "write_terrain",
-]
+
+def __getattr__(name):
+    # Loaded on first use: the cache key of every kernel takes in the `__init__` of its packages.
+    if name in _HOME:
+        from importlib import import_module
+
+        return getattr(import_module(f"rainsim.terrain.{_HOME[name]}"), name)
+    raise AttributeError(f"module 'rainsim.terrain' has no attribute {name!r}")

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy import ndimage
 
+from rainsim.terrain import filters
+
 FINE_PASSES = 10  # of smoothing what was filled on coarser cells
 OBJECT_HEIGHT = 0.02  # m above the opened ground: a leg, a pot, a ball, not the ground
 OBJECT_NOISES = 4.0  # times the ground's noise, if that is more
@@ -17,7 +19,7 @@ EDGE_REACH, EDGE_RAMP = 0.045, 0.03  # m from the edge: cells that may change; t
 EDGE_WIDE = 0.06  # m and more, twice, that both levels of an edge are wide
 EDGE_AROUND, LEAST_EDGE = 0.4, 0.5  # m about a step that are looked at; length of one that counts
 TREND_WIDTH = 0.025  # m, standard deviation of the trend that noise is measured about
-NOISE_WIDTH = 0.15  # m within which noise is told
+NOISE_WIDTH = 0.15  # m, standard deviation of the window in which noise is measured
 NOISE_CUT = 3.0  # local deviations; what is more is a leaf or a step, not noise
 # Standard deviations of the smoothing [m] and the noise [m] they are for, between which it goes
 # over. 4 cm looked best of eight filters on a captured patio with 0.7 mm; at 10 mm of noise more
@@ -50,7 +52,7 @@ def inpaint(values, known, passes=60):
         )
         filled = values[tuple(nearest)].astype(np.float32)
     for _ in range(passes):
-        smooth = ndimage.uniform_filter(filled, 5)
+        smooth = filters.uniform_filter(filled, 5)
         np.copyto(filled, smooth, where=~known)
     return filled
 
@@ -68,9 +70,9 @@ def _halved(values, known):
 def objects(filled, known, grass, spacing):
     """Return the mask of what stands out of the ground by more than an opening leaves."""
     width = max(3, round(OPENING_WIDTH / spacing))
-    opened = ndimage.grey_opening(ndimage.median_filter(filled, 3), size=(width, width))
+    opened = filters.grey_opening(filters.median_filter(filled), size=width)
     # An opening cuts the corners of kerbs; beside the upper level they are no objects.
-    opened = ndimage.maximum_filter(opened, max(3, 2 * round(KERB_WIGGLE / spacing) + 1))
+    opened = filters.maximum_filter(opened, max(3, 2 * round(KERB_WIGGLE / spacing) + 1))
     limit = np.maximum(OBJECT_HEIGHT, OBJECT_NOISES * local_noise(filled, known, spacing))
     standing = known & ~grass & (filled - opened > limit)
     return ndimage.binary_dilation(standing, iterations=2) & known & ~grass
@@ -84,8 +86,8 @@ def local_noise(height, known, spacing):
     """
     weight = known.astype(np.float32)
     s = TREND_WIDTH / spacing
-    share = np.maximum(ndimage.gaussian_filter(weight, s), 1e-3)
-    trend = ndimage.gaussian_filter(np.where(known, height, 0).astype(np.float32), s) / share
+    share = np.maximum(filters.gaussian_filter(weight, s), 1e-3)
+    trend = filters.gaussian_filter(np.where(known, height, 0).astype(np.float32), s) / share
     away = np.abs(np.where(known, height - trend, 0)).astype(np.float32)
     cut = NOISE_CUT * 1.4826 * _block_median(away, known, max(4, round(0.25 / spacing)))
     square = np.minimum(away, cut) ** 2 * weight
@@ -101,12 +103,12 @@ def blur(values, width):
     """Return `values` (ny, nx) blurred by a Gaussian of `width` cells, on fewer cells if wide."""
     step = int(width / 3)
     if step < 2 or min(values.shape) < 4 * step:
-        return ndimage.gaussian_filter(values, width)
+        return filters.gaussian_filter(values, width)
     ny, nx = values.shape
     padded = np.pad(values, ((0, -ny % step), (0, -nx % step)), mode="edge")
     rows, columns = padded.shape[0] // step, padded.shape[1] // step
     coarse = padded.reshape(rows, step, columns, step).mean(axis=(1, 3))
-    coarse = ndimage.gaussian_filter(coarse, width / step)
+    coarse = filters.gaussian_filter(coarse, width / step)
     return _spread(ny, rows, step) @ coarse @ _spread(nx, columns, step).T
 
 
@@ -131,7 +133,7 @@ def _block_median(values, known, size):
     blocks[counted == 0] = 0
     median = np.nanmedian(blocks, axis=2)
     median = inpaint(median, counted > size, passes=2) if (counted > size).any() else median
-    coarse = ndimage.median_filter(median, 3)
+    coarse = filters.median_filter(median)
     j, i = (np.arange(n) // size for n in (ny, nx))
     return coarse[np.ix_(j, i)]
 
@@ -144,23 +146,23 @@ def smooth(height, noise, spacing):
     height, noise : ndarray of shape (ny, nx), float32 [m]
     spacing : float [m]
     """
-    median = ndimage.median_filter(height, 3)
+    median = filters.median_filter(height)
     finest, scale = SMOOTHING[0]
-    result = ndimage.gaussian_filter(median, finest / spacing)
+    result = filters.gaussian_filter(median, finest / spacing)
     for width, next_scale in SMOOTHING[1:]:
-        part = ndimage.gaussian_filter(median, width / spacing)
+        part = filters.gaussian_filter(median, width / spacing)
         share = np.log(np.maximum(noise, 1e-6) / scale) / np.log(next_scale / scale)
         result = result + (part - result) * np.clip(share, 0, 1)
         scale = next_scale
     steep = steps(median, noise, spacing).astype(np.float32)
-    steep = np.clip(2 * ndimage.gaussian_filter(steep, 1.5), 0, 1)
+    steep = np.clip(2 * filters.gaussian_filter(steep, 1.5), 0, 1)
     return (result + (median - result) * steep).astype(np.float32)
 
 
 def steps(height, noise, spacing):
     """Return the mask of the cells about kerbs and steps."""
     size = max(3, 2 * round(0.05 / spacing) + 1)
-    relief = ndimage.maximum_filter(height, size) - ndimage.minimum_filter(height, size)
+    relief = filters.maximum_filter(height, size) - filters.minimum_filter(height, size)
     return relief > np.maximum(STEP_RELIEF, STEP_NOISES * noise)
 
 
@@ -194,12 +196,12 @@ def straighten(height, step, spacing):
 def _straighten_one(height, band, spacing, out):
     """Put one step's edge in its place, in `out`."""
     size = max(3, 2 * round(0.08 / spacing) + 1)
-    middle = (ndimage.minimum_filter(height, size) + ndimage.maximum_filter(height, size)) / 2
+    middle = (filters.minimum_filter(height, size) + filters.maximum_filter(height, size)) / 2
     nearest = ndimage.distance_transform_edt(~band, return_distances=False, return_indices=True)
     upper = height > middle[tuple(nearest)]
     inside = [ndimage.distance_transform_edt(side) * spacing for side in (upper, ~upper)]
     away = np.where(upper, inside[0], inside[1])
-    straight = ndimage.gaussian_filter(upper.astype(np.float32), EDGE_BLUR / spacing) > 0.5
+    straight = filters.gaussian_filter(upper.astype(np.float32), EDGE_BLUR / spacing) > 0.5
     there = band & (away < EDGE_REACH)
     for depth in inside:  # both levels must be wide, or a wall would be blurred away
         wide = ndimage.distance_transform_edt(~(depth > EDGE_WIDE)) * spacing
@@ -270,7 +272,7 @@ def soil_under_grass(canopy, grass, points, weights, grid):
     if not told.any():
         return canopy
     depth = inpaint(depth.reshape(rows, columns), told.reshape(rows, columns), passes=10)
-    depth = ndimage.gaussian_filter(ndimage.median_filter(depth, 3), 0.7)
+    depth = filters.gaussian_filter(filters.median_filter(depth), 0.7)
     fine_rows = (np.arange(grid.shape[0]) + 0.5) / size - 0.5
     fine_columns = (np.arange(grid.shape[1]) + 0.5) / size - 0.5
     places = np.meshgrid(fine_rows, fine_columns, indexing="ij")
@@ -279,7 +281,7 @@ def soil_under_grass(canopy, grass, points, weights, grid):
     if not grass.all():
         # Blades are short at the rim of paving, and lawns do not lie in a trench beside it.
         away, nearest = ndimage.distance_transform_edt(grass, return_indices=True)
-        rim = np.minimum(ndimage.gaussian_filter(canopy[tuple(nearest)], 1.0), canopy)
+        rim = np.minimum(filters.gaussian_filter(canopy[tuple(nearest)], 1.0), canopy)
         soil = np.where(away * grid.spacing < RIM_WIDTH, np.maximum(soil, rim), soil)
     return np.where(grass, soil, canopy).astype(np.float32)
 

@@ -11,7 +11,9 @@ import numpy as np
 from scipy import ndimage
 from skimage.morphology import remove_small_objects
 
+from rainsim.constants import SH_0
 from rainsim.errors import InputError
+from rainsim.terrain import filters
 from rainsim.terrain.bed import blur
 from rainsim.terrain.table import DRAIN, GRASS, HARD, OBJECT, SOIL, class_table
 from rainsim.terrain.types import MEASURED, UNKNOWN
@@ -31,7 +33,7 @@ MASK_DISTANCE = 60.0  # 8-bit levels a painted colour may be off (soft brushes, 
 
 def is_green(splats):
     """Return the mask of the splats that are green as plants are."""
-    color = 0.5 + 0.28209479177387814 * splats.sh[:, 0]
+    color = 0.5 + SH_0 * splats.sh[:, 0]
     return 2 * color[:, 1] - color[:, 0] - color[:, 2] > EXCESS_GREEN
 
 
@@ -97,7 +99,7 @@ def _mean_near(values, mask, spacing):
 
 def _soil(noise, color, source, plants, spacing):
     """Return the mask of rough brown ground."""
-    brown = ndimage.gaussian_filter(color[..., 0] - color[..., 2], 0.06 / spacing) > SOIL_BROWN
+    brown = filters.gaussian_filter(color[..., 0] - color[..., 2], 0.06 / spacing) > SOIL_BROWN
     rough = (noise > SOIL_ROUGHNESS) & brown & ~plants & (source == MEASURED)
     rough = ndimage.binary_opening(rough, iterations=max(1, round(0.05 / spacing)))
     return remove_small_objects(rough, max_size=int(SMALLEST_SOIL / spacing**2))
@@ -121,13 +123,14 @@ def _edge(shape, width):
 def read_mask(path):
     """Return the classes painted in a picture aligned with the height map, -1 where none is.
 
-    The colours are those of rainsim/classes.toml, as the class map has them; black and transparent
+    The colours are those of rainsim/config/classes.toml, as the class map has them; black and
+    transparent
     pixels leave the class to the program. North is at the top of the picture; row 0 of the result
     is in the south.
     """
-    from rainsim import image
+    from rainsim.io import images
 
-    picture = image.read_image(path)
+    picture = images.read_image(path)
     if picture.ndim != 3 or picture.shape[2] not in (3, 4) or picture.dtype != np.uint8:
         raise InputError(f"{path} is no 8-bit colour picture; a class mask must be; save it as PNG")
     table = class_table()

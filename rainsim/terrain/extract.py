@@ -16,26 +16,25 @@ from rainsim import raster
 from rainsim.errors import GroundError, ParameterError
 from rainsim.scene.types import Camera
 from rainsim.terrain import bed as bedding
+from rainsim.terrain import filters
 from rainsim.terrain.choose import choose_grid
 from rainsim.terrain.classify import EXCESS_GREEN, classify, is_green, mark_drains
 from rainsim.terrain.pond import fill_ponds
 from rainsim.terrain.slab import FAINT, follow_ground, lonely, splat_cover
-from rainsim.terrain.table import GRASS, HARD, WATER
+from rainsim.terrain.table import GRASS, HARD
 from rainsim.terrain.types import GAP_HEIGHT, INFERRED, MEASURED, UNKNOWN, Grid, Terrain
-from rainsim.terrain.water import find_water
 
-MIN_SEEN_ALPHA = 0.5  # of a cell from above: less and the surface is not told
+MIN_SEEN_ALPHA = 0.5  # of a cell from above: with less its height is unknown
 OCCLUDER_HEIGHT = 0.10  # m above the ground from which something shelters it
 SMALLEST_TOP = 2e-3  # m2 of a thing that shelters the ground
 CEILING_OVER_CAMERAS = 1.0  # m: what is higher was hardly seen by any camera
 CEILING_WITHOUT_CAMERAS = 4.0  # m above the ground
-PIECE = 750_000  # cells of a map that are made at once, with their margins; some 130 MB
+PIECE = 4_500_000  # cells of a map that are made at once, with their margins; some 800 MB
 MARGIN = 2.0  # m about the cells of a part that are made with them: nothing reaches farther
 NEAR_BED = 0.03  # m, and four times the noise: what is farther from the first bed stands on it
 LARGEST_SHIFT, SHIFT_WIDTH = 0.02, 0.05  # m, by which overlapping splats may hide the ground
 EDGE_THICKNESS = 5e-3  # m between the looks from above and below from where an edge begins
 EDGE_WIDTH = 0.06  # m: splats of a kerb's top reach so far over its edge
-DARKEST = 0.02  # of a colour that others are told in shares of
 LEAST_GROUND = 0.02  # share of the map that must show ground
 
 
@@ -48,7 +47,7 @@ def extract_terrain(scene, config, mask=None):
     config : TerrainConfig
         spacing [m], extent (half width [m] or None) and slab (half thickness [m]).
     mask : ndarray of shape (ny, nx), int, optional
-        Class of each cell as the user has it; -1 where it is to be told from the splats.
+        Class of each cell as the user has it; -1 where it is to be found from the splats.
 
     Raises
     ------
@@ -81,11 +80,7 @@ def extract_terrain(scene, config, mask=None):
             f"ground within {config.slab:g} m of the ground plane; give --up and "
             "--meters-per-unit, or --ground-frame"
         )
-    bodies, found = find_water(scene, cloud, grid, bed, source == MEASURED, top > bed)
-    for body in bodies:
-        free = body.mask if mask is None else body.mask & (mask[body.cells] < 0)
-        maps["ground_class"][body.cells][free] = WATER
-    water, told = fill_ponds(grid, bed, maps["ground_class"], bodies, maps["color"])
+    water, pond_notes = fill_ponds(grid, bed, maps["ground_class"], maps["color"])
     if water is not None:
         filled = water > 0
         source[filled] = INFERRED
@@ -94,7 +89,7 @@ def extract_terrain(scene, config, mask=None):
         np.copyto(underside, bed, where=filled & (underside < bed + water + GAP_HEIGHT))
     terrain = Terrain(grid, **maps, water=water)
     removed = int(np.count_nonzero(left_out))
-    notes += (*cloud.notes, *_report(terrain, removed, mask), *found, *told)
+    notes += (*cloud.notes, *_report(terrain, removed, mask), *pond_notes)
     return replace(terrain, notes=notes)
 
 
@@ -109,7 +104,8 @@ class Piece:
 def pieces(grid):
     """Yield the parts in which a map is made, so that memory grows only with what is kept.
 
-    Each overlaps its neighbours by a margin, wider than what cells know of each other.
+    Each overlaps its neighbours by a margin, wider than what cells know of each other. A part whose
+    margins are wider than itself would cost more than it saves: such a map has larger parts.
 
     Yields
     ------
@@ -121,11 +117,13 @@ def pieces(grid):
     number = [1, 1]
 
     def sides():
-        return [-(-n // k) + (2 * margin if k > 1 else 0)
+        return [-(-n // k) + margin * min(k - 1, 2)
                 for n, k in zip(grid.shape, number, strict=True)]  # fmt: skip
 
-    while np.prod(sides()) > PIECE and max(number) < max(grid.shape):
+    while np.prod(sides()) > PIECE:
         longest = int(np.argmax(sides()))
+        if grid.shape[longest] < 2 * margin * (number[longest] + 1):
+            break
         number[longest] += 1
     cuts = [np.linspace(0, n, k + 1).astype(int)
             for n, k in zip(grid.shape, number, strict=True)]  # fmt: skip
@@ -244,7 +242,6 @@ class _Cloud:
         self.above = self.position[:, 2] - self.level(self.position[:, 0], self.position[:, 1])
         solid = self.cover > 0
         self.near_bed = (np.abs(self.above) < slab) & solid
-        self.change = _change(every, np.flatnonzero(over)[self.near_bed])
         ceiling = _ceiling(scene)
         x, y = grid.centres()
         level = self.level(*np.meshgrid(x[::8], y[::8]))
@@ -298,15 +295,6 @@ class _Cloud:
         return bedding.soil_under_grass(bed, classes == GRASS, self.position, solid, grid)
 
 
-def _change(splats, which):
-    """Return how far the green of splats (indices) changes with the view, over that of degree 0."""
-    if splats.sh.shape[1] == 1:
-        return np.zeros(len(which), np.float32)
-    green = splats.sh[which, :, 1]
-    mean = np.maximum(0.5 + 0.28209479177387814 * green[:, 0], DARKEST)
-    return np.sqrt((green[:, 1:] ** 2).sum(axis=1)) / mean
-
-
 def _start_radius(scene, grid):
     """Return how far from the map's middle the ground surely lies on the plane [m]."""
     if not scene.cameras:
@@ -326,13 +314,13 @@ def _floaters(cloud, seen, grid):
     """Return the mask of the splats near the bed that float over it, under it or stand on it."""
     known = seen.alpha > MIN_SEEN_ALPHA
     filled = bedding.inpaint(np.where(known, seen.height, 0), known, passes=10)
-    middle = ndimage.median_filter(filled, 3)
+    middle = filters.median_filter(filled)
     width = max(3, round(bedding.OPENING_WIDTH / grid.spacing))
-    opened = ndimage.grey_opening(middle, size=(width, width))
+    opened = filters.grey_opening(middle, size=width)
     noise = bedding.local_noise(filled, known, grid.spacing)
     # Kerbs and steps: within a few cells of them either level is the ground.
     size = max(3, 2 * round(0.04 / grid.spacing) + 1)
-    relief = ndimage.maximum_filter(opened, size) - ndimage.minimum_filter(opened, size)
+    relief = filters.maximum_filter(opened, size) - filters.minimum_filter(opened, size)
     limit = np.maximum(NEAR_BED, 4 * noise) + relief
     row, column, inside = grid.cells(cloud.position[:, 0], cloud.position[:, 1])
     off = np.abs(cloud.position[:, 2] - opened[row, column]) > limit[row, column]
@@ -376,7 +364,7 @@ def _bed(seen, below, grid, level):
     color = np.clip(seen.color / np.maximum(seen.alpha, 0.3)[..., None], 0, 1).astype(np.float32)
     source = np.where(known, MEASURED, UNKNOWN).astype(np.uint8)
     green = 2 * color[..., 1] - color[..., 0] - color[..., 2]
-    green = ndimage.gaussian_filter(np.where(known, green, 0), 0.06 / grid.spacing)
+    green = filters.gaussian_filter(np.where(known, green, 0), 0.06 / grid.spacing)
     bare = known & (green < EXCESS_GREEN)
     height = np.where(known, _less_bias(seen, below, bare, grid), 0)
     filled = bedding.inpaint(height, known)
@@ -399,7 +387,7 @@ def _bed(seen, below, grid, level):
         nearest = ndimage.distance_transform_edt(~bare, return_distances=False, return_indices=True)
         alone = bedding.smooth(filled[tuple(nearest)], noise, grid.spacing)
         bed = np.where(bare, alone, bed)
-    edges = bedding.steps(ndimage.median_filter(filled, 3), noise, grid.spacing) & bare & measured
+    edges = bedding.steps(filters.median_filter(filled), noise, grid.spacing) & bare & measured
     if edges.any():
         bed = bedding.straighten(bed, edges, grid.spacing)
     return bed, source, noise, color, green
@@ -407,7 +395,7 @@ def _bed(seen, below, grid, level):
 
 def _cover(upper, lower, bed, cell_area):
     """Return top and underside of what stands on or hangs over the bed."""
-    top = np.where(upper.alpha > MIN_SEEN_ALPHA, ndimage.median_filter(upper.height, 3), bed)
+    top = np.where(upper.alpha > MIN_SEEN_ALPHA, filters.median_filter(upper.height), bed)
     standing = top > bed + OCCLUDER_HEIGHT
     standing = remove_small_objects(standing, max_size=int(SMALLEST_TOP / cell_area))
     top = np.where(standing, top, bed)

@@ -9,16 +9,6 @@ import numpy as np
 from rainsim.errors import InputError
 from rainsim.terrain.types import Grid, Terrain
 
-
-def hillshade(height, spacing, exaggerate=4):
-    """Return the brightness (0 to 1) of the surface `height` (ny, nx) lit from one side."""
-    azimuth, elevation = np.radians(135), np.radians(35)
-    dy, dx = np.gradient(height * exaggerate, spacing)
-    light = np.cos(elevation) * np.array([np.cos(azimuth), np.sin(azimuth)])
-    shade = (np.sin(elevation) - light[0] * dx - light[1] * dy) / np.sqrt(1 + dx * dx + dy * dy)
-    return np.clip(shade, 0, 1)
-
-
 _ARRAYS = ("bed", "top", "underside", "source", "ground_class", "noise", "color")
 _WATER = "water"  # not in the files of old versions
 
@@ -31,24 +21,24 @@ def write_terrain(folder, terrain):
     Pictures and TIFFs have north (greatest y) at the top; arrays in the .npz have row 0 in the
     south. Returns the paths written.
     """
-    from rainsim import image
-    from rainsim.terrain.pictures import class_map
+    from rainsim.io import images
+    from rainsim.terrain.pictures import class_map, hillshade
 
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     arrays = {name: getattr(terrain, name) for name in (*_ARRAYS, _WATER)}
     grid = terrain.grid
-    image.write_npz(
+    images.write_npz(
         folder / "terrain.npz", **arrays, origin=np.array(grid.origin), spacing=grid.spacing,
         notes=np.array(terrain.notes, dtype=np.str_),
     )  # fmt: skip
-    image.write_tiff(folder / "bed.tif", terrain.bed[::-1])
-    image.write_tiff(folder / "top.tif", terrain.top[::-1])
+    images.write_tiff(folder / "bed.tif", terrain.bed[::-1])
+    images.write_tiff(folder / "top.tif", terrain.top[::-1])
     shade = np.hstack([hillshade(terrain.bed, grid.spacing, exaggerate=8),
                        hillshade(terrain.top, grid.spacing, exaggerate=1)])  # fmt: skip
     picture = (shade[::-1] * 255 + 0.5).astype(np.uint8)
-    image.write_png(folder / "hillshade.png", np.repeat(picture[..., None], 3, axis=2))
-    image.write_png(folder / "classes.png", np.ascontiguousarray(class_map(terrain)))
+    images.write_png(folder / "hillshade.png", np.repeat(picture[..., None], 3, axis=2))
+    images.write_png(folder / "classes.png", np.ascontiguousarray(class_map(terrain)))
     names = ("terrain.npz", "bed.tif", "top.tif", "hillshade.png", "classes.png")
     return [folder / name for name in names]
 
@@ -67,5 +57,5 @@ def read_terrain(folder):
     except FileNotFoundError:
         raise InputError(f"{path} does not exist; `rainsim heightmap` writes it") from None
     except (KeyError, ValueError, OSError, EOFError) as error:
-        raise InputError(f"{path} is no terrain of rainsim ({error}); write it anew") from error
+        raise InputError(f"{path} is no terrain of rainsim ({error}); write it again") from error
     return Terrain(grid, *arrays, notes=notes, water=water)

@@ -7,7 +7,6 @@ import math
 import numpy as np
 
 from rainsim.errors import ParameterError
-from rainsim.terrain.files import hillshade
 from rainsim.terrain.pond import without_images
 from rainsim.terrain.table import class_table
 from rainsim.terrain.types import UNKNOWN
@@ -17,6 +16,15 @@ WATER_LIGHT, WATER_DARK = np.array([0.35, 0.6, 0.95]), np.array([0.05, 0.15, 0.5
 GRID_STEP = 0.5  # m between the lines of the checking grid
 ON_GROUND = 0.04  # m, and 1 % of the distance: what is nearer the bed counts as ground
 CHECK_WIDTH = 960  # px
+
+
+def hillshade(height, spacing, exaggerate=4):
+    """Return the brightness (0 to 1) of the surface `height` (ny, nx) lit from one side."""
+    azimuth, elevation = np.radians(135), np.radians(35)
+    dy, dx = np.gradient(height * exaggerate, spacing)
+    light = np.cos(elevation) * np.array([np.cos(azimuth), np.sin(azimuth)])
+    shade = (np.sin(elevation) - light[0] * dx - light[1] * dy) / np.sqrt(1 + dx * dx + dy * dy)
+    return np.clip(shade, 0, 1)
 
 
 def class_map(terrain):

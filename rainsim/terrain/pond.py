@@ -1,8 +1,8 @@
-"""What the program makes of captured water: a body with a level, and a capture without its image.
+"""Water that the user paints into the class mask, and the capture without that water's image.
 
-How deep captured water is nobody knows: its bed is assumed. It starts full, rain runs over its
-lowest rim, and it mirrors by the optics of water. The mirror image that the capture holds is taken
-out for that: it would be seen through the new water.
+A capture does not show how deep its ponds are, so the bed of painted water is assumed. Painted
+water starts full, rain runs over its lowest rim, and it mirrors by the optics of water. The mirror
+image that the splats hold is removed, because it would be seen through the new water.
 """
 
 from __future__ import annotations
@@ -12,15 +12,15 @@ from dataclasses import replace
 import numpy as np
 from scipy import ndimage
 
+from rainsim.constants import SH_0
 from rainsim.scene.types import Splats
 from rainsim.terrain.table import WATER
 
-DEPTH = 0.3  # m that captured water is taken to be deep at most
-SHELF = 1.0  # m of depth per metre from the rim, up to that
+DEPTH = 0.3  # m, greatest assumed depth of painted water
+SHELF = 1.0  # m of depth per metre from the rim, up to DEPTH
 RIM = 0.3  # m about painted water in which its rim is looked for
 RIM_PERCENTILE = 10  # of the rim's heights: as high water stands that was painted
-USUAL_COLOR = np.array([0.02, 0.028, 0.018])  # linear, of painted water without reflections
-DARKEST = 0.004  # linear
+WATER_COLOR = np.array([0.02, 0.028, 0.018])  # linear, of painted water without reflections
 GAMMA = 2.2
 SURFACE = 0.02  # m above the level up to which splats over the water show it
 DEEP, SLOPE = 0.24, 0.1  # m below the ground; off the map the ground may fall by so much a metre
@@ -28,16 +28,15 @@ DISC = 0.75  # of the distance between the splats of the bed, their standard dev
 LEAST_PITCH = 0.02  # m between them
 
 
-def fill_ponds(grid, bed, classes, bodies, color):
-    """Dig the assumed beds of captured water (bed and color are modified in place).
+def fill_ponds(grid, bed, classes, color):
+    """Dig the assumed beds of painted water (bed and color are modified in place).
 
     Parameters
     ----------
     grid : Grid
     bed : ndarray of shape (ny, nx), float32 [m]
     classes : ndarray of shape (ny, nx), uint8
-        With WATER where bodies were found or a mask has it.
-    bodies : sequence of Body
+        WATER where the user's mask has it.
     color : ndarray of shape (ny, nx, 3), float32
 
     Returns
@@ -57,30 +56,21 @@ def fill_ponds(grid, bed, classes, bodies, color):
         part = tuple(slice(max(s.start - margin, 0), s.stop + margin) for s in part)
         here = labels[part] == n
         away = ndimage.distance_transform_edt(np.pad(wet[part], 1, mode="edge"))[1:-1, 1:-1]
-        body = next((b for b in bodies if _holds(b, labels == n)), None)
-        if body is not None:
-            level, shown = body.level, body.color
-        else:
-            level, shown = _painted_level(bed[part], here, wet[part], grid.spacing), USUAL_COLOR
+        level = _rim_level(bed[part], here, wet[part], grid.spacing)
         deep = np.minimum(DEPTH, SHELF * away * grid.spacing)
         bed[part] = np.where(here, level - deep, bed[part])
         depth[part] = np.where(here, deep, depth[part])
-        color[part][here] = np.maximum(shown, DARKEST) ** (1 / GAMMA)
+        color[part][here] = WATER_COLOR ** (1 / GAMMA)
         litres += float(deep[here].sum()) * grid.cell_area * 1e3
     bodies_are = "body" if count == 1 else "bodies"
     notes.append(
-        f"captured water: {count} {bodies_are}, {wet.sum() * grid.cell_area:.3g} m2; its bed is "
+        f"painted water: {count} {bodies_are}, {wet.sum() * grid.cell_area:.3g} m2; its bed is "
         f"not seen and ASSUMED {DEPTH:g} m deep ({litres:.0f} litres)"
     )
     return depth, tuple(notes)
 
 
-def _holds(body, wet):
-    """Whether most of the wet cells (a mask of the map) are a body's."""
-    return np.count_nonzero(wet[body.cells] & body.mask) > np.count_nonzero(wet) / 3
-
-
-def _painted_level(bed, here, wet, spacing):
+def _rim_level(bed, here, wet, spacing):
     """Return the level [m] of painted water: that of its rim where it is low."""
     around = ndimage.distance_transform_edt(~here) * spacing
     rim = (around > 0) & (around < RIM) & ~wet
@@ -88,10 +78,11 @@ def _painted_level(bed, here, wet, spacing):
 
 
 def without_images(scene, terrain):
-    """Return the scene with the beds of captured water in place of what it shows there.
+    """Return the scene with the assumed beds of painted water in place of the captured water.
 
-    Left out are the splats of the surface and, wherever they are, the mirror images below the
-    ground, which would shine through what covers it. The scene itself if no water was captured.
+    The splats of the captured water surface are left out, and so are the mirror images below the
+    ground, wherever they are: they would shine through the splats that cover the ground. Without
+    painted water the scene itself is returned.
     """
     wet = terrain.water > 0
     if not wet.any():
@@ -121,7 +112,7 @@ def without_images(scene, terrain):
     size = DISC * every * grid.spacing / frame.meters_per_unit
     n = len(points)
     sh = np.zeros((n, *kept.sh.shape[1:]), np.float32)
-    sh[:, 0] = (terrain.color[row, column] - 0.5) / 0.28209479177387814
+    sh[:, 0] = (terrain.color[row, column] - 0.5) / SH_0
     rotation = np.zeros((n, 4), np.float32)
     rotation[:, 0] = 1
     added = (

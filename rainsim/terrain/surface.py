@@ -67,7 +67,7 @@ def terrain_from_surface(path, config, up=None, meters_per_unit=None):
 
 
 def _level(up):
-    """Return the rotation that turns `up` to z and leaves level directions as they can be."""
+    """Return the rotation that turns `up` to z; its x axis is x (y if `up` is near x), levelled."""
     if up is None:
         return np.eye(3)
     z = np.asarray(up, np.float64)
@@ -114,9 +114,9 @@ def terrain_from_mesh(points, triangles, config, notes=()):
 
 
 def _from_tiff(path, spacing, scale):
-    from rainsim import image
+    from rainsim.io import images
 
-    values = image.read_image(path)
+    values = images.read_image(path)
     if values.ndim != 2 or min(values.shape) < 3:
         raise InputError(
             f"{path} has shape {values.shape}; a map of heights has one channel and at least 3 x 3 "

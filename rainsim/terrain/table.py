@@ -1,4 +1,4 @@
-"""The table of ground classes, rainsim/classes.toml."""
+"""The table of ground classes, rainsim/config/classes.toml."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class ClassTable:
 @functools.cache
 def class_table():
     """Return the `ClassTable` that the package brings."""
-    text = resources.files("rainsim").joinpath("classes.toml").read_text(encoding="utf-8")
+    text = resources.files("rainsim.config").joinpath("classes.toml").read_text(encoding="utf-8")
     rows = tomllib.loads(text)
     names = tuple(sorted(rows, key=lambda name: rows[name]["code"]))
     entries = [rows[name] for name in names]

@@ -69,10 +69,11 @@ class Terrain:
     underside : ndarray of shape (ny, nx), float32 [m]
         Lower side of what hangs over the ground; equals `bed` where it stands on it.
     source : ndarray of shape (ny, nx), uint8
-        MEASURED, INFERRED (inpainted under an object, or assumed under captured water) or UNKNOWN
+        MEASURED, INFERRED (inpainted under an object, or assumed under painted water) or UNKNOWN
         (nothing saw it).
     ground_class : ndarray of shape (ny, nx), uint8
-        Codes of rainsim/classes.toml; unknown ground counts as grass (as object where something
+        Codes of rainsim/config/classes.toml; unknown ground counts as grass (as object where
+        something
         stands on it): it takes up water and never mirrors.
     noise : ndarray of shape (ny, nx), float32 [m]
         Standard deviation of the measured ground about its trend.
@@ -80,7 +81,7 @@ class Terrain:
         Display-referred colour of the ground from above.
     notes : tuple of str
     water : ndarray of shape (ny, nx), float32 [m]
-        Depth of the water that the capture itself shows, over an assumed bed; 0 elsewhere.
+        Depth of the water that the user painted, over an assumed bed; 0 elsewhere.
     """
 
     grid: Grid
@@ -95,7 +96,7 @@ class Terrain:
     water: np.ndarray | None = None
 
     def __post_init__(self):
-        """Take no captured water to be none anywhere."""
+        """Fill in a map of zeros if no water was painted."""
         if self.water is None:
             object.__setattr__(self, "water", np.zeros(self.grid.shape, np.float32))
 

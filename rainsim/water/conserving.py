@@ -4,9 +4,9 @@ Depth h sits at cell centres (j, i), u at the west faces (j, i) of the cells, v 
 faces; row 0 is south. All arrays have PAD rings of ghost cells, so the first cell is (PAD, PAD) and
 no formula knows an edge. Depth is known at whole steps n, velocity at half steps. In one step
 
-    q at n+1/2     = u h*,       h* from the upwind cell with a limited slope           (`flux`)
-    h at n+1       = h - dt div q                                                       (`move`)
-    hu at n+3/2    = hu - dt div(q u*) - dt g h grad(bed + h), u* as h*                 (`push`)
+    q at n+1/2  = u h*,    h* from the upwind cell with a limited slope     (`volume_flux`)
+    h at n+1    = h - dt div q                                              (`move_depth`)
+    hu at n+3/2 = hu - dt div(q u*) - dt g h grad(bed + h), u* as h*        (`accelerate`)
 
 The momentum of a face is that of half of each of its two cells, so the volume flux that carries it
 is the mean of the neighbouring q, and what `div(q u*)` takes from one face it gives to the next.
@@ -26,15 +26,12 @@ against the depth and where a neighbour is nearly dry.
 
 import numpy as np
 
-from rainsim.grid.rows import ROOM, copy_row, largest_of, stack_row
+from rainsim.constants import HALF, ONE, THREE, TWO, ZERO
 from rainsim.jit import cpu_kernel, device_function, prange, serial_kernel
+from rainsim.water.bundles import Flux, StepNumbers, Water
+from rainsim.water.rows import ROOM, copy_row, stack_row, tile_maxima
 
 # Exact in every floating type, so kernels stay generic.
-ZERO = np.float32(0)
-HALF = np.float32(0.5)
-ONE = np.float32(1)
-TWO = np.float32(2)
-THREE = np.float32(3)
 TWELVE = np.float32(12)
 
 PAD = 2  # ghost cells on each side: what a slope beside an edge reaches for
@@ -46,24 +43,18 @@ FADE = np.float32(8)
 
 
 @device_function
-def quotient(a, b):
-    """Return a / b; a GPU may be off by two units in the last place."""
-    return a / b
-
-
-@device_function
-def limited(behind, ahead):
+def limited_slope(behind, ahead):
     """Return van Leer's slope from the differences on both sides: 0 where they disagree."""
     product = behind * ahead
     return TWO * product / (behind + ahead) if product > ZERO else ZERO
 
 
 @device_function
-def carried(flow, a_0, a_1, a_2, a_3):
+def upwind_value(flow, a_0, a_1, a_2, a_3):
     """Value that `flow` carries from a_1 to a_2 (or back), with a limited slope."""
     east = flow > ZERO
     centre, behind, ahead = (a_1, a_0, a_2) if east else (a_2, a_3, a_1)
-    return centre + HALF * limited(centre - behind, ahead - centre)
+    return centre + HALF * limited_slope(centre - behind, ahead - centre)
 
 
 @device_function
@@ -77,7 +68,7 @@ def face_flux(speed, h_0, h_1, h_2, h_3, bed_1, bed_2):
     east = speed > ZERO
     centre, behind, ahead = (h_1, h_0, h_2) if east else (h_2, h_3, h_1)
     step = (bed_2 - bed_1) if east else (bed_1 - bed_2)
-    sloped = centre + HALF * limited(centre - behind, ahead - centre)
+    sloped = centre + HALF * limited_slope(centre - behind, ahead - centre)
     over = min(max(centre - max(step, ZERO), ZERO), centre)
     smooth = (centre > ZERO) & (ahead > ZERO) & (step < HALF * centre)
     return speed * (sloped if smooth else over)
@@ -96,11 +87,11 @@ def fourth_order(square, h_mean, share, h_least, third, cross):
 
 
 @device_function
-def shore(h_a, h_b, bed_0, bed_a, bed_b, bed_3, behind, ahead):
+def shoreline_velocity(h_a, h_b, bed_0, bed_a, bed_b, bed_3, behind, ahead):
     """Velocity of a closed face: that of the water beside it where the bed rises on evenly.
 
-    The waterline lies inside the wet cell and moves with the water. Were the face at rest there, an
-    advancing front would start from rest in every cell, and a receding one drag resting water.
+    The waterline lies inside the wet cell and moves with the water. If the face were at rest there,
+    an advancing front would start from rest in every cell, and a receding one drag resting water.
     """
     rise = bed_b - bed_a
     runs_up = (h_a > ZERO) & (h_b <= ZERO) & (rise <= TWO * abs(bed_a - bed_0))
@@ -109,37 +100,37 @@ def shore(h_a, h_b, bed_0, bed_a, bed_b, bed_3, behind, ahead):
 
 
 @device_function
-def standing(h_a, h_b, step):
+def depth_over_step(h_a, h_b, step):
     """Height of the water above the higher bed of two cells; b's is `step` above a's."""
     return max(h_a - max(step, ZERO), h_b + min(step, ZERO))
 
 
 @device_function
-def pushed(w, h_a, h_b, bed_a, bed_b, extra, gain, still, k, kg, cap, rest, dry):
+def accelerated(w, h_a, h_b, bed_a, bed_b, extra, gain, still, step):
     """Face velocity after transport and pressure; `still` where the face is closed.
 
     `extra` adds to the surface difference; `gain` is the momentum, less `w` times the volume, that
     leaves the face's own cell per k, over its depth. A face is closed where the water stands by
-    less than `dry` above the higher bed. Water that a surface difference within rounding (`rest`)
-    could have moved is at rest. No branches, so that the compiler can take many faces at once.
+    less than `step.dry` above the higher bed. Water that a surface difference within rounding could
+    have moved is at rest. No branches, so that the compiler can take many faces at once.
     """
-    step = bed_b - bed_a
-    rise = step + (h_b - h_a) + extra
-    noise = rest * (h_a + h_b + abs(bed_a) + abs(bed_b))
-    turned = w - k * gain - kg * rise
-    rests = (abs(rise) <= noise) & (abs(turned) <= TWO * kg * noise)
-    turned = still if standing(h_a, h_b, step) < dry else turned
-    return ZERO if rests else min(max(turned, -cap), cap)
+    bed_step = bed_b - bed_a
+    rise = bed_step + (h_b - h_a) + extra
+    noise = step.rounding * (h_a + h_b + abs(bed_a) + abs(bed_b))
+    speed = w - step.k * gain - step.kg * rise
+    rests = (abs(rise) <= noise) & (abs(speed) <= TWO * step.kg * noise)
+    speed = still if depth_over_step(h_a, h_b, bed_step) < step.dry else speed
+    return ZERO if rests else min(max(speed, -step.cap), step.cap)
 
 
 @device_function
-def reach(speed, h_a, h_b, gravity):
+def wave_speed(speed, h_a, h_b, gravity):
     """Speed of the fastest wave at a face."""
     return abs(speed) + np.sqrt(gravity * max(h_a, h_b))
 
 
 @cpu_kernel
-def flux(tiles, h, bed, u, v, qu_out, qv_out):
+def volume_flux(tiles, h, bed, u, v, qu_out, qv_out):
     """Volume flux through the west and south faces of the cells of `tiles`, and the map's edges.
 
     Parameters
@@ -172,11 +163,11 @@ def flux(tiles, h, bed, u, v, qu_out, qv_out):
 
 
 @cpu_kernel
-def move(tiles, qu, qv, k, dry, h_out, damp_out):
+def move_depth(tiles, qu, qv, k, dry, h_out, remainder_out):
     """Change the depth by what flows through the four faces; k = dt / spacing.
 
     The sums are float64, where those of float32 are exact, and what `h` cannot represent or is
-    too little to flow stays in `damp`: volume is conserved to float64 rounding.
+    too little to flow stays in `remainder`: volume is conserved to float64 rounding.
 
     Parameters
     ----------
@@ -185,36 +176,36 @@ def move(tiles, qu, qv, k, dry, h_out, damp_out):
     k : float64 [s/m]
     dry : float64 [m]
         Depths below do not flow.
-    h_out, damp_out : ndarray of shape (ny + 4, nx + 4) [m]
+    h_out, remainder_out : ndarray of shape (ny + 4, nx + 4) [m]
         Flowing depth and its remainder; modified in place.
     """
     for n in prange(tiles.shape[0]):
         south, north, west, east = tiles[n, 0], tiles[n, 1], tiles[n, 2], tiles[n, 3]
         for j in range(south, north):
             q_x, q_s = qu[j, west : east + 1], qv[j, west:east]
-            q_n, d, rest = qv[j + 1, west:east], h_out[j, west:east], damp_out[j, west:east]
+            q_n, d, extra = qv[j + 1, west:east], h_out[j, west:east], remainder_out[j, west:east]
             for c in range(east - west):
                 out = np.float64(q_x[c + 1]) - np.float64(q_x[c])
                 out += np.float64(q_n[c]) - np.float64(q_s[c])
-                total = np.float64(d[c]) + np.float64(rest[c]) - k * out
+                total = np.float64(d[c]) + np.float64(extra[c]) - k * out
                 d[c] = total if total >= dry else 0.0
-                rest[c] = total - np.float64(d[c])
+                extra[c] = total - np.float64(d[c])
 
 
 @device_function(inline="always")
-def carry_along(q, a, n, flux_out):
+def momentum_flux_along(q, a, n, flux_out):
     """Fluxes of `a` at n places, each from a[c + 1] to a[c + 2], by the mean of q[c], q[c + 1]."""
     for c in range(n):
         flow = HALF * (q[c] + q[c + 1])
-        flux_out[c] = flow * carried(flow, a[c], a[c + 1], a[c + 2], a[c + 3])
+        flux_out[c] = flow * upwind_value(flow, a[c], a[c + 1], a[c + 2], a[c + 3])
 
 
 @device_function(inline="always")
-def carry_across(q_0, q_1, a_0, a_1, a_2, a_3, n, flux_out):
+def momentum_flux_across(q_0, q_1, a_0, a_1, a_2, a_3, n, flux_out):
     """Fluxes of `a` at n places, each between a_1[c] and a_2[c], by the mean of q_0[c], q_1[c]."""
     for c in range(n):
         flow = HALF * (q_0[c] + q_1[c])
-        flux_out[c] = flow * carried(flow, a_0[c], a_1[c], a_2[c], a_3[c])
+        flux_out[c] = flow * upwind_value(flow, a_0[c], a_1[c], a_2[c], a_3[c])
 
 
 @device_function(inline="always")
@@ -224,10 +215,11 @@ def level_row(h, bed, n, level_out):
         level_out[c] = bed[c] + h[c]
 
 
+# long: its loops run in vectors only over rows on the stack of one loop (`rainsim.water.rows`)
 @cpu_kernel
-def push(
-    runs, tiles, h, damp, bed, u, v, qu, qv, k, kg, wave, gravity, cap, rest, dry,
-    u_out, v_out, reach_out, fast_out,
+def accelerate(
+    runs, tiles, water: Water, bed, flux: Flux, step: StepNumbers,
+    u_out, v_out, wave_speed_out, speed_out,
 ):  # fmt: skip
     """Carry momentum and apply pressure with the fourth-order term in the tiles of `runs`.
 
@@ -236,27 +228,21 @@ def push(
     runs : ndarray of shape (runs, 6), int64
         See `rows.runs_of`.
     tiles : ndarray of shape (tiles, 4), int64
-    h, damp, bed : ndarray of shape (ny + 4, nx + 4) [m]
-        Flowing depth at n+1, its remainder and the height on which it flows.
-    u, v : ndarray of shape (ny + 4, nx + 5) and (ny + 5, nx + 4) [m/s]
-        Velocity at n+1/2.
-    qu, qv : as u and v [m2/s]
+    water : Water
+        Depth at n+1 and velocity at n+1/2.
+    bed : ndarray of shape (ny + 4, nx + 4) [m]
+        Height on which the water flows.
+    flux : Flux
         Volume flux at n+1/2, zero for a first half step.
-    k, kg : float [s/m], [1/s]
-        dt / spacing, and that times gravity.
-    wave : float [1/m]
-        C^2 of a wave over its depth: gravity dt^2 / spacing^2.
-    gravity : float [m/s2]
-    cap : float [m/s]
-        Speed that no face may exceed: all energy there is.
-    rest : float
-        Relative rounding under which levels are equal.
-    dry : float [m]
+    step : StepNumbers
     u_out, v_out : as u and v [m/s]
-        Velocity at n+3/2; edge faces are to be set anew.
-    reach_out, fast_out : ndarray of shape (tiles,) [m/s]
-        Largest `reach` and largest speed of each tile.
+        Velocity at n+3/2; edge faces are to be set again.
+    wave_speed_out, speed_out : ndarray of shape (tiles,) [m/s]
+        Largest `wave_speed` and largest speed of each tile.
     """
+    h, remainder, u, v = water
+    qu, qv = flux
+    wave, gravity, dry = step.wave, step.gravity, step.dry
     for t in prange(runs.shape[0]):
         south, north, west, east = runs[t, 0], runs[t, 1], runs[t, 2], runs[t, 3]
         below, above, across = stack_row(h, ROOM), stack_row(h, ROOM), stack_row(h, ROOM)
@@ -270,11 +256,11 @@ def push(
         for c in range(n):
             far[c], fast[c] = ZERO, ZERO
         j = south
-        carry_across(
+        momentum_flux_across(
             qv[j, a : east - 1], qv[j, west:east], u[j - 2, west:east], u[j - 1, west:east],
             u[j, west:east], u[j + 1, west:east], n, below,
         )  # fmt: skip
-        carry_across(
+        momentum_flux_across(
             qv[j - 1, west:east], qv[j, west:east], v[j - 2, west:east], v[j - 1, west:east],
             v[j, west:east], v[j + 1, west:east], n, low,
         )  # fmt: skip
@@ -286,7 +272,7 @@ def push(
             d_ss, d_s = h[j - 2, west:east], h[j - 1, a : east + 1]
             d, d_n = h[j, z : east + 1], h[j + 1, a:east]
             b_ss, b_s, b_n = bed[j - 2, west:east], bed[j - 1, west:east], bed[j + 1, west:east]
-            b, e, e_s = bed[j, z : east + 1], damp[j, a:east], damp[j - 1, west:east]
+            b, e, e_s = bed[j, z : east + 1], remainder[j, a:east], remainder[j - 1, west:east]
             q, q_below = qu[j, a : east + 1], qu[j - 1, west : east + 1]
             p_s, p, p_n = qv[j - 1, west:east], qv[j, a:east], qv[j + 1, a:east]
             w, x_s, x, x_n = (
@@ -296,11 +282,11 @@ def push(
                 v[j + 1, west:east],
             )
 
-            carry_across(
+            momentum_flux_across(
                 p_n, p_n[1:], u[j - 1, west:east], u[j, west:east], u[j + 1, west:east],
                 u[j + 2, west:east], n, above,
             )  # fmt: skip
-            carry_along(q, u[j, z : east + 2], n + 1, across)
+            momentum_flux_along(q, u[j, z : east + 2], n + 1, across)
             for c in range(n):
                 h_a, h_b, bed_a, bed_b = d[c + 1], d[c + 2], b[c + 1], b[c + 2]
                 rise = eta[c + 2] - eta[c + 1]
@@ -316,14 +302,12 @@ def push(
                 momentum = across[c + 1] - across[c] + above[c] - below[c]
                 volume = q[c + 2] - q[c] + p_n[c] + p_n[c + 1] - p[c] - p[c + 1]
                 gain = share * (momentum - HALF * w[c + 1] * volume)
-                still = shore(h_a, h_b, b[c], bed_a, bed_b, b[c + 3], w[c], w[c + 2])
-                new_u[c] = pushed(
-                    w[c + 1], h_a, h_b, bed_a, bed_b, extra, gain, still, k, kg, cap, rest, dry
-                )
+                still = shoreline_velocity(h_a, h_b, b[c], bed_a, bed_b, b[c + 3], w[c], w[c + 2])
+                new_u[c] = accelerated(w[c + 1], h_a, h_b, bed_a, bed_b, extra, gain, still, step)
             copy_row(new_u, n, u_out[j, west:east])
 
-            carry_across(p[1:], p_n[1:], x_s, x, x_n, v[j + 2, west:east], n, high)
-            carry_across(
+            momentum_flux_across(p[1:], p_n[1:], x_s, x, x_n, v[j + 2, west:east], n, high)
+            momentum_flux_across(
                 q_below, q[1:], v[j, z : east - 1], v[j, a:east], v[j, west : east + 1],
                 v[j, west + 1 : east + 2], n + 1, across,
             )  # fmt: skip
@@ -341,19 +325,21 @@ def push(
                 )
                 momentum = across[c + 1] - across[c] + high[c] - low[c]
                 volume = p_n[c + 1] - p_s[c] + q_below[c + 1] + q[c + 2] - q_below[c] - q[c + 1]
-                still = shore(h_a, h_b, b_ss[c], bed_a, bed_b, b_n[c], x_s[c], x_n[c])
+                still = shoreline_velocity(h_a, h_b, b_ss[c], bed_a, bed_b, b_n[c], x_s[c], x_n[c])
                 gain = share * (momentum - HALF * x[c] * volume)
-                s = pushed(x[c], h_a, h_b, bed_a, bed_b, extra, gain, still, k, kg, cap, rest, dry)
+                s = accelerated(x[c], h_a, h_b, bed_a, bed_b, extra, gain, still, step)
                 new_v[c] = s
                 fast[c] = max(fast[c], max(abs(new_u[c]), abs(s)))
-                top = max(reach(new_u[c], d[c + 1], h_b, gravity), reach(s, h_a, h_b, gravity))
+                top = max(
+                    wave_speed(new_u[c], d[c + 1], h_b, gravity), wave_speed(s, h_a, h_b, gravity)
+                )
                 far[c] = max(far[c], top)
             copy_row(new_v, n, v_out[j, west:east])
             below, above = above, below
             low, high = high, low
             eta_ss, eta_s, eta, eta_n = eta_s, eta, eta_n, eta_ss
-        largest_of(runs[t], tiles, far, reach_out)
-        largest_of(runs[t], tiles, fast, fast_out)
+        tile_maxima(runs[t], tiles, far, wave_speed_out)
+        tile_maxima(runs[t], tiles, fast, speed_out)
 
 
 @serial_kernel

@@ -222,7 +222,8 @@ def close(top, other, both, target, level, sums, up_out, links_out, levels_out):
 def join(a, b, both, a_target, b_target, level, sums_out, up_out, links_out, levels_out):
     """Merge the nodes a and b at `level` into the new node `both`."""
     up_out[both] = both
-    sums_out[:, both] = sums_out[:, a] + sums_out[:, b]
+    for k in range(2):  # array arithmetic takes seconds to compile
+        sums_out[k, both] = sums_out[k, a] + sums_out[k, b]
     levels_out[PIT, both] = min(levels_out[PIT, a], levels_out[PIT, b])
     close(a, b, both, a_target, level, sums_out, up_out, links_out, levels_out)
     close(b, a, both, b_target, level, sums_out, up_out, links_out, levels_out)
@@ -253,7 +254,8 @@ def build(bed, order, kind, nx, node_out, ending_out, links_out, levels_out):
     """
     up = np.empty(links_out.shape[1], np.int32)  # to the node that now contains a node
     sums = np.zeros((2, up.size))
-    tops, doors = np.empty(4, np.int32), np.empty(4, np.int64)
+    # One type for nodes: `close` and `join` are compiled once.
+    tops, doors = np.empty(4, np.int64), np.empty(4, np.int64)
     node_out[:] = UNSEEN
     up[DRAINED] = DRAINED
     links_out[:, DRAINED] = DRAINED
@@ -295,7 +297,7 @@ def build(bed, order, kind, nx, node_out, ending_out, links_out, levels_out):
     # With no way out one depression is left; it never spills.
     for top in range(1, count):
         if up[top] == top:
-            close(top, DRAINED, DRAINED, OUT, np.inf, sums, up, links_out, levels_out)
+            close(top, DRAINED, DRAINED, np.int32(OUT), np.inf, sums, up, links_out, levels_out)
     return count
 
 

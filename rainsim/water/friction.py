@@ -2,28 +2,26 @@
 
 import numpy as np
 
-from rainsim.grid.conserving import quotient, reach, standing
-from rainsim.grid.paper import cube_root
-from rainsim.grid.rows import ROOM, copy_row, largest_of, stack_row
+from rainsim.constants import FOUR, ONE, QUARTER, TWO, ZERO
 from rainsim.jit import cpu_kernel, device_function, prange
+from rainsim.numerics.approximations import cube_root, quotient
+from rainsim.water.bundles import FrictionNumbers, Ground, Water
+from rainsim.water.conserving import depth_over_step, wave_speed
+from rainsim.water.rows import ROOM, copy_row, stack_row, tile_maxima
 
-ZERO = np.float32(0)
-ONE = np.float32(1)
-TWO = np.float32(2)
-FOUR = np.float32(4)
-QUARTER = np.float32(0.25)
 TINY = np.float32(2.0**-60)  # m/s, keeps 0 / 0 out of still faces
 
 
 @device_function
-def rubbed(speed, along, depth, drag, film):
+def slowed(speed, along, depth, drag, laminar):
     """Face velocity after friction over one step, implicit in the velocity.
 
-    Solves w (1 + film / h^2 + c sqrt(w^2 + t^2)) = speed with c = drag / h^(4/3) and t the velocity
-    `along` the face. From the root for t = 0, which lies above, two Newton steps leave 1e-4 of w.
+    Solves w (1 + laminar / h^2 + c sqrt(w^2 + t^2)) = speed with c = drag / h^(4/3) and t the
+    velocity `along` the face. The first guess is the root for t = 0, which is larger; two Newton
+    steps leave an error of 1e-4 w.
     """
     share = quotient(ONE, depth)
-    thin = ONE + film * share * share
+    thin = ONE + laminar * share * share
     c = drag * share * cube_root(share)
     wanted, across = abs(speed), along * along + TINY * TINY
     w = quotient(TWO * wanted, thin + np.sqrt(thin * thin + FOUR * c * wanted))
@@ -35,9 +33,9 @@ def rubbed(speed, along, depth, drag, film):
 
 
 @cpu_kernel
-def rub(
-    runs, tiles, h, bed, roughness, u, v, drag, film, gravity, dry,
-    u_out, v_out, reach_out, fast_out,
+def apply_friction(
+    runs, tiles, water: Water, ground: Ground, numbers: FrictionNumbers,
+    u_out, v_out, wave_speed_out, speed_out,
 ):  # fmt: skip
     """Slow the faces of `runs` by friction.
 
@@ -46,23 +44,18 @@ def rub(
     runs : ndarray of shape (runs, 6), int64
         See `rows.runs_of`.
     tiles : ndarray of shape (tiles, 4), int64
-    h, bed : ndarray of shape (ny + 4, nx + 4) [m]
-    roughness : ndarray of shape (ny + 4, nx + 4) [s2 m^(-2/3)]
-        Square of Manning's n.
-    u, v : ndarray of shape (ny + 4, nx + 5) and (ny + 5, nx + 4) [m/s]
-        Velocity before the step, from which the flow along a face is taken.
-    drag : float [m/s]
-        gravity * dt.
-    film : float [m2]
-        3 * kinematic viscosity * dt: the drag of a laminar film over its depth squared.
-    gravity : float [m/s2]
-    dry : float [m]
-        Least depth that friction sees.
+    water : Water
+        Depth after the step and velocity before it, from which the flow along a face is taken.
+    ground : Ground
+    numbers : FrictionNumbers
     u_out, v_out : as u and v
-        Modified in place; edge faces are to be set anew.
-    reach_out, fast_out : ndarray of shape (tiles,) [m/s]
-        Largest `conserving.reach` and largest speed of each tile.
+        Modified in place; `fill_velocity` sets the edge faces afterwards.
+    wave_speed_out, speed_out : ndarray of shape (tiles,) [m/s]
+        Largest `conserving.wave_speed` and largest speed of each tile.
     """
+    h, u, v = water.h, water.u, water.v
+    bed, roughness = ground
+    drag, laminar, gravity, dry = numbers
     for t in prange(runs.shape[0]):
         south, north, west, east = runs[t, 0], runs[t, 1], runs[t, 2], runs[t, 3]
         new_u, new_v = stack_row(h, ROOM), stack_row(h, ROOM)
@@ -76,20 +69,21 @@ def rub(
             v_c, v_n, w = v[j, a:east], v[j + 1, a:east], u_out[j, west:east]
             u_s, u_c, x = u[j - 1, west : east + 1], u[j, west : east + 1], v_out[j, west:east]
             for c in range(n):
-                depth = max(standing(d[c], d[c + 1], b[c + 1] - b[c]), dry)
+                depth = max(depth_over_step(d[c], d[c + 1], b[c + 1] - b[c]), dry)
                 along = QUARTER * (v_c[c] + v_c[c + 1] + v_n[c] + v_n[c + 1])
-                new_u[c] = rubbed(w[c], along, depth, drag * max(r[c], r[c + 1]), film)
+                new_u[c] = slowed(w[c], along, depth, drag * max(r[c], r[c + 1]), laminar)
             for c in range(n):
-                depth = max(standing(d_s[c], d[c + 1], b[c + 1] - b_s[c]), dry)
+                depth = max(depth_over_step(d_s[c], d[c + 1], b[c + 1] - b_s[c]), dry)
                 along = QUARTER * (u_s[c] + u_s[c + 1] + u_c[c] + u_c[c + 1])
-                s = rubbed(x[c], along, depth, drag * max(r_s[c], r[c + 1]), film)
+                s = slowed(x[c], along, depth, drag * max(r_s[c], r[c + 1]), laminar)
                 new_v[c] = s
                 fast[c] = max(fast[c], max(abs(new_u[c]), abs(s)))
                 top = max(
-                    reach(new_u[c], d[c], d[c + 1], gravity), reach(s, d_s[c], d[c + 1], gravity)
+                    wave_speed(new_u[c], d[c], d[c + 1], gravity),
+                    wave_speed(s, d_s[c], d[c + 1], gravity),
                 )
                 far[c] = max(far[c], top)
             copy_row(new_u, n, w)
             copy_row(new_v, n, x)
-        largest_of(runs[t], tiles, far, reach_out)
-        largest_of(runs[t], tiles, fast, fast_out)
+        tile_maxima(runs[t], tiles, far, wave_speed_out)
+        tile_maxima(runs[t], tiles, fast, speed_out)

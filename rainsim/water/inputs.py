@@ -1,8 +1,6 @@
-"""What the water solver takes, checked at the border, and the helpers that turn it into maps."""
+"""The water solver's arguments: checked at the border and turned into maps."""
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -13,37 +11,11 @@ EDGES = ("west", "east", "south", "north")
 MIN_CELLS = 2  # per side, so that there is a face between two cells
 
 
-@dataclass(frozen=True, slots=True)
-class Horton:
-    """Infiltration that wanes as the ground fills (Horton 1940): f = last + (first - last) e^(-kt).
-
-    Attributes
-    ----------
-    first, last : float or ndarray of shape (ny, nx) [m/s]
-        Rate on dry ground, when the state is set, and in the end.
-    decay : float or ndarray of shape (ny, nx) [1/s]
-    """
-
-    first: object
-    last: object
-    decay: object
-
-    def rate(self, time):
-        """Return the rate [m/s] at `time` [s] since the state was set."""
-        return self.last + (self.first - self.last) * np.exp(-self.decay * time)
-
-
-def horton(infiltration, shape):
-    """Return a `Horton` of float64 maps from None, a rate, a map of rates or a `Horton`."""
-    if not isinstance(infiltration, Horton):
-        rate = field("infiltration", 0.0 if infiltration is None else infiltration, shape)
-        return Horton(rate, rate, np.zeros(shape))
-    names = ("first", "last", "decay")
-    return Horton(*(field(f"infiltration {n}", getattr(infiltration, n), shape) for n in names))
-
-
 def require_drains(drains, shape):
-    """Return rows, columns and rates [m3/s] of drains given as (row, column, rate), or raise."""
+    """Return rows, columns and rates [m3/s] of drains given as (row, column, rate), or raise.
+
+    Each cell is named once: drains of one cell are added up.
+    """
     try:
         table = np.asarray([] if drains is None else drains, np.float64).reshape(-1, 3)
     except ValueError:
@@ -58,23 +30,19 @@ def require_drains(drains, shape):
                 f"{shape[0] - 1}, columns from 0 to {shape[1] - 1}"
             )
         require_not_negative("drain rate", float(rate), "m3/s")
-    return table[:, 0].astype(np.int64), table[:, 1].astype(np.int64), table[:, 2]
+    cells = table[:, 0].astype(np.int64) * shape[1] + table[:, 1].astype(np.int64)
+    cells, which = np.unique(cells, return_inverse=True)
+    rates = np.bincount(which, table[:, 2], len(cells))
+    return cells // shape[1], cells % shape[1], rates
 
 
-def require_inflow(inflow, is_open):
-    """Return {edge: discharge in m3/s}, or raise ParameterError."""
-    if inflow is None:
-        return {}
-    if not isinstance(inflow, dict):
-        raise ParameterError(f"inflow is {inflow!r}; it must be a dict of edge: discharge in m3/s")
-    for edge, rate in inflow.items():
-        require_choice("inflow edge", edge, EDGES)
-        require_not_negative(f"inflow {edge}", rate, "m3/s")
-        if is_open[edge]:
-            raise ParameterError(
-                f'water flows in at the {edge} edge, which is open; make its boundary "wall"'
-            )
-    return dict(inflow)
+def refuse_viscosity(viscosity):
+    """Raise ParameterError unless the kinematic viscosity [m2/s] is 0, as "paper" needs it."""
+    if viscosity:
+        raise ParameterError(
+            f'kinematic_viscosity is {viscosity}, which scheme "paper" does not have; use '
+            '"accurate"'
+        )
 
 
 def require_bed(bed):
@@ -152,3 +120,29 @@ def require_drops(rows, columns, volumes, shape):
     if not (np.isfinite(volumes) & (volumes >= 0)).all():
         bad = volumes[~(np.isfinite(volumes) & (volumes >= 0))][0]
         raise ParameterError(f"volumes hold {bad} m3; a drop's volume must be finite, not negative")
+
+
+def mean_at_faces(values, h, bed, dry, axis):
+    """Return the mean of the wet neighbours of each inner face along `axis`; 0 at closed faces.
+
+    Parameters
+    ----------
+    values, h, bed : ndarray of shape (ny, nx)
+        Velocity [m/s], flowing depth [m] and the height [m] on which it flows.
+    dry : float [m]
+        A face to a dry cell is closed unless the water stands that far above the cell's bed.
+    axis : int
+        1 for the faces between columns, 0 for those between rows.
+    """
+    before, after = [slice(None)] * 2, [slice(None)] * 2
+    before[axis], after[axis] = slice(None, -1), slice(1, None)
+    before, after = tuple(before), tuple(after)
+    if not np.any(values):  # at rest, as at the start: on large maps what follows takes seconds
+        return np.zeros(h[before].shape)
+    wet = (h > 0).astype(np.float64)
+    count = wet[before] + wet[after]
+    mean = (wet[before] * values[before] + wet[after] * values[after]) / np.maximum(count, 1)
+    level = bed + h
+    walled = (h[before] <= 0) & (bed[before] + dry >= level[after])
+    walled |= (h[after] <= 0) & (bed[after] + dry >= level[before])
+    return np.where(walled, 0.0, mean)

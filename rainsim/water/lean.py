@@ -1,4 +1,4 @@
-"""The scheme "lean": the first-order part of `rainsim.grid.conserving`, fused into one pass.
+"""The scheme "lean": the first-order part of `rainsim.water.conserving`, fused into one pass.
 
 Volume and momentum are conserved as in "accurate", but depths and velocities are carried upwind
 without slopes, waves are second order, and the sums are of the fields' own type: rounding may
@@ -12,9 +12,12 @@ With q summed over the two halves of a face's own cell, what momentum gains less
 which is Stelling and Duinmeijer's (2003) upwind form, exactly the flux form's.
 """
 
-from rainsim.grid.conserving import TWO, ZERO, quotient, reach, standing
-from rainsim.grid.rows import ROOM, copy_row, largest_of, stack_row
+from rainsim.constants import TWO, ZERO
 from rainsim.jit import cpu_kernel, device_function, prange
+from rainsim.numerics.approximations import quotient
+from rainsim.water.bundles import StepNumbers, Water
+from rainsim.water.conserving import depth_over_step, wave_speed
+from rainsim.water.rows import ROOM, copy_row, stack_row, tile_maxima
 
 
 @device_function
@@ -36,7 +39,7 @@ def upwind_gain(w, w_west, w_east, w_south, w_north, q_west, q_east, q_south, q_
 
 
 @device_function
-def pushed_lean(w, h_a, h_b, step, noise, gain, k, kg, cap, dry):
+def accelerated(w, h_a, h_b, step, noise, gain, k, kg, cap, dry):
     """Face velocity after transport and pressure; zero where the face is closed.
 
     A face is closed where the water stands by no more than `dry` above the higher bed. Water that
@@ -45,7 +48,7 @@ def pushed_lean(w, h_a, h_b, step, noise, gain, k, kg, cap, dry):
     rise = (h_b - h_a) + step
     turned = w - quotient(k * gain, max(h_a + h_b, dry)) - kg * rise
     rests = (abs(rise) <= noise) & (abs(turned) <= TWO * kg * noise)
-    return ZERO if rests | (standing(h_a, h_b, step) <= dry) else min(max(turned, -cap), cap)
+    return ZERO if rests | (depth_over_step(h_a, h_b, step) <= dry) else min(max(turned, -cap), cap)
 
 
 @device_function(inline="always")
@@ -69,10 +72,11 @@ def move_row(d, q_x, q_s, q_n, n, k, d_out):
         d_out[c] = max(d[c] - k * ((q_x[c + 1] - q_x[c]) + (q_n[c] - q_s[c])), ZERO)
 
 
+# long: its loops run in vectors only over rows on the stack of one loop (`rainsim.water.rows`)
 @cpu_kernel
 def step(
-    runs, tiles, h, bed, u, v, k, kg, gravity, cap, rest, dry,
-    h_out, u_out, v_out, reach_out, fast_out,
+    runs, tiles, water: Water, bed, numbers: StepNumbers,
+    h_out, u_out, v_out, wave_speed_out, speed_out,
 ):  # fmt: skip
     """Bring depth from n to n+1 and velocity from n+1/2 to n+3/2 in the tiles of `runs`.
 
@@ -82,24 +86,19 @@ def step(
         See `rows.runs_of`.
     tiles : ndarray of shape (tiles, 4), int64
         First and last row + 1, first and last column + 1 of each tile.
-    h, bed : ndarray of shape (ny + 4, nx + 4) [m]
-        Flowing depth at n and the height on which it flows.
-    u, v : ndarray of shape (ny + 4, nx + 5) and (ny + 5, nx + 4) [m/s]
-        Face velocities at n+1/2.
-    k, kg : float [s/m], [1/s]
-        dt / spacing, and that times gravity.
-    gravity : float [m/s2]
-    cap : float [m/s]
-        Speed that no face may exceed.
-    rest : float
-        Relative rounding under which levels are equal.
-    dry : float [m]
-        Depths below do not flow.
+    water : Water
+        Depth at n and velocity at n+1/2.
+    bed : ndarray of shape (ny + 4, nx + 4) [m]
+        Height on which the water flows.
+    numbers : StepNumbers
     h_out, u_out, v_out : as h, u and v
-        Edge faces are to be set anew.
-    reach_out, fast_out : ndarray of shape (tiles,) [m/s]
-        Largest `conserving.reach` and largest speed of each tile.
+        `fill_velocity` sets the edge faces afterwards.
+    wave_speed_out, speed_out : ndarray of shape (tiles,) [m/s]
+        Largest `conserving.wave_speed` and largest speed of each tile.
     """
+    h, u, v = water.h, water.u, water.v
+    k, kg, gravity, cap = numbers.k, numbers.kg, numbers.gravity, numbers.cap
+    rounding, dry = numbers.rounding, numbers.dry
     for t in prange(runs.shape[0]):
         south, north, west, east = runs[t, 0], runs[t, 1], runs[t, 2], runs[t, 3]
         q_x, q_below = stack_row(h, ROOM), stack_row(h, ROOM)
@@ -133,7 +132,9 @@ def step(
                         q_s[c] + q_s[c + 1], q_n[c] + q_n[c + 1],
                     )  # fmt: skip
                     step, noise = b_c[c + 1] - b_c[c], h_w + h_c + abs(b_c[c]) + abs(b_c[c + 1])
-                    east_speed = pushed_lean(w, h_w, h_c, step, rest * noise, gain, k, kg, cap, dry)
+                    east_speed = accelerated(
+                        w, h_w, h_c, step, rounding * noise, gain, k, kg, cap, dry
+                    )
                     w = v_c[c + 1]
                     gain = upwind_gain(
                         w, v_c[c], v_c[c + 2], v_s[c], v_n[c],
@@ -141,18 +142,18 @@ def step(
                         q_ss[c + 1] + q_s[c + 1], q_s[c + 1] + q_n[c + 1],
                     )  # fmt: skip
                     step, noise = b_c[c + 1] - b_s[c], h_s + h_c + abs(b_s[c]) + abs(b_c[c + 1])
-                    north_speed = pushed_lean(
-                        w, h_s, h_c, step, rest * noise, gain, k, kg, cap, dry
+                    north_speed = accelerated(
+                        w, h_s, h_c, step, rounding * noise, gain, k, kg, cap, dry
                     )
                     new_u[c], new_v[c] = east_speed, north_speed
                     fast[c] = max(fast[c], max(abs(east_speed), abs(north_speed)))
-                    top = reach(east_speed, h_w, h_c, gravity)
-                    far[c] = max(far[c], max(top, reach(north_speed, h_s, h_c, gravity)))
+                    top = wave_speed(east_speed, h_w, h_c, gravity)
+                    far[c] = max(far[c], max(top, wave_speed(north_speed, h_s, h_c, gravity)))
                 copy_row(new_u, n, u_out[j, west:east])
                 copy_row(new_v, n, v_out[j, west:east])
                 copy_row(d[1:], n, h_out[j, west:east])
             q_x, q_below = q_below, q_x
             d, d_below = d_below, d
             q_ss, q_s, q_n = q_s, q_n, q_ss
-        largest_of(runs[t], tiles, far, reach_out)
-        largest_of(runs[t], tiles, fast, fast_out)
+        tile_maxima(runs[t], tiles, far, wave_speed_out)
+        tile_maxima(runs[t], tiles, fast, speed_out)

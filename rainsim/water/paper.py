@@ -5,11 +5,11 @@ row 0 is south. The step from n to n+1 is
 
     u*      = u at the foot of the back-trace along (u, v) at n             (`flow`)
     h at n+1 = h - dt div(h u), h from the upwind cell, u at n              (`flow`)
-    u at n+1 = u* - dt g grad(bed + h at n+1), then friction                (`push`)
+    u at n+1 = u* - dt g grad(bed + h at n+1), then friction                (`accelerate`)
     dry faces take the mean of their wet neighbours                         (`extrapolate`)
 
 Kernels take arrays of one floating type and scalars of the same type. Their inner loops count from
-0 and reach forward (left, left + 1): where the compiler cannot see that an index like i - 1 is not
+0 and look forward (left, left + 1): where the compiler cannot see that an index like i - 1 is not
 negative, it allows for indices from the end, and the loop runs 3 to 9 times slower.
 
 References
@@ -19,9 +19,10 @@ Mueller 2010, "Real-time simulation of large bodies of water with small scale de
 
 - A face to a dry cell whose bed stands above the neighbour's water is closed. Their pressure term
   drives water out of a lake at rest there.
-- Depths under `dry` (1e-6 m) do not flow, as in their clamp, but the water is kept (`damp`), not
-  deleted: 2.5 mm/h brings 1e-8 m in a step, so their clamp would delete all rain on dry ground.
-- `damp` also keeps what h cannot represent, so volume is conserved to float64 rounding in float32.
+- Depths under `dry` (1e-6 m) do not flow, as in their clamp, but the water is kept (`remainder`),
+  not deleted: 2.5 mm/h brings 1e-8 m in a step, so their clamp would delete all rain on dry ground.
+- `remainder` also keeps the part of a depth that h cannot represent, so volume is conserved to
+  float64 rounding in float32.
 - The step is short enough that no cell gives more than it holds: no depth needs a repair.
 - Differences of level within rounding do not push, so a lake at rest is exactly at rest.
 - Manning friction, which they leave out, is offered.
@@ -29,14 +30,12 @@ Mueller 2010, "Real-time simulation of large bodies of water with small scale de
 
 import numpy as np
 
+from rainsim.constants import FOUR, ONE, QUARTER, TWO, ZERO
 from rainsim.jit import cpu_kernel, device_function, prange
+from rainsim.numerics.approximations import cube_root
+from rainsim.water.bundles import Ground, StepNumbers
 
 # Exact in every floating type, so kernels stay generic.
-ZERO = np.float32(0)
-ONE = np.float32(1)
-TWO = np.float32(2)
-FOUR = np.float32(4)
-QUARTER = np.float32(0.25)
 TINY = np.float32(2.0**-60)  # m/s, keeps 0 / 0 out of still faces
 
 BLOCK = 16  # rows that one thread takes at a time, whatever the number of threads
@@ -65,22 +64,22 @@ def upwind_flux(speed, h_behind, h_ahead):
 
 
 @device_function
-def split_depth(j, i, total, dry, h_out, damp_out):
+def split_depth(j, i, total, dry, h_out, remainder_out):
     """Store depth `total` as what flows and what is too little to flow or to represent."""
     h_out[j, i] = total if total >= dry else 0.0
-    damp_out[j, i] = total - np.float64(h_out[j, i])
+    remainder_out[j, i] = total - np.float64(h_out[j, i])
 
 
 @device_function
-def move_depth(h, u, v, k, dry, j, below, above, i, left, right, h_out, damp_out):
+def move_depth(h, u, v, k, dry, j, below, above, i, left, right, h_out, remainder_out):
     """Update one cell's depth with the flux through its four faces; k = dt / spacing."""
     east = upwind_flux(u[j, i + 1], h[j, i], h[j, right])
     west = upwind_flux(u[j, i], h[j, left], h[j, i])
     north = upwind_flux(v[j + 1, i], h[j, i], h[above, i])
     south = upwind_flux(v[j, i], h[below, i], h[j, i])
-    total = np.float64(h[j, i]) + np.float64(damp_out[j, i])
+    total = np.float64(h[j, i]) + np.float64(remainder_out[j, i])
     total -= np.float64(k) * ((east - west) + (north - south))
-    split_depth(j, i, total, dry, h_out, damp_out)
+    split_depth(j, i, total, dry, h_out, remainder_out)
 
 
 @device_function
@@ -100,7 +99,7 @@ def carry_v(u, v, k, j, i, left, right):
 
 
 @cpu_kernel
-def flow(h, u, v, k, dry, damp_out, h_out, u_out, v_out):
+def flow(h, u, v, k, dry, remainder_out, h_out, u_out, v_out):
     """Carry velocity (semi-Lagrangian) and depth (upwind flux form) over one step.
 
     Parameters
@@ -113,7 +112,7 @@ def flow(h, u, v, k, dry, damp_out, h_out, u_out, v_out):
         dt / spacing, with k |u| at most 1/4.
     dry : float [m]
         Depths below do not flow.
-    damp_out : ndarray of shape (ny, nx) [m]
+    remainder_out : ndarray of shape (ny, nx) [m]
         Depth beside `h` in the cell, read and rewritten.
     h_out, u_out, v_out : ndarray
         Depth at n+1 and carried velocity u*. Edge faces are left alone.
@@ -128,43 +127,32 @@ def flow(h, u, v, k, dry, damp_out, h_out, u_out, v_out):
             for left in range(nx - 2):
                 v_out[j, left + 1] = carry_v(u, v, k, j, left + 1, left, left + 2)
             v_out[j, nx - 1] = carry_v(u, v, k, j, nx - 1, nx - 2, nx - 1)
-        move_depth(h, u, v, k, dry, j, below, above, 0, 0, 1, h_out, damp_out)
+        move_depth(h, u, v, k, dry, j, below, above, 0, 0, 1, h_out, remainder_out)
         for left in range(nx - 2):
-            move_depth(h, u, v, k, dry, j, below, above, left + 1, left, left + 2, h_out, damp_out)
-        move_depth(h, u, v, k, dry, j, below, above, nx - 1, nx - 2, nx - 1, h_out, damp_out)
+            move_depth(
+                h, u, v, k, dry, j, below, above, left + 1, left, left + 2, h_out, remainder_out
+            )
+        move_depth(h, u, v, k, dry, j, below, above, nx - 1, nx - 2, nx - 1, h_out, remainder_out)
 
 
 @device_function
-def pushed(speed, h_a, h_b, bed_a, bed_b, kg, cap, rest, dry):
+def accelerated(speed, h_a, h_b, bed_a, bed_b, numbers):
     """Face velocity after pressure; zero where the face is closed.
 
     A face is closed between two dry cells, and to a dry cell over whose bed the other cell's level
-    does not stand by `dry`. Level differences and speeds within rounding (`rest`) count as none.
+    does not stand by `numbers.dry`. Level differences and speeds within rounding count as none.
     Written without branches, so that the compiler can take many faces at once.
     """
+    kg, cap, dry = numbers.kg, numbers.cap, numbers.dry
     level_a, level_b = bed_a + h_a, bed_b + h_b
     rise = level_b - level_a
-    noise = rest * (h_a + h_b + abs(bed_a) + abs(bed_b))
+    noise = numbers.rounding * (h_a + h_b + abs(bed_a) + abs(bed_b))
     level = abs(rise) <= noise
     w = speed - kg * (ZERO if level else rise)
     closed = (h_a <= ZERO) & ((h_b <= ZERO) | (bed_a + dry >= level_b))
     closed |= (h_b <= ZERO) & (bed_b + dry >= level_a)
     closed |= level & (abs(w) <= kg * noise)
     return ZERO * w if closed else min(max(w, -cap), cap)
-
-
-@device_function
-def cube_root(x):
-    """Cube root of x, 1e-6 to 100, within 3e-6 of itself.
-
-    Two Halley steps from x^(5/16), all in operations that the processor does for many at once.
-    """
-    fourth = np.sqrt(np.sqrt(x))
-    root = fourth * np.sqrt(np.sqrt(fourth))
-    for _ in range(2):
-        cube = root * root * root
-        root *= (cube + TWO * x) / (TWO * cube + x)
-    return root
 
 
 @device_function
@@ -187,7 +175,7 @@ def slowed(speed, along, h_a, h_b, bed_a, bed_b, drag, dry):
 
 
 @device_function
-def reach(speed, h_a, h_b, gravity):
+def fastest_signal(speed, h_a, h_b, gravity):
     """Speed that the time step must follow: a wave's, or twice the flow's if that is more.
 
     With k times this under 1/2, four outward faces take no more than a cell holds.
@@ -196,85 +184,91 @@ def reach(speed, h_a, h_b, gravity):
 
 
 @cpu_kernel
-def push(h, bed, kg, cap, gravity, rest, dry, u_out, v_out, reach_out):
+def accelerate(h, bed, numbers: StepNumbers, u_out, v_out, signal_out):
     """Apply pressure to all inner faces.
 
     Parameters
     ----------
     h, bed : ndarray of shape (ny, nx) [m]
         Flowing depth at n+1 and the height on which it flows.
-    kg : float [1/s]
-        gravity * dt / spacing.
-    cap : float [m/s]
-        No face may be faster, as in Chentanez and Mueller 2010.
-    gravity : float [m/s2]
-    rest : float
-        Relative rounding under which levels are equal.
-    dry : float [m]
-        Depths below do not flow; least depth that friction sees.
+    numbers : StepNumbers
+        `cap` is the speed that no face may exceed, as in Chentanez and Mueller 2010; `dry` is also
+        the least depth that friction sees.
     u_out, v_out : ndarray of shape (ny, nx + 1) and (ny + 1, nx) [m/s]
         u* on entry, velocity at n+1 on return; edge faces are left alone.
-    reach_out : ndarray of shape (blocks, nx) [m/s]
-        Largest `reach` in each column of each block of BLOCK rows. A maximum over a row would
-        keep the compiler from taking many faces at once.
+    signal_out : ndarray of shape (blocks, nx) [m/s]
+        Largest `fastest_signal` in each column of each block of BLOCK rows. A maximum over a row
+        would keep the compiler from taking many faces at once.
     """
+    gravity = numbers.gravity
     ny, nx = h.shape
-    for block in prange(reach_out.shape[0]):
-        reach_out[block] = ZERO
+    for block in prange(signal_out.shape[0]):
+        signal_out[block] = ZERO
         for j in range(block * BLOCK, min((block + 1) * BLOCK, ny)):
             for left in range(nx - 1):
                 i = left + 1
                 h_a, h_b, bed_a, bed_b = h[j, left], h[j, i], bed[j, left], bed[j, i]
-                w = pushed(u_out[j, i], h_a, h_b, bed_a, bed_b, kg, cap, rest, dry)
+                w = accelerated(u_out[j, i], h_a, h_b, bed_a, bed_b, numbers)
                 u_out[j, i] = w
-                reach_out[block, i] = max(reach_out[block, i], reach(w, h_a, h_b, gravity))
+                signal_out[block, i] = max(
+                    signal_out[block, i], fastest_signal(w, h_a, h_b, gravity)
+                )
             if j == 0:
                 continue
             for i in range(nx):
                 h_a, h_b, bed_a, bed_b = h[j - 1, i], h[j, i], bed[j - 1, i], bed[j, i]
-                w = pushed(v_out[j, i], h_a, h_b, bed_a, bed_b, kg, cap, rest, dry)
+                w = accelerated(v_out[j, i], h_a, h_b, bed_a, bed_b, numbers)
                 v_out[j, i] = w
-                reach_out[block, i] = max(reach_out[block, i], reach(w, h_a, h_b, gravity))
+                signal_out[block, i] = max(
+                    signal_out[block, i], fastest_signal(w, h_a, h_b, gravity)
+                )
 
 
 @cpu_kernel
-def push_rough(h, bed, roughness, u, v, kg, drag, cap, gravity, rest, dry, u_out, v_out, reach_out):
+def accelerate_rough(
+    h, ground: Ground, u, v, drag, numbers: StepNumbers, u_out, v_out, signal_out
+):  # fmt: skip
     """Apply pressure and Manning friction to all inner faces.
 
-    As `push`, and:
+    As `accelerate`, and:
 
     Parameters
     ----------
-    roughness : ndarray of shape (ny, nx) [s2 m^(-2/3)]
-        Square of Manning's n.
+    ground : Ground
+        In place of the bed, without ghost cells.
     u, v : ndarray of shape (ny, nx + 1) and (ny + 1, nx) [m/s]
         Velocity at n, from which the flow along a face is taken.
     drag : float [m/s]
         gravity * dt.
     """
+    (bed, roughness), gravity, dry = ground, numbers.gravity, numbers.dry
     ny, nx = h.shape
-    for block in prange(reach_out.shape[0]):
-        reach_out[block] = ZERO
+    for block in prange(signal_out.shape[0]):
+        signal_out[block] = ZERO
         for j in range(block * BLOCK, min((block + 1) * BLOCK, ny)):
             for left in range(nx - 1):
                 i = left + 1
                 h_a, h_b, bed_a, bed_b = h[j, left], h[j, i], bed[j, left], bed[j, i]
-                w = pushed(u_out[j, i], h_a, h_b, bed_a, bed_b, kg, cap, rest, dry)
+                w = accelerated(u_out[j, i], h_a, h_b, bed_a, bed_b, numbers)
                 along = QUARTER * (v[j, left] + v[j, i] + v[j + 1, left] + v[j + 1, i])
                 c = drag * max(roughness[j, left], roughness[j, i])
                 w = slowed(w, along, h_a, h_b, bed_a, bed_b, c, dry)
                 u_out[j, i] = w
-                reach_out[block, i] = max(reach_out[block, i], reach(w, h_a, h_b, gravity))
+                signal_out[block, i] = max(
+                    signal_out[block, i], fastest_signal(w, h_a, h_b, gravity)
+                )
             if j == 0:
                 continue
             for i in range(nx):
                 h_a, h_b, bed_a, bed_b = h[j - 1, i], h[j, i], bed[j - 1, i], bed[j, i]
-                w = pushed(v_out[j, i], h_a, h_b, bed_a, bed_b, kg, cap, rest, dry)
+                w = accelerated(v_out[j, i], h_a, h_b, bed_a, bed_b, numbers)
                 along = QUARTER * (u[j - 1, i] + u[j, i] + u[j - 1, i + 1] + u[j, i + 1])
                 c = drag * max(roughness[j - 1, i], roughness[j, i])
                 w = slowed(w, along, h_a, h_b, bed_a, bed_b, c, dry)
                 v_out[j, i] = w
-                reach_out[block, i] = max(reach_out[block, i], reach(w, h_a, h_b, gravity))
+                signal_out[block, i] = max(
+                    signal_out[block, i], fastest_signal(w, h_a, h_b, gravity)
+                )
 
 
 @device_function

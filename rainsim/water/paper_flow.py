@@ -1,4 +1,4 @@
-"""The owner of the fields of the scheme "paper"; its methods name the phases."""
+"""The owner of the fields of the scheme "paper"."""
 
 from __future__ import annotations
 
@@ -6,49 +6,52 @@ import math
 
 import numpy as np
 
-from rainsim.grid.paper import BLOCK, extrapolate, flow, push, push_rough
+from rainsim.water.bundles import Ground, StepNumbers
+from rainsim.water.paper import BLOCK, accelerate, accelerate_rough, extrapolate, flow
 
+ROUNDINGS = 2  # rounding units of bed and depth within which levels are equal
 CAP = 0.5  # cells per step, the most a face may be sped up to (Chentanez and Mueller 2010)
 ROUNDING_ROOM = 1 - 1e-6  # of a step, so that float32 factors keep its promise too
 
 
 class PaperFlow:
-    """Depth and velocity on the MAC grid, and the step of "paper" (see `rainsim.grid.paper`).
+    """Depth and velocity on the MAC grid, and the step of "paper" (see `rainsim.water.paper`).
 
-    The parameters are those of `ConservingFlow`; inflow and viscosity are not in the paper.
+    Parameters and attributes are those of `ConservingFlow`; the paper has no viscosity.
     """
 
-    pad = 0
+    pad, inner = 0, np.s_[:, :]
 
-    def __init__(self, bed, spacing, gravity, is_open, roughness, rest, dry):
+    def __init__(self, bed, spacing, gravity, is_open, roughness, dry):
         (ny, nx), dtype = bed.shape, bed.dtype.type
         self._type, self._spacing, self._gravity = dtype, spacing, gravity
-        self._rest, self._dry = rest, dry
+        self._rounding = dtype(ROUNDINGS * np.finfo(dtype).eps)
+        self._dry = dtype(dry)
         self._open, self._roughness = is_open, roughness
         self.bed = bed
         self.h, self._h_spare = np.zeros((ny, nx), dtype), np.zeros((ny, nx), dtype)
         self.u, self._u_spare = np.zeros((ny, nx + 1), dtype), np.zeros((ny, nx + 1), dtype)
         self.v, self._v_spare = np.zeros((ny + 1, nx), dtype), np.zeros((ny + 1, nx), dtype)
-        self.damp = np.zeros((ny, nx), dtype)
-        self._reaches = np.zeros((-(-ny // BLOCK), nx), dtype)
+        self.remainder = np.zeros((ny, nx), dtype)
+        self._signals = np.zeros((-(-ny // BLOCK), nx), dtype)
         south = np.arange(0, ny, BLOCK)
         north = np.minimum(south + BLOCK, ny)
         self._tiles = np.stack([south, north, 0 * south, 0 * south + nx], axis=1).astype(np.int64)
 
     def start(self, u, v):
-        """Set the inner face velocities, shapes (ny, nx - 1) and (ny - 1, nx), after `h`."""
+        """Set the inner face velocities, (ny, nx - 1) and (ny - 1, nx); `h` must be set before."""
         self.u[:, 1:-1], self.v[1:-1] = u, v
         self._set_edges()
         self.refresh()
 
     def refresh(self):
-        """Measure anew what the step follows, from depths and velocities."""
-        self.swift = self.fastest()
-        self.moves = self.swift > 0.0
+        """Measure the speeds that limit the step from depths and velocities."""
+        self.water_speed = self.largest_speed()
+        self.moves = self.water_speed > 0.0
         wave = math.sqrt(self._gravity * float(self.h.max()))
-        self.reach = self.swift + max(wave, self.swift)
+        self.wave_speed = self.water_speed + max(wave, self.water_speed)
 
-    def fastest(self):
+    def largest_speed(self):
         """Largest face speed [m/s]."""
         return float(max(self.u.max(), -self.u.min(), self.v.max(), -self.v.min()))
 
@@ -58,55 +61,62 @@ class PaperFlow:
 
     def stable_step(self, courant):
         """Longest step [s] at which waves and flow stay within their limits."""
-        return ROUNDING_ROOM * courant * self._spacing / self.reach if self.reach else math.inf
+        return (
+            ROUNDING_ROOM * courant * self._spacing / self.wave_speed
+            if self.wave_speed
+            else math.inf
+        )
 
-    def flow(self, dt):
-        """Bring depth from n to n+1; return the volumes [m3] that left and came in."""
+    def advance_depth(self, dt):
+        """Bring depth from n to n+1; return the volume [m3] that left through open edges."""
         k = self._type(dt / self._spacing)
         self._before = self.u, self.v
         if not self.moves:
             self._swap_velocity()  # pressure and friction read the velocity at n beside the new
             self.u[:], self.v[:] = 0, 0
-            return 0.0, 0.0
+            return 0.0
         left = self._outflow() * float(k) * self._spacing
         flow(
             self.h, self.u, self.v, k, self._dry,
-            self.damp, self._h_spare, self._u_spare, self._v_spare,
+            self.remainder, self._h_spare, self._u_spare, self._v_spare,
         )  # fmt: skip
         self.h, self._h_spare = self._h_spare, self.h  # h at n+1
         self._swap_velocity()  # carried, not yet pushed
-        return left, 0.0
+        return left
 
-    def turn(self, dt):
+    def advance_velocity(self, dt):
         """Bring velocity from n to n+1."""
-        dtype, kg = self._type, self._type(self._gravity * dt / self._spacing)
-        cap = dtype(CAP * self._spacing / dt)
-        scalars = cap, dtype(self._gravity), self._rest, self._dry
+        dtype, spacing, gravity = self._type, self._spacing, self._gravity
+        numbers = StepNumbers(
+            k=dtype(dt / spacing), kg=dtype(gravity * dt / spacing),
+            wave=dtype(gravity * (dt / spacing) ** 2), gravity=dtype(gravity),
+            cap=dtype(CAP * spacing / dt), rounding=self._rounding, dry=self._dry,
+        )  # fmt: skip
         if self._roughness is None:
-            push(self.h, self.bed, kg, *scalars, self.u, self.v, self._reaches)
+            accelerate(self.h, self.bed, numbers, self.u, self.v, self._signals)
         else:
-            push_rough(
-                self.h, self.bed, self._roughness, *self._before, kg,
-                dtype(self._gravity * dt), *scalars, self.u, self.v, self._reaches,
-            )  # fmt: skip
-        self.reach = float(self._reaches.max())
+            ground, drag = Ground(self.bed, self._roughness), dtype(gravity * dt)
+            accelerate_rough(
+                self.h, ground, *self._before, drag, numbers, self.u, self.v, self._signals
+            )
+        self.wave_speed = float(self._signals.max())
         self.moves = bool(self.u.any() or self.v.any())
         if self.moves:
             extrapolate(self.h, self.u, self.v, self._u_spare, self._v_spare)
             self._swap_velocity()
         self._set_edges()  # u at n+1
-        self.swift = self.fastest() if self.moves else 0.0
+        self.water_speed = self.largest_speed() if self.moves else 0.0
 
     def tiles(self, everywhere):
-        """Return the tiles to which rain and losses go: all of them."""
+        """Return the tiles to which sources are applied: all of them."""
         return self._tiles
 
-    def changed(self):
-        """Return the numbers of the tiles in which depths may have changed since last asked."""
+    def changed_tiles(self):
+        """Return the numbers of the tiles whose depths may have changed since the last call."""
         return np.arange(len(self._tiles))
 
-    def touched(self, everywhere):
-        """Take note that depths were changed from outside."""
+    def note_sources(self, everywhere):
+        """Take note that sources have changed depths: nothing to do here."""
 
     def _swap_velocity(self):
         self.u, self._u_spare = self._u_spare, self.u

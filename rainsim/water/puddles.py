@@ -8,20 +8,20 @@ import numpy as np
 from scipy import ndimage
 
 from rainsim.errors import ParameterError, require_not_negative
-from rainsim.standing import SpillGraph
 from rainsim.terrain.types import MEASURED
+from rainsim.water.fill_spill_merge import SpillGraph
 
 NOISE_FACTOR = 2.0  # depressions shallower than this times the bed's noise are noise
 SMALLEST_PUDDLE = 25e-4  # m2: a hand's breadth across; smaller hollows are the capture's own
 WET = 1.5e-3  # m of water that counts as a puddle
 ERROR_PER_NOISE = 5.0  # of the bed, over what smoothing leaves of its noise
 DOUBTFUL_SHARE = 0.5  # of the rain's depth that the bed may be off
-LEAST_MEASURED = 0.6  # of the paving: puddles on the rest are made up
+LEAST_MEASURED = 0.6  # of the paving: where less is measured, most puddles stand on an assumed bed
 
 
 @dataclass
 class Puddles:
-    """Standing water on a terrain, and the account of where the rest went.
+    """Standing water on a terrain, and the account of the water that left it.
 
     Attributes
     ----------
@@ -29,7 +29,7 @@ class Puddles:
         Which depression spills into which; built once.
     depth : ndarray of shape (ny, nx), float64 [m]
     volumes : dict of str to float [m3]
-        captured (what the capture shows), rain, outflow, infiltrated, evaporated, drained: since
+        painted (stood there at the start), rain, outflow, infiltrated, evaporated, drained: since
         the start.
     """
 
@@ -37,7 +37,7 @@ class Puddles:
     depth: np.ndarray
     volumes: dict = field(
         default_factory=lambda: dict.fromkeys(
-            ("captured", "rain", "outflow", "infiltrated", "evaporated", "drained"), 0.0
+            ("painted", "rain", "outflow", "infiltrated", "evaporated", "drained"), 0.0
         )
     )
 
@@ -54,14 +54,14 @@ class Puddles:
     @property
     def residual(self):
         """Share of the water that the account does not explain: rounding."""
-        came = self.volumes["captured"] + self.volumes["rain"]
-        gone = sum(v for name, v in self.volumes.items() if name not in ("captured", "rain"))
+        came = self.volumes["painted"] + self.volumes["rain"]
+        gone = sum(v for name, v in self.volumes.items() if name not in ("painted", "rain"))
         return abs(came - gone - self.volume) / max(came, 1e-12)
 
     def start(self, water):
-        """Begin with the depth of `water` [m] (ny, nx) that a capture shows, come to rest."""
+        """Begin with `water` [m], the painted water's depth (ny, nx), and let it come to rest."""
         water = np.asarray(water, np.float64)
-        self.volumes["captured"] += float(water.sum()) * self.cell_area
+        self.volumes["painted"] += float(water.sum()) * self.cell_area
         self._settle(self.depth + water)
 
     def rain(self, rainfall):

@@ -12,13 +12,11 @@ import math
 import numpy as np
 import scipy.fft
 
+from rainsim.constants import GRAVITY, SURFACE_TENSION, WATER_DENSITY, WATER_VISCOSITY
 from rainsim.errors import ParameterError, require_not_negative, require_positive
-from rainsim.random import mix
-from rainsim.spectrum import WATER_DENSITY, drop_volume, terminal_speed
+from rainsim.numerics.random import mix
+from rainsim.rain.size_distribution import drop_volume, terminal_speed
 
-GRAVITY = 9.81  # m/s2
-TENSION = 0.0728  # N/m, water against air at 20 C
-VISCOSITY = 1.0e-6  # m2/s, water at 20 C
 FOOTPRINT = 5e-3  # m; a Gaussian push of this width has its energy peak at 200 rad/m
 RING_SHARE = 0.01  # of the reference drop's kinetic energy
 REFERENCE_DROP = 2.5e-3  # m; between the measured 2.2 and 2.8 mm
@@ -28,7 +26,7 @@ _LONGEST_STEP = 1 / 60  # s; impacts of one such step are born together, its end
 def angular_frequency(wavenumber, depth):
     """Angular frequency [rad/s] of waves of `wavenumber` [rad/m] on water of `depth` [m]."""
     k = np.asarray(wavenumber, dtype=np.float64)
-    return np.sqrt((GRAVITY * k + TENSION / WATER_DENSITY * k**3) * np.tanh(k * depth))
+    return np.sqrt((GRAVITY * k + SURFACE_TENSION / WATER_DENSITY * k**3) * np.tanh(k * depth))
 
 
 def stirring(rate):
@@ -49,16 +47,16 @@ def damping_rate(wavenumber, depth, film=0.0, stirred=0.0):
     Viscosity in the bulk, 2 nu k^2, and the boundary layer on the bottom,
     k sqrt(nu omega / 2) / sinh(2 k h). A surface film that does not stretch adds
     k sqrt(nu omega) / (2 sqrt 2), the limit that Lamb (Hydrodynamics, 1932, section 351) gives; one
-    that gives in part is taken as the share `film` of that. Rain that stirs the water adds to the
-    viscosity in the bulk, see `stirring`.
+    that stretches in part counts with the share `film` of this term. Rain that stirs the water
+    adds to the viscosity in the bulk, see `stirring`.
     """
     k = np.asarray(wavenumber, dtype=np.float64)
     omega = angular_frequency(k, depth)
     steep = np.minimum(2 * k * depth, 700.0)  # sinh beyond that is not a float64
     bottom = np.zeros_like(k)
-    np.divide(k * np.sqrt(VISCOSITY * omega / 2), np.sinh(steep), out=bottom, where=k > 0)
-    surface = film * k * np.sqrt(VISCOSITY * omega) / (2 * math.sqrt(2))
-    return 2 * VISCOSITY * (1 + stirred) * k**2 + bottom + surface
+    np.divide(k * np.sqrt(WATER_VISCOSITY * omega / 2), np.sinh(steep), out=bottom, where=k > 0)
+    surface = film * k * np.sqrt(WATER_VISCOSITY * omega) / (2 * math.sqrt(2))
+    return 2 * WATER_VISCOSITY * (1 + stirred) * k**2 + bottom + surface
 
 
 class RippleTile:
@@ -193,7 +191,7 @@ class RippleTile:
         rate = self._omega * self._lag - self._damping * self._eta
         k = np.where(self._k > 0, self._k, 1.0)
         kinetic = np.abs(rate) ** 2 / (k * np.tanh(k * self.depth))
-        potential = (GRAVITY + TENSION / WATER_DENSITY * k**2) * np.abs(self._eta) ** 2
+        potential = (GRAVITY + SURFACE_TENSION / WATER_DENSITY * k**2) * np.abs(self._eta) ** 2
         both = self._weight * (kinetic + potential) * (self._k > 0)
         return 0.5 * WATER_DENSITY * self.size**2 * float(both.sum()) / self.cells**4
 
@@ -269,7 +267,7 @@ def ring_reach(depth, film=0.0, rate=0.0):
     omega = angular_frequency(k, depth)
     fading = 2 * damping_rate(k, depth, film, stirring(rate))
     pushed = k**2 * np.tanh(k * depth) * np.exp(-((k * FOOTPRINT) ** 2))
-    stiff = WATER_DENSITY * GRAVITY + TENSION * k**2
+    stiff = WATER_DENSITY * GRAVITY + SURFACE_TENSION * k**2
     weight = k**2 * pushed / (fading * stiff) * k  # per octave
     return np.gradient(omega, k) / fading, weight / weight.sum()
 

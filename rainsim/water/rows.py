@@ -88,7 +88,7 @@ def copy_row(a, n, a_out):
 
 
 @device_function
-def largest_of(run, tiles, tops, top_out):
+def tile_maxima(run, tiles, tops, top_out):
     """Find the largest of the columns `tops` of each tile of a run."""
     for m in range(run[4], run[5]):
         top = tops[tiles[m, 2] - run[2]]
@@ -98,7 +98,7 @@ def largest_of(run, tiles, tops, top_out):
 
 
 @cpu_kernel
-def peaks(tiles, h, bed, deepest_out, highest_out):
+def tile_peaks(tiles, h, bed, deepest_out, highest_out):
     """Find the largest depth and the highest level of water in each of `tiles`.
 
     Parameters

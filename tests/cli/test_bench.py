@@ -14,9 +14,9 @@ from rainsim.errors import RainsimError
 def test_results_are_printed_and_written(suite, monkeypatch, tmp_path):
     seen = []
 
-    def run(quick, tell, **others):
+    def run(quick, say, **others):
         seen.append(quick)
-        tell("working")
+        say("working")
         return {"error": 0.5}
 
     monkeypatch.setattr(suite, "run", run)

@@ -12,8 +12,8 @@ import pytest
 
 from rainsim import pipeline
 from rainsim.errors import DivergedError
-from rainsim.image import read_data, read_image
-from rainsim.layers import LAYERS, channels, recompose
+from rainsim.io.images import read_data, read_image
+from rainsim.render.aov import AOVS, channels, recompose
 from rainsim.scene.cameras import read_cameras
 from rainsim.scene.library import load_scene
 
@@ -243,14 +243,14 @@ def test_layers_are_written_and_make_the_frame(film, tmp_path):
     assert done.code == 0, done.err
     folder = tmp_path / "out"
     facts = json.loads((folder / "layers/00000.json").read_text())
-    assert set(facts["units"]) == set(LAYERS)
+    assert set(facts["units"]) == set(AOVS)
     assert set(facts["files"]) < set(record(folder)["files"])
     found = {}
     for file in facts["files"]:
         name = file.split("/")[1]
         if file.endswith(".png"):
             values = read_image(folder / file)
-            found[name] = values / 65535 if LAYERS[name].kind == "share" else values
+            found[name] = values / 65535 if AOVS[name].kind == "share" else values
         else:
             found[name] = read_data(folder / file, channels(name))
     frame = pictures(folder)["00000.png"].astype(int)

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from rainsim import image
+from rainsim.io import images
 from rainsim.scene.folder import read_scene
 
 MAP = ("--extent", 1, "--spacing", 0.04)
@@ -20,11 +20,11 @@ def test_heightmap_tells_and_draws(rainsim, scene_folder, tmp_path):
     rows = told["puddles"]["after_rain"]
     assert [row["rain_mm"] for row in rows] == [1, 3, 8, 20]
     assert rows[-1]["litres"] >= rows[0]["litres"] and told["puddles"]["residual"] < 1e-9
-    check = image.read_image(tmp_path / "a" / "check.png")
+    check = images.read_image(tmp_path / "a" / "check.png")
     assert (check[..., 0].astype(int) - check[..., 2] > 60).any()  # yellow and red lines
     mask = np.zeros((50, 50, 3), np.uint8)
     mask[:, :] = (80, 150, 60)
-    image.write_png(tmp_path / "grass.png", mask)
+    images.write_png(tmp_path / "grass.png", mask)
     done = rainsim("heightmap", scene_folder, *MAP, "--out", "b", "--class-mask", "grass.png")
     assert done.code == 0 and "grass 100%" in done.out, done.err
 

@@ -1,6 +1,6 @@
 """The commands that a newcomer types, on the built-in scene."""
 
-from rainsim.image import read_image
+from rainsim.io.images import read_image
 
 
 def test_warmup_leaves_nothing_behind(rainsim, tmp_path):

@@ -23,7 +23,7 @@ def run(*arguments):
 def test_picture_and_arrays_of_a_named_camera(folder, tmp_path):
     done = run(folder, "--camera", "view_1", "--width", 80, "--out", tmp_path / "a.png")
     assert done.exit_code == 0, done.output
-    from rainsim.image import read_image
+    from rainsim.io.images import read_image
 
     assert read_image(tmp_path / "a.png").shape == (60, 80, 3)
     done = run(folder, "--camera", "view_1", "--width", 80, "-o", tmp_path / "a.npz",

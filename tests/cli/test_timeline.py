@@ -7,7 +7,7 @@ import numpy as np
 from click.testing import CliRunner
 
 from rainsim.cli import cli
-from rainsim.config import Config, mm_per_hour
+from rainsim.config.settings import Config, mm_per_hour
 from rainsim.pipeline import extract_terrain, simulate
 from rainsim.scene.folder import write_scene
 from scenes import tiny_scene

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from rainsim.bench import frame, frame_cuda
-from rainsim.cuda import frame as twin
+from rainsim.bench import frame, frame_cuda, frame_levels
 from rainsim.cuda import simulated
+from rainsim.cuda.render import renderer as twin
 from scenes import tiny_scene
 
 assert simulated()
@@ -17,8 +17,8 @@ def test_a_level_is_measured(monkeypatch):
         monkeypatch.setattr(renderer, "_surroundings", lambda self, position: self.day)
     monkeypatch.setattr(frame_cuda, "SHOTS", {True: 1})
     monkeypatch.setattr(frame_cuda, "LEVELS", {"as set": ({"reflections": "ssr"}, 1.0)})
-    monkeypatch.setattr(frame, "LEVELS", {"paper": ({"reflections": "paper"}, 1.0)})
-    monkeypatch.setattr(frame, "TRUTH", {})
+    monkeypatch.setattr(frame_levels, "LEVELS", {"paper": ({"reflections": "paper"}, 1.0)})
+    monkeypatch.setattr(frame_cuda, "TRUTH", {})
     said = []
     rows = frame_cuda.measure(tiny_scene(), 24, "moving", True, said.append)
     assert [row["level"] for row in rows] == [frame_cuda.CPU, "as set"]

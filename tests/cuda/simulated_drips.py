@@ -7,19 +7,20 @@ import pytest
 from simulated_drops import Ground
 
 from rainsim.cuda import simulated
-from rainsim.cuda.drips import LISTED, DripList, Drips, volumes
-from rainsim.cuda.drops import PUSH_UNIT, VOLUME_UNIT, Impacts
-from rainsim.cuda.splash import Splashes
-from rainsim.cuda.streaks import Streaks
-from rainsim.drips import Drips as HostDrips
-from rainsim.drips import drip_impacts, drips_seen
+from rainsim.cuda.drops import Impacts
+from rainsim.cuda.particles.splash_pass import Splashes
+from rainsim.cuda.particles.streaks import Streaks
+from rainsim.cuda.rain.dripping import LISTED, DripList, Drips, volumes
+from rainsim.cuda.rain.settling import PUSH_UNIT, VOLUME_UNIT
 from rainsim.drops import GROUND, OBSTACLE, RainField, RainSpectrum, Surfaces
 from rainsim.drops import Impacts as Hits
 from rainsim.errors import BackendError
-from rainsim.ripples import tile_impacts
+from rainsim.particles.splash_pass import draw_splashes
+from rainsim.particles.streaks import draw_streaks
+from rainsim.rain.dripping import Drips as HostDrips
+from rainsim.rain.dripping import drip_impacts, drips_seen
 from rainsim.scene.types import Camera
-from rainsim.splashview import draw_splashes
-from rainsim.streaks import draw_streaks
+from rainsim.water.ripples import tile_impacts
 
 assert simulated()
 # Plain numpy numbers warn where a GPU's wrap.
@@ -84,7 +85,7 @@ def steps():
         twin.launch(page, ground, ground, 0.5, 0)
         momentum = ground.pushes.sum() * PUSH_UNIT, tile_impacts(rings, 2.0, 1.0, times[1])[1].sum()
         found.append((*twin.pages[page].fetch(), ground.depths(surfaces), momentum,
-                      (*volumes(twin.told), *host.falling(), depth, host.held, host.airborne,
+                      (*volumes(twin.account), *host.falling(), depth, host.held, host.airborne,
                        returned)))  # fmt: skip
     return surfaces, found, came, start
 
@@ -114,7 +115,7 @@ def test_a_list_without_room_is_counted(steps):
     ground = Ground(surfaces)
     twin.update(0.0, STEP, WIND, 0.0)
     twin.launch(1, ground, ground, 0.5, 0)
-    assert twin.told[LISTED] > 2
+    assert twin.account[LISTED] > 2
     with pytest.raises(BackendError, match="set drips to false, or use backend cpu"):
         twin.check()
 

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from rainsim.cuda import simulated
-from rainsim.cuda.account import UNIT
-from rainsim.cuda.drops import VOLUME_UNIT, Impacts, room_for
+from rainsim.cuda.drops import Impacts, room_for
+from rainsim.cuda.rain.settling import VOLUME_UNIT
+from rainsim.cuda.water.step_control import UNIT
 from rainsim.drops import GROUND, OBSTACLE, RainField, RainSpectrum, Surfaces, impacts
 
 assert simulated()

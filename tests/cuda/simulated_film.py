@@ -3,11 +3,13 @@
 import numpy as np
 import pytest
 
-from rainsim import film, lobe, sky
-from rainsim.cuda import film as twin
 from rainsim.cuda import simulated
-from rainsim.cuda.shading import BLOCK, blocks
-from rainsim.ripmap import ripmap
+from rainsim.cuda.shading import wet_ground_mirror as twin
+from rainsim.cuda.shading.wet_pass import BLOCK, blocks
+from rainsim.numerics.ripmap import ripmap
+from rainsim.scene.view import CameraArrays, View
+from rainsim.shading import microfacet, sky, wet_ground_mirror
+from rainsim.shading.wet_ground_mirror import GroundSlopes, LevelPicture
 
 assert simulated()
 F4 = np.float32
@@ -43,24 +45,24 @@ def test_levels_of_the_ripmap_are_means_of_blocks(rng, poisoned, monkeypatch):
 def test_field_share_and_picture(pictured, rng, poisoned):
     ground = np.zeros((20, 24, 4), F4)
     ground[..., :3], ground[..., 3] = rng.normal(0, 0.02, (20, 24, 3)), 0.2
-    place = ground, F4([-12, -4]), F4(1.0)
+    ground = GroundSlopes(ground, F4([-12, -4]), F4(1.0))
     forward, around = F4([0, 1]), sky.overcast(0.5)
     picture = rng.uniform(0, 1, (24, 60, 3)).astype(F4)
     depth = rng.uniform(3, 30, (40, 70)).astype(F4)
     lens = np.array([30, 30, 33, 3], F4)
     atlas, there, size = ripmap(picture, 3), depth[:24, :60], F4([60, 24])
     if not pictured:
-        atlas, there, size = film.NOTHING[0], film.NOTHING[1], F4([0, 0])
+        atlas, there, *_ = wet_ground_mirror.NO_LEVEL_PICTURE
+        size = F4([0, 0])
     shape = HEIGHT // STEP, WIDTH // STEP
     wanted, found = poisoned((*shape, 3)), poisoned((*shape, 3))
-    film.mirrored_field(
-        TURN, EYE, LENS, STEP, np.ones(shape, bool), *place, lobe.LOBE, atlas, there, lens, forward,
-        around, wanted,
-    )  # fmt: skip
-    launch(
-        twin.mirrored_field, shape, TURN, EYE, LENS, STEP, *place, lobe.LOBE, atlas, depth, size,
-        lens, forward, around, found,
-    )  # fmt: skip
+    view, camera = View(TURN, EYE, *LENS), CameraArrays(TURN, EYE, LENS)
+    lobe = microfacet.LOBE
+    level, larger = (LevelPicture(atlas, d, lens, forward) for d in (there, depth))
+    wet_ground_mirror.mirrored_field(
+        view, STEP, np.ones(shape, bool), ground, lobe, level, around, wanted
+    )
+    launch(twin.mirrored_field, shape, camera, STEP, ground, lobe, larger, size, around, found)
     np.testing.assert_allclose(found, wanted, rtol=2e-3, atol=1e-5)
     assert wanted.std() > 0.01
     if not pictured:
@@ -68,13 +70,14 @@ def test_field_share_and_picture(pictured, rng, poisoned):
     bare, cover = rng.uniform(0, 1, (HEIGHT, WIDTH, 3)).astype(F4), np.zeros((HEIGHT, WIDTH), F4)
     cover[6:, 5:] = rng.uniform(0, 1, (HEIGHT - 6, WIDTH - 5))
     laid, mine = poisoned(bare.shape), poisoned(bare.shape)
-    film.lay_film(bare, cover, wanted, STEP, laid)
-    launch(twin.lay_film, cover.shape, bare, cover, wanted, STEP, mine)
+    wet_ground_mirror.add_reflection(bare, cover, wanted, STEP, laid)
+    launch(twin.add_reflection, cover.shape, bare, cover, wanted, STEP, mine)
     np.testing.assert_allclose(mine, laid, atol=1e-6)
     assert abs(laid - bare).max() > 0.05
-    rows = -(-HEIGHT // film.COARSE)
+    rows = -(-HEIGHT // wet_ground_mirror.COARSE)
     theirs, ours = np.full(rows, np.nan), np.full(rows, np.nan)
-    film.film_share(cover, TURN, LENS, film.usual_shares(), theirs)
-    twin.film_share[rows, twin.SUMMERS](cover, TURN, LENS, film.usual_shares(), ours)
+    table = wet_ground_mirror.usual_shares()
+    wet_ground_mirror.reflected_share(cover, view, table, theirs)
+    twin.reflected_share[rows, twin.SUMMERS](cover, camera, table, ours)
     np.testing.assert_allclose(ours, theirs, rtol=1e-4)
     assert theirs[-1] > 0

@@ -5,13 +5,14 @@ import dataclasses
 import numpy as np
 import pytest
 
-from rainsim import layers, waterview
-from rainsim import render as rendering
-from rainsim.config import Config, mm_per_hour
-from rainsim.cuda import frame as twin
+from rainsim.config.settings import Config, mm_per_hour
 from rainsim.cuda import simulated
+from rainsim.cuda.render import renderer as twin
 from rainsim.errors import ParameterError
 from rainsim.pipeline import extract_terrain, simulate
+from rainsim.render import aov
+from rainsim.render import renderer as rendering
+from rainsim.render.wet_scene import WetScene
 from scenes import tiny_scene
 
 assert simulated()
@@ -21,10 +22,8 @@ SIZE = (32, 24)
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch):
-    """The day's sky as surroundings: six pictures are much for the simulator; and one layer."""
-    monkeypatch.setattr(waterview, "WORTH", np.inf)
-    for renderer in (rendering.Renderer, twin.Renderer):
-        monkeypatch.setattr(renderer, "_surroundings", lambda self, position: self.day)
+    """The day's sky as surroundings: six pictures are much for the simulator."""
+    monkeypatch.setattr(WetScene, "_surroundings", lambda self, position: self.day)
 
 
 def config(**changes):
@@ -55,14 +54,15 @@ def test_frames_are_those_of_the_cpu(reflections, least):
     states = [state for state, _ in zip(simulate(terrain, settings), range(2), strict=False)]
     wanted = drawn(rendering.Renderer(scene, terrain, settings, camera), scene, camera, states)
     renderer = twin.Renderer(scene, terrain, settings, camera)
-    launch, launches = renderer.rasterizer.launch, []
-    renderer.rasterizer.launch = lambda: launches.append(launch())
+    rasterizer, launches = renderer.frame.rasterizer, []
+    launch = rasterizer.launch
+    rasterizer.launch = lambda: launches.append(launch())
     found = drawn(renderer, scene, camera, states)
     count = len(launches)
     for a, b in zip(found, wanted, strict=True):
         assert decibel(a, b) > least
     assert (wanted[0] != wanted[1]).any()
-    assert renderer.mirrors.passes == (reflections == "auto")
+    assert renderer.frame.mirrors.passes == (reflections == "auto")
     again = renderer.draw(camera, states[0])[0]
     np.testing.assert_array_equal(again, found[0])
     assert len(launches) == count > 0  # a still camera's picture is kept
@@ -88,7 +88,7 @@ def test_film_gets_a_mirrored_picture_where_it_is_worth_one():
             pictures.append(picture.copy())
             notes.append([note for note in report.notes if "film" in note])
     assert notes[0] == notes[2] and "a mirrored picture" in notes[2][0] and notes[3] == []
-    assert len(renderer.film_light.rasterizers) == 1
+    assert len(renderer.frame.ground_light.rasterizers) == 1
     assert decibel(pictures[2], pictures[0]) > 50
     np.testing.assert_array_equal(pictures[2], pictures[3])
     plain = config(reflections="auto", film="environment", rate=0.0)
@@ -103,7 +103,7 @@ def test_layers_are_those_of_the_cpu():
     settings = config(level=0.06, reflections="auto", sun=(0.5, 0.8), film="mirror")
     terrain = extract_terrain(scene, settings)
     state = next(iter(simulate(terrain, settings)))
-    names = tuple(layers.LAYERS)
+    names = tuple(aov.AOVS)
     _, wanted = rendering.Renderer(scene, terrain, settings, camera).draw(
         camera, state, None, names
     )
@@ -111,14 +111,14 @@ def test_layers_are_those_of_the_cpu():
     plain = renderer.draw(camera, state)[0].copy()
     picture, found = renderer.draw(camera, state, None, names)
     np.testing.assert_array_equal(picture, plain)
-    again = layers.recompose(found.layers, **found.light)
+    again = aov.recompose(found.aovs, **found.light)
     assert decibel(again, picture) > 50
-    for name, layer in wanted.layers.items():
+    for name, layer in wanted.aovs.items():
         far = np.isfinite(layer)
-        np.testing.assert_array_equal(np.isfinite(found.layers[name]), far)
-        difference = np.abs(found.layers[name][far].astype(float) - layer[far])
+        np.testing.assert_array_equal(np.isfinite(found.aovs[name]), far)
+        difference = np.abs(found.aovs[name][far].astype(float) - layer[far])
         assert np.mean(difference > 1e-2 * max(np.abs(layer[far]).max(), 1e-6)) < 0.02, name
-    assert found.layers["coverage"].max() > 0.5 and found.layers["rain_alpha"].max() > 0
+    assert found.aovs["coverage"].max() > 0.5 and found.aovs["rain_alpha"].max() > 0
     np.testing.assert_array_equal(renderer.draw(camera, state)[0], plain)
 
 

@@ -5,10 +5,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from rainsim.cuda import mirror as twin
-from rainsim.cuda import project, simulated
+from rainsim.cuda import simulated
+from rainsim.cuda.reflection import planar_mirror as twin
+from rainsim.cuda.splatting import project
+from rainsim.reflection.water_pass import LEVEL_STEP, WaterPass, group_levels
 from rainsim.scene.types import Camera
-from rainsim.waterview import LEVEL_STEP, WaterView, group_levels
+from rainsim.scene.view import CameraArrays
 
 assert simulated()
 HEIGHT, WIDTH = 70, 90
@@ -36,7 +38,12 @@ def counted(z, coverage):
     twin.clear_counts[twin.BINS // twin.THREADS, twin.THREADS](count, extent)
     blocks = -(-WIDTH // twin.THREADS), -(-HEIGHT // twin.COUNT_ROWS)
     twin.count_heights[blocks, twin.THREADS](
-        (2 - z).astype(np.float32), coverage, down, eye, lens, FIRST_BIN, count, extent
+        (2 - z).astype(np.float32),
+        coverage,
+        CameraArrays(down, eye, lens),
+        FIRST_BIN,
+        count,
+        extent,
     )
     return count, extent
 
@@ -73,9 +80,9 @@ def test_the_window_is_that_of_the_cpu(water, focal):
     _, coverage = water
     camera = Camera(WIDTH, HEIGHT, focal, 1.1 * focal, 44.0, 36.0, np.eye(4))
     lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float32)
-    view = SimpleNamespace(depth=coverage, lens=lens)
-    left, top, right, bottom = WaterView._mirror_window(
-        SimpleNamespace(view=view, pixel=np.flatnonzero(coverage))
+    wet = SimpleNamespace(depth=coverage, view=SimpleNamespace(lens=lens))
+    left, top, right, bottom = WaterPass._mirror_window(
+        SimpleNamespace(wet=wet, pixel=np.flatnonzero(coverage))
     )
     rows, columns = np.nonzero(coverage)
     extent = np.array([columns.min(), rows.min(), columns.max(), rows.max()], np.int32)

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from rainsim.cuda import simulated
-from rainsim.cuda.drops import PUSH_UNIT
-from rainsim.cuda.ripples import Ripples
+from rainsim.cuda.rain.settling import PUSH_UNIT
+from rainsim.cuda.water.ripples import Ripples
 from rainsim.errors import ParameterError
-from rainsim.moments import ripple_moments
-from rainsim.ripples import _LONGEST_STEP, RippleTile
+from rainsim.reflection.slope_moments import ripple_moments
+from rainsim.water.ripples import _LONGEST_STEP, RippleTile
 
 assert simulated()
 N = 8

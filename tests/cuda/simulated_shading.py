@@ -6,32 +6,47 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from rainsim import (
-    film,
-    grade,
-    meeting,
-    mirrorlight,
-    moments,
-    optics,
-    pyramid,
-    reflect,
-    shade,
-    sky,
-    ssr,
-    watersurface,
-)  # fmt: skip
-from rainsim.cuda import film as cuda_film
-from rainsim.cuda import mirror as cuda_mirror
-from rainsim.cuda import optics as cuda_optics
-from rainsim.cuda import shading, simulated
-from rainsim.cuda import watersurface as cuda_surface
+from rainsim import ssr
+from rainsim.cuda import simulated
 from rainsim.cuda.jit import cuda
+from rainsim.cuda.reflection import planar_mirror as cuda_mirror
+from rainsim.cuda.reflection import ray_water as cuda_ray_water
+from rainsim.cuda.reflection import screen_space as cuda_screen
+from rainsim.cuda.reflection import water_shading as cuda_water
+from rainsim.cuda.reflection import water_surface as cuda_surface
+from rainsim.cuda.shading import composite as cuda_composite
+from rainsim.cuda.shading import wet_ground_mirror as cuda_film
+from rainsim.cuda.shading import wet_pass as shading
+from rainsim.numerics import mipmap  # fmt: skip
+from rainsim.reflection import (
+    mirror_pass,
+    ray_water,
+    screen_space,
+    slope_moments,
+    water_shading,
+    water_surface,
+)
+from rainsim.reflection.planar_mirror import MirrorPicture
+from rainsim.reflection.water_record import RECORD
+from rainsim.reflection.water_shading import Background, Optics, Ripples
+from rainsim.reflection.water_surface import WaterMap
+from rainsim.scene.view import CameraArrays, View
+from rainsim.shading import composite, sky, wet_ground_mirror, wet_pass
+from rainsim.shading.composite import RainCover, RainLight
+from rainsim.shading.fresnel import EXACT, SCHLICK
+from rainsim.shading.grading import Look
+from rainsim.shading.wet_pass import DryPicture
+from rainsim.shading.wetness import OffGroundWetness
+from rainsim.shading.wetting import GroundMaps, SkyMaps
 
 assert simulated()
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
 HEIGHT, WIDTH, CELLS = 20, 30, 28
 SPACING, ORIGIN = np.float32(0.1), np.array([-1.4, -1.4], np.float32)
 F4 = np.float32
+
+
+VIEWS = {"view", "camera"}  # a bundle of numbers on the CPU, one of device arrays on the GPU
 
 
 def decibel(a, b, peak=1.0):
@@ -70,14 +85,19 @@ def launch(kernel, *arguments):
 def test_grade_and_wet(view, poisoned):
     day, around = sky.overcast(), sky.overcast(0.7)
     look = np.array([0.8, 0.15, 0.9, 0.8, 30, 1], F4)
-    ground = np.random.default_rng(2).uniform(0, 1, (CELLS, CELLS, 5)).astype(F4)
+    wetness = np.random.default_rng(2).uniform(0, 1, (CELLS, CELLS, 4)).astype(F4)
+    dry = DryPicture(
+        view.color, view.alpha, view.depth, view.depth * F4(1.01), view.normal, F4(0.9)
+    )
+    skies = SkyMaps(around, day)
 
-    def arguments(damp):
-        return (
-            view.color, view.alpha, view.depth, view.depth * F4(1.01), view.normal, F4(0.9),
-            view.turn, view.eye, view.lens, view.bed, ground * F4(damp), ORIGIN, SPACING,
-            around, day, look, np.array([damp, 0.2, -0.4, 0.8, 0.3], F4),
-        )  # fmt: skip
+    def on_both(damp):
+        """Return the arguments of the CPU's kernel and of the twin."""
+        ground = GroundMaps(view.bed, wetness * F4(damp), ORIGIN, SPACING)
+        rain = np.array([damp, 0.2, -0.4, 0.8, 0.3], F4)
+        camera = CameraArrays(view.turn, view.eye, view.lens)
+        ours = dry, View(view.turn, view.eye, *view.lens), ground, OffGroundWetness(*rain), skies
+        return (*ours, Look(*look)), (dry, camera, ground, rain, skies, look)
 
     shapes = (HEIGHT, WIDTH, 3), *3 * ((HEIGHT, WIDTH),)
     none = np.empty((0, 0), F4)
@@ -86,8 +106,9 @@ def test_grade_and_wet(view, poisoned):
     drawn[:-5, :-3] = True
     for damp, size, apart in ((0.9, whole, True), (0.7, part, False)):
         wanted, found = ([poisoned(shape) for shape in shapes] for _ in range(2))
-        grade.grade_and_wet(*arguments(damp), *wanted[:3], wanted[3] if apart else none)
-        launch(shading.grade_and_wet, size, *arguments(damp), *found[:3],
+        ours, twins = on_both(damp)
+        wet_pass.grade_and_wet(*ours, *wanted[:3], wanted[3] if apart else none)
+        launch(shading.grade_and_wet, size, *twins, *found[:3],
                found[3] if apart else found[3][:0])  # fmt: skip
         where = drawn | apart
         np.testing.assert_array_equal(np.isfinite(found[2]), where)
@@ -97,8 +118,8 @@ def test_grade_and_wet(view, poisoned):
         np.testing.assert_allclose(found[3], wanted[3], atol=1e-5)
         assert np.isnan(found[3]).all() != apart
     glossing = [poisoned(shape) for shape in shapes[:3]]
-    grade.grade_and_wet(*arguments(0.9), *glossing, none)
-    grade.grade_and_wet(*arguments(0.9), *wanted[:3], wanted[3])
+    wet_pass.grade_and_wet(*on_both(0.9)[0], *glossing, none)
+    wet_pass.grade_and_wet(*on_both(0.9)[0], *wanted[:3], wanted[3])
     assert wanted[3].max() > 0.3 and decibel(glossing[0], wanted[0]) < 50
 
 
@@ -107,10 +128,11 @@ def test_compose(view, poisoned, rng):
     fog = np.linspace(0, 0.6, 99).astype(F4)
     fog[0], fog[1] = 20, 0.02
     drops, around, air = rng.uniform(0, 1, (4, 6, 3)).astype(F4), F4([0.2, 0.4, 0.7]), F4([0.8] * 3)
-    light = view.color * 2, view.depth, *alphas, drops, around, air, fog
+    light = view.color * 2, view.depth, RainCover(*alphas, fog), RainLight(drops, around, air)
     wanted, found = (poisoned((HEIGHT, WIDTH, 3), np.uint8) for _ in range(2))
-    shade.compose(*light, view.lens, F4(1.1), wanted)
-    launch(shading.compose, *light, view.lens, np.array([1.1], F4), found)
+    composite.compose(*light, View(view.turn, view.eye, *view.lens), F4(1.1), wanted)
+    camera = CameraArrays(view.turn, view.eye, view.lens)
+    launch(cuda_composite.compose, *light, camera, np.array([1.1], F4), found)
     difference = np.abs(found.astype(int) - wanted)
     assert difference.max() <= 1 and (difference > 0).mean() < 0.01
     assert wanted.std() > 10
@@ -127,7 +149,7 @@ def pond(view):
     mirrors = rng.uniform(size=(CELLS, CELLS)) < 0.9
     depth[22:26, 1:7], mirrors[22:26, 1:7] = 0.08, False  # over the tips of a lawn
     terrain = SimpleNamespace(bed=view.bed)
-    return depth, relief, mirrors, watersurface.water_surface(terrain, depth, relief, mirrors)
+    return depth, relief, mirrors, water_surface.water_surface(terrain, depth, relief, mirrors)
 
 
 def test_water_surface(view, pond):
@@ -148,101 +170,109 @@ def test_water_surface(view, pond):
 
 
 @pytest.mark.parametrize("reflection", ["march", "mirror"])
-@pytest.mark.parametrize("hard", [False, True])
-def test_water_light(view, pond, poisoned, rng, reflection, hard):
+@pytest.mark.parametrize("law", [EXACT, SCHLICK])
+def test_water_light(view, pond, poisoned, rng, reflection, law):
     *_, (surface, over) = pond
-    where = view.turn, view.eye, view.lens, surface, over, ORIGIN, SPACING
+    camera, own = (
+        View(view.turn, view.eye, *view.lens),
+        CameraArrays(view.turn, view.eye, view.lens),
+    )
+    water_map = WaterMap(surface, over, view.exposure, ORIGIN, SPACING)
     highest, cover = F4(surface[over > 0].max()), np.array([0.0005, 0.002], F4)
     rows = np.arange(HEIGHT, dtype=np.int64)
     hit, hit2, coverage, coverage2 = (poisoned((HEIGHT, WIDTH)) for _ in range(4))
     count = np.zeros(HEIGHT, np.int64)
-    meeting.meet_water(view.depth, *where, highest, rows, cover, hard, hit, coverage, count)
+    ray_water.meet_water(view.depth, camera, water_map, highest, rows, cover, hit, coverage, count)
     launch(
-        cuda_optics.meet_water, view.depth, *where, np.array([highest]), cover, hard, hit2,
+        cuda_ray_water.meet_water, view.depth, own, water_map, np.array([highest]), cover, hit2,
         coverage2,
     )  # fmt: skip
     np.testing.assert_allclose(coverage2, coverage, atol=1e-4)
     assert 50 < count.sum() < HEIGHT * WIDTH
 
     slopes = rng.normal(0, 0.05, (2, 32, 32)).astype(F4)
-    ripples = moments.ripple_moments(slopes)
+    ripples = Ripples(slope_moments.ripple_moments(slopes), F4(1.0))
     picture, clearance = view.color, np.where(view.depth == F4(1.4), 1.0, 0).astype(F4)
     clearance[view.depth > 50] = 1e4
     tall, tall2 = poisoned((HEIGHT, WIDTH)), poisoned((HEIGHT, WIDTH))
-    reflect.keep_tall(view.depth, clearance, tall)
+    screen_space.keep_tall(view.depth, clearance, tall)
     bounds, bounds2 = (poisoned(ssr.bounds_of(HEIGHT, WIDTH)) for _ in range(2))
     ssr.block_bounds(tall, bounds)
-    launch(cuda_optics.keep_tall, view.depth, clearance, tall2, bounds2)
-    many = -(-len(bounds2) // cuda_optics.JOINERS), cuda_optics.JOINERS
-    cuda_optics.join_bounds[many](HEIGHT, WIDTH, bounds2)
+    launch(cuda_screen.keep_tall, view.depth, clearance, tall2, bounds2)
+    many = -(-len(bounds2) // cuda_screen.JOINERS), cuda_screen.JOINERS
+    cuda_screen.join_bounds[many](HEIGHT, WIDTH, bounds2)
     np.testing.assert_array_equal(tall, tall2)
     np.testing.assert_array_equal(bounds, bounds2)
     around, sun = sky.overcast(), np.array([0.1, 0.7, 0.7, 9, 8, 7], F4)
     settings = np.array([0.15, 1.0, 12.0], F4)
     n = int(count.sum())
-    pixel, record = np.empty(n, np.int32), np.empty((n, 16), F4)
+    pixel, record = np.empty(n, np.int32), np.empty((n, RECORD), F4)
     light, source = poisoned((n, 3)), poisoned(n, np.uint8)
-    optics.list_water(
-        hit, coverage, np.cumsum(count) - count, rows, view.turn, view.eye, view.lens, over,
-        view.exposure, ORIGIN, SPACING, pixel, record,
-    )  # fmt: skip
-    optics.tilt_water(record, ripples, F4(1.0))
+    water_shading.list_water(
+        hit, coverage, np.cumsum(count) - count, rows, camera, water_map, pixel, record
+    )
+    water_shading.tilt_water(ripples, record)
     mirror = rng.uniform(0, 1, (HEIGHT, WIDTH, 3)).astype(F4)
     mirror_depth = rng.uniform(2, 5, (HEIGHT, WIDTH)).astype(F4)
     window = F4([*view.lens, WIDTH, HEIGHT])
-    coarse, coarse2 = pyramid.coarsened(mirror), poisoned(pyramid.coarse_shape(HEIGHT, WIDTH))
+    coarse, coarse2 = mipmap.coarsened(mirror), poisoned(mipmap.coarse_shape(HEIGHT, WIDTH))
     cuda_mirror.coarsen[(1, 1), cuda_mirror.THREADS](window, mirror, coarse2)
     for level in range(1, 5):  # the picture has no more
-        top = pyramid.top_of(HEIGHT, level)
+        top = mipmap.top_of(HEIGHT, level)
         part = slice(top, top + (HEIGHT >> level)), slice(0, WIDTH >> level)
         np.testing.assert_allclose(coarse2[part], coarse[part], rtol=1e-6)
-    everything = np.arange(n)
+    everything, level = np.arange(n), F4(0.02)
+    flipped = view.turn * F4([[1], [1], [-1]])
     if reflection == "mirror":
-        mirrorlight.mirror_light(
-            everything, record, view.turn, view.eye, view.lens, F4(0.02), mirror,
-            coarse, mirror_depth, 8, F4(0.1), light, source,
+        below_eye = np.array([*view.eye[:2], 2 * level - view.eye[2]], F4)
+        mirror_view = camera._replace(ground_from_camera=flipped, eye=below_eye)
+        mirror_pass.mirror_light(
+            everything, record, mirror_view, MirrorPicture(mirror, coarse, mirror_depth), light,
+            source,
         )  # fmt: skip
-        served = np.array([[0, 9, -9], [0.02, -10, 10]], F4)
+        served = np.array([[0, 9, -9], [level, -10, 10]], F4)
     else:
-        reflect.march_light(
-            everything, record, picture, tall, bounds, view.turn, view.eye, view.lens, around,
-            settings, light, source,
+        screen_space.march_light(
+            everything, record, picture, ssr.DepthBlocks(tall, bounds), camera, around,
+            ssr.MarchSettings(*settings), light, source,
         )  # fmt: skip
         served = np.array([[0, 10, -10], [0, 9, -9]], F4)
     below = rng.uniform(0, 1, picture.shape).astype(F4)
+    background = Background(picture, below, view.depth)
+    optics = Optics(law, F4(4e-3), sun)
     wanted, found = picture.copy(), poisoned(picture.shape)
-    flags = False, hard, hard  # schlick_law, image_shift, phong
-    optics.lay_water(
-        pixel, record, light, picture, below, view.depth, view.turn, view.lens, *flags, F4(4e-3),
-        sun, wanted,
-    )  # fmt: skip
+    water_shading.lay_water(pixel, record, light, background, camera, optics, wanted)
     distance = poisoned((HEIGHT, WIDTH))
-    launch(
-        cuda_optics.find_hits, hit, coverage, tall, bounds, view.turn, view.eye, view.lens,
-        settings, served, distance,
-    )  # fmt: skip
+    launch(cuda_screen.find_hits, hit, coverage, tall, bounds, own, settings, served, distance)
     assert (np.isfinite(distance) == ((coverage > 0) & (reflection == "march"))).all()
-    both = (np.stack([0 * m, m]) for m in (mirror, coarse2, mirror_depth))
+    pictures = (np.stack([0 * m, m]) for m in (mirror, coarse2, mirror_depth))
+    mirrors = cuda_mirror.MirrorArrays(served, window, flipped, *pictures)
     launch(
-        cuda_optics.shade_water, hit, coverage, distance, picture, below, view.depth, tall,
-        view.turn, view.eye, view.lens, over, view.exposure, ORIGIN, SPACING, ripples, F4(1.0),
-        around, settings, served, window, *both, *flags, F4(4e-3), sun, found,
+        cuda_water.shade_water, hit, coverage, distance, background, tall, own, water_map, ripples,
+        around, settings, mirrors, optics, found,
     )  # fmt: skip
     assert decibel(found, wanted) > 70
     assert decibel(wanted, picture) < 30
 
 
 def test_signatures_are_those_of_the_cpu():
-    """What the twins leave out is what a list of pixels needs; they add a size and bounds."""
+    """What the twins leave out is what a list of pixels needs; they add a size and bounds.
+
+    Where the CPU takes a `View`, a twin takes arrays on the device.
+    """
     pairs = [
-        (grade.grade_and_wet, shading.grade_and_wet, {"size"}),  # of a mirror's window
+        (wet_pass.grade_and_wet, shading.grade_and_wet, {"size", *VIEWS}),  # of a mirror's window
         # The device fills in every block, and its level picture's arrays are larger than that.
-        (film.mirrored_field, cuda_film.mirrored_field, {"wanted", "level_size"}),
-        (film.lay_film, cuda_film.lay_film, set()),
-        (film.film_share, cuda_film.film_share, set()),
-        (shade.compose, shading.compose, set()),
-        (reflect.keep_tall, cuda_optics.keep_tall, {"bounds_out"}),
-        (meeting.meet_water, cuda_optics.meet_water, {"turn", "count_out"}),
+        (
+            wet_ground_mirror.mirrored_field,
+            cuda_film.mirrored_field,
+            {"wanted", "level_size", *VIEWS},
+        ),
+        (wet_ground_mirror.add_reflection, cuda_film.add_reflection, set()),
+        (wet_ground_mirror.reflected_share, cuda_film.reflected_share, VIEWS),
+        (composite.compose, cuda_composite.compose, VIEWS),
+        (screen_space.keep_tall, cuda_screen.keep_tall, {"bounds_out"}),
+        (ray_water.meet_water, cuda_ray_water.meet_water, {"row_order", "count_out", *VIEWS}),
     ]
     for theirs, ours, without in pairs:
         theirs, ours = (list(inspect.signature(f).parameters) for f in (theirs, ours.fn))

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from rainsim import simulation
-from rainsim.config import Config, mm_per_hour
-from rainsim.cuda import simulate as twin
+from rainsim.config.settings import Config, mm_per_hour
 from rainsim.cuda import simulated
+from rainsim.cuda import simulation as twin
 from rainsim.pipeline import extract_terrain
 from scenes import tiny_scene
 

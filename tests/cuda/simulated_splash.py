@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from rainsim.cuda import simulated
-from rainsim.cuda.recent import RecentImpacts
-from rainsim.cuda.splash import Splashes
-from rainsim.cuda.streaks import Streaks
+from rainsim.cuda.particles.splash_pass import Splashes
+from rainsim.cuda.particles.streaks import Streaks
+from rainsim.cuda.rain.impact_history import RecentImpacts
 from rainsim.drops import RainField, RainSpectrum, flat_surfaces
+from rainsim.particles.splash_pass import draw_splashes
 from rainsim.scene.types import Camera
-from rainsim.splashview import draw_splashes
 
 assert simulated()
 # Plain numpy numbers warn where a GPU's wrap.

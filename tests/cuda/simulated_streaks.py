@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from rainsim.cuda import simulated
-from rainsim.cuda.streaks import Streaks
+from rainsim.cuda.particles.streaks import Streaks
 from rainsim.drops import RainField, RainSpectrum, Surfaces
+from rainsim.particles.streaks import draw_streaks
 from rainsim.scene.types import Camera
-from rainsim.streaks import draw_streaks
 
 assert simulated()
 # Plain numpy numbers warn where a GPU's wrap.

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rainsim.cuda import simulated
-from rainsim.cuda.water import Water
+from rainsim.cuda.grid import Water
 from rainsim.errors import ParameterError
 from rainsim.grid import WaterSolver
 
@@ -38,7 +38,7 @@ def test_a_frame_is_that_of_the_cpu():
     report = solver.advance(1 / 30, rain=np.float32(1e-5) * exposure)
     assert water.advance(1 / 30, 1e-5) == report.substeps > 3
     depth, u, v = water.fields()
-    wanted_u, wanted_v = solver._flow.faces()
+    wanted_u, wanted_v = solver.flow.faces()
     assert np.abs(depth - before).max() > 1e-4
     np.testing.assert_allclose(depth, solver.depth, atol=1e-8)
     np.testing.assert_allclose(u, wanted_u, atol=1e-6)
@@ -80,6 +80,6 @@ def test_water_at_rest_stays_and_costs_no_step():
 
 
 def test_what_the_device_lacks_is_refused():
-    for options in ({"scheme": "accurate"}, {"drains": [(10, 1, 1e-6)]}, {"evaporation": 1e-8}):
+    for options in ({"scheme": "accurate"}, {"drains": [(10, 1, 1e-6)]}):
         with pytest.raises(ParameterError, match=r"lean|cpu"):
             Water(basin(**options)[0])

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from rainsim.drops import GROUND, RainField, RainSpectrum, Surfaces, impacts
-from rainsim.moments import ripple_moments
-from rainsim.ripples import RippleTile
+from rainsim.particles.splash_pass import draw_splashes
+from rainsim.particles.streaks import draw_streaks, streak_reach
+from rainsim.reflection.slope_moments import ripple_moments
 from rainsim.scene.types import Camera
-from rainsim.splashview import draw_splashes
-from rainsim.streaks import draw_streaks, streak_reach
+from rainsim.water.ripples import RippleTile
 
 pytestmark = pytest.mark.gpu
 WIDTH, HEIGHT, EXPOSURE = 320, 240, 1 / 60
@@ -51,7 +51,7 @@ def depth_of_ground(camera):
 
 def test_streaks_are_those_of_the_cpu(field, surfaces, poisoned):
     from rainsim.cuda.jit import cuda
-    from rainsim.cuda.streaks import Streaks
+    from rainsim.cuda.particles.streaks import Streaks
 
     camera = looking_down()
     depth, far = depth_of_ground(camera), streak_reach(field, camera, EXPOSURE, 8.0)
@@ -91,8 +91,8 @@ def test_impacts_are_those_of_the_cpu(field, surfaces):
 
 
 def test_ripples_are_those_of_the_cpu():
-    from rainsim.cuda.drops import PUSH_UNIT
-    from rainsim.cuda.ripples import Ripples
+    from rainsim.cuda.rain.settling import PUSH_UNIT
+    from rainsim.cuda.water.ripples import Ripples
 
     rng = np.random.default_rng(0)
     tile = RippleTile(depth=0.02, dtype=np.float32)
@@ -115,9 +115,9 @@ def test_ripples_are_those_of_the_cpu():
 
 def test_splashes_are_those_of_the_cpu(field, surfaces, poisoned):
     from rainsim.cuda.jit import cuda
-    from rainsim.cuda.recent import RecentImpacts
-    from rainsim.cuda.splash import Splashes
-    from rainsim.cuda.streaks import Streaks
+    from rainsim.cuda.particles.splash_pass import Splashes
+    from rainsim.cuda.particles.streaks import Streaks
+    from rainsim.cuda.rain.impact_history import RecentImpacts
 
     camera = looking_down()
     depth = depth_of_ground(camera)
@@ -151,9 +151,9 @@ def test_a_film_is_its_frames():
     """What is made ready while the frame before is drawn does not show in it."""
     import dataclasses
 
-    from rainsim.config import Config, mm_per_hour
-    from rainsim.cuda.frame import Renderer
-    from rainsim.cuda.simulate import simulate
+    from rainsim.config.settings import Config, mm_per_hour
+    from rainsim.cuda.render.renderer import Renderer
+    from rainsim.cuda.simulation import simulate
     from rainsim.pipeline import extract_terrain
     from scenes import tiny_scene
 
@@ -192,15 +192,15 @@ def test_drips_are_those_of_the_cpu(poisoned):
     from itertools import islice
 
     from rainsim import simulation
-    from rainsim.config import Config, mm_per_hour
-    from rainsim.cuda.drips import DripList
+    from rainsim.config.settings import Config, mm_per_hour
     from rainsim.cuda.drops import Impacts
     from rainsim.cuda.jit import cuda
-    from rainsim.cuda.simulate import simulate
-    from rainsim.cuda.splash import Splashes
-    from rainsim.cuda.streaks import Streaks
-    from rainsim.drips import drip_impacts, drips_seen
+    from rainsim.cuda.particles.splash_pass import Splashes
+    from rainsim.cuda.particles.streaks import Streaks
+    from rainsim.cuda.rain.dripping import DripList
+    from rainsim.cuda.simulation import simulate
     from rainsim.pipeline import extract_terrain
+    from rainsim.rain.dripping import drip_impacts, drips_seen
     from scenes import tiny_scene
 
     settings = Config().replace(

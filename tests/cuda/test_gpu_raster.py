@@ -1,8 +1,7 @@
 """The splatting twin on a real GPU: `pytest -m gpu`."""
 
 import json
-import sys
-from pathlib import Path
+import runpy
 
 import numpy as np
 import pytest
@@ -11,7 +10,6 @@ from rainsim import raster
 from rainsim.scene.types import Camera, Splats
 
 pytestmark = pytest.mark.gpu
-SHARED = Path(__file__).resolve().parents[3] / "shared"
 LAYERS = ("color", "alpha", "depth", "plane_depth", "normal")
 
 
@@ -111,16 +109,9 @@ def test_a_recorded_frame_follows_the_camera(twin, cloud):
         np.testing.assert_array_equal(getattr(recorded, name), wanted)
 
 
-def garden(children=1, seed=0):
-    """Return the garden's splats, each replaced by `children` smaller ones."""
-    if not (SHARED / "data" / "garden.npz").is_file():
-        pytest.skip("the garden is not here")
-    sys.path.insert(0, str(SHARED / "data"))
-    import unpack
-
-    parts = unpack.load_garden()
-    if children > 1:
-        parts = unpack.split(*parts, children=children, seed=seed)
+def garden(data):
+    """Return the splats of the garden in a folder."""
+    parts = runpy.run_path(str(data / "unpack.py"))["load_garden"]()
     position, scale, quaternion, opacity, dc, rest = parts
     quaternion = quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)
     return Splats(
@@ -129,8 +120,8 @@ def garden(children=1, seed=0):
     )  # fmt: skip
 
 
-def garden_camera(name, width, height):
-    views = json.loads((SHARED / "data" / "garden_cameras.json").read_text())
+def garden_camera(data, name, width, height):
+    views = json.loads((data / "garden_cameras.json").read_text())
     view = next(v for v in views if v["img_name"] == name)
     turn, eye = np.array(view["rotation"]), np.array(view["position"])
     matrix = np.eye(4)
@@ -142,10 +133,11 @@ def garden_camera(name, width, height):
 
 
 @pytest.mark.parametrize("name", ["DSC07956", "DSC07996"])
-def test_the_garden_as_gsplat_and_the_cpu_draw_it(twin, name):
-    prepared = raster.prepare(garden())
-    reference = np.load(SHARED / "reference" / "garden_gsplat.npz")
-    cam = garden_camera(name, 648, 420)
+def test_the_garden_as_gsplat_and_the_cpu_draw_it(twin, shared, name):
+    data = shared("data/garden.npz").parent
+    prepared = raster.prepare(garden(data))
+    reference = np.load(shared("reference/garden_gsplat.npz"))
+    cam = garden_camera(data, name, 648, 420)
     # With the stop that gsplat has.
     layers = twin.rasterize(prepared, cam, 0.01, drop_last=True)
     wanted = raster.rasterize(prepared, cam, 0.01, drop_last=True)

@@ -22,7 +22,7 @@ def pond(n=256):
 
 
 def run(frames=100):
-    from rainsim.cuda.water import Water
+    from rainsim.cuda.grid import Water
 
     solver, rng = pond()
     water = Water(solver)

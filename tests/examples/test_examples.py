@@ -60,6 +60,12 @@ def test_solver_on_a_basin(capsys):
     assert any(character.isdigit() for character in capsys.readouterr().out)
 
 
+def test_film_on_a_slope(capsys):
+    depth, exact = load("film_on_a_slope").main()
+    np.testing.assert_allclose(depth[8:-2], exact[8:-2], rtol=0.03)
+    assert "mm deep, exactly" in capsys.readouterr().out
+
+
 def test_every_example_is_run_here():
     text = Path(__file__).read_text(encoding="utf-8")
     for name in EXAMPLES:

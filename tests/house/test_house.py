@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from rainsim.cli import cli
+from source import nodes, tree
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 SOURCES = sorted([*ROOT.glob("rainsim/**/*.py"), *ROOT.glob("examples/*.py")])
@@ -27,10 +28,10 @@ def test_files_are_short_and_lines_fit(path):
 
 @pytest.mark.parametrize("path", SOURCES, ids=lambda p: p.relative_to(ROOT).as_posix())
 def test_everything_public_has_a_docstring(path):
-    tree = ast.parse(path.read_text(encoding="utf-8"))
+    module = tree(path)
     kinds = (ast.FunctionDef, ast.ClassDef)
-    assert ast.get_docstring(tree), "the module"
-    for node in tree.body:
+    assert ast.get_docstring(module), "the module"
+    for node in module.body:
         if isinstance(node, kinds) and not node.name.startswith("_"):
             assert ast.get_docstring(node), node.name
             for inner in node.body if isinstance(node, ast.ClassDef) else ():
@@ -40,8 +41,7 @@ def test_everything_public_has_a_docstring(path):
 
 @pytest.mark.parametrize("path", SOURCES, ids=lambda p: p.relative_to(ROOT).as_posix())
 def test_docstrings_name_the_real_parameters(path):
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    for node in ast.walk(tree):
+    for node in nodes(path):
         if isinstance(node, ast.FunctionDef):
             documented = _documented(ast.get_docstring(node) or "")
             arguments = node.args
@@ -89,21 +89,40 @@ def test_every_option_named_in_the_readme_exists():
 
 
 def test_the_readme_and_ci_run_the_same_tests():
+    run = (ROOT / ".ci/run").read_text(encoding="utf-8").splitlines()
     assert 'pip install -e ".[test]" && python -m pytest' in README
-    assert 'pip install --quiet ".[test]"' in (ROOT / ".ci/run").read_text()
-    assert "python -m pytest" in (ROOT / ".ci/run").read_text()
+    assert 'python -m pip install --quiet ".[test]"' in run
+    steps = ["ruff check .", "ruff format --check .", "NUMBA_DISABLE_JIT=1 python -m pytest -q"]
+    commands = [line.partition("  #")[0] for line in run]
+    assert [line for line in commands if line in [*steps, "python -m pytest -q"]] == [
+        *steps, "python -m pytest -q",
+    ]  # fmt: skip
+    contributing = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    for step in steps:
+        assert step.removesuffix(" -q") in contributing, step
+    setup = configparser.ConfigParser()
+    setup.read(ROOT / "setup.cfg")
+    assert "ruff" in setup["options.extras_require"]["test"]
 
 
 def test_presets_are_packaged_and_names_agree():
-    from rainsim.config import preset_names
+    from rainsim.config.settings import preset_names
 
-    files = {path.stem for path in ROOT.glob("rainsim/presets/*.toml")}
+    files = {path.stem for path in ROOT.glob("rainsim/config/presets/*.toml")}
     assert files == set(preset_names())
     setup = configparser.ConfigParser()
     setup.read(ROOT / "setup.cfg")
-    assert "presets/*.toml" in setup["options.package_data"]["rainsim"]
+    assert "presets/*.toml" in setup["options.package_data"]["rainsim.config"]
     for name in files:
         assert f"`{name}`" in (ROOT / "CHANGELOG.md").read_text() + README
+
+
+def test_tests_look_outside_the_repository_in_one_place():
+    paths = [
+        p for p in ROOT.glob("tests/**/*.py") if p.name not in ("conftest.py", "test_house.py")
+    ]
+    named = [p.name for p in paths if re.search(r"parents\[3\]|[\"'/]shared/", p.read_text())]
+    assert not named, "use the fixture `shared`"
 
 
 def test_the_shell_script_parses():

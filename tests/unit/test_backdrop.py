@@ -5,11 +5,16 @@ import dataclasses
 import numpy as np
 import pytest
 
-from rainsim import backdrop, layers, pipeline, shade, sky
-from rainsim.config import Config
-from rainsim.light import linear_from_display
-from rainsim.render import Renderer, replaces_sky
+from rainsim import pipeline
+from rainsim.config.settings import Config
+from rainsim.render import aov
+from rainsim.render.renderer import Renderer
+from rainsim.render.wet_scene import replaces_sky
 from rainsim.scene.types import Splats
+from rainsim.shading import backdrop, sky
+from rainsim.shading.color import linear_from_display
+from rainsim.shading.environment import sample_environment
+from rainsim.shading.grading import graded
 from scenes import _looking, _splats, tiny_scene
 
 BLUE, LEAF, SIZE = (0.45, 0.62, 0.9), (0.1, 0.3, 0.05), 48
@@ -53,35 +58,37 @@ def drawn(scene, cloudiness=1.0, names=()):
 @pytest.fixture(scope="module")
 def dull(scene):
     """What `drawn` returns under full cloud, with all layers."""
-    return drawn(scene, names=tuple(layers.LAYERS))
+    return drawn(scene, names=tuple(aov.AOVS))
 
 
 def test_a_leaf_is_mixed_with_the_sky_of_the_day(scene, dull, monkeypatch):
     renderer, report, _ = dull
-    assert renderer.backdrop.count == 360 and any("360 splats" in note for note in report.notes)
+    assert renderer.wet_scene.backdrop.count == 360 and any(
+        "360 splats" in note for note in report.notes
+    )
     middle = SIZE // 2, SIZE // 2
-    leaf = shade.graded(*(linear_from_display(np.float32(c)) for c in LEAF), *renderer.look[:3])
-    day = sky.sample_environment(renderer.day, *RAY)
+    leaf = graded(*(linear_from_display(np.float32(c)) for c in LEAF), renderer.wet_scene.look)
+    day = sample_environment(renderer.wet_scene.day, *RAY)
     wanted = 0.5 * np.array(leaf) + 0.5 * np.array(day)
     np.testing.assert_allclose(renderer.wet.picture[middle], wanted, rtol=0.03)
     # A ray that is traced sees the same.
     eye = np.array([[0, 0, 1]], np.float32)
-    light, alpha, _ = renderer._traced(eye, RAY[None], np.zeros(1), 0.01)
+    light, alpha, _ = renderer.wet_scene.traced(eye, RAY[None], np.zeros(1), 0.01)
     assert alpha[0] == pytest.approx(0.5, abs=0.02)
     np.testing.assert_allclose(light[0], wanted, rtol=0.05)
     # Laid over the captured sky it is not: that one has lent the leaf's edge its light.
     monkeypatch.setattr(sky, "LEAST_SKY_SEEN", 9.0)
     hard, *_ = drawn(scene)
-    assert hard.backdrop.count == 0 and hard.scene is scene
+    assert hard.wet_scene.backdrop.count == 0 and hard.wet_scene.scene is scene
     assert np.abs(hard.wet.picture[middle] / wanted - 1).max() > 0.2
 
 
 def test_clouds_that_cover_half_leave_half_of_the_captured_sky(scene, dull):
     half, *_ = drawn(scene, 0.5)
-    own = shade.graded(*(linear_from_display(np.float32(c)) for c in BLUE), *half.look[:3])
-    up = 0.5 * half.day[20:40] + 0.5 * np.float32(own)
-    np.testing.assert_allclose(half.behind[20:40], up, rtol=0.04)
-    np.testing.assert_array_equal(dull[0].behind, dull[0].day)
+    own = graded(*(linear_from_display(np.float32(c)) for c in BLUE), half.wet_scene.look)
+    up = 0.5 * half.wet_scene.day[20:40] + 0.5 * np.float32(own)
+    np.testing.assert_allclose(half.wet_scene.behind[20:40], up, rtol=0.04)
+    np.testing.assert_array_equal(dull[0].wet_scene.behind, dull[0].wet_scene.day)
     assert replaces_sky(half.config) and not replaces_sky(half.config.replace(cloudiness=0.0))
     assert not replaces_sky(half.config.replace(sky="capture"))  # so the splats stay
 
@@ -89,10 +96,10 @@ def test_clouds_that_cover_half_leave_half_of_the_captured_sky(scene, dull):
 def test_layers_tell_the_capture_and_the_sky(dull):
     _, report, picture = dull
     top, middle = (2, SIZE // 2), (SIZE // 2, SIZE // 2)
-    np.testing.assert_allclose(report.layers["clean"][top] / 255, BLUE, atol=0.05)
-    assert np.isinf(report.layers["depth"][top])
-    assert report.layers["depth"][middle] == pytest.approx(np.hypot(3, 1.5), abs=0.05)
-    again = layers.recompose(report.layers, **report.light).astype(int)
+    np.testing.assert_allclose(report.aovs["clean"][top] / 255, BLUE, atol=0.05)
+    assert np.isinf(report.aovs["depth"][top])
+    assert report.aovs["depth"][middle] == pytest.approx(np.hypot(3, 1.5), abs=0.05)
+    again = aov.recompose(report.aovs, **report.light).astype(int)
     assert np.abs(again - picture).max() <= 1 and picture[top].min() > 150
 
 

@@ -10,7 +10,8 @@ from scipy import ndimage
 from skimage.metrics import structural_similarity
 
 from rainsim.bench import truth as truth_bench
-from rainsim.waterview import View
+from rainsim.reflection.water_pass import WetPicture
+from rainsim.scene.view import View
 
 HEIGHT, WIDTH = 40, 60
 
@@ -22,10 +23,10 @@ def water(rng):
     clearance = np.full_like(depth, 1.0)
     clearance[:, :10] = 0.0
     turn = np.eye(3, dtype=np.float32)
-    lens = np.array([50, 50, WIDTH / 2, HEIGHT / 2], np.float32)
+    lens = (np.float32(n) for n in (50, 50, WIDTH / 2, HEIGHT / 2))
     dark = np.zeros((HEIGHT, WIDTH, 3), np.float32)
-    view = View(dark, depth, clearance, turn, np.zeros(3, np.float32), lens, dark)  # fmt: skip
-    return SimpleNamespace(view=view, pixel=np.arange(HEIGHT * WIDTH // 2, HEIGHT * WIDTH))
+    wet = WetPicture(dark, depth, clearance, View(turn, np.zeros(3, np.float32), *lens), dark)
+    return SimpleNamespace(wet=wet, pixel=np.arange(HEIGHT * WIDTH // 2, HEIGHT * WIDTH))
 
 
 def test_accuracy_is_that_of_the_masked_pixels(water, rng):

@@ -101,7 +101,7 @@ def test_a_quick_run_measures_every_choice(monkeypatch, tmp_path):
     monkeypatch.setattr(splat, "list_scenes", list)
     monkeypatch.setitem(splat.WIDTH, True, 48)
     told = []
-    result = splat.run(quick=True, tell=told.append)
+    result = splat.run(quick=True, say=told.append)
     assert {r["group"] for r in result["records"]} == set(groups) and len(told) == 2 + len(groups)
     for r in result["records"]:
         if r["default"]:

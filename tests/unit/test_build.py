@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rainsim.scene.build import (
+from rainsim.demo_scenes.build import (
     Noise,
     box,
     cells,

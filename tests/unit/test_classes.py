@@ -6,11 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rainsim import image, terrain
+from rainsim import terrain
 from rainsim.bench import captures
 from rainsim.bench import ground as suite
-from rainsim.config import TerrainConfig
+from rainsim.config.settings import TerrainConfig
 from rainsim.errors import InputError, ParameterError
+from rainsim.io import images
 from rainsim.scene.ground import scale_from_length, with_fall
 from rainsim.scene.types import GroundFrame
 from rainsim.terrain import extract
@@ -73,7 +74,7 @@ def test_a_painted_mask_wins_and_the_rest_is_told(yard, tmp_path):
     scene, _, config, plain = yard
     paint = np.zeros((*plain.grid.shape, 3), np.uint8)
     paint[:10] = terrain.class_table().colors[terrain.WATER]  # the picture's top is north
-    image.write_png(tmp_path / "mask.png", paint)
+    images.write_png(tmp_path / "mask.png", paint)
     mask = terrain.read_mask(tmp_path / "mask.png")
     painted = terrain.extract_terrain(scene, config, mask)
     assert (painted.ground_class[-10:] == terrain.WATER).all()
@@ -81,7 +82,7 @@ def test_a_painted_mask_wins_and_the_rest_is_told(yard, tmp_path):
     with pytest.raises(ParameterError, match="the map has 150 x 150"):
         terrain.extract_terrain(scene, config, mask[1:])
     paint[0, 3] = (255, 0, 255)
-    image.write_png(tmp_path / "mask.png", paint)
+    images.write_png(tmp_path / "mask.png", paint)
     with pytest.raises(InputError, match=r"pixel \(3, 0\)"):
         terrain.read_mask(tmp_path / "mask.png")
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from rainsim import raster
-from rainsim.raster.coarse import merge_fine
-from rainsim.raster.prepared import OPACITY, by_splat
 from rainsim.scene.types import Camera, Splats
+from rainsim.splatting.coarse import merge_fine
+from rainsim.splatting.prepared import OPACITY, by_splat
 
 SIDE = 0.2
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rainsim.config import HUMAN_KEYS, MM_PER_HOUR, Config, preset_names, preset_text
+from rainsim.config.settings import HUMAN_KEYS, MM_PER_HOUR, Config, preset_names, preset_text
 from rainsim.errors import InputError, ParameterError
 
 

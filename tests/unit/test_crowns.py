@@ -3,12 +3,15 @@
 import numpy as np
 import pytest
 
-from rainsim.crowns import LONGEST_CROWN, crown_lines
-from rainsim.drops import Impacts, RainField, RainSpectrum, Surfaces, flat_surfaces
+from rainsim.drops import Impacts, RainField, RainSpectrum, Surfaces, flat_surfaces, impacts
+from rainsim.particles.crown import LONGEST_CROWN, LONGEST_JET, crown_shape, raise_crown, raise_jet
+from rainsim.particles.splash import WET_FILM, Impact
+from rainsim.particles.splash_pass import draw_splashes, seen_splashes
+from rainsim.rain.size_distribution import terminal_speed
 from rainsim.scene.types import Camera
-from rainsim.spectrum import terminal_speed
-from rainsim.splash import WET_FILM, splash_droplets
-from rainsim.splashview import draw_splashes, seen_splashes
+from splash_lines import Lines, splash_droplets
+
+NEIGHBOURS = [(j, i) for j in (-1, 0, 1) for i in (-1, 0, 1)]
 
 
 def fallen(diameters, time=0.0):
@@ -23,8 +26,16 @@ def fallen(diameters, time=0.0):
 
 
 def crown(diameter, age, film=1e-3, exposure=1e-5, pixel=1e-4):
-    one = np.ones(1)
-    return crown_lines(fallen([diameter]), film * one, one, age, exposure, pixel * one)
+    speed = float(terminal_speed(diameter))
+    impact = Impact(np.uint64(5), 0.0, 0.0, 0.0, 0.0, 0.0, speed, diameter, film, age)
+    count, rows = np.zeros(1, np.int64), np.full((4096, 7), np.nan)
+    shape = crown_shape(impact, 1.0, pixel)
+    with np.errstate(over="ignore"):
+        if age < shape.life:
+            raise_crown(impact, shape, pixel, exposure, count, rows)
+    if shape.jet and age < LONGEST_JET:
+        raise_jet(impact, pixel, exposure, count, rows)
+    return Lines.of(rows[: count[0]])
 
 
 def width(lines):
@@ -129,12 +140,32 @@ def test_drips_splash_beside_the_rain_and_are_known_by_their_ids():
     drip.position[:, :2] = 2.0, 2.0
     dry = RainField(RainSpectrum(0), seed=1)
     water = np.zeros(ground.shape, np.float32)
-    where = (dry, ground, view, drip.time[0] + 2e-3, 2e-3, water, WET_FILM)
     alpha = np.full((view.height, view.width), np.nan, np.float32)
     depth = np.full_like(alpha, np.inf)
-    draw_splashes(*where, depth, alpha, more=drip)
+    where = (dry, ground, view, drip.time[0] + 2e-3, 2e-3, water, WET_FILM, depth)
+    draw_splashes(*where, alpha, more=drip)
     assert alpha.max() > 0.1
-    draw_splashes(*where, depth, alpha)
+    draw_splashes(*where, alpha)
     assert alpha.max() == 0
-    assert list(seen_splashes(*where, more=drip).id) == list(drip.id)
-    assert len(seen_splashes(*where)) == 0
+    position, ids = seen_splashes(*where, more=drip)
+    assert list(ids) == list(drip.id)
+    np.testing.assert_array_equal(position, drip.position)
+    assert len(seen_splashes(*where)[1]) == 0
+
+
+def test_splashes_that_are_listed_are_those_that_are_drawn():
+    """More of them than a list has room for at first, each once, each where the picture has one."""
+    field, ground, view = RainField(RainSpectrum(80.0), seed=1), flat_surfaces(4, 4, 0.05), camera()
+    alpha = np.full((view.height, view.width), np.nan, np.float32)
+    depth = np.full_like(alpha, np.inf)
+    where = (field, ground, view, 1.0, 1 / 60, np.zeros(ground.shape, np.float32), WET_FILM, depth)
+    draw_splashes(*where, alpha)
+    position, ids = seen_splashes(*where)
+    assert len(ids) == len(np.unique(ids)) > 512
+    fell = np.isin(ids, impacts(field, ground, 1.0 - 0.12, 1.0 + 1 / 60).id)
+    assert fell.all()
+    x, y, z = view.camera_from_world[:3, :3] @ position.T + view.camera_from_world[:3, 3:]
+    column, row = (view.fx * x / z + view.cx).astype(int), (view.fy * y / z + view.cy).astype(int)
+    inside = (column > 0) & (row > 0) & (column < 159) & (row < 159)
+    near = np.max([alpha[(row + j)[inside], (column + i)[inside]] for j, i in NEIGHBOURS], axis=0)
+    assert inside.sum() > 200 and (near > 0).mean() > 0.9

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from test_simulation import config, ground, mm_per_hour, states
 
-from rainsim.drips import Drips, drift, drip_impacts, drips_seen, fall_time, fallen
 from rainsim.drops import OBSTACLE, RainField, RainSpectrum, Surfaces, drop_volume, impacts
+from rainsim.rain.dripping import Drips, drift, drip_impacts, drips_seen, fall_time, fallen
+from rainsim.rain.size_distribution import terminal_speed
 from rainsim.simulation import simulate
-from rainsim.spectrum import terminal_speed
 
 
 def table(height=0.7, thick=0.04, size=60, half=15):

@@ -15,9 +15,9 @@ from rainsim.drops import (
     impacts,
 )
 from rainsim.errors import ParameterError
-from rainsim.random import subkey, uniform, uniform_triple
-from rainsim.spectrum import SMALLEST, terminal_speed
-from rainsim.surfaces import BLOCK
+from rainsim.numerics.random import subkey, uniform, uniform_triple
+from rainsim.rain.heightfield import BLOCK
+from rainsim.rain.size_distribution import SMALLEST, terminal_speed
 
 GUNN_KINZER = {1.0: 4.03, 1.5: 5.40, 2.0: 6.49, 3.0: 8.06, 4.0: 8.83, 5.0: 9.09}  # mm: m/s
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from made_captures import ring, splats_at
-from rainsim.config import TerrainConfig
+from rainsim.config.settings import TerrainConfig
 from rainsim.errors import ParameterError
 from rainsim.scene.cameras import look_at
 from rainsim.scene.types import GroundFrame, Scene

@@ -1,7 +1,6 @@
 """Splat formats: what is written is read, whatever the file is called."""
 
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,8 +14,6 @@ from rainsim.scene.formats import read, read_splats
 from rainsim.scene.ply import write_splats
 from rainsim.scene.types import GroundFrame
 
-DATA = Path(__file__).parents[3] / "shared/data"
-needs_data = pytest.mark.skipif(not DATA.exists(), reason="the samples are not part of the project")
 UP = GroundFrame(np.eye(3), 1.0, np.zeros(3))
 
 
@@ -272,9 +269,9 @@ def test_import_takes_each_format(tmp_path, extra):
 # --- samples --------------------------------------------------------------------------------------
 
 
-@needs_data
-def test_the_same_object_in_two_formats(extra):
-    spz, packed = (read(DATA / f"formats/biker.{e}").splats for e in ("spz", "compressed.ply"))
+def test_the_same_object_in_two_formats(extra, shared):
+    data = shared("data/formats")
+    spz, packed = (read(data / f"biker.{e}").splats for e in ("spz", "compressed.ply"))
     assert len(spz) == len(packed) == 152_746
     np.testing.assert_allclose(spz.position, packed.position, atol=5e-4)
     assert np.median(np.abs(np.log(spz.scale / packed.scale))) < 0.03
@@ -284,8 +281,8 @@ def test_the_same_object_in_two_formats(extra):
     assert np.median(turn) > 0.99999 and np.quantile(turn, 0.01) > 0.999
 
 
-@needs_data
-def test_samples_hold_what_their_description_says(extra):
+def test_samples_hold_what_their_description_says(extra, shared):
+    data = shared("data")
     samples = {
         "truck.splat": (116_544, 1),
         "flowers_sog": (26_895, 9),
@@ -293,8 +290,8 @@ def test_samples_hold_what_their_description_says(extra):
         "formats/train_1000_sh3.ply": (1_000, 16),
     }
     for name, (count, coefficients) in samples.items():
-        splats, notes = read_splats(DATA / name)
+        splats, notes = read_splats(data / name)
         assert splats.sh.shape == (count, coefficients, 3) and notes == [], name
         made.check_arrays(splats)
-    flowers = read_splats(DATA / "flowers_sog")[0]
+    flowers = read_splats(data / "flowers_sog")[0]
     assert np.ptp(np.percentile(flowers.position[:, 0], (1, 99))) == pytest.approx(0.65, abs=0.1)

@@ -3,11 +3,13 @@
 import numpy as np
 import pytest
 
-from rainsim import image, layers, pipeline
-from rainsim.config import Config
+from rainsim import pipeline
+from rainsim.config.settings import Config
 from rainsim.errors import ParameterError
-from rainsim.layers import LAYERS, NEEDED, recompose
-from rainsim.render import Renderer
+from rainsim.io import images
+from rainsim.render import aov
+from rainsim.render.aov import AOVS, NEEDED, recompose
+from rainsim.render.renderer import Renderer
 from scenes import tiny_scene
 
 
@@ -23,39 +25,37 @@ def shot():
     states = pipeline.simulate(ground, config)
     state = next(s for s in states if s.index == 2)
     renderer = Renderer(scene, ground, config, camera)
-    picture, report = renderer.draw(camera, state, None, tuple(LAYERS))
+    picture, report = renderer.draw(camera, state, None, tuple(AOVS))
     return picture, report, renderer, camera, state
 
 
 def test_layers_make_the_frame_again(shot):
     picture, report, *_ = shot
-    again = recompose(report.layers, **report.light)
+    again = recompose(report.aovs, **report.light)
     assert np.abs(again.astype(int) - picture).max() <= 1
     # Each part is needed: without it the frame is another.
     for name in NEEDED:
-        other = {**report.layers, name: np.zeros_like(report.layers[name])}
-        if report.layers[name].any():
+        other = {**report.aovs, name: np.zeros_like(report.aovs[name])}
+        if report.aovs[name].any():
             changed = recompose(other, **report.light).astype(int)
             assert np.abs(changed - picture).max() > 1, name
 
 
 def test_every_layer_has_the_frames_size_and_its_kind(shot):
     picture, report, *_ = shot
-    assert set(report.layers) == set(LAYERS)
-    for name, values in report.layers.items():
+    assert set(report.aovs) == set(AOVS)
+    for name, values in report.aovs.items():
         assert values.shape[:2] == picture.shape[:2], name
-        kind = LAYERS[name].kind
-        if kind == layers.SHARE:
+        kind = AOVS[name].kind
+        if kind == aov.SHARE:
             assert values.min() >= 0 and values.max() <= 1
-        elif kind == layers.DATA:
-            assert values.dtype == np.float32 and values.ndim == 2 + (
-                len(layers.channels(name)) > 1
-            )
+        elif kind == aov.DATA:
+            assert values.dtype == np.float32 and values.ndim == 2 + (len(aov.channels(name)) > 1)
 
 
 def test_layers_say_what_is_there(shot):
     _, report, *_ = shot
-    found = report.layers
+    found = report.aovs
     water = found["coverage"] > 0
     assert 0.01 < water.mean() < 0.9
     assert (found["water_depth"][water] > 0).all() and not found["water_depth"][~water].any()
@@ -70,9 +70,9 @@ def test_layers_say_what_is_there(shot):
 
 def test_flow_is_that_of_falling_drops(shot):
     _, report, _, camera, _ = shot
-    flow = report.layers["drop_flow"]
+    flow = report.aovs["drop_flow"]
     seen = np.abs(flow).max(axis=-1) > 0
-    assert seen.any() and (report.layers["rain_alpha"][seen] > 0).all()
+    assert seen.any() and (report.aovs["rain_alpha"][seen] > 0).all()
     assert np.median(flow[seen][:, 1]) > 5  # down the picture
     # A drop of v m/s at depth z moves f v / (z fps) pixels: between the fastest near, slowest far.
     fastest = 10.0 * camera.fy / 0.3 / 24
@@ -81,24 +81,24 @@ def test_flow_is_that_of_falling_drops(shot):
 
 def test_nothing_is_computed_unless_asked(shot, monkeypatch):
     picture, _, renderer, camera, state = shot
-    monkeypatch.setattr(layers, "collect", lambda *a: pytest.fail("computed"))
+    monkeypatch.setattr(aov, "collect", lambda *a: pytest.fail("computed"))
     again, report = renderer.draw(camera, state)
-    assert report.layers == {} and "layers" not in report.milliseconds
+    assert report.aovs == {} and "layers" not in report.milliseconds
     assert (again == picture).mean() > 0.999
 
 
 def test_names_are_checked():
-    assert layers.parse_names("all") == tuple(LAYERS)
-    assert layers.parse_names("depth, wet,depth") == ("depth", "wet")
+    assert aov.parse_names("all") == tuple(AOVS)
+    assert aov.parse_names("depth, wet,depth") == ("depth", "wet")
     with pytest.raises(ParameterError, match=r"no layer 'depht'.*known are all, clean"):
-        layers.parse_names("depht")
+        aov.parse_names("depht")
 
 
 def test_every_layer_is_documented():
     from pathlib import Path
 
     text = (Path(__file__).parents[2] / "docs/layers.md").read_text(encoding="utf-8")
-    for name, layer in LAYERS.items():
+    for name, layer in AOVS.items():
         row = next(line for line in text.splitlines() if line.startswith(f"| `{name}` |"))
         assert f"| {layer.kind} |" in row and layer.unit in row, name
 
@@ -112,11 +112,11 @@ def test_float_pictures_come_back_exactly(tmp_path, rng, suffix):
         values[0, 0] = np.inf
         values = values[..., 0] if len(channels) == 1 else values
         path = tmp_path / f"a{len(channels)}.{suffix}"
-        image.write_data(path, values, channels)
-        np.testing.assert_array_equal(image.read_data(path, channels), values)
+        images.write_data(path, values, channels)
+        np.testing.assert_array_equal(images.read_data(path, channels), values)
 
 
 def test_indices_come_back_exactly(tmp_path):
     values = np.arange(0, 65536, 257, dtype=np.uint16).reshape(16, 16)
-    image.write_png16(tmp_path / "i.png", values)
-    np.testing.assert_array_equal(image.read_image(tmp_path / "i.png"), values)
+    images.write_png16(tmp_path / "i.png", values)
+    np.testing.assert_array_equal(images.read_image(tmp_path / "i.png"), values)

@@ -3,15 +3,22 @@
 import numpy as np
 import pytest
 
-from rainsim import chunks, grade, shade, sky
-from rainsim.light import bilinear
+from rainsim.constants import FAR_AWAY, SURFACE_ALPHA
+from rainsim.numerics import pixel_batches
+from rainsim.numerics.interpolation import bilinear
+from rainsim.scene.view import View, pixel_ray
+from rainsim.shading import sky, wet_pass, wetting
+from rainsim.shading.grading import Look
+from rainsim.shading.wetness import OffGroundWetness
+from rainsim.shading.wetting import GroundMaps, SkyMaps, SurfacePoint
 
 F4 = np.float32
-HEIGHT, WIDTH, CELLS = 3, grade.CHUNK + 37, 40
+HEIGHT, WIDTH, CELLS = 3, wet_pass.CHUNK + 37, 40
 ORIGIN, SPACING, UNIT = F4([-2, -2]), F4(0.1), F4(0.5)
 LENS = F4([200, 210, WIDTH / 2, HEIGHT / 2])
 EYE = F4([0, 0, 1])
 TURN = np.array([[1, 0, 0], [0, -0.3, 0.954], [0, -0.954, -0.3]], F4)  # looks down a little
+VIEW = View(TURN, EYE, *LENS)
 
 
 @pytest.fixture
@@ -32,85 +39,100 @@ def dry():
         "plane_depth": np.where(alpha < 0.02, np.inf, depth * 1.02).astype(F4),
         "normal": normal.astype(F4),
         "bed": rng.normal(0, 0.2, (CELLS, CELLS)).astype(F4),
-        "ground": rng.uniform(0, 1, (CELLS, CELLS, 5)).astype(F4),
+        "wetness": rng.uniform(0, 1, (CELLS, CELLS, 4)).astype(F4),
     }
 
 
-def pixel_by_pixel(dry, around, day, look, others, apart):
-    """Return what `grade_and_wet` writes."""
+@pytest.fixture
+def scene(dry):
+    """What the picture is graded with but its look: ground, wetness off it, skies."""
+    ground = GroundMaps(dry.pop("bed"), dry.pop("wetness"), ORIGIN, SPACING)
+    rain = OffGroundWetness(*F4([0.9, 0.2, -0.4, 0.8, 0.3]))
+    return ground, rain, SkyMaps(sky.overcast(0.6), sky.overcast())
+
+
+def pixel_by_pixel(dry, ground, rain, skies, look, apart):
+    """Return what `grade_and_wet` writes, by `wet_pixel`."""
     picture = np.zeros((HEIGHT, WIDTH, 3))
-    depth, clearance, film = (np.zeros((HEIGHT, WIDTH)) for _ in range(3))
+    depth, clearance, cover = (np.zeros((HEIGHT, WIDTH)) for _ in range(3))
     for row, column in np.ndindex(HEIGHT, WIDTH):
         at = row, column
-        a, b = (column + 0.5 - LENS[2]) / LENS[0], (row + 0.5 - LENS[3]) / LENS[1]
-        ray, normal, over = TURN @ F4([a, b, 1]), TURN @ dry["normal"][at], dry["alpha"][at]
-        length, up = F4(np.linalg.norm(ray)), normal[2]
-        e = dry["plane_depth"][at] * UNIT
-        d = e if up > shade.FLAT else dry["depth"][at] * UNIT
+        ray, normal = F4(pixel_ray(VIEW, row, column)), TURN @ dry.normal[at]
+        length, alpha = F4(np.linalg.norm(ray)), dry.alpha[at]
         with np.errstate(invalid="ignore"):  # infinite depths
-            e = e if abs(e - d) < shade.WALL_SHARE * d else d
-            spot = EYE + e * ray
-        solid = over >= shade.LEAST_ALPHA
-        clear, height, lawn, damp, cover, pores = shade.wet_state(
-            dry["bed"], dry["ground"], ORIGIN, SPACING, others, solid, *spot, *normal, e * length
-        )
-        edge = shade.is_edge(over, look[5])
-        color = shade.undiluted(*dry["color"][at], over if edge else F4(1))
-        *light, gloss, through = shade.rainy(
-            *color, over, d * length, ray[2] / length, -(normal @ ray) / length, up, height, lawn,
-            damp, cover, pores, *look,
-        )  # fmt: skip
-        floor = solid and up > shade.FLAT and height < shade.ON_GROUND
-        if apart and floor:
-            film[at] = shade.film_cover(
-                dry["ground"], ORIGIN, SPACING, *spot[:2], clear, up, lawn, cover
+            d, e = wet_pass.depth_of_surface(
+                dry.depth[at] * UNIT, dry.plane_depth[at] * UNIT, normal[2]
             )
-        elif gloss > 0:
-            light += gloss * F4(shade.glossed(around, *ray / length))
-        if through > shade.LEAST_SKY:
-            light += through * F4(sky.sample_environment(day, *ray / length))
-        picture[at], depth[at], clearance[at] = light, d if solid else np.inf, clear
-    return picture, depth, clearance, film
+            point = SurfacePoint(*(EYE + e * ray), *normal, e * length)
+        *picture[at], clearance[at], cover[at] = wetting.wet_pixel(
+            dry.color[at], alpha, ray / length, d * length, point, ground, rain, skies, look, apart
+        )
+        depth[at] = d if alpha >= SURFACE_ALPHA else np.inf
+    return picture, depth, clearance, cover
 
 
 @pytest.mark.parametrize(("open_sky", "apart"), [(0, False), (1, True)])
-def test_chunks_give_what_single_pixels_give(dry, poisoned, open_sky, apart):
-    around, day = sky.overcast(0.6), sky.overcast()
-    look = F4([0.8, 0.15, 0.9, 0.8, 30, open_sky])
-    others = F4([0.9, 0.2, -0.4, 0.8, 0.3])
+def test_chunks_give_what_single_pixels_give(dry, scene, poisoned, open_sky, apart):
+    look = Look(*F4([0.8, 0.15, 0.9, 0.8, 30, open_sky]))
+    dry = wet_pass.DryPicture(**dry, meters_per_unit=UNIT)
     shape = HEIGHT, WIDTH
     found = [poisoned(s) for s in ((*shape, 3), shape, shape, shape if apart else (0, 0))]
-    grade.grade_and_wet(
-        dry["color"], dry["alpha"], dry["depth"], dry["plane_depth"], dry["normal"], UNIT, TURN,
-        EYE, LENS, dry["bed"], dry["ground"], ORIGIN, SPACING, around, day, look, others, *found,
-    )  # fmt: skip
-    wanted = pixel_by_pixel(dry, around, day, look, others, apart)
+    wet_pass.grade_and_wet(dry, VIEW, *scene, look, *found)
+    wanted = pixel_by_pixel(dry, *scene, look, apart)
     for one, other in list(zip(found, wanted, strict=True))[: 4 if apart else 3]:
         np.testing.assert_allclose(one, other, rtol=2e-5, atol=2e-5)
-    on_map = wanted[2] < shade.FAR_AWAY
+    on_map = wanted[2] < FAR_AWAY
     assert 0.1 < on_map.mean() < 0.9 and np.isinf(wanted[1]).any()
     assert not apart or 0.05 < (wanted[3] > 0).mean() < 0.8
+
+
+def test_rays_are_graded_as_pixels_are(dry, scene, poisoned):
+    """A picture's pixels as rays that start at its eye, where walls have no plane of their own."""
+    look = Look(*F4([0.8, 0.15, 0.9, 0.8, 30, 1]))
+    dry["plane_depth"] = dry["depth"]
+    picture = wet_pass.DryPicture(**dry, meters_per_unit=UNIT)
+    shape, none = (HEIGHT, WIDTH), np.empty((0, 0), F4)
+    found = poisoned((*shape, 3))
+    wet_pass.grade_and_wet(
+        picture, VIEW, *scene, look, found, poisoned(shape), poisoned(shape), none
+    )
+    v, u = np.indices(shape)
+    direction = np.stack(pixel_ray(VIEW, v.ravel(), u.ravel()), -1).astype(F4)
+    length = np.linalg.norm(direction, axis=-1)
+    distance = picture.depth.ravel() * UNIT * length
+    rays = wet_pass.DryRays(
+        picture.color.reshape(-1, 3), picture.alpha.ravel(), distance, distance,
+        (picture.normal.reshape(-1, 3) @ TURN.T).astype(F4), np.tile(EYE, (len(direction), 1)),
+        direction / length[:, None],
+    )  # fmt: skip
+    light = poisoned((len(direction), 3))
+    wet_pass.grade_rays(rays, *scene, look, light)
+    np.testing.assert_allclose(light, found.reshape(-1, 3), rtol=1e-4, atol=2e-5)
 
 
 def test_a_chunk_is_interpolated_as_single_places_are(poisoned):
     rng = np.random.default_rng(3)
     field = rng.normal(size=(7, 11)).astype(F4)
-    n = chunks.CHUNK - 9
-    s = poisoned((2 * chunks.CHUNK,))
+    n = pixel_batches.CHUNK - 9
+    s = poisoned((2 * pixel_batches.CHUNK,))
     u, v = rng.uniform(-2, 12, n).astype(F4), rng.uniform(-2, 8, n).astype(F4)
-    s[:n], s[chunks.CHUNK :][:n] = u, v
-    place, corner = np.empty(chunks.CHUNK, np.uint32), poisoned((chunks.CORNERS,))
-    chunks.interpolate(field, n, s, 0, chunks.CHUNK, place, corner)
+    s[:n], s[pixel_batches.CHUNK :][:n] = u, v
+    place, corner = np.empty(pixel_batches.CHUNK, np.uint32), poisoned((pixel_batches.CORNERS,))
+    pixel_batches.interpolate(field, n, s, 0, pixel_batches.CHUNK, place, corner)
     wanted = [bilinear(field, *at) for at in zip(u, v, strict=True)]
     np.testing.assert_allclose(s[:n], wanted, rtol=1e-5, atol=1e-6)
-    assert np.isnan(s[n : chunks.CHUNK]).all()
+    assert np.isnan(s[n : pixel_batches.CHUNK]).all()
 
 
 def test_nowhere_is_some_place_in_memory(poisoned):
-    n, field = chunks.CHUNK, np.ones((7, 11), F4)
-    s, place, corner = poisoned((3 * n,)), np.empty(n, np.uint32), poisoned((chunks.CORNERS,))
+    n, field = pixel_batches.CHUNK, np.ones((7, 11), F4)
+    s, place, corner = (
+        poisoned((3 * n,)),
+        np.empty(n, np.uint32),
+        poisoned((pixel_batches.CORNERS,)),
+    )
     s[n // 2 : n], s[n + n // 3 : 2 * n] = np.inf, -np.inf
-    chunks.nearest(field, n, s, 0, n, 2 * n, place)
+    pixel_batches.nearest(field, n, s, 0, n, 2 * n, place)
     assert (s[2 * n :] == 1).all() and place.max() < field.size
-    chunks.interpolate(field, n, s, 0, n, place, corner)
+    pixel_batches.interpolate(field, n, s, 0, n, place, corner)
     assert place.max() < field.size - 11

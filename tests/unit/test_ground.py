@@ -6,7 +6,6 @@ import re
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -24,8 +23,6 @@ from rainsim.scene.ground import (
 )
 from rainsim.scene.ply import read_splats
 from rainsim.scene.types import GroundFrame
-
-UNPACK = Path(__file__).parents[3] / "shared/data/unpack.py"
 
 
 def random_frame(seed=1):
@@ -321,11 +318,10 @@ def test_bad_ground_frame_files(tmp_path, text, expected):
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not UNPACK.exists(), reason="the garden is not part of the project")
-def test_the_real_garden(tmp_path):
+def test_the_real_garden(tmp_path, shared):
     environment = {**os.environ, "PYTHONDONTWRITEBYTECODE": "1"}
-    subprocess.run([sys.executable, UNPACK, tmp_path], check=True, env=environment,
-                   stdout=subprocess.DEVNULL)  # fmt: skip
+    run = [sys.executable, shared("data/unpack.py"), tmp_path]
+    subprocess.run(run, check=True, env=environment, stdout=subprocess.DEVNULL)
     cameras = read_cameras(tmp_path / "garden/cameras.json")
     start = time.perf_counter()
     splats, _ = read_splats(tmp_path / "garden/point_cloud/iteration_30000/point_cloud.ply")

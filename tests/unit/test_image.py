@@ -4,32 +4,32 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from rainsim import image
 from rainsim.errors import InputError, ParameterError, RainsimError
+from rainsim.io import images
 
 
 def test_png_comes_back_exactly(tmp_path, rng):
     picture = rng.integers(0, 256, (13, 17, 3), dtype=np.uint8)
-    image.write_png(tmp_path / "a.png", picture)
-    assert np.array_equal(image.read_image(tmp_path / "a.png"), picture)
+    images.write_png(tmp_path / "a.png", picture)
+    assert np.array_equal(images.read_image(tmp_path / "a.png"), picture)
     assert [p.name for p in tmp_path.iterdir()] == ["a.png"]  # no temporary file stays
 
 
 def test_png_refuses_other_types(tmp_path):
     with pytest.raises(ParameterError, match="must be uint8"):
-        image.write_png(tmp_path / "a.png", np.zeros((4, 4, 3)))
+        images.write_png(tmp_path / "a.png", np.zeros((4, 4, 3)))
     assert not list(tmp_path.iterdir())
 
 
 def test_tiff_keeps_float32_exactly(tmp_path, rng):
     values = rng.standard_normal((9, 5)).astype(np.float32)
-    image.write_tiff(tmp_path / "h.tif", values)
-    back = image.read_image(tmp_path / "h.tif")
+    images.write_tiff(tmp_path / "h.tif", values)
+    back = images.read_image(tmp_path / "h.tif")
     assert back.dtype == np.float32 and np.array_equal(back, values)
 
 
 def test_npz_comes_back(tmp_path):
-    image.write_npz(tmp_path / "a.npz", a=np.arange(3), b=np.float32(2))
+    images.write_npz(tmp_path / "a.npz", a=np.arange(3), b=np.float32(2))
     with np.load(tmp_path / "a.npz") as data:
         assert np.array_equal(data["a"], [0, 1, 2]) and data["b"] == 2
 
@@ -40,9 +40,9 @@ def test_a_failed_write_keeps_what_was_there(tmp_path, monkeypatch):
     def fail(*args, **kwargs):
         raise OSError("disk full")
 
-    monkeypatch.setattr(image.iio, "imwrite", fail)
+    monkeypatch.setattr(images.iio, "imwrite", fail)
     with pytest.raises(OSError, match="disk full"):
-        image.write_png(tmp_path / "a.png", np.zeros((4, 4, 3), np.uint8))
+        images.write_png(tmp_path / "a.png", np.zeros((4, 4, 3), np.uint8))
     assert (tmp_path / "a.png").read_bytes() == b"before"
     assert [p.name for p in tmp_path.iterdir()] == ["a.png"]
 
@@ -50,17 +50,17 @@ def test_a_failed_write_keeps_what_was_there(tmp_path, monkeypatch):
 def test_damaged_pictures_are_one_clear_error(tmp_path):
     (tmp_path / "a.png").write_bytes(b"\x89PNG\r\n\x1a\nrubbish")
     with pytest.raises(InputError, match=r"a\.png cannot be read as a picture"):
-        image.read_image(tmp_path / "a.png")
+        images.read_image(tmp_path / "a.png")
     with pytest.raises(InputError, match=r"none\.png"):
-        image.read_image(tmp_path / "none.png")
+        images.read_image(tmp_path / "none.png")
 
 
 def test_preview_shrinks_thins_and_keeps_the_time(tmp_path):
-    preview = image.Preview(image.PREVIEW_FRAMES * 2, fps=25.0)
+    preview = images.Preview(images.PREVIEW_FRAMES * 2, fps=25.0)
     for n in range(8):
         preview.add(np.full((90, 1000, 3), 30 * n, np.uint8))
     preview.write(tmp_path / "p.webp")
-    frames = image.iio.imread(tmp_path / "p.webp", plugin="pillow", index=...)
+    frames = images.iio.imread(tmp_path / "p.webp", plugin="pillow", index=...)
     assert frames.shape == (4, 30, 333, 3)  # every second frame, a third of each side
     assert frames.mean(axis=(1, 2, 3)) == pytest.approx([0, 60, 120, 180], abs=3)
     with Image.open(tmp_path / "p.webp") as animation:
@@ -70,21 +70,21 @@ def test_preview_shrinks_thins_and_keeps_the_time(tmp_path):
 
 
 def test_preview_of_nothing_writes_nothing(tmp_path):
-    image.Preview(3, 24.0).write(tmp_path / "p.webp")
+    images.Preview(3, 24.0).write(tmp_path / "p.webp")
     assert not list(tmp_path.iterdir())
 
 
 def test_a_missing_encoder_is_told_with_its_remedy(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "imageio_ffmpeg", None)
     with pytest.raises(RainsimError, match=r'pip install "rainsim\[video\]"'):
-        image.require_video()
+        images.require_video()
 
 
 # The library leaves its pipes to the garbage collector.
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 def test_video_of_odd_size_is_written_whole(tmp_path):
     ffmpeg = pytest.importorskip("imageio_ffmpeg")
-    with image.VideoWriter(tmp_path / "v.mp4", 24.0) as video:
+    with images.VideoWriter(tmp_path / "v.mp4", 24.0) as video:
         for n in range(4):
             video.add(np.full((33, 47, 3), 60 * n, np.uint8))
     frames = ffmpeg.read_frames(str(tmp_path / "v.mp4"))
@@ -99,7 +99,7 @@ def test_video_of_odd_size_is_written_whole(tmp_path):
 def test_video_without_frames_leaves_what_was_there(tmp_path):
     pytest.importorskip("imageio_ffmpeg")
     (tmp_path / "v.mp4").write_bytes(b"before")
-    with image.VideoWriter(tmp_path / "v.mp4", 24.0):
+    with images.VideoWriter(tmp_path / "v.mp4", 24.0):
         pass
     assert (tmp_path / "v.mp4").read_bytes() == b"before"
 
@@ -167,7 +167,7 @@ def _old_runs(rgbe):
 def test_hdr_in_every_coding(tmp_path, rng, code):
     rgbe = _pixels(rng)
     (tmp_path / "s.hdr").write_bytes(_header() + code(rgbe))
-    back = image.read_hdr(tmp_path / "s.hdr")
+    back = images.read_hdr(tmp_path / "s.hdr")
     assert back.dtype == np.float32 and back.shape == (HEIGHT, WIDTH, 3)
     assert np.array_equal(back, _value(rgbe))
 
@@ -175,7 +175,7 @@ def test_hdr_in_every_coding(tmp_path, rng, code):
 def test_hdr_divides_out_the_exposure(tmp_path, rng):
     rgbe = _pixels(rng)
     (tmp_path / "s.hdr").write_bytes(_header(more="EXPOSURE=2\nEXPOSURE= 4\n") + rgbe.tobytes())
-    assert image.read_hdr(tmp_path / "s.hdr") == pytest.approx(_value(rgbe) / 8)
+    assert images.read_hdr(tmp_path / "s.hdr") == pytest.approx(_value(rgbe) / 8)
 
 
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 0.9, 0.999])
@@ -184,7 +184,7 @@ def test_a_cut_off_hdr_is_one_clear_error(tmp_path, rng, code, share):
     data = _header() + code(_pixels(rng))
     (tmp_path / "s.hdr").write_bytes(data[: int(len(data) * share)])
     with pytest.raises(InputError, match=r"s\.hdr"):
-        image.read_hdr(tmp_path / "s.hdr")
+        images.read_hdr(tmp_path / "s.hdr")
 
 
 @pytest.mark.parametrize(
@@ -202,4 +202,4 @@ def test_a_cut_off_hdr_is_one_clear_error(tmp_path, rng, code, share):
 def test_a_wrong_hdr_is_named_with_its_rule(tmp_path, data, message):
     (tmp_path / "s.hdr").write_bytes(data)
     with pytest.raises(InputError, match=message):
-        image.read_hdr(tmp_path / "s.hdr")
+        images.read_hdr(tmp_path / "s.hdr")

@@ -5,16 +5,39 @@ import itertools
 import numpy as np
 import pytest
 
-from rainsim import droplight, light, shade, sky, streaks, walls
+from rainsim.numerics.approximations import (
+    angle,
+    exp_minus,
+)
+from rainsim.particles import drop_radiance, fog
+from rainsim.scene.view import View
+from rainsim.shading import environment as maps
+from rainsim.shading import sky, walls, wetting
+from rainsim.shading.color import (
+    display_from_linear,
+    linear_from_display,
+)
+from rainsim.shading.composite import RainCover, RainLight, compose, tone_curve
+from rainsim.shading.fresnel import (
+    fresnel,
+    schlick,
+)
+from rainsim.shading.grading import Look, graded
+from rainsim.shading.wetness import OffGroundWetness, Wetness
+from rainsim.shading.wetting import SurfacePoint
+
+AS_CAPTURED = Look(1.0, 0.0, 0.0, 0.0, 30.0, 0.0)
+DULL = AS_CAPTURED._replace(exposure=0.7, desaturation=0.2, compression=1.2)
+SLANTING = OffGroundWetness(1.0, 0.5, 0.0, 1.0, 0.1)  # rain to +x; one film of supply
 
 
 def test_fresnel_is_the_exact_dielectric():
     # Born and Wolf: at normal incidence ((n - 1) / (n + 1))^2; the rest from physics tables.
-    assert light.fresnel(1.0) == pytest.approx((0.333 / 2.333) ** 2, abs=1e-6)
+    assert fresnel(1.0) == pytest.approx((0.333 / 2.333) ** 2, abs=1e-6)
     for degrees, expected in ((60, 0.060), (75, 0.212), (80, 0.348), (85, 0.584)):
-        assert light.fresnel(np.cos(np.radians(degrees))) == pytest.approx(expected, abs=1.5e-3)
-    assert light.fresnel(0.0) == pytest.approx(1.0)
-    values = [light.fresnel(c) for c in np.linspace(0, 1, 50)]
+        assert fresnel(np.cos(np.radians(degrees))) == pytest.approx(expected, abs=1.5e-3)
+    assert fresnel(0.0) == pytest.approx(1.0)
+    values = [fresnel(c) for c in np.linspace(0, 1, 50)]
     assert all(a > b for a, b in itertools.pairwise(values))
 
 
@@ -26,51 +49,66 @@ def test_fresnel_and_schlick_against_float64():
     exact = 0.5 * (
         ((cosine - n * t) / (cosine + n * t)) ** 2 + ((n * cosine - t) / (n * cosine + t)) ** 2
     )
-    ours = np.array([light.fresnel(np.float32(c)) for c in cosine])
+    ours = np.array([fresnel(np.float32(c)) for c in cosine])
     assert np.abs(ours - exact).max() < 1e-5
-    schlick = np.array([light.schlick(np.float32(c)) for c in cosine])
+    rough = np.array([schlick(np.float32(c)) for c in cosine])
     for degrees, off in ((45, -0.19), (60, -0.15), (80, 0.14)):
         at = np.argmin(np.abs(cosine - np.cos(np.radians(degrees))))
-        assert schlick[at] / exact[at] - 1 == pytest.approx(off, abs=0.02)
+        assert rough[at] / exact[at] - 1 == pytest.approx(off, abs=0.02)
 
 
 def test_polynomials_are_the_functions_they_stand_for():
     c = np.linspace(0, 4, 4001).astype(np.float32)
     exact = np.where(c <= 0.04045, c / 12.92, ((c.astype(float) + 0.055) / 1.055) ** 2.4)
-    got = np.array([light.linear_from_display(v) for v in c])
+    got = np.array([linear_from_display(v) for v in c])
     np.testing.assert_allclose(got, exact, rtol=5e-6, atol=1e-7)
     c = np.linspace(0, 1, 4001).astype(np.float32)
     exact = np.where(c <= 0.0031308, c * 12.92, 1.055 * c.astype(float) ** (1 / 2.4) - 0.055)
-    got = np.array([light.display_from_linear(v) for v in c])
+    got = np.array([display_from_linear(v) for v in c])
     np.testing.assert_allclose(got, exact, atol=2e-6)
     x = np.linspace(0, 25, 501).astype(np.float32)
-    got = np.array([light.exp_minus(v) for v in x])
+    got = np.array([exp_minus(v) for v in x])
     np.testing.assert_allclose(got, np.exp(-x.astype(float)), rtol=1e-5, atol=3e-9)
     turn = np.linspace(-np.pi + 1e-3, np.pi, 721)
-    got = [light.angle(np.float32(np.sin(a)), np.float32(np.cos(a))) for a in turn]
+    got = [angle(np.float32(np.sin(a)), np.float32(np.cos(a))) for a in turn]
     np.testing.assert_allclose(got, turn, atol=1e-5)
 
 
 def test_display_curve_is_its_own_inverse_and_spans_the_range():
     for value in np.linspace(0, 1, 33):
         c = np.float32(value)
-        assert light.display_from_linear(light.linear_from_display(c)) == pytest.approx(c, abs=1e-5)
-    assert light.linear_from_display(np.float32(0.5)) == pytest.approx(0.2140, abs=1e-4)
+        assert display_from_linear(linear_from_display(c)) == pytest.approx(c, abs=1e-5)
+    assert linear_from_display(np.float32(0.5)) == pytest.approx(0.2140, abs=1e-4)
+
+
+def test_the_tone_curve_is_linear_up_to_half_of_white_and_never_cut_off():
+    low = np.linspace(0, 0.5, 9, dtype=np.float32)
+    np.testing.assert_allclose(
+        [tone_curve(v) for v in low], [display_from_linear(v) for v in low], atol=2e-5
+    )
+    high = [tone_curve(np.float32(v)) for v in (0.5, 1.0, 2.0, 4.0, 20.0)]
+    assert all(a < b for a, b in itertools.pairwise(high)) and high[-1] <= 1
+    wanted = display_from_linear(np.float32(0.5 + 0.5 * (1 - np.exp(-2 * 0.5))))
+    assert high[1] == pytest.approx(wanted, abs=1e-5)
+    assert tone_curve(np.float32(-0.1)) == pytest.approx(0, abs=2e-5)
 
 
 def test_wet_ratio_is_the_published_curve():
     for albedo, ratio in ((0.05, 0.50), (0.1, 0.515), (0.2, 0.54), (0.3, 0.57), (0.5, 0.64)):
-        assert shade.wet_ratio(np.float32(albedo)) == pytest.approx(ratio, abs=0.01)
+        assert wetting.wet_ratio(np.float32(albedo)) == pytest.approx(ratio, abs=0.01)
 
 
 def test_wetting_darkens_and_dry_stays():
-    wet = shade.wetted(0.3, 0.3, 0.3, 1.0, 1.0, 0.0, 0.0)
-    dry = shade.wetted(0.3, 0.3, 0.3, 1.0, 0.0, 0.0, 0.0)
+    def wetted(r, g, b, damp=1.0, porosity=0.0, share=1.0):
+        return wetting.wetted(r, g, b, share, Wetness(0.0, damp, 1.0, porosity), AS_CAPTURED)
+
+    wet, dry = wetted(0.3, 0.3, 0.3), wetted(0.3, 0.3, 0.3, damp=0.0)
     np.testing.assert_allclose(dry, 0.3, rtol=1e-6)
     assert 0.5 < wet[0] / 0.3 < 0.65
-    soaked = shade.wetted(0.3, 0.3, 0.3, 1.0, 1.0, 0.45, 0.0)
+    assert wetted(0.3, 0.3, 0.3, share=0.5) == wetted(0.3, 0.3, 0.3, damp=0.5)
+    soaked = wetted(0.3, 0.3, 0.3, porosity=0.45)
     assert 0.4 < soaked[0] / wet[0] < 0.95  # filled pores darken more than a film
-    leaf = shade.wetted(0.1, 0.3, 0.05, 1.0, 1.0, 0.0, 0.0)
+    leaf = wetted(0.1, 0.3, 0.05)
     assert sum(leaf) / 0.45 > wet[0] / 0.3  # leaves shed water
 
 
@@ -80,19 +118,16 @@ def test_filled_pores_follow_the_similarity_of_deep_layers():
         curve = (1 - s) * (1 - 0.139 * s) / (1 + 1.17 * s)
         dry = np.interp(-albedo, -curve, s)
         wanted = np.interp(min(dry * 1.55, 1.0), s, curve) / albedo
-        assert shade.filled_ratio(np.float32(albedo)) == pytest.approx(wanted, abs=2e-3)
-    assert shade.filled_ratio(np.float32(0.3)) < shade.wet_ratio(np.float32(0.3))
+        assert wetting.filled_ratio(np.float32(albedo)) == pytest.approx(wanted, abs=2e-3)
+    assert wetting.filled_ratio(np.float32(0.3)) < wetting.wet_ratio(np.float32(0.3))
 
 
 def test_walls_catch_what_slants_towards_them():
-    rain = np.array([1.0, 0.5, 0.0, 1.0, 0.1], np.float32)  # one film, slanting to +x
-
     def damp(nx, ny, nz, supply=1.0, height=1.5):
-        rain[0] = supply
-        spots = np.random.default_rng(1).uniform(0, 40, (400, 3))
-        return np.mean(
-            [walls.damp_off_ground(rain, nx, ny, nz, *spot, height, 2.0) for spot in spots]
-        )
+        rain = SLANTING._replace(supply=supply)
+        points = np.random.default_rng(1).uniform(0, 40, (400, 3))
+        points = [SurfacePoint(*point, nx, ny, nz, 2.0) for point in points]
+        return np.mean([walls.damp_off_ground(rain, point, height) for point in points])
 
     assert damp(0.0, 0.0, 1.0, 2.5) == 1.0
     side, lee = damp(0.0, 1.0, 0.0, 8.0), damp(1.0, 0.0, 0.0, 8.0)
@@ -107,14 +142,14 @@ def test_walls_catch_what_slants_towards_them():
 
 
 def test_a_wall_is_wet_evenly_but_for_soft_paths_longer_than_wide():
-    rain = np.array([1.0, 0.5, 0.0, 1.0, 0.1], np.float32)
     at = np.arange(0, 1.6, 0.02)
 
+    def damp(x, y, z, nx, ny, nz, supply=1.0):
+        point = SurfacePoint(x, y, z, nx, ny, nz, 2.0)
+        return walls.damp_off_ground(SLANTING._replace(supply=supply), point, 9.0)
+
     def wall(nx, ny, nz, supply=1.0):
-        rain[0] = supply
-        return np.array(
-            [[walls.damp_off_ground(rain, nx, ny, nz, y, y, z, 9.0, 2.0) for y in at] for z in at]
-        )
+        return np.array([[damp(y, y, z, nx, ny, nz, supply) for y in at] for z in at])
 
     half = wall(-1.0, 0.0, 0.0, 1.5)
     assert 0.4 < half.mean() < 0.8 and 0.02 < half.std() < 0.12
@@ -127,38 +162,32 @@ def test_a_wall_is_wet_evenly_but_for_soft_paths_longer_than_wide():
     for tilt in (0.0, 0.3, 0.55):
         level = np.sqrt(1 - tilt**2)
         around = [
-            walls.damp_off_ground(rain, level * c, level * s, tilt, 0.3, 0.7, 1, 9.0, 2.0)
+            damp(0.3, 0.7, 1, level * c, level * s, tilt)
             for c, s in zip(np.cos(turn), np.sin(turn), strict=True)
         ]
         assert np.abs(np.diff(around)).max() < 0.08
-    rain[0] = 1.0
-    steep = [
-        walls.damp_off_ground(rain, -np.sqrt(1 - z * z), 0.0, z, 0.3, 0.7, 1.0, 9.0, 2.0)
-        for z in np.arange(-0.95, 0.95, 0.01)
-    ]
+    steep = [damp(0.3, 0.7, 1.0, -np.sqrt(1 - z * z), 0.0, z) for z in np.arange(-0.95, 0.95, 0.01)]
     assert np.abs(np.diff(steep)).max() < 0.03
 
 
 def test_grading_is_the_identity_when_asked_for():
-    np.testing.assert_allclose(
-        shade.graded(0.2, 0.5, 0.9, 1.0, 0.0, 0.0), (0.2, 0.5, 0.9), rtol=1e-6
-    )
-    r, _g, b = shade.graded(0.2, 0.5, 0.9, 0.7, 0.2, 1.2)
+    np.testing.assert_allclose(graded(0.2, 0.5, 0.9, AS_CAPTURED), (0.2, 0.5, 0.9), rtol=1e-6)
+    r, _g, b = graded(0.2, 0.5, 0.9, DULL)
     assert b < 0.7 * 0.9 and (b - r) / b < 0.7 / 0.9
 
 
 def test_lamps_are_not_greyed_by_the_day():
     """What exceeds white by far shines by itself; grading goes on smoothly up to there."""
-    lamp = np.array(shade.graded(20.0, 12.0, 4.0, 0.7, 0.2, 1.2))
+    lamp = np.array(graded(20.0, 12.0, 4.0, DULL))
     assert (lamp > 0.85 * np.array([20, 12, 4])).all() and lamp[0] < 20
-    below, above = (shade.graded(*(1.5 * k,) * 3, 0.7, 0.2, 1.2)[0] for k in (0.999, 1.001))
+    below, above = (graded(*(1.5 * k,) * 3, DULL)[0] for k in (0.999, 1.001))
     assert abs(above - below) < 5e-3 and below < 0.7
 
 
 def test_overcast_sky_has_moon_and_spencers_irradiance():
     environment = sky.overcast()
     zenith = sky.ZENITH_RADIANCE * sky.OVERCAST_TINT
-    np.testing.assert_allclose(sky.irradiance(environment), 7 / 9 * zenith, rtol=0.01)
+    np.testing.assert_allclose(maps.irradiance(environment), 7 / 9 * zenith, rtol=0.01)
     np.testing.assert_allclose(environment[0].mean(0), zenith, rtol=0.01)
     assert environment[70, 0, 1] < environment[40, 0, 1]
 
@@ -166,8 +195,8 @@ def test_overcast_sky_has_moon_and_spencers_irradiance():
 def test_clouds_keep_the_irradiance_and_the_haze():
     plain = sky.overcast()
     made = sky.clouded(plain)
-    assert sky.irradiance(made)[1] == pytest.approx(sky.irradiance(plain)[1], rel=1e-5)
-    elevation = sky.directions(*made.shape[:2])[..., 2]
+    assert maps.irradiance(made)[1] == pytest.approx(maps.irradiance(plain)[1], rel=1e-5)
+    elevation = maps.directions(*made.shape[:2])[..., 2]
     high, low = (elevation > 0.4) & (elevation < 0.45), (elevation > 0.0) & (elevation < 0.02)
     assert 0.08 < made[high, 1].std() / made[high, 1].mean() < 0.4
     assert made[low, 1].std() / made[low, 1].mean() < 0.25
@@ -177,7 +206,7 @@ def test_clouds_keep_the_irradiance_and_the_haze():
 
 
 def test_a_captured_sky_is_kept_where_it_was_seen_and_filled_elsewhere():
-    direction = sky.directions()
+    direction = maps.directions()
     captured = np.where(direction[..., :1] > 0, (0.2, 0.4, 0.8), (0.0, 0.0, 0.0)).astype(np.float32)
     known = (direction[..., 0] > 0) & (direction[..., 2] > 0)
     made, share = sky.completed(captured, known)
@@ -195,15 +224,15 @@ def test_the_sun_is_found_in_a_sky_that_has_one():
     assert sky.brightest(environment) is None
     azimuth, elevation = np.radians(130), np.radians(35)
     there = [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth)]
-    near = sky.directions() @ np.array([*there, np.sin(elevation)]) > np.cos(np.radians(3))
+    near = maps.directions() @ np.array([*there, np.sin(elevation)]) > np.cos(np.radians(3))
     environment[near] = 400.0
     found = sky.brightest(environment)
     np.testing.assert_allclose(np.degrees(found), (130, 35), atol=1.0)
 
 
 def test_environment_lookup_finds_what_was_put_there():
-    rows, columns = sky.ROWS, sky.COLUMNS
-    direction = sky.directions()
+    rows, columns = maps.ROWS, maps.COLUMNS
+    direction = maps.directions()
     picture = np.zeros((rows, columns, 3), np.float32)
     picture[..., 0] = direction[..., 0]
     picture[..., 1] = direction[..., 1]
@@ -212,11 +241,11 @@ def test_environment_lookup_finds_what_was_put_there():
     for _ in range(50):
         d = rng.normal(size=3)
         d = (d / np.linalg.norm(d)).astype(np.float32)
-        got = sky.sample_environment(picture, *d)
+        got = maps.sample_environment(picture, *d)
         np.testing.assert_allclose(got, d, atol=0.02)
     # The seam behind (azimuth +-180 degrees) is no edge.
-    a = sky.sample_environment(picture, np.float32(-1), np.float32(1e-4), np.float32(0))[0]
-    b = sky.sample_environment(picture, np.float32(-1), np.float32(-1e-4), np.float32(0))[0]
+    a = maps.sample_environment(picture, np.float32(-1), np.float32(1e-4), np.float32(0))[0]
+    b = maps.sample_environment(picture, np.float32(-1), np.float32(-1e-4), np.float32(0))[0]
     assert a == pytest.approx(b, abs=1e-3)
 
 
@@ -225,22 +254,22 @@ def test_panorama_is_scaled_to_the_skys_irradiance():
     for shape in ((256, 512, 3), (300, 700, 3), (32, 64, 3)):
         panorama = rng.uniform(3, 40, shape).astype(np.float32)
         environment = sky.from_panorama(panorama)
-        rows = max(shape[0], sky.ROWS)
+        rows = max(shape[0], maps.ROWS)
         assert environment.shape == (rows, 2 * rows, 3)
-        wanted = sky.irradiance(sky.overcast())[1]
-        assert sky.irradiance(environment)[1] == pytest.approx(wanted, rel=1e-3)
+        wanted = maps.irradiance(sky.overcast())[1]
+        assert maps.irradiance(environment)[1] == pytest.approx(wanted, rel=1e-3)
 
 
 def test_drop_is_a_lens_that_shows_what_lies_far_around_behind_it():
     """Rays through a sphere of water, bent by Snell's law at each face in three dimensions."""
-    direction = sky.directions()
+    direction = maps.directions()
     around = (1 + 0.5 * direction[..., :1] + 2 * direction[..., 2:] ** 2) * np.array([1, 0.6, 0.3])
     around = around.astype(np.float32)
-    mean = droplight.mean_radiance(around)
+    mean = drop_radiance.mean_radiance(around)
     np.testing.assert_allclose(mean, (1 + 2 / 3) * np.array([1, 0.6, 0.3]), rtol=2e-3)
     turn = np.array([[0, 0, 1], [-1, 0, 0], [0, -1, 0]], np.float32)  # looks along x
     lens = np.array([100, 100, 60, 40], np.float32)
-    field = droplight.drop_field(around, mean, turn, lens, 120, 80)
+    field = drop_radiance.drop_field(around, mean, turn, lens, 120, 80)
     rng = np.random.default_rng(3)
 
     def bent(into, normal, ratio):
@@ -259,8 +288,8 @@ def test_drop_is_a_lens_that_shows_what_lies_far_around_behind_it():
         within = bent(np.broadcast_to(ahead, out.shape), first, 1 / 1.333)
         second = first - 2 * (first * within).sum(1, keepdims=True) * within
         leaves = bent(within, -second, 1.333)
-        loss = 1 - np.array([light.fresnel(c) for c in np.sqrt(1 - r[:, 0] ** 2)])[:, None]
-        shown = np.array([sky.sample_environment(around, *d) for d in leaves.astype(np.float32)])
+        loss = 1 - np.array([fresnel(c) for c in np.sqrt(1 - r[:, 0] ** 2)])[:, None]
+        shown = np.array([maps.sample_environment(around, *d) for d in leaves.astype(np.float32)])
         wanted = (loss**2 * shown + (1 - loss**2) * mean).mean(axis=0)
         np.testing.assert_allclose(field[j, i], wanted, rtol=0.02)
     assert field[3, 4, 0] != pytest.approx(field[0, 4, 0], rel=0.01)
@@ -270,16 +299,19 @@ def test_drops_before_the_ground_are_darker_than_before_the_sky(poisoned):
     around = sky.overcast()
     turn = np.array([[0, 0, 1], [-1, 0, 0], [0, -1, 0]], np.float32)
     lens = np.array([100, 100, 60, 40], np.float32)
-    field = droplight.drop_field(around, droplight.mean_radiance(around), turn, lens, 120, 80)
+    field = drop_radiance.drop_field(
+        around, drop_radiance.mean_radiance(around), turn, lens, 120, 80
+    )
     assert (np.diff(field[:, 4, 1]) < 0).all() and field[0, 4, 1] > 1.5 * field[-1, 4, 1]
     assert field[-1, 4, 1] > 1.5 * around[-1, 0, 1]  # some sky is in them
     half, none = np.full((80, 120), 0.5, np.float32), np.zeros((80, 120), np.float32)
     shown = poisoned((80, 120, 3), np.uint8)
-    shade.compose(
-        np.zeros((80, 120, 3), np.float32), none + 5, half, none, field, around[0, 0], around[0, 0],
-        streaks.NO_FOG, lens, np.float32(1), shown,
+    compose(
+        np.zeros((80, 120, 3), np.float32), none + 5, RainCover(half, none, fog.NO_FOG),
+        RainLight(field, around[0, 0], around[0, 0]), View(turn, np.zeros(3, np.float32), *lens),
+        np.float32(1), shown,
     )  # fmt: skip
-    wanted = [[light.display_from_linear(0.5 * c) * 255 for c in field[j, i]]
+    wanted = [[display_from_linear(0.5 * c) * 255 for c in field[j, i]]
               for j, i in ((0, 0), (-1, 0), (0, -1), (-1, -1))]  # fmt: skip
     np.testing.assert_allclose(shown[[0, -1, 0, -1], [0, 0, -1, -1]], wanted, atol=2)
     assert (np.diff(shown[:, 60, 1].astype(int)) <= 0).all()

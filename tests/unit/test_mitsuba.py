@@ -9,9 +9,14 @@ that much more of it. The water is clear there, so ours is compared without its 
 import numpy as np
 import pytest
 from scipy import ndimage
-from test_optics import EYE, FOCAL, HEIGHT, LENS, ORIGIN, SHAPE, SPACING, TURN, WIDTH, rays
+from test_optics import EYE, FOCAL, HEIGHT, ORIGIN, SHAPE, SPACING, TURN, VIEW, WIDTH, rays
 
-from rainsim import meeting, optics, reflect, ssr
+from rainsim import ssr
+from rainsim.reflection import ray_water, screen_space, water_record, water_shading
+from rainsim.reflection.mirrored_rays import SCREEN
+from rainsim.reflection.water_shading import Background, Optics
+from rainsim.reflection.water_surface import WaterMap
+from rainsim.shading.fresnel import EXACT, fresnel
 
 mitsuba = pytest.importorskip("mitsuba")
 pytestmark = pytest.mark.slow
@@ -100,33 +105,40 @@ def ours():
     coverage = np.full((HEIGHT, WIDTH), np.nan, np.float32)
     hit, count = np.full_like(coverage, np.nan), np.zeros(HEIGHT, np.int64)
     rows, spacing = np.arange(HEIGHT), np.float32(SPACING)
-    meeting.meet_water(depth, TURN, EYE, LENS, surface, surface, ORIGIN, spacing, surface.max(),
-                      rows, np.array([1e-4, 2e-4], np.float32), False, hit, coverage,
-                      count)  # fmt: skip
-    pixel, record = np.zeros(count.sum(), np.int32), np.zeros((count.sum(), 16), np.float32)
-    optics.list_water(hit, coverage, np.cumsum(count) - count, rows, TURN, EYE, LENS, surface,
-                      np.ones(SHAPE, np.float32), ORIGIN, spacing, pixel, record)  # fmt: skip
-    record[:, 10] = -AMPLITUDE * NUMBER * np.sin(NUMBER * record[:, 0])
+    water_map = WaterMap(surface, surface, np.ones(SHAPE, np.float32), ORIGIN, spacing)
+    cover = np.array([1e-4, 2e-4], np.float32)
+    ray_water.meet_water(depth, VIEW, water_map, surface.max(), rows, cover, hit, coverage, count)
+    n = count.sum()
+    pixel, record = np.zeros(n, np.int32), np.zeros((n, water_record.RECORD), np.float32)
+    water_shading.list_water(
+        hit, coverage, np.cumsum(count) - count, rows, VIEW, water_map, pixel, record
+    )
+    slope = -AMPLITUDE * NUMBER * np.sin(NUMBER * record[:, water_record.X])
+    record[:, water_record.SLOPE_X] = slope
     light, source = np.zeros((len(pixel), 3), np.float32), np.zeros(len(pixel), np.uint8)
     tall = np.empty_like(depth)
-    reflect.keep_tall(depth, clearance, tall)
+    screen_space.keep_tall(depth, clearance, tall)
     bounds = np.empty(ssr.bounds_of(*depth.shape), np.float32)
     ssr.block_bounds(tall, bounds)
-    reflect.march_light(np.arange(len(pixel)), record, picture, tall, bounds, TURN, EYE, LENS,
-                        np.zeros((16, 32, 3), np.float32), np.array([0.15, 1, 12], np.float32),
-                        light, source)  # fmt: skip
+    screen_space.march_light(
+        np.arange(n), record, picture, ssr.DepthBlocks(tall, bounds), VIEW,
+        np.zeros((16, 32, 3), np.float32), ssr.MarchSettings(*np.float32([0.15, 1, 12])), light,
+        source,
+    )  # fmt: skip
     out = picture.copy()
-    optics.lay_water(pixel, record, light, picture, picture, depth, TURN, LENS, False, False,
-                     False, np.float32(4e-3), np.zeros(6, np.float32), out)  # fmt: skip
+    optics = Optics(EXACT, np.float32(4e-3), np.zeros(6, np.float32))
+    background = Background(picture, picture, depth)
+    water_shading.lay_water(pixel, record, light, background, VIEW, optics, out)
     # Take back what our puddle water absorbs on the way down along the bent ray and straight up.
-    normal = np.stack([-record[:, 10], 0 * record[:, 10], np.ones(len(record))], axis=1)
+    normal = np.stack([-slope, 0 * slope, np.ones(n)], axis=1)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    cosine = -np.einsum("ij,ij->i", record[:, 3:6], normal)
-    share = np.vectorize(optics.fresnel)(cosine)[:, None] * light
-    down = np.array([optics.refracted(*r[3:6], *u, c)[2]
-                     for r, u, c in zip(record, normal, cosine, strict=True)])  # fmt: skip
-    path = record[:, 7] * (1 - 1 / down)
-    absorb = np.array([optics.ABSORB_R, optics.ABSORB_G, optics.ABSORB_B])
+    view = record[:, water_record.VIEW_X : water_record.VIEW_Z + 1]
+    cosine = -np.einsum("ij,ij->i", view, normal)
+    share = np.vectorize(fresnel)(cosine)[:, None] * light
+    down = np.array([water_shading.refracted(*r, *u, c)[2]
+                     for r, u, c in zip(view, normal, cosine, strict=True)])  # fmt: skip
+    path = record[:, water_record.WATER_DEPTH] * (1 - 1 / down)
+    absorb = np.array([water_shading.ABSORB_R, water_shading.ABSORB_G, water_shading.ABSORB_B])
     flat = out.reshape(-1, 3)
     flat[pixel] = (flat[pixel] - share) * np.exp(absorb * path[:, None]) + share
     return out, pixel, source, coverage
@@ -136,7 +148,7 @@ def test_reflection_and_refraction_agree_with_a_path_tracer():
     truth, sigma = traced()
     out, pixel, source, coverage = ours()
     both = np.zeros(coverage.shape, bool)  # where the march, too, has met the wall
-    both.ravel()[pixel[source == reflect.SCREEN]] = True
+    both.ravel()[pixel[source == SCREEN]] = True
     both &= coverage > 0.999
     both[:, :10] = both[:, -10:] = False  # where reflections fade to the surroundings
     both = ndimage.binary_erosion(both, np.ones((7, 7)))  # and pixels that show two things

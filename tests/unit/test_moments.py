@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from rainsim import mirrorlight, optics
-from rainsim.light import bilinear_color
-from rainsim.moments import pixel_slopes, place_of, ripple_moments, root_of
-from rainsim.pyramid import COARSEST, blurred_color, coarsened, top_of
+from rainsim.numerics.interpolation import bilinear_color
+from rainsim.numerics.mipmap import COARSEST, blurred_color, coarsened, top_of
+from rainsim.reflection import mirror_pass, water_record
+from rainsim.reflection.planar_mirror import MirrorPicture
+from rainsim.reflection.slope_moments import pixel_slopes, place_of, ripple_moments, root_of
+from rainsim.scene.view import View
 
 N, SIZE = 64, np.float32(0.5)
 CELL = float(SIZE) / N
@@ -116,30 +118,31 @@ def test_blurred_colours_are_those_of_a_blurred_picture(blur):
 def test_rough_water_takes_the_contrast_of_stripes_as_a_normal_spread_does():
     """A mirror of stripes far away: what is left is exp(-2 (pi deviation / width)^2)."""
     focal, columns, rows = 400.0, 512, 256
-    turn = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]], np.float32)  # level, along y
-    eye, lens = np.array([0, 0, 1], np.float32), np.array([focal, focal, 256, 128], np.float32)
+    eye = np.array([0, 0, 1], np.float32)
+    # Level, along y, and mirrored at the height 0.
+    turn = np.array([[1, 0, 0], [0, 0, 1], [0, 1, 0]], np.float32)
+    view = View(turn, -eye, *np.float32([focal, focal, 256, 128]))
     # Rays 20 degrees down: a slope along x moves what they mirror sideways by 2 sin(20) of it.
     dip, deviation = math.radians(20), 0.05
     n = 200
     aside = np.linspace(-0.2, 0.2, n)
     ray = np.stack([aside, np.ones(n), np.full(n, -math.tan(dip))], 1)
-    record = np.zeros((n, optics.RECORD), np.float32)
+    record = np.zeros((n, water_record.RECORD), np.float32)
     t = 1 / math.tan(dip)
-    record[:, :3] = eye + t * ray
-    record[:, 3:6] = ray / np.linalg.norm(ray, axis=1, keepdims=True)
-    record[:, 6] = t
-    record[:, 12] = deviation**2
+    record[:, water_record.POINT] = eye + t * ray
+    unit = ray / np.linalg.norm(ray, axis=1, keepdims=True)
+    record[:, water_record.VIEW_X : water_record.VIEW_Z + 1] = unit
+    record[:, water_record.VIEW_DEPTH] = t
+    record[:, water_record.VARIANCE_X] = deviation**2
     depth = np.full((rows, columns), 1e4, np.float32)
     pixels = focal * 2 * deviation * math.tan(dip)
     light, source = np.full((n, 3), np.nan, np.float32), np.zeros(n, np.uint8)
     for width in (3.0 * pixels, 6.0 * pixels):
         stripes = 0.5 + 0.5 * np.cos(2 * np.pi * (np.arange(columns) + 0.5) / width)
-        mirror = np.empty((rows, columns, 3), np.float32)
-        mirror[...] = stripes[:, None]
-        mirrorlight.mirror_light(
-            np.arange(n), record, turn, eye, lens, np.float32(0), mirror, coarsened(mirror), depth,
-            8, np.float32(0.1), light, source,
-        )  # fmt: skip
+        picture = np.empty((rows, columns, 3), np.float32)
+        picture[...] = stripes[:, None]
+        mirror = MirrorPicture(picture, coarsened(picture), depth)
+        mirror_pass.mirror_light(np.arange(n), record, view, mirror, light, source)
         left = math.exp(-2 * (math.pi * pixels / width) ** 2)
         contrast = np.ptp(light[:, 0])
         assert contrast == pytest.approx(left, abs=0.12)

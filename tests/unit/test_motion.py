@@ -8,11 +8,13 @@ from scipy.spatial.transform import Rotation
 
 from rainsim.drops import RainField, RainSpectrum
 from rainsim.errors import ParameterError
-from rainsim.motion import shutter_end
+from rainsim.particles.line_raster import NEAR
+from rainsim.particles.streaks import draw_streaks
+from rainsim.render.shutter import shutter_end
 from rainsim.scene.types import Camera
-from rainsim.streaks import draw_droplets, draw_streaks
 
 FOCAL = 500.0
+DRY = RainField(RainSpectrum(0.0))
 
 
 def looking(eye=(0.0, 0.0, 0.0), yaw=0.0, size=200):
@@ -26,12 +28,14 @@ def looking(eye=(0.0, 0.0, 0.0), yaw=0.0, size=200):
 
 
 def drop(position, velocity, camera, exposure=1 / 60, diameter=1e-3, **lens):
-    alpha = np.zeros((camera.height, camera.width), np.float32)
+    lines = np.array([[*position, *velocity, diameter]], np.float64)
+    return listed(lines, camera, exposure, **lens)
+
+
+def listed(lines, camera, exposure, **lens):
+    alpha = np.full((camera.height, camera.width), np.nan, np.float32)
     depth = np.full_like(alpha, np.inf)
-    draw_droplets(
-        np.array([position], float), np.array([velocity], float), np.array([diameter]), camera,
-        exposure, depth, alpha, **lens,
-    )  # fmt: skip
+    draw_streaks(DRY, None, camera, 0.0, exposure, depth, NEAR, alpha, more=lines, **lens)
     return alpha
 
 
@@ -85,17 +89,14 @@ def test_a_field_seen_by_a_turning_camera_is_the_field_of_drawn_drops():
     field = RainField(RainSpectrum(2.0), (0.5, 1.0), seed=4)
     path = [looking(), looking((0.05, 0.0, 0.1), yaw=0.06)]
     end = shutter_end(path, 0, 1 / 60, 24.0)
-    listed = field.drops_in_box(3.0, (-1, -3, -3), (4.0, 3, 3))
-    z = listed.position[:, 0]
+    drops = field.drops_in_box(3.0, (-1, -3, -3), (4.0, 3, 3))
+    z = drops.position[:, 0]
     seen = (z > 0.3) & (z < 3.0)
-    alpha, single = (np.full((200, 200), np.nan, np.float32) for _ in range(2))
+    alpha = np.full((200, 200), np.nan, np.float32)
     depth = np.full_like(alpha, np.inf)
     draw_streaks(field, None, path[0], 3.0, 1 / 60, depth, 3.0, alpha, end)
-    single[...] = 0
-    draw_droplets(
-        listed.position[seen], listed.velocity[seen], listed.diameter[seen], path[0], 1 / 60,
-        depth, single, end,
-    )  # fmt: skip
+    lines = np.column_stack([drops.position, drops.velocity, drops.diameter])[seen]
+    single = listed(lines, path[0], 1 / 60, camera_end=end)
     np.testing.assert_allclose(alpha, single, atol=2e-5)
     assert alpha.max() > 1e-3
 

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from made_captures import ring, splats_at
-from rainsim.config import TerrainConfig
+from rainsim.config.settings import TerrainConfig
 from rainsim.errors import GroundError
-from rainsim.puddles import puddles_of
 from rainsim.scene.ground import estimate_ground_frame
 from rainsim.scene.types import Scene
 from rainsim.terrain import MEASURED, extract_terrain
+from rainsim.water.puddles import puddles_of
 
 CONFIG = TerrainConfig(spacing=0.1)
 

@@ -6,10 +6,16 @@ import math
 import numpy as np
 import pytest
 
-from rainsim import meeting, mirrorlight, optics, reflect, ssr
-from rainsim.light import fresnel
-from rainsim.moments import ripple_moments
-from rainsim.pyramid import coarsened
+from rainsim import ssr
+from rainsim.numerics.mipmap import coarsened
+from rainsim.reflection import mirror_pass, paper, ray_water, screen_space, water_shading
+from rainsim.reflection.planar_mirror import MirrorPicture
+from rainsim.reflection.slope_moments import ripple_moments
+from rainsim.reflection.water_record import RECORD, WaterPixel
+from rainsim.reflection.water_shading import Background, Optics, Ripples
+from rainsim.reflection.water_surface import WaterMap
+from rainsim.scene.view import View
+from rainsim.shading.fresnel import EXACT, SCHLICK, fresnel
 
 WIDTH, HEIGHT, FOCAL = 120, 90, 100.0
 LENS = np.array([FOCAL, FOCAL, WIDTH / 2, HEIGHT / 2], np.float32)
@@ -20,9 +26,21 @@ RIGHT = np.array([0, -1.0, 0])
 DOWN = np.cross(FORWARD, RIGHT)
 TURN = np.ascontiguousarray(np.stack([RIGHT, DOWN, FORWARD], axis=1), dtype=np.float32)
 EYE = np.array([-2.0, 0, 1.5], np.float32)
+VIEW = View(TURN, EYE, *LENS)
 SPACING = 0.05
 SHAPE = (160, 160)
 ORIGIN = np.array([-4.0, -4.0], np.float32)
+
+
+def mirrored_view(view, level):
+    """The view of the camera mirrored at a level."""
+    turn, eye = view.ground_from_camera * np.float32([[1], [1], [-1]]), view.eye.copy()
+    eye[2] = 2 * np.float32(level) - eye[2]
+    return view._replace(ground_from_camera=turn, eye=eye)
+
+
+def ripples(slopes):
+    return Ripples(ripple_moments(slopes), np.float32(1.0))
 
 
 def rays():
@@ -57,43 +75,47 @@ def water(depth_of_water, picture=None, depth=None, clearance=None, slopes=0.0, 
     coverage = np.full((HEIGHT, WIDTH), np.nan, np.float32)
     hit, count = np.full_like(coverage, np.nan), np.full(HEIGHT, -1, np.int64)
     rows, spacing = np.arange(HEIGHT), np.float32(SPACING)
-    meeting.meet_water(
-        depth, TURN, EYE, LENS, deep, deep, ORIGIN, spacing, deep.max(), rows,
-        np.array(cover, np.float32), hard, hit, coverage, count,
-    )  # fmt: skip
+    water_map = WaterMap(deep, deep, np.ones(SHAPE, np.float32), ORIGIN, spacing)
+    found = hit, coverage, count
+    if hard:
+        paper.meet_hard(depth, VIEW, water_map, deep.max(), *found)
+    else:
+        cover = np.array(cover, np.float32)
+        ray_water.meet_water(depth, VIEW, water_map, deep.max(), rows, cover, *found)
     assert np.isfinite(coverage).all() and (count == (coverage > 0).sum(axis=1)).all()
     n = count.sum()
-    pixel, record = np.full(n, -1, np.int32), np.full((n, optics.RECORD), np.nan, np.float32)
-    optics.list_water(
-        hit, coverage, np.cumsum(count) - count, rows, TURN, EYE, LENS, deep,
-        np.ones(SHAPE, np.float32), ORIGIN, spacing, pixel, record,
-    )  # fmt: skip
+    pixel, record = np.full(n, -1, np.int32), np.full((n, RECORD), np.nan, np.float32)
+    water_shading.list_water(
+        hit, coverage, np.cumsum(count) - count, rows, VIEW, water_map, pixel, record
+    )
     slopes = np.broadcast_to(np.asarray(slopes, np.float32), 2)[:, None, None]
-    optics.tilt_water(record, ripple_moments(np.tile(slopes, (1, 32, 32))), np.float32(1.0))
+    water_shading.tilt_water(ripples(np.tile(slopes, (1, 32, 32))), record)
     assert np.isfinite(record).all()
     light, source = np.full((n, 3), np.nan, np.float32), np.full(n, 99, np.uint8)
     if mirror is not None:
-        mirrorlight.mirror_light(
-            np.arange(n), record, TURN, EYE, LENS, np.float32(level), mirror,
-            coarsened(mirror), mirror_depth, 8, np.float32(0.1), light, source,
+        mirror_pass.mirror_light(
+            np.arange(n), record, mirrored_view(VIEW, level),
+            MirrorPicture(mirror, coarsened(mirror), mirror_depth), light, source,
         )  # fmt: skip
     else:
         tall = np.full_like(depth, np.nan)
-        reflect.keep_tall(depth, clearance, tall)
+        screen_space.keep_tall(depth, clearance, tall)
         bounds = np.full(ssr.bounds_of(*depth.shape), np.nan, np.float32)
         ssr.block_bounds(tall, bounds)
-        reflect.march_light(
-            np.arange(n), record, picture, tall, bounds, TURN, EYE, LENS, environment,
-            np.array([0.15, 1, 12], np.float32), light, source,
+        screen_space.march_light(
+            np.arange(n), record, picture, ssr.DepthBlocks(tall, bounds), VIEW, environment,
+            ssr.MarchSettings(*np.float32([0.15, 1, 12])), light, source,
         )  # fmt: skip
     assert np.isfinite(light).all() and (source != 99).all()
     sun = np.zeros(6, np.float32) if sun is None else sun
     out = picture.copy()
     out.reshape(-1, 3)[pixel] = np.nan
-    optics.lay_water(
-        pixel, record, light, picture, picture, depth, TURN, LENS, schlick, shift, phong,
-        np.float32(4e-3), sun, out,
-    )  # fmt: skip
+    optics = Optics(SCHLICK if schlick else EXACT, np.float32(4e-3), sun)
+    given = pixel, record, light, Background(picture, picture, depth), VIEW, optics
+    if shift or phong:
+        paper.lay_paper_water(*given, paper.PaperLaws(shift, phong), out)
+    else:
+        water_shading.lay_water(*given, out)
     assert np.isfinite(out).all()
     return out, coverage
 
@@ -245,6 +267,12 @@ def test_ripples_bend_the_mirror():
     assert np.abs(bent - flat)[coverage > 0.99].mean() > 0.001
 
 
+def tilting_water(view, variance):
+    """A pixel of level water whose slopes vary, seen along `view`."""
+    level = WaterPixel(*np.zeros(RECORD))._replace(view_x=view[0], view_y=view[1], view_z=view[2])
+    return level._replace(variance_x=1.3 * variance, variance_y=variance, covariance=2e-3)
+
+
 def test_sun_glint_integrates_to_the_reflected_sun():
     """The slope density integrates to one: a rough level mirror loses no sunlight."""
     n = 400
@@ -258,7 +286,7 @@ def test_sun_glint_integrates_to_the_reflected_sun():
             sun = np.array([0.3, 0.1, 0.9])
             sun /= np.linalg.norm(sun)
             view = sun - 2 * (sun @ h) * h  # from the eye to the water: v with half vector h
-            value = optics.sun_glint(*view, *sun, 0.0, 0.0, 1.3 * variance, variance, 2e-3)
+            value = water_shading.sun_glint(tilting_water(view, variance), *sun, EXACT, 0.0)
             f = fresnel(sun @ h)
             # radiance * cos(view) * 4 h_z^4 / F is the density of slopes.
             total += value / f * 4 * h[2] ** 4 * max(-view[2], 0.05) * (tilt[8] - tilt[0]) ** 2
@@ -278,23 +306,23 @@ def test_a_camera_at_or_under_the_water_sees_none_and_nothing_breaks(above):
     coverage = np.full((HEIGHT, WIDTH), np.nan, np.float32)
     hit, count = np.full_like(coverage, np.nan), np.full(HEIGHT, -1, np.int64)
     rows, spacing = np.arange(HEIGHT), np.float32(SPACING)
-    meeting.meet_water(
-        depth, TURN, eye, LENS, deep, deep, ORIGIN, spacing, level, rows,
-        np.array([0.4e-3, 2.2e-3], np.float32), False, hit, coverage, count,
-    )  # fmt: skip
+    view = View(TURN, eye, *LENS)
+    water_map = WaterMap(deep, deep, np.ones(SHAPE, np.float32), ORIGIN, spacing)
+    cover = np.array([0.4e-3, 2.2e-3], np.float32)
+    ray_water.meet_water(depth, view, water_map, level, rows, cover, hit, coverage, count)
     n = count.sum()
     assert np.isfinite(coverage).all() and n == (coverage > 0).sum()
     assert (n > 0) == (above > 0)
-    pixel, record = np.full(n, -1, np.int32), np.full((n, optics.RECORD), np.nan, np.float32)
-    optics.list_water(
-        hit, coverage, np.cumsum(count) - count, rows, TURN, eye, LENS, deep,
-        np.ones(SHAPE, np.float32), ORIGIN, spacing, pixel, record,
-    )  # fmt: skip
-    optics.tilt_water(record, ripple_moments(np.full((2, 32, 32), 0.03)), np.float32(1.0))
+    pixel, record = np.full(n, -1, np.int32), np.full((n, RECORD), np.nan, np.float32)
+    water_shading.list_water(
+        hit, coverage, np.cumsum(count) - count, rows, view, water_map, pixel, record
+    )
+    water_shading.tilt_water(ripples(np.full((2, 32, 32), 0.03)), record)
     light, source = np.full((n, 3), np.nan, np.float32), np.full(n, 99, np.uint8)
     mirror = np.full((HEIGHT, WIDTH, 3), 0.25, np.float32)
-    mirrorlight.mirror_light(
-        np.arange(n), record, TURN, eye, LENS, level, mirror, coarsened(mirror),
-        np.full((HEIGHT, WIDTH), 3.0, np.float32), 8, np.float32(0.1), light, source,
+    mirror_pass.mirror_light(
+        np.arange(n), record, mirrored_view(view, level),
+        MirrorPicture(mirror, coarsened(mirror), np.full((HEIGHT, WIDTH), 3.0, np.float32)),
+        light, source,
     )  # fmt: skip
     np.testing.assert_allclose(light, 0.25, rtol=1e-5)

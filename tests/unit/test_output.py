@@ -1,11 +1,17 @@
 """Output folders: what is not ours stays, whatever a record in the folder says."""
 
 import json
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
+from rainsim.config.settings import Config
 from rainsim.errors import ParameterError
-from rainsim.output import PROVENANCE, Record, claimed, read_record
+from rainsim.io import images
+from rainsim.output_folder import PROVENANCE, FrameFolder, Record, claimed, read_record
+from rainsim.render.renderer import FrameReport
+from scenes import tiny_scene
 
 
 def test_a_folder_that_stays_empty_is_removed_with_those_above_it(tmp_path):
@@ -76,3 +82,53 @@ def test_a_record_that_is_not_ours_counts_for_nothing(tmp_path, text):
     assert read_record(tmp_path) == {}
     Record(tmp_path).begin()
     assert (tmp_path / "scene.json").exists()
+
+
+@pytest.fixture
+def sequence(tmp_path):
+    """A folder that takes three frames, and a function that draws one into the same array."""
+    config = Config().replace(frames=3)
+    picture = np.zeros((6, 8, 3), np.uint8)
+
+    def add(film, index):
+        picture[:] = 40 * (index + 1)
+        film.add(picture, FrameReport(index, 0.0, {"draw": 1.0}, {"rain": index}))
+
+    film = FrameFolder(tmp_path, Record(tmp_path), tiny_scene().cameras[:1], config)
+    return SimpleNamespace(film=film, add=add, folder=tmp_path)
+
+
+def test_frames_are_written_while_the_next_overwrites_the_picture(sequence):
+    with sequence.film as film:
+        for index in range(3):
+            sequence.add(film, index)
+    for index in range(3):
+        written = images.read_image(sequence.folder / f"frames/{index:05d}.png")
+        assert (written == 40 * (index + 1)).all()
+    record = read_record(sequence.folder)
+    assert record["complete"] and record["frames"] == [0, 1, 2] and record["ledger"] == {"rain": 2}
+    assert (sequence.folder / "preview.webp").is_file()
+
+
+def test_frames_before_an_interruption_are_kept_and_recorded(sequence):
+    with pytest.raises(KeyboardInterrupt), sequence.film as film:
+        sequence.add(film, 0)
+        sequence.add(film, 1)
+        raise KeyboardInterrupt
+    record = read_record(sequence.folder)
+    assert record["frames"] == [0, 1] and not record["complete"]
+    assert "frames/00001.png" in record["files"] and "preview.webp" in record["files"]
+
+
+def test_a_frame_that_cannot_be_written_is_an_error_and_not_recorded(sequence, monkeypatch):
+    def full(path, image):
+        raise OSError(28, "No space left on device")
+
+    with pytest.raises(OSError, match="No space left"), sequence.film as film:
+        sequence.add(film, 0)
+        sequence.add(film, 1)
+        monkeypatch.setattr(images, "write_png", full)
+        sequence.add(film, 2)
+    record = read_record(sequence.folder)
+    assert record["frames"] in ([0], [0, 1]) and not record["complete"]
+    assert "frames/00002.png" not in record["files"]

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from rainsim.config import Config, mm_per_hour
-from rainsim.drops import RainField, flat_surfaces, impacts
+from rainsim.config.settings import Config, mm_per_hour
+from rainsim.drops import RainField, Weather, flat_surfaces, impacts
 from rainsim.errors import ParameterError
-from rainsim.paperrain import (
+from rainsim.particles.paper import (
     GREY,
     LINE_LENGTH,
     SPHERE_RADIUS,
@@ -16,9 +16,8 @@ from rainsim.paperrain import (
     gaussian_axes,
     line_radiance,
 )
+from rainsim.rain.size_distribution import PAPER_RADIUS, SMALLEST, RainSpectrum, drop_volume
 from rainsim.scene.types import Camera
-from rainsim.spectrum import PAPER_RADIUS, SMALLEST, RainSpectrum, drop_volume
-from rainsim.weather import Weather
 
 
 def view(size=400, height=1.5):

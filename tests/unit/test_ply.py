@@ -1,7 +1,6 @@
 """Reading and writing splat PLY files, good and bad."""
 
 import struct
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,7 +9,6 @@ from made_captures import random_splats
 from rainsim.errors import InputError
 from rainsim.scene.ply import read_splats, write_splats
 
-SAMPLE = Path(__file__).parents[3] / "shared/data/formats/train_1000_sh3.ply"
 USUAL = [
     "x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2",
     "rot_0", "rot_1", "rot_2", "rot_3",
@@ -186,9 +184,8 @@ def test_a_failed_write_leaves_the_old_file(tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["a.ply"]
 
 
-@pytest.mark.skipif(not SAMPLE.exists(), reason="the sample file is not part of the project")
-def test_a_file_of_the_original_code():
-    splats, notes = read_splats(SAMPLE)
+def test_a_file_of_the_original_code(shared):
+    splats, notes = read_splats(shared("data/formats/train_1000_sh3.ply"))
     assert len(splats) == 1000 and splats.sh.shape == (1000, 16, 3) and notes == []
     np.testing.assert_allclose(np.linalg.norm(splats.rotation, axis=1), 1, atol=1e-6)
     assert 0 <= splats.opacity.min() < splats.opacity.max() <= 1

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from rainsim.errors import ParameterError
-from rainsim.puddles import Puddles, bed_error, doubt, puddles_of, wet_share
-from rainsim.standing import SpillGraph, standing_water
 from rainsim.terrain import HARD, MEASURED, UNKNOWN, Grid, Terrain
+from rainsim.water.fill_spill_merge import SpillGraph, standing_water
+from rainsim.water.puddles import Puddles, bed_error, doubt, puddles_of, wet_share
 
 SPACING = 0.05
 

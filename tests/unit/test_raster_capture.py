@@ -1,7 +1,6 @@
 """A real capture from float64 and from gsplat's picture of it; skipped where the data is not."""
 
 import runpy
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,30 +11,26 @@ from rainsim.bench.splat_truth import draw_truth
 from rainsim.scene.activate import activate
 from rainsim.scene.cameras import load_cameras
 
-SHARED = Path(__file__).parents[3] / "shared"
-PICTURES = SHARED / "reference/garden_gsplat.npz"
 SIZE = (648, 420)
 
 
 @pytest.fixture(scope="module")
-def capture():
+def capture(shared):
     """The garden's splats and its cameras by name."""
-    if not PICTURES.exists():
-        pytest.skip("../shared is not there")
-    load = runpy.run_path(str(SHARED / "data/unpack.py"))["load_garden"]
+    load = runpy.run_path(str(shared("data/unpack.py")))["load_garden"]
     position, log_scale, turn, logit, base, rest = load()
     splats, good = activate(position, log_scale, turn, logit, base, rest)
     assert good.all()
-    cameras, _ = load_cameras(SHARED / "data/garden_cameras.json")
+    cameras, _ = load_cameras(shared("data/garden_cameras.json"))
     return splats, {camera.name: camera.resized(*SIZE) for camera in cameras}
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["DSC07956", "DSC07996"])
-def test_the_garden_agrees_with_float64_and_with_gsplat(capture, name):
+def test_the_garden_agrees_with_float64_and_with_gsplat(capture, shared, name):
     splats, cameras = capture
     prepared = raster.prepare(splats)
-    with np.load(PICTURES) as pictures:
+    with np.load(shared("reference/garden_gsplat.npz")) as pictures:
         theirs, alpha = pictures[f"{name}_rgb"] / 32768, pictures[f"{name}_alpha"] / 65535
         depth = pictures[f"{name}_depth"]
     truth = draw_truth(splats, cameras[name])

@@ -1,14 +1,17 @@
 """Whole frames of the tiny scene: what must change in rain and what must not."""
 
 import dataclasses
+import inspect
 
 import numpy as np
 import pytest
 
-from rainsim import render as rendering
-from rainsim.config import Config, mm_per_hour
+from rainsim import pipeline
+from rainsim.config.settings import Config, mm_per_hour
 from rainsim.errors import ParameterError
 from rainsim.pipeline import extract_terrain, render_rain, simulate
+from rainsim.render import rain_pass
+from rainsim.scene.cameras import mirrored_camera
 from rainsim.scene.types import GroundFrame
 from scenes import tiny_scene
 
@@ -154,7 +157,7 @@ def test_a_still_camera_is_splatted_once_and_a_moving_one_each_time(scene, camer
 def test_no_camera_and_unknown_backend_are_told(scene, camera):
     ground = extract_terrain(scene, config())
     with pytest.raises(ParameterError, match="camera"):
-        next(rendering.render(scene, ground, simulate(ground, config()), [], config()))
+        next(pipeline.render(scene, ground, simulate(ground, config()), [], config()))
     with pytest.raises(ParameterError, match="backend"):
         next(render_rain(scene, [camera], config(), backend="abacus"))
 
@@ -162,7 +165,7 @@ def test_no_camera_and_unknown_backend_are_told(scene, camera):
 def test_the_mirrored_camera_sees_a_point_where_its_mirror_image_is(scene):
     frame_, camera = scene.ground_frame, scene.cameras[0]
     level = 0.04
-    plane, mirrored = rendering.mirrored_camera(camera, frame_, level)
+    plane, mirrored = mirrored_camera(camera, frame_, level)
     point = np.array([0.3, 0.2, 0.5])
     image = np.array([0.3, 0.2, 2 * level - 0.5])
     seen = mirrored.camera_from_world @ np.append(frame_.to_capture(point), 1)
@@ -175,7 +178,12 @@ def test_the_mirrored_camera_sees_a_point_where_its_mirror_image_is(scene):
 
 def test_streaks_are_drawn_with_the_pose_at_the_shutters_close(scene, camera, monkeypatch):
     seen = []
-    monkeypatch.setattr(rendering, "draw_streaks", lambda *a, more: seen.append(a[8]))
+    names = inspect.signature(rain_pass.draw_streaks)
+
+    def draw_streaks(*given, **named):
+        seen.append(names.bind(*given, **named).arguments["camera_end"])
+
+    monkeypatch.setattr(rain_pass, "draw_streaks", draw_streaks)
     near = scene.ground_frame.camera_in_ground(camera)
     matrix = near.camera_from_world.copy()
     matrix[0, 3] -= 0.05  # m to its right

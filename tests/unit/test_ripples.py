@@ -7,7 +7,8 @@ import pytest
 
 from rainsim.drops import RainField, RainSpectrum, drop_volume, flat_surfaces, impacts
 from rainsim.errors import ParameterError
-from rainsim.ripples import (
+from rainsim.rain.size_distribution import terminal_speed
+from rainsim.water.ripples import (
     FOOTPRINT,
     REFERENCE_DROP,
     RING_SHARE,
@@ -20,7 +21,6 @@ from rainsim.ripples import (
     stirring,
     tile_impacts,
 )
-from rainsim.spectrum import terminal_speed
 
 
 def momentum(diameter):

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from rainsim import simulation, terrain
-from rainsim.config import Config, mm_per_hour
+from rainsim.config.settings import Config, mm_per_hour
+from rainsim.drops import Weather
 from rainsim.errors import InputError
-from rainsim.weather import Weather
+from rainsim.rain.exposure import rain_exposure
 
 NY = NX = 40
 SPACING = 0.05
@@ -130,8 +131,8 @@ def test_a_roof_keeps_the_ground_dry_and_is_booked():
     x, y = centres()
     under = (np.abs(x) < 0.5) & (np.abs(y) < 0.5)
     roof = ground(top=np.where(under, 2.0, 0.0), underside=np.where(under, 1.9, 0.0))
-    still = simulation.rain_exposure(roof, (0.0, 0.0))
-    windy = simulation.rain_exposure(roof, (4.0, 0.0))
+    still = rain_exposure(roof, (0.0, 0.0))
+    windy = rain_exposure(roof, (4.0, 0.0))
     middle = (np.abs(x) < 0.3) & (np.abs(y) < 0.3)
     far = np.hypot(x, y) > 0.85
     assert still[middle].max() < 0.01 and still[far].min() > 0.95
@@ -147,7 +148,7 @@ def test_a_roof_keeps_the_ground_dry_and_is_booked():
 def test_solid_block_shelters_its_own_ground():
     x, _ = centres()
     block = ground(top=np.where(x > 0.4, 0.5, 0.0))
-    exposure = simulation.rain_exposure(block, (0.0, 0.0))
+    exposure = rain_exposure(block, (0.0, 0.0))
     assert exposure[:, -4:].max() < 0.01 and exposure[:, :10].min() > 0.99
 
 

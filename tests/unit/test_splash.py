@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from rainsim.drops import Impacts, RainField, RainSpectrum, flat_surfaces, impacts
-from rainsim.errors import ParameterError
-from rainsim.spectrum import terminal_speed
-from rainsim.splash import LONGEST_LIFE, splash_droplets, splashes
+from rainsim.particles.splash import LONGEST_LIFE, splashes_on
+from rainsim.rain.size_distribution import terminal_speed
+from splash_lines import splash_droplets
 
 
 def fallen(diameters, time=0.0, wind=0.0):
@@ -23,7 +23,8 @@ def fallen(diameters, time=0.0, wind=0.0):
 
 def test_thresholds_are_those_of_the_cited_papers():
     diameters = np.linspace(0.5e-3, 3e-3, 2501)
-    wet, dry = (diameters[splashes(fallen(diameters), h)].min() for h in (1e-3, 0.0))
+    speed = terminal_speed(diameters)
+    wet, dry = (diameters[splashes_on(h, diameters, speed)].min() for h in (1e-3, 0.0))
     assert wet == pytest.approx(1.27e-3, rel=0.02)
     assert dry == pytest.approx(0.68e-3, rel=0.03)
 
@@ -35,7 +36,8 @@ def test_splashes_per_area_and_second(rate):
     diameter = np.linspace(1.27e-3, 6e-3, 20_001)  # sqrt(We) = 20 at terminal speed
     flux = spectrum.intercept * np.exp(-spectrum.decay * diameter) * terminal_speed(diameter)
     expected = np.trapezoid(flux, diameter)
-    assert splashes(found, 1e-3).sum() / 32 == pytest.approx(expected, rel=0.03)
+    splash = splashes_on(1e-3, found.diameter, -found.velocity[:, 2])
+    assert splash.sum() / 32 == pytest.approx(expected, rel=0.03)
     assert 500 < expected < 2500
 
 
@@ -81,10 +83,3 @@ def test_a_splash_does_not_depend_on_the_other_impacts():
     at = np.flatnonzero(np.isin(among.id, alone.id))
     assert len(at) == len(alone) > 0
     assert np.array_equal(among.position[at], alone.position)
-
-
-def test_nothing_splashes_in_no_rain_and_bad_depths_are_refused():
-    none = fallen([])
-    assert len(splash_droplets(none, np.empty(0), 0.0)) == 0
-    with pytest.raises(ParameterError, match="water_depth"):
-        splash_droplets(fallen([1e-3]), np.zeros(3), 0.0)

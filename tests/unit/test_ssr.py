@@ -4,17 +4,28 @@ import numpy as np
 import pytest
 
 from rainsim.jit import serial_kernel
-from rainsim.ssr import block_bounds, bounds_of, edge_fade, march
+from rainsim.scene.view import View
+from rainsim.ssr import (
+    DepthBlocks,
+    MarchSettings,
+    block_bounds,
+    bounds_of,
+    edge_fade,
+    march,
+)
 
 WIDTH, HEIGHT, FOCAL = 200, 150, 160.0
-LENS = np.array([FOCAL, FOCAL, WIDTH / 2, HEIGHT / 2], np.float32)
+VIEW = View(
+    np.eye(3, dtype=np.float32), np.zeros(3, np.float32),
+    *np.float32([FOCAL, FOCAL, WIDTH / 2, HEIGHT / 2]),
+)  # fmt: skip
 
 
 @serial_kernel
-def march_once(depth, bounds, lens, start, direction, thickness, stride, farthest):
+def march_once(blocks, view, start, direction, settings):
     return march(
-        depth, bounds, lens, start[0], start[1], start[2], direction[0], direction[1], direction[2],
-        thickness, stride, farthest,
+        blocks, view, (start[0], start[1], start[2]), (direction[0], direction[1], direction[2]),
+        settings,
     )  # fmt: skip
 
 
@@ -22,13 +33,14 @@ def find(depth, start, direction, thickness=0.15, stride=1.0, farthest=30.0):
     start = np.asarray(start, np.float32)
     direction = np.asarray(direction, float)
     direction = (direction / np.linalg.norm(direction)).astype(np.float32)
-    rest = LENS, start, direction, np.float32(thickness), np.float32(stride), np.float32(farthest)
+    settings = MarchSettings(*np.float32([thickness, stride, farthest]))
     bounds = np.full(bounds_of(*depth.shape), np.nan, np.float32)
     block_bounds(depth, bounds)
-    found = march_once(depth, bounds, *rest)
+    found = march_once(DepthBlocks(depth, bounds), VIEW, start, direction, settings)
     wide = np.zeros_like(bounds)
     wide[..., 1] = np.inf
-    assert found == march_once(depth, wide, *rest)  # which never jumps
+    steps = march_once(DepthBlocks(depth, wide), VIEW, start, direction, settings)
+    assert found == steps  # a march that never jumps
     return found
 
 

@@ -7,7 +7,7 @@ import pytest
 from scipy import ndimage
 
 from rainsim.errors import ParameterError
-from rainsim.standing import standing_water
+from rainsim.water.fill_spill_merge import standing_water
 
 CROSS = ndimage.generate_binary_structure(2, 1)
 

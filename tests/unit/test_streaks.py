@@ -5,21 +5,14 @@ import pytest
 
 from rainsim.drops import RainField, RainSpectrum, Surfaces, flat_surfaces
 from rainsim.errors import ParameterError
+from rainsim.particles.fog import NO_FOG, fog_extinction, fog_optical_depth, fog_table
+from rainsim.particles.line_raster import FAINTEST, NEAR
+from rainsim.particles.streaks import draw_streaks, streak_reach
 from rainsim.scene.types import Camera
-from rainsim.shade import fog_thickness
-from rainsim.streaks import (
-    FAINTEST,
-    NEAR,
-    NO_FOG,
-    draw_droplets,
-    draw_streaks,
-    fog_extinction,
-    fog_optical_depth,
-    fog_table,
-    streak_reach,
-)
+from rainsim.shading.composite import fog_thickness
 
 FOCAL = 500.0  # px
+DRY = RainField(RainSpectrum(0.0))
 
 
 def looking(direction, eye=(0.0, 0.0, 0.0), width=96, height=80, focal=FOCAL):
@@ -40,13 +33,12 @@ def sky(camera):
     return np.full((camera.height, camera.width), np.inf, np.float32)
 
 
-def one_drop(position, velocity, diameter, camera, exposure, depth=None):
-    """Draw a single drop over nothing."""
-    alpha = np.zeros((camera.height, camera.width), np.float32)
-    draw_droplets(
-        np.array([position], np.float64), np.array([velocity], np.float64), np.array([diameter]),
-        camera, exposure, sky(camera) if depth is None else depth, alpha,
-    )  # fmt: skip
+def one_drop(position, velocity, diameter, camera, exposure, depth=None, end=None, times=1):
+    """Draw a single drop, once or a few times over each other."""
+    alpha = np.full((camera.height, camera.width), np.nan, np.float32)
+    depth = sky(camera) if depth is None else depth
+    lines = np.array([[*position, *velocity, diameter]] * times, np.float64)
+    draw_streaks(DRY, None, camera, 0.0, exposure, depth, NEAR, alpha, end, more=lines)
     return alpha
 
 
@@ -94,9 +86,7 @@ def test_a_streak_is_as_long_as_the_relative_speed_times_the_exposure():
 def test_a_moving_camera_sees_the_relative_motion():
     """A camera that falls with the drop sees it still."""
     start, stop = looking("ahead"), looking("ahead", eye=(0, 0, -0.1))
-    alpha = np.zeros((80, 96), np.float32)
-    drop = np.array([[4.0, 0, 0]]), np.array([[0, 0, -6.0]]), np.array([1e-3])
-    draw_droplets(*drop, start, 1 / 60, sky(start), alpha, camera_end=stop)
+    alpha = one_drop((4.0, 0, 0), (0, 0, -6.0), 1e-3, start, 1 / 60, end=stop)
     assert (alpha > 0).sum() <= 4
     assert alpha.sum() == pytest.approx(np.pi / 4 * (FOCAL * 1e-3 / 4) ** 2, rel=0.02)
 
@@ -133,17 +123,10 @@ def test_drops_behind_things_are_hidden_and_partly_hidden_ones_cut():
     assert np.array_equal(one_drop(*drop, camera, 1 / 60, depth), open_air)
 
 
-def test_droplets_multiply_their_transmittance_to_what_is_there():
-    camera = looking("ahead")
-    drop = (3.0, 0, 0.05), (0, 0, -6.0), 3e-3
-    single = one_drop(*drop, camera, 1 / 60)
-    alpha = np.full_like(single, 0.5)
-    one = [np.array([a]) for a in drop]
-    draw_droplets(*one, camera, 1 / 60, sky(camera), alpha)
-    np.testing.assert_allclose(alpha, 1 - 0.5 * (1 - single), atol=1e-6)
-    double = np.zeros_like(single)
-    two = [np.concatenate([a, a]) for a in one]
-    draw_droplets(*two, camera, 1 / 60, sky(camera), double)
+def test_transmittances_of_drops_over_each_other_multiply():
+    drop = (3.0, 0, 0.05), (0, 0, -6.0), 3e-3, looking("ahead"), 1 / 60
+    single, double = one_drop(*drop), one_drop(*drop, times=2)
+    assert single.max() > 5e-3
     np.testing.assert_allclose(double, 1 - (1 - single) ** 2, atol=2e-6)
 
 

@@ -5,18 +5,18 @@ import time
 import numpy as np
 import pytest
 
-from rainsim.config import Config
-from rainsim.puddles import puddles_of
-from rainsim.scene.build import Noise
-from rainsim.scene.street import CAMERAS, SEED, make_street, road
+from rainsim.config.settings import Config
+from rainsim.demo_scenes.build import Noise
+from rainsim.demo_scenes.street import CAMERAS, SEED, make_street, road
 from rainsim.simulation import drains_of, water_solver
 from rainsim.terrain.table import DRAIN
 from rainsim.terrain.types import MEASURED, Grid, Terrain
+from rainsim.water.puddles import puddles_of
 
 
 @pytest.fixture(scope="module")
-def scene():
-    return make_street()
+def scene(street_scene):
+    return street_scene
 
 
 @pytest.fixture(scope="module")

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from rainsim import image
-from rainsim.config import TerrainConfig
+from rainsim.config.settings import TerrainConfig
 from rainsim.errors import InputError, ParameterError
+from rainsim.io import images
 from rainsim.terrain import MEASURED, UNKNOWN, is_surface, terrain_from_surface
 
 CONFIG = TerrainConfig(spacing=0.05)
@@ -87,7 +87,7 @@ def test_the_upper_of_two_surfaces_counts(tmp_path):
 def test_a_tiff_is_taken_as_it_is(tmp_path):
     heights = np.arange(12, dtype=np.float32).reshape(3, 4) / 10
     heights[0, 0] = -9999e30
-    image.write_tiff(tmp_path / "h.tif", heights)
+    images.write_tiff(tmp_path / "h.tif", heights)
     ground = terrain_from_surface(tmp_path / "h.tif", TerrainConfig(spacing=0.5))
     np.testing.assert_array_equal(ground.bed[:2], heights[:0:-1])
     assert ground.source[2, 0] == UNKNOWN and ground.grid.origin == (-1.0, -0.75)
@@ -119,5 +119,5 @@ def test_a_cut_ply_and_a_huge_map_are_told(tmp_path):
     with pytest.raises(ParameterError, match="too large"):
         terrain_from_surface(tmp_path / "big.obj", CONFIG)
     with pytest.raises(ParameterError, match="do not apply"):
-        image.write_tiff(tmp_path / "h.tif", np.zeros((4, 4), np.float32))
+        images.write_tiff(tmp_path / "h.tif", np.zeros((4, 4), np.float32))
         terrain_from_surface(tmp_path / "h.tif", CONFIG, up=(0, 0, 1))

@@ -5,7 +5,7 @@ import pytest
 from scipy import ndimage
 
 from rainsim import terrain
-from rainsim.config import TerrainConfig
+from rainsim.config.settings import TerrainConfig
 from rainsim.errors import GroundError, InputError
 from rainsim.scene.types import GroundFrame, Scene, Splats
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from rainsim.raster import prepare, rasterize
+from rainsim.reflection.ray_traced import Tracer
 from rainsim.scene.types import Camera, Splats
-from rainsim.traced import Tracer
 
 
 def splats(position, scale, opacity, color, rotation=None):

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from rainsim.watersurface import GRASS_HEIGHT, water_surface
+from rainsim.reflection.water_surface import GRASS_HEIGHT, water_surface
 
 SHAPE = (60, 60)
 

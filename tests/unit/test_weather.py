@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from rainsim.config import Config, mm_per_hour
-from rainsim.drops import flat_surfaces, impacts
+from rainsim.config.settings import Config, mm_per_hour
+from rainsim.drops import GUST_SHARES, Weather, flat_surfaces, impacts
 from rainsim.errors import ParameterError
-from rainsim.spectrum import terminal_speed
-from rainsim.weather import GUST_SHARES, SCENE_HEIGHT, Weather, wind_shares
+from rainsim.rain.size_distribution import terminal_speed
+from rainsim.rain.wind import SCENE_HEIGHT, wind_shares
 
 
 def timeline(*frames, **base):

@@ -1,17 +1,18 @@
 """What the film on wet ground mirrors, against closed forms and rays drawn at random."""
 
 import math
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from rainsim import film, lobe
 from rainsim.bench.film import film_accuracy, film_line
-from rainsim.config import Config
+from rainsim.config.settings import Config
+from rainsim.numerics.ripmap import ripmap
 from rainsim.pipeline import extract_terrain, simulate
-from rainsim.render import Renderer
-from rainsim.ripmap import ripmap
+from rainsim.render.renderer import Renderer
+from rainsim.scene.view import View
+from rainsim.shading import microfacet, wet_ground_mirror
+from rainsim.shading.wet_ground_mirror import GroundSlopes, LevelPicture
 from rainsim.terrain.table import HARD, class_table
 from scenes import tiny_scene
 
@@ -21,6 +22,7 @@ EYE = np.array([0, 0, 1.5], F4)
 TURN = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]], F4)
 WIDTH, HEIGHT, FOCAL = 64, 48, 60.0
 LENS = np.array([FOCAL, FOCAL, WIDTH / 2, 6], F4)
+VIEW = View(TURN, EYE, *LENS)
 FORWARD = np.array([0, 1], F4)
 CELLS, SPACING = 20, F4(2.0)
 ORIGIN = np.array([-20, -5], F4)
@@ -68,20 +70,23 @@ def level_ground(slope=0.2):
 def field_of(atlas, depth, environment, poisoned, ground=None):
     wanted = np.ones((HEIGHT, WIDTH), bool)
     field = poisoned((HEIGHT, WIDTH, 3))
-    film.mirrored_field(
-        TURN, EYE, LENS, 1, wanted, level_ground() if ground is None else ground, ORIGIN, SPACING,
-        lobe.LOBE, atlas, depth, LENS, FORWARD, environment, field,
+    slopes = level_ground() if ground is None else ground
+    wet_ground_mirror.mirrored_field(
+        VIEW, 1, wanted, GroundSlopes(slopes, ORIGIN, SPACING), microfacet.LOBE,
+        LevelPicture(atlas, depth, LENS, FORWARD), environment, field,
     )  # fmt: skip
     assert np.isfinite(field).all()
     return field
 
 
 def test_lobe_has_the_moments_of_the_visible_facets():
-    mean, width = lobe.LOBE[..., 0].astype(float), lobe.LOBE[..., 1].astype(float)
-    np.testing.assert_allclose(mean[-1] @ lobe.PARTS, 0, atol=2e-3)
-    np.testing.assert_allclose((mean[-1] ** 2 + width[-1] ** 2 / 12) @ lobe.PARTS, 1, rtol=2e-3)
+    mean, width = microfacet.LOBE[..., 0].astype(float), microfacet.LOBE[..., 1].astype(float)
+    np.testing.assert_allclose(mean[-1] @ microfacet.PARTS, 0, atol=2e-3)
+    np.testing.assert_allclose(
+        (mean[-1] ** 2 + width[-1] ** 2 / 12) @ microfacet.PARTS, 1, rtol=2e-3
+    )
     # At a grazing angle the density is x exp(-x^2 / 2): mean sqrt(pi / 2).
-    np.testing.assert_allclose(mean[0] @ lobe.PARTS, math.sqrt(math.pi / 2), rtol=2e-3)
+    np.testing.assert_allclose(mean[0] @ microfacet.PARTS, math.sqrt(math.pi / 2), rtol=2e-3)
     assert (np.diff(mean, axis=1) > 0).all()
 
 
@@ -89,12 +94,63 @@ def test_lobe_has_the_moments_of_the_visible_facets():
 def test_reflectance_is_that_of_facets_drawn_at_random(slope, rng, poisoned):
     tangent = np.array([0.02, 0.1, 0.3, 1, 3], F4)
     share = poisoned(tangent.shape)
-    lobe.reflectance(lobe.LOBE, tangent, F4(slope), share)
+    microfacet.reflectance(microfacet.LOBE, tangent, F4(slope), share)
     for t, found in zip(tangent, share, strict=True):
         view = np.array([1, 0, -t]) / math.hypot(1, t)
         wanted = facets(view, slope, 60_000, rng)[1].sum()
         assert found == pytest.approx(wanted, rel=0.07, abs=2e-3)
     assert (share < 1).all() and (np.diff(share[1:]) < 0).all()
+
+
+ONE_DEGREE = math.radians(1)  # at which road tables are seen
+WET_ASPHALT = 0.03  # sr^-1, luminance coefficient of what is not mirrored
+
+
+def facet_coefficient(beta, tangent, slope):
+    """Return the luminance coefficient [sr^-1] of the facets in closed form, float64.
+
+    The lamp stands at an angle of `tangent` from the zenith, `beta` [rad] off the plane of view.
+    """
+    eye = np.array([math.cos(ONE_DEGREE), 0, math.sin(ONE_DEGREE)])
+    gamma = np.arctan(tangent)
+    light = np.stack([-np.sin(gamma) * np.cos(beta), np.sin(gamma) * np.sin(beta),
+                      np.cos(gamma)], -1)  # fmt: skip
+    half = light + eye
+    half /= np.linalg.norm(half, axis=-1, keepdims=True)
+    square = (half[..., 0] ** 2 + half[..., 1] ** 2) / half[..., 2] ** 2
+    density = np.exp(-square / (2 * slope**2)) / (2 * math.pi * slope**2)
+    seen = 1 + smith(eye[2] / eye[0], slope) + smith(1 / np.maximum(tangent, 1e-2), slope)
+    mirrored = dielectric(half @ eye) * density / (
+        4 * eye[2] * light[..., 2] * half[..., 2] ** 4 * seen
+    )  # fmt: skip
+    return WET_ASPHALT + mirrored
+
+
+def lobe_coefficient(beta, tangent, slope):
+    """Return the luminance coefficient that the parts of the program's lobe make."""
+    dip = F4(math.tan(ONE_DEGREE))
+    parts = [
+        microfacet.lobe_part(microfacet.LOBE, k, dip, F4(0), F4(slope))
+        for k in range(microfacet.SAMPLES)
+    ]
+    rise, weight, facet, width = np.array(parts, np.float64).T
+    elevation, middle = np.arctan2(1, tangent), np.arctan(rise)
+    density = np.interp(elevation, middle, weight / width, right=0)
+    spread = np.interp(elevation, middle, 2 * slope * facet * np.hypot(1, rise))
+    ahead = np.cos(beta) > 1e-9
+    aside = np.tan(np.where(ahead, beta, 0))
+    across = ahead * np.exp(-0.5 * (aside / spread) ** 2) / (math.sqrt(2 * math.pi) * spread)
+    return WET_ASPHALT + density * across * (1 + aside**2) / (np.cos(elevation) * np.sin(elevation))
+
+
+def road_table(coefficient, slope):
+    """Return the specular factor S1 and the mean luminance coefficient Q0 of a road."""
+    x, y = np.meshgrid(np.linspace(-4, 12, 160), np.linspace(-3, 3, 61))  # mounting heights
+    tangent, beta = np.hypot(x, y), np.arctan2(y, x)
+    angle = (1 + tangent**2) ** -1.5
+    special = coefficient(0.0, np.array(2.0), slope) * math.cos(math.atan(2)) ** 3
+    special /= coefficient(0.0, np.array(1e-2), slope)
+    return float(special), float((coefficient(beta, tangent, slope) * angle).sum() / angle.sum())
 
 
 def test_paving_reflects_as_wet_roads_do():
@@ -103,33 +159,14 @@ def test_paving_reflects_as_wet_roads_do():
     CIE 47-1979, classes after van Bommel 2015 (Road Lighting, table 12.3): W2 has S1 of 4.5 to 7.2
     and Q0 0.150, W3 7.2 to 9.8 and 0.196, W4 9.8 to 12 and 0.247, seen at one degree.
     """
-    diffuse = 0.03  # of wet asphalt, sr^-1
-
-    def coefficient(beta, tangent, slope):
-        eye = np.array([math.cos(math.radians(1)), 0, math.sin(math.radians(1))])
-        gamma = np.arctan(tangent)
-        light = np.stack([-np.sin(gamma) * np.cos(beta), np.sin(gamma) * np.sin(beta),
-                          np.cos(gamma)], -1)  # fmt: skip
-        half = light + eye
-        half /= np.linalg.norm(half, axis=-1, keepdims=True)
-        square = (half[..., 0] ** 2 + half[..., 1] ** 2) / half[..., 2] ** 2
-        density = np.exp(-square / (2 * slope**2)) / (2 * math.pi * slope**2)
-        seen = 1 + smith(eye[2] / eye[0], slope) + smith(1 / np.maximum(tangent, 1e-2), slope)
-        return diffuse + dielectric(half @ eye) * density / (
-            4 * eye[2] * light[..., 2] * half[..., 2] ** 4 * seen
-        )
-
-    x, y = np.meshgrid(np.linspace(-4, 12, 161), np.linspace(-3, 3, 61))  # mounting heights
-    tangent, beta = np.hypot(x, y), np.arctan2(y, x)
-    angle = (1 + tangent**2) ** -1.5
-    found = []
     for slope in (0.2, 0.25, 0.3):
-        special = coefficient(0.0, np.array(2.0), slope) * math.cos(math.atan(2)) ** 3
-        special /= coefficient(0.0, np.array(0.0), slope)
-        mean = (coefficient(beta, tangent, slope) * angle).sum() / angle.sum()
-        found.append((float(special), float(mean)))
-    np.testing.assert_allclose(found, [(10.5, 0.24), (6.9, 0.19), (4.4, 0.16)], rtol=0.04)
-    assert class_table().column("film_slope")[HARD] == F4(0.2)
+        exact = road_table(facet_coefficient, slope)
+        found = road_table(lobe_coefficient, slope)
+        assert found[0] == pytest.approx(exact[0], rel=0.06)
+        # The density is interpolated between the parts, and cut off beyond the last.
+        assert found[1] == pytest.approx(exact[1], rel=0.15)
+    special, mean = road_table(lobe_coefficient, float(class_table().column("film_slope")[HARD]))
+    assert 9.8 < special < 12 and mean == pytest.approx(0.247, rel=0.1)  # W4
 
 
 def test_levels_of_the_ripmap_are_means_of_blocks(rng):
@@ -150,7 +187,7 @@ def test_levels_of_the_ripmap_are_means_of_blocks(rng):
 @pytest.mark.parametrize("pictured", [True, False])
 def test_white_surroundings_give_the_reflectance_and_no_more(pictured, poisoned):
     white = np.ones((16, 32, 3), F4)
-    atlas, depth = film.NOTHING[:2]
+    atlas, depth = wet_ground_mirror.NO_LEVEL_PICTURE[:2]
     if pictured:
         atlas = ripmap(np.ones((HEIGHT, WIDTH, 3), F4), 6)
         depth = np.full((HEIGHT, WIDTH), 9, F4)
@@ -159,7 +196,7 @@ def test_white_surroundings_give_the_reflectance_and_no_more(pictured, poisoned)
     dip = (np.arange(HEIGHT) + 0.5 - 6) / FOCAL
     below = dip > 0.01
     share = poisoned(below.sum())
-    lobe.reflectance(lobe.LOBE, dip[below].astype(F4), F4(0.2), share)
+    microfacet.reflectance(microfacet.LOBE, dip[below].astype(F4), F4(0.2), share)
     np.testing.assert_allclose(field[below, WIDTH // 2, 0], share, rtol=2e-3)
 
 
@@ -227,11 +264,11 @@ def test_film_is_added_where_it_is(rng, poisoned):
     cover = np.zeros((9, 13), F4)
     cover[4:, 6:] = 0.5
     wanted = np.zeros((3, 5), bool)
-    film.film_blocks(cover, 3, wanted)
+    wet_ground_mirror.wet_blocks(cover, 3, wanted)
     assert wanted[1:, 1:].all() and not wanted[:, 0].any() and not wanted[0, 0]
     field = np.full((3, 5, 3), 0.4, F4)
     picture = poisoned(bare.shape)
-    film.lay_film(bare, cover, field, 3, picture)
+    wet_ground_mirror.add_reflection(bare, cover, field, 3, picture)
     np.testing.assert_allclose(picture - bare, 0.4 * cover[..., None] + 0 * bare, atol=1e-6)
 
 
@@ -239,13 +276,20 @@ def test_share_of_light_that_film_mirrors(poisoned):
     """Of full film on the lower half, seen from tangents of 0 to 0.7."""
     cover = np.zeros((HEIGHT, WIDTH), F4)
     cover[HEIGHT // 2 :] = 0.5
-    view = SimpleNamespace(turn=TURN, lens=LENS)
-    u, v = np.meshgrid(np.arange(0, WIDTH, film.COARSE), np.arange(24, HEIGHT, film.COARSE))
+    u, v = np.meshgrid(
+        np.arange(0, WIDTH, wet_ground_mirror.COARSE),
+        np.arange(24, HEIGHT, wet_ground_mirror.COARSE),
+    )
     a, b = (u + 0.5 - LENS[2]) / FOCAL, (v + 0.5 - LENS[3]) / FOCAL
     share = poisoned(u.size)
-    lobe.reflectance(lobe.LOBE, (b / np.hypot(a, 1)).astype(F4).ravel(), film.USUAL_SLOPE, share)
-    assert film.mean_share(view, cover) == pytest.approx(share.mean() / 4, rel=5e-3)
-    assert film.mean_share(view, 0 * cover) == 0
+    microfacet.reflectance(
+        microfacet.LOBE,
+        (b / np.hypot(a, 1)).astype(F4).ravel(),
+        wet_ground_mirror.USUAL_SLOPE,
+        share,
+    )
+    assert wet_ground_mirror.mean_share(VIEW, cover) == pytest.approx(share.mean() / 4, rel=5e-3)
+    assert wet_ground_mirror.mean_share(VIEW, 0 * cover) == 0
 
 
 def test_film_is_that_of_lobes_traced_through_the_splats():

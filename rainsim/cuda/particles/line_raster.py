@@ -1,23 +1,23 @@
 """The picture of optical depths that rain is drawn in, on a CUDA device: depth in, alpha out.
 
-Twins of `rainsim.marks.read_depth` and `resolve_band`; the marks themselves are the CPU's, see
-`cuda.warp`.
+Twins of `particles.line_raster.read_depth` and `resolve_band`; the marks themselves are the CPU's,
+see `cuda.warp`.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
+from rainsim.constants import ZERO
 from rainsim.cuda.jit import cuda, cuda_kernel
 from rainsim.cuda.scalars import bits_of, float_of
 from rainsim.cuda.warp import lower_to, raise_to
-from rainsim.marks import alpha_of
-from rainsim.surfaces import BLOCK
+from rainsim.particles.line_raster import DEPTH_TILE, alpha_of
 
-TILE = 32  # px, side of what a block of `resolve` turns
-# From row to row in shared memory, so that a column is not in one bank.
-_BLOCK_APART, _TILE_APART = BLOCK + 1, TILE + 1
-_ZERO, _ONE, _MOST = np.float32(0), np.float32(1), np.float32(np.inf)
+TILE = 32  # px, side of what a block of `resolve` turns into alpha
+# From row to row in shared memory, so that a column does not lie in one bank.
+_DEPTH_PITCH, _PITCH = DEPTH_TILE + 1, TILE + 1
+_MOST = np.float32(np.inf)
 
 
 @cuda_kernel
@@ -31,16 +31,16 @@ def read_depth(depth, columns_out, tile_depth_out):
     tile_depth_out : device array of shape (2, rows, columns), float32 [m]
         One block of threads for each tile.
     """
-    room = cuda.shared.array((BLOCK, _BLOCK_APART), np.float32)
+    room = cuda.shared.array((DEPTH_TILE, _DEPTH_PITCH), np.float32)
     ends = cuda.shared.array(2, np.int32)
     height, width = depth.shape
-    left, top = cuda.blockIdx.x * BLOCK, cuda.blockIdx.y * BLOCK
-    wide, high = min(BLOCK, width - left), min(BLOCK, height - top)
+    left, top = cuda.blockIdx.x * DEPTH_TILE, cuda.blockIdx.y * DEPTH_TILE
+    wide, high = min(DEPTH_TILE, width - left), min(DEPTH_TILE, height - top)
     x, y = cuda.threadIdx.x, cuda.threadIdx.y
     if x == 0 and y == 0:
         ends[0], ends[1] = 0, bits_of(_MOST)
     cuda.syncthreads()
-    most, least = _ZERO, _MOST
+    most, least = ZERO, _MOST
     for row in range(y, high, cuda.blockDim.y):
         for column in range(x, wide, cuda.blockDim.x):
             z = depth[top + row, left + column]
@@ -58,17 +58,15 @@ def read_depth(depth, columns_out, tile_depth_out):
 
 
 @cuda_kernel
-def resolve(over, picture, alpha_out):
+def resolve(picture, alpha_out):
     """Turn summed optical depths into alpha, and blank them.
 
     Parameters
     ----------
-    over : bool
-        Whether to multiply to what `alpha_out` holds; else it is overwritten.
     picture : device array of shape (width * height,), int64
     alpha_out : device array of shape (height, width), float32
     """
-    room = cuda.shared.array((TILE, _TILE_APART), np.float32)
+    room = cuda.shared.array((TILE, _PITCH), np.float32)
     height, width = alpha_out.shape
     left, top = cuda.blockIdx.x * TILE, cuda.blockIdx.y * TILE
     wide, high = min(TILE, width - left), min(TILE, height - top)
@@ -83,8 +81,4 @@ def resolve(over, picture, alpha_out):
     cuda.syncthreads()
     for row in range(y, high, cuda.blockDim.y):
         for column in range(x, wide, cuda.blockDim.x):
-            alpha = room[row, column]
-            if over:
-                before = alpha_out[top + row, left + column]
-                alpha = before + alpha * (_ONE - before)
-            alpha_out[top + row, left + column] = alpha
+            alpha_out[top + row, left + column] = room[row, column]

@@ -12,7 +12,7 @@ import numpy as np
 from rainsim.cuda.drops import Impacts, room_for
 from rainsim.cuda.jit import cuda, pinned
 from rainsim.errors import BackendError
-from rainsim.splash import LONGEST_LIFE
+from rainsim.particles.splash import LONGEST_LIFE
 
 
 class RecentImpacts(Impacts):

@@ -1,28 +1,26 @@
 """Mirrored passes on the GPU: the levels at which water stands, and the capture seen from below.
 
-Which mirrors a picture needs is told by the heights of the water that it shows, as on the CPU (see
-`rainsim.waterview.mirror_levels`), and the mirrored camera follows from the level: both are worked
-out on the device, so that the host need not be asked in the middle of a frame. How many passes lie
-in a recorded queue is fixed; when a frame wants more, it is recorded anew and drawn again.
+The heights of the water in a picture decide which mirrors it needs, as on the CPU (see
+`reflection.water_pass.mirror_levels`), and the mirrored camera follows from the level: the device
+works out both, so that no frame waits for the host. A recorded queue holds a fixed number of
+passes; when a frame needs more, the queue is recorded with more and the frame drawn again.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
-from rainsim.cuda import project
+from rainsim.constants import ZERO
+from rainsim.cuda.frame_uniforms import FrameUniforms
 from rainsim.cuda.jit import cuda, cuda_device, cuda_kernel, pinned
-from rainsim.cuda.numbers import Numbers
 from rainsim.cuda.raster import Rasterizer
-from rainsim.optics import HALF, ZERO
-from rainsim.pyramid import COARSEST, coarse_shape, mean_of_four, top_of
-from rainsim.raster.project import FRUSTUM_MARGIN
-from rainsim.render import pose
-from rainsim.scene.cameras import mirrored_camera
-from rainsim.waterview import (
+from rainsim.cuda.splatting import project
+from rainsim.numerics.mipmap import COARSEST, coarse_shape, mean_of_four, top_of
+from rainsim.reflection.water_pass import (
     LEAST_SHARE,
     LEVEL_STEP,
     LEVEL_STEPS,
@@ -30,6 +28,9 @@ from rainsim.waterview import (
     WINDOW_SLOPE,
     WINDOW_STEP,
 )
+from rainsim.scene.cameras import mirrored_camera
+from rainsim.scene.view import pixel_ray, view_from, view_of
+from rainsim.splatting.project import FRUSTUM_MARGIN
 
 BINS = 4096  # of LEVEL_STEP: 8 m of water heights
 EDGES = BINS + 1
@@ -41,6 +42,28 @@ NONE = 1 << 30  # first column of water where there is none
 TWICE_SLOPE = 2 * WINDOW_SLOPE
 MARGIN = float(FRUSTUM_MARGIN)
 UNUSED = 1e30  # distance of a plane that cuts everything away
+
+
+class MirrorArrays(NamedTuple):
+    """Mirrored pictures on a device."""
+
+    # (k, 3) float32 [m]: level of each mirror and the heights from which and below which water
+    # looks into it; water at other heights is marched.
+    range: object
+    window: object  # (6,) float32: lens, columns and rows [px] of all pictures
+    ground_from_camera: object  # (3, 3) float32, of the mirrored camera: holds a reflection
+    picture: object  # (k, rows, columns, 3) float32
+    coarse: object  # (k, rows, columns // 2, 3) float32, see numerics.mipmap.coarsened
+    depth: object  # (k, rows, columns) float32 [m]
+
+
+@cuda_device
+def mirror_of(mirror_range, z):
+    """Return which mirror serves water at height z [m]; -1: none."""
+    for k in range(mirror_range.shape[0]):
+        if z >= mirror_range[k, 1] and z < mirror_range[k, 2]:
+            return k
+    return -1
 
 
 @cuda_kernel
@@ -56,12 +79,13 @@ def clear_counts(count, extent):
 
 
 @cuda_kernel
-def count_heights(hit, coverage, ground_from_camera, eye, lens, first_bin, count_out, extent_out):
+def count_heights(hit, coverage, camera, first_bin, count_out, extent_out):
     """Count the pixels that show water of each height and find the rectangle that holds them.
 
     A block of THREADS threads takes COUNT_ROWS rows of as many columns; its counts are added up in
     shared memory, and each thread adds runs of equal heights at once: level water is one bin.
 
+    camera : CameraArrays
     extent_out : ndarray of shape (4,), int32
         First column and row, last column and row.
     """
@@ -73,15 +97,13 @@ def count_heights(hit, coverage, ground_from_camera, eye, lens, first_bin, count
     height, width = coverage.shape
     column = cuda.blockIdx.x * THREADS + tid
     first = cuda.blockIdx.y * COUNT_ROWS
-    m = ground_from_camera
-    a = (np.float32(column) + HALF - lens[2]) / lens[0]
+    view = view_from(camera)
     upper, lower, run, at = height, -1, 0, 0
     if column < width:
         for row in range(first, min(first + COUNT_ROWS, height)):
             if coverage[row, column] == ZERO:
                 continue
-            b = (np.float32(row) + HALF - lens[3]) / lens[1]
-            z = eye[2] + hit[row, column] * (m[2, 0] * a + m[2, 1] * b + m[2, 2])
+            z = view.eye[2] + hit[row, column] * pixel_ray(view, row, column)[2]
             place = np.int64(math.floor(np.float64(z) / LEVEL_STEP)) - first_bin
             place = min(max(place, 0), BINS - 1)
             if place != at:
@@ -102,9 +124,10 @@ def count_heights(hit, coverage, ground_from_camera, eye, lens, first_bin, count
             cuda.atomic.add(count_out, k, bins[k])
 
 
+# long: one block of threads, whose steps share its memory and wait for one another
 @cuda_kernel
 def choose_levels(count, first_bin, most, everywhere, served_out, wanted_out):
-    """Choose mirrors as `rainsim.waterview.mirror_levels` does; one block of THREADS threads.
+    """Choose mirrors as `mirror_levels` does; one block of THREADS threads.
 
     served_out : ndarray of shape (most, 3), float64 [m]
         Level, lowest height served and the height from which on not; inverted if not wanted.
@@ -206,7 +229,7 @@ def aim(served, mirror, numbers, eye, extent, now_out, eye_out, range_out, windo
         Those of the camera mirrored at level 0, and what a metre more adds.
     extent : ndarray of shape (4,), int32
         As `count_heights` left it. What is drawn is a window about it, whole tiles, which reaches
-        beyond the picture where ripples look there, as `rainsim.waterview` has it.
+        beyond the picture where ripples look there, as `rainsim.reflection.water_pass` has it.
     window_out : ndarray of shape (6,), float32
         Lens (fx, fy, cx, cy), width and height of the mirrored picture [px].
     """
@@ -258,7 +281,7 @@ def aim(served, mirror, numbers, eye, extent, now_out, eye_out, range_out, windo
 
 @cuda_kernel
 def coarsen(window, picture, coarse_out):
-    """Write all coarser resolutions of a picture's window; see `rainsim.pyramid.coarsened`.
+    """Write all coarser resolutions of a picture's window; see `rainsim.numerics.mipmap.coarsened`.
 
     A block of threads takes a square that is one cell of the coarsest resolution.
     """
@@ -301,7 +324,7 @@ class Mirrors:
 
     Parameters
     ----------
-    renderer : rainsim.cuda.frame.Renderer
+    renderer : rainsim.cuda.render.device_frame.DeviceFrame
         Owns the buffers of the picture itself.
     name : {"auto", "mirror", "ssr"}
         Of the reflections: "mirror" takes one level for all water, "ssr" none.
@@ -313,7 +336,7 @@ class Mirrors:
     picture : device array of shape (passes, rows, columns, 3), float32
         Only the window is drawn.
     coarse : device array of shape (passes, rows, columns // 2, 3), float32
-        Coarser resolutions of the pictures, see `rainsim.pyramid`.
+        Coarser resolutions of the pictures, see `rainsim.numerics.mipmap`.
     depth : device array of shape (passes, rows, columns), float32 [m]
     window : device array of shape (6,), float32
         Lens, width and height of the mirrored pictures, all alike.
@@ -332,7 +355,7 @@ class Mirrors:
         empty = np.tile(np.array([0, UNUSED, -UNUSED], np.float32), (rows, 1))
         self.range = cuda.to_device(empty)
         self._wanted, self._wanted_seen = cuda.device_array(1, np.int32), pinned(1, np.int32)
-        self._now = Numbers(self.stream, {
+        self._now = FrameUniforms(self.stream, {
             "camera": ((2, project.CAMERA), np.float64), "turn": ((3, 3), np.float32),
         })  # fmt: skip
         self._numbers, self._turn = self._now["camera"], self._now["turn"]
@@ -373,12 +396,20 @@ class Mirrors:
         numbers[0] = tables[0]
         numbers[1] = tables[1] - tables[0]
         numbers[1, project.SCALE :] = 0
-        self._now.host["turn"][...] = pose(frame.camera_in_ground(mirrored))[0]
+        mirror_view = view_of(frame.camera_in_ground(mirrored))
+        self._now.host["turn"][...] = mirror_view.ground_from_camera
         self._mirrored = mirrored, near, plane
         if self.passes and (self._size != largest or len(self.picture) != self.passes):
             self._allocate(*largest)
         for rasterizer in self.rasterizers:
             rasterizer.update(*self._mirrored)
+
+    @property
+    def arrays(self):
+        """The pictures as kernels take them."""
+        return MirrorArrays(
+            self.range, self.window, self._turn, self.picture, self.coarse, self.depth
+        )
 
     @property
     def queue(self):
@@ -419,7 +450,7 @@ class Mirrors:
     def _aim(self, mirror):
         def queue(now):
             aim[1, 64, self.stream](
-                self._served, mirror, self._numbers, self.renderer.numbers["eye"], self._extent,
+                self._served, mirror, self._numbers, self.renderer.uniforms["eye"], self._extent,
                 now, self._eye, self.range, self.window,
             )  # fmt: skip
 
@@ -429,11 +460,10 @@ class Mirrors:
         """Queue the choice of levels and the passes."""
         if not self.most:
             return
-        n, (height, width) = self.renderer.numbers, self._picture_size
+        height, width = self._picture_size
         clear_counts[BINS // THREADS, THREADS, self.stream](self._count, self._extent)
         count_heights[(-(-width // THREADS), -(-height // COUNT_ROWS)), THREADS, self.stream](
-            hit, coverage, n["turn"], n["eye"], n["lens"], self._first_bin, self._count,
-            self._extent,
+            hit, coverage, self.renderer.camera_arrays, self._first_bin, self._count, self._extent,
         )  # fmt: skip
         choose_levels[1, THREADS, self.stream](
             self._count, self._first_bin, self.most, self.name == "mirror", self._served,

@@ -1,23 +1,21 @@
-"""Twin of `rainsim.watersurface`: the smooth surface that pictures show, from solver cells."""
+"""Twin of `reflection.water_surface`: the smooth surface that pictures show, from solver cells."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from rainsim.constants import HALF, ONE, ZERO
 from rainsim.cuda.jit import cuda, cuda_device, cuda_kernel
 from rainsim.errors import ParameterError
-from rainsim.light import bilinear
-from rainsim.watersurface import (
+from rainsim.numerics.interpolation import bilinear
+from rainsim.reflection.water_surface import (
     BLOCK,
     GRASS_HEIGHT,
-    HALF,
     LEAST_WEIGHT,
     NARROW,
-    ONE,
     SURFACE_REACH,
     WET_CELL,
     WIDE,
-    ZERO,
 )
 
 THREADS = SIDE, HIGH = 32, 8
@@ -99,7 +97,7 @@ def nearest_rows(count, row_out):
 
 @cuda_kernel
 def nearest_blocks(row, mean, far_out):
-    """Give each block the level of the nearest block that has one.
+    """Write for each block the level of the nearest block that has one.
 
     A block of threads takes a row.
     """
@@ -251,7 +249,7 @@ class WaterSurface:
     ----------
     bed, relief : ndarray of shape (ny, nx), float32 [m]
     mirrors : ndarray of shape (ny, nx), bool
-        See `rainsim.watersurface.water_surface`.
+        See `rainsim.reflection.water_surface.water_surface`.
     depth : device array of shape (ny, nx), float32 [m]
         Of the water; read at each launch.
     stream : numba.cuda.stream
@@ -286,7 +284,7 @@ class WaterSurface:
         self.highest = cuda.device_array(1, np.float32)
 
     def launch(self, stream=None):
-        """Queue the surface of the water as it is then, on another stream than its own if given."""
+        """Queue the making of the surface, on another stream than its own if one is given."""
         stream, (rows, columns) = self.stream if stream is None else stream, self.surface.shape
         cells = (-(-columns // SIDE), -(-rows // HIGH)), THREADS, stream
         squares = (-(-columns // SIDE), -(-rows // SIDE)), THREADS, stream

@@ -1,10 +1,10 @@
-"""What the film on wet ground mirrors, on the GPU: twin of `rainsim.film` and `rainsim.ripmap`.
+"""Twin of `shading.wet_ground_mirror` and `numerics.ripmap`: what wet ground mirrors, on the GPU.
 
-The level mirrored picture and the field of mirrored light need nothing of the picture itself: they
-are drawn beside it on a stream of their own, and laid on it once it is graded. Every block of the
-field is filled in, film or not. Whether `auto` draws the mirrored picture is found out with the
-first frames: the device adds up the film's share of the light, the host looks when the frame is
-finished, and if it is worth a picture the frame is drawn again with it.
+The level picture and the field of mirrored light need nothing of the picture itself: they are drawn
+on a stream beside it, and added to it once it is graded. Every block of the field is computed, wet
+or not. The first frames decide whether `auto` draws the level picture: the device sums the share of
+the light that wet ground mirrors, the host reads the sum when the frame is finished, and if the
+picture is worth its time the frame is drawn again with it.
 """
 
 from __future__ import annotations
@@ -13,19 +13,25 @@ import math
 
 import numpy as np
 
+from rainsim.constants import ONE, ZERO
+from rainsim.cuda.frame_uniforms import FrameUniforms
 from rainsim.cuda.jit import cuda, cuda_device, cuda_kernel, pinned
-from rainsim.cuda.numbers import Numbers
 from rainsim.cuda.raster import Rasterizer
-from rainsim.cuda.shading import BLOCK, blocks
-from rainsim.film import (
+from rainsim.cuda.shading.wet_pass import BLOCK, blocks
+from rainsim.numerics.ripmap import LEVELS
+from rainsim.raster import prepare
+from rainsim.scene.cameras import mirrored_camera
+from rainsim.scene.view import pixel_ray, view_from, view_of
+from rainsim.shading.microfacet import LOBE
+from rainsim.shading.wet_ground_mirror import (
     ABOVE,
     COARSE,
     FIELD_STEP,
-    HALF,
     MOST_ASIDE,
     MOST_UP,
-    ONE,
-    ZERO,
+    GroundSlopes,
+    LevelPicture,
+    block_ray,
     field_at,
     in_level_picture,
     level_camera,
@@ -33,12 +39,6 @@ from rainsim.film import (
     usual_share,
     usual_shares,
 )
-from rainsim.light import pixel_ray
-from rainsim.lobe import LOBE
-from rainsim.raster import prepare
-from rainsim.render import pose
-from rainsim.ripmap import LEVELS
-from rainsim.scene.cameras import mirrored_camera
 
 COARSEST = 1 << (LEVELS - 1)
 SUMMERS = 128  # threads that add up a row
@@ -46,10 +46,10 @@ SUMMERS = 128  # threads that add up a row
 
 @cuda_kernel
 def halve_widths(picture, size, horizon, atlas_out):
-    """Fill the upper half of a ripmap: all widths of the rows; see `rainsim.ripmap.ripmap`.
+    """Fill the upper half of a ripmap: all widths of the rows; see `ripmap`.
 
     size : ndarray of shape (2,), float32
-        Columns and rows of the picture that are drawn; what lies beyond is as at their border.
+        Columns and rows of the picture that are drawn; beyond them the border's values go on.
     """
     column, row = cuda.grid(2)
     height, width = atlas_out.shape[0] // 2, atlas_out.shape[1] // 2
@@ -102,33 +102,26 @@ def level_of(place, side):
 
 
 @cuda_kernel
-def mirrored_field(
-    ground_from_camera, eye, lens, step, ground, origin, spacing, lobe, atlas, level_depth,
-    level_size, level_lens, forward, environment, field_out,
-):  # fmt: skip
-    """Fill in the light that film mirrors to each block of pixels; see `rainsim.film`.
+def mirrored_field(camera, step, ground, lobe, level, level_size, environment, field_out):
+    """Write the light that wet ground mirrors to each block of pixels; see the CPU's kernel.
 
-    level_size : ndarray of shape (2,), float32
-        Columns and rows of the level picture; zero: there is none.
+    level_size : device array of shape (2,), float32
+        Columns and rows of the level picture, whose arrays may be larger; zero: there is none.
     """
     i, j = cuda.grid(2)
     if j >= field_out.shape[0] or i >= field_out.shape[1]:
         return
-    m = ground_from_camera
-    b = ((np.float32(j) + HALF) * np.float32(step) - lens[3]) / lens[1]
-    a = ((np.float32(i) + HALF) * np.float32(step) - lens[2]) / lens[0]
-    depth = level_depth[: int(level_size[1]), : int(level_size[0])]
-    red, green, blue = mirrored_light(
-        m[0, 0] * a + m[0, 1] * b + m[0, 2], m[1, 0] * a + m[1, 1] * b + m[1, 2],
-        m[2, 0] * a + m[2, 1] * b + m[2, 2], eye, ground, origin, spacing, lobe, atlas, depth,
-        level_lens, forward, environment,
-    )  # fmt: skip
+    view = view_from(camera)
+    x, y, z = block_ray(view, step, j, i)
+    depth = level.depth[: int(level_size[1]), : int(level_size[0])]
+    drawn = LevelPicture(level.atlas, depth, level.lens, level.forward)
+    red, green, blue = mirrored_light(x, y, z, view.eye, ground, lobe, drawn, environment)
     field_out[j, i, 0], field_out[j, i, 1], field_out[j, i, 2] = red, green, blue
 
 
 @cuda_kernel
-def lay_film(bare, cover, field, step, picture_out):
-    """Add to a picture without film what its film mirrors; see `rainsim.film`."""
+def add_reflection(bare, cover, field, step, picture_out):
+    """Add what wet ground mirrors to a picture without it; see the CPU's kernel."""
     column, row = cuda.grid(2)
     height, width = cover.shape
     if row >= height or column >= width:
@@ -144,16 +137,16 @@ def lay_film(bare, cover, field, step, picture_out):
 
 
 @cuda_kernel
-def film_share(cover, ground_from_camera, lens, table, total_out):
-    """Add up what film mirrors; see `rainsim.film`. A block of SUMMERS threads takes a row."""
+def reflected_share(cover, camera, table, total_out):
+    """Sum the shares of light that wet ground mirrors; a block of SUMMERS threads takes a row."""
     sums = cuda.shared.array(SUMMERS, np.float64)
     tid, j = cuda.threadIdx.x, cuda.blockIdx.x
-    m, row = ground_from_camera, j * COARSE
+    row, view = j * COARSE, view_from(camera)
     total = 0.0
     for column in range(tid * COARSE, cover.shape[1], SUMMERS * COARSE):
         share = cover[row, column]
         if share > ZERO:
-            x, y, z = pixel_ray(m, lens, row, column)
+            x, y, z = pixel_ray(view, row, column)
             total += share * usual_share(table, x, y, z)
     sums[tid] = total
     cuda.syncthreads()
@@ -163,37 +156,40 @@ def film_share(cover, ground_from_camera, lens, table, total_out):
         total_out[j] = total
 
 
-class Film:
-    """What wet ground mirrors in the pictures of a renderer.
+class WetGroundLight:
+    """What wet ground mirrors in the frames of a device.
 
     Parameters
     ----------
-    renderer : rainsim.cuda.frame.Renderer
-        Its `wet_ground` has chosen, or chooses, whether the mirrored picture is drawn.
+    frame : DeviceFrame
+        Its `wet_ground` has chosen, or chooses, whether the level picture is drawn.
 
     Attributes
     ----------
+    apart : bool
+        Whether the film's cover is found and its reflection added.
     rasterizers : list of Rasterizer
         The one of what stands on the ground, once it is drawn.
     bare : device array of shape (height, width, 3), float32
-        The picture without film.
+        The picture without the reflection of level ground.
     cover : device array of shape (height, width), float32
-        Share of a full film; without rows where it is not told apart.
+        Share of a full water film; unused rows where `apart` is False.
     """
 
-    def __init__(self, renderer):
-        self.renderer, self.wet_ground = renderer, renderer.wet_ground
+    def __init__(self, frame):
+        self.frame, self.wet_ground = frame, frame.wet_ground
         self.apart, self.rasterizers = self.wet_ground.apart, []
         self.stream, self._forked, self._done = cuda.stream(), cuda.event(), cuda.event()
         self._room = None
         if not self.apart:
             return
-        self._ground, self._lobe = cuda.to_device(self.wet_ground.ground), cuda.to_device(LOBE)
-        self._table = cuda.to_device(usual_shares())
-        # What stands for a level picture that shows nothing.
+        slopes, *place = self.wet_ground.ground
+        self._ground = GroundSlopes(cuda.to_device(slopes), cuda.to_device(place[0]), place[1])
+        self._lobe, self._table = cuda.to_device(LOBE), cuda.to_device(usual_shares())
+        # Stand for a level picture that shows nothing.
         self._size = cuda.to_device(np.zeros(2, np.float32))
         self._lens = cuda.to_device(np.ones(4, np.float32))
-        self._now = Numbers(self.stream, {
+        self._uniforms = FrameUniforms(self.stream, {
             "turn": ((3, 3), np.float32), "eye": ((3,), np.float32), "forward": ((2,), np.float32),
         })  # fmt: skip
         self._allocate(1, 1)
@@ -209,7 +205,7 @@ class Film:
             return self.cover[:0]
         self.bare = cuda.device_array((height, width, 3), f4)
         rows = -(-height // COARSE)
-        self._total, self._told = cuda.device_array(rows, np.float64), pinned(rows, np.float64)
+        self._total, self._sums = cuda.device_array(rows, np.float64), pinned(rows, np.float64)
         return self.cover
 
     def _allocate(self, width, height):
@@ -221,13 +217,13 @@ class Film:
         self._atlas = cuda.device_array((high, wide, 3), f4)
 
     def _prepare(self):
-        """Take what stands on the ground to the device."""
-        r = self.renderer
-        splats = in_level_picture(prepare(r.scene.splats), r.terrain, r.frame)
+        """Send the splats that stand on the ground to the device."""
+        scene = self.frame.wet_scene
+        splats = in_level_picture(prepare(scene.scene.splats), scene.terrain, scene.frame)
         self.rasterizers = [Rasterizer(splats, self.stream, first_room=len(splats))]
 
-    def update(self, camera, view):
-        """Take over the camera of the next picture: in the capture's frame and in the ground's."""
+    def update(self, camera, camera_in_ground):
+        """Take over the camera of the next picture, in the capture's and in the ground's frame."""
         self._step = max(1, round(camera.fx / FIELD_STEP))
         if self.apart and (self.field is None or self._field_step != self._step):
             self._field_step = self._step
@@ -235,18 +231,18 @@ class Film:
             self.field = cuda.device_array((*shape, 3), np.float32)
         if not self.rasterizers:
             return
-        frame, level = self.renderer.frame, level_camera(view)
-        _, mirrored = mirrored_camera(frame.camera_in_capture(level), frame, 0.0)
+        scene, level = self.frame.wet_scene, level_camera(camera_in_ground)
+        _, mirrored = mirrored_camera(scene.frame.camera_in_capture(level), scene.frame, 0.0)
         self._horizon = round(level.cy)
         room = math.ceil(2 * MOST_ASIDE * level.fx), math.ceil((ABOVE + MOST_UP) * level.fx)
         if room != self._room:
             self._room = room
             self._allocate(*room)
         rasterizer = self.rasterizers[0]
-        rasterizer.update(mirrored, self.renderer.near, room=room)
+        rasterizer.update(mirrored, scene.near, room=room)
         self._size, self._lens = rasterizer.size, rasterizer.lens
-        turn, eye = pose(frame.camera_in_ground(mirrored))
-        self._now.update(turn=turn, eye=eye, forward=level.forward[:2])
+        view = view_of(scene.frame.camera_in_ground(mirrored))
+        self._uniforms.update(turn=view.ground_from_camera, eye=view.eye, forward=level.forward[:2])
 
     @property
     def queue(self):
@@ -256,46 +252,44 @@ class Film:
         return self._step, self._room, *(rasterizer.queue for rasterizer in self.rasterizers)
 
     def lacks(self):
-        """Return whether the frame that the device has drawn shows that a picture is to be drawn.
+        """Return whether the finished frame shows that the level picture is to be drawn.
 
-        `auto` decides; it is said once, and kept.
+        `auto` decides; the choice is noted once, and kept.
         """
         if not self.apart or self.rasterizers:
             return False
         ground = self.wet_ground
         if ground.config.film == "auto" and not ground.drawn:
-            share = float(self._told.sum() / (len(self._told) * -(-self._shape[1] // COARSE)))
+            share = float(self._sums.sum() / (len(self._sums) * -(-self._shape[1] // COARSE)))
             if share > 0:
-                ground.choose(share, self.renderer.notes)
+                ground.choose(share, self.frame.host.notes)
         return ground.drawn
 
     def grow(self):
-        """Draw the mirrored picture from now on if the finished frame lacked it; return that."""
+        """Draw the level picture from now on if the finished frame lacked it; return whether so."""
         lacking = self.lacks()
         if lacking:
             self._prepare()
         return lacking
 
     def draw(self):
-        """Queue the level picture and the field, beside what the renderer's stream does next."""
+        """Queue the level picture and the field, beside what the frame's stream does next."""
         if not self.apart:
             return
-        r, stream = self.renderer, self.stream
-        self._forked.record(r.stream)
-        self._forked.wait(stream)
-        self._now.send()
+        self._forked.record(self.frame.stream)
+        self._forked.wait(self.stream)
+        self._uniforms.send()
         for rasterizer in self.rasterizers:
             rasterizer.launch()
             self._grade(rasterizer)
         self._fill()
-        self._done.record(stream)
+        self._done.record(self.stream)
 
     def _grade(self, rasterizer):
         """Queue the grading of the level picture, and its ripmap."""
-        self.renderer.grade(
-            rasterizer, self._depth.shape, self._now["turn"], self._now["eye"], self._picture,
-            self._depth, self._clearance, self.cover[:0], self.stream,
-        )  # fmt: skip
+        pictures = self._picture, self._depth, self._clearance, self.cover[:0]
+        turn, eye = self._uniforms["turn"], self._uniforms["eye"]
+        self.frame.grade(rasterizer, self._depth.shape, turn, eye, *pictures, self.stream)
         high, wide, _ = self._atlas.shape
         grid = blocks(high // 2, wide), BLOCK, self.stream
         halve_widths[grid](self._picture, self._size, self._horizon, self._atlas)
@@ -303,22 +297,21 @@ class Film:
 
     def _fill(self):
         """Queue the field."""
-        r, n = self.renderer, self.renderer.numbers
+        level = LevelPicture(self._atlas, self._depth, self._lens, self._uniforms["forward"])
         mirrored_field[blocks(*self.field.shape[:2]), BLOCK, self.stream](
-            n["turn"], n["eye"], n["lens"], self._step, self._ground, *r.place, self._lobe,
-            self._atlas, self._depth, self._size, self._lens, self._now["forward"], r.blurred,
-            self.field,
+            self.frame.camera_arrays, self._step, self._ground, self._lobe, level, self._size,
+            self.frame.gloss, self.field,
         )  # fmt: skip
 
-    def lay(self, picture):
-        """Queue the film that is laid over the graded picture."""
-        r, n = self.renderer, self.renderer.numbers
-        self._done.wait(r.stream)
+    def add(self, picture):
+        """Queue the sum of the graded picture and what its wet ground mirrors."""
+        stream = self.frame.stream
+        self._done.wait(stream)
         if not self.rasterizers and self.wet_ground.config.film == "auto":
-            film_share[len(self._total), SUMMERS, r.stream](
-                self.cover, n["turn"], n["lens"], self._table, self._total
+            reflected_share[len(self._total), SUMMERS, stream](
+                self.cover, self.frame.camera_arrays, self._table, self._total
             )
-            self._total.copy_to_host(self._told, stream=r.stream)
-        lay_film[blocks(*self._shape), BLOCK, r.stream](
+            self._total.copy_to_host(self._sums, stream=stream)
+        add_reflection[blocks(*self._shape), BLOCK, stream](
             self.bare, self.cover, self.field, self._step, picture
         )

@@ -1,4 +1,4 @@
-"""Twin of `rainsim.raster.blend`: each tile's list blended front to back.
+"""Twin of `rainsim.splatting.blend`: each tile's list blended front to back.
 
 A warp owns 8 x 8 pixels, two a lane, and needs no barrier with others. It tests 32 entries at once
 against its square, packs those that reach it into its own shared memory, and blends them two a turn
@@ -11,6 +11,7 @@ import math
 
 import numpy as np
 
+from rainsim.constants import FOUR, HALF, ONE, TWO, ZERO
 from rainsim.cuda.jit import (
     FULL,
     cuda,
@@ -21,10 +22,10 @@ from rainsim.cuda.jit import (
     load4,
     store4,
 )
-from rainsim.cuda.project import FAINT, LENS, NEAR, RECORD, SPLAT_BITS, SPLAT_MASK
-from rainsim.raster.blend import HALF, ONE, TRANSMITTANCE_STOP, ZERO, finish_pixel
-from rainsim.raster.lanes import LAST_LIGHT, MAX_ALPHA
-from rainsim.raster.project import MIN_ALPHA_LOG2, TILE
+from rainsim.cuda.splatting.project import FAINT, LENS, NEAR, RECORD, SPLAT_BITS, SPLAT_MASK
+from rainsim.splatting.blend import TRANSMITTANCE_STOP, finish_pixel
+from rainsim.splatting.lanes import LAST_LIGHT, MAX_ALPHA
+from rainsim.splatting.project import MIN_ALPHA_LOG2, TILE
 
 SQUARE = 8  # px, side of what a warp owns
 WARPS = 4  # of a block: the four quarters of a tile
@@ -32,18 +33,24 @@ SIZE = NEAR + 1  # place of the drawn part's width and height among a camera's n
 SHARED = WARPS * (32 + 1) * RECORD
 MOST = np.float32(MAX_ALPHA)
 LAST = np.float32(LAST_LIGHT)
-TWO, FOUR, SEVEN = np.float32(2), np.float32(4), np.float32(7)
+SEVEN = np.float32(7)
 SMALL = np.float32(1e-4)
 
 
 @cuda_device
 def write_pixel(
-    x, y, width, height, now, orthographic, median, clear, red, green, blue, z, n0, n1, n2,
-    distance, color_out, alpha_out, depth_out, plane_out, normal_out,
+    x, y, width, height, now, orthographic, median, sums,
+    color_out, alpha_out, depth_out, plane_out, normal_out,
 ):  # fmt: skip
-    """Finish a pixel and write it; compiled without the assumption that nothing is infinite."""
+    """Finish a pixel and write it; compiled without the assumption that nothing is infinite.
+
+    `sums` are nine float32: transmittance, colour (3), depth, normal (3) and plane distance, all
+    but the first summed over the splats by their weights.
+    """
     if x >= width or y >= height:
         return
+    clear, red, green, blue, z, n0, n1, n2, distance = sums
+    clear = abs(clear)  # negative in pixels that `drop_last` has ended
     alpha = ONE - clear
     a = (np.float32(x) + HALF - now[LENS + 2]) / now[LENS]
     b = (np.float32(y) + HALF - now[LENS + 3]) / now[LENS + 1]
@@ -118,17 +125,20 @@ def blend_pixel_by_pixel(
         if clear <= TRANSMITTANCE_STOP:
             break
     write_pixel(
-        x, y, width, height, now, orthographic, median, clear, red, green, blue, z, n0, n1, n2,
-        distance, color_out, alpha_out, depth_out, plane_out, normal_out,
+        x, y, width, height, now, orthographic, median,
+        (clear, red, green, blue, z, n0, n1, n2, distance),
+        color_out, alpha_out, depth_out, plane_out, normal_out,
     )  # fmt: skip
 
 
 @fast_device
-def add_splat(
-    shared, o, px, py, median, drop_last,
-    t0, t1, r0, g0, b0, z0, x0, y0, w0, d0, r1, g1, b1, z1, x1, y1, w1, d1,
-):  # fmt: skip
-    """Blend one staged splat into a lane's two pixels, four rows apart; return their sums."""
+def add_splat(shared, o, px, py, median, drop_last, upper_sums, lower_sums):
+    """Blend one staged splat into a lane's two pixels, four rows apart; return their sums.
+
+    The sums of a pixel are those of `write_pixel`.
+    """
+    t0, r0, g0, b0, z0, x0, y0, w0, d0 = upper_sums
+    t1, r1, g1, b1, z1, x1, y1, w1, d1 = lower_sums
     u, v, a, b = load4(shared, o)
     c, level, red, green = load4(shared, o + 4)
     blue, z, n0, n1 = load4(shared, o + 8)
@@ -159,17 +169,18 @@ def add_splat(
         z0 += s0 * z
         z1 += s1 * z
     return (
-        after0, after1,
-        r0 + s0 * red, g0 + s0 * green, b0 + s0 * blue, z0,
-        x0 + s0 * n0, y0 + s0 * n1, w0 + s0 * n2, d0 + s0 * distance,
-        r1 + s1 * red, g1 + s1 * green, b1 + s1 * blue, z1,
-        x1 + s1 * n0, y1 + s1 * n1, w1 + s1 * n2, d1 + s1 * distance,
+        (after0, r0 + s0 * red, g0 + s0 * green, b0 + s0 * blue, z0,
+         x0 + s0 * n0, y0 + s0 * n1, w0 + s0 * n2, d0 + s0 * distance),
+        (after1, r1 + s1 * red, g1 + s1 * green, b1 + s1 * blue, z1,
+         x1 + s1 * n0, y1 + s1 * n1, w1 + s1 * n2, d1 + s1 * distance),
     )  # fmt: skip
 
 
+# long: it makes a kernel whose warps keep two pixels' sums in registers over a tile's whole list
 def _blend_squares(median, drop_last):
     """Return the kernel for the mean or the median depth, and for either stop."""
 
+    # long: a warp's march over its tile's list, as said above
     @fast_kernel
     def blend_squares(
         value, begin, end, record, now, width, height, orthographic, across, inverse_across,
@@ -197,8 +208,8 @@ def _blend_squares(median, drop_last):
         mask = np.uint32(SPLAT_MASK)
         t0 = ONE if x < width and y < height else ZERO
         t1 = ONE if x < width and y + 4 < height else ZERO
-        r0, g0, b0, z0, x0, y0, w0, d0 = ZERO, ZERO, ZERO, ZERO, ZERO, ZERO, ZERO, ZERO
-        r1, g1, b1, z1, x1, y1, w1, d1 = ZERO, ZERO, ZERO, ZERO, ZERO, ZERO, ZERO, ZERO
+        upper = t0, ZERO, ZERO, ZERO, ZERO, ZERO, ZERO, ZERO, ZERO
+        lower = t1, ZERO, ZERO, ZERO, ZERO, ZERO, ZERO, ZERO, ZERO
         # The next entries are read while these are blended.
         entry = value[at + lane] if at + lane < stop else np.uint32(0)
         reached = entry & bit != 0
@@ -240,26 +251,20 @@ def _blend_squares(median, drop_last):
             o = staged
             last = np.int32(staged + count * RECORD)
             while o < last:
-                t0, t1, r0, g0, b0, z0, x0, y0, w0, d0, r1, g1, b1, z1, x1, y1, w1, d1 = add_splat(
-                    shared, o, px, py, median, drop_last,
-                    t0, t1, r0, g0, b0, z0, x0, y0, w0, d0, r1, g1, b1, z1, x1, y1, w1, d1,
-                )  # fmt: skip
-                t0, t1, r0, g0, b0, z0, x0, y0, w0, d0, r1, g1, b1, z1, x1, y1, w1, d1 = add_splat(
-                    shared, o + RECORD, px, py, median, drop_last,
-                    t0, t1, r0, g0, b0, z0, x0, y0, w0, d0, r1, g1, b1, z1, x1, y1, w1, d1,
-                )  # fmt: skip
+                upper, lower = add_splat(shared, o, px, py, median, drop_last, upper, lower)
+                upper, lower = add_splat(
+                    shared, o + RECORD, px, py, median, drop_last, upper, lower
+                )
                 o = np.int32(o + 2 * RECORD)
-            if not cuda.any_sync(FULL, t0 > SMALL or t1 > SMALL):
+            if not cuda.any_sync(FULL, upper[0] > SMALL or lower[0] > SMALL):
                 break
             cuda.syncwarp()
-        if drop_last:
-            t0, t1 = abs(t0), abs(t1)
         write_pixel(
-            x, y, width, height, now, orthographic, median, t0, r0, g0, b0, z0, x0, y0, w0, d0,
+            x, y, width, height, now, orthographic, median, upper,
             color_out, alpha_out, depth_out, plane_out, normal_out,
         )  # fmt: skip
         write_pixel(
-            x, y + 4, width, height, now, orthographic, median, t1, r1, g1, b1, z1, x1, y1, w1, d1,
+            x, y + 4, width, height, now, orthographic, median, lower,
             color_out, alpha_out, depth_out, plane_out, normal_out,
         )  # fmt: skip
 

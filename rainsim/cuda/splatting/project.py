@@ -1,4 +1,4 @@
-"""Twin of `rainsim.raster.project`: splats to ellipses, and their entries in the tiles' lists.
+"""Twin of `rainsim.splatting.project`: splats to ellipses, and their entries in the tiles' lists.
 
 A block of threads takes a chunk of 256 splats. Each warp shares the writing of its splats' entries
 among its lanes, so that the stores lie side by side and a splat of many tiles keeps no lane busy.
@@ -13,6 +13,7 @@ import math
 
 import numpy as np
 
+from rainsim.constants import HALF, ONE, ZERO
 from rainsim.cuda.jit import (
     FULL,
     SIMULATED,
@@ -26,12 +27,12 @@ from rainsim.cuda.jit import (
     load_halves,
     store4,
 )
-from rainsim.raster.prepared import LANES, OPACITY
-from rainsim.raster.project import (
-    HALF,
+from rainsim.splatting.prepared import LANES, OPACITY
+from rainsim.splatting.project import (
     MIN_ALPHA_LOG2,
-    ONE,
-    ZERO,
+    Frustum,
+    Lens,
+    Pose,
     chunk_is_out,
     color_constant,
     color_degree_1,
@@ -44,7 +45,7 @@ from rainsim.raster.project import (
 )
 
 RECORD = 16  # float32 numbers of a projected splat: 64 bytes
-NUMBERS = 9 + 4  # rows of a chunk's geometry, see `rainsim.raster.prepared`
+NUMBERS = 9 + 4  # rows of a chunk's geometry, see `rainsim.splatting.prepared`
 SPLAT_BITS = 28
 SPLAT_MASK = np.int64((1 << SPLAT_BITS) - 1)
 MOST_SPLATS = 1 << SPLAT_BITS
@@ -76,7 +77,8 @@ def start(box, view, lens, size, near, plane, orthographic, seen_out, key_out, r
     for k in range(i, range_out.size, step):
         range_out[k] = 0
     if i < seen_out.size:
-        seen_out[i] = not chunk_is_out(box[i], view, lens, size, near[0], plane, orthographic)
+        frustum = Frustum(view, lens, size, near[0], plane, orthographic)
+        seen_out[i] = not chunk_is_out(box[i], frustum)
 
 
 @fast_device
@@ -152,7 +154,7 @@ def record_splat(
     g = chunk * (NUMBERS * LANES) + lane
     px, py, pz = geometry[g], geometry[g + LANES], geometry[g + 2 * LANES]
     level = geometry[g + OPACITY * LANES]
-    v20, v21, v22, v23 = load4(now, 8)
+    v20, v21, v22, v23 = load4(now, VIEW + 8)
     p0, p1, p2, p3 = load4(now, PLANE)
     near, width, height, _ = load4(now, NEAR)
     ahead = v20 * px + v21 * py + v22 * pz + v23 >= near
@@ -160,22 +162,25 @@ def record_splat(
     none = np.int32(0)
     if not (ahead and above and level > MIN_ALPHA_LOG2):
         return False, none, none, none, none, none
-    v00, v01, v02, v03 = load4(now, 0)
-    v10, v11, v12, v13 = load4(now, 4)
+    v00, v01, v02, v03 = load4(now, VIEW)
+    v10, v11, v12, v13 = load4(now, VIEW + 4)
     fx, fy, cx, cy = load4(now, LENS)
     x_low, x_high, y_low, y_high = load4(now, LIMITS)
-    x, y, z, u, v, a, b, c, m00, m11, determinant, spread = project_splat(
-        px, py, pz, geometry[g + 3 * LANES], geometry[g + 4 * LANES], geometry[g + 5 * LANES],
+    pose = Pose(v00, v01, v02, v03, v10, v11, v12, v13, v20, v21, v22, v23)
+    lens = Lens(fx, fy, cx, cy, x_low, x_high, y_low, y_high, orthographic)
+    covariance = (
+        geometry[g + 3 * LANES], geometry[g + 4 * LANES], geometry[g + 5 * LANES],
         geometry[g + 6 * LANES], geometry[g + 7 * LANES], geometry[g + 8 * LANES],
-        v00, v01, v02, v03, v10, v11, v12, v13, v20, v21, v22, v23,
-        fx, fy, cx, cy, x_low, x_high, y_low, y_high, orthographic,
     )  # fmt: skip
+    x, y, z, u, v, a, b, c, m00, m11, determinant, spread = project_splat(
+        (px, py, pz), covariance, pose, lens
+    )
     if not determinant > ZERO:
         return False, none, none, none, none, none
     if compensate:
         level += compensation(spread, determinant)
     ex, ey = half_extents(level, m00, m11)
-    # Pixels whose centres lie in the ellipse's box, as in `rainsim.raster.project`.
+    # Pixels whose centres lie in the ellipse's box, as in `rainsim.splatting.project`.
     left, right = max(u - ex - HALF, ZERO), min(u + ex - HALF, width - ONE)
     first, last = max(v - ey - HALF, ZERO), min(v + ey - HALF, height - ONE)
     left, first = np.float32(math.ceil(left)), np.float32(math.ceil(first))
@@ -190,10 +195,8 @@ def record_splat(
     red, green, blue = splat_color(
         sh, chunk, lane, groups, bands, dx * share, dy * share, dz * share
     )
-    n0, n1, n2, distance = facing_normal(
-        geometry[g + 9 * LANES], geometry[g + 10 * LANES], geometry[g + 11 * LANES], x, y, z,
-        v00, v01, v02, v10, v11, v12, v20, v21, v22, orthographic,
-    )  # fmt: skip
+    normal = geometry[g + 9 * LANES], geometry[g + 10 * LANES], geometry[g + 11 * LANES]
+    n0, n1, n2, distance = facing_normal(normal, (x, y, z), pose, orthographic)
     at = RECORD * (chunk * LANES + lane)
     # The conic in whole log2: alpha = 2^(level - a dx^2 - b dx dy - c dy^2).
     store4(record_out, at, u, v, EIGHT * a, EIGHT * b)

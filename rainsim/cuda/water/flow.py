@@ -1,22 +1,26 @@
-"""The scheme "lean" on a CUDA device: twin of `rainsim.grid.lean` and of the solver's step.
+"""The scheme "lean" on a CUDA device: twin of `rainsim.water.lean` and of the solver's step.
 
 A step is one launch: flux, new depth, momentum, friction, rain and infiltration, ghost cells and
-the account. A thread marches up a column of cells and keeps what the next row needs of this one in
-registers. How long the step is, the launch before has decided (see `rainsim.cuda.account`); one for
-which no time is left returns at once.
+the account. A thread marches up a column of cells and keeps the numbers that the next row needs in
+registers. The launch before has decided how long the step is (see `step_control.plan`); a launch
+for which no time is left returns at once.
 
-All fields are flat, ny + 1 rows of `account.pitch` numbers, with the `PAD` ghost cells of
-`rainsim.grid.conserving` in ny and nx and room for the last faces; depth and velocity are kept
-twice, and `state[PARITY]` tells which copy is the present one. Ghost cells stay
-as they are: water only leaves through the edges, and what is upwind then is inside. The faces of
-walls stay 0.
+All fields are flat, ny + 1 rows of `step_control.pitch` numbers, with the `PAD` ghost cells of
+`rainsim.water.conserving` in ny and nx and room for the last faces. Depth and velocity are kept
+twice; `state[PARITY]` is the number of the present copy. Ghost cells never change: water only
+leaves through the edges, so the upwind cell lies inside. The faces of walls stay 0.
 """
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
-from rainsim.cuda.account import (
+from rainsim.constants import QUARTER, ZERO
+from rainsim.cuda.jit import SIMULATED, cuda, tight_kernel
+from rainsim.cuda.warp import raise_to
+from rainsim.cuda.water.step_control import (
     CAP,
     EAST,
     GRAVITY,
@@ -51,13 +55,11 @@ from rainsim.cuda.account import (
     plan,
     raised,
 )
-from rainsim.cuda.jit import SIMULATED, cuda, tight_kernel
-from rainsim.cuda.warp import raise_to
-from rainsim.grid.conserving import PAD, ZERO, reach, standing
-from rainsim.grid.friction import QUARTER, rubbed
-from rainsim.grid.lean import pushed_lean, upwind_flux, upwind_gain
-from rainsim.grid.solver import MAX_SPEED
-from rainsim.grid.sources import soaked
+from rainsim.grid import MAX_SPEED
+from rainsim.water.conserving import PAD, depth_over_step, wave_speed
+from rainsim.water.friction import slowed
+from rainsim.water.lean import accelerated, upwind_flux, upwind_gain
+from rainsim.water.sources import infiltrate_and_fill
 
 ROWS = 8, 32  # of cells that a thread marches through: fewest, most
 RESIDENT = 5  # blocks of `step` that a multiprocessor holds
@@ -79,10 +81,62 @@ def rows_for(ny, wide):
     return most_rows
 
 
+class Maps(NamedTuple):
+    """What the ground is like: device arrays of shape (cells,), float32.
+
+    Attributes
+    ----------
+    bed : [m]
+    roughness : [s2 m^(-2/3)]
+        Square of Manning's n.
+    exposure :
+        Share of the rain that falls here.
+    infiltration : [m/s]
+        Rate that the ground takes; negative: rate that a drain takes.
+    storage : [m]
+        Depth held back.
+    """
+
+    bed: object
+    roughness: object
+    exposure: object
+    infiltration: object
+    storage: object
+
+
+class Layout(NamedTuple):
+    """How the cells lie in memory and among threads.
+
+    Attributes
+    ----------
+    ny, nx, pitch : int
+        Cells with their ghosts, and numbers from one row to the next.
+    rows : int
+        Of cells that a thread marches through.
+    open_edges : int
+        Bits of the open edges: WEST, EAST, SOUTH, NORTH.
+    """
+
+    ny: int
+    nx: int
+    pitch: int
+    rows: int
+    open_edges: int
+
+
+class Limits(NamedTuple):
+    """Gravity [m/s2], the rounding of levels and the depth [m] below which water does not flow."""
+
+    gravity: np.float32
+    rounding: np.float32
+    dry: np.float32
+
+
+# long: a thread's march keeps some forty numbers in registers from row to row
 @tight_kernel
 def step(
-    control, state, now, numbers, bed, roughness, exposure, infiltration, storage, ny, nx, pitch,
-    rows, kinds, gravity, rest, dry, w_out, damp_out, film_out, depth_out, partial_out,
+    control, state, now, numbers, maps: Maps, layout: Layout, limits: Limits,
+    w_out, remainder_out, film_out, depth_out, partial_out,
 ):  # fmt: skip
     """Bring depth from n to n+1 and velocity from n+1/2 to n+3/2; then rain and infiltration.
 
@@ -90,20 +144,12 @@ def step(
     ----------
     control, state, now, numbers
         See the module's constants; the first two are modified.
-    bed, roughness, exposure, infiltration, storage : device arrays of shape (cells,), float32
-        Height [m], square of Manning's n [s2 m^(-2/3)], share of the rain that falls here, rate
-        that the ground takes [m/s] (negative: that a drain takes), depth held back [m].
-    ny, nx, pitch : int
-        Cells with their ghosts, and from row to row.
-    rows : int
-        Of cells that a thread marches through.
-    kinds : int
-        Bits of the open edges.
-    gravity, rest, dry : float32
-        As `grid.lean.step` has them.
+    maps : Maps
+    layout : Layout
+    limits : Limits
     w_out : device array of shape (2 * 3 * cells,), float32
         Both copies of depth [m] and of the velocities of west and south faces [m/s].
-    damp_out, film_out : device arrays of shape (cells,), float32 [m]
+    remainder_out, film_out : device arrays of shape (cells,), float32 [m]
     depth_out : device array of shape (ny - 4, nx - 4), float32 [m]
         Depth above the bed, film included; written by the last step of a frame.
     partial_out : device array of shape (PARTIAL, blocks), float64
@@ -111,6 +157,9 @@ def step(
     """
     if state[RUNS] == 0:
         return
+    bed, roughness = maps.bed, maps.roughness
+    ny, nx, pitch, rows, kinds = layout
+    gravity, rounding, dry = limits
     tops = cuda.shared.array(2, np.int32)
     room = cuda.shared.array(THREADS, np.float64)
     through = cuda.shared.array(THREADS, np.float64)  # there, not in registers: few add to it
@@ -167,33 +216,33 @@ def step(
             q_n = upwind_flux(v_n, h_c, h_n, t_n)
             d_w = max(h_w - k * ((q_c - q_w) + (q_nw - q_sw)), ZERO)
             d = max(h_c - k * ((q_e - q_c) + (q_n - q_s)), ZERO)
-            e = rest * (d + abs(b_c))
+            e = rounding * (d + abs(b_c))
             if row > 0:
                 x, y = ZERO, ZERO
                 if i > PAD:
                     gain = upwind_gain(
                         u_c, u_w, u_e, u_s, u_n, q_w + q_c, q_c + q_e, q_sw + q_s, q_nw + q_n
                     )
-                    noise = rest * (d_w + abs(b_w)) + e
-                    x = pushed_lean(u_c, d_w, d, t_c, noise, gain, k, kg, cap, dry)
+                    noise = rounding * (d_w + abs(b_w)) + e
+                    x = accelerated(u_c, d_w, d, t_c, noise, gain, k, kg, cap, dry)
                     if x != ZERO:
-                        deep = max(standing(d_w, d, t_c), dry)
+                        deep = max(depth_over_step(d_w, d, t_c), dry)
                         along = QUARTER * (v_w + v_c + v_nw + v_n)
-                        x = rubbed(x, along, deep, drag * max(r_w, r_c), laminar)
+                        x = slowed(x, along, deep, drag * max(r_w, r_c), laminar)
                     u_out[at] = x
-                    far = max(far, reach(x, d_w, d, gravity))
+                    far = max(far, wave_speed(x, d_w, d, gravity))
                     fast = max(fast, abs(x))
                 if row > faces:
                     gain = upwind_gain(
                         v_c, v_w, v_e, v_s, v_n, q_cs + q_c, q_es + q_e, q_ss + q_s, q_s + q_n
                     )
-                    y = pushed_lean(v_c, d_s, d, t_s, e_s + e, gain, k, kg, cap, dry)
+                    y = accelerated(v_c, d_s, d, t_s, e_s + e, gain, k, kg, cap, dry)
                     if y != ZERO:
-                        deep = max(standing(d_s, d, t_s), dry)
+                        deep = max(depth_over_step(d_s, d, t_s), dry)
                         along = QUARTER * (u_s + u_es + u_c + u_e)
-                        y = rubbed(y, along, deep, drag * max(r_s, r_c), laminar)
+                        y = slowed(y, along, deep, drag * max(r_s, r_c), laminar)
                     v_out[at] = y
-                    far = max(far, reach(y, d_s, d, gravity))
+                    far = max(far, wave_speed(y, d_s, d, gravity))
                     fast = max(fast, abs(y))
                 h_out[at] = d
                 if rim:
@@ -230,24 +279,23 @@ def step(
         if lane == 0:
             partial_out[P_OUT, block] += out
     if wets or is_last:
-        drunk, drained, ground, held = 0.0, 0.0, 0.0, 0.0
+        infiltrated, drained, ground, held = 0.0, 0.0, 0.0, 0.0
         if i < nx - PAD:
-            drunk, drained, ground, held = _take_and_tell(
-                control, now, exposure, infiltration, storage, first, end, i, pitch,
-                3 * (1 - p) * (ny + 1) * pitch,
-                dry, wets, w_out, damp_out, film_out, depth_out,
+            infiltrated, drained, ground, held = _apply_sources(
+                control, now, maps, first, end, i, pitch, 3 * (1 - p) * (ny + 1) * pitch, dry,
+                wets, w_out, remainder_out, film_out, depth_out,
             )  # fmt: skip
-        drunk, drained = block_sum(room, lane, drunk), block_sum(room, lane, drained)
+        infiltrated, drained = block_sum(room, lane, infiltrated), block_sum(room, lane, drained)
         ground, held = block_sum(room, lane, ground), block_sum(room, lane, held)
         if lane == 0:
-            partial_out[P_DRUNK, block] += drunk
+            partial_out[P_DRUNK, block] += infiltrated
             partial_out[P_DRAINED, block] += drained
             partial_out[P_GROUND, block] = ground
             partial_out[P_FILM, block] = held
     cuda.syncthreads()
     if lane > 0:
         return
-    told = known(control, state, now, numbers)
+    planned = known(control, state, now, numbers)
     cuda.atomic.max(state, REACH, tops[0])
     cuda.atomic.max(state, SWIFT, tops[1])
     if is_last_block(state):
@@ -256,39 +304,45 @@ def step(
         control[REACH_NOW], control[SWIFT_NOW] = waves, water
         if not waves <= MAX_SPEED:
             state[UNSOUND] = 1
-        plan(control, state, told, waves, water)
+        plan(control, state, planned, waves, water)
 
 
 @cuda.jit(device=True)
-def _take_and_tell(
-    control, now, exposure, infiltration, storage, first, end, i, pitch, base, dry, wets,
-    w_out, damp_out, film_out, depth_out,
+def _apply_sources(
+    control, now, maps, first, end, i, pitch, base, dry, wets,
+    w_out, remainder_out, film_out, depth_out,
 ):  # fmt: skip
-    """Give a thread's cells their rain and losses, as `sources.soak`; return four sums [m].
+    """Add rain and take losses in a thread's cells, as `water.sources.apply_sources`.
 
-    What the ground took, what drains took, what stands that can flow, and what the films hold.
+    Returns sums over the cells [m]: taken by the ground, taken by drains, standing as water that
+    can flow, standing as films.
     """
+    exposure, infiltration, storage = maps.exposure, maps.infiltration, maps.storage
     take, rate = control[TAKE], np.float32(now[RATE])
-    drunk, drained, ground, held_sum = 0.0, 0.0, 0.0, 0.0
+    infiltrated, drained, ground, held_sum = 0.0, 0.0, 0.0, 0.0
     for j in range(first, end):
         at = np.uint64(j * pitch + i + LEAD)
         here = np.uint64(base) + at
-        value, damp, kept = w_out[here], damp_out[at], film_out[at]
+        value, remainder, kept = w_out[here], remainder_out[at], film_out[at]
         if wets:
             film = np.float64(kept)
-            free = np.float64(value) + np.float64(damp) + take * np.float64(rate * exposure[at])
+            free = (
+                np.float64(value) + np.float64(remainder) + take * np.float64(rate * exposure[at])
+            )
             loss = take * np.float64(infiltration[at])
-            from_free, from_film, held = soaked(free, film, max(loss, 0.0), np.float64(storage[at]))
-            drunk += from_free + from_film
+            from_free, from_film, held = infiltrate_and_fill(
+                free, film, max(loss, 0.0), np.float64(storage[at])
+            )
+            infiltrated += from_free + from_film
             kept = np.float32(film - from_film + held)
             free -= from_free + (np.float64(kept) - (film - from_film))
             stays = free - min(-loss, free) if loss < 0.0 else free
             value = np.float32(stays) if stays >= np.float64(dry) else ZERO
-            damp = np.float32(stays - np.float64(value))
+            remainder = np.float32(stays - np.float64(value))
             if loss < 0.0:
-                drained += free - np.float64(value) - np.float64(damp)
-            w_out[here], damp_out[at], film_out[at] = value, damp, kept
-        ground += np.float64(value) + np.float64(damp)
+                drained += free - np.float64(value) - np.float64(remainder)
+            w_out[here], remainder_out[at], film_out[at] = value, remainder, kept
+        ground += np.float64(value) + np.float64(remainder)
         held_sum += np.float64(kept)
-        depth_out[j - PAD, i - PAD] = kept + (value + damp)
-    return drunk, drained, ground, held_sum
+        depth_out[j - PAD, i - PAD] = kept + (value + remainder)
+    return infiltrated, drained, ground, held_sum

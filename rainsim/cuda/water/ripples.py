@@ -1,4 +1,4 @@
-"""Rings on water on a CUDA device: twin of `rainsim.ripples.RippleTile`.
+"""Rings on water on a CUDA device: twin of `rainsim.water.ripples.RippleTile`.
 
 The tile's spectrum is evolved as on the CPU. Two real maps make one complex one, so that a frame
 takes one transform for each two parts of the interval and one for both slopes. A block transforms a
@@ -11,16 +11,16 @@ import math
 
 import numpy as np
 
-from rainsim.cuda.drops import PUSH_UNIT
+from rainsim.constants import HALF, ONE
 from rainsim.cuda.jit import SIMULATED, cuda, cuda_kernel
+from rainsim.cuda.rain.settling import PUSH_UNIT
 from rainsim.errors import ParameterError
-from rainsim.moments import MOMENTS, mean_of_four, place_of
-from rainsim.ripples import _LONGEST_STEP
+from rainsim.reflection.slope_moments import MOMENTS, mean_of_four, place_of
+from rainsim.water.ripples import _LONGEST_STEP
 
 MOST = 256  # cells along a side of the tile
 THREADS = 32 if SIMULATED else 128
 CELLS = (4, 4) if SIMULATED else (32, 4)  # threads of a block that take a cell each
-_ZERO, _HALF = np.float32(0), np.float32(0.5)
 
 
 @cuda.jit(device=True)
@@ -138,11 +138,11 @@ def turn(re, im, steps, n, cosine, sine, push, wave, waves_out, re_out, im_out):
         for part in range(min(steps - 2 * which, 2)):
             a, b, p, q = c * a + s * p, c * b + s * q, c * p - s * a, c * q - s * b
             if part == 0:
-                p += g * _HALF * (x + z)
-                q += g * _HALF * (y - w)
+                p += g * HALF * (x + z)
+                q += g * HALF * (y - w)
             else:
-                p += g * _HALF * (y + w)
-                q += g * _HALF * (z - x)
+                p += g * HALF * (y + w)
+                q += g * HALF * (z - x)
     waves_out[0, here], waves_out[1, here], waves_out[2, here], waves_out[3, here] = a, b, p, q
     kx, ky = wave[column], wave[row]
     scale = np.float32(1.0 / (n * n))
@@ -155,7 +155,7 @@ def turn(re, im, steps, n, cosine, sine, push, wave, waves_out, re_out, im_out):
 
 @cuda_kernel
 def lay_moments(slopes, moments_out):
-    """Write the moments of the finest resolution; see `rainsim.moments.ripple_moments`.
+    """Write the moments of the finest resolution; see `reflection.slope_moments.ripple_moments`.
 
     Parameters
     ----------
@@ -198,12 +198,12 @@ class Ripples:
     size, cells, steps : float [m], int, int
         Of the tile, along a side; parts of the interval in which impacts are put together.
     pushes : device array, int64
-        Momentum of drops that fell since, in `drops.PUSH_UNIT`: a map of (cells, cells) for each
+        Momentum of drops that fell since, in `settling.PUSH_UNIT`: a map of (cells, cells) for each
         part, one after the other.
     slopes : device array of shape (2, n, n), float32
         Along x and y.
     moments : device array of shape (n, n + n // 2, 5), float32
-        Of the slopes, see `rainsim.moments`.
+        Of the slopes, see `rainsim.reflection.slope_moments`.
 
     Raises
     ------
@@ -254,7 +254,7 @@ class Ripples:
         tables = self._cosines, self._sines, n
         rows, plane = (n, self._maps), n * n
         transform_pushes[rows, n // 2, self.stream](self.pushes, *tables, re, im)
-        forth, back = np.float32(-1), np.float32(1)
+        forth, back = -ONE, ONE
         transform[rows, n // 2, self.stream](re, im, *tables, forth, other_re, other_im)
         blocks = -(-n * (n // 2 + 1) // THREADS)
         turn[blocks, THREADS, self.stream](

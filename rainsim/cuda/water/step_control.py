@@ -1,9 +1,8 @@
-"""The account of the water on a CUDA device, and what decides its steps without the host.
+"""The account of the water on a CUDA device, and the plan of its steps without the host.
 
-What `rainsim.grid.solver.WaterSolver` keeps in Python stands here in three small arrays, `control`,
-`state` and `now`: the time that is left, how fast waves and water are, what the ledger holds. The
-last block of a launch plans the next step, so that the host need not ask. Sums are float64, in an
-order that does not change.
+`rainsim.grid.WaterSolver` keeps times, speeds and the ledger in Python; here they stand in three
+small device arrays, `control`, `state` and `now`. The last block of a launch plans the next step,
+so that the host never waits for it. Sums are float64, in a fixed order.
 """
 
 from __future__ import annotations
@@ -12,13 +11,14 @@ import math
 
 import numpy as np
 
+from rainsim.constants import ZERO
 from rainsim.cuda.jit import SIMULATED, cuda, cuda_kernel
 from rainsim.cuda.scalars import float_of
 from rainsim.cuda.warp import raise_to
-from rainsim.grid.conserving import PAD, ZERO
-from rainsim.grid.conserving_flow import MAX_STEP, ROUNDING_ROOM
-from rainsim.grid.solver import QUIET_FALL, SOURCE_PERIOD
-from rainsim.grid.sources import soaked
+from rainsim.grid import QUIET_FALL, SOURCE_PERIOD
+from rainsim.water.conserving import PAD
+from rainsim.water.conserving_flow import MAX_STEP, ROUNDING_ROOM
+from rainsim.water.sources import infiltrate_and_fill
 
 THREADS = 32 if SIMULATED else 128  # of a block of `step`: columns
 STRIPE = 8  # cells that a thread of `refresh` looks at
@@ -83,15 +83,15 @@ def known(control, state, now, numbers):
 
 
 @cuda.jit(device=True)
-def plan(control, state, told, reach, swift):
+def plan(control, state, planned, reach, swift):
     """Decide the next step as `WaterSolver.advance` does; none if no time is left.
 
-    `told` is what `known` has read, `reach` and `swift` the largest speeds of waves and water.
+    `planned` is what `known` has read, `reach` and `swift` the largest speeds of waves and water.
     """
     (
         left, owed, pending, rained, rain, rain_step, spacing, gravity, courant, takes, loses,
         settled, waits, substeps,
-    ) = told  # fmt: skip
+    ) = planned  # fmt: skip
     moves = swift > 0.0
     state[RUNS] = 0
     if left <= PLANNED:
@@ -150,7 +150,7 @@ def raised(state, which):
 
 @cuda_kernel
 def take_in(
-    state, now, waiting, storage, ny, nx, wide, dry, w_out, damp_out, film_out, partial_out
+    state, now, waiting, storage, ny, nx, wide, dry, w_out, remainder_out, film_out, partial_out
 ):  # fmt: skip
     """Give the waiting drops to the film and the water of their cells.
 
@@ -170,7 +170,7 @@ def take_in(
     dry : float [m]
     w_out : device array of shape (2 * 3 * cells,), float32
         Both copies of depth [m] and face velocities [m/s].
-    damp_out, film_out : device array of shape (cells,), float32 [m]
+    remainder_out, film_out : device array of shape (cells,), float32 [m]
     partial_out : device array of shape (PARTIAL, blocks), float64
     """
     if now[ADDED] == 0.0:
@@ -187,13 +187,13 @@ def take_in(
         waiting[at] = 0
         total += drops
         here = state[PARITY] * 3 * (ny + 1) * wide + at
-        free = np.float64(damp_out[at] + np.float32(drops * UNIT)) + np.float64(w_out[here])
+        free = np.float64(remainder_out[at] + np.float32(drops * UNIT)) + np.float64(w_out[here])
         film = np.float64(film_out[at])
-        _, _, held = soaked(free, film, 0.0, np.float64(storage[at]))
+        _, _, held = infiltrate_and_fill(free, film, 0.0, np.float64(storage[at]))
         film_out[at] = film + held
         free -= np.float64(film_out[at]) - film
         value = np.float32(free) if free >= dry else ZERO
-        damp_out[at] = free - np.float64(value)
+        remainder_out[at] = free - np.float64(value)
         w_out[here] = value
     block = cuda.blockIdx.y * cuda.gridDim.x + cuda.blockIdx.x
     lane = cuda.threadIdx.y * SIDE + cuda.threadIdx.x

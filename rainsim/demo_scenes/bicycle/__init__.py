@@ -12,11 +12,19 @@ from functools import partial
 import numpy as np
 from scipy.ndimage import map_coordinates
 
-from rainsim.scene.bicycle import bench, bike
-from rainsim.scene.bicycle.backdrop import far_trees, sky_cloud
-from rainsim.scene.bicycle.paving import bed_height, paving_cloud
-from rainsim.scene.bicycle.plants import BUSHES, HEDGE_FACES, TREES, bush, hedge, lawn_cloud, tree
-from rainsim.scene.build import (
+from rainsim.demo_scenes.bicycle import bench, bike
+from rainsim.demo_scenes.bicycle.backdrop import far_trees, sky_cloud
+from rainsim.demo_scenes.bicycle.paving import bed_height, paving_cloud
+from rainsim.demo_scenes.bicycle.plants import (
+    BUSHES,
+    HEDGE_FACES,
+    TREES,
+    bush,
+    hedge,
+    lawn_cloud,
+    tree,
+)
+from rainsim.demo_scenes.build import (
     Noise,
     content_hash,
     join,
@@ -91,7 +99,7 @@ def _camera(eye, target, name):
     matrix = np.eye(4)
     matrix[:3, :3] = right, np.cross(forward, right), forward
     matrix[:3, 3] = -matrix[:3, :3] @ eye
-    focal = WIDTH / 2 / np.tan(FIELD_OF_VIEW / 2)
+    focal = float(WIDTH / 2 / np.tan(FIELD_OF_VIEW / 2))
     return Camera(WIDTH, HEIGHT, focal, focal, WIDTH / 2, HEIGHT / 2, matrix, name)
 
 

@@ -1,11 +1,11 @@
-"""What lies beyond the garden: a line of far trees and a bright overcast sky."""
+"""The surroundings of the garden: a line of far trees and a bright overcast sky."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from rainsim.scene.bicycle.plants import crown
-from rainsim.scene.build import discs, join
+from rainsim.demo_scenes.bicycle.plants import crown
+from rainsim.demo_scenes.build import discs, join
 
 SKY_RADIUS = 70.0  # m
 ZENITH, HORIZON = np.array([0.640, 0.710, 0.800]), np.array([0.885, 0.900, 0.910])

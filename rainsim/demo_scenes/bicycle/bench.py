@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rainsim.scene.build import (
+from rainsim.demo_scenes.build import (
     box,
     join,
     lit,
@@ -23,7 +23,7 @@ IRON = np.array([0.085, 0.105, 0.095])
 ENDS, FEET = (-0.73, 0.73), (-0.26, 0.275)  # m, x of the iron ends and y of their feet
 BACK_LEAN = 0.24  # rad, of the backrest behind the upright
 
-# What keeps the sky off the paving and off the bench itself, relative to CENTRE:
+# Boxes that hide the sky from the paving and from the bench itself, relative to CENTRE:
 # low corner, high corner [m], share of the light taken
 OCCLUDERS = np.array(
     [
@@ -107,7 +107,7 @@ def _end(x):
 
 
 def bench_cloud(noise, rng):
-    """Return the bench, lit by what of the sky it leaves to itself."""
+    """Return the bench, lit by the part of the sky that it does not hide from itself."""
     parts = _slats(noise, rng)
     for x in ENDS:
         parts += _end(x)

@@ -8,7 +8,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from rainsim.scene.build import box, discs, join, line, lit, moved, polished, tube, turn_about, unit
+from rainsim.demo_scenes.build import (
+    box,
+    discs,
+    join,
+    line,
+    lit,
+    moved,
+    polished,
+    tube,
+    turn_about,
+    unit,
+)
 
 WHEEL_RADIUS = 0.345  # m, to the outside of the tyre
 TYRE_RADIUS = 0.019  # m

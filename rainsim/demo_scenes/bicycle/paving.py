@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rainsim.scene.build import OVERLAP, cells, discs, join, lit, unit
+from rainsim.demo_scenes.build import OVERLAP, cells, discs, join, lit, unit
 
 NEAR_EDGE, FAR_EDGE = -2.7, 1.0  # m, the path's y range
 HALF_LENGTH = 16.0  # m, the path's x range each way

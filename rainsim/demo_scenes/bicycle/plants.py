@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from rainsim.scene.bicycle.paving import FAR_EDGE, NEAR_EDGE
-from rainsim.scene.bicycle.paving import HALF_LENGTH as PATH_REACH
-from rainsim.scene.build import discs, join, lit, strands, tinted, tube, unit
+from rainsim.demo_scenes.bicycle.paving import FAR_EDGE, NEAR_EDGE
+from rainsim.demo_scenes.bicycle.paving import HALF_LENGTH as PATH_REACH
+from rainsim.demo_scenes.build import discs, join, lit, strands, tinted, tube, unit
 
 SOIL_HEIGHT = 0.012  # m, of the lawn's soil above the path's edge
 LAWN_REACH = 26.0  # m

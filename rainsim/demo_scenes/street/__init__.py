@@ -12,10 +12,10 @@ from functools import partial
 
 import numpy as np
 
-from rainsim.scene.bicycle.backdrop import sky_cloud
-from rainsim.scene.build import Noise, content_hash, discs, join, tilted_frame, to_splats
-from rainsim.scene.street import cars, furniture, road
-from rainsim.scene.street.facades import houses
+from rainsim.demo_scenes.bicycle.backdrop import sky_cloud
+from rainsim.demo_scenes.build import Noise, content_hash, discs, join, tilted_frame, to_splats
+from rainsim.demo_scenes.street import cars, furniture, road
+from rainsim.demo_scenes.street.facades import houses
 from rainsim.scene.types import Camera, Scene
 
 SEED = 1871
@@ -62,7 +62,7 @@ def make_street() -> Scene:
 
 def _drive():
     """Yield the cameras of the drive in the ground frame [m]."""
-    focal = WIDTH / 2 / np.tan(FIELD_OF_VIEW / 2)
+    focal = float(WIDTH / 2 / np.tan(FIELD_OF_VIEW / 2))
     fall = np.arctan2(LOOK_DOWN, LOOK_AHEAD)
     forward = np.array([np.cos(fall), 0.0, -np.sin(fall)])
     right = np.array([0.0, -1.0, 0.0])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rainsim.scene.build import box, discs, join, lit, moved, polished, turn_about, unit
+from rainsim.demo_scenes.build import box, discs, join, lit, moved, polished, turn_about, unit
 
 LENGTH, WIDTH = 4.25, 1.76  # m
 WHEEL, TRACK = 0.315, 0.76  # m, radius, and half the distance between the wheels' middles

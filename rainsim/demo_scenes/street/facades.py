@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rainsim.scene.build import OVERLAP, box, cells, discs, join, line, replace_colour
+from rainsim.demo_scenes.build import OVERLAP, box, cells, discs, join, line, replace_colour
 
 GROUND_FLOOR, STOREY = 3.5, 2.95  # m
 WALLS = np.array(
@@ -119,7 +119,7 @@ def house(wall, width, storeys, style, noise, rng):
         top += STOREY
     parts.append(wall.block(0, width, top - 0.22, top + 0.10, 0.22, SILL * 0.85))
     wall_part(0, width, top + 0.10, top + 0.55)
-    # What shows between the splats of a front must not be the sky behind the house.
+    # A dark wall behind each front, so that no sky shows between its splats.
     dark = np.array([0.30, 0.27, 0.24])
     parts.append(
         wall.panel(0, width, 0, top + 0.5, lambda u, z: _flat(u, dark), out=-0.2, fine=2.5)

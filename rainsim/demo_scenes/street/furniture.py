@@ -1,12 +1,12 @@
-"""What stands on the footways: lamp posts, bollards, a post box, bins and street trees."""
+"""Things on the footways: lamp posts, bollards, a post box, bins and street trees."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from rainsim.scene.bicycle.plants import crown
-from rainsim.scene.build import discs, join, lit, tinted, tube
-from rainsim.scene.street.road import FACADE, KERB
+from rainsim.demo_scenes.bicycle.plants import crown
+from rainsim.demo_scenes.build import discs, join, lit, tinted, tube
+from rainsim.demo_scenes.street.road import FACADE, KERB
 
 POST = np.array([0.110, 0.125, 0.120])
 LAMPS = ((5.2, 1), (11.8, -1), (21.5, 1), (30.5, -1), (40.0, 1), (50.0, -1), (-9.0, -1))  # x, side

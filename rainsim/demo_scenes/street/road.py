@@ -4,7 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from rainsim.scene.build import OVERLAP, box, discs, join, lit, replace_colour, strands, tube, unit
+from rainsim.demo_scenes.build import (
+    OVERLAP,
+    box,
+    discs,
+    join,
+    lit,
+    replace_colour,
+    strands,
+    tube,
+    unit,
+)
 
 ENDS = (-26.0, 60.0)  # m, x range of the street
 GUTTER, KERB, FACADE = 2.95, 3.45, 5.9  # m from the middle: gutter and kerb begin, houses stand

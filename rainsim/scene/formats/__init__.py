@@ -1,6 +1,6 @@
-"""Splat files in all formats that are read, known by their content and never by their name.
+"""Splat files in all formats that are read, recognised by their content and never by their name.
 
-| format | how it is known | needs |
+| format | recognised by | needs |
 |---|---|---|
 | PLY: 3DGS, PGSR, 2DGS, Mip-Splatting, GOF, GaussianShader | `ply` and its properties | nothing |
 | `.splat`, 32-byte records | its numbers | nothing |
@@ -8,8 +8,8 @@
 | SPZ versions 2 to 4 | gzip, or `NGSP` | `rainsim[formats]` |
 | SOG, one file or a folder of pictures | zip, or `meta.json` | `rainsim[formats]` |
 
-All come as the one type `Splats` in the frame of the capture tools (x right, y down, z forward of
-the first camera, or what they chose); SPZ alone stores other axes and is turned.
+All readers return `Splats` in the frame that the capture tool used. SPZ stores other axes (right,
+up, back), so its splats are rotated.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from rainsim.errors import InputError
+from rainsim.io.files import require_file
 from rainsim.scene.activate import MAX_BROKEN_SHARE
-from rainsim.scene.files import require_file
 from rainsim.scene.types import Splats
 
 SUFFIXES = (".ply", ".splat", ".spz", ".sog")  # usual names, for listing folders only
 META = "meta.json"  # of an unbundled SOG
-START = 1 << 17  # bytes that are looked at to know a file
+START = 1 << 17  # bytes at the beginning of a file by which its format is recognised
 REMEDY = "export the capture as a splat PLY, compressed PLY, SPZ, SOG or .splat"
 HINTS = {
     b"glTF": " (it is a binary glTF model)",
@@ -83,7 +83,7 @@ def read_splats(path):
 def read(path, max_broken=MAX_BROKEN_SHARE):
     """Return the Reading of a splat file of any format; see `read_splats`.
 
-    `max_broken` is the largest share of unusable splats that is dropped rather than refused.
+    Unusable splats are dropped up to the share `max_broken`; a file with more is refused.
     """
     path = Path(path)
     if path.is_dir() and (path / META).is_file():

@@ -1,25 +1,27 @@
 """Splats from `.splat` files, the 32-byte records of the first web viewers.
 
 A record holds the centre and the linear scales (6 float32), red, green, blue and opacity (4 bytes)
-and a quaternion, w first (4 bytes about 128). There is no header: a file is known by its numbers.
+and a quaternion, w first (4 bytes about 128). There is no header; the numbers themselves show that
+a file is of this format.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
+from rainsim.constants import SH_0
 from rainsim.errors import InputError
-from rainsim.scene.activate import SH_C0, dropped_note, empty_splats, keep_good
-from rainsim.scene.files import MAX_LENGTH
+from rainsim.io.files import MAX_LENGTH
+from rainsim.scene.activate import dropped_note, empty_splats, keep_good
 
 RECORD = np.dtype(
     [("position", "<f4", 3), ("scale", "<f4", 3), ("color", "u1", 4), ("turn", "u1", 4)]
 )
-BELIEVABLE = 0.98  # share of the records at its start by which a file is known
+BELIEVABLE = 0.98  # least share of usable records at the start of a .splat file
 
 
 def looks_like_records(start):
-    """Whether `start`, the first bytes of a file, looks like 32-byte splat records."""
+    """Return whether `start`, the first bytes of a file, looks like 32-byte splat records."""
     count = len(start) // RECORD.itemsize
     if count == 0 or _is_text(start[:4096]):
         return False
@@ -35,7 +37,7 @@ def _is_text(data):
 
 
 def _usable(records):
-    """Which records hold numbers that a splat can have."""
+    """Return the mask of the records whose numbers a splat can have."""
     with np.errstate(invalid="ignore"):
         good = (np.abs(records["position"]) < MAX_LENGTH).all(axis=1)  # false for NaN
         good &= ((records["scale"] >= 0) & (records["scale"] < MAX_LENGTH)).all(axis=1)
@@ -56,7 +58,7 @@ def read_antimatter(path, max_broken):
         splats.position[:] = records["position"]
         splats.scale[:] = records["scale"]
         splats.opacity[:] = records["color"][:, 3] / np.float32(255)
-        splats.sh[:, 0] = (records["color"][:, :3] / np.float32(255) - np.float32(0.5)) / SH_C0
+        splats.sh[:, 0] = (records["color"][:, :3] / np.float32(255) - np.float32(0.5)) / SH_0
         turn = records["turn"].astype(np.float32) - 128
         np.divide(turn, np.linalg.norm(turn, axis=1, keepdims=True), out=splats.rotation)
     splats, broken = keep_good(path, splats, _usable(records), max_broken)

@@ -10,7 +10,7 @@ import numpy as np
 
 from rainsim.errors import InputError
 from rainsim.scene.activate import REST_COEFFICIENTS, activate, dropped_note, keep_good
-from rainsim.scene.formats.extra import leash, load_extra
+from rainsim.scene.formats.extra import decoding, load_extra
 
 CHUNK = 256  # splats
 KIND = "a compressed PLY"
@@ -42,7 +42,7 @@ def read_compressed(path, header, max_broken):
             f"{CHUNK}; {REMEDY}"
         )
     gsply = load_extra(path, KIND)
-    with leash(path, KIND):
+    with decoding(path, KIND):
         data = gsply.decompress_from_bytes(_whole_file(chunks, packed, harmonics))
         rest = data.shN if data.shN is not None and data.shN.shape[1] else None
         splats, good = activate(
@@ -53,7 +53,7 @@ def read_compressed(path, header, max_broken):
 
 
 def _read_tables(path, header):
-    """Return the rows of the elements that matter as structured arrays, by name."""
+    """Return the rows of the elements chunk, vertex and sh as structured arrays, by name."""
     tables = {}
     with open(path, "rb") as file:
         for element in header.elements:
@@ -122,7 +122,7 @@ def _harmonics_table(path, tables, count):
 
 
 def _whole_file(chunks, packed, harmonics):
-    """Return what was checked as a file of the one layout that the decoder knows."""
+    """Return the checked tables as bytes of a PLY file in the layout that the decoder reads."""
     lines = ["ply", "format binary_little_endian 1.0", f"element chunk {len(chunks)}"]
     lines += [f"property float {name}" for name in (*RANGES, *COLORS)]
     lines += [f"element vertex {len(packed)}", *(f"property uint {name}" for name in PACKED)]

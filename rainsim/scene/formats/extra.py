@@ -1,8 +1,8 @@
-"""The optional reader of compressed formats (gsply): found or asked for, and kept on a leash.
+"""The optional reader of compressed formats (gsply): how it is imported and its errors caught.
 
-Its decoders are compiled without bounds checks and trust what they read. So files are checked here
-first, down to the size of every array that a decoder indexes; what still goes wrong inside becomes
-one clear line.
+Its decoders are compiled without bounds checks and trust their input. So the readers check a file
+first, down to the size of every array that a decoder indexes. Any error that a decoder still raises
+becomes one line.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def load_extra(path, kind, *modules):
 
 
 @contextmanager
-def leash(path, kind):
+def decoding(path, kind):
     """Turn whatever a third-party decoder raises into one InputError about `path`."""
     try:
         yield

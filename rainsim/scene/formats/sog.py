@@ -14,9 +14,9 @@ from dataclasses import dataclass
 from pathlib import PurePosixPath
 
 from rainsim.errors import InputError
+from rainsim.io.files import json_number, require_file
 from rainsim.scene.activate import activate, dropped_note, keep_good, require_believable
-from rainsim.scene.files import json_number, require_file
-from rainsim.scene.formats.extra import leash, load_extra
+from rainsim.scene.formats.extra import decoding, load_extra
 
 KIND = "SOG"
 META = "meta.json"
@@ -90,7 +90,7 @@ def _unpack(path, archive, info, name, size):
         )
     try:
         with archive.open(info) as member:
-            data = member.read(limit + 1)  # zipfile stops at the size that it was told
+            data = member.read(limit + 1)  # zipfile stops at the declared size
     except Exception as error:  # decompressors raise errors of their own
         raise InputError(
             f"{path}: {name} cannot be unpacked ({type(error).__name__}); {REMEDY}"
@@ -173,7 +173,7 @@ def _read(path, load, size, max_broken):
     checked |= _checked_splats(meta, pictures, first, count)
     if "shN" in meta.data:
         checked["shN"] = _checked_harmonics(meta.group("shN"), pictures, first)
-    with leash(path, KIND):
+    with decoding(path, KIND):
         from gsply.sog_reader import sogread
 
         data = sogread(pictures.bundle(checked))

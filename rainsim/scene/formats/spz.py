@@ -14,7 +14,7 @@ import numpy as np
 
 from rainsim.errors import InputError
 from rainsim.scene.activate import activate, dropped_note, keep_good, require_believable
-from rainsim.scene.formats.extra import leash, load_extra
+from rainsim.scene.formats.extra import decoding, load_extra
 
 KIND = "an SPZ file"
 REMEDY = "it is damaged, export it again"
@@ -23,7 +23,10 @@ GZIP_MAGIC = b"\x1f\x8b"
 PACKED = struct.Struct("<IIIBBBB")  # magic, version, count, degree, position bits, flags, streams
 HEADER_4 = 32  # bytes; PACKED with the place of the table of contents behind
 REST = {0: 0, 1: 3, 2: 8, 3: 15}  # SH degree -> coefficients beyond the first
-GZIP_VERSIONS, ZSTD_VERSION = (2, 3), 4  # 1 was never released and had other positions
+GZIP_VERSIONS, ZSTD_VERSION = (
+    (2, 3),
+    4,
+)  # version 1 was never released and stored positions differently
 MAX_POSITION_BITS = 24
 ANTIALIASED, EXTENDED = 1, 2  # flags
 EXTENSION_LIMIT = 1 << 16  # bytes behind the splats that are not read
@@ -55,7 +58,7 @@ def read_spz(path, max_broken):
     modules = () if gzipped else ("zstandard",)
     gsply = load_extra(path, KIND, *modules)
     (_check_gzip if gzipped else _check_zstd)(path, packed, _section_sizes(count, version, degree))
-    with leash(path, KIND), _plain_backend(gsply):
+    with decoding(path, KIND), _plain_backend(gsply):
         data = gsply.read_spz(path)
         rest = data.shN if degree else None
         if data.means.shape != (count, 3) or (degree and rest.shape[1] != REST[degree]):
@@ -170,7 +173,7 @@ def _check_zstd(path, packed, sizes):
 
 @contextmanager
 def _plain_backend(gsply):
-    """Let gsply decode in Python and numba: its C++ twin has not been put to the test."""
+    """Make gsply decode in Python and numba; its C++ decoder has not been tested here."""
     before = gsply.active_backend()
     gsply.use_backend("python")
     try:

@@ -1,0 +1,49 @@
+"""Compiling before and beside a run, as the user sees it."""
+
+from __future__ import annotations
+
+import contextlib
+
+
+@contextlib.contextmanager
+def compiled_beside(status, uses, threads=None):
+    """Compile in other processes what some recorded uses lack, while the block runs.
+
+    Parameters
+    ----------
+    status : Status
+    uses : list of str
+        Of `rainsim.compiling.uses`.
+    threads : int, optional
+        That the run may use: so many processes compile at most.
+    """
+    from rainsim.compiling.start import end, start
+
+    def in_line(count):
+        status.say(f"{count} kernels are compiled for this machine, once; it takes minutes")
+
+    pool = start(uses, threads, status.compiling, in_line)
+    try:
+        yield pool
+    finally:
+        end(pool)
+        if pool is not None and pool.stale:
+            count = len(pool.stale)
+            status.say(
+                f"{count} recorded kernel{'s' if count > 1 else ''} no longer fit"
+                f"{'' if count > 1 else 's'}; compiled when called ({pool.stale[0]})"
+            )
+
+
+def uses_of(config, layers=(), backend="cpu"):
+    """Return the recorded uses that a run with these settings is like."""
+    from rainsim.compiling.uses import SIMULATE, uses_like
+    from rainsim.config.settings import Config
+
+    if backend == "cuda":  # draws with kernels of its own; ground and standing water are the CPU's
+        return [SIMULATE]
+
+    def config_of(preset, changes):
+        return Config.from_preset(preset).replace(**changes)
+
+    return uses_like(config, config_of, layers)

@@ -1,0 +1,147 @@
+"""Record which kernels each use calls: `python -m rainsim.commands.record [USE ...]`.
+
+Writes the list that `rainsim.compiling` compiles from. Run it after a kernel, its arguments or what
+it is called with have changed; it needs a minute or two once the kernels are compiled. With names
+of uses only these are run, and the others keep what was recorded for them. Each use runs in a
+process of its own: `... record --one USE` prints what it calls as lines of JSON.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
+from rainsim.compiling import recorded
+from rainsim.compiling.pool import VARIABLE, processes
+from rainsim.compiling.recorded import STAGES, TERRAIN, Recorded
+from rainsim.compiling.uses import ALL, HEIGHTMAP, LAYERS, SIMULATE, SPLAT, USES
+
+SCENE = "bicycle"
+SIZE = ("--width", "96", "--spacing", "0.05")
+
+
+def command_lines(use, folder):
+    """Return the command lines of a use: a command and its words; they write into `folder`."""
+    height_map = ("heightmap", SCENE, "--spacing", "0.05", "--out", f"{folder}/map", "-q")
+    if use == HEIGHTMAP:
+        return [(*height_map, "--check")]
+    if use == SIMULATE:
+        states = ("--frames", "2", "--out", f"{folder}/states", "-q")
+        return [height_map, ("simulate", f"{folder}/map", *states)]
+    if use == SPLAT:
+        words = {"expected": ["--hit"], "median": [], "plane": ["--compensate"]}
+        return [
+            ("splat", SCENE, "--width", "96", "--depth", depth, *more, "--out",
+             f"{folder}/{depth}.npz")
+            for depth, more in words.items()
+        ]  # fmt: skip
+    preset, changes = USES.get(use, USES["drizzle"])
+    words = [word for name, value in changes.items() for word in (f"--{name}", value)]
+    words += ["--layers", "all", "--orbit"] if use == LAYERS else []
+    return [
+        ("run", "--scene", SCENE, "--preset", preset, *SIZE, "--frames", "2", *words, "--out",
+         f"{folder}/frames", "-q"),
+    ]  # fmt: skip
+
+
+def run_one(use):
+    """Run a use here and print each kernel that it calls as a line of JSON."""
+    from rainsim.commands import film, ground, splat, status
+    from rainsim.compiling.watching import watched
+
+    stage = STAGES[0]
+    tell = status.Status.progress
+
+    def progress(self, name, done, total):
+        nonlocal stage
+        if name != TERRAIN or done == total:
+            stage = STAGES[1]
+        tell(self, name, done, total)
+
+    def found(kernel, arguments, seconds):
+        row = {"kernel": kernel, "arguments": arguments, "seconds": seconds, "stage": stage}
+        print(json.dumps(row), flush=True)
+
+    commands = {"run": film.run, "simulate": film.simulate, "heightmap": ground.heightmap,
+                "splat": splat.splat}  # fmt: skip
+    status.Status.progress = progress
+    with tempfile.TemporaryDirectory() as folder, watched(found):
+        for command, *words in command_lines(use, folder):
+            commands[command].main(args=words, standalone_mode=False)
+
+
+def record(use):
+    """Run a use in a process of its own; return what it calls as `Recorded` by name."""
+    done = subprocess.run(
+        [sys.executable, "-m", "rainsim.commands.record", "--one", use],
+        capture_output=True, text=True,
+        env=os.environ | {VARIABLE: "1", "RAINSIM_CACHE": "off"},  # kept terrain calls no kernels
+    )  # fmt: skip
+    if done.returncode:
+        raise RuntimeError(f"{use} failed:\n{done.stderr}")
+    found = {}
+    for line in done.stdout.splitlines():
+        if line.startswith('{"kernel"'):
+            row = json.loads(line)
+            new = Recorded(**{**row, "seconds": row["seconds"] or 0.0}, uses=(use,))
+            found[new.name] = joined(found.get(new.name), new)
+    return found
+
+
+def joined(old, new):
+    """Return one entry for two of the same kernel and arguments; a measured time beats none."""
+    if old is None:
+        return new
+    stage = min(old.stage, new.stage, key=STAGES.index)
+    seconds = round(new.seconds or old.seconds, 2)
+    uses = tuple(sorted({*old.uses, *new.uses}))
+    return Recorded(new.kernel, new.arguments, seconds, stage, uses)
+
+
+def merged(old, found, use):
+    """Return the entries of a list after a use was recorded again, by name.
+
+    An entry that no use calls any more goes; the time of a kernel whose arguments have changed is
+    taken over until it is measured.
+    """
+    times = {entry.kernel: entry.seconds for entry in old.values()}
+    result = {}
+    for name, entry in old.items():
+        uses = tuple(kept for kept in entry.uses if kept != use and kept in ALL)
+        if uses or name in found:
+            result[name] = replace(entry, uses=uses)
+    for name, entry in found.items():
+        known = replace(entry, seconds=entry.seconds or times.get(entry.kernel, 0.0))
+        result[name] = joined(result.get(name), known)
+    return result
+
+
+def main(words):
+    """Record all uses, or those that are named, and write the list after each."""
+    if words[:1] == ["--one"]:
+        run_one(words[1])
+        return
+    first, *others = words or ALL
+    _write(first, record(first))  # alone: it compiles what the others call, too
+    with ThreadPoolExecutor(processes()) as threads:
+        for use, found in zip(others, threads.map(record, others), strict=True):
+            _write(use, found)
+
+
+def _write(use, found):
+    """Write the list with what a use calls, and say how long it is."""
+    old = {e.name: e for e in recorded.read_list()} if recorded.FILE.is_file() else {}
+    entries = merged(old, found, use)
+    recorded.write_list(entries.values())
+    seconds = sum(entry.seconds for entry in entries.values())
+    line = f"{use}: {len(found)} kernels; {len(entries)} in all, {seconds:.0f} s to compile"
+    print(line, file=sys.stderr, flush=True)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

@@ -1,0 +1,1 @@
+"""Compiling: what machine code is kept for, the recorded list of kernels, and the processes."""

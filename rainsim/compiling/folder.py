@@ -1,0 +1,77 @@
+"""Where compiled kernels are kept, and a stamp that says that all that a use needs lie there.
+
+Nothing here imports numba: a command asks for the stamp before anything else, and on a machine
+without compiled kernels the other processes start while this one still imports.
+"""
+
+import hashlib
+import os
+import platform
+import tempfile
+from importlib.util import find_spec
+from pathlib import Path
+
+NAME = "rainsim-kernels"
+PACKAGE = Path(__file__).parent.parent
+COMPILERS = ("numba", "llvmlite", "numpy")
+CPU_INFO = Path("/proc/cpuinfo")
+CPU_LINES = ("model name", "flags", "CPU part", "Features")  # of the first core
+
+
+def _cache_folder():
+    """Return a writable folder for compiled kernels, the user's own if it can be."""
+    wanted = [os.environ.get("NUMBA_CACHE_DIR")]
+    wanted.append(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"))
+    for base in map(Path, filter(None, wanted)):
+        folder = base if base.name == NAME else base / NAME  # ours: set by a parent process
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError:
+            continue
+        if os.access(folder, os.W_OK):
+            return folder
+    return Path(tempfile.mkdtemp(prefix=f"{NAME}-"))
+
+
+CACHE_FOLDER = _cache_folder()
+os.environ["NUMBA_CACHE_DIR"] = str(CACHE_FOLDER)
+
+
+def stamp(names):
+    """Return the file that exists if the kernels of a list have been found compiled.
+
+    Its name is a hash of the list, of size and time of each file of the package, of the compilers'
+    files and of the processor: when any of these change the kernels must be looked for one by one.
+    """
+    digest = hashlib.sha256("\n".join(sorted(names)).encode())
+    digest.update(f"{platform.python_version()} {platform.machine()} {_processor()}".encode())
+    files = [entry for entry in _python_files(PACKAGE)]
+    files += [Path(find_spec(name).origin) for name in COMPILERS]
+    for file in sorted(map(str, files)):
+        found = os.stat(file)
+        digest.update(f"{file} {found.st_size} {found.st_mtime_ns}\n".encode())
+    return CACHE_FOLDER / "ready" / digest.hexdigest()[:24]
+
+
+def _python_files(folder):
+    with os.scandir(folder) as entries:
+        for entry in entries:
+            if entry.is_dir():
+                yield from _python_files(entry.path)
+            elif entry.name.endswith(".py"):
+                yield entry.path
+
+
+def _processor():
+    """Return what distinguishes processors with different instructions."""
+    try:
+        with CPU_INFO.open() as lines:
+            found = []
+            for line in lines:
+                if line.startswith(CPU_LINES):
+                    found.append(line)
+                elif not line.strip() and found:
+                    break
+        return "".join(found)
+    except OSError:
+        return platform.processor()

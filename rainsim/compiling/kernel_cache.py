@@ -1,0 +1,140 @@
+"""The machine code of kernels on disk, keyed by what it was compiled from.
+
+numba keys its own cache on the file that holds a kernel, not on the functions that the kernel
+calls: an edited helper would keep its old machine code. Here the name of a kernel's files carries
+`source_key`, which takes in all that the kernel uses and the versions of what compiles it.
+"""
+
+import functools
+import os
+import platform
+
+import llvmlite
+import numba
+import numpy as np
+from numba.core import caching, types
+
+from rainsim.compiling.source_key import source_key
+from rainsim.compiling.waiting import wait_for
+
+KEPT_VERSIONS = 4  # of a kernel, whose machine code is kept
+VERSIONS = (
+    f"numba {numba.__version__} llvmlite {llvmlite.__version__} numpy {np.__version__} "
+    f"python {platform.python_version()} {platform.python_implementation()}"
+)
+
+
+class KernelCache(caching.FunctionCache):
+    """numba's cache of one kernel, in a folder and under a name of our own.
+
+    The name is found when the kernel is first called or asked for, because all functions that it
+    uses must exist by then.
+
+    Parameters
+    ----------
+    function : function
+        The kernel's Python function.
+    folder : Path
+        Where its module's kernels are kept.
+    options : str
+        The kernel's compiler options.
+    """
+
+    def __init__(self, function, folder, options):
+        self._name = repr(function)
+        self._py_func = function
+        self._folder, self._options = folder, options
+        self.kernel_name = f"{function.__module__}:{function.__qualname__}"
+        self.enable()
+
+    @functools.cached_property
+    def key(self):
+        """The hash of what the machine code is compiled from."""
+        return source_key(self._py_func, f"{VERSIONS} {self._options}")
+
+    @functools.cached_property
+    def _impl(self):
+        return _Implementation(self._py_func, _KeyedLocator(self._folder, self.key))
+
+    @property
+    def _cache_path(self):
+        return str(self._folder)
+
+    @functools.cached_property
+    def _cache_file(self):
+        return caching.IndexDataCacheFile(
+            cache_path=self._cache_path,
+            filename_base=self._impl.filename_base,
+            source_stamp=self._impl.locator.get_source_stamp(),
+        )
+
+    def load_overload(self, sig, target_context):
+        """Return the machine code for a signature, None if there is none on disk."""
+        wait_for(self.kernel_name)  # another process may be at it
+        return super().load_overload(sig, target_context)
+
+    def save_overload(self, sig, data):
+        """Write the machine code for a signature; the oldest versions of this kernel go."""
+        super().save_overload(sig, data)
+        self._forget_old()
+
+    def holds(self, sig, target_context):
+        """Return whether the machine code for a signature is on disk; loads none of it."""
+        target_context.refresh()
+        key = self._index_key(sig, target_context.codegen())
+        name = self._cache_file._load_index().get(key)
+        return name is not None and (self._folder / name).is_file()
+
+    def _index_key(self, sig, codegen):
+        """Return numba's key of a signature, with the fields of bundles: they may change places."""
+        key, bundles = super()._index_key(sig, codegen), tuple(_fields(sig))
+        return (*key, bundles) if bundles else key
+
+    def _forget_old(self):
+        name = self._py_func.__qualname__.replace("<", "").replace(">", "")
+        try:
+            versions = sorted(
+                self._folder.glob(f"*.{name}-*.nbi"), key=lambda file: -file.stat().st_mtime
+            )
+            for index in versions[KEPT_VERSIONS:]:
+                for file in self._folder.glob(f"{index.stem}.*"):
+                    file.unlink(missing_ok=True)
+        except OSError:  # another process tidies up at the same time
+            pass
+
+
+def _fields(kinds):
+    """Yield the class and the names of the fields of each bundle among some types."""
+    for kind in kinds:
+        if isinstance(kind, types.BaseNamedTuple):
+            yield f"{kind.instance_class.__qualname__}{kind.fields}"
+        if isinstance(kind, types.BaseTuple):
+            yield from _fields(kind.types)
+
+
+class _Implementation(caching.CompileResultCacheImpl):
+    """How machine code becomes bytes, numba's own, at a place of ours."""
+
+    def __init__(self, function, locator):
+        self._locator_classes = [locator]  # what is asked for a locator; this one gives itself
+        super().__init__(function)
+
+
+class _KeyedLocator(caching._CacheLocator):
+    """Says where a kernel's files lie: in its module's folder, with the key in their names."""
+
+    def __init__(self, folder, key):
+        self._folder, self._key = folder, key
+
+    def from_function(self, py_func, py_file):
+        self._py_file, self._lineno = py_file, py_func.__code__.co_firstlineno  # for warnings
+        return self
+
+    def get_cache_path(self):
+        return os.fspath(self._folder)
+
+    def get_source_stamp(self):
+        return self._key
+
+    def get_disambiguator(self):
+        return self._key

@@ -1,0 +1,230 @@
+"""Processes that compile the kernels of a run while the run begins.
+
+numba compiles under a lock of its process, so a process compiles one kernel at a time: others
+compile beside it and write the cache on disk. A run that comes to a kernel which has not been
+compiled yet waits for that kernel alone, and it is taken next.
+"""
+
+import contextlib
+import json
+import os
+import subprocess
+import sys
+import threading
+import time
+from collections import defaultdict
+
+from rainsim.compiling import waiting
+from rainsim.compiling.recorded import TERRAIN
+
+BYTES_OF_A_PROCESS = 700 << 20  # memory of one that compiles the largest kernels
+VARIABLE = "RAINSIM_COMPILE_PROCESSES"
+TICK = 0.5  # s between reports of progress
+NEARLY = 0.95  # of a kernel's weight: a running one counts as no more
+
+
+def processes(most=None):
+    """Return how many processes may compile.
+
+    RAINSIM_COMPILE_PROCESSES gives the number if it is set; otherwise it is one a core, at most
+    `most`, and no more than memory allows.
+    """
+    given = os.environ.get(VARIABLE, "")
+    if given.isdecimal():
+        return max(int(given), 1)
+    try:
+        cores = len(os.sched_getaffinity(0))
+    except AttributeError:  # not on every system
+        cores = os.cpu_count() or 1
+    count = min(cores, most or cores)
+    memory = _free_memory()
+    return count if memory is None else max(min(count, memory // BYTES_OF_A_PROCESS), 1)
+
+
+def _free_memory():
+    """Return the bytes that processes may take without swapping, None if that is unknown."""
+    try:
+        with open("/proc/meminfo", encoding="ascii") as lines:
+            for line in lines:
+                if line.startswith("MemAvailable:"):
+                    return int(line.split()[1]) << 10
+    except (OSError, ValueError):
+        pass
+    return None
+
+
+class _Job:
+    """A kernel and all lists of arguments that it must be compiled for."""
+
+    def __init__(self, kernel, entries):
+        self.kernel = kernel
+        self.arguments = [entry.arguments for entry in entries]
+        self.seconds = sum(entry.seconds for entry in entries)
+        self.first = any(entry.stage == TERRAIN for entry in entries)
+        self.wanted = self.done = False
+        self.begun = None  # s of the clock
+
+    def order(self):
+        """What a run waits for first, then what it begins with; of these the longest first."""
+        return (not self.wanted, not self.first, -self.seconds)
+
+
+class Pool:
+    """Compiles recorded kernels in other processes until `close`.
+
+    Parameters
+    ----------
+    entries : list of Recorded
+        What is to be compiled.
+    count : int
+        Number of processes.
+    progress : callable, optional
+        progress(share, done, total, count): the share of the work from 0 to 1, kernels done and
+        in all, processes; called from another thread.
+
+    Attributes
+    ----------
+    compiled : int
+        Kernels compiled so far, each list of arguments counted.
+    seconds : float
+        Of one core that they took.
+    stale : list of str
+        Entries that no longer fit, and why.
+    """
+
+    def __init__(self, entries, count, progress=None):
+        kernels = defaultdict(list)
+        for entry in entries:
+            kernels[entry.kernel].append(entry)
+        self._jobs = {kernel: _Job(kernel, found) for kernel, found in kernels.items()}
+        self._queue = list(self._jobs.values())
+        self._changed = threading.Condition()
+        self._progress = progress or (lambda share, done, total, count: None)
+        self._closed = False
+        self.count = min(count, len(self._jobs))
+        self.compiled, self.seconds, self.stale = 0, 0.0, []
+        self._processes = [self._start() for _ in range(self.count)]
+        self._threads = [
+            threading.Thread(target=self._serve, args=(process,), daemon=True)
+            for process in self._processes
+        ]
+        self._threads.append(threading.Thread(target=self._tick, daemon=True))
+        waiting.POOLS.append(self)
+        for thread in self._threads:
+            thread.start()
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *exception):
+        self.close()
+
+    @property
+    def finished(self):
+        """Whether every kernel has been compiled, or found stale."""
+        return all(job.done for job in self._jobs.values())
+
+    def wait_for(self, kernel):
+        """Wait until a kernel of this pool has been compiled; others are not waited for."""
+        job = self._jobs.get(kernel)
+        if job is None:
+            return
+        with self._changed:
+            job.wanted = True
+            self._changed.wait_for(lambda: job.done or self._closed)
+
+    def join(self):
+        """Wait until all kernels have been compiled."""
+        with self._changed:
+            self._changed.wait_for(lambda: self.finished or self._closed)
+
+    def close(self):
+        """End the processes; kernels that have not been compiled will be when they are called."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
+        for process in self._processes:
+            process.kill()
+        for thread in self._threads:
+            thread.join()
+        for process in self._processes:
+            process.wait()
+            process.stdout.close()
+        if self in waiting.POOLS:
+            waiting.POOLS.remove(self)
+
+    def _start(self):
+        return subprocess.Popen(
+            [sys.executable, "-P", "-m", "rainsim.compiling.worker"],
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
+            text=True, env=os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+        )  # fmt: skip
+
+    def _serve(self, process):
+        """Give a process one kernel after another, until none is left or it ends."""
+        while (job := self._next()) is not None:
+            try:
+                request = {"kernel": job.kernel, "arguments": job.arguments}
+                process.stdin.write(json.dumps(request) + "\n")
+                process.stdin.flush()
+                answer = json.loads(process.stdout.readline())
+            except (OSError, ValueError):  # the process has ended: killed, or short of memory
+                answer = {"compiled": 0, "seconds": 0.0, "stale": []}
+                self._finish(job, answer)
+                break
+            self._finish(job, answer)
+        with contextlib.suppress(OSError):  # what was not sent any more
+            process.stdin.close()
+        self._give_up_alone()
+
+    def _next(self):
+        with self._changed:
+            if self._closed or not self._queue:
+                return None
+            job = min(self._queue, key=_Job.order)
+            self._queue.remove(job)
+            job.begun = time.monotonic()
+            return job
+
+    def _finish(self, job, answer):
+        with self._changed:
+            job.done = True
+            self.compiled += answer["compiled"]
+            self.seconds += answer["seconds"]
+            self.stale += answer["stale"]
+            self._changed.notify_all()
+
+    def _give_up_alone(self):
+        """Let nobody wait for kernels that no process is left to compile."""
+        with self._changed:
+            others = [t for t in self._threads[:-1] if t is not threading.current_thread()]
+            if not any(thread.is_alive() for thread in others):
+                for job in self._queue:
+                    job.done = True
+                self._queue.clear()
+                self._changed.notify_all()
+
+    def _tick(self):
+        """Report progress until all is done; kernels at work count by the time they have had."""
+        total = sum(job.seconds for job in self._jobs.values()) or 1.0
+        while True:
+            with self._changed:
+                done = [job for job in self._jobs.values() if job.done]
+                ended = self._closed or len(done) == len(self._jobs)
+                share = sum(job.seconds for job in done) / total
+                share += sum(self._share(job) for job in self._jobs.values()) / total
+            if self._closed:
+                return
+            share = 1.0 if ended else min(share, 1.0)
+            self._progress(share, len(done), len(self._jobs), self.count)
+            if ended:
+                return
+            with self._changed:
+                self._changed.wait(TICK)
+
+    @staticmethod
+    def _share(job):
+        """Return the seconds of a kernel at work that are probably behind it."""
+        if job.done or job.begun is None:
+            return 0.0
+        return min(time.monotonic() - job.begun, NEARLY * job.seconds)

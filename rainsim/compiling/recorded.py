@@ -1,0 +1,64 @@
+"""The recorded list: which kernels a use needs, for which arguments, and what they cost to compile.
+
+`rainsim bench compile --write` makes the list; a test fails when it is out of date. At run time an
+entry that no longer fits is skipped, and its kernel compiled when it is called, as one that is not
+on the list.
+"""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+FILE = Path(__file__).with_name("kernels.json")
+TERRAIN = "terrain"  # the stage that a run begins with
+STAGES = (TERRAIN, "frames")
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """A kernel as it was compiled for one list of arguments.
+
+    Attributes
+    ----------
+    kernel : str
+        "module:name".
+    arguments : str
+        Their types, see `signatures`.
+    seconds : float
+        Of one core, to compile it where it was recorded.
+    stage : str
+        One of `STAGES`: when a run first calls it.
+    uses : tuple of str
+        Of `uses.USES`, those that call it.
+    """
+
+    kernel: str
+    arguments: str
+    seconds: float
+    stage: str
+    uses: tuple
+
+    @property
+    def name(self):
+        """What distinguishes it from the others on the list."""
+        return f"{self.kernel}({self.arguments})"
+
+
+def read_list(file=FILE):
+    """Return the recorded kernels as a list of `Recorded`."""
+    rows = json.loads(file.read_text(encoding="utf-8"))
+    return [Recorded(**{**row, "uses": tuple(row["uses"])}) for row in rows]
+
+
+def write_list(entries, file=FILE):
+    """Write the list, an entry a line in the order of the names, so that versions compare well."""
+    rows = [
+        json.dumps({**vars(entry), "uses": sorted(entry.uses)})
+        for entry in sorted(entries, key=lambda entry: entry.name)
+    ]
+    file.write_text("[\n" + ",\n".join(rows) + "\n]\n", encoding="utf-8")
+
+
+def needed(uses, file=FILE):
+    """Return the entries that any of some uses need."""
+    return [entry for entry in read_list(file) if set(entry.uses) & set(uses)]

@@ -1,0 +1,113 @@
+"""Compile what a run needs and the cache on disk lacks, in other processes."""
+
+import importlib
+import os
+
+from rainsim.compiling.folder import CACHE_FOLDER, stamp
+from rainsim.compiling.pool import Pool, processes
+from rainsim.compiling.recorded import needed
+
+KEPT_STAMPS = 64
+
+
+def start(uses, most=None, progress=None, in_line=None):
+    """Start to compile the kernels of some uses that have not been compiled; return the `Pool`.
+
+    Parameters
+    ----------
+    uses : list of str
+        Names of `uses`.
+    most : int, optional
+        Number of processes at most; as many as there are cores unless given.
+    progress : callable, optional
+        As for `Pool`.
+    in_line : callable, optional
+        in_line(count) is called if kernels are lacking that only this process may compile.
+
+    Returns
+    -------
+    Pool or None
+        None if there is nothing to compile, if one process alone may compile (which then is this
+        one, when it calls a kernel), or if NUMBA_DISABLE_JIT is set. The caller must
+        close the pool, by `end`.
+    """
+    entries = [] if _disabled() else needed(uses)
+    if not entries or (ready := stamp(entry.name for entry in entries)).exists():
+        return None
+    lacking = missing(entries)
+    if not lacking:
+        _note(ready)
+        return None
+    count = processes(most)
+    if count == 1:
+        if in_line is not None:
+            in_line(len(lacking))
+        return None
+    pool = Pool(lacking, count, progress)
+    pool.ready = ready
+    return pool
+
+
+def end(pool):
+    """Close a pool; if it has compiled everything the next run need not look for the kernels."""
+    if pool is None:
+        return
+    if pool.finished and not pool.stale:
+        _note(pool.ready)
+    pool.close()
+
+
+def compile_here(uses, progress):
+    """Compile in this process what some uses lack, one kernel after another.
+
+    progress(share, done, total) is called as by a `Pool`.
+    """
+    from rainsim.compiling.worker import compile_kernel
+
+    entries = [] if _disabled() else missing(needed(uses))
+    total, behind = sum(entry.seconds for entry in entries), 0.0
+    for done, entry in enumerate(entries):
+        progress(behind / total if total else 1.0, done, len(entries))
+        compile_kernel(entry.kernel, [entry.arguments])
+        behind += entry.seconds
+    if entries:
+        progress(1.0, len(entries), len(entries))
+
+
+def missing(entries):
+    """Return the recorded kernels that the cache on disk lacks; what no longer fits is left out."""
+    modules = {entry.kernel.partition(":")[0] for entry in entries}
+    known = {module for module in modules if (CACHE_FOLDER / module).is_dir()}
+    lacking = [entry for entry in entries if entry.kernel.partition(":")[0] not in known]
+    return lacking + [
+        entry for entry in entries if entry.kernel.partition(":")[0] in known and _lacks(entry)
+    ]
+
+
+def _lacks(entry):
+    """Return whether a kernel that may have been compiled has not been; imports its module."""
+    from rainsim.compiling.signatures import UnknownType, from_text, split
+    from rainsim.jit import KERNELS, held
+
+    try:
+        importlib.import_module(entry.kernel.partition(":")[0])
+        kernel = KERNELS[entry.kernel]
+        return not held(kernel, tuple(from_text(text) for text in split(entry.arguments)))
+    except (ImportError, KeyError, UnknownType):
+        return False
+
+
+def _disabled():
+    return os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0")
+
+
+def _note(ready):
+    """Write a stamp; the oldest go."""
+    try:
+        ready.parent.mkdir(parents=True, exist_ok=True)
+        ready.touch()
+        stamps = sorted(ready.parent.iterdir(), key=lambda file: -file.stat().st_mtime)
+        for old in stamps[KEPT_STAMPS:]:
+            old.unlink(missing_ok=True)
+    except OSError:  # another process tidies up, or nothing can be written: look again next time
+        pass

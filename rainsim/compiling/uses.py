@@ -1,0 +1,56 @@
+"""What the recorded list is recorded for, and which of these a run is like."""
+
+# Each use as the settings that a tiny run of it changes: a preset and single settings.
+USES = {
+    "drizzle": ("drizzle", {}),
+    "downpour": ("downpour", {}),
+    "flood": ("flood", {}),
+    "after": ("after", {}),
+    "paper": ("paper", {}),
+    "mirror": ("drizzle", {"reflections": "mirror"}),
+    "ssr": ("drizzle", {"reflections": "ssr"}),
+    "traced": ("drizzle", {"reflections": "traced"}),
+    "capture-sky": ("drizzle", {"sky": "capture"}),
+}
+# Uses that are no run of these settings.
+LAYERS = "layers"  # a run that writes all layers
+HEIGHTMAP = "heightmap"  # the command
+SIMULATE = "simulate"  # the command, and the height map that it needs
+SPLAT = "splat"  # the command
+ALL = (*USES, LAYERS, HEIGHTMAP, SIMULATE, SPLAT)
+# Settings that choose kernels, by group.
+CHOICES = {
+    "water": ("scheme",),
+    "render": (
+        "wetting", "reflections", "film", "refraction", "fresnel", "highlight", "coverage",
+        "water_geometry", "streaks", "splashes",
+    ),
+}  # fmt: skip
+
+
+def choices(config):
+    """Return what of a `Config` chooses kernels, as a tuple."""
+    picked = [getattr(getattr(config, group), n) for group, names in CHOICES.items() for n in names]
+    sky = config.render.sky == "capture"
+    return (*picked, sky, config.water.level is not None, config.rain.rate > 0)
+
+
+def uses_like(config, config_of, layers=()):
+    """Return the names of the recorded uses that are most like a run.
+
+    Parameters
+    ----------
+    config : Config
+    config_of : callable
+        config_of(preset, changes) returns the Config of a use.
+    layers : sequence of str
+        Names of the layers that the run writes.
+    """
+    wanted = choices(config)
+    equal = {
+        name: sum(a == b for a, b in zip(wanted, choices(config_of(*use)), strict=True))
+        for name, use in USES.items()
+    }
+    best = max(equal.values())
+    found = [name for name, count in equal.items() if count == best]
+    return [*found, LAYERS] if layers else found

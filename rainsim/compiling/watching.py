@@ -1,0 +1,49 @@
+"""Watch which kernels a program calls, for which arguments: how the list is recorded."""
+
+import contextlib
+import time
+
+from numba.core.dispatcher import Dispatcher
+
+from rainsim.compiling.signatures import UnknownType, to_text
+from rainsim.jit import KERNELS
+
+
+@contextlib.contextmanager
+def watched(found):
+    """Record the first call of each kernel for each list of argument types.
+
+    Parameters
+    ----------
+    found : callable
+        found(kernel, arguments, seconds): the kernel's name, the types as text, and the seconds of
+        one core that it took to compile it, None if its machine code was loaded from disk.
+
+    Raises
+    ------
+    UnknownType
+        If an argument has a type that has no text.
+    """
+    names = {id(kernel): name for name, kernel in KERNELS.items()}
+    original = Dispatcher._compile_for_args
+
+    def call(kernel, *arguments, **others):
+        name = names.get(id(kernel)) or next((n for n, k in KERNELS.items() if k is kernel), None)
+        missed = sum(kernel.stats.cache_misses.values())
+        begin = time.thread_time()
+        result = original(kernel, *arguments, **others)
+        seconds = time.thread_time() - begin
+        if name is not None:
+            compiled = sum(kernel.stats.cache_misses.values()) > missed
+            try:
+                texts = ", ".join(to_text(kernel.typeof_pyval(value)) for value in arguments)
+            except UnknownType as error:
+                raise UnknownType(f"{name}: {error}") from None
+            found(name, texts, seconds if compiled else None)
+        return result
+
+    Dispatcher._compile_for_args = call
+    try:
+        yield
+    finally:
+        Dispatcher._compile_for_args = original

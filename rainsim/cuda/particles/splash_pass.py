@@ -1,0 +1,245 @@
+"""Splashes on a CUDA device: twin of `rainsim.particles.splash_pass`.
+
+A thread takes an impact and decides whether it splashes in view; then a group of lanes takes each
+that does and lists its droplets and the pieces of its crown, a lane for each. Another group draws
+each piece.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rainsim.cuda.drops import (
+    BLOCKS,
+    CLASS,
+    COLUMN,
+    DIAMETER,
+    KIND,
+    ROW,
+    TIME,
+    X,
+    Y,
+    Z,
+)
+from rainsim.cuda.frame_uniforms import FrameUniforms
+from rainsim.cuda.jit import SIMULATED, cuda, cuda_kernel
+from rainsim.cuda.particles.streaks import view_of
+from rainsim.cuda.warp import GROUP, GROUPS, THREADS, claim_row
+from rainsim.particles.crown import FINE_PIXEL, crown_life
+from rainsim.particles.line_raster import CX, FX, FY
+from rainsim.particles.splash import (
+    LONGEST_LIFE,
+    SMALLEST_ON_FILM,
+    SMALLEST_SPLASH,
+    WET_DEPTH,
+    Impact,
+    splashes_on,
+)
+from rainsim.particles.splash_pass import MARGIN, WaterDepth, list_splash
+from rainsim.particles.streaks import draw_lines
+from rainsim.rain.heightfield import GROUND
+
+ROOM = 2**18  # lines
+NEAREST = 0.05  # m, as on the CPU
+
+
+@cuda.jit(device=True)
+def seen_at(x, y, z, sent, scene):
+    """Return the depth [m] at which the camera sees a splash there; negative if it does not.
+
+    `sent` is a `streaks.SentView`, and `scene` the `SceneDepth` of the picture.
+    """
+    rotation, lens = sent.rotation, sent.lens
+    x, y, z = x - sent.eye[0], y - sent.eye[1], z - sent.eye[2]
+    deep = rotation[2, 0] * x + rotation[2, 1] * y + rotation[2, 2] * z
+    if not deep > NEAREST:
+        return -1.0
+    for axis in range(2):
+        across = rotation[axis, 0] * x + rotation[axis, 1] * y + rotation[axis, 2] * z
+        focal, centre = np.float64(lens[FX + axis]), np.float64(lens[CX + axis])
+        count = scene.width if axis == 0 else scene.height
+        if focal * across + centre * deep <= -focal * MARGIN:
+            return -1.0
+        if focal * across + (centre - count) * deep >= focal * MARGIN:
+            return -1.0
+    return deep
+
+
+@cuda.jit(device=True)
+def still_shows(diameter, speed, under, age, pixel):
+    """Tell whether an impact on water of a depth [m] splashes and may still show.
+
+    Far splashes show while their crown stands, near ones longer. `pixel` is the width [m] of a
+    pixel there.
+    """
+    if not splashes_on(under, diameter, speed):
+        return False
+    return pixel < FINE_PIXEL or (under > WET_DEPTH and age < crown_life(diameter, speed))
+
+
+@cuda.jit(device=True)
+def focal_of(lens):
+    """Return the longer focal length of a lens [px]."""
+    return max(np.float64(lens[FX]), np.float64(lens[FY]))
+
+
+@cuda_kernel
+def list_splashes(lists, per_list, velocity, sent, scene, water, least, count_out, lines_out):
+    """List the droplets, crowns and jets of listed impacts that splash in view.
+
+    Parameters
+    ----------
+    lists : ImpactLists
+    per_list : int
+        Blocks of threads for each list.
+    velocity : device array of shape (CLASSES, 3), float64 [m/s]
+    sent : SentView
+    scene : SceneDepth
+        For the size of the picture.
+    water : WaterDepth
+        Its film a device array of shape (1,), float64 [m].
+    least : device array of shape (1,), int32
+        The smallest class of drops that may splash.
+    count_out : device array of shape (1,), int32
+        Raised by the number of lines, also of those for which there is no room.
+    lines_out : device array of shape (room, 7), float64
+        The columns of `particles.streaks.Line`.
+    """
+    chosen = cuda.shared.array(THREADS, np.int32)
+    depths = cuda.shared.array((THREADS, 2), np.float64)  # of the scene and of the water there
+    many = cuda.shared.array(1, np.int32)
+    time, exposure, focal = sent.times[0], sent.times[1], focal_of(sent.lens)
+    values, labels = lists.values, lists.labels
+    group = cuda.threadIdx.y
+    thread = group * GROUP + cuda.threadIdx.x
+    which, block = cuda.blockIdx.x // per_list, cuda.blockIdx.x % per_list
+    listed = min(lists.found[which], lists.ids.shape[1])
+    for begin in range(block * THREADS, listed, per_list * THREADS):
+        if thread == 0:
+            many[0] = 0
+        cuda.syncthreads()
+        n, deep, under, wanted = begin + thread, -1.0, water.film[0], False
+        if n < listed:
+            b, age = labels[which, n, CLASS], time - values[which, n, TIME]
+            if b >= least[0] and -exposure <= age < LONGEST_LIFE:
+                deep = seen_at(
+                    values[which, n, X], values[which, n, Y], values[which, n, Z], sent, scene
+                )
+            if deep > 0.0:
+                if labels[which, n, KIND] == GROUND:
+                    row, column = labels[which, n, ROW], labels[which, n, COLUMN]
+                    under += np.float64(water.ground[row, column])
+                wanted = still_shows(
+                    values[which, n, DIAMETER], abs(velocity[b, 2]), under, age, deep / focal
+                )
+        at = claim_row(many, 0, wanted)
+        if wanted:
+            chosen[at], depths[at, 0], depths[at, 1] = n, deep, under
+        cuda.syncthreads()
+        for at in range(group, many[0], THREADS // GROUP):
+            n = chosen[at]
+            b = labels[which, n, CLASS]
+            impact = Impact(
+                lists.ids[which, n], values[which, n, X], values[which, n, Y], values[which, n, Z],
+                velocity[b, 0], velocity[b, 1], abs(velocity[b, 2]), values[which, n, DIAMETER],
+                depths[at, 1], time - values[which, n, TIME],
+            )  # fmt: skip
+            list_splash(impact, depths[at, 0] / focal, exposure, count_out, lines_out)
+        cuda.syncthreads()
+
+
+@cuda_kernel
+def draw_list(count, lines, sent, scene, picture):
+    """Draw listed lines, a group of lanes for each.
+
+    Parameters
+    ----------
+    count, lines
+        As `list_splashes` left them.
+    sent : SentView
+    scene : SceneDepth
+    picture : device array of shape (width * height,), int64
+        Added to.
+    """
+    first = cuda.blockIdx.x * cuda.blockDim.y + cuda.threadIdx.y
+    draw_lines(
+        lines, first, min(count[0], lines.shape[0]), cuda.gridDim.x * cuda.blockDim.y,
+        view_of(sent), scene, picture,
+    )  # fmt: skip
+
+
+class Splashes:
+    """The splashes of a rain in a picture, drawn on a CUDA device.
+
+    Parameters
+    ----------
+    streaks : cuda.particles.streaks.Streaks
+        Of the same picture; its depth, camera and times are used, so it is updated and launched
+        before.
+    recent : cuda.rain.impact_history.RecentImpacts
+        What falls until the exposure's end.
+    water_depth : device array of shape (ny, nx), float32 [m]
+        Read by `launch`.
+    room : int
+        Lines that there is room for.
+
+    Attributes
+    ----------
+    alpha : device array of shape (height, width), float32
+        Share of light that splashes replace.
+    count : device array of shape (1,), int32
+        Lines, also those for which there was no room.
+    """
+
+    def __init__(self, streaks, recent, water_depth, room=ROOM):
+        self._streaks, self._recent, self.depth = streaks, recent, water_depth
+        self.stream = stream = streaks.stream
+        self.now = FrameUniforms(stream, {
+            "film": ((1,), np.float64), "least": ((1,), np.int32), "count": ((1,), np.int32),
+        })  # fmt: skip
+        self.count = self.now["count"]  # blanked by each `send`
+        self.make_room(room)
+        self.alpha = cuda.device_array(streaks.alpha.shape, np.float32, stream=stream)
+
+    def make_room(self, room):
+        """Make room for so many lines."""
+        self.lines = cuda.device_array((room, 7), np.float64, stream=self.stream)
+
+    def update(self, field, film):
+        """Set what the next picture shows; arguments as `draw_splashes` has them."""
+        smallest = SMALLEST_ON_FILM if film > WET_DEPTH else SMALLEST_SPLASH
+        least = np.searchsorted(field.spectrum.edges[1:], smallest, side="right")
+        self.now.update(film=film, least=least)
+
+    def launch(self):
+        """Queue the picture, after the streaks'."""
+        self.gather()
+        self.draw()
+
+    def gather(self, stream=None):
+        """Queue the listing of what is seen, on another stream than its own if given."""
+        stream = self.stream if stream is None else stream
+        self.now.send(stream)
+        recent, view, scene = self._recent, self._streaks.view, self._streaks.scene
+        water = WaterDepth(self.depth, self.now["film"])
+        per_list = 2 if SIMULATED else -(-recent.room // THREADS)
+        list_splashes[per_list * len(recent.found), GROUPS, stream](
+            recent.lists, per_list, self._streaks.now["velocity"], view, scene, water,
+            self.now["least"], self.count, self.lines,
+        )  # fmt: skip
+        if (drips := self._streaks.drips) is not None:
+            drips.gather(recent.surfaces, view, scene, water, self.count, self.lines, stream=stream)
+
+    def draw(self, stream=None):
+        """Queue the drawing of what was gathered, after the streaks' picture."""
+        stream = self.stream if stream is None else stream
+        seen = self._streaks
+        draw_list[BLOCKS, GROUPS, stream](
+            self.count, self.lines, seen.view, seen.scene, seen.picture
+        )
+        seen.resolve(self.alpha, stream)
+
+    def missing(self):
+        """Return how many lines there was no room for; waits for them."""
+        lines = int(self.count.copy_to_host(stream=self.stream)[0]) - len(self.lines)
+        return max(lines, 0)

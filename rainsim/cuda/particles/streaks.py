@@ -1,0 +1,416 @@
+"""Rain in a picture on a CUDA device: twin of `rainsim.particles.streaks`.
+
+A thread tests a cube of air; the cubes in view its block goes through, a group of lanes a cube and
+a lane a drop, and lists the drops that may show. A thread follows each of those through the map,
+and a group of lanes draws it, a lane a stretch of the path. Optical depths are whole numbers that
+are added up, so that no order matters.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from rainsim.constants import ONE, TWO, ZERO
+from rainsim.cuda.drops import BLOCKS, arrays_of, class_of, sent_surfaces
+from rainsim.cuda.frame_uniforms import FrameUniforms
+from rainsim.cuda.jit import SIMULATED, cuda, cuda_kernel
+from rainsim.cuda.particles.line_raster import TILE, read_depth, resolve
+from rainsim.cuda.warp import GROUP, GROUPS, THREADS, WHOLE, ballot, claim_row
+from rainsim.errors import ParameterError
+from rainsim.numerics.random import uniform
+from rainsim.particles.line_raster import (
+    APERTURE,
+    DEPTH_TILE,
+    FX,
+    FY,
+    NEAR,
+    PER_FOCUS,
+    Path,
+    SceneDepth,
+    draw_path,
+)
+from rainsim.particles.shutter_view import (
+    ShutterView,
+    cube_corners,
+    cube_in_view,
+    cube_radius,
+    require_pictures,
+    seen_air,
+    shutter_view,
+    step_from,
+)
+from rainsim.particles.streaks import CLEAR, HIDDEN, drop_offset, may_show
+from rainsim.rain.heightfield import first_hit
+from rainsim.rain.poisson_cells import (
+    Cube,
+    DropField,
+    cube_key,
+    drop_diameter,
+    drop_id,
+    drop_place,
+    thinned_out,
+)
+from rainsim.rain.size_distribution import CLASSES
+
+LARGE = np.float32(400)  # px that a path touches, from which on a whole warp draws it
+MANY = 2**14  # such paths that there is room for; more are drawn as the small ones are
+ROOM = 2**15 if SIMULATED else 2**20  # drops that may be in view
+# Places in a row of `paths`: the path in the camera frame [m], whether nothing stands before it,
+# the share of it that the drop goes (less than 0 for large drops), and the diameter [m].
+PATH = 9
+X, Y, Z, X_END, Y_END, Z_END, IS_CLEAR, SHARE, DIAMETER = range(PATH)
+_NEAR = np.float32(NEAR)
+
+
+class SentView(NamedTuple):
+    """A `ShutterView` as device arrays, which a recorded queue may read.
+
+    `times`, of shape (2,), float64 [s], holds when the shutter opens, and for how long.
+    """
+
+    times: object
+    rotation: object
+    eye: object
+    rotation_end: object
+    eye_end: object
+    axes: object
+    axes_end: object
+    lens: object
+    planes: object
+
+
+class CubesInReach(NamedTuple):
+    """The cubes that may be in view: `counts` as in `drops.Columns`, but of cubes, and `SeenAir`.
+
+    All are device arrays.
+    """
+
+    counts: object
+    first: object
+    last: object
+    far: object
+    slack: object
+
+
+@cuda.jit(device=True)
+def view_of(sent):
+    """Return the `ShutterView` that a `SentView` holds."""
+    return ShutterView(
+        sent.times[0], sent.times[1], sent.rotation, sent.eye, sent.rotation_end, sent.eye_end,
+        sent.axes, sent.axes_end, sent.lens, sent.planes,
+    )  # fmt: skip
+
+
+@cuda.jit(device=True)
+def _cube_of(task, air):
+    """Return the class and the place (i, j, k) of cube number `task` of all classes' boxes."""
+    b, rest = class_of(task, air.counts)
+    deep = air.last[b, 2] - air.first[b, 2] + 1
+    wide = air.last[b, 1] - air.first[b, 1] + 1
+    k = rest % deep
+    rest //= deep
+    return b, air.first[b, 0] + rest // wide, air.first[b, 1] + rest % wide, air.first[b, 2] + k
+
+
+@cuda_kernel
+def list_drops(air, sent, field, scene, sought_out, places_out, words_out, paths_out):
+    """List the drops that may be in view, cube by cube.
+
+    Parameters
+    ----------
+    air : CubesInReach
+    sent : SentView
+    field : DropField
+        Of device arrays.
+    scene : SceneDepth
+    sought_out : device array of shape (1,), int32
+        Raised by the number of drops.
+    places_out : device array of shape (room, 4), int32
+        Class and cube.
+    words_out : device array of shape (room,), uint64
+        The drops' ids.
+    paths_out : device array of shape (room, PATH), float32
+        X to IS_CLEAR.
+    """
+    seen = cuda.shared.array((THREADS, 4), np.int32)  # class and cube
+    corners = cuda.shared.array((THREADS, 6), np.float32)  # of each, first and last
+    many = cuda.shared.array(1, np.int32)
+    view, most = view_of(sent), field.count.shape[1]
+    thread, lane = cuda.threadIdx.x, cuda.threadIdx.x % GROUP
+    total = air.counts[CLASSES]
+    batches = (total + THREADS - 1) // THREADS
+    for batch in range(cuda.blockIdx.x, batches, cuda.gridDim.x):
+        if thread == 0:
+            many[0] = 0
+        cuda.syncthreads()
+        # Threads test cubes far from each other, so that all blocks find about as many in view.
+        task, wanted = thread * batches + batch, False
+        b, i, j, k = 0, air.first[0, 0], air.first[0, 0], air.first[0, 0]
+        corner = corner_end = (ZERO, ZERO, ZERO)
+        if task < total:
+            b, i, j, k = _cube_of(task, air)
+            corner, corner_end = cube_corners(Cube(b, i, j, k), field, view)
+            wanted = cube_in_view(
+                corner, corner_end, np.float32(field.cube[b]), cube_radius(b, field, view, air),
+                air.far[b], view,
+            )  # fmt: skip
+        at = claim_row(many, 0, wanted)
+        if wanted:
+            seen[at, 0], seen[at, 1], seen[at, 2], seen[at, 3] = b, i, j, k
+            corners[at, 0], corners[at, 1], corners[at, 2] = corner
+            corners[at, 3], corners[at, 4], corners[at, 5] = corner_end
+        cuda.syncthreads()
+        for begin in range(0, many[0], THREADS // GROUP):
+            at, n, chance = begin + thread // GROUP, most, 0.0
+            cube = Cube(seen[0, 0], seen[0, 1], seen[0, 2], seen[0, 3])
+            word = key = field.class_key[0]
+            if at < many[0]:
+                cube = Cube(seen[at, 0], seen[at, 1], seen[at, 2], seen[at, 3])
+                key, n = cube_key(cube, field), lane
+                chance = uniform(key)
+            while True:
+                # The cube holds drop n if its number is beyond that chance, see `drops_in_cube`.
+                there = n < most and chance >= field.count[cube.size_class, n]
+                if ballot(there) == 0:
+                    break
+                path, shows = Path(ZERO, ZERO, ZERO, ZERO, ZERO, ZERO), HIDDEN
+                if there:
+                    word = drop_id(key, n)
+                    path, shows = _path_of(word, cube, corners[at], air, field, view, scene)
+                place = claim_row(sought_out, 0, shows != HIDDEN)
+                if shows != HIDDEN and place < words_out.shape[0]:
+                    places_out[place, 0], places_out[place, 1] = cube.size_class, cube.i
+                    places_out[place, 2], places_out[place, 3] = cube.j, cube.k
+                    words_out[place] = word
+                    paths_out[place, X], paths_out[place, Y] = path.x, path.y
+                    paths_out[place, Z], paths_out[place, X_END] = path.z, path.x_end
+                    paths_out[place, Y_END], paths_out[place, Z_END] = path.y_end, path.z_end
+                    paths_out[place, IS_CLEAR] = ONE if shows == CLEAR else ZERO
+                n = n + GROUP if there else most
+        cuda.syncthreads()
+
+
+@cuda.jit(device=True)
+def _path_of(word, cube, corners, air, field, view, scene):
+    """Return the `Path` of a drop, and how it shows; `corners` of its cube, first and last."""
+    b = cube.size_class
+    x, y, z = drop_offset(word, cube, field)
+    p, q, r = step_from((corners[0], corners[1], corners[2]), view.axes, x, y, z)
+    if not _NEAR <= r < air.far[b]:
+        return Path(ZERO, ZERO, ZERO, ZERO, ZERO, ZERO), HIDDEN
+    p_end, q_end, r_end = step_from((corners[3], corners[4], corners[5]), view.axes_end, x, y, z)
+    path = Path(p, q, r, p_end, q_end, r_end)
+    shows = may_show(path, view.lens, scene)
+    _, _, height = drop_place(word, cube, field)
+    if shows != HIDDEN and thinned_out(word, b, height, field):
+        shows = HIDDEN
+    return path, shows
+
+
+@cuda_kernel
+def follow(sought, places, words, sent, field, surfaces, paths_out, many_out, large_out):
+    """Find how much of their path the drops in view go before they meet something.
+
+    Parameters
+    ----------
+    sought, places, words
+        As `list_drops` left them.
+    sent : SentView
+    field : DropField
+    surfaces : HeightFields
+        Both of device arrays.
+    paths_out : device array of shape (room, PATH), float32
+        SHARE, 0 for drops that have ended and less for large ones, and DIAMETER.
+    many_out : device array of shape (1,), int32
+        Raised by the number of large ones.
+    large_out : device array of shape (MANY,), int32
+        Which they are.
+    """
+    time, exposure = sent.times[0], sent.times[1]
+    for n in range(cuda.grid(1), min(sought[0], words.shape[0]), cuda.gridsize(1)):
+        b, word = places[n, 0], words[n]
+        x, y, z = drop_place(word, Cube(b, places[n, 1], places[n, 2], places[n, 3]), field)
+        stop, _, _, _ = first_hit(
+            x, y, z, field.velocity[b, 0], field.velocity[b, 1], field.velocity[b, 2], -np.inf,
+            time + exposure, surfaces,
+        )  # fmt: skip
+        share = max(np.float32(min((stop - time) / exposure, 1.0)), ZERO)
+        paths_out[n, DIAMETER] = diameter = np.float32(drop_diameter(word, b, field))
+        if share > ZERO and _pixels(paths_out[n], diameter, sent.lens) > LARGE:
+            at = cuda.atomic.add(many_out, 0, 1)
+            if at < large_out.shape[0]:
+                large_out[at] = n
+                share = -share
+        paths_out[n, SHARE] = share
+
+
+@cuda.jit(device=True)
+def _pixels(path, diameter, lens):
+    """Return about how many pixels a row of `paths` touches."""
+    nearest = min(path[Z], path[Z_END])
+    u = lens[FX] * abs(path[X_END] / path[Z_END] - path[X] / path[Z])
+    v = lens[FY] * abs(path[Y_END] / path[Z_END] - path[Y] / path[Z])
+    wide = lens[FX] * diameter / nearest
+    wide += lens[APERTURE] * max(
+        abs(ONE / path[Z] - lens[PER_FOCUS]), abs(ONE / path[Z_END] - lens[PER_FOCUS])
+    )
+    return (wide + TWO) * (u + v + wide + TWO)
+
+
+@cuda_kernel
+def draw_field(sought, paths, lens, scene, picture):
+    """Draw the drops in view except the large ones, a group of lanes for each.
+
+    Parameters
+    ----------
+    sought : device array of shape (1,), int32
+        Drops in view.
+    paths : device array of shape (room, PATH), float32
+        As `list_drops` and `follow` left them.
+    lens : device array of shape (7,), float32
+    scene : SceneDepth
+        Of device arrays.
+    picture : device array of shape (width * height,), int64
+        Added to.
+    """
+    listed = min(sought[0], paths.shape[0])
+    first = cuda.blockIdx.x * cuda.blockDim.y + cuda.threadIdx.y
+    for n in range(first, listed, cuda.gridDim.x * cuda.blockDim.y):
+        if paths[n, SHARE] > ZERO:
+            _draw(paths[n], paths[n, SHARE], lens, scene, picture)
+
+
+@cuda_kernel
+def draw_large(many, large, paths, lens, scene, picture):
+    """Draw the large drops in view, a warp for each; see `draw_field`.
+
+    Parameters
+    ----------
+    many : device array of shape (1,), int32
+    large : device array of shape (MANY,), int32
+        As `follow` left them.
+    paths, lens, scene, picture
+    """
+    listed = min(many[0], large.shape[0])
+    first = cuda.blockIdx.x * cuda.blockDim.y + cuda.threadIdx.y
+    for at in range(first, listed, cuda.gridDim.x * cuda.blockDim.y):
+        n = large[at]
+        _draw(paths[n], -paths[n, SHARE], lens, scene, picture)
+
+
+@cuda.jit(device=True)
+def _draw(row, share, lens, scene, picture):
+    path = Path(row[X], row[Y], row[Z], row[X_END], row[Y_END], row[Z_END])
+    draw_path(path, share, row[DIAMETER], lens, scene, row[IS_CLEAR] > ZERO, picture)
+
+
+class Streaks:
+    """The streaks of a rain in a picture, drawn on a CUDA device; twin of `streaks.draw_streaks`.
+
+    Parameters
+    ----------
+    field : RainField
+        Of the weather; `update` takes those of other times.
+    surfaces : Surfaces
+    width, height : int [px]
+    depth : device array of shape (height, width), float32 [m]
+        Read by `launch`.
+    stream : cuda.stream
+
+    Attributes
+    ----------
+    alpha : device array of shape (height, width), float32
+        Share of light that drops replace.
+    sent : event
+        When `launch` has sent the camera and the times.
+    view : SentView
+    scene : SceneDepth
+        Both of device arrays, as the drawing kernels read them.
+    drips : cuda.rain.dripping.DripList or None
+        Drips that are drawn too.
+    """
+
+    def __init__(self, field, surfaces, width, height, depth, stream=0):
+        self.stream, self.size, self._depth = stream, (width, height), depth
+        self._surfaces = sent_surfaces(surfaces, stream)
+        f4, f8, i8 = np.float32, np.float64, np.int64
+        names = {
+            "counts": ((CLASSES + 1,), i8), "first": ((CLASSES, 3), i8), "last": ((CLASSES, 3), i8),
+            "times": ((2,), f8), "rotation": ((3, 3), f8), "eye": ((3,), f8),
+            "rotation_end": ((3, 3), f8), "eye_end": ((3,), f8), "axes": ((3, 3), f4),
+            "axes_end": ((3, 3), f4), "lens": ((7,), f4),
+            "planes": ((4, 3), f4), "far": ((CLASSES,), f4), "slack": ((CLASSES,), f8),
+            "sought": ((1,), np.int32), "many": ((1,), np.int32),
+        }  # fmt: skip
+        self.now, self.sent = FrameUniforms(stream, names | arrays_of(field)), cuda.event()
+        tiles = 2, -(-height // DEPTH_TILE), -(-width // DEPTH_TILE)
+        self.alpha = cuda.device_array((height, width), np.float32, stream=stream)
+        self.columns = cuda.device_array(width * height, np.float32, stream=stream)
+        self.tile_depth = cuda.device_array(tiles, np.float32, stream=stream)
+        self._sought = (
+            self.now["sought"],  # blanked by each `send`, as "many" is
+            cuda.device_array((ROOM, 4), np.int32, stream=stream),
+            cuda.device_array(ROOM, np.uint64, stream=stream),
+        )
+        self._paths = cuda.device_array((ROOM, PATH), np.float32, stream=stream)
+        self._large = cuda.device_array(MANY, np.int32, stream=stream)
+        self.picture = cuda.to_device(np.zeros(width * height, np.int64), stream)
+        self.view, self._air, self._field = (
+            kind(*(self.now[name] for name in kind._fields))
+            for kind in (SentView, CubesInReach, DropField)
+        )
+        self.scene = SceneDepth(width, height, self.columns, self.tile_depth)
+        self.drips = None
+
+    def update(
+        self, field, camera, time, exposure, far, camera_end=None, aperture=0.0, focus=np.inf
+    ):
+        """Set what the next picture shows; arguments as `streaks.draw_streaks` has them."""
+        require_pictures(camera, self.alpha, self.alpha)
+        moving = camera_end, aperture, focus
+        view = shutter_view(camera, time, exposure, *moving)
+        air = seen_air(field, camera, view, far, *moving)
+        cubes = np.prod(np.maximum(air.last - air.first + 1, 0), axis=1) * (air.far > NEAR)
+        drops = float((cubes * field.listed.density * field.cube**3).sum())
+        if drops + 6 * math.sqrt(drops) > ROOM:
+            raise ParameterError(
+                f"{drops:.3g} drops may be in view; on a CUDA device they must be fewer than "
+                f'{ROOM}; let drawn drops end nearer (streak_far) or use backend "cpu"'
+            )
+        values = view._asdict() | air._asdict() | field.arrays()._asdict()
+        times = values.pop("time"), values.pop("exposure")
+        self.now.update(counts=np.concatenate([[0], np.cumsum(cubes)]), times=times, **values)
+
+    def launch(self, stream=None):
+        """Queue the picture, on another stream than its own if given."""
+        stream = self.stream if stream is None else stream
+        _, rows, columns = self.tile_depth.shape
+        threads = (1, 1) if SIMULATED else (DEPTH_TILE, DEPTH_TILE)
+        self.now.send(stream)
+        self.sent.record(stream)
+        read_depth[(columns, rows), threads, stream](self._depth, self.columns, self.tile_depth)
+        now, lens, scene = self.now, self.now["lens"], self.scene
+        list_drops[BLOCKS, THREADS, stream](
+            self._air, self.view, self._field, scene, *self._sought, self._paths
+        )
+        follow[BLOCKS, THREADS, stream](
+            *self._sought, self.view, self._field, self._surfaces, self._paths, now["many"],
+            self._large,
+        )  # fmt: skip
+        draw_large[BLOCKS, WHOLE, stream](
+            now["many"], self._large, self._paths, lens, scene, self.picture
+        )
+        draw_field[BLOCKS, GROUPS, stream](now["sought"], self._paths, lens, scene, self.picture)
+        if self.drips is not None:
+            self.drips.draw(self.view, scene, self.picture, stream)
+        self.resolve(self.alpha, stream)
+
+    def resolve(self, alpha_out, stream):
+        """Queue the turning of what was drawn into alpha, and blank the picture."""
+        width, height = self.size
+        blocks, threads = (-(-width // TILE), -(-height // TILE)), (TILE, 8)
+        threads = (4, 1) if SIMULATED else threads
+        resolve[blocks, threads, stream](self.picture, alpha_out)

@@ -1,0 +1,169 @@
+"""Drips in the air and those that have just landed, as a list on a CUDA device, and as pictures.
+
+The lists are in the order of chance.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from rainsim.cuda.drops import BLOCKS
+from rainsim.cuda.jit import cuda, cuda_kernel
+from rainsim.cuda.particles.splash_pass import focal_of, seen_at, still_shows
+from rainsim.cuda.particles.streaks import view_of
+from rainsim.cuda.warp import GROUPS
+from rainsim.particles.splash import LONGEST_LIFE, Impact
+from rainsim.particles.splash_pass import list_splash
+from rainsim.particles.streaks import Line, draw_line
+from rainsim.rain.dripping import DRIP_COLUMNS, drip_end, drip_line
+
+# A row of `table`, float64: DRIP_COLUMNS.
+DRIP = len(DRIP_COLUMNS)
+X, Y, TOP, BOTTOM, DIAMETER, BEGIN, END, DRIP_WIND_X, DRIP_WIND_Y = range(DRIP)
+# `book`, int64: drops listed; water [VOLUME_UNIT] on edges and in the air; and, since the start, in
+# films, where no edge can be reached, come down to the ground, and come as finer rain.
+BOOK = 7
+LISTED, HANGING, AIRBORNE, FILM, LOST, RETURNED, FINE = range(BOOK)
+
+
+class Page(NamedTuple):
+    """Listed drips, in no order.
+
+    Attributes
+    ----------
+    book : device array of shape (BOOK,), int64
+        The account, see LISTED to FINE.
+    table : device array of shape (room, DRIP), float64
+        See `rainsim.rain.dripping.DRIP_COLUMNS`.
+    where : device array of shape (room,), int32
+        The point from which each parted.
+    ids : device array of shape (room,), uint64
+    """
+
+    book: object
+    table: object
+    where: object
+    ids: object
+
+
+@cuda.jit(device=True)
+def cell_of(x, y, surfaces):
+    """Return the cell of a place, or the nearest one, and whether it is on the map."""
+    ny, nx = surfaces.top.shape
+    row = np.int64(math.floor((y - surfaces.y0) / surfaces.spacing))
+    column = np.int64(math.floor((x - surfaces.x0) / surfaces.spacing))
+    inside = 0 <= row < ny and 0 <= column < nx
+    return min(max(row, 0), ny - 1), min(max(column, 0), nx - 1), inside
+
+
+@cuda_kernel
+def draw_drips(page, sent, scene, picture):
+    """Draw listed drips in the streaks' picture, a group of lanes for each.
+
+    Parameters
+    ----------
+    page : Page
+    sent : SentView
+    scene : SceneDepth
+    picture : device array of shape (width * height,), int64
+        Added to.
+    """
+    time, exposure, table, view = sent.times[0], sent.times[1], page.table, view_of(sent)
+    first = cuda.blockIdx.x * cuda.blockDim.y + cuda.threadIdx.y
+    for n in range(first, min(page.book[LISTED], len(table)), cuda.gridDim.x * cuda.blockDim.y):
+        if min(table[n, END], time + exposure) > max(table[n, BEGIN], time):
+            x, y, z, vx, vy, vz, diameter = drip_line(
+                table[n, X], table[n, Y], table[n, TOP], table[n, DIAMETER], table[n, BEGIN],
+                table[n, END], table[n, DRIP_WIND_X], table[n, DRIP_WIND_Y], time, exposure,
+            )  # fmt: skip
+            draw_line(Line(x, y, z, vx, vy, vz, diameter), view, scene, picture)
+
+
+@cuda_kernel
+def list_drip_splashes(page, surfaces, sent, scene, water, count_out, lines_out):
+    """List the droplets, crowns and jets of drips that have landed, a group of lanes for each.
+
+    Parameters
+    ----------
+    page : Page
+    surfaces : HeightFields
+        Of device arrays.
+    sent, scene, water, count_out, lines_out
+        As `splash_pass.list_splashes` has them.
+    """
+    time, exposure, focal = sent.times[0], sent.times[1], focal_of(sent.lens)
+    table = page.table
+    first = cuda.blockIdx.x * cuda.blockDim.y + cuda.threadIdx.y
+    for n in range(first, min(page.book[LISTED], len(table)), cuda.gridDim.x * cuda.blockDim.y):
+        diameter, z, age = table[n, DIAMETER], table[n, BOTTOM], time - table[n, END]
+        if not -exposure < age <= LONGEST_LIFE:
+            continue
+        x, y, speed = drip_end(
+            table[n, X], table[n, Y], diameter, table[n, BEGIN], table[n, END],
+            table[n, DRIP_WIND_X], table[n, DRIP_WIND_Y],
+        )  # fmt: skip
+        deep = seen_at(x, y, z, sent, scene)
+        if not deep > 0.0:
+            continue
+        row, column, _ = cell_of(x, y, surfaces)
+        under = water.film[0]
+        if surfaces.top[row, column] <= surfaces.ground[row, column]:
+            under += np.float64(water.ground[row, column])
+        if still_shows(diameter, speed, under, age, deep / focal):
+            impact = Impact(page.ids[n], x, y, z, 0.0, 0.0, speed, diameter, under, age)
+            list_splash(impact, deep / focal, exposure, count_out, lines_out)
+
+
+class DripList:
+    """Drips in the air and those that have just landed, on the device, in no order.
+
+    Parameters
+    ----------
+    room : int
+    stream : cuda.stream
+
+    Attributes
+    ----------
+    page : Page
+    """
+
+    def __init__(self, room, stream=0):
+        self.room, self._stream = room, stream
+        self.page = Page(
+            cuda.to_device(np.zeros(BOOK, np.int64), stream),
+            cuda.device_array((room, DRIP), np.float64, stream=stream),
+            cuda.device_array(room, np.int32, stream=stream),
+            cuda.device_array(room, np.uint64, stream=stream),
+        )
+
+    def fill(self, table, ids, where=None, book=None):
+        """Bring a list from the host."""
+        count = len(ids)
+        book = np.zeros(BOOK, np.int64) if book is None else book
+        book[LISTED] = count
+        self.page.book.copy_to_device(book, stream=self._stream)
+        page = self.page
+        for array, values in ((page.table, table), (page.ids, ids), (page.where, where)):
+            if count and values is not None:
+                values = np.ascontiguousarray(values, array.dtype)
+                array[:count].copy_to_device(values, stream=self._stream)
+
+    def fetch(self):
+        """Return the table and the ids on the host, in the order of the ids; waits for them."""
+        count = int(self.page.book.copy_to_host(stream=self._stream)[LISTED])
+        ids = self.page.ids.copy_to_host(stream=self._stream)[:count]
+        order = np.argsort(ids)
+        return self.page.table.copy_to_host(stream=self._stream)[:count][order], ids[order]
+
+    def draw(self, view, scene, picture, stream):
+        """Queue the drawing into the streaks' picture; see `draw_drips`."""
+        draw_drips[BLOCKS, GROUPS, stream](self.page, view, scene, picture)
+
+    def gather(self, surfaces, view, scene, water, count, lines, stream):
+        """Queue the listing of their splashes; see `list_drip_splashes`."""
+        list_drip_splashes[BLOCKS, GROUPS, stream](
+            self.page, surfaces, view, scene, water, count, lines
+        )

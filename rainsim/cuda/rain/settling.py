@@ -1,0 +1,157 @@
+"""Lists of drops that ended, on a CUDA device, and where their water and their momentum go.
+
+Sums are taken in whole numbers, so that the order of a list does not matter.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from rainsim.constants import WATER_DENSITY
+from rainsim.cuda.jit import cuda, cuda_kernel
+from rainsim.cuda.water.step_control import UNIT
+from rainsim.numerics.random import mix, uniform
+from rainsim.rain.heightfield import GROUND
+from rainsim.rain.size_distribution import drop_volume
+
+VOLUME_UNIT = 2.0**-56  # m3: what falls on objects is counted in whole numbers of it, up to 128 m3
+PUSH_UNIT = 2.0**-60  # kg m/s: and so is the momentum that rings come from
+# Places in a row of `values` (float64: place [m], diameter [m], time [s]) and of `labels` (int32).
+VALUES, LABELS = 5, 4
+X, Y, Z, DIAMETER, TIME = range(VALUES)
+CLASS, KIND, ROW, COLUMN = range(LABELS)
+
+
+class ImpactLists(NamedTuple):
+    """Lists of drops that ended, as `fill_impacts` writes them.
+
+    Attributes
+    ----------
+    found : device array of shape (slots,), int32
+        Drops in each list, also those for which it has no room.
+    values : device array of shape (slots, room, VALUES), float64
+        See X to TIME.
+    labels : device array of shape (slots, room, LABELS), int32
+        See CLASS to COLUMN.
+    ids : device array of shape (slots, room), uint64
+    """
+
+    found: object
+    values: object
+    labels: object
+    ids: object
+
+
+class CellLayout(NamedTuple):
+    """Where the cells of a map lie in the water solver's arrays: see `rainsim.cuda.grid.Water`.
+
+    Attributes
+    ----------
+    first, width : int
+        Place of the first cell, and from one row to the next.
+    area : float [m2]
+        Of a cell.
+    """
+
+    first: int
+    width: int
+    area: float
+
+
+class RippleTile(NamedTuple):
+    """The periodic tile on which drops ring.
+
+    Attributes
+    ----------
+    size : float [m]
+        Side.
+    steps, cells : int
+        Parts of an interval, and cells along a side.
+    share : float
+        Of the drops on the ground that ring on the tile.
+    """
+
+    size: float
+    steps: int
+    cells: int
+    share: float
+
+
+@cuda_kernel
+def settle(
+    lists, times, slot, fall, layout, tile, point, waiting_out, obstacles_out, came_out, pushes_out
+):
+    """Give the water of listed drops to the cells that they fell on, and some to the ripples.
+
+    Parameters
+    ----------
+    lists : ImpactLists
+    times : device array of shape (2,), float64 [s]
+        Start and end.
+    slot : device array of shape (1,), int32
+        Which of the lists.
+    fall : device array of shape (CLASSES,), float64 [m/s]
+        Fall speeds.
+    layout : CellLayout
+        Of `waiting_out`.
+    tile : RippleTile
+    point : device array of shape (ny, nx), int32
+        The point of `came_out` that a cell's water goes to; negative: the last.
+    waiting_out : device array, int64
+        Depth that waits in each cell, in `step_control.UNIT`; added to.
+    obstacles_out : device array of shape (1,), int64
+        Volume that fell on obstacles, in VOLUME_UNIT; added to.
+    came_out : device array of shape (points + 1,), int64
+        The same by the point that it goes to; added to. Of shape (0,): nothing drips.
+    pushes_out : device array of shape (steps * cells * cells,), int64
+        Momentum in each cell of the tile and each part of the interval, in PUSH_UNIT; added to.
+    """
+    which, values, labels = slot[0], lists.values, lists.labels
+    listed = min(lists.found[which], lists.ids.shape[1])
+    for at in range(cuda.grid(1), listed, cuda.gridsize(1)):
+        volume = drop_volume(values[which, at, DIAMETER])
+        row, column = labels[which, at, ROW], labels[which, at, COLUMN]
+        if labels[which, at, KIND] != GROUND:
+            water = np.int64(volume / VOLUME_UNIT + 0.5)
+            cuda.atomic.add(obstacles_out, 0, water)
+            if len(came_out) > 0:
+                goes = point[row, column]
+                cuda.atomic.add(came_out, goes if goes >= 0 else len(came_out) - 1, water)
+            continue
+        cell = layout.first + row * layout.width + column
+        cuda.atomic.add(waiting_out, cell, np.int64(volume / (layout.area * UNIT) + 0.5))
+        momentum = WATER_DENSITY * volume * fall[labels[which, at, CLASS]]
+        age = (times[1] - values[which, at, TIME]) / max(times[1] - times[0], 1e-30)
+        ring(
+            lists.ids[which, at], values[which, at, X], values[which, at, Y], momentum, age, tile,
+            pushes_out,
+        )  # fmt: skip
+
+
+@cuda.jit(device=True)
+def ring(word, x, y, momentum, age, tile, pushes_out):
+    """Let a drop of a momentum [kg m/s] ring on the tile, if its id is among those that do.
+
+    `age` is the time since it came down over the interval's length; see `settle`.
+    """
+    if uniform(mix(word)) >= tile.share:
+        return
+    push, steps, cells = momentum / PUSH_UNIT, tile.steps, tile.cells
+    step = min(max(steps - 1 - int(age * steps), 0), steps - 1)
+    x, y = x / tile.size, y / tile.size
+    x, y = (x - math.floor(x)) * cells, (y - math.floor(y)) * cells
+    i, j = int(x), int(y)
+    right, up = x - i, y - j
+    for side in range(4):
+        di, dj = side & 1, side >> 1
+        part = (right if di == 1 else 1.0 - right) * (up if dj == 1 else 1.0 - up)
+        place = (step * cells + (j + dj) % cells) * cells + (i + di) % cells
+        cuda.atomic.add(pushes_out, place, _whole(push * part))
+
+
+@cuda.jit(device=True)
+def _whole(x):
+    return np.int64(math.floor(x + 0.5))

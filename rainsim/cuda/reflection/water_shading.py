@@ -1,0 +1,82 @@
+"""Twin of `reflection.water_shading`: the water in a picture tilted, lit and laid over it.
+
+On the CPU the water's pixels are a list; here each pixel is a thread, which does for its own pixel
+what `list_water`, `tilt_water`, `mirror_light` or `march_light`, and `lay_water` do there, by the
+same functions of a pixel.
+"""
+
+from __future__ import annotations
+
+from rainsim.constants import TWO, ZERO
+from rainsim.cuda.jit import cuda, cuda_device, cuda_kernel
+from rainsim.cuda.reflection.planar_mirror import mirror_of
+from rainsim.reflection.planar_mirror import MirrorPicture, mirrored_light
+from rainsim.reflection.screen_space import screen_light
+from rainsim.reflection.water_shading import shade_water_pixel, tilted, water_at
+from rainsim.scene.view import View, view_from
+
+
+@cuda_kernel
+def shade_water(
+    hit, coverage, distance, background, tall, camera, water_map, ripples, environment, settings,
+    mirrors, optics, picture_out,
+):  # fmt: skip
+    """Write the picture with the water on it: ripples, what it mirrors, what shows through, glint.
+
+    Parameters
+    ----------
+    hit, coverage : device arrays of shape (height, width), float32
+        As `ray_water.meet_water` left them.
+    distance : device array of shape (height, width), float32 [m]
+        As `screen_space.find_hits` left it.
+    background : Background
+    tall : device array of shape (height, width), float32 [m]
+        As `screen_space.keep_tall` left it.
+    camera : CameraArrays
+    water_map : WaterMap
+    ripples : Ripples
+    environment : device array of shape (rows, columns, 3), float32
+    settings : device array of shape (3,), float32
+        Of `ssr.MarchSettings`.
+    mirrors : MirrorArrays
+    optics : Optics
+    picture_out : device array of shape (height, width, 3), float32
+    """
+    column, row = cuda.grid(2)
+    height, width = coverage.shape
+    if row >= height or column >= width:
+        return
+    covers = coverage[row, column]
+    if covers == ZERO:
+        for c in range(3):
+            picture_out[row, column, c] = background.picture[row, column, c]
+        return
+    view = view_from(camera)
+    water = water_at(view, water_map, row, column, hit[row, column], covers)
+    water = tilted(water, ripples)
+    mirror = mirror_of(mirrors.range, water.z)
+    if mirror >= 0:
+        red, green, blue = by_mirror(mirrors, mirror, view, water)
+    else:
+        red, green, blue, _ = screen_light(
+            view, background.picture, tall, environment, settings[0], water, distance[row, column]
+        )
+    r, g, b = shade_water_pixel(water, row, column, (red, green, blue), background, view, optics)
+    picture_out[row, column, 0] = r
+    picture_out[row, column, 1] = g
+    picture_out[row, column, 2] = b
+
+
+@cuda_device
+def by_mirror(mirrors, k, view, water):
+    """Return the radiance (r, g, b) that a pixel of water mirrors, by the k-th mirrored picture."""
+    window, eye = mirrors.window, view.eye
+    columns, rows = int(window[4]), int(window[5])
+    mirrored_eye = eye[0], eye[1], TWO * mirrors.range[k, 0] - eye[2]
+    mirror_view = View(
+        mirrors.ground_from_camera, mirrored_eye, window[0], window[1], window[2], window[3]
+    )
+    picture = MirrorPicture(
+        mirrors.picture[k, :rows, :columns], mirrors.coarse[k], mirrors.depth[k, :rows, :columns]
+    )
+    return mirrored_light(mirror_view, picture, water)

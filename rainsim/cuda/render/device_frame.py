@@ -1,0 +1,444 @@
+"""A frame on the device: its buffers and the kernel launches that fill them.
+
+A frame has parts: what needs no water (splatting, grading and wetting, the wet-ground mirror), the
+water's surface, what needs the water (mirrors, reflection and refraction), rain, and composition to
+8 bit. `DeviceFrame` queues each; `FrameQueue` decides when.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from rainsim.cuda.frame_uniforms import FrameUniforms
+from rainsim.cuda.jit import cuda, pinned
+from rainsim.cuda.particles.splash_pass import Splashes
+from rainsim.cuda.particles.streaks import Streaks
+from rainsim.cuda.rain.dripping import DripList
+from rainsim.cuda.rain.impact_history import RecentImpacts
+from rainsim.cuda.reflection import ray_water, screen_space, water_shading
+from rainsim.cuda.reflection.planar_mirror import Mirrors
+from rainsim.cuda.reflection.water_surface import WaterSurface
+from rainsim.cuda.shading import wet_pass
+from rainsim.cuda.shading.composite import compose
+from rainsim.cuda.shading.wet_ground_mirror import WetGroundLight
+from rainsim.particles import drop_radiance
+from rainsim.particles.fog import FOG_STEPS, NO_FOG, fog_table
+from rainsim.particles.splash import WET_FILM
+from rainsim.particles.streaks import streak_reach
+from rainsim.reflection import water_pass
+from rainsim.reflection.slope_moments import ripple_moments
+from rainsim.reflection.water_shading import Background, Ripples
+from rainsim.reflection.water_surface import WaterMap
+from rainsim.scene.view import CameraArrays, view_of
+from rainsim.shading.composite import RainCover, RainLight
+from rainsim.shading.wet_pass import DryPicture
+from rainsim.shading.wetting import GroundMaps, SkyMaps
+from rainsim.ssr import bounds_of
+
+
+class DeviceFrame:
+    """Buffers and launches of one frame after another.
+
+    Parameters
+    ----------
+    host : rainsim.render.renderer.Renderer
+        Its scene, water and light; its rasterizer draws on the device.
+    stream : numba.cuda.stream
+        That the frame's main queue lies on.
+
+    Attributes
+    ----------
+    rasterizer : rainsim.cuda.raster.Rasterizer
+        Of the capture.
+    uniforms : FrameUniforms
+        Numbers that change from frame to frame.
+    mirrors : Mirrors
+    ground_light : WetGroundLight
+    streaks, splashes : Streaks and Splashes, or None without rain
+    surface : WaterSurface
+    pending : list of callable
+        Copies to the device that the next frame needs before its queue starts.
+    size : tuple of int or None
+        Height and width [px].
+    """
+
+    def __init__(self, host, stream):
+        self.host, self.stream = host, stream
+        self.wet_scene, self.terrain = host.wet_scene, host.terrain
+        self.rasterizer, self.wet_ground = self.wet_scene.rasterizer, host.wet_ground
+        self._beside = [cuda.stream() for _ in range(2)]
+        self._forked, self._joined, self._found_tall = (cuda.event() for _ in range(3))
+        grid, scene = self.terrain.grid, self.wet_scene
+        self.place = to_device(np.array(grid.origin, np.float32)), np.float32(grid.spacing)
+        self._bed, self._rings = to_device(self.terrain.bed), to_device(host.rings)
+        self._ground, self._ground_sent = to_device(scene.ground), scene.ground
+        self._around, self.gloss = to_device(scene.environment), to_device(scene.gloss)
+        self._behind, self._behind_sent = to_device(scene.behind), scene.behind
+        self._water = cuda.device_array(grid.shape, np.float32)
+        self.surface = WaterSurface(
+            self.terrain.bed, host.water.relief, self.terrain.mirrors, self._water, stream
+        )
+        self.mirrors = Mirrors(self, host.config.render.reflections)
+        self.ground_light = WetGroundLight(self)
+        self.streaks = self.splashes = self.size = self.uniforms = self._moments = None
+        self.pending = []
+        self._fog_of = None, NO_FOG
+        self._own_impacts = self._own_drips = None
+
+    # ---- what a frame shows
+
+    def update(self, camera, state, camera_end=None):
+        """Take over what the next frame shows; return whether its look has changed.
+
+        The device may still be drawing the frame before: only `pending` writes to its buffers.
+        """
+        host, scene, self.pending = self.host, self.wet_scene, []
+        changed = host.set_time(state.time)
+        if scene.ground is not self._ground_sent:
+            self.pending.append(self._send_ground)
+        if scene.behind is not self._behind_sent:
+            self.pending.append(self._send_sky)
+        host.take_camera(camera)
+        render = host.now.render
+        field = host.rain.field(state.time, render.exposure)
+        if self.size != (camera.height, camera.width):
+            self.size = camera.height, camera.width
+            self._allocate(field)
+        self.rasterizer.update(camera, scene.near)
+        self.mirrors.update(camera, scene.near, scene.frame)
+        self.ground_light.update(camera, host.view)
+        self._take_state(state)
+        view, fog = view_of(host.view), NO_FOG
+        if self.streaks is not None:
+            fog = self._update_drops(field, state, camera_end)
+        self.uniforms.update(
+            turn=view.ground_from_camera, eye=view.eye, lens=view.lens, look=scene.look,
+            off_ground=scene.off_ground, brightness=render.brightness, fog=fog, sun=host.sunlight,
+            air=host.air_light, drop=host.drop_field(view, camera), around=host.everywhere,
+        )  # fmt: skip
+        return changed
+
+    def _send_ground(self):
+        self._ground.copy_to_device(np.ascontiguousarray(self.wet_scene.ground, np.float32))
+        self._ground_sent = self.wet_scene.ground
+
+    def _send_sky(self):
+        self._behind.copy_to_device(self.wet_scene.behind)
+        self._behind_sent = self.wet_scene.behind
+
+    def _update_drops(self, field, state, camera_end):
+        """Update streaks and splashes; return the fog of the drops that are not drawn."""
+        host, render = self.host, self.host.now.render
+        reach = streak_reach(field, host.view, render.exposure, render.streak_far)
+        self.streaks.update(
+            field, host.view, state.time, render.exposure, reach, camera_end, render.aperture,
+            render.focus,
+        )  # fmt: skip
+        simulation = simulation_of(state)
+        if simulation is None and self._own_impacts is None:
+            # These states' times may lie within an interval: two more are to come.
+            self._own_impacts = RecentImpacts(
+                host.rain.weather, host.rain.surfaces, host.config.fps, 2, self.stream
+            )
+        if self._own_impacts is not None:
+            self._own_impacts.update(math.floor(state.time * host.config.fps + 1e-6))
+        if self.splashes is None:
+            recent = self._own_impacts if simulation is None else simulation.impacts
+            self.splashes = Splashes(self.streaks, recent, self.surface.depth)
+        self.splashes.update(field, WET_FILM * self.wet_scene.paving)
+        key = field, host.view.fx, host.view.fy, render.exposure, render.streak_far
+        if key != self._fog_of[0]:
+            self._fog_of = key, fog_table(field, reach)
+        return self._fog_of[1]
+
+    def _take_state(self, state):
+        """List the copies of the water and its ripples to the device, unless they are there."""
+        self._tile = np.float32(state.tile_size)
+        if simulation_of(state) is not None:
+            return
+        moments = ripple_moments(state.slopes)
+        if self._moments is None:
+            self._moments = cuda.to_device(moments)
+        room = 0 if self._own_drips is None else self._own_drips.room
+        if self.streaks is not None and len(state.drip_id) > room:
+            self._own_drips = DripList(2 * len(state.drip_id))
+
+        def send():
+            self._water.copy_to_device(np.ascontiguousarray(state.depth, np.float32))
+            self._moments.copy_to_device(moments)
+            if self._own_drips is not None:
+                self._own_drips.fill(state.drips, state.drip_id)
+                self.streaks.drips = self._own_drips
+
+        self.pending.append(send)
+
+    def take_water(self, state):
+        """Take over the water that a simulation on the device has for a frame."""
+        self._moments, self.surface.depth = state.moments, state.depth
+        if self.splashes is not None:
+            self.splashes.depth, self.streaks.drips = state.depth, state.drip_list
+
+    def _allocate(self, field):
+        """Allocate the buffers of a picture of the present size; `field` is None without rain."""
+        height, width = self.size
+        f4, host = np.float32, self.host
+        self.mirrors.room_for(height, width)
+        self._cover = self.ground_light.room_for(height, width)
+        self.picture, self._shown = (cuda.device_array((height, width, 3), f4) for _ in range(2))
+        self.depth, self.clearance, self._tall, self._hit, self._distance = (
+            cuda.device_array((height, width), f4) for _ in range(5)
+        )
+        self._coverage, self._none = (cuda.device_array((height, width), f4) for _ in range(2))
+        self._bounds = cuda.device_array(bounds_of(height, width), f4)
+        self._none.copy_to_device(np.zeros((height, width), f4))
+        self.below = self.ground_light.bare if self.ground_light.apart else self.picture
+        self._image = cuda.device_array((height, width, 3), np.uint8)
+        self.uniforms = FrameUniforms(self.stream, {
+            "turn": ((3, 3), f4), "eye": ((3,), f4), "lens": ((4,), f4), "look": ((6,), f4),
+            "off_ground": ((5,), f4), "brightness": ((1,), f4), "fog": ((FOG_STEPS + 3,), f4),
+            "sun": ((6,), f4), "air": ((3,), f4), "settings": ((3,), f4), "cover": ((2,), f4),
+            "drop": ((*drop_radiance.GRID, 3), f4), "around": ((3,), f4),
+        })  # fmt: skip
+        render = host.config.render
+        stride = max(1.0, host.water.stride * width)
+        self.uniforms.update(
+            settings=(host.water.thickness, stride, water_pass.REFLECTION_LENGTH),
+            cover=render.water_coverage,
+        )  # fmt: skip
+        self.streaks = self.splashes = None
+        self._lines = pinned(1, np.int32)
+        if field is not None:
+            self.streaks = Streaks(field, host.rain.surfaces, width, height, self.depth,
+                                   self.stream)  # fmt: skip
+
+    # ---- what a finished frame had too little room for
+
+    def dry_rasterizers(self):
+        """Return the rasterizers of what needs no water."""
+        return [self.rasterizer, *self.ground_light.rasterizers]
+
+    def dry_is_tight(self):
+        """Return whether the finished frame's rasterizers had too little room, or nearly so."""
+        return any(splats.overflows() or splats.is_tight() for splats in self.dry_rasterizers())
+
+    def grow(self):
+        """Make room where the finished frame's water and rain lacked it; return whether any did."""
+        mirrors, splashes = self.mirrors.grow(), self._grow_splashes()
+        return mirrors or splashes
+
+    def grow_dry(self):
+        """Make room where what needs no water lacked it; return whether any did."""
+        full = [splats for splats in self.dry_rasterizers() if splats.overflows()]
+        for splats in full:
+            splats.make_room()
+        return bool(full) or self.ground_light.grow()
+
+    def _grow_splashes(self):
+        if self.streaks is None:
+            return False
+        if self._own_impacts is not None:
+            self._own_impacts.check()
+        lines = int(self._lines[0])
+        if lines <= len(self.splashes.lines):
+            return False
+        self.splashes.make_room(2 * lines)
+        return True
+
+    def dependencies(self):
+        """Return what a recorded queue depends on: when it changes, the queue is recorded again."""
+        lines = None if self.splashes is None else id(self.splashes.lines)
+        return (
+            self.size, self.rasterizer.queue, self.ground_light.queue, self.mirrors.queue, lines,
+            self._own_drips,
+        )  # fmt: skip
+
+    # ---- parts
+
+    def dry_parts(self):
+        """Return the parts that need no water, each a function that queues it."""
+        light = self.ground_light
+        return [self.uniforms.send, light.draw, self.rasterizer.launch, self._grade,
+                self._add_ground_light]  # fmt: skip
+
+    def wet_parts(self):
+        """Return the parts that need the water, each a function that queues it."""
+        return [self._keep_tall, self._meet_water, self._mirror, self._lay_water]
+
+    def last_parts(self):
+        """Return the parts that need water and rain, each a function that queues it."""
+        return [self._compose, self._count_lines]
+
+    def stages(self):
+        """Return the parts that need no water, and all others, for timing one after the other."""
+        light = self.ground_light
+        dry = [p for p in self.dry_parts() if p not in (light.draw, self._add_ground_light)]
+        if light.apart:
+            dry.append(self._ground_light)
+        rain = []
+        if self.streaks is not None:
+            rain = [self.streaks.launch, self.splashes.launch]
+            if self._own_impacts is not None:
+                rain.insert(0, self._own_impacts.launch)
+        return dry, [*rain, self.surface.launch, *self.wet_parts(), *self.last_parts()]
+
+    def queue_wet(self):
+        """Queue what needs the water; streaks and splashes on streams beside it."""
+        tall, meet, *wet = self.wet_parts()
+        beside, aside = self._beside
+        self._forked.record(self.stream)
+        self._forked.wait(beside)
+        self._forked.wait(aside)
+        tall(aside)
+        self._found_tall.record(aside)
+        if self.streaks is not None:
+            self.streaks.launch(beside)
+            self.streaks.sent.wait(aside)
+            if self._own_impacts is not None:
+                self._own_impacts.launch(aside)
+            self.splashes.gather(aside)
+            self._joined.record(aside)
+            self._joined.wait(beside)
+            self.splashes.draw(beside)
+        self._joined.record(beside)
+        meet()
+        self._found_tall.wait(self.stream)
+        chain(wet)()
+        self._joined.wait(self.stream)
+        chain(self.last_parts())()
+
+    def grade(self, rasterizer, shape, turn, eye, picture, depth, clearance, cover, stream):
+        """Queue the grading and wetting of what a rasterizer has drawn, a picture of `shape`."""
+        layers, n = rasterizer.layers, self.uniforms
+        dry = DryPicture(
+            layers.color.reshape(*shape, 3), layers.alpha.reshape(shape),
+            layers.depth.reshape(shape), layers.plane_depth.reshape(shape),
+            layers.normal.reshape(*shape, 3), np.float32(self.wet_scene.frame.meters_per_unit),
+        )  # fmt: skip
+        ground = GroundMaps(self._bed, self._ground, *self.place)
+        wet_pass.grade_and_wet[wet_pass.blocks(*shape), wet_pass.BLOCK, stream](
+            rasterizer.size, dry, CameraArrays(turn, eye, rasterizer.lens), ground,
+            n["off_ground"], SkyMaps(self.gloss, self._behind), n["look"], picture, depth,
+            clearance, cover,
+        )  # fmt: skip
+
+    def _grid(self, stream=None):
+        """Return the launch configuration of a thread for each pixel."""
+        stream = self.stream if stream is None else stream
+        return wet_pass.blocks(*self.size), wet_pass.BLOCK, stream
+
+    def _grade(self):
+        n = self.uniforms
+        self.grade(
+            self.rasterizer, self.size, n["turn"], n["eye"], self.below, self.depth,
+            self.clearance, self._cover, self.stream,
+        )  # fmt: skip
+
+    def _ground_light(self):
+        """Queue all of the wet-ground mirror, which in use lies beside other parts."""
+        self.ground_light.draw()
+        self._add_ground_light()
+
+    def _add_ground_light(self):
+        if self.ground_light.apart:
+            self.ground_light.add(self.picture)
+
+    def _keep_tall(self, stream=None):
+        joiners = screen_space.JOINERS
+        screen_space.keep_tall[self._grid(stream)](
+            self.depth, self.clearance, self._tall, self._bounds
+        )
+        stream = self.stream if stream is None else stream
+        screen_space.join_bounds[-(-len(self._bounds) // joiners), joiners, stream](
+            *self.size, self._bounds
+        )
+
+    def _meet_water(self):
+        ray_water.meet_water[self._grid()](
+            self.depth, self.camera_arrays, self._water_map, self.surface.highest,
+            self.uniforms["cover"], self._hit, self._coverage,
+        )  # fmt: skip
+
+    @property
+    def camera_arrays(self):
+        """The camera as kernels take it."""
+        n = self.uniforms
+        return CameraArrays(n["turn"], n["eye"], n["lens"])
+
+    @property
+    def _water_map(self):
+        return WaterMap(self.surface.surface, self.surface.over, self._rings, *self.place)
+
+    def _mirror(self):
+        self.mirrors.launch(self._hit, self._coverage)
+
+    def _lay_water(self):
+        n, mirrors = self.uniforms, self.mirrors
+        (height, width), (wide, high) = self.size, screen_space.PATCH
+        patches = (-(-width // wide), -(-height // high)), screen_space.PATCH, self.stream
+        screen_space.find_hits[patches](
+            self._hit, self._coverage, self._tall, self._bounds, self.camera_arrays,
+            n["settings"], mirrors.range, self._distance,
+        )  # fmt: skip
+        water_shading.shade_water[self._grid()](
+            self._hit, self._coverage, self._distance,
+            Background(self.picture, self.below, self.depth), self._tall, self.camera_arrays,
+            self._water_map, Ripples(self._moments, self._tile), self._around, n["settings"],
+            mirrors.arrays, self.host.water.optics(n["sun"]), self._shown,
+        )  # fmt: skip
+
+    def _compose(self):
+        n = self.uniforms
+        rain = splash = self._none
+        if self.streaks is not None:
+            rain, splash = self.streaks.alpha, self.splashes.alpha
+        compose[self._grid()](
+            self._shown, self.depth, RainCover(rain, splash, n["fog"]),
+            RainLight(n["drop"], n["around"], n["air"]), self.camera_arrays, n["brightness"],
+            self._image,
+        )  # fmt: skip
+
+    def _count_lines(self):
+        """Queue the copy of the number of splash lines, by which the host makes room."""
+        if self.streaks is not None:
+            self.splashes.count.copy_to_host(self._lines, stream=self.stream)
+
+    # ---- what comes back
+
+    def copy_image(self, image_out, stream=None):
+        """Queue the copy of the 8-bit picture to the host."""
+        self._image.copy_to_host(image_out, stream=self.stream if stream is None else stream)
+
+    def rain_cover(self):
+        """Return the `RainCover` of the finished frame, on the host."""
+        if self.streaks is None:
+            nothing = np.zeros(self.size, np.float32)
+            return RainCover(nothing, nothing, NO_FOG)
+        rain, splash = (a.alpha.copy_to_host() for a in (self.streaks, self.splashes))
+        return RainCover(rain, splash, self._fog_of[1])
+
+    def ripple_slopes(self):
+        """Return the slopes of the tile of ripples, on the host, see `slope_moments`."""
+        moments = self._moments.copy_to_host()  # the first columns are the slopes themselves
+        return np.moveaxis(moments[:, : len(moments), :2], -1, 0)
+
+
+def to_device(array):
+    """Return a float32 copy of an array on the device."""
+    return cuda.to_device(np.ascontiguousarray(array, dtype=np.float32))
+
+
+def simulation_of(state):
+    """Return the simulation whose water is on the device, or None."""
+    return getattr(state, "simulation", None)
+
+
+def chain(parts):
+    """Return a function that calls all of `parts`."""
+
+    def queue():
+        for part in parts:
+            part()
+
+    return queue

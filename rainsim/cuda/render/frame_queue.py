@@ -1,0 +1,252 @@
+"""The order in which frames are queued: what the host prepares, what overlaps, what is repeated.
+
+A frame has three recorded queues. The first needs no water; that of the next frame begins as soon
+as the device has drawn this frame's, before the host knows whether there was room for all. Beside
+it lies the second, the water's surface, which waits for the simulation's step; the device takes
+that step while it draws the frame before. The third needs both. The picture goes to the host while
+the next frame is drawn.
+"""
+
+from __future__ import annotations
+
+import time as clock
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from rainsim.cuda.graph import Graph
+from rainsim.cuda.jit import cuda, pinned
+from rainsim.cuda.render.device_frame import chain, simulation_of
+
+MOST_TRIES = 8  # of a frame for which there was too little room
+
+
+@dataclass(frozen=True, eq=False)
+class Flight:
+    """A frame that is on its way.
+
+    Attributes
+    ----------
+    shot : tuple
+        Camera, state and the camera as the shutter closes.
+    look : int
+        Number of changes of the look before this frame.
+    begin : float [s]
+        When its queue began.
+    """
+
+    shot: tuple
+    look: int
+    begin: float = 0.0
+
+    @property
+    def state(self):
+        """The simulation's state that the frame shows."""
+        return self.shot[1]
+
+
+class FrameQueue:
+    """Queues frames on the device and finishes them on the host.
+
+    Parameters
+    ----------
+    frame : DeviceFrame
+
+    Attributes
+    ----------
+    done : Flight or None
+        The frame that was finished last.
+    """
+
+    def __init__(self, frame):
+        self.frame, self.stream = frame, frame.stream
+        self._copier, self._shore = cuda.stream(), cuda.stream()
+        self._composed, self._copied, self._surfaced = (cuda.event() for _ in range(3))
+        self._recorded_for = None  # what the recorded queues depended on
+        self._dry = self._still = self._last = None  # recorded queues
+        self._wet, self._surfaces = {}, {}  # recorded, by the page of the simulation they show
+        self._next = self._flight = self.done = None
+        self._kept = None  # the flight whose picture without water is on the device
+        self._looks = self._drawn = 0
+        self._images, self._image_size = (), None
+
+    @property
+    def image(self):
+        """The picture drawn last, host array (height, width, 3) uint8; the next is another."""
+        return self._images[self._drawn % 2]
+
+    def _fits(self, camera):
+        """Return whether a camera's picture has the size of the frames before."""
+        return self.frame.size == (camera.height, camera.width)
+
+    def draw(self, shot):
+        """Draw a shot (camera, state, camera_end) and wait for it."""
+        self._update(shot)
+        self._begin()
+        self._go_on()
+        self._finish(self._flight)
+
+    def draw_each(self, shots, report):
+        """Yield `report()` after each shot; the next one is begun before that one is finished.
+
+        Parameters
+        ----------
+        shots : iterable
+            Of (camera, state, camera_end). While one is drawn, the next is asked for.
+        report : callable
+            Called as soon as a shot is finished.
+        """
+        before = None
+        for shot in shots:
+            if before is not None and not self._fits(shot[0]):
+                self._finish(before)
+                yield report()
+                before = None
+            if self.frame.size is None:
+                self.draw(shot)
+                yield report()
+                continue
+            self._update(shot)
+            early = before is not None and self._may_overlap()
+            if early:
+                self._begin()
+            if before is not None:
+                self._finish(before, early)
+                finished = report()
+            if not early or self._is_stale():
+                self._begin()
+            self._go_on()
+            if before is not None:
+                yield finished
+            before = self._flight
+        if before is not None:
+            self._finish(before)
+            yield report()
+
+    def _update(self, shot):
+        """Prepare the next frame; the device may still be drawing the one before."""
+        self._looks += self.frame.update(*shot)
+        self._next = Flight(shot, self._looks)
+        if self._image_size != self.frame.size:
+            self._image_size = self.frame.size
+            self._images = [pinned((*self.frame.size, 3), np.uint8) for _ in range(2)]
+
+    def _may_overlap(self):
+        """Return whether the next frame may begin before it is known what the last one lacked."""
+        if self._dry is None or self.frame.pending or self._is_stale():
+            return False
+        self._last.wait()  # for the counts of the frame that is being drawn
+        return not self.frame.dry_is_tight() and not self.frame.ground_light.lacks()
+
+    def _begin(self):
+        """Queue what needs no water of the next frame, and the step of its simulation."""
+        self._flight = Flight(self._next.shot, self._next.look, clock.perf_counter())
+        state = self._flight.state
+        for send in self.frame.pending:
+            send()
+        self.frame.pending = []
+        self._launch_dry(self._is_still())
+        if (simulation := simulation_of(state)) is not None:
+            simulation.begin(state.index)
+        self._launch_surface()
+
+    def _is_still(self):
+        """Return whether the picture without water is there: a still camera's, of the same look."""
+        kept, new = self._kept, self._flight
+        if kept is None or self._is_stale():
+            return False
+        return kept.shot[0] is new.shot[0] and kept.look == new.look
+
+    def _is_stale(self):
+        """Return whether the recorded queues no longer fit."""
+        return self._recorded_for != self.frame.dependencies()
+
+    def _launch_dry(self, still=False):
+        """Queue what needs no water, of a `still` camera the uniforms only."""
+        if self._is_stale():
+            self._recorded_for, self._dry, self._wet = self.frame.dependencies(), None, {}
+        if self._dry is None:
+            dry = chain(self.frame.dry_parts())
+            dry()  # compiles, and allocates what only then is known
+            self.stream.synchronize()
+            self._dry = Graph(self.stream, dry)
+            self._still = Graph(self.stream, self.frame.uniforms.send)
+        if self._last is not None:
+            self._last.wait()  # its pinned arrays may still be read
+        self._last = self._still if still else self._dry
+        self._last.launch()
+        self._kept = self._flight
+
+    def _launch_surface(self):
+        """Queue the surface of the water of the frame that has begun, beside its splatting."""
+        state, surface = self._flight.state, self.frame.surface
+        simulation, page = simulation_of(state), getattr(state, "page", 0)
+        if simulation is not None:
+            simulation.before(self._shore, falls=False)
+            surface.depth = state.depth
+        self._composed.wait(self._shore)  # the frame before reads the last surface until then
+        if page not in self._surfaces:
+            surface.launch(self._shore)  # compiles
+            self._shore.synchronize()
+            self._surfaces[page] = Graph(self._shore, partial(surface.launch, self._shore))
+        self._surfaces[page].launch()
+        self._surfaced.record(self._shore)
+
+    def _go_on(self):
+        """Launch the stages of the begun frame that need water, and the copy of its picture."""
+        state = self._flight.state
+        simulation, page = simulation_of(state), getattr(state, "page", 0)
+        if simulation is not None:
+            simulation.before(self.stream)
+            self.frame.take_water(state)
+        self._copied.wait(self.stream)
+        self._surfaced.wait(self.stream)
+        if page not in self._wet:
+            if not self._wet:
+                self.frame.queue_wet()  # compiles
+                self.stream.synchronize()
+            self._wet[page] = Graph(self.stream, self.frame.queue_wet)
+        self._wet[page].launch()
+        if simulation is not None:
+            simulation.after(self.stream, page)
+        self._composed.record(self.stream)
+        self._composed.wait(self._copier)
+        self._drawn += 1
+        self.frame.copy_image(self.image, self._copier)
+        self._copied.record(self._copier)
+
+    def _finish(self, flight, early=False):
+        """Wait for a frame; draw it again if there was too little room.
+
+        Another frame may have been prepared since, and `early`: begun, which shows that this frame
+        had no more splats than there was room for.
+        """
+        frame, simulation = self.frame, simulation_of(flight.state)
+        ahead, latest = self._next, self._flight
+        self._copied.synchronize()
+        for _ in range(MOST_TRIES):
+            lacking = simulation is not None and simulation.lacked(flight.state.index)
+            lacking |= frame.grow()
+            if not early:
+                lacking |= frame.grow_dry()
+            if not lacking:
+                break
+            cuda.synchronize()
+            self._update(flight.shot)
+            self._flight, early = flight, False
+            self._launch_dry()
+            self._launch_surface()
+            self._go_on()
+            self._copied.synchronize()
+        for splats in frame.dry_rasterizers():
+            if not early and splats.is_tight():
+                splats.make_room()
+        frame.mirrors.make_ahead()
+        drawn_again = self._next is not ahead
+        if drawn_again or self._is_stale():
+            self._update(ahead.shot)
+        self._flight, self.done = latest, flight
+        if drawn_again and latest is not flight:
+            self._launch_dry()
+            self._launch_surface()

@@ -1,0 +1,117 @@
+"""Whole rainy frames on the GPU: twin of `rainsim.render.renderer`.
+
+A frame is one queue on the device, recorded once and replayed: splatting, grading and wetting, the
+water surface, reflections, refraction, streaks, splashes, composition to 8 bit and the copy of the
+picture to the host. The host sends what has changed and waits at the end; then it is known which
+list had too little room, room is made, and the frame is drawn again. Streaks and splashes are drawn
+beside the water, the water's surface is found beside the splatting, and in a video the host
+prepares the next frame while the device draws.
+"""
+
+from __future__ import annotations
+
+import time as clock
+
+from rainsim.cuda.jit import cuda
+from rainsim.cuda.raster import DeviceSplats, Rasterizer
+from rainsim.cuda.render.aov import AovReader
+from rainsim.cuda.render.device_frame import DeviceFrame
+from rainsim.cuda.render.frame_queue import FrameQueue
+from rainsim.cuda.timing import part_times
+from rainsim.errors import ParameterError
+from rainsim.render import renderer as host
+from rainsim.render.report import FrameReport
+
+STAGES = {  # names of the functions that queue them: those of the CPU where there is one
+    "FrameUniforms.send": "numbers", "Rasterizer.launch": "splat",
+    "DeviceFrame._grade": "grade and wet", "DeviceFrame._ground_light": "film",
+    "Streaks.launch": "streaks", "WaterSurface.launch": "water surface",
+    "DeviceFrame._keep_tall": "find tall", "DeviceFrame._meet_water": "find water",
+    "DeviceFrame._mirror": "mirror", "DeviceFrame._lay_water": "water",
+    "Splashes.launch": "splashes", "DeviceFrame._compose": "compose",
+    "DeviceFrame._count_lines": "counts", "copy_image": "copy",
+}  # fmt: skip
+
+
+class Renderer:
+    """Draws frames of one scene, terrain and configuration on the GPU.
+
+    Takes the states that the CPU's simulation yields, or those of `rainsim.cuda.simulation`, whose
+    water never leaves the device.
+
+    Attributes
+    ----------
+    host : rainsim.render.renderer.Renderer
+        Scene, water and light; its rasterizer draws on the device.
+    frame : DeviceFrame
+    queue : FrameQueue
+    """
+
+    def __init__(self, scene, terrain, config, first_camera):
+        _require_known(config.render)
+        self.stream = cuda.stream()
+        self.host = host.Renderer(scene, terrain, config, first_camera, self._rasterizer_of)
+        self.frame = DeviceFrame(self.host, self.stream)
+        self.queue = FrameQueue(self.frame)
+        self._aovs = AovReader(self.frame)
+
+    def _rasterizer_of(self, prepared):
+        return Rasterizer(DeviceSplats(prepared), self.stream)
+
+    def draw(self, camera, state, camera_end=None, names=()):
+        """Return the picture (height, width, 3) uint8 that a camera takes, and its report.
+
+        The picture is overwritten by the next call. Parameters are those of the CPU's renderer.
+        """
+        self.queue.draw((camera, state, camera_end))
+        return self._report(names)
+
+    def film(self, shots, names=()):
+        """Yield what `draw` returns for each (camera, state, camera_end), one after the other.
+
+        While one is drawn, the next is asked for and prepared, and begun on the device.
+        """
+        if not names:
+            yield from self.queue.draw_each(shots, self._report)
+            return
+        for shot in shots:
+            yield self.draw(*shot, names)
+
+    def stage_times(self):
+        """Return the milliseconds of each stage of the frame drawn last, by events; draws it again.
+
+        The stages follow one another here; in use some lie beside others, and take less.
+        """
+        dry, wet = self.frame.stages()
+
+        def copy_image():
+            self.frame.copy_image(self.queue.image)
+
+        parts = [*dry, *wet, copy_image]
+        names = [part.__qualname__.rpartition(".<locals>.")[2] for part in parts]
+        return part_times(
+            self.stream, {STAGES.get(n, n): part for n, part in zip(names, parts, strict=True)}
+        )
+
+    def _report(self, names=()):
+        """Return the picture and the report of the frame that was finished last."""
+        done = self.queue.done
+        stages = {"frame": (clock.perf_counter() - done.begin) * 1e3}
+        state, image = done.state, self.queue.image
+        notes, self.host.notes = (*state.notes, *self.host.notes), []
+        apart = self._aovs.read(names, state) if names else ()
+        return image, FrameReport(state.index, state.time, stages, state.ledger, notes, *apart)
+
+
+def _require_known(render):
+    """Raise ParameterError for looks that only the CPU draws."""
+    for name, wanted in (
+        ("reflections", ("auto", "mirror", "ssr")), ("water_geometry", ("height-field",)),
+        ("refraction", ("snell",)), ("highlight", ("cox-munk",)), ("coverage", ("soft",)),
+        ("streaks", ("shutter",)), ("splashes", ("crowns",)),
+    ):  # fmt: skip
+        value = getattr(render, name)
+        if value not in wanted:
+            raise ParameterError(
+                f"{name} is {value!r}; backend cuda draws {' or '.join(wanted)}; take backend cpu"
+            )

@@ -1,0 +1,52 @@
+"""Twin of `rainsim.shading.composite`: the finished picture of 8 bit, a thread for each pixel."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rainsim.constants import HALF, ONE
+from rainsim.cuda.jit import cuda, cuda_kernel
+from rainsim.numerics.interpolation import bilinear_color
+from rainsim.scene.view import view_from
+from rainsim.shading.composite import (
+    eight_bit,
+    field_place,
+    through_rain,
+    tone_curve,
+    transmittance,
+)
+
+
+@cuda_kernel
+def compose(picture, depth, drops, light, camera, brightness, image_out):
+    """Put air, splashes and drops before a picture and encode it for display.
+
+    Parameters are those of the CPU's kernel but for these.
+
+    Parameters
+    ----------
+    camera : CameraArrays
+    brightness : device array of shape (1,), float32
+    """
+    column, row = cuda.grid(2)
+    height, width = depth.shape
+    if row >= height or column >= width:
+        return
+    view = view_from(camera)
+    a = (np.float32(column) + HALF - view.cx) / view.fx
+    b = (np.float32(row) + HALF - view.cy) / view.fy
+    clear = transmittance(drops.fog, depth[row, column], a, b)
+    past_splashes, past_drops = (
+        ONE - drops.splash_alpha[row, column], ONE - drops.rain_alpha[row, column]
+    )  # fmt: skip
+    field = light.drops
+    shown = bilinear_color(
+        field, field_place(column, width, field.shape[1]) + HALF,
+        field_place(row, height, field.shape[0]) + HALF,
+    )  # fmt: skip
+    for c in range(3):
+        value = through_rain(
+            picture[row, column, c], shown[c], light.around[c], light.air[c], clear,
+            past_splashes, past_drops,
+        )  # fmt: skip
+        image_out[row, column, c] = eight_bit(tone_curve(value * brightness[0]))

@@ -1,0 +1,78 @@
+"""Twin of `rainsim.shading.wet_pass`: the wet picture without water, a thread for each pixel.
+
+Numbers that change from frame to frame are device arrays, which a recorded frame reads each time.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from rainsim.constants import ONE, SURFACE_ALPHA
+from rainsim.cuda.jit import cuda, cuda_kernel
+from rainsim.scene.view import pixel_ray, view_from
+from rainsim.shading.grading import look_from
+from rainsim.shading.wet_pass import depth_of_surface
+from rainsim.shading.wetness import off_ground_from
+from rainsim.shading.wetting import SurfacePoint, wet_pixel
+
+BLOCK = (32, 8)  # threads: columns, rows
+NO_DEPTH = np.float32(np.inf)
+
+
+def blocks(height, width):
+    """Return the grid of blocks that covers a picture."""
+    return -(-width // BLOCK[0]), -(-height // BLOCK[1])
+
+
+@cuda_kernel
+def grade_and_wet(
+    size, dry, camera, ground, rain, sky, look, picture_out, depth_out, clearance_out, cover_out
+):  # fmt: skip
+    """Grade the dry picture, wet it, and measure it against the ground.
+
+    Parameters are those of the CPU's kernel but for these.
+
+    Parameters
+    ----------
+    size : device array of shape (2,), float32
+        Columns and rows [px] of the part that was drawn.
+    camera : CameraArrays
+    rain : device array of shape (5,), float32
+        See `off_ground_from`.
+    look : device array of shape (6,), float32
+        See `look_from`.
+    """
+    column, row = cuda.grid(2)
+    if row >= size[1] or column >= size[0]:
+        return
+    view = view_from(camera)
+    m, eye, normal = view.ground_from_camera, view.eye, dry.normal
+    x, y, z = pixel_ray(view, row, column)
+    length = math.sqrt(x * x + y * y + z * z)
+    inv = ONE / length
+    n0, n1, n2 = normal[row, column, 0], normal[row, column, 1], normal[row, column, 2]
+    lean_x = m[0, 0] * n0 + m[0, 1] * n1 + m[0, 2] * n2
+    lean_y = m[1, 0] * n0 + m[1, 1] * n1 + m[1, 2] * n2
+    upness = m[2, 0] * n0 + m[2, 1] * n1 + m[2, 2] * n2
+    d, e = depth_of_surface(
+        dry.depth[row, column] * dry.meters_per_unit,
+        dry.plane_depth[row, column] * dry.meters_per_unit, upness,
+    )  # fmt: skip
+    alpha, color = dry.alpha[row, column], dry.color
+    point = SurfacePoint(
+        eye[0] + e * x, eye[1] + e * y, eye[2] + e * z, lean_x, lean_y, upness, e * length
+    )
+    mirror_apart = cover_out.shape[0] > 0
+    r, g, b, clearance, cover = wet_pixel(
+        (color[row, column, 0], color[row, column, 1], color[row, column, 2]), alpha,
+        (x * inv, y * inv, z * inv), d * length, point, ground, off_ground_from(rain), sky,
+        look_from(look), mirror_apart,
+    )  # fmt: skip
+    picture_out[row, column, 0], picture_out[row, column, 1] = r, g
+    picture_out[row, column, 2] = b
+    depth_out[row, column] = d if alpha >= SURFACE_ALPHA else NO_DEPTH
+    clearance_out[row, column] = clearance
+    if mirror_apart:
+        cover_out[row, column] = cover

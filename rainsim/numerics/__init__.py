@@ -1,0 +1,3 @@
+"""Numbers without physics: random words, interpolation, pyramids of pictures, a bounding volume
+tree.
+"""

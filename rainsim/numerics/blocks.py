@@ -1,0 +1,59 @@
+"""Array work in blocks on several threads, and the stable order of whole numbers.
+
+numpy and scipy.ndimage work outside Python's lock, so that blocks of one array can be computed
+side by side. Each function returns the same bytes for any number of threads.
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+
+from rainsim.jit import get_num_threads
+
+ROWS = 1 << 16  # of a block: some 2 MB of positions, which stay in a core's cache
+_INDEX_BITS = np.uint64(32)
+
+
+def in_blocks(work, count, size=ROWS):
+    """Call `work(part)` for slices of at most `size` that cover 0 to `count`, in several threads.
+
+    The calls must not depend on each other's results. An error in one is raised here. numpy's
+    handling of floating point errors is the caller's.
+    """
+    parts = [slice(start, min(start + size, count)) for start in range(0, count, size)]
+    if len(parts) < 2:
+        for part in parts:
+            work(part)
+        return
+    handling = np.geterr()  # of this thread alone
+
+    def handled(part):
+        with np.errstate(**handling):
+            work(part)
+
+    with ThreadPoolExecutor(get_num_threads()) as pool:
+        list(pool.map(handled, parts))
+
+
+def stable_order(numbers):
+    """Return what `np.argsort(numbers, kind="stable")` returns, in a third of the time.
+
+    Number and place are sorted as one 64-bit word: no two are equal, so any sort keeps the order.
+
+    Parameters
+    ----------
+    numbers : ndarray of shape (n,), integers from 0 to 2^32 - 1
+        n is at most 2^32.
+
+    Returns
+    -------
+    ndarray of shape (n,), int64
+    """
+    words = numbers.astype(np.uint64)
+    words <<= _INDEX_BITS
+    words |= np.arange(len(words), dtype=np.uint64)
+    words.sort()
+    words &= np.uint64(0xFFFFFFFF)
+    return words.view(np.int64)

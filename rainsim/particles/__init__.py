@@ -1,0 +1,1 @@
+"""Water in the air as the camera sees it: streaks, fog, splashes."""

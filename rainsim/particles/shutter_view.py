@@ -1,0 +1,254 @@
+"""A camera while its shutter is open: what kernels read of it, and which air and ground it sees."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from rainsim.constants import HALF
+from rainsim.errors import ParameterError, require_not_negative, require_positive
+from rainsim.jit import inlined_function, lean_function
+from rainsim.particles.line_raster import NEAR
+from rainsim.rain.size_distribution import CLASSES, LARGEST
+
+_NEAR = np.float32(NEAR)
+
+
+class ShutterView(NamedTuple):
+    """A perspective camera when its shutter opens and closes, in the ground frame.
+
+    Attributes
+    ----------
+    time, exposure : float [s]
+        The shutter is open from `time` to `time + exposure`.
+    rotation, eye : ndarray of shape (3, 3) and (3,), float64
+        camera_from_ground and the camera's place [m] when the shutter opens.
+    rotation_end, eye_end : ndarray of shape (3, 3) and (3,), float64
+        The same when it closes.
+    axes, axes_end : ndarray of shape (3, 3), float32
+        `rotation` and `rotation_end`, for steps from a place near the camera.
+    lens : ndarray of shape (7,), float32
+        See `line_raster.FX` and its neighbours.
+    planes : ndarray of shape (4, 3), float32
+        Inward normals of the picture's left, right, top and bottom, in the camera frame.
+    """
+
+    time: float
+    exposure: float
+    rotation: np.ndarray
+    eye: np.ndarray
+    rotation_end: np.ndarray
+    eye_end: np.ndarray
+    axes: np.ndarray
+    axes_end: np.ndarray
+    lens: np.ndarray
+    planes: np.ndarray
+
+
+def shutter_view(camera, time, exposure, camera_end=None, aperture=0.0, focus=np.inf):
+    """Return the `ShutterView` of a camera; arguments as `streaks.draw_streaks` has them."""
+    require_positive("exposure", exposure, "s")
+    if camera.orthographic:
+        raise ParameterError("the camera is orthographic; rain is drawn for perspective cameras")
+    require_not_negative("aperture", aperture, "m", "0 is a pinhole")
+    if not focus > 0:
+        raise ParameterError(f"focus is {focus!r} m; it must be more than 0; inf is far away")
+    camera_end = camera if camera_end is None else camera_end
+    focal = max(camera.fx, camera.fy)
+    lens = np.array(
+        [
+            camera.fx, camera.fy, camera.cx, camera.cy, 0.5 * LARGEST * focal, aperture * focal,
+            1 / focus,
+        ],
+        np.float32,
+    )  # fmt: skip
+    planes = np.array(
+        [
+            [camera.fx, 0, camera.cx],
+            [-camera.fx, 0, camera.width - camera.cx],
+            [0, camera.fy, camera.cy],
+            [0, -camera.fy, camera.height - camera.cy],
+        ],
+        dtype=np.float64,
+    )
+    planes /= np.linalg.norm(planes, axis=1, keepdims=True)
+    rotation, rotation_end = (
+        np.ascontiguousarray(c.camera_from_world[:3, :3], np.float64) for c in (camera, camera_end)
+    )
+    return ShutterView(
+        float(time), float(exposure), rotation, camera.position, rotation_end, camera_end.position,
+        rotation.astype(np.float32), rotation_end.astype(np.float32), lens,
+        planes.astype(np.float32),
+    )  # fmt: skip
+
+
+def require_pictures(camera, depth, alpha_out):
+    """Raise ParameterError unless both pictures have the camera's size."""
+    shape = (camera.height, camera.width)
+    if depth.shape != shape or alpha_out.shape != shape:
+        raise ParameterError(
+            f"depth has shape {depth.shape} and alpha_out {alpha_out.shape}; "
+            f"both must have the camera's {shape}"
+        )
+
+
+class SeenAir(NamedTuple):
+    """The air of each size class that a shutter's view may show.
+
+    Attributes
+    ----------
+    first, last : ndarray of shape (CLASSES, 3), int64
+        First and last cube of each class along x, y and z; none if the last is less.
+    far : ndarray of shape (CLASSES,), float32 [m]
+        Depth along the view axis at which the drawn drops of the class end.
+    slack : ndarray of shape (CLASSES,), float64 [m]
+        How far what the camera sees up to `far` moves while the shutter is open, and how far a
+        drop's image reaches around its middle.
+    """
+
+    first: np.ndarray
+    last: np.ndarray
+    far: np.ndarray
+    slack: np.ndarray
+
+
+def seen_air(field, camera, view, far, camera_end=None, aperture=0.0, focus=np.inf):
+    """Return the `SeenAir` of a `ShutterView`; arguments as `streaks.draw_streaks` has them.
+
+    Raises
+    ------
+    ParameterError
+        If `far` is neither one number nor one for each class, or not positive.
+    """
+    far = np.asarray(far, dtype=np.float64)
+    if far.shape not in ((), (CLASSES,)):
+        raise ParameterError(f"far has shape {far.shape}; it must be one number or ({CLASSES},)")
+    for value in {float(far.min()), float(far.max())}:
+        require_positive("far", value, "m")
+    far = np.broadcast_to(far, (CLASSES,))
+    low, high, slack = _view_boxes(
+        camera, camera if camera_end is None else camera_end, far, aperture, focus
+    )
+    motion, offset = field.velocity * view.exposure, field.velocity * view.time
+    first, last = field.cube_range(
+        low - np.maximum(motion, 0) - offset, high - np.minimum(motion, 0) - offset
+    )
+    return SeenAir(first, last, far.astype(np.float32), slack)
+
+
+def _view_boxes(camera, camera_end, far, aperture, focus):
+    """Return the low and high corners, (CLASSES, 3) [m], of what both cameras see up to `far`.
+
+    And `SeenAir.slack`.
+    """
+    corners = np.array([[u, v] for u in (0.0, camera.width) for v in (0.0, camera.height)])
+    rays = np.zeros((5, 3))
+    rays[1:, :2] = (corners - [camera.cx, camera.cy]) / [camera.fx, camera.fy]
+    rays[1:, 2] = 1.0
+    worlds = [
+        far[:, None, None] * (rays @ c.camera_from_world[:3, :3]) + c.position
+        for c in (camera, camera_end)
+    ]  # rows times R is R transposed times columns: world_from_camera
+    both = np.concatenate(worlds, axis=1)
+    around = LARGEST + aperture * np.maximum(far / focus, 1.0)  # how far a drop's image reaches
+    slack = np.linalg.norm(worlds[0] - worlds[1], axis=2).max(axis=1) + around
+    around = around[:, None]
+    return both.min(axis=1) - around, both.max(axis=1) + around, slack
+
+
+def footprint(camera, reach, margin=0.0):
+    """Return the low and high corner (x, y) of what a camera sees up to a depth, and a margin [m].
+
+    Returns
+    -------
+    ndarray of shape (2, 2), float64 [m]
+    """
+    corners = np.array([[u, v] for u in (0.0, camera.width) for v in (0.0, camera.height)])
+    rays = np.ones((4, 3))
+    rays[:, :2] = (corners - [camera.cx, camera.cy]) / [camera.fx, camera.fy]
+    points = reach * rays @ camera.camera_from_world[:3, :3] + camera.position
+    points = np.concatenate([points, camera.position[None]])[:, :2]
+    return np.stack([points.min(axis=0) - margin, points.max(axis=0) + margin])
+
+
+# ---- formulas for kernels
+
+
+@lean_function
+def to_camera(rotation, eye, x, y, z):
+    """Return a point of the ground frame in the camera frame, float32 [m].
+
+    The subtraction of the eye is in float64: what is left is small.
+    """
+    x, y, z = x - eye[0], y - eye[1], z - eye[2]
+    return (
+        np.float32(rotation[0, 0] * x + rotation[0, 1] * y + rotation[0, 2] * z),
+        np.float32(rotation[1, 0] * x + rotation[1, 1] * y + rotation[1, 2] * z),
+        np.float32(rotation[2, 0] * x + rotation[2, 1] * y + rotation[2, 2] * z),
+    )
+
+
+@lean_function
+def cube_corners(cube, field, view):
+    """Return where (x, y, z) the low corner of a `Cube` is in the camera frame, first and last."""
+    b = cube.size_class
+    side, vx, vy, vz = (
+        field.cube[b], field.velocity[b, 0], field.velocity[b, 1], field.velocity[b, 2]
+    )  # fmt: skip
+    x = cube.i * side + vx * view.time + field.frame[b, 0]
+    y = cube.j * side + vy * view.time + field.frame[b, 1]
+    z = cube.k * side + vz * view.time
+    first = to_camera(view.rotation, view.eye, x, y, z)
+    x, y, z = x + vx * view.exposure, y + vy * view.exposure, z + vz * view.exposure
+    return first, to_camera(view.rotation_end, view.eye_end, x, y, z)
+
+
+@lean_function
+def step_from(corner, axes, x, y, z):
+    """Return the camera-frame place that lies (x, y, z) [m] of the ground frame from a corner."""
+    return (
+        corner[0] + axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z,
+        corner[1] + axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z,
+        corner[2] + axes[2, 0] * x + axes[2, 1] * y + axes[2, 2] * z,
+    )
+
+
+@lean_function
+def cube_radius(size_class, field, view, air):
+    """Return the radius [m] of a ball around all that the drops of a cube may cover meanwhile."""
+    vx, vy, vz = (
+        field.velocity[size_class, 0], field.velocity[size_class, 1], field.velocity[size_class, 2]
+    )  # fmt: skip
+    moves = view.exposure * np.sqrt(vx * vx + vy * vy + vz * vz)
+    return np.float32(0.87 * field.cube[size_class] + 0.5 * moves + air.slack[size_class])
+
+
+@inlined_function
+def cube_in_view(corner, corner_end, side, radius, far, view):
+    """Tell whether the ball around a moving cube may be in the picture, up to the depth `far`.
+
+    `corner` and `corner_end` as `cube_corners` returns them; the cube's `side` [m] is float32.
+    """
+    axes = view.axes
+    middle = (
+        (corner[0] + corner_end[0] + axes[0, 0] * side + axes[0, 1] * side + axes[0, 2] * side)
+        * HALF,
+        (corner[1] + corner_end[1] + axes[1, 0] * side + axes[1, 1] * side + axes[1, 2] * side)
+        * HALF,
+        (corner[2] + corner_end[2] + axes[2, 0] * side + axes[2, 1] * side + axes[2, 2] * side)
+        * HALF,
+    )
+    if middle[2] + radius < _NEAR or middle[2] - radius > far:
+        return False
+    return beside_planes(middle, radius, view.planes)
+
+
+@lean_function
+def beside_planes(place, radius, planes):
+    """Tell whether a ball at a place of the camera frame reaches between a view's four planes."""
+    for a in range(4):
+        aside = planes[a, 0] * place[0] + planes[a, 1] * place[1] + planes[a, 2] * place[2]
+        if aside < -radius:
+            return False
+    return True

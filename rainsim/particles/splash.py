@@ -1,0 +1,174 @@
+"""Splashes: whether an impact throws up droplets, and which, as a function of the impact alone.
+
+Whether a drop splashes follows published thresholds. Its crown's size (see `crown`), and how many
+droplets it throws, how big and how fast they are, is set by eye, not validated against measurement.
+Splashes are drawn (see `splash_pass`) and forgotten: their water (a few percent of the drop's)
+stays booked where the drop fell.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from rainsim.constants import GRAVITY, SURFACE_TENSION, WATER_DENSITY, WATER_VISCOSITY
+from rainsim.jit import device_function
+from rainsim.numerics.random import subkey, uniform_triple
+from rainsim.particles.line_raster import FAINTEST
+
+LONGEST_LIFE = 0.12  # s; impacts older than this have no droplets in the air any more
+SMALLEST_SPLASH = 0.65e-3  # m; smaller drops at terminal speed splash on nothing
+SMALLEST_ON_FILM = 1.24e-3  # m; smaller drops at terminal speed do not splash on a film
+WET_FILM = 2e-4  # m of water on everything that rain has wetted; a guess
+WET_DEPTH = 1e-4  # m; less water than this on the ground counts as a dry rough surface
+WEBER_ON_FILM = 400.0  # splash threshold on a film, sqrt(We) = 20
+LARGEST_SHARE = 0.20  # of the drop's diameter, which no droplet exceeds
+_SMALLEST_SHARE = 0.06
+_MUNDO_DRY = 57.7  # splash threshold on a rough dry wall, sqrt(We) Re^(1/4)
+_SHORTEST_LIFE = 0.05  # s
+_FEWEST, _MOST = 4, 12  # droplets per splash
+_WEBER_STEP = 150.0  # Weber number per further droplet
+_DEPTH_OF_PEAK = 1 / 3  # film depth over diameter at which splashes are largest
+_DEPTH_OF_POOL = 3.0  # and from which on they no longer change
+_SIZE_DRY, _SIZE_POOL = 0.6, 0.75  # relative to the largest splash
+_LEAST_SPREAD, _MOST_SPREAD = 0.5, 1.1  # horizontal over vertical speed: 63 to 42 degrees up
+_CARRIED = 0.15  # share of the drop's horizontal velocity that droplets keep
+_FULL_TURN = 2 * np.pi
+_DROPLET_SPEED = 0.6  # m/s, of a droplet, typically
+
+
+class Impact(NamedTuple):
+    """A drop that has met a surface.
+
+    Attributes
+    ----------
+    key : uint64
+        The drop's id: the random word that its splash comes from.
+    x, y, z : float64 [m]
+    vx, vy, speed : float64 [m/s]
+        Horizontal velocity and fall speed.
+    diameter : float64 [m]
+    depth : float64 [m]
+        Of the water that it met.
+    age : float64 [s]
+        Since it fell, when the shutter opens; negative if it falls later.
+    """
+
+    key: int
+    x: float
+    y: float
+    z: float
+    vx: float
+    vy: float
+    speed: float
+    diameter: float
+    depth: float
+    age: float
+
+
+@device_function
+def weber_number(diameter, speed):
+    """Return inertia over surface tension of a drop [m] at a speed [m/s]; numbers or arrays."""
+    return WATER_DENSITY * speed**2 * diameter / SURFACE_TENSION
+
+
+@device_function
+def splashes_on(depth, diameter, speed):
+    """Tell whether a drop splashes on water of some depth; numbers or arrays.
+
+    Parameters
+    ----------
+    depth, diameter : float or ndarray [m]
+    speed : float or ndarray [m/s]
+        Of the fall: also on sloping ground and on the sides of objects.
+
+    References
+    ----------
+    On a film sqrt(We) > 20 (Vander Wal, Berger and Mozes 2006, Exp. Fluids 40, 53); on a dry rough
+    surface K = sqrt(We) Re^(1/4) > 57.7 (Mundo, Sommerfeld and Tropea 1995, Int. J. Multiphase
+    Flow 21, 151).
+    """
+    weber = weber_number(diameter, speed)
+    mundo = np.sqrt(weber) * (speed * diameter / WATER_VISCOSITY) ** 0.25
+    on_film = (depth > WET_DEPTH) & (weber > WEBER_ON_FILM)
+    return on_film | (depth <= WET_DEPTH) & (mundo > _MUNDO_DRY)
+
+
+@device_function
+def droplets_of(diameter, speed):
+    """Return how many droplets a splash throws, a float that is to be cut; numbers or arrays."""
+    wanted = _FEWEST + (weber_number(diameter, speed) - WEBER_ON_FILM) / _WEBER_STEP
+    return np.minimum(np.maximum(wanted, float(_FEWEST)), float(_MOST))
+
+
+@device_function
+def least_seen(pixel, exposure):
+    """Return the diameter [m] of a droplet in flight that replaces FAINTEST of a pixel's light."""
+    way = np.maximum(_DROPLET_SPEED * exposure / pixel, 1.0)  # px
+    return pixel * np.sqrt(4 / math.pi * FAINTEST * way)
+
+
+@device_function
+def relative_size(depth_over_diameter):
+    """Return the size of a splash over the largest that such a drop makes.
+
+    References
+    ----------
+    Mutchler and Hansen 1970, Science 169, 1311: largest on water as deep as a third of the
+    diameter, constant from three diameters on. The two levels relative to the peak are guesses.
+    """
+    rise = np.minimum(depth_over_diameter / _DEPTH_OF_PEAK, 1.0)
+    fall = (depth_over_diameter - _DEPTH_OF_PEAK) / (_DEPTH_OF_POOL - _DEPTH_OF_PEAK)
+    fall = np.minimum(np.maximum(fall, 0.0), 1.0)
+    return _SIZE_DRY + (1 - _SIZE_DRY) * rise - (1 - _SIZE_POOL) * fall
+
+
+@device_function
+def droplet(impact, n, count, size, exposure):
+    """Return droplet n of a splash as an exposure sees it.
+
+    A droplet leaves at the impact's place and time and lives as long as its flight back to that
+    height lasts.
+
+    Parameters
+    ----------
+    impact : Impact
+    n, count : int
+        Its number, and how many droplets there are.
+    size : float
+        See `relative_size`.
+    exposure : float [s]
+        0 for a moment. With an exposure the velocity is the way during the exposure over the
+        exposure, and the diameter that of the disc that covers as much for all of the exposure as
+        the droplet does while it lives.
+
+    Returns
+    -------
+    seen : bool
+        Whether it is in the air at any time of the exposure.
+    x, y, z, vx, vy, vz, diameter : float64
+        [m], [m/s]; the place is that at which it is first seen.
+    id : uint64
+        The same in every frame.
+    """
+    word = subkey(impact.key, -1 - n)
+    life, speed, chance = uniform_triple(word)
+    jitter, _, _ = uniform_triple(subkey(word, 0))
+    life = _SHORTEST_LIFE + (LONGEST_LIFE - _SHORTEST_LIFE) * life * life
+    begin, end = max(impact.age, 0.0), min(impact.age + exposure, life)
+    up = 0.5 * GRAVITY * life  # comes down again when its life ends
+    out = up * (_LEAST_SPREAD + (_MOST_SPREAD - _LEAST_SPREAD) * speed)
+    angle = _FULL_TURN * (n + jitter) / count
+    vx = out * np.cos(angle) + _CARRIED * impact.vx
+    vy = out * np.sin(angle) + _CARRIED * impact.vy
+    part, middle = 1.0, begin
+    if exposure > 0.0:
+        part, middle = max(end - begin, 0.0) / exposure, 0.5 * (begin + end)
+    share = _SMALLEST_SHARE + (LARGEST_SHARE - _SMALLEST_SHARE) * chance * chance
+    return (
+        impact.age < life and end >= begin, impact.x + vx * begin, impact.y + vy * begin,
+        impact.z + (up - 0.5 * GRAVITY * begin) * begin, part * vx, part * vy,
+        part * (up - GRAVITY * middle), share * impact.diameter * size * np.sqrt(part), word,
+    )  # fmt: skip

@@ -1,0 +1,376 @@
+"""Splashes as a camera sees them: crowns, jets and droplets of what fell in view, drawn.
+
+Impacts of the rain are sought, tested and drawn in one pass; drips that have landed join them. The
+same pass can list the impacts that show, for labels: nothing else lists splashes as a whole.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from rainsim.jit import cpu_kernel, inlined_function, lean_function, prange
+from rainsim.particles.crown import (
+    FINE_PIXEL,
+    JET_FROM,
+    LONGEST_JET,
+    crown_life,
+    crown_shape,
+    next_row,
+    raise_crown,
+    raise_jet,
+)
+from rainsim.particles.line_raster import (
+    FX,
+    FY,
+    NEAR,
+    SceneDepth,
+    lane,
+    lanes,
+    read_depth,
+    resolve_band,
+)
+from rainsim.particles.shutter_view import (
+    beside_planes,
+    footprint,
+    require_pictures,
+    shutter_view,
+    to_camera,
+)
+from rainsim.particles.splash import (
+    LARGEST_SHARE,
+    LONGEST_LIFE,
+    SMALLEST_ON_FILM,
+    SMALLEST_SPLASH,
+    WET_DEPTH,
+    Impact,
+    droplet,
+    droplets_of,
+    least_seen,
+    relative_size,
+    splashes_on,
+)
+from rainsim.particles.streaks import draw_lines, drawing_buffers
+from rainsim.rain.heightfield import GROUND
+from rainsim.rain.impacts import cubes_swept, landing, may_land, no_impacts
+from rainsim.rain.poisson_cells import (
+    Cube,
+    cube_key,
+    drop_diameter,
+    drop_id,
+    drops_in_cube,
+    slab_tasks,
+    swept_cubes,
+)
+from rainsim.rain.size_distribution import terminal_speed
+
+FARTHEST = 100.0  # m; beyond it no splash is drawn
+MARGIN = 0.03  # m by which splashes reach into the picture from outside
+_NEAREST = np.float32(0.05)  # m; what falls nearer to the camera is not drawn
+_REACH = np.float32(MARGIN)
+_ROOM = 1024  # lines that a worker lists before it draws
+_MOST_LINES = 400  # of one splash
+
+
+class WaterDepth(NamedTuple):
+    """The water that drops fall on.
+
+    Attributes
+    ----------
+    ground : ndarray of shape (ny, nx), float32 [m]
+        On the ground of the map.
+    film : float [m]
+        On all else, and at least that on the ground.
+    """
+
+    ground: np.ndarray
+    film: float
+
+
+class _Windows(NamedTuple):
+    """Where and when drops may have fallen whose splash shows, as two lists class by class.
+
+    Attributes
+    ----------
+    starts, stops : ndarray of shape (2, CLASSES), float64 [s]
+        A class whose stop is not after its start has no such drops.
+    first, last : ndarray of shape (2, CLASSES, 3), int64
+        First and last cubes.
+    """
+
+    starts: np.ndarray
+    stops: np.ndarray
+    first: np.ndarray
+    last: np.ndarray
+
+
+def draw_splashes(
+    field, surfaces, camera, time, exposure, water_depth, film, depth, alpha_out, camera_end=None,
+    aperture=0.0, focus=math.inf, more=None,
+):  # fmt: skip
+    """Draw all that an exposure sees of splashes: crowns, jets and droplets.
+
+    Parameters
+    ----------
+    field : RainField
+    surfaces : Surfaces
+        What the drops fall on: ground, puddles, tables and roofs.
+    camera : Camera
+        Perspective, in the ground frame, in metres.
+    time, exposure : float [s]
+        The shutter is open from `time` to `time + exposure`.
+    water_depth : ndarray of shape (ny, nx) [m]
+        Water on the ground of the map, now.
+    film : float [m]
+        Water on all else, and at least that on the ground: WET_FILM in the rain, 0 at its start.
+    depth : ndarray of shape (height, width), float32 [m]
+        Depth along the view axis of what the splashes are before or behind; inf for sky.
+    alpha_out : ndarray of shape (height, width), float32
+        Overwritten with the share of light that splashes replace.
+    camera_end : Camera or None
+        The camera when the shutter closes, if it moves.
+    aperture, focus : float [m]
+        As in `draw_streaks`.
+    more : Impacts or None
+        Of drops that are not the field's: drips.
+    """
+    view = shutter_view(camera, time, exposure, camera_end, aperture, focus)
+    water = WaterDepth(np.asarray(water_depth, np.float32), float(film))
+    _run_pass(field, surfaces, camera, view, water, depth, alpha_out, more, 0)
+
+
+def seen_splashes(field, surfaces, camera, time, exposure, water_depth, film, depth, more=None):
+    """Return the place [m] and the id of each impact whose splash `draw_splashes` draws.
+
+    A splash that other things hide is among them.
+
+    Parameters
+    ----------
+    field, surfaces, camera, time, exposure, water_depth, film, depth, more
+        As in `draw_splashes`.
+
+    Returns
+    -------
+    position : ndarray of shape (n, 3), float64
+    id : ndarray of shape (n,), uint64
+        Ascending.
+    """
+    view = shutter_view(camera, time, exposure)
+    water = WaterDepth(np.asarray(water_depth, np.float32), float(film))
+    alpha, room = np.empty_like(depth), 256
+    while True:
+        found, position, ids = _run_pass(
+            field, surfaces, camera, view, water, depth, alpha, more, room
+        )
+        if found.max() <= room:
+            break
+        room = int(found.max())
+    listed = np.arange(room) < found[:, None]
+    position, ids = position[listed], ids[listed]
+    order = np.argsort(ids)
+    return position[order], ids[order]
+
+
+def _run_pass(field, surfaces, camera, view, water, depth, alpha_out, more, room):
+    """Draw, and return what each worker has listed: how many splashes, their places and ids."""
+    require_pictures(camera, depth, alpha_out)
+    windows, tasks = _windows(field, surfaces, camera, view, water, max(float(depth.min()), NEAR))
+    columns, tiles, pictures = drawing_buffers(depth.shape)
+    workers = len(pictures)
+    found = np.zeros(workers, np.int64)
+    position, ids = np.empty((workers, room, 3)), np.empty((workers, room), np.uint64)
+    drips = no_impacts() if more is None else more
+    _draw_splashes(
+        tasks, windows, field.arrays(), surfaces.height_fields(), water, drips.arrays(), view,
+        depth, columns, tiles, pictures, alpha_out, found, position, ids,
+    )  # fmt: skip
+    return found, position, ids
+
+
+def _windows(field, surfaces, camera, view, water, nearest):
+    """Return the `_Windows` of what fell and may show, and their slabs of cubes as tasks.
+
+    The first list has all whose crowns may still stand, the second those before near the camera,
+    whose droplets and jets may be in the air. `nearest` [m] is the least depth that shows. A task
+    is a list, a class and the number i of a slab.
+    """
+    time, exposure = view.time, view.exposure
+    smallest = SMALLEST_ON_FILM if water.film > WET_DEPTH else SMALLEST_SPLASH
+    focal = max(camera.fx, camera.fy)
+    least = max(smallest, least_seen(nearest / focal, exposure) / LARGEST_SHARE)
+    if water.ground.max() > JET_FROM * smallest:
+        least = smallest
+    largest = field.spectrum.edges[1:]  # of each class
+    lately = time - crown_life(largest, terminal_speed(largest))
+    starts = np.stack([lately, np.where(largest > least, time - LONGEST_LIFE, lately)])
+    stops = np.stack([np.where(largest > smallest, time + exposure, lately), lately])
+    boxes, tasks = [], []
+    for n, reach in enumerate((FARTHEST, FINE_PIXEL * focal)):
+        region = footprint(camera, reach, MARGIN)
+        boxes.append(swept_cubes(field, surfaces, starts[n], stops[n], region)[:2])
+        slabs = slab_tasks(*boxes[n])
+        slabs = slabs[(starts[n] < stops[n])[slabs[:, 0]]]
+        tasks.append(np.column_stack([np.full(len(slabs), n), slabs]))
+    first, last = (np.stack(corners) for corners in zip(*boxes, strict=True))
+    return _Windows(starts, stops, first, last), np.concatenate(tasks)
+
+
+@cpu_kernel
+def _draw_splashes(
+    tasks, windows, field, surfaces, water, drips, view, depth, columns_out, tiles_out, pictures,
+    alpha_out, seen_out, position_out, ids_out,
+):  # fmt: skip
+    """List the drops that splash in view, slab by slab of cubes, and draw what they throw up.
+
+    Each worker draws its lines whenever it has enough of them.
+    """
+    workers = pictures.shape[0]
+    height, width = alpha_out.shape
+    for band in prange(tiles_out.shape[1]):
+        read_depth(band, depth, columns_out, tiles_out)
+    for worker in prange(workers):
+        scene, picture = SceneDepth(width, height, columns_out, tiles_out), pictures[worker]
+        lines, listed = np.empty((_ROOM, 7)), np.zeros(1, np.int64)
+        own_seen, own_position, own_ids = seen_out[worker:], position_out[worker], ids_out[worker]
+        for n in range(worker, len(drips.id), workers):
+            under = water.film
+            if drips.kind[n] == GROUND:
+                under += water.ground[drips.row[n], drips.column[n]]
+            impact = Impact(
+                drips.id[n], drips.position[n, 0], drips.position[n, 1], drips.position[n, 2],
+                drips.velocity[n, 0], drips.velocity[n, 1], abs(drips.velocity[n, 2]),
+                drips.diameter[n], under, view.time - drips.time[n],
+            )  # fmt: skip
+            _draw_splash(
+                impact, view, scene, listed, lines, own_seen, own_position, own_ids, picture
+            )
+        for t in range(worker, tasks.shape[0], workers):
+            _draw_slab(
+                tasks[t], windows, field, surfaces, water, view, scene, listed, lines, own_seen,
+                own_position, own_ids, picture,
+            )  # fmt: skip
+        draw_lines(lines, 0, listed[0], 1, view, scene, picture)
+    for band in prange(tiles_out.shape[1]):
+        resolve_band(band, pictures, alpha_out)
+
+
+@lean_function
+def _draw_slab(
+    task, windows, field, surfaces, water, view, scene, listed, lines, seen_out, position_out,
+    ids_out, picture,
+):  # fmt: skip
+    """Draw the splashes of the drops of one slab of cubes."""
+    m, b, i = task[0], task[1], task[2]
+    start, stop = windows.starts[m, b], windows.stops[m, b]
+    vx, vy, speed = field.velocity[b, 0], field.velocity[b, 1], abs(field.velocity[b, 2])
+    for j in range(windows.first[m, b, 1], windows.last[m, b, 1] + 1):
+        k_first, k_last, lowest, highest = cubes_swept(b, i, j, start, stop, field, surfaces)
+        if k_first > k_last:
+            continue
+        if not _column_in_view(b, i, j, start, stop, lowest, highest, field, view):
+            continue
+        for k in range(k_first, k_last + 1):
+            cube = Cube(b, i, j, k)
+            key = cube_key(cube, field)
+            for n in range(drops_in_cube(key, b, field)):
+                word = drop_id(key, n)
+                if not may_land(word, cube, start, stop, lowest, highest, field, surfaces):
+                    continue
+                fell, kind, row, column, x, y, z = landing(word, cube, start, stop, field, surfaces)
+                if not start <= fell < stop:
+                    continue
+                under = water.film
+                if kind == GROUND:
+                    under += water.ground[row, column]
+                diameter = drop_diameter(word, b, field)
+                impact = Impact(word, x, y, z, vx, vy, speed, diameter, under, view.time - fell)
+                _draw_splash(
+                    impact, view, scene, listed, lines, seen_out, position_out, ids_out, picture
+                )
+
+
+@inlined_function
+def _column_in_view(size_class, i, j, start, stop, lowest, highest, field, view):
+    """Tell whether splashes of a column of cubes may show; see `impacts.cubes_swept`."""
+    side, middle, duration = field.cube[size_class], 0.5 * (start + stop), stop - start
+    vx, vy, vz = (
+        field.velocity[size_class, 0], field.velocity[size_class, 1], field.velocity[size_class, 2]
+    )  # fmt: skip
+    place = to_camera(
+        view.rotation, view.eye, (i + 0.5) * side + field.frame[size_class, 0] + vx * middle,
+        (j + 0.5) * side + field.frame[size_class, 1] + vy * middle,
+        0.5 * (lowest + highest) + vz * middle,
+    )  # fmt: skip
+    wide = side + max(abs(vx), abs(vy)) * duration
+    tall = highest - lowest + vz * duration
+    radius = np.float32(0.5 * np.sqrt(2 * wide * wide + tall * tall) + MARGIN)
+    return _ball_in_view(place, radius, view.planes)
+
+
+@lean_function
+def _draw_splash(impact, view, scene, listed, lines, seen_out, position_out, ids_out, picture):
+    """List the lines of one impact, if they may show, and draw the list before it is full.
+
+    `position_out` and `ids_out` take the impacts that have lines; `seen_out[0]` counts them, also
+    those for which there is no room.
+    """
+    place = to_camera(view.rotation, view.eye, impact.x, impact.y, impact.z)
+    if not _ball_in_view(place, _REACH, view.planes):
+        return
+    before = listed[0]
+    pixel = place[2] / max(view.lens[FX], view.lens[FY])
+    list_splash(impact, pixel, view.exposure, listed, lines)
+    if listed[0] == before:
+        return
+    if seen_out[0] < len(ids_out):
+        position_out[seen_out[0], 0], position_out[seen_out[0], 1] = impact.x, impact.y
+        position_out[seen_out[0], 2] = impact.z
+        ids_out[seen_out[0]] = impact.key
+    seen_out[0] += 1
+    if listed[0] > _ROOM - _MOST_LINES:
+        draw_lines(lines, 0, listed[0], 1, view, scene, picture)
+        listed[0] = 0
+
+
+@lean_function
+def list_splash(impact, pixel, exposure, count, lines_out):
+    """Add the lines of one impact: droplets, crown and jet.
+
+    Parameters
+    ----------
+    impact : Impact
+    pixel : float [m]
+        Width of a pixel there.
+    exposure : float [s]
+    count, lines_out
+        As `crown.raise_crown` has them. Threads that draw a mark together share the pieces.
+    """
+    diameter, speed, age = impact.diameter, impact.speed, impact.age
+    if not splashes_on(impact.depth, diameter, speed):
+        return
+    size = relative_size(impact.depth / diameter)
+    fine = pixel < FINE_PIXEL and diameter * LARGEST_SHARE > least_seen(pixel, exposure)
+    if fine and -exposure <= age < LONGEST_LIFE:
+        most = int(droplets_of(diameter, speed))
+        for n in range(lane(), most, lanes()):
+            seen, x, y, z, vx, vy, vz, wide, _ = droplet(impact, n, most, size, exposure)
+            row = next_row(count) if seen else len(lines_out)
+            if row < len(lines_out):
+                lines_out[row, 0], lines_out[row, 1], lines_out[row, 2] = x, y, z
+                lines_out[row, 3], lines_out[row, 4], lines_out[row, 5] = vx, vy, vz
+                lines_out[row, 6] = wide
+    if not impact.depth > WET_DEPTH:
+        return
+    crown = crown_shape(impact, size, pixel)
+    if age < crown.life:
+        raise_crown(impact, crown, pixel, exposure, count, lines_out)
+    if crown.jet and age < LONGEST_JET:
+        raise_jet(impact, pixel, exposure, count, lines_out)
+
+
+@lean_function
+def _ball_in_view(place, radius, planes):
+    """Tell whether a ball at a place of the camera frame may be in the picture."""
+    return place[2] + radius >= _NEAREST and beside_planes(place, radius, planes)

@@ -1,0 +1,1 @@
+"""What `rainsim.drops` calls: drop sizes, Poisson cells, height fields, wind, drips."""

@@ -1,0 +1,292 @@
+"""Where and when falling drops end: the formulas of a landing, and the lists of those that do.
+
+A drop's path is straight and its time of passing any height is known, so the drops that end on the
+map in an interval are found without a history: cube by cube of the co-moving frame, a cheap test
+for each drop, and the search along its path for those that pass it.
+"""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from rainsim.jit import cpu_kernel, inlined_function, lean_function, prange
+from rainsim.rain.heightfield import BLOCK, first_hit, stopped_at
+from rainsim.rain.poisson_cells import (
+    Cube,
+    cube_key,
+    drop_diameter,
+    drop_id,
+    drop_place,
+    drops_in_cube,
+    thinned_out,
+)
+from rainsim.rain.size_distribution import drop_volume
+
+TIME_MARGIN = 1e-6  # s; hits are searched this far beyond an interval's ends, then cut exactly
+_MOST_VALUES, _MOST_LABELS = 5, 4  # per row of a listing
+
+
+@dataclass(frozen=True)
+class Impacts:
+    """Drops that ended on a surface, each with its own time.
+
+    Attributes
+    ----------
+    position : ndarray of shape (n, 3), float64 [m]
+    velocity : ndarray of shape (n, 3), float64 [m/s]
+    diameter : ndarray of shape (n,), float64 [m]
+    time : ndarray of shape (n,), float64 [s]
+    kind : ndarray of shape (n,), uint8
+        GROUND (the ground or the water on it) or OBSTACLE (top or side of an occluder).
+    row, column : ndarray of shape (n,), int32
+        The cell of the map.
+    id : ndarray of shape (n,), uint64
+        The drops' ids, ascending.
+    """
+
+    position: np.ndarray
+    velocity: np.ndarray
+    diameter: np.ndarray
+    time: np.ndarray
+    kind: np.ndarray
+    row: np.ndarray
+    column: np.ndarray
+    id: np.ndarray
+
+    def __len__(self):
+        return len(self.id)
+
+    @property
+    def volume(self):
+        """Volume of each drop, ndarray of shape (n,), float64 [m3]."""
+        return drop_volume(self.diameter)
+
+    def take(self, which):
+        """Return the impacts that the index or mask array `which` selects."""
+        return Impacts(*(getattr(self, name)[which] for name in self.__dataclass_fields__))
+
+    def arrays(self):
+        """Return the attributes as kernels take them, `ImpactArrays`."""
+        names = ImpactArrays._fields
+        return ImpactArrays(*(np.ascontiguousarray(getattr(self, name)) for name in names))
+
+
+class ImpactArrays(NamedTuple):
+    """The arrays of `Impacts`, for kernels."""
+
+    position: np.ndarray
+    velocity: np.ndarray
+    diameter: np.ndarray
+    time: np.ndarray
+    kind: np.ndarray
+    row: np.ndarray
+    column: np.ndarray
+    id: np.ndarray
+
+
+def no_impacts():
+    """Return `Impacts` without any."""
+    rows, numbers, cells = np.zeros((0, 3)), np.zeros(0), np.zeros(0, np.int32)
+    return Impacts(
+        rows, rows, numbers, numbers, np.zeros(0, np.uint8), cells, cells, np.zeros(0, np.uint64)
+    )
+
+
+def joined(*parts):
+    """Return several `Impacts` as one."""
+    names = Impacts.__dataclass_fields__
+    return Impacts(*(np.concatenate([getattr(p, n) for p in parts]) for n in names))
+
+
+# ---- kernels
+
+
+@inlined_function
+def cubes_swept(size_class, i, j, start, stop, field, surfaces):
+    """Return which cubes (i, j, k) of a class may hold drops that end in [start, stop).
+
+    Returns
+    -------
+    first, last : int
+        Of k; none if the last is less than the first.
+    lowest, highest : float64 [m]
+        Where such a drop would be at time 0.
+    """
+    side, block, duration = field.cube[size_class], surfaces.spacing * BLOCK, stop - start
+    vx, vy, vz = (
+        field.velocity[size_class, 0], field.velocity[size_class, 1], field.velocity[size_class, 2]
+    )  # fmt: skip
+    x, y = field.frame[size_class, 0] - surfaces.x0, field.frame[size_class, 1] - surfaces.y0
+    west = i * side + x + vx * start + min(vx * duration, 0.0)
+    east = west + side + abs(vx) * duration
+    south = j * side + y + vy * start + min(vy * duration, 0.0)
+    north = south + side + abs(vy) * duration
+    z_low, z_high = _heights_within(
+        west / block, east / block, south / block, north / block,
+        surfaces.around_low, surfaces.around_high,
+    )  # fmt: skip
+    if z_low > z_high:
+        return 0, -1, z_low, z_high
+    lowest, highest = z_low - vz * start, z_high - vz * stop
+    return int(np.floor(lowest / side)), int(np.floor(highest / side)), lowest, highest
+
+
+@inlined_function
+def may_land(word, cube, start, stop, lowest, highest, field, surfaces):
+    """Return False if the drop `word` of a `Cube` surely does not end in [start, stop); cheap.
+
+    `lowest` and `highest` are those that `cubes_swept` returns for the cube.
+    """
+    b, block = cube.size_class, surfaces.spacing * BLOCK
+    low, high = surfaces.around_low, surfaces.around_high
+    vx, vy, vz = field.velocity[b, 0], field.velocity[b, 1], field.velocity[b, 2]
+    x, y, z = drop_place(word, cube, field)
+    if z > highest or z < lowest:
+        return False
+    clear = False  # above all that stands around, when the interval begins
+    if max(abs(vx), abs(vy)) * (stop - start) < block:  # it stays within the next block
+        per_block = 1.0 / block
+        m = min(max(int((y + vy * start - surfaces.y0) * per_block), 0), low.shape[0] - 1)
+        c = min(max(int((x + vx * start - surfaces.x0) * per_block), 0), low.shape[1] - 1)
+        if z + vz * stop > high[m, c] or z + vz * start < low[m, c]:
+            return False
+        clear = z + vz * start > high[m, c]
+    if thinned_out(word, b, z, field):
+        return False
+    # Most drops that are not clear were stopped before: only the others are followed from the sky.
+    return clear or not stopped_at(x + vx * start, y + vy * start, z + vz * start, surfaces)
+
+
+@inlined_function
+def landing(word, cube, start, stop, field, surfaces):
+    """Return when and where a drop that may land ends.
+
+    Returns
+    -------
+    time : float64 [s]
+        Infinite, or not in [start, stop), if the drop does not end then.
+    kind, row, column : int
+        As `heightfield.first_hit` has them.
+    x, y, z : float64 [m]
+    """
+    b = cube.size_class
+    vx, vy, vz = field.velocity[b, 0], field.velocity[b, 1], field.velocity[b, 2]
+    x, y, z = drop_place(word, cube, field)
+    time, kind, row, column = first_hit(
+        x, y, z, vx, vy, vz, start - TIME_MARGIN, stop + TIME_MARGIN, surfaces
+    )
+    if kind < 0:
+        return np.inf, -1, 0, 0, x, y, z
+    if z + vz * (start - TIME_MARGIN) < surfaces.sky:  # it may have ended before
+        time, kind, row, column = first_hit(
+            x, y, z, vx, vy, vz, -np.inf, stop + TIME_MARGIN, surfaces
+        )
+    return time, kind, row, column, x + vx * time, y + vy * time, z + vz * time
+
+
+@cpu_kernel
+def fill_impacts(
+    tasks, first, last, start, stop, field, surfaces, offset, values_out, labels_out, ids_out,
+    needed_out,
+):  # fmt: skip
+    """List the drops of each slab of cubes that end in [start, stop).
+
+    Parameters
+    ----------
+    tasks : ndarray of shape (n, 2), int64
+        Class and first number i of each slab's cubes.
+    first, last : ndarray of shape (CLASSES, 3), int64
+    start, stop : float64 [s]
+    field : DropField
+    surfaces : HeightFields
+    offset, needed_out
+        As `run_listing` gives them.
+    values_out : ndarray of shape (rows, 5), float64
+        x, y, z, diameter [m] and time [s].
+    labels_out : ndarray of shape (rows, 4), int32
+        Class, kind, row and column.
+    ids_out : ndarray of shape (rows,), uint64
+    """
+    for t in prange(tasks.shape[0]):
+        b, i = tasks[t]
+        found = 0
+        for j in range(first[b, 1], last[b, 1] + 1):
+            k_first, k_last, lowest, highest = cubes_swept(b, i, j, start, stop, field, surfaces)
+            for k in range(k_first, k_last + 1):
+                cube = Cube(b, i, j, k)
+                key = cube_key(cube, field)
+                for n in range(drops_in_cube(key, b, field)):
+                    word = drop_id(key, n)
+                    if not may_land(word, cube, start, stop, lowest, highest, field, surfaces):
+                        continue
+                    time, kind, row, column, x, y, z = landing(
+                        word, cube, start, stop, field, surfaces
+                    )
+                    if start <= time < stop:
+                        if offset[t] + found < offset[t + 1]:
+                            out = offset[t] + found
+                            values_out[out, 0], values_out[out, 1] = x, y
+                            values_out[out, 2] = z
+                            values_out[out, 3] = drop_diameter(word, b, field)
+                            values_out[out, 4] = time
+                            labels_out[out, 0], labels_out[out, 1] = b, kind
+                            labels_out[out, 2], labels_out[out, 3] = row, column
+                            ids_out[out] = word
+                        found += 1
+        needed_out[t] = found
+
+
+@lean_function
+def _heights_within(west, east, south, north, low, high):
+    """Lowest and highest surface of the blocks under a rectangle, in blocks; empty: low > high."""
+    z_low, z_high = np.inf, -np.inf
+    ny, nx = low.shape
+    for j in range(max(int(np.floor(south)), 0), min(int(np.floor(north)) + 1, ny)):
+        for i in range(max(int(np.floor(west)), 0), min(int(np.floor(east)) + 1, nx)):
+            z_low, z_high = min(z_low, low[j, i]), max(z_high, high[j, i])
+    return z_low, z_high
+
+
+# ---- lists
+
+
+def run_listing(expected, width, label_width, kernel, tasks, *arguments):
+    """Run a listing kernel and return its rows, sorted by id.
+
+    Each task writes to its own stretch of the outputs and says how many rows it needed; if a
+    stretch was too short, all is done once more with what was needed.
+    """
+    capacity = (expected + 6 * np.sqrt(expected) + 8).astype(np.int64)
+    while True:
+        offset = np.concatenate([[0], np.cumsum(capacity)])
+        values, labels, ids = _listing_buffers(offset[-1], width, label_width)
+        needed = np.zeros(len(tasks), np.int64)
+        kernel(tasks, *arguments, offset, values, labels, ids, needed)
+        if (needed <= capacity).all():
+            break
+        capacity = needed
+    skipped = np.repeat(offset[:-1] - (np.cumsum(needed) - needed), needed)
+    rows = skipped + np.arange(needed.sum())
+    rows = rows[np.argsort(ids[rows])]  # ids differ, so any sort gives one order
+    return values[rows], labels[rows], ids[rows]
+
+
+_kept = threading.local()
+
+
+def _listing_buffers(rows, width, label_width):
+    """Return outputs for a listing kernel, kept from call to call: fresh memory costs its time."""
+    if getattr(_kept, "rows", -1) < rows:
+        _kept.rows = int(1.2 * rows)
+        _kept.values = np.empty(_kept.rows * _MOST_VALUES)
+        _kept.labels = np.empty(_kept.rows * _MOST_LABELS, np.int32)
+        _kept.ids = np.empty(_kept.rows, np.uint64)
+    return (
+        _kept.values[: rows * width].reshape(rows, width),
+        _kept.labels[: rows * label_width].reshape(rows, label_width),
+        _kept.ids[:rows],
+    )

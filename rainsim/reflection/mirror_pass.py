@@ -1,0 +1,243 @@
+"""What water mirrors by a mirrored picture, on the CPU: many bent rays at a time, in vectors.
+
+`planar_mirror.mirrored_light` does the same for one pixel, and a CUDA thread is no worse off with
+it. A CPU does eight rays in one instruction, but only where a loop holds one simple thing to do:
+so the rays of some records fill a chunk (see `numerics.pixel_batches`), and each pass over it does
+one thing for all of them: bend, guess, march what the guess does not end, look up. The formulas are
+those of `planar_mirror`; `tests/unit/test_mirrors.py` holds the two together.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rainsim.constants import HALF, ONE, ZERO
+from rainsim.jit import cpu_kernel, inlined_function, prange, serial_kernel
+from rainsim.numerics.mipmap import blurred_color
+from rainsim.numerics.pixel_batches import CHUNK, nearest
+from rainsim.reflection.mirrored_rays import (
+    ENVIRONMENT,
+    MIRROR,
+    SAMPLE_X,
+    SAMPLE_Y,
+    SAMPLES,
+    SPREAD,
+    reflected_upwards,
+    sample_blur,
+    slope_samples,
+)
+from rainsim.reflection.planar_mirror import (
+    HALVINGS,
+    STEPS,
+    MirrorPicture,
+    guessed_share,
+    image_of,
+    is_met,
+    met_between,
+    step_share,
+    vanishing_point,
+)
+from rainsim.reflection.water_record import read_record
+from rainsim.reflection.water_shading import normal_of
+from rainsim.scene.view import View, project
+from rainsim.shading.wetting import FAR_AWAY
+
+GROUP = 512  # records that a thread takes at a time
+# Rows of a chunk of rays: unit view direction, slopes there, the image point that the ray starts at
+# and its depth [m], the way to its vanishing point, where it ends on that (0 to 1), blur [px] at
+# its end, image point there and depth [m] of what the picture shows there.
+(VIEW_X, VIEW_Y, VIEW_Z, SLOPE_X, SLOPE_Y, U, V, Z, DU, DV, END, BLUR, AT_U, AT_V, SURFACE) = (
+    CHUNK * k for k in range(15)
+)
+# Of the rays that are marched: as above, what the last steps found, and 1 from the hit on.
+(FROM_U, FROM_V, FROM_Z, WAY_U, WAY_V, BEFORE, LAST, FREE, HIGH, MET) = (
+    CHUNK * k for k in range(15, 25)
+)
+NUMBERS = 25 * CHUNK
+
+
+@cpu_kernel
+def mirror_light(which, record, view: View, mirror: MirrorPicture, light_out, source_out):
+    """Find the mirrored light of listed water in the picture that a mirrored camera took.
+
+    Parameters
+    ----------
+    which : ndarray of shape (k,), int64
+        Records that this mirror serves.
+    record : ndarray of shape (n, RECORD), float32
+    view : View
+        Of the mirrored camera; its picture may be a part of the whole one.
+    mirror : MirrorPicture
+    light_out : ndarray of shape (n, 3), float32
+        Radiance that comes to the surface, before it is multiplied by the reflectance.
+    source_out : ndarray of shape (n,), uint8
+        MIRROR, or ENVIRONMENT where level water mirrors the sky.
+    """
+    count = len(which)
+    # Taken out of the bundle here: in the loop numba would count references at each use.
+    picture, coarse, depth = mirror.picture, mirror.coarse, mirror.depth
+    for group in prange((count + GROUP - 1) // GROUP):
+        s, place = np.empty(NUMBERS, np.float32), np.empty(CHUNK, np.uint32)
+        marched, owner = np.empty(CHUNK, np.uint32), np.empty(CHUNK, np.int64)
+        first = np.int64(group) * GROUP
+        last = min(first + GROUP, count)
+        rays = 0
+        for k in range(first, last):
+            n = which[k]
+            light_out[n, 0], light_out[n, 1], light_out[n, 2] = ZERO, ZERO, ZERO
+            sky = level_depth(record, n, view, depth) >= FAR_AWAY
+            source_out[n] = ENVIRONMENT if sky else MIRROR
+            rays = add_rays(record, n, view, rays, s, owner)
+            if rays > CHUNK - SAMPLES or k == last - 1:
+                bend(view, rays, s)
+                march_rays(depth, rays, s, place, marched)
+                for i in range(rays):
+                    n = owner[i]
+                    u, v = s[U + i] + s[END + i] * s[DU + i], s[V + i] + s[END + i] * s[DV + i]
+                    r, g, b = blurred_color(picture, coarse, u, v, s[BLUR + i] * s[END + i])
+                    light_out[n, 0] += r
+                    light_out[n, 1] += g
+                    light_out[n, 2] += b
+                rays = 0
+        for k in range(first, last):
+            n = which[k]
+            weight = ONE / np.float32(slope_samples(read_record(record, n), SPREAD)[0])
+            light_out[n, 0] *= weight
+            light_out[n, 1] *= weight
+            light_out[n, 2] *= weight
+
+
+@inlined_function
+def add_rays(record, n, view, rays, s, owner):
+    """Add the rays of record n to a chunk that has `rays`; return how many it has then."""
+    water = read_record(record, n)
+    u, v, z = image_of(view, water.x, water.y, water.z)
+    samples, a, b, c = slope_samples(water, SPREAD)
+    blur = ZERO
+    if samples > 1:
+        blur = sample_blur(view, water)
+    for k in range(samples):
+        i = rays + k
+        s[VIEW_X + i], s[VIEW_Y + i], s[VIEW_Z + i] = water.view_x, water.view_y, water.view_z
+        s[SLOPE_X + i] = water.slope_x + a * SAMPLE_X[k]
+        s[SLOPE_Y + i] = water.slope_y + b * SAMPLE_X[k] + c * SAMPLE_Y[k]
+        s[U + i], s[V + i], s[Z + i], s[BLUR + i] = u, v, z, blur
+        owner[i] = n
+    return rays + samples
+
+
+@inlined_function
+def level_depth(record, n, view, depth):
+    """Return the depth [m] of what level water of record n would mirror."""
+    water = read_record(record, n)
+    u, v, _ = project(view, water.view_x, water.view_y, -water.view_z)
+    rows, columns = depth.shape
+    return depth[min(max(int(v), 0), rows - 1), min(max(int(u), 0), columns - 1)]
+
+
+@serial_kernel
+def bend(view, n, s):
+    """Find the way of n rays from their images to their vanishing points."""
+    for i in range(n):
+        ux, uy, uz = normal_of(s[SLOPE_X + i], s[SLOPE_Y + i])
+        x, y, z = reflected_upwards(s[VIEW_X + i], s[VIEW_Y + i], s[VIEW_Z + i], ux, uy, uz)
+        u, v = vanishing_point(view, x, y, z)
+        s[DU + i], s[DV + i] = u - s[U + i], v - s[V + i]
+
+
+@inlined_function
+def march_rays(depth, n, s, place, marched):
+    """Find where n rays end, see `planar_mirror.march_mirror`."""
+    nearest(depth, n, s, U, V, SURFACE, place)
+    guess_ends(n, s)
+    nearest(depth, n, s, AT_U, AT_V, SURFACE, place)
+    check_guesses(n, s)
+    count = 0
+    for i in range(n):
+        marched[count] = np.uint32(i)
+        count += np.int64(s[MET + i] == ZERO)
+    if count == 0:
+        return
+    for k in range(count):
+        i = marched[k]
+        s[FROM_U + k], s[FROM_V + k], s[FROM_Z + k] = s[U + i], s[V + i], s[Z + i]
+        s[WAY_U + k], s[WAY_V + k] = s[DU + i], s[DV + i]
+    for k in range(count):
+        s[BEFORE + k], s[LAST + k], s[FREE + k] = s[FROM_Z + k], ZERO, ZERO
+        s[HIGH + k], s[MET + k] = ZERO, ZERO
+    for k in range(STEPS):
+        share = step_share(k)
+        step_to(share, count, s)
+        nearest(depth, count, s, AT_U, AT_V, SURFACE, place)
+        if check_step(share, count, s) == count:
+            break
+    for _ in range(HALVINGS):
+        halve_to(count, s)
+        nearest(depth, count, s, AT_U, AT_V, SURFACE, place)
+        keep_half(count, s)
+    for k in range(count):
+        s[END + marched[k]] = s[HIGH + k] if s[MET + k] > ZERO else s[FREE + k]
+
+
+@serial_kernel
+def guess_ends(n, s):
+    """End n rays where level water's would, first."""
+    for i in range(n):
+        share = guessed_share(s[Z + i], s[SURFACE + i])
+        s[END + i] = share
+        s[AT_U + i], s[AT_V + i] = s[U + i] + share * s[DU + i], s[V + i] + share * s[DV + i]
+
+
+@serial_kernel
+def check_guesses(n, s):
+    """Mark which of n rays meet something where they were guessed to end."""
+    for i in range(n):
+        s[MET + i] = ONE if is_met(s[Z + i], s[END + i], s[SURFACE + i]) else ZERO
+
+
+@serial_kernel
+def step_to(share, n, s):
+    """Take n rays to a share of their way."""
+    for i in range(n):
+        s[AT_U + i] = s[FROM_U + i] + share * s[WAY_U + i]
+        s[AT_V + i] = s[FROM_V + i] + share * s[WAY_V + i]
+
+
+@serial_kernel
+def check_step(share, n, s):
+    """Mark which of n rays have met something since the last step; return how many have by now."""
+    met = 0
+    gain = ONE / max(ONE - share, np.float32(1e-4))  # depth over that of the start
+    for i in range(n):
+        surface, before, last, free, high = (
+            s[SURFACE + i], s[BEFORE + i], s[LAST + i], s[FREE + i], s[HIGH + i]
+        )  # fmt: skip
+        now, done = s[FROM_Z + i] * gain, s[MET + i] > ZERO
+        hit = met_between(before, now, surface)
+        clear = (now < surface) & (not done)
+        s[HIGH + i] = share if hit & (not done) else high
+        s[FREE + i] = share if clear else free
+        stays = hit | done
+        s[LAST + i], s[BEFORE + i] = last if stays else share, before if stays else now
+        s[MET + i] = ONE if stays else ZERO
+        met += np.int64(stays)
+    return met
+
+
+@serial_kernel
+def halve_to(n, s):
+    """Take n rays to the middle of their last step."""
+    for i in range(n):
+        share = HALF * (s[LAST + i] + s[HIGH + i])
+        s[AT_U + i] = s[FROM_U + i] + share * s[WAY_U + i]
+        s[AT_V + i] = s[FROM_V + i] + share * s[WAY_V + i]
+
+
+@serial_kernel
+def keep_half(n, s):
+    """Keep the half of the last step in which a ray meets something."""
+    for i in range(n):
+        low, high = s[LAST + i], s[HIGH + i]
+        middle = HALF * (low + high)
+        behind = s[FROM_Z + i] >= s[SURFACE + i] * (ONE - middle)
+        s[LAST + i], s[HIGH + i] = low if behind else middle, middle if behind else high

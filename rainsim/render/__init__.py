@@ -1,0 +1,1 @@
+"""From states of the water to pictures."""

@@ -1,0 +1,184 @@
+"""Rainy frames: a capture, its terrain and the water's state in, pictures for display out."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rainsim.particles import drop_radiance, paper
+from rainsim.particles.splash import WET_FILM
+from rainsim.raster import Rasterizer
+from rainsim.reflection.water_pass import WaterPass
+from rainsim.render import aov
+from rainsim.render.rain_pass import RainPass
+from rainsim.render.report import FrameReport, Timer
+from rainsim.render.wet_scene import WetScene
+from rainsim.shading import environment, sky
+from rainsim.shading.composite import RainLight, compose
+from rainsim.shading.wet_ground_mirror import WetGroundMirror
+from rainsim.simulation import surfaces_of
+from rainsim.water.ripples import ring_reach, ring_share
+
+RING_DEPTH = 5e-3  # m of water on which rings travel in under cover
+
+
+class Renderer:
+    """Draws frames of one scene, terrain and configuration.
+
+    What a still camera sees without water is drawn once.
+
+    Parameters
+    ----------
+    scene : Scene
+    terrain : Terrain
+    config : Config
+    first_camera : Camera
+        In the capture frame; the surroundings are drawn from its place.
+    rasterizer_of : callable
+        rasterizer_of(prepared) returns what draws prepared splats.
+
+    Attributes
+    ----------
+    wet_scene : WetScene
+    rain : RainPass
+    water : WaterPass
+    wet_ground : WetGroundMirror
+    rings : ndarray of shape (ny, nx), float32
+        See `ring_share`.
+    air_light, everywhere : ndarray of shape (3,), float32
+        Radiance of distant air, and the mean of the surroundings.
+    view : Camera
+        Of the last frame, in the ground frame.
+    wet : WetPicture
+        Of the last frame.
+    """
+
+    def __init__(self, scene, terrain, config, first_camera, rasterizer_of=Rasterizer):
+        self.terrain, self.config = terrain, config
+        self.wet_scene = WetScene(scene, terrain, config, first_camera, rasterizer_of)
+        self.rain = RainPass(surfaces_of(terrain), config)
+        reach = ring_reach(RING_DEPTH, config.water.surface_film, self.rain.weather.mean_rate)
+        self.rings = ring_share(self.wet_scene.reach, terrain.grid.spacing, *reach)
+        self.water = WaterPass(terrain, self.rings, config.render)
+        self.wet_ground = WetGroundMirror(terrain, config.render)
+        self.sun, note = sky.sun_of(config.render.sun, self.wet_scene.day)
+        self.notes = [*self.wet_scene.notes, *([note] if note else [])]
+        self.air_light = environment.horizon_radiance(self.wet_scene.day)
+        self.everywhere = drop_radiance.mean_radiance(self.wet_scene.gloss)
+        self.now = config.at(0.0)
+        self._camera = None  # that the kept picture belongs to
+        self._choice_is_noted = False  # of the reflections
+
+    def draw(self, camera, state, camera_end=None, names=()):
+        """Return the picture (height, width, 3) uint8 that a camera takes, and its report.
+
+        Parameters
+        ----------
+        camera : Camera
+            In the capture frame.
+        state : SimState
+        camera_end : Camera or None
+            As the shutter closes, in the ground frame; None: the camera stands still. Only rain
+            shows the motion: the capture stays sharp.
+        names : sequence of str
+            AOVs that the report is to hold, of `aov.AOVS`.
+        """
+        timer = Timer()
+        if self.set_time(state.time) or camera is not self._camera:
+            self._see(camera, timer)
+        render, scene = self.now.render, self.wet_scene
+        picture = self.water.draw(
+            state, self.mirrored, scene.traced, scene.environment, self.sunlight, timer
+        )
+        cover = self.rain.draw(
+            self.view, camera_end, state, render, scene.paving, self.wet.depth, timer
+        )
+        light = RainLight(self.drop_light, self.everywhere, self.air_light)
+        if render.streaks == "paper":
+            radiance = paper.line_radiance(picture)
+            light = light._replace(drops=drop_radiance.even(radiance), around=radiance)
+        image = np.empty((camera.height, camera.width, 3), np.uint8)
+        brightness = np.float32(render.brightness)
+        compose(picture, self.wet.depth, cover, light, self.wet.view, brightness, image)
+        timer.mark("compose")
+        if not self._choice_is_noted and (choice := self.water.choice()):
+            self._choice_is_noted = True
+            self.notes.append(choice)
+        notes, self.notes = (*state.notes, *self.notes), []
+        apart = ()
+        if names:
+            apart = self.aovs(names, state, self.wet, cover, light)
+            timer.mark("layers")
+        report = FrameReport(state.index, state.time, timer.stages, state.ledger, notes, *apart)
+        return image, report
+
+    def film(self, shots, names=()):
+        """Yield what `draw` returns for each (camera, state, camera_end), one after the other."""
+        for camera, state, camera_end in shots:
+            yield self.draw(camera, state, camera_end, names)
+
+    def set_time(self, time):
+        """Take over the settings of a time [s]; return whether they change the dry picture."""
+        self.now = self.config.at(time)
+        return self.wet_scene.set_time(self.now)
+
+    @property
+    def sunlight(self):
+        """The sun of the present time as kernels take it, see `sky.sunlight`."""
+        return sky.sunlight(self.sun, self.now.render.cloudiness)
+
+    def drop_field(self, view, camera):
+        """Return the radiance of drops over a camera's picture, see `drop_radiance.drop_field`."""
+        return drop_radiance.drop_field(
+            self.wet_scene.gloss, self.everywhere, view.ground_from_camera, view.lens, camera.width,
+            camera.height,
+        )  # fmt: skip
+
+    def mirrored(self, *window):
+        """Return what the last frame's camera sees mirrored, see `WetScene.mirrored`."""
+        return self.wet_scene.mirrored(self._camera, *window)
+
+    def aovs(self, names, state, wet, cover, light):
+        """Return the named AOVs of the frame drawn last, and the light that recomposes it.
+
+        Parameters
+        ----------
+        names : sequence of str
+        state : SimState
+        wet : WetPicture
+        cover : RainCover
+        light : RainLight
+        """
+        render, scene = self.now.render, self.wet_scene
+        dry = None
+        if not aov.DRY.isdisjoint(names):
+            dry = scene.dry(self._camera, "clean" in names)
+        parts = aov.FrameParts(
+            dry=dry, wet=wet, water=self.water, sun=self.sunlight,
+            field=self.rain.field(state.time, render.exposure), surfaces=self.rain.surfaces,
+            camera=self.view, state=state, exposure=render.exposure,
+            interval=self.config.frame_interval, film=WET_FILM * scene.paving,
+            ground=scene.ground_maps, off_ground=scene.off_ground, cover=cover,
+            far=render.streak_far,
+        )  # fmt: skip
+        radiances = {
+            "drop": light.drops.tolist(), "around": light.around.tolist(),
+            "air": light.air.tolist(), "brightness": float(render.brightness),
+        }  # fmt: skip
+        return aov.collect(names, parts), radiances
+
+    def take_camera(self, camera):
+        """Take over the camera of a frame, in the capture frame."""
+        self._camera, self.view = camera, self.wet_scene.frame.camera_in_ground(camera)
+
+    def _see(self, camera, timer):
+        """Draw what a new camera sees without water."""
+        self.take_camera(camera)
+        shape = (camera.height, camera.width) if self.wet_ground.apart else (0, 0)
+        cover = np.empty(shape, np.float32)
+        wet = self.wet_scene.picture(camera, timer, cover)
+        self.wet = self.wet_ground.add_to(
+            wet, cover, self.view, self.wet_scene.level_mirrored, self.wet_scene.gloss, self.notes
+        )
+        timer.mark("film")
+        self.water.look(self.wet)
+        self.drop_light = self.drop_field(self.wet.view, camera)

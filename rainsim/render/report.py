@@ -1,0 +1,48 @@
+"""What is said of a drawn frame: its report, and the clock of its stages."""
+
+from __future__ import annotations
+
+import time as clock
+from dataclasses import dataclass, field
+
+
+@dataclass(frozen=True)
+class FrameReport:
+    """What was done for a frame.
+
+    Attributes
+    ----------
+    index : int
+    time : float [s]
+    milliseconds : dict of str to float
+        Wall time of each stage.
+    ledger : dict
+        Water volumes [m3] and their relative residual.
+    notes : tuple of str
+    aovs : dict of str to ndarray
+        The AOVs that were asked for, see `rainsim.render.aov`.
+    light : dict
+        What `aov.recompose` needs besides: radiances and the brightness.
+    """
+
+    index: int
+    time: float
+    milliseconds: dict
+    ledger: dict
+    notes: tuple = ()
+    aovs: dict = field(default_factory=dict)
+    light: dict = field(default_factory=dict)
+
+
+class Timer:
+    """Wall time of named stages in milliseconds."""
+
+    def __init__(self):
+        self.stages = {}
+        self._last = clock.perf_counter()
+
+    def mark(self, name):
+        """Book the time since the last mark on `name`."""
+        now = clock.perf_counter()
+        self.stages[name] = self.stages.get(name, 0.0) + (now - self._last) * 1e3
+        self._last = now

@@ -1,0 +1,246 @@
+"""The wet capture without water, as cameras, mirrored cameras and rays see it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy import ndimage
+
+from rainsim.io import images
+from rainsim.numerics.mipmap import coarsened
+from rainsim.rain.exposure import rain_exposure
+from rainsim.raster import Rasterizer, prepare
+from rainsim.reflection.planar_mirror import MirrorPicture
+from rainsim.reflection.ray_traced import Tracer
+from rainsim.reflection.water_pass import WetPicture
+from rainsim.render.report import Timer
+from rainsim.scene.cameras import MIRROR_CLEARANCE, cropped, mirrored_camera
+from rainsim.scene.view import view_of
+from rainsim.shading import environment, sky, wetness
+from rainsim.shading.backdrop import Backdrop, sky_distance
+from rainsim.shading.grading import look_of
+from rainsim.shading.wet_ground_mirror import in_level_picture
+from rainsim.shading.wet_pass import NO_COVER, DryRays, dry_picture, grade_and_wet, grade_rays
+from rainsim.shading.wetting import GroundMaps, SkyMaps
+from rainsim.simulation import usual_wind
+
+NEAR = 0.05  # m: splats nearer than this are not drawn
+FIRST_SEGMENT = 0.5  # m of a traced ray that are searched at first
+BRIGHT_SKY = 0.15  # mean linear light above which a far pixel shows the captured sky
+CAPTURED_GAMMA = np.float32(2.2)  # of the display, for the captured sky
+
+
+class WetScene:
+    """A capture under the light and the wetness of the settings' present time.
+
+    Parameters
+    ----------
+    scene : Scene
+    terrain : Terrain
+    config : Config
+    first_camera : Camera
+        In the capture frame; the surroundings are drawn from its place.
+    rasterizer_of : callable
+        rasterizer_of(prepared) returns what draws prepared splats.
+
+    Attributes
+    ----------
+    scene : Scene
+        Without the splats of its sky where another sky is drawn.
+    frame : GroundFrame
+    near : float [capture units]
+    reach : ndarray of shape (ny, nx), float32
+        Share of the rain that reaches the ground.
+    day, behind : ndarray of shape (rows, columns, 3), float32
+        The sky of the day, and the sky that is seen behind the scene.
+    environment, gloss : ndarray of shape (rows, columns, 3), float32
+        The wet capture around the first camera with the sky of the day; the same, blurred.
+    look : Look
+    off_ground : OffGroundWetness
+    ground : ndarray of shape (ny, nx, 4), float32
+        See `wetness.ground_wetness`.
+    paving : float
+        How wet open paving is, 0 to 1.
+    tracer : Tracer or None
+        Of the scene's splats, once rays were traced.
+    notes : list of str
+        What there is to say of the set-up.
+    """
+
+    def __init__(self, scene, terrain, config, first_camera, rasterizer_of=Rasterizer):
+        self.terrain, self.config, self.frame = terrain, config, scene.ground_frame
+        self.sky_distance = sky_distance(scene)
+        self.backdrop = Backdrop(scene, self.sky_distance, replaces_sky(config))
+        self.scene = self.backdrop.scene
+        self.near = NEAR / self.frame.meters_per_unit
+        self._rasterizer_of = rasterizer_of
+        self.rasterizer = rasterizer_of(prepare(self.scene.splats))
+        self.reach = rain_exposure(terrain, usual_wind(config), config.rain.roughness)
+        self._grass = ndimage.gaussian_filter(terrain.grassy.astype(np.float32), 1)
+        self._place = np.array(terrain.grid.origin, np.float32), np.float32(terrain.grid.spacing)
+        self._standing = self.tracer = None  # made when they are first asked for
+        self.notes = [self.backdrop.note()] if self.backdrop.count else []
+        self.day = day_sky(config.render)
+        self.look = self.off_ground = None
+        self.set_time(config.at(0.0))
+        eye = self.frame.to_ground(first_camera.position)
+        if config.render.sky == "capture":
+            self.day = self.behind = self._captured_sky(eye)
+        self.gloss = environment.blurred(self.day)  # until the surroundings are drawn
+        self.environment = self._surroundings(eye)
+        self.gloss = environment.blurred(self.environment)
+
+    def set_time(self, now):
+        """Take over the settings of a time; return whether they change what cameras see."""
+        look = look_of(now, self.sky_distance, self.backdrop.count > 0)
+        off_ground = wetness.off_ground_wetness(now)
+        if look == self.look and off_ground == self.off_ground:
+            return False
+        self.look, self.off_ground = look, off_ground
+        self.paving = wetness.paving_dampness(now)
+        self.ground = wetness.ground_wetness(self.terrain, self._grass, self.reach, now)
+        self.behind = self.backdrop.behind(self.day, look)
+        return True
+
+    @property
+    def ground_maps(self):
+        """The mapped ground as kernels take it."""
+        return GroundMaps(self.terrain.bed, self.ground, *self._place)
+
+    def dry(self, camera, whole_color=False):
+        """Return the `raster.Layers` of the capture that `camera` takes.
+
+        `whole_color`: the colour is that of all splats, those of the captured sky included.
+        """
+        layers = self.rasterizer.draw(camera, self.near)
+        if whole_color and self.backdrop.count:
+            whole = self._rasterizer_of(prepare(self.backdrop.whole.splats))
+            layers = replace(layers, color=whole.draw(camera, self.near).color)
+        return layers
+
+    def picture(self, camera, timer, cover=NO_COVER):
+        """Return the `WetPicture` that `camera` (capture frame) takes.
+
+        `cover` is the `cover_out` of `grade_and_wet`.
+        """
+        layers = self.rasterizer.draw(camera, self.near)
+        timer.mark("splat")
+        wet = self._wetted(layers, camera, cover)
+        timer.mark("grade and wet")
+        return wet
+
+    def level_mirrored(self, level):
+        """Return the `WetPicture` of what stands on the ground, seen mirrored at its plane.
+
+        `level` is the level, upright camera (ground frame) that is mirrored.
+        """
+        if self._standing is None:
+            self._standing = self._rasterizer_of(
+                in_level_picture(self.rasterizer.prepared, self.terrain, self.frame)
+            )
+        _, camera = mirrored_camera(self.frame.camera_in_capture(level), self.frame, 0.0)
+        return self._wetted(self._standing.draw(camera, self.near), camera)
+
+    def mirrored(self, camera, level, window):
+        """Return what stands above the water as `camera` mirrored at `level` [m] sees it.
+
+        Parameters
+        ----------
+        camera : Camera
+            In the capture frame.
+        level : float [m]
+        window : tuple of int [px]
+            Left, top, right and bottom of the part of its picture.
+
+        Returns
+        -------
+        view : View
+        picture : MirrorPicture
+        """
+        plane, camera = mirrored_camera(camera, self.frame, level)
+        camera = cropped(camera, window)
+        wet = self._wetted(self.rasterizer.draw(camera, self.near, plane), camera)
+        return wet.view, MirrorPicture(wet.picture, coarsened(wet.picture), wet.depth)
+
+    def traced(self, origin, direction, before, pixel, color_eye=None):
+        """Return the graded radiance, alpha and distance [m] of rays through the splats.
+
+        See `ray_traced.traced_light`.
+        """
+        if self.tracer is None:
+            self.tracer = Tracer(self.scene.splats)
+        unit, turn = self.frame.meters_per_unit, self.frame.rotation
+        clear = np.append(self.frame.up, MIRROR_CLEARANCE / unit)
+        found = self.tracer.trace(
+            self.frame.to_capture(origin), direction @ turn, before / unit, pixel,
+            FIRST_SEGMENT / unit, clear, color_eye,
+        )  # fmt: skip
+        rays = DryRays(
+            found.color, found.alpha, found.distance * np.float32(unit),
+            found.plane_distance * np.float32(unit),
+            np.ascontiguousarray(found.normal @ turn.T, np.float32),
+            (origin - before[:, None] * direction).astype(np.float32), direction,
+        )  # fmt: skip
+        return self._graded(rays), found.alpha, rays.distance
+
+    @property
+    def _shading(self):
+        """Ground, wetness off it, skies and look, as the grading kernels take them."""
+        return self.ground_maps, self.off_ground, SkyMaps(self.gloss, self.behind), self.look
+
+    def _wetted(self, layers, camera, cover=NO_COVER):
+        """Return the `WetPicture` of splatted layers, graded and wet."""
+        view = view_of(self.frame.camera_in_ground(camera))
+        shape = (camera.height, camera.width)
+        picture = np.empty((*shape, 3), np.float32)
+        depth, clearance = np.empty(shape, np.float32), np.empty(shape, np.float32)
+        grade_and_wet(
+            dry_picture(layers, self.frame.meters_per_unit), view, *self._shading, picture, depth,
+            clearance, cover,
+        )  # fmt: skip
+        return WetPicture(picture, depth, clearance, view, picture)
+
+    def _graded(self, rays):
+        """Return the radiance of what rays have met, graded and wet."""
+        light = np.empty_like(rays.color)
+        grade_rays(rays, *self._shading, light)
+        return light
+
+    def _captured_sky(self, position):
+        """Return the sky that the capture shows from `position` [m], completed and graded."""
+
+        def draw(view):
+            dry = self.rasterizer.draw(self.frame.camera_in_capture(view), self.near)
+            far = dry.depth * self.frame.meters_per_unit > self.sky_distance
+            linear = np.clip(dry.color, 0, 4) ** CAPTURED_GAMMA
+            seen = far & (dry.alpha > 0.9) & (linear.mean(axis=-1) > BRIGHT_SKY)
+            return np.where(seen[..., None], linear, -1)
+
+        found = environment.probe(draw, position)
+        completed, share = sky.completed(found, found[..., 0] >= 0)
+        self.notes.append(
+            f"the capture shows {share:.0%} of the sky; an overcast one fills the other part"
+        )
+        return completed * self.look.exposure
+
+    def _surroundings(self, position):
+        """Return the wet capture around `position` [m] with the sky of the day, as a map."""
+
+        def draw(view):
+            return self.picture(self.frame.camera_in_capture(view), Timer()).picture
+
+        return environment.probe(draw, position)
+
+
+def day_sky(config):
+    """Return the environment map of the sky that a render configuration names."""
+    if config.sky in ("overcast", "capture"):
+        return sky.clouded(sky.overcast())
+    return sky.from_panorama(images.read_hdr(config.sky))
+
+
+def replaces_sky(config):
+    """Tell whether the sky of the day replaces the captured sky at any time."""
+    looks = (look_of(config.at(time), 0, False) for time in config.key_times())
+    return any(look.sky_replaced > 0 for look in looks)

@@ -1,0 +1,103 @@
+"""From the captured light to that of a dull day: formulas of grading, and what counts as sky.
+
+Colours are linear light, radiance relative to display white, unless a name says otherwise.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from rainsim.constants import ONE, ZERO
+from rainsim.jit import inlined_function
+from rainsim.numerics.interpolation import smoothstep
+from rainsim.shading.color import linear_from_display, luminance
+
+SHINES = np.float32(1.5)  # linear luminance that only lamps reach in a capture
+COMPRESSED = np.float32(0.25)  # of white, above which highlights are compressed
+SKY_DARK, SKY_BRIGHT = np.float32(0.10), np.float32(0.22)  # linear luminance: no sky, all sky
+SKY_DULL, SKY_BLUE = np.float32(0.6), np.float32(0.85)  # blue over the largest channel: as above
+OPAQUE, LEAST_COVER = np.float32(0.99), np.float32(1e-3)  # alpha that hides all, and next to none
+
+
+class Look(NamedTuple):
+    """How the light of the day differs from the captured light; six float32."""
+
+    exposure: np.float32  # factor on captured light
+    desaturation: np.float32  # share of the saturation that is lost, 0 to 1
+    compression: np.float32  # of highlights, see `graded`; 0: none
+    sky_replaced: np.float32  # share of the captured sky that the day's sky replaces, 0 to 1
+    sky_distance: np.float32  # m, beyond which bright things may be sky
+    open_sky: np.float32  # 1: the splats of the captured sky are left out, see `backdrop`; 0: drawn
+
+
+def look_of(config, sky_distance, sky_is_left_out):
+    """Return the `Look` of the settings of one time.
+
+    Parameters
+    ----------
+    config : Config
+        Its `cloudiness`, 0 to 1, makes light dull; the numbers are chosen by eye.
+    sky_distance : float [m]
+    sky_is_left_out : bool
+        Whether the splats of the captured sky are left out of the scene.
+    """
+    c = config.render.cloudiness
+    replaced = 0.0 if config.render.sky == "capture" else c
+    numbers = 1 - 0.3 * c, 0.2 * c, 1.2 * c, replaced, sky_distance, sky_is_left_out
+    return Look(*(np.float32(n) for n in numbers))
+
+
+@inlined_function
+def look_from(numbers):
+    """Return the `Look` whose numbers an array holds, as CUDA kernels get them."""
+    return Look(numbers[0], numbers[1], numbers[2], numbers[3], numbers[4], numbers[5])
+
+
+@inlined_function
+def graded(r, g, b, look):
+    """Return captured linear colour as it looks under a dull sky: darker, greyer, flatter.
+
+    Compression divides what exceeds COMPRESSED of white: sunlit patches. What is brighter than
+    SHINES is a lamp, which the day does not light: its excess over SHINES stays as it is.
+    """
+    y = luminance(r, g, b)
+    own = max(ONE - SHINES / max(y, SHINES), ZERO)  # share of light that a lamp sends out itself
+    y *= ONE - own
+    excess = max(y * look.exposure - COMPRESSED, ZERO)
+    gain = look.exposure / (ONE + excess * look.compression)
+    keep, lit = (ONE - look.desaturation) * gain, y * look.desaturation * gain
+    kept = (ONE - own) * keep + own
+    return lit + r * kept, lit + g * kept, lit + b * kept
+
+
+@inlined_function
+def is_edge(alpha, look):
+    """Tell whether the sky behind shows past what covers a share `alpha` of a pixel."""
+    return look.open_sky > ZERO and alpha < OPAQUE
+
+
+@inlined_function
+def undiluted(r, g, b, alpha):
+    """Return the linear colour of what covers a share `alpha` of a pixel.
+
+    (r, g, b) is its display-referred colour over black, as the rasterizer blends it.
+    """
+    inv = ONE / max(alpha, LEAST_COVER)
+    return (
+        linear_from_display(max(r, ZERO) * inv),
+        linear_from_display(max(g, ZERO) * inv),
+        linear_from_display(max(b, ZERO) * inv),
+    )
+
+
+@inlined_function
+def sky_share(r, g, b):
+    """Return how surely a far captured linear colour above the horizon is sky, 0 to 1.
+
+    Bright and not green counts as sky: a guess, since a capture does not say what is sky.
+    """
+    bright = smoothstep(SKY_DARK, SKY_BRIGHT, luminance(r, g, b))
+    top = max(max(r, g), np.float32(1e-3))
+    return bright * smoothstep(SKY_DULL, SKY_BLUE, b / top)

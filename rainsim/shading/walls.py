@@ -1,0 +1,88 @@
+"""How wet walls and things are: all surfaces that are no mapped ground."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from rainsim.constants import HALF, ONE, THREE, TWO, ZERO
+from rainsim.jit import inlined_function
+from rainsim.numerics.approximations import exp_minus
+from rainsim.numerics.interpolation import smoothstep
+
+QUARTER = np.float32(0.25)
+WALL_SPRAY = np.float32(0.06)  # share of the rain that a wall gets as spray
+SOFFIT = np.float32(0.7)  # share of the spray that undersides do not get
+LEANING = np.float32(0.1)  # cosine to the rain below which captured normals are mostly noise
+FOOT_SHARE = np.float32(0.3)  # of the rain, that splashes back on the foot of a wall; by eye
+FOOT_STEEP = np.float32(1 / 0.15)  # 1/m: decay of the back splash upwards; by eye
+PATHS_ACROSS, PATHS_DOWN = np.float32(1 / 0.07), np.float32(1 / 2.5)  # 1/m, of paths down a wall
+PATHS = np.float32(1.2)  # variation of the dampness of a half wet wall along its paths
+FAINT = np.float32(0.04)  # variation of dampness that no eye sees
+PATH_NEAR, PATH_FAR = np.float32(8), np.float32(25)  # m, between which paths fade out
+UPRIGHT, SLOPING = np.float32(0.3), np.float32(0.6)  # cosines to the vertical: paths, no paths
+ONE_AXIS = np.float32(0.38)  # share of a normal's square below which an axis does not count
+
+
+@inlined_function
+def damp_off_ground(rain, point, height):
+    """Return the dampness of a surface that is no mapped ground, 0 dry to 1 wet through.
+
+    A surface catches rain as it faces the slanting drops. Walls that no drop meets get a little
+    spray; the foot of a wall gets what splashes back from the ground. The sum is an even dampness.
+    A wall that is not wet through varies along the paths in which water runs down.
+
+    Parameters
+    ----------
+    rain : wetness.OffGroundWetness
+    point : wetting.SurfacePoint
+        Its distance decides whether the paths are seen.
+    height : float32 [m]
+        Over the ground.
+    """
+    nx, ny, nz, far = point.nx, point.ny, point.nz, point.distance
+    slant = -(nx * rain.slant_x + ny * rain.slant_y)
+    caught = max(nz + slant, ZERO)
+    caught *= caught / (caught + LEANING)
+    caught += WALL_SPRAY * (ONE + min(nz, ZERO) * SOFFIT)
+    if nz > -HALF:
+        caught += FOOT_SHARE * exp_minus(max(height, ZERO) * FOOT_STEEP)
+    full = min(rain.supply * caught, TWO)
+    damp = full * (ONE - QUARTER * full)
+    variation = PATHS * damp * (ONE - damp)
+    if variation < FAINT or far > PATH_FAR or abs(nz) > SLOPING:
+        return damp
+    if far > PATH_NEAR:  # farther paths are narrower than pixels
+        variation *= ONE - smoothstep(PATH_NEAR, PATH_FAR, far)
+    variation *= ONE - smoothstep(UPRIGHT, SLOPING, abs(nz))
+    # Paths are numbered across the wall: along the axis that it faces less, or by both mixed.
+    square = nx * nx + ny * ny
+    share = nx * nx / max(square, np.float32(1e-6))
+    share = smoothstep(ONE_AXIS, ONE - ONE_AXIS, share)
+    path, v = -HALF, point.z * PATHS_DOWN
+    if share > ZERO:
+        path += share * _lattice(point.y * PATHS_ACROSS, v)
+    if share < ONE:
+        path += (ONE - share) * _lattice(point.x * PATHS_ACROSS, v)
+    return min(max(damp + variation * path, ZERO), ONE)
+
+
+@inlined_function
+def _lattice(u, v):
+    """Return smooth noise of 0 to 1: random numbers on a lattice."""
+    i, j = math.floor(u), math.floor(v)
+    a, b = u - np.float32(i), v - np.float32(j)
+    a, b = a * a * (THREE - TWO * a), b * b * (THREE - TWO * b)
+    i, j = int(i), int(j)
+    low = _random(i, j) * (ONE - a) + _random(i + 1, j) * a
+    high = _random(i, j + 1) * (ONE - a) + _random(i + 1, j + 1) * a
+    return low * (ONE - b) + high * b
+
+
+@inlined_function
+def _random(i, j):
+    """Return a random number of 0 to 1 for a lattice point."""
+    h = (i * 374761393 + j * 668265263) & 0xFFFFFFFF
+    h = ((h ^ (h >> 13)) * 1274126177) & 0xFFFFFFFF
+    return np.float32((h ^ (h >> 16)) & 0xFFFF) * np.float32(1 / 65535)

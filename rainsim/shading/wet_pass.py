@@ -1,0 +1,409 @@
+"""The rainy picture without water: what was captured, graded and wetted; pictures and rays.
+
+`grade_and_wet` does what `wetting.wet_pixel` does, a row in chunks of CHUNK pixels and each chunk
+in passes over numbers that stay in cache: so all but the look-ups in maps runs in vectors, which
+takes a third of the time of one pixel after the other. A test holds the two together to rounding.
+Rays are few and scattered: `grade_rays` calls `wet_pixel`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from rainsim.constants import FAR_AWAY, HALF, ONE, SURFACE_ALPHA, ZERO
+from rainsim.jit import cpu_kernel, inlined_function, prange
+from rainsim.numerics.pixel_batches import CHUNK, CORNERS, interpolate
+from rainsim.scene.view import View, pixel_ray
+from rainsim.shading.environment import azimuth_in_map, color_in_map, elevation_in_map
+from rainsim.shading.grading import Look, is_edge, undiluted
+from rainsim.shading.walls import damp_off_ground
+from rainsim.shading.wetness import OffGroundWetness, store_wetness, stored_wetness
+from rainsim.shading.wetting import (
+    FLAT,
+    GLOSS_LIFT,
+    LEAST_SKY,
+    ON_GROUND,
+    WALL_SHARE,
+    GroundMaps,
+    SkyMaps,
+    SurfacePoint,
+    mirror_cover,
+    off_ground,
+    on_ground,
+    rainy_color,
+    wet_pixel,
+)
+
+# Rows of a chunk's numbers. The dry pixel: colour, alpha, distances along the view axis [m] to the
+# mean and to the plane of its splats, normal (camera frame).
+(RED, GREEN, BLUE, ALPHA, DEPTH, PLANE, NORMAL_X, NORMAL_Y, NORMAL_Z) = (
+    CHUNK * k for k in range(9)
+)
+# The surface: unit view direction, position [m] and normal (ground frame), cosine between normal
+# and the way back, distances [m] of that position and of what is drawn, which is far for the sky.
+(VIEW_X, VIEW_Y, VIEW_Z, X, Y, Z, LEAN_X, LEAN_Y, UPNESS, COSINE, AWAY, FAR) = (
+    CHUNK * k for k in range(9, 21)
+)
+# Heights as `wet_state` returns them, shares of gloss and of sky, and the places in maps: first the
+# ground's column and row, then the environment's.
+(CLEARANCE, HEIGHT, GLOSS, THROUGH, ACROSS, DOWN, LIFTED) = (CHUNK * k for k in range(21, 28))
+WETNESS = 28 * CHUNK  # as `store_wetness` writes it, four rows
+NUMBERS = 32 * CHUNK
+
+NO_DEPTH = np.float32(np.inf)
+NO_COVER = np.empty((0, 0), np.float32)  # as `cover_out`: ground glosses as all else does
+
+
+class DryPicture(NamedTuple):
+    """A splatted picture of the capture; read-only. See `raster.Layers`."""
+
+    color: np.ndarray  # (height, width, 3) float32, display-referred, over black
+    alpha: np.ndarray  # (height, width) float32
+    depth: np.ndarray  # (height, width) float32 [units], along the view axis
+    plane_depth: np.ndarray  # (height, width) float32 [units]
+    normal: np.ndarray  # (height, width, 3) float32, unit, camera frame
+    meters_per_unit: np.float32
+
+
+class DryRays(NamedTuple):
+    """What rays through the splats met; read-only. See `ray_traced.Traced`."""
+
+    color: np.ndarray  # (n, 3) float32, display-referred, over black
+    alpha: np.ndarray  # (n,) float32
+    distance: np.ndarray  # (n,) float32 [m], from the eye along the ray
+    plane_distance: np.ndarray  # (n,) float32 [m]
+    normal: np.ndarray  # (n, 3) float32, unit, ground frame
+    eye: np.ndarray  # (n, 3) float32 [m], ground frame
+    direction: np.ndarray  # (n, 3) float32, unit, ground frame
+
+
+def dry_picture(layers, meters_per_unit):
+    """Return the `DryPicture` of `raster.Layers` with depths in capture units."""
+    return DryPicture(
+        layers.color, layers.alpha, layers.depth, layers.plane_depth, layers.normal,
+        np.float32(meters_per_unit),
+    )  # fmt: skip
+
+
+@cpu_kernel
+def grade_rays(
+    rays: DryRays, ground: GroundMaps, rain: OffGroundWetness, sky: SkyMaps, look: Look, light_out
+):
+    """Grade and wet what rays have met, as `grade_and_wet` does a picture.
+
+    Parameters
+    ----------
+    rays : DryRays
+    ground : GroundMaps
+    rain : OffGroundWetness
+    sky : SkyMaps
+    look : Look
+    light_out : ndarray of shape (n, 3), float32
+        Radiance.
+    """
+    color, alpha, normal, eye, direction = (
+        rays.color, rays.alpha, rays.normal, rays.eye, rays.direction
+    )  # fmt: skip
+    distance, plane_distance = rays.distance, rays.plane_distance
+    for n in prange(len(alpha)):
+        x, y, z = direction[n, 0], direction[n, 1], direction[n, 2]
+        d = plane_distance[n] if normal[n, 2] > FLAT else distance[n]
+        point = SurfacePoint(
+            eye[n, 0] + d * x, eye[n, 1] + d * y, eye[n, 2] + d * z,
+            normal[n, 0], normal[n, 1], normal[n, 2], d,
+        )  # fmt: skip
+        r, g, b, _, _ = wet_pixel(
+            (color[n, 0], color[n, 1], color[n, 2]), alpha[n], (x, y, z), d, point, ground, rain,
+            sky, look, False,
+        )  # fmt: skip
+        light_out[n, 0], light_out[n, 1], light_out[n, 2] = r, g, b
+
+
+@cpu_kernel
+def grade_and_wet(
+    dry: DryPicture, view: View, ground: GroundMaps, rain: OffGroundWetness, sky: SkyMaps,
+    look: Look, picture_out, depth_out, clearance_out, cover_out,
+):  # fmt: skip
+    """Grade the dry picture, wet it, and measure it against the ground.
+
+    Parameters
+    ----------
+    dry : DryPicture
+    view : View
+    ground : GroundMaps
+    rain : OffGroundWetness
+    sky : SkyMaps
+    look : Look
+    picture_out : ndarray of shape (height, width, 3), float32
+        Radiance.
+    depth_out : ndarray of shape (height, width), float32 [m]
+        Infinite for the sky.
+    clearance_out : ndarray of shape (height, width), float32 [m]
+        Height above the bed; FAR_AWAY off the map and for the sky.
+    cover_out : ndarray of shape (height, width) or (0, 0), float32
+        Share of a full water film on the ground, whose reflection is then left out of the picture:
+        the wet-ground mirror adds it. If empty, the ground glosses as all else does.
+    """
+    alpha, depth, plane_depth = dry.alpha, dry.depth, dry.plane_depth
+    height, width = alpha.shape
+    mirror_apart = cover_out.shape[0] > 0
+    colors = dry.color.reshape(height, 3 * width)
+    normals = dry.normal.reshape(height, 3 * width)
+    pictures = picture_out.reshape(height, 3 * width)
+    for row in prange(height):
+        s, corner = np.empty(NUMBERS, np.float32), np.empty(CORNERS, np.float32)
+        glossy, open_ = np.empty(CHUNK, np.uint32), np.empty(CHUNK, np.uint32)
+        b = (np.float32(row) + HALF - view.cy) / view.fy
+        for left in range(0, width, CHUNK):
+            n = min(CHUNK, width - left)
+            end = left + n
+            read_colors(colors[row, 3 * left : 3 * end], alpha[row, left:end], look, n, s)
+            read_surface(
+                depth[row, left:end], plane_depth[row, left:end],
+                normals[row, 3 * left : 3 * end], dry.meters_per_unit, n, s,
+            )  # fmt: skip
+            locate(view, b, left, n, s)
+            find_wetness(ground, rain, n, s, glossy, corner)
+            color_pixels(look, mirror_apart, n, s)
+            add_surroundings(sky, n, s, glossy, open_)
+            write_pixels(
+                n, s, pictures[row, 3 * left : 3 * end], depth_out[row, left:end],
+                clearance_out[row, left:end],
+            )  # fmt: skip
+            if mirror_apart:
+                write_cover(ground, n, s, cover_out[row, left:end])
+
+
+@inlined_function
+def read_colors(color, alpha, look, n, s):
+    """Read alpha and colour of n pixels, as linear light of what covers them."""
+    for i in range(n):
+        s[ALPHA + i] = alpha[i]
+    for i in range(n):
+        s[RED + i], s[GREEN + i], s[BLUE + i] = color[3 * i], color[3 * i + 1], color[3 * i + 2]
+    for i in range(n):
+        cover = s[ALPHA + i]
+        r, g, b = undiluted(
+            s[RED + i], s[GREEN + i], s[BLUE + i], cover if is_edge(cover, look) else ONE
+        )
+        s[RED + i], s[GREEN + i], s[BLUE + i] = r, g, b
+
+
+@inlined_function
+def read_surface(depth, plane_depth, normal, meters_per_unit, n, s):
+    """Read depths, in metres, and normals of n pixels."""
+    for i in range(n):
+        s[DEPTH + i] = depth[i] * meters_per_unit
+    for i in range(n):
+        s[PLANE + i] = plane_depth[i] * meters_per_unit
+    for i in range(n):
+        s[NORMAL_X + i] = normal[3 * i]
+        s[NORMAL_Y + i] = normal[3 * i + 1]
+        s[NORMAL_Z + i] = normal[3 * i + 2]
+
+
+@inlined_function
+def locate(view, b, left, n, s):
+    """Find where in the ground frame each pixel of a row at tangent b is."""
+    m, eye, f, c = view.ground_from_camera, view.eye, view.fx, view.cx
+    m00, m01, m02 = m[0, 0], m[0, 1], m[0, 2]
+    m10, m11, m12 = m[1, 0], m[1, 1], m[1, 2]
+    m20, m21, m22 = m[2, 0], m[2, 1], m[2, 2]
+    e0, e1, e2 = eye[0], eye[1], eye[2]
+    for i in range(n):
+        a = (np.float32(left + i) + HALF - c) / f
+        x, y, z = m00 * a + m01 * b + m02, m10 * a + m11 * b + m12, m20 * a + m21 * b + m22
+        length = math.sqrt(x * x + y * y + z * z)
+        inv = ONE / length
+        s[VIEW_X + i], s[VIEW_Y + i], s[VIEW_Z + i] = x * inv, y * inv, z * inv
+        n0, n1, n2 = s[NORMAL_X + i], s[NORMAL_Y + i], s[NORMAL_Z + i]
+        upness = m20 * n0 + m21 * n1 + m22 * n2
+        s[LEAN_X + i] = m00 * n0 + m01 * n1 + m02 * n2
+        s[LEAN_Y + i] = m10 * n0 + m11 * n1 + m12 * n2
+        s[UPNESS + i] = upness
+        s[COSINE + i] = -(n0 * a + n1 * b + n2) * inv
+        d, e = depth_of_surface(s[DEPTH + i], s[PLANE + i], upness)
+        s[DEPTH + i], s[FAR + i] = d, d * length
+        e = e if s[ALPHA + i] >= SURFACE_ALPHA else ZERO
+        s[X + i], s[Y + i], s[Z + i] = e0 + e * x, e1 + e * y, e2 + e * z
+        s[AWAY + i] = e * length
+
+
+@inlined_function
+def depth_of_surface(depth, plane_depth, upness):
+    """Return the depth that is drawn, and that of the place that is wetted.
+
+    The plane of the splats is far better on level ground, and can be wild on thin things. Along a
+    wall seen at a slant the splats' own depths scatter: there the plane is where the wall is wet.
+    """
+    drawn = plane_depth if upness > FLAT else depth
+    return drawn, plane_depth if abs(plane_depth - drawn) < WALL_SHARE * drawn else drawn
+
+
+@inlined_function
+def find_wetness(ground, rain, n, s, cell, corner):
+    """Find how wet each pixel's surface is; in vectors what `wet_state` does."""
+    bed, origin, spacing = ground.bed, ground.origin, ground.spacing
+    rows, columns = bed.shape
+    right, bottom = np.float32(columns - 1), np.float32(rows - 1)
+    o0, o1 = origin[0], origin[1]
+    for i in range(n):
+        u, v = (s[X + i] - o0) / spacing - HALF, (s[Y + i] - o1) / spacing - HALF
+        inside = (u > ZERO) & (v > ZERO) & (u < right) & (v < bottom)
+        s[HEIGHT + i] = ONE if inside else ZERO
+        s[ACROSS + i], s[DOWN + i] = u, v
+    interpolate(bed, n, s, ACROSS, DOWN, cell, corner)
+    off = 0  # pixels that show no ground
+    for i in range(n):
+        z, over = s[Z + i], s[Z + i] - s[ACROSS + i]
+        solid, inside = s[ALPHA + i] >= SURFACE_ALPHA, s[HEIGHT + i] > ZERO
+        clear, height = over if inside else FAR_AWAY, over if inside else z
+        clear, height = clear if solid else FAR_AWAY, height if solid else FAR_AWAY
+        s[CLEARANCE + i], s[HEIGHT + i] = clear, height
+        off += np.int64((clear >= ON_GROUND) | (s[UPNESS + i] <= FLAT))
+    if off > 0:
+        for i in range(n):
+            height = s[HEIGHT + i]
+            damp = damp_off_ground(rain, surface_point(s, i), height)
+            damp = damp if s[ALPHA + i] >= SURFACE_ALPHA else ZERO
+            store_wetness(off_ground(rain, damp, height), s, WETNESS + i, CHUNK)
+    for i in range(n):
+        if s[CLEARANCE + i] < ON_GROUND and s[UPNESS + i] > FLAT:
+            u, v = (s[X + i] - o0) / spacing - HALF, (s[Y + i] - o1) / spacing - HALF
+            store_wetness(on_ground(ground, u, v), s, WETNESS + i, CHUNK)
+
+
+@inlined_function
+def surface_point(s, i):
+    """Return the `SurfacePoint` of pixel i of a chunk."""
+    return SurfacePoint(
+        s[X + i], s[Y + i], s[Z + i], s[LEAN_X + i], s[LEAN_Y + i], s[UPNESS + i], s[AWAY + i]
+    )
+
+
+@inlined_function
+def color_pixels(look, mirror_apart, n, s):
+    """Grade and wet the colours."""
+    for i in range(n):
+        r, g, b, gloss, through = rainy_color(
+            s[RED + i], s[GREEN + i], s[BLUE + i], s[ALPHA + i], s[FAR + i], s[VIEW_Z + i],
+            s[COSINE + i], s[UPNESS + i], s[HEIGHT + i], stored_wetness(s, WETNESS + i, CHUNK),
+            look,
+        )  # fmt: skip
+        s[RED + i], s[GREEN + i], s[BLUE + i], s[THROUGH + i] = r, g, b, through
+        level = s[UPNESS + i] > FLAT and s[HEIGHT + i] < ON_GROUND
+        s[GLOSS + i] = ZERO if mirror_apart and level else gloss
+
+
+@inlined_function
+def add_surroundings(sky, n, s, glossy, open_):
+    """Add the mirrored surroundings, and the sky that is seen behind the scene."""
+    gloss, through = (
+        list_above(s, GLOSS, n, ZERO, glossy),
+        list_above(s, THROUGH, n, LEAST_SKY, open_),
+    )
+    if gloss + through == 0:
+        return
+    for i in range(n):
+        x, y, z = s[VIEW_X + i], s[VIEW_Y + i], s[VIEW_Z + i]
+        s[ACROSS + i], s[DOWN + i] = azimuth_in_map(x, y), elevation_in_map(x, y, z)
+        s[LIFTED + i] = elevation_in_map(x, y, abs(z) + GLOSS_LIFT)
+    for k in range(gloss):
+        add_radiance(sky.gloss, s, GLOSS, LIFTED, glossy[k])
+    for k in range(through):
+        add_radiance(sky.behind, s, THROUGH, DOWN, open_[k])
+
+
+@inlined_function
+def list_above(s, row, n, least, which_out):
+    """List the pixels that have more than `least` in a row of numbers; return how many there are.
+
+    Without a branch: such pixels are scattered, which no processor predicts.
+    """
+    count = np.uint32(0)
+    for i in range(n):
+        which_out[count] = np.uint32(i)
+        count = np.uint32(count + np.uint32(s[row + i] > least))
+    return count
+
+
+@inlined_function
+def add_radiance(environment, s, share, down, i):
+    """Add a share of the radiance of an environment map to pixel i."""
+    w = s[np.uint32(share + i)]
+    r, g, b = color_in_map(environment, s[np.uint32(ACROSS + i)], s[np.uint32(down + i)])
+    s[np.uint32(RED + i)] += w * r
+    s[np.uint32(GREEN + i)] += w * g
+    s[np.uint32(BLUE + i)] += w * b
+
+
+@inlined_function
+def write_pixels(n, s, picture_out, depth_out, clearance_out):
+    """Write n pixels of the wet picture."""
+    for i in range(n):
+        picture_out[3 * i] = s[RED + i]
+        picture_out[3 * i + 1] = s[GREEN + i]
+        picture_out[3 * i + 2] = s[BLUE + i]
+    for i in range(n):
+        depth_out[i] = s[DEPTH + i] if s[ALPHA + i] >= SURFACE_ALPHA else NO_DEPTH
+    for i in range(n):
+        clearance_out[i] = s[CLEARANCE + i]
+
+
+@inlined_function
+def write_cover(ground, n, s, cover_out):
+    """Write the share of a full water film on level ground."""
+    for i in range(n):
+        cover_out[i] = ZERO
+        if s[UPNESS + i] > FLAT and s[HEIGHT + i] < ON_GROUND:
+            cover_out[i] = mirror_cover(
+                surface_point(s, i), s[CLEARANCE + i], stored_wetness(s, WETNESS + i, CHUNK),
+                ground,
+            )  # fmt: skip
+
+
+@cpu_kernel
+def find_dampness(
+    depth, clearance, normal, view: View, ground: GroundMaps, rain: OffGroundWetness, damp_out
+):
+    """Write how wet what a picture shows is, for the AOV.
+
+    Parameters
+    ----------
+    depth, clearance : ndarray of shape (height, width), float32 [m]
+        As `grade_and_wet` wrote them.
+    normal : ndarray of shape (height, width, 3), float32
+        See `DryPicture`.
+    view : View
+    ground : GroundMaps
+    rain : OffGroundWetness
+    damp_out : ndarray of shape (height, width), float32
+        0 dry to 1 wet through; 0 for the sky.
+    """
+    height, width = depth.shape
+    m, eye = view.ground_from_camera, view.eye
+    for row in prange(height):
+        for column in range(width):
+            d = depth[row, column]
+            damp_out[row, column] = ZERO
+            if not d < FAR_AWAY:
+                continue
+            a, b, c = pixel_ray(view, row, column)
+            x, y, z = eye[0] + d * a, eye[1] + d * b, eye[2] + d * c
+            n0, n1, n2 = normal[row, column, 0], normal[row, column, 1], normal[row, column, 2]
+            upness = m[2, 0] * n0 + m[2, 1] * n1 + m[2, 2] * n2
+            if clearance[row, column] < ON_GROUND and upness > FLAT:
+                u = (x - ground.origin[0]) / ground.spacing - HALF
+                v = (y - ground.origin[1]) / ground.spacing - HALF
+                damp_out[row, column] = on_ground(ground, u, v).dampness
+            else:
+                lean_x = m[0, 0] * n0 + m[0, 1] * n1 + m[0, 2] * n2
+                lean_y = m[1, 0] * n0 + m[1, 1] * n1 + m[1, 2] * n2
+                above = clearance[row, column]
+                point = SurfacePoint(x, y, z, lean_x, lean_y, upness, d)
+                damp_out[row, column] = damp_off_ground(
+                    rain, point, above if above < FAR_AWAY else z
+                )

@@ -1,0 +1,308 @@
+"""How water changes the look of a captured surface: formulas of darkening and gloss, and one pixel.
+
+`wet_pixel` puts the formulas together for one point: traced rays and CUDA threads call it, and
+`wet_pass` does the same in vectors of pixels. Colours are linear light, radiance relative to
+display white; places and normals are in the ground frame.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from rainsim.constants import FAR_AWAY, FOUR, HALF, ONE, SURFACE_ALPHA, TWO, ZERO
+from rainsim.jit import device_function, inlined_function
+from rainsim.numerics.interpolation import bilinear, smoothstep
+from rainsim.shading.color import luminance
+from rainsim.shading.environment import sample_environment
+from rainsim.shading.fresnel import fresnel
+from rainsim.shading.grading import graded, is_edge, sky_share, undiluted
+from rainsim.shading.walls import damp_off_ground
+from rainsim.shading.wetness import Wetness, wetness_in
+
+# Darkening: ratio of wet to dry albedo, Lekner and Dorf 1988 after Angstrom, see `wet_ratio`.
+ESCAPE = np.float32(0.066)  # diffuse light that the water film reflects from outside
+TRAPPED = np.float32(0.4746)  # diffuse light that the water film reflects back from inside
+FILLING = np.float32(1.55)  # of the similarity: its asymmetry goes from some 0.64 to 0.85
+ALBEDO_PER_COLOR = np.float32(0.85)  # sunlit captured colour to albedo: a guess, light is baked in
+LEAST_ALBEDO, MOST_ALBEDO = np.float32(0.02), np.float32(0.8)
+SHED = np.float32(0.55)  # share of the darkening that leaves do without, for they shed water
+ENRICHMENT = np.float32(0.25)  # of the saturation of a surface that is wet through; by eye
+
+GLOSS = np.float32(0.3)  # of a smooth mirror: what a water film on rough stone reflects; by eye
+GLOSS_LIFT = np.float32(0.3)  # sine by which its lobe is lifted above the mirror direction
+EDGE_COSINE = np.float32(0.25)  # of the view to a thing's surface, below which it glosses less
+GRAZING = np.float32(0.02)  # least cosine that Fresnel's factor is taken at
+
+FLAT = np.float32(0.7)  # cosine to the vertical above which a surface counts as level ground
+ON_GROUND = np.float32(0.3)  # m over the bed: a surface that is higher is no ground
+WALL_SHARE = np.float32(0.15)  # of the depth by which a wall's plane may differ from it
+TO_BORDER = np.float32(1.01)  # cells before the map's end that interpolation still reaches
+SKY_SINE = np.float32(0.03)  # sine of the elevation above which there may be sky
+OPEN_LOW, OPEN_HIGH = np.float32(-0.12), np.float32(-0.06)  # sines from which an open sky shows
+HOLE, GAP = np.float32(0.4), np.float32(0.9)  # of a pixel left open: a flaw, and the sky
+LEAST_SKY = np.float32(0.002)  # share of sky that does not change an 8-bit picture
+
+
+class GroundMaps(NamedTuple):
+    """The mapped ground: its height and how wet each cell is; read-only."""
+
+    bed: np.ndarray  # (ny, nx) float32 [m]
+    wetness: np.ndarray  # (ny, nx, 4) float32, see `Wetness`
+    origin: np.ndarray  # (2,) float32 [m], corner of the first cell
+    spacing: np.float32  # m
+
+
+class SkyMaps(NamedTuple):
+    """Environment maps in the ground frame, (rows, columns, 3) float32; read-only."""
+
+    gloss: np.ndarray  # the surroundings, blurred as wet rough surfaces mirror them
+    behind: np.ndarray  # the sky that is seen behind the scene
+
+
+class SurfacePoint(NamedTuple):
+    """A place on a captured surface: position [m], unit normal, distance from the eye [m]."""
+
+    x: np.float32
+    y: np.float32
+    z: np.float32
+    nx: np.float32
+    ny: np.float32
+    nz: np.float32
+    distance: np.float32
+
+
+@inlined_function
+def wet_ratio(albedo):
+    """Return the albedo of a rough surface under a water film over its dry albedo.
+
+    (1 - R_e) (1 - p) / (1 - p a) with the albedo a of the surface itself unchanged, Lekner and
+    Dorf 1988 (Appl. Opt. 27): R_e is ESCAPE, p is TRAPPED.
+    """
+    return (ONE - ESCAPE) * (ONE - TRAPPED) / (ONE - TRAPPED * albedo)
+
+
+@inlined_function
+def filled_ratio(albedo):
+    """Return the albedo of a porous surface whose pores are full of water over its dry albedo.
+
+    Grains scatter less sideways in water than in air, so that light goes deeper and less comes back
+    (Twomey, Bohren and Mergenthaler 1986, Appl. Opt. 25). By the albedo of a deep layer,
+    (1 - s)(1 - 0.139 s) / (1 + 1.17 s) with the similarity s (van de Hulst 1980, table 12.1), and s
+    larger by FILLING when the pores are full.
+    """
+    a = np.float32(0.139)
+    b = np.float32(1.139) + np.float32(1.17) * albedo
+    s = (b - math.sqrt(b * b - FOUR * a * (ONE - albedo))) / (TWO * a)
+    s = min(s * FILLING, ONE)
+    return (ONE - s) * (ONE - a * s) / (ONE + np.float32(1.17) * s) / albedo
+
+
+@inlined_function
+def wetted(r, g, b, share, wet, look):
+    """Return the graded colour of a surface of which a share is wet, the others being sky.
+
+    It is darker by the ratio of wet to dry albedo, the albedo guessed from the colour: the ratio
+    under a water film, mixed by the porosity with that of filled pores. Leaves and lawns darken
+    less, for they shed water. And it is more saturated.
+    """
+    top = max(max(r, g), b)
+    green = min(max((TWO * g - r - b) / max(top, np.float32(1e-3)) * TWO, ZERO), ONE)
+    amount = wet.dampness * share * (ONE - SHED * max(green, wet.lawn))
+    y = luminance(r, g, b)
+    albedo = min(max(y / look.exposure * ALBEDO_PER_COLOR, LEAST_ALBEDO), MOST_ALBEDO)
+    ratio = wet_ratio(albedo)
+    ratio += wet.porosity * (min(filled_ratio(albedo), ratio) - ratio)
+    darker = ONE - amount * (ONE - ratio)
+    richer = ONE + ENRICHMENT * amount
+    return (
+        max(y + (r - y) * richer, ZERO) * darker,
+        max(y + (g - y) * richer, ZERO) * darker,
+        max(y + (b - y) * richer, ZERO) * darker,
+    )
+
+
+@inlined_function
+def on_ground(ground, u, v):
+    """Return the `Wetness` of the ground at column u and row v, which lie within the map."""
+    i, j = int(u), int(v)
+    return wetness_in(ground.wetness, j, i, j + 1, i + 1, u - np.float32(i), v - np.float32(j))
+
+
+@inlined_function
+def off_ground(rain, damp, height):
+    """Return the `Wetness` of a surface that is no ground, at a height [m] over the ground."""
+    film = damp * rain.film_left * (ONE if height < ON_GROUND else HALF)
+    return Wetness(ZERO, damp, film, rain.porosity)
+
+
+@inlined_function
+def map_place(ground, x, y):
+    """Return column and row of a map at (x, y) [m]; cell centres are whole numbers."""
+    u = (x - ground.origin[0]) / ground.spacing - HALF
+    v = (y - ground.origin[1]) / ground.spacing - HALF
+    return u, v
+
+
+@inlined_function
+def wet_state(point, solid, ground, rain):
+    """Return where a surface is over the ground, and how wet it is.
+
+    Parameters
+    ----------
+    point : SurfacePoint
+    solid : bool
+        Whether there is a surface at all.
+    ground : GroundMaps
+    rain : OffGroundWetness
+
+    Returns
+    -------
+    clearance : float32 [m]
+        Height over the bed; FAR_AWAY off the map and without a surface.
+    height : float32 [m]
+        The same, but off the map the height over the ground plane.
+    wet : Wetness
+    """
+    rows, columns = ground.bed.shape
+    u, v = map_place(ground, point.x, point.y)
+    inside = u > ZERO and v > ZERO
+    inside = inside and u < np.float32(columns - 1) and v < np.float32(rows - 1)
+    if not solid:
+        return FAR_AWAY, FAR_AWAY, Wetness(ZERO, ZERO, ZERO, ZERO)
+    clearance = point.z - bilinear(ground.bed, u, v) if inside else FAR_AWAY
+    height = clearance if inside else point.z
+    if clearance < ON_GROUND and point.nz > FLAT:
+        return clearance, height, on_ground(ground, u, v)
+    return clearance, height, off_ground(rain, damp_off_ground(rain, point, height), height)
+
+
+@inlined_function
+def mirror_cover(point, clearance, wet, ground):
+    """Return the share of a full water film on level ground at a point, 0 to 1.
+
+    `clearance` and `wet` are those of `wet_state`. Off the map the film is that at the border.
+    """
+    lawn, film = wet.lawn, wet.film
+    if not clearance < FAR_AWAY:
+        u, v = map_place(ground, point.x, point.y)
+        u = min(max(u, ZERO), np.float32(ground.wetness.shape[1]) - TO_BORDER)
+        v = min(max(v, ZERO), np.float32(ground.wetness.shape[0]) - TO_BORDER)
+        border = on_ground(ground, u, v)
+        lawn, film = border.lawn, border.film
+    return film * (TWO * point.nz - ONE) * (ONE - lawn)
+
+
+@inlined_function
+def rainy_color(r, g, b, alpha, distance, sine, cosine, upness, height, wet, look):
+    """Return a captured surface's colour in the rain, and the shares of gloss and of sky.
+
+    Parameters
+    ----------
+    r, g, b : float32
+        Captured linear colour, see `undiluted`.
+    alpha : float32
+        Share of the pixel that the surface covers.
+    distance : float32 [m]
+    sine : float32
+        Of the elevation that the surface is seen at.
+    cosine : float32
+        Between its normal and the way back to the eye.
+    upness : float32
+        Cosine between its normal and the vertical.
+    height : float32 [m]
+        Over the ground.
+    wet : Wetness
+    look : Look
+
+    Returns
+    -------
+    r, g, b : float32
+        Radiance that the surface adds to the pixel, without gloss.
+    gloss, through : float32
+        Weights of the mirrored surroundings and of the sky behind.
+    """
+    sky, gloss, surface = ZERO, ZERO, ONE
+    if distance > look.sky_distance and sine > SKY_SINE:
+        sky = sky_share(r, g, b)
+        surface = ONE - sky
+        sky *= look.sky_replaced
+    r, g, b = graded(r, g, b, look)
+    if wet.dampness * surface > ZERO:
+        r, g, b = wetted(r, g, b, surface, wet, look)
+        gloss = wet.film * max(TWO * upness - ONE, ZERO) * (ONE - wet.lawn) * GLOSS
+        if gloss > ZERO:
+            gloss *= fresnel(max(cosine, GRAZING))
+            if height > ON_GROUND:  # blended normals at edges look grazed, which they are not
+                gloss *= smoothstep(ZERO, EDGE_COSINE, cosine)
+    # The sky of the day replaces the captured sky and fills what no splat covers. Many captures
+    # leave dark places half open: those are not sky.
+    through, keep = alpha * sky, ONE - sky
+    if look.open_sky > ZERO:
+        keep *= alpha if is_edge(alpha, look) else ONE
+        through += (ONE - alpha) * smoothstep(OPEN_LOW, OPEN_HIGH, sine)
+    elif sine > ZERO:
+        through += (ONE - alpha) * smoothstep(HOLE, GAP, ONE - alpha)
+    return r * keep, g * keep, b * keep, gloss * keep, through
+
+
+@device_function
+def glossed(environment, x, y, z):
+    """Return what a wet rough surface seen along the unit direction (x, y, z) mirrors, blurred.
+
+    Mostly what lies above the mirror direction.
+    """
+    return sample_environment(environment, x, y, abs(z) + GLOSS_LIFT)
+
+
+@inlined_function
+def wet_pixel(color, alpha, ray, distance, point, ground, rain, sky, look, mirror_apart):
+    """Return the radiance of a captured point in the rain: all formulas put together.
+
+    Parameters
+    ----------
+    color : tuple of 3 float32
+        Display-referred, over black.
+    alpha : float32
+    ray : tuple of 3 float32
+        Unit direction of view.
+    distance : float32 [m]
+        To what is drawn.
+    point : SurfacePoint
+        Where it is wetted: on walls its distance may be another one than `distance`.
+    ground : GroundMaps
+    rain : OffGroundWetness
+    sky : SkyMaps
+    look : Look
+    mirror_apart : bool
+        Whether level ground's reflection is left out, since the wet-ground mirror adds it.
+
+    Returns
+    -------
+    r, g, b : float32
+        Radiance.
+    clearance : float32 [m]
+        See `wet_state`.
+    cover : float32
+        Share of a full water film, for the wet-ground mirror; 0 unless `mirror_apart`.
+    """
+    x, y, z = ray
+    clearance, height, wet = wet_state(point, alpha >= SURFACE_ALPHA, ground, rain)
+    r, g, b = color
+    r, g, b = undiluted(r, g, b, alpha if is_edge(alpha, look) else ONE)
+    cosine = -(x * point.nx + y * point.ny + z * point.nz)
+    r, g, b, gloss, through = rainy_color(
+        r, g, b, alpha, distance, z, cosine, point.nz, height, wet, look
+    )
+    cover = ZERO
+    if mirror_apart and point.nz > FLAT and height < ON_GROUND:
+        cover = mirror_cover(point, clearance, wet, ground)
+    elif gloss > ZERO:
+        e0, e1, e2 = glossed(sky.gloss, x, y, z)
+        r, g, b = r + gloss * e0, g + gloss * e1, b + gloss * e2
+    if through > LEAST_SKY:
+        e0, e1, e2 = sample_environment(sky.behind, x, y, z)
+        r, g, b = r + through * e0, g + through * e1, b + through * e2
+    return r, g, b, clearance, cover

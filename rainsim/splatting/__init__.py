@@ -1,0 +1,1 @@
+"""The kernels behind `rainsim.raster`: projection, tile lists, blending."""

@@ -1,0 +1,53 @@
+"""The terrain of a scene from the results of an earlier run, or extracted and kept for the next."""
+
+from __future__ import annotations
+
+from rainsim.io import cache
+from rainsim.terrain.types import Grid, Terrain
+
+KIND = "terrain"
+ARRAYS = ("bed", "top", "underside", "source", "ground_class", "noise", "color")
+
+
+def kept_terrain(scene, config, mask=None):
+    """Return what `extract_terrain` returns, to the byte; the parameters are the same.
+
+    The kept entry is named by the splats' content, the ground frame, the cameras, the drains, the
+    settings of the terrain, the mask and the code up to the terrain; see `rainsim.io.cache`.
+    """
+    name = entry_name(scene, config, mask) if cache.folder() else None
+    found = name and cache.read(KIND, name)
+    if found:
+        return _unpacked(*found)
+    from rainsim.terrain.extract import extract_terrain  # not needed for a kept terrain
+
+    terrain = extract_terrain(scene, config, mask)
+    if name:
+        cache.write(KIND, name, *_packed(terrain))
+    return terrain
+
+
+def entry_name(scene, config, mask=None):
+    """Return the name of a terrain's entry, see `rainsim.io.cache.name_of`."""
+    return cache.name_of(
+        KIND, scene.splats, scene.ground_frame, scene.cameras, scene.drains, config, mask
+    )
+
+
+def _packed(terrain):
+    """Return a terrain as the facts and arrays of an entry."""
+    grid = terrain.grid
+    facts = {
+        "shape": list(map(int, grid.shape)), "origin": grid.origin, "spacing": grid.spacing,
+        "notes": terrain.notes,
+    }  # fmt: skip
+    arrays = {name: getattr(terrain, name) for name in ARRAYS}
+    if terrain.water.any():
+        arrays["water"] = terrain.water
+    return facts, arrays
+
+
+def _unpacked(facts, arrays):
+    """Return the terrain of an entry's facts and arrays."""
+    grid = Grid(tuple(facts["shape"]), tuple(facts["origin"]), facts["spacing"])
+    return Terrain(grid, **arrays, notes=tuple(facts["notes"]))

@@ -1,0 +1,1 @@
+"""What `rainsim.grid` calls, and water beside the solver: schemes, friction, puddles, ripples."""

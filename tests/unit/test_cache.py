@@ -1,0 +1,367 @@
+"""Kept results: equal to fresh ones to the byte, and never taken for other inputs."""
+
+import dataclasses
+import os
+import shutil
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from made_captures import patio, ring, splats_at
+from rainsim import pipeline
+from rainsim.config.settings import Config
+from rainsim.io import cache
+from rainsim.rain import dripping, exposure
+from rainsim.scene import library
+from rainsim.scene.cameras import write_transforms
+from rainsim.scene.folder import import_scene
+from rainsim.scene.library import load_scene
+from rainsim.scene.ply import write_splats
+from rainsim.terrain import kept
+from rainsim.terrain.types import Grid, Terrain
+from scenes import tiny_scene
+
+CONFIG = Config.from_preset("moderate").replace(spacing=0.04, extent=1.0, width=48, frames=2)
+
+
+@pytest.fixture
+def folder(monkeypatch, tmp_path):
+    """The folder of kept results of a test's own."""
+    monkeypatch.setenv("RAINSIM_CACHE", str(tmp_path / "kept"))
+    return tmp_path / "kept"
+
+
+def same(a, b):
+    """Assert that two results are equal to the byte, and of the same types."""
+    assert type(a) is type(b)
+    if dataclasses.is_dataclass(a):
+        for field in dataclasses.fields(a):
+            same(getattr(a, field.name), getattr(b, field.name))
+    elif isinstance(a, np.ndarray):
+        assert a.dtype == b.dtype and a.shape == b.shape and a.tobytes() == b.tobytes()
+    elif isinstance(a, tuple | list):
+        assert len(a) == len(b)
+        for one, other in zip(a, b, strict=True):
+            same(one, other)
+    else:
+        assert a == b
+
+
+# --- entries --------------------------------------------------------------------------------------
+
+
+def test_an_entry_comes_back_to_the_byte(folder, rng):
+    arrays = {
+        "floats": rng.normal(size=(37, 3)).astype(np.float32), "none": np.zeros((0, 3)),
+        "flags": rng.random(11) > 0.5, "turned": np.arange(12, dtype=np.int64).reshape(3, 4).T,
+        "odd": np.array([np.nan, -0.0, np.inf]),
+    }  # fmt: skip
+    facts = {"notes": ["a", "ü"], "number": 0.1 + 0.2, "nothing": None}
+    assert cache.read("test", "name") is None
+    cache.write("test", "name", facts, arrays)
+    found, back = cache.read("test", "name")
+    assert found == facts and list(back) == list(arrays)
+    for name, array in arrays.items():
+        same(back[name], np.ascontiguousarray(array))
+        assert back[name].flags.writeable
+    assert cache.read("test", "other") is None and cache.read("other", "name") is None
+    assert [path.name for path in folder.iterdir()] == ["test-name.kept"]
+
+
+def test_an_array_of_several_blocks_comes_back(folder, monkeypatch, rng):
+    monkeypatch.setattr(cache, "BLOCK", 64)
+    array = rng.integers(0, 255, 1000, dtype=np.uint8)
+    cache.write("test", "name", {}, {"array": array})
+    same(cache.read("test", "name")[1]["array"], array)
+
+
+@pytest.mark.parametrize("where", [0, 20, 30, 70, 200, -5])
+def test_a_damaged_entry_counts_as_none_and_is_removed(folder, where):
+    cache.write("test", "name", {"one": 1}, {"array": np.arange(100.0)})
+    path = folder / "test-name.kept"
+    content = bytearray(path.read_bytes())
+    content[where] ^= 1
+    path.write_bytes(content)
+    assert cache.read("test", "name") is None and not path.exists()
+
+
+@pytest.mark.parametrize("length", [0, 5, 25, 60, 300, -1])
+def test_an_entry_that_is_cut_off_counts_as_none(folder, length):
+    cache.write("test", "name", {"one": 1}, {"array": np.arange(100.0)})
+    path = folder / "test-name.kept"
+    path.write_bytes(path.read_bytes()[:length])
+    assert cache.read("test", "name") is None and not path.exists()
+
+
+def test_a_folder_that_cannot_be_written_is_no_error(monkeypatch, tmp_path):
+    file = tmp_path / "file"
+    file.write_text("in the way")
+    monkeypatch.setenv("RAINSIM_CACHE", str(file / "kept"))
+    cache.write("test", "name", {}, {"array": np.zeros(3)})
+    assert cache.read("test", "name") is None
+    assert cache.summary()["entries"] == 0 and not cache.summary()["writable"]
+
+
+def test_a_full_disk_is_no_error_and_leaves_nothing(folder, monkeypatch):
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(cache, "_write", full)
+    cache.write("test", "name", {}, {"array": np.zeros(3)})
+    assert list(folder.iterdir()) == []
+
+
+def test_keeping_can_be_turned_off(monkeypatch, tmp_path):
+    monkeypatch.setenv("RAINSIM_CACHE", "off")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    cache.write("test", "name", {}, {"array": np.zeros(3)})
+    assert cache.folder() is None and cache.read("test", "name") is None
+    assert list(tmp_path.iterdir()) == [] and cache.summary()["folder"] is None
+    monkeypatch.delenv("RAINSIM_CACHE")
+    assert cache.folder() == tmp_path / "rainsim" / "results"
+
+
+def test_what_was_not_used_for_the_longest_time_is_deleted(folder, monkeypatch):
+    monkeypatch.setattr(cache, "MOST_ENTRIES", 3)
+    now = time.time()
+    for age, name in ((30, "old"), (20, "used"), (10, "new")):
+        cache.write("test", name, {}, {"array": np.zeros(3)})
+        os.utime(folder / f"test-{name}.kept", (now - age, now - age))
+    assert cache.read("test", "old") is not None  # used now
+    cache.write("test", "newest", {}, {"array": np.zeros(3)})
+    assert {p.name for p in folder.iterdir()} == {
+        "test-old.kept", "test-new.kept", "test-newest.kept",
+    }  # fmt: skip
+
+
+def test_entries_take_no_more_than_their_share_of_the_disk(folder, monkeypatch):
+    monkeypatch.setattr(cache, "MOST_BYTES", 20_000)
+    now = time.time()
+    for number in range(4):
+        cache.write("test", str(number), {}, {"array": np.zeros(1000)})
+        if number < 3:
+            os.utime(folder / f"test-{number}.kept", (now - 10 + number, now - 10 + number))
+    assert {p.name for p in folder.iterdir()} == {"test-2.kept", "test-3.kept"}
+    cache.write("test", "large", {}, {"array": np.zeros(3000)})
+    assert cache.read("test", "large") is None and cache.read("test", "3") is not None
+
+
+def test_what_a_killed_run_left_is_deleted(folder):
+    cache.write("test", "one", {}, {})
+    left = folder / ".test-two.kept.abc.kept"
+    for age, there in ((0, True), (2 * cache.STALE, False)):
+        left.write_bytes(b"half")
+        os.utime(left, (time.time() - age,) * 2)
+        cache.write("test", "one", {}, {})
+        assert left.exists() == there
+    assert cache.summary()["entries"] == 1
+
+
+# --- names ----------------------------------------------------------------------------------------
+
+
+def test_equal_inputs_share_a_name_and_others_do_not():
+    inputs = [
+        None, True, 1, 1.0, "1", b"1", Path("1"), (), (1,), (1, (1,)), (1, 1), {"a": 1}, {"a": 1.0},
+        np.float32(1), np.float64(1), np.zeros(3), -np.zeros(3), np.zeros(3, np.float32),
+        np.zeros((3, 1)), np.zeros(24, np.uint8), 0.0, -0.0, 0.1, np.nextafter(0.1, 1),
+        tiny_scene().cameras[0], tiny_scene().ground_frame,
+    ]  # fmt: skip
+    names = [cache.name_of("scene", value) for value in inputs]
+    assert len(set(names)) == len(names)
+    assert names == [cache.name_of("scene", value) for value in inputs]
+    assert cache.name_of("terrain", None) != names[0]
+    assert cache.name_of("scene", "ab", "c") != cache.name_of("scene", "a", "bc")
+    with pytest.raises(TypeError, match="has no hash"):
+        cache.name_of("scene", {1, 2})
+
+
+def test_every_byte_of_an_array_counts(monkeypatch, rng):
+    monkeypatch.setattr(cache, "BLOCK", 64)
+    array = rng.integers(0, 255, 1000, dtype=np.uint8)
+    name = cache.name_of("scene", array)
+    for place in (0, 63, 64, 500, 999):
+        other = array.copy()
+        other[place] ^= 1
+        assert cache.name_of("scene", other) != name
+    swapped = np.concatenate([array[64:128], array[:64], array[128:]])
+    assert cache.name_of("scene", swapped) != name
+
+
+def test_the_code_the_machine_and_its_variables_count(monkeypatch, tmp_path):
+    name = cache.name_of("terrain", 1)
+    with monkeypatch.context() as patch:
+        patch.setenv("NUMBA_CPU_NAME", "generic")
+        assert cache.name_of("terrain", 1) != name
+    with monkeypatch.context() as patch:
+        patch.setattr(cache, "_machine", lambda: ["another"])
+        assert cache.name_of("terrain", 1) != name
+    package = tmp_path / "rainsim"
+    shutil.copytree(cache.PACKAGE, package, ignore=shutil.ignore_patterns("__pycache__"))
+    monkeypatch.setattr(cache, "PACKAGE", package)
+
+    def names():
+        cache._code.cache_clear()
+        return {stage: cache.name_of(stage, 1) for stage in ("scene", "demo_scenes", "terrain")}
+
+    before = names()
+    assert before["terrain"] == name
+    earlier = {
+        "terrain/bed.py": {"terrain"}, "config/classes.toml": {"scene", "demo_scenes", "terrain"},
+        "jit.py": {"scene", "demo_scenes", "terrain"}, "water/puddles.py": set(),
+        "splatting/blend.py": {"demo_scenes", "terrain"},
+        "demo_scenes/bicycle/bench.py": {"demo_scenes", "terrain"},
+    }  # fmt: skip
+    for file, changed in earlier.items():
+        with open(package / file, "a", encoding="utf-8") as opened:
+            opened.write("\n")
+        after = names()
+        assert {stage for stage in before if after[stage] != before[stage]} == changed, file
+        before = after
+    cache._code.cache_clear()
+
+
+# --- what is kept ---------------------------------------------------------------------------------
+
+
+def test_a_kept_built_in_scene_is_the_generated_one(folder, monkeypatch):
+    fresh = load_scene("bicycle")
+    made = library.import_module
+    monkeypatch.setattr(library, "import_module", lambda name: pytest.fail("generated again"))
+    same(load_scene("bicycle"), fresh)
+    monkeypatch.setattr(library, "import_module", made)
+    monkeypatch.setenv("RAINSIM_CACHE", "off")
+    same(load_scene("bicycle"), fresh)
+
+
+def test_a_kept_ground_frame_is_the_estimated_one(folder, tmp_path):
+    def at(path, cameras, **given):
+        write_splats(path, splats_at(patio(3000)))
+        write_transforms(tmp_path / "cameras.json", cameras)
+        before = len(list(folder.glob("frame-*")))
+        scene = import_scene(path, **given)
+        return scene.ground_frame, len(list(folder.glob("frame-*"))) - before
+
+    fresh, added = at(tmp_path / "yard.ply", ring())
+    assert added == 1
+    again, added = at(tmp_path / "yard.ply", ring())
+    assert added == 0
+    same(again, fresh)
+    up = tuple(fresh.up)
+    for given in ({"up": up}, {"meters_per_unit": 2.0}, {"camera_height": 1.7}):
+        assert at(tmp_path / "yard.ply", ring(), **given)[1] == 1
+    assert at(tmp_path / "yard.ply", ring(count=7))[1] == 1
+    write_splats(tmp_path / "other.ply", splats_at(patio(3001)))
+    before = len(list(folder.glob("frame-*")))
+    import_scene(tmp_path / "other.ply")
+    assert len(list(folder.glob("frame-*"))) == before + 1
+
+
+def test_a_kept_terrain_is_the_extracted_one(folder, monkeypatch):
+    scene = tiny_scene()
+    mask = np.full((50, 50), -1)
+    mask[20:30, 20:30] = 4  # painted water
+    fresh = [pipeline.extract_terrain(scene, CONFIG, m) for m in (None, mask)]
+    assert fresh[1].water.any() and not fresh[0].water.any()
+    assert len(list(folder.glob("terrain-*"))) == 2
+    monkeypatch.setattr("rainsim.terrain.extract.extract_terrain", lambda *_: pytest.fail("again"))
+    for m, terrain in zip((None, mask), fresh, strict=True):
+        same(pipeline.extract_terrain(tiny_scene(), CONFIG, m), terrain)
+
+
+def test_each_input_of_a_terrain_changes_its_name():
+    scene, config, mask = tiny_scene(), CONFIG.terrain, np.full((50, 50), -1)
+    names = [kept.entry_name(scene, config), kept.entry_name(scene, config, mask)]
+    splats, frame, camera = scene.splats, scene.ground_frame, scene.cameras[0]
+    for field in dataclasses.fields(splats):
+        changed = getattr(splats, field.name).copy()
+        changed.reshape(-1)[-1] += np.float32(1e-3)
+        other = replace(splats, **{field.name: changed})
+        names.append(kept.entry_name(replace(scene, splats=other), config))
+    scenes = [
+        replace(scene, splats=splats.take(np.arange(len(splats) - 1))),
+        replace(scene, ground_frame=replace(frame, meters_per_unit=0.61)),
+        replace(scene, ground_frame=replace(frame, translation=frame.translation + 1e-9)),
+        replace(scene, cameras=scene.cameras[1:]),
+        replace(scene, cameras=(replace(camera, fx=camera.fx + 1e-9), *scene.cameras[1:])),
+        replace(scene, drains=((0.1, 0.2, 0.3),)),
+    ]
+    names += [kept.entry_name(other, config) for other in scenes]
+    for change in ({"spacing": 0.05}, {"extent": 1.1}, {"slab": 0.3}):
+        names.append(kept.entry_name(scene, replace(config, **change)))
+    painted = mask.copy()
+    painted[3, 4] = 1
+    names.append(kept.entry_name(scene, config, painted))
+    assert len(set(names)) == len(names)
+    assert kept.entry_name(tiny_scene(), config) == names[0]
+
+
+def test_pictures_of_kept_results_are_the_same(folder, monkeypatch):
+    monkeypatch.setattr(exposure, "LEAST_KEPT", 0)
+    monkeypatch.setattr(dripping, "LEAST_KEPT", 0)
+
+    def frames():
+        scene = tiny_scene()
+        return [
+            (picture.copy(), report.ledger)
+            for picture, report in pipeline.render_rain(scene, scene.cameras[:1], CONFIG)
+        ]
+
+    fresh, again = frames(), frames()
+    kinds = sorted(path.name.partition("-")[0] for path in folder.iterdir())
+    assert kinds == ["catchments", "exposure", "terrain"]
+    monkeypatch.setenv("RAINSIM_CACHE", "off")
+    for run in (again, frames()):
+        for (picture, ledger), (first, account) in zip(run, fresh, strict=True):
+            same(picture, first)
+            assert ledger == account
+
+
+def test_each_input_of_the_exposure_changes_its_name(folder, monkeypatch):
+    monkeypatch.setattr(exposure, "LEAST_KEPT", 0)
+    bed = np.zeros((20, 30), np.float32)
+    top, under = bed.copy(), bed.copy()
+    top[5:9, 8:15], under[5:9, 8:15] = 1.1, 1.0  # a roof
+    maps = [np.zeros(bed.shape, np.uint8)] * 2, [bed, np.zeros((*bed.shape, 3), np.float32)]
+    terrain = Terrain(Grid(bed.shape, (0.0, 0.0), 0.04), bed, top, under, *maps[0], *maps[1])
+    raised = terrain.top.copy()
+    raised[3, 4] += np.float32(1e-3)
+    cases = [
+        (terrain, (2.0, 0.5), 0.01), (terrain, (2.1, 0.5), 0.01), (terrain, (2.0, 0.6), 0.01),
+        (terrain, (2.0, 0.5), 0.02), (replace(terrain, top=raised), (2.0, 0.5), 0.01),
+        (replace(terrain, bed=raised), (2.0, 0.5), 0.01),
+        (replace(terrain, underside=raised), (2.0, 0.5), 0.01),
+        (replace(terrain, grid=replace(terrain.grid, spacing=0.041)), (2.0, 0.5), 0.01),
+    ]  # fmt: skip
+    fresh = [exposure.rain_exposure(*case) for case in cases]
+    assert fresh[0].min() < 0.5 and fresh[0].max() > 0.9
+    assert len(list(folder.glob("exposure-*"))) == len(cases)
+    monkeypatch.setattr(exposure, "_computed", lambda *_: pytest.fail("computed again"))
+    for case, share in zip(cases, fresh, strict=True):
+        same(exposure.rain_exposure(*case), share)
+
+
+def test_a_kept_terrain_loads_nothing_that_extracts_one(folder, root):
+    scene = "from scenes import tiny_scene\nfrom rainsim.config.settings import Config\n"
+    code = scene + (
+        "import sys\nfrom rainsim.terrain.kept import kept_terrain\n"
+        "config = Config().replace(spacing=0.04, extent=1.0).terrain\n"
+        "print(kept_terrain(tiny_scene(), config).bed.sum())\n"
+        "print('rainsim.terrain.extract' in sys.modules, 'skimage' in sys.modules)\n"
+    )
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(root), str(root / "tests")])}
+
+    def run():
+        done = subprocess.run(
+            [sys.executable, "-c", code], env=environment, capture_output=True, text=True
+        )
+        assert done.returncode == 0, done.stderr
+        return done.stdout.split()
+
+    first, second = run(), run()
+    assert first[0] == second[0] and second[1:] == ["False", "False"]
