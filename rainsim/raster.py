@@ -85,7 +85,7 @@ class Rasterizer:
 
     def draw(
         self, camera, near, plane=None, depth="expected", compensate=False, degree=None,
-        background=(0, 0, 0), hit=False, drop_last=False,
+        background=(0, 0, 0), hit=False, drop_last=False, leading=False,
     ):  # fmt: skip
         """Return the `Layers` that `camera` sees; the same bytes for any number of threads.
 
@@ -110,10 +110,12 @@ class Rasterizer:
         drop_last : bool
             Leave out, as gsplat and the original code do, the splat that would bring a pixel's
             transmittance under 1e-4, and all behind it, however bright.
+        leading : bool
+            Leave out the splats that were prepared to come last.
         """
         require_choice("depth", depth, ("expected", "median"))
         background = np.asarray(background, np.float32)
-        chunks, start = self._list(camera, near, plane, bool(compensate), degree)
+        chunks, start = self._list(camera, near, plane, bool(compensate), degree, leading)
         halfway = depth == "median"
         layers, half = self._blend(camera, start, background, halfway, bool(drop_last))
         if hit:
@@ -157,7 +159,7 @@ class Rasterizer:
         )  # fmt: skip
         return layers, half
 
-    def _list(self, camera, near, plane, compensate, degree):
+    def _list(self, camera, near, plane, compensate, degree, leading=False):
         """Project the visible splats and list them by tile.
 
         Returns the indices of the chunks in sight and, for each tile, the start of its list.
@@ -174,6 +176,8 @@ class Rasterizer:
         p = self.prepared
         seen = np.empty(len(p.box), np.bool_)
         find_chunks(p.box, frustum, seen)
+        if leading and p.leading is not None:
+            seen[p.leading :] = False
         chunks = np.flatnonzero(seen)
         self._make_room(len(chunks) * LANES)
         visible = np.zeros(len(chunks), np.int64)

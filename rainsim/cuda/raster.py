@@ -60,6 +60,7 @@ class DeviceSplats:
 
     def __init__(self, prepared):
         self.count, self.chunks = len(prepared), len(prepared.box)
+        self.leading = self.chunks if prepared.leading is None else prepared.leading
         if self.chunks * LANES > project.MOST_SPLATS:
             raise ParameterError(
                 f"the scene has {self.count} splats; backend cuda takes at most "
@@ -172,10 +173,15 @@ class Rasterizer:
         That of another rasterizer of the same stream.
     first_room : int, optional
         Entries to make room for before anything was counted.
+    leading : bool
+        Leave out the splats that were prepared to come last.
     """
 
-    def __init__(self, prepared, stream=None, plain=False, workspace=None, first_room=None):
+    def __init__(
+        self, prepared, stream=None, plain=False, workspace=None, first_room=None, leading=False
+    ):
         self.splats = prepared if isinstance(prepared, DeviceSplats) else DeviceSplats(prepared)
+        self._take_chunks(leading)
         self.stream = cuda.stream() if stream is None else stream
         self.plain = plain or SIMULATED
         self._camera = FrameUniforms(self.stream, {"now": ((project.CAMERA,), np.float32)})
@@ -189,7 +195,7 @@ class Rasterizer:
 
     def draw(
         self, camera, near, plane=None, depth="expected", compensate=False, degree=None,
-        background=(0, 0, 0), hit=False, drop_last=False,
+        background=(0, 0, 0), hit=False, drop_last=False, leading=False,
     ):  # fmt: skip
         """Return the `Layers` that `camera` sees, on the host; see `rainsim.raster`.
 
@@ -198,17 +204,25 @@ class Rasterizer:
         if hit:
             raise ParameterError("hit is asked for; only the CPU has it; use backend cpu")
         self.update(camera, near, plane, depth, compensate, degree, drop_last)
+        self._take_chunks(leading)
         while True:
             self.launch()
             self.stream.synchronize()
             if not self.overflows():
                 break
             self.make_room()
+        self._take_chunks(False)
         layers = self.layers.to_host(camera.height, camera.width)
         if np.any(background):
             clear = (1 - layers.alpha)[..., None]
             layers.color[...] += clear * np.asarray(background, np.float32)
         return layers
+
+    def _take_chunks(self, leading):
+        """Draw all splats, or only those that were not prepared to come last."""
+        s = self.splats
+        chunks = s.leading if leading else s.chunks
+        self._box, self._seen = s.box[:chunks], s.seen[:chunks]
 
     def update(
         self, camera, near, plane=None, depth="expected", compensate=False, degree=None,
@@ -294,16 +308,17 @@ class Rasterizer:
         across = -(-width // TILE)
         now, key, value = self._now, self._key, self._value
         self._bring_numbers()
-        blocks = max(1, min(-(-max(len(self._key), s.chunks) // THREADS), 2048))
-        blocks = max(blocks, -(-s.chunks // THREADS))
+        chunks = len(self._seen)
+        blocks = max(1, min(-(-max(len(self._key), chunks) // THREADS), 2048))
+        blocks = max(blocks, -(-chunks // THREADS))
         project.start[blocks, THREADS, stream](
-            s.box, now[: project.EYE].reshape(3, 4), now[project.LENS : project.PLANE],
+            self._box, now[: project.EYE].reshape(3, 4), now[project.LENS : project.PLANE],
             self.size, now[project.NEAR : project.NEAR + 1],
-            now[project.PLANE : project.NEAR], flat, s.seen, key, self._range, self._total,
+            now[project.PLANE : project.NEAR], flat, self._seen, key, self._range, self._total,
         )  # fmt: skip
-        if s.chunks:
+        if chunks:
             lister = project.list_kernel(self.plain)
-            lister[s.chunks, THREADS, stream](
+            lister[chunks, THREADS, stream](
                 s.geometry, s.sh, s.seen, now, flat, compensate, self._bands, s.groups, across,
                 self._levels, s.record, key, value, self._total,
             )  # fmt: skip

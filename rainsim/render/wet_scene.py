@@ -20,6 +20,8 @@ from rainsim.scene.view import view_of
 from rainsim.shading import environment, sky, wetness
 from rainsim.shading.backdrop import Backdrop, sky_distance
 from rainsim.shading.grading import look_of
+from rainsim.shading.skyline import skylines, with_skyline
+from rainsim.shading.visibility import badly_placed
 from rainsim.shading.wet_ground_mirror import in_level_picture
 from rainsim.shading.wet_pass import NO_COVER, DryRays, dry_picture, grade_and_wet, grade_rays
 from rainsim.shading.wetting import GroundMaps, SkyMaps
@@ -52,8 +54,10 @@ class WetScene:
     near : float [capture units]
     reach : ndarray of shape (ny, nx), float32
         Share of the rain that reaches the ground.
-    day, behind : ndarray of shape (rows, columns, 3), float32
-        The sky of the day, and the sky that is seen behind the scene.
+    badly_placed : ndarray of shape (n,), bool
+        Splats that mirrored pictures and the surroundings leave out, see `visibility`.
+    day, behind, behind_mirrored : ndarray of shape (rows, columns, 3), float32
+        The sky of the day, and what is seen of it behind the scene and behind the mirrored scene.
     environment, gloss : ndarray of shape (rows, columns, 3), float32
         The wet capture around the first camera with the sky of the day; the same, blurred.
     look : Look
@@ -75,18 +79,28 @@ class WetScene:
         self.scene = self.backdrop.scene
         self.near = NEAR / self.frame.meters_per_unit
         self._rasterizer_of = rasterizer_of
-        self.rasterizer = rasterizer_of(prepare(self.scene.splats))
+        self.badly_placed = badly_placed(self.scene)
+        prepared = prepare(self.scene.splats, self.badly_placed)
+        self.rasterizer = rasterizer_of(prepared)
+        self._skylines = None
+        if not self.backdrop.count:
+            self._skylines = skylines(self.scene, prepared, first_camera, self.near)
         self.reach = rain_exposure(terrain, usual_wind(config), config.rain.roughness)
         self._grass = ndimage.gaussian_filter(terrain.grassy.astype(np.float32), 1)
         self._place = np.array(terrain.grid.origin, np.float32), np.float32(terrain.grid.spacing)
         self._standing = self.tracer = None  # made when they are first asked for
         self.notes = [self.backdrop.note()] if self.backdrop.count else []
+        if self.badly_placed.any():
+            self.notes.append(
+                f"mirrors leave out {self.badly_placed.sum()} high splats that hardly any camera saw"
+            )
         self.day = day_sky(config.render)
         self.look = self.off_ground = None
         self.set_time(config.at(0.0))
         eye = self.frame.to_ground(first_camera.position)
         if config.render.sky == "capture":
-            self.day = self.behind = self._captured_sky(eye)
+            self.day = self._captured_sky(eye)
+            self._set_skies()
         self.gloss = environment.blurred(self.day)  # until the surroundings are drawn
         self.environment = self._surroundings(eye)
         self.gloss = environment.blurred(self.environment)
@@ -100,8 +114,16 @@ class WetScene:
         self.look, self.off_ground = look, off_ground
         self.paving = wetness.paving_dampness(now)
         self.ground = wetness.ground_wetness(self.terrain, self._grass, self.reach, now)
-        self.behind = self.backdrop.behind(self.day, look)
+        self._set_skies()
         return True
+
+    def _set_skies(self):
+        """Make the skies behind the scene and behind the mirrored scene, by the present look."""
+        self.behind = self.behind_mirrored = self.backdrop.behind(self.day, self.look)
+        if self._skylines:
+            whole, mirrored = self._skylines
+            self.behind = with_skyline(self.day, whole, 0.0)
+            self.behind_mirrored = with_skyline(self.day, mirrored, self.look.exposure)
 
     @property
     def ground_maps(self):
@@ -140,7 +162,7 @@ class WetScene:
                 in_level_picture(self.rasterizer.prepared, self.terrain, self.frame)
             )
         _, camera = mirrored_camera(self.frame.camera_in_capture(level), self.frame, 0.0)
-        return self._wetted(self._standing.draw(camera, self.near), camera)
+        return self._wetted(self._standing.draw(camera, self.near), camera, mirrored=True)
 
     def mirrored(self, camera, level, window):
         """Return what stands above the water as `camera` mirrored at `level` [m] sees it.
@@ -160,7 +182,8 @@ class WetScene:
         """
         plane, camera = mirrored_camera(camera, self.frame, level)
         camera = cropped(camera, window)
-        wet = self._wetted(self.rasterizer.draw(camera, self.near, plane), camera)
+        layers = self.rasterizer.draw(camera, self.near, plane, leading=True)
+        wet = self._wetted(layers, camera, mirrored=True)
         return wet.view, MirrorPicture(wet.picture, coarsened(wet.picture), wet.depth)
 
     def traced(self, origin, direction, before, pixel, color_eye=None):
@@ -169,7 +192,10 @@ class WetScene:
         See `ray_traced.traced_light`.
         """
         if self.tracer is None:
-            self.tracer = Tracer(self.scene.splats)
+            splats = self.scene.splats
+            if self.badly_placed.any():
+                splats = splats.take(~self.badly_placed)
+            self.tracer = Tracer(splats)
         unit, turn = self.frame.meters_per_unit, self.frame.rotation
         clear = np.append(self.frame.up, MIRROR_CLEARANCE / unit)
         found = self.tracer.trace(
@@ -184,27 +210,27 @@ class WetScene:
         )  # fmt: skip
         return self._graded(rays), found.alpha, rays.distance
 
-    @property
-    def _shading(self):
-        """Ground, wetness off it, skies and look, as the grading kernels take them."""
-        return self.ground_maps, self.off_ground, SkyMaps(self.gloss, self.behind), self.look
+    def _shading(self, mirrored):
+        """Return ground, wetness off it, skies and look, as the grading kernels take them."""
+        behind = self.behind_mirrored if mirrored else self.behind
+        return self.ground_maps, self.off_ground, SkyMaps(self.gloss, behind), self.look
 
-    def _wetted(self, layers, camera, cover=NO_COVER):
+    def _wetted(self, layers, camera, cover=NO_COVER, mirrored=False):
         """Return the `WetPicture` of splatted layers, graded and wet."""
         view = view_of(self.frame.camera_in_ground(camera))
         shape = (camera.height, camera.width)
         picture = np.empty((*shape, 3), np.float32)
         depth, clearance = np.empty(shape, np.float32), np.empty(shape, np.float32)
         grade_and_wet(
-            dry_picture(layers, self.frame.meters_per_unit), view, *self._shading, picture, depth,
-            clearance, cover,
+            dry_picture(layers, self.frame.meters_per_unit), view, *self._shading(mirrored),
+            picture, depth, clearance, cover,
         )  # fmt: skip
         return WetPicture(picture, depth, clearance, view, picture)
 
     def _graded(self, rays):
         """Return the radiance of what rays have met, graded and wet."""
         light = np.empty_like(rays.color)
-        grade_rays(rays, *self._shading, light)
+        grade_rays(rays, *self._shading(True), light)
         return light
 
     def _captured_sky(self, position):
@@ -228,7 +254,9 @@ class WetScene:
         """Return the wet capture around `position` [m] with the sky of the day, as a map."""
 
         def draw(view):
-            return self.picture(self.frame.camera_in_capture(view), Timer()).picture
+            camera = self.frame.camera_in_capture(view)
+            layers = self.rasterizer.draw(camera, self.near, leading=True)
+            return self._wetted(layers, camera, mirrored=True).picture
 
         return environment.probe(draw, position)
 

@@ -7,7 +7,7 @@ the box its splats lie in: most of what is out of the picture is left out chunk 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -47,6 +47,9 @@ class PreparedSplats:
         Lowest and highest x, y, z that any splat of the chunk reaches.
     order : ndarray of shape (n,), int32
         Index of each prepared splat in the scene it came from.
+    leading : int or None
+        Number of the first chunks, which hold all splats but those that were to come last; None:
+        all chunks.
     """
 
     geometry: np.ndarray
@@ -55,6 +58,7 @@ class PreparedSplats:
     step: np.ndarray
     box: np.ndarray
     order: np.ndarray
+    leading: int | None = None
 
     def __len__(self):
         return len(self.order)
@@ -77,12 +81,16 @@ class PreparedSplats:
         return rows.reshape(-1, 3)[: len(self)]
 
 
-def prepare(splats):
+def prepare(splats, last=None):
     """Return the `PreparedSplats` of `splats`; quaternions may have any length.
 
-    Splats with a number that is none, or with a quaternion of zero, are never drawn.
+    Splats with a number that is none, or with a quaternion of zero, are never drawn. Splats that
+    the mask `last` (n,) selects lie in the last chunks, which a picture can leave out; the faintest
+    of them fill the chunk in which the others end.
     """
-    order = morton_order(splats.position)
+    order, leading = morton_order(splats.position), None
+    if last is not None and last.any():
+        order, leading = _put_last(splats, order, last)
     chunks = -(-len(order) // LANES)
     geometry = np.empty((chunks, GEOMETRY, LANES), np.float32)
     _lay_out(splats.position, splats.scale, splats.rotation, splats.opacity, order, geometry)
@@ -90,7 +98,17 @@ def prepare(splats):
     bad = np.zeros((chunks, LANES), np.bool_)
     prepared = _finish(geometry, values, order, order, bad)
     geometry[:, OPACITY][bad] = -np.inf
-    return prepared
+    return replace(prepared, leading=leading)
+
+
+def _put_last(splats, order, last):
+    """Return the order with the splats of a mask behind the others, and the chunks before them."""
+    first, behind = order[~last[order]], order[last[order]]
+    leading = -(-len(first) // LANES)
+    solid = splats.opacity[behind] * np.sort(splats.scale[behind], axis=1)[:, 1:].prod(axis=1)
+    filling = np.zeros(len(behind), np.bool_)
+    filling[np.argsort(solid, kind="stable")[: leading * LANES - len(first)]] = True
+    return np.concatenate([first, behind[filling], behind[~filling]]), leading
 
 
 def select(prepared, keep):

@@ -423,8 +423,9 @@ class Mirrors:
         while self.passes < wanted:
             own = self.renderer.rasterizer
             rasterizer = _MirroredRasterizer(
-                own.splats, self.stream, workspace=own.workspace, first_room=own.entries
-            )
+                own.splats, self.stream, workspace=own.workspace, first_room=own.entries,
+                leading=True,
+            )  # fmt: skip
             rasterizer.aim_by(self._aim(self.passes))
             self.rasterizers.append(rasterizer)
             self.passes += 1

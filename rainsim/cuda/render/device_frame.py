@@ -76,6 +76,7 @@ class DeviceFrame:
         self._ground, self._ground_sent = to_device(scene.ground), scene.ground
         self._around, self.gloss = to_device(scene.environment), to_device(scene.gloss)
         self._behind, self._behind_sent = to_device(scene.behind), scene.behind
+        self._behind_mirrored = to_device(scene.behind_mirrored)
         self._water = cuda.device_array(grid.shape, np.float32)
         self.surface = WaterSurface(
             self.terrain.bed, host.water.relief, self.terrain.mirrors, self._water, stream
@@ -126,6 +127,7 @@ class DeviceFrame:
 
     def _send_sky(self):
         self._behind.copy_to_device(self.wet_scene.behind)
+        self._behind_mirrored.copy_to_device(self.wet_scene.behind_mirrored)
         self._behind_sent = self.wet_scene.behind
 
     def _update_drops(self, field, state, camera_end):
@@ -308,9 +310,12 @@ class DeviceFrame:
         self._joined.wait(self.stream)
         chain(self.last_parts())()
 
-    def grade(self, rasterizer, shape, turn, eye, picture, depth, clearance, cover, stream):
+    def grade(
+        self, rasterizer, shape, turn, eye, picture, depth, clearance, cover, stream, mirrored=True
+    ):
         """Queue the grading and wetting of what a rasterizer has drawn, a picture of `shape`."""
         layers, n = rasterizer.layers, self.uniforms
+        behind = self._behind_mirrored if mirrored else self._behind
         dry = DryPicture(
             layers.color.reshape(*shape, 3), layers.alpha.reshape(shape),
             layers.depth.reshape(shape), layers.plane_depth.reshape(shape),
@@ -319,7 +324,7 @@ class DeviceFrame:
         ground = GroundMaps(self._bed, self._ground, *self.place)
         wet_pass.grade_and_wet[wet_pass.blocks(*shape), wet_pass.BLOCK, stream](
             rasterizer.size, dry, CameraArrays(turn, eye, rasterizer.lens), ground,
-            n["off_ground"], SkyMaps(self.gloss, self._behind), n["look"], picture, depth,
+            n["off_ground"], SkyMaps(self.gloss, behind), n["look"], picture, depth,
             clearance, cover,
         )  # fmt: skip
 
@@ -332,7 +337,7 @@ class DeviceFrame:
         n = self.uniforms
         self.grade(
             self.rasterizer, self.size, n["turn"], n["eye"], self.below, self.depth,
-            self.clearance, self._cover, self.stream,
+            self.clearance, self._cover, self.stream, mirrored=False,
         )  # fmt: skip
 
     def _ground_light(self):

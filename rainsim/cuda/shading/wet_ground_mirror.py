@@ -219,7 +219,8 @@ class WetGroundLight:
     def _prepare(self):
         """Send the splats that stand on the ground to the device."""
         scene = self.frame.wet_scene
-        splats = in_level_picture(prepare(scene.scene.splats), scene.terrain, scene.frame)
+        prepared = prepare(scene.scene.splats, scene.badly_placed)
+        splats = in_level_picture(prepared, scene.terrain, scene.frame)
         self.rasterizers = [Rasterizer(splats, self.stream, first_room=len(splats))]
 
     def update(self, camera, camera_in_ground):

@@ -1,0 +1,155 @@
+"""Where the sky of the day shows through a capture that holds no sky of its own.
+
+Many captures leave the sky out, so that what covers it least is open: there the sky of the day is
+drawn. But dark things were trained over black and are open too: panes, eaves, doorways. They are
+told from the sky by where they lie: the sky is what is connected with the zenith, and gaps in a
+crown high above.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from scipy import ndimage
+
+from rainsim.io import cache
+from rainsim.raster import Rasterizer
+from rainsim.shading.environment import COLUMNS, ROWS, directions, probe
+
+SOLID = 0.5  # alpha from which a direction is covered
+CLEAR = 0.1  # alpha below which a gap is surely open
+HIGH_GAP = math.sin(math.radians(35))  # sine of the elevation above which gaps show the sky
+PROBES = 4  # places of cameras beside the middle that the capture is seen from
+PARALLAX = math.radians(2.5)  # by which the skyline moves from one camera to another
+SOFT = 1.0  # texels over which the sky goes over into what hides it
+GAMMA = 2.2  # of the display, near enough for what is blurred
+FILL = math.radians(6)  # over which the colours of what hides the sky are spread
+
+
+class Skyline(NamedTuple):
+    """What directions show where no splat covers them; maps as in `environment`."""
+
+    open: np.ndarray  # (rows, columns) float32: share of the day's sky, 0 to 1
+    land: np.ndarray  # (rows, columns, 3) float32: linear captured light of what hides the sky
+
+
+def skylines(scene, prepared, first_camera, near):
+    """Return the `Skyline` of all splats of a scene, and that without those prepared to come last.
+
+    Kept for the next run.
+
+    Parameters
+    ----------
+    scene : Scene
+    prepared : PreparedSplats
+        Of its splats.
+    first_camera : Camera
+        Of the frames, in the capture frame: from there it is seen if the scene has no cameras.
+    near : float [capture units]
+    """
+    places = places_of(scene, first_camera)
+    parts = (False,) if prepared.leading is None else (False, True)
+
+    def draw():
+        rasterizer, found = Rasterizer(prepared), {}
+        for part in parts:
+
+            def seen(view, part=part):
+                camera = scene.ground_frame.camera_in_capture(view)
+                layers = rasterizer.draw(camera, near, leading=part)
+                return np.concatenate([layers.color, layers.alpha[..., None]], axis=-1)
+
+            open_, land = seen_from(seen, places)
+            found |= {f"open {int(part)}": open_, f"land {int(part)}": land}
+        return found
+
+    count = prepared.leading or 0
+    found = cache.kept_arrays(
+        "skyline", "shading", draw, scene.splats, scene.ground_frame, places, near, count
+    )
+    both = [Skyline(found[f"open {int(part)}"], found[f"land {int(part)}"]) for part in parts]
+    return both[0], both[-1]
+
+
+def seen_from(draw, places):
+    """Return the `Skyline` of a capture.
+
+    Parameters
+    ----------
+    draw : callable
+        draw(camera) returns the picture (height, width, 4) that a ground-frame camera takes: colour
+        over black (display-referred) and alpha.
+    places : ndarray of shape (n, 3) [m]
+        From where it is seen, the first in the middle. What is open from one of them counts as
+        open, for the frames' cameras stand elsewhere.
+    """
+    open_, land = np.zeros((ROWS, COLUMNS), np.bool_), None
+    for place in places:
+        seen = probe(draw, place)
+        open_ |= open_sky(seen[..., 3])
+        land = spread_colors(seen) if land is None else land
+    reach = round(PARALLAX * ROWS / math.pi)
+    wide = ndimage.maximum_filter(open_, 2 * reach + 1, mode=("nearest", "wrap"))
+    share = ndimage.gaussian_filter(wide.astype(np.float32), SOFT, mode=("nearest", "wrap"))
+    return Skyline(share, land)
+
+
+def open_sky(alpha):
+    """Return which texels of a map of alpha show the sky, ndarray of bool.
+
+    Those that are connected with the zenith through texels less than half covered, and clear gaps
+    high above.
+    """
+    direction = directions(*alpha.shape)
+    thin = alpha < SOLID
+    twice = np.concatenate([thin, thin], axis=1)  # columns meet at the map's edge
+    label, _ = ndimage.label(twice)
+    top = np.unique(label[0][twice[0]])
+    joined = np.isin(label, top) & twice
+    columns = alpha.shape[1]
+    sky = joined[:, :columns] | joined[:, columns:]
+    return sky | ((alpha < CLEAR) & (direction[..., 2] > HIGH_GAP))
+
+
+def spread_colors(seen):
+    """Return the linear colours of a probe spread over what it leaves open."""
+    rows = seen.shape[0]
+    alpha = seen[..., 3:]
+    color = np.clip(seen[..., :3] / np.maximum(alpha, 1e-3), 0, 4) ** GAMMA * alpha
+    total, weight = np.zeros_like(color), np.zeros_like(alpha)
+    for wider in (1, 3, 9):  # the nearest colours count most
+        sigma = wider * FILL * rows / math.pi
+        mode = ("nearest", "wrap", "nearest")
+        share = 1e-3 ** (wider - 1)
+        total += share * ndimage.gaussian_filter(color, (sigma, sigma, 0), mode=mode)
+        weight += share * ndimage.gaussian_filter(alpha, (sigma, sigma, 0), mode=mode)
+    return np.ascontiguousarray(total / np.maximum(weight, 1e-30), np.float32)
+
+
+def places_of(scene, first_camera):
+    """Return the places [m] that a scene's skyline is seen from, ndarray (n, 3), ground frame."""
+    frame = scene.ground_frame
+    if not scene.cameras:
+        return frame.to_ground(first_camera.position)[None]
+    eyes = frame.to_ground(np.array([camera.position for camera in scene.cameras]))
+    middle = eyes.mean(axis=0)
+    chosen = [middle]
+    for _ in range(min(PROBES, len(eyes))):  # each the farthest from those that are chosen
+        away = [np.linalg.norm(eyes - place, axis=1) for place in chosen]
+        chosen.append(eyes[np.argmin(-np.min(away, axis=0))])
+    return np.array(chosen)
+
+
+def with_skyline(day, skyline, exposure):
+    """Return the sky of the day, a map, where a skyline shows it, and below it the land's light.
+
+    `exposure` is the factor on captured light. The map's rows may be more than the skyline's.
+    """
+    times = day.shape[0] // skyline.open.shape[0]
+    open_ = np.kron(skyline.open, np.ones((times, times), np.float32))[..., None]
+    if times > 1:
+        open_ = ndimage.uniform_filter(open_, (times, times, 1), mode=("nearest", "wrap", "nearest"))
+    land = np.kron(skyline.land, np.ones((times, times, 1), np.float32)) * np.float32(exposure)
+    return np.ascontiguousarray(land + open_ * (day - land), np.float32)
