@@ -43,6 +43,8 @@ def settings(preset, given, base=None):
         "cloudiness": ("cloudiness", float),
         "reflections": ("reflections", str),
         "brightness": ("brightness", float),
+        "metering": ("metering", str),
+        "ground_albedo": ("ground_albedo", float),
         "width": ("width", int),
         "height": ("height", int),
         "spacing": ("spacing", float),

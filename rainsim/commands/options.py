@@ -219,6 +219,12 @@ light_options = _group(
                  "slow; paper does as the RainyGS paper."),
     click.option("--brightness", type=float, metavar="FACTOR", show_default=PRESETS,
                  help="Factor on the brightness of the finished picture."),
+    click.option("--metering", metavar="auto|off", show_default=PRESETS,
+                 help="auto exposes the land as a camera's meter does on a rainy day; off keeps "
+                 "the capture's exposure."),
+    click.option("--ground-albedo", type=float, metavar="0..1", show_default="guessed",
+                 help="Share of the light that the open dry ground reflects, such as 0.3 for clean "
+                 "concrete: it sets how bright the sky is against the land."),
 )  # fmt: skip
 
 picture_options = _group(

@@ -34,6 +34,8 @@ HUMAN_KEYS = {
     "sun_elevation_degrees": ("sun", math.pi / 180),
     "cloudiness": ("cloudiness", 1.0),
     "brightness": ("brightness", 1.0),
+    "metering": ("metering", None),
+    "ground_albedo": ("ground_albedo", 1.0),
     "wetting": ("wetting", None),
     "reflections": ("reflections", None),
     "film": ("film", None),

@@ -47,6 +47,7 @@ REFRACTIONS = ("snell", "shift")
 FRESNELS = ("exact", "schlick")
 HIGHLIGHTS = ("cox-munk", "blinn-phong")
 COVERAGES = ("soft", "hard")
+METERINGS = ("auto", "off")
 WETTINGS = ("class", "none")
 WATER_GEOMETRIES = ("height-field", "spheres")
 DROP_RADII = ("measured", "paper")
@@ -183,7 +184,9 @@ class RenderConfig:
     sun: tuple | str | None = None  # azimuth from x towards y and elevation [rad]; "sky": as the
     # sky has it; None: no sun
     cloudiness: float = 0.8  # 0 clear to 1 overcast
-    brightness: float = 1.0  # factor on the graded picture
+    brightness: float = 1.0  # factor on the finished picture
+    metering: str = "auto"  # exposed as by a camera's meter; off: as the capture was
+    ground_albedo: float | None = None  # of the open ground; None: guessed, class by class
     wetting: str = "class"  # things darken and gloss by class; none: they stay dry, the paper's
     reflections: str = "auto"  # mirror: one mirrored pass; ssr: march the depth; auto: a mirror
     # for each level that much water stands at, the march for other water;
@@ -223,6 +226,14 @@ class RenderConfig:
                 f"cloudiness is {self.cloudiness}; it must lie from 0 (clear) to 1 (overcast)"
             )
         require_positive("brightness", self.brightness, "", "1 is as graded, 0.5 half as bright")
+        require_choice("metering", self.metering, METERINGS)
+        if self.ground_albedo is not None:
+            require_positive("ground_albedo", self.ground_albedo, "", "0.2 is worn paving")
+            if self.ground_albedo > 1:
+                raise ParameterError(
+                    f"ground_albedo is {self.ground_albedo}; it must be at most 1: no ground gives "
+                    "more light than it gets"
+                )
         require_choice("wetting", self.wetting, WETTINGS)
         require_choice("reflections", self.reflections, REFLECTIONS)
         require_choice("film", self.film, FILMS)

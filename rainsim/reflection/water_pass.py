@@ -20,6 +20,7 @@ from rainsim.reflection.water_shading import Background, Optics, Ripples
 from rainsim.reflection.water_surface import WaterMap, fine_relief, water_surface
 from rainsim.scene.view import View
 from rainsim.shading import fresnel
+from rainsim.shading.wetting import ESCAPE
 
 MIRROR_SPREAD = 0.06  # m: water at levels farther apart has no mirror in common
 MOST_MIRRORS = 3  # levels that auto draws mirrored; what stands at others is marched
@@ -166,7 +167,8 @@ class WaterPass:
     def optics(self, sun):
         """Return the `Optics` of the laws that the configuration names and a sun (6,)."""
         law = fresnel.LAWS[self.config.fresnel]
-        return Optics(law, np.float32(GLINT_VARIANCE), sun)
+        gain = np.float32(1) if self.config.wetting == "none" else 1 / (1 - ESCAPE)
+        return Optics(law, np.float32(GLINT_VARIANCE), sun, np.float32(gain))
 
     def terms(self, sun):
         """Return the terms that the water of the last picture is put together from.

@@ -63,6 +63,9 @@ class Optics(NamedTuple):
     sun: (
         np.ndarray
     )  # (6,) float32: direction to the sun, irradiance of red, green, blue; 0 for none
+    # Factor on what shows through: the wet bed's colour holds what the surface reflects from below
+    # on the mean over all directions, and 1 - F takes it away for the direction of view.
+    bed_gain: np.float32 = ONE
 
 
 @inlined_function
@@ -152,9 +155,10 @@ def water_terms(water, row, column, background, view, optics):
     sun = optics.sun
     if sun[3] + sun[4] + sun[5] > ZERO:
         glint = sun_glint(water, sun[0], sun[1], sun[2], optics.law, optics.glint_variance)
+    gain = optics.bed_gain
     return (
-        r * exp_minus(ABSORB_R * travel), g * exp_minus(ABSORB_G * travel),
-        b * exp_minus(ABSORB_B * travel), share, glint,
+        gain * r * exp_minus(ABSORB_R * travel), gain * g * exp_minus(ABSORB_G * travel),
+        gain * b * exp_minus(ABSORB_B * travel), share, glint,
     )  # fmt: skip
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from rainsim.particles import drop_radiance, paper
@@ -13,6 +15,7 @@ from rainsim.render.rain_pass import RainPass
 from rainsim.render.report import FrameReport, Timer
 from rainsim.render.wet_scene import WetScene
 from rainsim.shading import environment, sky
+from rainsim.shading.calibration import metered, metering_views
 from rainsim.shading.composite import RainLight, compose
 from rainsim.shading.wet_ground_mirror import WetGroundMirror
 from rainsim.simulation import surfaces_of
@@ -44,6 +47,8 @@ class Renderer:
     wet_ground : WetGroundMirror
     rings : ndarray of shape (ny, nx), float32
         See `ring_share`.
+    brightness : float
+        Factor on the finished picture: that of the settings times the meter's.
     air_light, everywhere : ndarray of shape (3,), float32
         Radiance of distant air, and the mean of the surroundings.
     view : Camera
@@ -64,7 +69,8 @@ class Renderer:
         self.notes = [*self.wet_scene.notes, *([note] if note else [])]
         self.air_light = environment.horizon_radiance(self.wet_scene.day)
         self.everywhere = drop_radiance.mean_radiance(self.wet_scene.gloss)
-        self.now = config.at(0.0)
+        self.now, self.brightness = config.at(0.0), 1.0
+        self._metered = self._meter(first_camera)
         self._camera = None  # that the kept picture belongs to
         self._choice_is_noted = False  # of the reflections
 
@@ -97,7 +103,7 @@ class Renderer:
             radiance = paper.line_radiance(picture)
             light = light._replace(drops=drop_radiance.even(radiance), around=radiance)
         image = np.empty((camera.height, camera.width, 3), np.uint8)
-        brightness = np.float32(render.brightness)
+        brightness = np.float32(self.brightness)
         compose(picture, self.wet.depth, cover, light, self.wet.view, brightness, image)
         timer.mark("compose")
         if not self._choice_is_noted and (choice := self.water.choice()):
@@ -119,7 +125,24 @@ class Renderer:
     def set_time(self, time):
         """Take over the settings of a time [s]; return whether they change the dry picture."""
         self.now = self.config.at(time)
+        self.brightness = self.now.render.brightness * math.exp(np.interp(time, *self._metered))
         return self.wet_scene.set_time(self.now)
+
+    def _meter(self, first_camera):
+        """Return the key times and the logarithms of the factors that a camera's meter chooses."""
+        times = self.config.key_times()
+        factors = np.ones(len(times))
+        views = metering_views(self.wet_scene.scene.cameras, first_camera)
+        for k, time in enumerate(times):
+            now = self.config.at(time)
+            if now.render.metering == "auto":
+                self.wet_scene.set_time(now)
+                light = self.wet_scene.land_light(views)
+                factors[k] = metered(*light, now.render.cloudiness)
+        self.wet_scene.set_time(self.config.at(0.0))
+        if (factors != 1).any():
+            self.notes.append(f"exposure: the meter takes the light {factors[0]:.2f} times")
+        return times, np.log(factors)
 
     @property
     def sunlight(self):
@@ -162,7 +185,8 @@ class Renderer:
         )  # fmt: skip
         radiances = {
             "drop": light.drops.tolist(), "around": light.around.tolist(),
-            "air": light.air.tolist(), "brightness": float(render.brightness),
+            "air": light.air.tolist(), "zenith": scene.day[0].mean(axis=0).tolist(),
+            "brightness": float(self.brightness),
         }  # fmt: skip
         return aov.collect(names, parts), radiances
 

@@ -14,14 +14,14 @@ from rainsim.raster import Rasterizer, prepare
 from rainsim.reflection.planar_mirror import MirrorPicture
 from rainsim.reflection.ray_traced import Tracer
 from rainsim.reflection.water_pass import WetPicture
-from rainsim.render.report import Timer
 from rainsim.scene.cameras import MIRROR_CLEARANCE, cropped, mirrored_camera
 from rainsim.scene.view import view_of
 from rainsim.shading import environment, sky, wetness
 from rainsim.shading.backdrop import Backdrop, sky_distance
-from rainsim.shading.grading import look_of
+from rainsim.shading.calibration import LUMA, albedo_of_white, luminance_of, zenith_radiance
+from rainsim.shading.grading import DULL_EXPOSURE, look_of
 from rainsim.shading.skyline import skylines, with_skyline
-from rainsim.shading.visibility import badly_placed
+from rainsim.shading.visibility import badly_placed, pale
 from rainsim.shading.wet_ground_mirror import in_level_picture
 from rainsim.shading.wet_pass import NO_COVER, DryRays, dry_picture, grade_and_wet, grade_rays
 from rainsim.shading.wetting import GroundMaps, SkyMaps
@@ -79,7 +79,14 @@ class WetScene:
         self.scene = self.backdrop.scene
         self.near = NEAR / self.frame.meters_per_unit
         self._rasterizer_of = rasterizer_of
+        self.notes = [self.backdrop.note()] if self.backdrop.count else []
         self.badly_placed = badly_placed(self.scene)
+        if not self.backdrop.count and replaces_sky(config):
+            self._leave_out(self.badly_placed & pale(self.scene.splats))
+        if self.badly_placed.any():
+            self.notes.append(
+                f"mirrors leave out {self.badly_placed.sum()} splats that hardly any camera saw"
+            )
         prepared = prepare(self.scene.splats, self.badly_placed)
         self.rasterizer = rasterizer_of(prepared)
         self._skylines = None
@@ -89,12 +96,9 @@ class WetScene:
         self._grass = ndimage.gaussian_filter(terrain.grassy.astype(np.float32), 1)
         self._place = np.array(terrain.grid.origin, np.float32), np.float32(terrain.grid.spacing)
         self._standing = self.tracer = None  # made when they are first asked for
-        self.notes = [self.backdrop.note()] if self.backdrop.count else []
-        if self.badly_placed.any():
-            self.notes.append(
-                f"mirrors leave out {self.badly_placed.sum()} high splats that hardly any camera saw"
-            )
-        self.day = day_sky(config.render)
+        self.albedo, note = albedo_of_white(terrain, self.scene.splats, config.render.ground_albedo)
+        self.notes.append(note)
+        self.day = day_sky(config.render, zenith_radiance(self.albedo, DULL_EXPOSURE))
         self.look = self.off_ground = None
         self.set_time(config.at(0.0))
         eye = self.frame.to_ground(first_camera.position)
@@ -107,7 +111,7 @@ class WetScene:
 
     def set_time(self, now):
         """Take over the settings of a time; return whether they change what cameras see."""
-        look = look_of(now, self.sky_distance, self.backdrop.count > 0)
+        look = look_of(now, self.sky_distance, self.backdrop.count > 0, self.albedo)
         off_ground = wetness.off_ground_wetness(now)
         if look == self.look and off_ground == self.off_ground:
             return False
@@ -116,6 +120,13 @@ class WetScene:
         self.ground = wetness.ground_wetness(self.terrain, self._grass, self.reach, now)
         self._set_skies()
         return True
+
+    def _leave_out(self, which):
+        """Leave splats out of all pictures: shreds of the captured sky."""
+        if which.any():
+            self.scene = replace(self.scene, splats=self.scene.splats.take(~which))
+            self.badly_placed = self.badly_placed[~which]
+            self.notes.append(f"{which.sum()} splats of the captured sky are left out")
 
     def _set_skies(self):
         """Make the skies behind the scene and behind the mirrored scene, by the present look."""
@@ -136,7 +147,7 @@ class WetScene:
         `whole_color`: the colour is that of all splats, those of the captured sky included.
         """
         layers = self.rasterizer.draw(camera, self.near)
-        if whole_color and self.backdrop.count:
+        if whole_color and self.scene is not self.backdrop.whole:
             whole = self._rasterizer_of(prepare(self.backdrop.whole.splats))
             layers = replace(layers, color=whole.draw(camera, self.near).color)
         return layers
@@ -151,6 +162,18 @@ class WetScene:
         wet = self._wetted(layers, camera, cover)
         timer.mark("grade and wet")
         return wet
+
+    def land_light(self, cameras):
+        """Return the mean linear luminance of the land that cameras see, as captured and wet."""
+        captured, rainy, pixels = 0.0, 0.0, 0
+        for camera in cameras:
+            layers = self.rasterizer.draw(camera, self.near)
+            wet = self._wetted(layers, camera)
+            land = np.isfinite(wet.depth) & (layers.alpha > 0.5)
+            captured += float(luminance_of(layers.color[land]).sum())
+            rainy += float((wet.picture[land] @ LUMA).sum())
+            pixels += int(land.sum())
+        return captured / max(pixels, 1), rainy / max(pixels, 1)
 
     def level_mirrored(self, level):
         """Return the `WetPicture` of what stands on the ground, seen mirrored at its plane.
@@ -261,14 +284,18 @@ class WetScene:
         return environment.probe(draw, position)
 
 
-def day_sky(config):
-    """Return the environment map of the sky that a render configuration names."""
+def day_sky(config, zenith):
+    """Return the environment map of the sky that a render configuration names.
+
+    `zenith` is the radiance of its zenith if it is overcast; a panorama gets as bright as that.
+    """
+    level = zenith / sky.ZENITH_RADIANCE
     if config.sky in ("overcast", "capture"):
-        return sky.clouded(sky.overcast())
-    return sky.from_panorama(images.read_hdr(config.sky))
+        return sky.clouded(sky.overcast(level))
+    return sky.from_panorama(images.read_hdr(config.sky), level)
 
 
 def replaces_sky(config):
     """Tell whether the sky of the day replaces the captured sky at any time."""
-    looks = (look_of(config.at(time), 0, False) for time in config.key_times())
+    looks = (look_of(config.at(time), 0, False, 1.0) for time in config.key_times())
     return any(look.sky_replaced > 0 for look in looks)

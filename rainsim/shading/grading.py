@@ -14,6 +14,7 @@ from rainsim.jit import inlined_function
 from rainsim.numerics.interpolation import smoothstep
 from rainsim.shading.color import linear_from_display, luminance
 
+DULL_EXPOSURE = 0.7  # factor on captured light under an overcast sky, before the meter
 SHINES = np.float32(1.5)  # linear luminance that only lamps reach in a capture
 COMPRESSED = np.float32(0.25)  # of white, above which highlights are compressed
 SKY_DARK, SKY_BRIGHT = np.float32(0.10), np.float32(0.22)  # linear luminance: no sky, all sky
@@ -22,7 +23,7 @@ OPAQUE, LEAST_COVER = np.float32(0.99), np.float32(1e-3)  # alpha that hides all
 
 
 class Look(NamedTuple):
-    """How the light of the day differs from the captured light; six float32."""
+    """How the light of the day differs from the captured light; seven float32."""
 
     exposure: np.float32  # factor on captured light
     desaturation: np.float32  # share of the saturation that is lost, 0 to 1
@@ -30,9 +31,10 @@ class Look(NamedTuple):
     sky_replaced: np.float32  # share of the captured sky that the day's sky replaces, 0 to 1
     sky_distance: np.float32  # m, beyond which bright things may be sky
     open_sky: np.float32  # 1: the splats of the captured sky are left out, see `backdrop`; 0: drawn
+    albedo: np.float32  # that a captured linear colour of 1 stands for, see `calibration`
 
 
-def look_of(config, sky_distance, sky_is_left_out):
+def look_of(config, sky_distance, sky_is_left_out, albedo):
     """Return the `Look` of the settings of one time.
 
     Parameters
@@ -42,17 +44,20 @@ def look_of(config, sky_distance, sky_is_left_out):
     sky_distance : float [m]
     sky_is_left_out : bool
         Whether the splats of the captured sky are left out of the scene.
+    albedo : float
+        That a captured linear colour of 1 stands for.
     """
     c = config.render.cloudiness
     replaced = 0.0 if config.render.sky == "capture" else c
-    numbers = 1 - 0.3 * c, 0.2 * c, 1.2 * c, replaced, sky_distance, sky_is_left_out
+    dimmed = 1 - (1 - DULL_EXPOSURE) * c
+    numbers = dimmed, 0.2 * c, 1.2 * c, replaced, sky_distance, sky_is_left_out, albedo
     return Look(*(np.float32(n) for n in numbers))
 
 
 @inlined_function
 def look_from(numbers):
     """Return the `Look` whose numbers an array holds, as CUDA kernels get them."""
-    return Look(numbers[0], numbers[1], numbers[2], numbers[3], numbers[4], numbers[5])
+    return Look(numbers[0], numbers[1], numbers[2], numbers[3], numbers[4], numbers[5], numbers[6])
 
 
 @inlined_function

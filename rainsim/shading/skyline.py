@@ -150,6 +150,7 @@ def with_skyline(day, skyline, exposure):
     times = day.shape[0] // skyline.open.shape[0]
     open_ = np.kron(skyline.open, np.ones((times, times), np.float32))[..., None]
     if times > 1:
-        open_ = ndimage.uniform_filter(open_, (times, times, 1), mode=("nearest", "wrap", "nearest"))
+        mode = ("nearest", "wrap", "nearest")
+        open_ = ndimage.uniform_filter(open_, (times, times, 1), mode=mode)
     land = np.kron(skyline.land, np.ones((times, times, 1), np.float32)) * np.float32(exposure)
     return np.ascontiguousarray(land + open_ * (day - land), np.float32)

@@ -10,14 +10,19 @@ from __future__ import annotations
 
 import numpy as np
 
+from rainsim.constants import SH_0
 from rainsim.io import cache
 from rainsim.jit import cpu_kernel, prange
 from rainsim.raster import Rasterizer, prepare
+from rainsim.shading.color import LUMA_B, LUMA_G, LUMA_R
+from rainsim.shading.grading import SKY_BLUE, SKY_DULL
 
 MOST_CAMERAS = 64  # of the capture, evenly spaced, that are asked
 WIDTH = 320  # px of their depth pictures
 LEAST_SHARE = 0.04  # of the cameras; splats that fewer see are badly placed
 SLACK, LEAST_SLACK = np.float32(1.15), np.float32(0.05)  # of the depth, and capture units: in sight
+GAMMA = 2.2  # of the display, near enough to tell a sky
+PALE = 0.45  # linear luminance of a captured sky, at least; roofs are darker
 NEAR = np.float32(0.1)  # capture units
 
 
@@ -38,6 +43,14 @@ def badly_placed(scene, prepared=None):
     eye = np.mean([camera.position for camera in scene.cameras], axis=0)
     above = (scene.splats.position - eye.astype(np.float32)) @ scene.ground_frame.up.astype("f4")
     return (seen < LEAST_SHARE * asked) & (above > 0)
+
+
+def pale(splats):
+    """Return which splats are as bright and as little green as a sky, ndarray (n,) of bool."""
+    color = np.clip(np.float32(0.5) + np.float32(SH_0) * splats.sh[:, 0], 0, 1) ** np.float32(GAMMA)
+    light = color @ np.array([LUMA_R, LUMA_G, LUMA_B])
+    blue = color[:, 2] / np.maximum(color[:, :2].max(axis=1), np.float32(1e-3))
+    return (light > PALE) & (blue > 0.5 * (SKY_DULL + SKY_BLUE))
 
 
 def views_of_splats(scene):

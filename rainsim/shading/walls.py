@@ -12,8 +12,6 @@ from rainsim.numerics.approximations import exp_minus
 from rainsim.numerics.interpolation import smoothstep
 
 QUARTER = np.float32(0.25)
-WALL_SPRAY = np.float32(0.06)  # share of the rain that a wall gets as spray
-SOFFIT = np.float32(0.7)  # share of the spray that undersides do not get
 LEANING = np.float32(0.1)  # cosine to the rain below which captured normals are mostly noise
 FOOT_SHARE = np.float32(0.3)  # of the rain, that splashes back on the foot of a wall; by eye
 FOOT_STEEP = np.float32(1 / 0.15)  # 1/m: decay of the back splash upwards; by eye
@@ -29,9 +27,10 @@ ONE_AXIS = np.float32(0.38)  # share of a normal's square below which an axis do
 def damp_off_ground(rain, point, height):
     """Return the dampness of a surface that is no mapped ground, 0 dry to 1 wet through.
 
-    A surface catches rain as it faces the slanting drops. Walls that no drop meets get a little
-    spray; the foot of a wall gets what splashes back from the ground. The sum is an even dampness.
-    A wall that is not wet through varies along the paths in which water runs down.
+    A surface catches rain as it faces the slanting drops; the foot of a wall gets what splashes
+    back from the ground. Walls in the lee, and all walls in calm air, stay dry above that. The sum
+    is an even dampness. A wall that is not wet through varies along the paths of the water that
+    runs down.
 
     Parameters
     ----------
@@ -45,7 +44,6 @@ def damp_off_ground(rain, point, height):
     slant = -(nx * rain.slant_x + ny * rain.slant_y)
     caught = max(nz + slant, ZERO)
     caught *= caught / (caught + LEANING)
-    caught += WALL_SPRAY * (ONE + min(nz, ZERO) * SOFFIT)
     if nz > -HALF:
         caught += FOOT_SHARE * exp_minus(max(height, ZERO) * FOOT_STEEP)
     full = min(rain.supply * caught, TWO)

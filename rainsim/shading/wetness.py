@@ -17,7 +17,7 @@ from rainsim.rain.size_distribution import terminal_speed
 
 WET_RATE = 2.0 / 3.6e6  # m/s of rain that keeps level ground wet whatever fell before
 LEAST_FILM = 0.2e-3  # m, storage of ground whose class stores less
-OTHER_FILM, OTHER_POROSITY = 0.3e-3, 0.10  # m; of walls and things, whose class is not known
+OTHER_FILM, OTHER_POROSITY = 0.3e-3, 0.2  # m; of walls and things: brick has 0.2 to 0.35
 PORE_DEPTH = 0.010  # m of ground whose pores show their water as darkening; a guess
 # Evaporation from wet ground [m/s], dull and clear: 0.1 and 0.6 mm/h, a wet day's and the noon
 # value of Penman's open water in a temperate summer (Shuttleworth 1993, Handbook of Hydrology 4).

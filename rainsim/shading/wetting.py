@@ -26,7 +26,6 @@ from rainsim.shading.wetness import Wetness, wetness_in
 ESCAPE = np.float32(0.066)  # diffuse light that the water film reflects from outside
 TRAPPED = np.float32(0.4746)  # diffuse light that the water film reflects back from inside
 FILLING = np.float32(1.55)  # of the similarity: its asymmetry goes from some 0.64 to 0.85
-ALBEDO_PER_COLOR = np.float32(0.85)  # sunlit captured colour to albedo: a guess, light is baked in
 LEAST_ALBEDO, MOST_ALBEDO = np.float32(0.02), np.float32(0.8)
 SHED = np.float32(0.55)  # share of the darkening that leaves do without, for they shed water
 ENRICHMENT = np.float32(0.25)  # of the saturation of a surface that is wet through; by eye
@@ -112,7 +111,7 @@ def wetted(r, g, b, share, wet, look):
     green = min(max((TWO * g - r - b) / max(top, np.float32(1e-3)) * TWO, ZERO), ONE)
     amount = wet.dampness * share * (ONE - SHED * max(green, wet.lawn))
     y = luminance(r, g, b)
-    albedo = min(max(y / look.exposure * ALBEDO_PER_COLOR, LEAST_ALBEDO), MOST_ALBEDO)
+    albedo = min(max(y / look.exposure * look.albedo, LEAST_ALBEDO), MOST_ALBEDO)
     ratio = wet_ratio(albedo)
     ratio += wet.porosity * (min(filled_ratio(albedo), ratio) - ratio)
     darker = ONE - amount * (ONE - ratio)

@@ -18,6 +18,8 @@ _COLUMNS = {
     "manning": ("manning", 1.0),
     "porosity": ("porosity", 1.0),
     "film_slope": ("film_slope", 1.0),
+    "albedo": ("albedo", 1.0),
+    "albedo_spread": ("albedo_spread", 1.0),
 }
 
 
@@ -31,8 +33,8 @@ class ClassTable:
     colors : ndarray of shape (n, 3), uint8
         Of the class map.
     columns : dict of str to ndarray of shape (n,)
-        storage [m], infiltration [m/s], manning [s/m^(1/3)], porosity, film_slope
-        (float32); soaks, mirrors.
+        storage [m], infiltration [m/s], manning [s/m^(1/3)], porosity, film_slope, albedo,
+        albedo_spread (float32); soaks, mirrors.
     """
 
     names: tuple

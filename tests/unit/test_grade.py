@@ -73,7 +73,7 @@ def pixel_by_pixel(dry, ground, rain, skies, look, apart):
 
 @pytest.mark.parametrize(("open_sky", "apart"), [(0, False), (1, True)])
 def test_chunks_give_what_single_pixels_give(dry, scene, poisoned, open_sky, apart):
-    look = Look(*F4([0.8, 0.15, 0.9, 0.8, 30, open_sky]))
+    look = Look(*F4([0.8, 0.15, 0.9, 0.8, 30, open_sky, 0.85]))
     dry = wet_pass.DryPicture(**dry, meters_per_unit=UNIT)
     shape = HEIGHT, WIDTH
     found = [poisoned(s) for s in ((*shape, 3), shape, shape, shape if apart else (0, 0))]
@@ -88,7 +88,7 @@ def test_chunks_give_what_single_pixels_give(dry, scene, poisoned, open_sky, apa
 
 def test_rays_are_graded_as_pixels_are(dry, scene, poisoned):
     """A picture's pixels as rays that start at its eye, where walls have no plane of their own."""
-    look = Look(*F4([0.8, 0.15, 0.9, 0.8, 30, 1]))
+    look = Look(*F4([0.8, 0.15, 0.9, 0.8, 30, 1, 0.85]))
     dry["plane_depth"] = dry["depth"]
     picture = wet_pass.DryPicture(**dry, meters_per_unit=UNIT)
     shape, none = (HEIGHT, WIDTH), np.empty((0, 0), F4)

@@ -26,7 +26,7 @@ from rainsim.shading.grading import Look, graded
 from rainsim.shading.wetness import OffGroundWetness, Wetness
 from rainsim.shading.wetting import SurfacePoint
 
-AS_CAPTURED = Look(1.0, 0.0, 0.0, 0.0, 30.0, 0.0)
+AS_CAPTURED = Look(1.0, 0.0, 0.0, 0.0, 30.0, 0.0, 0.85)
 DULL = AS_CAPTURED._replace(exposure=0.7, desaturation=0.2, compression=1.2)
 SLANTING = OffGroundWetness(1.0, 0.5, 0.0, 1.0, 0.1)  # rain to +x; one film of supply
 

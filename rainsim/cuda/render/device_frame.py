@@ -116,7 +116,7 @@ class DeviceFrame:
             fog = self._update_drops(field, state, camera_end)
         self.uniforms.update(
             turn=view.ground_from_camera, eye=view.eye, lens=view.lens, look=scene.look,
-            off_ground=scene.off_ground, brightness=render.brightness, fog=fog, sun=host.sunlight,
+            off_ground=scene.off_ground, brightness=host.brightness, fog=fog, sun=host.sunlight,
             air=host.air_light, drop=host.drop_field(view, camera), around=host.everywhere,
         )  # fmt: skip
         return changed
@@ -198,7 +198,7 @@ class DeviceFrame:
         self.below = self.ground_light.bare if self.ground_light.apart else self.picture
         self._image = cuda.device_array((height, width, 3), np.uint8)
         self.uniforms = FrameUniforms(self.stream, {
-            "turn": ((3, 3), f4), "eye": ((3,), f4), "lens": ((4,), f4), "look": ((6,), f4),
+            "turn": ((3, 3), f4), "eye": ((3,), f4), "lens": ((4,), f4), "look": ((7,), f4),
             "off_ground": ((5,), f4), "brightness": ((1,), f4), "fog": ((FOG_STEPS + 3,), f4),
             "sun": ((6,), f4), "air": ((3,), f4), "settings": ((3,), f4), "cover": ((2,), f4),
             "drop": ((*drop_radiance.GRID, 3), f4), "around": ((3,), f4),

@@ -41,7 +41,7 @@ def grade_and_wet(
     camera : CameraArrays
     rain : device array of shape (5,), float32
         See `off_ground_from`.
-    look : device array of shape (6,), float32
+    look : device array of shape (7,), float32
         See `look_from`.
     """
     column, row = cuda.grid(2)

@@ -1,0 +1,107 @@
+"""What the captured colours mean: albedo, the level of an overcast sky, a camera's exposure.
+
+A capture's colours have an exposure of their own. Under an overcast sky the irradiance E of open
+ground of albedo a gives it the radiance L = a E / pi, and the zenith has the radiance 9/7 E / pi
+(Moon and Spencer 1942). So one number, the albedo that a captured colour of 1 stands for, says how
+bright the sky is against the land, and how much darker things get when they are wet.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from rainsim.constants import SH_0
+from rainsim.shading.color import LUMA_B, LUMA_G, LUMA_R
+from rainsim.terrain.table import class_table
+from rainsim.terrain.types import MEASURED
+
+LUMA = np.array([LUMA_R, LUMA_G, LUMA_B], np.float32)
+GAMMA = 2.2  # of the display, near enough for a guess of albedos
+FLAT_TOP = 0.05  # m over the bed: open ground has nothing on it
+LEAST_AREA = 0.25  # m2 of a class that can be judged
+USUAL, USUAL_SPREAD = 0.85, 1.0  # what is assumed without ground to judge by, and its spread in log
+WHITEST, WHITE_SHARE = 0.85, 99.0  # albedo of the whitest things, and percentile they are found at
+LEAST, MOST = 0.25, 2.5  # albedo of a captured colour of 1: beyond it is an error
+ZENITH = 9 / 7  # of the mean radiance that gives level ground its light
+MIDDLE_GREY = 0.16  # mean linear light of the land in a well exposed picture of a dull day
+VIEWS, VIEW_WIDTH = 8, 128  # cameras that the exposure is metered with, px
+
+
+def albedo_of_white(terrain, splats, ground_albedo=None):
+    """Return the albedo that a captured linear colour of 1 stands for, and a note.
+
+    The colours of open grass, soil and paving are held against the albedos of their classes, each
+    with its spread: the mean of the logarithms weighs them. It is at most what makes the whitest
+    splats WHITEST.
+
+    Parameters
+    ----------
+    terrain : Terrain
+    splats : Splats
+    ground_albedo : float, optional
+        Albedo of the open ground, if it is known: nothing is guessed then.
+    """
+    light = luminance_of(terrain.color)
+    open_ground = (terrain.source == MEASURED) & (terrain.top - terrain.bed < FLAT_TOP)
+    if ground_albedo is not None:
+        found = float(np.median(light[open_ground])) if open_ground.any() else USUAL
+        scale = ground_albedo / max(found, 1e-3)
+        return scale, f"albedo of open ground: {ground_albedo:g} as given, {scale:.2f} x its colour"
+    table = class_table()
+    weight = USUAL_SPREAD**-2
+    total, judged = weight * math.log(USUAL), []
+    for code, name in enumerate(table.names):
+        here = light[open_ground & (terrain.ground_class == code)]
+        albedo, spread = table.column("albedo")[code], table.column("albedo_spread")[code]
+        if albedo <= 0 or here.size * terrain.grid.cell_area < LEAST_AREA:
+            continue
+        weight += spread**-2
+        total += spread**-2 * math.log(albedo / max(float(np.median(here)), 1e-3))
+        judged.append(name)
+    scale = math.exp(total / weight)
+    if len(splats):
+        white = float(np.percentile(luminance_of(0.5 + SH_0 * splats.sh[:, 0]), WHITE_SHARE))
+        scale = min(scale, WHITEST / max(white, 1e-3))
+    scale = min(max(scale, LEAST), MOST)
+    by = " and ".join(judged) if judged else "no ground to judge by"
+    return scale, f"albedo: {scale:.2f} x captured colour by {by}; --ground-albedo sets it"
+
+
+def luminance_of(color):
+    """Return the linear luminance of display-referred colours (..., 3)."""
+    return (np.clip(color, 0, 1) ** GAMMA) @ LUMA
+
+
+def zenith_radiance(albedo, exposure):
+    """Return the radiance of an overcast zenith over ground whose colours stand for `albedo`.
+
+    `exposure` is the factor by which captured light is dimmed under that sky.
+    """
+    return ZENITH * exposure / albedo
+
+
+def metered(captured, rainy, cloudiness):
+    """Return the factor on a rainy picture that a camera's meter would choose.
+
+    Parameters
+    ----------
+    captured, rainy : float
+        Mean linear luminance of the land in some views, as captured and in the rain.
+    cloudiness : float
+        0: the land stays as bright as it was captured; 1: it becomes MIDDLE_GREY.
+    """
+    if not (captured > 0 and rainy > 0):
+        return 1.0
+    wanted = captured ** (1 - cloudiness) * MIDDLE_GREY**cloudiness
+    return wanted / rainy
+
+
+def metering_views(cameras, first_camera):
+    """Return the small cameras that the exposure is metered with."""
+    chosen = cameras[:: -(-len(cameras) // VIEWS)] if cameras else (first_camera,)
+    return [
+        camera.resized(VIEW_WIDTH, max(1, round(VIEW_WIDTH * camera.height / camera.width)))
+        for camera in chosen
+    ]

@@ -1,0 +1,207 @@
+"""What a capture tells of the sky: badly placed splats, the skyline, albedo and exposure."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rainsim.constants import SH_0
+from rainsim.raster import Rasterizer, prepare
+from rainsim.scene.types import Camera, Scene, Splats
+from rainsim.shading import calibration, skyline, visibility
+from rainsim.shading.environment import COLUMNS, ROWS, directions
+from rainsim.splatting.prepared import LANES
+from rainsim.terrain.surface import terrain_from_heights
+from rainsim.terrain.types import Grid
+from scenes import ground_frame
+
+
+def patch(centre, count, spread, size, color, rng):
+    """Return arrays of opaque round splats about a point."""
+    position = np.asarray(centre) + rng.uniform(-1, 1, (count, 3)) * spread
+    sh = np.full((count, 1, 3), 0, np.float32)
+    sh[:, 0] = (np.asarray(color) - 0.5) / SH_0
+    return position, np.full((count, 3), size), sh
+
+
+def splats_of(*patches):
+    position, scale, sh = (np.concatenate(a).astype(np.float32) for a in zip(*patches, strict=True))
+    rotation = np.zeros((len(position), 4), np.float32)
+    rotation[:, 0] = 1
+    return Splats(position, rotation, scale, np.full(len(position), 0.99, np.float32), sh)
+
+
+def looking(eye, target, side=160):
+    forward = np.subtract(target, eye) / np.linalg.norm(np.subtract(target, eye))
+    right = np.cross(forward, (0, 0, 1.0))
+    right /= np.linalg.norm(right)
+    matrix = np.eye(4)
+    matrix[:3, :3] = right, np.cross(forward, right), forward
+    matrix[:3, 3] = -matrix[:3, :3] @ eye
+    return Camera(side, side, side, side, side / 2, side / 2, matrix)
+
+
+@pytest.fixture
+def yard(rng):
+    """A wall that all cameras see, a blob above that one sees, a crown that none look up to."""
+    wall = patch((0, 5, 1.5), 400, (2, 0.1, 1.5), 0.2, (0.4, 0.3, 0.2), rng)
+    blob = patch((3.5, 5, 3.2), 40, 0.2, 0.2, (0.95, 0.95, 0.97), rng)
+    low = patch((0, -30, 0.2), 30, 0.1, 0.1, (0.2, 0.2, 0.2), rng)
+    splats = splats_of(wall, blob, low)
+    cameras = [looking((0.02 * k, 0, 1.5), (0, 5, 1.5)) for k in range(30)]
+    cameras.append(looking((0, 0, 1.5), (3.5, 5, 3.0)))
+    frame = dataclasses.replace(
+        ground_frame(), rotation=np.eye(3), meters_per_unit=1.0, translation=np.zeros(3)
+    )
+    which = np.repeat((0, 1, 2), (400, 40, 30))
+    return Scene("yard", splats, tuple(cameras), frame, source=Path("yard.ply")), which
+
+
+def test_a_high_splat_that_few_cameras_saw_is_badly_placed(yard):
+    scene, which = yard
+    found = visibility.badly_placed(scene)
+    assert found[which == 1].mean() > 0.95
+    assert not found[which == 0].any()
+    assert not found[which == 2].any()  # low, though no camera looks there
+
+
+def test_what_hides_a_splat_keeps_it_from_being_seen(yard):
+    scene, which = yard
+    seen, asked = visibility.views_of_splats(scene)
+    assert asked == 31
+    assert seen[which == 0].max() >= 30 and (seen[which == 2] == 0).all()
+    behind = scene.splats.position.copy()
+    behind[which == 0, 1] += 6  # behind the others? no: nothing is left before it
+    moved = dataclasses.replace(scene, splats=dataclasses.replace(scene.splats, position=behind))
+    assert visibility.views_of_splats(moved)[0][which == 0].max() >= 30
+    hidden = scene.splats.position.copy()
+    hidden[:50, 1] = 9.0
+    hidden[:50, 0] *= 0.2
+    moved = dataclasses.replace(scene, splats=dataclasses.replace(scene.splats, position=hidden))
+    assert visibility.views_of_splats(moved)[0][:50].max() <= 2
+
+
+@pytest.mark.parametrize("change", ["built-in", "no cameras", "no splats"])
+def test_nothing_is_badly_placed_where_nothing_is_known(yard, change):
+    scene, _ = yard
+    scene = {
+        "built-in": lambda: dataclasses.replace(scene, source=None),
+        "no cameras": lambda: dataclasses.replace(scene, cameras=()),
+        "no splats": lambda: dataclasses.replace(scene, splats=scene.splats.take([])),
+    }[change]()
+    found = visibility.badly_placed(scene)
+    assert found.shape == (len(scene.splats),) and not found.any()
+
+
+def test_places_and_depths_that_are_no_numbers_are_not_seen():
+    position = np.array([[0, 0, 2], [np.nan, 0, 2], [0, 0, np.inf], [0, -np.inf, 2]], np.float32)
+    view, lens = np.eye(3, 4, dtype=np.float32), np.array([8, 8, 4, 4], np.float32)
+    seen = np.zeros(4, np.uint8)
+    visibility.count_view(position, view, lens, np.full((8, 8), 2, np.float32), seen)
+    np.testing.assert_array_equal(seen, [1, 0, 0, 0])
+    visibility.count_view(position, view, lens, np.full((8, 8), np.nan, np.float32), seen)
+    np.testing.assert_array_equal(seen, [1, 0, 0, 0])
+    visibility.count_view(position, view, lens, np.full((8, 8), np.inf, np.float32), seen)
+    assert seen[0] == 2
+
+
+def test_a_picture_can_leave_the_last_splats_out(yard):
+    scene, which = yard
+    last = which == 1
+    all_of_them = Rasterizer(prepare(scene.splats, last))
+    without = Rasterizer(prepare(scene.splats.take(~last)))
+    camera = scene.cameras[-1]
+    whole = all_of_them.draw(camera, 0.1)
+    left = all_of_them.draw(camera, 0.1, leading=True)
+    assert all_of_them.prepared.leading == -(-(~last).sum() // LANES)
+    plain = Rasterizer(prepare(scene.splats)).draw(camera, 0.1)
+    np.testing.assert_allclose(whole.color, plain.color, atol=2e-4)
+    # the faintest of the last splats fill a chunk; all 40 fit into it here
+    assert all_of_them.prepared.leading * LANES - (~last).sum() >= last.sum()
+    np.testing.assert_allclose(left.color, plain.color, atol=2e-4)
+    many = np.repeat(np.arange(len(which)), np.where(last, 20, 1))
+    crowd, crowd_last = scene.splats.take(many), last[many]
+    left = Rasterizer(prepare(crowd, crowd_last)).draw(camera, 0.1, leading=True)
+    filled = prepare(crowd, crowd_last).leading * LANES - (~crowd_last).sum()
+    assert 0 <= filled < LANES
+    only = prepare(crowd, crowd_last).order[: prepare(crowd, crowd_last).leading * LANES]
+    drawn = Rasterizer(prepare(crowd.take(np.sort(only)))).draw(camera, 0.1)
+    np.testing.assert_allclose(left.alpha, drawn.alpha, atol=2e-4)
+    assert (
+        abs(left.alpha - without.draw(camera, 0.1).alpha).max()
+        <= abs(whole.alpha - without.draw(camera, 0.1).alpha).max() + 1e-3
+    )
+
+
+def dome(covered):
+    """Return a map of alpha: 1 where `covered(elevation, azimuth)` [degrees]."""
+    d = directions()
+    elevation, azimuth = (
+        np.degrees(np.arcsin(d[..., 2])),
+        np.degrees(np.arctan2(d[..., 1], d[..., 0])),
+    )
+    return np.where(covered(elevation, azimuth), 1.0, 0.0).astype(np.float32)
+
+
+def test_the_sky_is_what_is_connected_with_the_zenith():
+    alpha = dome(lambda e, a: e < 20)
+    pane = (abs(np.degrees(np.arcsin(directions()[..., 2])) - 10) < 4) & (
+        abs(directions()[..., 1]) < 0.2
+    )
+    alpha[pane] = 0.2
+    sky = skyline.open_sky(alpha)
+    assert sky[: int(ROWS * 68 / 180)].all()
+    assert not sky[pane].any()
+    notch = dome(lambda e, a: (e < 20) & ~((abs(a) < 20) & (e > 5)))
+    assert skyline.open_sky(notch)[int(ROWS * 80 / 180), COLUMNS // 2]  # a gap between two houses
+
+
+def test_gaps_in_a_crown_show_the_sky_and_half_open_ones_do_not():
+    crown = dome(lambda e, a: e < 90)
+    gap, dark = (slice(30, 34), slice(100, 104)), (slice(30, 34), slice(150, 154))
+    crown[gap], crown[dark] = 0.0, 0.3
+    sky = skyline.open_sky(crown)
+    assert sky[gap].all() and not sky[dark].any()
+    assert sky.sum() == 16
+
+
+def test_under_an_open_sky_the_day_is_drawn_and_below_it_the_land():
+    alpha = dome(lambda e, a: e < 0)
+    seen = np.concatenate([np.full((ROWS, COLUMNS, 3), 0.5, np.float32) * alpha[..., None],
+                           alpha[..., None]], axis=-1)  # fmt: skip
+    land = skyline.spread_colors(seen)
+    np.testing.assert_allclose(land, 0.5**skyline.GAMMA, rtol=1e-3)
+    open_ = skyline.open_sky(alpha).astype(np.float32)
+    day = np.full((2 * ROWS, 2 * COLUMNS, 3), 3.0, np.float32)
+    behind = skyline.with_skyline(day, skyline.Skyline(open_, land), 0.7)
+    np.testing.assert_allclose(behind[: ROWS - 4], 3.0)
+    np.testing.assert_allclose(behind[ROWS + 4 :], 0.7 * 0.5**skyline.GAMMA, rtol=1e-3)
+    dark = skyline.with_skyline(day, skyline.Skyline(open_, land), 0.0)
+    assert (dark[ROWS + 4 :] == 0).all() and (dark[0] == 3).all()
+
+
+def test_albedo_follows_the_ground_and_what_is_given():
+    height = np.zeros((40, 40), np.float32)
+    terrain = terrain_from_heights(height, Grid((40, 40), (-1.0, -1.0), 0.05))
+    none = splats_of(patch((0, 0, 0), 4, 0.1, 0.1, (0.2, 0.2, 0.2), np.random.default_rng(0)))
+    dim = dataclasses.replace(terrain, color=np.full((40, 40, 3), 0.3, np.float32))
+    bright = dataclasses.replace(terrain, color=np.full((40, 40, 3), 0.7, np.float32))
+    low, note = calibration.albedo_of_white(bright, none)
+    high, _ = calibration.albedo_of_white(dim, none)
+    assert low < calibration.USUAL < high and "paving" in note
+    given, note = calibration.albedo_of_white(bright, none, 0.3)
+    assert given == pytest.approx(0.3 / 0.7**2.2, rel=1e-3) and "as given" in note
+    white = splats_of(patch((0, 0, 0), 99, 0.1, 0.1, (1, 1, 1), np.random.default_rng(0)))
+    assert calibration.albedo_of_white(dim, white)[0] == pytest.approx(calibration.WHITEST)
+    # An overcast sky over ground of that albedo: L = a E / pi, zenith 9/7 of E / pi.
+    ground, albedo = 0.7 * 0.3**2.2, high * 0.3**2.2
+    assert calibration.zenith_radiance(high, 0.7) == pytest.approx(9 / 7 * ground / albedo)
+
+
+def test_the_meter_keeps_a_clear_day_and_greys_a_dull_one():
+    assert calibration.metered(0.3, 0.3, 0.0) == pytest.approx(1)
+    assert calibration.metered(0.3, 0.08, 1.0) == pytest.approx(2)
+    between = calibration.metered(0.3, 0.1, 0.5)
+    assert calibration.metered(0.3, 0.1, 1.0) < between < calibration.metered(0.3, 0.1, 0.0)
+    assert calibration.metered(0.0, 0.1, 1.0) == calibration.metered(0.1, np.nan, 1.0) == 1.0
