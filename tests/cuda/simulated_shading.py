@@ -84,7 +84,7 @@ def launch(kernel, *arguments):
 
 def test_grade_and_wet(view, poisoned):
     day, around = sky.overcast(), sky.overcast(0.7)
-    look = np.array([0.8, 0.15, 0.9, 0.8, 30, 1], F4)
+    look = np.array([0.8, 0.15, 0.9, 0.8, 30, 1, 0.85], F4)
     wetness = np.random.default_rng(2).uniform(0, 1, (CELLS, CELLS, 4)).astype(F4)
     dry = DryPicture(
         view.color, view.alpha, view.depth, view.depth * F4(1.01), view.normal, F4(0.9)

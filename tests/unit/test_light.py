@@ -132,7 +132,8 @@ def test_walls_catch_what_slants_towards_them():
     assert damp(0.0, 0.0, 1.0, 2.5) == 1.0
     side, lee = damp(0.0, 1.0, 0.0, 8.0), damp(1.0, 0.0, 0.0, 8.0)
     assert damp(-1.0, 0.0, 0.0) > 0.2 > damp(0.0, 1.0, 0.0)
-    assert 0.2 < side < 0.8 and side == pytest.approx(lee, abs=0.1)
+    assert side < 0.01 and lee < 0.01  # no drop meets them; their foot gets what splashes back
+    assert damp(0.0, 1.0, 0.0, 8.0, 0.1) > 0.5
     assert damp(-1.0, 0.0, 0.0, 30.0) == 1.0 and damp(0.0, 0.0, -1.0) < 0.03  # soffits stay dry
     assert damp(-1.0, 0.0, 0.0, 0.0) == 0.0
     # What splashes back from the ground wets the foot of a wall, and nothing below a table.
