@@ -138,7 +138,8 @@ class Renderer:
             if now.render.metering == "auto":
                 self.wet_scene.set_time(now)
                 light = self.wet_scene.land_light(views)
-                factors[k] = metered(*light, now.render.cloudiness)
+                zenith = float(self.wet_scene.day[0].mean())
+                factors[k] = metered(*light, zenith, now.render.cloudiness)
         self.wet_scene.set_time(self.config.at(0.0))
         if (factors != 1).any():
             self.notes.append(f"exposure: the meter takes the light {factors[0]:.2f} times")

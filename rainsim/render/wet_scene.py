@@ -164,8 +164,11 @@ class WetScene:
         return wet
 
     def land_light(self, cameras):
-        """Return the mean linear luminance of the land that cameras see, as captured and wet."""
-        captured, rainy, pixels = 0.0, 0.0, 0
+        """Return the mean linear luminance of the land that cameras see, as captured and wet.
+
+        And the share of their pictures that shows the sky.
+        """
+        captured, rainy, pixels, sky = 0.0, 0.0, 0, 0
         for camera in cameras:
             layers = self.rasterizer.draw(camera, self.near)
             wet = self._wetted(layers, camera)
@@ -173,7 +176,8 @@ class WetScene:
             captured += float(luminance_of(layers.color[land]).sum())
             rainy += float((wet.picture[land] @ LUMA).sum())
             pixels += int(land.sum())
-        return captured / max(pixels, 1), rainy / max(pixels, 1)
+            sky += int((~land).sum())
+        return captured / max(pixels, 1), rainy / max(pixels, 1), sky / max(pixels + sky, 1)
 
     def level_mirrored(self, level):
         """Return the `WetPicture` of what stands on the ground, seen mirrored at its plane.

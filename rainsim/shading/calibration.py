@@ -26,6 +26,8 @@ WHITEST, WHITE_SHARE = 0.85, 99.0  # albedo of the whitest things, and percentil
 LEAST, MOST = 0.25, 2.5  # albedo of a captured colour of 1: beyond it is an error
 ZENITH = 9 / 7  # of the mean radiance that gives level ground its light
 MIDDLE_GREY = 0.16  # mean linear light of the land in a well exposed picture of a dull day
+MOST_ZENITH = 1.5  # of white: above it the tone curve leaves no clouds in the sky
+MUCH_SKY = 0.3  # of the views, from which on the meter does not let the zenith be brighter
 VIEWS, VIEW_WIDTH = 8, 128  # cameras that the exposure is metered with, px
 
 
@@ -82,20 +84,28 @@ def zenith_radiance(albedo, exposure):
     return ZENITH * exposure / albedo
 
 
-def metered(captured, rainy, cloudiness):
+def metered(captured, rainy, sky_share, zenith, cloudiness):
     """Return the factor on a rainy picture that a camera's meter would choose.
 
     Parameters
     ----------
     captured, rainy : float
         Mean linear luminance of the land in some views, as captured and in the rain.
+    sky_share : float
+        Share of the views that shows the sky. The more of it, the more the meter keeps it from
+        losing its clouds.
+    zenith : float
+        Radiance of the zenith.
     cloudiness : float
         0: the land stays as bright as it was captured; 1: it becomes MIDDLE_GREY.
     """
     if not (captured > 0 and rainy > 0):
         return 1.0
     wanted = captured ** (1 - cloudiness) * MIDDLE_GREY**cloudiness
-    return wanted / rainy
+    for_land = wanted / rainy
+    for_sky = min(for_land, MOST_ZENITH / zenith)
+    weight = min(sky_share / MUCH_SKY, 1.0) * cloudiness
+    return for_land ** (1 - weight) * for_sky**weight
 
 
 def metering_views(cameras, first_camera):

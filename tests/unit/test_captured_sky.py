@@ -200,8 +200,17 @@ def test_albedo_follows_the_ground_and_what_is_given():
 
 
 def test_the_meter_keeps_a_clear_day_and_greys_a_dull_one():
-    assert calibration.metered(0.3, 0.3, 0.0) == pytest.approx(1)
-    assert calibration.metered(0.3, 0.08, 1.0) == pytest.approx(2)
-    between = calibration.metered(0.3, 0.1, 0.5)
-    assert calibration.metered(0.3, 0.1, 1.0) < between < calibration.metered(0.3, 0.1, 0.0)
-    assert calibration.metered(0.0, 0.1, 1.0) == calibration.metered(0.1, np.nan, 1.0) == 1.0
+    assert calibration.metered(0.3, 0.3, 0.0, 1.0, 0.0) == pytest.approx(1)
+    assert calibration.metered(0.3, 0.08, 0.0, 1.0, 1.0) == pytest.approx(2)
+    between = calibration.metered(0.3, 0.1, 0.0, 1.0, 0.5)
+    low, high = (calibration.metered(0.3, 0.1, 0.0, 1.0, cloudiness) for cloudiness in (1.0, 0.0))
+    assert low < between < high
+    assert calibration.metered(0.0, 0.1, 0.0, 1.0, 1.0) == 1.0
+    assert calibration.metered(0.1, np.nan, 0.0, 1.0, 1.0) == 1.0
+
+
+def test_the_meter_keeps_clouds_in_a_sky_that_fills_the_picture():
+    no_sky, some, much = (calibration.metered(0.3, 0.04, s, 1.0, 1.0) for s in (0.0, 0.1, 0.5))
+    assert no_sky == pytest.approx(4) and much == pytest.approx(calibration.MOST_ZENITH)
+    assert much < some < no_sky
+    assert calibration.metered(0.3, 0.16, 0.5, 1.0, 1.0) == pytest.approx(1)  # never darker for it
