@@ -1,9 +1,8 @@
 """Where the sky of the day shows through a capture that holds no sky of its own.
 
 Many captures leave the sky out, so that what covers it least is open: there the sky of the day is
-drawn. But dark things were trained over black and are open too: panes, eaves, doorways. They are
-told from the sky by where they lie: the sky is what is connected with the zenith, and gaps in a
-crown high above.
+drawn. But dark things were trained over black and are open too: panes, eaves, doorways. Their place
+distinguishes them: the sky is what is connected with the zenith, and gaps in a crown high above.
 """
 
 from __future__ import annotations

@@ -33,7 +33,6 @@ from rainsim.scene.view import View, pixel_ray
 from rainsim.shading.environment import sample_environment
 from rainsim.shading.microfacet import LEAST_DIP, LOBE, SAMPLES, lobe_part, reflectance
 from rainsim.splatting.coarse import merge_fine
-from rainsim.splatting.prepared import LANES
 
 THIRD = np.float32(1 / 3)
 RESOLUTION = 160.0  # px per unit of tangent, of the level picture
@@ -90,10 +89,7 @@ def ground_slopes(terrain):
 
 
 def standing(prepared, terrain, frame):
-    """Return the prepared splats of what stands on the ground, with harmonics to degree 1.
-
-    Splats that were prepared to come last are left out.
-    """
+    """Return the leading splats of what stands on the ground, with harmonics to degree 1."""
     place = frame.to_ground(prepared.position.astype(np.float64))
     (x0, y0), cell = terrain.grid.origin, terrain.grid.spacing
     column, row = np.floor((place[:, 0] - x0) / cell), np.floor((place[:, 1] - y0) / cell)
@@ -102,10 +98,7 @@ def standing(prepared, terrain, frame):
     column, row = (np.where(inside, a, 0).astype(np.int64) for a in (column, row))
     least = np.where(inside, terrain.bed[row, column] + STANDING, STANDING_OUTSIDE)
     coarse = replace(prepared, fine=prepared.fine[:, :0], step=prepared.step[:, :0])
-    keep = place[:, 2] > least
-    if prepared.leading is not None:
-        keep[prepared.leading * LANES :] = False
-    return select(coarse, keep)
+    return select(coarse, (place[:, 2] > least) & prepared.is_leading)
 
 
 def in_level_picture(prepared, terrain, frame):

@@ -68,6 +68,13 @@ class PreparedSplats:
         """Highest degree of the spherical harmonics."""
         return round(((self.sh.shape[1] + self.fine.shape[1]) / (3 * LANES)) ** 0.5) - 1
 
+    @property
+    def is_leading(self):
+        """Which splats lie in the leading chunks, ndarray of shape (n,), bool."""
+        return (
+            np.arange(len(self)) < (len(self.box) if self.leading is None else self.leading) * LANES
+        )
+
     def harmonics(self, first=0, last=None):
         """Return all harmonics of a range of chunks, (chunks, 3 (degree + 1)^2, 256), float32."""
         sh, fine = (part.reshape(len(part), part.shape[1] // LANES, LANES)
