@@ -186,8 +186,7 @@ class Renderer:
         )  # fmt: skip
         radiances = {
             "drop": light.drops.tolist(), "around": light.around.tolist(),
-            "air": light.air.tolist(), "zenith": scene.day[0].mean(axis=0).tolist(),
-            "brightness": float(self.brightness),
+            "air": light.air.tolist(), "brightness": float(self.brightness),
         }  # fmt: skip
         return aov.collect(names, parts), radiances
 

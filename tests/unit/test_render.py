@@ -72,10 +72,12 @@ def test_no_rain_on_a_clear_day_is_the_capture_itself(scene, camera):
 
 
 def test_rain_wets_and_darkens_the_ground(scene, camera):
-    dry, _ = frame(scene, camera, rate=0.0, past=0.0)
-    wet, _ = frame(scene, camera, rate=0.0, past=2e-3)
+    dry, _ = frame(scene, camera, rate=0.0, past=0.0, metering="off")
+    wet, _ = frame(scene, camera, rate=0.0, past=2e-3, metering="off")
     lower = slice(SIZE[1] // 2, None)
     assert wet[lower].mean() < 0.95 * dry[lower].mean()
+    metered, _ = frame(scene, camera, rate=0.0, past=2e-3)  # a camera opens for it
+    assert metered[lower].mean() > wet[lower].mean()
 
 
 @pytest.mark.parametrize("reflections", ["mirror", "ssr", "traced", "paper"])
