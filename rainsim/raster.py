@@ -83,6 +83,10 @@ class Rasterizer:
         self._lane = np.empty(0, np.uint8)
         self._entry = np.empty(0, np.uint64)
 
+    def recolor(self, prepared):
+        """Take over the colours of `prepared`: the same splats, see `prepared.recolored`."""
+        self.prepared = prepared
+
     def draw(
         self, camera, near, plane=None, depth="expected", compensate=False, degree=None,
         background=(0, 0, 0), hit=False, drop_last=False, leading=False,

@@ -41,6 +41,7 @@ def settings(preset, given, base=None):
         "sky": ("sky", str),
         "sun": ("sun", _sun),
         "cloudiness": ("cloudiness", float),
+        "relight": ("relight", str),
         "reflections": ("reflections", str),
         "brightness": ("brightness", float),
         "metering": ("metering", str),

@@ -209,9 +209,12 @@ light_options = _group(
                  "picture, an overcast sky, or the captured sky."),
     click.option("--sun", type=Numbers("azimuth,elevation", words="none|sky"), show_default=PRESETS,
                  help="Direction of the sun in degrees, azimuth as for --wind; sky: the brightest "
-                 "spot of the sky."),
+                 "spot of the sky. Also where --relight takes the captured sun to have stood."),
     click.option("--cloudiness", type=float, metavar="0..1", show_default=PRESETS,
                  help="Share of the sky under clouds: 0 clear to 1 overcast."),
+    click.option("--relight", metavar="auto|off", show_default=PRESETS,
+                 help="auto: shadows and colour of the sun that a capture was taken in go as "
+                 "clouds cover the sky; off: they stay."),
     click.option("--reflections", metavar="NAME", show_default=PRESETS,
                  help="How reflections are found: mirror draws the capture again from the mirrored "
                  "camera; ssr marches rays through the picture; auto uses mirror at the levels "

@@ -33,6 +33,7 @@ HUMAN_KEYS = {
     "sun_azimuth_degrees": ("sun", math.pi / 180),
     "sun_elevation_degrees": ("sun", math.pi / 180),
     "cloudiness": ("cloudiness", 1.0),
+    "relight": ("relight", None),
     "brightness": ("brightness", 1.0),
     "metering": ("metering", None),
     "ground_albedo": ("ground_albedo", 1.0),

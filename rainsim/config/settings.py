@@ -48,6 +48,7 @@ FRESNELS = ("exact", "schlick")
 HIGHLIGHTS = ("cox-munk", "blinn-phong")
 COVERAGES = ("soft", "hard")
 METERINGS = ("auto", "off")
+RELIGHTS = ("auto", "off")
 WETTINGS = ("class", "none")
 WATER_GEOMETRIES = ("height-field", "spheres")
 DROP_RADII = ("measured", "paper")
@@ -184,6 +185,7 @@ class RenderConfig:
     sun: tuple | str | None = None  # azimuth from x towards y and elevation [rad]; "sky": as the
     # sky has it; None: no sun
     cloudiness: float = 0.8  # 0 clear to 1 overcast
+    relight: str = "auto"  # a captured sun goes as clouds cover the sky; off: it stays
     brightness: float = 1.0  # factor on the finished picture
     metering: str = "auto"  # exposed as by a camera's meter; off: as the capture was
     ground_albedo: float | None = None  # of the open ground; None: guessed, class by class
@@ -234,6 +236,7 @@ class RenderConfig:
                     f"ground_albedo is {self.ground_albedo}; it must be at most 1: no ground gives "
                     "more light than it gets"
                 )
+        require_choice("relight", self.relight, RELIGHTS)
         require_choice("wetting", self.wetting, WETTINGS)
         require_choice("reflections", self.reflections, REFLECTIONS)
         require_choice("film", self.film, FILMS)

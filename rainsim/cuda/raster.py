@@ -70,17 +70,21 @@ class DeviceSplats:
         self.geometry = cuda.to_device(geometry.reshape(-1))
         count = 3 * (prepared.degree + 1) ** 2
         self.bands, self.groups = int(np.sqrt(count // 3)), -(-count // 8)
-        row = self.groups * 8 * LANES
-        self.sh = cuda.device_array(max(self.chunks, 1) * row, np.float16)
-        for first in range(0, self.chunks, CHUNKS_AT_ONCE):
-            part = prepared.harmonics(first, first + CHUNKS_AT_ONCE)
-            halves = project.in_groups(part).reshape(-1)
-            self.sh[first * row : first * row + halves.size].copy_to_device(halves)
+        self.sh = cuda.device_array(max(self.chunks, 1) * self.groups * 8 * LANES, np.float16)
+        self.send_colors(prepared)
         self.centre, self.reach = _reach(prepared.box)
         # A chunk of nothing but holes has an infinite box, which no comparison finds outside.
         self.box = cuda.to_device(prepared.box)
         self.record = cuda.device_array(self.chunks * LANES * project.RECORD, np.float32)
         self.seen = cuda.device_array(self.chunks, np.bool_)
+
+    def send_colors(self, prepared):
+        """Send the harmonics of `prepared`; the device must draw nothing meanwhile."""
+        row = self.groups * 8 * LANES
+        for first in range(0, self.chunks, CHUNKS_AT_ONCE):
+            part = prepared.harmonics(first, first + CHUNKS_AT_ONCE)
+            halves = project.in_groups(part).reshape(-1)
+            self.sh[first * row : first * row + halves.size].copy_to_device(halves)
 
 
 def _levels(width, height):
@@ -192,6 +196,9 @@ class Rasterizer:
         self._capacity, self._first_room = 0, first_room
         self.workspace = Workspace() if workspace is None else workspace
         self._taken = None  # version of the workspace that the lists are of
+
+    def recolor(self, prepared):
+        """Take nothing over: `DeviceFrame` sends the colours when the device is idle."""
 
     def draw(
         self, camera, near, plane=None, depth="expected", compensate=False, degree=None,

@@ -44,7 +44,7 @@ HASHING_THREADS = 4
 STAGES = (
     "errors", "jit", "constants", "compiling", "numerics", "config", "io", "scene", "splatting",
     "raster", "demo_scenes", "terrain", "rain", "drops", "ledger", "water", "grid", "shading",
-    "ssr", "reflection", "particles", "simulation",
+    "daylight", "ssr", "reflection", "particles", "simulation",
 )  # fmt: skip
 LIBRARIES = ("numpy", "scipy", "scikit-image", "numba", "llvmlite")
 # Variables that choose machine code, and with it the last digits of results.

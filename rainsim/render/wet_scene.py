@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 from scipy import ndimage
 
+from rainsim.daylight.kept import covered_share, kept_relight, under_clouds
 from rainsim.io import images
 from rainsim.numerics.mipmap import coarsened
 from rainsim.rain.exposure import rain_exposure
@@ -26,6 +27,7 @@ from rainsim.shading.wet_ground_mirror import in_level_picture
 from rainsim.shading.wet_pass import NO_COVER, DryRays, dry_picture, grade_and_wet, grade_rays
 from rainsim.shading.wetting import GroundMaps, SkyMaps
 from rainsim.simulation import usual_wind
+from rainsim.splatting.prepared import recolored
 
 NEAR = 0.05  # m: splats nearer than this are not drawn
 FIRST_SEGMENT = 0.5  # m of a traced ray that are searched at first
@@ -50,6 +52,8 @@ class WetScene:
     ----------
     scene : Scene
         Without the splats of its sky where another sky is drawn.
+    splats, prepared : Splats and PreparedSplats
+        Those of `scene` in the light of the present time.
     frame : GroundFrame
     near : float [capture units]
     reach : ndarray of shape (ny, nx), float32
@@ -79,7 +83,9 @@ class WetScene:
         self.scene = self.backdrop.scene
         self.near = NEAR / self.frame.meters_per_unit
         self._rasterizer_of = rasterizer_of
-        self.notes = [self.backdrop.note()] if self.backdrop.count else []
+        relight = kept_relight(scene, config, self.sky_distance)
+        self.notes = [note for note in (self.backdrop.note(), relight.note) if note]
+        self._gain = None if relight.gain is None else relight.gain[self.backdrop.kept]
         self.badly_placed = badly_placed(self.scene)
         if not self.backdrop.count and replaces_sky(config):
             self._leave_out(self.badly_placed & pale(self.scene.splats))
@@ -87,11 +93,13 @@ class WetScene:
             self.notes.append(
                 f"mirrors leave out {self.badly_placed.sum()} splats that hardly any camera saw"
             )
-        prepared = prepare(self.scene.splats, self.badly_placed)
-        self.rasterizer = rasterizer_of(prepared)
+        self._share = 0.0 if self._gain is None else covered_share(config.at(0.0).render)
+        self.splats = under_clouds(self.scene.splats, self._gain, self._share)
+        self.prepared = prepare(self.splats, self.badly_placed)
+        self.rasterizer = rasterizer_of(self.prepared)
         self._skylines = None
         if not self.backdrop.count:
-            self._skylines = skylines(self.scene, prepared, first_camera, self.near)
+            self._skylines = skylines(self.scene, self.prepared, first_camera, self.near)
         self.reach = rain_exposure(terrain, usual_wind(config), config.rain.roughness)
         self._grass = ndimage.gaussian_filter(terrain.grassy.astype(np.float32), 1)
         self._place = np.array(terrain.grid.origin, np.float32), np.float32(terrain.grid.spacing)
@@ -111,7 +119,8 @@ class WetScene:
 
     def set_time(self, now):
         """Take over the settings of a time; return whether they change what cameras see."""
-        look = look_of(now, self.sky_distance, self.backdrop.count > 0, self.albedo)
+        relit = self._gain is not None
+        look = look_of(now, self.sky_distance, self.backdrop.count > 0, self.albedo, relit)
         off_ground = wetness.off_ground_wetness(now)
         if look == self.look and off_ground == self.off_ground:
             return False
@@ -119,13 +128,24 @@ class WetScene:
         self.paving = wetness.paving_dampness(now)
         self.ground = wetness.ground_wetness(self.terrain, self._grass, self.reach, now)
         self._set_skies()
+        if relit and covered_share(now.render) != self._share:
+            self._set_share(covered_share(now.render))
         return True
+
+    def _set_share(self, share):
+        """Take over the share of the captured sun that is divided out."""
+        self._share = share
+        self.splats = under_clouds(self.scene.splats, self._gain, share)
+        self.prepared = recolored(self.prepared, self.splats)
+        self.rasterizer.recolor(self.prepared)
+        self._standing = self.tracer = None
 
     def _leave_out(self, which):
         """Leave splats out of all pictures: shreds of the captured sky."""
         if which.any():
             self.scene = replace(self.scene, splats=self.scene.splats.take(~which))
             self.badly_placed = self.badly_placed[~which]
+            self._gain = None if self._gain is None else self._gain[~which]
             self.notes.append(f"{which.sum()} splats of the captured sky are left out")
 
     def _set_skies(self):
@@ -144,10 +164,10 @@ class WetScene:
     def dry(self, camera, whole_color=False):
         """Return the `raster.Layers` of the capture that `camera` takes.
 
-        `whole_color`: the colour is that of all splats, those of the captured sky included.
+        `whole_color`: the colour is that of all splats as captured, those of the sky included.
         """
         layers = self.rasterizer.draw(camera, self.near)
-        if whole_color and self.scene is not self.backdrop.whole:
+        if whole_color and (self._share or self.scene is not self.backdrop.whole):
             whole = self._rasterizer_of(prepare(self.backdrop.whole.splats))
             layers = replace(layers, color=whole.draw(camera, self.near).color)
         return layers
@@ -186,7 +206,7 @@ class WetScene:
         """
         if self._standing is None:
             self._standing = self._rasterizer_of(
-                in_level_picture(self.rasterizer.prepared, self.terrain, self.frame)
+                in_level_picture(self.prepared, self.terrain, self.frame)
             )
         _, camera = mirrored_camera(self.frame.camera_in_capture(level), self.frame, 0.0)
         return self._wetted(self._standing.draw(camera, self.near), camera, mirrored=True)
@@ -219,7 +239,7 @@ class WetScene:
         See `ray_traced.traced_light`.
         """
         if self.tracer is None:
-            splats = self.scene.splats
+            splats = self.splats
             if self.badly_placed.any():
                 splats = splats.take(~self.badly_placed)
             self.tracer = Tracer(splats)

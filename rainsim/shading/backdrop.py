@@ -52,10 +52,12 @@ class Backdrop:
         Without the splats of its sky; the given scene if they cover too little of the sky.
     count : int
         Splats left out.
+    kept : ndarray of shape (n,), bool, or slice
+        Which splats of the given scene `scene` has.
     """
 
     def __init__(self, scene, distance, wanted):
-        self.whole, self.scene, self.count = scene, scene, 0
+        self.whole, self.scene, self.count, self.kept = scene, scene, 0, slice(None)
         self._seen = None  # the panorama, once it is drawn
         if not wanted or not scene.cameras:
             return
@@ -63,7 +65,7 @@ class Backdrop:
         found = sky_splats(scene.splats, scene.ground_frame, eye, distance)
         if covered(scene.splats, eye, found) >= sky.LEAST_SKY_SEEN:
             self.count, self._eye = int(found.sum()), eye
-            self._sky = scene.splats.take(found)
+            self._sky, self.kept = scene.splats.take(found), ~found
             self.scene = dataclasses.replace(scene, splats=scene.splats.take(~found))
 
     def note(self):

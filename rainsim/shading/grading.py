@@ -34,7 +34,7 @@ class Look(NamedTuple):
     albedo: np.float32  # that a captured linear colour of 1 stands for, see `calibration`
 
 
-def look_of(config, sky_distance, sky_is_left_out, albedo):
+def look_of(config, sky_distance, sky_is_left_out, albedo, relit=False):
     """Return the `Look` of the settings of one time.
 
     Parameters
@@ -46,11 +46,13 @@ def look_of(config, sky_distance, sky_is_left_out, albedo):
         Whether the splats of the captured sky are left out of the scene.
     albedo : float
         That a captured linear colour of 1 stands for.
+    relit : bool
+        Whether the captured sun is divided out: then there are no sunlit patches to compress.
     """
     c = config.render.cloudiness
     replaced = 0.0 if config.render.sky == "capture" else c
-    dimmed = 1 - (1 - DULL_EXPOSURE) * c
-    numbers = dimmed, 0.2 * c, 1.2 * c, replaced, sky_distance, sky_is_left_out, albedo
+    dimmed, compressed = 1 - (1 - DULL_EXPOSURE) * c, 0.0 if relit else 1.2 * c
+    numbers = dimmed, 0.2 * c, compressed, replaced, sky_distance, sky_is_left_out, albedo
     return Look(*(np.float32(n) for n in numbers))
 
 

@@ -118,6 +118,17 @@ def _put_last(splats, order, last):
     return np.concatenate([first, behind[filling], behind[~filling]]), leading
 
 
+def recolored(prepared, splats):
+    """Return the prepared splats with the harmonics of `splats`, the same ones in other colours."""
+    values = splats.sh.reshape(len(splats), -1)
+    bad = np.empty((len(prepared.box), LANES), np.bool_)
+    n = len(prepared.box)
+    sh, fine = np.empty_like(prepared.sh), np.empty_like(prepared.fine)
+    step = np.empty_like(prepared.step)
+    _pack(values, prepared.order, sh.reshape(n, -1, LANES), fine.reshape(n, -1, LANES), step, bad)
+    return replace(prepared, sh=sh, fine=fine, step=step)
+
+
 def select(prepared, keep):
     """Return those of the prepared splats that the mask `keep` (n,), in their order, selects."""
     which = np.flatnonzero(keep).astype(np.int32)

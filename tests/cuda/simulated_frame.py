@@ -8,6 +8,8 @@ import pytest
 from rainsim.config.settings import Config, mm_per_hour
 from rainsim.cuda import simulated
 from rainsim.cuda.render import renderer as twin
+from rainsim.daylight import kept
+from rainsim.daylight.relight import Relight
 from rainsim.errors import ParameterError
 from rainsim.pipeline import extract_terrain, simulate
 from rainsim.render import aov
@@ -94,6 +96,35 @@ def test_film_gets_a_mirrored_picture_where_it_is_worth_one():
     plain = config(reflections="auto", film="environment", rate=0.0)
     without = rendering.Renderer(scene, terrain, plain, camera).draw(camera, state)[0]
     assert decibel(pictures[2], without) < 45
+
+
+def test_colors_follow_clouds_that_come_and_go(monkeypatch, tmp_path):
+    """A captured sun that is divided out frame by frame, and the layer of the capture itself."""
+
+    def relight(scene, sky_distance, sun):
+        gain = np.linspace(0.4, 3, 3 * len(scene.splats)).reshape(-1, 3).astype(np.float16)
+        return Relight(gain, "made for a test")
+
+    monkeypatch.setattr(kept, "find_relight", relight)
+    scene = dataclasses.replace(tiny_scene(), source=tmp_path)
+    camera = scene.cameras[0].resized(*SIZE)
+    keys = ((0.0, (("cloudiness", 1.0),)), (1 / 24, (("cloudiness", 0.2),)))
+    settings = config(reflections="auto", film="mirror", rate=0.0)
+    settings = dataclasses.replace(settings, keyframes=keys)
+    terrain = extract_terrain(scene, settings)
+    states = [state for state, _ in zip(simulate(terrain, settings), range(2), strict=False)]
+    pictures, clean = [], []
+    for theirs in (rendering.Renderer, twin.Renderer):
+        renderer = theirs(scene, terrain, settings, camera)
+        for state in states:
+            picture, report = renderer.draw(camera, state, None, ("clean",))
+            pictures.append(picture.copy())
+            clean.append(report.aovs["clean"])
+    for n in range(2):
+        assert decibel(pictures[2 + n], pictures[n]) > 50
+        assert np.abs(clean[2 + n].astype(int) - clean[n]).max() <= 1
+    assert decibel(pictures[0], pictures[1]) < 30
+    np.testing.assert_array_equal(clean[0], clean[1])
 
 
 def test_layers_are_those_of_the_cpu():

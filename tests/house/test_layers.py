@@ -29,6 +29,7 @@ ledger
 water
 grid
 shading
+daylight
 ssr
 reflection particles
 simulation

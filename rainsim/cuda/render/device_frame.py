@@ -77,6 +77,7 @@ class DeviceFrame:
         self._around, self.gloss = to_device(scene.environment), to_device(scene.gloss)
         self._behind, self._behind_sent = to_device(scene.behind), scene.behind
         self._behind_mirrored = to_device(scene.behind_mirrored)
+        self._colors_sent = scene.prepared
         self._water = cuda.device_array(grid.shape, np.float32)
         self.surface = WaterSurface(
             self.terrain.bed, host.water.relief, self.terrain.mirrors, self._water, stream
@@ -101,6 +102,8 @@ class DeviceFrame:
             self.pending.append(self._send_ground)
         if scene.behind is not self._behind_sent:
             self.pending.append(self._send_sky)
+        if scene.prepared is not self._colors_sent:
+            self.pending.append(self._send_colors)
         host.take_camera(camera)
         render = host.now.render
         field = host.rain.field(state.time, render.exposure)
@@ -129,6 +132,11 @@ class DeviceFrame:
         self._behind.copy_to_device(self.wet_scene.behind)
         self._behind_mirrored.copy_to_device(self.wet_scene.behind_mirrored)
         self._behind_sent = self.wet_scene.behind
+
+    def _send_colors(self):
+        self.rasterizer.splats.send_colors(self.wet_scene.prepared)
+        self.ground_light.send_colors()
+        self._colors_sent = self.wet_scene.prepared
 
     def _update_drops(self, field, state, camera_end):
         """Update streaks and splashes; return the fog of the drops that are not drawn."""

@@ -19,7 +19,6 @@ from rainsim.cuda.jit import cuda, cuda_device, cuda_kernel, pinned
 from rainsim.cuda.raster import Rasterizer
 from rainsim.cuda.shading.wet_pass import BLOCK, blocks
 from rainsim.numerics.ripmap import LEVELS
-from rainsim.raster import prepare
 from rainsim.scene.cameras import mirrored_camera
 from rainsim.scene.view import pixel_ray, view_from, view_of
 from rainsim.shading.microfacet import LOBE
@@ -219,9 +218,16 @@ class WetGroundLight:
     def _prepare(self):
         """Send the splats that stand on the ground to the device."""
         scene = self.frame.wet_scene
-        prepared = prepare(scene.scene.splats, scene.badly_placed)
-        splats = in_level_picture(prepared, scene.terrain, scene.frame)
+        splats = in_level_picture(scene.prepared, scene.terrain, scene.frame)
         self.rasterizers = [Rasterizer(splats, self.stream, first_room=len(splats))]
+
+    def send_colors(self):
+        """Send the present colours of the splats that stand on the ground."""
+        scene = self.frame.wet_scene
+        for rasterizer in self.rasterizers:
+            rasterizer.splats.send_colors(
+                in_level_picture(scene.prepared, scene.terrain, scene.frame)
+            )
 
     def update(self, camera, camera_in_ground):
         """Take over the camera of the next picture, in the capture's and in the ground's frame."""

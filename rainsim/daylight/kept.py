@@ -1,0 +1,94 @@
+"""The relit light of a capture: from an earlier run or found and kept, and the splats in it."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from rainsim.constants import SH_0
+from rainsim.daylight.relight import Relight, find_relight
+from rainsim.daylight.surface import display, linear
+from rainsim.io import cache
+from rainsim.numerics.blocks import in_blocks
+
+KIND = "daylight"
+NO_RELIGHT = Relight(None, "")
+
+
+def kept_relight(scene, config, sky_distance):
+    """Return the `Relight` of a scene, from an earlier run if there was one.
+
+    Nothing is looked for where the setting `relight` is "off", where no cloud ever covers the sky,
+    and in generated scenes, which are lit by a dull sky.
+
+    Parameters
+    ----------
+    scene : Scene
+    config : Config
+    sky_distance : float [m]
+        See `find_relight`.
+    """
+    clouds = max(config.at(time).render.cloudiness for time in config.key_times())
+    if config.render.relight == "off" or clouds == 0 or scene.source is None:
+        return NO_RELIGHT
+    sun = config.render.sun if isinstance(config.render.sun, tuple) else None
+    if not cache.folder():
+        return find_relight(scene, sky_distance, sun)
+    name = cache.name_of(
+        KIND, scene.splats, scene.ground_frame, scene.cameras, float(sky_distance), sun
+    )
+    found = cache.read(KIND, name)
+    if found:
+        facts, arrays = found
+        direction = None if facts["sun"] is None else np.array(facts["sun"])
+        return Relight(
+            arrays.get("gain"), facts["note"], direction, facts["ratio"], facts["confidence"]
+        )
+    relight = find_relight(scene, sky_distance, sun)
+    facts = {
+        "note": relight.note, "confidence": relight.confidence, "ratio": relight.ratio,
+        "sun": None if relight.sun is None else [float(x) for x in relight.sun],
+    }  # fmt: skip
+    cache.write(KIND, name, facts, {} if relight.gain is None else {"gain": relight.gain})
+    return relight
+
+
+def covered_share(render):
+    """Return the share of the captured sun that clouds take, 0 to 1.
+
+    More than their share of the sky: clouds that spread grow thicker, too, and before rain the sun
+    rarely finds a gap. Chosen.
+    """
+    return 1 - (1 - render.cloudiness) ** 2
+
+
+def under_clouds(splats, gain, share):
+    """Return the splats with a share of the sun divided out; the given ones where there is none.
+
+    Light adds up, so the gain on linear light is the mean of 1 and `gain`. A splat's harmonics are
+    display-referred: all are scaled by what the gain does to its colour of degree 0.
+
+    Parameters
+    ----------
+    splats : Splats
+    gain : ndarray of shape (n, 3) or None
+        See `Relight`.
+    share : float
+        0 as captured, 1 wholly overcast.
+    """
+    if gain is None or share == 0:
+        return splats
+    sh = np.empty_like(splats.sh)
+
+    def work(part):
+        factor = 1 + np.float32(share) * (gain[part].astype(np.float32) - 1)
+        base = splats.sh[part, 0] * np.float32(SH_0) + np.float32(0.5)
+        light = linear(base) * factor
+        # Nearly black: as the linear part of the display's curve has it.
+        scale = np.where(base > 1e-3, display(light) / np.maximum(base, 1e-3), factor)
+        sh[part] = splats.sh[part] * scale[:, None, :]
+        sh[part, 0] += (scale - 1) * np.float32(0.5 / SH_0)
+
+    in_blocks(work, len(splats))
+    return dataclasses.replace(splats, sh=sh)

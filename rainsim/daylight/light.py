@@ -1,0 +1,201 @@
+"""The light that places receive: of the sky that they see, of their surroundings, of the sun.
+
+The unit is the irradiance of the same sky on open level ground.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from rainsim.daylight import sky_light
+from rainsim.daylight.surface import luminance
+from rainsim.daylight.visibility import (
+    BATCH,
+    COARSER,
+    add_light,
+    add_sides,
+    axes_of,
+    coarsened,
+    draw_heights,
+    find_seen,
+    resized,
+)
+
+SKY_DIRECTIONS = 96
+SIDE_DIRECTIONS, SIDE = 24, 512  # and px, of the maps that show which side of a splat is open
+BLIND, OPEN = 0.06, 0.15  # light of an even sky on a side that is closed, and on an open one
+SUN_SIDE = 3072  # px of the near map of the sun
+MARGIN, FAR_MARGIN = 0.025, 0.15  # m by which what hides a place stands above it
+BAND = 0.05  # m about the edge of a shadow within which its place is not sure
+AROUND = 6  # places that are looked at about one
+ANY_FACE = np.float32(0.25)  # mean cosine, not below 0, to a direction over all ways to face
+ALBEDO_PER_LIGHT = 0.6  # of open level ground over its captured linear light: a usual exposure
+LEAST_ALBEDO, MOST_ALBEDO = 0.05, 0.35
+USUAL_ALBEDO = 0.2, 0.1  # of ground and of what stands on it, where colours tell nothing
+LEVEL = 0.9  # cosine to the vertical of level ground
+BRIGHT_GROUND = 70  # percentile of level ground's light that is taken for open: much may be shaded
+MOST_BRIGHT = 1.5  # of that light, beyond which a splat counts as this
+
+
+class Light(NamedTuple):
+    """What places receive, float32 (n,)."""
+
+    clear: np.ndarray  # from the clear sky
+    overcast: np.ndarray  # from the overcast sky
+    around: np.ndarray  # from their surroundings
+
+
+class Surroundings(NamedTuple):
+    """Light that the surroundings send out: what they reflect of the light on open ground."""
+
+    ground: float
+    things: float  # that stand on the ground
+
+
+def surroundings_of(surface):
+    """Return the `Surroundings` of a capture: how bright its ground is, and what stands on it."""
+    bright = luminance(surface.light)
+    level = (surface.flat > 0.5) & (surface.normal[:, 2] > LEVEL)
+    if level.sum() < 20 or level.all():
+        return Surroundings(*USUAL_ALBEDO)
+    ground = max(float(np.percentile(bright[level], BRIGHT_GROUND)), 1e-3)
+    albedo = float(np.clip(ALBEDO_PER_LIGHT * ground, LEAST_ALBEDO, MOST_ALBEDO))
+    share = np.minimum(bright / ground, MOST_BRIGHT)
+    return Surroundings(albedo * float(share[level].mean()), albedo * float(share[~level].mean()))
+
+
+def maps_along(solids, window, directions):
+    """Yield slices of the directions, their axes and the maps of heights along them."""
+    solids = coarsened(solids, COARSER * float(window.pixel))
+    for start in range(0, len(directions), BATCH):
+        part = slice(start, min(start + BATCH, len(directions)))
+        axes = axes_of(directions[part])
+        heights = np.empty((len(axes), window.side, window.side), np.float32)
+        draw_heights(solids, axes, window, heights)
+        yield part, axes, heights
+
+
+def turn_to_the_open(surface, solids, window):
+    """Turn the normals of splats whose side towards the cameras is closed and whose other is not.
+
+    They are the backs of walls, which no camera saw; `surface.normal` is modified in place.
+    """
+    directions, window = sky_light.hemisphere(SIDE_DIRECTIONS), resized(window, SIDE)
+    sides = np.zeros((len(surface.position), 2), np.float32)
+    for _, axes, heights in maps_along(solids, window, directions):
+        add_sides(
+            heights, axes, window, surface.position, surface.normal, np.float32(MARGIN), sides
+        )
+    sides /= SIDE_DIRECTIONS / 2  # what open level ground receives
+    surface.normal[(sides[:, 0] < BLIND) & (sides[:, 1] > OPEN)] *= -1
+
+
+def sky_radiance(sun, count=SKY_DIRECTIONS):
+    """Return directions (m, 3) and the radiance of three skies in each, (m, 3) float32.
+
+    A clear one, an overcast one and an even one; open level ground receives 1 of each.
+    """
+    directions = sky_light.hemisphere(count)
+    skies = np.stack([
+        sky_light.clear(directions, sun), sky_light.overcast(directions), np.ones(count),
+    ], -1)  # fmt: skip
+    skies /= (skies * directions[:, 2:]).sum(axis=0)
+    return directions, skies.astype(np.float32)
+
+
+def received(surface, solids, windows, sun, around):
+    """Return the `Light` on each splat.
+
+    Parameters
+    ----------
+    surface : Surface
+    solids : Solids
+    windows : sequence of Window
+        The near one and the far one: a splat takes the first that shows it.
+    sun : ndarray of shape (3,)
+        Unit, towards the sun of the clear sky.
+    around : Surroundings
+    """
+    total = np.zeros((len(surface.position), 3), np.float32)
+    for part, window, margin in _parts(surface, windows):
+        place = surface.position[part], surface.normal[part], surface.flat[part]
+        total[part] = sky_sums(*place, solids, window, sun, margin)
+    return light_of(total, surface.normal, surface.flat, around)
+
+
+def sky_sums(position, normal, flat, solids, window, sun, margin=MARGIN):
+    """Return what places receive of the three skies of `sky_radiance`, (n, 3) float32."""
+    total = np.zeros((len(position), 3), np.float32)
+    if len(position):
+        directions, skies = sky_radiance(sun)
+        for part, axes, heights in maps_along(solids, window, directions):
+            add_light(
+                heights, axes, window, position, normal, flat, np.float32(margin), skies[part],
+                total,
+            )  # fmt: skip
+    return total
+
+
+def light_of(sums, normal, flat, around):
+    """Return the `Light` of the sums that `sky_sums` returns: what is no sky is surroundings."""
+    below = flat * 0.5 * (1 - normal[:, 2]) + (1 - flat) * 0.5  # share of the view below level
+    things = np.maximum(1 - sums[:, 2] - below, 0)
+    sent = around.ground * below + around.things * things
+    return Light(sums[:, 0], sums[:, 1], sent.astype(np.float32))
+
+
+def facing(surface, direction):
+    """Return the cosine to a direction, its mean over all ways to face for what has no plane."""
+    cosine = np.maximum(surface.normal @ direction.astype(np.float32), 0)
+    return surface.flat * cosine + (1 - surface.flat) * ANY_FACE
+
+
+def sunlit(surface, solids, windows, sun):
+    """Return how much of each splat nothing hides from the sun, and of the places about it.
+
+    The second is the mean over places BAND away: where it is another, the edge of a shadow is near.
+    """
+    axes = axes_of(sun)
+    own, about = (np.zeros(len(surface.position), np.float32) for _ in range(2))
+    for part, window, margin in _parts(surface, windows):
+        if window is windows[0]:
+            window = resized(window, SUN_SIDE)
+        heights = np.empty((1, window.side, window.side), np.float32)
+        draw_heights(solids, axes, window, heights)
+        position, normal = surface.position[part], surface.normal[part]
+        rest = normal, surface.flat[part], np.float32(margin)
+        own[part] = _seen(heights, axes, window, position, *rest)
+        for step in about_normal(normal):
+            moved = position + np.float32(BAND) * step
+            about[part] += _seen(heights, axes, window, moved, *rest) / AROUND
+    return own, about
+
+
+def _seen(heights, axes, window, *places):
+    """Return what `find_seen` finds along one direction."""
+    seen = np.empty((len(places[0]), 1), np.float32)
+    find_seen(heights, axes, window, *places, seen)
+    return seen[:, 0]
+
+
+def about_normal(normal):
+    """Return AROUND unit vectors across each normal (n, 3), a list of float32 (n, 3)."""
+    across = np.cross(normal, [0.31, 0.54, 0.78]).astype(np.float32)
+    across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-6)
+    along = np.cross(normal, across)
+    turns = np.arange(AROUND) * 2 * np.pi / AROUND
+    return [np.float32(np.cos(t)) * across + np.float32(np.sin(t)) * along for t in turns]
+
+
+def _parts(surface, windows):
+    """Yield the splats that each window is the first to show, the window and its margin."""
+    left = np.ones(len(surface.position), bool)
+    for window, margin in zip(windows, (MARGIN, FAR_MARGIN), strict=True):
+        half = 0.5 * window.side * float(window.pixel)
+        # Along any direction a map shows the sphere that is as wide as its window.
+        inside = left & (np.linalg.norm(surface.position - window.middle, axis=1) < half)
+        left &= ~inside
+        if inside.any():
+            yield np.flatnonzero(inside), window, margin

@@ -1,0 +1,293 @@
+"""A sunny capture under an overcast sky: what of each splat's light was sun, and a gain instead.
+
+With the clear sky's irradiance on open level ground as the unit, a splat received
+
+    E = A + S V cos(n, sun) + B
+
+in the captured day: A from the part of the sky that it sees, S from the sun where nothing hides it
+(V), B from its surroundings. Under an overcast sky it receives the part of this sky that it sees,
+and B. The ratio of the two is the gain on its linear light; open level ground keeps its mean. S is
+measured for each channel, where the edges of shadows cross surfaces of one colour.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from rainsim.daylight.light import (
+    about_normal,
+    facing,
+    light_of,
+    received,
+    sky_sums,
+    sunlit,
+    surroundings_of,
+    turn_to_the_open,
+)
+from rainsim.daylight.sun import find_sun, places_of, seen_from
+from rainsim.daylight.surface import covariances, luminance, surface_of
+from rainsim.daylight.visibility import Window, solids_of
+from rainsim.jit import get_num_threads
+
+SIDE = 1024  # px of the maps of the sky's light
+LEAST_HALF, MOST_HALF, BEYOND = 6.0, 40.0, 4.0  # m, of the near window; past the cameras
+FAR_HALF = 60.0  # m, of the far window
+FEWEST = 100  # splats
+LEAST_PAIRS = 150  # of places
+SURE_REACH = 0.06  # m about a place that is surely in the sun or surely not
+OPEN = 0.1  # light of the clear sky below which a place tells nothing
+ROUNDS = 6  # of the fit of the ratio
+MOST_GAIN = 6.0
+SURE = 0.5  # confidence from which on the sun is divided out
+# Values that raise the confidence from 0 to 1: sun over sky on level ground, share of pairs that
+# are brighter where the sun shines, and the score of the search.
+OVER_SKY, AGREE, SCORE = (0.15, 0.6), (0.6, 0.85), (0.08, 0.2)
+PAINT_REACH, PAINT_COUNT, LEAST_PAINT = 0.35, 16, 4  # m; splats that a splat's paint is taken from
+STAYS = "the light stays as captured"
+
+
+class SunRatio(NamedTuple):
+    """Irradiance of the sun on what faces it over the clear sky's on open level ground."""
+
+    ratio: np.ndarray  # (3,)
+    pairs: int
+    agree: float  # share of the pairs that are brighter where the sun shines
+
+
+@dataclass(frozen=True)
+class Relight:
+    """The gain that takes each splat's light from the captured day to an overcast one.
+
+    Attributes
+    ----------
+    gain : ndarray of shape (n, 3), float16, or None
+        On linear light; None: nothing is changed.
+    note : str
+    sun : ndarray of shape (3,) or None
+        Unit, in the ground frame, towards the sun that was found or given.
+    ratio : tuple of float or None
+        See `SunRatio`.
+    confidence : float
+    """
+
+    gain: np.ndarray | None
+    note: str
+    sun: np.ndarray | None = None
+    ratio: tuple | None = None
+    confidence: float = 0.0
+
+
+def find_relight(scene, sky_distance, sun=None):
+    """Return the `Relight` of a capture.
+
+    Parameters
+    ----------
+    scene : Scene
+    sky_distance : float [m]
+        From the cameras; what is farther is left as it is.
+    sun : tuple, optional
+        Azimuth and elevation [rad] of the captured sun; found if not given.
+    """
+    loaded = _surface_of(scene, sky_distance)
+    if loaded is None:
+        return Relight(None, f"relight: too few splats to find a sun; {STAYS}")
+    which, surface, solids, near = loaded
+    turn_to_the_open(surface, solids, near)
+    places = places_of(surface, near)
+    if len(places.pair) < LEAST_PAIRS:
+        return Relight(None, f"relight: too few flat surfaces to find a sun; {STAYS}")
+    direction, score = find_sun(places, solids, near) if sun is None else (_unit(*sun), 1.0)
+    around = surroundings_of(surface)
+    measured = measure(places, solids, near, direction, around)
+    confidence = _confidence(measured, score, direction)
+    facts = direction, tuple(map(float, measured.ratio)), confidence
+    if confidence < SURE:
+        shown = f"no sure sign of sunshine in the capture (confidence {confidence:.2f})"
+        return Relight(None, f"relight: {shown}; {STAYS}", *facts)
+    windows = near, Window(near.middle, SIDE, np.float32(2 * FAR_HALF / SIDE))
+    light = received(surface, solids, windows, direction, around)
+    lit = sunlit(surface, solids, windows, direction)
+    lit = by_color(surface, lit, light, direction, measured.ratio)
+    gain = np.ones((len(scene.splats), 3), np.float16)
+    gain[which] = gains(surface, light, lit, direction, measured.ratio)
+    return Relight(gain, _note(direction, measured, confidence, sun is not None), *facts)
+
+
+def _surface_of(scene, sky_distance):
+    """Return indices of the splats that are lit, their surface, solids and near window, or None."""
+    frame, splats = scene.ground_frame, scene.splats
+    with np.errstate(all="ignore"):
+        position = frame.to_ground(splats.position).astype(np.float32)
+        covariance, thin, size = covariances(splats, frame)
+        good = splats.opacity > 0
+        for values in (position, covariance, thin, splats.sh[:, 0], splats.opacity[:, None]):
+            good &= np.isfinite(values).all(axis=1)
+    if np.count_nonzero(good) < FEWEST:
+        return None
+    cameras = [frame.camera_in_ground(camera) for camera in scene.cameras]
+    middle, half = _near(position[good], cameras)
+    with np.errstate(all="ignore"):
+        good &= np.linalg.norm(position - middle, axis=1) < min(sky_distance, FAR_HALF)
+    which = np.flatnonzero(good)
+    if len(which) < FEWEST:
+        return None
+    position, opacity = position[which], splats.opacity[which]
+    surface = surface_of(position, thin[which], size[which], opacity, splats.sh[which, 0], cameras)
+    solids = solids_of(position, covariance[which], opacity)
+    return which, surface, solids, Window(middle, SIDE, np.float32(2 * half / SIDE))
+
+
+def _near(position, cameras):
+    """Return the middle [m] and half the width [m] of what the cameras look at."""
+    if cameras:
+        eyes = np.array([camera.position for camera in cameras])
+        middle = np.median(eyes, axis=0)
+        reach = np.percentile(np.linalg.norm(eyes[:, :2] - middle[:2], axis=1), 90)
+        half = 1.6 * reach + BEYOND
+    else:
+        middle = np.median(position, axis=0)
+        half = 1.2 * np.percentile(np.abs(position[:, :2] - middle[:2]), 90)
+    return middle.astype(np.float32), float(np.clip(half, LEAST_HALF, MOST_HALF))
+
+
+def _unit(azimuth, elevation):
+    flat = math.cos(elevation)
+    return np.array([flat * math.cos(azimuth), flat * math.sin(azimuth), math.sin(elevation)])
+
+
+def measure(places, solids, window, direction, around):
+    """Return the `SunRatio` from pairs of places on both sides of the edges of shadows.
+
+    Parameters
+    ----------
+    places : Places
+    solids : Solids
+    window : Window
+    direction : ndarray of shape (3,)
+        Unit, towards the sun.
+    around : Surroundings
+    """
+    cosine = places.normal @ direction.astype(np.float32)
+    seen = _sure_share(places, solids, window, direction)
+    first, second = places.pair.T
+    swap = seen[first] < seen[second]
+    lit, shaded = np.where(swap, second, first), np.where(swap, first, second)
+    fit = (seen[lit] > 0.98) & (seen[shaded] < 0.02) & (np.minimum(*cosine[[lit, shaded]]) > 0.1)
+    lit, shaded = lit[fit], shaded[fit]
+    which, back = np.unique(np.concatenate([lit, shaded]), return_inverse=True)
+    position, normal = places.position[which], places.normal[which]
+    flat = np.ones(len(which), np.float32)
+    sums = sky_sums(position, normal, flat, solids, window, direction)
+    light = light_of(sums, normal, flat, around)
+    a, b = np.split(back, 2)
+    fit = (light.clear[a] > OPEN) & (light.clear[b] > OPEN)
+    lit, shaded, a, b = lit[fit], shaded[fit], a[fit], b[fit]
+    if len(lit) < LEAST_PAIRS:
+        return SunRatio(np.zeros(3), len(lit), 0.0)
+    change = np.maximum(places.light[lit], 1e-4) / np.maximum(places.light[shaded], 1e-4)
+    ratio = np.zeros(3)
+    for _ in range(ROUNDS):  # what the surroundings send depends on the ratio, but weakly
+        shade = shade_of(light, direction, ratio)
+        found = (change * shade[b] - shade[a]) / cosine[lit][:, None]
+        ratio = np.maximum(np.median(found, axis=0), 0)
+    shade = luminance(shade)
+    agree = luminance(places.light[lit]) * shade[b] > luminance(places.light[shaded]) * shade[a]
+    return SunRatio(ratio, len(lit), float(agree.mean()))
+
+
+def _sure_share(places, solids, window, direction):
+    """Return the sunlit share of places, the mean of each and of places SURE_REACH around it."""
+    steps = about_normal(places.normal)
+    total = seen_from(places, solids, window, direction[None], 2 * SIDE)[:, 0]
+    for step in steps:
+        moved = places._replace(position=places.position + np.float32(SURE_REACH) * step)
+        total += seen_from(moved, solids, window, direction[None], 2 * SIDE)[:, 0]
+    return total / (1 + len(steps))
+
+
+def shade_of(light, direction, ratio):
+    """Return what places receive in the captured day without the sun, (n, 3) float32."""
+    open_ground = 1 + ratio * max(direction[2], 0.0)
+    return (light.clear[:, None] + light.around[:, None] * open_ground).astype(np.float32)
+
+
+def _confidence(measured, score, direction):
+    """Return how sure it is, 0 to 1, that the capture was taken in sunshine from there."""
+    if measured.pairs < LEAST_PAIRS or direction[2] <= 0:
+        return 0.0
+    values = _over_sky(measured, direction), measured.agree, score
+    limits = zip(values, (OVER_SKY, AGREE, SCORE), strict=True)
+    return float(np.prod([np.clip((v - low) / (high - low), 0, 1) for v, (low, high) in limits]))
+
+
+def _over_sky(measured, direction):
+    """Return the sun's light on level ground over the sky's."""
+    return float(luminance(measured.ratio[None])[0]) * max(direction[2], 0.0)
+
+
+def _note(direction, measured, confidence, given):
+    """Return the note on a sun that is divided out."""
+    azimuth = math.degrees(math.atan2(direction[1], direction[0]))
+    elevation = math.degrees(math.asin(np.clip(direction[2], -1, 1)))
+    return (
+        f"relight: sun {'given' if given else 'found'} at azimuth {azimuth:.0f}, elevation "
+        f"{elevation:.0f} degrees, {_over_sky(measured, direction):.1f} times the sky's light on "
+        f"level ground (confidence {confidence:.2f}); it goes as clouds cover the sky"
+    )
+
+
+def by_color(surface, lit, light, direction, ratio):
+    """Return the sunlit share of each splat, near the edges of shadows by its own brightness.
+
+    A splat's paint is that of splats around whose state is sure. Where its light lies between what
+    they would have in shade and in the sun is its sunlit share.
+
+    Parameters
+    ----------
+    surface : Surface
+    lit : tuple of two ndarray of shape (n,), float32
+        See `sunlit`.
+    light : Light
+    direction, ratio : ndarray of shape (3,)
+    """
+    shares, about = lit[0].copy(), lit[1]
+    cosine, sun = facing(surface, direction), float(luminance(ratio[None])[0])
+    plain = (surface.flat > 0.3) & (cosine > 0.1)
+    sure = (np.abs(shares - about) < 1e-4) & ((shares == 0) | (shares == 1))
+    band, sure = np.flatnonzero(plain & ~sure), np.flatnonzero(plain & sure)
+    if not len(band) or len(sure) < PAINT_COUNT:
+        return shares
+    shade, bright = luminance(shade_of(light, direction, ratio)), luminance(surface.light)
+    paint = bright[sure] / (shade[sure] + shares[sure] * sun * cosine[sure])
+    tree = cKDTree(surface.position[sure], compact_nodes=False, balanced_tree=False)
+    away, near = tree.query(
+        surface.position[band], k=PAINT_COUNT, distance_upper_bound=PAINT_REACH,
+        workers=get_num_threads(),
+    )  # fmt: skip
+    known = np.isfinite(away)
+    near = np.where(known, near, 0)
+    alike = np.einsum("ijk,ik->ij", surface.normal[sure][near], surface.normal[band]) > 0.85
+    weight = (known & alike).astype(np.float32)
+    count = weight.sum(axis=1)
+    tone = (weight * np.log(np.maximum(paint, 1e-4))[near]).sum(axis=1) / np.maximum(count, 1)
+    share = (bright[band] / np.exp(tone) - shade[band]) / (sun * cosine[band])
+    enough = count >= LEAST_PAINT
+    shares[band[enough]] = np.clip(share, 0, 1)[enough]
+    # Paint varies from splat to splat, the edge of a shadow does not.
+    shares[band[enough]] = shares[surface.neighbours[band[enough]]].mean(axis=1)
+    return shares
+
+
+def gains(surface, light, lit, direction, ratio):
+    """Return the gain (n, 3), float16, on each splat's linear light."""
+    sun = (lit * facing(surface, direction))[:, None] * ratio
+    captured = shade_of(light, direction, ratio) + sun
+    rainy = (light.overcast + light.around)[:, None]
+    open_ground = 1 + ratio * max(direction[2], 0.0)
+    gain = rainy * open_ground / np.maximum(captured, 1e-3)
+    return np.clip(gain, 1 / MOST_GAIN, MOST_GAIN).astype(np.float16)

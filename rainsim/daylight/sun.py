@@ -1,0 +1,199 @@
+"""The sun of a capture, from the shadows that it cast.
+
+Along each direction the visible share of places is compared with their brightness: pairs of near
+places of one surface, alike in colour, tell light from paint. The direction whose shadow edges lie
+where brightness changes is the sun's.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from rainsim.daylight.sky_light import hemisphere
+from rainsim.daylight.surface import luminance
+from rainsim.daylight.visibility import (
+    BATCH,
+    COARSER,
+    axes_of,
+    coarsened,
+    draw_heights,
+    find_seen,
+    resized,
+)
+from rainsim.jit import get_num_threads
+
+CELL = 0.07  # m, of the places that are compared
+REACH = 0.5  # m between two of them
+PARTNERS = 12  # of each
+SAME_PLANE = 0.92  # cosine between their normals
+SAME_PAINT = 0.6  # difference of the logarithms of blue over green and of red over green
+MOST_CHANGE = 1.6  # of the logarithm of brightness, beyond which it counts as this
+DIM = 0.004  # linear light below which noise decides
+DIRECTIONS = 240  # of the first search
+LEAST_HEIGHT = 0.07  # sine of the elevation: lower suns light no ground
+COARSE, FINE = 448, 1024  # px, sides of the maps of the search
+CANDIDATES = 4  # of the first search that are refined
+STEPS = (0.09, 0.045, 0.022, 0.011)  # rad
+MARGIN = 0.025  # m by which what casts a shadow stands above it
+
+
+class Places(NamedTuple):
+    """Places of a surface and pairs of near places."""
+
+    position: np.ndarray  # (n, 3) float32 [m]
+    normal: np.ndarray  # (n, 3) float32
+    light: np.ndarray  # (n, 3) float32, linear
+    pair: np.ndarray  # (p, 2) int64
+    change: np.ndarray  # (p,) float32, of the logarithm of brightness
+
+
+def places_of(surface, window):
+    """Return the `Places` on the flat surfaces within a window."""
+    half = 0.5 * window.side * window.pixel
+    inside = (np.abs(surface.position - window.middle) < half).all(axis=1)
+    which = np.flatnonzero(inside & (surface.flat > 0.5) & (surface.weight > 0.2))
+    if len(which) < 2:
+        none = np.zeros((0, 3), np.float32)
+        return Places(none, none, none, np.zeros((0, 2), np.int64), np.zeros(0, np.float32))
+    normal = surface.normal[which]
+    cell = np.floor((surface.position[which] - window.middle + half) / CELL).astype(np.int64)
+    side = np.argmax(np.abs(normal), axis=1)
+    side += 3 * (np.take_along_axis(normal, side[:, None], 1)[:, 0] < 0)
+    key = ((cell[:, 0] << 40) | (cell[:, 1] << 20) | cell[:, 2]) * 6 + side
+    _, group = np.unique(key, return_inverse=True)
+    weight = (surface.weight * surface.flat)[which].astype(np.float64)
+    total = np.bincount(group, weight)
+
+    def mean(values):
+        sums = [np.bincount(group, weight * values[:, k]) for k in range(3)]
+        return (np.stack(sums, -1) / total[:, None]).astype(np.float32)
+
+    position = mean(surface.position[which])
+    normal = mean(normal)
+    length = np.linalg.norm(normal, axis=1, keepdims=True)
+    normal /= np.maximum(length, 1e-6)
+    light = mean(surface.light[which])
+    pair = _pairs(position, normal, light)
+    change = np.log(np.maximum(luminance(light), DIM))
+    change = np.clip(change[pair[:, 0]] - change[pair[:, 1]], -MOST_CHANGE, MOST_CHANGE)
+    return Places(position, normal, light, pair, change.astype(np.float32))
+
+
+def _pairs(position, normal, light):
+    """Return pairs of near places of one plane and about one colour, each once."""
+    tree = cKDTree(position)
+    count = min(len(position), 60)
+    _, near = tree.query(position, k=count, distance_upper_bound=REACH, workers=get_num_threads())
+    # Every few of the neighbours, so that pairs are of all lengths.
+    near = near[:, 1 :: max(1, count // PARTNERS)]
+    first = np.repeat(np.arange(len(position)), near.shape[1])
+    second = near.ravel()
+    real = (second < len(position)) & (first != second)
+    first, second = first[real], second[real]
+    log = np.log(np.maximum(light, DIM / 2))
+    tint = log[:, [0, 2]] - log[:, 1:2]
+    alike = np.einsum("ij,ij->i", normal[first], normal[second]) > SAME_PLANE
+    alike &= (np.abs(tint[first] - tint[second]) < SAME_PAINT).all(axis=1)
+    alike &= np.maximum(luminance(light)[first], luminance(light)[second]) > 2 * DIM
+    return np.stack([first[alike], second[alike]], -1)
+
+
+def find_sun(places, solids, window, hints=()):
+    """Return the direction from which light agrees best with the shadows, and how well.
+
+    Parameters
+    ----------
+    places : Places
+    solids : Solids
+    window : Window
+        Its middle and width; the maps have sides of their own.
+    hints : sequence of ndarray of shape (3,)
+        Directions that are tried besides.
+
+    Returns
+    -------
+    direction : ndarray of shape (3,), float64
+        Unit, towards the sun.
+    score : float
+        Correlation of brightness with visibility over the pairs that it tells apart.
+    """
+    width = window.side * float(window.pixel)
+    sets = {side: coarsened(solids, COARSER * width / side) for side in (COARSE, FINE)}
+    tried = hemisphere(DIRECTIONS)
+    tried = np.concatenate([tried[tried[:, 2] > LEAST_HEIGHT], *(h[None] for h in hints)])
+    strength = strengths(places, sets[COARSE], window, tried, COARSE)
+    best = []
+    for k in np.argsort(-strength):
+        if all(tried[k] @ other[0] < np.cos(0.2) for other in best):
+            best.append((tried[k], strength[k]))
+        if len(best) == CANDIDATES:
+            break
+    for number, step in enumerate(STEPS):
+        side = COARSE if number < 1 else FINE
+        best = [_refined(places, sets[side], window, d, step, side) for d, _ in best]
+        best = sorted(best, key=lambda found: -found[1])[: 2 if number < 1 else 1]
+    return best[0]
+
+
+def _refined(places, solids, window, direction, step, side):
+    """Return the best of directions about one, and its strength."""
+    right, up, _ = axes_of(direction)[0].astype(np.float64)
+    turn = np.arange(6) * np.pi / 3
+    ring = np.cos(turn)[:, None] * right + np.sin(turn)[:, None] * up
+    tried = np.concatenate([direction[None], direction + step * ring])
+    tried /= np.linalg.norm(tried, axis=1, keepdims=True)
+    tried = tried[tried[:, 2] > LEAST_HEIGHT / 2]
+    strength = strengths(places, solids, window, tried, side)
+    k = int(np.argmax(strength))
+    if k and step > STEPS[-1]:  # once more from there: the ring may end before the peak
+        again = _ring_only(places, solids, window, tried[k], step, side)
+        return max((tried[k], strength[k]), again, key=lambda found: found[1])
+    return tried[k], strength[k]
+
+
+def _ring_only(places, solids, window, direction, step, side):
+    right, up, _ = axes_of(direction)[0].astype(np.float64)
+    turn = (np.arange(6) + 0.5) * np.pi / 3
+    tried = direction + step * (np.cos(turn)[:, None] * right + np.sin(turn)[:, None] * up)
+    tried /= np.linalg.norm(tried, axis=1, keepdims=True)
+    strength = strengths(places, solids, window, tried, side)
+    k = int(np.argmax(strength))
+    return tried[k], strength[k]
+
+
+def strengths(places, solids, window, directions, side):
+    """Return how well brightness follows the visibility from each direction.
+
+    A matched filter: the sum of brightness changes times changes of visibility, over the root of
+    the sum of squares of the latter, in units of the root mean square of the former and of the root
+    of the number of pairs: 1 is a change wherever visibility changes and none elsewhere.
+    """
+    rms = float(np.sqrt(np.mean(places.change**2))) if len(places.change) else 0.0
+    found = np.zeros(len(directions))
+    if rms == 0:
+        return found
+    norm = rms * np.sqrt(len(places.change))
+    for start in range(0, len(directions), BATCH):
+        part = directions[start : start + BATCH]
+        seen = seen_from(places, solids, window, part, side)
+        seen[places.normal @ part.T.astype(np.float32) < 0.05] = 0
+        change = seen[places.pair[:, 0]] - seen[places.pair[:, 1]]
+        square = np.einsum("ij,ij->j", change, change)
+        product = places.change @ change
+        found[start : start + BATCH] = product / np.sqrt(np.maximum(square, 25.0)) / norm
+    return found
+
+
+def seen_from(places, solids, window, directions, side, margin=MARGIN):
+    """Return the share of each place that is seen from each direction, (n, m) float32."""
+    window = resized(window, side)
+    axes = axes_of(directions)
+    heights = np.empty((len(axes), side, side), np.float32)
+    draw_heights(solids, axes, window, heights)
+    seen = np.empty((len(places.position), len(axes)), np.float32)
+    flat = np.ones(len(places.position), np.float32)
+    find_seen(heights, axes, window, places.position, places.normal, flat, np.float32(margin), seen)
+    return seen

@@ -1,0 +1,153 @@
+"""A yard of known light: a ground, a box, a wall and a post under a sun and a clear sky, as splats.
+
+Visibility is computed from the boxes' faces and not from the splats.
+"""
+
+import numpy as np
+
+from rainsim.scene.types import Camera, GroundFrame, Scene, Splats
+
+SH_0 = 0.28209479177387814
+BOXES = np.array([  # lowest and highest corner [m]
+    [(-0.6, -0.2, 0.0), (0.2, 0.5, 0.75)],
+    [(2.2, -2.5, 0.0), (2.4, 2.5, 2.2)],
+    [(-1.6, 1.0, 0.0), (-1.5, 1.1, 1.8)],
+])  # fmt: skip
+HALF = 3.5  # m, of the ground
+REFLECTED = 0.15  # light of what hides the sky, over that on open ground
+SUN_OVER_SKY = np.array([5.2, 4.4, 3.4])  # on a surface that faces the sun, over the open sky's
+
+
+def direction_of(azimuth, elevation):
+    """Return the unit vector of angles in degrees."""
+    a, e = np.radians(azimuth), np.radians(elevation)
+    return np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
+
+
+def hidden(points, direction):
+    """Tell which points (n, 3) do not see along a direction, by the slabs of each box."""
+    found = np.zeros(len(points), bool)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        for low, high in BOXES:
+            a, b = (low - points) / direction, (high - points) / direction
+            enter, leave = np.minimum(a, b).max(axis=1), np.maximum(a, b).min(axis=1)
+            found |= (leave > np.maximum(enter, 0)) & (leave > 1e-4)
+    return found | (direction[2] < 0)
+
+
+def points_of(step):
+    """Return positions and normals of all faces, `step` metres apart."""
+    line = np.arange(-HALF, HALF, step) + step / 2
+    x, y = (part.ravel() for part in np.meshgrid(line, line))
+    free = np.ones(len(x), bool)
+    for low, high in BOXES:
+        free &= ~((x > low[0]) & (x < high[0]) & (y > low[1]) & (y < high[1]))
+    position = [np.stack([x, y, 0 * x], -1)[free]]
+    normal = [np.tile([0.0, 0.0, 1.0], (free.sum(), 1))]
+    for low, high in BOXES:
+        for axis in range(3):
+            u, v = (k for k in range(3) if k != axis)
+            a, b = (
+                low[k] + (np.arange(round((high - low)[k] / step)) + 0.5) * step for k in (u, v)
+            )
+            a, b = (part.ravel() for part in np.meshgrid(a, b))
+            for sign, at in ((-1, low[axis]), (1, high[axis])):
+                if axis == 2 and sign < 0:
+                    continue
+                face = np.empty((len(a), 3))
+                face[:, axis], face[:, u], face[:, v] = at, a, b
+                position.append(face)
+                normal.append(np.tile(sign * np.eye(3)[axis], (len(a), 1)))
+    return np.concatenate(position), np.concatenate(normal)
+
+
+def openness(position, normal, radiance=None, count=160):
+    """Return the light of a sky on each point over its light on open level ground."""
+    k = np.arange(count) + 0.5
+    height, turn = k / count, k * np.pi * (1 + 5**0.5)
+    flat = np.sqrt(1 - height**2)
+    directions = np.stack([flat * np.cos(turn), flat * np.sin(turn), height], -1)
+    bright = np.ones(count) if radiance is None else radiance(directions)
+    total = np.zeros(len(position))
+    for d, light in zip(directions, bright, strict=True):
+        cosine = np.maximum(normal @ d, 0)
+        total += light * cosine * ~hidden(position + 1e-3 * normal, d)
+    return total / (bright * directions[:, 2]).sum()
+
+
+def overcast(directions):
+    """Return an overcast sky's radiance, Moon and Spencer 1942."""
+    return (1 + 2 * directions[:, 2]) / 3
+
+
+def clear(directions, sun):
+    """Return a clear sky's radiance: brighter about the sun and at the horizon (CIE S 011)."""
+    angle = np.arccos(np.clip(directions @ sun, -1, 1))
+    glow = 1 + 10 * (np.exp(-3 * angle) - np.exp(-1.5 * np.pi)) + 0.45 * np.cos(angle) ** 2
+    return glow * (1 - np.exp(-0.32 / np.maximum(directions[:, 2], 0.01)))
+
+
+def yard(azimuth=200.0, elevation=38.0, sun=SUN_OVER_SKY, step=0.045, paint=0.2, turned=True):
+    """Return the scene, and of each splat the sun's share of its light and its openness.
+
+    `sun` 0 is a dull day: the light of the overcast sky alone.
+    """
+    rng = np.random.default_rng(7)
+    position, normal = points_of(step)
+    position = position + 0.15 * step * rng.standard_normal(position.shape) * (normal == 0)
+    towards = direction_of(azimuth, elevation)
+    lit = ~hidden(position + 1e-3 * normal, towards) * np.maximum(normal @ towards, 0)
+    dull = not np.any(sun)
+    sky = openness(position, normal, overcast if dull else lambda d: clear(d, towards))
+    hidden_share = np.maximum(1 - openness(position, normal), 0)
+    around = 1 + np.asarray(sun) * towards[2]
+    shaded = sky[:, None] + REFLECTED * hidden_share[:, None] * around
+    light = lit[:, None] * np.asarray(sun) + shaded
+    tone = np.exp(paint * rng.standard_normal(len(position)))
+    slab = np.floor(position / 0.5).astype(int) @ [1, 7, 31]
+    tone *= np.exp(0.15 * np.random.default_rng(3).standard_normal(4096))[slab % 4096]
+    albedo = np.array([0.32, 0.29, 0.25]) * tone[:, None]
+    exposure = 1.4 if dull else 1.4 / around[1]
+    linear = np.clip(albedo * light * exposure, 0, 1)
+    color = np.where(linear < 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+    scale = np.where(normal != 0, 1e-3, 0.6 * step)
+    frame = _frame() if turned else GroundFrame(np.eye(3), 1.0, np.zeros(3))
+    splats = Splats(
+        frame.to_capture(position).astype(np.float32),
+        np.tile(_quaternion(frame.rotation.T), (len(position), 1)).astype(np.float32),
+        np.ascontiguousarray(scale / frame.meters_per_unit, np.float32),
+        np.full(len(position), 0.97, np.float32),
+        np.ascontiguousarray(((color - 0.5) / SH_0)[:, None, :], np.float32),
+    )  # fmt: skip
+    cameras = tuple(
+        frame.camera_in_capture(_looking((2.0 * np.cos(a) - 0.3, 2.4 * np.sin(a), 1.5)))
+        for a in np.arange(8) * np.pi / 4
+    )
+    scene = Scene("yard", splats, cameras, frame, None, "0" * 64, ())
+    return scene, lit[:, None] * sun / np.maximum(light, 1e-9), sky
+
+
+def _looking(eye, target=(0.0, 0.0, 0.2)):
+    forward = np.subtract(target, eye) / np.linalg.norm(np.subtract(target, eye))
+    right = np.cross(forward, (0.0, 0.0, 1.0))
+    right /= np.linalg.norm(right)
+    matrix = np.eye(4)
+    matrix[:3, :3] = right, np.cross(forward, right), forward
+    matrix[:3, 3] = -matrix[:3, :3] @ np.asarray(eye)
+    return Camera(96, 64, 80.0, 80.0, 48.0, 32.0, matrix)
+
+
+def _frame():
+    a, b = np.radians(35.0), np.radians(-70.0)
+    turn = np.array([[np.cos(a), -np.sin(a), 0], [np.sin(a), np.cos(a), 0], [0, 0, 1.0]])
+    tilt = np.array([[1.0, 0, 0], [0, np.cos(b), -np.sin(b)], [0, np.sin(b), np.cos(b)]])
+    return GroundFrame(turn @ tilt, 0.7, np.array([0.2, -0.1, 0.5]))
+
+
+def _quaternion(rotation):
+    """Return w, x, y, z of a rotation matrix whose trace is above -1."""
+    w = 0.5 * np.sqrt(1 + np.trace(rotation))
+    return np.array([
+        w, (rotation[2, 1] - rotation[1, 2]) / (4 * w), (rotation[0, 2] - rotation[2, 0]) / (4 * w),
+        (rotation[1, 0] - rotation[0, 1]) / (4 * w),
+    ])  # fmt: skip

@@ -1,0 +1,322 @@
+"""The captured sun: found where it stood, divided out, and left alone where there was none."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import scenes
+import sunny_yard
+from rainsim.config.settings import Config
+from rainsim.daylight import kept, relight, sky_light
+from rainsim.daylight.kept import covered_share, under_clouds
+from rainsim.daylight.surface import display, linear
+from rainsim.daylight.visibility import (
+    NOTHING,
+    Window,
+    axes_of,
+    coarsened,
+    draw_heights,
+    find_seen,
+    solids_of,
+)
+from rainsim.render.wet_scene import WetScene
+from rainsim.scene.types import Splats
+
+REACH = 30.0  # m
+
+
+def light_of(splats):
+    return linear(splats.sh[:, 0] * sunny_yard.SH_0 + 0.5)
+
+
+@pytest.fixture(scope="module")
+def sunny():
+    """The sunny yard, its sun's share and openness, and what is found of it."""
+    scene, share, sky = sunny_yard.yard()
+    return scene, share, sky, relight.find_relight(scene, REACH)
+
+
+@pytest.fixture(scope="module")
+def dull():
+    """The same yard on a dull day."""
+    return sunny_yard.yard(sun=np.zeros(3))
+
+
+def angle(found, azimuth, elevation):
+    towards = sunny_yard.direction_of(azimuth, elevation)
+    return np.degrees(np.arccos(np.clip(found @ towards, -1, 1)))
+
+
+def test_the_sun_is_found_where_it_stood(sunny):
+    assert sunny[3].confidence > 0.8
+    assert angle(sunny[3].sun, 200, 38) < 3
+
+
+def test_the_suns_share_is_found(sunny):
+    found = sunny[3]
+    # On open level ground: the ratio of sun to sky there, for each channel.
+    measured = np.array(found.ratio) * found.sun[2]
+    truth = sunny_yard.SUN_OVER_SKY * np.sin(np.radians(38))
+    assert np.abs(measured / (1 + measured) - truth / (1 + truth)).max() < 0.05
+
+
+def test_shade_and_light_become_those_of_a_dull_day(sunny, dull):
+    scene, share, sky, found = sunny
+    place = scene.ground_frame.to_ground(scene.splats.position)
+    ground = (np.abs(place[:, 2]) < 0.01) & (sky > 0.6)
+    lit, shade = ground & (share[:, 1] > 0.3), ground & (share[:, 1] == 0)
+    assert shade.sum() > 100
+    truth = light_of(dull[0].splats)
+    before = light_of(scene.splats) / truth
+    after = light_of(under_clouds(scene.splats, found.gain, 1.0)) / truth
+    assert (before[shade].mean(axis=0) < 0.4 * before[lit].mean(axis=0)).all()
+    np.testing.assert_allclose(after[shade].mean(axis=0), after[lit].mean(axis=0), rtol=0.15)
+    level = light_of(under_clouds(scene.splats, found.gain, 1.0))[lit].mean(axis=0)
+    np.testing.assert_allclose(level, light_of(scene.splats)[lit].mean(axis=0), rtol=0.1)
+
+
+def test_walls_that_faced_the_sun_lose_most(sunny):
+    scene, share, sky, found = sunny
+    place = scene.ground_frame.to_ground(scene.splats.position)
+    gain = found.gain.astype(float)[:, 1]
+    wall = (np.abs(place[:, 0] - 2.2) < 0.01) & (place[:, 2] > 1)  # the sun shone onto it
+    ground = (np.abs(place[:, 2]) < 0.01) & (sky > 0.9) & (share[:, 1] > 0.3)
+    assert 0.35 < gain[wall].mean() / gain[ground].mean() < 0.75
+
+
+def test_a_dull_capture_is_left_alone(dull):
+    found = relight.find_relight(dull[0], REACH)
+    assert found.gain is None and found.confidence < 0.5
+    assert "no sure sign of sunshine" in found.note and "stays as captured" in found.note
+
+
+def test_a_given_sun_is_taken_and_a_wrong_one_refused(sunny):
+    scene = sunny[0]
+    given = relight.find_relight(scene, REACH, tuple(np.radians([200.0, 38.0])))
+    assert given.gain is not None and "given" in given.note
+    np.testing.assert_allclose(given.sun, sunny_yard.direction_of(200, 38), atol=1e-12)
+    wrong = relight.find_relight(scene, REACH, tuple(np.radians([20.0, 30.0])))
+    assert wrong.gain is None
+
+
+def test_the_sun_is_found_without_cameras(sunny):
+    found = relight.find_relight(replace(sunny[0], cameras=()), REACH)
+    assert found.gain is not None and angle(found.sun, 200, 38) < 3
+
+
+def broken_scenes():
+    """Yield captures that tell nothing of a sun."""
+    scene, _, _ = sunny_yard.yard(step=0.12)
+    splats = scene.splats
+    yield "empty", replace(scene, splats=splats.take(slice(0, 0)))
+    yield "few", replace(scene, splats=splats.take(slice(0, 60)))
+    nan = Splats(*(np.full_like(a, np.nan) for a in (
+        splats.position, splats.rotation, splats.scale, splats.opacity, splats.sh)))  # fmt: skip
+    yield "nan", replace(scene, splats=nan)
+    size = np.full_like(splats.scale, 0.05)
+    yield "round", replace(scene, splats=replace(splats, scale=size))
+    yield "indoors", indoors()
+
+
+def indoors():
+    """A room of even light, closed above."""
+    scene, _, _ = sunny_yard.yard(sun=np.zeros(3), step=0.06)
+    frame, splats = scene.ground_frame, scene.splats
+    place = frame.to_ground(splats.position)
+    ground = splats.take(np.abs(place[:, 2]) < 0.01)
+    above = replace(ground, position=frame.to_capture(
+        frame.to_ground(ground.position) + np.array([0, 0, 2.4])).astype(np.float32))  # fmt: skip
+    both = Splats(*(np.concatenate([getattr(splats, n), getattr(above, n)]) for n in (
+        "position", "rotation", "scale", "opacity", "sh")))  # fmt: skip
+    return replace(scene, splats=both)
+
+
+@pytest.mark.parametrize("name, scene", list(broken_scenes()))
+def test_captures_that_tell_nothing_stay_as_they_are(name, scene):
+    found = relight.find_relight(scene, REACH)
+    assert found.gain is None
+    assert found.note.endswith("the light stays as captured")
+
+
+def test_some_bad_splats_do_no_harm():
+    scene, _, _ = sunny_yard.yard(step=0.05)
+    position = scene.splats.position.copy()
+    position[::50] = np.nan
+    broken = replace(scene, splats=replace(scene.splats, position=position))
+    found = relight.find_relight(broken, REACH)
+    assert angle(found.sun, 200, 38) < 3
+    assert (found.gain[::50] == 1).all() and np.isfinite(found.gain.astype(float)).all()
+    assert (found.gain != 1).any()
+
+
+def test_a_sun_below_the_horizon_is_none(sunny):
+    below = relight.find_relight(sunny[0], REACH, tuple(np.radians([200.0, -10.0])))
+    assert below.gain is None
+
+
+def test_what_is_far_is_left_as_it_is(sunny):
+    scene = sunny[0]
+    found = relight.find_relight(scene, 2.0, tuple(np.radians([200.0, 38.0])))
+    away = np.linalg.norm(scene.ground_frame.to_ground(scene.splats.position), axis=1)
+    if found.gain is not None:
+        assert (found.gain[away > 4] == 1).all()
+
+
+# --- the gain on splats ---------------------------------------------------------------------------
+
+
+def test_no_share_is_the_capture_itself(sunny):
+    splats = sunny[0].splats
+    assert under_clouds(splats, sunny[3].gain, 0.0) is splats
+    assert under_clouds(splats, None, 1.0) is splats
+
+
+def test_light_is_mixed_linearly(rng):
+    splats = scenes.one_splat()
+    many = Splats(*(np.repeat(getattr(splats, n), 50, axis=0) for n in (
+        "position", "rotation", "scale", "opacity", "sh")))  # fmt: skip
+    many.sh[:, 0] = (rng.uniform(0.02, 1, (50, 3)) - 0.5) / sunny_yard.SH_0
+    gain = rng.uniform(0.3, 4, (50, 3)).astype(np.float16)
+    before = light_of(many)
+    for share in (0.25, 1.0):
+        after = light_of(under_clouds(many, gain, share))
+        expected = before * (1 + share * (gain.astype(float) - 1))
+        np.testing.assert_allclose(after, expected, rtol=2e-4, atol=1e-6)
+
+
+def test_harmonics_keep_their_contrast(rng):
+    splats = scenes.one_splat(color=(0.5, 0.4, 0.3))
+    sh = np.concatenate([splats.sh, rng.normal(0, 0.1, (1, 3, 3))], axis=1).astype(np.float32)
+    gain = np.array([[2.0, 1.0, 0.5]], np.float16)
+    found = under_clouds(replace(splats, sh=sh), gain, 1.0).sh
+    scale = display(linear(np.array([0.5, 0.4, 0.3])) * gain[0].astype(float)) / [0.5, 0.4, 0.3]
+    np.testing.assert_allclose(found[0, 1:], sh[0, 1:] * scale, rtol=1e-4)
+
+
+def test_black_splats_stay_finite():
+    black = scenes.one_splat(color=(0.0, -0.2, 1e-6))
+    found = under_clouds(black, np.full((1, 3), 3, np.float16), 1.0)
+    assert np.isfinite(found.sh).all()
+
+
+def test_the_covered_share_goes_from_none_to_all():
+    shares = [covered_share(Config().replace(cloudiness=c).render) for c in (0.0, 0.5, 0.9, 1.0)]
+    assert shares[0] == 0 and shares[-1] == 1 and shares == sorted(shares)
+    assert shares[2] > 0.95
+
+
+# --- what a scene's set-up does of it -------------------------------------------------------------
+
+
+def test_it_is_kept_for_the_next_run(sunny, tmp_path, monkeypatch):
+    monkeypatch.setenv("RAINSIM_CACHE", str(tmp_path))
+    scene = replace(sunny[0], source=tmp_path)
+    config = Config().replace(cloudiness=1.0)
+    first = kept.kept_relight(scene, config, REACH)
+    monkeypatch.setattr(kept, "find_relight", None)  # to call it would be an error
+    again = kept.kept_relight(scene, config, REACH)
+    assert again.note == first.note and again.confidence == first.confidence
+    np.testing.assert_array_equal(again.gain, first.gain)
+    np.testing.assert_allclose(again.sun, first.sun)
+
+
+@pytest.mark.parametrize("changes", [{"relight": "off"}, {"cloudiness": 0.0}, {"source": None}])
+def test_nothing_is_looked_for_where_nothing_is_wanted(sunny, tmp_path, monkeypatch, changes):
+    monkeypatch.setattr(kept, "find_relight", None)
+    changes = dict(changes)
+    scene = replace(sunny[0], source=changes.pop("source", tmp_path))
+    found = kept.kept_relight(scene, Config().replace(**changes), REACH)
+    assert found.gain is None and found.note == ""
+
+
+def test_a_timeline_brings_the_sun_back(tmp_path, monkeypatch):
+    from rainsim.pipeline import extract_terrain
+
+    monkeypatch.setattr(kept, "find_relight", fake_relight)
+    scene = replace(scenes.tiny_scene(), source=tmp_path)
+    camera = scene.cameras[0]
+    config = replace(
+        Config().replace(rate=0.0, past=0.0, extent=1.0, spacing=0.05, cloudiness=1.0),
+        keyframes=((0.0, (("cloudiness", 1.0),)), (1.0, (("cloudiness", 0.0),))),
+    )
+    terrain = extract_terrain(scene, config)
+    wet = WetScene(scene, terrain, config, camera)
+    assert "fake" in wet.notes
+    covered = wet.dry(camera).color
+    clean = wet.dry(camera, True).color
+    assert wet.set_time(config.at(1.0))
+    sunny = wet.dry(camera).color
+    off = WetScene(scene, terrain, config.replace(relight="off"), camera)
+    np.testing.assert_array_equal(sunny, off.dry(camera).color)
+    np.testing.assert_array_equal(clean, sunny)  # the layer `clean` is the capture at any time
+    assert covered.mean() > 1.2 * sunny.mean()
+
+
+def fake_relight(scene, sky_distance, sun):
+    gain = np.full((len(scene.splats), 3), 2, np.float16)
+    return relight.Relight(gain, "fake", np.array([0.0, 0.0, 1.0]), (1.0, 1.0, 1.0), 1.0)
+
+
+# --- visibility -----------------------------------------------------------------------------------
+
+
+def disc_over_ground():
+    """A level disc 1 m above level ground, as solids."""
+    line = np.arange(-2, 2, 0.05)
+    x, y = (part.ravel() for part in np.meshgrid(line, line))
+    place = np.concatenate([
+        np.stack([x, y, 0 * x], -1), np.stack([x, y, 0 * x + 1], -1)[np.hypot(x, y) < 0.5],
+    ]).astype(np.float32)  # fmt: skip
+    covariance = np.tile(np.float32([0.001, 0, 0, 0.001, 0, 1e-6]), (len(place), 1))
+    return place, solids_of(place, covariance, np.full(len(place), 0.95, np.float32))
+
+
+@pytest.mark.parametrize("merged", [False, True])
+@pytest.mark.parametrize("slant", [0.0, 0.7])
+def test_shadows_lie_where_they_should(poisoned, merged, slant):
+    place, solids = disc_over_ground()
+    if merged:
+        fewer = coarsened(solids, 0.2)
+        assert len(fewer.reach) < 0.5 * len(solids.reach)
+        solids = fewer
+    direction = np.array([slant, 0, 1]) / np.hypot(slant, 1)
+    window = Window(np.zeros(3, np.float32), 512, np.float32(6 / 512))
+    axes = axes_of(direction)
+    heights = poisoned((1, 512, 512))
+    draw_heights(solids, axes, window, heights)
+    assert np.isfinite(heights).all()
+    ground = place[place[:, 2] == 0]
+    normal = np.tile(np.float32([0, 0, 1]), (len(ground), 1))
+    seen = poisoned((len(ground), 1))
+    flat = np.ones(len(ground), np.float32)
+    find_seen(heights, axes, window, ground, normal, flat, np.float32(0.02), seen)
+    away = np.hypot(ground[:, 0] + slant, ground[:, 1])
+    assert (seen[away < 0.4] == 0).all() and (seen[away > 0.65] == 1).all()
+
+
+def test_nothing_hides_nothing(poisoned):
+    place, solids = disc_over_ground()
+    empty = type(solids)(*(a[:0] for a in solids))
+    window = Window(np.zeros(3, np.float32), 64, np.float32(0.1))
+    heights, seen = poisoned((1, 64, 64)), poisoned((len(place), 1))
+    axes = axes_of([0.0, 0.0, 1.0])
+    draw_heights(empty, axes, window, heights)
+    assert (heights == NOTHING).all()
+    normal = np.tile(np.float32([0, 0, 1]), (len(place), 1))
+    flat = np.ones(len(place), np.float32)
+    find_seen(heights, axes, window, place, normal, flat, np.float32(0.02), seen)
+    assert (seen == 1).all()
+
+
+def test_skies_have_their_published_shape():
+    directions = sky_light.hemisphere(4000)
+    weight = 2 / len(directions) * directions[:, 2]  # over pi: cosine times solid angle
+    assert weight.sum() == pytest.approx(1, rel=1e-3)
+    assert (weight * sky_light.overcast(directions)).sum() == pytest.approx(7 / 9, rel=1e-3)
+    sun = sunny_yard.direction_of(0, 40)
+    clear = sky_light.clear(directions, sun)
+    assert clear[directions @ sun > 0.97].mean() > 3 * np.median(clear)
+    low, high = directions[:, 2] < 0.1, directions[:, 2] > 0.9
+    away = directions @ sun < 0.3
+    assert clear[low & away].mean() > 1.5 * clear[high].min()
