@@ -7,7 +7,7 @@ the capture, the terrain and the seed: the drops in the air follow from the seed
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -19,14 +19,17 @@ from rainsim.rain.dripping import DRIP_COLUMNS, Drips, drip_impacts
 from rainsim.rain.exposure import rain_exposure
 from rainsim.shading.wetness import evaporation_rate
 from rainsim.terrain.table import DRAIN
+from rainsim.terrain.types import NO_TOPS
 from rainsim.water.keyframes import level_changes, past_rain_growth
 from rainsim.water.puddles import WET, doubt, puddles_of, wet_share
 from rainsim.water.ripples import RippleTile, mean_chord, tile_impacts
+from rainsim.water.top_water import TopWater
 
 RIPPLE_DEPTHS = (2e-3, 0.1)  # m: films thinner carry no rings, deeper water is deep to them
 RIPPLE_WARM_UP = 5.0  # s of rain before the first frame: then rings come and go in balance
 DRIP_WARM_UP = 1.0  # s of it for the edges of objects: the longest fall from them
 WARM_UP_STEP = 1 / 15  # s
+SMALLEST_ROOM = 1e-30  # m3, keeps tops without water from a division by zero
 DRAIN_INTAKE = 0.1  # m/s that a grating takes at most: 8 l/s through an opening of 0.08 m2
 
 
@@ -56,6 +59,8 @@ class SimState:
     drips : ndarray of shape (m, 9), float64
         Drops from edges that are in the air or have just landed, see `dripping.DRIP_COLUMNS`.
     drip_id : ndarray of shape (m,), uint64
+    top_water : ndarray of shape (n,), float64 [m3]
+        On each of the terrain's tops, see `water.top_water`.
     """
 
     index: int
@@ -71,6 +76,7 @@ class SimState:
     notes: tuple = ()
     drips: np.ndarray = field(default_factory=lambda: np.zeros((0, len(DRIP_COLUMNS))))
     drip_id: np.ndarray = field(default_factory=lambda: np.zeros(0, np.uint64))
+    top_water: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
 
 def surfaces_of(terrain):
@@ -157,7 +163,7 @@ def simulate(terrain, config, progress=None, dtype=np.float32):
         rate=weather.mean_rate,
         dtype=np.float32,
     )
-    objects = Objects(surfaces, start)
+    objects = Objects(surfaces, start, TopWater(tops_drawn(terrain, config)))
     warm_up(ripples, objects, weather, surfaces)
     objects.open_account()
     index, hits, report = 0, None, None
@@ -189,6 +195,7 @@ def simulate(terrain, config, progress=None, dtype=np.float32):
             _of_hits(hits, "position", (0, 3)), _of_hits(hits, "diameter", (0,)),
             _of_hits(hits, "kind", (0,), np.uint8), objects.ledger(report, solver),
             notes if index == 0 else (), *objects.falling(),
+            top_water=objects.top_water(),
         )  # fmt: skip
         index += 1
 
@@ -205,13 +212,57 @@ class Objects:
     drips : Drips or None
     initial, inflow : float [m3]
         What was on the objects when the account was opened, and what has risen from outside.
+    tops : TopWater
     """
 
-    def __init__(self, surfaces, start):
+    def __init__(self, surfaces, start, tops):
         rain, wet = start.rain, start.rain.past > 0 or start.water.level is not None
         self.drips = Drips(surfaces, rain.seed, wet) if rain.drips else None
         self._surfaces, self._roughness = surfaces, rain.roughness
         self.initial = self._came = self._returned = self._kept = self.inflow = 0.0
+        self.tops = tops
+        self._on_tops = tops.after(rain.past, evaporation_rate(start) * rain.drying)
+        if self.drips is not None:
+            self._fill_tops()
+
+    def _fill_tops(self):
+        """Give each drip point the room that the tops above it have, and the water of past rain."""
+        points, count, tops = self.drips.point, len(self.drips.room), len(self._on_tops)
+        room, top = self.tops.room()
+        over = (points >= 0) & (top >= 0)
+        pairs, which = np.unique(points[over] * tops + top[over], return_inverse=True)
+        self._point, self._top = np.divmod(pairs, max(tops, 1))
+        self._room = np.bincount(which, room[over], len(pairs))
+        self._room_of = np.bincount(self._point, self._room, count)
+        share = self._on_tops / np.maximum(self.tops.capacity, SMALLEST_ROOM)
+        self._held_of = np.bincount(self._point, self._room * share[self._top], count)
+        self.drips.hold(self._room_of, self._held_of)
+
+    def top_water(self):
+        """Return the water on each top now [m3], (n,)."""
+        if self.drips is None or not len(self._on_tops):
+            return self._on_tops.copy()
+        return self._on_each(np.maximum(self._room_of - self.drips.room, 0.0))
+
+    def top_water_after(self, rain):
+        """Return the water on each top [m3] (n,) after `rain` [m] that falls evenly."""
+        if self.drips is None or not len(self._on_tops):
+            return self._on_tops.copy()
+        points = self.drips.point
+        cells = np.bincount(points[points >= 0], minlength=len(self._room_of))
+        came = cells * self._surfaces.spacing**2 * rain
+        return self._on_each(np.minimum(self._held_of + came, self._room_of))
+
+    def _on_each(self, held):
+        """Return the water on each top [m3] of what is `held` behind each drip point [m3]."""
+        share = held / np.maximum(self._room_of, SMALLEST_ROOM)
+        parts = len(self._on_tops)
+        mine = np.bincount(self._top, self._room * share[self._point], parts)
+        return (
+            mine
+            / np.maximum(np.bincount(self._top, self._room, parts), SMALLEST_ROOM)
+            * (self.tops.capacity)
+        )
 
     def open_account(self):
         """Count what is on the objects and in the air now as there from the start."""
@@ -279,6 +330,11 @@ class Objects:
         return Ledger.from_dict(ledger).as_dict()
 
 
+def tops_drawn(terrain, config):
+    """Return the terrain, without its tops if the settings leave them out."""
+    return terrain if config.render.tops == "auto" else replace(terrain, tops=NO_TOPS)
+
+
 def usual_wind(config):
     """Return the mean wind of the keyframes, (speed [m/s], direction [rad]): what shelters."""
     winds = [config.at(time).rain.wind_velocity for time in config.key_times()]
@@ -318,7 +374,7 @@ def _steps(duration):
 
 _FIELDS = (
     "depth", "velocity", "slopes", "impact_position", "impact_diameter", "impact_kind", "drips",
-    "drip_id",
+    "drip_id", "top_water",
 )  # fmt: skip
 
 

@@ -26,11 +26,14 @@ def bed_height(x, y):
     return -DIP_DEPTH * np.exp(-away / (2 * (DIP_RADIUS / 2) ** 2))
 
 
-def tiny_scene(width=64, height=48):
-    """A paved 2 x 2 m ground with a 10 mm dip and a table, some 3000 splats, three cameras."""
+def tiny_scene(width=64, height=48, table=TABLE_HALF):
+    """A paved 2 x 2 m ground with a 10 mm dip and a table, some 3000 splats, three cameras.
+
+    `table` is half the side of its top [m].
+    """
     frame = ground_frame()
     rng = np.random.default_rng(5)
-    parts = [_paving(rng), *_table()]
+    parts = [_paving(rng), *_table(table)]
     position, scale, color = (np.concatenate(each) for each in zip(*parts, strict=True))
     splats = _splats(
         frame.to_capture(position),
@@ -56,10 +59,10 @@ def _paving(rng, side=50):
     return position, scale, grey * np.array([1.0, 0.97, 0.92])
 
 
-def _table(side=14):
+def _table(half, side=14):
     """Yield the table's top and underside, and its four legs."""
-    step = 2 * TABLE_HALF / side
-    u = (np.arange(side) + 0.5) * step - TABLE_HALF
+    step = 2 * half / side
+    u = (np.arange(side) + 0.5) * step - half
     x, y = np.meshgrid(u + TABLE_CENTRE[0], u + TABLE_CENTRE[1])
     for z in (TABLE_HEIGHT, TABLE_HEIGHT - 0.03):
         position = np.stack([x, y, np.full_like(x, z)], axis=-1).reshape(-1, 3)
@@ -68,7 +71,7 @@ def _table(side=14):
     for sx in (-1, 1):
         for sy in (-1, 1):
             z = np.linspace(0.02, TABLE_HEIGHT - 0.05, 12)
-            corner = np.array(TABLE_CENTRE) + 0.85 * TABLE_HALF * np.array([sx, sy])
+            corner = np.array(TABLE_CENTRE) + 0.85 * half * np.array([sx, sy])
             position = np.column_stack([np.tile(corner, (len(z), 1)), z])
             scale = np.broadcast_to([0.012, 0.012, 0.025], position.shape)
             yield position, scale, np.broadcast_to([0.35, 0.2, 0.1], position.shape)

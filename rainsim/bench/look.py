@@ -217,11 +217,13 @@ def paper_choices(renderer, camera, state, rounds):
             water.coverage = None
             water.forget_reflections()
             start = time.perf_counter()
-            picture = water.draw(state, renderer.mirrored, None, around, renderer.sunlight, Timer())
+            picture = water.draw(
+                state, renderer.shower, renderer.mirrored, None, around, renderer.sunlight, Timer()
+            )
             timings[name].append(time.perf_counter() - start)
             pictures[name] = picture.copy(), water.coverage.copy()
     water.config, water.coverage = before, None
-    water.draw(state, renderer.mirrored, None, around, renderer.sunlight, Timer())
+    water.draw(state, renderer.shower, renderer.mirrored, None, around, renderer.sunlight, Timer())
     best, covered = pictures["as set"]
     wet = covered > 0
     for name, seconds in timings.items():

@@ -195,6 +195,7 @@ def _result(out, terrain, scene, puddles, files):
         },
         "painted_water": _painted_water(terrain),
         "puddles": puddles,
+        "tops": _tops(terrain),
         "notes": list(terrain.notes),
     }
     if scene is not None:
@@ -206,6 +207,19 @@ def _result(out, terrain, scene, puddles, files):
             "confidence": frame.confidence,
         }
     return result
+
+
+def _tops(terrain):
+    """Return area [m2], height [m] and what each flat top holds [litres], a list of dicts."""
+    from rainsim.water.top_water import TopWater
+
+    held = TopWater(terrain).capacity
+    return [
+        {"m2": float(area), "height": float(surface[0]), "level": bool(level), "litres": 1e3 * v}
+        for area, surface, level, v in zip(
+            terrain.tops.area, terrain.tops.surface, terrain.tops.level, held.tolist(), strict=True
+        )
+    ]
 
 
 def _painted_water(terrain):
@@ -242,6 +256,7 @@ def _as_text(result):
         "classes           "
         + ", ".join(f"{name} {v:.0%}" for name, v in result["classes"].items() if v > 0),
         *_water_line(result["painted_water"]),
+        *_top_lines(result["tops"]),
         f"hollows           {result['puddles']['hollows']}, "
         f"{result['puddles']['left_out']} of them left out as noise",
     ]
@@ -255,6 +270,12 @@ def _as_text(result):
     if doubts:
         lines.append(f"WARNING           {doubts[-1]}")
     return "\n".join(lines)
+
+
+def _top_lines(tops):
+    for top in tops:
+        holds = f"level, holds {top['litres']:.2f} litres" if top["level"] else "slopes"
+        yield f"top               {top['m2']:.2f} m2 at {top['height']:.2f} m, {holds}"
 
 
 def _water_line(water):

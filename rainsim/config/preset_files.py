@@ -40,6 +40,7 @@ HUMAN_KEYS = {
     "wetting": ("wetting", None),
     "reflections": ("reflections", None),
     "film": ("film", None),
+    "tops": ("tops", None),
     "refraction": ("refraction", None),
     "fresnel": ("fresnel", None),
     "highlight": ("highlight", None),

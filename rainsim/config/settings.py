@@ -54,6 +54,7 @@ WATER_GEOMETRIES = ("height-field", "spheres")
 DROP_RADII = ("measured", "paper")
 STREAKS = ("shutter", "paper")
 SPLASHES = ("crowns", "paper")
+TOPS = ("auto", "off")
 
 MAX_RATE = 1000.0  # mm/h: the heaviest minutes ever measured stay below 2500, an hour below 400
 MAX_PAST = 1000.0  # mm: more than a day's record almost anywhere
@@ -195,6 +196,7 @@ class RenderConfig:
     # traced: rays through the splats, slow; paper: march with a point test
     film: str = "auto"  # wet-ground mirror, drawn where it shows; mirror: always drawn;
     # environment: wet ground only glosses with the first camera's surroundings
+    tops: str = "auto"  # what lies flat above the ground carries water; off: it only darkens
     refraction: str = "snell"  # shift: the image shifted by the normal, the paper's
     fresnel: str = "exact"  # schlick: the paper's approximation
     highlight: str = "cox-munk"  # of the sun; blinn-phong: the paper's (n.h)^p
@@ -240,6 +242,7 @@ class RenderConfig:
         require_choice("wetting", self.wetting, WETTINGS)
         require_choice("reflections", self.reflections, REFLECTIONS)
         require_choice("film", self.film, FILMS)
+        require_choice("tops", self.tops, TOPS)
         require_choice("refraction", self.refraction, REFRACTIONS)
         require_choice("fresnel", self.fresnel, FRESNELS)
         require_choice("highlight", self.highlight, HIGHLIGHTS)

@@ -19,6 +19,7 @@ from dataclasses import replace
 import numpy as np
 
 from rainsim import simulation as host
+from rainsim.config.settings import mm_per_hour
 from rainsim.cuda.graph import Graph
 from rainsim.cuda.grid import Water
 from rainsim.cuda.jit import cuda, pinned
@@ -34,6 +35,7 @@ from rainsim.rain.exposure import rain_exposure
 from rainsim.reflection.slope_moments import ripple_moments
 from rainsim.water.keyframes import level_changes, past_rain_growth
 from rainsim.water.ripples import RippleTile, mean_chord
+from rainsim.water.top_water import TopWater
 
 
 class DeviceState:
@@ -46,11 +48,14 @@ class DeviceState:
     simulation : Simulation
     tile_size : float [m]
     notes : tuple of str
+    top_water : ndarray of shape (n,), float64 [m3]
+        On each top, from the mean rain: what the device books differs by the chance of drops.
     """
 
     def __init__(self, index, time, simulation, notes=()):
         self.index, self.time, self.simulation, self.notes = index, time, simulation, notes
         self.tile_size, self.page = simulation.ripples.size, index % 2
+        self.top_water = simulation.top_water()
 
     def _there(self):
         self.simulation.begin(self.index)
@@ -128,7 +133,7 @@ class Simulation:
             dtype=np.float32,
         )
         open_area = float(exposure.sum()) * terrain.grid.cell_area
-        self._objects = host.Objects(surfaces, start)
+        self._objects = host.Objects(surfaces, start, TopWater(host.tops_drawn(terrain, config)))
         host.warm_up(tile, self._objects, self.weather, surfaces)
         self._objects.open_account()
         self._first_slopes = tile.slopes()
@@ -154,6 +159,11 @@ class Simulation:
         self._steps, self._lists = [None, None], None
         self._index = self._begun = self._complete = self._late = -1
         self._accounts = [None, None]
+        self._fallen = 0.0  # m of rain since the start
+
+    def top_water(self):
+        """Return the water on each top [m3] (n,) at the time of the last state."""
+        return self._objects.top_water_after(self._fallen)
 
     def advance(self):
         """Go on to the next frame and return its `DeviceState`; see `begin`."""
@@ -161,6 +171,8 @@ class Simulation:
         self._index += 1
         index, time = self._index, self._index / self.config.fps
         if index > 0:
+            middle = time - 0.5 / self.config.fps
+            self._fallen += mm_per_hour(self.weather.rate(middle)) / self.config.fps
             self._bring((index - 1) / self.config.fps, time)
         if self.impacts is not None:
             self.impacts.update(index)

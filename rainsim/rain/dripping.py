@@ -43,7 +43,7 @@ class Drips:
     Attributes
     ----------
     held : float
-        Water on the objects [m3]: films, hanging drops, and water that can reach no edge.
+        Water on the objects [m3]: films, puddles, hanging drops, and water that can reach no edge.
     point : ndarray of shape (ny, nx), int32
         The drip point that a cell's water goes to; -1 for ground, -2 where it finds no edge.
     """
@@ -90,6 +90,19 @@ class Drips:
     def airborne(self):
         """Water in falling drips [m3]."""
         return float(drop_volume(self._flight["diameter"]).sum())
+
+    def hold(self, room, held):
+        """Let the objects hold `room` [m3] more behind each point, of which `held` is there.
+
+        Both are arrays of shape (points,). Water fills that room before it leaves the edges.
+        """
+        self._room += room - held
+        self._film += float(held.sum())
+
+    @property
+    def room(self):
+        """How much water the objects still take behind each point [m3], films and puddles."""
+        return self._room
 
     def take_rain(self, hits, fine_depth=0.0):
         """Give the objects the drops that fell on them and a depth [m] of finer rain.

@@ -80,6 +80,19 @@ def screen_light(view, picture, depth, environment, thickness, water, distance):
 
 
 @inlined_function
+def surrounding_light(environment, water):
+    """Return the radiance (r, g, b) that a pixel of water mirrors of an environment map."""
+    samples, a, b, c = slope_samples(water, ONE)
+    red, green, blue = ZERO, ZERO, ZERO
+    for sample in range(samples):
+        rx, ry, rz = sample_ray(water, a, b, c, sample)
+        c0, c1, c2 = sample_environment(environment, rx, ry, rz)
+        red, green, blue = red + c0, green + c1, blue + c2
+    weight = ONE / np.float32(samples)
+    return red * weight, green * weight, blue * weight
+
+
+@inlined_function
 def on_screen(view, depth, start, water, rx, ry, rz, distance, thickness):
     """Return where the picture shows what a mirrored ray meets, and the share to take from there.
 
@@ -152,6 +165,16 @@ def march_light(
         )
         light_out[n, 0], light_out[n, 1], light_out[n, 2] = r, g, b
         source_out[n] = SCREEN if seen > HALF else ENVIRONMENT
+
+
+@cpu_kernel
+def environment_light(which, record, environment, light_out, source_out):
+    """Find the light that listed water mirrors of the surroundings alone; see `march_light`."""
+    for k in prange(len(which)):
+        n = which[k]
+        r, g, b = surrounding_light(environment, read_record(record, n))
+        light_out[n, 0], light_out[n, 1], light_out[n, 2] = r, g, b
+        source_out[n] = ENVIRONMENT
 
 
 @cpu_kernel

@@ -7,6 +7,7 @@ at other levels is marched on the screen.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,9 +19,12 @@ from rainsim.reflection.ray_water import meet_water
 from rainsim.reflection.slope_moments import ripple_moments
 from rainsim.reflection.water_shading import Background, Optics, Ripples
 from rainsim.reflection.water_surface import WaterMap, fine_relief, water_surface
+from rainsim.reflection.wet_tops import ROWS, list_tops, meet_tops, top_maps, top_numbers
 from rainsim.scene.view import View
 from rainsim.shading import fresnel
+from rainsim.shading.wetness import OffGroundWetness
 from rainsim.shading.wetting import ESCAPE
+from rainsim.water.top_water import TopWater, sheet_depth
 
 MIRROR_SPREAD = 0.06  # m: water at levels farther apart has no mirror in common
 MOST_MIRRORS = 3  # levels that auto draws mirrored; what stands at others is marched
@@ -67,6 +71,20 @@ class WetPicture:
         return Background(self.picture, self.below, self.depth)
 
 
+class Shower(NamedTuple):
+    """What wets the tops at the time of a frame.
+
+    Attributes
+    ----------
+    wetness : OffGroundWetness
+    rate : float [m/s]
+        Of the rain.
+    """
+
+    wetness: OffGroundWetness
+    rate: float
+
+
 class WaterPass:
     """Draws the water on the wet pictures of one camera after another.
 
@@ -105,6 +123,9 @@ class WaterPass:
         self._origin = np.array(terrain.grid.origin, np.float32)
         self._spacing = np.float32(terrain.grid.spacing)
         self.thickness, self.stride = REFLECTION_THICKNESS, REFLECTION_STRIDE
+        self.top_water = TopWater(terrain)
+        self.tops = top_maps(terrain, self.top_water)
+        self._rain = None  # that the kept list belongs to
         self._depth = None  # of the water that the kept surface belongs to
         self.wet = None
 
@@ -120,12 +141,14 @@ class WaterPass:
         """Forget the mirrored pictures and the depth that is marched; the next frame makes them."""
         self._blocks, self._mirrors = None, {}
 
-    def draw(self, state, draw_mirrored, trace, environment, sun, timer):
+    def draw(self, state, shower, draw_mirrored, trace, environment, sun, timer):
         """Return the picture with the water of a state on it.
 
         Parameters
         ----------
         state : SimState
+        shower : Shower
+            What wets the tops.
         draw_mirrored : callable
             draw_mirrored(level, window) returns the View and the `planar_mirror.MirrorPicture` of
             the camera mirrored at a level [m], of a window (left, top, right, bottom) [px] of its
@@ -145,6 +168,7 @@ class WaterPass:
         moved = self._depth is None or not np.array_equal(state.depth, self._depth)
         if moved:
             self._update_surface(state.depth)
+        moved |= self._update_tops(state.top_water, shower)
         timer.mark("water surface")
         before = self.pixel
         if moved or self.coverage is None:
@@ -153,7 +177,7 @@ class WaterPass:
         _restore(self.wet.picture, before, self._shown)
         if len(self.pixel):
             ripples = Ripples(ripple_moments(state.slopes), np.float32(state.tile_size))
-            water_shading.tilt_water(ripples, self.record)
+            water_shading.tilt_water(ripples, self.tops, self.record)
             self.light_up(self.config.reflections, draw_mirrored, trace, environment, timer)
             self._lay(self.optics(sun))
         timer.mark("water")
@@ -216,15 +240,32 @@ class WaterPass:
         wet = drawn_depth > 0
         self._highest = np.float32(surface[wet].max()) if wet.any() else None
 
+    def _update_tops(self, volume, shower):
+        """Take over the water on tops (n,) [m3] and what wets them; return whether it changed."""
+        if not len(self.tops.form):
+            return False
+        water = top_numbers(self.top_water, volume, sheet_depth(shower.rate))
+        same = shower.wetness == self._rain and np.array_equal(water, self.tops.water)
+        self.tops, self._rain = self.tops._replace(water=water), shower.wetness
+        return not same
+
     def _find(self):
         """List the pixels that show water."""
         height, width = self.wet.depth.shape
-        self.coverage = np.empty((height, width), np.float32)
-        if self._highest is None:  # nothing is wet
-            self.coverage[:] = 0
-            self._list(np.zeros(height, np.int64), None)
-            return
-        hit, count = np.empty((height, width), np.float32), np.empty(height, np.int64)
+        hit, count = np.empty((height, width), np.float32), np.zeros(height, np.int64)
+        self.coverage = np.zeros((height, width), np.float32)
+        if self._highest is not None:
+            self._find_on_ground(hit, count)
+        if len(self.tops.form):
+            meet_tops(
+                self.wet.depth, self.wet.view, self.tops, self._rain, interleaved(height), hit,
+                self.coverage, count,
+            )  # fmt: skip
+        self._list(count, hit)
+
+    def _find_on_ground(self, hit, count):
+        """Find the pixels that show water on the ground; writes to `hit`, `count` and coverage."""
+        height = len(count)
         given, found = (self.wet.depth, self.wet.view, self._map), (hit, self.coverage, count)
         if self.config.water_geometry == "spheres":
             paper.meet_spheres(*given, *found)
@@ -233,7 +274,6 @@ class WaterPass:
         else:
             cover = np.array(self.config.water_coverage, np.float32)
             meet_water(*given, self._highest, interleaved(height), cover, *found)
-        self._list(count, hit)
 
     def _list(self, count, hit):
         """Make the list of the water, `count` pixels of each row, without ripples and light."""
@@ -244,8 +284,11 @@ class WaterPass:
         if n:
             water_shading.list_water(
                 hit, self.coverage, np.cumsum(count) - count, interleaved(len(count)),
-                self.wet.view, self._map, self.pixel, self.record,
+                self.wet.view, self._map, self.tops, self.pixel, self.record,
             )  # fmt: skip
+        self._top = np.full(n, -1, np.int16)  # that each record lies on
+        if len(self.tops.form):
+            list_tops(self.tops, self.record, self._top)
         self._groups = {}  # how each method shares the pixels out
 
     def light_up(self, name, draw_mirrored, trace, environment, timer):
@@ -260,33 +303,65 @@ class WaterPass:
             timer.mark("reflection")
             return found
         if name not in self._groups:
-            self._groups[name] = group_levels(self.record[:, water_record.Z], name)
-            self._window = self._mirror_window()
-        mirrors, others = self._groups[name]
-        window, kept = self._window, self._mirrors
+            self._groups[name] = self._group(name)
+            self._windows = [self._mirror_window(which) for _, which in self._groups[name][0]]
+        mirrors, others, surrounded = self._groups[name]
+        kept, wanted = self._mirrors, [level for level, _ in mirrors]
         self._mirrors = {
-            (level, window): kept.get((level, window)) or draw_mirrored(level, window)
-            for level, _ in mirrors
+            place: kept.get(place) or draw_mirrored(*place)
+            for place in zip(wanted, self._windows, strict=True)
         }
         timer.mark("mirror")
         for (_, which), (view, mirror) in zip(mirrors, self._mirrors.values(), strict=True):
             mirror_light(which, self.record, view, mirror, self.light, self.source)
         if len(others):
             self._march(others, name == "paper", environment)
+        if len(surrounded):
+            screen_space.environment_light(
+                surrounded, self.record, environment, self.light, self.source
+            )
         timer.mark("reflection")
         return None
+
+    def _group(self, name):
+        """Share the records out as `group_levels`; and those that mirror the surroundings alone.
+
+        These lie on tops that slope, or that are not at the level of the only mirror.
+        """
+        height = self.record[:, water_record.Z]
+        if not len(self.tops.form):
+            return *group_levels(height, name), np.zeros(0, np.int64)
+        level = self.tops.form[:, ROWS] > 0
+        level = np.flatnonzero((self._top < 0) | level[self._top])
+        mirrors, others = group_levels(height[level], name)
+        mirrors = [(z, level[which]) for z, which in mirrors]
+        if name == "mirror":  # one for all: but not for tops at other levels
+            mirrors = [
+                (z, which[(self._top[which] < 0) | (abs(height[which] - z) < MIRROR_SPREAD)])
+                for z, which in mirrors
+            ]
+        others = level[others]
+        served = np.concatenate([others, *(which for _, which in mirrors)])
+        return mirrors, others, np.setdiff1d(np.arange(len(height)), served)
 
     def choice(self):
         """Return in words what `auto` took for the last picture; None without water or choice."""
         if self.config.reflections != "auto" or not len(self.pixel):
             return None
-        mirrors, others = self._groups["auto"]
+        mirrors, others, surrounded = self._groups["auto"]
         pictures = "picture" if len(mirrors) == 1 else "pictures"
-        share = 1 - len(others) / len(self.pixel)
-        return (
+        share = 1 - (len(others) + len(surrounded)) / len(self.pixel)
+        tops = np.count_nonzero(self._top >= 0)
+        notes = [
             f"reflections: {len(mirrors)} mirrored {pictures} for {share:.0%} of the water in view"
             + (", a march on the screen for other levels" if len(others) else "")
-        )
+        ]
+        if tops:
+            share = tops / self.coverage.size
+            notes.append(f"tops above the ground are {share:.1%} of the picture")
+        if len(surrounded):
+            notes.append(f"{len(surrounded) / tops:.0%} of them slope and mirror the surroundings")
+        return "; ".join(notes)
 
     def _march(self, which, is_paper, environment):
         """Fill in the light of the records `which` by marching the picture's own depth."""
@@ -310,15 +385,15 @@ class WaterPass:
             self.source,
         )  # fmt: skip
 
-    def _mirror_window(self):
-        """Return left, top, right and bottom of what water mirrors [px].
+    def _mirror_window(self, which):
+        """Return left, top, right and bottom of what the records `which` mirror [px].
 
         It reaches beyond the picture where ripples look there.
         """
         height, width = self.wet.depth.shape
-        if not len(self.pixel):
+        if not len(which):
             return 0, 0, width, height
-        rows, columns = np.divmod(self.pixel, width)
+        rows, columns = np.divmod(self.pixel[which], width)
         across, down = (2 * WINDOW_SLOPE * float(f) for f in self.wet.view.lens[:2])
         step = WINDOW_STEP
         return (

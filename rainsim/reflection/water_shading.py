@@ -26,6 +26,7 @@ from rainsim.reflection.water_record import (
     write_slopes,
 )
 from rainsim.reflection.water_surface import WaterMap
+from rainsim.reflection.wet_tops import FILM_SLOPE, RING_HIGH, RING_LOW, TopMaps, top_below
 from rainsim.scene.view import View, in_camera, pixel_ray
 from rainsim.shading.fresnel import REFRACTIVE_INDEX, reflectance
 
@@ -69,19 +70,22 @@ class Optics(NamedTuple):
 
 
 @inlined_function
-def water_at(view, water_map, row, column, t, coverage):
+def water_at(view, water_map, tops, row, column, t, coverage):
     """Return the `WaterPixel` whose ray meets the surface at view depth t [m], without ripples.
 
     Rings do not run in a thin film of water, and few run in where a roof keeps the rain off.
     """
-    water, origin = surface_at(view, row, column, t), water_map.origin
+    water, origin = surface_at(view, row, column, abs(t)), water_map.origin
+    top, on_top, _, _, _ = top_below(tops, water.x, water.y, water.z)
     u = (water.x - origin[0]) / water_map.spacing - HALF
     v = (water.y - origin[1]) / water_map.spacing - HALF
     water_depth = bilinear(water_map.depth, u, v)
     share = smoothstep(RIPPLE_LOW, RIPPLE_HIGH, water_depth)
     share *= SHELTERED_SHARE + (ONE - SHELTERED_SHARE) * bilinear(water_map.rings, u, v)
+    if top >= 0:
+        water_depth, share = on_top, smoothstep(RING_LOW, RING_HIGH, on_top)
     return WaterPixel(
-        water.x, water.y, water.z, water.view_x, water.view_y, water.view_z, t, water_depth,
+        water.x, water.y, water.z, water.view_x, water.view_y, water.view_z, abs(t), water_depth,
         coverage, share, ZERO, ZERO, ZERO, ZERO, ZERO, water.width,
     )  # fmt: skip
 
@@ -100,8 +104,11 @@ def surface_at(view, row, column, t):
 
 
 @inlined_function
-def tilted(water, ripples):
-    """Return a `WaterPixel` with the ripples' slopes over what the pixel shows of the surface."""
+def tilted(water, ripples, tops):
+    """Return a `WaterPixel` with the ripples' slopes over what the pixel shows of the surface.
+
+    On tops with the slopes of the top, and those of the film between puddles.
+    """
     share = water.ripple_share
     a, b, aa, bb, ab = ZERO, ZERO, ZERO, ZERO, ZERO
     if share > ZERO:
@@ -110,7 +117,12 @@ def tilted(water, ripples):
             water.view_z, water.width,
         )  # fmt: skip
     square = share * share
-    return with_slopes(water, share * a, share * b, square * aa, square * bb, square * ab)
+    a, b, aa, bb, ab = share * a, share * b, square * aa, square * bb, square * ab
+    top, _, smooth, gx, gy = top_below(tops, water.x, water.y, water.z)
+    if top >= 0:
+        film = (ONE - smooth) * FILM_SLOPE * FILM_SLOPE
+        a, b, aa, bb = a + gx, b + gy, aa + film, bb + film
+    return with_slopes(water, a, b, aa, bb, ab)
 
 
 @inlined_function
@@ -245,8 +257,9 @@ def sun_glint(water, lx, ly, lz, law, glint_variance):
 
 @cpu_kernel
 def list_water(
-    hit, coverage, first, row_order, view: View, water_map: WaterMap, pixel_out, record_out
-):
+    hit, coverage, first, row_order, view: View, water_map: WaterMap, tops: TopMaps, pixel_out,
+    record_out,
+):  # fmt: skip
     """Write the record of each pixel that water covers, row by row; its slopes are zero.
 
     Parameters
@@ -259,6 +272,7 @@ def list_water(
         Order in which rows are taken, see `jit.interleaved`.
     view : View
     water_map : WaterMap
+    tops : TopMaps
     pixel_out : ndarray of shape (n,), int32
         Number of each record's pixel, row * width + column.
     record_out : ndarray of shape (n, RECORD), float32
@@ -270,7 +284,7 @@ def list_water(
         for column in range(width):
             if coverage[row, column] > ZERO:
                 water = water_at(
-                    view, water_map, row, column, hit[row, column], coverage[row, column]
+                    view, water_map, tops, row, column, hit[row, column], coverage[row, column]
                 )
                 write_level(water, record_out[n])
                 pixel_out[n] = row * width + column
@@ -278,10 +292,10 @@ def list_water(
 
 
 @cpu_kernel
-def tilt_water(ripples: Ripples, record_out):
+def tilt_water(ripples: Ripples, tops: TopMaps, record_out):
     """Tilt the listed water by the ripples: modifies the slopes of `record_out` (n, RECORD)."""
     for n in prange(len(record_out)):
-        write_slopes(tilted(read_record(record_out, n), ripples), record_out[n])
+        write_slopes(tilted(read_record(record_out, n), ripples, tops), record_out[n])
 
 
 @cpu_kernel

@@ -9,7 +9,7 @@ import numpy as np
 from rainsim.particles import drop_radiance, paper
 from rainsim.particles.splash import WET_FILM
 from rainsim.raster import Rasterizer
-from rainsim.reflection.water_pass import WaterPass
+from rainsim.reflection.water_pass import Shower, WaterPass
 from rainsim.render import aov
 from rainsim.render.rain_pass import RainPass
 from rainsim.render.report import FrameReport, Timer
@@ -18,7 +18,7 @@ from rainsim.shading import environment, sky
 from rainsim.shading.calibration import metered, metering_views
 from rainsim.shading.composite import RainLight, compose
 from rainsim.shading.wet_ground_mirror import WetGroundMirror
-from rainsim.simulation import surfaces_of
+from rainsim.simulation import surfaces_of, tops_drawn
 from rainsim.water.ripples import ring_reach, ring_share
 
 RING_DEPTH = 5e-3  # m of water on which rings travel in under cover
@@ -58,7 +58,8 @@ class Renderer:
     """
 
     def __init__(self, scene, terrain, config, first_camera, rasterizer_of=Rasterizer):
-        self.terrain, self.config = terrain, config
+        self.terrain, self.config = tops_drawn(terrain, config), config
+        terrain = self.terrain
         self.wet_scene = WetScene(scene, terrain, config, first_camera, rasterizer_of)
         self.rain = RainPass(surfaces_of(terrain), config)
         reach = ring_reach(RING_DEPTH, config.water.surface_film, self.rain.weather.mean_rate)
@@ -93,8 +94,9 @@ class Renderer:
             self._see(camera, timer)
         render, scene = self.now.render, self.wet_scene
         picture = self.water.draw(
-            state, self.mirrored, scene.traced, scene.environment, self.sunlight, timer
-        )
+            state, self.shower, self.mirrored, scene.traced, scene.environment, self.sunlight,
+            timer,
+        )  # fmt: skip
         cover = self.rain.draw(
             self.view, camera_end, state, render, scene.paving, self.wet.depth, timer
         )
@@ -149,6 +151,11 @@ class Renderer:
     def sunlight(self):
         """The sun of the present time as kernels take it, see `sky.sunlight`."""
         return sky.sunlight(self.sun, self.now.render.cloudiness)
+
+    @property
+    def shower(self):
+        """The `Shower` of the present time."""
+        return Shower(self.wet_scene.off_ground, self.now.rain.rate)
 
     def drop_field(self, view, camera):
         """Return the radiance of drops over a camera's picture, see `drop_radiance.drop_field`."""

@@ -22,6 +22,7 @@ from rainsim.terrain.classify import EXCESS_GREEN, classify, is_green, mark_drai
 from rainsim.terrain.pond import fill_ponds
 from rainsim.terrain.slab import FAINT, follow_ground, lonely, splat_cover
 from rainsim.terrain.table import GRASS, HARD
+from rainsim.terrain.tops import find_tops, note_of
 from rainsim.terrain.types import GAP_HEIGHT, INFERRED, MEASURED, UNKNOWN, Grid, Terrain
 
 MIN_SEEN_ALPHA = 0.5  # of a cell from above: with less its height is unknown
@@ -89,8 +90,9 @@ def extract_terrain(scene, config, mask=None):
         np.copyto(underside, bed, where=filled & (underside < bed + water + GAP_HEIGHT))
     terrain = Terrain(grid, **maps, water=water)
     removed = int(np.count_nonzero(left_out))
-    notes += (*cloud.notes, *_report(terrain, removed, mask), *pond_notes)
-    return replace(terrain, notes=notes)
+    tops = find_tops(terrain, scene)
+    notes += (*cloud.notes, *_report(terrain, removed, mask), *pond_notes, *note_of(tops))
+    return replace(terrain, notes=notes, tops=tops)
 
 
 @dataclass(frozen=True)

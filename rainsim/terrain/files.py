@@ -7,10 +7,11 @@ from pathlib import Path
 import numpy as np
 
 from rainsim.errors import InputError
-from rainsim.terrain.types import Grid, Terrain
+from rainsim.terrain.types import NO_TOPS, Grid, Terrain, Tops
 
 _ARRAYS = ("bed", "top", "underside", "source", "ground_class", "noise", "color")
 _WATER = "water"  # not in the files of old versions
+_TOPS = "tops_"  # begins the names of the arrays of `Tops`; not in the files of old versions
 
 
 def write_terrain(folder, terrain):
@@ -27,6 +28,7 @@ def write_terrain(folder, terrain):
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     arrays = {name: getattr(terrain, name) for name in (*_ARRAYS, _WATER)}
+    arrays |= {_TOPS + name: values for name, values in terrain.tops.arrays().items()}
     grid = terrain.grid
     images.write_npz(
         folder / "terrain.npz", **arrays, origin=np.array(grid.origin), spacing=grid.spacing,
@@ -54,8 +56,10 @@ def read_terrain(folder):
             grid = Grid(shape, tuple(map(float, data["origin"])), float(data["spacing"]))
             notes = tuple(map(str, data["notes"]))
             water = data[_WATER] if _WATER in data else None
+            tops = {n.removeprefix(_TOPS): data[n] for n in data.files if n.startswith(_TOPS)}
+            tops = Tops.from_arrays(tops) if tops else NO_TOPS
     except FileNotFoundError:
         raise InputError(f"{path} does not exist; `rainsim heightmap` writes it") from None
-    except (KeyError, ValueError, OSError, EOFError) as error:
+    except (KeyError, ValueError, TypeError, OSError, EOFError) as error:
         raise InputError(f"{path} is no terrain of rainsim ({error}); write it again") from error
-    return Terrain(grid, *arrays, notes=notes, water=water)
+    return Terrain(grid, *arrays, notes=notes, water=water, tops=tops)

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from rainsim.io import cache
-from rainsim.terrain.types import Grid, Terrain
+from rainsim.terrain.types import NO_TOPS, Grid, Terrain, Tops
 
 KIND = "terrain"
 ARRAYS = ("bed", "top", "underside", "source", "ground_class", "noise", "color")
+TOPS = "tops_"  # begins the names of the arrays of `Tops`
 
 
 def kept_terrain(scene, config, mask=None):
@@ -44,10 +45,14 @@ def _packed(terrain):
     arrays = {name: getattr(terrain, name) for name in ARRAYS}
     if terrain.water.any():
         arrays["water"] = terrain.water
+    if len(terrain.tops):
+        arrays |= {TOPS + name: values for name, values in terrain.tops.arrays().items()}
     return facts, arrays
 
 
 def _unpacked(facts, arrays):
     """Return the terrain of an entry's facts and arrays."""
     grid = Grid(tuple(facts["shape"]), tuple(facts["origin"]), facts["spacing"])
-    return Terrain(grid, **arrays, notes=tuple(facts["notes"]))
+    tops = {n.removeprefix(TOPS): arrays.pop(n) for n in list(arrays) if n.startswith(TOPS)}
+    tops = Tops.from_arrays(tops) if tops else NO_TOPS
+    return Terrain(grid, **arrays, notes=tuple(facts["notes"]), tops=tops)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -56,6 +56,76 @@ class Grid:
 
 
 @dataclass(frozen=True)
+class Tops:
+    """What lies flat above the ground: tables, benches, car bonnets, roofs.
+
+    A top's surface is a plane, or curved a little: s0 + s1 X + s2 Y + s3 X^2 + s4 X Y + s5 Y^2,
+    with X, Y the distance from its centre. A level top has a patch of finer cells besides, on
+    which its relief is known; the patches lie one above the other in one array, with dry cells
+    around each.
+
+    Attributes
+    ----------
+    index : ndarray of shape (ny, nx), int16
+        The top over each cell of the terrain and a margin around it, -1 for none; (0, 0) if there
+        are no tops.
+    surface : ndarray of shape (n, 6), float64
+        s0 [m] to s5 [1/m].
+    centre : ndarray of shape (n, 2), float64 [m]
+    area : ndarray of shape (n,), float64 [m2]
+    patch : ndarray of shape (n, 3), int64
+        First row in the arrays, rows and columns of each top's patch; no rows if it is not level.
+    corner : ndarray of shape (n, 2), float64 [m]
+        x, y of the patch's south-western corner.
+    spacing : float [m]
+        Of the patches' cells.
+    relief : ndarray of shape (rows, columns), float32 [m]
+        Height over the surface.
+    holds : ndarray of shape (rows, columns), bool
+        Where water can stand: no gaps between planks, nothing beyond the edge.
+    """
+
+    index: np.ndarray
+    surface: np.ndarray
+    centre: np.ndarray
+    area: np.ndarray
+    patch: np.ndarray
+    corner: np.ndarray
+    spacing: float
+    relief: np.ndarray
+    holds: np.ndarray
+
+    def __len__(self):
+        return len(self.surface)
+
+    def arrays(self):
+        """Return the attributes as arrays by name, for files; see `from_arrays`."""
+        return {f.name: np.asarray(getattr(self, f.name)) for f in fields(self)}
+
+    @classmethod
+    def from_arrays(cls, arrays):
+        """Return the tops that `arrays` gave."""
+        return cls(**{**arrays, "spacing": np.asarray(arrays["spacing"]).item()})
+
+    @property
+    def level(self):
+        """Mask of the tops on which water stands, (n,) bool."""
+        return self.patch[:, 1] > 0
+
+    def cells_of(self, k):
+        """Return the part of the patches' arrays that holds the patch of top k, two slices."""
+        first, rows, columns = self.patch[k]
+        return slice(first, first + rows), slice(0, columns)
+
+
+NO_TOPS = Tops(
+    np.zeros((0, 0), np.int16), np.zeros((0, 6)), np.zeros((0, 2)), np.zeros(0),
+    np.zeros((0, 3), np.int64), np.zeros((0, 2)), 1.0, np.zeros((1, 1), np.float32),
+    np.zeros((1, 1), bool),
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
 class Terrain:
     """Ground, cover and classes on a `Grid`.
 
@@ -82,6 +152,8 @@ class Terrain:
     notes : tuple of str
     water : ndarray of shape (ny, nx), float32 [m]
         Depth of the water that the user painted, over an assumed bed; 0 elsewhere.
+    tops : Tops
+        What lies flat above the ground, see `rainsim.terrain.tops`.
     """
 
     grid: Grid
@@ -94,6 +166,7 @@ class Terrain:
     color: np.ndarray
     notes: tuple = ()
     water: np.ndarray | None = None
+    tops: Tops = NO_TOPS
 
     def __post_init__(self):
         """Fill in a map of zeros if no water was painted."""

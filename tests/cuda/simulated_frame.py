@@ -7,6 +7,7 @@ import pytest
 
 from rainsim.config.settings import Config, mm_per_hour
 from rainsim.cuda import simulated
+from rainsim.cuda import simulation as cuda_simulation
 from rainsim.cuda.render import renderer as twin
 from rainsim.daylight import kept
 from rainsim.daylight.relight import Relight
@@ -73,6 +74,26 @@ def test_frames_are_those_of_the_cpu(reflections, least):
     assert len(launches) == count + 1
     dry = dataclasses.replace(states[0], depth=np.zeros_like(states[0].depth))
     assert decibel(renderer.draw(camera, dry)[0], found[0]) < 40
+
+
+def test_wet_tops_are_those_of_the_cpu():
+    """A table wide enough to carry water; its puddles from states of either backend."""
+    scene = tiny_scene(table=0.45)
+    camera = scene.cameras[0].resized(*SIZE)
+    settings = config(reflections="auto", past=6e-3, spacing=0.05)
+    terrain = extract_terrain(scene, settings)
+    assert len(terrain.tops) == 1 and terrain.tops.level.all()
+    state = next(iter(simulate(terrain, settings)))
+    wanted = rendering.Renderer(scene, terrain, settings, camera)
+    picture = wanted.draw(camera, state)[0]
+    renderer = twin.Renderer(scene, terrain, settings, camera)
+    assert decibel(renderer.draw(camera, state)[0], picture) > 50
+    assert (wanted.water._top >= 0).mean() > 0.2 and "tops" in wanted.water.choice()
+    off = settings.replace(tops="off")
+    without = rendering.Renderer(scene, terrain, off, camera).draw(camera, state)[0]
+    assert decibel(without, picture) < 40
+    own = cuda_simulation.Simulation(terrain, settings)
+    np.testing.assert_allclose(own.advance().top_water, state.top_water, rtol=1e-6)
 
 
 def test_film_gets_a_mirrored_picture_where_it_is_worth_one():

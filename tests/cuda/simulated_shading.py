@@ -30,6 +30,7 @@ from rainsim.reflection.planar_mirror import MirrorPicture
 from rainsim.reflection.water_record import RECORD
 from rainsim.reflection.water_shading import Background, Optics, Ripples
 from rainsim.reflection.water_surface import WaterMap
+from rainsim.reflection.wet_tops import DRY_TOPS
 from rainsim.scene.view import CameraArrays, View
 from rainsim.shading import composite, sky, wet_ground_mirror, wet_pass
 from rainsim.shading.composite import RainCover, RainLight
@@ -209,9 +210,9 @@ def test_water_light(view, pond, poisoned, rng, reflection, law):
     pixel, record = np.empty(n, np.int32), np.empty((n, RECORD), F4)
     light, source = poisoned((n, 3)), poisoned(n, np.uint8)
     water_shading.list_water(
-        hit, coverage, np.cumsum(count) - count, rows, camera, water_map, pixel, record
+        hit, coverage, np.cumsum(count) - count, rows, camera, water_map, DRY_TOPS, pixel, record
     )
-    water_shading.tilt_water(ripples, record)
+    water_shading.tilt_water(ripples, DRY_TOPS, record)
     mirror = rng.uniform(0, 1, (HEIGHT, WIDTH, 3)).astype(F4)
     mirror_depth = rng.uniform(2, 5, (HEIGHT, WIDTH)).astype(F4)
     window = F4([*view.lens, WIDTH, HEIGHT])
@@ -248,8 +249,8 @@ def test_water_light(view, pond, poisoned, rng, reflection, law):
     pictures = (np.stack([0 * m, m]) for m in (mirror, coarse2, mirror_depth))
     mirrors = cuda_mirror.MirrorArrays(served, window, flipped, *pictures)
     launch(
-        cuda_water.shade_water, hit, coverage, distance, background, tall, own, water_map, ripples,
-        around, settings, mirrors, optics, found,
+        cuda_water.shade_water, hit, coverage, distance, background, tall, own, water_map,
+        DRY_TOPS, ripples, around, settings, mirrors, optics, found,
     )  # fmt: skip
     assert decibel(found, wanted) > 70
     assert decibel(wanted, picture) < 30

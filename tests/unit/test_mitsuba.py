@@ -16,6 +16,7 @@ from rainsim.reflection import ray_water, screen_space, water_record, water_shad
 from rainsim.reflection.mirrored_rays import SCREEN
 from rainsim.reflection.water_shading import Background, Optics
 from rainsim.reflection.water_surface import WaterMap
+from rainsim.reflection.wet_tops import DRY_TOPS
 from rainsim.shading.fresnel import EXACT, fresnel
 
 mitsuba = pytest.importorskip("mitsuba")
@@ -111,7 +112,7 @@ def ours():
     n = count.sum()
     pixel, record = np.zeros(n, np.int32), np.zeros((n, water_record.RECORD), np.float32)
     water_shading.list_water(
-        hit, coverage, np.cumsum(count) - count, rows, VIEW, water_map, pixel, record
+        hit, coverage, np.cumsum(count) - count, rows, VIEW, water_map, DRY_TOPS, pixel, record
     )
     slope = -AMPLITUDE * NUMBER * np.sin(NUMBER * record[:, water_record.X])
     record[:, water_record.SLOPE_X] = slope

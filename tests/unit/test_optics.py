@@ -14,6 +14,7 @@ from rainsim.reflection.slope_moments import ripple_moments
 from rainsim.reflection.water_record import RECORD, WaterPixel
 from rainsim.reflection.water_shading import Background, Optics, Ripples
 from rainsim.reflection.water_surface import WaterMap
+from rainsim.reflection.wet_tops import DRY_TOPS
 from rainsim.scene.view import View
 from rainsim.shading.fresnel import EXACT, SCHLICK, fresnel
 
@@ -86,10 +87,10 @@ def water(depth_of_water, picture=None, depth=None, clearance=None, slopes=0.0, 
     n = count.sum()
     pixel, record = np.full(n, -1, np.int32), np.full((n, RECORD), np.nan, np.float32)
     water_shading.list_water(
-        hit, coverage, np.cumsum(count) - count, rows, VIEW, water_map, pixel, record
+        hit, coverage, np.cumsum(count) - count, rows, VIEW, water_map, DRY_TOPS, pixel, record
     )
     slopes = np.broadcast_to(np.asarray(slopes, np.float32), 2)[:, None, None]
-    water_shading.tilt_water(ripples(np.tile(slopes, (1, 32, 32))), record)
+    water_shading.tilt_water(ripples(np.tile(slopes, (1, 32, 32))), DRY_TOPS, record)
     assert np.isfinite(record).all()
     light, source = np.full((n, 3), np.nan, np.float32), np.full(n, 99, np.uint8)
     if mirror is not None:
@@ -315,9 +316,9 @@ def test_a_camera_at_or_under_the_water_sees_none_and_nothing_breaks(above):
     assert (n > 0) == (above > 0)
     pixel, record = np.full(n, -1, np.int32), np.full((n, RECORD), np.nan, np.float32)
     water_shading.list_water(
-        hit, coverage, np.cumsum(count) - count, rows, view, water_map, pixel, record
+        hit, coverage, np.cumsum(count) - count, rows, view, water_map, DRY_TOPS, pixel, record
     )
-    water_shading.tilt_water(ripples(np.full((2, 32, 32), 0.03)), record)
+    water_shading.tilt_water(ripples(np.full((2, 32, 32), 0.03)), DRY_TOPS, record)
     light, source = np.full((n, 3), np.nan, np.float32), np.full(n, 99, np.uint8)
     mirror = np.full((HEIGHT, WIDTH, 3), 0.25, np.float32)
     mirror_pass.mirror_light(

@@ -101,7 +101,7 @@ def count_heights(hit, coverage, camera, first_bin, count_out, extent_out):
     upper, lower, run, at = height, -1, 0, 0
     if column < width:
         for row in range(first, min(first + COUNT_ROWS, height)):
-            if coverage[row, column] == ZERO:
+            if coverage[row, column] == ZERO or hit[row, column] < ZERO:  # on a sloping top
                 continue
             z = view.eye[2] + hit[row, column] * pixel_ray(view, row, column)[2]
             place = np.int64(math.floor(np.float64(z) / LEVEL_STEP)) - first_bin

@@ -77,7 +77,9 @@ def find_hits(hit, coverage, tall, bounds, camera, settings, mirror_range, dista
     """
     column, row = cuda.grid(2)
     height, width = coverage.shape
-    if row >= height or column >= width or coverage[row, column] == ZERO:
+    if row >= height or column >= width or not coverage[row, column] > ZERO:
+        return
+    if hit[row, column] < ZERO:  # on a top that slopes
         return
     view = view_from(camera)
     water = surface_at(view, row, column, hit[row, column])

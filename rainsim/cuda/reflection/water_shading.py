@@ -7,19 +7,25 @@ same functions of a pixel.
 
 from __future__ import annotations
 
+import numpy as np
+
 from rainsim.constants import TWO, ZERO
 from rainsim.cuda.jit import cuda, cuda_device, cuda_kernel
 from rainsim.cuda.reflection.planar_mirror import mirror_of
 from rainsim.reflection.planar_mirror import MirrorPicture, mirrored_light
-from rainsim.reflection.screen_space import screen_light
+from rainsim.reflection.screen_space import screen_light, surrounding_light
+from rainsim.reflection.water_pass import MIRROR_SPREAD
 from rainsim.reflection.water_shading import shade_water_pixel, tilted, water_at
+from rainsim.reflection.wet_tops import top_below
 from rainsim.scene.view import View, view_from
+
+SPREAD = np.float32(MIRROR_SPREAD)
 
 
 @cuda_kernel
 def shade_water(
-    hit, coverage, distance, background, tall, camera, water_map, ripples, environment, settings,
-    mirrors, optics, picture_out,
+    hit, coverage, distance, background, tall, camera, water_map, tops, ripples, environment,
+    settings, mirrors, optics, picture_out,
 ):  # fmt: skip
     """Write the picture with the water on it: ripples, what it mirrors, what shows through, glint.
 
@@ -34,6 +40,7 @@ def shade_water(
         As `screen_space.keep_tall` left it.
     camera : CameraArrays
     water_map : WaterMap
+    tops : TopMaps
     ripples : Ripples
     environment : device array of shape (rows, columns, 3), float32
     settings : device array of shape (3,), float32
@@ -52,10 +59,15 @@ def shade_water(
             picture_out[row, column, c] = background.picture[row, column, c]
         return
     view = view_from(camera)
-    water = water_at(view, water_map, row, column, hit[row, column], covers)
-    water = tilted(water, ripples)
+    water = water_at(view, water_map, tops, row, column, hit[row, column], covers)
+    water = tilted(water, ripples, tops)
     mirror = mirror_of(mirrors.range, water.z)
-    if mirror >= 0:
+    alone = hit[row, column] < ZERO  # a top that slopes mirrors the surroundings alone
+    if mirror >= 0 and abs(water.z - mirrors.range[mirror, 0]) >= SPREAD:
+        alone = alone or top_below(tops, water.x, water.y, water.z)[0] >= 0
+    if alone:
+        red, green, blue = surrounding_light(environment, water)
+    elif mirror >= 0:
         red, green, blue = by_mirror(mirrors, mirror, view, water)
     else:
         red, green, blue, _ = screen_light(

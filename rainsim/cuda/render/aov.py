@@ -46,7 +46,7 @@ class AovReader:
         state = SimpleNamespace(
             index=state.index, time=state.time, depth=frame.surface.depth.copy_to_host(),
             slopes=frame.ripple_slopes(), tile_size=state.tile_size, drips=state.drips,
-            drip_id=state.drip_id,
+            drip_id=state.drip_id, top_water=state.top_water,
         )  # fmt: skip
         light = RainLight(frame.uniforms.host["drop"], host.everywhere, host.air_light)
         scene = host.wet_scene
@@ -57,9 +57,8 @@ class AovReader:
         try:
             if not set(aov.TERMS).isdisjoint(names):
                 host.water.look(wet)
-                host.water.draw(
-                    state, host.mirrored, scene.traced, scene.environment, host.sunlight, Timer()
-                )
+                light_of = host.mirrored, scene.traced, scene.environment, host.sunlight
+                host.water.draw(state, host.shower, *light_of, Timer())
             return host.aovs(names, state, wet, frame.rain_cover(), light)
         finally:
             scene.rasterizer = frame.rasterizer

@@ -17,7 +17,7 @@ from rainsim.cuda.particles.splash_pass import Splashes
 from rainsim.cuda.particles.streaks import Streaks
 from rainsim.cuda.rain.dripping import DripList
 from rainsim.cuda.rain.impact_history import RecentImpacts
-from rainsim.cuda.reflection import ray_water, screen_space, water_shading
+from rainsim.cuda.reflection import ray_water, screen_space, water_shading, wet_tops
 from rainsim.cuda.reflection.planar_mirror import Mirrors
 from rainsim.cuda.reflection.water_surface import WaterSurface
 from rainsim.cuda.shading import wet_pass
@@ -31,11 +31,13 @@ from rainsim.reflection import water_pass
 from rainsim.reflection.slope_moments import ripple_moments
 from rainsim.reflection.water_shading import Background, Ripples
 from rainsim.reflection.water_surface import WaterMap
+from rainsim.reflection.wet_tops import top_numbers
 from rainsim.scene.view import CameraArrays, view_of
 from rainsim.shading.composite import RainCover, RainLight
 from rainsim.shading.wet_pass import DryPicture
 from rainsim.shading.wetting import GroundMaps, SkyMaps
 from rainsim.ssr import bounds_of
+from rainsim.water.top_water import sheet_depth
 
 
 class DeviceFrame:
@@ -74,6 +76,12 @@ class DeviceFrame:
         self.place = to_device(np.array(grid.origin, np.float32)), np.float32(grid.spacing)
         self._bed, self._rings = to_device(self.terrain.bed), to_device(host.rings)
         self._ground, self._ground_sent = to_device(scene.ground), scene.ground
+        tops = host.water.tops
+        self._tops = tops._replace(
+            index=cuda.to_device(tops.index), form=to_device(tops.form),
+            depths=to_device(tops.depths), holds=to_device(tops.holds),
+            origin=to_device(tops.origin),
+        )  # fmt: skip
         self._around, self.gloss = to_device(scene.environment), to_device(scene.gloss)
         self._behind, self._behind_sent = to_device(scene.behind), scene.behind
         self._behind_mirrored = to_device(scene.behind_mirrored)
@@ -166,6 +174,10 @@ class DeviceFrame:
     def _take_state(self, state):
         """List the copies of the water and its ripples to the device, unless they are there."""
         self._tile = np.float32(state.tile_size)
+        tops = self.host.water.top_water
+        if len(tops.tops):
+            sheet = sheet_depth(self.host.now.rain.rate)
+            self.uniforms.update(tops=top_numbers(tops, state.top_water, sheet))
         if simulation_of(state) is not None:
             return
         moments = ripple_moments(state.slopes)
@@ -210,6 +222,7 @@ class DeviceFrame:
             "off_ground": ((5,), f4), "brightness": ((1,), f4), "fog": ((FOG_STEPS + 3,), f4),
             "sun": ((6,), f4), "air": ((3,), f4), "settings": ((3,), f4), "cover": ((2,), f4),
             "drop": ((*drop_radiance.GRID, 3), f4), "around": ((3,), f4),
+            "tops": ((max(len(self._tops.form), 1), 2), f4),
         })  # fmt: skip
         render = host.config.render
         stride = max(1.0, host.water.stride * width)
@@ -372,6 +385,11 @@ class DeviceFrame:
             self.depth, self.camera_arrays, self._water_map, self.surface.highest,
             self.uniforms["cover"], self._hit, self._coverage,
         )  # fmt: skip
+        if len(self._tops.form):
+            wet_tops.meet_tops[self._grid()](
+                self.depth, self.camera_arrays, self.tops, self.uniforms["off_ground"], self._hit,
+                self._coverage,
+            )  # fmt: skip
 
     @property
     def camera_arrays(self):
@@ -382,6 +400,11 @@ class DeviceFrame:
     @property
     def _water_map(self):
         return WaterMap(self.surface.surface, self.surface.over, self._rings, *self.place)
+
+    @property
+    def tops(self):
+        """The tops as kernels take them, `TopMaps`."""
+        return self._tops._replace(water=self.uniforms["tops"])
 
     def _mirror(self):
         self.mirrors.launch(self._hit, self._coverage)
@@ -397,8 +420,8 @@ class DeviceFrame:
         water_shading.shade_water[self._grid()](
             self._hit, self._coverage, self._distance,
             Background(self.picture, self.below, self.depth), self._tall, self.camera_arrays,
-            self._water_map, Ripples(self._moments, self._tile), self._around, n["settings"],
-            mirrors.arrays, self.host.water.optics(n["sun"]), self._shown,
+            self._water_map, self.tops, Ripples(self._moments, self._tile), self._around,
+            n["settings"], mirrors.arrays, self.host.water.optics(n["sun"]), self._shown,
         )  # fmt: skip
 
     def _compose(self):

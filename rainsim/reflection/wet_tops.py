@@ -1,0 +1,259 @@
+"""Wet tops in a picture: where tables, benches and bonnets show, and how their water mirrors.
+
+A pixel shows a top if what it shows lies at the top's height. All of a wet top mirrors: the puddles
+as water does on the ground, the film between them as a rough mirror, whose facets tilt by
+FILM_SLOPE about the surface. So both are one list with the ground's water, and share its
+reflections.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from rainsim.constants import HALF, ONE, TWO, ZERO
+from rainsim.jit import cpu_kernel, inlined_function, lean_function, prange
+from rainsim.numerics.interpolation import bilinear, smoothstep
+from rainsim.reflection.ray_water import LEAST_COVERAGE, LEAST_DIP
+from rainsim.reflection.water_record import X, Y, Z
+from rainsim.scene.view import View, pixel_ray
+from rainsim.shading.wetness import OffGroundWetness
+
+# m from its surface up to which what a picture shows is a top; its depth is blended at the edges
+NEAR_TOP, OFF_TOP = np.float32(0.02), np.float32(0.04)
+SAME_HEIGHT = np.float32(0.01)  # m, of water on a top from the top's surface
+FILM_SLOPE = np.float32(0.1)  # rms slope of a water film on boards and paint, along one axis
+THIN, FULL = np.float32(0.15e-3), np.float32(0.8e-3)  # m of water: still a film, a smooth puddle
+# m of water on smooth ground: no rings, full ones; thinner than on the ground, whose stones break
+# the surface.
+RING_LOW, RING_HIGH = np.float32(0.3e-3), np.float32(2e-3)
+FILM_SHARE = np.float32(0.95)  # of a full film on what takes up some water
+QUARTER, LEAST_WAY = np.float32(0.25), np.float32(0.05)
+MARGIN = 0.3  # m around the middle of a top, beyond its width, that it surely ends in
+FORM = 13  # numbers of a top
+(CORNER_X, CORNER_Y, FIRST_ROW, ROWS, COLUMNS, CENTRE_X, CENTRE_Y, CONSTANT, BY_X, BY_Y, BY_XX,
+ BY_XY, BY_YY) = range(FORM)  # fmt: skip
+
+
+class TopMaps(NamedTuple):
+    """The tops as kernels take them; read-only. See `terrain.types.Tops`."""
+
+    index: np.ndarray  # (ny, nx) int16, the top over each cell, -1 for none; (0, 0) without any
+    form: np.ndarray  # (n, FORM) float32, see CORNER_X to BY_YY
+    water: np.ndarray  # (n, 2) float32: which of `depths` show, and depth [m] of what flows off
+    depths: np.ndarray  # (k, rows, columns) float32 [m], of puddles on the patches
+    holds: np.ndarray  # (rows, columns) float32, share that holds water
+    origin: np.ndarray  # (2,) float32 [m], corner of the map
+    spacing: np.float32  # m, of the map's cells
+    fine: np.float32  # m, of the patches' cells
+    low: np.float32  # m, under and over the heights of all tops
+    high: np.float32
+
+
+def top_maps(terrain, water):
+    """Return the `TopMaps` of a terrain and its `TopWater`, dry.
+
+    Parameters
+    ----------
+    terrain : Terrain
+    water : TopWater
+    """
+    tops, (low, high) = terrain.tops, height_range(terrain.tops)
+    form = np.zeros((len(tops), FORM), np.float32)
+    if len(tops):
+        form[:, CORNER_X : CORNER_Y + 1] = tops.corner
+        form[:, FIRST_ROW : COLUMNS + 1] = tops.patch
+        form[:, CENTRE_X : CENTRE_Y + 1] = tops.centre
+        form[:, CONSTANT : BY_YY + 1] = tops.surface
+    return TopMaps(
+        np.ascontiguousarray(tops.index), form, np.zeros((len(tops), 2), np.float32), water.depths,
+        tops.holds.astype(np.float32), np.array(terrain.grid.origin, np.float32),
+        *(np.float32(n) for n in (terrain.grid.spacing, tops.spacing, low, high)),
+    )  # fmt: skip
+
+
+DRY_TOPS = TopMaps(  # of a scene without any
+    np.zeros((0, 0), np.int16), np.zeros((0, FORM), np.float32), np.zeros((0, 2), np.float32),
+    np.zeros((1, 1, 1), np.float32), np.zeros((1, 1), np.float32), np.zeros(2, np.float32), ONE,
+    ONE, ZERO, ZERO,
+)  # fmt: skip
+
+
+def height_range(tops):
+    """Return a height [m] under all tops and one over them."""
+    if not len(tops):
+        return 0.0, 0.0
+    reach = np.sqrt(tops.area) + MARGIN
+    a, b, c, d, e = np.abs(tops.surface[:, 1:]).T
+    spread = (a + b) * reach + (c + d + e) * reach**2 + OFF_TOP
+    return (tops.surface[:, 0] - spread).min(), (tops.surface[:, 0] + spread).max()
+
+
+def top_numbers(water, volume, sheet):
+    """Return `TopMaps.water` of the volume [m3] on each top (n,) and the flowing sheet's depth [m].
+
+    Parameters
+    ----------
+    water : TopWater
+    volume : ndarray of shape (n,) [m3]
+        None known: of another length.
+    sheet : float [m]
+    """
+    count = len(water.tops)
+    volume = volume if len(volume) == count else np.zeros(count)
+    return np.column_stack([water.stage(volume), np.full(count, sheet, np.float32)])
+
+
+@inlined_function
+def top_over(tops, x, y):
+    """Return the number of the top at (x, y) [m], -1 for none."""
+    rows, columns = tops.index.shape
+    u, v = (x - tops.origin[0]) / tops.spacing, (y - tops.origin[1]) / tops.spacing
+    if not (u >= ZERO and v >= ZERO and u < np.float32(columns) and v < np.float32(rows)):
+        return -1
+    return int(tops.index[int(v), int(u)])
+
+
+@inlined_function
+def is_level(tops, k):
+    """Tell whether water stands on top k."""
+    return tops.form[k, ROWS] > ZERO
+
+
+@inlined_function
+def top_surface(tops, k, x, y):
+    """Return height [m] and slopes of top k at (x, y) [m]; a level one counts as quite level."""
+    f = tops.form[k]
+    x, y = x - f[CENTRE_X], y - f[CENTRE_Y]
+    gx = f[BY_X] + TWO * f[BY_XX] * x + f[BY_XY] * y
+    gy = f[BY_Y] + TWO * f[BY_YY] * y + f[BY_XY] * x
+    height = f[CONSTANT] + HALF * ((f[BY_X] + gx) * x + (f[BY_Y] + gy) * y)
+    sloping = ZERO if f[ROWS] > ZERO else ONE
+    return height, sloping * gx, sloping * gy
+
+
+@inlined_function
+def on_patch(tops, k, x, y):
+    """Return the share of a level top that holds water at (x, y) [m], and the water's depth [m]."""
+    f = tops.form[k]
+    u = (x - f[CORNER_X]) / tops.fine - HALF
+    v = (y - f[CORNER_Y]) / tops.fine - HALF
+    if not (u > ZERO and v > ZERO and u < f[COLUMNS] - ONE and v < f[ROWS] - ONE):
+        return ZERO, ZERO
+    v += f[FIRST_ROW]
+    last = tops.depths.shape[0] - 1
+    stage, sheet = tops.water[k, 0], tops.water[k, 1]
+    low = min(max(int(stage), 0), last)
+    high = min(low + 1, last)
+    depth = bilinear(tops.depths[low], u, v)
+    depth += (stage - np.float32(low)) * (bilinear(tops.depths[high], u, v) - depth)
+    return bilinear(tops.holds, u, v), depth + sheet
+
+
+@inlined_function
+def film_on(rain):
+    """Return the share of a full water film on open tops, see `walls.damp_off_ground`."""
+    full = min(rain.supply, TWO)
+    return FILM_SHARE * rain.film_left * full * (ONE - QUARTER * full)
+
+
+@lean_function
+def wet_top(view, tops, rain, depth, row, column):
+    """Return where a pixel's ray meets a wet top, and the share of the pixel that is wet.
+
+    Parameters
+    ----------
+    view : View
+    tops : TopMaps
+    rain : OffGroundWetness
+    depth : float32 [m]
+        Of what the pixel shows, along the view axis.
+    row, column : int
+
+    Returns
+    -------
+    hit : float32 [m]
+        Along the view axis; negative on a top that slopes, into which no planar mirror looks.
+    coverage : float32
+        0 if the pixel shows no wet top.
+    """
+    x, y, z = pixel_ray(view, row, column)
+    eye = view.eye
+    shown = eye[2] + depth * z
+    if not (z <= LEAST_DIP and depth > LEAST_WAY and shown > tops.low and shown < tops.high):
+        return ZERO, ZERO
+    k = top_over(tops, eye[0] + depth * x, eye[1] + depth * y)
+    if k < 0:
+        return ZERO, ZERO
+    height, gx, gy = top_surface(tops, k, eye[0] + depth * x, eye[1] + depth * y)
+    above = shown - height
+    fall = z - gx * x - gy * y  # of the ray towards the surface
+    if not (abs(above) < OFF_TOP and fall <= LEAST_DIP):
+        return ZERO, ZERO
+    hit = depth - above / fall
+    covers = film_on(rain)
+    if is_level(tops, k):
+        holds, water = on_patch(tops, k, eye[0] + hit * x, eye[1] + hit * y)
+        covers = max(covers, smoothstep(THIN, FULL, water)) * holds
+    covers *= ONE - smoothstep(NEAR_TOP, OFF_TOP, abs(above))
+    if not (covers > LEAST_COVERAGE and hit > LEAST_WAY):
+        return ZERO, ZERO
+    return (hit if is_level(tops, k) else -hit), covers
+
+
+@lean_function
+def top_below(tops, x, y, z):
+    """Return which top water at (x, y, z) [m] lies on, -1: none; the puddle's depth and the share
+    of it that is smooth; and the slopes of the top.
+    """
+    k = -1
+    if z > tops.low and z < tops.high:
+        k = top_over(tops, x, y)
+    if k < 0:
+        return -1, ZERO, ZERO, ZERO, ZERO
+    height, gx, gy = top_surface(tops, k, x, y)
+    if abs(z - height) > SAME_HEIGHT:
+        return -1, ZERO, ZERO, ZERO, ZERO
+    water = ZERO
+    if is_level(tops, k):
+        _, water = on_patch(tops, k, x, y)
+    return k, water, smoothstep(THIN, FULL, water), gx, gy
+
+
+@cpu_kernel
+def list_tops(tops: TopMaps, record, top_out):
+    """Write which top each record's water lies on, -1 for none; `top_out` is (n,) int16."""
+    for n in prange(len(record)):
+        top_out[n] = top_below(tops, record[n, X], record[n, Y], record[n, Z])[0]
+
+
+@cpu_kernel
+def meet_tops(
+    depth, view: View, tops: TopMaps, rain: OffGroundWetness, row_order, hit_out, coverage_out,
+    count_out,
+):  # fmt: skip
+    """Add the wet tops to what `ray_water.meet_water` has found; its water hides them.
+
+    Parameters
+    ----------
+    depth : ndarray of shape (height, width), float32 [m]
+    view : View
+    tops : TopMaps
+    rain : OffGroundWetness
+    row_order : ndarray of shape (height,), int64
+    hit_out, coverage_out, count_out : ndarray
+        As `meet_water` wrote them; see `wet_top` for the hit.
+    """
+    height, width = depth.shape
+    for k in prange(height):
+        row = row_order[k]
+        count = 0
+        for column in range(width):
+            if coverage_out[row, column] > ZERO:
+                continue
+            hit, covers = wet_top(view, tops, rain, depth[row, column], row, column)
+            if covers > ZERO:
+                hit_out[row, column], coverage_out[row, column] = hit, covers
+                count += 1
+        count_out[row] += count

@@ -1,0 +1,263 @@
+"""What lies flat above the ground: tables, benches, car bonnets, roofs, sills, steps.
+
+A flat patch of the map of tops counts if a surface of second order fits it to a centimetre: hedges
+and cushions do not. Of a level one the splats show more than the map has cells for: seen from above
+in finer cells they give the relief on which thin puddles stand and the gaps that part them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy import ndimage
+
+from rainsim import raster
+from rainsim.scene.types import Camera
+from rainsim.terrain.types import NO_TOPS, Grid, Tops
+
+LOWEST, HIGHEST = 0.3, 1.5  # m over the bed: lower things are wetted as ground
+STEEPEST = 0.35  # slope, of a bonnet
+SMALLEST = 0.2  # m2
+ROUGHEST = 0.010  # m from the fitted surface, of four fifths of the cells
+LEVEL_SLOPE = 0.03  # from which on water runs off wholly
+UNSURE_SLOPE = 0.015  # the vertical is not known better: a flatter top is meant to be level
+MARGIN = 0.04  # m around a top, in which its edge may show
+EDGE_CELLS = 4  # of the map, along an edge, that count as steep
+MOST_TOPS = 512
+FINE, FINER = 5e-3, 4  # m of a patch's cells, and how many of them are in one of the map
+MOST_CELLS = 1_000_000  # of all patches
+BAND = 0.05  # m above and below the surface, within which splats belong to a top
+SEEN_ALPHA = 0.6
+FARTHEST = 0.02  # m from the surface, of cells on which water can stand
+GAP_WIDTH, GAP_DARK = 0.025, 0.12  # m, and the share by which a gap is darker than what is around
+SMOOTHING, STRAIGHT = 0.02, 0.12  # m, of the relief: finer forms are noise, broader ones are the
+# capture's warp, since boards and slabs are built straight
+RIM = 0.03  # m along the edge: there splats bend down
+FITS = 4  # of the surface, each to the better half of the cells
+
+
+def with_tops(terrain, scene=None):
+    """Return the terrain with its `Tops`.
+
+    Parameters
+    ----------
+    terrain : Terrain
+    scene : Scene or None
+        Whose splats show the relief of level tops; without one the terrain's cells do.
+    """
+    return replace(terrain, tops=find_tops(terrain, scene))
+
+
+def find_tops(terrain, scene=None):
+    """Return the `Tops` of a terrain; parameters as those of `with_tops`."""
+    grid, found = terrain.grid, []
+    for mask in flat_patches(terrain):
+        fit = fitted(terrain, mask)
+        if fit is not None:
+            found.append((grown(terrain, mask, *fit[:2]), *fit))
+    if not found:
+        return NO_TOPS
+    found = sorted(found, key=lambda top: -np.count_nonzero(top[0]))[:MOST_TOPS]
+    index = np.full(grid.shape, -1, np.int16)
+    reach = max(1, round(MARGIN / grid.spacing))
+    nearest = np.full(grid.shape, np.inf)
+    for k, (mask, *_) in enumerate(found):
+        away = ndimage.distance_transform_edt(~mask)
+        mine = (away <= reach) & (away < nearest)
+        index[mine], nearest[mine] = k, away[mine]
+    surface, centre = (np.array([top[a] for top in found]) for a in (1, 2))
+    area = np.array([np.count_nonzero(top[0]) for top in found]) * grid.cell_area
+    level = np.array([top[3] for top in found])
+    spacing = max(FINE, grid.spacing / FINER)
+    spacing *= max(1.0, np.sqrt(2 * area[level].sum() / spacing**2 / MOST_CELLS))
+    plain = Tops(
+        index, surface, centre, area, np.zeros((len(found), 3), np.int64),
+        np.zeros((len(found), 2)), spacing, NO_TOPS.relief, NO_TOPS.holds,
+    )  # fmt: skip
+    return with_patches(plain, level, terrain, scene)
+
+
+def flat_patches(terrain):
+    """Yield the masks (ny, nx) of the flat parts of what stands above the ground."""
+    height = terrain.top - terrain.bed
+    spacing = terrain.grid.spacing
+    tall = (height > LOWEST) & (height < HIGHEST)  # False where a height is NaN
+    if not tall.any():
+        return
+    # The ground beside an edge must not count as the top's slope.
+    dy, dx = np.gradient(mean_around(terrain.top, tall, 1), spacing)
+    flat = ndimage.binary_opening(tall & (np.hypot(dx, dy) < STEEPEST), iterations=2)
+    labels, count = ndimage.label(flat)
+    size = np.bincount(labels.ravel(), minlength=count + 1) * spacing**2
+    for k in np.flatnonzero(size >= SMALLEST):
+        if k > 0:
+            yield labels == k
+
+
+def fitted(terrain, mask):
+    """Return surface (6,), centre (2,) and whether a flat patch is level; None if it is rough."""
+    x, y = terrain.grid.centres()
+    rows, columns = np.nonzero(mask)
+    height = terrain.top[rows, columns].astype(np.float64)
+    centre = np.array([x[columns].mean(), y[rows].mean()])
+    terms = terms_of(x[columns] - centre[0], y[rows] - centre[1])
+    plane, away = robust_fit(terms[:, :3], height)
+    slope = np.hypot(*plane[1:])
+    if slope < LEVEL_SLOPE and away < ROUGHEST:
+        return np.append(plane, np.zeros(3)), centre, True
+    surface, away = robust_fit(terms, height)
+    steep = np.hypot(terms @ derivative(surface, 0), terms @ derivative(surface, 1))
+    if not away < ROUGHEST or np.percentile(steep, 80) > STEEPEST:
+        return None
+    return surface, centre, False
+
+
+def grown(terrain, mask, surface, centre):
+    """Return a flat patch with the cells around it that lie on its surface, (ny, nx) bool.
+
+    Where slopes are taken over an edge, the cells along it count as steep.
+    """
+    x, y = terrain.grid.centres()
+    steps = EDGE_CELLS + int(MARGIN / terrain.grid.spacing)
+    around = ndimage.binary_dilation(mask, iterations=steps)
+    rows, columns = np.nonzero(around)
+    height = terms_of(x[columns] - centre[0], y[rows] - centre[1]) @ surface
+    on = np.zeros_like(mask)
+    with np.errstate(invalid="ignore"):
+        on[rows, columns] = np.abs(terrain.top[rows, columns] - height) < FARTHEST
+    return ndimage.binary_propagation(mask & on, mask=on) | mask
+
+
+def terms_of(x, y):
+    """Return the six terms of a surface at distances from its centre, (n, 6)."""
+    return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-1)
+
+
+def derivative(surface, axis):
+    """Return the six coefficients of the derivative of a surface along x (0) or y (1)."""
+    _, a, b, c, d, e = surface
+    return np.array([a, 2 * c, d, 0, 0, 0] if axis == 0 else [b, d, 2 * e, 0, 0, 0])
+
+
+def robust_fit(terms, height):
+    """Return the coefficients that fit most of the heights, and the distance of four fifths [m]."""
+    kept = np.ones(len(height), bool)
+    for _ in range(FITS):
+        found = np.linalg.lstsq(terms[kept], height[kept], rcond=None)[0]
+        away = np.abs(height - terms @ found)
+        kept = away <= 2 * np.median(away) + 1e-6
+    return found, float(np.percentile(away, 80))
+
+
+def note_of(tops):
+    """Yield in words which tops were found; nothing without any."""
+    if not len(tops):
+        return
+    level = np.flatnonzero(tops.level)
+    words = [f"{tops.area[k]:.2g} m2 at {tops.surface[k, 0]:.2f} m" for k in level[:3]]
+    if len(level) > 3:
+        words.append(f"{len(level) - 3} more level ones")
+    if len(level) < len(tops):
+        words.append(f"{len(tops) - len(level)} that slope")
+    yield f"{len(tops)} flat tops above the ground: {', '.join(words)}"
+
+
+# ---- the relief of level tops
+
+
+def with_patches(tops, level, terrain, scene):
+    """Return the tops with patches for those that are `level` (n,)."""
+    patch, corner = tops.patch.copy(), tops.corner.copy()
+    reliefs, holds, first = [], [], 0
+    for k in np.flatnonzero(level):
+        rows, columns = np.nonzero(tops.index == k)
+        low = np.array([columns.min(), rows.min()]) * terrain.grid.spacing + terrain.grid.origin
+        size = np.array([np.ptp(columns) + 1, np.ptp(rows) + 1]) * terrain.grid.spacing
+        nx, ny = (np.ceil(size / tops.spacing).astype(int) + 2).tolist()
+        corner[k] = low - tops.spacing
+        grid = Grid((ny, nx), tuple(corner[k]), tops.spacing)
+        relief, hold = measured(tops, k, grid, terrain, scene)
+        hold[[0, -1]], hold[:, [0, -1]] = False, False
+        patch[k] = first, ny, nx
+        first += ny
+        reliefs.append(relief)
+        holds.append(hold)
+    if not reliefs:
+        return tops
+    width = max(relief.shape[1] for relief in reliefs)
+
+    def stacked(parts):
+        return np.concatenate([np.pad(a, ((0, 0), (0, width - a.shape[1]))) for a in parts])
+
+    return replace(
+        tops, patch=patch, corner=corner, relief=stacked(reliefs).astype(np.float32),
+        holds=stacked(holds),
+    )  # fmt: skip
+
+
+def measured(tops, k, grid, terrain, scene):
+    """Return relief [m] and the mask of what holds water on the patch `grid` of a level top."""
+    x, y = np.meshgrid(*grid.centres())
+    plane = terms_of(x - tops.centre[k, 0], y - tops.centre[k, 1]) @ tops.surface[k]
+    if scene is None:
+        row, column, inside = terrain.grid.cells(x, y)
+        height = terrain.top[row, column].astype(np.float64)
+        seen, gap = inside & np.isfinite(height), np.zeros(grid.shape, bool)
+    else:
+        height, alpha, light = seen_from_above(tops, k, grid, scene)
+        seen, gap = alpha > SEEN_ALPHA, gaps_in(light, alpha, grid.spacing)
+    relief = np.where(seen, height - plane, 0)
+    solid = seen & (np.abs(relief) < FARTHEST)
+    whole = ndimage.binary_closing(np.pad(solid, 8), iterations=4)[8:-8, 8:-8]
+    core = solid & (ndimage.distance_transform_edt(whole) * grid.spacing > RIM)
+    forms = mean_around(relief, core, SMOOTHING / grid.spacing)
+    forms = forms - mean_around(forms, core, STRAIGHT / grid.spacing)
+    # What the vertical leaves open is taken off: a table is meant to be level.
+    tilt = float(np.hypot(*tops.surface[k, 1:3]))
+    sure = 1 - min(1.0, UNSURE_SLOPE / max(tilt, 1e-9))
+    return forms + sure * (plane - tops.surface[k, 0]), solid & ~gap
+
+
+def mean_around(values, known, width):
+    """Return the Gaussian mean of the known values, of a standard deviation of `width` cells."""
+    share = ndimage.gaussian_filter(known.astype(np.float64), width)
+    return ndimage.gaussian_filter(np.where(known, values, 0), width) / np.maximum(share, 1e-3)
+
+
+def seen_from_above(tops, k, grid, scene):
+    """Return height [m], alpha and brightness of a top's own splats on a patch, (rows, columns).
+
+    What stands on the top is left out.
+    """
+    frame = scene.ground_frame
+    with np.errstate(invalid="ignore", over="ignore"):
+        place = frame.to_ground(scene.splats.position.astype(np.float64))
+        away = place[:, :2] - tops.centre[k]
+        near = (np.abs(away) < max(grid.size)).all(axis=1)
+        plane = terms_of(*away.T) @ tops.surface[k]
+        near &= np.abs(place[:, 2] - plane) < BAND
+    blank = np.zeros(grid.shape)
+    if not near.any():
+        return blank, blank, blank
+    splats = replace(scene.splats, sh=scene.splats.sh[:, :1]).take(near)
+    eye = (grid.origin[0], grid.origin[1] + grid.size[1], float(tops.surface[k, 0]) + 1.0)
+    axes = np.array([[1, 0, 0], [0, -1, 0], [0, 0, -1.0]])  # pictures begin in the north
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = axes, -axes @ eye
+    scale = 1 / grid.spacing
+    camera = Camera(grid.shape[1], grid.shape[0], scale, scale, 0.0, 0.0, matrix, orthographic=True)
+    seen = raster.rasterize(raster.prepare(splats), frame.camera_in_capture(camera), near=0.0)
+    with np.errstate(invalid="ignore"):
+        height = eye[2] - seen.plane_depth * frame.meters_per_unit
+    light = seen.color.mean(axis=-1) / np.maximum(seen.alpha, 0.3)
+    known = np.isfinite(height)
+    return np.where(known, height, 0)[::-1], np.where(known, seen.alpha, 0)[::-1], light[::-1]
+
+
+def gaps_in(light, alpha, spacing):
+    """Return the mask of dark lines: the gaps between planks."""
+    size = max(3, 2 * round(GAP_WIDTH / spacing / 2) + 1)
+    filled = np.where(alpha > SEEN_ALPHA, light, 0)
+    around = ndimage.grey_closing(filled, size=(size, size))
+    return around - filled > GAP_DARK * np.maximum(around, 0.02)
