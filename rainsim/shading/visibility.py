@@ -1,4 +1,4 @@
-"""How many of the capture's cameras see each splat.
+"""What the capture's cameras saw of each splat: how many, and in which colour without its gloss.
 
 A splat that few cameras saw was placed by few pictures: from their places it looks right, from
 others it stands at a wrong distance. The main picture needs such splats, for its camera is near one
@@ -8,14 +8,23 @@ would hide the sky.
 
 from __future__ import annotations
 
+import math
+from typing import NamedTuple
+
 import numpy as np
 
-from rainsim.constants import SH_0
+from rainsim.constants import ONE, SH_0, ZERO
 from rainsim.io import cache
-from rainsim.jit import cpu_kernel, prange
+from rainsim.jit import cpu_kernel, device_function, prange
 from rainsim.raster import Rasterizer, prepare
 from rainsim.shading.color import LUMA_B, LUMA_G, LUMA_R
 from rainsim.shading.grading import SKY_BLUE, SKY_DULL
+from rainsim.splatting.project import (
+    color_constant,
+    color_degree_1,
+    color_degree_2,
+    color_degree_3,
+)
 
 MOST_CAMERAS = 64  # of the capture, evenly spaced, that are asked
 WIDTH = 320  # px of their depth pictures
@@ -23,6 +32,7 @@ LEAST_SHARE = 0.04  # of the cameras; splats that fewer see are badly placed
 SLACK, LEAST_SLACK = np.float32(1.15), np.float32(0.05)  # of the depth, and capture units: in sight
 GAMMA = 2.2  # of the display, near enough to tell a sky
 PALE = 0.45  # linear luminance of a captured sky, at least; roofs are darker
+DARKEST = np.float32(0.05)  # display value that keeps black views from having all the weight
 NEAR = np.float32(0.1)  # capture units
 
 
@@ -39,10 +49,10 @@ def badly_placed(scene, prepared=None):
     """
     if scene.source is None or not scene.cameras or not len(scene.splats):
         return np.zeros(len(scene.splats), np.bool_)
-    seen, asked = views_of_splats(scene)
+    views = views_of_splats(scene)
     eye = np.mean([camera.position for camera in scene.cameras], axis=0)
     above = (scene.splats.position - eye.astype(np.float32)) @ scene.ground_frame.up.astype("f4")
-    return (seen < LEAST_SHARE * asked) & (above > 0)
+    return (views.count < LEAST_SHARE * views.asked) & (above > 0)
 
 
 def pale(splats):
@@ -53,46 +63,65 @@ def pale(splats):
     return (light > PALE) & (blue > 0.5 * (SKY_DULL + SKY_BLUE))
 
 
+class Views(NamedTuple):
+    """What the capture's cameras saw of each splat."""
+
+    count: np.ndarray  # (n,) uint8: cameras that see it
+    asked: int  # cameras that were asked
+    diffuse: np.ndarray  # (n, 3) float16: display-referred colour of its darker views
+
+
 def views_of_splats(scene):
-    """Return how many cameras see each splat, ndarray (n,) of uint8, and how many were asked.
+    """Return the `Views` of a scene's splats; kept for the next run.
 
     A camera sees a splat whose centre lies in its picture and is not behind what the picture shows.
-    The counts are kept for the next run.
+    A splat that none sees has its colour of degree 0.
     """
     step = -(-len(scene.cameras) // MOST_CAMERAS)
     cameras = [
         camera.resized(WIDTH, max(1, round(WIDTH * camera.height / camera.width)))
         for camera in scene.cameras[::step]
     ]
+    splats = scene.splats
 
     def count():
-        rasterizer = Rasterizer(prepare(scene.splats))
-        views = np.zeros(len(scene.splats), np.uint8)
+        rasterizer = Rasterizer(prepare(splats))
+        views, total = np.zeros(len(splats), np.uint8), np.zeros((len(splats), 4), np.float32)
         for camera in cameras:
             view = np.ascontiguousarray(camera.camera_from_world[:3], np.float32)
             lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float32)
+            eye = camera.position.astype(np.float32)
             depth = rasterizer.draw(camera, NEAR).depth
-            count_view(scene.splats.position, view, lens, depth, views)
-        return {"views": views}
+            count_view(splats.position, splats.sh, view, eye, lens, depth, views, total)
+        plain = np.float32(0.5) + np.float32(SH_0) * splats.sh[:, 0]
+        seen = total[:, :3] / np.maximum(total[:, 3:], np.float32(1e-20))
+        return {"views": views, "diffuse": np.where(total[:, 3:] > 0, seen, plain).astype("f2")}
 
-    found = cache.kept_arrays("views", "shading", count, scene.splats, cameras)
-    return found["views"], len(cameras)
+    found = cache.kept_arrays("views", "shading", count, splats, cameras)
+    return Views(found["views"], len(cameras), found["diffuse"])
 
 
 @cpu_kernel
-def count_view(position, view, lens, depth, views_out):
-    """Add one to the count of each splat that a camera sees.
+def count_view(position, sh, view, eye, lens, depth, views_out, total_out):
+    """Add one to the count of each splat that a camera sees, and its colour to a weighted sum.
+
+    The weight falls with the fourth power of the luminance: the mean is that of the darker views,
+    which have the least gloss.
 
     Parameters
     ----------
     position : ndarray of shape (n, 3), float32 [capture units]
+    sh : ndarray of shape (n, k, 3), float32
     view : ndarray of shape (3, 4), float32
         Camera frame from capture frame.
+    eye : ndarray of shape (3,), float32 [capture units]
     lens : ndarray of shape (4,), float32 [px]
         fx, fy, cx, cy.
     depth : ndarray of shape (height, width), float32 [capture units]
         Of what the camera sees.
     views_out : ndarray of shape (n,), uint8
+    total_out : ndarray of shape (n, 4), float32
+        Sums of weighted colours (3) and of weights.
     """
     height, width = depth.shape
     fx, fy, cx, cy = lens[0], lens[1], lens[2], lens[3]
@@ -106,3 +135,36 @@ def count_view(position, view, lens, depth, views_out):
         if u >= 0 and v >= 0 and u < width and v < height:
             if far < depth[int(v), int(u)] * SLACK + LEAST_SLACK:
                 views_out[n] += np.uint8(1)
+                add_color(sh[n], x - eye[0], y - eye[1], z - eye[2], total_out[n])
+
+
+@device_function
+def add_color(sh, x, y, z, total_out):
+    """Add the colour of a splat seen along (x, y, z) to a weighted sum, the darker the more."""
+    length = ONE / math.sqrt(x * x + y * y + z * z)
+    r, g, b = (
+        color_seen(sh, 0, x * length, y * length, z * length),
+        color_seen(sh, 1, x * length, y * length, z * length),
+        color_seen(sh, 2, x * length, y * length, z * length),
+    )
+    square = (DARKEST + LUMA_R * r + LUMA_G * g + LUMA_B * b) ** 2
+    weight = ONE / (square * square)
+    total_out[0] += weight * r
+    total_out[1] += weight * g
+    total_out[2] += weight * b
+    total_out[3] += weight
+
+
+@device_function
+def color_seen(sh, c, x, y, z):
+    """Return channel c of a splat's colour, seen along the unit vector (x, y, z), at least 0."""
+    color = color_constant(sh[0, c])
+    if len(sh) >= 4:
+        color += color_degree_1(x, y, z, sh[1, c], sh[2, c], sh[3, c])
+    if len(sh) >= 9:
+        color += color_degree_2(x, y, z, sh[4, c], sh[5, c], sh[6, c], sh[7, c], sh[8, c])
+    if len(sh) >= 16:
+        color += color_degree_3(
+            x, y, z, sh[9, c], sh[10, c], sh[11, c], sh[12, c], sh[13, c], sh[14, c], sh[15, c]
+        )
+    return max(color, ZERO)

@@ -68,7 +68,7 @@ def test_a_high_splat_that_few_cameras_saw_is_badly_placed(yard):
 
 def test_what_hides_a_splat_keeps_it_from_being_seen(yard):
     scene, which = yard
-    seen, asked = visibility.views_of_splats(scene)
+    seen, asked, _ = visibility.views_of_splats(scene)
     assert asked == 31
     assert seen[which == 0].max() >= 30 and (seen[which == 2] == 0).all()
     behind = scene.splats.position.copy()
@@ -97,13 +97,17 @@ def test_nothing_is_badly_placed_where_nothing_is_known(yard, change):
 def test_places_and_depths_that_are_no_numbers_are_not_seen():
     position = np.array([[0, 0, 2], [np.nan, 0, 2], [0, 0, np.inf], [0, -np.inf, 2]], np.float32)
     view, lens = np.eye(3, 4, dtype=np.float32), np.array([8, 8, 4, 4], np.float32)
-    seen = np.zeros(4, np.uint8)
-    visibility.count_view(position, view, lens, np.full((8, 8), 2, np.float32), seen)
-    np.testing.assert_array_equal(seen, [1, 0, 0, 0])
-    visibility.count_view(position, view, lens, np.full((8, 8), np.nan, np.float32), seen)
-    np.testing.assert_array_equal(seen, [1, 0, 0, 0])
-    visibility.count_view(position, view, lens, np.full((8, 8), np.inf, np.float32), seen)
-    assert seen[0] == 2
+    seen, total = np.zeros(4, np.uint8), np.zeros((4, 4), np.float32)
+    sh, eye = np.zeros((4, 1, 3), np.float32), np.zeros(3, np.float32)
+
+    def look(depth):
+        depth = np.full((8, 8), depth, np.float32)
+        visibility.count_view(position, sh, view, eye, lens, depth, seen, total)
+        return seen.tolist()
+
+    assert look(2.0) == [1, 0, 0, 0] and look(np.nan) == [1, 0, 0, 0]
+    assert look(np.inf) == [2, 0, 0, 0]
+    assert (total[0] > 0).all() and not total[1:].any()
 
 
 def test_a_picture_can_leave_the_last_splats_out(yard):

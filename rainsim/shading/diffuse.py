@@ -1,0 +1,88 @@
+"""The captured gloss taken from what rain wets: wet things get the gloss of the rainy day instead.
+
+A capture keeps the gloss of its own day in the harmonics: a table top mirrors the sky of that day.
+What water darkens is the diffuse part, and the light that it mirrors is drawn anew. So level
+surfaces that are wet show the colour of their darker views, the same from all sides.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from rainsim.constants import SH_0
+
+ON_TOP = 0.05  # m below the highest surface of its cell within which a splat lies open to the rain
+RINGS = (0.03, 8), (0.06, 16)  # m around a cell, and places on them that heights are compared at
+SAME = 0.01  # m, by which level places differ at most
+FEWEST, ENOUGH = 0.12, 0.22  # share of places as high: none is level, and all
+STEPS = 16  # of wetness between which colours are made anew
+
+
+def level_share(scene, terrain, reach, lawn):
+    """Return how far each splat belongs to a level surface open to the rain, (n,) float32, 0 to 1.
+
+    Parameters
+    ----------
+    scene : Scene
+    terrain : Terrain
+    reach : ndarray of shape (ny, nx), float32
+        Share of the rain that reaches the ground.
+    lawn : ndarray of shape (ny, nx), float32
+        Share of grass, which has no gloss to lose.
+    """
+    place = scene.ground_frame.to_ground(scene.splats.position.astype(np.float64))
+    row, column, inside = terrain.grid.cells(place[:, 0], place[:, 1])
+    level = levelness(terrain.top, terrain.grid.spacing)
+    stands = terrain.top - terrain.bed > ON_TOP
+    share = level * np.where(stands, 1.0, reach * (1 - lawn))
+    away = np.abs(place[:, 2] - terrain.top[row, column])
+    found = share[row, column] * np.clip(2 - away / ON_TOP, 0, 1)
+    return np.where(inside, found, 0).astype(np.float32)
+
+
+def levelness(height, spacing):
+    """Return how level a height map (ny, nx) [m] is in each cell, 0 to 1, up to edges of steps.
+
+    Level is what has enough places around it that are as high: a corner of a table has a quarter.
+    """
+    height = np.asarray(height, np.float32)
+    padded = {}
+    count = np.zeros(height.shape, np.float32)
+    for distance, places in RINGS:
+        angle = 2 * np.pi * np.arange(places) / places
+        for x, y in zip(np.cos(angle), np.sin(angle), strict=True):
+            column, row = round(distance * x / spacing), round(distance * y / spacing)
+            reach = max(abs(column), abs(row))
+            if reach not in padded:
+                padded[reach] = np.pad(height, reach, mode="edge")
+            ny, nx = height.shape
+            there = padded[reach][reach + row :, reach + column :][:ny, :nx]
+            count += np.abs(there - height) < SAME
+    share = count / sum(places for _, places in RINGS)
+    return np.clip((share - FEWEST) / (ENOUGH - FEWEST), 0, 1)
+
+
+def without_gloss(splats, diffuse, share):
+    """Return splats of which a share has the colour `diffuse` from all sides.
+
+    Parameters
+    ----------
+    splats : Splats
+    diffuse : ndarray of shape (n, 3)
+        Display-referred.
+    share : ndarray of shape (n,), float32
+        0: as captured, 1: diffuse.
+    """
+    if not share.any():
+        return splats
+    part = share[:, None, None]
+    sh = splats.sh * (1 - part)
+    sh[:, 0] += share[:, None] * ((diffuse.astype(np.float32) - 0.5) / np.float32(SH_0))
+    return dataclasses.replace(splats, sh=sh)
+
+
+def step_of(wet):
+    """Return a wetness (0 to 1) in STEPS, so that colours change seldom while things dry."""
+    return round(float(wet) * STEPS) / STEPS
