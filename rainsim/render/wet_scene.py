@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from scipy import ndimage
 
-from rainsim.daylight.kept import covered_share, kept_relight, under_clouds
+from rainsim.daylight.kept import kept_relight
 from rainsim.io import images
 from rainsim.numerics.mipmap import coarsened
 from rainsim.rain.exposure import rain_exposure
@@ -15,6 +15,7 @@ from rainsim.raster import Rasterizer, prepare
 from rainsim.reflection.planar_mirror import MirrorPicture
 from rainsim.reflection.ray_traced import Tracer
 from rainsim.reflection.water_pass import WetPicture
+from rainsim.render.present_splats import PresentSplats
 from rainsim.scene.cameras import MIRROR_CLEARANCE, cropped, mirrored_camera
 from rainsim.scene.view import view_of
 from rainsim.shading import environment, sky, wetness
@@ -22,7 +23,7 @@ from rainsim.shading.backdrop import Backdrop, sky_distance
 from rainsim.shading.calibration import LUMA, albedo_of_white, luminance_of, zenith_radiance
 from rainsim.shading.grading import DULL_EXPOSURE, look_of
 from rainsim.shading.skyline import skylines, with_skyline
-from rainsim.shading.visibility import badly_placed, pale
+from rainsim.shading.visibility import badly_placed, pale, views_of_splats
 from rainsim.shading.wet_ground_mirror import in_level_picture
 from rainsim.shading.wet_pass import NO_COVER, DryRays, dry_picture, grade_and_wet, grade_rays
 from rainsim.shading.wetting import GroundMaps, SkyMaps
@@ -85,23 +86,28 @@ class WetScene:
         self._rasterizer_of = rasterizer_of
         relight = kept_relight(scene, config, self.sky_distance)
         self.notes = [note for note in (self.backdrop.note(), relight.note) if note]
-        self._gain = None if relight.gain is None else relight.gain[self.backdrop.kept]
-        self.badly_placed = badly_placed(self.scene)
+        gain = None if relight.gain is None else relight.gain[self.backdrop.kept]
+        views = views_of_splats(self.scene)
+        diffuse = None if views is None else views.diffuse
+        self.badly_placed = badly_placed(self.scene, views)
         if not self.backdrop.count and replaces_sky(config):
-            self._leave_out(self.badly_placed & pale(self.scene.splats))
+            keep = ~(self.badly_placed & pale(self.scene.splats))
+            gain, diffuse = self._keep_only(keep, gain, diffuse)
         if self.badly_placed.any():
             self.notes.append(
                 f"mirrors leave out {self.badly_placed.sum()} splats that hardly any camera saw"
             )
-        self._share = 0.0 if self._gain is None else covered_share(config.at(0.0).render)
-        self.splats = under_clouds(self.scene.splats, self._gain, self._share)
+        self.reach = rain_exposure(terrain, usual_wind(config), config.rain.roughness)
+        self._grass = ndimage.gaussian_filter(terrain.grassy.astype(np.float32), 1)
+        self._relit = gain is not None
+        self._present = PresentSplats(self.scene, gain, diffuse, terrain, self.reach, self._grass)
+        self._colors = self._present.state(config.at(0.0))
+        self.splats = self._present.at(self._colors)
         self.prepared = prepare(self.splats, self.badly_placed)
         self.rasterizer = rasterizer_of(self.prepared)
         self._skylines = None
         if not self.backdrop.count:
             self._skylines = skylines(self.scene, self.prepared, first_camera, self.near)
-        self.reach = rain_exposure(terrain, usual_wind(config), config.rain.roughness)
-        self._grass = ndimage.gaussian_filter(terrain.grassy.astype(np.float32), 1)
         self._place = np.array(terrain.grid.origin, np.float32), np.float32(terrain.grid.spacing)
         self._standing = self.tracer = None  # made when they are first asked for
         self.albedo, note = albedo_of_white(terrain, self.scene.splats, config.render.ground_albedo)
@@ -119,8 +125,7 @@ class WetScene:
 
     def set_time(self, now):
         """Take over the settings of a time; return whether they change what cameras see."""
-        relit = self._gain is not None
-        look = look_of(now, self.sky_distance, self.backdrop.count > 0, self.albedo, relit)
+        look = look_of(now, self.sky_distance, self.backdrop.count > 0, self.albedo, self._relit)
         off_ground = wetness.off_ground_wetness(now)
         if look == self.look and off_ground == self.off_ground:
             return False
@@ -128,25 +133,26 @@ class WetScene:
         self.paving = wetness.paving_dampness(now)
         self.ground = wetness.ground_wetness(self.terrain, self._grass, self.reach, now)
         self._set_skies()
-        if relit and covered_share(now.render) != self._share:
-            self._set_share(covered_share(now.render))
+        colors = self._present.state(now)
+        if colors != self._colors:
+            self._recolor(colors)
         return True
 
-    def _set_share(self, share):
-        """Take over the share of the captured sun that is divided out."""
-        self._share = share
-        self.splats = under_clouds(self.scene.splats, self._gain, share)
+    def _recolor(self, colors):
+        """Take over the colours of the splats of another state, see `PresentSplats`."""
+        self._colors, self.splats = colors, self._present.at(colors)
         self.prepared = recolored(self.prepared, self.splats)
         self.rasterizer.recolor(self.prepared)
         self._standing = self.tracer = None
 
-    def _leave_out(self, which):
-        """Leave splats out of all pictures: shreds of the captured sky."""
-        if which.any():
-            self.scene = replace(self.scene, splats=self.scene.splats.take(~which))
-            self.badly_placed = self.badly_placed[~which]
-            self._gain = None if self._gain is None else self._gain[~which]
-            self.notes.append(f"{which.sum()} splats of the captured sky are left out")
+    def _keep_only(self, keep, *arrays):
+        """Leave shreds of the captured sky out of all pictures; return those rows of arrays."""
+        if keep.all():
+            return arrays
+        self.scene = replace(self.scene, splats=self.scene.splats.take(keep))
+        self.badly_placed = self.badly_placed[keep]
+        self.notes.append(f"{(~keep).sum()} splats of the captured sky are left out")
+        return [None if array is None else array[keep] for array in arrays]
 
     def _set_skies(self):
         """Make the skies behind the scene and behind the mirrored scene, by the present look."""
@@ -167,7 +173,7 @@ class WetScene:
         `whole_color`: the colour is that of all splats as captured, those of the sky included.
         """
         layers = self.rasterizer.draw(camera, self.near)
-        if whole_color and (self._share or self.scene is not self.backdrop.whole):
+        if whole_color and self.splats is not self.backdrop.whole.splats:
             whole = self._rasterizer_of(prepare(self.backdrop.whole.splats))
             layers = replace(layers, color=whole.draw(camera, self.near).color)
         return layers

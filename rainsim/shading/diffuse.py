@@ -1,7 +1,7 @@
 """The captured gloss taken from what rain wets: wet things get the gloss of the rainy day instead.
 
 A capture keeps the gloss of its own day in the harmonics: a table top mirrors the sky of that day.
-What water darkens is the diffuse part, and the light that it mirrors is drawn anew. So level
+What water darkens is the diffuse part, and what it mirrors is drawn again. So level
 surfaces that are wet show the colour of their darker views, the same from all sides.
 """
 
@@ -17,7 +17,7 @@ ON_TOP = 0.05  # m below the highest surface of its cell within which a splat li
 RINGS = (0.03, 8), (0.06, 16)  # m around a cell, and places on them that heights are compared at
 SAME = 0.01  # m, by which level places differ at most
 FEWEST, ENOUGH = 0.12, 0.22  # share of places as high: none is level, and all
-STEPS = 16  # of wetness between which colours are made anew
+STEPS = 16  # of wetness between which colours are made again
 
 
 def level_share(scene, terrain, reach, lawn):

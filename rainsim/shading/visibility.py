@@ -36,20 +36,20 @@ DARKEST = np.float32(0.05)  # display value that keeps black views from having a
 NEAR = np.float32(0.1)  # capture units
 
 
-def badly_placed(scene, prepared=None):
+def badly_placed(scene, views):
     """Return which splats stand high and were seen by too few cameras, ndarray (n,) of bool.
 
     High is above the mean of the cameras: what is lower is ground and what stands on it, and hides
-    little sky. Without cameras nothing is known, and no splat is taken to be badly placed; nor is
-    any of a built-in scene, whose splats no picture placed.
+    little sky.
 
     Parameters
     ----------
     scene : Scene
+    views : Views or None
+        Of its splats; None: nothing is known, and no splat is taken to be badly placed.
     """
-    if scene.source is None or not scene.cameras or not len(scene.splats):
+    if views is None:
         return np.zeros(len(scene.splats), np.bool_)
-    views = views_of_splats(scene)
     eye = np.mean([camera.position for camera in scene.cameras], axis=0)
     above = (scene.splats.position - eye.astype(np.float32)) @ scene.ground_frame.up.astype("f4")
     return (views.count < LEAST_SHARE * views.asked) & (above > 0)
@@ -72,11 +72,14 @@ class Views(NamedTuple):
 
 
 def views_of_splats(scene):
-    """Return the `Views` of a scene's splats; kept for the next run.
+    """Return the `Views` of a scene's splats, kept for the next run; None if nothing is known.
 
+    Nothing is known without cameras, nor of a built-in scene, whose splats no picture placed.
     A camera sees a splat whose centre lies in its picture and is not behind what the picture shows.
     A splat that none sees has its colour of degree 0.
     """
+    if scene.source is None or not scene.cameras or not len(scene.splats):
+        return None
     step = -(-len(scene.cameras) // MOST_CAMERAS)
     cameras = [
         camera.resized(WIDTH, max(1, round(WIDTH * camera.height / camera.width)))

@@ -1,6 +1,7 @@
 """The captured gloss of wet level surfaces: the diffuse colour of splats, where it is taken."""
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -39,7 +40,7 @@ def test_a_seen_color_is_that_of_the_picture(degree, rng):
 
 
 def test_the_diffuse_color_is_that_of_the_darker_views():
-    scene = tiny_scene()
+    scene = dataclasses.replace(tiny_scene(), source=Path("tiny.ply"))
     sheen = np.zeros((len(scene.splats), 4, 3), np.float32)
     sheen[:, 0] = scene.splats.sh[:, 0]
     plain = dataclasses.replace(scene, splats=dataclasses.replace(scene.splats, sh=sheen))

@@ -60,7 +60,7 @@ def yard(rng):
 
 def test_a_high_splat_that_few_cameras_saw_is_badly_placed(yard):
     scene, which = yard
-    found = visibility.badly_placed(scene)
+    found = visibility.badly_placed(scene, visibility.views_of_splats(scene))
     assert found[which == 1].mean() > 0.95
     assert not found[which == 0].any()
     assert not found[which == 2].any()  # low, though no camera looks there
@@ -90,7 +90,8 @@ def test_nothing_is_badly_placed_where_nothing_is_known(yard, change):
         "no cameras": lambda: dataclasses.replace(scene, cameras=()),
         "no splats": lambda: dataclasses.replace(scene, splats=scene.splats.take([])),
     }[change]()
-    found = visibility.badly_placed(scene)
+    assert visibility.views_of_splats(scene) is None
+    found = visibility.badly_placed(scene, None)
     assert found.shape == (len(scene.splats),) and not found.any()
 
 
