@@ -79,10 +79,13 @@ from numba import (  # noqa: E402
 from numba.core import cgutils  # noqa: E402
 from numba.extending import intrinsic, register_jitable  # noqa: E402
 
+from rainsim.compiling import callees  # noqa: E402
 from rainsim.compiling.kernel_cache import KernelCache  # noqa: E402
 
 # Not fastmath=True: that assumes away NaN and infinity, which kernels must see.
 _FAST = {"nsz", "arcp", "contract", "afn", "reassoc"}
+
+callees.watch()
 
 # All kernels whose modules have been imported, by "module:name".
 KERNELS = {}
