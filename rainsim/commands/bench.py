@@ -156,3 +156,36 @@ def look(**given):
         rainsim bench look --json look.json --chart look.png
     """
     _run("look", **given)
+
+
+@bench.command(short_help="Rainy pictures of captured days against a path tracer.")
+@click.option(
+    "--before",
+    "before_path",
+    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    help="The JSON of an earlier run, to stand beside this one in the chart.",
+)
+@click.option(
+    "--remake",
+    is_flag=True,
+    help="Bake the captures and trace the truth again first, "
+    'which takes Mitsuba (pip install "rainsim[truth]") an hour on two cores.',
+)
+@_options
+def day(before_path, **given):
+    """Make captures of a sunny and a dull day rainy, and compare them with path-traced rainy days.
+
+    Two made-up gardens: a patio that never changes, and a court under a tree on which nothing is
+    tuned. Prints accuracy by region and what repairs by an oracle would win; cast shadows, walls,
+    sky and film over what they should be; and how far the result moves with what the truth chose.
+
+    \b
+    Example:
+        rainsim bench day --json day.json --chart day.png
+    """
+    before = None
+    if before_path is not None:
+        from rainsim.io.files import read_json
+
+        before = read_json(before_path, "the result of bench day")
+    _run("day", before=before, **given)

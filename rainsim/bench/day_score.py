@@ -1,0 +1,191 @@
+"""How far a picture of a rainy day is from the path-traced one: by region, scalars, a ladder.
+
+All measures compare radiance whose mean over land (all but the sky) is LAND, or, where it says "as
+is", the picture at the program's own brightness. Pictures are compared as shown: through the
+program's tone curve, encoded as sRGB.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from skimage.color import deltaE_ciede2000, rgb2lab
+from skimage.metrics import structural_similarity
+
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # Rec. 709
+LAND = 0.16  # mean luminance of land, as a camera's exposure has it
+FEWEST = 40  # px: smaller regions are not measured
+OPEN = 0.5  # openness from which ground counts as open
+SPLIT = ("paving", "lawn", "wall", "tabletop")  # regions measured in and out of the sun, too
+GROUND = ("paving", "puddle", "rim")
+FILMS = ("paving", "puddle", "tabletop")  # regions whose gloss is measured
+LADDER = ("as is", "shadows gone", "levels right", "colours right")
+SCALARS = {
+    "shadow": "cast shadow over open ground", "wall": "wall over paving",
+    "under": "under the table over open", "zenith": "zenith over land",
+    "film": "film over own zenith", "water": "puddle over own zenith",
+    "spread": "exposure over views, deviation",
+}  # fmt: skip
+
+
+def srgb(linear):
+    """Return the display value of linear light (IEC 61966-2-1)."""
+    linear = np.maximum(linear, 0)
+    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+
+
+def shown(radiance):
+    """Return what a picture of radiance shows: the program's shoulder above 1/2, then sRGB."""
+    above = np.maximum(radiance, 0.5) - 0.5
+    curve = np.where(radiance < 0.5, radiance, 0.5 + 0.5 * (1 - np.exp(-2 * above)))
+    return np.clip(srgb(curve), 0, 1)
+
+
+def luminance(radiance, mask=...):
+    """Return the mean luminance of radiance over a mask."""
+    return float((radiance @ LUMINANCE)[mask].mean())
+
+
+def differences(shown_picture, shown_truth):
+    """Return squared error, structural similarity and CIEDE2000 of each pixel of two pictures."""
+    similar = structural_similarity(
+        shown_truth, shown_picture, channel_axis=2, data_range=1, full=True
+    )[1].mean(axis=-1)
+    color = deltaE_ciede2000(rgb2lab(shown_truth), rgb2lab(shown_picture))
+    return ((shown_picture - shown_truth) ** 2).mean(axis=-1), similar, color
+
+
+def decibels(squared_error):
+    """Return the peak signal-to-noise ratio [dB] of a mean squared error, white being 1."""
+    return float(-10 * np.log10(max(squared_error, 1e-12)))
+
+
+def regions_of(labels):
+    """Yield name and mask of all regions, those of SPLIT in and out of the sun, too."""
+    land = ~labels.shows("sky")
+    yield "all", np.ones_like(land)
+    yield "land", land
+    for name in ("paving", "puddle", "rim", "lawn", "wall", "tabletop", "leaf", "core", "box",
+                 "glass", "sky"):  # fmt: skip
+        mask = labels.shows(name)
+        yield name, mask
+        if name in SPLIT:
+            yield f"{name}, sun", mask & labels.lit
+            yield f"{name}, shade", mask & ~labels.lit
+
+
+def by_region(picture, truth, labels, brightness):
+    """Return the measures of each region.
+
+    Parameters
+    ----------
+    picture, truth : ndarray of shape (height, width, 3)
+        Radiance; the truth's mean over land is LAND.
+    labels : Labels
+    brightness : float
+        The program's own, for "as is".
+
+    Returns
+    -------
+    dict
+        {region: {share, truth, ratio, psnr, as_is, ssim, color}}; luminances aligned on land.
+    """
+    aligned = align(picture, labels)
+    squares, similar, color = differences(shown(aligned), shown(truth))
+    own = ((shown(brightness * picture) - shown(truth)) ** 2).mean(axis=-1)
+    found = {}
+    for name, mask in regions_of(labels):
+        if mask.sum() < FEWEST:
+            continue
+        level = luminance(truth, mask)
+        found[name] = {
+            "share": float(mask.mean()), "truth": level,
+            "ratio": luminance(aligned, mask) / level, "psnr": decibels(squares[mask].mean()),
+            "as_is": decibels(own[mask].mean()), "ssim": float(similar[mask].mean()),
+            "color": float(color[mask].mean()),
+        }  # fmt: skip
+    return found
+
+
+def align(picture, labels):
+    """Return the picture with a mean luminance over land of LAND."""
+    return picture * (LAND / luminance(picture, ~labels.shows("sky")))
+
+
+def ladder(picture, truth, labels):
+    """Return the accuracy on land of a picture and of what each repair by an oracle would make.
+
+    "shadows gone" scales what lay out of the sun in each region, so that it stands to what lay in
+    it as in the truth; "levels right" scales each region but the ground besides, so that it stands
+    to the paving as in the truth; "colours right" gives each region, in and out of the sun, its
+    true mean colour.
+
+    Returns
+    -------
+    dict
+        {rung: {psnr, ssim, color, ground}}, ground being the PSNR [dB] of GROUND alone.
+    """
+    names = [n for n, m in regions_of(labels) if n not in ("all", "land", "sky") and "," not in n]
+    masks = {name: labels.shows(name) for name in names}
+    masks |= {name: labels.shows(name) for name in ("table", "post")}
+    steps = [picture.copy()]
+    repaired = picture.copy()
+    for mask in masks.values():
+        sun, shade = mask & labels.lit, mask & ~labels.lit
+        if min(sun.sum(), shade.sum()) >= FEWEST:
+            wanted = luminance(truth, shade) / luminance(truth, sun)
+            repaired[shade] *= wanted / (luminance(repaired, shade) / luminance(repaired, sun))
+    steps.append(repaired)
+    repaired = repaired.copy()
+    paving = masks["paving"]
+    for name, mask in masks.items():
+        if name not in (*GROUND, "glass") and mask.any():
+            wanted = luminance(truth, mask) / luminance(truth, paving)
+            repaired[mask] *= wanted / (luminance(repaired, mask) / luminance(repaired, paving))
+    steps.append(repaired)
+    repaired = repaired.copy()
+    for mask in masks.values():
+        for part in (mask & labels.lit, mask & ~labels.lit):
+            if part.any():
+                repaired[part] *= truth[part].mean(axis=0) / repaired[part].mean(axis=0)
+    steps.append(repaired)
+    return {name: _rung(step, truth, labels) for name, step in zip(LADDER, steps, strict=True)}
+
+
+def _rung(picture, truth, labels):
+    land, ground = ~labels.shows("sky"), labels.shows(*GROUND)
+    squares, similar, color = differences(shown(align(picture, labels)), shown(truth))
+    return {
+        "psnr": decibels(squares[land].mean()), "ssim": float(similar[land].mean()),
+        "color": float(color[land].mean()), "ground": decibels(squares[ground].mean()),
+    }  # fmt: skip
+
+
+def ratios(picture, labels):
+    """Return the scalars of one picture that need it alone: shadow, wall, under."""
+    paving = labels.shows("paving") & ~labels.covered
+    free = paving & (labels.openness > OPEN)
+    pairs = {
+        "shadow": (free & ~labels.lit, free & labels.lit),
+        "wall": (labels.shows("wall"), paving),
+        "under": (labels.shows("paving") & labels.covered, free & labels.lit),
+    }
+    return {
+        name: luminance(picture, one) / luminance(picture, other)
+        for name, (one, other) in pairs.items()
+        if min(one.sum(), other.sum()) >= FEWEST
+    }
+
+
+def gloss(mirrored, labels, zenith):
+    """Return the light that water mirrors in each region of FILMS over the zenith's luminance."""
+    found = {}
+    for name in FILMS:
+        mask = labels.shows(name)
+        if mask.sum() >= FEWEST:
+            found[name] = luminance(mirrored, mask) / zenith
+    return found
+
+
+def spread(factors):
+    """Return the deviation over the mean of the factors that align the views' exposures."""
+    return float(np.std(factors) / np.mean(factors))
