@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from rainsim import pipeline
-from rainsim.bench.day_data import HALF, unpack_colors
+from rainsim.bench.day_data import FOLDER, HALF, unpack_colors
 from rainsim.bench.day_score import LUMINANCE
 from rainsim.bench.day_shapes import spiral
 from rainsim.config.settings import Config
@@ -58,7 +58,8 @@ def capture(case, shapes, arrays, day, sky=True):
     cameras = case.cameras()
     frame = estimate_ground_frame(splats, cameras, (0, 0, 1), 1.0)
     name = f"{case.name}, {day}{'' if sky else ', no sky'}"
-    return Scene(name, splats, cameras, frame)
+    # A source tells the program that this is a capture, whose light it has to find out.
+    return Scene(name, splats, cameras, frame, FOLDER / f"{case.name}.npz", name)
 
 
 def _surface(spots, part, names, color):
@@ -128,7 +129,7 @@ def frames(scene, rain, views, width):
         camera = camera.resized(width, round(camera.height * width / camera.width))
         renderer = Renderer(scene, ground, config, camera)
         _, report = next(renderer.film([(camera, states[0], None)], LAYERS))
-        yield view, parts_of(report.aovs), zenith_of(renderer), float(config.render.brightness)
+        yield view, parts_of(report.aovs), zenith_of(renderer), report.light["brightness"]
 
 
 def parts_of(layers):

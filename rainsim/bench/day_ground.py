@@ -122,7 +122,8 @@ def spill_level(bed, closed=()):
 def filled_level(bed, full, rain):
     """Return the level [m] of dips into which `rain` [m] has run from all that drains to them.
 
-    What a dip cannot hold leaves it for good: the catchments of the dips do not feed each other.
+    All ground drains to some dip, none of it straight over an edge. What a dip cannot hold leaves
+    for good: the dips do not feed each other.
     """
     lake = ndimage.label(full > bed + 1e-6)[0]
     catchment = watershed(full + 1e-9 * bed, lake)

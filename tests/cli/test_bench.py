@@ -5,12 +5,12 @@ import json
 import pytest
 from click.testing import CliRunner
 
-from rainsim.bench import chart, frame, ground, look, rain, splat, stress, water
+from rainsim.bench import chart, day, frame, ground, look, rain, splat, stress, water
 from rainsim.cli import cli
 from rainsim.errors import RainsimError
 
 
-@pytest.mark.parametrize("suite", [frame, ground, look, rain, splat, stress, water])
+@pytest.mark.parametrize("suite", [day, frame, ground, look, rain, splat, stress, water])
 def test_results_are_printed_and_written(suite, monkeypatch, tmp_path):
     seen = []
 
