@@ -82,7 +82,9 @@ def _compare_day(case, scene, arrays, quick, with_wind):
     for view, *frame in frames(scene, main, views, WIDTH):
         drawn[view] = frame
         found["views"][view] = compare_view(arrays, main, view, *frame)
-    factors = [one["exposure"] for one in found["views"].values()]
+    # The factor that gives land its level, over that of the truth: the level of the true land
+    # differs from view to view, too.
+    factors = [one["exposure"] / one["zenith"] for one in found["views"].values()]
     found["spread"] = day_score.spread(factors)
     for rain in () if quick else others:
         if rain.wind == main.wind and rain.past == main.past:

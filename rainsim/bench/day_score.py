@@ -23,7 +23,7 @@ SCALARS = {
     "shadow": "cast shadow over open ground", "wall": "wall over paving",
     "under": "under the table over open", "zenith": "zenith over land",
     "film": "film over own zenith", "water": "puddle over own zenith",
-    "spread": "exposure over views, deviation",
+    "spread": "level over views, deviation",
 }  # fmt: skip
 
 
@@ -187,5 +187,5 @@ def gloss(mirrored, labels, zenith):
 
 
 def spread(factors):
-    """Return the deviation over the mean of the factors that align the views' exposures."""
+    """Return the deviation over the mean of factors that align the levels of views."""
     return float(np.std(factors) / np.mean(factors))
