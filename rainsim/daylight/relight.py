@@ -29,9 +29,10 @@ from rainsim.daylight.light import (
     surroundings_of,
     turn_to_the_open,
 )
+from rainsim.daylight.shade import NO_EDGES, EdgeShade, edge_shade, factor_in_shade
 from rainsim.daylight.sun import find_sun, places_of, seen_from
 from rainsim.daylight.surface import covariances, luminance, surface_of
-from rainsim.daylight.visibility import Window, solids_of
+from rainsim.daylight.visibility import Window, resized, solids_of
 from rainsim.jit import get_num_threads
 
 SIDE = 1024  # px of the maps of the sky's light
@@ -57,6 +58,7 @@ class SunRatio(NamedTuple):
     ratio: np.ndarray  # (3,)
     pairs: int
     agree: float  # share of the pairs that are brighter where the sun shines
+    edges: EdgeShade = NO_EDGES
 
 
 @dataclass(frozen=True)
@@ -102,8 +104,9 @@ def find_relight(scene, sky_distance, sun=None):
     if len(places.pair) < LEAST_PAIRS:
         return Relight(None, f"relight: too few flat surfaces to find a sun; {STAYS}")
     direction, score = find_sun(places, solids, near) if sun is None else (_unit(*sun), 1.0)
-    around = surroundings_of(surface)
-    measured = measure(places, solids, near, direction, around)
+    around, measured = surroundings_of(surface), SunRatio(np.zeros(3), 0, 0.0)
+    if score > SCORE[0]:
+        measured = measure(places, solids, near, direction, around)
     confidence = _confidence(measured, score, direction)
     facts = direction, tuple(map(float, measured.ratio)), confidence
     if confidence < SURE:
@@ -114,7 +117,7 @@ def find_relight(scene, sky_distance, sun=None):
     lit = sunlit(surface, solids, windows, direction)
     lit = by_color(surface, lit, light, direction, measured.ratio)
     gain = np.ones((len(scene.splats), 3), np.float16)
-    gain[which] = gains(surface, light, lit, direction, measured.ratio)
+    gain[which] = gains(surface, light, lit, direction, measured)
     return Relight(gain, _note(direction, measured, confidence, sun is not None), *facts)
 
 
@@ -182,7 +185,8 @@ def measure(places, solids, window, direction, around):
     which, back = np.unique(np.concatenate([lit, shaded]), return_inverse=True)
     position, normal = places.position[which], places.normal[which]
     flat = np.ones(len(which), np.float32)
-    sums = sky_sums(position, normal, flat, solids, window, direction)
+    coarse = resized(window, SIDE // 2)
+    sums = sky_sums(position, normal, flat, solids, coarse, direction)
     light = light_of(sums, normal, flat, around)
     a, b = np.split(back, 2)
     fit = (light.clear[a] > OPEN) & (light.clear[b] > OPEN)
@@ -195,9 +199,12 @@ def measure(places, solids, window, direction, around):
         shade = shade_of(light, direction, ratio)
         found = (change * shade[b] - shade[a]) / cosine[lit][:, None]
         ratio = np.maximum(np.median(found, axis=0), 0)
+    expected = (shade[a] + cosine[lit][:, None] * ratio) / shade[b]
+    place = places.position[shaded], places.normal[shaded]
+    edges = edge_shade(*place, np.log(change / np.maximum(expected, 1e-4)))
     shade = luminance(shade)
     agree = luminance(places.light[lit]) * shade[b] > luminance(places.light[shaded]) * shade[a]
-    return SunRatio(ratio, len(lit), float(agree.mean()))
+    return SunRatio(ratio, len(lit), float(agree.mean()), edges)
 
 
 def _sure_share(places, solids, window, direction):
@@ -283,11 +290,13 @@ def by_color(surface, lit, light, direction, ratio):
     return shares
 
 
-def gains(surface, light, lit, direction, ratio):
+def gains(surface, light, lit, direction, measured):
     """Return the gain (n, 3), float16, on each splat's linear light."""
+    ratio = measured.ratio
     sun = (lit * facing(surface, direction))[:, None] * ratio
     captured = shade_of(light, direction, ratio) + sun
     rainy = (light.overcast + light.around)[:, None]
     open_ground = 1 + ratio * max(direction[2], 0.0)
     gain = rainy * open_ground / np.maximum(captured, 1e-3)
+    gain *= factor_in_shade(surface, lit, measured.edges)
     return np.clip(gain, 1 / MOST_GAIN, MOST_GAIN).astype(np.float16)

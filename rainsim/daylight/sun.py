@@ -29,7 +29,9 @@ CELL = 0.07  # m, of the places that are compared
 REACH = 0.5  # m between two of them
 PARTNERS = 12  # of each
 SAME_PLANE = 0.92  # cosine between their normals
-SAME_PAINT = 0.6  # difference of the logarithms of blue over green and of red over green
+# Logarithm of red over green, and of green over blue, of the brighter place less the darker one's:
+# paint is the same where light may make the difference, and the sun is redder than the sky.
+SAME_PAINT = -0.25, 0.9
 MOST_CHANGE = 1.6  # of the logarithm of brightness, beyond which it counts as this
 DIM = 0.004  # linear light below which noise decides
 DIRECTIONS = 240  # of the first search
@@ -94,14 +96,17 @@ def _pairs(position, normal, light):
     real = (second < len(position)) & (first != second)
     first, second = first[real], second[real]
     log = np.log(np.maximum(light, DIM / 2))
-    tint = log[:, [0, 2]] - log[:, 1:2]
+    tint = log[:, :2] - log[:, 1:]
     alike = np.einsum("ij,ij->i", normal[first], normal[second]) > SAME_PLANE
-    alike &= (np.abs(tint[first] - tint[second]) < SAME_PAINT).all(axis=1)
-    alike &= np.maximum(luminance(light)[first], luminance(light)[second]) > 2 * DIM
+    bright = luminance(light)
+    sign = np.where(bright[first] > bright[second], 1, -1)[:, None]
+    redder = (tint[first] - tint[second]) * sign
+    alike &= ((redder > SAME_PAINT[0]) & (redder < SAME_PAINT[1])).all(axis=1)
+    alike &= np.maximum(bright[first], bright[second]) > 2 * DIM
     return np.stack([first[alike], second[alike]], -1)
 
 
-def find_sun(places, solids, window, hints=()):
+def find_sun(places, solids, window):
     """Return the direction from which light agrees best with the shadows, and how well.
 
     Parameters
@@ -110,8 +115,6 @@ def find_sun(places, solids, window, hints=()):
     solids : Solids
     window : Window
         Its middle and width; the maps have sides of their own.
-    hints : sequence of ndarray of shape (3,)
-        Directions that are tried besides.
 
     Returns
     -------
@@ -123,7 +126,7 @@ def find_sun(places, solids, window, hints=()):
     width = window.side * float(window.pixel)
     sets = {side: coarsened(solids, COARSER * width / side) for side in (COARSE, FINE)}
     tried = hemisphere(DIRECTIONS)
-    tried = np.concatenate([tried[tried[:, 2] > LEAST_HEIGHT], *(h[None] for h in hints)])
+    tried = tried[tried[:, 2] > LEAST_HEIGHT]
     strength = strengths(places, sets[COARSE], window, tried, COARSE)
     best = []
     for k in np.argsort(-strength):

@@ -10,7 +10,8 @@ import sunny_yard
 from rainsim.config.settings import Config
 from rainsim.daylight import kept, relight, sky_light
 from rainsim.daylight.kept import covered_share, under_clouds
-from rainsim.daylight.surface import display, linear
+from rainsim.daylight.shade import NO_EDGES, edge_shade, factor_in_shade
+from rainsim.daylight.surface import Surface, display, linear
 from rainsim.daylight.visibility import (
     NOTHING,
     Window,
@@ -320,3 +321,32 @@ def test_skies_have_their_published_shape():
     low, high = directions[:, 2] < 0.1, directions[:, 2] > 0.9
     away = directions @ sun < 0.3
     assert clear[low & away].mean() > 1.5 * clear[high].min()
+
+
+# --- shade as it was measured ---------------------------------------------------------------------
+
+
+def surface_at(position, normal=(0, 0, 1)):
+    n = len(position)
+    one = np.ones(n, np.float32)
+    normals = np.tile(np.float32(normal), (n, 1))
+    return Surface(np.float32(position), normals, one, normals, one, np.zeros((n, 1), np.int32))
+
+
+def test_shade_takes_over_what_its_edges_show(rng):
+    place = rng.uniform(-0.5, 0.5, (400, 3)).astype(np.float32) * np.float32([1, 1, 0])
+    up = np.tile(np.float32([0, 0, 1]), (400, 1))
+    change = np.array([0.3, 0.1, -0.2]) + 0.2 * rng.standard_normal((400, 3))
+    edges = edge_shade(place, up, change)
+    surface = surface_at([(0, 0, 0), (0.2, 0.1, 0), (0, 0, 0), (30, 0, 0)])
+    factor = factor_in_shade(surface, np.float32([0, 0.5, 1, 0]), edges)
+    np.testing.assert_allclose(np.log(factor[0]), [0.3, 0.1, -0.2], atol=0.08)
+    np.testing.assert_allclose(np.log(factor[1]), [0.15, 0.05, -0.1], atol=0.04)
+    assert (factor[2:] == 1).all()  # in the sun, and far from any edge
+    wall = factor_in_shade(surface_at([(0, 0, 0)], (1, 0, 0)), np.zeros(1), edges)
+    assert (wall == 1).all()
+
+
+def test_without_edges_shade_is_as_the_model_has_it():
+    factor = factor_in_shade(surface_at([(0, 0, 0)]), np.zeros(1), NO_EDGES)
+    assert (factor == 1).all()

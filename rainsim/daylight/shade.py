@@ -1,0 +1,96 @@
+"""What the shade of a capture differs from its model by, measured along the edges of shadows.
+
+A model of the sky has one colour and the surroundings have one brightness; shade beside a hedge is
+bluer and darker than that. Pairs of places on both sides of an edge show by how much, and splats
+in the shade around take it over.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from rainsim.jit import get_num_threads
+
+CELL = 0.4  # m, within which the pairs have one mean
+SPREAD, REACH = 0.5, 1.5  # m: standard deviation and end of the weight with the distance
+NEAR_CELLS = 16
+ENOUGH = 6.0  # pairs that count as much as the model does
+MOST_PAIRS = 40.0  # of a cell, beyond which more pairs say no more
+MOST_CHANGE = 0.8  # of the logarithm
+SAME_SIDE = 0.8  # cosine between normals
+
+
+class EdgeShade(NamedTuple):
+    """Mean logarithm of shade by the model over shade as captured, by cells with edges of shadows.
+
+    Attributes
+    ----------
+    position, normal : ndarray of shape (n, 3), float32
+    change : ndarray of shape (n, 3), float64
+        For each channel.
+    weight : ndarray of shape (n,), float64
+    """
+
+    position: np.ndarray
+    normal: np.ndarray
+    change: np.ndarray
+    weight: np.ndarray
+
+
+NO_EDGES = EdgeShade(
+    np.zeros((0, 3), np.float32), np.zeros((0, 3), np.float32), np.zeros((0, 3)), np.zeros(0)
+)
+
+
+def edge_shade(position, normal, change):
+    """Return the `EdgeShade` of pairs: place and normal in the shade, and the change of each."""
+    if not len(position):
+        return NO_EDGES
+    cell = np.floor(position / CELL).astype(np.int64)
+    side = np.argmax(np.abs(normal), axis=1)
+    side += 3 * (np.take_along_axis(normal, side[:, None], 1)[:, 0] < 0)
+    _, group = np.unique(np.column_stack([cell, side]), axis=0, return_inverse=True)
+    group = group.ravel()
+    count = np.bincount(group)
+    order = np.argsort(group, kind="stable")
+    parts = np.split(order, np.cumsum(count)[:-1])
+    middle = np.array([position[part].mean(axis=0) for part in parts], np.float32)
+    up = np.array([normal[part].mean(axis=0) for part in parts], np.float32)
+    up /= np.maximum(np.linalg.norm(up, axis=1, keepdims=True), 1e-6)
+    median = np.array([np.median(change[part], axis=0) for part in parts])
+    weight = np.minimum(count, MOST_PAIRS).astype(float)
+    return EdgeShade(middle, up, np.clip(median, -MOST_CHANGE, MOST_CHANGE), weight)
+
+
+def factor_in_shade(surface, shares, edges):
+    """Return the factor (n, 3), float32, on the gains of splats in the shade.
+
+    Parameters
+    ----------
+    surface : Surface
+    shares : ndarray of shape (n,), float32
+        How much of each splat the sun shines on.
+    edges : EdgeShade
+    """
+    factor = np.ones((len(shares), 3), np.float32)
+    which = np.flatnonzero(shares < 0.99)
+    if not len(edges.weight) or not len(which):
+        return factor
+    tree, count = cKDTree(edges.position), min(NEAR_CELLS, len(edges.weight))
+    away, near = tree.query(
+        surface.position[which], k=range(1, count + 1), distance_upper_bound=REACH,
+        workers=get_num_threads(),
+    )  # fmt: skip
+    known = np.isfinite(away)
+    near = np.where(known, near, 0)
+    along = np.einsum("ijk,ik->ij", edges.normal[near], surface.normal[which])
+    weight = np.exp(-0.5 * (np.where(known, away, 0) / SPREAD) ** 2) * edges.weight[near]
+    weight *= known & (along > SAME_SIDE)
+    total = np.einsum("ij,ijk->ik", weight, edges.change[near])
+    change = total / (weight.sum(axis=1) + ENOUGH)[:, None]
+    change *= (surface.flat[which] * (1 - shares[which]))[:, None]
+    factor[which] = np.exp(change)
+    return factor
