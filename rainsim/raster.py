@@ -20,7 +20,7 @@ import numpy as np
 
 from rainsim.errors import ParameterError, require_choice
 from rainsim.jit import interleaved
-from rainsim.splatting.blend import FARTHER, NEARER, WHOLE, blend_tiles
+from rainsim.splatting.blend import blend_tiles
 from rainsim.splatting.prepared import LANES, PreparedSplats, prepare, select
 from rainsim.splatting.project import (
     BLOCKS,
@@ -32,7 +32,7 @@ from rainsim.splatting.project import (
     find_chunks,
     project_chunks,
 )
-from rainsim.splatting.tiles import RECORD_BITS, first_entry, list_tiles, tile_starts
+from rainsim.splatting.tiles import RECORD_BITS, list_tiles, tile_starts
 
 __all__ = ["Layers", "PreparedSplats", "Rasterizer", "prepare", "rasterize", "select"]
 
@@ -129,21 +129,7 @@ class Rasterizer:
             layers = replace(layers, hit=self._splats(half, chunks).reshape(half.shape))
         return layers
 
-    def draw_apart(self, camera, near, split, plane=None):
-        """Return the `Layers` of the splats nearer than `split` [world units] and of the others.
-
-        Both over black; each splat is listed and blended once. Other parameters as in `draw`.
-        """
-        _, start = self._list(camera, near, plane, False, None)
-        black = np.zeros(3, np.float32)
-        return tuple(
-            self._blend(camera, start, black, False, False, part, first_entry(split))[0]
-            for part in (NEARER, FARTHER)
-        )
-
-    def _blend(
-        self, camera, start, background, halfway, drop_last, part=WHOLE, border=0
-    ):  # fmt: skip
+    def _blend(self, camera, start, background, halfway, drop_last):
         """Return the `Layers` of the listed splats and, if asked for, each pixel's halfway one."""
         height, width = camera.height, camera.width
         layers = Layers(
@@ -156,8 +142,7 @@ class Rasterizer:
         half = np.empty((height, width) if halfway else (0, width), np.uint32)
         blend_tiles(
             self._record, self._entry, start, interleaved(-(-height // TILE)), height, width,
-            _lens(camera), bool(camera.orthographic), background, halfway, drop_last, part,
-            np.uint64(border),
+            _lens(camera), bool(camera.orthographic), background, halfway, drop_last,
             layers.color.ravel(), layers.alpha.ravel(), layers.depth.ravel(),
             layers.plane_depth.ravel(), layers.normal.ravel(), half.ravel(),
         )  # fmt: skip

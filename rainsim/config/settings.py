@@ -79,7 +79,6 @@ class TerrainConfig:
 
     spacing: float | None = None  # m; None: chosen from splats, cameras and the map's size
     extent: float | None = None  # m, half the width of the square map; None: chosen from cameras
-    slab: float = 0.12  # m above and below the ground's level within which splats are ground
 
     def check(self):
         """Raise ParameterError if a value breaks its rule."""
@@ -87,7 +86,6 @@ class TerrainConfig:
             require_positive("terrain spacing", self.spacing, "m", "0.02 is usual")
         if (self.spacing or 0) > 0.5:
             raise ParameterError(f"terrain spacing is {self.spacing} m; it must be at most 0.5 m")
-        require_positive("terrain slab", self.slab, "m", "0.12 is usual")
         if self.extent is not None:
             require_positive("terrain extent", self.extent, "m", "leave it out to have it chosen")
             least = 4 * (self.spacing or 0.005)
@@ -207,8 +205,6 @@ class RenderConfig:
     streak_far: float = 8.0  # m; farther drops are fog
     aperture: float = 0.0  # m, diameter of the lens's opening: near drops blur; 0: all are sharp
     focus: float = 4.0  # m, what is in focus
-    water_coverage: tuple = (0.4e-3, 2.2e-3)  # m of water that begin to close over rough
-    # ground, and that hide it wholly; chosen by eye on a captured patio
 
     def check(self):
         """Raise ParameterError if a value breaks its rule."""
@@ -258,12 +254,6 @@ class RenderConfig:
             raise ParameterError(f"aperture is {_round(aperture)} mm; it must be at most 100")
         require_positive("focus", self.focus, "m", "4 is usual")
         require_positive("streak_far", self.streak_far, "m", "8 is usual")
-        low, high = _pair("water_coverage", self.water_coverage, "a low and a high depth")
-        require_not_negative("water_coverage's low depth", low, "m")
-        if require_positive("water_coverage's high depth", high, "m") <= low:
-            raise ParameterError(
-                f"water_coverage is ({low}, {high}) m; the second depth must exceed the first"
-            )
 
 
 @dataclass(frozen=True)

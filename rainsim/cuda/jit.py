@@ -24,7 +24,6 @@ SIMULATED = bool(cuda.config.ENABLE_CUDASIM)
 # environment again when it changes, so the variable is set too.
 os.environ["NUMBA_CUDA_LOW_OCCUPANCY_WARNINGS"] = "0"
 cuda.config.CUDA_LOW_OCCUPANCY_WARNINGS = 0
-WARP = 32
 FULL = 0xFFFFFFFF  # all lanes of a warp
 
 
@@ -153,7 +152,6 @@ __all__ = [
     "CACHE_FOLDER",
     "FULL",
     "SIMULATED",
-    "WARP",
     "cuda",
     "cuda_device",
     "cuda_kernel",

@@ -229,7 +229,7 @@ def _draw_splashes(
     workers = pictures.shape[0]
     height, width = alpha_out.shape
     for band in prange(tiles_out.shape[1]):
-        read_depth(band, depth, columns_out, tiles_out)
+        read_depth(np.int64(band), depth, columns_out, tiles_out)
     for worker in prange(workers):
         scene, picture = SceneDepth(width, height, columns_out, tiles_out), pictures[worker]
         lines, listed = np.empty((_ROOM, 7)), np.zeros(1, np.int64)
@@ -253,7 +253,7 @@ def _draw_splashes(
             )  # fmt: skip
         draw_lines(lines, 0, listed[0], 1, view, scene, picture)
     for band in prange(tiles_out.shape[1]):
-        resolve_band(band, pictures, alpha_out)
+        resolve_band(np.int64(band), pictures, alpha_out)
 
 
 @lean_function

@@ -154,7 +154,7 @@ def _draw_field(
     workers = pictures.shape[0]
     height, width = alpha_out.shape
     for band in prange(tiles_out.shape[1]):
-        read_depth(band, depth, columns_out, tiles_out)
+        read_depth(np.int64(band), depth, columns_out, tiles_out)
     for worker in prange(workers):
         scene, picture = SceneDepth(width, height, columns_out, tiles_out), pictures[worker]
         draw_lines(lines, worker, len(lines), workers, view, scene, picture)
@@ -162,7 +162,7 @@ def _draw_field(
             if air.far[tasks[t, 0]] > _NEAR:
                 _draw_slab(tasks[t, 0], tasks[t, 1], air, field, surfaces, view, scene, picture)
     for band in prange(tiles_out.shape[1]):
-        resolve_band(band, pictures, alpha_out)
+        resolve_band(np.int64(band), pictures, alpha_out)
 
 
 @lean_function

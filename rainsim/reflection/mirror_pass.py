@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from rainsim.constants import HALF, ONE, ZERO
-from rainsim.jit import cpu_kernel, inlined_function, prange, serial_kernel
+from rainsim.jit import cpu_kernel, device_function, inlined_function, prange, serial_kernel
 from rainsim.numerics.mipmap import blurred_color
 from rainsim.numerics.pixel_batches import CHUNK, nearest
 from rainsim.reflection.mirrored_rays import (
@@ -77,34 +77,42 @@ def mirror_light(which, record, view: View, mirror: MirrorPicture, light_out, so
     # Taken out of the bundle here: in the loop numba would count references at each use.
     picture, coarse, depth = mirror.picture, mirror.coarse, mirror.depth
     for group in prange((count + GROUP - 1) // GROUP):
-        s, place = np.empty(NUMBERS, np.float32), np.empty(CHUNK, np.uint32)
-        marched, owner = np.empty(CHUNK, np.uint32), np.empty(CHUNK, np.int64)
         first = np.int64(group) * GROUP
-        last = min(first + GROUP, count)
-        rays = 0
-        for k in range(first, last):
-            n = which[k]
-            light_out[n, 0], light_out[n, 1], light_out[n, 2] = ZERO, ZERO, ZERO
-            sky = level_depth(record, n, view, depth) >= FAR_AWAY
-            source_out[n] = ENVIRONMENT if sky else MIRROR
-            rays = add_rays(record, n, view, rays, s, owner)
-            if rays > CHUNK - SAMPLES or k == last - 1:
-                bend(view, rays, s)
-                march_rays(depth, rays, s, place, marched)
-                for i in range(rays):
-                    n = owner[i]
-                    u, v = s[U + i] + s[END + i] * s[DU + i], s[V + i] + s[END + i] * s[DV + i]
-                    r, g, b = blurred_color(picture, coarse, u, v, s[BLUR + i] * s[END + i])
-                    light_out[n, 0] += r
-                    light_out[n, 1] += g
-                    light_out[n, 2] += b
-                rays = 0
-        for k in range(first, last):
-            n = which[k]
-            weight = ONE / np.float32(slope_samples(read_record(record, n), SPREAD)[0])
-            light_out[n, 0] *= weight
-            light_out[n, 1] *= weight
-            light_out[n, 2] *= weight
+        mirror_group(
+            which[first : min(first + GROUP, count)], record, view, picture, coarse, depth,
+            light_out, source_out,
+        )  # fmt: skip
+
+
+@device_function
+def mirror_group(which, record, view, picture, coarse, depth, light_out, source_out):
+    """Find the mirrored light of some of the listed water; see `mirror_light`."""
+    s, place = np.empty(NUMBERS, np.float32), np.empty(CHUNK, np.uint32)
+    marched, owner = np.empty(CHUNK, np.uint32), np.empty(CHUNK, np.int64)
+    rays = np.int64(0)
+    for k in range(len(which)):
+        n = which[k]
+        light_out[n, 0], light_out[n, 1], light_out[n, 2] = ZERO, ZERO, ZERO
+        sky = level_depth(record, n, view, depth) >= FAR_AWAY
+        source_out[n] = ENVIRONMENT if sky else MIRROR
+        rays = add_rays(record, n, view, rays, s, owner)
+        if rays > CHUNK - SAMPLES or k == len(which) - 1:
+            bend(view, rays, s)
+            march_rays(depth, rays, s, place, marched)
+            for i in range(rays):
+                n = owner[i]
+                u, v = s[U + i] + s[END + i] * s[DU + i], s[V + i] + s[END + i] * s[DV + i]
+                r, g, b = blurred_color(picture, coarse, u, v, s[BLUR + i] * s[END + i])
+                light_out[n, 0] += r
+                light_out[n, 1] += g
+                light_out[n, 2] += b
+            rays = np.int64(0)
+    for k in range(len(which)):
+        n = which[k]
+        weight = ONE / np.float32(slope_samples(read_record(record, n), SPREAD)[0])
+        light_out[n, 0] *= weight
+        light_out[n, 1] *= weight
+        light_out[n, 2] *= weight
 
 
 @inlined_function
@@ -152,7 +160,7 @@ def march_rays(depth, n, s, place, marched):
     guess_ends(n, s)
     nearest(depth, n, s, AT_U, AT_V, SURFACE, place)
     check_guesses(n, s)
-    count = 0
+    count = np.int64(0)  # not the literal 0, for which numba would compile the callees once more
     for i in range(n):
         marched[count] = np.uint32(i)
         count += np.int64(s[MET + i] == ZERO)

@@ -5,13 +5,16 @@ from __future__ import annotations
 import numpy as np
 
 from rainsim.constants import HALF, ONE, ZERO
-from rainsim.jit import cpu_kernel, inlined_function, lean_function, prange
+from rainsim.jit import cpu_kernel, device_function, inlined_function, lean_function, prange
 from rainsim.numerics.interpolation import bilinear, smoothstep
 from rainsim.numerics.pixel_batches import CHUNK, CORNERS, interpolate
 from rainsim.reflection.water_surface import WaterMap
 from rainsim.scene.view import View
 
 HIDE_LOW, HIDE_HIGH = np.float32(0.004), np.float32(0.014)  # m above water: hides it, softly
+# m of water that begin to close over rough ground, and that hide it wholly; chosen by eye on a
+# captured patio.
+COVERING_DEPTHS = np.array([0.4e-3, 2.2e-3], np.float32)
 LEAST_DIP = np.float32(-0.01)  # rays flatter than this meet water in the haze, if at all
 LEAST_COVERAGE = np.float32(0.004)  # a smaller share does not change an 8-bit picture
 CLOSE_ENOUGH = np.float32(5e-5)  # m of height between two steps towards the surface
@@ -51,26 +54,35 @@ def meet_water(
     count_out : ndarray of shape (height,), int64
         Covered pixels of each row.
     """
-    height, width = depth.shape
+    height = len(depth)
     for k in prange(height):
         row = row_order[k]
-        s, place = np.empty(NUMBERS, np.float32), np.empty(CHUNK, np.uint32)
-        corner = np.empty(CORNERS, np.float32)
-        count = 0
-        b = (np.float32(row) + HALF - view.cy) / view.fy
-        for left in range(0, width, CHUNK):
-            n = min(CHUNK, width - left)
-            here = coverage_out[row, left : left + n]
-            low = aim(depth[row, left : left + n], view, highest, left, b, n, s)
-            if low > 0:
-                follow(view, water_map, n, s, place, corner)
-                count += cover_chunk(
-                    view, water_map, cover, n, s, place, corner, hit_out[row, left : left + n], here
-                )
-            else:
-                for i in range(n):
-                    here[i] = ZERO
-        count_out[row] = count
+        count_out[row] = meet_row(
+            row, depth[row], view, water_map, highest, cover, hit_out[row], coverage_out[row]
+        )
+
+
+@device_function
+def meet_row(row, depth, view, water_map, highest, cover, hit_out, coverage_out):
+    """Find the water in one row of pixels; return how many it covers. See `meet_water`."""
+    width = len(depth)
+    s, place = np.empty(NUMBERS, np.float32), np.empty(CHUNK, np.uint32)
+    corner = np.empty(CORNERS, np.float32)
+    count = 0
+    b = (np.float32(row) + HALF - view.cy) / view.fy
+    for left in range(0, width, CHUNK):
+        n = min(CHUNK, width - left)
+        here = coverage_out[left : left + n]
+        low = aim(depth[left : left + n], view, highest, left, b, n, s)
+        if low > 0:
+            follow(view, water_map, n, s, place, corner)
+            count += cover_chunk(
+                view, water_map, cover, n, s, place, corner, hit_out[left : left + n], here
+            )
+        else:
+            for i in range(n):
+                here[i] = ZERO
+    return count
 
 
 @inlined_function

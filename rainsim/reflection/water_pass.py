@@ -15,7 +15,7 @@ from rainsim import ssr
 from rainsim.jit import interleaved
 from rainsim.reflection import paper, ray_traced, screen_space, water_record, water_shading
 from rainsim.reflection.mirror_pass import mirror_light
-from rainsim.reflection.ray_water import meet_water
+from rainsim.reflection.ray_water import COVERING_DEPTHS, meet_water
 from rainsim.reflection.slope_moments import ripple_moments
 from rainsim.reflection.water_shading import Background, Optics, Ripples
 from rainsim.reflection.water_surface import WaterMap, fine_relief, water_surface
@@ -272,8 +272,7 @@ class WaterPass:
         elif self.config.coverage == "hard":
             paper.meet_hard(*given, self._highest, *found)
         else:
-            cover = np.array(self.config.water_coverage, np.float32)
-            meet_water(*given, self._highest, interleaved(height), cover, *found)
+            meet_water(*given, self._highest, interleaved(height), COVERING_DEPTHS, *found)
 
     def _list(self, count, hit):
         """Make the list of the water, `count` pixels of each row, without ripples and light."""

@@ -143,29 +143,38 @@ def compose(picture, depth, drops: RainCover, light: RainLight, view: View, brig
     """
     height, width = depth.shape
     radiance, image = picture.reshape(height, width * 3), image_out.reshape(height, width * 3)
+    for row in prange(height):
+        compose_row(
+            np.int64(row), height, radiance[row], depth[row], drops, light, view, brightness,
+            image[row],
+        )  # fmt: skip
+
+
+@device_function
+def compose_row(row, height, radiance, depth, drops, light, view, brightness, image_out):
+    """Compose one row of pixels; see `compose`."""
     rain_alpha, splash_alpha, fog = drops.rain_alpha, drops.splash_alpha, drops.fog
     field, around, air = light.drops, light.around, light.air
-    places = field.shape[1]
-    for row in prange(height):
-        s, line = np.empty(COMPOSED, np.float32), np.empty(places, np.float32)
-        v = field_place(row, height, field.shape[0])
-        j = int(v)
-        below = v - np.float32(j)
-        b = (np.float32(row) + HALF - view.cy) / view.fy
-        for left in range(0, width, CHUNK):
-            end = min(left + CHUNK, width)
-            n = end - left
-            find_transmittance(depth[row, left:end], fog, view, b, left, n, s)
-            read_covers(rain_alpha[row, left:end], splash_alpha[row, left:end], n, s)
-            read_colors(radiance[row, 3 * left : 3 * end], n, s)
-            for c in range(3):
-                for k in range(places):
-                    upper, lower = field[j, k, c], field[j + 1, k, c]
-                    line[k] = upper + (lower - upper) * below
-                light_drops(line, left, width, n, s)
-                color = s[RED + c * CHUNK : RED + (c + 1) * CHUNK]
-                finish(s, color, n, air[c], around[c], brightness)
-            write_image(n, s, image[row, 3 * left : 3 * end])
+    width, places = len(depth), field.shape[1]
+    s, line = np.empty(COMPOSED, np.float32), np.empty(places, np.float32)
+    v = field_place(row, height, field.shape[0])
+    j = int(v)
+    below = v - np.float32(j)
+    b = (np.float32(row) + HALF - view.cy) / view.fy
+    for left in range(0, width, CHUNK):
+        end = min(left + CHUNK, width)
+        n = end - left
+        find_transmittance(depth[left:end], fog, view, b, left, n, s)
+        read_covers(rain_alpha[row, left:end], splash_alpha[row, left:end], n, s)
+        read_colors(radiance[3 * left : 3 * end], n, s)
+        for c in range(3):
+            for k in range(places):
+                upper, lower = field[j, k, c], field[j + 1, k, c]
+                line[k] = upper + (lower - upper) * below
+            light_drops(line, left, width, n, s)
+            color = s[RED + c * CHUNK : RED + (c + 1) * CHUNK]
+            finish(s, color, n, air[c], around[c], brightness)
+        write_image(n, s, image_out[3 * left : 3 * end])
 
 
 @inlined_function

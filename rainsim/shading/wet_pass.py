@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rainsim.constants import FAR_AWAY, HALF, ONE, SURFACE_ALPHA, ZERO
-from rainsim.jit import cpu_kernel, inlined_function, prange
+from rainsim.jit import cpu_kernel, device_function, inlined_function, prange
 from rainsim.numerics.pixel_batches import CHUNK, CORNERS, interpolate
 from rainsim.scene.view import View, pixel_ray
 from rainsim.shading.environment import azimuth_in_map, color_in_map, elevation_in_map
@@ -147,34 +147,49 @@ def grade_and_wet(
         Share of a full water film on the ground, whose reflection is then left out of the picture:
         the wet-ground mirror adds it. If empty, the ground glosses as all else does.
     """
-    alpha, depth, plane_depth = dry.alpha, dry.depth, dry.plane_depth
-    height, width = alpha.shape
+    height, width = depth_out.shape
     mirror_apart = cover_out.shape[0] > 0
     colors = dry.color.reshape(height, 3 * width)
     normals = dry.normal.reshape(height, 3 * width)
     pictures = picture_out.reshape(height, 3 * width)
     for row in prange(height):
-        s, corner = np.empty(NUMBERS, np.float32), np.empty(CORNERS, np.float32)
-        glossy, open_ = np.empty(CHUNK, np.uint32), np.empty(CHUNK, np.uint32)
-        b = (np.float32(row) + HALF - view.cy) / view.fy
-        for left in range(0, width, CHUNK):
-            n = min(CHUNK, width - left)
-            end = left + n
-            read_colors(colors[row, 3 * left : 3 * end], alpha[row, left:end], look, n, s)
-            read_surface(
-                depth[row, left:end], plane_depth[row, left:end],
-                normals[row, 3 * left : 3 * end], dry.meters_per_unit, n, s,
-            )  # fmt: skip
-            locate(view, b, left, n, s)
-            find_wetness(ground, rain, n, s, glossy, corner)
-            color_pixels(look, mirror_apart, n, s)
-            add_surroundings(sky, n, s, glossy, open_)
-            write_pixels(
-                n, s, pictures[row, 3 * left : 3 * end], depth_out[row, left:end],
-                clearance_out[row, left:end],
-            )  # fmt: skip
-            if mirror_apart:
-                write_cover(ground, n, s, cover_out[row, left:end])
+        grade_row(
+            np.int64(row), dry, colors[row], normals[row], view, ground, rain, sky, look,
+            mirror_apart, pictures[row], depth_out[row], clearance_out[row],
+            cover_out,
+        )  # fmt: skip
+
+
+@device_function
+def grade_row(
+    row, dry, color, normal, view, ground, rain, sky, look, mirror_apart,
+    picture_out, depth_out, clearance_out, cover_out,
+):  # fmt: skip
+    """Grade, wet and measure one row of pixels; see `grade_and_wet`."""
+    alpha, depth, plane_depth, width = (
+        dry.alpha[row], dry.depth[row], dry.plane_depth[row], len(depth_out)
+    )  # fmt: skip
+    s, corner = np.empty(NUMBERS, np.float32), np.empty(CORNERS, np.float32)
+    glossy, open_ = np.empty(CHUNK, np.uint32), np.empty(CHUNK, np.uint32)
+    b = (np.float32(row) + HALF - view.cy) / view.fy
+    for left in range(0, width, CHUNK):
+        n = min(CHUNK, width - left)
+        end = left + n
+        read_colors(color[3 * left : 3 * end], alpha[left:end], look, n, s)
+        read_surface(
+            depth[left:end], plane_depth[left:end],
+            normal[3 * left : 3 * end], dry.meters_per_unit, n, s,
+        )  # fmt: skip
+        locate(view, b, left, n, s)
+        find_wetness(ground, rain, n, s, glossy, corner)
+        color_pixels(look, mirror_apart, n, s)
+        add_surroundings(sky, n, s, glossy, open_)
+        write_pixels(
+            n, s, picture_out[3 * left : 3 * end], depth_out[left:end],
+            clearance_out[left:end],
+        )  # fmt: skip
+        if mirror_apart:
+            write_cover(ground, n, s, cover_out[row, left:end])
 
 
 @inlined_function

@@ -18,7 +18,6 @@ ROW = TILE // SIDE  # blocks across a tile
 BLOCKS = ROW * ROW
 BATCH = 128  # entries that are dealt to the blocks before these blend
 LIST = BATCH + LANES  # places of a block's list: sixteen are written at a time
-WHOLE, NEARER, FARTHER = 0, 1, 2  # parts of a tile's list
 AHEAD = 24  # entries by which records are fetched before they are read
 
 TRANSMITTANCE_STOP = np.float32(1e-4)  # what is behind cannot change an 8-bit image
@@ -59,7 +58,7 @@ def deal(entry, record, begin, end, left, top, is_open, bits, number, chosen_out
 @cpu_kernel
 def blend_tiles(
     record, entry, start, turn, height, width, lens, orthographic, background, halfway, drop_last,
-    part, border, color_out, alpha_out, depth_out, plane_out, normal_out, half_out,
+    color_out, alpha_out, depth_out, plane_out, normal_out, half_out,
 ):  # fmt: skip
     """Sort each tile's list, blend it front to back and write the tile's pixels.
 
@@ -67,8 +66,6 @@ def blend_tiles(
     splats, so a thread goes along a row, and rows are shared out so that threads end together.
     The outputs are flat. `halfway` asks for the record that stops half of the light: its depth is
     written as the pixel's, and one more than its number to `half_out`, 0 where there is none.
-    `part` is WHOLE, or the splats NEARER or FARTHER than the entry `border`; the farther ones of
-    lists that the nearer have sorted.
     """
     across = (width + TILE - 1) // TILE
     tiles = len(start) - 1
@@ -76,60 +73,69 @@ def blend_tiles(
     for tile in range(tiles):
         longest = max(longest, start[tile + 1] - start[tile])
     for k in prange(len(turn)):
-        spare = np.empty(longest, np.uint64)
-        histogram = np.empty(DIGITS, np.int64)
-        state = np.empty(BLOCKS * CHANNELS * LANES, np.float32)
-        bits, number = np.empty(BATCH, np.uint32), np.empty(BATCH, np.uint32)
-        chosen = np.empty(BLOCKS * LIST, np.uint32)
-        count = np.empty(BLOCKS, np.int64)
-        is_open = np.empty(BLOCKS, np.bool_)
-        for tile in range(turn[k] * across, turn[k] * across + across):
-            begin, end = start[tile], start[tile + 1]
-            if part != FARTHER:
-                sort_keys(entry[begin:end], spare, histogram, end - begin)
-            if part == NEARER:
-                end = begin + np.searchsorted(entry[begin:end], border)
-            elif part == FARTHER:
-                begin += np.searchsorted(entry[begin:end], border)
-            top, left = tile // across * TILE, tile % across * TILE
-            state[:] = ZERO
+        blend_row(
+            record, entry, start, turn[k] * across, longest, height, width, lens, orthographic,
+            background, halfway, drop_last,
+            color_out, alpha_out, depth_out, plane_out, normal_out, half_out,
+        )  # fmt: skip
+
+
+@device_function
+def blend_row(
+    record, entry, start, first, longest, height, width, lens, orthographic, background, halfway,
+    drop_last, color_out, alpha_out, depth_out, plane_out, normal_out, half_out,
+):  # fmt: skip
+    """Sort, blend and write the row of tiles that begins with tile `first`; see `blend_tiles`."""
+    across = (width + TILE - 1) // TILE
+    spare = np.empty(longest, np.uint64)
+    histogram = np.empty(DIGITS, np.int64)
+    state = np.empty(BLOCKS * CHANNELS * LANES, np.float32)
+    bits, number = np.empty(BATCH, np.uint32), np.empty(BATCH, np.uint32)
+    chosen = np.empty(BLOCKS * LIST, np.uint32)
+    count = np.empty(BLOCKS, np.int64)
+    is_open = np.empty(BLOCKS, np.bool_)
+    for tile in range(first, first + across):
+        begin, end = start[tile], start[tile + 1]
+        sort_keys(entry[begin:end], spare, histogram, end - begin)
+        top, left = tile // across * TILE, tile % across * TILE
+        state[:] = ZERO
+        for block in range(BLOCKS):
+            state[block * CHANNELS * LANES : block * CHANNELS * LANES + LANES] = ONE
+            inside = top + block // ROW * SIDE < height and left + block % ROW * SIDE < width
+            is_open[block] = inside
+        any_open = True
+        while begin < end and any_open:
+            stop = min(begin + BATCH, end)
+            deal(entry, record, begin, stop, left, top, is_open, bits, number, chosen, count)
+            begin = stop
+            any_open = False
             for block in range(BLOCKS):
-                state[block * CHANNELS * LANES : block * CHANNELS * LANES + LANES] = ONE
-                inside = top + block // ROW * SIDE < height and left + block % ROW * SIDE < width
-                is_open[block] = inside
-            any_open = True
-            while begin < end and any_open:
-                stop = min(begin + BATCH, end)
-                deal(entry, record, begin, stop, left, top, is_open, bits, number, chosen, count)
-                begin = stop
-                any_open = False
-                for block in range(BLOCKS):
-                    if count[block] == 0:
-                        any_open |= is_open[block]
-                        continue
-                    at = block * CHANNELS * LANES
-                    x = np.float32(left + block % ROW * SIDE) + HALF
-                    y = np.float32(top + block // ROW * SIDE) + HALF
-                    first, last = block * LIST, block * LIST + count[block]
-                    if drop_last and halfway:
-                        blend_lanes(record, chosen, first, last, state, at, x, y, 1, 1)
-                    elif drop_last:
-                        blend_lanes(record, chosen, first, last, state, at, x, y, 0, 1)
-                    elif halfway:
-                        blend_lanes(record, chosen, first, last, state, at, x, y, 1, 0)
-                    else:
-                        blend_lanes(record, chosen, first, last, state, at, x, y, 0, 0)
-                    clearest = ZERO
-                    for i in range(LANES):
-                        clearest = max(clearest, state[at + i])
-                    is_open[block] = clearest > TRANSMITTANCE_STOP
+                if count[block] == 0:
                     any_open |= is_open[block]
-            if halfway:
-                write_halves(state, record, top, left, height, width, half_out)
-            write_tile(
-                state, top, left, height, width, lens, orthographic, background, halfway,
-                color_out, alpha_out, depth_out, plane_out, normal_out,
-            )  # fmt: skip
+                    continue
+                at = block * CHANNELS * LANES
+                x = np.float32(left + block % ROW * SIDE) + HALF
+                y = np.float32(top + block // ROW * SIDE) + HALF
+                first, last = block * LIST, block * LIST + count[block]
+                if drop_last and halfway:
+                    blend_lanes(record, chosen, first, last, state, at, x, y, 1, 1)
+                elif drop_last:
+                    blend_lanes(record, chosen, first, last, state, at, x, y, 0, 1)
+                elif halfway:
+                    blend_lanes(record, chosen, first, last, state, at, x, y, 1, 0)
+                else:
+                    blend_lanes(record, chosen, first, last, state, at, x, y, 0, 0)
+                clearest = ZERO
+                for i in range(LANES):
+                    clearest = max(clearest, state[at + i])
+                is_open[block] = clearest > TRANSMITTANCE_STOP
+                any_open |= is_open[block]
+        if halfway:
+            write_halves(state, record, top, left, height, width, half_out)
+        write_tile(
+            state, top, left, height, width, lens, orthographic, background, halfway,
+            color_out, alpha_out, depth_out, plane_out, normal_out,
+        )  # fmt: skip
 
 
 @inlined_function

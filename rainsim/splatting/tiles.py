@@ -19,12 +19,6 @@ RECORD_SHIFT = np.uint64(RECORD_BITS)
 RECORD_MASK = np.uint64((1 << RECORD_BITS) - 1)
 
 
-def first_entry(depth):
-    """Return the least entry of a splat at `depth` [world units] or farther."""
-    bits = np.array(max(depth, 0.0), np.float64).view(np.uint64)
-    return bits << np.uint64(1) & ~RECORD_MASK
-
-
 @serial_kernel
 def tile_starts(count):
     """Turn counts per block and tile into places; return the first place of each tile."""

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from rainsim.errors import ParameterError
-from rainsim.terrain.slab import FAINT
+from rainsim.terrain.slab import FAINT, SLAB
 from rainsim.terrain.types import Grid
 
 DEFAULT_HALF_WIDTH = 4.0  # m, of the map, unless the cameras roam farther
@@ -33,7 +33,7 @@ def choose_grid(scene, config):
     pixel of the cameras on the ground or half the gap between splats, which show no more, and large
     enough for the whole map to have `AUTO_CELLS`.
     """
-    ground = _on_plane(scene, config.slab)
+    ground = _on_plane(scene)
     low, high, why = _surroundings(scene)
     if len(ground) >= LEAST_SPLATS:
         first, last = np.percentile(ground, (4, 96) if low is None else (0.5, 99.5), axis=0)
@@ -95,11 +95,11 @@ def _surroundings(scene):
     return centre - half, centre + half, why
 
 
-def _on_plane(scene, slab):
+def _on_plane(scene):
     """Return x, y (n, 2) [m] of solid splats on ground that may slope away from the middle."""
     with np.errstate(invalid="ignore", over="ignore"):
         position = scene.ground_frame.to_ground(scene.splats.position)
-        reach = slab + GROUND_SLOPE * np.linalg.norm(position[:, :2], axis=1)
+        reach = SLAB + GROUND_SLOPE * np.linalg.norm(position[:, :2], axis=1)
         near = (np.abs(position[:, 2]) < reach) & (scene.splats.opacity > FAINT)
     return position[near, :2]
 

@@ -20,7 +20,7 @@ from rainsim.terrain import filters
 from rainsim.terrain.choose import choose_grid
 from rainsim.terrain.classify import EXCESS_GREEN, classify, is_green, mark_drains
 from rainsim.terrain.pond import fill_ponds
-from rainsim.terrain.slab import FAINT, follow_ground, lonely, splat_cover
+from rainsim.terrain.slab import FAINT, SLAB, follow_ground, lonely, splat_cover
 from rainsim.terrain.table import GRASS, HARD
 from rainsim.terrain.tops import find_tops, note_of
 from rainsim.terrain.types import GAP_HEIGHT, INFERRED, MEASURED, UNKNOWN, Grid, Terrain
@@ -46,7 +46,7 @@ def extract_terrain(scene, config, mask=None):
     ----------
     scene : Scene
     config : TerrainConfig
-        spacing [m], extent (half width [m] or None) and slab (half thickness [m]).
+        spacing [m] and extent (half width [m] or None).
     mask : ndarray of shape (ny, nx), int, optional
         Class of each cell as the user has it; -1 where it is to be found from the splats.
 
@@ -63,7 +63,7 @@ def extract_terrain(scene, config, mask=None):
             f"the class mask has {np.shape(mask)[1]} x {np.shape(mask)[0]} cells; the map has "
             f"{grid.shape[1]} x {grid.shape[0]}; paint over the class map that was written for it"
         )
-    cloud = _Cloud(scene, grid, config.slab)
+    cloud = _Cloud(scene, grid)
     maps = _empty_maps(grid)
     left_out = np.zeros(len(cloud.position), bool)
     for core, inner, piece in pieces(grid):
@@ -78,7 +78,7 @@ def extract_terrain(scene, config, mask=None):
     if seen < LEAST_GROUND:
         raise GroundError(
             f"only {seen:.1%} of the map of {grid.size[0]:g} x {grid.size[1]:g} m shows "
-            f"ground within {config.slab:g} m of the ground plane; give --up and "
+            f"ground within {SLAB:g} m of the ground plane; give --up and "
             "--meters-per-unit, or --ground-frame"
         )
     water, pond_notes = fill_ponds(grid, bed, maps["ground_class"], maps["color"])
@@ -217,7 +217,7 @@ class Seen:
 class _Cloud:
     """The splats over a map, in ground coordinates, and looks at them from above and below."""
 
-    def __init__(self, scene, grid, slab):
+    def __init__(self, scene, grid):
         self.frame = scene.ground_frame
         with np.errstate(invalid="ignore"):
             position = self.frame.to_ground(scene.splats.position)
@@ -243,18 +243,18 @@ class _Cloud:
         self.level, share = follow_ground(self.position, self.cover, grid, start)
         self.above = self.position[:, 2] - self.level(self.position[:, 0], self.position[:, 1])
         solid = self.cover > 0
-        self.near_bed = (np.abs(self.above) < slab) & solid
+        self.near_bed = (np.abs(self.above) < SLAB) & solid
         ceiling = _ceiling(scene)
         x, y = grid.centres()
         level = self.level(*np.meshgrid(x[::8], y[::8]))
         self.top = float(level.max()) + ceiling
-        self.floor = float(level.min()) - slab
+        self.floor = float(level.min()) - SLAB
         self.below_ceiling = self.above < ceiling
         floating = lonely(self.position, self.splats, self.frame, grid, self.top)
-        self.below_ceiling &= ~floating | (self.above <= slab)
-        self.overhead = self.below_ceiling & (self.above > slab)
+        self.below_ceiling &= ~floating | (self.above <= SLAB)
+        self.overhead = self.below_ceiling & (self.above > SLAB)
         self.notes = ()
-        if level.max() - level.min() > slab:
+        if level.max() - level.min() > SLAB:
             self.notes = (
                 f"the ground rises {level.max() - level.min():.2f} m within the map and was "
                 f"followed on {share:.0%} of it",

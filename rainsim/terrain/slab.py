@@ -15,6 +15,7 @@ from rainsim.jit import serial_kernel
 from rainsim.numerics.blocks import stable_order
 from rainsim.terrain import filters
 
+SLAB = 0.12  # m above and below the ground's level within which splats are ground
 CELL = 0.25  # m
 BIN = 0.01  # m of height
 REACH = 0.16  # m a cell's ground may differ from its neighbours': a kerb, or a slope of 60 %

@@ -27,7 +27,14 @@ against the depth and where a neighbour is nearly dry.
 import numpy as np
 
 from rainsim.constants import HALF, ONE, THREE, TWO, ZERO
-from rainsim.jit import cpu_kernel, device_function, prange, serial_kernel
+from rainsim.jit import (
+    cpu_kernel,
+    device_function,
+    inlined_function,
+    lean_function,
+    prange,
+    serial_kernel,
+)
 from rainsim.water.bundles import Flux, StepNumbers, Water
 from rainsim.water.rows import ROOM, copy_row, stack_row, tile_maxima
 
@@ -192,7 +199,7 @@ def move_depth(tiles, qu, qv, k, dry, h_out, remainder_out):
                 extra[c] = total - np.float64(d[c])
 
 
-@device_function(inline="always")
+@inlined_function
 def momentum_flux_along(q, a, n, flux_out):
     """Fluxes of `a` at n places, each from a[c + 1] to a[c + 2], by the mean of q[c], q[c + 1]."""
     for c in range(n):
@@ -200,7 +207,7 @@ def momentum_flux_along(q, a, n, flux_out):
         flux_out[c] = flow * upwind_value(flow, a[c], a[c + 1], a[c + 2], a[c + 3])
 
 
-@device_function(inline="always")
+@inlined_function
 def momentum_flux_across(q_0, q_1, a_0, a_1, a_2, a_3, n, flux_out):
     """Fluxes of `a` at n places, each between a_1[c] and a_2[c], by the mean of q_0[c], q_1[c]."""
     for c in range(n):
@@ -208,7 +215,7 @@ def momentum_flux_across(q_0, q_1, a_0, a_1, a_2, a_3, n, flux_out):
         flux_out[c] = flow * upwind_value(flow, a_0[c], a_1[c], a_2[c], a_3[c])
 
 
-@device_function(inline="always")
+@inlined_function
 def level_row(h, bed, n, level_out):
     """Levels of n cells of a row."""
     for c in range(n):
@@ -216,6 +223,109 @@ def level_row(h, bed, n, level_out):
 
 
 # long: its loops run in vectors only over rows on the stack of one loop (`rainsim.water.rows`)
+@lean_function
+def accelerate_run(
+    run, tiles, water: Water, bed, flux: Flux, step: StepNumbers,
+    u_out, v_out, wave_speed_out, speed_out,
+):  # fmt: skip
+    """Carry momentum and apply pressure in one run of tiles; see `accelerate`."""
+    h, remainder, u, v = water
+    qu, qv = flux
+    wave, gravity, dry = step.wave, step.gravity, step.dry
+    south, north, west, east = run[0], run[1], run[2], run[3]
+    below, above, across = stack_row(h, ROOM), stack_row(h, ROOM), stack_row(h, ROOM)
+    low, high = stack_row(h, ROOM), stack_row(h, ROOM)
+    eta_ss, eta_s, eta, eta_n = (
+        stack_row(h, ROOM), stack_row(h, ROOM), stack_row(h, ROOM), stack_row(h, ROOM)
+    )  # fmt: skip
+    new_u, new_v = stack_row(h, ROOM), stack_row(h, ROOM)
+    far, fast = stack_row(h, ROOM), stack_row(h, ROOM)
+    n, a, z = east - west, west - 1, west - 2
+    for c in range(n):
+        far[c], fast[c] = ZERO, ZERO
+    j = south
+    momentum_flux_across(
+        qv[j, a : east - 1], qv[j, west:east], u[j - 2, west:east], u[j - 1, west:east],
+        u[j, west:east], u[j + 1, west:east], n, below,
+    )  # fmt: skip
+    momentum_flux_across(
+        qv[j - 1, west:east], qv[j, west:east], v[j - 2, west:east], v[j - 1, west:east],
+        v[j, west:east], v[j + 1, west:east], n, low,
+    )  # fmt: skip
+    level_row(h[j - 2, z : east + 1], bed[j - 2, z : east + 1], n + 3, eta_ss)
+    level_row(h[j - 1, z : east + 1], bed[j - 1, z : east + 1], n + 3, eta_s)
+    level_row(h[j, z : east + 1], bed[j, z : east + 1], n + 3, eta)
+    for j in range(south, north):
+        level_row(h[j + 1, z : east + 1], bed[j + 1, z : east + 1], n + 3, eta_n)
+        d_ss, d_s = h[j - 2, west:east], h[j - 1, a : east + 1]
+        d, d_n = h[j, z : east + 1], h[j + 1, a:east]
+        b_ss, b_s, b_n = bed[j - 2, west:east], bed[j - 1, west:east], bed[j + 1, west:east]
+        b, e, e_s = bed[j, z : east + 1], remainder[j, a:east], remainder[j - 1, west:east]
+        q, q_below = qu[j, a : east + 1], qu[j - 1, west : east + 1]
+        p_s, p, p_n = qv[j - 1, west:east], qv[j, a:east], qv[j + 1, a:east]
+        w, x_s, x, x_n = (
+            u[j, a : east + 1],
+            v[j - 1, west:east],
+            v[j, west:east],
+            v[j + 1, west:east],
+        )
+
+        momentum_flux_across(
+            p_n, p_n[1:], u[j - 1, west:east], u[j, west:east], u[j + 1, west:east],
+            u[j + 2, west:east], n, above,
+        )  # fmt: skip
+        momentum_flux_along(q, u[j, z : east + 2], n + 1, across)
+        for c in range(n):
+            h_a, h_b, bed_a, bed_b = d[c + 1], d[c + 2], b[c + 1], b[c + 2]
+            rise = eta[c + 2] - eta[c + 1]
+            third = (eta[c + 3] - eta[c]) - THREE * rise
+            cross = (eta_n[c + 2] - eta_n[c + 1]) + (eta_s[c + 2] - eta_s[c + 1]) - TWO * rise
+            least = min(min(d[c], d[c + 3]), min(d_s[c], d_s[c + 1]))
+            least = min(min(least, min(d_n[c], d_n[c + 1])), min(h_a, h_b))
+            mean = HALF * (h_a + h_b)
+            share = ONE / max(mean, HALF * dry)
+            extra = e[c + 1] - e[c] + fourth_order(wave * mean, mean, share, least, third, cross)
+            momentum = across[c + 1] - across[c] + above[c] - below[c]
+            volume = q[c + 2] - q[c] + p_n[c] + p_n[c + 1] - p[c] - p[c + 1]
+            gain = share * (momentum - HALF * w[c + 1] * volume)
+            still = shoreline_velocity(h_a, h_b, b[c], bed_a, bed_b, b[c + 3], w[c], w[c + 2])
+            new_u[c] = accelerated(w[c + 1], h_a, h_b, bed_a, bed_b, extra, gain, still, step)
+        copy_row(new_u, n, u_out[j, west:east])
+
+        momentum_flux_across(p[1:], p_n[1:], x_s, x, x_n, v[j + 2, west:east], n, high)
+        momentum_flux_across(
+            q_below, q[1:], v[j, z : east - 1], v[j, a:east], v[j, west : east + 1],
+            v[j, west + 1 : east + 2], n + 1, across,
+        )  # fmt: skip
+        for c in range(n):
+            h_a, h_b, bed_a, bed_b = d_s[c + 1], d[c + 2], b_s[c], b[c + 2]
+            rise = eta[c + 2] - eta_s[c + 2]
+            third = (eta_n[c + 2] - eta_ss[c + 2]) - THREE * rise
+            cross = (eta[c + 3] - eta_s[c + 3]) + (eta[c + 1] - eta_s[c + 1]) - TWO * rise
+            least = min(min(d_ss[c], d_n[c + 1]), min(d_s[c], d[c + 1]))
+            least = min(min(least, min(d_s[c + 2], d[c + 3])), min(h_a, h_b))
+            mean = HALF * (h_a + h_b)
+            share = ONE / max(mean, HALF * dry)
+            extra = e[c + 1] - e_s[c] + fourth_order(wave * mean, mean, share, least, third, cross)
+            momentum = across[c + 1] - across[c] + high[c] - low[c]
+            volume = p_n[c + 1] - p_s[c] + q_below[c + 1] + q[c + 2] - q_below[c] - q[c + 1]
+            still = shoreline_velocity(h_a, h_b, b_ss[c], bed_a, bed_b, b_n[c], x_s[c], x_n[c])
+            gain = share * (momentum - HALF * x[c] * volume)
+            s = accelerated(x[c], h_a, h_b, bed_a, bed_b, extra, gain, still, step)
+            new_v[c] = s
+            fast[c] = max(fast[c], max(abs(new_u[c]), abs(s)))
+            top = max(
+                wave_speed(new_u[c], d[c + 1], h_b, gravity), wave_speed(s, h_a, h_b, gravity)
+            )
+            far[c] = max(far[c], top)
+        copy_row(new_v, n, v_out[j, west:east])
+        below, above = above, below
+        low, high = high, low
+        eta_ss, eta_s, eta, eta_n = eta_s, eta, eta_n, eta_ss
+    tile_maxima(run, tiles, far, wave_speed_out)
+    tile_maxima(run, tiles, fast, speed_out)
+
+
 @cpu_kernel
 def accelerate(
     runs, tiles, water: Water, bed, flux: Flux, step: StepNumbers,
@@ -240,106 +350,10 @@ def accelerate(
     wave_speed_out, speed_out : ndarray of shape (tiles,) [m/s]
         Largest `wave_speed` and largest speed of each tile.
     """
-    h, remainder, u, v = water
-    qu, qv = flux
-    wave, gravity, dry = step.wave, step.gravity, step.dry
     for t in prange(runs.shape[0]):
-        south, north, west, east = runs[t, 0], runs[t, 1], runs[t, 2], runs[t, 3]
-        below, above, across = stack_row(h, ROOM), stack_row(h, ROOM), stack_row(h, ROOM)
-        low, high = stack_row(h, ROOM), stack_row(h, ROOM)
-        eta_ss, eta_s, eta, eta_n = (
-            stack_row(h, ROOM), stack_row(h, ROOM), stack_row(h, ROOM), stack_row(h, ROOM)
-        )  # fmt: skip
-        new_u, new_v = stack_row(h, ROOM), stack_row(h, ROOM)
-        far, fast = stack_row(h, ROOM), stack_row(h, ROOM)
-        n, a, z = east - west, west - 1, west - 2
-        for c in range(n):
-            far[c], fast[c] = ZERO, ZERO
-        j = south
-        momentum_flux_across(
-            qv[j, a : east - 1], qv[j, west:east], u[j - 2, west:east], u[j - 1, west:east],
-            u[j, west:east], u[j + 1, west:east], n, below,
-        )  # fmt: skip
-        momentum_flux_across(
-            qv[j - 1, west:east], qv[j, west:east], v[j - 2, west:east], v[j - 1, west:east],
-            v[j, west:east], v[j + 1, west:east], n, low,
-        )  # fmt: skip
-        level_row(h[j - 2, z : east + 1], bed[j - 2, z : east + 1], n + 3, eta_ss)
-        level_row(h[j - 1, z : east + 1], bed[j - 1, z : east + 1], n + 3, eta_s)
-        level_row(h[j, z : east + 1], bed[j, z : east + 1], n + 3, eta)
-        for j in range(south, north):
-            level_row(h[j + 1, z : east + 1], bed[j + 1, z : east + 1], n + 3, eta_n)
-            d_ss, d_s = h[j - 2, west:east], h[j - 1, a : east + 1]
-            d, d_n = h[j, z : east + 1], h[j + 1, a:east]
-            b_ss, b_s, b_n = bed[j - 2, west:east], bed[j - 1, west:east], bed[j + 1, west:east]
-            b, e, e_s = bed[j, z : east + 1], remainder[j, a:east], remainder[j - 1, west:east]
-            q, q_below = qu[j, a : east + 1], qu[j - 1, west : east + 1]
-            p_s, p, p_n = qv[j - 1, west:east], qv[j, a:east], qv[j + 1, a:east]
-            w, x_s, x, x_n = (
-                u[j, a : east + 1],
-                v[j - 1, west:east],
-                v[j, west:east],
-                v[j + 1, west:east],
-            )
-
-            momentum_flux_across(
-                p_n, p_n[1:], u[j - 1, west:east], u[j, west:east], u[j + 1, west:east],
-                u[j + 2, west:east], n, above,
-            )  # fmt: skip
-            momentum_flux_along(q, u[j, z : east + 2], n + 1, across)
-            for c in range(n):
-                h_a, h_b, bed_a, bed_b = d[c + 1], d[c + 2], b[c + 1], b[c + 2]
-                rise = eta[c + 2] - eta[c + 1]
-                third = (eta[c + 3] - eta[c]) - THREE * rise
-                cross = (eta_n[c + 2] - eta_n[c + 1]) + (eta_s[c + 2] - eta_s[c + 1]) - TWO * rise
-                least = min(min(d[c], d[c + 3]), min(d_s[c], d_s[c + 1]))
-                least = min(min(least, min(d_n[c], d_n[c + 1])), min(h_a, h_b))
-                mean = HALF * (h_a + h_b)
-                share = ONE / max(mean, HALF * dry)
-                extra = (
-                    e[c + 1] - e[c] + fourth_order(wave * mean, mean, share, least, third, cross)
-                )
-                momentum = across[c + 1] - across[c] + above[c] - below[c]
-                volume = q[c + 2] - q[c] + p_n[c] + p_n[c + 1] - p[c] - p[c + 1]
-                gain = share * (momentum - HALF * w[c + 1] * volume)
-                still = shoreline_velocity(h_a, h_b, b[c], bed_a, bed_b, b[c + 3], w[c], w[c + 2])
-                new_u[c] = accelerated(w[c + 1], h_a, h_b, bed_a, bed_b, extra, gain, still, step)
-            copy_row(new_u, n, u_out[j, west:east])
-
-            momentum_flux_across(p[1:], p_n[1:], x_s, x, x_n, v[j + 2, west:east], n, high)
-            momentum_flux_across(
-                q_below, q[1:], v[j, z : east - 1], v[j, a:east], v[j, west : east + 1],
-                v[j, west + 1 : east + 2], n + 1, across,
-            )  # fmt: skip
-            for c in range(n):
-                h_a, h_b, bed_a, bed_b = d_s[c + 1], d[c + 2], b_s[c], b[c + 2]
-                rise = eta[c + 2] - eta_s[c + 2]
-                third = (eta_n[c + 2] - eta_ss[c + 2]) - THREE * rise
-                cross = (eta[c + 3] - eta_s[c + 3]) + (eta[c + 1] - eta_s[c + 1]) - TWO * rise
-                least = min(min(d_ss[c], d_n[c + 1]), min(d_s[c], d[c + 1]))
-                least = min(min(least, min(d_s[c + 2], d[c + 3])), min(h_a, h_b))
-                mean = HALF * (h_a + h_b)
-                share = ONE / max(mean, HALF * dry)
-                extra = (
-                    e[c + 1] - e_s[c] + fourth_order(wave * mean, mean, share, least, third, cross)
-                )
-                momentum = across[c + 1] - across[c] + high[c] - low[c]
-                volume = p_n[c + 1] - p_s[c] + q_below[c + 1] + q[c + 2] - q_below[c] - q[c + 1]
-                still = shoreline_velocity(h_a, h_b, b_ss[c], bed_a, bed_b, b_n[c], x_s[c], x_n[c])
-                gain = share * (momentum - HALF * x[c] * volume)
-                s = accelerated(x[c], h_a, h_b, bed_a, bed_b, extra, gain, still, step)
-                new_v[c] = s
-                fast[c] = max(fast[c], max(abs(new_u[c]), abs(s)))
-                top = max(
-                    wave_speed(new_u[c], d[c + 1], h_b, gravity), wave_speed(s, h_a, h_b, gravity)
-                )
-                far[c] = max(far[c], top)
-            copy_row(new_v, n, v_out[j, west:east])
-            below, above = above, below
-            low, high = high, low
-            eta_ss, eta_s, eta, eta_n = eta_s, eta, eta_n, eta_ss
-        tile_maxima(runs[t], tiles, far, wave_speed_out)
-        tile_maxima(runs[t], tiles, fast, speed_out)
+        accelerate_run(
+            runs[t], tiles, water, bed, flux, step, u_out, v_out, wave_speed_out, speed_out
+        )
 
 
 @serial_kernel

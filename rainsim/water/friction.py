@@ -3,7 +3,7 @@
 import numpy as np
 
 from rainsim.constants import FOUR, ONE, QUARTER, TWO, ZERO
-from rainsim.jit import cpu_kernel, device_function, prange
+from rainsim.jit import cpu_kernel, device_function, lean_function, prange
 from rainsim.numerics.approximations import cube_root, quotient
 from rainsim.water.bundles import FrictionNumbers, Ground, Water
 from rainsim.water.conserving import depth_over_step, wave_speed
@@ -32,6 +32,47 @@ def slowed(speed, along, depth, drag, laminar):
     return w if speed > 0 else -w
 
 
+@lean_function
+def slow_run(
+    run, tiles, water: Water, ground: Ground, numbers: FrictionNumbers,
+    u_out, v_out, wave_speed_out, speed_out,
+):  # fmt: skip
+    """Slow the faces of one run of tiles by friction; see `apply_friction`."""
+    h, u, v = water.h, water.u, water.v
+    bed, roughness = ground
+    drag, laminar, gravity, dry = numbers
+    south, north, west, east = run[0], run[1], run[2], run[3]
+    new_u, new_v = stack_row(h, ROOM), stack_row(h, ROOM)
+    far, fast = stack_row(h, ROOM), stack_row(h, ROOM)
+    n, a = east - west, west - 1
+    for c in range(n):
+        far[c], fast[c] = ZERO, ZERO
+    for j in range(south, north):
+        d, b, r = h[j, a:east], bed[j, a:east], roughness[j, a:east]
+        d_s, b_s, r_s = h[j - 1, west:east], bed[j - 1, west:east], roughness[j - 1, west:east]
+        v_c, v_n, w = v[j, a:east], v[j + 1, a:east], u_out[j, west:east]
+        u_s, u_c, x = u[j - 1, west : east + 1], u[j, west : east + 1], v_out[j, west:east]
+        for c in range(n):
+            depth = max(depth_over_step(d[c], d[c + 1], b[c + 1] - b[c]), dry)
+            along = QUARTER * (v_c[c] + v_c[c + 1] + v_n[c] + v_n[c + 1])
+            new_u[c] = slowed(w[c], along, depth, drag * max(r[c], r[c + 1]), laminar)
+        for c in range(n):
+            depth = max(depth_over_step(d_s[c], d[c + 1], b[c + 1] - b_s[c]), dry)
+            along = QUARTER * (u_s[c] + u_s[c + 1] + u_c[c] + u_c[c + 1])
+            s = slowed(x[c], along, depth, drag * max(r_s[c], r[c + 1]), laminar)
+            new_v[c] = s
+            fast[c] = max(fast[c], max(abs(new_u[c]), abs(s)))
+            top = max(
+                wave_speed(new_u[c], d[c], d[c + 1], gravity),
+                wave_speed(s, d_s[c], d[c + 1], gravity),
+            )
+            far[c] = max(far[c], top)
+        copy_row(new_u, n, w)
+        copy_row(new_v, n, x)
+    tile_maxima(run, tiles, far, wave_speed_out)
+    tile_maxima(run, tiles, fast, speed_out)
+
+
 @cpu_kernel
 def apply_friction(
     runs, tiles, water: Water, ground: Ground, numbers: FrictionNumbers,
@@ -53,37 +94,5 @@ def apply_friction(
     wave_speed_out, speed_out : ndarray of shape (tiles,) [m/s]
         Largest `conserving.wave_speed` and largest speed of each tile.
     """
-    h, u, v = water.h, water.u, water.v
-    bed, roughness = ground
-    drag, laminar, gravity, dry = numbers
     for t in prange(runs.shape[0]):
-        south, north, west, east = runs[t, 0], runs[t, 1], runs[t, 2], runs[t, 3]
-        new_u, new_v = stack_row(h, ROOM), stack_row(h, ROOM)
-        far, fast = stack_row(h, ROOM), stack_row(h, ROOM)
-        n, a = east - west, west - 1
-        for c in range(n):
-            far[c], fast[c] = ZERO, ZERO
-        for j in range(south, north):
-            d, b, r = h[j, a:east], bed[j, a:east], roughness[j, a:east]
-            d_s, b_s, r_s = h[j - 1, west:east], bed[j - 1, west:east], roughness[j - 1, west:east]
-            v_c, v_n, w = v[j, a:east], v[j + 1, a:east], u_out[j, west:east]
-            u_s, u_c, x = u[j - 1, west : east + 1], u[j, west : east + 1], v_out[j, west:east]
-            for c in range(n):
-                depth = max(depth_over_step(d[c], d[c + 1], b[c + 1] - b[c]), dry)
-                along = QUARTER * (v_c[c] + v_c[c + 1] + v_n[c] + v_n[c + 1])
-                new_u[c] = slowed(w[c], along, depth, drag * max(r[c], r[c + 1]), laminar)
-            for c in range(n):
-                depth = max(depth_over_step(d_s[c], d[c + 1], b[c + 1] - b_s[c]), dry)
-                along = QUARTER * (u_s[c] + u_s[c + 1] + u_c[c] + u_c[c + 1])
-                s = slowed(x[c], along, depth, drag * max(r_s[c], r[c + 1]), laminar)
-                new_v[c] = s
-                fast[c] = max(fast[c], max(abs(new_u[c]), abs(s)))
-                top = max(
-                    wave_speed(new_u[c], d[c], d[c + 1], gravity),
-                    wave_speed(s, d_s[c], d[c + 1], gravity),
-                )
-                far[c] = max(far[c], top)
-            copy_row(new_u, n, w)
-            copy_row(new_v, n, x)
-        tile_maxima(runs[t], tiles, far, wave_speed_out)
-        tile_maxima(runs[t], tiles, fast, speed_out)
+        slow_run(runs[t], tiles, water, ground, numbers, u_out, v_out, wave_speed_out, speed_out)

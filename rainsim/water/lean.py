@@ -13,7 +13,7 @@ which is Stelling and Duinmeijer's (2003) upwind form, exactly the flux form's.
 """
 
 from rainsim.constants import TWO, ZERO
-from rainsim.jit import cpu_kernel, device_function, prange
+from rainsim.jit import cpu_kernel, device_function, inlined_function, lean_function, prange
 from rainsim.numerics.approximations import quotient
 from rainsim.water.bundles import StepNumbers, Water
 from rainsim.water.conserving import depth_over_step, wave_speed
@@ -51,21 +51,21 @@ def accelerated(w, h_a, h_b, step, noise, gain, k, kg, cap, dry):
     return ZERO if rests | (depth_over_step(h_a, h_b, step) <= dry) else min(max(turned, -cap), cap)
 
 
-@device_function(inline="always")
+@inlined_function
 def flux_row(w, d, b, n, q_out):
     """Fluxes through the n faces between the cells c and c + 1 of a row."""
     for c in range(n):
         q_out[c] = upwind_flux(w[c], d[c], d[c + 1], b[c + 1] - b[c])
 
 
-@device_function(inline="always")
+@inlined_function
 def flux_rows(w, d_0, d_1, b_0, b_1, n, q_out):
     """Fluxes through the n faces between two rows."""
     for c in range(n):
         q_out[c] = upwind_flux(w[c], d_0[c], d_1[c], b_1[c] - b_0[c])
 
 
-@device_function(inline="always")
+@inlined_function
 def move_row(d, q_x, q_s, q_n, n, k, d_out):
     """Depths of n cells after the step; rounding must not make them negative."""
     for c in range(n):
@@ -73,6 +73,72 @@ def move_row(d, q_x, q_s, q_n, n, k, d_out):
 
 
 # long: its loops run in vectors only over rows on the stack of one loop (`rainsim.water.rows`)
+@lean_function
+def step_run(
+    run, tiles, water: Water, bed, numbers: StepNumbers,
+    h_out, u_out, v_out, wave_speed_out, speed_out,
+):  # fmt: skip
+    """Bring depth and velocity of one run of tiles to the next step; see `step`."""
+    h, u, v = water.h, water.u, water.v
+    k, kg, gravity, cap = numbers.k, numbers.kg, numbers.gravity, numbers.cap
+    rounding, dry = numbers.rounding, numbers.dry
+    south, north, west, east = run[0], run[1], run[2], run[3]
+    q_x, q_below = stack_row(h, ROOM), stack_row(h, ROOM)
+    q_ss, q_s, q_n = stack_row(h, ROOM), stack_row(h, ROOM), stack_row(h, ROOM)
+    new_u, new_v = stack_row(h, ROOM), stack_row(h, ROOM)
+    d, d_below = stack_row(h, ROOM), stack_row(h, ROOM)
+    far, fast = stack_row(h, ROOM), stack_row(h, ROOM)
+    n, a = east - west, west - 1
+    for c in range(n):
+        far[c], fast[c] = ZERO, ZERO
+    # Rows on the stack begin at the cell west of the run: cell or face c is c + west - 1.
+    j = south - 1
+    flux_rows(v[j, a:east], h[j - 1, a:east], h[j, a:east], bed[j - 1, a:east],
+              bed[j, a:east], n + 1, q_s)  # fmt: skip
+    for j in range(south - 1, north):
+        flux_row(u[j, a : east + 1], h[j, a - 1 : east + 1], bed[j, a - 1 : east + 1], n + 2,
+                 q_x)  # fmt: skip
+        flux_rows(v[j + 1, a:east], h[j, a:east], h[j + 1, a:east], bed[j, a:east],
+                  bed[j + 1, a:east], n + 1, q_n)  # fmt: skip
+        move_row(h[j, a:east], q_x, q_s, q_n, n + 1, k, d)
+        if j >= south:
+            u_s, u_c, u_n = u[j - 1, west:east], u[j, a : east + 1], u[j + 1, west:east]
+            v_s, v_c, v_n = v[j - 1, west:east], v[j, a : east + 1], v[j + 1, west:east]
+            b_c, b_s = bed[j, a:east], bed[j - 1, west:east]
+            for c in range(n):
+                h_c, h_w, h_s = d[c + 1], d[c], d_below[c + 1]
+                w = u_c[c + 1]
+                gain = upwind_gain(
+                    w, u_c[c], u_c[c + 2], u_s[c], u_n[c],
+                    q_x[c] + q_x[c + 1], q_x[c + 1] + q_x[c + 2],
+                    q_s[c] + q_s[c + 1], q_n[c] + q_n[c + 1],
+                )  # fmt: skip
+                step, noise = b_c[c + 1] - b_c[c], h_w + h_c + abs(b_c[c]) + abs(b_c[c + 1])
+                east_speed = accelerated(w, h_w, h_c, step, rounding * noise, gain, k, kg, cap, dry)
+                w = v_c[c + 1]
+                gain = upwind_gain(
+                    w, v_c[c], v_c[c + 2], v_s[c], v_n[c],
+                    q_below[c + 1] + q_x[c + 1], q_below[c + 2] + q_x[c + 2],
+                    q_ss[c + 1] + q_s[c + 1], q_s[c + 1] + q_n[c + 1],
+                )  # fmt: skip
+                step, noise = b_c[c + 1] - b_s[c], h_s + h_c + abs(b_s[c]) + abs(b_c[c + 1])
+                north_speed = accelerated(
+                    w, h_s, h_c, step, rounding * noise, gain, k, kg, cap, dry
+                )
+                new_u[c], new_v[c] = east_speed, north_speed
+                fast[c] = max(fast[c], max(abs(east_speed), abs(north_speed)))
+                top = wave_speed(east_speed, h_w, h_c, gravity)
+                far[c] = max(far[c], max(top, wave_speed(north_speed, h_s, h_c, gravity)))
+            copy_row(new_u, n, u_out[j, west:east])
+            copy_row(new_v, n, v_out[j, west:east])
+            copy_row(d[1:], n, h_out[j, west:east])
+        q_x, q_below = q_below, q_x
+        d, d_below = d_below, d
+        q_ss, q_s, q_n = q_s, q_n, q_ss
+    tile_maxima(run, tiles, far, wave_speed_out)
+    tile_maxima(run, tiles, fast, speed_out)
+
+
 @cpu_kernel
 def step(
     runs, tiles, water: Water, bed, numbers: StepNumbers,
@@ -96,64 +162,7 @@ def step(
     wave_speed_out, speed_out : ndarray of shape (tiles,) [m/s]
         Largest `conserving.wave_speed` and largest speed of each tile.
     """
-    h, u, v = water.h, water.u, water.v
-    k, kg, gravity, cap = numbers.k, numbers.kg, numbers.gravity, numbers.cap
-    rounding, dry = numbers.rounding, numbers.dry
     for t in prange(runs.shape[0]):
-        south, north, west, east = runs[t, 0], runs[t, 1], runs[t, 2], runs[t, 3]
-        q_x, q_below = stack_row(h, ROOM), stack_row(h, ROOM)
-        q_ss, q_s, q_n = stack_row(h, ROOM), stack_row(h, ROOM), stack_row(h, ROOM)
-        new_u, new_v = stack_row(h, ROOM), stack_row(h, ROOM)
-        d, d_below = stack_row(h, ROOM), stack_row(h, ROOM)
-        far, fast = stack_row(h, ROOM), stack_row(h, ROOM)
-        n, a = east - west, west - 1
-        for c in range(n):
-            far[c], fast[c] = ZERO, ZERO
-        # Rows on the stack begin at the cell west of the run: cell or face c is c + west - 1.
-        j = south - 1
-        flux_rows(v[j, a:east], h[j - 1, a:east], h[j, a:east], bed[j - 1, a:east],
-                  bed[j, a:east], n + 1, q_s)  # fmt: skip
-        for j in range(south - 1, north):
-            flux_row(u[j, a : east + 1], h[j, a - 1 : east + 1], bed[j, a - 1 : east + 1], n + 2,
-                     q_x)  # fmt: skip
-            flux_rows(v[j + 1, a:east], h[j, a:east], h[j + 1, a:east], bed[j, a:east],
-                      bed[j + 1, a:east], n + 1, q_n)  # fmt: skip
-            move_row(h[j, a:east], q_x, q_s, q_n, n + 1, k, d)
-            if j >= south:
-                u_s, u_c, u_n = u[j - 1, west:east], u[j, a : east + 1], u[j + 1, west:east]
-                v_s, v_c, v_n = v[j - 1, west:east], v[j, a : east + 1], v[j + 1, west:east]
-                b_c, b_s = bed[j, a:east], bed[j - 1, west:east]
-                for c in range(n):
-                    h_c, h_w, h_s = d[c + 1], d[c], d_below[c + 1]
-                    w = u_c[c + 1]
-                    gain = upwind_gain(
-                        w, u_c[c], u_c[c + 2], u_s[c], u_n[c],
-                        q_x[c] + q_x[c + 1], q_x[c + 1] + q_x[c + 2],
-                        q_s[c] + q_s[c + 1], q_n[c] + q_n[c + 1],
-                    )  # fmt: skip
-                    step, noise = b_c[c + 1] - b_c[c], h_w + h_c + abs(b_c[c]) + abs(b_c[c + 1])
-                    east_speed = accelerated(
-                        w, h_w, h_c, step, rounding * noise, gain, k, kg, cap, dry
-                    )
-                    w = v_c[c + 1]
-                    gain = upwind_gain(
-                        w, v_c[c], v_c[c + 2], v_s[c], v_n[c],
-                        q_below[c + 1] + q_x[c + 1], q_below[c + 2] + q_x[c + 2],
-                        q_ss[c + 1] + q_s[c + 1], q_s[c + 1] + q_n[c + 1],
-                    )  # fmt: skip
-                    step, noise = b_c[c + 1] - b_s[c], h_s + h_c + abs(b_s[c]) + abs(b_c[c + 1])
-                    north_speed = accelerated(
-                        w, h_s, h_c, step, rounding * noise, gain, k, kg, cap, dry
-                    )
-                    new_u[c], new_v[c] = east_speed, north_speed
-                    fast[c] = max(fast[c], max(abs(east_speed), abs(north_speed)))
-                    top = wave_speed(east_speed, h_w, h_c, gravity)
-                    far[c] = max(far[c], max(top, wave_speed(north_speed, h_s, h_c, gravity)))
-                copy_row(new_u, n, u_out[j, west:east])
-                copy_row(new_v, n, v_out[j, west:east])
-                copy_row(d[1:], n, h_out[j, west:east])
-            q_x, q_below = q_below, q_x
-            d, d_below = d_below, d
-            q_ss, q_s, q_n = q_s, q_n, q_ss
-        tile_maxima(runs[t], tiles, far, wave_speed_out)
-        tile_maxima(runs[t], tiles, fast, speed_out)
+        step_run(
+            runs[t], tiles, water, bed, numbers, h_out, u_out, v_out, wave_speed_out, speed_out
+        )

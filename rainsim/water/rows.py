@@ -11,7 +11,15 @@ import functools
 
 import numpy as np
 
-from rainsim.jit import cgutils, cpu_kernel, device_function, intrinsic, prange, types
+from rainsim.jit import (
+    cgutils,
+    cpu_kernel,
+    device_function,
+    inlined_function,
+    intrinsic,
+    prange,
+    types,
+)
 
 ROWS, COLUMNS = 16, 64  # cells of a tile, whatever the number of threads
 RUN = 1024  # columns, the most that a kernel takes at once
@@ -80,7 +88,7 @@ def runs_of(tiles, numbers, across):
     return runs
 
 
-@device_function(inline="always")
+@inlined_function
 def copy_row(a, n, a_out):
     """Write out n numbers."""
     for c in range(n):

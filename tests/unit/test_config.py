@@ -85,7 +85,6 @@ BAD = [
     ({"spacing": 0.0}, "terrain spacing is 0.0 m; it must be positive"),
     ({"spacing": 3.0}, "terrain spacing is 3.0 m; it must be at most 0.5 m"),
     ({"extent": 0.01}, "terrain extent is 0.01 m"),
-    ({"water_coverage": (2e-3, 1e-3)}, "water_coverage is"),
 ]
 
 

@@ -389,24 +389,6 @@ def test_cutting_at_a_plane_leaves_what_is_above(rng):
     assert decibel(cut.color, draw(kept, camera()).color) > 100
 
 
-def test_near_and_far_splats_drawn_apart_are_the_picture(rng):
-    splats, cam = cloud(rng), camera()
-    whole = draw(splats, cam)
-    rasterizer = raster.Rasterizer(raster.prepare(splats))
-    near, far = rasterizer.draw_apart(cam, 0.2, 4.0)
-    through = 1 - near.alpha
-    np.testing.assert_allclose(
-        near.color + through[..., None] * far.color, whole.color, atol=2e-4
-    )  # a block that ends at 1e-4 does so in each of the two
-    np.testing.assert_allclose(1 - through * (1 - far.alpha), whole.alpha, atol=2e-4)
-    np.testing.assert_array_equal(far.color, rasterizer.draw(cam, 4.0).color)
-    shown = near.alpha > 0.1
-    assert shown.any() and (near.depth[shown] < 4.0).all()
-    nothing, everything = rasterizer.draw_apart(cam, 0.2, 0.1)
-    assert not nothing.alpha.any()
-    np.testing.assert_array_equal(everything.color, whole.color)
-
-
 def test_lower_degrees_of_harmonics_are_those_of_a_truncated_scene(rng):
     splats = cloud(rng, 200, 16)
     prepared = raster.prepare(splats)

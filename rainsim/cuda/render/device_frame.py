@@ -28,6 +28,7 @@ from rainsim.particles.fog import FOG_STEPS, NO_FOG, fog_table
 from rainsim.particles.splash import WET_FILM
 from rainsim.particles.streaks import streak_reach
 from rainsim.reflection import water_pass
+from rainsim.reflection.ray_water import COVERING_DEPTHS
 from rainsim.reflection.slope_moments import ripple_moments
 from rainsim.reflection.water_shading import Background, Ripples
 from rainsim.reflection.water_surface import WaterMap
@@ -224,11 +225,10 @@ class DeviceFrame:
             "drop": ((*drop_radiance.GRID, 3), f4), "around": ((3,), f4),
             "tops": ((max(len(self._tops.form), 1), 2), f4),
         })  # fmt: skip
-        render = host.config.render
         stride = max(1.0, host.water.stride * width)
         self.uniforms.update(
             settings=(host.water.thickness, stride, water_pass.REFLECTION_LENGTH),
-            cover=render.water_coverage,
+            cover=COVERING_DEPTHS,
         )  # fmt: skip
         self.streaks = self.splashes = None
         self._lines = pinned(1, np.int32)
