@@ -213,9 +213,10 @@ def draw(result, path):
         1, len(panels), figsize=(2.6 * len(panels), 0.32 * len(rows) + 1.4), sharey=True,
         layout="constrained",
     )  # fmt: skip
-    for n, (name, cases) in enumerate(sets.items()):
-        style = {"linestyle": "", "marker": "o", "markersize": 5, "color": COLORS[2 - 2 * n],
-                 "fillstyle": "full" if name == "now" else "none", "label": name}  # fmt: skip
+    for name, cases in sets.items():
+        color, fill = (COLORS[0], "full") if name == "now" else (COLORS[2], "none")
+        style = {"linestyle": "", "marker": "o", "markersize": 5, "color": color,
+                 "fillstyle": fill, "label": name}  # fmt: skip
         for axis, panel in zip(axes, panels, strict=True):
             marks = list(_marks(cases, rows, panel))
             axis.plot([x for x, _, _ in marks], [y for _, y, _ in marks], **style)
@@ -226,7 +227,9 @@ def draw(result, path):
         axis.set_title(SCALARS.get(panel, panel), fontsize=8)
         axis.grid(alpha=0.3)
         if panel in SCALARS:
-            axis.set_xscale("log")
+            axis.set(xscale="log", xlim=(0.18, 5.5))
+            axis.set_xticks((0.25, 0.5, 1, 2, 4), ("1/4", "1/2", "1", "2", "4"))
+            axis.minorticks_off()
             axis.axvline(1, color="0.4", linestyle=":", linewidth=1)
             axis.set_xlabel("drawn over true")
     axes[0].set_yticks(range(len(rows)), rows)
