@@ -14,7 +14,8 @@ from rainsim.bench.day_score import srgb
 from rainsim.bench.day_shapes import spiral
 
 BAKED = 64  # samples of a splat
-TRACED = 128  # of a pixel
+TRACED = 384  # of a pixel of the main rain; of the others OTHERS of it
+OTHERS = 1 / 4
 SKY_SAMPLES = 8
 SKY_SPLATS, SKY_LOWEST = 9000, -0.05
 OPENNESS = 96  # rays of a pixel
@@ -52,7 +53,9 @@ def remake(cases, folder=day_data.FOLDER, say=lambda line: None, baked=BAKED, tr
                 garden = Garden(mitsuba, case, shapes, paving, rain, mirrors)
                 for view in rain.views:
                     camera = small(case.cameras()[view])
-                    light, error = garden.picture(camera, traced)
+                    main = mirrors and rain is case.rains[0]
+                    samples = traced if main else round(OTHERS * traced)
+                    light, error = garden.picture(camera, samples)
                     name = f"{rain.name}{'' if mirrors else ' dull'} {view}"
                     arrays[name] = day_data.pack_picture(light)
                     arrays[f"{name} error"] = np.float32(np.sqrt((error**2).mean()) / light.mean())

@@ -169,7 +169,7 @@ def look(**given):
     "--remake",
     is_flag=True,
     help="Bake the captures and trace the truth again first, "
-    'which takes Mitsuba (pip install "rainsim[truth]") an hour on two cores.',
+    'which takes Mitsuba (pip install "rainsim[truth]") 20 minutes on two cores.',
 )
 @_options
 def day(before_path, **given):

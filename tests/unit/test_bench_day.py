@@ -1,6 +1,7 @@
 """`bench day`: its measures on pictures whose answer is known, its gardens, what it ships."""
 
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -237,6 +238,34 @@ def test_open_ground_under_the_overcast_sky_has_its_known_radiance():
     light = garden.radiance(places, down, 512, 1).mean(axis=0)
     sky = np.array([0.95, 1.0, 1.06]) * 7 / 9  # Moon and Spencer: E = 7/9 pi Lz
     assert np.allclose(light, sky * [0.3, 0.2, 0.1], rtol=0.02)
+
+
+@pytest.mark.slow
+def test_a_small_patio_made_again_is_like_the_one_shipped(tmp_path):
+    pytest.importorskip("mitsuba")
+    from rainsim.bench.day_remake import remake
+
+    def build():
+        shapes, paving = PATIO.build()
+        arrays = "position", "normal", "along", "spacing"
+        for part, lots in shapes.spots.items():
+            thin = (day_shapes.Spots(*(getattr(lot, a)[::200] for a in arrays)) for lot in lots)
+            shapes.spots[part] = list(thin)
+        return shapes, paving
+
+    def cameras():
+        return [camera.resized(64, 42) for camera in PATIO.cameras()]
+
+    rain = replace(PATIO.rains[0], views=(0,))
+    case = replace(PATIO, name="tiny", build=build, cameras=cameras, rains=(rain,))
+    remake([case], tmp_path, baked=8, traced=64)
+    made, shipped = day_data.read("tiny", tmp_path), day_data.read("patio")
+    for name in ("rain 0", "rain dull 0"):
+        one, other = (day_data.unpack_picture(a[name]).mean(axis=(0, 1)) for a in (made, shipped))
+        assert np.allclose(one, other, rtol=0.03), name
+    for baked in ("sun", "dull"):
+        one, other = (day_data.unpack_colors(a[baked]).mean(axis=0) for a in (made, shipped))
+        assert np.allclose(one, other, rtol=0.05), baked
 
 
 @pytest.mark.slow
