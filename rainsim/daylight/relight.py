@@ -49,6 +49,7 @@ SURE = 0.5  # confidence from which on the sun is divided out
 # are brighter where the sun shines, and the score of the search.
 OVER_SKY, AGREE, SCORE = (0.15, 0.6), (0.6, 0.85), (0.08, 0.2)
 PAINT_REACH, PAINT_COUNT, LEAST_PAINT = 0.35, 16, 4  # m; splats that a splat's paint is taken from
+SHADED_SUNLIT = 0.12, 0.9  # shares by colour that count as none and all: paint varies
 STAYS = "the light stays as captured"
 
 
@@ -284,9 +285,10 @@ def by_color(surface, lit, light, direction, ratio):
     tone = (weight * np.log(np.maximum(paint, 1e-4))[near]).sum(axis=1) / np.maximum(count, 1)
     share = (bright[band] / np.exp(tone) - shade[band]) / (sun * cosine[band])
     enough = count >= LEAST_PAINT
-    shares[band[enough]] = np.clip(share, 0, 1)[enough]
-    # Paint varies from splat to splat, the edge of a shadow does not.
-    shares[band[enough]] = shares[surface.neighbours[band[enough]]].mean(axis=1)
+    low, high = SHADED_SUNLIT
+    shares[band[enough]] = np.clip((share - low) / (high - low), 0, 1)[enough]
+    # Paint varies from splat to splat; the median keeps the edge where it is.
+    shares[band[enough]] = np.median(shares[surface.neighbours[band[enough]]], axis=1)
     return shares
 
 
