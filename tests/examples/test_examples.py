@@ -4,6 +4,7 @@ import importlib.util
 import inspect
 from pathlib import Path
 
+import imageio.v3 as imageio
 import numpy as np
 import pytest
 
@@ -64,6 +65,17 @@ def test_film_on_a_slope(capsys):
     depth, exact = load("film_on_a_slope").main()
     np.testing.assert_allclose(depth[8:-2], exact[8:-2], rtol=0.03)
     assert "mm deep, exactly" in capsys.readouterr().out
+
+
+def test_contact_sheet(tmp_path):
+    scene, sheet = tiny_scene(), tmp_path / "sheet.png"
+    module = load("contact_sheet")
+    module.main(sheet, scene, presets=("downpour",), views=2, width=64, **TINY)
+    picture = imageio.imread(sheet)
+    assert picture.shape == (2 * 48, 2 * 64, 3)
+    assert np.abs(picture[:48].astype(int) - picture[48:]).mean() > 5
+    low, steep = module.views_of(scene, 2)
+    assert low.forward @ scene.ground_frame.up > steep.forward @ scene.ground_frame.up
 
 
 def test_every_example_is_run_here():
