@@ -288,7 +288,9 @@ def by_color(surface, lit, light, direction, ratio):
     low, high = SHADED_SUNLIT
     shares[band[enough]] = np.clip((share - low) / (high - low), 0, 1)[enough]
     # Paint varies from splat to splat; the median keeps the edge where it is.
-    shares[band[enough]] = np.median(shares[surface.neighbours[band[enough]]], axis=1)
+    median = np.median(shares[surface.neighbours[band[enough]]], axis=1)
+    # A splat that is bright itself is not in the shade: its gain would make it a white dot.
+    shares[band[enough]] = np.maximum(median, np.clip(share[enough] - SHADED_SUNLIT[0], 0, 1))
     return shares
 
 
