@@ -79,10 +79,13 @@ class Shower(NamedTuple):
     wetness : OffGroundWetness
     rate : float [m/s]
         Of the rain.
+    gloss : ndarray of shape (rows, columns, 3), float32
+        The blurred surroundings, which sloping tops mirror.
     """
 
     wetness: OffGroundWetness
     rate: float
+    gloss: np.ndarray
 
 
 class WaterPass:
@@ -125,7 +128,7 @@ class WaterPass:
         self.thickness, self.stride = REFLECTION_THICKNESS, REFLECTION_STRIDE
         self.top_water = TopWater(terrain)
         self.tops = top_maps(terrain, self.top_water)
-        self._rain = None  # that the kept list belongs to
+        self._rain = self._gloss = None  # that the kept list belongs to; what slopes mirrors
         self._depth = None  # of the water that the kept surface belongs to
         self.wet = None
 
@@ -169,6 +172,7 @@ class WaterPass:
         if moved:
             self._update_surface(state.depth)
         moved |= self._update_tops(state.top_water, shower)
+        self._gloss = shower.gloss
         timer.mark("water surface")
         before = self.pixel
         if moved or self.coverage is None:
@@ -317,7 +321,7 @@ class WaterPass:
             self._march(others, name == "paper", environment)
         if len(surrounded):
             screen_space.environment_light(
-                surrounded, self.record, environment, self.light, self.source
+                surrounded, self.record, self._gloss, self.light, self.source
             )
         timer.mark("reflection")
         return None

@@ -21,8 +21,8 @@ from rainsim.scene.view import View, pixel_ray
 from rainsim.shading.wetness import OffGroundWetness
 
 # m from its surface up to which what a picture shows is a top; its depth is blended at the edges
-NEAR_TOP, OFF_TOP = np.float32(0.02), np.float32(0.04)
-SAME_HEIGHT = np.float32(0.01)  # m, of water on a top from the top's surface
+NEAR_TOP, OFF_TOP = np.float32(0.03), np.float32(0.06)
+SAME_HEIGHT = np.float32(0.03)  # m, of water on a top from the top's surface
 FILM_SLOPE = np.float32(0.1)  # rms slope of a water film on boards and paint, along one axis
 THIN, FULL = np.float32(0.15e-3), np.float32(0.8e-3)  # m of water: still a film, a smooth puddle
 # m of water on smooth ground: no rings, full ones; thinner than on the ground, whose stones break
@@ -116,6 +116,23 @@ def top_over(tops, x, y):
 
 
 @inlined_function
+def share_over(tops, k, x, y):
+    """Return the share of top k at (x, y) [m], between the map's cells: its edge has no steps."""
+    rows, columns = tops.index.shape
+    u = (x - tops.origin[0]) / tops.spacing - HALF
+    v = (y - tops.origin[1]) / tops.spacing - HALF
+    u = min(max(u, ZERO), np.float32(columns - 1))
+    v = min(max(v, ZERO), np.float32(rows - 1))
+    i, j = min(int(u), columns - 2), min(int(v), rows - 2)
+    a, b = u - np.float32(i), v - np.float32(j)
+    p = ONE if tops.index[j, i] == k else ZERO
+    q = ONE if tops.index[j, i + 1] == k else ZERO
+    r = ONE if tops.index[j + 1, i] == k else ZERO
+    s = ONE if tops.index[j + 1, i + 1] == k else ZERO
+    return (p + (q - p) * a) * (ONE - b) + (r + (s - r) * a) * b
+
+
+@inlined_function
 def is_level(tops, k):
     """Tell whether water stands on top k."""
     return tops.form[k, ROWS] > ZERO
@@ -189,13 +206,16 @@ def wet_top(view, tops, rain, depth, row, column):
     height, gx, gy = top_surface(tops, k, eye[0] + depth * x, eye[1] + depth * y)
     above = shown - height
     fall = z - gx * x - gy * y  # of the ray towards the surface
-    if not (abs(above) < OFF_TOP and fall <= LEAST_DIP):
+    if not (abs(above) < TWO * OFF_TOP and fall <= LEAST_DIP):
         return ZERO, ZERO
     hit = depth - above / fall
     covers = film_on(rain)
     if is_level(tops, k):
         holds, water = on_patch(tops, k, eye[0] + hit * x, eye[1] + hit * y)
         covers = max(covers, smoothstep(THIN, FULL, water)) * holds
+    else:
+        covers *= share_over(tops, k, eye[0] + hit * x, eye[1] + hit * y)
+        above *= HALF  # the fit of a curved top is worse
     covers *= ONE - smoothstep(NEAR_TOP, OFF_TOP, abs(above))
     if not (covers > LEAST_COVERAGE and hit > LEAST_WAY):
         return ZERO, ZERO
@@ -246,12 +266,17 @@ def meet_tops(
         As `meet_water` wrote them; see `wet_top` for the hit.
     """
     height, width = depth.shape
+    m, up, low, high = view.ground_from_camera, view.eye[2], tops.low, tops.high
+    m20, m21, m22 = m[2, 0], m[2, 1], m[2, 2]
     for k in prange(height):
         row = row_order[k]
         count = 0
+        b = (np.float32(row) + HALF - view.cy) / view.fy
         for column in range(width):
-            if coverage_out[row, column] > ZERO:
-                continue
+            a = (np.float32(column) + HALF - view.cx) / view.fx
+            shown = up + depth[row, column] * (m20 * a + m21 * b + m22)
+            if not (shown > low and shown < high) or coverage_out[row, column] > ZERO:
+                continue  # most pixels: the call takes longer
             hit, covers = wet_top(view, tops, rain, depth[row, column], row, column)
             if covers > ZERO:
                 hit_out[row, column], coverage_out[row, column] = hit, covers

@@ -155,7 +155,7 @@ class Renderer:
     @property
     def shower(self):
         """The `Shower` of the present time."""
-        return Shower(self.wet_scene.off_ground, self.now.rain.rate)
+        return Shower(self.wet_scene.off_ground, self.now.rain.rate, self.wet_scene.gloss)
 
     def drop_field(self, view, camera):
         """Return the radiance of drops over a camera's picture, see `drop_radiance.drop_field`."""

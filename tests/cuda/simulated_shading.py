@@ -250,7 +250,7 @@ def test_water_light(view, pond, poisoned, rng, reflection, law):
     mirrors = cuda_mirror.MirrorArrays(served, window, flipped, *pictures)
     launch(
         cuda_water.shade_water, hit, coverage, distance, background, tall, own, water_map,
-        DRY_TOPS, ripples, around, settings, mirrors, optics, found,
+        DRY_TOPS, ripples, around, around, settings, mirrors, optics, found,
     )  # fmt: skip
     assert decibel(found, wanted) > 70
     assert decibel(wanted, picture) < 30

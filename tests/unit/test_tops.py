@@ -264,7 +264,7 @@ def test_a_slope_is_marked_and_tilts_its_film():
     k = maps(made)
     found = wet_tops.top_below(k, F4(0.2), F4(0.1), F4(0.73))
     assert found[0] == 0 and found[3] == pytest.approx(0.15, rel=0.03)
-    assert wet_tops.top_below(k, F4(0.2), F4(0.1), F4(0.6))[0] == -1
+    assert wet_tops.top_below(k, F4(0.2), F4(0.1), F4(0.65))[0] == -1
     assert wet_tops.top_below(k, F4(np.nan), F4(0.1), F4(0.7))[0] == -1
     assert wet_tops.top_below(DRY_TOPS, F4(0), F4(0), F4(0))[0] == -1
     depth = picture_of(view, [GROUND])

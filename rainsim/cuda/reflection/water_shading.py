@@ -25,7 +25,7 @@ SPREAD = np.float32(MIRROR_SPREAD)
 @cuda_kernel
 def shade_water(
     hit, coverage, distance, background, tall, camera, water_map, tops, ripples, environment,
-    settings, mirrors, optics, picture_out,
+    gloss, settings, mirrors, optics, picture_out,
 ):  # fmt: skip
     """Write the picture with the water on it: ripples, what it mirrors, what shows through, glint.
 
@@ -42,7 +42,8 @@ def shade_water(
     water_map : WaterMap
     tops : TopMaps
     ripples : Ripples
-    environment : device array of shape (rows, columns, 3), float32
+    environment, gloss : device array of shape (rows, columns, 3), float32
+        The surroundings, and blurred, which sloping tops mirror.
     settings : device array of shape (3,), float32
         Of `ssr.MarchSettings`.
     mirrors : MirrorArrays
@@ -66,7 +67,7 @@ def shade_water(
     if mirror >= 0 and abs(water.z - mirrors.range[mirror, 0]) >= SPREAD:
         alone = alone or top_below(tops, water.x, water.y, water.z)[0] >= 0
     if alone:
-        red, green, blue = surrounding_light(environment, water)
+        red, green, blue = surrounding_light(gloss, water)
     elif mirror >= 0:
         red, green, blue = by_mirror(mirrors, mirror, view, water)
     else:

@@ -421,7 +421,8 @@ class DeviceFrame:
             self._hit, self._coverage, self._distance,
             Background(self.picture, self.below, self.depth), self._tall, self.camera_arrays,
             self._water_map, self.tops, Ripples(self._moments, self._tile), self._around,
-            n["settings"], mirrors.arrays, self.host.water.optics(n["sun"]), self._shown,
+            self.gloss, n["settings"], mirrors.arrays, self.host.water.optics(n["sun"]),
+            self._shown,
         )  # fmt: skip
 
     def _compose(self):
