@@ -1,4 +1,4 @@
-"""Wet tops in a picture: where tables, benches and bonnets show, and how their water mirrors.
+"""Wet tops in a picture: where tables and benches show, and how their water mirrors.
 
 A pixel shows a top if what it shows lies at the top's height. All of a wet top mirrors: the puddles
 as water does on the ground, the film between them as a rough mirror, whose facets tilt by

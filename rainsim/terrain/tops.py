@@ -1,7 +1,7 @@
-"""What lies flat above the ground: tables, benches, car bonnets, roofs, sills, steps.
+"""What lies flat above the ground: tables, benches, roofs, sills, steps.
 
-A flat patch of the map of tops counts if a surface of second order fits it to a centimetre: hedges
-and cushions do not. Of a level one the splats show more than the map has cells for: seen from above
+A flat patch of the map of tops counts if a plane fits it to a centimetre: hedges, cushions and
+bonnets do not. Of a level one the splats show more than the map has cells for: seen from above
 in finer cells they give the relief on which thin puddles stand and the gaps that part them.
 """
 
@@ -17,7 +17,7 @@ from rainsim.scene.types import Camera
 from rainsim.terrain.types import NO_TOPS, Grid, Tops
 
 LOWEST, HIGHEST = 0.3, 1.5  # m over the bed: lower things are wetted as ground
-STEEPEST = 0.35  # slope, of a bonnet
+STEEPEST = 0.35  # slope, of a roof
 SMALLEST = 0.2  # m2
 ROUGHEST = 0.010  # m from the fitted surface, of four fifths of the cells
 LEVEL_SLOPE = 0.03  # from which on water runs off wholly
@@ -106,11 +106,10 @@ def fitted(terrain, mask):
     slope = np.hypot(*plane[1:])
     if slope < LEVEL_SLOPE and away < ROUGHEST:
         return np.append(plane, np.zeros(3)), centre, True
-    surface, away = robust_fit(terms, height)
-    steep = np.hypot(terms @ derivative(surface, 0), terms @ derivative(surface, 1))
-    if not away < ROUGHEST or np.percentile(steep, 80) > STEEPEST:
+    # A curved one has no outline in a map of such cells: bonnets keep the gloss of all wet things.
+    if not away < ROUGHEST or slope > STEEPEST:
         return None
-    return surface, centre, False
+    return np.append(plane, np.zeros(3)), centre, False
 
 
 def grown(terrain, mask, surface, centre):
@@ -132,12 +131,6 @@ def grown(terrain, mask, surface, centre):
 def terms_of(x, y):
     """Return the six terms of a surface at distances from its centre, (n, 6)."""
     return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-1)
-
-
-def derivative(surface, axis):
-    """Return the six coefficients of the derivative of a surface along x (0) or y (1)."""
-    _, a, b, c, d, e = surface
-    return np.array([a, 2 * c, d, 0, 0, 0] if axis == 0 else [b, d, 2 * e, 0, 0, 0])
 
 
 def robust_fit(terms, height):

@@ -57,7 +57,7 @@ class Grid:
 
 @dataclass(frozen=True)
 class Tops:
-    """What lies flat above the ground: tables, benches, car bonnets, roofs.
+    """What lies flat above the ground: tables, benches, roofs.
 
     A top's surface is a plane, or curved a little: s0 + s1 X + s2 Y + s3 X^2 + s4 X Y + s5 Y^2,
     with X, Y the distance from its centre. A level top has a patch of finer cells besides, on
