@@ -1,6 +1,8 @@
-"""A contact sheet: views of a capture, as it was taken above as it is in the rain."""
+"""A contact sheet: views of a capture, as it was taken above as it is in the rain.
 
-import sys
+Of your own capture, from this folder: `import contact_sheet` and
+`contact_sheet.main("sheet.png", "garden/")`.
+"""
 
 import numpy as np
 
@@ -44,4 +46,4 @@ def main(out="contact_sheet.png", scene="bicycle", presets=("moderate", "downpou
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:3])
+    main()

@@ -52,23 +52,23 @@ def with_tops(terrain, scene=None):
 def find_tops(terrain, scene=None):
     """Return the `Tops` of a terrain; parameters as those of `with_tops`."""
     grid, found = terrain.grid, []
-    for mask in flat_patches(terrain):
-        fit = fitted(terrain, mask)
+    for box, mask in flat_patches(terrain):
+        fit = fitted(terrain, box, mask)
         if fit is not None:
-            found.append((grown(terrain, mask, *fit[:2]), *fit))
+            found.append((*grown(terrain, box, mask, *fit[:2]), *fit))
     if not found:
         return NO_TOPS
-    found = sorted(found, key=lambda top: -np.count_nonzero(top[0]))[:MOST_TOPS]
+    found = sorted(found, key=lambda top: -np.count_nonzero(top[1]))[:MOST_TOPS]
     index = np.full(grid.shape, -1, np.int16)
     reach = max(1, round(MARGIN / grid.spacing))
-    nearest = np.full(grid.shape, np.inf)
-    for k, (mask, *_) in enumerate(found):
+    nearest = np.full(grid.shape, np.inf, np.float32)
+    for k, (box, mask, *_) in enumerate(found):
         away = ndimage.distance_transform_edt(~mask)
-        mine = (away <= reach) & (away < nearest)
-        index[mine], nearest[mine] = k, away[mine]
-    surface, centre = (np.array([top[a] for top in found]) for a in (1, 2))
-    area = np.array([np.count_nonzero(top[0]) for top in found]) * grid.cell_area
-    level = np.array([top[3] for top in found])
+        mine = (away <= reach) & (away < nearest[box])
+        index[box][mine], nearest[box][mine] = k, away[mine]
+    surface, centre = (np.array([top[a] for top in found]) for a in (2, 3))
+    area = np.array([np.count_nonzero(top[1]) for top in found]) * grid.cell_area
+    level = np.array([top[4] for top in found])
     spacing = max(FINE, grid.spacing / FINER)
     spacing *= max(1.0, np.sqrt(2 * area[level].sum() / spacing**2 / MOST_CELLS))
     plain = Tops(
@@ -79,53 +79,73 @@ def find_tops(terrain, scene=None):
 
 
 def flat_patches(terrain):
-    """Yield the masks (ny, nx) of the flat parts of what stands above the ground."""
-    height = terrain.top - terrain.bed
+    """Yield the flat parts of what stands above the ground: a box of the map, and a mask in it."""
     spacing = terrain.grid.spacing
-    tall = (height > LOWEST) & (height < HIGHEST)  # False where a height is NaN
-    if not tall.any():
-        return
-    # The ground beside an edge must not count as the top's slope.
-    dy, dx = np.gradient(mean_around(terrain.top, tall, 1), spacing)
-    flat = ndimage.binary_opening(tall & (np.hypot(dx, dy) < STEEPEST), iterations=2)
-    labels, count = ndimage.label(flat)
-    size = np.bincount(labels.ravel(), minlength=count + 1) * spacing**2
-    for k in np.flatnonzero(size >= SMALLEST):
-        if k > 0:
-            yield labels == k
+    height = terrain.top - terrain.bed
+    things, count = ndimage.label((height > LOWEST) & (height < HIGHEST))  # NaN is no thing
+    del height
+    least = SMALLEST / spacing**2
+    size = np.bincount(things.ravel(), minlength=count + 1)
+    for k, slices in enumerate(ndimage.find_objects(things), 1):
+        if size[k] < least:
+            continue
+        box = padded(slices, 2, things.shape)
+        tall = things[box] == k
+        # The ground beside an edge must not count as the top's slope.
+        dy, dx = np.gradient(mean_around(terrain.top[box], tall, 1), spacing)
+        flat = ndimage.binary_opening(tall & (np.hypot(dx, dy) < STEEPEST), iterations=2)
+        labels, _ = ndimage.label(flat)
+        cells = np.bincount(labels.ravel())
+        for n in np.flatnonzero(cells >= least):
+            if n > 0:
+                yield box, labels == n
 
 
-def fitted(terrain, mask):
+def padded(box, cells, shape):
+    """Return a box of slices with `cells` more on all sides, within a map of that shape."""
+    return tuple(
+        slice(max(s.start - cells, 0), min(s.stop + cells, side))
+        for s, side in zip(box, shape, strict=True)
+    )
+
+
+def fitted(terrain, box, mask):
     """Return surface (6,), centre (2,) and whether a flat patch is level; None if it is rough."""
     x, y = terrain.grid.centres()
     rows, columns = np.nonzero(mask)
-    height = terrain.top[rows, columns].astype(np.float64)
-    centre = np.array([x[columns].mean(), y[rows].mean()])
-    terms = terms_of(x[columns] - centre[0], y[rows] - centre[1])
+    height = terrain.top[box][rows, columns].astype(np.float64)
+    x, y = x[box[1]][columns], y[box[0]][rows]
+    centre = np.array([x.mean(), y.mean()])
+    terms = terms_of(x - centre[0], y - centre[1])
     plane, away = robust_fit(terms[:, :3], height)
     slope = np.hypot(*plane[1:])
-    if slope < LEVEL_SLOPE and away < ROUGHEST:
-        return np.append(plane, np.zeros(3)), centre, True
     # A curved one has no outline in a map of such cells: bonnets keep the gloss of all wet things.
     if not away < ROUGHEST or slope > STEEPEST:
         return None
-    return np.append(plane, np.zeros(3)), centre, False
+    return np.append(plane, np.zeros(3)), centre, bool(slope < LEVEL_SLOPE)
 
 
-def grown(terrain, mask, surface, centre):
-    """Return a flat patch with the cells around it that lie on its surface, (ny, nx) bool.
+def grown(terrain, box, mask, surface, centre):
+    """Return box and mask of a flat patch with the cells around it that lie on its surface.
 
     Where slopes are taken over an edge, the cells along it count as steep.
     """
+    steps = EDGE_CELLS + 2 * int(MARGIN / terrain.grid.spacing) + 1
+    wide = padded(box, steps, terrain.top.shape)
+    inner = np.zeros([s.stop - s.start for s in wide], bool)
+    rows, columns = np.nonzero(mask)
+    inner[rows + box[0].start - wide[0].start, columns + box[1].start - wide[1].start] = True
     x, y = terrain.grid.centres()
-    steps = EDGE_CELLS + int(MARGIN / terrain.grid.spacing)
-    around = ndimage.binary_dilation(mask, iterations=steps)
+    around = ndimage.binary_dilation(
+        inner, iterations=EDGE_CELLS + int(MARGIN / terrain.grid.spacing)
+    )
     rows, columns = np.nonzero(around)
-    height = terms_of(x[columns] - centre[0], y[rows] - centre[1]) @ surface
-    on = np.zeros_like(mask)
+    x, y = x[wide[1]][columns], y[wide[0]][rows]
+    height = terms_of(x - centre[0], y - centre[1]) @ surface
+    on = np.zeros_like(inner)
     with np.errstate(invalid="ignore"):
-        on[rows, columns] = np.abs(terrain.top[rows, columns] - height) < FARTHEST
-    return ndimage.binary_propagation(mask & on, mask=on) | mask
+        on[rows, columns] = np.abs(terrain.top[wide][rows, columns] - height) < FARTHEST
+    return wide, ndimage.binary_propagation(inner & on, mask=on) | inner
 
 
 def terms_of(x, y):

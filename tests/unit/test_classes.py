@@ -14,7 +14,7 @@ from rainsim.errors import InputError, ParameterError
 from rainsim.io import images
 from rainsim.scene.ground import scale_from_length, with_fall
 from rainsim.scene.types import GroundFrame
-from rainsim.terrain import extract
+from rainsim.terrain import extract, tops
 from rainsim.terrain.classify import classify
 
 SPACING = 0.04
@@ -169,6 +169,7 @@ def test_parts_of_a_map_fit_together(yard, monkeypatch):
 def test_memory_grows_only_with_what_is_kept(monkeypatch):
     monkeypatch.setattr(extract, "PIECE", 16_000)
     monkeypatch.setattr(extract, "MARGIN", 0.3)
+    monkeypatch.setattr(tops, "SMALLEST", 1e9)  # their patches grow with the tops, not the map
     scene, truth = captures.yard(0, floaters=0.0, step=0.15)
     scene, peaks = replace(scene, ground_frame=truth.frame), []
     for spacing in (0.04, 0.02):
