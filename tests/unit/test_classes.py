@@ -172,6 +172,7 @@ def test_memory_grows_only_with_what_is_kept(monkeypatch):
     monkeypatch.setattr(tops, "SMALLEST", 1e9)  # their patches grow with the tops, not the map
     scene, truth = captures.yard(0, floaters=0.0, step=0.15)
     scene, peaks = replace(scene, ground_frame=truth.frame), []
+    terrain.extract_terrain(scene, TerrainConfig(spacing=0.06, extent=3.0))  # compiles
     for spacing in (0.04, 0.02):
         tracemalloc.start()
         cells = terrain.extract_terrain(scene, TerrainConfig(spacing=spacing, extent=3.0)).bed.size
