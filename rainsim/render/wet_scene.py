@@ -20,7 +20,8 @@ from rainsim.scene.cameras import MIRROR_CLEARANCE, cropped, mirrored_camera
 from rainsim.scene.view import view_of
 from rainsim.shading import environment, sky, wetness
 from rainsim.shading.backdrop import Backdrop, sky_distance
-from rainsim.shading.calibration import LUMA, albedo_of_white, luminance_of, zenith_radiance
+from rainsim.shading.calibration import albedo_of_white, zenith_radiance
+from rainsim.shading.color import LUMA, luminance_of, roughly_linear
 from rainsim.shading.grading import DULL_EXPOSURE, look_of
 from rainsim.shading.skyline import skylines, with_skyline
 from rainsim.shading.visibility import badly_placed, pale, views_of_splats
@@ -33,7 +34,6 @@ from rainsim.splatting.prepared import recolored
 NEAR = 0.05  # m: splats nearer than this are not drawn
 FIRST_SEGMENT = 0.5  # m of a traced ray that are searched at first
 BRIGHT_SKY = 0.15  # mean linear light above which a far pixel shows the captured sky
-CAPTURED_GAMMA = np.float32(2.2)  # of the display, for the captured sky
 
 
 class WetScene:
@@ -292,7 +292,7 @@ class WetScene:
         def draw(view):
             dry = self.rasterizer.draw(self.frame.camera_in_capture(view), self.near)
             far = dry.depth * self.frame.meters_per_unit > self.sky_distance
-            linear = np.clip(dry.color, 0, 4) ** CAPTURED_GAMMA
+            linear = roughly_linear(dry.color, 4)
             seen = far & (dry.alpha > 0.9) & (linear.mean(axis=-1) > BRIGHT_SKY)
             return np.where(seen[..., None], linear, -1)
 

@@ -13,12 +13,11 @@ import math
 import numpy as np
 
 from rainsim.constants import SH_0
-from rainsim.shading.color import LUMA_B, LUMA_G, LUMA_R
+from rainsim.scene.cameras import resize_to
+from rainsim.shading.color import luminance_of
 from rainsim.terrain.table import class_table
 from rainsim.terrain.types import MEASURED
 
-LUMA = np.array([LUMA_R, LUMA_G, LUMA_B], np.float32)
-GAMMA = 2.2  # of the display, near enough for a guess of albedos
 FLAT_TOP = 0.05  # m over the bed: open ground has nothing on it
 LEAST_AREA = 0.25  # m2 of a class that can be judged
 USUAL, USUAL_SPREAD = 0.85, 1.0  # what is assumed without ground to judge by, and its spread in log
@@ -71,11 +70,6 @@ def albedo_of_white(terrain, splats, ground_albedo=None):
     return scale, f"albedo: {scale:.2f} x captured colour by {by}; --ground-albedo sets it"
 
 
-def luminance_of(color):
-    """Return the linear luminance of display-referred colours (..., 3)."""
-    return (np.clip(color, 0, 1) ** GAMMA) @ LUMA
-
-
 def zenith_radiance(albedo, exposure):
     """Return the radiance of an overcast zenith over ground whose colours stand for `albedo`.
 
@@ -111,7 +105,4 @@ def metered(captured, rainy, sky_share, zenith, cloudiness):
 def metering_views(cameras, first_camera):
     """Return the small cameras that the exposure is metered with."""
     chosen = cameras[:: -(-len(cameras) // VIEWS)] if cameras else (first_camera,)
-    return [
-        camera.resized(VIEW_WIDTH, max(1, round(VIEW_WIDTH * camera.height / camera.width)))
-        for camera in chosen
-    ]
+    return [resize_to(camera, VIEW_WIDTH) for camera in chosen]

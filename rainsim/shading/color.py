@@ -10,6 +10,8 @@ from rainsim.constants import ZERO
 from rainsim.jit import device_function, inlined_function
 
 LUMA_R, LUMA_G, LUMA_B = np.float32(0.2126), np.float32(0.7152), np.float32(0.0722)  # Rec. 709
+LUMA = np.array([LUMA_R, LUMA_G, LUMA_B], np.float32)
+GAMMA = 2.2  # of the display, near enough for what is judged or blurred
 BRIGHTEST = np.float32(4)  # display value, 27 times white: more is a flaw of a capture
 
 # Polynomials, minimax fits of ours: x^1.6 and x^(10/3).
@@ -48,3 +50,13 @@ def display_from_linear(c):
 def luminance(r, g, b):
     """Return the luminance of linear Rec. 709 light."""
     return LUMA_R * r + LUMA_G * g + LUMA_B * b
+
+
+def roughly_linear(color, most=1.0):
+    """Return about the linear light of display-referred colours, an array, up to `most`."""
+    return np.clip(color, 0, most) ** GAMMA
+
+
+def luminance_of(color):
+    """Return about the linear luminance of display-referred colours (..., 3)."""
+    return roughly_linear(color) @ LUMA

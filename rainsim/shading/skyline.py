@@ -15,6 +15,7 @@ from scipy import ndimage
 
 from rainsim.io import cache
 from rainsim.raster import Rasterizer
+from rainsim.shading.color import roughly_linear
 from rainsim.shading.environment import COLUMNS, ROWS, directions, probe
 
 SOLID = 0.5  # alpha from which a direction is covered
@@ -23,7 +24,6 @@ HIGH_GAP = math.sin(math.radians(35))  # sine of the elevation above which gaps 
 PROBES = 4  # places of cameras beside the middle that the capture is seen from
 PARALLAX = math.radians(2.5)  # by which the skyline moves from one camera to another
 SOFT = 1.0  # texels over which the sky goes over into what hides it
-GAMMA = 2.2  # of the display, near enough for what is blurred
 FILL = math.radians(6)  # over which the colours of what hides the sky are spread
 
 
@@ -64,9 +64,9 @@ def skylines(scene, prepared, first_camera, near):
             found |= {f"open {int(part)}": open_, f"land {int(part)}": land}
         return found
 
-    count = prepared.leading or 0
+    # Named by what is drawn: its colours are those of the run's weather.
     found = cache.kept_arrays(
-        "skyline", "shading", draw, scene.splats, scene.ground_frame, places, near, count
+        "skyline", "shading", draw, prepared, scene.ground_frame, places, near
     )
     both = [Skyline(found[f"open {int(part)}"], found[f"land {int(part)}"]) for part in parts]
     return both[0], both[-1]
@@ -116,7 +116,7 @@ def spread_colors(seen):
     """Return the linear colours of a probe spread over what it leaves open."""
     rows = seen.shape[0]
     alpha = seen[..., 3:]
-    color = np.clip(seen[..., :3] / np.maximum(alpha, 1e-3), 0, 4) ** GAMMA * alpha
+    color = roughly_linear(seen[..., :3] / np.maximum(alpha, 1e-3), 4) * alpha
     total, weight = np.zeros_like(color), np.zeros_like(alpha)
     for wider in (1, 3, 9):  # the nearest colours count most
         sigma = wider * FILL * rows / math.pi

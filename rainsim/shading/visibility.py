@@ -17,7 +17,8 @@ from rainsim.constants import ONE, SH_0, ZERO
 from rainsim.io import cache
 from rainsim.jit import cpu_kernel, device_function, prange
 from rainsim.raster import Rasterizer, prepare
-from rainsim.shading.color import LUMA_B, LUMA_G, LUMA_R
+from rainsim.scene.cameras import resize_to
+from rainsim.shading.color import LUMA, LUMA_B, LUMA_G, LUMA_R, roughly_linear
 from rainsim.shading.grading import SKY_BLUE, SKY_DULL
 from rainsim.splatting.project import (
     color_constant,
@@ -30,7 +31,6 @@ MOST_CAMERAS = 64  # of the capture, evenly spaced, that are asked
 WIDTH = 320  # px of their depth pictures
 LEAST_SHARE = 0.04  # of the cameras; splats that fewer see are badly placed
 SLACK, LEAST_SLACK = np.float32(1.15), np.float32(0.05)  # of the depth, and capture units: in sight
-GAMMA = 2.2  # of the display, near enough to tell a sky
 PALE = 0.45  # linear luminance of a captured sky, at least; roofs are darker
 DARKEST = np.float32(0.05)  # display value that keeps black views from having all the weight
 NEAR = np.float32(0.1)  # capture units
@@ -57,8 +57,8 @@ def badly_placed(scene, views):
 
 def pale(splats):
     """Return which splats are as bright and as little green as a sky, ndarray (n,) of bool."""
-    color = np.clip(np.float32(0.5) + np.float32(SH_0) * splats.sh[:, 0], 0, 1) ** np.float32(GAMMA)
-    light = color @ np.array([LUMA_R, LUMA_G, LUMA_B])
+    color = roughly_linear(np.float32(0.5) + np.float32(SH_0) * splats.sh[:, 0])
+    light = color @ LUMA
     blue = color[:, 2] / np.maximum(color[:, :2].max(axis=1), np.float32(1e-3))
     return (light > PALE) & (blue > 0.5 * (SKY_DULL + SKY_BLUE))
 
@@ -81,10 +81,7 @@ def views_of_splats(scene):
     if scene.source is None or not scene.cameras or not len(scene.splats):
         return None
     step = -(-len(scene.cameras) // MOST_CAMERAS)
-    cameras = [
-        camera.resized(WIDTH, max(1, round(WIDTH * camera.height / camera.width)))
-        for camera in scene.cameras[::step]
-    ]
+    cameras = [resize_to(camera, WIDTH) for camera in scene.cameras[::step]]
     splats = scene.splats
 
     def count():

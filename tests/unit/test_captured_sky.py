@@ -10,8 +10,9 @@ from rainsim.constants import SH_0
 from rainsim.raster import Rasterizer, prepare
 from rainsim.scene.types import Camera, Scene, Splats
 from rainsim.shading import calibration, skyline, visibility
+from rainsim.shading.color import GAMMA
 from rainsim.shading.environment import COLUMNS, ROWS, directions
-from rainsim.splatting.prepared import LANES
+from rainsim.splatting.prepared import LANES, recolored
 from rainsim.terrain.surface import terrain_from_heights
 from rainsim.terrain.types import Grid
 from scenes import ground_frame
@@ -176,14 +177,31 @@ def test_under_an_open_sky_the_day_is_drawn_and_below_it_the_land():
     seen = np.concatenate([np.full((ROWS, COLUMNS, 3), 0.5, np.float32) * alpha[..., None],
                            alpha[..., None]], axis=-1)  # fmt: skip
     land = skyline.spread_colors(seen)
-    np.testing.assert_allclose(land, 0.5**skyline.GAMMA, rtol=1e-3)
+    np.testing.assert_allclose(land, 0.5**GAMMA, rtol=1e-3)
     open_ = skyline.open_sky(alpha).astype(np.float32)
     day = np.full((2 * ROWS, 2 * COLUMNS, 3), 3.0, np.float32)
     behind = skyline.with_skyline(day, skyline.Skyline(open_, land), 0.7)
     np.testing.assert_allclose(behind[: ROWS - 4], 3.0)
-    np.testing.assert_allclose(behind[ROWS + 4 :], 0.7 * 0.5**skyline.GAMMA, rtol=1e-3)
+    np.testing.assert_allclose(behind[ROWS + 4 :], 0.7 * 0.5**GAMMA, rtol=1e-3)
     dark = skyline.with_skyline(day, skyline.Skyline(open_, land), 0.0)
     assert (dark[ROWS + 4 :] == 0).all() and (dark[0] == 3).all()
+
+
+def test_a_kept_skyline_is_that_of_the_colors_drawn(yard, tmp_path, monkeypatch):
+    """Another weather's colours of the same capture must not answer for a run's own."""
+    scene, _ = yard
+    captured = prepare(scene.splats)
+    dark = dataclasses.replace(scene.splats, sh=scene.splats.sh - np.float32(0.5))
+    wet = recolored(captured, dark)
+    fresh = skyline.skylines(scene, wet, scene.cameras[0], 0.1)[0]
+    monkeypatch.setenv("RAINSIM_CACHE", str(tmp_path))
+    first = skyline.skylines(scene, captured, scene.cameras[0], 0.1)[0]
+    found = skyline.skylines(scene, wet, scene.cameras[0], 0.1)[0]
+    again = skyline.skylines(scene, wet, scene.cameras[0], 0.1)[0]
+    assert np.abs(found.land - first.land).max() > 0.01
+    np.testing.assert_array_equal(found.land, fresh.land)
+    np.testing.assert_array_equal(again.land, fresh.land)
+    assert len(list(tmp_path.iterdir())) == 2
 
 
 def test_albedo_follows_the_ground_and_what_is_given():
