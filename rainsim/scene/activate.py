@@ -2,6 +2,9 @@
 
 Files store logarithms of scales, logits of opacities and quaternions of any length. All readers
 call this module, so that the same rules decide for every format which splats are usable.
+
+Infinite logarithms and logits have a meaning: a logit of +inf is an opacity of 1 (converters write
+it for the full byte of SPZ and SOG), of -inf one of 0, and a logarithm of -inf a scale of 0.
 """
 
 from __future__ import annotations
@@ -63,7 +66,7 @@ def activate_rows(splats, part, position, log_scale, turn, logit, base, rest=Non
         opacity = np.divide(1, 1 + np.exp(-logit), out=splats.opacity[part])
         np.divide(turn, length[:, None], out=splats.rotation[part])
         splats.sh[part, 0] = base
-        good = np.isfinite(logit) & (length > 0) & np.isfinite(length)
+        good = ~np.isnan(logit) & (length > 0) & np.isfinite(length)
         if widen is not None:
             good &= np.isfinite(widen)
             for axis in range(3):
@@ -73,8 +76,7 @@ def activate_rows(splats, part, position, log_scale, turn, logit, base, rest=Non
                 )
                 scale[:, axis] = wider
         good &= (np.abs(position) < MAX_LENGTH).all(axis=1)  # false for NaN
-        good &= (scale < MAX_LENGTH).all(axis=1)
-        good &= np.isfinite(log_scale).all(axis=1) & np.isfinite(base).all(axis=1)
+        good &= (scale < MAX_LENGTH).all(axis=1) & np.isfinite(base).all(axis=1)
     if rest is not None:
         splats.sh[part, 1:] = rest
         good &= np.isfinite(rest).all(axis=(1, 2))

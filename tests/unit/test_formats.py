@@ -193,9 +193,28 @@ def test_broken_values_of_the_variants_are_counted(tmp_path, name):
     (tmp_path / "a.ply").write_bytes(made.ply(columns))
     reading = read(tmp_path / "a.ply")
     # A scale whose logarithm is minus infinity is zero; the other values have no such excuse.
-    assert reading.broken == 3 and len(reading.splats) == 997
-    assert "dropped 3 of 1000" in reading.notes[-1]
+    bad = 2 if name == "scale_1" else 3
+    assert reading.broken == bad and len(reading.splats) == 1000 - bad
+    assert f"dropped {bad} of 1000" in reading.notes[-1]
     made.check_arrays(reading.splats)
+
+
+def test_infinite_logits_and_logarithms_have_a_meaning(tmp_path):
+    splats = random_splats(100, 1)
+    columns = {n: np.array(c, np.float32) for n, c in made.stored_columns(splats).items()}
+    columns["opacity"][:60] = np.inf  # as splat-transform writes opaque splats
+    columns["opacity"][60:80] = -np.inf
+    columns["scale_2"][80:] = -np.inf
+    (tmp_path / "a.ply").write_bytes(made.ply(columns))
+    reading = read(tmp_path / "a.ply")
+    assert reading.broken == 0 and len(reading.splats) == 100 and not reading.notes
+    assert (reading.splats.opacity[:60] == 1).all() and (reading.splats.opacity[60:80] == 0).all()
+    assert (reading.splats.scale[80:, 2] == 0).all() and (reading.splats.scale[:80] > 0).all()
+    made.check_arrays(reading.splats)
+    columns["opacity"][:60] = np.nan
+    (tmp_path / "a.ply").write_bytes(made.ply(columns))
+    with pytest.raises(InputError, match="60 of 100 splats"):
+        read(tmp_path / "a.ply")
 
 
 # --- telling formats apart ------------------------------------------------------------------------
