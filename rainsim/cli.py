@@ -64,7 +64,7 @@ def cli():
 
     \b
     Example:
-        rainsim run                                   drizzle on the built-in bicycle
+        rainsim run                                   a downpour on the built-in bicycle
         rainsim run --scene my-capture --preset downpour --orbit --video
     """
 

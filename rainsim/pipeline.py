@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from rainsim.backend import on_backend
 from rainsim.errors import ParameterError
+from rainsim.render.first_view import view_of_water
 from rainsim.render.report import FrameReport
 from rainsim.render.shutter import shutter_end
 from rainsim.simulation import SimState, read_state, simulate, write_state
@@ -24,11 +25,14 @@ __all__ = [
     "render",
     "render_rain",
     "simulate",
+    "view_of_water",
     "write_state",
 ]
 
 
-def render_rain(scene, cameras, config, backend="cpu", progress=None, layers=()):
+def render_rain(
+    scene, cameras, config, backend="cpu", progress=None, layers=(), terrain=None
+):  # fmt: skip
     """Yield the rainy frames of a scene: the whole program.
 
     Parameters
@@ -43,6 +47,8 @@ def render_rain(scene, cameras, config, backend="cpu", progress=None, layers=())
         Called as progress(stage, done, total) as stages go on.
     layers : sequence of str
         Layers that the reports are to hold, see `rainsim.render.aov`.
+    terrain : Terrain, optional
+        Of the scene, where it has been extracted already.
 
     Yields
     ------
@@ -60,14 +66,13 @@ def render_rain(scene, cameras, config, backend="cpu", progress=None, layers=())
     _, simulate_on_backend = on_backend(backend)  # an error before anything is computed
     config.check()
     tell = progress or (lambda stage, done, total: None)
-    tell("terrain", 0, 1)
-    ground = extract_terrain(scene, config)
-    tell("terrain", 1, 1)
-    states = frames_of(simulate_on_backend(ground, config), config, tell)
-    yield from render(scene, ground, states, cameras, config, layers, backend)
+    if terrain is None:
+        terrain = extract_terrain(scene, config, progress=tell)
+    states = frames_of(simulate_on_backend(terrain, config), config, tell)
+    yield from render(scene, terrain, states, cameras, config, layers, backend)
 
 
-def extract_terrain(scene, config, mask=None):
+def extract_terrain(scene, config, mask=None, progress=None):
     """Return the `Terrain` of a scene as the configuration asks for it.
 
     Kept for the next run unless RAINSIM_CACHE is "off", see `rainsim.io.cache`.
@@ -78,8 +83,14 @@ def extract_terrain(scene, config, mask=None):
     config : Config
     mask : ndarray of shape (ny, nx), int, optional
         Class of each cell as the user has it, -1 where the splats decide; see `terrain.read_mask`.
+    progress : callable, optional
+        Called as progress("terrain", done, 1) before and after.
     """
-    return kept_terrain(scene, config.terrain, mask)
+    tell = progress or (lambda stage, done, total: None)
+    tell("terrain", 0, 1)
+    terrain = kept_terrain(scene, config.terrain, mask)
+    tell("terrain", 1, 1)
+    return terrain
 
 
 def frames_of(states, config, tell=None):

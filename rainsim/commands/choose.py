@@ -178,6 +178,32 @@ def cameras_of(scene, config, given, most=None):
     return _sized(cameras, config), config
 
 
+def view_on(scene, terrain, cameras, config, given, status):
+    """Return the frames' cameras: `cameras`, or where none was asked for the one with most water.
+
+    Parameters
+    ----------
+    scene : Scene
+    terrain : Terrain
+    cameras : list of Camera
+        As `cameras_of` returned them.
+    config : Config
+    given : dict
+        As for `cameras_of`.
+    status : Status
+        Reports which camera was chosen.
+    """
+    if scene.source is None:  # the first cameras of the built-in scenes were made to be looked at
+        return cameras
+    if any(given.get(name) not in (None, False) for name in CAMERA_WAYS):
+        return cameras
+    from rainsim.pipeline import view_of_water
+
+    chosen = view_of_water(scene, terrain)
+    status.notes([f"camera {chosen.name} is drawn, which shows most water; --camera takes another"])
+    return _sized([chosen], config)
+
+
 def _one_per_frame(cameras, where, config, given, most):
     """Return one camera for each frame, and the Config with the number of frames."""
     if given.get("frames") is None:

@@ -8,7 +8,13 @@ from pathlib import Path
 import click
 
 from rainsim.commands import options
-from rainsim.commands.choose import cameras_of, check_camera_options, scene_of, settings
+from rainsim.commands.choose import (
+    cameras_of,
+    check_camera_options,
+    scene_of,
+    settings,
+    view_on,
+)
 from rainsim.commands.compile import compiled_beside, uses_of
 from rainsim.commands.status import Status, say_scene
 from rainsim.errors import InputError, ParameterError
@@ -49,18 +55,20 @@ def run(scene, preset, out, overwrite, as_json, quiet, video, layers, backend, *
         cameras, config = cameras_of(loaded, config, given)
         out = out or options.default_out(loaded.name, Path(preset).stem)
 
-        def frames():
-            from rainsim.pipeline import render_rain
+        def film():
+            from rainsim.pipeline import extract_terrain, render_rain
 
             def progress(stage, done, total):
                 status.progress(stage, done, total)
                 if done == total:  # what follows unannounced is the first frame
                     status.progress("frames", 0, len(config.indices))
 
-            return render_rain(loaded, cameras, config, backend, progress, names)
+            ground = extract_terrain(loaded, config, progress=status.progress)
+            path = view_on(loaded, ground, cameras, config, given, status)
+            return path, render_rain(loaded, path, config, backend, progress, names, ground)
 
         files = {"out": out, "overwrite": overwrite, "video": video, "as_json": as_json}
-        _write_frames(status, frames, loaded, cameras, config, preset, **files)
+        _write_frames(status, film, loaded, config, preset, **files)
 
 
 @click.command(short_help="Let it rain on a height map.")
@@ -187,20 +195,21 @@ def render(states, scene, out, overwrite, as_json, quiet, video, layers, backend
     cameras, config = cameras_of(loaded, config, given, most=config.frames)
     out = out or options.default_out(states.resolve().name, "frames")
 
-    def frames():
+    def film():
         from rainsim import pipeline
         from rainsim.terrain.files import read_terrain
 
         found = (pipeline.read_state(_state_file(states, index)) for index in config.indices)
         ground = read_terrain(states)
-        return pipeline.render(loaded, ground, found, cameras, config, names, backend)
+        path = view_on(loaded, ground, cameras, config, given, status)
+        return path, pipeline.render(loaded, ground, found, path, config, names, backend)
 
     for index in config.indices:
         _state_file(states, index)
     preset = made.get("preset", "")
     files = {"out": out, "overwrite": overwrite, "video": video, "as_json": as_json}
     with status, compiled_beside(status, uses_of(config, names, backend), config.threads):
-        _write_frames(status, frames, loaded, cameras, config, preset, **files)
+        _write_frames(status, film, loaded, config, preset, **files)
 
 
 def _state_file(states, index):
@@ -253,21 +262,20 @@ def _check_before_loading(given, video, layers, backend):
     return parse_names(layers)
 
 
-def _write_frames(
-    status, frames, scene, cameras, config, preset, *, out, overwrite, video, as_json
-):
-    """Draw the frames that `frames()` generates into the folder `out`, and say how it went."""
+def _write_frames(status, film, scene, config, preset, *, out, overwrite, video, as_json):
+    """Draw frames into the folder `out` and say how it went; `film()` returns cameras, frames."""
     from rainsim import output_folder
 
     total = len(config.indices)
     with output_folder.claimed(out, overwrite):
         _set_up(config)
         facts = output_folder.settings_facts(config, preset)
+        cameras, frames = film()
         record = output_folder.Record(
             out, scene, **facts, cameras=output_folder.cameras_facts(cameras)
         )
         with output_folder.FrameFolder(out, record, cameras, config, video) as folder:
-            for done, (picture, report) in enumerate(frames()):
+            for done, (picture, report) in enumerate(frames):
                 status.notes(report.notes)
                 folder.add(picture, report)
                 status.progress("frames", done + 1, total)

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import click
 
+from rainsim.config.preset_files import DEFAULT_PRESET
+
 PRESETS = "the preset's"  # shown as the default of options that override a preset
 
 
@@ -147,7 +149,11 @@ ground_options = _group(
 )
 
 camera_options = _group(
-    click.option("--camera", metavar="NAME", help="A camera of the capture. [default: its first]"),
+    click.option(
+        "--camera",
+        metavar="NAME",
+        help="A camera of the capture. [default: the one that shows most water]",
+    ),
     click.option(
         "--path", type=FILE, metavar="transforms.json", help="A camera path, one camera per frame."
     ),
@@ -173,7 +179,7 @@ preset_option = click.option(
     "--preset",
     "-p",
     metavar="NAME|FILE.toml",
-    default="drizzle",
+    default=DEFAULT_PRESET,
     show_default=True,
     help="A name from `rainsim presets`, or a file of such settings.",
 )

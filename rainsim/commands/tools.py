@@ -11,6 +11,7 @@ from rainsim.commands import options
 from rainsim.commands.choose import scene_of
 from rainsim.commands.compile import compiled_beside
 from rainsim.commands.status import Status, say_scene
+from rainsim.errors import RainsimError
 
 GROUND_FRAME = "ground_frame.json"
 
@@ -26,7 +27,8 @@ def import_(path, info, out, overwrite, threads, as_json, quiet, **given):
     PATH is a trained model's folder (point_cloud/iteration_*/point_cloud.ply and cameras.json) or a
     splat file (PLY, compressed PLY, SPZ, SOG, .splat) with cameras.json, transforms.json or a
     COLMAP model (sparse/0) beside it. Writes splats.npz, scene.json and ground_frame.json. Put the
-    folder where RAINSIM_SCENES points to use it by name.
+    folder where RAINSIM_SCENES points to use it by name. Prints the ground frame and, from the
+    height map, what the captured colours are taken for, which --ground-albedo of `run` corrects.
 
     With --info it prints counts, degree of spherical harmonics, bounds, percentiles of opacity and
     scale, unusable splats and the memory needed; lengths are in the capture's own units.
@@ -55,6 +57,7 @@ def import_(path, info, out, overwrite, threads, as_json, quiet, **given):
         write_ground_frame(out / GROUND_FRAME, frame)
         record.add("scene.json", "splats.npz", GROUND_FRAME)
         record.write(complete=True)
+        calibration = _calibration(status, scene, threads)
     status.say(f"scene folder {relative(out)}")
     if as_json:
         result = {
@@ -63,6 +66,7 @@ def import_(path, info, out, overwrite, threads, as_json, quiet, **given):
             "splats": len(scene.splats),
             "cameras": [camera.name for camera in scene.cameras],
             "ground_frame": ground_frame_to_dict(frame),
+            "calibration": calibration,
             "notes": list(scene.notes),
         }
         click.echo(json.dumps(result, indent=1))
@@ -72,7 +76,29 @@ def import_(path, info, out, overwrite, threads, as_json, quiet, **given):
     click.echo(f"metres per unit   {frame.meters_per_unit:.6g}{_assumed(frame)}")
     click.echo(f"origin            {_shown(frame.to_capture((0.0, 0.0, 0.0)))} (capture units)")
     click.echo(f"confidence        {frame.confidence:.2f}")
+    if calibration is not None:
+        click.echo(f"albedo            {calibration['note'].partition(': ')[2]}")
+        click.echo(f"zenith            {calibration['zenith']:.2f} x white, under clouds")
     click.echo(f"scene folder      {out}")
+
+
+def _calibration(status, scene, threads):
+    """Return what the captured colours are taken for, None where no height map can be made."""
+    from rainsim.compiling.uses import HEIGHTMAP
+    from rainsim.config.settings import Config
+    from rainsim.jit import set_threads
+    from rainsim.pipeline import extract_terrain
+    from rainsim.shading.calibration import calibration_of
+
+    config = Config().replace(threads=threads).check()
+    with status, compiled_beside(status, [HEIGHTMAP], threads):
+        set_threads(threads)
+        try:
+            terrain = extract_terrain(scene, config, progress=status.progress)
+        except RainsimError as error:
+            status.say(f"  no height map, so what the colours stand for is not known: {error}")
+            return None
+        return calibration_of(scene, terrain)
 
 
 def _tell_info(path, as_json):

@@ -58,6 +58,7 @@ HUMAN_KEYS = {
     "terrain_spacing_m": ("spacing", 1.0),
     "terrain_extent_m": ("extent", 1.0),
 }
+DEFAULT_PRESET = "downpour"  # what a newcomer sees first: rain that shows at once
 _PAIRS = {  # attributes that two keys fill, with what stands for a missing one (None: required)
     "wind": (("wind_speed_m_per_s", 0.0), ("wind_direction_degrees", 0.0)),
     "sun": (("sun_azimuth_degrees", None), ("sun_elevation_degrees", None)),

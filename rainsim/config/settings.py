@@ -14,6 +14,7 @@ from pathlib import Path
 
 import rainsim.config.timeline as timeline
 from rainsim.config.preset_files import (
+    DEFAULT_PRESET,
     HUMAN_KEYS,
     MM_PER_HOUR,
     SKIES,
@@ -38,7 +39,6 @@ __all__ = [
     "WaterConfig", "check_sky", "mm_per_hour", "nearest", "preset_names", "preset_text",
 ]  # fmt: skip
 
-DEFAULT_PRESET = "drizzle"
 WATER_SCHEMES = ("auto", "paper")
 REFLECTIONS = ("auto", "mirror", "ssr", "traced", "paper")
 # Where there are two choices, the second is the paper's.

@@ -14,7 +14,9 @@ import numpy as np
 
 from rainsim.constants import SH_0
 from rainsim.scene.cameras import resize_to
+from rainsim.shading.backdrop import Backdrop, sky_distance
 from rainsim.shading.color import luminance_of
+from rainsim.shading.grading import DULL_EXPOSURE
 from rainsim.terrain.table import class_table
 from rainsim.terrain.types import MEASURED
 
@@ -68,6 +70,25 @@ def albedo_of_white(terrain, splats, ground_albedo=None):
     scale = min(max(scale, LEAST), MOST)
     by = " and ".join(judged) if judged else "no ground to judge by"
     return scale, f"albedo: {scale:.2f} x captured colour by {by}; --ground-albedo sets it"
+
+
+def calibration_of(scene, terrain):
+    """Return what a run would take a capture's colours for, as facts by name.
+
+    Parameters
+    ----------
+    scene : Scene
+    terrain : Terrain
+
+    Returns
+    -------
+    dict
+        `albedo` of a captured linear colour of 1; `zenith`, the radiance of an overcast zenith over
+        that ground, display white being 1; `note`, how the albedo was found.
+    """
+    splats = Backdrop(scene, sky_distance(scene), wanted=True).scene.splats
+    albedo, note = albedo_of_white(terrain, splats)
+    return {"albedo": albedo, "zenith": zenith_radiance(albedo, DULL_EXPOSURE), "note": note}
 
 
 def zenith_radiance(albedo, exposure):

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -205,8 +206,8 @@ def test_ctrl_c_ends_a_process_with_130(scene_folder, tmp_path, root):
 def test_cameras_in_every_way(film, tmp_path, scene_folder):
     frame_of = {}
     for name, options in {
-        "first": [],
-        "named": ["--camera", "view_0"],
+        "chosen": [],
+        "first": ["--camera", "view_0"],
         "second": ["--camera", "view_1"],
         "eye": ["--eye", "2,1,-1", "--look-at", "0.5,0.2,-1.2", "--fov", "70"],
         "path": ["--path", "first/transforms.json"],
@@ -215,7 +216,13 @@ def test_cameras_in_every_way(film, tmp_path, scene_folder):
         done = film(name, *options, frames=None if name == "path" else 1)
         assert done.code == 0, done.err
         frame_of[name] = pictures(tmp_path / name)["00000.png"]
-    assert np.array_equal(frame_of["first"], frame_of["named"])
+        if name in ("chosen", "both"):
+            assert re.search(r"camera view_\d is drawn, which shows most water", done.err)
+        else:
+            assert "most water" not in done.err
+    own = load_scene(str(scene_folder)).cameras
+    chosen = read_cameras(tmp_path / "chosen" / "transforms.json")[0]
+    assert sum(np.allclose(chosen.position, camera.position) for camera in own) == 1
     assert np.array_equal(frame_of["first"], frame_of["path"])
     assert not np.array_equal(frame_of["first"], frame_of["second"])
     assert frame_of["both"].shape == (40, 64, 3)
@@ -228,7 +235,6 @@ def test_cameras_in_every_way(film, tmp_path, scene_folder):
     assert np.linalg.norm(one.position - two.position) > 1
     done = film("drive", "--drive", frames=None)
     assert done.code == 0, done.err
-    own = load_scene(str(scene_folder)).cameras
     driven = read_cameras(tmp_path / "drive" / "transforms.json")
     assert len(pictures(tmp_path / "drive")) == len(driven) == len(own)
     assert all(np.allclose(a.position, b.position) for a, b in zip(driven, own, strict=True))

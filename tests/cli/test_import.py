@@ -3,6 +3,7 @@
 import json
 
 import numpy as np
+import pytest
 
 from rainsim.scene.cameras import write_transforms
 from rainsim.scene.folder import read_scene
@@ -24,6 +25,8 @@ def test_the_scale_is_assumed_and_says_so(rainsim, tmp_path):
     done = rainsim("import", "tiny.ply")
     assert done.code == 0, done.err
     assert "ASSUMED" in done.out and "ASSUMED" in done.err
+    assert "x captured colour" in done.out and "--ground-albedo sets it" in done.out
+    assert "x white, under clouds" in done.out
     found = read_scene(tmp_path / "tiny-scene")
     assert found.ground_frame.scale_assumed
     assert found.ground_frame.up @ scene.ground_frame.up > np.cos(np.radians(0.2))
@@ -39,6 +42,8 @@ def test_a_given_scale_is_kept_and_json_is_on_stdout(rainsim, tmp_path):
     assert shown["splats"] == len(scene.splats)
     assert shown["cameras"] == [camera.name for camera in scene.cameras]
     assert shown["ground_frame"]["meters_per_unit"] == 0.6
+    assert 0.2 < shown["calibration"]["albedo"] < 2.5
+    assert shown["calibration"]["zenith"] == pytest.approx(0.9 / shown["calibration"]["albedo"])
     frame = read_ground_frame(tmp_path / "s" / "ground_frame.json")
     assert np.array_equal(frame.rotation, shown["ground_frame"]["rotation"])
     points = scene.ground_frame.to_capture(np.array([[0.0, 0, 0], [1, 0.5, 0], [0, 0, 0.5]]))

@@ -10,13 +10,13 @@ def test_warmup_leaves_nothing_behind(rainsim, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_run_alone_draws_drizzle_on_the_bicycle(rainsim, tmp_path):
+def test_run_alone_draws_a_downpour_on_the_bicycle(rainsim, tmp_path):
     small = ["--frames", 1, "--width", 96, "--spacing", 0.1]
     done = rainsim("run", *small)
     assert done.code == 0, done.err
     assert "generated stand-in" in done.err
-    picture = read_image(tmp_path / "rainsim-out" / "bicycle-drizzle" / "frames" / "00000.png")
+    picture = read_image(tmp_path / "rainsim-out" / "bicycle-downpour" / "frames" / "00000.png")
     assert picture.shape == (64, 96, 3)
     # Said in full it does the same, and a second run does not overwrite the first.
-    again = rainsim("run", "--scene", "bicycle", "--preset", "drizzle", *small)
+    again = rainsim("run", "--scene", "bicycle", "--preset", "downpour", *small)
     assert again.code == 2 and "--overwrite" in again.error

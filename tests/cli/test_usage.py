@@ -261,4 +261,4 @@ def test_options_say_their_unit_and_default(rainsim):
     text = " ".join(rainsim("run", "--help").out.split())
     for words in ("mm/h", "in mm.", "m/s", "degrees", "in ms", "px", "default: (the preset's)"):
         assert words in text
-    assert "[default: bicycle]" in text and "[default: drizzle]" in text
+    assert "[default: bicycle]" in text and "[default: downpour]" in text
