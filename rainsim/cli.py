@@ -9,7 +9,7 @@ import click
 
 from rainsim import __version__
 from rainsim.commands import bench, doctor, film, ground, splat, tools
-from rainsim.errors import ParameterError, RainsimError
+from rainsim.errors import ParameterError, RainsimError, one_line
 
 INTERRUPTED = 130  # 128 + SIGINT, as shells have it
 
@@ -25,6 +25,9 @@ class Commands(click.Group):
             raise _failure(error, 2) from error
         except RainsimError as error:
             raise _failure(error, 1) from error
+        except click.ClickException as error:  # its message repeats what was typed
+            error.message = one_line(str(error.message))
+            raise
         except BrokenPipeError:  # the reader of our output has gone: click ends quietly
             raise
         except OSError as error:
@@ -46,7 +49,7 @@ class Commands(click.Group):
 
 
 def _failure(message, code):
-    failure = click.ClickException(" ".join(str(message).split()))  # one line
+    failure = click.ClickException(one_line(str(message)))
     failure.exit_code = code
     return failure
 

@@ -7,9 +7,38 @@ kernels never raise.
 import math
 from numbers import Real
 
+MOST_VALUE = 60  # characters of a value in a message
+MOST_SHOWN = 640  # characters of a message, of which the last third is its end
+
+
+def one_line(text, most=MOST_SHOWN):
+    """Return a text as one line of at most `most` printable characters, cut in its middle.
+
+    Messages repeat what was found in files: names that hold commands for the terminal, values of
+    any length. What is no printable character is shown as Python writes it in a string.
+    """
+    text = text if isinstance(text, str) else shown(text)
+    if len(text) > most:
+        end = most // 3
+        text = f"{text[: most - end - 5]} ... {text[-end:]}"
+    words = " ".join(text.split())
+    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in words)
+
+
+def shown(value, most=MOST_VALUE):
+    """Return a value from a file as a message shows it, cut if it is long."""
+    try:
+        text = repr(value)
+    except (RecursionError, ValueError):  # lists within lists; a number of thousands of digits
+        text = "too long to be shown"
+    return text if len(text) <= most else text[: most - 3] + "..."
+
 
 class RainsimError(Exception):
     """Base of all errors that rainsim raises on purpose; the command exits with 1."""
+
+    def __init__(self, message=""):
+        super().__init__(one_line(str(message)))
 
 
 class ParameterError(RainsimError, ValueError):
@@ -34,15 +63,18 @@ class DivergedError(RainsimError):
 
 def require_finite(name, value, remedy=""):
     """Return `value` as a float, or raise ParameterError if it is not a finite number."""
-    if isinstance(value, bool) or not isinstance(value, Real) or not math.isfinite(value):
-        raise ParameterError(_line(f"{name} is {value!r}; it must be a finite number", remedy))
-    return float(value)
+    try:
+        if not isinstance(value, bool) and isinstance(value, Real) and math.isfinite(value):
+            return float(value)
+    except OverflowError:  # a whole number beyond all floats
+        pass
+    raise ParameterError(_line(f"{name} is {shown(value)}; it must be a finite number", remedy))
 
 
 def require_positive(name, value, unit="", remedy=""):
     """Return `value` as a float, or raise ParameterError unless it is finite and above zero."""
     if require_finite(name, value, remedy) <= 0:
-        rule = f"{name} is {value!r}{_unit(unit)}; it must be positive"
+        rule = f"{name} is {shown(value)}{_unit(unit)}; it must be positive"
         raise ParameterError(_line(rule, remedy))
     return float(value)
 
@@ -51,7 +83,7 @@ def require_not_negative(name, value, unit="", remedy=""):
     """Return `value` as a float, or raise ParameterError unless it is finite and not below zero."""
     if require_finite(name, value, remedy) < 0:
         raise ParameterError(
-            _line(f"{name} is {value!r}{_unit(unit)}; it must not be negative", remedy)
+            _line(f"{name} is {shown(value)}{_unit(unit)}; it must not be negative", remedy)
         )
     return float(value)
 
@@ -60,7 +92,7 @@ def require_choice(name, value, choices, remedy=""):
     """Return `value`, or raise ParameterError unless it is one of `choices`."""
     if value not in choices:
         listed = ", ".join(map(str, choices))
-        raise ParameterError(_line(f"{name} is {value!r}; it must be one of {listed}", remedy))
+        raise ParameterError(_line(f"{name} is {shown(value)}; it must be one of {listed}", remedy))
     return value
 
 

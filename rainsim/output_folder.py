@@ -23,8 +23,8 @@ from pathlib import Path
 import numpy as np
 
 from rainsim import __version__
-from rainsim.errors import ParameterError
-from rainsim.io.files import write_json
+from rainsim.errors import InputError, ParameterError
+from rainsim.io.files import read_json, write_json
 
 PROVENANCE = "provenance.json"
 # Names that the program gives to files; other names in a provenance file are ignored.
@@ -93,7 +93,7 @@ class Record:
             "command": ["rainsim", *sys.argv[1:]],
             "started": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
             "versions": versions(),
-            "input": input_facts(scene),
+            "input": input_facts(scene, folder),
             **facts,
         }
         self.fingerprint = _hash(
@@ -134,8 +134,8 @@ class Record:
 def read_record(folder):
     """Return what an earlier run recorded in a folder, {} if nothing readable."""
     try:
-        record = json.loads((Path(folder) / PROVENANCE).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        record = read_json(Path(folder) / PROVENANCE, "a record")
+    except (OSError, InputError):
         return {}
     ours = isinstance(record, dict) and record.get("program") == "rainsim"
     return record if ours else {}
@@ -153,20 +153,41 @@ def settings_facts(config, preset):
     }
 
 
-def input_facts(scene):
-    """Return name, source, hash and ground frame of a scene as plain values; None without one."""
+def input_facts(scene, folder):
+    """Return name, source, hash and ground frame of a scene as plain values; None without one.
+
+    The source is named as a record in `folder` names it, see `named_path`.
+    """
     if scene is None:
         return None
     from rainsim.scene.ground import ground_frame_to_dict
 
     return {
         "scene": scene.name,
-        "source": None if scene.source is None else str(scene.source),
+        "source": None if scene.source is None else named_path(scene.source, folder),
         "sha256": scene.source_hash,
         "splats": len(scene.splats),
         "ground_frame": ground_frame_to_dict(scene.ground_frame),
         "notes": list(scene.notes),
     }
+
+
+def named_path(path, folder):
+    """Return how a record in `folder` names a path: as seen from the folder unless it is absolute.
+
+    The record then means the same path wherever a later command is started.
+    """
+    path = Path(path)
+    if path.is_absolute():
+        return str(path)
+    return os.path.relpath(path.resolve(), Path(folder).resolve())
+
+
+def path_named(name, folder):
+    """Return the path that a record in `folder` names."""
+    seen = Path(folder) / name
+    # Older records name paths as seen from where the command was started.
+    return seen if seen.exists() or not Path(name).exists() else Path(name)
 
 
 def cameras_facts(cameras):

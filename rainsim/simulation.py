@@ -6,15 +6,18 @@ the capture, the terrain and the seed: the drops in the air follow from the seed
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from rainsim.drops import GROUND, Surfaces, Weather, flat_surfaces, impacts, joined
+from rainsim.drops import GROUND, OBSTACLE, Surfaces, Weather, flat_surfaces, impacts, joined
 from rainsim.errors import InputError
 from rainsim.grid import WaterSolver
-from rainsim.ledger import Ledger
+from rainsim.io.arrays import TEXT, Field, read_arrays, write_arrays
+from rainsim.io.files import json_number, parsed_json
+from rainsim.ledger import SUPPLY, WHEREABOUTS, Ledger
 from rainsim.rain.dripping import DRIP_COLUMNS, Drips, drip_impacts
 from rainsim.rain.exposure import rain_exposure
 from rainsim.shading.wetness import evaporation_rate
@@ -372,40 +375,84 @@ def _steps(duration):
     return [((n - count) * WARM_UP_STEP, (n + 1 - count) * WARM_UP_STEP) for n in range(count)]
 
 
-_FIELDS = (
-    "depth", "velocity", "slopes", "impact_position", "impact_diameter", "impact_kind", "drips",
-    "drip_id", "top_water",
-)  # fmt: skip
+# --- states on disk -------------------------------------------------------------------------------
+
+STATE_VERSION = 1
+STATE, STATE_REMEDY = "water state", "`rainsim simulate` writes it; simulate again"
+FARTHEST, LONGEST = 1e7, 1e9  # m, s: places and times in a file
+LONGEST_FALL, LARGEST_DROP = 500.0, 0.05  # s, m: of drips
+_FIELDS = {
+    "depth": Field("float32", ("ny", "nx"), 0, 1e5),
+    "velocity": Field("float32", (2, "ny", "nx"), -1e4, 1e4),
+    "slopes": Field("float32", (2, "tile cells", "tile cells"), -1e4, 1e4),
+    "impact_position": Field("float32", ("impacts", 3), -FARTHEST, FARTHEST),
+    "impact_diameter": Field("float32", ("impacts",), 0, LARGEST_DROP),
+    "impact_kind": Field("uint8", ("impacts",), 0, max(GROUND, OBSTACLE)),
+    "drips": Field("float64", ("drips", len(DRIP_COLUMNS)), -LONGEST, LONGEST),
+    "drip_id": Field("uint64", ("drips",), 0, 2**64 - 1),
+    "top_water": Field("float64", ("tops",), 0, 1e9),
+}
+_OTHERS = {
+    "index": Field("int64", (), 0, 99_999),
+    "time": Field("float64", (), 0, LONGEST),
+    "tile_size": Field("float64", (), 0.01, 100),
+    "ledger": Field(TEXT),
+    "notes": Field(TEXT),
+}
 
 
 def write_state(path, state):
     """Write a `SimState` as an uncompressed .npz."""
-    import json
+    others = {
+        "index": np.int64(state.index), "time": np.float64(state.time),
+        "tile_size": np.float64(state.tile_size), "ledger": json.dumps(state.ledger),
+        "notes": json.dumps(state.notes),
+    }  # fmt: skip
+    write_arrays(path, STATE_VERSION, {n: getattr(state, n) for n in _FIELDS} | others)
 
-    from rainsim.io import images
 
-    images.write_npz(
-        path, **{name: getattr(state, name) for name in _FIELDS}, index=state.index,
-        time=state.time, tile_size=state.tile_size, ledger=json.dumps(state.ledger),
-        notes=json.dumps(state.notes),
+def read_state(path, terrain=None):
+    """Return the `SimState` that `write_state` wrote, all of it checked.
+
+    Parameters
+    ----------
+    path : path-like
+    terrain : Terrain, optional
+        If given the state must be one of water on it.
+    """
+    found = read_arrays(path, STATE, _FIELDS | _OTHERS, STATE_VERSION, STATE_REMEDY)
+    facts = {"ledger": parsed_json(found["ledger"]), "notes": parsed_json(found["notes"])}
+    tops = 0 if terrain is None else len(terrain.tops)
+    for wrong, text in (
+        (not _are_volumes(facts["ledger"]), "its ledger is not that of rainsim"),
+        (not _are_texts(facts["notes"]), "its notes are not a list of texts"),
+        (found["slopes"].shape[1] < 2, "its tile of ripples has no cells"),
+        (not _fall(found["drips"]), "its drips do not fall"),
+        (terrain is not None and found["depth"].shape != terrain.grid.shape,
+         "it is not of this height map, whose shape is another"),
+        (terrain is not None and len(found["top_water"]) not in (0, tops),
+         "it is not of this height map, which has other tops"),
+    ):  # fmt: skip
+        if wrong:
+            raise InputError(f"{path} is no {STATE} of rainsim ({text}); {STATE_REMEDY}")
+    return SimState(
+        index=int(found["index"]), time=float(found["time"]), tile_size=float(found["tile_size"]),
+        ledger=facts["ledger"], notes=tuple(facts["notes"]), **{n: found[n] for n in _FIELDS},
     )  # fmt: skip
 
 
-def read_state(path):
-    """Return the `SimState` that `write_state` wrote."""
-    import json
+def _are_volumes(ledger):
+    """Whether what was read from JSON is an account of volumes."""
+    names = (*SUPPLY, *WHEREABOUTS)
+    return isinstance(ledger, dict) and all(json_number(ledger.get(n)) is not None for n in names)
 
-    try:
-        with np.load(path, allow_pickle=False) as data:
-            arrays = {name: data[name] for name in _FIELDS}
-            return SimState(
-                index=int(data["index"]), time=float(data["time"]),
-                tile_size=float(data["tile_size"]), ledger=json.loads(str(data["ledger"])),
-                notes=tuple(json.loads(str(data["notes"]))), **arrays,
-            )  # fmt: skip
-    except FileNotFoundError:
-        raise InputError(f"{path} does not exist; `rainsim simulate` writes it") from None
-    except (KeyError, ValueError, OSError, EOFError) as error:
-        raise InputError(
-            f"{path} is no water state of rainsim ({error}); write it again"
-        ) from error
+
+def _are_texts(notes):
+    return isinstance(notes, list) and all(isinstance(note, str) for note in notes)
+
+
+def _fall(drips):
+    """Whether the rows of drips have a size and fall for a while."""
+    diameter, begin, end = drips[:, 4], drips[:, 5], drips[:, 6]
+    fits = (diameter > 0) & (diameter <= LARGEST_DROP)
+    return bool((fits & (end >= begin) & (end - begin <= LONGEST_FALL)).all())

@@ -52,3 +52,15 @@ def patio(count=6000, seed=0):
         np.column_stack([ground, height]),
         np.column_stack([table, np.full(len(table), 0.75)]),
     ])  # fmt: skip
+
+
+def capture_cameras(cameras):
+    """What `cameras.json` of the original code holds."""
+    return [
+        {
+            "id": number, "img_name": camera.name, "width": camera.width, "height": camera.height,
+            "position": camera.position.tolist(), "fx": camera.fx, "fy": camera.fy,
+            "rotation": camera.camera_from_world[:3, :3].T.tolist(),
+        }
+        for number, camera in enumerate(cameras)
+    ]  # fmt: skip

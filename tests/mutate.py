@@ -1,6 +1,7 @@
 """Seeded damage to files, for tests that readers survive it."""
 
 import gzip
+import json
 import struct
 import zipfile
 
@@ -124,3 +125,34 @@ def one_mutated(rng, files):
     names = list(files)
     name = "meta.json" if rng.random() < 0.5 else names[rng.integers(len(names))]
     return files | {name: mutated(rng, files[name])}
+
+
+# --- JSON: values in place of others --------------------------------------------------------------
+
+DEEP = "[" * 60 + "]" * 60
+VALUES = (
+    "null", "true", "[]", "{}", '""', '"\\u001b[31m"', "0", "-1", "1e308", "NaN", "Infinity",
+    "1" * 400, "9" * 5000, "[" * 100_000, DEEP, '"' + "a" * 10_000 + '"', "[[1,2],[3]]", "0.5",
+)  # fmt: skip
+
+
+def valued(rng, text):
+    """JSON text with a value replaced by another, or its bytes damaged."""
+    if rng.random() < 0.3:
+        return mutated(rng, text)
+    data = json.loads(text)
+    places = list(_places(data))
+    holder, key = places[rng.integers(len(places))]
+    if rng.random() < 0.2:
+        holder.pop(key)
+        return json.dumps(data).encode()
+    holder[key] = "@here@"
+    return json.dumps(data).replace('"@here@"', VALUES[rng.integers(len(VALUES))]).encode()
+
+
+def _places(data):
+    """Yield (dict or list, key) of every value in nested data."""
+    for key in list(data) if isinstance(data, dict) else range(len(data)):
+        yield data, key
+        if isinstance(data[key], dict | list):
+            yield from _places(data[key])

@@ -20,6 +20,7 @@ from rainsim.commands.status import Status, say_scene
 from rainsim.errors import InputError, ParameterError
 
 SIMULATION = "simulation.json"
+VERSION = 1  # of simulation.json; those without a version are of version 1
 
 
 @click.command(short_help="Draw a scene in the rain, from capture to frames.")
@@ -130,7 +131,9 @@ def simulate(terrain, preset, out, overwrite, threads, as_json, quiet, **given):
 
 def _write_simulation(out, source, terrain, record, config, preset, origin):
     """Write what `render` needs besides the states: settings, terrain and ground frame."""
+    from rainsim.config.preset_files import SKIES
     from rainsim.io.files import replacing, write_json
+    from rainsim.output_folder import named_path, path_named
 
     copied = {"terrain.npz": source / "terrain.npz" if terrain.is_dir() else terrain}
     if (source / "ground_frame.json").is_file():
@@ -139,8 +142,13 @@ def _write_simulation(out, source, terrain, record, config, preset, origin):
         if path.resolve() != (out / name).resolve():
             with replacing(out / name) as temporary:
                 temporary.write_bytes(path.read_bytes())
-    facts = {"preset": str(preset), "settings": config.as_dict(), "input": origin}
-    write_json(out / SIMULATION, facts)
+    settings = config.as_dict()
+    if config.render.sky not in SKIES:
+        settings["render"]["sky"] = named_path(config.render.sky, out)
+    if isinstance(origin, dict) and isinstance(origin.get("source"), str):
+        origin = {**origin, "source": named_path(path_named(origin["source"], source), out)}
+    facts = {"rainsim_simulation": VERSION, "preset": str(preset), "settings": settings}
+    write_json(out / SIMULATION, {**facts, "input": origin})
     record.add(SIMULATION, *copied)
     record.write(complete=False)
 
@@ -171,12 +179,16 @@ def render(states, scene, out, overwrite, as_json, quiet, video, layers, backend
     Example:
         rainsim render states --orbit --width 960 --out frames
     """
+    from rainsim.output_folder import path_named
+
     status = Status(quiet)
-    made = _read_simulation(states)
+    made = read_simulation(states)
     config = settings(None, given, base=made["config"])
     names = _check_before_loading(given, video, layers, backend)
-    origin = made.get("input") or {}
-    scene = scene or origin.get("source") or origin.get("scene")
+    origin = made["origin"]
+    if scene is None and origin["source"]:
+        scene = str(path_named(origin["source"], states))
+    scene = scene or origin["scene"]
     if scene is None:
         raise ParameterError(
             f"{states} does not say which scene it was made for; one is needed; give --scene"
@@ -187,7 +199,7 @@ def render(states, scene, out, overwrite, as_json, quiet, video, layers, backend
         given["ground_frame"] = frame_file  # the very frame of the height map
     loaded = scene_of(scene, given)
     say_scene(status, loaded)
-    if origin.get("sha256") not in (None, "", loaded.source_hash):
+    if origin["sha256"] not in (None, "", loaded.source_hash):
         raise InputError(
             f"the states in {states} were made for other splats than scene {loaded.name}; both "
             "must be of one capture; give the right --scene, or simulate again"
@@ -199,14 +211,16 @@ def render(states, scene, out, overwrite, as_json, quiet, video, layers, backend
         from rainsim import pipeline
         from rainsim.terrain.files import read_terrain
 
-        found = (pipeline.read_state(_state_file(states, index)) for index in config.indices)
         ground = read_terrain(states)
+        found = (
+            pipeline.read_state(_state_file(states, index), ground) for index in config.indices
+        )
         path = view_on(loaded, ground, cameras, config, given, status)
         return path, pipeline.render(loaded, ground, found, path, config, names, backend)
 
     for index in config.indices:
         _state_file(states, index)
-    preset = made.get("preset", "")
+    preset = made["preset"]
     files = {"out": out, "overwrite": overwrite, "video": video, "as_json": as_json}
     with status, compiled_beside(status, uses_of(config, names, backend), config.threads):
         _write_frames(status, film, loaded, config, preset, **files)
@@ -222,10 +236,12 @@ def _state_file(states, index):
     return path
 
 
-def _read_simulation(states):
+def read_simulation(states):
     """Return what simulation.json holds, with its settings as a Config under "config"."""
+    from rainsim.config.preset_files import SKIES
     from rainsim.config.settings import Config
     from rainsim.io.files import read_json
+    from rainsim.output_folder import path_named
 
     path = states / SIMULATION
     if states.is_dir() and not path.is_file():
@@ -233,12 +249,27 @@ def _read_simulation(states):
             f"{states} has no {SIMULATION}; it must be a folder that `rainsim simulate` wrote"
         )
     made = read_json(path, "a simulation")
+    remedy = "`rainsim simulate` writes it; simulate again"
+    if not isinstance(made, dict) or made.get("rainsim_simulation", 1) != VERSION:
+        raise InputError(f"{path} is no simulation of version {VERSION}; {remedy}")
     try:
-        return {**made, "config": Config.from_dict(made["settings"])}
+        render = made["settings"]["render"]
+        if isinstance(render.get("sky"), str) and render["sky"] not in SKIES:
+            render["sky"] = str(path_named(render["sky"], states))
+        config = Config.from_dict(made["settings"])
     except (AttributeError, KeyError, TypeError, ParameterError) as error:
-        raise InputError(
-            f"{path} has no usable settings ({error}); `rainsim simulate` writes it; simulate again"
-        ) from None
+        raise InputError(f"{path} has no usable settings ({error}); {remedy}") from None
+    return {"config": config, "preset": str(made.get("preset", "")), "origin": _origin(made, path)}
+
+
+def _origin(made, path):
+    """Return scene, source and hash of the capture that states were made for, each text or None."""
+    facts = made.get("input") or {}
+    names = ("scene", "source", "sha256")
+    found = {name: facts.get(name) for name in names} if isinstance(facts, dict) else {"scene": 0}
+    if not all(value is None or isinstance(value, str) for value in found.values()):
+        raise InputError(f"{path} names its scene by what is no text; give --scene, or correct it")
+    return found
 
 
 # --- what run and render share --------------------------------------------------------------------

@@ -8,6 +8,9 @@ import time
 
 import click
 
+from rainsim.errors import one_line
+
+LOUD = ("ASSUMED", "WARNING", "NOT TO BE BELIEVED")  # words of notes that are printed bold
 QUARTERS = 4  # without a terminal a stage reports this often
 
 
@@ -36,15 +39,15 @@ class Status:
     def __exit__(self, *exception):
         self.close()
 
-    def say(self, text):
-        """Print a line, above the bar if there is one."""
+    def say(self, text, indent="", bold=False):
+        """Print a line, above the bar if there is one; files' names may hold what no line holds."""
         if self.quiet:
             return
         with self._lock:
             for bar in (self._bar, self._compiling and self._compiling.bar):
                 if bar is not None:
                     bar.clear()
-            click.echo(text, err=True)
+            click.echo(indent + click.style(one_line(text), bold=bold or None), err=True)
 
     def notes(self, notes):
         """Print notes that were not printed before, as indented lines."""
@@ -52,7 +55,7 @@ class Status:
             if note not in self._said:
                 self._said.add(note)
                 # An assumption that everything rests on must not drown among the other lines.
-                self.say(click.style(f"  {note}", bold=True) if "ASSUMED" in note else f"  {note}")
+                self.say(note, "  ", bold=any(word in note for word in LOUD))
 
     def progress(self, stage, done, total):
         """Show that `done` of `total` parts of a stage are done."""

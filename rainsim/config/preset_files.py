@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import difflib
 import math
+import tomllib
 from importlib import resources
 from pathlib import Path
 
-from rainsim.errors import InputError, ParameterError
+from rainsim.errors import MOST_VALUE, InputError, ParameterError, shown
 
 MM_PER_HOUR = 1e-3 / 3600  # m/s
+MOST_BYTES, LONGEST_LINE = 1 << 20, 1000  # of a preset file; 10,000 keyframes fit
 SKIES = ("overcast", "capture")
 
 # Key in a preset file: attribute and what one unit of the key is in SI (None: not a number).
@@ -78,21 +80,40 @@ def preset_text(name):
 def preset_file(name):
     """Return the text, its name in errors and the folder for relative paths."""
     if isinstance(name, Path) or str(name).endswith(".toml"):
+        from rainsim.io.files import read_text  # brings numpy, which `--help` does without
+
         path = Path(name)
-        try:
-            return path.read_text(encoding="utf-8"), str(path), path.parent
-        except (OSError, UnicodeDecodeError) as error:
-            reason = getattr(error, "strerror", None) or "it is not UTF-8 text"
+        text = read_text(path, "a preset file", MOST_BYTES)
+        longest = max(map(len, text.splitlines()), default=0)
+        if longest > LONGEST_LINE:  # a key of thousands of dots takes gigabytes to parse
             raise InputError(
-                f"cannot read {path}: {reason}; a preset file must be TOML text; check the path"
-            ) from None
+                f"{path} has a line of {longest} characters; a preset file must have at most "
+                f"{LONGEST_LINE} in each; check the path"
+            )
+        return text, str(path), path.parent
     if name not in preset_names():
         raise ParameterError(
-            f"there is no preset {name!r}; {nearest(name, preset_names())}; see `rainsim "
+            f"there is no preset {shown(name)}; {nearest(name, preset_names())}; see `rainsim "
             "presets`, or give a path that ends in .toml"
         )
     file = resources.files(__package__).joinpath("presets", f"{name}.toml")
     return file.read_text(encoding="utf-8"), f"preset {name}", None
+
+
+def parsed_toml(text, where):
+    """Return the table of a TOML text; `where` names it in errors."""
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        fault = str(error)
+    except RecursionError:
+        fault = "lists within lists without end"
+    except ValueError:  # Python reads no number of more than 4,300 digits
+        fault = "a number of thousands of digits"
+    raise ParameterError(
+        f"{where} is not valid TOML ({fault}); it must hold lines of key = value; compare with "
+        "`rainsim presets moderate`"
+    )
 
 
 def from_human(table, where, folder=None):
@@ -100,14 +121,16 @@ def from_human(table, where, folder=None):
     for key in table:
         if key not in HUMAN_KEYS:
             raise ParameterError(
-                f"{where} has the key {key!r}; {nearest(key, HUMAN_KEYS)}; correct the key"
+                f"{where} has the key {shown(key)}; {nearest(key, HUMAN_KEYS)}; correct the key"
             )
     changes = {}
     for key, value in table.items():
         attribute, unit = HUMAN_KEYS[key]
         if unit is not None:
-            if not is_number(value):
-                raise ParameterError(f"{where}: {key} is {value!r}; it must be a number")
+            if not is_number(value) or not math.isfinite(value):
+                raise ParameterError(
+                    f"{where}: {key} is {shown(value)}; it must be a finite number; correct it"
+                )
             value = value * unit
         table[key] = value
         if attribute not in _PAIRS:
@@ -128,7 +151,7 @@ def from_human(table, where, folder=None):
 
 def nearest(name, known, hint="the nearest is {!r}", otherwise="known are {}"):
     """Return a hint that names the known word closest to `name`, or all if none is close."""
-    close = difflib.get_close_matches(str(name), list(known), n=1, cutoff=0.5)
+    close = difflib.get_close_matches(str(name)[:MOST_VALUE], list(known), n=1, cutoff=0.5)
     return hint.format(close[0]) if close else otherwise.format(", ".join(known))
 
 

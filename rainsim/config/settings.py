@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import tomllib
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -21,6 +20,7 @@ from rainsim.config.preset_files import (
     from_human,
     is_number,
     nearest,
+    parsed_toml,
     preset_file,
     preset_names,
     preset_text,
@@ -32,6 +32,7 @@ from rainsim.errors import (
     require_finite,
     require_not_negative,
     require_positive,
+    shown,
 )
 
 __all__ = [
@@ -319,13 +320,7 @@ class Config:
 
         `where` names the text in errors; a relative sky file is looked for in `folder`.
         """
-        try:
-            table = tomllib.loads(text)
-        except tomllib.TOMLDecodeError as error:
-            raise ParameterError(
-                f"{where} is not valid TOML ({error}); it must hold lines of key = value; "
-                "compare with `rainsim presets moderate`"
-            ) from None
+        table = parsed_toml(text, where)
         frames = table.pop(timeline.LIST_KEY, [])
         config = cls().replace(**from_human(table, where, folder))
         frames = timeline.read_keyframes(frames, from_human, where)
@@ -407,13 +402,24 @@ class Config:
 
     @classmethod
     def from_dict(cls, groups):
-        """Return the Config of an `as_dict` result, exactly, also if it was stored as JSON."""
+        """Return the Config of an `as_dict` result, exactly, also if it was stored as JSON.
+
+        Raises
+        ------
+        ParameterError
+            If `groups` is no such dict or a value breaks its rule.
+        """
+        if not isinstance(groups, dict):
+            raise ParameterError("the settings are no table of names and values; correct them")
         flat = {name: value for name, value in groups.items() if name not in _GROUPS}
         for group in _GROUPS:
-            flat.update(groups.get(group, {}))
+            own = groups.get(group, {})
+            if not isinstance(own, dict):
+                raise ParameterError(f"the settings of {group} are no table; correct them")
+            flat.update(own)
         # JSON has lists where we have tuples.
         flat = {n: tuple(v) if isinstance(v, list) else v for n, v in flat.items()}
-        flat["keyframes"] = timeline.plain(flat.get("keyframes", ()))
+        flat["keyframes"] = timeline.from_json(flat.get("keyframes", ()))
         return cls().replace(**flat).check()
 
 
@@ -434,7 +440,8 @@ def check_sky(sky):
         return
     if not isinstance(sky, str) or not sky.lower().endswith(".hdr"):
         raise ParameterError(
-            f"sky is {sky!r}; it must be {' or '.join(SKIES)} or the path of a Radiance .hdr file"
+            f"sky is {shown(sky)}; it must be {' or '.join(SKIES)} or the path of a Radiance .hdr "
+            "file"
         )
     if not Path(sky).is_file():
         raise InputError(f"there is no sky file {sky}; check the path, or use overcast")
@@ -445,14 +452,14 @@ def require_whole(name, value, low, high, unit=""):
     unit = f" {unit}" if unit else ""
     if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
         raise ParameterError(
-            f"{name} is {value!r}{unit}; it must be a whole number from {low} to {high}{unit}"
+            f"{name} is {shown(value)}{unit}; it must be a whole number from {low} to {high}{unit}"
         )
     return value
 
 
 def _pair(name, value, what):
     if not isinstance(value, tuple | list) or len(value) != 2:
-        raise ParameterError(f"{name} is {value!r}; it must be {what}")
+        raise ParameterError(f"{name} is {shown(value)}; it must be {what}")
     return value
 
 

@@ -10,7 +10,7 @@ import math
 from bisect import bisect_right
 from itertools import pairwise
 
-from rainsim.errors import ParameterError, require_finite
+from rainsim.errors import ParameterError, require_choice, require_finite
 
 TIME_KEY = "time_s"
 LIST_KEY = "keyframe"  # [[keyframe]] in TOML
@@ -55,7 +55,11 @@ def read_keyframes(tables, from_human, where):
 
 
 def check_keyframes(frames, where="keyframes"):
-    """Return `frames`, or raise ParameterError unless their times rise."""
+    """Return `frames`, or raise ParameterError unless their times rise and all are numbers."""
+    for time, changes in frames:
+        for name, value in changes:
+            for number in value if isinstance(value, tuple) else (value,):
+                require_finite(f"{where}: {name} at {time:g} s", number)
     for (before, _), (after, _) in pairwise(frames):
         if not before < after:
             raise ParameterError(
@@ -65,12 +69,30 @@ def check_keyframes(frames, where="keyframes"):
     return frames
 
 
-def plain(frames):
-    """Return keyframes that were read from JSON with tuples in place of lists."""
-    return tuple(
-        (time, tuple((name, tuple(v) if isinstance(v, list) else v) for name, v in changes))
-        for time, changes in frames
-    )
+def from_json(frames):
+    """Return keyframes that were read from JSON, which has lists in place of tuples.
+
+    Raises
+    ------
+    ParameterError
+        If they are not lists of a time and of pairs of a setting that can change and its value.
+    """
+    try:
+        found = tuple(
+            (
+                require_finite("the time of a keyframe", time),
+                tuple((name, tuple(v) if isinstance(v, list) else v) for name, v in changes),
+            )
+            for time, changes in frames
+        )
+    except (TypeError, ValueError):
+        raise ParameterError(
+            "the keyframes are no list of [time, [[setting, value], ...]]; correct them"
+        ) from None
+    for _, changes in found:
+        for name, _ in changes:
+            require_choice("a setting of a keyframe", name, CHANGING)
+    return check_keyframes(found)
 
 
 def without(frames, names):

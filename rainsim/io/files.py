@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import stat
 import tempfile
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,18 +15,54 @@ import numpy as np
 from rainsim.errors import InputError
 
 MAX_LENGTH = 1e12  # capture units; squares and products beyond overflow float32
+MOST_NAME = 255  # characters of a camera's or scene's name
+MOST_TEXT = 1 << 28  # bytes of a JSON file; one of 100,000 cameras has a quarter
 
 
-def require_file(path, what):
-    """Return `path` as a Path, or raise InputError unless it is a file that can be opened."""
+def require_file(path, what, remedy="check the path"):
+    """Return `path` as a Path, or raise InputError unless it is a file that can be opened.
+
+    Devices and pipes are refused: they may never end.
+    """
     path = Path(path)
-    if path.is_dir():
+    try:
+        found = path.stat()
+    except (FileNotFoundError, NotADirectoryError, ValueError):  # ValueError: a zero byte
+        raise InputError(f"{path} does not exist; {what} must be a file; {remedy}") from None
+    except OSError as error:
+        raise InputError(f"{path} cannot be read ({error.strerror}); {remedy}") from None
+    if stat.S_ISDIR(found.st_mode):
         raise InputError(f"{path} is a folder; {what} must be a file; name the file itself")
-    if not path.exists():
-        raise InputError(f"{path} does not exist; {what} must be a file; check the path")
+    if not stat.S_ISREG(found.st_mode):
+        raise InputError(
+            f"{path} is a pipe or a device; {what} must be a regular file; copy it to one first"
+        )
     if not os.access(path, os.R_OK):
         raise InputError(f"{path} cannot be read; {what} must be readable; check its permissions")
     return path
+
+
+def read_text(path, what, limit=MOST_TEXT):
+    """Return the text of a file in UTF-8, without a byte order mark, or raise InputError.
+
+    Parameters
+    ----------
+    path : path-like
+    what : str
+        For messages, with its article: "a preset file".
+    limit : int
+        Bytes that such a file has at most.
+    """
+    path = require_file(path, what)
+    size = path.stat().st_size
+    if size > limit:
+        raise InputError(
+            f"{path} has {size} bytes; {what} must have at most {limit}; check the path"
+        )
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError:
+        raise InputError(f"{path} is not text; {what} must be UTF-8; check the path") from None
 
 
 @contextmanager
@@ -52,20 +89,42 @@ def _umask():
     return mask
 
 
+def printable_name(name, most=MOST_NAME):
+    """Return a name that was found in a file, cut and without characters that command a terminal.
+
+    Parameters
+    ----------
+    name : object
+        Whatever JSON holds; what is neither text nor number is no name.
+    most : int
+        Characters that are kept.
+    """
+    text = str(name)[:most] if isinstance(name, str | int | float) else "?"
+    return "".join(c if c.isprintable() else "?" for c in text)
+
+
 def read_json(path, what):
     """Return the data of the JSON file `path`, or raise InputError that names the wrong line."""
-    path = require_file(path, what)
+    text = read_text(path, what)
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except (UnicodeDecodeError, RecursionError):
-        raise InputError(
-            f"{path} is not text; {what} must be a JSON file; check the path"
-        ) from None
+        return json.loads(text)
     except json.JSONDecodeError as error:
-        raise InputError(
-            f"{path} is not valid JSON ({error.msg}, line {error.lineno}); {what} must be a JSON "
-            "file; write it again"
-        ) from None
+        fault = f"{error.msg}, line {error.lineno}"
+    except RecursionError:
+        fault = "lists within lists without end"
+    except ValueError:  # Python reads no number of more than 4,300 digits
+        fault = "a number of thousands of digits"
+    raise InputError(
+        f"{path} is not valid JSON ({fault}); {what} must be a JSON file; write it again"
+    )
+
+
+def parsed_json(text):
+    """Return the data of a JSON text, None if it is none."""
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError):
+        return None
 
 
 def write_json(path, data):
@@ -93,7 +152,7 @@ def number_array(value, shape):
     """
     try:
         array = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError, OverflowError):
+    except (TypeError, ValueError, OverflowError, RecursionError):
         return None
     if array.shape != shape or not (np.abs(array) < MAX_LENGTH).all():  # false for NaN
         return None

@@ -12,8 +12,8 @@ from pathlib import Path, PurePosixPath
 
 import numpy as np
 
-from rainsim.errors import InputError, ParameterError
-from rainsim.io.files import json_number, number_array, read_json, write_json
+from rainsim.errors import InputError, ParameterError, shown
+from rainsim.io.files import json_number, number_array, printable_name, read_json, write_json
 from rainsim.scene.colmap import MODEL_FILES, read_model
 from rainsim.scene.types import Camera
 
@@ -190,11 +190,8 @@ class _Entry:
         return matrix
 
     def error(self, key, rule):
-        value = self.get(key)
-        shown = "missing" if value is None else repr(value)
-        if len(shown) > 60:
-            shown = shown[:57] + "..."
-        return InputError(f"{self.label}: {key} is {shown}; it must be {rule}; correct the file")
+        value = "missing" if self.get(key) is None else shown(self.get(key))
+        return InputError(f"{self.label}: {key} is {value}; it must be {rule}; correct the file")
 
 
 def _capture_camera(entry):
@@ -210,7 +207,7 @@ def _capture_camera(entry):
         cx=width / 2,
         cy=height / 2,
         camera_from_world=_pose(rotation.T, entry.array("position", (3,))),
-        name=str(entry.get("id") if name is None else name),
+        name=printable_name(entry.get("id") if name is None else name),
     )
 
 
@@ -271,7 +268,7 @@ def _nerf_name(entry):
     name = entry.values.get("name")
     if name is None:
         name = PurePosixPath(str(entry.values.get("file_path") or "")).stem
-    return str(name)
+    return printable_name(name)
 
 
 def _pose(rotation, position):

@@ -15,7 +15,7 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 
 from rainsim.errors import InputError
-from rainsim.io.files import MAX_LENGTH, require_file
+from rainsim.io.files import MAX_LENGTH, printable_name, require_file
 from rainsim.scene.types import Camera
 
 PLACES = ("", "0", "sparse/0", "sparse", "colmap/sparse/0", "distorted/sparse/0")
@@ -116,10 +116,6 @@ def read_model(folder):
     return cameras, _lens_notes(lenses[image.lens] for image in images)
 
 
-def _printable(name):
-    return "".join(c if c.isprintable() else "?" for c in name)
-
-
 def _short_names(names):
     """Return file names without folder and suffix; if two would be equal, all keep their folder."""
     paths = [PurePosixPath(name) for name in names]
@@ -216,7 +212,7 @@ class _Bytes:
             raise struct.error
         raw = self.data[self.place : end]
         self.place = end + 1
-        return _printable(raw.decode("utf-8", "replace"))
+        return printable_name(raw.decode("utf-8", "replace"))
 
     def skip(self, count):
         if count > len(self.data) - self.place:
@@ -293,7 +289,7 @@ def _text_images(path):
             turn, shift = tuple(map(float, pose[:4])), tuple(map(float, pose[4:]))
             if len(pose) != 7:
                 raise ValueError
-            images.append(_Image(_printable(name), int(lens), turn, shift))
+            images.append(_Image(printable_name(name), int(lens), turn, shift))
         except ValueError:
             rule = "an image: number, rotation (4), translation (3), camera and name"
             raise _wrong(path, n, line, rule) from None

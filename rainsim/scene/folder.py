@@ -8,17 +8,16 @@ from __future__ import annotations
 
 import hashlib
 import os
-import zipfile
-import zlib
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from rainsim.errors import InputError
+from rainsim.errors import InputError, one_line, shown
 from rainsim.io import cache
-from rainsim.io.files import read_json, replacing, write_json
+from rainsim.io.arrays import Field, read_arrays, write_arrays
+from rainsim.io.files import number_array, printable_name, read_json, replacing, write_json
 from rainsim.scene.cameras import (
     JSON_FILES,
     cameras_from_data,
@@ -38,8 +37,16 @@ from rainsim.scene.types import GroundFrame, Scene, Splats
 
 SCENE_FILE, SPLAT_FILE = "scene.json", "splats.npz"
 VERSION = 1
-ARRAYS = {"position": (3,), "rotation": (4,), "scale": (3,), "opacity": (), "sh": (None, 3)}
+FLOAT = float(np.finfo(np.float32).max)
+ARRAYS = {
+    "position": Field("float32", ("splats", 3)),
+    "rotation": Field("float32", ("splats", 4), -2, 2),
+    "scale": Field("float32", ("splats", 3), 0),
+    "opacity": Field("float32", ("splats",), 0, 1),
+    "sh": Field("float32", ("splats", "coefficients", 3), -FLOAT, FLOAT),
+}
 COEFFICIENTS = (1, 4, 9, 16)
+NOT_UNIT = 1e-2  # of a quaternion's squared length from 1
 
 
 def import_scene(
@@ -230,8 +237,7 @@ def write_scene(folder, scene):
     folder.mkdir(parents=True, exist_ok=True)
     with replacing(folder / SCENE_FILE) as scene_file, replacing(folder / SPLAT_FILE) as splat_file:
         write_json(scene_file, scene_to_data(scene))
-        with open(splat_file, "wb") as file:
-            np.savez(file, **{name: getattr(scene.splats, name) for name in ARRAYS})
+        write_arrays(splat_file, VERSION, {n: getattr(scene.splats, n) for n in ARRAYS})
 
 
 def read_scene(folder):
@@ -250,8 +256,8 @@ def read_scene(folder):
     splats = _read_arrays(folder / SPLAT_FILE)
     if len(splats) != data.get("splats"):
         raise InputError(
-            f"{folder} has {len(splats)} splats but {SCENE_FILE} speaks of {data.get('splats')}; "
-            "the files must belong together; import the capture again"
+            f"{folder} has {len(splats)} splats but {SCENE_FILE} speaks of "
+            f"{shown(data.get('splats'))}; the files must belong together; import the capture again"
         )
     return replace(scene_from_data(data, splats, path, folder.name), source=folder)
 
@@ -285,23 +291,22 @@ def scene_from_data(data, splats, where, name=""):
     """
     cameras, notes = data.get("cameras"), data.get("notes")
     return Scene(
-        name=str(data.get("name", name)),
+        name=printable_name(data.get("name", name)),
         splats=splats,
         cameras=tuple(cameras_from_data(cameras, where)) if cameras else (),
         ground_frame=ground_frame_from_dict(data.get("ground_frame"), where),
-        source_hash=str(data.get("source_sha256", "")),
-        notes=tuple(map(str, notes)) if isinstance(notes, list) else (),
+        source_hash=printable_name(data.get("source_sha256", "")),
+        notes=tuple(map(one_line, notes)) if isinstance(notes, list) else (),
         drains=_read_drains(data.get("drains", []), where),
     )
 
 
 def _read_drains(drains, path):
     """Return the places of gratings that a scene file lists; older files list none."""
-    try:
-        places = np.array(drains, np.float64).reshape(len(drains), 3)
-    except (TypeError, ValueError):
-        places = np.array([[np.nan]])
-    if not np.isfinite(places).all():
+    if drains == []:
+        return ()
+    places = number_array(drains, (len(drains), 3)) if isinstance(drains, list) else None
+    if places is None:
         raise InputError(
             f"{path}: drains must be a list of places of three finite numbers [capture units]; "
             "import the scene again"
@@ -310,35 +315,15 @@ def _read_drains(drains, path):
 
 
 def _read_arrays(path):
-    """Return the Splats in an .npz file, their shapes and types checked."""
-    try:
-        with open(path, "rb") as file, np.load(file, allow_pickle=False) as archive:
-            splats = Splats(**{name: archive[name] for name in ARRAYS})
-    except FileNotFoundError:
-        raise InputError(f"{path} is missing; import the capture again") from None
-    except (
-        AttributeError, EOFError, KeyError, MemoryError, NotImplementedError, OSError, TypeError,
-        ValueError, zipfile.BadZipFile, zlib.error,
-    ) as error:  # fmt: skip
+    """Return the Splats in an .npz file, all of it checked."""
+    found = read_arrays(path, "set of splats", ARRAYS, VERSION, "import the capture again")
+    splats = Splats(**found)
+    turn = np.einsum("ni,ni->n", splats.rotation, splats.rotation)
+    count, coefficients = splats.sh.shape[:2]
+    if count == 0 or coefficients not in COEFFICIENTS or np.abs(turn - 1).max() > NOT_UNIT:
         raise InputError(
-            f"{path} is damaged ({type(error).__name__}); it must hold the arrays "
-            f"{', '.join(ARRAYS)}; import the capture again"
-        ) from None
-    for name, shape in ARRAYS.items():
-        array = getattr(splats, name)
-        fits = array.dtype == np.float32 and array.ndim == len(shape) + 1
-        fits = fits and len(array) == len(splats.opacity) > 0
-        fits = fits and all(
-            want in (None, n) for want, n in zip(shape, array.shape[1:], strict=True)
-        )
-        if not fits or not np.isfinite(array).all():
-            raise InputError(
-                f"{path}: {name} is {array.dtype} of shape {array.shape}, or not finite; splats "
-                "must be float32 and match each other; import the capture again"
-            )
-    if splats.sh.shape[1] not in COEFFICIENTS:
-        raise InputError(
-            f"{path}: sh has {splats.sh.shape[1]} coefficients; it must have 1, 4, 9 or 16; import "
-            "the capture again"
+            f"{path} has {count} splats of {coefficients} coefficients of spherical harmonics, "
+            "which must be 1, 4, 9 or 16, or rotations that are no unit quaternions; import the "
+            "capture again"
         )
     return splats

@@ -12,7 +12,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from rainsim.errors import GroundError, InputError, ParameterError, require_finite, require_positive
+from rainsim.errors import (
+    GroundError,
+    InputError,
+    ParameterError,
+    one_line,
+    require_finite,
+    require_positive,
+    shown,
+)
 from rainsim.io.files import json_number, number_array, read_json, write_json
 from rainsim.scene.plane import ROUGHER, THRESHOLD, find_plane
 from rainsim.scene.types import GroundFrame
@@ -425,8 +433,8 @@ def ground_frame_from_dict(data, source):
     scale = json_number(data.get("meters_per_unit"))
     if scale is None or scale <= 0:
         raise InputError(
-            f"{source}: meters_per_unit is {data.get('meters_per_unit')!r}; it must be a positive "
-            "number; correct the file"
+            f"{source}: meters_per_unit is {shown(data.get('meters_per_unit'))}; it must be a "
+            "positive number; correct the file"
         )
     confidence = json_number(data.get("confidence", 1.0))
     notes = data.get("notes", [])
@@ -437,7 +445,7 @@ def ground_frame_from_dict(data, source):
         meters_per_unit=scale,
         translation=_numbers(data, "translation", (3,), source),
         confidence=confidence,
-        notes=tuple(map(str, notes)),
+        notes=tuple(map(one_line, notes)),
         scale_assumed=data.get("scale_assumed") is True,
     )
 
@@ -446,7 +454,7 @@ def _numbers(data, key, shape, source):
     value = number_array(data.get(key), shape)
     if value is None:
         raise InputError(
-            f"{source}: {key} is {str(data.get(key))[:60]}; it must be finite numbers of shape "
+            f"{source}: {key} is {shown(data.get(key))}; it must be finite numbers of shape "
             f"{' x '.join(map(str, shape))}; correct the file"
         )
     return value

@@ -2,16 +2,52 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from rainsim.errors import InputError
-from rainsim.terrain.types import NO_TOPS, Grid, Terrain, Tops
+from rainsim.io.arrays import TEXT, Field, read_arrays, write_arrays
+from rainsim.terrain.choose import MOST_CELLS
+from rainsim.terrain.table import DRAIN
+from rainsim.terrain.types import MEASURED, NO_TOPS, Grid, Terrain, Tops
 
-_ARRAYS = ("bed", "top", "underside", "source", "ground_class", "noise", "color")
-_WATER = "water"  # not in the files of old versions
+VERSION = 1
+WHAT, REMEDY = "height map", "`rainsim heightmap` writes it; write it again"
+LEAST_CELLS = 3  # in a row
+HEIGHT = 1e5  # m, of the highest and deepest ground; maps of heights have the same limit
+NEAR = 1e-3  # m by which rounded heights may lie in the wrong order
 _TOPS = "tops_"  # begins the names of the arrays of `Tops`; not in the files of old versions
+
+_MAP = ("ny", "nx")
+_LENGTH = {"low": -1e7, "high": 1e7}  # m
+_ARRAYS = {
+    "bed": Field("float32", _MAP, -HEIGHT, HEIGHT),
+    "top": Field("float32", _MAP, -HEIGHT, HEIGHT),
+    "underside": Field("float32", _MAP, -HEIGHT, HEIGHT),
+    "source": Field("uint8", _MAP, 0, MEASURED),
+    "ground_class": Field("uint8", _MAP, 0, DRAIN),
+    "noise": Field("float32", _MAP, 0, HEIGHT),
+    "color": Field("float32", (*_MAP, 3), -100, 100),
+}
+_OTHERS = {
+    "water": Field("float32", _MAP, 0, HEIGHT, needed=False),  # not in the files of old versions
+    "origin": Field("float64", (2,), **_LENGTH),
+    "spacing": Field("float64", (), 1e-5, 1e3),
+    "notes": Field(TEXT, ("notes",)),
+}
+_TOP_ARRAYS = {
+    "index": Field("int16", ("top rows", "top columns"), -1),
+    "surface": Field("float64", ("tops", 6), -HEIGHT, HEIGHT),
+    "centre": Field("float64", ("tops", 2), **_LENGTH),
+    "area": Field("float64", ("tops",), 0, 1e9),
+    "patch": Field("int64", ("tops", 3), 0),
+    "corner": Field("float64", ("tops", 2), **_LENGTH),
+    "spacing": Field("float64", (), 1e-5, 1e3),
+    "relief": Field("float32", ("rows", "columns"), -HEIGHT, HEIGHT),
+    "holds": Field("bool", ("rows", "columns")),
+}
 
 
 def write_terrain(folder, terrain):
@@ -27,13 +63,14 @@ def write_terrain(folder, terrain):
 
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    arrays = {name: getattr(terrain, name) for name in (*_ARRAYS, _WATER)}
+    arrays = {name: getattr(terrain, name) for name in (*_ARRAYS, "water")}
     arrays |= {_TOPS + name: values for name, values in terrain.tops.arrays().items()}
     grid = terrain.grid
-    images.write_npz(
-        folder / "terrain.npz", **arrays, origin=np.array(grid.origin), spacing=grid.spacing,
-        notes=np.array(terrain.notes, dtype=np.str_),
-    )  # fmt: skip
+    arrays |= {
+        "origin": np.array(grid.origin, np.float64), "spacing": np.float64(grid.spacing),
+        "notes": np.array(terrain.notes, dtype=np.str_),
+    }  # fmt: skip
+    write_arrays(folder / "terrain.npz", VERSION, arrays)
     images.write_tiff(folder / "bed.tif", terrain.bed[::-1])
     images.write_tiff(folder / "top.tif", terrain.top[::-1])
     shade = np.hstack([hillshade(terrain.bed, grid.spacing, exaggerate=8),
@@ -49,17 +86,44 @@ def read_terrain(folder):
     """Return the `Terrain` that `write_terrain` wrote into `folder` (or its .npz itself)."""
     path = Path(folder)
     path = path / "terrain.npz" if path.is_dir() else path
-    try:
-        with np.load(path, allow_pickle=False) as data:
-            arrays = [data[name] for name in _ARRAYS]
-            shape = arrays[0].shape
-            grid = Grid(shape, tuple(map(float, data["origin"])), float(data["spacing"]))
-            notes = tuple(map(str, data["notes"]))
-            water = data[_WATER] if _WATER in data else None
-            tops = {n.removeprefix(_TOPS): data[n] for n in data.files if n.startswith(_TOPS)}
-            tops = Tops.from_arrays(tops) if tops else NO_TOPS
-    except FileNotFoundError:
-        raise InputError(f"{path} does not exist; `rainsim heightmap` writes it") from None
-    except (KeyError, ValueError, TypeError, OSError, EOFError) as error:
-        raise InputError(f"{path} is no terrain of rainsim ({error}); write it again") from error
-    return Terrain(grid, *arrays, notes=notes, water=water, tops=tops)
+    table = _ARRAYS | _OTHERS
+    table |= {_TOPS + name: replace(field, needed=False) for name, field in _TOP_ARRAYS.items()}
+    found = read_arrays(path, WHAT, table, VERSION, REMEDY)
+    shape = found["bed"].shape
+    if min(shape) < LEAST_CELLS or shape[0] * shape[1] > MOST_CELLS:
+        raise _wrong(path, f"has {shape[1]} x {shape[0]} cells", f"{LEAST_CELLS} x {LEAST_CELLS} "
+                     f"or more, {MOST_CELLS} in all")  # fmt: skip
+    _check_heights(path, found)
+    tops = _tops(path, found, shape)
+    grid = Grid(shape, tuple(found["origin"].tolist()), float(found["spacing"]))
+    arrays = {name: found[name] for name in _ARRAYS}
+    notes, water = tuple(found["notes"]), found.get("water")
+    return Terrain(grid, **arrays, notes=notes, water=water, tops=tops)
+
+
+def _wrong(path, fact, rule):
+    return InputError(f"{path} {fact}; a {WHAT} must have {rule}; {REMEDY}")
+
+
+def _check_heights(path, found):
+    """Raise InputError unless the ground lies below the undersides and these below the tops."""
+    low = (found["underside"] - found["bed"]).min()
+    if min(low, (found["top"] - found["underside"]).min()) < -NEAR:
+        raise _wrong(path, "has ground, undersides and tops in the wrong order", "bed <= "
+                     "underside <= top")  # fmt: skip
+
+
+def _tops(path, found, shape):
+    """Return the tops of a file's arrays, checked against each other and the map's shape."""
+    arrays = {name: found[_TOPS + name] for name in _TOP_ARRAYS if _TOPS + name in found}
+    if not arrays:
+        return NO_TOPS
+    if len(arrays) < len(_TOP_ARRAYS):
+        raise _wrong(path, "has a part of the tops only", "all of their arrays or none")
+    count, (rows, columns) = len(arrays["surface"]), arrays["relief"].shape
+    index, patch = arrays["index"], arrays["patch"]
+    fits = index.shape == (shape if count else (0, 0)) and (index < count).all()
+    fits &= (patch[:, 0] + patch[:, 1] <= rows).all() and (patch[:, 2] <= columns).all()
+    if not fits or not arrays["relief"].size:
+        raise _wrong(path, "has tops that do not fit together", "their cells and patches in place")
+    return Tops.from_arrays(arrays)

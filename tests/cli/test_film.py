@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -72,9 +73,12 @@ def test_run_writes_all_that_it_promises(film, tmp_path):
     assert kept["milliseconds"]
 
 
-def test_the_stages_one_by_one_give_the_same_frames(film, rainsim, scene_folder, tmp_path):
+def test_the_stages_one_by_one_give_the_same_frames(
+    film, rainsim, scene_folder, tmp_path, monkeypatch
+):
     assert film("whole").code == 0
-    done = rainsim("heightmap", scene_folder, *MAP, "--out", "terrain", "--json")
+    shutil.copytree(scene_folder, tmp_path / "capture")
+    done = rainsim("heightmap", "./capture", *MAP, "--out", "terrain", "--json")
     assert done.code == 0, done.err
     shown = json.loads(done.out)
     assert shown["shape"] == [50, 50] and shown["spacing"] == 0.04
@@ -83,8 +87,11 @@ def test_the_stages_one_by_one_give_the_same_frames(film, rainsim, scene_folder,
     done = rainsim("simulate", "terrain", "--preset", "downpour", "--frames", 3, "--out", "states")
     assert done.code == 0, done.err
     assert len(list((tmp_path / "states" / "states").iterdir())) == 3
-    done = rainsim("render", "states", "--width", 64, "--out", "frames")
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")  # the source is found from where the states lie
+    done = rainsim("render", "../states", "--width", 64, "--out", "../frames")
     assert done.code == 0, done.err
+    monkeypatch.chdir(tmp_path)
     assert same(pictures(tmp_path / "whole"), pictures(tmp_path / "frames"))
     assert record(tmp_path / "whole")["ledger"] == record(tmp_path / "frames")["ledger"]
     missing = rainsim("render", "states", "--width", 64, "--frame-range", "0:4")

@@ -42,7 +42,7 @@ def splat_ply(path):
         (["--frame-range", "3"], 2, "'3' is not a range A:B"),
         (["--frame-range", "5:2"], 2, "frame range is 5:2"),
         (["--preset", "drizle"], 2, "there is no preset 'drizle'; the nearest is 'drizzle'"),
-        (["--preset", "none.toml"], 1, "cannot read none.toml"),
+        (["--preset", "none.toml"], 1, "none.toml does not exist"),
         (["--scene", "nowhere"], 2, "nowhere"),
         (["--scene", "no/where.ply"], 1, "no/where.ply"),
         (["--scene", "../bicycle"], 1, "../bicycle"),

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rainsim.config.settings import HUMAN_KEYS, MM_PER_HOUR, Config, preset_names, preset_text
-from rainsim.errors import InputError, ParameterError
+from rainsim.errors import InputError, ParameterError, RainsimError
 
 
 @pytest.mark.parametrize(("name", "rate"), [("drizzle", 2.5), ("moderate", 10), ("downpour", 50)])
@@ -105,10 +105,10 @@ def test_a_missing_sky_file_is_an_input_error():
     [
         ("rain_mm_hour = 3", "key 'rain_mm_hour'; the nearest is 'rain_mm_per_hour'"),
         ("xyzzy = 3", "key 'xyzzy'; known are rain_mm_per_hour"),
-        ('rain_mm_per_hour = "a"', "rain_mm_per_hour is 'a'; it must be a number"),
+        ('rain_mm_per_hour = "a"', "rain_mm_per_hour is 'a'; it must be a finite number"),
         ("rain_mm_per_hour = true", "rain_mm_per_hour is True"),
-        ("rain_mm_per_hour = nan", "rain is nan"),
-        (f"rain_mm_per_hour = 1{'0' * 400}", "it must be a number"),
+        ("rain_mm_per_hour = nan", "rain_mm_per_hour is nan; it must be a finite number"),
+        (f"rain_mm_per_hour = 1{'0' * 400}", "it must be a finite number"),
         ("rain_mm_per_hour = ", "is not valid TOML"),
         ("sun_azimuth_degrees = 3", "sun_azimuth_degrees but no sun_elevation_degrees"),
         ("[rain]\nrate = 3", "has the key 'rain'"),
@@ -124,12 +124,45 @@ def test_a_bad_preset_file_is_named_with_its_key(tmp_path, text, message):
     assert str(file) in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("seed = " + "9" * 5000, "a line of 5007 characters"),
+        ("seed = " + "[" * 990, "TOML"),
+        ("seed = " + "9" * 900, r"seed is 9{50,60}\.\.\."),
+        ("wind_direction_degrees = inf", "must be a finite number"),
+        ("[[keyframe]]\ntime_s = 0\nwind_direction_degrees = inf", "must be a finite number"),
+        (f"[[keyframe]]\ntime_s = 1{'0' * 400}\nrain_mm_per_hour = 1", "time_s is 1000"),
+        ("a" + ".b" * 600 + " = 1", "a line of 1205 characters"),
+        ("a" * 900 + " = 1", r"the key 'a{50,60}\.\.\.;"),
+        ("#" + "a" * 2**20, "at most 1048576"),
+    ],
+)
+def test_preset_files_made_to_break_the_reader(tmp_path, text, message):
+    path = tmp_path / "a.toml"
+    path.write_text(text)
+    with pytest.raises(RainsimError, match=message) as caught:
+        Config.from_preset(path)
+    assert len(str(caught.value)) < 700 and "\n" not in str(caught.value)
+
+
+def test_texts_made_to_break_the_reader():
+    for value, message in (("9" * 5000, "thousands of digits"), ("[" * 10_000, "without end")):
+        with pytest.raises(ParameterError, match=message):
+            Config.from_toml(f"seed = {value}")
+
+
+def test_a_preset_may_begin_with_a_byte_order_mark(tmp_path):
+    (tmp_path / "a.toml").write_bytes(b"\xef\xbb\xbfframes = 7\n")
+    assert Config.from_preset(tmp_path / "a.toml").frames == 7
+
+
 def test_unknown_presets_and_attributes_name_the_nearest():
     with pytest.raises(ParameterError, match="no preset 'drizle'; the nearest is 'drizzle'"):
         Config.from_preset("drizle")
     with pytest.raises(ParameterError, match="rats is not a setting; the nearest is 'rate'"):
         Config().replace(rats=1)
-    with pytest.raises(InputError, match=r"cannot read .*none\.toml: No such file"):
+    with pytest.raises(InputError, match=r"none\.toml does not exist"):
         Config.from_preset("none.toml")
     with pytest.raises(ParameterError, match=r"no preset '\.\./flood'"):
         Config.from_preset("../flood")

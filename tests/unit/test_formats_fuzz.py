@@ -133,7 +133,7 @@ def test_files_cut_off_anywhere(tmp_path, kind):
         one_clear_line(caught.value)
 
 
-def refused_within(limit, path):
+def refused_within(limit, path, read=read):
     """The message of the error that reading ends in, with the peak of memory checked."""
     tracemalloc.start()
     try:

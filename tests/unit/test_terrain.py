@@ -171,7 +171,7 @@ def test_round_trip_and_bad_files(yard, tmp_path):
     with pytest.raises(InputError, match="does not exist"):
         terrain.read_terrain(tmp_path / "nowhere")
     (tmp_path / "bad.npz").write_bytes(b"PK not really")
-    with pytest.raises(InputError, match="no terrain"):
+    with pytest.raises(InputError, match="no height map"):
         terrain.read_terrain(tmp_path / "bad.npz")
 
 
