@@ -15,7 +15,7 @@ import sys
 import tempfile
 import time
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 from importlib import metadata
 from pathlib import Path
@@ -24,9 +24,11 @@ import numpy as np
 
 from rainsim import __version__
 from rainsim.errors import InputError, ParameterError
+from rainsim.io.claim import ClaimedError, claim
 from rainsim.io.files import read_json, write_json
 
 PROVENANCE = "provenance.json"
+CLAIM = ".rainsim-claim"  # locked by the run that writes to the folder
 # Names that the program gives to files; other names in a provenance file are ignored.
 OURS = re.compile(
     r"frames/\d{5}\.png|states/\d{5}\.npz|preview\.webp|video\.mp4|transforms\.json"
@@ -51,27 +53,37 @@ def claimed(path, overwrite=False):
     Raises
     ------
     ParameterError
-        If it holds files and `overwrite` is not set, or is no folder.
+        If it holds files and `overwrite` is not set, is no folder, or another run writes to it.
     OSError
         If it cannot be made or written to.
     """
     path = Path(path)
     if path.exists() and not path.is_dir():
         raise ParameterError(f"output {path} is a file; it must be a folder; give another --out")
-    if path.is_dir() and not overwrite and any(path.iterdir()):
+    _require_empty(path, overwrite)
+    made = [p for p in (path, *path.parents) if not p.exists()]
+    try:
+        with claim(path / CLAIM):
+            _require_empty(path, overwrite)  # another run may have been first
+            tempfile.TemporaryFile(dir=path).close()  # before hours of work, not after
+            yield path
+    except ClaimedError as error:
+        raise ParameterError(
+            f"another run writes to output folder {path} ({error}); each run needs its own; give "
+            f"another --out, or remove {path / CLAIM} if that run has ended"
+        ) from None
+    finally:
+        for folder in (path / "frames", path / "states", path / "layers", *made):
+            with suppress(OSError):  # it is not empty, or not there
+                folder.rmdir()
+
+
+def _require_empty(path, overwrite):
+    if path.is_dir() and not overwrite and any(entry.name != CLAIM for entry in path.iterdir()):
         raise ParameterError(
             f"output folder {path} exists and is not empty; it must be new or empty; "
             "give another --out, or --overwrite to replace results in it"
         )
-    made = [p for p in (path, *path.parents) if not p.exists()]
-    path.mkdir(parents=True, exist_ok=True)
-    try:
-        tempfile.TemporaryFile(dir=path).close()  # before hours of work, not after
-        yield path
-    finally:
-        for folder in (path / "frames", path / "states", path / "layers", *made):
-            if folder.is_dir() and not any(folder.iterdir()):
-                folder.rmdir()
 
 
 class Record:

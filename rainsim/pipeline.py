@@ -5,11 +5,14 @@ Each stage can be run alone: `extract_terrain`, `simulate`, `render`; `render_ra
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from rainsim.backend import on_backend
 from rainsim.errors import ParameterError
 from rainsim.render.first_view import view_of_water
 from rainsim.render.report import FrameReport
 from rainsim.render.shutter import shutter_end
+from rainsim.render.sunken import sunken_notes
 from rainsim.simulation import SimState, read_state, simulate, write_state
 from rainsim.terrain.kept import kept_terrain
 from rainsim.terrain.pond import without_images
@@ -141,4 +144,7 @@ def render(scene, terrain, states, cameras, config, names=(), backend="cpu"):
             exposure = config.at(state.time).render.exposure
             yield camera, state, shutter_end(path, state.index, exposure, config.fps)
 
-    yield from renderer.film(shots(), names)
+    notes = sunken_notes(path, terrain, config)
+    for picture, report in renderer.film(shots(), names):
+        yield picture, replace(report, notes=(*notes, *report.notes))
+        notes = ()

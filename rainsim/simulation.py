@@ -90,11 +90,16 @@ def surfaces_of(terrain):
     )  # fmt: skip
 
 
+def low_ground(terrain):
+    """Return the height of the low ground [m], over which water levels are given."""
+    return float(np.percentile(terrain.bed.astype(np.float64), 5))
+
+
 def initial_water(terrain, config, exposure):
     """Return the depth [m] (ny, nx) at the start, and notes: a given level or past rain at rest."""
     bed = terrain.bed.astype(np.float64)
     if config.water.level is not None:
-        level = np.percentile(bed, 5) + config.water.level
+        level = low_ground(terrain) + config.water.level
         depth = np.maximum(level - bed, terrain.water)
         return depth, (f"still water at {config.water.level:g} m above the low ground",)
     puddles = puddles_of(terrain)

@@ -1,6 +1,10 @@
 """Output folders: what is not ours stays, whatever a record in the folder says."""
 
 import json
+import os
+import subprocess
+import sys
+import threading
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,7 +13,7 @@ import pytest
 from rainsim.config.settings import Config
 from rainsim.errors import ParameterError
 from rainsim.io import images
-from rainsim.output_folder import PROVENANCE, FrameFolder, Record, claimed, read_record
+from rainsim.output_folder import CLAIM, PROVENANCE, FrameFolder, Record, claimed, read_record
 from rainsim.render.renderer import FrameReport
 from scenes import tiny_scene
 
@@ -42,6 +46,56 @@ def test_a_folder_in_use_needs_overwrite(tmp_path):
     with pytest.raises(ParameterError, match=r"mine\.txt is a file; it must be a folder"):
         with claimed(tmp_path / "mine.txt", overwrite=True):
             pass
+
+
+def test_of_many_runs_one_gets_the_folder(tmp_path):
+    start, won = threading.Barrier(12), []
+
+    def run(number):
+        start.wait()
+        try:
+            with claimed(tmp_path / "a" / "b") as folder:
+                (folder / f"{number}.txt").write_text("mine")
+                won.append(number)
+        except ParameterError as error:
+            assert "another run writes" in str(error) or "not empty" in str(error)
+
+    threads = [threading.Thread(target=run, args=(number,)) for number in range(12)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len(won) == 1 and [p.name for p in (tmp_path / "a" / "b").iterdir()] == [f"{won[0]}.txt"]
+
+
+def test_overwriting_takes_no_folder_that_is_being_written(tmp_path):
+    with claimed(tmp_path / "a") as folder:
+        (folder / "result").write_text("half")
+        with pytest.raises(ParameterError, match=f"process {os.getpid()} on"):
+            with claimed(tmp_path / "a", overwrite=True):
+                pass
+    with claimed(tmp_path / "a", overwrite=True):
+        pass
+    assert [path.name for path in folder.iterdir()] == ["result"]
+
+
+def test_the_claim_of_a_run_that_was_killed_is_taken_over(tmp_path):
+    code = (
+        "import sys, time; from rainsim.output_folder import claimed\n"
+        "with claimed(sys.argv[1]): print('held', flush=True); time.sleep(60)"
+    )
+    folder = tmp_path / "a"
+    with subprocess.Popen([sys.executable, "-c", code, folder], stdout=subprocess.PIPE) as process:
+        assert process.stdout.readline() == b"held\n"
+        with pytest.raises(ParameterError, match=f"process {process.pid} on"):
+            with claimed(folder):
+                pass
+        process.kill()
+        process.wait()
+    assert (folder / CLAIM).is_file()  # nothing else is left of it
+    with claimed(folder):
+        (folder / "result").write_text("whole")
+    assert [path.name for path in folder.iterdir()] == ["result"]
 
 
 def _written(folder, *names, **facts):
