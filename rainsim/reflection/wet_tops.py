@@ -39,7 +39,7 @@ FORM = 13  # numbers of a top
 class TopMaps(NamedTuple):
     """The tops as kernels take them; read-only. See `terrain.types.Tops`."""
 
-    index: np.ndarray  # (ny, nx) int16, the top over each cell, -1 for none; (0, 0) without any
+    number: np.ndarray  # (ny, nx) int16, of the top over each cell, -1 for none; (0, 0) without any
     form: np.ndarray  # (n, FORM) float32, see CORNER_X to BY_YY
     water: np.ndarray  # (n, 2) float32: which of `depths` show, and depth [m] of what flows off
     depths: np.ndarray  # (k, rows, columns) float32 [m], of puddles on the patches
@@ -108,27 +108,27 @@ def top_numbers(water, volume, sheet):
 @inlined_function
 def top_over(tops, x, y):
     """Return the number of the top at (x, y) [m], -1 for none."""
-    rows, columns = tops.index.shape
+    rows, columns = tops.number.shape
     u, v = (x - tops.origin[0]) / tops.spacing, (y - tops.origin[1]) / tops.spacing
     if not (u >= ZERO and v >= ZERO and u < np.float32(columns) and v < np.float32(rows)):
         return -1
-    return int(tops.index[int(v), int(u)])
+    return int(tops.number[int(v), int(u)])
 
 
 @inlined_function
 def share_over(tops, k, x, y):
     """Return the share of top k at (x, y) [m], between the map's cells: its edge has no steps."""
-    rows, columns = tops.index.shape
+    rows, columns = tops.number.shape
     u = (x - tops.origin[0]) / tops.spacing - HALF
     v = (y - tops.origin[1]) / tops.spacing - HALF
     u = min(max(u, ZERO), np.float32(columns - 1))
     v = min(max(v, ZERO), np.float32(rows - 1))
     i, j = min(int(u), columns - 2), min(int(v), rows - 2)
     a, b = u - np.float32(i), v - np.float32(j)
-    p = ONE if tops.index[j, i] == k else ZERO
-    q = ONE if tops.index[j, i + 1] == k else ZERO
-    r = ONE if tops.index[j + 1, i] == k else ZERO
-    s = ONE if tops.index[j + 1, i + 1] == k else ZERO
+    p = ONE if tops.number[j, i] == k else ZERO
+    q = ONE if tops.number[j, i + 1] == k else ZERO
+    r = ONE if tops.number[j + 1, i] == k else ZERO
+    s = ONE if tops.number[j + 1, i + 1] == k else ZERO
     return (p + (q - p) * a) * (ONE - b) + (r + (s - r) * a) * b
 
 

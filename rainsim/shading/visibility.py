@@ -52,7 +52,7 @@ def badly_placed(scene, views):
         return np.zeros(len(scene.splats), np.bool_)
     eye = np.mean([camera.position for camera in scene.cameras], axis=0)
     above = (scene.splats.position - eye.astype(np.float32)) @ scene.ground_frame.up.astype("f4")
-    return (views.count < LEAST_SHARE * views.asked) & (above > 0)
+    return (views.seen < LEAST_SHARE * views.asked) & (above > 0)
 
 
 def pale(splats):
@@ -66,7 +66,7 @@ def pale(splats):
 class Views(NamedTuple):
     """What the capture's cameras saw of each splat."""
 
-    count: np.ndarray  # (n,) uint8: cameras that see it
+    seen: np.ndarray  # (n,) uint8: cameras that see it
     asked: int  # cameras that were asked
     diffuse: np.ndarray  # (n, 3) float16: display-referred colour of its darker views
 

@@ -5,7 +5,7 @@ Outputs of compiled functions are flat arrays, arguments of their own that end i
 
 import ast
 
-from source import MODULES, arguments_of, functions, functions_in, is_compiled, name_of
+from source import MODULES, arguments_of, functions, functions_in, is_compiled, name_of, tree
 
 OUTPUTS = {  # where the arguments that end in `_out` stand, by a function's name
     function.name: [k for k, n in enumerate(arguments_of(function)) if n.endswith("_out")]
@@ -140,3 +140,22 @@ def test_the_walk_finds_writes():
 def test_most_kernels_are_seen():
     kernels = [f for path in MODULES for _, f in functions_in(path) if is_compiled(f)]
     assert len(kernels) > 200
+
+
+def test_no_bundle_has_a_field_named_index():
+    """On a GPU numba takes `tops.index` for the method of tuples; its simulator does not."""
+    sample = ast.parse("class Tops(NamedTuple):\n    index: int\n    form: float\n")
+    assert list(fields_named_index(sample)) == ["Tops"]
+    found = [
+        f"{name_of(path)}: {name}" for path in MODULES for name in fields_named_index(tree(path))
+    ]
+    assert not found, found
+
+
+def fields_named_index(tree):
+    """Yield the name of each named tuple that has a field `index`."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ClassDef) and "NamedTuple" in map(ast.unparse, node.bases):
+            fields = [ast.unparse(f.target) for f in node.body if isinstance(f, ast.AnnAssign)]
+            if "index" in fields:
+                yield node.name

@@ -51,7 +51,7 @@ def test_the_diffuse_color_is_that_of_the_darker_views():
     sheen[:, 1:] = 0.3
     glossy = dataclasses.replace(scene, splats=dataclasses.replace(scene.splats, sh=sheen))
     views = visibility.views_of_splats(glossy)
-    seen = views.count == 3
+    seen = views.seen == 3
     assert seen.sum() > 100
     looks = np.stack([colors(glossy.splats, camera) for camera in scene.cameras])[:, seen]
     found = views.diffuse[seen].astype(float)

@@ -79,7 +79,7 @@ class DeviceFrame:
         self._ground, self._ground_sent = to_device(scene.ground), scene.ground
         tops = host.water.tops
         self._tops = tops._replace(
-            index=cuda.to_device(tops.index), form=to_device(tops.form),
+            number=cuda.to_device(tops.number), form=to_device(tops.form),
             depths=to_device(tops.depths), holds=to_device(tops.holds),
             origin=to_device(tops.origin),
         )  # fmt: skip
