@@ -5,12 +5,20 @@ Exit codes: 0 done, 1 the run failed, 2 wrong usage or values, 130 interrupted.
 
 from __future__ import annotations
 
+import errno
+
 import click
 
 from rainsim import __version__
 from rainsim.commands import bench, doctor, film, ground, splat, tools
 from rainsim.errors import ParameterError, RainsimError, one_line
 
+_FULL = "; make room there or give another --out, and run it again"
+_CLOSED = "; give another --out, or change the permissions"
+REMEDIES = {
+    errno.ENOSPC: _FULL, errno.EDQUOT: _FULL, errno.EROFS: _CLOSED, errno.EACCES: _CLOSED,
+    errno.EMFILE: "; raise the number of open files (ulimit -n)",
+}  # fmt: skip
 INTERRUPTED = 130  # 128 + SIGINT, as shells have it
 
 
@@ -32,7 +40,8 @@ class Commands(click.Group):
             raise
         except OSError as error:
             where = f"{error.filename}: " if error.filename else ""
-            raise _failure(f"{where}{error.strerror or error}", 1) from error
+            remedy = REMEDIES.get(error.errno, "")
+            raise _failure(f"{where}{error.strerror or error}{remedy}", 1) from error
         except MemoryError as error:
             raise _failure(
                 "there is not enough memory; use a larger --spacing, a smaller --width or a "

@@ -6,8 +6,10 @@ renamed, so that what stood there before survives a failure.
 
 from __future__ import annotations
 
+import math
 import os
 import tempfile
+import warnings
 from pathlib import Path
 
 import imageio.v3 as iio
@@ -22,6 +24,7 @@ PNG_LEVEL = 3  # twice as fast as the usual 6 and a tenth larger
 PREVIEW_WIDTH = 480  # px at most
 PREVIEW_FRAMES = 240  # at most; a longer film's preview skips frames
 PREVIEW_QUALITY = 75
+MOST_PIXELS = 2**27  # of a picture
 MAX_HDR_PIXELS = 2**27  # 16384 x 8192; more is a damaged header
 RGBE_BIAS = 128 + 8  # of the exponent, and the eight bits of the mantissa
 MIN_RLE_WIDTH, MAX_RLE_WIDTH = 8, 0x7FFF  # px between which lines may be run-length coded
@@ -107,16 +110,28 @@ def read_data(path, channels):
     return planes[..., 0] if len(channels) == 1 else planes
 
 
-def read_image(path):
-    """Return the pixels of a PNG or TIFF file in the type that the file has."""
+def read_image(path, most=MOST_PIXELS):
+    """Return the pixels of a PNG or TIFF file in the type that the file has.
+
+    A file of more than `most` pixels is refused before its pixels are unpacked.
+    """
     path = require_file(path, "a picture")
     try:
-        return iio.imread(path, plugin="pillow")
-    except (OSError, SyntaxError, ValueError) as error:
+        with warnings.catch_warnings(
+            action="ignore"
+        ):  # Pillow warns of sizes that are refused here
+            shape = iio.improps(path, plugin="pillow", index=0).shape
+            if math.prod(shape[:2]) <= most:
+                return iio.imread(path, plugin="pillow", index=0)
+    except Exception as error:  # Pillow raises whatever the damage leads to
+        fault = _first_line(error.__cause__ or error)
         raise InputError(
-            f"{path} cannot be read as a picture ({_first_line(error)}); it must be PNG or TIFF; "
-            "write it again"
+            f"{path} cannot be read as a picture ({fault}); it must be PNG or TIFF; write it again"
         ) from None
+    raise InputError(
+        f"{path} has {shape[1]} x {shape[0]} pixels; it must have at most {most} in all; make it "
+        "smaller"
+    )
 
 
 def write_tiff(path, values):

@@ -15,11 +15,12 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 
 from rainsim.errors import InputError
-from rainsim.io.files import MAX_LENGTH, printable_name, require_file
+from rainsim.io.files import MAX_LENGTH, printable_name, read_text, require_file
 from rainsim.scene.types import Camera
 
 PLACES = ("", "0", "sparse/0", "sparse", "colmap/sparse/0", "distorted/sparse/0")
 MODEL_FILES = ("cameras.bin", "images.bin", "cameras.txt", "images.txt")
+MOST_TEXT = 1 << 32  # bytes of a model as text; it lists each point that an image shows
 REMEDY = "export the model from COLMAP again"
 MAX_SIDE = 65_536  # px
 MAX_FOCAL = 1e9  # px
@@ -249,11 +250,7 @@ def _images(path, data):
 
 def _lines(path):
     """Return (number, text) of the lines of a text file, comments left out."""
-    path = require_file(path, "a part of a COLMAP model")
-    try:
-        lines = path.read_text(encoding="utf-8").split("\n")
-    except UnicodeDecodeError:
-        raise InputError(f"{path} is not text; {REMEDY}") from None
+    lines = read_text(path, "a part of a COLMAP model", MOST_TEXT).split("\n")
     return [(n, line.strip()) for n, line in enumerate(lines, 1) if not line.startswith("#")]
 
 

@@ -17,7 +17,14 @@ import numpy as np
 from rainsim.errors import InputError, one_line, shown
 from rainsim.io import cache
 from rainsim.io.arrays import Field, read_arrays, write_arrays
-from rainsim.io.files import number_array, printable_name, read_json, replacing, write_json
+from rainsim.io.files import (
+    number_array,
+    printable_name,
+    read_json,
+    replacing,
+    require_file,
+    write_json,
+)
 from rainsim.scene.cameras import (
     JSON_FILES,
     cameras_from_data,
@@ -176,6 +183,7 @@ def locate(path):
         )
     if path.is_dir():
         return newest_splat_file(path) or _only_splat_file(path), path
+    path = require_file(path, "a splat file")
     inside = path.parent.name.startswith("iteration_") and path.parent.parent.name == "point_cloud"
     return path, path.parent.parent.parent if inside else path.parent
 
@@ -215,7 +223,7 @@ def _sha256(path):
     """Return the SHA-256 of a splat file, or of all files of a SOG folder one after the other."""
     digest = hashlib.sha256()
     for part in source_files(path):
-        with open(part, "rb") as file:
+        with open(require_file(part, "a picture of a SOG"), "rb") as file:
             while block := file.read(1 << 20):
                 digest.update(block)
     return digest.hexdigest()

@@ -31,6 +31,7 @@ UP_HINT_ANGLE = math.radians(20)  # how far the ground may lean from an up that 
 IMAGE_UP_ANGLE = math.radians(70)  # from image-up, which leans as far as a camera looks down
 LEAST_IMAGE_UP = 0.3  # mean of unit vectors; shorter means that the cameras do not agree
 MAX_POINTS = 120_000  # that the plane is fitted to; more cost time and change nothing
+LEAST_SPLATS = 3  # that a plane goes through
 LEAST_OPACITY = 0.1  # fainter splats are haze and floaters
 AREA_CAP = 4.0  # times the median area: a big splat must not outweigh the paving's many
 LEAST_SHARE = 0.1  # of the splats must be as near as the cameras, or the search starts wider:
@@ -217,10 +218,11 @@ def _candidates(splats):
     """Return positions (n, 3) and weights (n,), float64, of the splats that may be ground."""
     solid = splats.opacity >= LEAST_OPACITY  # false for NaN
     solid &= np.isfinite(splats.position).all(axis=1) & np.isfinite(splats.scale).all(axis=1)
-    if np.count_nonzero(solid) < 3:
+    if np.count_nonzero(solid) < LEAST_SPLATS:
         raise GroundError(
-            f"{np.count_nonzero(solid)} of {len(splats)} splats have an opacity of at least "
-            f"{LEAST_OPACITY}; the ground needs some; check that the capture is not empty"
+            f"{np.count_nonzero(solid)} of the capture's {len(splats)} splats can be ground "
+            f"(opacity {LEAST_OPACITY} or more); it takes {LEAST_SPLATS} to find a plane; check "
+            "that this is the whole capture, or give --ground-frame FILE.json"
         )
     scale = splats.scale[solid]
     area = scale.prod(axis=1, dtype=np.float64) / np.maximum(scale.min(axis=1), 1e-30)

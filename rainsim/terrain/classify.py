@@ -15,6 +15,7 @@ from rainsim.constants import SH_0
 from rainsim.errors import InputError
 from rainsim.terrain import filters
 from rainsim.terrain.bed import blur
+from rainsim.terrain.choose import MOST_CELLS
 from rainsim.terrain.table import DRAIN, GRASS, HARD, OBJECT, SOIL, class_table
 from rainsim.terrain.types import MEASURED, UNKNOWN
 
@@ -28,6 +29,7 @@ SOIL_BROWN = 0.10  # R - B of earth
 SMALLEST_SOIL = 0.1  # m2
 DRAIN_RADIUS = 0.16  # m about the middle of a grating that takes water
 OBJECT_TOP = 0.10  # m above the bed
+ROWS_AT_ONCE = 64  # of a mask
 MASK_DISTANCE = 60.0  # 8-bit levels a painted colour may be off (soft brushes, palettes)
 
 
@@ -130,14 +132,23 @@ def read_mask(path):
     """
     from rainsim.io import images
 
-    picture = images.read_image(path)
+    picture = images.read_image(path, MOST_CELLS)
     if picture.ndim != 3 or picture.shape[2] not in (3, 4) or picture.dtype != np.uint8:
         raise InputError(f"{path} is no 8-bit colour picture; a class mask must be; save it as PNG")
+    found = np.empty(picture.shape[:2], np.int16)
+    for start in range(0, len(picture), ROWS_AT_ONCE):
+        part = slice(start, start + ROWS_AT_ONCE)
+        found[part] = _painted_classes(path, picture[part], start)
+    return np.ascontiguousarray(found[::-1])
+
+
+def _painted_classes(path, picture, first_row):
+    """Return the classes of some rows of a mask, -1 where none is painted."""
     table = class_table()
-    pixels = picture[::-1, :, :3].astype(np.float32)
+    pixels = picture[..., :3].astype(np.float32)
     blank = (pixels < 16).all(axis=-1)
     if picture.shape[2] == 4:
-        blank |= picture[::-1, :, 3] < 128
+        blank |= picture[..., 3] < 128
     away = np.linalg.norm(pixels[..., None, :] - table.colors.astype(np.float32), axis=-1)
     strange = ~blank & (away.min(axis=-1) > MASK_DISTANCE)
     if strange.any():
@@ -147,7 +158,7 @@ def read_mask(path):
             for name, color in zip(table.names, table.colors, strict=True)
         )
         raise InputError(
-            f"{path}: pixel ({column}, {len(picture) - 1 - row}) has the colour "
+            f"{path}: pixel ({column}, {first_row + row}) has the colour "
             f"{tuple(int(v) for v in pixels[row, column])}; a class mask has {colors}, or black "
             "for what is left to the program; repaint it"
         )

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from rainsim.errors import InputError, ParameterError, require_positive
+from rainsim.io.files import require_file
 from rainsim.jit import serial_kernel
 from rainsim.terrain.bed import inpaint, local_noise
 from rainsim.terrain.choose import MOST_CELLS, choose_spacing
@@ -14,6 +15,8 @@ from rainsim.terrain.table import GRASS, HARD
 from rainsim.terrain.types import MEASURED, UNKNOWN, Grid, Terrain
 
 GREY = 0.5  # colour of what has none
+LONGEST_COUNT = 19  # digits of a number of rows, as in `rainsim.scene.plyheader`
+FARTHEST = 1e9  # units, from the origin, of a mesh; more is damage
 HEADER_LIMIT = 65536  # bytes of a PLY header
 _TYPES = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2",
@@ -116,7 +119,7 @@ def terrain_from_mesh(points, triangles, config, notes=()):
 def _from_tiff(path, spacing, scale):
     from rainsim.io import images
 
-    values = images.read_image(path)
+    values = images.read_image(path, MOST_CELLS)
     if values.ndim != 2 or min(values.shape) < 3:
         raise InputError(
             f"{path} has shape {values.shape}; a map of heights has one channel and at least 3 x 3 "
@@ -185,7 +188,7 @@ def raise_to_triangles(corners, height_out):
 def _read_obj(path):
     """Return points (n, 3) and triangles (m, 3) of a Wavefront OBJ file."""
     points, triangles = [], []
-    with open(path, encoding="utf-8", errors="replace") as file:
+    with open(require_file(path, "a mesh"), encoding="utf-8-sig", errors="replace") as file:
         for number, line in enumerate(file, 1):
             parts = line.split()
             try:
@@ -206,7 +209,7 @@ def _read_obj(path):
 
 def _read_ply(path):
     """Return points (n, 3) and triangles (m, 3) of a PLY mesh, text or binary."""
-    data = path.read_bytes()
+    data = require_file(path, "a mesh").read_bytes()
     header, _, body = data.partition(b"end_header")
     lines = header.decode("ascii", "replace").split("\n")
     body = body[body.find(b"\n") + 1 :]
@@ -214,7 +217,7 @@ def _read_ply(path):
     for words in map(str.split, lines):
         if words[:1] == ["format"] and len(words) > 1:
             form = words[1]
-        elif words[:1] == ["element"] and len(words) == 3 and words[2].isdecimal():
+        elif words[:1] == ["element"] and len(words) == 3 and _is_count(words[2]):
             elements.append((words[1], int(words[2]), []))
         elif words[:1] == ["property"] and elements:
             elements[-1][2].append(words[1:])
@@ -223,11 +226,16 @@ def _read_ply(path):
             return _checked(path, *_ply_text(body.decode("ascii").split(), elements))
         order = {"binary_little_endian": "<", "binary_big_endian": ">"}[form]
         return _checked(path, *_ply_binary(body, elements, order))
-    except (KeyError, ValueError, IndexError, UnicodeDecodeError):
+    except (ArithmeticError, IndexError, KeyError, MemoryError, TypeError, ValueError):
         raise InputError(
             f"{path} is no mesh that can be read: a PLY with vertices x, y, z and lists of faces, "
             "whole; write it again"
         ) from None
+
+
+def _is_count(word):
+    """Whether a word is a number of rows; one of thousands of digits is none."""
+    return word.isdecimal() and len(word) < LONGEST_COUNT
 
 
 def _ply_text(words, elements):
@@ -282,7 +290,7 @@ def _checked(path, points, triangles):
     try:
         points = np.asarray(points).astype(np.float64)
         triangles = np.asarray(triangles, np.int64).reshape(-1, 3)
-    except (TypeError, ValueError):
+    except (OverflowError, TypeError, ValueError):
         points = np.zeros(0)
     if points.ndim != 2 or points.shape[1:] != (3,) or not len(triangles):
         raise InputError(f"{path} has no triangles; a height map needs a surface; write it again")
@@ -292,6 +300,8 @@ def _checked(path, points, triangles):
             "write it again"
         )
     used = points[np.unique(triangles)]
-    if not np.isfinite(used).all():
-        raise InputError(f"{path} has vertices that are not finite; remove them")
+    if not (np.abs(used) < FARTHEST).all():  # false for NaN
+        raise InputError(
+            f"{path} has vertices that are not finite or beyond {FARTHEST:g} units; remove them"
+        )
     return points, triangles

@@ -13,7 +13,7 @@ import zipfile
 from dataclasses import dataclass
 from pathlib import PurePosixPath
 
-from rainsim.errors import InputError
+from rainsim.errors import InputError, shown
 from rainsim.io.files import json_number, require_file
 from rainsim.scene.activate import activate, dropped_note, keep_good, require_believable
 from rainsim.scene.formats.extra import decoding, load_extra
@@ -143,9 +143,7 @@ class _Meta:
         return names
 
     def error(self, key, value, rule):
-        shown = repr(value)
-        shown = shown if len(shown) <= 60 else shown[:57] + "..."
-        return InputError(f"{self.path}: {key} is {shown}; it must be {rule}; {REMEDY}")
+        return InputError(f"{self.path}: {key} is {shown(value)}; it must be {rule}; {REMEDY}")
 
 
 def _is_plain_name(name):
