@@ -10,6 +10,7 @@ from dataclasses import replace
 from rainsim.backend import on_backend
 from rainsim.errors import ParameterError
 from rainsim.render.first_view import view_of_water
+from rainsim.render.memory import require_memory
 from rainsim.render.report import FrameReport
 from rainsim.render.shutter import shutter_end
 from rainsim.render.sunken import sunken_notes
@@ -134,6 +135,8 @@ def render(scene, terrain, states, cameras, config, names=(), backend="cpu"):
     """
     if not cameras:
         raise ParameterError("no camera was given; a frame needs one")
+    if backend == "cpu":
+        require_memory(scene, cameras[0], terrain.bed.size, len(names))
     scene = without_images(scene, terrain)
     renderer = on_backend(backend)[0](scene, terrain, config, cameras[0])
     path = [scene.ground_frame.camera_in_ground(camera) for camera in cameras]

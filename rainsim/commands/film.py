@@ -54,6 +54,10 @@ def run(scene, preset, out, overwrite, as_json, quiet, video, layers, backend, *
         loaded = scene_of(scene, given)
         say_scene(status, loaded)
         cameras, config = cameras_of(loaded, config, given)
+        if backend == "cpu":  # before minutes of work; the map's cells are not known yet
+            from rainsim.render.memory import require_memory
+
+            require_memory(loaded, cameras[0], layers=len(names))
         out = out or options.default_out(loaded.name, Path(preset).stem)
 
         def film():
@@ -66,6 +70,7 @@ def run(scene, preset, out, overwrite, as_json, quiet, video, layers, backend, *
 
             ground = extract_terrain(loaded, config, progress=status.progress)
             path = view_on(loaded, ground, cameras, config, given, status)
+            _say_memory(status, loaded, ground, path, names, backend)
             return path, render_rain(loaded, path, config, backend, progress, names, ground)
 
         files = {"out": out, "overwrite": overwrite, "video": video, "as_json": as_json}
@@ -216,6 +221,7 @@ def render(states, scene, out, overwrite, as_json, quiet, video, layers, backend
             pipeline.read_state(_state_file(states, index), ground) for index in config.indices
         )
         path = view_on(loaded, ground, cameras, config, given, status)
+        _say_memory(status, loaded, ground, path, names, backend)
         return path, pipeline.render(loaded, ground, found, path, config, names, backend)
 
     for index in config.indices:
@@ -291,6 +297,14 @@ def _check_before_loading(given, video, layers, backend):
     from rainsim.render.aov import parse_names
 
     return parse_names(layers)
+
+
+def _say_memory(status, scene, terrain, cameras, names, backend):
+    """Say what the frames take, if it is much; raise ParameterError if it is too much."""
+    if backend == "cpu":
+        from rainsim.render.memory import memory_notes
+
+        status.notes(memory_notes(scene, cameras[0], terrain.bed.size, len(names)))
 
 
 def _write_frames(status, film, scene, config, preset, *, out, overwrite, video, as_json):

@@ -13,10 +13,13 @@ import sys
 import threading
 import time
 from collections import defaultdict
+from pathlib import Path
 
 from rainsim.compiling import waiting
 from rainsim.compiling.recorded import TERRAIN
 
+CONTAINER = Path("/sys/fs/cgroup")  # control group of a container, version 2
+LIMIT_AND_USE = ("memory.max", "memory.current")
 BYTES_OF_A_PROCESS = 700 << 20  # memory of one that compiles the largest kernels
 VARIABLE = "RAINSIM_COMPILE_PROCESSES"
 TICK = 0.5  # s between reports of progress
@@ -37,12 +40,17 @@ def processes(most=None):
     except AttributeError:  # not on every system
         cores = os.cpu_count() or 1
     count = min(cores, most or cores)
-    memory = _free_memory()
+    memory = free_memory()
     return count if memory is None else max(min(count, memory // BYTES_OF_A_PROCESS), 1)
 
 
-def _free_memory():
+def free_memory():
     """Return the bytes that processes may take without swapping, None if that is unknown."""
+    found = [_available(), _left_to_this_container()]
+    return min((size for size in found if size is not None), default=None)
+
+
+def _available():
     try:
         with open("/proc/meminfo", encoding="ascii") as lines:
             for line in lines:
@@ -51,6 +59,16 @@ def _free_memory():
     except (OSError, ValueError):
         pass
     return None
+
+
+def _left_to_this_container():
+    """Return what a container's limit leaves, None without one; files kept in memory can go."""
+    try:
+        limit, used = (int((CONTAINER / name).read_text()) for name in LIMIT_AND_USE)
+        facts = dict(line.split() for line in (CONTAINER / "memory.stat").read_text().splitlines())
+        return max(limit - used + int(facts.get("inactive_file", 0)), 0)
+    except (OSError, ValueError):  # ValueError: the limit is "max"
+        return None
 
 
 class _Job:

@@ -1,0 +1,68 @@
+"""Memory is estimated before it is taken."""
+
+import pytest
+
+from rainsim import pipeline
+from rainsim.compiling import pool
+from rainsim.config.settings import Config
+from rainsim.errors import ParameterError
+from rainsim.render import memory
+from scenes import tiny_scene
+
+
+@pytest.fixture
+def free(monkeypatch):
+    """Return a function that says how many bytes are free."""
+    return lambda size: monkeypatch.setattr(memory, "free_memory", lambda: size)
+
+
+def test_the_estimate_follows_pixels_cells_and_layers():
+    scene = tiny_scene()
+    small, large = scene.cameras[0], scene.cameras[0].resized(4000, 2593)
+    least = memory.memory_of_frames(scene, small)
+    assert 0.3e9 < least < 0.8e9
+    assert 2e9 < memory.memory_of_frames(scene, large) - least < 3e9
+    assert 1e9 < memory.memory_of_frames(scene, small, cells=4_000_000) - least < 2e9
+    assert memory.memory_of_frames(scene, large, layers=24) > memory.memory_of_frames(scene, large)
+
+
+def test_frames_that_do_not_fit_are_refused_with_a_width_that_fits(free):
+    scene, free_bytes = tiny_scene(), 2e9
+    camera = scene.cameras[0].resized(8000, 6000)
+    free(free_bytes)
+    with pytest.raises(
+        ParameterError, match=r"8000 x 6000 .* 11.0 GB .* 2.0 GB are free"
+    ) as caught:
+        memory.require_memory(scene, camera)
+    width = int(str(caught.value).partition("--width, ")[2].split()[0])
+    fits = camera.resized(width, width * 3 // 4)
+    assert 0.95 * free_bytes < memory.memory_of_frames(scene, fits) <= free_bytes
+    with pytest.raises(ParameterError, match="GB are free"):  # a library's user is told, too
+        next(pipeline.render(scene, _Map(), (), [camera], Config()))
+    free(None)
+    memory.require_memory(scene, camera)
+
+
+class _Map:
+    class bed:
+        size = 100
+
+
+def test_much_is_said_and_little_is_not(free):
+    scene = tiny_scene()
+    free(20e9)
+    assert memory.memory_notes(scene, scene.cameras[0], 10_000) == []
+    (note,) = memory.memory_notes(scene, scene.cameras[0].resized(8000, 6000), 10_000)
+    assert "some 11.0 GB of memory, of 20.0 GB" in note
+
+
+def test_the_limit_of_a_container_counts(tmp_path, monkeypatch):
+    without = pool.free_memory()
+    monkeypatch.setattr(pool, "CONTAINER", tmp_path)
+    assert abs(pool.free_memory() - without) < 1e9
+    (tmp_path / "memory.max").write_text("3000000\n")
+    (tmp_path / "memory.current").write_text("2500000\n")
+    (tmp_path / "memory.stat").write_text("anon 4\ninactive_file 200000\n")
+    assert pool.free_memory() == 700_000
+    (tmp_path / "memory.max").write_text("max\n")
+    assert pool.free_memory() > 700_000
