@@ -387,7 +387,10 @@ class WaterSolver:
     # -- account -------------------------------------------------------------------------------
 
     def _book_standing_water(self):
-        """Bring the ledger's water on the map up to date, tile by tile."""
+        """Write the water on the ground and in its film [m3] into the ledger.
+
+        Only tiles that changed since the last call are summed again.
+        """
         area, flow = self.spacing**2, self.flow
         which = flow.changed_tiles()
         sums = np.empty((3, len(which)))

@@ -88,7 +88,19 @@ def _true_pictures(scene, settings, ground, cameras, count):
 
 
 def _on_the_cpu(scene, settings, ground, cameras, count):
-    """Return stage times, least time and pictures, and the ground."""
+    """Draw the first `count` frames three times; what `row` takes from them.
+
+    Returns
+    -------
+    milliseconds : dict
+        Median of each stage and of the frame.
+    least : float [ms]
+        Of a frame.
+    pictures : list of ndarray
+        One for each frame.
+    ground : Ground
+        As given.
+    """
     own, times, pictures = Renderer(scene, ground, settings, cameras[0]), [], []
     states = list(itertools.islice(pipeline.simulate(ground, settings), count))
     own.draw(cameras[-1], states[0])

@@ -223,7 +223,7 @@ def _tops(terrain):
 
 
 def _painted_water(terrain):
-    """Return area [m2], volume [litres] and highest level [m] of painted water, None without."""
+    """Return painted water as a dict, None without: `m2`, `litres`, highest `level` [m]."""
     wet = terrain.water > 0
     if not wet.any():
         return None

@@ -224,7 +224,7 @@ class Water:
         )  # fmt: skip
 
     def close(self):
-        """Queue the account at a frame's end."""
+        """Queue the summing of the frame's volumes into the account on the device, `control`."""
         step_control.close[step_control.PARTIAL, step_control.CLOSERS, self.stream](
             self._control, self._state, self._partial.shape[1], 1 / self.spacing, self._partial
         )

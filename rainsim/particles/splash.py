@@ -53,7 +53,7 @@ class Impact(NamedTuple):
     depth : float64 [m]
         Of the water that it met.
     age : float64 [s]
-        Since it fell, when the shutter opens; negative if it falls later.
+        From the impact to the opening of the shutter; negative if the impact comes later.
     """
 
     key: int

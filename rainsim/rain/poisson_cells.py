@@ -173,7 +173,10 @@ def swept_cubes(field, surfaces, start, stop, within=None):
 
 
 def cube_sides():
-    """Return the cube side [m] of each class: a power of two that holds some drops."""
+    """Return the cube side [m] of each class of diameters, a power of two.
+
+    A cube holds about _CUBE_FILL drops in rain of _FILL_RATE, as far as _CUBE_SIDES allows.
+    """
     density = RainSpectrum(_FILL_RATE).density
     side = 2.0 ** np.round(np.log2((_CUBE_FILL / density) ** (1 / 3)))
     return np.clip(side, *_CUBE_SIDES)

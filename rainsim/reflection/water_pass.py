@@ -279,7 +279,10 @@ class WaterPass:
             meet_water(*given, self._highest, interleaved(height), COVERING_DEPTHS, *found)
 
     def _list(self, count, hit):
-        """Make the list of the water, `count` pixels of each row, without ripples and light."""
+        """List the water: a record for each of the `count` pixels of each row, set on `self`.
+
+        Slopes and light are filled in later.
+        """
         n = int(count.sum())
         self.pixel = np.empty(n, np.int32)
         self.record = np.empty((n, water_record.RECORD), np.float32)

@@ -194,7 +194,18 @@ def recompose(aovs, drop, around, air, brightness):
 
 
 def spread_field(drop, height, width):
-    """Return the radiance of drops for each pixel, (height, width, 3), or (3,) if it is even."""
+    """Interpolate the radiance of drops from a few places of the picture to its pixels.
+
+    Parameters
+    ----------
+    drop : array_like of shape (rows, columns, 3) or (3,)
+        At places from edge to edge, see `drop_field`; (3,) is even over the picture.
+    height, width : int [px]
+
+    Returns
+    -------
+    ndarray of shape (height, width, 3) or (3,), float64
+    """
     drop = np.asarray(drop, np.float64)
     if drop.ndim == 1:
         return drop

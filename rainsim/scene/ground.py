@@ -271,7 +271,7 @@ def _said(direction):
 
 
 def _reasons(plane):
-    """Return the factors of a plane's confidence as a sentence."""
+    """Return a sentence with the figures behind a plane's confidence: support, peak and spread."""
     ratio = plane.peak / max(1 - plane.peak, 1e-3)
     return (
         f"{plane.support:.0%} of the splats near by lie within {plane.threshold:.2g} units of it, "

@@ -230,7 +230,7 @@ def color_degree_1(x, y, z, s1, s2, s3):
 
 @inlined_function
 def color_degree_2(x, y, z, s4, s5, s6, s7, s8):
-    """Return what degree 2 adds."""
+    """Return what degree 2 adds to the channel, arguments as for degree 1."""
     xx, yy, zz = x * x, y * y, z * z
     value = SH2A * (x * y * s4 - y * z * s5 - x * z * s7)
     value += SH2B * (TWO * zz - xx - yy) * s6
@@ -240,7 +240,7 @@ def color_degree_2(x, y, z, s4, s5, s6, s7, s8):
 
 @inlined_function
 def color_degree_3(x, y, z, s9, s10, s11, s12, s13, s14, s15):
-    """Return what degree 3 adds."""
+    """Return what degree 3 adds to the channel, arguments as for degree 1."""
     xx, yy, zz = x * x, y * y, z * z
     value = SH3B * x * y * z * s10
     value -= SH3A * y * (THREE * xx - yy) * s9

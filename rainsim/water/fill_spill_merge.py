@@ -369,7 +369,19 @@ def pour(leaf, volume, links, capacity, passes_out, water_out, full_out, whole_o
 
 @device_function
 def spread(bed, order, node, links, rim, water, full, whole, depth_out):
-    """Turn the volume of each depression into a level and the level into depths."""
+    """Turn the water of each node of the tree into a level, and the levels into depths.
+
+    Parameters
+    ----------
+    bed, order, node, links, rim, depth_out : ndarray
+        See `fill`.
+    water : ndarray of shape (count,), float64 [m]
+        Depth that lies in each node, summed over its cells.
+    full : ndarray of shape (count,), bool
+        Whether the node holds its capacity: its level is the rim.
+    whole : ndarray of shape (count,), bool
+        Whether its water has one level: leaves, and parents once both children are full.
+    """
     count = rim.size
     pool = np.empty(count, np.int32)  # the depression whose level a node shares, or DRAINED
     pool[DRAINED] = DRAINED

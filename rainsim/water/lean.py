@@ -53,14 +53,20 @@ def accelerated(w, h_a, h_b, step, noise, gain, k, kg, cap, dry):
 
 @inlined_function
 def flux_row(w, d, b, n, q_out):
-    """Fluxes through the n faces between the cells c and c + 1 of a row."""
+    """Volume fluxes [m2/s], see `upwind_flux`, through the n faces between cells c and c + 1.
+
+    `w` are the face velocities, `d` depth and `b` bed of the row's n + 1 cells.
+    """
     for c in range(n):
         q_out[c] = upwind_flux(w[c], d[c], d[c + 1], b[c + 1] - b[c])
 
 
 @inlined_function
 def flux_rows(w, d_0, d_1, b_0, b_1, n, q_out):
-    """Fluxes through the n faces between two rows."""
+    """Volume fluxes [m2/s] from row 0 to row 1 through the n faces between them.
+
+    `w` are the face velocities, `d_0`, `d_1` the depths and `b_0`, `b_1` the beds of the two rows.
+    """
     for c in range(n):
         q_out[c] = upwind_flux(w[c], d_0[c], d_1[c], b_1[c] - b_0[c])
 

@@ -56,7 +56,7 @@ class PaperFlow:
         return float(max(self.u.max(), -self.u.min(), self.v.max(), -self.v.min()))
 
     def faces(self):
-        """Velocities of all faces, shapes (ny, nx + 1) and (ny + 1, nx) [m/s]."""
+        """Return `u` (ny, nx + 1) and `v` (ny + 1, nx) [m/s] themselves, not copies."""
         return self.u, self.v
 
     def stable_step(self, courant):

@@ -192,7 +192,11 @@ def _flat(u, colour):
 
 
 def _shop(wall, width, parts, wall_part, rng):
-    """Add a shop front: a lit window with goods, a door, a sign, perhaps an awning."""
+    """Add a shop front to `parts`: lit windows with goods, a door, a sign, perhaps an awning.
+
+    `wall_part(u0, u1, z0, z1)` adds a stretch of the bare wall. Returns where warm light leaves
+    the front: (u, strength) rows.
+    """
     sign = SIGNS[rng.integers(0, len(SIGNS))]
     door = rng.uniform(0.18, 0.32) * width if rng.random() < 0.5 else rng.uniform(0.65, 0.8) * width
     d0, d1 = door - 0.5, door + 0.5
