@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from rainsim.config.settings import mm_per_hour
 from rainsim.drops import GROUND, OBSTACLE, Surfaces, Weather, flat_surfaces, impacts, joined
 from rainsim.errors import InputError
 from rainsim.grid import WaterSolver
@@ -172,7 +173,7 @@ def simulate(terrain, config, progress=None, dtype=np.float32):
         dtype=np.float32,
     )
     objects = Objects(surfaces, start, TopWater(tops_drawn(terrain, config)))
-    warm_up(ripples, objects, weather, surfaces)
+    warm_up(ripples, objects, weather)
     objects.open_account()
     index, hits, report = 0, None, None
     while True:
@@ -287,6 +288,11 @@ class Objects:
             self._came += fallen
             self._kept += fallen
 
+    def take_even_rain(self, depth):
+        """Give the objects a depth [m] of rain that falls evenly."""
+        if self.drips is not None:
+            self._came += self.drips.take_even_rain(depth)
+
     def let_in(self, solver, rows, columns, volumes):
         """Give the ground water that rises from outside, and take what falls."""
         more, less = volumes > 0, volumes < 0
@@ -350,7 +356,7 @@ def usual_wind(config):
     return math.hypot(x, y), math.atan2(y, x)
 
 
-def warm_up(ripples, objects, weather, surfaces):
+def warm_up(ripples, objects, weather):
     """Let the rain before the first frame spread rings on the tile and wet the edges of objects.
 
     Parameters
@@ -358,7 +364,6 @@ def warm_up(ripples, objects, weather, surfaces):
     ripples : RippleTile
     objects : Objects
     weather : Weather
-    surfaces : Surfaces
     """
     square = flat_surfaces(ripples.size, ripples.size, ripples.size / 8)
     for begin, end in _steps(RIPPLE_WARM_UP):
@@ -368,9 +373,9 @@ def warm_up(ripples, objects, weather, surfaces):
         landed = impacts(rain, square, begin, end)
         ripples.advance(end - begin, *tile_impacts(landed, square.area, ripples.size, end))
     for begin, end in _steps(DRIP_WARM_UP):
-        rain = weather.field(begin, end)
-        hits = impacts(rain, surfaces, begin, end)
-        objects.take_rain(hits, rain.spectrum.fine_rate * (end - begin))
+        # Edges hold many drops: what matters is how much falls, not which drops do.
+        rate = mm_per_hour(weather.rate(0.5 * (begin + end)))
+        objects.take_even_rain(rate * (end - begin))
         objects.advance(begin, end, weather)
 
 

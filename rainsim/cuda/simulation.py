@@ -134,7 +134,7 @@ class Simulation:
         )
         open_area = float(exposure.sum()) * terrain.grid.cell_area
         self._objects = host.Objects(surfaces, start, TopWater(host.tops_drawn(terrain, config)))
-        host.warm_up(tile, self._objects, self.weather, surfaces)
+        host.warm_up(tile, self._objects, self.weather)
         self._objects.open_account()
         self._first_slopes = tile.slopes()
         interval = 1 / config.fps

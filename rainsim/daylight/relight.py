@@ -35,6 +35,7 @@ from rainsim.daylight.surface import covariances, luminance, surface_of
 from rainsim.daylight.visibility import Window, resized, solids_of
 from rainsim.jit import get_num_threads
 
+SOUGHT = 600_000  # splats at most in which a sun is sought; more tell no more of it
 SIDE = 1024  # px of the maps of the sky's light
 LEAST_HALF, MOST_HALF, BEYOND = 6.0, 40.0, 4.0  # m, of the near window; past the cameras
 FAR_HALF = 60.0  # m, of the far window
@@ -96,10 +97,10 @@ def find_relight(scene, sky_distance, sun=None):
     sun : tuple, optional
         Azimuth and elevation [rad] of the captured sun; found if not given.
     """
-    loaded = _surface_of(scene, sky_distance)
+    loaded = _surface_of(scene, sky_distance, SOUGHT)
     if loaded is None:
         return Relight(None, f"relight: too few splats to find a sun; {STAYS}")
-    which, surface, solids, near = loaded
+    which, surface, solids, near, part = loaded
     turn_to_the_open(surface, solids, near)
     places = places_of(surface, near)
     if len(places.pair) < LEAST_PAIRS:
@@ -113,6 +114,10 @@ def find_relight(scene, sky_distance, sun=None):
     if confidence < SURE:
         shown = f"no sure sign of sunshine in the capture (confidence {confidence:.2f})"
         return Relight(None, f"relight: {shown}; {STAYS}", *facts)
+    if part:
+        which, surface, solids, near, _ = _surface_of(scene, sky_distance, len(scene.splats))
+        turn_to_the_open(surface, solids, near)
+        around = surroundings_of(surface)
     windows = near, Window(near.middle, SIDE, np.float32(2 * FAR_HALF / SIDE))
     light = received(surface, solids, windows, direction, around)
     lit = sunlit(surface, solids, windows, direction)
@@ -122,8 +127,12 @@ def find_relight(scene, sky_distance, sun=None):
     return Relight(gain, _note(direction, measured, confidence, sun is not None), *facts)
 
 
-def _surface_of(scene, sky_distance):
-    """Return indices of the splats that are lit, their surface, solids and near window, or None."""
+def _surface_of(scene, sky_distance, most):
+    """Return indices of the splats that are lit, their surface, solids and near window, or None.
+
+    And whether they are a part of these splats: of more than `most` every so many are taken, each
+    as large as those that it stands for together.
+    """
     frame, splats = scene.ground_frame, scene.splats
     with np.errstate(all="ignore"):
         position = frame.to_ground(splats.position).astype(np.float32)
@@ -140,10 +149,13 @@ def _surface_of(scene, sky_distance):
     which = np.flatnonzero(good)
     if len(which) < FEWEST:
         return None
+    step = -(-len(which) // most)
+    which = which[::step]
     position, opacity = position[which], splats.opacity[which]
     surface = surface_of(position, thin[which], size[which], opacity, splats.sh[which, 0], cameras)
-    solids = solids_of(position, covariance[which], opacity)
-    return which, surface, solids, Window(middle, SIDE, np.float32(2 * half / SIDE))
+    solids = solids_of(position, np.float32(step) * covariance[which], opacity)
+    window = Window(middle, SIDE, np.float32(2 * half / SIDE))
+    return which, surface, solids, window, step > 1
 
 
 def _near(position, cameras):

@@ -114,11 +114,19 @@ class Drips:
         """
         hit = hits.kind == OBSTACLE
         goes, volume = self.point[hits.row[hit], hits.column[hit]], hits.volume[hit]
-        fine = fine_depth * self._surfaces.spacing**2
+        came = np.bincount(goes[goes >= 0], volume[goes >= 0], minlength=len(self._store))
+        return self._take(came, float(volume[goes < 0].sum()), fine_depth)
+
+    def take_even_rain(self, depth):
+        """Give the objects a depth [m] of even rain; return the water that came [m3]."""
+        return self._take(0.0, 0.0, depth)
+
+    def _take(self, came, lost, depth):
+        """Take water on its way to each edge and to none [m3], and a depth [m] on every cell."""
+        each = depth * self._surfaces.spacing**2
         cells = np.bincount(self.point[self.point >= 0], minlength=len(self._store))
-        came = cells * fine
-        came += np.bincount(goes[goes >= 0], volume[goes >= 0], minlength=len(came))
-        lost = float(volume[goes < 0].sum()) + fine * np.count_nonzero(self.point == -2)
+        came = cells * each + came
+        lost += each * np.count_nonzero(self.point == -2)
         self._lost += lost
         self._receive(came)
         return float(came.sum()) + lost

@@ -91,8 +91,7 @@ class WetScene:
         diffuse = None if views is None else views.diffuse
         self.badly_placed = badly_placed(self.scene, views)
         if not self.backdrop.count and replaces_sky(config):
-            keep = ~(self.badly_placed & pale(self.scene.splats))
-            gain, diffuse = self._keep_only(keep, gain, diffuse)
+            self._leave_out(self.badly_placed & pale(self.scene.splats))
         if self.badly_placed.any():
             self.notes.append(
                 f"mirrors leave out {self.badly_placed.sum()} splats that hardly any camera saw"
@@ -145,14 +144,12 @@ class WetScene:
         self.rasterizer.recolor(self.prepared)
         self._standing = self.tracer = None
 
-    def _keep_only(self, keep, *arrays):
-        """Leave shreds of the captured sky out of all pictures; return those rows of arrays."""
-        if keep.all():
-            return arrays
-        self.scene = replace(self.scene, splats=self.scene.splats.take(keep))
-        self.badly_placed = self.badly_placed[keep]
-        self.notes.append(f"{(~keep).sum()} splats of the captured sky are left out")
-        return [None if array is None else array[keep] for array in arrays]
+    def _leave_out(self, shreds):
+        """Leave shreds of the captured sky (n,) out of all pictures."""
+        if shreds.any():
+            opacity = np.where(shreds, np.float32(0), self.scene.splats.opacity)
+            self.scene = replace(self.scene, splats=replace(self.scene.splats, opacity=opacity))
+            self.notes.append(f"{shreds.sum()} splats of the captured sky are left out")
 
     def _set_skies(self):
         """Make the skies behind the scene and behind the mirrored scene, by the present look."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import os
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -96,6 +96,8 @@ def import_scene(
         if cameras is None:
             cameras, camera_notes = cameras_beside(splat_file, model)
         source_hash = hashed.result()
+    for field in fields(splats):
+        cache.know_hash(getattr(splats, field.name), "splats", source_hash, field.name)
     if ground_frame is None:
         frame = _kept_frame(source_hash, splats, cameras, up, meters_per_unit, camera_height)
     else:

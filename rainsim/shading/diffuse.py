@@ -12,6 +12,7 @@ import dataclasses
 import numpy as np
 
 from rainsim.constants import SH_0
+from rainsim.numerics.blocks import in_blocks
 
 ON_TOP = 0.05  # m below the highest surface of its cell within which a splat lies open to the rain
 RINGS = (0.03, 8), (0.06, 16)  # m around a cell, and places on them that heights are compared at
@@ -77,9 +78,18 @@ def without_gloss(splats, diffuse, share):
     """
     if not share.any():
         return splats
-    part = share[:, None, None]
-    sh = splats.sh * (1 - part)
-    sh[:, 0] += share[:, None] * ((diffuse.astype(np.float32) - 0.5) / np.float32(SH_0))
+    sh = splats.sh.copy()
+
+    def work(part):
+        which = np.flatnonzero(share[part])
+        if len(which):
+            which += part.start
+            mixed = sh[which] * (1 - share[which])[:, None, None]
+            plain = (diffuse[which].astype(np.float32) - 0.5) / np.float32(SH_0)
+            mixed[:, 0] += share[which, None] * plain
+            sh[which] = mixed
+
+    in_blocks(work, len(share))
     return dataclasses.replace(splats, sh=sh)
 
 

@@ -193,6 +193,29 @@ def test_every_byte_of_an_array_counts(monkeypatch, rng):
     assert cache.name_of("scene", swapped) != name
 
 
+def test_what_is_known_of_an_array_stands_for_its_bytes(folder, rng):
+    first, second = rng.random((2, 4))
+    plain = cache.name_of("scene", first)
+    for array in (first, second):
+        cache.know_hash(array, "of one file", "position")
+    known = cache.name_of("scene", first)
+    assert known == cache.name_of("scene", second) != plain
+    cache.know_hash(second, "of one file", "scale")
+    assert known != cache.name_of("scene", second)
+    assert cache.name_of("scene", first.copy()) == plain
+    cache.write("test", "a", {}, {"x": second})
+    assert (cache.read("test", "a")[1]["x"] == second).all()  # kept bytes are checked as such
+
+
+def test_what_was_known_of_an_array_goes_with_it():
+    before = len(cache._known)
+    array = np.zeros(3)
+    cache.know_hash(array, "a")
+    assert len(cache._known) == before + 1
+    del array
+    assert len(cache._known) == before
+
+
 def test_the_code_the_machine_and_its_variables_count(monkeypatch, tmp_path):
     name = cache.name_of("terrain", 1)
     with monkeypatch.context() as patch:

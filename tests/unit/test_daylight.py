@@ -101,6 +101,19 @@ def test_a_given_sun_is_taken_and_a_wrong_one_refused(sunny):
     assert wrong.gain is None
 
 
+def test_a_part_of_a_large_capture_tells_where_the_sun_stood(sunny, monkeypatch):
+    scene, share, _, whole = sunny
+    monkeypatch.setattr(relight, "SOUGHT", len(scene.splats) // 3)
+    found = relight.find_relight(scene, REACH)
+    assert found.gain.shape == whole.gain.shape and found.confidence > 0.5
+    assert found.sun @ whole.sun > np.cos(np.radians(3))
+    np.testing.assert_allclose(found.ratio, whole.ratio, rtol=0.25)
+    assert found.ratio != whole.ratio
+    # All splats have a gain of their own, those that were left out of the search too.
+    moved = np.abs(found.gain.astype(float) / whole.gain - 1)
+    assert np.median(moved) < 0.05 and (found.gain != 1).any(axis=1).mean() > 0.5
+
+
 def test_the_sun_is_found_without_cameras(sunny):
     found = relight.find_relight(replace(sunny[0], cameras=()), REACH)
     assert found.gain is not None and angle(found.sun, 200, 38) < 3
