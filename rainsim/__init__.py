@@ -22,3 +22,7 @@ def __getattr__(name):
 
         return getattr(import_module(_PUBLIC[name]), name)
     raise AttributeError(f"module 'rainsim' has no attribute {name!r}")
+
+
+def __dir__():
+    return sorted(__all__)

@@ -165,10 +165,7 @@ def cameras_of(scene, config, given, most=None):
         path = read_cameras(given["path"])
         cameras, config = _one_per_frame(path, given["path"], config, given, most)
     elif not scene.cameras:
-        raise ParameterError(
-            f"scene {scene.name} has no cameras; one is needed; give --eye x,y,z --look-at x,y,z, "
-            "--path transforms.json or --cameras cameras.json"
-        )
+        raise _no_camera(scene)
     elif given.get("orbit"):
         cameras = orbit(scene.ground_frame, scene.cameras, count=config.frames)
     elif given.get("drive"):
@@ -202,6 +199,19 @@ def view_on(scene, terrain, cameras, config, given, status):
     chosen = view_of_water(scene, terrain)
     status.notes([f"camera {chosen.name} is drawn, which shows most water; --camera takes another"])
     return _sized([chosen], config)
+
+
+def _no_camera(scene):
+    """Return the error for a scene without cameras, with a view that can be typed."""
+    eye, target = (
+        ",".join(f"{v:.3g}" for v in scene.ground_frame.to_capture(place) + 0.0)
+        for place in ((-4.0, 0.0, 1.6), (0.0, 0.0, 0.3))
+    )
+    return ParameterError(
+        f"scene {scene.name} has no cameras; one is needed; give --eye={eye} --look-at={target} (4 "
+        "m from the middle of the ground, 1.6 m high; capture units), --path transforms.json or "
+        "--cameras cameras.json"
+    )
 
 
 def _one_per_frame(cameras, where, config, given, most):

@@ -15,6 +15,7 @@ from rainsim.errors import ParameterError
 
 GROUND_FRAME = "ground_frame.json"
 RAINS = (1, 3, 8, 20)  # mm of past rain that puddles are shown for
+CHECK_RAIN = 3  # mm of them, over what a camera sees
 
 
 @click.command(short_help="Make the height map of a scene.")
@@ -32,7 +33,8 @@ RAINS = (1, 3, 8, 20)  # mm of past rain that puddles are shown for
     is_flag=False,
     flag_value="",
     metavar="[=CAMERA]",
-    help="Draw the ground's grid and the puddles over what a camera sees. [default: the first]",
+    help="Draw the ground's grid and the puddles of 3 mm of rain over what a camera sees, as "
+    "check.png. [default: the first]",
 )
 @options.output_options("rainsim-out/SCENE-terrain")
 def heightmap(scene, class_mask, check, out, overwrite, threads, as_json, quiet, **given):
@@ -91,11 +93,13 @@ def heightmap(scene, class_mask, check, out, overwrite, threads, as_json, quiet,
             write_ground_frame(out / GROUND_FRAME, loaded.ground_frame)
             record.add(GROUND_FRAME)
         puddles, depth = _puddles(out, terrain, record)
+        checked = None
         if check is not None:
-            _check(out, loaded, terrain, check, depth, record)
+            camera = _check(out, loaded, terrain, check, depth, record)
+            checked = {"file": "check.png", "camera": camera, "rain_mm": CHECK_RAIN}
         record.write(complete=True, notes=list(terrain.notes))
     status.say(f"height map and pictures in {relative(out)}")
-    result = _result(out, terrain, loaded, puddles, record.files)
+    result = {**_result(out, terrain, loaded, puddles, record.files), "check": checked}
     click.echo(json.dumps(result, indent=1) if as_json else _as_text(result))
 
 
@@ -133,7 +137,7 @@ def _from_splats(scene, config, class_mask):
 
 
 def _puddles(out, terrain, record):
-    """Write the puddle pictures; return figures per rain and the depth at 3 mm."""
+    """Write the puddle pictures; return figures per rain and the depth after CHECK_RAIN."""
     from rainsim.io import images
     from rainsim.terrain.pictures import puddle_overlay
     from rainsim.water.puddles import doubt, puddles_of, wet_share
@@ -145,7 +149,7 @@ def _puddles(out, terrain, record):
         name = f"puddles-{rain}mm.png"
         images.write_png(out / name, puddle_overlay(terrain, puddles.depth))
         record.add(name)
-        shown = puddles.depth if shown is None or rain == 3 else shown
+        shown = puddles.depth if rain == CHECK_RAIN else shown
         rows.append(
             {
                 "rain_mm": rain,
@@ -168,6 +172,7 @@ def _check(out, scene, terrain, name, depth, record):
     camera = named_camera(scene, name or None)
     images.write_png(out / "check.png", through_camera(scene, terrain, camera, depth))
     record.add("check.png")
+    return camera.name
 
 
 def _result(out, terrain, scene, puddles, files):
@@ -265,6 +270,11 @@ def _as_text(result):
             f"after {row['rain_mm']:>2} mm       {row['puddles']} puddles, {row['litres']:.1f} "
             f"litres, {row['wet_share_of_paving']:.0%} of the paving wet, deepest "
             f"{row['deepest_mm']:.1f} mm"
+        )
+    if result["check"] is not None:
+        lines.append(
+            f"check.png         the ground and the puddles of {CHECK_RAIN} mm of rain, camera "
+            f"{result['check']['camera']}"
         )
     doubts = [row["doubt"] for row in result["puddles"]["after_rain"] if row["doubt"]]
     if doubts:

@@ -6,7 +6,6 @@ renamed, so that what stood there before survives a failure.
 
 from __future__ import annotations
 
-import math
 import os
 import tempfile
 import warnings
@@ -115,23 +114,32 @@ def read_image(path, most=MOST_PIXELS):
 
     A file of more than `most` pixels is refused before its pixels are unpacked.
     """
+    width, height = picture_size(path)
+    if width * height > most:
+        raise InputError(
+            f"{path} has {width} x {height} pixels; it must have at most {most} in all; make it "
+            "smaller"
+        )
+    return _decoded(path, iio.imread)
+
+
+def picture_size(path):
+    """Return width and height of a picture without unpacking it."""
+    shape = _decoded(path, iio.improps).shape
+    return shape[1], shape[0]
+
+
+def _decoded(path, read):
+    """Return what imageio reads of a picture's first page, or raise InputError."""
     path = require_file(path, "a picture")
     try:
-        with warnings.catch_warnings(
-            action="ignore"
-        ):  # Pillow warns of sizes that are refused here
-            shape = iio.improps(path, plugin="pillow", index=0).shape
-            if math.prod(shape[:2]) <= most:
-                return iio.imread(path, plugin="pillow", index=0)
+        with warnings.catch_warnings(action="ignore"):  # Pillow warns of large pictures
+            return read(path, plugin="pillow", index=0)
     except Exception as error:  # Pillow raises whatever the damage leads to
         fault = _first_line(error.__cause__ or error)
         raise InputError(
             f"{path} cannot be read as a picture ({fault}); it must be PNG or TIFF; write it again"
         ) from None
-    raise InputError(
-        f"{path} has {shape[1]} x {shape[0]} pixels; it must have at most {most} in all; make it "
-        "smaller"
-    )
 
 
 def write_tiff(path, values):
@@ -210,8 +218,8 @@ def _ffmpeg():
         imageio_ffmpeg.get_ffmpeg_exe()
     except (ImportError, RuntimeError):
         raise RainsimError(
-            "a video was asked for and no video encoder is installed; it needs the extra: "
-            'pip install "rainsim[video]", or leave out --video'
+            "a video was asked for and no video encoder is installed; "
+            'pip install "rainsim[video]" brings one, or leave out --video'
         ) from None
     return imageio_ffmpeg
 

@@ -15,6 +15,7 @@ import numpy as np
 from rainsim.errors import InputError, ParameterError, shown
 from rainsim.io.files import json_number, number_array, printable_name, read_json, write_json
 from rainsim.scene.colmap import MODEL_FILES, read_model
+from rainsim.scene.picture_size import with_size
 from rainsim.scene.types import Camera
 
 MAX_FOCAL = 1e9  # px
@@ -60,8 +61,8 @@ def load_cameras(path):
         path = found
     elif path.name in MODEL_FILES:
         return read_model(path.parent)
-    data = read_json(path, "a camera file")
-    return cameras_from_data(data, path), _distortion_notes(data)
+    data, notes = with_size(read_json(path, "a camera file"), path)
+    return cameras_from_data(data, path), [*notes, *_distortion_notes(data)]
 
 
 def _distortion_notes(data):

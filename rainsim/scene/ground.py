@@ -38,7 +38,11 @@ LEAST_SHARE = 0.1  # of the splats must be as near as the cameras, or the search
 START_SHARE = 0.4  # around one garden camera 0.2 sees lawn only, 2 degrees off; 0.4 is 0.2 off
 GROWTH = 1.5  # of the search radius when the ground is not within it
 LARGEST_FALL = 0.3  # a steep drive has 0.2
-SCALE_REMEDY = "give --meters-per-unit or --camera-height to set it"
+LIKELY_CAMERA_HEIGHTS = (1.0, 2.2)  # m: pictures taken low, and with raised arms
+SCALE_REMEDY = (
+    "a length that you know settles it (--known-length CAMERA:u1,v1,u2,v2,m takes two pixels of a "
+    "picture), or --meters-per-unit or --camera-height"
+)
 
 
 def estimate_ground_frame(
@@ -123,23 +127,34 @@ def _not_enough(splats, up, meters_per_unit, seed):
     """Return the error for a capture without cameras for which up or scale is not given."""
     given = ("--up", up), ("--meters-per-unit", meters_per_unit)
     missing = " and no ".join(name for name, value in given if value is None)
-    text = (
-        f"there are no cameras to find up and scale from, and no {missing}; without cameras both "
-        "--up x,y,z and --meters-per-unit S (or --known-length) are needed; give them, or put the "
-        "capture's cameras.json beside the splats"
-    )
     max_angle = math.pi if up is None else UP_HINT_ANGLE
     try:
-        plane, _ = _search(splats, np.zeros((0, 3)), up, max_angle, seed, up is not None)
+        plane, centre = _search(splats, np.zeros((0, 3)), up, max_angle, seed, up is not None)
     except GroundError:
-        return GroundError(text)
-    if up is None:
-        text += (
-            ". The flattest wide surface, with most of the capture above it, has "
-            f"--up={_said(plane.normal)}"
+        shown_up, scale, views = "--up x,y,z", "--meters-per-unit S", "--eye x,y,z --look-at x,y,z"
+        found = "no flat surface was found that might be the ground"
+    else:
+        width = _width(splats, plane)
+        eye, target = _view_over(plane, centre, width)
+        shown_up = f"--up={_said(plane.normal)}"
+        scale = f"--meters-per-unit {10 / width:.3g}"
+        views = f"--eye={_said(eye)} --look-at={_said(target)}"
+        found = (
+            "that is the flattest wide surface with most of the capture above it; the splats on "
+            f"it lie within {width:.3g} units, and the scale makes them 10 m"
         )
-    width = _width(splats, plane)
-    return GroundError(f"{text}. The splats on that surface lie within {width:.3g} units")
+    return GroundError(
+        f"there are no cameras to find up and scale from, and no {missing}; put the capture's "
+        f"cameras.json beside the splats, or give {shown_up} {scale} (or --known-length) and, to "
+        f"draw, {views}: {found}"
+    )
+
+
+def _view_over(plane, centre, width):
+    """Return an eye and what it looks at [capture units] for a view over a plane's middle."""
+    side = _axes(plane.normal, [])[0]
+    foot = centre - plane.height(centre) * plane.normal
+    return foot + width * (0.15 * plane.normal - 0.5 * side), foot
 
 
 def _width(splats, plane):
@@ -313,8 +328,12 @@ def _scale(heights, meters_per_unit, camera_height, notes):
                      f"{scale:.4g} m per unit")  # fmt: skip
         return scale, False
     scale = ASSUMED_CAMERA_HEIGHT / mean
-    notes.append(f"SCALE IS ASSUMED: {stand}, and that mean is taken as {ASSUMED_CAMERA_HEIGHT} m: "
-                 f"{scale:.4g} m per unit; {SCALE_REMEDY}")  # fmt: skip
+    low, high = (height / mean for height in LIKELY_CAMERA_HEIGHTS)
+    notes.append(
+        f"SCALE IS ASSUMED: {stand}, and that mean is taken as {ASSUMED_CAMERA_HEIGHT} m: "
+        f"{scale:.4g} m per unit, likely {low:.2g} to {high:.2g}; a part of these {len(heights)} "
+        f"cameras would give another; {SCALE_REMEDY}"
+    )
     return scale, True
 
 

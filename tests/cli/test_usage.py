@@ -160,11 +160,15 @@ def test_no_cameras_where_they_are_needed(rainsim, tmp_path):
     splat_ply(tmp_path / "s.ply")
     done = rainsim("heightmap", "s.ply")
     assert done.code == 1
-    assert "up" in done.error and "meters-per-unit" in done.error
+    offered = re.findall(r"--([a-z-]+)[= ]([-0-9.,]+)", done.error)  # all four, to be typed
+    assert [name for name, _ in offered] == ["up", "meters-per-unit", "eye", "look-at"]
+    done = rainsim("heightmap", "s.ply", *(f"--{name}={value}" for name, value in offered[:2]))
+    assert done.code == 0, done.err
     done = rainsim("run", "--scene", "./s.ply", "--up", "0.727,-0.570,-0.383",
                    "--meters-per-unit", "0.6")  # fmt: skip
     assert done.code == 2
-    assert "has no cameras" in done.error and "--eye" in done.error
+    assert "has no cameras" in done.error
+    assert re.search(r"--eye=[-0-9.,]+ --look-at=[-0-9.,]+ ", done.error)
 
 
 def test_a_ground_that_cannot_be_found(rainsim, tmp_path):

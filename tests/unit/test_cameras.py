@@ -9,7 +9,15 @@ import pytest
 
 from made_captures import ring
 from rainsim.errors import InputError, ParameterError
-from rainsim.scene.cameras import look_at, orbit, read_cameras, resize_to, write_transforms
+from rainsim.io.images import write_png
+from rainsim.scene.cameras import (
+    load_cameras,
+    look_at,
+    orbit,
+    read_cameras,
+    resize_to,
+    write_transforms,
+)
 from rainsim.scene.types import GroundFrame
 
 # A quarter turn about y: the camera's x, y, z axes are -z, y, x of the world (columns).
@@ -56,6 +64,22 @@ def test_nerf_cameras_look_along_their_minus_z_with_y_up(tmp_path):
     np.testing.assert_allclose(camera.forward, [0, 0, -1])
     np.testing.assert_allclose(camera.image_up, [0, 1, 0])
     assert (camera.cx, camera.cy, camera.name) == (200, 150, "one")
+
+
+def test_nerf_scenes_that_give_an_angle_alone(tmp_path):
+    data = {
+        "camera_angle_x": math.pi / 2,
+        "frames": [{"file_path": "./train/r_0", "transform_matrix": np.eye(4).tolist()}],
+    }
+    (tmp_path / "transforms.json").write_text(json.dumps(data))
+    (camera,), (note,) = load_cameras(tmp_path / "transforms.json")
+    assert (camera.width, camera.height, camera.name) == (800, 800, "r_0") and "ASSUMED" in note
+    assert camera.fx == camera.fy == pytest.approx(400)
+    (tmp_path / "train").mkdir()
+    write_png(tmp_path / "train" / "r_0.png", np.zeros((30, 40, 3), np.uint8))
+    (camera,), notes = load_cameras(tmp_path / "transforms.json")
+    assert (camera.width, camera.height) == (40, 30) and notes == []
+    assert camera.fx == pytest.approx(20)
 
 
 def test_nerf_field_of_view_and_values_per_frame(tmp_path):

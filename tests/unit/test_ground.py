@@ -53,6 +53,7 @@ def test_paving_is_found_in_any_capture_frame(seed):
     assert abs(found.to_ground(frame.to_capture(np.zeros(3)))[2]) < 0.002
     assert found.meters_per_unit == pytest.approx(frame.meters_per_unit, rel=0.002)
     assert found.scale_assumed and "SCALE IS ASSUMED" in found.notes[-1]
+    assert "--known-length" in found.notes[-1] and "a part of these 12 cameras" in found.notes[-1]
     assert found.confidence > 0.8
     np.testing.assert_allclose(found.rotation @ found.rotation.T, np.eye(3), atol=1e-12)
     assert np.linalg.det(found.rotation) > 0
@@ -135,7 +136,7 @@ def test_without_cameras_up_and_scale_are_needed_and_enough():
     origin = frame.to_ground(found.to_capture(np.zeros(3)))
     assert abs(origin[2]) < 0.002 and np.hypot(*origin[:2]) < 1
     for given in ({}, {"up": rough}, {"meters_per_unit": 1.0}, {"up": rough, "camera_height": 1.5}):
-        with pytest.raises(GroundError, match=r"--up .*--meters-per-unit"):
+        with pytest.raises(GroundError, match=r"--up=.* --meters-per-unit .*--look-at"):
             estimate_ground_frame(splats, [], **given)
 
 
@@ -207,7 +208,7 @@ def test_without_cameras_the_message_tells_what_up_may_be():
     splats, _ = captured(frame, patio())
     with pytest.raises(GroundError, match="flattest wide surface") as told:
         estimate_ground_frame(splats, [])
-    up = typed(re.search(r"--up=(\S+?)\. ", str(told.value))[1])
+    up = typed(re.search(r"--up=(\S+) ", str(told.value))[1])
     assert angle(up, frame.up) < 0.3
     width = float(re.search(r"within (\S+) units", str(told.value))[1]) * frame.meters_per_unit
     assert 5 < width < 14

@@ -40,13 +40,13 @@ def far_and_wide():
 @pytest.mark.parametrize(
     ("points", "message"),
     [
-        (np.zeros((0, 3)), "0 of 0 splats"),
-        (np.zeros((1, 3)), "1 of 1 splats"),
+        (np.zeros((0, 3)), "0 of the capture's 0 splats"),
+        (np.zeros((1, 3)), "1 of the capture's 1 splats"),
         (np.eye(3), "cannot be found"),
         (np.zeros((500, 3)), "cannot be found"),
         (np.linspace(-3, 3, 500)[:, None] * [1, 0, 0], "cannot be found"),
         (wall(), "cannot be found"),
-        (np.full((500, 3), np.nan), "0 of 500 splats"),
+        (np.full((500, 3), np.nan), "0 of the capture's 500 splats"),
     ],
     ids=["empty", "one splat", "three splats", "one place", "line", "wall", "not a number"],
 )
