@@ -76,7 +76,7 @@ def render_rain(
     yield from render(scene, terrain, states, cameras, config, layers, backend)
 
 
-def extract_terrain(scene, config, mask=None, progress=None):
+def extract_terrain(scene, config, mask=None, progress=None, say=None):
     """Return the `Terrain` of a scene as the configuration asks for it.
 
     Kept for the next run unless RAINSIM_CACHE is "off", see `rainsim.io.cache`.
@@ -88,12 +88,23 @@ def extract_terrain(scene, config, mask=None, progress=None):
     mask : ndarray of shape (ny, nx), int, optional
         Class of each cell as the user has it, -1 where the splats decide; see `terrain.read_mask`.
     progress : callable, optional
-        Called as progress("terrain", done, 1) before and after.
+        Called as progress("terrain", done, total) before, after each step and after the last.
+    say : callable, optional
+        Called with notes on the map that is going to be made: its size and its cells.
     """
-    tell = progress or (lambda stage, done, total: None)
+    tell, all_of_it = progress or (lambda stage, done, total: None), 1
+
+    def steps(notes, done, total):
+        nonlocal all_of_it
+        all_of_it = total
+        if done == 0 and say is not None:
+            say(notes)
+        if done < total:
+            tell("terrain", done, total)
+
     tell("terrain", 0, 1)
-    terrain = kept_terrain(scene, config.terrain, mask)
-    tell("terrain", 1, 1)
+    terrain = kept_terrain(scene, config.terrain, mask, steps)
+    tell("terrain", all_of_it, all_of_it)
     return terrain
 
 

@@ -11,12 +11,11 @@ from rainsim.commands import options
 from rainsim.commands.choose import (
     cameras_of,
     check_camera_options,
-    scene_of,
     settings,
     view_on,
 )
 from rainsim.commands.compile import compiled_beside, uses_of
-from rainsim.commands.status import Status, say_scene
+from rainsim.commands.status import Status, loaded_scene
 from rainsim.errors import InputError, ParameterError
 
 SIMULATION = "simulation.json"
@@ -51,8 +50,7 @@ def run(scene, preset, out, overwrite, as_json, quiet, video, layers, backend, *
     config = settings(preset, given)
     names = _check_before_loading(given, video, layers, backend)
     with status, compiled_beside(status, uses_of(config, names, backend), config.threads):
-        loaded = scene_of(scene, given)
-        say_scene(status, loaded)
+        loaded = loaded_scene(status, scene, given)
         cameras, config = cameras_of(loaded, config, given)
         if backend == "cpu":  # before minutes of work; the map's cells are not known yet
             from rainsim.render.memory import require_memory
@@ -68,7 +66,7 @@ def run(scene, preset, out, overwrite, as_json, quiet, video, layers, backend, *
                 if done == total:  # what follows unannounced is the first frame
                     status.progress("frames", 0, len(config.indices))
 
-            ground = extract_terrain(loaded, config, progress=status.progress)
+            ground = extract_terrain(loaded, config, None, status.progress, status.notes)
             path = view_on(loaded, ground, cameras, config, given, status)
             _say_memory(status, loaded, ground, path, names, backend)
             return path, render_rain(loaded, path, config, backend, progress, names, ground)
@@ -202,8 +200,8 @@ def render(states, scene, out, overwrite, as_json, quiet, video, layers, backend
     frame_file = states / "ground_frame.json"
     if all(given.get(name) is None for name in ground) and frame_file.is_file():
         given["ground_frame"] = frame_file  # the very frame of the height map
-    loaded = scene_of(scene, given)
-    say_scene(status, loaded)
+    with status:
+        loaded = loaded_scene(status, scene, given)
     if origin["sha256"] not in (None, "", loaded.source_hash):
         raise InputError(
             f"the states in {states} were made for other splats than scene {loaded.name}; both "

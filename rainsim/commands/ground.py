@@ -8,9 +8,9 @@ from pathlib import Path
 import click
 
 from rainsim.commands import options
-from rainsim.commands.choose import scene_of, settings
+from rainsim.commands.choose import settings
 from rainsim.commands.compile import compiled_beside
-from rainsim.commands.status import Status, say_scene
+from rainsim.commands.status import Status, loaded_scene
 from rainsim.errors import ParameterError
 
 GROUND_FRAME = "ground_frame.json"
@@ -65,8 +65,8 @@ def heightmap(scene, class_mask, check, out, overwrite, threads, as_json, quiet,
         _refuse_with_surface(scene, class_mask, check, given)
         name = Path(scene).stem
     else:
-        loaded = scene_of(scene, given)
-        say_scene(status, loaded)
+        with status:
+            loaded = loaded_scene(status, scene, given)
         name = loaded.name
     out = out or options.default_out(name, "terrain")
     from rainsim.compiling.uses import HEIGHTMAP
@@ -81,12 +81,12 @@ def heightmap(scene, class_mask, check, out, overwrite, threads, as_json, quiet,
 
         set_threads(config.threads)
         record = Record(out, loaded, settings={"terrain": config.as_dict()["terrain"]})
-        status.progress("terrain", 0, 1)
         if surface:
+            status.progress("terrain", 0, 1)
             terrain = _from_surface(scene, config, given)
+            status.progress("terrain", 1, 1)
         else:
-            terrain = _from_splats(loaded, config, class_mask)
-        status.progress("terrain", 1, 1)
+            terrain = _from_splats(loaded, config, class_mask, status)
         status.notes(terrain.notes)
         record.add(*(path.name for path in write_terrain(out, terrain)))
         if loaded is not None:
@@ -128,12 +128,12 @@ def _from_surface(scene, config, given):
     )
 
 
-def _from_splats(scene, config, class_mask):
+def _from_splats(scene, config, class_mask, status):
     from rainsim.pipeline import extract_terrain
     from rainsim.terrain.classify import read_mask
 
     mask = None if class_mask is None else read_mask(class_mask)
-    return extract_terrain(scene, config, mask)
+    return extract_terrain(scene, config, mask, status.progress, status.notes)
 
 
 def _puddles(out, terrain, record):

@@ -11,22 +11,29 @@ import click
 from rainsim.errors import one_line
 
 LOUD = ("ASSUMED", "WARNING", "NOT TO BE BELIEVED")  # words of notes that are printed bold
-QUARTERS = 4  # without a terminal a stage reports this often
+READING = "scene"  # the stage before all others
+QUARTERS = 4  # without a terminal a stage reports this often at least
+BEAT = 10.0  # s after which it reports again, and a stage that cannot count says that it goes on
+TICK = 1.0  # s between looks at the clock
+LEAST_LEFT = 5.0  # s; less is not worth saying
 
 
 class Status:
     """Says on stderr what is being done; silent when `quiet`.
 
     `progress(stage, done, total)` is the callable that the pipeline's functions take. As a context
-    manager it ends the bar on the way out, also on an error.
+    manager it ends the bar on the way out, also on an error. In a terminal a stage has a bar;
+    elsewhere it has lines with counts and the time that is left, none of them long after another.
     """
 
     def __init__(self, quiet=False):
         self.quiet = quiet
-        self._stage, self._bar, self._told = None, None, 0
+        self._stage, self._bar = None, None
         self._compiling, self._lock = None, threading.RLock()
         self._said = set()
         self._start = time.perf_counter()
+        self._ticking, self._ended = None, threading.Event()
+        self._ended.set()  # the clock goes within a `with` block only
 
     @property
     def seconds(self):
@@ -34,10 +41,15 @@ class Status:
         return time.perf_counter() - self._start
 
     def __enter__(self):
+        self._ended.clear()
         return self
 
     def __exit__(self, *exception):
         self.close()
+        self._ended.set()
+        if self._ticking is not None:
+            self._ticking.join()
+            self._ticking = None
 
     def say(self, text, indent="", bold=False):
         """Print a line, above the bar if there is one; files' names may hold what no line holds."""
@@ -66,19 +78,23 @@ class Status:
                 self._compiling.beside(stage, done, total)
             else:
                 self._progress(stage, done, total)
+            self._tick()
 
     def _progress(self, stage, done, total):
-        if stage != self._stage:
+        if self._stage is None or stage != self._stage.name:
             self.close()
-            self._stage, self._told = stage, 0
+            self._stage = Stage(stage)
             self._open(stage, total)
+        self._stage.update(done, total)
         if self._bar is not None:
             self._bar.update(done - self._bar.n)
+            if self._bar.total != total:  # now it is known
+                self._bar.total, self._bar.leave = total, total > 1
+                self._bar.refresh()
             if done == total:
                 self.close()
-        elif total > 1 and done * QUARTERS // total > self._told:
-            self._told = done * QUARTERS // total
-            click.echo(f"{stage} {done}/{total}", err=True)
+        elif total > 1 and self._stage.is_due():
+            self._stage.tell()
 
     def _open(self, stage, total):
         if not sys.stderr.isatty():
@@ -110,13 +126,31 @@ class Status:
     def _end_compiling(self):
         compiling, self._compiling = self._compiling, None
         compiling.close()
-        if compiling.stage is None:
+        stage = compiling.stage
+        if stage is None:
             return
-        stage, done, total = compiling.stage
         if compiling.bar is None:  # the stage has been named
-            self._stage, self._told = stage, done * QUARTERS // max(total, 1)
-        elif done < total:
-            self._progress(stage, done, total)  # the stage that is under way gets its bar
+            self._stage = stage
+        elif stage.done < stage.total:
+            self._progress(stage.name, stage.done, stage.total)  # it gets its bar
+
+    def _tick(self):
+        """Start the thread that looks at the clock."""
+        if self._ticking is None and not self._ended.is_set():
+            self._ticking = threading.Thread(target=self._look, daemon=True)
+            self._ticking.start()
+
+    def _look(self):
+        """Move the clock of a bar on, or say that a stage goes on which has not been heard of."""
+        while not self._ended.wait(TICK):
+            with self._lock:
+                bar, stage = self._bar, self._stage
+                if self._compiling is not None:
+                    bar, stage = self._compiling.bar, self._compiling.stage
+                if bar is not None:
+                    bar.refresh()
+                elif stage is not None and stage.is_late():
+                    stage.tell()
 
     def close(self):
         """End the bar that is shown."""
@@ -129,11 +163,65 @@ class Status:
             self._bar, self._stage = None, None
 
 
+class Stage:
+    """A stage as lines without a terminal: how far it is, and how long it will still take."""
+
+    def __init__(self, name):
+        self.name, self.done, self.total = name, 0, 1
+        self._begun = self._heard = time.perf_counter()
+        self._first = None  # parts done and time when the first report came: parts before are slow
+        self._told = 0
+
+    def update(self, done, total):
+        """Take over how many parts are done."""
+        self.done, self.total = done, total
+        if done > 0 and self._first is None:
+            self._first = done, time.perf_counter()
+
+    def is_due(self):
+        """Whether another quarter is done, or a line is late."""
+        return self.done * QUARTERS // max(self.total, 1) > self._told or self.is_late()
+
+    def is_late(self):
+        """Whether the stage goes on and nothing has been said of it for a while."""
+        return self.done < self.total and time.perf_counter() - self._heard >= BEAT
+
+    def tell(self):
+        """Print a line."""
+        self._told = self.done * QUARTERS // max(self.total, 1)
+        self._heard = now = time.perf_counter()
+        text = f"{self.name} {self.done}/{self.total}" if self.total > 1 else self.name
+        left = self.seconds_left(now)
+        if self.done < self.total and now - self._begun >= BEAT:
+            text += f", {in_words(now - self._begun)} so far"
+        if left is not None and left >= LEAST_LEFT:
+            text += f", about {in_words(left)} left"
+        click.echo(text, err=True)
+
+    def seconds_left(self, now):
+        """Return how long the stage will still take [s]; None if that is not known yet."""
+        if self._first is None or self.done >= self.total:
+            return None
+        done, since = self._first
+        if self.done > done:
+            return (now - since) / (self.done - done) * (self.total - self.done)
+        return (now - self._begun) / self.done * (self.total - self.done)
+
+
+def in_words(seconds):
+    """Return a time for people: 45 s, 3 min, 2 h 5 min."""
+    if seconds < 100:
+        return f"{seconds:.0f} s"
+    minutes = round(seconds / 60)
+    return f"{minutes} min" if minutes < 100 else f"{minutes // 60} h {minutes % 60} min"
+
+
 class _Compiling:
     """The bar, or the lines, of kernels that are being compiled; weighed by what each costs."""
 
     def __init__(self, total, processes):
         self.total, self.bar, self.stage, self._told = total, None, None, 0
+        self._begun = self._heard = time.perf_counter()
         many = f"{processes} processes" if processes > 1 else "one process"
         if not sys.stderr.isatty():
             click.echo(f"compiling {total} kernels for this machine in {many}, once", err=True)
@@ -150,18 +238,23 @@ class _Compiling:
         """Show a share of the work, from 0 to 1."""
         if self.bar is not None:
             self.bar.update(max(share - self.bar.n, 0.0))
-        elif int(share * QUARTERS) > self._told:
-            self._told = int(share * QUARTERS)
-            click.echo(f"compiling {done}/{self.total}", err=True)
+            return
+        now = time.perf_counter()
+        if int(share * QUARTERS) > self._told or (share < 1 and now - self._heard >= BEAT):
+            self._told, self._heard = int(share * QUARTERS), now
+            left = (now - self._begun) / share * (1 - share) if share > 0 else 0.0
+            more = f", about {in_words(left)} left" if left >= LEAST_LEFT else ""
+            click.echo(f"compiling {done}/{self.total}{more}", err=True)
 
     def beside(self, stage, done, total):
         """Name the stage that goes on meanwhile."""
-        if self.stage is None or self.stage[0] != stage:
+        if self.stage is None or self.stage.name != stage:
+            self.stage = Stage(stage)
             if self.bar is None:
                 click.echo(f"{stage} ...", err=True)
             else:
                 self.bar.set_postfix_str(stage)
-        self.stage = (stage, done, total)
+        self.stage.update(done, total)
 
     def close(self):
         """End the bar."""
@@ -169,8 +262,13 @@ class _Compiling:
             self.bar.close()
 
 
-def say_scene(status, scene):
-    """Say what was loaded, and what was found or is only assumed about it."""
+def loaded_scene(status, name, given):
+    """Load a scene as `choose.scene_of` does; say what was loaded, found and only assumed."""
+    from rainsim.commands.choose import scene_of
+
+    status.progress(READING, 0, 1)
+    scene = scene_of(name, given)
+    status.progress(READING, 1, 1)
     cameras = len(scene.cameras)
     status.say(
         f"scene {scene.name}: {len(scene.splats):,} splats, {cameras} "
@@ -178,3 +276,4 @@ def say_scene(status, scene):
     )
     status.notes(scene.notes)
     status.notes(scene.ground_frame.notes)
+    return scene

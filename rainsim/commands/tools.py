@@ -8,9 +8,8 @@ from pathlib import Path
 import click
 
 from rainsim.commands import options
-from rainsim.commands.choose import scene_of
 from rainsim.commands.compile import compiled_beside
-from rainsim.commands.status import Status, say_scene
+from rainsim.commands.status import Status, loaded_scene
 from rainsim.errors import RainsimError
 
 GROUND_FRAME = "ground_frame.json"
@@ -47,8 +46,8 @@ def import_(path, info, out, overwrite, threads, as_json, quiet, **given):
     from rainsim.scene.ground import ground_frame_to_dict, write_ground_frame
 
     status = Status(quiet)
-    scene = scene_of(path, given)
-    say_scene(status, scene)
+    with status:
+        scene = loaded_scene(status, path, given)
     frame = scene.ground_frame
     out = out or Path(f"{options.plain(scene.name)}-scene")
     with claimed(out, overwrite):
@@ -94,7 +93,7 @@ def _calibration(status, scene, threads):
     with status, compiled_beside(status, [HEIGHTMAP], threads):
         set_threads(threads)
         try:
-            terrain = extract_terrain(scene, config, progress=status.progress)
+            terrain = extract_terrain(scene, config, None, status.progress, status.notes)
         except RainsimError as error:
             status.say(f"  no height map, so what the colours stand for is not known: {error}")
             return None

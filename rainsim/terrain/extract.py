@@ -31,6 +31,7 @@ SMALLEST_TOP = 2e-3  # m2 of a thing that shelters the ground
 CEILING_OVER_CAMERAS = 1.0  # m: what is higher was hardly seen by any camera
 CEILING_WITHOUT_CAMERAS = 4.0  # m above the ground
 PIECE = 4_500_000  # cells of a map that are made at once, with their margins; some 800 MB
+STEPS = 6  # that each part is made in, of some seconds for a million cells
 MARGIN = 2.0  # m about the cells of a part that are made with them: nothing reaches farther
 NEAR_BED = 0.03  # m, and four times the noise: what is farther from the first bed stands on it
 LARGEST_SHIFT, SHIFT_WIDTH = 0.02, 0.05  # m, by which overlapping splats may hide the ground
@@ -39,7 +40,7 @@ EDGE_WIDTH = 0.06  # m: splats of a kerb's top reach so far over its edge
 LEAST_GROUND = 0.02  # share of the map that must show ground
 
 
-def extract_terrain(scene, config, mask=None):
+def extract_terrain(scene, config, mask=None, tell=None):
     """Return the `Terrain` of a scene.
 
     Parameters
@@ -49,6 +50,8 @@ def extract_terrain(scene, config, mask=None):
         spacing [m] and extent (half width [m] or None).
     mask : ndarray of shape (ny, nx), int, optional
         Class of each cell as the user has it; -1 where it is to be found from the splats.
+    tell : callable, optional
+        tell(notes, done, total) is called as steps are done; `notes` say what map is made.
 
     Raises
     ------
@@ -63,11 +66,14 @@ def extract_terrain(scene, config, mask=None):
             f"the class mask has {np.shape(mask)[1]} x {np.shape(mask)[0]} cells; the map has "
             f"{grid.shape[1]} x {grid.shape[0]}; paint over the class map that was written for it"
         )
+    parts = list(pieces(grid))
+    step = _steps(tell, notes, STEPS * len(parts) + 2)
     cloud = _Cloud(scene, grid)
+    step()
     maps = _empty_maps(grid)
     left_out = np.zeros(len(cloud.position), bool)
-    for core, inner, piece in pieces(grid):
-        found = _piece(scene, cloud, piece, None if mask is None else mask[piece.cells])
+    for core, inner, piece in parts:
+        found = _piece(scene, cloud, piece, None if mask is None else mask[piece.cells], step)
         for name, values in found.items():
             if name == "left_out":
                 left_out |= values
@@ -91,8 +97,24 @@ def extract_terrain(scene, config, mask=None):
     terrain = Terrain(grid, **maps, water=water)
     removed = int(np.count_nonzero(left_out))
     tops = find_tops(terrain, scene)
+    step()
     notes += (*cloud.notes, *_report(terrain, removed, mask), *pond_notes, *note_of(tops))
     return replace(terrain, notes=notes, tops=tops)
+
+
+def _steps(tell, notes, total):
+    """Return a function to be called after each step, which counts and tells them."""
+    done = 0
+
+    def step():
+        nonlocal done
+        done += 1
+        if tell is not None:
+            tell(notes, done, total)
+
+    if tell is not None:
+        tell(notes, 0, total)
+    return step
 
 
 @dataclass(frozen=True)
@@ -150,22 +172,30 @@ def _empty_maps(grid):
     return maps | {"color": np.empty((*grid.shape, 3), np.float32)}
 
 
-def _piece(scene, cloud, piece, mask):
-    """Return the arrays of a `Terrain` on a part of the map, and which splats were left out."""
+def _piece(scene, cloud, piece, mask, step):
+    """Return the arrays of a `Terrain` on a part of the map, and which splats were left out.
+
+    `step()` is called STEPS times.
+    """
     grid = piece.grid
     over = cloud.over(grid)
     near = cloud.near_bed & over
     ground = cloud.look(near, grid)
+    step()
     known = ground.alpha > MIN_SEEN_ALPHA
     off = _floaters(cloud, ground, grid) & near if known.any() else np.zeros_like(near)
     kept = near & ~off
     if off.any():
         ground = cloud.look(kept, grid)
+    step()
     below = cloud.look(kept, grid, from_below=True)
     bed, source, noise, color, green = _bed(ground, below, grid, cloud.level)
+    step()
     upper = cloud.look(cloud.below_ceiling & over, grid)
+    step()
     lower = cloud.look(cloud.overhead & over, grid, from_below=True)
     top, underside = _cover(upper, lower, bed, grid.cell_area)
+    step()
     classes = classify(bed, top, source, noise, color, green, grid.spacing)
     classes = mark_drains(classes, grid, scene)
     if mask is not None:
@@ -174,6 +204,7 @@ def _piece(scene, cloud, piece, mask):
     # The soil under grass lies lower; what stands in the grass stands on it.
     soil = cloud.soil(bed, classes, grid)
     lowered = soil < bed
+    step()
     return {
         "bed": soil,
         "top": np.where(lowered & (top == bed), soil, top),

@@ -10,7 +10,7 @@ ARRAYS = ("bed", "top", "underside", "source", "ground_class", "noise", "color")
 TOPS = "tops_"  # begins the names of the arrays of `Tops`
 
 
-def kept_terrain(scene, config, mask=None):
+def kept_terrain(scene, config, mask=None, tell=None):
     """Return what `extract_terrain` returns, to the byte; the parameters are the same.
 
     The kept entry is named by the splats' content, the ground frame, the cameras, the drains, the
@@ -22,7 +22,7 @@ def kept_terrain(scene, config, mask=None):
         return _unpacked(*found)
     from rainsim.terrain.extract import extract_terrain  # not needed for a kept terrain
 
-    terrain = extract_terrain(scene, config, mask)
+    terrain = extract_terrain(scene, config, mask, tell)
     if name:
         cache.write(KIND, name, *_packed(terrain))
     return terrain
