@@ -111,9 +111,9 @@ lean_function = device_function(_nrt=False)
 inlined_function = device_function(forceinline=True, _nrt=False)
 
 
-def _kernel(**options):
+def _kernel(thorough=False, **options):
     options = {"nogil": True, "error_model": "numpy", "fastmath": _FAST, **options}
-    shown = str({**options, "fastmath": sorted(_FAST)})
+    shown = str({**options, "fastmath": sorted(_FAST), "thorough": thorough})
 
     def decorate(function):
         kernel = njit(**options)(function)
@@ -121,12 +121,14 @@ def _kernel(**options):
             folder = CACHE_FOLDER / function.__module__
             kernel._cache = KernelCache(function, folder, shown)
             KERNELS[kernel._cache.kernel_name] = kernel
+        kernel.thorough = thorough  # see `callees`
         return kernel
 
     return decorate
 
 
 cpu_kernel = _kernel(parallel=True)
+thorough_kernel = _kernel(parallel=True, thorough=True)
 serial_kernel = _kernel()
 
 __all__ = [
@@ -144,6 +146,7 @@ __all__ = [
     "lean_function",
     "prange",
     "serial_kernel",
+    "thorough_kernel",
     "types",
 ]
 

@@ -16,7 +16,7 @@ import math
 import numpy as np
 
 from rainsim.constants import ONE, ZERO
-from rainsim.jit import cpu_kernel, prange
+from rainsim.jit import prange, thorough_kernel
 from rainsim.shading.environment import directions, sample_environment
 from rainsim.shading.fresnel import fresnel
 
@@ -63,7 +63,7 @@ def even(radiance):
     return np.tile(np.asarray(radiance, np.float32), (*GRID, 1))
 
 
-@cpu_kernel
+@thorough_kernel
 def _fill(environment, everywhere, ground_from_camera, lens, size, field_out):
     """See `drop_field`."""
     m = ground_from_camera

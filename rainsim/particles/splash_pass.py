@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rainsim.jit import cpu_kernel, inlined_function, lean_function, prange
+from rainsim.jit import inlined_function, lean_function, prange, thorough_kernel
 from rainsim.particles.crown import (
     FINE_PIXEL,
     JET_FROM,
@@ -217,7 +217,7 @@ def _windows(field, surfaces, camera, view, water, nearest):
     return _Windows(starts, stops, first, last), np.concatenate(tasks)
 
 
-@cpu_kernel
+@thorough_kernel
 def _draw_splashes(
     tasks, windows, field, surfaces, water, drips, view, depth, columns_out, tiles_out, pictures,
     alpha_out, seen_out, position_out, ids_out,

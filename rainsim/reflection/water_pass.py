@@ -347,8 +347,10 @@ class WaterPass:
                 for z, which in mirrors
             ]
         others = level[others]
-        served = np.concatenate([others, *(which for _, which in mirrors)])
-        return mirrors, others, np.setdiff1d(np.arange(len(height)), served)
+        left = np.ones(len(height), np.bool_)
+        for which in (others, *(which for _, which in mirrors)):
+            left[which] = False
+        return mirrors, others, np.flatnonzero(left)
 
     def choice(self):
         """Return in words what `auto` took for the last picture; None without water or choice."""

@@ -14,7 +14,14 @@ from typing import NamedTuple
 import numpy as np
 
 from rainsim.constants import HALF, ONE, TWO, ZERO
-from rainsim.jit import cpu_kernel, device_function, inlined_function, lean_function, prange
+from rainsim.jit import (
+    cpu_kernel,
+    device_function,
+    inlined_function,
+    lean_function,
+    prange,
+    thorough_kernel,
+)
 from rainsim.numerics.approximations import exp_minus
 from rainsim.numerics.interpolation import bilinear, bilinear_color, smoothstep
 from rainsim.reflection.slope_moments import pixel_slopes
@@ -298,7 +305,7 @@ def tilt_water(ripples: Ripples, tops: TopMaps, record_out):
         write_slopes(tilted(read_record(record_out, n), ripples, tops), record_out[n])
 
 
-@cpu_kernel
+@thorough_kernel
 def lay_water(
     pixel, record, light, background: Background, view: View, optics: Optics, picture_out
 ):

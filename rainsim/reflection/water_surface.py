@@ -9,7 +9,7 @@ import numpy as np
 from scipy import ndimage
 
 from rainsim.constants import HALF, ONE, ZERO
-from rainsim.jit import cpu_kernel, device_function, prange
+from rainsim.jit import cpu_kernel, device_function, prange, thorough_kernel
 from rainsim.numerics.interpolation import bilinear
 
 GRASS_HEIGHT = 0.05  # m of water that closes over a lawn
@@ -111,7 +111,7 @@ def _sum_blocks(bed, depth, smooth, count_out, total_out):
                     total_out[m, i // BLOCK] += bed[j, i] + depth[j, i]
 
 
-@cpu_kernel
+@thorough_kernel
 def _continue(bed, depth, smooth, relief, wide, narrow, far, surface_out, over_out):
     """Fill in `water_surface`'s results: Gaussian means by rows, then by columns."""
     ny, nx = bed.shape

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from rainsim.constants import HALF, ONE, ZERO
-from rainsim.jit import cpu_kernel, device_function, inlined_function, prange
+from rainsim.jit import device_function, inlined_function, prange, thorough_kernel
 from rainsim.splatting.lanes import CHANNELS, LANES, blend_lanes, meets_blocks, prefetch, put_chosen
 from rainsim.splatting.project import R_DEPTH, TILE
 from rainsim.splatting.tiles import DIGITS, RECORD_MASK, sort_keys
@@ -55,7 +55,7 @@ def deal(entry, record, begin, end, left, top, is_open, bits, number, chosen_out
         count_out[block] = n
 
 
-@cpu_kernel
+@thorough_kernel
 def blend_tiles(
     record, entry, start, turn, height, width, lens, orthographic, background, halfway, drop_last,
     color_out, alpha_out, depth_out, plane_out, normal_out, half_out,

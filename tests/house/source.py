@@ -14,7 +14,10 @@ MODULES = sorted(PACKAGE.rglob("*.py"))
 TEXTS = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
 
 # What marks a function that numba compiles, on either backend.
-KERNELS = {"cpu_kernel", "serial_kernel", "cuda_kernel", "fast_kernel", "tight_kernel", "cuda.jit"}
+KERNELS = {
+    "cpu_kernel", "thorough_kernel", "serial_kernel", "cuda_kernel", "fast_kernel", "tight_kernel",
+    "cuda.jit",
+}  # fmt: skip
 FORMULAS = {
     "device_function", "lean_function", "inlined_function", "cuda_device", "fast_device",
 }  # fmt: skip

@@ -8,7 +8,7 @@ import pytest
 from numba.core.registry import cpu_target
 
 from rainsim.compiling import callees
-from rainsim.jit import cpu_kernel, device_function, prange, serial_kernel
+from rainsim.jit import cpu_kernel, device_function, prange, serial_kernel, thorough_kernel
 
 pytestmark = pytest.mark.skipif(
     os.environ.get("NUMBA_DISABLE_JIT", "0") != "0", reason="there are no kernels to compile"
@@ -50,6 +50,35 @@ def test_functions_are_linked_into_their_kernel_and_nowhere_else(poisoned):
     np.testing.assert_allclose(found, 2 * EXPECTED, rtol=1e-6)
     assert inner(X[3]) == pytest.approx(EXPECTED[3], rel=1e-6)  # a kernel, also where one calls it
     assert _with_code() == before
+
+
+@pytest.mark.parametrize(("mark", "in_full"), [(cpu_kernel, False), (thorough_kernel, True)])
+def test_only_thorough_kernels_have_what_they_call_optimised_in_full(
+    monkeypatch, poisoned, mark, in_full
+):
+    optimised = []
+    whole = callees.JITCodeLibrary._optimize_final_module
+
+    def optimise(library):
+        optimised.append(library.name)
+        whole(library)
+
+    monkeypatch.setattr(callees.JITCodeLibrary, "_optimize_final_module", optimise)
+
+    @device_function
+    def called(x):
+        return np.sqrt(x) * np.float32(0.1) + np.log(x)
+
+    @mark
+    def outer(x, x_out):
+        for i in prange(len(x)):
+            x_out[i] = called(x[i])
+
+    found = poisoned(len(X))
+    outer(X, found)
+    np.testing.assert_allclose(found, EXPECTED, rtol=1e-6)
+    assert any("outer" in name for name in optimised)
+    assert any("called" in name.rpartition(".")[2] for name in optimised) == in_full
 
 
 def test_what_is_no_kernel_is_compiled_as_numba_does_it():

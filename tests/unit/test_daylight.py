@@ -102,7 +102,7 @@ def test_a_given_sun_is_taken_and_a_wrong_one_refused(sunny):
 
 
 def test_a_part_of_a_large_capture_tells_where_the_sun_stood(sunny, monkeypatch):
-    scene, share, _, whole = sunny
+    scene, whole = sunny[0], sunny[3]
     monkeypatch.setattr(relight, "SOUGHT", len(scene.splats) // 3)
     found = relight.find_relight(scene, REACH)
     assert found.gain.shape == whole.gain.shape and found.confidence > 0.5
