@@ -19,7 +19,7 @@ from rainsim.io.arrays import Field, read_arrays, write_arrays
 from rainsim.io.files import replacing, require_file
 
 VERSION = 1  # of files of float pictures
-PNG_LEVEL = 3  # twice as fast as the usual 6 and a tenth larger
+PNG_LEVEL = 2  # three times as fast as the usual 6 and a twelfth larger
 PREVIEW_WIDTH = 480  # px at most
 PREVIEW_FRAMES = 240  # at most; a longer film's preview skips frames
 PREVIEW_QUALITY = 75
@@ -199,8 +199,11 @@ def _shrink(image, width):
     rows, columns = image.shape[0] // block, image.shape[1] // block
     if block == 1 or rows == 0:
         return image.copy()
-    blocks = image[: rows * block, : columns * block].reshape(rows, block, columns, block, -1)
-    return blocks.mean(axis=(1, 3), dtype=np.float32).round().astype(np.uint8)
+    total = np.zeros((rows, columns, *image.shape[2:]), np.float32)
+    for row in range(block):  # slices: many times as fast as means over axes of a few pixels
+        for column in range(block):
+            total += image[row : rows * block : block, column : columns * block : block]
+    return np.rint(total * np.float32(1 / block**2)).astype(np.uint8)
 
 
 # --- video ----------------------------------------------------------------------------------------
