@@ -34,7 +34,7 @@ from rainsim.rain.dripping import DRIP_COLUMNS
 from rainsim.rain.exposure import rain_exposure
 from rainsim.reflection.slope_moments import ripple_moments
 from rainsim.water.keyframes import level_changes, past_rain_growth
-from rainsim.water.ripples import RippleTile, mean_chord
+from rainsim.water.ripples import LAYERS, RippleTile, mean_chord
 from rainsim.water.top_water import TopWater
 
 
@@ -141,7 +141,7 @@ class Simulation:
         self.water = Water(solver, exposure, stream=self.stream)
         self._beside = cuda.stream()
         self.ripples = Ripples(tile, interval, self._beside)
-        self._share = tile.size**2 / open_area if open_area > 0 else 0.0
+        self._share = tile.size**2 / open_area / LAYERS if open_area > 0 else 0.0
         self.impacts = self.drips = None
         if self.weather.rains:
             # An exposure is no longer than a frame: it sees one interval that is still to come.

@@ -41,7 +41,6 @@ from rainsim.particles.shutter_view import (
 )
 from rainsim.particles.splash import (
     LARGEST_SHARE,
-    LONGEST_LIFE,
     SMALLEST_ON_FILM,
     SMALLEST_SPLASH,
     WET_DEPTH,
@@ -49,6 +48,7 @@ from rainsim.particles.splash import (
     droplet,
     droplets_of,
     least_seen,
+    longest_flight,
     relative_size,
     splashes_on,
 )
@@ -67,7 +67,7 @@ from rainsim.rain.poisson_cells import (
 from rainsim.rain.size_distribution import terminal_speed
 
 FARTHEST = 100.0  # m; beyond it no splash is drawn
-MARGIN = 0.03  # m by which splashes reach into the picture from outside
+MARGIN = 0.1  # m by which splashes reach into the picture from outside
 _NEAREST = np.float32(0.05)  # m; what falls nearer to the camera is not drawn
 _REACH = np.float32(MARGIN)
 _ROOM = 1024  # lines that a worker lists before it draws
@@ -203,8 +203,9 @@ def _windows(field, surfaces, camera, view, water, nearest):
     if water.ground.max() > JET_FROM * smallest:
         least = smallest
     largest = field.spectrum.edges[1:]  # of each class
-    lately = time - crown_life(largest, terminal_speed(largest))
-    starts = np.stack([lately, np.where(largest > least, time - LONGEST_LIFE, lately)])
+    speeds = terminal_speed(largest)
+    lately = time - crown_life(largest, speeds)
+    starts = np.stack([lately, np.where(largest > least, time - longest_flight(speeds), lately)])
     stops = np.stack([np.where(largest > smallest, time + exposure, lately), lately])
     boxes, tasks = [], []
     for n, reach in enumerate((FARTHEST, FINE_PIXEL * focal)):
@@ -352,7 +353,7 @@ def list_splash(impact, pixel, exposure, count, lines_out):
         return
     size = relative_size(impact.depth / diameter)
     fine = pixel < FINE_PIXEL and diameter * LARGEST_SHARE > least_seen(pixel, exposure)
-    if fine and -exposure <= age < LONGEST_LIFE:
+    if fine and -exposure <= age < longest_flight(speed):
         most = int(droplets_of(diameter, speed))
         for n in range(lane(), most, lanes()):
             seen, x, y, z, vx, vy, vz, wide, _ = droplet(impact, n, most, size, exposure)

@@ -26,7 +26,7 @@ SMALLEST, LARGEST = 4.0e-3, 5.2e-3  # m, of drops that part from an edge
 GATHERING = 0.1  # m: drops leave at one point of an edge of this length
 CLIMB = 200.0  # m of detour along the object that a metre of climb is worth
 LEAST_KEPT = 1 << 18  # cells of a map whose drip points are kept; a smaller one takes .1 s
-KEPT = 0.15  # s that landed drops are remembered for their splashes
+KEPT = 0.45  # s that landed drops are remembered for their splashes
 _MOST_AT_ONCE = 64  # drops from one point in one step; more is a jet
 
 

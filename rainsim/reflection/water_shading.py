@@ -36,6 +36,7 @@ from rainsim.reflection.water_surface import WaterMap
 from rainsim.reflection.wet_tops import FILM_SLOPE, RING_HIGH, RING_LOW, TopMaps, top_below
 from rainsim.scene.view import View, in_camera, pixel_ray
 from rainsim.shading.fresnel import REFRACTIVE_INDEX, reflectance
+from rainsim.water.ripples import LAYERS
 
 # Absorption of puddle water [1/m], red, green, blue. Clean water takes .35, .07, .02 (Pope and Fry
 # 1997); puddles hold fine soil, which takes blue most. No measurement of it is used here: a guess.
@@ -45,6 +46,7 @@ LEAST_FALL = np.float32(0.1)  # of a refracted ray over its length: bounds its w
 RIPPLE_LOW, RIPPLE_HIGH = np.float32(0.0008), np.float32(0.004)  # m of water: none, full rings
 SHELTERED_SHARE = np.float32(0.07)  # of the rings, under cover: they run in from the open
 NEAREST = np.float32(0.05)  # m
+TURN_COSINE, TURN_SINE = np.float32(math.cos(1)), np.float32(math.sin(1))  # of the second layer
 REFRACT_TOLERANCE = np.float32(0.04)  # m: what lies nearer than the bed by more is foreground
 
 
@@ -119,10 +121,7 @@ def tilted(water, ripples, tops):
     share = water.ripple_share
     a, b, aa, bb, ab = ZERO, ZERO, ZERO, ZERO, ZERO
     if share > ZERO:
-        a, b, aa, bb, ab = pixel_slopes(
-            ripples.moments, ripples.tile_size, water.x, water.y, water.view_x, water.view_y,
-            water.view_z, water.width,
-        )  # fmt: skip
+        a, b, aa, bb, ab = layered_slopes(water, ripples)
     square = share * share
     a, b, aa, bb, ab = share * a, share * b, square * aa, square * bb, square * ab
     top, _, smooth, gx, gy = top_below(tops, water.x, water.y, water.z)
@@ -130,6 +129,30 @@ def tilted(water, ripples, tops):
         film = (ONE - smooth) * FILM_SLOPE * FILM_SLOPE
         a, b, aa, bb = a + gx, b + gy, aa + film, bb + film
     return with_slopes(water, a, b, aa, bb, ab)
+
+
+@inlined_function
+def layered_slopes(water, ripples):
+    """Return the slopes of both layers of the tile together, as `pixel_slopes` returns one's.
+
+    One layer lies as the tile does, the other turned by a radian: a sheet of water that is wider
+    than the tile then nowhere looks as it does a tile further on.
+    """
+    a, b, aa, bb, ab = ZERO, ZERO, ZERO, ZERO, ZERO
+    c, s = ONE, ZERO
+    for _ in range(LAYERS):
+        p, q, pp, qq, pq = pixel_slopes(
+            ripples.moments, ripples.tile_size, c * water.x + s * water.y,
+            c * water.y - s * water.x, c * water.view_x + s * water.view_y,
+            c * water.view_y - s * water.view_x, water.view_z, water.width,
+        )  # fmt: skip
+        a, b = a + c * p - s * q, b + s * p + c * q
+        cc, ss, cs = c * c, s * s, c * s
+        aa += cc * pp - TWO * cs * pq + ss * qq
+        bb += ss * pp + TWO * cs * pq + cc * qq
+        ab += cs * (pp - qq) + (cc - ss) * pq
+        c, s = TURN_COSINE, TURN_SINE
+    return a, b, aa, bb, ab
 
 
 @inlined_function

@@ -20,6 +20,11 @@ from rainsim.rain.size_distribution import drop_volume, terminal_speed
 FOOTPRINT = 5e-3  # m; a Gaussian push of this width has its energy peak at 200 rad/m
 RING_SHARE = 0.01  # of the reference drop's kinetic energy
 REFERENCE_DROP = 2.5e-3  # m; between the measured 2.2 and 2.8 mm
+# Drops up to and from these diameters [m] push alike: as drops of `_TYPICAL` do, see `footprint`.
+_BOUNDS = (1.8e-3, 3.3e-3)
+_TYPICAL = (1.3e-3, REFERENCE_DROP, 4.2e-3)
+SIZES = len(_TYPICAL)
+LAYERS = 2  # of the tile on the water, one turned against the other: each rings for half the drops
 _LONGEST_STEP = 1 / 60  # s; impacts of one such step are born together, its end
 
 
@@ -59,6 +64,28 @@ def damping_rate(wavenumber, depth, film=0.0, stirred=0.0):
     return 2 * WATER_VISCOSITY * (1 + stirred) * k**2 + bottom + surface
 
 
+def drop_momentum(diameter):
+    """Return the momentum [kg m/s] of a drop of `diameter` [m] at terminal speed."""
+    return WATER_DENSITY * drop_volume(diameter) * terminal_speed(diameter)
+
+
+# kg m/s; the size of a drop is the number of these that its momentum reaches
+SIZE_MOMENTA = tuple(float(drop_momentum(diameter)) for diameter in _BOUNDS)
+
+
+def footprint(diameter):
+    """Return the width [m] of the Gaussian push of a drop of `diameter` [m].
+
+    That of the reference drop times the crater that a drop digs over the reference drop's: at its
+    deepest a half ball of radius R holds the energy (pi / 4) rho g R^4, a share of the drop's
+    (pi / 12) rho D^3 V^2, so that R goes with (D^3 V^2)^(1/4) (Engel 1966, J. Appl. Phys. 37,
+    1798). So large drops make long waves: the rings of 1.3, 2.5 and 4.2 mm peak at wavelengths of
+    16, 31 and 50 mm.
+    """
+    dug, reference = (d**3 * terminal_speed(d) ** 2 for d in (diameter, REFERENCE_DROP))
+    return FOOTPRINT * float(dug / reference) ** 0.25
+
+
 class RippleTile:
     """A square of water, periodic in both directions.
 
@@ -80,9 +107,10 @@ class RippleTile:
 
     Notes
     -----
-    Each drop pushes the water down with a Gaussian of width FOOTPRINT; the push is proportional to
-    its momentum (Le Mehaute 1988, J. Fluid Mech. 197, 415), with one factor chosen such that a
-    drop of REFERENCE_DROP at terminal speed puts RING_SHARE of its kinetic energy into waves
+    Each drop pushes the water down with a Gaussian of the width `footprint` of its size, one of
+    three; the push is proportional to its momentum (Le Mehaute 1988, J. Fluid Mech. 197, 415), with
+    a factor chosen such that a ring's energy goes with the momentum squared whatever its width, and
+    a drop of REFERENCE_DROP at terminal speed puts RING_SHARE of its kinetic energy into waves
     (IEEE J. Oceanic Eng. 24, 323, 1999: about 1 %, near 0.2 rad/mm, for 2.2 and 2.8 mm). By that
     law a smaller drop puts a smaller share into waves, in proportion to its mass.
     """
@@ -114,7 +142,8 @@ class RippleTile:
         # eta and the quarter period behind it, spectra in the scaling of rfft2
         self._eta = np.zeros(self._k.shape, self._complex)
         self._lag = np.zeros(self._k.shape, self._complex)
-        self._push = self._push_spectrum().astype(self._real)
+        pushes = [self._push_spectrum(footprint(diameter)) for diameter in _TYPICAL]
+        self._push = np.stack(pushes).astype(self._real)
         self._turns = {}
 
     def advance(self, duration, position=None, momentum=None, age=None):
@@ -138,12 +167,14 @@ class RippleTile:
             return
         ages = np.zeros(len(position)) if age is None else np.asarray(age, np.float64)
         born = steps - 1 - np.floor(ages / max(duration, 1e-30) * steps).astype(np.int64)
-        born = np.clip(born, 0, steps - 1)
+        born, momentum = np.clip(born, 0, steps - 1), np.asarray(momentum)
+        sizes = np.searchsorted(SIZE_MOMENTA, momentum, side="right")
         for step in range(steps):
             self._turn(duration / steps)
-            now = born == step
-            if now.any():
-                self._lag += self._push * self._deposit(position[now], np.asarray(momentum)[now])
+            for size in range(SIZES):
+                now = (born == step) & (sizes == size)
+                if now.any():
+                    self._lag += self._push[size] * self._deposit(position[now], momentum[now])
 
     def slopes(self):
         """Return (d eta/dx, d eta/dy), ndarray of shape (2, cells, cells), float32.
@@ -208,14 +239,14 @@ class RippleTile:
         eta, lag = self._eta, self._lag
         self._eta, self._lag = cosine * eta + sine * lag, cosine * lag - sine * eta
 
-    def _push_spectrum(self):
+    def _push_spectrum(self, width):
         """Return what one unit of momentum per cell adds to the lagging spectrum.
 
-        An impulse I over a Gaussian footprint G starts the surface moving down at
+        An impulse I over a Gaussian footprint G of a `width` [m] starts the surface moving down at
         d eta/dt = -(I / rho) k tanh(k h) G(k); divided by omega that is the lagging part.
         """
         k, tanh = self._k, np.tanh(self._k * self.depth)
-        gauss = np.exp(-0.5 * (k * FOOTPRINT) ** 2)
+        gauss = np.exp(-0.5 * (k * width) ** 2)
         # deposits are spread linearly over four cells: undo what that takes from short waves
         spread = np.sinc(self._kx * self.size / (2 * np.pi * self.cells)) ** 2
         spread = spread * np.sinc(self._ky * self.size / (2 * np.pi * self.cells)) ** 2
@@ -226,8 +257,8 @@ class RippleTile:
         speed = float(terminal_speed(REFERENCE_DROP))
         mass = WATER_DENSITY * drop_volume(REFERENCE_DROP)
         # energy of a unit push in open water, by the integral over wavenumbers
-        waves = np.linspace(0, 12 / FOOTPRINT, 4001)[1:]
-        spectrum = waves**2 * np.tanh(waves * self.depth) * np.exp(-((waves * FOOTPRINT) ** 2))
+        waves = np.linspace(0, 12 / width, 4001)[1:]
+        spectrum = waves**2 * np.tanh(waves * self.depth) * np.exp(-((waves * width) ** 2))
         unit = float(spectrum.sum() * (waves[1] - waves[0])) / (4 * np.pi * WATER_DENSITY)
         wanted = RING_SHARE * 0.5 * mass * speed**2
         return push * math.sqrt(wanted / (unit * (mass * speed) ** 2))
@@ -303,10 +334,10 @@ def ring_share(rained, spacing, reach, weight):
 
 
 def tile_impacts(impacts, map_area, size, time):
-    """Choose the impacts that a tile receives so that its rate per area is the map's.
+    """Choose the impacts that a tile receives so that its LAYERS together have the map's rate.
 
     All drops of the map fall on it modulo the tile, which would be too many: each is kept with
-    probability tile area over map area, by its id.
+    probability tile area over map area, over LAYERS, by its id.
 
     Parameters
     ----------
@@ -325,7 +356,7 @@ def tile_impacts(impacts, map_area, size, time):
     momentum : ndarray of shape (m,), float64 [kg m/s]
     age : ndarray of shape (m,), float64 [s]
     """
-    share = size**2 / require_positive("map area", map_area, "m2")
+    share = size**2 / require_positive("map area", map_area, "m2") / LAYERS
     chance = (mix(impacts.id) >> np.uint64(11)) * 2.0**-53
     kept = impacts.take(chance < share)
     momentum = -WATER_DENSITY * kept.volume * kept.velocity[:, 2]

@@ -20,7 +20,7 @@ from rainsim.particles.streaks import draw_streaks
 from rainsim.rain.dripping import Drips as HostDrips
 from rainsim.rain.dripping import drip_impacts, drips_seen
 from rainsim.scene.types import Camera
-from rainsim.water.ripples import tile_impacts
+from rainsim.water.ripples import LAYERS, tile_impacts
 
 assert simulated()
 # Plain numpy numbers warn where a GPU's wrap.
@@ -83,7 +83,10 @@ def steps():
         ground = Ground(surfaces)
         twin.update(*times, WIND, FINE)
         twin.launch(page, ground, ground, 0.5, 0)
-        momentum = ground.pushes.sum() * PUSH_UNIT, tile_impacts(rings, 2.0, 1.0, times[1])[1].sum()
+        momentum = (
+            ground.pushes.sum() * PUSH_UNIT,
+            tile_impacts(rings, 2.0 / LAYERS, 1.0, times[1])[1].sum(),
+        )
         found.append((*twin.pages[page].fetch(), ground.depths(surfaces), momentum,
                       (*volumes(twin.account), *host.falling(), depth, host.held, host.airborne,
                        returned)))  # fmt: skip

@@ -5,9 +5,10 @@ import pytest
 
 from rainsim.cuda import simulated
 from rainsim.cuda.drops import Impacts, room_for
-from rainsim.cuda.rain.settling import VOLUME_UNIT
+from rainsim.cuda.rain.settling import PUSH_UNIT, VOLUME_UNIT
 from rainsim.cuda.water.step_control import UNIT
 from rainsim.drops import GROUND, OBSTACLE, RainField, RainSpectrum, Surfaces, impacts
+from rainsim.water.ripples import SIZE_MOMENTA, SIZES
 
 assert simulated()
 # Plain numpy numbers warn where a GPU's wrap.
@@ -32,7 +33,7 @@ class Ground:
         self.width, self.first = nx + 7, 2 * nx
         self.waiting = np.zeros(self.first + ny * self.width, np.int64)
         self.size, self.steps, self.cells = 1.0, 4, cells
-        self.pushes = np.zeros(self.steps * cells * cells, np.int64)
+        self.pushes = np.zeros(SIZES * self.steps * cells * cells, np.int64)
 
     def depths(self, surfaces):
         """Return the depth [m] that waits in each cell."""
@@ -81,6 +82,12 @@ def test_the_water_goes_where_it_fell(listed):
     asked = np.bincount(goes, hit.volume, minlength=3)
     assert (asked > 0).sum() > 1
     np.testing.assert_allclose(came * VOLUME_UNIT, asked, rtol=1e-6)
+    momentum = -1000 * landed.volume * landed.velocity[:, 2]
+    sizes = np.searchsorted(SIZE_MOMENTA, momentum, side="right")
+    asked = np.bincount(sizes, momentum, minlength=SIZES)
+    assert (asked > 0).sum() > 1
+    pushed = ground.pushes.reshape(SIZES, -1).sum(axis=1) * PUSH_UNIT
+    np.testing.assert_allclose(pushed, asked, rtol=1e-6)
     kept = twin.obstacles.copy_to_host()[0]
     assert kept * VOLUME_UNIT == pytest.approx(hit.volume.sum(), rel=1e-6)
     twin.settle(ground, ground, share=2.0)

@@ -8,7 +8,7 @@ from rainsim.cuda.rain.settling import PUSH_UNIT
 from rainsim.cuda.water.ripples import Ripples
 from rainsim.errors import ParameterError
 from rainsim.reflection.slope_moments import ripple_moments
-from rainsim.water.ripples import _LONGEST_STEP, RippleTile
+from rainsim.water.ripples import _LONGEST_STEP, SIZE_MOMENTA, SIZES, RippleTile
 
 assert simulated()
 N = 8
@@ -23,16 +23,19 @@ def test_two_frames_are_those_of_the_cpu(parts):
     twin = Ripples(tile, duration)
     assert twin.steps == parts
     for _ in range(2):
-        pushes = 1e-6 * rng.random((twin.steps, N, N))
-        waiting = np.zeros(twin.pushes.shape, np.int64)
-        waiting[: pushes.size] = np.rint(pushes / PUSH_UNIT).astype(np.int64).reshape(-1)
-        twin.pushes.copy_to_device(waiting)
+        pushes = rng.uniform(0.5, 1, (SIZES, twin.steps, N, N))
+        pushes *= np.array([SIZE_MOMENTA[0], *SIZE_MOMENTA])[:, None, None, None]
+        pushes[1:] *= 2  # of each size
+        waiting = np.zeros((SIZES, 2 * ((parts + 1) // 2), N, N), np.int64)
+        waiting[:, :parts] = np.rint(pushes / PUSH_UNIT)
+        twin.pushes.copy_to_device(waiting.reshape(-1))
         row, column = np.mgrid[:N, :N] * 0.2 / N
         position = np.stack([column.ravel(), row.ravel()], axis=1)
         before = tile.slopes()
+        age = (parts - 0.5 - np.arange(parts)) / parts * duration
         tile.advance(
-            duration, np.concatenate([position] * parts), pushes.ravel(),
-            np.repeat((parts - 0.5 - np.arange(parts)) / parts * duration, N * N),
+            duration, np.concatenate([position] * parts * SIZES), pushes.ravel(),
+            np.tile(np.repeat(age, N * N), SIZES),
         )  # fmt: skip
         twin.launch()
         slopes = tile.slopes()

@@ -78,6 +78,15 @@ def test_contact_sheet(tmp_path):
     assert low.forward @ scene.ground_frame.up > steep.forward @ scene.ground_frame.up
 
 
+def test_parts_of_the_rain(capsys):
+    module = load("parts_of_the_rain")
+    module.main(tiny_scene(), ("view_1",), ("flood", "after"), width=64, **TINY)
+    wet, dry = (line.split("|") for line in capsys.readouterr().out.splitlines()[2:])
+    assert wet[2:3] == [" flood "] and float(wet[3].strip(" %")) > 0.1
+    assert float(wet[5].strip(" %")) > 0.5 and float(wet[6]) > 0.002
+    assert [cell.strip(" %") for cell in dry[3:7]] == ["0.0", "0.0", "0.0", "0.000"]
+
+
 def test_every_example_is_run_here():
     text = Path(__file__).read_text(encoding="utf-8")
     for name in EXAMPLES:

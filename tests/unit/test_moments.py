@@ -11,6 +11,7 @@ from rainsim.numerics.mipmap import COARSEST, blurred_color, coarsened, top_of
 from rainsim.reflection import mirror_pass, water_record
 from rainsim.reflection.planar_mirror import MirrorPicture
 from rainsim.reflection.slope_moments import pixel_slopes, place_of, ripple_moments, root_of
+from rainsim.reflection.water_shading import Ripples, layered_slopes
 from rainsim.scene.view import View
 
 N, SIZE = 64, np.float32(0.5)
@@ -38,6 +39,51 @@ def test_every_level_holds_the_means_of_blocks(slopes):
         for c, field in enumerate((x, y, x * x, y * y, x * y)):
             mean = field.reshape(cells, k, cells, k).mean(axis=(1, 3))
             np.testing.assert_allclose(found[..., c], mean, atol=3e-8)
+
+
+def layered(slopes, x, y, view, width):
+    """What `layered_slopes` gives at places (x, y), an array (n, 5)."""
+    ripples = Ripples(ripple_moments(slopes), SIZE)
+    blank = [np.float32(0)] * len(water_record.WaterPixel._fields)
+    pixel = water_record.WaterPixel(*blank)._replace(
+        **dict(zip(("view_x", "view_y", "view_z"), map(np.float32, view), strict=True)),
+        width=np.float32(width),
+    )
+    places = (pixel._replace(x=np.float32(a), y=np.float32(b)) for a, b in zip(x, y, strict=True))
+    return np.array([layered_slopes(place, ripples) for place in places])
+
+
+def test_two_layers_of_the_tile_do_not_repeat(slopes):
+    """Each point has the sum of both slopes, the second's turned back by a radian."""
+    rng = np.random.default_rng(3)
+    x, y = rng.uniform(-2, 2, (2, 400))
+    here = layered(slopes, x, y, (0.6, 0.0, -0.8), 0.01 * CELL)
+    turn = np.array([[math.cos(1), -math.sin(1)], [math.sin(1), math.cos(1)]])
+    wanted = np.zeros((2, 400))
+    for matrix in (np.eye(2), turn):
+        u, v = matrix.T @ np.stack([x, y]) / CELL - 0.5
+        pair = [ndimage.map_coordinates(s, [v, u], order=1, mode="grid-wrap") for s in slopes]
+        wanted += matrix @ np.stack(pair)
+    np.testing.assert_allclose(here[:, :2].T, wanted, atol=2e-4)
+    assert here[:, :2].var() == pytest.approx(2 * slopes.var(), rel=0.25)
+    for step in ((float(SIZE), 0.0), (0.0, float(SIZE)), (2 * float(SIZE), float(SIZE))):
+        there = layered(slopes, x + step[0], y + step[1], (0.6, 0.0, -0.8), 0.01 * CELL)
+        shared = np.corrcoef(here[:, :2].ravel(), there[:, :2].ravel())[0, 1]
+        assert 0.3 < shared < 0.7  # the first layer's half
+
+
+def test_two_layers_turn_their_covariance(slopes):
+    """From far away a pixel sees the covariance of a tile plus that of the tile turned."""
+    moments = ripple_moments(slopes)
+    level = int(math.log2(N))
+    a, b, aa, bb, ab = moments[place_of(N, level)].astype(float)
+    tile = np.array([[aa - a * a, ab - a * b], [ab - a * b, bb - b * b]])
+    turn = np.array([[math.cos(1), -math.sin(1)], [math.sin(1), math.cos(1)]])
+    both = tile + turn @ tile @ turn.T
+    found = layered(slopes, [0.1], [0.2], (0.0, 0.0, -1.0), 4 * float(SIZE))[0]
+    np.testing.assert_allclose(
+        found[2:], [both[0, 0], both[1, 1], both[0, 1]], rtol=0.02, atol=2e-5
+    )
 
 
 def footprint(slopes, x, y, view, width):

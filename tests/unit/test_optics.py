@@ -89,7 +89,9 @@ def water(depth_of_water, picture=None, depth=None, clearance=None, slopes=0.0, 
     water_shading.list_water(
         hit, coverage, np.cumsum(count) - count, rows, VIEW, water_map, DRY_TOPS, pixel, record
     )
-    slopes = np.broadcast_to(np.asarray(slopes, np.float32), 2)[:, None, None]
+    # Of the tile whose layers, one turned by a radian, together slope so.
+    turn = np.array([[math.cos(1), -math.sin(1)], [math.sin(1), math.cos(1)]])
+    slopes = np.linalg.solve(np.eye(2) + turn, np.broadcast_to(slopes, 2))[:, None, None]
     water_shading.tilt_water(ripples(np.tile(slopes, (1, 32, 32))), DRY_TOPS, record)
     assert np.isfinite(record).all()
     light, source = np.full((n, 3), np.nan, np.float32), np.full(n, 99, np.uint8)

@@ -10,11 +10,14 @@ from rainsim.errors import ParameterError
 from rainsim.rain.size_distribution import terminal_speed
 from rainsim.water.ripples import (
     FOOTPRINT,
+    LAYERS,
     REFERENCE_DROP,
     RING_SHARE,
     RippleTile,
     angular_frequency,
     damping_rate,
+    drop_momentum,
+    footprint,
     mean_chord,
     ring_reach,
     ring_share,
@@ -95,6 +98,25 @@ def test_a_ring_has_one_percent_of_the_drops_energy(depth):
         assert np.mean(shares) == pytest.approx(expected, rel=0.1)
 
 
+def test_large_drops_make_long_waves_and_rings_keep_their_energy():
+    """Energy over the drop's momentum squared is one number; wavenumbers go with the crater."""
+    k = 2 * np.pi * np.fft.fftfreq(256, 0.5 / 256)
+    k = np.hypot(k[None], k[:, None])
+    energies, means = [], []
+    for diameter in (1.3e-3, 2.5e-3, 4.2e-3):
+        tile = RippleTile(0.5, 256, 0.1)
+        tile.advance(0.0, np.array([[0.2, 0.2]]), np.array([drop_momentum(diameter)]))
+        energies.append(tile.energy() / drop_momentum(diameter) ** 2)
+        tile.advance(0.15)
+        power = np.abs(np.fft.fft2(tile.elevation)) ** 2 * (9810 + 0.0728 * k**2)
+        means.append((k * power).sum() / power.sum())
+    np.testing.assert_allclose(energies, energies[1], rtol=0.08)
+    # of k^2 exp(-k^2 width^2): 2 / (sqrt(pi) width)
+    np.testing.assert_allclose(means, [455, 226, 139], rtol=0.09)
+    assert footprint(REFERENCE_DROP) == FOOTPRINT
+    assert footprint(1.3e-3) < 0.6 * FOOTPRINT and footprint(4.2e-3) > 1.5 * FOOTPRINT
+
+
 def test_energy_only_decays_and_is_conserved_but_for_damping():
     tile = RippleTile(0.5, 64, 0.05)
     tile.advance(0.0, np.array([[0.2, 0.2]]), momentum(3e-3))
@@ -141,7 +163,7 @@ def test_random_rain_roughens_the_water_and_the_spectrum_agrees_with_the_slopes(
         assert ((age >= 0) & (age <= 1 / 24 + 1e-9)).all()
         received += len(place)
         tile.advance(1 / 24, place, push, age)
-    expected = field.spectrum.density @ field.spectrum.speed * 0.5
+    expected = field.spectrum.density @ field.spectrum.speed * 0.5 / LAYERS
     assert abs(received - expected) < 4 * np.sqrt(expected)
     slopes = tile.slopes().astype(np.float64)
     assert tile.rms_slope() == pytest.approx(np.sqrt((slopes**2).sum(axis=0).mean()), rel=0.02)

@@ -25,7 +25,7 @@ from rainsim.cuda.frame_uniforms import FrameUniforms
 from rainsim.cuda.jit import SIMULATED, cuda, cuda_kernel
 from rainsim.cuda.particles.streaks import view_of
 from rainsim.cuda.warp import GROUP, GROUPS, THREADS, claim_row
-from rainsim.particles.crown import FINE_PIXEL, crown_life
+from rainsim.particles.crown import FINE_PIXEL, LONGEST_JET, crown_life
 from rainsim.particles.line_raster import CX, FX, FY
 from rainsim.particles.splash import (
     LONGEST_LIFE,
@@ -33,6 +33,7 @@ from rainsim.particles.splash import (
     SMALLEST_SPLASH,
     WET_DEPTH,
     Impact,
+    longest_flight,
     splashes_on,
 )
 from rainsim.particles.splash_pass import MARGIN, WaterDepth, list_splash
@@ -74,7 +75,8 @@ def still_shows(diameter, speed, under, age, pixel):
     """
     if not splashes_on(under, diameter, speed):
         return False
-    return pixel < FINE_PIXEL or (under > WET_DEPTH and age < crown_life(diameter, speed))
+    standing = under > WET_DEPTH and age < crown_life(diameter, speed)
+    return standing or (pixel < FINE_PIXEL and age < max(longest_flight(speed), LONGEST_JET))
 
 
 @cuda.jit(device=True)

@@ -16,6 +16,7 @@ from rainsim.cuda.water.step_control import UNIT
 from rainsim.numerics.random import mix, uniform
 from rainsim.rain.heightfield import GROUND
 from rainsim.rain.size_distribution import drop_volume
+from rainsim.water.ripples import SIZE_MOMENTA
 
 VOLUME_UNIT = 2.0**-56  # m3: what falls on objects is counted in whole numbers of it, up to 128 m3
 PUSH_UNIT = 2.0**-60  # kg m/s: and so is the momentum that rings come from
@@ -106,8 +107,9 @@ def settle(
         Volume that fell on obstacles, in VOLUME_UNIT; added to.
     came_out : device array of shape (points + 1,), int64
         The same by the point that it goes to; added to. Of shape (0,): nothing drips.
-    pushes_out : device array of shape (steps * cells * cells,), int64
-        Momentum in each cell of the tile and each part of the interval, in PUSH_UNIT; added to.
+    pushes_out : device array of shape (ripples.SIZES * 2 * maps * cells * cells,), int64
+        Momentum by size of the drops, part of the interval (two in a map) and cell of the tile, in
+        PUSH_UNIT; added to.
     """
     which, values, labels = slot[0], lists.values, lists.labels
     listed = min(lists.found[which], lists.ids.shape[1])
@@ -141,6 +143,9 @@ def ring(word, x, y, momentum, age, tile, pushes_out):
         return
     push, steps, cells = momentum / PUSH_UNIT, tile.steps, tile.cells
     step = min(max(steps - 1 - int(age * steps), 0), steps - 1)
+    for least in SIZE_MOMENTA:
+        if momentum >= least:
+            step += 2 * ((steps + 1) // 2)
     x, y = x / tile.size, y / tile.size
     x, y = (x - math.floor(x)) * cells, (y - math.floor(y)) * cells
     i, j = int(x), int(y)

@@ -129,7 +129,7 @@ class DeviceFrame:
         self.uniforms.update(
             turn=view.ground_from_camera, eye=view.eye, lens=view.lens, look=scene.look,
             off_ground=scene.off_ground, brightness=host.brightness, fog=fog, sun=host.sunlight,
-            air=host.air_light, drop=host.drop_field(view, camera), around=host.everywhere,
+            air=host.air_light, drop=host.drop_field(view, camera), around=host.above,
         )  # fmt: skip
         return changed
 

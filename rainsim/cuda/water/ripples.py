@@ -16,7 +16,7 @@ from rainsim.cuda.jit import SIMULATED, cuda, cuda_kernel
 from rainsim.cuda.rain.settling import PUSH_UNIT
 from rainsim.errors import ParameterError
 from rainsim.reflection.slope_moments import MOMENTS, mean_of_four, place_of
-from rainsim.water.ripples import _LONGEST_STEP
+from rainsim.water.ripples import _LONGEST_STEP, SIZES
 
 MOST = 256  # cells along a side of the tile
 THREADS = 32 if SIMULATED else 128
@@ -110,12 +110,14 @@ def turn(re, im, steps, n, cosine, sine, push, wave, waves_out, re_out, im_out):
 
     Parameters
     ----------
-    re, im : device array of shape (maps * n * n,), float32
-        Transforms of the momentum in the parts of the interval, two in one.
+    re, im : device array of shape (SIZES * maps * n * n,), float32
+        Transforms of the momentum by size of the drops and part of the interval, two in one.
     steps, n : int
         Parts of the interval, and cells along a side.
-    cosine, sine, push : device array of shape (n * (n // 2 + 1),), float32
-        What a wave turns by in a part of the interval, damping included, and what momentum adds.
+    cosine, sine : device array of shape (n * (n // 2 + 1),), float32
+        What a wave turns by in a part of the interval, damping included.
+    push : device array of shape (SIZES * n * (n // 2 + 1),), float32
+        What momentum adds, by size of the drops.
     wave : device array of shape (n,), float32 [rad/m]
         Wavenumbers along an axis; 0 for the shortest, whose slope is not defined.
     waves_out : device array of shape (4, n * (n // 2 + 1)), float32
@@ -130,14 +132,15 @@ def turn(re, im, steps, n, cosine, sine, push, wave, waves_out, re_out, im_out):
     row, column = here // wide, here % wide
     back_row, back_column = (n - row) % n, (n - column) % n
     a, b, p, q = waves_out[0, here], waves_out[1, here], waves_out[2, here], waves_out[3, here]
-    c, s, g = cosine[here], sine[here], push[here]
-    for which in range((steps + 1) // 2):
-        at = (which * n + row) * n + column
-        back = (which * n + back_row) * n + back_column
-        x, y, z, w = re[at], im[at], re[back], im[back]
-        for part in range(min(steps - 2 * which, 2)):
-            a, b, p, q = c * a + s * p, c * b + s * q, c * p - s * a, c * q - s * b
-            if part == 0:
+    c, s, maps = cosine[here], sine[here], (steps + 1) // 2
+    for step in range(steps):
+        a, b, p, q = c * a + s * p, c * b + s * q, c * p - s * a, c * q - s * b
+        for size in range(SIZES):
+            which, g = size * maps + step // 2, push[size * n * wide + here]
+            at = (which * n + row) * n + column
+            back = (which * n + back_row) * n + back_column
+            x, y, z, w = re[at], im[at], re[back], im[back]
+            if step % 2 == 0:
                 p += g * HALF * (x + z)
                 q += g * HALF * (y - w)
             else:
@@ -198,8 +201,8 @@ class Ripples:
     size, cells, steps : float [m], int, int
         Of the tile, along a side; parts of the interval in which impacts are put together.
     pushes : device array, int64
-        Momentum of drops that fell since, in `settling.PUSH_UNIT`: a map of (cells, cells) for each
-        part, one after the other.
+        Momentum of drops that fell since, in `settling.PUSH_UNIT`: for each size of drops and each
+        part a map of (cells, cells), one after the other.
     slopes : device array of shape (2, n, n), float32
         Along x and y.
     moments : device array of shape (n, n + n // 2, 5), float32
@@ -220,7 +223,7 @@ class Ripples:
             )
         self.stream, self.size, self.cells = stream, tile.size, n
         self.steps = max(math.ceil(duration / _LONGEST_STEP - 1e-9), 1)
-        self._maps = (self.steps + 1) // 2
+        self._maps = SIZES * ((self.steps + 1) // 2)
         step = duration / self.steps
         shrink, angle = np.exp(-tile._damping * step), tile._omega * step
         wave = np.array(tile._ky[:, 0])
