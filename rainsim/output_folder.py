@@ -6,8 +6,6 @@ removed, and only when new results are ready to take their place.
 
 from __future__ import annotations
 
-import hashlib
-import json
 import os
 import platform
 import re
@@ -17,30 +15,38 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
-from importlib import metadata
 from pathlib import Path
 
 import numpy as np
 
 from rainsim import __version__
-from rainsim.errors import InputError, ParameterError
+from rainsim.config.preset_files import SKIES
+from rainsim.errors import InputError, ParameterError, one_line
 from rainsim.io.claim import ClaimedError, claim
-from rainsim.io.files import read_json, write_json
+from rainsim.io.files import named_path, read_json, write_json
+from rainsim.io.fingerprint import fingerprint, hash_of, hash_of_file
+from rainsim.io.fingerprint import versions as library_versions
+from rainsim.io.journal import Journal
+from rainsim.render.report import FrameReport
 
 PROVENANCE = "provenance.json"
+NOT_OF_THE_CONTENT = ("preset", "terrain_input")  # facts that name things and change none
 CLAIM = ".rainsim-claim"  # locked by the run that writes to the folder
 # Names that the program gives to files; other names in a provenance file are ignored.
 OURS = re.compile(
     r"frames/\d{5}\.png|states/\d{5}\.npz|preview\.webp|video\.mp4|transforms\.json"
     r"|(terrain|splats)\.npz|(scene|ground_frame|simulation)\.json|(bed|top)\.tif"
     r"|(hillshade|classes|check|puddles-\d+mm)\.png"
-    r"|layers/(\d{5}\.json|[a-z_]+/\d{5}\.(png|exr|npz))"
+    r"|layers/(\d{5}\.json|[a-z_]+/\d{5}\.(png|exr|npz))|finished\.jsonl"
 )
+JOURNAL = "finished.jsonl"  # which frames are finished
+# Files of a run that was killed while it wrote them, see `rainsim.io.files.replacing`.
+TEMPORARY = re.compile(r"\.[\w.-]+\.[a-z0-9_]{8}(\.[a-z0-9]+)?")
 VERSIONS_OF = ("numpy", "scipy", "numba", "llvmlite", "pillow")
 
 
 @contextmanager
-def claimed(path, overwrite=False):
+def claimed(path, overwrite=False, resume=False):
     """Check and make an output folder and yield it; remove it again if it stays empty.
 
     Parameters
@@ -49,6 +55,8 @@ def claimed(path, overwrite=False):
         Made, with the folders above it, if it does not exist.
     overwrite : bool
         Whether it may hold files already. Earlier results are replaced, other files stay.
+    resume : bool
+        Whether it may hold an unfinished run, see `Record.resume`.
 
     Raises
     ------
@@ -60,11 +68,11 @@ def claimed(path, overwrite=False):
     path = Path(path)
     if path.exists() and not path.is_dir():
         raise ParameterError(f"output {path} is a file; it must be a folder; give another --out")
-    _require_empty(path, overwrite)
+    _require_empty(path, overwrite or resume)
     made = [p for p in (path, *path.parents) if not p.exists()]
     try:
         with claim(path / CLAIM):
-            _require_empty(path, overwrite)  # another run may have been first
+            _require_empty(path, overwrite or resume)  # another run may have been first
             tempfile.TemporaryFile(dir=path).close()  # before hours of work, not after
             yield path
     except ClaimedError as error:
@@ -82,7 +90,8 @@ def _require_empty(path, overwrite):
     if path.is_dir() and not overwrite and any(entry.name != CLAIM for entry in path.iterdir()):
         raise ParameterError(
             f"output folder {path} exists and is not empty; it must be new or empty; "
-            "give another --out, or --overwrite to replace results in it"
+            "give another --out, --overwrite to replace results in it, or --resume to go on with "
+            "an unfinished run"
         )
 
 
@@ -93,11 +102,14 @@ class Record:
     ----------
     folder : Path
     scene : Scene or None
+    content : dict, optional
+        Plain JSON values that the results depend on besides the scene and the facts, or in place
+        of facts of the same name.
     **facts
         More entries; they must be plain JSON values.
     """
 
-    def __init__(self, folder, scene=None, **facts):
+    def __init__(self, folder, scene=None, content=None, **facts):
         self.folder, self._start = folder, time.perf_counter()
         self.facts = {
             "program": "rainsim",
@@ -108,21 +120,52 @@ class Record:
             "input": input_facts(scene, folder),
             **facts,
         }
-        self.fingerprint = _hash(
-            {k: v for k, v in self.facts.items() if k not in ("command", "started")}
-        )
+        own = {k: v for k, v in facts.items() if k not in NOT_OF_THE_CONTENT}
+        own |= content or {}
+        self.fingerprint = fingerprint({"scene": scene_content(scene), **own})
         self.files = []
+        self.journal = Journal(folder, JOURNAL, OURS.fullmatch)
 
     def begin(self):
         """Delete the files of an earlier run, unless it had the same input and settings."""
         before = read_record(self.folder)
-        listed = before.get("files") if isinstance(before.get("files"), list) else []
-        kept = [f for f in listed if isinstance(f, str) and OURS.fullmatch(f)]
+        noted = (name for entry in self.journal.entries().values() for name in entry["files"])
+        kept = sorted({*_files_of(before), *noted})
         if before.get("fingerprint") == self.fingerprint:
             self.files = kept  # other frames of the same frame sequence
         else:
             for name in kept:
                 (self.folder / name).unlink(missing_ok=True)
+        self.journal.begin_line()
+        for path in self.folder.rglob(".*"):
+            if TEMPORARY.fullmatch(path.name) and path.name != CLAIM and path.is_file():
+                path.unlink()
+
+    def resume(self, indices):
+        """Return the journal's entries of the finished frames among `indices`, by index.
+
+        Raises
+        ------
+        ParameterError
+            If the folder holds something else than a run with the same fingerprint.
+        """
+        before = read_record(self.folder)
+        if not before:
+            others = [p.name for p in self.folder.iterdir()
+                      if p.name != CLAIM and not TEMPORARY.fullmatch(p.name)]  # fmt: skip
+            if others:
+                raise ParameterError(
+                    f"output folder {self.folder} holds {one_line(others[0])} and no record of a "
+                    "run; --resume goes on with an unfinished run only; give another --out"
+                )
+        elif before.get("fingerprint") != self.fingerprint:
+            raise ParameterError(
+                f"the run in {self.folder} was another: other scene, settings, cameras, layers, "
+                "version of rainsim or of its libraries; --resume goes on with the very same run "
+                "only; give another --out, or --overwrite to replace its results"
+            )
+        found = self.journal.finished(indices)
+        return {index: entry for index, entry in found.items() if _is_of_a_frame(entry)}
 
     def add(self, *names):
         """Note that files, named relative to the folder, are written."""
@@ -141,6 +184,57 @@ class Record:
                 "files": sorted(self.files),
             },
         )
+
+
+def _files_of(record):
+    """Return the names of the program's files that a record lists."""
+    listed = record.get("files") if isinstance(record.get("files"), list) else []
+    return [f for f in listed if isinstance(f, str) and OURS.fullmatch(f)]
+
+
+def _is_of_a_frame(entry):
+    """Whether an entry of the journal holds what a frame's report holds."""
+    kinds = {"time": float, "milliseconds": dict, "ledger": dict, "notes": list}
+    return f"frames/{entry['index']:05d}.png" in entry["files"] and all(
+        isinstance(entry.get(name), kind) for name, kind in kinds.items()
+    )
+
+
+def settings_content(config):
+    """Return the settings that results depend on: without paths, threads and frame range."""
+    settings = config.as_dict()
+    settings["threads"] = settings["frame_range"] = None
+    if config.render.sky not in SKIES:
+        settings["render"]["sky"] = hash_of_file(config.render.sky)
+    return settings
+
+
+def states_content(folder):
+    """Return what of a folder of states frames depend on, as plain values."""
+    return {
+        "terrain": hash_of_file(folder / "terrain.npz"),
+        "simulation": read_record(folder).get("fingerprint"),
+    }
+
+
+def scene_content(scene):
+    """Return what of a scene results depend on, as plain values; None without one."""
+    if scene is None:
+        return None
+    from rainsim.scene.cameras import cameras_to_data
+    from rainsim.scene.ground import ground_frame_to_dict
+
+    frame = ground_frame_to_dict(scene.ground_frame)
+    return {
+        "sha256": scene.source_hash, "splats": len(scene.splats),
+        "ground_frame": {name: frame[name] for name in frame if name != "notes"},
+        "cameras": hash_of(cameras_to_data(scene.cameras)), "drains": scene.drains,
+    }  # fmt: skip
+
+
+def host_facts():
+    """Return where frames are drawn: what may differ from frame to frame of one run."""
+    return {"name": platform.node(), "platform": platform.platform(), "process": os.getpid()}
 
 
 def read_record(folder):
@@ -168,7 +262,7 @@ def settings_facts(config, preset):
 def input_facts(scene, folder):
     """Return name, source, hash and ground frame of a scene as plain values; None without one.
 
-    The source is named as a record in `folder` names it, see `named_path`.
+    The source is named as a record in `folder` names it, see `rainsim.io.files.named_path`.
     """
     if scene is None:
         return None
@@ -184,45 +278,16 @@ def input_facts(scene, folder):
     }
 
 
-def named_path(path, folder):
-    """Return how a record in `folder` names a path: as seen from the folder unless it is absolute.
-
-    The record then means the same path wherever a later command is started.
-    """
-    path = Path(path)
-    if path.is_absolute():
-        return str(path)
-    return os.path.relpath(path.resolve(), Path(folder).resolve())
-
-
-def path_named(name, folder):
-    """Return the path that a record in `folder` names."""
-    seen = Path(folder) / name
-    # Older records name paths as seen from where the command was started.
-    return seen if seen.exists() or not Path(name).exists() else Path(name)
-
-
 def cameras_facts(cameras):
     """Return number and hash of the frames' cameras; transforms.json holds the cameras."""
     from rainsim.scene.cameras import cameras_to_data
 
-    return {"count": len(cameras), "sha256": _hash(cameras_to_data(cameras))}
+    return {"count": len(cameras), "sha256": hash_of(cameras_to_data(cameras))}
 
 
 def versions():
     """Return the versions of Python and of the libraries that the numbers depend on."""
-    found = {"python": platform.python_version(), "platform": platform.platform()}
-    for name in VERSIONS_OF:
-        try:
-            found[name] = metadata.version(name)
-        except metadata.PackageNotFoundError:
-            found[name] = None
-    return found
-
-
-def _hash(facts):
-    text = json.dumps(facts, sort_keys=True, default=str)
-    return hashlib.sha256(text.encode()).hexdigest()
+    return {**library_versions(VERSIONS_OF), "platform": platform.platform()}
 
 
 class FrameFolder:
@@ -230,7 +295,8 @@ class FrameFolder:
 
     Use as a context manager around the loop over frames: if the loop is interrupted, finished
     frames are kept and recorded. Nothing in the folder changes before the first frame. A frame is
-    written in a thread of its own while the next one is drawn.
+    written in a thread of its own while the next one is drawn. A frame and its layers are noted in
+    the journal when they are whole.
 
     Parameters
     ----------
@@ -242,18 +308,27 @@ class FrameFolder:
     config : Config
     video : bool
         Whether to write video.mp4 too.
+    resume : bool
+        Whether to go on with an unfinished run in the folder.
+
+    Attributes
+    ----------
+    kept : dict of int to dict
+        The journal's entries of the frames that need not be drawn, by index.
     """
 
-    def __init__(self, folder, record, cameras, config, video=False):
+    def __init__(self, folder, record, cameras, config, video=False, resume=False):
         from rainsim.io import images
 
         self._image, self.folder, self.record = images, folder, record
         self._cameras, self._config = cameras, config
+        self.kept = record.resume(config.indices) if resume else {}
         self._preview = images.Preview(len(config.indices), config.fps)
         self._stack = ExitStack()
         self._video = None
         self._wants_video = video
         self._writer, self._written = ThreadPoolExecutor(1), None  # the frame that is being written
+        self._has_begun = False
         self.reports = []
 
     def __enter__(self):
@@ -268,40 +343,68 @@ class FrameFolder:
             If this frame's layers or the frame before could not be written.
         """
         self._finish_frame()
-        if not self.reports:
-            self._begin()
+        self._begin()
+        self._keep_until(report.index)
         names = write_layers(self.folder, report) if report.aovs else ()
         # A copy: on a GPU the next frame overwrites the picture.
         written = self._writer.submit(self._write, picture.copy(), report.index)
         self._written = written, names, replace(report, aovs={})
 
+    @property
+    def done(self):
+        """Number of frames that were kept or handed over."""
+        return len(self.reports) + (self._written is not None)
+
     def _write(self, picture, index):
         """Write a frame's picture; return its name."""
         name = f"frames/{index:05d}.png"
         self._image.write_png(self.folder / name, picture)
+        self._show(picture)
+        return name
+
+    def _show(self, picture):
+        """Add a frame to preview and video."""
         self._preview.add(picture)
         if self._video is not None:
             self._video.add(picture)
-        return name
 
     def _finish_frame(self):
         """Wait for the frame that is being written and record it."""
         if self._written is not None:
             (written, names, report), self._written = self._written, None
-            self.record.add(written.result(), *names)
+            files = (written.result(), *names)
+            self.record.add(*files)
+            facts = {"time": report.time, "milliseconds": report.milliseconds}
+            facts |= {"ledger": report.ledger, "notes": list(report.notes), "host": host_facts()}
+            self.record.journal.add(report.index, files, **facts)
             self.reports.append(report)
+
+    def _keep_until(self, end):
+        """Take over the finished frames of an earlier run up to the frame `end`."""
+        for index in [index for index in sorted(self.kept) if index < end]:
+            entry = self.kept.pop(index)
+            self._show(self._image.read_image(self.folder / f"frames/{index:05d}.png"))
+            self.record.add(*entry["files"])
+            self.reports.append(
+                FrameReport(index, entry["time"], entry["milliseconds"], entry["ledger"],
+                            tuple(entry["notes"]))
+            )  # fmt: skip
 
     def _begin(self):
         from rainsim.scene.cameras import write_transforms
 
+        if self._has_begun:
+            return
+        self._has_begun = True
         self.record.begin()
+        self.record.add(JOURNAL)
+        self.record.write(complete=False)  # first: a run that is killed can be gone on with
         (self.folder / "frames").mkdir(exist_ok=True)
         count = self._config.frames
         cameras = list(self._cameras) if len(self._cameras) > 1 else [self._cameras[0]] * count
         names = [f"frames/{i:05d}.png" for i in range(count)]
         write_transforms(self.folder / "transforms.json", cameras[:count], names)
         self.record.add("transforms.json")
-        self.record.write(complete=False)
         if self._wants_video:
             writer = self._image.VideoWriter(self.folder / "video.mp4", self._config.fps)
             self._video = self._stack.enter_context(writer)
@@ -309,6 +412,9 @@ class FrameFolder:
     def __exit__(self, kind, *exception):
         try:
             self._finish_frame()
+            if kind is None and self.kept:
+                self._begin()
+                self._keep_until(self._config.frames)
         finally:
             self._writer.shutdown()
             self._stack.close()

@@ -35,7 +35,7 @@ __all__ = [
 
 
 def render_rain(
-    scene, cameras, config, backend="cpu", progress=None, layers=(), terrain=None
+    scene, cameras, config, backend="cpu", progress=None, layers=(), terrain=None, skip=()
 ):  # fmt: skip
     """Yield the rainy frames of a scene: the whole program.
 
@@ -53,6 +53,8 @@ def render_rain(
         Layers that the reports are to hold, see `rainsim.render.aov`.
     terrain : Terrain, optional
         Of the scene, where it has been extracted already.
+    skip : container of int
+        Frames that need not be drawn; looked at when the first frame is asked for.
 
     Yields
     ------
@@ -72,7 +74,7 @@ def render_rain(
     tell = progress or (lambda stage, done, total: None)
     if terrain is None:
         terrain = extract_terrain(scene, config, progress=tell)
-    states = frames_of(simulate_on_backend(terrain, config), config, tell)
+    states = frames_of(simulate_on_backend(terrain, config), config, tell, skip)
     yield from render(scene, terrain, states, cameras, config, layers, backend)
 
 
@@ -108,17 +110,21 @@ def extract_terrain(scene, config, mask=None, progress=None, say=None):
     return terrain
 
 
-def frames_of(states, config, tell=None):
-    """Yield the states of the frames of the frame range; earlier frames are only simulated."""
-    first, end = config.frame_range or (0, config.frames)
+def frames_of(states, config, tell=None, skip=()):
+    """Yield the states of the frames of the frame range but those to `skip`.
+
+    Frames before the first are only simulated.
+    """
+    wanted = {index for index in config.indices if index not in skip}
+    if not wanted:
+        return
+    first, last = min(wanted), max(wanted)
     for state in states:
-        if state.index >= end:
-            return
-        if state.index >= first:
+        if state.index in wanted:
             yield state
-        elif tell is not None:
+        elif tell is not None and state.index < first:
             tell("simulate", state.index + 1, first)
-        if state.index + 1 >= end:
+        if state.index >= last:
             return
 
 

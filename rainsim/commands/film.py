@@ -33,8 +33,9 @@ VERSION = 1  # of simulation.json; those without a version are of version 1
 @options.range_option
 @options.ground_options
 @options.terrain_options
+@options.resume_option
 @options.output_options("rainsim-out/SCENE-PRESET")
-def run(scene, preset, out, overwrite, as_json, quiet, video, layers, backend, **given):
+def run(scene, preset, out, overwrite, resume, as_json, quiet, video, layers, backend, **given):
     """Draw a scene in the rain, all steps from a capture to frames.
 
     Writes DIR/frames/00000.png and so on, preview.webp, transforms.json (the frames' cameras) and
@@ -58,7 +59,7 @@ def run(scene, preset, out, overwrite, as_json, quiet, video, layers, backend, *
             require_memory(loaded, cameras[0], layers=len(names))
         out = out or options.default_out(loaded.name, Path(preset).stem)
 
-        def film():
+        def film(kept):
             from rainsim.pipeline import extract_terrain, render_rain
 
             def progress(stage, done, total):
@@ -69,10 +70,12 @@ def run(scene, preset, out, overwrite, as_json, quiet, video, layers, backend, *
             ground = extract_terrain(loaded, config, None, status.progress, status.notes)
             path = view_on(loaded, ground, cameras, config, given, status)
             _say_memory(status, loaded, ground, path, names, backend)
-            return path, render_rain(loaded, path, config, backend, progress, names, ground)
+            frames = render_rain(loaded, path, config, backend, progress, names, ground, kept)
+            return path, frames
 
-        files = {"out": out, "overwrite": overwrite, "video": video, "as_json": as_json}
-        _write_frames(status, film, loaded, config, preset, **files)
+        content = {"layers": names, "backend": backend}
+        files = {"out": out, "overwrite": overwrite, "resume": resume, "video": video}
+        _write_frames(status, film, loaded, config, preset, content, as_json=as_json, **files)
 
 
 @click.command(short_help="Let it rain on a height map.")
@@ -135,8 +138,7 @@ def simulate(terrain, preset, out, overwrite, threads, as_json, quiet, **given):
 def _write_simulation(out, source, terrain, record, config, preset, origin):
     """Write what `render` needs besides the states: settings, terrain and ground frame."""
     from rainsim.config.preset_files import SKIES
-    from rainsim.io.files import replacing, write_json
-    from rainsim.output_folder import named_path, path_named
+    from rainsim.io.files import named_path, path_named, replacing, write_json
 
     copied = {"terrain.npz": source / "terrain.npz" if terrain.is_dir() else terrain}
     if (source / "ground_frame.json").is_file():
@@ -171,8 +173,9 @@ def _write_simulation(out, source, terrain, record, config, preset, origin):
 @options.backend_option
 @options.range_option
 @options.ground_options
+@options.resume_option
 @options.output_options("rainsim-out/STATES-frames")
-def render(states, scene, out, overwrite, as_json, quiet, video, layers, backend, **given):
+def render(states, scene, out, overwrite, resume, as_json, quiet, video, layers, backend, **given):
     """Draw frames from STATES, a folder that `rainsim simulate` wrote, for any camera.
 
     The drops in the air follow from the seed. The rain is that of the simulation; light, camera and
@@ -182,7 +185,8 @@ def render(states, scene, out, overwrite, as_json, quiet, video, layers, backend
     Example:
         rainsim render states --orbit --width 960 --out frames
     """
-    from rainsim.output_folder import path_named
+    from rainsim.io.files import path_named
+    from rainsim.output_folder import states_content
 
     status = Status(quiet)
     made = read_simulation(states)
@@ -210,13 +214,15 @@ def render(states, scene, out, overwrite, as_json, quiet, video, layers, backend
     cameras, config = cameras_of(loaded, config, given, most=config.frames)
     out = out or options.default_out(states.resolve().name, "frames")
 
-    def film():
+    def film(kept):
         from rainsim import pipeline
         from rainsim.terrain.files import read_terrain
 
         ground = read_terrain(states)
         found = (
-            pipeline.read_state(_state_file(states, index), ground) for index in config.indices
+            pipeline.read_state(_state_file(states, index), ground)
+            for index in config.indices
+            if index not in kept
         )
         path = view_on(loaded, ground, cameras, config, given, status)
         _say_memory(status, loaded, ground, path, names, backend)
@@ -225,9 +231,10 @@ def render(states, scene, out, overwrite, as_json, quiet, video, layers, backend
     for index in config.indices:
         _state_file(states, index)
     preset = made["preset"]
-    files = {"out": out, "overwrite": overwrite, "video": video, "as_json": as_json}
+    content = {"layers": names, "backend": backend, "states": states_content(states)}
+    files = {"out": out, "overwrite": overwrite, "resume": resume, "video": video}
     with status, compiled_beside(status, uses_of(config, names, backend), config.threads):
-        _write_frames(status, film, loaded, config, preset, **files)
+        _write_frames(status, film, loaded, config, preset, content, as_json=as_json, **files)
 
 
 def _state_file(states, index):
@@ -244,8 +251,7 @@ def read_simulation(states):
     """Return what simulation.json holds, with its settings as a Config under "config"."""
     from rainsim.config.preset_files import SKIES
     from rainsim.config.settings import Config
-    from rainsim.io.files import read_json
-    from rainsim.output_folder import path_named
+    from rainsim.io.files import path_named, read_json
 
     path = states / SIMULATION
     if states.is_dir() and not path.is_file():
@@ -305,23 +311,34 @@ def _say_memory(status, scene, terrain, cameras, names, backend):
         status.notes(memory_notes(scene, cameras[0], terrain.bed.size, len(names)))
 
 
-def _write_frames(status, film, scene, config, preset, *, out, overwrite, video, as_json):
-    """Draw frames into the folder `out` and say how it went; `film()` returns cameras, frames."""
+def _write_frames(
+    status, film, scene, config, preset, content, *, out, overwrite, resume, video, as_json
+):
+    """Draw frames into the folder `out` and say how it went.
+
+    `film(kept)` returns the cameras and the frames but those `kept` from an earlier run, a dict
+    that is filled before the first frame is asked for; `content` is what they depend on besides
+    scene, settings and cameras.
+    """
     from rainsim import output_folder
 
-    total = len(config.indices)
-    with output_folder.claimed(out, overwrite):
+    total, kept = len(config.indices), {}
+    with output_folder.claimed(out, overwrite, resume):
         _set_up(config)
         facts = output_folder.settings_facts(config, preset)
-        cameras, frames = film()
+        content["settings"] = output_folder.settings_content(config)
+        cameras, frames = film(kept)
         record = output_folder.Record(
-            out, scene, **facts, cameras=output_folder.cameras_facts(cameras)
+            out, scene, content, **facts, cameras=output_folder.cameras_facts(cameras)
         )
-        with output_folder.FrameFolder(out, record, cameras, config, video) as folder:
-            for done, (picture, report) in enumerate(frames):
+        with output_folder.FrameFolder(out, record, cameras, config, video, resume) as folder:
+            kept.update(folder.kept)
+            if kept:
+                status.say(f"{len(kept)} of {total} frames are finished and kept")
+            for picture, report in frames:
                 status.notes(report.notes)
                 folder.add(picture, report)
-                status.progress("frames", done + 1, total)
+                status.progress("frames", folder.done, total)
     status.say(f"{total} frames in {output_folder.relative(out)}/frames ({status.seconds:.1f} s)")
     result = {
         "out": str(out),

@@ -276,6 +276,12 @@ def output_options(default):
     )  # fmt: skip
 
 
+resume_option = click.option(
+    "--resume", is_flag=True,
+    help="Go on with an unfinished run in the output folder: finished frames are kept after a "
+    "check, the others drawn. Anything but the very same run is refused.",
+)  # fmt: skip
+
 backend_option = click.option(
     "--backend", type=click.Choice(["cpu", "cuda"]), default="cpu", show_default=True,
     help="What computes: cuda needs an NVIDIA GPU and rainsim[cuda]; see `rainsim doctor`.",

@@ -93,6 +93,24 @@ def _umask():
     return mask
 
 
+def named_path(path, folder):
+    """Return how a record in `folder` names a path: as seen from the folder unless it is absolute.
+
+    The record then means the same path wherever a later command is started.
+    """
+    path = Path(path)
+    if path.is_absolute():
+        return str(path)
+    return os.path.relpath(path.resolve(), Path(folder).resolve())
+
+
+def path_named(name, folder):
+    """Return the path that a record in `folder` names."""
+    seen = Path(folder) / name
+    # Older records name paths as seen from where the command was started.
+    return seen if seen.exists() or not Path(name).exists() else Path(name)
+
+
 def printable_name(name, most=MOST_NAME):
     """Return a name that was found in a file, cut and without characters that command a terminal.
 

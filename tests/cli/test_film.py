@@ -102,6 +102,28 @@ def test_the_stages_one_by_one_give_the_same_frames(
     assert not (tmp_path / "again").exists()
 
 
+def test_an_unfinished_run_is_gone_on_with(film, rainsim, tmp_path):
+    assert film("whole", "--layers", "depth,splash_id").code == 0
+    shutil.copytree(tmp_path / "whole", tmp_path / "part")
+    for name in ("frames/00001.png", "preview.webp", "layers/00001.json"):
+        (tmp_path / "part" / name).unlink()
+    refused = film("part", "--layers", "depth", "--resume")
+    assert refused.code == 2 and "was another" in refused.error
+    assert film("part", "--layers", "depth,splash_id").code == 2  # without --resume
+    done = film("part", "--layers", "depth,splash_id", "--resume", "--threads", 1)
+    assert done.code == 0 and "2 of 3 frames are finished and kept" in done.err, done.err
+    whole, part = (
+        {path.relative_to(folder).as_posix(): path.read_bytes()
+         for path in folder.rglob("*") if path.is_file()}
+        for folder in (tmp_path / "whole", tmp_path / "part")
+    )  # fmt: skip
+    assert {n for n in whole if whole[n] != part.get(n)} <= {"provenance.json", "finished.jsonl"}
+    assert set(whole) == set(part)
+    one, other = record(tmp_path / "whole"), record(tmp_path / "part")
+    for name in ("complete", "frames", "files", "ledger", "notes", "fingerprint"):
+        assert one[name] == other[name], name
+
+
 def test_states_of_another_scene_are_refused(rainsim, scene_folder, tmp_path):
     rainsim("heightmap", scene_folder, *MAP, "--out", "terrain")
     rainsim("simulate", "terrain", "--frames", 1, "--out", "states")

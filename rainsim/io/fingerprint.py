@@ -1,0 +1,67 @@
+"""Fingerprints: whether two runs would write the same bytes.
+
+A fingerprint is a hash of what the bytes depend on: the content of scene and settings, rainsim's
+own sources, and the versions that change bytes. Names of paths, hosts and systems have no part.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import json
+import platform
+from importlib import metadata
+from pathlib import Path
+
+PACKAGE = Path(__file__).resolve().parent.parent
+SOURCES = (".py", ".toml")
+LIBRARIES = ("numpy", "scipy", "scikit-image", "numba", "llvmlite", "pillow", "imageio")
+BLOCK = 1 << 20  # bytes
+
+
+def fingerprint(content):
+    """Return the fingerprint of what a run computes from, 64 hexadecimal digits.
+
+    Parameters
+    ----------
+    content : dict
+        Plain JSON values: hashes of files and arrays, settings.
+    """
+    return hash_of({"content": content, "sources": sources(), "versions": versions()})
+
+
+def hash_of(facts):
+    """Return the SHA-256 of plain JSON values."""
+    text = json.dumps(facts, sort_keys=True, default=str)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def hash_of_file(path):
+    """Return the SHA-256 of a file's content."""
+    digest = hashlib.sha256()
+    with open(path, "rb") as file:
+        while block := file.read(BLOCK):
+            digest.update(block)
+    return digest.hexdigest()
+
+
+@functools.cache
+def sources():
+    """Return the SHA-256 of all sources of the package."""
+    digest = hashlib.sha256()
+    for file in sorted(PACKAGE.rglob("*")):
+        if file.suffix in SOURCES:
+            digest.update(f"{file.relative_to(PACKAGE).as_posix()}\n".encode())
+            digest.update(hash_of_file(file).encode())
+    return digest.hexdigest()
+
+
+def versions(names=LIBRARIES):
+    """Return the versions of Python and of libraries, None for those that are not there."""
+    found = {"python": platform.python_version()}
+    for name in names:
+        try:
+            found[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            found[name] = None
+    return found

@@ -1,0 +1,224 @@
+"""Unfinished runs are gone on with: the same bytes as in one go, whatever ended them."""
+
+import hashlib
+import json
+import os
+import random
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rainsim.config.settings import Config
+from rainsim.errors import ParameterError
+from rainsim.io import fingerprint
+from rainsim.io.journal import Journal
+from rainsim.output_folder import (
+    JOURNAL,
+    PROVENANCE,
+    FrameFolder,
+    Record,
+    claimed,
+    read_record,
+)
+from rainsim.pipeline import frames_of
+from rainsim.render.report import FrameReport
+from scenes import tiny_scene
+
+FRAMES = 12
+KILLS, MANY_KILLS = 5, 100
+NOT_COMPARED = (PROVENANCE, JOURNAL)  # they hold times
+
+
+def picture(index):
+    return np.random.default_rng(index).integers(0, 255, (48, 64, 3), dtype=np.uint8)
+
+
+def report(index):
+    layers = {"depth": np.full((48, 64), index, np.float32)}
+    return FrameReport(index, index / 24, {"all": 1.0}, {"rain": index}, ("a note",), layers)
+
+
+def draw(folder, seed=0, resume=False, video=False, stop=None, pause=0.0):
+    """Write FRAMES frames into a folder, or those before `stop`; return which were drawn."""
+    config, scene, drawn = Config().replace(frames=FRAMES), tiny_scene(), []
+    with claimed(folder, resume=resume):
+        record = Record(Path(folder), scene, {"layers": ["depth"]}, seed=seed)
+        film = FrameFolder(Path(folder), record, scene.cameras[:1], config, video, resume)
+        missing = [index for index in config.indices if index not in film.kept]
+        with film:
+            for index in missing:
+                if index == stop:
+                    raise KeyboardInterrupt
+                film.add(picture(index), report(index))
+                drawn.append(index)
+                time.sleep(pause)
+    return drawn
+
+
+def written(folder):
+    """What lies in a folder: hashes by name."""
+    files = [path for path in Path(folder).rglob("*") if path.is_file()]
+    return {
+        path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in files if path.name not in NOT_COMPARED
+    }  # fmt: skip
+
+
+def facts(folder):
+    """What a record says but times."""
+    record = read_record(folder)
+    names = ("complete", "frames", "ledger", "notes", "files", "fingerprint", "milliseconds")
+    return {name: record.get(name) for name in names}
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """Folder of a run in one go."""
+    folder = tmp_path_factory.mktemp("whole") / "out"
+    assert draw(folder) == list(range(FRAMES))
+    return folder
+
+
+def same(folder, whole):
+    assert written(folder) == written(whole) and facts(folder) == facts(whole)
+    assert set(Journal(folder, JOURNAL, re.compile(".*").fullmatch).entries()) == {*range(FRAMES)}
+
+
+def test_an_interrupted_run_is_gone_on_with(tmp_path, whole):
+    with pytest.raises(KeyboardInterrupt):
+        draw(tmp_path / "a", stop=5)
+    assert not read_record(tmp_path / "a")["complete"]
+    assert draw(tmp_path / "a", resume=True) == list(range(5, FRAMES))
+    same(tmp_path / "a", whole)
+    assert draw(tmp_path / "a", resume=True) == []  # there is nothing left to draw
+    same(tmp_path / "a", whole)
+
+
+def test_frames_and_layers_that_are_damaged_or_gone_are_drawn_again(tmp_path, whole):
+    draw(tmp_path / "a")
+    frames = tmp_path / "a" / "frames"
+    (frames / "00003.png").write_bytes((frames / "00003.png").read_bytes()[:-7])
+    (frames / "00004.png").unlink()
+    next((tmp_path / "a" / "layers" / "depth").glob("00007.*")).write_bytes(b"other")
+    (tmp_path / "a" / "preview.webp").unlink()
+    assert draw(tmp_path / "a", resume=True) == [3, 4, 7]
+    same(tmp_path / "a", whole)
+
+
+def test_another_run_is_refused_and_left_as_it_is(tmp_path):
+    with pytest.raises(KeyboardInterrupt):
+        draw(tmp_path / "a", stop=3)
+    before = written(tmp_path / "a")
+    with pytest.raises(ParameterError, match="was another"):
+        draw(tmp_path / "a", seed=1, resume=True)
+    assert written(tmp_path / "a") == before
+    (tmp_path / "b").mkdir()
+    (tmp_path / "b" / "mine.txt").write_text("mine")
+    with pytest.raises(ParameterError, match=r"mine\.txt and no record"):
+        draw(tmp_path / "b", resume=True)
+    with pytest.raises(ParameterError, match="--resume"):
+        draw(tmp_path / "b")
+
+
+@pytest.mark.parametrize("text", ["", "\0\0", "[]", '{"index": 1}', "nonsense\n", "[" * 9999])
+def test_a_journal_that_is_cut_or_made_up_keeps_nothing_that_is_not_whole(tmp_path, whole, text):
+    draw(tmp_path / "a")
+    journal = tmp_path / "a" / JOURNAL
+    lines = journal.read_text().splitlines()
+    forged = json.loads(lines[2]) | {"files": {"../../secret": "0"}}
+    no_picture = json.loads(lines[3]) | {"files": {}}
+    odd = json.loads(lines[4]) | {"ledger": 3}
+    cut = [json.dumps(entry) for entry in (forged, no_picture, odd)] + [lines[5][:30], text]
+    journal.write_text("\n".join([*lines[:2], *cut]))
+    assert draw(tmp_path / "a", resume=True) == list(range(2, FRAMES))
+    same(tmp_path / "a", whole)
+
+
+def test_a_fingerprint_knows_content_and_no_names(tmp_path, monkeypatch):
+    def of(scene, **facts):
+        return Record(tmp_path, scene, **facts).fingerprint
+
+    from dataclasses import replace
+
+    scene = tiny_scene()
+    first = of(scene, seed=1, preset="a")
+    elsewhere = replace(scene, source=Path("/elsewhere"), name="other", notes=("another",))
+    assert of(elsewhere, seed=1, preset="b") == first
+    monkeypatch.setattr("platform.platform", lambda: "another kernel")
+    monkeypatch.setattr("platform.node", lambda: "another host")
+    assert of(scene, seed=1) == first
+    assert of(scene, seed=2) != first
+    assert of(replace(scene, source_hash="1" * 64), seed=1) != first
+    assert of(replace(scene, cameras=scene.cameras[:1]), seed=1) != first
+    monkeypatch.setattr(fingerprint, "sources", lambda: "other sources")
+    assert of(scene, seed=1) != first
+
+
+class _State:
+    def __init__(self, index):
+        self.index = index
+
+
+def test_states_of_kept_frames_are_simulated_and_not_drawn():
+    config, made, skip = Config().replace(frames=8), [], set()
+
+    def states():
+        for index in range(100):
+            made.append(index)
+            yield _State(index)
+
+    frames = frames_of(states(), config, skip=skip)
+    skip |= {0, 1, 4, 7}  # known when the first frame is asked for
+    assert [state.index for state in frames] == [2, 3, 5, 6] and made == list(range(7))
+    assert list(frames_of(states(), config, skip=range(8))) == []
+
+
+CODE = "import sys; import test_resume as t; t.draw(sys.argv[1], resume=True, pause=0.01)"
+
+
+def killed_at_random(folder, count, seed):
+    """Start a run and kill it, again and again; return how many runs were killed at work."""
+    rng, killed = random.Random(seed), 0
+    environment = os.environ | {
+        "PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), *sys.path])
+    }
+    for _ in range(count):
+        process = subprocess.Popen([sys.executable, "-c", CODE, folder], env=environment)
+        ready = Path(folder) / PROVENANCE
+        while not ready.exists() and process.poll() is None:
+            time.sleep(0.005)
+        time.sleep(rng.uniform(0, 0.08))
+        process.send_signal(rng.choice([signal.SIGKILL, signal.SIGTERM, signal.SIGKILL]))
+        killed += process.wait() != 0
+    return killed
+
+
+def test_runs_killed_at_random_moments_lose_nothing(tmp_path, whole):
+    assert killed_at_random(tmp_path / "a", KILLS, seed=1) > 0
+    draw(tmp_path / "a", resume=True)
+    same(tmp_path / "a", whole)
+    assert not [p for p in (tmp_path / "a").rglob(".*") if p.is_file()]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(10))
+def test_runs_killed_at_many_random_moments_lose_nothing(tmp_path, whole, seed):
+    killed_at_random(tmp_path / "a", MANY_KILLS // 10, seed)
+    draw(tmp_path / "a", resume=True)
+    same(tmp_path / "a", whole)
+
+
+def test_a_video_is_the_same(tmp_path):
+    pytest.importorskip("imageio_ffmpeg")
+    draw(tmp_path / "whole", video=True)
+    with pytest.raises(KeyboardInterrupt):
+        draw(tmp_path / "a", stop=5, video=True)
+    draw(tmp_path / "a", resume=True, video=True)
+    assert written(tmp_path / "a") == written(tmp_path / "whole")
+    assert (tmp_path / "a" / "video.mp4").is_file()
