@@ -23,7 +23,7 @@ OPAQUE, LEAST_COVER = np.float32(0.99), np.float32(1e-3)  # alpha that hides all
 
 
 class Look(NamedTuple):
-    """How the light of the day differs from the captured light; seven float32."""
+    """How the light of the day differs from the captured light; each a float32."""
 
     exposure: np.float32  # factor on captured light
     desaturation: np.float32  # share of the saturation that is lost, 0 to 1

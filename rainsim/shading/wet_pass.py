@@ -20,7 +20,7 @@ from rainsim.scene.view import View, pixel_ray
 from rainsim.shading.environment import azimuth_in_map, color_in_map, elevation_in_map
 from rainsim.shading.grading import Look, is_edge, undiluted
 from rainsim.shading.walls import damp_off_ground
-from rainsim.shading.wetness import OffGroundWetness, store_wetness, stored_wetness
+from rainsim.shading.wetness import OffGroundWetness, Wetness, store_wetness, stored_wetness
 from rainsim.shading.wetting import (
     FLAT,
     GLOSS_LIFT,
@@ -50,8 +50,8 @@ from rainsim.shading.wetting import (
 # Heights as `wet_state` returns them, shares of gloss and of sky, and the places in maps: first the
 # ground's column and row, then the environment's.
 (CLEARANCE, HEIGHT, GLOSS, THROUGH, ACROSS, DOWN, LIFTED) = (CHUNK * k for k in range(21, 28))
-WETNESS = 28 * CHUNK  # as `store_wetness` writes it, four rows
-NUMBERS = 32 * CHUNK
+WETNESS = 28 * CHUNK  # as `store_wetness` writes it, a row for each field
+NUMBERS = WETNESS + len(Wetness._fields) * CHUNK
 
 NO_DEPTH = np.float32(np.inf)
 NO_COVER = np.empty((0, 0), np.float32)  # as `cover_out`: ground glosses as all else does

@@ -14,7 +14,7 @@ def meet_tops(depth, camera, tops, rain, hit_out, coverage_out):
     """Add the wet tops to what `ray_water.meet_water` has found; see `reflection.wet_tops`.
 
     camera : CameraArrays
-    rain : device array of shape (5,), float32
+    rain : device array of shape (fields,), float32
         An `OffGroundWetness`.
     """
     column, row = cuda.grid(2)

@@ -35,7 +35,9 @@ from rainsim.reflection.water_surface import WaterMap
 from rainsim.reflection.wet_tops import top_numbers
 from rainsim.scene.view import CameraArrays, view_of
 from rainsim.shading.composite import RainCover, RainLight
+from rainsim.shading.grading import Look
 from rainsim.shading.wet_pass import DryPicture
+from rainsim.shading.wetness import OffGroundWetness
 from rainsim.shading.wetting import GroundMaps, SkyMaps
 from rainsim.ssr import bounds_of
 from rainsim.water.top_water import sheet_depth
@@ -219,8 +221,10 @@ class DeviceFrame:
         self.below = self.ground_light.bare if self.ground_light.apart else self.picture
         self._image = cuda.device_array((height, width, 3), np.uint8)
         self.uniforms = FrameUniforms(self.stream, {
-            "turn": ((3, 3), f4), "eye": ((3,), f4), "lens": ((4,), f4), "look": ((7,), f4),
-            "off_ground": ((5,), f4), "brightness": ((1,), f4), "fog": ((FOG_STEPS + 3,), f4),
+            "turn": ((3, 3), f4), "eye": ((3,), f4), "lens": ((4,), f4),
+            "look": ((len(Look._fields),), f4),
+            "off_ground": ((len(OffGroundWetness._fields),), f4),
+            "brightness": ((1,), f4), "fog": ((FOG_STEPS + 3,), f4),
             "sun": ((6,), f4), "air": ((3,), f4), "settings": ((3,), f4), "cover": ((2,), f4),
             "drop": ((*drop_radiance.GRID, 3), f4), "around": ((3,), f4),
             "tops": ((max(len(self._tops.form), 1), 2), f4),

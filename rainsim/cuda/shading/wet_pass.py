@@ -39,10 +39,10 @@ def grade_and_wet(
     size : device array of shape (2,), float32
         Columns and rows [px] of the part that was drawn.
     camera : CameraArrays
-    rain : device array of shape (5,), float32
-        See `off_ground_from`.
-    look : device array of shape (7,), float32
-        See `look_from`.
+    rain : device array of shape (fields,), float32
+        An `OffGroundWetness`, see `off_ground_from`.
+    look : device array of shape (fields,), float32
+        A `Look`, see `look_from`.
     """
     column, row = cuda.grid(2)
     if row >= size[1] or column >= size[0]:
