@@ -441,7 +441,7 @@ def write_layers(folder, report):
     Returns the names of the files.
     """
     from rainsim.io import images
-    from rainsim.render.aov import AOVS, DATA, INDEX, PICTURE, channels
+    from rainsim.render.aov import AOVS, DATA, INDEX, PICTURE
 
     written = []
     for name, values in report.aovs.items():
@@ -454,7 +454,7 @@ def write_layers(folder, report):
         elif kind == INDEX:
             images.write_png16(folder / path, values)
         elif kind == DATA:
-            images.write_data(folder / path, values, channels(name))
+            images.write_data(folder / path, values, AOVS[name].channels)
         else:
             images.write_png16(folder / path, np.rint(np.clip(values, 0, 1) * 65535))
         written.append(path)

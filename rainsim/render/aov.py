@@ -37,18 +37,23 @@ class Aov:
         16-bit PNG. DATA: float32, OpenEXR with the extra `exr`, else .npz.
     unit : str
     what : str
+    channels : tuple of str
+        Their names in a file of DATA, as OpenEXR users expect them.
     """
 
     kind: str
     unit: str
     what: str
+    channels: tuple = ("R", "G", "B")
 
 
 AOVS = {
     "clean": Aov(PICTURE, "", "the dry capture without grading"),
-    "depth": Aov(DATA, "m", "along the view axis, infinite for sky"),
-    "normal": Aov(DATA, "", "of the captured surface, in the ground frame; zero for sky"),
-    "water_depth": Aov(DATA, "m", "of the water that the pixel shows"),
+    "depth": Aov(DATA, "m", "along the view axis, infinite for sky", ("Z",)),
+    "normal": Aov(
+        DATA, "", "of the captured surface, in the ground frame; zero for sky", ("X", "Y", "Z")
+    ),
+    "water_depth": Aov(DATA, "m", "of the water that the pixel shows", ("Y",)),
     "wetness": Aov(SHARE, "", "of surfaces: 0 dry, 1 wet through"),
     "wet": Aov(DATA, "display white", "linear light: graded and wetted, without water"),
     "film": Aov(DATA, "display white", "reflection of the water film on the ground, a part of wet"),
@@ -64,7 +69,9 @@ AOVS = {
     "rain_alpha": Aov(SHARE, "", "of the light that falling drops replace"),
     "splash_alpha": Aov(SHARE, "", "of the light that splashes replace"),
     "splash_id": Aov(INDEX, "", "of the splash nearest to a splashed pixel, 0 for none"),
-    "drop_flow": Aov(DATA, "px per frame", "mean motion (right, down) of the drops in a pixel"),
+    "drop_flow": Aov(
+        DATA, "px per frame", "mean motion (right, down) of the drops in a pixel", ("X", "Y")
+    ),
 }
 TERMS = ("coverage", "reflection", "reflection_source", "refraction", "fresnel", "highlight",
          "water_depth")  # fmt: skip
@@ -327,9 +334,3 @@ def _drop_flow(parts):
     flow /= np.maximum(weight, 1e-30)[:, None]
     flow[parts.cover.rain_alpha.ravel() <= 0] = 0
     return flow.reshape(height, width, 2).astype(np.float32)
-
-
-def channels(name):
-    """Return the channel names of a DATA AOV, as OpenEXR users expect them."""
-    return {"normal": ("X", "Y", "Z"), "drop_flow": ("X", "Y"), "depth": ("Z",),
-            "water_depth": ("Y",)}.get(name, ("R", "G", "B"))  # fmt: skip

@@ -50,7 +50,7 @@ def test_every_layer_has_the_frames_size_and_its_kind(shot):
         if kind == aov.SHARE:
             assert values.min() >= 0 and values.max() <= 1
         elif kind == aov.DATA:
-            assert values.dtype == np.float32 and values.ndim == 2 + (len(aov.channels(name)) > 1)
+            assert values.dtype == np.float32 and values.ndim == 2 + (len(AOVS[name].channels) > 1)
 
 
 def test_layers_say_what_is_there(shot):
