@@ -101,7 +101,10 @@ class Drips:
 
     @property
     def room(self):
-        """How much water the objects still take behind each point [m3], films and puddles."""
+        """Water [m3] that the surfaces above each dripping point still hold back, shape (points,).
+
+        It fills their film and puddles; only what comes after drips from the point.
+        """
         return self._room
 
     def take_rain(self, hits, fine_depth=0.0):
