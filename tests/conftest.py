@@ -8,10 +8,9 @@ from pathlib import Path
 # Processes that tests start inherit the folder, so that nothing is compiled twice.
 if "RAINSIM_TEST_CACHE" not in os.environ:
     _CACHE = tempfile.TemporaryDirectory(prefix="rainsim-test-cache-")
-    os.environ["NUMBA_CACHE_DIR"] = _CACHE.name
-else:
-    # For work at one's own risk: a folder that outlives the session.
-    os.environ["NUMBA_CACHE_DIR"] = os.environ["RAINSIM_TEST_CACHE"]
+    os.environ["RAINSIM_TEST_CACHE"] = _CACHE.name  # for the workers of `pytest -n`
+# Set from outside it is, at one's own risk, a folder that outlives the session.
+os.environ["NUMBA_CACHE_DIR"] = os.environ["RAINSIM_TEST_CACHE"]
 
 # Tests change constants of modules at will, which no entry's name takes in.
 os.environ["RAINSIM_CACHE"] = "off"
@@ -36,16 +35,22 @@ def pytest_ignore_collect(collection_path):
     return None
 
 
-def pytest_collection_modifyitems(items):
-    """Leave out what takes minutes without the compiler."""
+IN_THE_SIMULATOR = "test_the_twins_in_the_simulator[quick]"
+
+
+def pytest_collection_modifyitems(config, items):
+    """Leave out what takes minutes without the compiler; workers begin with the longest test."""
     if plain.CHOSEN:
         items[:] = [item for item in items if item.originalname not in plain.SLOW]
+    if hasattr(config, "workerinput"):
+        items.sort(key=lambda item: item.name != IN_THE_SIMULATOR)
 
 
 def pytest_collection_finish(session):
     """Start the twins' simulator beside the other tests, which mostly compile in one thread."""
-    wanted = any(item.name == "test_the_twins_in_the_simulator[quick]" for item in session.items)
-    if wanted and not session.config.option.collectonly:
+    wanted = any(item.name == IN_THE_SIMULATOR for item in session.items)
+    alone = not hasattr(session.config, "workerinput")  # of `pytest -n`
+    if wanted and alone and not session.config.option.collectonly:
         session.config.stash[Simulator.KEY] = Simulator(session.config.rootpath, QUICK)
 
 

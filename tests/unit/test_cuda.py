@@ -17,7 +17,7 @@ LONG = ("ripples", "simulate", "frame", "mirror", "bench")
     ],
 )
 def test_the_twins_in_the_simulator(request, root, names):
-    """In a process of its own, which has run beside the tests before this one if it is QUICK."""
+    """In a process of its own; QUICK has run beside the tests before this one, without `-n`."""
     started = request.config.stash.get(Simulator.KEY, None) if names == QUICK else None
     code, said = (started or Simulator(root, names)).finish()
     assert code == 0, said[-4000:]
