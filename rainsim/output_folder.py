@@ -39,7 +39,10 @@ OURS = re.compile(
     r"|(hillshade|classes|check|puddles-\d+mm)\.png"
     r"|layers/(\d{5}\.json|[a-z_]+/\d{5}\.(png|exr|npz))|finished\.jsonl"
 )
-JOURNAL = "finished.jsonl"  # which frames are finished
+JOURNAL = "finished.jsonl"  # which frames or states are finished
+FRAME, STATE = "frames/{:05d}.png", "states/{:05d}.npz"
+STATE_FACTS = {"ledger": dict, "notes": list}  # what the journal says of a state, and of a frame
+FRAME_FACTS = STATE_FACTS | {"time": float, "milliseconds": dict}
 # Files of a run that was killed while it wrote them, see `rainsim.io.files.replacing`.
 TEMPORARY = re.compile(r"\.[\w.-]+\.[a-z0-9_]{8}(\.[a-z0-9]+)?")
 VERSIONS_OF = ("numpy", "scipy", "numba", "llvmlite", "pillow")
@@ -127,22 +130,31 @@ class Record:
         self.journal = Journal(folder, JOURNAL, OURS.fullmatch)
 
     def begin(self):
-        """Delete the files of an earlier run, unless it had the same input and settings."""
+        """Delete the files of an earlier run, unless it was the same, and write this record."""
         before = read_record(self.folder)
         noted = (name for entry in self.journal.entries().values() for name in entry["files"])
         kept = sorted({*_files_of(before), *noted})
         if before.get("fingerprint") == self.fingerprint:
             self.files = kept  # other frames of the same frame sequence
         else:
-            for name in kept:
+            for name in (*kept, JOURNAL):
                 (self.folder / name).unlink(missing_ok=True)
         self.journal.begin_line()
         for path in self.folder.rglob(".*"):
             if TEMPORARY.fullmatch(path.name) and path.name != CLAIM and path.is_file():
                 path.unlink()
+        self.write(complete=False)  # first of all: a run that is killed can be gone on with
 
-    def resume(self, indices):
-        """Return the journal's entries of the finished frames among `indices`, by index.
+    def resume(self, indices, part=FRAME, facts=FRAME_FACTS):
+        """Return the journal's entries of the finished parts among `indices`, by index.
+
+        Parameters
+        ----------
+        indices : sequence of int
+        part : str
+            Name of the file that each part has, with its index to be filled in.
+        facts : dict of str to type
+            What an entry must hold.
 
         Raises
         ------
@@ -164,8 +176,12 @@ class Record:
                 "version of rainsim or of its libraries; --resume goes on with the very same run "
                 "only; give another --out, or --overwrite to replace its results"
             )
-        found = self.journal.finished(indices)
-        return {index: entry for index, entry in found.items() if _is_of_a_frame(entry)}
+        return {
+            index: entry
+            for index, entry in self.journal.finished(indices).items()
+            if part.format(index) in entry["files"]
+            and all(isinstance(entry.get(name), kind) for name, kind in facts.items())
+        }
 
     def add(self, *names):
         """Note that files, named relative to the folder, are written."""
@@ -190,14 +206,6 @@ def _files_of(record):
     """Return the names of the program's files that a record lists."""
     listed = record.get("files") if isinstance(record.get("files"), list) else []
     return [f for f in listed if isinstance(f, str) and OURS.fullmatch(f)]
-
-
-def _is_of_a_frame(entry):
-    """Whether an entry of the journal holds what a frame's report holds."""
-    kinds = {"time": float, "milliseconds": dict, "ledger": dict, "notes": list}
-    return f"frames/{entry['index']:05d}.png" in entry["files"] and all(
-        isinstance(entry.get(name), kind) for name, kind in kinds.items()
-    )
 
 
 def settings_content(config):
@@ -357,7 +365,7 @@ class FrameFolder:
 
     def _write(self, picture, index):
         """Write a frame's picture; return its name."""
-        name = f"frames/{index:05d}.png"
+        name = FRAME.format(index)
         self._image.write_png(self.folder / name, picture)
         self._show(picture)
         return name
@@ -373,7 +381,7 @@ class FrameFolder:
         if self._written is not None:
             (written, names, report), self._written = self._written, None
             files = (written.result(), *names)
-            self.record.add(*files)
+            self.record.add(JOURNAL, *files)
             facts = {"time": report.time, "milliseconds": report.milliseconds}
             facts |= {"ledger": report.ledger, "notes": list(report.notes), "host": host_facts()}
             self.record.journal.add(report.index, files, **facts)
@@ -383,8 +391,8 @@ class FrameFolder:
         """Take over the finished frames of an earlier run up to the frame `end`."""
         for index in [index for index in sorted(self.kept) if index < end]:
             entry = self.kept.pop(index)
-            self._show(self._image.read_image(self.folder / f"frames/{index:05d}.png"))
-            self.record.add(*entry["files"])
+            self._show(self._image.read_image(self.folder / FRAME.format(index)))
+            self.record.add(JOURNAL, *entry["files"])
             self.reports.append(
                 FrameReport(index, entry["time"], entry["milliseconds"], entry["ledger"],
                             tuple(entry["notes"]))
@@ -397,12 +405,10 @@ class FrameFolder:
             return
         self._has_begun = True
         self.record.begin()
-        self.record.add(JOURNAL)
-        self.record.write(complete=False)  # first: a run that is killed can be gone on with
         (self.folder / "frames").mkdir(exist_ok=True)
         count = self._config.frames
         cameras = list(self._cameras) if len(self._cameras) > 1 else [self._cameras[0]] * count
-        names = [f"frames/{i:05d}.png" for i in range(count)]
+        names = [FRAME.format(i) for i in range(count)]
         write_transforms(self.folder / "transforms.json", cameras[:count], names)
         self.record.add("transforms.json")
         if self._wants_video:

@@ -83,8 +83,9 @@ def run(scene, preset, out, overwrite, resume, as_json, quiet, video, layers, ba
 @options.preset_option
 @options.rain_options
 @options.range_option
+@options.resume_option
 @options.output_options("rainsim-out/TERRAIN-PRESET-states")
-def simulate(terrain, preset, out, overwrite, threads, as_json, quiet, **given):
+def simulate(terrain, preset, out, overwrite, resume, threads, as_json, quiet, **given):
     """Let it rain on TERRAIN, a folder that `rainsim heightmap` wrote.
 
     Writes DIR/states/00000.npz and so on: water depth, flow, ripples and impacts at the time of
@@ -96,51 +97,75 @@ def simulate(terrain, preset, out, overwrite, threads, as_json, quiet, **given):
     """
     status = Status(quiet)
     config = settings(preset, {**given, "threads": threads})
-    from rainsim.output_folder import Record, claimed, read_record, relative, settings_facts
-    from rainsim.pipeline import frames_of, write_state
-    from rainsim.pipeline import simulate as simulate_water
+    from rainsim.output_folder import claimed, relative
     from rainsim.terrain.files import read_terrain
 
     ground = read_terrain(terrain)
     source = terrain if terrain.is_dir() else terrain.parent
-    origin = read_record(source).get("input")
     name = source.resolve().name.removesuffix("-terrain")
     out = out or options.default_out(name, Path(preset).stem, "states")
     from rainsim.compiling.uses import SIMULATE
 
     with (
         status,
-        claimed(out, overwrite),
+        claimed(out, overwrite, resume),
         compiled_beside(status, [SIMULATE], config.threads),
     ):
         _set_up(config)
-        facts = settings_facts(config, preset)
-        record = Record(out, None, **facts, terrain_input=origin)
-        total = len(config.indices)
-        ledger = {}
-        states = frames_of(simulate_water(ground, config, status.progress), config, status.progress)
-        for done, state in enumerate(states):
-            if done == 0:
-                record.begin()
-                (out / "states").mkdir(exist_ok=True)
-                _write_simulation(out, source, terrain, record, config, preset, origin)
-            status.notes(state.notes)
-            name = f"states/{state.index:05d}.npz"
-            write_state(out / name, state)
-            record.add(name)
-            ledger = state.ledger
-            status.progress("simulate frames", done + 1, total)
-        record.write(complete=True, ledger=ledger)
-    status.say(f"{total} water states in {relative(out)}")
+        record, ledger = _write_states(status, ground, terrain, config, preset, out, resume)
+    status.say(f"{len(config.indices)} water states in {relative(out)}")
     _print({"out": str(out), "states": record.files, "ledger": ledger}, out, as_json)
 
 
-def _write_simulation(out, source, terrain, record, config, preset, origin):
-    """Write what `render` needs besides the states: settings, terrain and ground frame."""
+def _write_states(status, ground, terrain, config, preset, out, resume):
+    """Simulate and write the states that are not finished yet; return the record and the ledger."""
+    from rainsim import output_folder
+    from rainsim.io.fingerprint import hash_of_file
+    from rainsim.pipeline import frames_of, write_state
+    from rainsim.pipeline import simulate as simulate_water
+
+    source = terrain if terrain.is_dir() else terrain.parent
+    map_file = source / "terrain.npz" if terrain.is_dir() else terrain
+    origin = output_folder.read_record(source).get("input")
+    facts = output_folder.settings_facts(config, preset)
+    content = {
+        "settings": output_folder.settings_content(config), "terrain": hash_of_file(map_file),
+    }  # fmt: skip
+    record = output_folder.Record(out, None, content, **facts, terrain_input=origin)
+    part, kinds = output_folder.STATE, output_folder.STATE_FACTS
+    kept = record.resume(config.indices, part, kinds) if resume else {}
+    ledgers = {index: entry["ledger"] for index, entry in kept.items()}
+    if kept:
+        status.say(f"{len(kept)} of {len(config.indices)} states are finished and kept")
+    water = simulate_water(ground, config, status.progress)
+    for state in frames_of(water, config, status.progress, kept):
+        if not record.files:  # now that there is something to write
+            _write_simulation(out, source, map_file, record, config, preset, origin)
+        status.notes(state.notes)
+        name = part.format(state.index)
+        write_state(out / name, state)
+        ledgers[state.index] = state.ledger
+        host = output_folder.host_facts()
+        record.journal.add(
+            state.index, [name], ledger=state.ledger, notes=list(state.notes), host=host
+        )
+        status.progress("simulate frames", len(ledgers), len(config.indices))
+    if not record.files:
+        _write_simulation(out, source, map_file, record, config, preset, origin)
+    record.add(output_folder.JOURNAL, *(part.format(index) for index in config.indices))
+    ledger = ledgers[max(ledgers)]
+    record.write(complete=True, ledger=ledger)
+    return record, ledger
+
+
+def _write_simulation(out, source, map_file, record, config, preset, origin):
+    """Begin to write; write what `render` needs besides the states: settings, map, ground frame."""
     from rainsim.config.preset_files import SKIES
     from rainsim.io.files import named_path, path_named, replacing, write_json
 
-    copied = {"terrain.npz": source / "terrain.npz" if terrain.is_dir() else terrain}
+    record.begin()
+    (out / "states").mkdir(exist_ok=True)
+    copied = {"terrain.npz": map_file}
     if (source / "ground_frame.json").is_file():
         copied["ground_frame.json"] = source / "ground_frame.json"
     for name, path in copied.items():

@@ -86,7 +86,15 @@ def test_the_stages_one_by_one_give_the_same_frames(
         assert (tmp_path / "terrain" / name).is_file()
     done = rainsim("simulate", "terrain", "--preset", "downpour", "--frames", 3, "--out", "states")
     assert done.code == 0, done.err
-    assert len(list((tmp_path / "states" / "states").iterdir())) == 3
+    wet = {path.name: path.read_bytes() for path in (tmp_path / "states" / "states").iterdir()}
+    assert len(wet) == 3
+    (tmp_path / "states" / "states" / "00001.npz").unlink()
+    again = ["simulate", "terrain", "--preset", "downpour", "--out", "states", "--resume"]
+    assert rainsim(*again, "--frames", 4).code == 2  # another run
+    done = rainsim(*again, "--frames", 3)
+    assert done.code == 0 and "2 of 3 states are finished and kept" in done.err, done.err
+    found = (tmp_path / "states" / "states").iterdir()
+    assert {path.name: path.read_bytes() for path in found} == wet
     (tmp_path / "elsewhere").mkdir()
     monkeypatch.chdir(tmp_path / "elsewhere")  # the source is found from where the states lie
     done = rainsim("render", "../states", "--width", 64, "--out", "../frames")

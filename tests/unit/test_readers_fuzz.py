@@ -1,0 +1,323 @@
+"""Mutated files for every reader: a clear error or a right result, soon, in little memory.
+
+The default lane reads some of each kind that has no lane of its own (`test_formats_fuzz.py` and
+`test_own_files.py` have those of splats, COLMAP models and the program's own files) in this
+process. The campaign reads thousands of every kind in processes of their own, so that a segfault
+and a file that takes all memory count too; one kind by hand:
+`PYTHONPATH=.:tests:tests/unit python tests/unit/test_readers_fuzz.py KIND COUNT SEED FOLDER`.
+"""
+
+import io
+import json
+import os
+import resource
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import imageio.v3 as iio
+import numpy as np
+import pytest
+import test_formats_fuzz as formats
+import test_own_files as own
+
+import made_formats as made
+import mutate
+from made_captures import ring
+from rainsim.config.settings import Config
+from rainsim.errors import InputError, RainsimError
+from rainsim.io.images import read_hdr
+from rainsim.scene.cameras import load_cameras
+from rainsim.scene.formats import read
+from rainsim.terrain.classify import read_mask
+from rainsim.terrain.surface import _from_tiff as read_tiff
+from rainsim.terrain.surface import _read_obj, _read_ply
+from rainsim.terrain.table import class_table
+
+QUICK, CAMPAIGN = 120, 2_000
+MEMORY = 2_000_000_000  # bytes that a reader may take beyond what the process has at its start
+PATIENCE = 10  # s for a file
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of file: its name, sound content, what damages it and what reads it."""
+
+    name: str
+    whole: Callable
+    damage: Callable
+    read: Callable
+    own_lane: bool = False
+
+
+# --- sound files ----------------------------------------------------------------------------------
+
+
+def mesh_ply(form):
+    corners, faces = np.eye(3, dtype="<f4"), [(0, 1, 2), (2, 1, 0)]
+    lines = ["ply", f"format {form} 1.0", "element vertex 3"]
+    lines += [f"property float {axis}" for axis in "xyz"] + ["element face 2"]
+    head = "\n".join([*lines, "property list uchar int vertex_indices", "end_header", ""]).encode()
+    if form == "ascii":
+        rows = [" ".join(map(str, row)) for row in corners] + [
+            f"3 {a} {b} {c}" for a, b, c in faces
+        ]
+        return head + "\n".join(rows).encode() + b"\n"
+    return (
+        head
+        + corners.tobytes()
+        + b"".join(b"\x03" + np.array(face, "<i4").tobytes() for face in faces)
+    )
+
+
+def obj():
+    return b"# made\nv 0 0 0\nv 1 0 0.5\nv 0 1 0\nvt 0 0\nf 1/1 2/1 3/1\nf -1 -2 -3\n"
+
+
+def heights():
+    file = io.BytesIO()
+    iio.imwrite(file, np.linspace(0, 1, 80, dtype=np.float32).reshape(8, 10), extension=".tiff",
+                plugin="pillow")  # fmt: skip
+    return file.getvalue()
+
+
+def mask():
+    colors = class_table().colors
+    picture = colors[np.arange(96).reshape(8, 12) % len(colors)]
+    file = io.BytesIO()
+    iio.imwrite(file, picture, extension=".png", plugin="pillow")
+    return file.getvalue()
+
+
+def sky():
+    rng = np.random.default_rng(3)
+    pixels = rng.integers(0, 255, (6, 12, 4), dtype=np.uint8)
+    rows = []
+    for row in pixels[:3]:  # run-length coded, then flat
+        rows.append(bytes((2, 2, 0, 12)))
+        rows += [b"\x0c" + row[:, channel].tobytes() for channel in range(4)]
+    return (
+        b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 6 +X 12\n"
+        + b"".join(rows)
+        + (pixels[3:].tobytes())
+    )
+
+
+def preset():
+    return (
+        b'rain_mm_per_hour = 20.0\npast_rain_mm = 3\nwind_speed_m_per_s = 2.0\nseed = 7\n'
+        b'water_scheme = "auto"\nframes = 48\nsun_azimuth_degrees = 20.0\n'
+        b'sun_elevation_degrees = 30.0\n\n[[keyframe]]\ntime_s = 0.0\nrain_mm_per_hour = 2\n'
+        b'wind_direction_degrees = 30\n\n[[keyframe]]\ntime_s = 1.5\nrain_mm_per_hour = 50.0\n'
+        b'wind_speed_m_per_s = 9.5\nexposure_ms = 8.0\n'
+    )  # fmt: skip
+
+
+def make_colmap(write):
+    def files():
+        with tempfile.TemporaryDirectory() as folder:
+            write(Path(folder), ring(count=6))
+            return {path.name: path.read_bytes() for path in Path(folder).iterdir()}
+
+    return files
+
+
+# --- what reads them ------------------------------------------------------------------------------
+
+
+def read_splats(path):
+    made.check_arrays(read(path).splats)
+
+
+def read_model(path):
+    cameras, _ = load_cameras(path)
+    assert all(np.isfinite(camera.camera_from_world).all() for camera in cameras)
+
+
+def read_mesh(path):
+    points, triangles = (_read_obj if path.suffix == ".obj" else _read_ply)(path)
+    assert np.isfinite(points[triangles]).all()
+
+
+def read_heights(path):
+    assert read_tiff(path, 0.1, 1.0).bed.size <= 1e8
+
+
+def read_classes(path):
+    found = read_mask(path)
+    assert found.min() >= -1 and found.max() < len(class_table().names)
+
+
+def read_sky(path):
+    assert np.isfinite(read_hdr(path)).all()
+
+
+def read_preset(path):
+    config = Config.from_preset(path)
+    for time_s in config.key_times():
+        config.at(time_s + 0.3)
+
+
+def one_of_files(rng, files):
+    """A model of several files, one of them damaged."""
+    name = list(files)[rng.integers(len(files))]
+    return files | {name: mutate.mutated(rng, files[name])}
+
+
+def rezipped_or_not(rng, data):
+    """A file of arrays, damaged as it stands or within a sound archive."""
+    if rng.random() < 0.5:
+        return mutate.mutated(rng, data)
+    with np.load(io.BytesIO(data)) as archive:
+        arrays = dict(archive)
+    name = list(arrays)[rng.integers(len(arrays))]
+    member = io.BytesIO()
+    np.lib.format.write_array(member, arrays[name])
+    return own.made.rezipped(arrays | {name: mutate.mutated(rng, member.getvalue())})
+
+
+def content_of(make):
+    """Return a function that gives the content of the file that `make` writes into a folder."""
+
+    def whole():
+        with tempfile.TemporaryDirectory() as folder:
+            path = make(Path(folder))
+            return {p.name: p.read_bytes() for p in Path(folder).iterdir()} | {"": path.name}
+
+    return whole
+
+
+def damaged_among(damage):
+    """Return a function that damages the one file of a folder that is meant."""
+
+    def one(rng, files):
+        return files | {files[""]: damage(rng, files[files[""]])}
+
+    return one
+
+
+KINDS = {
+    "mesh, text": Kind("a.ply", lambda: mesh_ply("ascii"), mutate.plain, read_mesh),
+    "mesh": Kind("a.ply", lambda: mesh_ply("binary_little_endian"), mutate.plain, read_mesh),
+    "OBJ": Kind("a.obj", obj, mutate.plain, read_mesh),
+    "TIFF": Kind("a.tif", heights, mutate.plain, read_heights),
+    "mask": Kind("a.png", mask, mutate.plain, read_classes),
+    "sky": Kind("a.hdr", sky, mutate.plain, read_sky),
+    "preset": Kind("a.toml", preset, mutate.plain, read_preset),
+}
+KINDS |= {
+    name: Kind("a", whole, damage, read_splats, own_lane=True)
+    for name, (whole, damage) in formats.READERS.items()
+}
+KINDS |= {
+    f"COLMAP {write.__name__}": Kind("", make_colmap(write), one_of_files, read_model, True)
+    for write in (made.colmap_binary, made.colmap_text)
+}
+KINDS |= {
+    name: Kind("", content_of(make), damaged_among(rezipped_or_not), read_own, True)
+    for name, (make, read_own) in own.KINDS.items()
+}
+KINDS |= {
+    f"{name}.json": Kind("", content_of(make), damaged_among(mutate.valued), read_own, True)
+    for name, (make, read_own) in own.JSON_KINDS.items()
+}
+
+
+def put(folder, kind, data):
+    """Write damaged content; return the path to be read."""
+    if not isinstance(data, dict):
+        (folder / kind.name).write_bytes(data)
+        return folder / kind.name
+    for name, content in data.items():
+        if name:
+            (folder / name).write_bytes(content)
+    return folder / data[""] if "" in data else folder
+
+
+def fuzz(name, folder, count, seed):
+    """Read mutated files of a kind; return how many were read, refused, and the slowest [s]."""
+    kind = KINDS[name]
+    rng, whole = np.random.default_rng(seed), kind.whole()
+    outcome = {"read": 0, "refused": 0, "slowest": 0.0}
+    for _ in range(count):
+        path = put(folder, kind, kind.damage(rng, whole))
+        begun = time.perf_counter()
+        signal.alarm(PATIENCE)
+        try:
+            kind.read(path)
+        except RainsimError as error:
+            formats.one_clear_line(error)
+            outcome["refused"] += 1
+        else:
+            outcome["read"] += 1
+        signal.alarm(0)
+        outcome["slowest"] = max(outcome["slowest"], round(time.perf_counter() - begun, 3))
+    return outcome
+
+
+@pytest.fixture
+def late():
+    """Raise in a test that waits for one file."""
+
+    def stop(*_):
+        raise TimeoutError
+
+    before = signal.signal(signal.SIGALRM, stop)
+    yield
+    signal.signal(signal.SIGALRM, before)
+
+
+def needs_extra(name):
+    if name in formats.NEED_EXTRA:
+        for module in ("gsply", "imagecodecs", "zstandard"):
+            pytest.importorskip(module)
+
+
+@pytest.mark.parametrize("name", [name for name, kind in KINDS.items() if not kind.own_lane])
+def test_mutated_files(tmp_path, name, late):
+    outcome = fuzz(name, tmp_path, QUICK, seed=1)
+    assert outcome["refused"] > QUICK // 10 and outcome["read"] > 0, outcome
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_sound_files_are_read(tmp_path, name):
+    needs_extra(name)
+    kind = KINDS[name]
+    kind.read(put(tmp_path, kind, kind.whole()))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", KINDS)
+def test_a_campaign_in_a_process_of_its_own(tmp_path, name):
+    needs_extra(name)
+    command = [sys.executable, __file__, name, str(CAMPAIGN), "3", str(tmp_path)]
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    done = subprocess.run(command, capture_output=True, text=True, env=environment)
+    assert done.returncode == 0, (done.returncode, done.stderr[-2000:])
+    outcome = json.loads(done.stdout)
+    assert outcome["read"] + outcome["refused"] == CAMPAIGN and outcome["memory"] < MEMORY, outcome
+
+
+def main(name, count, seed, folder):
+    """Fuzz a kind under limits of memory and time; print the counts as JSON."""
+    kind = KINDS[name]
+    try:
+        kind.read(put(Path(folder), kind, kind.whole()))  # imports and compiles what it needs
+    except InputError as error:
+        sys.exit(f"a sound file is refused: {error}")
+    pages = int(Path("/proc/self/statm").read_text().split()[0])
+    limit = pages * resource.getpagesize() + MEMORY
+    resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    outcome = fuzz(name, Path(folder), int(count), int(seed))
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    print(json.dumps(outcome | {"memory": (peak - before) * 1024}))
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
