@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import os
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import rainsim.config.timeline as timeline
 from rainsim.config.preset_files import (
@@ -443,7 +443,7 @@ def check_sky(sky):
             f"sky is {shown(sky)}; it must be {' or '.join(SKIES)} or the path of a Radiance .hdr "
             "file"
         )
-    if not Path(sky).is_file():
+    if not os.path.isfile(sky):  # pathlib raises where a name is too long for any file
         raise InputError(f"there is no sky file {sky}; check the path, or use overcast")
 
 

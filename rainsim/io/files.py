@@ -108,7 +108,8 @@ def path_named(name, folder):
     """Return the path that a record in `folder` names."""
     seen = Path(folder) / name
     # Older records name paths as seen from where the command was started.
-    return seen if seen.exists() or not Path(name).exists() else Path(name)
+    # `os.path` takes a name that no file can have for one of no file, pathlib raises.
+    return seen if os.path.exists(seen) or not os.path.exists(name) else Path(name)
 
 
 def printable_name(name, most=MOST_NAME):

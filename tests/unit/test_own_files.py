@@ -312,6 +312,13 @@ def test_mutated_json_by_the_thousand(tmp_path, name):
     fuzz_json(name, tmp_path, THOROUGH, seed=2)
 
 
+def test_a_sky_whose_name_no_file_can_have(tmp_path):
+    path = make_simulation(tmp_path)
+    path.write_text(path.read_text().replace('"overcast"', f'"{"a" * 9000}.hdr"'))
+    with pytest.raises(InputError, match="there is no sky file"):
+        read_simulation(tmp_path)
+
+
 def test_a_record_that_is_none_counts_as_no_record(tmp_path):
     for text in (b"", b"[]", b'{"program": 1}', b"[" * 100_000, b"1" * 5000, b"\xff\xfe"):
         (tmp_path / "provenance.json").write_bytes(text)
