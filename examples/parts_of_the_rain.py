@@ -45,7 +45,8 @@ def main(scene="bicycle", views=("00", "07", "21"), presets=("moderate", "downpo
          width=648, **settings):  # fmt: skip
     """Print a line for each view and preset."""
     scene = rainsim.load_scene(scene) if isinstance(scene, str) else scene
-    print("| view | preset | streaks | splashes | rings | alpha of streaks, 99 % |\n" + "|---" * 6)
+    names = "view", "preset", "streaks", "splashes", "rings", "alpha of streaks, 99 %"
+    print("|", " | ".join(names), "|\n" + "|---" * len(names) + "|")
     for preset in presets:
         config = rainsim.Config.from_preset(preset).replace(frames=4, **settings)
         terrain = pipeline.extract_terrain(scene, config)

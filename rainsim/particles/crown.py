@@ -28,7 +28,9 @@ _THINNEST, _THICKEST = 0.2, 3.0  # depth over diameter between which the estimat
 _FLARE = 0.3  # the rim leans out by this share of its height
 _FINGERS = 0.45  # by which share of its height the rim is jagged
 _RIM = 0.17  # thickness of the rim over the drop's diameter
-_RIM_ALPHA, _SHEET_ALPHA = 0.8, 0.3  # share of light that each replaces; a sheet is a window
+# Share of light that each replaces. A sheet is a window, whose faces mirror some 4 % each: so the
+# light that a crown adds is that of a path-traced crown (tests/unit/test_mitsuba_rain.py).
+_RIM_ALPHA, _SHEET_ALPHA = 0.8, 0.1
 _DRIFT = 0.1  # share of the drop's horizontal velocity with which a crown moves; chosen
 _JET_START, _JET_HEIGHT, _JET_WIDTH = 0.018, 3.0, 0.55  # s; diameters
 _SEGMENT = 1.5  # px, length of a piece of the ring

@@ -6,8 +6,7 @@ disc shows what lies within 16 degrees of the line of sight behind it, half with
 83 (half of Garg and Nayar's 165 degrees, 2007, IJCV 75(1), section 3). So a drop is nearly as
 bright as the mean of what lies far around and behind it, and hardly as what is right behind it:
 before the sky it is as bright as the sky, before dark ground it still shows some sky. What a face
-throws back comes from everywhere. Crowns and droplets of splashes are taken for drops by half, see
-`shading.composite.splash_light`.
+throws back comes from everywhere. Crowns and droplets of splashes are taken for drops, too.
 """
 
 from __future__ import annotations
@@ -35,13 +34,6 @@ TURN_COSINE, TURN_SINE = np.cos(_TURN).astype(np.float32), np.sin(_TURN).astype(
 def mean_radiance(environment):
     """Return the mean of a map over all directions, float32 (3,)."""
     area = np.sqrt(1 - directions(*environment.shape[:2])[..., 2] ** 2)
-    return (np.einsum("ij,ijc->c", area, environment) / area.sum()).astype(np.float32)
-
-
-def radiance_above(environment):
-    """Return the mean of a map over the directions above the horizon, float32 (3,)."""
-    up = directions(*environment.shape[:2])[..., 2]
-    area = np.where(up > 0, np.sqrt(1 - up**2), 0)
     return (np.einsum("ij,ijc->c", area, environment) / area.sum()).astype(np.float32)
 
 

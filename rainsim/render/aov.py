@@ -180,7 +180,7 @@ def recompose(aovs, drop, around, air, brightness):
         Radiance of drops: everywhere, or at places from edge to edge of the picture, bilinear
         between them.
     around, air : array_like of shape (3,)
-        Mean radiance above the horizon, and radiance of the air; see `FrameReport.light`.
+        Mean radiance of the surroundings, and radiance of the air; see `FrameReport.light`.
     brightness : float
     """
     part = {name: np.asarray(aovs[name], np.float64) for name in NEEDED}

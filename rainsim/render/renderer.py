@@ -49,8 +49,8 @@ class Renderer:
         See `ring_share`.
     brightness : float
         Factor on the finished picture: that of the settings times the meter's.
-    air_light, everywhere, above : ndarray of shape (3,), float32
-        Radiance of distant air, the mean of the surroundings, and of those above the horizon.
+    air_light, everywhere : ndarray of shape (3,), float32
+        Radiance of distant air, and the mean of the surroundings.
     view : Camera
         Of the last frame, in the ground frame.
     wet : WetPicture
@@ -70,7 +70,6 @@ class Renderer:
         self.notes = [*self.wet_scene.notes, *([note] if note else [])]
         self.air_light = environment.horizon_radiance(self.wet_scene.day)
         self.everywhere = drop_radiance.mean_radiance(self.wet_scene.gloss)
-        self.above = drop_radiance.radiance_above(self.wet_scene.gloss)
         self.now, self.brightness = config.at(0.0), 1.0
         self._metered = self._meter(first_camera)
         self._camera = None  # that the kept picture belongs to
@@ -101,7 +100,7 @@ class Renderer:
         cover = self.rain.draw(
             self.view, camera_end, state, render, scene.paving, self.wet.depth, timer
         )
-        light = RainLight(self.drop_light, self.above, self.air_light)
+        light = RainLight(self.drop_light, self.everywhere, self.air_light)
         if render.streaks == "paper":
             radiance = paper.line_radiance(picture)
             light = light._replace(drops=drop_radiance.even(radiance), around=radiance)

@@ -45,8 +45,7 @@ class RainLight(NamedTuple):
     # (m, n, 3) float32, of falling drops at places from edge to edge of the picture, bilinear
     # between them; see `drop_field`.
     drops: np.ndarray
-    # (3,) float32, mean of the surroundings above the horizon: half of what splashes show.
-    around: np.ndarray
+    around: np.ndarray  # (3,) float32, mean of the surroundings: half of what splashes show
     air: np.ndarray  # (3,) float32, of the air
 
 
@@ -82,10 +81,9 @@ def field_place(pixel, count, places):
 def splash_light(drop, around):
     """Return the radiance of splashes where that of drops is `drop`.
 
-    Half of what a splash shows is taken to come through its rim and its droplets, which bend light
-    as drops do, and half off faces and sheets, whose normals point everywhere. These stand on wet
-    ground: what would leave them downward meets the water at their foot, which mirrors the sky at
-    such slants. So they show the mean radiance above the horizon, `around`.
+    Half of what a crown shows is taken to come through its rim and its droplets, which bend light
+    as drops do, and half off its sheets, whose normals point everywhere and which mirror the mean
+    radiance `around`.
     """
     return HALF * (drop + around)
 

@@ -131,7 +131,7 @@ class DeviceFrame:
         self.uniforms.update(
             turn=view.ground_from_camera, eye=view.eye, lens=view.lens, look=scene.look,
             off_ground=scene.off_ground, brightness=host.brightness, fog=fog, sun=host.sunlight,
-            air=host.air_light, drop=host.drop_field(view, camera), around=host.above,
+            air=host.air_light, drop=host.drop_field(view, camera), around=host.everywhere,
         )  # fmt: skip
         return changed
 
