@@ -36,8 +36,9 @@ CHECK_RAIN = 3  # mm of them, over what a camera sees
     help="Draw the ground's grid and the puddles of 3 mm of rain over what a camera sees, as "
     "check.png. [default: the first]",
 )
+@options.resume_option
 @options.output_options("rainsim-out/SCENE-terrain")
-def heightmap(scene, class_mask, check, out, overwrite, threads, as_json, quiet, **given):
+def heightmap(scene, class_mask, check, out, overwrite, resume, threads, as_json, quiet, **given):
     """Make the height map of SCENE, a name or a path as for `rainsim run`.
 
     SCENE may also be a triangle mesh (PLY or OBJ) or a map of heights (float TIFF, metres, north at
@@ -73,14 +74,17 @@ def heightmap(scene, class_mask, check, out, overwrite, threads, as_json, quiet,
 
     with (
         status,
-        claimed(out, overwrite),
+        claimed(out, overwrite, resume),
         compiled_beside(status, [HEIGHTMAP], config.threads),
     ):
         from rainsim.jit import set_threads
         from rainsim.terrain.files import write_terrain
 
         set_threads(config.threads)
-        record = Record(out, loaded, settings={"terrain": config.as_dict()["terrain"]})
+        content = _content(scene if surface else None, class_mask, check, given)
+        record = Record(out, loaded, content, settings={"terrain": config.as_dict()["terrain"]})
+        if resume:
+            record.resume(())  # one step: it is made again in the folder of the very same map
         if surface:
             status.progress("terrain", 0, 1)
             terrain = _from_surface(scene, config, given)
@@ -88,6 +92,7 @@ def heightmap(scene, class_mask, check, out, overwrite, threads, as_json, quiet,
         else:
             terrain = _from_splats(loaded, config, class_mask, status)
         status.notes(terrain.notes)
+        record.begin()
         record.add(*(path.name for path in write_terrain(out, terrain)))
         if loaded is not None:
             write_ground_frame(out / GROUND_FRAME, loaded.ground_frame)
@@ -101,6 +106,16 @@ def heightmap(scene, class_mask, check, out, overwrite, threads, as_json, quiet,
     status.say(f"height map and pictures in {relative(out)}")
     result = {**_result(out, terrain, loaded, puddles, record.files), "check": checked}
     click.echo(json.dumps(result, indent=1) if as_json else _as_text(result))
+
+
+def _content(surface, class_mask, check, given):
+    """Return what a height map depends on besides its scene and settings, as plain values."""
+    from rainsim.io.fingerprint import hash_of_file
+
+    files = {"surface": surface, "mask": class_mask}
+    hashes = {name: None if path is None else hash_of_file(path) for name, path in files.items()}
+    axes = {name: given.get(name) for name in ("up", "meters_per_unit")} if surface else {}
+    return {**hashes, **axes, "check": check}
 
 
 def _default_config():

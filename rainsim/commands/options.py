@@ -278,8 +278,8 @@ def output_options(default):
 
 resume_option = click.option(
     "--resume", is_flag=True,
-    help="Go on with an unfinished run in the output folder: finished frames are kept after a "
-    "check, the others drawn. Anything but the very same run is refused.",
+    help="Go on with an unfinished run in the output folder: frames and states that are finished "
+    "are kept after a check. Anything but the very same run is refused.",
 )  # fmt: skip
 
 backend_option = click.option(

@@ -19,8 +19,9 @@ GROUND_FRAME = "ground_frame.json"
 @click.argument("path", type=click.Path(path_type=Path))
 @click.option("--info", is_flag=True, help="Only print what PATH holds; write nothing.")
 @options.ground_options
+@options.resume_option
 @options.output_options("NAME-scene")
-def import_(path, info, out, overwrite, threads, as_json, quiet, **given):
+def import_(path, info, out, overwrite, resume, threads, as_json, quiet, **given):
     """Read a capture, find its ground, and write it as a scene folder.
 
     PATH is a trained model's folder (point_cloud/iteration_*/point_cloud.ply and cameras.json) or a
@@ -50,8 +51,11 @@ def import_(path, info, out, overwrite, threads, as_json, quiet, **given):
         scene = loaded_scene(status, path, given)
     frame = scene.ground_frame
     out = out or Path(f"{options.plain(scene.name)}-scene")
-    with claimed(out, overwrite):
+    with claimed(out, overwrite, resume):
         record = Record(out, scene)
+        if resume:
+            record.resume(())  # one step: it is made again in the folder of the very same scene
+        record.begin()
         write_scene(out, scene)
         write_ground_frame(out / GROUND_FRAME, frame)
         record.add("scene.json", "splats.npz", GROUND_FRAME)

@@ -13,6 +13,8 @@ import platform
 from importlib import metadata
 from pathlib import Path
 
+from rainsim.io.files import require_file
+
 PACKAGE = Path(__file__).resolve().parent.parent
 SOURCES = (".py", ".toml")
 LIBRARIES = ("numpy", "scipy", "scikit-image", "numba", "llvmlite", "pillow", "imageio")
@@ -39,7 +41,7 @@ def hash_of(facts):
 def hash_of_file(path):
     """Return the SHA-256 of a file's content."""
     digest = hashlib.sha256()
-    with open(path, "rb") as file:
+    with open(require_file(path, "an input"), "rb") as file:
         while block := file.read(BLOCK):
             digest.update(block)
     return digest.hexdigest()
