@@ -83,7 +83,8 @@ def test_every_command_named_in_the_readme_exists():
 
 
 def test_every_option_named_in_the_readme_exists():
-    known = {name for c in cli.commands.values() for p in c.params for name in p.opts} | {"--help"}
+    known = {name for c in cli.commands.values() for p in c.params for name in p.opts}
+    known |= {"--help", "--dist"}  # the latter of pytest
     named = set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", README))
     assert named and named <= known, named - known
 
@@ -92,10 +93,11 @@ def test_the_readme_and_ci_run_the_same_tests():
     run = (ROOT / ".ci/run").read_text(encoding="utf-8").splitlines()
     assert 'pip install -e ".[test]" && python -m pytest' in README
     assert 'python -m pip install --quiet ".[test]"' in run
-    steps = ["ruff check .", "ruff format --check .", "NUMBA_DISABLE_JIT=1 python -m pytest -q"]
+    tests = "python -m pytest -q -n auto --dist worksteal"
+    steps = ["ruff check .", "ruff format --check .", f"NUMBA_DISABLE_JIT=1 {tests}"]
     commands = [line.partition("  #")[0] for line in run]
-    assert [line for line in commands if line in [*steps, "python -m pytest -q"]] == [
-        *steps, "python -m pytest -q",
+    assert [line for line in commands if line in [*steps, tests]] == [
+        *steps, tests,
     ]  # fmt: skip
     contributing = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
     for step in steps:
