@@ -59,7 +59,7 @@ def run_one(use):
 
     def progress(self, name, done, total):
         nonlocal stage
-        if name != TERRAIN or done == total:
+        if name != status.READING and (name != TERRAIN or done == total):
             stage = STAGES[1]
         tell(self, name, done, total)
 
