@@ -25,8 +25,7 @@ def sheet_of(scene, cameras, config):
     for camera in cameras:
         frames = rainsim.render_rain(scene, [camera], config, layers=["clean"])
         picture, report = list(frames)[-1]
-        dry = np.clip(report.aovs["clean"], 0, 1) * 255 + 0.5
-        columns.append(np.concatenate([dry.astype(np.uint8), picture]))
+        columns.append(np.concatenate([report.aovs["clean"], picture]))
     height = max(len(column) for column in columns)
     padded = [np.pad(c, ((0, height - len(c)), (0, 0), (0, 0))) for c in columns]
     return np.concatenate(padded, axis=1)
