@@ -26,7 +26,10 @@ class Commands(click.Group):
     """A group that turns the errors which a user can meet into one line and an exit code."""
 
     def invoke(self, ctx):
-        """Run the chosen command."""
+        """Run the chosen command; end with one line and an exit code where it raises an error.
+
+        click's own errors keep click's exit codes.
+        """
         try:
             return super().invoke(ctx)
         except ParameterError as error:

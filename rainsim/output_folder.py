@@ -480,7 +480,10 @@ def mean_milliseconds(reports):
 
 
 def relative(path):
-    """Return a path relative to the current folder if it lies below, else as it is."""
+    """Return a path as messages show it, str.
+
+    It is relative to the current folder if it lies below that folder, else as given.
+    """
     path = Path(path)
     try:
         short = os.path.relpath(path)

@@ -101,13 +101,25 @@ def paint_wall(shapes, x, low, high):
 
 
 def plank_albedo(points):
-    """Return the albedo of a top of planks."""
+    """Return the albedo (n, 3) of a tabletop of planks at points (n, 2 or more) [m]."""
     x = points[:, 0] * 0.9 + 0.3 * points[:, 1]
     return (1 + 0.25 * np.sin(60 * x + 2 * np.sin(5 * points[:, 1])))[:, None] * WOOD
 
 
 def paint_top(shapes, part, low, high, pixels=600):
-    """Add the albedo of a top of planks over a rectangle [m] as a picture."""
+    """Add a `Picture` of planks as the albedo of a tabletop, so that it can get a coat of water.
+
+    Parameters
+    ----------
+    shapes : Shapes
+        Its `pictures` gets the entry `part`.
+    part : str
+        Name of the mesh of the tabletop.
+    low, high : sequence of float [m]
+        Corners (x, y) of the tabletop.
+    pixels : int
+        Width and height of the picture.
+    """
     x, y = (a + (np.arange(pixels) + 0.5) / pixels * (b - a)
             for a, b in zip(low, high, strict=True))  # fmt: skip
     points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)

@@ -88,18 +88,20 @@ def _true_pictures(scene, settings, ground, cameras, count):
 
 
 def _on_the_cpu(scene, settings, ground, cameras, count):
-    """Draw the first `count` frames three times; what `row` takes from them.
+    """Draw the first `count` frames three times on the CPU and time them.
+
+    One frame is drawn before, untimed, so that kernels are compiled and memory is allocated.
 
     Returns
     -------
-    milliseconds : dict
-        Median of each stage and of the frame.
+    milliseconds : dict of str to float
+        Median time of each stage, and of the whole frame under "frame".
     least : float [ms]
-        Of a frame.
+        Time of the fastest frame.
     pictures : list of ndarray
-        One for each frame.
+        One for each of the `count` frames.
     ground : Ground
-        As given.
+        The argument again: the last that `measure` needs for a row of its table.
     """
     own, times, pictures = Renderer(scene, ground, settings, cameras[0]), [], []
     states = list(itertools.islice(pipeline.simulate(ground, settings), count))
@@ -115,7 +117,18 @@ def _on_the_cpu(scene, settings, ground, cameras, count):
 
 
 def _on_the_gpu(scene, settings, ground, cameras, count, quick):
-    """Return milliseconds of stages and frame, pictures to compare, and what else a row has."""
+    """Draw frames on the GPU and time them.
+
+    Returns
+    -------
+    milliseconds : dict of str to float
+        Time of each stage, and the median of the whole frame under "frame".
+    pictures : list of ndarray
+        The first `count` frames, to compare with the truth.
+    more : dict of str to float
+        memory_mib; least, the fastest frame [ms]; sequence_ms, the median time from frame to frame
+        of a frame sequence, or None.
+    """
     from rainsim.cuda.render.renderer import Renderer as OnGpu
     from rainsim.cuda.simulation import simulate
 

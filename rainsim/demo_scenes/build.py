@@ -72,10 +72,12 @@ class Noise:
         Parameters
         ----------
         points : ndarray of shape (n, 2) or (n, 3) [m]
+            Without a third coordinate it is 0.
         wavelength : float or sequence of float [m]
             Size of the largest features, for all axes or for each.
         octaves : int
-            How many halvings of the wavelength to add, each at 0.55 of the amplitude.
+            Number of terms that are added: each has half the wavelength and 0.55 of the amplitude
+            of the one before; the first has amplitude 1.
         """
         points = np.asarray(points, np.float32) / np.asarray(wavelength, np.float32)
         coordinates = np.zeros((3, len(points)), np.float32)

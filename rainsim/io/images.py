@@ -45,12 +45,13 @@ def write_png(path, image):
 
 
 def write_png16(path, values):
-    """Write a map of whole numbers up to 65535 as a grey 16-bit PNG, exactly.
+    """Write whole numbers as a grey 16-bit PNG, without loss.
 
     Parameters
     ----------
     path : path-like
     values : ndarray of shape (height, width)
+        0 to 65535, of any type. This is not checked: other numbers are written wrongly.
     """
     values = np.ascontiguousarray(values).astype(np.uint16)
     with replacing(path) as temporary:

@@ -113,7 +113,25 @@ def _sum_blocks(bed, depth, smooth, count_out, total_out):
 
 @thorough_kernel
 def _continue(bed, depth, smooth, relief, wide, narrow, far, surface_out, over_out):
-    """Fill in `water_surface`'s results: Gaussian means by rows, then by columns."""
+    """Write the two results of `water_surface`: the height of the surface and the water's depth.
+
+    Both are Gaussian means over cells, taken along rows first, then along columns.
+
+    Parameters
+    ----------
+    bed, depth : ndarray of shape (ny, nx), float32 [m]
+    smooth : ndarray of shape (ny, nx), bool
+        Cells on which water can show as a surface: no grass stands out of it.
+    relief : ndarray of shape (ny, nx), float32 [m]
+        Height above the bed from which the water's depth counts.
+    wide, narrow : ndarray of shape (13,) and (7,), float32
+        Weights of the Gaussians that smooth the surface and the depth.
+    far : ndarray of shape (ceil(ny / BLOCK), ceil(nx / BLOCK)), float32 [m]
+        Height of the surface where no water is near, see `_far_surface`.
+    surface_out, over_out : ndarray of shape (ny, nx), float32 [m]
+        Height of the surface in the ground frame; its smoothed height above bed and relief, the
+        water's depth, 0 away from water.
+    """
     ny, nx = bed.shape
     weight, height = np.empty((ny, nx), np.float32), np.empty((ny, nx), np.float32)
     wet = np.empty((ny, nx), np.bool_)

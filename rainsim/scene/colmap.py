@@ -118,7 +118,10 @@ def read_model(folder):
 
 
 def _short_names(names):
-    """Return file names without folder and suffix; if two would be equal, all keep their folder."""
+    """Return names for cameras from the file names of their pictures: without folder and suffix.
+
+    If two cameras would get the same name, all keep the folder and lose the suffix only.
+    """
     paths = [PurePosixPath(name) for name in names]
     stems = [path.stem for path in paths]
     if len(set(stems)) == len(stems):

@@ -41,10 +41,24 @@ def overcast(brightness=1.0):
 
 
 def clouded(environment, rows=2 * ROWS, depth=CLOUD_DEPTH):
-    """Return an even sky with the bellies of its clouds, (rows, 2 rows, 3), irradiance unchanged.
+    """Return the map of an even sky with the undersides of clouds drawn into it.
 
-    Smooth noise on a sheet of cloud above, whose parts crowd towards the horizon, where haze hides
-    them. By eye: a dull sky is no even grey.
+    Smooth noise on a horizontal sheet of cloud is projected onto the sky, finer towards the
+    horizon, where it fades as if in haze. The strength was chosen by eye.
+
+    Parameters
+    ----------
+    environment : ndarray of shape (m, n, 3)
+        Map of the even sky.
+    rows : int
+        Of the map that is made.
+    depth : float
+        The radiance is multiplied by exp(depth * noise), where the noise is about -1 to 1.
+
+    Returns
+    -------
+    ndarray of shape (rows, 2 rows, 3), float32
+        Scaled so that level ground receives as much green light as before.
     """
     direction = directions(rows, 2 * rows)
     row, column = np.indices(direction.shape[:2]) / rows

@@ -137,7 +137,19 @@ def select(prepared, keep):
 
 
 def laid_out(rows, values, which, order):
-    """Return the PreparedSplats of rows (n, 13) of geometry and the harmonics values[which]."""
+    """Return the `PreparedSplats` of n splats that have the order they are to be kept in.
+
+    Parameters
+    ----------
+    rows : ndarray of shape (n, 13), float32
+        Geometry of each splat, in the order of `PreparedSplats.geometry`.
+    values : ndarray of shape (m, 3 k), float32
+        Harmonics, k coefficients of three channels, of these splats among others.
+    which : ndarray of shape (n,), int32
+        Row of `values` that belongs to each splat.
+    order : ndarray of shape (n,), int32
+        Index of each splat in the scene it came from.
+    """
     chunks = -(-len(rows) // LANES)
     flat = np.zeros((chunks * LANES, GEOMETRY), np.float32)
     flat[: len(rows)] = rows
@@ -148,7 +160,7 @@ def laid_out(rows, values, which, order):
 
 
 def by_splat(rows):
-    """Return rows (chunks, m, 256) as (256 chunks, m)."""
+    """Return an array of chunks (chunks, m, 256) as one row for each splat, (256 chunks, m)."""
     return np.ascontiguousarray(rows.transpose(0, 2, 1)).reshape(-1, rows.shape[1])
 
 

@@ -238,7 +238,10 @@ def _report(terrain, removed, mask):
 
 @dataclass(frozen=True)
 class Seen:
-    """What an orthographic look shows: height [m], alpha (ny, nx) and colour (ny, nx, 3)."""
+    """An orthographic splatting over a grid, row 0 in the south.
+
+    Height [m] and alpha have shape (ny, nx), colour (ny, nx, 3).
+    """
 
     height: np.ndarray
     alpha: np.ndarray
@@ -246,7 +249,11 @@ class Seen:
 
 
 class _Cloud:
-    """The splats over a map, in ground coordinates, and looks at them from above and below."""
+    """The splats that lie over a map, as arrays in the ground frame.
+
+    `look` splats a part of them orthographically from above or from below; masks (`near_bed`,
+    `below_ceiling`, `overhead`) tell which part.
+    """
 
     def __init__(self, scene, grid):
         self.frame = scene.ground_frame

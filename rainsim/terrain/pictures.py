@@ -19,7 +19,21 @@ CHECK_WIDTH = 960  # px
 
 
 def hillshade(height, spacing, exaggerate=4):
-    """Return the brightness (0 to 1) of the surface `height` (ny, nx) lit from one side."""
+    """Return the brightness of a height field lit from the north-west, 35 degrees up.
+
+    Parameters
+    ----------
+    height : ndarray of shape (ny, nx) [m]
+        Row 0 in the south, as in the result.
+    spacing : float [m]
+    exaggerate : float
+        Factor on the heights.
+
+    Returns
+    -------
+    ndarray of shape (ny, nx)
+        0 to 1, without cast shadows.
+    """
     azimuth, elevation = np.radians(135), np.radians(35)
     dy, dx = np.gradient(height * exaggerate, spacing)
     light = np.cos(elevation) * np.array([np.cos(azimuth), np.sin(azimuth)])

@@ -42,7 +42,18 @@ class ClassTable:
     columns: dict
 
     def column(self, name):
-        """Return one column, ndarray of shape (n,)."""
+        """Return one number of every ground class, ndarray of shape (n,).
+
+        Parameters
+        ----------
+        name : str
+            A key of `columns`, which lists the units.
+
+        Returns
+        -------
+        ndarray of shape (n,)
+            The table's own array, not a copy: index it with codes of ground classes.
+        """
         return self.columns[name]
 
 

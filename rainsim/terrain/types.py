@@ -199,10 +199,9 @@ class Terrain:
         return self.ground_class == HARD
 
     def by_class(self, name):
-        """Return a column of the class table for every cell, ndarray of shape (ny, nx).
+        """Return a number of each cell's ground class, ndarray of shape (ny, nx).
 
-        `name` is storage [m], infiltration [m/s], manning, porosity, film_slope
-        (float32), soaks or mirrors.
+        `name` is a key of `ClassTable.columns`, which lists the units.
         """
         return class_table().column(name)[self.ground_class]
 

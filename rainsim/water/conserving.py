@@ -201,7 +201,11 @@ def move_depth(tiles, qu, qv, k, dry, h_out, remainder_out):
 
 @inlined_function
 def momentum_flux_along(q, a, n, flux_out):
-    """Fluxes of `a` at n places, each from a[c + 1] to a[c + 2], by the mean of q[c], q[c + 1]."""
+    """Write the momentum fluxes [m3/s2] at n places within a row of velocities.
+
+    Flux c is what the mean of the volume fluxes q[c] and q[c + 1] [m2/s] carries from a[c + 1] to
+    a[c + 2] [m/s], see `upwind_value`.
+    """
     for c in range(n):
         flow = HALF * (q[c] + q[c + 1])
         flux_out[c] = flow * upwind_value(flow, a[c], a[c + 1], a[c + 2], a[c + 3])
@@ -209,7 +213,11 @@ def momentum_flux_along(q, a, n, flux_out):
 
 @inlined_function
 def momentum_flux_across(q_0, q_1, a_0, a_1, a_2, a_3, n, flux_out):
-    """Fluxes of `a` at n places, each between a_1[c] and a_2[c], by the mean of q_0[c], q_1[c]."""
+    """Write the momentum fluxes [m3/s2] at n places between two rows of velocities.
+
+    Flux c is what the mean of the volume fluxes q_0[c] and q_1[c] [m2/s] carries from a_1[c] to
+    a_2[c] [m/s]; a_0 and a_3 lie behind and ahead of them, see `upwind_value`.
+    """
     for c in range(n):
         flow = HALF * (q_0[c] + q_1[c])
         flux_out[c] = flow * upwind_value(flow, a_0[c], a_1[c], a_2[c], a_3[c])
@@ -338,6 +346,7 @@ def accelerate(
     runs : ndarray of shape (runs, 6), int64
         See `rows.runs_of`.
     tiles : ndarray of shape (tiles, 4), int64
+        First and last row + 1, first and last column + 1 of each tile.
     water : Water
         Depth at n+1 and velocity at n+1/2.
     bed : ndarray of shape (ny + 4, nx + 4) [m]

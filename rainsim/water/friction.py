@@ -78,19 +78,22 @@ def apply_friction(
     runs, tiles, water: Water, ground: Ground, numbers: FrictionNumbers,
     u_out, v_out, wave_speed_out, speed_out,
 ):  # fmt: skip
-    """Slow the faces of `runs` by friction.
+    """Slow the velocities at the west and south faces of the cells in `runs` by friction.
 
     Parameters
     ----------
     runs : ndarray of shape (runs, 6), int64
         See `rows.runs_of`.
     tiles : ndarray of shape (tiles, 4), int64
+        First and last row + 1, first and last column + 1 of each tile.
     water : Water
-        Depth after the step and velocity before it, from which the flow along a face is taken.
+        Depth after the step and velocity before it. Friction takes the speed along a face from
+        this velocity, because the neighbours' new one may be slowed already or not.
     ground : Ground
     numbers : FrictionNumbers
-    u_out, v_out : as u and v
-        Modified in place; `fill_velocity` sets the edge faces afterwards.
+    u_out, v_out : ndarray of the shapes of `water.u` and `water.v` [m/s]
+        Velocity after the step, which friction slows in place. Call `fill_velocity` afterwards: it
+        sets the faces at the map's edges.
     wave_speed_out, speed_out : ndarray of shape (tiles,) [m/s]
         Largest `conserving.wave_speed` and largest speed of each tile.
     """

@@ -168,7 +168,7 @@ class WetGroundLight:
     apart : bool
         Whether the film's cover is found and its reflection added.
     rasterizers : list of Rasterizer
-        The one of what stands on the ground, once it is drawn.
+        Empty, or the rasterizer of the level picture: of the splats that stand on the ground.
     bare : device array of shape (height, width, 3), float32
         The picture without the reflection of level ground.
     cover : device array of shape (height, width), float32
@@ -222,7 +222,11 @@ class WetGroundLight:
         self.rasterizers = [Rasterizer(splats, self.stream, first_room=len(splats))]
 
     def send_colors(self):
-        """Send the present colours of the splats that stand on the ground."""
+        """Send the colours of the level picture's splats again, after `prepared` has changed.
+
+        These splats are the scene's that stand on the ground; without a level picture nothing is
+        sent.
+        """
         scene = self.frame.wet_scene
         for rasterizer in self.rasterizers:
             rasterizer.splats.send_colors(

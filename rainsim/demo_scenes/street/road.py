@@ -121,7 +121,10 @@ def _normals(points, noise, reach=0.03):
 
 
 def road_cloud(noise, rng):
-    """Return the carriageway with its gutters, paint, cracks, covers and grates."""
+    """Return the `Cloud` of the carriageway with its gutters, paint, cracks, covers and grates.
+
+    `noise` (a `Noise`) gives unevenness and stains; `rng` is numpy's.
+    """
     where, size = lattice(-KERB, KERB, rng)
     x, y = where.T
     points = np.column_stack([where, bed_height(x, y, noise)])
@@ -218,7 +221,10 @@ def _covers(noise, rng):
 
 
 def footway_cloud(noise, rng):
-    """Return kerbs and footways on both sides."""
+    """Return the `Cloud` of the kerbs and flagged footways on both sides of the street.
+
+    `noise` (a `Noise`) mottles the flags and raises and lowers the ground; `rng` is numpy's.
+    """
     parts = []
     for side in (-1, 1):
         parts.append(_kerb(side, rng))

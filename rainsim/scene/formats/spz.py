@@ -116,7 +116,20 @@ def _section_sizes(count, version, degree):
 
 
 def _check_gzip(path, packed, sizes):
-    """Raise InputError unless the gzip stream unpacks to what its header promises, no more."""
+    """Raise InputError unless the gzip stream holds the splats that its SPZ header promises.
+
+    Behind the splats it may hold EXTENSION_LIMIT bytes at most; nothing may follow the stream. So a
+    small file that unpacks to gigabytes is found before it is read.
+
+    Parameters
+    ----------
+    path : Path
+        For the message.
+    packed : bytes
+        The whole file.
+    sizes : list of int
+        Unpacked bytes of each section, see `_section_sizes`.
+    """
     need = PACKED.size + sum(sizes)
     stream, data, done = zlib.decompressobj(31), packed, 0
     try:
@@ -139,7 +152,10 @@ def _check_gzip(path, packed, sizes):
 
 
 def _check_zstd(path, packed, sizes):
-    """Raise InputError unless each stream lies in the file and says the size it must have."""
+    """Raise InputError unless each zstd stream lies in the file and announces its section's size.
+
+    Arguments as `_check_gzip` has them.
+    """
     import zstandard
 
     if len(packed) < HEADER_4:
