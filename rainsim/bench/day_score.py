@@ -28,13 +28,19 @@ SCALARS = {
 
 
 def srgb(linear):
-    """Return the display value of linear light (IEC 61966-2-1)."""
+    """Return the sRGB display value of linear light, 1 being white (IEC 61966-2-1).
+
+    Negative light counts as none; light above 1 gives values above 1.
+    """
     linear = np.maximum(linear, 0)
     return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
 
 
 def shown(radiance):
-    """Return what a picture of radiance shows: the program's shoulder above 1/2, then sRGB."""
+    """Return the display values, 0 to 1, of a picture of radiance relative to display white.
+
+    The program's tone curve has its shoulder above 1/2; then comes sRGB.
+    """
     above = np.maximum(radiance, 0.5) - 0.5
     curve = np.where(radiance < 0.5, radiance, 0.5 + 0.5 * (1 - np.exp(-2 * above)))
     return np.clip(srgb(curve), 0, 1)

@@ -36,7 +36,10 @@ def cameras_of(scene, motion, count):
 
 
 def shrunk(picture):
-    """Return the picture averaged over blocks, in linear light as a sensor does."""
+    """Return an 8-bit picture averaged over blocks of TRUTH_SCALE px, as float32 from 0 to 1.
+
+    The mean is taken in linear light, as a sensor does, and encoded for display again.
+    """
     height, width = (n // TRUTH_SCALE * TRUTH_SCALE for n in picture.shape[:2])
     linear = (picture[:height, :width] / np.float32(255)) ** np.float32(2.2)
     shape = (height // TRUTH_SCALE, TRUTH_SCALE, width // TRUTH_SCALE, TRUTH_SCALE, 3)
@@ -44,7 +47,15 @@ def shrunk(picture):
 
 
 def error_of(picture, truth):
-    """Return the root mean square error against the truth; a smaller picture is enlarged."""
+    """Return the root mean square error of a picture, white being 1.
+
+    Parameters
+    ----------
+    picture : ndarray of shape (height, width, 3), uint8
+        Enlarged to the truth's size if smaller.
+    truth : ndarray of shape (height, width, 3), float32
+        Display values from 0 to 1, as `shrunk` returns them.
+    """
     picture = picture / np.float32(255)
     if picture.shape != truth.shape:
         zoom = [a / b for a, b in zip(truth.shape, picture.shape, strict=True)]

@@ -98,7 +98,11 @@ def draw(result, path):
 
 
 def _summary(rows):
-    """Return mean and worst of each figure over the captures; None counts as left out."""
+    """Return mean and worst (largest) of each figure over the captures.
+
+    `rows` holds a dict for each capture. A figure that is None in a row is skipped there; one that
+    is None in all is left out.
+    """
     result = {}
     for key in rows[0]:
         values = [row[key] for row in rows if row[key] is not None]

@@ -39,17 +39,23 @@ from rainsim.water.top_water import TopWater
 
 
 class DeviceState:
-    """Water at one frame's time, on the device; valid until the next but one begins.
+    """Water at one frame's time, on the device.
+
+    The device keeps two states: this one's arrays are overwritten when the next but one begins.
 
     Attributes
     ----------
     index : int
+        Of the frame.
     time : float [s]
     simulation : Simulation
+        Whose arrays the properties read.
     tile_size : float [m]
+        Side of the periodic tile of ripples.
     notes : tuple of str
     top_water : ndarray of shape (n,), float64 [m3]
-        On each top, from the mean rain: what the device books differs by the chance of drops.
+        Water on each top of the terrain, on the host. It comes from the mean rain; the ledger adds
+        up the drops that fell on the device, and differs from it by their chance.
     """
 
     def __init__(self, index, time, simulation, notes=()):
@@ -68,8 +74,9 @@ class DeviceState:
 
     @property
     def moments(self):
-        """Of the ripples' slopes, see `reflection.slope_moments`: device array (n, n + n // 2,
-        5).
+        """Moments of the ripples' slopes, device array of shape (n, n + n // 2, 5).
+
+        See `reflection.slope_moments`.
         """
         return self._there().ripples.pages[self.page]
 

@@ -14,7 +14,10 @@ HELD = (errno.EAGAIN, errno.EACCES)
 
 
 class ClaimedError(Exception):
-    """Another process holds the claim; says which."""
+    """Another process holds the claim file.
+
+    The message is that process's number, its machine and since when it holds the claim.
+    """
 
 
 @contextmanager

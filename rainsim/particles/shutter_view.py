@@ -218,8 +218,8 @@ def step_from(corner, axes, x, y, z):
 def cube_radius(size_class, field, view, air):
     """Return the radius [m] of a ball that holds what a cube's drops cover during the exposure.
 
-    The ball stands about the middle of the cube halfway through the exposure. The radius is half the
-    cube's diagonal (0.87 sides), half the way that the drops move during the exposure, and
+    The ball stands about the middle of the cube halfway through the exposure. The radius is half
+    the cube's diagonal (0.87 sides), half the way that the drops move during the exposure, and
     `SeenAir.slack` for the camera's motion and the blur.
     """
     vx, vy, vz = (

@@ -58,7 +58,10 @@ def read_record(record, n):
 
 @inlined_function
 def write_level(water, row_out):
-    """Write a `WaterPixel` without ripples into a record."""
+    """Write a `WaterPixel` into a record of RECORD numbers, its slopes and their variances as zero.
+
+    They are written by `write_slopes` when the ripples are known.
+    """
     row_out[X], row_out[Y], row_out[Z] = water.x, water.y, water.z
     row_out[VIEW_X], row_out[VIEW_Y], row_out[VIEW_Z] = water.view_x, water.view_y, water.view_z
     row_out[VIEW_DEPTH], row_out[WATER_DEPTH] = water.view_depth, water.water_depth

@@ -241,7 +241,9 @@ def write_image(n, s, image_out):
 
 @cpu_kernel
 def find_clear(depth, fog, view: View, clear_out):
-    """Write the transmittance of the air before each pixel, for the AOV.
+    """Write the transmittance, 0 to 1, of the air between the camera and what each pixel shows.
+
+    It is drawn as an AOV.
 
     Parameters
     ----------

@@ -108,13 +108,19 @@ def sample_environment(environment, x, y, z):
 
 @inlined_function
 def azimuth_in_map(x, y):
-    """Return where a map shows the azimuth of (x, y), as a share of its columns."""
+    """Return at which share of a map's columns the direction (x, y) of the ground frame appears.
+
+    0 and 1 are the map's left and right edge, the direction -x; 0.5 is x, 0.25 is y.
+    """
     return HALF - angle(y, x) * INV_TWO_PI
 
 
 @inlined_function
 def elevation_in_map(x, y, z):
-    """Return where a map shows the elevation of (x, y, z), as a share of its rows."""
+    """Return at which share of a map's rows the direction (x, y, z) of the ground frame appears.
+
+    0 is the zenith, 0.5 the horizon, 1 straight down.
+    """
     return HALF - angle(z, math.sqrt(x * x + y * y)) * INV_PI
 
 

@@ -23,10 +23,18 @@ STEEPEST = np.float32(8)  # tangent of the elevation of what is mirrored at most
 
 
 def lobe_table():
-    """Return tilt and width of each part of the lobe, ndarray (ANGLES + 1, SAMPLES, 2).
+    """Return mean tilt and width of the facets in each part of the lobe, in units of the rms slope.
 
-    In units of the rms slope s: the density of the visible facets' tilts towards the viewer is
-    N(x) max(a + x, 0) with a = tan(g) / s (Smith; Heitz 2014, JCGT 3(2)), at rows a / (1 + a).
+    A facet leans towards the viewer by x rms slopes. Of the facets that a viewer sees the density
+    over x is N(x) max(a + x, 0) with the normal density N, a = tan(g) / s, the angle g between the
+    view and the ground, and the rms slope s (Smith; Heitz 2014, JCGT 3(2)). It is cut into SAMPLES
+    parts that hold the shares PARTS.
+
+    Returns
+    -------
+    ndarray of shape (ANGLES + 1, SAMPLES, 2), float32
+        Row k is for a / (1 + a) = k / ANGLES. Of each part: mean of x, and the width of the
+        uniform density that has the part's variance.
     """
     x = np.linspace(-5, 5, 8001)
     table = np.empty((ANGLES + 1, SAMPLES, 2), np.float32)

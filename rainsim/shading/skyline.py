@@ -128,7 +128,12 @@ def spread_colors(seen):
 
 
 def places_of(scene, first_camera):
-    """Return the places [m] that a scene's skyline is seen from, ndarray (n, 3), ground frame."""
+    """Return the places from which a scene's surroundings are drawn, (n, 3) [m], ground frame.
+
+    The first is the mean of its cameras' places, the others are up to PROBES cameras, each as far
+    as possible from those before. Without cameras it is the place of `first_camera` alone, which is
+    in the capture frame.
+    """
     frame = scene.ground_frame
     if not scene.cameras:
         return frame.to_ground(first_camera.position)[None]

@@ -54,7 +54,21 @@ def merge_fine(prepared, side):
 
 
 def _merged(rows, values, group):
-    """Return geometry and harmonics of one splat for each group of some."""
+    """Return geometry and harmonics of the splats that stand for groups of splats.
+
+    Parameters
+    ----------
+    rows : ndarray of shape (n, 13), float32
+        Geometry of the splats, as in `laid_out`.
+    values : ndarray of shape (n, 3 k), float32
+        Their harmonics.
+    group : ndarray of shape (n,), int
+        Number of each splat's group, from 0 without gaps.
+
+    Returns
+    -------
+    rows, values : ndarray of shape (groups, 13) and (groups, 3 k), float32
+    """
     if not len(rows):
         return rows, values
     weight = np.exp2(rows[:, OPACITY].astype(np.float64))
@@ -82,7 +96,11 @@ def _merged(rows, values, group):
 
 
 def _area(covariance):
-    """Return the root of the sum of the principal minors, as a splat's mean shadow goes."""
+    """Return a measure of the splats' mean shadow over all directions, shape (n,).
+
+    It is the root of the sum of the principal 2 x 2 minors of `covariance`, (n, 6) as xx, xy, xz,
+    yy, yz, zz.
+    """
     xx, xy, xz, yy, yz, zz = covariance.T.astype(np.float64)
     minors = xx * yy - xy * xy + yy * zz - yz * yz + xx * zz - xz * xz
     return np.sqrt(np.maximum(minors, 0))

@@ -123,7 +123,10 @@ def nearest_blocks(row, mean, far_out):
 
 @cuda_device
 def wet_near(eta, j, i):
-    """Tell whether a cell within SURFACE_REACH steps is wet; (j, i) is no nearer to the edges."""
+    """Tell whether a cell within SURFACE_REACH steps of (j, i) is wet, that is `eta` is above DRY.
+
+    The cell (j, i) must lie SURFACE_REACH from the edges of `eta`, a block's levels, or farther.
+    """
     for k in range(-SURFACE_REACH, SURFACE_REACH + 1):
         reach = SURFACE_REACH - abs(k)
         for m in range(-reach, reach + 1):

@@ -21,14 +21,16 @@ SIGNS = np.array([(0.10, 0.20, 0.17), (0.28, 0.07, 0.07), (0.08, 0.11, 0.22), (0
 
 
 class Wall:
-    """A vertical plane on which a house is drawn: u along it, z up, `out` towards the street.
+    """The vertical plane of a house front: u goes along it, z up, `out` towards the street.
 
     Parameters
     ----------
-    corner : (x, y) of u = 0 [m]
-    along, out : unit vectors in the plane of the ground
+    corner : sequence of float [m]
+        (x, y) where u = 0.
+    along, out : sequence of float
+        Unit vectors (x, y).
     spacing : float [m]
-        Size of its splats at the ground floor.
+        Distance of its splats at the foot; higher up it grows.
     """
 
     def __init__(self, corner, along, out, spacing):
@@ -43,9 +45,20 @@ class Wall:
         )
 
     def panel(self, u0, u1, z0, z1, colour, *, out=0.0, fine=1.0, shape=1.0, sheen=0.0):
-        """Return a rectangle of splats; `colour` takes u, z and gives (n, 3).
+        """Return the `Cloud` of a rectangle of the wall, or None if it has no area.
 
-        `fine` scales the cells, `shape` is their width over their height.
+        Parameters
+        ----------
+        u0, u1, z0, z1 : float [m]
+            Where it begins and ends along the wall and up.
+        colour : callable
+            Takes u and z of n splats, gives display-referred colours (n, 3).
+        out : float [m]
+            Distance before the wall.
+        fine, shape : float
+            Factor on the wall's spacing, which also grows with z0; width of a cell over its height.
+        sheen : float
+            See `Cloud`.
         """
         if u1 - u0 < 1e-3 or z1 - z0 < 1e-3:
             return None
@@ -60,7 +73,7 @@ class Wall:
         )
 
     def block(self, u0, u1, z0, z1, out, colour, spacing=None):
-        """Return a box that stands `out` metres before the wall."""
+        """Return the `Cloud` of a box on the wall whose front stands `out` metres before it."""
         axes = np.stack([self.along, self.out, (0, 0, 1)])
         middle = self.at(np.array([(u0 + u1) / 2]), (z0 + z1) / 2, out / 2)[0]
         part = box(middle, ((u1 - u0) / 2, out / 2, (z1 - z0) / 2), colour,
@@ -69,7 +82,7 @@ class Wall:
         return replace_colour(part, part.colour * (1 + 0.45 * below)[:, None])
 
     def bar(self, points, colour, width, out=0.02):
-        """Return a thin line through (u, z) points."""
+        """Return the `Cloud` of a thin line of `width` [m] through points (n, 2) of u and z."""
         u, z = np.array(points, float).T
         return line(self.at(u, z, out), colour, width, piece=3 * self.spacing)
 
