@@ -309,14 +309,12 @@ class WaterPass:
             timer.mark("reflection")
             return found
         if name not in self._groups:
-            self._groups[name] = self._group(name)
-            self._windows = [self._mirror_window(which) for _, which in self._groups[name][0]]
+            mirrors, *others = self._group(name)
+            mirrors = [((level, self._mirror_window(which)), which) for level, which in mirrors]
+            self._groups[name] = mirrors, *others
         mirrors, others, surrounded = self._groups[name]
-        kept, wanted = self._mirrors, [level for level, _ in mirrors]
-        self._mirrors = {
-            place: kept.get(place) or draw_mirrored(*place)
-            for place in zip(wanted, self._windows, strict=True)
-        }
+        kept = self._mirrors
+        self._mirrors = {place: kept.get(place) or draw_mirrored(*place) for place, _ in mirrors}
         timer.mark("mirror")
         for (_, which), (view, mirror) in zip(mirrors, self._mirrors.values(), strict=True):
             mirror_light(which, self.record, view, mirror, self.light, self.source)

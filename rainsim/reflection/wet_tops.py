@@ -222,6 +222,40 @@ def wet_top(view, tops, rain, depth, row, column):
     return (hit if is_level(tops, k) else -hit), covers
 
 
+@inlined_function
+def is_at(tops, k, x, y, z):
+    """Tell whether (x, y, z) [m] lies on top k; k is -1 for none."""
+    if k < 0:
+        return False
+    height, _, _ = top_surface(tops, k, x, y)
+    return abs(z - height) <= SAME_HEIGHT
+
+
+@lean_function
+def top_with(tops, x, y, z):
+    """Return the number of the top that (x, y, z) [m] lies on, -1 for none.
+
+    It lies over the point, or over one of the four cells that `share_over` weighs there: at its
+    edge a top covers a part of the cell beside its own.
+    """
+    k = top_over(tops, x, y)
+    if is_at(tops, k, x, y, z):
+        return k
+    rows, columns = tops.number.shape
+    u = (x - tops.origin[0]) / tops.spacing - HALF
+    v = (y - tops.origin[1]) / tops.spacing - HALF
+    if not (u > -ONE and v > -ONE and u < np.float32(columns) and v < np.float32(rows)):
+        return -1
+    for cell in range(4):
+        i = int(u + ONE) - 1 + cell % 2
+        j = int(v + ONE) - 1 + cell // 2
+        if i >= 0 and j >= 0 and i < columns and j < rows:
+            k = int(tops.number[j, i])
+            if is_at(tops, k, x, y, z):
+                return k
+    return -1
+
+
 @lean_function
 def top_below(tops, x, y, z):
     """Return which top water at (x, y, z) [m] lies on, -1: none; the puddle's depth and the share
@@ -229,12 +263,10 @@ def top_below(tops, x, y, z):
     """
     k = -1
     if z > tops.low and z < tops.high:
-        k = top_over(tops, x, y)
+        k = top_with(tops, x, y, z)
     if k < 0:
         return -1, ZERO, ZERO, ZERO, ZERO
-    height, gx, gy = top_surface(tops, k, x, y)
-    if abs(z - height) > SAME_HEIGHT:
-        return -1, ZERO, ZERO, ZERO, ZERO
+    _, gx, gy = top_surface(tops, k, x, y)
     water = ZERO
     if is_level(tops, k):
         _, water = on_patch(tops, k, x, y)

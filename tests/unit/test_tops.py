@@ -14,7 +14,8 @@ from rainsim.reflection import wet_tops
 from rainsim.reflection.wet_tops import DRY_TOPS, TopMaps
 from rainsim.render import aov
 from rainsim.render.renderer import Renderer
-from rainsim.scene.view import View
+from rainsim.render.report import Timer
+from rainsim.scene.view import View, pixel_ray
 from rainsim.shading.wetness import OffGroundWetness
 from rainsim.simulation import read_state, simulate, tops_drawn, write_state
 from rainsim.terrain.kept import kept_terrain
@@ -277,6 +278,26 @@ def test_a_slope_is_marked_and_tilts_its_film():
     assert on.sum() > 20 and (coverage[on] > 0.9).all() and (hit[on] < 0).all()
 
 
+@pytest.mark.parametrize("tilt", [0.0, 0.08])
+def test_all_water_on_a_top_knows_its_top_also_at_the_rim(tilt):
+    made, view = with_table(tilt=tilt), level_view(1.1)
+    # A ray meets the top's plane beside what the pixel shows, also half a cell past its edge.
+    depth = picture_of(view, [GROUND, (0.7, 0.56, 0, 0)])
+    outside = seen = 0
+    for off in (-0.08, -0.05, -0.02, 0.0, 0.02, 0.05):
+        shown = (depth + F4(off)).astype(F4)
+        hit, coverage = met(made, view, shown)
+        for row, column in np.argwhere(coverage > 0):
+            ray = np.array(pixel_ray(view, row, column))
+            point = (view.eye + abs(hit[row, column]) * ray).astype(F4)
+            assert wet_tops.top_below(maps(made), *point)[0] == 0
+            seen += 1
+            outside += wet_tops.top_over(maps(made), *point[:2]) < 0
+    assert seen > 100 and (outside > 0) == (tilt > 0)  # a level one holds none past its cells
+    beside = F4(0.7), F4(0), F4(0.7 + tilt * 0.7)
+    assert wet_tops.top_below(maps(made), *beside)[0] == -1
+
+
 @pytest.fixture(scope="module")
 def shots():
     """A frame of a small scene with a wide table, its layers, and the frame without its water."""
@@ -311,6 +332,20 @@ def test_a_wet_table_is_in_the_frame_its_layers_and_its_notes(shots):
     assert np.abs(picture[table].astype(int) - plain[table]).mean() > 2
     assert any("tops above the ground" in note for note in report.notes)
     assert not any("tops above the ground" in note for note in without.notes)
+
+
+def test_methods_of_reflection_may_take_turns_on_one_picture(shots):
+    _, _, renderer = shots[0]
+    water, environment = renderer.water, renderer.wet_scene.environment
+    found = []
+    for name in ("mirror", "ssr", "auto", "mirror", "ssr"):
+        water.light[:] = np.nan
+        water.light_up(name, renderer.mirrored, None, environment, Timer())
+        assert np.isfinite(water.light).all()
+        found.append(water.light.copy())
+    np.testing.assert_array_equal(found[0], found[3])
+    np.testing.assert_array_equal(found[1], found[4])
+    assert np.abs(found[0] - found[1]).max() > 0.01
 
 
 def test_the_setting_leaves_them_out_and_is_checked():
