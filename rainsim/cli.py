@@ -15,8 +15,10 @@ from rainsim.errors import ParameterError, RainsimError, one_line
 
 _FULL = "; make room there or give another --out, and run it again"
 _CLOSED = "; give another --out, or change the permissions"
+_LOST = "; see that its disk is there, and run the same command again"
 REMEDIES = {
     errno.ENOSPC: _FULL, errno.EDQUOT: _FULL, errno.EROFS: _CLOSED, errno.EACCES: _CLOSED,
+    errno.ESTALE: _LOST, errno.EIO: _LOST, errno.ENOTCONN: _LOST, errno.ETIMEDOUT: _LOST,
     errno.EMFILE: "; raise the number of open files (ulimit -n)",
 }  # fmt: skip
 INTERRUPTED = 130  # 128 + SIGINT, as shells have it

@@ -9,15 +9,12 @@ from __future__ import annotations
 import os
 import platform
 import re
+import shutil
 import sys
 import tempfile
 import time
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import replace
 from pathlib import Path
-
-import numpy as np
 
 from rainsim import __version__
 from rainsim.config.preset_files import SKIES
@@ -26,8 +23,14 @@ from rainsim.io.claim import ClaimedError, claim
 from rainsim.io.files import named_path, read_json, write_json
 from rainsim.io.fingerprint import fingerprint, hash_of, hash_of_file
 from rainsim.io.fingerprint import versions as library_versions
-from rainsim.io.journal import Journal
-from rainsim.render.report import FrameReport
+from rainsim.io.journal import SHARED_FOLDER, Journal
+from rainsim.render.frame_files import (
+    FRAME,
+    FrameWriter,
+    facts_of,
+    mean_milliseconds,
+    report_of,
+)
 
 PROVENANCE = "provenance.json"
 NOT_OF_THE_CONTENT = ("preset", "terrain_input")  # facts that name things and change none
@@ -40,7 +43,7 @@ OURS = re.compile(
     r"|layers/(\d{5}\.json|[a-z_]+/\d{5}\.(png|exr|npz))|finished\.jsonl"
 )
 JOURNAL = "finished.jsonl"  # which frames or states are finished
-FRAME, STATE = "frames/{:05d}.png", "states/{:05d}.npz"
+STATE = "states/{:05d}.npz"
 STATE_FACTS = {"ledger": dict, "notes": list}  # what the journal says of a state, and of a frame
 FRAME_FACTS = STATE_FACTS | {"time": float, "milliseconds": dict}
 # Files of a run that was killed while it wrote them, see `rainsim.io.files.replacing`.
@@ -126,8 +129,13 @@ class Record:
         own = {k: v for k, v in facts.items() if k not in NOT_OF_THE_CONTENT}
         own |= content or {}
         self.fingerprint = fingerprint({"scene": scene_content(scene), **own})
-        self.files = []
+        self.files, self.shared = [], False
         self.journal = Journal(folder, JOURNAL, OURS.fullmatch)
+
+    def share(self, name):
+        """Leave the folder to other processes of the same run too; `name` is this one's."""
+        self.shared = True
+        self.journal = Journal(self.folder, JOURNAL, OURS.fullmatch, name)
 
     def begin(self):
         """Delete the files of an earlier run, unless it was the same, and write this record."""
@@ -139,6 +147,10 @@ class Record:
         else:
             for name in (*kept, JOURNAL):
                 (self.folder / name).unlink(missing_ok=True)
+            shutil.rmtree(self.folder / SHARED_FOLDER, ignore_errors=True)
+        if not self.shared:
+            self.journal.gather()
+            shutil.rmtree(self.folder / SHARED_FOLDER, ignore_errors=True)
         self.journal.begin_line()
         for path in self.folder.rglob(".*"):
             if TEMPORARY.fullmatch(path.name) and path.name != CLAIM and path.is_file():
@@ -161,27 +173,34 @@ class Record:
         ParameterError
             If the folder holds something else than a run with the same fingerprint.
         """
+        # First the files, then the record: others may just begin, and write the record first.
+        found = [path.name for path in self.folder.iterdir()]
+        own = (CLAIM, SHARED_FOLDER)
+        others = [name for name in found if name not in own and not TEMPORARY.fullmatch(name)]
         before = read_record(self.folder)
         if not before:
-            others = [p.name for p in self.folder.iterdir()
-                      if p.name != CLAIM and not TEMPORARY.fullmatch(p.name)]  # fmt: skip
             if others:
                 raise ParameterError(
                     f"output folder {self.folder} holds {one_line(others[0])} and no record of a "
-                    "run; --resume goes on with an unfinished run only; give another --out"
+                    "run; --resume and --frame-range go on with an unfinished run only; give "
+                    "another --out"
                 )
         elif before.get("fingerprint") != self.fingerprint:
-            raise ParameterError(
-                f"the run in {self.folder} was another: other scene, settings, cameras, layers, "
-                "version of rainsim or of its libraries; --resume goes on with the very same run "
-                "only; give another --out, or --overwrite to replace its results"
-            )
+            raise self.was_another()
         return {
             index: entry
             for index, entry in self.journal.finished(indices).items()
             if part.format(index) in entry["files"]
             and all(isinstance(entry.get(name), kind) for name, kind in facts.items())
         }
+
+    def was_another(self):
+        """Return the error for a folder that holds another run."""
+        return ParameterError(
+            f"the run in {self.folder} was another: other scene, settings, cameras, layers, "
+            "version of rainsim or of its libraries; --resume and --frame-range go on with the "
+            "very same run only; give another --out, or --overwrite to replace its results"
+        )
 
     def add(self, *names):
         """Note that files, named relative to the folder, are written."""
@@ -335,7 +354,7 @@ class FrameFolder:
         self._stack = ExitStack()
         self._video = None
         self._wants_video = video
-        self._writer, self._written = ThreadPoolExecutor(1), None  # the frame that is being written
+        self._writer = FrameWriter(folder, self._note)
         self._has_begun = False
         self.reports = []
 
@@ -350,25 +369,15 @@ class FrameFolder:
         OSError
             If this frame's layers or the frame before could not be written.
         """
-        self._finish_frame()
+        self._writer.wait()
         self._begin()
         self._keep_until(report.index)
-        names = write_layers(self.folder, report) if report.aovs else ()
-        # A copy: on a GPU the next frame overwrites the picture.
-        written = self._writer.submit(self._write, picture.copy(), report.index)
-        self._written = written, names, replace(report, aovs={})
+        self._writer.add(picture, report, self._show)
 
     @property
     def done(self):
         """Number of frames that were kept or handed over."""
-        return len(self.reports) + (self._written is not None)
-
-    def _write(self, picture, index):
-        """Write a frame's picture; return its name."""
-        name = FRAME.format(index)
-        self._image.write_png(self.folder / name, picture)
-        self._show(picture)
-        return name
+        return len(self.reports) + self._writer.is_writing
 
     def _show(self, picture):
         """Add a frame to preview and video."""
@@ -376,16 +385,11 @@ class FrameFolder:
         if self._video is not None:
             self._video.add(picture)
 
-    def _finish_frame(self):
-        """Wait for the frame that is being written and record it."""
-        if self._written is not None:
-            (written, names, report), self._written = self._written, None
-            files = (written.result(), *names)
-            self.record.add(JOURNAL, *files)
-            facts = {"time": report.time, "milliseconds": report.milliseconds}
-            facts |= {"ledger": report.ledger, "notes": list(report.notes), "host": host_facts()}
-            self.record.journal.add(report.index, files, **facts)
-            self.reports.append(report)
+    def _note(self, report, names):
+        """Record a frame that is written."""
+        self.record.add(JOURNAL, *names)
+        self.record.journal.add(report.index, names, **facts_of(report), host=host_facts())
+        self.reports.append(report)
 
     def _keep_until(self, end):
         """Take over the finished frames of an earlier run up to the frame `end`."""
@@ -393,10 +397,7 @@ class FrameFolder:
             entry = self.kept.pop(index)
             self._show(self._image.read_image(self.folder / FRAME.format(index)))
             self.record.add(JOURNAL, *entry["files"])
-            self.reports.append(
-                FrameReport(index, entry["time"], entry["milliseconds"], entry["ledger"],
-                            tuple(entry["notes"]))
-            )  # fmt: skip
+            self.reports.append(report_of(index, entry))
 
     def _begin(self):
         from rainsim.scene.cameras import write_transforms
@@ -405,7 +406,6 @@ class FrameFolder:
             return
         self._has_begun = True
         self.record.begin()
-        (self.folder / "frames").mkdir(exist_ok=True)
         count = self._config.frames
         cameras = list(self._cameras) if len(self._cameras) > 1 else [self._cameras[0]] * count
         names = [FRAME.format(i) for i in range(count)]
@@ -417,12 +417,12 @@ class FrameFolder:
 
     def __exit__(self, kind, *exception):
         try:
-            self._finish_frame()
+            with self._writer:
+                pass
             if kind is None and self.kept:
                 self._begin()
                 self._keep_until(self._config.frames)
         finally:
-            self._writer.shutdown()
             self._stack.close()
             self._finish(kind is None)
 
@@ -439,44 +439,6 @@ class FrameFolder:
             ledger=self.reports[-1].ledger,
             notes=list(dict.fromkeys(note for r in self.reports for note in r.notes)),
         )
-
-
-def write_layers(folder, report):
-    """Write a frame's layers as folder/layers/NAME/NNNNN.*, and the light that recomposing needs.
-
-    Returns the names of the files.
-    """
-    from rainsim.io import images
-    from rainsim.render.aov import AOVS, DATA, INDEX, PICTURE
-
-    written = []
-    for name, values in report.aovs.items():
-        kind = AOVS[name].kind
-        end = "png" if kind != DATA else images.data_suffix()
-        path = f"layers/{name}/{report.index:05d}.{end}"
-        (folder / path).parent.mkdir(parents=True, exist_ok=True)
-        if kind == PICTURE:
-            images.write_png(folder / path, values)
-        elif kind == INDEX:
-            images.write_png16(folder / path, values)
-        elif kind == DATA:
-            images.write_data(folder / path, values, AOVS[name].channels)
-        else:
-            images.write_png16(folder / path, np.rint(np.clip(values, 0, 1) * 65535))
-        written.append(path)
-    name = f"layers/{report.index:05d}.json"
-    units = {n: AOVS[n].unit for n in report.aovs}
-    write_json(folder / name, {"light": report.light, "units": units, "files": written})
-    return [*written, name]
-
-
-def mean_milliseconds(reports):
-    """Return the mean time of each stage over frame reports [ms]."""
-    stages = dict.fromkeys(stage for report in reports for stage in report.milliseconds)
-    return {
-        stage: round(sum(r.milliseconds.get(stage, 0.0) for r in reports) / len(reports), 3)
-        for stage in stages
-    }
 
 
 def relative(path):

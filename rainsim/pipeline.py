@@ -21,6 +21,7 @@ from rainsim.terrain.types import Terrain
 
 __all__ = [
     "FrameReport",
+    "FrameSequence",
     "SimState",
     "Terrain",
     "extract_terrain",
@@ -34,9 +35,7 @@ __all__ = [
 ]
 
 
-def render_rain(
-    scene, cameras, config, backend="cpu", progress=None, layers=(), terrain=None, skip=()
-):  # fmt: skip
+def render_rain(scene, cameras, config, backend="cpu", progress=None, layers=(), terrain=None):
     """Yield the rainy frames of a scene: the whole program.
 
     Parameters
@@ -53,8 +52,6 @@ def render_rain(
         Layers that the reports are to hold, see `rainsim.render.aov`.
     terrain : Terrain, optional
         Of the scene, where it has been extracted already.
-    skip : container of int
-        Frames that need not be drawn; looked at when the first frame is asked for.
 
     Yields
     ------
@@ -69,13 +66,62 @@ def render_rain(
     BackendError
         If the backend cannot run here.
     """
-    _, simulate_on_backend = on_backend(backend)  # an error before anything is computed
+    on_backend(backend)  # an error before anything is computed
     config.check()
-    tell = progress or (lambda stage, done, total: None)
     if terrain is None:
-        terrain = extract_terrain(scene, config, progress=tell)
-    states = frames_of(simulate_on_backend(terrain, config), config, tell, skip)
-    yield from render(scene, terrain, states, cameras, config, layers, backend)
+        terrain = extract_terrain(scene, config, progress=progress)
+    sequence = FrameSequence(scene, terrain, cameras, config, backend, layers)
+    yield from sequence.frames(config.indices, progress)
+
+
+class FrameSequence:
+    """The frames of a scene in the rain, any of them, with the same bytes as in one go.
+
+    A frame follows from the water at its time, which is simulated from the start on: from the last
+    frame that was asked for, or for an earlier frame from the beginning again.
+
+    Parameters
+    ----------
+    scene : Scene
+    terrain : Terrain
+    cameras : sequence of Camera
+        One per frame of the whole sequence, or one for all, in the capture frame.
+    config : Config
+    backend : {"cpu", "cuda"}
+    layers : sequence of str
+    states : callable, optional
+        states(index) returns the `SimState` of a frame; without it the water is simulated here.
+
+    Attributes
+    ----------
+    next : int
+        The first frame that needs no simulation from the beginning.
+    """
+
+    def __init__(self, scene, terrain, cameras, config, backend="cpu", layers=(), states=None):
+        self.terrain, self.config, self.backend, self.states = terrain, config, backend, states
+        self._renderer = SequenceRenderer(scene, terrain, cameras, config, layers, backend)
+        self._water, self.next = None, 0
+
+    def frames(self, indices, tell=None):
+        """Yield (picture, FrameReport) of the frames `indices`, in rising order."""
+        if len(indices) == 0:
+            return
+        yield from self._renderer.render(self._states_of(list(indices), tell))
+
+    def _states_of(self, indices, tell):
+        if self.states is not None:
+            yield from map(self.states, indices)
+            return
+        if indices and (self._water is None or indices[0] < self.next):
+            _, simulate_on_backend = on_backend(self.backend)
+            self._water, self.next = simulate_on_backend(self.terrain, self.config), 0
+        for index in indices:
+            while self.next <= index:
+                state, self.next = next(self._water), self.next + 1
+                if tell is not None and state.index < indices[0]:
+                    tell("simulate", self.next, indices[0])
+            yield state
 
 
 def extract_terrain(scene, config, mask=None, progress=None, say=None):
@@ -150,21 +196,40 @@ def render(scene, terrain, states, cameras, config, names=(), backend="cpu"):
     picture : ndarray of shape (height, width, 3), uint8
     report : FrameReport
     """
-    if not cameras:
-        raise ParameterError("no camera was given; a frame needs one")
-    if backend == "cpu":
-        require_memory(scene, cameras[0], terrain.bed.size, len(names))
-    scene = without_images(scene, terrain)
-    renderer = on_backend(backend)[0](scene, terrain, config, cameras[0])
-    path = [scene.ground_frame.camera_in_ground(camera) for camera in cameras]
+    yield from SequenceRenderer(scene, terrain, cameras, config, names, backend).render(states)
 
-    def shots():
-        for state in states:
-            camera = cameras[0] if len(cameras) == 1 else cameras[state.index]
-            exposure = config.at(state.time).render.exposure
-            yield camera, state, shutter_end(path, state.index, exposure, config.fps)
 
-    notes = sunken_notes(path, terrain, config)
-    for picture, report in renderer.film(shots(), names):
-        yield picture, replace(report, notes=(*notes, *report.notes))
-        notes = ()
+class SequenceRenderer:
+    """Draws states with their cameras; takes what `render` takes but the states."""
+
+    def __init__(self, scene, terrain, cameras, config, names=(), backend="cpu"):
+        if not cameras:
+            raise ParameterError("no camera was given; a frame needs one")
+        self._scene, self._terrain, self._cameras = scene, terrain, cameras
+        self._config, self._names, self._backend = config, names, backend
+        self._renderer, self._notes = None, ()
+
+    def render(self, states):
+        """Yield (picture, FrameReport) for each state."""
+        path = [self._scene.ground_frame.camera_in_ground(camera) for camera in self._cameras]
+        config = self._config
+
+        def shots():
+            for state in states:
+                camera = self._cameras[0 if len(self._cameras) == 1 else state.index]
+                exposure = config.at(state.time).render.exposure
+                yield camera, state, shutter_end(path, state.index, exposure, config.fps)
+
+        if self._renderer is None:
+            self._renderer = self._made()
+            self._notes = sunken_notes(path, self._terrain, config)
+        for picture, report in self._renderer.film(shots(), self._names):
+            notes, self._notes = self._notes, ()
+            yield picture, replace(report, notes=(*notes, *report.notes))
+
+    def _made(self):
+        scene, terrain, first = self._scene, self._terrain, self._cameras[0]
+        if self._backend == "cpu":
+            require_memory(scene, first, terrain.bed.size, len(self._names))
+        scene = without_images(scene, terrain)
+        return on_backend(self._backend)[0](scene, terrain, self._config, first)

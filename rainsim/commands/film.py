@@ -30,12 +30,14 @@ VERSION = 1  # of simulation.json; those without a version are of version 1
 @options.camera_options
 @options.picture_options
 @options.backend_option
-@options.range_option
+@options.shared_range_options
 @options.ground_options
 @options.terrain_options
 @options.resume_option
 @options.output_options("rainsim-out/SCENE-PRESET")
-def run(scene, preset, out, overwrite, resume, as_json, quiet, video, layers, backend, **given):
+def run(
+    scene, preset, out, overwrite, resume, as_json, quiet, video, layers, backend, stale, **given
+):  # fmt: skip
     """Draw a scene in the rain, all steps from a capture to frames.
 
     Writes DIR/frames/00000.png and so on, preview.webp, transforms.json (the frames' cameras) and
@@ -59,23 +61,18 @@ def run(scene, preset, out, overwrite, resume, as_json, quiet, video, layers, ba
             require_memory(loaded, cameras[0], layers=len(names))
         out = out or options.default_out(loaded.name, Path(preset).stem)
 
-        def film(kept):
-            from rainsim.pipeline import extract_terrain, render_rain
-
-            def progress(stage, done, total):
-                status.progress(stage, done, total)
-                if done == total:  # what follows unannounced is the first frame
-                    status.progress("frames", 0, len(config.indices))
+        def film(config):
+            from rainsim.pipeline import FrameSequence, extract_terrain
 
             ground = extract_terrain(loaded, config, None, status.progress, status.notes)
             path = view_on(loaded, ground, cameras, config, given, status)
             _say_memory(status, loaded, ground, path, names, backend)
-            frames = render_rain(loaded, path, config, backend, progress, names, ground, kept)
-            return path, frames
+            return path, FrameSequence(loaded, ground, path, config, backend, names)
 
         content = {"layers": names, "backend": backend}
         files = {"out": out, "overwrite": overwrite, "resume": resume, "video": video}
-        _write_frames(status, film, loaded, config, preset, content, as_json=as_json, **files)
+        files |= {"stale": stale, "as_json": as_json}
+        _write_frames(status, film, loaded, config, preset, content, **files)
 
 
 @click.command(short_help="Let it rain on a height map.")
@@ -196,11 +193,13 @@ def _write_simulation(out, source, map_file, record, config, preset, origin):
 @options.camera_options
 @options.picture_options
 @options.backend_option
-@options.range_option
+@options.shared_range_options
 @options.ground_options
 @options.resume_option
 @options.output_options("rainsim-out/STATES-frames")
-def render(states, scene, out, overwrite, resume, as_json, quiet, video, layers, backend, **given):
+def render(
+    states, scene, out, overwrite, resume, as_json, quiet, video, layers, backend, stale, **given
+):  # fmt: skip
     """Draw frames from STATES, a folder that `rainsim simulate` wrote, for any camera.
 
     The drops in the air follow from the seed. The rain is that of the simulation; light, camera and
@@ -239,19 +238,18 @@ def render(states, scene, out, overwrite, resume, as_json, quiet, video, layers,
     cameras, config = cameras_of(loaded, config, given, most=config.frames)
     out = out or options.default_out(states.resolve().name, "frames")
 
-    def film(kept):
-        from rainsim import pipeline
+    def film(config):
+        from rainsim.pipeline import FrameSequence, read_state
         from rainsim.terrain.files import read_terrain
 
         ground = read_terrain(states)
-        found = (
-            pipeline.read_state(_state_file(states, index), ground)
-            for index in config.indices
-            if index not in kept
-        )
         path = view_on(loaded, ground, cameras, config, given, status)
         _say_memory(status, loaded, ground, path, names, backend)
-        return path, pipeline.render(loaded, ground, found, path, config, names, backend)
+
+        def state_of(index):
+            return read_state(_state_file(states, index), ground)
+
+        return path, FrameSequence(loaded, ground, path, config, backend, names, state_of)
 
     for index in config.indices:
         _state_file(states, index)
@@ -259,7 +257,8 @@ def render(states, scene, out, overwrite, resume, as_json, quiet, video, layers,
     content = {"layers": names, "backend": backend, "states": states_content(states)}
     files = {"out": out, "overwrite": overwrite, "resume": resume, "video": video}
     with status, compiled_beside(status, uses_of(config, names, backend), config.threads):
-        _write_frames(status, film, loaded, config, preset, content, as_json=as_json, **files)
+        files |= {"stale": stale, "as_json": as_json}
+        _write_frames(status, film, loaded, config, preset, content, **files)
 
 
 def _state_file(states, index):
@@ -337,43 +336,78 @@ def _say_memory(status, scene, terrain, cameras, names, backend):
 
 
 def _write_frames(
-    status, film, scene, config, preset, content, *, out, overwrite, resume, video, as_json
+    status, film, scene, config, preset, content, *, out, overwrite, resume, video, stale, as_json
 ):
     """Draw frames into the folder `out` and say how it went.
 
-    `film(kept)` returns the cameras and the frames but those `kept` from an earlier run, a dict
-    that is filled before the first frame is asked for; `content` is what they depend on besides
-    scene, settings and cameras.
+    `film(config)` returns the cameras and the `FrameSequence`; `content` is what the frames depend
+    on besides scene, settings and cameras.
     """
-    from rainsim import output_folder
+    from dataclasses import replace
 
-    total, kept = len(config.indices), {}
-    with output_folder.claimed(out, overwrite, resume):
+    from rainsim import output_folder
+    from rainsim.farm.shared_run import joined
+
+    shared = config.frame_range is not None and not overwrite
+    with joined(out) if shared else output_folder.claimed(out, overwrite, resume):
         _set_up(config)
         facts = output_folder.settings_facts(config, preset)
         content["settings"] = output_folder.settings_content(config)
-        cameras, frames = film(kept)
+        cameras, sequence = film(replace(config, frame_range=None) if shared else config)
         record = output_folder.Record(
             out, scene, content, **facts, cameras=output_folder.cameras_facts(cameras)
         )
-        with output_folder.FrameFolder(out, record, cameras, config, video, resume) as folder:
-            kept.update(folder.kept)
-            if kept:
-                status.say(f"{len(kept)} of {total} frames are finished and kept")
-            for picture, report in frames:
-                status.notes(report.notes)
-                folder.add(picture, report)
-                status.progress("frames", folder.done, total)
-    status.say(f"{total} frames in {output_folder.relative(out)}/frames ({status.seconds:.1f} s)")
+        run = out, record, cameras, config, video
+        draw = _draw_shared if shared else _draw_alone
+        reports = draw(status, sequence, run, stale if shared else resume)
+    total = f"{len(config.indices)} frames"
+    status.say(f"{total} in {output_folder.relative(out)}/frames ({status.seconds:.1f} s)")
     result = {
         "out": str(out),
-        "frames": [f"frames/{report.index:05d}.png" for report in folder.reports],
+        "frames": [output_folder.FRAME.format(report.index) for report in reports],
         "seconds": round(status.seconds, 3),
-        "milliseconds": output_folder.mean_milliseconds(folder.reports),
-        "ledger": folder.reports[-1].ledger,
+        "milliseconds": output_folder.mean_milliseconds(reports),
+        "ledger": reports[-1].ledger,
         "notes": [*scene.notes, *scene.ground_frame.notes],
     }
     _print(result, out, as_json)
+
+
+def _draw_alone(status, sequence, run, resume):
+    """Draw the frames that are missing in a folder of this run alone; return all reports."""
+    from rainsim.output_folder import FrameFolder
+
+    indices = sequence.config.indices
+    with FrameFolder(*run, resume) as folder:
+        if folder.kept:
+            status.say(f"{len(folder.kept)} of {len(indices)} frames are finished and kept")
+        missing = [index for index in indices if index not in folder.kept]
+        for picture, report in sequence.frames(missing, _then_frames(status, len(indices))):
+            status.notes(report.notes)
+            folder.add(picture, report)
+            status.progress("frames", folder.done, len(indices))
+    return folder.reports
+
+
+def _draw_shared(status, sequence, run, stale):
+    """Draw frames of a folder that other processes fill too; return the reports of the range."""
+    from rainsim.farm.shared_run import SharedRun
+
+    shared = SharedRun(*run, stale)
+    reports = shared.draw(sequence, _then_frames(status, len(run[3].indices)), status.notes)
+    left = shared.left
+    if left:
+        status.say(f"{left} of {sequence.config.frames} frames are still to be drawn elsewhere")
+    return reports
+
+
+def _then_frames(status, total):
+    def progress(stage, done, all_of_it):
+        status.progress(stage, done, all_of_it)
+        if stage != "frames" and done == all_of_it:  # what follows unannounced is the first frame
+            status.progress("frames", 0, total)
+
+    return progress
 
 
 def _set_up(config):

@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 HELD = (errno.EAGAIN, errno.EACCES)
+SHARED = "shared by "  # begins the text of a claim that many may hold
 
 
 class ClaimedError(Exception):
@@ -21,12 +22,18 @@ class ClaimedError(Exception):
 
 
 @contextmanager
-def claim(path):
+def claim(path, shared=False):
     """Hold the claim file `path` until the block ends; its folders are made.
 
     The claim is a lock on the file. It ends with the process, however that ends, so that a claim
     which nobody holds any more is taken over. Where the file system has no locks the file itself is
     the claim, and one that was left behind counts.
+
+    Parameters
+    ----------
+    path : path-like
+    shared : bool
+        Whether other processes may hold it too, if they share it as well.
 
     Raises
     ------
@@ -35,22 +42,43 @@ def claim(path):
     OSError
         If the file cannot be made.
     """
-    path = Path(path)
-    file = None
+    path, file = Path(path), None
+    kind, deadline = (fcntl.LOCK_SH, 1.0) if shared else (fcntl.LOCK_EX, 0.0)
+    deadline += time.monotonic()
     while file is None:
         path.parent.mkdir(parents=True, exist_ok=True)
-        file = _held(path)
-    now = time.strftime("%Y-%m-%dT%H:%M:%S%z")
+        try:
+            file = _held(path, kind)
+        except ClaimedError:
+            if time.monotonic() >= deadline:  # one who shares it locks it for a moment at the end
+                raise
+            time.sleep(0.02)
     try:
         os.ftruncate(file, 0)
-        os.pwrite(file, f"process {os.getpid()} on {platform.node()} since {now}".encode(), 0)
+        os.pwrite(file, f"{SHARED if shared else ''}{whoami()}".encode(), 0)
         yield
     finally:
-        path.unlink(missing_ok=True)
+        if not shared or _locked(file, fcntl.LOCK_EX):  # nobody else has it
+            path.unlink(missing_ok=True)
         os.close(file)
 
 
-def _held(path):
+def whoami():
+    """Return process, host and time in words."""
+    now = time.strftime("%Y-%m-%dT%H:%M:%S%z")
+    return f"process {os.getpid()} on {platform.node()} since {now}"
+
+
+def _locked(file, kind):
+    """Whether a file could be locked at once."""
+    try:
+        fcntl.flock(file, kind | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    return True
+
+
+def _held(path, kind):
     """Return the locked file; None if another process has removed it or its folder meanwhile."""
     try:
         file, new = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666), True
@@ -62,10 +90,11 @@ def _held(path):
         except FileNotFoundError:
             return None
     try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        fcntl.flock(file, kind | fcntl.LOCK_NB)
     except OSError as error:
-        if error.errno in HELD or not new:
-            holder = os.pread(file, 200, 0).decode("utf-8", "replace")
+        holder = os.pread(file, 200, 0).decode("utf-8", "replace")
+        without_locks = new or (kind == fcntl.LOCK_SH and holder.startswith(SHARED))
+        if error.errno in HELD or not without_locks:
             os.close(file)
             raise ClaimedError(holder or "a process that has just begun") from None
     try:

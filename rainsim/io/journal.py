@@ -1,7 +1,9 @@
 """A journal of finished parts: a line of JSON for each, with the hashes of the files it wrote.
 
 A part is noted when all of its files are whole. A run that was killed therefore leaves at most one
-part that is not noted, and a line that is cut off; both count as not done.
+part that is not noted, and a line that is cut off; both count as not done. Where several processes
+fill one folder, on one machine or on many, each has a journal of its own until all is done: a
+shared disk does not keep lines apart that two machines append to one file.
 """
 
 from __future__ import annotations
@@ -9,8 +11,10 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from rainsim.io.files import parsed_json
+from rainsim.io.files import parsed_json, replacing
 from rainsim.io.fingerprint import hash_of_file
+
+SHARED_FOLDER = ".rainsim-shared"  # what processes that fill one folder say to each other
 
 
 class Journal:
@@ -23,10 +27,16 @@ class Journal:
         Of its file.
     ours : callable
         ours(name) says whether a file's name is one that the program gives: no other is looked at.
+    own : str, optional
+        Name of this process's journal, without ".jsonl", in the subfolder SHARED_FOLDER; without
+        one the journal itself is written.
     """
 
-    def __init__(self, folder, name, ours):
+    def __init__(self, folder, name, ours, own=None):
         self.folder, self.name, self._ours = Path(folder), name, ours
+        self._parts, self._own = self.folder / SHARED_FOLDER, own
+        self._read = {}  # bytes of each journal that have been read
+        self._entries = {}
 
     @property
     def path(self):
@@ -37,21 +47,45 @@ class Journal:
         """Note a part whose files, named relative to the folder, are whole."""
         files = {name: hash_of_file(self.folder / name) for name in names}
         line = json.dumps({"index": index, "files": files, **facts}, allow_nan=False)
-        with open(self.path, "a", encoding="utf-8") as file:
+        path = self._parts / f"{self._own}.jsonl" if self._own else self.path
+        with open(path, "a", encoding="utf-8") as file:
             file.write(line + "\n")
 
     def entries(self):
-        """Return the last entry of each part, whatever has become of its files, by index."""
+        """Return the last entry of each part, whatever has become of its files, by index.
+
+        Only what was appended since the last call is read.
+        """
+        for path in (self.path, *sorted(self._parts.glob("*.jsonl"))):
+            for line in self._new_lines(path):
+                entry = parsed_json(line)
+                if self._is_entry(entry):
+                    self._entries[entry["index"]] = entry
+        return dict(self._entries)
+
+    def _new_lines(self, path):
+        """Return what was appended to a journal, by lines; one without an end is left for later."""
         try:
-            text = self.path.read_text(encoding="utf-8", errors="replace")
+            with open(path, "rb") as file:
+                file.seek(self._read.get(path, 0))
+                content = file.read()
         except OSError:
-            return {}
-        found = {}
-        for line in text.split("\n"):
-            entry = parsed_json(line)
-            if self._is_entry(entry):
-                found[entry["index"]] = entry
-        return found
+            return []
+        end = content.rfind(b"\n") + 1
+        self._read[path] = self._read.get(path, 0) + end
+        return content[:end].decode("utf-8", "replace").split("\n")
+
+    def gather(self):
+        """Write all entries to the journal itself, in order, and remove those of processes."""
+        parts = sorted(self._parts.glob("*.jsonl"))
+        if parts:
+            entries = self.entries()
+            with replacing(self.path) as temporary:
+                lines = [json.dumps(entries[index]) for index in sorted(entries)]
+                temporary.write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")
+            self._read = {}
+        for path in parts:
+            path.unlink(missing_ok=True)
 
     def finished(self, indices):
         """Return the entries of the parts `indices` whose files are as they were written."""

@@ -145,10 +145,20 @@ def test_frames_of_a_range_are_those_of_the_whole(film, tmp_path):
     assert film("whole").code == 0
     done = film("part", "--frame-range", "1:3")
     assert done.code == 0, done.err
+    assert "1 of 3 frames are still to be drawn elsewhere" in done.err
     whole, part = pictures(tmp_path / "whole"), pictures(tmp_path / "part")
     assert list(part) == ["00001.png", "00002.png"]
     assert all(np.array_equal(part[name], whole[name]) for name in part)
-    # The rest of the very same film may join it; another film replaces it.
+    refused = film("part", "--frame-range", "0:1", "--seed", 7)
+    assert refused.code == 2 and "was another" in refused.error
+    # The other frames of the very same run may join them; another run replaces it.
+    shutil.copytree(tmp_path / "part", tmp_path / "joined")
+    assert film("joined", "--frame-range", "0:2").code == 0
+    one, other = record(tmp_path / "whole"), record(tmp_path / "joined")
+    for name in ("complete", "frames", "files", "ledger", "notes", "fingerprint"):
+        assert one[name] == other[name], name
+    for name in set(one["files"]) - {"finished.jsonl"}:
+        assert (tmp_path / "joined" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
     assert film("part", "--frame-range", "0:1", "--overwrite").code == 0
     assert same(pictures(tmp_path / "part"), whole)
     assert film("part", "--frame-range", "0:1", "--seed", 7, "--overwrite").code == 0
@@ -183,7 +193,7 @@ def test_an_error_before_the_first_frame_changes_nothing(film, tmp_path, monkeyp
         raise DivergedError("depth is NaN at 0.1 s; it must be finite; lower --water-scheme")
         yield
 
-    monkeypatch.setattr(pipeline, "render_rain", fail)
+    monkeypatch.setattr(pipeline.FrameSequence, "frames", fail)
     for folder in ("out", "new"):
         done = film(folder, "--overwrite", frames=2)
         assert done.code == 1 and "depth is NaN" in done.error
@@ -194,7 +204,7 @@ def test_an_error_before_the_first_frame_changes_nothing(film, tmp_path, monkeyp
 
 @pytest.mark.parametrize(("error", "code"), [(KeyboardInterrupt, 130), (DivergedError, 1)])
 def test_what_was_finished_is_kept(film, tmp_path, monkeypatch, error, code):
-    real = pipeline.render_rain
+    real = pipeline.FrameSequence.frames
 
     def breaks_off(*arguments, **options):
         for n, each in enumerate(real(*arguments, **options)):
@@ -202,7 +212,7 @@ def test_what_was_finished_is_kept(film, tmp_path, monkeypatch, error, code):
                 raise error("stopped")
             yield each
 
-    monkeypatch.setattr(pipeline, "render_rain", breaks_off)
+    monkeypatch.setattr(pipeline.FrameSequence, "frames", breaks_off)
     done = film("out", frames=4)
     assert done.code == code
     assert list(pictures(tmp_path / "out")) == ["00000.png", "00001.png"]

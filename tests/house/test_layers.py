@@ -38,6 +38,7 @@ cuda
 backend
 output_folder
 pipeline
+farm
 bench
 commands
 cli

@@ -1,0 +1,134 @@
+"""The files of frames: a picture for each, and its layers."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
+import numpy as np
+
+from rainsim.io.files import write_json
+from rainsim.render.report import FrameReport
+
+FRAME = "frames/{:05d}.png"
+
+
+class FrameWriter:
+    """Writes frames to a folder, each in a thread of its own while the next one is drawn.
+
+    Use as a context manager: on the way out the frame that is being written is waited for.
+
+    Parameters
+    ----------
+    folder : Path
+    noted : callable
+        noted(report, names) is called, in the caller's thread, when all files of a frame are whole;
+        names are relative to the folder, the picture's first; the report has no layers any more.
+    """
+
+    def __init__(self, folder, noted):
+        self.folder, self._noted = folder, noted
+        self._writer, self._written = ThreadPoolExecutor(1), None  # the frame that is being written
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *exception):
+        try:
+            self.wait()
+        finally:
+            self._writer.shutdown()
+
+    @property
+    def is_writing(self):
+        """Whether a frame is being written."""
+        return self._written is not None
+
+    def add(self, picture, report, also=None):
+        """Begin to write a frame, when the one before is written.
+
+        Parameters
+        ----------
+        picture : ndarray of shape (height, width, 3), uint8
+        report : FrameReport
+        also : callable, optional
+            Called with the picture in the writing thread, after it is written.
+
+        Raises
+        ------
+        OSError
+            If this frame's layers or the frame before could not be written.
+        """
+        self.wait()
+        (self.folder / "frames").mkdir(exist_ok=True)
+        names = write_layers(self.folder, report) if report.aovs else ()
+        # A copy: on a GPU the next frame overwrites the picture.
+        written = self._writer.submit(self._write, picture.copy(), report.index, also)
+        self._written = written, names, replace(report, aovs={})
+
+    def wait(self):
+        """Wait for the frame that is being written."""
+        if self._written is not None:
+            (written, names, report), self._written = self._written, None
+            self._noted(report, (written.result(), *names))
+
+    def _write(self, picture, index, also):
+        from rainsim.io.images import write_png
+
+        name = FRAME.format(index)
+        write_png(self.folder / name, picture)
+        if also is not None:
+            also(picture)
+        return name
+
+
+def write_layers(folder, report):
+    """Write a frame's layers as folder/layers/NAME/NNNNN.*, and the light that recomposing needs.
+
+    Returns the names of the files.
+    """
+    from rainsim.io import images
+    from rainsim.render.aov import AOVS, DATA, INDEX, PICTURE
+
+    written = []
+    for name, values in report.aovs.items():
+        kind = AOVS[name].kind
+        end = "png" if kind != DATA else images.data_suffix()
+        path = f"layers/{name}/{report.index:05d}.{end}"
+        (folder / path).parent.mkdir(parents=True, exist_ok=True)
+        if kind == PICTURE:
+            images.write_png(folder / path, values)
+        elif kind == INDEX:
+            images.write_png16(folder / path, values)
+        elif kind == DATA:
+            images.write_data(folder / path, values, AOVS[name].channels)
+        else:
+            images.write_png16(folder / path, np.rint(np.clip(values, 0, 1) * 65535))
+        written.append(path)
+    name = f"layers/{report.index:05d}.json"
+    units = {n: AOVS[n].unit for n in report.aovs}
+    write_json(folder / name, {"light": report.light, "units": units, "files": written})
+    return [*written, name]
+
+
+def facts_of(report):
+    """Return what a journal notes of a frame besides its files; see `report_of`."""
+    return {
+        "time": report.time, "milliseconds": report.milliseconds, "ledger": report.ledger,
+        "notes": list(report.notes),
+    }  # fmt: skip
+
+
+def report_of(index, entry):
+    """Return the `FrameReport` of a frame that a journal notes, without its layers."""
+    facts = entry["time"], entry["milliseconds"], entry["ledger"], tuple(entry["notes"])
+    return FrameReport(index, *facts)
+
+
+def mean_milliseconds(reports):
+    """Return the mean time of each stage over frame reports [ms]."""
+    stages = dict.fromkeys(stage for report in reports for stage in report.milliseconds)
+    return {
+        stage: round(sum(r.milliseconds.get(stage, 0.0) for r in reports) / len(reports), 3)
+        for stage in stages
+    }

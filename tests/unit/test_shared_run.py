@@ -1,0 +1,261 @@
+"""Several processes at one run: the same bytes as in one go, and no frame drawn twice."""
+
+import hashlib
+import json
+import os
+import random
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rainsim.config.settings import Config
+from rainsim.errors import InputError, ParameterError
+from rainsim.farm import shared_run
+from rainsim.farm.shared_run import SharedRun, joined
+from rainsim.io.journal import SHARED_FOLDER, Journal
+from rainsim.output_folder import (
+    JOURNAL,
+    PROVENANCE,
+    FrameFolder,
+    Record,
+    claimed,
+    read_record,
+)
+from rainsim.render.report import FrameReport
+from scenes import tiny_scene
+
+FRAMES = 12
+KILLS, MANY_KILLS = 6, 100
+NOT_COMPARED = (PROVENANCE, JOURNAL)  # they hold times
+
+
+class MadeUpFrames:
+    """Frames that follow from their number, in place of a `FrameSequence`; each takes `pause`."""
+
+    def __init__(self, frames=FRAMES, pause=0.0, stop=None):
+        self.config = Config().replace(frames=frames)
+        self.next, self.drawn, self._pause, self._stop = 0, [], pause, stop
+
+    def frames(self, indices, tell=None):
+        for index in indices:
+            if index == self._stop:
+                raise KeyboardInterrupt
+            time.sleep(self._pause)
+            self.drawn.append(index)
+            self.next = index + 1
+            picture = np.random.default_rng(index).integers(0, 255, (48, 64, 3), dtype=np.uint8)
+            layers = {"depth": np.full((48, 64), index, np.float32)}
+            facts = index, index / 24, {"all": 1.0}, {"rain": index}
+            yield picture, FrameReport(*facts, ("a note",), layers)
+
+
+def draw(folder, first=0, end=FRAMES, seed=0, stale=60, **how):
+    """Draw a range of a shared run; return which frames were drawn here, and the run."""
+    frames = MadeUpFrames(**how)
+    config = replace(frames.config, frame_range=(first, end))
+    scene = tiny_scene()
+    with joined(folder):
+        record = Record(Path(folder), scene, {"layers": ["depth"]}, seed=seed)
+        run = SharedRun(Path(folder), record, scene.cameras[:1], config, stale=stale)
+        reports = run.draw(frames)
+    assert [report.index for report in reports] == list(range(first, end))
+    return frames.drawn, run
+
+
+def written(folder):
+    """What lies in a folder: hashes by name."""
+    files = [path for path in Path(folder).rglob("*") if path.is_file()]
+    return {
+        path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in files if path.name not in NOT_COMPARED
+    }  # fmt: skip
+
+
+def facts(folder):
+    """What a record says but times."""
+    record = read_record(folder)
+    names = ("complete", "frames", "ledger", "notes", "files", "fingerprint", "milliseconds")
+    return {name: record.get(name) for name in names}
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """Folder of a run in one go, by a process that shares it with none."""
+    folder, frames, scene = tmp_path_factory.mktemp("whole") / "out", MadeUpFrames(), tiny_scene()
+    with claimed(folder):
+        record = Record(folder, scene, {"layers": ["depth"]}, seed=0)
+        with FrameFolder(folder, record, scene.cameras[:1], frames.config) as film:
+            for frame in frames.frames(range(FRAMES)):
+                film.add(*frame)
+    return folder
+
+
+def same(folder, whole):
+    assert written(folder) == written(whole) and facts(folder) == facts(whole)
+    assert set(Journal(folder, JOURNAL, re.compile(".*").fullmatch).entries()) == {*range(FRAMES)}
+    assert {path.name for path in folder.iterdir()} == {path.name for path in whole.iterdir()}
+
+
+def test_ranges_one_after_another_give_the_whole(tmp_path, whole):
+    drawn, run = draw(tmp_path / "a", 6, 9)
+    assert drawn == [6, 7, 8] and run.left == FRAMES - 3
+    assert not read_record(tmp_path / "a")["complete"]
+    assert not (tmp_path / "a" / "preview.webp").exists()
+    assert draw(tmp_path / "a", 7, FRAMES)[0] == [9, 10, 11]  # ranges may overlap
+    drawn, run = draw(tmp_path / "a", 0, 8)
+    assert drawn == list(range(6)) and run.left == 0
+    same(tmp_path / "a", whole)
+    assert draw(tmp_path / "a", 3, 5)[0] == []  # there is nothing left to draw
+    same(tmp_path / "a", whole)
+
+
+def test_another_run_is_refused_and_left_as_it_is(tmp_path):
+    draw(tmp_path / "a", 0, 2)
+    before = written(tmp_path / "a")
+    with pytest.raises(ParameterError, match=r"was another.*give another --out"):
+        draw(tmp_path / "a", 2, 4, seed=1)
+    assert written(tmp_path / "a") == before
+    for path in (tmp_path / "a").iterdir():  # a process that has just begun
+        if path.name != SHARED_FOLDER:
+            shutil.rmtree(path) if path.is_dir() else path.unlink()
+    with pytest.raises(ParameterError, match="was another"):
+        draw(tmp_path / "a", 2, 4, seed=1)
+    (tmp_path / "b").mkdir()
+    (tmp_path / "b" / "mine.txt").write_text("mine")
+    with pytest.raises(ParameterError, match=r"mine\.txt and no record"):
+        draw(tmp_path / "b")
+
+
+def test_a_run_that_shares_with_none_and_a_shared_one_refuse_each_other(tmp_path):
+    folder = tmp_path / "a"
+    with claimed(folder), pytest.raises(ParameterError, match="run without --frame-range writes"):
+        draw(folder)
+    with joined(folder), joined(folder):  # those who share it do not
+        with pytest.raises(ParameterError, match="another run writes"), claimed(folder):
+            pass
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ParameterError, match="is a file"), joined(tmp_path / "file"):
+        pass
+
+
+def test_an_unfinished_shared_run_is_gone_on_with_in_one_go(tmp_path, whole):
+    draw(tmp_path / "a", 3, 6)
+    frames, scene = MadeUpFrames(), tiny_scene()
+    with claimed(tmp_path / "a", resume=True):
+        record = Record(tmp_path / "a", scene, {"layers": ["depth"]}, seed=0)
+        film = FrameFolder(tmp_path / "a", record, scene.cameras[:1], frames.config, resume=True)
+        missing = [index for index in range(FRAMES) if index not in film.kept]
+        with film:
+            for frame in frames.frames(missing):
+                film.add(*frame)
+    assert missing == [0, 1, 2, *range(6, FRAMES)]
+    same(tmp_path / "a", whole)
+
+
+def test_frames_that_are_damaged_are_drawn_again(tmp_path, whole):
+    folder = tmp_path / "a"
+    draw(folder, 0, 10)
+    (folder / "frames" / "00003.png").write_bytes(b"cut")
+    (folder / "frames" / "00009.png").unlink()
+    ended = "process 999999999 on " + shared_run.platform.node() + " since then"
+    for claim in (folder / SHARED_FOLDER).glob("*.0"):  # this process plays an earlier one too
+        claim.write_text(ended)
+    assert draw(folder, 8, FRAMES)[0] == [9, 10, 11, 3]  # 3: found by who completes the run
+    same(folder, whole)
+    shutil.rmtree(folder / "frames")
+    assert draw(folder, 0, FRAMES)[0] == list(range(FRAMES))
+    same(folder, whole)
+
+
+def test_what_an_interrupted_process_had_claimed_is_free(tmp_path, whole):
+    with pytest.raises(KeyboardInterrupt):
+        draw(tmp_path / "a", stop=5)
+    assert draw(tmp_path / "a")[0] == list(range(5, FRAMES))
+    same(tmp_path / "a", whole)
+
+
+def test_a_folder_that_vanishes_ends_in_one_line(tmp_path):
+    class Vanish(MadeUpFrames):
+        def frames(self, indices, tell=None):
+            for frame in super().frames(indices):
+                shutil.rmtree(tmp_path / "a" / SHARED_FOLDER)
+                yield frame
+
+    config, scene = replace(MadeUpFrames().config, frame_range=(0, 4)), tiny_scene()
+    with pytest.raises(InputError, match=r"is gone while frames are drawn.*same command again"):
+        with joined(tmp_path / "a"):
+            record = Record(tmp_path / "a", scene)
+            SharedRun(tmp_path / "a", record, scene.cameras, config).draw(Vanish())
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
+def test_a_folder_that_cannot_be_written_to(tmp_path):
+    tmp_path.chmod(0o500)
+    with pytest.raises(PermissionError), joined(tmp_path / "a"):
+        pass
+
+
+CODE = "import sys; import test_shared_run as t; t.draw(*eval(sys.argv[1]), pause=0.05)"
+
+
+def start(folder, first=0, end=FRAMES, seed=0, stale=60):
+    paths = os.pathsep.join([str(Path(__file__).parent), *sys.path])
+    call = repr((str(folder), first, end, seed, stale))
+    return subprocess.Popen(
+        [sys.executable, "-c", CODE, call], env=os.environ | {"PYTHONPATH": paths},
+        stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+
+
+def drawn_by(folder):
+    """How often each frame was noted, from the journal of the whole and those of processes."""
+    lines = []
+    for path in [folder / JOURNAL, *(folder / SHARED_FOLDER).glob("*.jsonl")]:
+        lines += path.read_text().splitlines() if path.is_file() else []
+    return sorted(json.loads(line)["index"] for line in lines)
+
+
+def test_processes_race_through_overlapping_ranges(tmp_path, whole):
+    folder = tmp_path / "a"
+    ranges = [(0, 8), (4, FRAMES - 1), (2, 9)]  # the last frame is nobody's yet
+    for process in [start(folder, *each) for each in ranges]:
+        assert process.wait() == 0
+    assert drawn_by(folder) == list(range(FRAMES - 1))  # none twice
+    draw(folder, FRAMES - 1, FRAMES)
+    same(folder, whole)
+
+
+def killed_at_random(folder, count, seed, many):
+    """Start `many` processes at a time and kill them, again and again; return how many died."""
+    rng, killed, running = random.Random(seed), 0, []
+    while count > 0 or running:
+        while count > 0 and len(running) < many:
+            running.append(start(folder))
+            count -= 1
+        time.sleep(rng.uniform(0.4, 1.5) / many)
+        process = running.pop(rng.randrange(len(running)))
+        process.send_signal(rng.choice([signal.SIGKILL, signal.SIGKILL, signal.SIGTERM]))
+        killed += process.wait() != 0
+    return killed
+
+
+def test_processes_killed_at_random_moments_lose_nothing(tmp_path, whole):
+    assert killed_at_random(tmp_path / "a", KILLS, seed=2, many=2) > 0
+    draw(tmp_path / "a")
+    same(tmp_path / "a", whole)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(12))
+def test_processes_killed_at_many_random_moments_lose_nothing(tmp_path, whole, seed):
+    killed_at_random(tmp_path / "a", MANY_KILLS // 10, seed, many=(1, 2, 5)[seed % 3])
+    draw(tmp_path / "a")
+    same(tmp_path / "a", whole)
