@@ -171,6 +171,13 @@ def threading_layer():
     return numba.threading_layer(), numba.get_num_threads()
 
 
+def processor():
+    """Return the processor that kernels are compiled for and its features, as LLVM names them."""
+    from numba.core.registry import cpu_target
+
+    return " ".join(cpu_target.target_context.codegen().magic_tuple())
+
+
 def set_threads(count):
     """Use `count` threads in all kernels (None: all cores that numba found at start)."""
     if count is not None:

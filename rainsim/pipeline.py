@@ -99,7 +99,8 @@ class FrameSequence:
     """
 
     def __init__(self, scene, terrain, cameras, config, backend="cpu", layers=(), states=None):
-        self.terrain, self.config, self.backend, self.states = terrain, config, backend, states
+        self.scene, self.terrain, self.cameras, self.config = scene, terrain, cameras, config
+        self.backend, self.layers, self.states = backend, layers, states
         self._renderer = SequenceRenderer(scene, terrain, cameras, config, layers, backend)
         self._water, self.next = None, 0
 

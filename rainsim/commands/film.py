@@ -31,6 +31,7 @@ VERSION = 1  # of simulation.json; those without a version are of version 1
 @options.picture_options
 @options.backend_option
 @options.shared_range_options
+@options.farm_options
 @options.ground_options
 @options.terrain_options
 @options.resume_option
@@ -52,7 +53,8 @@ def run(
     status = Status(quiet)
     config = settings(preset, given)
     names = _check_before_loading(given, video, layers, backend)
-    with status, compiled_beside(status, uses_of(config, names, backend), config.threads):
+    uses = uses_of(config, names, backend)
+    with status, compiled_beside(status, uses, config.threads) as pool:
         loaded = loaded_scene(status, scene, given)
         cameras, config = cameras_of(loaded, config, given)
         if backend == "cpu":  # before minutes of work; the map's cells are not known yet
@@ -71,7 +73,7 @@ def run(
 
         content = {"layers": names, "backend": backend}
         files = {"out": out, "overwrite": overwrite, "resume": resume, "video": video}
-        files |= {"stale": stale, "as_json": as_json}
+        files |= {"stale": stale, "as_json": as_json, "farm": (given, backend, pool)}
         _write_frames(status, film, loaded, config, preset, content, **files)
 
 
@@ -194,6 +196,7 @@ def _write_simulation(out, source, map_file, record, config, preset, origin):
 @options.picture_options
 @options.backend_option
 @options.shared_range_options
+@options.farm_options
 @options.ground_options
 @options.resume_option
 @options.output_options("rainsim-out/STATES-frames")
@@ -256,8 +259,9 @@ def render(
     preset = made["preset"]
     content = {"layers": names, "backend": backend, "states": states_content(states)}
     files = {"out": out, "overwrite": overwrite, "resume": resume, "video": video}
-    with status, compiled_beside(status, uses_of(config, names, backend), config.threads):
-        files |= {"stale": stale, "as_json": as_json}
+    uses = uses_of(config, names, backend)
+    with status, compiled_beside(status, uses, config.threads) as pool:
+        files |= {"stale": stale, "as_json": as_json, "farm": (given, backend, pool)}
         _write_frames(status, film, loaded, config, preset, content, **files)
 
 
@@ -312,6 +316,7 @@ def _origin(made, path):
 def _check_before_loading(given, video, layers, backend):
     """Return the names of the layers; raise for what could only fail later."""
     check_camera_options(given)
+    _check_farm(given)
     if backend == "cuda":
         from rainsim.cuda import require
 
@@ -327,6 +332,20 @@ def _check_before_loading(given, video, layers, backend):
     return parse_names(layers)
 
 
+def _check_farm(given):
+    """Raise if the options of workers contradict each other or their engine is lacking."""
+    ways = [n for n in ("workers", "scheduler", "frame_range") if given.get(n) is not None]
+    if len(ways) > 1:
+        one, other = (f"--{name.replace('_', '-')}" for name in ways[:2])
+        raise ParameterError(
+            f"{one} and {other} are both given; frames must be shared out in one way; leave one out"
+        )
+    if ways and ways != ["frame_range"]:
+        from rainsim.farm.cluster import require
+
+        require()
+
+
 def _say_memory(status, scene, terrain, cameras, names, backend):
     """Say what the frames take, if it is much; raise ParameterError if it is too much."""
     if backend == "cpu":
@@ -336,12 +355,14 @@ def _say_memory(status, scene, terrain, cameras, names, backend):
 
 
 def _write_frames(
-    status, film, scene, config, preset, content, *, out, overwrite, resume, video, stale, as_json
-):
+    status, film, scene, config, preset, content, *,
+    out, overwrite, resume, video, stale, farm, as_json,
+):  # fmt: skip
     """Draw frames into the folder `out` and say how it went.
 
     `film(config)` returns the cameras and the `FrameSequence`; `content` is what the frames depend
-    on besides scene, settings and cameras.
+    on besides scene, settings and cameras; `farm` is the options, the backend and the `Pool` that
+    compiles.
     """
     from dataclasses import replace
 
@@ -358,8 +379,12 @@ def _write_frames(
             out, scene, content, **facts, cameras=output_folder.cameras_facts(cameras)
         )
         run = out, record, cameras, config, video
-        draw = _draw_shared if shared else _draw_alone
-        reports = draw(status, sequence, run, stale if shared else resume)
+        if farm[0].get("workers") or farm[0].get("scheduler"):
+            reports = _draw_with_workers(status, sequence, run, resume, *farm)
+        elif shared:
+            reports = _draw_shared(status, sequence, run, stale)
+        else:
+            reports = _draw_alone(status, sequence, run, resume)
     total = f"{len(config.indices)} frames"
     status.say(f"{total} in {output_folder.relative(out)}/frames ({status.seconds:.1f} s)")
     result = {
@@ -399,6 +424,18 @@ def _draw_shared(status, sequence, run, stale):
     if left:
         status.say(f"{left} of {sequence.config.frames} frames are still to be drawn elsewhere")
     return reports
+
+
+def _draw_with_workers(status, sequence, run, resume, given, backend, pool):
+    """Draw frames by workers of dask.distributed; return all reports."""
+    from rainsim.farm.cluster import client_of, draw_with_workers
+
+    threads, address = sequence.config.threads, given.get("scheduler")
+    if address is None and pool is not None:
+        pool.join()  # once for all of them
+    with client_of(address, given.get("workers"), backend, threads) as client:
+        threads = None if address is None else threads  # the workers here share them
+        return draw_with_workers(client, sequence, run, resume, status, threads)
 
 
 def _then_frames(status, total):

@@ -281,6 +281,22 @@ shared_range_options = _group(
     ),
 )
 
+farm_options = _group(
+    click.option(
+        "--workers",
+        type=click.IntRange(1, 4096),
+        metavar="N",
+        help="Draw in N processes on this machine, each with its share of the cores, or a GPU of "
+        "its own (needs rainsim[farm]).",
+    ),
+    click.option(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="Draw by the workers of a dask scheduler, such as tls://host:8786 (needs "
+        "rainsim[farm]).",
+    ),
+)
+
 
 def output_options(default):
     """Return the options of a command that fills a folder; `default` is shown for --out."""

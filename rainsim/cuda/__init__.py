@@ -61,6 +61,13 @@ def require():
         raise BackendError(f"backend is 'cuda', but {found}")
 
 
+def gpus():
+    """Return the number of GPUs of this machine, at least 1."""
+    from numba import cuda
+
+    return max(len(cuda.gpus), 1)
+
+
 def device():
     """Return name, compute capability and memory [bytes] of the GPU in use, as a dict."""
     from numba import cuda

@@ -27,7 +27,7 @@ from rainsim.render.frame_files import FrameWriter, facts_of, report_of
 RUN = "run"  # file of the shared folder: the fingerprint of the run that the processes are at
 WHOLE = "whole"  # the part that is made from all frames
 BLOCK_TIME, MOST_IN_BLOCK = 1.0, 16  # s that the frames take that are claimed at once, and how many
-MOST_WAIT = 2.0  # s between looks at what the others do
+MOST_WAIT = 1.0  # s between looks at what the others do
 
 
 @contextmanager

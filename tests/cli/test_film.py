@@ -165,6 +165,20 @@ def test_frames_of_a_range_are_those_of_the_whole(film, tmp_path):
     assert list(pictures(tmp_path / "part")) == ["00000.png"]
 
 
+def test_workers_draw_the_same_frames(film, rainsim, scene_folder, tmp_path):
+    pytest.importorskip("distributed")
+    assert film("whole", frames=2).code == 0
+    done = film("farm", "--workers", 1, frames=2)
+    assert done.code == 0 and "frames 2/2" in done.err, done.err
+    one, other = record(tmp_path / "whole"), record(tmp_path / "farm")
+    for name in ("complete", "frames", "files", "ledger", "notes", "fingerprint"):
+        assert one[name] == other[name], name
+    for name in set(one["files"]) - {"finished.jsonl"}:
+        assert (tmp_path / "farm" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
+    done = film("other", "--workers", 2, "--frame-range", "0:1")
+    assert done.code == 2 and "--workers and --frame-range are both given" in done.error
+
+
 def test_threads_change_nothing_and_the_seed_does(film, tmp_path, threads):
     assert film("one", "--threads", 1).code == 0
     assert film("two", "--threads", 2).code == 0

@@ -13,10 +13,9 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from rainsim.config.settings import Config
+from made_frames import MadeUpFrames
 from rainsim.errors import InputError, ParameterError
 from rainsim.farm import shared_run
 from rainsim.farm.shared_run import SharedRun, joined
@@ -29,32 +28,11 @@ from rainsim.output_folder import (
     claimed,
     read_record,
 )
-from rainsim.render.report import FrameReport
 from scenes import tiny_scene
 
 FRAMES = 12
-KILLS, MANY_KILLS = 6, 100
+KILLS, MANY_KILLS = 4, 100
 NOT_COMPARED = (PROVENANCE, JOURNAL)  # they hold times
-
-
-class MadeUpFrames:
-    """Frames that follow from their number, in place of a `FrameSequence`; each takes `pause`."""
-
-    def __init__(self, frames=FRAMES, pause=0.0, stop=None):
-        self.config = Config().replace(frames=frames)
-        self.next, self.drawn, self._pause, self._stop = 0, [], pause, stop
-
-    def frames(self, indices, tell=None):
-        for index in indices:
-            if index == self._stop:
-                raise KeyboardInterrupt
-            time.sleep(self._pause)
-            self.drawn.append(index)
-            self.next = index + 1
-            picture = np.random.default_rng(index).integers(0, 255, (48, 64, 3), dtype=np.uint8)
-            layers = {"depth": np.full((48, 64), index, np.float32)}
-            facts = index, index / 24, {"all": 1.0}, {"rain": index}
-            yield picture, FrameReport(*facts, ("a note",), layers)
 
 
 def draw(folder, first=0, end=FRAMES, seed=0, stale=60, **how):
@@ -177,7 +155,7 @@ def test_frames_that_are_damaged_are_drawn_again(tmp_path, whole):
 
 def test_what_an_interrupted_process_had_claimed_is_free(tmp_path, whole):
     with pytest.raises(KeyboardInterrupt):
-        draw(tmp_path / "a", stop=5)
+        draw(tmp_path / "a", at=5)
     assert draw(tmp_path / "a")[0] == list(range(5, FRAMES))
     same(tmp_path / "a", whole)
 

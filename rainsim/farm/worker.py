@@ -1,0 +1,92 @@
+"""What a worker does: says what it is, takes a job, draws chunks of frames of it."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import platform
+import tempfile
+from contextlib import suppress
+from pathlib import Path
+
+from rainsim import __version__
+from rainsim.io.fingerprint import sources, versions
+from rainsim.output_folder import host_facts
+from rainsim.render.frame_files import FrameWriter, facts_of
+
+_SEQUENCES = {}  # what this process draws, by the job's name; one at a time
+
+
+def facts():
+    """Return what decides whether this process draws the same bytes, as plain values."""
+    from rainsim.jit import processor
+
+    return {
+        "version": __version__, "sources": sources(), "libraries": versions(),
+        "processor": processor(), "host": platform.node(), "cores": os.cpu_count(),
+    }  # fmt: skip
+
+
+def sees(path, text):
+    """Whether this process finds a file with a text, and may write beside it."""
+    with suppress(OSError):
+        if Path(path).read_text(encoding="utf-8") == text:
+            tempfile.TemporaryFile(dir=Path(path).parent).close()
+            return True
+    return False
+
+
+def take_job(name, sequence):
+    """Keep the `FrameSequence` of a job, in place of earlier ones."""
+    _SEQUENCES.clear()
+    _SEQUENCES[name] = sequence
+    return True
+
+
+def draw_chunk(name, indices, folder=None, threads=None, states=None):
+    """Draw frames of a job.
+
+    Parameters
+    ----------
+    name : str
+        Of the job, as `take_job` had it.
+    indices : list of int
+        Frames that follow one another.
+    folder : str, optional
+        Where the frames' files go; without one they are sent back.
+    threads : int, optional
+        Of the kernels.
+    states : dict of int to SimState, optional
+        Of the frames; without them the water is simulated here.
+
+    Returns
+    -------
+    list of dict, or None
+        For each frame: `index`, the names of its `files` with their SHA-256, what the journal notes
+        of it as `facts`, and the files' `bytes` by name if they are sent back. None if the job is
+        not here: the worker was started again.
+    """
+    from rainsim.jit import set_threads
+
+    if name not in _SEQUENCES:
+        return None
+    set_threads(threads)
+    sequence = _SEQUENCES[name]
+    if states is not None:
+        sequence.states = states.__getitem__
+    with tempfile.TemporaryDirectory(prefix="rainsim-") as own:
+        where, done = Path(folder or own), []
+
+        def note(report, names):
+            content = {name: (where / name).read_bytes() for name in names}
+            frame = {
+                "index": report.index,
+                "files": {name: hashlib.sha256(c).hexdigest() for name, c in content.items()},
+                "facts": {**facts_of(report), "host": host_facts()},
+            }
+            done.append(frame if folder else {**frame, "bytes": content})
+
+        with FrameWriter(where, note) as writer:
+            for picture, report in sequence.frames(indices):
+                writer.add(picture, report)
+    return done

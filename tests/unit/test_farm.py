@@ -1,0 +1,180 @@
+"""Workers of dask.distributed: the same bytes as in one go, whatever befalls them."""
+
+import os
+import random
+import signal
+import threading
+import time
+from pathlib import Path
+
+import pytest
+from test_shared_run import FRAMES, facts, same, whole, written  # noqa: F401
+
+import made_frames
+from made_frames import MadeUpFrames
+from rainsim.errors import BackendError, RainsimError
+from rainsim.farm import cluster
+from rainsim.output_folder import FrameFolder, Record, claimed
+from scenes import tiny_scene
+
+pytest.importorskip("distributed")
+MANY_KILLS = 50
+
+
+class Said:
+    """In place of `Status`: keeps what is said."""
+
+    def __init__(self):
+        self.lines = []
+
+    def say(self, text):
+        self.lines.append(text)
+
+    def notes(self, notes):
+        pass
+
+    def progress(self, stage, done, total):
+        self.lines.append(f"{stage} {done}/{total}")
+
+
+def start(count):
+    folders = [str(Path(__file__).parent), str(Path(__file__).parent.parent)]
+    before = os.environ.get("PYTHONPATH", "")
+    os.environ["PYTHONPATH"] = os.pathsep.join([*folders, before])
+    try:
+        with cluster.client_of(workers=count, threads=count) as client:
+            yield client
+    finally:
+        os.environ["PYTHONPATH"] = before
+
+
+@pytest.fixture(scope="module")
+def client():
+    """Two workers for all tests; those that are killed are started again."""
+    yield from start(2)
+
+
+def draw(client, folder, resume=False, limits=None, **how):
+    """Draw a run by workers; return what was said."""
+    frames, scene, said = MadeUpFrames(**how), tiny_scene(), Said()
+    with claimed(folder, resume=resume):
+        record = Record(Path(folder), scene, {"layers": ["depth"]}, seed=0)
+        run = Path(folder), record, scene.cameras[:1], frames.config, False
+        reports = cluster.draw_with_workers(client, frames, run, resume, said, **(limits or {}))
+    assert [report.index for report in reports] == list(range(frames.config.frames))
+    return said.lines
+
+
+def test_workers_draw_the_same_bytes(tmp_path, client, whole):  # noqa: F811
+    said = draw(client, tmp_path / "a")
+    same(tmp_path / "a", whole)
+    assert said[-1] == f"frames {FRAMES}/{FRAMES}" and said == sorted(set(said), key=said.index)
+
+
+def test_frames_are_sent_where_the_folder_is_not_seen(tmp_path, client, whole, monkeypatch):  # noqa: F811
+    monkeypatch.setattr(cluster.on_worker, "sees", made_frames.sees_nothing)
+    said = draw(client, tmp_path / "a")
+    assert "sends its frames" in " ".join(said)
+    same(tmp_path / "a", whole)
+
+
+def test_an_unfinished_run_is_gone_on_with_by_workers(tmp_path, client, whole):  # noqa: F811
+    frames, scene = MadeUpFrames(at=5), tiny_scene()
+    with pytest.raises(KeyboardInterrupt), claimed(tmp_path / "a"):
+        record = Record(tmp_path / "a", scene, {"layers": ["depth"]}, seed=0)
+        with FrameFolder(tmp_path / "a", record, scene.cameras[:1], frames.config) as film:
+            for frame in frames.frames(range(FRAMES)):
+                film.add(*frame)
+    said = draw(client, tmp_path / "a", resume=True)
+    assert said[0] == f"5 of {FRAMES} frames are finished and kept"
+    same(tmp_path / "a", whole)
+
+
+@pytest.mark.parametrize(
+    ("fault", "why"),
+    [("die", "died"), ("garbage", "no picture of"), ("error", "disk of the worker is full"),
+     ("hang", "hung")],
+)  # fmt: skip
+def test_a_worker_that_fails_loses_nothing(tmp_path, client, whole, fault, why):  # noqa: F811
+    limits = {"patience": 0.5, "first": 1.0} if fault == "hang" else {}
+    said = draw(client, tmp_path / "a", False, limits, at=5, fault=fault, once=tmp_path / "once")
+    assert any("drawn again" in line and why in line for line in said), said
+    same(tmp_path / "a", whole)
+
+
+def test_a_frame_that_no_worker_draws_is_named(tmp_path, client):
+    with pytest.raises(RainsimError, match=r"frame 5 was given to workers 2 times.*disk of the"):
+        draw(client, tmp_path / "a", at=5, limits={"tries": 2}, fault="error")
+
+
+def test_workers_of_another_kind_are_refused_or_named(tmp_path, client, monkeypatch):
+    from rainsim import jit
+
+    with monkeypatch.context() as patch:
+        patch.setattr(jit, "processor", lambda: "another")
+        said = draw(client, tmp_path / "a")
+    assert "WARNING" in " ".join(said) and "has another processor" in " ".join(said)
+    monkeypatch.setattr(cluster, "PATIENCE", 6.0)
+    for name, value, why in (
+        ("sources", lambda: "others", "has other sources than ours"),
+        ("versions", lambda: {**dict.fromkeys(cluster.VERSIONS), "numpy": "1"}, "and we"),
+    ):
+        with monkeypatch.context() as patch:
+            patch.setattr(cluster, name, value)
+            with pytest.raises(BackendError, match=why):
+                draw(client, tmp_path / name)
+
+
+def test_nothing_listens_beyond_this_machine(client):
+    psutil = pytest.importorskip("psutil")  # the engine's own
+    me = psutil.Process()
+    found = {
+        link.laddr.ip
+        for process in (me, *me.children(recursive=True))
+        for link in process.net_connections()
+        if link.status == "LISTEN"
+    }
+    assert len(client.run(os.getpid)) == 2 and found == {"127.0.0.1"}
+
+
+def test_without_the_engine_one_line_says_what_brings_it(monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "distributed", None)
+    with pytest.raises(BackendError, match=r'pip install "rainsim\[farm\]"'):
+        cluster.require()
+
+
+def test_a_scheduler_that_is_not_there(monkeypatch):
+    monkeypatch.setattr(cluster, "PATIENCE", 2.0)
+    for address, why in (("tcp://127.0.0.1:9", "does not answer"), ("tls://a:9", "no certificate")):
+        with pytest.raises(BackendError, match=why), cluster.client_of(address):
+            pass
+
+
+def killer(client, ended, seed, killed):
+    """Kill workers at random moments until `ended`."""
+    rng = random.Random(seed)
+    while not ended.wait(rng.uniform(0.2, 1.5)):
+        pids = list(client.run(os.getpid, on_error="ignore").values())
+        if pids:
+            os.kill(rng.choice(pids), rng.choice([signal.SIGKILL, signal.SIGTERM]))
+            killed.append(time.monotonic())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("workers", [1, 2, 5])
+def test_workers_killed_at_many_random_moments_lose_nothing(tmp_path, workers):
+    killed, runs = [], 0
+    for client in start(workers):
+        while len(killed) < MANY_KILLS // 3:
+            ended = threading.Event()
+            thread = threading.Thread(target=killer, args=(client, ended, runs, killed))
+            thread.start()
+            try:
+                draw(client, tmp_path / str(runs), limits={"tries": 1000}, frames=60, pause=0.1)
+            finally:
+                ended.set()
+                thread.join()
+            runs += 1
+            first, last = (written(tmp_path / str(n)) for n in (0, runs - 1))
+            assert first == last and facts(tmp_path / "0") == facts(tmp_path / str(runs - 1))
+    print(f"{workers} workers: {len(killed)} kills in {runs} runs")
