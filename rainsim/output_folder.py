@@ -1,7 +1,7 @@
 """Output folders: checked before use, filled file by file, with a record of what was written.
 
 `provenance.json` in a folder names the files that the program wrote there; only these are ever
-removed, and only when new results are ready to take their place.
+removed or replaced, and only when new results are ready to take their place.
 """
 
 from __future__ import annotations
@@ -47,12 +47,13 @@ STATE = "states/{:05d}.npz"
 STATE_FACTS = {"ledger": dict, "notes": list}  # what the journal says of a state, and of a frame
 FRAME_FACTS = STATE_FACTS | {"time": float, "milliseconds": dict}
 # Files of a run that was killed while it wrote them, see `rainsim.io.files.replacing`.
-TEMPORARY = re.compile(r"\.[\w.-]+\.[a-z0-9_]{8}(\.[a-z0-9]+)?")
+TEMPORARY = re.compile(r"\.([\w.-]+)\.[a-z0-9_]{8}(\.[a-z0-9]+)?")
+FOLDERS = ("", "frames", "states", "layers", "layers/*")  # that the program writes to
 VERSIONS_OF = ("numpy", "scipy", "numba", "llvmlite", "pillow")
 
 
 @contextmanager
-def claimed(path, overwrite=False, resume=False):
+def claimed(path, overwrite=False, resume=False, sources=()):
     """Check and make an output folder and yield it; remove it again if it stays empty.
 
     Parameters
@@ -63,11 +64,14 @@ def claimed(path, overwrite=False, resume=False):
         Whether it may hold files already. Earlier results are replaced, other files stay.
     resume : bool
         Whether it may hold an unfinished run, see `Record.resume`.
+    sources : iterable of path-like or None
+        What the run reads: results in the folder are not replaced while they are read.
 
     Raises
     ------
     ParameterError
-        If it holds files and `overwrite` is not set, is no folder, or another run writes to it.
+        If it holds files and `overwrite` is not set, is no folder, or another run writes to it; or
+        if results would replace what the run reads or files that no record of a run lists.
     OSError
         If it cannot be made or written to.
     """
@@ -79,6 +83,8 @@ def claimed(path, overwrite=False, resume=False):
     try:
         with claim(path / CLAIM):
             _require_empty(path, overwrite or resume)  # another run may have been first
+            if overwrite and not resume:
+                _require_replaceable(path, sources)
             tempfile.TemporaryFile(dir=path).close()  # before hours of work, not after
             yield path
     except ClaimedError as error:
@@ -99,6 +105,37 @@ def _require_empty(path, overwrite):
             "give another --out, --overwrite to replace results in it, or --resume to go on with "
             "an unfinished run"
         )
+
+
+def _require_replaceable(path, sources):
+    """Raise ParameterError if new results in `path` would cost more than results of before."""
+    record, here = read_record(path), path.resolve()
+    for source in (Path(source).resolve() for source in sources if source is not None):
+        is_ours = source.parent == here and OURS.fullmatch(source.name)
+        if is_ours or (record and source == here):
+            raise ParameterError(
+                f"output folder {path} holds what this run reads, {one_line(source.name)}; "
+                "--overwrite would remove it; give another --out"
+            )
+    if record and not record.get("complete"):
+        return  # a killed run leaves a file or two that it had no time to note
+    noted = Journal(path, JOURNAL, OURS.fullmatch).entries().values()
+    known = {*_files_of(record), *(name for entry in noted for name in entry["files"])}
+    known |= {JOURNAL, PROVENANCE} if record else set()
+    for name in sorted(_names_in(path)):
+        if (name == PROVENANCE or OURS.fullmatch(name)) and name not in known:
+            raise ParameterError(
+                f"{path / name} is on no record of a run; --overwrite replaces recorded results "
+                "only; give another --out, or move the file away"
+            )
+
+
+def _names_in(folder):
+    """Yield the names of all files where the program writes, relative to the folder."""
+    for pattern in FOLDERS:
+        for path in folder.glob(f"{pattern}/*".lstrip("/")):
+            if path.is_file():
+                yield path.relative_to(folder).as_posix()
 
 
 class Record:
@@ -152,9 +189,12 @@ class Record:
             self.journal.gather()
             shutil.rmtree(self.folder / SHARED_FOLDER, ignore_errors=True)
         self.journal.begin_line()
-        for path in self.folder.rglob(".*"):
-            if TEMPORARY.fullmatch(path.name) and path.name != CLAIM and path.is_file():
-                path.unlink()
+        for name in list(_names_in(self.folder)):
+            folder, _, last = name.rpartition("/")
+            temporary = TEMPORARY.fullmatch(last)
+            meant = f"{folder}/{temporary[1]}".lstrip("/") if temporary else ""
+            if meant == PROVENANCE or OURS.fullmatch(meant):
+                (self.folder / name).unlink()
         self.write(complete=False)  # first of all: a run that is killed can be gone on with
 
     def resume(self, indices, part=FRAME, facts=FRAME_FACTS):

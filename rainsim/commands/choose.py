@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 from rainsim.errors import ParameterError
 
@@ -116,6 +117,11 @@ def _scale_in_picture(scene, camera, numbers):
     u1, v1, u2, v2, length = numbers
     ends = points_at(scene.splats, named_camera(scene, camera), ((u1, v1), (u2, v2)))
     return scale_from_length(*ends, length)
+
+
+def paths_in(given):
+    """Return the files that options name, a list of Path."""
+    return [value for value in given.values() if isinstance(value, Path)]
 
 
 def check_camera_options(given):

@@ -11,6 +11,7 @@ from rainsim.commands import options
 from rainsim.commands.choose import (
     cameras_of,
     check_camera_options,
+    paths_in,
     settings,
     view_on,
 )
@@ -74,6 +75,7 @@ def run(
         content = {"layers": names, "backend": backend}
         files = {"out": out, "overwrite": overwrite, "resume": resume, "video": video}
         files |= {"stale": stale, "as_json": as_json, "farm": (given, backend, pool)}
+        files["sources"] = [loaded.source, *paths_in(given)]
         _write_frames(status, film, loaded, config, preset, content, **files)
 
 
@@ -107,7 +109,7 @@ def simulate(terrain, preset, out, overwrite, resume, threads, as_json, quiet, *
 
     with (
         status,
-        claimed(out, overwrite, resume),
+        claimed(out, overwrite, resume, [terrain, *paths_in(given)]),
         compiled_beside(status, [SIMULATE], config.threads),
     ):
         _set_up(config)
@@ -259,6 +261,7 @@ def render(
     preset = made["preset"]
     content = {"layers": names, "backend": backend, "states": states_content(states)}
     files = {"out": out, "overwrite": overwrite, "resume": resume, "video": video}
+    files["sources"] = [states, loaded.source, *paths_in(given)]
     uses = uses_of(config, names, backend)
     with status, compiled_beside(status, uses, config.threads) as pool:
         files |= {"stale": stale, "as_json": as_json, "farm": (given, backend, pool)}
@@ -356,7 +359,7 @@ def _say_memory(status, scene, terrain, cameras, names, backend):
 
 def _write_frames(
     status, film, scene, config, preset, content, *,
-    out, overwrite, resume, video, stale, farm, as_json,
+    out, overwrite, resume, sources, video, stale, farm, as_json,
 ):  # fmt: skip
     """Draw frames into the folder `out` and say how it went.
 
@@ -370,7 +373,7 @@ def _write_frames(
     from rainsim.farm.shared_run import joined
 
     shared = config.frame_range is not None and not overwrite
-    with joined(out) if shared else output_folder.claimed(out, overwrite, resume):
+    with joined(out) if shared else output_folder.claimed(out, overwrite, resume, sources):
         _set_up(config)
         facts = output_folder.settings_facts(config, preset)
         content["settings"] = output_folder.settings_content(config)

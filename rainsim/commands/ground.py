@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from rainsim.commands import options
-from rainsim.commands.choose import settings
+from rainsim.commands.choose import paths_in, settings
 from rainsim.commands.compile import compiled_beside
 from rainsim.commands.status import Status, loaded_scene
 from rainsim.errors import ParameterError
@@ -69,12 +69,13 @@ def heightmap(scene, class_mask, check, out, overwrite, resume, threads, as_json
         with status:
             loaded = loaded_scene(status, scene, given)
         name = loaded.name
+    source = scene if surface else loaded.source
     out = out or options.default_out(name, "terrain")
     from rainsim.compiling.uses import HEIGHTMAP
 
     with (
         status,
-        claimed(out, overwrite, resume),
+        claimed(out, overwrite, resume, [source, class_mask, *paths_in(given)]),
         compiled_beside(status, [HEIGHTMAP], config.threads),
     ):
         from rainsim.jit import set_threads

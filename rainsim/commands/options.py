@@ -304,8 +304,8 @@ def output_options(default):
         click.option("--out", "-o", type=FOLDER, metavar="DIR", show_default=default,
                      help="Output folder."),
         click.option("--overwrite", is_flag=True,
-                     help="Allow a folder that is not empty; only earlier results in it are "
-                     "replaced."),
+                     help="Allow a folder that is not empty; only earlier results that its record "
+                     "lists are replaced."),
         click.option("--threads", type=int, metavar="N", show_default="all cores",
                      help="Number of threads."),
         json_option,

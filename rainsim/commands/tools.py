@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 
 from rainsim.commands import options
+from rainsim.commands.choose import paths_in
 from rainsim.commands.compile import compiled_beside
 from rainsim.commands.status import Status, loaded_scene
 from rainsim.errors import RainsimError
@@ -51,7 +52,7 @@ def import_(path, info, out, overwrite, resume, threads, as_json, quiet, **given
         scene = loaded_scene(status, path, given)
     frame = scene.ground_frame
     out = out or Path(f"{options.plain(scene.name)}-scene")
-    with claimed(out, overwrite, resume):
+    with claimed(out, overwrite, resume, [path, *paths_in(given)]):
         record = Record(out, scene)
         if resume:
             record.resume(())  # one step: it is made again in the folder of the very same scene

@@ -199,6 +199,33 @@ def test_overwriting_removes_old_frames_and_nothing_else(film, tmp_path):
     assert (tmp_path / "out" / "00000.png").read_text() == "mine"
 
 
+def test_overwriting_never_removes_what_is_read(rainsim, scene_folder, tmp_path):
+    map_of = ["heightmap", scene_folder, *MAP, "--out", "map"]
+    assert rainsim(*map_of).code == 0
+    assert rainsim("simulate", "map", "--frames", 1, "--out", "states").code == 0
+    assert rainsim("import", scene_folder, "--out", "scene").code == 0
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    frame = ["--ground-frame", "map/ground_frame.json"]
+    for command in (
+        ["simulate", "map", "--out", "map"],
+        ["simulate", "map/terrain.npz", "--out", "map"],
+        ["render", "states", "--width", 64, "--out", "states"],
+        ["render", "states", "--scene", "scene", "--width", 64, "--out", "scene"],
+        ["run", "--scene", "scene", "--width", 64, *MAP, "--out", "scene"],
+        ["run", "--scene", "scene/splats.npz", "--width", 64, *MAP, "--out", "scene"],
+        ["import", "scene", "--out", "scene"],
+        ["heightmap", "scene", *MAP, "--out", "scene"],
+        ["heightmap", "map/bed.tif", "--spacing", 0.04, "--out", "map"],
+        [*map_of, "--class-mask", "map/classes.png"],
+        ["run", "--scene", scene_folder, *frame, "--width", 64, *MAP, "--out", "map"],
+    ):
+        done = rainsim(*command, "--overwrite")
+        assert done.code in (1, 2), command
+        assert "this run reads" in done.error or command[2] == "scene/splats.npz", done.error
+        now = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+        assert now == before, command
+
+
 def test_an_error_before_the_first_frame_changes_nothing(film, tmp_path, monkeypatch):
     assert film("out").code == 0
     before = {path: path.read_bytes() for path in (tmp_path / "out").rglob("*") if path.is_file()}

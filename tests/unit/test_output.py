@@ -138,6 +138,43 @@ def test_a_record_that_is_not_ours_counts_for_nothing(tmp_path, text):
     assert (tmp_path / "scene.json").exists()
 
 
+@pytest.mark.parametrize("name", ["frames/00000.png", "transforms.json", PROVENANCE])
+def test_files_that_no_record_lists_are_not_replaced(tmp_path, name):
+    (tmp_path / name).parent.mkdir(exist_ok=True)
+    (tmp_path / name).write_text("mine")
+    with pytest.raises(ParameterError, match="is on no record of a run"):
+        with claimed(tmp_path, overwrite=True):
+            pass
+    assert (tmp_path / name).read_text() == "mine"
+    assert [path.name for path in tmp_path.iterdir()] == [name.split("/")[0]]
+    (tmp_path / name).unlink()
+    _written(tmp_path, "frames/00000.png", "transforms.json")
+    with claimed(tmp_path, overwrite=True):  # now it is the program's own
+        _written(tmp_path, seed=2)
+    assert not (tmp_path / "frames/00000.png").exists()
+
+
+def test_a_killed_run_is_replaced_though_its_last_frame_is_on_no_record(tmp_path):
+    Record(tmp_path).begin()
+    (tmp_path / "frames").mkdir()
+    (tmp_path / "frames/00000.png").write_text("half")
+    with claimed(tmp_path, overwrite=True):
+        pass
+
+
+def test_temporary_files_of_the_program_go_and_those_of_others_stay(tmp_path):
+    ours = [".scene.json.a1b2c3d4.json", "frames/.00000.png.abcdefgh.png"]
+    ours += ["layers/depth/.00001.exr.abcdefgh.exr", ".video.mp4.abc_efgh.mp4"]
+    others = [".my.settings", ".config.template.yml", "frames/.notes.txt.abcdefgh.txt"]
+    others += ["mine/.00000.png.abcdefgh.png"]
+    for name in (*ours, *others):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text("x")
+    Record(tmp_path).begin()
+    left = [p.relative_to(tmp_path).as_posix() for p in tmp_path.rglob("*") if p.is_file()]
+    assert sorted(left) == sorted([*others, PROVENANCE])
+
+
 @pytest.fixture
 def sequence(tmp_path):
     """A folder that takes three frames, and a function that draws one into the same array."""
