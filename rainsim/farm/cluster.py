@@ -21,6 +21,12 @@ HERE = "127.0.0.1"
 POLL = 0.5  # s between looks at who is there
 PATIENCE = 60.0  # s for a worker to say what it is, and for the first worker to come
 VERSIONS = ("python", "numpy", "numba", "llvmlite")  # that change what kernels compute
+# What the engine does beside a frame: pages that show its state, a profile of each worker, and an
+# environment in which every large array is given back to the system at once.
+SPARE = {
+    "distributed.scheduler.http.routes": [], "distributed.worker.http.routes": [],
+    "distributed.worker.profile.enabled": False, "distributed.nanny.pre-spawn-environ": {},
+}  # fmt: skip
 NO_ENGINE = 'workers need dask.distributed, which is not installed; pip install "rainsim[farm]"'
 
 
@@ -67,9 +73,8 @@ def client_of(address=None, workers=1, backend="cpu", threads=None):
         for n in range(workers)
     }  # fmt: skip
     scheduler = {"cls": distributed.Scheduler, "options": {**quiet, "dashboard": False, "port": 0}}
-    routes = {f"distributed.{kind}.http.routes": [] for kind in ("scheduler", "worker")}
     with (
-        dask.config.set(routes),
+        dask.config.set(SPARE),
         distributed.SpecCluster(nannies, scheduler, silence_logs=logging.CRITICAL) as cluster,
         distributed.Client(cluster, set_as_default=False) as client,
     ):
