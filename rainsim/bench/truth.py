@@ -18,7 +18,7 @@ from dataclasses import replace
 import numpy as np
 from scipy import ndimage
 
-from rainsim.reflection.mirrored_rays import LEAST_VARIANCE, SAMPLES
+from rainsim.reflection.facets import LEAST_VARIANCE, SAMPLES
 from rainsim.reflection.ray_traced import mirror_rays
 from rainsim.reflection.screen_space import NOT_GROUND
 from rainsim.reflection.water_record import (
@@ -117,16 +117,17 @@ def area_light(renderer, camera, state, pixel, seed):
     record[:, SLOPE_X] += deviation * p
     across = np.sqrt(np.maximum(record[:, VARIANCE_Y] - along**2, 0))
     record[:, SLOPE_Y] += along * p + across * q
-    direction, way = np.empty((count, 3), np.float32), np.empty(count, np.float32)
-    mirror_rays(np.arange(count), record, water.wet.view, 0, direction, way)
+    direction, (way, weight) = np.empty((count, 3), np.float32), np.empty((2, count), np.float32)
+    mirror_rays(np.arange(count), record, water.wet.view, 0, direction, way, weight)
     light, _, _ = renderer.wet_scene.traced(
         record[:, POINT], direction, way, record[:, VIEW_DEPTH] / way / np.float32(camera.fx)
     )
     row, column = np.divmod(water.pixel, fine.width)
     to = (row // RAYS) * camera.width + column // RAYS
     size = camera.width * camera.height
-    total = np.bincount(to, record[:, COVERAGE], size)[pixel]
-    sums = [np.bincount(to, record[:, COVERAGE] * light[:, k], size)[pixel] for k in range(3)]
+    weight *= record[:, COVERAGE]
+    total = np.bincount(to, weight, size)[pixel]
+    sums = [np.bincount(to, weight * light[:, k], size)[pixel] for k in range(3)]
     with np.errstate(invalid="ignore"):
         return (np.stack(sums, axis=1) / total[:, None]).astype(np.float32)
 

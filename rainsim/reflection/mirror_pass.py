@@ -12,19 +12,22 @@ from __future__ import annotations
 import numpy as np
 
 from rainsim.constants import HALF, ONE, ZERO
-from rainsim.jit import cpu_kernel, device_function, inlined_function, prange, serial_kernel
+from rainsim.jit import device_function, inlined_function, prange, serial_kernel, thorough_kernel
 from rainsim.numerics.mipmap import blurred_color
 from rainsim.numerics.pixel_batches import CHUNK, nearest
+from rainsim.reflection.facets import (
+    SAMPLES,
+    light_weight,
+    normal_of,
+    sample_slopes,
+    slope_samples,
+)
 from rainsim.reflection.mirrored_rays import (
     ENVIRONMENT,
     MIRROR,
-    SAMPLE_X,
-    SAMPLE_Y,
-    SAMPLES,
     SPREAD,
     reflected_upwards,
     sample_blur,
-    slope_samples,
 )
 from rainsim.reflection.planar_mirror import (
     HALVINGS,
@@ -38,25 +41,23 @@ from rainsim.reflection.planar_mirror import (
     vanishing_point,
 )
 from rainsim.reflection.water_record import read_record
-from rainsim.reflection.water_shading import normal_of
 from rainsim.scene.view import View, project
 from rainsim.shading.wetting import FAR_AWAY
 
 GROUP = 512  # records that a thread takes at a time
 # Rows of a chunk of rays: unit view direction, slopes there, the image point that the ray starts at
 # and its depth [m], the way to its vanishing point, where it ends on that (0 to 1), blur [px] at
-# its end, image point there and depth [m] of what the picture shows there.
-(VIEW_X, VIEW_Y, VIEW_Z, SLOPE_X, SLOPE_Y, U, V, Z, DU, DV, END, BLUR, AT_U, AT_V, SURFACE) = (
-    CHUNK * k for k in range(15)
-)
+# its end, image point there and depth [m] of what the picture shows there; share of the light.
+(VIEW_X, VIEW_Y, VIEW_Z, SLOPE_X, SLOPE_Y, U, V, Z, DU, DV, END, BLUR, AT_U, AT_V, SURFACE,
+ SHARE) = (CHUNK * k for k in range(16))  # fmt: skip
 # Of the rays that are marched: as above, what the last steps found, and 1 from the hit on.
 (FROM_U, FROM_V, FROM_Z, WAY_U, WAY_V, BEFORE, LAST, FREE, HIGH, MET) = (
-    CHUNK * k for k in range(15, 25)
+    CHUNK * k for k in range(16, 26)
 )
-NUMBERS = 25 * CHUNK
+NUMBERS = 26 * CHUNK
 
 
-@cpu_kernel
+@thorough_kernel
 def mirror_light(which, record, view: View, mirror: MirrorPicture, light_out, source_out):
     """Find the mirrored light of listed water in the picture that a mirrored camera took.
 
@@ -103,16 +104,10 @@ def mirror_group(which, record, view, picture, coarse, depth, light_out, source_
                 n = owner[i]
                 u, v = s[U + i] + s[END + i] * s[DU + i], s[V + i] + s[END + i] * s[DV + i]
                 r, g, b = blurred_color(picture, coarse, u, v, s[BLUR + i] * s[END + i])
-                light_out[n, 0] += r
-                light_out[n, 1] += g
-                light_out[n, 2] += b
+                light_out[n, 0] += s[SHARE + i] * r
+                light_out[n, 1] += s[SHARE + i] * g
+                light_out[n, 2] += s[SHARE + i] * b
             rays = np.int64(0)
-    for k in range(len(which)):
-        n = which[k]
-        weight = ONE / np.float32(slope_samples(read_record(record, n), SPREAD)[0])
-        light_out[n, 0] *= weight
-        light_out[n, 1] *= weight
-        light_out[n, 2] *= weight
 
 
 @inlined_function
@@ -124,13 +119,18 @@ def add_rays(record, n, view, rays, s, owner):
     blur = ZERO
     if samples > 1:
         blur = sample_blur(view, water)
+    total = ZERO
     for k in range(samples):
         i = rays + k
         s[VIEW_X + i], s[VIEW_Y + i], s[VIEW_Z + i] = water.view_x, water.view_y, water.view_z
-        s[SLOPE_X + i] = water.slope_x + a * SAMPLE_X[k]
-        s[SLOPE_Y + i] = water.slope_y + b * SAMPLE_X[k] + c * SAMPLE_Y[k]
+        s[SLOPE_X + i], s[SLOPE_Y + i] = sample_slopes(water, a, b, c, k)
         s[U + i], s[V + i], s[Z + i], s[BLUR + i] = u, v, z, blur
+        s[SHARE + i] = light_weight(water, k)
+        total += s[SHARE + i]
         owner[i] = n
+    gain = ONE / total
+    for k in range(samples):
+        s[SHARE + rays + k] *= gain
     return rays + samples
 
 

@@ -1,9 +1,7 @@
-"""The rays that a pixel of water mirrors: drawn from the slopes that the pixel shows.
+"""The rays that a pixel of water mirrors: one for each of the slopes in it, see `facets`.
 
-The slopes in a pixel are taken for normally distributed, with the mean and covariance that the
-pixel has, and what it mirrors is the mean over SAMPLES of them. Where the mirrored picture can be
-blurred, the samples are drawn together and each is looked up in a picture blurred for the slopes
-between them.
+Where the mirrored picture can be blurred, the slopes are drawn together and each is looked up in a
+picture blurred for the slopes between them.
 """
 
 from __future__ import annotations
@@ -12,40 +10,21 @@ import numpy as np
 
 from rainsim.constants import ONE, TWO, ZERO
 from rainsim.jit import inlined_function
-from rainsim.reflection.slope_moments import root_of
-from rainsim.reflection.water_shading import LEAST_COSINE, normal_of, view_cosine
+from rainsim.reflection.facets import LEAST_COSINE, RADIUS, normal_of, sample_slopes, view_cosine
 from rainsim.scene.view import camera_component
 
 ENVIRONMENT, SCREEN, MIRROR, TRACED = 0, 1, 2, 3  # where mirrored light was found
 
-LEAST_VARIANCE = np.float32(2 * 0.003**2)  # of slopes, both axes: below that a mirror is smooth
-SAMPLES = 7  # one in the middle, six around it
-_RING = 2 * np.pi * np.arange(6) / 6
-_RADIUS = np.sqrt(2 * 7 / 6)  # in deviations: keeps the variance of the slopes
-SAMPLE_X = np.append(0, _RADIUS * np.cos(_RING)).astype(np.float32)
-SAMPLE_Y = np.append(0, _RADIUS * np.sin(_RING)).astype(np.float32)
-SPREAD = np.float32(1.25 / _RADIUS)  # of samples in a blurred picture, over that; see docs/light.md
+SPREAD = np.float32(1.25 / RADIUS)  # of samples in a blurred picture, over that; see docs/light.md
 # Deviation of the slopes that each of those samples stands for, so that the variances add up to 1.
 BLUR = np.float32(np.sqrt(1 - SPREAD**2))
 
 
 @inlined_function
-def slope_samples(water, share):
-    """Return the number of slopes to take in a pixel, and a root of their covariance.
-
-    The root (a, b, c) is the lower triangle (a; b, c) times `share`, see `sample_ray`.
-    """
-    if water.variance_x + water.variance_y < LEAST_VARIANCE:
-        return 1, ZERO, ZERO, ZERO
-    a, b, c = root_of(water.variance_x, water.variance_y, water.covariance)
-    return SAMPLES, share * a, share * b, share * c
-
-
-@inlined_function
 def sample_ray(water, a, b, c, sample):
     """Return the unit mirrored ray of one of the slopes in a pixel, see `slope_samples`."""
-    p, q = SAMPLE_X[sample], SAMPLE_Y[sample]
-    ux, uy, uz = normal_of(water.slope_x + a * p, water.slope_y + b * p + c * q)
+    gx, gy = sample_slopes(water, a, b, c, sample)
+    ux, uy, uz = normal_of(gx, gy)
     return reflected_upwards(water.view_x, water.view_y, water.view_z, ux, uy, uz)
 
 

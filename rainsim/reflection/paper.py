@@ -16,6 +16,7 @@ from rainsim.constants import HALF, ONE, ZERO
 from rainsim.jit import cpu_kernel, device_function, lean_function, prange, serial_kernel
 from rainsim.numerics.approximations import exp_minus
 from rainsim.numerics.interpolation import bilinear, bilinear_color
+from rainsim.reflection.facets import normal_of, view_cosine
 from rainsim.reflection.mirrored_rays import ENVIRONMENT, SCREEN, reflected_upwards
 from rainsim.reflection.ray_water import HIDE_HIGH, LEAST_DIP, meet_surface
 from rainsim.reflection.screen_space import surface_in_camera
@@ -26,10 +27,8 @@ from rainsim.reflection.water_shading import (
     ABSORB_R,
     Background,
     Optics,
-    normal_of,
     refracted_to,
     sun_glint,
-    view_cosine,
 )
 from rainsim.reflection.water_surface import WaterMap
 from rainsim.scene.view import View, camera_component, in_camera, pixel_ray, project

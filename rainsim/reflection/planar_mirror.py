@@ -18,7 +18,8 @@ import numpy as np
 from rainsim.constants import HALF, ONE, ZERO
 from rainsim.jit import inlined_function, lean_function
 from rainsim.numerics.mipmap import blurred_color
-from rainsim.reflection.mirrored_rays import SPREAD, sample_blur, sample_ray, slope_samples
+from rainsim.reflection.facets import light_weight, slope_samples
+from rainsim.reflection.mirrored_rays import SPREAD, sample_blur, sample_ray
 from rainsim.scene.view import camera_component, project
 
 STEPS = 8  # of the march along a bent ray in the mirrored picture, see docs/light.md
@@ -51,14 +52,16 @@ def mirrored_light(view, mirror, water):
     blur = ZERO
     if samples > 1:
         blur = sample_blur(view, water)
-    red, green, blue = ZERO, ZERO, ZERO
+    red, green, blue, total = ZERO, ZERO, ZERO, ZERO
     for sample in range(samples):
         rx, ry, rz = sample_ray(water, a, b, c, sample)
         u, v, share = march_mirror(view, mirror.depth, water, rx, ry, rz)
         r, g, b_ = blurred_color(mirror.picture, mirror.coarse, u, v, blur * share)
-        red, green, blue = red + r, green + g, blue + b_
-    weight = ONE / np.float32(samples)
-    return red * weight, green * weight, blue * weight
+        weight = light_weight(water, sample)
+        total += weight
+        red, green, blue = red + weight * r, green + weight * g, blue + weight * b_
+    gain = ONE / total
+    return red * gain, green * gain, blue * gain
 
 
 @lean_function

@@ -23,13 +23,8 @@ from rainsim.constants import FOUR, HALF, ONE, SH_0, SH_1, SH_2, SH_3, THREE, TW
 from rainsim.jit import cpu_kernel, device_function, inlined_function, lean_function, prange
 from rainsim.numerics.bvh import LEAST_ALPHA, RECORD, build, lay_out
 from rainsim.reflection import water_record
-from rainsim.reflection.mirrored_rays import (
-    ENVIRONMENT,
-    LEAST_VARIANCE,
-    SAMPLES,
-    TRACED,
-    sample_ray,
-)
+from rainsim.reflection.facets import LEAST_VARIANCE, SAMPLES, light_weight
+from rainsim.reflection.mirrored_rays import ENVIRONMENT, TRACED, sample_ray
 from rainsim.reflection.slope_moments import root_of
 from rainsim.reflection.water_record import read_record
 from rainsim.scene.view import View, camera_component
@@ -423,30 +418,31 @@ def traced_light(record, view, trace, light_out, source_out):
     end : ndarray of shape (n, 3), float32 [m]
         Where the rays of the mean slopes end.
     """
-    alpha_of, end = None, None
+    alpha_of, end, total = None, None, None
     variance = record[:, water_record.VARIANCE_X] + record[:, water_record.VARIANCE_Y]
     smooth = variance < LEAST_VARIANCE
     for sample in range(SAMPLES):
         which = np.flatnonzero(~smooth) if sample else np.arange(len(record))
         direction = np.empty((len(which), 3), np.float32)
-        before = np.empty(len(which), np.float32)
-        mirror_rays(which, record, view, sample, direction, before)
+        before, weight = np.empty((2, len(which)), np.float32)
+        mirror_rays(which, record, view, sample, direction, before, weight)
         pixel = record[which, water_record.VIEW_DEPTH] / before / view.fx
         point = record[:, water_record.POINT]
         light, alpha, distance = trace(point[which], direction, before, pixel)
         if sample:
-            light_out[which] += light
+            light_out[which] += weight[:, None] * light
+            total[which] += weight
         else:
-            light_out[:] = light
+            light_out[:], total = weight[:, None] * light, weight
             alpha_of = alpha
             end = point + (distance - before)[:, None] * direction
             source_out[:] = np.where(alpha > HALF, TRACED, ENVIRONMENT)
-    light_out[~smooth] /= SAMPLES
+    light_out /= total[:, None]
     return alpha_of, end
 
 
 @cpu_kernel
-def mirror_rays(which, record, view: View, sample, direction_out, before_out):
+def mirror_rays(which, record, view: View, sample, direction_out, before_out, weight_out):
     """Write the mirrored ray of each record in `which`, for one of the SAMPLES slopes.
 
     Parameters
@@ -457,6 +453,8 @@ def mirror_rays(which, record, view: View, sample, direction_out, before_out):
         Unit, ground frame.
     before_out : ndarray of shape (k,), float32 [m]
         Way from the eye to the water.
+    weight_out : ndarray of shape (k,), float32
+        Of the ray in the light, see `facets.light_weight`.
     """
     for k in prange(len(which)):
         water = read_record(record, which[k])
@@ -465,3 +463,4 @@ def mirror_rays(which, record, view: View, sample, direction_out, before_out):
         direction_out[k, 0], direction_out[k, 1], direction_out[k, 2] = rx, ry, rz
         ahead = camera_component(view, 2, water.view_x, water.view_y, water.view_z)
         before_out[k] = water.view_depth / ahead
+        weight_out[k] = light_weight(water, sample)

@@ -12,7 +12,8 @@ import numpy as np
 from rainsim.constants import FAR_AWAY, HALF, ONE, ZERO
 from rainsim.jit import cpu_kernel, inlined_function, lean_function, prange
 from rainsim.numerics.interpolation import bilinear_color
-from rainsim.reflection.mirrored_rays import ENVIRONMENT, SCREEN, sample_ray, slope_samples
+from rainsim.reflection.facets import light_weight, slope_samples
+from rainsim.reflection.mirrored_rays import ENVIRONMENT, SCREEN, sample_ray
 from rainsim.reflection.water_record import read_record
 from rainsim.reflection.water_shading import NEAREST
 from rainsim.scene.view import View, in_camera
@@ -63,33 +64,38 @@ def screen_light(view, picture, depth, environment, thickness, water, distance):
     """
     start = surface_in_camera(view, water)
     samples, a, b, c = slope_samples(water, ONE)
-    red, green, blue, seen = ZERO, ZERO, ZERO, ZERO
+    red, green, blue, seen, total = ZERO, ZERO, ZERO, ZERO, ZERO
     for sample in range(samples):
         rx, ry, rz = sample_ray(water, a, b, c, sample)
         u, v, share = on_screen(view, depth, start, water, rx, ry, rz, distance, thickness)
-        seen += share
+        weight = light_weight(water, sample)
+        total += weight
+        seen += weight * share
         if share < ONE:
             c0, c1, c2 = sample_environment(environment, rx, ry, rz)
-            open_ = ONE - share
+            open_ = weight * (ONE - share)
             red, green, blue = red + open_ * c0, green + open_ * c1, blue + open_ * c2
         if share > ZERO:
             c0, c1, c2 = bilinear_color(picture, u, v)
+            share *= weight
             red, green, blue = red + share * c0, green + share * c1, blue + share * c2
-    weight = ONE / np.float32(samples)
-    return red * weight, green * weight, blue * weight, seen * weight
+    gain = ONE / total
+    return red * gain, green * gain, blue * gain, seen * gain
 
 
 @inlined_function
 def surrounding_light(environment, water):
     """Return the radiance (r, g, b) that a pixel of water mirrors of an environment map."""
     samples, a, b, c = slope_samples(water, ONE)
-    red, green, blue = ZERO, ZERO, ZERO
+    red, green, blue, total = ZERO, ZERO, ZERO, ZERO
     for sample in range(samples):
         rx, ry, rz = sample_ray(water, a, b, c, sample)
         c0, c1, c2 = sample_environment(environment, rx, ry, rz)
-        red, green, blue = red + c0, green + c1, blue + c2
-    weight = ONE / np.float32(samples)
-    return red * weight, green * weight, blue * weight
+        weight = light_weight(water, sample)
+        total += weight
+        red, green, blue = red + weight * c0, green + weight * c1, blue + weight * c2
+    gain = ONE / total
+    return red * gain, green * gain, blue * gain
 
 
 @inlined_function

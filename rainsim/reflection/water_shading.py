@@ -24,6 +24,7 @@ from rainsim.jit import (
 )
 from rainsim.numerics.approximations import exp_minus
 from rainsim.numerics.interpolation import bilinear, bilinear_color, smoothstep
+from rainsim.reflection.facets import normal_of, pixel_reflectance, view_cosine
 from rainsim.reflection.slope_moments import pixel_slopes
 from rainsim.reflection.water_record import (
     WaterPixel,
@@ -41,7 +42,6 @@ from rainsim.water.ripples import LAYERS
 # Absorption of puddle water [1/m], red, green, blue. Clean water takes .35, .07, .02 (Pope and Fry
 # 1997); puddles hold fine soil, which takes blue most. No measurement of it is used here: a guess.
 ABSORB_R, ABSORB_G, ABSORB_B = np.float32(5), np.float32(5.5), np.float32(7)
-LEAST_COSINE = np.float32(0.02)
 LEAST_FALL = np.float32(0.1)  # of a refracted ray over its length: bounds its way to the bed
 RIPPLE_LOW, RIPPLE_HIGH = np.float32(0.0008), np.float32(0.004)  # m of water: none, full rings
 SHELTERED_SHARE = np.float32(0.07)  # of the rings, under cover: they run in from the open
@@ -190,7 +190,7 @@ def water_terms(water, row, column, background, view, optics):
     """
     ux, uy, uz = normal_of(water.slope_x, water.slope_y)
     cosine = view_cosine(water, ux, uy, uz)
-    share = reflectance(optics.law, cosine)
+    share = pixel_reflectance(optics.law, water)
     u, v, travel = refracted_to(water, ux, uy, uz, cosine, background.depth, view, row, column)
     r, g, b = bilinear_color(background.below, u, v)
     glint = ZERO
@@ -202,19 +202,6 @@ def water_terms(water, row, column, background, view, optics):
         gain * r * exp_minus(ABSORB_R * travel), gain * g * exp_minus(ABSORB_G * travel),
         gain * b * exp_minus(ABSORB_B * travel), share, glint,
     )  # fmt: skip
-
-
-@inlined_function
-def normal_of(gx, gy):
-    """Return the unit normal of a surface with slopes gx and gy."""
-    inv = ONE / math.sqrt(ONE + gx * gx + gy * gy)
-    return -gx * inv, -gy * inv, inv
-
-
-@inlined_function
-def view_cosine(water, ux, uy, uz):
-    """Return the cosine of the angle between the view of a pixel and a normal u."""
-    return max(-(water.view_x * ux + water.view_y * uy + water.view_z * uz), LEAST_COSINE)
 
 
 @inlined_function
@@ -321,7 +308,7 @@ def list_water(
                 n += 1
 
 
-@cpu_kernel
+@thorough_kernel
 def tilt_water(ripples: Ripples, tops: TopMaps, record_out):
     """Tilt the listed water by the ripples: modifies the slopes of `record_out` (n, RECORD)."""
     for n in prange(len(record_out)):
