@@ -24,6 +24,7 @@ PREVIEW_WIDTH = 480  # px at most
 PREVIEW_FRAMES = 240  # at most; a longer film's preview skips frames
 PREVIEW_QUALITY = 75
 MOST_PIXELS = 2**27  # of a picture
+MOST_PIXELS_PER_BYTE = 10_000  # even zstd packs equal pixels no tighter
 MAX_HDR_PIXELS = 2**27  # 16384 x 8192; more is a damaged header
 RGBE_BIAS = 128 + 8  # of the exponent, and the eight bits of the mantissa
 MIN_RLE_WIDTH, MAX_RLE_WIDTH = 8, 0x7FFF  # px between which lines may be run-length coded
@@ -113,9 +114,16 @@ def read_data(path, channels):
 def read_image(path, most=MOST_PIXELS):
     """Return the pixels of a PNG or TIFF file in the type that the file has.
 
-    A file of more than `most` pixels is refused before its pixels are unpacked.
+    A file of more than `most` pixels, or of more than fit into it, is refused before its pixels are
+    unpacked.
     """
     width, height = picture_size(path)
+    size = Path(path).stat().st_size
+    if width * height > MOST_PIXELS_PER_BYTE * size:
+        raise InputError(
+            f"{path} claims {width} x {height} pixels and has {size} bytes, too few for them under "
+            "any compression; it is cut off or damaged; write it again"
+        )
     if width * height > most:
         raise InputError(
             f"{path} has {width} x {height} pixels; it must have at most {most} in all; make it "

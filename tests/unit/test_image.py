@@ -1,5 +1,7 @@
 """Pictures: exact round trips, whole files or none, and HDR files in every coding."""
 
+import struct
+
 import numpy as np
 import pytest
 from PIL import Image
@@ -53,6 +55,24 @@ def test_damaged_pictures_are_one_clear_error(tmp_path):
         images.read_image(tmp_path / "a.png")
     with pytest.raises(InputError, match=r"none\.png"):
         images.read_image(tmp_path / "none.png")
+
+
+def test_a_picture_of_more_pixels_than_its_bytes_hold_is_refused(tmp_path):
+    path = tmp_path / "h.tif"
+    for side in (10, 4000):  # as tight as it gets: equal pixels
+        Image.fromarray(np.zeros((side, side), np.float32)).save(path, compression="tiff_deflate")
+        assert images.read_image(path).shape == (side, side)
+    images.write_tiff(path, np.zeros((10, 10), np.float32))
+    data = bytearray(path.read_bytes())
+    directory = int.from_bytes(data[4:8], "little")
+    for entry in range(directory + 2, len(data) - 12, 12):
+        if int.from_bytes(data[entry : entry + 2], "little") == 257:  # ImageLength
+            data[entry + 2 : entry + 12] = struct.pack("<HII", 4, 1, 2_162_696)
+            break
+    path.write_bytes(data)
+    assert images.picture_size(path) == (10, 2_162_696)
+    with pytest.raises(InputError, match=r"claims 10 x 2162696 pixels and has \d+ bytes"):
+        images.read_image(path)
 
 
 def test_preview_shrinks_thins_and_keeps_the_time(tmp_path):

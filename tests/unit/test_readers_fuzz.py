@@ -39,7 +39,7 @@ from rainsim.terrain.surface import _from_tiff as read_tiff
 from rainsim.terrain.surface import _read_obj, _read_ply
 from rainsim.terrain.table import class_table
 
-QUICK, CAMPAIGN = 120, 2_000
+QUICK, CAMPAIGN = 120, 3_750  # of each of 27 kinds: 101,250 in all
 MEMORY = 2_000_000_000  # bytes that a reader may take beyond what the process has at its start
 PATIENCE = 10  # s for a file
 
@@ -295,7 +295,7 @@ def test_sound_files_are_read(tmp_path, name):
 @pytest.mark.parametrize("name", KINDS)
 def test_a_campaign_in_a_process_of_its_own(tmp_path, name):
     needs_extra(name)
-    command = [sys.executable, __file__, name, str(CAMPAIGN), "3", str(tmp_path)]
+    command = [sys.executable, __file__, name, str(CAMPAIGN), "16", str(tmp_path)]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
     done = subprocess.run(command, capture_output=True, text=True, env=environment)
     assert done.returncode == 0, (done.returncode, done.stderr[-2000:])
