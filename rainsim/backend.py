@@ -29,3 +29,12 @@ def on_backend(backend):
     from rainsim.cuda.simulation import simulate as simulate_on_gpu
 
     return OnGpu, simulate_on_gpu
+
+
+def free_device_memory(backend):
+    """Return the free bytes of the GPU that a backend draws on; None for the CPU."""
+    if backend == "cpu":
+        return None
+    from rainsim import cuda
+
+    return cuda.free_memory()

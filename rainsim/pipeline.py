@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from rainsim.backend import on_backend
+from rainsim.backend import free_device_memory, on_backend
 from rainsim.errors import ParameterError
 from rainsim.render.first_view import view_of_water
 from rainsim.render.memory import require_memory
@@ -230,7 +230,7 @@ class SequenceRenderer:
 
     def _made(self):
         scene, terrain, first = self._scene, self._terrain, self._cameras[0]
-        if self._backend == "cpu":
-            require_memory(scene, first, terrain.bed.size, len(self._names))
+        device_free = free_device_memory(self._backend)
+        require_memory(scene, first, terrain.bed.size, len(self._names), device_free)
         scene = without_images(scene, terrain)
         return on_backend(self._backend)[0](scene, terrain, self._config, first)

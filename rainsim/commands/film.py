@@ -58,10 +58,7 @@ def run(
     with status, compiled_beside(status, uses, config.threads) as pool:
         loaded = loaded_scene(status, scene, given)
         cameras, config = cameras_of(loaded, config, given)
-        if backend == "cpu":  # before minutes of work; the map's cells are not known yet
-            from rainsim.render.memory import require_memory
-
-            require_memory(loaded, cameras[0], layers=len(names))
+        _require_memory(loaded, cameras, names, backend)  # the map's cells are not known yet
         out = out or options.default_out(loaded.name, Path(preset).stem)
 
         def film(config):
@@ -99,9 +96,11 @@ def simulate(terrain, preset, out, overwrite, resume, threads, as_json, quiet, *
     status = Status(quiet)
     config = settings(preset, {**given, "threads": threads})
     from rainsim.output_folder import claimed, relative
+    from rainsim.render.memory import require_memory_of_water
     from rainsim.terrain.files import read_terrain
 
     ground = read_terrain(terrain)
+    status.notes(require_memory_of_water(ground.bed.size))
     source = terrain if terrain.is_dir() else terrain.parent
     name = source.resolve().name.removesuffix("-terrain")
     out = out or options.default_out(name, Path(preset).stem, "states")
@@ -349,12 +348,22 @@ def _check_farm(given):
         require()
 
 
+def _require_memory(scene, cameras, names, backend):
+    """Raise ParameterError before minutes of work if the frames' size alone is too much."""
+    from rainsim.backend import free_device_memory
+    from rainsim.render.memory import require_memory
+
+    free = free_device_memory(backend)
+    require_memory(scene, cameras[0], layers=len(names), device_free=free)
+
+
 def _say_memory(status, scene, terrain, cameras, names, backend):
     """Say what the frames take, if it is much; raise ParameterError if it is too much."""
-    if backend == "cpu":
-        from rainsim.render.memory import memory_notes
+    from rainsim.backend import free_device_memory
+    from rainsim.render.memory import memory_notes
 
-        status.notes(memory_notes(scene, cameras[0], terrain.bed.size, len(names)))
+    free = free_device_memory(backend)
+    status.notes(memory_notes(scene, cameras[0], terrain.bed.size, len(names), free))
 
 
 def _write_frames(

@@ -88,6 +88,11 @@ def splat(scene, out, overwrite, threads, as_json, **given):
     nowhere = GroundFrame(np.eye(3), 1.0, np.zeros(3))  # drawing needs no ground
     capture = load_scene(scene, cameras=given["cameras"], ground_frame=nowhere)
     camera = _camera(capture, given)
+    if given["backend"] == "cuda":
+        from rainsim.cuda import require
+
+        require()
+    notes = [*capture.notes, *_memory(capture, camera, out, given["backend"])]
     layers, milliseconds = draw(
         capture, camera, given["depth"], given["backend"], compensate=given["compensate"],
         background=given["background"], hit=given["hit"],
@@ -96,14 +101,14 @@ def splat(scene, out, overwrite, threads, as_json, **given):
     facts = {
         "out": str(out), "camera": camera.name, "width": camera.width, "height": camera.height,
         "splats": len(capture.splats), "milliseconds": round(milliseconds, 1),
-        "notes": list(capture.notes),
+        "notes": notes,
     }  # fmt: skip
     if as_json:
         import json
 
         click.echo(json.dumps(facts, indent=1))
         return
-    for note in capture.notes:
+    for note in notes:
         click.echo(note, err=True)
     click.echo(f"{out}: {len(capture.splats)} splats in {milliseconds:.0f} ms", err=True)
 
@@ -162,6 +167,15 @@ def _up(capture, given):
             f"{capture.name} has no cameras to find the up direction from; give --up x,y,z"
         )
     return np.mean([camera.image_up for camera in capture.cameras], axis=0)
+
+
+def _memory(capture, camera, out, backend):
+    """Return a list of notes on the memory that the picture takes, or raise ParameterError."""
+    from rainsim import cuda
+    from rainsim.render.memory import require_memory_of_dry
+
+    free = cuda.free_memory() if backend == "cuda" else None
+    return require_memory_of_dry(capture.splats, camera, out.suffix.lower() == ".npz", free)
 
 
 def draw(capture, camera, depth="expected", backend="cpu", **options):

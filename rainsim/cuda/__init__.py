@@ -77,3 +77,12 @@ def device():
     name = chosen.name.decode() if isinstance(chosen.name, bytes) else str(chosen.name)
     capability = ".".join(map(str, chosen.compute_capability))
     return {"name": name, "capability": capability, "free": int(free), "total": int(total)}
+
+
+def free_memory():
+    """Return the free bytes of the GPU in use; the simulator's is as large as the machine's."""
+    if simulated():
+        from rainsim.compiling import pool
+
+        return pool.free_memory()
+    return device()["free"]

@@ -1,19 +1,54 @@
-"""How much memory frames take: estimated, said and compared with what is free before it is taken.
+"""How much memory pictures and states take: estimated and compared with what is free beforehand.
 
 Peaks of whole runs, version 0.1.0 on a CPU: a garden of 493,196 splats of degree 3 (116 MB) on
 160,000 cells 877 MB at 648 x 420 pixels, 1206 at 2000 x 1296, 2410 at 4000 x 2593, there 3041 with
 a moving camera; 1969 at 2000 x 1296 with all 24 layers; 2120 on 4,000,000 cells at 648 x 420.
+Its dry capture (`rainsim splat`) 435 MB at 648 x 420, 933 at 4000 x 2593, there 1247 as arrays, and
+2800 at 8000 x 5186. Simulated water 229 MB on 160,000 cells, 1014 on 4,000,000.
+
+On a GPU, by its allocations: 199 bytes a splat of degree 0, 166 a cell, 115 a pixel, 28 MB for the
+rest; measured 1.4 GB for eight gardens at 1297 x 840 on 1,048,576 cells, and for the wet-ground
+mirror at that size another 0.2 GB.
 """
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 from rainsim.compiling.pool import free_memory
 from rainsim.errors import ParameterError
 
-PROGRAM = 400e6  # bytes of the program itself
+PROGRAM = 400e6  # bytes of the program itself with all that draws
 PER_SPLATS = 3.5  # times their arrays: sorted copies, the mirrored world, the light's search
 CELL, PIXEL, LAYER_PIXEL = 310.0, 220.0, 12.0  # bytes of one of each
+DRY_PROGRAM, DRY_PER_SPLATS, DRY_PIXEL, ARRAYS_PIXEL = 200e6, 2.0, 62.0, 32.0  # the dry capture
+WATER_PROGRAM, WATER_CELL = 220e6, 220.0  # simulated states
+DEVICE_REST, DEVICE_SPLAT, DEVICE_HARMONIC = 100e6, 190.0, 2.0  # on a GPU, a harmonic in 16 bits
+DEVICE_CELL, DEVICE_PIXEL = 170.0, 320.0
 SAID = 2e9  # bytes from which on a run says what it takes
+COARSER, FEWER = "give a larger --spacing", "take a capture of fewer splats"
+LEAST_WIDTH = 64  # px: a smaller one is no remedy
+
+
+class Need(NamedTuple):
+    """What is going to be taken.
+
+    Attributes
+    ----------
+    what : str
+        What takes it, for messages.
+    bytes : float
+        At the peak, an estimate.
+    pixel : float
+        Bytes of them for a pixel.
+    where : str
+        For messages: "" in the machine's own memory.
+    """
+
+    what: str
+    bytes: float
+    pixel: float = 0.0
+    where: str = ""
 
 
 def memory_of_frames(scene, camera, cells=0, layers=0):
@@ -29,41 +64,114 @@ def memory_of_frames(scene, camera, cells=0, layers=0):
     layers : int
         Number of AOVs.
     """
-    arrays = (getattr(scene.splats, name) for name in scene.splats.__slots__)
-    pixels = camera.width * camera.height
-    splats = PER_SPLATS * sum(array.nbytes for array in arrays)
-    return PROGRAM + splats + CELL * cells + (PIXEL + LAYER_PIXEL * layers) * pixels
+    splats = PER_SPLATS * _bytes_of(scene.splats)
+    pixel = PIXEL + LAYER_PIXEL * layers
+    return PROGRAM + splats + CELL * cells + pixel * camera.width * camera.height
 
 
-def require_memory(scene, camera, cells=0, layers=0):
-    """Return `memory_of_frames` and the free bytes (None: unknown), or raise ParameterError.
+def device_memory_of_frames(splats, camera, cells=0):
+    """Return the bytes of a GPU's memory that frames take, an estimate."""
+    pixels = DEVICE_PIXEL * camera.width * camera.height
+    held = DEVICE_SPLAT * len(splats) + DEVICE_HARMONIC * splats.sh.size
+    return DEVICE_REST + held + DEVICE_CELL * cells + pixels
 
-    Raises
-    ------
-    ParameterError
-        If frames of this size do not fit; it names a width that does.
+
+def require_memory(scene, camera, cells=0, layers=0, device_free=None):
+    """Raise ParameterError if frames of this size do not fit; it names a width that does.
+
+    Parameters
+    ----------
+    scene, camera, cells, layers
+        As `memory_of_frames` takes them.
+    device_free : int, optional
+        Free bytes of the GPU that draws; without it the CPU draws.
+
+    Returns
+    -------
+    need : Need
+    free : int or None
+        Bytes; None if unknown.
     """
-    need, free = memory_of_frames(scene, camera, cells, layers), free_memory()
-    if free is None or need <= free:
-        return need, free
-    width, height = camera.width, camera.height
-    room = free - need + (PIXEL + LAYER_PIXEL * layers) * width * height
-    fits = int((max(room, 0) / (PIXEL + LAYER_PIXEL * layers) * width / height) ** 0.5)
-    remedy = f"lower --width, {fits} fits" if fits >= 64 else "give a larger --spacing"
-    raise ParameterError(
-        f"frames of {width} x {height} pixels take some {need / 1e9:.1f} GB of memory"
-        f"{f' on {cells} cells' if cells else ''}; {free / 1e9:.1f} GB are free; {remedy}, or free "
-        "memory"
-    )
+    what = _pictures("frames", camera) + (f" on {cells} cells" if cells else "")
+    if device_free is None:
+        pixel = PIXEL + LAYER_PIXEL * layers
+        need = Need(what, memory_of_frames(scene, camera, cells, layers), pixel)
+        return need, _require(need, free_memory(), camera, COARSER)
+    return _require_on_device(what, scene.splats, camera, cells, device_free)
 
 
-def memory_notes(scene, camera, cells, layers=0):
+def require_memory_of_dry(splats, camera, arrays=False, device_free=None):
+    """Raise ParameterError if a picture of the dry capture does not fit; list a note if it is much.
+
+    Parameters
+    ----------
+    splats : Splats
+    camera : Camera
+    arrays : bool
+        Whether all layers are written, as `rainsim splat --out FILE.npz` does.
+    device_free : int, optional
+        Free bytes of the GPU that draws.
+    """
+    what, pixel = _pictures("a picture", camera), DRY_PIXEL + (ARRAYS_PIXEL if arrays else 0.0)
+    if device_free is not None:
+        _require_on_device(what, splats, camera, 0, device_free)
+    size = DRY_PROGRAM + DRY_PER_SPLATS * _bytes_of(splats) + pixel * camera.width * camera.height
+    need = Need(what, size, pixel)
+    return _notes(need, _require(need, free_memory(), camera, FEWER))
+
+
+def require_memory_of_water(cells):
+    """Raise ParameterError if simulated states of a map do not fit; list a note if it is much.
+
+    Parameters
+    ----------
+    cells : int
+        Of the height map.
+    """
+    need = Need(f"water on {cells} cells", WATER_PROGRAM + WATER_CELL * cells)
+    return _notes(need, _require(need, free_memory(), None, COARSER))
+
+
+def memory_notes(scene, camera, cells, layers=0, device_free=None):
     """Return a list with a note on the memory that frames take, empty if that is little."""
-    need, free = require_memory(scene, camera, cells, layers)
-    if need < SAID:
+    return _notes(*require_memory(scene, camera, cells, layers, device_free))
+
+
+def _require_on_device(what, splats, camera, cells, free):
+    size = device_memory_of_frames(splats, camera, cells)
+    need = Need(what, size, DEVICE_PIXEL, " of the GPU")
+    return need, _require(need, free, camera, COARSER if cells else FEWER)
+
+
+def _bytes_of(splats):
+    return sum(getattr(splats, name).nbytes for name in splats.__slots__)
+
+
+def _pictures(what, camera):
+    return f"{what} of {camera.width} x {camera.height} pixels"
+
+
+def _said(need):
+    verb = "take" if need.what.startswith("frames") else "takes"
+    return f"{need.what} {verb} some {need.bytes / 1e9:.1f} GB of memory{need.where}"
+
+
+def _require(need, free, camera, otherwise):
+    """Return the free bytes, or raise ParameterError that names a width that fits, or `otherwise`.
+
+    `camera` is None where no picture is drawn.
+    """
+    if free is None or need.bytes <= free:
+        return free
+    fits = 0
+    if camera is not None:
+        room = max(free - need.bytes + need.pixel * camera.width * camera.height, 0)
+        fits = int((room / need.pixel * camera.width / camera.height) ** 0.5)
+    remedy = f"lower --width, {fits} fits" if fits >= LEAST_WIDTH else otherwise
+    raise ParameterError(f"{_said(need)}; {free / 1e9:.1f} GB are free; {remedy}, or free memory")
+
+
+def _notes(need, free):
+    if need.bytes < SAID:
         return []
-    left = "" if free is None else f", of {free / 1e9:.1f} GB that are free"
-    return [
-        f"frames of {camera.width} x {camera.height} pixels on {cells} cells take some "
-        f"{need / 1e9:.1f} GB of memory{left}"
-    ]
+    return [_said(need) + ("" if free is None else f", of {free / 1e9:.1f} GB that are free")]

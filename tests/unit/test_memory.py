@@ -1,8 +1,10 @@
 """Memory is estimated before it is taken."""
 
+from types import SimpleNamespace
+
 import pytest
 
-from rainsim import pipeline
+from rainsim import backend, cuda, pipeline
 from rainsim.compiling import pool
 from rainsim.config.settings import Config
 from rainsim.errors import ParameterError
@@ -54,6 +56,63 @@ def test_much_is_said_and_little_is_not(free):
     assert memory.memory_notes(scene, scene.cameras[0], 10_000) == []
     (note,) = memory.memory_notes(scene, scene.cameras[0].resized(8000, 6000), 10_000)
     assert "some 11.0 GB of memory, of 20.0 GB" in note
+
+
+def test_a_gpu_s_own_memory_is_what_counts_on_it(free, monkeypatch):
+    scene = tiny_scene()
+    camera = scene.cameras[0].resized(8000, 6000)
+    free(1e9)  # of the machine: the pictures are not there
+    memory.require_memory(scene, camera, 10_000, device_free=80e9)
+    (note,) = memory.memory_notes(scene, camera, 10_000, device_free=80e9)
+    assert "some 15.5 GB of memory of the GPU, of 80.0 GB" in note
+    with pytest.raises(
+        ParameterError, match=r"15\.5 GB of memory of the GPU; 4\.0 GB are"
+    ) as caught:
+        memory.require_memory(scene, camera, 10_000, device_free=4e9)
+    width = int(str(caught.value).partition("--width, ")[2].split()[0])
+    fits = camera.resized(width, width * 3 // 4)
+    assert 3.9e9 < memory.device_memory_of_frames(scene.splats, fits, 10_000) <= 4e9
+    asked = []
+    monkeypatch.setattr(cuda, "free_memory", lambda: asked.append(1) or 4e9)
+    assert backend.free_device_memory("cuda") == 4e9 and asked
+    assert backend.free_device_memory("cpu") is None
+    with pytest.raises(ParameterError, match="of the GPU"):  # before anything is put on it
+        next(pipeline.render(scene, _Map(), (), [camera], Config(), backend="cuda"))
+
+
+def test_eight_gardens_on_a_gpu_take_what_was_measured():
+    """1.4 GB at 1297 x 840 on 1024 x 1024 cells, with the wet-ground mirror 0.2 GB more."""
+
+    class Gardens:
+        count = 8 * 493_196
+        sh = SimpleNamespace(size=count * 48)
+
+        def __len__(self):
+            return self.count
+
+    camera = tiny_scene().cameras[0].resized(1297, 840)
+    assert 1.4e9 < memory.device_memory_of_frames(Gardens(), camera, 1024**2) < 2.0e9
+
+
+def test_water_and_dry_pictures_that_do_not_fit_are_refused(free):
+    scene = tiny_scene()
+    camera = scene.cameras[0].resized(8000, 6000)
+    free(1e9)
+    with pytest.raises(ParameterError, match=r"a picture of 8000 x 6000 .* takes some 3\.2 GB"):
+        memory.require_memory_of_dry(scene.splats, camera)
+    with pytest.raises(ParameterError, match=r"some 4\.7 GB of memory; .* --width, \d+ fits"):
+        memory.require_memory_of_dry(scene.splats, camera, arrays=True)
+    with pytest.raises(ParameterError, match="of the GPU"):
+        memory.require_memory_of_dry(scene.splats, camera, device_free=1e9)
+    with pytest.raises(ParameterError, match=r"on 9000000 cells takes .* larger --spacing"):
+        memory.require_memory_of_water(9_000_000)
+    assert memory.require_memory_of_water(1_000_000) == []
+    assert memory.require_memory_of_dry(scene.splats, scene.cameras[0]) == []
+    free(20e9)
+    (note,) = memory.require_memory_of_water(9_000_000)
+    assert "some 2.2 GB of memory, of 20.0 GB" in note
+    (note,) = memory.require_memory_of_dry(scene.splats, camera, device_free=80e9)
+    assert "some 3.2 GB" in note
 
 
 def test_the_limit_of_a_container_counts(tmp_path, monkeypatch):
