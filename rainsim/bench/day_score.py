@@ -8,11 +8,13 @@ program's tone curve, encoded as sRGB.
 from __future__ import annotations
 
 import numpy as np
+from scipy import ndimage
 from skimage.color import deltaE_ciede2000, rgb2lab
 from skimage.metrics import structural_similarity
 
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # Rec. 709
 LAND = 0.16  # mean luminance of land, as a camera's exposure has it
+EDGE = 4  # px: nearer than that to the sky a pixel of leaves may show some of it
 FEWEST = 40  # px: smaller regions are not measured
 OPEN = 0.5  # openness from which ground counts as open
 SPLIT = ("paving", "lawn", "wall", "tabletop")  # regions measured in and out of the sun, too
@@ -66,7 +68,11 @@ def decibels(squared_error):
 
 
 def regions_of(labels):
-    """Yield name and mask of all regions, those of SPLIT in and out of the sun, too."""
+    """Yield name and mask of all regions, those of SPLIT in and out of the sun, too.
+
+    A pixel at the edge of a hedge shows leaves and sky at once, and three hundredths of sky double
+    its light: "leaf, inner" keeps EDGE pixels from the sky.
+    """
     land = ~labels.shows("sky")
     yield "all", np.ones_like(land)
     yield "land", land
@@ -77,6 +83,8 @@ def regions_of(labels):
         if name in SPLIT:
             yield f"{name}, sun", mask & labels.lit
             yield f"{name}, shade", mask & ~labels.lit
+        if name == "leaf":
+            yield "leaf, inner", mask & ~ndimage.binary_dilation(~land, iterations=EDGE)
 
 
 def by_region(picture, truth, labels, brightness):

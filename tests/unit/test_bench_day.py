@@ -65,6 +65,22 @@ def test_measures_are_those_of_the_region_alone(truth):
     )
 
 
+def test_inner_leaves_are_those_away_from_the_sky(truth):
+    where = labels()
+    where.region[:] = REGIONS.index("leaf")
+    where.region[:10] = REGIONS.index("sky")
+    mixed = truth.copy()
+    mixed[10 : 10 + day_score.EDGE] += 0.5  # leaves before the sky, of whose light they hold some
+    found = day_score.by_region(mixed, truth, where, 1.0)
+    inner = found["leaf, inner"]
+    assert inner["share"] == pytest.approx(1 - (10 + day_score.EDGE) / SHAPE[0])
+    assert found["leaf"]["psnr"] < inner["psnr"] - 1
+    # What is left is the level alone, which the wrong pixels took from all land.
+    assert inner["ratio"] == pytest.approx(
+        day_score.LAND / day_score.luminance(mixed, ~where.shows("sky")), rel=1e-6
+    )
+
+
 def test_each_rung_of_the_ladder_repairs_what_it_says(truth):
     where = labels()
     shadow = truth.copy()
