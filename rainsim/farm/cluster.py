@@ -282,7 +282,8 @@ class FarmRun:
         why = "; ".join(f"{address}: {fault}" for address, fault in self._refused.items())
         return BackendError(
             f"no worker draws ({why or 'none came'}); at least one of the same rainsim and "
-            "libraries is needed; start workers with `dask worker ADDRESS` in the same environment"
+            "libraries is needed; start workers with `dask worker ADDRESS` in the same "
+            "environment, and go on with --resume"
         )
 
 
