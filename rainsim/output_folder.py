@@ -191,9 +191,10 @@ class Record:
         self.journal.begin_line()
         for name in list(_names_in(self.folder)):
             folder, _, last = name.rpartition("/")
-            temporary = TEMPORARY.fullmatch(last)
-            meant = f"{folder}/{temporary[1]}".lstrip("/") if temporary else ""
-            if meant == PROVENANCE or OURS.fullmatch(meant):
+            while temporary := TEMPORARY.fullmatch(last):  # of a temporary file, too
+                last = temporary[1]
+            meant = f"{folder}/{last}".lstrip("/")
+            if meant != name and (meant == PROVENANCE or OURS.fullmatch(meant)):
                 (self.folder / name).unlink()
         self.write(complete=False)  # first of all: a run that is killed can be gone on with
 

@@ -371,6 +371,7 @@ class Config:
 
     def _check_each(self):
         """Check every value by itself; `check` compares values of different groups."""
+        timeline.from_json(self.keyframes)
         for time in self.key_times() if self.keyframes else ():
             try:
                 self.at(time)._check_each()

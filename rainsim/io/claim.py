@@ -7,7 +7,7 @@ import fcntl
 import os
 import platform
 import time
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 HELD = (errno.EAGAIN, errno.EACCES)
@@ -58,8 +58,9 @@ def claim(path, shared=False):
         os.pwrite(file, f"{SHARED if shared else ''}{whoami()}".encode(), 0)
         yield
     finally:
-        if not shared or _locked(file, fcntl.LOCK_EX):  # nobody else has it
-            path.unlink(missing_ok=True)
+        with suppress(OSError):  # the disk may be gone; the lock ends with the file's descriptor
+            if not shared or _locked(file, fcntl.LOCK_EX):  # nobody else has it
+                path.unlink(missing_ok=True)
         os.close(file)
 
 

@@ -42,7 +42,7 @@ def write_png(path, image):
     if image.dtype != np.uint8:
         raise ParameterError(f"the picture for {path} is {image.dtype}; a PNG here must be uint8")
     with replacing(path) as temporary:
-        iio.imwrite(temporary, image, extension=".png", plugin="pillow", compress_level=PNG_LEVEL)
+        _write(temporary, image, extension=".png", compress_level=PNG_LEVEL)
 
 
 def write_png16(path, values):
@@ -56,7 +56,15 @@ def write_png16(path, values):
     """
     values = np.ascontiguousarray(values).astype(np.uint16)
     with replacing(path) as temporary:
-        iio.imwrite(temporary, values, extension=".png", plugin="pillow", compress_level=PNG_LEVEL)
+        _write(temporary, values, extension=".png", compress_level=PNG_LEVEL)
+
+
+def _write(path, image, **options):
+    """Encode a picture and write it.
+
+    Where a disk is full, Pillow's plugin would print a traceback when it is deleted.
+    """
+    path.write_bytes(iio.imwrite("<bytes>", image, plugin="pillow", **options))
 
 
 def data_suffix():
@@ -163,7 +171,7 @@ def write_tiff(path, values):
     if values.ndim != 2:
         raise ParameterError(f"the map for {path} has shape {values.shape}; it must have two axes")
     with replacing(path) as temporary:
-        iio.imwrite(temporary, values, extension=".tiff", plugin="pillow")
+        _write(temporary, values, extension=".tiff")
 
 
 def write_npz(path, **arrays):
@@ -190,11 +198,10 @@ class Preview:
         """Write what was added as an animated WebP picture; with no frames do nothing."""
         if self._frames:
             with replacing(path) as temporary:
-                iio.imwrite(
+                _write(
                     temporary,
                     np.stack(self._frames),
                     extension=".webp",
-                    plugin="pillow",
                     duration=round(self._duration),
                     loop=0,
                     quality=PREVIEW_QUALITY,

@@ -11,7 +11,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from rainsim.io.files import parsed_json, replacing
+from rainsim.io.files import naming, parsed_json, replacing
 from rainsim.io.fingerprint import hash_of_file
 
 SHARED_FOLDER = ".rainsim-shared"  # what processes that fill one folder say to each other
@@ -48,7 +48,7 @@ class Journal:
         files = {name: hash_of_file(self.folder / name) for name in names}
         line = json.dumps({"index": index, "files": files, **facts}, allow_nan=False)
         path = self._parts / f"{self._own}.jsonl" if self._own else self.path
-        with open(path, "a", encoding="utf-8") as file:
+        with naming(path), open(path, "a", encoding="utf-8") as file:
             file.write(line + "\n")
 
     def entries(self):
@@ -95,7 +95,7 @@ class Journal:
     def begin_line(self):
         """End a line that was cut off, so that the next entry has a line of its own."""
         if self.path.is_file() and not self.path.read_bytes().endswith(b"\n"):
-            with open(self.path, "a", encoding="utf-8") as file:
+            with naming(self.path), open(self.path, "a", encoding="utf-8") as file:
                 file.write("\n")
 
     def _is_entry(self, entry):

@@ -168,6 +168,12 @@ def test_unknown_presets_and_attributes_name_the_nearest():
         Config.from_preset("../flood")
 
 
+@pytest.mark.parametrize("frames", [None, 3, "ab", [1], (("0", ()),), ((0.0, (("seed", 1),)),)])
+def test_keyframes_that_are_none_are_refused(frames):
+    with pytest.raises(ParameterError):
+        Config().replace(keyframes=frames).check()
+
+
 @given(
     rate=st.floats(0, 1e-4),
     past=st.floats(0, 0.5),

@@ -163,7 +163,11 @@ def test_a_killed_run_is_replaced_though_its_last_frame_is_on_no_record(tmp_path
 
 
 def test_temporary_files_of_the_program_go_and_those_of_others_stay(tmp_path):
-    ours = [".scene.json.a1b2c3d4.json", "frames/.00000.png.abcdefgh.png"]
+    ours = [
+        ".scene.json.a1b2c3d4.json",
+        "..splats.npz.abcdefgh.npz.abcdefgh.npz",
+        "frames/.00000.png.abcdefgh.png",
+    ]
     ours += ["layers/depth/.00001.exr.abcdefgh.exr", ".video.mp4.abc_efgh.mp4"]
     others = [".my.settings", ".config.template.yml", "frames/.notes.txt.abcdefgh.txt"]
     others += ["mine/.00000.png.abcdefgh.png"]
