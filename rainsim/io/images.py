@@ -126,16 +126,16 @@ def read_image(path, most=MOST_PIXELS):
     unpacked.
     """
     width, height = picture_size(path)
+    if width * height > most:
+        raise InputError(
+            f"{path} has {width} x {height} pixels; it must have at most {most} in all; make it "
+            "smaller"
+        )
     size = Path(path).stat().st_size
     if width * height > MOST_PIXELS_PER_BYTE * size:
         raise InputError(
             f"{path} claims {width} x {height} pixels and has {size} bytes, too few for them under "
             "any compression; it is cut off or damaged; write it again"
-        )
-    if width * height > most:
-        raise InputError(
-            f"{path} has {width} x {height} pixels; it must have at most {most} in all; make it "
-            "smaller"
         )
     return _decoded(path, iio.imread)
 
