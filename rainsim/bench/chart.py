@@ -95,7 +95,7 @@ def _draw_bars(axis, title, bars):
         left = {name: at + w for (name, at), w in zip(left.items(), widths, strict=True)}
     axis.invert_yaxis()
     axis.set(title=title, xlabel="milliseconds")
-    axis.legend(fontsize=7, ncols=4, loc="upper center", bbox_to_anchor=(0.5, -0.2))
+    axis.legend(fontsize=7, ncols=3, loc="upper center", bbox_to_anchor=(0.5, -0.2))
 
 
 def draw_marks(path, panels, title):
