@@ -78,10 +78,15 @@ def replacing(path):
     try:
         with naming(path):
             yield temporary
-            os.chmod(temporary, 0o666 & ~_umask())  # mkstemp's files are their owner's alone
-            os.replace(temporary, path)
+            put_in_place(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def put_in_place(temporary, path):
+    """Rename a file that mkstemp has made to `path`, with the permissions of any new file."""
+    os.chmod(temporary, 0o666 & ~_umask())  # mkstemp's files are their owner's alone
+    os.replace(temporary, path)
 
 
 @contextmanager

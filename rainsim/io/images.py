@@ -16,7 +16,7 @@ import numpy as np
 
 from rainsim.errors import InputError, ParameterError, RainsimError
 from rainsim.io.arrays import Field, read_arrays, write_arrays
-from rainsim.io.files import replacing, require_file
+from rainsim.io.files import put_in_place, replacing, require_file
 
 VERSION = 1  # of files of float pictures
 PNG_LEVEL = 2  # three times as fast as the usual 6 and a twelfth larger
@@ -289,7 +289,7 @@ class VideoWriter:
         try:
             if self._sender is not None:
                 self._sender.close()
-                os.replace(self._temporary, self.path)
+                put_in_place(self._temporary, self.path)
         finally:
             self._temporary.unlink(missing_ok=True)
 

@@ -100,6 +100,29 @@ def test_a_missing_encoder_is_told_with_its_remedy(monkeypatch):
         images.require_video()
 
 
+class OneFile:
+    """Stands for the encoder: writes each frame's bytes to the file."""
+
+    @staticmethod
+    def write_frames(path, size, **settings):
+        with open(path, "wb") as file:
+            while True:
+                frame = yield
+                if frame is not None:
+                    file.write(frame.tobytes())
+
+
+def test_a_video_has_the_permissions_of_any_new_file(monkeypatch, tmp_path):
+    monkeypatch.setattr(images, "_ffmpeg", lambda: OneFile)
+    (tmp_path / "other").write_bytes(b"")
+    frame = np.full((4, 6, 3), 7, np.uint8)
+    with images.VideoWriter(tmp_path / "v.mp4", 24.0) as video:
+        video.add(frame)
+    assert (tmp_path / "v.mp4").read_bytes() == frame.tobytes()
+    assert (tmp_path / "v.mp4").stat().st_mode == (tmp_path / "other").stat().st_mode
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["other", "v.mp4"]
+
+
 # The library leaves its pipes to the garbage collector.
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 def test_video_of_odd_size_is_written_whole(tmp_path):
