@@ -11,6 +11,7 @@ import click
 
 from rainsim import __version__
 from rainsim.commands import bench, doctor, film, ground, splat, tools
+from rainsim.commands.status import interrupts_remembered
 from rainsim.errors import ParameterError, RainsimError, one_line
 
 _FULL = "; make room there or give another --out, and run it again"
@@ -33,7 +34,8 @@ class Commands(click.Group):
         click's own errors keep click's exit codes.
         """
         try:
-            return super().invoke(ctx)
+            with interrupts_remembered():
+                return super().invoke(ctx)
         except ParameterError as error:
             raise _failure(error, 2) from error
         except RainsimError as error:

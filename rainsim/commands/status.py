@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 import threading
 import time
+from contextlib import contextmanager
 
 import click
 
@@ -16,6 +18,39 @@ QUARTERS = 4  # without a terminal a stage reports this often at least
 BEAT = 10.0  # s after which it reports again, and a stage that cannot count says that it goes on
 TICK = 1.0  # s between looks at the clock
 LEAST_LEFT = 5.0  # s; less is not worth saying
+
+_pressed = threading.Event()  # Ctrl-C, in this command, and no interrupt has been seen since
+
+
+@contextmanager
+def interrupts_remembered():
+    """Note that Ctrl-C was pressed, so that the next progress of the main thread raises it again.
+
+    Python drops what a signal raises inside a finalizer or another callback, and the command would
+    go on. Outside the main thread, or where the signal is ignored or the caller's, nothing changes.
+    """
+    _pressed.clear()
+    own = signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    if not own or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    signal.signal(signal.SIGINT, _interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def _interrupt(number, frame):
+    _pressed.set()
+    signal.default_int_handler(number, frame)
+
+
+def _raise_forgotten():
+    """Raise the KeyboardInterrupt of a Ctrl-C that was dropped."""
+    if _pressed.is_set() and threading.current_thread() is threading.main_thread():
+        _pressed.clear()
+        raise KeyboardInterrupt
 
 
 class Status:
@@ -71,6 +106,7 @@ class Status:
 
     def progress(self, stage, done, total):
         """Show that `done` of `total` parts of a stage are done."""
+        _raise_forgotten()
         if self.quiet:
             return
         with self._lock:

@@ -1,5 +1,6 @@
 """Frames from the command line, end to end on a tiny scene."""
 
+import contextlib
 import json
 import os
 import re
@@ -12,7 +13,7 @@ import time
 import numpy as np
 import pytest
 
-from rainsim import pipeline
+from rainsim import output_folder, pipeline
 from rainsim.errors import DivergedError
 from rainsim.io.images import read_data, read_image
 from rainsim.render.aov import AOVS, recompose
@@ -289,6 +290,24 @@ def test_ctrl_c_ends_a_process_with_130(scene_folder, tmp_path, root):
     assert not record(out)["complete"]
     assert read_image(out / "frames" / "00000.png").shape == (48, 64, 3)
     assert not [path for path in out.rglob(".*")]  # no temporary files
+
+
+@pytest.mark.parametrize("pressed", [True, False])
+def test_ctrl_c_that_a_callback_swallows_still_ends_a_run(film, tmp_path, monkeypatch, pressed):
+    add = output_folder.FrameFolder.add
+
+    def swallow(*given):
+        add(*given)
+        with contextlib.suppress(KeyboardInterrupt):  # as Python does in a finalizer
+            if pressed:
+                signal.raise_signal(signal.SIGINT)
+
+    monkeypatch.setattr(output_folder.FrameFolder, "add", swallow)
+    done = film("out")
+    assert done.code == (130 if pressed else 0)
+    assert len(pictures(tmp_path / "out")) == (1 if pressed else 3)
+    assert record(tmp_path / "out")["complete"] != pressed
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
 def test_cameras_in_every_way(film, tmp_path, scene_folder):
