@@ -8,6 +8,7 @@ import pytest
 from numba.core.registry import cpu_target
 
 from rainsim.compiling import callees
+from rainsim.compiling.kernel_cache import KernelCache
 from rainsim.jit import cpu_kernel, device_function, prange, serial_kernel, thorough_kernel
 
 pytestmark = pytest.mark.skipif(
@@ -54,7 +55,7 @@ def test_functions_are_linked_into_their_kernel_and_nowhere_else(poisoned):
 
 @pytest.mark.parametrize(("mark", "in_full"), [(cpu_kernel, False), (thorough_kernel, True)])
 def test_only_thorough_kernels_have_what_they_call_optimised_in_full(
-    monkeypatch, poisoned, mark, in_full
+    monkeypatch, poisoned, tmp_path, mark, in_full
 ):
     optimised = []
     whole = callees.JITCodeLibrary._optimize_final_module
@@ -74,6 +75,7 @@ def test_only_thorough_kernels_have_what_they_call_optimised_in_full(
         for i in prange(len(x)):
             x_out[i] = called(x[i])
 
+    outer._cache = KernelCache(outer.py_func, tmp_path, "")  # empty: it is compiled here
     found = poisoned(len(X))
     outer(X, found)
     np.testing.assert_allclose(found, EXPECTED, rtol=1e-6)
