@@ -76,8 +76,7 @@ def claimed(path, overwrite=False, resume=False, sources=()):
         If it cannot be made or written to.
     """
     path = Path(path)
-    if path.exists() and not path.is_dir():
-        raise ParameterError(f"output {path} is a file; it must be a folder; give another --out")
+    require_no_file(path)
     _require_empty(path, overwrite or resume)
     made = [p for p in (path, *path.parents) if not p.exists()]
     try:
@@ -96,6 +95,12 @@ def claimed(path, overwrite=False, resume=False, sources=()):
         for folder in (path / "frames", path / "states", path / "layers", *made):
             with suppress(OSError):  # it is not empty, or not there
                 folder.rmdir()
+
+
+def require_no_file(path):
+    """Raise ParameterError if an output folder's path is that of a file."""
+    if path.exists() and not path.is_dir():
+        raise ParameterError(f"output {path} is a file; it must be a folder; give another --out")
 
 
 def _require_empty(path, overwrite):

@@ -21,7 +21,14 @@ from rainsim.errors import InputError, ParameterError
 from rainsim.io.claim import ClaimedError, claim
 from rainsim.io.journal import SHARED_FOLDER
 from rainsim.io.part_claims import STALE, PartClaims, create
-from rainsim.output_folder import CLAIM, FRAME_FACTS, FrameFolder, host_facts, read_record
+from rainsim.output_folder import (
+    CLAIM,
+    FRAME_FACTS,
+    FrameFolder,
+    host_facts,
+    read_record,
+    require_no_file,
+)
 from rainsim.render.frame_files import FrameWriter, facts_of, report_of
 
 RUN = "run"  # file of the shared folder: the fingerprint of the run that the processes are at
@@ -42,8 +49,7 @@ def joined(path):
         If it cannot be made or written to.
     """
     path = Path(path)
-    if path.exists() and not path.is_dir():
-        raise ParameterError(f"output {path} is a file; it must be a folder; give another --out")
+    require_no_file(path)
     made = not path.exists()
     try:
         with claim(path / CLAIM, shared=True):

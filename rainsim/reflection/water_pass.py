@@ -316,7 +316,8 @@ class WaterPass:
         kept = self._mirrors
         self._mirrors = {place: kept.get(place) or draw_mirrored(*place) for place, _ in mirrors}
         timer.mark("mirror")
-        for (_, which), (view, mirror) in zip(mirrors, self._mirrors.values(), strict=True):
+        for place, which in mirrors:
+            view, mirror = self._mirrors[place]
             mirror_light(which, self.record, view, mirror, self.light, self.source)
         if len(others):
             self._march(others, name == "paper", environment)

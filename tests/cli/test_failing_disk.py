@@ -11,9 +11,10 @@ import os
 import tempfile
 
 import pytest
-from test_killed_runs import FRAMES, MAP, written
+from test_killed_runs import FRAMES, MAP
 
 from rainsim.scene.folder import write_scene
+from run_folders import written
 from scenes import tiny_scene
 
 WIDTH = ["--width", "64"]

@@ -4,7 +4,6 @@ The slow lane kills each stage some times; by hand, any number of times:
 `PYTHONPATH=.:tests python tests/cli/test_killed_runs.py STAGE KILLS SEED FOLDER`.
 """
 
-import hashlib
 import json
 import os
 import random
@@ -17,11 +16,11 @@ from pathlib import Path
 import pytest
 
 from rainsim.scene.folder import write_scene
+from run_folders import written
 from scenes import tiny_scene
 
 KILLS, SEED = 20, 16
 IN_A_ROW = 4  # kills of one folder at most before its run may end
-NOT_COMPARED = ("provenance.json", "finished.jsonl")  # they hold times
 MAP = ["--spacing", "0.04", "--extent", "1"]
 FRAMES = ["--frames", "6", "--preset", "downpour"]
 STAGES = {
@@ -60,14 +59,6 @@ def prepared(folder, stage):
         finish(folder, "simulate", "states")
     finish(folder, stage, "whole")
     return finish(folder, stage, "second")
-
-
-def written(folder):
-    """What lies in a folder: hashes by name."""
-    return {
-        path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
-        for path in folder.rglob("*") if path.is_file() and path.name not in NOT_COMPARED
-    }  # fmt: skip
 
 
 def killed_and_run_again(folder, stage, kills, seed):

@@ -8,13 +8,14 @@ import time
 from pathlib import Path
 
 import pytest
-from test_shared_run import FRAMES, facts, same, whole, written  # noqa: F401
+from test_shared_run import FRAMES, same, whole  # noqa: F401
 
 import made_frames
 from made_frames import MadeUpFrames
 from rainsim.errors import BackendError, RainsimError
 from rainsim.farm import cluster
 from rainsim.output_folder import FrameFolder, Record, claimed
+from run_folders import facts, written
 from scenes import tiny_scene
 
 pytest.importorskip("distributed")

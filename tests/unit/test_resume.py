@@ -1,10 +1,8 @@
 """Unfinished runs are gone on with: the same bytes as in one go, whatever ended them."""
 
-import hashlib
 import json
 import os
 import random
-import re
 import signal
 import subprocess
 import sys
@@ -17,7 +15,6 @@ import pytest
 from rainsim.config.settings import Config
 from rainsim.errors import ParameterError
 from rainsim.io import fingerprint
-from rainsim.io.journal import Journal
 from rainsim.output_folder import (
     JOURNAL,
     PROVENANCE,
@@ -28,11 +25,11 @@ from rainsim.output_folder import (
 )
 from rainsim.pipeline import frames_of
 from rainsim.render.report import FrameReport
+from run_folders import assert_same_run, written
 from scenes import tiny_scene
 
 FRAMES = 12
 KILLS, MANY_KILLS = 5, 100
-NOT_COMPARED = (PROVENANCE, JOURNAL)  # they hold times
 
 
 def picture(index):
@@ -61,22 +58,6 @@ def draw(folder, seed=0, resume=False, video=False, stop=None, pause=0.0):
     return drawn
 
 
-def written(folder):
-    """What lies in a folder: hashes by name."""
-    files = [path for path in Path(folder).rglob("*") if path.is_file()]
-    return {
-        path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
-        for path in files if path.name not in NOT_COMPARED
-    }  # fmt: skip
-
-
-def facts(folder):
-    """What a record says but times."""
-    record = read_record(folder)
-    names = ("complete", "frames", "ledger", "notes", "files", "fingerprint", "milliseconds")
-    return {name: record.get(name) for name in names}
-
-
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
     """Folder of a run in one go."""
@@ -86,8 +67,7 @@ def whole(tmp_path_factory):
 
 
 def same(folder, whole):
-    assert written(folder) == written(whole) and facts(folder) == facts(whole)
-    assert set(Journal(folder, JOURNAL, re.compile(".*").fullmatch).entries()) == {*range(FRAMES)}
+    assert_same_run(folder, whole, FRAMES)
 
 
 def test_an_interrupted_run_is_gone_on_with(tmp_path, whole):

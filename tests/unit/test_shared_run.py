@@ -1,10 +1,8 @@
 """Several processes at one run: the same bytes as in one go, and no frame drawn twice."""
 
-import hashlib
 import json
 import os
 import random
-import re
 import shutil
 import signal
 import subprocess
@@ -19,20 +17,19 @@ from made_frames import MadeUpFrames
 from rainsim.errors import InputError, ParameterError
 from rainsim.farm import shared_run
 from rainsim.farm.shared_run import SharedRun, joined
-from rainsim.io.journal import SHARED_FOLDER, Journal
+from rainsim.io.journal import SHARED_FOLDER
 from rainsim.output_folder import (
     JOURNAL,
-    PROVENANCE,
     FrameFolder,
     Record,
     claimed,
     read_record,
 )
+from run_folders import assert_same_run, written
 from scenes import tiny_scene
 
 FRAMES = 12
 KILLS, MANY_KILLS = 4, 100
-NOT_COMPARED = (PROVENANCE, JOURNAL)  # they hold times
 
 
 def draw(folder, first=0, end=FRAMES, seed=0, stale=60, **how):
@@ -48,22 +45,6 @@ def draw(folder, first=0, end=FRAMES, seed=0, stale=60, **how):
     return frames.drawn, run
 
 
-def written(folder):
-    """What lies in a folder: hashes by name."""
-    files = [path for path in Path(folder).rglob("*") if path.is_file()]
-    return {
-        path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
-        for path in files if path.name not in NOT_COMPARED
-    }  # fmt: skip
-
-
-def facts(folder):
-    """What a record says but times."""
-    record = read_record(folder)
-    names = ("complete", "frames", "ledger", "notes", "files", "fingerprint", "milliseconds")
-    return {name: record.get(name) for name in names}
-
-
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
     """Folder of a run in one go, by a process that shares it with none."""
@@ -77,8 +58,7 @@ def whole(tmp_path_factory):
 
 
 def same(folder, whole):
-    assert written(folder) == written(whole) and facts(folder) == facts(whole)
-    assert set(Journal(folder, JOURNAL, re.compile(".*").fullmatch).entries()) == {*range(FRAMES)}
+    assert_same_run(folder, whole, FRAMES)
     assert {path.name for path in folder.iterdir()} == {path.name for path in whole.iterdir()}
 
 
