@@ -3,8 +3,8 @@
 The slopes in a pixel are taken for normally distributed, with the mean and covariance that the
 pixel has, and SAMPLES of them stand for all. A facet that leans towards the viewer fills more of
 the pixel, and one that is seen at a slant mirrors more: facets weigh by the area that they show
-times Fresnel's factor (Torrance and Sparrow 1967). Without these weights a film of slopes of 0.1 rms
-is up to a quarter too bright where it mirrors a dark hedge under a bright sky.
+times Fresnel's factor (Torrance and Sparrow 1967). Without these weights a film of slopes of 0.1
+rms is up to a quarter too bright where it mirrors a dark hedge under a bright sky.
 """
 
 from __future__ import annotations
