@@ -1,0 +1,148 @@
+"""`rainsim view`: a scene in the rain in the browser."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import replace
+from pathlib import Path
+
+import click
+
+from rainsim.commands import options
+from rainsim.commands.choose import mask_of, named_camera, settings
+from rainsim.commands.compile import compiled_beside, uses_of
+from rainsim.commands.status import Status, loaded_scene
+from rainsim.errors import ParameterError
+
+PORT = 8080
+WAIT = 0.5  # s between looks at whether Ctrl-C was pressed
+
+
+@click.command(short_help="Look at a scene in the rain in the browser.")
+@click.argument("scene", default="bicycle")
+@options.preset_option
+@options.rain_options
+@options.light_options
+@click.option("--camera", metavar="NAME", help="Where to begin. [default: the camera that "
+              "shows most water]")  # fmt: skip
+@click.option("--width", type=int, metavar="PX", show_default=options.PRESETS,
+              help="Width of a picture at rest, in px.")  # fmt: skip
+@options.backend_option
+@options.ground_options
+@options.terrain_options
+@options.class_mask_option
+@click.option("--port", type=click.IntRange(1, 65535), default=PORT, show_default=True,
+              help="Port on this machine; if it is in use, the next free one.")  # fmt: skip
+@click.option("--out", "-o", type=options.FOLDER, metavar="DIR",
+              show_default="rainsim-out/SCENE-view",
+              help="Folder for what is saved on the page.")  # fmt: skip
+@click.option("--threads", type=int, metavar="N", show_default="all cores",
+              help="Number of threads.")  # fmt: skip
+@click.option("--quiet", "-q", is_flag=True, help="Print the address and errors only.")
+def view(scene, preset, camera, backend, class_mask, port, out, quiet, **given):
+    """Look at SCENE in the rain in a browser, on this machine only; needs rainsim[view].
+
+    SCENE is a name from `rainsim scenes`, a trained model's folder, a splat file or a scene folder.
+    Prints the address to open; Ctrl-C ends it. Pictures are drawn here, by the same code as those
+    of `rainsim run`: what is saved on the page is drawn by the command that it prints, to the byte.
+
+    From another machine: ssh -L 8080:127.0.0.1:8080 user@host, and open http://127.0.0.1:8080.
+
+    \b
+    Example:
+        rainsim view
+        rainsim view garden/ --preset moderate --camera DSC07956
+    """
+    status = Status(quiet)
+    config = settings(preset, given)
+    _require_viser(backend)
+    mask = mask_of(class_mask)
+    with status, compiled_beside(status, uses_of(config, ("clean",), backend), config.threads):
+        loaded = loaded_scene(status, scene, given)
+        if not loaded.cameras:
+            raise ParameterError(
+                f"scene {loaded.name} has no cameras; the page begins at one; give --cameras "
+                "cameras.json or transforms.json"
+            )
+        session, first = _session(status, loaded, config, camera, backend, mask)
+    repeated = _repeated(given, backend, config.threads)
+    out = out or options.default_out(loaded.name, "view")
+    _serve(status, session, first, out, scene, repeated, port)
+
+
+def _require_viser(backend):
+    """Raise BackendError where viser or the GPU is missing, before anything is computed."""
+    from importlib.util import find_spec
+
+    from rainsim.errors import BackendError
+
+    if find_spec("viser") is None:
+        from rainsim.view.page import REMEDY
+
+        raise BackendError(REMEDY)
+    if backend == "cuda":
+        from rainsim.cuda import require
+
+        require()
+
+
+def _session(status, scene, config, camera, backend, mask):
+    """Return a `Session` with terrain, water and light made, and the View to begin with."""
+    from rainsim.jit import set_threads
+    from rainsim.pipeline import view_of_water
+    from rainsim.view.session import Session
+
+    set_threads(config.threads)
+    config = replace(config, width=config.width or options.WIDTH, height=None)
+    first = named_camera(scene, camera)  # an error before anything is computed
+    session = Session(
+        scene, _around(config, first), backend, mask, status.progress, status.notes
+    )  # fmt: skip
+    session.make_ground()
+    if camera is None and scene.source is not None:
+        first = view_of_water(scene, session.terrain)
+        status.notes([f"camera {first.name} is shown first: it shows most water"])
+        session.set_config(_around(config, first))
+    session.make()
+    return session, session.view_of(first)
+
+
+def _around(config, camera):
+    """Return the settings with the surroundings drawn from a camera's place, if none is named."""
+    if config.render.surroundings is not None:
+        return config
+    return config.replace(surroundings=tuple(float(v) for v in camera.position))
+
+
+def _repeated(given, backend, threads):
+    """Return the options that a printed command repeats: those that no saved file holds."""
+    repeated = [] if given["cameras"] is None else ["--cameras", str(given["cameras"])]
+    repeated += [] if backend == "cpu" else ["--backend", backend]
+    return [*repeated, *([] if threads is None else ["--threads", str(threads)])]
+
+
+def _serve(status, session, first, out, scene, repeated, port):
+    """Show the page until Ctrl-C."""
+    from rainsim.view.home import Home
+    from rainsim.view.page import Page
+    from rainsim.view.painter import Painter
+
+    page = None
+    painter = Painter(
+        session, lambda *shown: page.show(*shown), lambda text: page.say(text),
+        lambda error: page.fail(error),
+    )  # fmt: skip
+    page = Page(painter, Home(Path(out), scene, repeated), port, first)
+    drawing = threading.Thread(target=painter.run, name="painter")
+    drawing.start()
+    click.echo(page.address)
+    status.say("open it in a browser; Ctrl-C ends it")
+    try:
+        while drawing.is_alive():
+            drawing.join(WAIT)
+    except KeyboardInterrupt:
+        status.say("ended")
+    finally:
+        painter.end()
+        drawing.join()
+        page.close()

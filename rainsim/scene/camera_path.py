@@ -1,0 +1,115 @@
+"""Camera paths as nerfstudio's viewer writes them (`camera_path.json`), in and out.
+
+One camera for each frame: `camera_to_world`, a 4 x 4 matrix as 16 numbers row by row with OpenGL
+axes (x right, y up, z back), and `fov`, the angle of the picture's height in degrees. The pictures'
+size is `render_width` x `render_height`; pixels are square, the principal point is the middle.
+`render_time` is written as the time of a frame in seconds and not used when a path is read: the
+frames of a run follow one another at its frame rate.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from rainsim.io.files import write_json
+from rainsim.scene.camera_entry import FLIP, Entry, pose_at
+from rainsim.scene.types import Camera
+
+KINDS = ("perspective",)  # of `camera_type`: others are no pinhole cameras
+
+
+def is_camera_path(data):
+    """Return whether what was read from JSON has the form of a camera path."""
+    return (
+        isinstance(data, dict)
+        and isinstance(data.get("camera_path"), list)
+        and bool(data["camera_path"])
+    )
+
+
+def path_cameras(data, source):
+    """Return the cameras of a camera path.
+
+    Parameters
+    ----------
+    data : dict
+        For which `is_camera_path` is true.
+    source : path-like
+        Names the file in errors.
+
+    Returns
+    -------
+    list of Camera
+        In the capture frame, named "path_00000" and so on.
+
+    Raises
+    ------
+    InputError
+        Names the frame and the value that is missing or wrong.
+    """
+    whole = Entry(source, "camera path", data)
+    if str(data.get("camera_type", KINDS[0])).lower() not in KINDS:
+        raise whole.error("camera_type", "perspective: only pinhole cameras are drawn")
+    return [
+        _camera(Entry(source, f"camera_path {i}", frame, data), i)
+        for i, frame in enumerate(data["camera_path"])
+    ]
+
+
+def _camera(entry, index):
+    width, height = entry.side("render_width"), entry.side("render_height")
+    focal = height / 2 / math.tan(math.radians(entry.number("fov", 0, 180)) / 2)
+    matrix = np.reshape(entry.array("camera_to_world", (16,)), (4, 4))
+    rotation = entry.rotation("camera_to_world", matrix[:3, :3]) * FLIP
+    camera_from_world = pose_at(rotation.T, matrix[:3, 3])
+    name = f"path_{index:05d}"
+    return Camera(width, height, focal, focal, width / 2, height / 2, camera_from_world, name)
+
+
+def camera_path_data(poses, width, height, fps, keyframes=()):
+    """Return a camera path as nerfstudio's viewer writes it, a dict of plain values.
+
+    Parameters
+    ----------
+    poses : sequence of (ndarray of shape (4, 4), float)
+        For each frame capture_from_camera with OpenCV axes (x right, y down, z forward) and the
+        angle of the picture's height [rad].
+    width, height : int [px]
+    fps : float [1/s]
+    keyframes : sequence of (ndarray of shape (4, 4), float, float)
+        Pose and angle as in `poses`, and the seconds from the keyframe before.
+    """
+    aspect = width / height
+    return {
+        "default_fov": math.degrees(poses[0][1]), "default_transition_sec": 2.0,
+        "keyframes": [
+            {
+                "matrix": _flat(matrix), "fov": math.degrees(fov), "aspect": aspect,
+                "override_transition_enabled": True, "override_transition_sec": float(seconds),
+            }
+            for matrix, fov, seconds in keyframes
+        ],
+        "camera_type": KINDS[0], "render_height": int(height), "render_width": int(width),
+        "fps": float(fps), "seconds": len(poses) / fps, "is_cycle": False, "smoothness_value": 0.0,
+        "camera_path": [
+            {
+                "camera_to_world": _flat(matrix), "fov": math.degrees(fov), "aspect": aspect,
+                "render_time": index / fps,
+            }
+            for index, (matrix, fov) in enumerate(poses)
+        ],
+    }  # fmt: skip
+
+
+def write_camera_path(path, data):
+    """Write what `camera_path_data` returned; it replaces the file whole or not at all."""
+    write_json(path, data)
+
+
+def _flat(matrix):
+    """Return capture_from_camera with OpenCV axes as 16 numbers with OpenGL axes."""
+    turned = np.array(matrix, np.float64)
+    turned[:3, :3] *= FLIP
+    return [float(value) for value in turned.ravel()]

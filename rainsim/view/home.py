@@ -1,0 +1,205 @@
+"""What is taken home: files from which `rainsim run` draws the same picture, and its command."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import signal
+import subprocess
+import sys
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from rainsim.config.preset_writer import preset_text_of
+from rainsim.errors import RainsimError
+from rainsim.io import images
+from rainsim.io.files import replacing
+from rainsim.output_folder import relative
+from rainsim.scene.camera_path import camera_path_data, write_camera_path
+from rainsim.scene.ground import write_ground_frame
+from rainsim.view.keyframes import path_config, smooth_path, times_of
+from rainsim.view.probe import mask_picture
+
+PATH, PRESET, PICTURE, COMMAND = "camera_path.json", "preset.toml", "picture.png", "command.txt"
+GROUND, MASK, DRAWN = "ground_frame.json", "class-mask.png", "drawn"
+MOST = 9999  # folders of one kind
+END_WAIT = 20.0  # s for a run that was interrupted to write its record
+
+
+@dataclass(frozen=True)
+class Taken:
+    """What was written.
+
+    Attributes
+    ----------
+    folder : Path
+    command : list of str
+        The arguments of `rainsim`.
+    """
+
+    folder: Path
+    command: list = field(default_factory=list)
+
+    @property
+    def line(self):
+        """The command as it is typed in a shell."""
+        return shlex.join(["rainsim", *self.command])
+
+
+class Home:
+    """Writes what is taken home into folders of its own; nothing that was there is replaced.
+
+    Parameters
+    ----------
+    folder : Path
+        Made when something is first written.
+    scene : str
+        As it is typed after --scene.
+    options : sequence of str
+        More of the command line that is to be repeated: cameras, backend, threads.
+    """
+
+    def __init__(self, folder, scene, options=()):
+        self.folder, self.scene, self.options = Path(folder), scene, tuple(options)
+
+    def save_shot(self, session, view, index, width, height):
+        """Write the picture of a view as the command draws it; return what was `Taken`.
+
+        Parameters
+        ----------
+        session : Session
+        view : View
+        index : int
+            Of the state.
+        width, height : int [px]
+        """
+        before = session.config
+        config = replace(before, width=width, height=height, frames=max(before.frames, index + 1))
+        session.make()
+        picture, _ = session.draw(view, width, height, index)
+        folder = self._new("shot")
+        images.write_png(folder / PICTURE, picture)
+        poses = [(session.pose_of(view), view.fov)]
+        data = camera_path_data(poses, width, height, config.fps)
+        frames = ["--frames", str(config.frames), "--frame-range", f"{index}:{index + 1}"]
+        return self._write(session, folder, config, data, frames)
+
+    def save_path(self, session, keyframes, width, height):
+        """Write a path through keyframes and the settings along it; return what was `Taken`.
+
+        The other parameters are those of `save_shot`.
+        """
+        config = replace(path_config(keyframes, session.config), width=width, height=height)
+        views = smooth_path(keyframes, config.fps)
+        poses = [(session.pose_of(view), view.fov) for view in views]
+        marks = [
+            (session.pose_of(k.view), k.view.fov, 0.0 if n == 0 else k.seconds)
+            for n, k in enumerate(keyframes)
+        ]
+        times_of(keyframes)
+        data = camera_path_data(poses, width, height, config.fps, marks)
+        folder = self._new("path")
+        return self._write(session, folder, config, data, ["--frames", str(config.frames)])
+
+    def save_ground(self, session):
+        """Write ground frame and painted classes, as options take them; return what was `Taken`."""
+        folder = self._new("ground")
+        options = self._ground(session, folder)
+        return Taken(folder, ["view", self.scene, *options, *self.options])
+
+    def _write(self, session, folder, config, data, frames):
+        """Write camera path, preset and command into a folder."""
+        write_camera_path(folder / PATH, data)
+        _write_text(folder / PRESET, preset_text_of(config, "Saved by rainsim view."))
+        sun = ["--sun", "sky"] if config.render.sun == "sky" else []  # no preset file holds it
+        command = [
+            "run", "--scene", self.scene, *self._ground(session, folder), *self.options,
+            "--preset", relative(folder / PRESET), "--path", relative(folder / PATH), *sun,
+            "--width", str(config.width), "--height", str(config.height), *frames,
+            "--out", relative(folder / DRAWN),
+        ]  # fmt: skip
+        taken = Taken(folder, command)
+        _write_text(folder / COMMAND, taken.line + "\n")
+        return taken
+
+    def _ground(self, session, folder):
+        """Write ground frame and painted classes into a folder; return their options."""
+        write_ground_frame(folder / GROUND, session.scene.ground_frame)
+        options = ["--ground-frame", relative(folder / GROUND)]
+        if session.mask is not None:
+            images.write_png(folder / MASK, mask_picture(session.mask))
+            options += ["--class-mask", relative(folder / MASK)]
+        return options
+
+    def _new(self, kind):
+        """Return a new folder, such as shot-001."""
+        for number in range(1, MOST + 1):
+            folder = self.folder / f"{kind}-{number:03d}"
+            try:
+                folder.mkdir(parents=True)
+            except FileExistsError:
+                if not self.folder.is_dir():
+                    raise
+                continue
+            return folder
+        raise RainsimError(f"{self.folder} has {MOST} folders {kind}-NNN; give another --out")
+
+
+def _write_text(path, text):
+    with replacing(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+class Run:
+    """A `rainsim` command in a process of its own, with its progress.
+
+    Parameters
+    ----------
+    taken : Taken
+    """
+
+    def __init__(self, taken):
+        self.taken, self._said = taken, ""
+        self.frames = _frames_of(taken.command)
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "rainsim", *taken.command], stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE, stdin=subprocess.DEVNULL, text=True, start_new_session=True,
+        )  # fmt: skip
+
+    @property
+    def drawn(self):
+        """Number of frames that are written."""
+        folder = self.taken.folder / DRAWN / "frames"
+        return sum(1 for _ in folder.glob("*.png")) if folder.is_dir() else 0
+
+    def follow(self, say):
+        """Call say(line) with each line of the run's status until it ends; return its exit code."""
+        for line in self._process.stderr:
+            if text := line.strip():
+                self._said = text
+                say(text)
+        self._process.stderr.close()
+        return self._process.wait()
+
+    @property
+    def last_line(self):
+        """What the run said last."""
+        return self._said
+
+    def cancel(self):
+        """Interrupt the run as Ctrl-C does; its finished frames stay."""
+        if self._process.poll() is not None:
+            return
+        self._process.send_signal(signal.SIGINT)
+        try:
+            self._process.wait(END_WAIT)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+
+
+def _frames_of(command):
+    """Return the number of frames that a command draws."""
+    if "--frame-range" in command:
+        first, end = re.split(":", command[command.index("--frame-range") + 1])
+        return int(end) - int(first)
+    return int(command[command.index("--frames") + 1])

@@ -1,0 +1,131 @@
+"""Keyframes of camera and settings, and the smooth path through them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.interpolate import CubicSpline, PchipInterpolator
+from scipy.spatial.transform import Rotation, RotationSpline
+
+from rainsim.config.preset_writer import value_of
+from rainsim.config.settings import MAX_FRAMES, Config
+from rainsim.config.timeline import CHANGING
+from rainsim.errors import ParameterError, require_positive
+from rainsim.view.session import View
+
+
+@dataclass(frozen=True)
+class Keyframe:
+    """A camera and settings that a path passes through.
+
+    Attributes
+    ----------
+    view : View
+    config : Config
+        Of it those settings count that can change with time, see `timeline.CHANGING`.
+    seconds : float
+        From the keyframe before.
+    """
+
+    view: View
+    config: Config
+    seconds: float = 2.0
+
+
+def times_of(keyframes):
+    """Return the times [s] of keyframes, (n,); the first is 0.
+
+    Raises
+    ------
+    ParameterError
+        If one does not come after the one before.
+    """
+    for keyframe in keyframes[1:]:
+        require_positive("time between keyframes", keyframe.seconds, "s", "2 is usual")
+    return np.concatenate([[0.0], np.cumsum([k.seconds for k in keyframes[1:]])])
+
+
+def smooth_path(keyframes, fps):
+    """Return the views of all frames from the first keyframe to the last.
+
+    Positions are a cubic spline and turns a rotation spline: neither jumps in speed. The camera
+    starts and ends at rest; the angle of view does not overshoot.
+
+    Parameters
+    ----------
+    keyframes : sequence of Keyframe
+    fps : float [1/s]
+
+    Returns
+    -------
+    list of View
+        One per frame; a single one if there is one keyframe.
+
+    Raises
+    ------
+    ParameterError
+        If there is no keyframe, or more frames than a run can have.
+    """
+    if not keyframes:
+        raise ParameterError("there is no keyframe; a path needs one; add the camera you see")
+    if len(keyframes) == 1:
+        return [keyframes[0].view]
+    at = times_of(keyframes)
+    count = math.floor(at[-1] * fps + 1e-9) + 1
+    if count > MAX_FRAMES:
+        raise ParameterError(
+            f"the path has {count} frames; it must have at most {MAX_FRAMES}; shorten it"
+        )
+    views = [keyframe.view for keyframe in keyframes]
+    turns = Rotation.from_matrix([view.rotation for view in views])
+    when = np.minimum(np.arange(count) / fps, at[-1])
+    position = CubicSpline(at, [view.position for view in views], bc_type="clamped")(when)
+    fov = PchipInterpolator(at, [view.fov for view in views])(when)
+    quaternion = RotationSpline(at, turns)(when).as_quat()
+    return [
+        View(tuple(map(float, p)), tuple(map(float, (q[3], q[0], q[1], q[2]))), float(f))
+        for p, q, f in zip(position, quaternion, fov, strict=True)
+    ]
+
+
+def timeline_of(keyframes):
+    """Return the `Config.keyframes` of what the settings of keyframes change with time.
+
+    Raises
+    ------
+    ParameterError
+        If a setting has no value at some keyframes only.
+    """
+    changes = []
+    for name in CHANGING:
+        values = [value_of(keyframe.config, name) for keyframe in keyframes]
+        if all(value == values[0] for value in values):
+            continue
+        if None in values:
+            raise ParameterError(
+                f"{name} is set at some keyframes only; it must be at all or none; a flood cannot "
+                "begin between two of them: give the others a low level"
+            )
+        changes.append((name, values))
+    if not changes:
+        return ()
+    return tuple(
+        (float(time), tuple((name, values[n]) for name, values in sorted(changes)))
+        for n, time in enumerate(times_of(keyframes))
+    )
+
+
+def path_config(keyframes, config):
+    """Return the settings of a run along a path.
+
+    Parameters
+    ----------
+    keyframes : sequence of Keyframe
+    config : Config
+        What the keyframes do not change is taken from it.
+    """
+    frames = len(smooth_path(keyframes, config.fps))
+    steady = config.replace(**{n: value_of(keyframes[0].config, n) for n in CHANGING})
+    return replace(steady, frames=frames, keyframes=timeline_of(keyframes)).check()

@@ -1,0 +1,222 @@
+"""The page: a viser server, its clients, and the pictures that they are shown.
+
+With its neighbours `page_settings`, `page_ground` and `page_home` the only code that speaks to
+viser. Callbacks run in viser's threads and only hand on to the `Painter`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import math
+import threading
+import time
+from dataclasses import dataclass
+
+import numpy as np
+
+from rainsim.errors import BackendError, ParameterError, RainsimError
+from rainsim.view import schedule
+from rainsim.view.modes import MODES, PUDDLES, RAIN
+from rainsim.view.page_ground import GroundTools
+from rainsim.view.page_home import HomeTools
+from rainsim.view.page_settings import SettingsTools
+from rainsim.view.session import View
+
+HOST = "127.0.0.1"  # no other: the server has no sign-in
+MOVING_QUALITY, STILL_QUALITY = 75, 92  # of JPEG
+STATE_EVERY = 0.4  # s between words on moving pictures
+LOOK_AHEAD = 4.0  # m to the point that a page's camera turns about, where no ground is seen
+REMEDY = 'the page needs viser; pip install "rainsim[view]"'
+
+
+@dataclass
+class Client:
+    """What belongs to one page.
+
+    Attributes
+    ----------
+    handle : viser.ClientHandle
+    mode, rain, state : handles of its own controls
+    view : View
+    size : tuple of int
+        Width and height of the picture that was shown last [px].
+    said : float [s]
+        When its state was last shown.
+    """
+
+    handle: object
+    mode: object
+    rain: object
+    state: object
+    view: View | None = None
+    size: tuple = (0, 0)
+    said: float = 0.0
+
+
+class Page:
+    """Serves a `Painter`'s pictures.
+
+    Parameters
+    ----------
+    painter : Painter
+    home : Home
+    port : int
+        If it is in use the next free one is taken.
+    first : View
+        Where a new page's camera is.
+
+    Attributes
+    ----------
+    server : viser.ViserServer
+    clients : dict of int to Client
+    """
+
+    def __init__(self, painter, home, port, first):
+        self.painter, self.clients, self._lock = painter, {}, threading.Lock()
+        self._has_nodes = False
+        self._threads = []
+        self.server = _server(port)
+        self.server.request_share_url = lambda *_, **__: None  # no tunnel to the world
+        self.server.gui.configure_theme(show_share_button=False, show_logo=False, dark_mode=True)
+        self._place(first)
+        self.settings = SettingsTools(self)
+        self.ground = GroundTools(self)
+        self.home = HomeTools(self, home)
+        self.server.on_client_connect(self._connect)
+        self.server.on_client_disconnect(self._disconnect)
+
+    @property
+    def address(self):
+        """What is typed into the browser."""
+        return f"http://{HOST}:{self.server.get_port()}"
+
+    def _place(self, view):
+        """Let new pages begin with a view."""
+        start, forward = self.server.initial_camera, view.rotation[:, 2]
+        position = np.array(view.position)
+        away = position[2] / -forward[2] if forward[2] < -0.05 else LOOK_AHEAD
+        start.position = position
+        start.look_at = position + forward * min(max(away, 0.5), 4 * LOOK_AHEAD)
+        start.fov = view.fov
+
+    # --- clients ----------------------------------------------------------------------------------
+
+    def _connect(self, handle):
+        gui = handle.gui
+        state = gui.add_markdown("connected", order=-3)
+        mode = gui.add_dropdown("show", MODES, initial_value=RAIN, order=-2)
+        rain = gui.add_slider("N [mm]", 1, 50, 1, 8, order=-1, visible=False)
+        client = Client(handle, mode, rain, state)
+        key = handle.client_id
+        with self._lock:
+            self.clients[key] = client
+        self.painter.add(key)
+
+        @mode.on_update
+        @rain.on_update
+        def _(_):
+            rain.visible = mode.value == PUDDLES
+            self.painter.set_mode(key, mode.value, float(rain.value))
+
+        handle.camera.on_update(lambda camera: self._look(key, camera))
+        self.ground.connect(handle)
+        self._look(key, handle.camera)
+
+    def _disconnect(self, handle):
+        with self._lock:
+            self.clients.pop(handle.client_id, None)
+        self.painter.remove(handle.client_id)
+
+    def _look(self, key, camera):
+        client = self.clients.get(key)
+        fov, aspect = float(camera.fov), float(camera.aspect)
+        if client is None or not (0 < fov < math.pi and 0.05 < aspect < 20):
+            return
+        position, turn = (tuple(map(float, v)) for v in (camera.position, camera.wxyz))
+        client.view = View(position, turn, fov)
+        self.painter.look(key, client.view, aspect)
+
+    def show(self, key, shown):
+        """Show a picture to a client; called by the drawing thread."""
+        client = self.clients.get(key)
+        if client is None:
+            return
+        still = shown.job.step == schedule.EXACT
+        depth = shown.depth if still and self._has_nodes else None
+        client.handle.scene.set_background_image(
+            shown.picture, "jpeg", depth=depth,
+            jpeg_quality=STILL_QUALITY if still else MOVING_QUALITY,
+        )  # fmt: skip
+        client.handle.flush()
+        job, now = shown.job, time.perf_counter()
+        client.size = job.width, job.height
+        if still or now - client.said > STATE_EVERY:
+            client.said = now
+            words = "finished" if still else "moving" if job.step == schedule.SMALL else "refining"
+            client.state.content = (
+                f"{words}: {job.width} x {job.height} px in {shown.seconds * 1e3:.0f} ms, "
+                f"t = {self.painter.clock.time:.2f} s"
+            )
+
+    def say(self, text):
+        """Show all pages what is being computed."""
+        if text.startswith("computing"):
+            for client in list(self.clients.values()):
+                client.state.content = f"**{text}** ..."
+                client.handle.flush()
+
+    def fail(self, error):
+        """Show all pages an error."""
+        for client in list(self.clients.values()):
+            self.complain(client.handle, error)
+
+    def complain(self, handle, error):
+        """Show one page an error."""
+        if handle is not None:
+            handle.add_notification("rainsim", str(error), color="red", auto_close_seconds=12.0)
+
+    def guarded(self, function):
+        """Return a callback that shows errors of a user's values on the page that caused them."""
+
+        def callback(event):
+            try:
+                function(event)
+            except (RainsimError, OSError) as error:
+                self.complain(getattr(event, "client", None), error)
+
+        return callback
+
+    def view_of(self, event):
+        """Return the View of the page that an event came from."""
+        client = self.clients.get(event.client.client_id) if event.client else None
+        if client is None or client.view is None:
+            raise ParameterError("the page has no camera yet; move it once")
+        return client.view
+
+    def use_depth(self):
+        """Send depth with finished pictures from now on: there are things in the scene."""
+        self._has_nodes = True
+
+    def begin(self, function):
+        """Run a function in a thread of its own, which the page waits for when it ends."""
+        thread = threading.Thread(target=function, daemon=True)
+        self._threads = [t for t in self._threads if t.is_alive()] + [thread]
+        thread.start()
+
+    def close(self):
+        """Stop the server and what was begun."""
+        self.home.cancel()
+        with contextlib.redirect_stdout(io.StringIO()):  # it says so on stdout, which is for data
+            self.server.stop()
+        for thread in self._threads:
+            thread.join(5.0)
+
+
+def _server(port):
+    try:
+        import viser
+    except ImportError:
+        raise BackendError(REMEDY) from None
+    with contextlib.redirect_stdout(io.StringIO()):
+        return viser.ViserServer(host=HOST, port=port, label="rainsim", verbose=False)

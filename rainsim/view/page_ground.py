@@ -1,0 +1,195 @@
+"""The page's tools on the ground: read a point, measure, set scale and up, paint, flood."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rainsim.errors import ParameterError
+from rainsim.scene.folder import override_ground_frame
+from rainsim.terrain.table import class_table
+from rainsim.view import probe
+
+READ, MEASURE, UP, PAINT = "read", "measure", "up", "paint"
+TOOLS = {
+    READ: "read a point", MEASURE: "measure: two points", UP: "up: three points",
+    PAINT: "paint a class",
+}  # fmt: skip
+POINTS = {READ: 1, MEASURE: 2, UP: 3, PAINT: 1}
+LEFT = "leave to the program"
+SOME_SIZE = 300, 200  # px, of cameras whose place alone matters
+MARK = 0.02  # m, radius of the mark of a clicked point
+
+
+class GroundTools:
+    """What clicks into the picture do, the same on all pages."""
+
+    def __init__(self, page):
+        self.page, self.painter = page, page.painter
+        self.points, self._marks, self._plot = [], [], None
+        gui = page.server.gui
+        with gui.add_folder("Ground", order=4, expand_by_default=False) as self._folder:
+            self.tool = gui.add_dropdown("a click", tuple(TOOLS.values()))
+            self.answer = gui.add_markdown("click on the picture")
+            self.length = gui.add_number("known length [m]", 1.0, min=1e-3, max=1e4, step=0.01)
+            self.scale = gui.add_button("set the scale by it", disabled=True)
+            self.up = gui.add_button("set up by the points", disabled=True)
+            names = (*class_table().names, LEFT)
+            self.kind = gui.add_dropdown("class", names)
+            self.radius = gui.add_slider("brush [m]", 0.05, 3.0, 0.05, 0.3)
+            self.flood = gui.add_button("water up to the point", disabled=True)
+            self.save = gui.add_button("save ground and classes")
+        self.tool.on_update(lambda _: self._forget())
+        self.scale.on_click(page.guarded(self._set_scale))
+        self.up.on_click(page.guarded(self._set_up))
+        self.flood.on_click(page.guarded(self._flood))
+        self.save.on_click(page.guarded(self._save))
+
+    def connect(self, handle):
+        """Take the clicks of a new page."""
+        handle.scene.on_click()(self.page.guarded(self._click))
+
+    @property
+    def chosen(self):
+        """The key of the tool that is chosen."""
+        return next(key for key, label in TOOLS.items() if label == self.tool.value)
+
+    def _click(self, event):
+        view = self.page.view_of(event)
+        size = self.page.clients[event.client.client_id].size
+        if not size[0]:
+            return
+        place, tool = event.screen_pos, self.chosen
+        index = self.painter.clock.index
+
+        def look(session):
+            point = probe.point_at(session, view, place, size)
+            reading = probe.read_point(session, point, index)
+            history = None
+            if reading.cell is not None:
+                history = session.water.depths_at(*reading.cell)
+            return reading, history
+
+        reading, history = self.painter.ask(look).result()
+        if len(self.points) >= POINTS[tool]:
+            self._forget()
+        self.points.append(reading.point)
+        self._mark(reading.point)
+        self.answer.content = "\n\n".join(self._words(reading))
+        if history is not None and tool == READ:
+            self._show_history(*history)
+        self.scale.disabled = not (tool == MEASURE and len(self.points) == 2)
+        self.up.disabled = not (tool == UP and len(self.points) == 3)
+        self.flood.disabled = False
+        if tool == PAINT:
+            self._paint(reading.point)
+
+    def _words(self, reading):
+        """Return what is said of the points that were clicked, lines."""
+        lines = reading.lines()
+        if self.chosen == MEASURE and len(self.points) == 2:
+            a, b = (np.array(point) for point in self.points)
+            lines.insert(0, f"**{np.linalg.norm(b - a):.3f} m** between the points")
+        elif len(self.points) < POINTS[self.chosen]:
+            lines.append(f"{POINTS[self.chosen] - len(self.points)} more to click")
+        return lines
+
+    def _mark(self, point):
+        name = f"/points/{len(self._marks)}"
+        self._marks.append(
+            self.page.server.scene.add_icosphere(
+                name, radius=MARK, color=(255, 60, 60), position=point
+            )
+        )
+        self.page.use_depth()
+
+    def _forget(self):
+        """Forget the clicked points."""
+        for mark in self._marks:
+            mark.remove()
+        self.points, self._marks = [], []
+        self.scale.disabled = self.up.disabled = self.flood.disabled = True
+
+    def _show_history(self, times, depths):
+        """Plot the water over time at a point."""
+        if self._plot is not None:
+            self._plot.remove()
+            self._plot = None
+        if len(times) < 2:
+            return
+        with self._folder:
+            self._plot = self.page.server.gui.add_uplot(
+                (times, depths * 1e3), ({"label": "s"}, {"label": "mm", "stroke": "#56b4e9"}),
+                height=160, scales={"x": {"time": False}},
+            )  # fmt: skip
+
+    # --- what is mended ---------------------------------------------------------------------------
+
+    def _set_scale(self, event):
+        a, b = self.points
+        length = float(self.length.value)
+
+        def rescale(session):
+            scale = probe.meters_per_unit_of(session.scene, a, b, length)
+            session.set_scene(override_ground_frame(session.scene, meters_per_unit=scale))
+            return scale
+
+        self._mend(event, rescale, "scale: {:.6g} m per capture unit")
+
+    def _set_up(self, event):
+        points = list(self.points)
+
+        def turn(session):
+            up = probe.up_of(session.scene, points)
+            session.set_scene(override_ground_frame(session.scene, up=up))
+            return ", ".join(f"{v:.5f}" for v in up)
+
+        self._mend(event, turn, "up: {}")
+
+    def _mend(self, event, change, words):
+        """Let the drawing thread change the scene; cameras and keyframes keep their place in it."""
+        clients = {k: c for k, c in self.page.clients.items() if c.view is not None}
+        before = [*(client.view for client in clients.values()), *self.page.home.views]
+
+        def work(session):
+            cameras = [session.camera_of(view, *SOME_SIZE) for view in before]
+            found = change(session)
+            return found, [session.view_of(camera) for camera in cameras]
+
+        found, views = self.painter.ask(work).result()
+        self._forget()
+        self.answer.content = words.format(found)
+        for client, view in zip(clients.values(), views[: len(clients)], strict=True):
+            client.handle.camera.position = view.position
+            client.handle.camera.wxyz = view.turn
+        self.page.home.move(views[len(clients) :])
+        self.painter.redraw()
+
+    def _paint(self, point):
+        name, radius = self.kind.value, float(self.radius.value)
+        code = -1 if name == LEFT else class_table().names.index(name)
+
+        def paint(session):
+            mask = probe.painted(session.mask, session.terrain, point, radius, code)
+            session.set_scene(session.scene, mask)
+
+        self.painter.ask(paint).result()
+        self.painter.redraw()
+
+    def _flood(self, event):
+        if not self.points:
+            raise ParameterError("no point is chosen; click on the picture first")
+        height = self.points[-1][2]
+
+        def level(session):
+            from rainsim.simulation import low_ground
+
+            return height - low_ground(session.terrain)
+
+        value = self.painter.ask(level).result()
+        self.page.settings.change({"level": round(float(value), 4)})
+        self.page.settings.show_config(self.painter.config)
+
+    def _save(self, event):
+        home = self.page.home.home
+        taken = self.painter.ask(home.save_ground).result()
+        self.answer.content = f"saved in `{taken.folder}`\n\n`{taken.line}`"

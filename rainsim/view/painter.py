@@ -1,0 +1,273 @@
+"""The thread that draws: pictures for all clients, and whatever else needs the kernels."""
+
+from __future__ import annotations
+
+import queue
+import threading
+import time
+from concurrent.futures import Future
+from dataclasses import dataclass
+
+import numpy as np
+
+from rainsim.errors import RainsimError
+from rainsim.jit import set_threads
+from rainsim.view import schedule
+from rainsim.view.clock import Clock
+from rainsim.view.modes import RAIN, mode_picture
+from rainsim.view.schedule import Schedule
+from rainsim.view.session import OutOfDateError
+
+
+@dataclass(frozen=True)
+class Shown:
+    """A picture for a page.
+
+    Attributes
+    ----------
+    picture : ndarray of shape (height, width, 3), uint8
+    depth : ndarray of shape (height, width), float32 [m], or None
+        Along the view axis; with finished pictures only.
+    job : Job
+    seconds : float
+        That it took to draw.
+    """
+
+    picture: np.ndarray
+    depth: np.ndarray | None
+    job: object
+    seconds: float
+
+
+class Painter:
+    """Draws for all clients in one thread, the one that runs `run`.
+
+    Other threads call `add`, `remove`, `look`, `set_mode`, `set_config`, `ask` and the methods of
+    time; they return at once.
+
+    Parameters
+    ----------
+    session : Session
+    show : callable
+        show(key, shown) hands a `Shown` to a client; called by the drawing thread.
+    say : callable, optional
+        say(text) reports the state in words: what is drawn or made.
+    fail : callable, optional
+        fail(error) reports a RainsimError that settings led to.
+    now : callable
+        The clock [s].
+
+    Attributes
+    ----------
+    schedule : Schedule
+    clock : Clock
+    """
+
+    def __init__(self, session, show, say=None, fail=None, now=time.perf_counter):
+        self.session, self._show, self._now = session, show, now
+        self._say, self._fail = say or (lambda text: None), fail or (lambda error: None)
+        self.schedule = Schedule(full=session.config.width)
+        self.clock = Clock(session.config.frames, session.config.fps)
+        self._lock = threading.Condition()
+        self._asked = queue.SimpleQueue()
+        self._config, self._modes, self._ended = session.config, {}, False
+        self._wrong = None  # settings that could not be drawn
+        self._touched = -schedule.STILL_AFTER  # when the settings last changed
+
+    # --- from other threads -----------------------------------------------------------------------
+
+    def add(self, key):
+        """Take in a client."""
+        with self._lock:
+            self.schedule.add(key, self._now())
+            self._modes[key] = (RAIN, 0.0)
+
+    def remove(self, key):
+        """Forget a client."""
+        with self._lock:
+            self.schedule.remove(key)
+            self._modes.pop(key, None)
+
+    def look(self, key, view, aspect):
+        """Note a client's camera."""
+        with self._lock:
+            if self.schedule.move(key, view, aspect, self._now()):
+                self._lock.notify_all()
+
+    def set_mode(self, key, name, amount=0.0):
+        """Show a client another mode, see `modes`; `amount` is the mm of rain of `puddles`."""
+        self._change(lambda: self._modes.__setitem__(key, (name, amount)), key)
+
+    def set_config(self, change):
+        """Want the settings that change(config) returns.
+
+        Raises
+        ------
+        ParameterError
+            If they break a rule; then nothing changes.
+        """
+        config = change(self._config).check()
+        if config == self._config:
+            return
+
+        def store():
+            self._config, self._wrong = change(self._config).check(), None
+            self._touched = self._now()
+            self.clock.resize(self._config.frames, self._config.fps)
+
+        self._change(store)
+
+    @property
+    def config(self):
+        """The settings that are wanted."""
+        return self._config
+
+    def turn(self, change):
+        """Let change(clock, now) do something to the time."""
+        self._change(lambda: change(self.clock, self._now()))
+
+    def set_sizes(self, full=None, least=None, adapts=None, simplifies=None):
+        """Choose the pictures' widths [px], and whether they are smaller or simpler in motion."""
+
+        def store():
+            plan = self.schedule
+            plan.full = plan.full if full is None else full
+            plan.least = min(plan.least if least is None else least, plan.full)
+            plan.adapts = plan.adapts if adapts is None else adapts
+            plan.simplifies = plan.simplifies if simplifies is None else simplifies
+
+        self._change(store)
+
+    def ask(self, function):
+        """Return the Future of function(session), which the drawing thread calls."""
+        future = Future()
+        self._asked.put((function, future))
+        with self._lock:
+            self._lock.notify_all()
+        return future
+
+    def redraw(self):
+        """Note that all pictures are out of date."""
+        self._change(lambda: None)
+
+    def end(self):
+        """Let `run` return as soon as what it is doing allows."""
+        with self._lock:
+            self._ended = True
+            self._lock.notify_all()
+
+    def _change(self, store, key=None):
+        with self._lock:
+            store()
+            self.schedule.plays = self.clock.plays
+            self.schedule.change(self._now(), key)
+            self._lock.notify_all()
+
+    # --- the thread that draws --------------------------------------------------------------------
+
+    def run(self):
+        """Draw until `end` is called."""
+        set_threads(self._config.threads)  # a number that each thread has for itself
+        while not self._ended:
+            self._answer()
+            job = self._next()
+            if job is not None:
+                self._draw(job)
+        while not self._asked.empty():
+            self._asked.get()[1].cancel()
+
+    def step(self):
+        """Do what is due now, for tests; return whether there was anything."""
+        asked = not self._asked.empty()
+        self._answer()
+        job = self._next(wait=False)
+        if job is not None:
+            self._draw(job)
+        return asked or job is not None
+
+    def _answer(self):
+        """Call what was asked for."""
+        while not self._asked.empty():
+            function, future = self._asked.get()
+            if not future.set_running_or_notify_cancel():
+                continue
+            try:
+                future.set_result(function(self.session))
+            except BaseException as error:
+                future.set_exception(error)
+
+    def _next(self, wait=True):
+        """Return the next Job; wait for something to do, or return None."""
+        with self._lock:
+            now = self._now()
+            if self.clock.tick(now):
+                self.schedule.change(now)
+            self.schedule.plays = self.clock.plays
+            if self._config is not self.session.config:
+                self.session.set_config(self._config)
+            self.schedule.stale = bool(self.session.stale)
+            job, pause = self.schedule.next(now)
+            if job is not None or not wait or self._ended or not self._asked.empty():
+                return job
+            waits = [w for w in (pause, self.clock.wait(now)) if w is not None]
+            self._lock.wait(min(waits, default=None))
+            return None
+
+    def _draw(self, job):
+        """Draw one picture and show it, unless it is out of date before."""
+
+        def check():
+            if self._ended or not self.schedule.may_go_on(job):
+                raise OutOfDateError
+
+        session, begin = self.session, self._now()
+        try:
+            calm = begin - self._touched > schedule.STILL_AFTER
+            if job.step == schedule.EXACT or not session.is_ready or (self.schedule.plays and calm):
+                self._make(check)
+            if not session.is_ready:
+                return
+            if job.step != schedule.SMALL:
+                self._say(f"drawing {job.width} x {job.height}")
+            begin = self._now()
+            picture, depth = self._picture(job, check)
+        except OutOfDateError:
+            self.schedule.given_up(job, self._now())
+            return
+        except RainsimError as error:
+            self._give_in(job, error)
+            return
+        seconds = self._now() - begin
+        with self._lock:
+            self.schedule.done(job, seconds, self._now())
+        finished = job.step == schedule.EXACT
+        self._show(job.client, Shown(picture, depth if finished else None, job, seconds))
+        what = "finished" if finished else "moving"
+        self._say(f"{what}: {job.width} x {job.height}, {seconds * 1e3:.0f} ms")
+
+    def _make(self, check):
+        """Make what is out of date, once for each choice of settings that fails."""
+        if self.session.stale and self._wrong is not self.session.config:
+            self._say("computing " + ", ".join(sorted(self.session.stale)))
+            self.session.make(check)
+            self._say("drawing")
+
+    def _give_in(self, job, error):
+        """Report settings that cannot be drawn, once; draw nothing more until they change."""
+        with self._lock:
+            self.schedule.done(job, 0.0, self._now())
+            client = self.schedule.clients.get(job.client)
+            if client is not None:
+                client.shown = (job.generation, job.width, schedule.EXACT)
+        if self._wrong is not self.session.config:
+            self._wrong = self.session.config
+            self._fail(error)
+
+    def _picture(self, job, check):
+        """Return what a client's mode shows, and the depth [m] of the picture."""
+        session = self.session
+        name, amount = self._modes.get(job.client, (RAIN, 0.0))
+        return mode_picture(
+            session, name, amount, (job.view, job.width, job.height, self.clock.index), check,
+            with_depth=job.step == schedule.EXACT, simple=job.simple,
+        )  # fmt: skip

@@ -1,0 +1,318 @@
+"""One scene in the rain that is looked at: its parts, made again when a setting needs it.
+
+All methods but `set_config` belong to the thread that draws.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from rainsim.backend import free_device_memory, on_backend
+from rainsim.pipeline import extract_terrain
+from rainsim.render.memory import require_memory
+from rainsim.render.renderer import Renderer
+from rainsim.render.report import Timer
+from rainsim.render.shutter import shutter_end
+from rainsim.scene.camera_path import camera_path_data, path_cameras
+from rainsim.scene.cameras import resize_to
+from rainsim.terrain.pond import without_images
+from rainsim.view.redo import LIGHT, PARTS, PASSES, TERRAIN, WATER, out_of_date
+from rainsim.view.water import SharedWater
+
+MIRRORS = ("auto", "mirror")  # reflections that draw the capture again
+
+
+@dataclass(frozen=True)
+class View:
+    """Where a page's camera is, in the ground frame.
+
+    Attributes
+    ----------
+    position : tuple of float [m]
+    turn : tuple of float
+        Unit quaternion, w first: the camera's own axes (x right, y down, z forward) to the ground.
+    fov : float [rad]
+        Angle of the picture's height.
+    """
+
+    position: tuple
+    turn: tuple
+    fov: float
+
+    @property
+    def rotation(self):
+        """ground_from_camera, ndarray of shape (3, 3)."""
+        w, x, y, z = self.turn
+        return Rotation.from_quat((x, y, z, w)).as_matrix()
+
+
+class OutOfDateError(Exception):
+    """A picture is given up, since another one is wanted by now."""
+
+
+class CheckedTimer(Timer):
+    """A clock of stages that asks between them whether to go on.
+
+    Parameters
+    ----------
+    check : callable
+        Raises if the picture is no longer wanted.
+    """
+
+    def __init__(self, check):
+        super().__init__()
+        self._check = check
+
+    def mark(self, name):
+        """Book the time of a stage; ask whether to go on."""
+        super().mark(name)
+        self._check()
+
+
+class Session:
+    """A scene, its terrain, its water and what draws it, shared by all who look.
+
+    Parameters
+    ----------
+    scene : Scene
+    config : Config
+        `surroundings` must be set: a picture does not depend on who looked first.
+    backend : {"cpu", "cuda"}
+    mask : ndarray of shape (ny, nx), int, optional
+        Painted classes, see `pipeline.extract_terrain`.
+    progress, say : callable, optional
+        As `pipeline.extract_terrain` takes them.
+
+    Attributes
+    ----------
+    config : Config
+        What is wanted; the parts follow with `make`.
+    stale : set of str
+        Of `redo.PARTS`: the parts to be made again.
+    terrain : Terrain
+    water : SharedWater
+    renderer : Renderer of the backend
+    """
+
+    def __init__(self, scene, config, backend="cpu", mask=None, progress=None, say=None):
+        self.scene, self.config, self.backend, self.mask = scene, config, backend, mask
+        self.stale, self._drawn_with = set(PARTS), config
+        self._progress, self._say = progress or (lambda stage, done, total: None), say
+        self._make_renderer, simulate = on_backend(backend)
+        # The states of a GPU's simulation share its memory: only the last one is whole.
+        self.water = SharedWater(simulate, *(() if backend == "cpu" else (0,)))
+        self.terrain = self.renderer = self._drawn_scene = None
+        self._camera = None  # of the last picture, with what it was made from
+        self._kept = (None, None, None)  # key, terrain and what was computed for them, last asked
+
+    def set_config(self, config):
+        """Want other settings; `make` makes again what is out of date by them."""
+        self.stale |= set(out_of_date(self.config, config))
+        self.config = config
+
+    def set_scene(self, scene, mask=None):
+        """Take another ground frame or other painted classes: all parts are out of date."""
+        self.scene, self.mask, self._camera = scene, mask, None
+        self.stale |= set(PARTS)
+
+    # --- parts ------------------------------------------------------------------------------------
+
+    def make(self, check=lambda: None):
+        """Make all parts that are out of date.
+
+        Parameters
+        ----------
+        check : callable
+            Called between the parts; what it raises ends the work, and the parts that were made
+            stay.
+        """
+        for part, make in (
+            (TERRAIN, self._make_terrain), (WATER, self._make_water), (LIGHT, self._make_light),
+            (PASSES, self._make_passes),
+        ):  # fmt: skip
+            if part in self.stale:
+                check()
+                make(self.config, check)
+                self.stale.discard(part)
+
+    def make_ground(self):
+        """Make the terrain alone, for a camera to be chosen by it."""
+        self._make_terrain(self.config, lambda: None)
+        self.stale.discard(TERRAIN)
+
+    def _make_terrain(self, config, check):
+        def progress(stage, done, total):
+            check()
+            self._progress(stage, done, total)
+
+        terrain = extract_terrain(self.scene, config, self.mask, progress, self._say)
+        self.terrain, self.renderer = terrain, None
+        self._drawn_scene = without_images(self.scene, terrain)
+
+    def _make_water(self, config, check):
+        self.water.restart(self.terrain, config)
+
+    def _make_light(self, config, check):
+        """Make the renderer with all its light; its passes come with it."""
+        camera = self._first_camera()
+        free = free_device_memory(self.backend)
+        require_memory(self.scene, camera, self.terrain.bed.size, 0, free)
+        self._say_stage("light")
+        self.renderer = None  # its memory goes first
+        self.renderer = self._make_renderer(self._drawn_scene, self.terrain, config, camera)
+        self._camera, self._drawn_with = None, config
+        self.stale.discard(PASSES)
+
+    def _make_passes(self, config, check):
+        """Make the renderer with the light that there is."""
+        if self.backend != "cpu":
+            self._make_light(config, check)
+            return
+        light = self.renderer.wet_scene
+        light.config = config
+        self.renderer = Renderer(
+            self._drawn_scene, self.terrain, config, self._first_camera(), wet_scene=light
+        )
+        self._camera, self._drawn_with = None, config
+
+    def _say_stage(self, stage):
+        self._progress(stage, 0, 1)
+
+    def _first_camera(self):
+        """Return a camera for what a renderer asks of a sequence's first one."""
+        return resize_to(self.scene.cameras[0], self.config.width)
+
+    def _follow(self, config):
+        """Let the renderer draw with settings that its parts were not made for."""
+        if self._drawn_with == config:
+            return
+        if self.backend == "cpu":
+            self.renderer.take_settings(config)
+            self._camera, self._drawn_with = None, config
+        elif not self.stale:  # the device has copies of the settings
+            self._make_light(config, None)
+
+    @property
+    def is_ready(self):
+        """Whether there is anything to draw with."""
+        return self.renderer is not None
+
+    # --- pictures ---------------------------------------------------------------------------------
+
+    def camera_of(self, view, width, height):
+        """Return the Camera of a view, in the capture frame, to the bit as `--path` reads it.
+
+        Parameters
+        ----------
+        view : View
+        width, height : int [px]
+        """
+        data = camera_path_data([(self.pose_of(view), view.fov)], width, height, self.config.fps)
+        return path_cameras(data, "the view")[0]
+
+    def pose_of(self, view):
+        """Return capture_from_camera of a view, ndarray of shape (4, 4), with OpenCV axes."""
+        frame, matrix = self.scene.ground_frame, np.eye(4)
+        matrix[:3, :3] = frame.rotation.T @ view.rotation
+        matrix[:3, 3] = frame.to_capture(np.array(view.position))
+        return matrix
+
+    def view_of(self, camera):
+        """Return the View that is nearest to a camera of the capture frame.
+
+        A page's camera has square pixels and its principal point in the middle.
+        """
+        placed = self.scene.ground_frame.camera_in_ground(camera)
+        x, y, z, w = Rotation.from_matrix(placed.camera_from_world[:3, :3].T).as_quat()
+        fov = 2 * math.atan(camera.height / 2 / camera.fy)
+        turn = tuple(float(v) for v in (w, x, y, z))
+        return View(tuple(float(v) for v in placed.position), turn, fov)
+
+    def draw(self, view, width, height, index, names=(), check=lambda: None, simple=False):
+        """Return the picture of a view and its report, as the parts and settings are now.
+
+        Parameters
+        ----------
+        view : View
+        width, height : int [px]
+        index : int
+            Of the state.
+        names : sequence of str
+            AOVs, see `rainsim.render.aov`.
+        check : callable
+            Called between stages; what it raises ends the drawing.
+        simple : bool
+            Find reflections on the screen and in the surroundings alone: no mirrored pictures.
+
+        Returns
+        -------
+        picture : ndarray of shape (height, width, 3), uint8
+        report : FrameReport
+        """
+        self._follow(self.config)
+        key = view, width, height, simple
+        if self._camera is None or self._camera[0] != key:
+            self._camera = key, self.camera_of(view, width, height)
+            self._simplify(simple)
+            self._forget_choices()
+        return self.draw_camera(self._camera[1], index, None, names, check)
+
+    def draw_camera(self, camera, index, end=None, names=(), check=lambda: None):
+        """Return the picture of a Camera of the capture frame and its report.
+
+        `end` is the camera as the shutter closes, in the ground frame; the others are as for
+        `draw`.
+        """
+        try:
+            state = self.water.state(index, check)
+            if self.backend != "cpu":
+                picture, report = self.renderer.draw(camera, state, end, names)
+                return picture.copy(), report
+            return self.renderer.draw(camera, state, end, names, CheckedTimer(check))
+        except BaseException:
+            self._camera = None  # what was kept for it is only partly drawn
+            raise
+
+    def draw_path_frame(self, cameras, index):
+        """Return the picture of one frame of a path, as `rainsim run --path` draws it.
+
+        Parameters
+        ----------
+        cameras : sequence of Camera
+            One per frame, in the capture frame, all of one size.
+        index : int
+        """
+        frame, config = self.scene.ground_frame, self.config
+        path = [frame.camera_in_ground(camera) for camera in cameras]
+        end = shutter_end(path, index, config.at(index / config.fps).render.exposure, config.fps)
+        self._camera = None
+        self._simplify(False)
+        self._forget_choices()
+        return self.draw_camera(replace(cameras[index]), index, end)[0]
+
+    def _simplify(self, simple):
+        """Let the renderer leave out mirrored pictures, or draw as the settings ask."""
+        if self.backend == "cpu":
+            look = self._drawn_with.render
+            if simple and look.reflections in MIRRORS:
+                look = replace(look, reflections="ssr", film="environment")
+            self.renderer.water.config = self.renderer.wet_ground.config = look
+
+    def _forget_choices(self):
+        renderer = self.renderer if self.backend == "cpu" else self.renderer.host
+        renderer.forget_choices()
+
+    def kept(self, key, compute):
+        """Return what compute() returned for the same key and terrain, computed when it is new."""
+        if self._kept[0] != key or self._kept[1] is not self.terrain:
+            self._kept = key, self.terrain, compute()
+        return self._kept[2]
+
+    @property
+    def host(self):
+        """The CPU's `Renderer`: scene, light and terrain, whatever the backend."""
+        return self.renderer if self.backend == "cpu" else self.renderer.host

@@ -1,0 +1,173 @@
+"""The page in a real browser: it opens, follows a drag and each slider, and gives pictures away."""
+
+import re
+import shlex
+import subprocess
+import sys
+import urllib.error
+import urllib.request
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pages import viewing
+from rainsim.config.controls import SLIDERS
+from rainsim.io.images import read_image
+
+pytestmark = pytest.mark.slow
+WIDTH = 400
+# A value for each slider that shows in the picture of the tiny scene.
+VALUES = {
+    "rain_mm_per_hour": 120, "past_rain_mm": 0, "drying_hours": 20, "wind_speed_m_per_s": 18,
+    "wind_direction_degrees": 120, "gusts": 0.5, "water_level_m": 0.05, "cloudiness": 0.1,
+    "sun_azimuth_degrees": 20, "sun_elevation_degrees": 28, "brightness": 2, "exposure_ms": 30,
+    "aperture_mm": 30, "focus_m": 0.5,
+}  # fmt: skip
+
+
+def decibel(a, b):
+    return -10 * np.log10(max(np.mean((a - b) ** 2.0) / 255**2, 1e-12))
+
+
+def act(page, what):
+    """Do something on the page and return the full pictures before and after it."""
+    before, count = page.pixels(), len(page.pictures())
+    what()
+    page.wait_until(lambda: len(page.pictures()) > count)
+    page.settle(WIDTH)
+    return before, page.pixels()
+
+
+def test_a_drag_changes_the_picture_and_the_full_one_follows(server, open_page):
+    page = open_page(server[1])
+    page.settle(WIDTH)
+    before, after = act(page, page.drag)
+    assert before.shape[1] == after.shape[1] == WIDTH
+    assert decibel(before, after) < 35
+    shown = page.page.inner_text("body")
+    assert re.search(r"finished: 400 x \d+ px in \d+ ms", shown)
+
+
+def test_each_slider_acts(server, open_page):
+    page = open_page(server[1])
+    page.settle(WIDTH)
+    for name in ("Camera", "Flood"):
+        page.open_folder(name)
+    page.choose("sun", "angles")
+    page.settle(WIDTH)
+    assert {slider.key for slider in SLIDERS} == set(VALUES)
+    for slider in SLIDERS:
+        if slider.key == "water_level_m":
+            act(page, lambda: page.tick("flood"))
+        before, after = act(page, lambda s=slider: page.type_into(s.label, VALUES[s.key]))
+        assert (before != after).any(), slider.key
+        if slider.key == "drying_hours":  # water again, for the sun to glint on
+            act(page, lambda: page.type_into("drying [h]", 0))
+            act(page, lambda: page.type_into("past rain [mm]", 8))
+        if slider.key == "water_level_m":
+            act(page, lambda: page.tick("flood"))
+    before, after = act(page, lambda: page.choose("preset", "drizzle"))
+    assert (before != after).mean() > 0.2
+    assert page.field("rain [mm/h]").input_value() == "2.5"  # the controls follow the preset
+
+
+def test_modes_show_something_else_and_time_goes_on(server, open_page):
+    page = open_page(server[1])
+    page.settle(WIDTH)
+    for mode in ("depth", "classes", "puddles after N mm"):
+        before, after = act(page, lambda m=mode: page.choose("show", m))
+        assert (before != after).mean() > 0.1, mode
+    act(page, lambda: page.choose("show", "rain"))
+    count = len(page.pictures())
+    page.press("play")
+    page.wait_until(lambda: len(page.pictures()) > count + 10)
+    page.press("pause")
+    page.settle(WIDTH)
+
+
+def test_a_painted_class_changes_the_puddles(server, open_page):
+    page = open_page(server[1])
+    page.settle(WIDTH)
+    act(page, lambda: page.choose("show", "puddles after N mm"))
+    page.open_folder("Ground")
+    page.page.mouse.click(350, 350)
+    page.wait_until(lambda: page.says("ground at"))
+    assert page.says("paving")
+    page.choose("a click", "paint a class")
+    page.choose("class", "grass")
+    page.type_into("brush [m]", 3)
+    before, after = act(page, lambda: page.page.mouse.click(350, 350))
+    blue = (p[..., 2].mean() - p[..., 0].mean() for p in (before, after))
+    assert next(blue) > next(blue) + 1  # no puddle is left on the lawn
+    page.press("save ground and classes")
+    page.wait_until(lambda: page.says("saved in"))
+    assert list(server[2].glob("home/ground-001/class-mask.png"))
+
+
+def test_a_saved_picture_is_that_of_the_page_and_of_its_command(server, open_page):
+    page = open_page(server[1])
+    page.settle(WIDTH)
+    act(page, page.drag)
+    act(page, lambda: page.type_into("rain [mm/h]", 70))
+    seen = page.pixels()
+    page.open_folder("Take home")
+    page.type_into("width [px]", WIDTH)
+    page.type_into("height [px]", len(seen))
+    page.press("save this picture")
+    folder = server[2] / "home/shot-001"
+    page.wait_until(lambda: (folder / "command.txt").is_file())
+    picture = read_image(folder / "picture.png")
+    assert decibel(seen, picture.astype(int)) > 33  # the page has a JPEG of it
+    command = shlex.split((folder / "command.txt").read_text())
+    subprocess.run([sys.executable, "-m", *command], check=True, cwd=server[2])
+    (frame,) = (folder / "drawn/frames").iterdir()
+    np.testing.assert_array_equal(read_image(frame), picture)
+
+
+def test_a_path_is_saved_and_drawn_here(server, open_page):
+    page = open_page(server[1])
+    page.settle(WIDTH)
+    page.open_folder("Take home")
+    page.press("add a keyframe")
+    act(page, page.drag)
+    page.type_into("seconds to it", 0.1)
+    page.press("add a keyframe")
+    page.press("save the path")
+    folder = server[2] / "home/path-001"
+    page.wait_until(lambda: (folder / "command.txt").is_file())
+    page.press("draw the saved one here")
+    page.wait_until(lambda: page.says("3 of 3 frames, drawn in"), 300)
+    assert len(list((folder / "drawn/frames").iterdir())) == 3
+
+
+def test_two_pages_a_reload_and_a_lost_connection(server, open_page):
+    one, two = open_page(server[1]), open_page(server[1])
+    one.settle(WIDTH)
+    two.settle(WIDTH)
+    act(two, two.drag)
+    assert decibel(one.pixels(), two.pixels()) < 35  # each has its camera
+    count = len(one.pictures())
+    act(two, lambda: two.type_into("rain [mm/h]", 90))
+    one.wait_until(lambda: len(one.pictures()) > count)  # and both the rain
+    two.close()
+    one.page.reload()
+    one.wait_for_pictures()
+    one.settle(WIDTH)
+    assert one.field("rain [mm/h]").input_value() == "90"
+    act(one, one.drag)
+
+
+def test_it_listens_here_only_and_ends_at_once(tiny_folder, tmp_path):
+    given = ["--spacing", "0.04", "--extent", "1", "--width", "64"]
+    with viewing(tiny_folder, *given, folder=tmp_path) as (process, address):
+        assert urllib.request.urlopen(address).status == 200
+        listening = Path("/proc/net/tcp").read_text() if sys.platform == "linux" else ""
+        port = f":{int(address.rpartition(':')[2]):04X} "
+        assert all(
+            "0100007F" in line for line in listening.splitlines() if f"{port}00000000:0000" in line
+        )
+    assert process.returncode == 0
+    with pytest.raises(urllib.error.URLError):
+        urllib.request.urlopen(address)
+    assert not list(tmp_path.iterdir())  # nothing was saved, nothing is written

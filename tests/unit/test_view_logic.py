@@ -1,0 +1,345 @@
+"""What the page shows when: the schedule, the clock, what a change costs; no picture is drawn."""
+
+import math
+
+import numpy as np
+import pytest
+
+from rainsim.config.controls import OPTION_KEYS, SLIDERS, si_value
+from rainsim.config.preset_files import HUMAN_KEYS, PARTS, from_human
+from rainsim.config.preset_writer import preset_text_of, value_of
+from rainsim.config.settings import Config, preset_names
+from rainsim.errors import ParameterError
+from rainsim.scene.camera_path import camera_path_data, path_cameras
+from rainsim.view import redo, schedule
+from rainsim.view.clock import Clock
+from rainsim.view.keyframes import Keyframe, path_config, smooth_path, timeline_of
+from rainsim.view.schedule import EXACT, SHARP, SMALL, STILL_AFTER, Schedule
+from rainsim.view.session import View
+from rainsim.view.water import SharedWater
+
+LATER = STILL_AFTER + 0.01
+
+
+def looking(*keys, **settings):
+    """A schedule with clients that have a camera, at time 0."""
+    plan = Schedule(**settings)
+    for key in keys:
+        plan.add(key, 0.0)
+        plan.move(key, f"view of {key}", 1.5, 0.0)
+    return plan
+
+
+def draw(plan, now, seconds=0.01):
+    """Take the next job and finish it."""
+    job, _ = plan.next(now)
+    plan.done(job, seconds, now + seconds)
+    return job
+
+
+# --- schedule -------------------------------------------------------------------------------------
+
+
+def test_a_moving_camera_gets_small_pictures_and_a_still_one_the_full_one():
+    plan = looking("a")
+    plan._pace = plan._simple_pace = 1.0  # a machine that is slow beyond all measure
+    job = draw(plan, 0.0)
+    assert (job.width, job.height, job.step) == (324, 216, SMALL)
+    job, wait = plan.next(0.05)
+    assert job is None and 0 < wait <= STILL_AFTER
+    job = draw(plan, LATER)
+    assert (job.width, job.height, job.step) == (648, 432, EXACT)
+    assert plan.next(9.0) == (None, None)  # nothing to do until something changes
+    assert plan.move("a", "another view", 1.5, 10.0) and not plan.move("a", "another view", 1.5, 11)
+    assert draw(plan, 10.0).step == SMALL
+
+
+def test_small_pictures_are_as_large_as_the_machine_is_fast_between_floor_and_full():
+    plan = looking("a", least=200, full=1000, simplifies=False)
+    widths = []
+    for pace in (1e-6, 8e-8, 1e-9):  # s a pixel
+        for n in range(40):
+            plan.move("a", (pace, n), 1.5, n)
+            job, _ = plan.next(n)
+            plan.done(job, pace * (job.width * job.height + schedule.FIXED_PIXELS), n)
+        widths.append(plan.moving_width())
+    assert widths[0] == 200 < widths[1] < 1000 == widths[2]
+    assert Schedule(adapts=False, full=1000).moving_width() == 1000
+
+
+def test_slow_machines_simplify_what_moves_and_nothing_that_stands_still():
+    plan = looking("a")
+    plan.done(plan.next(0.0)[0], 0.09, 0.0)  # 90 ms for the least picture
+    for n in range(30):
+        plan.move("a", n, 1.5, n)
+        job, _ = plan.next(n)
+        plan.done(job, 0.04 if job.simple else 0.09, n)
+    assert plan.is_slow and job.simple and 324 <= job.width <= 648
+    job, _ = plan.next(40.0)
+    assert job.step == EXACT and not job.simple
+    plan.simplifies = False
+    assert not plan.is_slow and plan.moving_width() == 324
+
+
+def test_a_full_picture_is_given_up_when_the_camera_moves_and_a_small_one_is_not():
+    plan = looking("a")
+    small, _ = plan.next(0.0)
+    plan.move("a", "v2", 1.5, 0.01)
+    assert plan.may_go_on(small) and not plan.is_current(small)
+    plan.done(small, 0.01, 0.02)
+    draw(plan, 0.02)  # the small one of the new camera
+    full, _ = plan.next(0.02 + LATER)
+    assert full.step == EXACT and plan.may_go_on(full)
+    plan.move("a", "v3", 1.5, 0.3)
+    assert not plan.may_go_on(full)
+    plan.remove("a")
+    assert not plan.may_go_on(small) and plan.next(9.0) == (None, None)
+
+
+def test_clients_take_turns_and_moving_ones_go_first():
+    plan = looking("a", "b", "c")
+    assert {draw(plan, 0.1 * n).client for n in range(3)} == {"a", "b", "c"}
+    assert draw(plan, 1.0).step == EXACT
+    plan.move("c", "v2", 1.5, 1.1)
+    job = draw(plan, 1.1)
+    assert (job.client, job.step) == ("c", SMALL)
+    assert draw(plan, 1.2).step == EXACT  # of a client that stands still meanwhile
+    served = []
+    for n in range(6):  # two that move all the time
+        for key in "ab":
+            plan.move(key, (n, key), 1.5, 2.0 + n)
+        served.append(draw(plan, 2.0 + n).client)
+    assert abs(served.count("a") - served.count("b")) <= 1
+
+
+def test_parts_out_of_date_are_refined_in_two_steps():
+    plan = looking("a", stale=True)
+    plan._pace = 1.0
+    steps = [draw(plan, 0.0).step, draw(plan, LATER).step, draw(plan, 2 * LATER).step]
+    assert steps == [SMALL, SHARP, EXACT]
+    plan.change(1.0)
+    plan.stale = False
+    assert [draw(plan, 1.0).step, draw(plan, 1.0 + LATER).step] == [SMALL, EXACT]
+
+
+def test_nothing_is_refined_while_time_plays():
+    plan = looking("a", plays=True)
+    draw(plan, 0.0)
+    assert plan.next(9.0) == (None, None)
+
+
+def test_a_change_for_one_client_leaves_the_others_alone():
+    plan = looking("a", "b")
+    for n in range(4):
+        draw(plan, n)
+    plan.change(9.0, "b")
+    assert draw(plan, 9.0).client == "b"
+    assert draw(plan, 9.0 + LATER).client == "b"
+    assert plan.next(20.0) == (None, None)
+
+
+# --- time -----------------------------------------------------------------------------------------
+
+
+def test_time_plays_at_its_speed_loops_and_stands_still():
+    clock = Clock(frames=3, fps=10.0)
+    assert clock.wait(0.0) is None and not clock.tick(5.0)
+    clock.play(0.0)
+    assert clock.wait(0.0) == pytest.approx(0.1)
+    assert [clock.tick(t) for t in (0.05, 0.1, 0.15, 0.2, 0.31)] == [False, True, False, True, True]
+    assert clock.index == 0  # after the last frame the first
+    clock.speed = 0.25
+    clock.play(1.0)
+    assert not clock.tick(1.3) and clock.tick(1.4) and clock.time == pytest.approx(0.1)
+    clock.loops = False
+    for t in (2, 3, 4):
+        clock.tick(t)
+    assert clock.index == 2 and not clock.plays
+    assert clock.go_to(99) is False and clock.go_to(-1) and clock.index == 0
+
+
+def test_a_late_machine_slows_time_and_leaves_no_frame_out():
+    clock = Clock(frames=100, fps=100.0)
+    clock.play(0.0)
+    for n in range(1, 6):
+        assert clock.tick(float(n)) and clock.index == n
+
+
+# --- what a change costs --------------------------------------------------------------------------
+
+
+def test_every_setting_has_its_cost():
+    assert set(redo.settings()) == set(redo.NEEDS) | redo.PICTURE
+    assert not set(redo.NEEDS) & redo.PICTURE
+    for slider in SLIDERS:
+        assert HUMAN_KEYS[slider.key][0] in redo.settings()
+
+
+def test_a_change_makes_no_more_out_of_date_than_it_must():
+    base = Config.from_preset("moderate")
+    assert redo.out_of_date(base, base) == ()
+    assert redo.out_of_date(base, base.replace(brightness=2.0, exposure=0.01)) == ()
+    assert redo.out_of_date(base, base.replace(seed=7)) == (redo.WATER, redo.PASSES)
+    assert redo.out_of_date(base, base.replace(cloudiness=0.1)) == (redo.LIGHT, redo.PASSES)
+    assert redo.out_of_date(base, base.replace(rate=0.0)) == (redo.WATER, redo.LIGHT, redo.PASSES)
+    assert redo.out_of_date(base, base.replace(spacing=0.1)) == redo.PARTS
+
+
+# --- the table of controls ------------------------------------------------------------------------
+
+
+def test_sliders_stay_within_the_rules():
+    for slider in SLIDERS:
+        attribute = HUMAN_KEYS[slider.key][0]
+        for number in (slider.low, slider.high):
+            table = {slider.key: number}
+            if attribute in PARTS:
+                table = {key: 0.0 for key, _ in PARTS[attribute]} | table
+            config = Config().replace(**from_human(table, "a slider"))
+            config.check()
+            assert si_value(slider.key, number) in np.ravel(value_of(config, attribute))
+        assert slider.low < slider.high and 0 < slider.step <= slider.high - slider.low
+
+
+def test_options_of_the_command_line_are_those_of_the_table():
+    from rainsim.cli import cli
+
+    names = {p.name for p in cli.commands["run"].params}
+    assert set(OPTION_KEYS) <= names
+    assert {key for keys in OPTION_KEYS.values() for key in keys} <= set(HUMAN_KEYS)
+
+
+@pytest.mark.parametrize("name", preset_names())
+def test_settings_are_written_as_a_preset_that_reads_back_exactly(name, tmp_path):
+    sky = tmp_path / 'a\x7f"b\\ä.hdr'
+    sky.touch()
+    config = Config.from_preset(name).replace(
+        rate=17.3e-3 / 3600, wind=(3.1, math.radians(41)), surroundings=(1.5, -2.25, 1 / 3), seed=5
+    )
+    config = config.replace(sun=(math.radians(77), math.radians(33.3)), sky=str(sky))
+    assert Config.from_toml(preset_text_of(config, "about")) == config
+
+
+def test_without_viser_the_command_says_what_to_install(monkeypatch):
+    import importlib.util
+
+    from click.testing import CliRunner
+
+    from rainsim.cli import cli
+
+    real = importlib.util.find_spec
+    monkeypatch.setattr(
+        importlib.util, "find_spec", lambda name, *more: None if name == "viser" else real(name)
+    )
+    done = CliRunner().invoke(cli, ["view"], prog_name="rainsim")
+    assert done.exit_code == 1
+    assert done.stderr == 'Error: the page needs viser; pip install "rainsim[view]"\n'
+
+
+# --- paths ----------------------------------------------------------------------------------------
+
+
+def pose(turn=(0.6, 0.0, 0.8, 0.0), place=(1.0, 2.0, 3.0)):
+    matrix = np.eye(4)
+    matrix[:3, :3] = View(place, turn, 1.0).rotation
+    matrix[:3, 3] = place
+    return matrix
+
+
+def test_a_camera_path_is_read_as_it_was_written():
+    data = camera_path_data([(pose(), 0.9), (pose(place=(0, 0, 1)), 1.1)], 640, 400, 24.0)
+    first, second = path_cameras(data, "a.json")
+    assert (first.width, first.height, first.cx, first.cy) == (640, 400, 320.0, 200.0)
+    assert first.fx == first.fy == pytest.approx(200 / math.tan(0.45))
+    np.testing.assert_allclose(first.position, (1, 2, 3), atol=1e-12)
+    np.testing.assert_allclose(first.forward, pose()[:3, 2], atol=1e-12)  # OpenCV axes again
+    np.testing.assert_allclose(second.position, (0, 0, 1), atol=1e-12)
+    assert data["camera_path"][1]["render_time"] == pytest.approx(1 / 24)
+    flat = np.reshape(data["camera_path"][0]["camera_to_world"], (4, 4))
+    np.testing.assert_allclose(flat[:3, 1], -pose()[:3, 1])  # OpenGL: y up, z back
+
+
+def test_a_path_goes_through_its_keyframes_without_a_jump():
+    config = Config.from_preset("drizzle")
+    frames = [
+        Keyframe(View((float(n), n % 2, 1.0), t, 0.8 + 0.1 * n), config, 1.0)
+        for n, t in enumerate([(1.0, 0, 0, 0), (0.6, 0, 0.8, 0), (0.0, 0, 1.0, 0)])
+    ]
+    views = smooth_path(frames, 10.0)
+    assert len(views) == 21
+    for n, frame in zip((0, 10, 20), frames, strict=True):
+        np.testing.assert_allclose(views[n].position, frame.view.position, atol=1e-9)
+        np.testing.assert_allclose(views[n].rotation, frame.view.rotation, atol=1e-9)
+        assert views[n].fov == pytest.approx(frame.view.fov)
+    steps = np.linalg.norm(np.diff([v.position for v in views], axis=0), axis=1)
+    assert steps[0] < 0.3 * steps.max() and np.abs(np.diff(steps)).max() < 0.35 * steps.max()
+    assert smooth_path(frames[:1], 10.0) == [frames[0].view]
+    with pytest.raises(ParameterError, match="there is no keyframe"):
+        smooth_path([], 10.0)
+    with pytest.raises(ParameterError, match="time between keyframes"):
+        smooth_path([frames[0], Keyframe(frames[1].view, config, 0.0)], 10.0)
+
+
+def test_settings_of_keyframes_become_a_timeline():
+    low, view = Config.from_preset("drizzle"), View((0.0, 0.0, 1.0), (1.0, 0, 0, 0), 1.0)
+    high = low.replace(rate=1e-5, cloudiness=1.0, seed=3)
+    keyframes = [Keyframe(view, low), Keyframe(view, high, 2.0)]
+    assert timeline_of([Keyframe(view, low), Keyframe(view, low, 1.0)]) == ()
+    config = path_config(keyframes, high)
+    assert config.frames == 49 and config.rain.seed == 3  # what cannot change is the present one
+    assert config.at(0.0).rain.rate == low.rain.rate
+    assert config.at(2.0).rain.rate == 1e-5
+    assert low.rain.rate < config.at(1.0).rain.rate < 1e-5
+    assert Config.from_toml(preset_text_of(config)) == config
+    with pytest.raises(ParameterError, match="level is set at some keyframes only"):
+        timeline_of([Keyframe(view, low), Keyframe(view, low.replace(level=0.1), 1.0)])
+
+
+# --- water ----------------------------------------------------------------------------------------
+
+
+class State:
+    def __init__(self, index):
+        self.index, self.time = index, index / 10
+        self.depth = np.full((3, 4), index, np.float64)
+
+
+def test_water_is_simulated_once_and_kept_within_its_bytes():
+    begun = []
+
+    def simulate(terrain, config):
+        begun.append(terrain)
+        for index in range(1000):
+            yield State(index)
+
+    water = SharedWater(simulate, most=5 * 96)
+    water.restart("terrain", None)
+    assert water.state(3).index == 3 and water.state(1).index == 1 and begun == ["terrain"]
+    assert water.indices == [0, 1, 2, 3]
+    for index in range(20):
+        assert water.state(index).index == index
+    assert len(water.indices) <= 5 and 0 in water.indices and begun == ["terrain"]
+    times, depths = water.depths_at(1, 2)
+    assert (depths == np.array(water.indices)).all() and (times == depths / 10).all()
+    assert water.state(2).index == 2 and len(begun) == 2  # forgotten: simulated again
+    water.restart("another", None)
+    assert water.state(0).index == 0 and begun[-1] == "another"
+
+
+def test_a_search_for_a_state_can_be_given_up_between_steps():
+    water = SharedWater(lambda terrain, config: map(State, range(100)))
+    steps = []
+
+    def check():
+        steps.append(1)
+        if len(steps) > 3:
+            raise InterruptedError
+
+    water._states = None
+    with pytest.raises(InterruptedError):
+        water.state(10, check)
+    assert water.indices == [0, 1, 2]
+
+
+def test_the_constants_keep_what_the_page_promises():
+    assert schedule.LEAST_WIDTH >= 324 and 2 * schedule.TARGET < 0.15
