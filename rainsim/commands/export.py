@@ -1,0 +1,289 @@
+"""`rainsim export`: clear and rainy pictures with labels, in the layouts that loaders read."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import click
+
+from rainsim.commands import options
+from rainsim.commands.choose import check_camera_options, paths_in, settings
+from rainsim.commands.compile import compiled_beside, uses_of
+from rainsim.commands.options import FILE, PRESETS, Numbers
+from rainsim.commands.status import Status, loaded_scene
+from rainsim.datasets import LAYOUTS
+from rainsim.errors import ParameterError
+
+DEFAULT_RAINS = "0,1,5,10,25,50"
+MOST_RAINS = 64
+MOST_LAYERS = 11  # AOVs that a picture's labels are made from
+
+
+@click.command(short_help="Write a data set: clear and rainy pictures with labels.")
+@click.argument("scene", default="bicycle")
+@click.option(
+    "--layout",
+    type=click.Choice(LAYOUTS),
+    default="nerfstudio",
+    show_default=True,
+    help="Whose names, folders and encodings.",
+)
+@click.option(
+    "--rain",
+    "rains",
+    metavar="MM/H,MM/H",
+    default=DEFAULT_RAINS,
+    show_default=True,
+    help="Rain rates in mm/h; 0 is the clear picture: the dry capture as it was taken.",
+)
+@click.option(
+    "--views",
+    metavar="all|N|NAME,NAME",
+    default="all",
+    show_default=True,
+    help="Cameras of the capture: all, N of them evenly in their order, or by name. "
+    "All see one moment.",
+)
+@click.option(
+    "--path",
+    type=FILE,
+    metavar="transforms.json",
+    help="A camera path instead: its views follow one another in time, and have flow.",
+)
+@click.option(
+    "--drive", is_flag=True, help="The chosen views follow one another in time, and have flow."
+)
+@click.option("--fps", type=float, show_default=PRESETS, help="Views per second with --drive.")
+@click.option(
+    "--hold-out",
+    type=click.IntRange(0),
+    default=8,
+    show_default=True,
+    metavar="N",
+    help="Hold out every N-th view for tests; 0 holds none out.",
+)
+@click.option(
+    "--lens",
+    metavar="MODEL:K1,K2,...|FILE",
+    show_default="pinhole",
+    help="Distort the pictures and their labels: opencv:k1,k2,p1,p2[,k3] or "
+    "fisheye:k1,k2,k3,k4, as OpenCV has them, or that of a transforms.json or COLMAP model.",
+)
+@click.option(
+    "--rolling",
+    type=float,
+    default=0.0,
+    show_default=True,
+    metavar="MS",
+    help="Readout time of a rolling shutter from the first row to the last, in ms.",
+)
+@click.option(
+    "--glass",
+    type=Numbers("seconds,speed"),
+    help="Drops on a pane before the lens: for how many seconds it has rained on it, and the "
+    "camera's speed ahead in m/s, at which drops come.",
+)
+@click.option(
+    "--labels",
+    type=click.Path(path_type=Path),
+    metavar="FILE.npy|FOLDER",
+    help="Your own ids: one for each splat, or masks named as the capture's cameras.",
+)
+@options.preset_option
+@options.shower_options
+@options.light_options
+@click.option(
+    "--width", type=int, metavar="PX", show_default="648", help="Width of the pictures in px."
+)
+@click.option(
+    "--height",
+    type=int,
+    metavar="PX",
+    show_default="the camera's shape",
+    help="Height of the pictures in px; with --width the picture is cropped.",
+)
+@options.backend_option
+@options.ground_options
+@options.terrain_options
+@options.resume_option
+@options.output_options("rainsim-out/SCENE-LAYOUT")
+def export(
+    scene, layout, rains, out, overwrite, resume, as_json, quiet, backend, preset, labels, **given
+):  # fmt: skip
+    """Write a data set of SCENE: each view clear and in each rain, with labels.
+
+    Labels: depth, range, classes of ground and water, puddles, splashes, masks of what rain spoils,
+    weather; with --drive or --path optical flow. What a layout cannot hold lies beside it, in the
+    folder rainsim. card.json and CARD.md say by which numbers it rained.
+
+    \b
+    Example:
+        rainsim export bicycle --layout nerfstudio --rain 0,10,50 --views 24
+        rainsim export street --layout kitti --drive --rain 0,25 --out street-kitti
+    """
+    status = Status(quiet)
+    rates = rains_of(rains)
+    given = {**given, "frames": None}
+    config = settings(preset, given)
+    check_camera_options(given)
+    if given["path"] is not None and (given["views"] != "all" or given["drive"]):
+        raise ParameterError("--path is a sequence of its own; leave out --views and --drive")
+    lens = None
+    if given["lens"] is not None:
+        from rainsim.sensors.lens_files import lens_named
+
+        lens = lens_named(given["lens"])
+    if given["rolling"]:
+        from rainsim.sensors.rolling import check_readout
+
+        check_readout(given["rolling"] * 1e-3)
+        if backend == "cuda":
+            raise ParameterError("--rolling is drawn on the CPU only; leave out --backend cuda")
+    if backend == "cuda":
+        from rainsim.cuda import require
+
+        require()
+    from rainsim.datasets.shots import FLOWS, LABELS
+
+    uses = uses_of(config, (*LABELS, *FLOWS), backend)
+    with status, compiled_beside(status, uses, config.threads):
+        loaded = loaded_scene(status, scene, given)
+        out = out or options.default_out(loaded.name, layout)
+        cameras = _cameras(loaded, config, given)
+        plan = _plan(loaded, cameras, lens, rates, given)
+        card = _write(
+            status, loaded, plan, config, layout=layout, out=out, overwrite=overwrite,
+            resume=resume, backend=backend, labels=labels, given=given,
+        )  # fmt: skip
+    from rainsim.output_folder import relative
+
+    status.say(f"{card['pictures']} pictures in {relative(out)} ({status.seconds:.1f} s)")
+    click.echo(json.dumps({"out": str(out), **card}, indent=1) if as_json else str(out))
+
+
+def rains_of(text):
+    """Return the rain rates [mm/h] of a text with commas, rising, each once."""
+    from rainsim.config.settings import MAX_RATE
+
+    try:
+        rates = sorted({float(part) for part in text.split(",")})
+    except ValueError:
+        rates = []
+    good = rates and all(math.isfinite(r) and 0 <= r <= MAX_RATE for r in rates)
+    if not good or len(rates) > MOST_RAINS:
+        raise ParameterError(
+            f"--rain is {text!r}; it must be up to {MOST_RAINS} rates from 0 to {MAX_RATE:g} mm/h "
+            f"with commas between them, such as {DEFAULT_RAINS}"
+        )
+    return tuple(rates)
+
+
+def _cameras(scene, config, given):
+    """Return the data set's cameras, sized, in the capture frame."""
+    from rainsim.commands.choose import named_camera
+    from rainsim.scene.cameras import read_cameras, resize_to
+
+    views = given["views"]
+    if given["path"] is not None:
+        cameras = read_cameras(given["path"])
+    elif not scene.cameras:
+        named_camera(scene, None)  # raises
+    elif views == "all":
+        cameras = scene.cameras
+    elif views.isdecimal() and int(views) > 0 and views not in {c.name for c in scene.cameras}:
+        count = min(int(views), len(scene.cameras))
+        step = len(scene.cameras) / count
+        cameras = [scene.cameras[int((k + 0.5) * step)] for k in range(count)]
+    else:
+        cameras = [named_camera(scene, name.strip()) for name in views.split(",")]
+    return [resize_to(camera, config.width, config.height) for camera in cameras]
+
+
+def _plan(scene, cameras, lens, rates, given):
+    from rainsim.datasets.export import held_out, safe_names
+    from rainsim.datasets.points import points_of
+    from rainsim.datasets.sample import Plan, View
+    from rainsim.render.labels import class_names
+
+    names = safe_names(cameras)
+    views = [
+        View(k, name, scene.ground_frame.camera_in_ground(camera), lens)
+        for k, (name, camera) in enumerate(zip(names, cameras, strict=True))
+    ]
+    sequence = given["drive"] or given["path"] is not None
+    if sequence and len({(c.width, c.height) for c in cameras}) > 1:
+        raise ParameterError(
+            "the views of a sequence differ in size; all must be equal; give --width and --height"
+        )
+    points = points_of(scene)
+    return Plan(
+        options.plain(scene.name), held_out(views, given["hold_out"]), rates, sequence, *points,
+        class_names(),
+    )  # fmt: skip
+
+
+def _pane(given, plan):
+    """Return the `Pane` before the lens, None without one."""
+    if given["glass"] is None:
+        return None
+    from rainsim.sensors.glass import Pane, pane_window
+
+    age, speed = given["glass"]
+    if not (0 <= age <= 3600 and 0 <= speed <= 100):
+        raise ParameterError(
+            f"--glass is {age:g},{speed:g}; it must be 0 to 3600 s and 0 to 100 m/s; 10,15 is usual"
+        )
+    if plan.views[0].lens is not None:
+        raise ParameterError("--glass and --lens are both given; leave one out")
+    pane = Pane(age=age, speed=speed)
+    for view in plan.views:
+        pane_window(view.camera, pane)  # raises
+    return pane
+
+
+def _write(status, scene, plan, config, *, layout, out, overwrite, resume, backend, labels, given):
+    """Draw and write the data set; return its card."""
+    from rainsim.datasets.export import DataSetFolder, read_card
+    from rainsim.datasets.export import export as write_all
+    from rainsim.datasets.shots import Shots
+    from rainsim.io.fingerprint import hash_of
+    from rainsim.jit import set_threads
+    from rainsim.output_folder import claimed, scene_content, settings_content
+    from rainsim.render.memory import memory_notes
+    from rainsim.scene.cameras import cameras_to_data
+
+    user_labels = None
+    if labels is not None:
+        from rainsim.datasets.user_labels import read_labels
+
+        user_labels = read_labels(labels, scene)
+    content = {
+        "scene": scene_content(scene), "settings": settings_content(config),
+        "rates": plan.rates, "sequence": plan.sequence, "backend": backend,
+        "cameras": hash_of(cameras_to_data([view.camera for view in plan.views])),
+        "names": [[view.name, view.held_out] for view in plan.views],
+        "lens": str(plan.views[0].lens), "rolling": given["rolling"],
+        "glass": given["glass"],
+        "labels": None if user_labels is None else hash_of(user_labels.ids.tolist()),
+    }  # fmt: skip
+    sources = [scene.source, labels, *paths_in(given)]
+    pane = _pane(given, plan)
+    with claimed(out, overwrite, resume, sources):
+        set_threads(config.threads)
+        folder = DataSetFolder(out, layout, plan, content, scene, resume, overwrite)
+        if folder.kept:
+            status.say(f"{len(folder.kept)} of {folder.count} pictures are finished and kept")
+        from rainsim.pipeline import extract_terrain
+
+        terrain = extract_terrain(scene, config, None, status.progress, status.notes)
+        readout = given["rolling"] * 1e-3
+        shots = Shots(
+            scene, terrain, plan.views, config, plan.sequence, backend, user_labels, readout,
+            pane,
+        )  # fmt: skip
+        largest = max((shots.drawn_camera(v) for v in plan.views), key=lambda c: c.width * c.height)
+        status.notes(memory_notes(scene, largest, terrain.bed.size, MOST_LAYERS))
+        write_all(shots, folder, shots.config_of, status.progress)
+    return read_card(Path(out))

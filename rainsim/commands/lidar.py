@@ -1,0 +1,124 @@
+"""`rainsim lidar`: turns of a lidar in the rain that the cameras see."""
+
+from __future__ import annotations
+
+import json
+
+import click
+
+from rainsim.commands import options
+from rainsim.commands.choose import named_camera, paths_in, settings
+from rainsim.commands.compile import compiled_beside
+from rainsim.commands.export import rains_of
+from rainsim.commands.status import Status, loaded_scene
+from rainsim.errors import ParameterError
+
+SENSORS = ("vlp16", "hdl32", "hdl64")
+FORMATS = ("kitti", "pcd", "ply")
+MOST_TURNS = 9999
+
+
+@click.command(short_help="Scan a scene by a lidar, clear and in rain.")
+@click.argument("scene", default="bicycle")
+@click.option(
+    "--sensor",
+    type=click.Choice(SENSORS),
+    default="vlp16",
+    show_default=True,
+    help="Channels, ranges and beams of which lidar.",
+)
+@click.option(
+    "--rain",
+    "rains",
+    metavar="MM/H,MM/H",
+    default="0,10,25,50",
+    show_default=True,
+    help="Rain rates in mm/h; 0 is the dry scene in clear air.",
+)
+@click.option(
+    "--camera",
+    metavar="NAME",
+    help="The lidar stands at this camera, level, and looks where it looks. [default: the first]",
+)
+@click.option(
+    "--height",
+    type=float,
+    metavar="M",
+    show_default="the camera's",
+    help="Height of the lidar above the ground's level in metres.",
+)
+@click.option(
+    "--speed",
+    type=float,
+    default=0.0,
+    show_default=True,
+    metavar="M/S",
+    help="Speed ahead in m/s.",
+)
+@click.option(
+    "--turns",
+    type=click.IntRange(1, MOST_TURNS),
+    default=1,
+    show_default=True,
+    help="Number of turns, one after the other.",
+)
+@click.option(
+    "--format",
+    "kind",
+    type=click.Choice(FORMATS),
+    default="kitti",
+    show_default=True,
+    help="kitti: .bin with .label files; pcd: all pulses, lost ones as NaN; ply.",
+)
+@options.preset_option
+@options.shower_options
+@click.option(
+    "--ground-albedo",
+    type=float,
+    metavar="0..1",
+    show_default="guessed",
+    help="Share of the light that the open dry ground reflects; colours stand for reflectivities.",
+)
+@options.ground_options
+@options.terrain_options
+@options.output_options("rainsim-out/SCENE-SENSOR")
+def lidar(
+    scene, sensor, rains, camera, height, speed, turns, kind, preset, out, overwrite, as_json,
+    quiet, **given,
+):  # fmt: skip
+    """Scan SCENE by a lidar, clear and in rain, through the very drops that the cameras see.
+
+    Writes DIR/clear and DIR/rain/25mm and so on with a file for each turn, the label of each point
+    (1 scattered by a drop, 2 kept, 3 mirrored by water; lost pulses have no point), poses.txt and
+    lidar.json with counts, extinction and LISA's expectation.
+
+    \b
+    Example:
+        rainsim lidar street --sensor hdl64 --height 1.7 --rain 0,25
+    """
+    status = Status(quiet)
+    rates = rains_of(rains)
+    config = settings(preset, given)
+    if not abs(speed) <= 100:  # false for NaN
+        raise ParameterError(f"--speed is {speed} m/s; it must lie from -100 to 100")
+    from rainsim.compiling.uses import SIMULATE
+
+    with status, compiled_beside(status, [SIMULATE], config.threads):
+        loaded = loaded_scene(status, scene, given)
+        out = out or options.default_out(loaded.name, sensor)
+        place = loaded.ground_frame.camera_in_ground(named_camera(loaded, camera))
+        from rainsim.jit import set_threads
+        from rainsim.output_folder import claimed
+        from rainsim.sensors.drive import LidarFolder, scan_rains
+
+        with claimed(out, overwrite, False, [loaded.source, *paths_in(given)]):
+            set_threads(config.threads)
+            folder = LidarFolder(out, kind, overwrite)
+            facts = scan_rains(
+                folder, loaded, config, rates, sensor=sensor, camera=place, height=height,
+                speed=speed, turns=turns, tell=status.progress, say=status.notes,
+            )  # fmt: skip
+    from rainsim.output_folder import relative
+
+    status.say(f"{turns * len(rates)} turns in {relative(out)} ({status.seconds:.1f} s)")
+    click.echo(json.dumps({"out": str(out), **facts}, indent=1) if as_json else str(out))

@@ -1,0 +1,3 @@
+"""Data sets: clear and rainy pictures with labels, in the layouts that loaders read."""
+
+LAYOUTS = ("nerfstudio", "colmap", "kitti", "cityscapes", "replicator")  # modules of this room

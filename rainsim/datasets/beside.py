@@ -1,0 +1,50 @@
+"""What a layout cannot hold, beside it in ours: `rainsim/` in the folder of each rain."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rainsim.datasets.files import JSON, PNG, PNG16, PNG48, DataFile
+from rainsim.datasets.sample import condition, depth_mm, flow_known, kitti_flow
+
+FOLDER = "rainsim"
+
+
+def sample_files(sample, plan):
+    """Yield the `DataFile`s of a sample, the same for each layout."""
+    folder, name = f"{condition(sample.rate)}/{FOLDER}", sample.view.name
+    yield DataFile(f"{folder}/class_id/{name}.png", PNG, sample.class_id.astype(np.uint8))
+    yield DataFile(f"{folder}/puddle_id/{name}.png", PNG16, sample.puddle_id)
+    yield DataFile(f"{folder}/splash_id/{name}.png", PNG16, sample.splash_id)
+    keep = np.where(sample.keep, 255, 0).astype(np.uint8)
+    yield DataFile(f"{folder}/keep/{name}.png", PNG, keep)
+    yield DataFile(f"{folder}/range/{name}.png", PNG16, depth_mm(sample.range))
+    if sample.labels is not None:
+        yield DataFile(f"{folder}/labels/{name}.png", PNG16, sample.labels)
+    if sample.glass is not None:
+        share = np.rint(np.clip(sample.glass, 0, 1) * 65535).astype(np.uint16)
+        yield DataFile(f"{folder}/glass/{name}.png", PNG16, share)
+    if sample.flow is not None:
+        flow = kitti_flow(sample.flow, flow_known(sample, hidden_too=True))
+        yield DataFile(f"{folder}/flow/{name}.png", PNG48, flow)
+        mask = sample.flow_mask.astype(np.uint8)
+        yield DataFile(f"{folder}/flow_mask/{name}.png", PNG, mask)
+    about = {
+        "view": name, "index": sample.view.index, "rain_mm_per_hour": sample.rate,
+        "held_out": sample.view.held_out, "classes": plan.names, **camera_facts(sample.view),
+        **sample.facts,
+    }  # fmt: skip
+    yield DataFile(f"{folder}/{name}.json", JSON, about)
+
+
+def camera_facts(view):
+    """Return a view's camera and lens as plain values."""
+    camera, lens = view.camera, view.lens
+    return {
+        "camera": {
+            "width": camera.width, "height": camera.height, "fx": camera.fx, "fy": camera.fy,
+            "cx": camera.cx, "cy": camera.cy,
+            "camera_from_ground": camera.camera_from_world.tolist(),
+            "lens": None if lens is None else {"model": lens.model, "values": list(lens.values)},
+        },
+    }  # fmt: skip

@@ -1,0 +1,208 @@
+"""Writes a data set: each picture with its labels is a part that an interrupted export keeps."""
+
+from __future__ import annotations
+
+import importlib
+import re
+import shutil
+import sys
+import time
+from dataclasses import replace
+
+from rainsim.datasets import LAYOUTS, beside
+from rainsim.datasets.card import card_of, card_text
+from rainsim.datasets.files import TEXT, DataFile, write_file
+from rainsim.errors import InputError, ParameterError
+from rainsim.io.files import read_json, write_json
+from rainsim.io.fingerprint import fingerprint
+from rainsim.io.journal import SHARED_FOLDER, Journal
+from rainsim.output_folder import CLAIM, TEMPORARY, input_facts, versions
+
+CARD, CARD_TEXT, JOURNAL = "card.json", "CARD.md", "pictures.jsonl"
+PART = r"[\w+-][\w.+-]*"
+OURS = re.compile(rf"{PART}(/{PART})*")  # names that lead nowhere but below the folder
+
+
+def layout_of(name):
+    """Return the module of a layout by its name."""
+    if name not in LAYOUTS:
+        raise ParameterError(f"layout is {name!r}; it must be one of {', '.join(LAYOUTS)}")
+    return importlib.import_module(f"rainsim.datasets.{name}")
+
+
+def _is_ours(name):
+    return OURS.fullmatch(name) is not None
+
+
+class DataSetFolder:
+    """A folder that a data set is written to, with its card and its journal.
+
+    Parameters
+    ----------
+    folder : Path
+        Claimed by the caller, see `rainsim.output_folder.claimed`.
+    layout : str
+    plan : Plan
+    content : dict
+        Plain JSON values that the files depend on.
+    scene : Scene
+    resume, overwrite : bool
+
+    Attributes
+    ----------
+    kept : set of int
+        Parts that need not be drawn.
+    """
+
+    def __init__(self, folder, layout, plan, content, scene, resume=False, overwrite=False):
+        self.folder, self.name, self.plan, self.scene = folder, layout, plan, scene
+        self.layout = layout_of(layout)
+        self.journal = Journal(folder, JOURNAL, _is_ours)
+        self.fingerprint = fingerprint({"data set": content, "layout": layout})
+        self._start, self._begun, self.kept = time.perf_counter(), False, set()
+        before = read_card(folder)
+        if resume:
+            self._check(before)
+            self.kept = set(self.journal.finished(range(self.count)))
+        elif before is None and any(folder.glob("*")):
+            found = [p.name for p in folder.iterdir() if p.name != CLAIM]
+            if found and overwrite:
+                raise ParameterError(
+                    f"output folder {folder} holds {found[0]} and no data set; --overwrite "
+                    "replaces data sets only; give another --out"
+                )
+
+    @property
+    def count(self):
+        """Number of parts: pictures of each rain."""
+        return len(self.plan.rates) * len(self.plan.views)
+
+    def part(self, rate, view):
+        """Return the number of the part of a rain's view."""
+        return self.plan.rates.index(rate) * len(self.plan.views) + view
+
+    def missing(self, rate):
+        """Return the views of a rain that are to be drawn."""
+        return [v for v in range(len(self.plan.views)) if self.part(rate, v) not in self.kept]
+
+    def _check(self, before):
+        """Raise ParameterError unless the folder holds an unfinished export of the same content."""
+        own = (CLAIM, SHARED_FOLDER)
+        others = [p.name for p in self.folder.iterdir()
+                  if p.name not in own and not TEMPORARY.fullmatch(p.name)]  # fmt: skip
+        if before is None and others:
+            raise ParameterError(
+                f"output folder {self.folder} holds {others[0]} and no data set; --resume goes on "
+                "with an unfinished export only; give another --out"
+            )
+        if before is not None and before.get("fingerprint") != self.fingerprint:
+            raise ParameterError(
+                f"the data set in {self.folder} is another: other scene, settings, views, rains, "
+                "layout or version; --resume goes on with the very same export only; give another "
+                "--out, or --overwrite to replace it"
+            )
+
+    def begin(self, config_of):
+        """Remove an earlier data set unless it is the same, and write the card."""
+        self._begun = True
+        before = read_card(self.folder)
+        if before is not None and before.get("fingerprint") != self.fingerprint:
+            self._remove_files()
+        for path in list(self.folder.rglob(".*")):  # of an export that was killed
+            if path.is_file() and path.name != CLAIM and TEMPORARY.fullmatch(path.name):
+                path.unlink()
+        self.journal.begin_line()
+        self._card = {
+            "program": "rainsim", "command": ["rainsim", *sys.argv[1:]],
+            "started": time.strftime("%Y-%m-%dT%H:%M:%S%z"), "versions": versions(),
+            "input": input_facts(self.scene, self.folder),
+            **card_of(self.plan, self.name, self.scene, config_of), "fingerprint": self.fingerprint,
+        }  # fmt: skip
+        self._write_card(complete=False)
+
+    def _remove_files(self):
+        """Remove the files that the journal names, and the folders that are then empty."""
+        names = {name for entry in self.journal.entries().values() for name in entry["files"]}
+        names |= {name for name in (read_card(self.folder) or {}).get("files", ())
+                  if isinstance(name, str) and _is_ours(name)}  # fmt: skip
+        folders = set()
+        for name in (*names, JOURNAL, CARD_TEXT):
+            path = self.folder / name
+            path.unlink(missing_ok=True)
+            folders |= {p for p in path.parents if self.folder in p.parents}
+        for folder in sorted(folders, key=lambda p: -len(p.parts)):
+            if folder.is_dir() and not any(folder.iterdir()):
+                folder.rmdir()
+        shutil.rmtree(self.folder / SHARED_FOLDER, ignore_errors=True)
+        self.journal = Journal(self.folder, JOURNAL, _is_ours)
+
+    def add(self, sample):
+        """Write a sample's files and note it as finished."""
+        files = [*self.layout.sample_files(sample, self.plan),
+                 *beside.sample_files(sample, self.plan)]  # fmt: skip
+        names = [write_file(self.folder, file) for file in files]
+        part = self.part(sample.rate, sample.view.index)
+        self.journal.add(part, names, rain=sample.rate, view=sample.view.name)
+        self.kept.add(part)
+
+    def finish(self):
+        """Write what belongs to the whole data set, and the card as complete."""
+        names = [write_file(self.folder, file) for file in self.layout.plan_files(self.plan)]
+        names.append(write_file(self.folder, DataFile(CARD_TEXT, TEXT, card_text(self._card))))
+        self._write_card(complete=len(self.kept) == self.count, files=sorted(names))
+
+    def _write_card(self, complete, **facts):
+        seconds = round(time.perf_counter() - self._start, 3)
+        write_json(self.folder / CARD, {**self._card, "complete": complete, "seconds": seconds,
+                                        **facts})  # fmt: skip
+
+
+def read_card(folder):
+    """Return the card of a data set in a folder, None if there is none."""
+    try:
+        card = read_json(folder / CARD, "a card")
+    except (OSError, InputError):
+        return None
+    ours = isinstance(card, dict) and card.get("program") == "rainsim" and "layout" in card
+    return card if ours else None
+
+
+def export(shots, folder, config_of, tell=None):
+    """Draw and write all samples that are missing in a `DataSetFolder`.
+
+    Parameters
+    ----------
+    shots : Shots
+    folder : DataSetFolder
+    config_of : callable
+        config_of(rate) returns the settings of a rain rate [mm/h].
+    tell : callable, optional
+        Called as tell(stage, done, total).
+    """
+    folder.begin(config_of)
+    done = len(folder.kept)
+    for rate in folder.plan.rates:
+        for sample in shots.draw(rate, folder.missing(rate)):
+            folder.add(sample)
+            done += 1
+            if tell is not None:
+                tell("pictures", done, folder.count)
+    folder.finish()
+
+
+def safe_names(cameras):
+    """Return names for files from the cameras' names: letters, digits, -, _; each another."""
+    names = []
+    for index, camera in enumerate(cameras):
+        stem = re.sub(r"\.(png|jpe?g|JPE?G|PNG)$", "", camera.name or "")
+        name = re.sub(r"[^\w-]+", "_", stem, flags=re.ASCII).strip("_") or f"view_{index:05d}"
+        name = name if name[0] != "-" else f"v{name}"
+        names.append(name if name not in names else f"{name}_{index:05d}")
+    return names
+
+
+def held_out(views, every):
+    """Return the views with every `every`-th held out for tests; 0 holds none out."""
+    return tuple(
+        replace(view, held_out=every > 0 and view.index % every == every - 1) for view in views
+    )

@@ -1,0 +1,65 @@
+"""Files of a data set: each is written whole, by the kind that a layout names."""
+
+from __future__ import annotations
+
+import io
+import json
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from rainsim.errors import ParameterError
+from rainsim.io import images
+from rainsim.io.files import replacing
+from rainsim.io.png48 import write_png48
+
+PNG, PNG16, PNG48, NPY, JSON, TEXT, BYTES = range(7)
+
+
+@dataclass(frozen=True)
+class DataFile:
+    """A file to be written.
+
+    Attributes
+    ----------
+    name : str
+        Relative to the data set's folder.
+    kind : int
+        PNG (uint8), PNG16 (grey), PNG48 (colour), NPY (float32 and the like), JSON, TEXT, BYTES.
+    content : ndarray, dict, list, str or bytes
+    """
+
+    name: str
+    kind: int
+    content: Any
+
+
+def write_file(folder, file):
+    """Write a `DataFile` below a folder and return its name."""
+    path = folder / file.name
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if file.kind == PNG:
+        images.write_png(path, file.content)
+    elif file.kind == PNG16:
+        images.write_png16(path, file.content)
+    elif file.kind == PNG48:
+        write_png48(path, file.content)
+    else:
+        with replacing(path) as temporary:
+            temporary.write_bytes(_bytes_of(file))
+    return file.name
+
+
+def _bytes_of(file):
+    if file.kind == NPY:
+        buffer = io.BytesIO()
+        np.save(buffer, file.content)
+        return buffer.getvalue()
+    if file.kind == JSON:
+        return (json.dumps(file.content, indent=1, allow_nan=False) + "\n").encode()
+    if file.kind == TEXT:
+        return file.content.encode()
+    if file.kind == BYTES:
+        return file.content
+    raise ParameterError(f"file {file.name} has the kind {file.kind}; it must be one of the seven")

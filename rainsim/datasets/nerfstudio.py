@@ -1,0 +1,69 @@
+"""The layout of nerfstudio: a folder with transforms.json for each rain.
+
+After nerfstudio's data parser of this name (nerfstudio_dataparser.py, Apache-2.0, commit 01595f7):
+frames are sorted by their file's name; depth is 16-bit PNG, times 0.001 in the
+poses' unit, which is why poses are in metres; masks are 0 where a pixel is to be left out, for all
+frames or none; the splits name files, all three or none; the camera model is one for all frames.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rainsim.datasets.files import BYTES, JSON, PNG, PNG16, DataFile
+from rainsim.datasets.points import ply_bytes
+from rainsim.datasets.sample import condition, depth_mm
+from rainsim.scene.cameras import FLIP
+
+OPENCV_KEYS, FISHEYE_KEYS = ("k1", "k2", "p1", "p2", "k3"), ("k1", "k2", "k3", "k4")
+
+
+def sample_files(sample, plan):
+    """Yield the `DataFile`s of a sample."""
+    folder, name = condition(sample.rate), sample.view.name
+    yield DataFile(f"{folder}/images/{name}.png", PNG, sample.picture)
+    yield DataFile(f"{folder}/depths/{name}.png", PNG16, depth_mm(sample.depth))
+    yield DataFile(f"{folder}/masks/{name}.png", PNG, np.where(sample.keep, 255, 0).astype("u1"))
+
+
+def plan_files(plan):
+    """Yield the `DataFile`s of the whole data set."""
+    for rate in plan.rates:
+        folder = condition(rate)
+        yield DataFile(f"{folder}/transforms.json", JSON, transforms(plan))
+        yield DataFile(f"{folder}/points.ply", BYTES, ply_bytes(plan.points, plan.colors))
+
+
+def transforms(plan):
+    """Return what transforms.json holds: poses in the ground frame [m], OpenGL's camera axes."""
+    lens = plan.views[0].lens
+    fisheye = lens is not None and lens.model == "fisheye"
+    keys = FISHEYE_KEYS if fisheye else OPENCV_KEYS
+    bent = {} if lens is None else dict(zip(keys, lens.values, strict=False))
+    names = [f"images/{view.name}.png" for view in plan.views]
+    held = [name for name, view in zip(names, plan.views, strict=True) if view.held_out]
+    kept = [name for name, view in zip(names, plan.views, strict=True) if not view.held_out]
+    frames = [{
+        "file_path": f"images/{view.name}.png",
+        "depth_file_path": f"depths/{view.name}.png",
+        "mask_path": f"masks/{view.name}.png",
+        "w": view.camera.width, "h": view.camera.height,
+        "fl_x": view.camera.fx, "fl_y": view.camera.fy,
+        "cx": view.camera.cx, "cy": view.camera.cy, **bent,
+        "transform_matrix": opengl_pose(view.camera).tolist(),
+    } for view in plan.views]  # fmt: skip
+    return {
+        "camera_model": "OPENCV_FISHEYE" if fisheye else "OPENCV",
+        "orientation_override": "none",  # z is up already
+        "ply_file_path": "points.ply",
+        "train_filenames": kept or names, "val_filenames": held or names,
+        "test_filenames": held or names,
+        "frames": frames,
+    }  # fmt: skip
+
+
+def opengl_pose(camera):
+    """Return world_from_camera, (4, 4), of a camera with x right, y up and z back."""
+    matrix = np.linalg.inv(camera.camera_from_world)
+    matrix[:3, :3] *= FLIP
+    return matrix

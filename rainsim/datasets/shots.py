@@ -1,0 +1,200 @@
+"""Draws the samples of a data set: one rain after another, camera by camera."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from rainsim.backend import on_backend
+from rainsim.config.settings import mm_per_hour
+from rainsim.datasets.sample import REPLACED, Sample, keep_mask
+from rainsim.drops import Weather
+from rainsim.pipeline import FrameSequence, simulate
+from rainsim.raster import Rasterizer, prepare
+from rainsim.render.labels import boxes_of
+from rainsim.render.shutter import motion_of
+from rainsim.sensors.glass import caps_on, through_glass, wide_camera
+from rainsim.sensors.lens import lens_warp
+from rainsim.sensors.rolling import STILL, Motion, bands, draw_rolling
+from rainsim.terrain.pond import without_images
+
+LABELS = ("depth", "range", "class_id", "puddle_id", "splash_id", "rain_alpha", "splash_alpha")
+FLOWS = ("flow", "flow_mask")
+CLEAR = "clean"
+NEAR = 0.05  # m: splats nearer than this are not drawn
+
+
+class Shots:
+    """The samples of one scene.
+
+    Parameters
+    ----------
+    scene : Scene
+    terrain : Terrain
+    views : sequence of View
+    config : Config
+        Its rain rate is replaced by that of each sample.
+    sequence : bool
+        Whether the views follow one another in time, at the rate of frames of the settings; else
+        all see the same moment, the first.
+    backend : {"cpu", "cuda"}
+    user_labels : UserLabels, optional
+    pane : Pane, optional
+        Glass before the lens, with drops of its own in each rain and view; not behind a lens that
+        distorts.
+    readout : float [s]
+        Of a rolling shutter, from the first row to the last; 0: all rows at once. There is no flow
+        with one.
+    """
+
+    def __init__(self, scene, terrain, views, config, sequence, backend="cpu", user_labels=None,
+                 readout=0.0, pane=None):  # fmt: skip
+        self.scene, self.terrain, self.views = scene, terrain, views
+        self.config, self.sequence, self.backend = config, sequence, backend
+        self.user_labels, self.readout, self.pane = user_labels, readout, pane
+        self._wide = None  # the renderer of what drops on the glass show, and its rate
+        self._warps, self._dry = {}, None
+
+    def draw(self, rate, indices):
+        """Yield the `Sample`s of the views `indices` at a rain rate [mm/h]."""
+        indices = list(indices)
+        if not indices:
+            return
+        config = self.config_of(rate)
+        names = (*LABELS, *(FLOWS if self.sequence and not self.readout else ()),
+                 *((CLEAR,) if rate == 0 else ()))  # fmt: skip
+        drawn = self._in_sequence if self.sequence else self._at_one_moment
+        drawn = self._rolling if self.readout else drawn
+        for index, (picture, report) in zip(indices, drawn(config, indices, names), strict=True):
+            picture = report.aovs[CLEAR] if rate == 0 else picture
+            sample = self._sample(self.views[index], rate, picture, report)
+            yield sample if self.pane is None or rate == 0 else self._behind_glass(sample, config)
+
+    def config_of(self, rate):
+        """Return the settings of a rain rate [mm/h]; for 0 those of a dry day: no water at all."""
+        if rate > 0:
+            return self.config.replace(rate=mm_per_hour(rate)).check()
+        return self.config.replace(rate=0.0, past=0.0, level=None).check()
+
+    def _warp(self, view):
+        """Return the `LensWarp` of a view, None for a pinhole; kept for views of the same lens."""
+        if view.lens is None:
+            return None
+        camera = view.camera
+        size = camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy, view.lens
+        if size not in self._warps:
+            self._warps[size] = lens_warp(camera, view.lens)
+        return self._warps[size]
+
+    def drawn_camera(self, view):
+        """Return the pinhole camera that is drawn for a view, in the capture frame."""
+        warp, camera = self._warp(view), view.camera
+        if warp is not None:
+            camera = replace(warp.wide, camera_from_world=camera.camera_from_world)
+        return self.scene.ground_frame.camera_in_capture(camera)
+
+    def _at_one_moment(self, config, indices, names):
+        config = config.replace(frames=1)
+        state = next(simulate(self.terrain, config))
+        cameras = [self.drawn_camera(self.views[index]) for index in indices]
+        make = on_backend(self.backend)[0]
+        first = self.drawn_camera(self.views[0])  # the surroundings are drawn from its place
+        renderer = make(without_images(self.scene, self.terrain), self.terrain, config, first)
+        shots = ((camera, state, None) for camera in cameras)
+        yield from renderer.film(shots, names)
+
+    def _in_sequence(self, config, indices, names):
+        cameras = [self.drawn_camera(view) for view in self.views]
+        config = config.replace(frames=len(cameras))
+        sequence = FrameSequence(self.scene, self.terrain, cameras, config, self.backend, names)
+        yield from sequence.frames(indices)
+
+    def _rolling(self, config, indices, names):
+        """Yield pictures and reports of a rolling shutter, see `rainsim.sensors.rolling`."""
+        frame = self.scene.ground_frame
+        path = [frame.camera_in_ground(self.drawn_camera(view)) for view in self.views]
+        config = config.replace(frames=len(path) if self.sequence else 1)
+        scene = without_images(self.scene, self.terrain)
+        first = frame.camera_in_capture(path[0])
+        renderer = on_backend(self.backend)[0](scene, self.terrain, config, first)
+        states, state = simulate(self.terrain, config), None
+        labels = tuple(name for name in names if name != CLEAR)
+        for index in indices:
+            while state is None or (self.sequence and state.index < index):
+                state = next(states)
+            motion = STILL
+            if self.sequence:
+                motion = Motion(*motion_of(path, index, config.fps))
+            own = self.views[index].camera
+            sensor = {"first_row": own.cy - path[index].cy, "height": own.height}
+            picture, report = draw_rolling(
+                renderer, path[index], state, motion, self.readout, labels, **sensor
+            )
+            if CLEAR in names:
+                exposure = config.at(state.time).render.exposure
+                parts = bands(path[index], motion, self.readout, exposure, **sensor)
+                clear = [self._dry_picture(begin) for _, begin, _ in parts]
+                report = replace(report, aovs={**report.aovs, CLEAR: np.concatenate(clear)})
+            yield picture, report
+
+    def _dry_picture(self, camera):
+        """Return the dry capture, 8-bit colours, that a camera (ground frame) sees."""
+        frame = self.scene.ground_frame
+        if self._dry is None:
+            self._dry = Rasterizer(prepare(self.scene.splats))
+        camera = frame.camera_in_capture(camera)
+        color = self._dry.draw(camera, NEAR / frame.meters_per_unit).color
+        return (np.clip(color, 0, 1) * 255 + 0.5).astype(np.uint8)
+
+    def _behind_glass(self, sample, config):
+        """Return a sample as it is seen through the wet glass, see `rainsim.sensors.glass`."""
+        frame, camera = self.scene.ground_frame, sample.view.camera
+        wide = frame.camera_in_capture(wide_camera(camera))
+        if self._wide is None or self._wide[0] != sample.rate:
+            scene = without_images(self.scene, self.terrain)
+            renderer = on_backend(self.backend)[0](scene, self.terrain, config, wide)
+            state = next(simulate(self.terrain, config.replace(frames=1)))
+            self._wide = sample.rate, renderer, state
+        _, renderer, state = self._wide
+        seen, report = renderer.draw(wide, state, None, ("depth",))
+        seen, depth = np.array(seen), report.aovs["depth"]
+        field = Weather(config).field(0.0, config.at(0.0).render.exposure)
+        caps = caps_on(field, self.pane, camera, config.rain.seed + 7919 * sample.view.index)
+        picture, share = through_glass(sample.picture, camera, caps, self.pane, seen, depth)
+        facts = {**sample.facts, "drops_on_glass": len(caps.radius)}
+        keep = sample.keep & (share < REPLACED)
+        return replace(sample, picture=picture, glass=share, keep=keep, facts=facts)
+
+    def _sample(self, view, rate, picture, report):
+        """Return the `Sample` of a frame, warped to its lens."""
+        found, warp = report.aovs, self._warp(view)
+        labels = None
+        if self.user_labels is not None:
+            labels = self.user_labels.picture(self.drawn_camera(view))
+        flow, mask = found.get("flow"), found.get("flow_mask")
+        if warp is not None:
+            picture = warp.colors(picture)
+            if flow is not None:
+                flow, mask = warp.flow(flow, mask)
+            labels = None if labels is None else warp.nearest(labels)
+            found = {name: warp.nearest(found[name]) for name in LABELS}
+        keep = np.ones(picture.shape[:2], bool)
+        if rate > 0:
+            keep = keep_mask(found["rain_alpha"], found["splash_alpha"], found["class_id"])
+        return Sample(
+            view, rate, np.array(picture), found["depth"], found["range"], found["class_id"],
+            found["puddle_id"], found["splash_id"], keep, flow, mask, labels,
+            facts=_facts(report.facts, found, warp is not None),
+        )  # fmt: skip
+
+
+def _facts(facts, found, warped):
+    """Return a frame's facts with the boxes of the warped picture."""
+    if not warped:
+        return facts
+    facts = dict(facts)
+    for kind, name in (("puddles", "puddle_id"), ("splashes", "splash_id")):
+        known = {entry["id"]: entry for entry in facts.get(kind, ())}
+        facts[kind] = [{**known.get(box["id"], {}), **box} for box in boxes_of(found[name])]
+    return facts

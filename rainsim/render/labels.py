@@ -1,0 +1,260 @@
+"""Labels of a frame for learning: range, optical flow of the scene, classes, puddles, boxes.
+
+All of them follow from the depth of the picture, the poses of two cameras, the height map and the
+simulated water, so that they are as exact as those. `rainsim.render.aov` lists them with the other
+AOVs of a frame.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy import ndimage
+
+from rainsim.reflection import water_record
+from rainsim.shading.wetting import FLAT
+from rainsim.terrain.table import OBJECT, WATER, class_table
+from rainsim.water.puddles import WET
+
+# Values of the AOV flow_mask.
+NO_FLOW, SEEN, OCCLUDED, OUTSIDE = range(4)
+SAME_SURFACE = 0.02  # of the depth by which the next frame's depth may differ on one surface
+OTHER_CLASS = 255  # id of what is neither ground nor water; loaders ignore it by custom
+GROUND_REACH = 0.1  # m over or under the bed: what is farther from it is no ground
+MOST_WATER = 0.5  # share of the pixel from which on it counts as water
+ON_TOP = 0.15  # m over the bed from which water stands on a thing
+MOST_ID = 2**16 - 1
+
+
+def rays_of(camera):
+    """Return the camera-frame rays through all pixels' middles, 1 along the view axis.
+
+    Returns
+    -------
+    ndarray of shape (height, width, 3), float64
+    """
+    v, u = np.mgrid[: camera.height, : camera.width] + 0.5
+    return np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones_like(u)], -1)
+
+
+def range_of(depth, camera):
+    """Return the distance from the camera's centre [m] of a picture's z-depth [m], float32."""
+    stretch = np.linalg.norm(rays_of(camera), axis=-1)
+    return (depth * stretch).astype(np.float32)
+
+
+def flow_of(depth, camera, after, depth_after):
+    """Return where the surfaces of a picture are in the next one, and which of them it shows.
+
+    Parameters
+    ----------
+    depth : ndarray of shape (height, width), float32 [m]
+        Along the view axis, infinite for sky, which moves by the camera's turn alone.
+    camera, after : Camera
+        Of the picture and of the next one, in one frame in metres.
+    depth_after : ndarray of shape (height, width), float32 [m]
+
+    Returns
+    -------
+    flow : ndarray of shape (height, width, 2), float32 [px]
+        To the right and down; zero where the surface gets behind the camera.
+    mask : ndarray of shape (height, width), uint16
+        NO_FLOW: behind the next camera. SEEN: the next picture shows the same surface there.
+        OCCLUDED: it shows another one. OUTSIDE: the place lies outside the next picture.
+    """
+    rays = rays_of(camera)
+    turn = after.camera_from_world[:3, :3] @ camera.camera_from_world[:3, :3].T
+    shift = after.camera_from_world[:3, 3] - turn @ camera.camera_from_world[:3, 3]
+    far = ~np.isfinite(depth)
+    # Over the depth: a point at infinity has no shift.
+    per_depth = np.where(far, 0.0, 1 / np.where(far, 1.0, depth.astype(np.float64)))
+    x, y, z = np.moveaxis(rays @ turn.T + per_depth[..., None] * shift, -1, 0)
+    ahead = z > 1e-6
+    z = np.where(ahead, z, 1.0)
+    u, v = after.fx * x / z + after.cx, after.fy * y / z + after.cy
+    flow = np.stack([u - rays[..., 0] * camera.fx - camera.cx,
+                     v - rays[..., 1] * camera.fy - camera.cy], axis=-1)  # fmt: skip
+    flow[~ahead] = 0
+    inside = ahead & (u >= 0) & (u < after.width) & (v >= 0) & (v < after.height)
+    mask = np.where(ahead, OUTSIDE, NO_FLOW).astype(np.uint16)
+    expected = np.where(far, np.inf, z * np.where(far, 1.0, depth))[inside]
+    same = _is_shown(expected, depth_after, u[inside], v[inside])
+    mask[inside] = np.where(same, SEEN, OCCLUDED)
+    return flow.astype(np.float32), mask
+
+
+def _is_shown(expected, depth, u, v):
+    """Tell whether a picture shows the expected depth at image points.
+
+    Of planes the inverse of the depth is linear over the picture, so that it is interpolated; along
+    edges the pixel that holds the point decides.
+    """
+    height, width = depth.shape
+    nearest = depth[np.minimum(v.astype(np.int64), height - 1),
+                    np.minimum(u.astype(np.int64), width - 1)]  # fmt: skip
+    column, row = np.clip(u - 0.5, 0, width - 1), np.clip(v - 0.5, 0, height - 1)
+    i, j = np.minimum(column.astype(int), width - 2), np.minimum(row.astype(int), height - 2)
+    a, b = column - i, row - j
+    with np.errstate(divide="ignore", invalid="ignore"):
+        near = 1 / depth.astype(np.float64)
+        top = near[j, i] * (1 - a) + near[j, i + 1] * a
+        bottom = near[j + 1, i] * (1 - a) + near[j + 1, i + 1] * a
+        between = 1 / (top * (1 - b) + bottom * b)
+        found = ~np.isfinite(expected) & ~np.isfinite(nearest)
+        for there in (nearest, between):
+            found |= np.abs(there - expected) < SAME_SURFACE * expected
+    return found
+
+
+def without_flow(report):
+    """Return a `FrameReport` whose flow is none: the camera was cut to another place."""
+    aovs = dict(report.aovs)
+    for name in ("flow", "flow_mask"):
+        if name in aovs:
+            aovs[name] = np.zeros_like(aovs[name])
+    return replace(report, aovs=aovs)
+
+
+# --- ground and water -----------------------------------------------------------------------------
+
+
+def class_names():
+    """Return the names of the AOV class_id by id, a dict with text keys for JSON."""
+    names = {str(code): name for code, name in enumerate(class_table().names) if code != OBJECT}
+    return {**names, str(OTHER_CLASS): "other"}
+
+
+def class_ids(wet, normal, terrain, water):
+    """Return the class of the ground or the water that each pixel shows.
+
+    Parameters
+    ----------
+    wet : WetPicture
+    normal : ndarray of shape (height, width, 3), float
+        Of the surface, in the ground frame.
+    terrain : Terrain
+    water : ndarray of shape (height, width), bool
+        Which pixels show water.
+
+    Returns
+    -------
+    ndarray of shape (height, width), uint16
+        Codes of rainsim/config/classes.toml, OTHER_CLASS for all that is neither.
+    """
+    x, y, _ = np.moveaxis(_places(wet), -1, 0)
+    level = (np.abs(wet.clearance) < GROUND_REACH) & (normal[..., 2] > FLAT)
+    row, column, inside = terrain.grid.cells(np.where(level, x, 0), np.where(level, y, 0))
+    code = terrain.ground_class[row, column].astype(np.uint16)
+    ground = level & inside & (code != OBJECT)
+    ids = np.where(ground, code, np.uint16(OTHER_CLASS))
+    ids[water] = WATER
+    return ids
+
+
+def _places(wet):
+    """Return where each pixel's surface is [m], ground frame; nonsense for sky."""
+    view, (height, width) = wet.view, wet.depth.shape
+    v, u = np.mgrid[:height, :width] + 0.5
+    rays = np.stack([(u - view.cx) / view.fx, (v - view.cy) / view.fy, np.ones_like(u)], axis=-1)
+    depth = np.where(np.isfinite(wet.depth), wet.depth, 0)
+    return view.eye + depth[..., None] * (rays @ view.ground_from_camera.T)
+
+
+def shown_water(record):
+    """Tell which records of a picture's water (n, RECORD) are water deep enough for a puddle."""
+    deep = record[:, water_record.WATER_DEPTH] >= WET
+    return deep & (record[:, water_record.COVERAGE] >= MOST_WATER)
+
+
+def puddle_map(terrain, depth):
+    """Return the puddle in each cell of the height map, and the puddles by id.
+
+    A puddle's id comes from its lowest cell, so that it stays while the puddle grows and shrinks;
+    two that flow together have the id of the lower one. In one map all ids differ.
+
+    Parameters
+    ----------
+    terrain : Terrain
+    depth : ndarray of shape (ny, nx) [m]
+
+    Returns
+    -------
+    ids : ndarray of shape (ny, nx), uint16
+        0 where there is no puddle.
+    puddles : dict of int to dict
+        area_m2, volume_m3 and greatest depth_m by id.
+    """
+    label, count = ndimage.label(depth >= WET, np.ones((3, 3), int))
+    every = np.arange(1, count + 1)
+    number = np.zeros(count + 1, np.uint16)
+    if count == 0:
+        return number[label], {}
+    cells = np.bincount(label.ravel(), minlength=count + 1)[1:]
+    volume = ndimage.sum_labels(depth, label, every) * terrain.grid.cell_area
+    deepest = ndimage.maximum(depth, label, every)
+    lowest = ndimage.minimum_position(terrain.bed, label, every)
+    used = set()
+    for k in np.argsort(-cells, kind="stable"):  # the largest first: small ones give way
+        wanted = int(np.ravel_multi_index(lowest[k], depth.shape)) % MOST_ID + 1
+        while wanted in used:
+            wanted = wanted % MOST_ID + 1
+        used.add(wanted)
+        number[k + 1] = wanted
+    puddles = {
+        int(number[k + 1]): {
+            "area_m2": round(float(cells[k] * terrain.grid.cell_area), 5),
+            "volume_m3": float(f"{volume[k]:.4g}"), "depth_m": round(float(deepest[k]), 5),
+        }
+        for k in range(count)
+    }  # fmt: skip
+    return number[label], puddles
+
+
+def puddle_ids(pixel, record, shape, terrain, ids):
+    """Return the puddle that each pixel shows, ndarray of `shape`, uint16, 0 for none.
+
+    Parameters
+    ----------
+    pixel : ndarray of shape (n,), int
+        Of each record, row by row.
+    record : ndarray of shape (n, RECORD), float32
+    shape : (int, int)
+    terrain : Terrain
+    ids : ndarray of shape (ny, nx), uint16
+        See `puddle_map`.
+    """
+    found = np.zeros(shape, np.uint16)
+    kept = shown_water(record)
+    x, y, z = record[kept, water_record.POINT].T
+    row, column, inside = terrain.grid.cells(x, y)
+    # Water on a table stands above the puddle below it.
+    low = z - record[kept, water_record.WATER_DEPTH] < terrain.bed[row, column] + ON_TOP
+    found.ravel()[pixel[kept]] = np.where(inside & low, ids[row, column], 0)
+    return found
+
+
+def boxes_of(ids):
+    """Return the box of each instance of an index picture.
+
+    Parameters
+    ----------
+    ids : ndarray of shape (height, width), uint16
+        0 for none.
+
+    Returns
+    -------
+    list of dict
+        id, box (left, top, right, bottom) [px], right and bottom not included, and pixels.
+    """
+    numbers, place = np.unique(ids, return_inverse=True)
+    place = place.reshape(ids.shape)
+    boxes = []
+    counts = np.bincount(place.ravel(), minlength=len(numbers))
+    for k, part in enumerate(ndimage.find_objects(place + 1)):
+        if numbers[k] == 0:
+            continue
+        rows, columns = part
+        box = [columns.start, rows.start, columns.stop, rows.stop]
+        boxes.append({"id": int(numbers[k]), "box": box, "pixels": int(counts[k])})
+    return boxes

@@ -1,0 +1,186 @@
+"""A lidar's turns in each rain, and the folder that they are written to."""
+
+from __future__ import annotations
+
+import re
+import sys
+
+import numpy as np
+
+from rainsim import __version__
+from rainsim.config.settings import mm_per_hour
+from rainsim.drops import Weather
+from rainsim.errors import InputError, ParameterError
+from rainsim.io.files import read_json, replacing, write_json
+from rainsim.output_folder import input_facts, versions
+from rainsim.pipeline import extract_terrain, simulate
+from rainsim.render.weather import weather_of
+from rainsim.sensors import point_files
+from rainsim.sensors.lidar import LidarScanner, Pose, pose_at
+from rainsim.sensors.lidar_model import LABEL_NAMES, SENSORS, extinction_of
+from rainsim.sensors.lisa import scattered_share
+from rainsim.sensors.radar import rain_attenuation
+from rainsim.shading.calibration import albedo_of_white
+from rainsim.shading.wetness import paving_dampness
+
+CARD = "lidar.json"
+OURS = re.compile(
+    r"(clear|rain/[\d.]+mm)/((velodyne|labels)/\d{6}\.(bin|label)|points/\d{6}\.(pcd|ply))"
+    r"|poses\.txt"
+)
+SAMPLES = 2000  # targets that LISA's expectation is averaged over
+
+
+class LidarFolder:
+    """A folder of turns.
+
+    Parameters
+    ----------
+    folder : Path
+        Claimed by the caller, see `rainsim.output_folder.claimed`.
+    kind : {"kitti", "pcd", "ply"}
+    overwrite : bool
+        Whether it may hold an earlier result, whose files are removed.
+    """
+
+    def __init__(self, folder, kind, overwrite=False):
+        self.folder, self.kind, self.files = folder, kind, []
+        before = _card_in(folder)
+        if overwrite and before is None:
+            found = [p.name for p in folder.iterdir() if not p.name.startswith(".rainsim")]
+            if found:
+                raise ParameterError(
+                    f"output folder {folder} holds {found[0]} and no turns of a lidar; --overwrite "
+                    "replaces those only; give another --out"
+                )
+        self._before = [name for name in (before or {}).get("files", ())
+                        if isinstance(name, str) and OURS.fullmatch(name)]  # fmt: skip
+
+    def begin(self):
+        """Remove the files of an earlier result."""
+        for name in self._before:
+            (self.folder / name).unlink(missing_ok=True)
+
+    def add(self, where, turn, scan, channels):
+        """Write a turn into the folder `where` of its rain."""
+        if self.kind == "kitti":
+            files = {f"velodyne/{turn:06d}.bin": point_files.kitti_bin(scan),
+                     f"labels/{turn:06d}.label": point_files.kitti_labels(scan)}  # fmt: skip
+        elif self.kind == "pcd":
+            files = {f"points/{turn:06d}.pcd": point_files.pcd_bytes(scan, channels)}
+        else:
+            files = {f"points/{turn:06d}.ply": point_files.ply_bytes(scan)}
+        for name, content in files.items():
+            self.write(f"{where}/{name}", content)
+
+    def write(self, name, content):
+        """Write a file of bytes."""
+        path = self.folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with replacing(path) as temporary:
+            temporary.write_bytes(content)
+        self.files.append(name)
+
+
+def _card_in(folder):
+    try:
+        card = read_json(folder / CARD, "a card")
+    except (OSError, InputError):
+        return None
+    ours = isinstance(card, dict) and card.get("program") == "rainsim"
+    return card if ours else None
+
+
+def scan_rains(
+    folder, scene, config, rates, *, sensor, camera, height=None, speed=0.0, turns=1,
+    tell=lambda stage, done, total: None, say=lambda notes: None,
+):  # fmt: skip
+    """Scan a scene in each rain, write the turns, and return the card.
+
+    Parameters
+    ----------
+    folder : LidarFolder
+    scene : Scene
+    config : Config
+        Its rain rate is replaced by each of `rates`.
+    rates : sequence of float [mm/h]
+    sensor : str
+        A key of `lidar_model.SENSORS`.
+    camera : Camera
+        In the ground frame: where the lidar stands and looks.
+    height : float [m], optional
+    speed : float [m/s]
+        Ahead.
+    turns : int
+    tell : callable
+        Called as tell(stage, done, total).
+    say : callable
+        Called with notes.
+    """
+    terrain = extract_terrain(scene, config, None, tell, say)
+    albedo, note = albedo_of_white(terrain, scene.splats, config.render.ground_albedo)
+    say([note])
+    lidar, scanner = SENSORS[sensor], LidarScanner(scene, terrain, albedo)
+    pose = pose_at(camera, height)
+    pose = Pose(pose.position, pose.rotation, speed * pose.rotation[:, 0])
+    folder.begin()
+    rains, done = [], 0
+    for rate in rates:
+        own = config.replace(rate=mm_per_hour(rate), frames=turns, fps=lidar.rate)
+        own = own if rate > 0 else own.replace(past=0.0, level=None)
+        weather, states = Weather(own.check()), simulate(terrain, own)
+        where, counts, shares = f"rain/{rate:g}mm" if rate > 0 else "clear", {}, []
+        for turn in range(turns):
+            begin = turn / lidar.rate
+            field = weather.field(begin, begin + 1 / lidar.rate)
+            state, here = next(states), _moved(pose, begin)
+            # Noise of its own for each turn and rain, whatever is scanned besides.
+            rng = np.random.default_rng([own.rain.seed, turn, round(rate * 1e6)])
+            damp = paving_dampness(own.at(begin)) if rate > 0 else 0.0
+            scan = scanner.scan(lidar, here, begin, rng, field, state, damp)
+            folder.add(where, turn, scan, len(lidar.elevation))
+            for label, name in LABEL_NAMES.items():
+                counts[name] = counts.get(name, 0) + int((scan.label == label).sum())
+            shares.append(_expected(scan, lidar, field))
+            done += 1
+            tell("turns", done, turns * len(rates))
+        rains.append({
+            "folder": where, **weather_of(own, field), "points": counts,
+            "lidar_extinction_per_m": 0.0 if field is None else extinction_of(field.spectrum),
+            "scattered_share": counts["scattered"] / max(sum(counts.values()), 1),
+            "scattered_share_by_lisa": float(np.mean(shares)),
+            "radar_db_per_km_vertical_77_ghz": round(float(rain_attenuation(rate, 77.0)), 4),
+        })  # fmt: skip
+    poses = [_moved(pose, turn / lidar.rate) for turn in range(turns)]
+    lines = ["".join(_row(p)) for p in poses]
+    folder.write("poses.txt", "".join(lines).encode())
+    card = {
+        "program": "rainsim", "version": __version__, "command": ["rainsim", *sys.argv[1:]],
+        "versions": versions(), "input": input_facts(scene, folder.folder), "sensor": sensor,
+        "channels": len(lidar.elevation), "columns": lidar.columns, "far_m": lidar.far,
+        "turns_per_s": lidar.rate, "divergence_rad": lidar.divergence, "speed_m_per_s": speed,
+        "labels": {str(k): name for k, name in LABEL_NAMES.items()},
+        "reflectivity_of_white": round(albedo, 4), "seed": config.rain.seed, "rains": rains,
+        "files": sorted(folder.files),
+    }  # fmt: skip
+    write_json(folder.folder / CARD, card)
+    return card
+
+
+def _moved(pose, time):
+    return Pose(pose.position + time * pose.velocity, pose.rotation, pose.velocity)
+
+
+def _row(pose):
+    """Return a pose as KITTI's odometry benchmark has it: 12 numbers of ground_from_sensor."""
+    matrix = np.column_stack([pose.rotation, pose.position])
+    return " ".join(f"{v:.9e}" for v in matrix.ravel()) + "\n"
+
+
+def _expected(scan, lidar, field):
+    """Return the share of the turn's pulses that LISA expects drops to answer, of a sample."""
+    if field is None:
+        return 0.0
+    some = np.random.Generator(np.random.PCG64(0)).permutation(len(scan.label))[:SAMPLES]
+    targets = zip(scan.distance[some], scan.target[some], strict=True)
+    return float(np.mean([scattered_share(d, r, lidar, field.spectrum) for d, r in targets]))

@@ -1,0 +1,352 @@
+"""Drops on the glass before a lens: a windshield or the window of a housing.
+
+Drops arrive by their flux on the moving pane, spread to spherical caps, flow together, run off when
+they are too heavy and are wiped away. A ray through a cap is refracted where it enters the water
+and where it leaves, and looks up a wide picture of the rainy scene; the caps are far out of focus.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.signal import fftconvolve
+
+from rainsim.errors import ParameterError, require_not_negative, require_positive
+from rainsim.rain.size_distribution import drop_volume
+
+INDEX = 1.333  # of water
+TENSION, WEIGHT = 0.0728, 9810.0  # N/m, N/m3 of water at 20 degrees
+# Furmidge 1962: a drop stays while WEIGHT V sin(slope) < HOLD TENSION width; HOLD is the difference
+# of the receding and the advancing angle's cosines: 0.2 to 0.5 on clean to dirty glass.
+HOLD = 0.3
+WIDE = math.radians(72)  # off the axis that the wide picture reaches
+WIDE_SIDE = 640  # px of it
+PARALLAX_STEPS = 2
+MARGIN = 0.01  # m of pane around what the picture shows
+
+
+@dataclass(frozen=True)
+class Pane:
+    """A pane of glass.
+
+    Attributes
+    ----------
+    distance : float [m]
+        From the camera along its axis.
+    tilt : float [rad]
+        By which its upper edge leans towards the camera's back: 0 is across the axis.
+    contact_angle : float [rad]
+        Of water on it.
+    speed : float [m/s]
+        Of the camera along its level view direction.
+    age : float [s]
+        For how long it has rained on the pane.
+    wiper : float [s] or None
+        Time between strokes, each of which clears the pane; the last stroke was
+        `age` modulo `wiper` ago. None: there is no wiper.
+    aperture, focus : float [m]
+        Of the lens: opening, 0 for a pinhole, and what is in focus.
+    """
+
+    distance: float = 0.08
+    tilt: float = math.radians(30)
+    contact_angle: float = math.radians(50)
+    speed: float = 0.0
+    age: float = 10.0
+    wiper: float | None = None
+    aperture: float = 2e-3
+    focus: float = 10.0
+
+    def __post_init__(self):
+        """Raise ParameterError if a value breaks its rule."""
+        require_positive("glass distance", self.distance, "m")
+        require_not_negative("glass age", self.age, "s")
+        require_not_negative("glass aperture", self.aperture, "m")
+        require_positive("glass focus", self.focus, "m")
+        if not 0 < self.contact_angle <= math.pi / 2:
+            raise ParameterError(
+                f"glass contact angle is {math.degrees(self.contact_angle):g} degrees; it must be "
+                "above 0 and at most 90: caps that bulge over their rim are not drawn"
+            )
+        if not abs(self.tilt) < math.radians(80):
+            raise ParameterError(
+                f"glass tilt is {math.degrees(self.tilt):g} degrees; it must be less than 80"
+            )
+        if self.wiper is not None:
+            require_positive("glass wiper", self.wiper, "s")
+
+    @property
+    def wet_for(self):
+        """Time since the pane was last clear [s]."""
+        return self.age if self.wiper is None else self.age % self.wiper
+
+    def axes(self):
+        """Return right, down along the pane and its outward normal, rows, camera frame."""
+        c, s = math.cos(self.tilt), math.sin(self.tilt)
+        return np.array([[1.0, 0, 0], [0, c, s], [0, -s, c]])
+
+
+@dataclass(frozen=True)
+class Caps:
+    """Drops on a pane.
+
+    Attributes
+    ----------
+    place : ndarray of shape (n, 2), float64 [m]
+        Right and down along the pane from where the camera's axis meets it.
+    radius : ndarray of shape (n,), float64 [m]
+        Of the wetted disc.
+    arrived : int
+        Drops that hit the pane.
+    """
+
+    place: np.ndarray
+    radius: np.ndarray
+    arrived: int
+
+
+def cap_volume(radius, angle):
+    """Return the volume [m3] of a spherical cap by its disc's radius [m] and contact angle."""
+    c = math.cos(angle)
+    return math.pi / 3 * (2 - 3 * c + c**3) / math.sin(angle) ** 3 * np.asarray(radius) ** 3
+
+
+def cap_radius(volume, angle):
+    """Return the radius [m] of the wetted disc of a cap by its volume [m3]."""
+    return np.cbrt(np.asarray(volume) / cap_volume(1.0, angle))
+
+
+def pane_flux(field, pane, camera):
+    """Return how many drops of each class hit a pane [1/(m2 s)], ndarray of shape (CLASSES,).
+
+    Parameters
+    ----------
+    field : RainField
+    pane : Pane
+    camera : Camera
+        In the ground frame.
+    """
+    normal = pane.axes()[2] @ camera.camera_from_world[:3, :3]
+    ahead = camera.forward * (1, 1, 0)
+    ahead = ahead / max(np.linalg.norm(ahead), 1e-9)
+    towards = -(field.velocity - pane.speed * ahead) @ normal
+    return field.spectrum.density * np.maximum(towards, 0.0)
+
+
+def pane_window(camera, pane):
+    """Return low and high corner, (2, 2) [m], of what a camera sees of a pane, with a margin."""
+    corners = np.array([(u, v) for u in (0, camera.width) for v in (0, camera.height)], float)
+    rays = np.column_stack([(corners - (camera.cx, camera.cy)) / (camera.fx, camera.fy),
+                            np.ones(4)])  # fmt: skip
+    place = on_pane(rays, pane)[0]
+    if not np.isfinite(place).all():
+        raise ParameterError(
+            f"the glass is tilted by {math.degrees(pane.tilt):g} degrees and the picture sees past "
+            "it; it must fill the picture; give less tilt or a longer focal length"
+        )
+    return np.stack([place.min(axis=0) - MARGIN, place.max(axis=0) + MARGIN])
+
+
+def on_pane(rays, pane):
+    """Return where rays (n, 3) meet a pane, (n, 2) [m] along it, and the points (n, 3) [m]."""
+    axes = pane.axes()
+    with np.errstate(divide="ignore", invalid="ignore"):
+        way = pane.distance * axes[2, 2] / (rays @ axes[2])
+    point = np.where(way > 0, way, np.nan)[:, None] * rays
+    return (point - (0, 0, pane.distance)) @ axes[:2].T, point
+
+
+def caps_on(field, pane, camera, seed):
+    """Return the `Caps` on the pane before a camera.
+
+    Parameters
+    ----------
+    field : RainField
+    pane : Pane
+    camera : Camera
+        In the ground frame.
+    seed : int
+    """
+    low, high = pane_window(camera, pane)
+    flux, area = pane_flux(field, pane, camera), float(np.prod(high - low))
+    rng = np.random.default_rng([seed, 0x61A55])
+    counts = rng.poisson(flux * area * pane.wet_for)
+    size = np.repeat(np.arange(len(counts)), counts)
+    edges = field.spectrum.edges
+    # Within a class diameters follow the exponential spectrum.
+    span = -np.expm1(-field.spectrum.decay * (edges[1:] - edges[:-1]))[size]
+    diameter = edges[size] - np.log(1 - rng.random(len(size)) * span) / field.spectrum.decay
+    order = rng.permutation(len(size))  # of their arrival
+    place = low + rng.random((len(size), 2)) * (high - low)
+    normal = pane.axes()[2] @ camera.camera_from_world[:3, :3]
+    slope = math.sqrt(max(1 - normal[2] ** 2, 0.0))  # sine of the pane's slope
+    return _settled(place[order], drop_volume(diameter[order]), pane, slope)
+
+
+def _settled(place, volume, pane, slope):
+    """Return the `Caps` after drops have arrived one by one, flowed together and run off."""
+    angle, kept = pane.contact_angle, len(place)
+    x, y = np.full(kept, np.nan), np.full(kept, np.nan)
+    held, radius = np.zeros(kept), np.zeros(kept)
+    for n in range(len(place)):
+        at, amount = place[n].copy(), volume[n]
+        while True:  # what touches it flows together with it
+            own = float(cap_radius(amount, angle))
+            with np.errstate(invalid="ignore"):
+                touch = np.flatnonzero(np.hypot(x - at[0], y - at[1]) < radius + own)
+            if not len(touch):
+                break
+            total = amount + held[touch].sum()
+            at[0] = (at[0] * amount + (x[touch] * held[touch]).sum()) / total
+            at[1] = (at[1] * amount + (y[touch] * held[touch]).sum()) / total
+            amount, x[touch], y[touch], held[touch], radius[touch] = total, np.nan, np.nan, 0, 0
+        if WEIGHT * amount * slope < HOLD * TENSION * 2 * own:
+            x[n], y[n], held[n], radius[n] = at[0], at[1], amount, own
+            continue
+        with np.errstate(invalid="ignore"):  # it runs off and takes along what is below
+            swept = (np.abs(x - at[0]) < own + radius) & (y > at[1])
+        x[swept], y[swept], held[swept], radius[swept] = np.nan, np.nan, 0, 0
+    there = np.isfinite(x)
+    return Caps(np.column_stack([x[there], y[there]]), radius[there], len(place))
+
+
+def refracted(rays, point, place, centre, radius, pane):
+    """Return where rays through one cap go on, camera frame.
+
+    The glass is thin and bends nothing; water begins at the pane's outer side and ends at the cap's
+    sphere.
+
+    Parameters
+    ----------
+    rays : ndarray of shape (n, 3)
+        Unit, camera frame.
+    point : ndarray of shape (n, 3) [m]
+        Where they meet the pane.
+    place : ndarray of shape (n, 2) [m]
+        The same along the pane.
+    centre : ndarray of shape (2,) [m]
+        Of the cap's disc.
+    radius : float [m]
+    pane : Pane
+
+    Returns
+    -------
+    out : ndarray of shape (n, 3)
+        Unit directions; NaN where all light is reflected back into the water.
+    leave : ndarray of shape (n, 3) [m]
+        Where they leave the water.
+    share : ndarray of shape (n,)
+        Of the light that gets through the water's outer side.
+    """
+    axes = pane.axes()
+    local = rays @ axes.T  # right, down, out
+    water = local / INDEX
+    water[:, 2] = np.sqrt(np.maximum(1 - water[:, 0] ** 2 - water[:, 1] ** 2, 0))
+    ball = radius / math.sin(pane.contact_angle)
+    start = np.column_stack([place - centre, np.full(len(place), ball * math.cos(
+        pane.contact_angle))])  # from the ball's centre  # fmt: skip
+    b = np.einsum("ni,ni->n", start, water)
+    way = -b + np.sqrt(np.maximum(b * b - np.einsum("ni,ni->n", start, start) + ball**2, 0))
+    leave = start + way[:, None] * water
+    normal = leave / ball
+    cosine = np.einsum("ni,ni->n", normal, water)
+    root = 1 - INDEX**2 * (1 - cosine**2)
+    out_cosine = np.sqrt(np.maximum(root, 0))
+    out = INDEX * water + (out_cosine - INDEX * cosine)[:, None] * normal
+    s = (INDEX * cosine - out_cosine) / np.maximum(INDEX * cosine + out_cosine, 1e-12)
+    p = (INDEX * out_cosine - cosine) / np.maximum(INDEX * out_cosine + cosine, 1e-12)
+    out[(root <= 0) | (out[:, 2] <= 0)] = np.nan
+    return out @ axes, point + way[:, None] * (water @ axes), 1 - 0.5 * (s * s + p * p)
+
+
+def wide_camera(camera):
+    """Return the pinhole camera at a camera's place whose picture drops look up."""
+    focal = WIDE_SIDE / 2 / math.tan(WIDE)
+    return replace(camera, width=WIDE_SIDE, height=WIDE_SIDE, fx=focal, fy=focal,
+                   cx=WIDE_SIDE / 2, cy=WIDE_SIDE / 2)  # fmt: skip
+
+
+def through_glass(picture, camera, caps, pane, wide, wide_depth):
+    """Return the picture seen through the wet pane, and the share of each pixel that drops fill.
+
+    Parameters
+    ----------
+    picture : ndarray of shape (height, width, 3), uint8
+        Without the pane.
+    camera : Camera
+    caps : Caps
+    pane : Pane
+    wide : ndarray of shape (WIDE_SIDE, WIDE_SIDE, 3), uint8
+        What `wide_camera` sees.
+    wide_depth : ndarray of shape (WIDE_SIDE, WIDE_SIDE), float32 [m]
+
+    Returns
+    -------
+    picture : ndarray of shape (height, width, 3), uint8
+    share : ndarray of shape (height, width), float32
+    """
+    v, u = np.mgrid[: camera.height, : camera.width] + 0.5
+    rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones_like(u)], -1)
+    rays = rays.reshape(-1, 3)
+    place, point = on_pane(rays, pane)
+    rays = rays / np.linalg.norm(rays, axis=1, keepdims=True)
+    light, share = np.zeros((len(rays), 3)), np.zeros(len(rays))
+    linear = (wide / 255.0) ** 2.2
+    view = wide_camera(camera)
+    for centre, radius in zip(caps.place, caps.radius, strict=True):
+        inside = np.flatnonzero(((place - centre) ** 2).sum(axis=1) < radius**2)
+        if not len(inside):
+            continue
+        out, leave, through = refracted(
+            rays[inside], point[inside], place[inside], centre, radius, pane
+        )
+        light[inside] = looked_up(out, leave, linear, wide_depth, view) * through[:, None]
+        share[inside] = 1.0
+    shape = camera.height, camera.width
+    share, light = share.reshape(shape), light.reshape(*shape, 3) * share.reshape(*shape, 1)
+    blur = pane.aperture * camera.fx * abs(1 / pane.distance - 1 / pane.focus)  # px, diameter
+    if blur > 1:
+        kernel = _disc(blur)
+        share = np.clip(fftconvolve(share, kernel, mode="same"), 0, 1)
+        light = np.stack([fftconvolve(light[..., k], kernel, mode="same") for k in range(3)], -1)
+    seen = (picture / 255.0) ** 2.2 * (1 - share[..., None]) + np.maximum(light, 0)
+    return np.rint(np.clip(seen, 0, 1) ** (1 / 2.2) * 255).astype(np.uint8), share.astype("f4")
+
+
+def _disc(diameter):
+    half = math.ceil(diameter / 2)
+    y, x = np.mgrid[-half : half + 1, -half : half + 1]
+    kernel = np.clip(diameter / 2 + 0.5 - np.hypot(x, y), 0, 1)
+    return kernel / kernel.sum()
+
+
+def looked_up(out, leave, linear, depth, camera):
+    """Return what a wide picture shows from places near its camera in some directions.
+
+    The picture's depth tells where a direction meets the scene, in a few steps; directions beyond
+    the picture take its rim, those of light that never leaves the water are black.
+
+    Parameters
+    ----------
+    out, leave : ndarray of shape (n, 3)
+        Unit directions and places [m], camera frame.
+    linear : ndarray of shape (rows, columns, 3)
+    depth : ndarray of shape (rows, columns) [m]
+    camera : Camera
+        Of the picture.
+    """
+    gone = ~np.isfinite(out[:, 0])
+    ray = np.where(gone[:, None], (0.0, 0.0, 1.0), out)
+    way = np.full(len(out), 1e6)  # m along the ray, far at first
+    for step in range(PARALLAX_STEPS + 1):
+        place = leave + way[:, None] * ray
+        ahead = np.maximum(place[:, 2], 1e-6)
+        u = np.clip(camera.fx * place[:, 0] / ahead + camera.cx, 0, camera.width - 1e-3)
+        v = np.clip(camera.fy * place[:, 1] / ahead + camera.cy, 0, camera.height - 1e-3)
+        row, column = v.astype(int), u.astype(int)
+        if step < PARALLAX_STEPS:
+            far = np.minimum(depth[row, column], 1e6)
+            way = np.maximum((far - leave[:, 2]) / np.maximum(ray[:, 2], 1e-3), 0.0)
+    return np.where(gone[:, None], 0.0, linear[row, column])

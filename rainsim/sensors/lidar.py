@@ -1,0 +1,321 @@
+"""A lidar in the rain that the cameras see: beams through the splats, and the very same drops.
+
+Each beam is traced through the splats (`rainsim.reflection.ray_traced`), water mirrors or dims it,
+and each drop of the field that is in the beam when the pulse passes may echo louder than what
+stands behind. What the rain between takes away is its mean extinction, as in LISA.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rainsim.reflection.ray_traced import Tracer
+from rainsim.sensors.lidar_model import (
+    KEPT,
+    LOST,
+    MIRRORED,
+    REFRACTIVE_INDEX,
+    SCATTERED,
+    WATER_ABSORPTION,
+    drop_reflectivity,
+    echo_power,
+    extinction_of,
+    fresnel_of,
+)
+from rainsim.sensors.near_drops import near_drops
+from rainsim.shading.color import LUMA, roughly_linear
+from rainsim.shading.wetting import FLAT, ON_GROUND, wet_ratio
+from rainsim.simulation import surfaces_of
+from rainsim.water.puddles import WET
+
+SOLID = 0.5  # alpha from which a beam has met a surface
+FIRST_SEGMENT = 1.0  # m of a beam that are searched at first
+COLOR_DEGREE = 4  # see `roughly_linear`
+LEAST_COSINE = 0.05  # that Lambert's law is taken at
+LIFT = 0.01  # m above the water, where a mirrored beam begins
+FARTHEST = 1e4  # m, for what a mirrored beam never meets
+STEPS = 6  # of the search for the time at which the sensor looks at a drop
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Where a lidar stands, in the ground frame.
+
+    Attributes
+    ----------
+    position : ndarray of shape (3,) [m]
+        At the begin of a turn.
+    rotation : ndarray of shape (3, 3)
+        ground_from_sensor; x ahead, y left, z up.
+    velocity : ndarray of shape (3,) [m/s]
+    """
+
+    position: np.ndarray
+    rotation: np.ndarray
+    velocity: np.ndarray
+
+
+@dataclass(frozen=True)
+class Scan:
+    """A turn of a lidar.
+
+    Attributes
+    ----------
+    point : ndarray of shape (n, 3), float32 [m]
+        Sensor frame, one a beam; 0 where no echo came back.
+    reflectivity : ndarray of shape (n,), float32
+        0 to 1, extinction included, as the sensor reports it.
+    label : ndarray of shape (n,), uint8
+        LOST, SCATTERED, KEPT or MIRRORED.
+    time : ndarray of shape (n,), float32 [s]
+        Since the turn began.
+    distance, target : ndarray of shape (n,), float64
+        Distance [m] of what the beam meets, infinite for nothing, and its reflectivity, wet as it
+        is: what comes back where there are no drops.
+    """
+
+    point: np.ndarray
+    reflectivity: np.ndarray
+    label: np.ndarray
+    time: np.ndarray
+    distance: np.ndarray
+    target: np.ndarray
+
+
+@dataclass(frozen=True)
+class Surface:
+    """What beams met in clear air, arrays (n, ...): distance [m], place, normal, reflectivity."""
+
+    distance: np.ndarray
+    place: np.ndarray
+    normal: np.ndarray
+    reflectivity: np.ndarray
+
+
+class LidarScanner:
+    """Scans one scene.
+
+    Parameters
+    ----------
+    scene : Scene
+    terrain : Terrain
+    albedo : float
+        Of a captured linear colour of 1, see `calibration.albedo_of_white`; colours stand for
+        reflectivities at the laser's wavelength, which the capture does not know.
+    """
+
+    def __init__(self, scene, terrain, albedo):
+        self.frame, self.terrain, self.albedo = scene.ground_frame, terrain, albedo
+        # What a surface reflects is its own: colours without their change with the direction.
+        base = np.ascontiguousarray(scene.splats.sh[:, :1])
+        self.surfaces, self._tracer = surfaces_of(terrain), Tracer(replace(scene.splats, sh=base))
+
+    def trace(self, origin, direction, before=0.0):
+        """Return the `Surface` that rays meet; ground frame, metres, unit directions."""
+        frame, unit = self.frame, self.frame.meters_per_unit
+        found = self._tracer.trace(
+            frame.to_capture(origin).astype(np.float32),
+            (direction @ frame.rotation).astype(np.float32), before / unit,
+            segment=FIRST_SEGMENT / unit,
+        )  # fmt: skip
+        met = found.alpha >= SOLID
+        distance = np.where(met, found.plane_distance.astype(np.float64) * unit, np.inf)
+        way = np.where(met, distance - before, 0.0)
+        color = roughly_linear(found.color / np.maximum(found.alpha, 1e-3)[:, None], COLOR_DEGREE)
+        normal = found.normal @ frame.rotation.T
+        cosine = np.abs(np.einsum("ni,ni->n", normal, direction))
+        return Surface(
+            distance, origin + way[:, None] * direction, normal,
+            np.clip(self.albedo * color @ LUMA, 0, 1) * np.maximum(cosine, LEAST_COSINE),
+        )  # fmt: skip
+
+    def scan(self, lidar, pose, time, rng, field=None, state=None, damp=0.0):
+        """Return the `Scan` of a turn.
+
+        Parameters
+        ----------
+        lidar : Lidar
+        pose : Pose
+        time : float [s]
+            When the turn begins.
+        rng : numpy.random.Generator
+            Of the noise of ranges alone.
+        field : RainField or None
+            The drops; None: no rain.
+        state : SimState or None
+            The water on the ground; None: it is dry.
+        damp : float
+            How wet open ground is, 0 to 1, see `wetness.paving_dampness`.
+        """
+        local, when = lidar.beams()
+        direction = local @ pose.rotation.T
+        origin = pose.position + when[:, None] * pose.velocity
+        target = self.trace(origin, direction)
+        alpha = 0.0 if field is None else extinction_of(field.spectrum)
+        distance, reflectivity, mirrored = self._behind_water(target, direction, alpha, state, damp)
+        clear = distance.copy(), reflectivity
+        there = np.isfinite(distance)
+        bright = np.where(
+            there, reflectivity * np.exp(-2 * alpha * np.where(there, distance, 0)), 0
+        )
+        power = np.where(there, bright / np.where(there, distance, 1) ** 2, 0.0)
+        label = np.where(mirrored, MIRRORED, KEPT).astype(np.uint8)
+        label[power < lidar.least_power] = LOST
+        if field is not None:
+            drops = self._drops(lidar, pose, time, field)
+            beam, place, diameter = drops_in_beams(lidar, pose, time, drops, local, when)
+            drop = drop_reflectivity(diameter, place, lidar.divergence)
+            echo = echo_power(drop, place, alpha)
+            # Drops behind what the beam meets are not there for it.
+            loud = (place > lidar.near) & (place < target.distance[beam])
+            loud &= (echo >= lidar.least_power) & (echo > power[beam])
+            for k in np.flatnonzero(loud)[np.argsort(echo[loud], kind="stable")]:  # loudest last
+                distance[beam[k]], label[beam[k]], power[beam[k]] = place[k], SCATTERED, echo[k]
+                bright[beam[k]] = echo[k] * place[k] ** 2
+        label[(distance < lidar.near) & (label != SCATTERED)] = LOST
+        return _scan(lidar, local, when, label, distance, bright, power, clear, rng)
+
+    def _drops(self, lidar, pose, time, field):
+        """Return the drops that may echo loud enough in a turn, as they are in its middle."""
+        half = 0.5 / lidar.rate
+        moves = (np.linalg.norm(field.velocity, axis=1) + np.linalg.norm(pose.velocity)) * half
+        reach = lidar.drop_reach(field.spectrum.edges[1:]) + moves
+        middle = pose.position + pose.velocity * half
+        return near_drops(field, middle, reach, time + half, self.surfaces)
+
+    def _behind_water(self, target, direction, alpha, state, damp):
+        """Return distance, reflectivity and whether mirrored, of what comes back from the scene.
+
+        Wet ground is darker. Where water stands, its bed echoes through it and it mirrors the beam
+        to something else; the louder of the two is seen, the mirrored one in the beam's direction.
+        """
+        distance, reflectivity = target.distance.copy(), target.reflectivity.copy()
+        mirrored = np.zeros(len(distance), bool)
+        if state is None:
+            return distance, reflectivity, mirrored
+        grid, place = self.terrain.grid, target.place
+        row, column, inside = grid.cells(place[:, 0], place[:, 1])
+        bed = self.terrain.bed[row, column]
+        level = np.isfinite(distance) & inside & (target.normal[:, 2] > FLAT)
+        ground = level & (np.abs(place[:, 2] - bed) < ON_GROUND)
+        albedo = np.clip(reflectivity, 0.02, 0.8).astype(np.float32)
+        darker = 1 - damp * (1 - wet_ratio(albedo))
+        reflectivity = np.where(ground, reflectivity * darker, reflectivity)
+        water = ground & (state.depth[row, column] >= WET)
+        which = np.flatnonzero(water)
+        if not len(which):
+            return distance, reflectivity, mirrored
+        depths = state.depth[row, column][which].astype(np.float64)
+        down = np.maximum(-direction[which, 2], 1e-3)
+        share, inner = fresnel_of(down)
+        # The bed's diffuse light leaves the water into a solid angle larger by the index squared.
+        through = (1 - share) ** 2 * np.exp(-2 * WATER_ABSORPTION * depths / inner)
+        reflectivity[which] *= through / REFRACTIVE_INDEX**2
+        flipped = direction[which] * (1, 1, -1)
+        begin = place[which].copy()
+        begin[:, 2] = bed[which] + depths + LIFT
+        other = self.trace(begin, flipped, distance[which])
+        ghost = share**2 * other.reflectivity
+        far = np.where(np.isfinite(other.distance), other.distance, FARTHEST)
+        own = echo_power(reflectivity[which], distance[which], alpha)
+        louder = echo_power(ghost, far, alpha) > own
+        chosen = which[louder]
+        distance[chosen], reflectivity[chosen] = far[louder], ghost[louder]
+        mirrored[chosen] = True
+        return distance, reflectivity, mirrored
+
+
+def drops_in_beams(lidar, pose, time, drops, local, when):
+    """Return which beams have which drops in them as their pulses pass.
+
+    Parameters
+    ----------
+    lidar : Lidar
+    pose : Pose
+    time : float [s]
+        When the turn begins.
+    drops : Drops
+        At mid-turn.
+    local, when : ndarray
+        See `Lidar.beams`.
+
+    Returns
+    -------
+    beam : ndarray of shape (m,), int64
+    distance, diameter : ndarray of shape (m,), float64 [m]
+    """
+    period, columns, channels = 1 / lidar.rate, lidar.columns, len(lidar.elevation)
+    half = 0.5 * lidar.divergence
+    start = drops.position - pose.position - drops.velocity * (0.5 * period)
+    motion = drops.velocity - pose.velocity
+
+    def seen(at):
+        """Return drops in the sensor frame at times since the turn's begin."""
+        return (start + motion * at[:, None]) @ pose.rotation
+
+    at = np.full(len(drops), 0.5 * period)
+    for _ in range(STEPS):
+        x, y, _ = seen(at).T
+        at = (math.pi - np.arctan2(y, x)) / (2 * math.pi) * period
+    column = np.floor(at / period * columns).astype(np.int64)
+    order = np.argsort(lidar.elevation)
+    rising = np.array(lidar.elevation)[order]
+    found = [], [], []
+    for step in (-1, 0, 1):  # a drop near the sensor may fill several columns
+        here = (column + step) % columns
+        point = seen(when[here * channels])
+        away = np.linalg.norm(point, axis=1)
+        up = np.arcsin(np.clip(point[:, 2] / np.maximum(away, 1e-9), -1, 1))
+        first = np.searchsorted(rising, up - half)
+        last = np.searchsorted(rising, up + half)
+        for k in range(int((last - first).max(initial=0))):
+            which = np.flatnonzero(first + k < last)
+            beam = here[which] * channels + order[first[which] + k]
+            axis = np.einsum("ni,ni->n", local[beam], point[which])
+            off = np.linalg.norm(np.cross(local[beam], point[which]), axis=1)
+            inside = (axis > 0) & (off < math.tan(lidar.divergence) / 2 * axis)
+            for part, values in zip(found, (beam, axis, drops.diameter[which]), strict=True):
+                part.append(values[inside])
+    if not found[0]:
+        return np.zeros(0, np.int64), np.zeros(0), np.zeros(0)
+    return tuple(np.concatenate(part) for part in found)
+
+
+def _scan(lidar, local, when, label, distance, bright, power, clear, rng):
+    """Return the `Scan` of echoes, with the noise of their ranges."""
+    back = label != LOST
+    noise = np.zeros(len(local))
+    signal = np.maximum(power / lidar.least_power, 1.0)
+    noise[back] = rng.normal(size=back.sum()) * lidar.accuracy / np.sqrt(2 * signal[back])
+    noise[label == SCATTERED] = 0.0  # as LISA has it
+    found = np.where(back, np.where(back, distance, 0) + noise, 0.0)
+    return Scan(
+        (local * found[:, None]).astype(np.float32), np.where(back, bright, 0).astype(np.float32),
+        label, when.astype(np.float32), *clear,
+    )  # fmt: skip
+
+
+def pose_at(camera, height=None, velocity=(0.0, 0.0, 0.0)):
+    """Return the level `Pose` at a camera's place, ahead being where the camera looks.
+
+    Parameters
+    ----------
+    camera : Camera
+        In the ground frame.
+    height : float [m], optional
+        Above z = 0 instead of the camera's own.
+    velocity : array_like of shape (3,) [m/s]
+    """
+    ahead = camera.forward * (1, 1, 0)
+    if np.linalg.norm(ahead) < 1e-6:  # it looks straight down: its picture's upper edge is ahead
+        ahead = camera.image_up * (1, 1, 0)
+    ahead /= np.linalg.norm(ahead)
+    left = np.cross((0.0, 0.0, 1.0), ahead)
+    position = camera.position.copy()
+    if height is not None:
+        position[2] = height
+    rotation = np.column_stack([ahead, left, (0.0, 0.0, 1.0)])
+    return Pose(position, rotation, np.asarray(velocity, np.float64))

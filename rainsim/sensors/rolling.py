@@ -1,0 +1,120 @@
+"""Rolling shutters: each band of rows is drawn as camera and drops are when it is exposed.
+
+The first row opens at the frame's time, the last a readout time later. Bands are drawn one by one,
+so that it is slow and exact but for the height of a band.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rainsim.errors import ParameterError, require_not_negative
+from rainsim.render.labels import boxes_of
+from rainsim.render.shutter import moved
+from rainsim.scene.cameras import cropped
+
+ROWS = 8  # of a band
+LONGEST = 0.2  # s; longer readouts are scanners'
+
+
+@dataclass(frozen=True)
+class Motion:
+    """How a camera moves, evenly: `velocity` [m/s] and `turning` [rad/s], a rotation vector.
+
+    The turn is that of camera_from_ground, see `shutter.moved`.
+    """
+
+    velocity: np.ndarray
+    turning: np.ndarray
+
+    def at(self, camera, time):
+        """Return a camera (ground frame) as it is after a time [s]."""
+        if not (self.velocity.any() or self.turning.any()):
+            return camera
+        return moved(camera, time * self.velocity, time * self.turning)
+
+    @property
+    def is_still(self):
+        """Whether the camera does not move."""
+        return not (self.velocity.any() or self.turning.any())
+
+
+STILL = Motion(np.zeros(3), np.zeros(3))
+
+
+def check_readout(readout):
+    """Raise ParameterError unless a readout time [s] is one of a camera."""
+    require_not_negative("rolling shutter's readout", readout, "s", "0.02 is usual")
+    if readout > LONGEST:
+        raise ParameterError(
+            f"rolling shutter's readout is {readout * 1e3:g} ms; it must be at most "
+            f"{LONGEST * 1e3:g} ms; 20 is usual"
+        )
+
+
+def bands(camera, motion, readout, exposure, rows=ROWS, first_row=0.0, height=None):
+    """Yield the bands of a picture from top to bottom.
+
+    Parameters
+    ----------
+    camera : Camera
+        In the ground frame, when the first row opens.
+    motion : Motion
+    readout, exposure : float [s]
+    rows : int
+        Of a band; the last may have fewer.
+    first_row, height : float, float or None [px]
+        The row of the sensor that the picture's first row is, and the sensor's height, by default
+        the picture's own: a picture that is going to be distorted is larger than the sensor.
+
+    Yields
+    ------
+    delay : float [s]
+        Of the band's middle row after the sensor's first row.
+    camera, camera_end : Camera
+        Of the band alone, as it opens and closes; None at the end if the camera stands still.
+    """
+    height = camera.height if height is None else height
+    for top in range(0, camera.height, rows):
+        bottom = min(top + rows, camera.height)
+        delay = readout * ((top + bottom) / 2 + first_row) / height
+        window = 0, top, camera.width, bottom
+        begin = cropped(motion.at(camera, delay), window)
+        end = None if motion.is_still else cropped(motion.at(camera, delay + exposure), window)
+        yield delay, begin, end
+
+
+def draw_rolling(renderer, camera, state, motion, readout, names=(), **options):
+    """Return the picture of a rolling shutter and its `FrameReport`, as `Renderer.draw` does.
+
+    Parameters
+    ----------
+    renderer : Renderer
+    camera : Camera
+        In the ground frame.
+    state : SimState
+        Water does not move on within the readout, drops do.
+    motion : Motion
+    readout : float [s]
+    names : sequence of str
+        AOVs; flow is not among them.
+    **options
+        `rows`, `first_row` and `height` of `bands`.
+    """
+    frame, parts = renderer.wet_scene.frame, []
+    exposure = renderer.config.at(state.time).render.exposure
+    for delay, begin, end in bands(camera, motion, readout, exposure, **options):
+        here = replace(state, time=state.time + delay)
+        parts.append(renderer.draw(frame.camera_in_capture(begin), here, end, names))
+    picture = np.concatenate([part for part, _ in parts])
+    reports = [report for _, report in parts]
+    aovs = {name: np.concatenate([r.aovs[name] for r in reports]) for name in names}
+    facts = dict(reports[0].facts)
+    for kind, name in (("puddles", "puddle_id"), ("splashes", "splash_id")):
+        if name in aovs:
+            known = {entry["id"]: entry for r in reports for entry in r.facts.get(kind, ())}
+            facts[kind] = [{**known.get(b["id"], {}), **b} for b in boxes_of(aovs[name])]
+    notes = tuple(dict.fromkeys(note for r in reports for note in r.notes))
+    return picture, replace(reports[0], time=state.time, aovs=aovs, facts=facts, notes=notes)

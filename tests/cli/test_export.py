@@ -1,0 +1,184 @@
+"""`rainsim export`, end to end on a tiny scene."""
+
+import json
+
+import numpy as np
+import pytest
+
+from rainsim.io.images import read_image
+from rainsim.io.png48 import read_png48
+from rainsim.render.shutter import moved
+from rainsim.scene.cameras import read_cameras, write_transforms
+from rainsim.scene.colmap import read_model
+from rainsim.scene.library import load_scene
+
+MAP = ["--spacing", "0.04", "--extent", "1", "--width", "64"]
+
+
+@pytest.fixture
+def export(rainsim, scene_folder):
+    """Return a function that exports the tiny scene into the folder `out`."""
+
+    def run(out, *more):
+        return rainsim("export", scene_folder, *MAP, "--out", out, *more)
+
+    return run
+
+
+def files_in(folder):
+    return {p.relative_to(folder).as_posix(): p.read_bytes() for p in folder.rglob("*")
+            if p.is_file()}  # fmt: skip
+
+
+def without_times(files):
+    return {n: b for n, b in files.items() if n not in ("card.json", "pictures.jsonl")}
+
+
+def test_pairs_of_clear_and_rainy_pictures(export, tmp_path):
+    done = export("set", "--rain", "0,50", "--past-rain", "6", "--hold-out", "3")
+    assert done.code == 0, done.err
+    folder = tmp_path / "set"
+    card = json.loads((folder / "card.json").read_text())
+    assert card["complete"] and card["pictures"] == 6 and card["held_out"] == ["view_2"]
+    assert [rain["folder"] for rain in card["rains"]] == ["clear", "rain/50mm"]
+    clear, rain = (read_image(folder / c / "images/view_0.png") for c in ("clear", "rain/50mm"))
+    assert clear.shape == rain.shape == (48, 64, 3)
+    assert np.abs(clear.astype(int) - rain).mean() > 3
+    depths = [read_image(folder / c / "depths/view_0.png") for c in ("clear", "rain/50mm")]
+    assert depths[0].dtype == np.uint16 and 800 < np.median(depths[0]) < 3000  # mm
+    both = (depths[0] > 0) & (depths[1] > 0)
+    assert np.abs(depths[0].astype(int) - depths[1])[both].max() <= 1
+    keep = read_image(folder / "clear/masks/view_0.png")
+    assert (keep == 255).all() and (read_image(folder / "rain/50mm/masks/view_0.png") == 0).any()
+    for c in ("clear", "rain/50mm"):
+        cameras = read_cameras(folder / c / "transforms.json")
+        assert len(cameras) == 3
+    puddles = read_image(folder / "rain/50mm/rainsim/puddle_id/view_0.png")
+    about = json.loads((folder / "rain/50mm/rainsim/view_0.json").read_text())
+    assert puddles.any() and {p["id"] for p in about["puddles"]} == set(np.unique(puddles)) - {0}
+    assert about["weather"]["rain_mm_per_hour"] == pytest.approx(50)
+    assert not read_image(folder / "clear/rainsim/puddle_id/view_0.png").any()
+    text = (folder / "CARD.md").read_text()
+    assert "| 50 | `rain/50mm` |" in text
+
+
+def test_an_export_that_was_killed_goes_on(export, tmp_path):
+    words = "--rain", "0,25", "--layout", "colmap", "--views", "view_0,view_2"
+    assert export("whole", *words).code == 0
+    assert export("cut", *words).code == 0
+    folder = tmp_path / "cut"
+    # As a kill leaves it: the last entry cut off, a temporary file, one picture damaged, no card.
+    journal = folder / "pictures.jsonl"
+    lines = journal.read_text().splitlines(keepends=True)
+    journal.write_text("".join(lines[:3]) + lines[3][:40])
+    card = json.loads((folder / "card.json").read_text())
+    (folder / "card.json").write_text(json.dumps({**card, "complete": False}))
+    (folder / "clear/images/.view_2.png.abcdefgh.png").write_bytes(b"x")
+    (folder / "clear/images/view_0.png").write_bytes(b"damaged")
+    done = export("cut", *words, "--resume")
+    assert done.code == 0 and "2 of 4 pictures are finished and kept" in done.err, done.err
+    one, other = (without_times(files_in(tmp_path / n)) for n in ("whole", "cut"))
+    assert one == other
+    cameras, _ = read_model(folder / "rain/25mm")
+    assert [c.name for c in cameras] == ["view_0", "view_2"]
+
+
+def test_folders_of_others_are_left_alone(export, tmp_path):
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine/notes.txt").write_text("keep")
+    words = "--rain", "25", "--views", "view_1"
+    for option in ((), ("--overwrite",), ("--resume",)):
+        done = export("mine", *words, *option)
+        assert (done.code == 2 and "holds notes.txt" in done.err) or "not empty" in done.err
+    assert [p.name for p in (tmp_path / "mine").iterdir()] == ["notes.txt"]
+    assert export("set", *words).code == 0
+    (tmp_path / "set/notes.txt").write_text("keep")
+    done = export("set", "--rain", "10", "--views", "view_1", "--resume")
+    assert done.code == 2 and "is another" in done.error
+    done = export("set", "--rain", "10", "--views", "view_1", "--overwrite")
+    assert done.code == 0, done.err
+    left = files_in(tmp_path / "set")
+    assert left["notes.txt"] == b"keep" and not any("25mm" in name for name in left)
+
+
+@pytest.fixture
+def path_file(scene_folder, tmp_path):
+    """A camera path of three places close to each other."""
+    scene = load_scene(scene_folder)
+    frame = scene.ground_frame
+    first = frame.camera_in_ground(scene.cameras[0])
+    path = [moved(first, k * np.array([0.03, -0.02, 0]), np.array([0, 0.01 * k, 0]))
+            for k in range(3)]  # fmt: skip
+    write_transforms(tmp_path / "path.json", [frame.camera_in_capture(c) for c in path],
+                     [f"p{k}.png" for k in range(3)])  # fmt: skip
+    return tmp_path / "path.json"
+
+
+def test_a_sequence_has_flow(export, path_file, tmp_path):
+    done = export("drive", "--layout", "kitti", "--rain", "10", "--path", path_file)
+    assert done.code == 0, done.err
+    training = tmp_path / "drive/rain/10mm/training"
+    names = sorted(p.name for p in (training / "image_2").iterdir())
+    assert names == ["000000_10.png", "000000_11.png", "000001_10.png", "000001_11.png",
+                     "000002_10.png"]  # fmt: skip
+    same = (training / "image_2/000000_11.png").read_bytes()
+    assert same == (training / "image_2/000001_10.png").read_bytes()
+    flow = read_png48(training / "flow_noc/000000_10.png")
+    valid = flow[..., 2] == 1
+    assert valid.mean() > 0.4
+    moves = np.linalg.norm((flow[valid][:, :2].astype(float) - 2**15) / 64, axis=1)
+    assert 0.3 < np.median(moves) < 20
+    assert len((training / "poses.txt").read_text().splitlines()) == 3
+
+
+def test_distorted_pictures_have_distorted_labels(export, tmp_path):
+    words = "--rain", "25", "--views", "view_0", "--layout", "replicator"
+    assert export("bent", *words, "--lens", "opencv:-0.25,0.05,0,0").code == 0
+    assert export("straight", *words).code == 0
+    bent, straight = (tmp_path / n / "rain/25mm" for n in ("bent", "straight"))
+    one, other = (np.load(f / "distance_to_image_plane_0000.npy") for f in (bent, straight))
+    assert one.shape == other.shape == (48, 64)
+    middle = np.s_[20:28, 28:36]
+    np.testing.assert_allclose(one[middle], other[middle], rtol=0.03)
+    ids = read_image(bent / "semantic_segmentation_0000.png")
+    labels = json.loads((bent / "semantic_segmentation_labels_0000.json").read_text())
+    assert {str(tuple(c)) for c in ids.reshape(-1, 4).tolist()} <= set(labels)
+    params = json.loads((bent / "camera_params_0000.json").read_text())
+    assert params["lensCoefficients"] == [-0.25, 0.05, 0.0, 0.0]
+
+
+@pytest.mark.slow
+def test_rolling_shutters_and_wet_glass(export, path_file, tmp_path):
+    words = "--layout", "kitti", "--rain", "0,25", "--path", path_file
+    done = export("out", *words, "--rolling", "20", "--glass", "10,15")
+    assert done.code == 0, done.err
+    folder = tmp_path / "out"
+    names = {p.name for p in (folder / "rain/25mm/rainsim/glass").iterdir()}
+    assert len(names) == 3 and not (folder / "clear/rainsim/glass").exists()
+    share = read_image(folder / "rain/25mm/rainsim/glass" / sorted(names)[0]) / 65535
+    keep = read_image(folder / "rain/25mm/rainsim/keep" / sorted(names)[0]) == 255
+    assert share.max() > 0.3 and not keep[share > 0.1].any()
+    name = sorted(names)[0].removesuffix(".png")
+    about = json.loads((folder / f"rain/25mm/rainsim/{name}.json").read_text())
+    assert about["drops_on_glass"] > 10
+    assert not (folder / "rain/25mm/training/flow_occ").exists()
+
+
+@pytest.mark.parametrize(
+    "words, message",
+    [
+        (("--rain", "a"), "--rain is 'a'; it must be"),
+        (("--rain", "2000"), "rates from 0 to 1000 mm/h"),
+        (("--views", "nobody"), "has no camera 'nobody'"),
+        (("--lens", "opencv:1"), "must be 4 or 5 finite numbers"),
+        (("--path", "x.json", "--views", "2"), "sequence of its own"),
+        (("--labels", "none.npy"), "labels none.npy cannot be read"),
+        (("--rolling", "500"), "at most 200 ms"),
+        (("--glass", "10,500"), "0 to 100 m/s"),
+        (("--glass", "1,1", "--lens", "opencv:0,0,0,0"), "--glass and --lens are both"),
+    ],
+)
+def test_wrong_options_are_named(export, words, message, tmp_path):
+    done = export("out", *words)
+    assert done.code in (1, 2) and message in done.error
+    assert not (tmp_path / "out").exists()

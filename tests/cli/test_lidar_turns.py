@@ -1,0 +1,66 @@
+"""`rainsim lidar`, end to end on a tiny scene."""
+
+import json
+
+import numpy as np
+import pytest
+
+MAP = ["--spacing", "0.04", "--extent", "1"]
+
+
+@pytest.fixture
+def lidar(rainsim, scene_folder):
+    """Return a function that scans the tiny scene into the folder `out`."""
+
+    def run(out, *more):
+        return rainsim("lidar", scene_folder, *MAP, "--out", out, *more)
+
+    return run
+
+
+def test_turns_clear_and_in_rain(lidar, tmp_path):
+    words = "--sensor", "hdl32", "--turns", "2", "--speed", "2", "--height", "0.8"
+    done = lidar("turns", "--rain", "0,50", *words)
+    assert done.code == 0, done.err
+    folder = tmp_path / "turns"
+    card = json.loads((folder / "lidar.json").read_text())
+    assert [rain["folder"] for rain in card["rains"]] == ["clear", "rain/50mm"]
+    clear, rain = (entry["points"] for entry in card["rains"])
+    assert clear["scattered"] == 0 and rain["scattered"] > 0 and clear["kept"] > 500
+    assert sum(rain.values()) == 2 * 32 * 2170
+    share = card["rains"][1]["scattered_share"]
+    assert 0.5 < share / card["rains"][1]["scattered_share_by_lisa"] < 2
+    points = np.fromfile(folder / "rain/50mm/velodyne/000001.bin", "<f4").reshape(-1, 4)
+    labels = np.fromfile(folder / "rain/50mm/labels/000001.label", "<u4")
+    assert len(points) == len(labels) and set(np.unique(labels)) <= {1, 2, 3}
+    assert np.linalg.norm(points[labels == 1, :3], axis=1).max() < 6  # drops near by
+    poses = np.loadtxt(folder / "poses.txt").reshape(2, 3, 4)
+    assert np.linalg.norm(poses[1, :, 3] - poses[0, :, 3]) == pytest.approx(0.2)
+    assert poses[0, 2, 3] == pytest.approx(0.8)
+    names = {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()}
+    assert names == {*card["files"], "lidar.json"}
+
+
+def test_only_turns_are_replaced(lidar, tmp_path):
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine/notes.txt").write_text("keep")
+    for option in ((), ("--overwrite",)):
+        done = lidar("mine", "--rain", "10", *option)
+        assert done.code == 2 and ("not empty" in done.err or "holds notes.txt" in done.err)
+    assert lidar("turns", "--rain", "10", "--format", "ply").code == 0
+    (tmp_path / "turns/notes.txt").write_text("keep")
+    done = lidar("turns", "--rain", "25", "--format", "pcd", "--overwrite")
+    assert done.code == 0, done.err
+    left = {p.relative_to(tmp_path / "turns").as_posix() for p in (tmp_path / "turns").rglob("*.*")}
+    assert "notes.txt" in left and "rain/25mm/points/000000.pcd" in left
+    assert not any("10mm" in name for name in left)
+
+
+@pytest.mark.parametrize(
+    "words, message",
+    [(("--rain", "x"), "--rain is 'x'"), (("--speed", "500"), "--speed is 500"),
+     (("--camera", "nobody"), "has no camera 'nobody'")],
+)  # fmt: skip
+def test_wrong_options_are_named(lidar, words, message):
+    done = lidar("out", *words)
+    assert done.code == 2 and message in done.error

@@ -1,0 +1,361 @@
+"""Data sets: encodings and layouts by their published rules."""
+
+import io
+import json
+import struct
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from rainsim.datasets import LAYOUTS, cityscapes, colmap, kitti, nerfstudio, replicator
+from rainsim.datasets.card import card_of, card_text
+from rainsim.datasets.export import held_out, layout_of, safe_names
+from rainsim.datasets.files import PNG48, DataFile, write_file
+from rainsim.datasets.points import ply_bytes, points_of
+from rainsim.datasets.sample import (
+    Plan,
+    Sample,
+    View,
+    condition,
+    depth_mm,
+    keep_mask,
+    kitti_depth,
+    kitti_flow,
+)
+from rainsim.datasets.user_labels import read_labels
+from rainsim.errors import InputError, ParameterError
+from rainsim.io import images
+from rainsim.io.png48 import read_png48, write_png48
+from rainsim.render.labels import class_names
+from rainsim.render.shutter import moved
+from rainsim.scene.colmap import read_model
+from rainsim.scene.types import Camera
+from rainsim.sensors.lens import Lens
+from scenes import tiny_scene
+
+CAMERA = Camera(40, 30, 35.0, 36.0, 19.0, 16.0, np.eye(4), "a.jpg")
+POINT = np.array([0.4, -0.3, 2.5])  # in the frame of the first camera
+
+
+def plan_with(lens=None, count=3):
+    cameras = [moved(CAMERA, k * np.array([0.1, 0.2, 0]), np.array([0.1, 0.3 * k, 0.2]))
+               for k in range(count)]  # fmt: skip
+    views = [View(k, f"v{k}", camera, lens) for k, camera in enumerate(cameras)]
+    places = np.array([[1, 2, 3], [4, 5, 6]], np.float32)
+    colors = np.array([[9, 8, 7], [255, 0, 1]], np.uint8)
+    return Plan("yard", held_out(views, 3), (0.0, 10.0), True, places, colors, class_names())
+
+
+def sample_of(plan, index=0, rate=10.0, **more):
+    shape = (30, 40)
+    rng = np.random.default_rng(3)
+    depth = rng.uniform(1, 90, shape).astype(np.float32)
+    depth[0] = np.inf
+    ids = np.full(shape, 255, np.uint16)
+    ids[10:20], ids[20:25] = 0, 4
+    puddles = np.where(ids == 4, np.uint16(7), np.uint16(0))
+    flow = rng.normal(0, 20, (*shape, 2)).astype(np.float32)
+    mask = rng.integers(0, 4, shape).astype(np.uint16)
+    facts = {"weather": {}, "puddles": [{"id": 7, "box": [0, 20, 40, 25], "pixels": 200}]}
+    return Sample(
+        plan.views[index], rate, rng.integers(0, 255, (*shape, 3)).astype(np.uint8), depth,
+        depth * 1.2, ids, puddles, puddles * 0, ids != 4, flow, mask, facts=facts, **more,
+    )  # fmt: skip
+
+
+def projected(camera, point):
+    x, y, z = camera.camera_from_world[:3, :3] @ point + camera.camera_from_world[:3, 3]
+    return camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy, z
+
+
+# --- encodings ------------------------------------------------------------------------------------
+
+
+def test_depth_in_millimetres_and_as_kitti_has_it():
+    depth = np.array([[1.2344, 0.0004, 65.535, 65.6, 300.0, np.inf]])
+    assert depth_mm(depth).tolist() == [[1234, 0, 65535, 0, 0, 0]]
+    found = kitti_depth(depth)
+    assert found.tolist() == [[316, 1, 16777, 16794, 0, 0]]
+    np.testing.assert_allclose(found[0, [0, 2, 3]] / 256, depth[0, [0, 2, 3]], atol=1 / 512)
+
+
+def test_flow_as_kitti_has_it(tmp_path):
+    flow = np.array([[[0.0, 0.0], [3.25, -7.5], [-512.0, 511.98], [600.0, 0.0], [1.0, 1.0]]])
+    valid = np.array([[True, True, True, True, False]])
+    values = kitti_flow(flow, valid)
+    write_file(tmp_path, DataFile("f/flow.png", PNG48, values))
+    back = read_png48(tmp_path / "f/flow.png")
+    np.testing.assert_array_equal(back, values)
+    assert back[0, :, 2].tolist() == [1, 1, 1, 0, 0]  # too far for 16 bits: not valid
+    decoded = (back[..., :2].astype(float) - 2**15) / 64
+    np.testing.assert_allclose(decoded[0, :3], flow[0, :3], atol=1 / 128)
+    assert not back[0, 3:].any()
+
+
+def test_colour_of_16_bits_as_another_program_reads_it(tmp_path, rng):
+    cv2 = pytest.importorskip("cv2")
+    values = rng.integers(0, 65536, (23, 37, 3)).astype(np.uint16)
+    write_png48(tmp_path / "a.png", values)
+    found = cv2.imread(str(tmp_path / "a.png"), cv2.IMREAD_UNCHANGED)
+    assert found.dtype == np.uint16
+    np.testing.assert_array_equal(found[..., ::-1], values)
+
+
+def test_what_is_no_48_bit_picture_is_refused(tmp_path):
+    with pytest.raises(ParameterError, match=r"uint8 of shape \(2, 2, 3\)"):
+        write_png48(tmp_path / "a.png", np.zeros((2, 2, 3), np.uint8))
+    images.write_png(tmp_path / "b.png", np.zeros((4, 4, 3), np.uint8))
+    (tmp_path / "c.png").write_bytes(b"nothing")
+    for name in ("b.png", "c.png"):
+        with pytest.raises(InputError, match="no 48-bit picture"):
+            read_png48(tmp_path / name)
+
+
+def test_what_rain_spoils_is_left_out():
+    drops, splash = np.array([[0.0, 0.2, 0.02, 0.0, 0.02]]), np.array([[0, 0, 0.02, 0, 0]])
+    kept = keep_mask(drops, splash, np.array([[0, 1, 0, 4, 255]]))  # 4 is water
+    assert kept.tolist() == [[True, False, False, False, True]]
+
+
+def test_folders_and_names():
+    assert [condition(r) for r in (0, 10, 2.5)] == ["clear", "rain/10mm", "rain/2.5mm"]
+    cameras = [SimpleNamespace(name=n) for n in ("a/b.png", "a b", "a_b", "", "../x", "ü.JPG")]
+    names = safe_names(cameras)
+    assert names[:2] == ["a_b", "a_b_00001"] and len(set(names)) == 6
+    assert all("/" not in name and not name.startswith(".") for name in names)
+    for name in LAYOUTS:
+        assert callable(layout_of(name).sample_files)
+    with pytest.raises(ParameterError, match="layout is 'coco'; it must be one of nerfstudio"):
+        layout_of("coco")
+
+
+# --- layouts --------------------------------------------------------------------------------------
+
+
+def test_nerfstudio_by_its_parsers_rules():
+    """What its data parser (nerfstudio_dataparser.py, commit 01595f7) asserts and computes."""
+    plan = plan_with(Lens("opencv", (0.1, 0.02, 0.001, -0.002)))
+    meta = json.loads(json.dumps(nerfstudio.transforms(plan)))
+    assert {f"{split}_filenames" for split in ("train", "val", "test")} <= set(meta)
+    files = [frame["file_path"] for frame in meta["frames"]]
+    assert {*meta["train_filenames"], *meta["test_filenames"]} == set(files)
+    assert not set(meta["train_filenames"]) & set(meta["test_filenames"])
+    assert meta["camera_model"] in ("OPENCV", "OPENCV_FISHEYE")
+    for frame, view in zip(meta["frames"], plan.views, strict=True):
+        assert {"mask_path", "depth_file_path"} <= set(frame)
+        assert (frame["k1"], frame["p2"]) == (0.1, -0.002)
+        # Its rays: ((i + 0.5 - cx) / fx, -(j + 0.5 - cy) / fy, -1) turned by the pose.
+        u, v, z = projected(view.camera, POINT + view.camera.position)
+        pose = np.array(frame["transform_matrix"])
+        ray = np.array([(u - frame["cx"]) / frame["fl_x"], -(v - frame["cy"]) / frame["fl_y"], -1])
+        np.testing.assert_allclose(
+            pose[:3, :3] @ ray * z + pose[:3, 3], POINT + view.camera.position, atol=1e-12
+        )
+    named = {f.name for f in nerfstudio.sample_files(sample_of(plan, 1), plan)}
+    assert named == {f"rain/10mm/{kind}/v1.png" for kind in ("images", "depths", "masks")}
+    assert {f.name for f in nerfstudio.plan_files(plan)} == {
+        f"{c}/{n}" for c in ("clear", "rain/10mm") for n in ("transforms.json", "points.ply")
+    }
+
+
+def write_colmap(folder, plan):
+    for file in colmap.plan_files(plan):
+        write_file(folder, file)
+    return folder / "rain/10mm/sparse/0"
+
+
+LENSES = [None, Lens("opencv", (0.1, 0.02, 0.001, -0.002)), Lens("opencv", (0.1, 0, 0, 0, 0.3)),
+          Lens("fisheye", (0.1, 0.02, 0.001, -0.002))]  # fmt: skip
+
+
+@pytest.mark.parametrize("lens", LENSES, ids=lambda lens: "none" if lens is None else lens.model)
+def test_colmap_as_our_reader_reads_it(tmp_path, lens):
+    plan = plan_with(lens)
+    cameras, notes = read_model(write_colmap(tmp_path, plan))
+    assert len(notes) == (lens is not None)
+    for camera, view in zip(cameras, plan.views, strict=True):
+        assert camera.name == view.name and (camera.cx, camera.fy) == (19, 36)
+        np.testing.assert_allclose(camera.camera_from_world, view.camera.camera_from_world,
+                                   atol=1e-12)  # fmt: skip
+
+
+@pytest.mark.parametrize("lens", LENSES, ids=lambda lens: "none" if lens is None else lens.model)
+def test_colmap_as_pycolmap_reads_it(tmp_path, lens):
+    pycolmap = pytest.importorskip("pycolmap")
+    plan = plan_with(lens)
+    found = pycolmap.Reconstruction(str(write_colmap(tmp_path, plan)))
+    assert len(found.points3D) == 2 and len(found.images) == 3
+    first = next(p for p in found.points3D.values() if p.color[0] == 9)
+    np.testing.assert_allclose(first.xyz, [1, 2, 3])
+    by_name = {image.name: image for image in found.images.values()}
+    for view in plan.views:
+        image = by_name[f"{view.name}.png"]
+        place = POINT + view.camera.position
+        x, y, z = view.camera.camera_from_world[:3, :3] @ POINT
+        pose = image.cam_from_world() if callable(image.cam_from_world) else image.cam_from_world
+        np.testing.assert_allclose(pose * place, [x, y, z], atol=1e-9)
+        a, b = (x / z, y / z) if lens is None else lens.distort(x / z, y / z)
+        camera = found.cameras[image.camera_id]
+        seen = camera.img_from_cam(np.array([x / z, y / z, 1.0]))
+        np.testing.assert_allclose(seen, [35 * a + 19, 36 * b + 16], atol=1e-6)
+
+
+def test_colmap_depth_maps_are_as_its_script_reads_them():
+    """scripts/python/read_write_dense.py of COLMAP: the text w&h&c&, then columns of float32."""
+    depth = np.arange(12, dtype=np.float32).reshape(3, 4) + 1
+    depth[1, 2] = np.inf
+    data = colmap.depth_map(depth)
+    width, height, channels = (int(n) for n in data.split(b"&", 3)[:3])
+    numbers = np.frombuffer(data.split(b"&", 3)[3], np.float32)
+    found = numbers.reshape((width, height, channels), order="F").transpose((1, 0, 2)).squeeze()
+    expected = depth.copy()
+    expected[1, 2] = 0
+    np.testing.assert_array_equal(found, expected)
+
+
+def test_kitti_by_its_development_kit():
+    plan = plan_with()
+    files = {f.name: f for f in kitti.sample_files(sample_of(plan, 1), plan)}
+    training = "rain/10mm/training"
+    assert set(files) == {
+        f"{training}/{n}" for n in (
+            "image_2/000001_10.png", "image_2/000000_11.png", "flow_occ/000001_10.png",
+            "flow_noc/000001_10.png", "calib/000001.txt",
+            "proj_depth/groundtruth/image_02/000001_10.png")}  # fmt: skip
+    last = {f.name for f in kitti.sample_files(sample_of(plan, 2), plan)}
+    assert f"{training}/image_2/000001_11.png" in last
+    assert not any("flow" in name for name in last)  # there is no next picture
+    occ, noc = (files[f"{training}/flow_{n}/000001_10.png"].content[..., 2] for n in ("occ", "noc"))
+    assert (noc <= occ).all() and noc.sum() < occ.sum()
+    rows = dict(
+        line.split(": ") for line in files[f"{training}/calib/000001.txt"].content.splitlines()
+    )
+    matrix = np.array(rows["P2"].split(), float).reshape(3, 4)
+    x = matrix @ np.append(POINT, 1)
+    u, v, _ = projected(CAMERA, POINT)
+    np.testing.assert_allclose(x[:2] / x[2], [u - 0.5, v - 0.5])  # first pixel's middle at 0, 0
+    ahead = np.array(rows["Tr_velo_to_cam"].split(), float).reshape(3, 4) @ [5, 0, 0, 1]
+    np.testing.assert_allclose(ahead, [0, 0, 5])
+    poses = np.array([line.split() for line in kitti.poses(plan.views).splitlines()], float)
+    np.testing.assert_allclose(poses[0], np.eye(3, 4).ravel(), atol=1e-9)
+    second = plan.views[1].camera
+    local = np.linalg.inv(second.camera_from_world) @ [0, 0, 0, 1]
+    np.testing.assert_allclose(
+        poses[1].reshape(3, 4)[:, 3],
+        (plan.views[0].camera.camera_from_world @ local)[:3],
+        atol=1e-8,
+    )
+
+
+def test_cityscapes_by_the_rules_of_acdc():
+    plan = plan_with()
+    rain = {f.name: f for f in cityscapes.sample_files(sample_of(plan, 0), plan)}
+    clear = {f.name: f for f in cityscapes.sample_files(sample_of(plan, 0, rate=0.0), plan)}
+    name = "yard10mm/yard10mm_frame_000000"
+    assert {f"rgb_anon/rain/train/{name}_rgb_anon.png",
+            f"gt/rain/train/{name}_gt_labelTrainIds.png",
+            f"gt/rain/train/{name}_gt_invIds.png"} <= set(rain)  # fmt: skip
+    assert f"rgb_anon/rain/train_ref/{name}_rgb_ref_anon.png" in clear
+    ids = rain[f"gt/rain/train/{name}_gt_labelTrainIds.png"].content
+    assert ids.dtype == np.uint8 and set(np.unique(ids)) == {0, 255}
+    assert (ids[20:25] == 0).all()  # the puddle counts as the road below it
+    held = {f.name for f in cityscapes.sample_files(sample_of(plan, 2), plan)}
+    assert any(n.startswith("rgb_anon/rain/val/") for n in held)
+    own = sample_of(plan, 0, labels=np.full((30, 40), 13, np.uint16))
+    assert (cityscapes.train_ids(own) == 13).all()
+
+
+def test_replicator_by_its_pages():
+    plan = plan_with()
+    files = {
+        f.name.rpartition("/")[2]: f for f in replicator.sample_files(sample_of(plan, 1), plan)
+    }
+    assert set(files) == {
+        "rgb_0001.png", "distance_to_image_plane_0001.npy", "distance_to_camera_0001.npy",
+        "semantic_segmentation_0001.png", "semantic_segmentation_labels_0001.json",
+        "bounding_box_2d_tight_0001.npy", "bounding_box_2d_tight_labels_0001.json",
+        "camera_params_0001.json"}  # fmt: skip
+    colors = files["semantic_segmentation_0001.png"].content
+    labels = files["semantic_segmentation_labels_0001.json"].content
+    assert labels[str(tuple(colors[22, 5].tolist()))] == {"class": "water"}
+    assert labels[str(tuple(colors[12, 5].tolist()))] == {"class": "paving"}
+    assert labels["(0, 0, 0, 0)"] == {"class": "BACKGROUND"} and not colors[28, 5].any()
+    box = files["bounding_box_2d_tight_0001.npy"].content
+    assert box.dtype.names[0] == "semanticId" and box[0].tolist()[1:5] == (0, 20, 39, 24)
+    params = files["camera_params_0001.json"].content
+    view = np.array(params["cameraViewTransform"]).reshape(4, 4)
+    projection = np.array(params["cameraProjection"]).reshape(4, 4)
+    camera = plan.views[1].camera
+    place = POINT + camera.position
+    x, y, z, w = np.append(place, 1) @ view @ projection  # row vectors
+    u, v, depth = projected(camera, place)
+    np.testing.assert_allclose([(x / w + 1) / 2 * 40, (1 - y / w) / 2 * 30, w], [u, v, depth])
+    assert 0 < z / w < 1
+    focal = params["cameraFocalLength"] / params["cameraAperture"][0] * 40
+    assert focal == pytest.approx(camera.fx)
+
+
+def test_points_are_the_scenes():
+    scene = tiny_scene()
+    places, colors = points_of(scene, most=500)
+    assert places.shape == colors.shape == (500, 3) and places.dtype == np.float32
+    assert np.abs(places[:, :2]).max() < 1.1  # metres, ground frame
+    data = ply_bytes(places, colors)
+    header, _, body = data.partition(b"end_header\n")
+    assert b"element vertex 500" in header and len(body) == 500 * 15
+    assert struct.unpack_from("<3f3B", body, 15) == (*places[1].tolist(), *colors[1].tolist())
+
+
+def test_the_card_says_by_which_numbers_it_rained():
+    from rainsim.config.settings import Config, mm_per_hour
+
+    base = Config.from_preset("downpour")
+    card = card_of(plan_with(), "kitti", tiny_scene(), lambda r: base.replace(rate=mm_per_hour(r)))
+    clear, rain = card["rains"]
+    assert clear["drops"] is None and clear["optical_range_m"] is None
+    assert rain["rain_mm_per_hour"] == pytest.approx(10)
+    assert rain["radar_db_per_km_vertical"]["77_ghz"] == pytest.approx(5.8, abs=0.06)
+    assert rain["drops"]["decay_per_m"] == pytest.approx(4100 * 10**-0.21, rel=1e-4)
+    text = card_text(card)
+    assert "| 10 | `rain/10mm` |" in text and "| 0 | `clear` | clear |" in text
+    assert json.loads(json.dumps(card, allow_nan=False))["held_out"] == ["v2"]
+
+
+# --- the user's labels ----------------------------------------------------------------------------
+
+
+def test_ids_by_splat_and_masks_give_the_same_labels(tmp_path):
+    """Masks drawn of ids by splat vote the same ids back, but for splats at the rims."""
+    scene = tiny_scene()
+    high = scene.ground_frame.to_ground(scene.splats.position.astype(float))[:, 2] > 0.2
+    ids = np.where(high, 11, 3).astype(np.int32)
+    np.save(tmp_path / "ids.npy", ids)
+    own = read_labels(tmp_path / "ids.npy", scene)
+    (tmp_path / "masks").mkdir()
+    for camera in scene.cameras:
+        images.write_png(tmp_path / f"masks/{camera.name}.png", own.picture(camera).astype("u1"))
+    voted = read_labels(tmp_path / "masks", scene)
+    assert (voted.ids == ids).mean() > 0.95
+    for camera in scene.cameras:
+        one, other = own.picture(camera), voted.picture(camera)
+        assert {3, 11} <= set(np.unique(one)) and (one == other).mean() > 0.97
+
+
+def test_labels_that_do_not_fit_are_named(tmp_path):
+    scene = tiny_scene()
+    np.save(tmp_path / "few.npy", np.zeros(5, int))
+    (tmp_path / "no.npy").write_bytes(b"x")
+    (tmp_path / "empty").mkdir()
+    for name, message in (("few.npy", r"int64 of shape \(5,\); they must fit"),
+                          ("no.npy", "cannot be read"), ("empty", "such as view_0.png"),
+                          ("none.npy", "cannot be read")):  # fmt: skip
+        with pytest.raises(InputError, match=message):
+            read_labels(Path(tmp_path) / name, scene)
+
+
+def test_arrays_are_written_as_numpy_reads_them(tmp_path):
+    values = np.array([[1.5, np.inf]], np.float32)
+    write_file(tmp_path, DataFile("a/b.npy", 3, values))
+    np.testing.assert_array_equal(np.load(io.BytesIO((tmp_path / "a/b.npy").read_bytes())), values)

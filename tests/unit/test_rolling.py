@@ -1,0 +1,94 @@
+"""Rolling shutters: edges lean as their closed form says, drops shear, nothing else changes."""
+
+import numpy as np
+import pytest
+
+from rainsim import pipeline
+from rainsim.config.settings import Config
+from rainsim.errors import ParameterError
+from rainsim.raster import Rasterizer, prepare
+from rainsim.render.renderer import Renderer
+from rainsim.scene.types import Camera, Splats
+from rainsim.sensors.rolling import STILL, Motion, bands, check_readout, draw_rolling
+from scenes import tiny_scene
+
+
+def edge_scene():
+    """A bright half plane, its edge upright at x = 0, 4 m ahead, as small splats."""
+    x, y = np.meshgrid(np.arange(0.01, 2.4, 0.02), np.arange(-1.6, 1.6, 0.02))
+    n = x.size
+    position = np.column_stack([x.ravel(), y.ravel(), np.full(n, 4.0)])
+    sh = np.full((n, 1, 3), 0.5 / 0.28209479177387814)
+    arrays = position, np.tile([1.0, 0, 0, 0], (n, 1)), np.full((n, 3), 0.012), np.full(n, 0.99), sh
+    return Splats(*(np.ascontiguousarray(a, np.float32) for a in arrays))
+
+
+def edge_of(row):
+    """Place of the edge in a row [px]: where the light reaches half."""
+    k = int(np.argmax(row > 0.5))
+    return k - 0.5 + (0.5 - row[k - 1]) / (row[k] - row[k - 1]) + 0.5
+
+
+@pytest.mark.parametrize("speed", [1.5, -1.0])
+def test_a_moving_upright_edge_leans(speed):
+    """dx/dy = -f v T / (z H) px a row, with speed v, distance z, readout T and H rows."""
+    camera = Camera(160, 120, 150.0, 150.0, 80.0, 60.0, np.eye(4), "a")
+    motion = Motion(np.array([speed, 0, 0]), np.zeros(3))
+    readout, rasterizer = 0.1, Rasterizer(prepare(edge_scene()))
+    rows = [
+        rasterizer.draw(begin, 0.05).color[..., 0]
+        for _, begin, _ in bands(camera, motion, readout, 0.001, rows=4)
+    ]
+    picture = np.concatenate(rows)
+    edges = np.array([edge_of(row) for row in picture[4:-4]])
+    rows = np.arange(4, 116)
+    slope, place = np.polyfit(rows, edges, 1)
+    expected = -150 * speed * readout / (4.0 * 120)
+    assert slope == pytest.approx(expected, rel=0.02)
+    off = np.abs(edges - (slope * rows + place))
+    assert off.max() < 0.2  # px: half a band of four rows, and how splats round an edge
+    assert place + 60 * slope == pytest.approx(80 + 60 * expected, abs=0.5)
+
+
+def test_bands_make_the_whole_picture():
+    camera = Camera(64, 50, 60.0, 60.0, 32.0, 25.0, np.eye(4), "a")
+    found = list(bands(camera, STILL, 0.02, 0.01, rows=16))
+    assert [c.height for _, c, _ in found] == [16, 16, 16, 2]
+    assert [end for *_, end in found] == [None] * 4
+    np.testing.assert_allclose([d for d, *_ in found], [0.02 * m / 50 for m in (8, 24, 40, 49)])
+    moving = Motion(np.array([1.0, 0, 0]), np.array([0, 0.1, 0]))
+    delay, begin, end = list(bands(camera, moving, 0.02, 0.01, 16, first_row=-5, height=40))[1]
+    assert delay == pytest.approx(0.02 * (24 - 5) / 40)
+    np.testing.assert_allclose(begin.position, [delay, 0, 0], atol=1e-12)
+    np.testing.assert_allclose(end.position, [delay + 0.01, 0, 0], atol=1e-12)
+
+
+@pytest.mark.slow
+def test_a_still_scene_is_the_same_and_drops_shear():
+    scene = tiny_scene()
+    config = Config.from_preset("downpour").replace(past=6e-3, extent=1.0, spacing=0.05)
+    terrain = pipeline.extract_terrain(scene, config)
+    state = next(pipeline.simulate(terrain, config))
+    camera = scene.cameras[0].resized(96, 72)
+    here = scene.ground_frame.camera_in_ground(camera)
+    renderer = Renderer(scene, terrain, config, camera)
+    names = ("depth", "rain_alpha", "class_id", "puddle_id", "coverage")
+    _, whole = renderer.draw(camera, state, None, names)
+    _, now = draw_rolling(renderer, here, state, STILL, 0.0, names)
+    _, later = draw_rolling(renderer, here, state, STILL, 0.05, names)
+    for report in (now, later):
+        near = np.isclose(report.aovs["depth"], whole.aovs["depth"], rtol=1e-3)
+        assert near.mean() > 0.995
+        assert (report.aovs["class_id"] == whole.aovs["class_id"]).mean() > 0.99
+    drops = [r.aovs["rain_alpha"] for r in (whole, now, later)]
+    np.testing.assert_allclose(drops[1], drops[0], atol=0.02)  # drops in fog's far end by depth
+    # The first band is as before, below the drops have moved on by their band's time.
+    assert np.abs(drops[2] - drops[0])[64:].max() > 10 * np.abs(drops[1] - drops[0])[64:].max()
+    assert {p["id"] for p in now.facts["puddles"]} == {p["id"] for p in whole.facts["puddles"]}
+
+
+def test_readouts_are_checked():
+    check_readout(0.02)
+    for readout, message in ((-0.1, "readout is -0.1"), (1.0, "at most 200 ms")):
+        with pytest.raises(ParameterError, match=message):
+            check_readout(readout)
