@@ -214,7 +214,8 @@ class FarmRun:
 
     def _send_job(self, address):
         held = self._client.scatter(self._sequence, workers=[address], hash=False)
-        self._ask(address, on_worker.take_job, self._name, held)
+        hashes = on_worker.known_hashes(self._sequence.scene)
+        self._ask(address, on_worker.take_job, self._name, held, hashes)
 
     def _hand_out(self, workers):
         """Give each worker that has nothing to do a chunk."""

@@ -7,9 +7,11 @@ import os
 import platform
 import tempfile
 from contextlib import suppress
+from dataclasses import fields
 from pathlib import Path
 
 from rainsim import __version__
+from rainsim.io import cache
 from rainsim.io.fingerprint import sources, versions
 from rainsim.output_folder import host_facts
 from rainsim.render.frame_files import FrameWriter, facts_of
@@ -36,8 +38,20 @@ def sees(path, text):
     return False
 
 
-def take_job(name, sequence):
-    """Keep the `FrameSequence` of a job, in place of earlier ones."""
+def known_hashes(scene):
+    """Return the hashes that are known of a scene's splats, by the names of their arrays."""
+    arrays = {field.name: getattr(scene.splats, field.name) for field in fields(scene.splats)}
+    known = {name: cache.known_hash(array) for name, array in arrays.items()}
+    return {name: digest for name, digest in known.items() if digest}
+
+
+def take_job(name, sequence, hashes):
+    """Keep the `FrameSequence` of a job, in place of earlier ones.
+
+    By the `known_hashes` of its scene this process finds results that another kept.
+    """
+    for array, digest in hashes.items():
+        cache.take_hash(getattr(sequence.scene.splats, array), digest)
     _SEQUENCES.clear()
     _SEQUENCES[name] = sequence
     return True

@@ -176,15 +176,26 @@ def know_hash(array, *content):
     *content
         See `name_of`; together with the code it determines the array.
     """
-    digest, key = hashlib.sha256(), id(array)
+    digest = hashlib.sha256()
     _add(digest, content)
-    _known[key] = weakref.ref(array, lambda _: _known.pop(key, None)), digest.digest()
+    take_hash(array, digest.digest())
+
+
+def take_hash(array, digest):
+    """Take the hash that `known_hash` returned of a copy of an array, as in another process."""
+    key = id(array)
+    _known[key] = weakref.ref(array, lambda _: _known.pop(key, None)), digest
+
+
+def known_hash(array):
+    """Return the hash that was taken in place of one of the array's bytes; None without such."""
+    reference, known = _known.get(id(array), (None, None))
+    return known if known and reference() is array else None
 
 
 def _array_hash(array):
     """Return the hash that is known of an array, or that of its bytes."""
-    reference, known = _known.get(id(array), (None, None))
-    return known if known and reference() is array else _content_hash(array)
+    return known_hash(array) or _content_hash(array)
 
 
 def _content_hash(array):

@@ -1,6 +1,7 @@
 """Workers of dask.distributed: the same bytes as in one go, whatever befalls them."""
 
 import os
+import pickle
 import random
 import signal
 import threading
@@ -13,7 +14,8 @@ from test_shared_run import FRAMES, same, whole  # noqa: F401
 import made_frames
 from made_frames import MadeUpFrames
 from rainsim.errors import BackendError, RainsimError
-from rainsim.farm import cluster
+from rainsim.farm import cluster, worker
+from rainsim.io import cache
 from rainsim.output_folder import FrameFolder, Record, claimed
 from run_folders import facts, written
 from scenes import tiny_scene
@@ -198,3 +200,18 @@ def draw_alone(folder):
         with FrameFolder(folder, record, scene.cameras[:1], frames.config) as film:
             for frame in frames.frames(range(60)):
                 film.add(*frame)
+
+
+def test_a_worker_finds_what_others_kept_of_a_capture():
+    frames = MadeUpFrames()
+    splats = frames.scene.splats
+    kept, plain = splats.position, cache.name_of("scene", splats.position)
+    cache.know_hash(kept, "splats", "of a file", "position")
+    assert cache.name_of("scene", kept) != plain
+    hashes = worker.known_hashes(frames.scene)
+    assert list(hashes) == ["position"]
+    copy = pickle.loads(pickle.dumps(frames))
+    assert cache.name_of("scene", copy.scene.splats.position) == plain  # the bytes' own
+    worker.take_job("a job", copy, hashes)
+    assert cache.name_of("scene", copy.scene.splats.position) == cache.name_of("scene", kept)
+    worker._SEQUENCES.clear()
