@@ -10,7 +10,7 @@ import errno
 import click
 
 from rainsim import __version__
-from rainsim.commands import bench, doctor, film, ground, splat, tools
+from rainsim.commands import bench, doctor, export, film, ground, lidar, splat, tools, view
 from rainsim.commands.status import interrupts_remembered
 from rainsim.errors import ParameterError, RainsimError, one_line
 
@@ -95,6 +95,9 @@ for _command in (
     film.simulate,
     film.render,
     splat.splat,
+    export.export,
+    lidar.lidar,
+    view.view,
     tools.scenes,
     tools.presets,
     bench.bench,

@@ -10,9 +10,10 @@ from dataclasses import replace
 from rainsim.backend import free_device_memory, on_backend
 from rainsim.errors import ParameterError
 from rainsim.render.first_view import view_of_water
+from rainsim.render.labels import without_flow
 from rainsim.render.memory import require_memory
 from rainsim.render.report import FrameReport
-from rainsim.render.shutter import shutter_end
+from rainsim.render.shutter import is_cut, shutter_end
 from rainsim.render.sunken import sunken_notes
 from rainsim.simulation import SimState, read_state, simulate, write_state
 from rainsim.terrain.kept import kept_terrain
@@ -226,6 +227,8 @@ class SequenceRenderer:
             self._notes = sunken_notes(path, self._terrain, config)
         for picture, report in self._renderer.film(shots(), self._names):
             notes, self._notes = self._notes, ()
+            if is_cut(path, report.index, config.fps):
+                report = without_flow(report)
             yield picture, replace(report, notes=(*notes, *report.notes))
 
     def _made(self):

@@ -20,7 +20,8 @@ class MadeUpFrames:
 
     def __init__(self, frames=12, pause=0.0, at=None, fault="interrupt", once=None):
         self.config = Config().replace(frames=frames)
-        self.cameras, self.states = tiny_scene().cameras[:1], None
+        self.scene, self.states = tiny_scene(), None
+        self.cameras = self.scene.cameras[:1]
         self.next, self.drawn, self._pause = 0, [], pause
         self._at, self._fault, self._once = at, fault, once
 

@@ -18,6 +18,7 @@ LEVELS = {
     "half size": ({}, 0.5),
     "map 4 cm": ({"spacing": 2.0}, 1.0),
     "rain to 3 m": ({"streak_far": 3.0}, 1.0),
+    "full mirrors": ({"mirror_size": "full"}, 1.0),
     **{
         name: ({"reflections": name}, 1.0) for name in REFLECTIONS if name not in ("auto", "traced")
     },

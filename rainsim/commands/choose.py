@@ -12,6 +12,7 @@ DEFAULT_FOV = 60.0  # degrees
 DEFAULT_WIDTH = 648  # px, of cameras placed by hand
 DEFAULT_SHAPE = 1.5  # width / height of cameras placed by hand
 MOST_SHOWN = 8  # names of cameras in an error message
+AS_THEY_ARE = ("frame_range", "threads")  # options that no preset file has
 CAMERA_WAYS = ("camera", "path", "orbit", "drive", "eye")
 
 
@@ -26,49 +27,35 @@ def settings(preset, given, base=None):
         Option names and their values in the command line's units; None is not given.
     base : Config, optional
     """
-    from rainsim.config.settings import Config, mm_per_hour
+    from rainsim.config.controls import OPTION_KEYS
+    from rainsim.config.settings import Config
 
-    convert = {
-        "rain": ("rate", mm_per_hour),
-        "past_rain": ("past", lambda mm: mm * 1e-3),
-        "drying": ("drying", lambda hours: hours * 3600),
-        "wind": ("wind", lambda wind: (wind[0], wind[1] * math.pi / 180)),
-        "water_level": ("level", float),
-        "water_scheme": ("scheme", str),
-        "seed": ("seed", int),
-        "frames": ("frames", int),
-        "fps": ("fps", float),
-        "exposure": ("exposure", lambda ms: ms * 1e-3),
-        "sky": ("sky", str),
-        "sun": ("sun", _sun),
-        "cloudiness": ("cloudiness", float),
-        "relight": ("relight", str),
-        "reflections": ("reflections", str),
-        "brightness": ("brightness", float),
-        "metering": ("metering", str),
-        "ground_albedo": ("ground_albedo", float),
-        "width": ("width", int),
-        "height": ("height", int),
-        "spacing": ("spacing", float),
-        "extent": ("extent", float),
-        "frame_range": ("frame_range", tuple),
-        "threads": ("threads", int),
-    }
-    changes = {
-        convert[name][0]: convert[name][1](value)
-        for name, value in given.items()
-        if name in convert and value is not None
-    }
+    changes = {}
+    for name, value in given.items():
+        if value is None:
+            continue
+        if name in OPTION_KEYS:
+            attribute, value = _in_si(OPTION_KEYS[name], value)
+            changes[attribute] = value
+        elif name in AS_THEY_ARE:
+            changes[name] = value
     if "height" in changes:
         changes.setdefault("width", None)  # follows from the camera's shape
     config = Config.from_preset(preset) if base is None else base
     return config.replace(**changes).check()
 
 
-def _sun(sun):
-    if sun in ("none", "sky"):
-        return None if sun == "none" else sun
-    return tuple(math.radians(angle) for angle in sun)
+def _in_si(keys, value):
+    """Return the attribute that an option's preset keys fill, and its value in SI units."""
+    from rainsim.config.controls import SUN_WORDS, si_value
+    from rainsim.config.preset_files import HUMAN_KEYS
+
+    attribute = HUMAN_KEYS[keys[0]][0]
+    if len(keys) == 1:
+        return attribute, si_value(keys[0], value)
+    if isinstance(value, str):
+        return attribute, SUN_WORDS[value]
+    return attribute, tuple(si_value(key, part) for key, part in zip(keys, value, strict=True))
 
 
 def scene_of(name, given):
@@ -117,6 +104,13 @@ def _scale_in_picture(scene, camera, numbers):
     u1, v1, u2, v2, length = numbers
     ends = points_at(scene.splats, named_camera(scene, camera), ((u1, v1), (u2, v2)))
     return scale_from_length(*ends, length)
+
+
+def mask_of(path):
+    """Return the painted classes of a --class-mask, None without one."""
+    from rainsim.terrain.classify import read_mask
+
+    return None if path is None else read_mask(path)
 
 
 def paths_in(given):
@@ -224,6 +218,8 @@ def _one_per_frame(cameras, where, config, given, most):
     """Return one camera for each frame, and the Config with the number of frames."""
     if given.get("frames") is None:
         config = config.replace(frames=min(len(cameras), most or len(cameras))).check()
+    if len(cameras) == 1:
+        return list(cameras), config  # it stands still
     if len(cameras) < config.frames:
         raise ParameterError(
             f"frames is {config.frames}; it must be at most {len(cameras)}, the number of "

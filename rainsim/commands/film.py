@@ -11,6 +11,7 @@ from rainsim.commands import options
 from rainsim.commands.choose import (
     cameras_of,
     check_camera_options,
+    mask_of,
     paths_in,
     settings,
     view_on,
@@ -35,10 +36,12 @@ VERSION = 1  # of simulation.json; those without a version are of version 1
 @options.farm_options
 @options.ground_options
 @options.terrain_options
+@options.class_mask_option
 @options.resume_option
 @options.output_options("rainsim-out/SCENE-PRESET")
 def run(
-    scene, preset, out, overwrite, resume, as_json, quiet, video, layers, backend, stale, **given
+    scene, preset, out, overwrite, resume, as_json, quiet, video, layers, backend, stale,
+    class_mask, **given,
 ):  # fmt: skip
     """Draw a scene in the rain, all steps from a capture to frames.
 
@@ -54,6 +57,7 @@ def run(
     status = Status(quiet)
     config = settings(preset, given)
     names = _check_before_loading(given, video, layers, backend)
+    mask = mask_of(class_mask)
     uses = uses_of(config, names, backend)
     with status, compiled_beside(status, uses, config.threads) as pool:
         loaded = loaded_scene(status, scene, given)
@@ -64,15 +68,19 @@ def run(
         def film(config):
             from rainsim.pipeline import FrameSequence, extract_terrain
 
-            ground = extract_terrain(loaded, config, None, status.progress, status.notes)
+            ground = extract_terrain(loaded, config, mask, status.progress, status.notes)
             path = view_on(loaded, ground, cameras, config, given, status)
             _say_memory(status, loaded, ground, path, names, backend)
             return path, FrameSequence(loaded, ground, path, config, backend, names)
 
         content = {"layers": names, "backend": backend}
+        if class_mask is not None:
+            from rainsim.io.fingerprint import hash_of_file
+
+            content["mask"] = hash_of_file(class_mask)
         files = {"out": out, "overwrite": overwrite, "resume": resume, "video": video}
         files |= {"stale": stale, "as_json": as_json, "farm": (given, backend, pool)}
-        files["sources"] = [loaded.source, *paths_in(given)]
+        files["sources"] = [loaded.source, class_mask, *paths_in(given)]
         _write_frames(status, film, loaded, config, preset, content, **files)
 
 

@@ -22,12 +22,7 @@ CHECK_RAIN = 3  # mm of them, over what a camera sees
 @click.argument("scene")
 @options.ground_options
 @options.terrain_options
-@click.option(
-    "--class-mask",
-    type=options.FILE,
-    metavar="FILE.png",
-    help="Classes painted in the colours of classes.png; black is left to the program.",
-)
+@options.class_mask_option
 @click.option(
     "--check",
     is_flag=False,
@@ -145,11 +140,10 @@ def _from_surface(scene, config, given):
 
 
 def _from_splats(scene, config, class_mask, status):
+    from rainsim.commands.choose import mask_of
     from rainsim.pipeline import extract_terrain
-    from rainsim.terrain.classify import read_mask
 
-    mask = None if class_mask is None else read_mask(class_mask)
-    return extract_terrain(scene, config, mask, status.progress, status.notes)
+    return extract_terrain(scene, config, mask_of(class_mask), status.progress, status.notes)
 
 
 def _puddles(out, terrain, record):

@@ -9,6 +9,7 @@ import click
 
 from rainsim.config.preset_files import DEFAULT_PRESET
 
+WIDTH = 648  # px, where neither a width nor a height is given
 PRESETS = "the preset's"  # shown as the default of options that override a preset
 
 
@@ -148,6 +149,13 @@ ground_options = _group(
     ),
 )
 
+class_mask_option = click.option(
+    "--class-mask",
+    type=FILE,
+    metavar="FILE.png",
+    help="Classes painted in the colours of classes.png; black is left to the program.",
+)
+
 camera_options = _group(
     click.option(
         "--camera",
@@ -155,7 +163,11 @@ camera_options = _group(
         help="A camera of the capture. [default: the one that shows most water]",
     ),
     click.option(
-        "--path", type=FILE, metavar="transforms.json", help="A camera path, one camera per frame."
+        "--path",
+        type=FILE,
+        metavar="transforms.json",
+        help="A camera path, one camera per frame: transforms.json, or a camera_path.json of "
+        "`rainsim view` or nerfstudio. A single camera stands still for --frames.",
     ),
     click.option(
         "--orbit",
@@ -205,6 +217,15 @@ rain_options = _group(
     click.option("--frames", type=int, show_default="the preset's, or the path's length",
                  help="Number of frames."),
     click.option("--fps", type=float, show_default=PRESETS, help="Frames per second."),
+)  # fmt: skip
+
+shower_options = _group(  # for commands whose --rain takes several rates
+    click.option("--past-rain", type=float, metavar="MM", show_default=PRESETS,
+                 help="Rain that fell before and stands in puddles, in mm; none for 0 mm/h."),
+    click.option("--wind", type=Numbers("speed,direction"), show_default=PRESETS,
+                 help="Wind in m/s and the direction in which the air moves, in degrees."),
+    click.option("--seed", type=int, show_default=PRESETS,
+                 help="Random seed: other drops with another number."),
 )  # fmt: skip
 
 light_options = _group(

@@ -41,6 +41,7 @@ HUMAN_KEYS = {
     "ground_albedo": ("ground_albedo", 1.0),
     "wetting": ("wetting", None),
     "reflections": ("reflections", None),
+    "mirror_size": ("mirror_size", None),
     "film": ("film", None),
     "tops": ("tops", None),
     "refraction": ("refraction", None),
@@ -53,6 +54,9 @@ HUMAN_KEYS = {
     "streak_far_m": ("streak_far", 1.0),
     "aperture_mm": ("aperture", 1e-3),
     "focus_m": ("focus", 1.0),
+    "surroundings_x": ("surroundings", 1.0),
+    "surroundings_y": ("surroundings", 1.0),
+    "surroundings_z": ("surroundings", 1.0),
     "frames": ("frames", None),
     "fps": ("fps", 1.0),
     "width": ("width", None),
@@ -61,9 +65,10 @@ HUMAN_KEYS = {
     "terrain_extent_m": ("extent", 1.0),
 }
 DEFAULT_PRESET = "downpour"  # what a newcomer sees first: rain that shows at once
-_PAIRS = {  # attributes that two keys fill, with what stands for a missing one (None: required)
+PARTS = {  # attributes that several keys fill, with what stands for a missing one (None: required)
     "wind": (("wind_speed_m_per_s", 0.0), ("wind_direction_degrees", 0.0)),
     "sun": (("sun_azimuth_degrees", None), ("sun_elevation_degrees", None)),
+    "surroundings": tuple((f"surroundings_{axis}", None) for axis in "xyz"),
 }
 
 
@@ -133,15 +138,18 @@ def from_human(table, where, folder=None):
                 )
             value = value * unit
         table[key] = value
-        if attribute not in _PAIRS:
+        if attribute not in PARTS:
             changes[attribute] = value
-    for attribute, keys in _PAIRS.items():
+    for attribute, keys in PARTS.items():
         given = [key for key, _ in keys if key in table]
         if not given:
             continue
         lacking = [key for key, default in keys if key not in table and default is None]
         if lacking:
-            raise ParameterError(f"{where} has {given[0]} but no {lacking[0]}; give both")
+            raise ParameterError(
+                f"{where} has {given[0]} but no {lacking[0]}; give all of "
+                f"{', '.join(key for key, _ in keys)}"
+            )
         changes[attribute] = tuple(table.get(key, default) for key, default in keys)
     sky = changes.get("sky")
     if folder is not None and isinstance(sky, str) and sky not in SKIES:

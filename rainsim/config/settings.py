@@ -44,6 +44,7 @@ WATER_SCHEMES = ("auto", "paper")
 REFLECTIONS = ("auto", "mirror", "ssr", "traced", "paper")
 # Where there are two choices, the second is the paper's.
 FILMS = ("auto", "mirror", "environment")
+MIRROR_SIZES = ("auto", "full", "half")
 REFRACTIONS = ("snell", "shift")
 FRESNELS = ("exact", "schlick")
 HIGHLIGHTS = ("cox-munk", "blinn-phong")
@@ -193,6 +194,8 @@ class RenderConfig:
     reflections: str = "auto"  # mirror: one mirrored pass; ssr: march the depth; auto: a mirror
     # for each level that much water stands at, the march for other water;
     # traced: rays through the splats, slow; paper: march with a point test
+    mirror_size: str = "auto"  # of mirrored pictures; half: of the frame's width and height; auto:
+    # half where ripples blur what they show
     film: str = "auto"  # wet-ground mirror, drawn where it shows; mirror: always drawn;
     # environment: wet ground only glosses with the first camera's surroundings
     tops: str = "auto"  # what lies flat above the ground carries water; off: it only darkens
@@ -206,6 +209,8 @@ class RenderConfig:
     streak_far: float = 8.0  # m; farther drops are fog
     aperture: float = 0.0  # m, diameter of the lens's opening: near drops blur; 0: all are sharp
     focus: float = 4.0  # m, what is in focus
+    surroundings: tuple | None = None  # x, y, z [capture units] from where the light is drawn that
+    # rain and water mirror; None: the first camera's place
 
     def check(self):
         """Raise ParameterError if a value breaks its rule."""
@@ -238,6 +243,7 @@ class RenderConfig:
         require_choice("relight", self.relight, RELIGHTS)
         require_choice("wetting", self.wetting, WETTINGS)
         require_choice("reflections", self.reflections, REFLECTIONS)
+        require_choice("mirror_size", self.mirror_size, MIRROR_SIZES)
         require_choice("film", self.film, FILMS)
         require_choice("tops", self.tops, TOPS)
         require_choice("refraction", self.refraction, REFRACTIONS)
@@ -255,6 +261,12 @@ class RenderConfig:
             raise ParameterError(f"aperture is {_round(aperture)} mm; it must be at most 100")
         require_positive("focus", self.focus, "m", "4 is usual")
         require_positive("streak_far", self.streak_far, "m", "8 is usual")
+        if self.surroundings is not None:
+            place = self.surroundings
+            if not isinstance(place, tuple | list) or len(place) != 3:
+                raise ParameterError(f"surroundings is {shown(place)}; it must be a place x, y, z")
+            for value in place:
+                require_finite("surroundings", value, "leave it out for the first camera's place")
 
 
 @dataclass(frozen=True)
@@ -433,6 +445,11 @@ _GROUPS = {
 _GROUP_OF = {f.name: None for f in dataclasses.fields(Config) if f.name not in _GROUPS}
 for _name, _group in _GROUPS.items():
     _GROUP_OF |= {f.name: _name for f in dataclasses.fields(_group)}
+
+
+def group_of(name):
+    """Return the group of a setting, such as "rain"; None if `Config` has it itself."""
+    return _GROUP_OF[name]
 
 
 def check_sky(sky):

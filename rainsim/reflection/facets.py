@@ -41,15 +41,15 @@ def view_cosine(water, ux, uy, uz):
 
 
 @inlined_function
-def slope_samples(water, share):
+def slope_samples(water):
     """Return the number of slopes to take in a pixel, and a root of their covariance.
 
-    The root (a, b, c) is the lower triangle (a; b, c) times `share`, see `sample_slopes`.
+    The root (a, b, c) is the lower triangle (a; b, c), see `sample_slopes`.
     """
     if water.variance_x + water.variance_y < LEAST_VARIANCE:
         return 1, ZERO, ZERO, ZERO
     a, b, c = root_of(water.variance_x, water.variance_y, water.covariance)
-    return SAMPLES, share * a, share * b, share * c
+    return SAMPLES, a, b, c
 
 
 @inlined_function
@@ -75,7 +75,7 @@ def facet_weight(water, law, gx, gy):
 @lean_function
 def pixel_reflectance(law, water):
     """Return the reflectance of what a pixel shows of the water: a mean over the area shown."""
-    samples, a, b, c = slope_samples(water, ONE)
+    samples, a, b, c = slope_samples(water)
     area, light = ZERO, ZERO
     for sample in range(samples):
         gx, gy = sample_slopes(water, a, b, c, sample)
@@ -85,8 +85,7 @@ def pixel_reflectance(law, water):
 
 
 @inlined_function
-def light_weight(water, sample):
+def light_weight(water, a, b, c, sample):
     """Return the weight of one of the slopes of a pixel in the mean of the light they mirror."""
-    _, a, b, c = slope_samples(water, ONE)
     gx, gy = sample_slopes(water, a, b, c, sample)
     return facet_weight(water, EXACT, gx, gy)[1]

@@ -115,7 +115,7 @@ def add_rays(record, n, view, rays, s, owner):
     """Add the rays of record n to a chunk that has `rays`; return how many it has then."""
     water = read_record(record, n)
     u, v, z = image_of(view, water.x, water.y, water.z)
-    samples, a, b, c = slope_samples(water, SPREAD)
+    samples, a, b, c = slope_samples(water)
     blur = ZERO
     if samples > 1:
         blur = sample_blur(view, water)
@@ -123,9 +123,9 @@ def add_rays(record, n, view, rays, s, owner):
     for k in range(samples):
         i = rays + k
         s[VIEW_X + i], s[VIEW_Y + i], s[VIEW_Z + i] = water.view_x, water.view_y, water.view_z
-        s[SLOPE_X + i], s[SLOPE_Y + i] = sample_slopes(water, a, b, c, k)
+        s[SLOPE_X + i], s[SLOPE_Y + i] = sample_slopes(water, SPREAD * a, SPREAD * b, SPREAD * c, k)
         s[U + i], s[V + i], s[Z + i], s[BLUR + i] = u, v, z, blur
-        s[SHARE + i] = light_weight(water, k)
+        s[SHARE + i] = light_weight(water, a, b, c, k)
         total += s[SHARE + i]
         owner[i] = n
     gain = ONE / total

@@ -48,16 +48,16 @@ def mirrored_light(view, mirror, water):
     mirror : MirrorPicture
     water : WaterPixel
     """
-    samples, a, b, c = slope_samples(water, SPREAD)
+    samples, a, b, c = slope_samples(water)
     blur = ZERO
     if samples > 1:
         blur = sample_blur(view, water)
     red, green, blue, total = ZERO, ZERO, ZERO, ZERO
     for sample in range(samples):
-        rx, ry, rz = sample_ray(water, a, b, c, sample)
+        rx, ry, rz = sample_ray(water, SPREAD * a, SPREAD * b, SPREAD * c, sample)
         u, v, share = march_mirror(view, mirror.depth, water, rx, ry, rz)
         r, g, b_ = blurred_color(mirror.picture, mirror.coarse, u, v, blur * share)
-        weight = light_weight(water, sample)
+        weight = light_weight(water, a, b, c, sample)
         total += weight
         red, green, blue = red + weight * r, green + weight * g, blue + weight * b_
     gain = ONE / total

@@ -463,4 +463,4 @@ def mirror_rays(which, record, view: View, sample, direction_out, before_out, we
         direction_out[k, 0], direction_out[k, 1], direction_out[k, 2] = rx, ry, rz
         ahead = camera_component(view, 2, water.view_x, water.view_y, water.view_z)
         before_out[k] = water.view_depth / ahead
-        weight_out[k] = light_weight(water, sample)
+        weight_out[k] = light_weight(water, a, b, c, sample)

@@ -63,12 +63,12 @@ def screen_light(view, picture, depth, environment, thickness, water, distance):
         As `level_hit` returns it.
     """
     start = surface_in_camera(view, water)
-    samples, a, b, c = slope_samples(water, ONE)
+    samples, a, b, c = slope_samples(water)
     red, green, blue, seen, total = ZERO, ZERO, ZERO, ZERO, ZERO
     for sample in range(samples):
         rx, ry, rz = sample_ray(water, a, b, c, sample)
         u, v, share = on_screen(view, depth, start, water, rx, ry, rz, distance, thickness)
-        weight = light_weight(water, sample)
+        weight = light_weight(water, a, b, c, sample)
         total += weight
         seen += weight * share
         if share < ONE:
@@ -86,12 +86,12 @@ def screen_light(view, picture, depth, environment, thickness, water, distance):
 @inlined_function
 def surrounding_light(environment, water):
     """Return the radiance (r, g, b) that a pixel of water mirrors of an environment map."""
-    samples, a, b, c = slope_samples(water, ONE)
+    samples, a, b, c = slope_samples(water)
     red, green, blue, total = ZERO, ZERO, ZERO, ZERO
     for sample in range(samples):
         rx, ry, rz = sample_ray(water, a, b, c, sample)
         c0, c1, c2 = sample_environment(environment, rx, ry, rz)
-        weight = light_weight(water, sample)
+        weight = light_weight(water, a, b, c, sample)
         total += weight
         red, green, blue = red + weight * c0, green + weight * c1, blue + weight * c2
     gain = ONE / total

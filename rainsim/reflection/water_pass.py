@@ -1,7 +1,7 @@
 """The water in a camera's picture: found, tilted by ripples and lit; what does not change is kept.
 
-A planar mirror is drawn for each level at which much of the water stands, see `group_levels`; water
-at other levels is marched on the screen.
+A planar mirror is drawn for each level at which much of the water stands, see `mirror_choice`;
+water at other levels is marched on the screen.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import numpy as np
 from rainsim import ssr
 from rainsim.jit import interleaved
 from rainsim.reflection import paper, ray_traced, screen_space, water_record, water_shading
+from rainsim.reflection.mirror_choice import MIRROR_SPREAD, group_levels, mirror_step
 from rainsim.reflection.mirror_pass import mirror_light
 from rainsim.reflection.ray_water import COVERING_DEPTHS, meet_water
 from rainsim.reflection.slope_moments import ripple_moments
@@ -26,11 +27,6 @@ from rainsim.shading.wetness import OffGroundWetness
 from rainsim.shading.wetting import ESCAPE
 from rainsim.water.top_water import TopWater, sheet_depth
 
-MIRROR_SPREAD = 0.06  # m: water at levels farther apart has no mirror in common
-MOST_MIRRORS = 3  # levels that auto draws mirrored; what stands at others is marched
-LEAST_SHARE = 0.04  # of the water's pixels for which another mirror is drawn
-LEVEL_STEP = 2e-3  # m, of a mirror's level: a slowly filling puddle keeps its mirror for a while
-LEVEL_STEPS = int(MIRROR_SPREAD / LEVEL_STEP)
 WINDOW_STEP = 64  # px, of the part of the picture that is drawn mirrored: whole tiles
 WINDOW_SLOPE = 0.08  # tilt of the water up to which a ripple finds its image in that part
 REFLECTION_THICKNESS = 0.15  # m: how far behind its depth a surface still stops a marched ray
@@ -81,11 +77,14 @@ class Shower(NamedTuple):
         Of the rain.
     gloss : ndarray of shape (rows, columns, 3), float32
         The blurred surroundings, which sloping tops mirror.
+    surface_film : float
+        How far a film of dirt calms the rings, 0 to 1.
     """
 
     wetness: OffGroundWetness
     rate: float
     gloss: np.ndarray
+    surface_film: float = 0.0
 
 
 class WaterPass:
@@ -153,9 +152,9 @@ class WaterPass:
         shower : Shower
             What wets the tops.
         draw_mirrored : callable
-            draw_mirrored(level, window) returns the View and the `planar_mirror.MirrorPicture` of
-            the camera mirrored at a level [m], of a window (left, top, right, bottom) [px] of its
-            picture.
+            draw_mirrored(level, window, step) returns the View and the
+            `planar_mirror.MirrorPicture` of the camera mirrored at a level [m], of a window (left,
+            top, right, bottom) [px] of its picture, each side 1 / step as many pixels.
         trace : callable
             As `ray_traced.traced_light` takes it.
         environment : ndarray of shape (rows, columns, 3), float32
@@ -173,6 +172,7 @@ class WaterPass:
             self._update_surface(state.depth)
         moved |= self._update_tops(state.top_water, shower)
         self._gloss = shower.gloss
+        self._step = mirror_step(self.config.mirror_size, shower, self.wet.view.lens)
         timer.mark("water surface")
         before = self.pixel
         if moved or self.coverage is None:
@@ -314,10 +314,14 @@ class WaterPass:
             self._groups[name] = mirrors, *others
         mirrors, others, surrounded = self._groups[name]
         kept = self._mirrors
-        self._mirrors = {place: kept.get(place) or draw_mirrored(*place) for place, _ in mirrors}
+        self._mirrors = {
+            (*place, self._step): kept.get((*place, self._step))
+            or draw_mirrored(*place, self._step)
+            for place, _ in mirrors
+        }
         timer.mark("mirror")
         for place, which in mirrors:
-            view, mirror = self._mirrors[place]
+            view, mirror = self._mirrors[*place, self._step]
             mirror_light(which, self.record, view, mirror, self.light, self.source)
         if len(others):
             self._march(others, name == "paper", environment)
@@ -414,63 +418,3 @@ class WaterPass:
 def _restore(picture, pixel, shown):
     """Put the picture without water back where the last frame's water was."""
     shown.reshape(-1, 3)[pixel] = picture.reshape(-1, 3)[pixel]
-
-
-def group_levels(height, name):
-    """Share out water pixels between mirrors.
-
-    Parameters
-    ----------
-    height : ndarray of shape (n,), float32 [m]
-        Of the water in each pixel.
-    name : str
-        A name of reflections: "mirror" takes one mirror for all, "auto" one for each level at
-        which much of the water stands, others none.
-
-    Returns
-    -------
-    mirrors : list of (float [m], ndarray of int64)
-        Level of each mirror and the pixels that it serves.
-    others : ndarray of int64
-        Pixels that no mirror serves.
-    """
-    everything = np.arange(len(height))
-    if name not in ("mirror", "auto") or not len(height):
-        return [], everything
-    place = np.floor(height.astype(np.float64) / LEVEL_STEP).astype(np.int64)
-    lowest = int(place.min())
-    place -= lowest
-    left, mirrors = np.ones(len(height), bool), []
-    for first, middle in mirror_levels(np.bincount(place), MOST_MIRRORS if name == "auto" else 1):
-        mine = left & (place >= first) & (place < first + LEVEL_STEPS)
-        level = (lowest + middle + 0.5) * LEVEL_STEP
-        mirrors.append((level, everything if name == "mirror" else np.flatnonzero(mine)))
-        left &= ~mine
-    return mirrors, everything[left] if name == "auto" else everything[:0]
-
-
-def mirror_levels(count, most):
-    """Choose levels at which much of the water stands.
-
-    Parameters
-    ----------
-    count : ndarray of shape (n,), int64
-        Pixels of each step of height.
-    most : int
-
-    Yields
-    ------
-    first, middle : int
-        The first of the LEVEL_STEPS steps that a mirror serves, and that of its level.
-    """
-    count, total = count.copy(), count.sum()
-    for _ in range(most):
-        if count.sum() < LEAST_SHARE * total:
-            break
-        sums = np.convolve(count, np.ones(LEVEL_STEPS, np.int64))[LEVEL_STEPS - 1 :]
-        first = int(np.argmax(sums))
-        inside = count[first : first + LEVEL_STEPS].cumsum()
-        if inside[-1] < LEAST_SHARE * total:
-            break
-        yield first, first + int(np.searchsorted(inside, inside[-1] / 2))
-        count[first : first + LEVEL_STEPS] = 0

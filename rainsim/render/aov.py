@@ -17,6 +17,7 @@ from rainsim.particles.splash_pass import seen_splashes
 from rainsim.particles.streaks import NEAR
 from rainsim.rain.dripping import drip_impacts
 from rainsim.reflection import water_record
+from rainsim.render import labels
 from rainsim.shading import composite
 from rainsim.shading.wet_pass import find_dampness
 
@@ -49,7 +50,8 @@ class Aov:
 
 AOVS = {
     "clean": Aov(PICTURE, "", "the dry capture without grading"),
-    "depth": Aov(DATA, "m", "along the view axis, infinite for sky", ("Z",)),
+    "depth": Aov(DATA, "m", "along the view axis (z-depth), infinite for sky", ("Z",)),
+    "range": Aov(DATA, "m", "distance from the camera's centre, infinite for sky", ("Y",)),
     "normal": Aov(
         DATA, "", "of the captured surface, in the ground frame; zero for sky", ("X", "Y", "Z")
     ),
@@ -72,10 +74,18 @@ AOVS = {
     "drop_flow": Aov(
         DATA, "px per frame", "mean motion (right, down) of the drops in a pixel", ("X", "Y")
     ),
+    "flow": Aov(
+        DATA, "px per frame", "motion (right, down) of the scene to the next frame", ("X", "Y")
+    ),
+    "flow_mask": Aov(INDEX, "", "0 no flow, 1 seen, 2 occluded, 3 outside the next frame"),
+    "class_id": Aov(INDEX, "", "class of ground or water, 255 for all else"),
+    "puddle_id": Aov(INDEX, "", "of the puddle that a pixel shows, 0 for none"),
 }
 TERMS = ("coverage", "reflection", "reflection_source", "refraction", "fresnel", "highlight",
          "water_depth")  # fmt: skip
-DRY = frozenset({"clean", "normal", "wetness"})  # those that need the dry picture
+OF_THE_WATER = (*TERMS, "class_id", "puddle_id")  # those that need the list of the water's pixels
+DRY = frozenset({"clean", "normal", "wetness", "class_id"})  # those that need the dry picture
+FLOW = frozenset({"flow", "flow_mask"})
 NEEDED = ("wet", "coverage", "reflection", "refraction", "fresnel", "highlight", "transmission",
           "rain_alpha", "splash_alpha")  # fmt: skip
 
@@ -127,6 +137,12 @@ class FrameParts:
     cover : RainCover
     far : float [m]
         As far as drops are drawn.
+    terrain : Terrain
+    after : Camera or None
+        Of the next frame, in the ground frame; None: the camera stands still.
+    depth_after : ndarray of shape (height, width), float32 [m], or None
+        What the next frame's camera sees; None: the camera stands still, or no AOV of FLOW is
+        asked for.
     """
 
     dry: object
@@ -144,6 +160,9 @@ class FrameParts:
     off_ground: object
     cover: object
     far: float
+    terrain: object
+    after: object = None
+    depth_after: np.ndarray | None = None
 
 
 def collect(names, parts):
@@ -162,11 +181,37 @@ def collect(names, parts):
     }  # fmt: skip
     if not set(TERMS).isdisjoint(names):
         found.update(_water_terms(parts))
+    if not FLOW.isdisjoint(names):
+        found["flow"], found["flow_mask"] = _flow(parts)
     computed = {
         "clean": _clean, "normal": _normal, "wetness": _wetness, "transmission": _transmission,
-        "splash_id": _splash_id, "drop_flow": _drop_flow,
+        "splash_id": _splash_id, "drop_flow": _drop_flow, "range": _range, "class_id": _class_id,
+        "puddle_id": _puddle_id,
     }  # fmt: skip
     return {n: computed[n](parts) if n in computed else found[n].copy() for n in names}
+
+
+def facts_of(aovs, parts, weather):
+    """Return what a frame's labels say besides pictures, as plain JSON values.
+
+    Parameters
+    ----------
+    aovs : dict of str to ndarray
+        Those that were asked for: classes are named, puddles and splashes get their boxes.
+    parts : FrameParts
+    weather : dict
+        See `rainsim.render.weather.weather_of`.
+    """
+    facts = {"weather": weather}
+    if "class_id" in aovs:
+        facts["classes"] = labels.class_names()
+    if "puddle_id" in aovs:
+        _, puddles = labels.puddle_map(parts.terrain, parts.state.depth)
+        boxes = labels.boxes_of(aovs["puddle_id"])
+        facts["puddles"] = [{**box, **puddles.get(box["id"], {})} for box in boxes]
+    if "splash_id" in aovs:
+        facts["splashes"] = labels.boxes_of(aovs["splash_id"])
+    return facts
 
 
 def recompose(aovs, drop, around, air, brightness):
@@ -291,6 +336,31 @@ def _splash_id(parts):
     return labels
 
 
+def _range(parts):
+    return labels.range_of(parts.wet.depth, parts.camera)
+
+
+def _flow(parts):
+    """Return motion and mask of the scene, see `labels.flow_of`; zero and seen if it is still."""
+    if parts.after is None:
+        shape = parts.wet.depth.shape
+        return np.zeros((*shape, 2), np.float32), np.full(shape, labels.SEEN, np.uint16)
+    return labels.flow_of(parts.wet.depth, parts.camera, parts.after, parts.depth_after)
+
+
+def _class_id(parts):
+    water = np.zeros(parts.wet.depth.shape, bool)
+    kept = labels.shown_water(parts.water.record)
+    water.ravel()[parts.water.pixel[kept]] = True
+    return labels.class_ids(parts.wet, _normal(parts), parts.terrain, water)
+
+
+def _puddle_id(parts):
+    ids, _ = labels.puddle_map(parts.terrain, parts.state.depth)
+    water = parts.water
+    return labels.puddle_ids(water.pixel, water.record, parts.wet.depth.shape, parts.terrain, ids)
+
+
 def _project(points, camera):
     """Return image point and depth of ground-frame points, (n, 3)."""
     matrix = camera.camera_from_world
@@ -302,7 +372,8 @@ def _project(points, camera):
 def _drop_flow(parts):
     """Return the motion of drops in the picture, the mean over the drops in a pixel.
 
-    Each drop counts with the light that it replaces; zero where there are none.
+    The camera's own motion is part of it. Each drop counts with the light that it replaces; zero
+    where there are none.
     """
     height, width = parts.cover.rain_alpha.shape
     flow = np.zeros((height * width, 2))
@@ -317,7 +388,8 @@ def _drop_flow(parts):
     high = box.max(axis=0) + np.array([0, 0, 0.3])  # drops that fall into view meanwhile
     found = parts.field.drops_in_box(parts.state.time, box.min(axis=0), high)
     start = _project(found.position, camera)
-    after = _project(found.position + found.velocity * parts.interval, camera)
+    view_after = camera if parts.after is None else parts.after
+    after = _project(found.position + found.velocity * parts.interval, view_after)
     ahead = (start[:, 2] > NEAR) & (after[:, 2] > NEAR)
     start, after = start[ahead], after[ahead]
     cover = found.diameter[ahead] ** 2 / start[:, 2] ** 2

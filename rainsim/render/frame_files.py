@@ -107,7 +107,8 @@ def write_layers(folder, report):
         written.append(path)
     name = f"layers/{report.index:05d}.json"
     units = {n: AOVS[n].unit for n in report.aovs}
-    write_json(folder / name, {"light": report.light, "units": units, "files": written})
+    about = {"light": report.light, "units": units, "files": written, **report.facts}
+    write_json(folder / name, about)
     return [*written, name]
 
 

@@ -13,6 +13,8 @@ from rainsim.reflection.water_pass import Shower, WaterPass
 from rainsim.render import aov
 from rainsim.render.rain_pass import RainPass
 from rainsim.render.report import FrameReport, Timer
+from rainsim.render.shutter import next_camera
+from rainsim.render.weather import weather_of
 from rainsim.render.wet_scene import WetScene
 from rainsim.shading import environment, sky
 from rainsim.shading.calibration import metered, metering_views
@@ -38,6 +40,8 @@ class Renderer:
         In the capture frame; the surroundings are drawn from its place.
     rasterizer_of : callable
         rasterizer_of(prepared) returns what draws prepared splats.
+    wet_scene : WetScene, optional
+        Of another renderer, whose settings differ in nothing that a `WetScene` depends on.
 
     Attributes
     ----------
@@ -51,16 +55,21 @@ class Renderer:
         Factor on the finished picture: that of the settings times the meter's.
     air_light, everywhere : ndarray of shape (3,), float32
         Radiance of distant air, and the mean of the surroundings.
-    view : Camera
-        Of the last frame, in the ground frame.
+    view, view_end : Camera
+        Of the last frame as its shutter opens and closes, in the ground frame; None at the end:
+        the camera stands still.
     wet : WetPicture
         Of the last frame.
     """
 
-    def __init__(self, scene, terrain, config, first_camera, rasterizer_of=Rasterizer):
+    def __init__(
+        self, scene, terrain, config, first_camera, rasterizer_of=Rasterizer, wet_scene=None
+    ):
         self.terrain, self.config = tops_drawn(terrain, config), config
         terrain = self.terrain
-        self.wet_scene = WetScene(scene, terrain, config, first_camera, rasterizer_of)
+        if wet_scene is None:
+            wet_scene = WetScene(scene, terrain, config, first_camera, rasterizer_of)
+        self.wet_scene = wet_scene
         self.rain = RainPass(surfaces_of(terrain), config)
         reach = ring_reach(RING_DEPTH, config.water.surface_film, self.rain.weather.mean_rate)
         self.rings = ring_share(self.wet_scene.reach, terrain.grid.spacing, *reach)
@@ -73,9 +82,10 @@ class Renderer:
         self.now, self.brightness = config.at(0.0), 1.0
         self._metered = self._meter(first_camera)
         self._camera = None  # that the kept picture belongs to
+        self.view_end = None
         self._choice_is_noted = False  # of the reflections
 
-    def draw(self, camera, state, camera_end=None, names=()):
+    def draw(self, camera, state, camera_end=None, names=(), timer=None):
         """Return the picture (height, width, 3) uint8 that a camera takes, and its report.
 
         Parameters
@@ -88,10 +98,14 @@ class Renderer:
             shows the motion: the capture stays sharp.
         names : sequence of str
             AOVs that the report is to hold, of `aov.AOVS`.
+        timer : Timer, optional
+            Its `mark` is called between the stages. If it raises, the picture is given up; the
+            next call must be for another Camera.
         """
-        timer = Timer()
+        timer = timer or Timer()
         if self.set_time(state.time) or camera is not self._camera:
             self._see(camera, timer)
+        self.view_end = camera_end
         render, scene = self.now.render, self.wet_scene
         picture = self.water.draw(
             state, self.shower, self.mirrored, scene.traced, scene.environment, self.sunlight,
@@ -118,6 +132,19 @@ class Renderer:
             timer.mark("layers")
         report = FrameReport(state.index, state.time, timer.stages, state.ledger, notes, *apart)
         return image, report
+
+    def take_settings(self, config):
+        """Draw with other settings from now on, but with the light that was set up for the first.
+
+        Exact for what is read for each frame: brightness, exposure, streaks, splashes and the lens;
+        else an approximation, until a renderer with these settings is made.
+        """
+        self.config, self._camera = config, None
+        self.rain = RainPass(self.rain.surfaces, config)
+
+    def forget_choices(self):
+        """Choose by the next picture what `auto` chooses once for a sequence."""
+        self.wet_ground.drawn = self.config.render.film == "mirror"
 
     def film(self, shots, names=()):
         """Yield what `draw` returns for each (camera, state, camera_end), one after the other."""
@@ -155,7 +182,10 @@ class Renderer:
     @property
     def shower(self):
         """The `Shower` of the present time."""
-        return Shower(self.wet_scene.off_ground, self.now.rain.rate, self.wet_scene.gloss)
+        return Shower(
+            self.wet_scene.off_ground, self.now.rain.rate, self.wet_scene.gloss,
+            self.now.water.surface_film,
+        )  # fmt: skip
 
     def drop_field(self, view, camera):
         """Return the radiance of drops over a camera's picture, see `drop_radiance.drop_field`."""
@@ -164,12 +194,12 @@ class Renderer:
             camera.height,
         )  # fmt: skip
 
-    def mirrored(self, *window):
+    def mirrored(self, *place):
         """Return what the last frame's camera sees mirrored, see `WetScene.mirrored`."""
-        return self.wet_scene.mirrored(self._camera, *window)
+        return self.wet_scene.mirrored(self._camera, *place)
 
     def aovs(self, names, state, wet, cover, light):
-        """Return the named AOVs of the frame drawn last, and the light that recomposes it.
+        """Return the named AOVs of the frame drawn last, the light that recomposes it, and facts.
 
         Parameters
         ----------
@@ -183,19 +213,33 @@ class Renderer:
         dry = None
         if not aov.DRY.isdisjoint(names):
             dry = scene.dry(self._camera, "clean" in names)
+        field = self.rain.field(state.time, render.exposure)
         parts = aov.FrameParts(
             dry=dry, wet=wet, water=self.water, sun=self.sunlight,
-            field=self.rain.field(state.time, render.exposure), surfaces=self.rain.surfaces,
+            field=field, surfaces=self.rain.surfaces,
             camera=self.view, state=state, exposure=render.exposure,
             interval=self.config.frame_interval, film=WET_FILM * scene.paving,
             ground=scene.ground_maps, off_ground=scene.off_ground, cover=cover,
-            far=render.streak_far,
+            far=render.streak_far, terrain=self.terrain, **self._after(names),
         )  # fmt: skip
         radiances = {
             "drop": light.drops.tolist(), "around": light.around.tolist(),
             "air": light.air.tolist(), "brightness": float(self.brightness),
         }  # fmt: skip
-        return aov.collect(names, parts), radiances
+        aovs = aov.collect(names, parts)
+        return aovs, radiances, aov.facts_of(aovs, parts, weather_of(self.now, field))
+
+    def _after(self, names):
+        """Return the next frame's camera and what it sees, as `FrameParts` takes them."""
+        if self.view_end is None:
+            return {}
+        render, scene = self.now.render, self.wet_scene
+        share = render.exposure / self.config.frame_interval
+        after = next_camera(self.view, self.view_end, share)
+        if aov.FLOW.isdisjoint(names):
+            return {"after": after}
+        seen = scene.picture(scene.frame.camera_in_capture(after), Timer())
+        return {"after": after, "depth_after": seen.depth}
 
     def take_camera(self, camera):
         """Take over the camera of a frame, in the capture frame."""

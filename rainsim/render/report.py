@@ -23,6 +23,8 @@ class FrameReport:
         The AOVs that were asked for, see `rainsim.render.aov`.
     light : dict
         What `aov.recompose` needs besides: radiances and the brightness.
+    facts : dict
+        The frame's weather, names of classes, boxes: see `aov.facts_of`.
     """
 
     index: int
@@ -32,6 +34,7 @@ class FrameReport:
     notes: tuple = ()
     aovs: dict = field(default_factory=dict)
     light: dict = field(default_factory=dict)
+    facts: dict = field(default_factory=dict)
 
 
 class Timer:

@@ -30,19 +30,57 @@ def shutter_end(cameras, index, exposure, fps):
         axis, both even. The last frame goes on as it came. None too where the next frame is a cut:
         faster than FASTEST or FASTEST_TURN.
     """
-    if len(cameras) < 2:
+    if len(cameras) < 2 or is_cut(cameras, index, fps):
         return None
+    move, turn = _motion(cameras, index)
+    if not (move.any() or turn.any()):
+        return None
+    return moved(cameras[index], exposure * fps * move, exposure * fps * turn)
+
+
+def is_cut(cameras, index, fps):
+    """Tell whether the camera of a frame is cut to another place, see `shutter_end`."""
+    if len(cameras) < 2:
+        return False
+    move, turn = _motion(cameras, index)
+    return np.linalg.norm(move) * fps > FASTEST or np.linalg.norm(turn) * fps > FASTEST_TURN
+
+
+def next_camera(camera, camera_end, share):
+    """Return a frame's camera at the time of the next frame, from where its shutter closes.
+
+    Parameters
+    ----------
+    camera, camera_end : Camera
+        As the shutter opens and closes, see `shutter_end`.
+    share : float
+        The exposure over the time from frame to frame.
+    """
+    move, turn = _motion([camera, camera_end], 0)
+    return moved(camera, move / share, turn / share)
+
+
+def moved(camera, move, turn):
+    """Return a camera at another place: its position plus `move`, turned by the vector `turn`."""
+    matrix = np.eye(4)
+    matrix[:3, :3] = Rotation.from_rotvec(turn).as_matrix() @ camera.camera_from_world[:3, :3]
+    matrix[:3, 3] = -matrix[:3, :3] @ (camera.position + move)
+    return replace(camera, camera_from_world=matrix)
+
+
+def motion_of(cameras, index, fps):
+    """Return velocity [m/s] and turning [rad/s] of a frame's camera; zero if still or at a cut."""
+    if len(cameras) < 2 or is_cut(cameras, index, fps):
+        return np.zeros(3), np.zeros(3)
+    move, turn = _motion(cameras, index)
+    return move * fps, turn * fps
+
+
+def _motion(cameras, index):
+    """Return how a frame's camera moves and turns [m, rad] until the next frame."""
     here = cameras[index]
     step = 1 if index + 1 < len(cameras) else -1
     there = cameras[index + step]
-    move = step * (there.position - here.position)
-    here_turn = here.camera_from_world[:3, :3]
-    turn = Rotation.from_matrix(there.camera_from_world[:3, :3] @ here_turn.T).as_rotvec() * step
-    speed, turning = np.linalg.norm(move) * fps, np.linalg.norm(turn) * fps
-    if speed > FASTEST or turning > FASTEST_TURN or speed == turning == 0:
-        return None
-    share = exposure * fps
-    matrix = np.eye(4)
-    matrix[:3, :3] = Rotation.from_rotvec(share * turn).as_matrix() @ here_turn
-    matrix[:3, 3] = -matrix[:3, :3] @ (here.position + share * move)
-    return replace(here, camera_from_world=matrix)
+    here_turn, there_turn = (c.camera_from_world[:3, :3] for c in (here, there))
+    turn = Rotation.from_matrix(there_turn @ here_turn.T).as_rotvec() * step
+    return step * (there.position - here.position), turn

@@ -45,7 +45,8 @@ class WetScene:
     terrain : Terrain
     config : Config
     first_camera : Camera
-        In the capture frame; the surroundings are drawn from its place.
+        In the capture frame; the surroundings are drawn from its place unless the settings name
+        one.
     rasterizer_of : callable
         rasterizer_of(prepared) returns what draws prepared splats.
 
@@ -114,7 +115,8 @@ class WetScene:
         self.day = day_sky(config.render, zenith_radiance(self.albedo, DULL_EXPOSURE))
         self.look = self.off_ground = None
         self.set_time(config.at(0.0))
-        eye = self.frame.to_ground(first_camera.position)
+        place = config.render.surroundings
+        eye = self.frame.to_ground(first_camera.position if place is None else np.array(place))
         if config.render.sky == "capture":
             self.day = self._captured_sky(eye)
             self._set_skies()
@@ -214,7 +216,7 @@ class WetScene:
         _, camera = mirrored_camera(self.frame.camera_in_capture(level), self.frame, 0.0)
         return self._wetted(self._standing.draw(camera, self.near), camera, mirrored=True)
 
-    def mirrored(self, camera, level, window):
+    def mirrored(self, camera, level, window, step=1):
         """Return what stands above the water as `camera` mirrored at `level` [m] sees it.
 
         Parameters
@@ -224,6 +226,8 @@ class WetScene:
         level : float [m]
         window : tuple of int [px]
             Left, top, right and bottom of the part of its picture.
+        step : int
+            Pixels of its picture, along either side, for one that is drawn; divides the window.
 
         Returns
         -------
@@ -232,6 +236,7 @@ class WetScene:
         """
         plane, camera = mirrored_camera(camera, self.frame, level)
         camera = cropped(camera, window)
+        camera = camera.resized(camera.width // step, camera.height // step)
         layers = self.rasterizer.draw(camera, self.near, plane, leading=True)
         wet = self._wetted(layers, camera, mirrored=True)
         return wet.view, MirrorPicture(wet.picture, coarsened(wet.picture), wet.depth)

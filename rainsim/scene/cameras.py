@@ -1,7 +1,8 @@
 """Cameras: files of capture tools in and out, and cameras placed by hand.
 
-Three formats are read: `cameras.json` of the original 3D Gaussian Splatting code, the NeRF style
-`transforms.json`, whose cameras look along their own -z with y up, and COLMAP sparse models.
+Four formats are read: `cameras.json` of the original 3D Gaussian Splatting code, the NeRF style
+`transforms.json`, whose cameras look along their own -z with y up, COLMAP sparse models, and the
+camera paths of nerfstudio, see `rainsim.scene.camera_path`.
 """
 
 from __future__ import annotations
@@ -12,16 +13,15 @@ from pathlib import Path, PurePosixPath
 
 import numpy as np
 
-from rainsim.errors import InputError, ParameterError, shown
+from rainsim.errors import InputError, ParameterError
 from rainsim.io.files import json_number, number_array, printable_name, read_json, write_json
+from rainsim.scene.camera_entry import FLIP, MAX_SIDE, Entry, pose_at
+from rainsim.scene.camera_path import is_camera_path, path_cameras
 from rainsim.scene.colmap import MODEL_FILES, read_model
 from rainsim.scene.picture_size import with_size
 from rainsim.scene.types import Camera
 
 MAX_FOCAL = 1e9  # px
-MAX_SIDE = 65_536  # px; anything longer is a damaged file
-RIGID_TOLERANCE = 1e-3  # files with six decimals pass, scaled or mirrored poses do not
-FLIP = np.array([1.0, -1.0, -1.0])  # OpenGL camera axes (y up, z back) to ours, and back
 JSON_FILES = ("cameras.json", "transforms.json")  # looked for in a folder, in this order
 DISTORTION = ("k1", "k2", "k3", "k4", "p1", "p2")
 MIRROR_CLEARANCE = 0.015  # m above the water: lower things cannot be distinguished from the ground
@@ -29,13 +29,13 @@ PINHOLES = ("PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "SIMPLE_RADIAL", "RADIAL")
 
 
 def read_cameras(path):
-    """Read the cameras of a `cameras.json`, a `transforms.json` or a COLMAP sparse model.
+    """Read the cameras of a `cameras.json`, a `transforms.json`, a path or a COLMAP sparse model.
 
     Parameters
     ----------
     path : path-like
-        A JSON file of either kind; one of the files of a COLMAP model; or a folder with
-        either, or with sparse/0 in it.
+        A JSON file of any kind; one of the files of a COLMAP model; or a folder with
+        `cameras.json`, `transforms.json` or sparse/0 in it.
 
     Returns
     -------
@@ -82,15 +82,17 @@ def _distortion_notes(data):
 def cameras_from_data(data, source):
     """Return the cameras in `data`, read from JSON in `source`; see `read_cameras`."""
     if isinstance(data, list) and data:
-        return [_capture_camera(_Entry(source, f"camera {i}", c)) for i, c in enumerate(data)]
+        return [_capture_camera(Entry(source, f"camera {i}", c)) for i, c in enumerate(data)]
     if isinstance(data, dict) and isinstance(data.get("frames"), list) and data["frames"]:
         return [
-            _nerf_camera(_Entry(source, f"frame {i}", frame, data))
+            _nerf_camera(Entry(source, f"frame {i}", frame, data))
             for i, frame in enumerate(data["frames"])
         ]
+    if is_camera_path(data):
+        return path_cameras(data, source)
     raise InputError(
         f"{source} holds no cameras; it must be a list of cameras (cameras.json) or have a list "
-        "named frames (transforms.json); check the path"
+        "named frames (transforms.json) or camera_path (camera_path.json); check the path"
     )
 
 
@@ -150,51 +152,6 @@ def _nerf_matrix(camera_from_world):
 # --- reading --------------------------------------------------------------------------------------
 
 
-class _Entry:
-    """One camera's values in a file, and the values that all cameras of the file share."""
-
-    def __init__(self, path, label, values, shared=None):
-        self.label = f"{path} {label}"
-        if not isinstance(values, dict):
-            raise InputError(f"{self.label} is not an object with named values; write it again")
-        self.values, self.shared = values, shared or {}
-
-    def get(self, key):
-        return self.values.get(key, self.shared.get(key))
-
-    def number(self, key, above, below):
-        value = json_number(self.get(key))
-        if value is None or not above < value < below:
-            raise self.error(key, f"a number above {above:g} and below {below:g}")
-        return value
-
-    def side(self, key):
-        value = self.number(key, 0, MAX_SIDE + 1)
-        if value != int(value):
-            raise self.error(key, "a whole number of pixels")
-        return int(value)
-
-    def array(self, key, shape):
-        value = number_array(self.get(key), shape)
-        if value is None:
-            raise self.error(key, f"finite numbers of shape {' x '.join(map(str, shape))}")
-        return value
-
-    def rotation(self, key, matrix):
-        """Return `matrix` if it is a rotation, or the nearest rotation if it is off by rounding."""
-        away = np.abs(matrix @ matrix.T - np.eye(3)).max()
-        if away > RIGID_TOLERANCE or np.linalg.det(matrix) < 0:
-            raise self.error(key, "a rotation without scale or mirroring")
-        if away > 1e-12:  # more than float64 rounding: clean it up
-            u, _, v = np.linalg.svd(matrix)
-            return u @ v
-        return matrix
-
-    def error(self, key, rule):
-        value = "missing" if self.get(key) is None else shown(self.get(key))
-        return InputError(f"{self.label}: {key} is {value}; it must be {rule}; correct the file")
-
-
 def _capture_camera(entry):
     # `rotation` has the camera's axes as columns; `position` is its centre.
     rotation = entry.rotation("rotation", entry.array("rotation", (3, 3)))
@@ -207,7 +164,7 @@ def _capture_camera(entry):
         fy=entry.number("fy", 0, MAX_FOCAL),
         cx=width / 2,
         cy=height / 2,
-        camera_from_world=_pose(rotation.T, entry.array("position", (3,))),
+        camera_from_world=pose_at(rotation.T, entry.array("position", (3,))),
         name=printable_name(entry.get("id") if name is None else name),
     )
 
@@ -255,7 +212,7 @@ def _nerf_pose(entry):
     if matrix is None:
         matrix = entry.array(key, (4, 4))[:3]
     rotation = entry.rotation(key, matrix[:, :3]) * FLIP
-    pose = _pose(rotation.T, matrix[:, 3])
+    pose = pose_at(rotation.T, matrix[:, 3])
     exact = entry.values.get("camera_from_world")
     if exact is not None:
         exact = entry.array("camera_from_world", (4, 4))
@@ -270,14 +227,6 @@ def _nerf_name(entry):
     if name is None:
         name = PurePosixPath(str(entry.values.get("file_path") or "")).stem
     return printable_name(name)
-
-
-def _pose(rotation, position):
-    """Return camera_from_world of the camera at `position` whose axes are the rows `rotation`."""
-    matrix = np.eye(4)
-    matrix[:3, :3] = rotation
-    matrix[:3, 3] = -rotation @ position
-    return matrix
 
 
 # --- placing --------------------------------------------------------------------------------------
@@ -331,7 +280,7 @@ def look_at(eye, target, up, fov_degrees, width, height, name=""):
     rotation = np.stack([right, np.cross(forward, right), forward])
     focal = width / 2 / math.tan(math.radians(fov_degrees) / 2)
     return Camera(
-        width, height, focal, focal, width / 2, height / 2, _pose(rotation, eye), name=name
+        width, height, focal, focal, width / 2, height / 2, pose_at(rotation, eye), name=name
     )
 
 

@@ -117,6 +117,26 @@ def read_model(folder):
     return cameras, _lens_notes(lenses[image.lens] for image in images)
 
 
+def read_lenses(folder):
+    """Return the models and distortion coefficients of a sparse model's cameras.
+
+    Parameters
+    ----------
+    folder : path-like
+        As for `read_model`.
+
+    Returns
+    -------
+    set of (str, tuple of float)
+        COLMAP's name of each model and its parameters after the principal point.
+    """
+    found = find_model(folder)
+    suffix = ".bin" if _has_model(found, ".bin") else ".txt"
+    path = found / f"cameras{suffix}"
+    lenses = _read_binary(path, _lenses) if suffix == ".bin" else _text_lenses(path)
+    return {(n.model, n.values[4 if MODELS[n.model][2] else 3 :]) for n in lenses.values()}
+
+
 def _short_names(names):
     """Return names for cameras from the file names of their pictures: without folder and suffix.
 

@@ -36,7 +36,7 @@ from rainsim.splatting.coarse import merge_fine
 
 THIRD = np.float32(1 / 3)
 RESOLUTION = 160.0  # px per unit of tangent, of the level picture
-FIELD_STEP = 160.0  # blocks per unit of tangent, of the field of mirrored light
+FIELD_STEP = 80.0  # blocks per unit of tangent, of the field of mirrored light
 MOST_ASIDE, MOST_UP = 1.3, 1.2  # tangents that the level picture reaches to
 MARGIN, ABOVE = 0.12, 0.02  # tangents that it shows beside the camera's view and over the horizon
 FINE = 0.04  # m, side of cells in which finer splats are one: a pixel at 6 m

@@ -86,7 +86,7 @@ def through_camera(scene, terrain, camera, depth=None):
     layers = raster.rasterize(raster.prepare(scene.splats), camera, near=0.05)
     picture = np.clip(layers.color, 0, 1).astype(np.float64)
     view = frame.camera_in_ground(camera)
-    points, distance = _seen_points(view, layers.plane_depth * frame.meters_per_unit)
+    points, distance = seen_points(view, layers.plane_depth * frame.meters_per_unit)
     row, column, inside = grid.cells(points[..., 0], points[..., 1])
     away = np.abs(points[..., 2] - terrain.bed[row, column])
     ground = inside & (layers.alpha > 0.5) & (away < ON_GROUND + 0.01 * distance)
@@ -128,7 +128,7 @@ def points_at(splats, camera, pixels):
     width = CHECK_WIDTH
     small = camera.resized(width, max(1, round(camera.height * width / camera.width)))
     layers = raster.rasterize(raster.prepare(splats), small, near=1e-3)
-    points, _ = _seen_points(small, layers.plane_depth)
+    points, _ = seen_points(small, layers.plane_depth)
     found = []
     for u, v in pixels:
         column, row = math.floor(u * width / camera.width), math.floor(v * width / camera.width)
@@ -146,7 +146,7 @@ def points_at(splats, camera, pixels):
     return np.array(found)
 
 
-def _seen_points(view, depth):
+def seen_points(view, depth):
     """Return the points [m] (height, width, 3) at a view's z-depths and their distances."""
     u = (np.arange(view.width) + 0.5 - view.cx) / view.fx
     v = (np.arange(view.height) + 0.5 - view.cy) / view.fy

@@ -1,5 +1,6 @@
 """How the twin chooses mirrors and what part of them is drawn, in the simulator."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -8,7 +9,8 @@ import pytest
 from rainsim.cuda import simulated
 from rainsim.cuda.reflection import planar_mirror as twin
 from rainsim.cuda.splatting import project
-from rainsim.reflection.water_pass import LEVEL_STEP, WaterPass, group_levels
+from rainsim.reflection.mirror_choice import LEVEL_STEP, group_levels
+from rainsim.reflection.water_pass import WaterPass
 from rainsim.scene.types import Camera
 from rainsim.scene.view import CameraArrays
 
@@ -75,14 +77,14 @@ def test_levels_are_those_of_the_cpu(water, name):
     assert number[0] == 0 and (served[:, 1] > served[:, 2]).all()
 
 
-@pytest.mark.parametrize("focal", [40.0, 900.0])
-def test_the_window_is_that_of_the_cpu(water, focal):
+@pytest.mark.parametrize(("focal", "step"), [(40.0, 1), (900.0, 1), (900.0, 2)])
+def test_the_window_is_that_of_the_cpu(water, focal, step):
     _, coverage = water
     camera = Camera(WIDTH, HEIGHT, focal, 1.1 * focal, 44.0, 36.0, np.eye(4))
     lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float32)
     wet = SimpleNamespace(depth=coverage, view=SimpleNamespace(lens=lens))
     left, top, right, bottom = WaterPass._mirror_window(
-        SimpleNamespace(wet=wet, pixel=np.flatnonzero(coverage))
+        SimpleNamespace(wet=wet, pixel=np.flatnonzero(coverage)), np.arange((coverage > 0).sum())
     )
     rows, columns = np.nonzero(coverage)
     extent = np.array([columns.min(), rows.min(), columns.max(), rows.max()], np.int32)
@@ -92,13 +94,18 @@ def test_the_window_is_that_of_the_cpu(water, focal):
     now, eye = np.full(project.CAMERA, np.nan, np.float32), np.full(3, np.nan, np.float32)
     reach, window = np.full((1, 3), np.nan, np.float32), np.full(6, np.nan, np.float32)
     twin.aim[1, 64](
-        served, 0, numbers, np.array([1, 2, 3], np.float32), extent, now, eye, reach, window
+        served, 0, numbers, np.array([float(step)]), np.array([1, 2, 3], np.float32), extent, now,
+        eye, reach, window,
+    )  # fmt: skip
+    whole = replace(
+        camera, width=right - left, height=bottom - top, cx=lens[2] - left, cy=lens[3] - top
     )
-    size = right - left, bottom - top
-    np.testing.assert_allclose(window, [*lens[:2], lens[2] - left, lens[3] - top, *size])
+    drawn = whole.resized(whole.width // step, whole.height // step)
+    size = drawn.width, drawn.height
+    np.testing.assert_allclose(window, [drawn.fx, drawn.fy, drawn.cx, drawn.cy, *size])
     np.testing.assert_allclose(now[project.NEAR + 1 : project.NEAR + 3], size)
     np.testing.assert_allclose(now[project.LENS : project.PLANE], window[:4])
     np.testing.assert_allclose(reach, served)
     assert eye[2] == pytest.approx(2 * 0.25 - 3)
     high, wide = twin.largest_window(camera)
-    assert size[0] <= wide <= size[0] + 128 and size[1] <= high <= size[1] + 128
+    assert whole.width <= wide <= whole.width + 128 and whole.height <= high <= whole.height + 128

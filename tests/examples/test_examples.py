@@ -94,3 +94,13 @@ def test_every_example_is_run_here():
     text = Path(__file__).read_text(encoding="utf-8")
     for name in EXAMPLES:
         assert f'load("{name}")' in text
+
+
+def test_flat_rain(tmp_path, capsys):
+    settings = {"width": 96, "rates": (50,), "views": 1, **TINY}
+    load("flat_rain").main(tmp_path / "pair.png", tiny_scene(), **settings)
+    picture = imageio.imread(tmp_path / "pair.png")
+    assert picture.shape == (144, 192) and picture.any()
+    line = capsys.readouterr().out.splitlines()[-1]
+    rate, ours, _, theirs, _ = line.split()
+    assert rate == "50" and 0 <= float(theirs) <= 1 and 0 <= float(ours) <= 1

@@ -39,6 +39,9 @@ backend
 output_folder
 pipeline
 farm
+sensors
+datasets
+view
 bench
 commands
 cli

@@ -10,6 +10,8 @@ from rainsim import pipeline
 from rainsim.config.settings import Config, mm_per_hour
 from rainsim.errors import ParameterError
 from rainsim.pipeline import extract_terrain, render_rain, simulate
+from rainsim.reflection.mirror_choice import mirror_step
+from rainsim.reflection.water_pass import Shower
 from rainsim.render import rain_pass
 from rainsim.scene.cameras import mirrored_camera
 from rainsim.scene.types import GroundFrame
@@ -95,6 +97,26 @@ def test_march_and_mirror_tell_much_the_same(scene, camera):
     assert decibel(mirror, march) > 25
     assert decibel(mirror, traced) > 35
     assert (mirror != march).any()
+
+
+def test_half_mirrors_show_much_the_same_and_small_pictures_have_full_ones(scene, camera):
+    drawn = {
+        size: frame(scene, camera, rate=mm_per_hour(10.0), level=0.03, mirror_size=size)[0]
+        for size in ("auto", "full", "half")
+    }
+    assert (drawn["auto"] == drawn["full"]).all()
+    assert (drawn["half"] != drawn["full"]).any()
+    assert decibel(drawn["half"], drawn["full"]) > 30
+
+
+@pytest.mark.parametrize(
+    ("name", "rate", "focal", "film", "step"),
+    [("full", 50, 2000, 0, 1), ("half", 0, 50, 0, 2), ("auto", 10, 600, 0, 2),
+     ("auto", 0, 600, 0, 1), ("auto", 10, 60, 0, 1), ("auto", 10, 600, 1, 1)],
+)  # fmt: skip
+def test_mirrors_have_half_the_size_where_rings_blur_them(name, rate, focal, film, step):
+    shower = Shower(None, mm_per_hour(rate), None, film)
+    assert mirror_step(name, shower, np.full(4, focal, np.float32)) == step
 
 
 @pytest.mark.parametrize(

@@ -1,8 +1,8 @@
 """Mirrored passes on the GPU: the levels at which water stands, and the capture seen from below.
 
 The heights of the water in a picture decide which mirrors it needs, as on the CPU (see
-`reflection.water_pass.mirror_levels`), and the mirrored camera follows from the level: the device
-works out both, so that no frame waits for the host. A recorded queue holds a fixed number of
+`reflection.mirror_choice.mirror_levels`), and the mirrored camera follows from the level: the
+device works out both, so that no frame waits for the host. A recorded queue holds a fixed number of
 passes; when a frame needs more, the queue is recorded with more and the frame drawn again.
 """
 
@@ -20,14 +20,8 @@ from rainsim.cuda.jit import cuda, cuda_device, cuda_kernel, pinned
 from rainsim.cuda.raster import Rasterizer
 from rainsim.cuda.splatting import project
 from rainsim.numerics.mipmap import COARSEST, coarse_shape, mean_of_four, top_of
-from rainsim.reflection.water_pass import (
-    LEAST_SHARE,
-    LEVEL_STEP,
-    LEVEL_STEPS,
-    MOST_MIRRORS,
-    WINDOW_SLOPE,
-    WINDOW_STEP,
-)
+from rainsim.reflection.mirror_choice import LEAST_SHARE, LEVEL_STEP, LEVEL_STEPS, MOST_MIRRORS
+from rainsim.reflection.water_pass import WINDOW_SLOPE, WINDOW_STEP
 from rainsim.scene.cameras import mirrored_camera
 from rainsim.scene.view import pixel_ray, view_from, view_of
 from rainsim.splatting.project import FRUSTUM_MARGIN
@@ -222,11 +216,13 @@ def window_edge(pixel, reach, step):
 
 
 @cuda_kernel
-def aim(served, mirror, numbers, eye, extent, now_out, eye_out, range_out, window_out):
+def aim(served, mirror, numbers, step, eye, extent, now_out, eye_out, range_out, window_out):
     """Turn a mirror's level and the water's extent into the numbers of its camera.
 
     numbers : ndarray of shape (2, project.CAMERA), float64
         Those of the camera mirrored at level 0, and what a metre more adds.
+    step : ndarray of shape (1,), float64
+        Pixels of the picture, along either side, for one of the mirrored picture.
     extent : ndarray of shape (4,), int32
         As `count_heights` left it. What is drawn is a window about it, whole tiles, which reaches
         beyond the picture where ripples look there, as `rainsim.reflection.water_pass` has it.
@@ -244,10 +240,17 @@ def aim(served, mirror, numbers, eye, extent, now_out, eye_out, range_out, windo
     cx, cy = numbers[0, project.LENS + 2] - left, numbers[0, project.LENS + 3] - top
     if unused or extent[2] < 0:
         width, height = 0.0, 0.0
+    share = 1.0 / step[0]
+    fx, fy, cx, cy = share * fx, share * fy, share * cx, share * cy
+    width, height = share * width, share * height
     if k < project.REST:
         value = numbers[0, k] + level * numbers[1, k]
         if k == project.PLANE + 3 and unused:
             value = UNUSED
+        elif k == project.LENS:
+            value = fx
+        elif k == project.LENS + 1:
+            value = fy
         elif k == project.LENS + 2:
             value = cx
         elif k == project.LENS + 3:
@@ -357,6 +360,7 @@ class Mirrors:
         self._wanted, self._wanted_seen = cuda.device_array(1, np.int32), pinned(1, np.int32)
         self._now = FrameUniforms(self.stream, {
             "camera": ((2, project.CAMERA), np.float64), "turn": ((3, 3), np.float32),
+            "step": ((1,), np.float64),
         })  # fmt: skip
         self._numbers, self._turn = self._now["camera"], self._now["turn"]
         self._eye = cuda.device_array(3, np.float32)
@@ -382,8 +386,8 @@ class Mirrors:
         self._clearance = cuda.device_array((rows, columns), np.float32)
         self._no_film = self._clearance[:0]
 
-    def update(self, camera, near, frame):
-        """Take over the camera that is to be mirrored."""
+    def update(self, camera, near, frame, step):
+        """Take over the camera that is to be mirrored, and the `mirror_choice.mirror_step`."""
         if not self.most:
             return
         largest = largest_window(camera)
@@ -397,6 +401,7 @@ class Mirrors:
         numbers[1] = tables[1] - tables[0]
         numbers[1, project.SCALE :] = 0
         mirror_view = view_of(frame.camera_in_ground(mirrored))
+        self._now.host["step"][0] = step
         self._now.host["turn"][...] = mirror_view.ground_from_camera
         self._mirrored = mirrored, near, plane
         if self.passes and (self._size != largest or len(self.picture) != self.passes):
@@ -451,8 +456,8 @@ class Mirrors:
     def _aim(self, mirror):
         def queue(now):
             aim[1, 64, self.stream](
-                self._served, mirror, self._numbers, self.renderer.uniforms["eye"], self._extent,
-                now, self._eye, self.range, self.window,
+                self._served, mirror, self._numbers, self._now["step"],
+                self.renderer.uniforms["eye"], self._extent, now, self._eye, self.range, self.window
             )  # fmt: skip
 
         return queue

@@ -12,9 +12,9 @@ import numpy as np
 from rainsim.constants import TWO, ZERO
 from rainsim.cuda.jit import cuda, cuda_device, cuda_kernel
 from rainsim.cuda.reflection.planar_mirror import mirror_of
+from rainsim.reflection.mirror_choice import MIRROR_SPREAD
 from rainsim.reflection.planar_mirror import MirrorPicture, mirrored_light
 from rainsim.reflection.screen_space import screen_light, surrounding_light
-from rainsim.reflection.water_pass import MIRROR_SPREAD
 from rainsim.reflection.water_shading import shade_water_pixel, tilted, water_at
 from rainsim.reflection.wet_tops import top_below
 from rainsim.scene.view import View, view_from

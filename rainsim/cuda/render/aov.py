@@ -55,7 +55,7 @@ class AovReader:
             self._rasterizer = Rasterizer(own.splats, own.stream, first_room=own.entries)
         scene.rasterizer = self._rasterizer
         try:
-            if not set(aov.TERMS).isdisjoint(names):
+            if not set(aov.OF_THE_WATER).isdisjoint(names):
                 host.water.look(wet)
                 light_of = host.mirrored, scene.traced, scene.environment, host.sunlight
                 host.water.draw(state, host.shower, *light_of, Timer())

@@ -28,6 +28,7 @@ from rainsim.particles.fog import FOG_STEPS, NO_FOG, fog_table
 from rainsim.particles.splash import WET_FILM
 from rainsim.particles.streaks import streak_reach
 from rainsim.reflection import water_pass
+from rainsim.reflection.mirror_choice import mirror_step
 from rainsim.reflection.ray_water import COVERING_DEPTHS
 from rainsim.reflection.slope_moments import ripple_moments
 from rainsim.reflection.water_shading import Background, Ripples
@@ -116,16 +117,19 @@ class DeviceFrame:
         if scene.prepared is not self._colors_sent:
             self.pending.append(self._send_colors)
         host.take_camera(camera)
+        host.view_end = camera_end
         render = host.now.render
         field = host.rain.field(state.time, render.exposure)
         if self.size != (camera.height, camera.width):
             self.size = camera.height, camera.width
             self._allocate(field)
         self.rasterizer.update(camera, scene.near)
-        self.mirrors.update(camera, scene.near, scene.frame)
+        view = view_of(host.view)
+        step = mirror_step(render.mirror_size, host.shower, view.lens)
+        self.mirrors.update(camera, scene.near, scene.frame, step)
         self.ground_light.update(camera, host.view)
         self._take_state(state)
-        view, fog = view_of(host.view), NO_FOG
+        fog = NO_FOG
         if self.streaks is not None:
             fog = self._update_drops(field, state, camera_end)
         self.uniforms.update(
