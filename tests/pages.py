@@ -146,15 +146,22 @@ class Page:
         field = self.field(label)
         field.fill(str(value))
         field.press("Enter")
+        self.pause()
 
     def choose(self, label, option):
         """Choose an option of the dropdown of a label."""
         self.field(label).click(force=True)  # the panel may be growing
         self.page.get_by_role("option", name=option, exact=True).click(force=True)
+        self.pause()
 
     def tick(self, label):
         """Click the checkbox of a label."""
         self.field(label).click(force=True)
+        self.pause()
+
+    def pause(self):
+        """Wait as long as a hand needs: of controls changed faster viser's page sends the last."""
+        self.page.wait_for_timeout(200)
 
     def field(self, label):
         """Return the input of a label; of a slider the one that takes numbers."""

@@ -126,6 +126,8 @@ def main(words):
     if words[:1] == ["--one"]:
         run_one(words[1])
         return
+    if unknown := set(words) - set(ALL):
+        sys.exit(f"no use is called {', '.join(sorted(unknown))}; the uses: {', '.join(ALL)}")
     first, *others = words or ALL
     _write(first, record(first))  # alone: it compiles what the others call, too
     with ThreadPoolExecutor(processes()) as threads:

@@ -19,7 +19,7 @@ from rainsim.render.wet_scene import WetScene
 from rainsim.shading import environment, sky
 from rainsim.shading.calibration import metered, metering_views
 from rainsim.shading.composite import RainLight, compose
-from rainsim.shading.wet_ground_mirror import WetGroundMirror
+from rainsim.shading.wet_ground_mirror import WetGroundMirror, mean_share
 from rainsim.simulation import surfaces_of, tops_drawn
 from rainsim.water.ripples import ring_reach, ring_share
 
@@ -81,6 +81,7 @@ class Renderer:
         self.everywhere = drop_radiance.mean_radiance(self.wet_scene.gloss)
         self.now, self.brightness = config.at(0.0), 1.0
         self._metered = self._meter(first_camera)
+        self._choose_film(first_camera)
         self._camera = None  # that the kept picture belongs to
         self.view_end = None
         self._choice_is_noted = False  # of the reflections
@@ -142,10 +143,6 @@ class Renderer:
         self.config, self._camera = config, None
         self.rain = RainPass(self.rain.surfaces, config)
 
-    def forget_choices(self):
-        """Choose by the next picture what `auto` chooses once for a sequence."""
-        self.wet_ground.drawn = self.config.render.film == "mirror"
-
     def film(self, shots, names=()):
         """Yield what `draw` returns for each (camera, state, camera_end), one after the other."""
         for camera, state, camera_end in shots:
@@ -173,6 +170,26 @@ class Renderer:
         if (factors != 1).any():
             self.notes.append(f"exposure: the meter takes the light {factors[0]:.2f} times")
         return times, np.log(factors)
+
+    def _choose_film(self, first_camera):
+        """Let `auto` choose what wet ground mirrors, by the capture's views at all key times.
+
+        No frame decides, so all frames of a run agree on it, whichever of them are drawn here.
+        """
+        if not (self.wet_ground.apart and self.config.render.film == "auto"):
+            return
+
+        def shares():
+            views = metering_views(self.wet_scene.scene.cameras, first_camera)
+            for time in self.config.key_times():
+                self.wet_scene.set_time(self.config.at(time))
+                for camera in views:
+                    cover = np.empty((camera.height, camera.width), np.float32)
+                    view = self.wet_scene.picture(camera, Timer(), cover).view
+                    yield mean_share(view, cover)
+
+        self.notes.append(self.wet_ground.choose(shares()))
+        self.wet_scene.set_time(self.config.at(0.0))
 
     @property
     def sunlight(self):
@@ -252,7 +269,7 @@ class Renderer:
         cover = np.empty(shape, np.float32)
         wet = self.wet_scene.picture(camera, timer, cover)
         self.wet = self.wet_ground.add_to(
-            wet, cover, self.view, self.wet_scene.level_mirrored, self.wet_scene.gloss, self.notes
+            wet, cover, self.view, self.wet_scene.level_mirrored, self.wet_scene.gloss
         )
         timer.mark("film")
         self.water.look(self.wet)

@@ -350,7 +350,6 @@ class WetGroundMirror:
 
     def __init__(self, terrain, config):
         self.terrain, self.config = terrain, config
-        self._is_noted = False
         self.drawn = config.film == "mirror"
 
     @property
@@ -359,7 +358,7 @@ class WetGroundMirror:
         named = self.config.film != "environment"
         return named and self.config.reflections in ("auto", "mirror", "traced")
 
-    def add_to(self, wet, cover, camera, draw_mirrored, environment, notes):
+    def add_to(self, wet, cover, camera, draw_mirrored, environment):
         """Return a wet picture with what its ground mirrors.
 
         Parameters
@@ -375,28 +374,30 @@ class WetGroundMirror:
             ground-frame camera mirrored at the ground plane takes it.
         environment : ndarray of shape (m, 2 m, 3), float32
             Mirrored where that picture ends.
-        notes : list of str
-            The choice of `auto` is added, once.
         """
         if not cover.any():
             return wet
-        if self.config.film == "auto" and not self.drawn:
-            self.choose(mean_share(wet.view, cover), notes)
         field, step = self.field(wet.view, cover, camera, draw_mirrored, environment)
         picture = np.empty_like(wet.picture)
         add_reflection(wet.picture, cover, field, step, picture)
         return replace(wet, picture=picture, below=wet.picture)
 
-    def choose(self, share, notes):
-        """Decide whether ground that mirrors a share of the light in view is worth a picture.
+    def choose(self, shares):
+        """Decide whether what the ground mirrors is worth a level picture; return a note.
 
-        Once it was worth one it stays so: a video must not change its look between two frames.
+        Parameters
+        ----------
+        shares : iterable of float
+            Of the light in some views that wet ground mirrors; read until one is worth it.
         """
-        self.drawn = share > WORTH
-        if self.drawn or not self._is_noted:
-            what = "a mirrored picture" if self.drawn else "the surroundings only"
-            notes.append(f"film on wet ground: mirrors {what}, {share:.1%} of the light in view")
-        self._is_noted = True
+        most = 0.0
+        for share in shares:
+            most = max(most, share)
+            if most > WORTH:
+                break
+        self.drawn = most > WORTH
+        what = "a mirrored picture" if self.drawn else "the surroundings only"
+        return f"film on wet ground: mirrors {what}, {most:.1%} of the light in a view"
 
     def field(self, view, cover, camera, draw_mirrored, environment):
         """Return the field of light that a full film mirrors, and the step of its blocks [px].

@@ -41,8 +41,8 @@ class Client:
     view : View
     size : tuple of int
         Width and height of the picture that was shown last [px].
-    said : float [s]
-        When its state was last shown.
+    said : tuple of (str, float)
+        The first word of its state and when it was last shown [s].
     """
 
     handle: object
@@ -51,7 +51,7 @@ class Client:
     state: object
     view: View | None = None
     size: tuple = (0, 0)
-    said: float = 0.0
+    said: tuple = ("", 0.0)
 
 
 class Page:
@@ -151,11 +151,11 @@ class Page:
         client.handle.flush()
         job, now = shown.job, time.perf_counter()
         client.size = job.width, job.height
-        if still or now - client.said > STATE_EVERY:
-            client.said = now
-            words = "finished" if still else "moving" if job.step == schedule.SMALL else "refining"
+        word = "finished" if still else "moving" if job.step == schedule.SMALL else "refining"
+        if still or word != client.said[0] or now - client.said[1] > STATE_EVERY:
+            client.said = word, now
             client.state.content = (
-                f"{words}: {job.width} x {job.height} px in {shown.seconds * 1e3:.0f} ms, "
+                f"{word}: {job.width} x {job.height} px in {shown.seconds * 1e3:.0f} ms, "
                 f"t = {self.painter.clock.time:.2f} s"
             )
 

@@ -38,7 +38,9 @@ class GroundTools:
             self.radius = gui.add_slider("brush [m]", 0.05, 3.0, 0.05, 0.3)
             self.flood = gui.add_button("water up to the point", disabled=True)
             self.save = gui.add_button("save ground and classes")
-        self.tool.on_update(lambda _: self._forget())
+        self.tool.on_update(self._choose_tool)
+        self.kind.on_update(self._say_brush)
+        self.radius.on_update(self._say_brush)
         self.scale.on_click(page.guarded(self._set_scale))
         self.up.on_click(page.guarded(self._set_up))
         self.flood.on_click(page.guarded(self._flood))
@@ -52,6 +54,16 @@ class GroundTools:
     def chosen(self):
         """The key of the tool that is chosen."""
         return next(key for key, label in TOOLS.items() if label == self.tool.value)
+
+    def _choose_tool(self, event):
+        self._forget()
+        self._say_brush(event)
+
+    def _say_brush(self, event):
+        """Say what the next click paints."""
+        if self.chosen == PAINT:
+            radius = float(self.radius.value)
+            self.answer.content = f"a click paints {self.kind.value} within {radius:.2f} m"
 
     def _click(self, event):
         view = self.page.view_of(event)

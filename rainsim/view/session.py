@@ -258,7 +258,6 @@ class Session:
         if self._camera is None or self._camera[0] != key:
             self._camera = key, self.camera_of(view, width, height)
             self._simplify(simple)
-            self._forget_choices()
         return self.draw_camera(self._camera[1], index, None, names, check)
 
     def draw_camera(self, camera, index, end=None, names=(), check=lambda: None):
@@ -291,7 +290,6 @@ class Session:
         end = shutter_end(path, index, config.at(index / config.fps).render.exposure, config.fps)
         self._camera = None
         self._simplify(False)
-        self._forget_choices()
         return self.draw_camera(replace(cameras[index]), index, end)[0]
 
     def _simplify(self, simple):
@@ -301,10 +299,6 @@ class Session:
             if simple and look.reflections in MIRRORS:
                 look = replace(look, reflections="ssr", film="environment")
             self.renderer.water.config = self.renderer.wet_ground.config = look
-
-    def _forget_choices(self):
-        renderer = self.renderer if self.backend == "cpu" else self.renderer.host
-        renderer.forget_choices()
 
     def kept(self, key, compute):
         """Return what compute() returned for the same key and terrain, computed when it is new."""

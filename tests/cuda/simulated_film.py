@@ -74,10 +74,3 @@ def test_field_share_and_picture(pictured, rng, poisoned):
     launch(twin.add_reflection, cover.shape, bare, cover, wanted, STEP, mine)
     np.testing.assert_allclose(mine, laid, atol=1e-6)
     assert abs(laid - bare).max() > 0.05
-    rows = -(-HEIGHT // wet_ground_mirror.COARSE)
-    theirs, ours = np.full(rows, np.nan), np.full(rows, np.nan)
-    table = wet_ground_mirror.usual_shares()
-    wet_ground_mirror.reflected_share(cover, view, table, theirs)
-    twin.reflected_share[rows, twin.SUMMERS](cover, camera, table, ours)
-    np.testing.assert_allclose(ours, theirs, rtol=1e-4)
-    assert theirs[-1] > 0

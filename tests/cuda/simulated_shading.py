@@ -270,7 +270,6 @@ def test_signatures_are_those_of_the_cpu():
             {"wanted", "level_size", *VIEWS},
         ),
         (wet_ground_mirror.add_reflection, cuda_film.add_reflection, set()),
-        (wet_ground_mirror.reflected_share, cuda_film.reflected_share, VIEWS),
         (composite.compose, cuda_composite.compose, VIEWS),
         (screen_space.keep_tall, cuda_screen.keep_tall, {"bounds_out"}),
         (ray_water.meet_water, cuda_ray_water.meet_water, {"row_order", "count_out", *VIEWS}),

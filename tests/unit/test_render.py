@@ -13,6 +13,7 @@ from rainsim.pipeline import extract_terrain, render_rain, simulate
 from rainsim.reflection.mirror_choice import mirror_step
 from rainsim.reflection.water_pass import Shower
 from rainsim.render import rain_pass
+from rainsim.render.renderer import Renderer
 from rainsim.scene.cameras import mirrored_camera
 from rainsim.scene.types import GroundFrame
 from scenes import tiny_scene
@@ -236,3 +237,20 @@ def test_wet_ground_mirrors_what_stands_on_it(scene, camera):
         name: frame(scene, camera, rate=0.0, past=0.0, film=name)[0] for name in ("mirror", "auto")
     }
     np.testing.assert_array_equal(dry["mirror"], dry["auto"])
+
+
+def test_no_frame_decides_what_another_one_mirrors(scene, camera):
+    """A camera that sees a strip of wet ground, before and after one that sees much of it."""
+    strip = dataclasses.replace(camera, cy=1.1 * camera.height)
+    settings = config(rate=0.0)
+    terrain = extract_terrain(scene, settings)
+    state = next(iter(simulate(terrain, settings)))
+    drawn = []
+    for order in ((strip, camera), (camera, strip)):
+        renderer = Renderer(scene, terrain, settings, camera)
+        pictures = [renderer.draw(view, state)[0] for view in order]
+        drawn.append(pictures[:: 1 if order[0] is strip else -1])
+    np.testing.assert_array_equal(drawn[0][0], drawn[1][0])
+    np.testing.assert_array_equal(drawn[0][1], drawn[1][1])
+    plain = Renderer(scene, terrain, config(rate=0.0, film="environment"), camera)
+    assert (plain.draw(strip, state)[0] != drawn[0][0]).any()  # the strip mirrors something

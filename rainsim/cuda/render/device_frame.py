@@ -264,7 +264,7 @@ class DeviceFrame:
         full = [splats for splats in self.dry_rasterizers() if splats.overflows()]
         for splats in full:
             splats.make_room()
-        return bool(full) or self.ground_light.grow()
+        return bool(full)
 
     def _grow_splashes(self):
         if self.streaks is None:

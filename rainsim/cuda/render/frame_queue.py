@@ -137,7 +137,7 @@ class FrameQueue:
         if self._dry is None or self.frame.pending or self._is_stale():
             return False
         self._last.wait()  # for the counts of the frame that is being drawn
-        return not self.frame.dry_is_tight() and not self.frame.ground_light.lacks()
+        return not self.frame.dry_is_tight()
 
     def _begin(self):
         """Queue what needs no water of the next frame, and the step of its simulation."""

@@ -2,9 +2,7 @@
 
 The level picture and the field of mirrored light need nothing of the picture itself: they are drawn
 on a stream beside it, and added to it once it is graded. Every block of the field is computed, wet
-or not. The first frames decide whether `auto` draws the level picture: the device sums the share of
-the light that wet ground mirrors, the host reads the sum when the frame is finished, and if the
-picture is worth its time the frame is drawn again with it.
+or not.
 """
 
 from __future__ import annotations
@@ -15,16 +13,15 @@ import numpy as np
 
 from rainsim.constants import ONE, ZERO
 from rainsim.cuda.frame_uniforms import FrameUniforms
-from rainsim.cuda.jit import cuda, cuda_device, cuda_kernel, pinned
+from rainsim.cuda.jit import cuda, cuda_device, cuda_kernel
 from rainsim.cuda.raster import Rasterizer
 from rainsim.cuda.shading.wet_pass import BLOCK, blocks
 from rainsim.numerics.ripmap import LEVELS
 from rainsim.scene.cameras import mirrored_camera
-from rainsim.scene.view import pixel_ray, view_from, view_of
+from rainsim.scene.view import view_from, view_of
 from rainsim.shading.microfacet import LOBE
 from rainsim.shading.wet_ground_mirror import (
     ABOVE,
-    COARSE,
     FIELD_STEP,
     MOST_ASIDE,
     MOST_UP,
@@ -35,12 +32,9 @@ from rainsim.shading.wet_ground_mirror import (
     in_level_picture,
     level_camera,
     mirrored_light,
-    usual_share,
-    usual_shares,
 )
 
 COARSEST = 1 << (LEVELS - 1)
-SUMMERS = 128  # threads that add up a row
 
 
 @cuda_kernel
@@ -135,33 +129,13 @@ def add_reflection(bare, cover, field, step, picture_out):
     picture_out[row, column, 2] = blue
 
 
-@cuda_kernel
-def reflected_share(cover, camera, table, total_out):
-    """Sum the shares of light that wet ground mirrors; a block of SUMMERS threads takes a row."""
-    sums = cuda.shared.array(SUMMERS, np.float64)
-    tid, j = cuda.threadIdx.x, cuda.blockIdx.x
-    row, view = j * COARSE, view_from(camera)
-    total = 0.0
-    for column in range(tid * COARSE, cover.shape[1], SUMMERS * COARSE):
-        share = cover[row, column]
-        if share > ZERO:
-            x, y, z = pixel_ray(view, row, column)
-            total += share * usual_share(table, x, y, z)
-    sums[tid] = total
-    cuda.syncthreads()
-    if tid == 0:
-        for k in range(1, SUMMERS):
-            total += sums[k]
-        total_out[j] = total
-
-
 class WetGroundLight:
     """What wet ground mirrors in the frames of a device.
 
     Parameters
     ----------
     frame : DeviceFrame
-        Its `wet_ground` has chosen, or chooses, whether the level picture is drawn.
+        Its `wet_ground` says whether the level picture is drawn.
 
     Attributes
     ----------
@@ -184,7 +158,7 @@ class WetGroundLight:
             return
         slopes, *place = self.wet_ground.ground
         self._ground = GroundSlopes(cuda.to_device(slopes), cuda.to_device(place[0]), place[1])
-        self._lobe, self._table = cuda.to_device(LOBE), cuda.to_device(usual_shares())
+        self._lobe = cuda.to_device(LOBE)
         # Stand for a level picture that shows nothing.
         self._size = cuda.to_device(np.zeros(2, np.float32))
         self._lens = cuda.to_device(np.ones(4, np.float32))
@@ -203,8 +177,6 @@ class WetGroundLight:
         if not self.apart:
             return self.cover[:0]
         self.bare = cuda.device_array((height, width, 3), f4)
-        rows = -(-height // COARSE)
-        self._total, self._sums = cuda.device_array(rows, np.float64), pinned(rows, np.float64)
         return self.cover
 
     def _allocate(self, width, height):
@@ -262,27 +234,6 @@ class WetGroundLight:
             return ()
         return self._step, self._room, *(rasterizer.queue for rasterizer in self.rasterizers)
 
-    def lacks(self):
-        """Return whether the finished frame shows that the level picture is to be drawn.
-
-        `auto` decides; the choice is noted once, and kept.
-        """
-        if not self.apart or self.rasterizers:
-            return False
-        ground = self.wet_ground
-        if ground.config.film == "auto" and not ground.drawn:
-            share = float(self._sums.sum() / (len(self._sums) * -(-self._shape[1] // COARSE)))
-            if share > 0:
-                ground.choose(share, self.frame.host.notes)
-        return ground.drawn
-
-    def grow(self):
-        """Draw the level picture from now on if the finished frame lacked it; return whether so."""
-        lacking = self.lacks()
-        if lacking:
-            self._prepare()
-        return lacking
-
     def draw(self):
         """Queue the level picture and the field, beside what the frame's stream does next."""
         if not self.apart:
@@ -318,11 +269,6 @@ class WetGroundLight:
         """Queue the sum of the graded picture and what its wet ground mirrors."""
         stream = self.frame.stream
         self._done.wait(stream)
-        if not self.rasterizers and self.wet_ground.config.film == "auto":
-            reflected_share[len(self._total), SUMMERS, stream](
-                self.cover, self.frame.camera_arrays, self._table, self._total
-            )
-            self._total.copy_to_host(self._sums, stream=stream)
         add_reflection[blocks(*self._shape), BLOCK, stream](
             self.bare, self.cover, self.field, self._step, picture
         )
