@@ -9,6 +9,7 @@ from dataclasses import replace
 
 from rainsim.backend import free_device_memory, on_backend
 from rainsim.errors import ParameterError
+from rainsim.io import cache
 from rainsim.render.first_view import view_of_water
 from rainsim.render.labels import without_flow
 from rainsim.render.memory import require_memory
@@ -110,6 +111,11 @@ class FrameSequence:
         if len(indices) == 0:
             return
         yield from self._renderer.render(self._states_of(list(indices), tell))
+
+    def keep_setup(self):
+        """Compute with all threads what other processes that draw these frames find kept."""
+        if self.backend == "cpu" and cache.folder() is not None:
+            self._renderer.make()
 
     def _states_of(self, indices, tell):
         if self.states is not None:
@@ -223,7 +229,7 @@ class SequenceRenderer:
                 yield camera, state, shutter_end(path, state.index, exposure, config.fps)
 
         if self._renderer is None:
-            self._renderer = self._made()
+            self._renderer = self.make()
             self._notes = sunken_notes(path, self._terrain, config)
         for picture, report in self._renderer.film(shots(), self._names):
             notes, self._notes = self._notes, ()
@@ -231,7 +237,8 @@ class SequenceRenderer:
                 report = without_flow(report)
             yield picture, replace(report, notes=(*notes, *report.notes))
 
-    def _made(self):
+    def make(self):
+        """Return the backend's renderer for these frames."""
         scene, terrain, first = self._scene, self._terrain, self._cameras[0]
         device_free = free_device_memory(self._backend)
         require_memory(scene, first, terrain.bed.size, len(self._names), device_free)

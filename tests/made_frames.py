@@ -23,7 +23,11 @@ class MadeUpFrames:
         self.scene, self.states = tiny_scene(), None
         self.cameras = self.scene.cameras[:1]
         self.next, self.drawn, self._pause = 0, [], pause
+        self.setups = 0  # how often the set-up was computed ahead
         self._at, self._fault, self._once = at, fault, once
+
+    def keep_setup(self):
+        self.setups += 1
 
     def frames(self, indices, tell=None):
         for index in indices:

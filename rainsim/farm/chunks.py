@@ -55,7 +55,8 @@ class Chunks:
     """
 
     def __init__(self, indices, tries=MOST_TRIES, patience=LEAST_PATIENCE, first=FIRST_PATIENCE):
-        self._open, self._most = sorted(indices), tries
+        self._all, self._most = sorted(indices), tries
+        self._open, self._begun = self._all, set()
         self._patience, self._first = patience, first
         self._at, self._next, self._drawn = {}, {}, Counter()  # by worker
         self._tries, self._seconds = Counter(), []
@@ -73,9 +74,14 @@ class Chunks:
     def give(self, worker, workers):
         """Return the frames that a worker is to draw next, of so many workers; [] without any.
 
-        They lie behind those that it drew before, if there are any such: its water goes on.
+        They lie behind those that it drew before, if there are any such: its water goes on. Each
+        begins with a part of its own, so that not all of them simulate what the others draw.
         """
         position = self._next.get(worker, 0)
+        if worker not in self._begun:
+            part = len(self._begun) % workers
+            position = self._all[part * len(self._all) // workers]
+            self._begun.add(worker)
         ahead = [i for i in self._open if i >= position] or self._open
         if not ahead:
             return []
@@ -85,7 +91,8 @@ class Chunks:
         indices = [i for i in ahead[:count] if i - ahead[0] < MOST_IN_CHUNK]
         indices = [i for i in indices if i == ahead[0] or not self._tries[i]]
         self._open = [i for i in self._open if i not in indices]
-        begin = position if position <= indices[0] else 0
+        begin = self._next.get(worker, 0)
+        begin = begin if begin <= indices[0] else 0
         self._at[worker] = Chunk(indices, indices[-1] + 1 - begin, time.monotonic())
         return indices
 

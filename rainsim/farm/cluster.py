@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import logging
 import os
 import threading
@@ -20,6 +21,7 @@ from rainsim.output_folder import OURS, FrameFolder
 HERE = "127.0.0.1"
 POLL = 0.5  # s between looks at who is there
 PATIENCE = 60.0  # s for a worker to say what it is, and for the first worker to come
+NO_PATIENCE = 0.1  # s for a worker here to end by itself
 VERSIONS = ("python", "numpy", "numba", "llvmlite")  # that change what kernels compute
 # What the engine does beside a frame: pages that show its state, a profile of each worker, and an
 # environment in which every large array is given back to the system at once.
@@ -79,6 +81,12 @@ def client_of(address=None, workers=1, backend="cpu", threads=None):
         distributed.Client(cluster, set_as_default=False) as client,
     ):
         yield client
+        # All frames are accepted: nothing is lost with a worker that is not asked to tidy up.
+        cluster.sync(_end, cluster.workers.values())
+
+
+async def _end(nannies):
+    await asyncio.gather(*(nanny.close(timeout=NO_PATIENCE) for nanny in nannies))
 
 
 def _connected(distributed, address):
@@ -327,6 +335,8 @@ def draw_with_workers(client, sequence, run, resume, status, threads=None, **lim
         status.say(f"{len(kept)} of {total} frames are finished and kept")
     if missing:
         record.begin()
+        if client.cluster is not None:  # on this machine: the workers find what is kept
+            sequence.keep_setup()
         chunks = Chunks(missing, **limits)
         farm = FarmRun(client, sequence, record, chunks, status.say, threads)
 

@@ -9,8 +9,7 @@ The lobe is cut into SAMPLES parts; each is one look-up, as wide as the part.
 All look-ups are in one small picture: the camera mirrored at the ground plane, but level and
 upright, so that verticals are columns and a part of the lobe is a piece of a column. The ground is
 left out of that picture, for it would hide from below what stands on it; the look-up corrects for
-the height and slope of the ground under each pixel. The picture and the field of mirrored light
-that is made from it are coarse: nothing in them is sharp.
+the height and slope of the ground under each pixel. Nothing mirrored is sharp: all of it is coarse.
 """
 
 from __future__ import annotations

@@ -13,10 +13,12 @@ from test_shared_run import FRAMES, same, whole  # noqa: F401
 
 import made_frames
 from made_frames import MadeUpFrames
+from rainsim.config.settings import Config
 from rainsim.errors import BackendError, RainsimError
 from rainsim.farm import cluster, worker
 from rainsim.io import cache
 from rainsim.output_folder import FrameFolder, Record, claimed
+from rainsim.pipeline import FrameSequence, extract_terrain
 from run_folders import facts, written
 from scenes import tiny_scene
 
@@ -63,7 +65,9 @@ def draw(client, folder, resume=False, limits=None, **how):
     with claimed(folder, resume=resume):
         record = Record(Path(folder), scene, {"layers": ["depth"]}, seed=0)
         run = Path(folder), record, scene.cameras[:1], frames.config, False
+        missing = len(FrameFolder(*run, resume).kept) < frames.config.frames
         reports = cluster.draw_with_workers(client, frames, run, resume, said, **(limits or {}))
+        assert frames.setups == missing  # once for all workers
     assert [report.index for report in reports] == list(range(frames.config.frames))
     return said.lines
 
@@ -200,6 +204,19 @@ def draw_alone(folder):
         with FrameFolder(folder, record, scene.cameras[:1], frames.config) as film:
             for frame in frames.frames(range(60)):
                 film.add(*frame)
+
+
+def test_the_set_up_is_kept_for_the_workers(tmp_path, monkeypatch):
+    scene, config = tiny_scene(), Config().replace(frames=1, width=64, extent=1.0, spacing=0.05)
+    cameras = [scene.cameras[0].resized(64, 48)]
+    for value, is_kept in (("off", False), (str(tmp_path / "kept"), True)):
+        monkeypatch.setenv("RAINSIM_CACHE", value)
+        sequence = FrameSequence(scene, extract_terrain(scene, config), cameras, config)
+        before = set(tmp_path.glob("kept/*"))
+        sequence.keep_setup()
+        kinds = {file.name.split("-")[0] for file in set(tmp_path.glob("kept/*")) - before}
+        assert ("skyline" in kinds) == is_kept
+        assert pickle.loads(pickle.dumps(sequence))._renderer._renderer is None  # it is not sent
 
 
 def test_a_worker_finds_what_others_kept_of_a_capture():
