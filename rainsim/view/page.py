@@ -7,8 +7,10 @@ viser. Callbacks run in viser's threads and only hand on to the `Painter`.
 from __future__ import annotations
 
 import contextlib
+import functools
 import io
 import math
+import re
 import threading
 import time
 from dataclasses import dataclass
@@ -24,6 +26,7 @@ from rainsim.view.page_settings import SettingsTools
 from rainsim.view.session import View
 
 HOST = "127.0.0.1"  # no other: the server has no sign-in
+OWN_PAGES = re.compile(r"http://(127\.0\.0\.1|localhost)(:\d+)?")  # as a browser names them
 MOVING_QUALITY, STILL_QUALITY = 75, 92  # of JPEG
 STATE_EVERY = 0.4  # s between words on moving pictures
 LOOK_AHEAD = 4.0  # m to the point that a page's camera turns about, where no ground is seen
@@ -218,5 +221,22 @@ def _server(port):
         import viser
     except ImportError:
         raise BackendError(REMEDY) from None
-    with contextlib.redirect_stdout(io.StringIO()):
+    with contextlib.redirect_stdout(io.StringIO()), _own_pages_only():
         return viser.ViserServer(host=HOST, port=port, label="rainsim", verbose=False)
+
+
+@contextlib.contextmanager
+def _own_pages_only():
+    """Let servers that start in this block refuse the pages of other sites.
+
+    A browser lets every site open a socket to 127.0.0.1 and says which site it is. viser has no
+    option for that check, which its socket library makes.
+    """
+    from websockets.asyncio import server
+
+    serve = server.serve
+    server.serve = functools.partial(serve, origins=[OWN_PAGES, None])  # None: not a browser
+    try:
+        yield
+    finally:
+        server.serve = serve
