@@ -13,11 +13,14 @@ import math
 
 import numpy as np
 
+from rainsim.errors import InputError
 from rainsim.io.files import write_json
 from rainsim.scene.camera_entry import FLIP, Entry, pose_at
 from rainsim.scene.types import Camera
 
 KINDS = ("perspective",)  # of `camera_type`: others are no pinhole cameras
+MOST_SECONDS = 86_400.0  # between two keyframes
+FIRST_SECONDS = 2.0  # before the first keyframe, for one that is put before it
 
 
 def is_camera_path(data):
@@ -58,11 +61,47 @@ def path_cameras(data, source):
     ]
 
 
-def _camera(entry, index):
+def path_keyframes(data, source):
+    """Return the keyframes that a camera path goes through.
+
+    Parameters
+    ----------
+    data : dict
+        As `camera_path_data` returns it.
+    source : path-like
+        Names the file in errors.
+
+    Returns
+    -------
+    list of (Camera, float)
+        In the capture frame; the seconds from the keyframe before.
+
+    Raises
+    ------
+    InputError
+        If there is none, or names the keyframe and the value that is missing or wrong.
+    """
+    keyframes = data.get("keyframes") if isinstance(data, dict) else None
+    if not isinstance(keyframes, list) or not keyframes:
+        raise InputError(
+            f"{source} has no keyframes; a path of this page or of nerfstudio's viewer has a list "
+            "`keyframes`; give such a camera_path.json"
+        )
+    found = []
+    for i, keyframe in enumerate(keyframes):
+        entry = Entry(source, f"keyframe {i}", keyframe, data)
+        camera, own = _camera(entry, i, "matrix"), keyframe.get("override_transition_enabled")
+        key = "override_transition_sec" if own else "default_transition_sec"
+        # The first one's seconds count for nothing: they may be zero.
+        found.append((camera, entry.number(key, 0, MOST_SECONDS) if i else FIRST_SECONDS))
+    return found
+
+
+def _camera(entry, index, key="camera_to_world"):
     width, height = entry.side("render_width"), entry.side("render_height")
     focal = height / 2 / math.tan(math.radians(entry.number("fov", 0, 180)) / 2)
-    matrix = np.reshape(entry.array("camera_to_world", (16,)), (4, 4))
-    rotation = entry.rotation("camera_to_world", matrix[:3, :3]) * FLIP
+    matrix = np.reshape(entry.array(key, (16,)), (4, 4))
+    rotation = entry.rotation(key, matrix[:3, :3]) * FLIP
     camera_from_world = pose_at(rotation.T, matrix[:3, 3])
     name = f"path_{index:05d}"
     return Camera(width, height, focal, focal, width / 2, height / 2, camera_from_world, name)

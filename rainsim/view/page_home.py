@@ -9,6 +9,8 @@ import numpy as np
 
 from rainsim.config.settings import MAX_SIDE
 from rainsim.errors import ParameterError, RainsimError
+from rainsim.io.files import parsed_json, printable_name
+from rainsim.scene.camera_path import path_keyframes
 from rainsim.view.home import Run
 from rainsim.view.keyframes import Keyframe, smooth_path
 
@@ -39,6 +41,7 @@ class HomeTools:
             self.add = gui.add_button("add a keyframe")
             self.remove = gui.add_button("remove the last keyframe")
             self.save = gui.add_button("save the path")
+            self.load = gui.add_upload_button("load a path", mime_type="application/json")
             self.film = gui.add_button("draw the saved one here")
             self.stop = gui.add_button("cancel", disabled=True)
             self.progress = gui.add_progress_bar(0.0, visible=False)
@@ -49,6 +52,7 @@ class HomeTools:
             (self.stop, lambda _: self.cancel()),
         ):  # fmt: skip
             handle.on_click(page.guarded(function))
+        self.load.on_upload(page.guarded(self._load))
 
     # --- files ------------------------------------------------------------------------------------
 
@@ -79,6 +83,19 @@ class HomeTools:
             self.page.view_of(event), self.painter.config, float(self.seconds.value)
         )
         self.keyframes.append(keyframe)
+        self._show_path()
+
+    def _load(self, event):
+        """Take the keyframes of a file; settings are the present ones, since it has none."""
+        name = printable_name(self.load.value.name)
+        data = parsed_json(self.load.value.content.decode("utf-8", "replace"))
+        loaded = path_keyframes(data, name)
+        views = self.painter.ask(lambda s: [s.view_of(camera) for camera, _ in loaded]).result()
+        config = self.painter.config
+        self.keyframes = [
+            Keyframe(view, config, seconds)
+            for view, (_, seconds) in zip(views, loaded, strict=True)
+        ]
         self._show_path()
 
     def _remove(self, event):

@@ -15,6 +15,7 @@ import pytest
 from pages import viewing
 from rainsim.config.controls import SLIDERS
 from rainsim.io.images import read_image
+from rainsim.scene.cameras import read_cameras
 
 pytestmark = pytest.mark.slow
 WIDTH = 400
@@ -143,9 +144,21 @@ def test_a_path_is_saved_and_drawn_here(server, open_page):
     page.press("save the path")
     folder = server[2] / "home/path-001"
     page.wait_until(lambda: (folder / "command.txt").is_file())
+    page.press("remove the last keyframe")
+    page.wait_until(lambda: page.says("keyframes: 1"))
+    with page.page.expect_file_chooser() as chooser:
+        page.press("load a path")
+    chooser.value.set_files(folder / "camera_path.json")
+    page.wait_until(lambda: page.says("keyframes: 2, 0.1 s"))
+    page.press("save the path")  # the same path again
+    again = server[2] / "home/path-002"
+    page.wait_until(lambda: (again / "command.txt").is_file())
+    first, second = (read_cameras(f / "camera_path.json") for f in (folder, again))
+    for one, other in zip(first, second, strict=True):
+        np.testing.assert_allclose(one.camera_from_world, other.camera_from_world, atol=1e-9)
     page.press("draw the saved one here")
     page.wait_until(lambda: page.says("3 of 3 frames, drawn in"), 300)
-    assert len(list((folder / "drawn/frames").iterdir())) == 3
+    assert len(list((again / "drawn/frames").iterdir())) == 3
 
 
 def test_two_pages_a_reload_and_a_lost_connection(server, open_page):

@@ -175,11 +175,13 @@ def killer(client, ended, seed, killed):
 def test_workers_killed_at_many_random_moments_lose_nothing(tmp_path, workers):
     draw_alone(tmp_path / "alone")
     killed, runs, clusters, resume = [], 0, 0, False
-    while len(killed) < MANY_KILLS // 3:
+    while len(killed) < MANY_KILLS // 3 or resume:  # a run that was begun is gone on with
         clusters += 1
         for client in start(workers):
             ended = threading.Event()
             thread = threading.Thread(target=killer, args=(client, ended, clusters, killed))
+            if len(killed) >= MANY_KILLS // 3:
+                ended.set()  # left alone, it comes to an end that can be compared
             thread.start()
             try:
                 draw(client, tmp_path / str(runs), resume, {"tries": 1000}, frames=60, pause=0.05)

@@ -9,8 +9,8 @@ from rainsim.config.controls import OPTION_KEYS, SLIDERS, si_value
 from rainsim.config.preset_files import HUMAN_KEYS, PARTS, from_human
 from rainsim.config.preset_writer import preset_text_of, value_of
 from rainsim.config.settings import Config, preset_names
-from rainsim.errors import ParameterError
-from rainsim.scene.camera_path import camera_path_data, path_cameras
+from rainsim.errors import InputError, ParameterError
+from rainsim.scene.camera_path import camera_path_data, path_cameras, path_keyframes
 from rainsim.view import redo, schedule
 from rainsim.view.clock import Clock
 from rainsim.view.keyframes import Keyframe, path_config, smooth_path, timeline_of
@@ -257,6 +257,24 @@ def test_a_camera_path_is_read_as_it_was_written():
     assert data["camera_path"][1]["render_time"] == pytest.approx(1 / 24)
     flat = np.reshape(data["camera_path"][0]["camera_to_world"], (4, 4))
     np.testing.assert_allclose(flat[:3, 1], -pose()[:3, 1])  # OpenGL: y up, z back
+
+
+def test_keyframes_are_read_as_they_were_written():
+    marks = [(pose(), 0.9, 0.0), (pose(place=(0, 0, 1)), 1.1, 3.5)]
+    data = camera_path_data([(pose(), 0.9)], 640, 400, 24.0, marks)
+    (first, _), (second, seconds) = path_keyframes(data, "a.json")
+    np.testing.assert_allclose(first.position, (1, 2, 3), atol=1e-12)
+    np.testing.assert_allclose(first.forward, pose()[:3, 2], atol=1e-12)
+    np.testing.assert_allclose(second.position, (0, 0, 1), atol=1e-12)
+    assert second.fy == pytest.approx(200 / math.tan(0.55)) and seconds == 3.5
+    data["keyframes"][1] |= {"override_transition_enabled": False, "override_transition_sec": None}
+    assert path_keyframes(data, "a.json")[1][1] == data["default_transition_sec"] == 2.0
+    data["keyframes"][1]["matrix"][3] = None
+    with pytest.raises(InputError, match=r"a.json keyframe 1.*matrix.*16"):
+        path_keyframes(data, "a.json")
+    for broken in (None, [], {}, {"keyframes": []}, {"keyframes": [3]}, {"keyframes": 3}):
+        with pytest.raises(InputError, match=r"a.json"):
+            path_keyframes(broken, "a.json")
 
 
 def test_a_path_goes_through_its_keyframes_without_a_jump():
