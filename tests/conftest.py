@@ -35,6 +35,17 @@ def pytest_ignore_collect(collection_path):
     return None
 
 
+@pytest.fixture(scope="session")
+def scene_folder(tmp_path_factory):
+    """A scene folder with `tiny_scene` in it, called tiny."""
+    from rainsim.scene.folder import write_scene
+    from scenes import tiny_scene
+
+    folder = tmp_path_factory.mktemp("scenes") / "tiny"
+    write_scene(folder, tiny_scene())
+    return folder
+
+
 IN_THE_SIMULATOR = "test_the_twins_in_the_simulator[quick]"
 
 

@@ -77,7 +77,7 @@ class Chunks:
         They lie behind those that it drew before, if there are any such: its water goes on. Each
         begins with a part of its own, so that not all of them simulate what the others draw.
         """
-        position = self._next.get(worker, 0)
+        position = reached = self._next.get(worker, 0)
         if worker not in self._begun:
             part = len(self._begun) % workers
             position = self._all[part * len(self._all) // workers]
@@ -91,8 +91,7 @@ class Chunks:
         indices = [i for i in ahead[:count] if i - ahead[0] < MOST_IN_CHUNK]
         indices = [i for i in indices if i == ahead[0] or not self._tries[i]]
         self._open = [i for i in self._open if i not in indices]
-        begin = self._next.get(worker, 0)
-        begin = begin if begin <= indices[0] else 0
+        begin = reached if reached <= indices[0] else 0
         self._at[worker] = Chunk(indices, indices[-1] + 1 - begin, time.monotonic())
         return indices
 

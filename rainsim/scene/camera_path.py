@@ -20,7 +20,7 @@ from rainsim.scene.types import Camera
 
 KINDS = ("perspective",)  # of `camera_type`: others are no pinhole cameras
 MOST_SECONDS = 86_400.0  # between two keyframes
-FIRST_SECONDS = 2.0  # before the first keyframe, for one that is put before it
+USUAL_SECONDS = 2.0
 
 
 def is_camera_path(data):
@@ -92,8 +92,8 @@ def path_keyframes(data, source):
         entry = Entry(source, f"keyframe {i}", keyframe, data)
         camera, own = _camera(entry, i, "matrix"), keyframe.get("override_transition_enabled")
         key = "override_transition_sec" if own else "default_transition_sec"
-        # The first one's seconds count for nothing: they may be zero.
-        found.append((camera, entry.number(key, 0, MOST_SECONDS) if i else FIRST_SECONDS))
+        # There is none before the first one, whose seconds may therefore be zero.
+        found.append((camera, entry.number(key, 0, MOST_SECONDS) if i else USUAL_SECONDS))
     return found
 
 
@@ -122,7 +122,7 @@ def camera_path_data(poses, width, height, fps, keyframes=()):
     """
     aspect = width / height
     return {
-        "default_fov": math.degrees(poses[0][1]), "default_transition_sec": 2.0,
+        "default_fov": math.degrees(poses[0][1]), "default_transition_sec": USUAL_SECONDS,
         "keyframes": [
             {
                 "matrix": _flat(matrix), "fov": math.degrees(fov), "aspect": aspect,

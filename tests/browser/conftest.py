@@ -6,8 +6,6 @@ from pathlib import Path
 import pytest
 
 from pages import ARGUMENTS, BROWSERS, ROOT, Page, viewing
-from rainsim.scene.folder import write_scene
-from scenes import tiny_scene
 
 
 @pytest.fixture(scope="session")
@@ -25,19 +23,11 @@ def browser():
         found.close()
 
 
-@pytest.fixture(scope="session")
-def tiny_folder(tmp_path_factory):
-    """A scene folder with `tiny_scene` in it."""
-    folder = tmp_path_factory.mktemp("scenes") / "tiny"
-    write_scene(folder, tiny_scene())
-    return folder
-
-
 @pytest.fixture
-def server(tiny_folder, tmp_path):
+def server(scene_folder, tmp_path):
     """`rainsim view` of the tiny scene, whose files go to `tmp_path`."""
     tiny = ["--spacing", "0.04", "--extent", "1", "--width", "400", "--camera", "view_0"]
-    with viewing(tiny_folder, *tiny, "--out", "home", folder=tmp_path) as (process, address):
+    with viewing(scene_folder, *tiny, "--out", "home", folder=tmp_path) as (process, address):
         yield process, address, Path(tmp_path)
 
 

@@ -178,9 +178,9 @@ def test_two_pages_a_reload_and_a_lost_connection(server, open_page):
     act(one, one.drag)
 
 
-def test_it_listens_here_only_and_ends_at_once(tiny_folder, tmp_path):
+def test_it_listens_here_only_and_ends_at_once(scene_folder, tmp_path):
     given = ["--spacing", "0.04", "--extent", "1", "--width", "64"]
-    with viewing(tiny_folder, *given, folder=tmp_path) as (process, address):
+    with viewing(scene_folder, *given, folder=tmp_path) as (process, address):
         assert urllib.request.urlopen(address).status == 200
         listening = Path("/proc/net/tcp").read_text() if sys.platform == "linux" else ""
         port = f":{int(address.rpartition(':')[2]):04X} "

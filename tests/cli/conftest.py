@@ -6,19 +6,9 @@ import pytest
 from click.testing import CliRunner
 
 from rainsim.cli import cli
-from rainsim.scene.folder import write_scene
-from scenes import tiny_scene
 
 TINY = ["--spacing", "0.04", "--extent", "1"]  # of the height map, in metres
 SMALL = ["--width", "64"]
-
-
-@pytest.fixture(scope="session")
-def scene_folder(tmp_path_factory):
-    """A scene folder with `tiny_scene` in it, called tiny."""
-    folder = tmp_path_factory.mktemp("scenes") / "tiny"
-    write_scene(folder, tiny_scene())
-    return folder
 
 
 @pytest.fixture
