@@ -2,16 +2,63 @@
 
 __version__ = "0.1.0"
 
-_PUBLIC = {
-    "render_rain": "rainsim.pipeline",
-    "Config": "rainsim.config.settings",
-    "load_scene": "rainsim.scene.library",
-    "Scene": "rainsim.scene.types",
-    "Splats": "rainsim.scene.types",
-    "Camera": "rainsim.scene.types",
-    "GroundFrame": "rainsim.scene.types",
-    "WaterSolver": "rainsim.grid",
+# The public names by subject, each with the module that has it. Deprecation rules hold for these.
+_MODULES = {
+    "Scenes": {
+        "load_scene": "rainsim.scene.library",
+        "list_scenes": "rainsim.scene.library",
+        "Scene": "rainsim.scene.types",
+        "Splats": "rainsim.scene.types",
+        "GroundFrame": "rainsim.scene.types",
+    },
+    "Cameras": {
+        "Camera": "rainsim.scene.types",
+        "look_at": "rainsim.scene.cameras",
+        "orbit": "rainsim.scene.cameras",
+        "resize_to": "rainsim.scene.cameras",
+        "load_cameras": "rainsim.scene.cameras",
+        "write_transforms": "rainsim.scene.cameras",
+    },
+    "Settings": {
+        "Config": "rainsim.config.settings",
+        "preset_names": "rainsim.config.settings",
+        "mm_per_hour": "rainsim.config.settings",
+    },
+    "From capture to frames": {
+        "render_rain": "rainsim.pipeline",
+        "extract_terrain": "rainsim.pipeline",
+        "simulate": "rainsim.simulation",
+        "Renderer": "rainsim.render.renderer",
+        "FrameReport": "rainsim.render.report",
+    },
+    "Ground and water": {
+        "Terrain": "rainsim.terrain.types",
+        "Grid": "rainsim.terrain.types",
+        "read_terrain": "rainsim.terrain.files",
+        "write_terrain": "rainsim.terrain.files",
+        "SimState": "rainsim.simulation",
+        "read_state": "rainsim.simulation",
+        "write_state": "rainsim.simulation",
+        "WaterSolver": "rainsim.grid",
+        "WaterReport": "rainsim.grid",
+        "standing_water": "rainsim.water.fill_spill_merge",
+    },
+    "Pictures": {
+        "AOVS": "rainsim.render.aov",
+        "recompose": "rainsim.render.aov",
+        "read_image": "rainsim.io.images",
+        "write_png": "rainsim.io.images",
+    },
+    "Errors": {
+        "RainsimError": "rainsim.errors",
+        "ParameterError": "rainsim.errors",
+        "InputError": "rainsim.errors",
+        "GroundError": "rainsim.errors",
+        "BackendError": "rainsim.errors",
+        "DivergedError": "rainsim.errors",
+    },
 }
+_PUBLIC = {name: where for names in _MODULES.values() for name, where in names.items()}
 __all__ = [*_PUBLIC, "__version__"]
 
 

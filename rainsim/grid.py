@@ -72,6 +72,12 @@ class WaterReport:
         Largest face speed at the end.
     min_depth : float [m]
         Smallest depth at the end.
+
+    Examples
+    --------
+    >>> report = rainsim.WaterSolver(np.zeros((8, 8)), spacing=0.1).advance(1.0, rain=1e-5)
+    >>> report.time
+    1.0
     """
 
     time: float
@@ -131,6 +137,15 @@ class WaterSolver:
     The ledger closes to float64 rounding for both types: the part of a depth that a float32 cannot
     represent is kept beside it. Only drops given to `deposit` are rounded to the fields' type,
     once.
+
+    Examples
+    --------
+    >>> bed = np.zeros((16, 32))
+    >>> solver = rainsim.WaterSolver(bed, spacing=0.1)
+    >>> solver.set_state(np.where(np.arange(32) < 16, 0.2, 0.0) + bed)  # a dam that breaks
+    >>> report = solver.advance(0.5)
+    >>> bool(solver.depth[8, 20] > 0), abs(solver.ledger.residual) < 1e-9
+    (True, True)
     """
 
     def __init__(

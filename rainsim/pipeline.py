@@ -67,6 +67,15 @@ def render_rain(scene, cameras, config, backend="cpu", progress=None, layers=(),
         If the configuration breaks a rule or the cameras do not match the frames.
     BackendError
         If the backend cannot run here.
+
+    Examples
+    --------
+    >>> config = rainsim.Config.from_preset("moderate")
+    >>> config = config.replace(frames=2, spacing=0.04, extent=1.0)
+    >>> for picture, report in rainsim.render_rain(scene, scene.cameras[:1], config):
+    ...     print(report.index, picture.shape)
+    0 (48, 64, 3)
+    1 (48, 64, 3)
     """
     on_backend(backend)  # an error before anything is computed
     config.check()
@@ -147,6 +156,12 @@ def extract_terrain(scene, config, mask=None, progress=None, say=None):
         Called as progress("terrain", done, total) before, after each step and after the last.
     say : callable, optional
         Called with notes on the map that is going to be made: its size and its cells.
+
+    Examples
+    --------
+    >>> terrain = rainsim.extract_terrain(scene, config)
+    >>> terrain.bed.shape == terrain.grid.shape
+    True
     """
     tell, all_of_it = progress or (lambda stage, done, total: None), 1
 

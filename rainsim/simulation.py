@@ -156,6 +156,15 @@ def simulate(terrain, config, progress=None, dtype=np.float32):
         progress(stage, done, total) is called before the slow first state.
     dtype : dtype
         Of the water; float64 closes the ledger to rounding.
+
+    Examples
+    --------
+    >>> states = rainsim.simulate(terrain, config)
+    >>> state = next(states)
+    >>> isinstance(state, rainsim.SimState), bool(state.depth.max() > 0)
+    (True, True)
+    >>> bool(abs(state.ledger["residual"]) < 1e-6)
+    True
     """
     start, weather, surfaces = config.at(0.0), Weather(config), surfaces_of(terrain)
     exposure = rain_exposure(terrain, usual_wind(config), config.rain.roughness)
@@ -412,7 +421,7 @@ _OTHERS = {
 
 
 def write_state(path, state):
-    """Write a `SimState` as an uncompressed .npz."""
+    """Write the `SimState` `state` to `path` as an uncompressed .npz."""
     others = {
         "index": np.int64(state.index), "time": np.float64(state.time),
         "tile_size": np.float64(state.tile_size), "ledger": json.dumps(state.ledger),
@@ -429,6 +438,12 @@ def read_state(path, terrain=None):
     path : path-like
     terrain : Terrain, optional
         If given the state must be one of water on it.
+
+    Examples
+    --------
+    >>> rainsim.write_state("00000.npz", state)
+    >>> bool((rainsim.read_state("00000.npz", terrain).depth == state.depth).all())
+    True
     """
     found = read_arrays(path, STATE, _FIELDS | _OTHERS, STATE_VERSION, STATE_REMEDY)
     facts = {"ledger": parsed_json(found["ledger"]), "notes": parsed_json(found["notes"])}

@@ -145,16 +145,22 @@ def scenes(as_json):
 
 @click.command(short_help="List the presets, or print one.")
 @click.argument("name", required=False)
+@click.option("--keys", is_flag=True, help="List every key of a preset file with its meaning.")
 @options.json_option
-def presets(name, as_json):
+def presets(name, keys, as_json):
     """List the presets, or print the preset NAME as a file to start your own from.
 
     \b
     Example:
         rainsim presets
         rainsim presets moderate > mine.toml
+        rainsim presets --keys
     """
     from rainsim.config.settings import Config, preset_names, preset_text
+
+    if keys:
+        _list_keys(as_json)
+        return
 
     if name is not None:
         settings_of = Config.from_preset(name).as_dict()
@@ -166,6 +172,20 @@ def presets(name, as_json):
         return
     for n, text in about.items():
         click.echo(f"{n:<10} {text}")
+
+
+def _list_keys(as_json):
+    from rainsim.config.key_texts import table
+
+    names = ("key", "unit", "default", "choices", "in_keyframes", "meaning")
+    rows = [dict(zip(names, row, strict=True)) for row in table()]
+    if as_json:
+        click.echo(json.dumps(rows, indent=1))
+        return
+    for row in rows:
+        value = "-" if row["default"] is None else f"{row['default']} {row['unit']}"
+        choices = f" ({', '.join(row['choices'])})" if row["choices"] else ""
+        click.echo(f"{row['key']:<24} {value:<14} {row['meaning']}{choices}")
 
 
 def _comment(text):

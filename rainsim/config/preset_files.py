@@ -73,7 +73,13 @@ PARTS = {  # attributes that several keys fill, with what stands for a missing o
 
 
 def preset_names():
-    """Return the names of the built-in presets, from dry to wet."""
+    """Return the names of the built-in presets, from dry to wet.
+
+    Examples
+    --------
+    >>> rainsim.preset_names()
+    ['drizzle', 'moderate', 'downpour', 'flood', 'after', 'paper']
+    """
     return ["drizzle", "moderate", "downpour", "flood", "after", "paper"]
 
 

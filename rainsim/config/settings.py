@@ -57,6 +57,13 @@ DROP_RADII = ("measured", "paper")
 STREAKS = ("shutter", "paper")
 SPLASHES = ("crowns", "paper")
 TOPS = ("auto", "off")
+LOOKS = {  # attributes of the light and look that take one of some words
+    "metering": METERINGS, "relight": RELIGHTS, "wetting": WETTINGS, "reflections": REFLECTIONS,
+    "mirror_size": MIRROR_SIZES, "film": FILMS, "tops": TOPS, "refraction": REFRACTIONS,
+    "fresnel": FRESNELS, "highlight": HIGHLIGHTS, "coverage": COVERAGES,
+    "water_geometry": WATER_GEOMETRIES, "streaks": STREAKS, "splashes": SPLASHES,
+}  # fmt: skip
+CHOICES = {"scheme": WATER_SCHEMES, "drop_radii": DROP_RADII, **LOOKS}
 
 MAX_RATE = 1000.0  # mm/h: the heaviest minutes ever measured stay below 2500, an hour below 400
 MAX_PAST = 1000.0  # mm: more than a day's record almost anywhere
@@ -232,7 +239,6 @@ class RenderConfig:
                 f"cloudiness is {self.cloudiness}; it must lie from 0 (clear) to 1 (overcast)"
             )
         require_positive("brightness", self.brightness, "", "1 is as graded, 0.5 half as bright")
-        require_choice("metering", self.metering, METERINGS)
         if self.ground_albedo is not None:
             require_positive("ground_albedo", self.ground_albedo, "", "0.2 is worn paving")
             if self.ground_albedo > 1:
@@ -240,19 +246,8 @@ class RenderConfig:
                     f"ground_albedo is {self.ground_albedo}; it must be at most 1: no ground gives "
                     "more light than it gets"
                 )
-        require_choice("relight", self.relight, RELIGHTS)
-        require_choice("wetting", self.wetting, WETTINGS)
-        require_choice("reflections", self.reflections, REFLECTIONS)
-        require_choice("mirror_size", self.mirror_size, MIRROR_SIZES)
-        require_choice("film", self.film, FILMS)
-        require_choice("tops", self.tops, TOPS)
-        require_choice("refraction", self.refraction, REFRACTIONS)
-        require_choice("fresnel", self.fresnel, FRESNELS)
-        require_choice("highlight", self.highlight, HIGHLIGHTS)
-        require_choice("coverage", self.coverage, COVERAGES)
-        require_choice("water_geometry", self.water_geometry, WATER_GEOMETRIES)
-        require_choice("streaks", self.streaks, STREAKS)
-        require_choice("splashes", self.splashes, SPLASHES)
+        for name, choices in LOOKS.items():
+            require_choice(name, getattr(self, name), choices)
         aperture = self.aperture * 1e3 if is_number(self.aperture) else self.aperture
         require_not_negative(
             "aperture", _round(aperture), "mm", "0 is sharp, 18 that of 50 mm f/2.8"
@@ -271,7 +266,17 @@ class RenderConfig:
 
 @dataclass(frozen=True)
 class Config:
-    """Everything that shapes the frames but the scene and its cameras."""
+    """Everything that shapes the frames but the scene and its cameras.
+
+    The groups `terrain`, `rain`, `water` and `render`, and `frames`, `fps`, `width`, `height`,
+    `frame_range`, `threads` and `keyframes`. All values are in SI units.
+
+    Examples
+    --------
+    >>> config = rainsim.Config.from_preset("downpour").replace(frames=12)
+    >>> config.frames, round(config.rain.rate / rainsim.mm_per_hour(1))
+    (12, 50)
+    """
 
     terrain: TerrainConfig = field(default_factory=TerrainConfig)
     rain: RainConfig = field(default_factory=RainConfig)

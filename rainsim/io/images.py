@@ -37,6 +37,10 @@ def write_png(path, image):
     ----------
     path : path-like
     image : ndarray of shape (height, width, 3) or (height, width), uint8
+
+    Examples
+    --------
+    >>> rainsim.write_png("grey.png", np.full((24, 32, 3), 128, np.uint8))
     """
     image = np.asarray(image)
     if image.dtype != np.uint8:
@@ -120,10 +124,16 @@ def read_data(path, channels):
 
 
 def read_image(path, most=MOST_PIXELS):
-    """Return the pixels of a PNG or TIFF file in the type that the file has.
+    """Return the pixels of the PNG or TIFF file `path` in the type that the file has.
 
     A file of more than `most` pixels, or of more than fit into it, is refused before its pixels are
     unpacked.
+
+    Examples
+    --------
+    >>> rainsim.write_png("grey.png", np.full((24, 32, 3), 128, np.uint8))
+    >>> rainsim.read_image("grey.png").shape
+    (24, 32, 3)
     """
     width, height = picture_size(path)
     if width * height > most:

@@ -227,6 +227,15 @@ def recompose(aovs, drop, around, air, brightness):
     around, air : array_like of shape (3,)
         Mean radiance of the surroundings, and radiance of the air; see `FrameReport.light`.
     brightness : float
+
+    Examples
+    --------
+    >>> from rainsim.render.aov import NEEDED
+    >>> renderer = rainsim.Renderer(scene, terrain, config, scene.cameras[0])
+    >>> picture, report = renderer.draw(scene.cameras[0], state, names=NEEDED)
+    >>> again = rainsim.recompose(report.aovs, **report.light)
+    >>> int(np.abs(again.astype(int) - picture).max()) <= 1
+    True
     """
     part = {name: np.asarray(aovs[name], np.float64) for name in NEEDED}
     share, cover = part["fresnel"][..., None], part["coverage"][..., None]

@@ -60,6 +60,13 @@ class Renderer:
         the camera stands still.
     wet : WetPicture
         Of the last frame.
+
+    Examples
+    --------
+    >>> renderer = rainsim.Renderer(scene, terrain, config, scene.cameras[0])
+    >>> picture, report = renderer.draw(scene.cameras[0], state, names=("depth",))
+    >>> picture.shape, report.aovs["depth"].shape
+    ((48, 64, 3), (48, 64))
     """
 
     def __init__(

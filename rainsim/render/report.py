@@ -25,6 +25,12 @@ class FrameReport:
         What `aov.recompose` needs besides: radiances and the brightness.
     facts : dict
         The frame's weather, names of classes, boxes: see `aov.facts_of`.
+
+    Examples
+    --------
+    >>> picture, report = next(rainsim.render_rain(scene, scene.cameras[:1], config))
+    >>> report.index, report.time, "initial" in report.ledger
+    (0, 0.0, True)
     """
 
     index: int

@@ -52,7 +52,15 @@ def read_cameras(path):
 
 
 def load_cameras(path):
-    """Return the cameras that `read_cameras` reads, and notes on ignored lens distortion."""
+    """Return the cameras that `read_cameras` reads, and notes on ignored lens distortion.
+
+    Examples
+    --------
+    >>> rainsim.write_transforms("path.json", scene.cameras)
+    >>> cameras, notes = rainsim.load_cameras("path.json")
+    >>> len(cameras), notes
+    (3, [])
+    """
     path = Path(path)
     if path.is_dir():
         found = next((path / name for name in JSON_FILES if (path / name).is_file()), None)
@@ -255,6 +263,12 @@ def look_at(eye, target, up, fov_degrees, width, height, name=""):
     ------
     ParameterError
         If eye and target are the same point, the view runs along `up`, or a value is out of range.
+
+    Examples
+    --------
+    >>> camera = rainsim.look_at((0, -3, 1.5), (0, 0, 1.5), (0, 0, 1), 60, 640, 480)
+    >>> camera.position.tolist(), camera.forward.tolist()
+    ([0.0, -3.0, 1.5], [0.0, 1.0, 0.0])
     """
     eye, target, up = (_vector(n, v) for n, v in (("eye", eye), ("look-at", target), ("up", up)))
     width, height = _side("width", width), _side("height", height)
@@ -306,6 +320,12 @@ def orbit(ground_frame, cameras, target=None, count=24, width=None, height=None)
     -------
     list of Camera
         In the capture frame, named "orbit_000" and so on.
+
+    Examples
+    --------
+    >>> cameras = rainsim.orbit(scene.ground_frame, scene.cameras, count=4)
+    >>> [camera.name for camera in cameras]
+    ['orbit_000', 'orbit_001', 'orbit_002', 'orbit_003']
     """
     if not cameras:
         raise ParameterError(
@@ -382,6 +402,11 @@ def resize_to(camera, width=None, height=None):
 
     With both, the picture is cropped or widened about its centre line rather than squeezed: the
     horizontal field of view and the shape of a pixel stay.
+
+    Examples
+    --------
+    >>> rainsim.resize_to(scene.cameras[0], width=32).height
+    24
     """
     if width is None and height is None:
         return camera

@@ -58,6 +58,12 @@ def load_scene(
         If the name is not known or not allowed.
     InputError, GroundError
         If the scene cannot be read.
+
+    Examples
+    --------
+    >>> scene = rainsim.load_scene("my-capture/")
+    >>> len(scene.cameras)
+    3
     """
     given = {
         "up": up,
@@ -103,6 +109,11 @@ def list_scenes():
     """Return all scenes known by name as (name, where, built-in) tuples, sorted by name.
 
     A name that stands in several folders is listed once, for the one that `load_scene` takes.
+
+    Examples
+    --------
+    >>> [name for name, where, is_built_in in rainsim.list_scenes() if is_built_in]
+    ['bicycle', 'street']
     """
     found = {}
     for folder in scene_folders():

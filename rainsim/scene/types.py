@@ -36,6 +36,12 @@ class Splats:
         Spherical harmonics of display-referred colour, k = (degree + 1)^2 for degree 0 to 3, in
         the basis and with the +0.5 offset of the original 3DGS code, for directions from the
         camera to the splat in the capture frame.
+
+    Examples
+    --------
+    >>> few = scene.splats.take(slice(0, 10))
+    >>> len(few), few.position.shape
+    (10, (10, 3))
     """
 
     position: np.ndarray
@@ -71,6 +77,13 @@ class Camera:
         Rigid; world is the capture frame unless said otherwise.
     name : str
     orthographic : bool
+
+    Examples
+    --------
+    >>> camera = scene.cameras[0]
+    >>> small = camera.resized(32, 24)
+    >>> small.width, small.fx == camera.fx / 2
+    (32, True)
     """
 
     width: int
@@ -129,6 +142,12 @@ class GroundFrame:
         One line each: how up, plane and scale were found and what is assumed.
     scale_assumed : bool
         True if the scale rests on an assumed camera height.
+
+    Examples
+    --------
+    >>> frame = rainsim.GroundFrame(np.eye(3), 0.5, np.zeros(3))
+    >>> frame.to_ground([2.0, 0.0, 4.0]).tolist()
+    [1.0, 0.0, 2.0]
     """
 
     rotation: np.ndarray
@@ -205,6 +224,11 @@ class Scene:
         What the reader counted, dropped or assumed, one line each.
     drains : tuple of (x, y, z) [capture units]
         Middles of gratings that take the water of a street.
+
+    Examples
+    --------
+    >>> scene.splats.position.shape[1], scene.cameras[0].width
+    (3, 64)
     """
 
     name: str

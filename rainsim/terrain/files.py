@@ -57,6 +57,12 @@ def write_terrain(folder, terrain):
 
     Pictures and TIFFs have north (greatest y) at the top; arrays in the .npz have row 0 in the
     south. Returns the paths written.
+
+    Examples
+    --------
+    >>> paths = rainsim.write_terrain("map", terrain)
+    >>> paths[0].name
+    'terrain.npz'
     """
     from rainsim.io import images
     from rainsim.terrain.pictures import class_map, hillshade
@@ -83,7 +89,14 @@ def write_terrain(folder, terrain):
 
 
 def read_terrain(folder):
-    """Return the `Terrain` that `write_terrain` wrote into `folder` (or its .npz itself)."""
+    """Return the `Terrain` that `write_terrain` wrote into `folder` (or its .npz itself).
+
+    Examples
+    --------
+    >>> paths = rainsim.write_terrain("map", terrain)
+    >>> rainsim.read_terrain("map").grid == terrain.grid
+    True
+    """
     path = Path(folder)
     path = path / "terrain.npz" if path.is_dir() else path
     table = _ARRAYS | _OTHERS

@@ -24,6 +24,12 @@ class Grid:
     origin : tuple of float [m]
         x, y of the outer corner of cell (0, 0) in the ground frame.
     spacing : float [m]
+
+    Examples
+    --------
+    >>> grid = rainsim.Grid((2, 3), (0.0, 0.0), 0.5)
+    >>> grid.size, grid.cell_area
+    ((1.5, 1.0), 0.25)
     """
 
     shape: tuple
@@ -154,6 +160,12 @@ class Terrain:
         Depth of the water that the user painted, over an assumed bed; 0 elsewhere.
     tops : Tops
         What lies flat above the ground, see `rainsim.terrain.tops`.
+
+    Examples
+    --------
+    >>> terrain = rainsim.extract_terrain(scene, config)
+    >>> terrain.by_class("manning").shape == terrain.bed.shape
+    True
     """
 
     grid: Grid

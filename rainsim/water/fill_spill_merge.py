@@ -64,6 +64,14 @@ def standing_water(
         Water that left over the edge.
     infiltrated_volume : float [m3]
         Water that permeable cells took up.
+
+    Examples
+    --------
+    >>> bed = np.ones((5, 5))
+    >>> bed[2, 2] = 0.99
+    >>> depth, outflow, soaked = rainsim.standing_water(bed, 0.002, 0.1, open_edges=False)
+    >>> round(float(depth.sum()) * 0.1**2, 9) == round(0.002 * 0.5**2, 9)
+    True
     """
     graph = SpillGraph(bed, spacing, permeable, minimum_depth, minimum_area, open_edges)
     return graph.pour(rainfall)

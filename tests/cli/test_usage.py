@@ -266,3 +266,14 @@ def test_options_say_their_unit_and_default(rainsim):
     for words in ("mm/h", "in mm.", "m/s", "degrees", "in ms", "px", "default: (the preset's)"):
         assert words in text
     assert "[default: bicycle]" in text and "[default: downpour]" in text
+
+
+def test_presets_lists_all_keys(rainsim):
+    import json
+
+    from rainsim.config.preset_files import HUMAN_KEYS
+
+    printed = rainsim("presets", "--keys").out.splitlines()
+    assert [line.split()[0] for line in printed] == list(HUMAN_KEYS)
+    rows = json.loads(rainsim("presets", "--keys", "--json").out)
+    assert rows[0]["unit"] == "mm/h" and rows[0]["default"] == 10
