@@ -10,6 +10,7 @@ import sys
 import time
 from contextlib import contextmanager
 
+import imageio.v3 as imageio
 import numpy as np
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
@@ -129,6 +130,22 @@ class Page:
         width, height, text = self.page.evaluate(PIXELS)
         pixels = np.frombuffer(base64.b64decode(text), np.uint8)
         return pixels.reshape(height, width, 4)[..., :3].astype(int)
+
+    def differs(self, before):
+        """Return whether the last picture differs from an earlier one."""
+        return bool((self.pixels() != before).any())
+
+    def screen(self):
+        """Return what the page looks like, ndarray of shape (height, width, 3), uint8."""
+        return imageio.imread(self.page.screenshot())[..., :3]
+
+    def colored(self, of):
+        """Return rows and columns (n, 2) of the page's pixels for which of(screen) is true.
+
+        Right of the picture's middle panels may lie: the left two thirds count.
+        """
+        screen = self.screen()
+        return np.argwhere(of(screen[:, : 2 * screen.shape[1] // 3]))
 
     def drag(self, dx=60, dy=0, steps=6, pause=0):
         """Turn the camera by a drag on the picture."""

@@ -89,6 +89,37 @@ def scene_of(name, given):
     return scene
 
 
+def scene_to_look_at(name, given):
+    """Load a scene as `scene_of` does, or with an offered ground frame where it has none.
+
+    Returns
+    -------
+    scene : Scene
+    is_offered : bool
+        Whether its up and scale are offered.
+    """
+    from rainsim.errors import GroundError
+
+    try:
+        return scene_of(name, given), False
+    except GroundError:
+        if given.get("ground_frame") is not None:
+            raise
+    import numpy as np
+
+    from rainsim.scene.library import load_scene
+    from rainsim.scene.offered import offered_ground_frame
+    from rainsim.scene.types import GroundFrame
+
+    nowhere = GroundFrame(np.eye(3), 1.0, np.zeros(3))  # until one is offered
+    scene = load_scene(name, cameras=given.get("cameras"), ground_frame=nowhere)
+    length, scale = given.get("known_length"), given.get("meters_per_unit")
+    if length is not None and length[0] is None:
+        scale = _scale_in_space(*length[1])
+    frame = offered_ground_frame(scene.splats, scene.cameras, given.get("up"), scale)
+    return replace(scene, ground_frame=frame), True
+
+
 def _scale_in_space(x1, y1, z1, x2, y2, z2, length):
     """Return the metres per unit from two points [capture units] and the metres between them."""
     from rainsim.scene.ground import scale_from_length

@@ -304,6 +304,12 @@ def loaded_scene(status, name, given):
 
     status.progress(READING, 0, 1)
     scene = scene_of(name, given)
+    say_scene(status, scene)
+    return scene
+
+
+def say_scene(status, scene):
+    """Say what was loaded, found and only assumed."""
     status.progress(READING, 1, 1)
     cameras = len(scene.cameras)
     status.say(
@@ -312,4 +318,3 @@ def loaded_scene(status, name, given):
     )
     status.notes(scene.notes)
     status.notes(scene.ground_frame.notes)
-    return scene

@@ -9,10 +9,9 @@ from pathlib import Path
 import click
 
 from rainsim.commands import options
-from rainsim.commands.choose import mask_of, named_camera, settings
+from rainsim.commands.choose import mask_of, named_camera, scene_to_look_at, settings
 from rainsim.commands.compile import compiled_beside, uses_of
-from rainsim.commands.status import Status, loaded_scene
-from rainsim.errors import ParameterError
+from rainsim.commands.status import READING, Status, say_scene
 
 PORT = 8080
 WAIT = 0.5  # s between looks at whether Ctrl-C was pressed
@@ -58,16 +57,16 @@ def view(scene, preset, camera, backend, class_mask, port, out, quiet, **given):
     _require_viser(backend)
     mask = mask_of(class_mask)
     with status, compiled_beside(status, uses_of(config, ("clean",), backend), config.threads):
-        loaded = loaded_scene(status, scene, given)
-        if not loaded.cameras:
-            raise ParameterError(
-                f"scene {loaded.name} has no cameras; the page begins at one; give --cameras "
-                "cameras.json or transforms.json"
-            )
+        status.progress(READING, 0, 1)
+        loaded, is_offered = scene_to_look_at(scene, given)
+        say_scene(status, loaded)
         session, first = _session(status, loaded, config, camera, backend, mask)
+    greeting = _greeting(session, is_offered)
+    if greeting:
+        status.notes([greeting])
     repeated = _repeated(given, backend, config.threads)
     out = out or options.default_out(loaded.name, "view")
-    _serve(status, session, first, out, scene, repeated, port)
+    _serve(status, session, first, out, scene, repeated, port, greeting)
 
 
 def _require_viser(backend):
@@ -88,23 +87,45 @@ def _require_viser(backend):
 
 def _session(status, scene, config, camera, backend, mask):
     """Return a `Session` with terrain, water and light made, and the View to begin with."""
+    from rainsim.errors import GroundError
     from rainsim.jit import set_threads
     from rainsim.pipeline import view_of_water
+    from rainsim.scene.offered import offered_cameras
     from rainsim.view.session import Session
 
     set_threads(config.threads)
     config = replace(config, width=config.width or options.WIDTH, height=None)
-    first = named_camera(scene, camera)  # an error before anything is computed
+    seen = scene
+    if not scene.cameras and camera is None:
+        seen = replace(scene, cameras=tuple(offered_cameras(scene.splats, scene.ground_frame)))
+    first = named_camera(seen, camera)  # an error before anything is computed
     session = Session(
-        scene, _around(config, first), backend, mask, status.progress, status.notes
+        scene, _around(config, first), backend, mask, status.progress, status.notes, seen.cameras
     )  # fmt: skip
-    session.make_ground()
+    try:
+        session.make_ground()
+    except GroundError:
+        return session, session.view_of(first)
     if camera is None and scene.source is not None:
-        first = view_of_water(scene, session.terrain)
+        first = view_of_water(seen, session.terrain)
         status.notes([f"camera {first.name} is shown first: it shows most water"])
         session.set_config(_around(config, first))
     session.make()
     return session, session.view_of(first)
+
+
+def _greeting(session, is_offered):
+    """Return what a user must know before believing the picture, one message; "" if nothing."""
+    said = []
+    if is_offered:
+        said.append("; ".join(session.scene.ground_frame.notes))
+    if not session.scene.cameras:
+        said.append("the capture has no cameras: the view is offered")
+    if session.no_ground is not None:
+        said.append(f"there is no rain yet: {session.no_ground}")
+    if is_offered or session.no_ground is not None:
+        said.append("mend up and scale under Ground, then save them there")
+    return ". ".join(said)
 
 
 def _around(config, camera):
@@ -121,7 +142,7 @@ def _repeated(given, backend, threads):
     return [*repeated, *([] if threads is None else ["--threads", str(threads)])]
 
 
-def _serve(status, session, first, out, scene, repeated, port):
+def _serve(status, session, first, out, scene, repeated, port, greeting):
     """Show the page until Ctrl-C."""
     from rainsim.view.home import Home
     from rainsim.view.page import Page
@@ -132,7 +153,7 @@ def _serve(status, session, first, out, scene, repeated, port):
         session, lambda *shown: page.show(*shown), lambda text: page.say(text),
         lambda error: page.fail(error),
     )  # fmt: skip
-    page = Page(painter, Home(Path(out), scene, repeated), port, first)
+    page = Page(painter, Home(Path(out), scene, repeated), port, first, greeting)
     drawing = threading.Thread(target=painter.run, name="painter")
     drawing.start()
     click.echo(page.address)

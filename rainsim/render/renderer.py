@@ -17,7 +17,7 @@ from rainsim.render.shutter import next_camera
 from rainsim.render.weather import weather_of
 from rainsim.render.wet_scene import WetScene
 from rainsim.shading import environment, sky
-from rainsim.shading.calibration import metered, metering_views
+from rainsim.shading.calibration import fixed_camera, metered, metering_views
 from rainsim.shading.composite import RainLight, compose
 from rainsim.shading.wet_ground_mirror import WetGroundMirror, mean_share
 from rainsim.simulation import surfaces_of, tops_drawn
@@ -37,7 +37,8 @@ class Renderer:
     terrain : Terrain
     config : Config
     first_camera : Camera
-        In the capture frame; the surroundings are drawn from its place.
+        In the capture frame; the surroundings are drawn from its place, and a capture without
+        cameras is metered by it, see `fixed_camera`.
     rasterizer_of : callable
         rasterizer_of(prepared) returns what draws prepared splats.
     wet_scene : WetScene, optional
@@ -73,6 +74,7 @@ class Renderer:
         self, scene, terrain, config, first_camera, rasterizer_of=Rasterizer, wet_scene=None
     ):
         self.terrain, self.config = tops_drawn(terrain, config), config
+        first_camera = fixed_camera(scene, self.terrain, config) or first_camera
         terrain = self.terrain
         if wet_scene is None:
             wet_scene = WetScene(scene, terrain, config, first_camera, rasterizer_of)

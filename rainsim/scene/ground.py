@@ -22,21 +22,19 @@ from rainsim.errors import (
     shown,
 )
 from rainsim.io.files import json_number, number_array, read_json, write_json
-from rainsim.scene.plane import ROUGHER, THRESHOLD, find_plane
+from rainsim.scene.ground_search import (
+    angle_between,
+    ground_candidates,
+    reasons_of,
+    said,
+    search_ground,
+)
 from rainsim.scene.types import GroundFrame
 
 ASSUMED_CAMERA_HEIGHT = 1.5  # m, mean over the cameras: held before the eyes
-LEAST_CONFIDENCE = 0.2  # below this a found plane is more likely something else
 UP_HINT_ANGLE = math.radians(20)  # how far the ground may lean from an up that the user gives
 IMAGE_UP_ANGLE = math.radians(70)  # from image-up, which leans as far as a camera looks down
 LEAST_IMAGE_UP = 0.3  # mean of unit vectors; shorter means that the cameras do not agree
-MAX_POINTS = 120_000  # that the plane is fitted to; more cost time and change nothing
-LEAST_SPLATS = 3  # that a plane goes through
-LEAST_OPACITY = 0.1  # fainter splats are haze and floaters
-AREA_CAP = 4.0  # times the median area: a big splat must not outweigh the paving's many
-LEAST_SHARE = 0.1  # of the splats must be as near as the cameras, or the search starts wider:
-START_SHARE = 0.4  # around one garden camera 0.2 sees lawn only, 2 degrees off; 0.4 is 0.2 off
-GROWTH = 1.5  # of the search radius when the ground is not within it
 LARGEST_FALL = 0.3  # a steep drive has 0.2
 LIKELY_CAMERA_HEIGHTS = (1.0, 2.2)  # m: pictures taken low, and with raised arms
 SCALE_REMEDY = (
@@ -85,15 +83,18 @@ def estimate_ground_frame(
     if not cameras and (up is None or meters_per_unit is None):
         raise _not_enough(splats, up, meters_per_unit, seed)
     eyes = np.array([camera.position for camera in cameras]).reshape(-1, 3)
-    hint, max_angle = (up, UP_HINT_ANGLE) if up is not None else _image_up(cameras)
-    plane, centre = _search(splats, eyes, hint, max_angle, seed, up is not None)
+    hint, max_angle = up, UP_HINT_ANGLE
+    if up is None:
+        hint = mean_image_up(cameras)
+        max_angle = math.pi if hint is None else IMAGE_UP_ANGLE
+    plane, centre = search_ground(splats, eyes, hint, max_angle, seed, up is not None)
 
     notes = [_plane_note(plane, up, cameras)]
     heights = plane.height(eyes)
     scale, assumed = _scale(heights, meters_per_unit, camera_height, notes)
     origin = (eyes.mean(axis=0) if cameras else centre).copy()
     origin -= plane.height(origin) * plane.normal
-    rotation = _axes(plane.normal, cameras)
+    rotation = ground_axes(plane.normal, cameras)
     return GroundFrame(
         rotation=rotation,
         meters_per_unit=scale,
@@ -129,16 +130,16 @@ def _not_enough(splats, up, meters_per_unit, seed):
     missing = " and no ".join(name for name, value in given if value is None)
     max_angle = math.pi if up is None else UP_HINT_ANGLE
     try:
-        plane, centre = _search(splats, np.zeros((0, 3)), up, max_angle, seed, up is not None)
+        plane, centre = search_ground(splats, np.zeros((0, 3)), up, max_angle, seed, up is not None)
     except GroundError:
         shown_up, scale, views = "--up x,y,z", "--meters-per-unit S", "--eye x,y,z --look-at x,y,z"
         found = "no flat surface was found that might be the ground"
     else:
         width = _width(splats, plane)
         eye, target = _view_over(plane, centre, width)
-        shown_up = f"--up={_said(plane.normal)}"
+        shown_up = f"--up={said(plane.normal)}"
         scale = f"--meters-per-unit {10 / width:.3g}"
-        views = f"--eye={_said(eye)} --look-at={_said(target)}"
+        views = f"--eye={said(eye)} --look-at={said(target)}"
         found = (
             "that is the flattest wide surface with most of the capture above it; the splats on "
             f"it lie within {width:.3g} units, and the scale makes them 10 m"
@@ -152,157 +153,42 @@ def _not_enough(splats, up, meters_per_unit, seed):
 
 def _view_over(plane, centre, width):
     """Return an eye and what it looks at [capture units] for a view over a plane's middle."""
-    side = _axes(plane.normal, [])[0]
+    side = ground_axes(plane.normal, [])[0]
     foot = centre - plane.height(centre) * plane.normal
     return foot + width * (0.15 * plane.normal - 0.5 * side), foot
 
 
 def _width(splats, plane):
     """Return the width of the area in which the splats on a plane lie [capture units]."""
-    points, _ = _candidates(splats)
+    points, _ = ground_candidates(splats)
     points = points[np.abs(plane.height(points)) < plane.threshold]
     low, high = np.percentile(points, (5, 95), axis=0)
     return float(np.linalg.norm(high - low)) / math.sqrt(2)
 
 
-def _image_up(cameras):
-    """Return the cameras' mean image-up and how far it may lean; None if they do not agree."""
+def mean_image_up(cameras):
+    """Return the cameras' mean image-up, a unit vector; None if they do not agree, or without any.
+
+    They do not agree if pictures were taken with the camera on its side, all around.
+    """
+    if not len(cameras):
+        return None
     mean = np.mean([camera.image_up for camera in cameras], axis=0)
     length = np.linalg.norm(mean)
-    if length < LEAST_IMAGE_UP:  # pictures taken with the camera on its side, all around
-        return None, math.pi
-    return mean / length, IMAGE_UP_ANGLE
-
-
-# --- plane ----------------------------------------------------------------------------------------
-
-
-def _search(splats, eyes, up, max_angle, seed, up_given):
-    """Return the ground Plane and the middle of the splats on it; the radius grows until found.
-
-    Flat ground is looked for first, then rougher.
-    """
-    points, weights = _candidates(splats)
-    centre = eyes.mean(axis=0) if len(eyes) else _weighted_median(points, weights)
-    distance = np.linalg.norm(points - centre, axis=1)
-    radius = np.linalg.norm(eyes - centre, axis=1).max(initial=0.0)
-    start, farthest = np.quantile(distance, [START_SHARE, 0.95])
-    if np.mean(distance <= radius) < LEAST_SHARE:  # one camera, a few close together, or none
-        radius = start
-    if not len(eyes) and up is None:  # only its width distinguishes the ground from a table
-        radius = farthest
-    radii = [radius]
-    while radii[-1] < farthest:
-        radii.append(radii[-1] * GROWTH)
-    best = None
-    for thickness in (THRESHOLD, *ROUGHER):
-        for radius in radii:
-            near = distance <= radius
-            step = max(1, math.ceil(np.count_nonzero(near) / MAX_POINTS))
-            here, weight = points[near][::step], weights[near][::step]
-            plane = find_plane(here, weight, eyes, up, max_angle, radius, seed, thickness)
-            if plane is None:
-                continue
-            plane = _nearer(plane, up) if up_given else plane
-            if plane.confidence >= LEAST_CONFIDENCE:
-                if plane.rival is not None:  # a wider search would find a plane between the two
-                    raise _two_grounds(plane)
-                on_it = np.abs(plane.height(here)) < 2 * thickness * radius
-                return plane, _weighted_median(here[on_it], weight[on_it])
-            if best is None or plane.confidence > best.confidence:
-                best = plane
-    raise _not_found(best)
-
-
-def _nearer(plane, up):
-    """Return the plane or its rival, if one is clearly nearer to `up`; else the plane as it is."""
-    if plane.rival is None:
-        return plane
-    own, other = _angle(plane.normal, up), _angle(plane.rival.normal, up)
-    if abs(own - other) < _angle(plane.normal, plane.rival.normal) / 2:
-        return plane
-    return replace(plane if own < other else plane.rival, rival=None)
-
-
-def _angle(a, b):
-    """Return the angle between two directions [rad]."""
-    return math.atan2(np.linalg.norm(np.cross(a, b)), a @ b)
-
-
-def _candidates(splats):
-    """Return positions (n, 3) and weights (n,), float64, of the splats that may be ground."""
-    solid = splats.opacity >= LEAST_OPACITY  # false for NaN
-    solid &= np.isfinite(splats.position).all(axis=1) & np.isfinite(splats.scale).all(axis=1)
-    if np.count_nonzero(solid) < LEAST_SPLATS:
-        raise GroundError(
-            f"{np.count_nonzero(solid)} of the capture's {len(splats)} splats can be ground "
-            f"(opacity {LEAST_OPACITY} or more); it takes {LEAST_SPLATS} to find a plane; check "
-            "that this is the whole capture, or give --ground-frame FILE.json"
-        )
-    scale = splats.scale[solid]
-    area = scale.prod(axis=1, dtype=np.float64) / np.maximum(scale.min(axis=1), 1e-30)
-    cap = AREA_CAP * np.median(area)
-    weight = splats.opacity[solid] * (np.minimum(area, cap) if cap > 0 else 1.0)
-    fine = weight > 0
-    return splats.position[solid][fine].astype(np.float64), weight[fine].astype(np.float64)
-
-
-def _weighted_median(points, weights):
-    """Return the weighted median of each coordinate, ndarray of shape (3,)."""
-    median = np.empty(3)
-    for axis in range(3):
-        order = np.argsort(points[:, axis])
-        total = np.cumsum(weights[order])
-        median[axis] = points[order[np.searchsorted(total, total[-1] / 2)], axis]
-    return median
-
-
-def _not_found(best):
-    if best is None:
-        found = "no plane of splats lies below the cameras and across up"
-    else:
-        found = (
-            f"the best plane has a confidence of {best.confidence:.2f}, below "
-            f"{LEAST_CONFIDENCE:g} ({_reasons(best)})"
-        )
-    return GroundError(
-        f"the ground cannot be found: {found}; give --up x,y,z to say roughly where up is, or the "
-        "whole frame with --ground-frame FILE.json"
-    )
-
-
-def _two_grounds(plane):
-    between = math.degrees(_angle(plane.normal, plane.rival.normal))
-    return GroundError(
-        f"the ground is ambiguous: two planes {between:.1f} degrees apart are as good, with up "
-        f"{_said(plane.normal)} and {_said(plane.rival.normal)}; give the right one, as "
-        f"--up={_said(plane.normal)}, or the whole frame with --ground-frame FILE.json"
-    )
-
-
-def _said(direction):
-    """Return a direction as --up takes it."""
-    return ",".join(f"{v:.3f}" for v in direction + 0.0)
-
-
-def _reasons(plane):
-    """Return a sentence with the figures behind a plane's confidence: support, peak and spread."""
-    ratio = plane.peak / max(1 - plane.peak, 1e-3)
-    return (
-        f"{plane.support:.0%} of the splats near by lie within {plane.threshold:.2g} units of it, "
-        f"{min(ratio, 999):.2g} times as many as beside it, across {plane.spread:.0%} of the region"
-    )
+    return None if length < LEAST_IMAGE_UP else mean / length
 
 
 # --- frame ----------------------------------------------------------------------------------------
 
 
 def _plane_note(plane, up, cameras):
-    note = f"ground plane fitted to splats, confidence {plane.confidence:.2f} ({_reasons(plane)}); "
+    note = (
+        f"ground plane fitted to splats, confidence {plane.confidence:.2f} ({reasons_of(plane)}); "
+    )
     note += "up is (" + ", ".join(f"{v:.4f}" for v in plane.normal) + ") of the capture"
     if up is None:
         return f"{note}, its sign from {len(cameras)} cameras that stand above the ground"
-    lean = math.degrees(_angle(plane.normal, up))
+    lean = math.degrees(angle_between(plane.normal, up))
     return (
         f"{note}, {lean:.2f} degrees from the up that was given: the ground is made level "
         "(to keep its fall, give the whole ground frame)"
@@ -337,9 +223,13 @@ def _scale(heights, meters_per_unit, camera_height, notes):
     return scale, True
 
 
-def _axes(up, cameras):
-    """Return the rotation whose rows are x, y and z of the ground frame in the capture frame."""
-    if cameras:
+def ground_axes(up, cameras):
+    """Return the rotation whose rows are x, y and z of the ground frame in the capture frame.
+
+    `up` is z; x is as near as possible to the first camera's view, without cameras to the
+    capture's x or y axis.
+    """
+    if len(cameras):
         wanted = [cameras[0].forward, cameras[0].image_up]
         least = 0.1  # a view within 6 degrees of straight down has no horizontal direction
     else:

@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from rainsim.constants import SH_0
-from rainsim.scene.cameras import resize_to
+from rainsim.scene.cameras import look_at, resize_to
 from rainsim.shading.backdrop import Backdrop, sky_distance
 from rainsim.shading.color import luminance_of
 from rainsim.shading.grading import DULL_EXPOSURE
@@ -30,6 +30,8 @@ MIDDLE_GREY = 0.16  # mean linear light of the land in a well exposed picture of
 MOST_ZENITH = 1.5  # of white: above it the tone curve leaves no clouds in the sky
 MUCH_SKY = 0.3  # of the views, from which on the meter does not let the zenith be brighter
 VIEWS, VIEW_WIDTH = 8, 128  # cameras that the exposure is metered with, px
+VIEW_FOV, VIEW_SHAPE = 60.0, 1.5  # degrees, width over height: of one for a capture without cameras
+LEAST_AWAY = 1.0  # m from it to what it looks at, on the level
 
 
 def albedo_of_white(terrain, splats, ground_albedo=None):
@@ -121,6 +123,24 @@ def metered(captured, rainy, sky_share, zenith, cloudiness):
     for_sky = min(for_land, MOST_ZENITH / zenith)
     weight = min(sky_share / MUCH_SKY, 1.0) * cloudiness
     return for_land ** (1 - weight) * for_sky**weight
+
+
+def fixed_camera(scene, terrain, config):
+    """Return the camera that meters a capture without cameras; None for one with cameras.
+
+    It stands where `surroundings` of the settings is and looks at the middle of the map. Without
+    that place the first camera that is drawn meters, so that pictures depend on it.
+    """
+    place = config.render.surroundings
+    if scene.cameras or place is None:
+        return None
+    frame, grid = scene.ground_frame, terrain.grid
+    eye = frame.to_ground(np.array(place, np.float64))
+    middle = np.array([*(np.array(grid.origin) + np.array(grid.size) / 2), 0.0])
+    if np.linalg.norm(middle[:2] - eye[:2]) < LEAST_AWAY:
+        middle[0] = eye[0] + LEAST_AWAY
+    camera = look_at(eye, middle, (0, 0, 1), VIEW_FOV, VIEW_WIDTH, round(VIEW_WIDTH / VIEW_SHAPE))
+    return frame.camera_in_capture(camera)
 
 
 def metering_views(cameras, first_camera):

@@ -16,6 +16,7 @@ from rainsim.io import images
 from rainsim.io.files import replacing
 from rainsim.output_folder import relative
 from rainsim.scene.camera_path import camera_path_data, write_camera_path
+from rainsim.scene.folder import write_scene
 from rainsim.scene.ground import write_ground_frame
 from rainsim.view.keyframes import path_config, smooth_path, times_of
 from rainsim.view.probe import mask_picture
@@ -107,6 +108,15 @@ class Home:
         options = self._ground(session, folder)
         return Taken(folder, ["view", self.scene, *options, *self.options])
 
+    def save_scene(self, session):
+        """Write the scene with its mended ground as a scene folder; return what was `Taken`.
+
+        Every command takes the folder in place of the capture; painted classes lie beside.
+        """
+        folder = self._new("scene")
+        write_scene(folder, session.scene)
+        return Taken(folder, ["view", relative(folder), *self._mask(session, folder)])
+
     def _write(self, session, folder, config, data, frames):
         """Write camera path, preset and command into a folder."""
         write_camera_path(folder / PATH, data)
@@ -125,11 +135,14 @@ class Home:
     def _ground(self, session, folder):
         """Write ground frame and painted classes into a folder; return their options."""
         write_ground_frame(folder / GROUND, session.scene.ground_frame)
-        options = ["--ground-frame", relative(folder / GROUND)]
-        if session.mask is not None:
-            images.write_png(folder / MASK, mask_picture(session.mask))
-            options += ["--class-mask", relative(folder / MASK)]
-        return options
+        return ["--ground-frame", relative(folder / GROUND), *self._mask(session, folder)]
+
+    def _mask(self, session, folder):
+        """Write painted classes into a folder; return their options, none without any."""
+        if session.mask is None:
+            return []
+        images.write_png(folder / MASK, mask_picture(session.mask))
+        return ["--class-mask", relative(folder / MASK)]
 
     def _new(self, kind):
         """Return a new folder, such as shot-001."""

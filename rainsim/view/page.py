@@ -68,6 +68,8 @@ class Page:
         If it is in use the next free one is taken.
     first : View
         Where a new page's camera is.
+    greeting : str
+        Shown on each new page until it is closed there; "" for none.
 
     Attributes
     ----------
@@ -75,8 +77,9 @@ class Page:
     clients : dict of int to Client
     """
 
-    def __init__(self, painter, home, port, first):
+    def __init__(self, painter, home, port, first, greeting=""):
         self.painter, self.clients, self._lock = painter, {}, threading.Lock()
+        self._greeting = greeting
         self._has_nodes = False
         self._threads = []
         self.server = _server(port)
@@ -96,12 +99,15 @@ class Page:
 
     def _place(self, view):
         """Let new pages begin with a view."""
-        start, forward = self.server.initial_camera, view.rotation[:, 2]
-        position = np.array(view.position)
-        away = position[2] / -forward[2] if forward[2] < -0.05 else LOOK_AHEAD
-        start.position = position
-        start.look_at = position + forward * min(max(away, 0.5), 4 * LOOK_AHEAD)
+        start = self.server.initial_camera
+        start.position, start.look_at = _looking(view)
         start.fov = view.fov
+
+    def turn(self, client, view):
+        """Let a page look from a view, with the ground level in its picture."""
+        camera = client.handle.camera
+        camera.up_direction = (0.0, 0.0, 1.0)
+        camera.position, camera.look_at = _looking(view)
 
     # --- clients ----------------------------------------------------------------------------------
 
@@ -124,6 +130,8 @@ class Page:
 
         handle.camera.on_update(lambda camera: self._look(key, camera))
         self.ground.connect(handle)
+        if self._greeting:
+            handle.add_notification("rainsim", self._greeting, color="yellow")
         self._look(key, handle.camera)
 
     def _disconnect(self, handle):
@@ -214,6 +222,13 @@ class Page:
             self.server.stop()
         for thread in self._threads:
             thread.join(5.0)
+
+
+def _looking(view):
+    """Return a view's place and the point on the ground that it looks at, (3,) each [m]."""
+    position, forward = np.array(view.position), view.rotation[:, 2]
+    away = position[2] / -forward[2] if forward[2] < -0.05 else LOOK_AHEAD
+    return position, position + forward * min(max(away, 0.5), 4 * LOOK_AHEAD)
 
 
 def _server(port):

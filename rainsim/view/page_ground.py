@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import threading
+
 import numpy as np
 
 from rainsim.errors import ParameterError
 from rainsim.scene.folder import override_ground_frame
 from rainsim.terrain.table import class_table
 from rainsim.view import probe
+from rainsim.view.page_up import UpDisc
 
-READ, MEASURE, UP, PAINT = "read", "measure", "up", "paint"
+READ, MEASURE, UP, DISC, PAINT = "read", "measure", "up", "disc", "paint"
 TOOLS = {
     READ: "read a point", MEASURE: "measure: two points", UP: "up: three points",
-    PAINT: "paint a class",
+    DISC: "up: turn a disc", PAINT: "paint a class",
 }  # fmt: skip
-POINTS = {READ: 1, MEASURE: 2, UP: 3, PAINT: 1}
+POINTS = {READ: 1, MEASURE: 2, UP: 3, DISC: 1, PAINT: 1}
 LEFT = "leave to the program"
 SOME_SIZE = 300, 200  # px, of cameras whose place alone matters
 MARK = 0.02  # m, radius of the mark of a clicked point
@@ -26,25 +29,31 @@ class GroundTools:
     def __init__(self, page):
         self.page, self.painter = page, page.painter
         self.points, self._marks, self._plot = [], [], None
+        self._eye = None  # from where the last point was seen
+        self._count = 0  # of all marks: a name is used once
+        self._lock = threading.Lock()  # each callback has a thread of its own
+        self.disc = UpDisc(page.server.scene, self._say_lean)
         gui = page.server.gui
         with gui.add_folder("Ground", order=4, expand_by_default=False) as self._folder:
             self.tool = gui.add_dropdown("a click", tuple(TOOLS.values()))
             self.answer = gui.add_markdown("click on the picture")
             self.length = gui.add_number("known length [m]", 1.0, min=1e-3, max=1e4, step=0.01)
             self.scale = gui.add_button("set the scale by it", disabled=True)
-            self.up = gui.add_button("set up by the points", disabled=True)
+            self.up = gui.add_button("set up by it", disabled=True)
             names = (*class_table().names, LEFT)
             self.kind = gui.add_dropdown("class", names)
             self.radius = gui.add_slider("brush [m]", 0.05, 3.0, 0.05, 0.3)
             self.flood = gui.add_button("water up to the point", disabled=True)
             self.save = gui.add_button("save ground and classes")
+            self.keep = gui.add_button("save as a scene of its own")
         self.tool.on_update(self._choose_tool)
         self.kind.on_update(self._say_brush)
         self.radius.on_update(self._say_brush)
         self.scale.on_click(page.guarded(self._set_scale))
         self.up.on_click(page.guarded(self._set_up))
         self.flood.on_click(page.guarded(self._flood))
-        self.save.on_click(page.guarded(self._save))
+        self.save.on_click(page.guarded(lambda _: self._save("save_ground")))
+        self.keep.on_click(page.guarded(lambda _: self._save("save_scene")))
 
     def connect(self, handle):
         """Take the clicks of a new page."""
@@ -56,8 +65,16 @@ class GroundTools:
         return next(key for key, label in TOOLS.items() if label == self.tool.value)
 
     def _choose_tool(self, event):
-        self._forget()
+        with self._lock:
+            self._forget()
+        if self.chosen == DISC:
+            self.answer.content = "click on level ground; a disc lies there"
         self._say_brush(event)
+
+    def _say_lean(self):
+        """Say how far the disc leans."""
+        self.answer.content = f"the disc leans {self.disc.lean:.1f} degrees"
+        self.up.disabled = False
 
     def _say_brush(self, event):
         """Say what the next click paints."""
@@ -82,18 +99,36 @@ class GroundTools:
             return reading, history
 
         reading, history = self.painter.ask(look).result()
+        with self._lock:
+            if self.chosen != tool:  # another tool was chosen meanwhile
+                return
+            self._take(reading, history, tool, view)
+        if tool == PAINT and reading.cell is None:
+            raise ParameterError(
+                "no map lies there; classes are painted on its ground; click on it"
+            )
+        if tool == PAINT:
+            self._paint(reading.point)
+
+    def _take(self, reading, history, tool, view):
+        """Take a clicked point for the tool that is chosen, and say what was read there."""
         if len(self.points) >= POINTS[tool]:
             self._forget()
         self.points.append(reading.point)
+        self._eye = view.position
+        if tool == DISC:
+            away = np.linalg.norm(np.subtract(reading.point, view.position))
+            self.disc.put(reading.point, float(away))
+            self.page.use_depth()
+            self.answer.content = "drag the rings until the disc lies on the ground"
+            return
         self._mark(reading.point)
         self.answer.content = "\n\n".join(self._words(reading))
         if history is not None and tool == READ:
             self._show_history(*history)
         self.scale.disabled = not (tool == MEASURE and len(self.points) == 2)
         self.up.disabled = not (tool == UP and len(self.points) == 3)
-        self.flood.disabled = False
-        if tool == PAINT:
-            self._paint(reading.point)
+        self.flood.disabled = reading.cell is None
 
     def _words(self, reading):
         """Return what is said of the points that were clicked, lines."""
@@ -106,7 +141,7 @@ class GroundTools:
         return lines
 
     def _mark(self, point):
-        name = f"/points/{len(self._marks)}"
+        name, self._count = f"/points/{self._count}", self._count + 1
         self._marks.append(
             self.page.server.scene.add_icosphere(
                 name, radius=MARK, color=(255, 60, 60), position=point
@@ -115,7 +150,8 @@ class GroundTools:
         self.page.use_depth()
 
     def _forget(self):
-        """Forget the clicked points."""
+        """Forget the clicked points, with the lock held."""
+        self.disc.remove()
         for mark in self._marks:
             mark.remove()
         self.points, self._marks = [], []
@@ -143,22 +179,30 @@ class GroundTools:
         def rescale(session):
             scale = probe.meters_per_unit_of(session.scene, a, b, length)
             session.set_scene(override_ground_frame(session.scene, meters_per_unit=scale))
-            return scale
+            return f"scale: {scale:.6g} m per capture unit"
 
-        self._mend(event, rescale, "scale: {:.6g} m per capture unit")
+        self._mend(rescale)
 
     def _set_up(self, event):
-        points = list(self.points)
+        points, eye = list(self.points), self._eye
+        pole = self.disc.up if self.disc.point is not None else None
 
         def turn(session):
-            up = probe.up_of(session.scene, points)
-            session.set_scene(override_ground_frame(session.scene, up=up))
-            return ", ".join(f"{v:.5f}" for v in up)
+            up = probe.up_of(session.scene, points, eye) if pole is None else None
+            up = session.scene.ground_frame.rotation.T @ pole if up is None else up
+            scene, is_found = probe.with_up(session.scene, up, points[0])
+            session.set_scene(scene)
+            shown = ", ".join(f"{v:.5f}" for v in scene.ground_frame.up)
+            how = "the ground nearest to it is level" if is_found else "no ground was found by it"
+            return f"up: {shown} of the capture; {how}"
 
-        self._mend(event, turn, "up: {}")
+        self._mend(turn)
 
-    def _mend(self, event, change, words):
-        """Let the drawing thread change the scene; cameras and keyframes keep their place in it."""
+    def _mend(self, change):
+        """Let the drawing thread change the scene; cameras and keyframes keep their place in it.
+
+        What change(session) returns is said. Pages look at the new ground upright.
+        """
         clients = {k: c for k, c in self.page.clients.items() if c.view is not None}
         before = [*(client.view for client in clients.values()), *self.page.home.views]
 
@@ -168,11 +212,11 @@ class GroundTools:
             return found, [session.view_of(camera) for camera in cameras]
 
         found, views = self.painter.ask(work).result()
-        self._forget()
-        self.answer.content = words.format(found)
+        with self._lock:
+            self._forget()
+        self.answer.content = found
         for client, view in zip(clients.values(), views[: len(clients)], strict=True):
-            client.handle.camera.position = view.position
-            client.handle.camera.wxyz = view.turn
+            self.page.turn(client, view)
         self.page.home.move(views[len(clients) :])
         self.painter.redraw()
 
@@ -201,7 +245,7 @@ class GroundTools:
         self.page.settings.change({"level": round(float(value), 4)})
         self.page.settings.show_config(self.painter.config)
 
-    def _save(self, event):
+    def _save(self, what):
         home = self.page.home.home
-        taken = self.painter.ask(home.save_ground).result()
+        taken = self.painter.ask(getattr(home, what)).result()
         self.answer.content = f"saved in `{taken.folder}`\n\n`{taken.line}`"

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rainsim.errors import RainsimError
+from rainsim.errors import GroundError, RainsimError
 from rainsim.jit import set_threads
 from rainsim.view import schedule
 from rainsim.view.clock import Clock
@@ -147,8 +147,8 @@ class Painter:
         return future
 
     def redraw(self):
-        """Note that all pictures are out of date."""
-        self._change(lambda: None)
+        """Note that all pictures are out of date, and that what failed may be tried again."""
+        self._change(lambda: setattr(self, "_wrong", None))
 
     def end(self):
         """Let `run` return as soon as what it is doing allows."""
@@ -225,8 +225,6 @@ class Painter:
             calm = begin - self._touched > schedule.STILL_AFTER
             if job.step == schedule.EXACT or not session.is_ready or (self.schedule.plays and calm):
                 self._make(check)
-            if not session.is_ready:
-                return
             if job.step != schedule.SMALL:
                 self._say(f"drawing {job.width} x {job.height}")
             begin = self._now()
@@ -249,7 +247,11 @@ class Painter:
         """Make what is out of date, once for each choice of settings that fails."""
         if self.session.stale and self._wrong is not self.session.config:
             self._say("computing " + ", ".join(sorted(self.session.stale)))
-            self.session.make(check)
+            try:
+                self.session.make(check)
+            except GroundError as error:  # the capture alone is drawn, for up to be mended
+                self._wrong = self.session.config
+                self._fail(error)
             self._say("drawing")
 
     def _give_in(self, job, error):
@@ -266,6 +268,8 @@ class Painter:
     def _picture(self, job, check):
         """Return what a client's mode shows, and the depth [m] of the picture."""
         session = self.session
+        if not session.is_ready:
+            return session.draw_bare(job.view, job.width, job.height)
         name, amount = self._modes.get(job.client, (RAIN, 0.0))
         return mode_picture(
             session, name, amount, (job.view, job.width, job.height, self.clock.index), check,

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rainsim.errors import ParameterError
+from rainsim.errors import GroundError, ParameterError
 from rainsim.scene.cameras import cropped
+from rainsim.scene.folder import override_ground_frame
 from rainsim.scene.ground import scale_from_length
+from rainsim.scene.offered import levelled_frame
 from rainsim.terrain.table import class_table
 from rainsim.terrain.types import INFERRED, MEASURED
 
@@ -81,7 +83,7 @@ def point_at(session, view, place, size):
     left, top = (int(np.clip(n, 0, most - 1)) - REACH for n, most in ((u, width), (v, height)))
     camera = session.camera_of(view, width, height)
     window = left, top, left + 2 * REACH + 1, top + 2 * REACH + 1
-    layers = session.host.wet_scene.dry(cropped(camera, window))
+    layers = session.dry(cropped(camera, window))
     depth, alpha = layers.plane_depth[REACH, REACH], layers.alpha[REACH, REACH]
     if not (alpha > FEW and np.isfinite(depth)):
         raise ParameterError("nothing solid is seen there; click on a surface")
@@ -95,9 +97,11 @@ def point_at(session, view, place, size):
 def read_point(session, point, index):
     """Return the `Reading` of a point of the ground frame [m] with the water of a state."""
     terrain = session.terrain
-    row, column, inside = terrain.grid.cells(point[0], point[1])
     capture = tuple(float(v) for v in session.scene.ground_frame.to_capture(point))
     point = tuple(float(v) for v in point)
+    if terrain is None:
+        return Reading(point, capture, None, float("nan"), 0.0, "")
+    row, column, inside = terrain.grid.cells(point[0], point[1])
     if not inside:
         return Reading(point, capture, None, float("nan"), 0.0, "")
     cell = int(row), int(column)
@@ -113,13 +117,15 @@ def meters_per_unit_of(scene, a, b, length):
     return scale_from_length(frame.to_capture(np.array(a)), frame.to_capture(np.array(b)), length)
 
 
-def up_of(scene, points):
+def up_of(scene, points, eye=(0.0, 0.0, 1e6)):
     """Return the unit normal of a plane through three points of the ground frame, upwards.
 
     Parameters
     ----------
     scene : Scene
     points : array_like of shape (3, 3) [m]
+    eye : array_like of shape (3,) [m]
+        From where they were seen: that side of the plane is the upper one.
 
     Returns
     -------
@@ -138,8 +144,30 @@ def up_of(scene, points):
         raise ParameterError(
             "the three points lie on a line; they must span a plane; click three corners"
         )
-    normal *= np.sign(normal[2] or 1.0) / np.linalg.norm(normal)
+    normal *= np.sign(normal @ (np.asarray(eye) - a) or 1.0) / np.linalg.norm(normal)
     return scene.ground_frame.rotation.T @ normal
+
+
+def with_up(scene, up, point):
+    """Return the scene with another up, and whether the ground was found again by it.
+
+    Where no ground is found within 20 degrees of level, the level plane through a point is taken.
+
+    Parameters
+    ----------
+    scene : Scene
+    up : array_like of shape (3,)
+        In the capture frame.
+    point : array_like of shape (3,) [m]
+        On the ground, in the ground frame.
+    """
+    try:
+        return override_ground_frame(scene, up=up), True
+    except GroundError:
+        frame = scene.ground_frame
+        return replace(
+            scene, ground_frame=levelled_frame(frame, up, frame.to_capture(point))
+        ), False
 
 
 def painted(mask, terrain, point, radius, code):

@@ -12,11 +12,14 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from rainsim.backend import free_device_memory, on_backend
+from rainsim.errors import GroundError
 from rainsim.pipeline import extract_terrain
+from rainsim.raster import Rasterizer, prepare
 from rainsim.render.memory import require_memory
 from rainsim.render.renderer import Renderer
 from rainsim.render.report import Timer
 from rainsim.render.shutter import shutter_end
+from rainsim.render.wet_scene import NEAR
 from rainsim.scene.camera_path import camera_path_data, path_cameras
 from rainsim.scene.cameras import resize_to
 from rainsim.terrain.pond import without_images
@@ -86,11 +89,17 @@ class Session:
         Painted classes, see `pipeline.extract_terrain`.
     progress, say : callable, optional
         As `pipeline.extract_terrain` takes them.
+    cameras : sequence of Camera, optional
+        In the capture frame: those offered for a capture that has none.
 
     Attributes
     ----------
     config : Config
         What is wanted; the parts follow with `make`.
+    cameras : tuple of Camera
+        The scene's, or those offered.
+    no_ground : GroundError or None
+        Why the scene has no terrain. Then the capture alone is drawn.
     stale : set of str
         Of `redo.PARTS`: the parts to be made again.
     terrain : Terrain
@@ -98,8 +107,11 @@ class Session:
     renderer : Renderer of the backend
     """
 
-    def __init__(self, scene, config, backend="cpu", mask=None, progress=None, say=None):
+    def __init__(
+        self, scene, config, backend="cpu", mask=None, progress=None, say=None, cameras=()
+    ):  # fmt: skip
         self.scene, self.config, self.backend, self.mask = scene, config, backend, mask
+        self.cameras, self.no_ground, self._bare = tuple(scene.cameras or cameras), None, None
         self.stale, self._drawn_with = set(PARTS), config
         self._progress, self._say = progress or (lambda stage, done, total: None), say
         self._make_renderer, simulate = on_backend(backend)
@@ -149,8 +161,13 @@ class Session:
             check()
             self._progress(stage, done, total)
 
-        terrain = extract_terrain(self.scene, config, self.mask, progress, self._say)
+        try:
+            terrain = extract_terrain(self.scene, config, self.mask, progress, self._say)
+        except GroundError as error:
+            self.terrain, self.renderer, self.no_ground = None, None, error
+            raise
         self.terrain, self.renderer = terrain, None
+        self.no_ground, self._bare = None, None
         self._drawn_scene = without_images(self.scene, terrain)
 
     def _make_water(self, config, check):
@@ -184,7 +201,7 @@ class Session:
 
     def _first_camera(self):
         """Return a camera for what a renderer asks of a sequence's first one."""
-        return resize_to(self.scene.cameras[0], self.config.width)
+        return resize_to(self.cameras[0], self.config.width)
 
     def _follow(self, config):
         """Let the renderer draw with settings that its parts were not made for."""
@@ -291,6 +308,26 @@ class Session:
         self._camera = None
         self._simplify(False)
         return self.draw_camera(replace(cameras[index]), index, end)[0]
+
+    def dry(self, camera):
+        """Return the `raster.Layers` of the capture that a Camera of the capture frame takes."""
+        if self.is_ready:
+            return self.host.wet_scene.dry(camera)
+        if self._bare is None:
+            self._bare = Rasterizer(prepare(self.scene.splats))
+        return self._bare.draw(camera, NEAR / self.scene.ground_frame.meters_per_unit)
+
+    def draw_bare(self, view, width, height):
+        """Return the capture without rain as a view shows it, while there is nothing to rain on.
+
+        Returns
+        -------
+        picture : ndarray of shape (height, width, 3), uint8
+        depth : ndarray of shape (height, width), float32 [m]
+        """
+        layers = self.dry(self.camera_of(view, width, height))
+        picture = np.rint(np.clip(layers.color, 0, 1) * 255).astype(np.uint8)
+        return picture, layers.depth * np.float32(self.scene.ground_frame.meters_per_unit)
 
     def _simplify(self, simple):
         """Let the renderer leave out mirrored pictures, or draw as the settings ask."""

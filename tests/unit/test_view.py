@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from rainsim import simulation
 from rainsim.commands.choose import cameras_of
@@ -18,6 +19,7 @@ from rainsim.pipeline import render_rain
 from rainsim.scene.cameras import look_at, read_cameras, resize_to
 from rainsim.scene.folder import override_ground_frame, write_scene
 from rainsim.scene.library import load_scene
+from rainsim.scene.offered import offered_cameras
 from rainsim.terrain.classify import read_mask
 from rainsim.terrain.table import GRASS
 from rainsim.view import probe, redo
@@ -35,8 +37,10 @@ SIZE = 64, 48
 def settings(scene, **changes):
     base = {
         "rate": mm_per_hour(20.0), "past": 4e-3, "frames": 3, "width": SIZE[0], "extent": 1.0,
-        "spacing": 0.04, "surroundings": tuple(float(v) for v in scene.cameras[0].position),
+        "spacing": 0.04,
     }  # fmt: skip
+    if scene.cameras:
+        base["surroundings"] = tuple(float(v) for v in scene.cameras[0].position)
     return Config().replace(**{**base, **changes})
 
 
@@ -230,6 +234,27 @@ def test_scale_and_up_follow_from_points(scene):
         probe.up_of(scene, [(0, 0, 0), (1, 0, 0), (2, 0, 1e-6)])
 
 
+def test_three_points_or_a_pole_level_the_ground_anew(scene):
+    frame = scene.ground_frame
+    tilt = Rotation.from_euler("x", 12, degrees=True).as_matrix()
+    wrong = replace(frame, rotation=tilt @ frame.rotation, translation=tilt @ frame.translation)
+    leaning = replace(scene, ground_frame=wrong)
+    corners = [(-0.8, -0.8, 0.0), (0.8, -0.8, 0.0), (-0.8, 0.8, 0.0)]
+    points = [wrong.to_ground(frame.to_capture(np.array(p))) for p in corners]
+    up = probe.up_of(leaning, points, (0.0, -1.0, 1.0))
+    np.testing.assert_allclose(up, frame.up, atol=1e-9)
+    mended, is_found = probe.with_up(leaning, up, points[0])
+    lean = np.degrees(np.arccos(min(mended.ground_frame.up @ frame.up, 1.0)))
+    assert is_found and lean < 0.5 and 11 < np.degrees(np.arccos(wrong.up @ frame.up)) < 13
+    below = probe.up_of(leaning, points, (0.0, -1.0, -1.0))  # what is seen is the upper side
+    np.testing.assert_allclose(below, -frame.up, atol=1e-9)
+    across, is_found = probe.with_up(scene, frame.rotation[0], (0.1, 0.2, 0.3))
+    assert not is_found and across.ground_frame.meters_per_unit == frame.meters_per_unit
+    np.testing.assert_allclose(across.ground_frame.up, frame.rotation[0], atol=1e-12)
+    point = across.ground_frame.to_ground(frame.to_capture(np.array((0.1, 0.2, 0.3))))
+    assert point[2] == pytest.approx(0.0, abs=1e-12)
+
+
 def test_a_painted_class_changes_the_puddles_and_is_saved_as_a_mask(scene, tmp_path):
     session = Session(scene, settings(scene, rate=0.0))
     session.make()
@@ -245,24 +270,37 @@ def test_a_painted_class_changes_the_puddles_and_is_saved_as_a_mask(scene, tmp_p
     options = dict(zip(taken.command[2::2], taken.command[3::2], strict=True))
     np.testing.assert_array_equal(read_mask(options["--class-mask"]), mask)
     assert (probe.painted(mask, session.terrain, point, 9.0, -1) == -1).all()
+    twice = override_ground_frame(scene, meters_per_unit=2 * scene.ground_frame.meters_per_unit)
+    session.set_scene(twice, mask)
+    saved = Home(tmp_path / "out", "tiny").save_scene(session)
+    again = load_scene(saved.command[1])
+    assert again.ground_frame.meters_per_unit == twice.ground_frame.meters_per_unit
+    np.testing.assert_array_equal(read_mask(saved.command[3]), mask)
 
 
 # --- what is taken home ---------------------------------------------------------------------------
 
 
-def looked_around(scene):
+def looked_around(scene, cameras=()):
     """A session in which other settings and other places were looked at, and its view."""
-    session = Session(scene, settings(scene))
+    first = (scene.cameras or cameras)[0]
+    place = {"surroundings": tuple(float(v) for v in first.position)}
+    session = Session(scene, settings(scene, **place), cameras=cameras)
     session.make()
-    view = session.view_of(scene.cameras[0])
+    view = session.view_of(first)
     session.draw(view, *SIZE, 0)
-    session.set_config(settings(scene, rate=mm_per_hour(40.0), wind=(3.0, 0.7), sun=(0.3, 0.8)))
+    changes = {"rate": mm_per_hour(40.0), "wind": (3.0, 0.7), "sun": (0.3, 0.8)}
+    session.set_config(settings(scene, **changes, **place))
     session.draw(other(view), 40, 30, 2)
     return session, other(view, 0.1)
 
 
-def test_a_shot_is_drawn_from_its_files_to_the_byte(scene, tmp_path):
-    session, view = looked_around(scene)
+@pytest.mark.parametrize("cameras", [True, False])
+def test_a_shot_is_drawn_from_its_files_to_the_byte(scene, tmp_path, cameras):
+    if not cameras:
+        offered = offered_cameras(scene.splats, scene.ground_frame)
+        scene = replace(scene, cameras=())
+    session, view = looked_around(scene, () if cameras else offered)
     home = Home(tmp_path / "out", "a scene")
     taken = home.save_shot(session, view, 1, 72, 44)
     assert taken.line.startswith("rainsim run --scene 'a scene' --ground-frame ")
@@ -422,6 +460,30 @@ def test_settings_that_cannot_be_drawn_are_reported_once_and_drawing_goes_on(sce
     pages.painter.set_config(lambda config: config.replace(extent=1.0, spacing=0.04))
     pages.run()
     assert pages.take()[-1][1].job.step == EXACT and len(pages.errors) == 1
+
+
+def test_without_ground_the_capture_is_drawn_until_up_is_mended(scene, view):
+    upright = Rotation.from_euler("x", 90, degrees=True).as_matrix() @ scene.ground_frame.rotation
+    beside = replace(scene.ground_frame, rotation=upright, translation=np.array([0.0, 0.0, 9.0]))
+    session = Session(replace(scene, ground_frame=beside), settings(scene, rate=0.0))
+    pages = Pages(session)
+    pages.painter.add(1)
+    lost = session.view_of(scene.cameras[0])
+    pages.painter.look(1, lost, 4 / 3)
+    pages.run()
+    shown = [s for _, s in pages.take()]
+    assert len(pages.errors) == 1 and session.no_ground is pages.errors[0]
+    assert shown[-1].picture.shape == (48, 64, 3) and np.isfinite(shown[-1].depth).mean() > 0.5
+    assert shown[-1].picture.std() > 5
+    point = probe.point_at(session, lost, (0.5, 0.7), SIZE)
+    assert probe.read_point(session, point, 0).lines()[-1] == "beside the map"
+    pages.painter.ask(lambda own: own.set_scene(scene))
+    pages.painter.redraw()
+    pages.painter.look(1, view, 4 / 3)
+    pages.run()
+    last = pages.take()[-1][1]
+    assert session.no_ground is None and len(pages.errors) == 1 and last.job.step == EXACT
+    np.testing.assert_array_equal(last.picture, session.draw(view, *SIZE, 0)[0])
 
 
 def test_time_plays_for_all_pages(session, view):

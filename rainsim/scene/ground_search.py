@@ -1,0 +1,137 @@
+"""The search for the ground among a capture's splats, in a radius that grows until it is found."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from rainsim.errors import GroundError
+from rainsim.scene.plane import ROUGHER, THRESHOLD, find_plane
+
+LEAST_CONFIDENCE = 0.2  # below this a found plane is more likely something else
+MAX_POINTS = 120_000  # that the plane is fitted to; more cost time and change nothing
+LEAST_SPLATS = 3  # that a plane goes through
+LEAST_OPACITY = 0.1  # fainter splats are haze and floaters
+AREA_CAP = 4.0  # times the median area: a big splat must not outweigh the paving's many
+LEAST_SHARE = 0.1  # of the splats must be as near as the cameras, or the search starts wider:
+START_SHARE = 0.4  # around one garden camera 0.2 sees lawn only, 2 degrees off; 0.4 is 0.2 off
+GROWTH = 1.5  # of the search radius when the ground is not within it
+
+
+def search_ground(splats, eyes, up, max_angle, seed, up_given):
+    """Return the ground Plane and the middle of the splats on it; the radius grows until found.
+
+    Flat ground is looked for first, then rougher.
+    """
+    points, weights = ground_candidates(splats)
+    centre = eyes.mean(axis=0) if len(eyes) else _weighted_median(points, weights)
+    distance = np.linalg.norm(points - centre, axis=1)
+    radius = np.linalg.norm(eyes - centre, axis=1).max(initial=0.0)
+    start, farthest = np.quantile(distance, [START_SHARE, 0.95])
+    if np.mean(distance <= radius) < LEAST_SHARE:  # one camera, a few close together, or none
+        radius = start
+    if not len(eyes) and up is None:  # only its width distinguishes the ground from a table
+        radius = farthest
+    radii = [radius]
+    while radii[-1] < farthest:
+        radii.append(radii[-1] * GROWTH)
+    best = None
+    for thickness in (THRESHOLD, *ROUGHER):
+        for radius in radii:
+            near = distance <= radius
+            step = max(1, math.ceil(np.count_nonzero(near) / MAX_POINTS))
+            here, weight = points[near][::step], weights[near][::step]
+            plane = find_plane(here, weight, eyes, up, max_angle, radius, seed, thickness)
+            if plane is None:
+                continue
+            plane = _nearer(plane, up) if up_given else plane
+            if plane.confidence >= LEAST_CONFIDENCE:
+                if plane.rival is not None:  # a wider search would find a plane between the two
+                    raise _two_grounds(plane)
+                on_it = np.abs(plane.height(here)) < 2 * thickness * radius
+                return plane, _weighted_median(here[on_it], weight[on_it])
+            if best is None or plane.confidence > best.confidence:
+                best = plane
+    raise _not_found(best)
+
+
+def _nearer(plane, up):
+    """Return the plane or its rival, if one is clearly nearer to `up`; else the plane as it is."""
+    if plane.rival is None:
+        return plane
+    own, other = angle_between(plane.normal, up), angle_between(plane.rival.normal, up)
+    if abs(own - other) < angle_between(plane.normal, plane.rival.normal) / 2:
+        return plane
+    return replace(plane if own < other else plane.rival, rival=None)
+
+
+def angle_between(a, b):
+    """Return the angle between two directions [rad]."""
+    return math.atan2(np.linalg.norm(np.cross(a, b)), a @ b)
+
+
+def ground_candidates(splats):
+    """Return positions (n, 3) and weights (n,), float64, of the splats that may be ground."""
+    solid = splats.opacity >= LEAST_OPACITY  # false for NaN
+    solid &= np.isfinite(splats.position).all(axis=1) & np.isfinite(splats.scale).all(axis=1)
+    if np.count_nonzero(solid) < LEAST_SPLATS:
+        raise GroundError(
+            f"{np.count_nonzero(solid)} of the capture's {len(splats)} splats can be ground "
+            f"(opacity {LEAST_OPACITY} or more); it takes {LEAST_SPLATS} to find a plane; check "
+            "that this is the whole capture, or give --ground-frame FILE.json"
+        )
+    scale = splats.scale[solid]
+    area = scale.prod(axis=1, dtype=np.float64) / np.maximum(scale.min(axis=1), 1e-30)
+    cap = AREA_CAP * np.median(area)
+    weight = splats.opacity[solid] * (np.minimum(area, cap) if cap > 0 else 1.0)
+    fine = weight > 0
+    return splats.position[solid][fine].astype(np.float64), weight[fine].astype(np.float64)
+
+
+def _weighted_median(points, weights):
+    """Return the weighted median of each coordinate, ndarray of shape (3,)."""
+    median = np.empty(3)
+    for axis in range(3):
+        order = np.argsort(points[:, axis])
+        total = np.cumsum(weights[order])
+        median[axis] = points[order[np.searchsorted(total, total[-1] / 2)], axis]
+    return median
+
+
+def _not_found(best):
+    if best is None:
+        found = "no plane of splats lies below the cameras and across up"
+    else:
+        found = (
+            f"the best plane has a confidence of {best.confidence:.2f}, below "
+            f"{LEAST_CONFIDENCE:g} ({reasons_of(best)})"
+        )
+    return GroundError(
+        f"the ground cannot be found: {found}; give --up x,y,z to say roughly where up is, or the "
+        "whole frame with --ground-frame FILE.json"
+    )
+
+
+def _two_grounds(plane):
+    between = math.degrees(angle_between(plane.normal, plane.rival.normal))
+    return GroundError(
+        f"the ground is ambiguous: two planes {between:.1f} degrees apart are as good, with up "
+        f"{said(plane.normal)} and {said(plane.rival.normal)}; give the right one, as "
+        f"--up={said(plane.normal)}, or the whole frame with --ground-frame FILE.json"
+    )
+
+
+def said(direction):
+    """Return a direction as --up takes it."""
+    return ",".join(f"{v:.3f}" for v in direction + 0.0)
+
+
+def reasons_of(plane):
+    """Return a sentence with the figures behind a plane's confidence: support, peak and spread."""
+    ratio = plane.peak / max(1 - plane.peak, 1e-3)
+    return (
+        f"{plane.support:.0%} of the splats near by lie within {plane.threshold:.2g} units of it, "
+        f"{min(ratio, 999):.2g} times as many as beside it, across {plane.spread:.0%} of the region"
+    )

@@ -1,0 +1,140 @@
+"""The page on captures that tell little: bare splats, up by a drag, marks of clicked points."""
+
+import json
+import shlex
+import subprocess
+import sys
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from made_formats import splat_records
+from pages import viewing
+from rainsim.io.images import read_image
+from scenes import tiny_scene
+
+pytestmark = pytest.mark.slow
+WIDTH = 400
+
+
+@pytest.fixture(scope="module")
+def bare(tmp_path_factory):
+    """The tiny scene as a .splat file without cameras."""
+    path = tmp_path_factory.mktemp("bare") / "bare.splat"
+    path.write_bytes(splat_records(tiny_scene().splats))
+    return path
+
+
+def red(picture):
+    """Number of pixels of a mark's colour."""
+    r, g, b = (picture[..., n].astype(int) for n in range(3))
+    return int(((r > 120) & (r > 2 * g) & (r > 2 * b)).sum())
+
+
+def test_a_bare_splat_file_opens_with_a_view_and_is_drawn_by_the_command(bare, open_page, tmp_path):
+    with viewing(bare, "--width", WIDTH, "--out", "home", folder=tmp_path) as (_, address):
+        page = open_page(address)
+        page.settle(WIDTH)
+        assert page.says("UP AND SCALE ARE ASSUMED") and page.says("the view is offered")
+        before = page.pixels()
+        assert before.std() > 10  # of something, not of the sky alone
+        page.drag()
+        page.wait_until(lambda: page.pixels().shape == before.shape and page.differs(before))
+        page.settle(WIDTH)
+        page.open_folder("Take home")
+        page.type_into("width [px]", 96)
+        page.type_into("height [px]", 64)
+        page.press("save this picture")
+        folder = tmp_path / "home/shot-001"
+        page.wait_until(lambda: (folder / "command.txt").is_file())
+    command = shlex.split((folder / "command.txt").read_text())
+    subprocess.run([sys.executable, "-m", *command], check=True, cwd=tmp_path)
+    (frame,) = (folder / "drawn/frames").iterdir()
+    np.testing.assert_array_equal(read_image(frame), read_image(folder / "picture.png"))
+
+
+def test_up_is_set_by_a_disc_that_is_dragged(server, open_page):
+    page = open_page(server[1])
+    page.settle(WIDTH)
+    page.open_folder("Ground")
+    page.choose("a click", "up: turn a disc")
+    page.wait_until(lambda: page.says("a disc lies there"))
+    page.page.mouse.click(350, 380)
+    page.wait_until(lambda: page.says("drag the rings"))
+    page.settle(WIDTH)
+    page.wait_until(lambda: len(page.colored(green)) > 20)  # the ring about the second axis
+    ring = page.colored(green)
+    y, x = map(int, ring[len(ring) // 2])
+    mouse = page.page.mouse
+    mouse.move(x, y)
+    mouse.down()
+    for n in range(1, 9):
+        mouse.move(x + 8 * n, y + 8 * n)
+        page.page.wait_for_timeout(30)
+    mouse.up()
+    page.wait_until(lambda: page.says("the disc leans"))
+    page.press("set up by it")
+    page.wait_until(lambda: page.says("of the capture;"))
+    page.settle(WIDTH)
+    page.press("save ground and classes")
+    file = server[2] / "home/ground-001/ground_frame.json"
+    page.wait_until(file.is_file)
+    found = json.loads(file.read_text())
+    lean = np.degrees(np.arccos(min(found["rotation"][2] @ tiny_scene().ground_frame.up, 1.0)))
+    # Either the ground about the pole was found, or what the pole says is taken as it is.
+    assert lean < 1 if page.says("nearest to it is level") else lean > 20
+
+
+def green(picture):
+    r, g, b = (picture[..., n].astype(int) for n in range(3))
+    return (g > r + 50) & (g > b + 15)
+
+
+def test_a_mark_goes_when_another_tool_is_chosen(server, open_page):
+    page = open_page(server[1])
+    page.settle(WIDTH)
+    page.open_folder("Ground")
+    few = red(page.screen())
+    page.page.mouse.click(350, 380)
+    page.wait_until(lambda: page.says("ground at"))
+    page.settle(WIDTH)
+    page.wait_until(lambda: red(page.screen()) > few + 10)
+    page.choose("a click", "measure: two points")
+    page.wait_until(lambda: red(page.screen()) <= few + 2)
+
+
+def test_a_click_that_is_answered_after_another_tool_was_chosen_leaves_no_mark():
+    viser = pytest.importorskip("viser")
+    from rainsim.view.page_ground import MEASURE, TOOLS, GroundTools
+    from rainsim.view.probe import Reading
+
+    server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+    try:
+        asked, reading = [], Reading((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), None, 0.0, 0.0, "")
+        painter = SimpleNamespace(
+            clock=SimpleNamespace(index=0),
+            ask=lambda function: SimpleNamespace(result=lambda: asked.pop()()),
+        )
+        page = SimpleNamespace(
+            server=server, painter=painter, guarded=lambda function: function,
+            view_of=lambda event: SimpleNamespace(position=(0.0, 0.0, 1.0)),
+            clients={1: SimpleNamespace(size=(64, 48))}, use_depth=lambda: None,
+        )  # fmt: skip
+        tools = GroundTools(page)
+        event = SimpleNamespace(
+            client=SimpleNamespace(client_id=1), client_id=1, screen_pos=(0.5, 0.5)
+        )
+        asked.append(lambda: (reading, None))
+        tools._click(event)
+        assert len(tools._marks) == len(tools.points) == 1
+
+        def meanwhile():
+            tools.tool.value = TOOLS[MEASURE]
+            return reading, None
+
+        asked.append(meanwhile)
+        tools._click(event)
+        assert not tools._marks and not tools.points
+    finally:
+        server.stop()
