@@ -5,10 +5,11 @@ Each stage can be run alone: `extract_terrain`, `simulate`, `render`; `render_ra
 
 from __future__ import annotations
 
+import bisect
 from dataclasses import replace
 
 from rainsim.backend import free_device_memory, on_backend
-from rainsim.errors import ParameterError
+from rainsim.errors import BackendError, ParameterError
 from rainsim.io import cache
 from rainsim.render.first_view import view_of_water
 from rainsim.render.labels import without_flow
@@ -101,19 +102,31 @@ class FrameSequence:
     backend : {"cpu", "cuda"}
     layers : sequence of str
     states : callable, optional
-        states(index) returns the `SimState` of a frame; without it the water is simulated here.
+        states(number) returns the `SimState` of a number; without it the water is simulated here.
+        Which one a frame shows is `Config.moment`.
 
-    Attributes
-    ----------
-    next : int
-        The first frame that needs no simulation from the beginning.
+    Raises
+    ------
+    BackendError
+        If frames show other states than their own on a backend that cannot.
     """
 
     def __init__(self, scene, terrain, cameras, config, backend="cpu", layers=(), states=None):
         self.scene, self.terrain, self.cameras, self.config = scene, terrain, cameras, config
         self.backend, self.layers, self.states = backend, layers, states
         self._renderer = SequenceRenderer(scene, terrain, cameras, config, layers, backend)
-        self._water, self.next = None, 0
+        self._water, self._state, self._steps = None, None, 0
+        if config.moments and backend != "cpu":
+            raise BackendError(
+                f"the frames' times are not those of the rain, which {backend} cannot draw; give "
+                "--backend cpu or a path without render_time"
+            )
+
+    @property
+    def next(self):
+        """The first frame that needs no simulation from the beginning, int."""
+        last = self._steps - 1  # the state that is at hand
+        return bisect.bisect_left(self.config.moments, last) if self.config.moments else last + 1
 
     def frames(self, indices, tell=None):
         """Yield (picture, FrameReport) of the frames `indices`, in rising order."""
@@ -127,18 +140,24 @@ class FrameSequence:
             self._renderer.make()
 
     def _states_of(self, indices, tell):
+        moment = self.config.moment
         if self.states is not None:
-            yield from map(self.states, indices)
+            yield from (_shown_at(self.states(moment(index)), index) for index in indices)
             return
         if indices and (self._water is None or indices[0] < self.next):
             _, simulate_on_backend = on_backend(self.backend)
-            self._water, self.next = simulate_on_backend(self.terrain, self.config), 0
+            self._water, self._steps = simulate_on_backend(self.terrain, self.config), 0
         for index in indices:
-            while self.next <= index:
-                state, self.next = next(self._water), self.next + 1
-                if tell is not None and state.index < indices[0]:
-                    tell("simulate", self.next, indices[0])
-            yield state
+            while self._steps <= moment(index):
+                self._state, self._steps = next(self._water), self._steps + 1
+                if tell is not None and self._steps <= moment(indices[0]):
+                    tell("simulate", self._steps, moment(indices[0]))
+            yield _shown_at(self._state, index)
+
+
+def _shown_at(state, index):
+    """Return a state as the one that the frame `index` shows."""
+    return state if state.index == index else replace(state, index=index)
 
 
 def extract_terrain(scene, config, mask=None, progress=None, say=None):

@@ -187,14 +187,16 @@ def cameras_of(scene, config, given, most=None):
         One per frame, or a single one for all.
     config : Config
     """
-    from rainsim.scene.cameras import orbit, read_cameras
+    from rainsim.scene.cameras import orbit, read_path
 
     check_camera_options(given)
     if given.get("eye") is not None:
         cameras = [_placed(scene, config, given)]
     elif given.get("path") is not None:
-        path = read_cameras(given["path"])
+        path, moments = read_path(given["path"])
         cameras, config = _one_per_frame(path, given["path"], config, given, most)
+        if len(moments) >= config.frames:
+            config = config.replace(moments=moments[: config.frames])
     elif not scene.cameras:
         raise _no_camera(scene)
     elif given.get("orbit"):

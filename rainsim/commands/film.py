@@ -62,6 +62,7 @@ def run(
     with status, compiled_beside(status, uses, config.threads) as pool:
         loaded = loaded_scene(status, scene, given)
         cameras, config = cameras_of(loaded, config, given)
+        _say_moments(status, config)
         _require_memory(loaded, cameras, names, backend)  # the map's cells are not known yet
         out = out or options.default_out(loaded.name, Path(preset).stem)
 
@@ -248,6 +249,7 @@ def render(
             "must be of one capture; give the right --scene, or simulate again"
         )
     cameras, config = cameras_of(loaded, config, given, most=config.frames)
+    _say_moments(status, config)
     out = out or options.default_out(states.resolve().name, "frames")
 
     def film(config):
@@ -264,7 +266,7 @@ def render(
         return path, FrameSequence(loaded, ground, path, config, backend, names, state_of)
 
     for index in config.indices:
-        _state_file(states, index)
+        _state_file(states, config.moment(index))
     preset = made["preset"]
     content = {"layers": names, "backend": backend, "states": states_content(states)}
     files = {"out": out, "overwrite": overwrite, "resume": resume, "video": video}
@@ -372,6 +374,15 @@ def _say_memory(status, scene, terrain, cameras, names, backend):
 
     free = free_device_memory(backend)
     status.notes(memory_notes(scene, cameras[0], terrain.bed.size, len(names), free))
+
+
+def _say_moments(status, config):
+    """Say which times of the rain frames show, if a path says so."""
+    if config.moments:
+        first, last = (moment / config.fps for moment in (config.moments[0], config.moments[-1]))
+        status.notes([
+            f"frames show the rain from {first:g} to {last:g} s, as render_time of the path says"
+        ])  # fmt: skip
 
 
 def _write_frames(

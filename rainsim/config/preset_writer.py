@@ -14,7 +14,8 @@ def preset_text_of(config, about=""):
     """Return the text of a preset file that `Config.from_toml` reads back as `config`.
 
     Settings that have their default value are left out, and so are those that no preset file can
-    hold: `threads`, `frame_range`, a sun that is where the sky has it, a size that is not given.
+    hold: `threads`, `frame_range`, `moments`, a sun that is where the sky has it, a size that is
+    not given.
 
     Parameters
     ----------

@@ -269,7 +269,7 @@ class Config:
     """Everything that shapes the frames but the scene and its cameras.
 
     The groups `terrain`, `rain`, `water` and `render`, and `frames`, `fps`, `width`, `height`,
-    `frame_range`, `threads` and `keyframes`. All values are in SI units.
+    `frame_range`, `threads`, `keyframes` and `moments`. All values are in SI units.
 
     Examples
     --------
@@ -289,6 +289,7 @@ class Config:
     frame_range: tuple | None = None  # (first, end), end excluded; None: all frames
     threads: int | None = None  # None: all cores
     keyframes: tuple = ()  # what changes in time, see `rainsim.config.timeline`
+    moments: tuple = ()  # number of the water's state that each frame shows; (): its own number
 
     def key_times(self):
         """Return the times [s] of the keyframes; a single 0 if there are none."""
@@ -309,6 +310,10 @@ class Config:
     def frame_interval(self):
         """Time from one frame to the next [s]."""
         return 1 / self.fps
+
+    def moment(self, index):
+        """Return the number of the water's state that a frame shows."""
+        return self.moments[index] if self.moments else index
 
     @property
     def indices(self):
@@ -377,6 +382,7 @@ class Config:
         self._check_each()
         if self.frame_range is not None:
             self._check_range()
+        timeline.check_moments(self.moments, self.frames)
         interval = self.frame_interval
         exposure = max(self.at(time).render.exposure for time in self.key_times())
         if exposure > interval * (1 + 1e-9):

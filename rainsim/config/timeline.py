@@ -138,3 +138,25 @@ def _between_winds(a, b, part):
         (1 - part) * a[0] * turn(a[1]) + part * b[0] * turn(b[1]) for turn in (math.cos, math.sin)
     )
     return math.hypot(x, y), math.atan2(y, x)
+
+
+def check_moments(moments, frames):
+    """Raise ParameterError unless there is a moment for each frame, or none at all.
+
+    Parameters
+    ----------
+    moments : sequence of int
+        The number of the water's state that each frame shows, in rising order.
+    frames : int
+    """
+    if moments and len(moments) != frames:
+        raise ParameterError(
+            f"moments of frames are {len(moments)} for {frames}; give one for each or none"
+        )
+    for before, moment in pairwise((0, *moments)):
+        whole = isinstance(moment, int) and not isinstance(moment, bool)
+        if not whole or moment < before:
+            raise ParameterError(
+                f"moment of a frame is {moment!r}; it must be a whole number, {before} or more, as "
+                "rain runs forwards; correct it"
+            )

@@ -3,8 +3,9 @@
 One camera for each frame: `camera_to_world`, a 4 x 4 matrix as 16 numbers row by row with OpenGL
 axes (x right, y up, z back), and `fov`, the angle of the picture's height in degrees. The pictures'
 size is `render_width` x `render_height`; pixels are square, the principal point is the middle.
-`render_time` is written as the time of a frame in seconds and not used when a path is read: the
-frames of a run follow one another at its frame rate.
+`render_time`, of frames and keyframes, is the time of the rain in seconds that they show; without
+it time goes on from frame to frame. Its seconds are those of the file's own `fps`: a run at another
+frame rate shows the same states of the rain, faster or slower.
 """
 
 from __future__ import annotations
@@ -14,12 +15,13 @@ import math
 import numpy as np
 
 from rainsim.errors import InputError
-from rainsim.io.files import write_json
+from rainsim.io.files import json_number, write_json
 from rainsim.scene.camera_entry import FLIP, Entry, pose_at
 from rainsim.scene.types import Camera
 
 KINDS = ("perspective",)  # of `camera_type`: others are no pinhole cameras
-MOST_SECONDS = 86_400.0  # between two keyframes
+MOST_SECONDS = 86_400.0  # between two keyframes, and of rain
+MOST_FPS = 1e4  # frames/s of a file
 USUAL_SECONDS = 2.0
 
 
@@ -61,6 +63,52 @@ def path_cameras(data, source):
     ]
 
 
+def path_moments(data, source):
+    """Return the number of the rain's state that each frame of a camera path shows.
+
+    Parameters
+    ----------
+    data : dict
+        For which `is_camera_path` is true.
+    source : path-like
+        Names the file in errors.
+
+    Returns
+    -------
+    tuple of int
+        Those nearest to the frames' `render_time`; empty where no frame has one, and where time
+        goes on from frame to frame at the file's `fps`.
+
+    Raises
+    ------
+    InputError
+        If some frames have no time, or one less than the frame before: rain runs forwards.
+    """
+    frames = data["camera_path"]
+    times = [_rain_time(Entry(source, f"camera_path {i}", f)) for i, f in enumerate(frames)]
+    if all(time is None for time in times):
+        return ()
+    fps, moments = Entry(source, "camera path", data).number("fps", 0, MOST_FPS), []
+    for i, time in enumerate(times):
+        entry = Entry(source, f"camera_path {i}", frames[i])
+        if time is None:
+            raise entry.error("render_time", "a time in seconds, as other frames have one")
+        if i and time < times[i - 1]:
+            raise entry.error("render_time", f"{times[i - 1]:g} or more, as rain runs forwards")
+        moments.append(round(time * fps))
+    return () if moments == list(range(len(frames))) else tuple(moments)
+
+
+def _rain_time(entry):
+    """Return the `render_time` [s] of a frame or keyframe, None if it has none."""
+    if entry.values.get("render_time") is None:
+        return None
+    time = json_number(entry.values["render_time"])
+    if time is None or not 0 <= time < MOST_SECONDS:
+        raise entry.error("render_time", f"a time from 0 to {MOST_SECONDS:g} s")
+    return time
+
+
 def path_keyframes(data, source):
     """Return the keyframes that a camera path goes through.
 
@@ -73,8 +121,9 @@ def path_keyframes(data, source):
 
     Returns
     -------
-    list of (Camera, float)
-        In the capture frame; the seconds from the keyframe before.
+    list of (Camera, float, float or None)
+        In the capture frame; the seconds from the keyframe before; the time of the rain [s] that it
+        shows, if it has one. A closed path ends with its first keyframe again.
 
     Raises
     ------
@@ -93,7 +142,13 @@ def path_keyframes(data, source):
         camera, own = _camera(entry, i, "matrix"), keyframe.get("override_transition_enabled")
         key = "override_transition_sec" if own else "default_transition_sec"
         # There is none before the first one, whose seconds may therefore be zero.
-        found.append((camera, entry.number(key, 0, MOST_SECONDS) if i else USUAL_SECONDS))
+        seconds = entry.number(key, 0, MOST_SECONDS) if i else USUAL_SECONDS
+        found.append((camera, seconds, _rain_time(entry)))
+    if data.get("is_cycle") is True and len(found) > 1:
+        entry = Entry(source, "keyframe 0", keyframes[0], data)
+        own = keyframes[0].get("override_transition_enabled")
+        key = "override_transition_sec" if own else "default_transition_sec"
+        found.append((found[0][0], entry.number(key, 0, MOST_SECONDS), found[-1][2]))
     return found
 
 
@@ -107,7 +162,7 @@ def _camera(entry, index, key="camera_to_world"):
     return Camera(width, height, focal, focal, width / 2, height / 2, camera_from_world, name)
 
 
-def camera_path_data(poses, width, height, fps, keyframes=()):
+def camera_path_data(poses, width, height, fps, keyframes=(), moments=()):
     """Return a camera path as nerfstudio's viewer writes it, a dict of plain values.
 
     Parameters
@@ -117,27 +172,32 @@ def camera_path_data(poses, width, height, fps, keyframes=()):
         angle of the picture's height [rad].
     width, height : int [px]
     fps : float [1/s]
-    keyframes : sequence of (ndarray of shape (4, 4), float, float)
-        Pose and angle as in `poses`, and the seconds from the keyframe before.
+    keyframes : sequence of (ndarray of shape (4, 4), float, float, float or None)
+        Pose and angle as in `poses`, the seconds from the keyframe before, and the time of the rain
+        [s] that it shows, None where time goes on.
+    moments : sequence of int
+        The number of the rain's state that each frame shows; without it its own.
     """
     aspect = width / height
+    moments = moments or range(len(poses))
     return {
         "default_fov": math.degrees(poses[0][1]), "default_transition_sec": USUAL_SECONDS,
         "keyframes": [
             {
                 "matrix": _flat(matrix), "fov": math.degrees(fov), "aspect": aspect,
                 "override_transition_enabled": True, "override_transition_sec": float(seconds),
+                **({} if time is None else {"render_time": time, "override_time_enabled": True}),
             }
-            for matrix, fov, seconds in keyframes
+            for matrix, fov, seconds, time in keyframes
         ],
         "camera_type": KINDS[0], "render_height": int(height), "render_width": int(width),
         "fps": float(fps), "seconds": len(poses) / fps, "is_cycle": False, "smoothness_value": 0.0,
         "camera_path": [
             {
                 "camera_to_world": _flat(matrix), "fov": math.degrees(fov), "aspect": aspect,
-                "render_time": index / fps,
+                "render_time": moment / fps,
             }
-            for index, (matrix, fov) in enumerate(poses)
+            for moment, (matrix, fov) in zip(moments, poses, strict=True)
         ],
     }  # fmt: skip
 

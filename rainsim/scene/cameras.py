@@ -16,7 +16,7 @@ import numpy as np
 from rainsim.errors import InputError, ParameterError
 from rainsim.io.files import json_number, number_array, printable_name, read_json, write_json
 from rainsim.scene.camera_entry import FLIP, MAX_SIDE, Entry, pose_at
-from rainsim.scene.camera_path import is_camera_path, path_cameras
+from rainsim.scene.camera_path import is_camera_path, path_cameras, path_moments
 from rainsim.scene.colmap import MODEL_FILES, read_model
 from rainsim.scene.picture_size import with_size
 from rainsim.scene.types import Camera
@@ -71,6 +71,18 @@ def load_cameras(path):
         return read_model(path.parent)
     data, notes = with_size(read_json(path, "a camera file"), path)
     return cameras_from_data(data, path), [*notes, *_distortion_notes(data)]
+
+
+def read_path(path):
+    """Return the cameras that `read_cameras` reads, and the moments of a path.
+
+    The second are those of `camera_path.path_moments`; of other files there are none.
+    """
+    cameras, path = read_cameras(path), Path(path)
+    if path.suffix.lower() != ".json":
+        return cameras, ()
+    data = read_json(path, "a camera file")
+    return cameras, path_moments(data, path) if is_camera_path(data) else ()
 
 
 def _distortion_notes(data):

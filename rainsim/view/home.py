@@ -18,7 +18,7 @@ from rainsim.output_folder import relative
 from rainsim.scene.camera_path import camera_path_data, write_camera_path
 from rainsim.scene.folder import write_scene
 from rainsim.scene.ground import write_ground_frame
-from rainsim.view.keyframes import path_config, smooth_path, times_of
+from rainsim.view.keyframes import path_config, smooth_path
 from rainsim.view.probe import mask_picture
 
 PATH, PRESET, PICTURE, COMMAND = "camera_path.json", "preset.toml", "picture.png", "command.txt"
@@ -94,11 +94,10 @@ class Home:
         views = smooth_path(keyframes, config.fps)
         poses = [(session.pose_of(view), view.fov) for view in views]
         marks = [
-            (session.pose_of(k.view), k.view.fov, 0.0 if n == 0 else k.seconds)
+            (session.pose_of(k.view), k.view.fov, 0.0 if n == 0 else k.seconds, k.time)
             for n, k in enumerate(keyframes)
         ]
-        times_of(keyframes)
-        data = camera_path_data(poses, width, height, config.fps, marks)
+        data = camera_path_data(poses, width, height, config.fps, marks, config.moments)
         folder = self._new("path")
         return self._write(session, folder, config, data, ["--frames", str(config.frames)])
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass, replace
 
@@ -27,11 +28,14 @@ class Keyframe:
         Of it those settings count that can change with time, see `timeline.CHANGING`.
     seconds : float
         From the keyframe before.
+    time : float or None
+        Of the rain that it shows [s]; None: time goes on along the path.
     """
 
     view: View
     config: Config
     seconds: float = 2.0
+    time: float | None = None
 
 
 def times_of(keyframes):
@@ -90,13 +94,59 @@ def smooth_path(keyframes, fps):
     ]
 
 
+def moments_of(keyframes, fps):
+    """Return the number of the rain's state that each frame of a path shows.
+
+    Parameters
+    ----------
+    keyframes : sequence of Keyframe
+    fps : float [1/s]
+
+    Returns
+    -------
+    tuple of int
+        Between the times of the keyframes time goes evenly; empty where it goes on by itself.
+
+    Raises
+    ------
+    ParameterError
+        If only some keyframes have a time, or one is earlier than that before.
+    """
+    times = rain_times_of(keyframes)
+    if times is None:
+        return ()
+    count = len(smooth_path(keyframes, fps))
+    when = np.minimum(np.arange(count) / fps, times_of(keyframes)[-1])
+    moments = np.rint(np.interp(when, times_of(keyframes), times) * fps).astype(int)
+    return () if (moments == np.arange(count)).all() else tuple(moments.tolist())
+
+
+def rain_times_of(keyframes):
+    """Return the times of the rain [s] that keyframes show, (n,); None where time goes on."""
+    times = [keyframe.time for keyframe in keyframes]
+    if all(time is None for time in times):
+        return None
+    if None in times:
+        raise ParameterError(
+            "some keyframes have a time of the rain and others have none; all must or none; let "
+            "time go on, or add the keyframes again"
+        )
+    if any(b < a for a, b in itertools.pairwise(times)):
+        shown = ", ".join(f"{time:g}" for time in times)
+        raise ParameterError(
+            f"the keyframes show the rain at {shown} s; it runs forwards only; let time go on, or "
+            "add the keyframes in the order of their times"
+        )
+    return np.array(times, np.float64)
+
+
 def timeline_of(keyframes):
     """Return the `Config.keyframes` of what the settings of keyframes change with time.
 
     Raises
     ------
     ParameterError
-        If a setting has no value at some keyframes only.
+        If a setting has no value at some keyframes only, or changes while the rain stands still.
     """
     changes = []
     for name in CHANGING:
@@ -111,9 +161,17 @@ def timeline_of(keyframes):
         changes.append((name, values))
     if not changes:
         return ()
+    times = rain_times_of(keyframes)
+    times = times_of(keyframes) if times is None else times
+    if (np.diff(times) <= 0).any():
+        names = ", ".join(name for name, _ in changes)
+        raise ParameterError(
+            f"{names} change between keyframes at which the rain stands still; settings change "
+            "with its time; give these keyframes the same settings, or let time go on"
+        )
     return tuple(
         (float(time), tuple((name, values[n]) for name, values in sorted(changes)))
-        for n, time in enumerate(times_of(keyframes))
+        for n, time in enumerate(times)
     )
 
 
@@ -128,4 +186,6 @@ def path_config(keyframes, config):
     """
     frames = len(smooth_path(keyframes, config.fps))
     steady = config.replace(**{n: value_of(keyframes[0].config, n) for n in CHANGING})
-    return replace(steady, frames=frames, keyframes=timeline_of(keyframes)).check()
+    moments = moments_of(keyframes, config.fps)
+    steady = replace(steady, frames=frames, moments=moments)
+    return replace(steady, keyframes=timeline_of(keyframes)).check()

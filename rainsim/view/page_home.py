@@ -14,6 +14,7 @@ from rainsim.scene.camera_path import path_keyframes
 from rainsim.view.home import Run
 from rainsim.view.keyframes import Keyframe, smooth_path
 
+GOES_ON, AS_SEEN = "goes on", "as at the keyframes"  # time of the rain along a path
 LOOK_EVERY = 0.5  # s between looks at how far a film is
 FRUSTUM = 0.15  # m, size of a keyframe in the scene
 
@@ -38,6 +39,7 @@ class HomeTools:
             self.height = gui.add_number("height [px]", height, min=8, max=MAX_SIDE, step=4)
             self.shot = gui.add_button("save this picture")
             self.seconds = gui.add_number("seconds to it", 2.0, min=0.05, max=600.0, step=0.05)
+            self.time = gui.add_dropdown("time of the rain", (GOES_ON, AS_SEEN))
             self.add = gui.add_button("add a keyframe")
             self.remove = gui.add_button("remove the last keyframe")
             self.save = gui.add_button("save the path")
@@ -70,6 +72,8 @@ class HomeTools:
 
     def _save_path(self, event):
         keyframes, size = list(self.keyframes), self.size
+        if self.time.value == GOES_ON:
+            keyframes = [replace(keyframe, time=None) for keyframe in keyframes]
         self._took(self.painter.ask(lambda session: self.home.save_path(session, keyframes, *size)))
 
     def _took(self, future):
@@ -80,8 +84,9 @@ class HomeTools:
 
     def _add(self, event):
         keyframe = Keyframe(
-            self.page.view_of(event), self.painter.config, float(self.seconds.value)
-        )
+            self.page.view_of(event), self.painter.config, float(self.seconds.value),
+            self.painter.clock.time,
+        )  # fmt: skip
         self.keyframes.append(keyframe)
         self._show_path()
 
@@ -90,12 +95,14 @@ class HomeTools:
         name = printable_name(self.load.value.name)
         data = parsed_json(self.load.value.content.decode("utf-8", "replace"))
         loaded = path_keyframes(data, name)
-        views = self.painter.ask(lambda s: [s.view_of(camera) for camera, _ in loaded]).result()
+        views = self.painter.ask(lambda s: [s.view_of(camera) for camera, *_ in loaded]).result()
         config = self.painter.config
         self.keyframes = [
-            Keyframe(view, config, seconds)
-            for view, (_, seconds) in zip(views, loaded, strict=True)
+            Keyframe(view, config, seconds, time)
+            for view, (_, seconds, time) in zip(views, loaded, strict=True)
         ]
+        has_times = all(keyframe.time is not None for keyframe in self.keyframes)
+        self.time.value = AS_SEEN if has_times else GOES_ON
         self._show_path()
 
     def _remove(self, event):

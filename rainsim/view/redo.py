@@ -14,7 +14,7 @@ _RAIN = (WATER, LIGHT)  # it falls on the water, and wets what the light falls o
 # Settings that are read for each picture: a changed one needs a new picture and nothing else.
 PICTURE = frozenset({
     "exposure", "brightness", "streak_far", "aperture", "focus", "streaks", "splashes", "frames",
-    "width", "height", "frame_range", "threads",
+    "width", "height", "frame_range", "threads", "moments",
 })  # fmt: skip
 NEEDS = {
     "spacing": (TERRAIN,), "extent": (TERRAIN,),

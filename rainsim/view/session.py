@@ -304,10 +304,11 @@ class Session:
         """
         frame, config = self.scene.ground_frame, self.config
         path = [frame.camera_in_ground(camera) for camera in cameras]
-        end = shutter_end(path, index, config.at(index / config.fps).render.exposure, config.fps)
+        moment = config.moment(index)
+        end = shutter_end(path, index, config.at(moment / config.fps).render.exposure, config.fps)
         self._camera = None
         self._simplify(False)
-        return self.draw_camera(replace(cameras[index]), index, end)[0]
+        return self.draw_camera(replace(cameras[index]), moment, end)[0]
 
     def dry(self, camera):
         """Return the `raster.Layers` of the capture that a Camera of the capture frame takes."""

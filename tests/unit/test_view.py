@@ -13,9 +13,9 @@ from rainsim import simulation
 from rainsim.commands.choose import cameras_of
 from rainsim.commands.choose import settings as settings_of
 from rainsim.config.settings import Config, mm_per_hour
-from rainsim.errors import ParameterError
+from rainsim.errors import BackendError, ParameterError
 from rainsim.io.images import read_image
-from rainsim.pipeline import render_rain
+from rainsim.pipeline import FrameSequence, render_rain
 from rainsim.scene.cameras import look_at, read_cameras, resize_to
 from rainsim.scene.folder import override_ground_frame, write_scene
 from rainsim.scene.library import load_scene
@@ -315,6 +315,36 @@ def test_a_shot_is_drawn_from_its_files_to_the_byte(scene, tmp_path, cameras):
     np.testing.assert_array_equal(picture, read_image(taken.folder / "picture.png"))
     assert home.save_ground(session).folder.name == "ground-001"
     assert home.save_ground(session).folder.name == "ground-002"  # nothing is replaced
+
+
+def test_a_path_on_which_the_rain_stands_still_is_drawn_by_its_file(scene, session, view, tmp_path):
+    low = settings(scene, fps=10.0)
+    session.set_config(low)
+    session.make()
+    keyframes = [Keyframe(view, low, 2.0, 0.1), Keyframe(other(view, 0.02), low, 0.2, 0.1)]
+    taken = Home(tmp_path / "out", "tiny").save_path(session, keyframes, *SIZE)
+    given = {"path": taken.folder / "camera_path.json", "frames": 3}
+    cameras, config = cameras_of(scene, Config.from_preset(taken.folder / "preset.toml"), given)
+    assert config.moments == (1, 1, 1)
+    frames = list(render_rain(scene, cameras, config))
+    assert [report.index for _, report in frames] == [0, 1, 2]
+    assert {report.time for _, report in frames} == {0.1}
+    session.set_config(config)
+    session.make()
+    for index, (picture, _) in enumerate(frames):
+        np.testing.assert_array_equal(picture, session.draw_path_frame(cameras, index))
+    goes_on = list(render_rain(scene, cameras, replace(config, moments=())))
+    np.testing.assert_array_equal(goes_on[1][0], frames[1][0])  # its own moment
+    assert (goes_on[2][0] != frames[2][0]).any()
+    sequence = FrameSequence(scene, session.terrain, cameras, config)
+    assert sequence.next == 0
+    ((picture, _),) = sequence.frames([2])
+    np.testing.assert_array_equal(picture, frames[2][0])
+    assert sequence.next == 0  # the state at hand is that of the first frame too
+    ((picture, _),) = sequence.frames([0])
+    np.testing.assert_array_equal(picture, frames[0][0])
+    with pytest.raises(BackendError, match="--backend cpu"):
+        FrameSequence(scene, session.terrain, cameras, config, "cuda")
 
 
 @pytest.mark.slow

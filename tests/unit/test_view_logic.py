@@ -1,6 +1,7 @@
 """What the page shows when: the schedule, the clock, what a change costs; no picture is drawn."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,10 +11,15 @@ from rainsim.config.preset_files import HUMAN_KEYS, PARTS, from_human
 from rainsim.config.preset_writer import preset_text_of, value_of
 from rainsim.config.settings import Config, preset_names
 from rainsim.errors import InputError, ParameterError
-from rainsim.scene.camera_path import camera_path_data, path_cameras, path_keyframes
+from rainsim.scene.camera_path import (
+    camera_path_data,
+    path_cameras,
+    path_keyframes,
+    path_moments,
+)
 from rainsim.view import redo, schedule
 from rainsim.view.clock import Clock
-from rainsim.view.keyframes import Keyframe, path_config, smooth_path, timeline_of
+from rainsim.view.keyframes import Keyframe, moments_of, path_config, smooth_path, timeline_of
 from rainsim.view.schedule import EXACT, SHARP, SMALL, STILL_AFTER, Schedule
 from rainsim.view.session import View
 from rainsim.view.water import SharedWater
@@ -260,9 +266,10 @@ def test_a_camera_path_is_read_as_it_was_written():
 
 
 def test_keyframes_are_read_as_they_were_written():
-    marks = [(pose(), 0.9, 0.0), (pose(place=(0, 0, 1)), 1.1, 3.5)]
+    marks = [(pose(), 0.9, 0.0, None), (pose(place=(0, 0, 1)), 1.1, 3.5, 0.75)]
     data = camera_path_data([(pose(), 0.9)], 640, 400, 24.0, marks)
-    (first, _), (second, seconds) = path_keyframes(data, "a.json")
+    (first, _, none), (second, seconds, time) = path_keyframes(data, "a.json")
+    assert none is None and time == 0.75
     np.testing.assert_allclose(first.position, (1, 2, 3), atol=1e-12)
     np.testing.assert_allclose(first.forward, pose()[:3, 2], atol=1e-12)
     np.testing.assert_allclose(second.position, (0, 0, 1), atol=1e-12)
@@ -275,6 +282,98 @@ def test_keyframes_are_read_as_they_were_written():
     for broken in (None, [], {}, {"keyframes": []}, {"keyframes": [3]}, {"keyframes": 3}):
         with pytest.raises(InputError, match=r"a.json"):
             path_keyframes(broken, "a.json")
+
+
+def nerfstudio_path(times=None, fps=30, closed=False):
+    """A camera path in the layout of nerfstudio's viewer, two keyframes and some frames."""
+    matrix = pose() @ np.diag([1.0, -1.0, -1.0, 1.0])
+    flat = {"fov": 50.0, "aspect": 1.6}
+    keyframe = {"matrix": matrix.ravel().tolist(), **flat}
+    keyframe |= {"override_transition_enabled": False, "override_transition_sec": None}
+    frames = [{"camera_to_world": matrix.ravel().tolist(), **flat} for _ in range(5)]
+    keyframes, own = [dict(keyframe), dict(keyframe)], {}
+    keyframes[1] |= {"override_transition_enabled": True, "override_transition_sec": 1.25}
+    if times is not None:  # of captures that move only
+        own = {"default_time": times[0]}
+        for one, time, is_own in zip(keyframes, (times[0], times[-1]), (False, True), strict=True):
+            one |= {"render_time": time, "override_time_enabled": is_own}
+        for one, time in zip(frames, times, strict=True):
+            one["render_time"] = time
+    return {
+        "default_fov": 50.0, **own, "default_transition_sec": 2.0, "keyframes": keyframes,
+        "camera_type": "perspective", "render_height": 400, "render_width": 640, "fps": fps,
+        "seconds": 5 / fps, "is_cycle": closed, "smoothness_value": 0.0, "camera_path": frames,
+        "crop": {
+            "crop_center": [0, 0, 0], "crop_scale": [1, 1, 1], "crop_rot": [0, 0, 0],
+            "crop_bg_color": {"r": 38, "g": 42, "b": 55},
+        },
+    }  # fmt: skip
+
+
+def test_a_path_in_nerfstudio_s_layout_is_read_with_its_times():
+    data = nerfstudio_path()
+    assert len(path_cameras(data, "n.json")) == 5 and path_moments(data, "n.json") == ()
+    assert [time for _, _, time in path_keyframes(data, "n.json")] == [None, None]
+    data = nerfstudio_path([0.1, 0.1, 0.15, 0.2, 0.2])
+    assert path_moments(data, "n.json") == (3, 3, 4, 6, 6)
+    (_, _, first), (camera, seconds, last) = path_keyframes(data, "n.json")
+    assert (first, seconds, last) == (0.1, 1.25, 0.2)
+    np.testing.assert_allclose(camera.forward, pose()[:3, 2], atol=1e-12)
+    closed = path_keyframes(nerfstudio_path(closed=True), "n.json")
+    assert len(closed) == 3 and closed[2][0] is closed[0][0] and closed[2][1] == 2.0
+    even = nerfstudio_path([n / 30 for n in range(5)])  # time goes on: the run's own frames
+    assert path_moments(even, "n.json") == ()
+
+
+@pytest.mark.parametrize(
+    ("times", "message"),
+    [
+        ([0.2, 0.1, 0.1, 0.1, 0.1], r"camera_path 1: render_time is 0.1; it must be 0.2 or more"),
+        ([0.0, None, 0.1, 0.1, 0.1], r"camera_path 1: render_time is missing"),
+        ([0.0, -1.0, 0.1, 0.1, 0.1], r"camera_path 1: render_time is -1.0; it must be a time"),
+        ([0.0, "a", 0.1, 0.1, 0.1], r"camera_path 1: render_time is .a.; it must be a time"),
+        ([0.0, float("nan"), 0.1, 0.1, 0.1], r"camera_path 1: render_time is nan"),
+    ],
+)
+def test_times_that_no_rain_has_are_refused(times, message):
+    data = nerfstudio_path([0.0, 0.1, 0.1, 0.1, 0.1])
+    for frame, time in zip(data["camera_path"], times, strict=True):
+        frame["render_time"] = time
+    with pytest.raises(InputError, match=message):
+        path_moments(data, "n.json")
+    with pytest.raises(InputError, match="fps is missing"):
+        path_moments({**nerfstudio_path([0.0] * 5), "fps": None}, "n.json")
+
+
+def test_keyframes_that_show_their_own_times_stop_the_rain():
+    low, view = Config.from_preset("drizzle"), View((0.0, 0.0, 1.0), (1.0, 0, 0, 0), 1.0)
+    far = View((1.0, 0.0, 1.0), (1.0, 0, 0, 0), 1.0)
+    still = [Keyframe(view, low, 2.0, 0.5), Keyframe(far, low, 1.0, 0.5)]
+    assert moments_of(still, 24.0) == (12,) * 25
+    config = path_config(still, low)
+    assert config.moments == (12,) * 25 and config.frames == 25 and config.moment(3) == 12
+    assert Config.from_dict(config.as_dict()) == config
+    slow = [Keyframe(view, low, 2.0, 0.0), Keyframe(far, low, 1.0, 0.5)]
+    assert moments_of(slow, 24.0) == tuple(np.rint(np.arange(25) / 2).astype(int).tolist())
+    going = [Keyframe(view, low, 2.0), Keyframe(far, low, 1.0)]
+    assert moments_of(going, 24.0) == () == path_config(going, low).moments
+    poses = [(pose(), 0.9)] * 25
+    data = camera_path_data(poses, 640, 400, 24.0, (), moments_of(slow, 24.0))
+    assert path_moments(data, "a.json") == moments_of(slow, 24.0)
+    with pytest.raises(ParameterError, match="others have none"):
+        moments_of([still[0], going[1]], 24.0)
+    with pytest.raises(ParameterError, match="runs forwards"):
+        moments_of([slow[1], slow[0]], 24.0)
+    bright = low.replace(brightness=2.0)
+    with pytest.raises(ParameterError, match=r"brightness change .* stands still"):
+        path_config([still[0], Keyframe(far, bright, 1.0, 0.5)], low)
+    changed = path_config([slow[0], Keyframe(far, bright, 1.0, 0.5)], low)
+    assert changed.at(0.5).render.brightness == 2.0  # in times of the rain
+    with pytest.raises(ParameterError, match="moments of frames are 25 for 24"):
+        config.replace(frames=24).check()
+    for wrong in (11, -1, 12.0, True):
+        with pytest.raises(ParameterError, match="moment of a frame is"):
+            replace(config, moments=(*config.moments[:-1], wrong)).check()
 
 
 def test_a_path_goes_through_its_keyframes_without_a_jump():
