@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from rainsim.constants import HALF, ONE, ZERO
-from rainsim.jit import cpu_kernel, lean_function, prange
+from rainsim.jit import cpu_kernel, inlined_function, prange
 
 LEVELS = 7  # of widths and of heights, each half of the one before
 
@@ -54,7 +54,7 @@ def _fill_ripmap(picture, horizon, height, width, atlas_out):
         high //= 2
 
 
-@lean_function
+@inlined_function
 def sample_ripmap(atlas, u, v, across, down):
     """Return the colour at (u, v) [px] of level `across` of the widths, `down` of the heights."""
     height, width = atlas.shape[0] // 2, atlas.shape[1] // 2

@@ -14,7 +14,7 @@ import math
 import numpy as np
 
 from rainsim.constants import ONE, ZERO
-from rainsim.jit import inlined_function, lean_function
+from rainsim.jit import inlined_function
 from rainsim.reflection.slope_moments import root_of
 from rainsim.shading.fresnel import EXACT, reflectance
 
@@ -72,7 +72,7 @@ def facet_weight(water, law, gx, gy):
     return area, area * reflectance(law, area / math.sqrt(ONE + gx * gx + gy * gy))
 
 
-@lean_function
+@inlined_function
 def pixel_reflectance(law, water):
     """Return the reflectance of what a pixel shows of the water: a mean over the area shown."""
     samples, a, b, c = slope_samples(water)

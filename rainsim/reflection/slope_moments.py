@@ -27,7 +27,7 @@ CELL_SHARE = np.float32(1 / math.sqrt(3))
 FINER = np.float32(0.78)  # of that width: a finer mip level is used from here on; levels double
 LEAST_STEP = np.float32(1.4)  # cells of the finest resolution between two that are averaged
 MOST_SLANT = np.float32(40)  # of the pixel's footprint on the water over its width
-MOST_CELLS = 16  # in a row over a slanted footprint
+MOST_CELLS = np.float32(16)  # in a row over a slanted footprint
 ROOT_TWO = np.float32(math.sqrt(2))
 
 
@@ -109,8 +109,10 @@ def pixel_slopes(moments, size, x, y, vx, vy, vz, width):
     n = moments.shape[0]
     slant = min(ONE / max(-vz, np.float32(1e-3)), MOST_SLANT)
     apart = max(HALF * width, LEAST_STEP * size / np.float32(n))
-    count = min(max(math.ceil(slant * width / apart), 1), MOST_CELLS)
-    step = slant * width / np.float32(count)
+    # np.ceil and np.floor stay in float32. The integers of math.ceil and math.floor have 64 bits,
+    # and what they meet becomes float64: that took twice as long.
+    count = min(max(np.ceil(slant * width / apart), ONE), MOST_CELLS)
+    step = slant * width / count
     cell = max(width, step) * CELL_SHARE
     level, edge = 0, ROOT_TWO * size / np.float32(n)
     while FINER * cell > edge and 2 * (n >> (level + 1)) == n >> level:
@@ -118,20 +120,20 @@ def pixel_slopes(moments, size, x, y, vx, vy, vz, width):
         edge *= TWO
     inv = ONE / (size * math.sqrt(max(vx * vx + vy * vy, np.float32(1e-9))))
     du, dv = step * vx * inv, step * vy * inv
-    back = HALF * np.float32(count - 1)
+    back = HALF * (count - ONE)
     u, v = x / size - back * du, y / size - back * dv
     # A footprint smaller than a cell sees only a part of the slope's change over the cell.
     small = min(cell * np.float32(n) / size, ONE)
     small *= small
     a, b, aa, bb, ab = ZERO, ZERO, ZERO, ZERO, ZERO
-    for _ in range(count):
-        m0, m1, m2, m3, m4 = _mixed(moments, n, level, u - math.floor(u), v - math.floor(v))
+    for _ in range(int(count)):
+        m0, m1, m2, m3, m4 = _mixed(moments, n, level, u - np.floor(u), v - np.floor(v))
         a, b = a + m0, b + m1
         aa += m0 * m0 + small * (m2 - m0 * m0)
         bb += m1 * m1 + small * (m3 - m1 * m1)
         ab += m0 * m1 + small * (m4 - m0 * m1)
         u, v = u + du, v + dv
-    share = ONE / np.float32(count)
+    share = ONE / count
     a, b = a * share, b * share
     return (
         a, b, max(aa * share - a * a, ZERO), max(bb * share - b * b, ZERO), ab * share - a * b

@@ -18,7 +18,6 @@ from rainsim.jit import (
     cpu_kernel,
     device_function,
     inlined_function,
-    lean_function,
     prange,
     thorough_kernel,
 )
@@ -230,7 +229,7 @@ def refracted(vx, vy, vz, ux, uy, uz, cosine):
     return eta * vx + bend * ux, eta * vy + bend * uy, eta * vz + bend * uz
 
 
-@lean_function
+@inlined_function
 def bed_seen_at(depth, view, x, y, z, u0, v0):
     """Return where the bed point at ground-frame offset (x, y, z) from the eye shows.
 

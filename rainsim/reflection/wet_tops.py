@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rainsim.constants import HALF, ONE, TWO, ZERO
-from rainsim.jit import cpu_kernel, inlined_function, lean_function, prange
+from rainsim.jit import cpu_kernel, inlined_function, prange
 from rainsim.numerics.interpolation import bilinear, smoothstep
 from rainsim.reflection.ray_water import LEAST_COVERAGE, LEAST_DIP
 from rainsim.reflection.water_record import X, Y, Z
@@ -175,7 +175,7 @@ def film_on(rain):
     return FILM_SHARE * rain.film_left * full * (ONE - QUARTER * full)
 
 
-@lean_function
+@inlined_function
 def wet_top(view, tops, rain, depth, row, column):
     """Return where a pixel's ray meets a wet top, and the share of the pixel that is wet.
 
@@ -231,7 +231,7 @@ def is_at(tops, k, x, y, z):
     return abs(z - height) <= SAME_HEIGHT
 
 
-@lean_function
+@inlined_function
 def top_with(tops, x, y, z):
     """Return the number of the top that (x, y, z) [m] lies on, -1 for none.
 
@@ -256,7 +256,7 @@ def top_with(tops, x, y, z):
     return -1
 
 
-@lean_function
+@inlined_function
 def top_below(tops, x, y, z):
     """Return which top water at (x, y, z) [m] lies on, -1: none; the puddle's depth and the share
     of it that is smooth; and the slopes of the top.

@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from rainsim.jit import cpu_kernel, lean_function, prange
+from rainsim.jit import cpu_kernel, inlined_function, lean_function, prange
 from rainsim.shading.fresnel import fresnel
 
 ZERO, ONE, TWO = (np.float32(v) for v in (0, 1, 2))
@@ -72,7 +72,7 @@ def shadowing(a):
     )
 
 
-@lean_function
+@inlined_function
 def lobe_part(lobe, k, dip, tilt, slope):
     """Return the tangent of part k's elevation, its weight, its facets' sine and its width.
 

@@ -23,7 +23,7 @@ import numpy as np
 from scipy import ndimage
 
 from rainsim.constants import HALF, ONE, TWO, ZERO
-from rainsim.jit import cpu_kernel, lean_function, prange
+from rainsim.jit import cpu_kernel, inlined_function, lean_function, prange
 from rainsim.numerics.interpolation import four_colors
 from rainsim.numerics.ripmap import LEVELS, ripmap, sample_ripmap
 from rainsim.raster import select
@@ -177,7 +177,7 @@ def mirrored_field(
                 field_out[j, i, 0], field_out[j, i, 1], field_out[j, i, 2] = r, g, b
 
 
-@lean_function
+@inlined_function
 def block_ray(view, step, j, i):
     """Return the ray (x, y, z) through the middle of a block of pixels, 1 along the view axis."""
     m = view.ground_from_camera
@@ -189,7 +189,7 @@ def block_ray(view, step, j, i):
     )  # fmt: skip
 
 
-@lean_function
+@inlined_function
 def mirrored_light(x, y, z, eye, ground, lobe, level, environment):
     """Return the radiance that a water film on the ground mirrors to the eye.
 
@@ -272,7 +272,7 @@ def mirrored_light(x, y, z, eye, ground, lobe, level, environment):
     return r, gr, b
 
 
-@lean_function
+@inlined_function
 def slopes_at(slopes, u, v):
     """Return the four numbers of `GroundSlopes.slopes` at column u and row v, interpolated.
 
@@ -321,7 +321,7 @@ def add_reflection(bare, cover, field, step, picture_out):
                 picture_out[row, column, 2] += share * b
 
 
-@lean_function
+@inlined_function
 def field_at(field, scale, row, column):
     """Return the light of a field at a pixel, interpolated; `scale` is one over its step."""
     rows, columns = field.shape[0], field.shape[1]

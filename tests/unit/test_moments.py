@@ -2,6 +2,7 @@
 
 import math
 
+import numba
 import numpy as np
 import pytest
 from scipy import ndimage
@@ -126,6 +127,21 @@ def test_a_pixel_takes_mean_and_covariance_over_its_footprint(slopes, dip, cells
 def test_flat_water_stays_flat():
     moments = ripple_moments(np.zeros((2, N, N)))
     assert pixel_slopes(moments, SIZE, *np.float32([0.1, 0.2, 0.6, 0, -0.8, 0.01])) == (0,) * 5
+
+
+@pytest.mark.skipif(numba.config.DISABLE_JIT, reason="looks at machine code")
+@pytest.mark.parametrize(("floor", "is_double"), [(np.floor, False), (math.floor, True)])
+def test_slopes_are_found_in_single_precision(floor, is_double):
+    """`math.floor` shows that the test sees what it looks for."""
+
+    def slopes(moments, x):
+        a = x - floor(x)
+        return a * pixel_slopes(moments, np.float32(0.5), a, a, a, a, -a, a)[0]
+
+    types = numba.float32[:, :, ::1], numba.float32
+    kernel = numba.njit(types, error_model="numpy", no_cpython_wrapper=True)(slopes)
+    (code,) = kernel.inspect_llvm().values()
+    assert ("fpext float" in code) == is_double
 
 
 def test_root_of_a_covariance():
