@@ -1,5 +1,7 @@
 """Small captures for the tests of readers and the ground frame, made with numpy alone."""
 
+import json
+
 import numpy as np
 
 from rainsim.scene.cameras import look_at
@@ -64,3 +66,24 @@ def capture_cameras(cameras):
         }
         for number, camera in enumerate(cameras)
     ]  # fmt: skip
+
+
+def write_model_folder(folder, scene, names):
+    """Write a scene as a trained model's folder, as codes that train captures leave it.
+
+    Parameters
+    ----------
+    folder : Path
+    scene : Scene
+    names : sequence of str
+        Of the cameras, in place of the scene's own.
+    """
+    from made_formats import ply, stored_columns
+
+    model = folder / "point_cloud" / "iteration_30000"
+    model.mkdir(parents=True)
+    (model / "point_cloud.ply").write_bytes(ply(stored_columns(scene.splats)))
+    cameras = capture_cameras(scene.cameras)
+    for camera, name in zip(cameras, names, strict=True):
+        camera["img_name"] = name
+    (folder / "cameras.json").write_text(json.dumps(cameras), encoding="utf-8")

@@ -1,0 +1,231 @@
+"""Tables of the site that come from the code: commands, keys, layers, files, names of the API.
+
+A page has a comment such as `<!-- code: keys -->`; when the site is built, the comment is replaced
+by the Markdown that the function of this name in `PARTS` returns.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import click
+
+import rainsim
+from rainsim.cli import INTERRUPTED, cli
+from rainsim.commands.variables import VARIABLES
+from rainsim.config import preset_files
+from rainsim.config.key_texts import table as key_table
+
+ROOT = Path(__file__).resolve().parent.parent
+PLACE = re.compile(r"<!-- code: ([\w /.-]+) -->")
+OUTSIDE = {"../CONTRIBUTING.md": "contributing.md", "../CHANGELOG.md": "changelog.md",
+           "../SECURITY.md": "security.md", "../README.md": "index.md"}  # fmt: skip
+
+
+def table(head, rows):
+    """Return a Markdown table; bars in cells are escaped."""
+    lines = [head, ["---"] * len(head), *rows]
+    return "\n".join(
+        "| " + " | ".join(str(cell).replace("|", "\\|") for cell in line) + " |" for line in lines
+    )
+
+
+def commands(group=cli, prefix="rainsim"):
+    """Yield (name, click command) of each command, those of groups too."""
+    for name in group.list_commands(None):
+        command = group.commands[name]
+        if isinstance(command, click.Group):
+            yield from commands(command, f"{prefix} {name}")
+        else:
+            yield f"{prefix} {name}", command
+
+
+def option_row(option):
+    """Return name, default and meaning of an option."""
+    names = ", ".join(f"`{name}`" for name in (*option.opts, *option.secondary_opts))
+    metavar = option.make_metavar(click.Context(click.Command("x"))) if not option.is_flag else ""
+    default = option.show_default if isinstance(option.show_default, str) else option.default
+    if option.is_flag or default is None or callable(default) or "Sentinel" in repr(default):
+        default = ""
+    return f"{names} {metavar}".strip(), default, option.help
+
+
+def command_pages():
+    """Return a section for each command: its help and its options."""
+    parts = []
+    for name, command in commands():
+        arguments = [p for p in command.params if p.param_type_name == "argument"]
+        usage = " ".join([name, *(a.make_metavar(click.Context(command)) for a in arguments)])
+        text, _, example = command.help.partition("\b\nExample:")
+        lines = [f"## {name}\n", f"`{usage} [OPTIONS]`\n", escaped(text)]
+        if example:
+            lines.append("```\n" + dedented(example) + "\n```\n")
+        options = [option_row(p) for p in command.params if p.param_type_name == "option"]
+        if options:
+            lines.append(table(("option", "default", "meaning"), options) + "\n")
+        parts.append("\n".join(lines))
+    return "\n".join(parts)
+
+
+def escaped(text):
+    """Return a help text as Markdown: paragraphs, with what Markdown would take for its own."""
+    text = text.replace("\b\n", "")
+    return re.sub(r"([*_<>\[\]])", r"\\\1", text.strip()) + "\n"
+
+
+def dedented(text):
+    """Return lines without their common indent."""
+    lines = [line for line in text.splitlines() if line.strip()]
+    return "\n".join(line.strip() for line in lines)
+
+
+def keys():
+    """Return the table of the keys of preset files."""
+    rows = []
+    for key, unit, default, choices, changing, meaning in key_table():
+        shown = "" if default is None else f"`{str(default).lower()}`"
+        meaning = f"{meaning} ({', '.join(f'`{c}`' for c in choices)})" if choices else meaning
+        rows.append((f"`{key}`", unit, shown, "yes" if changing else "", meaning))
+    return table(("key", "unit", "default", "in keyframes", "meaning"), rows)
+
+
+def presets():
+    """Return the built-in presets as they stand in their files."""
+    parts = [
+        f"### {name}\n\n```toml\n{preset_files.preset_text(name).strip()}\n```\n"
+        for name in preset_files.preset_names()
+    ]
+    return "\n".join(parts)
+
+
+def layers():
+    """Return the table of layers."""
+    from rainsim.render.aov import AOVS
+
+    rows = [(f"`{name}`", aov.kind, aov.unit, aov.what) for name, aov in AOVS.items()]
+    return table(("layer", "kind", "unit", "what"), rows)
+
+
+def variables():
+    """Return the table of environment variables."""
+    return table(("variable", "meaning"), [(f"`{n}`", m) for n, m in VARIABLES.items()])
+
+
+def exit_codes():
+    """Return the table of exit codes, from what `rainsim.cli` says of itself."""
+    import rainsim.cli
+
+    listed = re.search(r"Exit codes: (.*)\.", rainsim.cli.__doc__)[1]
+    rows = [part.strip().split(" ", 1) for part in listed.split(",")]
+    assert str(INTERRUPTED) in dict(rows)
+    return table(("code", "meaning"), rows)
+
+
+def classes():
+    """Return the table of the classes of ground."""
+    import tomllib
+
+    text = (ROOT / "rainsim/config/classes.toml").read_text(encoding="utf-8")
+    found = tomllib.loads(text)
+    columns = list(next(iter(found.values())))
+    return table(("class", *columns), [(n, *(c.get(k, "") for k in columns))
+                                       for n, c in found.items()])  # fmt: skip
+
+
+def formats():
+    """Return the table of rainsim's own files, with the version that is written and read."""
+    from rainsim import simulation
+    from rainsim.commands import film
+    from rainsim.io import images
+    from rainsim.scene import folder
+    from rainsim.terrain import files
+
+    rows = [
+        ("scene.json, splats.npz", folder.VERSION, "`import`", "cameras, ground frame; splats"),
+        ("terrain.npz", files.VERSION, "`heightmap`", "ground, what stands on it, classes, noise"),
+        ("states/NNNNN.npz", simulation.STATE_VERSION, "`simulate`", "water at a frame's time"),
+        ("simulation.json", film.VERSION, "`simulate`", "settings and input of the states"),
+        ("layers/NAME/NNNNN.npz", images.VERSION, "`run`, `render`", "a float layer"),
+    ]
+    return table(("file", "version", "written by", "holds"), rows)
+
+
+def names():
+    """Return the reference of all public names of the package."""
+    parts = []
+    for subject, members in rainsim._MODULES.items():
+        parts.append(f"## {subject}\n")
+        for name in members:
+            value = getattr(rainsim, name)
+            kind = "autoclass" if isinstance(value, type) else "autofunction"
+            if isinstance(value, type) and issubclass(value, BaseException):
+                kind = "autoexception"
+            if not callable(value):
+                kind = "autodata"
+            inside = ":members:\n" if kind == "autoclass" else ""
+            module = getattr(value, "__module__", None)
+            target = f"{module}.{name}" if kind != "autodata" else f"rainsim.render.aov.{name}"
+            parts.append(f"### rainsim.{name}\n\n```{{eval-rst}}\n.. {kind}:: {target}\n"
+                         + (f"   {inside}" if inside else "") + "```\n")  # fmt: skip
+    return "\n".join(parts)
+
+
+CONTENTS = {
+    "Begin": "start capture recipes gallery limits compared",
+    "Roads": "roads/film roads/perception roads/hydraulics",
+    "Subjects": "concepts conventions ground water rain light wet splatting layers datasets "
+    "sensors view cuda many_machines",
+    "Reference": "reference/commands reference/settings reference/files reference/python "
+    "architecture",
+    "Measurements": "measurements measurements/frame-cpu measurements/frame-gpu "
+    "measurements/splatting measurements/reflections measurements/day measurements/rain "
+    "measurements/water measurements/ground measurements/start",
+    "Project": "release changelog contributing security",
+}
+
+
+def contents():
+    """Return the order of the pages, as Sphinx takes it."""
+    parts = []
+    for caption, pages in CONTENTS.items():
+        listed = "\n".join(pages.split())
+        parts.append(f"```{{toctree}}\n:hidden:\n:caption: {caption}\n\n{listed}\n```\n")
+    return "\n".join(parts)
+
+
+PARTS = {
+    "contents": contents,
+    "commands": command_pages, "keys": keys, "presets": presets, "layers": layers,
+    "variables": variables, "exit codes": exit_codes, "classes": classes, "formats": formats,
+    "names": names,
+}  # fmt: skip
+
+
+def filled(text):
+    """Return a page with its comments replaced; `include NAME` is a file of the checkout."""
+
+    def part(match):
+        if match[1].startswith("include "):
+            return included((ROOT / match[1].removeprefix("include ")).read_text("utf-8"))
+        return PARTS[match[1]]()
+
+    for outside, inside in OUTSIDE.items():
+        text = text.replace(f"]({outside})", f"]({inside})")
+    return PLACE.sub(part, text)
+
+
+def included(text):
+    """Return a file of the root as a page of the site: without its title, links from docs/."""
+    text = (
+        re.sub(r"\A# .*\n", "", text)
+        .replace("](docs/", "](")
+        .replace("](CHANGELOG.md)", "](changelog.md)")
+    )
+    text = text.replace("](CONTRIBUTING.md)", "](contributing.md)")
+    return re.sub(r"\]\((examples/[^)]*|LICENSE)\)", r"](../\1)", text)
+
+
+def fill(app, name, source):
+    """Fill a page in when Sphinx has read it."""
+    source[0] = filled(source[0])

@@ -1,0 +1,127 @@
+"""The pages of the site: reachable, linked, complete; their commands are commands."""
+
+import importlib.util
+import re
+
+import click
+import pytest
+
+import rainsim
+from rainsim.cli import cli
+from rainsim.commands.variables import VARIABLES
+from rainsim.config.preset_files import HUMAN_KEYS, preset_names
+from rainsim.render.aov import AOVS
+from site_pages import DOCS, PAGES, ROOT, anchors, blocks, commands, links, name_of
+
+SHOWN = [pytest.param(path, id=name_of(path)) for path in PAGES]
+
+
+@pytest.fixture(scope="module")
+def from_code():
+    """The module that fills the tables of the site."""
+    spec = importlib.util.spec_from_file_location("from_code", DOCS / "from_code.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_the_contents_name_every_page_once(from_code):
+    listed = " ".join(from_code.CONTENTS.values()).split()
+    there = [path.relative_to(DOCS).with_suffix("").as_posix() for path in DOCS.rglob("*.md")]
+    assert sorted([*listed, "index"]) == sorted(there)
+
+
+@pytest.mark.parametrize("path", SHOWN)
+def test_links_inside_lead_somewhere(path):
+    for link in links(path):
+        if "://" in link:
+            continue
+        target, _, anchor = link.partition("#")
+        place = (path.parent / target).resolve() if target else path
+        assert place.exists(), link
+        if anchor:
+            assert anchor in anchors(place), link
+
+
+@pytest.mark.parametrize("path", SHOWN)
+def test_places_for_the_code_are_known(path, from_code):
+    for name in from_code.PLACE.findall(path.read_text(encoding="utf-8")):
+        if name.startswith("include "):
+            assert (ROOT / name.removeprefix("include ")).is_file()
+        else:
+            assert name in from_code.PARTS
+
+
+def parsed(words):
+    """Parse a command's words as the command line does, up to the files that must exist."""
+    group, names = cli, list(words[1:])
+    while isinstance(group, click.Group):
+        assert names and names[0] in group.commands, f"no command {names[:1]}"
+        group = group.commands[names.pop(0)]
+    known = {name: option for option in group.params for name in option.opts}
+    for word in names:
+        if re.match(r"--?[a-z]", word):
+            assert word.partition("=")[0] in known, f"no option {word}"
+    try:
+        group.make_context(words[-1], names, resilient_parsing=False)
+    except click.exceptions.Exit:
+        pass
+    except click.UsageError as error:
+        assert "does not exist" in error.message, error.message
+
+
+@pytest.mark.parametrize("path", SHOWN)
+def test_commands_can_be_typed(path):
+    for block in blocks(path):
+        for command in commands(block):
+            parsed(command.words)
+
+
+def test_a_wrong_command_is_found():
+    parsed(["rainsim", "run", "--frames", "3"])
+    for wrong in ("rainsim rain", "rainsim run --raine 3", "rainsim run --frames three"):
+        with pytest.raises(AssertionError):
+            parsed(wrong.split())
+
+
+def test_every_command_and_option_is_documented(from_code):
+    page, options = from_code.filled("<!-- code: commands -->"), 0
+    for name, command in from_code.commands():
+        assert f"## {name}\n" in page
+        for option in command.params:
+            if option.param_type_name == "option":
+                assert option.help and f"`{option.opts[0]}`" in page, (name, option.opts)
+                options += 1
+    assert options > 200
+
+
+def test_every_key_layer_variable_and_name_is_documented(from_code):
+    assert re.findall(r"^\| `(\w+)`", from_code.keys(), re.M) == list(HUMAN_KEYS)
+    assert re.findall(r"^\| `(\w+)`", from_code.layers(), re.M) == list(AOVS)
+    assert re.findall(r"^\| `(\w+)`", from_code.variables(), re.M) == list(VARIABLES)
+    assert re.findall(r"^\| (\d+) ", from_code.exit_codes(), re.M) == ["0", "1", "2", "130"]
+    assert re.findall(r"^### (\w+)", from_code.presets(), re.M) == preset_names()
+    named = re.findall(r"^### rainsim\.(\w+)", from_code.names(), re.M)
+    assert sorted(named) == sorted(set(rainsim.__all__) - {"__version__"})
+    assert "| 1 |" in from_code.formats() and "paving" in from_code.classes()
+
+
+def test_every_variable_of_ours_that_the_code_reads_is_documented():
+    text = "".join(path.read_text(encoding="utf-8") for path in ROOT.glob("rainsim/**/*.py"))
+    used = set(re.findall(r"\"(RAINSIM_[A-Z_]+)\"", text))
+    assert used and used <= set(VARIABLES)
+    for name in VARIABLES:
+        assert name.startswith(("NUMBA_CPU", "NUMBA_NUM")) or f'"{name}"' in text.replace(
+            '"' + name + '":', ""
+        ), name
+
+
+def test_pictures_of_pages_are_there_and_used():
+    used = {(path.parent / link).resolve() for path in PAGES for link in links(path)}
+    pictures = {path for path in DOCS.rglob("*") if path.suffix in (".png", ".jpg", ".webp")}
+    assert pictures <= used, sorted(name_of(path) for path in pictures - used)
+
+
+def test_the_version_stands_in_the_citation():
+    text = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    assert f"version: {rainsim.__version__}\n" in text
