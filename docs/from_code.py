@@ -138,11 +138,12 @@ def formats():
     from rainsim import simulation
     from rainsim.commands import film
     from rainsim.io import images
-    from rainsim.scene import folder
+    from rainsim.scene import actor_files, folder
     from rainsim.terrain import files
 
     rows = [
         ("scene.json, splats.npz", folder.VERSION, "`import`", "cameras, ground frame; splats"),
+        ("actors.npz", actor_files.VERSION, "`import`", "nodes that move through a scene"),
         ("terrain.npz", files.VERSION, "`heightmap`", "ground, what stands on it, classes, noise"),
         ("states/NNNNN.npz", simulation.STATE_VERSION, "`simulate`", "water at a frame's time"),
         ("simulation.json", film.VERSION, "`simulate`", "settings and input of the states"),
@@ -174,7 +175,7 @@ def names():
 CONTENTS = {
     "Begin": "start capture recipes gallery limits compared",
     "Roads": "roads/film roads/perception roads/hydraulics",
-    "Subjects": "concepts conventions ground water rain light wet splatting layers datasets "
+    "Subjects": "concepts conventions ground water rain light wet splatting layers actors datasets "
     "sensors view cuda many_machines",
     "Reference": "reference/commands reference/settings reference/files reference/python "
     "architecture",

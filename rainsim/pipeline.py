@@ -19,6 +19,7 @@ from rainsim.render.shutter import is_cut, shutter_end
 from rainsim.render.sunken import sunken_notes
 from rainsim.simulation import SimState, read_state, simulate, write_state
 from rainsim.terrain.kept import kept_terrain
+from rainsim.terrain.movers import with_movers
 from rainsim.terrain.pond import without_images
 from rainsim.terrain.types import Terrain
 
@@ -112,7 +113,8 @@ class FrameSequence:
     """
 
     def __init__(self, scene, terrain, cameras, config, backend="cpu", layers=(), states=None):
-        self.scene, self.terrain, self.cameras, self.config = scene, terrain, cameras, config
+        self.scene, self.cameras, self.config = scene, cameras, config
+        self.terrain = terrain = with_movers(terrain, scene)
         self.backend, self.layers, self.states = backend, layers, states
         self._renderer = SequenceRenderer(scene, terrain, cameras, config, layers, backend)
         self._water, self._state, self._steps = None, None, 0
@@ -195,7 +197,7 @@ def extract_terrain(scene, config, mask=None, progress=None, say=None):
     tell("terrain", 0, 1)
     terrain = kept_terrain(scene, config.terrain, mask, steps)
     tell("terrain", all_of_it, all_of_it)
-    return terrain
+    return with_movers(terrain, scene)
 
 
 def frames_of(states, config, tell=None, skip=()):

@@ -84,7 +84,10 @@ class Rasterizer:
         self._entry = np.empty(0, np.uint64)
 
     def recolor(self, prepared):
-        """Take over the colours of `prepared`: the same splats, see `prepared.recolored`."""
+        """Take over `prepared`: the same splats in other colours, or with other nodes before them.
+
+        See `prepared.recolored` and `merged.Merger`.
+        """
         self.prepared = prepared
 
     def draw(

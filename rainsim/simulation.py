@@ -21,6 +21,7 @@ from rainsim.io.files import json_number, parsed_json
 from rainsim.ledger import SUPPLY, WHEREABOUTS, Ledger
 from rainsim.rain.dripping import DRIP_COLUMNS, Drips, drip_impacts
 from rainsim.rain.exposure import rain_exposure
+from rainsim.rain.moving_surfaces import MovingSurfaces
 from rainsim.shading.wetness import evaporation_rate
 from rainsim.terrain.table import DRAIN
 from rainsim.terrain.types import NO_TOPS
@@ -166,8 +167,10 @@ def simulate(terrain, config, progress=None, dtype=np.float32):
     >>> bool(abs(state.ledger["residual"]) < 1e-6)
     True
     """
-    start, weather, surfaces = config.at(0.0), Weather(config), surfaces_of(terrain)
-    exposure = rain_exposure(terrain, usual_wind(config), config.rain.roughness)
+    start, weather = config.at(0.0), Weather(config)
+    from_where = usual_wind(config), config.rain.roughness
+    moving = MovingSurfaces(terrain, *from_where)
+    surfaces, exposure = moving.still, rain_exposure(terrain, *from_where)
     open_area = float(exposure.sum()) * terrain.grid.cell_area
     puddle_growth = past_rain_growth(terrain, config, exposure)
     level_change = level_changes(terrain, config)
@@ -192,15 +195,20 @@ def simulate(terrain, config, progress=None, dtype=np.float32):
             hits, fine = None, 0.0
             rain = weather.field(before, time)
             if rain is not None:  # drops on ground and objects; the finest as a rate
-                fine = rain.spectrum.fine_rate * exposure
-                hits = impacts(rain, surfaces, before, time)
+                middle = 0.5 * (before + time)
+                opened = moving.thinned(exposure, middle)
+                fine = rain.spectrum.fine_rate * opened
+                hits = impacts(rain, moving.at(middle), before, time)
                 landed = hits.take(hits.kind == GROUND)
                 solver.deposit(landed.row, landed.column, landed.volume)
                 objects.take_rain(hits, rain.spectrum.fine_rate * (time - before))
             solver.deposit(*objects.advance(before, time, weather))  # drips from objects
             if rain is not None:  # rings of both
                 rings = objects.with_drips(landed, before, time)
-                ripples.advance(time - before, *tile_impacts(rings, open_area, ripples.size, time))
+                area = open_area
+                if opened is not exposure:
+                    area = float(opened.sum()) * terrain.grid.cell_area
+                ripples.advance(time - before, *tile_impacts(rings, area, ripples.size, time))
             if level_change is not None:  # what keyframes move
                 objects.let_in(solver, *level_change(before, time))
             if puddle_growth is not None:

@@ -183,13 +183,14 @@ def draw(capture, camera, depth="expected", backend="cpu", **options):
     import time
 
     from rainsim.raster import Rasterizer, prepare
+    from rainsim.scene.actors import scene_at
 
     if backend == "cuda":
         from rainsim.cuda import require
 
         require()
         from rainsim.cuda.raster import Rasterizer
-    drawer = Rasterizer(prepare(capture.splats))
+    drawer = Rasterizer(prepare(scene_at(capture, 0.0).splats))
     begin = time.perf_counter()
     mode = "median" if depth == "median" else "expected"
     layers = drawer.draw(camera, NEAR, depth=mode, drop_last=True, **options)

@@ -19,6 +19,16 @@ GROUND_FRAME = "ground_frame.json"
 @click.command("import", short_help="Read a capture, find its ground, store both.")
 @click.argument("path", type=click.Path(path_type=Path))
 @click.option("--info", is_flag=True, help="Only print what PATH holds; write nothing.")
+@click.option(
+    "--tracks",
+    type=click.Path(path_type=Path),
+    help="Folder with the tracks of a Street Gaussians model: the data that it was trained on.",
+)
+@click.option(
+    "--track-fps",
+    type=click.FloatRange(min=0, min_open=True),
+    help="Frames a second of the data of a drivestudio checkpoint (10 without it).",
+)
 @options.ground_options
 @options.resume_option
 @options.output_options("NAME-scene")
@@ -27,9 +37,11 @@ def import_(path, info, out, overwrite, resume, threads, as_json, quiet, **given
 
     PATH is a trained model's folder (point_cloud/iteration_*/point_cloud.ply and cameras.json) or a
     splat file (PLY, compressed PLY, SPZ, SOG, .splat) with cameras.json, transforms.json or a
-    COLMAP model (sparse/0) beside it. Writes splats.npz, scene.json and ground_frame.json. Put the
-    folder where RAINSIM_SCENES points to use it by name. Prints the ground frame and, from the
-    height map, what the captured colours are taken for, which --ground-albedo of `run` corrects.
+    COLMAP model (sparse/0) beside it; or a scene with things that move: an actors.json, a Street
+    Gaussians model, a drivestudio checkpoint (.pth). Writes splats.npz, scene.json, with nodes
+    actors.npz, and ground_frame.json. Put the folder where RAINSIM_SCENES points to use it by name.
+    Prints the ground frame and, from the height map, what the captured colours are taken for, which
+    --ground-albedo of `run` corrects.
 
     With --info it prints counts, degree of spherical harmonics, bounds, percentiles of opacity and
     scale, unusable splats and the memory needed; lengths are in the capture's own units.
@@ -38,12 +50,15 @@ def import_(path, info, out, overwrite, resume, threads, as_json, quiet, **given
     Example:
         rainsim import garden/ --camera-height 1.6 --out ~/scenes/garden
         rainsim import plaza.ply --up 0,0,1 --meters-per-unit 1
+        rainsim import output/street/ --tracks data/002 --out ~/scenes/drive
+        rainsim import checkpoint_final.pth --cameras transforms.json --out ~/scenes/drive
         rainsim import --info biker.spz
     """
     if info:
         _tell_info(path, as_json)
         return
     from rainsim.output_folder import Record, claimed, relative
+    from rainsim.scene.actor_files import ACTORS_ARRAYS
     from rainsim.scene.folder import write_scene
     from rainsim.scene.ground import ground_frame_to_dict, write_ground_frame
 
@@ -59,7 +74,8 @@ def import_(path, info, out, overwrite, resume, threads, as_json, quiet, **given
         record.begin()
         write_scene(out, scene)
         write_ground_frame(out / GROUND_FRAME, frame)
-        record.add("scene.json", "splats.npz", GROUND_FRAME)
+        nodes = (ACTORS_ARRAYS,) if scene.actors else ()
+        record.add("scene.json", "splats.npz", *nodes, GROUND_FRAME)
         record.write(complete=True)
         calibration = _calibration(status, scene, threads)
     status.say(f"scene folder {relative(out)}")

@@ -33,6 +33,7 @@ from rainsim.errors import DivergedError
 from rainsim.rain.dripping import DRIP_COLUMNS
 from rainsim.rain.exposure import rain_exposure
 from rainsim.reflection.slope_moments import ripple_moments
+from rainsim.scene.actors import require_no_actors
 from rainsim.water.keyframes import level_changes, past_rain_growth
 from rainsim.water.ripples import LAYERS, RippleTile, mean_chord
 from rainsim.water.top_water import TopWater
@@ -121,6 +122,7 @@ class Simulation:
     def __init__(self, terrain, config):
         if config.water.scheme == "auto":
             config = replace(config, water=replace(config.water, scheme="lean"))
+        require_no_actors(terrain.movers, "backend cuda", "take backend cpu")
         self.terrain, self.config = terrain, config
         self.stream = cuda.stream()
         self.weather = Weather(config)

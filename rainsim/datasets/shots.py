@@ -14,6 +14,7 @@ from rainsim.pipeline import FrameSequence, simulate
 from rainsim.raster import Rasterizer, prepare
 from rainsim.render.labels import boxes_of
 from rainsim.render.shutter import motion_of
+from rainsim.scene.actors import require_no_actors
 from rainsim.sensors.glass import caps_on, through_glass, wide_camera
 from rainsim.sensors.lens import lens_warp
 from rainsim.sensors.rolling import STILL, Motion, bands, draw_rolling
@@ -50,6 +51,10 @@ class Shots:
 
     def __init__(self, scene, terrain, views, config, sequence, backend="cpu", user_labels=None,
                  readout=0.0, pane=None):  # fmt: skip
+        if user_labels is not None:
+            require_no_actors(scene.actors, "export with labels of splats", "leave out --labels")
+        if readout:
+            require_no_actors(scene.actors, "a rolling shutter", "leave out --rolling")
         self.scene, self.terrain, self.views = scene, terrain, views
         self.config, self.sequence, self.backend = config, sequence, backend
         self.user_labels, self.readout, self.pane = user_labels, readout, pane

@@ -34,15 +34,18 @@ def rain_exposure(terrain, wind, roughness=0.0):
         See `rain.wind.wind_shares`.
     """
     if terrain.bed.size < LEAST_KEPT:
-        return _computed(terrain, wind, roughness)
+        return computed_exposure(terrain, wind, roughness)
     return cache.kept_arrays(
-        "exposure", "rain", lambda: {"share": _computed(terrain, wind, roughness)},
+        "exposure", "rain", lambda: {"share": computed_exposure(terrain, wind, roughness)},
         terrain.bed, terrain.top, terrain.underside, terrain.grid, wind, roughness,
     )["share"]  # fmt: skip
 
 
-def _computed(terrain, wind, roughness):
-    """Return the exposure of a terrain, see `rain_exposure`."""
+def computed_exposure(terrain, wind, roughness=0.0):
+    """Return the exposure of a terrain, or of what has its grid, bed, top and underside.
+
+    See `rain_exposure`, which keeps it.
+    """
     total = np.zeros(terrain.grid.shape, np.float32)
     speed, direction = wind
     ceiling = np.float32(terrain.top.max())

@@ -139,6 +139,11 @@ class WaterPass:
         self.coverage = None
         self.forget_reflections()
 
+    def take_rings(self, rings):
+        """Take over other amplitudes of rings (ny, nx), float32, for the water from now on."""
+        if rings is not self.rings:
+            self.rings, self._depth = rings, None
+
     def forget_reflections(self):
         """Forget the mirrored pictures and the depth that is marched; the next frame makes them."""
         self._blocks, self._mirrors = None, {}

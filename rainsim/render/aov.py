@@ -17,9 +17,10 @@ from rainsim.particles.splash_pass import seen_splashes
 from rainsim.particles.streaks import NEAR
 from rainsim.rain.dripping import drip_impacts
 from rainsim.reflection import water_record
-from rainsim.render import labels
+from rainsim.render import labels, node_labels
 from rainsim.shading import composite
 from rainsim.shading.wet_pass import find_dampness
+from rainsim.terrain.table import WATER
 
 PICTURE, SHARE, INDEX, DATA = "picture", "share", "index", "data"  # kinds, see `Aov`
 MOST_INDEX = 2**16 - 1
@@ -80,12 +81,14 @@ AOVS = {
     "flow_mask": Aov(INDEX, "", "0 no flow, 1 seen, 2 occluded, 3 outside the next frame"),
     "class_id": Aov(INDEX, "", "class of ground or water, 255 for all else"),
     "puddle_id": Aov(INDEX, "", "of the puddle that a pixel shows, 0 for none"),
+    "actor_id": Aov(INDEX, "", "of the moving node that a pixel shows, 0 for none"),
 }
 TERMS = ("coverage", "reflection", "reflection_source", "refraction", "fresnel", "highlight",
          "water_depth")  # fmt: skip
 OF_THE_WATER = (*TERMS, "class_id", "puddle_id")  # those that need the list of the water's pixels
 DRY = frozenset({"clean", "normal", "wetness", "class_id"})  # those that need the dry picture
 FLOW = frozenset({"flow", "flow_mask"})
+NODES = FLOW | {"actor_id", "class_id"}  # those that need to know which node a pixel shows
 NEEDED = ("wet", "coverage", "reflection", "refraction", "fresnel", "highlight", "transmission",
           "rain_alpha", "splash_alpha")  # fmt: skip
 
@@ -143,6 +146,8 @@ class FrameParts:
     depth_after : ndarray of shape (height, width), float32 [m], or None
         What the next frame's camera sees; None: the camera stands still, or no AOV of FLOW is
         asked for.
+    nodes : NodesSeen or None
+        What moves; None: nothing does, or no AOV of NODES is asked for.
     """
 
     dry: object
@@ -163,6 +168,7 @@ class FrameParts:
     terrain: object
     after: object = None
     depth_after: np.ndarray | None = None
+    nodes: node_labels.NodesSeen | None = None
 
 
 def collect(names, parts):
@@ -186,7 +192,7 @@ def collect(names, parts):
     computed = {
         "clean": _clean, "normal": _normal, "wetness": _wetness, "transmission": _transmission,
         "splash_id": _splash_id, "drop_flow": _drop_flow, "range": _range, "class_id": _class_id,
-        "puddle_id": _puddle_id,
+        "puddle_id": _puddle_id, "actor_id": _actor_id,
     }  # fmt: skip
     return {n: computed[n](parts) if n in computed else found[n].copy() for n in names}
 
@@ -209,6 +215,8 @@ def facts_of(aovs, parts, weather):
         _, puddles = labels.puddle_map(parts.terrain, parts.state.depth)
         boxes = labels.boxes_of(aovs["puddle_id"])
         facts["puddles"] = [{**box, **puddles.get(box["id"], {})} for box in boxes]
+    if "actor_id" in aovs and parts.nodes is not None:
+        facts["actors"] = node_labels.facts_of_nodes(parts.nodes, parts.camera)
     if "splash_id" in aovs:
         facts["splashes"] = labels.boxes_of(aovs["splash_id"])
     return facts
@@ -354,14 +362,26 @@ def _flow(parts):
     if parts.after is None:
         shape = parts.wet.depth.shape
         return np.zeros((*shape, 2), np.float32), np.full(shape, labels.SEEN, np.uint16)
-    return labels.flow_of(parts.wet.depth, parts.camera, parts.after, parts.depth_after)
+    given = parts.wet.depth, parts.camera, parts.after, parts.depth_after
+    if parts.nodes is None:
+        return labels.flow_of(*given)
+    return labels.flow_of(*given, parts.nodes.number, node_labels.moves_of(parts.nodes))
 
 
 def _class_id(parts):
     water = np.zeros(parts.wet.depth.shape, bool)
     kept = labels.shown_water(parts.water.record)
     water.ravel()[parts.water.pixel[kept]] = True
-    return labels.class_ids(parts.wet, _normal(parts), parts.terrain, water)
+    ids = labels.class_ids(parts.wet, _normal(parts), parts.terrain, water)
+    if parts.nodes is not None:
+        ids[(parts.nodes.number > 0) & (ids != WATER)] = labels.OTHER_CLASS
+    return ids
+
+
+def _actor_id(parts):
+    if parts.nodes is None:
+        return np.zeros(parts.wet.depth.shape, np.uint16)
+    return parts.nodes.number.copy()
 
 
 def _puddle_id(parts):

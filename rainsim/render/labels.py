@@ -44,7 +44,7 @@ def range_of(depth, camera):
     return (depth * stretch).astype(np.float32)
 
 
-def flow_of(depth, camera, after, depth_after):
+def flow_of(depth, camera, after, depth_after, number=None, moves=None):
     """Return where the surfaces of a picture are in the next one, and which of them it shows.
 
     Parameters
@@ -54,6 +54,10 @@ def flow_of(depth, camera, after, depth_after):
     camera, after : Camera
         Of the picture and of the next one, in one frame in metres.
     depth_after : ndarray of shape (height, width), float32 [m]
+    number : ndarray of shape (height, width), int, optional
+        Of the node that each pixel shows.
+    moves : dict of int to ndarray of shape (4, 4), optional
+        How the nodes move in that frame, see `node_labels.moves_of`.
 
     Returns
     -------
@@ -69,7 +73,12 @@ def flow_of(depth, camera, after, depth_after):
     far = ~np.isfinite(depth)
     # Over the depth: a point at infinity has no shift.
     per_depth = np.where(far, 0.0, 1 / np.where(far, 1.0, depth.astype(np.float64)))
-    x, y, z = np.moveaxis(rays @ turn.T + per_depth[..., None] * shift, -1, 0)
+    there = rays @ turn.T + per_depth[..., None] * shift
+    for node, move in (moves or {}).items():
+        mine = (number == node) & ~far
+        own = after.camera_from_world @ move @ np.linalg.inv(camera.camera_from_world)
+        there[mine] = rays[mine] @ own[:3, :3].T + per_depth[mine, None] * own[:3, 3]
+    x, y, z = np.moveaxis(there, -1, 0)
     ahead = z > 1e-6
     z = np.where(ahead, z, 1.0)
     u, v = after.fx * x / z + after.cx, after.fy * y / z + after.cy

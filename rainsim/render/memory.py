@@ -64,7 +64,8 @@ def memory_of_frames(scene, camera, cells=0, layers=0):
     layers : int
         Number of AOVs.
     """
-    splats = PER_SPLATS * _bytes_of(scene.splats)
+    every = (scene.splats, *(actor.splats for actor in scene.actors))
+    splats = PER_SPLATS * sum(map(_bytes_of, every))
     pixel = PIXEL + LAYER_PIXEL * layers
     return PROGRAM + splats + CELL * cells + pixel * camera.width * camera.height
 

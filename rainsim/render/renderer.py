@@ -8,9 +8,11 @@ import numpy as np
 
 from rainsim.particles import drop_radiance, paper
 from rainsim.particles.splash import WET_FILM
+from rainsim.rain.moving_surfaces import MovingSurfaces
 from rainsim.raster import Rasterizer
 from rainsim.reflection.water_pass import Shower, WaterPass
 from rainsim.render import aov
+from rainsim.render.node_labels import NodesSeen
 from rainsim.render.rain_pass import RainPass
 from rainsim.render.report import FrameReport, Timer
 from rainsim.render.shutter import next_camera
@@ -20,8 +22,9 @@ from rainsim.shading import environment, sky
 from rainsim.shading.calibration import fixed_camera, metered, metering_views
 from rainsim.shading.composite import RainLight, compose
 from rainsim.shading.wet_ground_mirror import WetGroundMirror, mean_share
-from rainsim.simulation import surfaces_of, tops_drawn
-from rainsim.water.ripples import ring_reach, ring_share
+from rainsim.simulation import tops_drawn, usual_wind
+from rainsim.terrain.movers import with_movers
+from rainsim.water.ripples import ring_reach, ring_share, sheltered_rings
 
 RING_DEPTH = 5e-3  # m of water on which rings travel in under cover
 
@@ -73,15 +76,19 @@ class Renderer:
     def __init__(
         self, scene, terrain, config, first_camera, rasterizer_of=Rasterizer, wet_scene=None
     ):
-        self.terrain, self.config = tops_drawn(terrain, config), config
-        first_camera = fixed_camera(scene, self.terrain, config) or first_camera
-        terrain = self.terrain
+        terrain = with_movers(tops_drawn(terrain, config), scene)
+        self.terrain, self.config = terrain, config
+        first_camera = fixed_camera(scene, terrain, config) or first_camera
         if wet_scene is None:
             wet_scene = WetScene(scene, terrain, config, first_camera, rasterizer_of)
         self.wet_scene = wet_scene
-        self.rain = RainPass(surfaces_of(terrain), config)
-        reach = ring_reach(RING_DEPTH, config.water.surface_film, self.rain.weather.mean_rate)
-        self.rings = ring_share(self.wet_scene.reach, terrain.grid.spacing, *reach)
+        wet_scene.move_nodes(None)  # the light of a run depends on no frame
+        self.moving = MovingSurfaces(terrain, usual_wind(config), config.rain.roughness)
+        self.rain = RainPass(self.moving.still, config)
+        self._ring_reach = ring_reach(
+            RING_DEPTH, config.water.surface_film, self.rain.weather.mean_rate
+        )
+        self.rings = ring_share(self.wet_scene.reach, terrain.grid.spacing, *self._ring_reach)
         self.water = WaterPass(terrain, self.rings, config.render)
         self.wet_ground = WetGroundMirror(terrain, config.render)
         self.sun, note = sky.sun_of(config.render.sun, self.wet_scene.day)
@@ -150,7 +157,7 @@ class Renderer:
         else an approximation, until a renderer with these settings is made.
         """
         self.config, self._camera = config, None
-        self.rain = RainPass(self.rain.surfaces, config)
+        self.rain = RainPass(self.moving.still, config)
 
     def film(self, shots, names=()):
         """Yield what `draw` returns for each (camera, state, camera_end), one after the other."""
@@ -161,7 +168,21 @@ class Renderer:
         """Take over the settings of a time [s]; return whether they change the dry picture."""
         self.now = self.config.at(time)
         self.brightness = self.now.render.brightness * math.exp(np.interp(time, *self._metered))
-        return self.wet_scene.set_time(self.now)
+        changed = self.wet_scene.set_time(self.now)
+        return self._move_nodes(time) or changed
+
+    def _move_nodes(self, time):
+        """Take over where nodes are at a time [s], and what they shelter; return if they moved."""
+        moved = self.wet_scene.move_nodes(time)
+        if self.terrain.movers:
+            self.rain.surfaces, shelters = self.moving.moment(time)
+            self.water.take_rings(
+                sheltered_rings(
+                    self.rings, self.wet_scene.reach, shelters, self.terrain.grid.spacing,
+                    self._ring_reach,
+                )
+            )  # fmt: skip
+        return moved
 
     def _meter(self, first_camera):
         """Return the key times and the logarithms of the factors that a camera's meter chooses."""
@@ -246,7 +267,8 @@ class Renderer:
             camera=self.view, state=state, exposure=render.exposure,
             interval=self.config.frame_interval, film=WET_FILM * scene.paving,
             ground=scene.ground_maps, off_ground=scene.off_ground, cover=cover,
-            far=render.streak_far, terrain=self.terrain, **self._after(names),
+            far=render.streak_far, terrain=self.terrain, nodes=self._nodes_seen(names),
+            **self._after(names),
         )  # fmt: skip
         radiances = {
             "drop": light.drops.tolist(), "around": light.around.tolist(),
@@ -257,15 +279,33 @@ class Renderer:
 
     def _after(self, names):
         """Return the next frame's camera and what it sees, as `FrameParts` takes them."""
-        if self.view_end is None:
-            return {}
         render, scene = self.now.render, self.wet_scene
-        share = render.exposure / self.config.frame_interval
-        after = next_camera(self.view, self.view_end, share)
-        if aov.FLOW.isdisjoint(names):
+        nodes, after = scene.nodes, None
+        if self.view_end is not None:
+            share = render.exposure / self.config.frame_interval
+            after = next_camera(self.view, self.view_end, share)
+        elif nodes is not None:
+            after = self.view
+        if after is None or aov.FLOW.isdisjoint(names):
             return {"after": after}
+        now = None if nodes is None else nodes.time
+        if nodes is not None:
+            scene.move_nodes(now + self.config.frame_interval)
         seen = scene.picture(scene.frame.camera_in_capture(after), Timer())
+        if nodes is not None:
+            scene.move_nodes(now)
         return {"after": after, "depth_after": seen.depth}
+
+    def _nodes_seen(self, names):
+        """Return what moves in the frame, `NodesSeen`; None without nodes or names that ask."""
+        scene = self.wet_scene
+        if scene.nodes is None or aov.NODES.isdisjoint(names):
+            return None
+        nodes = scene.nodes
+        return NodesSeen(
+            nodes.actors, nodes.time, self.config.frame_interval, scene.frame,
+            scene.node_numbers(self._camera),
+        )  # fmt: skip
 
     def take_camera(self, camera):
         """Take over the camera of a frame, in the capture frame."""

@@ -15,7 +15,9 @@ from rainsim.raster import Rasterizer, prepare
 from rainsim.reflection.planar_mirror import MirrorPicture
 from rainsim.reflection.ray_traced import Tracer
 from rainsim.reflection.water_pass import WetPicture
+from rainsim.render.nodes import Nodes
 from rainsim.render.present_splats import PresentSplats
+from rainsim.scene.actors import joined
 from rainsim.scene.cameras import MIRROR_CLEARANCE, cropped, mirrored_camera
 from rainsim.scene.view import view_of
 from rainsim.shading import environment, sky, wetness
@@ -72,6 +74,8 @@ class WetScene:
         See `wetness.ground_wetness`.
     paving : float
         How wet open paving is, 0 to 1.
+    nodes : Nodes or None
+        What moves, see `move_nodes`.
     tracer : Tracer or None
         Of the scene's splats, once rays were traced.
     notes : list of str
@@ -104,6 +108,9 @@ class WetScene:
         self._colors = self._present.state(config.at(0.0))
         self.splats = self._present.at(self._colors)
         self.prepared = prepare(self.splats, self.badly_placed)
+        self.nodes = Nodes(scene.actors, self.prepared) if scene.actors else None
+        if self.nodes is not None:
+            self.prepared = self.nodes.static
         self.rasterizer = rasterizer_of(self.prepared)
         self._skylines = None
         if not self.backdrop.count:
@@ -139,10 +146,30 @@ class WetScene:
             self._recolor(colors)
         return True
 
+    def move_nodes(self, time):
+        """Take over where the scene's nodes are at a time [s]; return whether they have moved.
+
+        Until the first call, and after a time of None, none is there.
+        """
+        if self.nodes is None or not self.nodes.set_time(time):
+            return False
+        self._put_nodes()
+        return True
+
+    def _put_nodes(self):
+        """Put the nodes as they are now before the static set."""
+        self.rasterizer.recolor(self.nodes.merged())
+        self._standing = self.tracer = None
+
     def _recolor(self, colors):
         """Take over the colours of the splats of another state, see `PresentSplats`."""
         self._colors, self.splats = colors, self._present.at(colors)
         self.prepared = recolored(self.prepared, self.splats)
+        if self.nodes is not None:
+            self.nodes.recolor(self.prepared)
+            self.prepared = self.nodes.static
+            self._put_nodes()
+            return
         self.rasterizer.recolor(self.prepared)
         self._standing = self.tracer = None
 
@@ -173,7 +200,10 @@ class WetScene:
         """
         layers = self.rasterizer.draw(camera, self.near)
         if whole_color and self.splats is not self.backdrop.whole.splats:
-            whole = self._rasterizer_of(prepare(self.backdrop.whole.splats))
+            splats = self.backdrop.whole.splats
+            if self.nodes is not None and self.nodes.splats is not None:
+                splats = joined([splats, self.nodes.splats])
+            whole = self._rasterizer_of(prepare(splats))
             layers = replace(layers, color=whole.draw(camera, self.near).color)
         return layers
 
@@ -187,6 +217,12 @@ class WetScene:
         wet = self._wetted(layers, camera, cover)
         timer.mark("grade and wet")
         return wet
+
+    def node_numbers(self, camera):
+        """Return the number of the node that each pixel of `camera` shows, see `Nodes.numbers`."""
+        if self.nodes is None:
+            return np.zeros((camera.height, camera.width), np.uint16)
+        return self.nodes.numbers(self.rasterizer.draw(camera, self.near, hit=True).hit)
 
     def land_light(self, cameras):
         """Return the mean linear luminance of the land that cameras see, as captured and wet.
@@ -210,9 +246,11 @@ class WetScene:
         `level` is the level, upright camera (ground frame) that is mirrored.
         """
         if self._standing is None:
-            self._standing = self._rasterizer_of(
-                in_level_picture(self.prepared, self.terrain, self.frame)
-            )
+            place = self.terrain, self.frame
+            standing = in_level_picture(self.prepared, *place) if self.nodes is None else (
+                self.nodes.standing(*place)
+            )  # fmt: skip
+            self._standing = self._rasterizer_of(standing)
         _, camera = mirrored_camera(self.frame.camera_in_capture(level), self.frame, 0.0)
         return self._wetted(self._standing.draw(camera, self.near), camera, mirrored=True)
 
@@ -250,7 +288,7 @@ class WetScene:
             splats = self.splats
             if self.badly_placed.any():
                 splats = splats.take(~self.badly_placed)
-            self.tracer = Tracer(splats)
+            self.tracer = Tracer(splats) if self.nodes is None else self.nodes.tracer(splats)
         unit, turn = self.frame.meters_per_unit, self.frame.rotation
         clear = np.append(self.frame.up, MIRROR_CLEARANCE / unit)
         found = self.tracer.trace(

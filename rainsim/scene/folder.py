@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rainsim.errors import InputError, one_line, shown
+from rainsim.errors import InputError, ParameterError, one_line, shown
 from rainsim.io import cache
 from rainsim.io.arrays import Field, read_arrays, write_arrays
 from rainsim.io.files import (
@@ -25,6 +25,16 @@ from rainsim.io.files import (
     require_file,
     write_json,
 )
+from rainsim.scene.actor_files import (
+    ACTORS_ARRAYS,
+    ACTORS_FILE,
+    REMEDY,
+    actors_file,
+    read_actor_arrays,
+    read_actors,
+    write_actor_arrays,
+)
+from rainsim.scene.actors import with_actors
 from rainsim.scene.cameras import (
     JSON_FILES,
     cameras_from_data,
@@ -32,6 +42,7 @@ from rainsim.scene.cameras import (
     load_cameras,
 )
 from rainsim.scene.colmap import find_model
+from rainsim.scene.drivestudio import FRAMES_PER_SECOND, is_checkpoint, read_checkpoint
 from rainsim.scene.formats import META, SUFFIXES, read_splats, source_files
 from rainsim.scene.ground import (
     estimate_ground_frame,
@@ -39,6 +50,13 @@ from rainsim.scene.ground import (
     ground_frame_to_dict,
     read_ground_frame,
     rescale_ground_frame,
+)
+from rainsim.scene.street_gaussians import (
+    StreetModel,
+    in_order,
+    is_street_ply,
+    read_street_ply,
+    street_actors,
 )
 from rainsim.scene.types import GroundFrame, Scene, Splats
 
@@ -57,8 +75,9 @@ NOT_UNIT = 1e-2  # of a quaternion's squared length from 1
 
 
 def import_scene(
-    path, cameras=None, up=None, meters_per_unit=None, camera_height=None, ground_frame=None
-):
+    path, cameras=None, up=None, meters_per_unit=None, camera_height=None, ground_frame=None,
+    tracks=None, track_fps=None,
+):  # fmt: skip
     """Read a capture and find its ground frame.
 
     Parameters
@@ -74,12 +93,19 @@ def import_scene(
         See `estimate_ground_frame`. Values not given are kept from a scene folder.
     ground_frame : path-like or GroundFrame, optional
         The whole ground frame; `up` and the scale are then ignored.
+    tracks : path-like, optional
+        Folder with the tracks of a Street Gaussians model, see `rainsim.scene.street_gaussians`.
+    track_fps : float, optional [1/s]
+        Frames a second of the data of a drivestudio checkpoint, see `rainsim.scene.drivestudio`.
 
     Returns
     -------
     Scene
     """
     path, camera_notes = Path(path), []
+    if actors_file(path) is not None:
+        given = cameras, up, meters_per_unit, camera_height, ground_frame
+        return _import_with_actors(path, actors_file(path), *given)
     if _is_path(cameras):
         cameras, camera_notes = load_cameras(cameras)
     folder = path.parent if path.name == SCENE_FILE else path
@@ -92,10 +118,12 @@ def import_scene(
     splat_file, model = locate(path)
     with ThreadPoolExecutor(1) as pool:  # hashing runs beside reading
         hashed = pool.submit(_sha256, splat_file)
-        splats, notes = read_splats(splat_file)
+        splats, notes, nodes = _read(splat_file, tracks, track_fps)
         if cameras is None:
             cameras, camera_notes = cameras_beside(splat_file, model)
         source_hash = hashed.result()
+    if isinstance(nodes, StreetModel):
+        cameras = in_order(cameras)
     for field in fields(splats):
         cache.know_hash(getattr(splats, field.name), "splats", source_hash, field.name)
     if ground_frame is None:
@@ -104,7 +132,61 @@ def import_scene(
         frame = _as_frame(ground_frame)
     name = path.resolve().name if path.is_dir() else _file_name(path, model)
     notes = (*notes, *camera_notes)
-    return Scene(name, splats, tuple(cameras), frame, path, source_hash, notes)
+    scene = Scene(name, splats, tuple(cameras), frame, path, source_hash, notes)
+    return _with_nodes(scene, nodes, tracks) if nodes else scene
+
+
+def _read(file, tracks, track_fps):
+    """Return the static splats of a file, notes, and nodes: a `StreetModel`, a tuple of Actor."""
+    street = file.suffix.lower() == ".ply" and is_street_ply(file)
+    for given, name, fits, what in (
+        (tracks, "--tracks", street, "model of Street Gaussians"),
+        (track_fps, "--track-fps", is_checkpoint(file), "checkpoint of drivestudio"),
+    ):
+        if given is not None and not fits:
+            raise InputError(f"{file} is no {what}, whose option {name} is; leave it out")
+    if street:
+        model = read_street_ply(file)
+        return model.static, model.notes, model
+    if is_checkpoint(file):
+        splats, actors, notes = read_checkpoint(file, track_fps or FRAMES_PER_SECOND)
+        return splats, notes, actors
+    return *read_splats(file), ()
+
+
+def _with_nodes(scene, nodes, tracks):
+    """Return a scene with the nodes that `_read` returned; those without tracks are left out."""
+    actors, notes = nodes, ()
+    if isinstance(nodes, StreetModel):
+        if not nodes.nodes:
+            return scene
+        if tracks is None:
+            note = f"{len(nodes.nodes)} nodes are left out: --tracks of `rainsim import` adds them"
+            return replace(scene, notes=(*scene.notes, note))
+        actors, notes = street_actors(nodes, tracks, scene.cameras)
+    digest = hashlib.sha256(scene.source_hash.encode())
+    for actor in actors:
+        track = actor.track
+        for array in (track.time, track.position, track.rotation):
+            digest.update(array.tobytes())
+    return replace(with_actors(scene, actors, notes), source_hash=digest.hexdigest())
+
+
+def _import_with_actors(path, file, *given):
+    """Read the static set that an `actors.json` names, and its nodes; `given` as `import_scene`."""
+    found = read_actors(file)
+    scene = import_scene(found.static, *given)
+    if scene.actors:
+        raise InputError(f"{file}: its scene has nodes already; it must be a static set; {REMEDY}")
+    digest = hashlib.sha256(scene.source_hash.encode())
+    for part in found.files:
+        digest.update(_sha256(part).encode())
+    try:
+        scene = with_actors(scene, found.actors, found.notes)
+    except ParameterError as error:
+        raise InputError(f"{file}: {error}") from None
+    name = file.parent.resolve().name
+    return replace(scene, name=name, source=path, source_hash=digest.hexdigest())
 
 
 def _kept_frame(source_hash, splats, *given):
@@ -149,7 +231,7 @@ def is_scene(path):
     """Return whether the names at `path` are those of a scene that `import_scene` reads."""
     path = Path(path)
     if path.is_dir():
-        named = any((path / name).is_file() for name in (SCENE_FILE, META))
+        named = any((path / name).is_file() for name in (SCENE_FILE, META, ACTORS_FILE))
         return named or newest_splat_file(path) is not None
     return path.is_file() and path.suffix.lower() in SUFFIXES
 
@@ -248,6 +330,8 @@ def write_scene(folder, scene):
     with replacing(folder / SCENE_FILE) as scene_file, replacing(folder / SPLAT_FILE) as splat_file:
         write_json(scene_file, scene_to_data(scene))
         write_arrays(splat_file, VERSION, {n: getattr(scene.splats, n) for n in ARRAYS})
+        if scene.actors:
+            write_actor_arrays(folder / ACTORS_ARRAYS, scene.actors)
 
 
 def read_scene(folder):
@@ -269,7 +353,16 @@ def read_scene(folder):
             f"{folder} has {len(splats)} splats but {SCENE_FILE} speaks of "
             f"{shown(data.get('splats'))}; the files must belong together; import the capture again"
         )
-    return replace(scene_from_data(data, splats, path, folder.name), source=folder)
+    scene = replace(scene_from_data(data, splats, path, folder.name), source=folder)
+    if not data.get("actors"):
+        return scene
+    actors = read_actor_arrays(folder / ACTORS_ARRAYS)
+    if len(actors) != data["actors"]:
+        raise InputError(
+            f"{folder} has {len(actors)} nodes but {SCENE_FILE} speaks of {shown(data['actors'])}; "
+            "the files must belong together; import the capture again"
+        )
+    return with_actors(scene, actors)
 
 
 def scene_to_data(scene):
@@ -284,6 +377,7 @@ def scene_to_data(scene):
         "ground_frame": ground_frame_to_dict(scene.ground_frame),
         "cameras": cameras_to_data(scene.cameras) if scene.cameras else None,
         "drains": [list(map(float, place)) for place in scene.drains],
+        **({"actors": len(scene.actors)} if scene.actors else {}),
     }
 
 

@@ -9,6 +9,8 @@ from pathlib import Path
 
 from rainsim.errors import ParameterError
 from rainsim.io import cache
+from rainsim.scene.actor_files import actors_from_arrays, actors_to_arrays
+from rainsim.scene.actors import with_actors
 from rainsim.scene.folder import (
     ARRAYS,
     import_scene,
@@ -21,11 +23,13 @@ from rainsim.scene.formats import SUFFIXES
 from rainsim.scene.types import Splats
 
 FOLDERS_VARIABLE = "RAINSIM_SCENES"  # folders of scenes, separated as in PATH
+NODES = "node_"  # begins the names of the arrays of what moves
 KIND = "demo_scenes"  # of entries of `rainsim.io.cache`, and the room of their code
 DEMO_SCENES = "rainsim." + KIND
 BUILT_IN = {
     "bicycle": ("rainsim.demo_scenes.bicycle", "make_bicycle"),
     "street": ("rainsim.demo_scenes.street", "make_street"),
+    "traffic": ("rainsim.demo_scenes.traffic", "make_traffic"),
 }
 
 
@@ -36,6 +40,8 @@ def load_scene(
     meters_per_unit=None,
     camera_height=None,
     ground_frame=None,
+    tracks=None,
+    track_fps=None,
 ):
     """Load a scene by name or path.
 
@@ -45,7 +51,7 @@ def load_scene(
         What exists as a path or has a path separator is read as a path (`import_scene`). Any other
         is a name, looked up in the folders that RAINSIM_SCENES lists, in the user's data folder
         (rainsim/scenes) and among the built-in scenes, in this order.
-    cameras, up, meters_per_unit, camera_height, ground_frame
+    cameras, up, meters_per_unit, camera_height, ground_frame, tracks, track_fps
         Override what the scene says; see `import_scene`.
 
     Returns
@@ -73,7 +79,8 @@ def load_scene(
     }
     path = find_scene(name_or_path)
     if path is not None:
-        scene = import_scene(path, cameras=cameras, **given)
+        own = {"tracks": tracks, "track_fps": track_fps}
+        scene = import_scene(path, cameras=cameras, **own, **given)
         if _is_name(name_or_path):
             scene = replace(scene, name=str(name_or_path))
         return scene
@@ -98,11 +105,17 @@ def _built_in(name):
     found = entry and cache.read(KIND, entry)
     if not found:
         made = getattr(import_module(module), function)()
-        found = scene_to_data(made), {array: getattr(made.splats, array) for array in ARRAYS}
+        arrays = {array: getattr(made.splats, array) for array in ARRAYS}
+        if made.actors:
+            nodes = actors_to_arrays(made.actors)
+            arrays |= {NODES + name: values for name, values in nodes.items()}
+        found = scene_to_data(made), arrays
         if entry:
             cache.write(KIND, entry, *found)
     facts, arrays = found
-    return scene_from_data(facts, Splats(**arrays), name)
+    nodes = {n.removeprefix(NODES): a for n, a in arrays.items() if n.startswith(NODES)}
+    scene = scene_from_data(facts, Splats(**{n: arrays[n] for n in ARRAYS}), name)
+    return with_actors(scene, actors_from_arrays(nodes)) if nodes else scene
 
 
 def list_scenes():
@@ -113,7 +126,7 @@ def list_scenes():
     Examples
     --------
     >>> [name for name, where, is_built_in in rainsim.list_scenes() if is_built_in]
-    ['bicycle', 'street']
+    ['bicycle', 'street', 'traffic']
     """
     found = {}
     for folder in scene_folders():

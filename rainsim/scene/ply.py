@@ -15,7 +15,7 @@ PGSR writes the original properties.
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -52,6 +52,7 @@ class _Layout:
     disc: bool
     filtered: bool
     shader: bool
+    base: tuple = BASE_COLOR
 
 
 def read_splats(path):
@@ -87,6 +88,44 @@ def read_plain(path, header, max_broken):
     splats, good = _read_rows(path, vertex, layout)
     splats, broken = keep_good(path, splats, good, max_broken)
     return splats, [*_variant_notes(layout), *dropped_note(broken, len(splats))], broken
+
+
+def read_element(path, element, base=BASE_COLOR, more=()):
+    """Return the splats of one element of a PLY, other values of theirs, and notes.
+
+    Parameters
+    ----------
+    path : path-like
+    element : plyheader.Element
+    base : tuple of str
+        Properties that hold the first coefficients of the harmonics.
+    more : sequence of str
+        Properties whose values are wanted too.
+
+    Returns
+    -------
+    splats : Splats
+    values : ndarray of shape (n, len(more)), float32
+    notes : list of str
+    """
+    if element.offset is None or element.row is None:
+        raise InputError(
+            f"{path} has lists in or before {element.name}; splats have none; {REMEDY}"
+        )
+    missing = [n for n in (*REQUIRED, *base, *more) if n not in element.names and n != SCALE[2]]
+    if missing:
+        raise InputError(f"{path}: {element.name} lacks {', '.join(missing[:8])}; {REMEDY}")
+    element.require_room(path)
+    layout = replace(_layout(path, element), base=tuple(base))
+    splats, good = _read_rows(path, element, layout)
+    values = np.zeros((element.count, 0), np.float32)
+    if more:
+        with open(path, "rb", buffering=0) as file:
+            rows = np.fromfile(file, element.row, element.count, offset=element.offset)
+        values = np.ascontiguousarray(_columns(rows)(list(more)))
+        good &= np.isfinite(values).all(axis=1)
+    splats, broken = keep_good(path, splats, good)
+    return splats, values[good], [*_variant_notes(layout), *dropped_note(broken, len(splats))]
 
 
 def write_splats(path, splats):
@@ -237,7 +276,7 @@ def _columns(rows):
 
 def _activate(pick, layout, splats, part):
     """Fill rows `part` of `splats` in place; return which of them are usable."""
-    base, rest = pick(BASE_COLOR), None
+    base, rest = pick(layout.base), None
     if layout.shader:
         base = _shader_base(base)
     if layout.coefficients > 1:

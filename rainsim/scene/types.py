@@ -224,6 +224,8 @@ class Scene:
         What the reader counted, dropped or assumed, one line each.
     drains : tuple of (x, y, z) [capture units]
         Middles of gratings that take the water of a street.
+    actors : tuple of rainsim.scene.actors.Actor
+        What moves through the scene; their splats are not among `splats`.
 
     Examples
     --------
@@ -239,3 +241,4 @@ class Scene:
     source_hash: str = ""
     notes: tuple = field(default=())
     drains: tuple = ()
+    actors: tuple = ()

@@ -15,6 +15,7 @@ from rainsim.io.files import read_json, replacing, write_json
 from rainsim.output_folder import input_facts, versions
 from rainsim.pipeline import extract_terrain, simulate
 from rainsim.render.weather import weather_of
+from rainsim.scene.actors import require_no_actors
 from rainsim.sensors import point_files
 from rainsim.sensors.lidar import LidarScanner, Pose, pose_at
 from rainsim.sensors.lidar_model import LABEL_NAMES, SENSORS, extinction_of
@@ -117,6 +118,7 @@ def scan_rains(
     say : callable
         Called with notes.
     """
+    require_no_actors(scene.actors, "a lidar", "scan the static set that the nodes stand in")
     terrain = extract_terrain(scene, config, None, tell, say)
     albedo, note = albedo_of_white(terrain, scene.splats, config.render.ground_albedo)
     say([note])

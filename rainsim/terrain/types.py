@@ -160,6 +160,8 @@ class Terrain:
         Depth of the water that the user painted, over an assumed bed; 0 elsewhere.
     tops : Tops
         What lies flat above the ground, see `rainsim.terrain.tops`.
+    movers : tuple of rainsim.terrain.movers.Mover
+        What moves over the map; not written to files.
 
     Examples
     --------
@@ -179,6 +181,7 @@ class Terrain:
     notes: tuple = ()
     water: np.ndarray | None = None
     tops: Tops = NO_TOPS
+    movers: tuple = ()
 
     def __post_init__(self):
         """Fill in a map of zeros if no water was painted."""

@@ -333,6 +333,34 @@ def ring_share(rained, spacing, reach, weight):
     return np.sqrt(np.clip(energy, 0.0, 1.0)).astype(np.float32)
 
 
+def sheltered_rings(rings, rained, shelters, spacing, reach):
+    """Return the amplitude of rings where bodies keep off a part of the rain.
+
+    Parameters
+    ----------
+    rings, rained : ndarray of shape (ny, nx), float32
+        Without the bodies, see `ring_share`.
+    shelters : list of (part, share)
+        Parts of the map, two slices, and the share of the rain there that a body lets through.
+    spacing : float [m]
+    reach : tuple of ndarray
+        Reach and weight, as `ring_share` takes them.
+
+    Returns
+    -------
+    ndarray of shape (ny, nx), float32
+        `rings` itself without bodies.
+    """
+    if not shelters:
+        return rings
+    rings = rings.copy()
+    for part, let_through in shelters:
+        before = ring_share(rained[part], spacing, *reach)
+        after = ring_share(rained[part] * let_through, spacing, *reach)
+        rings[part] *= np.clip(after / np.maximum(before, np.float32(1e-6)), 0, 1)
+    return rings
+
+
 def tile_impacts(impacts, map_area, size, time):
     """Choose the impacts that a tile receives so that its LAYERS together have the map's rate.
 

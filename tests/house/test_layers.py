@@ -55,6 +55,7 @@ EXCEPTIONS = {
     # Built-in scenes are looked up by name as captures are, and made only when they are asked for.
     ("scene.library", "demo_scenes.bicycle"),
     ("scene.library", "demo_scenes.street"),
+    ("scene.library", "demo_scenes.traffic"),
 }
 
 

@@ -235,7 +235,7 @@ def test_scenes_of_the_user_come_first(fake_built_in, monkeypatch, tmp_path):
 
 
 def test_built_in_scenes_are_listed():
-    names = ("bicycle", "street")
+    names = ("bicycle", "street", "traffic")
     assert list_scenes() == [(name, "built-in stand-in", True) for name in names]
 
 

@@ -1,0 +1,118 @@
+"""What drops can hit on a map over time: the map, and what moves over it."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from rainsim.rain.exposure import computed_exposure
+from rainsim.rain.heightfield import Surfaces
+from rainsim.terrain.movers import put_on
+from rainsim.terrain.types import Grid
+
+MARGIN = 1.0  # m around a body in which it thins the rain, besides what the wind adds
+SLOWEST = 4.0  # m/s: drops of 1 mm, the slowest whose paths the exposure follows
+LEAST_SHARE = np.float32(1e-3)  # of the rain, under what stands: there is none to be kept off
+
+
+class Heights(NamedTuple):
+    """A part of a terrain, as `computed_exposure` takes it."""
+
+    grid: Grid
+    bed: np.ndarray
+    top: np.ndarray
+    underside: np.ndarray
+
+
+class MovingSurfaces:
+    """The surfaces of a terrain with its movers, one moment after another.
+
+    Parameters
+    ----------
+    terrain : Terrain
+    wind : tuple of float
+        Speed [m/s] at 10 m and direction [rad]: which way the rain comes from.
+    roughness : float [m]
+        See `rain.wind.wind_shares`.
+
+    Attributes
+    ----------
+    still : Surfaces
+        Without what moves.
+    """
+
+    def __init__(self, terrain, wind=(0.0, 0.0), roughness=0.0):
+        self._terrain, self._wind, self._roughness = terrain, wind, roughness
+        self.still = self._surfaces(terrain.top, terrain.underside)
+        self._moment = None
+
+    def _surfaces(self, top, underside):
+        terrain = self._terrain
+        return Surfaces(
+            spacing=terrain.grid.spacing, origin=terrain.grid.origin, ground=terrain.bed, top=top,
+            underside=underside,
+        )  # fmt: skip
+
+    def at(self, time):
+        """Return the `Surfaces` at a time [s]."""
+        return self.moment(time)[0]
+
+    def moment(self, time):
+        """Return the `Surfaces` at a time [s] and the parts of the map that movers shelter.
+
+        Returns
+        -------
+        surfaces : Surfaces
+        shelters : list of (part, share)
+            Rows and columns, two slices, and the share of the rain there that the movers let
+            through to the ground, float32. Parts may overlap: shares are multiplied.
+        """
+        if not self._terrain.movers:
+            return self.still, []
+        if self._moment is None or self._moment[0] != time:
+            self._moment = time, *self._found(time)
+        return self._moment[1:]
+
+    def thinned(self, share, time):
+        """Return a share of the rain on the map (ny, nx) with that of movers at a time [s]."""
+        shelters = self.moment(time)[1]
+        if not shelters:
+            return share
+        share = share.copy()
+        for part, let_through in shelters:
+            share[part] *= let_through
+        return share
+
+    def _found(self, time):
+        terrain = self._terrain
+        top, underside, shelters = terrain.top.copy(), terrain.underside.copy(), []
+        for mover in terrain.movers:
+            shadow = mover.shadow(terrain.grid, time)
+            here = put_on(terrain.bed, top, underside, shadow)
+            if here is not None and here.any():
+                shelters.append(self._shelter(shadow))
+        if not shelters:
+            return self.still, []
+        return self._surfaces(top, underside), shelters
+
+    def _shelter(self, shadow):
+        """Return the part of the map that a body shelters, and the share that it lets through."""
+        terrain, grid = self._terrain, self._terrain.grid
+        high = float(np.nanmax(shadow.top)) - float(terrain.bed[shadow.part].min())
+        margin = MARGIN + self._wind[0] / SLOWEST * max(high, 0.0)
+        margin = math.ceil(margin / grid.spacing)
+        part = tuple(
+            slice(max(s.start - margin, 0), min(s.stop + margin, n))
+            for s, n in zip(shadow.part, grid.shape, strict=True)
+        )
+        own = Heights(grid, *(getattr(terrain, name)[part].copy() for name in Heights._fields[1:]))
+        own = own._replace(grid=Grid(own.bed.shape, (0.0, 0.0), grid.spacing))
+        before = computed_exposure(own, self._wind, self._roughness)
+        inner = tuple(slice(s.start - p.start, s.stop - p.start)
+                      for s, p in zip(shadow.part, part, strict=True))  # fmt: skip
+        put_on(own.bed, own.top, own.underside, shadow._replace(part=inner))
+        after = computed_exposure(own, self._wind, self._roughness)
+        open_before = np.maximum(before, LEAST_SHARE)
+        return part, np.where(before > LEAST_SHARE, np.minimum(after / open_before, 1), 1)

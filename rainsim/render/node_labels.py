@@ -1,0 +1,146 @@
+"""Labels of moving nodes: which pixels show them, their boxes in space and in the picture, flow."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from rainsim.render.labels import boxes_of
+
+NEAREST = 0.05  # m before the camera: nearer parts of a box are cut off
+EDGES = np.array([(i, i | bit) for bit in (1, 2, 4) for i in range(8) if not i & bit])
+
+
+class NodesSeen(NamedTuple):
+    """The nodes of a frame.
+
+    Attributes
+    ----------
+    actors : sequence of Actor
+    time, interval : float [s]
+        Of the frame, and to the next one.
+    frame : GroundFrame
+    number : ndarray of shape (height, width), uint16
+        Of the node that each pixel shows, from 1 on in the order of `actors`; 0 for none.
+    """
+
+    actors: tuple
+    time: float
+    interval: float
+    frame: object
+    number: np.ndarray
+
+
+def moves_of(nodes):
+    """Return how the nodes that are there move until the next frame.
+
+    Parameters
+    ----------
+    nodes : NodesSeen
+
+    Returns
+    -------
+    dict of int to ndarray of shape (4, 4), float64
+        By the node's number: takes ground points [m] on the node to where they are then. A node
+        that is gone then goes on as it did.
+    """
+    moves = {}
+    for number, actor in enumerate(nodes.actors, start=1):
+        if actor.track.at(nodes.time) is None:
+            continue
+        before = _matrix(actor.track.pose(nodes.time), nodes.frame)
+        after = _matrix(actor.track.pose(nodes.time + nodes.interval), nodes.frame)
+        moves[number] = after @ np.linalg.inv(before)
+    return moves
+
+
+def facts_of_nodes(nodes, camera):
+    """Return what a frame's labels say of each node that is there, a list of plain values.
+
+    Parameters
+    ----------
+    nodes : NodesSeen
+    camera : Camera
+        In the ground frame.
+
+    Returns
+    -------
+    list of dict
+        `number` in the layer `actor_id`, `track` and `class`; `box3d` in the ground frame:
+        centre [m], size [m] along its own axes, rotation (quaternion, w first), velocity [m/s];
+        `box2d`, the corners' box in the picture, (left, top, right, bottom) [px], cut at its edges,
+        None if it lies beside the picture or behind the camera; `box2d_seen`, the box of the pixels
+        that show the node, None if none does, and their number, `pixels`.
+    """
+    seen = {box["id"]: box for box in boxes_of(nodes.number)}
+    facts = []
+    for number, actor in enumerate(nodes.actors, start=1):
+        pose = actor.track.at(nodes.time)
+        if pose is None:
+            continue
+        frame = nodes.frame
+        turn = Rotation.from_matrix(frame.rotation @ pose.rotation)
+        after = actor.track.pose(nodes.time + nodes.interval)
+        centre, then = (frame.to_ground(p.places(actor.box[:1]))[0] for p in (pose, after))
+        corners = frame.to_ground(pose.places(actor.corners()))
+        mine = seen.get(number)
+        facts.append({
+            "number": number, "track": actor.id, "class": actor.kind,
+            "box3d": {
+                "centre": _rounded(centre),
+                "size": _rounded(actor.box[1] * frame.meters_per_unit),
+                "rotation": _rounded(np.roll(turn.as_quat(canonical=True), 1), 9),
+                "velocity": _rounded((then - centre) / nodes.interval),
+            },
+            "box2d": box_in_picture(corners, camera),
+            "box2d_seen": mine and mine["box"], "pixels": mine["pixels"] if mine else 0,
+        })  # fmt: skip
+    return facts
+
+
+def box_in_picture(corners, camera):
+    """Return the box of eight corners (ground frame) in a camera's picture, cut at its edges.
+
+    Parameters
+    ----------
+    corners : ndarray of shape (8, 3) [m]
+        In the order of `Actor.corners`; what lies behind the camera is cut off.
+    camera : Camera
+        In the ground frame.
+
+    Returns
+    -------
+    list of float or None
+        Left, top, right and bottom [px].
+    """
+    matrix = camera.camera_from_world
+    points = corners @ matrix[:3, :3].T + matrix[:3, 3]
+    ends = points[EDGES]
+    ahead = points[points[:, 2] > NEAREST]
+    cut = (ends[:, 0, 2] > NEAREST) != (ends[:, 1, 2] > NEAREST)
+    first, last = ends[cut, 0], ends[cut, 1]
+    share = (NEAREST - first[:, 2:]) / (last[:, 2:] - first[:, 2:]) if cut.any() else 0.0
+    points = np.concatenate([ahead, first + share * (last - first)])
+    if not len(points):
+        return None
+    u = camera.fx * points[:, 0] / points[:, 2] + camera.cx
+    v = camera.fy * points[:, 1] / points[:, 2] + camera.cy
+    left, right = np.clip([u.min(), u.max()], 0, camera.width)
+    top, bottom = np.clip([v.min(), v.max()], 0, camera.height)
+    if left >= right or top >= bottom:
+        return None
+    return _rounded([left, top, right, bottom], 3)
+
+
+def _matrix(pose, frame):
+    """Return ground_from_node of a pose, node lengths in metres, ndarray of shape (4, 4)."""
+    matrix = np.eye(4)
+    matrix[:3, :3] = frame.rotation @ pose.rotation
+    matrix[:3, 3] = frame.to_ground(pose.position)
+    return matrix
+
+
+def _rounded(values, digits=6):
+    return [round(float(value), digits) for value in values]

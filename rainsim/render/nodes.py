@@ -1,0 +1,103 @@
+"""The nodes of a scene at one time: their splats, put before the static set's, and who is where."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rainsim.raster import prepare
+from rainsim.reflection.ray_traced import Tracer
+from rainsim.scene.actors import joined
+from rainsim.shading.wet_ground_mirror import in_level_picture
+from rainsim.splatting.merged import Merger
+
+
+class Nodes:
+    """The moving splats of a scene, one moment after another.
+
+    Parameters
+    ----------
+    actors : sequence of Actor
+    static : PreparedSplats
+        Of the scene without them.
+
+    Attributes
+    ----------
+    poses : list of Pose or None
+        Of each actor at the present time; None while it is not there. Empty before the first time.
+    splats : Splats or None
+        Of those that are there, in the capture frame.
+    static : PreparedSplats
+        As it was given, in memory that is shared with the merged sets.
+    """
+
+    def __init__(self, actors, static):
+        self.actors, self.time, self.poses = actors, None, []
+        self._most = sum(len(actor.splats) for actor in actors)
+        self._merger, self._standing = Merger(static, self._most), None
+        self.static, self.splats, self._first = self._merger.static, None, len(static)
+        self._ends = np.zeros(len(actors) + 1, np.int64)
+
+    def set_time(self, time):
+        """Take over the poses of a time [s], None for no nodes; return whether they moved."""
+        poses = [] if time is None else [actor.track.at(time) for actor in self.actors]
+        same = len(poses) == len(self.poses) and all(
+            _same(a, b) for a, b in zip(poses, self.poses, strict=True)
+        )
+        self.time = time
+        changing = any(a.series is not None and p for a, p in zip(self.actors, poses, strict=False))
+        if same and not changing:
+            return False
+        self.poses, self.splats = poses, None
+        there = [(a, p) for a, p in zip(self.actors, poses, strict=False) if p is not None]
+        if there:
+            self.splats = joined(actor.placed(pose, time) for actor, pose in there)
+        counts = [0 if p is None else len(a.splats)
+                  for a, p in zip(self.actors, poses, strict=False)]  # fmt: skip
+        self._ends = np.cumsum([0, *counts])
+        return True
+
+    def recolor(self, static):
+        """Take over other colours of the static set, see `prepared.recolored`."""
+        self._merger.recolor(static)
+        self.static, self._standing = self._merger.static, None
+
+    def merged(self):
+        """Return the `PreparedSplats` of the whole scene; overwritten by the next call."""
+        nodes = None if self.splats is None else prepare(self.splats)
+        return self._merger.merged(nodes, self._first)
+
+    def standing(self, terrain, frame):
+        """Return what stands on the ground as the level picture takes it, nodes included."""
+        if self._standing is None:
+            static = in_level_picture(self.static, terrain, frame)
+            self._standing = Merger(static, self._most)
+        nodes = None
+        if self.splats is not None:
+            nodes = in_level_picture(prepare(self.splats), terrain, frame)
+        return self._standing.merged(nodes, 0)
+
+    def tracer(self, splats):
+        """Return the `Tracer` of static splats and of the nodes."""
+        return Tracer(splats if self.splats is None else joined([splats, self.splats]))
+
+    def numbers(self, hit):
+        """Return the number of the node that each pixel shows, from 1 on, 0 for the static set.
+
+        Parameters
+        ----------
+        hit : ndarray of shape (height, width), int32
+            See `raster.Layers`, of the merged set.
+
+        Returns
+        -------
+        ndarray of shape (height, width), uint16
+        """
+        found = np.searchsorted(self._ends[1:], hit - self._first, side="right") + 1
+        return np.where(hit >= self._first, found, 0).astype(np.uint16)
+
+
+def _same(pose, other):
+    """Whether two poses, or absences, are the same."""
+    if pose is None or other is None:
+        return pose is other
+    return pose.same_as(other)

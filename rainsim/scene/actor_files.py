@@ -1,0 +1,255 @@
+"""Nodes as files: `actors.json`, which says what moves through a scene, and nodes as arrays.
+
+docs/actors.md describes `actors.json`. A scene folder holds its nodes as `actors.npz`: the splats
+of all nodes one after the other, the keys of all tracks one after the other, and how many of them
+belong to each node.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from rainsim.errors import InputError, ParameterError, shown
+from rainsim.io.arrays import TEXT, Field, read_arrays, write_arrays
+from rainsim.io.files import number_array, path_named, printable_name, read_json
+from rainsim.scene.actors import Actor, ColorSeries, Track, box_of
+from rainsim.scene.formats import read_splats
+from rainsim.scene.harmonics import padded
+from rainsim.scene.types import Splats
+
+ACTORS_FILE, ACTORS_ARRAYS = "actors.json", "actors.npz"
+VERSION = 1
+REMEDY = "docs/actors.md describes the file; correct it"
+MOST_NODES = 4096
+FLOAT = float(np.finfo(np.float32).max)
+LONGEST = 1e9  # s
+SPLATS = ("position", "rotation", "scale", "opacity", "sh")
+KEYS = ("time", "position", "rotation", "visible")  # of a track
+_FIELDS = {
+    "position": Field("float32", ("splats", 3)),
+    "rotation": Field("float32", ("splats", 4), -2, 2),
+    "scale": Field("float32", ("splats", 3), 0),
+    "opacity": Field("float32", ("splats",), 0, 1),
+    "sh": Field("float32", ("splats", "coefficients", 3), -FLOAT, FLOAT),
+    "id": Field(TEXT, ("nodes",)),
+    "kind": Field(TEXT, ("nodes",)),
+    "box": Field("float64", ("nodes", 2, 3)),
+    "splat_count": Field("int64", ("nodes",), 1, 1 << 40),
+    "key_count": Field("int64", ("nodes",), 1, 1 << 40),
+    "term_count": Field("int64", ("nodes",), 0, 1 << 16),
+    "span": Field("float64", ("nodes", 2), -LONGEST, LONGEST),
+    "key_time": Field("float64", ("keys",), -LONGEST, LONGEST),
+    "key_position": Field("float64", ("keys", 3)),
+    "key_rotation": Field("float64", ("keys", 4), -2, 2),
+    "key_visible": Field("bool", ("keys",)),
+    "terms": Field("float32", ("terms", 3), -FLOAT, FLOAT),
+    "turning": Field("bool", ("nodes",)),
+}
+
+
+@dataclass(frozen=True)
+class ActorsFile:
+    """What an `actors.json` says.
+
+    Attributes
+    ----------
+    static : Path
+        Of the scene that the nodes move through.
+    actors : tuple of Actor
+    files : tuple of Path
+        All files that were read: this one and those of the nodes' splats.
+    notes : tuple of str
+    """
+
+    static: Path
+    actors: tuple
+    files: tuple
+    notes: tuple
+
+
+def actors_file(path):
+    """Return the `actors.json` that a path names, itself or in a folder; None if it does not."""
+    path = Path(path)
+    if path.is_dir():
+        path = path / ACTORS_FILE
+    return path if path.name == ACTORS_FILE and path.is_file() else None
+
+
+def read_actors(path):
+    """Read an `actors.json`.
+
+    Parameters
+    ----------
+    path : path-like
+
+    Returns
+    -------
+    ActorsFile
+
+    Raises
+    ------
+    InputError
+        If it breaks a rule of docs/actors.md, or a splat file cannot be read.
+    """
+    path = Path(path)
+    data = read_json(path, "a description of nodes")
+    if not isinstance(data, dict) or data.get("rainsim_actors") != VERSION:
+        raise InputError(f"{path} lacks rainsim_actors: {VERSION}; it must have it; {REMEDY}")
+    static = path.parent / _name(path, "scene", data.get("scene"))
+    nodes = data.get("nodes")
+    if not isinstance(nodes, list) or not 0 < len(nodes) <= MOST_NODES:
+        raise InputError(f"{path}: nodes must be a list of 1 to {MOST_NODES} nodes; {REMEDY}")
+    if static.resolve() == path.resolve() or actors_file(static) is not None:
+        raise InputError(f"{path}: scene must name a static set, not nodes again; {REMEDY}")
+    actors, files, notes, read = [], [path], [], {}
+    for number, node in enumerate(nodes):
+        where = f"{path}, node {number}"
+        if not isinstance(node, dict):
+            raise InputError(f"{where} is {shown(node)}; it must be an object; {REMEDY}")
+        file = path_named(_name(where, "splats", node.get("splats")), path.parent)
+        if file not in read:
+            read[file] = read_splats(file)
+            files.append(file)
+            notes += [f"{file.name}: {note}" for note in read[file][1]]
+        actors.append(_actor(where, node, read[file][0]))
+    return ActorsFile(static, tuple(actors), tuple(files), tuple(notes))
+
+
+def _name(where, key, value):
+    if not isinstance(value, str) or not value or not value.isprintable():
+        raise InputError(f"{where}: {key} is {shown(value)}; it must be a path; {REMEDY}")
+    return value
+
+
+def _actor(where, node, splats):
+    """Return the Actor of one node of an `actors.json`."""
+    name, kind = node.get("id"), node.get("class", "object")
+    if not isinstance(name, str | int) or isinstance(name, bool) or not str(name):
+        raise InputError(f"{where}: id is {shown(name)}; it must be a text or number; {REMEDY}")
+    if not isinstance(kind, str):
+        raise InputError(f"{where}: class is {shown(kind)}; it must be a text; {REMEDY}")
+    track = node.get("track")
+    if not isinstance(track, dict):
+        raise InputError(f"{where}: track is {shown(track)}; it must be an object; {REMEDY}")
+    times = track.get("times")
+    count = len(times) if isinstance(times, list) else 0
+    arrays = {
+        "times": number_array(times, (count,)),
+        "positions": number_array(track.get("positions"), (count, 3)),
+        "rotations": number_array(track.get("rotations"), (count, 4)),
+    }
+    for key, array in arrays.items():
+        if count == 0 or array is None:
+            raise InputError(
+                f"{where}: {key} of its track are not what they must be: as many as times, rows of "
+                f"1 (times), 3 (positions) or 4 (rotations) finite numbers; {REMEDY}"
+            )
+    visible = track.get("visible", [True] * count)
+    if not isinstance(visible, list) or len(visible) != count or (
+        not all(isinstance(v, bool) for v in visible)
+    ):  # fmt: skip
+        raise InputError(f"{where}: visible must be {count} of true or false; {REMEDY}")
+    harmonics = node.get("harmonics", "node")
+    if harmonics not in ("node", "scene"):
+        raise InputError(
+            f"{where}: harmonics is {shown(harmonics)}; it must be node or scene; {REMEDY}"
+        )
+    box = box_of(splats) if node.get("box") is None else _box(where, node["box"])
+    try:
+        way = Track(arrays["times"], arrays["positions"], arrays["rotations"], np.array(visible))
+    except ParameterError as error:
+        raise InputError(f"{where}: {error}; {REMEDY}") from None
+    turning = harmonics == "node"
+    return Actor(printable_name(name), printable_name(kind), splats, box, way, turning=turning)
+
+
+def _box(where, data):
+    box = None
+    if isinstance(data, dict):
+        box = number_array([data.get("centre"), data.get("size")], (2, 3))
+    if box is None or (box[1] <= 0).any():
+        raise InputError(
+            f"{where}: box is {shown(data)}; it must have centre and size, three numbers each, the "
+            f"size above 0; {REMEDY}"
+        )
+    return box
+
+
+# --- nodes as arrays ------------------------------------------------------------------------------
+
+
+def actors_to_arrays(actors):
+    """Return nodes as arrays by name, as `actors_from_arrays` takes them."""
+    splats = [actor.splats for actor in actors]
+    most = max(part.sh.shape[1] for part in splats)
+    terms = [np.zeros((0, 0, 3)) if a.series is None else a.series.terms for a in actors]
+    spans = [(0, 0) if a.series is None else (a.series.begin, a.series.end) for a in actors]
+    arrays = {
+        name: np.concatenate([getattr(part, name) for part in splats]) for name in SPLATS[:-1]
+    }
+    arrays["sh"] = np.concatenate([padded(part.sh, most) for part in splats])
+    arrays |= {
+        "key_" + name: np.concatenate([getattr(a.track, name) for a in actors]) for name in KEYS
+    }
+    return arrays | {
+        "id": np.array([a.id for a in actors]), "kind": np.array([a.kind for a in actors]),
+        "box": np.stack([a.box for a in actors]), "turning": np.array([a.turning for a in actors]),
+        "splat_count": np.array([len(part) for part in splats]),
+        "key_count": np.array([len(a.track.time) for a in actors]),
+        "term_count": np.array([t.shape[1] for t in terms]),
+        "span": np.array(spans, np.float64),
+        "terms": np.concatenate([t.reshape(-1, 3) for t in terms]).astype(np.float32),
+    }  # fmt: skip
+
+
+def actors_from_arrays(arrays):
+    """Return the nodes that `actors_to_arrays` gave, a tuple of Actor.
+
+    Raises
+    ------
+    ParameterError
+        If the counts do not add up or a track breaks a rule.
+    """
+    counts = arrays["splat_count"], arrays["key_count"]
+    terms = arrays["splat_count"] * arrays["term_count"]
+    ends = [np.cumsum(n) for n in (*counts, terms)]
+    for end, name in zip(ends, ("position", "key_time", "terms"), strict=True):
+        if end[-1] != len(arrays[name]):
+            raise ParameterError(f"the counts of {name} do not add up; write the nodes again")
+    actors = []
+    for k in range(len(counts[0])):
+        own, key, term = (
+            slice(end[k] - n[k], end[k]) for end, n in zip(ends, (*counts, terms), strict=True)
+        )
+        splats = Splats(*(np.ascontiguousarray(arrays[name][own]) for name in SPLATS))
+        track = Track(*(arrays["key_" + name][key] for name in KEYS))
+        series = None
+        if arrays["term_count"][k]:
+            shape = int(counts[0][k]), int(arrays["term_count"][k]), 3
+            series = ColorSeries(arrays["terms"][term].reshape(shape), *arrays["span"][k].tolist())
+        name, kind = str(arrays["id"][k]), str(arrays["kind"][k])
+        turning = bool(arrays["turning"][k])
+        actors.append(Actor(name, kind, splats, arrays["box"][k], track, series, turning))
+    return tuple(actors)
+
+
+def write_actor_arrays(path, actors):
+    """Write nodes as an .npz file of a scene folder."""
+    write_arrays(path, VERSION, actors_to_arrays(actors))
+
+
+def read_actor_arrays(path):
+    """Return the nodes of an .npz file that `write_actor_arrays` wrote, all of it checked."""
+    arrays = read_arrays(path, "set of nodes", _FIELDS, VERSION, "import the scene again")
+    turn = np.einsum("ni,ni->n", arrays["rotation"], arrays["rotation"])
+    if len(arrays["id"]) == 0 or len(turn) == 0 or np.abs(turn - 1).max() > 1e-2:
+        raise InputError(f"{path} has no nodes or rotations that are no unit quaternions; "
+                         "import the scene again")  # fmt: skip
+    try:
+        actors = actors_from_arrays(arrays)
+    except ParameterError as error:
+        raise InputError(f"{path}: {error}; import the scene again") from None
+    return tuple(replace(a, id=printable_name(a.id), kind=printable_name(a.kind)) for a in actors)

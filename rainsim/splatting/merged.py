@@ -1,0 +1,71 @@
+"""Prepared splats of a static set with those of moving nodes before them.
+
+The static set is prepared and copied once; for each moment only the nodes' chunks are written, into
+the room that lies before it. The nodes come first because pictures can leave out the last chunks.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from rainsim.splatting.prepared import LANES
+
+_ARRAYS = ("geometry", "sh", "fine", "step", "box")
+NOBODY = -1  # in `order`: a place that no splat fills
+
+
+class Merger:
+    """Puts nodes before a static set, one moment after another.
+
+    Parameters
+    ----------
+    static : PreparedSplats
+    most : int
+        Splats of all nodes together, at most.
+
+    Attributes
+    ----------
+    static : PreparedSplats
+        The static set, in the memory that merged sets share.
+    """
+
+    def __init__(self, static, most):
+        self._room = -(-most // LANES)
+        self._arrays = {}
+        for name in _ARRAYS:
+            own = getattr(static, name)
+            array = np.zeros((self._room + len(own), *own.shape[1:]), own.dtype)
+            array[self._room :] = own
+            self._arrays[name] = array
+        self.static = replace(static, **{n: a[self._room :] for n, a in self._arrays.items()})
+
+    def recolor(self, static):
+        """Take over other colours of the static set, see `prepared.recolored`."""
+        for name in ("sh", "fine", "step"):
+            self._arrays[name][self._room :] = getattr(static, name)
+
+    def merged(self, nodes, first):
+        """Return the static set with prepared nodes before it; overwritten by the next call.
+
+        Parameters
+        ----------
+        nodes : PreparedSplats or None
+            Harmonics of the same degree as the static set's.
+        first : int
+            Index that the nodes' first splat has in the merged scene: the static set's length.
+        """
+        if nodes is None or not len(nodes):
+            return self.static
+        begin = self._room - len(nodes.box)
+        for name in _ARRAYS:
+            self._arrays[name][begin : self._room] = getattr(nodes, name)
+        order = np.full(len(nodes.box) * LANES + len(self.static), NOBODY, np.int32)
+        order[: len(nodes)] = nodes.order + np.int32(first)
+        order[len(nodes.box) * LANES :] = self.static.order
+        leading = self.static.leading
+        return replace(
+            self.static, **{name: self._arrays[name][begin:] for name in _ARRAYS}, order=order,
+            leading=None if leading is None else leading + len(nodes.box),
+        )  # fmt: skip
