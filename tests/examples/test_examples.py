@@ -104,3 +104,20 @@ def test_flat_rain(tmp_path, capsys):
     line = capsys.readouterr().out.splitlines()[-1]
     rate, ours, _, theirs, _ = line.split()
     assert rate == "50" and 0 <= float(theirs) <= 1 and 0 <= float(ours) <= 1
+
+
+def test_the_notebook(monkeypatch, capsys):
+    import json
+
+    import rainsim
+
+    notebook = json.loads((FOLDER / "steps.ipynb").read_text(encoding="utf-8"))
+    monkeypatch.setattr(rainsim, "load_scene", lambda name: tiny_scene(), raising=False)
+    names = {}
+    for cell in notebook["cells"]:
+        if cell["cell_type"] == "code":
+            assert not cell["outputs"] and cell["execution_count"] is None
+            exec("".join(cell["source"]), names)
+    printed = capsys.readouterr().out
+    assert "of the pixels show water" in printed and printed.count("residual") == 3
+    assert names["picture"].shape == (240, 320, 3) and names["water"].max() > 0
