@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 from rainsim.errors import ParameterError
@@ -35,17 +36,20 @@ def front(points):
     return kept
 
 
-def draw_fronts(path, panels, title):
-    """Draw error against time, one panel per case, one line per method, the front marked.
+def draw_fronts(path, panels, title, default=None):
+    """Draw error against time, one panel per case, one line per method, the front as steps.
 
     Parameters
     ----------
     path : path-like
         PNG to write.
     panels : dict
-        {case: {"least": error or None, "lines": {method: [(seconds, error), ...]}}}; or, for bars
-        side by side instead, {case: {"bars": {name: {stage: milliseconds}}}}
+        {case: {"least": error or None, "lines": {method: [(seconds, error), ...]}, "peers": the
+        same for other programs, may be missing}}; or, for bars side by side instead, {case:
+        {"bars": {name: {stage: milliseconds}}}}
     title : str
+    default : str, optional
+        The method that is used where nothing else is asked for; it is marked.
     """
     pyplot = require_matplotlib()
     columns = 2 if len(panels) == 4 else min(3, len(panels))
@@ -55,30 +59,71 @@ def draw_fronts(path, panels, title):
     )
     for axis in axes.flat[len(panels) :]:
         axis.set_visible(False)
-    styles = {}
+    styles, shown = {}, {}
     for axis, (name, panel) in zip(axes.flat, panels.items(), strict=False):
         if "bars" in panel:
             _draw_bars(axis, name, panel["bars"])
             continue
-        everything = []
-        for method, points in panel["lines"].items():
-            n = styles.setdefault(method, len(styles))
-            time, error = zip(*sorted(points), strict=True)
-            axis.plot(
-                time, error, marker=MARKERS[n % len(MARKERS)], color=COLORS[n % len(COLORS)],
-                label=method, linewidth=1.2, markersize=5,
-            )  # fmt: skip
-            everything += points
-        axis.plot(*zip(*front(everything), strict=True), color="0.8", linewidth=7, zorder=0)
-        if panel.get("least"):
-            axis.axhline(panel["least"], color="0.4", linestyle=":", linewidth=1)
-        axis.set(title=name, xscale="log", yscale="log", xlabel="seconds", ylabel="relative error")
-        axis.tick_params(axis="x", which="minor", labelsize=7, rotation=45)
-        axis.grid(alpha=0.3, which="both")
-    axes.flat[0].legend(fontsize=8)
+        _draw_lines(axis, panel, styles, default)
+        axis.set(title=name, xlabel="time [ms]", ylabel="relative error")
+        _log_ticks(axis)
+        for handle, label in zip(*axis.get_legend_handles_labels(), strict=True):
+            shown.setdefault(label, handle)
+    if shown:
+        figure.legend(
+            shown.values(), shown, fontsize=8, loc="outside lower center", ncols=min(len(shown), 5)
+        )
     figure.suptitle(title)
     figure.savefig(Path(path), dpi=110, format="png")
     pyplot.close(figure)
+
+
+def _draw_lines(axis, panel, styles, default):
+    """Draw the methods of a case, those of other programs in grey, and the front."""
+    everything = []
+    for method, points in panel["lines"].items():
+        n = styles.setdefault(method, len(styles))
+        time, error = _milliseconds(points)
+        is_default = method == default
+        axis.plot(
+            time, error, marker=MARKERS[n % len(MARKERS)], color=COLORS[n % len(COLORS)],
+            label=f"{method} (default)" if is_default else method,
+            linewidth=2.2 if is_default else 1.2, markersize=7 if is_default else 5,
+            zorder=3 if is_default else 2,
+        )  # fmt: skip
+        everything += points
+    for n, (peer, points) in enumerate(panel.get("peers", {}).items()):
+        axis.plot(
+            *_milliseconds(points), marker=MARKERS[-1 - n % len(MARKERS)], color="0.55",
+            label=peer, linewidth=0.6, linestyle="--", markersize=4, zorder=1,
+        )  # fmt: skip
+    time, error = _milliseconds(front(everything))
+    axis.step(time, error, where="post", color="0.8", linewidth=6, zorder=0, label="front")
+    if panel.get("least"):
+        axis.axhline(
+            panel["least"], color="0.4", linestyle=":", linewidth=1, label="least to reach"
+        )
+
+
+def _milliseconds(points):
+    """Return times [ms] and errors of (seconds, error) points, the quickest first."""
+    time, error = zip(*sorted(points), strict=True)
+    return [1e3 * t for t in time], error
+
+
+def _log_ticks(axis):
+    """Put plain numbers on logarithmic axes, as many as have room."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    axis.set(xscale="log", yscale="log")
+    for side in (axis.xaxis, axis.yaxis):
+        low, high = side.get_view_interval()
+        decades = math.log10(high / low)
+        steps = (1, 2, 5) if decades < 2 else (1,)
+        side.set_major_locator(LogLocator(subs=steps, numticks=12))
+        side.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        side.set_minor_formatter(NullFormatter())
+    axis.grid(alpha=0.3, which="major")
 
 
 def _draw_bars(axis, title, bars):

@@ -223,4 +223,5 @@ def draw(result, path):
             stages.setdefault(row["scene"], {})[f"{row['width']} px, {row['level']}"] = bar
     for scene, bars in stages.items():
         panels[f"{scene}: stages, one after the other"] = {"bars": bars}
-    draw_fronts(path, panels, "A rainy frame: error against the frame at twice the size, and time")
+    title = "A rainy frame: error against the frame at twice the size, and time"
+    draw_fronts(path, panels, title, default="as set")

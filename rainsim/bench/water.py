@@ -8,7 +8,7 @@ import time
 
 import numpy as np
 
-from rainsim.bench import cases
+from rainsim.bench import cases, peers
 from rainsim.bench.chart import draw_fronts, front
 from rainsim.grid import WaterSolver
 from rainsim.jit import cpu_kernel, prange, set_threads
@@ -215,5 +215,8 @@ def draw(result, path):
         for record in result["records"]:
             if record["case"] == name:
                 lines.setdefault(record["scheme"], []).append((record["seconds"], record["error"]))
-        panels[name] = {"least": least, "lines": lines}
-    draw_fronts(path, panels, "Shallow water: error against time (dotted: the least to reach)")
+        panels[name] = {
+            "least": least, "lines": lines, "peers": peers.SECONDS_AND_ERRORS.get(name, {}),
+        }  # fmt: skip
+    title = "Shallow water: error against time (grey: other codes, one thread, processor time)"
+    draw_fronts(path, panels, title, default="auto")

@@ -1,5 +1,6 @@
 """Every scheme on cases with exact answers, and where methods fail. Full sizes are slow."""
 
+import itertools
 import math
 
 import numpy as np
@@ -150,3 +151,31 @@ def test_memory_limit_is_that_of_a_copy(poisoned):
     copy(a, b)
     np.testing.assert_array_equal(a, b)
     assert memory_limit(1 << 12) > 0
+
+
+def test_the_chart_has_plain_ticks_other_codes_and_the_front(monkeypatch, tmp_path):
+    """Labels of ticks are apart, the default is marked, and each panel has its peers."""
+    pyplot = pytest.importorskip("matplotlib.pyplot")
+    from rainsim.bench import chart, peers, water
+
+    figures = []
+    monkeypatch.setattr(pyplot, "close", figures.append)
+    records = [
+        {"case": case, "scheme": scheme, "error": error / 10**n, "seconds": 1e-3 * 6**n}
+        for case in water.SUITE
+        for scheme, error in (("auto", 0.1), ("lean", 0.2))
+        for n in range(3)
+    ]
+    water.draw({"records": records}, tmp_path / "chart.png")
+    (figure,) = figures
+    figure.canvas.draw()
+    for axis, case in zip(figure.axes, water.SUITE, strict=False):
+        labels = [t for t in axis.get_xticklabels() if t.get_text()]
+        boxes = sorted(
+            (t.get_window_extent() for t in labels if t.get_visible()), key=lambda b: b.x0
+        )
+        assert all(a.x1 < b.x0 for a, b in itertools.pairwise(boxes)), case
+        names = {line.get_label() for line in axis.lines}
+        assert {"auto (default)", "lean", "front"} <= names
+        assert set(peers.SECONDS_AND_ERRORS.get(case, {})) <= names
+    assert chart.front([(1, 3), (2, 4), (3, 1)]) == [(1, 3), (3, 1)]
