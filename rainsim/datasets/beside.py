@@ -16,6 +16,8 @@ def sample_files(sample, plan):
     yield DataFile(f"{folder}/class_id/{name}.png", PNG, sample.class_id.astype(np.uint8))
     yield DataFile(f"{folder}/puddle_id/{name}.png", PNG16, sample.puddle_id)
     yield DataFile(f"{folder}/splash_id/{name}.png", PNG16, sample.splash_id)
+    if sample.actor_id is not None:
+        yield DataFile(f"{folder}/actor_id/{name}.png", PNG16, sample.actor_id)
     keep = np.where(sample.keep, 255, 0).astype(np.uint8)
     yield DataFile(f"{folder}/keep/{name}.png", PNG, keep)
     yield DataFile(f"{folder}/range/{name}.png", PNG16, depth_mm(sample.range))

@@ -10,10 +10,15 @@ line. The folders of the rains are named as rain-rendering's (Halder et al. 2019
 from __future__ import annotations
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from rainsim.datasets.files import PNG, PNG16, PNG48, TEXT, DataFile
 from rainsim.datasets.sample import condition, flow_known, kitti_depth, kitti_flow
 
+LEAST_DEPTH = 0.05  # m: a box with a nearer corner is beside the camera
+CORNERS = 0.5 * np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+TYPES = {"car": "Car", "vehicle": "Car", "van": "Van", "truck": "Truck", "bus": "Truck",
+         "tram": "Tram", "pedestrian": "Pedestrian", "cyclist": "Cyclist"}  # fmt: skip
 SAME = " ".join(f"{v:.12e}" for v in np.eye(3).ravel())
 SAME_PLACE = " ".join(f"{v:.12e}" for v in np.eye(3, 4).ravel())
 
@@ -25,6 +30,9 @@ def sample_files(sample, plan):
     depth = kitti_depth(sample.depth)
     yield DataFile(f"{training}/proj_depth/groundtruth/image_02/{number}_10.png", PNG16, depth)
     yield DataFile(f"{training}/calib/{number}.txt", TEXT, calibration(sample.view.camera))
+    if sample.actor_id is not None:
+        boxes = object_labels(sample.facts.get("actors", ()), sample.view.camera)
+        yield DataFile(f"{training}/label_2/{number}.txt", TEXT, boxes)
     if sample.flow is None:
         return
     if sample.view.index > 0:
@@ -40,6 +48,62 @@ def plan_files(plan):
     """Yield the `DataFile`s of the whole data set."""
     for rate in plan.rates:
         yield DataFile(f"{condition(rate)}/training/poses.txt", TEXT, poses(plan.views))
+
+
+def object_labels(actors, camera):
+    """Return a label_2 file: a line for each node that the picture shows.
+
+    After the object development kit: type, truncated, occluded (3: not known), alpha, box in the
+    picture, height, width and length [m], middle of the bottom in the camera's frame [m] and
+    rotation about its y axis. A box is taken to stand upright in the camera's frame, as KITTI's do.
+
+    Parameters
+    ----------
+    actors : sequence of dict
+        See `rainsim.render.node_labels.facts_of_nodes`.
+    camera : Camera
+        In the ground frame.
+    """
+    lines, matrix = [], camera.camera_from_world
+    for actor in actors:
+        if not actor["pixels"]:
+            continue
+        box = actor["box3d"]
+        size, centre = np.array(box["size"]), np.array(box["centre"])
+        axes = Rotation.from_quat(np.roll(box["rotation"], -1)).as_matrix()
+        x, y, z = matrix[:3, :3] @ (centre - 0.5 * size[2] * axes[:, 2]) + matrix[:3, 3]
+        ahead = matrix[:3, :3] @ axes[:, 0]
+        turn = float(np.arctan2(-ahead[2], ahead[0]))
+        alpha = (turn - np.arctan2(x, z) + np.pi) % (2 * np.pi) - np.pi
+        corners = centre + (CORNERS * size) @ axes.T
+        shown = actor["box2d"] or actor["box2d_seen"]
+        numbers = (*(v - 0.5 for v in shown), size[2], size[1], size[0], x, y, z, turn)
+        kind = TYPES.get(actor["class"].lower(), "Misc")
+        lines.append(f"{kind} {truncation(corners, shown, camera):.2f} 3 {alpha:.4f} "
+                     + " ".join(f"{v:.4f}" for v in numbers))  # fmt: skip
+    return "".join(line + "\n" for line in lines)
+
+
+def truncation(corners, shown, camera):
+    """Return the share of a box's picture that lies beyond the edges; 1 if it is beside the camera.
+
+    Parameters
+    ----------
+    corners : ndarray of shape (8, 3) [m]
+        In the ground frame.
+    shown : sequence of float [px]
+        The part that the picture shows: left, top, right and bottom.
+    camera : Camera
+        In the ground frame.
+    """
+    matrix = camera.camera_from_world
+    x, y, z = (corners @ matrix[:3, :3].T + matrix[:3, 3]).T
+    if z.min() < LEAST_DEPTH:
+        return 1.0
+    u, v = camera.fx * x / z, camera.fy * y / z
+    whole = np.ptp(u) * np.ptp(v)
+    part = (shown[2] - shown[0]) * (shown[3] - shown[1])
+    return float(np.clip(1 - part / max(whole, 1e-9), 0, 1))
 
 
 def calibration(camera):

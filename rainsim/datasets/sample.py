@@ -63,7 +63,9 @@ class Sample:
     glass : ndarray, float32, or None
         Share of the pixel's light that came through drops on the glass before the lens.
     facts : dict
-        Weather, puddles and splashes of the picture, see `rainsim.render.aov.facts_of`.
+        Weather, puddles, splashes and nodes of the picture, see `rainsim.render.aov.facts_of`.
+    actor_id : ndarray, uint16, or None
+        Number of the node that the pixel shows; None if nothing moves through the scene.
     """
 
     view: View
@@ -80,6 +82,7 @@ class Sample:
     labels: np.ndarray | None = None
     glass: np.ndarray | None = None
     facts: dict = field(default_factory=dict)
+    actor_id: np.ndarray | None = None
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from rainsim.sensors.rolling import STILL, Motion, bands, draw_rolling
 from rainsim.terrain.pond import without_images
 
 LABELS = ("depth", "range", "class_id", "puddle_id", "splash_id", "rain_alpha", "splash_alpha")
-FLOWS = ("flow", "flow_mask")
+FLOWS, ACTORS = ("flow", "flow_mask"), "actor_id"
 CLEAR = "clean"
 NEAR = 0.05  # m: splats nearer than this are not drawn
 
@@ -60,6 +60,7 @@ class Shots:
         self.user_labels, self.readout, self.pane = user_labels, readout, pane
         self._wide = None  # the renderer of what drops on the glass show, and its rate
         self._warps, self._dry = {}, None
+        self.labels = (*LABELS, *((ACTORS,) if scene.actors else ()))
 
     def draw(self, rate, indices):
         """Yield the `Sample`s of the views `indices` at a rain rate [mm/h]."""
@@ -67,7 +68,7 @@ class Shots:
         if not indices:
             return
         config = self.config_of(rate)
-        names = (*LABELS, *(FLOWS if self.sequence and not self.readout else ()),
+        names = (*self.labels, *(FLOWS if self.sequence and not self.readout else ()),
                  *((CLEAR,) if rate == 0 else ()))  # fmt: skip
         drawn = self._in_sequence if self.sequence else self._at_one_moment
         drawn = self._rolling if self.readout else drawn
@@ -183,14 +184,14 @@ class Shots:
             if flow is not None:
                 flow, mask = warp.flow(flow, mask)
             labels = None if labels is None else warp.nearest(labels)
-            found = {name: warp.nearest(found[name]) for name in LABELS}
+            found = {name: warp.nearest(found[name]) for name in self.labels}
         keep = np.ones(picture.shape[:2], bool)
         if rate > 0:
             keep = keep_mask(found["rain_alpha"], found["splash_alpha"], found["class_id"])
         return Sample(
             view, rate, np.array(picture), found["depth"], found["range"], found["class_id"],
             found["puddle_id"], found["splash_id"], keep, flow, mask, labels,
-            facts=_facts(report.facts, found, warp is not None),
+            facts=_facts(report.facts, found, warp is not None), actor_id=found.get(ACTORS),
         )  # fmt: skip
 
 
@@ -202,4 +203,12 @@ def _facts(facts, found, warped):
     for kind, name in (("puddles", "puddle_id"), ("splashes", "splash_id")):
         known = {entry["id"]: entry for entry in facts.get(kind, ())}
         facts[kind] = [{**known.get(box["id"], {}), **box} for box in boxes_of(found[name])]
+    if ACTORS in found:
+        seen = {box["id"]: box for box in boxes_of(found[ACTORS])}
+        facts["actors"] = [
+            {**node, "box2d": None, "box2d_seen": None, "pixels": 0}
+            | ({"box2d_seen": mine["box"], "pixels": mine["pixels"]} if mine else {})
+            for node in facts.get("actors", ())
+            for mine in (seen.get(node["number"]),)
+        ]
     return facts

@@ -14,7 +14,6 @@ from rainsim.terrain.types import Grid
 
 MARGIN = 1.0  # m around a body in which it thins the rain, besides what the wind adds
 SLOWEST = 4.0  # m/s: drops of 1 mm, the slowest whose paths the exposure follows
-LEAST_SHARE = np.float32(1e-3)  # of the rain, under what stands: there is none to be kept off
 
 
 class Heights(NamedTuple):
@@ -98,7 +97,10 @@ class MovingSurfaces:
         return self._surfaces(top, underside), shelters
 
     def _shelter(self, shadow):
-        """Return the part of the map that a body shelters, and the share that it lets through."""
+        """Return the part of the map that a body shelters, and the share that it lets through.
+
+        Of the rain that things which stand let through: their shares are multiplied.
+        """
         terrain, grid = self._terrain, self._terrain.grid
         high = float(np.nanmax(shadow.top)) - float(terrain.bed[shadow.part].min())
         margin = MARGIN + self._wind[0] / SLOWEST * max(high, 0.0)
@@ -107,12 +109,9 @@ class MovingSurfaces:
             slice(max(s.start - margin, 0), min(s.stop + margin, n))
             for s, n in zip(shadow.part, grid.shape, strict=True)
         )
-        own = Heights(grid, *(getattr(terrain, name)[part].copy() for name in Heights._fields[1:]))
-        own = own._replace(grid=Grid(own.bed.shape, (0.0, 0.0), grid.spacing))
-        before = computed_exposure(own, self._wind, self._roughness)
+        bed = terrain.bed[part].copy()
+        own = Heights(Grid(bed.shape, (0.0, 0.0), grid.spacing), bed, bed.copy(), bed.copy())
         inner = tuple(slice(s.start - p.start, s.stop - p.start)
                       for s, p in zip(shadow.part, part, strict=True))  # fmt: skip
         put_on(own.bed, own.top, own.underside, shadow._replace(part=inner))
-        after = computed_exposure(own, self._wind, self._roughness)
-        open_before = np.maximum(before, LEAST_SHARE)
-        return part, np.where(before > LEAST_SHARE, np.minimum(after / open_before, 1), 1)
+        return part, computed_exposure(own, self._wind, self._roughness)

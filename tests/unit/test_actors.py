@@ -338,6 +338,23 @@ def test_a_box_hides_the_streaks_behind_it(scene, ground, states, camera):
     assert shown["with"]["rain_alpha"][box].sum() < 0.7 * shown["without"]["rain_alpha"][box].sum()
 
 
+def test_a_data_set_carries_the_nodes(scene, ground, camera):
+    from rainsim.datasets import beside, kitti
+    from rainsim.datasets.sample import Plan, View
+    from rainsim.datasets.shots import Shots
+    from rainsim.render.labels import class_names
+
+    view = View(0, "a", scene.ground_frame.camera_in_ground(camera))
+    (sample,) = Shots(scene, ground, [view], CONFIG, False).draw(10.0, [0])
+    assert (sample.actor_id == 1).sum() == sample.facts["actors"][0]["pixels"] > 1000
+    plan = Plan("a", (view,), (10.0,), False, None, None, class_names())
+    files = {f.name: f for f in (*kitti.sample_files(sample, plan),
+                                 *beside.sample_files(sample, plan))}  # fmt: skip
+    (label,) = [f for name, f in files.items() if "label_2" in name]
+    assert label.content.startswith("Misc ") and label.content.count("\n") == 1
+    assert any("/actor_id/" in name for name in files)
+
+
 # --- files ----------------------------------------------------------------------------------------
 
 

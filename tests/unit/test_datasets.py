@@ -70,6 +70,42 @@ def projected(camera, point):
     return camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy, z
 
 
+def test_boxes_of_nodes_as_kitti_has_them():
+    from scipy.spatial.transform import Rotation
+
+    from rainsim.datasets.kitti import object_labels
+
+    level = np.array([[0, -1, 0], [0, 0, -1], [1, 0, 0]], float)  # looks along x
+    matrix = np.eye(4)
+    matrix[:3, :3] = level
+    matrix[:3, 3] = -level @ (0, 0, 1.5)
+    camera = Camera(400, 300, 350.0, 350.0, 200.0, 150.0, matrix)
+    turn = Rotation.from_euler("z", 0.4)
+    size, centre = np.array([4.0, 1.8, 1.5]), np.array([12.0, 1.0, 0.75])
+    box = {"centre": centre.tolist(), "size": size.tolist(),
+           "rotation": np.roll(turn.as_quat(), 1).tolist()}  # fmt: skip
+    seen = {"class": "car", "box3d": box, "box2d": [150, 150, 200, 180], "box2d_seen": None,
+            "pixels": 50}  # fmt: skip
+    text = object_labels([seen, {**seen, "pixels": 0}, {**seen, "class": "tent"}], camera)
+    kind, cut, hidden, alpha, *rest = text.splitlines()[0].split()
+    left, _, _, bottom, height, width, length, x, y, z, about = map(float, rest)
+    assert (kind, hidden) == ("Car", "3") and text.splitlines()[1].startswith("Misc ")
+    assert len(text.splitlines()) == 2 and (left, bottom) == (149.5, 179.5)
+    assert (height, width, length) == (1.5, 1.8, 4.0)
+    # The corners by KITTI's own rule: turned about y, x ahead, y from 0 up to -height.
+    c, s = np.cos(about), np.sin(about)
+    turned = np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
+    signs = np.array([(a, b, d) for a in (-1, 1) for b in (0, -1) for d in (-1, 1)])
+    corners = signs * (length / 2, height, width / 2) @ turned.T + (x, y, z)
+    own = 0.5 * np.array([(a, b, d) for a in (-1, 1) for b in (-1, 1) for d in (-1, 1)]) * size
+    truth = (turn.apply(own) + centre) @ level.T + matrix[:3, 3]
+    apart = np.linalg.norm(corners[:, None] - truth[None], axis=-1)
+    assert apart.min(axis=1).max() < 1e-3 and len(set(apart.argmin(axis=1))) == 8
+    assert float(alpha) == pytest.approx(about - np.arctan2(x, z), abs=1e-3)
+    u, v = 350 * truth[:, 0] / truth[:, 2], 350 * truth[:, 1] / truth[:, 2]
+    assert float(cut) == pytest.approx(1 - 1500 / (np.ptp(u) * np.ptp(v)), abs=0.01)
+
+
 # --- encodings ------------------------------------------------------------------------------------
 
 
