@@ -127,6 +127,21 @@ def frame(**given):
     _run("frame", **given)
 
 
+@bench.command(short_help="How the time of a frame grows with splats and pixels.")
+@_options
+def growth(**given):
+    """Draw moving frames with ever more splats, pixels and wet pixels.
+
+    Prints times, and for each quantity n the exponent p of a fit of time = c n^p. A scene named
+    garden in a folder of RAINSIM_SCENES is measured too, but not charted.
+
+    \b
+    Example:
+        rainsim bench growth --json growth.json --chart growth.png
+    """
+    _run("growth", **given)
+
+
 @bench.command(short_help="Accuracy and time of splatting.")
 @_options
 def splat(**given):
