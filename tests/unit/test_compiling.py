@@ -130,6 +130,20 @@ def test_the_key_changes_with_all_that_machine_code_depends_on(old, new):
     assert _key_of(SOURCE) != _key_of(SOURCE.replace(old, new))
 
 
+@pytest.mark.parametrize(
+    ("own", "spins"),
+    [({}, "2000"), ({"GOMP_SPINCOUNT": "7"}, "7"), ({"OMP_WAIT_POLICY": "active"}, None)],
+)
+def test_idle_threads_soon_sleep_unless_the_user_has_chosen(own, spins):
+    environment = {k: v for k, v in os.environ.items() if not k.startswith(("GOMP_", "OMP_"))}
+    code = "import os, rainsim.compiling.folder; print(os.environ.get('GOMP_SPINCOUNT'))"
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=environment | own, capture_output=True, text=True,
+        check=True,
+    )  # fmt: skip
+    assert done.stdout.strip() == str(spins)
+
+
 def test_the_key_is_that_of_the_code_alone():
     assert _key_of(SOURCE) == _key_of(SOURCE)
     assert _key_of(SOURCE) != _key_of(SOURCE, "numba 99")
