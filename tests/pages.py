@@ -3,6 +3,7 @@
 import base64
 import os
 import re
+import shutil
 import signal
 import socket
 import subprocess
@@ -56,6 +57,11 @@ PIXELS = """() => {
   const text = Array.from(data, v => String.fromCharCode(v)).join("");
   return [canvas.width, canvas.height, btoa(text)];
 }"""
+
+
+def program_of():
+    """Return the path of a browser that is installed here, None without one."""
+    return next(filter(None, map(shutil.which, BROWSERS)), None)
 
 
 def free_port():
@@ -133,11 +139,21 @@ class Page:
 
     def differs(self, before):
         """Return whether the last picture differs from an earlier one."""
-        return bool((self.pixels() != before).any())
+        now = self.pixels()
+        return now.shape != before.shape or bool((now != before).any())
 
     def screen(self):
         """Return what the page looks like, ndarray of shape (height, width, 3), uint8."""
         return imageio.imread(self.page.screenshot())[..., :3]
+
+    def when_still(self, look, seconds=30.0):
+        """Return what look() returns as soon as it is the same three times."""
+        end, seen = time.monotonic() + seconds, [look()]
+        while len(seen) < 3 or any((one != seen[-1]).any() for one in seen[-3:]):
+            assert time.monotonic() < end
+            self.page.wait_for_timeout(200)
+            seen.append(look())
+        return seen[-1]
 
     def colored(self, of):
         """Return rows and columns (n, 2) of the page's pixels for which of(screen) is true.

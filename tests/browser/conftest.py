@@ -1,11 +1,10 @@
 """A real browser, and `rainsim view` of the tiny scene."""
 
-import shutil
 from pathlib import Path
 
 import pytest
 
-from pages import ARGUMENTS, BROWSERS, ROOT, Page, viewing
+from pages import ARGUMENTS, ROOT, Page, program_of, viewing
 
 
 @pytest.fixture(scope="session")
@@ -14,7 +13,7 @@ def browser():
     playwright = pytest.importorskip(
         "playwright.sync_api", reason="NO BROWSER TESTS: pip install playwright"
     )
-    program = next(filter(None, map(shutil.which, BROWSERS)), None)
+    program = program_of()
     if program is None:
         pytest.skip("NO BROWSER TESTS: install chromium (apt-get install chromium)")
     with playwright.sync_playwright() as driver:
