@@ -17,6 +17,7 @@ from rainsim.view.clock import Clock
 from rainsim.view.modes import RAIN, mode_picture
 from rainsim.view.schedule import Schedule
 from rainsim.view.session import OutOfDateError
+from rainsim.view.threads import ThreadChoice
 
 
 @dataclass(frozen=True)
@@ -73,6 +74,7 @@ class Painter:
         self._config, self._modes, self._ended = session.config, {}, False
         self._wrong = None  # settings that could not be drawn
         self._touched = -schedule.STILL_AFTER  # when the settings last changed
+        self._threads, self._choice = None, ThreadChoice(1)
 
     # --- from other threads -----------------------------------------------------------------------
 
@@ -167,7 +169,9 @@ class Painter:
 
     def run(self):
         """Draw until `end` is called."""
-        set_threads(self._config.threads)  # a number that each thread has for itself
+        self._threads = set_threads(self._config.threads)  # each thread has its own number
+        if self.session.backend == "cpu":
+            self._choice = ThreadChoice(self._threads)
         while not self._ended:
             self._answer()
             job = self._next()
@@ -227,8 +231,13 @@ class Painter:
                 self._make(check)
             if job.step != schedule.SMALL:
                 self._say(f"drawing {job.width} x {job.height}")
+            threads = self._choice.next() if job.step == schedule.SMALL else self._threads
+            set_threads(threads if self._threads else None)
             begin = self._now()
-            picture, depth = self._picture(job, check)
+            try:
+                picture, depth = self._picture(job, check)
+            finally:
+                set_threads(self._threads)
         except OutOfDateError:
             self.schedule.given_up(job, self._now())
             return
@@ -236,6 +245,8 @@ class Painter:
             self._give_in(job, error)
             return
         seconds = self._now() - begin
+        if job.step == schedule.SMALL:
+            self._choice.took(threads, schedule.pace_of(job, seconds))
         with self._lock:
             self.schedule.done(job, seconds, self._now())
         finished = job.step == schedule.EXACT

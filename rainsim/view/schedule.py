@@ -72,6 +72,11 @@ class Job:
     simple: bool = False
 
 
+def pace_of(job, seconds):
+    """Return the time [s] that a job's picture took, by its pixels and its fixed cost."""
+    return seconds / (job.width * job.height + FIXED_PIXELS)
+
+
 @dataclass
 class Schedule:
     """Who is drawn for next; knows the time only from its callers.
@@ -188,7 +193,7 @@ class Schedule:
 
     def done(self, job, seconds, now):
         """Note that a job's picture was shown, and how long it took to draw [s]."""
-        pace = seconds / (job.width * job.height + FIXED_PIXELS)
+        pace = pace_of(job, seconds)
         name = "_simple_pace" if job.simple else "_pace"
         # A first picture after a change compiles or sets up: it says little of the next.
         before = getattr(self, name)

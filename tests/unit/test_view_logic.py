@@ -22,6 +22,7 @@ from rainsim.view.clock import Clock
 from rainsim.view.keyframes import Keyframe, moments_of, path_config, smooth_path, timeline_of
 from rainsim.view.schedule import EXACT, SHARP, SMALL, STILL_AFTER, Schedule
 from rainsim.view.session import View
+from rainsim.view.threads import ThreadChoice
 from rainsim.view.water import SharedWater
 
 LATER = STILL_AFTER + 0.01
@@ -142,6 +143,27 @@ def test_a_change_for_one_client_leaves_the_others_alone():
     assert draw(plan, 9.0).client == "b"
     assert draw(plan, 9.0 + LATER).client == "b"
     assert plan.next(20.0) == (None, None)
+
+
+def drawn_with(choice, seconds, count):
+    """Draw pictures that take seconds[threads]; return the numbers of threads that were used."""
+    used = []
+    for _ in range(count):
+        used.append(choice.next())
+        choice.took(used[-1], seconds[used[-1]])
+    return used
+
+
+def test_pictures_in_motion_are_drawn_with_the_number_of_threads_that_is_faster():
+    choice = ThreadChoice(4)
+    assert choice.faster == 4 and choice.next() == 4
+    used = drawn_with(choice, {4: 0.08, 3: 0.05}, 46)
+    assert sorted(used[:6]) == [3, 3, 3, 4, 4, 4]  # both are tried
+    assert used[6:].count(4) == 1 and choice.faster == 3  # and the slower one again, rarely
+    used = drawn_with(choice, {4: 0.03, 3: 0.05}, 120)  # the browser has gone
+    assert choice.faster == 4 and used[-20:].count(4) >= 19
+    assert drawn_with(ThreadChoice(1), {1: 0.1}, 60) == [1] * 60
+    assert set(drawn_with(ThreadChoice(2), {1: 0.1, 2: 0.1}, 60)) == {1, 2}
 
 
 # --- time -----------------------------------------------------------------------------------------
