@@ -54,6 +54,73 @@ def test_a_bare_splat_file_opens_with_a_view_and_is_drawn_by_the_command(bare, o
     np.testing.assert_array_equal(read_image(frame), read_image(folder / "picture.png"))
 
 
+def test_the_walk_from_an_unknown_capture_to_a_film(bare, open_page, tmp_path):
+    """The steps of "From an unknown capture to a saved film" in the guide."""
+    with viewing(bare, "--width", WIDTH, "--out", "home", folder=tmp_path) as (_, address):
+        page = open_page(address)
+        page.settle(WIDTH)
+        page.choose("show", "confidence of the map")
+        page.settle(WIDTH)
+        page.open_folder("Settings")
+        page.open_folder("Ground")
+        page.choose("a click", "measure: two points")
+        page.page.mouse.click(150, 600)
+        page.wait_until(lambda: page.says("1 more to click"))
+        page.page.mouse.click(550, 600)
+        page.wait_until(lambda: page.says("between the points"))
+        page.type_into("known length [m]", 0.8)
+        page.press("set the scale by it")
+        page.wait_until(lambda: page.says("m per capture unit"))
+        page.settle(WIDTH)
+
+        page.choose("a click", "up: three points")
+        for n, place in enumerate([(150, 600), (550, 600), (330, 450)]):
+            page.page.mouse.click(*place)
+            page.wait_until(lambda n=n: page.says("ground at" if n == 2 else f"{2 - n} more to"))
+        page.press("set up by it")
+        page.wait_until(lambda: page.says("nearest to it is level"))
+        page.settle(WIDTH)
+
+        page.choose("show", "rain")
+        page.choose("a click", "paint a class")
+        page.choose("class", "grass")
+        page.wait_until(lambda: page.says("a click paints grass"))
+        page.page.mouse.click(350, 600)
+        page.settle(WIDTH)
+        page.press("save as a scene of its own")
+        page.wait_until(lambda: page.says("scene-001"))
+        page.press("save ground and classes")
+        page.wait_until(lambda: page.says("ground-001"))
+
+        page.open_folder("Ground")
+        page.open_folder("Take home")
+        page.type_into("width [px]", 96)
+        page.type_into("height [px]", 64)
+        page.press("add a keyframe")
+        page.wait_until(lambda: page.says("keyframes: 1"))
+        before = page.pixels()
+        page.drag()
+        page.wait_until(lambda: page.differs(before))
+        page.settle(WIDTH)
+        page.type_into("seconds to it", 0.1)
+        page.press("add a keyframe")
+        page.wait_until(lambda: page.says("keyframes: 2"))
+        page.press("save the path")
+        folder = tmp_path / "home/path-001"
+        page.wait_until(lambda: (folder / "command.txt").is_file())
+        page.press("draw the saved one here")
+        page.wait_until(lambda: page.says("3 of 3 frames, drawn in"), 300)
+    frames = sorted((folder / "drawn/frames").iterdir())
+    assert len(frames) == 3
+    assert (read_image(frames[0]) != read_image(frames[2])).any()
+    command = (folder / "command.txt").read_text()
+    assert "--class-mask" in command and "--ground-frame" in command
+    frame = json.loads((folder / "ground_frame.json").read_text())
+    assert frame["scale_assumed"] is False
+    assert (tmp_path / "home/scene-001/scene.json").is_file()
+    assert (tmp_path / "home/ground-001/class-mask.png").is_file()
+
+
 def test_up_is_set_by_a_disc_that_is_dragged(server, open_page):
     page = open_page(server[1])
     page.settle(WIDTH)
