@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from dataclasses import replace
 
@@ -17,6 +18,16 @@ from rainsim.view.keyframes import Keyframe, smooth_path
 GOES_ON, AS_SEEN = "goes on", "as at the keyframes"  # time of the rain along a path
 LOOK_EVERY = 0.5  # s between looks at how far a film is
 FRUSTUM = 0.15  # m, size of a keyframe in the scene
+
+
+def behind(view, aspect):
+    """Return where a frustum stands whose wide end is just behind a view's eye [m], (3,).
+
+    With its tip at the eye its rim would frame the picture of a page that looks from there.
+    """
+    tangent = math.tan(view.fov / 2)
+    length = FRUSTUM / math.cbrt(tangent**2 * aspect / 3)  # viser's: its volume is the scale cubed
+    return np.array(view.position) - 1.02 * length * view.rotation[:, 2]
 
 
 class HomeTools:
@@ -122,7 +133,7 @@ class HomeTools:
             self._nodes.append(
                 scene.add_camera_frustum(
                     f"/keyframes/{n}", fov=view.fov, aspect=aspect, scale=FRUSTUM, wxyz=view.turn,
-                    position=view.position, color=(86, 180, 233),
+                    position=behind(view, aspect), color=(86, 180, 233),
                 )
             )  # fmt: skip
         count = len(self.keyframes)

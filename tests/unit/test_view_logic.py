@@ -20,6 +20,7 @@ from rainsim.scene.camera_path import (
 from rainsim.view import redo, schedule
 from rainsim.view.clock import Clock
 from rainsim.view.keyframes import Keyframe, moments_of, path_config, smooth_path, timeline_of
+from rainsim.view.page_home import FRUSTUM, behind
 from rainsim.view.schedule import EXACT, SHARP, SMALL, STILL_AFTER, Schedule
 from rainsim.view.session import View
 from rainsim.view.threads import ThreadChoice
@@ -417,6 +418,15 @@ def test_a_path_goes_through_its_keyframes_without_a_jump():
         smooth_path([], 10.0)
     with pytest.raises(ParameterError, match="time between keyframes"):
         smooth_path([frames[0], Keyframe(frames[1].view, config, 0.0)], 10.0)
+
+
+def test_the_frustum_of_a_keyframe_is_not_seen_from_its_place():
+    view = View((1.0, 2.0, 3.0), (0.6, 0.0, 0.8, 0.0), 1.1)
+    place, ahead = behind(view, 1.5), view.rotation[:, 2]
+    length = FRUSTUM / math.cbrt(math.tan(0.55) ** 2 * 1.5 / 3)
+    rim = (place + length * ahead - view.position) @ ahead
+    assert -0.05 * length < rim < 0
+    np.testing.assert_allclose(np.cross(place - view.position, ahead), 0, atol=1e-12)
 
 
 def test_settings_of_keyframes_become_a_timeline():
