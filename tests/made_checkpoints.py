@@ -5,11 +5,13 @@ torch._utils._rebuild_tensor_v2 with a persistent id (storage, kind, key, place,
 data/KEY the numbers; NAME/version; NAME/byteorder. Parameters are wrapped once more.
 """
 
+import base64
 import io
 import pickle
 import sys
 import types
 import zipfile
+import zlib
 from collections import OrderedDict
 
 import numpy as np
@@ -85,6 +87,11 @@ def torch_file(data, name="archive"):
     return archive_of(index.getvalue(), pickler.storages, name)
 
 
+def saved_by_torch():
+    """A file that torch 2.11 saved of tensors on a GPU: see `test_a_file_of_torch_itself`."""
+    return zlib.decompress(base64.b85decode(SAVED))
+
+
 def archive_of(index, storages=(), name="archive", compression=zipfile.ZIP_STORED):
     """Bytes of an archive with an index (a pickle) and the numbers of storages."""
     out = io.BytesIO()
@@ -123,3 +130,25 @@ def node_weights(parts, sizes, places, turns, there, **options):
     weights["instances_size"] = np.asarray(sizes, np.float32)
     weights["instances_fv"] = np.asarray(there, bool)
     return weights
+
+
+# A module's state_dict (a parameter, halves, a buffer of booleans), a number, a transposed part of
+# a tensor, a torch.Size, a list and a scalar tensor; packed by zlib, as base 85.
+SAVED = (
+    "c-o~_O>Y}T7@l1_cCvBOq)D2VKq-_D2ij!qwPPnVU)!>PmXE|0$f|^_jlGFiY`l5B;}j|^1yzZ}l^;+zbLx#7iZ~"
+    "aE1_^QCfW(Ot;(&xWF*7@MXE$Gzjx%|^@jTD_%*^{f&Wag}Bh=fA4vhgchMKnJPS-4KO>KST8u~E06&*Wr8&JBOA"
+    "b?G;X1hK}ZIH_nd0vKCwd%R9UB!;q@Rj$PHM?ooZa7t}Kzy<UJprz=X<H2+5>@OqtM#c$3p=i_RGRi$%W-QJY&U$"
+    "bS=r7ikW8n`NrLdnN^8T0-T<N)u4mz!!5<aqW7$<u7<;u<v*uLjH&Yl=t0pqzW^4}z%$O<d!Qkh0D&!1?p%M%;Tp"
+    "iBVNuGL#`%TMT?^2JjB^ekMsmDwO!#PUbW6FClZpxJUd_a8x!&4=gV7N7SIz+8|p4+8<hAqj$MUnbhQ^s(KQp>yW"
+    "oGI<X^8xK;3@?=6#a0_$D)$9vh%I_i@G|>6U8YwElWll~o!GYB^vNZ_tES}p{+eHovtzWk;L1B{i#=^S_HDQt68N"
+    "^)*yswJVgfaoF2|_Atrn=}c?_9VQzAQ#??INlN$i0ZD9mBVmtZDH<lM2Lz)5eC2L+1c9?0U^U6?DuYiyP4_!zEz2"
+    "=nPT7XJ=vkfpR>;a!_0^|ml9wqdC()8$QA4%F6z8_$7WS4|1Sb#h>nlYxvI7+x=d;kTw%%w+G~zdrr(YXYWo<=Dy"
+    "}B`;R_Q|n%H)4~;gdWJr9r~xvR_M1O`xl0w$c|7enn&Y&*ek+#iY&16Q1~&AW!>#q7#!QY1SiB9t(=(Az6flVNK)"
+    "~83*!E~Q8v4Tj%-b2RgRyH<4ZHKdU7)3#I8j4CT7Kjz)2gA*Kbe4lb!U<MS|UGW?vVKvnfqk^x<q{lp&>Fak*O|I"
+    "r60G~7gTByrzjm4lx7Tl<S3=++Tj<?k$UUr&qi4-ot#4xa%2sC`f*P~LNwdAm%l5Ye*gWbN64lbx`b|ZK9hKqd5r"
+    "NG=dp*!1dmA`J8AlORJyr>k?MY%bZRgdXLuaqahS)mJdSjGF&JY!p6fPKFzD`Q?|WbFllS|l>^>>%K4<7Lde+}Rc"
+    "rZ^n?w9_Q<9xrzbEG;Q)OCa>?H^5{*&p89c>nbKn?QMPAZ!c1-E@e9+_C7_YsIM<dgk%PsA@i+nN>5zyp~n9{H$6"
+    "i7F4yMX~oR!%uF_4PzwbuS7a`umJV8Jq9e^zN~}~mIz?w4IHWxEe?$~2y60#J_K%E?G~y_OXn*4&hSeB4&U2$AqJ"
+    "IsBNDewAUEhpiMMvomVLyl?(eI)_(I&z`+Hr#YM1f+*hk>;aFdGGm%@PJ4gn(KUD0WB~_(MVj=AuBcxKrUT+9V3K"
+    "Qxqu{+(ZcZMF)9wE3BA_#1+2uV(hBm0pWO$+g-7@<0c7aY(FWFTye$hNd%aFwmw+<FENfb`v"
+)

@@ -14,6 +14,7 @@ from made_checkpoints import (
     archive_of,
     gaussian_weights,
     node_weights,
+    saved_by_torch,
     torch_file,
 )
 from rainsim.errors import InputError
@@ -93,6 +94,18 @@ def test_a_checkpoint_becomes_a_scene_folder(tmp_path):
     again = read_scene(tmp_path / "scene")
     np.testing.assert_array_equal(again.actors[1].track.visible, scene.actors[1].track.visible)
     assert [a.turning for a in again.actors] == [False] * 3
+
+
+def test_a_file_of_torch_itself(tmp_path):
+    (tmp_path / "a.pth").write_bytes(saved_by_torch())
+    found = read_weights(tmp_path / "a.pth")
+    weights = found["models"]["A"]
+    np.testing.assert_array_equal(weights["_means"], np.arange(12).reshape(4, 3))
+    assert weights["h"].dtype == np.float16 and (weights["h"] == 1).all()
+    assert weights["b"].tolist() == [True, False] and found["size"] == (4, 6)
+    np.testing.assert_array_equal(found["view"], np.arange(24).reshape(4, 6).T[1:3])
+    assert found["step"] == 30000 and found["list"] == [1.5, "a", None]
+    assert found["opt"]["lr"] == pytest.approx(0.1)
 
 
 class Bomb:
