@@ -3,6 +3,9 @@
 import sys
 from pathlib import Path
 
+import latex2mathml.converter
+from docutils.nodes import SkipNode
+
 HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE), str(HERE.parent)]
 
@@ -14,10 +17,12 @@ project = "rainsim"
 copyright = "the authors of rainsim, Apache-2.0"
 version = release = rainsim.__version__
 
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.mathjax", "numpydoc"]
+extensions = ["myst_parser", "sphinx.ext.autodoc", "numpydoc"]
 exclude_patterns = ["site", "_build"]
 myst_enable_extensions = ["dollarmath"]
 myst_heading_anchors = 3
+html_math_renderer = "mathml"
+highlight_language = "none"  # of blocks that name no language: commands
 html_theme = "furo"
 html_title = f"rainsim {release}"
 html_show_sphinx = False
@@ -29,6 +34,24 @@ nitpick_ignore_regex = [("py:.*", ".*")]
 linkcheck_timeout = 10
 
 
+def formula(node, display):
+    """Return a formula as MathML, which browsers draw without a script from elsewhere."""
+    return latex2mathml.converter.convert(node.astext(), display=display)
+
+
+def visit_inline(writer, node):
+    """Write a formula within a line."""
+    writer.body.append(formula(node, "inline"))
+    raise SkipNode
+
+
+def visit_block(writer, node):
+    """Write a formula that stands by itself."""
+    writer.body.append(f'<div class="math">{formula(node, "block")}</div>')
+    raise SkipNode
+
+
 def setup(app):
-    """Fill in what comes from the code before a page is read."""
+    """Fill in what comes from the code before a page is read; draw formulas as MathML."""
     app.connect("source-read", from_code.fill)
+    app.add_html_math_renderer("mathml", (visit_inline, None), (visit_block, None))

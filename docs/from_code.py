@@ -6,6 +6,7 @@ by the Markdown that the function of this name in `PARTS` returns.
 
 from __future__ import annotations
 
+import inspect
 import re
 from pathlib import Path
 
@@ -57,7 +58,7 @@ def command_pages():
     for name, command in commands():
         arguments = [p for p in command.params if p.param_type_name == "argument"]
         usage = " ".join([name, *(a.make_metavar(click.Context(command)) for a in arguments)])
-        text, _, example = command.help.partition("\b\nExample:")
+        text, _, example = inspect.cleandoc(command.help).partition("\b\nExample:")
         lines = [f"## {name}\n", f"`{usage} [OPTIONS]`\n", escaped(text)]
         if example:
             lines.append("```\n" + dedented(example) + "\n```\n")

@@ -7,7 +7,7 @@ from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 
-from rainsim.errors import ParameterError
+from rainsim.errors import InputError, ParameterError
 from rainsim.io import cache
 from rainsim.scene.actor_files import actors_from_arrays, actors_to_arrays
 from rainsim.scene.actors import with_actors
@@ -80,7 +80,14 @@ def load_scene(
     path = find_scene(name_or_path)
     if path is not None:
         own = {"tracks": tracks, "track_fps": track_fps}
-        scene = import_scene(path, cameras=cameras, **own, **given)
+        try:
+            scene = import_scene(path, cameras=cameras, **own, **given)
+        except InputError as error:
+            if str(name_or_path) not in BUILT_IN:
+                raise
+            raise InputError(
+                f"{error}; it hides the built-in scene {name_or_path}: rename it, or run elsewhere"
+            ) from None
         if _is_name(name_or_path):
             scene = replace(scene, name=str(name_or_path))
         return scene

@@ -93,6 +93,8 @@ def test_every_command_and_option_is_documented(from_code):
                 assert option.help and f"`{option.opts[0]}`" in page, (name, option.opts)
                 options += 1
     assert options > 200
+    plain = re.sub(r"^```.*?^```", "", page, flags=re.M | re.S)
+    assert not re.search(r"^ {4}|\x08|Example:", plain, re.M)  # text, no code by indentation
 
 
 def test_every_key_layer_variable_and_name_is_documented(from_code):

@@ -245,6 +245,18 @@ def test_a_path_in_the_current_folder_is_taken_before_a_name(monkeypatch, tmp_pa
     assert str(load_scene("bicycle").source) == "bicycle"
 
 
+def test_a_folder_that_hides_a_built_in_scene_is_named(monkeypatch, tmp_path):
+    """Results in a folder called street, and the scene of that name is gone."""
+    (tmp_path / "street").mkdir()
+    (tmp_path / "yard").mkdir()
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(InputError, match="hides the built-in scene street"):
+        load_scene("street")
+    with pytest.raises(InputError) as other:
+        load_scene("yard")
+    assert "built-in" not in str(other.value)
+
+
 def test_unknown_names_are_answered_with_the_known_ones(fake_built_in):
     with pytest.raises(ParameterError, match=r"'barn' is not known; .* one of hut; .*RAINSIM"):
         load_scene("barn")
