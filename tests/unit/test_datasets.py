@@ -14,6 +14,7 @@ from rainsim.datasets.card import card_of, card_text
 from rainsim.datasets.export import held_out, layout_of, safe_names
 from rainsim.datasets.files import PNG48, DataFile, write_file
 from rainsim.datasets.points import ply_bytes, points_of
+from rainsim.datasets.reading import read_points, read_views
 from rainsim.datasets.sample import (
     Plan,
     Sample,
@@ -194,6 +195,60 @@ def test_nerfstudio_by_its_parsers_rules():
     assert {f.name for f in nerfstudio.plan_files(plan)} == {
         f"{c}/{n}" for c in ("clear", "rain/10mm") for n in ("transforms.json", "points.ply")
     }
+
+
+def write_set(folder, plan, **changes):
+    """Write a data set of nerfstudio's layout with its card; return its samples in 10 mm/h."""
+    samples = [sample_of(plan, k) for k in range(len(plan.views))]
+    for file in (*nerfstudio.plan_files(plan),
+                 *(f for s in samples for f in nerfstudio.sample_files(s, plan))):  # fmt: skip
+        write_file(folder, file)
+    rains = [{"rain_mm_per_hour": rate} for rate in plan.rates]
+    card = {"rainsim_data_set": 1, "layout": "nerfstudio", "complete": True, "rains": rains}
+    (folder / "card.json").write_text(json.dumps({**card, **changes}))
+    return samples
+
+
+def test_our_reader_gives_back_what_was_written(tmp_path):
+    plan = plan_with()
+    samples = write_set(tmp_path, plan)
+    found = read_views(tmp_path, 10)
+    assert [v.held_out for v in found] == [v.held_out for v in plan.views] == [False, False, True]
+    for view, sample in zip(found, samples, strict=True):
+        assert view.name == sample.view.name
+        np.testing.assert_array_equal(view.picture, sample.picture)
+        np.testing.assert_array_equal(view.keep, sample.keep)
+        known = sample.depth < 65
+        np.testing.assert_allclose(view.depth[known], sample.depth[known], atol=6e-4)
+        assert np.isinf(view.depth[0]).all()
+        own = sample.view.camera
+        assert (view.camera.fx, view.camera.cy) == (own.fx, own.cy)
+        np.testing.assert_allclose(view.camera.camera_from_world, own.camera_from_world, atol=1e-12)
+    places, colors = read_points(tmp_path, 10)
+    np.testing.assert_array_equal(places, plan.points)
+    np.testing.assert_array_equal(colors, plan.colors)
+
+
+def test_our_reader_says_what_it_cannot_read(tmp_path):
+    with pytest.raises(InputError):
+        read_views(tmp_path, 10)
+    write_set(tmp_path, plan_with())
+    with pytest.raises(ParameterError, match=r"rain is 25 mm/h; .* has 0, 10; take"):
+        read_views(tmp_path, 25)
+    images.write_png16(tmp_path / "rain/10mm/depths/v1.png", np.zeros((3, 4)))
+    with pytest.raises(InputError, match=r"depth of images/v1.png .* is 4 x 3 px"):
+        read_views(tmp_path, 10)
+    for changes, message in (({"complete": False}, "unfinished"), ({"layout": "kitti"}, "kitti")):
+        write_set(tmp_path, plan_with(), **changes)
+        with pytest.raises(InputError, match=message):
+            read_views(tmp_path, 10)
+    (tmp_path / "card.json").write_text("[]")
+    with pytest.raises(InputError, match="no data set's card"):
+        read_views(tmp_path, 0)
+    points = tmp_path / "rain/10mm/points.ply"
+    points.write_bytes(points.read_bytes()[:-15])
+    with pytest.raises(InputError, match="as many points"):
+        read_points(tmp_path, 10)
 
 
 def write_colmap(folder, plan):

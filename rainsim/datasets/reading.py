@@ -1,0 +1,121 @@
+"""Reads the data sets that we write in nerfstudio's layout, with numpy and a PNG reader alone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from rainsim.datasets.sample import condition
+from rainsim.errors import InputError, ParameterError
+from rainsim.io.files import read_json, require_file
+from rainsim.io.images import read_image
+from rainsim.scene.cameras import cameras_from_data
+
+READ_LAYOUT = "nerfstudio"
+HEADER_END = b"end_header\n"
+
+
+@dataclass(frozen=True)
+class StoredView:
+    """A picture of a data set with its camera and the labels that trainers use.
+
+    Attributes
+    ----------
+    name : str
+    picture : ndarray of shape (height, width, 3), uint8
+    depth : ndarray of shape (height, width), float32 [m]
+        Along the view axis; infinite where the file has none.
+    keep : ndarray of shape (height, width), bool
+        Whether the pixel shows the scene: neither drops, splashes nor water spoil it.
+    camera : Camera
+        In the ground frame, in metres.
+    held_out : bool
+        Whether it is for testing.
+    """
+
+    name: str
+    picture: np.ndarray
+    depth: np.ndarray
+    keep: np.ndarray
+    camera: object
+    held_out: bool
+
+
+def read_views(folder, rate):
+    """Return the views of one rain of a data set, in their order.
+
+    Parameters
+    ----------
+    folder : path-like
+        Written by `rainsim export --layout nerfstudio`.
+    rate : float [mm/h]
+        One of the data set's; 0 for the clear pictures.
+
+    Returns
+    -------
+    list of StoredView
+
+    Raises
+    ------
+    InputError
+        If the folder holds no finished data set of this layout, or a file is damaged.
+    ParameterError
+        If the data set has no such rain.
+    """
+    card = stored_card(folder)
+    rates = [rain["rain_mm_per_hour"] for rain in card["rains"]]
+    if rate not in rates:
+        known = ", ".join(f"{r:g}" for r in rates)
+        raise ParameterError(f"the rain is {rate:g} mm/h; {folder} has {known}; take one of them")
+    place = Path(folder) / condition(rate)
+    data = read_json(place / "transforms.json", "a camera file")
+    cameras = cameras_from_data(data, place / "transforms.json")
+    return [
+        _view(place, frame, camera, frame["file_path"] in data["test_filenames"])
+        for frame, camera in zip(data["frames"], cameras, strict=True)
+    ]
+
+
+def stored_card(folder):
+    """Return the card of a finished data set in nerfstudio's layout; else raise InputError."""
+    card = read_json(Path(folder) / "card.json", "a card")
+    if not isinstance(card, dict) or "rainsim_data_set" not in card:
+        raise InputError(f"{folder}/card.json is no data set's card; name a data set's folder")
+    if card["layout"] != READ_LAYOUT:
+        raise InputError(
+            f"{folder} has the layout {card['layout']}; only {READ_LAYOUT} is read; export again "
+            f"with --layout {READ_LAYOUT}"
+        )
+    if not card.get("complete"):
+        raise InputError(f"{folder} is unfinished; finish it with rainsim export --resume")
+    return card
+
+
+def _view(place, frame, camera, held_out):
+    picture = read_image(place / frame["file_path"])
+    depth = read_image(place / frame["depth_file_path"])
+    keep = read_image(place / frame["mask_path"])
+    shape = camera.height, camera.width
+    for name, found in (("picture", picture), ("depth", depth), ("mask", keep)):
+        if found.shape[:2] != shape:
+            raise InputError(
+                f"the {name} of {frame['file_path']} in {place} is {found.shape[1]} x "
+                f"{found.shape[0]} px; its camera says {shape[1]} x {shape[0]}; export again"
+            )
+    metres = np.where(depth > 0, depth.astype(np.float32) / 1000, np.float32(np.inf))
+    return StoredView(
+        Path(frame["file_path"]).stem, picture, metres, keep > 0, camera, held_out
+    )  # fmt: skip
+
+
+def read_points(folder, rate=0.0):
+    """Return places (n, 3), float32 [m], ground frame, and colours (n, 3), uint8, of a rain."""
+    path = Path(folder) / condition(rate) / "points.ply"
+    header, _, body = require_file(path, "points").read_bytes().partition(HEADER_END)
+    kind = np.dtype([("place", "<f4", 3), ("color", "u1", 3)])
+    rows = np.frombuffer(body, kind, len(body) // kind.itemsize)
+    if f"element vertex {len(rows)}\n".encode() not in header:
+        raise InputError(f"{path} does not hold as many points as it says; export again")
+    return rows["place"].copy(), rows["color"].copy()
