@@ -1,9 +1,9 @@
 """What rain does to splats that are trained in it: PSNR and SSIM of clear views against mm/h.
 
 Exports an orbit of a scene clear and in each rain, every view at its own moment, trains the same
-3DGS on each (same points, seed and steps), once on all pixels and once without those that rain
-spoils, and compares with held-out clear views. Needs `pip install torch`; on a GPU `pip install
-gsplat` draws, without one a plain renderer that suits only tiny pictures.
+3DGS on each (same points, seed and steps), on all pixels and with those left out of the loss that
+drops or also puddles spoil, and compares with held-out clear views. Needs `pip install torch`; on a
+GPU `pip install gsplat` draws, without one a plain renderer that suits only tiny pictures.
 """
 
 import json
@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import cKDTree
 
-from rainsim.datasets.reading import read_points, read_views
+from rainsim.datasets.reading import read_points, read_views, stored_card
 from rainsim.io.images import write_png
 
 RATES = (0, 0.1, 5, 10, 25, 50)  # mm/h; 0.1 mm/h is a wet world with hardly a drop in it
@@ -24,24 +24,26 @@ DSSIM = 0.2  # share of 1 - SSIM in the loss
 FIRST_OPACITY = 0.1
 NEIGHBOURS = 3  # whose mean distance is a splat's first size
 SH_0 = 0.28209479177387814
+MASKS = ("nothing", "drops", "drops, water")  # what is left out of the loss
+RIM = 5  # px, half the window of SSIM
 NEAR, LOW_PASS, LEAST_ALPHA, MOST_ALPHA = 0.05, 0.3, 1 / 255, 0.999
 
 
 def export(out, scene, rates, views, width, height, more):
     """Write the data set by `rainsim export`, unless it is finished; return its folder."""
-    from rainsim.cli import main as rainsim
-    from rainsim.scene.cameras import orbit, write_transforms
-    from rainsim.scene.library import load_scene
-
     folder, path = out / "data", out / "orbit.json"
     card = folder / "card.json"
     if card.is_file() and json.loads(card.read_text())["complete"]:
         return folder
+    from rainsim.cli import cli
+    from rainsim.scene.cameras import orbit, write_transforms
+    from rainsim.scene.library import load_scene
+
     loaded = load_scene(scene)
     write_transforms(path, orbit(loaded.ground_frame, loaded.cameras, None, views, width, height))
     words = ["export", scene, "--path", path, "--rain", ",".join(f"{r:g}" for r in rates),
              "--width", width, "--height", height, "--out", folder, *more]  # fmt: skip
-    rainsim([str(word) for word in words], standalone_mode=False)
+    cli([str(word) for word in words], standalone_mode=False)
     return folder
 
 
@@ -134,8 +136,12 @@ def plain(torch, place, turn, scale, opacity, color, view, camera):
 
 
 def ssim(torch, a, b):
-    """Return SSIM (Wang et al. 2004: Gaussian window, 11 px, sigma 1.5) of (height, width, 3)."""
-    t = torch.arange(-5, 6, dtype=torch.float32, device=a.device)
+    """Return SSIM (Wang et al. 2004) of pictures (height, width, 3) around each pixel.
+
+    The window is Gaussian with sigma 1.5 px, cut at 11 px. The result lacks RIM pixels on each
+    side.
+    """
+    t = torch.arange(-RIM, RIM + 1, dtype=torch.float32, device=a.device)
     line = torch.exp(-(t**2) / (2 * 1.5**2))
     line = (line / line.sum()).repeat(3, 1)[:, None]
 
@@ -147,18 +153,29 @@ def ssim(torch, a, b):
     ma, mb = mean(a), mean(b)
     va, vb, both = mean(a * a) - ma**2, mean(b * b) - mb**2, mean(a * b) - ma * mb
     c1, c2 = 0.01**2, 0.03**2
-    return (((2 * ma * mb + c1) * (2 * both + c2)) / ((ma**2 + mb**2 + c1) * (va + vb + c2))).mean()
+    found = ((2 * ma * mb + c1) * (2 * both + c2)) / ((ma**2 + mb**2 + c1) * (va + vb + c2))
+    return found[0].permute(1, 2, 0)
 
 
-def train(torch, views, points, *, seed, steps, masked, degree, device):
-    """Return splats trained on views; masked: pixels that rain spoils count as they are drawn."""
+def masks_of(folder, views, left_out):
+    """Return which pixels of views count in the loss, (height, width) of bool each."""
+    if left_out == "nothing":
+        return [np.ones_like(view.keep) for view in views]
+    named = stored_card(folder)["classes"].items()
+    water = [int(number) for number, name in named if name == "water"]
+    spared = water if left_out == "drops" else []
+    return [view.keep | np.isin(view.class_id, spared) for view in views]
+
+
+def train(torch, views, points, masks, *, seed, steps, degree, device):
+    """Return splats trained on views; pixels outside the masks count as they are drawn."""
     torch.manual_seed(seed)
     splats = Splats(torch, *points, degree, device)
     eyes = np.array([view.camera.position for view in views])
     adam = splats.optimizer(torch, 1.1 * np.linalg.norm(eyes - eyes.mean(axis=0), axis=1).max())
     start = adam.param_groups[0]["lr"]
     truth = [torch.tensor(v.picture, device=device).float() / 255 for v in views]
-    keep = [torch.tensor(v.keep, device=device)[..., None] for v in views]
+    keep = [torch.tensor(mask, device=device)[..., None] for mask in masks]
     rng = np.random.default_rng(seed)
     for step in range(steps):
         if step % len(views) == 0:
@@ -166,9 +183,10 @@ def train(torch, views, points, *, seed, steps, masked, degree, device):
         n = order[step % len(views)]
         adam.param_groups[0]["lr"] = start * (LAST_MOVE / FIRST_MOVE) ** (step / steps)
         drawn = splats.picture(torch, views[n].camera)
-        wanted = torch.where(keep[n], truth[n], drawn.detach()) if masked else truth[n]
+        wanted = torch.where(keep[n], truth[n], drawn.detach())
         loss = (1 - DSSIM) * (drawn - wanted).abs().mean()
-        loss = loss + DSSIM * (1 - ssim(torch, drawn, wanted))
+        unlike = (1 - ssim(torch, drawn, wanted)) * keep[n][RIM:-RIM, RIM:-RIM]
+        loss = loss + DSSIM * unlike.mean()
         adam.zero_grad()
         loss.backward()
         adam.step()
@@ -194,7 +212,7 @@ def judge(torch, splats, views):
         with torch.no_grad():
             drawn = splats.picture(torch, view.camera).clamp(0, 1)
         truth = torch.tensor(view.picture, device=drawn.device).float() / 255
-        same = float(ssim(torch, drawn, truth))
+        same = float(ssim(torch, drawn, truth).mean())
         a, b = drawn.cpu().numpy().astype(float), view.picture / 255
         rows.append((psnr(a, b), same, psnr(tint_fitted(a, b), b)))
         pictures.append(np.rint(a * 255).astype(np.uint8))
@@ -214,19 +232,19 @@ def main(out="downstream", scene="bicycle", rates=RATES, views=48, width=324, he
     places, colors = read_points(folder)
     some = np.random.default_rng(seed).permutation(len(places))[:most]
     points, table, sheet = (places[some], colors[some]), [], [clear[0].picture]
-    print("mm/h  mask      PSNR   SSIM   PSNR with fitted tint   pixels left")
+    print("mm/h  left out of the loss   PSNR   SSIM   PSNR with fitted tint")
     for rate in rates:
         given = [view for view in read_views(folder, rate) if not view.held_out]
-        left = float(np.mean([view.keep.mean() for view in given]))
-        for masked in (False, True) if rate else (False,):
-            splats = train(torch, given, points, seed=seed, steps=steps, masked=masked,
-                           degree=degree, device=device)  # fmt: skip
+        for left_out in MASKS if rate else MASKS[:1]:
+            masks = masks_of(folder, given, left_out)
+            share = 1 - float(np.mean([mask.mean() for mask in masks]))
+            splats = train(torch, given, points, masks, seed=seed, steps=steps, degree=degree,
+                           device=device)  # fmt: skip
             (db, same, fitted), pictures = judge(torch, splats, clear)
-            name = "left out" if masked else "none"
-            print(f"{rate:4g}  {name:8}  {db:5.2f}  {same:.3f}  {fitted:5.2f}  {left:.3f}",
+            print(f"{rate:4g}  {left_out:12} ({share:5.1%})   {db:5.2f}  {same:.3f}  {fitted:5.2f}",
                   flush=True)  # fmt: skip
-            table.append({"mm_per_hour": rate, "masked": masked, "psnr": db, "ssim": same,
-                          "psnr_fitted_tint": fitted, "pixels_left": left})  # fmt: skip
+            table.append({"mm_per_hour": rate, "left_out": left_out, "share": share, "psnr": db,
+                          "ssim": same, "psnr_fitted_tint": fitted})  # fmt: skip
             sheet.append(pictures[0])
     facts = {"scene": scene, "views": views, "held_out": len(clear), "width": width, "steps": steps,
              "splats": len(points[0]), "seed": seed, "degree": degree, "device": device,

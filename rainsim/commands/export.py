@@ -86,6 +86,14 @@ MOST_LAYERS = 11  # AOVs that a picture's labels are made from
     "camera's speed ahead in m/s, at which drops come.",
 )
 @click.option(
+    "--wiper",
+    type=float,
+    metavar="SECONDS",
+    show_default="none",
+    help="A wiper clears the glass every so many seconds since it began to rain on it; with "
+    "--glass.",
+)
+@click.option(
     "--labels",
     type=click.Path(path_type=Path),
     metavar="FILE.npy|FOLDER",
@@ -227,19 +235,21 @@ def _plan(scene, cameras, lens, rates, given):
 def _pane(given, plan):
     """Return the `Pane` before the lens, None without one."""
     if given["glass"] is None:
+        if given["wiper"] is not None:
+            raise ParameterError("--wiper clears the glass of --glass; give that too")
         return None
     from rainsim.sensors.glass import Pane, pane_window
+    from rainsim.sensors.lens import lens_warp
 
     age, speed = given["glass"]
     if not (0 <= age <= 3600 and 0 <= speed <= 100):
         raise ParameterError(
             f"--glass is {age:g},{speed:g}; it must be 0 to 3600 s and 0 to 100 m/s; 10,15 is usual"
         )
-    if plan.views[0].lens is not None:
-        raise ParameterError("--glass and --lens are both given; leave one out")
-    pane = Pane(age=age, speed=speed)
+    pane = Pane(age=age, speed=speed, wiper=given["wiper"])
     for view in plan.views:
-        pane_window(view.camera, pane)  # raises
+        pinhole = view.camera if view.lens is None else lens_warp(view.camera, view.lens).wide
+        pane_window(pinhole, pane)  # raises
     return pane
 
 
@@ -265,7 +275,7 @@ def _write(status, scene, plan, config, *, layout, out, overwrite, resume, backe
         "cameras": hash_of(cameras_to_data([view.camera for view in plan.views])),
         "names": [[view.name, view.held_out] for view in plan.views],
         "lens": str(plan.views[0].lens), "rolling": given["rolling"],
-        "glass": given["glass"],
+        "glass": given["glass"], "wiper": given["wiper"],
         "labels": None if user_labels is None else hash_of(user_labels.ids.tolist()),
     }  # fmt: skip
     sources = [scene.source, labels, *paths_in(given)]

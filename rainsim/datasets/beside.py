@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from rainsim.datasets.files import JSON, PNG, PNG16, PNG48, DataFile
-from rainsim.datasets.sample import condition, depth_mm, flow_known, kitti_flow
-
-FOLDER = "rainsim"
+from rainsim.datasets.files import FOLDER, JSON, PNG, PNG16, PNG48, DataFile, condition
+from rainsim.datasets.sample import depth_mm, flow_known, kitti_flow
 
 
 def sample_files(sample, plan):

@@ -15,6 +15,7 @@ from rainsim.io.files import replacing
 from rainsim.io.png48 import write_png48
 
 PNG, PNG16, PNG48, NPY, JSON, TEXT, BYTES = range(7)
+FOLDER = "rainsim"  # in the folder of each rain, with what a layout cannot hold
 
 
 @dataclass(frozen=True)
@@ -33,6 +34,11 @@ class DataFile:
     name: str
     kind: int
     content: Any
+
+
+def condition(rate):
+    """Return the folder of a rain in a data set: clear, or rain/10mm as rain-rendering names it."""
+    return f"rain/{rate:g}mm" if rate > 0 else "clear"
 
 
 def write_file(folder, file):

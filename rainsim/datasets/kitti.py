@@ -12,8 +12,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from rainsim.datasets.files import PNG, PNG16, PNG48, TEXT, DataFile
-from rainsim.datasets.sample import condition, flow_known, kitti_depth, kitti_flow
+from rainsim.datasets.files import PNG, PNG16, PNG48, TEXT, DataFile, condition
+from rainsim.datasets.sample import flow_known, kitti_depth, kitti_flow
 
 LEAST_DEPTH = 0.05  # m: a box with a nearer corner is beside the camera
 CORNERS = 0.5 * np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])

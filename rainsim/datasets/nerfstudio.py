@@ -10,9 +10,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from rainsim.datasets.files import BYTES, JSON, PNG, PNG16, DataFile
+from rainsim.datasets.files import BYTES, JSON, PNG, PNG16, DataFile, condition
 from rainsim.datasets.points import ply_bytes
-from rainsim.datasets.sample import condition, depth_mm
+from rainsim.datasets.sample import depth_mm
 from rainsim.scene.cameras import FLIP
 
 OPENCV_KEYS, FISHEYE_KEYS = ("k1", "k2", "p1", "p2", "k3"), ("k1", "k2", "k3", "k4")

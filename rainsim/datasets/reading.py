@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rainsim.datasets.sample import condition
+from rainsim.datasets.files import FOLDER, condition
 from rainsim.errors import InputError, ParameterError
 from rainsim.io.files import read_json, require_file
 from rainsim.io.images import read_image
@@ -29,6 +29,8 @@ class StoredView:
         Along the view axis; infinite where the file has none.
     keep : ndarray of shape (height, width), bool
         Whether the pixel shows the scene: neither drops, splashes nor water spoil it.
+    class_id : ndarray of shape (height, width), uint8
+        The card's `classes` names them.
     camera : Camera
         In the ground frame, in metres.
     held_out : bool
@@ -39,6 +41,7 @@ class StoredView:
     picture: np.ndarray
     depth: np.ndarray
     keep: np.ndarray
+    class_id: np.ndarray
     camera: object
     held_out: bool
 
@@ -97,17 +100,18 @@ def _view(place, frame, camera, held_out):
     picture = read_image(place / frame["file_path"])
     depth = read_image(place / frame["depth_file_path"])
     keep = read_image(place / frame["mask_path"])
+    name = Path(frame["file_path"]).stem
+    class_id = read_image(place / FOLDER / "class_id" / f"{name}.png")
     shape = camera.height, camera.width
-    for name, found in (("picture", picture), ("depth", depth), ("mask", keep)):
-        if found.shape[:2] != shape:
+    for kind, found, wanted in (("picture", picture, (*shape, 3)), ("depth", depth, shape),
+                                ("mask", keep, shape), ("class ids", class_id, shape)):  # fmt: skip
+        if found.shape != wanted:
             raise InputError(
-                f"the {name} of {frame['file_path']} in {place} is {found.shape[1]} x "
-                f"{found.shape[0]} px; its camera says {shape[1]} x {shape[0]}; export again"
+                f"the {kind} of {frame['file_path']} in {place} has the shape {found.shape}; by "
+                f"its camera it must have {wanted}; export again"
             )
     metres = np.where(depth > 0, depth.astype(np.float32) / 1000, np.float32(np.inf))
-    return StoredView(
-        Path(frame["file_path"]).stem, picture, metres, keep > 0, camera, held_out
-    )  # fmt: skip
+    return StoredView(name, picture, metres, keep > 0, class_id, camera, held_out)
 
 
 def read_points(folder, rate=0.0):

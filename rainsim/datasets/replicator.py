@@ -11,9 +11,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from rainsim.datasets.files import JSON, NPY, PNG, DataFile
+from rainsim.datasets.files import JSON, NPY, PNG, DataFile, condition
 from rainsim.datasets.nerfstudio import opengl_pose
-from rainsim.datasets.sample import condition
 from rainsim.render.labels import OTHER_CLASS
 from rainsim.terrain.table import class_table
 

@@ -113,11 +113,6 @@ class Plan:
     names: dict
 
 
-def condition(rate):
-    """Return the folder of a rain in a data set: clear, or rain/10mm as rain-rendering names it."""
-    return f"rain/{rate:g}mm" if rate > 0 else "clear"
-
-
 def keep_mask(rain_alpha, splash_alpha, class_id):
     """Return which pixels show the scene, see `Sample`: all arrays of one shape."""
     replaced = 1 - (1 - rain_alpha) * (1 - splash_alpha)

@@ -42,8 +42,8 @@ class Shots:
     backend : {"cpu", "cuda"}
     user_labels : UserLabels, optional
     pane : Pane, optional
-        Glass before the lens, with drops of its own in each rain and view; not behind a lens that
-        distorts.
+        Glass before the lens, with drops of its own in each rain and view; in a sequence it has
+        been rained on for longer from view to view.
     readout : float [s]
         Of a rolling shutter, from the first row to the last; 0: all rows at once. There is no flow
         with one.
@@ -58,7 +58,7 @@ class Shots:
         self.scene, self.terrain, self.views = scene, terrain, views
         self.config, self.sequence, self.backend = config, sequence, backend
         self.user_labels, self.readout, self.pane = user_labels, readout, pane
-        self._wide = None  # the renderer of what drops on the glass show, and its rate
+        self._wide = None  # what drops on the glass show: rate, renderer, states, the last state
         self._warps, self._dry = {}, None
         self.labels = (*LABELS, *((ACTORS,) if scene.actors else ()))
 
@@ -74,8 +74,11 @@ class Shots:
         drawn = self._rolling if self.readout else drawn
         for index, (picture, report) in zip(indices, drawn(config, indices, names), strict=True):
             picture = report.aovs[CLEAR] if rate == 0 else picture
-            sample = self._sample(self.views[index], rate, picture, report)
-            yield sample if self.pane is None or rate == 0 else self._behind_glass(sample, config)
+            view, glass = self.views[index], None
+            if self.pane is not None and rate > 0:
+                picture, glass, count = self._behind_glass(view, picture, rate, config)
+                report = replace(report, facts={**report.facts, "drops_on_glass": count})
+            yield self._sample(view, rate, picture, report, glass)
 
     def config_of(self, rate):
         """Return the settings of a rain rate [mm/h]; for 0 those of a dry day: no water at all."""
@@ -153,26 +156,32 @@ class Shots:
         color = self._dry.draw(camera, NEAR / frame.meters_per_unit).color
         return (np.clip(color, 0, 1) * 255 + 0.5).astype(np.uint8)
 
-    def _behind_glass(self, sample, config):
-        """Return a sample as it is seen through the wet glass, see `rainsim.sensors.glass`."""
-        frame, camera = self.scene.ground_frame, sample.view.camera
+    def _behind_glass(self, view, picture, rate, config):
+        """Return a pinhole picture behind the wet glass, the share of drops, and their number.
+
+        The drops are in the pinhole picture, so that a lens distorts them as all else.
+        """
+        frame, place = self.scene.ground_frame, view.index if self.sequence else 0
+        camera = frame.camera_in_ground(self.drawn_camera(view))
         wide = frame.camera_in_capture(wide_camera(camera))
-        if self._wide is None or self._wide[0] != sample.rate:
+        if self._wide is None or self._wide[0] != rate:
             scene = without_images(self.scene, self.terrain)
-            renderer = on_backend(self.backend)[0](scene, self.terrain, config, wide)
-            state = next(simulate(self.terrain, config.replace(frames=1)))
-            self._wide = sample.rate, renderer, state
-        _, renderer, state = self._wide
+            own = config.replace(frames=len(self.views) if self.sequence else 1)
+            renderer = on_backend(self.backend)[0](scene, self.terrain, own, wide)
+            self._wide = rate, renderer, simulate(self.terrain, own), None
+        _, renderer, states, state = self._wide
+        while state is None or state.index < place:
+            state = next(states)
+        self._wide = rate, renderer, states, state
         seen, report = renderer.draw(wide, state, None, ("depth",))
         seen, depth = np.array(seen), report.aovs["depth"]
-        field = Weather(config).field(0.0, config.at(0.0).render.exposure)
-        caps = caps_on(field, self.pane, camera, config.rain.seed + 7919 * sample.view.index)
-        picture, share = through_glass(sample.picture, camera, caps, self.pane, seen, depth)
-        facts = {**sample.facts, "drops_on_glass": len(caps.radius)}
-        keep = sample.keep & (share < REPLACED)
-        return replace(sample, picture=picture, glass=share, keep=keep, facts=facts)
+        field = Weather(config).field(state.time, config.at(state.time).render.exposure)
+        pane = replace(self.pane, age=self.pane.age + state.time)
+        caps = caps_on(field, pane, camera, config.rain.seed + 7919 * view.index)
+        picture, share = through_glass(picture, camera, caps, pane, seen, depth)
+        return picture, share, len(caps.radius)
 
-    def _sample(self, view, rate, picture, report):
+    def _sample(self, view, rate, picture, report, glass):
         """Return the `Sample` of a frame, warped to its lens."""
         found, warp = report.aovs, self._warp(view)
         labels = None
@@ -185,12 +194,15 @@ class Shots:
                 flow, mask = warp.flow(flow, mask)
             labels = None if labels is None else warp.nearest(labels)
             found = {name: warp.nearest(found[name]) for name in self.labels}
+            glass = None if glass is None else warp.nearest(glass)
         keep = np.ones(picture.shape[:2], bool)
         if rate > 0:
             keep = keep_mask(found["rain_alpha"], found["splash_alpha"], found["class_id"])
+        if glass is not None:
+            keep &= glass < REPLACED
         return Sample(
             view, rate, np.array(picture), found["depth"], found["range"], found["class_id"],
-            found["puddle_id"], found["splash_id"], keep, flow, mask, labels,
+            found["puddle_id"], found["splash_id"], keep, flow, mask, labels, glass,
             facts=_facts(report.facts, found, warp is not None), actor_id=found.get(ACTORS),
         )  # fmt: skip
 

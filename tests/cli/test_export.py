@@ -164,6 +164,25 @@ def test_rolling_shutters_and_wet_glass(export, path_file, tmp_path):
     assert not (folder / "rain/25mm/training/flow_occ").exists()
 
 
+@pytest.mark.slow
+def test_wet_glass_behind_a_lens_and_a_wiper(export, path_file, tmp_path):
+    """Drops gather from view to view and the lens distorts them; a wiper takes them away."""
+    words = "--rain", "25", "--path", path_file, "--fps", "1", "--lens", "opencv:-0.2,0.05,0,0"
+    assert export("out", *words, "--glass", "4,15").code == 0
+    # The strokes are 4.5 s apart: the middle view, 5 s after the rain began, is just wiped.
+    assert export("wiped", *words, "--glass", "4,15", "--wiper", "4.5").code == 0
+
+    def counts(folder):
+        found = sorted((tmp_path / folder / "rain/25mm/rainsim").glob("*.json"))
+        return [json.loads(path.read_text())["drops_on_glass"] for path in found]
+
+    dirty, wiped = counts("out"), counts("wiped")
+    assert dirty[0] == wiped[0] and dirty[1] > wiped[1] and wiped[1] < wiped[0]
+    glass = read_image(tmp_path / "out/rain/25mm/rainsim/glass/p2.png") / 65535
+    keep = read_image(tmp_path / "out/rain/25mm/rainsim/keep/p2.png") == 255
+    assert glass.shape == keep.shape and glass.max() > 0.3 and not keep[glass > 0.1].any()
+
+
 @pytest.mark.parametrize(
     "words, message",
     [
@@ -175,7 +194,8 @@ def test_rolling_shutters_and_wet_glass(export, path_file, tmp_path):
         (("--labels", "none.npy"), "labels none.npy cannot be read"),
         (("--rolling", "500"), "at most 200 ms"),
         (("--glass", "10,500"), "0 to 100 m/s"),
-        (("--glass", "1,1", "--lens", "opencv:0,0,0,0"), "--glass and --lens are both"),
+        (("--wiper", "2"), "--wiper clears the glass of --glass"),
+        (("--glass", "1,1", "--wiper", "-1"), "glass wiper is -1"),
     ],
 )
 def test_wrong_options_are_named(export, words, message, tmp_path):

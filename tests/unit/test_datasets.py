@@ -9,17 +9,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from rainsim.datasets import LAYOUTS, cityscapes, colmap, kitti, nerfstudio, replicator
+from rainsim.datasets import LAYOUTS, beside, cityscapes, colmap, kitti, nerfstudio, replicator
 from rainsim.datasets.card import card_of, card_text
 from rainsim.datasets.export import held_out, layout_of, safe_names
-from rainsim.datasets.files import PNG48, DataFile, write_file
+from rainsim.datasets.files import PNG48, DataFile, condition, write_file
 from rainsim.datasets.points import ply_bytes, points_of
 from rainsim.datasets.reading import read_points, read_views
 from rainsim.datasets.sample import (
     Plan,
     Sample,
     View,
-    condition,
     depth_mm,
     keep_mask,
     kitti_depth,
@@ -201,7 +200,8 @@ def write_set(folder, plan, **changes):
     """Write a data set of nerfstudio's layout with its card; return its samples in 10 mm/h."""
     samples = [sample_of(plan, k) for k in range(len(plan.views))]
     for file in (*nerfstudio.plan_files(plan),
-                 *(f for s in samples for f in nerfstudio.sample_files(s, plan))):  # fmt: skip
+                 *(f for s in samples for f in nerfstudio.sample_files(s, plan)),
+                 *(f for s in samples for f in beside.sample_files(s, plan))):  # fmt: skip
         write_file(folder, file)
     rains = [{"rain_mm_per_hour": rate} for rate in plan.rates]
     card = {"rainsim_data_set": 1, "layout": "nerfstudio", "complete": True, "rains": rains}
@@ -218,6 +218,7 @@ def test_our_reader_gives_back_what_was_written(tmp_path):
         assert view.name == sample.view.name
         np.testing.assert_array_equal(view.picture, sample.picture)
         np.testing.assert_array_equal(view.keep, sample.keep)
+        np.testing.assert_array_equal(view.class_id, sample.class_id)
         known = sample.depth < 65
         np.testing.assert_allclose(view.depth[known], sample.depth[known], atol=6e-4)
         assert np.isinf(view.depth[0]).all()
@@ -236,7 +237,7 @@ def test_our_reader_says_what_it_cannot_read(tmp_path):
     with pytest.raises(ParameterError, match=r"rain is 25 mm/h; .* has 0, 10; take"):
         read_views(tmp_path, 25)
     images.write_png16(tmp_path / "rain/10mm/depths/v1.png", np.zeros((3, 4)))
-    with pytest.raises(InputError, match=r"depth of images/v1.png .* is 4 x 3 px"):
+    with pytest.raises(InputError, match=r"depth of images/v1.png .* has the shape \(3, 4\)"):
         read_views(tmp_path, 10)
     for changes, message in (({"complete": False}, "unfinished"), ({"layout": "kitti"}, "kitti")):
         write_set(tmp_path, plan_with(), **changes)
