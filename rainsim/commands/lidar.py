@@ -101,9 +101,9 @@ def lidar(
     config = settings(preset, given)
     if not abs(speed) <= 100:  # false for NaN
         raise ParameterError(f"--speed is {speed} m/s; it must lie from -100 to 100")
-    from rainsim.compiling.uses import SIMULATE
+    from rainsim.compiling.uses import LIDAR
 
-    with status, compiled_beside(status, [SIMULATE], config.threads):
+    with status, compiled_beside(status, [LIDAR], config.threads):
         loaded = loaded_scene(status, scene, given)
         out = out or options.default_out(loaded.name, sensor)
         place = loaded.ground_frame.camera_in_ground(named_camera(loaded, camera))

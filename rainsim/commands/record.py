@@ -19,7 +19,7 @@ from dataclasses import replace
 from rainsim.compiling import recorded
 from rainsim.compiling.pool import VARIABLE, processes
 from rainsim.compiling.recorded import STAGES, TERRAIN, Recorded
-from rainsim.compiling.uses import ALL, HEIGHTMAP, LAYERS, SIMULATE, SPLAT, USES
+from rainsim.compiling.uses import ALL, HEIGHTMAP, LAYERS, LIDAR, SIMULATE, SPLAT, USES
 
 SCENE = "bicycle"
 SIZE = ("--width", "96", "--spacing", "0.05")
@@ -40,6 +40,9 @@ def command_lines(use, folder):
              f"{folder}/{depth}.npz")
             for depth, more in words.items()
         ]  # fmt: skip
+    if use == LIDAR:
+        return [("lidar", SCENE, "--rain", "0,25", "--spacing", "0.05", "--out",
+                 f"{folder}/turns", "-q")]  # fmt: skip
     preset, changes = USES.get(use, USES["drizzle"])
     words = [word for name, value in changes.items() for word in (f"--{name}", value)]
     words += ["--layers", "all", "--orbit"] if use == LAYERS else []
@@ -51,7 +54,7 @@ def command_lines(use, folder):
 
 def run_one(use):
     """Run a use here and print each kernel that it calls as a line of JSON."""
-    from rainsim.commands import film, ground, splat, status
+    from rainsim.commands import film, ground, lidar, splat, status
     from rainsim.compiling.watching import watched
 
     stage = STAGES[0]
@@ -68,7 +71,7 @@ def run_one(use):
         print(json.dumps(row), flush=True)
 
     commands = {"run": film.run, "simulate": film.simulate, "heightmap": ground.heightmap,
-                "splat": splat.splat}  # fmt: skip
+                "splat": splat.splat, "lidar": lidar.lidar}  # fmt: skip
     status.Status.progress = progress
     with tempfile.TemporaryDirectory() as folder, watched(found):
         for command, *words in command_lines(use, folder):

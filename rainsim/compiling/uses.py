@@ -17,7 +17,8 @@ LAYERS = "layers"  # a run that writes all layers
 HEIGHTMAP = "heightmap"  # the command
 SIMULATE = "simulate"  # the command, and the height map that it needs
 SPLAT = "splat"  # the command
-ALL = (*USES, LAYERS, HEIGHTMAP, SIMULATE, SPLAT)
+LIDAR = "lidar"  # the command
+ALL = (*USES, LAYERS, HEIGHTMAP, SIMULATE, SPLAT, LIDAR)
 # Settings that choose kernels, by group.
 CHOICES = {
     "water": ("scheme",),

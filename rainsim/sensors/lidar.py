@@ -116,9 +116,10 @@ class LidarScanner:
     def trace(self, origin, direction, before=0.0):
         """Return the `Surface` that rays meet; ground frame, metres, unit directions."""
         frame, unit = self.frame, self.frame.meters_per_unit
+        way_before = np.full(len(origin), before, np.float64) / unit
         found = self._tracer.trace(
             frame.to_capture(origin).astype(np.float32),
-            (direction @ frame.rotation).astype(np.float32), before / unit,
+            (direction @ frame.rotation).astype(np.float32), way_before,
             segment=FIRST_SEGMENT / unit,
         )  # fmt: skip
         met = found.alpha >= SOLID
