@@ -1,32 +1,18 @@
 """What rain does to splats that are trained in it: PSNR and SSIM of clear views against mm/h.
 
-Exports an orbit of a scene clear and in each rain, every view at its own moment, trains the same
-3DGS on each (same points, seed and steps), on all pixels and with those left out of the loss that
-drops or also puddles spoil, and compares with held-out clear views. Needs `pip install torch`; on a
-GPU `pip install gsplat` draws, without one a plain renderer that suits only tiny pictures.
+Exports an orbit of a scene clear and in each rain, every view at its own moment, and trains on it.
+Needs `pip install "rainsim[downstream]"`; without a GPU give a tiny width, few splats and degree=0.
 """
 
 import json
-import math
 from pathlib import Path
 
-import numpy as np
-from scipy.spatial import cKDTree
-
-from rainsim.datasets.reading import read_points, read_views, stored_card
-from rainsim.io.images import write_png
+from rainsim.bench.downstream import measure
+from rainsim.cli import cli
+from rainsim.scene.cameras import orbit, write_transforms
+from rainsim.scene.library import load_scene
 
 RATES = (0, 0.1, 5, 10, 25, 50)  # mm/h; 0.1 mm/h is a wet world with hardly a drop in it
-# Learning rates of 3DGS (Kerbl et al. 2023); places move less and less, per metre of the scene.
-RATES_OF = {"scale": 5e-3, "turn": 1e-3, "opacity": 5e-2, "color": 2.5e-3}
-FIRST_MOVE, LAST_MOVE = 1.6e-4, 1.6e-6
-DSSIM = 0.2  # share of 1 - SSIM in the loss
-FIRST_OPACITY = 0.1
-NEIGHBOURS = 3  # whose mean distance is a splat's first size
-SH_0 = 0.28209479177387814
-MASKS = ("nothing", "drops", "drops, water")  # what is left out of the loss
-RIM = 5  # px, half the window of SSIM
-NEAR, LOW_PASS, LEAST_ALPHA, MOST_ALPHA = 0.05, 0.3, 1 / 255, 0.999
 
 
 def export(out, scene, rates, views, width, height, more):
@@ -35,10 +21,6 @@ def export(out, scene, rates, views, width, height, more):
     card = folder / "card.json"
     if card.is_file() and json.loads(card.read_text())["complete"]:
         return folder
-    from rainsim.cli import cli
-    from rainsim.scene.cameras import orbit, write_transforms
-    from rainsim.scene.library import load_scene
-
     loaded = load_scene(scene)
     write_transforms(path, orbit(loaded.ground_frame, loaded.cameras, None, views, width, height))
     words = ["export", scene, "--path", path, "--rain", ",".join(f"{r:g}" for r in rates),
@@ -47,213 +29,13 @@ def export(out, scene, rates, views, width, height, more):
     return folder
 
 
-class Splats:
-    """Trainable splats: places [m], logarithms of sizes, quaternions, logits, harmonics."""
-
-    def __init__(self, torch, places, colors, degree, device):
-        tree = cKDTree(places)
-        apart = tree.query(places, NEIGHBOURS + 1)[0][:, 1:].mean(axis=1)
-        sh = np.zeros((len(places), (degree + 1) ** 2, 3), np.float32)
-        sh[:, 0] = (colors / 255 - 0.5) / SH_0
-        turn = np.zeros((len(places), 4), np.float32)
-        turn[:, 0] = 1
-        logit = math.log(FIRST_OPACITY / (1 - FIRST_OPACITY))
-        first = {
-            "place": places, "scale": np.log(np.maximum(apart, 1e-4))[:, None].repeat(3, axis=1),
-            "turn": turn, "opacity": np.full(len(places), logit), "color": sh[:, :1],
-            "fine": sh[:, 1:],
-        }  # fmt: skip
-        self.values = {
-            name: torch.tensor(a, dtype=torch.float32, device=device, requires_grad=True)
-            for name, a in first.items()
-        }
-        self.degree = degree
-
-    def optimizer(self, torch, extent):
-        """Return Adam with a group for each kind of value; the first group moves places."""
-        rates = {"place": FIRST_MOVE * extent, "fine": RATES_OF["color"] / 20, **RATES_OF}
-        groups = [{"params": [v], "lr": rates[k]} for k, v in self.values.items() if v.numel()]
-        return torch.optim.Adam(groups, eps=1e-15)
-
-    def picture(self, torch, camera):
-        """Return what a camera (ground frame, metres) sees over black, (height, width, 3)."""
-        v = self.values
-        sh = torch.cat([v["color"], v["fine"]], dim=1)
-        view = torch.tensor(camera.camera_from_world, dtype=torch.float32, device=sh.device)
-        if sh.is_cuda:
-            from gsplat import rasterization
-
-            k = [[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]]
-            drawn = rasterization(
-                v["place"], v["turn"], v["scale"].exp(), v["opacity"].sigmoid(), sh, view[None],
-                torch.tensor(k, dtype=torch.float32, device=sh.device)[None], camera.width,
-                camera.height, near_plane=NEAR, sh_degree=self.degree, packed=False,
-            )  # fmt: skip
-            return drawn[0][0]
-        if self.degree:
-            raise SystemExit("the plain renderer draws degree 0 only; give degree=0")
-        color = (SH_0 * v["color"][:, 0] + 0.5).clamp(min=0)
-        return plain(torch, v["place"], v["turn"], v["scale"].exp(), v["opacity"].sigmoid(), color,
-                     view, camera)  # fmt: skip
-
-
-def plain(torch, place, turn, scale, opacity, color, view, camera):
-    """Return a picture by the same rules as gsplat and rainsim.raster, each pixel by all splats."""
-    point = place @ view[:3, :3].T + view[:3, 3]
-    order = torch.argsort(point[:, 2].detach())
-    order = order[point[order, 2] > NEAR]
-    x, y, z = point[order].T
-    w, i, j, k = torch.nn.functional.normalize(turn[order], dim=1).T
-    axes = torch.stack([
-        1 - 2 * (j * j + k * k), 2 * (i * j - w * k), 2 * (i * k + w * j),
-        2 * (i * j + w * k), 1 - 2 * (i * i + k * k), 2 * (j * k - w * i),
-        2 * (i * k - w * j), 2 * (j * k + w * i), 1 - 2 * (i * i + j * j),
-    ], dim=1).view(-1, 3, 3)  # fmt: skip
-    half = axes * scale[order][:, None]
-    zero = torch.zeros_like(z)
-    # The projection is linearised at most 15 % of the picture beyond its rim, as in the original.
-    lx, ly = (
-        (a / z).clamp((-c - 0.15 * n) / f, (n - c + 0.15 * n) / f)
-        for a, c, n, f in ((x, camera.cx, camera.width, camera.fx),
-                           (y, camera.cy, camera.height, camera.fy))
-    )  # fmt: skip
-    lines = torch.stack([camera.fx / z, zero, -camera.fx * lx / z,
-                         zero, camera.fy / z, -camera.fy * ly / z], dim=1)  # fmt: skip
-    flat = lines.view(-1, 2, 3) @ view[:3, :3] @ half
-    spread = flat @ flat.transpose(1, 2) + LOW_PASS * torch.eye(2, device=place.device)
-    conic = torch.linalg.inv(spread)
-    u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
-    columns = torch.arange(camera.width, device=place.device) + 0.5
-    rows = []
-    for row in range(camera.height):
-        dx, dy = columns[:, None] - u, row + 0.5 - v
-        power = conic[:, 0, 0] * dx * dx + 2 * conic[:, 0, 1] * dx * dy + conic[:, 1, 1] * dy * dy
-        alpha = (opacity[order] * torch.exp(-0.5 * power)).clamp(max=MOST_ALPHA)
-        alpha = torch.where(alpha < LEAST_ALPHA, 0, alpha)
-        through = torch.cumprod(torch.cat([torch.ones_like(alpha[:, :1]), 1 - alpha], 1), 1)
-        rows.append((alpha * through[:, :-1]) @ color[order])
-    return torch.stack(rows)
-
-
-def ssim(torch, a, b):
-    """Return SSIM (Wang et al. 2004) of pictures (height, width, 3) around each pixel.
-
-    The window is Gaussian with sigma 1.5 px, cut at 11 px. The result lacks RIM pixels on each
-    side.
-    """
-    t = torch.arange(-RIM, RIM + 1, dtype=torch.float32, device=a.device)
-    line = torch.exp(-(t**2) / (2 * 1.5**2))
-    line = (line / line.sum()).repeat(3, 1)[:, None]
-
-    def mean(picture):
-        across = torch.nn.functional.conv2d(picture, line[:, :, None], groups=3)
-        return torch.nn.functional.conv2d(across, line[..., None], groups=3)
-
-    a, b = (p.permute(2, 0, 1)[None] for p in (a, b))
-    ma, mb = mean(a), mean(b)
-    va, vb, both = mean(a * a) - ma**2, mean(b * b) - mb**2, mean(a * b) - ma * mb
-    c1, c2 = 0.01**2, 0.03**2
-    found = ((2 * ma * mb + c1) * (2 * both + c2)) / ((ma**2 + mb**2 + c1) * (va + vb + c2))
-    return found[0].permute(1, 2, 0)
-
-
-def masks_of(folder, views, left_out):
-    """Return which pixels of views count in the loss, (height, width) of bool each."""
-    if left_out == "nothing":
-        return [np.ones_like(view.keep) for view in views]
-    named = stored_card(folder)["classes"].items()
-    water = [int(number) for number, name in named if name == "water"]
-    spared = water if left_out == "drops" else []
-    return [view.keep | np.isin(view.class_id, spared) for view in views]
-
-
-def train(torch, views, points, masks, *, seed, steps, degree, device):
-    """Return splats trained on views; pixels outside the masks count as they are drawn."""
-    torch.manual_seed(seed)
-    splats = Splats(torch, *points, degree, device)
-    eyes = np.array([view.camera.position for view in views])
-    adam = splats.optimizer(torch, 1.1 * np.linalg.norm(eyes - eyes.mean(axis=0), axis=1).max())
-    start = adam.param_groups[0]["lr"]
-    truth = [torch.tensor(v.picture, device=device).float() / 255 for v in views]
-    keep = [torch.tensor(mask, device=device)[..., None] for mask in masks]
-    rng = np.random.default_rng(seed)
-    for step in range(steps):
-        if step % len(views) == 0:
-            order = rng.permutation(len(views))
-        n = order[step % len(views)]
-        adam.param_groups[0]["lr"] = start * (LAST_MOVE / FIRST_MOVE) ** (step / steps)
-        drawn = splats.picture(torch, views[n].camera)
-        wanted = torch.where(keep[n], truth[n], drawn.detach())
-        loss = (1 - DSSIM) * (drawn - wanted).abs().mean()
-        unlike = (1 - ssim(torch, drawn, wanted)) * keep[n][RIM:-RIM, RIM:-RIM]
-        loss = loss + DSSIM * unlike.mean()
-        adam.zero_grad()
-        loss.backward()
-        adam.step()
-    return splats
-
-
-def psnr(a, b):
-    """Return the peak signal-to-noise ratio [dB] of pictures with values from 0 to 1."""
-    return float(-10 * np.log10(np.mean((a - b) ** 2)))
-
-
-def tint_fitted(a, b):
-    """Return picture `a` with the affine map of its colours that comes nearest to `b`."""
-    flat = np.column_stack([a.reshape(-1, 3), np.ones(a.size // 3)])
-    fit = np.linalg.lstsq(flat, b.reshape(-1, 3), rcond=None)[0]
-    return np.clip(flat @ fit, 0, 1).reshape(a.shape)
-
-
-def judge(torch, splats, views):
-    """Return mean PSNR, SSIM and PSNR with fitted tint over views, and the pictures."""
-    rows, pictures = [], []
-    for view in views:
-        with torch.no_grad():
-            drawn = splats.picture(torch, view.camera).clamp(0, 1)
-        truth = torch.tensor(view.picture, device=drawn.device).float() / 255
-        same = float(ssim(torch, drawn, truth).mean())
-        a, b = drawn.cpu().numpy().astype(float), view.picture / 255
-        rows.append((psnr(a, b), same, psnr(tint_fitted(a, b), b)))
-        pictures.append(np.rint(a * 255).astype(np.uint8))
-    return np.mean(rows, axis=0), pictures
-
-
 def main(out="downstream", scene="bicycle", rates=RATES, views=48, width=324, height=216,
-         steps=3000, most=50_000, seed=0, degree=1, more=("--fps", "2")):  # fmt: skip
+         more=("--fps", "2"), **training):  # fmt: skip
     """Print the table; save it as table.json with a sheet of one held-out view, downstream.png."""
-    import torch
-
     out = Path(out)
     out.mkdir(parents=True, exist_ok=True)
     folder = export(out, scene, rates, views, width, height, more)
-    device = "cuda" if torch.cuda.is_available() else "cpu"
-    clear = [view for view in read_views(folder, 0) if view.held_out]
-    places, colors = read_points(folder)
-    some = np.random.default_rng(seed).permutation(len(places))[:most]
-    points, table, sheet = (places[some], colors[some]), [], [clear[0].picture]
-    print("mm/h  left out of the loss   PSNR   SSIM   PSNR with fitted tint")
-    for rate in rates:
-        given = [view for view in read_views(folder, rate) if not view.held_out]
-        for left_out in MASKS if rate else MASKS[:1]:
-            masks = masks_of(folder, given, left_out)
-            share = 1 - float(np.mean([mask.mean() for mask in masks]))
-            splats = train(torch, given, points, masks, seed=seed, steps=steps, degree=degree,
-                           device=device)  # fmt: skip
-            (db, same, fitted), pictures = judge(torch, splats, clear)
-            print(f"{rate:4g}  {left_out:12} ({share:5.1%})   {db:5.2f}  {same:.3f}  {fitted:5.2f}",
-                  flush=True)  # fmt: skip
-            table.append({"mm_per_hour": rate, "left_out": left_out, "share": share, "psnr": db,
-                          "ssim": same, "psnr_fitted_tint": fitted})  # fmt: skip
-            sheet.append(pictures[0])
-    facts = {"scene": scene, "views": views, "held_out": len(clear), "width": width, "steps": steps,
-             "splats": len(points[0]), "seed": seed, "degree": degree, "device": device,
-             "rows": table}  # fmt: skip
-    (out / "table.json").write_text(json.dumps(facts, indent=1) + "\n")
-    sheet += [np.zeros_like(sheet[0])] * (-len(sheet) % 4)
-    rows = [np.concatenate(sheet[k : k + 4], axis=1) for k in range(0, len(sheet), 4)]
-    write_png(out / "downstream.png", np.concatenate(rows))
-    return table
+    return measure(folder, out, **training)
 
 
 if __name__ == "__main__":

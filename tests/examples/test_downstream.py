@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from test_examples import load
 
+from rainsim.bench import downstream
 from rainsim.datasets.reading import StoredView
 from rainsim.raster import prepare, rasterize
 from rainsim.scene.cameras import look_at
@@ -20,13 +21,13 @@ CAMERA = look_at((0, -3, 0.4), (0, 0, 0), (0, 0, 1), 50, 40, 30)
 
 @pytest.fixture(scope="module")
 def module():
-    return load("downstream")
+    return downstream
 
 
 def some_splats(module, rng, count=60):
     places = rng.normal(0, 0.5, (count, 3)).astype(np.float32)
     colors = rng.integers(0, 256, (count, 3)).astype(np.uint8)
-    splats = module.Splats(torch, places, colors, 0, "cpu")
+    splats = module.Splats(places, colors, 0, "cpu")
     with torch.no_grad():
         splats.values["scale"] += torch.tensor(rng.normal(-0.5, 0.5, (count, 3)))
         splats.values["turn"] += torch.tensor(rng.normal(0, 1, (count, 4)))
@@ -41,7 +42,7 @@ def test_the_plain_renderer_draws_what_the_rasterizer_draws(module, rng):
     ours = Splats(*(np.ascontiguousarray(a.numpy(), np.float32) for a in (
         v["place"], turn, v["scale"].exp(), v["opacity"].sigmoid(), v["color"])))  # fmt: skip
     wanted = rasterize(prepare(ours), CAMERA, module.NEAR).color
-    found = splats.picture(torch, CAMERA).detach().numpy()
+    found = splats.picture(CAMERA).detach().numpy()
     assert wanted.max() > 0.5
     np.testing.assert_allclose(found, wanted, atol=2e-4)
 
@@ -50,7 +51,7 @@ def test_training_comes_nearer_and_masked_pixels_teach_nothing(module, rng):
     target = some_splats(module, rng)
     cameras = [look_at((3 * np.sin(a), -3 * np.cos(a), 0.4), (0, 0, 0), (0, 0, 1), 50, 40, 30)
                for a in (0.0, 1.0, 2.0)]  # fmt: skip
-    pictures = [target.picture(torch, c).detach().clamp(0, 1).numpy() for c in cameras]
+    pictures = [target.picture(c).detach().clamp(0, 1).numpy() for c in cameras]
     views = [
         StoredView("v", np.rint(p * 255).astype(np.uint8), np.zeros((30, 40)),
                    np.ones((30, 40), bool), np.zeros((30, 40), np.uint8), c, False)
@@ -59,27 +60,30 @@ def test_training_comes_nearer_and_masked_pixels_teach_nothing(module, rng):
     points = (target.values["place"].detach().numpy(), np.full((60, 3), 128, np.uint8))
     given = {"seed": 1, "degree": 0, "device": "cpu"}
     everything = [view.keep for view in views]
-    before = module.train(torch, views, points, everything, steps=0, **given)
-    after = module.train(torch, views, points, everything, steps=60, **given)
-    (bad, low, _), _ = module.judge(torch, before, views)
-    (good, high, _), _ = module.judge(torch, after, views)
+    before = module.train(views, points, everything, steps=0, **given)
+    after = module.train(views, points, everything, steps=60, **given)
+    (bad, low, _), _ = module.judge(before, views)
+    (good, high, _), _ = module.judge(after, views)
     assert good > bad + 2 and high > low
     nothing = [np.zeros((30, 40), bool) for view in views]
-    same = module.train(torch, views, points, nothing, steps=3, **given)
+    same = module.train(views, points, nothing, steps=3, **given)
     for name, value in before.values.items():
         np.testing.assert_array_equal(same.values[name].detach(), value.detach(), name)
 
 
 def test_the_table_of_a_tiny_scene(module, tmp_path, scene_folder, capsys):
     more = ("--fps", "2", "--spacing", "0.04", "--extent", "1", "-q")
-    table = module.main(tmp_path, str(scene_folder), (0, 50), 8, 48, 36, 20, 300, 0, 0, more)
+    training = {"steps": 20, "most": 300, "degree": 0}
+    table = load("downstream").main(
+        tmp_path, str(scene_folder), (0, 50), 8, 48, 36, more, **training
+    )  # fmt: skip
     assert [(row["mm_per_hour"], row["left_out"]) for row in table] == [
         (0, "nothing"), *((50, name) for name in module.MASKS),
     ]  # fmt: skip
     left = [row["share"] for row in table]
     assert left[:2] == [0, 0] and 0 < left[2] < left[3] < 0.9
     assert all(5 < row["psnr"] < 60 and 0 < row["ssim"] < 1 for row in table)
-    assert len(capsys.readouterr().out.splitlines()) == 5
+    assert len(capsys.readouterr().out.splitlines()) == 6  # where the data are, and the table
     assert json.loads((tmp_path / "table.json").read_text())["rows"] == table
     assert imageio.imread(tmp_path / "downstream.png").shape == (36, 4 * 48, 3)
 
@@ -91,7 +95,7 @@ def test_metrics(module, rng):
     b = np.clip(a + rng.normal(0, 0.1, a.shape), 0, 1).astype(np.float32)
     rules = {"gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False}
     wanted = structural_similarity(a, b, channel_axis=2, data_range=1, full=True, **rules)[1]
-    found = module.ssim(torch, torch.tensor(a), torch.tensor(b))
+    found = module.ssim(torch.tensor(a), torch.tensor(b))
     np.testing.assert_allclose(found, wanted[5:-5, 5:-5], atol=2e-4)
     assert module.psnr(a, a + 0.1) == pytest.approx(20, abs=1e-4)
     turned = a @ np.array([[0.5, 0.1, 0], [0, 0.6, 0.1], [0.1, 0, 0.7]]) + 0.05
