@@ -104,12 +104,14 @@ def import_scene(
     """
     path, camera_notes = Path(path), []
     if actors_file(path) is not None:
+        _require_options(path, tracks, track_fps)
         given = cameras, up, meters_per_unit, camera_height, ground_frame
         return _import_with_actors(path, actors_file(path), *given)
     if _is_path(cameras):
         cameras, camera_notes = load_cameras(cameras)
     folder = path.parent if path.name == SCENE_FILE else path
     if (folder / SCENE_FILE).is_file():
+        _require_options(folder, tracks, track_fps)
         scene = read_scene(folder)
         if cameras is not None:
             notes = (*scene.notes, *camera_notes)
@@ -139,12 +141,7 @@ def import_scene(
 def _read(file, tracks, track_fps):
     """Return the static splats of a file, notes, and nodes: a `StreetModel`, a tuple of Actor."""
     street = file.suffix.lower() == ".ply" and is_street_ply(file)
-    for given, name, fits, what in (
-        (tracks, "--tracks", street, "model of Street Gaussians"),
-        (track_fps, "--track-fps", is_checkpoint(file), "checkpoint of drivestudio"),
-    ):
-        if given is not None and not fits:
-            raise InputError(f"{file} is no {what}, whose option {name} is; leave it out")
+    _require_options(file, tracks, track_fps, street, is_checkpoint(file))
     if street:
         model = read_street_ply(file)
         return model.static, model.notes, model
@@ -152,6 +149,16 @@ def _read(file, tracks, track_fps):
         splats, actors, notes = read_checkpoint(file, track_fps or FRAMES_PER_SECOND)
         return splats, notes, actors
     return *read_splats(file), ()
+
+
+def _require_options(path, tracks, track_fps, street=False, checkpoint=False):
+    """Raise InputError if an option was given that belongs to another kind of model."""
+    for given, name, fits, what in (
+        (tracks, "--tracks", street, "model of Street Gaussians"),
+        (track_fps, "--track-fps", checkpoint, "checkpoint of drivestudio"),
+    ):
+        if given is not None and not fits:
+            raise InputError(f"{path} is no {what}, whose option {name} is; leave it out")
 
 
 def _with_nodes(scene, nodes, tracks):

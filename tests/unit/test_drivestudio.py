@@ -94,6 +94,9 @@ def test_a_checkpoint_becomes_a_scene_folder(tmp_path):
     again = read_scene(tmp_path / "scene")
     np.testing.assert_array_equal(again.actors[1].track.visible, scene.actors[1].track.visible)
     assert [a.turning for a in again.actors] == [False] * 3
+    for option in ({"tracks": tmp_path}, {"track_fps": 5.0}):  # of models that are not there
+        with pytest.raises(InputError, match="leave it out"):
+            import_scene(tmp_path / "scene", **option)
 
 
 def test_a_file_of_torch_itself(tmp_path):
