@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 LEAST_WIDTH, FULL_WIDTH = 324, 648  # px, unless chosen otherwise
 STILL_AFTER = 0.1  # s without a change, then a picture is refined
-TARGET = 0.06  # s that a small picture may take: two of them and their way stay below 150 ms
+TARGET = 0.045  # s that a small picture may take: two of them and their way stay below 150 ms
 FIXED_PIXELS = 500_000  # a picture costs as much as so many pixels before its first pixel
 FIRST_GUESS = 2e-7  # s a pixel, until one was measured
 LEAST_HEIGHT = 8  # px
