@@ -85,7 +85,7 @@ def test_the_table_of_a_tiny_scene(module, tmp_path, scene_folder, capsys):
     assert all(5 < row["psnr"] < 60 and 0 < row["ssim"] < 1 for row in table)
     assert len(capsys.readouterr().out.splitlines()) == 6  # where the data are, and the table
     assert json.loads((tmp_path / "table.json").read_text())["rows"] == table
-    assert imageio.imread(tmp_path / "downstream.png").shape == (36, 4 * 48, 3)
+    assert imageio.imread(tmp_path / "downstream.png").shape == (2 * 36, 4 * 48, 3)
 
 
 def test_metrics(module, rng):
