@@ -66,7 +66,7 @@ def draw_fronts(path, panels, title, default=None):
             continue
         _draw_lines(axis, panel, styles, default)
         axis.set(title=name, xlabel="time [ms]", ylabel="relative error")
-        _log_ticks(axis)
+        log_ticks(axis)
         for handle, label in zip(*axis.get_legend_handles_labels(), strict=True):
             shown.setdefault(label, handle)
     if shown:
@@ -111,7 +111,7 @@ def _milliseconds(points):
     return [1e3 * t for t in time], error
 
 
-def _log_ticks(axis):
+def log_ticks(axis):
     """Put plain numbers on logarithmic axes, as many as have room."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 

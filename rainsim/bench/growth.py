@@ -16,7 +16,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from rainsim import pipeline
-from rainsim.bench.chart import COLORS, MARKERS, require_matplotlib
+from rainsim.bench.chart import COLORS, MARKERS, log_ticks, require_matplotlib
 from rainsim.bench.scenes import SCENES, scene_names
 from rainsim.config.settings import Config
 from rainsim.jit import set_threads
@@ -36,6 +36,7 @@ STEP = 0.003  # m by which the camera moves on from frame to frame
 SHIFT = 0.5  # deviations from a splat's centre to those of its halves
 NARROWED = np.sqrt(1 - SHIFT**2)  # keeps the variance along the axis that is divided
 QUANTITIES = ("splats", "pixels", "wet pixels")
+LOWEST, HIGHEST = 20, 500  # ms, of the chart's axes
 WET_STAGES = ("find water", "mirror", "reflection", "water")
 
 
@@ -204,13 +205,18 @@ def draw(result, path):
         if scene not in SCENES:
             continue
         axis, n = axes[QUANTITIES.index(quantity)], SCENES.index(scene)
+        thousands = [row["count"] / 1000 for row in rows]
         axis.plot(
-            [row["count"] for row in rows], [row["least_ms"] for row in rows], color=COLORS[n],
-            marker=MARKERS[n], label=f"{scene}: exponent {exponent(rows):.2f}",
+            thousands, [row["least_ms"] for row in rows], color=COLORS[n], marker=MARKERS[n],
+            label=f"{scene}: exponent {exponent(rows):.2f}",
         )  # fmt: skip
     for axis, quantity in zip(axes, QUANTITIES, strict=True):
-        axis.set(xscale="log", yscale="log", xlabel=quantity, ylabel="ms, least, of a moving frame")
-        axis.grid(alpha=0.3, which="both")
+        axis.set(
+            xlabel=f"thousand {quantity}",
+            ylabel="least time of a frame [ms]",
+            ylim=(LOWEST, HIGHEST),
+        )
+        log_ticks(axis)
         axis.legend(fontsize=8)
     figure.savefig(Path(path), dpi=110, format="png")
     pyplot.close(figure)
