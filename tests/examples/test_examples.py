@@ -91,7 +91,8 @@ def test_parts_of_the_rain(capsys):
 
 
 def test_every_example_is_run_here():
-    text = Path(__file__).read_text(encoding="utf-8")
+    tests = sorted(Path(__file__).parent.glob("test_*.py"))
+    text = "".join(test.read_text(encoding="utf-8") for test in tests)
     for name in EXAMPLES:
         assert f'load("{name}")' in text
 

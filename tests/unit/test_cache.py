@@ -364,7 +364,7 @@ def test_each_input_of_the_exposure_changes_its_name(folder, monkeypatch):
     fresh = [exposure.rain_exposure(*case) for case in cases]
     assert fresh[0].min() < 0.5 and fresh[0].max() > 0.9
     assert len(list(folder.glob("exposure-*"))) == len(cases)
-    monkeypatch.setattr(exposure, "_computed", lambda *_: pytest.fail("computed again"))
+    monkeypatch.setattr(exposure, "computed_exposure", lambda *_: pytest.fail("computed again"))
     for case, share in zip(cases, fresh, strict=True):
         same(exposure.rain_exposure(*case), share)
 

@@ -325,7 +325,7 @@ def test_the_list_names_kernels_that_exist(module):
 
 
 @without_jit
-@pytest.mark.parametrize("use", ["drizzle", "paper"])
+@pytest.mark.parametrize("use", ["drizzle", pytest.param("paper", marks=pytest.mark.slow)])
 def test_a_run_calls_what_the_list_says(use):
     done = subprocess.run(
         [sys.executable, "-m", "rainsim.commands.record", "--one", use],
