@@ -308,6 +308,7 @@ def test_flow_of_a_nodes_pixels_is_that_of_its_points(scene, shot, camera):
     assert np.median(error) < 0.1 and np.percentile(error, 95) < 0.5
 
 
+@pytest.mark.slow
 def test_the_mirror_image_lies_where_the_traced_one_does(scene, ground, states, camera):
     calm, light = CONFIG.replace(rate=0.0), {}
     state = replace(states[BEHIND], slopes=np.zeros_like(states[BEHIND].slopes))
