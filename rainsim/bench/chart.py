@@ -119,7 +119,8 @@ def log_ticks(axis):
     for side in (axis.xaxis, axis.yaxis):
         low, high = side.get_view_interval()
         decades = math.log10(high / low)
-        steps = (1, 2, 5) if decades < 2 else (1,)
+        steps = (1, 1.5, 2, 3, 4, 5, 6, 7, 8, 9) if decades < 0.7 else (1, 2, 5)
+        steps = steps if decades < 2 else (1,)
         side.set_major_locator(LogLocator(subs=steps, numticks=12))
         side.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         side.set_minor_formatter(NullFormatter())
