@@ -149,23 +149,25 @@ def _serve(status, session, first, out, scene, repeated, port, greeting):
     from rainsim.view.page import Page
     from rainsim.view.painter import Painter
 
-    page = None
+    page = drawing = None
     painter = Painter(
         session, lambda *shown: page.show(*shown), lambda text: page.say(text),
         lambda error: page.fail(error),
     )  # fmt: skip
-    page = Page(painter, Home(Path(out), scene, repeated), port, first, greeting)
-    drawing = threading.Thread(target=painter.run, name="painter")
-    drawing.start()
-    click.echo(page.address)
-    status.say("open it in a browser; Ctrl-C ends it")
-    status.say(f"in a browser without a GPU this is faster: {page.address}/{FEWER_PIXELS}")
     try:
+        page = Page(painter, Home(Path(out), scene, repeated), port, first, greeting)
+        drawing = threading.Thread(target=painter.run, name="painter")
+        drawing.start()
+        click.echo(page.address)
+        status.say("open it in a browser; Ctrl-C ends it")
+        status.say(f"in a browser without a GPU this is faster: {page.address}/{FEWER_PIXELS}")
         while drawing.is_alive():
             drawing.join(WAIT)
     except KeyboardInterrupt:
         status.say("ended")
-    finally:
+    finally:  # else a thread that draws or listens keeps the process alive
         painter.end()
-        drawing.join()
-        page.close()
+        if drawing is not None and drawing.is_alive():
+            drawing.join()
+        if page is not None:
+            page.close()

@@ -1,11 +1,15 @@
 """What the page shows when: the schedule, the clock, what a change costs; no picture is drawn."""
 
 import math
+import sys
+import threading
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from rainsim.commands.view import _serve
 from rainsim.config.controls import OPTION_KEYS, SLIDERS, si_value
 from rainsim.config.preset_files import HUMAN_KEYS, PARTS, from_human
 from rainsim.config.preset_writer import preset_text_of, value_of
@@ -492,3 +496,42 @@ def test_a_search_for_a_state_can_be_given_up_between_steps():
 
 def test_the_constants_keep_what_the_page_promises():
     assert schedule.LEAST_WIDTH >= 324 and 2 * schedule.TARGET < 0.15
+
+
+@pytest.mark.parametrize("moment", ["page", "address"])
+def test_ctrl_c_before_the_loop_leaves_no_thread(moment, monkeypatch, tmp_path):
+    """The thread that draws is no daemon: left running, it would keep the process alive."""
+    ended, closed = threading.Event(), []
+
+    class OnePage:
+        address = "http://127.0.0.1:1"
+
+        def __init__(self, *_):
+            if moment == "page":
+                raise KeyboardInterrupt
+
+        def close(self):
+            closed.append(True)
+
+    class Hand:
+        def __init__(self, *_):
+            pass
+
+        def run(self):
+            ended.wait(20)
+
+        def end(self):
+            ended.set()
+
+    def say(text):
+        if text != "ended":
+            raise KeyboardInterrupt
+
+    for name, members in (
+        ("page", {"Page": OnePage}), ("painter", {"Painter": Hand}),
+        ("home", {"Home": lambda *_: None}),
+    ):  # fmt: skip
+        monkeypatch.setitem(sys.modules, f"rainsim.view.{name}", SimpleNamespace(**members))
+    _serve(SimpleNamespace(say=say), None, None, tmp_path, None, None, 0, None)
+    assert ended.is_set() and closed == [True] * (moment == "address")
+    assert not any(thread.name == "painter" for thread in threading.enumerate())
