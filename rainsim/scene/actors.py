@@ -17,6 +17,7 @@ from rainsim.scene.harmonics import padded, turned
 from rainsim.scene.types import Splats
 
 STILL = 1e-9  # of a pose's numbers: two that are nearer count as one pose
+SOLID = 0.3  # opacity of splats that a body ends at, and that stop drops
 
 
 class Pose(NamedTuple):
@@ -180,7 +181,7 @@ class Actor:
         if self.series is not None:
             sh[:, 0] = self.series.at(time)
         turn = Rotation.from_matrix(pose.rotation)
-        own = Rotation.from_quat(np.roll(splats.rotation, -1, axis=1).astype(np.float64))
+        own = own_turns(splats)
         return Splats(
             np.ascontiguousarray(pose.places(splats.position.astype(np.float64)), np.float32),
             np.ascontiguousarray(np.roll((turn * own).as_quat(), 1, axis=1), np.float32),
@@ -188,12 +189,17 @@ class Actor:
         )  # fmt: skip
 
 
+def own_turns(splats):
+    """Return the rotations from the own axes of splats to their frame, a float64 `Rotation`."""
+    return Rotation.from_quat(np.roll(splats.rotation, -1, axis=1).astype(np.float64))
+
+
 def box_of(splats):
     """Return the box (2, 3) around a node's splats, out to one standard deviation.
 
     Faint splats and the outermost five-hundredth on each side are left out.
     """
-    solid = splats.opacity > 0.3
+    solid = splats.opacity > SOLID
     solid = solid if solid.any() else np.ones(len(splats), bool)
     place = splats.position[solid].astype(np.float64)
     reach = _spread(splats.take(solid))
@@ -204,7 +210,7 @@ def box_of(splats):
 
 def _spread(splats):
     """Return one standard deviation of each splat along the three axes of its frame, (n, 3)."""
-    axes = Rotation.from_quat(np.roll(splats.rotation, -1, axis=1).astype(np.float64)).as_matrix()
+    axes = own_turns(splats).as_matrix()
     return np.sqrt(np.einsum("nij,nj->ni", axes**2, splats.scale.astype(np.float64) ** 2))
 
 

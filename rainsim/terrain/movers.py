@@ -11,11 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy import ndimage
-from scipy.spatial.transform import Rotation
 
-from rainsim.scene.actors import Track
+from rainsim.scene.actors import SOLID, Track, own_turns
 
-SOLID = 0.3  # opacity of splats that stop drops
 LEAST_SPACING = 0.03  # m, of a body's own cells: what is finer shows gaps between its splats
 CLOSING = 2  # cells: gaps up to twice as wide are closed
 HIGHER = 0.02  # m over the bed that a body must be in a cell to count there
@@ -136,7 +134,7 @@ def mover_of(actor, frame, spacing):
 
 def _outline(splats):
     """Return the centres of splats and points one deviation away along their axes, (7 n, 3)."""
-    axes = Rotation.from_quat(np.roll(splats.rotation, -1, axis=1).astype(np.float64)).as_matrix()
+    axes = own_turns(splats).as_matrix()
     steps = np.swapaxes(axes * splats.scale[:, None, :], 1, 2)  # (n, 3 axes, 3)
     centre = splats.position.astype(np.float64)
     every = [centre, *(centre + s * steps[:, k] for k in range(3) for s in (-1, 1))]
