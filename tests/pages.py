@@ -80,7 +80,7 @@ def viewing(*arguments, folder=None):
         text=True, cwd=folder,
     )  # fmt: skip
     try:
-        address = process.stdout.readline().strip()
+        address = process.stdout.readline().strip().partition("/?")[0]  # with all its pixels
         assert address.startswith("http://127.0.0.1:"), process.communicate(timeout=60)[1]
         yield process, address
     finally:

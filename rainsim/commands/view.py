@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import threading
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +16,8 @@ from rainsim.commands.status import READING, Status, say_scene
 
 PORT = 8080
 FEWER_PIXELS = "?fixedDpr=0.5"  # of viser's page: a quarter of the pixels are drawn there
+COARSE_UP_TO = 1000  # px of a picture at rest, which such a page still shows whole
+GRAPHICS = ("/dev/dri", "/dev/dxg", "/dev/nvidiactl")  # one of them, where Linux has a GPU
 WAIT = 0.5  # s between looks at whether Ctrl-C was pressed
 
 
@@ -143,6 +146,24 @@ def _repeated(given, backend, threads):
     return [*repeated, *([] if threads is None else ["--threads", str(threads)])]
 
 
+def _has_graphics():
+    """Whether a browser on this machine can draw on a GPU; other systems than Linux count so."""
+    return sys.platform != "linux" or any(Path(name).exists() for name in GRAPHICS)
+
+
+def _address_for(address, width, has_graphics):
+    """Return the address to open: with fewer pixels where a browser draws them on these cores.
+
+    Parameters
+    ----------
+    address : str
+    width : int [px]
+        Of a picture at rest: wide ones keep the page's full resolution.
+    has_graphics : bool
+    """
+    return address if has_graphics or width > COARSE_UP_TO else f"{address}/{FEWER_PIXELS}"
+
+
 def _serve(status, session, first, out, scene, repeated, port, greeting):
     """Show the page until Ctrl-C."""
     from rainsim.view.home import Home
@@ -155,12 +176,17 @@ def _serve(status, session, first, out, scene, repeated, port, greeting):
         lambda error: page.fail(error),
     )  # fmt: skip
     try:
-        page = Page(painter, Home(Path(out), scene, repeated), port, first, greeting)
+        page = Page(painter, Home(Path(out), scene, repeated, click.echo), port, first, greeting)
         drawing = threading.Thread(target=painter.run, name="painter")
         drawing.start()
-        click.echo(page.address)
+        address = _address_for(page.address, session.config.width, _has_graphics())
+        click.echo(address)
         status.say("open it in a browser; Ctrl-C ends it")
-        status.say(f"in a browser without a GPU this is faster: {page.address}/{FEWER_PIXELS}")
+        if address != page.address:
+            status.say(
+                "no GPU was found here: the page draws a quarter of its pixels. In a browser on a "
+                f"machine with a GPU: {page.address}"
+            )
         while drawing.is_alive():
             drawing.join(WAIT)
     except KeyboardInterrupt:

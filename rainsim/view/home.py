@@ -58,13 +58,27 @@ class Home:
         As it is typed after --scene.
     options : sequence of str
         More of the command line that is to be repeated: cameras, backend, threads.
+    say : callable, optional
+        say(line) prints a command in the terminal that shows the page.
     """
 
-    def __init__(self, folder, scene, options=()):
+    def __init__(self, folder, scene, options=(), say=None):
         self.folder, self.scene, self.options = Path(folder), scene, tuple(options)
+        self.say = say or (lambda line: None)
 
     def save_shot(self, session, view, index, width, height):
         """Write the picture of a view as the command draws it; return what was `Taken`.
+
+        The parameters are those of `save_view`.
+        """
+        session.make()
+        picture, _ = session.draw(view, width, height, index)
+        folder = self._new("shot")
+        images.write_png(folder / PICTURE, picture)
+        return self._write_view(session, folder, view, index, (width, height))
+
+    def save_view(self, session, view, index, width, height):
+        """Write what the command of one picture needs and draw nothing; return what was `Taken`.
 
         Parameters
         ----------
@@ -74,12 +88,12 @@ class Home:
             Of the state.
         width, height : int [px]
         """
-        before = session.config
+        return self._write_view(session, self._new("view"), view, index, (width, height))
+
+    def _write_view(self, session, folder, view, index, size):
+        """Write camera, preset and command of one picture of `size` (width, height) [px]."""
+        (width, height), before = size, session.config
         config = replace(before, width=width, height=height, frames=max(before.frames, index + 1))
-        session.make()
-        picture, _ = session.draw(view, width, height, index)
-        folder = self._new("shot")
-        images.write_png(folder / PICTURE, picture)
         poses = [(session.pose_of(view), view.fov)]
         data = camera_path_data(poses, width, height, config.fps)
         frames = ["--frames", str(config.frames), "--frame-range", f"{index}:{index + 1}"]

@@ -49,6 +49,7 @@ class HomeTools:
             height = config.height or round(config.width / 1.5)
             self.height = gui.add_number("height [px]", height, min=8, max=MAX_SIDE, step=4)
             self.shot = gui.add_button("save this picture")
+            self.command = gui.add_button("print its command")
             self.seconds = gui.add_number("seconds to it", 2.0, min=0.05, max=600.0, step=0.05)
             self.time = gui.add_dropdown("time of the rain", (GOES_ON, AS_SEEN))
             self.add = gui.add_button("add a keyframe")
@@ -60,9 +61,9 @@ class HomeTools:
             self.progress = gui.add_progress_bar(0.0, visible=False)
             self.words = gui.add_markdown("no keyframe")
         for handle, function in (
-            (self.shot, self._save_shot), (self.add, self._add), (self.remove, self._remove),
-            (self.save, self._save_path), (self.film, self._draw_here),
-            (self.stop, lambda _: self.cancel()),
+            (self.shot, self._save_shot), (self.command, self._print_command),
+            (self.add, self._add), (self.remove, self._remove), (self.save, self._save_path),
+            (self.film, self._draw_here), (self.stop, lambda _: self.cancel()),
         ):  # fmt: skip
             handle.on_click(page.guarded(function))
         self.load.on_upload(page.guarded(self._load))
@@ -75,11 +76,15 @@ class HomeTools:
         return int(self.width.value), int(self.height.value)
 
     def _save_shot(self, event):
-        view, index = self.page.view_of(event), self.painter.clock.index
-        size = self.size
-        self._took(
-            self.painter.ask(lambda session: self.home.save_shot(session, view, index, *size))
-        )
+        self._take_view(event, self.home.save_shot)
+
+    def _print_command(self, event):
+        self._take_view(event, self.home.save_view)
+
+    def _take_view(self, event, save):
+        """Let save(session, view, index, width, height) write what the page shows."""
+        view, index, size = self.page.view_of(event), self.painter.clock.index, self.size
+        self._took(self.painter.ask(lambda session: save(session, view, index, *size)))
 
     def _save_path(self, event):
         keyframes, size = list(self.keyframes), self.size
@@ -89,6 +94,7 @@ class HomeTools:
 
     def _took(self, future):
         self.taken = future.result()
+        self.home.say(self.taken.line)
         self.words.content = f"saved in `{self.taken.folder}`\n\n```\n{self.taken.line}\n```"
 
     # --- keyframes --------------------------------------------------------------------------------

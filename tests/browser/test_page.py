@@ -131,6 +131,10 @@ def test_a_saved_picture_is_that_of_the_page_and_of_its_command(server, open_pag
     subprocess.run([sys.executable, "-m", *command], check=True, cwd=server[2])
     (frame,) = (folder / "drawn/frames").iterdir()
     np.testing.assert_array_equal(read_image(frame), picture)
+    page.press("print its command")
+    line = (folder / "command.txt").read_text().strip()
+    page.wait_until(lambda: page.says(line.replace("shot-001", "view-001")))
+    assert not (server[2] / "home/view-001/picture.png").exists()
 
 
 def test_a_path_is_saved_and_drawn_here(server, open_page):

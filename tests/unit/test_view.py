@@ -313,6 +313,12 @@ def test_a_shot_is_drawn_from_its_files_to_the_byte(scene, tmp_path, cameras):
     cameras, config = cameras_of(scene, config, given)
     ((picture, _),) = render_rain(scene, cameras, config)
     np.testing.assert_array_equal(picture, read_image(taken.folder / "picture.png"))
+    bare = home.save_view(session, view, 1, 72, 44)  # the command alone
+    assert bare.line == taken.line.replace("shot-001", "view-001")
+    names = {path.name for path in taken.folder.iterdir()}
+    assert {path.name for path in bare.folder.iterdir()} == names - {"picture.png"}
+    for name in ("camera_path.json", "preset.toml"):
+        assert (bare.folder / name).read_bytes() == (taken.folder / name).read_bytes()
     assert home.save_ground(session).folder.name == "ground-001"
     assert home.save_ground(session).folder.name == "ground-002"  # nothing is replaced
 

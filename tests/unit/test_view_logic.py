@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from rainsim.commands.view import _serve
+from rainsim.commands.view import _address_for, _serve
 from rainsim.config.controls import OPTION_KEYS, SLIDERS, si_value
 from rainsim.config.preset_files import HUMAN_KEYS, PARTS, from_human
 from rainsim.config.preset_writer import preset_text_of, value_of
@@ -532,6 +532,18 @@ def test_ctrl_c_before_the_loop_leaves_no_thread(moment, monkeypatch, tmp_path):
         ("home", {"Home": lambda *_: None}),
     ):  # fmt: skip
         monkeypatch.setitem(sys.modules, f"rainsim.view.{name}", SimpleNamespace(**members))
-    _serve(SimpleNamespace(say=say), None, None, tmp_path, None, None, 0, None)
+    session = SimpleNamespace(config=SimpleNamespace(width=648))
+    _serve(SimpleNamespace(say=say), session, None, tmp_path, None, None, 0, None)
     assert ended.is_set() and closed == [True] * (moment == "address")
     assert not any(thread.name == "painter" for thread in threading.enumerate())
+
+
+@pytest.mark.parametrize(
+    ("width", "has_graphics", "end"),
+    [(648, False, "/?fixedDpr=0.5"), (648, True, ""), (1297, False, "")],
+)
+def test_the_address_asks_for_fewer_pixels_where_a_processor_draws_the_page(
+    width, has_graphics, end
+):
+    address = "http://127.0.0.1:8080"
+    assert _address_for(address, width, has_graphics) == address + end
