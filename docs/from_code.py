@@ -139,12 +139,13 @@ def formats():
     from rainsim import simulation
     from rainsim.commands import film
     from rainsim.io import images
-    from rainsim.scene import actor_files, folder
+    from rainsim.scene import actor_files, folder, painted
     from rainsim.terrain import files
 
     rows = [
         ("scene.json, splats.npz", folder.VERSION, "`import`", "cameras, ground frame; splats"),
         ("actors.npz", actor_files.VERSION, "`import`", "nodes that move through a scene"),
+        ("classes.npz", painted.VERSION, "`view`", "classes painted on the ground of a scene"),
         ("terrain.npz", files.VERSION, "`heightmap`", "ground, what stands on it, classes, noise"),
         ("states/NNNNN.npz", simulation.STATE_VERSION, "`simulate`", "water at a frame's time"),
         ("simulation.json", film.VERSION, "`simulate`", "settings and input of the states"),

@@ -299,9 +299,9 @@ def scene_content(scene):
 
     frame = ground_frame_to_dict(scene.ground_frame)
     return {
-        "sha256": scene.source_hash, "splats": len(scene.splats),
+        "sha256": scene.source_hash, "splats": len(scene.splats), "drains": scene.drains,
         "ground_frame": {name: frame[name] for name in frame if name != "notes"},
-        "cameras": hash_of(cameras_to_data(scene.cameras)), "drains": scene.drains,
+        "cameras": hash_of(cameras_to_data(scene.cameras)), "painted": scene.painted_hash,
     }  # fmt: skip
 
 

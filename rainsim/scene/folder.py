@@ -1,7 +1,7 @@
 """Scenes as files: captures in the layouts that users hold, and the program's own scene folder.
 
 A scene folder holds `scene.json` (name, source, notes, cameras, ground frame) and `splats.npz` (the
-activated arrays of Splats, uncompressed).
+activated arrays of Splats, uncompressed), and where there are any `actors.npz` and `classes.npz`.
 """
 
 from __future__ import annotations
@@ -51,6 +51,7 @@ from rainsim.scene.ground import (
     read_ground_frame,
     rescale_ground_frame,
 )
+from rainsim.scene.painted import PAINTED_FILE, read_painted, write_painted
 from rainsim.scene.street_gaussians import (
     StreetModel,
     in_order,
@@ -220,7 +221,7 @@ def override_ground_frame(
     one is given. A new scale alone leaves the ground plane and the axes unchanged.
     """
     if ground_frame is not None:
-        return replace(scene, ground_frame=_as_frame(ground_frame))
+        return in_ground_frame(scene, _as_frame(ground_frame))
     frame = scene.ground_frame
     if up is not None:
         if meters_per_unit is None and camera_height is None:
@@ -231,7 +232,19 @@ def override_ground_frame(
         )
     elif meters_per_unit is not None or camera_height is not None:
         frame = rescale_ground_frame(frame, scene.cameras, meters_per_unit, camera_height)
-    return replace(scene, ground_frame=frame)
+    return in_ground_frame(scene, frame)
+
+
+def in_ground_frame(scene, frame):
+    """Return the scene with a ground frame; classes painted in another one are left out."""
+    same = all(
+        np.array_equal(getattr(frame, name), getattr(scene.ground_frame, name))
+        for name in ("rotation", "meters_per_unit", "translation")
+    )
+    if scene.painted is None or same:
+        return replace(scene, ground_frame=frame)
+    note = "the painted classes are left out: they were painted in another ground frame"
+    return replace(scene, ground_frame=frame, painted=None, notes=(*scene.notes, note))
 
 
 def is_scene(path):
@@ -339,6 +352,8 @@ def write_scene(folder, scene):
         write_arrays(splat_file, VERSION, {n: getattr(scene.splats, n) for n in ARRAYS})
         if scene.actors:
             write_actor_arrays(folder / ACTORS_ARRAYS, scene.actors)
+        if scene.painted is not None:
+            write_painted(folder / PAINTED_FILE, scene.painted)
 
 
 def read_scene(folder):
@@ -361,6 +376,8 @@ def read_scene(folder):
             f"{shown(data.get('splats'))}; the files must belong together; import the capture again"
         )
     scene = replace(scene_from_data(data, splats, path, folder.name), source=folder)
+    if data.get("painted"):
+        scene = replace(scene, painted=read_painted(folder / PAINTED_FILE))
     if not data.get("actors"):
         return scene
     actors = read_actor_arrays(folder / ACTORS_ARRAYS)
@@ -385,6 +402,7 @@ def scene_to_data(scene):
         "cameras": cameras_to_data(scene.cameras) if scene.cameras else None,
         "drains": [list(map(float, place)) for place in scene.drains],
         **({"actors": len(scene.actors)} if scene.actors else {}),
+        **({"painted": True} if scene.painted is not None else {}),
     }
 
 

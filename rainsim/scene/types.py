@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from rainsim.numerics.blocks import in_blocks
+from rainsim.scene.painted import PaintedClasses
 
 
 @dataclass(frozen=True, slots=True)
@@ -226,6 +227,8 @@ class Scene:
         Middles of gratings that take the water of a street.
     actors : tuple of rainsim.scene.actors.Actor
         What moves through the scene; their splats are not among `splats`.
+    painted : rainsim.scene.painted.PaintedClasses or None
+        Classes of the ground that a user painted in this ground frame.
 
     Examples
     --------
@@ -242,3 +245,9 @@ class Scene:
     notes: tuple = field(default=())
     drains: tuple = ()
     actors: tuple = ()
+    painted: PaintedClasses | None = None
+
+    @property
+    def painted_hash(self):
+        """SHA-256 of the painted classes, None without any."""
+        return None if self.painted is None else self.painted.sha256

@@ -12,12 +12,12 @@ from scipy import ndimage
 from skimage.morphology import remove_small_objects
 
 from rainsim.constants import SH_0
-from rainsim.errors import InputError
+from rainsim.errors import InputError, shown
 from rainsim.terrain import filters
 from rainsim.terrain.bed import blur
 from rainsim.terrain.choose import MOST_CELLS
 from rainsim.terrain.table import DRAIN, GRASS, HARD, OBJECT, SOIL, class_table
-from rainsim.terrain.types import MEASURED, UNKNOWN
+from rainsim.terrain.types import MEASURED, UNKNOWN, Grid
 
 EXCESS_GREEN = 0.11  # 2 G - R - B above which ground is taken as green (Woebbecke et al. 1995)
 SMALLEST_PATCH = 0.05  # m2 of lawn or paving that counts as such
@@ -140,6 +140,29 @@ def read_mask(path):
         part = slice(start, start + ROWS_AT_ONCE)
         found[part] = _painted_classes(path, picture[part], start)
     return np.ascontiguousarray(found[::-1])
+
+
+def painted_mask(painted, grid):
+    """Return a class mask of the cells of a `Grid` from `PaintedClasses`, -1 where none is.
+
+    Raises
+    ------
+    InputError
+        If a painted class has a name that this version does not know.
+    """
+    names = class_table().names
+    strange = [name for name in painted.name if name not in names]
+    if strange:
+        raise InputError(
+            f"the scene has painted classes named {shown(strange[0])}; a class must be one of "
+            f"{', '.join(names)}; paint them again"
+        )
+    codes = np.array([*(names.index(name) for name in painted.name), -1], np.int16)
+    source = Grid(painted.cells.shape, painted.origin, painted.spacing)
+    x, y = grid.centres()
+    rows, columns, inside = source.cells(x[None, :], y[:, None])
+    found = codes[painted.cells[rows, columns]]
+    return np.where(inside, found, np.int16(-1))
 
 
 def _painted_classes(path, picture, first_row):

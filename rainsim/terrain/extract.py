@@ -18,7 +18,7 @@ from rainsim.scene.types import Camera
 from rainsim.terrain import bed as bedding
 from rainsim.terrain import filters
 from rainsim.terrain.choose import choose_grid
-from rainsim.terrain.classify import EXCESS_GREEN, classify, is_green, mark_drains
+from rainsim.terrain.classify import EXCESS_GREEN, classify, is_green, mark_drains, painted_mask
 from rainsim.terrain.pond import fill_ponds
 from rainsim.terrain.slab import FAINT, SLAB, follow_ground, lonely, splat_cover
 from rainsim.terrain.table import GRASS, HARD
@@ -49,7 +49,8 @@ def extract_terrain(scene, config, mask=None, tell=None):
     config : TerrainConfig
         spacing [m] and extent (half width [m] or None).
     mask : ndarray of shape (ny, nx), int, optional
-        Class of each cell as the user has it; -1 where it is to be found from the splats.
+        Class of each cell as the user has it; -1 where it is to be found from the splats. If None,
+        the classes painted in the scene are taken, see `Scene.painted`.
     tell : callable, optional
         tell(notes, done, total) is called as steps are done; `notes` say what map is made.
 
@@ -61,6 +62,8 @@ def extract_terrain(scene, config, mask=None, tell=None):
         If the mask does not fit the map.
     """
     grid, notes = choose_grid(scene, config)
+    if mask is None and scene.painted is not None:
+        mask = painted_mask(scene.painted, grid)
     if mask is not None and np.shape(mask) != grid.shape:
         raise ParameterError(
             f"the class mask has {np.shape(mask)[1]} x {np.shape(mask)[0]} cells; the map has "

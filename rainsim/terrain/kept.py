@@ -14,7 +14,8 @@ def kept_terrain(scene, config, mask=None, tell=None):
     """Return what `extract_terrain` returns, to the byte; the parameters are the same.
 
     The kept entry is named by the splats' content, the ground frame, the cameras, the drains, the
-    settings of the terrain, the mask and the code up to the terrain; see `rainsim.io.cache`.
+    painted classes, the settings of the terrain, the mask and the code up to the terrain; see
+    `rainsim.io.cache`.
     """
     name = entry_name(scene, config, mask) if cache.folder() else None
     found = name and cache.read(KIND, name)
@@ -31,7 +32,14 @@ def kept_terrain(scene, config, mask=None, tell=None):
 def entry_name(scene, config, mask=None):
     """Return the name of a terrain's entry, see `rainsim.io.cache.name_of`."""
     return cache.name_of(
-        KIND, scene.splats, scene.ground_frame, scene.cameras, scene.drains, config, mask
+        KIND,
+        scene.splats,
+        scene.ground_frame,
+        scene.cameras,
+        scene.drains,
+        scene.painted,
+        config,
+        mask,
     )
 
 

@@ -19,7 +19,7 @@ from rainsim.scene.camera_path import camera_path_data, write_camera_path
 from rainsim.scene.folder import write_scene
 from rainsim.scene.ground import write_ground_frame
 from rainsim.view.keyframes import path_config, smooth_path
-from rainsim.view.probe import mask_picture
+from rainsim.view.probe import mask_picture, painted_classes
 
 PATH, PRESET, PICTURE, COMMAND = "camera_path.json", "preset.toml", "picture.png", "command.txt"
 GROUND, MASK, DRAWN = "ground_frame.json", "class-mask.png", "drawn"
@@ -124,11 +124,13 @@ class Home:
     def save_scene(self, session):
         """Write the scene with its mended ground as a scene folder; return what was `Taken`.
 
-        Every command takes the folder in place of the capture; painted classes lie beside.
+        Every command takes the folder in place of the capture, with the painted classes.
         """
-        folder = self._new("scene")
-        write_scene(folder, session.scene)
-        return Taken(folder, ["view", relative(folder), *self._mask(session, folder)])
+        folder, scene = self._new("scene"), session.scene
+        if session.mask is not None:
+            scene = replace(scene, painted=painted_classes(session.mask, session.terrain.grid))
+        write_scene(folder, scene)
+        return Taken(folder, ["view", relative(folder)])
 
     def _write(self, session, folder, config, data, frames):
         """Write camera path, preset and command into a folder."""

@@ -225,7 +225,7 @@ class GroundTools:
         code = -1 if name == LEFT else class_table().names.index(name)
 
         def paint(session):
-            mask = probe.painted(session.mask, session.terrain, point, radius, code)
+            mask = probe.painted(session.class_mask, session.terrain, point, radius, code)
             session.set_scene(session.scene, mask)
 
         self.painter.ask(paint).result()

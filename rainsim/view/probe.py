@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from rainsim.errors import GroundError, ParameterError
 from rainsim.scene.cameras import cropped
-from rainsim.scene.folder import override_ground_frame
+from rainsim.scene.folder import in_ground_frame, override_ground_frame
 from rainsim.scene.ground import scale_from_length
 from rainsim.scene.offered import levelled_frame
+from rainsim.scene.painted import PaintedClasses
 from rainsim.terrain.table import class_table
 from rainsim.terrain.types import INFERRED, MEASURED
 
@@ -165,9 +166,8 @@ def with_up(scene, up, point):
         return override_ground_frame(scene, up=up), True
     except GroundError:
         frame = scene.ground_frame
-        return replace(
-            scene, ground_frame=levelled_frame(frame, up, frame.to_capture(point))
-        ), False
+        levelled = levelled_frame(frame, up, frame.to_capture(point))
+        return in_ground_frame(scene, levelled), False
 
 
 def painted(mask, terrain, point, radius, code):
@@ -189,6 +189,11 @@ def painted(mask, terrain, point, radius, code):
     inside = (x[None, :] - point[0]) ** 2 + (y[:, None] - point[1]) ** 2 <= radius**2
     found[inside] = code
     return found
+
+
+def painted_classes(mask, grid):
+    """Return a class mask of a `Grid` as the `PaintedClasses` that a scene keeps."""
+    return PaintedClasses(class_table().names, mask, grid.origin, grid.spacing)
 
 
 def mask_picture(mask):

@@ -22,6 +22,7 @@ from rainsim.render.shutter import shutter_end
 from rainsim.render.wet_scene import NEAR
 from rainsim.scene.camera_path import camera_path_data, path_cameras
 from rainsim.scene.cameras import resize_to
+from rainsim.terrain.classify import painted_mask
 from rainsim.terrain.pond import without_images
 from rainsim.view.redo import LIGHT, PARTS, PASSES, TERRAIN, WATER, out_of_date
 from rainsim.view.water import SharedWater
@@ -130,6 +131,13 @@ class Session:
         """Take another ground frame or other painted classes: all parts are out of date."""
         self.scene, self.mask, self._camera = scene, mask, None
         self.stale |= set(PARTS)
+
+    @property
+    def class_mask(self):
+        """The painted classes as a class mask of the terrain; None where nothing is painted."""
+        if self.mask is not None or self.scene.painted is None:
+            return self.mask
+        return painted_mask(self.scene.painted, self.terrain.grid)
 
     # --- parts ------------------------------------------------------------------------------------
 

@@ -13,9 +13,11 @@ from rainsim.config.settings import TerrainConfig
 from rainsim.errors import InputError, ParameterError
 from rainsim.io import images
 from rainsim.scene.ground import scale_from_length, with_fall
+from rainsim.scene.painted import PaintedClasses
 from rainsim.scene.types import GroundFrame
 from rainsim.terrain import extract, tops
 from rainsim.terrain.classify import classify
+from rainsim.terrain.kept import entry_name
 
 SPACING = 0.04
 
@@ -85,6 +87,28 @@ def test_a_painted_mask_wins_and_the_rest_is_told(yard, tmp_path):
     images.write_png(tmp_path / "mask.png", paint)
     with pytest.raises(InputError, match=r"pixel \(3, 0\)"):
         terrain.read_mask(tmp_path / "mask.png")
+
+
+def test_classes_painted_in_the_scene_are_taken_by_maps_of_any_cell(yard, tmp_path):
+    scene, _, config, plain = yard
+    names = terrain.class_table().names
+    cells = np.full((4, 4), -1, np.int16)
+    cells[3] = 0  # y from 0 to 0.5
+    painted = PaintedClasses((names[terrain.WATER],), cells, (-1.0, -1.5), 0.5)
+    scene = replace(scene, painted=painted)
+    ground = terrain.extract_terrain(scene, config)
+    x, y = np.meshgrid(*ground.grid.centres())
+    inside = (np.abs(x) < 1.0) & (y > 0.0) & (y < 0.5)
+    assert (ground.ground_class[inside] == terrain.WATER).all()
+    assert (plain.ground_class[inside] != terrain.WATER).any()
+    np.testing.assert_array_equal(ground.ground_class[~inside], plain.ground_class[~inside])
+    blank = np.full(ground.grid.shape, -1, np.int16)  # a mask that is given wins over all of them
+    given = terrain.extract_terrain(scene, config, blank)
+    np.testing.assert_array_equal(given.ground_class, plain.ground_class)
+    assert entry_name(scene, config) != entry_name(yard[0], config)
+    scene = replace(scene, painted=replace(painted, name=("lava",)))
+    with pytest.raises(InputError, match="lava"):
+        terrain.extract_terrain(scene, config)
 
 
 def test_soil_below_the_lawn_paving_below_the_table(yard):

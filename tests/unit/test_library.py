@@ -17,6 +17,7 @@ from rainsim.scene.cameras import write_transforms
 from rainsim.scene.folder import import_scene, read_scene, write_scene
 from rainsim.scene.ground import write_ground_frame
 from rainsim.scene.library import find_scene, list_scenes, load_scene
+from rainsim.scene.painted import PaintedClasses, read_painted, write_painted
 from rainsim.scene.ply import write_splats
 from rainsim.scene.types import GroundFrame, Scene
 
@@ -98,6 +99,29 @@ def test_scene_folder_reads_back_exactly(tmp_path, cameras):
     assert back.ground_frame.notes == FRAME.notes
     assert sorted(p.name for p in (tmp_path / "a/scene").iterdir()) == ["scene.json", "splats.npz"]
     assert len(import_scene(tmp_path / "a/scene/scene.json").splats) == len(scene.splats)
+
+
+def painted_corner():
+    """Two of four cells of 2 m painted."""
+    cells = np.array([[1, -1], [-1, 0]], np.int16)
+    return PaintedClasses(("grass", "paving"), cells, (-2.0, -2.0), 2.0)
+
+
+def test_painted_classes_stay_with_their_scene_and_its_ground_frame(tmp_path):
+    write_scene(tmp_path, replace(made_scene(), painted=painted_corner()))
+    back = read_scene(tmp_path)
+    np.testing.assert_array_equal(back.painted.cells, painted_corner().cells)
+    assert back.painted.sha256 == back.painted_hash == painted_corner().sha256
+    assert replace(painted_corner(), spacing=1.0).sha256 != painted_corner().sha256
+    same = import_scene(tmp_path, ground_frame=back.ground_frame)
+    assert same.painted_hash == back.painted_hash and same.notes == back.notes
+    other = import_scene(tmp_path, meters_per_unit=1.6)  # their places are no longer known
+    assert other.painted is None and "left out" in other.notes[-1]
+    write_scene(tmp_path, made_scene())
+    assert read_scene(tmp_path).painted is None
+    write_painted(tmp_path / "c.npz", replace(painted_corner(), name=("grass",)))
+    with pytest.raises(InputError, match="class 1; it must be below 1"):
+        read_painted(tmp_path / "c.npz")
 
 
 def test_overrides_of_a_scene_folder(tmp_path):

@@ -275,7 +275,7 @@ def test_a_painted_class_changes_the_puddles_and_is_saved_as_a_mask(scene, tmp_p
     saved = Home(tmp_path / "out", "tiny").save_scene(session)
     again = load_scene(saved.command[1])
     assert again.ground_frame.meters_per_unit == twice.ground_frame.meters_per_unit
-    np.testing.assert_array_equal(read_mask(saved.command[3]), mask)
+    np.testing.assert_array_equal(Session(again, settings(again)).scene.painted.cells, mask)
 
 
 # --- what is taken home ---------------------------------------------------------------------------
