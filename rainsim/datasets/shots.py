@@ -42,8 +42,8 @@ class Shots:
     backend : {"cpu", "cuda"}
     user_labels : UserLabels, optional
     pane : Pane, optional
-        Glass before the lens, with drops of its own in each rain and view; in a sequence it has
-        been rained on for longer from view to view.
+        Glass before the lens, with drops of its own in each rain and view; in a sequence it is one
+        pane, which has been rained on for longer from view to view.
     readout : float [s]
         Of a rolling shutter, from the first row to the last; 0: all rows at once. There is no flow
         with one.
@@ -177,7 +177,8 @@ class Shots:
         seen, depth = np.array(seen), report.aovs["depth"]
         field = Weather(config).field(state.time, config.at(state.time).render.exposure)
         pane = replace(self.pane, age=self.pane.age + state.time)
-        caps = caps_on(field, pane, camera, config.rain.seed + 7919 * view.index)
+        own = 0 if self.sequence else 7919 * view.index  # a pane of its own at one moment
+        caps = caps_on(field, pane, camera, config.rain.seed + own)
         picture, share = through_glass(picture, camera, caps, pane, seen, depth)
         return picture, share, len(caps.radius)
 

@@ -24,6 +24,7 @@ HOLD = 0.3
 WIDE = math.radians(72)  # off the axis that the wide picture reaches
 WIDE_SIDE = 640  # px of it
 PARALLAX_STEPS = 2
+SPAN = 0.5  # s whose drops share a random generator
 MARGIN = 0.01  # m of pane around what the picture shows
 
 
@@ -161,6 +162,9 @@ def on_pane(rays, pane):
 def caps_on(field, pane, camera, seed):
     """Return the `Caps` on the pane before a camera.
 
+    The drops of a seed arrive at their own times: an older pane has those of a younger one, less
+    what has flowed together, run off or been wiped since.
+
     Parameters
     ----------
     field : RainField
@@ -170,19 +174,37 @@ def caps_on(field, pane, camera, seed):
     seed : int
     """
     low, high = pane_window(camera, pane)
-    flux, area = pane_flux(field, pane, camera), float(np.prod(high - low))
-    rng = np.random.default_rng([seed, 0x61A55])
-    counts = rng.poisson(flux * area * pane.wet_for)
-    size = np.repeat(np.arange(len(counts)), counts)
-    edges = field.spectrum.edges
-    # Within a class diameters follow the exponential spectrum.
-    span = -np.expm1(-field.spectrum.decay * (edges[1:] - edges[:-1]))[size]
-    diameter = edges[size] - np.log(1 - rng.random(len(size)) * span) / field.spectrum.decay
-    order = rng.permutation(len(size))  # of their arrival
-    place = low + rng.random((len(size), 2)) * (high - low)
+    flux, size = pane_flux(field, pane, camera), high - low
+    # Candidates of a rain that meets the pane head on are thinned to the flux, so that a camera
+    # which turns a little keeps its drops.
+    speed = np.linalg.norm(field.velocity, axis=1) + pane.speed
+    most, begin = field.spectrum.density * speed, pane.age - pane.wet_for
+    share = np.divide(flux, most, out=np.zeros_like(flux), where=most > 0)
+    arrivals = [np.empty((0, 4))]  # time, x, y, diameter
+    for span in range(math.floor(begin / SPAN), math.ceil(pane.age / SPAN)):
+        rng = np.random.default_rng([seed, 0x61A55, span])
+        counts = rng.poisson(most * size.prod() * SPAN)
+        kind = np.repeat(np.arange(len(counts)), counts)
+        kept, *random = rng.random((5, len(kind)))
+        kept = kept < share[kind]
+        time = (span + random[0]) * SPAN
+        kept &= (time >= begin) & (time < pane.age)
+        across, down = low[:, None] + np.stack(random[1:3]) * size[:, None]
+        diameter = _diameter(field.spectrum, kind, random[3])
+        arrivals.append(np.column_stack([time, across, down, diameter])[kept])
+    time, across, down, diameter = np.concatenate(arrivals).T
+    order = np.argsort(time, kind="stable")
+    place = np.column_stack([across, down])[order]
     normal = pane.axes()[2] @ camera.camera_from_world[:3, :3]
     slope = math.sqrt(max(1 - normal[2] ** 2, 0.0))  # sine of the pane's slope
-    return _settled(place[order], drop_volume(diameter[order]), pane, slope)
+    return _settled(place, drop_volume(diameter[order]), pane, slope)
+
+
+def _diameter(spectrum, kind, random):
+    """Return diameters [m] within classes, which follow the exponential spectrum there."""
+    edges, decay = spectrum.edges, spectrum.decay
+    share = -np.expm1(-decay * (edges[1:] - edges[:-1]))[kind]
+    return edges[kind] - np.log(1 - random * share) / decay
 
 
 def _settled(place, volume, pane, slope):

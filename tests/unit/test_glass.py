@@ -70,6 +70,27 @@ def test_caps_keep_their_water_and_do_not_overlap():
     assert 0 < wiped.arrived < caps.arrived / 4
 
 
+def test_drops_stay_on_the_pane_as_time_goes_on_and_as_the_camera_turns_a_little():
+    field = RainField(RainSpectrum(25.0), (1.0, 0.0), 1)
+    pane = replace(FLAT, tilt=0.5, speed=12.0, age=6.0)
+
+    def common(later, camera=CAMERA):
+        first, second = caps_on(field, pane, CAMERA, 3), caps_on(field, later, camera, 3)
+        near = np.linalg.norm(first.place[:, None] - second.place[None], axis=2) < 1e-9
+        return near.any(axis=1).mean(), second.arrived - first.arrived
+
+    share, more = common(replace(pane, age=6.0 + 1 / 24))
+    assert share > 0.95 and 0 < more < 100
+    gathered = [common(replace(pane, age=6.0 + t))[0] for t in (0.5, 2.0, 6.0)]
+    assert sorted(gathered, reverse=True) == gathered and gathered[-1] < 0.7  # the partner
+    turn = np.eye(4)
+    turn[:2, :2] = [[math.cos(0.6), -math.sin(0.6)], [math.sin(0.6), math.cos(0.6)]]
+    share, more = common(pane, replace(CAMERA, camera_from_world=LEVEL @ turn))
+    assert share > 0.7 and more != 0
+    other = caps_on(field, pane, CAMERA, 4)
+    assert other.place[0].tolist() not in caps_on(field, pane, CAMERA, 3).place.tolist()
+
+
 def bent(x, pane=FLAT, radius=2e-3):
     """Directions behind a cap in the middle, of rays that meet it at x [m] from its middle."""
     rays = np.column_stack([x / pane.distance, 0 * x, np.ones_like(x)])
