@@ -42,7 +42,7 @@ class Impacts:
     time : ndarray of shape (n,), float64 [s]
     kind : ndarray of shape (n,), uint8
         GROUND (the ground or the water on it) or OBSTACLE (top or side of an occluder).
-    row, column : ndarray of shape (n,), int32
+    row, column : ndarray of shape (n,), int32 (drops of the rain) or int64 (drips)
         The cell of the map.
     id : ndarray of shape (n,), uint64
         The drops' ids, ascending.
@@ -89,8 +89,8 @@ class ImpactArrays(NamedTuple):
 
 
 def no_impacts():
-    """Return `Impacts` without any."""
-    rows, numbers, cells = np.zeros((0, 3)), np.zeros(0), np.zeros(0, np.int32)
+    """Return `Impacts` without any, of the types that drips have: no kernel is compiled for it."""
+    rows, numbers, cells = np.zeros((0, 3)), np.zeros(0), np.zeros(0, np.int64)
     return Impacts(
         rows, rows, numbers, numbers, np.zeros(0, np.uint8), cells, cells, np.zeros(0, np.uint64)
     )

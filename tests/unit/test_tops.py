@@ -287,7 +287,7 @@ def test_all_water_on_a_top_knows_its_top_also_at_the_rim(tilt):
     for off in (-0.08, -0.05, -0.02, 0.0, 0.02, 0.05):
         shown = (depth + F4(off)).astype(F4)
         hit, coverage = met(made, view, shown)
-        for row, column in np.argwhere(coverage > 0):
+        for row, column in np.argwhere(coverage > 0)[::5]:
             ray = np.array(pixel_ray(view, row, column))
             point = (view.eye + abs(hit[row, column]) * ray).astype(F4)
             assert wet_tops.top_below(maps(made), *point)[0] == 0
