@@ -9,6 +9,8 @@ from rainsim.errors import ParameterError
 
 COLORS = ("#0b6e99", "#d1495b", "#8a8d91", "#5c8001", "#8d5a97", "#e09f3e")
 MARKERS = "osv^DxP*"
+DOTS = 110  # per inch
+NARROW = 0.3  # decades, of a logarithmic axis whose ticks are evenly spaced numbers
 
 
 def require_matplotlib():
@@ -36,7 +38,7 @@ def front(points):
     return kept
 
 
-def draw_fronts(path, panels, title, default=None):
+def draw_fronts(path, panels, title, default=None, error="relative error", time="time", own=False):
     """Draw error against time, one panel per case, one line per method, the front as steps.
 
     Parameters
@@ -49,14 +51,23 @@ def draw_fronts(path, panels, title, default=None):
         {"bars": {name: {stage: milliseconds}}}}
     title : str
     default : str, optional
-        The method that is used where nothing else is asked for; it is marked.
+        The method that is used where nothing else is asked for; it is marked. A panel's own
+        "default" goes before it.
+    error : str
+        What the vertical axes show, with its unit.
+    time : str
+        What the horizontal axes show, in milliseconds.
+    own : bool
+        Whether each panel has methods of its own: they stand in a legend below it, and all panels
+        have the same axes.
     """
     pyplot = require_matplotlib()
     columns = 2 if len(panels) == 4 else min(3, len(panels))
     rows = -(-len(panels) // columns)
     figure, axes = pyplot.subplots(
-        rows, columns, figsize=(4.2 * columns, 3.4 * rows), squeeze=False, layout="constrained"
-    )
+        rows, columns, figsize=(4.2 * columns, 3.4 * rows), squeeze=False, layout="constrained",
+        sharex=own, sharey=own,
+    )  # fmt: skip
     for axis in axes.flat[len(panels) :]:
         axis.set_visible(False)
     styles, shown = {}, {}
@@ -64,9 +75,14 @@ def draw_fronts(path, panels, title, default=None):
         if "bars" in panel:
             _draw_bars(axis, name, panel["bars"])
             continue
-        _draw_lines(axis, panel, styles, default)
-        axis.set(title=name, xlabel="time [ms]", ylabel="relative error")
+        styles = {} if own else styles
+        _draw_lines(axis, panel, styles, panel.get("default", default))
+        axis.set(title=name, xlabel=f"{time} [ms]", ylabel=error)
         log_ticks(axis)
+        if own:
+            axis.tick_params(labelbottom=True)
+            axis.legend(fontsize=7, ncols=3, loc="upper center", bbox_to_anchor=(0.5, -0.18))
+            continue
         for handle, label in zip(*axis.get_legend_handles_labels(), strict=True):
             shown.setdefault(label, handle)
     if shown:
@@ -74,7 +90,14 @@ def draw_fronts(path, panels, title, default=None):
             shown.values(), shown, fontsize=8, loc="outside lower center", ncols=min(len(shown), 5)
         )
     figure.suptitle(title)
-    figure.savefig(Path(path), dpi=110, format="png")
+    save(figure, path)
+
+
+def save(figure, path):
+    """Write a figure as PNG at the resolution of all charts, and close it."""
+    from matplotlib import pyplot
+
+    figure.savefig(Path(path), dpi=DOTS, format="png")
     pyplot.close(figure)
 
 
@@ -113,18 +136,27 @@ def _milliseconds(points):
 
 def log_ticks(axis):
     """Put plain numbers on logarithmic axes, as many as have room."""
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+    from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
     axis.set(xscale="log", yscale="log")
     for side in (axis.xaxis, axis.yaxis):
         low, high = side.get_view_interval()
         decades = math.log10(high / low)
-        steps = (1, 1.5, 2, 3, 4, 5, 6, 7, 8, 9) if decades < 0.7 else (1, 2, 5)
+        steps = (1, 1.5, 2, 3, 4, 5, 6, 8) if decades < 0.7 else (1, 2, 5)
         steps = steps if decades < 2 else (1,)
-        side.set_major_locator(LogLocator(subs=steps, numticks=12))
-        side.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        locator = LogLocator(subs=steps, numticks=12) if decades > NARROW else MaxNLocator(5)
+        side.set_major_locator(locator)
+        side.set_major_formatter(FuncFormatter(lambda value, _: plain(value)))
         side.set_minor_formatter(NullFormatter())
     axis.grid(alpha=0.3, which="major")
+
+
+def plain(value):
+    """Return a number as a tick shows it: a power of ten below a thousandth."""
+    if not 0 < value < 9.99e-4:
+        return f"{value:g}"
+    mantissa, exponent = f"{value:e}".split("e")
+    return f"{float(mantissa):g}e{int(exponent)}"
 
 
 def _draw_bars(axis, title, bars):
@@ -181,5 +213,4 @@ def draw_marks(path, panels, title):
     axes.flat[0].invert_yaxis()
     axes.flat[0].legend(fontsize=8)
     figure.suptitle(title)
-    figure.savefig(Path(path), dpi=110, format="png")
-    pyplot.close(figure)
+    save(figure, path)

@@ -15,7 +15,7 @@ import time
 import numpy as np
 
 from rainsim.bench import day_data, day_score
-from rainsim.bench.chart import COLORS, require_matplotlib
+from rainsim.bench.chart import COLORS, require_matplotlib, save
 from rainsim.bench.day_capture import capture, frames
 from rainsim.bench.day_case import TINT, WIDTH
 from rainsim.bench.day_court import COURT
@@ -27,6 +27,7 @@ from rainsim.jit import set_threads
 CASES = PATIO, COURT
 DAYS = {"sun": ("sun", True), "no sky": ("sun", False), "dull": ("dull", True)}
 LARGE = 0.01  # share of the picture from which a region stands in the table
+ON_LAND = "PSNR on land"  # panel of the chart
 COVERED = 0.9  # coverage from which a pixel of a puddle counts as water
 
 
@@ -201,28 +202,29 @@ def _lines(title, found):
 def draw(result, path):
     """Draw accuracy and scalars of all views as PNG, beside those of an earlier run if given."""
     pyplot = require_matplotlib()
-    sets = {"now": result["cases"]}
+    sets = {"drawn": result["cases"]}
     if result.get("before"):
-        sets = {"before": result["before"]["cases"], **sets}
+        sets = {"drawn before": result["before"]["cases"], **sets}
     rows = [
         f"{case}, {day}, camera {view}" for case, days in result["cases"].items()
         for day, found in days.items() for view in found["views"]
     ]  # fmt: skip
-    panels = ["land, dB (bar: last rung)", *(name for name in SCALARS if name != "spread")]
+    panels = [ON_LAND, *(name for name in SCALARS if name != "spread")]
     figure, axes = pyplot.subplots(
         1, len(panels), figsize=(2.6 * len(panels), 0.32 * len(rows) + 1.4), sharey=True,
         layout="constrained",
     )  # fmt: skip
     for name, cases in sets.items():
-        color, fill = (COLORS[0], "full") if name == "now" else (COLORS[2], "none")
+        color, fill = (COLORS[0], "full") if name == "drawn" else (COLORS[2], "none")
         style = {"linestyle": "", "marker": "o", "markersize": 5, "color": color,
                  "fillstyle": fill, "label": name}  # fmt: skip
         for axis, panel in zip(axes, panels, strict=True):
             marks = list(_marks(cases, rows, panel))
             axis.plot([x for x, _, _ in marks], [y for _, y, _ in marks], **style)
-            if name == "now" and panel.startswith("land"):
+            if name == "drawn" and panel == ON_LAND:
                 ends = [end for _, _, end in marks]
-                axis.plot(ends, [y for _, y, _ in marks], linestyle="", marker="|", color="0.3")
+                axis.plot(ends, [y for _, y, _ in marks], linestyle="", marker="|", color="0.3",
+                          markersize=8, label="colours right")  # fmt: skip
     for axis, panel in zip(axes, panels, strict=True):
         axis.set_title(SCALARS.get(panel, panel), fontsize=8)
         axis.grid(alpha=0.3)
@@ -232,12 +234,13 @@ def draw(result, path):
             axis.minorticks_off()
             axis.axvline(1, color="0.4", linestyle=":", linewidth=1)
             axis.set_xlabel("drawn over true")
+    axes[0].set_xlabel("PSNR [dB]")
     axes[0].set_yticks(range(len(rows)), rows)
     axes[0].invert_yaxis()
-    axes[0].legend(fontsize=8)
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, fontsize=8, loc="outside lower center", ncols=len(labels))
     figure.suptitle("Captured days made rainy against path-traced rainy days")
-    figure.savefig(path, dpi=110, format="png")
-    pyplot.close(figure)
+    save(figure, path)
 
 
 def _marks(cases, rows, panel):

@@ -224,4 +224,4 @@ def draw(result, path):
     for scene, bars in stages.items():
         panels[f"{scene}: stages, one after the other"] = {"bars": bars}
     title = "A rainy frame: error against the frame at twice the size, and time"
-    draw_fronts(path, panels, title, default="as set")
+    draw_fronts(path, panels, title, default="as set", error="rms error (white is 1)")

@@ -21,6 +21,7 @@ from rainsim.water.puddles import WET, puddles_of
 NOISES = (1e-3, 3e-3, 10e-3)  # m
 RAIN = 5e-3  # m: fills dips that are 5 mm deep
 SPACINGS = (0.04, 0.02, 0.01)  # m
+USUAL = 0.02  # m, of the cells of a capture of a yard's density
 UP_HINT_ERROR = 5.0  # degrees between the true up and the up given for captures without cameras
 FRAMES = 50  # captures whose ground frame is estimated
 FOLDS = ((4, 0.5), (8, 0.5), (15, 0.55), (25, 0.5), (-8, 0.5), (8, 0.7), (25, 0.7), (-15, 0.7))
@@ -86,15 +87,19 @@ def _shown(value):
 
 
 def draw(result, path):
-    """Draw the bed's error, in units of the splats' noise, against time to a PNG."""
+    """Draw the bed's error against time for each noise of the splats, by size of cell, as PNG."""
     from rainsim.bench.chart import draw_fronts
 
-    lines = {}
+    panels = {}
     for row in result["beds"]:
-        error = row["bed_mm"]["mean"] / row["noise_mm"]
-        point = row["terrain_seconds"]["mean"], error
-        lines.setdefault(f"{row['noise_mm']:g} mm of noise", []).append(point)
-    draw_fronts(path, {"bed error / noise of the splats": {"lines": lines}}, "rainsim bench ground")
+        panel = panels.setdefault(f"{row['noise_mm']:g} mm of noise", {"lines": {}})
+        point = row["terrain_seconds"]["mean"], row["bed_mm"]["mean"]
+        panel["lines"][f"cells of {1e2 * row['spacing_m']:g} cm"] = [point]
+    draw_fronts(
+        path, panels, f"Ground of {result['captures']} generated yards, by noise of their splats",
+        default=f"cells of {1e2 * USUAL:g} cm", error="rms error of the bed [mm]",
+        time="processor time", own=True,
+    )  # fmt: skip
 
 
 def _summary(rows):
@@ -167,9 +172,9 @@ def angle(a, b):
 def measure_bed(scene, truth, spacing=0.02):
     """Return errors of the bed [mm] and of the puddles [share] with the true frame."""
     scene = replace(scene, ground_frame=truth.frame)
-    start = time.perf_counter()
+    start = time.process_time()
     terrain = extract_terrain(scene, TerrainConfig(spacing=spacing, extent=3.0))
-    seconds = time.perf_counter() - start
+    seconds = time.process_time() - start
     x, y = np.meshgrid(*terrain.grid.centres())
     bed = truth.bed(x, y)
     error = terrain.bed - bed

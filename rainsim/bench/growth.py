@@ -10,13 +10,12 @@ from __future__ import annotations
 import os
 import time
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from rainsim import pipeline
-from rainsim.bench.chart import COLORS, MARKERS, log_ticks, require_matplotlib
+from rainsim.bench.chart import COLORS, MARKERS, log_ticks, require_matplotlib, save
 from rainsim.bench.scenes import SCENES, scene_names
 from rainsim.config.settings import Config
 from rainsim.jit import set_threads
@@ -218,5 +217,4 @@ def draw(result, path):
         )
         log_ticks(axis)
         axis.legend(fontsize=8)
-    figure.savefig(Path(path), dpi=110, format="png")
-    pyplot.close(figure)
+    save(figure, path)

@@ -7,11 +7,10 @@ import os
 import platform
 import time
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 
-from rainsim.bench.chart import COLORS, MARKERS, require_matplotlib
+from rainsim.bench.chart import COLORS, MARKERS, log_ticks, require_matplotlib, save
 from rainsim.constants import GRAVITY
 from rainsim.drops import RainField, RainSpectrum, flat_surfaces, impacts
 from rainsim.grid import WaterSolver
@@ -216,9 +215,9 @@ def _alternate(jobs, rounds):
     times = {name: [] for name in jobs}
     for _ in range(rounds + 1):
         for name, job in jobs.items():
-            start = time.perf_counter()
+            start = time.process_time()
             job()
-            times[name].append((time.perf_counter() - start) * 1e3)
+            times[name].append((time.process_time() - start) * 1e3)
     return {
         name: {"least_ms": min(t[1:]), "median_ms": float(np.median(t[1:]))}
         for name, t in times.items()
@@ -264,28 +263,27 @@ def table(result):
 def draw(result, path):
     """Draw the dispersion of tile, theory and shallow water, and the times of ripple tiles."""
     pyplot = require_matplotlib()
-    figure, (left, right) = pyplot.subplots(1, 2, figsize=(10, 4), layout="constrained")
+    figure, (left, right) = pyplot.subplots(1, 2, figsize=(8.4, 3.8), layout="constrained")
     for n, depth in enumerate(DEPTHS):
         own = [w for w in result["waves"] if w["depth"] == depth]
         k = np.geomspace(50, 1600, 200)
-        label = f"{depth * 1e3:g} mm of water"
-        left.plot(k, angular_frequency(k, depth), color=COLORS[n], linewidth=1, label=label)
-        left.plot(k, k * math.sqrt(GRAVITY * depth), color=COLORS[n], linewidth=1, linestyle=":")
+        style, water = {"color": COLORS[n], "linewidth": 1.2}, f"{depth * 1e3:g} mm of water"
+        left.plot(k, angular_frequency(k, depth), **style)
+        left.plot(k, k * math.sqrt(GRAVITY * depth), **style, linestyle=":")
         left.plot([w["wavenumber"] for w in own], [w["fitted"] for w in own], MARKERS[n],
-                  color=COLORS[n], markersize=5)  # fmt: skip
-    left.set(
-        xscale="log", yscale="log", xlabel="wavenumber [rad/m]", ylabel="frequency [rad/s]",
-        title="Marks: the tile; lines: theory; dotted: shallow water",
-    )  # fmt: skip
-    left.legend(fontsize=8)
+                  color=COLORS[n], markersize=5, label=f"tile, {water}")  # fmt: skip
+    left.plot([], [], color="0.3", linewidth=1.2, label="theory")
+    left.plot([], [], color="0.3", linewidth=1.2, linestyle=":", label="shallow water alone")
+    left.set(xlabel="wavenumber [rad/m]", ylabel="frequency [rad/s]", title="Dispersion of waves")
     for n, dtype in enumerate(("float32", "float64")):
         cost = [result["tiles"][f"{cells} {dtype}"]["least_ms"] for cells in TILE_CELLS]
-        right.plot(TILE_CELLS, cost, marker=MARKERS[n], color=COLORS[n], label=dtype)
-    right.set(xscale="log", yscale="log", xlabel="cells along a side", ylabel="ms per frame",
+        label, width = (f"{dtype} (default)", 2.2) if n == 0 else (dtype, 1.2)
+        right.plot(TILE_CELLS, cost, marker=MARKERS[n], color=COLORS[n], label=label,
+                   linewidth=width, markersize=7 if n == 0 else 5)  # fmt: skip
+    right.set(xlabel="cells along a side", ylabel="least processor time of a frame [ms]",
               title="Cost of a ripple tile")  # fmt: skip
-    right.set_xticks(TILE_CELLS, [str(c) for c in TILE_CELLS])
-    right.legend(fontsize=8)
     for axis in (left, right):
-        axis.grid(alpha=0.3, which="both")
-    figure.savefig(Path(path), dpi=110, format="png")
-    pyplot.close(figure)
+        log_ticks(axis)
+        axis.legend(fontsize=8)
+    right.set_xticks(TILE_CELLS, [str(cells) for cells in TILE_CELLS])
+    save(figure, path)

@@ -14,7 +14,7 @@ import time
 import numpy as np
 
 from rainsim import raster
-from rainsim.bench.chart import COLORS, require_matplotlib
+from rainsim.bench.chart import draw_fronts
 from rainsim.bench.splat_choices import all_choices
 from rainsim.bench.splat_truth import draw_truth
 from rainsim.jit import set_threads
@@ -27,6 +27,7 @@ ROUNDS = {False: 15, True: 2}  # of which the least and the median count; one mo
 NEAR = 0.01  # capture units
 SOLID = 0.5  # alpha above which depth is compared
 CHARTED = 6  # groups
+LEAST_DECIBEL = 90.0  # that a default has to reach against float64
 # Kernels of a picture by stage.
 STAGES = {
     "cull": "find_chunks", "project": "project_chunks", "places": "tile_starts",
@@ -195,31 +196,32 @@ def table(result):
 
 
 def draw(result, path):
-    """Draw accuracy against time relative to the default, a panel per group; built-in scene."""
-    pyplot = require_matplotlib()
+    """Draw error against time, a panel for each group of choices; the built-in scene only.
+
+    Times are ratios to the default of the same turns, times the median of the default.
+    """
     records = [r for r in result["records"] if r["scene"] == SCENE]
-    groups = list(dict.fromkeys(r["group"] for r in records))[:CHARTED]
-    figure, axes = pyplot.subplots(2, 3, figsize=(12, 7), sharey=True, layout="constrained")
-    for n, (axis, group) in enumerate(zip(axes.flat, groups, strict=False)):
+    panels = {}
+    for group in list(dict.fromkeys(r["group"] for r in records))[:CHARTED]:
         own = [r for r in records if r["group"] == group]
-        axis.set_xlim(0.0, 1.25)
-        x, y = [r["ratio"] for r in own], [r["decibel"] for r in own]
-        axis.plot(x, y, color=COLORS[n], linewidth=1, marker="o", markersize=5)
-        for r in own:
-            if r["default"]:
-                axis.plot(r["ratio"], r["decibel"], "*", color="black", markersize=13, zorder=3)
-        values = [f"{r['choice']:15s} {r['ratio']:4.2f} {r['decibel']:4.0f} dB" for r in own]
-        axis.text(0.03, 0.04, "\n".join(values), transform=axis.transAxes, fontsize=8,
-                  family="monospace")  # fmt: skip
-        axis.axhline(90, color="0.4", linestyle=":", linewidth=1)
-        axis.set(title=group, xlabel="time / time of the default")
-        axis.grid(alpha=0.3)
-    for row in axes:
-        row[0].set_ylabel("dB against float64")
+        default = next(r for r in own if r["default"])
+        lines = {
+            r["choice"]: [(r["ratio"] * default["median_ms"] / 1e3, rms(r["decibel"]))] for r in own
+        }
+        panels[group] = {
+            "lines": lines, "default": default["choice"], "least": rms(LEAST_DECIBEL)
+        }  # fmt: skip
     size = result["scenes"][SCENE]
-    figure.suptitle(
-        f"Splatting {size['splats']} splats at {size['width']} x {size['height']}, one thread "
-        "(star: the default; dotted: the least to reach)"
+    draw_fronts(
+        path,
+        panels,
+        f"Splatting {size['splats']} splats at {size['width']} x {size['height']}, one thread",
+        error="rms error (white is 1)",
+        time="processor time",
+        own=True,
     )
-    figure.savefig(path, dpi=110, format="png")
-    pyplot.close(figure)
+
+
+def rms(decibel):
+    """Return the root mean square error of a peak signal-to-noise ratio, peak 1."""
+    return 10 ** (-decibel / 20)

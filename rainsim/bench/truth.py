@@ -61,9 +61,9 @@ def trace_truth(renderer, camera, state):
     renderer.wet_scene.traced(  # builds the hierarchy, which the time of tracing is counted without
         water.record[:1, POINT], np.array([[0, 0, 1]], np.float32), np.zeros(1, np.float32), 1e-3
     )
-    start = time.perf_counter()
+    start = time.process_time()
     alpha, end = water.light_up("traced", None, renderer.wet_scene.traced, None, Timer())
-    seconds = time.perf_counter() - start
+    seconds = time.process_time() - start
     traced = water.light.copy()
     sampled = (water.record[:, VARIANCE_X] + water.record[:, VARIANCE_Y] >= LEAST_VARIANCE).sum()
     rays = len(traced) + (SAMPLES - 1) * int(sampled)
