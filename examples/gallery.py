@@ -47,8 +47,9 @@ def write(path, commands, shots):
     first.save(path, quality=72, method=6, exif=about, **moving)
 
 
-def main(pages=PAGES, only=()):
-    """Draw the pictures of the pages; with `only`, those whose file names are among it."""
+def main(pages=PAGES, only=None):
+    """Draw the pictures of the pages, or `only` those of these names, else of the command line."""
+    only = sys.argv[1:] if only is None else only
     for path, commands in [entry for page in pages for entry in entries(ROOT / page)]:
         if not only or path.name in only:
             write(path, commands, [frames_of(command) for command in commands])
@@ -56,4 +57,4 @@ def main(pages=PAGES, only=()):
 
 
 if __name__ == "__main__":
-    main(only=sys.argv[1:])
+    main()

@@ -90,6 +90,19 @@ def test_parts_of_the_rain(capsys):
     assert [cell.strip(" %") for cell in dry[3:7]] == ["0.0", "0.0", "0.0", "0.000"]
 
 
+def test_smog_and_flood(tmp_path, capsys):
+    load("smog_and_flood").main(tmp_path / "both.jpg", tiny_scene(), 0, width=64, **TINY)
+    *rates, flood = capsys.readouterr().out.splitlines()
+    extinction = [float(line.split()[2]) for line in rates[::2]]
+    rain, smog = zip(
+        *((float(x[2].strip(",")), float(x[4])) for x in map(str.split, rates[1::2])), strict=True
+    )
+    assert extinction == sorted(extinction) and extinction[0] > 0
+    np.testing.assert_allclose(rain, smog, rtol=0.5)
+    assert 5 < float(flood.split()[1]) < 40
+    assert imageio.imread(tmp_path / "both.jpg").shape == (48, 128, 3)
+
+
 def test_every_example_is_run_here():
     tests = sorted(Path(__file__).parent.glob("test_*.py"))
     text = "".join(test.read_text(encoding="utf-8") for test in tests)

@@ -108,7 +108,7 @@ def test_pictures_are_drawn_as_the_page_says(module, tmp_path, monkeypatch, caps
 
     monkeypatch.setattr(module, "ROOT", tmp_path)
     monkeypatch.setattr(module, "frames_of", drawn)
-    module.main(pages=["page.md"])
+    module.main(pages=["page.md"], only=())
     assert [line.split()[1] for line in asked] == ["run"] * 3
     pair, film = tmp_path / "own/pair.jpg", tmp_path / "own/film.webp"
     assert commands_in(pair) == asked[:2] and commands_in(film) == asked[2:]
