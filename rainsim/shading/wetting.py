@@ -237,12 +237,13 @@ def rainy_color(r, g, b, alpha, distance, sine, cosine, upness, height, wet, loo
             if height > ON_GROUND:  # blended normals at edges look grazed, which they are not
                 gloss *= smoothstep(ZERO, EDGE_COSINE, cosine)
     # The sky of the day replaces the captured sky and fills what no splat covers. Many captures
-    # leave dark places half open: those are not sky.
+    # leave dark places half open: those are not sky. Below the horizon, where a capture ends before
+    # it, the map has dull ground in haze; `skyline` says in which directions it is open.
     through, keep = alpha * sky, ONE - sky
     if look.open_sky > ZERO:
         keep *= alpha if is_edge(alpha, look) else ONE
         through += (ONE - alpha) * smoothstep(OPEN_LOW, OPEN_HIGH, sine)
-    elif sine > ZERO:
+    else:
         through += (ONE - alpha) * smoothstep(HOLE, GAP, ONE - alpha)
     return r * keep, g * keep, b * keep, gloss * keep, through
 

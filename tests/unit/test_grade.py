@@ -136,3 +136,26 @@ def test_nowhere_is_some_place_in_memory(poisoned):
     assert (s[2 * n :] == 1).all() and place.max() < field.size
     pixel_batches.interpolate(field, n, s, 0, n, place, corner)
     assert place.max() < field.size - 11
+
+
+@pytest.mark.parametrize("z", [0.3, -0.3])
+def test_what_lies_behind_shows_where_nothing_was_captured_also_below_the_horizon(scene, z):
+    ground, rain, skies = scene
+    look = Look(*F4([1.0, 0.0, 0.0, 100.0, 0.0, 0.0, 0.0]))
+    ray = F4([0.0, np.sqrt(1 - z * z), z])
+    nowhere = SurfacePoint(*F4([0, 99, 99]), *F4([0, -1, 0]), F4(99))
+
+    def seen(alpha):
+        color = tuple(F4([0.2, 0.2, 0.2]) * F4(alpha))
+        return wetting.wet_pixel(
+            color, F4(alpha), ray, F4(np.inf), nowhere, ground, rain, skies, look, False
+        )[:3]
+
+    behind = wetting.sample_environment(skies.behind, *ray)
+    assert min(behind) > 0.05
+    np.testing.assert_allclose(seen(0.0), behind, rtol=1e-5)
+    np.testing.assert_allclose(
+        seen(0.7),
+        wetting.graded(*wetting.undiluted(*F4([0.14, 0.14, 0.14]), F4(1)), look),
+        rtol=1e-5,
+    )  # a half open pixel: nothing behind it
