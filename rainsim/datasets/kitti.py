@@ -70,7 +70,7 @@ def object_labels(actors, camera):
             continue
         box = actor["box3d"]
         size, centre = np.array(box["size"]), np.array(box["centre"])
-        axes = Rotation.from_quat(np.roll(box["rotation"], -1)).as_matrix()
+        axes = Rotation.from_quat(box["rotation"], scalar_first=True).as_matrix()
         x, y, z = matrix[:3, :3] @ (centre - 0.5 * size[2] * axes[:, 2]) + matrix[:3, 3]
         ahead = matrix[:3, :3] @ axes[:, 0]
         turn = float(np.arctan2(-ahead[2], ahead[0]))

@@ -56,9 +56,20 @@ def write_png16(path, values):
     ----------
     path : path-like
     values : ndarray of shape (height, width)
-        0 to 65535, of any type. This is not checked: other numbers are written wrongly.
+        0 to 65535, of any type.
+
+    Raises
+    ------
+    ParameterError
+        If a value is out of that range or not finite.
     """
-    values = np.ascontiguousarray(values).astype(np.uint16)
+    values = np.ascontiguousarray(values)
+    if values.size and not (values.min() >= 0 and values.max() <= 65535):
+        raise ParameterError(
+            f"values from {values.min()} to {values.max()} do not fit a 16-bit PNG, 0 to 65535; "
+            "write them as .npz"
+        )
+    values = values.astype(np.uint16)
     with replacing(path) as temporary:
         _write(temporary, values, extension=".png", compress_level=PNG_LEVEL)
 

@@ -100,7 +100,7 @@ class Track:
 
     def pose(self, time):
         """Return the `Pose` at a time [s], whether the node is visible or not."""
-        turns = Rotation.from_quat(np.roll(self.rotation, -1, axis=1))
+        turns = Rotation.from_quat(self.rotation, scalar_first=True)
         k = max(int(np.searchsorted(self.time, time, side="right")) - 1, 0)
         if time <= self.time[0] or k == len(self.time) - 1:
             return Pose(turns[k].as_matrix(), self.position[k].copy())
@@ -191,7 +191,7 @@ class Actor:
 
 def own_turns(splats):
     """Return the rotations from the own axes of splats to their frame, a float64 `Rotation`."""
-    return Rotation.from_quat(np.roll(splats.rotation, -1, axis=1).astype(np.float64))
+    return Rotation.from_quat(splats.rotation.astype(np.float64), scalar_first=True)
 
 
 def box_of(splats):

@@ -135,7 +135,8 @@ def _not_enough(splats, up, meters_per_unit, seed):
         shown_up, scale, views = "--up x,y,z", "--meters-per-unit S", "--eye x,y,z --look-at x,y,z"
         found = "no flat surface was found that might be the ground"
     else:
-        width = _width(splats, plane)
+        points, _ = ground_candidates(splats)
+        width = width_of(points[np.abs(plane.height(points)) < plane.threshold])
         eye, target = _view_over(plane, centre, width)
         shown_up = f"--up={said(plane.normal)}"
         scale = f"--meters-per-unit {10 / width:.3g}"
@@ -158,12 +159,10 @@ def _view_over(plane, centre, width):
     return foot + width * (0.15 * plane.normal - 0.5 * side), foot
 
 
-def _width(splats, plane):
-    """Return the width of the area in which the splats on a plane lie [capture units]."""
-    points, _ = ground_candidates(splats)
-    points = points[np.abs(plane.height(points)) < plane.threshold]
+def width_of(points):
+    """Return the width of the area in which most points (n, 3) of a plane lie, in their units."""
     low, high = np.percentile(points, (5, 95), axis=0)
-    return float(np.linalg.norm(high - low)) / math.sqrt(2)
+    return max(float(np.linalg.norm(high - low)) / math.sqrt(2), 1e-9)
 
 
 def mean_image_up(cameras):

@@ -11,7 +11,13 @@ import numpy as np
 
 from rainsim.errors import GroundError
 from rainsim.scene.cameras import look_at
-from rainsim.scene.ground import ASSUMED_CAMERA_HEIGHT, UP_HINT_ANGLE, ground_axes, mean_image_up
+from rainsim.scene.ground import (
+    ASSUMED_CAMERA_HEIGHT,
+    UP_HINT_ANGLE,
+    ground_axes,
+    mean_image_up,
+    width_of,
+)
 from rainsim.scene.ground_search import ground_candidates, said, search_ground
 from rainsim.scene.types import GroundFrame
 
@@ -75,7 +81,7 @@ def offered_ground_frame(splats, cameras=(), up=None, meters_per_unit=None):
         scale = ASSUMED_CAMERA_HEIGHT / float(heights.mean())
         length = f"the cameras stand {ASSUMED_CAMERA_HEIGHT} m above it"
     elif scale is None:
-        scale, length = WIDTH / _width(on_it), f"it is {WIDTH:g} m wide"
+        scale, length = WIDTH / width_of(on_it), f"it is {WIDTH:g} m wide"
     rotation = ground_axes(normal, cameras)
     note = (
         f"UP AND SCALE ARE ASSUMED, nothing tells them: {why}, up is {said(normal)} of the capture;"
@@ -84,12 +90,6 @@ def offered_ground_frame(splats, cameras=(), up=None, meters_per_unit=None):
     return GroundFrame(
         rotation, float(scale), -scale * rotation @ centre, confidence, (note,), True
     )
-
-
-def _width(points):
-    """Return the width of the area in which points lie [capture units]."""
-    low, high = np.percentile(points, (5, 95), axis=0)
-    return max(float(np.linalg.norm(high - low)) / math.sqrt(2), 1e-9)
 
 
 def offered_cameras(splats, frame):

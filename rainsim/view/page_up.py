@@ -55,8 +55,7 @@ class UpDisc:
     @property
     def up(self):
         """The pole's direction in the ground frame, ndarray of shape (3,)."""
-        w, x, y, z = self._nodes[-1].wxyz
-        return Rotation.from_quat((x, y, z, w)).as_matrix()[:, 2]
+        return Rotation.from_quat(self._nodes[-1].wxyz, scalar_first=True).as_matrix()[:, 2]
 
     @property
     def lean(self):

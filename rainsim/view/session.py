@@ -50,8 +50,7 @@ class View:
     @property
     def rotation(self):
         """ground_from_camera, ndarray of shape (3, 3)."""
-        w, x, y, z = self.turn
-        return Rotation.from_quat((x, y, z, w)).as_matrix()
+        return Rotation.from_quat(self.turn, scalar_first=True).as_matrix()
 
 
 class OutOfDateError(Exception):

@@ -120,3 +120,7 @@ def test_indices_come_back_exactly(tmp_path):
     values = np.arange(0, 65536, 257, dtype=np.uint16).reshape(16, 16)
     images.write_png16(tmp_path / "i.png", values)
     np.testing.assert_array_equal(images.read_image(tmp_path / "i.png"), values)
+    for wrong in (-1.0, 65535.4, np.nan):
+        with pytest.raises(ParameterError, match="do not fit a 16-bit PNG"):
+            images.write_png16(tmp_path / "wrong.png", np.full((2, 2), wrong))
+    assert not (tmp_path / "wrong.png").exists()
