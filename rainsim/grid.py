@@ -293,6 +293,29 @@ class WaterSolver:
             self._ledger.drained += self._drain(rows, columns, np.asarray(volumes))
             self._has_deposits = True
 
+    def lift(self, rows, columns, left):
+        """Take the water of cells down to a depth of `left` [m], the film's last; return it [m3].
+
+        The ledger has it as drained. `rows` and `columns` name no cell twice.
+        """
+        require_drops(rows, columns, np.zeros(len(rows)), self.shape)
+        if not len(rows):
+            return 0.0
+        at, area = (
+            (np.asarray(rows) + self.flow.pad, np.asarray(columns) + self.flow.pad),
+            (self.spacing**2),
+        )
+        film = self.film[at].astype(np.float64)
+        keeps = np.minimum(film, left)
+        free = self.flow.h[at].astype(np.float64) + self.flow.remainder[at]
+        from_free = np.maximum(free - (left - keeps), 0.0)
+        taken = self._drain(rows, columns, from_free * area)
+        self.film[at] = keeps
+        taken += float((film - self.film[at].astype(np.float64)).sum()) * area
+        self._ledger.drained += taken
+        self._has_deposits = True
+        return taken
+
     def _drain(self, rows, columns, volumes):
         """Take up to `volumes` [m3] of free water from cells; return the volume taken [m3]."""
         flow, area = self.flow, self.spacing**2

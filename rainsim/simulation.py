@@ -13,28 +13,30 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from rainsim.config.settings import mm_per_hour
-from rainsim.drops import GROUND, OBSTACLE, Surfaces, Weather, flat_surfaces, impacts, joined
+from rainsim.drops import GROUND, OBSTACLE, Surfaces, Weather, flat_surfaces, impacts
 from rainsim.errors import InputError
 from rainsim.grid import WaterSolver
 from rainsim.io.arrays import TEXT, Field, read_arrays, write_arrays
 from rainsim.io.files import json_number, parsed_json
-from rainsim.ledger import SUPPLY, WHEREABOUTS, Ledger
-from rainsim.rain.dripping import DRIP_COLUMNS, Drips, drip_impacts
+from rainsim.ledger import SUPPLY, WHEREABOUTS
+from rainsim.rain.dripping import DRIP_COLUMNS
 from rainsim.rain.exposure import rain_exposure
 from rainsim.rain.moving_surfaces import MovingSurfaces
+from rainsim.rain.tyres import AT, COLUMNS, NO_THROWS, column
 from rainsim.shading.wetness import evaporation_rate
 from rainsim.terrain.table import DRAIN
 from rainsim.terrain.types import NO_TOPS
 from rainsim.water.keyframes import level_changes, past_rain_growth
+from rainsim.water.on_objects import Objects
 from rainsim.water.puddles import WET, doubt, puddles_of, wet_share
 from rainsim.water.ripples import RippleTile, mean_chord, tile_impacts
+from rainsim.water.rolling import NO_TRACKS, Tyres
 from rainsim.water.top_water import TopWater
 
 RIPPLE_DEPTHS = (2e-3, 0.1)  # m: films thinner carry no rings, deeper water is deep to them
 RIPPLE_WARM_UP = 5.0  # s of rain before the first frame: then rings come and go in balance
 DRIP_WARM_UP = 1.0  # s of it for the edges of objects: the longest fall from them
 WARM_UP_STEP = 1 / 15  # s
-SMALLEST_ROOM = 1e-30  # m3, keeps tops without water from a division by zero
 DRAIN_INTAKE = 0.1  # m/s that a grating takes at most: 8 l/s through an opening of 0.08 m2
 
 
@@ -66,6 +68,11 @@ class SimState:
     drip_id : ndarray of shape (m,), uint64
     top_water : ndarray of shape (n,), float64 [m3]
         On each of the terrain's tops, see `water.top_water`.
+    throws : ndarray of shape (t, 22), float64
+        What tyres have thrown that may be in the air, see `tyres.COLUMNS`.
+    throw_id : ndarray of shape (t,), uint64
+    tracks : ndarray of shape (ny, nx) or (0, 0), uint8
+        How full the film is where tyres have passed, of 255; see `Tyres.tracks`.
     """
 
     index: int
@@ -82,6 +89,9 @@ class SimState:
     drips: np.ndarray = field(default_factory=lambda: np.zeros((0, len(DRIP_COLUMNS))))
     drip_id: np.ndarray = field(default_factory=lambda: np.zeros(0, np.uint64))
     top_water: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    throws: np.ndarray = field(default_factory=NO_THROWS.copy)
+    throw_id: np.ndarray = field(default_factory=lambda: np.zeros(0, np.uint64))
+    tracks: np.ndarray = field(default_factory=NO_TRACKS.copy)
 
 
 def surfaces_of(terrain):
@@ -184,10 +194,11 @@ def simulate(terrain, config, progress=None, dtype=np.float32):
         rate=weather.mean_rate,
         dtype=np.float32,
     )
-    objects = Objects(surfaces, start, TopWater(tops_drawn(terrain, config)))
+    objects = Objects(surfaces, start, *tops_of(terrain, config, start))
     warm_up(ripples, objects, weather)
     objects.open_account()
-    index, hits, report = 0, None, None
+    tyres = tyres_of(terrain, config)
+    index, hits, report = 0, None, tyres.start(solver, weather)
     while True:
         time = index / config.fps
         if index > 0:
@@ -203,6 +214,7 @@ def simulate(terrain, config, progress=None, dtype=np.float32):
                 solver.deposit(landed.row, landed.column, landed.volume)
                 objects.take_rain(hits, rain.spectrum.fine_rate * (time - before))
             solver.deposit(*objects.advance(before, time, weather))  # drips from objects
+            tyres.roll(solver, before, time, weather)
             if rain is not None:  # rings of both
                 rings = objects.with_drips(landed, before, time)
                 area = open_area
@@ -214,14 +226,14 @@ def simulate(terrain, config, progress=None, dtype=np.float32):
             if puddle_growth is not None:
                 solver.deposit(*puddle_growth(before, time))
             report = solver.advance(time - before, rain=fine)
-        u, v = solver.velocity
+        (u, v), deep = solver.velocity, np.array(solver.depth, np.float32)
+        ledger = tyres.book(objects.ledger(report, solver), time)
         yield SimState(
-            index, time, np.array(solver.depth, np.float32),
-            np.stack([u, v]).astype(np.float32), ripples.slopes(), ripples.size,
+            index, time, deep, np.stack([u, v]).astype(np.float32), ripples.slopes(), ripples.size,
             _of_hits(hits, "position", (0, 3)), _of_hits(hits, "diameter", (0,)),
-            _of_hits(hits, "kind", (0,), np.uint8), objects.ledger(report, solver),
+            _of_hits(hits, "kind", (0,), np.uint8), ledger,
             notes if index == 0 else (), *objects.falling(),
-            top_water=objects.top_water(),
+            top_water=objects.top_water(), **tyres.state(deep),
         )  # fmt: skip
         index += 1
 
@@ -230,135 +242,17 @@ def _of_hits(hits, name, shape, dtype=np.float32):
     return np.zeros(shape, dtype) if hits is None else np.asarray(getattr(hits, name), dtype)
 
 
-class Objects:
-    """The water on what stands above the ground, with its account; drips from it if asked for.
+def tops_of(terrain, config, start):
+    """Return the `TopWater` of a terrain and how much of it has dried at the start [m]."""
+    dried = evaporation_rate(start) * start.rain.drying
+    return TopWater(tops_drawn(terrain, config)), dried
 
-    Attributes
-    ----------
-    drips : Drips or None
-    initial, inflow : float [m3]
-        What was on the objects when the account was opened, and what has risen from outside.
-    tops : TopWater
-    """
 
-    def __init__(self, surfaces, start, tops):
-        rain, wet = start.rain, start.rain.past > 0 or start.water.level is not None
-        self.drips = Drips(surfaces, rain.seed, wet) if rain.drips else None
-        self._surfaces, self._roughness = surfaces, rain.roughness
-        self.initial = self._came = self._returned = self._kept = self.inflow = 0.0
-        self.tops = tops
-        self._on_tops = tops.after(rain.past, evaporation_rate(start) * rain.drying)
-        if self.drips is not None:
-            self._fill_tops()
-
-    def _fill_tops(self):
-        """Give each drip point the room that the tops above it have, and the water of past rain."""
-        points, count, tops = self.drips.point, len(self.drips.room), len(self._on_tops)
-        room, top = self.tops.room()
-        over = (points >= 0) & (top >= 0)
-        pairs, which = np.unique(points[over] * tops + top[over], return_inverse=True)
-        self._point, self._top = np.divmod(pairs, max(tops, 1))
-        self._room = np.bincount(which, room[over], len(pairs))
-        self._room_of = np.bincount(self._point, self._room, count)
-        share = self._on_tops / np.maximum(self.tops.capacity, SMALLEST_ROOM)
-        self._held_of = np.bincount(self._point, self._room * share[self._top], count)
-        self.drips.hold(self._room_of, self._held_of)
-
-    def top_water(self):
-        """Return the water on each top now [m3], (n,)."""
-        if self.drips is None or not len(self._on_tops):
-            return self._on_tops.copy()
-        return self._on_each(np.maximum(self._room_of - self.drips.room, 0.0))
-
-    def top_water_after(self, rain):
-        """Return the water on each top [m3] (n,) after `rain` [m] that falls evenly."""
-        if self.drips is None or not len(self._on_tops):
-            return self._on_tops.copy()
-        points = self.drips.point
-        cells = np.bincount(points[points >= 0], minlength=len(self._room_of))
-        came = cells * self._surfaces.spacing**2 * rain
-        return self._on_each(np.minimum(self._held_of + came, self._room_of))
-
-    def _on_each(self, held):
-        """Return the water on each top [m3] of what is `held` behind each drip point [m3]."""
-        share = held / np.maximum(self._room_of, SMALLEST_ROOM)
-        parts = len(self._on_tops)
-        mine = np.bincount(self._top, self._room * share[self._point], parts)
-        return (
-            mine
-            / np.maximum(np.bincount(self._top, self._room, parts), SMALLEST_ROOM)
-            * (self.tops.capacity)
-        )
-
-    def open_account(self):
-        """Count what is on the objects and in the air now as there from the start."""
-        self._came = self._returned = self._kept = 0.0
-        if self.drips is not None:
-            self.initial = self.drips.held + self.drips.airborne
-
-    def take_rain(self, hits, fine_depth):
-        """Give the objects what fell on them, and a depth [m] of finer rain."""
-        if self.drips is not None:
-            self._came += self.drips.take_rain(hits, fine_depth)
-        else:
-            fallen = float(hits.volume[hits.kind != GROUND].sum())
-            self._came += fallen
-            self._kept += fallen
-
-    def take_even_rain(self, depth):
-        """Give the objects a depth [m] of rain that falls evenly."""
-        if self.drips is not None:
-            self._came += self.drips.take_even_rain(depth)
-
-    def let_in(self, solver, rows, columns, volumes):
-        """Give the ground water that rises from outside, and take what falls."""
-        more, less = volumes > 0, volumes < 0
-        solver.deposit(rows[more], columns[more], volumes[more])
-        solver.withdraw(rows[less], columns[less], -volumes[less])
-        self.inflow += float(volumes[more].sum())
-
-    def advance(self, start, stop, weather):
-        """Return the rows, columns and volumes [m3] of what comes down from them."""
-        if self.drips is None:
-            return np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0)
-        wind = weather.wind(0.5 * (start + stop)), self._roughness
-        rows, columns, volumes = self.drips.advance(start, stop, *wind)
-        self._returned += float(volumes.sum())
-        return rows, columns, volumes
-
-    def with_drips(self, hits, start, stop):
-        """Return `hits` and the drips that came to the ground from `start` to `stop` [s]."""
-        if self.drips is None:
-            return hits
-        drips = drip_impacts(*self.drips.falling(), self._surfaces, start, stop)
-        return joined(hits, drips.take(drips.kind == GROUND))
-
-    def falling(self):
-        """Return the drips in the air and their ids, as `SimState` holds them."""
-        return () if self.drips is None else self.drips.falling()
-
-    def ledger(self, report, solver):
-        """Return the solver's ledger with the objects' water in it, as a dict."""
-        held, airborne = self._kept, 0.0
-        if self.drips is not None:
-            held, airborne = held + self.drips.held, self.drips.airborne
-        ledger = solver.ledger if report is None else report.ledger
-        return self.with_objects(ledger, self._came, self._returned, held, airborne, self.inflow)
-
-    def with_objects(self, ledger, came, returned, held, airborne, inflow):
-        """Return a solver's ledger as a dict, with the objects' water [m3] in it.
-
-        `came` to the objects, `returned` to the ground, is `held` on them, is `airborne` as drips
-        now, or came as `inflow` from outside the map.
-        """
-        ledger = ledger.as_dict()
-        ledger["initial"] += self.initial
-        # The solver books water from objects and from outside as rain.
-        ledger["rain"] += came - returned - inflow
-        ledger["inflow"] += inflow
-        ledger["obstacles"] += held
-        ledger["airborne"] += airborne
-        return Ledger.from_dict(ledger).as_dict()
+def tyres_of(terrain, config):
+    """Return the `Tyres` of what moves on a terrain; none if the settings leave spray out."""
+    if config.render.spray == "off":
+        terrain = replace(terrain, movers=())
+    return Tyres(terrain, config.rain.seed, config.rain.roughness)
 
 
 def tops_drawn(terrain, config):
@@ -418,6 +312,9 @@ _FIELDS = {
     "drips": Field("float64", ("drips", len(DRIP_COLUMNS)), -LONGEST, LONGEST),
     "drip_id": Field("uint64", ("drips",), 0, 2**64 - 1),
     "top_water": Field("float64", ("tops",), 0, 1e9),
+    "throws": Field("float64", ("throws", len(COLUMNS)), -LONGEST, LONGEST),
+    "throw_id": Field("uint64", ("throws",), 0, 2**64 - 1),
+    "tracks": Field("uint8", ("tracks ny", "tracks nx"), 0, 255),
 }
 _OTHERS = {
     "index": Field("int64", (), 0, 99_999),
@@ -465,12 +362,16 @@ def read_state(path, terrain=None):
          "it is not of this height map, whose shape is another"),
         (terrain is not None and len(found["top_water"]) not in (0, tops),
          "it is not of this height map, which has other tops"),
+        (found["tracks"].shape not in ((0, 0), found["depth"].shape),
+         "its tracks are those of another height map"),
+        (not _are_thrown(found["throws"]), "its tyres do not roll"),
     ):  # fmt: skip
         if wrong:
             raise InputError(f"{path} is no {STATE} of rainsim ({text}); {STATE_REMEDY}")
     return SimState(
         index=int(found["index"]), time=float(found["time"]), tile_size=float(found["tile_size"]),
-        ledger=facts["ledger"], notes=tuple(facts["notes"]), **{n: found[n] for n in _FIELDS},
+        ledger=facts["ledger"], notes=tuple(facts["notes"]),
+        **{n: found[n] for n in _FIELDS},
     )  # fmt: skip
 
 
@@ -482,6 +383,14 @@ def _are_volumes(ledger):
 
 def _are_texts(notes):
     return isinstance(notes, list) and all(isinstance(note, str) for note in notes)
+
+
+def _are_thrown(table):
+    """Whether the rows of a table of throws have a duration, a way and no negative volumes."""
+    lasts = column(table, "end") > column(table, "begin")
+    rolls = (table[:, AT["x"] : AT["y"] + 1] != table[:, AT["x_end"] : AT["y_end"] + 1]).any(axis=1)
+    sizes = table[:, [AT["width"], AT["radius"], *range(AT["section"], len(COLUMNS))]]
+    return bool((lasts & rolls & (sizes >= 0).all(axis=1)).all())
 
 
 def _fall(drips):

@@ -50,6 +50,7 @@ MEANINGS = {
     "water_geometry": "what is drawn as water: the height field, or spheres of 6 mm",
     "streaks": "shutter draws drops over the exposure, paper lines of opaque spheres",
     "splashes": "crowns, jets and droplets, or one Gaussian for each drop",
+    "spray": "auto lets tyres of cars that drive throw water, off leaves it on the road",
     "streak_far_m": "depth beyond which drops are drawn as fog",
     "aperture_mm": "diameter of the lens's opening: near drops blur; 0 is sharp",
     "focus_m": "distance that is in focus",

@@ -51,6 +51,7 @@ HUMAN_KEYS = {
     "water_geometry": ("water_geometry", None),
     "streaks": ("streaks", None),
     "splashes": ("splashes", None),
+    "spray": ("spray", None),
     "streak_far_m": ("streak_far", 1.0),
     "aperture_mm": ("aperture", 1e-3),
     "focus_m": ("focus", 1.0),

@@ -57,11 +57,13 @@ DROP_RADII = ("measured", "paper")
 STREAKS = ("shutter", "paper")
 SPLASHES = ("crowns", "paper")
 TOPS = ("auto", "off")
+SPRAYS = ("auto", "off")
 LOOKS = {  # attributes of the light and look that take one of some words
     "metering": METERINGS, "relight": RELIGHTS, "wetting": WETTINGS, "reflections": REFLECTIONS,
     "mirror_size": MIRROR_SIZES, "film": FILMS, "tops": TOPS, "refraction": REFRACTIONS,
     "fresnel": FRESNELS, "highlight": HIGHLIGHTS, "coverage": COVERAGES,
     "water_geometry": WATER_GEOMETRIES, "streaks": STREAKS, "splashes": SPLASHES,
+    "spray": SPRAYS,
 }  # fmt: skip
 CHOICES = {"scheme": WATER_SCHEMES, "drop_radii": DROP_RADII, **LOOKS}
 
@@ -213,6 +215,7 @@ class RenderConfig:
     water_geometry: str = "height-field"  # spheres: of 6 mm at the map's cells, the paper's
     streaks: str = "shutter"  # paper: opaque lines of spheres, whatever the shutter
     splashes: str = "crowns"  # paper: one Gaussian for each drop
+    spray: str = "auto"  # tyres of cars throw the water that they meet; off: they leave it alone
     streak_far: float = 8.0  # m; farther drops are fog
     aperture: float = 0.0  # m, diameter of the lens's opening: near drops blur; 0: all are sharp
     focus: float = 4.0  # m, what is in focus

@@ -36,7 +36,6 @@ from rainsim.reflection.slope_moments import ripple_moments
 from rainsim.scene.actors import require_no_actors
 from rainsim.water.keyframes import level_changes, past_rain_growth
 from rainsim.water.ripples import LAYERS, RippleTile, mean_chord
-from rainsim.water.top_water import TopWater
 
 
 class DeviceState:
@@ -142,7 +141,7 @@ class Simulation:
             dtype=np.float32,
         )
         open_area = float(exposure.sum()) * terrain.grid.cell_area
-        self._objects = host.Objects(surfaces, start, TopWater(host.tops_drawn(terrain, config)))
+        self._objects = host.Objects(surfaces, start, *host.tops_of(terrain, config, start))
         host.warm_up(tile, self._objects, self.weather)
         self._objects.open_account()
         self._first_slopes = tile.slopes()

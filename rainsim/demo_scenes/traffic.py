@@ -25,6 +25,7 @@ from rainsim.scene.types import GroundFrame
 
 SPACING = 0.035  # m, of a car's splats
 KEYS_PER_SECOND = 12  # of the tracks
+TYRE_WIDTH = 0.20  # m
 SHADE, SHADE_LAYERS = 0.28, 4  # opacity of a layer of the shade under a car, and their number
 
 # shape, paint, first x [m], speed [m/s], lane y [m] at the start and at the end, height of the road
@@ -45,12 +46,21 @@ def make_traffic():
         body = cars.car(shape, np.array(paint), True, SPACING, rng)
         splats = to_splats(join([body, *_shade()]), own)
         box = box_of(to_splats(body, own))
-        actors.append(Actor(name, "car", splats, box, _track(frame, first, speed, here, there)))
+        track = _track(frame, first, speed, here, there)
+        actors.append(Actor(name, "car", splats, box, track, wheels=_wheels(frame)))
     digest = hashlib.sha256(street.source_hash.encode())
     for actor in actors:
         digest.update(content_hash(actor.splats).encode() + actor.track.position.tobytes())
     scene = with_actors(street, actors)
     return replace(scene, name="traffic", source_hash=digest.hexdigest())
+
+
+def _wheels(frame):
+    """Return the tyres of a car as `Actor` has them."""
+    return np.array([
+        (x - 0.5 * cars.LENGTH, y, 0.0, TYRE_WIDTH, cars.WHEEL)
+        for x in cars.AXLES for y in (cars.TRACK, -cars.TRACK)
+    ]) / frame.meters_per_unit  # fmt: skip
 
 
 def _shade():

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from rainsim.drops import Weather
+from rainsim.drops import RainField, RainSpectrum, Weather
 from rainsim.particles import paper
 from rainsim.particles.fog import NO_FOG, fog_table
+from rainsim.particles.line_raster import NEAR
 from rainsim.particles.splash import LONGEST_LIFE, WET_FILM
 from rainsim.particles.splash_pass import draw_splashes
+from rainsim.particles.spray import lay_clouds, spray_seen
 from rainsim.particles.streaks import draw_streaks, streak_reach
 from rainsim.rain.dripping import drip_impacts, drips_seen
 from rainsim.shading.composite import RainCover
@@ -56,7 +58,12 @@ class RainPass:
         """
         rain = np.zeros((camera.height, camera.width), np.float32)
         splash, field = np.zeros_like(rain), self.field(state.time, render.exposure)
+        drops, clouds = spray_seen(
+            state.throws, state.throw_id, camera, state.time, render.exposure
+        )
         if field is None:
+            self._draw_spray_alone(camera, camera_end, state, render, depth, drops, rain)
+            lay_clouds(clouds, camera, depth, rain)
             return RainCover(rain, splash, NO_FOG)
         shutter = field, self.surfaces, camera, state.time
         lens = camera_end, render.aperture, render.focus
@@ -66,8 +73,10 @@ class RainPass:
             fog = NO_FOG
         else:
             drips = drips_seen(state.drips, state.time, render.exposure)
-            draw_streaks(*shutter, render.exposure, depth, reach, rain, *lens, more=drips)
+            more = np.concatenate([drips, drops]) if len(drops) else drips
+            draw_streaks(*shutter, render.exposure, depth, reach, rain, *lens, more=more)
             fog = fog_table(field, reach)
+        lay_clouds(clouds, camera, depth, rain)
         timer.mark("streaks")
         if render.splashes == "paper":
             begin = state.time - self.interval
@@ -83,3 +92,12 @@ class RainPass:
             )  # fmt: skip
         timer.mark("splashes")
         return RainCover(rain, splash, fog)
+
+    def _draw_spray_alone(self, camera, camera_end, state, render, depth, drops, alpha_out):
+        """Draw what tyres throw from a wet road while no rain falls."""
+        if len(drops):
+            none = RainField(RainSpectrum(0.0))
+            draw_streaks(
+                none, None, camera, state.time, render.exposure, depth, NEAR, alpha_out,
+                camera_end, render.aperture, render.focus, more=drops,
+            )  # fmt: skip

@@ -120,7 +120,8 @@ class Renderer:
             next call must be for another Camera.
         """
         timer = timer or Timer()
-        if self.set_time(state.time) or camera is not self._camera:
+        changed = self.wet_scene.take_tracks(state.tracks)
+        if self.set_time(state.time) or changed or camera is not self._camera:
             self._see(camera, timer)
         self.view_end = camera_end
         render, scene = self.now.render, self.wet_scene

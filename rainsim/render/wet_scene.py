@@ -32,6 +32,7 @@ from rainsim.shading.wet_pass import NO_COVER, DryRays, dry_picture, grade_and_w
 from rainsim.shading.wetting import GroundMaps, SkyMaps
 from rainsim.simulation import usual_wind
 from rainsim.splatting.prepared import recolored
+from rainsim.water.rolling import NO_TRACKS
 
 NEAR = 0.05  # m: splats nearer than this are not drawn
 FIRST_SEGMENT = 0.5  # m of a traced ray that are searched at first
@@ -115,6 +116,7 @@ class WetScene:
         self._skylines = None
         if not self.backdrop.count:
             self._skylines = skylines(self.scene, self.prepared, first_camera, self.near)
+        self._tracks = NO_TRACKS
         self._place = np.array(terrain.grid.origin, np.float32), np.float32(terrain.grid.spacing)
         self._standing = self.tracer = None  # made when they are first asked for
         self.albedo, note = albedo_of_white(terrain, self.scene.splats, config.render.ground_albedo)
@@ -139,7 +141,8 @@ class WetScene:
             return False
         self.look, self.off_ground = look, off_ground
         self.paving = wetness.paving_dampness(now)
-        self.ground = wetness.ground_wetness(self.terrain, self._grass, self.reach, now)
+        self._untouched = wetness.ground_wetness(self.terrain, self._grass, self.reach, now)
+        self.ground = wetness.with_tracks(self._untouched, self._tracks)
         self._set_skies()
         colors = self._present.state(now)
         if colors != self._colors:
@@ -154,6 +157,19 @@ class WetScene:
         if self.nodes is None or not self.nodes.set_time(time):
             return False
         self._put_nodes()
+        return True
+
+    def take_tracks(self, tracks):
+        """Take over where tyres have thinned the film, see `Tyres.tracks`; return if that is new.
+
+        Parameters
+        ----------
+        tracks : ndarray of shape (ny, nx) or (0, 0), uint8
+        """
+        if np.array_equal(tracks, self._tracks):
+            return False
+        self._tracks = tracks
+        self.ground = wetness.with_tracks(self._untouched, tracks)
         return True
 
     def _put_nodes(self):

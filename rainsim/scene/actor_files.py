@@ -19,6 +19,7 @@ from rainsim.scene.actors import Actor, ColorSeries, Track, box_of
 from rainsim.scene.formats import read_splats
 from rainsim.scene.harmonics import padded
 from rainsim.scene.types import Splats
+from rainsim.scene.wheels import MOST_WHEELS, NO_WHEELS
 
 ACTORS_FILE, ACTORS_ARRAYS = "actors.json", "actors.npz"
 VERSION = 1
@@ -47,6 +48,8 @@ _FIELDS = {
     "key_visible": Field("bool", ("keys",)),
     "terms": Field("float32", ("terms", 3), -FLOAT, FLOAT),
     "turning": Field("bool", ("nodes",)),
+    "wheel": Field("float64", ("wheels", 5), needed=False),
+    "wheel_count": Field("int64", ("nodes",), -1, MOST_WHEELS, needed=False),
 }
 
 
@@ -162,8 +165,11 @@ def _actor(where, node, splats):
         way = Track(arrays["times"], arrays["positions"], arrays["rotations"], np.array(visible))
     except ParameterError as error:
         raise InputError(f"{where}: {error}; {REMEDY}") from None
-    turning = harmonics == "node"
-    return Actor(printable_name(name), printable_name(kind), splats, box, way, turning=turning)
+    wheels = None if node.get("wheels") is None else _wheels(where, node["wheels"])
+    return Actor(
+        printable_name(name), printable_name(kind), splats, box, way,
+        turning=harmonics == "node", wheels=wheels,
+    )  # fmt: skip
 
 
 def _box(where, data):
@@ -176,6 +182,26 @@ def _box(where, data):
             f"size above 0; {REMEDY}"
         )
     return box
+
+
+def _wheels(where, data):
+    """Return the wheels of a node as `Actor` has them."""
+    rows = None
+    if isinstance(data, list) and len(data) <= MOST_WHEELS:
+        rows = [
+            [*wheel["at"], wheel["width"], wheel["radius"]]
+            if isinstance(wheel, dict) and isinstance(wheel.get("at"), list)
+            and {"width", "radius"} <= set(wheel) else None
+            for wheel in data
+        ]  # fmt: skip
+        rows = number_array(rows, (len(data), 5)) if rows else NO_WHEELS
+    if rows is None or (rows[:, 3:] <= 0).any() or (rows[:, 3] > 4 * rows[:, 4]).any():
+        raise InputError(
+            f"{where}: wheels is {shown(data)}; it must be a list of at most {MOST_WHEELS} objects "
+            "with at (three numbers), width and radius, both above 0, the width at most four "
+            f"times the radius; {REMEDY}"
+        )
+    return rows
 
 
 # --- nodes as arrays ------------------------------------------------------------------------------
@@ -202,6 +228,8 @@ def actors_to_arrays(actors):
         "term_count": np.array([t.shape[1] for t in terms]),
         "span": np.array(spans, np.float64),
         "terms": np.concatenate([t.reshape(-1, 3) for t in terms]).astype(np.float32),
+        "wheel": np.concatenate([NO_WHEELS if a.wheels is None else a.wheels for a in actors]),
+        "wheel_count": np.array([-1 if a.wheels is None else len(a.wheels) for a in actors]),
     }  # fmt: skip
 
 
@@ -219,6 +247,10 @@ def actors_from_arrays(arrays):
     for end, name in zip(ends, ("position", "key_time", "terms"), strict=True):
         if end[-1] != len(arrays[name]):
             raise ParameterError(f"the counts of {name} do not add up; write the nodes again")
+    wheel_count = arrays.get("wheel_count", np.full(len(arrays["id"]), -1))
+    wheels, last = arrays.get("wheel", NO_WHEELS), np.cumsum(np.maximum(wheel_count, 0))
+    if last[-1] != len(wheels):
+        raise ParameterError("the counts of wheels do not add up; write the nodes again")
     actors = []
     for k in range(len(counts[0])):
         own, key, term = (
@@ -232,7 +264,8 @@ def actors_from_arrays(arrays):
             series = ColorSeries(arrays["terms"][term].reshape(shape), *arrays["span"][k].tolist())
         name, kind = str(arrays["id"][k]), str(arrays["kind"][k])
         turning = bool(arrays["turning"][k])
-        actors.append(Actor(name, kind, splats, arrays["box"][k], track, series, turning))
+        own = None if wheel_count[k] < 0 else wheels[last[k] - wheel_count[k] : last[k]]
+        actors.append(Actor(name, kind, splats, arrays["box"][k], track, series, turning, own))
     return tuple(actors)
 
 

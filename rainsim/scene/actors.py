@@ -159,6 +159,9 @@ class Actor:
     turning : bool
         Whether the harmonics turn with the node. Models that were trained with directions of the
         capture frame have harmonics that do not (Street Gaussians, drivestudio).
+    wheels : ndarray of shape (n, 5), float64 [capture units], or None
+        x, y, z of the middle of each tyre's contact patch in the node frame, the tyre's width and
+        radius. None: those that the class and the box give, see `scene.wheels`.
     """
 
     id: str
@@ -168,6 +171,7 @@ class Actor:
     track: Track
     series: ColorSeries | None = None
     turning: bool = True
+    wheels: np.ndarray | None = None
 
     def corners(self):
         """Return the corners of the box in the node frame, ndarray of shape (8, 3)."""

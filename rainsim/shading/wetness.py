@@ -133,6 +133,23 @@ def ground_wetness(terrain, grass, reach, config):
     return np.ascontiguousarray(np.stack(wet, axis=-1), dtype=np.float32)
 
 
+def with_tracks(ground, tracks):
+    """Return the wetness of ground cells where tyres have thinned the film; the pores stay wet.
+
+    Parameters
+    ----------
+    ground : ndarray of shape (ny, nx, 4), float32
+        See `ground_wetness`.
+    tracks : ndarray of shape (ny, nx) or (0, 0), uint8
+        How full the film is, of 255.
+    """
+    if not tracks.size:
+        return ground
+    ground = ground.copy()
+    ground[..., Wetness._fields.index("film")] *= tracks.astype(np.float32) / np.float32(255)
+    return ground
+
+
 def off_ground_wetness(config):
     """Return the `OffGroundWetness` of the settings of one time."""
     supply = config.rain.past / OTHER_FILM + config.rain.rate / WET_RATE

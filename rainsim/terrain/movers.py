@@ -13,6 +13,7 @@ import numpy as np
 from scipy import ndimage
 
 from rainsim.scene.actors import SOLID, Track, own_turns
+from rainsim.scene.wheels import Body
 
 LEAST_SPACING = 0.03  # m, of a body's own cells: what is finer shows gaps between its splats
 CLOSING = 2  # cells: gaps up to twice as wide are closed
@@ -55,6 +56,8 @@ class Mover:
     spacing : float [m]
     top, underside : ndarray of shape (rows, columns), float32 [m]
         In the upright frame; NaN beside the body.
+    body : Body or None
+        For its wheels.
     """
 
     track: Track
@@ -66,6 +69,12 @@ class Mover:
     spacing: float
     top: np.ndarray
     underside: np.ndarray
+    body: Body | None = None
+
+    def places(self, points, pose):
+        """Take points (n, 3) of the node frame, in metres, to the ground frame at a pose [m]."""
+        place = self.turn @ pose.position * self.scale + self.shift
+        return points @ (self.turn @ pose.rotation).T + place
 
     def ground_from_upright(self, pose):
         """Return rotation and shift [m] that take the upright frame to the ground at a pose."""
@@ -129,6 +138,7 @@ def mover_of(actor, frame, spacing):
     return Mover(
         actor.track, upright, frame.rotation, frame.meters_per_unit, frame.translation, low,
         spacing, top.astype(np.float32), underside.astype(np.float32),
+        Body(actor.id, actor.kind, actor.box, actor.wheels),
     )  # fmt: skip
 
 

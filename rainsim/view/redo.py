@@ -23,6 +23,7 @@ NEEDS = {
     "scheme": (WATER,), "courant": (WATER,),
     "seed": (WATER, PASSES), "gusts": (WATER, PASSES), "drop_radii": (WATER, PASSES),
     "drips": (WATER, PASSES), "surface_film": (WATER, PASSES), "fps": (WATER, PASSES),
+    "spray": (WATER, PASSES),
     "sky": (LIGHT,), "sun": (LIGHT,), "cloudiness": (LIGHT,), "relight": (LIGHT,),
     "ground_albedo": (LIGHT,), "wetting": (LIGHT,), "surroundings": (LIGHT,), "film": (LIGHT,),
     "metering": (PASSES,), "reflections": (PASSES,), "mirror_size": (PASSES,),

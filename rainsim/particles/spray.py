@@ -1,0 +1,215 @@
+"""Spray of tyres in a picture: drops that show one by one, and clouds of all others.
+
+What tyres have thrown (`rain.tyres`) is parcels of drops. A drop is drawn as rain is, as a streak
+of its path over the exposure, if a pixel would show it; the drops that are too small or too many
+are Gaussian clouds, as are the mist's. A drop is in one of both, so that all of them replace the
+same light wherever the line is drawn.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from rainsim.constants import FAR_AWAY, HALF, ONE, ZERO
+from rainsim.jit import cpu_kernel, lean_function, prange
+from rainsim.numerics.approximations import exp_minus
+from rainsim.numerics.random import subkey, uniform_triple
+from rainsim.particles.line_raster import DEPTH_TILE, FAINTEST, NEAR
+from rainsim.rain.tyres import (
+    FLIGHT,
+    Puffs,
+    column,
+    cross_section,
+    flown,
+    mist_puffs,
+    parcels_of,
+)
+
+MOST_DRAWN = 120_000  # drops of a picture that are drawn one by one
+MOST_OF_ONE = 4000  # drops of a parcel
+NO_LINES = np.zeros((0, 7))
+NO_PUFFS = Puffs(np.zeros((0, 3)), np.zeros(0), np.zeros(0))
+FIRST_SPREAD, SPREAD, MOST_SPREAD = 0.02, 0.06, 0.25  # m, 1, m: deviation of a parcel's drops
+# around its middle: at the tyre, over the way flown, at most; assumptions
+UNEVEN = 0.15  # of the velocity: deviation from drop to drop of a parcel; an assumption
+THINNEST = 2e-4  # optical depth of a puff's middle; what is less shows in no picture
+CUT = 3.0  # deviations at which a puff ends: 1 % of its mass lies beyond along a line of sight
+_LOGISTIC = np.float32(1.702)  # the normal distribution as a logistic one, to 0.01
+_CERTAIN, _MOST = np.float32(7.0), np.float32(60.0)  # where that is 0 or 1 to a thousandth; where
+# its exponential ends
+_PER_TWO_PI = np.float32(0.5 / math.pi)
+
+
+def spray_seen(throws, ids, camera, time, exposure):
+    """Return what a camera may see of the spray: drops and clouds.
+
+    Parameters
+    ----------
+    throws, ids
+        Of a `SimState`.
+    camera : Camera
+        In the ground frame.
+    time, exposure : float [s]
+
+    Returns
+    -------
+    lines : ndarray of shape (n, 7), float64
+        Drops, the columns of `streaks.Line`.
+    puffs : Puffs
+    """
+    if not len(throws):
+        return NO_LINES, NO_PUFFS
+    recent = (column(throws, "end") > time - FLIGHT) & (column(throws, "begin") <= time)
+    parcels = parcels_of(throws[recent], ids[recent])
+    parcels = parcels.take((parcels.begin <= time) & (parcels.begin > time - FLIGHT))
+    place, velocity = flown(parcels, time - parcels.begin)
+    flies = place[:, 2] > parcels.road
+    parcels, place, velocity = parcels.take(flies), place[flies], velocity[flies]
+    spread = FIRST_SPREAD + SPREAD * np.linalg.norm(place - parcels.start, axis=1)
+    spread = np.minimum(spread, MOST_SPREAD)
+    near = _in_view(camera, place, 3 * spread)
+    parcels, place, velocity, spread = (
+        parcels.take(near), place[near], velocity[near], spread[near]
+    )  # fmt: skip
+    number = parcels.volume / (math.pi / 6 * parcels.diameter**3)
+    drawn = _drawn(camera, parcels.diameter, place, velocity, exposure, number)
+    lines = _lines(parcels, place, velocity, spread, drawn)
+    left = cross_section(parcels.volume, parcels.diameter) * (1 - drawn / number)
+    mist = mist_puffs(throws, time)
+    puffs = Puffs(*(np.concatenate(both) for both in zip(
+        Puffs(place, spread, left), mist, strict=True)))  # fmt: skip
+    thick = puffs.section / (2 * math.pi * puffs.deviation**2) > THINNEST
+    thick &= _in_view(camera, puffs.place, CUT * puffs.deviation)
+    return lines, Puffs(*(part[thick] for part in puffs))
+
+
+def _in_view(camera, place, radius):
+    """Return which balls (n,) may be in a camera's picture."""
+    seen = place @ camera.camera_from_world[:3, :3].T + camera.camera_from_world[:3, 3]
+    x, y, z = seen.T
+    planes = np.array([
+        (camera.fx, 0, camera.cx), (-camera.fx, 0, camera.width - camera.cx),
+        (0, camera.fy, camera.cy), (0, -camera.fy, camera.height - camera.cy),
+    ], np.float64)  # fmt: skip
+    planes /= np.linalg.norm(planes, axis=1, keepdims=True)
+    aside = np.stack([x, y, z], axis=-1) @ planes.T
+    return (z + radius > NEAR) & (aside > -radius[:, None]).all(axis=1)
+
+
+def _drawn(camera, diameter, place, velocity, exposure, number):
+    """Return how many drops of each parcel are drawn one by one, (n,) float64, whole numbers."""
+    depth = place @ camera.camera_from_world[2, :3] + camera.camera_from_world[2, 3]
+    focal = max(camera.fx, camera.fy)
+    depth = np.maximum(depth, NEAR)
+    cover = math.pi / 4 * (focal * diameter / depth) ** 2  # px
+    length = focal / depth * np.linalg.norm(velocity, axis=1) * exposure
+    shows = cover / np.maximum(length, 1.0) > FAINTEST
+    drawn = np.where(shows, np.minimum(number, MOST_OF_ONE), 0.0)
+    return np.floor(drawn * min(1.0, MOST_DRAWN / max(drawn.sum(), 1.0)))
+
+
+def _lines(parcels, place, velocity, spread, drawn):
+    """Return the drops of parcels that are drawn, (n, 7)."""
+    count = drawn.astype(np.int64)
+    which = np.repeat(np.arange(len(count)), count)
+    within = np.arange(len(which)) - np.repeat(np.cumsum(count) - count, count)
+    words = subkey(parcels.id[which], within + 32)
+    a, b, c = uniform_triple(words)
+    d, e, f = uniform_triple(subkey(words, 1))
+    # Box and Muller: two normal numbers of two even ones.
+    normal = [r * turn(2 * math.pi * t)
+              for r, t in ((np.sqrt(-2 * np.log(a)), b), (np.sqrt(-2 * np.log(c)), d),
+                           (np.sqrt(-2 * np.log(e)), f))
+              for turn in (np.cos, np.sin)]  # fmt: skip
+    at = place[which] + spread[which, None] * np.column_stack(normal[:3])
+    speed = np.linalg.norm(velocity, axis=1)[which, None]
+    moves = velocity[which] + UNEVEN * speed * np.column_stack(normal[3:])
+    lines = np.column_stack([at, moves, parcels.diameter[which]])
+    return lines[at[:, 2] > parcels.road[which]]
+
+
+def lay_clouds(puffs, camera, depth, alpha_out):
+    """Put clouds before a picture.
+
+    Parameters
+    ----------
+    puffs : Puffs
+    camera : Camera
+        In the ground frame.
+    depth : ndarray of shape (height, width), float32 [m]
+        Along the view axis, of what the clouds are before or behind.
+    alpha_out : ndarray of shape (height, width), float32
+        Share of light that drops replace; the clouds' is added as of one behind the other.
+    """
+    if not len(puffs.section):
+        return
+    matrix = camera.camera_from_world
+    place = puffs.place @ matrix[:3, :3].T + matrix[:3, 3]
+    table = np.column_stack([place, puffs.deviation, puffs.section]).astype(np.float32)
+    lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float32)
+    _lay_clouds(table, lens, depth, alpha_out)
+
+
+@cpu_kernel
+def _lay_clouds(puffs, lens, depth, alpha_out):
+    """See `lay_clouds`; `puffs` is (n, 5): place in the camera frame, deviation, cross-section."""
+    height, width = alpha_out.shape
+    bands = (height + DEPTH_TILE - 1) // DEPTH_TILE
+    for band in prange(bands):
+        first, end = band * DEPTH_TILE, min((band + 1) * DEPTH_TILE, height)
+        optical = np.zeros((end - first, width), np.float32)
+        for n in range(puffs.shape[0]):
+            _add_cloud(puffs[n], lens, first, end, depth, optical)
+        for row in range(first, end):
+            for k in range(width):
+                through = exp_minus(optical[row - first, k])
+                alpha_out[row, k] = ONE - (ONE - alpha_out[row, k]) * through
+
+
+@lean_function
+def _add_cloud(puff, lens, first, end, depth, optical_out):
+    """Add the optical depth of one Gaussian cloud to a band of rows.
+
+    Along a ray that passes it at the distance b it is S / (2 pi s^2) exp(-b^2 / (2 s^2)) times the
+    share of the mass before what the pixel shows, S the cross-section and s the deviation.
+    """
+    x, y, z, deviation, section = puff[0], puff[1], puff[2], puff[3], puff[4]
+    reach = np.float32(CUT) * deviation
+    nearest = z - reach
+    width = np.float32(depth.shape[1])
+    left, right = ZERO, width
+    top, bottom = np.float32(first), np.float32(end)
+    if nearest > HALF * deviation:  # else the camera stands in it or beside it
+        fx, fy = lens[0], lens[1]
+        far_x, far_y = reach + abs(x) * reach / z, reach + abs(y) * reach / z
+        left = max(left, fx * (x - far_x) / nearest + lens[2] if x < far_x else ZERO)
+        right = min(right, fx * (x + far_x) / nearest + lens[2] if x > -far_x else width)
+        high = fy * (y - far_y) / nearest + lens[3] if y < far_y else top
+        low = fy * (y + far_y) / nearest + lens[3] if y > -far_y else bottom
+        top, bottom = max(top, high), min(bottom, low)
+    if top >= bottom or left >= right:
+        return
+    square = x * x + y * y + z * z
+    per_two_variances = HALF / (deviation * deviation)
+    most = section * _PER_TWO_PI / (deviation * deviation)
+    steep, clear = _LOGISTIC / deviation, square - reach * reach
+    for row in range(int(top), min(int(bottom) + 1, end)):
+        b = (np.float32(row) + HALF - lens[3]) / lens[1]
+        for k in range(int(left), min(int(right) + 1, depth.shape[1])):
+            a = (np.float32(k) + HALF - lens[2]) / lens[0]
+            towards, stretch = a * x + b * y + z, ONE + a * a + b * b
+            if towards * towards < clear * stretch:  # it passes beside the cloud
+                continue
+            long = math.sqrt(stretch)
+            along = towards / long
+            aside = max(square - along * along, ZERO)
+            past = (min(depth[row, k], FAR_AWAY) * long - along) * steep
+            if past < -_CERTAIN:
+                continue
+            share = ONE if past > _CERTAIN else ONE / (ONE + math.exp(-past))
+            if nearest < ZERO:  # the camera may have some of the cloud behind it
+                share -= ONE / (ONE + math.exp(min(steep * along, _MOST)))
+            thickness = most * exp_minus(aside * per_two_variances)
+            optical_out[row - first, k] += thickness * max(share, ZERO)

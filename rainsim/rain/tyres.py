@@ -1,0 +1,329 @@
+"""What tyres throw: how much of the water on the road, by which way, and how it flies.
+
+A tyre that rolls over water of depth h clears it from its path. Four ways share it (Weir, Strange
+and Heffley 1978): the bow wave ahead of the tyre, the side waves, what the grooves of the tread
+pick up, and the film that clings to the rubber between them (capillary adhesion). A part of each
+becomes mist, which hangs behind the car; the other drops fly on their own.
+
+A row of a table of throws is what one tyre threw in one short step of time, see `COLUMNS`. All that
+flies follows from rows, their ids and the time alone.
+
+References
+----------
+The rates are those of Weir, Strange and Heffley (1978, "Reduction of adverse aerodynamic effects of
+large trucks", FHWA-RD-79-84) in the form that the splash and spray assessment tool took over
+(Flintsch et al. 2014, FHWA-HRT-15-062). Both were at hand second hand only, as a public program
+that states them. Drop sizes are those that Radovich and Browand measured behind a tyre's groove
+(Radovich 2009, thesis, University of Southern California, its abstract). What is an assumption says
+so beside its number.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import gammaincinv
+
+from rainsim.constants import GRAVITY, SURFACE_TENSION, WATER_DENSITY
+from rainsim.numerics.random import mix, subkey, uniform_triple
+from rainsim.rain.size_distribution import LARGEST, terminal_speed
+
+WAYS = BOW, SIDE, TREAD, FILM = range(4)
+RIB_SHARE = 0.75  # of a tyre's width that is rubber and not groove
+CLINGING = 1e-4  # m of water that clings to the rubber
+GROOVE_DEPTH = 8e-3  # m, of a new tyre: what the tread can hold
+MILES_PER_HOUR = 0.44704  # m/s
+# Spray density [kg/m3] beside a vehicle over the mass rate [kg/s] of each way, against the speed V
+# [miles/h]: slope V + offset [s/m3]. Measured at trucks; where it is negative there is none.
+MIST_SLOPE = np.array([2.67e-5, 1.65e-5, 1.16e-5, -2.69e-5])
+MIST_OFFSET = np.array([-4.71e-4, -3.99e-4, -5.25e-5, 2.43e-3])
+MOST_MIST = 0.5  # share of a way; beyond the speeds that were measured
+# Mean diameter of drops from a groove at its Weber number; sizes go with the root of one over it.
+MEAN_DIAMETER, WEBER, GROOVE_WIDTH = 0.8e-3, 2700.0, 5.5e-3  # m, 1, m
+LARGEST_MEAN = 1.5e-3  # m; an assumption: below 3 m/s no sizes were measured
+FILM_DIAMETER = 1e-4  # m, mean of drops of the clinging film, its own thickness; an assumption
+COARSER = 1.0  # share by which drops of waves of water as deep as the grooves are larger; assumed
+SHAPE = 4  # of the mass over diameters, a gamma distribution: numbers fall exponentially; assumed
+SMALLEST = 1e-4  # m
+MIST_DIAMETER = 1e-4  # m: the smallest drops behind a tyre, as thick as the sheets that they are of
+MIST_LIFE = 4.0  # s: a cloud of 1 m settles at their fall speed of 0.27 m/s
+REMEMBERED = 8.0  # s that mist is followed: 13 % of it are left, and leave
+FLIGHT = 4.0  # s that drops fly at most
+SLOWEST = 0.3  # m/s, below which water closes behind a tyre without being thrown; an assumption
+PARCELS = 16  # drops of one size that fly together, of each way in each step
+
+# How the four ways leave the tyre: assumptions, by eye after pictures of tyres on wet roads.
+LEAVES, GUARD = np.radians((15.0, 30.0)), math.radians(40.0)  # mean angle behind the contact at
+# which tread and film let go; the wheel's housing takes what stays on longer
+SPREAD = 0.08  # of the speed: sideways, of what the tread throws
+AHEAD = np.radians((35.0, 80.0))  # of the bow wave, from straight ahead to the side
+SIDE_SPEED, BOW_SPEED = (0.30, 0.70), (0.20, 0.50)  # of the tyre's speed
+LOW, HIGH = math.radians(6.0), math.radians(32.0)  # of waves: over a film; over water as deep as
+# the grooves, and deeper
+CLEARANCE = 0.6  # of the radius: the highest that drops rise under the car
+AIR_DRAG = 0.5  # of the first speed through the air: quadratic drag, linear at that share of it
+RISE, SPAN = 0.30, 0.22  # of the root of the vehicle's section: the mist's height and deviation
+WAKE, WAKE_TIME = 0.35, 0.5  # share of the speed with which the wake follows, and how long [s]
+JOINED = (0.3, 1 / 12), (1.5, 1 / 6)  # s: mist older than the first is one puff for the second
+STIRRED = 0.08  # m2/s, the turbulence that spreads mist
+
+COLUMNS = (
+    "begin", "end", "x", "y", "z", "x_end", "y_end", "out_x", "out_y", "width", "radius",
+    "covered", "car", "wind_x", "wind_y", "section", "depth", "bow", "side", "tread", "film",
+    "mist",
+)  # fmt: skip
+AT = {name: k for k, name in enumerate(COLUMNS)}
+NO_THROWS = np.zeros((0, len(COLUMNS)))
+
+
+class Parcels(NamedTuple):
+    """Drops of one size that fly together.
+
+    Attributes
+    ----------
+    row, way : ndarray of shape (n,), int64
+        Row of the table of throws; `BOW`, `SIDE`, `TREAD` or `FILM`.
+    volume : ndarray of shape (n,), float64 [m3]
+        Of all its drops.
+    diameter : ndarray of shape (n,), float64 [m]
+    begin : ndarray of shape (n,), float64 [s]
+    start, velocity : ndarray of shape (n, 3), float64 [m], [m/s]
+        When it is thrown.
+    wind : ndarray of shape (n, 2), float64 [m/s]
+    road : ndarray of shape (n,), float64 [m]
+        Height of the ground below.
+    id : ndarray of shape (n,), uint64
+    """
+
+    row: np.ndarray
+    way: np.ndarray
+    volume: np.ndarray
+    diameter: np.ndarray
+    begin: np.ndarray
+    start: np.ndarray
+    velocity: np.ndarray
+    wind: np.ndarray
+    road: np.ndarray
+    id: np.ndarray
+
+    def take(self, where):
+        """Return some of the parcels."""
+        return Parcels(*(part[where] for part in self))
+
+
+class Puffs(NamedTuple):
+    """Clouds of drops, each a Gaussian in space.
+
+    Attributes
+    ----------
+    place : ndarray of shape (n, 3), float64 [m]
+    deviation : ndarray of shape (n,), float64 [m]
+    section : ndarray of shape (n,), float64 [m2]
+        Sum of the cross-sections of a cloud's drops.
+    """
+
+    place: np.ndarray
+    deviation: np.ndarray
+    section: np.ndarray
+
+
+def column(table, name):
+    """Return a column of a table of throws by its name in `COLUMNS`."""
+    return table[:, AT[name]]
+
+
+def thrown_rates(depth, width, speed):
+    """Return the water that a tyre throws by each way [m3/s], ndarray of shape (..., 4).
+
+    Parameters
+    ----------
+    depth : float or ndarray [m]
+        Of the water that the tyre clears.
+    width : float or ndarray [m]
+    speed : float or ndarray [m/s]
+
+    Notes
+    -----
+    With K the share of ribs, c the clinging film and g the depth of the grooves: b V K min(c, h)
+    clings, b V (1 - K) min(g, h) is picked up, and bow wave and side waves share the other water
+    equally. The sum is b V h.
+    """
+    depth, width, speed = np.broadcast_arrays(depth, width, speed)
+    film = RIB_SHARE * np.minimum(CLINGING, depth)
+    tread = (1 - RIB_SHARE) * np.minimum(GROOVE_DEPTH, depth)
+    wave = np.maximum(0.5 * (depth - film - tread), 0.0)
+    return np.stack([wave, wave, tread, film], axis=-1) * (width * speed)[..., None]
+
+
+def mist_share(speed, section):
+    """Return the share of each way's water that becomes mist, ndarray of shape (4,).
+
+    Parameters
+    ----------
+    speed : float [m/s]
+    section : float [m2]
+        Of the cloud behind the vehicle. The spray density times section and speed is the mass that
+        hangs in the air a second. That the section is the box's width times its height is an
+        assumption.
+    """
+    density = MIST_SLOPE * (speed / MILES_PER_HOUR) + MIST_OFFSET  # s/m3
+    return np.clip(density * section * speed, 0.0, MOST_MIST)
+
+
+def mean_diameter(speed):
+    """Return the mean diameter [m] of drops that leave a groove at a speed [m/s].
+
+    0.8 mm at the Weber number 2700 of the groove's width (6 m/s), and with the root of one over it.
+    """
+    weber = WATER_DENSITY * np.square(speed) * GROOVE_WIDTH / SURFACE_TENSION
+    with np.errstate(divide="ignore"):
+        return np.minimum(MEAN_DIAMETER * np.sqrt(WEBER / weber), LARGEST_MEAN)
+
+
+def parcels_of(table, ids):
+    """Return the `Parcels` of a table of throws and its ids (n,) uint64."""
+    ways, numbers = np.arange(4, dtype=np.int64), np.arange(PARCELS, dtype=np.int64)
+    words = subkey(subkey(ids[:, None], ways)[..., None], numbers)
+    row, way, number = (a.ravel() for a in np.broadcast_arrays(
+        np.arange(len(table))[:, None, None], ways[:, None], numbers))  # fmt: skip
+    words = words.ravel()
+    volume = table[row, AT["bow"] + way] / PARCELS
+    there = volume > 0
+    row, way, number, words, volume = (a[there] for a in (row, way, number, words, volume))
+    table = table[row]
+    early, angle, aside = uniform_triple(words)
+    quick, across, size = uniform_triple(mix(words ^ np.uint64(0x5A)))
+    begin, end = column(table, "begin"), column(table, "end")
+    way_x = column(table, "x_end") - column(table, "x")
+    way_y = column(table, "y_end") - column(table, "y")
+    duration = end - begin
+    speed = np.hypot(way_x, way_y) / duration
+    ahead = np.stack([way_x, way_y], axis=-1) / (speed * duration)[:, None]
+    out = np.stack([column(table, "out_x"), column(table, "out_y")], axis=-1)
+    share = (number + early) / PARCELS
+    place = table[:, AT["x"] : AT["y"] + 1] + share[:, None] * np.stack([way_x, way_y], axis=-1)
+    sense = np.where(number % 2 == 0, 1.0, -1.0)  # away from the car, under it
+    forward, sideways, up, back, offset, high = _leaving(
+        table, way, speed, sense, angle, aside, quick, across
+    )
+    start = np.column_stack([place - back[:, None] * ahead + offset[:, None] * out, high])
+    velocity = np.column_stack([forward[:, None] * ahead + sideways[:, None] * out, up])
+    road = column(table, "z")
+    start[:, 2] += road
+    deep = np.where(way < TREAD, np.minimum(column(table, "depth") / GROOVE_DEPTH, 1.0), 0.0)
+    mean = np.where(way == FILM, FILM_DIAMETER, mean_diameter(speed) * (1 + COARSER * deep))
+    diameter = np.clip(mean * gammaincinv(SHAPE, (number + size) / PARCELS), SMALLEST, LARGEST)
+    wind = table[:, AT["wind_x"] : AT["wind_y"] + 1]
+    return Parcels(
+        row, way, volume, diameter, begin + share * duration, start, velocity, wind, road, words
+    )
+
+
+def _leaving(table, way, speed, sense, angle, aside, quick, across):
+    """Return how parcels leave the tyre, by random numbers of 0 to 1.
+
+    Velocities ahead, to the side away from the car and up [m/s], and the place [m] behind the
+    contact, to that side and above the road.
+    """
+    radius, width = column(table, "radius"), column(table, "width")
+    wheel = way >= TREAD
+    scale = np.where(way == TREAD, *LEAVES)
+    turn = -scale * np.log1p(-angle * -np.expm1(-GUARD / scale))  # on the tyre, past the contact
+    deep = np.minimum(column(table, "depth") / GROOVE_DEPTH, 1.0)
+    lift = (LOW + (HIGH - LOW) * deep) * (0.5 + angle)
+    bow = way == BOW
+    azimuth = np.where(bow, AHEAD[0] + (AHEAD[1] - AHEAD[0]) * across, 0.5 * math.pi)
+    slow, fast = (np.where(bow, BOW_SPEED[k], SIDE_SPEED[k]) for k in (0, 1))
+    wave = speed * (slow + (fast - slow) * quick)
+    level = wave * np.cos(lift)
+    forward = np.where(wheel, speed * (1 - np.cos(turn)), level * np.cos(azimuth))
+    sideways = np.where(wheel, SPREAD * speed * (2 * aside - 1), sense * level * np.sin(azimuth))
+    up = np.where(wheel, speed * np.sin(turn), wave * np.sin(lift))
+    under = np.where(wheel, column(table, "covered") > 0, sense < 0)
+    most = np.sqrt(2 * GRAVITY * CLEARANCE * radius)
+    up = np.where(under, np.minimum(up, most), up)
+    back = np.where(wheel, radius * np.sin(turn), np.where(bow, -0.3 * radius, 0.0))
+    offset = np.where(wheel, width * (across - 0.5), 0.5 * sense * width)
+    high = np.where(wheel, radius * (1 - np.cos(turn)), 0.1 * radius * aside)
+    return forward, sideways, up, back, offset, high
+
+
+def flown(parcels, age):
+    """Return place [m] and velocity [m/s] of parcels, (n, 3) each, some seconds after the throw.
+
+    Notes
+    -----
+    Drag pulls the velocity towards that of a drop that falls in the wind, at the rate 1 / t with
+    t = v^2 / (g (v + s w)), v the fall speed, w the first speed through the air and s `AIR_DRAG`:
+    quadratic drag made linear, so that the path has a closed form.
+    """
+    fall = terminal_speed(parcels.diameter)
+    falling = np.column_stack([parcels.wind, -fall])
+    through = np.linalg.norm(parcels.velocity - falling * [1, 1, 0], axis=1)
+    ease = fall**2 / (GRAVITY * (fall + AIR_DRAG * through))
+    gone = -np.expm1(-age / ease)
+    own = parcels.velocity - falling
+    place = parcels.start + falling * age[:, None] + own * (ease * gone)[:, None]
+    return place, falling + own * (1 - gone)[:, None]
+
+
+def landing_age(parcels):
+    """Return how long [s] parcels fly before they come down on the road, at most `FLIGHT`."""
+    low, high = np.zeros(len(parcels.row)), np.full(len(parcels.row), FLIGHT)
+    for _ in range(36):  # to a nanosecond
+        middle = 0.5 * (low + high)
+        above = flown(parcels, middle)[0][:, 2] > parcels.road
+        low, high = np.where(above, middle, low), np.where(above, high, middle)
+    return high
+
+
+def mist_left(table, time):
+    """Return the mist [m3] of each row of a table of throws that still hangs in the air."""
+    age = np.maximum(time - column(table, "end"), 0.0)
+    return column(table, "mist") * np.exp(-age / MIST_LIFE)
+
+
+def mist_puffs(table, time):
+    """Return the mist of a table of throws at a time [s] as `Puffs`; older ones are joined."""
+    begin = column(table, "begin")
+    table = table[(column(table, "mist") > 0) & (begin <= time)]
+    begin, end = column(table, "begin"), column(table, "end")
+    age = np.maximum(time - 0.5 * (begin + end), 0.0)
+    way = table[:, AT["x_end"] : AT["y_end"] + 1] - table[:, AT["x"] : AT["y"] + 1]
+    side = np.sqrt(column(table, "section"))
+    grown = -np.expm1(-age / WAKE_TIME)
+    follows = 0.5 + WAKE * WAKE_TIME * grown / (end - begin)
+    place = np.column_stack([
+        table[:, AT["x"] : AT["y"] + 1] + follows[:, None] * way
+        + age[:, None] * table[:, AT["wind_x"] : AT["wind_y"] + 1],
+        column(table, "z") + 0.5 * column(table, "radius") + RISE * side * grown,
+    ])  # fmt: skip
+    first = 0.5 * column(table, "radius")
+    variance = (first + (SPAN * side) * grown) ** 2 + 2 * STIRRED * age
+    section = cross_section(mist_left(table, time), MIST_DIAMETER)
+    return _joined(table, age, place, variance, section)
+
+
+def _joined(table, age, place, variance, section):
+    """Return `Puffs`, in one puff what an axle threw within a while that grows with the age."""
+    bins = np.select([age > JOINED[1][0], age > JOINED[0][0]], [JOINED[1][1], JOINED[0][1]], 0.0)
+    moment = np.where(bins > 0, np.floor(column(table, "begin") / np.maximum(bins, 1e-9)), 0.0)
+    alone = np.where(bins > 0, 0.0, 1.0 + np.arange(len(table)))
+    key = np.column_stack([column(table, "car"), column(table, "covered"), bins, moment, alone])
+    _, which = np.unique(key, axis=0, return_inverse=True)
+    which = which.ravel()
+    weight = np.bincount(which, section)
+
+    def mean(values):
+        return np.bincount(which, section * values) / weight
+
+    middle = np.column_stack([mean(place[:, k]) for k in range(3)])
+    apart = ((place - middle[which]) ** 2).sum(axis=1) / 3
+    return Puffs(middle, np.sqrt(mean(variance + apart)), weight)
+
+
+def cross_section(volume, diameter):
+    """Return the summed cross-section [m2] of a volume [m3] of drops of one diameter [m]."""
+    return 1.5 * volume / diameter

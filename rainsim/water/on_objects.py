@@ -1,0 +1,151 @@
+"""The water on what stands above the ground: films, puddles, drips from it, and its account."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rainsim.drops import GROUND, joined
+from rainsim.ledger import Ledger
+from rainsim.rain.dripping import Drips, drip_impacts
+
+SMALLEST_ROOM = 1e-30  # m3, keeps tops without water from a division by zero
+
+
+class Objects:
+    """The water on what stands above the ground, with its account; drips from it if asked for.
+
+    Parameters
+    ----------
+    surfaces : Surfaces
+    start : Config
+        Of time 0.
+    tops : TopWater
+    dried : float [m]
+        What evaporation has taken from the tops.
+
+    Attributes
+    ----------
+    drips : Drips or None
+    initial, inflow : float [m3]
+        What was on the objects when the account was opened, and what has risen from outside.
+    tops : TopWater
+    """
+
+    def __init__(self, surfaces, start, tops, dried):
+        rain, wet = start.rain, start.rain.past > 0 or start.water.level is not None
+        self.drips = Drips(surfaces, rain.seed, wet) if rain.drips else None
+        self._surfaces, self._roughness = surfaces, rain.roughness
+        self.initial = self._came = self._returned = self._kept = self.inflow = 0.0
+        self.tops = tops
+        self._on_tops = tops.after(rain.past, dried)
+        if self.drips is not None:
+            self._fill_tops()
+
+    def _fill_tops(self):
+        """Give each drip point the room that the tops above it have, and the water of past rain."""
+        points, count, tops = self.drips.point, len(self.drips.room), len(self._on_tops)
+        room, top = self.tops.room()
+        over = (points >= 0) & (top >= 0)
+        pairs, which = np.unique(points[over] * tops + top[over], return_inverse=True)
+        self._point, self._top = np.divmod(pairs, max(tops, 1))
+        self._room = np.bincount(which, room[over], len(pairs))
+        self._room_of = np.bincount(self._point, self._room, count)
+        share = self._on_tops / np.maximum(self.tops.capacity, SMALLEST_ROOM)
+        self._held_of = np.bincount(self._point, self._room * share[self._top], count)
+        self.drips.hold(self._room_of, self._held_of)
+
+    def top_water(self):
+        """Return the water on each top now [m3], (n,)."""
+        if self.drips is None or not len(self._on_tops):
+            return self._on_tops.copy()
+        return self._on_each(np.maximum(self._room_of - self.drips.room, 0.0))
+
+    def top_water_after(self, rain):
+        """Return the water on each top [m3] (n,) after `rain` [m] that falls evenly."""
+        if self.drips is None or not len(self._on_tops):
+            return self._on_tops.copy()
+        points = self.drips.point
+        cells = np.bincount(points[points >= 0], minlength=len(self._room_of))
+        came = cells * self._surfaces.spacing**2 * rain
+        return self._on_each(np.minimum(self._held_of + came, self._room_of))
+
+    def _on_each(self, held):
+        """Return the water on each top [m3] of what is `held` behind each drip point [m3]."""
+        share = held / np.maximum(self._room_of, SMALLEST_ROOM)
+        parts = len(self._on_tops)
+        mine = np.bincount(self._top, self._room * share[self._point], parts)
+        return (
+            mine
+            / np.maximum(np.bincount(self._top, self._room, parts), SMALLEST_ROOM)
+            * (self.tops.capacity)
+        )
+
+    def open_account(self):
+        """Count what is on the objects and in the air now as there from the start."""
+        self._came = self._returned = self._kept = 0.0
+        if self.drips is not None:
+            self.initial = self.drips.held + self.drips.airborne
+
+    def take_rain(self, hits, fine_depth):
+        """Give the objects what fell on them, and a depth [m] of finer rain."""
+        if self.drips is not None:
+            self._came += self.drips.take_rain(hits, fine_depth)
+        else:
+            fallen = float(hits.volume[hits.kind != GROUND].sum())
+            self._came += fallen
+            self._kept += fallen
+
+    def take_even_rain(self, depth):
+        """Give the objects a depth [m] of rain that falls evenly."""
+        if self.drips is not None:
+            self._came += self.drips.take_even_rain(depth)
+
+    def let_in(self, solver, rows, columns, volumes):
+        """Give the ground water that rises from outside, and take what falls."""
+        more, less = volumes > 0, volumes < 0
+        solver.deposit(rows[more], columns[more], volumes[more])
+        solver.withdraw(rows[less], columns[less], -volumes[less])
+        self.inflow += float(volumes[more].sum())
+
+    def advance(self, start, stop, weather):
+        """Return the rows, columns and volumes [m3] of what comes down from them."""
+        if self.drips is None:
+            return np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0)
+        wind = weather.wind(0.5 * (start + stop)), self._roughness
+        rows, columns, volumes = self.drips.advance(start, stop, *wind)
+        self._returned += float(volumes.sum())
+        return rows, columns, volumes
+
+    def with_drips(self, hits, start, stop):
+        """Return `hits` and the drips that came to the ground from `start` to `stop` [s]."""
+        if self.drips is None:
+            return hits
+        drips = drip_impacts(*self.drips.falling(), self._surfaces, start, stop)
+        return joined(hits, drips.take(drips.kind == GROUND))
+
+    def falling(self):
+        """Return the drips in the air and their ids, as `SimState` holds them."""
+        return () if self.drips is None else self.drips.falling()
+
+    def ledger(self, report, solver):
+        """Return the solver's ledger with the objects' water in it, as a dict."""
+        held, airborne = self._kept, 0.0
+        if self.drips is not None:
+            held, airborne = held + self.drips.held, self.drips.airborne
+        ledger = solver.ledger if report is None else report.ledger
+        return self.with_objects(ledger, self._came, self._returned, held, airborne, self.inflow)
+
+    def with_objects(self, ledger, came, returned, held, airborne, inflow):
+        """Return a solver's ledger as a dict, with the objects' water [m3] in it.
+
+        `came` to the objects, `returned` to the ground, is `held` on them, is `airborne` as drips
+        now, or came as `inflow` from outside the map.
+        """
+        ledger = ledger.as_dict()
+        ledger["initial"] += self.initial
+        # The solver books water from objects and from outside as rain.
+        ledger["rain"] += came - returned - inflow
+        ledger["inflow"] += inflow
+        ledger["obstacles"] += held
+        ledger["airborne"] += airborne
+        return Ledger.from_dict(ledger).as_dict()

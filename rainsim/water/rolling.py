@@ -1,0 +1,332 @@
+"""Cars on a wet road over time: tyres take water from it, throw it, and it comes down again."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import ndimage
+
+from rainsim.errors import ParameterError
+from rainsim.ledger import Ledger
+from rainsim.numerics.random import mix, subkey
+from rainsim.rain.tyres import (
+    AT,
+    COLUMNS,
+    NO_THROWS,
+    REMEMBERED,
+    SLOWEST,
+    column,
+    flown,
+    landing_age,
+    mist_left,
+    mist_share,
+    parcels_of,
+    thrown_rates,
+)
+from rainsim.rain.wind import wind_at
+from rainsim.scene.wheels import MOST_WHEELS, REMEDY, wheels_of
+
+LEFT = 1e-4  # m of water that stays in the road's texture under a tyre; an assumption
+LONGEST_STEP = 1 / 24  # s: within it a tyre rolls straight at one speed
+FASTEST = 100.0  # m/s, 360 km/h: what is faster is a track that jumps or a wrong scale
+OFF_THE_ROAD = 0.3  # m: a wheel farther from the ground of the map stands on something else
+BEFORE = 1.5  # s before the first frame that cars have driven already
+PATCH = 0.12  # m: radius of the patch on which a parcel comes down
+STANDS = 0.05  # m over the bed: what is higher stops drops
+WIND_AT = 1.0  # m: height of the wind that carries drops and mist
+SHOULDER = 1.0  # cells: deviation with which the edges of tracks are softened
+NO_TRACKS = np.zeros((0, 0), np.uint8)
+
+
+@dataclass(frozen=True)
+class _Car:
+    """A mover with its tyres, in metres and the node frame; front tyres come first."""
+
+    mover: object
+    patches: np.ndarray  # (n, 3)
+    width: np.ndarray
+    radius: np.ndarray
+    middle: np.ndarray  # (3,)
+    covered: np.ndarray  # (n,), whether the car's floor is behind the tyre
+    section: float  # m2
+
+
+class Tyres:
+    """The tyres of the cars on a terrain and the water that they have thrown.
+
+    Parameters
+    ----------
+    terrain : Terrain
+    seed : int
+    roughness : float [m]
+        See `rain.wind.wind_shares`.
+
+    Attributes
+    ----------
+    lifted, returned, kept, gone : float [m3]
+        Water that the tyres took from the road; the part of it that came down on the ground, on
+        things that stand there, and beside the map.
+
+    Raises
+    ------
+    ParameterError
+        If a car's box is none of a road vehicle, or its track faster than `FASTEST`.
+    """
+
+    def __init__(self, terrain, seed=0, roughness=0.0):
+        self._terrain, self._roughness = terrain, roughness
+        self._key = mix(np.array([seed % 2**64], np.uint64) ^ np.uint64(0x7912E5))
+        found = ((m, wheels_of(m.body, m.scale)) for m in terrain.movers if m.body is not None)
+        self._cars = [_car(mover, wheels) for mover, wheels in found if len(wheels)]
+        for car in self._cars:
+            _require_possible(car)
+        self.lifted = self.returned = self.kept = self.gone = self._mist = 0.0
+        self._throws, self._ids = NO_THROWS, np.zeros(0, np.uint64)
+        self._landing = np.zeros((0, 4))  # end [s], row, column, volume [m3]; row -1: beside it
+        self._passed = np.zeros(terrain.grid.shape, bool) if self._cars else None
+        spacing = terrain.grid.spacing
+        step = max(1, round(PATCH / 3 / spacing))  # cells between those that take a share
+        reach = step * math.ceil(PATCH / (step * spacing))
+        j, i = np.mgrid[-reach : reach + 1 : step, -reach : reach + 1 : step]
+        near = np.hypot(j, i) * spacing <= max(PATCH, 0.5 * spacing)
+        self._patch = np.column_stack([j[near], i[near]])
+        self._stands = terrain.top - terrain.bed > STANDS
+
+    def start(self, solver, weather):
+        """Let cars drive for a while before time 0, so that the first frame has their spray.
+
+        Returns
+        -------
+        WaterReport or None
+            Of the water without what they threw; None without cars.
+        """
+        if not self._cars:
+            return None
+        for k in range(math.ceil(BEFORE / LONGEST_STEP), 0, -1):
+            self._step(solver, -k * LONGEST_STEP, -(k - 1) * LONGEST_STEP, weather)
+        return solver.advance(0.0)
+
+    def roll(self, solver, start, stop, weather):
+        """Let cars roll from `start` to `stop` [s], and what they have thrown come down.
+
+        Parameters
+        ----------
+        solver : WaterSolver
+        start, stop : float [s]
+        weather : Weather
+        """
+        if not self._cars:
+            return
+        count = max(1, math.ceil((stop - start) / LONGEST_STEP - 1e-6))
+        times = np.linspace(start, stop, count + 1)
+        for k in range(count):
+            self._step(solver, float(times[k]), float(times[k + 1]), weather)
+
+    def throws(self):
+        """Return the table of throws that may still be in the air, and its ids."""
+        return self._throws.copy(), self._ids.copy()
+
+    def state(self, depth):
+        """Return throws, their ids and tracks over water of a depth, as `SimState` takes them."""
+        throws, ids = self.throws()
+        return {"throws": throws, "throw_id": ids, "tracks": self.tracks(depth)}
+
+    def tracks(self, depth):
+        """Return how full the film is where tyres have passed, uint8 (ny, nx) of 255.
+
+        Parameters
+        ----------
+        depth : ndarray of shape (ny, nx) [m]
+            Of the water.
+
+        Returns
+        -------
+        ndarray
+            255 where none has passed; of shape (0, 0) where none has passed at all.
+        """
+        if self._passed is None or not self._passed.any():
+            return NO_TRACKS
+        full = np.maximum(self._terrain.by_class("storage"), LEFT)
+        share = np.where(self._passed, np.clip(depth / full, 0, 1), 1.0).astype(np.float32)
+        return np.rint(ndimage.gaussian_filter(share, SHOULDER) * 255).astype(np.uint8)
+
+    def book(self, ledger, time):
+        """Return a ledger (a dict) with the water that tyres have thrown in it.
+
+        The solver books what is lifted as drained and what comes down as rain.
+        """
+        if not self._cars:
+            return ledger
+        ledger = dict(ledger)
+        hanging = float(mist_left(self._throws, time).sum())
+        ledger["drained"] -= self.lifted
+        ledger["rain"] -= self.returned
+        ledger["airborne"] += float(self._landing[:, 3].sum()) + hanging
+        ledger["obstacles"] += self.kept
+        ledger["outflow"] += self.gone + self._mist - hanging
+        return Ledger.from_dict(ledger).as_dict()
+
+    def _step(self, solver, start, stop, weather):
+        """Throw what all tyres meet in a step, and bring down what has flown long enough."""
+        wind = weather.wind(0.5 * (start + stop)) * float(wind_at(WIND_AT, self._roughness))
+        rows, ids = [], []
+        tick = round(stop / (LONGEST_STEP / 64))
+        for number, car in enumerate(self._cars):
+            places = _places(car, start), _places(car, stop)
+            if places[0] is None or places[1] is None:
+                continue
+            middle = _middle(car, stop)
+            for k in range(len(car.width)):
+                row = self._throw(
+                    solver, car, k, places[0][k], places[1][k], middle, start, stop, wind
+                )
+                if row is not None:
+                    row[AT["car"]] = number
+                    rows.append(row)
+                    ids.append((number * MOST_WHEELS + k, tick))
+        if rows:
+            table, (wheel, moment) = np.array(rows), np.array(ids, np.int64).T
+            ids = subkey(subkey(self._key, wheel), moment)
+            self._mist += float(column(table, "mist").sum())
+            self._throws = np.concatenate([self._throws, table])
+            self._ids = np.concatenate([self._ids, ids])
+            self._landing = np.concatenate([self._landing, self._landings(table, ids)])
+        recent = column(self._throws, "end") > stop - REMEMBERED
+        self._throws, self._ids = self._throws[recent], self._ids[recent]
+        self._land(solver, stop)
+
+    def _throw(self, solver, car, k, begin, end, middle, start, stop, wind):
+        """Take the water in the path of one tyre; return its row of the table, or None."""
+        step = np.hypot(*(end - begin)[:2])
+        speed = step / (stop - start)
+        if speed < SLOWEST:
+            return None
+        grid = self._terrain.grid
+        rows, columns = _swept(grid, begin, end, float(car.width[k]))
+        if len(rows):
+            off = np.abs(self._terrain.bed[rows, columns] - 0.5 * (begin + end)[2])
+            rows, columns = (a[off < OFF_THE_ROAD] for a in (rows, columns))
+        if not len(rows):
+            return None
+        self._passed[rows, columns] = True
+        lifted = solver.lift(rows, columns, LEFT)
+        if lifted <= 0:
+            return None
+        self.lifted += lifted
+        depth = lifted / (len(rows) * grid.cell_area)
+        rates = thrown_rates(depth, car.width[k], speed)
+        volumes = lifted * rates / rates.sum()
+        mist = volumes * mist_share(speed, car.section)
+        out = 0.5 * (begin + end)[:2] - middle[:2]
+        ahead = (end - begin)[:2] / step
+        out -= (out @ ahead) * ahead
+        length = np.hypot(*out)
+        out = out / length if length > 0 else np.array([-ahead[1], ahead[0]])
+        row = np.zeros(len(COLUMNS))
+        row[: AT["bow"]] = (
+            start, stop, *begin, *end[:2], *out, car.width[k], car.radius[k], car.covered[k],
+            0, *wind, car.section, depth,
+        )  # fmt: skip
+        row[AT["bow"] : AT["mist"]] = volumes - mist
+        row[AT["mist"]] = mist.sum()
+        return row
+
+    def _landings(self, table, ids):
+        """Return when and where the drops of a table of throws come down, see `_landing`."""
+        parcels = parcels_of(table, ids)
+        age = landing_age(parcels)
+        place, _ = flown(parcels, age)
+        grid, count = self._terrain.grid, len(self._patch)
+        cell = np.floor((place[:, :2] - grid.origin) / grid.spacing).astype(np.int64)[:, ::-1]
+        cells = (cell[:, None] + self._patch).reshape(-1, 2)
+        inside = ((cells >= 0) & (cells < grid.shape)).all(axis=1)
+        cells[~inside] = -1
+        return np.column_stack([
+            np.repeat(parcels.begin + age, count), cells, np.repeat(parcels.volume / count, count)
+        ])  # fmt: skip
+
+    def _land(self, solver, time):
+        """Bring down what lands up to a time [s]."""
+        due = self._landing[:, 0] < time
+        down, self._landing = self._landing[due], self._landing[~due]
+        cells, volume = down[:, 1:3].astype(np.int64), down[:, 3]
+        inside = cells[:, 0] >= 0
+        self.gone += float(volume[~inside].sum())
+        (row, column), volume = cells[inside].T, volume[inside]
+        held = self._stands[row, column]
+        self.kept += float(volume[held].sum())
+        row, column, volume = row[~held], column[~held], volume[~held]
+        self.returned += float(volume.sum())
+        solver.deposit(row, column, volume)
+
+
+def _car(mover, wheels):
+    """Return the `_Car` of a mover and its wheels (n, 5) [m]; those in front come first."""
+    centre, size = mover.body.box * mover.scale
+    wheels = wheels[np.argsort(-wheels[:, 0], kind="stable")]
+    rearmost = wheels[:, 0].min()
+    covered = wheels[:, 0] > rearmost + 0.5 * wheels[:, 4]
+    return _Car(
+        mover, wheels[:, :3], wheels[:, 3], wheels[:, 4], centre, covered, float(size[1] * size[2])
+    )
+
+
+def _pose(car, time):
+    """Return the pose of a car at a time [s], None while it is not there.
+
+    Before a track that is there from its first key on, the car has come as it goes on.
+    """
+    track = car.mover.track
+    first = float(track.time[0])
+    if time >= first or not track.visible[0] or len(track.time) < 2:
+        return track.at(time), np.zeros(3)
+    step = min(0.1, float(track.time[1]) - first)
+    pose = track.pose(first)
+    speed = (track.pose(first + step).position - pose.position) / step
+    return pose, (time - first) * speed
+
+
+def _places(car, time):
+    """Return where the tyres of a car touch the ground at a time [s], (n, 3) [m]; None: nowhere."""
+    pose, moved = _pose(car, time)
+    if pose is None:
+        return None
+    return car.mover.places(car.patches, pose._replace(position=pose.position + moved))
+
+
+def _middle(car, time):
+    """Return the middle of a car's box at a time [s], (3,) [m]."""
+    pose, moved = _pose(car, time)
+    return car.mover.places(car.middle[None], pose._replace(position=pose.position + moved))[0]
+
+
+def _swept(grid, begin, end, width):
+    """Return rows and columns of the cells whose middles a tyre passes over on a straight way."""
+    half, (x0, y0), spacing = 0.5 * max(width, grid.spacing), grid.origin, grid.spacing
+    low, high = np.minimum(begin, end)[:2] - half, np.maximum(begin, end)[:2] + half
+    first = np.maximum(np.floor((low - (x0, y0)) / spacing).astype(int), 0)
+    last = np.minimum(np.ceil((high - (x0, y0)) / spacing).astype(int), grid.shape[::-1])
+    if (first >= last).any():
+        return np.zeros(0, np.int64), np.zeros(0, np.int64)
+    j, i = np.mgrid[first[1] : last[1], first[0] : last[0]]
+    x, y = x0 + (i + 0.5) * spacing - begin[0], y0 + (j + 0.5) * spacing - begin[1]
+    way = (end - begin)[:2]
+    length = np.hypot(*way)
+    along, aside = (x * way[0] + y * way[1]) / length, (y * way[0] - x * way[1]) / length
+    inside = (along >= 0) & (along < length) & (np.abs(aside) < half)
+    return j[inside], i[inside]
+
+
+def _require_possible(car):
+    """Raise ParameterError if a car's track is faster than any car while it is there."""
+    track, mover = car.mover.track, car.mover
+    step = np.linalg.norm(np.diff(track.position, axis=0), axis=1) * mover.scale
+    speed = step / np.diff(track.time) * track.visible[:-1]
+    if len(speed) and speed.max() > FASTEST:
+        k = int(speed.argmax())
+        raise ParameterError(
+            f"node {mover.body.id} moves at {speed[k]:.4g} m/s from {track.time[k]:g} s on; what "
+            f"has tyres must move at {FASTEST:g} m/s at most; {REMEDY}, or hide it there"
+        )
