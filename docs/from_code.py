@@ -6,6 +6,7 @@ by the Markdown that the function of this name in `PARTS` returns.
 
 from __future__ import annotations
 
+import ast
 import inspect
 import re
 from pathlib import Path
@@ -174,13 +175,55 @@ def names():
     return "\n".join(parts)
 
 
+def documented(nodes):
+    """Return how many of these syntax nodes have a docstring, and how many there are."""
+    nodes = list(nodes)
+    return sum(bool(ast.get_docstring(node)) for node in nodes), len(nodes)
+
+
+def public_nodes(kinds):
+    """Yield the syntax nodes of all public functions, methods or classes of the package."""
+    for path in sorted((ROOT / "rainsim").rglob("*.py")):
+        module = ast.parse(path.read_text(encoding="utf-8"))
+        classes = [node for node in module.body if isinstance(node, ast.ClassDef)]
+        for place in [module, *(one for one in classes if not one.name.startswith("_"))]:
+            for node in place.body:
+                if isinstance(node, kinds) and not node.name.startswith("_"):
+                    yield node
+
+
+def counts():
+    """Return how many of each kind of thing are documented, of all that exist."""
+    from rainsim.config.key_texts import MEANINGS
+    from rainsim.config.preset_files import HUMAN_KEYS
+    from rainsim.render.aov import AOVS
+
+    every = [command for _, command in commands()]
+    options = [p for command in every for p in command.params if p.param_type_name == "option"]
+    shown = [name for name in rainsim.__all__ if name != "__version__"]
+    listed = re.findall(r"^### rainsim\.(\w+)", names(), re.M)
+    functions = (ast.FunctionDef, ast.AsyncFunctionDef)
+    pairs = {
+        "commands": (sum(bool(command.help) for command in every), len(every)),
+        "options": (sum(bool(option.help) for option in options), len(options)),
+        "keys of preset files": (sum(key in MEANINGS for key in HUMAN_KEYS), len(HUMAN_KEYS)),
+        "presets": (presets().count("\n### ") + 1, len(preset_files.preset_names())),
+        "layers": (sum(bool(aov.what) for aov in AOVS.values()), len(AOVS)),
+        "environment variables": (sum(map(bool, VARIABLES.values())), len(VARIABLES)),
+        "public names of the library": (len(set(listed) & set(shown)), len(shown)),
+        "functions and methods without a leading underscore": documented(public_nodes(functions)),
+        "classes without a leading underscore": documented(public_nodes(ast.ClassDef)),
+    }
+    return table(("what", "documented", "exist"), [(k, *pair) for k, pair in pairs.items()])
+
+
 CONTENTS = {
     "Begin": "start capture recipes gallery limits compared",
     "Roads": "roads/film roads/perception roads/hydraulics",
     "Subjects": "concepts conventions ground water rain light wet splatting layers actors datasets "
     "sensors view cuda many_machines",
     "Reference": "reference/commands reference/settings reference/files reference/python "
-    "architecture",
+    "reference/counts architecture",
     "Measurements": "measurements measurements/frame-cpu measurements/frame-gpu "
     "measurements/splatting measurements/reflections measurements/day measurements/rain "
     "measurements/water measurements/ground measurements/start",
@@ -201,7 +244,7 @@ PARTS = {
     "contents": contents,
     "commands": command_pages, "keys": keys, "presets": presets, "layers": layers,
     "variables": variables, "exit codes": exit_codes, "classes": classes, "formats": formats,
-    "names": names,
+    "names": names, "counts": counts,
 }  # fmt: skip
 
 

@@ -108,6 +108,14 @@ def test_every_key_layer_variable_and_name_is_documented(from_code):
     assert "| 1 |" in from_code.formats() and "paving" in from_code.classes()
 
 
+def test_all_that_exists_is_documented(from_code):
+    rows = re.findall(r"^\| ([^|]+) \| (\d+) \| (\d+) \|$", from_code.counts(), re.M)
+    there = {what: int(exist) for what, _, exist in rows}
+    assert len(there) == 9 and all(documented == exist for _, documented, exist in rows), rows
+    assert there["options"] > 200 and there["keys of preset files"] == len(HUMAN_KEYS)
+    assert there["functions and methods without a leading underscore"] > 1000
+
+
 def test_every_variable_of_ours_that_the_code_reads_is_documented():
     text = "".join(path.read_text(encoding="utf-8") for path in ROOT.glob("rainsim/**/*.py"))
     used = set(re.findall(r"\"(RAINSIM_[A-Z_]+)\"", text))
