@@ -44,7 +44,7 @@ def write(path, commands, shots):
     fps = float(re.search(r"--fps (\S+)", commands[0])[1])
     first, *others = map(Image.fromarray, shots[0])
     moving = {"save_all": True, "append_images": others, "duration": round(1000 / fps), "loop": 0}
-    first.save(path, quality=72, method=6, exif=about, **moving)
+    first.save(path, quality=72, method=6, kmax=1, exif=about, **moving)
 
 
 def main(pages=PAGES, only=None):
