@@ -132,6 +132,15 @@ def test_pictures_of_pages_are_there_and_used():
     assert pictures <= used, sorted(name_of(path) for path in pictures - used)
 
 
+@pytest.mark.parametrize("path", SHOWN)
+def test_every_picture_stands_near_its_command(path):
+    text = path.read_text(encoding="utf-8")
+    for match in re.finditer(r"!\[[^\]]*\]\(([^)]+)\)", text):
+        near = text[max(0, match.start() - 1200) : match.end() + 700]
+        by = r"rainsim (bench|run|view|heightmap|export) |rainsim (bench|view)|python examples/"
+        assert re.search(rf"{by}|gallery\.md", near), match[1]
+
+
 def test_the_version_stands_in_the_citation():
     text = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
     assert f"version: {rainsim.__version__}\n" in text
