@@ -86,7 +86,11 @@ def client_of(address=None, workers=1, backend="cpu", threads=None):
 
 
 async def _end(nannies):
-    await asyncio.gather(*(nanny.close(timeout=NO_PATIENCE) for nanny in nannies))
+    """Kill the processes of workers; one that lingers after that on a busy machine is let go."""
+    closing = (nanny.close(timeout=NO_PATIENCE) for nanny in nannies)
+    for fault in await asyncio.gather(*closing, return_exceptions=True):
+        if isinstance(fault, BaseException) and not isinstance(fault, TimeoutError):
+            raise fault
 
 
 def _connected(distributed, address):

@@ -1,5 +1,6 @@
 """Workers of dask.distributed: the same bytes as in one go, whatever befalls them."""
 
+import asyncio
 import os
 import pickle
 import random
@@ -142,6 +143,26 @@ def test_nothing_listens_beyond_this_machine(client):
         if link.status == "LISTEN"
     }
     assert len(client.run(os.getpid)) == 2 and found == {"127.0.0.1"}
+
+
+class Nanny:
+    """In place of the engine's: notes that it is closed, and raises a fault."""
+
+    def __init__(self, fault=None):
+        self.fault, self.closed = fault, False
+
+    async def close(self, timeout):
+        self.closed = True
+        if self.fault:
+            raise self.fault
+
+
+def test_killed_workers_that_linger_fail_no_finished_run():
+    slow, quick = Nanny(TimeoutError()), Nanny()
+    asyncio.run(cluster._end([slow, quick]))
+    assert slow.closed and quick.closed
+    with pytest.raises(RuntimeError, match="of another kind"):
+        asyncio.run(cluster._end([Nanny(RuntimeError("of another kind")), slow]))
 
 
 def test_without_the_engine_one_line_says_what_brings_it(monkeypatch):
