@@ -41,7 +41,7 @@ WALL_SHARE = np.float32(0.15)  # of the depth by which a wall's plane may differ
 TO_BORDER = np.float32(1.01)  # cells before the map's end that interpolation still reaches
 SKY_SINE = np.float32(0.03)  # sine of the elevation above which there may be sky
 OPEN_LOW, OPEN_HIGH = np.float32(-0.12), np.float32(-0.06)  # sines from which an open sky shows
-HOLE, GAP = np.float32(0.4), np.float32(0.9)  # of a pixel left open: a flaw, and the sky
+HOLE, GAP = np.float32(0.2), np.float32(0.6)  # of a pixel left open: a flaw, and the sky
 LEAST_SKY = np.float32(0.002)  # share of sky that does not change an 8-bit picture
 
 

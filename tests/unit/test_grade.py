@@ -155,7 +155,7 @@ def test_what_lies_behind_shows_where_nothing_was_captured_also_below_the_horizo
     assert min(behind) > 0.05
     np.testing.assert_allclose(seen(0.0), behind, rtol=1e-5)
     np.testing.assert_allclose(
-        seen(0.7),
-        wetting.graded(*wetting.undiluted(*F4([0.14, 0.14, 0.14]), F4(1)), look),
+        seen(0.85),
+        wetting.graded(*wetting.undiluted(*F4([0.17, 0.17, 0.17]), F4(1)), look),
         rtol=1e-5,
     )  # a half open pixel: nothing behind it
