@@ -33,7 +33,14 @@ from rainsim.reflection.water_record import (
     write_slopes,
 )
 from rainsim.reflection.water_surface import WaterMap
-from rainsim.reflection.wet_tops import FILM_SLOPE, RING_HIGH, RING_LOW, TopMaps, top_below
+from rainsim.reflection.wet_tops import (
+    BOARD_RINGS,
+    FILM_SLOPE,
+    RING_HIGH,
+    RING_LOW,
+    TopMaps,
+    top_below,
+)
 from rainsim.scene.view import View, in_camera, pixel_ray
 from rainsim.shading.fresnel import REFRACTIVE_INDEX, reflectance
 from rainsim.water.ripples import LAYERS
@@ -91,7 +98,7 @@ def water_at(view, water_map, tops, row, column, t, coverage):
     share = smoothstep(RIPPLE_LOW, RIPPLE_HIGH, water_depth)
     share *= SHELTERED_SHARE + (ONE - SHELTERED_SHARE) * bilinear(water_map.rings, u, v)
     if top >= 0:
-        water_depth, share = on_top, smoothstep(RING_LOW, RING_HIGH, on_top)
+        water_depth, share = on_top, BOARD_RINGS * smoothstep(RING_LOW, RING_HIGH, on_top)
     return WaterPixel(
         water.x, water.y, water.z, water.view_x, water.view_y, water.view_z, abs(t), water_depth,
         coverage, share, ZERO, ZERO, ZERO, ZERO, ZERO, water.width,

@@ -11,6 +11,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from scipy import ndimage
 
 from rainsim.constants import HALF, ONE, TWO, ZERO
 from rainsim.jit import cpu_kernel, inlined_function, prange
@@ -22,14 +23,24 @@ from rainsim.shading.wetness import OffGroundWetness
 
 # m from its surface up to which what a picture shows is a top; its depth is blended at the edges
 NEAR_TOP, OFF_TOP = np.float32(0.03), np.float32(0.06)
+# m below and above it that are the capture's error; lower there is the top's side
+WARP_LOW, WARP_HIGH = np.float32(-0.006), np.float32(0.012)
 SAME_HEIGHT = np.float32(0.03)  # m, of water on a top from the top's surface
 FILM_SLOPE = np.float32(0.1)  # rms slope of a water film on boards and paint, along one axis
 THIN, FULL = np.float32(0.15e-3), np.float32(0.8e-3)  # m of water: still a film, a smooth puddle
 # m of water on smooth ground: no rings, full ones; thinner than on the ground, whose stones break
 # the surface.
 RING_LOW, RING_HIGH = np.float32(0.3e-3), np.float32(2e-3)
+# Amplitude of rings on a board over that on a puddle of 6 mm and a mean chord of half a metre. The
+# shores of a puddle of 3 to 5 cm of radius take most waves: by the balance of drops, damping and
+# that way it has .33 to .45 of the rms slope, .5 to 3 mm deep, at 10 and 50 mm/h.
+BOARD_RINGS = np.float32(0.4)
 FILM_SHARE = np.float32(0.95)  # of a full film on what takes up some water
 QUARTER, LEAST_WAY = np.float32(0.25), np.float32(0.05)
+# A film rounds off where it ends, at gaps and edges, within some millimetres (water's capillary
+# length is 2.7 mm). Drawn is the Gaussian mean of this width in cells of the patch, from the first
+# level up, whole at the second.
+ROUNDED, ENDS, WHOLE = 0.8, 0.4, 1.0
 MARGIN = 0.3  # m around the middle of a top, beyond its width, that it surely ends in
 FORM = 13  # numbers of a top
 (CORNER_X, CORNER_Y, FIRST_ROW, ROWS, COLUMNS, CENTRE_X, CENTRE_Y, CONSTANT, BY_X, BY_Y, BY_XX,
@@ -68,9 +79,22 @@ def top_maps(terrain, water):
         form[:, CONSTANT : BY_YY + 1] = tops.surface
     return TopMaps(
         np.ascontiguousarray(tops.index), form, np.zeros((len(tops), 2), np.float32), water.depths,
-        tops.holds.astype(np.float32), np.array(terrain.grid.origin, np.float32),
+        drawn_film(tops.holds), np.array(terrain.grid.origin, np.float32),
         *(np.float32(n) for n in (terrain.grid.spacing, tops.spacing, low, high)),
     )  # fmt: skip
+
+
+def drawn_film(holds):
+    """Return the share of a water film that is drawn where it may stand, (rows, columns) float32.
+
+    Parameters
+    ----------
+    holds : ndarray of shape (rows, columns), bool
+        Of `terrain.types.Tops`: a mask whose edges would show its cells.
+    """
+    mean = ndimage.gaussian_filter(holds.astype(np.float32), ROUNDED)
+    part = np.clip((mean - np.float32(ENDS)) / np.float32(WHOLE - ENDS), 0, 1)
+    return part * part * (3 - 2 * part)
 
 
 DRY_TOPS = TopMaps(  # of a scene without any
@@ -211,7 +235,13 @@ def wet_top(view, tops, rain, depth, row, column):
     hit = depth - above / fall
     covers = film_on(rain)
     if is_level(tops, k):
-        holds, water = on_patch(tops, k, eye[0] + hit * x, eye[1] + hit * y)
+        # A capture's tops are warped by some millimetres, which a slanted view shows as a shift.
+        # The patch was seen from above: it is looked up where the pixel's own depth puts it.
+        warp = min(max(above, WARP_LOW), WARP_HIGH)
+        place = depth - (above - warp) / fall
+        holds, water = on_patch(tops, k, eye[0] + place * x, eye[1] + place * y)
+        if not share_over(tops, k, eye[0] + hit * x, eye[1] + hit * y) > ZERO:
+            return ZERO, ZERO  # a flat view: the ray meets the plane beside the top
         covers = max(covers, smoothstep(THIN, FULL, water)) * holds
     else:
         covers *= share_over(tops, k, eye[0] + hit * x, eye[1] + hit * y)

@@ -30,7 +30,11 @@ MOST_CELLS = 1_000_000  # of all patches
 BAND = 0.05  # m above and below the surface, within which splats belong to a top
 SEEN_ALPHA = 0.6
 FARTHEST = 0.02  # m from the surface, of cells on which water can stand
-GAP_WIDTH, GAP_DARK = 0.025, 0.12  # m, and the share by which a gap is darker than what is around
+GAP_WIDTH, GAP_DARK = 0.025, 0.035  # m, and the share by which a gap is darker than what is around,
+# on the mean over GAP_LENGTH along it and beyond what it is across: a capture blurs gaps of some mm
+GAP_LENGTH, GAP_TURNS = 0.08, 16  # m, and directions of a half turn
+DARKEST = 0.3  # share that counts: one black spot makes no line
+GAP_CELLS = 8  # of a gap that is found; smaller ones are knots
 SMOOTHING, STRAIGHT = 0.02, 0.12  # m, of the relief: finer forms are noise, broader ones are the
 # capture's warp, since boards and slabs are built straight
 RIM = 0.03  # m along the edge: there splats bend down
@@ -269,8 +273,32 @@ def seen_from_above(tops, k, grid, scene):
 
 
 def gaps_in(light, alpha, spacing):
-    """Return the mask of dark lines: the gaps between planks."""
+    """Return the mask of dark lines: the gaps between planks.
+
+    A gap is faint where the capture blurs it, but it is straight: darkness is averaged along each
+    direction, and a line is where one direction is darker than most are.
+    """
     size = max(3, 2 * round(GAP_WIDTH / spacing / 2) + 1)
     filled = np.where(alpha > SEEN_ALPHA, light, 0)
     around = ndimage.grey_closing(filled, size=(size, size))
-    return around - filled > GAP_DARK * np.maximum(around, 0.02)
+    dark = np.clip((around - filled) / np.maximum(around, 0.02), 0, DARKEST)
+    along = np.stack([
+        ndimage.convolve(dark, needle, mode="constant") for needle in _needles(GAP_LENGTH / spacing)
+    ])  # fmt: skip
+    line = along.max(axis=0)
+    gap = (line - np.median(along, axis=0) > GAP_DARK) & (dark > 0.5 * line)
+    labels, count = ndimage.label(gap, structure=np.ones((3, 3)))
+    long = np.bincount(labels.ravel(), minlength=count + 1) >= GAP_CELLS
+    long[0] = False
+    return long[labels]
+
+
+def _needles(length):
+    """Yield the weights of means over lines of a `length` [cells] in each direction."""
+    half = max(round(length / 2), 1)
+    steps = np.linspace(-half, half, 8 * half + 1)
+    for turn in np.pi / GAP_TURNS * np.arange(GAP_TURNS):
+        needle = np.zeros((2 * half + 1, 2 * half + 1))
+        place = (np.rint(half + steps * f(turn)).astype(int) for f in (np.sin, np.cos))
+        np.add.at(needle, tuple(place), 1.0)
+        yield needle / needle.sum()

@@ -8,6 +8,7 @@ import pytest
 from rainsim.drops import RainField, RainSpectrum, drop_volume, flat_surfaces, impacts
 from rainsim.errors import ParameterError
 from rainsim.rain.size_distribution import terminal_speed
+from rainsim.reflection.wet_tops import BOARD_RINGS
 from rainsim.water.ripples import (
     FOOTPRINT,
     LAYERS,
@@ -276,3 +277,24 @@ def test_shores_take_the_waves_of_a_small_puddle():
     speed = (angular_frequency(k * 1.001, 0.05) - angular_frequency(k, 0.05)) / (0.001 * k)
     lost = small.energy() / wide.energy()
     assert lost == pytest.approx(np.exp(-speed / 0.4), rel=0.02) and lost < 0.8
+
+
+def slopes_in_balance(rate, depth, way):
+    """Mean square slope of the rings of rain that run a `way` [m] to the shore, in one unit."""
+    k = np.geomspace(20.0, 1000.0, 2000)
+    omega = angular_frequency(k, depth)
+    pushed = k**2 * np.tanh(k * depth) * np.exp(-((k * FOOTPRINT) ** 2))
+    fading = 2 * damping_rate(k, depth, stirred=stirring(rate))
+    left = -np.expm1(-way * fading / np.gradient(omega, k))
+    slopes = k**2 * pushed * left / fading / (9810 + 0.0728 * k**2)
+    return np.trapezoid(slopes, k) / np.trapezoid(pushed, k)
+
+
+@pytest.mark.parametrize("rate", [10.0, 50.0])
+def test_rings_on_a_board_are_as_high_as_its_small_puddles_let_them(rate):
+    puddle = slopes_in_balance(rate, 6e-3, 0.5)
+    for depth in (0.5e-3, 1e-3, 3e-3):
+        for radius in (0.03, 0.05):
+            share = math.sqrt(slopes_in_balance(rate, depth, radius) / puddle)
+            assert share == pytest.approx(BOARD_RINGS, abs=0.1)
+    assert slopes_in_balance(rate, 6e-3, 0.05) < 0.4 * puddle

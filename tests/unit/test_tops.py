@@ -19,7 +19,7 @@ from rainsim.scene.view import View, pixel_ray
 from rainsim.shading.wetness import OffGroundWetness
 from rainsim.simulation import read_state, simulate, tops_drawn, write_state
 from rainsim.terrain.kept import kept_terrain
-from rainsim.terrain.tops import find_tops, note_of, with_tops
+from rainsim.terrain.tops import find_tops, gaps_in, note_of, with_tops
 from rainsim.terrain.types import NO_TOPS
 from rainsim.water.top_water import PINNED, RAINS, TopWater, sheet_depth
 from scenes import tiny_scene
@@ -88,6 +88,27 @@ def test_tops_are_kept_and_written_to_the_byte(tmp_path, monkeypatch):
     for other in (again, read):
         for name, values in first.tops.arrays().items():
             np.testing.assert_array_equal(other.tops.arrays()[name], values)
+
+
+def planks(dark, angle=0.35, grain=0.0):
+    """Brightness of boards of 10 cm whose gaps of 5 mm are darker by a share, in cells of 5 mm."""
+    y, x = np.indices((120, 120)) * 5e-3
+    across = (x * np.cos(angle) + y * np.sin(angle)) % 0.1
+    gap = np.abs(across - 0.05) < 2.6e-3
+    noise = np.random.default_rng(2).normal(0, grain, gap.shape)
+    return 0.3 * (1 - dark * gap) * (1 + noise), gap
+
+
+def test_faint_gaps_between_planks_are_found_whole_and_grain_is_none():
+    for dark in (0.1, 0.3):
+        light, gap = planks(dark, grain=0.01)
+        found = gaps_in(light, np.ones_like(light), 5e-3)
+        inner = np.s_[12:-12, 12:-12]
+        assert found[inner][gap[inner]].mean() > 0.9, dark
+        assert found[inner][~gap[inner]].mean() < 0.05, dark
+    light, _ = planks(0.0, grain=0.03)
+    light[60, 60:63] *= 0.5  # a knot
+    assert gaps_in(light, np.ones_like(light), 5e-3).mean() < 0.01
 
 
 # ---- filled
@@ -230,6 +251,35 @@ def test_pixels_that_show_the_table_are_its_and_no_others():
     assert (met(made, view, depth, rain=dry)[1][inner] < 1).any()
 
 
+def test_a_drawn_film_rounds_off_at_gaps_and_edges():
+    holds = np.zeros((40, 60), bool)
+    holds[3:-3, 3:-3] = True
+    holds[:, 30] = False  # a gap of one cell
+    film = wet_tops.drawn_film(holds)
+    assert film.dtype == F4 and 0 <= film.min() and film.max() <= 1
+    assert (film[~holds] < 0.15).all() and (film[:3] == 0).all()
+    assert film[20, 29] == pytest.approx(film[20, 31], abs=1e-6) and 0.2 < film[20, 29] < 0.8
+    assert (film[20, 7:26] > 0.999).all()
+
+
+def test_a_warped_top_shows_its_gaps_where_the_picture_does():
+    """A capture puts the whole table 5 mm too low: the gap is drawn where the pixels show it."""
+    made, view = with_table(), level_view(1.1)
+    first = made.tops.corner[0, 0]
+    for low in (0.0, 5e-3):
+        depth = picture_of(view, [GROUND, (0.7 - low, 0.5, 0, 0)])
+        inner = np.isfinite(picture_of(view, [(0.7 - low, 0.4, 0, 0)]))
+        x = view.eye[0] + depth[inner]
+        middle = x[np.argmin(np.abs(x))]  # of the row of pixels nearest to the table's centre
+        gap = int((middle - first) / made.tops.spacing)
+        holds = made.tops.holds.copy()
+        holds[:, gap - 2 : gap + 3] = False
+        parted = replace(made, tops=replace(made.tops, holds=holds))
+        coverage, at = met(parted, view, depth)[1][inner], np.abs(x - middle)
+        assert (coverage[at < 2e-3] == 0).all() and (coverage[at > 0.03] > 0.9).all()
+        assert 0 < np.count_nonzero(at < 2e-3) < np.count_nonzero(at > 0.03)
+
+
 @pytest.mark.parametrize("height", [0.7, 0.7001, 0.4])
 def test_a_camera_in_its_plane_or_below_sees_no_water_on_it(height):
     view = level_view(height)
@@ -278,9 +328,9 @@ def test_a_slope_is_marked_and_tilts_its_film():
     assert on.sum() > 20 and (coverage[on] > 0.9).all() and (hit[on] < 0).all()
 
 
-@pytest.mark.parametrize("tilt", [0.0, 0.08])
-def test_all_water_on_a_top_knows_its_top_also_at_the_rim(tilt):
-    made, view = with_table(tilt=tilt), level_view(1.1)
+@pytest.mark.parametrize(("tilt", "eye"), [(0.0, 1.1), (0.0, 0.76), (0.08, 1.1)])
+def test_all_water_on_a_top_knows_its_top_also_at_the_rim(tilt, eye):
+    made, view = with_table(tilt=tilt), level_view(eye)
     # A ray meets the top's plane beside what the pixel shows, also half a cell past its edge.
     depth = picture_of(view, [GROUND, (0.7, 0.56, 0, 0)])
     outside = seen = 0
@@ -293,7 +343,7 @@ def test_all_water_on_a_top_knows_its_top_also_at_the_rim(tilt):
             assert wet_tops.top_below(maps(made), *point)[0] == 0
             seen += 1
             outside += wet_tops.top_over(maps(made), *point[:2]) < 0
-    assert seen > 100 and (outside > 0) == (tilt > 0)  # a level one holds none past its cells
+    assert seen > 30 and (outside > 0) == (tilt > 0)  # a level one holds none past its cells
     beside = F4(0.7), F4(0), F4(0.7 + tilt * 0.7)
     assert wet_tops.top_below(maps(made), *beside)[0] == -1
 
