@@ -321,7 +321,7 @@ def draw(result, path):
                 for row in case["levels"] if row["all"]["psnr"] is not None
             }}  # fmt: skip
     draw_fronts(
-        path, panels, "Reflections against the mean of traced rays over each pixel",
-        default="auto", error="rms error of mirrored radiance (white is 1)",
+        path, panels, "Mirrored radiance against the mean of traced rays over each pixel",
+        default="auto", error="rms error (white is 1)",
         time="processor time",
     )  # fmt: skip
