@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 
 import numpy as np
 
@@ -13,10 +14,11 @@ from rainsim.io import cache
 from rainsim.numerics.blocks import in_blocks
 
 KIND = "daylight"
+ROUNDING = 0.1  # of the logarithm of an albedo
 NO_RELIGHT = Relight(None, "")
 
 
-def kept_relight(scene, config, sky_distance):
+def kept_relight(scene, config, sky_distance, white):
     """Return the `Relight` of a scene, from an earlier run if there was one.
 
     Nothing is looked for where the setting `relight` is "off", where no cloud ever covers the sky,
@@ -28,15 +30,19 @@ def kept_relight(scene, config, sky_distance):
     config : Config
     sky_distance : float [m]
         See `find_relight`.
+    white : float
+        Albedo that a captured linear colour of 1 stands for. It is rounded in steps of ROUNDING, so
+        that another height map of the scene seldom asks for another search.
     """
     clouds = max(config.at(time).render.cloudiness for time in config.key_times())
     if config.render.relight == "off" or clouds == 0 or scene.source is None:
         return NO_RELIGHT
     sun = config.render.sun if isinstance(config.render.sun, tuple) else None
+    white = math.exp(round(math.log(white) / ROUNDING) * ROUNDING)
     if not cache.folder():
-        return find_relight(scene, sky_distance, sun)
+        return find_relight(scene, sky_distance, sun, white)
     name = cache.name_of(
-        KIND, scene.splats, scene.ground_frame, scene.cameras, float(sky_distance), sun
+        KIND, scene.splats, scene.ground_frame, scene.cameras, float(sky_distance), sun, white
     )
     found = cache.read(KIND, name)
     if found:
@@ -45,7 +51,7 @@ def kept_relight(scene, config, sky_distance):
         return Relight(
             arrays.get("gain"), facts["note"], direction, facts["ratio"], facts["confidence"]
         )
-    relight = find_relight(scene, sky_distance, sun)
+    relight = find_relight(scene, sky_distance, sun, white)
     facts = {
         "note": relight.note, "confidence": relight.confidence, "ratio": relight.ratio,
         "sun": None if relight.sun is None else [float(x) for x in relight.sun],

@@ -10,7 +10,6 @@ from typing import NamedTuple
 import numpy as np
 
 from rainsim.daylight import sky_light
-from rainsim.daylight.surface import luminance
 from rainsim.daylight.visibility import (
     BATCH,
     COARSER,
@@ -31,12 +30,6 @@ MARGIN, FAR_MARGIN = 0.025, 0.15  # m by which what hides a place stands above i
 BAND = 0.05  # m about the edge of a shadow within which its place is not sure
 AROUND = 6  # places that are looked at about one
 ANY_FACE = np.float32(0.25)  # mean cosine, not below 0, to a direction over all ways to face
-ALBEDO_PER_LIGHT = 0.6  # of open level ground over its captured linear light: a usual exposure
-LEAST_ALBEDO, MOST_ALBEDO = 0.05, 0.35
-USUAL_ALBEDO = 0.2, 0.1  # of ground and of what stands on it, where colours tell nothing
-LEVEL = 0.9  # cosine to the vertical of level ground
-BRIGHT_GROUND = 70  # percentile of level ground's light that is taken for open: much may be shaded
-MOST_BRIGHT = 1.5  # of that light, beyond which a splat counts as this
 
 
 class Light(NamedTuple):
@@ -44,26 +37,8 @@ class Light(NamedTuple):
 
     clear: np.ndarray  # from the clear sky
     overcast: np.ndarray  # from the overcast sky
-    around: np.ndarray  # from their surroundings
-
-
-class Surroundings(NamedTuple):
-    """Light that the surroundings send out: what they reflect of the light on open ground."""
-
-    ground: float
-    things: float  # that stand on the ground
-
-
-def surroundings_of(surface):
-    """Return the `Surroundings` of a capture: how bright its ground is, and what stands on it."""
-    bright = luminance(surface.light)
-    level = (surface.flat > 0.5) & (surface.normal[:, 2] > LEVEL)
-    if level.sum() < 20 or level.all():
-        return Surroundings(*USUAL_ALBEDO)
-    ground = max(float(np.percentile(bright[level], BRIGHT_GROUND)), 1e-3)
-    albedo = float(np.clip(ALBEDO_PER_LIGHT * ground, LEAST_ALBEDO, MOST_ALBEDO))
-    share = np.minimum(bright / ground, MOST_BRIGHT)
-    return Surroundings(albedo * float(share[level].mean()), albedo * float(share[~level].mean()))
+    blocked: np.ndarray  # (n, 2): shares of the view that are no sky, below the horizon and above
+    around: np.ndarray  # from their surroundings in the captured day
 
 
 def maps_along(solids, window, directions):
@@ -105,7 +80,7 @@ def sky_radiance(sun, count=SKY_DIRECTIONS):
     return directions, skies.astype(np.float32)
 
 
-def received(surface, solids, windows, sun, around):
+def received(surface, solids, windows, sun, sent):
     """Return the `Light` on each splat.
 
     Parameters
@@ -116,13 +91,15 @@ def received(surface, solids, windows, sun, around):
         The near one and the far one: a splat takes the first that shows it.
     sun : ndarray of shape (3,)
         Unit, towards the sun of the clear sky.
-    around : Surroundings
+    sent : Sent
+        By the surroundings.
     """
     total = np.zeros((len(surface.position), 3), np.float32)
     for part, window, margin in _parts(surface, windows):
         place = surface.position[part], surface.normal[part], surface.flat[part]
         total[part] = sky_sums(*place, solids, window, sun, margin)
-    return light_of(total, surface.normal, surface.flat, around)
+    place = surface.position, surface.normal, surface.flat
+    return light_of(total, surface.normal, surface.flat, sent.at(*place))
 
 
 def sky_sums(position, normal, flat, solids, window, sun, margin=MARGIN):
@@ -138,12 +115,20 @@ def sky_sums(position, normal, flat, solids, window, sun, margin=MARGIN):
     return total
 
 
-def light_of(sums, normal, flat, around):
-    """Return the `Light` of the sums that `sky_sums` returns: what is no sky is surroundings."""
-    below = flat * 0.5 * (1 - normal[:, 2]) + (1 - flat) * 0.5  # share of the view below level
-    things = np.maximum(1 - sums[:, 2] - below, 0)
-    sent = around.ground * below + around.things * things
-    return Light(sums[:, 0], sums[:, 1], sent.astype(np.float32))
+def light_of(sums, normal, flat, sent):
+    """Return the `Light` of the sums that `sky_sums` returns: what is no sky is surroundings.
+
+    `sent` is the mean radiosity of these below the horizon and above, float32 (n, 2).
+    """
+    below = flat * 0.5 * (1 - normal[:, 2]) + (1 - flat) * 0.5
+    above = np.maximum(1 - sums[:, 2] - below, 0)
+    blocked = np.stack([below, above], axis=-1).astype(np.float32)
+    return Light(sums[:, 0], sums[:, 1], blocked, around_of(blocked, sent))
+
+
+def around_of(blocked, sent):
+    """Return the light of the surroundings, float32 (n,), of shares and mean radiosities (n, 2)."""
+    return np.einsum("ij,ij->i", blocked, sent)
 
 
 def facing(surface, direction):

@@ -6,8 +6,9 @@ With the clear sky's irradiance on open level ground as the unit, a splat receiv
 
 in the captured day: A from the part of the sky that it sees, S from the sun where nothing hides it
 (V), B from its surroundings. Under an overcast sky it receives the part of this sky that it sees,
-and B. The ratio of the two is the gain on its linear light; open level ground keeps its mean. S is
-measured for each channel, where the edges of shadows cross surfaces of one colour.
+and what the surroundings send in that light. The ratio of the two is the gain on its linear light;
+open level ground keeps its mean. S is measured for each channel, where the edges of shadows cross
+surfaces of one colour.
 """
 
 from __future__ import annotations
@@ -21,17 +22,18 @@ from scipy.spatial import cKDTree
 
 from rainsim.daylight.light import (
     about_normal,
+    around_of,
     facing,
     light_of,
     received,
     sky_sums,
     sunlit,
-    surroundings_of,
     turn_to_the_open,
 )
 from rainsim.daylight.shade import NO_EDGES, EdgeShade, edge_shade, factor_in_shade
 from rainsim.daylight.sun import find_sun, places_of, seen_from
 from rainsim.daylight.surface import covariances, luminance, surface_of
+from rainsim.daylight.surroundings import USUAL_ALBEDO, patches_of, sent_in
 from rainsim.daylight.visibility import Window, resized, solids_of
 from rainsim.jit import get_num_threads
 
@@ -86,7 +88,7 @@ class Relight:
     confidence: float = 0.0
 
 
-def find_relight(scene, sky_distance, sun=None):
+def find_relight(scene, sky_distance, sun=None, white=USUAL_ALBEDO):
     """Return the `Relight` of a capture.
 
     Parameters
@@ -96,6 +98,8 @@ def find_relight(scene, sky_distance, sun=None):
         From the cameras; what is farther is left as it is.
     sun : tuple, optional
         Azimuth and elevation [rad] of the captured sun; found if not given.
+    white : float
+        Albedo that a captured linear colour of 1 stands for, on open level ground.
     """
     loaded = _surface_of(scene, sky_distance, SOUGHT)
     if loaded is None:
@@ -106,9 +110,11 @@ def find_relight(scene, sky_distance, sun=None):
     if len(places.pair) < LEAST_PAIRS:
         return Relight(None, f"relight: too few flat surfaces to find a sun; {STAYS}")
     direction, score = find_sun(places, solids, near) if sun is None else (_unit(*sun), 1.0)
-    around, measured = surroundings_of(surface), SunRatio(np.zeros(3), 0, 0.0)
+    patches = patches_of(surface, near)
+    measured = SunRatio(np.zeros(3), 0, 0.0)
     if score > SCORE[0]:
-        measured = measure(places, solids, near, direction, around)
+        sent = sent_in(surface, patches, white)
+        measured = measure(places, solids, near, direction, sent)
     confidence = _confidence(measured, score, direction)
     facts = direction, tuple(map(float, measured.ratio)), confidence
     if confidence < SURE:
@@ -117,13 +123,17 @@ def find_relight(scene, sky_distance, sun=None):
     if part:
         which, surface, solids, near, _ = _surface_of(scene, sky_distance, len(scene.splats))
         turn_to_the_open(surface, solids, near)
-        around = surroundings_of(surface)
+        patches = patches_of(surface, near)
+        sent = sent_in(surface, patches, white)
     windows = near, Window(near.middle, SIDE, np.float32(2 * FAR_HALF / SIDE))
-    light = received(surface, solids, windows, direction, around)
+    light = received(surface, solids, windows, direction, sent)
     lit = sunlit(surface, solids, windows, direction)
     lit = by_color(surface, lit, light, direction, measured.ratio)
     gain = np.ones((len(scene.splats), 3), np.float16)
-    gain[which] = gains(surface, light, lit, direction, measured)
+    found = gains(surface, light, lit, direction, measured, light.around)
+    later = sent_in(surface, patches, white, found)
+    later = later.at(surface.position, surface.normal, surface.flat)
+    gain[which] = gains(surface, light, lit, direction, measured, around_of(light.blocked, later))
     return Relight(gain, _note(direction, measured, confidence, sun is not None), *facts)
 
 
@@ -152,7 +162,9 @@ def _surface_of(scene, sky_distance, most):
     step = -(-len(which) // most)
     which = which[::step]
     position, opacity = position[which], splats.opacity[which]
-    surface = surface_of(position, thin[which], size[which], opacity, splats.sh[which, 0], cameras)
+    surface = surface_of(
+        position, thin[which], math.sqrt(step) * size[which], opacity, splats.sh[which, 0], cameras
+    )
     solids = solids_of(position, np.float32(step) * covariance[which], opacity)
     window = Window(middle, SIDE, np.float32(2 * half / SIDE))
     return which, surface, solids, window, step > 1
@@ -176,7 +188,7 @@ def _unit(azimuth, elevation):
     return np.array([flat * math.cos(azimuth), flat * math.sin(azimuth), math.sin(elevation)])
 
 
-def measure(places, solids, window, direction, around):
+def measure(places, solids, window, direction, sent):
     """Return the `SunRatio` from pairs of places on both sides of the edges of shadows.
 
     Parameters
@@ -186,7 +198,8 @@ def measure(places, solids, window, direction, around):
     window : Window
     direction : ndarray of shape (3,)
         Unit, towards the sun.
-    around : Surroundings
+    sent : Sent
+        By the surroundings.
     """
     cosine = places.normal @ direction.astype(np.float32)
     seen = _sure_share(places, solids, window, direction)
@@ -200,7 +213,7 @@ def measure(places, solids, window, direction, around):
     flat = np.ones(len(which), np.float32)
     coarse = resized(window, SIDE // 2)
     sums = sky_sums(position, normal, flat, solids, coarse, direction)
-    light = light_of(sums, normal, flat, around)
+    light = light_of(sums, normal, flat, sent.at(position, normal, flat))
     a, b = np.split(back, 2)
     fit = (light.clear[a] > OPEN) & (light.clear[b] > OPEN)
     lit, shaded, a, b = lit[fit], shaded[fit], a[fit], b[fit]
@@ -306,12 +319,15 @@ def by_color(surface, lit, light, direction, ratio):
     return shares
 
 
-def gains(surface, light, lit, direction, measured):
-    """Return the gain (n, 3), float16, on each splat's linear light."""
+def gains(surface, light, lit, direction, measured, around):
+    """Return the gain (n, 3), float16, on each splat's linear light.
+
+    `around` is the light of the surroundings under the overcast sky, float32 (n,).
+    """
     ratio = measured.ratio
     sun = (lit * facing(surface, direction))[:, None] * ratio
     captured = shade_of(light, direction, ratio) + sun
-    rainy = (light.overcast + light.around)[:, None]
+    rainy = (light.overcast + around)[:, None]
     open_ground = 1 + ratio * max(direction[2], 0.0)
     gain = rainy * open_ground / np.maximum(captured, 1e-3)
     gain *= factor_in_shade(surface, lit, measured.edges)

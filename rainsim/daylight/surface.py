@@ -31,6 +31,8 @@ class Surface(NamedTuple):
     weight : ndarray of shape (n,), float32
         Light that the splat stops, 0 to 1.
     neighbours : ndarray of shape (n, NEIGHBOURS), int32
+    area : ndarray of shape (n,), float32 [m2]
+        That a splat would cover if it were evenly as dense as in its middle.
     """
 
     position: np.ndarray
@@ -39,6 +41,7 @@ class Surface(NamedTuple):
     light: np.ndarray
     weight: np.ndarray
     neighbours: np.ndarray
+    area: np.ndarray
 
 
 def linear(display):
@@ -114,6 +117,7 @@ def surface_of(position, thin, size, opacity, color, cameras):
     return Surface(
         position, normal, flat.astype(np.float32), light.astype(np.float32),
         opacity.astype(np.float32), neighbours,
+        (2 * np.pi * opacity * size[:, 1] * size[:, 2]).astype(np.float32),
     )  # fmt: skip
 
 

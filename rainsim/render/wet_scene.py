@@ -90,7 +90,10 @@ class WetScene:
         self.scene = self.backdrop.scene
         self.near = NEAR / self.frame.meters_per_unit
         self._rasterizer_of = rasterizer_of
-        relight = kept_relight(scene, config, self.sky_distance)
+        self.albedo, about_albedo = albedo_of_white(
+            terrain, self.scene.splats, config.render.ground_albedo
+        )
+        relight = kept_relight(scene, config, self.sky_distance, self.albedo)
         self.notes = [note for note in (self.backdrop.note(), relight.note) if note]
         gain = None if relight.gain is None else relight.gain[self.backdrop.kept]
         views = views_of_splats(self.scene)
@@ -119,8 +122,7 @@ class WetScene:
         self._tracks = NO_TRACKS
         self._place = np.array(terrain.grid.origin, np.float32), np.float32(terrain.grid.spacing)
         self._standing = self.tracer = None  # made when they are first asked for
-        self.albedo, note = albedo_of_white(terrain, self.scene.splats, config.render.ground_albedo)
-        self.notes.append(note)
+        self.notes.append(about_albedo)
         self.day = day_sky(config.render, zenith_radiance(self.albedo, DULL_EXPOSURE))
         self.look = self.off_ground = None
         self.set_time(config.at(0.0))
