@@ -23,13 +23,13 @@ from rainsim.shading.walls import damp_off_ground
 from rainsim.shading.wetness import OffGroundWetness, Wetness, store_wetness, stored_wetness
 from rainsim.shading.wetting import (
     FLAT,
-    GLOSS_LIFT,
     LEAST_SKY,
     ON_GROUND,
     WALL_SHARE,
     GroundMaps,
     SkyMaps,
     SurfacePoint,
+    glossed,
     mirror_cover,
     off_ground,
     on_ground,
@@ -47,9 +47,9 @@ from rainsim.shading.wetting import (
 (VIEW_X, VIEW_Y, VIEW_Z, X, Y, Z, LEAN_X, LEAN_Y, UPNESS, COSINE, AWAY, FAR) = (
     CHUNK * k for k in range(9, 21)
 )
-# Heights as `wet_state` returns them, shares of gloss and of sky, and the places in maps: first the
-# ground's column and row, then the environment's.
-(CLEARANCE, HEIGHT, GLOSS, THROUGH, ACROSS, DOWN, LIFTED) = (CHUNK * k for k in range(21, 28))
+# Heights as `wet_state` returns them, shares of gloss, of sky and of a leaf's gloss, and the places
+# in maps: first the ground's column and row, then the environment's.
+(CLEARANCE, HEIGHT, GLOSS, THROUGH, LEAF, ACROSS, DOWN) = (CHUNK * k for k in range(21, 28))
 WETNESS = 28 * CHUNK  # as `store_wetness` writes it, a row for each field
 NUMBERS = WETNESS + len(Wetness._fields) * CHUNK
 
@@ -284,7 +284,7 @@ def find_wetness(ground, rain, n, s, cell, corner):
             height = s[HEIGHT + i]
             damp = damp_off_ground(rain, surface_point(s, i), height)
             damp = damp if s[ALPHA + i] >= SURFACE_ALPHA else ZERO
-            store_wetness(off_ground(rain, damp, height), s, WETNESS + i, CHUNK)
+            store_wetness(off_ground(rain, damp), s, WETNESS + i, CHUNK)
     for i in range(n):
         if s[CLEARANCE + i] < ON_GROUND and s[UPNESS + i] > FLAT:
             u, v = (s[X + i] - o0) / spacing - HALF, (s[Y + i] - o1) / spacing - HALF
@@ -303,12 +303,13 @@ def surface_point(s, i):
 def color_pixels(look, mirror_apart, n, s):
     """Grade and wet the colours."""
     for i in range(n):
-        r, g, b, gloss, through = rainy_color(
+        r, g, b, gloss, through, leaf = rainy_color(
             s[RED + i], s[GREEN + i], s[BLUE + i], s[ALPHA + i], s[FAR + i], s[VIEW_Z + i],
             s[COSINE + i], s[UPNESS + i], s[HEIGHT + i], stored_wetness(s, WETNESS + i, CHUNK),
             look,
         )  # fmt: skip
         s[RED + i], s[GREEN + i], s[BLUE + i], s[THROUGH + i] = r, g, b, through
+        s[LEAF + i] = leaf
         level = s[UPNESS + i] > FLAT and s[HEIGHT + i] < ON_GROUND
         s[GLOSS + i] = ZERO if mirror_apart and level else gloss
 
@@ -316,20 +317,23 @@ def color_pixels(look, mirror_apart, n, s):
 @inlined_function
 def add_surroundings(sky, n, s, glossy, open_):
     """Add the mirrored surroundings, and the sky that is seen behind the scene."""
-    gloss, through = (
-        list_above(s, GLOSS, n, ZERO, glossy),
-        list_above(s, THROUGH, n, LEAST_SKY, open_),
-    )
-    if gloss + through == 0:
-        return
-    for i in range(n):
-        x, y, z = s[VIEW_X + i], s[VIEW_Y + i], s[VIEW_Z + i]
-        s[ACROSS + i], s[DOWN + i] = azimuth_in_map(x, y), elevation_in_map(x, y, z)
-        s[LIFTED + i] = elevation_in_map(x, y, abs(z) + GLOSS_LIFT)
-    for k in range(gloss):
-        add_radiance(sky.gloss, s, GLOSS, LIFTED, glossy[k])
-    for k in range(through):
-        add_radiance(sky.behind, s, THROUGH, DOWN, open_[k])
+    gloss = list_above(s, GLOSS, n, ZERO, glossy)
+    through = list_above(s, THROUGH, n, LEAST_SKY, open_)
+    if gloss > 0:
+        for i in range(n):
+            x, y, z = glossed(
+                s[VIEW_X + i], s[VIEW_Y + i], s[VIEW_Z + i], s[COSINE + i], s[LEAN_X + i],
+                s[LEAN_Y + i], s[UPNESS + i], s[LEAF + i],
+            )  # fmt: skip
+            s[ACROSS + i], s[DOWN + i] = azimuth_in_map(x, y), elevation_in_map(x, y, z)
+        for k in range(gloss):
+            add_radiance(sky.gloss, s, GLOSS, glossy[k])
+    if through > 0:
+        for i in range(n):
+            x, y, z = s[VIEW_X + i], s[VIEW_Y + i], s[VIEW_Z + i]
+            s[ACROSS + i], s[DOWN + i] = azimuth_in_map(x, y), elevation_in_map(x, y, z)
+        for k in range(through):
+            add_radiance(sky.behind, s, THROUGH, open_[k])
 
 
 @inlined_function
@@ -346,10 +350,10 @@ def list_above(s, row, n, least, which_out):
 
 
 @inlined_function
-def add_radiance(environment, s, share, down, i):
+def add_radiance(environment, s, share, i):
     """Add a share of the radiance of an environment map to pixel i."""
     w = s[np.uint32(share + i)]
-    r, g, b = color_in_map(environment, s[np.uint32(ACROSS + i)], s[np.uint32(down + i)])
+    r, g, b = color_in_map(environment, s[np.uint32(ACROSS + i)], s[np.uint32(DOWN + i)])
     s[np.uint32(RED + i)] += w * r
     s[np.uint32(GREEN + i)] += w * g
     s[np.uint32(BLUE + i)] += w * b

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rainsim.constants import FAR_AWAY, FOUR, HALF, ONE, SURFACE_ALPHA, TWO, ZERO
-from rainsim.jit import device_function, inlined_function
+from rainsim.jit import inlined_function
 from rainsim.numerics.interpolation import bilinear, smoothstep
 from rainsim.shading.color import luminance
 from rainsim.shading.environment import sample_environment
@@ -28,12 +28,16 @@ TRAPPED = np.float32(0.4746)  # diffuse light that the water film reflects back 
 FILLING = np.float32(1.55)  # of the similarity: its asymmetry goes from some 0.64 to 0.85
 LEAST_ALBEDO, MOST_ALBEDO = np.float32(0.02), np.float32(0.8)
 SHED = np.float32(0.55)  # share of the darkening that leaves do without, for they shed water
+GREENISH, GREEN = np.float32(0.2), np.float32(0.6)  # of yellow walls, and of leaves: what glosses
+LEAF_ALBEDO = np.float32(0.1)  # of leaves in the open, as of grass in classes.toml
 ENRICHMENT = np.float32(0.25)  # of the saturation of a surface that is wet through; by eye
 
 GLOSS = np.float32(0.3)  # of a smooth mirror: what a water film on rough stone reflects; by eye
 GLOSS_LIFT = np.float32(0.3)  # sine by which its lobe is lifted above the mirror direction
 EDGE_COSINE = np.float32(0.25)  # of the view to a thing's surface, below which it glosses less
 GRAZING = np.float32(0.02)  # least cosine that Fresnel's factor is taken at
+# The same of leaves: one on edge fills no pixel, and the normal there is that of others. By eye.
+LEAF_GRAZING = np.float32(0.5)
 
 FLAT = np.float32(0.7)  # cosine to the vertical above which a surface counts as level ground
 ON_GROUND = np.float32(0.3)  # m over the bed: a surface that is higher is no ground
@@ -100,6 +104,23 @@ def filled_ratio(albedo):
 
 
 @inlined_function
+def greenness(r, g, b):
+    """Return how surely a graded colour is that of leaves, 0 to 1."""
+    top = max(max(r, g), b)
+    return min(max((TWO * g - r - b) / max(top, np.float32(1e-3)) * TWO, ZERO), ONE)
+
+
+@inlined_function
+def open_share(y, look):
+    """Return which share of the sky a leaf of graded luminance y sees, 0 to 1.
+
+    What reaches it stands to the light in the open as its colour stands to that of open leaves:
+    leaves deep in a hedge are dark, and mirror other leaves.
+    """
+    return min(y / look.exposure * look.albedo / LEAF_ALBEDO, ONE)
+
+
+@inlined_function
 def wetted(r, g, b, share, wet, look):
     """Return the graded colour of a surface of which a share is wet, the others being sky.
 
@@ -107,9 +128,7 @@ def wetted(r, g, b, share, wet, look):
     under a water film, mixed by the porosity with that of filled pores. Leaves and lawns darken
     less, for they shed water. And it is more saturated.
     """
-    top = max(max(r, g), b)
-    green = min(max((TWO * g - r - b) / max(top, np.float32(1e-3)) * TWO, ZERO), ONE)
-    amount = wet.dampness * share * (ONE - SHED * max(green, wet.lawn))
+    amount = wet.dampness * share * (ONE - SHED * max(greenness(r, g, b), wet.lawn))
     y = luminance(r, g, b)
     albedo = min(max(y / look.exposure * look.albedo, LEAST_ALBEDO), MOST_ALBEDO)
     ratio = wet_ratio(albedo)
@@ -131,10 +150,9 @@ def on_ground(ground, u, v):
 
 
 @inlined_function
-def off_ground(rain, damp, height):
-    """Return the `Wetness` of a surface that is no ground, at a height [m] over the ground."""
-    film = damp * rain.film_left * (ONE if height < ON_GROUND else HALF)
-    return Wetness(ZERO, damp, film, rain.porosity)
+def off_ground(rain, damp):
+    """Return the `Wetness` of a surface that is no ground."""
+    return Wetness(ZERO, damp, damp * rain.film_left, rain.porosity)
 
 
 @inlined_function
@@ -175,7 +193,7 @@ def wet_state(point, solid, ground, rain):
     height = clearance if inside else point.z
     if clearance < ON_GROUND and point.nz > FLAT:
         return clearance, height, on_ground(ground, u, v)
-    return clearance, height, off_ground(rain, damp_off_ground(rain, point, height), height)
+    return clearance, height, off_ground(rain, damp_off_ground(rain, point, height))
 
 
 @inlined_function
@@ -197,6 +215,9 @@ def mirror_cover(point, clearance, wet, ground):
 @inlined_function
 def rainy_color(r, g, b, alpha, distance, sine, cosine, upness, height, wet, look):
     """Return a captured surface's colour in the rain, and the shares of gloss and of sky.
+
+    Level surfaces gloss as rough stone does. A leaf is a mirror of its own: its facet reflects by
+    Fresnel's factor, as far as its surroundings are open.
 
     Parameters
     ----------
@@ -222,18 +243,25 @@ def rainy_color(r, g, b, alpha, distance, sine, cosine, upness, height, wet, loo
         Radiance that the surface adds to the pixel, without gloss.
     gloss, through : float32
         Weights of the mirrored surroundings and of the sky behind.
+    leaf : float32
+        How far the gloss is that of a leaf, see `glossed`.
     """
-    sky, gloss, surface = ZERO, ZERO, ONE
+    sky, gloss, surface, leaf = ZERO, ZERO, ONE, ZERO
     if distance > look.sky_distance and sine > SKY_SINE:
         sky = sky_share(r, g, b)
         surface = ONE - sky
         sky *= look.sky_replaced
     r, g, b = graded(r, g, b, look)
     if wet.dampness * surface > ZERO:
+        if upness <= FLAT or height >= ON_GROUND:
+            leaf = smoothstep(GREENISH, GREEN, greenness(r, g, b))
+        gloss = (ONE - leaf) * max(TWO * upness - ONE, ZERO) * (ONE - wet.lawn) * GLOSS
+        if height > ON_GROUND:  # the film on things is broken; by eye
+            gloss *= HALF
+        gloss = wet.film * (gloss + leaf * open_share(luminance(r, g, b), look))
         r, g, b = wetted(r, g, b, surface, wet, look)
-        gloss = wet.film * max(TWO * upness - ONE, ZERO) * (ONE - wet.lawn) * GLOSS
         if gloss > ZERO:
-            gloss *= fresnel(max(cosine, GRAZING))
+            gloss *= fresnel(max(cosine, GRAZING + leaf * (LEAF_GRAZING - GRAZING)))
             if height > ON_GROUND:  # blended normals at edges look grazed, which they are not
                 gloss *= smoothstep(ZERO, EDGE_COSINE, cosine)
     # The sky of the day replaces the captured sky and fills what no splat covers. Many captures
@@ -245,16 +273,20 @@ def rainy_color(r, g, b, alpha, distance, sine, cosine, upness, height, wet, loo
         through += (ONE - alpha) * smoothstep(OPEN_LOW, OPEN_HIGH, sine)
     else:
         through += (ONE - alpha) * smoothstep(HOLE, GAP, ONE - alpha)
-    return r * keep, g * keep, b * keep, gloss * keep, through
+    return r * keep, g * keep, b * keep, gloss * keep, through, leaf
 
 
-@device_function
-def glossed(environment, x, y, z):
-    """Return what a wet rough surface seen along the unit direction (x, y, z) mirrors, blurred.
+@inlined_function
+def glossed(x, y, z, cosine, nx, ny, nz, leaf):
+    """Return a direction, of any length, that a wet surface seen along (x, y, z) mirrors.
 
-    Mostly what lies above the mirror direction.
+    Level rough surfaces mostly mirror what lies above the mirror direction. A share `leaf` is that
+    of a leaf, which mirrors by its own unit normal (nx, ny, nz); `cosine` is between that and the
+    way back.
     """
-    return sample_environment(environment, x, y, abs(z) + GLOSS_LIFT)
+    up = abs(z) + GLOSS_LIFT
+    turn = TWO * cosine * leaf
+    return x + turn * nx, y + turn * ny, up + leaf * (z - up) + turn * nz
 
 
 @inlined_function
@@ -293,14 +325,15 @@ def wet_pixel(color, alpha, ray, distance, point, ground, rain, sky, look, mirro
     r, g, b = color
     r, g, b = undiluted(r, g, b, alpha if is_edge(alpha, look) else ONE)
     cosine = -(x * point.nx + y * point.ny + z * point.nz)
-    r, g, b, gloss, through = rainy_color(
+    r, g, b, gloss, through, leaf = rainy_color(
         r, g, b, alpha, distance, z, cosine, point.nz, height, wet, look
     )
     cover = ZERO
     if mirror_apart and point.nz > FLAT and height < ON_GROUND:
         cover = mirror_cover(point, clearance, wet, ground)
     elif gloss > ZERO:
-        e0, e1, e2 = glossed(sky.gloss, x, y, z)
+        u, v, w = glossed(x, y, z, cosine, point.nx, point.ny, point.nz, leaf)
+        e0, e1, e2 = sample_environment(sky.gloss, u, v, w)
         r, g, b = r + gloss * e0, g + gloss * e1, b + gloss * e2
     if through > LEAST_SKY:
         e0, e1, e2 = sample_environment(sky.behind, x, y, z)

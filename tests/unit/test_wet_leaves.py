@@ -1,0 +1,71 @@
+"""Wet leaves: each is a small mirror of what its own normal shows, as far as it stands open."""
+
+import numpy as np
+import pytest
+
+from rainsim.shading import environment, wetting
+from rainsim.shading.fresnel import fresnel
+from rainsim.shading.grading import Look
+from rainsim.shading.wetness import OffGroundWetness
+from rainsim.shading.wetting import GroundMaps, SkyMaps, SurfacePoint
+
+F4 = np.float32
+LOOK = Look(*F4([1, 0, 0, 0, 30, 0, 1]))
+SOAKED = OffGroundWetness(*F4([100, 0, 0, 1, 0.1]))
+DRY = SOAKED._replace(supply=F4(0))
+GREEN, BROWN = F4([0.30, 0.42, 0.22]), F4([0.40, 0.33, 0.26])  # display-referred
+LEVEL = GroundMaps(np.zeros((4, 4), F4), np.zeros((4, 4, 4), F4), F4([50, 50]), F4(1))
+AHEAD = F4([1, 0, 0])
+TO_ZENITH, ONWARDS = F4([-1, 0, 1]) / F4(np.sqrt(2)), F4([-1, 0, 0])  # normals
+
+
+@pytest.fixture
+def skies():
+    """White above 45 degrees, black below."""
+    bright = environment.directions()[..., 2] > np.sqrt(0.5)
+    light = np.repeat(bright[..., None], 3, axis=-1).astype(F4)
+    return SkyMaps(light, light)
+
+
+def gloss_of(color, normal, rain, skies, look=LOOK):
+    """Return what water adds to a thing 1 m above the ground seen along x, in green light."""
+
+    def drawn(maps):
+        point = SurfacePoint(F4(3), F4(0), F4(1), *normal, F4(3))
+        return wetting.wet_pixel(
+            color, F4(1), AHEAD, F4(3), point, LEVEL, rain, maps, look, False
+        )[1]  # fmt: skip
+
+    return drawn(skies) - drawn(SkyMaps(0 * skies.gloss, skies.behind))
+
+
+def test_a_leaf_that_is_turned_to_the_zenith_mirrors_it(skies):
+    open_leaf = gloss_of(1.2 * GREEN, TO_ZENITH, SOAKED, skies)
+    assert open_leaf == pytest.approx(fresnel(F4(np.sqrt(0.5))), rel=0.02)
+    # One that faces the viewer mirrors what lies behind the viewer.
+    assert gloss_of(1.2 * GREEN, ONWARDS, SOAKED, skies) == 0
+
+
+def test_dry_leaves_and_wet_wood_do_not_gloss_as_wet_leaves_do(skies):
+    assert gloss_of(GREEN, TO_ZENITH, DRY, skies) == 0
+    wood = gloss_of(BROWN, TO_ZENITH, SOAKED, skies)
+    assert 0 <= wood < 0.2 * gloss_of(GREEN, TO_ZENITH, SOAKED, skies)
+
+
+def test_dark_leaves_deep_in_a_hedge_mirror_little(skies):
+    dark, light = (gloss_of(tone * GREEN, TO_ZENITH, SOAKED, skies) for tone in (0.4, 0.8))
+    assert 0 < dark < 0.35 * light
+    # Twice the albedo for the same colour is twice the light that is known to reach the leaf.
+    brighter = gloss_of(0.4 * GREEN, TO_ZENITH, SOAKED, skies, LOOK._replace(albedo=F4(2)))
+    assert brighter == pytest.approx(2 * dark, rel=1e-4)
+
+
+def test_a_leaf_on_edge_is_no_mirror_at_grazing_angles(skies):
+    def reflected(cosine):
+        normal = F4([-cosine, 0, np.sqrt(1 - cosine**2)])
+        white = SkyMaps(np.ones_like(skies.gloss), skies.behind)
+        return gloss_of(1.2 * GREEN, normal, SOAKED, white)
+
+    assert reflected(0.3) == pytest.approx(reflected(0.5), rel=1e-4)
+    assert reflected(0.1) < reflected(0.3)  # blended normals at outlines
+    assert reflected(0.9) < 0.5 * reflected(0.5)
