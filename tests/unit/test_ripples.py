@@ -215,7 +215,7 @@ def test_a_tile_in_float32_shows_the_slopes_of_float64():
 
 
 def in_balance(rate, diameter, depth=0.3):
-    """Elevation variance [m2] of the rings that drops of one size keep up, by wavenumber."""
+    """Variances of the elevation [m2] and the slope of the rings that drops of one size keep up."""
     k = np.geomspace(2.0, 1500.0, 2000)
     mass, speed = 998.0 * drop_volume(diameter), float(terminal_speed(diameter))
     falling = rate / 3.6e6 / drop_volume(diameter)  # drops per m2 and s
@@ -223,7 +223,8 @@ def in_balance(rate, diameter, depth=0.3):
     ring *= RING_SHARE * 0.5 * mass * speed**2 / np.trapezoid(ring, k)
     ring *= mass / (998.0 * drop_volume(REFERENCE_DROP))  # a smaller drop puts in a smaller share
     fading = 2 * damping_rate(k, depth, stirred=stirring(rate))
-    return np.trapezoid(falling * ring / fading / (998.0 * 9.81 + 0.0728 * k**2), k)
+    spectrum = falling * ring / fading / (998.0 * 9.81 + 0.0728 * k**2)
+    return np.trapezoid(spectrum, k), np.trapezoid(k**2 * spectrum, k)
 
 
 @pytest.mark.parametrize("rate", [5.0, 20.0, 50.0, 200.0])
@@ -233,8 +234,11 @@ def test_stirred_water_keeps_the_rings_that_were_measured_under_rain(rate):
     f = np.geomspace(0.5, 40.0, 2000)
     peak, wide = 5.772 - 0.0018 * rate, 4.42 + 0.0028 * rate
     measured = 6e-4 * rate**0.53 * np.exp(-np.pi * (np.log(f / peak) / (wide / peak)) ** 2)
-    rms = math.sqrt(np.trapezoid(measured, f) * 1e-4)
-    assert math.sqrt(in_balance(rate, 2.8e-3)) == pytest.approx(rms, rel=0.2)
+    k = np.geomspace(2.0, 1500.0, 2000)
+    slope = np.interp(2 * np.pi * f, angular_frequency(k, 0.3), k) ** 2 * measured
+    elevation, steepness = in_balance(rate, 2.8e-3)
+    assert math.sqrt(elevation / np.trapezoid(measured, f) * 1e4) == pytest.approx(1, rel=0.2)
+    assert math.sqrt(steepness / np.trapezoid(slope, f) * 1e4) == pytest.approx(0.8, abs=0.1)
     assert stirring(0.0) == 0 and stirring(50.0) > 1
 
 
