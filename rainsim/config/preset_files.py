@@ -35,6 +35,7 @@ HUMAN_KEYS = {
     "sun_azimuth_degrees": ("sun", math.pi / 180),
     "sun_elevation_degrees": ("sun", math.pi / 180),
     "cloudiness": ("cloudiness", 1.0),
+    "daylight": ("daylight", 1.0),
     "relight": ("relight", None),
     "brightness": ("brightness", 1.0),
     "metering": ("metering", None),
@@ -52,6 +53,7 @@ HUMAN_KEYS = {
     "streaks": ("streaks", None),
     "splashes": ("splashes", None),
     "spray": ("spray", None),
+    "glare": ("glare", None),
     "streak_far_m": ("streak_far", 1.0),
     "aperture_mm": ("aperture", 1e-3),
     "focus_m": ("focus", 1.0),
@@ -79,9 +81,9 @@ def preset_names():
     Examples
     --------
     >>> rainsim.preset_names()
-    ['drizzle', 'moderate', 'downpour', 'flood', 'after', 'paper']
+    ['drizzle', 'moderate', 'downpour', 'flood', 'after', 'dusk', 'paper']
     """
-    return ["drizzle", "moderate", "downpour", "flood", "after", "paper"]
+    return ["drizzle", "moderate", "downpour", "flood", "after", "dusk", "paper"]
 
 
 def preset_text(name):

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import os
 from dataclasses import dataclass, field
 
 import rainsim.config.timeline as timeline
@@ -16,7 +15,6 @@ from rainsim.config.preset_files import (
     DEFAULT_PRESET,
     HUMAN_KEYS,
     MM_PER_HOUR,
-    SKIES,
     from_human,
     is_number,
     nearest,
@@ -25,8 +23,8 @@ from rainsim.config.preset_files import (
     preset_names,
     preset_text,
 )
+from rainsim.config.rules import check_sky, pair, require_whole, rounded
 from rainsim.errors import (
-    InputError,
     ParameterError,
     require_choice,
     require_finite,
@@ -58,12 +56,13 @@ STREAKS = ("shutter", "paper")
 SPLASHES = ("crowns", "paper")
 TOPS = ("auto", "off")
 SPRAYS = ("auto", "off")
+GLARES = ("off", "spencer")
 LOOKS = {  # attributes of the light and look that take one of some words
     "metering": METERINGS, "relight": RELIGHTS, "wetting": WETTINGS, "reflections": REFLECTIONS,
     "mirror_size": MIRROR_SIZES, "film": FILMS, "tops": TOPS, "refraction": REFRACTIONS,
     "fresnel": FRESNELS, "highlight": HIGHLIGHTS, "coverage": COVERAGES,
     "water_geometry": WATER_GEOMETRIES, "streaks": STREAKS, "splashes": SPLASHES,
-    "spray": SPRAYS,
+    "spray": SPRAYS, "glare": GLARES,
 }  # fmt: skip
 CHOICES = {"scheme": WATER_SCHEMES, "drop_radii": DROP_RADII, **LOOKS}
 
@@ -130,21 +129,21 @@ class RainConfig:
     def check(self):
         """Raise ParameterError if a value breaks its rule."""
         rate = self.rate / MM_PER_HOUR if is_number(self.rate) else self.rate
-        require_not_negative("rain", _round(rate), "mm/h", "0 is no rain, 50 a downpour")
+        require_not_negative("rain", rounded(rate), "mm/h", "0 is no rain, 50 a downpour")
         if rate > MAX_RATE * (1 + 1e-9):
             raise ParameterError(
-                f"rain is {_round(rate)} mm/h; it must be at most {MAX_RATE:g}; 50 is a downpour"
+                f"rain is {rounded(rate)} mm/h; it must be at most {MAX_RATE:g}; 50 is a downpour"
             )
         past = self.past * 1e3 if is_number(self.past) else self.past
-        require_not_negative("past rain", _round(past), "mm", "0 leaves no puddles")
+        require_not_negative("past rain", rounded(past), "mm", "0 leaves no puddles")
         if past > MAX_PAST * (1 + 1e-9):
             raise ParameterError(
-                f"past rain is {_round(past)} mm; it must be at most {MAX_PAST:g}; "
+                f"past rain is {rounded(past)} mm; it must be at most {MAX_PAST:g}; "
                 "for a flood give a water level"
             )
         drying = self.drying / 3600 if is_number(self.drying) else self.drying
         require_not_negative("drying", drying, "h", "0 is still wet from the rain")
-        speed, direction = _pair("wind", self.wind, "a speed and a direction")
+        speed, direction = pair("wind", self.wind, "a speed and a direction")
         require_not_negative("wind speed", speed, "m/s", "turn the direction instead")
         if speed > MAX_WIND:
             raise ParameterError(f"wind speed is {speed} m/s; it must be at most {MAX_WIND:g} m/s")
@@ -195,6 +194,7 @@ class RenderConfig:
     sun: tuple | str | None = None  # azimuth from x towards y and elevation [rad]; "sky": as the
     # sky has it; None: no sun
     cloudiness: float = 0.8  # 0 clear to 1 overcast
+    daylight: float = 1.0  # share of an overcast day's light that is left; 0.04 is dusk
     relight: str = "auto"  # a captured sun goes as clouds cover the sky; off: it stays
     brightness: float = 1.0  # factor on the finished picture
     metering: str = "auto"  # exposed as by a camera's meter; off: as the capture was
@@ -216,6 +216,7 @@ class RenderConfig:
     streaks: str = "shutter"  # paper: opaque lines of spheres, whatever the shutter
     splashes: str = "crowns"  # paper: one Gaussian for each drop
     spray: str = "auto"  # tyres of cars throw the water that they meet; off: they leave it alone
+    glare: str = "off"  # of lamps; spencer: the eye's point spread
     streak_far: float = 8.0  # m; farther drops are fog
     aperture: float = 0.0  # m, diameter of the lens's opening: near drops blur; 0: all are sharp
     focus: float = 4.0  # m, what is in focus
@@ -225,21 +226,27 @@ class RenderConfig:
     def check(self):
         """Raise ParameterError if a value breaks its rule."""
         exposure = self.exposure * 1e3 if is_number(self.exposure) else self.exposure
-        require_positive("exposure", _round(exposure), "ms", "16.7 is 1/60 s")
+        require_positive("exposure", rounded(exposure), "ms", "16.7 is 1/60 s")
         check_sky(self.sky)
         if self.sun not in (None, "sky"):
-            azimuth, elevation = _pair("sun", self.sun, "an azimuth and an elevation")
+            azimuth, elevation = pair("sun", self.sun, "an azimuth and an elevation")
             require_finite("sun azimuth", azimuth)
             degrees = math.degrees(require_finite("sun elevation", elevation))
             if not 0 <= degrees <= 90 + 1e-9:
                 raise ParameterError(
-                    f"sun elevation is {_round(degrees)} degrees; it must lie from 0 (horizon) "
+                    f"sun elevation is {rounded(degrees)} degrees; it must lie from 0 (horizon) "
                     "to 90 (zenith); for no sun give none"
                 )
         require_finite("cloudiness", self.cloudiness)
         if not 0 <= self.cloudiness <= 1:
             raise ParameterError(
                 f"cloudiness is {self.cloudiness}; it must lie from 0 (clear) to 1 (overcast)"
+            )
+        require_positive("daylight", self.daylight, "", "0.04 is dusk")
+        if self.daylight > 1:
+            raise ParameterError(
+                f"daylight is {self.daylight}; it must be at most 1, an overcast day; for a "
+                "brighter picture raise brightness"
             )
         require_positive("brightness", self.brightness, "", "1 is as graded, 0.5 half as bright")
         if self.ground_albedo is not None:
@@ -253,10 +260,10 @@ class RenderConfig:
             require_choice(name, getattr(self, name), choices)
         aperture = self.aperture * 1e3 if is_number(self.aperture) else self.aperture
         require_not_negative(
-            "aperture", _round(aperture), "mm", "0 is sharp, 18 that of 50 mm f/2.8"
+            "aperture", rounded(aperture), "mm", "0 is sharp, 18 that of 50 mm f/2.8"
         )
         if aperture > MAX_APERTURE * 1e3:
-            raise ParameterError(f"aperture is {_round(aperture)} mm; it must be at most 100")
+            raise ParameterError(f"aperture is {rounded(aperture)} mm; it must be at most 100")
         require_positive("focus", self.focus, "m", "4 is usual")
         require_positive("streak_far", self.streak_far, "m", "8 is usual")
         if self.surroundings is not None:
@@ -414,7 +421,7 @@ class Config:
             require_whole("threads", self.threads, 1, MAX_THREADS)
 
     def _check_range(self):
-        first, end = _pair("frame range", self.frame_range, "a first frame and an end")
+        first, end = pair("frame range", self.frame_range, "a first frame and an end")
         require_whole("first frame of the range", first, 0, MAX_FRAMES)
         require_whole("end of the frame range", end, 0, MAX_FRAMES)
         if not first < end <= self.frames:
@@ -464,37 +471,3 @@ for _name, _group in _GROUPS.items():
 def group_of(name):
     """Return the group of a setting, such as "rain"; None if `Config` has it itself."""
     return _GROUP_OF[name]
-
-
-def check_sky(sky):
-    """Raise an error unless `sky` is a known name or an existing .hdr file."""
-    if sky in SKIES:
-        return
-    if not isinstance(sky, str) or not sky.lower().endswith(".hdr"):
-        raise ParameterError(
-            f"sky is {shown(sky)}; it must be {' or '.join(SKIES)} or the path of a Radiance .hdr "
-            "file"
-        )
-    if not os.path.isfile(sky):  # pathlib raises where a name is too long for any file
-        raise InputError(f"there is no sky file {sky}; check the path, or use overcast")
-
-
-def require_whole(name, value, low, high, unit=""):
-    """Return `value`, or raise ParameterError unless it is a whole number from low to high."""
-    unit = f" {unit}" if unit else ""
-    if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
-        raise ParameterError(
-            f"{name} is {shown(value)}{unit}; it must be a whole number from {low} to {high}{unit}"
-        )
-    return value
-
-
-def _pair(name, value, what):
-    if not isinstance(value, tuple | list) or len(value) != 2:
-        raise ParameterError(f"{name} is {shown(value)}; it must be {what}")
-    return value
-
-
-def _round(value):
-    """Return a number as a person wrote it: without the noise of a change of units."""
-    return float(f"{value:.9g}") if is_number(value) else value

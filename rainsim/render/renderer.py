@@ -21,6 +21,7 @@ from rainsim.render.wet_scene import WetScene
 from rainsim.shading import environment, sky
 from rainsim.shading.calibration import fixed_camera, metered, metering_views
 from rainsim.shading.composite import RainLight, compose
+from rainsim.shading.glare import Glare
 from rainsim.shading.wet_ground_mirror import WetGroundMirror, mean_share
 from rainsim.simulation import tops_drawn, usual_wind
 from rainsim.terrain.movers import with_movers
@@ -99,6 +100,7 @@ class Renderer:
         self._metered = self._meter(first_camera)
         self._choose_film(first_camera)
         self._camera = None  # that the kept picture belongs to
+        self._glare = Glare()
         self.view_end = None
         self._choice_is_noted = False  # of the reflections
 
@@ -136,6 +138,9 @@ class Renderer:
         if render.streaks == "paper":
             radiance = paper.line_radiance(picture)
             light = light._replace(drops=drop_radiance.even(radiance), around=radiance)
+        if render.glare != "off":
+            picture = self._glare.added(picture, camera.fx, self.brightness)
+            timer.mark("glare")
         image = np.empty((camera.height, camera.width, 3), np.uint8)
         brightness = np.float32(self.brightness)
         compose(picture, self.wet.depth, cover, light, self.wet.view, brightness, image)

@@ -24,7 +24,7 @@ from rainsim.shading import environment, sky, wetness
 from rainsim.shading.backdrop import Backdrop, sky_distance
 from rainsim.shading.calibration import albedo_of_white, zenith_radiance
 from rainsim.shading.color import LUMA, luminance_of, roughly_linear
-from rainsim.shading.grading import DULL_EXPOSURE, look_of
+from rainsim.shading.grading import DULL_EXPOSURE, SHINES, look_of
 from rainsim.shading.skyline import skylines, with_skyline
 from rainsim.shading.visibility import badly_placed, pale, views_of_splats
 from rainsim.shading.wet_ground_mirror import in_level_picture
@@ -123,7 +123,8 @@ class WetScene:
         self._place = np.array(terrain.grid.origin, np.float32), np.float32(terrain.grid.spacing)
         self._standing = self.tracer = None  # made when they are first asked for
         self.notes.append(about_albedo)
-        self.day = day_sky(config.render, zenith_radiance(self.albedo, DULL_EXPOSURE))
+        dull = DULL_EXPOSURE * config.render.daylight
+        self.day = day_sky(config.render, zenith_radiance(self.albedo, dull))
         self.look = self.off_ground = None
         self.set_time(config.at(0.0))
         place = config.render.surroundings
@@ -253,7 +254,10 @@ class WetScene:
             wet = self._wetted(layers, camera)
             land = np.isfinite(wet.depth) & (layers.alpha > 0.5)
             captured += float(luminance_of(layers.color[land]).sum())
-            rainy += float((wet.picture[land] @ LUMA).sum())
+            light = wet.picture[land] @ LUMA
+            if self.config.render.daylight < 1:  # by day lamps are a few percent of the light
+                light = np.minimum(light, SHINES * self.look.exposure)
+            rainy += float(light.sum())
             pixels += int(land.sum())
             sky += int((~land).sum())
         return captured / max(pixels, 1), rainy / max(pixels, 1), sky / max(pixels + sky, 1)

@@ -18,6 +18,7 @@ from rainsim.io.files import number_array, path_named, printable_name, read_json
 from rainsim.scene.actors import Actor, ColorSeries, Track, box_of
 from rainsim.scene.formats import read_splats
 from rainsim.scene.harmonics import padded
+from rainsim.scene.lamps import LUMINANCE, Lamp, with_lamps
 from rainsim.scene.types import Splats
 from rainsim.scene.wheels import MOST_WHEELS, NO_WHEELS
 
@@ -25,6 +26,7 @@ ACTORS_FILE, ACTORS_ARRAYS = "actors.json", "actors.npz"
 VERSION = 1
 REMEDY = "docs/actors.md describes the file; correct it"
 MOST_NODES = 4096
+MOST_LAMPS = 4096
 FLOAT = float(np.finfo(np.float32).max)
 LONGEST = 1e9  # s
 SPLATS = ("position", "rotation", "scale", "opacity", "sh")
@@ -61,6 +63,8 @@ class ActorsFile:
     ----------
     static : Path
         Of the scene that the nodes move through.
+    lamps : tuple of Lamp
+        Of the static set, in the capture frame.
     actors : tuple of Actor
     files : tuple of Path
         All files that were read: this one and those of the nodes' splats.
@@ -71,6 +75,7 @@ class ActorsFile:
     actors: tuple
     files: tuple
     notes: tuple
+    lamps: tuple = ()
 
 
 def actors_file(path):
@@ -117,8 +122,37 @@ def read_actors(path):
             read[file] = read_splats(file)
             files.append(file)
             notes += [f"{file.name}: {note}" for note in read[file][1]]
-        actors.append(_actor(where, node, read[file][0]))
-    return ActorsFile(static, tuple(actors), tuple(files), tuple(notes))
+        splats, lamps = read[file][0], _lamps(where, node.get("lamps", []))
+        if lamps:
+            splats, counts = with_lamps(splats, lamps)
+            notes += lamp_notes(where, counts)
+        actors.append(_actor(where, node, splats))
+    lamps = _lamps(str(path), data.get("lamps", []))
+    return ActorsFile(static, tuple(actors), tuple(files), tuple(notes), lamps)
+
+
+def lamp_notes(where, counts):
+    """Return notes on lamps, by how many splats each has."""
+    dark = counts.count(0)
+    return [f"{where}: {len(counts)} lamps of {sum(counts)} splats shine"
+            + (f"; {dark} have no splat that is bright enough" if dark else "")]  # fmt: skip
+
+
+def _lamps(where, data):
+    """Return the lamps that a list describes, a tuple of Lamp."""
+    lamps = []
+    for entry in data if isinstance(data, list) and len(data) <= MOST_LAMPS else (None,):
+        row = None
+        if isinstance(entry, dict) and isinstance(entry.get("at"), list):
+            row = number_array([*entry["at"], entry.get("radius")], (4,))
+        if row is None or row[3] <= 0 or entry.get("class") not in LUMINANCE:
+            raise InputError(
+                f"{where}: lamps has {shown(entry if entry is not None else data)}; it must be a "
+                f"list of at most {MOST_LAMPS} objects with class ({', '.join(LUMINANCE)}), at "
+                f"(three numbers) and radius above 0; {REMEDY}"
+            )
+        lamps.append(Lamp(entry["class"], row[:3], float(row[3])))
+    return tuple(lamps)
 
 
 def _name(where, key, value):

@@ -30,6 +30,7 @@ from rainsim.scene.actor_files import (
     ACTORS_FILE,
     REMEDY,
     actors_file,
+    lamp_notes,
     read_actor_arrays,
     read_actors,
     write_actor_arrays,
@@ -51,6 +52,7 @@ from rainsim.scene.ground import (
     read_ground_frame,
     rescale_ground_frame,
 )
+from rainsim.scene.lamps import with_lamps
 from rainsim.scene.painted import PAINTED_FILE, read_painted, write_painted
 from rainsim.scene.street_gaussians import (
     StreetModel,
@@ -186,11 +188,15 @@ def _import_with_actors(path, file, *given):
     scene = import_scene(found.static, *given)
     if scene.actors:
         raise InputError(f"{file}: its scene has nodes already; it must be a static set; {REMEDY}")
+    notes = found.notes
+    if found.lamps:
+        splats, counts = with_lamps(scene.splats, found.lamps)
+        scene, notes = replace(scene, splats=splats), (*notes, *lamp_notes(file.name, counts))
     digest = hashlib.sha256(scene.source_hash.encode())
     for part in found.files:
         digest.update(_sha256(part).encode())
     try:
-        scene = with_actors(scene, found.actors, found.notes)
+        scene = with_actors(scene, found.actors, notes)
     except ParameterError as error:
         raise InputError(f"{file}: {error}") from None
     name = file.parent.resolve().name

@@ -52,6 +52,7 @@ def look_of(config, sky_distance, sky_is_left_out, albedo, relit=False):
     c = config.render.cloudiness
     replaced = 0.0 if config.render.sky == "capture" else c
     dimmed, compressed = 1 - (1 - DULL_EXPOSURE) * c, 0.0 if relit else 1.2 * c
+    dimmed *= config.render.daylight
     numbers = dimmed, 0.2 * c, compressed, replaced, sky_distance, sky_is_left_out, albedo
     return Look(*(np.float32(n) for n in numbers))
 

@@ -13,8 +13,8 @@ PARTS = (TERRAIN, WATER, LIGHT, PASSES)
 _RAIN = (WATER, LIGHT)  # it falls on the water, and wets what the light falls on
 # Settings that are read for each picture: a changed one needs a new picture and nothing else.
 PICTURE = frozenset({
-    "exposure", "brightness", "streak_far", "aperture", "focus", "streaks", "splashes", "frames",
-    "width", "height", "frame_range", "threads", "moments",
+    "exposure", "brightness", "streak_far", "aperture", "focus", "streaks", "splashes", "glare",
+    "frames", "width", "height", "frame_range", "threads", "moments",
 })  # fmt: skip
 NEEDS = {
     "spacing": (TERRAIN,), "extent": (TERRAIN,),
@@ -24,7 +24,8 @@ NEEDS = {
     "seed": (WATER, PASSES), "gusts": (WATER, PASSES), "drop_radii": (WATER, PASSES),
     "drips": (WATER, PASSES), "surface_film": (WATER, PASSES), "fps": (WATER, PASSES),
     "spray": (WATER, PASSES),
-    "sky": (LIGHT,), "sun": (LIGHT,), "cloudiness": (LIGHT,), "relight": (LIGHT,),
+    "sky": (LIGHT,), "sun": (LIGHT,), "cloudiness": (LIGHT,),
+    "daylight": (LIGHT,), "relight": (LIGHT,),
     "ground_albedo": (LIGHT,), "wetting": (LIGHT,), "surroundings": (LIGHT,), "film": (LIGHT,),
     "metering": (PASSES,), "reflections": (PASSES,), "mirror_size": (PASSES,),
     "refraction": (PASSES,),

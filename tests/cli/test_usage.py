@@ -239,6 +239,7 @@ def test_scenes_and_presets_are_listed(rainsim, scene_folder, monkeypatch):
         "downpour",
         "flood",
         "after",
+        "dusk",
         "paper",
     ]
 

@@ -29,6 +29,7 @@ CASES = {
     "bicycle_paper": ("bicycle", (0, 0), "paper", {}),
     "street_downpour": ("street", (6, 7), "downpour", {}),
     "street_flood": ("street", (6, 6), "flood", {}),
+    "street_dusk": ("street", (6, 7), "dusk", {}),
     "street_after": ("street", (1, 1), "after", {"sun": "sky"}),
 }
 
