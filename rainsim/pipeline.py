@@ -38,6 +38,8 @@ __all__ = [
     "write_state",
 ]
 
+READ_AHEAD = 4  # frames: what the camera needs so much later is read beside the drawing
+
 
 def render_rain(scene, cameras, config, backend="cpu", progress=None, layers=(), terrain=None):
     """Yield the rainy frames of a scene: the whole program.
@@ -262,6 +264,9 @@ class SequenceRenderer:
             for state in states:
                 camera = self._cameras[0 if len(self._cameras) == 1 else state.index]
                 exposure = config.at(state.time).render.exposure
+                if self._scene.pages is not None and len(self._cameras) > 1:
+                    ahead = min(state.index + READ_AHEAD, len(self._cameras) - 1)
+                    self._renderer.read_ahead(self._cameras[ahead])
                 yield camera, state, shutter_end(path, state.index, exposure, config.fps)
 
         if self._renderer is None:

@@ -142,6 +142,34 @@ def growth(**given):
     _run("growth", **given)
 
 
+@bench.command(short_help="A long street in chunks: accuracy against memory and time.")
+@click.option(
+    "--length",
+    type=click.FloatRange(40, 5000),
+    metavar="M",
+    show_default="200",
+    help="Of the street; 1000 m are 13 million splats.",
+)
+@click.option(
+    "--folder",
+    type=click.Path(file_okay=False, path_type=Path),
+    metavar="DIR",
+    help="Keep the street's chunks there, or take them from there.",
+)
+@_options
+def lod(**given):
+    """Cut a long street into chunks and drive along it.
+
+    Prints accuracy of rainy frames against frames of all splats, and their time and memory, over
+    the threshold of --detail; then time and memory along a drive.
+
+    \b
+    Example:
+        rainsim bench lod --length 1000 --json lod.json --chart lod.png
+    """
+    _run("lod", **given)
+
+
 @bench.command(short_help="Accuracy and time of splatting.")
 @_options
 def splat(**given):

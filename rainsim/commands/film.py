@@ -31,6 +31,7 @@ VERSION = 1  # of simulation.json; those without a version are of version 1
 @options.light_options
 @options.camera_options
 @options.picture_options
+@options.big_options
 @options.backend_option
 @options.shared_range_options
 @options.farm_options
@@ -204,6 +205,7 @@ def _write_simulation(out, source, map_file, record, config, preset, origin):
 @options.light_options
 @options.camera_options
 @options.picture_options
+@options.big_options
 @options.backend_option
 @options.shared_range_options
 @options.farm_options

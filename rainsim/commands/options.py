@@ -257,6 +257,15 @@ light_options = _group(
                  "concrete: it sets how bright the sky is against the land."),
 )  # fmt: skip
 
+big_options = _group(
+    click.option("--detail", type=float, metavar="PX", show_default=PRESETS,
+                 help="Of a capture in chunks: what is merged takes at most so many px of the "
+                 "picture; larger is coarser and faster, 0 draws all splats."),
+    click.option("--memory", type=float, metavar="GB", show_default=PRESETS,
+                 help="What the splats of a capture in chunks may take, in GB; what does not fit "
+                 "is drawn coarser."),
+)  # fmt: skip
+
 picture_options = _group(
     click.option("--width", type=int, metavar="PX", show_default="648, or as --height asks",
                  help="Width of the frames in px."),

@@ -53,6 +53,7 @@ SIDES = (1, 16384)  # px
 @click.option("--overwrite", is_flag=True, help="Replace the file if it exists.")
 @click.option("--threads", type=int, metavar="N", show_default="all cores",
               help="Number of threads.")  # fmt: skip
+@options.big_options
 @options.backend_option
 @options.json_option
 def splat(scene, out, overwrite, threads, as_json, **given):
@@ -92,10 +93,16 @@ def splat(scene, out, overwrite, threads, as_json, **given):
         from rainsim.cuda import require
 
         require()
+    from rainsim.commands.choose import settings
+    from rainsim.scene.pages import require_whole
+
+    if given["hit"]:
+        require_whole(capture, "--hit", "leave it out")
+    render = settings("moderate", {name: given[name] for name in ("detail", "memory")}).render
     notes = [*capture.notes, *_memory(capture, camera, out, given["backend"])]
     layers, milliseconds = draw(
         capture, camera, given["depth"], given["backend"], compensate=given["compensate"],
-        background=given["background"], hit=given["hit"],
+        background=given["background"], hit=given["hit"], render=render,
     )  # fmt: skip
     _write(Path(out), layers, camera)
     facts = {
@@ -178,19 +185,30 @@ def _memory(capture, camera, out, backend):
     return require_memory_of_dry(capture.splats, camera, out.suffix.lower() == ".npz", free)
 
 
-def draw(capture, camera, depth="expected", backend="cpu", **options):
-    """Return the `Layers` of a camera, with the depth that `depth` names, and the time [ms]."""
+def draw(capture, camera, depth="expected", backend="cpu", render=None, **options):
+    """Return the `Layers` of a camera, with the depth that `depth` names, and the time [ms].
+
+    `render` is the RenderConfig whose `detail` and `memory` hold for a capture in chunks.
+    """
     import time
 
+    from rainsim.config.settings import Config
+    from rainsim.lod.paged import rasterizer_of_scene
     from rainsim.raster import Rasterizer, prepare
-    from rainsim.scene.actors import scene_at
+    from rainsim.scene.actors import require_no_actors, scene_at
+    from rainsim.scene.pages import require_whole
 
     if backend == "cuda":
+        require_whole(capture, "backend cuda", "take backend cpu")
         from rainsim.cuda import require
 
         require()
         from rainsim.cuda.raster import Rasterizer
-    drawer = Rasterizer(prepare(scene_at(capture, 0.0).splats))
+    if capture.pages is None:
+        drawer = Rasterizer(prepare(scene_at(capture, 0.0).splats))
+    else:
+        require_no_actors(capture.actors, "rainsim splat of chunks", "draw the static set")
+        drawer = rasterizer_of_scene(capture, render or Config().render, Rasterizer)
     begin = time.perf_counter()
     mode = "median" if depth == "median" else "expected"
     layers = drawer.draw(camera, NEAR, depth=mode, drop_last=True, **options)

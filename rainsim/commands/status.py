@@ -313,7 +313,7 @@ def say_scene(status, scene):
     status.progress(READING, 1, 1)
     cameras = len(scene.cameras)
     status.say(
-        f"scene {scene.name}: {len(scene.splats):,} splats, {cameras} "
+        f"scene {scene.name}: {scene.count:,} splats, {cameras} "
         f"camera{'' if cameras == 1 else 's'}"
         + (f", {len(scene.actors)} moving nodes" if scene.actors else "")
     )

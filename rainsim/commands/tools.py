@@ -29,10 +29,15 @@ GROUND_FRAME = "ground_frame.json"
     type=click.FloatRange(min=0, min_open=True),
     help="Frames a second of the data of a drivestudio checkpoint (10 without it).",
 )
+@click.option(
+    "--lod", is_flag=True,
+    help="Cut a capture that is too large for the memory into chunks at several levels of detail "
+    "(Streamed SOG); it is read once, part by part.",
+)  # fmt: skip
 @options.ground_options
 @options.resume_option
 @options.output_options("NAME-scene")
-def import_(path, info, out, overwrite, resume, threads, as_json, quiet, **given):
+def import_(path, info, lod, out, overwrite, resume, threads, as_json, quiet, **given):
     """Read a capture, find its ground, and write it as a scene folder.
 
     PATH is a trained model's folder (point_cloud/iteration_*/point_cloud.ply and cameras.json) or a
@@ -43,6 +48,8 @@ def import_(path, info, out, overwrite, resume, threads, as_json, quiet, **given
     Prints the ground frame and, from the height map, what the captured colours are taken for, which
     --ground-albedo of `run` corrects.
 
+    With --lod the folder holds chunks in place of splats.npz: a Streamed SOG.
+
     With --info it prints counts, degree of spherical harmonics, bounds, percentiles of opacity and
     scale, unusable splats and the memory needed; lengths are in the capture's own units.
 
@@ -52,30 +59,40 @@ def import_(path, info, out, overwrite, resume, threads, as_json, quiet, **given
         rainsim import plaza.ply --up 0,0,1 --meters-per-unit 1
         rainsim import output/street/ --tracks data/002 --out ~/scenes/drive
         rainsim import checkpoint_final.pth --cameras transforms.json --out ~/scenes/drive
+        rainsim import city.ply --lod --cameras transforms.json --out ~/scenes/city
         rainsim import --info biker.spz
     """
     if info:
         _tell_info(path, as_json)
         return
+    from rainsim.commands.cutting import cut_to_scene, require_cuttable
     from rainsim.output_folder import Record, claimed, relative
     from rainsim.scene.actor_files import ACTORS_ARRAYS
     from rainsim.scene.folder import write_scene
     from rainsim.scene.ground import ground_frame_to_dict, write_ground_frame
 
     status = Status(quiet)
-    with status:
-        scene = loaded_scene(status, path, given)
-    frame = scene.ground_frame
-    out = out or Path(f"{options.plain(scene.name)}-scene")
+    if lod:
+        whole = require_cuttable(path, overwrite, resume)
+        out = out or Path(f"{options.plain(path.stem)}-scene")
+    else:
+        with status:
+            scene = loaded_scene(status, path, given)
+        out = out or Path(f"{options.plain(scene.name)}-scene")
     with claimed(out, overwrite, resume, [path, *paths_in(given)]):
+        if lod:
+            with status:
+                scene = cut_to_scene(status, *whole, out, given)
+        frame = scene.ground_frame
         record = Record(out, scene)
         if resume:
             record.resume(())  # one step: it is made again in the folder of the very same scene
         record.begin()
         write_scene(out, scene)
         write_ground_frame(out / GROUND_FRAME, frame)
+        arrays = () if scene.pages is not None else ("splats.npz",)
         nodes = (ACTORS_ARRAYS,) if scene.actors else ()
-        record.add("scene.json", "splats.npz", *nodes, GROUND_FRAME)
+        record.add("scene.json", *arrays, *nodes, GROUND_FRAME)
         record.write(complete=True)
         calibration = _calibration(status, scene, threads)
     status.say(f"scene folder {relative(out)}")

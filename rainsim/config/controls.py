@@ -29,6 +29,8 @@ OPTION_KEYS = {
     "brightness": ("brightness",),
     "metering": ("metering",),
     "ground_albedo": ("ground_albedo",),
+    "detail": ("detail_px",),
+    "memory": ("memory_gb",),
     "width": ("width",),
     "height": ("height",),
     "spacing": ("terrain_spacing_m",),

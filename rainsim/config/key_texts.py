@@ -56,6 +56,9 @@ MEANINGS = {
     "streak_far_m": "depth beyond which drops are drawn as fog",
     "aperture_mm": "diameter of the lens's opening: near drops blur; 0 is sharp",
     "focus_m": "distance that is in focus",
+    "detail_px": "of a capture in chunks: splats that are merged take at most so much of the "
+    "picture; 0 draws all",
+    "memory_gb": "that the splats of a capture in chunks may take",
     "surroundings_x": "place from which the light is drawn that rain and water mirror, in capture "
     "units; without it the first camera's",
     "surroundings_y": "see `surroundings_x`",
@@ -70,6 +73,7 @@ MEANINGS = {
 UNITS = {  # endings of keys, and the unit as a table shows it
     "_mm_per_hour": "mm/h", "_m_per_s": "m/s", "_mm": "mm", "_ms": "ms", "_hours": "h",
     "_degrees": "degrees", "_m": "m", "fps": "1/s", "width": "px", "height": "px",
+    "_px": "px", "_gb": "GB",
 }  # fmt: skip
 
 

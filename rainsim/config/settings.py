@@ -191,8 +191,7 @@ class RenderConfig:
 
     exposure: float = 1 / 60  # s; longer draws longer and fainter streaks
     sky: str = "overcast"  # or "capture", or the path of an equirectangular Radiance .hdr
-    sun: tuple | str | None = None  # azimuth from x towards y and elevation [rad]; "sky": as the
-    # sky has it; None: no sun
+    sun: tuple | str | None = None  # azimuth from x towards y, elevation [rad]; "sky": the sky's
     cloudiness: float = 0.8  # 0 clear to 1 overcast
     daylight: float = 1.0  # share of an overcast day's light that is left; 0.04 is dusk
     relight: str = "auto"  # a captured sun goes as clouds cover the sky; off: it stays
@@ -201,12 +200,9 @@ class RenderConfig:
     ground_albedo: float | None = None  # of the open ground; None: guessed, class by class
     wetting: str = "class"  # things darken and gloss by class; none: they stay dry, the paper's
     reflections: str = "auto"  # mirror: one mirrored pass; ssr: march the depth; auto: a mirror
-    # for each level that much water stands at, the march for other water;
-    # traced: rays through the splats, slow; paper: march with a point test
-    mirror_size: str = "auto"  # of mirrored pictures; half: of the frame's width and height; auto:
-    # half where ripples blur what they show
-    film: str = "auto"  # wet-ground mirror, drawn where it shows; mirror: always drawn;
-    # environment: wet ground only glosses with the first camera's surroundings
+    # for each level of much water, else the march; traced: rays, slow; paper: a point test
+    mirror_size: str = "auto"  # of mirrored pictures; half: of the frame's sides; auto: by ripples
+    film: str = "auto"  # wet-ground mirror where it shows; mirror: always; environment: gloss only
     tops: str = "auto"  # what lies flat above the ground carries water; off: it only darkens
     refraction: str = "snell"  # shift: the image shifted by the normal, the paper's
     fresnel: str = "exact"  # schlick: the paper's approximation
@@ -220,6 +216,8 @@ class RenderConfig:
     streak_far: float = 8.0  # m; farther drops are fog
     aperture: float = 0.0  # m, diameter of the lens's opening: near drops blur; 0: all are sharp
     focus: float = 4.0  # m, what is in focus
+    detail: float = 1.5  # px: what a level of a big capture merges is at most so wide; 0: nothing
+    memory: float = 0.8e9  # bytes that a big capture's splats may take
     surroundings: tuple | None = None  # x, y, z [capture units] from where the light is drawn that
     # rain and water mirror; None: the first camera's place
 
@@ -266,11 +264,13 @@ class RenderConfig:
             raise ParameterError(f"aperture is {rounded(aperture)} mm; it must be at most 100")
         require_positive("focus", self.focus, "m", "4 is usual")
         require_positive("streak_far", self.streak_far, "m", "8 is usual")
+        require_not_negative("detail", self.detail, "px", "1.5 is usual, 0 draws all")
+        require_positive("memory", self.memory, "bytes", "1e9 is usual")
         if self.surroundings is not None:
-            place = self.surroundings
-            if not isinstance(place, tuple | list) or len(place) != 3:
-                raise ParameterError(f"surroundings is {shown(place)}; it must be a place x, y, z")
-            for value in place:
+            if not isinstance(self.surroundings, tuple | list) or len(self.surroundings) != 3:
+                place = shown(self.surroundings)
+                raise ParameterError(f"surroundings is {place}; it must be a place x, y, z")
+            for value in self.surroundings:
                 require_finite("surroundings", value, "leave it out for the first camera's place")
 
 

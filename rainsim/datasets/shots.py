@@ -10,11 +10,12 @@ from rainsim.backend import on_backend
 from rainsim.config.settings import mm_per_hour
 from rainsim.datasets.sample import REPLACED, Sample, keep_mask
 from rainsim.drops import Weather
+from rainsim.lod.paged import rasterizer_of_scene
 from rainsim.pipeline import FrameSequence, simulate
-from rainsim.raster import Rasterizer, prepare
 from rainsim.render.labels import boxes_of
 from rainsim.render.shutter import motion_of
 from rainsim.scene.actors import require_no_actors
+from rainsim.scene.pages import require_whole
 from rainsim.sensors.glass import caps_on, through_glass, wide_camera
 from rainsim.sensors.lens import lens_warp
 from rainsim.sensors.rolling import STILL, Motion, bands, draw_rolling
@@ -53,6 +54,7 @@ class Shots:
                  readout=0.0, pane=None):  # fmt: skip
         if user_labels is not None:
             require_no_actors(scene.actors, "export with labels of splats", "leave out --labels")
+            require_whole(scene, "export with labels of splats", "leave out --labels")
         if readout:
             require_no_actors(scene.actors, "a rolling shutter", "leave out --rolling")
         self.scene, self.terrain, self.views = scene, terrain, views
@@ -151,7 +153,7 @@ class Shots:
         """Return the dry capture, 8-bit colours, that a camera (ground frame) sees."""
         frame = self.scene.ground_frame
         if self._dry is None:
-            self._dry = Rasterizer(prepare(self.scene.splats))
+            self._dry = rasterizer_of_scene(self.scene, self.config.render)
         camera = frame.camera_in_capture(camera)
         color = self._dry.draw(camera, NEAR / frame.meters_per_unit).color
         return (np.clip(color, 0, 1) * 255 + 0.5).astype(np.uint8)

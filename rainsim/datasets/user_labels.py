@@ -14,6 +14,7 @@ from rainsim.errors import InputError
 from rainsim.io import images
 from rainsim.raster import Rasterizer, prepare
 from rainsim.render.labels import OTHER_CLASS
+from rainsim.scene.pages import require_whole
 
 MOST_ID = 2**16 - 1
 NEAR = 0.05  # m
@@ -55,6 +56,7 @@ def read_labels(path, scene):
     InputError
         If the ids do not fit the scene, or no mask belongs to a camera.
     """
+    require_whole(scene, "export with labels of splats", "leave out --labels")
     ids = _from_masks(path, scene) if path.is_dir() else _from_file(path, len(scene.splats))
     return UserLabels(scene, ids)
 

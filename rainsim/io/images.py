@@ -6,6 +6,7 @@ renamed, so that what stood there before survives a failure.
 
 from __future__ import annotations
 
+import io
 import os
 import tempfile
 import warnings
@@ -47,6 +48,18 @@ def write_png(path, image):
         raise ParameterError(f"the picture for {path} is {image.dtype}; a PNG here must be uint8")
     with replacing(path) as temporary:
         _write(temporary, image, extension=".png", compress_level=PNG_LEVEL)
+
+
+def lossless_webp(pixels):
+    """Return pixels (height, width, 4) uint8 as a lossless WebP picture: bytes.
+
+    Quickly: with more effort files would be some 5 % smaller.
+    """
+    from PIL import Image
+
+    buffer = io.BytesIO()
+    Image.fromarray(pixels).save(buffer, "WEBP", lossless=True, exact=True, quality=0, method=0)
+    return buffer.getvalue()
 
 
 def write_png16(path, values):

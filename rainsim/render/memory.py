@@ -65,7 +65,7 @@ def memory_of_frames(scene, camera, cells=0, layers=0):
         Number of AOVs.
     """
     every = (scene.splats, *(actor.splats for actor in scene.actors))
-    splats = PER_SPLATS * sum(map(_bytes_of, every))
+    splats = PER_SPLATS * sum(map(_bytes_of, every)) + _bytes_of_pages(scene)
     pixel = PIXEL + LAYER_PIXEL * layers
     return PROGRAM + splats + CELL * cells + pixel * camera.width * camera.height
 
@@ -142,6 +142,11 @@ def _require_on_device(what, splats, camera, cells, free):
     size = device_memory_of_frames(splats, camera, cells)
     need = Need(what, size, DEVICE_PIXEL, " of the GPU")
     return need, _require(need, free, camera, COARSER if cells else FEWER)
+
+
+def _bytes_of_pages(scene):
+    """Return what the chunks of a scene may take beside its splats."""
+    return 0.0 if scene.pages is None else scene.pages.memory
 
 
 def _bytes_of(splats):

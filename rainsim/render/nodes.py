@@ -28,13 +28,15 @@ class Nodes:
         Of those that are there, in the capture frame.
     static : PreparedSplats
         As it was given, in memory that is shared with the merged sets.
+    first : int
+        Number that the first of the nodes' splats has in the merged set.
     """
 
     def __init__(self, actors, static):
         self.actors, self.time, self.poses = actors, None, []
         self._most = sum(len(actor.splats) for actor in actors)
         self._merger, self._standing = Merger(static, self._most), None
-        self.static, self.splats, self._first = self._merger.static, None, len(static)
+        self.static, self.splats, self.first = self._merger.static, None, len(static)
         self._ends = np.zeros(len(actors) + 1, np.int64)
 
     def set_time(self, time):
@@ -64,7 +66,7 @@ class Nodes:
     def merged(self):
         """Return the `PreparedSplats` of the whole scene; overwritten by the next call."""
         nodes = None if self.splats is None else prepare(self.splats)
-        return self._merger.merged(nodes, self._first)
+        return self._merger.merged(nodes, self.first)
 
     def standing(self, terrain, frame):
         """Return what stands on the ground as the level picture takes it, nodes included."""
@@ -92,8 +94,8 @@ class Nodes:
         -------
         ndarray of shape (height, width), uint16
         """
-        found = np.searchsorted(self._ends[1:], hit - self._first, side="right") + 1
-        return np.where(hit >= self._first, found, 0).astype(np.uint16)
+        found = np.searchsorted(self._ends[1:], hit - self.first, side="right") + 1
+        return np.where(hit >= self.first, found, 0).astype(np.uint16)
 
 
 def _same(pose, other):

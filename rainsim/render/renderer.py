@@ -165,6 +165,11 @@ class Renderer:
         self.config, self._camera = config, None
         self.rain = RainPass(self.moving.still, config)
 
+    def read_ahead(self, camera):
+        """Begin to read what a camera of the capture frame needs, if the capture is in chunks."""
+        if self.wet_scene.paged is not None:
+            self.wet_scene.paged.read_ahead(camera, self.wet_scene.near)
+
     def film(self, shots, names=()):
         """Yield what `draw` returns for each (camera, state, camera_end), one after the other."""
         for camera, state, camera_end in shots:

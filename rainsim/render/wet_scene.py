@@ -16,6 +16,7 @@ from rainsim.reflection.planar_mirror import MirrorPicture
 from rainsim.reflection.ray_traced import Tracer
 from rainsim.reflection.water_pass import WetPicture
 from rainsim.render.nodes import Nodes
+from rainsim.render.paged_scene import PagedScene
 from rainsim.render.present_splats import PresentSplats
 from rainsim.scene.actors import joined
 from rainsim.scene.cameras import MIRROR_CLEARANCE, cropped, mirrored_camera
@@ -75,6 +76,8 @@ class WetScene:
         See `wetness.ground_wetness`.
     paving : float
         How wet open paving is, 0 to 1.
+    paged : PagedScene or None
+        What draws a big capture in place of `prepared`, which then is its coarse whole.
     nodes : Nodes or None
         What moves, see `move_nodes`.
     tracer : Tracer or None
@@ -115,7 +118,15 @@ class WetScene:
         self.nodes = Nodes(scene.actors, self.prepared) if scene.actors else None
         if self.nodes is not None:
             self.prepared = self.nodes.static
-        self.rasterizer = rasterizer_of(self.prepared)
+        self.paged = None
+        if scene.pages is not None:
+            leave_out = not self.backdrop.count and replaces_sky(config)
+            self.paged = PagedScene(
+                self.backdrop, self.sky_distance, gain, diffuse, self.badly_placed, leave_out,
+                terrain, self.reach, self._grass, config.render, rasterizer_of,
+            )  # fmt: skip
+            self.paged.take_colors(self._colors)
+        self.rasterizer = rasterizer_of(self.prepared) if self.paged is None else self.paged.whole
         self._skylines = None
         if not self.backdrop.count:
             self._skylines = skylines(self.scene, self.prepared, first_camera, self.near)
@@ -177,19 +188,25 @@ class WetScene:
 
     def _put_nodes(self):
         """Put the nodes as they are now before the static set."""
-        self.rasterizer.recolor(self.nodes.merged())
+        if self.paged is None:
+            self.rasterizer.recolor(self.nodes.merged())
+        else:
+            self.paged.put_nodes(self.nodes, self.frame)
         self._standing = self.tracer = None
 
     def _recolor(self, colors):
         """Take over the colours of the splats of another state, see `PresentSplats`."""
         self._colors, self.splats = colors, self._present.at(colors)
         self.prepared = recolored(self.prepared, self.splats)
+        if self.paged is not None:
+            self.paged.take_colors(colors)
         if self.nodes is not None:
             self.nodes.recolor(self.prepared)
             self.prepared = self.nodes.static
             self._put_nodes()
             return
-        self.rasterizer.recolor(self.prepared)
+        if self.paged is None:
+            self.rasterizer.recolor(self.prepared)
         self._standing = self.tracer = None
 
     def _leave_out(self, shreds):
@@ -218,6 +235,8 @@ class WetScene:
         `whole_color`: the colour is that of all splats as captured, those of the sky included.
         """
         layers = self.rasterizer.draw(camera, self.near)
+        if whole_color and self.paged is not None:
+            return replace(layers, color=self.paged.captured.draw(camera, self.near).color)
         if whole_color and self.splats is not self.backdrop.whole.splats:
             splats = self.backdrop.whole.splats
             if self.nodes is not None and self.nodes.splats is not None:
@@ -267,6 +286,8 @@ class WetScene:
 
         `level` is the level, upright camera (ground frame) that is mirrored.
         """
+        if self._standing is None and self.paged is not None:
+            self._standing = self.paged.standing
         if self._standing is None:
             place = self.terrain, self.frame
             standing = in_level_picture(self.prepared, *place) if self.nodes is None else (

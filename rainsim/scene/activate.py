@@ -109,12 +109,17 @@ def keep_good(path, splats, good, max_broken=MAX_BROKEN_SHARE):
     broken = count - int(np.count_nonzero(good))
     if not broken:
         return splats, 0
+    require_few_broken(path, broken, count, max_broken)
+    return splats.take(good), broken
+
+
+def require_few_broken(path, broken, count, max_broken=MAX_BROKEN_SHARE):
+    """Raise InputError if too many of the splats of a file are unusable, or all of them."""
     if broken > max_broken * count or broken == count:
         raise InputError(
             f"{path} has {_share(broken, count)} with NaN, infinite or absurd values; at most "
             f"{100 * MAX_BROKEN_SHARE:g} % are tolerated; export the capture again"
         )
-    return splats.take(good), broken
 
 
 def dropped_note(broken, kept):

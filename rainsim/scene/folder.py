@@ -36,6 +36,7 @@ from rainsim.scene.actor_files import (
     write_actor_arrays,
 )
 from rainsim.scene.actors import with_actors
+from rainsim.scene.big import open_pages, require_home
 from rainsim.scene.cameras import (
     JSON_FILES,
     cameras_from_data,
@@ -45,6 +46,7 @@ from rainsim.scene.cameras import (
 from rainsim.scene.colmap import find_model
 from rainsim.scene.drivestudio import FRAMES_PER_SECOND, is_checkpoint, read_checkpoint
 from rainsim.scene.formats import META, SUFFIXES, read_splats, source_files
+from rainsim.scene.formats.streamed import LOD_META
 from rainsim.scene.ground import (
     estimate_ground_frame,
     ground_frame_from_dict,
@@ -73,6 +75,7 @@ ARRAYS = {
     "opacity": Field("float32", ("splats",), 0, 1),
     "sh": Field("float32", ("splats", "coefficients", 3), -FLOAT, FLOAT),
 }
+MODEL_STEMS = ("point_cloud", "meta", "lod-meta")  # of files that have their model's name
 COEFFICIENTS = (1, 4, 9, 16)
 NOT_UNIT = 1e-2  # of a quaternion's squared length from 1
 
@@ -121,6 +124,12 @@ def import_scene(
             scene = replace(scene, cameras=tuple(cameras), notes=notes)
         return override_ground_frame(scene, up, meters_per_unit, camera_height, ground_frame)
     splat_file, model = locate(path)
+    if splat_file.name == LOD_META:
+        _require_options(path, tracks, track_fps)
+        if cameras is None:
+            cameras, camera_notes = cameras_beside(splat_file, model)
+        given = up, meters_per_unit, camera_height
+        return _import_chunks(path, splat_file, cameras, camera_notes, ground_frame, given)
     with ThreadPoolExecutor(1) as pool:  # hashing runs beside reading
         hashed = pool.submit(_sha256, splat_file)
         splats, notes, nodes = _read(splat_file, tracks, track_fps)
@@ -139,6 +148,15 @@ def import_scene(
     notes = (*notes, *camera_notes)
     scene = Scene(name, splats, tuple(cameras), frame, path, source_hash, notes)
     return _with_nodes(scene, nodes, tracks) if nodes else scene
+
+
+def _import_chunks(path, index, cameras, camera_notes, ground_frame, given):
+    """Return the Scene of a Streamed SOG; `given` is what `_kept_frame` takes."""
+    pages, splats, source_hash, notes = open_pages(index)
+    found = ground_frame is None and _kept_frame(source_hash, splats, cameras, *given)
+    frame = found or _as_frame(ground_frame)
+    name, notes = _file_name(path, index.parent), (*notes, *camera_notes)
+    return Scene(name, splats, tuple(cameras), frame, path, source_hash, notes, pages=pages)
 
 
 def _read(file, tracks, track_fps):
@@ -257,7 +275,8 @@ def is_scene(path):
     """Return whether the names at `path` are those of a scene that `import_scene` reads."""
     path = Path(path)
     if path.is_dir():
-        named = any((path / name).is_file() for name in (SCENE_FILE, META, ACTORS_FILE))
+        files = (SCENE_FILE, META, LOD_META, ACTORS_FILE)
+        named = any((path / name).is_file() for name in files)
         return named or newest_splat_file(path) is not None
     return path.is_file() and path.suffix.lower() in SUFFIXES
 
@@ -299,9 +318,10 @@ def locate(path):
 
 
 def _only_splat_file(folder):
-    """Return the one splat file that lies in a folder, or the meta.json of a SOG."""
-    if (folder / META).is_file():
-        return folder / META
+    """Return the one splat file that lies in a folder, or the index of a SOG."""
+    for name in (LOD_META, META):
+        if (folder / name).is_file():
+            return folder / name
     loose = sorted(p for p in folder.iterdir() if p.suffix.lower() in SUFFIXES and p.is_file())
     if len(loose) != 1:
         raise InputError(
@@ -326,7 +346,7 @@ def cameras_beside(splat_file, model):
 
 
 def _file_name(path, model):
-    return model.resolve().name if path.stem in ("point_cloud", "meta") else path.stem
+    return model.resolve().name if path.stem in MODEL_STEMS else path.stem
 
 
 def _sha256(path):
@@ -353,13 +373,21 @@ def write_scene(folder, scene):
     """
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
+    if scene.pages is not None:
+        require_home(scene, folder)
+        write_json(folder / SCENE_FILE, scene_to_data(scene))
+        return _write_parts(folder, scene)
     with replacing(folder / SCENE_FILE) as scene_file, replacing(folder / SPLAT_FILE) as splat_file:
         write_json(scene_file, scene_to_data(scene))
         write_arrays(splat_file, VERSION, {n: getattr(scene.splats, n) for n in ARRAYS})
-        if scene.actors:
-            write_actor_arrays(folder / ACTORS_ARRAYS, scene.actors)
-        if scene.painted is not None:
-            write_painted(folder / PAINTED_FILE, scene.painted)
+        _write_parts(folder, scene)
+
+
+def _write_parts(folder, scene):
+    if scene.actors:
+        write_actor_arrays(folder / ACTORS_ARRAYS, scene.actors)
+    if scene.painted is not None:
+        write_painted(folder / PAINTED_FILE, scene.painted)
 
 
 def read_scene(folder):
@@ -375,7 +403,11 @@ def read_scene(folder):
             f"{path} is not a scene of version {VERSION}; it must be written by rainsim import; "
             "import the capture again"
         )
-    splats = _read_arrays(folder / SPLAT_FILE)
+    pages, notes = None, ()
+    if data.get("chunks") is not None:
+        pages, splats, _, notes = open_pages(folder)
+    else:
+        splats = _read_arrays(folder / SPLAT_FILE)
     if len(splats) != data.get("splats"):
         raise InputError(
             f"{folder} has {len(splats)} splats but {SCENE_FILE} speaks of "
@@ -384,6 +416,8 @@ def read_scene(folder):
     scene = replace(scene_from_data(data, splats, path, folder.name), source=folder)
     if data.get("painted"):
         scene = replace(scene, painted=read_painted(folder / PAINTED_FILE))
+    scene = scene_from_data(data, splats, path, folder.name)
+    scene = replace(scene, source=folder, pages=pages, notes=scene.notes or notes)
     if not data.get("actors"):
         return scene
     actors = read_actor_arrays(folder / ACTORS_ARRAYS)
@@ -409,6 +443,7 @@ def scene_to_data(scene):
         "drains": [list(map(float, place)) for place in scene.drains],
         **({"actors": len(scene.actors)} if scene.actors else {}),
         **({"painted": True} if scene.painted is not None else {}),
+        **({} if scene.pages is None else {"chunks": LOD_META}),
     }
 
 

@@ -6,8 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
+from rainsim.scene.big import open_pages
 from rainsim.scene.folder import SCENE_FILE, SPLAT_FILE, cameras_beside, locate, read_scene
 from rainsim.scene.formats import read, source_files
+from rainsim.scene.formats.streamed import LOD_META
 
 PERCENTILES = (0, 5, 25, 50, 75, 95, 100)
 CORE = (1, 99)  # percentiles of the positions' core: strays far out do not count
@@ -44,16 +46,29 @@ def describe(path):
     folder = path.parent if path.name == SCENE_FILE else path
     if (folder / SCENE_FILE).is_file():
         scene = read_scene(folder)
+        if scene.pages is not None:
+            return _of_chunks(folder, scene.splats, len(scene.cameras), scene.notes)
         size = (folder / SPLAT_FILE).stat().st_size
         head = {"path": str(path), "format": "rainsim scene folder", "bytes": size}
         return head | _numbers(scene.splats, 0, len(scene.cameras), scene.notes)
     splat_file, model = locate(path)
+    if splat_file.name == LOD_META:
+        cameras, notes = cameras_beside(splat_file, model)
+        _, splats, _, own = open_pages(splat_file)
+        return _of_chunks(splat_file.parent, splats, len(cameras), (*own, *notes))
     reading = read(splat_file, max_broken=1.0)
     cameras, camera_notes = cameras_beside(splat_file, model)
     size = sum(file.stat().st_size for file in source_files(splat_file))
     head = {"path": str(splat_file), "format": reading.format, "bytes": size}
     notes = (*reading.notes, *camera_notes)
     return head | _numbers(reading.splats, reading.broken, len(cameras), notes)
+
+
+def _of_chunks(folder, splats, cameras, notes):
+    """Return what a folder of chunks holds, its numbers those of a level that fits the memory."""
+    size = sum(file.stat().st_size for file in folder.glob("*/*") if file.is_file())
+    head = {"path": str(folder), "format": "Streamed SOG, in chunks", "bytes": size}
+    return head | _numbers(splats, 0, cameras, notes)
 
 
 def _numbers(splats, broken, cameras, notes):

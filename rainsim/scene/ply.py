@@ -30,6 +30,7 @@ from rainsim.scene.activate import (
     dropped_note,
     empty_splats,
     keep_good,
+    require_few_broken,
 )
 from rainsim.scene.plyheader import REMEDY, Element, read_header
 
@@ -37,6 +38,7 @@ POSITION = ("x", "y", "z")
 BASE_COLOR = ("f_dc_0", "f_dc_1", "f_dc_2")
 SCALE = ("scale_0", "scale_1", "scale_2")
 ROTATION = ("rot_0", "rot_1", "rot_2", "rot_3")
+BLOCK = 1 << 18  # splats of a part that is read at once
 REQUIRED = (*POSITION, *BASE_COLOR, "opacity", *SCALE, *ROTATION)
 FILTER = "filter_3D"
 SHADER = ("roughness", "specular0")
@@ -88,6 +90,32 @@ def read_plain(path, header, max_broken):
     splats, good = _read_rows(path, vertex, layout)
     splats, broken = keep_good(path, splats, good, max_broken)
     return splats, [*_variant_notes(layout), *dropped_note(broken, len(splats))], broken
+
+
+def plain_blocks(path, header, rows=BLOCK):
+    """Yield the Splats of an uncompressed PLY in parts, so that memory does not grow with the file.
+
+    Parameters
+    ----------
+    path : Path
+    header : Header
+    rows : int
+        Splats of a part, at most.
+
+    Raises
+    ------
+    InputError
+        As `read_splats` does; for unusable splats after the last part.
+    """
+    vertex = _require_splats(path, header)
+    layout, broken = _layout(path, vertex), 0
+    for start in range(0, vertex.count, rows):
+        offset = vertex.offset + start * vertex.row.itemsize
+        part = replace(vertex, count=min(rows, vertex.count - start), offset=offset)
+        splats, good = _read_rows(path, part, layout)
+        broken += len(good) - int(np.count_nonzero(good))
+        yield splats if good.all() else splats.take(good)
+    require_few_broken(path, broken, vertex.count)
 
 
 def read_element(path, element, base=BASE_COLOR, more=()):

@@ -229,6 +229,9 @@ class Scene:
         What moves through the scene; their splats are not among `splats`.
     painted : rainsim.scene.painted.PaintedClasses or None
         Classes of the ground that a user painted in this ground frame.
+    pages : rainsim.scene.pages.Pages or None
+        Of a big capture: its chunks, from which cameras are drawn. `splats` are then a coarse level
+        of the whole, by which the scene is known.
 
     Examples
     --------
@@ -246,8 +249,14 @@ class Scene:
     drains: tuple = ()
     actors: tuple = ()
     painted: PaintedClasses | None = None
+    pages: object = None
 
     @property
     def painted_hash(self):
         """SHA-256 of the painted classes, None without any."""
         return None if self.painted is None else self.painted.sha256
+
+    @property
+    def count(self):
+        """Number of the capture's splats, those in chunks included."""
+        return len(self.splats) if self.pages is None else self.pages.count

@@ -16,6 +16,7 @@ from rainsim.output_folder import input_facts, versions
 from rainsim.pipeline import extract_terrain, simulate
 from rainsim.render.weather import weather_of
 from rainsim.scene.actors import require_no_actors
+from rainsim.scene.pages import require_whole
 from rainsim.sensors import point_files
 from rainsim.sensors.lidar import LidarScanner, Pose, pose_at
 from rainsim.sensors.lidar_model import LABEL_NAMES, SENSORS, extinction_of
@@ -119,6 +120,7 @@ def scan_rains(
         Called with notes.
     """
     require_no_actors(scene.actors, "a lidar", "scan the static set that the nodes stand in")
+    require_whole(scene, "a lidar", "import the capture without --lod")
     terrain = extract_terrain(scene, config, None, tell, say)
     albedo, note = albedo_of_white(terrain, scene.splats, config.render.ground_albedo)
     say([note])

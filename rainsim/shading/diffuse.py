@@ -33,13 +33,26 @@ def level_share(scene, terrain, reach, lawn):
     lawn : ndarray of shape (ny, nx), float32
         Share of grass, which has no gloss to lose.
     """
-    place = scene.ground_frame.to_ground(scene.splats.position.astype(np.float64))
-    row, column, inside = terrain.grid.cells(place[:, 0], place[:, 1])
+    cells = level_cells(terrain, reach, lawn)
+    return share_of_level(scene.splats, scene.ground_frame, terrain, cells)
+
+
+def level_cells(terrain, reach, lawn):
+    """Return how far each cell's highest surface is level and open to the rain, (ny, nx), 0 to 1.
+
+    The parameters are those of `level_share`.
+    """
     level = levelness(terrain.top, terrain.grid.spacing)
     stands = terrain.top - terrain.bed > ON_TOP
-    share = level * np.where(stands, 1.0, reach * (1 - lawn))
+    return level * np.where(stands, 1.0, reach * (1 - lawn))
+
+
+def share_of_level(splats, frame, terrain, cells):
+    """Return what `level_share` does of splats in a ground frame; `cells` as `level_cells`."""
+    place = frame.to_ground(splats.position.astype(np.float64))
+    row, column, inside = terrain.grid.cells(place[:, 0], place[:, 1])
     away = np.abs(place[:, 2] - terrain.top[row, column])
-    found = share[row, column] * np.clip(2 - away / ON_TOP, 0, 1)
+    found = cells[row, column] * np.clip(2 - away / ON_TOP, 0, 1)
     return np.where(inside, found, 0).astype(np.float32)
 
 

@@ -44,7 +44,7 @@ def merge_fine(prepared, side):
     alone = np.bincount(which) == 1
     together = ~alone[which]
     group = (np.cumsum(~alone) - 1)[which[together]]
-    new_rows, new_values = _merged(rows[place[together]], values[place[together]], group)
+    new_rows, new_values = merged_rows(rows[place[together]], values[place[together]], group)
     kept = np.concatenate([np.flatnonzero(~fine), place[first[alone]]])
     source = np.concatenate([kept, place[first[~alone]]])
     rows = np.concatenate([rows[kept], new_rows])
@@ -53,7 +53,7 @@ def merge_fine(prepared, side):
     return laid_out(rows[order], values, order.astype(np.int32), prepared.order[source[order]])
 
 
-def _merged(rows, values, group):
+def merged_rows(rows, values, group):
     """Return geometry and harmonics of the splats that stand for groups of splats.
 
     Parameters

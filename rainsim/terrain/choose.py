@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from rainsim.errors import ParameterError
+from rainsim.lod.ground import finest_near
 from rainsim.terrain.slab import FAINT, SLAB
 from rainsim.terrain.types import Grid
 
@@ -52,7 +53,7 @@ def choose_grid(scene, config):
     footprint = _pixel_footprint(scene)
     spacing, because = config.spacing, "given"
     if spacing is None:
-        spacing, because = choose_spacing(half, _gap(ground), footprint)
+        spacing, because = choose_spacing(half, _gap(_fine(scene, ground, centre)), footprint)
     if 4 * half.prod() / spacing**2 > MOST_CELLS:
         if config.extent is not None:
             raise ParameterError(
@@ -102,6 +103,11 @@ def _on_plane(scene):
         reach = SLAB + GROUND_SLOPE * np.linalg.norm(position[:, :2], axis=1)
         near = (np.abs(position[:, 2]) < reach) & (scene.splats.opacity > FAINT)
     return position[near, :2]
+
+
+def _fine(scene, ground, centre):
+    """Return places as `_on_plane`, of a big capture those of its finest splats near the middle."""
+    return ground if scene.pages is None else _on_plane(finest_near(scene, centre))
 
 
 def _gap(ground):

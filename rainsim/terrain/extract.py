@@ -14,6 +14,7 @@ from skimage.morphology import remove_small_objects
 
 from rainsim import raster
 from rainsim.errors import GroundError, ParameterError
+from rainsim.lod.ground import scene_over
 from rainsim.scene.types import Camera
 from rainsim.terrain import bed as bedding
 from rainsim.terrain import filters
@@ -69,6 +70,7 @@ def extract_terrain(scene, config, mask=None, tell=None):
             f"the class mask has {np.shape(mask)[1]} x {np.shape(mask)[0]} cells; the map has "
             f"{grid.shape[1]} x {grid.shape[0]}; paint over the class map that was written for it"
         )
+    scene = scene_over(scene, grid)
     parts = list(pieces(grid))
     step = _steps(tell, notes, STEPS * len(parts) + 2)
     cloud = _Cloud(scene, grid)

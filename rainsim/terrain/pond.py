@@ -13,6 +13,7 @@ import numpy as np
 from scipy import ndimage
 
 from rainsim.constants import SH_0
+from rainsim.errors import ParameterError
 from rainsim.scene.types import Splats
 from rainsim.terrain.table import WATER
 
@@ -87,6 +88,11 @@ def without_images(scene, terrain):
     wet = terrain.water > 0
     if not wet.any():
         return scene
+    if scene.pages is not None:
+        raise ParameterError(
+            f"{scene.name} is in chunks, and water is painted on its map; the captured water can "
+            "be taken out of a capture that is held whole only; leave the water classes out"
+        )
     grid, frame = terrain.grid, scene.ground_frame
     level = np.where(wet, terrain.bed + terrain.water, 0)
     row, column = np.nonzero(wet)

@@ -13,8 +13,8 @@ from scipy.spatial.transform import Rotation
 
 from rainsim.backend import free_device_memory, on_backend
 from rainsim.errors import GroundError
+from rainsim.lod.paged import rasterizer_of_scene
 from rainsim.pipeline import extract_terrain
-from rainsim.raster import Rasterizer, prepare
 from rainsim.render.memory import require_memory
 from rainsim.render.renderer import Renderer
 from rainsim.render.report import Timer
@@ -322,7 +322,7 @@ class Session:
         if self.is_ready:
             return self.host.wet_scene.dry(camera)
         if self._bare is None:
-            self._bare = Rasterizer(prepare(self.scene.splats))
+            self._bare = rasterizer_of_scene(self.scene, self.config.render)
         return self._bare.draw(camera, NEAR / self.scene.ground_frame.meters_per_unit)
 
     def draw_bare(self, view, width, height):

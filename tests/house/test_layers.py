@@ -21,6 +21,7 @@ config io
 scene
 splatting
 raster
+lod
 demo_scenes
 terrain
 rain

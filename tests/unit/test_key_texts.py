@@ -16,7 +16,14 @@ def test_every_key_is_explained_once_and_in_the_order_of_the_parser():
 
 
 def test_units_are_those_that_are_parsed():
-    factors = {"mm/h": 1e-3 / 3600, "mm": 1e-3, "ms": 1e-3, "h": 3600.0, "degrees": 0.0174532925}
+    factors = {
+        "mm/h": 1e-3 / 3600,
+        "mm": 1e-3,
+        "ms": 1e-3,
+        "h": 3600.0,
+        "degrees": 0.0174532925,
+        "GB": 1e9,
+    }
     for key, (_, factor) in HUMAN_KEYS.items():
         if factor is not None:
             assert factor == pytest.approx(factors.get(unit_of(key), 1.0)), key

@@ -22,6 +22,7 @@ from rainsim.errors import ParameterError
 from rainsim.render import renderer as host
 from rainsim.render.report import FrameReport
 from rainsim.scene.actors import require_no_actors
+from rainsim.scene.pages import require_whole
 
 STAGES = {  # names of the functions that queue them: those of the CPU where there is one
     "FrameUniforms.send": "numbers", "Rasterizer.launch": "splat",
@@ -51,6 +52,7 @@ class Renderer:
     def __init__(self, scene, terrain, config, first_camera):
         _require_known(config.render)
         require_no_actors(scene.actors, "backend cuda", "take backend cpu")
+        require_whole(scene, "backend cuda", "take backend cpu")
         self.stream = cuda.stream()
         self.host = host.Renderer(scene, terrain, config, first_camera, self._rasterizer_of)
         self.frame = DeviceFrame(self.host, self.stream)

@@ -96,6 +96,37 @@ def read(path, max_broken=MAX_BROKEN_SHARE):
     return Reading(splats, kind, tuple(notes), broken)
 
 
+def splat_blocks(path):
+    """Return a function that yields the `Splats` of a splat file in parts, and the file's format.
+
+    A PLY is read part by part, so that its size does not count; files of other formats are read
+    whole.
+
+    Parameters
+    ----------
+    path : path-like
+        As `read_splats` takes it.
+    """
+    from rainsim.scene.ply import BLOCK, plain_blocks
+    from rainsim.scene.plyheader import read_header
+
+    path = Path(path)
+    if path.is_file():
+        with open(path, "rb") as file:
+            if file.read(4).startswith((b"ply\n", b"ply\r")):
+                file.seek(0)
+                header = read_header(path, file)
+                if not header.compressed:
+                    return lambda: plain_blocks(path, header), "3DGS PLY"
+    whole = read(path)
+
+    def parts():
+        for start in range(0, len(whole.splats), BLOCK):
+            yield whole.splats.take(slice(start, start + BLOCK))
+
+    return parts, whole.format
+
+
 def source_files(path):
     """Return the files that a splat file consists of: itself, or all of an unbundled SOG."""
     path = Path(path)

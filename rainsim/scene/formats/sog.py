@@ -43,7 +43,7 @@ def read_bundle(path, max_broken):
             def load(name):
                 return _unpack(path, archive, infos.get(root + name), name, size)
 
-            return _read(path, load, size, max_broken)
+            return _kept(path, max_broken, *_read(path, load, size))
     except (zipfile.BadZipFile, zipfile.LargeZipFile, NotImplementedError, RuntimeError) as error:
         raise InputError(
             f"{path} is not a whole zip file ({type(error).__name__}); {REMEDY}"
@@ -54,6 +54,22 @@ def read_bundle(path, max_broken):
 
 def read_folder(path, max_broken):
     """Return the Splats of an unbundled SOG whose meta.json is `path`; see `read_bundle`."""
+    return _kept(path, max_broken, *read_rows(path))
+
+
+def read_rows(path):
+    """Return all splats of an unbundled SOG in the order they are stored in, and which are usable.
+
+    Parameters
+    ----------
+    path : Path
+        Its meta.json.
+
+    Returns
+    -------
+    splats : Splats
+    good : ndarray of shape (n,), bool
+    """
 
     def load(name):
         file = path if name == META else path.parent / name
@@ -62,7 +78,13 @@ def read_folder(path, max_broken):
     if path.stat().st_size > META_LIMIT:  # before it is read
         raise InputError(f"{path} is too large for the meta.json of a SOG; check the path")
     size = sum(f.stat().st_size for f in path.parent.glob("*.webp") if f.is_file())
-    return _read(path, load, size, max_broken)
+    return _read(path, load, size)
+
+
+def _kept(path, max_broken, splats, good):
+    """Return the usable splats, notes and how many were dropped."""
+    splats, broken = keep_good(path, splats, good, max_broken)
+    return splats, dropped_note(broken, len(splats)), broken
 
 
 # --- the archive ----------------------------------------------------------------------------------
@@ -151,7 +173,7 @@ def _is_plain_name(name):
     return name.endswith(".webp") and name.isprintable() and not set(name) & set("/\\:")
 
 
-def _read(path, load, size, max_broken):
+def _read(path, load, size):
     meta = _Meta(path, _parse(path, load(META)))
     first = meta.data.get("version") is None  # version 1 did not name itself
     if not first and meta.data["version"] != 2:
@@ -176,11 +198,9 @@ def _read(path, load, size, max_broken):
 
         data = sogread(pictures.bundle(checked))
         rest = data.shN if data.shN is not None and data.shN.shape[1] else None
-        splats, good = activate(
+        return activate(
             data.means, data.scales, data.quats, data.opacities.reshape(-1), data.sh0, rest
         )
-    splats, broken = keep_good(path, splats, good, max_broken)
-    return splats, dropped_note(broken, len(splats)), broken
 
 
 def _parse(path, data):

@@ -1,0 +1,92 @@
+"""Which parts of a big capture a camera needs, and how fine.
+
+The choice depends on the camera, the index and two settings alone, never on what was drawn before:
+a frame by itself is the same as in a sequence.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rainsim.scene.formats.streamed import NONE
+from rainsim.scene.pages import levels_at
+from rainsim.splatting.project import NO_PLANE, Frustum, find_chunks
+
+COARSER = 2**0.5  # times the threshold, until the choice fits into memory
+
+
+def chosen_levels(tree, camera, near, threshold, most, plane=None):
+    """Return the level at which each leaf is drawn, NONE where it is out of the picture.
+
+    A level is coarse enough to be seen where the cells that it was merged to are larger than the
+    threshold in the picture, at the nearest point of the leaf's box.
+
+    Parameters
+    ----------
+    tree : ChunkTree
+    camera : Camera
+        In the capture frame; may be mirrored.
+    near : float [capture units]
+        Splats whose centres are nearer are not drawn.
+    threshold : float [px]
+        0 draws the finest level everywhere.
+    most : int
+        Splats of the choice; with more the threshold is raised by steps until they fit.
+    plane : array_like of shape (4,), optional
+        See `Rasterizer.draw`.
+
+    Returns
+    -------
+    levels : ndarray of shape (leaves,), int64
+    threshold : float [px]
+        That was used.
+    """
+    seen = seen_leaves(tree, camera, near, plane)
+    size = pixels_per_unit(tree.box, camera, near)
+    if threshold > 0:
+        raised = threshold
+    else:
+        raised = 0.0
+    while True:
+        levels = levels_of(tree, size, raised)
+        count = tree.count[np.arange(len(levels)), levels][seen].sum()
+        if count <= most or (levels[seen] == tree.levels - 1).all() or raised > 1e6:
+            return np.where(seen, levels, NONE), raised
+        raised = max(raised * COARSER, 0.25)
+
+
+def levels_of(tree, size, threshold):
+    """Return the coarsest level of each leaf whose cells take at most `threshold` pixels.
+
+    Parameters
+    ----------
+    tree : ChunkTree
+    size : ndarray of shape (leaves,) [px / capture unit]
+    threshold : float [px]
+    """
+    fine_enough = tree.side * size[:, None] <= threshold
+    fine_enough[:, 0] = True
+    return levels_at(tree, tree.levels - 1 - fine_enough[:, ::-1].argmax(axis=1))
+
+
+def pixels_per_unit(box, camera, near):
+    """Return how many pixels one unit of length takes at the nearest point of boxes (n, 6)."""
+    focal = max(camera.fx, camera.fy)
+    if camera.orthographic:
+        return np.full(len(box), focal)
+    eye = camera.position
+    away = np.maximum(np.maximum(box[:, :3] - eye, eye - box[:, 3:]), 0)
+    return focal / np.maximum(np.linalg.norm(away, axis=1), near)
+
+
+def seen_leaves(tree, camera, near, plane=None):
+    """Return which leaves may touch the picture of a camera, ndarray of shape (leaves,), bool."""
+    lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float32)
+    frustum = Frustum(
+        np.ascontiguousarray(camera.camera_from_world, np.float32), lens,
+        np.array([camera.width, camera.height], np.float32), np.float32(near),
+        NO_PLANE if plane is None else np.asarray(plane, np.float32), bool(camera.orthographic),
+    )  # fmt: skip
+    seen = np.empty(len(tree.box), np.bool_)
+    find_chunks(tree.box, frustum, seen)
+    return seen

@@ -1,0 +1,77 @@
+"""The part of a big capture that a height map is made from: fine on the map, coarser far away."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from rainsim.scene.actors import joined
+from rainsim.scene.formats.streamed import NONE
+from rainsim.scene.pages import ALWAYS, levels_at
+
+MOST = 3_000_000  # splats that a map is made from; some 150 bytes each
+NEAR = 10.0  # m from the cameras up to which the map is as fine as its cells
+NEAREST = 4  # leaves that show how dense the ground is
+
+
+def scene_over(scene, grid):
+    """Return a scene that holds the splats over a map; of one that is held whole the scene itself.
+
+    Levels whose cells are no wider than the map's are taken near the cameras, and in proportion to
+    the distance farther away; if these are more than MOST splats, coarser ones.
+
+    Parameters
+    ----------
+    scene : Scene
+    grid : Grid
+        Of the map.
+    """
+    if scene.pages is None:
+        return scene
+    tree, frame = scene.pages.tree, scene.ground_frame
+    low, high = _boxes_on_ground(tree.box, frame)
+    first, last = np.array(grid.origin), np.array(grid.origin) + grid.size
+    over = ((high[:, :2] > first) & (low[:, :2] < last)).all(axis=1)
+    away = np.zeros(len(tree.box))
+    if scene.cameras:
+        eyes = frame.to_ground(np.array([camera.position for camera in scene.cameras]))[:, :2]
+        gap = np.maximum(np.maximum(low[:, None, :2] - eyes, eyes - high[:, None, :2]), 0)
+        away = np.linalg.norm(gap, axis=-1).min(axis=1)
+    side, width = tree.side * frame.meters_per_unit, grid.spacing * np.maximum(away / NEAR, 1)
+    while True:
+        fine = side <= width[:, None]
+        fine[:, 0] = True
+        levels = levels_at(tree, tree.levels - 1 - fine[:, ::-1].argmax(axis=1))
+        count = tree.count[np.arange(len(levels)), levels][over].sum()
+        if count <= MOST or (levels[over] == tree.levels - 1).all():
+            return _of_runs(scene, [(n, levels[n]) for n in np.flatnonzero(over)])
+        width = width * 2**0.5
+
+
+def finest_near(scene, point):
+    """Return a scene of the finest splats about a point (x, y) [m] on the ground."""
+    tree = scene.pages.tree
+    low, high = _boxes_on_ground(tree.box, scene.ground_frame)
+    gap = np.linalg.norm(np.maximum(np.maximum(low - (*point, 0), (*point, 0) - high), 0), axis=1)
+    nearest = np.argsort(gap, kind="stable")[:NEAREST]
+    levels = levels_at(tree, 0)
+    return _of_runs(scene, [(n, levels[n]) for n in sorted(nearest)])
+
+
+def _of_runs(scene, runs):
+    """Return a scene held whole of some runs and the splats that are always drawn."""
+    pages = scene.pages
+    wanted = [(int(n), int(level)) for n, level in runs if pages.tree.file[n, level] != NONE]
+    every = [pages.splats(*run) for run in wanted]
+    if pages.always:
+        every.append(pages.splats(ALWAYS, 0))
+    return replace(scene, splats=joined(every), pages=None) if every else scene
+
+
+def _boxes_on_ground(box, frame):
+    """Return lowest and highest (n, 3) [m] in the ground frame of boxes in the capture frame."""
+    corners = box[:, [[0, 1, 2], [3, 1, 2], [0, 4, 2], [3, 4, 2],
+                      [0, 1, 5], [3, 1, 5], [0, 4, 5], [3, 4, 5]]].astype(np.float64)  # fmt: skip
+    places = frame.to_ground(corners.reshape(-1, 3)).reshape(-1, 8, 3)
+    return places.min(axis=1), places.max(axis=1)

@@ -1,0 +1,144 @@
+"""The pages of a big capture in the light and the wetness of a `WetScene`'s present time.
+
+What is found once for the whole scene, from a coarse level of it, is carried over to the splats of
+a page from the nearest splat of that level: the light of the captured sun, the colour without
+gloss, and whether hardly any camera saw it. All else follows from the page's own splats.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from rainsim.constants import SH_0
+from rainsim.daylight.kept import under_clouds
+from rainsim.lod.paged import MIRRORED, Page, PagedRasterizer
+from rainsim.raster import prepare
+from rainsim.scene.actors import padded
+from rainsim.shading.backdrop import sky_splats
+from rainsim.shading.diffuse import level_cells, share_of_level, without_gloss
+from rainsim.shading.visibility import pale
+from rainsim.shading.wet_ground_mirror import in_level_picture
+
+
+class PagedScene:
+    """What draws a big capture: the whole, what stands on the ground, and all as captured.
+
+    Parameters
+    ----------
+    backdrop : Backdrop
+        Of the scene, whose `pages` are drawn.
+    sky_distance : float [m]
+    gain : ndarray of shape (n, 3) or None
+        See `PresentSplats`, of the splats that `backdrop` kept.
+    diffuse : ndarray of shape (n, 3) or None
+        As `gain`.
+    badly_placed : ndarray of shape (n,), bool
+        As `gain`.
+    leave_out : bool
+        Whether badly placed splats as pale as the sky are not drawn at all.
+    terrain : Terrain
+    reach, lawn : ndarray of shape (ny, nx), float32
+        See `diffuse.level_cells`.
+    render : RenderConfig
+    rasterizer_of : callable
+
+    Attributes
+    ----------
+    whole, standing, captured : PagedRasterizer
+    """
+
+    def __init__(
+        self, backdrop, sky_distance, gain, diffuse, badly_placed, leave_out, terrain, reach, lawn,
+        render, rasterizer_of,
+    ):  # fmt: skip
+        scene = backdrop.scene
+        self._scene, self._backdrop, self._sky_distance = scene, backdrop, sky_distance
+        self._terrain, self._gain, self._diffuse = terrain, gain, diffuse
+        self._bad, self._leave_out = badly_placed, leave_out
+        self._cells = None if diffuse is None else level_cells(terrain, reach, lawn)
+        self._nearest, self._colors = cKDTree(scene.splats.position), (0.0, 0.0)
+        self._most = scene.splats.sh.shape[1]
+        self._eye = None
+        if backdrop.count:
+            self._eye = np.mean([camera.position for camera in scene.cameras], axis=0)
+        pages = scene.pages
+        pages.limit(render.memory)
+        how = render.detail, self._most, rasterizer_of
+        self.whole = PagedRasterizer(pages, self._page, *how)
+        self.standing = PagedRasterizer(pages, self._standing_page, *how, MIRRORED)
+        self.captured = PagedRasterizer(pages, self._captured_page, *how)
+
+    def take_colors(self, colors):
+        """Take over the colours of a state, see `PresentSplats.state`."""
+        if colors != self._colors:
+            self._colors = colors
+            self.whole.take_colors()
+            self.standing.take_colors()
+
+    def put_nodes(self, nodes, frame):
+        """Draw the nodes as they are now with the pages."""
+        front = standing = captured = None
+        if nodes.splats is not None:
+            front = captured = _numbered(prepare(nodes.splats), nodes)
+            standing = in_level_picture(prepare(nodes.splats), self._terrain, frame)
+        self.whole.recolor(front)
+        self.captured.recolor(captured)
+        self.standing.recolor(standing)
+
+    def read_ahead(self, camera, near):
+        """Begin to read what a camera needs, on another thread."""
+        self.whole.read_ahead(camera, near)
+
+    def _page(self, splats):
+        splats, bad = self._present(splats)
+        if not bad.any():
+            return Page(prepare(splats))
+        return Page(prepare(splats.take(~bad)), prepare(splats.take(bad)))
+
+    def _standing_page(self, splats):
+        splats, bad = self._present(splats)
+        prepared = prepare(splats.take(~bad))
+        return Page(in_level_picture(prepared, self._terrain, self._scene.ground_frame))
+
+    def _captured_page(self, splats):
+        return Page(prepare(self._padded(splats)))
+
+    def _padded(self, splats):
+        return replace(splats, sh=padded(splats.sh, self._most))
+
+    def _present(self, splats):
+        """Return the splats of a run in the present colours, and which of them are badly placed."""
+        frame = self._scene.ground_frame
+        splats = self._padded(splats)
+        if self._eye is not None:
+            sky = sky_splats(splats, frame, self._eye, self._sky_distance)
+            splats = splats.take(~sky)
+        bad = np.zeros(len(splats), np.bool_)
+        if self._gain is None and self._diffuse is None and not self._bad.any():
+            return splats, bad
+        near = self._nearest.query(splats.position)[1]
+        bad = self._bad[near]
+        if self._leave_out:
+            opacity = np.where(bad & pale(splats), np.float32(0), splats.opacity)
+            splats = replace(splats, opacity=opacity)
+        clouds, wet = self._colors
+        if wet > 0:
+            level = share_of_level(splats, frame, self._terrain, self._cells)
+            splats = without_gloss(splats, self._diffuse_of(splats, near), level * np.float32(wet))
+        gain = None if self._gain is None else self._gain[near]
+        return under_clouds(splats, gain, clouds), bad
+
+    def _diffuse_of(self, splats, near):
+        """Return the colours of splats without gloss, as far from their own as the nearest ones."""
+        whole = self._scene.splats.sh[near, 0]
+        gloss = self._diffuse[near].astype(np.float32) - np.float32(SH_0) * whole - np.float32(0.5)
+        return np.float32(0.5) + np.float32(SH_0) * splats.sh[:, 0] + gloss
+
+
+def _numbered(prepared, nodes):
+    """Return prepared splats of nodes, numbered as `Nodes.numbers` counts them."""
+    order = np.where(prepared.order >= 0, prepared.order + np.int32(nodes.first), prepared.order)
+    return replace(prepared, order=order.astype(np.int32))

@@ -1,0 +1,246 @@
+"""The splats of a big capture, read from its chunks when they are asked for and kept for a while.
+
+What is kept stays below a limit in bytes; what was used longest ago goes first. Whether something
+was kept or is read again changes no number.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import OrderedDict
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+
+from rainsim.errors import InputError, ParameterError
+from rainsim.scene.activate import MAX_BROKEN_SHARE
+from rainsim.scene.actors import joined
+from rainsim.scene.formats.streamed import NONE, read_chunk, require_run
+from rainsim.scene.types import Splats
+
+OVERVIEW = 400_000  # splats of a level that the whole scene is known by, at most
+DEFAULT_MEMORY = 0.8e9  # bytes
+PICTURE = 1 / 3  # of the memory, for the splats that a picture is drawn of
+ALWAYS = -1  # number of the leaf that stands for the splats which are always drawn
+
+
+class Pages:
+    """The runs of a `ChunkTree`, read when needed.
+
+    Parameters
+    ----------
+    tree : ChunkTree
+    memory : float [bytes]
+        That the splats may take, see `limit`.
+
+    Attributes
+    ----------
+    tree : ChunkTree
+    memory, picture_memory : float [bytes]
+    kept : Kept
+        Runs as they were read and whatever is made from them; shared by all that draw.
+    """
+
+    def __init__(self, tree, memory=DEFAULT_MEMORY):
+        self.tree, self.kept = tree, Kept(0)
+        self._reading, self._ahead = threading.Lock(), None
+        self.limit(memory)
+
+    def limit(self, memory):
+        """Let the splats take `memory` [bytes]: a third for those of a picture, two for `kept`."""
+        self.memory, self.picture_memory = memory, PICTURE * memory
+        self.kept.most = (1 - PICTURE) * memory
+
+    def __getstate__(self):
+        return {"tree": self.tree, "memory": self.memory}
+
+    def __setstate__(self, state):
+        self.__init__(**state)
+
+    @property
+    def count(self):
+        """Number of splats of the finest level, with those that are always drawn left out."""
+        finest = np.argmax(self.tree.file != NONE, axis=1)
+        return int(self.tree.count[np.arange(len(finest)), finest].sum())
+
+    @property
+    def always(self):
+        """Whether there are splats that are always drawn."""
+        return self.tree.environment is not None
+
+    def splats(self, leaf, level):
+        """Return the usable Splats of a leaf at a level; of ALWAYS those that are always drawn.
+
+        Raises
+        ------
+        InputError
+            If a chunk is missing, damaged, or does not fit the index.
+        """
+        found = self.kept.get((leaf, level))
+        if found is None:
+            with self._reading:
+                found = self.kept.get((leaf, level))
+                if found is None:
+                    found = self._read(leaf, level)
+        return found
+
+    def read_ahead(self, wanted):
+        """Begin to read runs on another thread, unless it still reads those asked for before.
+
+        Parameters
+        ----------
+        wanted : sequence of (leaf, level)
+        """
+        if self._ahead is not None and not self._ahead.done():
+            return
+        missing = [key for key in wanted if not self.kept.has(key)]
+        if missing:
+            self._ahead = _reader().submit(self._read_all, missing)
+
+    def overview(self):
+        """Return the whole scene as `Splats`, as fine as few splats allow, and their level."""
+        every, tree = [], self.tree
+        total = [int(tree.count[np.arange(len(tree.file)), levels_at(tree, k)].sum())
+                 for k in range(tree.levels)]  # fmt: skip
+        fits = [k for k, n in enumerate(total) if n <= OVERVIEW]
+        level = min(fits) if fits else tree.levels - 1
+        if self.always:
+            every.append(self.splats(ALWAYS, 0))
+        for leaf, own in enumerate(levels_at(tree, level)):
+            every.append(self.splats(leaf, int(own)))
+        return joined(every), level
+
+    def _read_all(self, wanted):
+        for leaf, level in wanted:
+            try:
+                self.splats(leaf, level)
+            except InputError:  # raised again where the run is needed
+                return
+
+    def _read(self, leaf, level):
+        """Read the chunk of a run, keep all of its runs, and return the one."""
+        tree = self.tree
+        if leaf == ALWAYS:
+            splats, good = read_chunk(tree, tree.environment)
+            found = _usable(tree, tree.environment, splats, good)
+            self.kept.put((leaf, level), found, size_of(found))
+            return found
+        file = int(tree.file[leaf, level])
+        name = tree.names[file]
+        splats, good = read_chunk(tree, name)
+        _usable(tree, name, splats, good)
+        found = None
+        for other in np.flatnonzero(tree.file[:, level] == file):
+            offset, count = int(tree.offset[other, level]), int(tree.count[other, level])
+            require_run(tree, name, splats, offset, count)
+            part = slice(offset, offset + count)
+            run = splats.take(part)
+            if not good[part].all():
+                run = run.take(good[part])
+            if other == leaf:
+                found = run
+            else:
+                self.kept.put((int(other), level), run, size_of(run))
+        self.kept.put((leaf, level), found, size_of(found))
+        return found
+
+
+def _reader():
+    """Return the thread that reads ahead."""
+    global _pool
+    if _pool is None:
+        _pool = ThreadPoolExecutor(1)
+    return _pool
+
+
+_pool = None
+
+
+def _usable(tree, name, splats, good):
+    """Return the usable splats of a chunk; refuse it if too many are not."""
+    if good.all():
+        return splats
+    broken = int(np.count_nonzero(~good))
+    if broken > max(1, MAX_BROKEN_SHARE * len(good)):
+        raise InputError(
+            f"{tree.folder / name} has {broken} of {len(good)} splats with absurd values; at most "
+            f"{100 * MAX_BROKEN_SHARE:g} % are tolerated; export the capture again"
+        )
+    return splats.take(good)
+
+
+def require_whole(scene, what, remedy):
+    """Raise ParameterError if a scene is in chunks, which `what` does not know.
+
+    Parameters
+    ----------
+    scene : Scene
+    what, remedy : str
+        For the message.
+    """
+    if scene.pages is not None:
+        raise ParameterError(
+            f"{scene.name} is a capture in chunks; {what} takes captures that are held whole; "
+            f"{remedy}"
+        )
+
+
+def levels_at(tree, wanted):
+    """Return the level that each leaf shows where a level is wanted, ndarray of shape (leaves,).
+
+    A leaf without that level shows the next finer one that it has; without a finer one the next
+    coarser.
+
+    Parameters
+    ----------
+    tree : ChunkTree
+    wanted : int or ndarray of shape (leaves,)
+    """
+    there, level = tree.file != NONE, np.arange(tree.levels)
+    wanted = np.broadcast_to(wanted, len(there))[:, None]
+    away = np.where(level <= wanted, wanted - level, tree.levels + level - wanted)
+    return np.where(there, away, 3 * tree.levels).argmin(axis=1)
+
+
+def size_of(splats):
+    """Return the bytes of a set of splats."""
+    return sum(getattr(splats, name).nbytes for name in Splats.__slots__)
+
+
+class Kept:
+    """Values by key, up to a limit in bytes; what was asked for longest ago goes first.
+
+    Attributes
+    ----------
+    most, size, peak : float [bytes]
+        The limit, what is kept now, and the most that was.
+    made : int
+        How often something was put in.
+    """
+
+    def __init__(self, most):
+        self.most, self.size, self.peak, self.made = most, 0, 0, 0
+        self._values, self._lock = OrderedDict(), threading.Lock()
+
+    def has(self, key):
+        """Tell whether a key is kept; that counts as no use of it."""
+        return key in self._values
+
+    def get(self, key):
+        """Return the value of a key, None if it is not kept."""
+        with self._lock:
+            if key not in self._values:
+                return None
+            self._values.move_to_end(key)
+            return self._values[key][0]
+
+    def put(self, key, value, size):
+        """Keep a value, and let go of others until all fit; the newest always stays."""
+        with self._lock:
+            if key in self._values:
+                self.size -= self._values.pop(key)[1]
+            while self._values and self.size + size > self.most:
+                self.size -= self._values.popitem(last=False)[1][1]
+            self._values[key] = value, size
+            self.size, self.made = self.size + size, self.made + 1
+            self.peak = max(self.peak, self.size)
