@@ -106,7 +106,8 @@ class Rasterizer:
             (a, b, c, d): splats whose centres have a x + b y + c z < d are left out.
         depth : {"expected", "median"}
         compensate : bool
-            Weaken splats that the low-pass widens, as Mip-Splatting does.
+            Weaken splats that the low-pass widens, as Mip-Splatting does; always done where the
+            prepared splats ask for it.
         degree : int, optional
             Highest degree of spherical harmonics used; all by default.
         background : array_like of shape (3,)
@@ -122,7 +123,8 @@ class Rasterizer:
         """
         require_choice("depth", depth, ("expected", "median"))
         background = np.asarray(background, np.float32)
-        chunks, start = self._list(camera, near, plane, bool(compensate), degree, leading)
+        compensate = bool(compensate or self.prepared.compensate)
+        chunks, start = self._list(camera, near, plane, compensate, degree, leading)
         halfway = depth == "median"
         layers, half = self._blend(camera, start, background, halfway, bool(drop_last))
         if hit:

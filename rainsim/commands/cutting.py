@@ -53,13 +53,16 @@ def cut_to_scene(status, file, model, out, given):
     from rainsim.lod.cut import cut
     from rainsim.scene.cameras import load_cameras
     from rainsim.scene.folder import cameras_beside
-    from rainsim.scene.formats import splat_blocks
+    from rainsim.scene.formats import splat_blocks, trained_antialiased
     from rainsim.scene.formats.streamed import LOD_META
 
     cameras = given.get("cameras")
     cameras, notes = load_cameras(cameras) if cameras else cameras_beside(file, model)
     blocks, _ = splat_blocks(file)
-    cut(out, blocks, tell=lambda done, total: status.progress(STAGE, done, total))
+    cut(
+        out, blocks, tell=lambda done, total: status.progress(STAGE, done, total),
+        antialiased=trained_antialiased(file),
+    )  # fmt: skip
     given = given | {"cameras": cameras, "tracks": None, "track_fps": None}
     scene = scene_of(str((out / LOD_META).resolve()), given)
     name = model.resolve().name if file.stem in ("point_cloud", "meta") else file.stem

@@ -205,7 +205,8 @@ def draw(capture, camera, depth="expected", backend="cpu", render=None, **option
         require()
         from rainsim.cuda.raster import Rasterizer
     if capture.pages is None:
-        drawer = Rasterizer(prepare(scene_at(capture, 0.0).splats))
+        prepared = prepare(scene_at(capture, 0.0).splats)
+        drawer = Rasterizer(replace(prepared, compensate=capture.antialiased))
     else:
         require_no_actors(capture.actors, "rainsim splat of chunks", "draw the static set")
         drawer = rasterizer_of_scene(capture, render or Config().render, Rasterizer)

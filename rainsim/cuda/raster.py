@@ -60,6 +60,7 @@ class DeviceSplats:
 
     def __init__(self, prepared):
         self.count, self.chunks = len(prepared), len(prepared.box)
+        self.compensate = prepared.compensate
         self.leading = self.chunks if prepared.leading is None else prepared.leading
         if self.chunks * LANES > project.MOST_SPLATS:
             raise ParameterError(
@@ -245,7 +246,8 @@ class Rasterizer:
         self._bands = s.bands if degree is None else min(degree + 1, s.bands)
         self._numbers[:] = self.numbers_of(camera, near, plane, room)
         tiles = -(-width // TILE) * -(-height // TILE)
-        self._kind = bool(camera.orthographic), bool(compensate), depth == "median", bool(drop_last)
+        compensate = bool(compensate or s.compensate)
+        self._kind = bool(camera.orthographic), compensate, depth == "median", bool(drop_last)
         self._levels = _levels(width, height)
         if self._size != (width, height):
             self._size = width, height

@@ -41,7 +41,7 @@ ENVIRONMENT = f"env/{META}"
 WRITERS = 2  # threads
 
 
-def cut(folder, blocks, leaf=LEAF, tell=None):
+def cut(folder, blocks, leaf=LEAF, tell=None, antialiased=False):
     """Write a Streamed SOG of a capture.
 
     Parameters
@@ -55,6 +55,8 @@ def cut(folder, blocks, leaf=LEAF, tell=None):
         Splats of a leaf, about.
     tell : callable, optional
         tell(done, total) is called as splats are written.
+    antialiased : bool
+        Whether the chunks say that their splats were trained antialiased.
 
     Returns
     -------
@@ -81,13 +83,13 @@ def cut(folder, blocks, leaf=LEAF, tell=None):
             is_broad = block.scale.max(axis=1) > broad
             sorted_.add(block.take(~is_broad), tree)
             sorted_.add_broad(block.take(is_broad))
-        return _write(folder, sorted_, tree, tell or (lambda done, total: None))
+        return _write(folder, sorted_, tree, tell or (lambda done, total: None), antialiased)
 
 
-def _write(folder, sorted_, tree, tell):
+def _write(folder, sorted_, tree, tell, antialiased):
     """Write all chunks and the index; return the number of splats of each level."""
     sides = _sides(sorted_)
-    chunks, total = _Chunks(folder, len(sides)), sorted_.count
+    chunks, total = _Chunks(folder, len(sides), antialiased), sorted_.count
     boxes, runs, done = {}, {}, 0
     with chunks:
         for leaf in range(tree.leaves):
@@ -329,6 +331,7 @@ class _Chunks:
 
     folder: Path
     levels: int
+    antialiased: bool
     names: list = field(default_factory=list)
 
     def __post_init__(self):
@@ -376,4 +379,5 @@ class _Chunks:
         """Write a chunk beside the work on the next ones."""
         while len(self._ahead) > WRITERS:
             self._ahead.popleft().result()
-        self._ahead.append(self._pool.submit(write_sog, (self.folder / name).parent, splats))
+        job = write_sog, (self.folder / name).parent, splats, self.antialiased
+        self._ahead.append(self._pool.submit(*job))

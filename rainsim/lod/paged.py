@@ -53,6 +53,8 @@ class PagedRasterizer:
         rasterizer_of(prepared) returns what draws prepared splats.
     coarser : float
         Factor on `detail` for all pictures.
+    compensate : bool
+        See `PreparedSplats`.
 
     Attributes
     ----------
@@ -62,9 +64,13 @@ class PagedRasterizer:
 
     _numbers = itertools.count()
 
-    def __init__(self, pages, prepare, detail, coefficients, rasterizer_of=Rasterizer, coarser=1.0):
+    def __init__(
+        self, pages, prepare, detail, coefficients, rasterizer_of=Rasterizer, coarser=1.0,
+        compensate=False,
+    ):  # fmt: skip
         self.pages, self._prepare, self._coefficients = pages, prepare, coefficients
         self._detail, self._rasterizer_of = detail * coarser, rasterizer_of
+        self._compensate = compensate
         self._number = next(self._numbers)  # apart from other rasterizers of these pages
         self._front, self._drawn, self._rasterizer = None, None, None
         self.used = {}
@@ -125,7 +131,7 @@ class PagedRasterizer:
         parts = [page.first for page in pages]
         if not leading:
             parts += [page.last for page in pages if page.last is not None]
-        joined = together(parts, self._front)
+        joined = replace(together(parts, self._front), compensate=self._compensate)
         if self._rasterizer is None:
             self._rasterizer = self._rasterizer_of(joined)
         else:
@@ -152,14 +158,16 @@ def rasterizer_of_scene(scene, render, rasterizer_of=Rasterizer):
     rasterizer_of : callable
     """
     if scene.pages is None:
-        return rasterizer_of(prepare(scene.splats))
+        return rasterizer_of(replace(prepare(scene.splats), compensate=scene.antialiased))
     scene.pages.limit(render.memory)
     most = scene.splats.sh.shape[1]
 
     def page(splats):
         return Page(prepare(replace(splats, sh=padded(splats.sh, most))))
 
-    return PagedRasterizer(scene.pages, page, render.detail, most, rasterizer_of)
+    return PagedRasterizer(
+        scene.pages, page, render.detail, most, rasterizer_of, compensate=scene.antialiased
+    )
 
 
 def together(parts, front=None):

@@ -67,9 +67,10 @@ class PagedScene:
         pages = scene.pages
         pages.limit(render.memory)
         how = render.detail, self._most, rasterizer_of
-        self.whole = PagedRasterizer(pages, self._page, *how)
-        self.standing = PagedRasterizer(pages, self._standing_page, *how, MIRRORED)
-        self.captured = PagedRasterizer(pages, self._captured_page, *how)
+        own = {"compensate": scene.antialiased}
+        self.whole = PagedRasterizer(pages, self._page, *how, **own)
+        self.standing = PagedRasterizer(pages, self._standing_page, *how, MIRRORED, **own)
+        self.captured = PagedRasterizer(pages, self._captured_page, *how, **own)
 
     def take_colors(self, colors):
         """Take over the colours of a state, see `PresentSplats.state`."""

@@ -115,6 +115,7 @@ class WetScene:
         self._colors = self._present.state(config.at(0.0))
         self.splats = self._present.at(self._colors)
         self.prepared = prepare(self.splats, self.badly_placed)
+        self.prepared = replace(self.prepared, compensate=scene.antialiased)
         self.nodes = Nodes(scene.actors, self.prepared) if scene.actors else None
         if self.nodes is not None:
             self.prepared = self.nodes.static
@@ -242,7 +243,8 @@ class WetScene:
             if self.nodes is not None and self.nodes.splats is not None:
                 splats = joined([splats, self.nodes.splats])
             whole = self._rasterizer_of(prepare(splats))
-            layers = replace(layers, color=whole.draw(camera, self.near).color)
+            options = {"compensate": self.prepared.compensate}
+            layers = replace(layers, color=whole.draw(camera, self.near, **options).color)
         return layers
 
     def picture(self, camera, timer, cover=NO_COVER):

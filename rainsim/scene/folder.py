@@ -45,7 +45,7 @@ from rainsim.scene.cameras import (
 )
 from rainsim.scene.colmap import find_model
 from rainsim.scene.drivestudio import FRAMES_PER_SECOND, is_checkpoint, read_checkpoint
-from rainsim.scene.formats import META, SUFFIXES, read_splats, source_files
+from rainsim.scene.formats import META, SUFFIXES, read_splats, sha256_of, trained_antialiased
 from rainsim.scene.formats.streamed import LOD_META
 from rainsim.scene.ground import (
     estimate_ground_frame,
@@ -131,7 +131,7 @@ def import_scene(
         given = up, meters_per_unit, camera_height
         return _import_chunks(path, splat_file, cameras, camera_notes, ground_frame, given)
     with ThreadPoolExecutor(1) as pool:  # hashing runs beside reading
-        hashed = pool.submit(_sha256, splat_file)
+        hashed = pool.submit(sha256_of, splat_file)
         splats, notes, nodes = _read(splat_file, tracks, track_fps)
         if cameras is None:
             cameras, camera_notes = cameras_beside(splat_file, model)
@@ -146,7 +146,8 @@ def import_scene(
         frame = _as_frame(ground_frame)
     name = path.resolve().name if path.is_dir() else _file_name(path, model)
     notes = (*notes, *camera_notes)
-    scene = Scene(name, splats, tuple(cameras), frame, path, source_hash, notes)
+    scene = Scene(name, splats, tuple(cameras), frame, path, source_hash, notes,
+                  antialiased=trained_antialiased(splat_file))  # fmt: skip
     return _with_nodes(scene, nodes, tracks) if nodes else scene
 
 
@@ -156,7 +157,8 @@ def _import_chunks(path, index, cameras, camera_notes, ground_frame, given):
     found = ground_frame is None and _kept_frame(source_hash, splats, cameras, *given)
     frame = found or _as_frame(ground_frame)
     name, notes = _file_name(path, index.parent), (*notes, *camera_notes)
-    return Scene(name, splats, tuple(cameras), frame, path, source_hash, notes, pages=pages)
+    return Scene(name, splats, tuple(cameras), frame, path, source_hash, notes, pages=pages,
+                 antialiased=trained_antialiased(index))  # fmt: skip
 
 
 def _read(file, tracks, track_fps):
@@ -212,7 +214,7 @@ def _import_with_actors(path, file, *given):
         scene, notes = replace(scene, splats=splats), (*notes, *lamp_notes(file.name, counts))
     digest = hashlib.sha256(scene.source_hash.encode())
     for part in found.files:
-        digest.update(_sha256(part).encode())
+        digest.update(sha256_of(part).encode())
     try:
         scene = with_actors(scene, found.actors, notes)
     except ParameterError as error:
@@ -349,16 +351,6 @@ def _file_name(path, model):
     return model.resolve().name if path.stem in MODEL_STEMS else path.stem
 
 
-def _sha256(path):
-    """Return the SHA-256 of a splat file, or of all files of a SOG folder one after the other."""
-    digest = hashlib.sha256()
-    for part in source_files(path):
-        with open(require_file(part, "a picture of a SOG"), "rb") as file:
-            while block := file.read(1 << 20):
-                digest.update(block)
-    return digest.hexdigest()
-
-
 # --- scene folder ---------------------------------------------------------------------------------
 
 
@@ -444,6 +436,7 @@ def scene_to_data(scene):
         **({"actors": len(scene.actors)} if scene.actors else {}),
         **({"painted": True} if scene.painted is not None else {}),
         **({} if scene.pages is None else {"chunks": LOD_META}),
+        **({"antialiased": True} if scene.antialiased else {}),
     }
 
 
@@ -468,6 +461,7 @@ def scene_from_data(data, splats, where, name=""):
         source_hash=printable_name(data.get("source_sha256", "")),
         notes=tuple(map(one_line, notes)) if isinstance(notes, list) else (),
         drains=_read_drains(data.get("drains", []), where),
+        antialiased=data.get("antialiased") is True,
     )
 
 

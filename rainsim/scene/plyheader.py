@@ -51,13 +51,30 @@ class Element:
 
 @dataclass(frozen=True, slots=True)
 class Header:
-    """The elements of a PLY file in their order."""
+    """The elements of a PLY file in their order, and its comments."""
 
     elements: tuple
+    comments: tuple = ()
 
     def find(self, name):
         """Return the first element with a name, or None."""
         return next((element for element in self.elements if element.name == name), None)
+
+    @property
+    def antialiased(self):
+        """Whether the splats were trained to be weakened where a pixel widens them.
+
+        Brush notes `SplatRenderMode: mip` (`default` and `2dgs` otherwise), Postshot `antialiased
+        1` (or 0). The last such comment counts.
+        """
+        found = False
+        for comment in self.comments:
+            match comment.lower().split():
+                case ["splatrendermode:", mode, *_] if mode in ("default", "mip", "2dgs"):
+                    found = mode == "mip"
+                case ["antialiased", ("0" | "1") as value, *_]:
+                    found = value == "1"
+        return found
 
     @property
     def compressed(self):
@@ -76,8 +93,8 @@ def read_header(path, file):
     if end < 0 or stop < 0:
         raise InputError(f"{path} has no end_header line; a PLY must have one; {REMEDY}")
     size, offset = os.fstat(file.fileno()).st_size, stop + 1
-    elements = []
-    for name, count, properties in _parse(path, start[:end].decode("ascii", "replace")):
+    text, elements = start[:end].decode("ascii", "replace"), []
+    for name, count, properties in _parse(path, text):
         names = tuple(name for name, _ in properties)
         if len(set(names)) < len(names):
             twice = next(name for name in names if names.count(name) > 1)
@@ -88,7 +105,9 @@ def read_header(path, file):
         room = 0 if offset is None else size - offset
         elements.append(Element(name, count, names, row, offset, room))
         offset = None if offset is None or row is None else offset + count * row.itemsize
-    return Header(tuple(elements))
+    comments = (line.strip() for line in text.splitlines())
+    comments = tuple(c.removeprefix("comment ") for c in comments if c.startswith("comment "))
+    return Header(tuple(elements), comments)
 
 
 def _kind(start):

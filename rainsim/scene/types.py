@@ -232,6 +232,8 @@ class Scene:
     pages : rainsim.scene.pages.Pages or None
         Of a big capture: its chunks, from which cameras are drawn. `splats` are then a coarse level
         of the whole, by which the scene is known.
+    antialiased : bool
+        Whether the splats were trained to be weakened where a pixel widens them; they are drawn so.
 
     Examples
     --------
@@ -250,6 +252,7 @@ class Scene:
     actors: tuple = ()
     painted: PaintedClasses | None = None
     pages: object = None
+    antialiased: bool = False
 
     @property
     def painted_hash(self):

@@ -9,6 +9,8 @@ stops as much: optical depth times area is kept.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from rainsim.splatting.prepared import GEOMETRY, LANES, OPACITY, by_splat, laid_out
@@ -50,7 +52,8 @@ def merge_fine(prepared, side):
     rows = np.concatenate([rows[kept], new_rows])
     values = np.concatenate([values[kept], new_values])
     order = np.argsort(source, kind="stable")  # near in space stays near
-    return laid_out(rows[order], values, order.astype(np.int32), prepared.order[source[order]])
+    found = laid_out(rows[order], values, order.astype(np.int32), prepared.order[source[order]])
+    return replace(found, compensate=prepared.compensate)
 
 
 def merged_rows(rows, values, group):

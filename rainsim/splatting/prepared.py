@@ -50,6 +50,8 @@ class PreparedSplats:
     leading : int or None
         Number of the first chunks, which hold all splats but those that were to come last; None:
         all chunks.
+    compensate : bool
+        Whether all pictures weaken splats that the low-pass widens.
     """
 
     geometry: np.ndarray
@@ -59,6 +61,7 @@ class PreparedSplats:
     box: np.ndarray
     order: np.ndarray
     leading: int | None = None
+    compensate: bool = False
 
     def __len__(self):
         return len(self.order)
@@ -133,7 +136,8 @@ def select(prepared, keep):
     """Return those of the prepared splats that the mask `keep` (n,), in their order, selects."""
     which = np.flatnonzero(keep).astype(np.int32)
     rows = by_splat(prepared.geometry.reshape(-1, GEOMETRY, LANES))[which]
-    return laid_out(rows, by_splat(prepared.harmonics()), which, prepared.order[which])
+    found = laid_out(rows, by_splat(prepared.harmonics()), which, prepared.order[which])
+    return replace(found, compensate=prepared.compensate)
 
 
 def laid_out(rows, values, which, order):

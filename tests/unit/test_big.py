@@ -607,3 +607,54 @@ def test_nodes_stand_among_the_chunks(folder, film, whole):
     assert psnr(a, b) > 33 and psnr(a, shown[0]) < 33  # the node is there
     red = first.aovs["clean"][number == 1].mean(axis=0)
     assert red[0] > 2 * red[1]
+
+
+# --- antialiased ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "comments, expected",
+    [
+        ([], False), (["SplatRenderMode: mip"], True), (["SplatRenderMode: default"], False),
+        (["SplatRenderMode: 2dgs"], False), (["antialiased 1"], True), (["antialiased 0"], False),
+        (["  SPLATRENDERMODE:  MIP "], True), (["SplatRenderMode: banana"], False),
+        (["antialiased 1", "SplatRenderMode: default"], False),
+        (["SplatRenderMode: default", "antialiased 1"], True), (["antialiased"], False),
+    ],
+)  # fmt: skip
+def test_a_ply_says_whether_it_was_trained_antialiased(tmp_path, comments, expected):
+    from rainsim.scene.formats import trained_antialiased
+
+    write_splats(tmp_path / "s.ply", tame_splats(50, 1))
+    data = (tmp_path / "s.ply").read_bytes()
+    lines = "".join(f"comment {c}\n" for c in comments).encode()
+    (tmp_path / "s.ply").write_bytes(data.replace(b"1.0\n", b"1.0\n" + lines, 1))
+    assert trained_antialiased(tmp_path / "s.ply") is expected
+    assert len(read_splats(tmp_path / "s.ply")[0]) == 50
+
+
+def test_antialiased_captures_are_drawn_weakened_cut_and_kept(whole, tmp_path):
+    few = whole.splats.take(slice(0, None, 40))
+    write_splats(tmp_path / "s.ply", few)
+    data = (tmp_path / "s.ply").read_bytes()
+    found = {}
+    for mode in (b"mip", b"default"):
+        text = b"1.0\ncomment SplatRenderMode: " + mode + b"\n"
+        (tmp_path / "s.ply").write_bytes(data.replace(b"1.0\n", text, 1))
+        given = {"cameras": whole.cameras, "ground_frame": whole.ground_frame}
+        scene = import_scene(tmp_path / "s.ply", **given)
+        out = tmp_path / mode.decode()
+        cut(out, lambda: iter([few]), antialiased=scene.antialiased)
+        chunks = import_scene(out, **given)
+        write_scene(out, chunks)
+        write_scene(tmp_path / "whole", scene)
+        scenes = scene, import_scene(tmp_path / "whole"), chunks, import_scene(out)
+        assert {s.antialiased for s in scenes} == {mode == b"mip"}
+        render = CONFIG.replace(detail=0.0).render
+        found[mode] = [rasterizer_of_scene(s, render).draw(whole.cameras[0], 0.05) for s in scenes]
+    camera = whole.cameras[0]
+    plain = Rasterizer(prepare(few)).draw(camera, 0.05, compensate=True)
+    for layers in found[b"mip"]:
+        assert np.abs(layers.alpha - plain.alpha).mean() < 0.005
+    for a, b in zip(found[b"mip"], found[b"default"], strict=True):
+        assert a.alpha.sum() < 0.97 * b.alpha.sum()

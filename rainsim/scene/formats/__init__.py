@@ -14,6 +14,7 @@ up, back), so its splats are rotated.
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -125,6 +126,47 @@ def splat_blocks(path):
             yield whole.splats.take(slice(start, start + BLOCK))
 
     return parts, whole.format
+
+
+def trained_antialiased(path):
+    """Tell whether a splat file says that its splats were trained antialiased (Mip-Splatting).
+
+    A PLY says so in a comment, see `Header.antialiased`; the meta.json of a SOG by `model`, or by
+    `antialias` in older files; a Streamed SOG by that of its first chunk. Other formats are not
+    asked.
+
+    Parameters
+    ----------
+    path : path-like
+        As `read_splats` takes it, or a lod-meta.json.
+    """
+    from rainsim.io.files import read_json
+    from rainsim.scene.formats.streamed import LOD_META, read_tree
+    from rainsim.scene.plyheader import read_header
+
+    path = Path(path)
+    if path.name == LOD_META:
+        tree = read_tree(path)
+        path = tree.folder / tree.names[0]
+    if path.name == META:
+        meta = read_json(path, "the meta.json of a SOG")
+        known = isinstance(meta, dict)
+        return known and (meta.get("model") == "antialiased" or meta.get("antialias") is True)
+    with open(path, "rb") as file:
+        if not file.read(4).startswith((b"ply\n", b"ply\r")):
+            return False
+        file.seek(0)
+        return read_header(path, file).antialiased
+
+
+def sha256_of(path):
+    """Return the SHA-256 of a splat file, or of all files of a SOG folder one after the other."""
+    digest = hashlib.sha256()
+    for part in source_files(path):
+        with open(require_file(part, "a picture of a SOG"), "rb") as file:
+            while block := file.read(1 << 20):
+                digest.update(block)
+    return digest.hexdigest()
 
 
 def source_files(path):

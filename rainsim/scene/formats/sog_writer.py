@@ -22,7 +22,7 @@ SHARE = 6  # splats for an entry of the palette
 DIRECTIONS = 12  # principal ones of the harmonics that splits go along
 
 
-def write_sog(folder, splats):
+def write_sog(folder, splats, antialiased=False):
     """Write splats into a folder, in their order.
 
     Parameters
@@ -31,6 +31,8 @@ def write_sog(folder, splats):
         Made if it does not exist.
     splats : Splats
         At least one, all of them usable.
+    antialiased : bool
+        Whether the file says that they were trained antialiased.
 
     Notes
     -----
@@ -60,6 +62,8 @@ def write_sog(folder, splats):
         "quats": {"files": ["quats.webp"]},
         "sh0": {"codebook": colors, "files": ["sh0.webp"]},
     }  # fmt: skip
+    if antialiased:
+        meta["model"] = "antialiased"
     if splats.sh.shape[1] > 1:
         meta["shN"], palette, pictures["shN_labels.webp"] = _harmonics(splats.sh[:, 1:])
         (folder / "shN_centroids.webp").write_bytes(lossless_webp(palette))
