@@ -181,6 +181,7 @@ def together(parts, front=None):
         That comes before the others.
     """
     every = [*([] if front is None else [front]), *parts]
+    every = [part for part in every if len(part.box)] or every[:1]  # empty ones know no degree
     arrays = {name: np.concatenate([getattr(p, name) for p in every]) for name in ARRAYS}
     order = np.full(len(arrays["box"]) * LANES, NOBODY, np.int32)
     if front is not None:

@@ -405,11 +405,10 @@ def read_scene(folder):
             f"{folder} has {len(splats)} splats but {SCENE_FILE} speaks of "
             f"{shown(data.get('splats'))}; the files must belong together; import the capture again"
         )
-    scene = replace(scene_from_data(data, splats, path, folder.name), source=folder)
-    if data.get("painted"):
-        scene = replace(scene, painted=read_painted(folder / PAINTED_FILE))
     scene = scene_from_data(data, splats, path, folder.name)
     scene = replace(scene, source=folder, pages=pages, notes=scene.notes or notes)
+    if data.get("painted"):
+        scene = replace(scene, painted=read_painted(folder / PAINTED_FILE))
     if not data.get("actors"):
         return scene
     actors = read_actor_arrays(folder / ACTORS_ARRAYS)

@@ -19,7 +19,7 @@ from rainsim.lod.choose import chosen_levels, levels_of, pixels_per_unit
 from rainsim.lod.cut import cut
 from rainsim.lod.ground import finest_near, scene_over
 from rainsim.lod.merge import cells_of, covariances, merged_splats, reach_box
-from rainsim.lod.paged import rasterizer_of_scene
+from rainsim.lod.paged import rasterizer_of_scene, together
 from rainsim.raster import Rasterizer, prepare
 from rainsim.render.memory import memory_of_frames
 from rainsim.render.renderer import Renderer
@@ -463,6 +463,14 @@ def test_a_picture_has_the_same_bytes_whatever_was_drawn_or_kept_before(folder, 
         if levels[n] == rasterizer_of_scene(big, render).wanted(big.cameras[n], 0.05):
             assert (again == alone[(2, 9).index(n)]).all()
     assert little.pages.kept.size <= 1e5 or len(little.pages.kept._values) == 1
+
+
+def test_pages_without_a_splat_are_left_out():
+    full = prepare(tame_splats(300, 4))
+    none = prepare(tame_splats(300, 4).take(np.zeros(300, bool)))
+    whole = together([none, full, none])
+    assert len(whole.box) == len(full.box) == 2 and (whole.geometry == full.geometry).all()
+    assert len(together([none, none]).box) == 0
 
 
 def test_kept_values_stay_below_the_limit():
