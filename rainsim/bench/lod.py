@@ -33,7 +33,7 @@ MIDDLE = 0.0, 16.0  # m of the built-in street that are repeated: where it is de
 WIDE = 15.0  # m to either side
 SKY = 100.0  # m from the middle from where on splats are sky
 LENGTH = {False: 200.0, True: 40.0}  # m
-DETAILS = {False: (0.5, 0.7, 1.0, 1.5, 2.0, 4.0), True: (1.0, 8.0)}  # px
+DETAILS = {False: (0.35, 0.5, 0.7, 1.0, 1.5, 2.0, 4.0), True: (1.0, 8.0)}  # px
 PLACES = {False: 4, True: 1}  # along the street, two frames each
 WIDTH = {False: 648, True: 96}  # px
 SPEED, FPS = 10.0, 2.0  # m/s, 1/s: of the drive that shows time and memory
@@ -146,7 +146,7 @@ def measure_drive(folder, length, terrain, config, say=None):
             "x": float(path[n].position[0]), "begin": begin,
             "ms": (time.perf_counter() - begin) * 1e3, "cpu_ms": (time.process_time() - cpu) * 1e3,
             "splat_ms": report.milliseconds["splat"],
-            "splats": renderer.wet_scene.paged.whole.used["splats"],
+            "splats": seen_splats(renderer, camera),
             "kept": kept.size, "read": kept.made - made, "resident": resident(),
         })  # fmt: skip
         if say and n % 20 == 0:
@@ -174,7 +174,7 @@ def measure_details(folder, length, terrain, config, details, places, say=None):
                 pair.append(renderer.draw(ahead(scene, camera, shift), state)[0].astype(float))
                 cpu.append((time.process_time() - begin) * 1e3)
             shown.append(pair)
-            splats.append(renderer.wet_scene.paged.whole.used["splats"])
+            splats.append(seen_splats(renderer, camera))
         if truth is None:
             truth = shown
         error = [np.mean((a - b) ** 2) for pair, true in zip(shown, truth, strict=True)
@@ -190,6 +190,13 @@ def measure_details(folder, length, terrain, config, details, places, say=None):
         if say:
             say(detail_line(rows[-1]))
     return rows
+
+
+def seen_splats(renderer, camera):
+    """Return how many splats the picture of a camera is drawn of."""
+    drawn = renderer.wet_scene.paged.whole
+    drawn.wanted(camera, renderer.wet_scene.near)
+    return drawn.used["splats"]
 
 
 def ahead(scene, camera, distance):

@@ -144,6 +144,7 @@ class PagedRasterizer:
         if page is None:
             page = self._prepare(self.pages.splats(leaf, level))
             self.pages.kept.put(key, page, page.bytes)
+            self.pages.kept.drop((leaf, level))  # seldom needed again as it was read
         return page
 
 

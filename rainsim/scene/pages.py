@@ -234,6 +234,12 @@ class Kept:
             self._values.move_to_end(key)
             return self._values[key][0]
 
+    def drop(self, key):
+        """Let go of a key's value, if it is kept."""
+        with self._lock:
+            if key in self._values:
+                self.size -= self._values.pop(key)[1]
+
     def put(self, key, value, size):
         """Keep a value, and let go of others until all fit; the newest always stays."""
         with self._lock:
