@@ -296,10 +296,17 @@ def draw(result, path):
         label="time",
     )  # fmt: skip
     axes[1].set(xlabel=f"ms of processors (all splats: {whole['cpu_ms']:.0f})",
-                ylabel="dB, median")  # fmt: skip
+                ylabel="dB, median", xlim=(0, None))  # fmt: skip
     twin = axes[1].twiny()
-    twin.plot([row["kept"] / 1e6 for row in rows], decibels, color=COLORS[1], marker=MARKERS[1])
-    twin.set_xlabel(f"pages [MB] (all splats: {whole['kept'] / 1e6:.0f})", color=COLORS[1])
+    millions = [row["splats"] / 1e6 for row in rows]
+    twin.plot(millions, decibels, color=COLORS[1], marker=MARKERS[1])
+    twin.set_xlim(0, None)
+    label = f"millions of splats in the picture (all: {whole['splats'] / 1e6:.1f})"
+    twin.set_xlabel(label, color=COLORS[1])
+    for row in rows:
+        if row["detail"] == Config().render.detail:
+            axes[1].annotate("default", (row["cpu_ms"], row["median_db"]), xytext=(6, -10),
+                             textcoords="offset points", fontsize=8)  # fmt: skip
     drive = result["drive"]
     axes[2].plot([row["x"] for row in drive], [row["cpu_ms"] for row in drive], color=COLORS[0])
     axes[2].set(xlabel="m along the street", ylabel="ms of processors", ylim=(0, None))

@@ -43,10 +43,7 @@ def chosen_levels(tree, camera, near, threshold, most, plane=None):
     """
     seen = seen_leaves(tree, camera, near, plane)
     size = pixels_per_unit(tree.box, camera, near)
-    if threshold > 0:
-        raised = threshold
-    else:
-        raised = 0.0
+    raised = max(threshold, 0.0)
     while True:
         levels = levels_of(tree, size, raised)
         count = tree.count[np.arange(len(levels)), levels][seen].sum()
