@@ -20,6 +20,7 @@ def model(tmp_path):
     return tmp_path / "yard"
 
 
+@pytest.mark.slow
 def test_a_capture_is_cut_run_and_drawn(rainsim, model, tmp_path):
     scale = ["--meters-per-unit", 0.6]
     done = rainsim("import", model, "--lod", *scale, "--out", "scene", "--json")

@@ -153,6 +153,7 @@ def test_captures_that_tell_nothing_stay_as_they_are(name, scene):
     assert found.note.endswith("the light stays as captured")
 
 
+@pytest.mark.slow
 def test_some_bad_splats_do_no_harm():
     scene, _, _ = sunny_yard.yard(step=0.05)
     position = scene.splats.position.copy()
