@@ -10,8 +10,8 @@ from rainsim.bench import day_data
 from rainsim.bench.day_case import TINT
 from rainsim.bench.day_data import HALF, REGIONS, Labels
 from rainsim.bench.day_mitsuba import DULL, SUNNY, Garden, require_mitsuba
-from rainsim.bench.day_score import srgb
 from rainsim.bench.day_shapes import spiral
+from rainsim.numerics import srgb
 
 BAKED = 64  # samples of a splat
 TRACED = 384  # of a pixel of the main rain; of the others OTHERS of it
@@ -88,7 +88,7 @@ def bake(garden, shapes, exposure, samples):
 
 def display(light):
     """Return linear light as 8-bit display colour."""
-    return np.round(255 * srgb(np.clip(light, 0, 1))).astype(np.uint8)
+    return np.round(255 * srgb.display(np.clip(light, 0, 1))).astype(np.uint8)
 
 
 def _labels(case, garden, paving):

@@ -12,6 +12,8 @@ from scipy import ndimage
 from skimage.color import deltaE_ciede2000, rgb2lab
 from skimage.metrics import structural_similarity
 
+from rainsim.numerics.srgb import display
+
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # Rec. 709
 LAND = 0.16  # mean luminance of land, as a camera's exposure has it
 EDGE = 4  # px: nearer than that to the sky a pixel of leaves may show some of it
@@ -29,15 +31,6 @@ SCALARS = {
 }  # fmt: skip
 
 
-def srgb(linear):
-    """Return the sRGB display value of linear light, 1 being white (IEC 61966-2-1).
-
-    Negative light counts as none; light above 1 gives values above 1.
-    """
-    linear = np.maximum(linear, 0)
-    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
-
-
 def shown(radiance):
     """Return the display values, 0 to 1, of a picture of radiance relative to display white.
 
@@ -45,7 +38,7 @@ def shown(radiance):
     """
     above = np.maximum(radiance, 0.5) - 0.5
     curve = np.where(radiance < 0.5, radiance, 0.5 + 0.5 * (1 - np.exp(-2 * above)))
-    return np.clip(srgb(curve), 0, 1)
+    return np.clip(display(curve), 0, 1)
 
 
 def luminance(radiance, mask=...):

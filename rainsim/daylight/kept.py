@@ -9,9 +9,9 @@ import numpy as np
 
 from rainsim.constants import SH_0
 from rainsim.daylight.relight import Relight, find_relight
-from rainsim.daylight.surface import display, linear
 from rainsim.io import cache
 from rainsim.numerics.blocks import in_blocks
+from rainsim.numerics.srgb import display, linear
 
 KIND = "daylight"
 ROUNDING = 0.1  # of the logarithm of an albedo

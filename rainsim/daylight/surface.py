@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 from rainsim.constants import SH_0
 from rainsim.jit import get_num_threads
 from rainsim.numerics.blocks import in_blocks
+from rainsim.numerics.srgb import linear
 
 NEIGHBOURS = 9  # splats about one, itself included, whose planes are compared
 RAGGED, SMOOTH = 0.45, 0.75  # mean square of the cosines between their normals: no plane, a plane
@@ -42,18 +43,6 @@ class Surface(NamedTuple):
     weight: np.ndarray
     neighbours: np.ndarray
     area: np.ndarray
-
-
-def linear(display):
-    """Return linear light of display-referred values (IEC 61966-2-1)."""
-    value = np.maximum(display, 0)
-    return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
-
-
-def display(light):
-    """Return display-referred values of linear light (IEC 61966-2-1)."""
-    value = np.maximum(light, 0)
-    return np.where(value <= 0.0031308, value * 12.92, 1.055 * value ** (1 / 2.4) - 0.055)
 
 
 def luminance(light):

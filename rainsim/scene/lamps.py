@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rainsim.constants import SH_0
+from rainsim.numerics.srgb import display, linear
 
 WHITE = 4000.0  # cd/m2 that stand for display white: the zenith of an overcast day of 10,000 lx
 # Luminance by class [cd/m2]: intensities towards other drivers that ECE regulations allow (head
@@ -81,14 +82,3 @@ def with_lamps(splats, lamps):
         sh[mine, 0] = (bright - 0.5) / SH_0
         scale[mine] = splats.scale[mine] / narrower[:, None]
     return replace(splats, sh=sh, scale=np.ascontiguousarray(scale, np.float32)), counts
-
-
-def linear(shown):
-    """Return linear light of display-referred values of any size (IEC 61966-2-1)."""
-    return np.where(shown <= 0.04045, shown / 12.92, ((shown + 0.055) / 1.055) ** 2.4)
-
-
-def display(light):
-    """Return display-referred values of linear light of any size (IEC 61966-2-1)."""
-    light = np.maximum(light, 0.0)
-    return np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)

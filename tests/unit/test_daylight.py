@@ -11,7 +11,7 @@ from rainsim.config.settings import Config
 from rainsim.daylight import kept, relight, sky_light
 from rainsim.daylight.kept import covered_share, under_clouds
 from rainsim.daylight.shade import NO_EDGES, edge_shade, factor_in_shade
-from rainsim.daylight.surface import Surface, display, linear
+from rainsim.daylight.surface import Surface
 from rainsim.daylight.visibility import (
     NOTHING,
     Window,
@@ -21,6 +21,7 @@ from rainsim.daylight.visibility import (
     find_seen,
     solids_of,
 )
+from rainsim.numerics.srgb import display, linear
 from rainsim.render.wet_scene import WetScene
 from rainsim.scene.types import Splats
 
