@@ -16,15 +16,17 @@ from rainsim.jit import interleaved
 from rainsim.reflection import paper, ray_traced, screen_space, water_record, water_shading
 from rainsim.reflection.mirror_choice import MIRROR_SPREAD, group_levels, mirror_step
 from rainsim.reflection.mirror_pass import mirror_light
+from rainsim.reflection.puddle_rings import puddle_rings
 from rainsim.reflection.ray_water import COVERING_DEPTHS, meet_water
 from rainsim.reflection.slope_moments import ripple_moments
 from rainsim.reflection.water_shading import Background, Optics, Ripples
-from rainsim.reflection.water_surface import WaterMap, fine_relief, water_surface
+from rainsim.reflection.water_surface import BLOCK, WaterMap, fine_relief, water_surface
 from rainsim.reflection.wet_tops import ROWS, list_tops, meet_tops, top_maps, top_numbers
 from rainsim.scene.view import View
 from rainsim.shading import fresnel
 from rainsim.shading.wetness import OffGroundWetness
 from rainsim.shading.wetting import ESCAPE
+from rainsim.water.ripples import block_reach
 from rainsim.water.top_water import TopWater, sheet_depth
 
 WINDOW_STEP = 64  # px, of the part of the picture that is drawn mirrored: whole tiles
@@ -98,6 +100,8 @@ class WaterPass:
     terrain : Terrain
     rings : ndarray of shape (ny, nx), float32
         Amplitude of rings in each cell over that in the open, see `ripples.ring_share`.
+    ring_reach : tuple of ndarray
+        Reach and weight of rings, see `ripples.ring_reach`.
     config : RenderConfig
         Names the methods.
 
@@ -113,14 +117,17 @@ class WaterPass:
         Where that light was found: a code of `mirrored_rays`.
     coverage : ndarray of shape (height, width), float32
         Share of each pixel that is water.
+    block_reach : ndarray
+        See `ripples.block_reach`, of blocks of the map's cells.
     thickness : float [m]
         REFLECTION_THICKNESS, or another that is to be tried.
     stride : float
         REFLECTION_STRIDE, or another that is to be tried.
     """
 
-    def __init__(self, terrain, rings, config):
+    def __init__(self, terrain, rings, ring_reach, config):
         self.terrain, self.rings, self.config = terrain, rings, config
+        self.block_reach = block_reach(BLOCK * terrain.grid.spacing, *ring_reach)
         self.relief = fine_relief(terrain)
         self._origin = np.array(terrain.grid.origin, np.float32)
         self._spacing = np.float32(terrain.grid.spacing)
@@ -245,7 +252,8 @@ class WaterPass:
         """Make the drawn surface of the water of a depth (ny, nx) [m]."""
         self._depth = depth
         surface, drawn_depth = water_surface(self.terrain, depth, self.relief, self.terrain.mirrors)
-        self._map = WaterMap(surface, drawn_depth, self.rings, self._origin, self._spacing)
+        shores = puddle_rings(depth, self.terrain.mirrors, self.block_reach)
+        self._map = WaterMap(surface, drawn_depth, self.rings, self._origin, self._spacing, shores)
         wet = drawn_depth > 0
         self._highest = np.float32(surface[wet].max()) if wet.any() else None
 

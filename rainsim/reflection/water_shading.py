@@ -32,7 +32,7 @@ from rainsim.reflection.water_record import (
     write_level,
     write_slopes,
 )
-from rainsim.reflection.water_surface import WaterMap
+from rainsim.reflection.water_surface import BLOCK, WaterMap
 from rainsim.reflection.wet_tops import (
     BOARD_RINGS,
     FILM_SLOPE,
@@ -51,6 +51,7 @@ ABSORB_R, ABSORB_G, ABSORB_B = np.float32(5), np.float32(5.5), np.float32(7)
 LEAST_FALL = np.float32(0.1)  # of a refracted ray over its length: bounds its way to the bed
 RIPPLE_LOW, RIPPLE_HIGH = np.float32(0.0008), np.float32(0.004)  # m of water: none, full rings
 SHELTERED_SHARE = np.float32(0.07)  # of the rings, under cover: they run in from the open
+CELLS = np.float32(BLOCK)  # of a block, along a side
 NEAREST = np.float32(0.05)  # m
 TURN_COSINE, TURN_SINE = np.float32(math.cos(1)), np.float32(math.sin(1))  # of the second layer
 REFRACT_TOLERANCE = np.float32(0.04)  # m: what lies nearer than the bed by more is foreground
@@ -88,7 +89,8 @@ class Optics(NamedTuple):
 def water_at(view, water_map, tops, row, column, t, coverage):
     """Return the `WaterPixel` whose ray meets the surface at view depth t [m], without ripples.
 
-    Rings do not run in a thin film of water, and few run in where a roof keeps the rain off.
+    Rings do not run in a thin film of water, few run in where a roof keeps the rain off, and shores
+    that are near take them.
     """
     water, origin = surface_at(view, row, column, abs(t)), water_map.origin
     top, on_top, _, _, _ = top_below(tops, water.x, water.y, water.z)
@@ -97,6 +99,7 @@ def water_at(view, water_map, tops, row, column, t, coverage):
     water_depth = bilinear(water_map.depth, u, v)
     share = smoothstep(RIPPLE_LOW, RIPPLE_HIGH, water_depth)
     share *= SHELTERED_SHARE + (ONE - SHELTERED_SHARE) * bilinear(water_map.rings, u, v)
+    share *= bilinear(water_map.shores, (u + HALF) / CELLS - HALF, (v + HALF) / CELLS - HALF)
     if top >= 0:
         water_depth, share = on_top, BOARD_RINGS * smoothstep(RING_LOW, RING_HIGH, on_top)
     return WaterPixel(

@@ -19,6 +19,7 @@ RELIEF_WIDTHS = (0.02, 0.05, 0.12)  # m
 SURFACE_REACH = 2  # cells by which the surface is continued into the dry, for soft rims
 LEAST_WEIGHT = np.float32(1e-4)  # of wet cells around, below which there is no surface
 BLOCK = 8  # cells of a block, of which the mean level is kept
+WIDE_WATER = np.ones((2, 2), np.float32)  # no shores
 
 
 class WaterMap(NamedTuple):
@@ -29,6 +30,9 @@ class WaterMap(NamedTuple):
     rings: np.ndarray  # (ny, nx) float32, amplitude of rings over that in the open
     origin: np.ndarray  # (2,) float32 [m], corner of the map
     spacing: np.float32  # m, of its cells
+    # (rows, columns) float32, of blocks of BLOCK x BLOCK cells: amplitude of rings over that in a
+    # usual puddle, see `puddle_rings`
+    shores: np.ndarray = WIDE_WATER
 
 
 def _gauss(sigma, radius):

@@ -90,7 +90,7 @@ class Renderer:
             RING_DEPTH, config.water.surface_film, self.rain.weather.mean_rate
         )
         self.rings = ring_share(self.wet_scene.reach, terrain.grid.spacing, *self._ring_reach)
-        self.water = WaterPass(terrain, self.rings, config.render)
+        self.water = WaterPass(terrain, self.rings, self._ring_reach, config.render)
         self.wet_ground = WetGroundMirror(terrain, config.render)
         self.sun, note = sky.sun_of(config.render.sun, self.wet_scene.day)
         self.notes = [*self.wet_scene.notes, *([note] if note else [])]

@@ -25,6 +25,8 @@ _BOUNDS = (1.8e-3, 3.3e-3)
 _TYPICAL = (1.3e-3, REFERENCE_DROP, 4.2e-3)
 SIZES = len(_TYPICAL)
 LAYERS = 2  # of the tile on the water, one turned against the other: each rings for half the drops
+BLOCKS_AROUND = 6  # by which rings are followed across the map, see `block_reach`
+USUAL_CHORD = 0.5  # m, of a captured patio's puddles: their rings are drawn as the tile has them
 _LONGEST_STEP = 1 / 60  # s; impacts of one such step are born together, its end
 
 
@@ -331,6 +333,40 @@ def ring_share(rained, spacing, reach, weight):
         carried += share / np.sqrt(1 + length**2 * square)
     energy = scipy.fft.irfft2(spectrum * carried, s=padded.shape)[margin:-margin, margin:-margin]
     return np.sqrt(np.clip(energy, 0.0, 1.0)).astype(np.float32)
+
+
+def block_reach(side, reach, weight):
+    """Return how the energy of rings spreads from a block of water to those around, float32.
+
+    Parameters
+    ----------
+    side : float [m]
+        Of the blocks.
+    reach, weight : ndarray of shape (n,)
+        As `ring_reach` gives them.
+
+    Returns
+    -------
+    ndarray of shape (2 BLOCKS_AROUND + 1, 2 BLOCKS_AROUND + 1), float32
+        Share of a block's energy that each block around gets, over the energy on water with a mean
+        chord of USUAL_CHORD, see `RippleTile`. So the sum is more than 1.
+
+    Notes
+    -----
+    Mean over the places in both blocks of what `ring_share` convolves with. Shores take what runs
+    on to them, so only water gives energy; that waves pass narrow land here is wrong by little.
+    """
+    length, share = (np.asarray(a, np.float64)[:, None, None] for a in (reach, weight))
+    places = [(np.arange(n) + 0.5) / n for n in (4, 5)]  # never the same place
+    apart = (places[0][:, None] - places[1]).ravel() * side
+    steps = np.arange(-BLOCKS_AROUND, BLOCKS_AROUND + 1) * side
+    spread = np.empty((len(steps), len(steps)))
+    for j, y in enumerate(steps):
+        for i, x in enumerate(steps):
+            r = np.hypot((y + apart)[:, None], x + apart)
+            spread[j, i] = (share * np.exp(-r / length) / (length * r)).sum(axis=0).mean()
+    usual = float((share / (1 + length / USUAL_CHORD)).sum())
+    return (spread / (spread.sum() * usual)).astype(np.float32)
 
 
 def sheltered_rings(rings, rained, shelters, spacing, reach):

@@ -27,6 +27,7 @@ from rainsim.reflection import (
     water_surface,
 )
 from rainsim.reflection.planar_mirror import MirrorPicture
+from rainsim.reflection.puddle_rings import puddle_rings
 from rainsim.reflection.water_record import RECORD
 from rainsim.reflection.water_shading import Background, Optics, Ripples
 from rainsim.reflection.water_surface import WaterMap
@@ -39,6 +40,7 @@ from rainsim.shading.grading import Look
 from rainsim.shading.wet_pass import DryPicture
 from rainsim.shading.wetness import OffGroundWetness
 from rainsim.shading.wetting import GroundMaps, SkyMaps
+from rainsim.water.ripples import block_reach, ring_reach
 
 assert simulated()
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
@@ -155,8 +157,12 @@ def pond(view):
 
 def test_water_surface(view, pond):
     depth, relief, mirrors, (surface, over) = pond
-    twin = cuda_surface.WaterSurface(view.bed, relief, mirrors, depth, cuda.stream())
+    reach = block_reach(8 * SPACING, *ring_reach(5e-3))
+    twin = cuda_surface.WaterSurface(view.bed, relief, mirrors, depth, reach, cuda.stream())
     twin.launch()
+    shores = puddle_rings(depth, mirrors, reach)
+    np.testing.assert_allclose(twin.shores.copy_to_host(), shores, rtol=1e-5)
+    assert shores.min() < 0.8 * shores.max()
     np.testing.assert_allclose(twin.over.copy_to_host(), over, atol=2e-7)
     found = twin.surface.copy_to_host()
     near = over > 0

@@ -8,6 +8,7 @@ import pytest
 from rainsim.drops import RainField, RainSpectrum, drop_volume, flat_surfaces, impacts
 from rainsim.errors import ParameterError
 from rainsim.rain.size_distribution import terminal_speed
+from rainsim.reflection.puddle_rings import puddle_rings
 from rainsim.reflection.wet_tops import BOARD_RINGS
 from rainsim.water.ripples import (
     FOOTPRINT,
@@ -16,6 +17,7 @@ from rainsim.water.ripples import (
     RING_SHARE,
     RippleTile,
     angular_frequency,
+    block_reach,
     damping_rate,
     drop_momentum,
     footprint,
@@ -302,3 +304,22 @@ def test_rings_on_a_board_are_as_high_as_its_small_puddles_let_them(rate):
             share = math.sqrt(slopes_in_balance(rate, depth, radius) / puddle)
             assert share == pytest.approx(BOARD_RINGS, abs=0.1)
     assert slopes_in_balance(rate, 6e-3, 0.05) < 0.4 * puddle
+
+
+def test_shores_calm_the_rings_of_small_puddles_as_the_balance_says():
+    cell, reach = 0.01, ring_reach(6e-3, rate=50.0)
+    around = block_reach(8 * cell, *reach)
+    y, x = (np.indices((480, 480)) + 0.5) * cell - 2.4
+    usual = slopes_in_balance(50.0, 6e-3, 0.5)
+    found = []
+    for radius in (0.05, 0.1, 1.5):
+        depth = np.where(np.hypot(x, y) < radius, np.float32(6e-3), np.float32(0))
+        rings = puddle_rings(depth, np.ones(depth.shape, bool), around)
+        found.append(float(rings[29:31, 29:31].mean()))
+        assert rings[0, 0] < 0.1
+    for amplitude, radius in zip(found, (0.05, 0.1), strict=False):
+        wanted = math.sqrt(slopes_in_balance(50.0, 6e-3, radius) / usual)
+        assert amplitude == pytest.approx(wanted, abs=0.15)
+    assert found[0] < 0.75 * found[1] < 0.75 * found[2] == 0.75
+    lawn = puddle_rings(depth, np.zeros(depth.shape, bool), around)
+    assert (lawn == 0).all()  # grass stands out of it

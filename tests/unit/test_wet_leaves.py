@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from rainsim.shading import environment, wetting
+from rainsim.shading.color import luminance
 from rainsim.shading.fresnel import fresnel
 from rainsim.shading.grading import Look
-from rainsim.shading.wetness import OffGroundWetness
+from rainsim.shading.wetness import OffGroundWetness, Wetness
 from rainsim.shading.wetting import GroundMaps, SkyMaps, SurfacePoint
 
 F4 = np.float32
@@ -69,3 +70,18 @@ def test_a_leaf_on_edge_is_no_mirror_at_grazing_angles(skies):
     assert reflected(0.3) == pytest.approx(reflected(0.5), rel=1e-4)
     assert reflected(0.1) < reflected(0.3)  # blended normals at outlines
     assert reflected(0.9) < 0.5 * reflected(0.5)
+
+
+def test_lawns_and_leaves_hardly_darken_where_paving_does():
+    wet = Wetness(*F4([0, 1, 1, 0.12]))
+    tones = {"stone": F4([0.25, 0.25, 0.24]), "leaf": F4([0.1, 0.2, 0.05])}
+
+    def kept(color, wet):
+        found = wetting.wetted(*color, F4(1), wet, LOOK)
+        return float(luminance(*map(F4, found)) / luminance(*color))
+
+    assert kept(tones["stone"], wet) < 0.6
+    assert 0.85 < kept(tones["leaf"], wet) < 0.92
+    assert 0.92 < kept(tones["leaf"], wet._replace(lawn=F4(1), porosity=F4(0.45))) < 0.97
+    dry = wet._replace(dampness=F4(0))
+    assert kept(tones["leaf"], dry) == pytest.approx(1, abs=1e-6)

@@ -6,8 +6,10 @@ import numpy as np
 
 from rainsim.constants import HALF, ONE, ZERO
 from rainsim.cuda.jit import cuda, cuda_device, cuda_kernel
+from rainsim.cuda.reflection.puddle_rings import share_wet, spread_rings
 from rainsim.errors import ParameterError
 from rainsim.numerics.interpolation import bilinear
+from rainsim.reflection.puddle_rings import block_shape
 from rainsim.reflection.water_surface import (
     BLOCK,
     GRASS_HEIGHT,
@@ -255,6 +257,8 @@ class WaterSurface:
         See `rainsim.reflection.water_surface.water_surface`.
     depth : device array of shape (ny, nx), float32 [m]
         Of the water; read at each launch.
+    reach : ndarray of shape (2 n + 1, 2 n + 1), float32
+        See `rainsim.water.ripples.block_reach`.
     stream : numba.cuda.stream
 
     Attributes
@@ -263,9 +267,11 @@ class WaterSurface:
         Height of the surface, depth of the water that pictures show.
     highest : device array of shape (1,), float32 [m]
         Of the surface where there is water; NO_HEIGHT if there is none.
+    shores : device array of shape (rows, columns), float32
+        See `rainsim.reflection.puddle_rings`.
     """
 
-    def __init__(self, bed, relief, mirrors, depth, stream):
+    def __init__(self, bed, relief, mirrors, depth, reach, stream):
         shape = bed.shape
         self.depth, self.stream = depth, stream
         self._bed, self._relief = cuda.to_device(bed), cuda.to_device(relief)
@@ -285,6 +291,10 @@ class WaterSurface:
         )
         self._row = cuda.device_array(coarse, np.int32)
         self.highest = cuda.device_array(1, np.float32)
+        self._reach = cuda.to_device(reach)
+        self._wet_share, self.shores = (
+            cuda.device_array(block_shape(shape), np.float32) for _ in range(2)
+        )
 
     def launch(self, stream=None):
         """Queue the making of the surface, on another stream than its own if one is given."""
@@ -298,3 +308,7 @@ class WaterSurface:
         nearest_blocks[rows, LINE, stream](self._row, self._mean, self._far)
         spread[squares](*water, self._relief, self._wide, self._far, self.surface, self._rough)
         soften[squares](self._rough, self.surface, self._narrow, self.over, self.highest)
+        rows, columns = self.shores.shape
+        blocks = (-(-columns // SIDE), -(-rows // HIGH)), THREADS, stream
+        share_wet[blocks](self.depth, self._mirrors, self._wet_share)
+        spread_rings[blocks](self._wet_share, self._reach, self.shores)

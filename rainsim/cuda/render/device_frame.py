@@ -92,8 +92,9 @@ class DeviceFrame:
         self._colors_sent = scene.prepared
         self._water = cuda.device_array(grid.shape, np.float32)
         self.surface = WaterSurface(
-            self.terrain.bed, host.water.relief, self.terrain.mirrors, self._water, stream
-        )
+            self.terrain.bed, host.water.relief, self.terrain.mirrors, self._water,
+            host.water.block_reach, stream,
+        )  # fmt: skip
         self.mirrors = Mirrors(self, host.config.render.reflections)
         self.ground_light = WetGroundLight(self)
         self.streaks = self.splashes = self.size = self.uniforms = self._moments = None
@@ -407,7 +408,8 @@ class DeviceFrame:
 
     @property
     def _water_map(self):
-        return WaterMap(self.surface.surface, self.surface.over, self._rings, *self.place)
+        drawn = self.surface
+        return WaterMap(drawn.surface, drawn.over, self._rings, *self.place, drawn.shores)
 
     @property
     def tops(self):
