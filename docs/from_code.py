@@ -137,10 +137,13 @@ def classes():
 
 def formats():
     """Return the table of rainsim's own files, with the version that is written and read."""
-    from rainsim import simulation
+    from rainsim import output_folder, simulation
     from rainsim.commands import film
+    from rainsim.datasets import card
     from rainsim.io import images
-    from rainsim.scene import actor_files, folder, painted
+    from rainsim.render import frame_files
+    from rainsim.scene import actor_files, folder, ground, painted
+    from rainsim.sensors import drive
     from rainsim.terrain import files
 
     rows = [
@@ -151,6 +154,32 @@ def formats():
         ("states/NNNNN.npz", simulation.STATE_VERSION, "`simulate`", "water at a frame's time"),
         ("simulation.json", film.VERSION, "`simulate`", "settings and input of the states"),
         ("layers/NAME/NNNNN.npz", images.VERSION, "`run`, `render`", "a float layer"),
+        ("FILE.npz", images.VERSION, "`splat`", "colour, alpha, depth, normals of a dry picture"),
+        (
+            "layers/NNNNN.json",
+            frame_files.VERSION,
+            "`run`, `render`",
+            "a frame's light, units, weather, names of classes, boxes",
+        ),
+        (
+            "ground_frame.json",
+            ground.VERSION,
+            "`import`, `heightmap`, `view`",
+            "up, scale and origin of a capture",
+        ),
+        (
+            "card.json, pictures.jsonl",
+            card.VERSION,
+            "`export`",
+            "what a data set holds, and which pictures are finished",
+        ),
+        ("lidar.json", drive.CARD_VERSION, "`lidar`", "sensor, rains, counts of points"),
+        (
+            "provenance.json, finished.jsonl",
+            output_folder.VERSION,
+            "all that write to a folder",
+            "the record of a run, and which frames or states are finished",
+        ),
     ]
     return table(("file", "version", "written by", "holds"), rows)
 

@@ -32,13 +32,14 @@ from rainsim.render.frame_files import (
     report_of,
 )
 
-PROVENANCE = "provenance.json"
+PROVENANCE, RECORD_VERSION, VERSION = "provenance.json", "rainsim_record", 1
+WRITER = {RECORD_VERSION: VERSION, "program": "rainsim", "version": __version__}
 NOT_OF_THE_CONTENT = ("preset", "terrain_input")  # facts that name things and change none
 CLAIM = ".rainsim-claim"  # locked by the run that writes to the folder
 # Names that the program gives to files; other names in a provenance file are ignored.
 OURS = re.compile(
     r"frames/\d{5}\.png|states/\d{5}\.npz|preview\.webp|video\.mp4|transforms\.json"
-    r"|(terrain|splats)\.npz|(scene|ground_frame|simulation)\.json|(bed|top)\.tif"
+    r"|(terrain|splats|actors)\.npz|(scene|ground_frame|simulation)\.json|(bed|top)\.tif"
     r"|(hillshade|classes|check|puddles-\d+mm)\.png"
     r"|layers/(\d{5}\.json|[a-z_]+/\d{5}\.(png|exr|npz))|finished\.jsonl"
 )
@@ -160,8 +161,7 @@ class Record:
     def __init__(self, folder, scene=None, content=None, **facts):
         self.folder, self._start = folder, time.perf_counter()
         self.facts = {
-            "program": "rainsim",
-            "version": __version__,
+            **WRITER,
             "command": ["rainsim", *sys.argv[1:]],
             "started": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
             "versions": versions(),
@@ -311,13 +311,13 @@ def host_facts():
 
 
 def read_record(folder):
-    """Return what an earlier run recorded in a folder, {} if nothing readable."""
+    """Return what an earlier run recorded in a folder, {} if nothing readable by this version."""
     try:
         record = read_json(Path(folder) / PROVENANCE, "a record")
     except (OSError, InputError):
         return {}
     ours = isinstance(record, dict) and record.get("program") == "rainsim"
-    return record if ours else {}
+    return record if ours and record.get(RECORD_VERSION, VERSION) == VERSION else {}
 
 
 def settings_facts(config, preset):

@@ -9,6 +9,7 @@ from rainsim.render.labels import class_names
 from rainsim.render.weather import weather_of
 from rainsim.sensors.radar import rain_attenuation
 
+VERSION_KEY, VERSION = "rainsim_data_set", 1  # of card.json
 RADARS = (24.0, 77.0)  # GHz
 
 
@@ -26,7 +27,7 @@ def card_of(plan, layout, scene, config_of):
     frame = scene.ground_frame
     lens = plan.views[0].lens
     return {
-        "rainsim_data_set": 1,
+        VERSION_KEY: VERSION,
         "version": __version__,
         "layout": layout,
         "scene": plan.name,

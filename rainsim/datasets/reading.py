@@ -7,8 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
+from rainsim.datasets.card import VERSION, VERSION_KEY
 from rainsim.datasets.files import FOLDER, condition
-from rainsim.errors import InputError, ParameterError
+from rainsim.errors import InputError, ParameterError, shown
 from rainsim.io.files import read_json, require_file
 from rainsim.io.images import read_image
 from rainsim.scene.cameras import cameras_from_data
@@ -84,8 +85,13 @@ def read_views(folder, rate):
 def stored_card(folder):
     """Return the card of a finished data set in nerfstudio's layout; else raise InputError."""
     card = read_json(Path(folder) / "card.json", "a card")
-    if not isinstance(card, dict) or "rainsim_data_set" not in card:
+    if not isinstance(card, dict) or VERSION_KEY not in card:
         raise InputError(f"{folder}/card.json is no data set's card; name a data set's folder")
+    if card[VERSION_KEY] != VERSION:
+        raise InputError(
+            f"{folder} is a data set of version {shown(card[VERSION_KEY])}; it must be {VERSION}; "
+            "export it again"
+        )
     if card["layout"] != READ_LAYOUT:
         raise InputError(
             f"{folder} has the layout {card['layout']}; only {READ_LAYOUT} is read; export again "

@@ -209,9 +209,8 @@ def write_tiff(path, values):
 
 
 def write_npz(path, **arrays):
-    """Write arrays as an uncompressed .npz file, whole or not at all."""
-    with replacing(path) as temporary, open(temporary, "wb") as file:
-        np.savez(file, **arrays)
+    """Write the arrays of a float picture as an uncompressed .npz file, whole or not at all."""
+    write_arrays(path, VERSION, arrays)
 
 
 class Preview:

@@ -11,6 +11,7 @@ from rainsim.io.files import write_json
 from rainsim.render.report import FrameReport
 
 FRAME = "frames/{:05d}.png"
+VERSION = 1  # of layers/NNNNN.json
 
 
 class FrameWriter:
@@ -108,6 +109,7 @@ def write_layers(folder, report):
     name = f"layers/{report.index:05d}.json"
     units = {n: AOVS[n].unit for n in report.aovs}
     about = {"light": report.light, "units": units, "files": written, **report.facts}
+    about = {"rainsim_layers": VERSION, **about}
     write_json(folder / name, about)
     return [*written, name]
 

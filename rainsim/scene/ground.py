@@ -31,6 +31,7 @@ from rainsim.scene.ground_search import (
 )
 from rainsim.scene.types import GroundFrame
 
+VERSION_KEY, VERSION = "rainsim_ground_frame", 1  # of the file of a ground frame
 ASSUMED_CAMERA_HEIGHT = 1.5  # m, mean over the cameras: held before the eyes
 UP_HINT_ANGLE = math.radians(20)  # how far the ground may lean from an up that the user gives
 IMAGE_UP_ANGLE = math.radians(70)  # from image-up, which leans as far as a camera looks down
@@ -374,11 +375,17 @@ def read_ground_frame(path):
     """Read the GroundFrame in the JSON file `path`, as `write_ground_frame` writes it.
 
     Only rotation (3 rows: the ground's x, y and z axes in the capture frame), meters_per_unit and
-    translation [m] are required.
+    translation [m] are required; a file without a version is of version 1.
     """
-    return ground_frame_from_dict(read_json(path, "a ground frame"), path)
+    data = read_json(path, "a ground frame")
+    if isinstance(data, dict) and data.get(VERSION_KEY, VERSION) != VERSION:
+        raise InputError(
+            f"{path} has {VERSION_KEY} {shown(data[VERSION_KEY])}; it must be {VERSION}; write it "
+            "with rainsim import"
+        )
+    return ground_frame_from_dict(data, path)
 
 
 def write_ground_frame(path, frame):
     """Write a GroundFrame as a JSON file that reads back exactly."""
-    write_json(path, ground_frame_to_dict(frame))
+    write_json(path, {VERSION_KEY: VERSION, **ground_frame_to_dict(frame)})

@@ -26,6 +26,7 @@ from rainsim.shading.calibration import albedo_of_white
 from rainsim.shading.wetness import paving_dampness
 
 CARD = "lidar.json"
+CARD_VERSION = 1
 OURS = re.compile(
     r"(clear|rain/[\d.]+mm)/((velodyne|labels)/\d{6}\.(bin|label)|points/\d{6}\.(pcd|ply))"
     r"|poses\.txt"
@@ -159,7 +160,8 @@ def scan_rains(
     lines = ["".join(_row(p)) for p in poses]
     folder.write("poses.txt", "".join(lines).encode())
     card = {
-        "program": "rainsim", "version": __version__, "command": ["rainsim", *sys.argv[1:]],
+        "rainsim_lidar": CARD_VERSION, "program": "rainsim", "version": __version__,
+        "command": ["rainsim", *sys.argv[1:]],
         "versions": versions(), "input": input_facts(scene, folder.folder), "sensor": sensor,
         "channels": len(lidar.elevation), "columns": lidar.columns, "far_m": lidar.far,
         "turns_per_s": lidar.rate, "divergence_rad": lidar.divergence, "speed_m_per_s": speed,

@@ -25,6 +25,7 @@ def test_turns_clear_and_in_rain(lidar, tmp_path):
     folder = tmp_path / "turns"
     card = json.loads((folder / "lidar.json").read_text())
     assert [rain["folder"] for rain in card["rains"]] == ["clear", "rain/50mm"]
+    assert card["rainsim_lidar"] == 1
     clear, rain = (entry["points"] for entry in card["rains"])
     assert clear["scattered"] == 0 and rain["scattered"] > 0 and clear["kept"] > 500
     assert sum(rain.values()) == 2 * 32 * 2170

@@ -239,7 +239,10 @@ def test_our_reader_says_what_it_cannot_read(tmp_path):
     images.write_png16(tmp_path / "rain/10mm/depths/v1.png", np.zeros((3, 4)))
     with pytest.raises(InputError, match=r"depth of images/v1.png .* has the shape \(3, 4\)"):
         read_views(tmp_path, 10)
-    for changes, message in (({"complete": False}, "unfinished"), ({"layout": "kitti"}, "kitti")):
+    wrong = {"complete": False}, {"layout": "kitti"}, {"rainsim_data_set": 2}
+    for changes, message in zip(
+        wrong, ("unfinished", "kitti", "version 2; it must be 1"), strict=True
+    ):
         write_set(tmp_path, plan_with(), **changes)
         with pytest.raises(InputError, match=message):
             read_views(tmp_path, 10)

@@ -1,5 +1,6 @@
 """The ground frame: found, given, refused, stored."""
 
+import json
 import math
 import os
 import re
@@ -293,6 +294,7 @@ def test_rescaling_keeps_the_ground_and_the_axes():
 def test_ground_frame_file_reads_back_exactly(tmp_path):
     found = estimate_ground_frame(*captured(random_frame(), patio(), ring()))
     write_ground_frame(tmp_path / "g.json", found)
+    assert json.loads((tmp_path / "g.json").read_text())["rainsim_ground_frame"] == 1
     back = read_ground_frame(tmp_path / "g.json")
     assert np.array_equal(back.rotation, found.rotation)
     assert np.array_equal(back.translation, found.translation)
@@ -304,6 +306,7 @@ def test_ground_frame_file_reads_back_exactly(tmp_path):
     ("text", "expected"),
     [
         ("[]", "holds no ground frame"),
+        ('{"rainsim_ground_frame": 2}', "has rainsim_ground_frame 2; it must be 1"),
         ('{"rotation": [[1,0,0],[0,1,0],[0,0,1]]}', "meters_per_unit is None"),
         ('{"rotation": [[1,0,0],[0,1,0],[0,0,-1]], "meters_per_unit": 1}', "right-handed"),
         ('{"rotation": [[1,0,0],[0,1,0],[0,0,2]], "meters_per_unit": 1}', "right-handed"),

@@ -34,6 +34,7 @@ def test_npz_comes_back(tmp_path):
     images.write_npz(tmp_path / "a.npz", a=np.arange(3), b=np.float32(2))
     with np.load(tmp_path / "a.npz") as data:
         assert np.array_equal(data["a"], [0, 1, 2]) and data["b"] == 2
+        assert data["version"] == images.VERSION
 
 
 def test_a_failed_write_keeps_what_was_there(tmp_path, monkeypatch):

@@ -193,7 +193,8 @@ def test_the_weather_is_noted(pair, tmp_path):
     assert weather["past_rain_mm"] == pytest.approx(6)
     assert 500 < weather["optical_range_m"] < 5000
     write_layers(tmp_path, one)
-    assert read_json(tmp_path / "layers/00000.json", "labels")["weather"] == weather
+    noted = read_json(tmp_path / "layers/00000.json", "labels")
+    assert noted["weather"] == weather and noted["rainsim_layers"] == 1
 
 
 def test_a_cut_has_no_flow_and_a_still_camera_none_either(wet):

@@ -129,7 +129,11 @@ def test_a_forged_record_removes_nothing_that_is_not_ours(tmp_path):
     assert (tmp_path / "precious.txt").exists() and (folder / "notes.md").exists()
 
 
-@pytest.mark.parametrize("text", ["", "[]", "{", '{"program": "other", "files": ["scene.json"]}'])
+@pytest.mark.parametrize(
+    "text",
+    ["", "[]", "{", '{"program": "other", "files": ["scene.json"]}',
+     '{"rainsim_record": 2, "program": "rainsim", "files": ["scene.json"]}'],
+)  # fmt: skip
 def test_a_record_that_is_not_ours_counts_for_nothing(tmp_path, text):
     (tmp_path / PROVENANCE).write_text(text)
     (tmp_path / "scene.json").write_text("mine")
@@ -138,7 +142,7 @@ def test_a_record_that_is_not_ours_counts_for_nothing(tmp_path, text):
     assert (tmp_path / "scene.json").exists()
 
 
-@pytest.mark.parametrize("name", ["frames/00000.png", "transforms.json", PROVENANCE])
+@pytest.mark.parametrize("name", ["frames/00000.png", "transforms.json", "actors.npz", PROVENANCE])
 def test_files_that_no_record_lists_are_not_replaced(tmp_path, name):
     (tmp_path / name).parent.mkdir(exist_ok=True)
     (tmp_path / name).write_text("mine")
