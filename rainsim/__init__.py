@@ -1,6 +1,6 @@
 """Physically right, good-looking rain in captured 3D Gaussian Splatting scenes."""
 
-__version__ = "0.1.0"
+__version__ = "1.0.0"
 
 # The public names by subject, each with the module that has it. Deprecation rules hold for these.
 _MODULES = {
