@@ -159,7 +159,7 @@ def scenes(as_json):
     """List the scenes that are known by name.
 
     They are looked up in the folders named by RAINSIM_SCENES and in the user's data folder; the
-    built-in ones are generated stand-ins.
+    built-in ones are generated stand-ins. street:300 and traffic:300 are streets of 300 m.
 
     \b
     Example:

@@ -31,6 +31,11 @@ BUILT_IN = {
     "street": ("rainsim.demo_scenes.street", "make_street"),
     "traffic": ("rainsim.demo_scenes.traffic", "make_traffic"),
 }
+LONG = {  # built-in scenes that are made in any length: street:300
+    "street": ("rainsim.demo_scenes.street", "make_long_street"),
+    "traffic": ("rainsim.demo_scenes.traffic", "make_long_traffic"),
+}
+LENGTHS = 60.0, 500.0  # m: a longer street is more than one picture's memory holds
 
 
 def load_scene(
@@ -50,7 +55,8 @@ def load_scene(
     name_or_path : str or path-like
         What exists as a path or has a path separator is read as a path (`import_scene`). Any other
         is a name, looked up in the folders that RAINSIM_SCENES lists, in the user's data folder
-        (rainsim/scenes) and among the built-in scenes, in this order.
+        (rainsim/scenes) and among the built-in scenes, in this order. street:300 and traffic:300
+        are built-in streets of 300 m.
     cameras, up, meters_per_unit, camera_height, ground_frame, tracks, track_fps
         Override what the scene says; see `import_scene`.
 
@@ -106,12 +112,14 @@ def load_scene(
 
 def _built_in(name):
     """Return a built-in scene: kept from an earlier run, or generated and kept for the next."""
-    module, function = BUILT_IN[name]
+    kind, length = _long(name) or (name, None)
+    module, function = BUILT_IN[kind] if length is None else LONG[kind]
+    given = () if length is None else (length,)
     ours = module.startswith(f"{DEMO_SCENES}.")  # code that the entry's name takes in
-    entry = cache.name_of(KIND, module, function) if ours and cache.folder() else None
+    entry = cache.name_of(KIND, module, function, *given) if ours and cache.folder() else None
     found = entry and cache.read(KIND, entry)
     if not found:
-        made = getattr(import_module(module), function)()
+        made = getattr(import_module(module), function)(*given)
         arrays = {array: getattr(made.splats, array) for array in ARRAYS}
         if made.actors:
             nodes = actors_to_arrays(made.actors)
@@ -160,13 +168,31 @@ def find_scene(name_or_path):
         for path in (folder / name, *(folder / f"{name}{suffix}" for suffix in SUFFIXES)):
             if is_scene(path):
                 return path
-    if name in BUILT_IN:
+    if name in BUILT_IN or _long(name):
         return None
     known = ", ".join(scene[0] for scene in list_scenes())
     raise ParameterError(
         f"scene {name!r} is not known; it must be a path that exists or one of {known}; folders of "
         f"scenes are taken from {FOLDERS_VARIABLE}"
     )
+
+
+def _long(name):
+    """Return kind and length [m] of a built-in scene's name such as street:300, None of others."""
+    kind, colon, text = name.partition(":")
+    if not colon or kind not in LONG or kind not in BUILT_IN:
+        return None
+    try:
+        length = float(text)
+    except ValueError:
+        length = 0.0
+    low, high = LENGTHS
+    if not low <= length <= high:
+        raise ParameterError(
+            f"scene {name!r} asks for a street of {text or 'no'} m; a built-in street is "
+            f"{low:g} to {high:g} m long; give a length such as {kind}:300"
+        )
+    return kind, length
 
 
 def scene_folders():

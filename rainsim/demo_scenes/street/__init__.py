@@ -14,8 +14,10 @@ import numpy as np
 
 from rainsim.demo_scenes.bicycle.backdrop import sky_cloud
 from rainsim.demo_scenes.build import Noise, content_hash, discs, join, tilted_frame, to_splats
-from rainsim.demo_scenes.street import cars, furniture, road
+from rainsim.demo_scenes.street import cars, footway, furniture, road
 from rainsim.demo_scenes.street.facades import houses
+from rainsim.demo_scenes.street.long import LongStreet
+from rainsim.scene.actors import joined
 from rainsim.scene.types import Camera, Scene
 
 SEED = 1871
@@ -38,7 +40,7 @@ def make_street() -> Scene:
     light = road.ground_light(cars.footprints())
     glows = np.concatenate([windows, cars.lamp_glows(), furniture.lamp_glows()])
     ground = join(
-        [road.road_cloud(noise, rng), road.footway_cloud(noise, rng), _leaves(noise, rng)]
+        [road.road_cloud(noise, rng), footway.footway_cloud(noise, rng), _leaves(noise, rng)]
     )
     cloud = join(
         [
@@ -60,28 +62,53 @@ def make_street() -> Scene:
     )  # fmt: skip
 
 
-def _drive():
+def make_long_street(length) -> Scene:
+    """Generate a street of a length [m]; the same arrays every time."""
+    street = LongStreet(length, SEED, _leaves)
+    frame = tilted_frame(CAPTURE_TILT, METERS_PER_UNIT, CAPTURE_ORIGIN)
+    splats = joined([to_splats(piece, frame) for piece in street.pieces()])
+    return Scene(
+        f"street:{length:g}", splats, tuple(long_drive(street, frame)), frame,
+        source_hash=content_hash(splats), drains=long_drains(street, frame),
+    )  # fmt: skip
+
+
+def long_drive(street, frame):
+    """Yield the cameras of the drive along a `LongStreet` in the capture frame."""
+    crown = road.crown_of(street.layout)
+    for camera in _drive(1 + int(street.drive * FRAMES_PER_SECOND / SPEED), crown):
+        yield frame.camera_in_capture(camera)
+
+
+def long_drains(street, frame):
+    """Return the drains of a `LongStreet` as `Scene` has them."""
+    drains = street.layout.drains
+    height = street.bed_height()(*drains.T)
+    return tuple(map(tuple, frame.to_capture(np.column_stack([drains, height]))))
+
+
+def _drive(count=CAMERAS, crown=road.CROWN):
     """Yield the cameras of the drive in the ground frame [m]."""
     focal = float(WIDTH / 2 / np.tan(FIELD_OF_VIEW / 2))
     fall = np.arctan2(LOOK_DOWN, LOOK_AHEAD)
     forward = np.array([np.cos(fall), 0.0, -np.sin(fall)])
     right = np.array([0.0, -1.0, 0.0])
-    for k in range(CAMERAS):
+    for k in range(count):
         matrix = np.eye(4)
         matrix[:3, :3] = right, np.cross(forward, right), forward
-        eye = np.array([k * SPEED / FRAMES_PER_SECOND, 0.0, road.CROWN + EYE_HEIGHT])
+        eye = np.array([k * SPEED / FRAMES_PER_SECOND, 0.0, crown + EYE_HEIGHT])
         matrix[:3, 3] = -matrix[:3, :3] @ eye
         yield Camera(WIDTH, HEIGHT, focal, focal, WIDTH / 2, HEIGHT / 2, matrix, f"{k:02d}")
 
 
-def _leaves(noise, rng, count=420):
+def _leaves(noise, rng, count=420, first=1.0, last=30.0, layout=road.LAYOUT):
     """Return fallen leaves, most of them in the gutters."""
     side = np.where(rng.random(count) < 0.5, -1, 1)
     away = np.where(rng.random(count) < 0.7, road.KERB - rng.gamma(1.5, 0.12, count),
                     rng.uniform(0.2, road.FACADE, count))  # fmt: skip
-    x = rng.uniform(1.0, 30.0, count)
+    x = rng.uniform(first, last, count)
     y = side * np.clip(away, 0.1, road.FACADE)
-    z = road.bed_height(x, y, noise) + rng.uniform(0.002, 0.004, count)
+    z = road.bed_height(x, y, noise, layout) + rng.uniform(0.002, 0.004, count)
     turn, size = rng.uniform(0, 2 * np.pi, count), rng.uniform(0.014, 0.026, count)
     palette = np.array([(0.52, 0.36, 0.10), (0.40, 0.22, 0.08), (0.34, 0.25, 0.12)])
     colour = palette[rng.integers(0, 3, count)] * rng.uniform(0.75, 1.15, (count, 1))

@@ -55,29 +55,28 @@ PARKED = (
 PARKING = 2.42  # m from the middle of the street to the middle of a parked car
 
 
-def footprints():
+def footprints(parked=PARKED):
     """Return x, y, half length and half width of the cars [m], ndarray of shape (n, 4)."""
-    return np.array([(x, s * PARKING, LENGTH / 2, WIDTH / 2) for x, s, *_ in PARKED])
+    places = [(x, s * PARKING, LENGTH / 2, WIDTH / 2) for x, s, *_ in parked]
+    return np.array(places).reshape(-1, 4)
 
 
-def lamp_glows():
+def lamp_glows(parked=PARKED):
     """Return the warm light of lit lamps on the road: x, y, reach [m], strength."""
     rows = []
-    for x, side, heading, _, _, on in PARKED:
+    for x, side, heading, _, _, on in parked:
         if on:
             rows.append((x + heading * (LENGTH / 2 + 1.6), side * (PARKING - 0.3), 1.7, 0.5))
-    return np.array(rows)
+    return np.array(rows).reshape(-1, 4)
 
 
-def parked_cars(rng):
-    """Return all cars in the street's frame."""
+def parked_cars(rng, parked=PARKED, near=(-8, 20), finest=0.04):
+    """Return cars in the street's frame; splats are `finest` m apart for x in `near` [m]."""
     parts = []
-    for x, side, heading, shape, paint, on in PARKED:
-        spacing = (
-            0.04 if -8 < x < 20 else 0.06
-        )  # m: the drive passes the first ones at arm's length
+    for x, side, heading, shape, paint, on in parked:
+        spacing = finest if near[0] < x < near[1] else 0.06
         cloud = car(shape, np.array(paint), on, spacing, rng)
-        base = -0.016 - 0.014 * (x < 60)  # where the tyres stand on the camber
+        base = -0.030  # where the tyres stand on the camber
         turn = turn_about((0, 0, 1), 0.0 if heading > 0 else np.pi)
         parts.append(moved(cloud, turn, (x, side * PARKING, base)))
     return join(parts)

@@ -18,28 +18,34 @@ TREES = ((16.4, 1, 4.6, 1.35), (29.0, 1, 5.0, 1.5), (34.5, -1, 4.8, 1.45), (-4.0
 FOOT = 0.078  # m, height of the footway near the kerb
 
 
-def lamp_glows():
+def lamp_glows(lamps=LAMPS):
     """Return the light of the lamps on the ground: x, y, reach [m], strength."""
-    return np.array([(x, side * (KERB - 0.3), 3.0, 0.55) for x, side in LAMPS])
+    return np.array([(x, side * (KERB - 0.3), 3.0, 0.55) for x, side in lamps]).reshape(-1, 4)
 
 
 def furniture(rng):
-    """Return everything that stands on the footways."""
+    """Return everything that stands on the footways of the built-in street."""
+    parts = lamps_and_bollards(LAMPS, BOLLARDS, (-2, 24))
+    parts.append(_post_box(12.9, -1))
+    parts.append(_bin(14.6, 1, rng))
+    for x, side, height, across in TREES:
+        parts.append(tree(x, side, height, across, rng))
+    return join(parts)
+
+
+def lamps_and_bollards(lamps, bollards, near):
+    """Return clouds of lamps and bollards (x, side); lamps with x in `near` [m] are rounder."""
     parts = []
-    for x, side in LAMPS:
-        parts.append(_lamp(x, side, 10 if -2 < x < 24 else 6))
-    for x, side in BOLLARDS:
+    for x, side in lamps:
+        parts.append(_lamp(x, side, 10 if near[0] < x < near[1] else 6))
+    for x, side in bollards:
         y = side * (KERB + 0.38)
         points = [(x, y, FOOT), (x, y, FOOT + 0.05), (x, y, FOOT + 0.82), (x, y, FOOT + 0.90)]
         parts.append(tube(points, (0.085, 0.065, 0.052, 0.06), POST, piece=0.045, around=10,
                           sheen=0.3))  # fmt: skip
         ring = [(x, y, FOOT + 0.66), (x, y, FOOT + 0.74)]
         parts.append(tube(ring, 0.060, (0.72, 0.71, 0.68), piece=0.04, around=10))
-    parts.append(_post_box(12.9, -1))
-    parts.append(_bin(14.6, 1, rng))
-    for x, side, height, across in TREES:
-        parts.append(_tree(x, side, height, across, rng))
-    return join(parts)
+    return parts
 
 
 def _lamp(x, side, around):
@@ -89,7 +95,7 @@ def _bin(x, side, rng):
     return tinted(cloud, rng.uniform(0.85, 1.1, len(cloud)))
 
 
-def _tree(x, side, height, across, rng):
+def tree(x, side, height, across, rng):
     """Return a slim street tree in autumn."""
     y = side * (KERB + 0.75)
     colour = np.array([(0.430, 0.330, 0.110), (0.360, 0.350, 0.140), (0.450, 0.260, 0.090)])

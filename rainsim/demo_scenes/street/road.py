@@ -15,6 +15,7 @@ from rainsim.demo_scenes.build import (
     tube,
     unit,
 )
+from rainsim.demo_scenes.street.layout import CORNER, SIDE_FACADE, SIDE_KERB, SIDE_REACH, Layout
 
 ENDS = (-26.0, 60.0)  # m, x range of the street
 GUTTER, KERB, FACADE = 2.95, 3.45, 5.9  # m from the middle: gutter and kerb begin, houses stand
@@ -55,18 +56,47 @@ PAINT = np.array([0.735, 0.735, 0.715])
 CROSSING = (18.6, 21.8)  # m, x range of the zebra crossing
 GRANITE, FLAG = np.array([0.470, 0.465, 0.455]), np.array([0.460, 0.450, 0.430])
 IRON = np.array([0.135, 0.132, 0.130])
+CRACKS = (
+    (3.4, -1.9, 0.5, 3.6), (9.5, 1.9, -0.7, 3.2), (13.6, -1.4, 0.2, 4.2), (6.2, 0.3, 1.2, 1.8),
+    (17.2, 1.2, -2.2, 2.4),
+)  # fmt: skip
+LAYOUT = Layout(
+    ENDS, DRAINS, DIPS, PATCHES, (CROSSING,), ((-np.inf, 9.0), (23.0, np.inf)),
+    ((9.9, 0.15), (25.3, -0.4)), CRACKS, stones=26_000, camber=CAMBER,
+)  # fmt: skip
 
 
-def bed_height(x, y, noise):
+def crown_of(layout):
+    """Return the height of the middle of the road [m]: the footways lie equally high in all."""
+    return CROWN + layout.camber - CAMBER
+
+
+def from_middle(x, y, layout):
+    """Return how far places are from the middle of the road [m]; KERB at every kerb.
+
+    A side street joins the road with rounded corners.
+    """
+    away = np.abs(y)
+    across = away - KERB
+    for side in layout.sides:
+        along = np.abs(x - side) - SIDE_KERB
+        round_corner = CORNER - np.hypot(CORNER - along, CORNER - across)
+        corner = (along < CORNER) & (across < CORNER)
+        away = np.minimum(away, KERB + np.where(corner, round_corner, np.minimum(along, across)))
+    return np.maximum(away, 0.0)
+
+
+def bed_height(x, y, noise, layout=LAYOUT):
     """Height of the ground [m] from house to house, without joints."""
     x, y = np.asarray(x, np.float64), np.asarray(y, np.float64)
-    away = np.abs(y)
+    away = from_middle(x, y, layout)
+    crown = crown_of(layout)
     points = np.stack([x.ravel(), y.ravel()], axis=1)
-    height = CROWN - CAMBER * np.minimum(away / GUTTER, 1) ** 2
+    height = crown - layout.camber * np.minimum(away / GUTTER, 1) ** 2
     height = height - GUTTER_FALL * np.clip((away - GUTTER) / (KERB - GUTTER), 0, 1)
     sag = np.zeros_like(x)
     grate = np.zeros_like(x)
-    for dx, dy in DRAINS:
+    for dx, dy in layout.drains:
         beside = np.sign(y) == np.sign(dy)
         sag = np.maximum(sag, beside * np.clip(1 - np.abs(x - dx) / DRAIN_REACH, 0, 1))
         inside = (np.abs(x - dx) < DRAIN_HALF[0]) & (np.abs(y - dy) < DRAIN_HALF[1])
@@ -78,80 +108,129 @@ def bed_height(x, y, noise):
     height = height - 0.0060 * ruts
     warped_x = x + 0.35 * noise(points + 17.0, 1.3, octaves=3).reshape(x.shape)
     warped_y = y + 0.16 * noise(points + 31.0, 1.1, octaves=3).reshape(x.shape)
-    for cx, cy, depth, along, across, angle in DIPS:
+    for cx, cy, depth, along, across, angle in layout.dips:
         u = (warped_x - cx) * np.cos(angle) + (warped_y - cy) * np.sin(angle)
         v = (warped_y - cy) * np.cos(angle) - (warped_x - cx) * np.sin(angle)
         height = height - depth * np.exp(-(((u / along) ** 2 + (v / across) ** 2) ** 1.2))
-    footway = CROWN - CAMBER - GUTTER_FALL + KERB_HEIGHT + FOOTWAY_FALL * (away - KERB)
+    footway = crown - layout.camber - GUTTER_FALL + KERB_HEIGHT + FOOTWAY_FALL * (away - KERB)
     footway = footway + 0.0015 * noise(points, 1.4, octaves=2).reshape(x.shape)
     return np.where(away > KERB, footway, height)
 
 
-def _cell(x, fine=0.046):
+def _cell(x, fine, layout):
     """Cell size [m] at x: fine where the drive comes close, growing away from it."""
-    ahead, behind = np.maximum(x - 21.0, 0), np.maximum(2.0 - x, 0)
-    return fine + 0.0052 * ahead + 0.03 * behind
+    ahead, behind = np.maximum(x - layout.near[1], 0), np.maximum(layout.near[0] - x, 0)
+    return layout.fine * fine + layout.cell[0] * ahead + layout.cell[1] * behind
 
 
-def lattice(y_low, y_high, rng, fine=0.046, jitter=0.14):
+def lattice(y_low, y_high, rng, layout, fine=0.046, jitter=0.14):
     """Return places (n, 2) and cell sizes (n, 2) [m] over the street between two y."""
     parts, sizes = [], []
-    x = ENDS[0]
-    while x < ENDS[1]:
-        cell = _cell(x, fine)
-        dx = cell * (1.0 if 2.0 < x < 21.0 else 1.35)
-        count = max(1, round((y_high - y_low) / cell))
-        dy = (y_high - y_low) / count
-        y = y_low + (np.arange(count) + 0.5) * dy
-        row = np.stack([np.full(count, x + dx / 2), y], axis=1)
-        row += rng.normal(0, jitter, row.shape) * (dx, dy)
-        row[:, 1] = np.clip(row[:, 1], y_low + 0.3 * dy, y_high - 0.3 * dy)
+    x = layout.ends[0]
+    while x < layout.ends[1]:
+        cell = _cell(x, fine, layout)
+        dx = cell * (layout.long if layout.near[0] < x < layout.near[1] else 1.35)
+        row, size = _row(y_low, y_high, cell, dx, rng, jitter)
+        row[:, 0] += x + dx / 2
         parts.append(row)
-        sizes.append(np.tile([dx, dy], (count, 1)))
+        sizes.append(size)
         x += dx
     return np.concatenate(parts), np.concatenate(sizes)
 
 
-def _normals(points, noise, reach=0.03):
+def _row(low, high, cell, step, rng, jitter):
+    """Return places and sizes of a row of cells across a road from `low` to `high`."""
+    count = max(1, round((high - low) / cell))
+    width = (high - low) / count
+    row = np.stack([np.zeros(count), low + (np.arange(count) + 0.5) * width], axis=1)
+    row += rng.normal(0, jitter, row.shape) * (step, width)
+    row[:, 1] = np.clip(row[:, 1], low + 0.3 * width, high - 0.3 * width)
+    return row, np.tile([step, width], (count, 1))
+
+
+def side_lattices(layout, rng, fine, jitter):
+    """Return places and cell sizes over the side streets of a layout, from kerb to kerb."""
+    where, sizes = [np.empty((0, 2))], [np.empty((0, 2))]
+    for middle in own_sides(layout):
+        for sign in (-1, 1):
+            y = KERB
+            while y < SIDE_REACH + 4:
+                cell = layout.fine * fine * (1 + 0.10 * (y - KERB))
+                row, size = _row(-SIDE_FACADE - 0.15, SIDE_FACADE + 0.15, cell, cell, rng, jitter)
+                where.append(
+                    np.column_stack([middle + row[:, 1], sign * (y + cell / 2 + row[:, 0])])
+                )
+                sizes.append(size)
+                y += cell
+    return np.concatenate(where), np.concatenate(sizes)
+
+
+def own_sides(layout):
+    """Return the middles of the side streets that leave a layout's own piece of street."""
+    return [x for x in layout.sides if layout.ends[0] <= x < layout.ends[1]]
+
+
+def span(layout, before, after):
+    """Return where something fine begins and ends: at `near` and so much [m] before and after."""
+    return (
+        max(layout.near[0] - before, layout.ends[0]),
+        min(layout.near[1] + after, layout.ends[1]),
+    )
+
+
+def _normals(points, noise, layout, reach=0.03):
     x, y, z = points.T
-    dx = bed_height(x + reach, y, noise) - z
-    dy = bed_height(x, np.where(y > 0, y - reach, y + reach), noise) - z
+    dx = bed_height(x + reach, y, noise, layout) - z
+    dy = bed_height(x, np.where(y > 0, y - reach, y + reach), noise, layout) - z
     dy = np.where(y > 0, -dy, dy)
     return unit(np.stack([-dx / reach, -dy / reach, np.ones_like(dx)], axis=1))
 
 
-def road_cloud(noise, rng):
+def road_cloud(noise, rng, layout=LAYOUT):
     """Return the `Cloud` of the carriageway with its gutters, paint, cracks, covers and grates.
 
     `noise` (a `Noise`) gives unevenness and stains; `rng` is numpy's.
     """
-    where, size = lattice(-KERB, KERB, rng)
+    where, size = lattice(-KERB, KERB, rng, layout)
+    along = where[:, 0]
+    if layout.sides:
+        more, sizes = side_lattices(layout, rng, 0.046, 0.14)
+        road = from_middle(*more.T, layout) < KERB
+        where, size = np.concatenate([where, more[road]]), np.concatenate([size, sizes[road]])
+        along = np.concatenate([along, more[road, 1]])
     x, y = where.T
-    points = np.column_stack([where, bed_height(x, y, noise)])
+    away = from_middle(x, y, layout)
+    points = np.column_stack([where, bed_height(x, y, noise, layout)])
     grain = rng.normal(0, 0.055, len(x))
     mottle = 0.10 * noise(where, 0.55, octaves=3) + 0.09 * noise(where + 9, 3.1, octaves=2)
-    tracks = np.exp(-(((np.abs(y + 0.0) - 0.78) / 0.22) ** 2))  # polished by tyres
+    tracks = np.exp(-(((away - 0.78) / 0.22) ** 2))  # polished by tyres
     shade = 1 + grain + mottle + 0.06 * tracks - 0.10 * np.exp(-((y / 0.3) ** 2))
-    for x0, x1, y0, y1, tone in PATCHES:
+    for x0, x1, y0, y1, tone in layout.patches:
         inside = (x > x0) & (x < x1) & (y > y0) & (y < y1)
         shade = np.where(inside, tone * (1 + grain), shade)
     colour = ASPHALT * shade[:, None] * (1 + rng.normal(0, 0.012, (len(x), 3)))
-    gutter = np.abs(y) > GUTTER + 0.06
-    setts = 1 + 0.10 * np.sign(np.sin(2 * np.pi * x / 0.24)) * (_cell(x) < 0.1)
-    silt = np.clip((np.abs(y) - KERB + 0.16) / 0.16, 0, 1)[:, None]
+    gutter = away > GUTTER + 0.06
+    setts = 1 + 0.10 * np.sign(np.sin(2 * np.pi * along / 0.24)) * (_cell(x, 0.046, layout) < 0.1)
+    silt = np.clip((away - KERB + 0.16) / 0.16, 0, 1)[:, None]
     stone = np.array([0.370, 0.362, 0.350]) * ((1 + grain + 0.6 * mottle) * setts)[:, None]
     stone = stone + silt * (np.array([0.235, 0.215, 0.180]) - stone)
     colour[gutter] = stone[gutter]
-    colour = _painted(colour, x, y, noise, rng)
-    cloud = discs(points, _normals(points, noise), colour, size * OVERLAP, sheen=0.06, opacity=0.97)
-    return join([cloud, _specks(noise, rng), *_lines(noise, rng), *_covers(noise, rng)])
+    colour = _painted(colour, x, y, noise, rng, layout)
+    cloud = discs(
+        points, _normals(points, noise, layout), colour, size * OVERLAP, sheen=0.06, opacity=0.97
+    )
+    return join([cloud, _specks(noise, rng, layout), *_lines(noise, rng, layout),
+                 *_covers(noise, rng, layout)])  # fmt: skip
 
 
-def _painted(colour, x, y, noise, rng):
+def _painted(colour, x, y, noise, rng, layout):
     """Put the worn paint of the crossing and of the parking bays on the asphalt."""
     stripe = np.floor((y + KERB) / 0.5).astype(int) % 2 == 0
-    on = (x > CROSSING[0]) & (x < CROSSING[1]) & stripe & (np.abs(y) < GUTTER)
-    bay = (np.abs(np.abs(y) - 1.52) < 0.045) & ((x < 9.0) | (x > 23.0)) & (np.mod(x, 1.2) < 0.75)
+    on = _within(x, layout.crossings) & stripe & (np.abs(y) < GUTTER)
+    bay = (np.abs(np.abs(y) - 1.52) < 0.045) & _within(x, layout.bays) & (np.mod(x, 1.2) < 0.75)
+    for side in layout.sides:  # give way: a dashed line at the mouth of the side street
+        mouth = (np.abs(x - side) < SIDE_KERB - 0.4) & (np.mod(x - side, 0.6) < 0.36)
+        on |= mouth & (np.abs(np.abs(y) - KERB - 0.45) < 0.12)
     worn = np.stack([x, y], axis=1)
     worn = np.clip(0.80 + 0.55 * noise(worn, 0.35, octaves=3) + rng.normal(0, 0.07, len(x)), 0, 1)
     worn = np.where(bay, 0.8 * worn, worn) * (on | bay)
@@ -159,46 +238,54 @@ def _painted(colour, x, y, noise, rng):
     return colour + (worn * tracks)[:, None] * (PAINT - colour)
 
 
-def _specks(noise, rng, count=26_000):
+def _within(x, spans):
+    """Return whether places x lie within one of `spans`."""
+    found = np.zeros(np.shape(x), bool)
+    for low, high in spans:
+        found |= (x > low) & (x < high)
+    return found
+
+
+def _specks(noise, rng, layout):
     """Return single stones of the asphalt, light and dark, where the camera comes close."""
-    x = 2.5 + 18.5 * rng.random(count)
+    count, (low, high) = layout.stones, span(layout, -0.5, 0)
+    x = low + (high - low) * rng.random(count)
     y = rng.uniform(-GUTTER, GUTTER, count)
-    z = bed_height(x, y, noise) + 0.0012
+    z = bed_height(x, y, noise, layout) + 0.0012
     tone = np.where(rng.random(count) < 0.5, 1.35, 0.62) * rng.uniform(0.9, 1.1, count)
     colour = ASPHALT * tone[:, None] * (1 + rng.normal(0, 0.03, (count, 3)))
-    crossing = (x > CROSSING[0]) & (x < CROSSING[1])
     size = rng.uniform(0.004, 0.009, count)
-    keep = ~crossing
+    keep = ~_within(x, layout.crossings)
     points = np.stack([x, y, z], axis=1)[keep]
     return discs(points, (0, 0, 1), colour[keep], size[keep], thickness=8e-4, opacity=0.75)
 
 
-def _lines(noise, rng):
+def _lines(noise, rng, layout):
     """Return cracks sealed with tar and the joint between road and gutter."""
     for side in (-1, 1):
-        x = np.arange(-6.0, 40.0, 0.12)
+        x = np.arange(*span(layout, 8, 19), 0.12)
+        x = x[~layout.beside_side_street(x, SIDE_KERB + CORNER)]
         y = np.full(x.size, side * (GUTTER + 0.05))
-        points = np.stack([x, y, bed_height(x, y, noise) + 0.001], axis=1)
+        points = np.stack([x, y, bed_height(x, y, noise, layout) + 0.001], axis=1)
         yield strands(points, (1, 0, 0), (0.150, 0.148, 0.145), 0.08, 0.006, flat=0.2)
-    for x0, y0, turn, length in (
-        (3.4, -1.9, 0.5, 3.6), (9.5, 1.9, -0.7, 3.2), (13.6, -1.4, 0.2, 4.2), (6.2, 0.3, 1.2, 1.8),
-        (17.2, 1.2, -2.2, 2.4),
-    ):  # fmt: skip
+    for x0, y0, turn, length in layout.cracks:
         steps = int(length / 0.05)
         heading = turn + 0.35 * np.cumsum(rng.normal(0, 0.28, steps))
         x, y = x0 + 0.05 * np.cumsum(np.cos(heading)), y0 + 0.05 * np.cumsum(np.sin(heading))
         keep = np.abs(y) < GUTTER
         x, y, heading = x[keep], y[keep], heading[keep]
-        points = np.stack([x, y, bed_height(x, y, noise) + 0.001], axis=1)
+        points = np.stack([x, y, bed_height(x, y, noise, layout) + 0.001], axis=1)
         along = np.stack([np.cos(heading), np.sin(heading), 0 * heading], axis=1)
         width = rng.uniform(0.008, 0.016, len(x))
         yield strands(points, along, (0.165, 0.165, 0.168), 0.034, width, flat=0.1)
 
 
-def _covers(noise, rng):
-    """Return the grates of the drains and two manhole covers."""
-    for x, y in DRAINS:
-        z = float(bed_height(np.array([x]), np.array([y]), noise)[0])
+def _covers(noise, rng, layout):
+    """Return the grates of the drains and the manhole covers."""
+    for x, y in layout.drains:
+        if not layout.ends[0] <= x < layout.ends[1]:
+            continue
+        z = float(bed_height(np.array([x]), np.array([y]), noise, layout)[0])
         half = (*DRAIN_HALF, 0.004)
         yield box((x, y, z - 0.002), half, 0.35 * IRON, spacing=0.05, stretch=1)
         for k in np.linspace(-DRAIN_HALF[0] + 0.03, DRAIN_HALF[0] - 0.03, 10):
@@ -207,8 +294,8 @@ def _covers(noise, rng):
         for side in (-1, 1):
             yield box((x, y + side * DRAIN_HALF[1], z + 0.005), (DRAIN_HALF[0], 0.014, 0.005),
                       2.0 * IRON, spacing=0.03, stretch=3, sheen=0.3)  # fmt: skip
-    for x, y in ((9.9, 0.15), (25.3, -0.4)):
-        z = float(bed_height(np.array([x]), np.array([y]), noise)[0]) + 0.004
+    for x, y in layout.covers:
+        z = float(bed_height(np.array([x]), np.array([y]), noise, layout)[0]) + 0.004
         k = np.arange(900) + 0.5
         r, turn = 0.31 * np.sqrt(k / 900), k * np.pi * (3 - np.sqrt(5))
         points = np.stack([x + r * np.cos(turn), y + r * np.sin(turn), 0 * r + z], axis=1)
@@ -220,77 +307,7 @@ def _covers(noise, rng):
         yield tube(points, 0.006, 1.5 * IRON, piece=0.05, around=5)
 
 
-def footway_cloud(noise, rng):
-    """Return the `Cloud` of the kerbs and flagged footways on both sides of the street.
-
-    `noise` (a `Noise`) mottles the flags and raises and lowers the ground; `rng` is numpy's.
-    """
-    parts = []
-    for side in (-1, 1):
-        parts.append(_kerb(side, rng))
-        low, high = sorted((side * (KERB + KERB_WIDTH), side * (FACADE + 0.15)))
-        where, size = lattice(low, high, rng, fine=0.062, jitter=0.08)
-        x, y = where.T
-        points = np.column_stack([where, bed_height(x, y, noise)])
-        row = np.floor((np.abs(y) - KERB) / 0.45)
-        flag = np.floor((x + 0.37 * row) / 0.6) * 17 + row * 5 + 1000 * (side > 0)
-        tone = np.random.Generator(np.random.PCG64(7)).uniform(0.86, 1.10, 4096)
-        shade = tone[np.mod(flag, 4096).astype(int)]
-        shade = shade * (1 + rng.normal(0, 0.03, len(x)) + 0.10 * noise(where, 0.8, octaves=3))
-        colour = FLAG * shade[:, None]
-        parts.append(discs(points, (0, 0, 1), colour, size * OVERLAP, sheen=0.08))
-        parts += _joints(side, noise)
-    return join(parts)
-
-
-def _kerb(side, rng):
-    """Return a row of granite blocks whose faces stand above the gutter."""
-    parts = []
-    base = CROWN - CAMBER - GUTTER_FALL
-    x = ENDS[0]
-    while x < ENDS[1]:
-        length = 0.92 if 0 < x < 24 else 2.0
-        spacing = 0.045 if 0 < x < 24 else 0.11
-        tone = GRANITE * rng.uniform(0.88, 1.08)
-        lift = rng.normal(0, 0.002)
-        low, high = base - 0.05, base + KERB_HEIGHT + lift
-        part = box(
-            (x + length / 2, side * (KERB + KERB_WIDTH / 2), (low + high) / 2),
-            (length / 2 - 0.005, KERB_WIDTH / 2, (high - low) / 2), tone,
-            spacing=spacing, along=0, stretch=1.6, sheen=0.08,
-        )  # fmt: skip
-        keep = part.normal[:, 2] > -0.5
-        part = type(part)(*(getattr(part, n)[keep] for n in type(part).__slots__))
-        shade = rng.uniform(0.88, 1.12, len(part)) * np.where(
-            np.abs(part.normal[:, 2]) > 0.5, 1.0, 0.80 - 0.25 * (part.position[:, 2] < base + 0.02)
-        )
-        parts.append(replace_colour(part, part.colour * shade[:, None]))
-        x += length
-    return join(parts)
-
-
-def _joints(side, noise):
-    """Return the dark joints between the flags where they can be seen."""
-    for row in range(1, 6):
-        away = KERB + 0.45 * row
-        if away > FACADE:
-            continue
-        x = np.arange(0.0, 26.0, 0.11)
-        y = np.full(x.size, side * away)
-        points = np.stack([x, y, bed_height(x, y, noise) + 0.0006], axis=1)
-        yield strands(points, (1, 0, 0), (0.225, 0.220, 0.205), 0.06, 0.0045, flat=0.1)
-    for row in range(6):
-        low, high = KERB + max(0.45 * row, KERB_WIDTH), min(KERB + 0.45 * (row + 1), FACADE)
-        first = np.ceil(0.37 * row / 0.6) * 0.6 - 0.37 * row
-        x = np.repeat(np.arange(first, 26.0, 0.6), 4)
-        part = (np.tile(np.arange(4), x.size // 4) + 0.5) / 4
-        y = side * (low + (high - low) * part)
-        points = np.stack([x, y, bed_height(x, y, noise) + 0.0006], axis=1)
-        reach = 0.6 * (high - low) / 4
-        yield strands(points, (0, 1, 0), (0.225, 0.220, 0.205), reach, 0.0045, flat=0.1)
-
-
-def ground_light(cars):
+def ground_light(cars, layout=LAYOUT):
     """Return a function that gives the light at ground points, (n, 3) to (n,).
 
     `cars` are rows of x, y, half length and half width [m]: the sky hardly reaches below them.
@@ -303,8 +320,12 @@ def ground_light(cars):
             dx = np.maximum(np.abs(x - cx) - along + 0.12, 0)
             dy = np.maximum(np.abs(y - cy) - across + 0.12, 0)
             value *= 1 - 0.88 * np.exp(-((np.hypot(dx, dy) / 0.30) ** 1.5))
-        value *= 1 - 0.35 * np.exp(-np.maximum(FACADE - np.abs(y), 0) / 0.5)
-        corner = np.maximum(KERB - np.abs(y), 0) + 10 * (np.abs(y) > KERB)
+        wall = FACADE - np.abs(y)
+        for side in layout.sides:
+            wall = np.maximum(wall, SIDE_FACADE - np.abs(x - side))
+        value *= 1 - 0.35 * np.exp(-np.maximum(wall, 0) / 0.5)
+        away = from_middle(x, y, layout)
+        corner = np.maximum(KERB - away, 0) + 10 * (away > KERB)
         return value * (1 - 0.30 * np.exp(-corner / 0.06))
 
     return light
