@@ -20,7 +20,6 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy import ndimage
 
 from rainsim.constants import HALF, ONE, TWO, ZERO
 from rainsim.jit import cpu_kernel, inlined_function, lean_function, prange
@@ -30,6 +29,15 @@ from rainsim.raster import select
 from rainsim.scene.types import Camera
 from rainsim.scene.view import View, pixel_ray
 from rainsim.shading.environment import sample_environment
+from rainsim.shading.ground_slopes import GroundSlopes, block_ray, ground_met, ground_slopes
+from rainsim.shading.lamp_images import (
+    FINE_RESOLUTION,
+    WORTH_FINE,
+    LampView,
+    add_lamps,
+    lamps_in,
+    without_lamps,
+)
 from rainsim.shading.microfacet import LEAST_DIP, LOBE, SAMPLES, lobe_part, reflectance
 from rainsim.splatting.coarse import merge_fine
 
@@ -41,7 +49,6 @@ MARGIN, ABOVE = 0.12, 0.02  # tangents that it shows beside the camera's view an
 FINE = 0.04  # m, side of cells in which finer splats are one: a pixel at 6 m
 STANDING = 0.04  # m above the ground of the map: splats that are lower are ground
 STANDING_OUTSIDE = 0.15  # m above the ground plane, off the map
-SLOPE_WIDTH = 0.25  # m, over which the ground's height and slope are averaged
 FAR = np.float32(200.0)  # m, stands for the sky's distance
 STEPS = 3  # of the search for the end of a mirrored ray
 NEAR_RAY = np.float32(0.2)  # cosine to the axis of the level picture at which rays are held
@@ -51,15 +58,6 @@ STEEPEST_DIP, SHARES = np.float32(20), 48  # tangent at which the estimate's tab
 PER_LOG = np.float32((SHARES - 1) / math.log(STEEPEST_DIP / LEAST_DIP))
 EDGE = np.float32(6.0)  # px, over which the level picture fades into the environment
 WORTH = 0.006  # mean share of the light in view from which `auto` draws the level picture
-
-
-class GroundSlopes(NamedTuple):
-    """The ground as the wet-ground mirror takes it; read-only."""
-
-    # (ny, nx, 4) float32: height [m], slopes d/dx and d/dy, rms slope of the water film
-    slopes: np.ndarray
-    origin: np.ndarray  # (2,) float32 [m], corner of the first cell
-    spacing: np.float32  # m
 
 
 class LevelPicture(NamedTuple):
@@ -75,16 +73,6 @@ NO_LEVEL_PICTURE = LevelPicture(
     np.zeros((0, 0, 3), np.float32), np.zeros((0, 0), np.float32), np.ones(4, np.float32),
     np.array([1, 0], np.float32),
 )  # fmt: skip
-
-
-def ground_slopes(terrain):
-    """Return the `GroundSlopes` of a terrain: its bed is averaged over SLOPE_WIDTH."""
-    cell = terrain.grid.spacing
-    smooth = ndimage.gaussian_filter(terrain.bed.astype(np.float64), SLOPE_WIDTH / cell)
-    dy, dx = np.gradient(smooth, cell)
-    film = ndimage.gaussian_filter(terrain.by_class("film_slope"), 1)
-    slopes = np.ascontiguousarray(np.stack([smooth, dx, dy, film], axis=-1), dtype=np.float32)
-    return GroundSlopes(slopes, np.array(terrain.grid.origin, np.float32), np.float32(cell))
 
 
 def standing(prepared, terrain, frame):
@@ -142,6 +130,16 @@ def level_camera(view, most=RESOLUTION):
     return Camera(width, height, scale, scale, -left * scale, ABOVE * scale, matrix)
 
 
+def scaled(camera, resolution):
+    """Return a level camera with so many pixels per unit of tangent."""
+    grow = resolution / camera.fx
+    width, height = math.ceil(camera.width * grow), math.ceil(camera.height * grow)
+    return replace(
+        camera, width=width, height=height, fx=resolution, fy=resolution, cx=camera.cx * grow,
+        cy=camera.cy * grow,
+    )  # fmt: skip
+
+
 @cpu_kernel
 def mirrored_field(
     view: View, step, wanted, ground: GroundSlopes, lobe, level: LevelPicture, environment,
@@ -178,18 +176,6 @@ def mirrored_field(
 
 
 @inlined_function
-def block_ray(view, step, j, i):
-    """Return the ray (x, y, z) through the middle of a block of pixels, 1 along the view axis."""
-    m = view.ground_from_camera
-    b = ((np.float32(j) + HALF) * np.float32(step) - view.cy) / view.fy
-    a = ((np.float32(i) + HALF) * np.float32(step) - view.cx) / view.fx
-    return (
-        m[0, 0] * a + m[0, 1] * b + m[0, 2], m[1, 0] * a + m[1, 1] * b + m[1, 2],
-        m[2, 0] * a + m[2, 1] * b + m[2, 2],
-    )  # fmt: skip
-
-
-@inlined_function
 def mirrored_light(x, y, z, eye, ground, lobe, level, environment):
     """Return the radiance that a water film on the ground mirrors to the eye.
 
@@ -202,23 +188,7 @@ def mirrored_light(x, y, z, eye, ground, lobe, level, environment):
         As `mirrored_field` takes them.
     """
     lens, forward, depth, atlas = level.lens, level.forward, level.depth, level.atlas
-    origin, spacing, slopes = ground.origin, ground.spacing, ground.slopes
-    flat = max(math.sqrt(x * x + y * y), np.float32(1e-4))
-    ux, uy = x / flat, y / flat
-    dip = max(-z / flat, LEAST_DIP)
-    # Where the ray meets the ground, which is nearly level.
-    here = ZERO
-    span = ZERO
-    u, v, gx, gy, slope = ZERO, ZERO, ZERO, ZERO, ONE
-    for _ in range(3):
-        span = max(eye[2] - here, np.float32(0.02)) / dip
-        u = (eye[0] + span * ux - origin[0]) / spacing - HALF
-        v = (eye[1] + span * uy - origin[1]) / spacing - HALF
-        here, gx, gy, slope = slopes_at(slopes, u, v)
-    inside = u > ZERO and v > ZERO
-    inside = inside and u < np.float32(slopes.shape[1] - 1) and v < np.float32(slopes.shape[0] - 1)
-    if not inside:
-        gx, gy = ZERO, ZERO
+    ux, uy, dip, span, here, gx, gy, slope = ground_met(x, y, z, eye, ground)
     tilt = gx * ux + gy * uy
     cross = gy * ux - gx * uy
     # In the level picture verticals are columns.
@@ -270,28 +240,6 @@ def mirrored_light(x, y, z, eye, ground, lobe, level, environment):
             found = weight - found
             r, gr, b = r + found * e0, gr + found * e1, b + found * e2
     return r, gr, b
-
-
-@inlined_function
-def slopes_at(slopes, u, v):
-    """Return the four numbers of `GroundSlopes.slopes` at column u and row v, interpolated.
-
-    Off the map they are those at its border.
-    """
-    rows, columns = slopes.shape[0], slopes.shape[1]
-    u = min(max(u, ZERO), np.float32(columns - 1))
-    v = min(max(v, ZERO), np.float32(rows - 1))
-    i, j = min(int(u), columns - 2), min(int(v), rows - 2)
-    k, m = i + 1, j + 1
-    a, b = u - np.float32(i), v - np.float32(j)
-    w0, w1, w2, w3 = (ONE - a) * (ONE - b), a * (ONE - b), (ONE - a) * b, a * b
-    g = slopes
-    return (
-        g[j, i, 0] * w0 + g[j, k, 0] * w1 + g[m, i, 0] * w2 + g[m, k, 0] * w3,
-        g[j, i, 1] * w0 + g[j, k, 1] * w1 + g[m, i, 1] * w2 + g[m, k, 1] * w3,
-        g[j, i, 2] * w0 + g[j, k, 2] * w1 + g[m, i, 2] * w2 + g[m, k, 2] * w3,
-        g[j, i, 3] * w0 + g[j, k, 3] * w1 + g[m, i, 3] * w2 + g[m, k, 3] * w3,
-    )
 
 
 @cpu_kernel
@@ -406,16 +354,25 @@ class WetGroundMirror:
         step = max(1, round(camera.fx / FIELD_STEP))
         wanted = np.empty([-(-n // step) for n in cover.shape], bool)
         wet_blocks(cover, step, wanted)
-        level = NO_LEVEL_PICTURE
+        level, lamps = NO_LEVEL_PICTURE, ()
         if self.drawn:
             upright = level_camera(camera)
             seen = draw_mirrored(upright)
+            lamps, share = lamps_in(seen.picture, seen.depth, upright)
+            if share > WORTH_FINE:  # coarse pixels show small lamps too large
+                fine = scaled(upright, FINE_RESOLUTION)
+                drawn = draw_mirrored(fine)
+                lamps, _ = lamps_in(drawn.picture, drawn.depth, fine)
+            picture = without_lamps(seen.picture) if len(lamps) else seen.picture
             level = LevelPicture(
-                ripmap(seen.picture, round(upright.cy)), seen.depth, seen.view.lens,
+                ripmap(picture, round(upright.cy)), seen.depth, seen.view.lens,
                 upright.forward[:2].astype(np.float32),
             )  # fmt: skip
         field = np.empty((*wanted.shape, 3), np.float32)
         mirrored_field(view, step, wanted, self.ground, LOBE, level, environment, field)
+        if len(lamps):
+            shown = LampView(lamps, level.depth, level.lens, level.forward)
+            add_lamps(view, step, wanted, self.ground, shown, field)
         return field, step
 
     @functools.cached_property

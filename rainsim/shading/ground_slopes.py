@@ -1,0 +1,100 @@
+"""The ground as the wet-ground mirror takes it: where a ray of view meets it, and its slopes."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from scipy import ndimage
+
+from rainsim.constants import HALF, ONE, ZERO
+from rainsim.jit import inlined_function
+from rainsim.shading.microfacet import LEAST_DIP
+
+SLOPE_WIDTH = 0.25  # m, over which the ground's height and slope are averaged
+
+
+class GroundSlopes(NamedTuple):
+    """The ground as the wet-ground mirror takes it; read-only."""
+
+    # (ny, nx, 4) float32: height [m], slopes d/dx and d/dy, rms slope of the water film
+    slopes: np.ndarray
+    origin: np.ndarray  # (2,) float32 [m], corner of the first cell
+    spacing: np.float32  # m
+
+
+def ground_slopes(terrain):
+    """Return the `GroundSlopes` of a terrain: its bed is averaged over SLOPE_WIDTH."""
+    cell = terrain.grid.spacing
+    smooth = ndimage.gaussian_filter(terrain.bed.astype(np.float64), SLOPE_WIDTH / cell)
+    dy, dx = np.gradient(smooth, cell)
+    film = ndimage.gaussian_filter(terrain.by_class("film_slope"), 1)
+    slopes = np.ascontiguousarray(np.stack([smooth, dx, dy, film], axis=-1), dtype=np.float32)
+    return GroundSlopes(slopes, np.array(terrain.grid.origin, np.float32), np.float32(cell))
+
+
+@inlined_function
+def block_ray(view, step, j, i):
+    """Return the ray (x, y, z) through the middle of a block of pixels, 1 along the view axis."""
+    m = view.ground_from_camera
+    b = ((np.float32(j) + HALF) * np.float32(step) - view.cy) / view.fy
+    a = ((np.float32(i) + HALF) * np.float32(step) - view.cx) / view.fx
+    return (
+        m[0, 0] * a + m[0, 1] * b + m[0, 2], m[1, 0] * a + m[1, 1] * b + m[1, 2],
+        m[2, 0] * a + m[2, 1] * b + m[2, 2],
+    )  # fmt: skip
+
+
+@inlined_function
+def ground_met(x, y, z, eye, ground):
+    """Return where a ray of view meets the ground, which is nearly level.
+
+    Returns
+    -------
+    ux, uy, dip : float32
+        Its level direction, a unit vector, and how fast it falls.
+    span, height : float32 [m]
+        Its level length to the ground, whose height is there.
+    gx, gy, slope : float32
+        Slopes of the ground, zero off the map, and rms slope of the film.
+    """
+    origin, spacing, slopes = ground.origin, ground.spacing, ground.slopes
+    flat = max(math.sqrt(x * x + y * y), np.float32(1e-4))
+    ux, uy = x / flat, y / flat
+    dip = max(-z / flat, LEAST_DIP)
+    here = ZERO
+    span = ZERO
+    u, v, gx, gy, slope = ZERO, ZERO, ZERO, ZERO, ONE
+    for _ in range(3):
+        span = max(eye[2] - here, np.float32(0.02)) / dip
+        u = (eye[0] + span * ux - origin[0]) / spacing - HALF
+        v = (eye[1] + span * uy - origin[1]) / spacing - HALF
+        here, gx, gy, slope = slopes_at(slopes, u, v)
+    inside = u > ZERO and v > ZERO
+    inside = inside and u < np.float32(slopes.shape[1] - 1) and v < np.float32(slopes.shape[0] - 1)
+    if not inside:
+        gx, gy = ZERO, ZERO
+    return ux, uy, dip, span, here, gx, gy, slope
+
+
+@inlined_function
+def slopes_at(slopes, u, v):
+    """Return the four numbers of `GroundSlopes.slopes` at column u and row v, interpolated.
+
+    Off the map they are those at its border.
+    """
+    rows, columns = slopes.shape[0], slopes.shape[1]
+    u = min(max(u, ZERO), np.float32(columns - 1))
+    v = min(max(v, ZERO), np.float32(rows - 1))
+    i, j = min(int(u), columns - 2), min(int(v), rows - 2)
+    k, m = i + 1, j + 1
+    a, b = u - np.float32(i), v - np.float32(j)
+    w0, w1, w2, w3 = (ONE - a) * (ONE - b), a * (ONE - b), (ONE - a) * b, a * b
+    g = slopes
+    return (
+        g[j, i, 0] * w0 + g[j, k, 0] * w1 + g[m, i, 0] * w2 + g[m, k, 0] * w3,
+        g[j, i, 1] * w0 + g[j, k, 1] * w1 + g[m, i, 1] * w2 + g[m, k, 1] * w3,
+        g[j, i, 2] * w0 + g[j, k, 2] * w1 + g[m, i, 2] * w2 + g[m, k, 2] * w3,
+        g[j, i, 3] * w0 + g[j, k, 3] * w1 + g[m, i, 3] * w2 + g[m, k, 3] * w3,
+    )
