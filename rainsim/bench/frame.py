@@ -16,7 +16,7 @@ import numpy as np
 
 from rainsim import pipeline
 from rainsim.backend import on_backend
-from rainsim.bench import frame_cuda, frame_levels
+from rainsim.bench import frame_cuda, frame_gsplat, frame_levels
 from rainsim.bench.chart import draw_fronts
 from rainsim.bench.frame_levels import TRUTH_SCALE, TRUTH_WIDTH
 from rainsim.bench.scenes import SCENES, scene_names
@@ -49,6 +49,7 @@ def run(quick=False, say=None, backend="cpu"):
     dict
         "machine" and "rows": scene, size, motion, level, milliseconds by stage, their sum and the
         root mean square error against the truth in shares of display white (None: not measured).
+        On a GPU "peers", see `rainsim.bench.frame_gsplat`.
 
     Raises
     ------
@@ -57,7 +58,7 @@ def run(quick=False, say=None, backend="cpu"):
     """
     say = say or (lambda line: None)
     on_backend(backend)  # before anything is drawn
-    rows = []
+    rows, peers = [], []
     for name in scene_names(quick):
         scene = load_scene(name)
         if backend == "cuda":
@@ -65,6 +66,8 @@ def run(quick=False, say=None, backend="cpu"):
                 for row in frame_cuda.measure(scene, width, "moving", quick, say):
                     rows.append(row)
                     say(_line(row))
+            if name == scene_names(quick)[-1]:
+                peers = frame_gsplat.measure(scene, quick, say)
             continue
         for width in WIDTHS[quick]:
             for motion in ("still", "moving"):
@@ -78,7 +81,8 @@ def run(quick=False, say=None, backend="cpu"):
     }  # fmt: skip
     if backend == "cuda":
         machine |= frame_cuda.machine()
-    return {"machine": machine, "quick": quick, "backend": backend, "rows": rows}
+    more = {"peers": peers} if peers else {}
+    return {"machine": machine, "quick": quick, "backend": backend, "rows": rows, **more}
 
 
 def measure(scene, width, motion, quick=False):
@@ -196,7 +200,10 @@ def table(result):
     load = ", ".join(f"{x:.1f}" for x in result["machine"]["load"])
     memory, gpu = result["machine"]["peak_mib"], result["machine"].get("gpu")
     last = f"{result['machine']['threads']} threads, load {load}, peak {memory:.0f} MiB"
-    return "\n".join([*lines, "", last + (f", {gpu}" if gpu else "")])
+    lines += ["", last + (f", {gpu}" if gpu else "")]
+    if result.get("peers"):
+        lines += ["", frame_gsplat.table(result["peers"])]
+    return "\n".join(lines)
 
 
 def _milliseconds(value):

@@ -3,18 +3,22 @@
 import numpy as np
 import pytest
 
-from rainsim.bench import frame, frame_cuda, frame_levels
+from rainsim.bench import frame, frame_cuda, frame_gsplat, frame_levels
 from rainsim.cuda import simulated
-from rainsim.cuda.render import renderer as twin
+from rainsim.render.wet_scene import WetScene
 from scenes import tiny_scene
 
 assert simulated()
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
 
 
+@pytest.fixture(autouse=True)
+def sky_alone(monkeypatch):
+    """The day's sky as surroundings: six pictures are much for the simulator."""
+    monkeypatch.setattr(WetScene, "_surroundings", lambda self, position: self.day)
+
+
 def test_a_level_is_measured(monkeypatch):
-    for renderer in (frame.Renderer, twin.Renderer):
-        monkeypatch.setattr(renderer, "_surroundings", lambda self, position: self.day)
     monkeypatch.setattr(frame_cuda, "SHOTS", {True: 1})
     monkeypatch.setattr(frame_cuda, "LEVELS", {"as set": ({"reflections": "ssr"}, 1.0)})
     monkeypatch.setattr(frame_levels, "LEVELS", {"paper": ({"reflections": "paper"}, 1.0)})
@@ -29,3 +33,16 @@ def test_a_level_is_measured(monkeypatch):
     assert np.isfinite(rows[1]["memory_mib"])
     machine = {"load": (1.0, 1.0, 1.0), "peak_mib": 500.0, "threads": 2}
     assert "| as set, CPU |" in frame.table({"rows": rows, "machine": machine})
+
+
+def test_a_capture_is_measured_dry_and_in_sequences(monkeypatch):
+    monkeypatch.setattr(frame_gsplat, "find_spec", lambda name: None)  # no peer in the simulator
+    monkeypatch.setattr(frame_gsplat, "PRESETS", ("drizzle",))
+    monkeypatch.setattr(frame_gsplat, "WIDTH", {True: 16})
+    said = []
+    rows = frame_gsplat.measure(tiny_scene(), True, said.append)
+    what = ["dry, all layers", "drizzle, sequence", "drizzle, one by one"]
+    assert [row["what"] for row in rows] == what and len(said) == 3
+    assert all(0 < row["least_ms"] <= row["median_ms"] for row in rows)
+    table = frame_gsplat.table([*rows, {**rows[0], "program": "gsplat", "splats": 8}])
+    assert "| gsplat, dry, all layers | - | " in table and "| rainsim, dry, all layers | " in table
