@@ -50,6 +50,9 @@ class Objects:
         self._point, self._top = np.divmod(pairs, max(tops, 1))
         self._room = np.bincount(which, room[over], len(pairs))
         self._room_of = np.bincount(self._point, self._room, count)
+        self._room_on = np.maximum(np.bincount(self._top, self._room, tops), SMALLEST_ROOM)
+        area = self._surfaces.spacing**2
+        self._area_of = area * np.bincount(points[points >= 0], minlength=count)
         share = self._on_tops / np.maximum(self.tops.capacity, SMALLEST_ROOM)
         self._held_of = np.bincount(self._point, self._room * share[self._top], count)
         self.drips.hold(self._room_of, self._held_of)
@@ -64,21 +67,13 @@ class Objects:
         """Return the water on each top [m3] (n,) after `rain` [m] that falls evenly."""
         if self.drips is None or not len(self._on_tops):
             return self._on_tops.copy()
-        points = self.drips.point
-        cells = np.bincount(points[points >= 0], minlength=len(self._room_of))
-        came = cells * self._surfaces.spacing**2 * rain
-        return self._on_each(np.minimum(self._held_of + came, self._room_of))
+        return self._on_each(np.minimum(self._held_of + self._area_of * rain, self._room_of))
 
     def _on_each(self, held):
         """Return the water on each top [m3] of what is `held` behind each drip point [m3]."""
         share = held / np.maximum(self._room_of, SMALLEST_ROOM)
-        parts = len(self._on_tops)
-        mine = np.bincount(self._top, self._room * share[self._point], parts)
-        return (
-            mine
-            / np.maximum(np.bincount(self._top, self._room, parts), SMALLEST_ROOM)
-            * (self.tops.capacity)
-        )
+        mine = np.bincount(self._top, self._room * share[self._point], len(self._on_tops))
+        return mine / self._room_on * self.tops.capacity
 
     def open_account(self):
         """Count what is on the objects and in the air now as there from the start."""

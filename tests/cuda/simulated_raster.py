@@ -110,10 +110,27 @@ def test_too_many_entries_are_counted_and_the_picture_is_drawn_again():
 def test_room_that_was_not_taken_is_given_back():
     rasterizer = twin.Rasterizer(raster.prepare(cloud()), first_room=5000)
     first = rasterizer.draw(camera(), 0.2)
-    assert rasterizer.is_tight()
+    assert rasterizer.count_picture() and not rasterizer.is_tight()
     rasterizer.make_room()
     assert not rasterizer.is_tight() and len(rasterizer._key) < 2000
     np.testing.assert_array_equal(rasterizer.draw(camera(), 0.2).color, first.color)
+
+
+def test_room_is_left_for_what_any_of_several_pictures_took():
+    rasterizer = twin.Rasterizer(raster.prepare(cloud()))
+    rasterizer.draw(camera(), 0.2)
+    most = rasterizer._count[0] = 2000
+    assert rasterizer.overflows()
+    rasterizer.make_room()
+    room, counts = rasterizer._capacity, []
+    for entries in (0, most, 0, 0, 0, 0, 0, 0):  # a picture of nothing, and back
+        rasterizer._count[0] = entries
+        counts.append(rasterizer.count_picture())
+        assert rasterizer._capacity == room
+    # A pair of pictures, of which one took it; then four of which none did, until room is made.
+    assert counts == [False] * 5 + [True] * 3
+    rasterizer.make_room()
+    assert rasterizer._capacity < room and not rasterizer.count_picture()
 
 
 def test_equal_depths_keep_the_order_of_the_cpu():

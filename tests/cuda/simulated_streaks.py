@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 
 from rainsim.cuda import simulated
+from rainsim.cuda.particles import streaks
 from rainsim.cuda.particles.streaks import Streaks
 from rainsim.drops import RainField, RainSpectrum, Surfaces
+from rainsim.errors import ParameterError
 from rainsim.particles.streaks import draw_streaks
 from rainsim.scene.types import Camera
 
@@ -30,7 +32,10 @@ def roofed():
     return Surfaces(0.25, (-0.5, -2.0), ground, top, under)
 
 
-def test_a_picture_is_that_of_the_cpu(poisoned):
+@pytest.mark.parametrize("room", [None, 8])
+def test_a_picture_is_that_of_the_cpu(poisoned, monkeypatch, room):
+    """Also where there was room for few drops at first."""
+    monkeypatch.setattr(streaks, "ROOM", room or streaks.ROOM)
     field = RainField(RainSpectrum(200.0), (1.0, 2.0), seed=4)
     camera, surfaces = looking_ahead((0.0, 0.0, 0.0)), roofed()
     later = looking_ahead((0.01, 0.02, 0.0))
@@ -41,6 +46,7 @@ def test_a_picture_is_that_of_the_cpu(poisoned):
     draw_streaks(field, surfaces, camera, 3.0, 1 / 1000, depth, 1.3, wanted, **options)
     twin = Streaks(field, surfaces, WIDTH, HEIGHT, depth)
     twin.update(field, camera, 3.0, 1 / 1000, 1.3, **options)
+    assert (twin.room == streaks.ROOM) == (room is None)
     for _ in range(2):  # the second time over what the first left behind
         twin.alpha.copy_to_device(poisoned((HEIGHT, WIDTH)))
         twin.launch()
@@ -50,3 +56,11 @@ def test_a_picture_is_that_of_the_cpu(poisoned):
     twin.update(field, camera, 3.1, 1 / 1000, 1.3)
     twin.launch()
     assert np.abs(twin.alpha.copy_to_host() - wanted).max() > 0.1
+
+
+def test_more_drops_than_any_device_should_list_are_refused(monkeypatch):
+    monkeypatch.setattr(streaks, "MOST_ROOM", 16)
+    field = RainField(RainSpectrum(200.0), (1.0, 2.0), seed=4)
+    twin = Streaks(field, roofed(), WIDTH, HEIGHT, np.ones((HEIGHT, WIDTH), np.float32))
+    with pytest.raises(ParameterError, match="streak_far"):
+        twin.update(field, looking_ahead((0.0, 0.0, 0.0)), 3.0, 1 / 1000, 1.3)

@@ -57,7 +57,8 @@ from rainsim.rain.size_distribution import CLASSES
 
 LARGE = np.float32(400)  # px that a path touches, from which on a whole warp draws it
 MANY = 2**14  # such paths that there is room for; more are drawn as the small ones are
-ROOM = 2**15 if SIMULATED else 2**20  # drops that may be in view
+ROOM = 2**15 if SIMULATED else 2**20  # drops that there is room for at first
+MOST_ROOM = 8 * ROOM  # drops that may be in view: 60 bytes each
 # Places in a row of `paths`: the path in the camera frame [m], whether nothing stands before it,
 # the share of it that the drop goes (less than 0 for large drops), and the diameter [m].
 PATH = 9
@@ -324,6 +325,8 @@ class Streaks:
     ----------
     alpha : device array of shape (height, width), float32
         Share of light that drops replace.
+    room : int
+        Drops in view that the lists have room for; a recorded queue depends on it.
     sent : event
         When `launch` has sent the camera and the times.
     view : SentView
@@ -350,12 +353,8 @@ class Streaks:
         self.alpha = cuda.device_array((height, width), np.float32, stream=stream)
         self.columns = cuda.device_array(width * height, np.float32, stream=stream)
         self.tile_depth = cuda.device_array(tiles, np.float32, stream=stream)
-        self._sought = (
-            self.now["sought"],  # blanked by each `send`, as "many" is
-            cuda.device_array((ROOM, 4), np.int32, stream=stream),
-            cuda.device_array(ROOM, np.uint64, stream=stream),
-        )
-        self._paths = cuda.device_array((ROOM, PATH), np.float32, stream=stream)
+        self.room, self._sought, self._paths = 0, (), None
+        self._make_room(ROOM)
         self._large = cuda.device_array(MANY, np.int32, stream=stream)
         self.picture = cuda.to_device(np.zeros(width * height, np.int64), stream)
         self.view, self._air, self._field = (
@@ -375,14 +374,27 @@ class Streaks:
         air = seen_air(field, camera, view, far, *moving)
         cubes = np.prod(np.maximum(air.last - air.first + 1, 0), axis=1) * (air.far > NEAR)
         drops = float((cubes * field.listed.density * field.cube**3).sum())
-        if drops + 6 * math.sqrt(drops) > ROOM:
+        wanted = drops + 6 * math.sqrt(drops)
+        if wanted > MOST_ROOM:
             raise ParameterError(
                 f"{drops:.3g} drops may be in view; on a CUDA device they must be fewer than "
-                f'{ROOM}; let drawn drops end nearer (streak_far) or use backend "cpu"'
+                f'{MOST_ROOM}; let drawn drops end nearer (streak_far) or use backend "cpu"'
             )
+        while self.room < wanted:
+            self._make_room(2 * self.room)
         values = view._asdict() | air._asdict() | field.arrays()._asdict()
         times = values.pop("time"), values.pop("exposure")
         self.now.update(counts=np.concatenate([[0], np.cumsum(cubes)]), times=times, **values)
+
+    def _make_room(self, drops):
+        """Allocate the lists of drops in view; what was recorded with the old ones is stale."""
+        self.room, stream = drops, self.stream
+        self._sought = (
+            self.now["sought"],  # blanked by each `send`, as "many" is
+            cuda.device_array((drops, 4), np.int32, stream=stream),
+            cuda.device_array(drops, np.uint64, stream=stream),
+        )
+        self._paths = cuda.device_array((drops, PATH), np.float32, stream=stream)
 
     def launch(self, stream=None):
         """Queue the picture, on another stream than its own if given."""

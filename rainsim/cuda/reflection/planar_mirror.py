@@ -318,6 +318,9 @@ class _MirroredRasterizer(Rasterizer):
         """Let queue(now) put the camera's numbers into a device array, at each launch."""
         self._aim = queue
 
+    def _take_numbers(self, *view):
+        """Leave the camera's numbers to the device."""
+
     def _bring_numbers(self):
         self._aim(self._now)
 
@@ -440,18 +443,16 @@ class Mirrors:
             self._allocate(mirrored.height, mirrored.width)
             for rasterizer in self.rasterizers:
                 rasterizer.update(*self._mirrored)
-        for rasterizer in self.rasterizers:
-            if rasterizer.overflows():
-                rasterizer.make_room()
-                lacking = True
-        return lacking
+        full = [rasterizer for rasterizer in self.rasterizers if rasterizer.overflows()]
+        for rasterizer in full:
+            rasterizer.make_room()
+        return lacking or bool(full)
 
     def make_ahead(self):
-        """Make room where little is left; return whether any was made."""
-        tight = [rasterizer for rasterizer in self.rasterizers if rasterizer.is_tight()]
-        for rasterizer in tight:
-            rasterizer.make_room()
-        return bool(tight)
+        """Make room where little is left, and give back what pictures in turn left unused."""
+        for rasterizer in self.rasterizers:
+            if rasterizer.count_picture() or rasterizer.is_tight():
+                rasterizer.make_room()
 
     def _aim(self, mirror):
         def queue(now):

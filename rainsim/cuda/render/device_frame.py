@@ -251,9 +251,12 @@ class DeviceFrame:
         """Return the rasterizers of what needs no water."""
         return [self.rasterizer, *self.ground_light.rasterizers]
 
-    def dry_is_tight(self):
-        """Return whether the finished frame's rasterizers had too little room, or nearly so."""
-        return any(splats.overflows() or splats.is_tight() for splats in self.dry_rasterizers())
+    def dry_is_amiss(self):
+        """Return whether the finished frame's rasterizers had too little room or far too much."""
+        return any([
+            splats.count_picture() or splats.overflows() or splats.is_tight()
+            for splats in self.dry_rasterizers()
+        ])  # fmt: skip
 
     def grow(self):
         """Make room where the finished frame's water and rain lacked it; return whether any did."""
@@ -281,9 +284,10 @@ class DeviceFrame:
     def dependencies(self):
         """Return what a recorded queue depends on: when it changes, the queue is recorded again."""
         lines = None if self.splashes is None else id(self.splashes.lines)
+        drops = None if self.streaks is None else self.streaks.room
         return (
             self.size, self.rasterizer.queue, self.ground_light.queue, self.mirrors.queue, lines,
-            self._own_drips,
+            drops, self._own_drips,
         )  # fmt: skip
 
     # ---- parts

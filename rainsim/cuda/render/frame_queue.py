@@ -137,7 +137,7 @@ class FrameQueue:
         if self._dry is None or self.frame.pending or self._is_stale():
             return False
         self._last.wait()  # for the counts of the frame that is being drawn
-        return not self.frame.dry_is_tight()
+        return not self.frame.dry_is_amiss()
 
     def _begin(self):
         """Queue what needs no water of the next frame, and the step of its simulation."""
@@ -240,7 +240,7 @@ class FrameQueue:
             self._go_on()
             self._copied.synchronize()
         for splats in frame.dry_rasterizers():
-            if not early and splats.is_tight():
+            if not early and (splats.count_picture() or splats.is_tight()):
                 splats.make_room()
         frame.mirrors.make_ahead()
         drawn_again = self._next is not ahead
