@@ -7,7 +7,9 @@ import re
 import shutil
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from functools import partial
 
 from rainsim.datasets import LAYOUTS, beside
 from rainsim.datasets.card import card_of, card_text
@@ -140,7 +142,9 @@ class DataSetFolder:
         """Write a sample's files and note it as finished."""
         files = [*self.layout.sample_files(sample, self.plan),
                  *beside.sample_files(sample, self.plan)]  # fmt: skip
-        names = [write_file(self.folder, file) for file in files]
+        # PNGs are packed outside the interpreter's lock, each on a core of its own.
+        with ThreadPoolExecutor() as pool:
+            names = list(pool.map(partial(write_file, self.folder), files))
         part = self.part(sample.rate, sample.view.index)
         self.journal.add(part, names, rain=sample.rate, view=sample.view.name)
         self.kept.add(part)
