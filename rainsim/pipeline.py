@@ -6,6 +6,7 @@ Each stage can be run alone: `extract_terrain`, `simulate`, `render`; `render_ra
 from __future__ import annotations
 
 import bisect
+from collections import deque
 from dataclasses import replace
 
 from rainsim.backend import free_device_memory, on_backend
@@ -15,7 +16,7 @@ from rainsim.render.first_view import view_of_water
 from rainsim.render.labels import without_flow
 from rainsim.render.memory import require_memory
 from rainsim.render.report import FrameReport
-from rainsim.render.shutter import is_cut, shutter_end
+from rainsim.render.shutter import end_of_motion, is_too_fast, motion_to_next
 from rainsim.render.sunken import sunken_notes
 from rainsim.simulation import SimState, read_state, simulate, write_state
 from rainsim.terrain.kept import kept_terrain
@@ -258,7 +259,7 @@ class SequenceRenderer:
     def render(self, states):
         """Yield (picture, FrameReport) for each state."""
         path = [self._scene.ground_frame.camera_in_ground(camera) for camera in self._cameras]
-        config = self._config
+        config, cuts = self._config, deque()  # whether each frame that is drawn ends in a cut
 
         def shots():
             for state in states:
@@ -267,14 +268,17 @@ class SequenceRenderer:
                 if self._scene.pages is not None and len(self._cameras) > 1:
                     ahead = min(state.index + READ_AHEAD, len(self._cameras) - 1)
                     self._renderer.read_ahead(self._cameras[ahead])
-                yield camera, state, shutter_end(path, state.index, exposure, config.fps)
+                motion = motion_to_next(path, state.index)
+                cuts.append(is_too_fast(motion, config.fps))
+                here = path[0 if len(path) == 1 else state.index]
+                yield camera, state, end_of_motion(here, motion, exposure, config.fps)
 
         if self._renderer is None:
             self._renderer = self.make()
             self._notes = sunken_notes(path, self._terrain, config)
         for picture, report in self._renderer.film(shots(), self._names):
             notes, self._notes = self._notes, ()
-            if is_cut(path, report.index, config.fps):
+            if cuts.popleft():
                 report = without_flow(report)
             yield picture, replace(report, notes=(*notes, *report.notes))
 

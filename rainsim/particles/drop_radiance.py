@@ -16,7 +16,7 @@ import math
 import numpy as np
 
 from rainsim.constants import ONE, ZERO
-from rainsim.jit import prange, thorough_kernel
+from rainsim.jit import serial_kernel
 from rainsim.shading.environment import directions, sample_environment
 from rainsim.shading.fresnel import fresnel
 
@@ -63,12 +63,12 @@ def even(radiance):
     return np.tile(np.asarray(radiance, np.float32), (*GRID, 1))
 
 
-@thorough_kernel
+@serial_kernel
 def _fill(environment, everywhere, ground_from_camera, lens, size, field_out):
-    """See `drop_field`."""
+    """See `drop_field`; so little work that threads would take longer to start."""
     m = ground_from_camera
     rows, columns = field_out.shape[0], field_out.shape[1]
-    for k in prange(rows * columns):
+    for k in range(rows * columns):
         j, i = k // columns, k % columns
         a = (size[0] * np.float32(i) / np.float32(columns - 1) - lens[2]) / lens[0]
         b = (size[1] * np.float32(j) / np.float32(rows - 1) - lens[3]) / lens[1]

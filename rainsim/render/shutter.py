@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -30,20 +31,28 @@ def shutter_end(cameras, index, exposure, fps):
         axis, both even. The last frame goes on as it came. None too where the next frame is a cut:
         faster than FASTEST or FASTEST_TURN.
     """
-    if len(cameras) < 2 or is_cut(cameras, index, fps):
+    if len(cameras) < 2:
         return None
-    move, turn = _motion(cameras, index)
-    if not (move.any() or turn.any()):
+    return end_of_motion(cameras[index], motion_to_next(cameras, index), exposure, fps)
+
+
+def end_of_motion(camera, motion, exposure, fps):
+    """Return what `shutter_end` does, of a camera and its `motion_to_next`."""
+    move, turn = motion
+    if not (move.any() or turn.any()) or is_too_fast(motion, fps):
         return None
-    return moved(cameras[index], exposure * fps * move, exposure * fps * turn)
+    return moved(camera, exposure * fps * move, exposure * fps * turn)
 
 
 def is_cut(cameras, index, fps):
     """Tell whether the camera of a frame is cut to another place, see `shutter_end`."""
-    if len(cameras) < 2:
-        return False
-    move, turn = _motion(cameras, index)
-    return np.linalg.norm(move) * fps > FASTEST or np.linalg.norm(turn) * fps > FASTEST_TURN
+    return len(cameras) > 1 and is_too_fast(motion_to_next(cameras, index), fps)
+
+
+def is_too_fast(motion, fps):
+    """Tell whether the motion from one frame to the next is a cut, see `shutter_end`."""
+    move, turn = motion
+    return math.sqrt(move @ move) * fps > FASTEST or math.sqrt(turn @ turn) * fps > FASTEST_TURN
 
 
 def next_camera(camera, camera_end, share):
@@ -56,7 +65,7 @@ def next_camera(camera, camera_end, share):
     share : float
         The exposure over the time from frame to frame.
     """
-    move, turn = _motion([camera, camera_end], 0)
+    move, turn = motion_to_next([camera, camera_end], 0)
     return moved(camera, move / share, turn / share)
 
 
@@ -70,14 +79,19 @@ def moved(camera, move, turn):
 
 def motion_of(cameras, index, fps):
     """Return velocity [m/s] and turning [rad/s] of a frame's camera; zero if still or at a cut."""
-    if len(cameras) < 2 or is_cut(cameras, index, fps):
+    move, turn = motion_to_next(cameras, index)
+    if is_too_fast((move, turn), fps):
         return np.zeros(3), np.zeros(3)
-    move, turn = _motion(cameras, index)
     return move * fps, turn * fps
 
 
-def _motion(cameras, index):
-    """Return how a frame's camera moves and turns [m, rad] until the next frame."""
+def motion_to_next(cameras, index):
+    """Return how a frame's camera moves and turns [m, rad] until the next; one alone stands still.
+
+    The last goes on as it came.
+    """
+    if len(cameras) < 2:
+        return np.zeros(3), np.zeros(3)
     here = cameras[index]
     step = 1 if index + 1 < len(cameras) else -1
     there = cameras[index + step]
