@@ -9,10 +9,10 @@ from scipy.spatial.transform import Rotation
 
 from rainsim import pipeline
 from rainsim.bench.day_data import FOLDER, HALF, unpack_colors
-from rainsim.bench.day_score import LUMINANCE
 from rainsim.bench.day_shapes import spiral
 from rainsim.config.settings import Config
 from rainsim.constants import SH_0
+from rainsim.numerics.srgb import LUMINANCE_WEIGHTS
 from rainsim.render.renderer import Renderer
 from rainsim.scene.ground import estimate_ground_frame
 from rainsim.scene.types import Scene, Splats
@@ -160,7 +160,7 @@ def zenith_of(renderer):
     It is that of an overcast sky, L = Lz (1 + 2 sine) / 3, fitted above STEEP: the bellies of
     single clouds fall out.
     """
-    sky = renderer.wet_scene.day @ LUMINANCE  # row 0 is the zenith
+    sky = renderer.wet_scene.day @ LUMINANCE_WEIGHTS  # row 0 is the zenith
     rows = sky.shape[0]
     elevation = (0.5 - (np.arange(rows) + 0.5) / rows) * np.pi
     cap = np.sin(elevation) > STEEP

@@ -12,9 +12,8 @@ from scipy import ndimage
 from skimage.color import deltaE_ciede2000, rgb2lab
 from skimage.metrics import structural_similarity
 
-from rainsim.numerics.srgb import display
+from rainsim.numerics.srgb import LUMINANCE_WEIGHTS, display
 
-LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # Rec. 709
 LAND = 0.16  # mean luminance of land, as a camera's exposure has it
 EDGE = 4  # px: nearer than that to the sky a pixel of leaves may show some of it
 FEWEST = 40  # px: smaller regions are not measured
@@ -43,7 +42,7 @@ def shown(radiance):
 
 def luminance(radiance, mask=...):
     """Return the mean luminance of radiance over a mask."""
-    return float((radiance @ LUMINANCE)[mask].mean())
+    return float((radiance @ LUMINANCE_WEIGHTS)[mask].mean())
 
 
 def differences(shown_picture, shown_truth):

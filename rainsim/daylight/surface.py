@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 from rainsim.constants import SH_0
 from rainsim.jit import get_num_threads
 from rainsim.numerics.blocks import in_blocks
-from rainsim.numerics.srgb import linear
+from rainsim.numerics.srgb import LUMINANCE_WEIGHTS, linear
 
 NEIGHBOURS = 9  # splats about one, itself included, whose planes are compared
 RAGGED, SMOOTH = 0.45, 0.75  # mean square of the cosines between their normals: no plane, a plane
@@ -47,7 +47,7 @@ class Surface(NamedTuple):
 
 def luminance(light):
     """Return the luminance of linear light (n, 3)."""
-    return light @ np.array([0.2126, 0.7152, 0.0722], np.float32)
+    return light @ LUMINANCE_WEIGHTS.astype(np.float32)
 
 
 def covariances(splats, frame):

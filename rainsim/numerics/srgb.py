@@ -1,6 +1,8 @@
-"""The transfer function of sRGB (IEC 61966-2-1) on arrays, for values of any size."""
+"""sRGB (IEC 61966-2-1): its transfer function on arrays, for values of any size, and luminance."""
 
 import numpy as np
+
+LUMINANCE_WEIGHTS = np.array([0.2126, 0.7152, 0.0722])  # of linear red, green, blue: Rec. 709
 
 
 def linear(display):

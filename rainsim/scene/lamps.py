@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rainsim.constants import SH_0
-from rainsim.numerics.srgb import display, linear
+from rainsim.numerics.srgb import LUMINANCE_WEIGHTS, display, linear
 
 WHITE = 4000.0  # cd/m2 that stand for display white: the zenith of an overcast day of 10,000 lx
 # Luminance by class [cd/m2]: intensities towards other drivers that ECE regulations allow (head
@@ -26,7 +26,6 @@ LUMINANCE = {
 }  # fmt: skip
 BRIGHT = 0.7  # of white, display-referred: the largest channel of what belongs to a lit lamp
 MOST = 4.0  # display value, the brightest that a splat can have (`shading.color.BRIGHTEST`)
-LUMA = np.array([0.2126, 0.7152, 0.0722])  # Rec. 709
 DULLEST = 1e-3  # linear luminance that a colour counts with at least
 
 
@@ -74,7 +73,7 @@ def with_lamps(splats, lamps):
         mine = np.flatnonzero(near & (shown.max(axis=1) >= BRIGHT))
         counts.append(len(mine))
         color = linear(np.maximum(shown[mine], 0.0))
-        own = np.maximum(color @ LUMA, DULLEST)
+        own = np.maximum(color @ LUMINANCE_WEIGHTS, DULLEST)
         gain = np.maximum(LUMINANCE[lamp.kind] / WHITE / own, 1.0)
         narrower = np.sqrt(np.maximum(1.0, np.log(gain)))
         bright = np.minimum(display(color * (gain * narrower**2)[:, None]), MOST)

@@ -8,9 +8,10 @@ import numpy as np
 
 from rainsim.constants import ZERO
 from rainsim.jit import device_function, inlined_function
+from rainsim.numerics.srgb import LUMINANCE_WEIGHTS
 
-LUMA_R, LUMA_G, LUMA_B = np.float32(0.2126), np.float32(0.7152), np.float32(0.0722)  # Rec. 709
-LUMA = np.array([LUMA_R, LUMA_G, LUMA_B], np.float32)
+LUMA = LUMINANCE_WEIGHTS.astype(np.float32)
+LUMA_R, LUMA_G, LUMA_B = LUMA
 GAMMA = 2.2  # of the display, near enough for what is judged or blurred
 BRIGHTEST = np.float32(4)  # display value, 27 times white: more is a flaw of a capture
 

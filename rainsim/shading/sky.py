@@ -10,6 +10,7 @@ import math
 import numpy as np
 from scipy import ndimage
 
+from rainsim.numerics.srgb import LUMINANCE_WEIGHTS
 from rainsim.shading.environment import ROWS, directions, irradiance
 
 ZENITH_RADIANCE = 1.2  # of display white: overcast sky over wet ground at a normal exposure
@@ -119,7 +120,7 @@ def brightest(environment):
     mean by SUN_PEAK.
     """
     rows, columns = environment.shape[:2]
-    light = environment @ np.array([0.2126, 0.7152, 0.0722])
+    light = environment @ LUMINANCE_WEIGHTS
     blur = SUN_BLUR * rows / np.pi
     smooth = ndimage.gaussian_filter(light, blur, mode=("nearest", "wrap"))
     direction = directions(rows, columns)

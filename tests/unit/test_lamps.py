@@ -8,13 +8,13 @@ from scipy import integrate
 
 from rainsim.config.settings import Config
 from rainsim.errors import InputError, ParameterError
-from rainsim.numerics.srgb import display, linear
+from rainsim.numerics.srgb import LUMINANCE_WEIGHTS, display, linear
 from rainsim.pipeline import extract_terrain, simulate
 from rainsim.render.renderer import Renderer
 from rainsim.scene.actor_files import read_actors
 from rainsim.scene.actors import joined
 from rainsim.scene.folder import import_scene
-from rainsim.scene.lamps import LUMA, LUMINANCE, WHITE, Lamp, with_lamps
+from rainsim.scene.lamps import LUMINANCE, WHITE, Lamp, with_lamps
 from rainsim.shading.color import linear_from_display
 from rainsim.shading.composite import tone_curve
 from rainsim.shading.glare import DAZZLES, Glare, point_spread, scattered
@@ -45,7 +45,7 @@ def test_a_clipped_lamp_gets_the_flux_of_its_class(kind):
     lit, counts = with_lamps(splats, [Lamp(kind, np.array([0, 0, 2.0]), 0.2)])
     before, after = linear(np.array([1.0, 0.86, 0.62])), light_of(lit)[0]
     area = (lit.scale[0, 0] / splats.scale[0, 0]) ** 2
-    flux = (after @ LUMA) * area
+    flux = (after @ LUMINANCE_WEIGHTS) * area
     assert counts == [1] and flux == pytest.approx(LUMINANCE[kind] / WHITE, rel=1e-3)
     np.testing.assert_allclose(after / after.max(), before, rtol=1e-3)  # its own colour
     if kind == "brake":  # brighter and no larger: where it falls to white is where it was
