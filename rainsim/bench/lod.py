@@ -23,6 +23,7 @@ from rainsim.jit import set_threads
 from rainsim.lod.cut import cut
 from rainsim.render.renderer import Renderer
 from rainsim.render.shutter import shutter_end
+from rainsim.scene.actors import joined
 from rainsim.scene.big import open_pages
 from rainsim.scene.cameras import resize_to
 from rainsim.scene.library import load_scene
@@ -41,6 +42,7 @@ NEXT = 1 / 24  # s from a frame to the next at a place
 SPACING, EXTENT = {False: 0.05, True: 0.2}, {False: 12.0, True: 4.0}  # m, of the map
 AWAY = 4.0  # m from either end of the street that the drive keeps
 AHEAD = 4  # frames
+FRAMES = {False: 9, True: 3}  # of a short drive at a place, NEXT apart
 EVERYTHING = 64e9  # bytes: full detail is drawn whatever it takes
 
 
@@ -61,8 +63,8 @@ def run(quick=False, say=None, length=None, folder=None):
     Returns
     -------
     dict
-        "machine", "cut" (splats, seconds, bytes), "rows" (a threshold each) and "drive" (a frame
-        each).
+        "machine", "cut" (splats, seconds, bytes), "rows" (a threshold each), "drive" (a frame
+        each) and "alone" (a place each).
     """
     length = LENGTH[quick] if length is None else length
     with tempfile.TemporaryDirectory() as temporary:
@@ -78,10 +80,12 @@ def run(quick=False, say=None, length=None, folder=None):
         begin = time.perf_counter()
         terrain = pipeline.extract_terrain(scene, config)
         drive = measure_drive(folder, length, terrain, config, say)
+        alone = measure_alone(folder, length, terrain, config, PLACES[quick], FRAMES[quick], say)
         rows = measure_details(folder, length, terrain, config, DETAILS[quick], PLACES[quick], say)
         facts["set_up"] = drive[0]["begin"] - begin
     machine = {"cores": os.cpu_count(), "threads": set_threads(None), "load": os.getloadavg()}
-    return {"machine": machine, "quick": quick, "cut": facts, "rows": rows, "drive": drive}
+    return {"machine": machine, "quick": quick, "cut": facts, "rows": rows, "drive": drive,
+            "alone": alone}  # fmt: skip
 
 
 # --- the street -----------------------------------------------------------------------------------
@@ -130,18 +134,25 @@ def _bytes(folder):
 
 
 def measure_drive(folder, length, terrain, config, say=None):
-    """Return a row for each frame of a drive along the street, in order, each drawn once."""
+    """Return a row for each frame of a drive along the street, in order, each drawn once.
+
+    The frame in the middle is drawn by itself, too, by another renderer: its row says whether both
+    are the `same` to the byte.
+    """
     scene = long_street(folder, length)
     cameras = [resize_to(camera, config.width) for camera in scene.cameras]
     path = [scene.ground_frame.camera_in_ground(camera) for camera in cameras]
     state = next(iter(pipeline.simulate(terrain, config)))
     renderer = Renderer(scene, terrain, config, cameras[0])
-    rows, kept = [], scene.pages.kept
+    rows, kept, middle = [], scene.pages.kept, len(cameras) // 2
     for n, camera in enumerate(cameras):
         begin, cpu, made = time.perf_counter(), time.process_time(), kept.made
         renderer.read_ahead(cameras[min(n + AHEAD, len(cameras) - 1)])
         exposure = config.render.exposure
-        _, report = renderer.draw(camera, state, shutter_end(path, n, exposure, config.fps))
+        end = shutter_end(path, n, exposure, config.fps)
+        picture, report = renderer.draw(camera, state, end)
+        if n == middle:
+            wanted = picture.copy(), end
         rows.append({
             "x": float(path[n].position[0]), "begin": begin,
             "ms": (time.perf_counter() - begin) * 1e3, "cpu_ms": (time.process_time() - cpu) * 1e3,
@@ -151,6 +162,10 @@ def measure_drive(folder, length, terrain, config, say=None):
         })  # fmt: skip
         if say and n % 20 == 0:
             say(drive_line(rows[-1]))
+    del renderer, scene, kept  # two scenes at once are not what is measured
+    by_itself = Renderer(long_street(folder, length), terrain, config, cameras[0])
+    found, _ = by_itself.draw(cameras[middle], state, wanted[1])
+    rows[middle]["same"] = bool(np.array_equal(found, wanted[0]))
     return rows
 
 
@@ -189,6 +204,46 @@ def measure_details(folder, length, terrain, config, details, places, say=None):
         })  # fmt: skip
         if say:
             say(detail_line(rows[-1]))
+    return rows
+
+
+def measure_alone(folder, length, terrain, config, places, frames, say=None):
+    """Return a row for each place of a street: frames from its chunks, and of what is seen alone.
+
+    The scene that is compared with holds whole the runs that the cameras of a short drive need,
+    each at the finest level that one of them asks for, and the splats that are always drawn.
+    """
+    scene = long_street(folder, length)
+    state = next(iter(pipeline.simulate(terrain, config)))
+    every = np.linspace(0, len(scene.cameras) - 1, places + 2).astype(int)[1:-1]
+    start = resize_to(scene.cameras[every[0]], config.width)
+    paged, rows = Renderer(scene, terrain, config, start), []
+    for n in every:
+        first = resize_to(scene.cameras[n], config.width)
+        cameras = [ahead(scene, first, k * SPEED * NEXT) for k in range(frames)]
+        runs, drawn = {}, paged.wet_scene.paged.whole
+        for camera in cameras:
+            for leaf, level in drawn.wanted(camera, paged.wet_scene.near):
+                runs[leaf] = min(level, runs.get(leaf, level))
+        held = [scene.pages.splats(*run) for run in sorted(runs.items())]
+        whole = replace(scene, splats=joined(held), pages=None)
+        alone = Renderer(whole, terrain, config, first)
+        cpu = {paged: [], alone: []}
+        for renderer in cpu:
+            renderer.draw(ahead(scene, first, -SPEED * NEXT), state)  # reads what it needs
+        for k, camera in enumerate(cameras):
+            for renderer in cpu:
+                begin = time.process_time()
+                if renderer is paged:
+                    renderer.read_ahead(cameras[min(k + AHEAD, frames - 1)])
+                renderer.draw(camera, state)
+                cpu[renderer].append((time.process_time() - begin) * 1e3)
+        rows.append({
+            "splats": len(whole.splats), "cpu_ms": float(np.median(cpu[paged])),
+            "alone_ms": float(np.median(cpu[alone])),
+        })  # fmt: skip
+        if say:
+            say(alone_line(rows[-1]))
     return rows
 
 
@@ -233,6 +288,14 @@ def drive_line(row):
     )
 
 
+def alone_line(row):
+    """Return the comparison of a place as text."""
+    return (
+        f"{row['splats']} splats: {row['cpu_ms']:.0f} ms of processors from chunks, "
+        f"{row['alone_ms']:.0f} ms where only these are held"
+    )
+
+
 def detail_line(row):
     """Return a threshold's row as text."""
     return (
@@ -263,13 +326,16 @@ def table(result):
         np.median([row["cpu_ms"] for row in part]) for part in (drive[1:half], drive[half:])
     )
     most = max(row["resident"] for row in drive)
+    same = drive[len(drive) // 2]["same"]
     load = ", ".join(f"{x:.1f}" for x in result["machine"]["load"])
     return "\n".join([
         *lines, "",
+        f"the middle frame by itself: {'the same bytes' if same else 'OTHER BYTES'}",
         f"{made['splats']} splats on {made['length']:.0f} m, {made['bytes'] / 1e6:.0f} MB; "
         f"set-up {made['set_up']:.0f} s",
         f"drive of {len(drive)} frames: {first:.0f} ms of processors in its first half, "
         f"{second:.0f} in its second; {most / 1e9:.2f} GB at most",
+        *(alone_line(row) for row in result["alone"]),
         f"{result['machine']['threads']} threads, load {load}",
     ])  # fmt: skip
 

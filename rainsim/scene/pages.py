@@ -13,6 +13,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 
 from rainsim.errors import InputError, ParameterError
+from rainsim.io.allocator import return_large_blocks
 from rainsim.scene.activate import MAX_BROKEN_SHARE
 from rainsim.scene.actors import joined
 from rainsim.scene.formats.streamed import NONE, read_chunk, require_run
@@ -43,6 +44,7 @@ class Pages:
 
     def __init__(self, tree, memory=DEFAULT_MEMORY):
         self.tree, self.kept = tree, Kept(0)
+        return_large_blocks()
         self._reading, self._ahead = threading.Lock(), None
         self.limit(memory)
 

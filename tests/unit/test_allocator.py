@@ -1,0 +1,58 @@
+"""Freed arrays go back to the system where big captures are drawn."""
+
+import platform
+import subprocess
+import sys
+
+import pytest
+
+from rainsim.io import allocator
+
+PROBE = """
+import os, sys
+import numpy as np
+from rainsim.io import allocator
+
+def resident():
+    with open("/proc/self/statm", encoding="ascii") as file:
+        return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+
+if sys.argv[1] == "set":
+    assert allocator.return_large_blocks()
+before = resident()
+np.ones(30_000_000 // 8)  # freed: glibc alone now serves blocks of 30 MB from its heap
+large, small = [], []
+for _ in range(100):
+    large.append(np.ones(250_000))  # 2 MB
+    small.append(np.ones(10_000))  # 80 kB, which lies between two of these
+del large
+print(resident() - before)
+"""
+
+
+def left_over(how):
+    """Bytes that a process still holds after 200 MB of arrays were freed."""
+    run = subprocess.run(
+        [sys.executable, "-c", PROBE, how], capture_output=True, text=True, check=True
+    )
+    return int(run.stdout)
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="the setting is glibc's")
+def test_freed_arrays_leave_the_process(monkeypatch):
+    for name in allocator.VARIABLES:
+        monkeypatch.delenv(name, raising=False)
+    assert left_over("set") < 40e6
+    assert left_over("not") > 150e6  # so the setting is what does it
+
+
+def test_a_users_own_setting_stays(monkeypatch):
+    monkeypatch.setenv("MALLOC_MMAP_THRESHOLD_", "1000000")
+    assert not allocator.return_large_blocks()
+
+
+def test_another_c_library_is_left_alone(monkeypatch):
+    for name in allocator.VARIABLES:
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(allocator.ctypes, "CDLL", lambda name: object())
+    assert not allocator.return_large_blocks()

@@ -1,0 +1,21 @@
+"""The bench of big captures, on a short street."""
+
+import pytest
+
+from rainsim.bench import lod
+
+
+@pytest.mark.slow
+def test_a_short_street(tmp_path):
+    told = []
+    found = lod.run(quick=True, say=told.append, length=40.0, folder=tmp_path / "street")
+    exact, fine, coarse = found["rows"]
+    assert exact["detail"] == 0 and fine["median_db"] > 35 > coarse["median_db"] > 20
+    assert exact["splats"] > fine["splats"] > coarse["splats"] > 0
+    middle = found["drive"][len(found["drive"]) // 2]
+    assert middle["same"] and middle["resident"] > 0
+    for row in found["alone"]:
+        assert row["splats"] > 1000 and row["cpu_ms"] > 0 and row["alone_ms"] > 0
+    table = lod.table(found)
+    assert "the same bytes" in table and "only these are held" in table
+    assert any("cut" in line for line in told)
