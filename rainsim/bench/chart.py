@@ -59,14 +59,14 @@ def draw_fronts(path, panels, title, default=None, error="relative error", time=
         What the horizontal axes show, in milliseconds.
     own : bool
         Whether each panel has methods of its own: they stand in a legend below it, and all panels
-        have the same axes.
+        have the same axes, but for the times of a panel with other programs.
     """
     pyplot = require_matplotlib()
     columns = 2 if len(panels) == 4 else min(3, len(panels))
     rows = -(-len(panels) // columns)
     figure, axes = pyplot.subplots(
         rows, columns, figsize=(4.2 * columns, 3.4 * rows), squeeze=False, layout="constrained",
-        sharex=own, sharey=own,
+        sharey=own,
     )  # fmt: skip
     for axis in axes.flat[len(panels) :]:
         axis.set_visible(False)
@@ -78,9 +78,10 @@ def draw_fronts(path, panels, title, default=None, error="relative error", time=
         styles = {} if own else styles
         _draw_lines(axis, panel, styles, panel.get("default", default))
         axis.set(title=name, xlabel=f"{time} [ms]", ylabel=error)
+        if own and not panel.get("peers"):
+            axis.set_xlim(*_span(panels))
         log_ticks(axis)
         if own:
-            axis.tick_params(labelbottom=True)
             axis.legend(fontsize=7, ncols=3, loc="upper center", bbox_to_anchor=(0.5, -0.18))
             continue
         for handle, label in zip(*axis.get_legend_handles_labels(), strict=True):
@@ -91,6 +92,12 @@ def draw_fronts(path, panels, title, default=None, error="relative error", time=
         )
     figure.suptitle(title)
     save(figure, path)
+
+
+def _span(panels):
+    """Return the least and the greatest time [ms] of all methods, with a margin."""
+    times = [1e3 * t for p in panels.values() for line in p["lines"].values() for t, _ in line]
+    return min(times) / 1.1, max(times) * 1.1
 
 
 def save(figure, path):

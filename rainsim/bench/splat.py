@@ -14,6 +14,7 @@ import time
 import numpy as np
 
 from rainsim import raster
+from rainsim.bench import peers
 from rainsim.bench.chart import draw_fronts
 from rainsim.bench.splat_choices import all_choices
 from rainsim.bench.splat_truth import draw_truth
@@ -27,6 +28,7 @@ ROUNDS = {False: 15, True: 2}  # of which the least and the median count; one mo
 NEAR = 0.01  # capture units
 SOLID = 0.5  # alpha above which depth is compared
 CHARTED = 6  # groups
+PEERS_IN = "stop"  # the group beside which other programs stand in the chart
 LEAST_DECIBEL = 90.0  # that a default has to reach against float64
 # Kernels of a picture by stage.
 STAGES = {
@@ -209,8 +211,10 @@ def draw(result, path):
             r["choice"]: [(r["ratio"] * default["median_ms"] / 1e3, rms(r["decibel"]))] for r in own
         }
         panels[group] = {
-            "lines": lines, "default": default["choice"], "least": rms(LEAST_DECIBEL)
+            "lines": lines, "default": default["choice"], "least": rms(LEAST_DECIBEL),
         }  # fmt: skip
+        if group == PEERS_IN and not result["quick"]:  # their pictures have the full size
+            panels[group]["peers"] = peers.SPLATTING
     size = result["scenes"][SCENE]
     draw_fronts(
         path,
