@@ -257,7 +257,7 @@ def _draw_splashes(
         resolve_band(np.int64(band), pictures, alpha_out)
 
 
-@lean_function
+@inlined_function
 def _draw_slab(
     task, windows, field, surfaces, water, view, scene, listed, lines, seen_out, position_out,
     ids_out, picture,

@@ -165,7 +165,7 @@ def _draw_field(
         resolve_band(np.int64(band), pictures, alpha_out)
 
 
-@lean_function
+@inlined_function
 def _draw_slab(size_class, i, air, field, surfaces, view, scene, picture):
     """Draw the drops of the cubes of a class whose first number is i."""
     far, side = air.far[size_class], np.float32(field.cube[size_class])
@@ -178,7 +178,7 @@ def _draw_slab(size_class, i, air, field, surfaces, view, scene, picture):
                 _draw_cube(cube, corner, corner_end, far, field, surfaces, view, scene, picture)
 
 
-@lean_function
+@inlined_function
 def _draw_cube(cube, corner, corner_end, far, field, surfaces, view, scene, picture):
     """Draw the drops of a cube that may show, each as far as it gets."""
     b = cube.size_class
