@@ -94,7 +94,7 @@ def coarsened(picture):
     return coarse
 
 
-@device_function
+@inlined_function
 def blurred_color(picture, coarse, u, v, blur):
     """Return the colour of a picture at image point (u, v), blurred.
 
@@ -116,7 +116,7 @@ def blurred_color(picture, coarse, u, v, blur):
     return four_colors(coarse, j, j + 1, i, i + 1, a, b)
 
 
-@device_function
+@inlined_function
 def level_of(height, width, blur):
     """Return the mip level whose blur is nearest to `blur` [px], the standard deviation."""
     level, edge = 0, FIRST_BLUR
@@ -126,7 +126,7 @@ def level_of(height, width, blur):
     return level
 
 
-@device_function
+@inlined_function
 def cell_of(height, width, level, u, v):
     """Return row and column of the first of four cells around (u, v) in a level, and weights."""
     rows, columns = height >> level, width >> level

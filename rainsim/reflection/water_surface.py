@@ -10,7 +10,6 @@ from scipy import ndimage
 
 from rainsim.constants import HALF, ONE, ZERO
 from rainsim.jit import cpu_kernel, device_function, prange, thorough_kernel
-from rainsim.numerics.interpolation import bilinear
 
 GRASS_HEIGHT = 0.05  # m of water that closes over a lawn
 WET_CELL = np.float32(3e-4)  # m: cells with more carry the surface; thinner water only darkens
@@ -154,13 +153,9 @@ def _continue(bed, depth, smooth, relief, wide, narrow, far, surface_out, over_o
                     for k in range(max(i - 6, 0), min(i + 7, nx)):
                         weight[j, k] += wide[i - k + 6]
                         height[j, k] += wide[i - k + 6] * eta
-    rough = np.zeros((ny, nx), np.float32)
+    rough, any_rough = np.zeros((ny, nx), np.float32), np.zeros(ny, np.bool_)
     for j in prange(ny):
-        row_at = (np.float32(j) + HALF) / np.float32(BLOCK) - HALF
-        for i in range(nx):
-            surface_out[j, i] = bilinear(
-                far, (np.float32(i) + HALF) / np.float32(BLOCK) - HALF, row_at
-            )
+        continue_far(far, np.int64(j), surface_out[j])
         total, mean = np.zeros(nx, np.float32), np.zeros(nx, np.float32)
         near = False
         for k in range(max(j - 6, 0), min(j + 7, ny)):
@@ -177,16 +172,38 @@ def _continue(bed, depth, smooth, relief, wide, narrow, far, surface_out, over_o
                     if smooth[j, i] and _wet_near(wet, j, i):
                         over = surface_out[j, i] - bed[j, i] - relief[j, i]
                         rough[j, i] = max(over, ZERO)
+                        any_rough[j] |= over > ZERO
     for j in prange(ny):
-        row = np.zeros(nx, np.float32)
-        for k in range(max(j - 3, 0), min(j + 4, ny)):
-            for i in range(nx):
-                row[i] += narrow[k - j + 3] * rough[k, i]
-        for i in range(nx):
-            value = ZERO
-            for k in range(max(i - 3, 0), min(i + 4, nx)):
-                value += narrow[k - i + 3] * row[k]
-            over_out[j, i] = value
+        over = over_out[j]
+        over[:] = ZERO
+        first, end = max(j - 3, 0), min(j + 4, ny)
+        if any_rough[first:end].any():
+            row = np.zeros(nx, np.float32)
+            for k in range(first, end):
+                for i in range(nx):
+                    row[i] += narrow[k - j + 3] * rough[k, i]
+            for m in range(7):
+                for i in range(max(3 - m, 0), min(nx, nx + 3 - m)):
+                    over[i] += narrow[m] * row[i + m - 3]
+
+
+@device_function
+def continue_far(far, j, surface_out):
+    """Write the mean levels of blocks, interpolated, as row j of the surface."""
+    rows, columns = far.shape
+    at = (np.float32(j) + HALF) / np.float32(BLOCK) - HALF
+    at = min(max(at, ZERO), np.float32(rows - 1))
+    upper = min(int(at), max(rows - 2, 0))
+    lower, down = min(upper + 1, rows - 1), at - np.float32(upper)
+    line = np.empty(columns + 2, np.float32)
+    for i in range(columns):
+        line[i + 1] = far[upper, i] * (ONE - down) + far[lower, i] * down
+    line[0], line[columns + 1] = line[1], line[columns]
+    for i in range(len(surface_out)):
+        # Cell i lies between the middles of two blocks; a block of its own stands at either end.
+        block = (i + BLOCK // 2) // BLOCK
+        across = (np.float32((i + BLOCK // 2) % BLOCK) + HALF) / np.float32(BLOCK)
+        surface_out[i] = line[block] * (ONE - across) + line[block + 1] * across
 
 
 @device_function

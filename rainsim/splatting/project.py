@@ -44,7 +44,9 @@ SH3A, SH3B, SH3C, SH3D, SH3E = (np.float32(factor) for factor in SH_3)
 X, Y, Z, U, V, CONIC_A, CONIC_B, CONIC_C, LEVEL, LEFT, RIGHT, FIRST, LAST, RED, GREEN, BLUE = (
     LANES * row for row in range(16)
 )
-DX, DY, DZ, SPREAD, SCRATCH = (LANES * row for row in range(16, 21))
+DX, DY, DZ, SPREAD, NORMAL_X, NORMAL_Y, NORMAL_Z, PLANE, REST, SCRATCH = (
+    LANES * row for row in range(16, 26)
+)
 
 
 class SplatChunks(NamedTuple):
@@ -376,36 +378,53 @@ def color_chunk(g, sh, fine, step, eye, orthographic, bands, s):
 
 
 @device_function
-def write_records(
-    g, s, frustum, deep, across, place, record_out, box_out, lane_out, count_out
-):  # fmt: skip
-    """Write the seen splats of a chunk one after the other; return their number."""
+def face_chunk(g, frustum, deep, s):
+    """Fill the scratch rows NORMAL_X to REST: normals, planes, what rounding took from depths."""
     pose, orthographic = pose_of(frustum.camera_from_world), frustum.orthographic
-    o = place
+    d0, d1, d2, d3 = deep[0], deep[1], deep[2], deep[3]
+    for i in range(LANES):
+        normal = g[9 * LANES + i], g[10 * LANES + i], g[11 * LANES + i]
+        point = s[X + i], s[Y + i], s[Z + i]
+        s[NORMAL_X + i], s[NORMAL_Y + i], s[NORMAL_Z + i], s[PLANE + i] = facing_normal(
+            normal, point, pose, orthographic
+        )
+    for i in range(LANES):
+        exact = d0 * g[i] + d1 * g[1 * LANES + i] + d2 * g[2 * LANES + i] + d3
+        s[REST + i] = np.float32(exact - np.float64(s[Z + i]))
+
+
+@device_function
+def write_records(s, across, place, record_out, box_out, lane_out, count_out):
+    """Write the seen splats of a chunk one after the other; return their number."""
+    # Unsigned numbers: numba then need not ask whether an index counts from the end.
+    o, wide = np.uint64(place), np.uint64(across)
     for i in range(LANES):
         if s[FIRST + i] > s[LAST + i]:
             continue
-        r = record_out[o]
-        r[R_U], r[R_V] = s[U + i], s[V + i]
-        r[R_CONIC], r[R_CONIC + 1], r[R_CONIC + 2] = s[CONIC_A + i], s[CONIC_B + i], s[CONIC_C + i]
-        r[R_LEVEL], r[R_REACH] = s[LEVEL + i] * EIGHTH, s[SPREAD + i]
-        r[R_COLOR], r[R_COLOR + 1], r[R_COLOR + 2] = s[RED + i], s[GREEN + i], s[BLUE + i]
-        # What rounding took from the depth: splats are put in order by the sum.
-        exact = deep[0] * g[i] + deep[1] * g[1 * LANES + i] + deep[2] * g[2 * LANES + i] + deep[3]
-        r[R_DEPTH], r[R_DEPTH_REST] = s[Z + i], np.float32(exact - np.float64(s[Z + i]))
-        lane_out[o] = i
-        normal = g[9 * LANES + i], g[10 * LANES + i], g[11 * LANES + i]
-        r[R_NORMAL], r[R_NORMAL + 1], r[R_NORMAL + 2], r[R_PLANE] = facing_normal(
-            normal, (s[X + i], s[Y + i], s[Z + i]), pose, orthographic
-        )
+        record_out[o, R_U], record_out[o, R_V] = s[U + i], s[V + i]
+        record_out[o, R_CONIC] = s[CONIC_A + i]
+        record_out[o, R_CONIC + 1] = s[CONIC_B + i]
+        record_out[o, R_CONIC + 2] = s[CONIC_C + i]
+        record_out[o, R_LEVEL] = s[LEVEL + i] * EIGHTH
+        record_out[o, R_COLOR] = s[RED + i]
+        record_out[o, R_COLOR + 1] = s[GREEN + i]
+        record_out[o, R_COLOR + 2] = s[BLUE + i]
+        record_out[o, R_DEPTH] = s[Z + i]
+        record_out[o, R_NORMAL] = s[NORMAL_X + i]
+        record_out[o, R_NORMAL + 1] = s[NORMAL_Y + i]
+        record_out[o, R_NORMAL + 2] = s[NORMAL_Z + i]
+        record_out[o, R_PLANE] = s[PLANE + i]
+        record_out[o, R_REACH] = s[SPREAD + i]
+        record_out[o, R_DEPTH_REST] = s[REST + i]
         left, right = np.int32(s[LEFT + i]), np.int32(s[RIGHT + i])
         first, last = np.int32(s[FIRST + i]), np.int32(s[LAST + i])
         box_out[o, 0], box_out[o, 1], box_out[o, 2], box_out[o, 3] = left, right, first, last
-        for j in range(first >> TILE_SHIFT, (last >> TILE_SHIFT) + 1):
-            for k in range(left >> TILE_SHIFT, (right >> TILE_SHIFT) + 1):
-                count_out[j * across + k] += 1
-        o += 1
-    return o - place
+        lane_out[o] = i
+        for j in range(np.uint64(first >> TILE_SHIFT), np.uint64((last >> TILE_SHIFT) + 1)):
+            for k in range(np.uint64(left >> TILE_SHIFT), np.uint64((right >> TILE_SHIFT) + 1)):
+                count_out[j * wide + k] += 1
+        o += np.uint64(1)
+    return np.int64(o) - place
 
 
 @cpu_kernel
@@ -464,6 +483,7 @@ def project_chunks(
             if not seen:
                 continue
             color_chunk(g, sh[c], fine[c], step[c], eye, frustum.orthographic, degree + 1, s)
+            face_chunk(g, frustum, deep, s)
             visible_out[k] = write_records(
-                g, s, frustum, deep, across, k * LANES, record_out, box_out, lane_out, count
+                s, across, k * LANES, record_out, box_out, lane_out, count
             )
