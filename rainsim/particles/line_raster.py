@@ -176,7 +176,9 @@ def _draw_segment(segment, wide, alpha, scene, clear, picture):
 def _draw_strips(segment, wide, alpha, scene, clear, picture):
     """Spread `alpha` over a wide path that is much longer than wide, as thin paths side by side.
 
-    Each has the share of time that the drop's disc covers it; the round ends are neglected.
+    Each has the share of time that the drop's disc covers it. A place at a strip's end is covered
+    for less, by up to the disc's chord there: copies of the strip, shifted by parts of that chord,
+    add up to the ramp.
     """
     u0, v0, z0, u1, v1, z1 = segment
     du, dv = u1 - u0, v1 - v0
@@ -190,11 +192,14 @@ def _draw_strips(segment, wide, alpha, scene, clear, picture):
         total += np.sqrt(_QUARTER - aside * aside)
     for strip in range(strips):
         aside = (np.float32(strip) + HALF) * step - HALF
-        part = alpha * np.sqrt(_QUARTER - aside * aside) / total
-        beside = _Segment(
-            u0 - aside * dv, v0 + aside * du, z0, u1 - aside * dv, v1 + aside * du, z1
-        )
-        _draw_thin(beside, abs(dv) >= abs(du), part, scene, clear, picture)
+        chord = TWO * np.sqrt(_QUARTER - aside * aside)
+        copies = int(chord * wide * HALF) + 1
+        part = alpha * HALF * chord / (total * np.float32(copies))
+        for copy in range(copies):
+            ahead = ((np.float32(copy) + HALF) / np.float32(copies) - HALF) * chord
+            right, down = ahead * du - aside * dv, ahead * dv + aside * du
+            beside = _Segment(u0 + right, v0 + down, z0, u1 + right, v1 + down, z1)
+            _draw_thin(beside, abs(dv) >= abs(du), part, scene, clear, picture)
 
 
 @lean_function

@@ -111,6 +111,28 @@ def test_a_wide_still_drop_is_a_disc():
     np.testing.assert_allclose(alpha[8:72, 16:80], alpha[8:72, 16:80].T, atol=1e-6)
 
 
+@pytest.mark.parametrize("wind", [0.0, 3.0])
+def test_the_ends_of_a_wide_streak_are_round(wind):
+    """A pixel's alpha is the share of time for which the moving disc covers it."""
+    camera, exposure = looking("ahead", width=120, height=160), 10e-3
+    velocity, radius = np.array([0.0, wind, -9.0]), 4.0  # px
+    middle = np.array([1.0, 0.0, 0.0]) - velocity * exposure / 2
+    focal = camera.fx
+    alpha = one_drop(middle, velocity, 2 * radius / focal, camera, exposure)
+    step = np.array([-velocity[1], -velocity[2]]) * focal * exposure
+    v, u = np.indices(alpha.shape) + 0.5
+    covered = np.zeros(alpha.shape)
+    for part in (np.arange(400) + 0.5) / 400 - 0.5:
+        at = np.array([60.0, 80.0]) + part * step
+        covered += np.hypot(u - at[0], v - at[1]) < radius
+    covered /= 400
+    assert np.hypot(*step) > 3 * 2 * radius  # it is drawn as strips
+    assert abs(alpha - covered).max() < 0.2 * covered.max()
+    end = np.array([60.0, 80.0]) + step / 2
+    near = np.hypot(u - end[0], v - end[1]) < 1.0
+    np.testing.assert_allclose(alpha[near], covered.max() / 2, rtol=0.3)
+
+
 def test_drops_behind_things_are_hidden_and_partly_hidden_ones_cut():
     camera = looking("ahead")
     depth = sky(camera)
