@@ -56,24 +56,29 @@ def lamps_in(picture, depth, camera):
     camera : Camera
         As `level_camera` returns it.
     """
-    excess = picture * _excess(picture)
-    excess[: round(camera.cy)] = 0
-    rows, columns = np.nonzero((excess.max(axis=-1) > 0) & np.isfinite(depth))
+    horizon, none = round(camera.cy), (np.empty((0, 8), np.float32), 0.0)
+    picture, depth = picture[horizon:], depth[horizon:]
+    if not picture.size or picture.max() <= BRIGHT:
+        return none
+    rows, columns = np.nonzero((_brightest(picture) > BRIGHT) & np.isfinite(depth))
     if not len(rows):
-        return np.empty((0, 8), np.float32), 0.0
-    shown = np.zeros(depth.shape, bool)
-    shown[rows, columns] = True
-    group = ndimage.label(shown, np.ones((3, 3)))[0][rows, columns]
+        return none
+    far, color = depth[rows, columns].astype(np.float64), picture[rows, columns]
+    excess = color * _excess(color)
+    shown = np.zeros((np.ptp(rows) + 3, np.ptp(columns) + 3), bool)
+    inner = rows - rows.min() + 1, columns - columns.min() + 1
+    shown[inner] = True
+    group = ndimage.label(shown, np.ones((3, 3)))[0][inner]
+    rows = rows + horizon
     tiles = np.stack([group, rows // TILE, columns // TILE], axis=-1)
     _, which = np.unique(tiles, axis=0, return_inverse=True)
     count, which = which.max() + 1, which.ravel()
     right, forward = camera.camera_from_world[0, :3], camera.camera_from_world[2, :3]
     a, b = (columns + 0.5 - camera.cx) / camera.fx, (rows + 0.5 - camera.cy) / camera.fy
-    far = depth[rows, columns].astype(np.float64)
     place = camera.position * (1, 1, -1) + far[:, None] * (forward + a[:, None] * right)
     place[:, 2] += far * b
     area = far**2 / (camera.fx * camera.fy) / np.sqrt(1 + a * a + b * b)  # square to the view
-    flux = excess[rows, columns] * area[:, None]
+    flux = excess * area[:, None]
 
     def mean(values):
         return np.bincount(which, weight * values, count) / np.bincount(which, weight, count)
@@ -86,18 +91,24 @@ def lamps_in(picture, depth, camera):
         middle, *(np.bincount(which, flux[:, k], count) for k in range(3)),
         mean((away @ right) ** 2 + blur), mean(away[:, 2] ** 2 + blur),
     ])  # fmt: skip
-    return lamps.astype(np.float32), float(excess.sum() / picture[round(camera.cy) :].sum())
+    return lamps.astype(np.float32), float(excess.sum() / picture.sum())
 
 
 def without_lamps(picture):
     """Return a picture whose colours are no brighter than BRIGHT; their hue stays."""
-    return picture * (1 - _excess(picture))
+    bright, picture = _brightest(picture) > BRIGHT, picture.copy()
+    picture[bright] *= 1 - _excess(picture[bright])
+    return picture
 
 
-def _excess(picture):
-    """Return the share of each pixel's light that is above BRIGHT, of shape (height, width, 1)."""
-    brightest = picture.max(axis=-1, keepdims=True)
-    return np.maximum(1 - np.float32(BRIGHT) / np.maximum(brightest, BRIGHT), 0)
+def _brightest(color):
+    """Return the brightest channel of each colour (..., 3)."""
+    return np.maximum(np.maximum(color[..., 0], color[..., 1]), color[..., 2])
+
+
+def _excess(color):
+    """Return the share of the light of colours (n, 3) that is above BRIGHT, of shape (n, 1)."""
+    return np.maximum(1 - np.float32(BRIGHT) / np.maximum(_brightest(color), BRIGHT), 0)[:, None]
 
 
 @cpu_kernel
