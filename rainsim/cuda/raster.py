@@ -182,6 +182,11 @@ class Rasterizer:
         Entries to make room for before anything was counted.
     leading : bool
         Leave out the splats that were prepared to come last.
+
+    Attributes
+    ----------
+    recolors : bool
+        Whether `recolor` sends the colours.
     """
 
     def __init__(
@@ -197,13 +202,16 @@ class Rasterizer:
         self._total = cuda.device_array(1, np.int32)
         self._size = None
         self._capacity, self._first_room = 0, first_room
+        self.recolors = True
         self._highest = self._pictures = 0  # entries, and pictures they were counted in
         self._patience = 1  # pictures after which too much room is given back
         self.workspace = Workspace() if workspace is None else workspace
         self._taken = None  # version of the workspace that the lists are of
 
     def recolor(self, prepared):
-        """Take nothing over: `DeviceFrame` sends the colours when the device is idle."""
+        """Take over other colours, unless a `DeviceFrame` sends them when the device is idle."""
+        if self.recolors:
+            self.splats.send_colors(prepared)
 
     def draw(
         self, camera, near, plane=None, depth="expected", compensate=False, degree=None,

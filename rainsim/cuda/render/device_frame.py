@@ -89,7 +89,7 @@ class DeviceFrame:
         self._around, self.gloss = to_device(scene.environment), to_device(scene.gloss)
         self._behind, self._behind_sent = to_device(scene.behind), scene.behind
         self._behind_mirrored = to_device(scene.behind_mirrored)
-        self._colors_sent = scene.prepared
+        self._colors_sent, self.rasterizer.recolors = scene.prepared, False
         self._water = cuda.device_array(grid.shape, np.float32)
         self.surface = WaterSurface(
             self.terrain.bed, host.water.relief, self.terrain.mirrors, self._water,
