@@ -169,6 +169,7 @@ def test_merged_sets_draw_what_one_set_draws(scene, camera):
     np.testing.assert_array_equal(drawer.draw(camera, near).color, alone.color)
 
 
+@pytest.mark.slow
 def test_nodes_that_nobody_sees_change_no_byte(scene, ground, states, camera):
     hidden = moving_scene(visible=(False, False))
     pictures = []
