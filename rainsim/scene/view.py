@@ -68,8 +68,13 @@ def pixel_ray(view, row, column):
 @inlined_function
 def ray_through(m, fx, fy, cx, cy, row, column):
     """Return `pixel_ray` of a pose `m` (ground_from_camera) and a lens."""
-    a = (np.float32(column) + HALF - cx) / fx
-    b = (np.float32(row) + HALF - cy) / fy
+    return image_ray(m, fx, fy, cx, cy, np.float32(column) + HALF, np.float32(row) + HALF)
+
+
+@inlined_function
+def image_ray(m, fx, fy, cx, cy, u, v):
+    """Return the ray (x, y, z) through a place (u, v) [px] of a picture, as `ray_through` does."""
+    a, b = (u - cx) / fx, (v - cy) / fy
     return (
         m[0, 0] * a + m[0, 1] * b + m[0, 2], m[1, 0] * a + m[1, 1] * b + m[1, 2],
         m[2, 0] * a + m[2, 1] * b + m[2, 2],

@@ -10,6 +10,7 @@ from scipy import ndimage
 
 from rainsim.constants import HALF, ONE, ZERO
 from rainsim.jit import inlined_function
+from rainsim.scene.view import image_ray
 from rainsim.shading.microfacet import LEAST_DIP
 
 SLOPE_WIDTH = 0.25  # m, over which the ground's height and slope are averaged
@@ -37,13 +38,8 @@ def ground_slopes(terrain):
 @inlined_function
 def block_ray(view, step, j, i):
     """Return the ray (x, y, z) through the middle of a block of pixels, 1 along the view axis."""
-    m = view.ground_from_camera
-    b = ((np.float32(j) + HALF) * np.float32(step) - view.cy) / view.fy
-    a = ((np.float32(i) + HALF) * np.float32(step) - view.cx) / view.fx
-    return (
-        m[0, 0] * a + m[0, 1] * b + m[0, 2], m[1, 0] * a + m[1, 1] * b + m[1, 2],
-        m[2, 0] * a + m[2, 1] * b + m[2, 2],
-    )  # fmt: skip
+    u, v = (np.float32(i) + HALF) * np.float32(step), (np.float32(j) + HALF) * np.float32(step)
+    return image_ray(view.ground_from_camera, view.fx, view.fy, view.cx, view.cy, u, v)
 
 
 @inlined_function
