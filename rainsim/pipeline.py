@@ -263,15 +263,15 @@ class SequenceRenderer:
 
         def shots():
             for state in states:
-                camera = self._cameras[0 if len(self._cameras) == 1 else state.index]
+                index = 0 if len(path) == 1 else state.index
                 exposure = config.at(state.time).render.exposure
                 if self._scene.pages is not None and len(self._cameras) > 1:
                     ahead = min(state.index + READ_AHEAD, len(self._cameras) - 1)
                     self._renderer.read_ahead(self._cameras[ahead])
-                motion = motion_to_next(path, state.index)
+                motion = motion_to_next(path, index)
                 cuts.append(is_too_fast(motion, config.fps))
-                here = path[0 if len(path) == 1 else state.index]
-                yield camera, state, end_of_motion(here, motion, exposure, config.fps)
+                end = end_of_motion(path[index], motion, exposure, config.fps)
+                yield self._cameras[index], state, end
 
         if self._renderer is None:
             self._renderer = self.make()

@@ -58,7 +58,7 @@ def run(quick=False, say=None, backend="cpu"):
     """
     say = say or (lambda line: None)
     on_backend(backend)  # before anything is drawn
-    rows, peers = [], []
+    rows = []
     for name in scene_names(quick):
         scene = load_scene(name)
         if backend == "cuda":
@@ -66,8 +66,6 @@ def run(quick=False, say=None, backend="cpu"):
                 for row in frame_cuda.measure(scene, width, "moving", quick, say):
                     rows.append(row)
                     say(_line(row))
-            if name == scene_names(quick)[-1]:
-                peers = frame_gsplat.measure(scene, quick, say)
             continue
         for width in WIDTHS[quick]:
             for motion in ("still", "moving"):
@@ -81,8 +79,10 @@ def run(quick=False, say=None, backend="cpu"):
     }  # fmt: skip
     if backend == "cuda":
         machine |= frame_cuda.machine()
-    more = {"peers": peers} if peers else {}
-    return {"machine": machine, "quick": quick, "backend": backend, "rows": rows, **more}
+    result = {"machine": machine, "quick": quick, "backend": backend, "rows": rows}
+    if backend == "cuda":
+        result["peers"] = frame_gsplat.measure(scene, quick, say)  # the capture, if it is there
+    return result
 
 
 def measure(scene, width, motion, quick=False):

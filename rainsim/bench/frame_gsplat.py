@@ -27,7 +27,7 @@ WIDTH = {False: 1297, True: 32}  # px
 SPACING, EXTENT = {False: 0.01, True: 0.2}, {False: 5.12, True: 1.0}  # m: 1024 x 1024 cells
 FRAMES, SETTLING = {False: 110, True: 3}, {False: 20, True: 1}  # of a sequence; first left out
 VIEWS = {False: 8, True: 1}  # cameras of which the dry pictures are timed
-REPEATS = 15  # pictures of each view and program, in turn
+REPEATS = 15  # pictures of each view by gsplat, of which the median counts
 
 
 def measure(scene, quick=False, say=None):

@@ -44,11 +44,6 @@ def end_of_motion(camera, motion, exposure, fps):
     return moved(camera, exposure * fps * move, exposure * fps * turn)
 
 
-def is_cut(cameras, index, fps):
-    """Tell whether the camera of a frame is cut to another place, see `shutter_end`."""
-    return len(cameras) > 1 and is_too_fast(motion_to_next(cameras, index), fps)
-
-
 def is_too_fast(motion, fps):
     """Tell whether the motion from one frame to the next is a cut, see `shutter_end`."""
     move, turn = motion

@@ -12,7 +12,7 @@ from rainsim.render import labels
 from rainsim.render.frame_files import write_layers
 from rainsim.render.labels import NO_FLOW, OCCLUDED, OUTSIDE, SEEN
 from rainsim.render.renderer import Renderer
-from rainsim.render.shutter import is_cut, moved, next_camera, shutter_end
+from rainsim.render.shutter import is_too_fast, motion_to_next, moved, next_camera, shutter_end
 from rainsim.scene.types import Camera
 from scenes import DIP_CENTRE, tiny_scene
 
@@ -95,8 +95,10 @@ def test_the_next_camera_follows_from_the_shutter():
     found = next_camera(path[1], end, 24 / 60)
     np.testing.assert_allclose(found.camera_from_world, path[2].camera_from_world, atol=1e-9)
     far = moved(CAMERA, np.array([9.0, 0, 0]), np.zeros(3))
-    assert is_cut([CAMERA, far], 0, 24) and shutter_end([CAMERA, far], 0, 1 / 60, 24) is None
-    assert not is_cut([CAMERA], 0, 24) and not is_cut([CAMERA, CAMERA], 0, 24)
+    assert is_too_fast(motion_to_next([CAMERA, far], 0), 24)
+    assert shutter_end([CAMERA, far], 0, 1 / 60, 24) is None
+    assert not is_too_fast(motion_to_next([CAMERA], 0), 24)
+    assert not is_too_fast(motion_to_next([CAMERA, CAMERA], 0), 24)
 
 
 @pytest.fixture(scope="module")

@@ -253,7 +253,7 @@ class DeviceFrame:
 
     def dry_is_amiss(self):
         """Return whether the finished frame's rasterizers had too little room or far too much."""
-        return any([
+        return any([  # a list: each of them counts its picture
             splats.count_picture() or splats.overflows() or splats.is_tight()
             for splats in self.dry_rasterizers()
         ])  # fmt: skip
