@@ -71,8 +71,10 @@ class Impacts:
 
     def arrays(self):
         """Return the attributes as kernels take them, `ImpactArrays`."""
-        names = ImpactArrays._fields
-        return ImpactArrays(*(np.ascontiguousarray(getattr(self, name)) for name in names))
+        values = {name: getattr(self, name) for name in ImpactArrays._fields}
+        for name in ("row", "column"):  # of drops alone, as of drips: kernels compile for one type
+            values[name] = values[name].astype(np.int64, copy=False)
+        return ImpactArrays(**{name: np.ascontiguousarray(a) for name, a in values.items()})
 
 
 class ImpactArrays(NamedTuple):

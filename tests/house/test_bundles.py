@@ -4,15 +4,20 @@ Outputs of compiled functions are flat arrays, arguments of their own that end i
 """
 
 import ast
+from functools import cache
 
 from source import MODULES, arguments_of, functions, functions_in, is_compiled, name_of, tree
 
-OUTPUTS = {  # where the arguments that end in `_out` stand, by a function's name
-    function.name: [k for k, n in enumerate(arguments_of(function)) if n.endswith("_out")]
-    for path in MODULES
-    for _, function in functions_in(path)
-    if is_compiled(function)
-}
+
+@cache  # made by the test that asks, not by all processes that collect tests
+def outputs():
+    """Return where the arguments that end in `_out` stand, by a function's name."""
+    return {
+        function.name: [k for k, n in enumerate(arguments_of(function)) if n.endswith("_out")]
+        for path in MODULES
+        for _, function in functions_in(path)
+        if is_compiled(function)
+    }
 
 
 def through_a_field(node):
@@ -82,9 +87,9 @@ def writes_through_bundles(function):
         if not isinstance(node, ast.Call):
             continue
         called = ast.unparse(node.func)
-        outputs = OUTPUTS.get(called.rpartition(".")[2], ())
-        outputs = [0] if ".atomic." in f".{called}" else outputs
-        for k in outputs:
+        places = outputs().get(called.rpartition(".")[2], ())
+        places = [0] if ".atomic." in f".{called}" else places
+        for k in places:
             if k < len(node.args) and passes(node.args[k]) and "local" not in called:
                 yield node.lineno, ast.unparse(node)
 

@@ -120,18 +120,16 @@ def test_the_sun_is_found_without_cameras(sunny):
     assert found.gain is not None and angle(found.sun, 200, 38) < 3
 
 
-def broken_scenes():
-    """Yield captures that tell nothing of a sun."""
-    scene, _, _ = sunny_yard.yard(step=0.12)
-    splats = scene.splats
-    yield "empty", replace(scene, splats=splats.take(slice(0, 0)))
-    yield "few", replace(scene, splats=splats.take(slice(0, 60)))
-    nan = Splats(*(np.full_like(a, np.nan) for a in (
-        splats.position, splats.rotation, splats.scale, splats.opacity, splats.sh)))  # fmt: skip
-    yield "nan", replace(scene, splats=nan)
-    size = np.full_like(splats.scale, 0.05)
-    yield "round", replace(scene, splats=replace(splats, scale=size))
-    yield "indoors", indoors()
+def broken(splats, name):
+    """Return splats that tell nothing of a sun."""
+    if name == "empty":
+        return splats.take(slice(0, 0))
+    if name == "few":
+        return splats.take(slice(0, 60))
+    if name == "nan":
+        names = ("position", "rotation", "scale", "opacity", "sh")
+        return Splats(*(np.full_like(getattr(splats, name), np.nan) for name in names))
+    return replace(splats, scale=np.full_like(splats.scale, 0.05))  # round
 
 
 def indoors():
@@ -147,8 +145,13 @@ def indoors():
     return replace(scene, splats=both)
 
 
-@pytest.mark.parametrize("name, scene", list(broken_scenes()))
-def test_captures_that_tell_nothing_stay_as_they_are(name, scene):
+@pytest.mark.parametrize("name", ["empty", "few", "nan", "round", "indoors"])
+def test_captures_that_tell_nothing_stay_as_they_are(name):
+    if name == "indoors":
+        scene = indoors()
+    else:
+        scene, _, _ = sunny_yard.yard(step=0.12)
+        scene = replace(scene, splats=broken(scene.splats, name))
     found = relight.find_relight(scene, REACH)
     assert found.gain is None
     assert found.note.endswith("the light stays as captured")
