@@ -16,7 +16,7 @@ from rainsim.render.first_view import view_of_water
 from rainsim.render.labels import without_flow
 from rainsim.render.memory import require_memory
 from rainsim.render.report import FrameReport
-from rainsim.render.shutter import end_of_motion, is_too_fast, motion_to_next
+from rainsim.render.shutter import end_of_motion, is_too_fast, motions
 from rainsim.render.sunken import sunken_notes
 from rainsim.simulation import SimState, read_state, simulate, write_state
 from rainsim.terrain.kept import kept_terrain
@@ -259,6 +259,7 @@ class SequenceRenderer:
     def render(self, states):
         """Yield (picture, FrameReport) for each state."""
         path = [self._scene.ground_frame.camera_in_ground(camera) for camera in self._cameras]
+        moves, turns = motions(path)
         config, cuts = self._config, deque()  # whether each frame that is drawn ends in a cut
 
         def shots():
@@ -268,7 +269,7 @@ class SequenceRenderer:
                 if self._scene.pages is not None and len(self._cameras) > 1:
                     ahead = min(state.index + READ_AHEAD, len(self._cameras) - 1)
                     self._renderer.read_ahead(self._cameras[ahead])
-                motion = motion_to_next(path, index)
+                motion = moves[index], turns[index]
                 cuts.append(is_too_fast(motion, config.fps))
                 end = end_of_motion(path[index], motion, exposure, config.fps)
                 yield self._cameras[index], state, end

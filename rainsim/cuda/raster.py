@@ -187,6 +187,10 @@ class Rasterizer:
     ----------
     recolors : bool
         Whether `recolor` sends the colours.
+    size : device array of shape (2,), float32 [px]
+        Width and height of the picture.
+    lens : device array of shape (4,), float32 [px]
+        Focal lengths and principal point (fx, fy, cx, cy).
     """
 
     def __init__(
@@ -198,6 +202,8 @@ class Rasterizer:
         self.plain = plain or SIMULATED
         self._camera = FrameUniforms(self.stream, {"now": ((project.CAMERA,), np.float32)})
         self._numbers, self._now = self._camera.host["now"], self._camera["now"]
+        self.size = self._now[project.NEAR + 1 : project.NEAR + 3]
+        self.lens = self._now[project.LENS : project.PLANE]
         self._count = pinned(1, np.int32)
         self._total = cuda.device_array(1, np.int32)
         self._size = None
@@ -283,16 +289,6 @@ class Rasterizer:
             self.workspace,
         )  # fmt: skip
         self._taken = self.workspace.version
-
-    @property
-    def size(self):
-        """Width and height of the picture [px] on the device, float32."""
-        return self._now[project.NEAR + 1 : project.NEAR + 3]
-
-    @property
-    def lens(self):
-        """Focal lengths and principal point (fx, fy, cx, cy) [px] on the device, float32."""
-        return self._now[project.LENS : project.PLANE]
 
     def _take_numbers(self, *view):
         self._numbers[:] = self.numbers_of(*view)

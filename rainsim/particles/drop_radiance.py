@@ -16,7 +16,7 @@ import math
 import numpy as np
 
 from rainsim.constants import ONE, ZERO
-from rainsim.jit import serial_kernel
+from rainsim.jit import inlined_function, serial_kernel
 from rainsim.shading.environment import directions, sample_environment
 from rainsim.shading.fresnel import fresnel
 
@@ -26,6 +26,7 @@ RINGS, TURNS = 8, 12  # of a drop's disc, of equal area, and places on each
 _RADIUS = np.sqrt((np.arange(RINGS) + 0.5) / RINGS)
 _BEND = 2 * (np.arcsin(_RADIUS) - np.arcsin(_RADIUS / 1.333))
 THROUGH = np.array([(1 - fresnel(math.sqrt(1 - r * r))) ** 2 for r in _RADIUS], np.float32)
+THROWN_BACK = np.float32(np.mean(1 - THROUGH))  # share of the light that a drop's face throws back
 BEND_COSINE, BEND_SINE = np.cos(_BEND).astype(np.float32), np.sin(_BEND).astype(np.float32)
 _TURN = 2 * np.pi * (np.arange(TURNS) + 0.5) / TURNS
 TURN_COSINE, TURN_SINE = np.cos(_TURN).astype(np.float32), np.sin(_TURN).astype(np.float32)
@@ -63,38 +64,51 @@ def even(radiance):
     return np.tile(np.asarray(radiance, np.float32), (*GRID, 1))
 
 
+@inlined_function
+def line_of_sight(lens, size, j, i):
+    """Return the line of sight (a, b, 1) at a place of the grid, and one over its length."""
+    rows, columns = GRID
+    a = (size[0] * np.float32(i) / np.float32(columns - 1) - lens[2]) / lens[0]
+    b = (size[1] * np.float32(j) / np.float32(rows - 1) - lens[3]) / lens[1]
+    return a, b, ONE / math.sqrt(ONE + a * a + b * b)
+
+
+@inlined_function
+def refracted(environment, m, sight, ring, turn):
+    """Return the light (r, g, b) that leaves a drop's disc at a ring and a turn of it.
+
+    `m` is ground_from_camera, `sight` the drop's `line_of_sight`.
+    """
+    a, b, inv = sight
+    # Across the line of sight: two unit vectors of the camera frame.
+    flat = ONE / math.sqrt(ONE + a * a)
+    px, pz = flat, -a * flat
+    qx, qy, qz = -a * b * flat * inv, (ONE + a * a) * flat * inv, -b * flat * inv
+    c, s, through = BEND_COSINE[ring] * inv, BEND_SINE[ring], THROUGH[ring]
+    p, q = s * TURN_COSINE[turn], s * TURN_SINE[turn]
+    u, v, w = c * a + p * px + q * qx, c * b + q * qy, c + p * pz + q * qz
+    red, green, blue = sample_environment(
+        environment,
+        m[0, 0] * u + m[0, 1] * v + m[0, 2] * w,
+        m[1, 0] * u + m[1, 1] * v + m[1, 2] * w,
+        m[2, 0] * u + m[2, 1] * v + m[2, 2] * w,
+    )
+    return through * red, through * green, through * blue
+
+
 @serial_kernel
 def _fill(environment, everywhere, ground_from_camera, lens, size, field_out):
     """See `drop_field`; so little work that threads would take longer to start."""
-    m = ground_from_camera
-    rows, columns = field_out.shape[0], field_out.shape[1]
+    rows, columns = GRID
+    share = ONE / np.float32(RINGS * TURNS)
     for k in range(rows * columns):
         j, i = k // columns, k % columns
-        a = (size[0] * np.float32(i) / np.float32(columns - 1) - lens[2]) / lens[0]
-        b = (size[1] * np.float32(j) / np.float32(rows - 1) - lens[3]) / lens[1]
-        inv = ONE / math.sqrt(ONE + a * a + b * b)
-        # Across the line of sight (a, b, 1): two unit vectors of the camera frame.
-        flat = ONE / math.sqrt(ONE + a * a)
-        px, pz = flat, -a * flat
-        qx, qy, qz = -a * b * flat * inv, (ONE + a * a) * flat * inv, -b * flat * inv
-        r, g, bl = ZERO, ZERO, ZERO
-        back = ZERO
+        sight = line_of_sight(lens, size, j, i)
+        red, green, blue = ZERO, ZERO, ZERO
         for ring in range(RINGS):
-            c, s = BEND_COSINE[ring] * inv, BEND_SINE[ring]
-            through = THROUGH[ring]
-            back += ONE - through
             for turn in range(TURNS):
-                p, q = s * TURN_COSINE[turn], s * TURN_SINE[turn]
-                u, v, w = c * a + p * px + q * qx, c * b + q * qy, c + p * pz + q * qz
-                e0, e1, e2 = sample_environment(
-                    environment,
-                    m[0, 0] * u + m[0, 1] * v + m[0, 2] * w,
-                    m[1, 0] * u + m[1, 1] * v + m[1, 2] * w,
-                    m[2, 0] * u + m[2, 1] * v + m[2, 2] * w,
-                )  # fmt: skip
-                r, g, bl = r + through * e0, g + through * e1, bl + through * e2
-        back *= np.float32(TURNS)
-        inv = ONE / np.float32(RINGS * TURNS)
-        field_out[j, i, 0] = (r + back * everywhere[0]) * inv
-        field_out[j, i, 1] = (g + back * everywhere[1]) * inv
-        field_out[j, i, 2] = (bl + back * everywhere[2]) * inv
+                light = refracted(environment, ground_from_camera, sight, ring, turn)
+                red, green, blue = red + light[0], green + light[1], blue + light[2]
+        field_out[j, i, 0] = red * share + THROWN_BACK * everywhere[0]
+        field_out[j, i, 1] = green * share + THROWN_BACK * everywhere[1]
+        field_out[j, i, 2] = blue * share + THROWN_BACK * everywhere[2]

@@ -87,9 +87,17 @@ def motion_to_next(cameras, index):
     """
     if len(cameras) < 2:
         return np.zeros(3), np.zeros(3)
-    here = cameras[index]
-    step = 1 if index + 1 < len(cameras) else -1
-    there = cameras[index + step]
-    here_turn, there_turn = (c.camera_from_world[:3, :3] for c in (here, there))
-    turn = Rotation.from_matrix(there_turn @ here_turn.T).as_rotvec() * step
-    return step * (there.position - here.position), turn
+    first = min(index, len(cameras) - 2)
+    move, turn = motions(cameras[first : first + 2])
+    return move[0], turn[0]
+
+
+def motions(cameras):
+    """Return `motion_to_next` of every frame: two arrays (n, 3), of moves [m] and turns [rad]."""
+    if len(cameras) < 2:
+        return np.zeros((len(cameras), 3)), np.zeros((len(cameras), 3))
+    place = np.array([camera.position for camera in cameras])
+    pose = np.array([camera.camera_from_world[:3, :3] for camera in cameras])
+    turn = Rotation.from_matrix(pose[1:] @ pose[:-1].transpose(0, 2, 1)).as_rotvec()
+    move = place[1:] - place[:-1]
+    return np.concatenate([move, move[-1:]]), np.concatenate([turn, turn[-1:]])

@@ -46,6 +46,12 @@ RESOLUTION = 160.0  # px per unit of tangent, of the level picture
 FIELD_STEP = 80.0  # blocks per unit of tangent, of the field of mirrored light
 MOST_ASIDE, MOST_UP = 1.3, 1.2  # tangents that the level picture reaches to
 MARGIN, ABOVE = 0.12, 0.02  # tangents that it shows beside the camera's view and over the horizon
+_SIDE = np.linspace(0, 1, 33)
+# Places along a picture's edges, across and down, in shares of its sides.
+_EDGES = (
+    np.concatenate([_SIDE, _SIDE, 0 * _SIDE, 0 * _SIDE + 1]),
+    np.concatenate([0 * _SIDE, 0 * _SIDE + 1, _SIDE, _SIDE]),
+)
 FINE = 0.04  # m, side of cells in which finer splats are one: a pixel at 6 m
 STANDING = 0.04  # m above the ground of the map: splats that are lower are ground
 STANDING_OUTSIDE = 0.15  # m above the ground plane, off the map
@@ -104,28 +110,25 @@ def level_camera(view, most=RESOLUTION):
         Pixels per unit of tangent, at most; fewer for small pictures.
     """
     turn = view.camera_from_world[:3, :3].T
-    edge = np.linspace(0, 1, 33)
-    u = np.concatenate([edge, edge, 0 * edge, 0 * edge + 1]) * view.width
-    v = np.concatenate([0 * edge, 0 * edge + 1, edge, edge]) * view.height
-    ray = np.stack([(u - view.cx) / view.fx, (v - view.cy) / view.fy, np.ones_like(u)], -1) @ turn.T
-    forward = view.forward * (1.0, 1.0, 0.0)
-    if np.linalg.norm(forward) < 1e-3:  # straight down: any direction
-        forward = -turn[:, 1] * (1.0, 1.0, 0.0)
-    forward = forward / np.linalg.norm(forward)
-    right = np.array([forward[1], -forward[0], 0.0])
-    ahead, aside = ray @ forward, ray @ right
-    low = ray[:, 2] < 0
+    u, v = _EDGES[0] * view.width, _EDGES[1] * view.height
+    x, y = (u - view.cx) / view.fx, (v - view.cy) / view.fy
+    eastward, northward, upward = (m[0] * x + m[1] * y + m[2] for m in turn)
+    e, n, _ = view.camera_from_world[2, :3]
+    if math.hypot(e, n) < 1e-3:  # straight down: any direction
+        e, n = -turn[0, 1], -turn[1, 1]
+    e, n = e / math.hypot(e, n), n / math.hypot(e, n)
+    low = upward < 0
+    ahead, aside = (eastward * e + northward * n)[low], (eastward * n - northward * e)[low]
     with np.errstate(divide="ignore", invalid="ignore"):
-        tangent = np.where(ahead > 0, aside / ahead, np.sign(aside) * np.inf)[low]
-    if not len(tangent):
-        tangent = np.zeros(1)
-    left, rightmost = np.clip(
-        [tangent.min() - MARGIN, tangent.max() + MARGIN], -MOST_ASIDE, MOST_ASIDE
+        tangent = np.where(ahead > 0, aside / ahead, np.sign(aside) * np.inf)
+    least, largest = (tangent.min(), tangent.max()) if len(tangent) else (0.0, 0.0)
+    left, rightmost = (
+        min(max(float(t), -MOST_ASIDE), MOST_ASIDE) for t in (least - MARGIN, largest + MARGIN)
     )
     scale = min(most, view.fx)
     width, height = math.ceil((rightmost - left) * scale), math.ceil((ABOVE + MOST_UP) * scale)
     matrix = np.eye(4)
-    matrix[:3, :3] = (right, (0.0, 0.0, -1.0), forward)
+    matrix[:3, :3] = (n, -e, 0.0), (0.0, 0.0, -1.0), (e, n, 0.0)
     matrix[:3, 3] = -matrix[:3, :3] @ view.position
     return Camera(width, height, scale, scale, -left * scale, ABOVE * scale, matrix)
 

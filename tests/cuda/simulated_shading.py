@@ -9,6 +9,7 @@ import pytest
 from rainsim import ssr
 from rainsim.cuda import simulated
 from rainsim.cuda.jit import cuda
+from rainsim.cuda.particles import drop_radiance as cuda_drops
 from rainsim.cuda.reflection import planar_mirror as cuda_mirror
 from rainsim.cuda.reflection import ray_water as cuda_ray_water
 from rainsim.cuda.reflection import screen_space as cuda_screen
@@ -18,6 +19,7 @@ from rainsim.cuda.shading import composite as cuda_composite
 from rainsim.cuda.shading import wet_ground_mirror as cuda_film
 from rainsim.cuda.shading import wet_pass as shading
 from rainsim.numerics import mipmap  # fmt: skip
+from rainsim.particles import drop_radiance
 from rainsim.reflection import (
     mirror_pass,
     ray_water,
@@ -282,3 +284,24 @@ def test_signatures_are_those_of_the_cpu():
     for theirs, ours, without in pairs:
         theirs, ours = (list(inspect.signature(f).parameters) for f in (theirs, ours.fn))
         assert [n for n in ours if n not in without] == [n for n in theirs if n not in without]
+
+
+def test_light_of_drops_is_the_cpus():
+    rng = np.random.default_rng(8)
+    around = rng.uniform(0, 2, (32, 64, 3)).astype(np.float32)
+    mean = drop_radiance.mean_radiance(around)
+    turn = np.array([[0, 0, 1], [-1, 0, 0], [0, -1, 0]], np.float32)
+    lens, size = np.array([90, 100, 60, 40], np.float32), np.array([120, 80], np.float32)
+    wanted = drop_radiance.drop_field(around, mean, turn, lens, 120, 80)
+    assert wanted.std() > 0.01
+    uniforms = {"around": mean, "turn": turn, "lens": lens}
+    drops = cuda_drops.DropLight(
+        SimpleNamespace(
+            uniforms={name: cuda.to_device(value) for name, value in uniforms.items()},
+            gloss=cuda.to_device(around), stream=0,
+            rasterizer=SimpleNamespace(size=cuda.to_device(size)),
+        )
+    )  # fmt: skip
+    drops.field.copy_to_device(np.full(wanted.shape, np.nan, np.float32))
+    drops.launch()
+    np.testing.assert_allclose(drops.field.copy_to_host(), wanted, rtol=1e-5)

@@ -13,6 +13,7 @@ import numpy as np
 
 from rainsim.cuda.frame_uniforms import FrameUniforms
 from rainsim.cuda.jit import cuda, pinned
+from rainsim.cuda.particles.drop_radiance import DropLight
 from rainsim.cuda.particles.splash_pass import Splashes
 from rainsim.cuda.particles.streaks import Streaks
 from rainsim.cuda.rain.dripping import DripList
@@ -23,7 +24,6 @@ from rainsim.cuda.reflection.water_surface import WaterSurface
 from rainsim.cuda.shading import wet_pass
 from rainsim.cuda.shading.composite import compose
 from rainsim.cuda.shading.wet_ground_mirror import WetGroundLight
-from rainsim.particles import drop_radiance
 from rainsim.particles.fog import FOG_STEPS, NO_FOG, fog_table
 from rainsim.particles.splash import WET_FILM
 from rainsim.particles.streaks import streak_reach
@@ -62,6 +62,7 @@ class DeviceFrame:
         Numbers that change from frame to frame.
     mirrors : Mirrors
     ground_light : WetGroundLight
+    drop_light : DropLight
     streaks, splashes : Streaks and Splashes, or None without rain
     surface : WaterSurface
     pending : list of callable
@@ -97,6 +98,7 @@ class DeviceFrame:
         )  # fmt: skip
         self.mirrors = Mirrors(self, host.config.render.reflections)
         self.ground_light = WetGroundLight(self)
+        self.drop_light = DropLight(self)
         self.streaks = self.splashes = self.size = self.uniforms = self._moments = None
         self.pending = []
         self._fog_of = None, NO_FOG
@@ -136,7 +138,7 @@ class DeviceFrame:
         self.uniforms.update(
             turn=view.ground_from_camera, eye=view.eye, lens=view.lens, look=scene.look,
             off_ground=scene.off_ground, brightness=host.brightness, fog=fog, sun=host.sunlight,
-            air=host.air_light, drop=host.drop_field(view, camera), around=host.everywhere,
+            air=host.air_light, around=host.everywhere,
         )  # fmt: skip
         return changed
 
@@ -231,7 +233,7 @@ class DeviceFrame:
             "off_ground": ((len(OffGroundWetness._fields),), f4),
             "brightness": ((1,), f4), "fog": ((FOG_STEPS + 3,), f4),
             "sun": ((6,), f4), "air": ((3,), f4), "settings": ((3,), f4), "cover": ((2,), f4),
-            "drop": ((*drop_radiance.GRID, 3), f4), "around": ((3,), f4),
+            "around": ((3,), f4),
             "tops": ((max(len(self._tops.form), 1), 2), f4),
         })  # fmt: skip
         stride = max(1.0, host.water.stride * width)
@@ -300,7 +302,8 @@ class DeviceFrame:
 
     def wet_parts(self):
         """Return the parts that need the water, each a function that queues it."""
-        return [self._keep_tall, self._meet_water, self._mirror, self._lay_water]
+        return [self._keep_tall, self.drop_light.launch, self._meet_water, self._mirror,
+                self._lay_water]  # fmt: skip
 
     def last_parts(self):
         """Return the parts that need water and rain, each a function that queues it."""
@@ -321,13 +324,14 @@ class DeviceFrame:
 
     def queue_wet(self):
         """Queue what needs the water; streaks and splashes on streams beside it."""
-        tall, meet, *wet = self.wet_parts()
+        tall, light, meet, *wet = self.wet_parts()
         beside, aside = self._beside
         self._forked.record(self.stream)
         self._forked.wait(beside)
         self._forked.wait(aside)
         tall(aside)
         self._found_tall.record(aside)
+        light(aside)
         if self.streaks is not None:
             self.streaks.launch(beside)
             self.streaks.sent.wait(aside)
@@ -446,8 +450,8 @@ class DeviceFrame:
             rain, splash = self.streaks.alpha, self.splashes.alpha
         compose[self._grid()](
             self._shown, self.depth, RainCover(rain, splash, n["fog"]),
-            RainLight(n["drop"], n["around"], n["air"]), self.camera_arrays, n["brightness"],
-            self._image,
+            RainLight(self.drop_light.field, n["around"], n["air"]), self.camera_arrays,
+            n["brightness"], self._image,
         )  # fmt: skip
 
     def _count_lines(self):

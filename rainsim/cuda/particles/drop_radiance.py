@@ -1,0 +1,73 @@
+"""Twin of `rainsim.particles.drop_radiance`: a block of threads for each place of the grid."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rainsim.cuda.jit import cuda, cuda_kernel
+from rainsim.particles.drop_radiance import (
+    GRID,
+    RINGS,
+    THROWN_BACK,
+    TURNS,
+    line_of_sight,
+    refracted,
+)
+
+_RAYS = RINGS * TURNS
+_SHARE = np.float32(1 / _RAYS)
+
+
+class DropLight:
+    """The light of drops over a picture.
+
+    Parameters
+    ----------
+    frame : DeviceFrame
+
+    Attributes
+    ----------
+    field : device array of shape (7, 9, 3), float32
+        See `rainsim.particles.drop_radiance.drop_field`.
+    """
+
+    def __init__(self, frame):
+        self._frame, self.field = frame, cuda.device_array((*GRID, 3), np.float32)
+
+    def launch(self, stream=None):
+        """Queue the field of the present camera, on another stream than the frame's if given."""
+        frame = self._frame
+        now, stream = frame.uniforms, frame.stream if stream is None else stream
+        fill_field[GRID[0] * GRID[1], _RAYS, stream](
+            frame.gloss, now["around"], now["turn"], now["lens"], frame.rasterizer.size, self.field
+        )
+
+
+@cuda_kernel
+def fill_field(environment, everywhere, ground_from_camera, lens, size, field_out):
+    """Write the radiance of drops over a camera's picture, a thread for each ray of a drop.
+
+    Parameters
+    ----------
+    environment : device array of shape (rows, columns, 3), float32
+    everywhere : device array of shape (3,), float32
+    ground_from_camera : device array of shape (3, 3), float32
+    lens : device array of shape (4,), float32 [px]
+    size : device array of shape (2,), float32 [px]
+        Width and height of the picture.
+    field_out : device array of shape (7, 9, 3), float32
+    """
+    light = cuda.shared.array((_RAYS, 3), np.float32)
+    columns = field_out.shape[1]
+    j, i = cuda.blockIdx.x // columns, cuda.blockIdx.x % columns
+    ray = cuda.threadIdx.x
+    sight = line_of_sight(lens, size, j, i)
+    light[ray, 0], light[ray, 1], light[ray, 2] = refracted(
+        environment, ground_from_camera, sight, ray // TURNS, ray % TURNS
+    )
+    cuda.syncthreads()
+    if ray < 3:
+        total = np.float32(0.0)
+        for other in range(_RAYS):
+            total += light[other, ray]
+        field_out[j, i, ray] = total * _SHARE + THROWN_BACK * everywhere[ray]
