@@ -96,6 +96,12 @@ class Weather:
         """Rain rate [mm/h] at a time [s]."""
         return float(np.interp(time, self._times, self._rates))
 
+    def fallen(self, time):
+        """Depth of the rain [m] from time 0 to `time` [s]."""
+        times = np.unique(np.clip([0.0, *self._times, time], 0.0, time))
+        rates = np.interp(times, self._times, self._rates)
+        return float(np.trapezoid(rates, times)) / 3.6e6
+
     def field(self, start, stop):
         """Return the `RainField` of the interval from `start` to `stop` [s], or None without rain.
 

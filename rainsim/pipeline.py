@@ -18,9 +18,17 @@ from rainsim.render.memory import require_memory
 from rainsim.render.report import FrameReport
 from rainsim.render.shutter import end_of_motion, is_too_fast, motions
 from rainsim.render.sunken import sunken_notes
-from rainsim.simulation import SimState, read_state, simulate, write_state
+from rainsim.simulation import (
+    SimState,
+    read_state,
+    simulate,
+    water_at_rest,
+    widened,
+    write_state,
+)
 from rainsim.terrain.kept import kept_terrain
 from rainsim.terrain.movers import with_movers
+from rainsim.terrain.path_ground import PathGround, follows_path, part_of, path_ground
 from rainsim.terrain.pond import without_images
 from rainsim.terrain.types import Terrain
 
@@ -31,6 +39,7 @@ __all__ = [
     "Terrain",
     "extract_terrain",
     "frames_of",
+    "ground_of",
     "read_state",
     "render",
     "render_rain",
@@ -85,7 +94,7 @@ def render_rain(scene, cameras, config, backend="cpu", progress=None, layers=(),
     on_backend(backend)  # an error before anything is computed
     config.check()
     if terrain is None:
-        terrain = extract_terrain(scene, config, progress=progress)
+        terrain = ground_of(scene, config, cameras, backend, progress=progress)
     sequence = FrameSequence(scene, terrain, cameras, config, backend, layers)
     yield from sequence.frames(config.indices, progress)
 
@@ -99,7 +108,8 @@ class FrameSequence:
     Parameters
     ----------
     scene : Scene
-    terrain : Terrain
+    terrain : Terrain or PathGround
+        As `ground_of` returns it.
     cameras : sequence of Camera
         One per frame of the whole sequence, or one for all, in the capture frame.
     config : Config
@@ -117,6 +127,9 @@ class FrameSequence:
 
     def __init__(self, scene, terrain, cameras, config, backend="cpu", layers=(), states=None):
         self.scene, self.cameras, self.config = scene, cameras, config
+        self._ground, self._station = None, None
+        if isinstance(terrain, PathGround):
+            self._ground, terrain = terrain, terrain.overview
         self.terrain = terrain = with_movers(terrain, scene)
         self.backend, self.layers, self.states = backend, layers, states
         self._renderer = SequenceRenderer(scene, terrain, cameras, config, layers, backend)
@@ -149,20 +162,68 @@ class FrameSequence:
         if self.states is not None:
             yield from (_shown_at(self.states(moment(index)), index) for index in indices)
             return
-        if indices and (self._water is None or indices[0] < self.next):
-            _, simulate_on_backend = on_backend(self.backend)
-            self._water, self._steps = simulate_on_backend(self.terrain, self.config), 0
         for index in indices:
+            if self._ground is not None:
+                self._go_to(self._ground.station(index), moment(index))
+            elif self._water is None or index < self.next:
+                _, simulate_on_backend = on_backend(self.backend)
+                self._water, self._steps = simulate_on_backend(self.terrain, self.config), 0
             while self._steps <= moment(index):
                 self._state, self._steps = next(self._water), self._steps + 1
                 if tell is not None and self._steps <= moment(indices[0]):
                     tell("simulate", self._steps, moment(indices[0]))
-            yield _shown_at(self._state, index)
+            state = _shown_at(self._state, index)
+            yield state if self._ground is None else widened(state, *self._window[1:])
+
+    def _go_to(self, station, moment):
+        """Have the water of a station at hand, at a state no later than the number `moment`."""
+        if station == self._station and moment >= self._steps - 1:
+            return
+        if station != self._station:
+            self._window = self._state = self._water = None  # memory for the next
+            around = self._ground.around(self.scene, station)
+            begin = water_at_rest(around, self.config, station.start(self.config))
+            part = with_movers(part_of(around, station.window), self.scene)
+            self._window = part, station.window, begin
+            self._station = station
+            self._renderer.take_ground(with_movers(around, self.scene))
+        part, place, begin = self._window
+        begin = begin._replace(depth=begin.depth[place])
+        self._water, self._steps = simulate(part, self.config, begin=begin), begin.number
 
 
 def _shown_at(state, index):
     """Return a state as the one that the frame `index` shows."""
     return state if state.index == index else replace(state, index=index)
+
+
+def ground_of(scene, config, cameras, backend="cpu", mask=None, progress=None, say=None):
+    """Return the ground of frames: one `Terrain`, or a `PathGround` where it follows the path.
+
+    Parameters
+    ----------
+    scene : Scene
+    config : Config
+    cameras : sequence of Camera
+        As `FrameSequence` takes them.
+    backend : {"cpu", "cuda"}
+    mask, progress, say
+        As `extract_terrain` takes them.
+
+    Raises
+    ------
+    ParameterError, BackendError
+        If the path is asked for together with what needs one map.
+    """
+    if not follows_path(scene, config, cameras, backend, mask):
+        return extract_terrain(scene, config, mask, progress, say)
+    tell = progress or (lambda stage, done, total: None)
+    tell("terrain", 0, 1)
+    ground, notes = path_ground(scene, config, cameras)
+    tell("terrain", 1, 1)
+    if say is not None:
+        say(notes)
+    return ground
 
 
 def extract_terrain(scene, config, mask=None, progress=None, say=None):
@@ -181,12 +242,22 @@ def extract_terrain(scene, config, mask=None, progress=None, say=None):
     say : callable, optional
         Called with notes on the map that is going to be made: its size and its cells.
 
+    Raises
+    ------
+    ParameterError
+        If the settings ask for ground along a path, which is no single map.
+
     Examples
     --------
     >>> terrain = rainsim.extract_terrain(scene, config)
     >>> terrain.bed.shape == terrain.grid.shape
     True
     """
+    if config.terrain.ground_map == "path":
+        raise ParameterError(
+            "ground_map is path, which is for the frames of `rainsim run`; here one map of the "
+            "whole is made; give whole or auto"
+        )
     tell, all_of_it = progress or (lambda stage, done, total: None), 1
 
     def steps(notes, done, total):
@@ -282,6 +353,10 @@ class SequenceRenderer:
             if cuts.popleft():
                 report = without_flow(report)
             yield picture, replace(report, notes=(*notes, *report.notes))
+
+    def take_ground(self, terrain):
+        """Draw the water of another part of the ground from now on, see `Renderer.take_ground`."""
+        self._renderer.take_ground(terrain)
 
     def make(self):
         """Return the backend's renderer for these frames."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -37,6 +38,7 @@ RIPPLE_DEPTHS = (2e-3, 0.1)  # m: films thinner carry no rings, deeper water is 
 RIPPLE_WARM_UP = 5.0  # s of rain before the first frame: then rings come and go in balance
 DRIP_WARM_UP = 1.0  # s of it for the edges of objects: the longest fall from them
 WARM_UP_STEP = 1 / 15  # s
+WINDOW_DEPTH, WINDOW_CHORD = 5e-3, 0.5  # m of the puddles that rings of all windows run on; usual
 DRAIN_INTAKE = 0.1  # m/s that a grating takes at most: 8 l/s through an opening of 0.08 m2
 
 
@@ -107,15 +109,71 @@ def low_ground(terrain):
     return float(np.percentile(terrain.bed.astype(np.float64), 5))
 
 
-def initial_water(terrain, config, exposure):
-    """Return the depth [m] (ny, nx) at the start, and notes: a given level or past rain at rest."""
+class Begin(NamedTuple):
+    """Where the water of a window of the ground begins, see `water_at_rest`.
+
+    Attributes
+    ----------
+    number : int
+        Of the state.
+    depth : ndarray of shape (ny, nx), float64 [m]
+    notes : tuple of str
+    """
+
+    number: int
+    depth: np.ndarray
+    notes: tuple
+
+
+def water_at_rest(terrain, config, number):
+    """Return the `Begin` at a state: all rain that fell until then stands at rest.
+
+    Parameters
+    ----------
+    terrain : Terrain
+    config : Config
+    number : int
+    """
+    time = number / config.fps
+    exposure = rain_exposure(terrain, usual_wind(config), config.rain.roughness)
+    fallen = Weather(config).fallen(time)
+    return Begin(number, *initial_water(terrain, config.at(time), exposure, fallen))
+
+
+def widened(state, window, begin):
+    """Return the state of a window over all that lies around it, where the water stands still.
+
+    Parameters
+    ----------
+    state : SimState
+    window : tuple of slice
+        Rows and columns of the window.
+    begin : Begin
+        Of the window and what lies around it.
+    """
+    depth = begin.depth.astype(np.float32)
+    depth[window] = state.depth
+    velocity = np.zeros((2, *depth.shape), np.float32)
+    velocity[(slice(None), *window)] = state.velocity
+    tracks = state.tracks
+    if tracks.size:
+        tracks = np.full(depth.shape, 255, np.uint8)  # no tyre has passed
+        tracks[window] = state.tracks
+    return replace(state, depth=depth, velocity=velocity, tracks=tracks)
+
+
+def initial_water(terrain, config, exposure, fallen=0.0):
+    """Return the depth [m] (ny, nx) at the start, and notes: a given level or past rain at rest.
+
+    `fallen` [m] is the rain that has come since the past rain.
+    """
     bed = terrain.bed.astype(np.float64)
     if config.water.level is not None:
         level = low_ground(terrain) + config.water.level
         depth = np.maximum(level - bed, terrain.water)
         return depth, (f"still water at {config.water.level:g} m above the low ground",)
     puddles = puddles_of(terrain)
-    puddles.rain(config.rain.past * exposure.astype(np.float64))
+    puddles.rain((config.rain.past + fallen) * exposure.astype(np.float64))
     if config.rain.drying > 0:
         puddles.evaporate(evaporation_rate(config) * config.rain.drying)
     wet = wet_share(puddles.depth, terrain.sealed)
@@ -156,8 +214,8 @@ def drains_of(terrain):
     return [(int(row), int(column), rate) for row, column in zip(rows, columns, strict=True)]
 
 
-def simulate(terrain, config, progress=None, dtype=np.float32):
-    """Yield the `SimState` at the time of each frame, from frame 0 on, without end.
+def simulate(terrain, config, progress=None, dtype=np.float32, begin=None):
+    """Yield the `SimState` at the time of each frame, from the first on, without end.
 
     Parameters
     ----------
@@ -167,6 +225,9 @@ def simulate(terrain, config, progress=None, dtype=np.float32):
         progress(stage, done, total) is called before the slow first state.
     dtype : dtype
         Of the water; float64 closes the ledger to rounding.
+    begin : Begin, optional
+        Of the first state, where the terrain is one of several windows of the ground. The rings on
+        the water are then those of every other window.
 
     Examples
     --------
@@ -177,31 +238,26 @@ def simulate(terrain, config, progress=None, dtype=np.float32):
     >>> bool(abs(state.ledger["residual"]) < 1e-6)
     True
     """
-    start, weather = config.at(0.0), Weather(config)
-    from_where = usual_wind(config), config.rain.roughness
-    moving = MovingSurfaces(terrain, *from_where)
-    surfaces, exposure = moving.still, rain_exposure(terrain, *from_where)
-    open_area = float(exposure.sum()) * terrain.grid.cell_area
-    puddle_growth = past_rain_growth(terrain, config, exposure)
+    first = begin.number if begin else 0
+    begun = first / config.fps
+    start, weather = config.at(begun), Weather(config)
+    wind = usual_wind(config), config.rain.roughness
+    moving = MovingSurfaces(terrain, *wind)
+    surfaces, exposure = moving.still, rain_exposure(terrain, *wind)
+    puddle_growth = past_rain_growth(terrain, config, exposure, begun)
     level_change = level_changes(terrain, config)
-    depth, notes = initial_water(terrain, start, exposure)
+    depth, notes = begin[1:] if begin else initial_water(terrain, start, exposure)
     solver = water_solver(terrain, start, dtype)
     solver.set_state(depth)
-    ripples = RippleTile(
-        depth=puddle_depth(depth),
-        film=config.water.surface_film,
-        chord=mean_chord(depth, terrain.grid.spacing, RIPPLE_DEPTHS[0]),
-        rate=weather.mean_rate,
-        dtype=np.float32,
-    )
+    ripples = ripple_tile(config, weather, None if begin else (depth, terrain.grid.spacing))
     objects = Objects(surfaces, start, *tops_of(terrain, config, start))
-    warm_up(ripples, objects, weather)
+    warm_up(ripples, objects, weather, begun)
     objects.open_account()
     tyres = tyres_of(terrain, config)
-    index, hits, report = 0, None, tyres.start(solver, weather)
+    index, hits, report = first, None, tyres.start(solver, weather, begun)
     while True:
         time = index / config.fps
-        if index > 0:
+        if index > first:
             before = (index - 1) / config.fps
             hits, fine = None, 0.0
             rain = weather.field(before, time)
@@ -215,11 +271,11 @@ def simulate(terrain, config, progress=None, dtype=np.float32):
                 objects.take_rain(hits, rain.spectrum.fine_rate * (time - before))
             solver.deposit(*objects.advance(before, time, weather))  # drips from objects
             tyres.roll(solver, before, time, weather)
-            if rain is not None:  # rings of both
+            if rain and begin:
+                rings_on(ripples, rain, before, time)
+            elif rain:  # rings of both
                 rings = objects.with_drips(landed, before, time)
-                area = open_area
-                if opened is not exposure:
-                    area = float(opened.sum()) * terrain.grid.cell_area
+                area = float(opened.sum()) * terrain.grid.cell_area
                 ripples.advance(time - before, *tile_impacts(rings, area, ripples.size, time))
             if level_change is not None:  # what keyframes move
                 objects.let_in(solver, *level_change(before, time))
@@ -232,10 +288,30 @@ def simulate(terrain, config, progress=None, dtype=np.float32):
             index, time, deep, np.stack([u, v]).astype(np.float32), ripples.slopes(), ripples.size,
             _of_hits(hits, "position", (0, 3)), _of_hits(hits, "diameter", (0,)),
             _of_hits(hits, "kind", (0,), np.uint8), ledger,
-            notes if index == 0 else (), *objects.falling(),
+            notes if index == first else (), *objects.falling(),
             top_water=objects.top_water(), **tyres.state(deep),
         )  # fmt: skip
         index += 1
+
+
+def ripple_tile(config, weather, water=None):
+    """Return the `RippleTile` of a run.
+
+    Parameters
+    ----------
+    config : Config
+    weather : Weather
+    water : tuple, optional
+        Depth (ny, nx) [m] at the start and cell size [m] of the only map; windows, which must agree
+        on their rings, have those of usual puddles.
+    """
+    depth, chord = WINDOW_DEPTH, WINDOW_CHORD
+    if water is not None:
+        depth, chord = puddle_depth(water[0]), mean_chord(*water, RIPPLE_DEPTHS[0])
+    return RippleTile(
+        depth=depth, film=config.water.surface_film, chord=chord, rate=weather.mean_rate,
+        dtype=np.float32,
+    )  # fmt: skip
 
 
 def _of_hits(hits, name, shape, dtype=np.float32):
@@ -267,33 +343,42 @@ def usual_wind(config):
     return math.hypot(x, y), math.atan2(y, x)
 
 
-def warm_up(ripples, objects, weather):
-    """Let the rain before the first frame spread rings on the tile and wet the edges of objects.
+def warm_up(ripples, objects, weather, time=0.0):
+    """Let the rain before a time [s] spread rings on the tile and wet the edges of objects.
 
     Parameters
     ----------
     ripples : RippleTile
     objects : Objects
     weather : Weather
+    time : float [s]
     """
-    square = flat_surfaces(ripples.size, ripples.size, ripples.size / 8)
-    for begin, end in _steps(RIPPLE_WARM_UP):
+    for begin, end in _steps(RIPPLE_WARM_UP, time):
         rain = weather.field(begin, end)
         if rain is None:
             return
-        landed = impacts(rain, square, begin, end)
-        ripples.advance(end - begin, *tile_impacts(landed, square.area, ripples.size, end))
-    for begin, end in _steps(DRIP_WARM_UP):
+        rings_on(ripples, rain, begin, end)
+    for begin, end in _steps(DRIP_WARM_UP, time):
         # Edges hold many drops: what matters is how much falls, not which drops do.
         rate = mm_per_hour(weather.rate(0.5 * (begin + end)))
         objects.take_even_rain(rate * (end - begin))
         objects.advance(begin, end, weather)
 
 
-def _steps(duration):
-    """Return even steps up to time 0 of a warm-up, as (begin, end) [s]."""
+def rings_on(ripples, rain, begin, end):
+    """Let the drops that fall on a level square the size of the tile make rings there."""
+    square = flat_surfaces(ripples.size, ripples.size, ripples.size / 8)
+    landed = impacts(rain, square, begin, end)
+    ripples.advance(end - begin, *tile_impacts(landed, square.area, ripples.size, end))
+
+
+def _steps(duration, time):
+    """Return even steps of a warm-up up to a time, as (begin, end) [s]."""
     count = round(duration / WARM_UP_STEP)
-    return [((n - count) * WARM_UP_STEP, (n + 1 - count) * WARM_UP_STEP) for n in range(count)]
+    return [
+        (time + (n - count) * WARM_UP_STEP, time + (n + 1 - count) * WARM_UP_STEP)
+        for n in range(count)
+    ]
 
 
 # --- states on disk -------------------------------------------------------------------------------

@@ -214,7 +214,7 @@ def view_on(scene, terrain, cameras, config, given, status):
     Parameters
     ----------
     scene : Scene
-    terrain : Terrain
+    terrain : Terrain or PathGround
     cameras : list of Camera
         As `cameras_of` returned them.
     config : Config
@@ -222,13 +222,23 @@ def view_on(scene, terrain, cameras, config, given, status):
         As for `cameras_of`.
     status : Status
         Reports which camera was chosen.
+
+    Raises
+    ------
+    ParameterError
+        If none was asked for and the ground follows the path.
     """
     if scene.source is None:  # the first cameras of the built-in scenes were made to be looked at
         return cameras
     if any(given.get(name) not in (None, False) for name in CAMERA_WAYS):
         return cameras
-    from rainsim.pipeline import view_of_water
+    from rainsim.pipeline import PathGround, view_of_water
 
+    if isinstance(terrain, PathGround):
+        raise ParameterError(
+            "ground_map is path and no camera is named; windows of ground follow cameras that are "
+            "given; give --drive, --path, --orbit or --camera, or --ground-map whole"
+        )
     chosen = view_of_water(scene, terrain)
     status.notes([f"camera {chosen.name} is drawn, which shows most water; --camera takes another"])
     return _sized([chosen], config)

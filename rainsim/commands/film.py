@@ -37,6 +37,7 @@ VERSION = 1  # of simulation.json; those without a version are of version 1
 @options.farm_options
 @options.ground_options
 @options.terrain_options
+@options.ground_map_option
 @options.class_mask_option
 @options.resume_option
 @options.output_options("rainsim-out/SCENE-PRESET")
@@ -68,9 +69,10 @@ def run(
         out = out or options.default_out(loaded.name, Path(preset).stem)
 
         def film(config):
-            from rainsim.pipeline import FrameSequence, extract_terrain
+            from rainsim.pipeline import FrameSequence, ground_of
 
-            ground = extract_terrain(loaded, config, mask, status.progress, status.notes)
+            tell = status.progress, status.notes
+            ground = ground_of(loaded, config, cameras, backend, mask, *tell)
             path = view_on(loaded, ground, cameras, config, given, status)
             _say_memory(status, loaded, ground, path, names, backend)
             return path, FrameSequence(loaded, ground, path, config, backend, names)
@@ -375,7 +377,7 @@ def _say_memory(status, scene, terrain, cameras, names, backend):
     from rainsim.render.memory import memory_notes
 
     free = free_device_memory(backend)
-    status.notes(memory_notes(scene, cameras[0], terrain.bed.size, len(names), free))
+    status.notes(memory_notes(scene, cameras[0], terrain.cells, len(names), free))
 
 
 def _say_moments(status, config):

@@ -283,6 +283,13 @@ terrain_options = _group(
                  help="Half the width of the height map in metres."),
 )  # fmt: skip
 
+ground_map_option = click.option(
+    "--ground-map", metavar="auto|whole|path", show_default=PRESETS,
+    help="whole is one height map for all frames; path, windows of fine cells that follow the "
+    "frames' cameras, each with water of its own; auto takes path where several cameras range so "
+    "far that one map would have cells of more than 4 cm.",
+)  # fmt: skip
+
 range_option = click.option(
     "--frame-range",
     type=FrameRange(),

@@ -35,6 +35,7 @@ OPTION_KEYS = {
     "height": ("height",),
     "spacing": ("terrain_spacing_m",),
     "extent": ("terrain_extent_m",),
+    "ground_map": ("ground_map",),
 }
 SUN_WORDS = {"none": None, "sky": "sky"}  # of --sun, in place of angles
 

@@ -69,6 +69,8 @@ MEANINGS = {
     "height": "height of the frames; without it it follows from the camera's shape",
     "terrain_spacing_m": "cell size of the height map; without it chosen",
     "terrain_extent_m": "half the width of the height map; without it chosen",
+    "ground_map": "whole is one height map for all frames, path windows of fine cells that follow "
+    "the cameras of `rainsim run`; auto takes windows where one map would be too coarse",
 }
 UNITS = {  # endings of keys, and the unit as a table shows it
     "_mm_per_hour": "mm/h", "_m_per_s": "m/s", "_mm": "mm", "_ms": "ms", "_hours": "h",

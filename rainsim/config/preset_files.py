@@ -68,6 +68,7 @@ HUMAN_KEYS = {
     "height": ("height", None),
     "terrain_spacing_m": ("spacing", 1.0),
     "terrain_extent_m": ("extent", 1.0),
+    "ground_map": ("ground_map", None),
 }
 DEFAULT_PRESET = "downpour"  # what a newcomer sees first: rain that shows at once
 PARTS = {  # attributes that several keys fill, with what stands for a missing one (None: required)

@@ -64,7 +64,10 @@ LOOKS = {  # attributes of the light and look that take one of some words
     "water_geometry": WATER_GEOMETRIES, "streaks": STREAKS, "splashes": SPLASHES,
     "spray": SPRAYS, "glare": GLARES,
 }  # fmt: skip
-CHOICES = {"scheme": WATER_SCHEMES, "drop_radii": DROP_RADII, **LOOKS}
+GROUND_MAPS = ("auto", "whole", "path")
+CHOICES = {
+    "scheme": WATER_SCHEMES, "drop_radii": DROP_RADII, "ground_map": GROUND_MAPS, **LOOKS,
+}  # fmt: skip
 
 MAX_RATE = 1000.0  # mm/h: the heaviest minutes ever measured stay below 2500, an hour below 400
 MAX_PAST = 1000.0  # mm: more than a day's record almost anywhere
@@ -89,9 +92,11 @@ class TerrainConfig:
 
     spacing: float | None = None  # m; None: chosen from splats, cameras and the map's size
     extent: float | None = None  # m, half the width of the square map; None: chosen from cameras
+    ground_map: str = "auto"  # path: fine windows follow the cameras; whole: one map for all
 
     def check(self):
         """Raise ParameterError if a value breaks its rule."""
+        require_choice("ground_map", self.ground_map, GROUND_MAPS)
         if self.spacing is not None:
             require_positive("terrain spacing", self.spacing, "m", "0.02 is usual")
         if (self.spacing or 0) > 0.5:

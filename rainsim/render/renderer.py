@@ -165,6 +165,24 @@ class Renderer:
         self.config, self._camera = config, None
         self.rain = RainPass(self.moving.still, config)
 
+    def take_ground(self, terrain):
+        """Draw the water of another part of the ground from now on; the light stays as it is.
+
+        Parameters
+        ----------
+        terrain : Terrain
+            A window of the ground of this renderer's scene.
+        """
+        config, self._camera = self.config, None
+        terrain = with_movers(tops_drawn(terrain, config), self.wet_scene.scene)
+        self.terrain = terrain
+        self.wet_scene.take_ground(terrain, self.now)
+        self.moving = MovingSurfaces(terrain, usual_wind(config), config.rain.roughness)
+        self.rain = RainPass(self.moving.still, config)
+        self.rings = ring_share(self.wet_scene.reach, terrain.grid.spacing, *self._ring_reach)
+        self.water = WaterPass(terrain, self.rings, self._ring_reach, config.render)
+        self.wet_ground = self.wet_ground.over(terrain)
+
     def read_ahead(self, camera):
         """Begin to read what a camera of the capture frame needs, if the capture is in chunks."""
         if self.wet_scene.paged is not None:

@@ -88,6 +88,7 @@ class WetScene:
 
     def __init__(self, scene, terrain, config, first_camera, rasterizer_of=Rasterizer):
         self.terrain, self.config, self.frame = terrain, config, scene.ground_frame
+        self._whole_ground = terrain
         self.sky_distance = sky_distance(scene)
         self.backdrop = Backdrop(scene, self.sky_distance, replaces_sky(config))
         self.scene = self.backdrop.scene
@@ -156,13 +157,33 @@ class WetScene:
             return False
         self.look, self.off_ground = look, off_ground
         self.paving = wetness.paving_dampness(now)
-        self._untouched = wetness.ground_wetness(self.terrain, self._grass, self.reach, now)
-        self.ground = wetness.with_tracks(self._untouched, self._tracks)
+        self._wet_ground(now)
         self._set_skies()
         colors = self._present.state(now)
         if colors != self._colors:
             self._recolor(colors)
         return True
+
+    def take_ground(self, terrain, now):
+        """Draw another part of the ground from now on; the light stays as it was set up.
+
+        Parameters
+        ----------
+        terrain : Terrain
+        now : Config
+            Of the present time.
+        """
+        self.terrain, self._tracks = terrain, NO_TRACKS
+        rain = self.config.rain
+        self.reach = rain_exposure(terrain, usual_wind(self.config), rain.roughness)
+        self._grass = ndimage.gaussian_filter(terrain.grassy.astype(np.float32), 1)
+        self._place = np.array(terrain.grid.origin, np.float32), np.float32(terrain.grid.spacing)
+        self._wet_ground(now)
+
+    def _wet_ground(self, now):
+        """Find how wet the ground is at the present time."""
+        self._untouched = wetness.ground_wetness(self.terrain, self._grass, self.reach, now)
+        self.ground = wetness.with_tracks(self._untouched, self._tracks)
 
     def move_nodes(self, time):
         """Take over where the scene's nodes are at a time [s]; return whether they have moved.
@@ -291,7 +312,7 @@ class WetScene:
         if self._standing is None and self.paged is not None:
             self._standing = self.paged.standing
         if self._standing is None:
-            place = self.terrain, self.frame
+            place = self._whole_ground, self.frame
             standing = in_level_picture(self.prepared, *place) if self.nodes is None else (
                 self.nodes.standing(*place)
             )  # fmt: skip

@@ -302,6 +302,12 @@ class WetGroundMirror:
         self.terrain, self.config = terrain, config
         self.drawn = config.film == "mirror"
 
+    def over(self, terrain):
+        """Return the mirror of another terrain, with what was chosen for this one."""
+        other = WetGroundMirror(terrain, self.config)
+        other.drawn = self.drawn
+        return other
+
     @property
     def apart(self):
         """Whether the level picture may be drawn, so that the film's cover must be known."""

@@ -26,13 +26,13 @@ GROUND_SLOPE = 0.1  # rise of the ground from the middle outwards within which s
 GAP_CELL = 0.25  # m
 
 
-def choose_grid(scene, config):
+def choose_grid(scene, config, cells=AUTO_CELLS):
     """Return the `Grid` that a scene asks for, and notes that say why.
 
     The map reaches as far as the cameras' surroundings, but not beyond the splats on the ground,
     without cameras as far as those lie. A cell is 2 cm, finer on small maps, but not smaller than a
     pixel of the cameras on the ground or half the gap between splats, which show no more, and large
-    enough for the whole map to have `AUTO_CELLS`.
+    enough for the whole map to have so many `cells`.
     """
     ground = _on_plane(scene)
     low, high, why = _surroundings(scene)
@@ -53,7 +53,8 @@ def choose_grid(scene, config):
     footprint = _pixel_footprint(scene)
     spacing, because = config.spacing, "given"
     if spacing is None:
-        spacing, because = choose_spacing(half, _gap(_fine(scene, ground, centre)), footprint)
+        gap = _gap(_fine(scene, ground, centre))
+        spacing, because = choose_spacing(half, gap, footprint, cells)
     if 4 * half.prod() / spacing**2 > MOST_CELLS:
         if config.extent is not None:
             raise ParameterError(
@@ -119,13 +120,13 @@ def _gap(ground):
     return GAP_CELL / math.sqrt(np.median(np.repeat(number, number)))
 
 
-def choose_spacing(half, gap=0.0, footprint=None):
+def choose_spacing(half, gap=0.0, footprint=None, cells=AUTO_CELLS):
     """Return the cell size [m] for a map of `half` widths and why."""
     choices = [
         (min(USUAL_SPACING, 2 * half.min() / LEAST_ACROSS), "as usual"),
         (gap / 2, f"splats lie {gap * 100:.2g} cm apart"),
         (footprint or 0.0, "the cameras' pixels"),
-        (math.sqrt(4 * half.prod() / AUTO_CELLS), "to fit the memory"),
+        (math.sqrt(4 * half.prod() / cells), "to fit the memory"),
     ]
     if choices[0][0] < USUAL_SPACING:
         choices[0] = (choices[0][0], "the map is small")

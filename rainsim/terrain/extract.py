@@ -107,6 +107,48 @@ def extract_terrain(scene, config, mask=None, tell=None):
     return replace(terrain, notes=notes, tops=tops)
 
 
+def arrays_over(scene, grid, level):
+    """Return the arrays of a `Terrain` over a part of a scene's ground; None if no splat is there.
+
+    Parameters
+    ----------
+    scene : Scene
+    grid : Grid
+        What lies within MARGIN of its rim is made from less than all that bears on it.
+    level : callable
+        level(x, y) is about the height of the ground [m], for arrays of points.
+
+    Returns
+    -------
+    dict of str to ndarray
+        Of shape (ny, nx) or (ny, nx, 3).
+    """
+    mask = None if scene.painted is None else painted_mask(scene.painted, grid)
+    scene = scene_over(scene, grid)
+    over = _over(scene, grid)
+    if not over[2].any():
+        return None
+    cells = tuple(slice(0, n) for n in grid.shape)
+    found = _piece(scene, _Cloud(scene, grid, level, over), Piece(grid, cells), mask, lambda: None)
+    del found["left_out"]
+    return found
+
+
+def _over(scene, grid):
+    """Return places and reaches [m] of splats in the ground frame; the mask of those over a map."""
+    frame = scene.ground_frame
+    with np.errstate(invalid="ignore"):
+        position = frame.to_ground(scene.splats.position)
+        reach = 3 * scene.splats.scale.max(axis=1) * frame.meters_per_unit
+        x0, y0 = grid.origin
+        width, depth = grid.size
+        over = (
+            (position[:, 0] + reach > x0) & (position[:, 0] - reach < x0 + width)
+            & (position[:, 1] + reach > y0) & (position[:, 1] - reach < y0 + depth)
+        )  # fmt: skip
+    return position, reach, over
+
+
 def _steps(tell, notes, total):
     """Return a function to be called after each step, which counts and tells them."""
     done = 0
@@ -256,22 +298,16 @@ class Seen:
 class _Cloud:
     """The splats that lie over a map, as arrays in the ground frame.
 
+    `level`, if given, says where the ground is, see `arrays_over`; else it is followed. `found` is
+    what `_over` returns, if it is known.
     `look` splats a part of them orthographically from above or from below; masks (`near_bed`,
     `below_ceiling`, `overhead`) tell which part.
     """
 
-    def __init__(self, scene, grid):
+    def __init__(self, scene, grid, level=None, found=None):
         self.frame = scene.ground_frame
-        with np.errstate(invalid="ignore"):
-            position = self.frame.to_ground(scene.splats.position)
-        reach = 3 * scene.splats.scale.max(axis=1) * self.frame.meters_per_unit
-        x0, y0 = grid.origin
-        width, depth = grid.size
-        with np.errstate(invalid="ignore"):
-            over = (
-                (position[:, 0] + reach > x0) & (position[:, 0] - reach < x0 + width)
-                & (position[:, 1] + reach > y0) & (position[:, 1] - reach < y0 + depth)
-            )  # fmt: skip
+        position, reach, over = _over(scene, grid) if found is None else found
+        (x0, y0), (width, depth) = grid.origin, grid.size
         if not over.any():
             raise GroundError(
                 f"no splat lies over the map of {width:g} x {depth:g} m about ({x0 + width / 2:g}, "
@@ -282,8 +318,10 @@ class _Cloud:
         self.splats = replace(every, sh=every.sh[:, :1]).take(over)
         self.position, self.reach = position[over], reach[over]
         self.cover = splat_cover(self.splats, self.frame)
-        start = _start_radius(scene, grid)
-        self.level, share = follow_ground(self.position, self.cover, grid, start)
+        self.level, share = level, 1.0
+        if level is None:
+            start = _start_radius(scene, grid)
+            self.level, share = follow_ground(self.position, self.cover, grid, start)
         self.above = self.position[:, 2] - self.level(self.position[:, 0], self.position[:, 1])
         solid = self.cover > 0
         self.near_bed = (np.abs(self.above) < SLAB) & solid

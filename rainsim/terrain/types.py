@@ -189,6 +189,11 @@ class Terrain:
             object.__setattr__(self, "water", np.zeros(self.grid.shape, np.float32))
 
     @property
+    def cells(self):
+        """Number of cells."""
+        return self.bed.size
+
+    @property
     def covered(self):
         """Mask of the ground cells that something hangs over."""
         return self.underside > self.bed + GAP_HEIGHT

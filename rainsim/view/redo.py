@@ -17,7 +17,7 @@ PICTURE = frozenset({
     "frames", "width", "height", "frame_range", "threads", "moments",
 })  # fmt: skip
 NEEDS = {
-    "spacing": (TERRAIN,), "extent": (TERRAIN,),
+    "spacing": (TERRAIN,), "extent": (TERRAIN,), "ground_map": (TERRAIN,),
     "rate": _RAIN, "past": _RAIN, "drying": _RAIN, "level": _RAIN, "wind": _RAIN,
     "roughness": _RAIN, "tops": _RAIN, "keyframes": _RAIN,
     "scheme": (WATER,), "courant": (WATER,),

@@ -7,7 +7,7 @@ import numpy as np
 from rainsim.water.puddles import puddles_of
 
 
-def past_rain_growth(terrain, config, exposure):
+def past_rain_growth(terrain, config, exposure, begin=0.0):
     """Return how past rain that keyframes let grow fills the puddles, or None if it is steady.
 
     The function that is returned takes two times [s] and returns the rows, columns and volumes [m3]
@@ -21,12 +21,14 @@ def past_rain_growth(terrain, config, exposure):
     config : Config
     exposure : ndarray of shape (ny, nx), float32
         See `rain.exposure.rain_exposure`.
+    begin : float [s]
+        Time of the first state.
     """
     past = [config.at(time).rain.past for time in config.key_times()]
     if np.ptp(past) == 0 or config.at(0.0).water.level is not None:
         return None
     puddles = puddles_of(terrain)
-    puddles.rain(config.at(0.0).rain.past * exposure.astype(np.float64))
+    puddles.rain(config.at(begin).rain.past * exposure.astype(np.float64))
 
     def between(before, time):
         more = config.at(time).rain.past - config.at(before).rain.past

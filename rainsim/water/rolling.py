@@ -94,8 +94,8 @@ class Tyres:
         self._patch = np.column_stack([j[near], i[near]])
         self._stands = terrain.top - terrain.bed > STANDS
 
-    def start(self, solver, weather):
-        """Let cars drive for a while before time 0, so that the first frame has their spray.
+    def start(self, solver, weather, time=0.0):
+        """Let cars drive for a while before a time [s], so that the first frame has their spray.
 
         Returns
         -------
@@ -105,7 +105,8 @@ class Tyres:
         if not self._cars:
             return None
         for k in range(math.ceil(BEFORE / LONGEST_STEP), 0, -1):
-            self._step(solver, -k * LONGEST_STEP, -(k - 1) * LONGEST_STEP, weather)
+            stop = time - (k - 1) * LONGEST_STEP
+            self._step(solver, time - k * LONGEST_STEP, stop, weather)
         return solver.advance(0.0)
 
     def roll(self, solver, start, stop, weather):

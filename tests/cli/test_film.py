@@ -417,3 +417,30 @@ def test_video_has_all_frames(film, tmp_path):
     frames, _ = ffmpeg.count_frames_and_secs(str(tmp_path / "out" / "video.mp4"))
     assert frames == 2
     assert "video.mp4" in record(tmp_path / "out")["files"]
+
+
+def test_ground_along_the_path_gives_a_frame_of_a_drive_by_itself(rainsim, scene_folder, tmp_path):
+    how = ["run", "--scene", scene_folder, "--spacing", "0.1", "--width", "64", "--drive"]
+    how += ["--preset", "moderate", "--ground-map", "path"]
+    done = rainsim(*how, "--out", "all")
+    assert done.code == 0, done.err
+    assert "ground map along the path: " in done.err
+    assert rainsim(*how, "--frame-range", "2:3", "--out", "one").code == 0
+    assert list(pictures(tmp_path / "one")) == ["00002.png"]
+    name = "frames/00002.png"
+    assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "all" / name).read_bytes()
+    assert record(tmp_path / "all")["settings"]["terrain"]["ground_map"] == "path"
+
+
+@pytest.mark.parametrize(
+    ("more", "text"),
+    [
+        (("--drive", "--ground-map", "sideways"), "it must be one of auto, whole, path"),
+        (("--drive", "--ground-map", "path", "--extent", "1"), "leave out --extent"),
+        (("--drive", "--ground-map", "path", "--water-level", "0.1"), "leave out --water-level"),
+        (("--ground-map", "path"), "give --drive, --path, --orbit or --camera"),
+    ],
+)
+def test_ground_along_a_path_that_cannot_be_is_refused(rainsim, scene_folder, more, text):
+    done = rainsim("run", "--scene", scene_folder, "--width", "64", "--spacing", "0.08", *more)
+    assert done.code == 2 and text in done.error

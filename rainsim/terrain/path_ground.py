@@ -1,0 +1,234 @@
+"""The ground along a path: fine windows near the cameras, made while the drive goes on.
+
+A coarse map of all of it, made once, says where the ground lies and sets up the light. What lies
+about a window is extracted in strips across the path, each with a margin from the splats over it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+from scipy import ndimage
+
+from rainsim.config.settings import TerrainConfig
+from rainsim.errors import BackendError, ParameterError
+from rainsim.terrain.choose import AUTO_CELLS, MOST_CELLS, USUAL_SPACING, choose_grid
+from rainsim.terrain.extract import MARGIN, arrays_over
+from rainsim.terrain.kept import kept_terrain
+from rainsim.terrain.stations import STRIP, cells_of, long_axis, station_at, stations_of
+from rainsim.terrain.types import NO_TOPS, UNKNOWN, Grid, Terrain
+
+OVERVIEW_CELLS = 400_000  # of the coarse map
+DIRT = 0.35, 0.32, 0.28  # colour of ground that no splat shows; by eye
+MAPS = "bed", "top", "underside", "source", "ground_class", "noise", "color"
+WIDER = 2.0  # times the usual cells: those of one map for all from which on windows are taken
+
+
+class PathGround:
+    """The ground of a scene along a path.
+
+    Parameters
+    ----------
+    overview : Terrain
+        The coarse map.
+    path : sequence of Camera
+        One per frame, or one for all, in the ground frame.
+    frames : int
+        Of the whole path.
+    spacing : float [m]
+        Of the windows' cells.
+
+    Attributes
+    ----------
+    overview : Terrain
+    stations : list of Station
+        In the order of their frames.
+    """
+
+    def __init__(self, overview, path, frames, spacing):
+        self.overview = overview
+        self.stations = stations_of(path, frames, spacing, self.height)
+        self._last = {}, None  # where the strips of the last `around` lie in it, by their cells
+
+    def __getstate__(self):
+        return {**self.__dict__, "_last": ({}, None)}
+
+    @property
+    def cells(self):
+        """Cells that are held at once at most: of a window, of what lies around, of the whole."""
+        return self.overview.bed.size + max(_area(s.cells) + _area(s.around) for s in self.stations)
+
+    def height(self, x, y):
+        """Return the height of the coarse map [m] at points, beyond it that of its rim."""
+        grid = self.overview.grid
+        places = [(np.asarray(y, float) - grid.origin[1]) / grid.spacing - 0.5,
+                  (np.asarray(x, float) - grid.origin[0]) / grid.spacing - 0.5]  # fmt: skip
+        return ndimage.map_coordinates(self.overview.bed, np.stack(places), order=1, mode="nearest")
+
+    def station(self, frame):
+        """Return the station that serves a frame."""
+        return station_at(self.stations, frame)
+
+    def around(self, scene, station):
+        """Return the `Terrain` of a station's window and of what lies around it.
+
+        Parameters
+        ----------
+        scene : Scene
+            The one that the overview was made of.
+        station : Station
+        """
+        cells, spacing = station.around, station.spacing
+        axis, strip = long_axis(cells), cells_of(STRIP, spacing)
+        low, high = cells[2 * axis], cells[2 * axis + 1]
+        rims = [low, *range((low // strip + 1) * strip, high, strip), high]
+        (before, last), places, strips = self._last, {}, []
+        for start, stop in pairwise(rims):
+            part = (*cells[:2], start, stop) if axis else (start, stop, *cells[2:])
+            along = slice(start - low, stop - low)
+            places[part, spacing] = (slice(None), along) if axis else (along, slice(None))
+            kept = before.get((part, spacing))
+            strips.append(
+                self._made(scene, part, spacing) if kept is None
+                else {name: getattr(last, name)[kept] for name in MAPS}
+            )  # fmt: skip
+        maps = {name: np.concatenate([s[name] for s in strips], axis=axis) for name in MAPS}
+        self._last = places, Terrain(grid_of(cells, spacing), **maps)
+        return self._last[1]
+
+    def _made(self, scene, cells, spacing):
+        """Return the arrays of a `Terrain` over some cells."""
+        margin = cells_of(MARGIN, spacing)
+        south, north, west, east = cells
+        grid = grid_of((south - margin, north + margin, west - margin, east + margin), spacing)
+        found = arrays_over(scene, grid, self.height)
+        if found is None:
+            found = self._unseen(grid)
+        inner = slice(margin, -margin)
+        return {name: a[inner, inner].copy() for name, a in found.items()}
+
+    def _unseen(self, grid):
+        """Return the arrays of ground over which no splat lies: that of the coarse map."""
+        x, y = np.meshgrid(*grid.centres())
+        bed = self.height(x, y).astype(np.float32)
+        rows, columns, _ = self.overview.grid.cells(x, y)
+        return {
+            "bed": bed, "top": bed, "underside": bed,
+            "source": np.full(grid.shape, UNKNOWN, np.uint8),
+            "ground_class": self.overview.ground_class[rows, columns],
+            "noise": np.zeros(grid.shape, np.float32),
+            "color": np.broadcast_to(np.float32(DIRT), (*grid.shape, 3)),
+        }  # fmt: skip
+
+
+def grid_of(cells, spacing):
+    """Return cells of the lattice, as `Station.cells`, as a `Grid`."""
+    south, north, west, east = cells
+    return Grid((north - south, east - west), (west * spacing, south * spacing), spacing)
+
+
+def part_of(terrain, window):
+    """Return the `Terrain` of a part of a map without tops and painted water, its arrays copied.
+
+    Parameters
+    ----------
+    terrain : Terrain
+    window : tuple of slice
+        Rows and columns.
+    """
+    grid = terrain.grid
+    rows, columns = window
+    cells = rows.start, rows.stop, columns.start, columns.stop
+    part = grid_of(cells, grid.spacing)
+    origin = grid.origin[0] + part.origin[0], grid.origin[1] + part.origin[1]
+    maps = {name: getattr(terrain, name)[window].copy() for name in MAPS}
+    return Terrain(replace(part, origin=origin), **maps)
+
+
+def follows_path(scene, config, cameras, backend="cpu", mask=None):
+    """Tell whether the ground of a scene is mapped along the path of the cameras.
+
+    By `auto` it is where one map for all would need cells of WIDER times the usual ones, or more
+    cells of the given size than the memory holds. Scenes with nodes keep one map: their tyres throw
+    water wherever they drive, but in a window only there.
+
+    Parameters
+    ----------
+    scene : Scene
+    config : Config
+    cameras : sequence of Camera
+        One per frame, or one for all.
+    backend : {"cpu", "cuda"}
+    mask : ndarray, optional
+        Classes of one map.
+
+    Raises
+    ------
+    ParameterError
+        If the path is asked for together with what needs one map.
+    BackendError
+        If the backend cannot draw it.
+    """
+    terrain, choice = config.terrain, config.terrain.ground_map
+    if choice == "whole":
+        return False
+    flood = any(config.at(time).water.level is not None for time in config.key_times())
+    painted = scene.painted is not None and "water" in scene.painted.name
+    needs_one = (
+        (terrain.extent is not None, "an extent is", "leave out --extent"),
+        (flood, "a water level is", "leave out --water-level"),
+        (mask is not None, "a class mask is", "leave out --class-mask"),
+        (painted, "painted water is", "paint no water"),
+    )
+    if choice == "path":
+        for wrong, what, remedy in needs_one:
+            if wrong:
+                raise ParameterError(
+                    f"ground_map is path and {what} given, which needs one map of the whole; "
+                    f"{remedy}, or give --ground-map whole"
+                )
+        if backend != "cpu":
+            raise BackendError(
+                f"ground_map is path, which {backend} cannot draw; give --backend cpu or "
+                "--ground-map whole"
+            )
+        return True
+    one_map = backend != "cpu" or len(cameras) == 1 or scene.actors
+    if one_map or any(wrong for wrong, _, _ in needs_one):
+        return False
+    area = np.prod(choose_grid(scene, TerrainConfig())[0].size)
+    if terrain.spacing is None:
+        return bool(area > AUTO_CELLS * (WIDER * USUAL_SPACING) ** 2)
+    return bool(area > MOST_CELLS * terrain.spacing**2)
+
+
+def path_ground(scene, config, cameras, tell=None):
+    """Return the `PathGround` of a scene, and notes on it.
+
+    Parameters
+    ----------
+    scene : Scene
+    config : Config
+    cameras : sequence of Camera
+        One per frame, or one for all, in the capture frame.
+    tell : callable, optional
+        See `extract_terrain`.
+    """
+    spacing = config.terrain.spacing or USUAL_SPACING
+    coarse = max(choose_grid(scene, TerrainConfig(), OVERVIEW_CELLS)[0].spacing, spacing)
+    overview = kept_terrain(scene, TerrainConfig(spacing=coarse), None, tell)
+    path = [scene.ground_frame.camera_in_ground(camera) for camera in cameras]
+    ground = PathGround(replace(overview, tops=NO_TOPS), path, config.frames, spacing)
+    sides = [max(s.cells[1] - s.cells[0], s.cells[3] - s.cells[2]) for s in ground.stations]
+    windows = f"{len(sides)} window" + ("s" if len(sides) > 1 else "")
+    note = (
+        f"ground map along the path: {windows} of at most {max(sides) * spacing:.4g} m with cells "
+        f"of {spacing:g} m; cells of {coarse:g} m beyond"
+    )
+    return ground, (note,)
+
+
+def _area(box):
+    return (box[1] - box[0]) * (box[3] - box[2])

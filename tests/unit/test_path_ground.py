@@ -1,0 +1,282 @@
+"""Ground along a path: windows, the water in them, and frames by themselves and in sequence."""
+
+import math
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rainsim import pipeline, simulation
+from rainsim.config.settings import Config, TerrainConfig, mm_per_hour
+from rainsim.errors import BackendError, ParameterError
+from rainsim.scene.cameras import look_at
+from rainsim.scene.painted import PaintedClasses
+from rainsim.scene.types import GroundFrame, Scene, Splats
+from rainsim.simulation import water_at_rest
+from rainsim.terrain import path_ground, stations
+from rainsim.terrain.path_ground import follows_path, part_of
+from rainsim.terrain.types import UNKNOWN
+
+LENGTH, WIDE, GAP, SPACING = 24.0, 2.0, 0.08, 0.05  # m
+DIPS, DEEP, ROUND = 3.0, 0.02, 0.5  # m between hollows of the road, their depth and radius
+CONFIG = Config.from_preset("moderate").replace(
+    past=4e-3, rate=mm_per_hour(30.0), frames=16, fps=10.0, width=64, spacing=SPACING,
+    ground_map="path", wind=(0.0, 0.0),
+)  # fmt: skip
+
+
+def camera(x, y=0.0, heading=0.0):
+    ahead = x + 3 * math.cos(heading), y + 3 * math.sin(heading), 0.0
+    return look_at((x, y, 1.0), ahead, (0, 0, 1), 60, 64, 48, f"{x:g}")
+
+
+def road(cameras, seed=3):
+    """A road along x with a hollow every DIPS metres and a low kerb on either side."""
+    x, y = np.meshgrid(np.arange(0, LENGTH, GAP), np.arange(-WIDE, WIDE, GAP))
+    away = np.minimum(x % DIPS, DIPS - x % DIPS) ** 2 + y**2
+    z = -DEEP * np.exp(-away / (ROUND / 2) ** 2 / 2) + 0.1 * (np.abs(y) > WIDE - 0.2)
+    places = np.stack([x, y, z], -1).reshape(-1, 3)
+    n = len(places)
+    sh = np.zeros((n, 1, 3), np.float32)
+    sh[:, 0] = 0.2 * np.random.default_rng(seed).normal(size=(n, 1))
+    size = np.tile(np.float32([0.7 * GAP, 0.7 * GAP, 1e-3]), (n, 1))
+    turn = np.tile(np.float32([1, 0, 0, 0]), (n, 1))
+    splats = Splats(places.astype(np.float32), turn, size, np.full(n, 0.97, np.float32), sh)
+    return Scene("road", splats, tuple(cameras), GroundFrame(np.eye(3), 1.0, np.zeros(3)), None,
+                 "0" * 64)  # fmt: skip
+
+
+@pytest.fixture(autouse=True, scope="module")
+def small():
+    """Windows of some metres instead of tens."""
+    with pytest.MonkeyPatch.context() as patch:
+        small = {
+            "BEHIND": 0.5, "AHEAD": 2.5, "ASIDE": 1.0, "STEP": 0.5, "REST": 3.0, "STRIP": 2.0,
+            "WINDOW_CELLS": 5000, "GROWN": 2.0, "LEAD": 0.3,
+        }  # fmt: skip
+        for name, value in small.items():
+            patch.setattr(stations, name, value)
+        patch.setattr(path_ground, "STRIP", 2.0)
+        yield
+
+
+DRIVE = [camera(2.0 + 0.6 * n) for n in range(CONFIG.frames)]
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return road(DRIVE)
+
+
+@pytest.fixture(scope="module")
+def ground(scene):
+    return pipeline.ground_of(scene, CONFIG, DRIVE)
+
+
+def frames(scene, ground, indices, cameras=DRIVE, config=CONFIG):
+    """Bytes of frames by a new sequence, by their indices."""
+    sequence = pipeline.FrameSequence(scene, ground, cameras, config)
+    return {report.index: picture.tobytes() for picture, report in sequence.frames(indices)}
+
+
+@pytest.fixture(scope="module")
+def drive(scene, ground):
+    """All frames of the drive in one go."""
+    return frames(scene, ground, range(CONFIG.frames))
+
+
+# --- frames ---------------------------------------------------------------------------------------
+
+
+def test_a_frame_by_itself_has_the_bytes_of_the_drive(scene, ground, drive):
+    switches = [station.first for station in ground.stations]
+    assert len(switches) > 2
+    for index in (switches[1], switches[2] - 1, CONFIG.frames - 1):
+        assert frames(scene, ground, [index])[index] == drive[index], index
+    assert len(set(drive.values())) == CONFIG.frames
+
+
+def test_other_threads_and_earlier_frames_again_give_the_same_bytes(scene, drive, threads):
+    threads(1)
+    ground = pipeline.ground_of(scene, CONFIG, DRIVE)
+    sequence = pipeline.FrameSequence(scene, ground, DRIVE, CONFIG)
+    for index in (9, 2, 3, 2):
+        ((picture, report),) = sequence.frames([index])
+        assert report.index == index and picture.tobytes() == drive[index], index
+
+
+def test_a_late_frame_simulates_only_its_own_window(scene, ground, drive, monkeypatch):
+    begun = []
+
+    def watched(terrain, config, begin):
+        for state in simulation.simulate(terrain, config, begin=begin):
+            begun.append((begin.number, state.index, state.depth.shape))
+            yield state
+
+    monkeypatch.setattr(pipeline, "simulate", watched)
+    last = CONFIG.frames - 1
+    station = ground.station(last)
+    assert frames(scene, ground, [last])[last] == drive[last]
+    first = station.start(CONFIG)
+    assert 0 < first <= station.first - 3
+    shape = station.cells[1] - station.cells[0], station.cells[3] - station.cells[2]
+    assert begun == [(first, n, shape) for n in range(first, last + 1)]
+
+
+def test_rain_shows_in_a_late_window(scene, ground, drive):
+    dry = CONFIG.replace(rate=0.0, past=0.0)
+    last = CONFIG.frames - 1
+    assert frames(scene, ground, [last], config=dry)[last] != drive[last]
+
+
+def test_a_path_that_leaves_the_capture_goes_on_over_unknown_ground():
+    path = [camera(18.0), camera(24.0), camera(200.0)]
+    scene, config = road(path), CONFIG.replace(frames=3)
+    ground = pipeline.ground_of(scene, config, path)
+    far = ground.around(scene, ground.station(2))
+    assert (far.source == UNKNOWN).all() and np.isfinite(far.bed).all()
+    rim = ground.around(scene, ground.station(1))
+    assert 0 < np.mean(rim.source == UNKNOWN) < 1
+    assert len(frames(scene, ground, [1, 2], path, config)) == 2
+
+
+def test_splats_without_a_place_change_nothing(scene, ground):
+    bad = replace(scene.splats, position=scene.splats.position.copy())
+    bad.position[::500] = np.nan
+    broken, station = replace(scene, splats=bad), ground.stations[1]
+    found = pipeline.ground_of(broken, CONFIG, DRIVE).around(broken, station)
+    assert np.isfinite(found.bed).all()
+    assert np.abs(found.bed - ground.around(scene, station).bed).max() < 5e-3
+
+
+# --- windows --------------------------------------------------------------------------------------
+
+
+def test_a_path_that_turns_back_and_crosses_itself_finds_the_same_ground(scene):
+    there = [camera(4.0 + 0.6 * n) for n in range(8)]
+    back = [camera(view.position[0], heading=math.pi) for view in there[::-1]]
+    across = [camera(6.0, -1.0 + 0.5 * n, math.pi / 2) for n in range(4)]
+    path = there + back + across
+    ground = pipeline.ground_of(scene, CONFIG.replace(frames=len(path)), path)
+    assert ground.station(2) != ground.station(13)
+    beds = [_bed_at(scene, ground, ground.station(n)) for n in (2, 13, 18)]
+    assert np.nanmax(np.abs(beds[0] - beds[1])) < 1e-4
+    assert np.nanmax(np.abs(beds[0] - beds[2])) < 1e-4
+    assert min(np.isfinite(bed).sum() for bed in beds) > 500
+
+
+def _bed_at(scene, ground, station):
+    """The bed over (4 to 8, -1 to 1) m, NaN beyond what the station has."""
+    around = ground.around(scene, station)
+    x, y = np.meshgrid(np.arange(4.025, 8, SPACING), np.arange(-0.975, 1, SPACING))
+    row, column, inside = around.grid.cells(x, y)
+    return np.where(inside, around.bed[row, column], np.nan)
+
+
+def test_a_camera_that_stands_still_has_one_window(scene):
+    for path in ([camera(5.0)], [camera(5.0)] * 16):
+        ground = pipeline.ground_of(scene, CONFIG, path)
+        assert len(ground.stations) == 1
+    assert len(pipeline.ground_of(scene, CONFIG, DRIVE).stations) > 1
+
+
+def test_windows_share_the_strips_that_both_hold(scene, ground, monkeypatch):
+    made = []
+    original = path_ground.arrays_over
+    monkeypatch.setattr(
+        path_ground, "arrays_over", lambda *args: made.append(args[1]) or original(*args)
+    )
+    fresh = pickle.loads(pickle.dumps(ground))
+    assert fresh._last[1] is None
+    first = fresh.around(scene, fresh.stations[0])
+    begun = len(made)
+    fresh.around(scene, fresh.stations[1])
+    assert 0 < len(made) - begun < begun
+    again = fresh.around(scene, fresh.stations[0])
+    assert again.bed.tobytes() == first.bed.tobytes()
+
+
+def test_neighbours_agree_on_the_water_that_stands_in_both(scene, ground):
+    def disagreement(neighbours):
+        depths = []
+        for station in neighbours:
+            around = ground.around(scene, station)
+            depth = water_at_rest(around, CONFIG, 5).depth
+            depths.append((station, depth[station.window]))
+        west, east = max(s.cells[2] for s, _ in depths), min(s.cells[3] for s, _ in depths)
+        parts = [d[:, west - s.cells[2] : east - s.cells[2]] for s, d in depths]
+        assert parts[0].shape == parts[1].shape and parts[0].max() > 3e-3
+        return np.abs(parts[0] - parts[1]).mean()
+
+    pair = ground.stations[1:3]
+    cut = [station._replace(around=station.cells) for station in pair]
+    assert disagreement(pair) < 0.1 * disagreement(cut)
+
+
+def test_the_ledger_of_a_window_closes_and_says_what_leaves_at_its_borders(scene, ground):
+    station = ground.stations[2]
+    around = ground.around(scene, station)
+    begin = water_at_rest(around, CONFIG, station.start(CONFIG))
+    window = part_of(around, station.window)
+    begin = begin._replace(depth=begin.depth[station.window])
+    run = simulation.simulate(window, CONFIG, dtype=np.float64, begin=begin)
+    for _ in range(12):
+        ledger = next(run).ledger
+    assert abs(ledger["residual"]) < 1e-9
+    assert ledger["initial"] == pytest.approx(begin.depth.sum() * SPACING**2)
+    assert ledger["rain"] > 0 and ledger["outflow"] > 0
+
+
+def test_rain_before_a_window_stands_in_it_at_the_start(scene, ground):
+    around = ground.around(scene, ground.stations[1])
+    config = CONFIG.replace(past=1e-4)
+    early, late = (water_at_rest(around, config, n).depth.sum() for n in (0, 150))
+    assert late > 1.5 * early > 0
+    drier = config.replace(rate=0.0)
+    assert water_at_rest(around, drier, 150).depth.sum() == pytest.approx(early)
+
+
+# --- which ground ---------------------------------------------------------------------------------
+
+
+def test_auto_takes_windows_where_one_map_would_be_too_coarse(scene, monkeypatch):
+    def auto(cameras=DRIVE, backend="cpu", mask=None, **changes):
+        config = CONFIG.replace(ground_map="auto", **changes)
+        return follows_path(scene, config, cameras, backend, mask)
+
+    assert not auto() and not auto(spacing=None)
+    monkeypatch.setattr(path_ground, "AUTO_CELLS", 20_000)
+    monkeypatch.setattr(path_ground, "MOST_CELLS", 20_000)
+    assert auto() and auto(spacing=None)
+    assert not auto(cameras=DRIVE[:1]) and not auto(backend="cuda") and not auto(extent=2.0)
+    assert not auto(level=0.1) and not auto(mask=np.zeros((4, 4), int))
+    assert not follows_path(scene, CONFIG.replace(ground_map="whole"), DRIVE)
+
+
+@pytest.mark.parametrize(
+    ("changes", "how", "text"),
+    [
+        ({"extent": 3.0}, {}, "leave out --extent"),
+        ({"level": 0.1}, {}, "leave out --water-level"),
+        ({}, {"mask": np.zeros((4, 4), int)}, "leave out --class-mask"),
+    ],
+)
+def test_what_needs_one_map_is_refused_with_the_path(scene, changes, how, text):
+    with pytest.raises(ParameterError, match=text):
+        follows_path(scene, CONFIG.replace(**changes), DRIVE, **how)
+
+
+def test_painted_water_and_other_backends_are_refused_with_the_path(scene):
+    painted = PaintedClasses(("water",), np.zeros((4, 4), np.int16), (0.0, 0.0), 0.5)
+    with pytest.raises(ParameterError, match="painted water is given"):
+        follows_path(replace(scene, painted=painted), CONFIG, DRIVE)
+    with pytest.raises(BackendError, match="--backend cpu or --ground-map whole"):
+        follows_path(scene, CONFIG, DRIVE, "cuda")
+
+
+def test_one_map_is_never_made_for_the_path(scene):
+    with pytest.raises(ParameterError, match="give whole or auto"):
+        pipeline.extract_terrain(scene, CONFIG)
+    with pytest.raises(ParameterError, match="one of auto, whole, path"):
+        TerrainConfig(ground_map="sideways").check()
