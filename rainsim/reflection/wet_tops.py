@@ -53,7 +53,7 @@ class TopMaps(NamedTuple):
     number: np.ndarray  # (ny, nx) int16, of the top over each cell, -1 for none; (0, 0) without any
     form: np.ndarray  # (n, FORM) float32, see CORNER_X to BY_YY
     water: np.ndarray  # (n, 2) float32: which of `depths` show, and depth [m] of what flows off
-    depths: np.ndarray  # (k, rows, columns) float32 [m], of puddles on the patches
+    depths: np.ndarray  # (k, rows, columns) float32 [m], of puddles: `TopWater.drawn`
     holds: np.ndarray  # (rows, columns) float32, share that holds water
     origin: np.ndarray  # (2,) float32 [m], corner of the map
     spacing: np.float32  # m, of the map's cells
@@ -78,7 +78,7 @@ def top_maps(terrain, water):
         form[:, CENTRE_X : CENTRE_Y + 1] = tops.centre
         form[:, CONSTANT : BY_YY + 1] = tops.surface
     return TopMaps(
-        np.ascontiguousarray(tops.index), form, np.zeros((len(tops), 2), np.float32), water.depths,
+        np.ascontiguousarray(tops.index), form, np.zeros((len(tops), 2), np.float32), water.drawn,
         drawn_film(tops.holds), np.array(terrain.grid.origin, np.float32),
         *(np.float32(n) for n in (terrain.grid.spacing, tops.spacing, low, high)),
     )  # fmt: skip

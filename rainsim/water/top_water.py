@@ -37,6 +37,8 @@ class TopWater:
     tops : Tops
     depths : ndarray of shape (k, rows, columns), float32 [m]
         Of the puddles after each of RAINS, on the tops' patches.
+    drawn : ndarray of shape (k, rows, columns), float32 [m]
+        The same for pictures, see `over_gaps`.
     volumes : ndarray of shape (k, n), float64 [m3]
         What stands on each top then; the last is all that it holds.
     """
@@ -46,8 +48,9 @@ class TopWater:
         if self.tops.level.any():
             found = cache.kept_arrays(KIND, "water", self._fill, self.tops)
             self.depths, self.volumes = found["depths"], found["volumes"]
+            self.drawn = np.array([over_gaps(self.tops, depth) for depth in self.depths])
         else:
-            self.depths = np.zeros((1, 1, 1), np.float32)
+            self.depths = self.drawn = np.zeros((1, 1, 1), np.float32)
             self.volumes = np.zeros((1, len(self.tops)))
 
     @property
@@ -118,6 +121,30 @@ def volumes_of(tops, depth):
     return np.array(
         [float(depth[tops.cells_of(k)].sum(dtype=np.float64)) for k in range(len(tops))]
     ) * (tops.spacing**2)
+
+
+def over_gaps(tops, depth):
+    """Return a depth of water that goes on over gaps and edges, (rows, columns) float32 [m].
+
+    A picture finds a top's gaps where the pixel's own depth puts them, and the depth of its water
+    where the ray meets the fitted surface, some millimetres or centimetres beside: gaps in the
+    depth would show a second time, as a line of thin film along each.
+
+    Parameters
+    ----------
+    tops : Tops
+    depth : ndarray of shape (rows, columns) [m]
+        On the patches of all tops, 0 where nothing holds water.
+    """
+    drawn = np.zeros(depth.shape, np.float32)
+    for k in np.flatnonzero(tops.level):
+        cells = tops.cells_of(k)
+        if tops.holds[cells].any():
+            nearest = ndimage.distance_transform_edt(
+                ~tops.holds[cells], return_distances=False, return_indices=True
+            )
+            drawn[cells] = depth[cells][tuple(nearest)]
+    return drawn
 
 
 def bed_of(tops):
