@@ -100,6 +100,10 @@ class WetScene:
         relight = kept_relight(scene, config, self.sky_distance, self.albedo)
         self.notes = [note for note in (self.backdrop.note(), relight.note) if note]
         gain = None if relight.gain is None else relight.gain[self.backdrop.kept]
+        if gain is not None:
+            self.albedo, about_albedo = albedo_of_white(
+                terrain, self.scene.splats, config.render.ground_albedo, gain, self.frame
+            )
         views = views_of_splats(self.scene)
         diffuse = None if views is None else views.diffuse
         self.badly_placed = badly_placed(self.scene, views)

@@ -13,6 +13,7 @@ import math
 import numpy as np
 
 from rainsim.constants import SH_0
+from rainsim.numerics.srgb import LUMINANCE_WEIGHTS
 from rainsim.scene.cameras import look_at, resize_to
 from rainsim.shading.backdrop import Backdrop, sky_distance
 from rainsim.shading.color import luminance_of
@@ -34,7 +35,7 @@ VIEW_FOV, VIEW_SHAPE = 60.0, 1.5  # degrees, width over height: of one for a cap
 LEAST_AWAY = 1.0  # m from it to what it looks at, on the level
 
 
-def albedo_of_white(terrain, splats, ground_albedo=None):
+def albedo_of_white(terrain, splats, ground_albedo=None, gain=None, frame=None):
     """Return the albedo that a captured linear colour of 1 stands for, and a note.
 
     The colours of open grass, soil and paving are held against the albedos of their classes, each
@@ -47,9 +48,20 @@ def albedo_of_white(terrain, splats, ground_albedo=None):
     splats : Splats
     ground_albedo : float, optional
         Albedo of the open ground, if it is known: nothing is guessed then.
+    gain : ndarray of shape (n, 3), optional
+        On the splats' linear light, if the captured sun is divided out. What the sun shone on keeps
+        its level then and shade gets that level too, so the number is that of relit colours: by
+        captured ones the sky would be too dim over ground in the shade.
+    frame : GroundFrame, optional
+        Of the splats; needed with a gain.
     """
     light = luminance_of(terrain.color)
     open_ground = (terrain.source == MEASURED) & (terrain.top - terrain.bed < FLAT_TOP)
+    brighter = 1.0
+    if gain is not None:
+        brighter = gain @ LUMINANCE_WEIGHTS
+        change = ground_gain(terrain, splats, brighter, frame)
+        light, open_ground = light * change, open_ground & (change > 0)
     if ground_albedo is not None:
         found = float(np.median(light[open_ground])) if open_ground.any() else USUAL
         scale = ground_albedo / max(found, 1e-3)
@@ -67,11 +79,38 @@ def albedo_of_white(terrain, splats, ground_albedo=None):
         judged.append(name)
     scale = math.exp(total / weight)
     if len(splats):
-        white = float(np.percentile(luminance_of(0.5 + SH_0 * splats.sh[:, 0]), WHITE_SHARE))
+        colors = luminance_of(0.5 + SH_0 * splats.sh[:, 0])
+        white = float(np.percentile(colors * brighter, WHITE_SHARE))
         scale = min(scale, WHITEST / max(white, 1e-3))
     scale = min(max(scale, LEAST), MOST)
     by = " and ".join(judged) if judged else "no ground to judge by"
     return scale, f"albedo: {scale:.2f} x captured colour by {by}; --ground-albedo sets it"
+
+
+def ground_gain(terrain, splats, gain, frame):
+    """Return the mean gain of the splats on the ground of each cell, (ny, nx); 0 where none lies.
+
+    Parameters
+    ----------
+    terrain : Terrain
+    splats : Splats
+    gain : ndarray of shape (n,)
+        On their light.
+    frame : GroundFrame
+    """
+    grid = terrain.grid
+    with np.errstate(all="ignore"):
+        position = frame.to_ground(splats.position)
+        row, column, inside = grid.cells(position[:, 0], position[:, 1])
+        inside &= np.isfinite(position).all(axis=1) & (splats.opacity > 0)
+    row, column = row[inside], column[inside]
+    on_it = np.abs(position[inside, 2] - terrain.bed[row, column]) < FLAT_TOP
+    cell = (row * grid.shape[1] + column)[on_it]
+    weight = splats.opacity[inside][on_it]
+    size = grid.shape[0] * grid.shape[1]
+    total = np.bincount(cell, weight * gain[inside][on_it], minlength=size)
+    share = np.bincount(cell, weight, minlength=size)
+    return (total / np.maximum(share, 1e-9)).reshape(grid.shape)
 
 
 def calibration_of(scene, terrain):

@@ -222,6 +222,31 @@ def test_albedo_follows_the_ground_and_what_is_given():
     assert calibration.zenith_radiance(high, 0.7) == pytest.approx(9 / 7 * ground / albedo)
 
 
+def test_albedo_is_that_of_relit_colors_however_much_of_the_ground_lay_in_the_shade():
+    along = (np.arange(40) + 0.5) * 0.05 - 1.0
+    places = np.stack([*np.meshgrid(along, along), np.zeros((40, 40))], axis=-1).reshape(-1, 3)
+    frame = ground_frame()
+    grey = splats_of(patch((0, 0, 0), 1600, 0.1, 0.02, (0.3, 0.3, 0.3), np.random.default_rng(0)))
+    splats = dataclasses.replace(grey, position=frame.to_capture(places))
+    terrain = terrain_from_heights(
+        np.zeros((40, 40), np.float32), Grid((40, 40), (-1.0, -1.0), 0.05)
+    )
+    found = []
+    for shaded in (10, 30):  # rows in the shade, a third as bright
+        dark = np.arange(40)[:, None] < shaded
+        light = np.where(dark, 0.2, 0.6) * np.ones((40, 40))
+        color = np.repeat(light[..., None] ** (1 / GAMMA), 3, axis=2).astype(np.float32)
+        seen = dataclasses.replace(terrain, color=color)
+        gain = np.repeat(np.where(light < 0.4, 3.0, 1.0).reshape(-1, 1), 3, axis=1)
+        captured, _ = calibration.albedo_of_white(seen, splats)
+        relit, _ = calibration.albedo_of_white(seen, splats, None, gain, frame)
+        found.append((captured, relit))
+    (mostly_lit, lit), (mostly_dark, dark) = found
+    assert dark == pytest.approx(lit, rel=1e-3) and mostly_dark > 1.3 * mostly_lit
+    given, _ = calibration.albedo_of_white(seen, splats, 0.3, gain, frame)
+    assert given == pytest.approx(0.3 / 0.6, rel=1e-3)
+
+
 def test_the_meter_keeps_a_clear_day_and_greys_a_dull_one():
     assert calibration.metered(0.3, 0.3, 0.0, 1.0, 0.0) == pytest.approx(1)
     assert calibration.metered(0.3, 0.08, 0.0, 1.0, 1.0) == pytest.approx(2)

@@ -139,6 +139,18 @@ def test_a_board_between_gaps_holds_what_its_edges_pin():
     assert 0 < parted.capacity[0] < TopWater(plain).capacity[0]
 
 
+def test_a_drawn_puddle_goes_on_over_gaps_and_keeps_its_depth_beside_them():
+    plain = with_table()
+    holds = plain.tops.holds.copy()
+    holds[:, ::8] = False
+    water = TopWater(replace(plain, tops=replace(plain.tops, holds=holds)))
+    np.testing.assert_array_equal(water.drawn[:, holds], water.depths[:, holds])
+    gap = ~holds & np.roll(holds, 1, axis=1) & np.roll(holds, -1, axis=1)
+    beside = np.maximum(np.roll(water.depths, 1, axis=2), np.roll(water.depths, -1, axis=2))
+    assert (water.depths[:, gap] == 0).all() and (water.drawn[-1, gap] > 0).mean() > 0.5
+    assert (water.drawn[:, gap] <= beside[:, gap]).all()
+
+
 def test_the_sheet_is_nusselts():
     assert sheet_depth(0.0) == 0
     thin, thick = sheet_depth(mm_per_hour(5.0)), sheet_depth(mm_per_hour(40.0))
