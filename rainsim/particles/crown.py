@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rainsim.constants import SURFACE_TENSION, WATER_DENSITY
 from rainsim.jit import device_function, lean_function
 from rainsim.numerics.random import subkey, uniform_triple
 from rainsim.particles.line_raster import FAINTEST, lane, lanes
@@ -28,6 +29,10 @@ _THINNEST, _THICKEST = 0.2, 3.0  # depth over diameter between which the estimat
 _FLARE = 0.3  # the rim leans out by this share of its height
 _FINGERS = 0.45  # by which share of its height the rim is jagged
 _RIM = 0.17  # thickness of the rim over the drop's diameter
+# A thread of water breaks up fastest at this wavelength over its radius, and grows by e in so many
+# times of sqrt(density radius^3 / tension): Rayleigh 1878.
+_BREAK_UP, _BREAK_UP_TIME = 9.02, 1 / 0.343
+_UNEVEN = 0.15  # by which share the number of fingers varies; chosen
 # Share of light that each replaces. A sheet is a window, whose faces mirror some 4 % each: so the
 # light that a crown adds is that of a path-traced crown (tests/unit/test_mitsuba_rain.py).
 _RIM_ALPHA, _SHEET_ALPHA = 0.8, 0.1
@@ -52,12 +57,15 @@ class Crown(NamedTuple):
         Greatest.
     jet : bool
         Whether a jet follows.
+    fingers : float
+        Of the rim, on the mean.
     """
 
     life: float
     growth: float
     height: float
     jet: bool
+    fingers: float
 
 
 class _Ring(NamedTuple):
@@ -99,7 +107,9 @@ def crown_shape(impact, size, pixel):
     cannot be neglected for most of the spreading (Lamanna et al. 2022, J. Fluid Mech.).
     Height and life both grow with the square root of the Weber number, so that a higher crown takes
     longer but does not grow faster, as Cossali et al. 2004 (Exp. Fluids 36, 888) measured. The
-    factors themselves and the jet are chosen, not fitted to measurements.
+    factors themselves and the jet are chosen, not fitted to measurements. The rim's fingers are as
+    many as wavelengths of the Rayleigh-Plateau instability fit on it (Zhang et al. 2010, Phys.
+    Fluids 22, 122105) when this has had the time to grow by e.
     """
     diameter, speed = impact.diameter, impact.speed
     relative = impact.depth / diameter
@@ -108,7 +118,16 @@ def crown_shape(impact, size, pixel):
     growth = size * spread * np.sqrt(speed * diameter)  # m / s^(1/2)
     height = size * _HEIGHT * _strength(diameter, speed) * diameter
     jet = (relative > JET_FROM) & (pixel < FINE_PIXEL)
-    return Crown(crown_life(diameter, speed), growth, height, jet)
+    radius = 0.5 * _RIM * diameter
+    grown = _BREAK_UP_TIME * np.sqrt(WATER_DENSITY * radius**3 / SURFACE_TENSION)
+    fingers = _FULL_TURN * growth * np.sqrt(grown) / (_BREAK_UP * radius)
+    return Crown(crown_life(diameter, speed), growth, height, jet, fingers)
+
+
+@device_function
+def fingers_of(crown, wave):
+    """Return how many fingers a crown's rim has; `wave`, 0 to 1, is its own."""
+    return int(crown.fingers * (1.0 + _UNEVEN * (2.0 * wave - 1.0)) + 0.5)
 
 
 @device_function
@@ -147,7 +166,8 @@ def raise_crown(impact, crown, pixel, exposure, count, lines_out):
             crown.growth * math.sqrt(time), crown.height * 4 * passed * (1 - passed),
             share * (1 - passed * passed),
         )  # fmt: skip
-        _raise_ring(ring, _RIM * impact.diameter, impact.key, pixel, exposure, count, lines_out)
+        _raise_ring(ring, crown, _RIM * impact.diameter, impact.key, pixel, exposure, count,
+                    lines_out)  # fmt: skip
 
 
 @lean_function
@@ -165,7 +185,7 @@ def raise_jet(impact, pixel, exposure, count, lines_out):
 
 
 @lean_function
-def _raise_ring(ring, thickness, key, pixel, exposure, count, lines_out):
+def _raise_ring(ring, crown, thickness, key, pixel, exposure, count, lines_out):
     """Add one crown at one moment: a jagged rim of a `thickness` [m], and under it the sheet."""
     rim = ring.foot + _FLARE * ring.top
     if 2 * rim < _DOT * pixel:
@@ -176,7 +196,7 @@ def _raise_ring(ring, thickness, key, pixel, exposure, count, lines_out):
     turned, _, _ = uniform_triple(subkey(key, 1 << 20))
     # The rim's number of fingers is its own, however many pieces draw it.
     phase_1, phase_2, wave = uniform_triple(subkey(key, (1 << 20) + 1))
-    fingers = 5 + int(4 * wave)
+    fingers = fingers_of(crown, wave)
     length = 2 * rim * math.sin(turn / 2)
     rim_area = length * thickness * _RIM_ALPHA * ring.share
     sheet_area = turn * 0.5 * (rim + ring.foot) * _SHEET_ALPHA * ring.share

@@ -232,8 +232,10 @@ def recompose(aovs, drop, around, air, brightness):
     drop : array_like of shape (3,) or (m, n, 3)
         Radiance of drops: everywhere, or at places from edge to edge of the picture, bilinear
         between them.
-    around, air : array_like of shape (3,)
-        Mean radiance of the surroundings, and radiance of the air; see `FrameReport.light`.
+    around : array_like of shape (3,) or (m, n, 3)
+        The same of the sheets of splashes.
+    air : array_like of shape (3,)
+        Radiance of the air; see `FrameReport.light`.
     brightness : float
 
     Examples
@@ -249,12 +251,12 @@ def recompose(aovs, drop, around, air, brightness):
     share, cover = part["fresnel"][..., None], part["coverage"][..., None]
     water = (1 - share) * part["refraction"] + share * part["reflection"] + part["highlight"]
     value = part["wet"] * (1 - cover) + water * cover
-    drop = spread_field(drop, *part["coverage"].shape)
+    drop, around = (spread_field(field, *part["coverage"].shape) for field in (drop, around))
     past_splashes, past_drops = (
         1 - part[name][..., None] for name in ("splash_alpha", "rain_alpha")
     )
     value = brightness * composite.through_rain(
-        value, drop, np.asarray(around), np.asarray(air), part["transmission"][..., None],
+        value, drop, around, np.asarray(air), part["transmission"][..., None],
         past_splashes, past_drops,
     )  # fmt: skip
     image = np.empty(value.shape, np.uint8)
@@ -268,7 +270,7 @@ def spread_field(drop, height, width):
     Parameters
     ----------
     drop : array_like of shape (rows, columns, 3) or (3,)
-        At places from edge to edge, see `drop_field`; (3,) is even over the picture.
+        At places from edge to edge, see `falling_light`; (3,) is even over the picture.
     height, width : int [px]
 
     Returns

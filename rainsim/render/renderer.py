@@ -134,10 +134,11 @@ class Renderer:
         cover = self.rain.draw(
             self.view, camera_end, state, render, scene.paving, self.wet.depth, timer
         )
-        light = RainLight(self.drop_light, self.everywhere, self.air_light)
+        light = RainLight(*self.drop_light, self.air_light)
         if render.streaks == "paper":
             radiance = paper.line_radiance(picture)
-            light = light._replace(drops=drop_radiance.even(radiance), around=radiance)
+            drops = drop_radiance.even(radiance)
+            light = RainLight(drops, drops, self.air_light)
         if render.glare != "off":
             picture = self._glare.added(picture, camera.fx, self.brightness)
             timer.mark("glare")
@@ -263,9 +264,9 @@ class Renderer:
             self.now.water.surface_film,
         )  # fmt: skip
 
-    def drop_field(self, view, camera):
-        """Return the radiance of drops over a camera's picture, see `drop_radiance.drop_field`."""
-        return drop_radiance.drop_field(
+    def falling_light(self, view, camera):
+        """Return the light of drops and splashes in a picture: `drop_radiance.falling_light`."""
+        return drop_radiance.falling_light(
             self.wet_scene.gloss, self.everywhere, view.ground_from_camera, view.lens, camera.width,
             camera.height,
         )  # fmt: skip
@@ -351,4 +352,4 @@ class Renderer:
         )
         timer.mark("film")
         self.water.look(self.wet)
-        self.drop_light = self.drop_field(self.wet.view, camera)
+        self.drop_light = self.falling_light(self.wet.view, camera)

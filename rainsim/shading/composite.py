@@ -24,9 +24,9 @@ WHITE = np.float32(255)
 FOG_END, FOG_BEYOND, FOG_STEPS_BEGIN = 0, 1, 2
 
 # Rows of a chunk of `compose`: shares of light that air, streaks and splashes let through, radiance
-# of drops, colours.
-(CLEAR, PAST_DROPS, PAST_SPLASHES, DROP, RED, GREEN, BLUE) = (CHUNK * k for k in range(7))
-COMPOSED = 7 * CHUNK
+# of drops and of the sheets of splashes, colours.
+(CLEAR, PAST_DROPS, PAST_SPLASHES, DROP, SHEET, RED, GREEN, BLUE) = (CHUNK * k for k in range(8))
+COMPOSED = 8 * CHUNK
 
 
 class RainCover(NamedTuple):
@@ -43,9 +43,9 @@ class RainLight(NamedTuple):
     """Radiance of what is before the scene; read-only."""
 
     # (m, n, 3) float32, of falling drops at places from edge to edge of the picture, bilinear
-    # between them; see `drop_field`.
+    # between them; see `falling_light`.
     drops: np.ndarray
-    around: np.ndarray  # (3,) float32, mean of the surroundings: half of what splashes show
+    around: np.ndarray  # the same of the sheets of splashes, half of what they show
     air: np.ndarray  # (3,) float32, of the air
 
 
@@ -82,8 +82,7 @@ def splash_light(drop, around):
     """Return the radiance of splashes where that of drops is `drop`.
 
     Half of what a crown shows is taken to come through its rim and its droplets, which bend light
-    as drops do, and half off its sheets, whose normals point everywhere and which mirror the mean
-    radiance `around`.
+    as drops do, and half from its sheets, of the radiance `around`.
     """
     return HALF * (drop + around)
 
@@ -154,7 +153,7 @@ def compose(picture, depth, drops: RainCover, light: RainLight, view: View, brig
 def compose_row(row, height, radiance, depth, drops, light, view, brightness, image_out):
     """Compose one row of pixels; see `compose`."""
     rain_alpha, splash_alpha, fog = drops.rain_alpha, drops.splash_alpha, drops.fog
-    field, around, air = light.drops, light.around, light.air
+    field, sheets, air = light.drops, light.around, light.air
     width, places = len(depth), field.shape[1]
     s, line = np.empty(COMPOSED, np.float32), np.empty(places, np.float32)
     v = field_place(row, height, field.shape[0])
@@ -168,12 +167,12 @@ def compose_row(row, height, radiance, depth, drops, light, view, brightness, im
         read_covers(rain_alpha[row, left:end], splash_alpha[row, left:end], n, s)
         read_colors(radiance[3 * left : 3 * end], n, s)
         for c in range(3):
-            for k in range(places):
-                upper, lower = field[j, k, c], field[j + 1, k, c]
-                line[k] = upper + (lower - upper) * below
-            light_drops(line, left, width, n, s)
+            read_line(field, j, below, c, line)
+            spread_line(line, left, width, n, s[DROP : DROP + CHUNK])
+            read_line(sheets, j, below, c, line)
+            spread_line(line, left, width, n, s[SHEET : SHEET + CHUNK])
             color = s[RED + c * CHUNK : RED + (c + 1) * CHUNK]
-            finish(s, color, n, air[c], around[c], brightness)
+            finish(s, color, n, air[c], brightness)
         write_image(n, s, image_out[3 * left : 3 * end])
 
 
@@ -208,23 +207,31 @@ def read_colors(radiance, n, s):
 
 
 @inlined_function
-def light_drops(line, left, width, n, s):
-    """Write the radiance of drops for n pixels of a row, interpolated from places across it."""
+def read_line(field, j, below, c, line_out):
+    """Write one channel of a field of radiance at the places across a row, `below` its row j."""
+    for k in range(len(line_out)):
+        upper, lower = field[j, k, c], field[j + 1, k, c]
+        line_out[k] = upper + (lower - upper) * below
+
+
+@inlined_function
+def spread_line(line, left, width, n, radiance_out):
+    """Write the radiance for n pixels of a row, interpolated from places across it."""
     places = len(line)
     scale = np.float32(places - 1) / np.float32(width)
     for i in range(n):
         u = (np.float32(left + i) + HALF) * scale
         k = np.uint32(np.int32(u))
-        s[DROP + i] = line[k] + (line[k + np.uint32(1)] - line[k]) * (u - np.float32(k))
+        radiance_out[i] = line[k] + (line[k + np.uint32(1)] - line[k]) * (u - np.float32(k))
 
 
 # Not inlined: LLVM sees that its loop can run in vectors only when it looks at the loop alone.
 @serial_kernel
-def finish(s, color, n, air, around, brightness):
+def finish(s, color, n, air, brightness):
     """Put air, splashes and drops before one channel of n pixels and encode it."""
     for i in range(n):
         value = through_rain(
-            color[i], s[DROP + i], around, air, s[CLEAR + i], s[PAST_SPLASHES + i],
+            color[i], s[DROP + i], s[SHEET + i], air, s[CLEAR + i], s[PAST_SPLASHES + i],
             s[PAST_DROPS + i],
         )  # fmt: skip
         color[i] = tone_curve(value * brightness)

@@ -132,7 +132,8 @@ def test_compose(view, poisoned, rng):
     alphas = [rng.uniform(0, 0.5, (HEIGHT, WIDTH)).astype(F4) for _ in range(2)]
     fog = np.linspace(0, 0.6, 99).astype(F4)
     fog[0], fog[1] = 20, 0.02
-    drops, around, air = rng.uniform(0, 1, (4, 6, 3)).astype(F4), F4([0.2, 0.4, 0.7]), F4([0.8] * 3)
+    drops, around = rng.uniform(0, 1, (2, 4, 6, 3)).astype(F4)
+    air = F4([0.8] * 3)
     light = view.color * 2, view.depth, RainCover(*alphas, fog), RainLight(drops, around, air)
     wanted, found = (poisoned((HEIGHT, WIDTH, 3), np.uint8) for _ in range(2))
     composite.compose(*light, View(view.turn, view.eye, *view.lens), F4(1.1), wanted)
@@ -292,8 +293,8 @@ def test_light_of_drops_is_the_cpus():
     mean = drop_radiance.mean_radiance(around)
     turn = np.array([[0, 0, 1], [-1, 0, 0], [0, -1, 0]], np.float32)
     lens, size = np.array([90, 100, 60, 40], np.float32), np.array([120, 80], np.float32)
-    wanted = drop_radiance.drop_field(around, mean, turn, lens, 120, 80)
-    assert wanted.std() > 0.01
+    wanted = np.stack(drop_radiance.falling_light(around, mean, turn, lens, 120, 80))
+    assert wanted.std() > 0.01 and np.abs(wanted[0] - wanted[1]).max() > 0.01
     uniforms = {"around": mean, "turn": turn, "lens": lens}
     drops = cuda_drops.DropLight(
         SimpleNamespace(
@@ -302,6 +303,8 @@ def test_light_of_drops_is_the_cpus():
             rasterizer=SimpleNamespace(size=cuda.to_device(size)),
         )
     )  # fmt: skip
-    drops.field.copy_to_device(np.full(wanted.shape, np.nan, np.float32))
+    for field in (drops.drops, drops.sheets):
+        field.copy_to_device(np.full(wanted[0].shape, np.nan, np.float32))
     drops.launch()
-    np.testing.assert_allclose(drops.field.copy_to_host(), wanted, rtol=1e-5)
+    found = drops.drops.copy_to_host(), drops.sheets.copy_to_host()
+    np.testing.assert_allclose(found, wanted, rtol=1e-5)

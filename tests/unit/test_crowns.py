@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 
 from rainsim.drops import Impacts, RainField, RainSpectrum, Surfaces, flat_surfaces, impacts
-from rainsim.particles.crown import LONGEST_CROWN, LONGEST_JET, crown_shape, raise_crown, raise_jet
+from rainsim.particles.crown import (
+    LONGEST_CROWN,
+    LONGEST_JET,
+    crown_shape,
+    fingers_of,
+    raise_crown,
+    raise_jet,
+)
 from rainsim.particles.splash import WET_FILM, Impact
 from rainsim.particles.splash_pass import draw_splashes, seen_splashes
 from rainsim.rain.size_distribution import terminal_speed
@@ -77,6 +84,20 @@ def test_an_exposure_shows_the_share_of_time_that_a_crown_lives():
     short = crown(2e-3, 0.0, exposure=0.03, pixel=1.0)
     long = crown(2e-3, 0.0, exposure=0.06, pixel=1.0)
     assert (short.diameter**2).sum() == pytest.approx(2 * (long.diameter**2).sum(), rel=1e-6)
+
+
+def test_the_rim_has_as_many_fingers_as_rayleighs_wavelengths_fit_on_it():
+    """A rim of .17 D under the wavelength 9.02 a, when its fastest wave has grown by e."""
+    found = {}
+    for diameter in (2e-3, 4e-3):
+        speed = float(terminal_speed(diameter))
+        impact = Impact(np.uint64(5), 0.0, 0.0, 0.0, 0.0, 0.0, speed, diameter, 1e-3, 0.0)
+        shape, a = crown_shape(impact, 1.0, 1e-4), 0.085 * diameter
+        circumference = 2 * np.pi * shape.growth * np.sqrt(np.sqrt(1000 * a**3 / 0.0728) / 0.343)
+        assert shape.fingers == pytest.approx(circumference / (9.02 * a), rel=0.01)
+        assert fingers_of(shape, 0.0) < round(shape.fingers) < fingers_of(shape, 0.999)
+        found[diameter] = fingers_of(shape, 0.5)
+    assert 6 <= found[2e-3] < found[4e-3] <= 20
 
 
 def test_a_jet_rises_from_deep_water_only():

@@ -270,7 +270,7 @@ def test_drop_is_a_lens_that_shows_what_lies_far_around_behind_it():
     np.testing.assert_allclose(mean, (1 + 2 / 3) * np.array([1, 0.6, 0.3]), rtol=2e-3)
     turn = np.array([[0, 0, 1], [-1, 0, 0], [0, -1, 0]], np.float32)  # looks along x
     lens = np.array([100, 100, 60, 40], np.float32)
-    field = drop_radiance.drop_field(around, mean, turn, lens, 120, 80)
+    field, _ = drop_radiance.falling_light(around, mean, turn, lens, 120, 80)
     rng = np.random.default_rng(3)
 
     def bent(into, normal, ratio):
@@ -296,11 +296,26 @@ def test_drop_is_a_lens_that_shows_what_lies_far_around_behind_it():
     assert field[3, 4, 0] != pytest.approx(field[0, 4, 0], rel=0.01)
 
 
+def test_sheets_of_splashes_show_the_less_of_the_sky_the_more_they_are_seen_from_above():
+    around = sky.overcast()
+    around[around.shape[0] // 2 :] = 0.1
+    mean, lens = drop_radiance.mean_radiance(around), np.array([100, 100, 60, 40], np.float32)
+    shares = []
+    for down in (0.0, 0.6, 1.5):  # rad
+        c, s = np.cos(down), np.sin(down)
+        turn = np.array([[0, -s, c], [-1, 0, 0], [0, -c, -s]], np.float32)
+        drops, sheets = drop_radiance.falling_light(around, mean, turn, lens, 120, 80)
+        assert drops.shape == sheets.shape == (*drop_radiance.GRID, 3)
+        shares.append((sheets[3, 4, 1] - drops[3, 4, 1]) / (mean[1] - drops[3, 4, 1]))
+    wanted = [drop_radiance.SEEN_LEVEL - drop_radiance.SEEN_ABOVE * np.sin(a) for a in (0, 0.6, 1.5)]
+    np.testing.assert_allclose(shares, wanted, rtol=1e-3)
+
+
 def test_drops_before_the_ground_are_darker_than_before_the_sky(poisoned):
     around = sky.overcast()
     turn = np.array([[0, 0, 1], [-1, 0, 0], [0, -1, 0]], np.float32)
     lens = np.array([100, 100, 60, 40], np.float32)
-    field = drop_radiance.drop_field(
+    field, _ = drop_radiance.falling_light(
         around, drop_radiance.mean_radiance(around), turn, lens, 120, 80
     )
     assert (np.diff(field[:, 4, 1]) < 0).all() and field[0, 4, 1] > 1.5 * field[-1, 4, 1]
@@ -309,7 +324,7 @@ def test_drops_before_the_ground_are_darker_than_before_the_sky(poisoned):
     shown = poisoned((80, 120, 3), np.uint8)
     compose(
         np.zeros((80, 120, 3), np.float32), none + 5, RainCover(half, none, fog.NO_FOG),
-        RainLight(field, around[0, 0], around[0, 0]), View(turn, np.zeros(3, np.float32), *lens),
+        RainLight(field, field, around[0, 0]), View(turn, np.zeros(3, np.float32), *lens),
         np.float32(1), shown,
     )  # fmt: skip
     wanted = [[display_from_linear(0.5 * c) * 255 for c in field[j, i]]

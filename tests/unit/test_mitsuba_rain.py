@@ -188,11 +188,11 @@ def crown_mesh(impact, rim):
     with np.errstate(over="ignore"):
         word = crown.subkey(impact.key, (1 << 20) + 1)
         phase_1, phase_2, wave = crown.uniform_triple(word)
-    around, sheet = 240, 0.35 * rim
+    around, sheet, fingers = 240, 0.35 * rim, crown.fingers_of(shape, wave)
     rows = []
     turn = 2 * math.pi * np.arange(around) / around
     for angle in turn:
-        out, high, cosine, sine = crown._rim_point(angle, ring, 5 + int(4 * wave), phase_1, phase_2)
+        out, high, cosine, sine = crown._rim_point(angle, ring, fingers, phase_1, phase_2)
         foot = np.array([ring.foot, 1e-4])
         top = np.array([out, high])
         along = (top - foot) / np.linalg.norm(top - foot)
@@ -234,7 +234,7 @@ def drawn_crown(camera, speed):
     return alpha
 
 
-@pytest.mark.parametrize("pitch", [8, 26])
+@pytest.mark.parametrize("pitch", [8, 26, 50, 75])
 def test_a_crown_adds_as_much_light_as_in_a_path_tracer(pitch):
     mitsuba.set_variant("scalar_rgb")
     speed = float(terminal_speed(DROP))
@@ -253,8 +253,10 @@ def test_a_crown_adds_as_much_light_as_in_a_path_tracer(pitch):
     bare = np.polynomial.polynomial.polyval(row, fit)
     view, gloss = view_of(camera), sky()
     mean = drop_radiance.mean_radiance(gloss)
-    drops = drop_radiance.drop_field(gloss, mean, view.ground_from_camera, view.lens, 120, 90)
-    added = (alpha * (splash_light(drops[3, 4, 1], mean[1]) - bare)).sum()
+    drops, sheets = drop_radiance.falling_light(
+        gloss, mean, view.ground_from_camera, view.lens, 120, 90
+    )
+    added = (alpha * (splash_light(drops[3, 4, 1], sheets[3, 4, 1]) - bare)).sum()
     wanted = (truth - bare)[shown].sum()
     print(f"crown at {pitch} degrees: {added:.1f} drawn, {wanted:.1f} traced")
     assert wanted > 10

@@ -12,6 +12,7 @@ from rainsim.particles.drop_radiance import (
     TURNS,
     line_of_sight,
     refracted,
+    sheet_light,
 )
 
 _RAYS = RINGS * TURNS
@@ -27,25 +28,27 @@ class DropLight:
 
     Attributes
     ----------
-    field : device array of shape (7, 9, 3), float32
-        See `rainsim.particles.drop_radiance.drop_field`.
+    drops, sheets : device array of shape (7, 9, 3), float32
+        See `rainsim.particles.drop_radiance.falling_light`.
     """
 
     def __init__(self, frame):
-        self._frame, self.field = frame, cuda.device_array((*GRID, 3), np.float32)
+        self._frame = frame
+        self.drops, self.sheets = (cuda.device_array((*GRID, 3), np.float32) for _ in range(2))
 
     def launch(self, stream=None):
         """Queue the field of the present camera, on another stream than the frame's if given."""
         frame = self._frame
         now, stream = frame.uniforms, frame.stream if stream is None else stream
         fill_field[GRID[0] * GRID[1], _RAYS, stream](
-            frame.gloss, now["around"], now["turn"], now["lens"], frame.rasterizer.size, self.field
-        )
+            frame.gloss, now["around"], now["turn"], now["lens"], frame.rasterizer.size,
+            self.drops, self.sheets,
+        )  # fmt: skip
 
 
 @cuda_kernel
-def fill_field(environment, everywhere, ground_from_camera, lens, size, field_out):
-    """Write the radiance of drops over a camera's picture, a thread for each ray of a drop.
+def fill_field(environment, everywhere, ground_from_camera, lens, size, drops_out, sheets_out):
+    """Write the light of drops and splashes over a picture, a thread for each ray of a drop.
 
     Parameters
     ----------
@@ -55,10 +58,10 @@ def fill_field(environment, everywhere, ground_from_camera, lens, size, field_ou
     lens : device array of shape (4,), float32 [px]
     size : device array of shape (2,), float32 [px]
         Width and height of the picture.
-    field_out : device array of shape (7, 9, 3), float32
+    drops_out, sheets_out : device array of shape (7, 9, 3), float32
     """
     light = cuda.shared.array((_RAYS, 3), np.float32)
-    columns = field_out.shape[1]
+    columns = drops_out.shape[1]
     j, i = cuda.blockIdx.x // columns, cuda.blockIdx.x % columns
     ray = cuda.threadIdx.x
     sight = line_of_sight(lens, size, j, i)
@@ -70,4 +73,6 @@ def fill_field(environment, everywhere, ground_from_camera, lens, size, field_ou
         total = np.float32(0.0)
         for other in range(_RAYS):
             total += light[other, ray]
-        field_out[j, i, ray] = total * _SHARE + THROWN_BACK * everywhere[ray]
+        drop = total * _SHARE + THROWN_BACK * everywhere[ray]
+        drops_out[j, i, ray] = drop
+        sheets_out[j, i, ray] = sheet_light(ground_from_camera, sight, drop, everywhere[ray])

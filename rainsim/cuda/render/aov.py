@@ -48,7 +48,8 @@ class AovReader:
             slopes=frame.ripple_slopes(), tile_size=state.tile_size, drips=state.drips,
             drip_id=state.drip_id, top_water=state.top_water,
         )  # fmt: skip
-        light = RainLight(frame.drop_light.field.copy_to_host(), host.everywhere, host.air_light)
+        drops, sheets = frame.drop_light.drops, frame.drop_light.sheets
+        light = RainLight(drops.copy_to_host(), sheets.copy_to_host(), host.air_light)
         scene = host.wet_scene
         if self._rasterizer is None:
             own = frame.rasterizer

@@ -450,7 +450,7 @@ class DeviceFrame:
             rain, splash = self.streaks.alpha, self.splashes.alpha
         compose[self._grid()](
             self._shown, self.depth, RainCover(rain, splash, n["fog"]),
-            RainLight(self.drop_light.field, n["around"], n["air"]), self.camera_arrays,
+            RainLight(self.drop_light.drops, self.drop_light.sheets, n["air"]), self.camera_arrays,
             n["brightness"], self._image,
         )  # fmt: skip
 

@@ -40,13 +40,12 @@ def compose(picture, depth, drops, light, camera, brightness, image_out):
         ONE - drops.splash_alpha[row, column], ONE - drops.rain_alpha[row, column]
     )  # fmt: skip
     field = light.drops
-    shown = bilinear_color(
-        field, field_place(column, width, field.shape[1]) + HALF,
-        field_place(row, height, field.shape[0]) + HALF,
-    )  # fmt: skip
+    u = field_place(column, width, field.shape[1]) + HALF
+    v = field_place(row, height, field.shape[0]) + HALF
+    shown, around = bilinear_color(field, u, v), bilinear_color(light.around, u, v)
     for c in range(3):
         value = through_rain(
-            picture[row, column, c], shown[c], light.around[c], light.air[c], clear,
+            picture[row, column, c], shown[c], around[c], light.air[c], clear,
             past_splashes, past_drops,
         )  # fmt: skip
         image_out[row, column, c] = eight_bit(tone_curve(value * brightness[0]))
