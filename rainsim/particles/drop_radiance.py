@@ -28,7 +28,7 @@ GRID = (7, 9)  # places over a picture, from edge to edge, between which the lig
 # Of the light of a splash's sheets: what makes the drawn splash add as much light as path-traced
 # crowns do, seen 8 to 75 degrees from above. Six of them, 3 to 9 ms old, of drops of 2.5 and 4 mm,
 # over beds from a thirtieth to a third as bright as the zenith; see tests/unit/test_mitsuba_rain.
-SEEN_LEVEL, SEEN_ABOVE = np.float32(1.28), np.float32(1.15)
+SEEN_LEVEL, SEEN_ABOVE = np.float32(1.09), np.float32(0.96)
 RINGS, TURNS = 8, 12  # of a drop's disc, of equal area, and places on each
 
 _RADIUS = np.sqrt((np.arange(RINGS) + 0.5) / RINGS)

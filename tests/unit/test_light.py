@@ -300,14 +300,14 @@ def test_sheets_of_splashes_show_the_less_of_the_sky_the_more_they_are_seen_from
     around = sky.overcast()
     around[around.shape[0] // 2 :] = 0.1
     mean, lens = drop_radiance.mean_radiance(around), np.array([100, 100, 60, 40], np.float32)
-    shares = []
-    for down in (0.0, 0.6, 1.5):  # rad
+    shares, angles = [], np.array([0.0, 0.6, 1.5])
+    for down in angles:
         c, s = np.cos(down), np.sin(down)
         turn = np.array([[0, -s, c], [-1, 0, 0], [0, -c, -s]], np.float32)
         drops, sheets = drop_radiance.falling_light(around, mean, turn, lens, 120, 80)
         assert drops.shape == sheets.shape == (*drop_radiance.GRID, 3)
         shares.append((sheets[3, 4, 1] - drops[3, 4, 1]) / (mean[1] - drops[3, 4, 1]))
-    wanted = [drop_radiance.SEEN_LEVEL - drop_radiance.SEEN_ABOVE * np.sin(a) for a in (0, 0.6, 1.5)]
+    wanted = drop_radiance.SEEN_LEVEL - drop_radiance.SEEN_ABOVE * np.sin(angles)
     np.testing.assert_allclose(shares, wanted, rtol=1e-3)
 
 
