@@ -84,18 +84,22 @@ class PathGround:
         axis, strip = long_axis(cells), cells_of(STRIP, spacing)
         low, high = cells[2 * axis], cells[2 * axis + 1]
         rims = [low, *range((low // strip + 1) * strip, high, strip), high]
-        (before, last), places, strips = self._last, {}, []
+        grid, maps, places = grid_of(cells, spacing), {}, {}
+        before, last = self._last
         for start, stop in pairwise(rims):
             part = (*cells[:2], start, stop) if axis else (start, stop, *cells[2:])
             along = slice(start - low, stop - low)
             places[part, spacing] = (slice(None), along) if axis else (along, slice(None))
             kept = before.get((part, spacing))
-            strips.append(
-                self._made(scene, part, spacing) if kept is None
-                else {name: getattr(last, name)[kept] for name in MAPS}
-            )  # fmt: skip
-        maps = {name: np.concatenate([s[name] for s in strips], axis=axis) for name in MAPS}
-        self._last = places, Terrain(grid_of(cells, spacing), **maps)
+            if kept is None:
+                strip = self._made(scene, part, spacing)
+            else:
+                strip = {name: getattr(last, name)[kept] for name in MAPS}
+            for name, values in strip.items():
+                if name not in maps:
+                    maps[name] = np.empty((*grid.shape, *values.shape[2:]), values.dtype)
+                maps[name][places[part, spacing]] = values
+        self._last = places, Terrain(grid, **maps)
         return self._last[1]
 
     def _made(self, scene, cells, spacing):

@@ -124,6 +124,17 @@ def test_a_late_frame_simulates_only_its_own_window(scene, ground, drive, monkey
     assert begun == [(first, n, shape) for n in range(first, last + 1)]
 
 
+def test_a_frame_by_itself_is_that_of_the_drive_while_the_weather_changes(scene, ground, drive):
+    keys = (
+        (0.0, (("rate", 0.0), ("past", 0.0), ("cloudiness", 0.2))),
+        (1.5, (("rate", mm_per_hour(60.0)), ("past", 3e-3), ("cloudiness", 1.0))),
+    )
+    config = CONFIG.replace(keyframes=keys)
+    last = CONFIG.frames - 1
+    every = frames(scene, ground, range(CONFIG.frames), config=config)
+    assert frames(scene, ground, [last], config=config)[last] == every[last] != drive[last]
+
+
 def test_rain_shows_in_a_late_window(scene, ground, drive):
     dry = CONFIG.replace(rate=0.0, past=0.0)
     last = CONFIG.frames - 1
