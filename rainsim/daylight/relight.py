@@ -46,7 +46,7 @@ LEAST_PAIRS = 150  # of places
 SURE_REACH = 0.06  # m about a place that is surely in the sun or surely not
 OPEN = 0.1  # light of the clear sky below which a place tells nothing
 ROUNDS = 6  # of the fit of the ratio
-MOST_GAIN = 6.0
+MOST_GAIN = 6.0  # of the luminance
 SURE = 0.5  # confidence from which on the sun is divided out
 # Values that raise the confidence from 0 to 1: sun over sky on level ground, share of pairs that
 # are brighter where the sun shines, and the score of the search.
@@ -329,6 +329,8 @@ def gains(surface, light, lit, direction, measured, around):
     captured = shade_of(light, direction, ratio) + sun
     rainy = (light.overcast + around)[:, None]
     open_ground = 1 + ratio * max(direction[2], 0.0)
-    gain = rainy * open_ground / np.maximum(captured, 1e-3)
+    gain = np.maximum(rainy * open_ground / np.maximum(captured, 1e-3), 1e-3)
     gain *= factor_in_shade(surface, lit, measured.edges)
-    return np.clip(gain, 1 / MOST_GAIN, MOST_GAIN).astype(np.float16)
+    # Shade under a blue sky needs most in red: a bound on each channel would leave it blue-green.
+    bright = luminance(gain)[:, None]
+    return (gain * np.clip(bright, 1 / MOST_GAIN, MOST_GAIN) / bright).astype(np.float16)

@@ -10,6 +10,7 @@ import sunny_yard
 from rainsim.config.settings import Config
 from rainsim.daylight import kept, relight, sky_light
 from rainsim.daylight.kept import covered_share, under_clouds
+from rainsim.daylight.light import Light
 from rainsim.daylight.shade import NO_EDGES, edge_shade, factor_in_shade
 from rainsim.daylight.surface import Surface
 from rainsim.daylight.visibility import (
@@ -21,7 +22,7 @@ from rainsim.daylight.visibility import (
     find_seen,
     solids_of,
 )
-from rainsim.numerics.srgb import display, linear
+from rainsim.numerics.srgb import LUMINANCE_WEIGHTS, display, linear
 from rainsim.render.wet_scene import WetScene
 from rainsim.scene.types import Splats
 
@@ -369,3 +370,19 @@ def test_shade_takes_over_what_its_edges_show(rng):
 def test_without_edges_shade_is_as_the_model_has_it():
     factor = factor_in_shade(surface_at([(0, 0, 0)]), np.zeros(1), NO_EDGES)
     assert (factor == 1).all()
+
+
+def test_deep_shade_under_a_blue_sky_keeps_its_hue_where_the_gain_is_bounded():
+    """Grey ground is grey after it, in the sun and in shade that asks for more than the bound."""
+    ratio = np.array([9.0, 5.0, 2.0])
+    measured, up = relight.SunRatio(ratio, 999, 1.0), np.array([0, 0, 1.0])
+    surface = surface_at([(0, 0, 0)] * 3)
+    clear, lit = np.float32([1, 0.6, 0.25]), np.float32([1, 0, 0])
+    none = np.zeros(3, np.float32)
+    light = Light(clear, np.ones(3, np.float32), None, none)
+    gain = relight.gains(surface, light, lit, up, measured, none).astype(float)
+    shown = (clear[:, None] + lit[:, None] * ratio) * gain
+    np.testing.assert_allclose(shown / shown[:, :1], np.tile([1, 0.6, 0.3], (3, 1)), rtol=5e-3)
+    np.testing.assert_allclose(gain[0], 1, rtol=2e-3)
+    np.testing.assert_allclose(gain[1:] @ LUMINANCE_WEIGHTS, relight.MOST_GAIN, rtol=5e-3)
+    assert gain[1, 0] > 1.2 * relight.MOST_GAIN
