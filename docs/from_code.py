@@ -50,7 +50,8 @@ def option_row(option):
     default = option.show_default if isinstance(option.show_default, str) else option.default
     if option.is_flag or default is None or callable(default) or "Sentinel" in repr(default):
         default = ""
-    return f"{names} {metavar}".strip(), default, option.help
+    meaning = re.sub(r"(?<![\w`-])--[a-z][a-z-]*", r"`\g<0>`", option.help)  # kept on one line
+    return f"{names} {metavar}".strip(), default, meaning
 
 
 def command_pages():

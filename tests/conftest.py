@@ -51,14 +51,41 @@ def scene_folder(tmp_path_factory):
 
 
 IN_THE_SIMULATOR = "test_the_twins_in_the_simulator[quick]"
+WARMUP = "test_warmup_leaves_nothing_behind"
+
+
+def turn_of(item):
+    """Return where a test stands in the list of workers that share it."""
+    if item.name == WARMUP:
+        return 0
+    if item.path.parent.name in ("cli", "examples", "golden"):
+        return 1
+    return 2 if item.name == IN_THE_SIMULATOR else 3
+
+
+def in_turns(items):
+    """Return the tests of workers so that kernels are compiled once, before most want them.
+
+    Two workers begin with a half of the list each. While one has all recorded kernels compiled,
+    the other begins with tests that compile nothing. Processes of command lines and of the
+    simulator, which would compile them once more, come after that.
+    """
+    quick = [item for item in items if item.path.parent.name in ("house", "site")]
+    chosen = set(quick)
+    others = sorted((item for item in items if item not in chosen), key=turn_of)
+    half = len(items) // 2
+    if len(quick) > half:
+        return quick[:half] + others + quick[half:]
+    last = len(others) - (half - len(quick))
+    return quick + others[last:] + others[:last]
 
 
 def pytest_collection_modifyitems(config, items):
-    """Leave out what takes minutes without the compiler; workers begin with the longest test."""
+    """Leave out what takes minutes without the compiler; put the tests of workers into turns."""
     if plain.CHOSEN:
         items[:] = [item for item in items if item.originalname not in plain.SLOW]
     if hasattr(config, "workerinput"):
-        items.sort(key=lambda item: item.name != IN_THE_SIMULATOR)
+        items[:] = in_turns(items)
 
 
 def pytest_collection_finish(session):

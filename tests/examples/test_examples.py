@@ -96,6 +96,15 @@ def test_parts_of_the_rain(capsys):
     assert [cell.strip(" %") for cell in dry[3:7]] == ["0.0", "0.0", "0.0", "0.000"]
 
 
+def test_beside_the_paper(capsys):
+    load("beside_the_paper").main(tiny_scene(), width=64, frames=3, **TINY)
+    paper, ours = (line.split("|") for line in capsys.readouterr().out.splitlines()[2:])
+    assert "the paper's choices" in paper[1] and "defaults" in ours[1]
+    assert all(0 < float(row[4].strip(" %")) < 100 for row in (paper, ours))
+    assert float(paper[5].strip(" %")) > 2 * float(ours[5].strip(" %")) > 0  # opaque streaks
+    assert all(float(row[k].split()[0]) > 0 for row in (paper, ours) for k in (2, 3))
+
+
 def test_smog_and_flood(tmp_path, capsys):
     load("smog_and_flood").main(tmp_path / "both.jpg", tiny_scene(), 0, width=64, **TINY)
     *rates, flood = capsys.readouterr().out.splitlines()
