@@ -2,6 +2,7 @@
 
 import os
 import tempfile
+import time
 from pathlib import Path
 
 # Before anything imports numba: machine code of an older source must never answer for the new one.
@@ -52,6 +53,8 @@ def scene_folder(tmp_path_factory):
 
 IN_THE_SIMULATOR = "test_the_twins_in_the_simulator[quick]"
 WARMUP = "test_warmup_leaves_nothing_behind"
+WAITS = pytest.StashKey()
+LONGEST_WAIT = 300  # s
 
 
 def turn_of(item):
@@ -70,14 +73,22 @@ def in_turns(items):
     the other begins with tests that compile nothing. Processes of command lines and of the
     simulator, which would compile them once more, come after that.
     """
-    quick = [item for item in items if item.path.parent.name in ("house", "site")]
-    chosen = set(quick)
-    others = sorted((item for item in items if item not in chosen), key=turn_of)
+    quick = [item for item in items if is_quick(item)]
+    others = sorted((item for item in items if not is_quick(item)), key=turn_of)
     half = len(items) // 2
-    if len(quick) > half:
-        return quick[:half] + others + quick[half:]
-    last = len(others) - (half - len(quick))
-    return quick + others[last:] + others[:last]
+    return quick[:half] + others + quick[half:]
+
+
+def is_quick(item):
+    """Tell whether a test is of a kind that compiles nothing."""
+    if item.path.parent.name == "house":
+        return True
+    return item.path.name in ("test_config.py", "test_key_texts.py", "test_pages.py")
+
+
+def warm_mark():
+    """Return the file that says that the recorded kernels are compiled."""
+    return Path(os.environ["NUMBA_CACHE_DIR"]) / "warm"
 
 
 def pytest_collection_modifyitems(config, items):
@@ -86,6 +97,22 @@ def pytest_collection_modifyitems(config, items):
         items[:] = [item for item in items if item.originalname not in plain.SLOW]
     if hasattr(config, "workerinput"):
         items[:] = in_turns(items)
+        config.stash[WAITS] = any(item.name == WARMUP for item in items)
+
+
+def pytest_runtest_setup(item):
+    """Let a test that may compile wait until the other worker has the recorded kernels."""
+    if item.config.stash.get(WAITS, False) and item.name != WARMUP and not is_quick(item):
+        end = time.monotonic() + LONGEST_WAIT
+        while not warm_mark().exists() and time.monotonic() < end:
+            time.sleep(0.2)
+        item.config.stash[WAITS] = False
+
+
+def pytest_runtest_logfinish(nodeid):
+    """Say that the recorded kernels are compiled, or that they cannot be."""
+    if nodeid.endswith(WARMUP):
+        warm_mark().touch()
 
 
 def pytest_collection_finish(session):
