@@ -21,6 +21,7 @@ import platform
 import shutil
 import time
 import weakref
+from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
 from importlib import metadata
 from pathlib import Path
@@ -30,7 +31,7 @@ import numpy as np
 from rainsim.io.files import replacing
 
 VARIABLE, OFF = "RAINSIM_CACHE", "off"
-MOST_ENTRIES = 64
+MOST_ENTRIES, MOST_OF_A_KIND = 64, 16  # a drive keeps some of each of its windows
 MOST_BYTES = 2_000_000_000  # of all entries; a map of 2048 x 2048 cells takes 143 MB
 MOST_OF_THE_DISK = 0.1  # of what is free on the disk or held by entries
 STALE = 86_400.0  # s after which the temporary file of a run that was killed is deleted
@@ -372,10 +373,13 @@ def _entries(at):
 
 def _delete_old(at, room):
     """Delete the entries that were not used for the longest time until the others fit."""
-    total = 0
+    total, kinds = 0, Counter()
     for number, (_, size, path) in enumerate(_entries(at)):
+        kind = path.name.rpartition("-")[0]
+        kinds[kind] += 1
         total += size
-        if number >= MOST_ENTRIES or (total > room and number > 0):
+        too_many = number >= MOST_ENTRIES or kinds[kind] > MOST_OF_A_KIND
+        if too_many or (total > room and number > 0):
             path.unlink(missing_ok=True)
 
 

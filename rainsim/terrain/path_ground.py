@@ -17,13 +17,13 @@ from rainsim.errors import BackendError, ParameterError
 from rainsim.terrain.choose import AUTO_CELLS, MOST_CELLS, USUAL_SPACING, choose_grid
 from rainsim.terrain.extract import MARGIN, arrays_over
 from rainsim.terrain.kept import kept_terrain
-from rainsim.terrain.stations import STRIP, cells_of, long_axis, station_at, stations_of
+from rainsim.terrain.stations import HIGH, STRIP, cells_of, long_axis, station_at, stations_of
 from rainsim.terrain.types import NO_TOPS, UNKNOWN, Grid, Terrain
 
 OVERVIEW_CELLS = 400_000  # of the coarse map
 DIRT = 0.35, 0.32, 0.28  # colour of ground that no splat shows; by eye
 MAPS = "bed", "top", "underside", "source", "ground_class", "noise", "color"
-WIDER = 2.0  # times the usual cells: those of one map for all from which on windows are taken
+WIDER = 1.25  # times the usual cells: those of one map for all from which on windows are taken
 
 
 class PathGround:
@@ -154,9 +154,9 @@ def part_of(terrain, window):
 def follows_path(scene, config, cameras, backend="cpu", mask=None):
     """Tell whether the ground of a scene is mapped along the path of the cameras.
 
-    By `auto` it is where one map for all would need cells of WIDER times the usual ones, or more
-    cells of the given size than the memory holds. Scenes with nodes keep one map: their tyres throw
-    water wherever they drive, but in a window only there.
+    By `auto` it is where one map for all would need wider cells than usual, or more cells of the
+    given size than the memory holds. Scenes with nodes keep one map: their tyres throw water
+    wherever they drive, but in a window only there. So do cameras from above, who see far.
 
     Parameters
     ----------
@@ -199,7 +199,8 @@ def follows_path(scene, config, cameras, backend="cpu", mask=None):
                 "--ground-map whole"
             )
         return True
-    one_map = backend != "cpu" or len(cameras) == 1 or scene.actors
+    eyes = scene.ground_frame.to_ground(np.array([camera.position for camera in cameras]))
+    one_map = backend != "cpu" or len(cameras) == 1 or scene.actors or eyes[:, 2].max() > HIGH
     if one_map or any(wrong for wrong, _, _ in needs_one):
         return False
     area = np.prod(choose_grid(scene, TerrainConfig())[0].size)

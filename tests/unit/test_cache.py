@@ -139,6 +139,19 @@ def test_what_was_not_used_for_the_longest_time_is_deleted(folder, monkeypatch):
     }  # fmt: skip
 
 
+def test_many_entries_of_one_kind_leave_those_of_others(folder, monkeypatch):
+    monkeypatch.setattr(cache, "MOST_OF_A_KIND", 2)
+    now = time.time()
+    for age, kind, name in ((40, "scene", "one"), (30, "part", "a"), (20, "part", "b")):
+        cache.write(kind, name, {}, {"array": np.zeros(3)})
+        os.utime(folder / f"{kind}-{name}.kept", (now - age, now - age))
+    assert len(list(folder.iterdir())) == 3
+    cache.write("part", "c", {}, {"array": np.zeros(3)})
+    assert {p.name for p in folder.iterdir()} == {
+        "scene-one.kept", "part-b.kept", "part-c.kept",
+    }  # fmt: skip
+
+
 def test_entries_take_no_more_than_their_share_of_the_disk(folder, monkeypatch):
     monkeypatch.setattr(cache, "MOST_BYTES", 20_000)
     now = time.time()

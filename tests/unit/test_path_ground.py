@@ -261,8 +261,16 @@ def test_auto_takes_windows_where_one_map_would_be_too_coarse(scene, monkeypatch
     monkeypatch.setattr(path_ground, "MOST_CELLS", 20_000)
     assert auto() and auto(spacing=None)
     assert not auto(cameras=DRIVE[:1]) and not auto(backend="cuda") and not auto(extent=2.0)
+    aloft = [replace(view, camera_from_world=_raised(view, 5.0)) for view in DRIVE]
+    assert not auto(cameras=aloft)
     assert not auto(level=0.1) and not auto(mask=np.zeros((4, 4), int))
     assert not follows_path(scene, CONFIG.replace(ground_map="whole"), DRIVE)
+
+
+def _raised(view, height):
+    matrix = view.camera_from_world.copy()
+    matrix[:3, 3] -= matrix[:3, :3] @ (0, 0, height)
+    return matrix
 
 
 @pytest.mark.parametrize(
