@@ -21,6 +21,7 @@ import numpy as np
 from rainsim.errors import ParameterError, require_choice
 from rainsim.jit import interleaved
 from rainsim.splatting.blend import blend_tiles
+from rainsim.splatting.level_choice import choose_levels
 from rainsim.splatting.prepared import LANES, PreparedSplats, prepare, select
 from rainsim.splatting.project import (
     BLOCKS,
@@ -92,7 +93,7 @@ class Rasterizer:
 
     def draw(
         self, camera, near, plane=None, depth="expected", compensate=False, degree=None,
-        background=(0, 0, 0), hit=False, drop_last=False, leading=False,
+        background=(0, 0, 0), hit=False, drop_last=False, leading=False, detail=0.0,
     ):  # fmt: skip
         """Return the `Layers` that `camera` sees; the same bytes for any number of threads.
 
@@ -120,11 +121,14 @@ class Rasterizer:
             transmittance under 1e-4, and all behind it, however bright.
         leading : bool
             Leave out the splats that were prepared to come last.
+        detail : float [px]
+            Where the prepared splats have levels of detail (`splatting.detail`): splats are merged
+            in cells that take at most so much of the picture; 0: all are drawn as they are.
         """
         require_choice("depth", depth, ("expected", "median"))
         background = np.asarray(background, np.float32)
         compensate = bool(compensate or self.prepared.compensate)
-        chunks, start = self._list(camera, near, plane, compensate, degree, leading)
+        chunks, start = self._list(camera, near, plane, compensate, degree, leading, detail)
         halfway = depth == "median"
         layers, half = self._blend(camera, start, background, halfway, bool(drop_last))
         if hit:
@@ -153,7 +157,7 @@ class Rasterizer:
         )  # fmt: skip
         return layers, half
 
-    def _list(self, camera, near, plane, compensate, degree, leading=False):
+    def _list(self, camera, near, plane, compensate, degree, leading=False, detail=0.0):
         """Project the visible splats and list them by tile.
 
         Returns the indices of the chunks in sight and, for each tile, the start of its list.
@@ -172,6 +176,8 @@ class Rasterizer:
         find_chunks(p.box, frustum, seen)
         if leading and p.leading is not None:
             seen[p.leading :] = False
+        if p.span is not None:
+            choose_levels(p.span, p.reach, frustum, np.float32(detail), seen)
         chunks = np.flatnonzero(seen)
         self._make_room(len(chunks) * LANES)
         visible = np.zeros(len(chunks), np.int64)

@@ -146,7 +146,7 @@ def _trace(renderer, origin, direction, before, pixel):
     """Return the radiance of rays that meet what stands on the ground."""
     kept = renderer.wet_scene.tracer
     stands = wet_ground_mirror.standing(
-        renderer.wet_scene.rasterizer.prepared, renderer.terrain, renderer.wet_scene.frame
+        renderer.wet_scene.prepared, renderer.terrain, renderer.wet_scene.frame
     )
     renderer.wet_scene.tracer = Tracer(renderer.wet_scene.scene.splats.take(np.sort(stands.order)))
     try:

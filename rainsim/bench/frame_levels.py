@@ -18,12 +18,19 @@ LEVELS = {
     "half size": ({}, 0.5),
     "map 4 cm": ({"spacing": 2.0}, 1.0),
     "rain to 3 m": ({"streak_far": 3.0}, 1.0),
+    "all splats": ({"merge": 0.0}, 1.0),
+    "merge 2 px": ({"merge": 2.0}, 1.0),
+    "merge 8 px": ({"merge": 8.0}, 1.0),
     "full mirrors": ({"mirror_size": "full"}, 1.0),
     **{
         name: ({"reflections": name}, 1.0) for name in REFLECTIONS if name not in ("auto", "traced")
     },
 }
-TRUTH = {"reflections": "traced" if "traced" in REFLECTIONS else "auto", "streak_far": 16.0}
+TRUTH = {
+    "merge": 0.0,
+    "reflections": "traced" if "traced" in REFLECTIONS else "auto",
+    "streak_far": 16.0,
+}
 
 
 def cameras_of(scene, motion, count):

@@ -255,6 +255,9 @@ light_options = _group(
     click.option("--ground-albedo", type=float, metavar="0..1", show_default="guessed",
                  help="Share of the light that the open dry ground reflects, such as 0.3 for clean "
                  "concrete: it sets how bright the sky is against the land."),
+    click.option("--merge", type=float, metavar="PX", show_default=PRESETS,
+                 help="Splats that are finer than cells of so many px are drawn as one for each "
+                 "cell; larger is coarser and faster, 0 draws all splats."),
 )  # fmt: skip
 
 big_options = _group(

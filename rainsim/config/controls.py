@@ -29,6 +29,7 @@ OPTION_KEYS = {
     "brightness": ("brightness",),
     "metering": ("metering",),
     "ground_albedo": ("ground_albedo",),
+    "merge": ("merge_px",),
     "detail": ("detail_px",),
     "memory": ("memory_gb",),
     "width": ("width",),

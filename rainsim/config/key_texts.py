@@ -56,6 +56,8 @@ MEANINGS = {
     "streak_far_m": "depth beyond which drops are drawn as fog",
     "aperture_mm": "diameter of the lens's opening: near drops blur; 0 is sharp",
     "focus_m": "distance that is in focus",
+    "merge_px": "splats finer than cells of so many pixels are drawn as one for each cell; 0 draws "
+    "all",
     "detail_px": "of a capture in chunks: splats that are merged take at most so much of the "
     "picture; 0 draws all",
     "memory_gb": "that the splats of a capture in chunks may take",

@@ -57,6 +57,7 @@ HUMAN_KEYS = {
     "streak_far_m": ("streak_far", 1.0),
     "aperture_mm": ("aperture", 1e-3),
     "focus_m": ("focus", 1.0),
+    "merge_px": ("merge", 1.0),
     "detail_px": ("detail", 1.0),
     "memory_gb": ("memory", 1e9),
     "surroundings_x": ("surroundings", 1.0),

@@ -221,6 +221,7 @@ class RenderConfig:
     streak_far: float = 8.0  # m; farther drops are fog
     aperture: float = 0.0  # m, diameter of the lens's opening: near drops blur; 0: all are sharp
     focus: float = 4.0  # m, what is in focus
+    merge: float = 4.0  # px: finer splats are one in cells of this side; 0: all are drawn
     detail: float = 0.5  # px: what a level of a big capture merges is at most so wide; 0: nothing
     memory: float = 0.8e9  # bytes that a big capture's splats may take
     surroundings: tuple | None = None  # x, y, z [capture units] from where the light is drawn that
@@ -269,6 +270,7 @@ class RenderConfig:
             raise ParameterError(f"aperture is {rounded(aperture)} mm; it must be at most 100")
         require_positive("focus", self.focus, "m", "4 is usual")
         require_positive("streak_far", self.streak_far, "m", "8 is usual")
+        require_not_negative("merge", self.merge, "px", "4 is usual, 0 draws all")
         require_not_negative("detail", self.detail, "px", "0.5 is usual, 0 draws all")
         require_positive("memory", self.memory, "bytes", "1e9 is usual")
         if self.surroundings is not None:

@@ -78,6 +78,12 @@ class DeviceSplats:
         self.centre, self.reach = _reach(prepared.box)
         # A chunk of nothing but holes has an infinite box, which no comparison finds outside.
         self.box = cuda.to_device(prepared.box)
+        span, around = prepared.span, prepared.reach
+        if span is None:
+            span, around = np.zeros((self.chunks, 2)), np.zeros((self.chunks, 6))
+            span[:, 1] = np.inf
+        self.span = cuda.to_device(np.ascontiguousarray(span, np.float32))
+        self.around = cuda.to_device(np.ascontiguousarray(around, np.float32))
         self.record = cuda.device_array(self.chunks * LANES * project.RECORD, np.float32)
         self.seen = cuda.device_array(self.chunks, np.bool_)
 
@@ -221,7 +227,7 @@ class Rasterizer:
 
     def draw(
         self, camera, near, plane=None, depth="expected", compensate=False, degree=None,
-        background=(0, 0, 0), hit=False, drop_last=False, leading=False,
+        background=(0, 0, 0), hit=False, drop_last=False, leading=False, detail=0.0,
     ):  # fmt: skip
         """Return the `Layers` that `camera` sees, on the host; see `rainsim.raster`.
 
@@ -229,7 +235,7 @@ class Rasterizer:
         """
         if hit:
             raise ParameterError("hit is asked for; only the CPU has it; use backend cpu")
-        self.update(camera, near, plane, depth, compensate, degree, drop_last)
+        self.update(camera, near, plane, depth, compensate, degree, drop_last, detail=detail)
         self._take_chunks(leading)
         while True:
             self.launch()
@@ -252,17 +258,22 @@ class Rasterizer:
 
     def update(
         self, camera, near, plane=None, depth="expected", compensate=False, degree=None,
-        drop_last=False, room=None,
+        drop_last=False, room=None, detail=0.0,
     ):  # fmt: skip
         """Take over what the next pictures show; of the device only room for them is asked.
 
-        `room`: columns and rows [px] of which the camera's picture is the upper left part: pictures
-        of changing size are one recorded queue.
+        Parameters
+        ----------
+        camera, near, plane, depth, compensate, degree, drop_last, detail
+            As `draw` takes them.
+        room : tuple of int [px], optional
+            Columns and rows of which the camera's picture is the upper left part: pictures of
+            changing size are one recorded queue.
         """
         require_choice("depth", depth, ("expected", "median"))
         s, (width, height) = self.splats, room or (camera.width, camera.height)
         self._bands = s.bands if degree is None else min(degree + 1, s.bands)
-        self._take_numbers(camera, near, plane, room)
+        self._take_numbers(camera, near, plane, room, detail)
         tiles = -(-width // TILE) * -(-height // TILE)
         compensate = bool(compensate or s.compensate)
         self._kind = bool(camera.orthographic), compensate, depth == "median", bool(drop_last)
@@ -293,7 +304,7 @@ class Rasterizer:
     def _take_numbers(self, *view):
         self._numbers[:] = self.numbers_of(*view)
 
-    def numbers_of(self, camera, near, plane=None, room=None):
+    def numbers_of(self, camera, near, plane=None, room=None, detail=0.0):
         """Return the numbers that the kernels read of a camera, float64; see `project`."""
         numbers = np.zeros(project.CAMERA)
         width, height = camera.width, camera.height
@@ -305,7 +316,7 @@ class Rasterizer:
         fx, fy, cx, cy = camera.fx, camera.fy, camera.cx, camera.cy
         numbers[project.LENS : project.LENS + 4] = fx, fy, cx, cy
         numbers[project.PLANE : project.PLANE + 4] = NO_PLANE if plane is None else plane
-        numbers[project.NEAR : project.NEAR + 3] = near, width, height
+        numbers[project.NEAR : project.NEAR + 4] = near, width, height, detail
         x, y = FRUSTUM_MARGIN * width, FRUSTUM_MARGIN * height
         limits = (-cx - x) / fx, (width - cx + x) / fx, (-cy - y) / fy, (height - cy + y) / fy
         numbers[project.LIMITS : project.LIMITS + 4] = limits
@@ -332,8 +343,8 @@ class Rasterizer:
         blocks = max(1, min(-(-max(len(self._key), chunks) // THREADS), 2048))
         blocks = max(blocks, -(-chunks // THREADS))
         project.start[blocks, THREADS, stream](
-            self._box, now[: project.EYE].reshape(3, 4), now[project.LENS : project.PLANE],
-            self.size, now[project.NEAR : project.NEAR + 1],
+            self._box, s.span, s.around, now[: project.EYE].reshape(3, 4),
+            now[project.LENS : project.PLANE], self.size, now[project.NEAR : project.LIMITS],
             now[project.PLANE : project.NEAR], flat, self._seen, key, self._range, self._total,
         )  # fmt: skip
         if chunks:

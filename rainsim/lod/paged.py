@@ -16,8 +16,14 @@ from rainsim.raster import Rasterizer
 from rainsim.scene.actors import padded
 from rainsim.scene.formats.streamed import NONE
 from rainsim.scene.pages import ALWAYS
-from rainsim.splatting.merged import NOBODY
-from rainsim.splatting.prepared import COARSE, GEOMETRY, LANES, PreparedSplats, prepare
+from rainsim.splatting.prepared import (
+    COARSE,
+    GEOMETRY,
+    LANES,
+    NOBODY,
+    PreparedSplats,
+    prepare,
+)
 
 ARRAYS = ("geometry", "sh", "fine", "step", "box")
 MIRRORED = 2.0  # times the threshold in pictures that water and the surroundings mirror

@@ -8,7 +8,7 @@ Its dry capture (`rainsim splat`) 435 MB at 648 x 420, 933 at 4000 x 2593, there
 
 On a GPU, by its allocations: 199 bytes a splat of degree 0, 166 a cell, 115 a pixel, 28 MB for the
 rest; measured 1.4 GB for eight gardens at 1297 x 840 on 1,048,576 cells, and for the wet-ground
-mirror at that size another 0.2 GB.
+mirror at that size another 0.2 GB. That is without levels of detail.
 """
 
 from __future__ import annotations
@@ -19,11 +19,14 @@ from rainsim.compiling.pool import free_memory
 from rainsim.errors import ParameterError
 
 PROGRAM = 400e6  # bytes of the program itself with all that draws
-PER_SPLATS = 3.5  # times their arrays: sorted copies, the mirrored world, the light's search
+# Times the splats' arrays: sorted copies, the mirrored world, the light's search (3.5), levels of
+# detail (1.2; 1.1 for a garden and for one of 3.9 M splats).
+PER_SPLATS = 4.7
 CELL, PIXEL, LAYER_PIXEL = 310.0, 220.0, 12.0  # bytes of one of each
 DRY_PROGRAM, DRY_PER_SPLATS, DRY_PIXEL, ARRAYS_PIXEL = 200e6, 2.0, 62.0, 32.0  # the dry capture
 WATER_PROGRAM, WATER_CELL = 220e6, 220.0  # simulated states
 DEVICE_REST, DEVICE_SPLAT, DEVICE_HARMONIC = 100e6, 190.0, 2.0  # on a GPU, a harmonic in 16 bits
+DEVICE_LEVELS = 2.6  # splats with their levels of detail, over splats: 2.1 to 2.6 measured
 DEVICE_CELL, DEVICE_PIXEL = 170.0, 320.0
 SAID = 2e9  # bytes from which on a run says what it takes
 COARSER, FEWER = "give a larger --spacing", "take a capture of fewer splats"
@@ -70,11 +73,14 @@ def memory_of_frames(scene, camera, cells=0, layers=0):
     return PROGRAM + splats + CELL * cells + pixel * camera.width * camera.height
 
 
-def device_memory_of_frames(splats, camera, cells=0):
-    """Return the bytes of a GPU's memory that frames take, an estimate."""
+def device_memory_of_frames(splats, camera, cells=0, levels=DEVICE_LEVELS):
+    """Return the bytes of a GPU's memory that frames take, an estimate.
+
+    `levels`: times the splats, for their levels of detail.
+    """
     pixels = DEVICE_PIXEL * camera.width * camera.height
     held = DEVICE_SPLAT * len(splats) + DEVICE_HARMONIC * splats.sh.size
-    return DEVICE_REST + held + DEVICE_CELL * cells + pixels
+    return DEVICE_REST + levels * held + DEVICE_CELL * cells + pixels
 
 
 def require_memory(scene, camera, cells=0, layers=0, device_free=None):
@@ -115,7 +121,7 @@ def require_memory_of_dry(splats, camera, arrays=False, device_free=None):
     """
     what, pixel = _pictures("a picture", camera), DRY_PIXEL + (ARRAYS_PIXEL if arrays else 0.0)
     if device_free is not None:
-        _require_on_device(what, splats, camera, 0, device_free)
+        _require_on_device(what, splats, camera, 0, device_free, levels=1.0)
     size = DRY_PROGRAM + DRY_PER_SPLATS * _bytes_of(splats) + pixel * camera.width * camera.height
     need = Need(what, size, pixel)
     return _notes(need, _require(need, free_memory(), camera, FEWER))
@@ -138,8 +144,8 @@ def memory_notes(scene, camera, cells, layers=0, device_free=None):
     return _notes(*require_memory(scene, camera, cells, layers, device_free))
 
 
-def _require_on_device(what, splats, camera, cells, free):
-    size = device_memory_of_frames(splats, camera, cells)
+def _require_on_device(what, splats, camera, cells, free, levels=DEVICE_LEVELS):
+    size = device_memory_of_frames(splats, camera, cells, levels)
     need = Need(what, size, DEVICE_PIXEL, " of the GPU")
     return need, _require(need, free, camera, COARSER if cells else FEWER)
 

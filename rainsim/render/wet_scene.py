@@ -32,6 +32,7 @@ from rainsim.shading.wet_ground_mirror import in_level_picture
 from rainsim.shading.wet_pass import NO_COVER, DryRays, dry_picture, grade_and_wet, grade_rays
 from rainsim.shading.wetting import GroundMaps, SkyMaps
 from rainsim.simulation import usual_wind
+from rainsim.splatting.detail import SIDES, Detail
 from rainsim.splatting.prepared import recolored
 from rainsim.water.rolling import NO_TRACKS
 
@@ -60,6 +61,8 @@ class WetScene:
         Without the splats of its sky where another sky is drawn.
     splats, prepared : Splats and PreparedSplats
         Those of `scene` in the light of the present time.
+    merge : float [px]
+        Side of the cells in which frames and mirrored pictures merge splats; 0: they merge none.
     frame : GroundFrame
     near : float [capture units]
     reach : ndarray of shape (ny, nx), float32
@@ -132,13 +135,19 @@ class WetScene:
                 terrain, self.reach, self._grass, config.render, rasterizer_of,
             )  # fmt: skip
             self.paged.take_colors(self._colors)
-        self.rasterizer = rasterizer_of(self.prepared) if self.paged is None else self.paged.whole
+        # Captures in chunks have levels of their own; nodes are put before the whole static set.
+        merges = self.nodes is None and self.paged is None
+        self.merge, self._detail = config.render.merge if merges else 0.0, None
+        if self.merge:
+            self._detail = Detail(self.prepared, self._sides)
+            self.prepared = self._detail.prepared
+        self.rasterizer = rasterizer_of(self.drawn) if self.paged is None else self.paged.whole
         self._skylines = None
         if not self.backdrop.count:
             self._skylines = skylines(self.scene, self.prepared, first_camera, self.near)
         self._tracks = NO_TRACKS
         self._place = np.array(terrain.grid.origin, np.float32), np.float32(terrain.grid.spacing)
-        self._standing = self.tracer = None  # made when they are first asked for
+        self._standing = self._captured = self.tracer = None  # made when they are first asked for
         self.notes.append(about_albedo)
         dull = DULL_EXPOSURE * config.render.daylight
         self.day = day_sky(config.render, zenith_radiance(self.albedo, dull))
@@ -231,8 +240,11 @@ class WetScene:
             self.prepared = self.nodes.static
             self._put_nodes()
             return
+        if self._detail is not None:
+            self._detail.recolor(self.prepared)
+            self.prepared = self._detail.prepared
         if self.paged is None:
-            self.rasterizer.recolor(self.prepared)
+            self.rasterizer.recolor(self.drawn)
         self._standing = self.tracer = None
 
     def _leave_out(self, shreds):
@@ -251,6 +263,16 @@ class WetScene:
             self.behind_mirrored = with_skyline(self.day, mirrored, self.look.exposure)
 
     @property
+    def drawn(self):
+        """`prepared`, with levels of detail where splats are merged."""
+        return self.prepared if self._detail is None else self._detail.drawn
+
+    @property
+    def _sides(self):
+        """Sides of the cells of the levels of detail [capture units]."""
+        return [side / self.frame.meters_per_unit for side in SIDES]
+
+    @property
     def ground_maps(self):
         """The mapped ground as kernels take it."""
         return GroundMaps(self.terrain.bed, self.ground, *self._place)
@@ -260,24 +282,33 @@ class WetScene:
 
         `whole_color`: the colour is that of all splats as captured, those of the sky included.
         """
-        layers = self.rasterizer.draw(camera, self.near)
+        layers = self.rasterizer.draw(camera, self.near, detail=self.merge)
         if whole_color and self.paged is not None:
             return replace(layers, color=self.paged.captured.draw(camera, self.near).color)
         if whole_color and self.splats is not self.backdrop.whole.splats:
-            splats = self.backdrop.whole.splats
-            if self.nodes is not None and self.nodes.splats is not None:
-                splats = joined([splats, self.nodes.splats])
-            whole = self._rasterizer_of(prepare(splats))
-            options = {"compensate": self.prepared.compensate}
-            layers = replace(layers, color=whole.draw(camera, self.near, **options).color)
+            options = {"compensate": self.prepared.compensate, "detail": self.merge}
+            whole = self._captured_splats().draw(camera, self.near, **options)
+            layers = replace(layers, color=whole.color)
         return layers
+
+    def _captured_splats(self):
+        """Return what draws all splats as captured, those of the sky included."""
+        splats = self.backdrop.whole.splats
+        if self.nodes is not None and self.nodes.splats is not None:
+            return self._rasterizer_of(prepare(joined([splats, self.nodes.splats])))
+        if self._captured is None:
+            whole = prepare(splats)
+            self._captured = self._rasterizer_of(
+                Detail(whole, self._sides).drawn if self.merge else whole
+            )
+        return self._captured
 
     def picture(self, camera, timer, cover=NO_COVER):
         """Return the `WetPicture` that `camera` (capture frame) takes.
 
         `cover` is the `cover_out` of `grade_and_wet`.
         """
-        layers = self.rasterizer.draw(camera, self.near)
+        layers = self.rasterizer.draw(camera, self.near, detail=self.merge)
         timer.mark("splat")
         wet = self._wetted(layers, camera, cover)
         timer.mark("grade and wet")
@@ -322,7 +353,8 @@ class WetScene:
             )  # fmt: skip
             self._standing = self._rasterizer_of(standing)
         _, camera = mirrored_camera(self.frame.camera_in_capture(level), self.frame, 0.0)
-        return self._wetted(self._standing.draw(camera, self.near), camera, mirrored=True)
+        layers = self._standing.draw(camera, self.near)
+        return self._wetted(layers, camera, mirrored=True)
 
     def mirrored(self, camera, level, window, step=1):
         """Return what stands above the water as `camera` mirrored at `level` [m] sees it.
@@ -345,7 +377,7 @@ class WetScene:
         plane, camera = mirrored_camera(camera, self.frame, level)
         camera = cropped(camera, window)
         camera = camera.resized(camera.width // step, camera.height // step)
-        layers = self.rasterizer.draw(camera, self.near, plane, leading=True)
+        layers = self.rasterizer.draw(camera, self.near, plane, leading=True, detail=self.merge)
         wet = self._wetted(layers, camera, mirrored=True)
         return wet.view, MirrorPicture(wet.picture, coarsened(wet.picture), wet.depth)
 

@@ -10,10 +10,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from rainsim.splatting.prepared import LANES
+from rainsim.splatting.prepared import LANES, NOBODY
 
 _ARRAYS = ("geometry", "sh", "fine", "step", "box")
-NOBODY = -1  # in `order`: a place that no splat fills
 
 
 class Merger:

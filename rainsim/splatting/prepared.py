@@ -24,6 +24,7 @@ OPACITY, GEOMETRY = 12, 13  # after position (3), covariance (6) and normal (3)
 # run: a fifth of all memory less, and 110 dB from float32 on a capture.
 COARSE = 4  # coefficients of a channel up to degree 1
 LARGEST = np.float32(32767)
+NOBODY = -1  # in `order`: a place that no splat fills
 
 
 @dataclass(frozen=True)
@@ -52,6 +53,11 @@ class PreparedSplats:
         all chunks.
     compensate : bool
         Whether all pictures weaken splats that the low-pass widens.
+    span : ndarray of shape (chunks, 2), float32 [capture units], or None
+        With levels of detail: the chunk is drawn where what the picture resolves is at least the
+        first number and less than the second. None: all chunks are drawn.
+    reach : ndarray of shape (chunks, 6), float32 [capture units], or None
+        Lowest and highest x, y, z of the centres of the group whose level the chunk is.
     """
 
     geometry: np.ndarray
@@ -62,6 +68,8 @@ class PreparedSplats:
     order: np.ndarray
     leading: int | None = None
     compensate: bool = False
+    span: np.ndarray | None = None
+    reach: np.ndarray | None = None
 
     def __len__(self):
         return len(self.order)
@@ -177,7 +185,7 @@ def _finish(geometry, values, which, order, bad_out):
     step = np.empty((n, coefficients - coarse), np.float32)
     _pack(values, which, sh, fine, step, bad_out)
     box = np.empty((n, 6), np.float32)
-    _boxes(geometry, len(which), box)
+    boxes(geometry, len(which), box)
     runs = (a.reshape(n, a.shape[1] * LANES) for a in (geometry, sh, fine))
     return PreparedSplats(*runs, step, box, order)
 
@@ -248,7 +256,7 @@ def _lay_out(position, scale, rotation, opacity, order, geometry_out):
 
 
 @cpu_kernel
-def _boxes(geometry, n, box_out):
+def boxes(geometry, n, box_out):
     """Write each chunk's bounding box, out to SIGMAS deviations; only `n` splats are no padding."""
     for chunk in prange(len(box_out)):
         g, box = geometry[chunk], box_out[chunk]

@@ -27,7 +27,7 @@ NEEDS = {
     "sky": (LIGHT,), "sun": (LIGHT,), "cloudiness": (LIGHT,),
     "daylight": (LIGHT,), "relight": (LIGHT,),
     "ground_albedo": (LIGHT,), "wetting": (LIGHT,), "surroundings": (LIGHT,), "film": (LIGHT,),
-    "detail": (LIGHT,), "memory": (LIGHT,),
+    "detail": (LIGHT,), "memory": (LIGHT,), "merge": (LIGHT,),
     "metering": (PASSES,), "reflections": (PASSES,), "mirror_size": (PASSES,),
     "refraction": (PASSES,),
     "fresnel": (PASSES,), "highlight": (PASSES,), "coverage": (PASSES,),

@@ -11,6 +11,7 @@ from rainsim.cuda import simulated
 from rainsim.cuda.jit import cuda
 from rainsim.errors import ParameterError
 from rainsim.scene.types import Camera, Splats
+from rainsim.splatting.detail import Detail
 
 assert simulated()
 # Plain numpy numbers warn where a GPU's do not; kernels divide by zero and choose afterwards.
@@ -69,6 +70,22 @@ def test_the_twin_draws_what_the_cpu_draws(options):
         assert decibel(plain.color, wanted.color) < 40
     elif options:
         assert decibel(plain.depth[8:], wanted.depth[8:]) < 80
+
+
+@pytest.mark.parametrize("options", [{}, {"leading": True}, {"plane": (0.0, 1.0, 0.2, 0.3)}])
+def test_levels_of_detail_are_those_of_the_cpu(options):
+    splats, last = cloud(500), np.zeros(500, bool)
+    splats.scale[:] *= 0.1
+    last[450:] = True
+    prepared = Detail(raster.prepare(splats, last), (0.5, 1.0, 2.0)).drawn
+    drawer = twin.Rasterizer(prepared)
+    assert len(prepared.box) > 3
+    for detail in (0.0, 30.0):
+        wanted = raster.rasterize(prepared, camera(), 0.2, detail=detail, **options)
+        found = drawer.draw(camera(), 0.2, detail=detail, **options)
+        assert_alike(found, wanted, least=60)
+    plain = raster.rasterize(prepared, camera(), 0.2, **options)
+    assert decibel(plain.color, wanted.color) < 40  # of the two, the coarser one
 
 
 def test_what_only_the_cpu_has_is_told():

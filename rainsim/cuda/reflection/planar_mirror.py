@@ -389,24 +389,24 @@ class Mirrors:
         self._clearance = cuda.device_array((rows, columns), np.float32)
         self._no_film = self._clearance[:0]
 
-    def update(self, camera, near, frame, step):
-        """Take over the camera that is to be mirrored, and the `mirror_choice.mirror_step`."""
+    def update(self, camera, scene, step):
+        """Take over the camera that is mirrored in a `WetScene`, and the `mirror_step`."""
         if not self.most:
             return
-        largest = largest_window(camera)
-        tables = []
+        largest, tables = largest_window(camera), []
         for level in (0.0, 1.0):
-            plane, mirrored = mirrored_camera(camera, frame, level)
+            plane, mirrored = mirrored_camera(camera, scene.frame, level)
             mirrored = replace(mirrored, width=largest[1], height=largest[0])
-            tables.append(self.renderer.rasterizer.numbers_of(mirrored, near, plane))
+            options = {"plane": plane, "detail": scene.merge}
+            tables.append(self.renderer.rasterizer.numbers_of(mirrored, scene.near, **options))
         numbers = self._now.host["camera"]
         numbers[0] = tables[0]
         numbers[1] = tables[1] - tables[0]
         numbers[1, project.SCALE :] = 0
-        mirror_view = view_of(frame.camera_in_ground(mirrored))
+        mirror_view = view_of(scene.frame.camera_in_ground(mirrored))
         self._now.host["step"][0] = step
         self._now.host["turn"][...] = mirror_view.ground_from_camera
-        self._mirrored = mirrored, near, plane
+        self._mirrored = mirrored, scene.near, plane
         if self.passes and (self._size != largest or len(self.picture) != self.passes):
             self._allocate(*largest)
         for rasterizer in self.rasterizers:

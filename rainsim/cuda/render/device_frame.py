@@ -90,7 +90,7 @@ class DeviceFrame:
         self._around, self.gloss = to_device(scene.environment), to_device(scene.gloss)
         self._behind, self._behind_sent = to_device(scene.behind), scene.behind
         self._behind_mirrored = to_device(scene.behind_mirrored)
-        self._colors_sent, self.rasterizer.recolors = scene.prepared, False
+        self._colors_sent, self.rasterizer.recolors = scene.drawn, False
         self._water = cuda.device_array(grid.shape, np.float32)
         self.surface = WaterSurface(
             self.terrain.bed, host.water.relief, self.terrain.mirrors, self._water,
@@ -117,7 +117,7 @@ class DeviceFrame:
             self.pending.append(self._send_ground)
         if scene.behind is not self._behind_sent:
             self.pending.append(self._send_sky)
-        if scene.prepared is not self._colors_sent:
+        if scene.drawn is not self._colors_sent:
             self.pending.append(self._send_colors)
         host.take_camera(camera)
         host.view_end = camera_end
@@ -126,10 +126,10 @@ class DeviceFrame:
         if self.size != (camera.height, camera.width):
             self.size = camera.height, camera.width
             self._allocate(field)
-        self.rasterizer.update(camera, scene.near)
+        self.rasterizer.update(camera, scene.near, detail=scene.merge)
         view = view_of(host.view)
         step = mirror_step(render.mirror_size, host.shower, view.lens)
-        self.mirrors.update(camera, scene.near, scene.frame, step)
+        self.mirrors.update(camera, scene, step)
         self.ground_light.update(camera, host.view)
         self._take_state(state)
         fog = NO_FOG
@@ -152,9 +152,9 @@ class DeviceFrame:
         self._behind_sent = self.wet_scene.behind
 
     def _send_colors(self):
-        self.rasterizer.splats.send_colors(self.wet_scene.prepared)
+        self.rasterizer.splats.send_colors(self.wet_scene.drawn)
         self.ground_light.send_colors()
-        self._colors_sent = self.wet_scene.prepared
+        self._colors_sent = self.wet_scene.drawn
 
     def _update_drops(self, field, state, camera_end):
         """Update streaks and splashes; return the fog of the drops that are not drawn."""

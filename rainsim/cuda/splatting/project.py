@@ -27,6 +27,7 @@ from rainsim.cuda.jit import (
     load_halves,
     store4,
 )
+from rainsim.splatting.level_choice import is_drawn
 from rainsim.splatting.prepared import LANES, OPACITY
 from rainsim.splatting.project import (
     MIN_ALPHA_LOG2,
@@ -60,14 +61,29 @@ WARPS = LANES // 32  # of a block
 COUNTS = WARPS + 1
 
 # Places of the numbers that a camera brings.
-# In fours, for loads of 16 bytes; NEAR: near, width, height; REST: what rounding took from the
-# view matrix's third row.
+# In fours, for loads of 16 bytes; NEAR: near, width, height, detail; REST: what rounding took from
+# the view matrix's third row.
 VIEW, EYE, LENS, PLANE, NEAR, LIMITS, SCALE, REST, CAMERA = 0, 12, 16, 20, 24, 28, 32, 40, 44
 
 
 @cuda_kernel
-def start(box, view, lens, size, near, plane, orthographic, seen_out, key_out, range_out, total):
-    """Empty the lists of the frame before; mark the chunks that may touch the picture."""
+def start(
+    box, span, around, view, lens, size, near, plane, orthographic, seen_out, key_out, range_out,
+    total,
+):  # fmt: skip
+    """Empty the lists of the frame before; mark the chunks that may touch the picture.
+
+    Parameters
+    ----------
+    box, span, around : device array of shape (chunks, 6), (chunks, 2) and (chunks, 6), float32
+        `box`, `span` and `reach` of the prepared splats.
+    view, lens, size, near, plane : device array
+        Numbers of the camera: pose (3, 4), lens, width and height, the four from NEAR on, plane.
+    orthographic : bool
+    seen_out : device array of shape (chunks,), bool
+    key_out, range_out, total : device array
+        The lists.
+    """
     i = cuda.grid(1)
     if i == 0:
         total[0] = 0
@@ -78,7 +94,8 @@ def start(box, view, lens, size, near, plane, orthographic, seen_out, key_out, r
         range_out[k] = 0
     if i < seen_out.size:
         frustum = Frustum(view, lens, size, near[0], plane, orthographic)
-        seen_out[i] = not chunk_is_out(box[i], frustum)
+        drawn = is_drawn(span[i], around[i], frustum, near[3])
+        seen_out[i] = drawn and not chunk_is_out(box[i], frustum)
 
 
 @fast_device

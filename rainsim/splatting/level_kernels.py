@@ -1,0 +1,400 @@
+"""The loops that merge splats cell by cell, see `rainsim.splatting.detail`."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from rainsim.constants import ONE, ZERO
+from rainsim.jit import cpu_kernel, inlined_function, prange
+from rainsim.splatting.prepared import GEOMETRY, LANES, LARGEST, OPACITY
+
+GROUP = 8  # chunks whose level is chosen together
+FLAT = 0.3  # thinnest over middle deviation below which a splat faces somewhere
+FAINT = np.float32(-20)  # log2 of the opacity up to which a splat is not merged
+ASIDE = 0.2  # share of a group's centres that its box leaves out on each side
+SLOT_BITS = 12
+SLOTS = 1 << SLOT_BITS  # of a group's table of cells: twice as many as it has splats
+CELLS = 1 << 19  # along an axis, on either side of the origin: a cell's key is one whole number
+MIX = np.uint64(0x9E3779B97F4A7C15)  # Knuth's multiplier for hashes, 2^64 over the golden ratio
+MIX_SHIFT = np.uint64(64 - SLOT_BITS)
+ALONE, NOTHING = -1, -2  # in place of a merged splat's number
+LEAST = np.float32(1e-30)
+TURNS, TILT = 3, 1e-3  # steps of inverse iteration, and what sets it going in any direction
+TINY = 1e-150  # its square is still a number
+
+
+@inlined_function
+def area_of(xx, xy, xz, yy, yz, zz):
+    """Return a measure of a splat's mean shadow over all directions, from its covariance."""
+    minors = xx * yy - xy * xy + yy * zz - yz * yz + xx * zz - xz * xz
+    return math.sqrt(max(minors, 0.0))
+
+
+@cpu_kernel
+def measure_groups(geometry, leading, count_out, reach_out, weight_out):
+    """Count the splats of each group, write the box of most centres, and weigh each splat.
+
+    Parameters
+    ----------
+    geometry : ndarray of shape (chunks, 13 * 256), float32
+    leading : int
+        Chunks that are looked at.
+    count_out : ndarray of shape (groups,), int64
+    reach_out : ndarray of shape (groups, 6), float32 [capture units]
+        The box leaves out a share `ASIDE` of the centres on each side.
+    weight_out : ndarray of shape (256 leading,), float32 [capture units^2]
+        Light that each splat stops: its opacity times a measure of its area.
+    """
+    for group in prange(len(count_out)):
+        place = np.empty((3, GROUP * LANES), np.float32)
+        count = 0
+        for chunk in range(group * GROUP, min(group * GROUP + GROUP, leading)):
+            g = geometry[chunk]
+            for i in range(LANES):
+                opacity = np.float32(2.0) ** g[OPACITY * LANES + i]
+                area = area_of(
+                    g[3 * LANES + i], g[4 * LANES + i], g[5 * LANES + i], g[6 * LANES + i],
+                    g[7 * LANES + i], g[8 * LANES + i],
+                )  # fmt: skip
+                weight_out[chunk * LANES + i] = max(opacity * area, LEAST)
+                size = max(abs(g[i]), max(abs(g[LANES + i]), abs(g[2 * LANES + i])))
+                if opacity > ZERO and size < np.inf:
+                    for k in range(3):
+                        place[k, count] = g[k * LANES + i]
+                    count += 1
+        count_out[group] = count
+        for k in range(3):
+            ordered = np.sort(place[k, :count])
+            beside = np.int64(ASIDE * count)
+            reach_out[group, k] = ordered[beside] if count > 0 else ZERO
+            reach_out[group, 3 + k] = ordered[count - 1 - beside] if count > 0 else ZERO
+
+
+@cpu_kernel
+def find_cells(geometry, leading, side, number_out, count_out):
+    """Number the cells of each group that hold several fine splats that face one way.
+
+    Parameters
+    ----------
+    geometry : ndarray of shape (chunks, 13 * 256), float32
+    leading : int
+        Chunks that are looked at.
+    side : float32 [capture units]
+    number_out : ndarray of shape (256 leading,), int16
+        Number of the merged splat in its group; ALONE for a splat that is kept, NOTHING for none.
+    count_out : ndarray of shape (groups, 2), int64
+        Splats that each group keeps, and merged ones.
+    """
+    for group in prange(len(count_out)):
+        key, slots = np.empty(SLOTS, np.int64), np.zeros(SLOTS, np.int64)
+        place = np.full(GROUP * LANES, np.int64(NOTHING))
+        first, end = group * GROUP, min(group * GROUP + GROUP, leading)
+        kept = 0
+        for chunk in range(first, end):
+            g = geometry[chunk]
+            for i in range(LANES):
+                o = (chunk - first) * LANES + i
+                if not g[OPACITY * LANES + i] > -np.inf:
+                    continue
+                place[o] = ALONE
+                this = cell_key(g, i, side)
+                if this < 0:
+                    continue
+                slot = np.int64((np.uint64(this) * MIX) >> MIX_SHIFT)
+                while slots[slot] > 0 and key[slot] != this:
+                    slot = (slot + 1) % SLOTS
+                key[slot] = this
+                slots[slot] += 1
+                place[o] = slot
+        merged = 0
+        for o in range((end - first) * LANES):
+            slot = place[o]
+            if slot >= 0:
+                if slots[slot] == 1:
+                    slot = ALONE
+                else:
+                    if slots[slot] > 1:  # the first of it: from here on its number, from 0 down
+                        slots[slot] = -merged
+                        merged += 1
+                    slot = -slots[slot]
+            kept += np.int64(slot == ALONE)
+            number_out[first * LANES + o] = np.int16(slot)
+        count_out[group, 0], count_out[group, 1] = kept, merged
+
+
+@inlined_function
+def cell_key(g, i, side):
+    """Return the key of the cell and the way that splat i of a chunk faces; -1: it is not fine.
+
+    A splat is fine if the squares of its deviations along its three axes add up to less than the
+    square of the cell's side. What is no number, hardly there or absurdly far is not fine.
+    """
+    xx, xy, xz = g[3 * LANES + i], g[4 * LANES + i], g[5 * LANES + i]
+    yy, yz, zz = g[6 * LANES + i], g[7 * LANES + i], g[8 * LANES + i]
+    spread = xx + yy + zz
+    x, y, z = (
+        np.floor(g[i] / side), np.floor(g[LANES + i] / side), np.floor(g[2 * LANES + i] / side)
+    )  # fmt: skip
+    near = abs(x) < CELLS - 1 and abs(y) < CELLS - 1 and abs(z) < CELLS - 1
+    opacity = g[OPACITY * LANES + i]
+    if not (spread < side * side and near and opacity > FAINT and opacity <= ZERO):
+        return np.int64(-1)
+    n0, n1, n2 = g[9 * LANES + i], g[10 * LANES + i], g[11 * LANES + i]
+    # The least variance is that along the normal; trace and minors tell the other two.
+    least = n0 * (xx * n0 + xy * n1 + xz * n2) + n1 * (xy * n0 + yy * n1 + yz * n2)
+    least = max(least + n2 * (xz * n0 + yz * n1 + zz * n2), ZERO)
+    minors = xx * yy - xy * xy + yy * zz - yz * yz + xx * zz - xz * xz
+    half = 0.5 * (spread - least)
+    middle = half - math.sqrt(max(half * half - (minors - 2 * least * half), 0.0))
+    facing = np.int64(0)
+    if least < FLAT * FLAT * middle:
+        a, b, c = abs(n0), abs(n1), abs(n2)
+        facing = np.int64(1) if a >= b and a >= c else (np.int64(2) if b >= c else np.int64(3))
+    key = (np.int64(x) + CELLS) * (2 * CELLS) + np.int64(y) + CELLS
+    return (key * (2 * CELLS) + np.int64(z) + CELLS) * 4 + facing
+
+
+@inlined_function
+def row_of(number, kept, at):
+    """Return the row, among those that a group has at a level, that a splat goes into; -1: none.
+
+    `at` counts the splats that are kept before it.
+    """
+    if number == NOTHING:
+        return np.int64(-1)
+    return at if number == ALONE else np.int64(kept + number)
+
+
+@cpu_kernel
+def merge_shapes(
+    geometry, order, weight, leading, wanted, number, count, start, geometry_out, order_out
+):  # fmt: skip
+    """Write the splats of a level: of each wanted group those that it keeps, then the merged ones.
+
+    Parameters
+    ----------
+    geometry, order : ndarray
+        See `prepared.PreparedSplats`.
+    weight : ndarray of shape (256 leading,), float32
+    leading : int
+    wanted, number, count, start : ndarray
+        See `detail.Level`.
+    geometry_out : ndarray of shape (chunks, 13 * 256), float32
+    order_out : ndarray of shape (256 chunks,), int32
+        Written only where there is a splat.
+    """
+    for w in prange(len(wanted)):
+        group = wanted[w]
+        kept, merged = count[group, 0], count[group, 1]
+        row = np.zeros((kept + merged, GEOMETRY), np.float64)
+        total, origin = np.zeros(kept + merged, np.float64), np.zeros((kept + merged, 3))
+        member = np.empty(kept + merged, np.int32)
+        at = np.int64(0)
+        for o in range(group * GROUP * LANES, min((group + 1) * GROUP, leading) * LANES):
+            n = row_of(number[o], kept, at)
+            if n < 0:
+                continue
+            g, i = geometry[o // LANES], o % LANES
+            if number[o] == ALONE:
+                for k in range(GEOMETRY):
+                    row[n, k] = g[k * LANES + i]
+                at += 1
+            else:
+                if total[n] == 0:
+                    for k in range(3):
+                        origin[n, k] = g[k * LANES + i]
+                total[n] += weight[o]
+                add_to_row(g, i, np.float64(weight[o]), origin[n], row[n])
+            member[n] = order[o]
+        for n in range(kept, kept + merged):
+            finish_row(row[n], origin[n], total[n])
+        for q in range(start[w], start[w + 1]):
+            begin = (q - start[w]) * LANES
+            places = min(LANES, kept + merged - begin)
+            g = geometry_out[q]
+            for k in range(GEOMETRY):
+                # Places that hold no splat must not widen the chunk's box.
+                g[k * LANES : (k + 1) * LANES] = row[begin, k] if k < 3 else ZERO
+                for i in range(places):
+                    g[k * LANES + i] = row[begin + i, k]
+            g[OPACITY * LANES + places : (OPACITY + 1) * LANES] = -np.inf
+            order_out[q * LANES : q * LANES + places] = member[begin : begin + places]
+
+
+@cpu_kernel
+def merge_colors(
+    sh, fine, step, weight, leading, wanted, number, count, start, sh_out, fine_out, step_out
+):  # fmt: skip
+    """Write the harmonics of the splats of a level, in the order of `merge_shapes`.
+
+    Parameters
+    ----------
+    sh, fine, step : ndarray
+        See `prepared.PreparedSplats`.
+    weight : ndarray of shape (256 leading,), float32
+    leading : int
+    wanted, number, count, start : ndarray
+        See `detail.Level`.
+    sh_out, fine_out, step_out : ndarray
+        As those that are read.
+    """
+    coarse, more = sh.shape[1] // LANES, step.shape[1]
+    for w in prange(len(wanted)):
+        group = wanted[w]
+        kept, rows = count[group, 0], count[group].sum()
+        first, end = group * GROUP * LANES, min((group + 1) * GROUP, leading) * LANES
+        share, total = np.zeros(end - first, np.float32), np.zeros(rows, np.float32)
+        into = np.zeros(end - first, np.int32)
+        at = np.int64(0)
+        for o in range(first, end):
+            n = row_of(number[o], kept, at)
+            if n >= 0:
+                into[o - first] = n
+                at += np.int64(number[o] == ALONE)
+                share[o - first] = ONE if number[o] == ALONE else weight[o]
+                total[n] += share[o - first]
+        for o in range(end - first):
+            if share[o] > ZERO:
+                share[o] /= total[into[o]]
+        value = np.empty((3, (start[w + 1] - start[w]) * LANES), np.float32)
+        for k in range(0, coarse, 3):
+            value[:] = ZERO
+            for o in range(0, end - first, LANES):
+                own = sh[(first + o) // LANES, k * LANES : (k + 3) * LANES]
+                add_channels(own, share[o : o + LANES], into[o : o + LANES], ONE, ONE, ONE, value)
+            for q in range(start[w], start[w + 1]):
+                begin = (q - start[w]) * LANES
+                for c in range(3):
+                    own = sh_out[q, (k + c) * LANES : (k + c + 1) * LANES]
+                    own[:] = value[c, begin : begin + LANES]
+        for k in range(0, more, 3):
+            value[:] = ZERO
+            for o in range(0, end - first, LANES):
+                chunk = (first + o) // LANES
+                own, unit = fine[chunk, k * LANES : (k + 3) * LANES], step[chunk, k : k + 3]
+                part = share[o : o + LANES], into[o : o + LANES]
+                add_channels(own, part[0], part[1], unit[0], unit[1], unit[2], value)
+            for q in range(start[w], start[w + 1]):
+                begin = (q - start[w]) * LANES
+                for c in range(3):
+                    pack_fine(value[c, begin : begin + LANES], q, k + c, fine_out, step_out)
+
+
+@inlined_function
+def add_channels(own, share, into, red, green, blue, value_out):
+    """Add a chunk's harmonic, its three channels after one another, to those of merged splats.
+
+    Parameters
+    ----------
+    own : ndarray of shape (768,)
+    share : ndarray of shape (256,), float32
+        Of each splat in what it is merged in.
+    into : ndarray of shape (256,), int32
+        Number of that in its group.
+    red, green, blue : float32
+        Factor of each channel.
+    value_out : ndarray of shape (3, rows), float32
+    """
+    for i in range(LANES):
+        n, part = into[i], share[i]
+        value_out[0, n] += part * (red * own[i])
+        value_out[1, n] += part * (green * own[LANES + i])
+        value_out[2, n] += part * (blue * own[2 * LANES + i])
+
+
+@inlined_function
+def pack_fine(value, chunk, k, fine_out, step_out):
+    """Write a chunk's values of a harmonic above degree 1 as 16-bit integers and their factor."""
+    most = ZERO
+    for i in range(LANES):
+        most = max(most, abs(value[i]))
+    unit = most / LARGEST
+    step_out[chunk, k] = unit
+    for i in range(LANES):
+        whole = value[i] / unit if unit > ZERO else ZERO
+        fine_out[chunk, k * LANES + i] = np.int16(np.rint(whole))
+
+
+@inlined_function
+def add_to_row(g, i, weight, origin, row):
+    """Add splat i of a chunk to the sums of a merged one.
+
+    Places are taken from `origin`, a place of the same cell: the squares of large coordinates would
+    leave no digits for the covariance.
+    """
+    xx, xy, xz = g[3 * LANES + i], g[4 * LANES + i], g[5 * LANES + i]
+    yy, yz, zz = g[6 * LANES + i], g[7 * LANES + i], g[8 * LANES + i]
+    x, y, z = g[i] - origin[0], g[LANES + i] - origin[1], g[2 * LANES + i] - origin[2]
+    row[0] += weight * x
+    row[1] += weight * y
+    row[2] += weight * z
+    row[3] += weight * (xx + x * x)
+    row[4] += weight * (xy + x * y)
+    row[5] += weight * (xz + x * z)
+    row[6] += weight * (yy + y * y)
+    row[7] += weight * (yz + y * z)
+    row[8] += weight * (zz + z * z)
+    n0, n1, n2 = g[9 * LANES + i], g[10 * LANES + i], g[11 * LANES + i]
+    turned = weight if row[9] * n0 + row[10] * n1 + row[11] * n2 >= 0.0 else -weight
+    row[9] += turned * n0
+    row[10] += turned * n1
+    row[11] += turned * n2
+
+
+@inlined_function
+def finish_row(row, origin, total):
+    """Turn the sums of a merged splat into its place, covariance, normal and log2 opacity.
+
+    Optical depth times area is kept.
+    """
+    share = 1 / total
+    for k in range(9):
+        row[k] *= share
+    x, y, z = row[0], row[1], row[2]
+    row[3] -= x * x
+    row[4] -= x * y
+    row[5] -= x * z
+    row[6] -= y * y
+    row[7] -= y * z
+    row[8] -= z * z
+    row[0] += origin[0]
+    row[1] += origin[1]
+    row[2] += origin[2]
+    row[9], row[10], row[11] = thin_axis(row[3:9], unit_vector(row[9], row[10], row[11]))
+    depth = total / max(area_of(row[3], row[4], row[5], row[6], row[7], row[8]), LEAST)
+    row[OPACITY] = math.log2(max(-math.expm1(-depth), LEAST))
+
+
+@inlined_function
+def thin_axis(covariance, normal):
+    """Return the unit vector along which a merged splat is thin, near its splats' mean normal.
+
+    These are steps of inverse iteration (Golub and Van Loan 2013, Matrix Computations, 7.6.1) from
+    the mean normal: it stays where the splat is as thick in all directions, and turns where walls
+    about a lid became a flat splat.
+
+    Parameters
+    ----------
+    covariance : ndarray of shape (6,), float64
+        xx, xy, xz, yy, yz, zz.
+    normal : tuple of float
+        Unit vector.
+    """
+    xx, xy, xz, yy, yz, zz = covariance
+    a, b, c = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy  # the adjugate
+    d, e, f = xx * zz - xz * xz, xy * xz - xx * yz, xx * yy - xy * xy
+    x, y, z = normal[0] + TILT, normal[1] + TILT, normal[2] + TILT
+    for _ in range(TURNS):
+        u, v, w = a * x + b * y + c * z, b * x + d * y + e * z, c * x + e * y + f * z
+        if u * u + v * v + w * w > 0.0:
+            x, y, z = unit_vector(u, v, w)
+    return unit_vector(x, y, z)
+
+
+@inlined_function
+def unit_vector(x, y, z):
+    """Return a vector at unit length; (0, 0, 0) stays."""
+    share = 1 / max(math.sqrt(x * x + y * y + z * z), TINY)
+    return x * share, y * share, z * share
