@@ -1,5 +1,6 @@
 """Settings of the site: `python -m sphinx -W -n -b html docs site` builds it (extra `docs`)."""
 
+import re
 import sys
 from pathlib import Path
 
@@ -54,7 +55,20 @@ def visit_block(writer, node):
     raise SkipNode
 
 
+def keep_options(app, page, template, context, doctree):
+    """Mark the options in commands, which else break after their hyphens."""
+
+    def marked(block):
+        words = re.sub(r"(?<!\S)-[^\s<]+", r'<span class="option">\g<0></span>', block[2])
+        return block[1] + words + block[3]
+
+    if "body" in context:
+        blocks = r'(<div class="highlight-none.*?<pre>)(.*?)(</pre>)'
+        context["body"] = re.sub(blocks, marked, context["body"], flags=re.S)
+
+
 def setup(app):
     """Fill in what comes from the code before a page is read; draw formulas as MathML."""
     app.connect("source-read", from_code.fill)
+    app.connect("html-page-context", keep_options)
     app.add_html_math_renderer("mathml", (visit_inline, None), (visit_block, None))
