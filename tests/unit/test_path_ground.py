@@ -231,7 +231,7 @@ def test_the_ledger_of_a_window_closes_and_says_what_leaves_at_its_borders(scene
     begin = water_at_rest(around, CONFIG, station.start(CONFIG))
     window = part_of(around, station.window)
     begin = begin._replace(depth=begin.depth[station.window])
-    run = simulation.simulate(window, CONFIG, dtype=np.float64, begin=begin)
+    run = simulation.simulate(window, CONFIG, begin=begin)
     for _ in range(12):
         ledger = next(run).ledger
     assert abs(ledger["residual"]) < 1e-9
