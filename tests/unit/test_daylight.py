@@ -242,10 +242,10 @@ def test_it_is_kept_for_the_next_run(sunny, tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("changes", [{"relight": "off"}, {"cloudiness": 0.0}, {"source": None}])
-def test_nothing_is_looked_for_where_nothing_is_wanted(sunny, tmp_path, monkeypatch, changes):
+def test_nothing_is_looked_for_where_nothing_is_wanted(tmp_path, monkeypatch, changes):
     monkeypatch.setattr(kept, "find_relight", None)
     changes = dict(changes)
-    scene = replace(sunny[0], source=changes.pop("source", tmp_path))
+    scene = replace(scenes.tiny_scene(), source=changes.pop("source", tmp_path))
     found = kept.kept_relight(scene, Config().replace(**changes), REACH, 0.6)
     assert found.gain is None and found.note == ""
 
