@@ -325,12 +325,13 @@ class SequenceRenderer:
             raise ParameterError("no camera was given; a frame needs one")
         self._scene, self._terrain, self._cameras = scene, terrain, cameras
         self._config, self._names, self._backend = config, names, backend
+        self._path = [scene.ground_frame.camera_in_ground(camera) for camera in cameras]
+        self._motions = motions(self._path)
         self._renderer, self._notes = None, ()
 
     def render(self, states):
         """Yield (picture, FrameReport) for each state."""
-        path = [self._scene.ground_frame.camera_in_ground(camera) for camera in self._cameras]
-        moves, turns = motions(path)
+        path, (moves, turns) = self._path, self._motions
         config, cuts = self._config, deque()  # whether each frame that is drawn ends in a cut
 
         def shots():

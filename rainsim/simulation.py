@@ -244,6 +244,7 @@ def simulate(terrain, config, progress=None, dtype=np.float32, begin=None):
     wind = usual_wind(config), config.rain.roughness
     moving = MovingSurfaces(terrain, *wind)
     surfaces, exposure = moving.still, rain_exposure(terrain, *wind)
+    whole = _area(terrain, exposure)
     puddle_growth = past_rain_growth(terrain, config, exposure, begun)
     level_change = level_changes(terrain, config)
     depth, notes = begin[1:] if begin else initial_water(terrain, start, exposure)
@@ -275,7 +276,7 @@ def simulate(terrain, config, progress=None, dtype=np.float32, begin=None):
                 rings_on(ripples, rain, before, time)
             elif rain:  # rings of both
                 rings = objects.with_drips(landed, before, time)
-                area = float(opened.sum()) * terrain.grid.cell_area
+                area = whole if opened is exposure else _area(terrain, opened)
                 ripples.advance(time - before, *tile_impacts(rings, area, ripples.size, time))
             if level_change is not None:  # what keyframes move
                 objects.let_in(solver, *level_change(before, time))
@@ -312,6 +313,10 @@ def ripple_tile(config, weather, water=None):
         depth=depth, film=config.water.surface_film, chord=chord, rate=weather.mean_rate,
         dtype=np.float32,
     )  # fmt: skip
+
+
+def _area(terrain, share):
+    return float(share.sum()) * terrain.grid.cell_area
 
 
 def _of_hits(hits, name, shape, dtype=np.float32):

@@ -290,7 +290,7 @@ ground_map_option = click.option(
     "--ground-map", metavar="auto|whole|path", show_default=PRESETS,
     help="whole is one height map for all frames; path, windows of fine cells that follow the "
     "frames' cameras, each with water of its own; auto takes path for several cameras near the "
-    "ground that range so far that one map would have cells of more than 2 cm.",
+    "ground that range so far that one map would have cells of more than 2.5 cm.",
 )  # fmt: skip
 
 range_option = click.option(

@@ -35,7 +35,7 @@ from rainsim.rain.exposure import rain_exposure
 from rainsim.reflection.slope_moments import ripple_moments
 from rainsim.scene.actors import require_no_actors
 from rainsim.water.keyframes import level_changes, past_rain_growth
-from rainsim.water.ripples import LAYERS, RippleTile, mean_chord
+from rainsim.water.ripples import LAYERS
 
 
 class DeviceState:
@@ -133,13 +133,7 @@ class Simulation:
         self._level_change = level_changes(terrain, config)
         solver = host.water_solver(terrain, start)
         solver.set_state(depth)
-        tile = RippleTile(
-            depth=host.puddle_depth(depth),
-            film=config.water.surface_film,
-            chord=mean_chord(depth, terrain.grid.spacing, host.RIPPLE_DEPTHS[0]),
-            rate=self.weather.mean_rate,
-            dtype=np.float32,
-        )
+        tile = host.ripple_tile(config, self.weather, (depth, terrain.grid.spacing))
         open_area = float(exposure.sum()) * terrain.grid.cell_area
         self._objects = host.Objects(surfaces, start, *host.tops_of(terrain, config, start))
         host.warm_up(tile, self._objects, self.weather)

@@ -8,12 +8,12 @@ from scipy.spatial.transform import Rotation
 from rainsim.scene.actors import joined
 from rainsim.scene.types import Splats
 from rainsim.splatting.coarse import HALF_CELLS, merged_rows
+from rainsim.splatting.level_kernels import FLAT
 from rainsim.splatting.prepared import GEOMETRY, OPACITY, SIGMAS
 
 PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 MATRIX = [[0, 1, 2], [1, 3, 4], [2, 4, 5]]
 FAINTEST = 1e-30
-FLAT = 0.3  # thinnest over middle axis below which a splat faces somewhere
 WIDEST = 1.0  # of a cell's side: root of the sum of a merged splat's squared deviations
 LEAST_SCALE = 1e-4  # of a merged splat's largest deviation: single precision holds no less
 

@@ -17,7 +17,15 @@ from rainsim.errors import BackendError, ParameterError
 from rainsim.terrain.choose import AUTO_CELLS, MOST_CELLS, USUAL_SPACING, choose_grid
 from rainsim.terrain.extract import MARGIN, arrays_over
 from rainsim.terrain.kept import kept_terrain
-from rainsim.terrain.stations import HIGH, STRIP, cells_of, long_axis, station_at, stations_of
+from rainsim.terrain.stations import (
+    HIGH,
+    STRIP,
+    box_area,
+    cells_of,
+    long_axis,
+    station_at,
+    stations_of,
+)
 from rainsim.terrain.types import NO_TOPS, UNKNOWN, Grid, Terrain
 
 OVERVIEW_CELLS = 400_000  # of the coarse map
@@ -58,7 +66,8 @@ class PathGround:
     @property
     def cells(self):
         """Cells that are held at once at most: of a window, of what lies around, of the whole."""
-        return self.overview.bed.size + max(_area(s.cells) + _area(s.around) for s in self.stations)
+        each = [box_area(s.cells) + box_area(s.around) for s in self.stations]
+        return self.overview.bed.size + max(each)
 
     def height(self, x, y):
         """Return the height of the coarse map [m] at points, beyond it that of its rim."""
@@ -209,7 +218,7 @@ def follows_path(scene, config, cameras, backend="cpu", mask=None):
     return bool(area > MOST_CELLS * terrain.spacing**2)
 
 
-def path_ground(scene, config, cameras, tell=None):
+def path_ground(scene, config, cameras):
     """Return the `PathGround` of a scene, and notes on it.
 
     Parameters
@@ -218,12 +227,10 @@ def path_ground(scene, config, cameras, tell=None):
     config : Config
     cameras : sequence of Camera
         One per frame, or one for all, in the capture frame.
-    tell : callable, optional
-        See `extract_terrain`.
     """
     spacing = config.terrain.spacing or USUAL_SPACING
     coarse = max(choose_grid(scene, TerrainConfig(), OVERVIEW_CELLS)[0].spacing, spacing)
-    overview = kept_terrain(scene, TerrainConfig(spacing=coarse), None, tell)
+    overview = kept_terrain(scene, TerrainConfig(spacing=coarse))
     path = [scene.ground_frame.camera_in_ground(camera) for camera in cameras]
     ground = PathGround(replace(overview, tops=NO_TOPS), path, config.frames, spacing)
     sides = [max(s.cells[1] - s.cells[0], s.cells[3] - s.cells[2]) for s in ground.stations]
@@ -233,7 +240,3 @@ def path_ground(scene, config, cameras, tell=None):
         f"of {spacing:g} m; cells of {coarse:g} m beyond"
     )
     return ground, (note,)
-
-
-def _area(box):
-    return (box[1] - box[0]) * (box[3] - box[2])

@@ -94,12 +94,12 @@ def stations_of(path, frames, spacing, height=None):
     firsts, boxes, most = [], [], 0
     for n, camera in enumerate(path[: 1 if still else frames]):
         own = needed_cells(camera, float(ground[n]), spacing)
-        if boxes and _area(_union(boxes[-1], own)) <= most:
+        if boxes and box_area(_union(boxes[-1], own)) <= most:
             boxes[-1] = _union(boxes[-1], own)
         else:
             firsts.append(n)
             boxes.append(own)
-            most = max(WINDOW_CELLS, GROWN * _area(own))
+            most = max(WINDOW_CELLS, GROWN * box_area(own))
     stations = []
     for k, (first, end) in enumerate(zip(firsts, [*firsts[1:], frames], strict=True)):
         around = _around(boxes[k], boxes[max(k - 2, 0) : k + 3], spacing)
@@ -144,9 +144,9 @@ def needed_cells(camera, ground, spacing):
     low = np.floor(corners.min(axis=0) / (step * spacing)).astype(int) * step
     high = np.ceil(corners.max(axis=0) / (step * spacing)).astype(int) * step
     box = int(low[1]), int(high[1]), int(low[0]), int(high[0])
-    if _area(box) > MOST_CELLS:
+    if box_area(box) > MOST_CELLS:
         raise ParameterError(
-            f"the ground about a camera has {_area(box)} cells of {spacing:g} m; at most "
+            f"the ground about a camera has {box_area(box)} cells of {spacing:g} m; at most "
             f"{MOST_CELLS} fit the memory; give a larger --spacing"
         )
     return box
@@ -168,7 +168,7 @@ def _around(box, neighbours, spacing):
         side = 2 * long_axis(part)
         part[side] = part[side] // strip * strip
         part[side + 1] = -(-part[side + 1] // strip) * strip
-        if _area(part) <= REST_CELLS:
+        if box_area(part) <= REST_CELLS:
             return tuple(part)
     return box
 
@@ -187,5 +187,6 @@ def _union(a, b):
     return min(a[0], b[0]), max(a[1], b[1]), min(a[2], b[2]), max(a[3], b[3])
 
 
-def _area(box):
+def box_area(box):
+    """Return the number of cells of a box: first row, end row, first column, end column."""
     return (box[1] - box[0]) * (box[3] - box[2])
