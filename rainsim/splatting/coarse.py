@@ -5,10 +5,17 @@ them too large, for each is widened to a pixel. Here those of a cell become one 
 mean, covariance and colour (moments are kept, as where mixtures are reduced; Runnalls 2007, IEEE
 Trans. Aerosp. Electron. Syst. 43(3)), each weighted by the light that it stops, and the new one
 stops as much: optical depth times area is kept.
+
+An optical depth d e^-q at the place q stops 1 - exp(-d e^-q), which is flat in the middle where d
+is large, as in a wall. A Gaussian of opacity d / (2 ln 2), which blending bounds at one, stops a
+half at the same places. With no more than 1 - exp(-d) a wall of merged splats lets a third of the
+light through between them. Opacities above one are also what Kerbl et al. 2024 (A Hierarchical 3D
+Gaussian Representation, ACM Trans. Graph. 43(4)) give to merged splats.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -16,6 +23,7 @@ import numpy as np
 from rainsim.splatting.prepared import GEOMETRY, LANES, OPACITY, by_splat, laid_out
 
 LEAST = 1e-30
+HALF_STOPPED = 1 / (2 * math.log(2))  # opacity over optical depth, where a half is stopped
 HALF_CELLS = 1 << 20  # along an axis: three such numbers fit into one
 
 
@@ -93,7 +101,8 @@ def merged_rows(rows, values, group):
     axes = np.linalg.eigh(covariance[:, [[0, 1, 2], [1, 3, 4], [2, 4, 5]]])[1]
     out[:, 9:12] = axes[..., 0]
     depth = total / np.maximum(_area(covariance), LEAST)
-    out[:, OPACITY] = np.log2(np.maximum(-np.expm1(-depth), LEAST))
+    opacity = np.maximum(-np.expm1(-depth), HALF_STOPPED * depth)
+    out[:, OPACITY] = np.log2(np.maximum(opacity, LEAST))
     light = np.stack([mean(values[:, k]) for k in range(values.shape[1])], -1)
     return out, light.astype(np.float32)
 

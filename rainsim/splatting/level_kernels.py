@@ -8,6 +8,7 @@ import numpy as np
 
 from rainsim.constants import ONE, ZERO
 from rainsim.jit import cpu_kernel, inlined_function, prange
+from rainsim.splatting.coarse import HALF_STOPPED
 from rainsim.splatting.prepared import GEOMETRY, LANES, LARGEST, OPACITY
 
 GROUP = 8  # chunks whose level is chosen together
@@ -347,7 +348,7 @@ def add_to_row(g, i, weight, origin, row):
 def finish_row(row, origin, total):
     """Turn the sums of a merged splat into its place, covariance, normal and log2 opacity.
 
-    Optical depth times area is kept.
+    Optical depth times area is kept; `rainsim.splatting.coarse` explains the opacity.
     """
     share = 1 / total
     for k in range(9):
@@ -364,7 +365,7 @@ def finish_row(row, origin, total):
     row[2] += origin[2]
     row[9], row[10], row[11] = thin_axis(row[3:9], unit_vector(row[9], row[10], row[11]))
     depth = total / max(area_of(row[3], row[4], row[5], row[6], row[7], row[8]), LEAST)
-    row[OPACITY] = math.log2(max(-math.expm1(-depth), LEAST))
+    row[OPACITY] = math.log2(max(max(-math.expm1(-depth), HALF_STOPPED * depth), LEAST))
 
 
 @inlined_function
