@@ -42,7 +42,16 @@ def settings(preset, given, base=None):
     if "height" in changes:
         changes.setdefault("width", None)  # follows from the camera's shape
     config = Config.from_preset(preset) if base is None else base
-    return config.replace(**changes).check()
+    config = config.replace(**changes)
+    if base is None and config.frame_range and "frames" not in changes and _path_says(given):
+        # The path's length is known once it is read: `cameras_of` checks the range by it.
+        config = config.replace(frames=max(config.frames, config.frame_range[1]))
+    return config.check()
+
+
+def _path_says(given):
+    """Whether the number of frames is that of the cameras along a path."""
+    return bool(given.get("path") or given.get("drive"))
 
 
 def _in_si(keys, value):

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from made_captures import ring
+from rainsim.commands.choose import cameras_of, settings
+from rainsim.config.settings import Config
 from rainsim.errors import InputError, ParameterError
 from rainsim.io.images import write_png
 from rainsim.scene.cameras import (
@@ -19,6 +21,7 @@ from rainsim.scene.cameras import (
     write_transforms,
 )
 from rainsim.scene.types import GroundFrame
+from scenes import tiny_scene
 
 # A quarter turn about y: the camera's x, y, z axes are -z, y, x of the world (columns).
 TURN = [[0, 0, 1], [0, 1, 0], [-1, 0, 0]]
@@ -281,3 +284,20 @@ def test_resize_keeps_the_shape_unless_both_sides_are_given():
     assert (cropped.height, cropped.cy, cropped.fy) == (20, 10, camera.fy)
     with pytest.raises(ParameterError, match="width is 0"):
         resize_to(camera, width=0)
+
+
+def test_the_frame_range_is_checked_by_the_length_of_the_path():
+    scene = replace(tiny_scene(), cameras=tiny_scene().cameras * 10)
+    usual = Config().frames
+    assert usual < len(scene.cameras)
+    drive = {"drive": True, "frame_range": (usual + 1, len(scene.cameras))}
+    _, config = cameras_of(scene, settings("moderate", drive), drive)
+    assert (config.frames, len(config.indices)) == (30, 5)
+    too_far = drive | {"frame_range": (0, 31)}
+    with pytest.raises(ParameterError, match="0:31; it must satisfy 0 <= A < B <= 30"):
+        cameras_of(scene, settings("moderate", too_far), too_far)
+    cut = drive | {"frames": 26}
+    with pytest.raises(ParameterError, match=f"{usual + 1}:30; .* <= 26"):
+        settings("moderate", cut)
+    with pytest.raises(ParameterError, match=f"B <= {usual} "):
+        settings("moderate", {"orbit": True, "frame_range": (usual + 1, 30)})
