@@ -22,7 +22,7 @@ from rainsim.simulation import (
     SimState,
     read_state,
     simulate,
-    water_at_rest,
+    steady_water,
     widened,
     write_state,
 )
@@ -182,14 +182,15 @@ class FrameSequence:
         if station != self._station:
             self._window = self._state = self._water = None  # memory for the next
             around = self._ground.around(self.scene, station)
-            begin = water_at_rest(around, self.config, station.start(self.config))
+            number, beyond = station.start(self.config), self._ground.about(around.grid)
+            begin = steady_water(around, self.config, number, beyond)
             part = with_movers(part_of(around, station.window), self.scene)
             self._window = part, station.window, begin
             self._station = station
             self._renderer.take_ground(with_movers(around, self.scene))
         part, place, begin = self._window
-        begin = begin._replace(depth=begin.depth[place])
-        self._water, self._steps = simulate(part, self.config, begin=begin), begin.number
+        self._water = simulate(part, self.config, begin=begin.within(place))
+        self._steps = begin.number
 
 
 def _shown_at(state, index):

@@ -9,7 +9,6 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -32,6 +31,7 @@ from rainsim.water.on_objects import Objects
 from rainsim.water.puddles import WET, doubt, puddles_of, wet_share
 from rainsim.water.ripples import RippleTile, mean_chord, tile_impacts
 from rainsim.water.rolling import NO_TRACKS, Tyres
+from rainsim.water.streams import Begin, run_in, run_off, with_streams
 from rainsim.water.top_water import TopWater
 
 RIPPLE_DEPTHS = (2e-3, 0.1)  # m: films thinner carry no rings, deeper water is deep to them
@@ -109,39 +109,34 @@ def low_ground(terrain):
     return float(np.percentile(terrain.bed.astype(np.float64), 5))
 
 
-class Begin(NamedTuple):
-    """Where the water of a window of the ground begins, see `water_at_rest`.
-
-    Attributes
-    ----------
-    number : int
-        Of the state.
-    depth : ndarray of shape (ny, nx), float64 [m]
-    notes : tuple of str
-    """
-
-    number: int
-    depth: np.ndarray
-    notes: tuple
-
-
-def water_at_rest(terrain, config, number):
-    """Return the `Begin` at a state: all rain that fell until then stands at rest.
+def steady_water(terrain, config, number, beyond=None):
+    """Return the `Begin` at a state: the rain until then at rest, and the streams of steady rain.
 
     Parameters
     ----------
     terrain : Terrain
     config : Config
     number : int
+    beyond : Terrain, optional
+        What lies about the map, in wider cells: its water comes in by streams.
     """
     time = number / config.fps
-    exposure = rain_exposure(terrain, usual_wind(config), config.rain.roughness)
-    fallen = Weather(config).fallen(time)
-    return Begin(number, *initial_water(terrain, config.at(time), exposure, fallen))
+    now, fallen = config.at(time), Weather(config).fallen(time)
+
+    def still(ground):
+        exposure = rain_exposure(ground, usual_wind(config), config.rain.roughness)
+        return initial_water(ground, now, exposure, fallen), now.rain.rate * exposure
+
+    (depth, notes), rain = still(terrain)
+    inflow = ()
+    if beyond is not None and now.rain.rate > 0:
+        (standing, _), coarse = still(beyond)
+        inflow = run_in(run_off(beyond, standing, coarse), beyond.grid, terrain.grid)
+    return Begin(number, *with_streams(terrain, depth, rain, inflow), notes)
 
 
 def widened(state, window, begin):
-    """Return the state of a window over all that lies around it, where the water stands still.
+    """Return the state of a window over all that lies around it, where the water stays as it was.
 
     Parameters
     ----------
@@ -151,9 +146,8 @@ def widened(state, window, begin):
     begin : Begin
         Of the window and what lies around it.
     """
-    depth = begin.depth.astype(np.float32)
+    depth, velocity = begin.depth.astype(np.float32), begin.velocity.copy()
     depth[window] = state.depth
-    velocity = np.zeros((2, *depth.shape), np.float32)
     velocity[(slice(None), *window)] = state.velocity
     tracks = state.tracks
     if tracks.size:
@@ -247,9 +241,8 @@ def simulate(terrain, config, progress=None, dtype=np.float32, begin=None):
     whole = _area(terrain, exposure)
     puddle_growth = past_rain_growth(terrain, config, exposure, begun)
     level_change = level_changes(terrain, config)
-    depth, notes = begin[1:] if begin else initial_water(terrain, start, exposure)
     solver = water_solver(terrain, start, dtype)
-    solver.set_state(depth)
+    depth, notes = _filled(solver, terrain, start, exposure, begin)
     ripples = ripple_tile(config, weather, None if begin else (depth, terrain.grid.spacing))
     objects = Objects(surfaces, start, *tops_of(terrain, config, start))
     warm_up(ripples, objects, weather, begun)
@@ -293,6 +286,16 @@ def simulate(terrain, config, progress=None, dtype=np.float32, begin=None):
             top_water=objects.top_water(), **tyres.state(deep),
         )  # fmt: skip
         index += 1
+
+
+def _filled(solver, terrain, start, exposure, begin):
+    """Give a solver the water of the start; return its depth [m] (ny, nx), and notes."""
+    if begin is not None:
+        solver.set_state(begin.depth, *begin.velocity)
+        return begin.depth, begin.notes
+    depth, notes = initial_water(terrain, start, exposure)
+    solver.set_state(depth)
+    return depth, notes
 
 
 def ripple_tile(config, weather, water=None):

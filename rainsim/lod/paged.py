@@ -26,6 +26,7 @@ from rainsim.splatting.prepared import (
 )
 
 ARRAYS = ("geometry", "sh", "fine", "step", "box")
+GROWTH = 1.125  # times what a picture's pages need, of the memory that is taken for them
 MIRRORED = 2.0  # times the threshold in pictures that water and the surroundings mirror
 
 
@@ -79,6 +80,7 @@ class PagedRasterizer:
         self._compensate = compensate
         self._number = next(self._numbers)  # apart from other rasterizers of these pages
         self._front, self._drawn, self._rasterizer = None, None, None
+        self._room = {}  # arrays that the pages of each picture are put into
         self.used = {}
 
     def recolor(self, front=None):
@@ -95,21 +97,24 @@ class PagedRasterizer:
         """Prepare all pages again from now on: their colours are others."""
         self._number, self._drawn = next(self._numbers), None
 
-    def draw(self, camera, near, plane=None, leading=False, **options):
-        """Return the `Layers` that `camera` sees; the parameters are those of `Rasterizer.draw`."""
-        wanted = self.wanted(camera, near, plane, leading)
+    def draw(self, camera, near, plane=None, leading=False, coarser=1.0, **options):
+        """Return the `Layers` that `camera` sees; the parameters are those of `Rasterizer.draw`.
+
+        `coarser` is a factor on the threshold for this picture.
+        """
+        wanted = self.wanted(camera, near, plane, leading, coarser)
         self._assemble(wanted, leading)
         return self._rasterizer.draw(camera, near, plane, **options)
 
-    def wanted(self, camera, near, plane=None, leading=False):
+    def wanted(self, camera, near, plane=None, leading=False, coarser=1.0):
         """Return the runs that a camera needs, as (leaf, level) in the order of the index."""
-        wanted, self.used = self._choose(camera, near, plane, leading)
+        wanted, self.used = self._choose(camera, near, plane, leading, coarser)
         return wanted
 
-    def _choose(self, camera, near, plane=None, leading=False):
+    def _choose(self, camera, near, plane=None, leading=False, coarser=1.0):
         """Return the runs that a camera needs, and what `used` says of them."""
         tree = self.pages.tree
-        detail = self._detail * (MIRRORED if leading else 1.0)
+        detail = self._detail * coarser * (MIRRORED if leading else 1.0)
         levels, detail = chosen_levels(tree, camera, near, detail, self._most, plane)
         wanted = [(int(n), int(levels[n])) for n in np.flatnonzero(levels != NONE)]
         splats = sum(int(tree.count[n, k]) for n, k in wanted)
@@ -137,7 +142,8 @@ class PagedRasterizer:
         parts = [page.first for page in pages]
         if not leading:
             parts += [page.last for page in pages if page.last is not None]
-        joined = replace(together(parts, self._front), compensate=self._compensate)
+        joined = together(parts, self._front, self._room)
+        joined = replace(joined, compensate=self._compensate)
         if self._rasterizer is None:
             self._rasterizer = self._rasterizer_of(joined)
         else:
@@ -177,8 +183,10 @@ def rasterizer_of_scene(scene, render, rasterizer_of=Rasterizer):
     )
 
 
-def together(parts, front=None):
+def together(parts, front=None, room=None):
     """Return several `PreparedSplats` as one, which names no scene's splats but those of `front`.
+
+    Memory that is taken for each picture costs as much time as the copy itself.
 
     Parameters
     ----------
@@ -186,11 +194,22 @@ def together(parts, front=None):
         At least one, harmonics of the same degree.
     front : PreparedSplats, optional
         That comes before the others.
+    room : dict, optional
+        Arrays of the last call, which the result is put into: the last result is lost.
     """
     every = [*([] if front is None else [front]), *parts]
     every = [part for part in every if len(part.box)] or every[:1]  # empty ones know no degree
-    arrays = {name: np.concatenate([getattr(p, name) for p in every]) for name in ARRAYS}
+    room = {} if room is None else room
+    arrays = {name: _put(room, name, [getattr(p, name) for p in every]) for name in ARRAYS}
     order = np.full(len(arrays["box"]) * LANES, NOBODY, np.int32)
     if front is not None:
         order[: len(front.order)] = front.order
     return replace(every[0], **arrays, order=order, leading=None)
+
+
+def _put(room, name, parts):
+    """Return arrays joined, in the array `name` of a room if they fit, else in a larger one."""
+    rows, shape = sum(len(part) for part in parts), parts[0].shape[1:]
+    if name not in room or len(room[name]) < rows or room[name].shape[1:] != shape:
+        room[name] = np.empty((int(GROWTH * rows), *shape), parts[0].dtype)
+    return np.concatenate(parts, out=room[name][:rows])

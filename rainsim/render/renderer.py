@@ -243,9 +243,7 @@ class Renderer:
             views = metering_views(self.wet_scene.scene.cameras, first_camera)
             for time in self.config.key_times():
                 self.wet_scene.set_time(self.config.at(time))
-                for camera in views:
-                    cover = np.empty((camera.height, camera.width), np.float32)
-                    view = self.wet_scene.picture(camera, Timer(), cover).view
+                for view, cover in self.wet_scene.covers(views):
                     yield mean_share(view, cover)
 
         self.notes.append(self.wet_ground.choose(shares()))

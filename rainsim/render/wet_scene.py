@@ -36,6 +36,7 @@ from rainsim.splatting.detail import SIDES, Detail
 from rainsim.splatting.prepared import recolored
 from rainsim.water.rolling import NO_TRACKS
 
+COARSER = 4.0  # times the threshold of pages in metering pictures: they come from all over
 NEAR = 0.05  # m: splats nearer than this are not drawn
 FIRST_SEGMENT = 0.5  # m of a traced ray that are searched at first
 BRIGHT_SKY = 0.15  # mean linear light above which a far pixel shows the captured sky
@@ -327,7 +328,7 @@ class WetScene:
         """
         captured, rainy, pixels, sky = 0.0, 0.0, 0, 0
         for camera in cameras:
-            layers = self.rasterizer.draw(camera, self.near)
+            layers = self.rasterizer.draw(camera, self.near, **self._small)
             wet = self._wetted(layers, camera)
             land = np.isfinite(wet.depth) & (layers.alpha > 0.5)
             captured += float(luminance_of(layers.color[land]).sum())
@@ -338,6 +339,18 @@ class WetScene:
             pixels += int(land.sum())
             sky += int((~land).sum())
         return captured / max(pixels, 1), rainy / max(pixels, 1), sky / max(pixels + sky, 1)
+
+    def covers(self, cameras):
+        """Yield the `View` of small pictures, and the `cover_out` of `grade_and_wet` in each."""
+        for camera in cameras:
+            cover = np.empty((camera.height, camera.width), np.float32)
+            layers = self.rasterizer.draw(camera, self.near, detail=self.merge, **self._small)
+            yield self._wetted(layers, camera, cover).view, cover
+
+    @property
+    def _small(self):
+        """How a big capture draws the small pictures that the light is set up by."""
+        return {} if self.paged is None else {"coarser": COARSER}
 
     def level_mirrored(self, level):
         """Return the `WetPicture` of what stands on the ground, seen mirrored at its plane.

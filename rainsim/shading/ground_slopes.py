@@ -29,9 +29,11 @@ def ground_slopes(terrain):
     """Return the `GroundSlopes` of a terrain: its bed is averaged over SLOPE_WIDTH."""
     cell = terrain.grid.spacing
     smooth = ndimage.gaussian_filter(terrain.bed.astype(np.float64), SLOPE_WIDTH / cell)
-    dy, dx = np.gradient(smooth, cell)
-    film = ndimage.gaussian_filter(terrain.by_class("film_slope"), 1)
-    slopes = np.ascontiguousarray(np.stack([smooth, dx, dy, film], axis=-1), dtype=np.float32)
+    slopes = np.empty((*smooth.shape, 4), np.float32)
+    slopes[..., 0] = smooth
+    slopes[..., 1] = np.gradient(smooth, cell, axis=1)
+    slopes[..., 2] = np.gradient(smooth, cell, axis=0)
+    slopes[..., 3] = ndimage.gaussian_filter(terrain.by_class("film_slope"), 1)
     return GroundSlopes(slopes, np.array(terrain.grid.origin, np.float32), np.float32(cell))
 
 

@@ -31,6 +31,7 @@ from rainsim.terrain.types import NO_TOPS, UNKNOWN, Grid, Terrain
 OVERVIEW_CELLS = 400_000  # of the coarse map
 DIRT = 0.35, 0.32, 0.28  # colour of ground that no splat shows; by eye
 MAPS = "bed", "top", "underside", "source", "ground_class", "noise", "color"
+UPSTREAM = 100.0  # m about a window from which its streams may come
 WIDER = 1.25  # times the usual cells: those of one map for all from which on windows are taken
 
 
@@ -110,6 +111,23 @@ class PathGround:
                 maps[name][places[part, spacing]] = values
         self._last = places, Terrain(grid, **maps)
         return self._last[1]
+
+    def about(self, grid):
+        """Return the coarse `Terrain` about a part of the ground, a `Grid`, with what drains to it.
+
+        None where the coarse map is as fine as the part.
+        """
+        whole = self.overview.grid
+        if whole.spacing < 1.5 * grid.spacing:
+            return None
+        low = np.subtract(grid.origin, UPSTREAM)
+        high = np.add(grid.origin, np.add(grid.size, UPSTREAM))
+        first, last = (np.subtract(place, whole.origin) / whole.spacing for place in (low, high))
+        columns, rows = (
+            slice(max(int(a), 0), min(int(b) + 1, n))
+            for a, b, n in zip(first, last, whole.shape[::-1], strict=True)
+        )
+        return part_of(self.overview, (rows, columns))
 
     def _made(self, scene, cells, spacing):
         """Return the arrays of a `Terrain` over some cells."""

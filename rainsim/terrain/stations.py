@@ -27,7 +27,7 @@ MOST_CELLS = 6_000_000  # of a window for a single camera
 REST = 16.0  # m along the path beyond a window from which water stands in it
 REST_CELLS = 3_000_000  # of a window and what lies about it
 STRIP = 8.0  # m of ground that are extracted at once: the rims of what lies about a window
-LEAD = 1.0  # s before its first frame that a station's water is simulated
+LEAD = 0.2  # s before its first frame that a station's water is simulated
 
 
 class Station(NamedTuple):

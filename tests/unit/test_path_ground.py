@@ -13,7 +13,7 @@ from rainsim.errors import BackendError, ParameterError
 from rainsim.scene.cameras import look_at
 from rainsim.scene.painted import PaintedClasses
 from rainsim.scene.types import GroundFrame, Scene, Splats
-from rainsim.simulation import water_at_rest
+from rainsim.simulation import steady_water
 from rainsim.terrain import path_ground, stations
 from rainsim.terrain.path_ground import follows_path, part_of
 from rainsim.terrain.types import UNKNOWN
@@ -213,7 +213,7 @@ def test_neighbours_agree_on_the_water_that_stands_in_both(scene, ground):
         depths = []
         for station in neighbours:
             around = ground.around(scene, station)
-            depth = water_at_rest(around, CONFIG, 5).depth
+            depth = steady_water(around, CONFIG, 5).depth
             depths.append((station, depth[station.window]))
         west, east = max(s.cells[2] for s, _ in depths), min(s.cells[3] for s, _ in depths)
         parts = [d[:, west - s.cells[2] : east - s.cells[2]] for s, d in depths]
@@ -228,9 +228,9 @@ def test_neighbours_agree_on_the_water_that_stands_in_both(scene, ground):
 def test_the_ledger_of_a_window_closes_and_says_what_leaves_at_its_borders(scene, ground):
     station = ground.stations[2]
     around = ground.around(scene, station)
-    begin = water_at_rest(around, CONFIG, station.start(CONFIG))
+    begin = steady_water(around, CONFIG, station.start(CONFIG))
     window = part_of(around, station.window)
-    begin = begin._replace(depth=begin.depth[station.window])
+    begin = begin.within(station.window)
     run = simulation.simulate(window, CONFIG, begin=begin)
     for _ in range(12):
         ledger = next(run).ledger
@@ -242,10 +242,11 @@ def test_the_ledger_of_a_window_closes_and_says_what_leaves_at_its_borders(scene
 def test_rain_before_a_window_stands_in_it_at_the_start(scene, ground):
     around = ground.around(scene, ground.stations[1])
     config = CONFIG.replace(past=1e-4)
-    early, late = (water_at_rest(around, config, n).depth.sum() for n in (0, 150))
+    early, late = (steady_water(around, config, n).depth.sum() for n in (0, 150))
     assert late > 1.5 * early > 0
     drier = config.replace(rate=0.0)
-    assert water_at_rest(around, drier, 150).depth.sum() == pytest.approx(early)
+    first, last = (steady_water(around, drier, n).depth.sum() for n in (0, 150))
+    assert last == pytest.approx(first) and 0 < first < early
 
 
 # --- which ground ---------------------------------------------------------------------------------
@@ -299,3 +300,15 @@ def test_one_map_is_never_made_for_the_path(scene):
         pipeline.extract_terrain(scene, CONFIG)
     with pytest.raises(ParameterError, match="one of auto, whole, path"):
         TerrainConfig(ground_map="sideways").check()
+
+
+def test_a_window_begins_with_the_streams_of_the_rain_and_without_them_when_it_is_dry(scene):
+    wet = CONFIG.replace(rate=mm_per_hour(300.0), past=0.0)
+    ground = pipeline.ground_of(scene, wet, DRIVE)
+    around = ground.around(scene, ground.stations[2])
+    begin = steady_water(around, wet, 0, ground.about(around.grid))
+    assert begin.depth.max() > 1e-3 and np.abs(begin.velocity).max() > 0.02
+    dry = steady_water(around, wet.replace(rate=0.0), 0)
+    assert not dry.depth.any() and not dry.velocity.any()
+    again = steady_water(around, wet, 0, ground.about(around.grid))
+    assert again.depth.tobytes() == begin.depth.tobytes()
