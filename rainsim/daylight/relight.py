@@ -31,7 +31,7 @@ from rainsim.daylight.light import (
     turn_to_the_open,
 )
 from rainsim.daylight.shade import NO_EDGES, EdgeShade, edge_shade, factor_in_shade
-from rainsim.daylight.sun import find_sun, places_of, seen_from
+from rainsim.daylight.sun import LEAST_SCORE, find_sun, places_of, seen_from
 from rainsim.daylight.surface import covariances, luminance, surface_of
 from rainsim.daylight.surroundings import USUAL_ALBEDO, patches_of, sent_in
 from rainsim.daylight.visibility import Window, resized, solids_of
@@ -50,7 +50,7 @@ MOST_GAIN = 6.0  # of the luminance
 SURE = 0.5  # confidence from which on the sun is divided out
 # Values that raise the confidence from 0 to 1: sun over sky on level ground, share of pairs that
 # are brighter where the sun shines, and the score of the search.
-OVER_SKY, AGREE, SCORE = (0.15, 0.6), (0.6, 0.85), (0.08, 0.2)
+OVER_SKY, AGREE, SCORE = (0.15, 0.6), (0.6, 0.85), (LEAST_SCORE, 0.2)
 PAINT_REACH, PAINT_COUNT, LEAST_PAINT = 0.35, 16, 4  # m; splats that a splat's paint is taken from
 SHADED_SUNLIT = 0.12, 0.9  # shares by colour that count as none and all: paint varies
 STAYS = "the light stays as captured"
@@ -112,7 +112,7 @@ def find_relight(scene, sky_distance, sun=None, white=USUAL_ALBEDO):
     direction, score = find_sun(places, solids, near) if sun is None else (_unit(*sun), 1.0)
     patches = patches_of(surface, near)
     measured = SunRatio(np.zeros(3), 0, 0.0)
-    if score > SCORE[0]:
+    if score > LEAST_SCORE:
         sent = sent_in(surface, patches, white)
         measured = measure(places, solids, near, direction, sent)
     confidence = _confidence(measured, score, direction)

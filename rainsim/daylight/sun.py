@@ -7,6 +7,7 @@ where brightness changes is the sun's.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -38,7 +39,14 @@ DIRECTIONS = 240  # of the first search
 LEAST_HEIGHT = 0.07  # sine of the elevation: lower suns light no ground
 COARSE, FINE = 448, 1024  # px, sides of the maps of the search
 CANDIDATES = 4  # of the first search that are refined
-STEPS = (0.09, 0.045, 0.022, 0.011)  # rad
+FIRST_STEP = 0.09  # rad, of the refinement in coarse maps
+LEAST_SCORE = 0.08  # of the coarse maps, from which a sun is sought any further
+# Radius of the discs of directions that are searched then, of the order of the distance between
+# those of the first search, and the distance between their own: the straight edge of a shadow
+# agrees with many directions, shadows of leaves only with one that is right to a place's width.
+DISC, SPACED = 0.12, 0.03  # rad
+TOPS = 6  # of the discs that are refined in fine maps
+STEPS = (0.015, 0.008, 0.004)  # rad
 MARGIN = 0.025  # m by which what casts a shadow stands above it
 
 
@@ -134,11 +142,35 @@ def find_sun(places, solids, window):
             best.append((tried[k], strength[k]))
         if len(best) == CANDIDATES:
             break
-    for number, step in enumerate(STEPS):
-        side = COARSE if number < 1 else FINE
-        best = [_refined(places, sets[side], window, d, step, side) for d, _ in best]
-        best = sorted(best, key=lambda found: -found[1])[: 2 if number < 1 else 1]
+    best = [_refined(places, sets[COARSE], window, d, FIRST_STEP, COARSE) for d, _ in best]
+    likely = [found for found in best if found[1] > LEAST_SCORE]
+    if not likely:
+        return max(best, key=lambda found: found[1])
+    near = _near([direction for direction, _ in likely])
+    strength = strengths(places, sets[COARSE], window, near, COARSE)
+    best = [(near[k], strength[k]) for k in np.argsort(-strength)[:TOPS]]
+    for step in STEPS:
+        best = [_refined(places, sets[FINE], window, d, step, FINE) for d, _ in best]
+        best = sorted(best, key=lambda found: -found[1])[:1]
     return best[0]
+
+
+def _near(directions):
+    """Return unit vectors (m, 3) SPACED apart and at most DISC from any of some directions."""
+    rows = int(np.ceil(DISC / SPACED * math.sqrt(4 / 3)))
+    i, j = np.mgrid[-2 * rows : 2 * rows + 1, -rows : rows + 1].reshape(2, -1)
+    x, y = SPACED * (i + 0.5 * j), SPACED * math.sqrt(0.75) * j
+    inside = np.hypot(x, y) <= DISC
+    found = np.zeros((0, 3))
+    for direction in directions:
+        right, up, _ = axes_of(direction)[0].astype(np.float64)
+        disc = direction + x[inside, None] * right + y[inside, None] * up
+        disc /= np.linalg.norm(disc, axis=1, keepdims=True)
+        new = disc[:, 2] > LEAST_HEIGHT / 2
+        if len(found):
+            new &= (disc @ found.T).max(axis=1) < math.cos(0.75 * SPACED)
+        found = np.concatenate([found, disc[new]])
+    return found
 
 
 def _refined(places, solids, window, direction, step, side):
