@@ -131,9 +131,47 @@ cpu_kernel = _kernel(parallel=True)
 thorough_kernel = _kernel(parallel=True, thorough=True)
 serial_kernel = _kernel()
 
+
+# Of a parallel loop whose threads take what is to be done with `take_next`: more than there are
+# threads. The first iteration of each thread takes all that it can, the others find nothing left.
+TAKERS = 256
+
+
+@intrinsic
+def take_next(typingctx, taken):
+    """Return taken[0] and add one to it, in one step for all threads.
+
+    A parallel loop gives each thread a run of iterations beforehand. With a loop over `TAKERS` in
+    which each thread takes the next part until none is left, no thread waits for another that got
+    the dearer parts, or that other programs keep from its core. Only for parts whose results do
+    not depend on who takes them, and when.
+
+    Parameters
+    ----------
+    taken : ndarray of shape (1,), int64
+        Iterations that have been taken, see `none_taken`.
+    """
+
+    def codegen(context, builder, signature, arguments):
+        array = cgutils.create_struct_proxy(signature.args[0])(context, builder, arguments[0])
+        one = ir.Constant(ir.IntType(64), 1)
+        return builder.atomic_rmw("add", array.data, one, "monotonic")
+
+    return types.int64(taken), codegen
+
+
+@device_function
+def none_taken():
+    """Return a count for `take_next` that begins at 0; made before the parallel loop."""
+    taken = np.empty(1, np.int64)
+    taken[0] = 0
+    return taken
+
+
 __all__ = [
     "CACHE_FOLDER",
     "KERNELS",
+    "TAKERS",
     "cgutils",
     "cpu_kernel",
     "interleaved",
@@ -144,8 +182,10 @@ __all__ = [
     "ir",
     "kernel_folder",
     "lean_function",
+    "none_taken",
     "prange",
     "serial_kernel",
+    "take_next",
     "thorough_kernel",
     "types",
 ]

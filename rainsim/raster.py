@@ -19,7 +19,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rainsim.errors import ParameterError, require_choice
-from rainsim.jit import interleaved
 from rainsim.splatting.blend import blend_tiles
 from rainsim.splatting.level_choice import choose_levels
 from rainsim.splatting.prepared import LANES, PreparedSplats, prepare, select
@@ -80,6 +79,7 @@ class Rasterizer:
     def __init__(self, prepared):
         self.prepared = prepared
         self._record = np.empty((0, RECORD), np.float32)
+        self._depth = np.empty(0, np.float64)
         self._box = np.empty((0, 4), np.int16)
         self._lane = np.empty(0, np.uint8)
         self._entry = np.empty(0, np.uint64)
@@ -150,8 +150,8 @@ class Rasterizer:
         )
         half = np.empty((height, width) if halfway else (0, width), np.uint32)
         blend_tiles(
-            self._record, self._entry, start, interleaved(-(-height // TILE)), height, width,
-            _lens(camera), bool(camera.orthographic), background, halfway, drop_last,
+            self._record, self._entry, start, height, width, _lens(camera),
+            bool(camera.orthographic), background, halfway, drop_last,
             layers.color.ravel(), layers.alpha.ravel(), layers.depth.ravel(),
             layers.plane_depth.ravel(), layers.normal.ravel(), half.ravel(),
         )  # fmt: skip
@@ -185,12 +185,12 @@ class Rasterizer:
         project_chunks(
             SplatChunks(p.geometry, p.sh, p.fine, p.step), chunks, frustum, deep, eye, compensate,
             p.degree if degree is None else min(degree, p.degree), across,
-            self._record, self._box, self._lane, visible, count,
+            self._record, self._depth, self._box, self._lane, visible, count,
         )  # fmt: skip
         start = tile_starts(count)
         if start[-1] > len(self._entry):
             self._entry = np.empty(int(start[-1] * 1.1), np.uint64)
-        list_tiles(self._record, self._box, visible, across, count, self._entry)
+        list_tiles(self._depth, self._box, visible, across, count, self._entry)
         return chunks, start
 
     def _splats(self, half, chunks):
@@ -210,6 +210,7 @@ class Rasterizer:
             )
         if places > len(self._record):
             self._record = np.empty((places, RECORD), np.float32)
+            self._depth = np.empty(places, np.float64)
             self._box = np.empty((places, 4), np.int16)
             self._lane = np.empty(places, np.uint8)
 

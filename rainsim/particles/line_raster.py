@@ -415,7 +415,7 @@ def read_depth(band, depth, columns_out, tile_depth_out):
 
 @device_function
 def resolve_band(band, picture, alpha_out):
-    """Turn the workers' summed optical depths of a band into alpha, and blank them again."""
+    """Turn the workers' summed optical depths of a band into alpha."""
     height, width = alpha_out.shape
     first, end = np.uint64(band * DEPTH_TILE), np.uint64(min((band + 1) * DEPTH_TILE, height))
     rows, workers = end - first, picture.shape[0]
@@ -424,10 +424,8 @@ def resolve_band(band, picture, alpha_out):
         at, most = column * np.uint64(height) + first, np.int64(0)
         for row in range(rows):
             total[row] = picture[0, at + row]
-            picture[0, at + row] = 0
             for worker in range(1, workers):
                 total[row] += picture[worker, at + row]
-                picture[worker, at + row] = 0
             most = max(most, total[row])
         if most < _FAINT_UNITS:
             for row in range(rows):

@@ -11,7 +11,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rainsim.jit import inlined_function, lean_function, prange, thorough_kernel
+from rainsim.jit import (
+    inlined_function,
+    lean_function,
+    none_taken,
+    prange,
+    take_next,
+    thorough_kernel,
+)
 from rainsim.particles.crown import (
     FINE_PIXEL,
     JET_FROM,
@@ -231,8 +238,10 @@ def _draw_splashes(
     height, width = alpha_out.shape
     for band in prange(tiles_out.shape[1]):
         read_depth(np.int64(band), depth, columns_out, tiles_out)
+    taken = none_taken()
     for worker in prange(workers):
         scene, picture = SceneDepth(width, height, columns_out, tiles_out), pictures[worker]
+        picture[:] = 0
         lines, listed = np.empty((_ROOM, 7)), np.zeros(1, np.int64)
         own_seen, own_position, own_ids = seen_out[worker:], position_out[worker], ids_out[worker]
         for n in range(worker, len(drips.id), workers):
@@ -247,11 +256,13 @@ def _draw_splashes(
             _draw_splash(
                 impact, view, scene, listed, lines, own_seen, own_position, own_ids, picture
             )
-        for t in range(worker, tasks.shape[0], workers):
+        t = take_next(taken)
+        while t < tasks.shape[0]:
             _draw_slab(
                 tasks[t], windows, field, surfaces, water, view, scene, listed, lines, own_seen,
                 own_position, own_ids, picture,
             )  # fmt: skip
+            t = take_next(taken)
         draw_lines(lines, 0, listed[0], 1, view, scene, picture)
     for band in prange(tiles_out.shape[1]):
         resolve_band(np.int64(band), pictures, alpha_out)

@@ -16,7 +16,15 @@ from typing import NamedTuple
 import numpy as np
 
 from rainsim.constants import HALF, ONE, ZERO
-from rainsim.jit import cpu_kernel, inlined_function, lean_function, prange, set_threads
+from rainsim.jit import (
+    cpu_kernel,
+    inlined_function,
+    lean_function,
+    none_taken,
+    prange,
+    set_threads,
+    take_next,
+)
 from rainsim.numerics.random import uniform_triple
 from rainsim.particles.line_raster import (
     APERTURE,
@@ -149,18 +157,23 @@ def _draw_field(
 ):
     """List the drops in view, slab by slab of cubes, and draw each, and the rows of `lines`.
 
-    Each worker draws in a picture of its own; adding whole numbers makes their sum exact.
+    Each worker draws in a picture of its own, which it blanks itself, so that it has it in its
+    cache; adding whole numbers makes their sum exact.
     """
     workers = pictures.shape[0]
     height, width = alpha_out.shape
     for band in prange(tiles_out.shape[1]):
         read_depth(np.int64(band), depth, columns_out, tiles_out)
+    taken = none_taken()
     for worker in prange(workers):
         scene, picture = SceneDepth(width, height, columns_out, tiles_out), pictures[worker]
+        picture[:] = 0
         draw_lines(lines, worker, len(lines), workers, view, scene, picture)
-        for t in range(worker, tasks.shape[0], workers):
+        t = take_next(taken)
+        while t < tasks.shape[0]:
             if air.far[tasks[t, 0]] > _NEAR:
                 _draw_slab(tasks[t, 0], tasks[t, 1], air, field, surfaces, view, scene, picture)
+            t = take_next(taken)
     for band in prange(tiles_out.shape[1]):
         resolve_band(np.int64(band), pictures, alpha_out)
 
@@ -288,20 +301,19 @@ _kept = threading.local()
 def drawing_buffers(shape):
     """Return what a drawing kernel works in, for a picture of `shape`.
 
-    Kept from call to call, for fresh memory costs as much as the drawing; `resolve_band` leaves
-    the pictures blank.
+    Kept from call to call, for fresh memory costs as much as the drawing.
 
     Returns
     -------
     columns : ndarray of shape (height * width,), float32
     tiles : ndarray of shape (2, rows, columns), float32
     pictures : ndarray of shape (threads, height * width), int32
-        Blank.
+        Not blank.
     """
     wanted = (set_threads(None), *shape)
     if getattr(_kept, "shape", None) != wanted:
         _kept.depth = np.empty(shape[0] * shape[1], np.float32)
         _kept.tiles = np.empty([2, *(-(-n // DEPTH_TILE) for n in shape)], np.float32)
-        _kept.pictures = np.zeros((wanted[0], shape[0] * shape[1]), np.int32)
+        _kept.pictures = np.empty((wanted[0], shape[0] * shape[1]), np.int32)
         _kept.shape = wanted
     return _kept.depth, _kept.tiles, _kept.pictures

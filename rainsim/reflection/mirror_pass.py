@@ -12,7 +12,16 @@ from __future__ import annotations
 import numpy as np
 
 from rainsim.constants import HALF, ONE, ZERO
-from rainsim.jit import device_function, inlined_function, prange, serial_kernel, thorough_kernel
+from rainsim.jit import (
+    TAKERS,
+    device_function,
+    inlined_function,
+    none_taken,
+    prange,
+    serial_kernel,
+    take_next,
+    thorough_kernel,
+)
 from rainsim.numerics.mipmap import blurred_color
 from rainsim.numerics.pixel_batches import CHUNK, nearest
 from rainsim.reflection.facets import (
@@ -77,12 +86,15 @@ def mirror_light(which, record, view: View, mirror: MirrorPicture, light_out, so
     count = len(which)
     # Taken out of the bundle here: in the loop numba would count references at each use.
     picture, coarse, depth = mirror.picture, mirror.coarse, mirror.depth
-    for group in prange((count + GROUP - 1) // GROUP):
-        first = np.int64(group) * GROUP
-        mirror_group(
-            which[first : min(first + GROUP, count)], record, view, picture, coarse, depth,
-            light_out, source_out,
-        )  # fmt: skip
+    taken = none_taken()
+    for _ in prange(TAKERS):
+        first = take_next(taken) * GROUP
+        while first < count:
+            mirror_group(
+                which[first : min(first + GROUP, count)], record, view, picture, coarse, depth,
+                light_out, source_out,
+            )  # fmt: skip
+            first = take_next(taken) * GROUP
 
 
 @device_function

@@ -128,7 +128,7 @@ class WaterPass:
     def __init__(self, terrain, rings, ring_reach, config):
         self.terrain, self.rings, self.config = terrain, rings, config
         self.block_reach = block_reach(BLOCK * terrain.grid.spacing, *ring_reach)
-        self.relief = fine_relief(terrain)
+        self.relief, self._films = fine_relief(terrain), terrain.mirrors
         self._origin = np.array(terrain.grid.origin, np.float32)
         self._spacing = np.float32(terrain.grid.spacing)
         self.thickness, self.stride = REFLECTION_THICKNESS, REFLECTION_STRIDE
@@ -251,8 +251,8 @@ class WaterPass:
     def _update_surface(self, depth):
         """Make the drawn surface of the water of a depth (ny, nx) [m]."""
         self._depth = depth
-        surface, drawn_depth = water_surface(self.terrain, depth, self.relief, self.terrain.mirrors)
-        shores = puddle_rings(depth, self.terrain.mirrors, self.block_reach)
+        surface, drawn_depth = water_surface(self.terrain, depth, self.relief, self._films)
+        shores = puddle_rings(depth, self._films, self.block_reach)
         self._map = WaterMap(surface, drawn_depth, self.rings, self._origin, self._spacing, shores)
         wet = drawn_depth > 0
         self._highest = np.float32(surface[wet].max()) if wet.any() else None

@@ -22,7 +22,15 @@ from typing import NamedTuple
 import numpy as np
 
 from rainsim.constants import HALF, ONE, TWO, ZERO
-from rainsim.jit import cpu_kernel, inlined_function, lean_function, prange
+from rainsim.jit import (
+    TAKERS,
+    cpu_kernel,
+    inlined_function,
+    lean_function,
+    none_taken,
+    prange,
+    take_next,
+)
 from rainsim.numerics.interpolation import four_colors
 from rainsim.numerics.ripmap import LEVELS, ripmap, sample_ripmap
 from rainsim.raster import select
@@ -169,13 +177,17 @@ def mirrored_field(
         Radiance; zero where not wanted.
     """
     rows, columns = wanted.shape
-    for j in prange(rows):
-        for i in range(columns):
-            field_out[j, i, 0], field_out[j, i, 1], field_out[j, i, 2] = ZERO, ZERO, ZERO
-            if wanted[j, i]:
-                x, y, z = block_ray(view, step, j, i)
-                r, g, b = mirrored_light(x, y, z, view.eye, ground, lobe, level, environment)
-                field_out[j, i, 0], field_out[j, i, 1], field_out[j, i, 2] = r, g, b
+    taken = none_taken()
+    for _ in prange(TAKERS):
+        j = take_next(taken)
+        while j < rows:
+            for i in range(columns):
+                field_out[j, i, 0], field_out[j, i, 1], field_out[j, i, 2] = ZERO, ZERO, ZERO
+                if wanted[j, i]:
+                    x, y, z = block_ray(view, step, j, i)
+                    r, g, b = mirrored_light(x, y, z, view.eye, ground, lobe, level, environment)
+                    field_out[j, i, 0], field_out[j, i, 1], field_out[j, i, 2] = r, g, b
+            j = take_next(taken)
 
 
 @inlined_function
@@ -260,16 +272,20 @@ def add_reflection(bare, cover, field, step, picture_out):
     """
     height, width = cover.shape
     scale = ONE / np.float32(step)
-    for row in prange(height):
-        for column in range(width):
-            share = cover[row, column]
-            for c in range(3):
-                picture_out[row, column, c] = bare[row, column, c]
-            if share > ZERO:
-                r, g, b = field_at(field, scale, row, column)
-                picture_out[row, column, 0] += share * r
-                picture_out[row, column, 1] += share * g
-                picture_out[row, column, 2] += share * b
+    taken = none_taken()
+    for _ in prange(TAKERS):
+        row = take_next(taken)
+        while row < height:
+            for column in range(width):
+                share = cover[row, column]
+                for c in range(3):
+                    picture_out[row, column, c] = bare[row, column, c]
+                if share > ZERO:
+                    r, g, b = field_at(field, scale, row, column)
+                    picture_out[row, column, 0] += share * r
+                    picture_out[row, column, 1] += share * g
+                    picture_out[row, column, 2] += share * b
+            row = take_next(taken)
 
 
 @inlined_function
@@ -402,18 +418,26 @@ def wet_blocks(cover, step, wanted_out):
     (height, width), (rows, columns) = cover.shape, wanted_out.shape
     for j in prange(rows):
         line = wanted_out[j]
-        line[:] = False
         top = np.int64(j) * step
-        for row in range(max(top - step, 0), min(top + 2 * step, height)):
-            for column in range(width):
-                if cover[row, column] > ZERO:
-                    line[column // step] = True
+        first, end = max(top - step, 0), min(top + 2 * step, height)
+        for i in range(columns):
+            line[i] = has_cover(cover, first, end, i * step, min(i * step + step, width))
         before = False
         for i in range(columns):
             here = line[i]
             after = i + 1 < columns and line[i + 1]
             line[i] = before or here or after
             before = here
+
+
+@inlined_function
+def has_cover(cover, first, end, left, right):
+    """Return whether a part of a picture, rows `first` to `end`, shows wet ground."""
+    for row in range(first, end):
+        for column in range(left, right):
+            if cover[row, column] > ZERO:
+                return True
+    return False
 
 
 def mean_share(view, cover):

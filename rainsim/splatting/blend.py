@@ -7,7 +7,15 @@ import math
 import numpy as np
 
 from rainsim.constants import HALF, ONE, ZERO
-from rainsim.jit import device_function, inlined_function, prange, thorough_kernel
+from rainsim.jit import (
+    TAKERS,
+    device_function,
+    inlined_function,
+    none_taken,
+    prange,
+    take_next,
+    thorough_kernel,
+)
 from rainsim.splatting.lanes import CHANNELS, LANES, blend_lanes, meets_blocks, prefetch, put_chosen
 from rainsim.splatting.project import R_DEPTH, TILE
 from rainsim.splatting.tiles import DIGITS, RECORD_MASK, sort_keys
@@ -20,7 +28,6 @@ BATCH = 128  # entries that are dealt to the blocks before these blend
 LIST = BATCH + LANES  # places of a block's list: sixteen are written at a time
 AHEAD = 24  # entries by which records are fetched before they are read
 
-TRANSMITTANCE_STOP = np.float32(1e-4)  # what is behind cannot change an 8-bit image
 MIN_COVERAGE = np.float32(0.02)  # alpha below which a pixel has no depth
 EDGE_ON = np.float32(0.02)  # cosine at which a blended plane no longer tells the depth
 PLANE_LIMIT = np.float32(0.2)  # share of the depth by which the plane may correct it
@@ -57,27 +64,30 @@ def deal(entry, record, begin, end, left, top, is_open, bits, number, chosen_out
 
 @thorough_kernel
 def blend_tiles(
-    record, entry, start, turn, height, width, lens, orthographic, background, halfway, drop_last,
+    record, entry, start, height, width, lens, orthographic, background, halfway, drop_last,
     color_out, alpha_out, depth_out, plane_out, normal_out, half_out,
 ):  # fmt: skip
     """Sort each tile's list, blend it front to back and write the tile's pixels.
 
-    `turn` holds the rows of tiles in the order in which loop iterations take them: neighbours share
-    splats, so a thread goes along a row, and rows are shared out so that threads end together.
-    The outputs are flat. `halfway` asks for the record that stops half of the light: its depth is
-    written as the pixel's, and one more than its number to `half_out`, 0 where there is none.
+    Neighbours share splats, so a thread goes along a row of tiles. The outputs are flat. `halfway`
+    asks for the record that stops half of the light: its depth is written as the pixel's, and one
+    more than its number to `half_out`, 0 where there is none.
     """
     across = (width + TILE - 1) // TILE
     tiles = len(start) - 1
     longest = 0
     for tile in range(tiles):
         longest = max(longest, start[tile + 1] - start[tile])
-    for k in prange(len(turn)):
-        blend_row(
-            record, entry, start, turn[k] * across, longest, height, width, lens, orthographic,
-            background, halfway, drop_last,
-            color_out, alpha_out, depth_out, plane_out, normal_out, half_out,
-        )  # fmt: skip
+    taken = none_taken()
+    for _ in prange(TAKERS):
+        row = take_next(taken)
+        while row * across < tiles:
+            blend_row(
+                record, entry, start, row * across, longest, height, width, lens, orthographic,
+                background, halfway, drop_last,
+                color_out, alpha_out, depth_out, plane_out, normal_out, half_out,
+            )  # fmt: skip
+            row = take_next(taken)
 
 
 @device_function
@@ -118,17 +128,14 @@ def blend_row(
                 y = np.float32(top + block // ROW * SIDE) + HALF
                 first, last = block * LIST, block * LIST + count[block]
                 if drop_last and halfway:
-                    blend_lanes(record, chosen, first, last, state, at, x, y, 1, 1)
+                    more = blend_lanes(record, chosen, first, last, state, at, x, y, 1, 1)
                 elif drop_last:
-                    blend_lanes(record, chosen, first, last, state, at, x, y, 0, 1)
+                    more = blend_lanes(record, chosen, first, last, state, at, x, y, 0, 1)
                 elif halfway:
-                    blend_lanes(record, chosen, first, last, state, at, x, y, 1, 0)
+                    more = blend_lanes(record, chosen, first, last, state, at, x, y, 1, 0)
                 else:
-                    blend_lanes(record, chosen, first, last, state, at, x, y, 0, 0)
-                clearest = ZERO
-                for i in range(LANES):
-                    clearest = max(clearest, state[at + i])
-                is_open[block] = clearest > TRANSMITTANCE_STOP
+                    more = blend_lanes(record, chosen, first, last, state, at, x, y, 0, 0)
+                is_open[block] = more
                 any_open |= is_open[block]
         if halfway:
             write_halves(state, record, top, left, height, width, half_out)

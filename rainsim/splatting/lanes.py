@@ -7,13 +7,16 @@ The same formula in plain Python is the tests' reference.
 
 from __future__ import annotations
 
+import numpy as np
+
 from rainsim.jit import cgutils, intrinsic, ir, types
-from rainsim.splatting.project import MIN_ALPHA_LOG2
+from rainsim.splatting.project import BLOCK_HALF, MIN_ALPHA_LOG2
 
 LANES = 16
 CHANNELS = 9  # transmittance; colour (3), depth, normal (3), plane distance
 FLAGS = ("contract", "nsz", "arcp", "reassoc")
 
+TRANSMITTANCE_STOP = np.float32(1e-4)  # what is behind cannot change an 8-bit image
 LAST_LIGHT = 1e-4  # transmittance under which the training codes let no splat take a pixel
 MAX_ALPHA = 0.999  # gsplat 1.5; the original code has 0.99
 # 2^x on [-1.02, 0], Chebyshev interpolation of degree 5; the eighth power of it is within 1.3e-6.
@@ -45,6 +48,12 @@ class _Tools:
     def mul(self, a, b):
         return self.builder.fmul(a, b, flags=FLAGS)
 
+    def size(self, vector):
+        """The numbers of a vector without their signs."""
+        bits = self.builder.bitcast(vector, _words)
+        bits = self.builder.and_(bits, ir.Constant(_words, [0x7FFFFFFF] * LANES))
+        return self.builder.bitcast(bits, _vector)
+
     def copies(self, number):
         """Sixteen copies of a number."""
         undefined = ir.Constant(ir.VectorType(number.type, LANES), ir.Undefined)
@@ -62,6 +71,10 @@ class _Tools:
 def meets_blocks(typingctx, record, splat, x, y):
     """Return 16 bits: which blocks of 4 x 4 pixels of a tile the splat can reach.
 
+    A line parts a block from the ellipse if it lies across the exponent's gradient g at the block's
+    centre d and the ellipse, which reaches R sqrt(g.d) along g, ends before the block begins, at
+    g.d less BLOCK_HALF (|gx| + |gy|).
+
     Parameters
     ----------
     record : ndarray of shape (n, 16), float32
@@ -78,9 +91,16 @@ def meets_blocks(typingctx, record, splat, x, y):
         down = ir.Constant(_vector, [4.0 * (i // 4) for i in range(LANES)])
         dx = sub(add(tools.copies(arguments[2]), right), spread(0))
         dy = sub(add(tools.copies(arguments[3]), down), spread(1))
-        along = mul(dx, add(mul(spread(2), dx), mul(spread(3), dy)))
-        exponent = add(along, mul(spread(4), mul(dy, dy)))
-        near = builder.fcmp_ordered("<=", exponent, spread(14))
+        cross = mul(spread(3), _constant(0.5))
+        # Half the gradient of the exponent; the line across it is what may part block and ellipse.
+        gx = add(mul(spread(2), dx), mul(cross, dy))
+        gy = add(mul(cross, dx), mul(spread(4), dy))
+        exponent = add(mul(dx, gx), mul(dy, gy))
+        support = mul(add(tools.size(gx), tools.size(gy)), _constant(BLOCK_HALF))
+        beyond = sub(exponent, support)
+        within = builder.fcmp_ordered("<=", beyond, _constant(0))
+        near = builder.fcmp_ordered("<=", mul(beyond, beyond), mul(spread(14), exponent))
+        near = builder.or_(within, near)
         bits = builder.bitcast(near, ir.IntType(LANES))
         return builder.zext(bits, _int)
 
@@ -156,6 +176,8 @@ def put_chosen(typingctx, bits, number, k, block, chosen, place):
 @intrinsic
 def blend_lanes(typingctx, record, chosen, first, last, state, at, x, y, halfway, drop):
     """Blend the splats record[chosen[first:last]] into sixteen pixels, front to back.
+
+    Returns whether more than TRANSMITTANCE_STOP of the light passes in any of them.
 
     Parameters
     ----------
@@ -271,6 +293,8 @@ def blend_lanes(typingctx, record, chosen, first, last, state, at, x, y, halfway
         for c, value in enumerate(initial):
             place = builder.bitcast(builder.gep(state_at, [row(c)]), vector_pointer)
             builder.store(value, place).align = 4
-        return context.get_dummy_value()
+        clear = builder.fcmp_ordered(">", initial[0], _constant(TRANSMITTANCE_STOP))
+        bits = builder.bitcast(clear, ir.IntType(LANES))
+        return builder.icmp_unsigned("!=", bits, ir.Constant(bits.type, 0))
 
-    return types.void(*[record, chosen, first, last, state, at, x, y, halfway, drop]), codegen
+    return types.boolean(*[record, chosen, first, last, state, at, x, y, halfway, drop]), codegen

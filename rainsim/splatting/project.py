@@ -8,22 +8,29 @@ from typing import NamedTuple
 import numpy as np
 
 from rainsim.constants import FOUR, HALF, ONE, SH_0, SH_1, SH_2, SH_3, THREE, TWO, ZERO
-from rainsim.jit import cpu_kernel, device_function, inlined_function, prange
+from rainsim.jit import (
+    TAKERS,
+    cpu_kernel,
+    device_function,
+    inlined_function,
+    none_taken,
+    prange,
+    take_next,
+)
 from rainsim.splatting.prepared import LANES, OPACITY
 
 BAND = 3 * LANES  # numbers of a chunk from one coefficient of a channel to the next
-TILE = 16  # px
-TILE_SHIFT = 4  # log2 of it
+TILE, TILE_SHIFT = 16, 4  # px, and log2 of it
 BLOCKS = 32  # parts of the scene with tile counts of their own; fixed, whatever the threads
 RECORD = 16  # float32 numbers of a projected splat: one cache line
 # Places in a record: image point [px], conic (3) and log2 opacity in eighths, colour (3), depth,
-# normal (3), distance of the splat's plane, square of the reach for blocks of 4 x 4 pixels, and
-# what rounding took from the depth.
+# normal (3), distance of the splat's plane, exponent at which the splat ends.
 R_U, R_V, R_CONIC, R_LEVEL, R_COLOR, R_DEPTH = 0, 1, 2, 5, 6, 9
-R_NORMAL, R_PLANE, R_REACH, R_DEPTH_REST = 10, 13, 14, 15
+R_NORMAL, R_PLANE, R_REACH = 10, 13, 14
 
 LOW_PASS = np.float32(0.3)  # px^2, added to the projected covariance (Kerbl et al. 2023)
 BLOCK_HALF = np.float32(1.5)  # px from the centre of a block to those of its outer pixels
+SLACK = np.float32(1.01)  # on the square of a splat's reach: for rounding
 LOW_PASS_REACH = np.float32(2)  # px, rounded up
 MIN_ALPHA_LOG2 = np.float32(np.log2(1 / 255))  # below this an 8-bit image does not change
 FRUSTUM_MARGIN = np.float32(0.15)  # of the picture: where the linearised projection is clamped
@@ -47,6 +54,7 @@ X, Y, Z, U, V, CONIC_A, CONIC_B, CONIC_C, LEVEL, LEFT, RIGHT, FIRST, LAST, RED, 
 DX, DY, DZ, SPREAD, NORMAL_X, NORMAL_Y, NORMAL_Z, PLANE, REST, SCRATCH = (
     LANES * row for row in range(16, 26)
 )
+REACH = SPREAD  # once the spread is no longer needed
 
 
 class SplatChunks(NamedTuple):
@@ -320,12 +328,7 @@ def project_chunk(g, frustum, compensate, s):
         left, right = np.ceil(max(u - ex - HALF, ZERO)), np.floor(min(u + ex - HALF, w - ONE))
         first, last = np.ceil(max(v - ey - HALF, ZERO)), np.floor(min(v + ey - HALF, h - ONE))
         seen = level > MIN_ALPHA_LOG2 and right >= left and last >= first
-        # A block of 4 x 4 pixels is within 1.5 px of its centre each way: by the triangle rule in
-        # the ellipse's own metric it is out of reach where its centre's exponent exceeds this.
-        a, b, c = s[CONIC_A + i], s[CONIC_B + i], s[CONIC_C + i]
-        half = BLOCK_HALF * np.sqrt(a + abs(b) + c)
-        beyond = np.sqrt(EIGHTH * max(level - MIN_ALPHA_LOG2, ZERO)) + half
-        s[SPREAD + i] = beyond * beyond
+        s[REACH + i] = SLACK * EIGHTH * max(level - MIN_ALPHA_LOG2, ZERO)
         s[LEFT + i], s[RIGHT + i] = left, right
         s[FIRST + i], s[LAST + i] = (first if seen else ONE), (last if seen else ZERO)
 
@@ -394,7 +397,7 @@ def face_chunk(g, frustum, deep, s):
 
 
 @device_function
-def write_records(s, across, place, record_out, box_out, lane_out, count_out):
+def write_records(s, across, place, record_out, depth_out, box_out, lane_out, count_out):
     """Write the seen splats of a chunk one after the other; return their number."""
     # Unsigned numbers: numba then need not ask whether an index counts from the end.
     o, wide = np.uint64(place), np.uint64(across)
@@ -414,8 +417,8 @@ def write_records(s, across, place, record_out, box_out, lane_out, count_out):
         record_out[o, R_NORMAL + 1] = s[NORMAL_Y + i]
         record_out[o, R_NORMAL + 2] = s[NORMAL_Z + i]
         record_out[o, R_PLANE] = s[PLANE + i]
-        record_out[o, R_REACH] = s[SPREAD + i]
-        record_out[o, R_DEPTH_REST] = s[REST + i]
+        record_out[o, R_REACH] = s[REACH + i]
+        depth_out[o] = np.float64(s[Z + i]) + np.float64(s[REST + i])
         left, right = np.int32(s[LEFT + i]), np.int32(s[RIGHT + i])
         first, last = np.int32(s[FIRST + i]), np.int32(s[LAST + i])
         box_out[o, 0], box_out[o, 1], box_out[o, 2], box_out[o, 3] = left, right, first, last
@@ -437,7 +440,7 @@ def find_chunks(box, frustum: Frustum, seen_out):
 @cpu_kernel
 def project_chunks(
     splats: SplatChunks, chunks, frustum: Frustum, deep, eye, compensate, degree, across,
-    record_out, box_out, lane_out, visible_out, count_out,
+    record_out, depth_out, box_out, lane_out, visible_out, count_out,
 ):  # fmt: skip
     """Project the splats of the listed chunks and count those that each tile meets.
 
@@ -458,6 +461,8 @@ def project_chunks(
     degree, across : int
         Highest degree of harmonics used; tiles across the picture.
     record_out : ndarray of shape (256 n, RECORD), float32
+    depth_out : ndarray of shape (256 n,), float64 [world units]
+        Of the splats' centres, for the order of the lists.
     box_out : ndarray of shape (256 n, 4), int16
         First and last column and row of each visible splat.
     lane_out : ndarray of shape (256 n,), uint8
@@ -469,21 +474,27 @@ def project_chunks(
     """
     geometry, sh, fine, step = splats
     n = len(chunks)
-    for block in prange(BLOCKS):
+    taken = none_taken()
+    for _ in prange(TAKERS):
+        block = take_next(taken)
+        if block >= BLOCKS:
+            continue
         s = np.empty(SCRATCH, np.float32)
-        count = count_out[block]
-        for k in range(block * n // BLOCKS, (block + 1) * n // BLOCKS):
-            c = chunks[k]
-            g = geometry[c]
-            project_chunk(g, frustum, compensate, s)
-            seen = False
-            for i in range(LANES):
-                seen |= s[FIRST + i] <= s[LAST + i]
-            visible_out[k] = 0
-            if not seen:
-                continue
-            color_chunk(g, sh[c], fine[c], step[c], eye, frustum.orthographic, degree + 1, s)
-            face_chunk(g, frustum, deep, s)
-            visible_out[k] = write_records(
-                s, across, k * LANES, record_out, box_out, lane_out, count
-            )
+        while block < BLOCKS:
+            count = count_out[block]
+            for k in range(block * n // BLOCKS, (block + 1) * n // BLOCKS):
+                c = chunks[k]
+                g = geometry[c]
+                project_chunk(g, frustum, compensate, s)
+                seen = False
+                for i in range(LANES):
+                    seen |= s[FIRST + i] <= s[LAST + i]
+                visible_out[k] = 0
+                if not seen:
+                    continue
+                color_chunk(g, sh[c], fine[c], step[c], eye, frustum.orthographic, degree + 1, s)
+                face_chunk(g, frustum, deep, s)
+                visible_out[k] = write_records(
+                    s, across, k * LANES, record_out, depth_out, box_out, lane_out, count
+                )
+            block = take_next(taken)

@@ -4,9 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from rainsim.jit import cpu_kernel, device_function, prange, serial_kernel
+from rainsim.jit import (
+    TAKERS,
+    cpu_kernel,
+    device_function,
+    none_taken,
+    prange,
+    serial_kernel,
+    take_next,
+)
 from rainsim.splatting.prepared import LANES
-from rainsim.splatting.project import BLOCKS, R_DEPTH, R_DEPTH_REST, TILE_SHIFT
+from rainsim.splatting.project import BLOCKS, TILE_SHIFT
 
 FEW = 48  # entries up to which insertion beats the radix sort
 DIGIT_BITS = 8
@@ -36,25 +44,38 @@ def tile_starts(count):
 
 
 @cpu_kernel
-def list_tiles(record, box, visible, across, place, entry_out):
+def list_tiles(depth, box, visible, across, place, entry_out):
     """Write (depth bits, record) of each splat into the list of each tile that it meets.
 
-    `place` (blocks, tiles) holds the next free place of each block's share; modified in place.
+    Parameters
+    ----------
+    depth : ndarray of shape (256 n,), float64
+        Of the records.
+    box : ndarray of shape (256 n, 4), int16
+    visible : ndarray of shape (n,), int64
+        As `project_chunks` writes them.
+    across : int
+        Tiles across the picture.
+    place : ndarray of shape (BLOCKS, tiles), int64
+        The next free place of each block's share; modified in place.
+    entry_out : ndarray of uint64
     """
     n = len(visible)
-    for block in prange(BLOCKS):
-        mine = place[block]
-        depth = np.empty(1, np.float64)
-        bits = depth.view(np.uint64)  # positive floats sort like their bits
-        for k in range(block * n // BLOCKS, (block + 1) * n // BLOCKS):
-            for o in range(k * LANES, k * LANES + visible[k]):
-                depth[0] = np.float64(record[o, R_DEPTH]) + np.float64(record[o, R_DEPTH_REST])
-                key = bits[0] << np.uint64(1) & ~RECORD_MASK | np.uint64(o)
-                for j in range(box[o, 2] >> TILE_SHIFT, (box[o, 3] >> TILE_SHIFT) + 1):
-                    for i in range(box[o, 0] >> TILE_SHIFT, (box[o, 1] >> TILE_SHIFT) + 1):
-                        tile = j * across + i
-                        entry_out[mine[tile]] = key
-                        mine[tile] += 1
+    bits = depth.view(np.uint64)  # positive floats sort like their bits
+    taken = none_taken()
+    for _ in prange(TAKERS):
+        block = take_next(taken)
+        while block < BLOCKS:
+            mine = place[block]
+            for k in range(block * n // BLOCKS, (block + 1) * n // BLOCKS):
+                for o in range(k * LANES, k * LANES + visible[k]):
+                    key = bits[o] << np.uint64(1) & ~RECORD_MASK | np.uint64(o)
+                    for j in range(box[o, 2] >> TILE_SHIFT, (box[o, 3] >> TILE_SHIFT) + 1):
+                        for i in range(box[o, 0] >> TILE_SHIFT, (box[o, 1] >> TILE_SHIFT) + 1):
+                            tile = j * across + i
+                            entry_out[mine[tile]] = key
+                            mine[tile] += 1
+            block = take_next(taken)
 
 
 @device_function

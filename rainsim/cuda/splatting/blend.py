@@ -23,8 +23,8 @@ from rainsim.cuda.jit import (
     store4,
 )
 from rainsim.cuda.splatting.project import FAINT, LENS, NEAR, RECORD, SPLAT_BITS, SPLAT_MASK
-from rainsim.splatting.blend import TRANSMITTANCE_STOP, finish_pixel
-from rainsim.splatting.lanes import LAST_LIGHT, MAX_ALPHA
+from rainsim.splatting.blend import finish_pixel
+from rainsim.splatting.lanes import LAST_LIGHT, MAX_ALPHA, TRANSMITTANCE_STOP
 from rainsim.splatting.project import MIN_ALPHA_LOG2, TILE
 
 SQUARE = 8  # px, side of what a warp owns
