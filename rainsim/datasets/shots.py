@@ -53,7 +53,6 @@ class Shots:
     def __init__(self, scene, terrain, views, config, sequence, backend="cpu", user_labels=None,
                  readout=0.0, pane=None):  # fmt: skip
         if user_labels is not None:
-            require_no_actors(scene.actors, "export with labels of splats", "leave out --labels")
             require_whole(scene, "export with labels of splats", "leave out --labels")
         if readout:
             require_no_actors(scene.actors, "a rolling shutter", "leave out --rolling")
@@ -189,7 +188,7 @@ class Shots:
         found, warp = report.aovs, self._warp(view)
         labels = None
         if self.user_labels is not None:
-            labels = self.user_labels.picture(self.drawn_camera(view))
+            labels = self.user_labels.picture(self.drawn_camera(view), found.get(ACTORS))
         flow, mask = found.get("flow"), found.get("flow_mask")
         if warp is not None:
             picture = warp.colors(picture)

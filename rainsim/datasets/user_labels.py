@@ -2,7 +2,7 @@
 
 A label belongs to a splat. A picture's pixel has the label of the splat at which half of its light
 is stopped. Masks vote: each of their pixels votes for its id, for the splat that it shows; splats
-that no mask shows have the id of the nearest splat that has one.
+that no mask shows have the id of the nearest splat that has one. A node that moves has one label.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from rainsim.errors import InputError
 from rainsim.io import images
 from rainsim.raster import Rasterizer, prepare
 from rainsim.render.labels import OTHER_CLASS
+from rainsim.scene.actors import MOST_LABEL
 from rainsim.scene.pages import require_whole
 
-MOST_ID = 2**16 - 1
 NEAR = 0.05  # m
 NEAREST = 0.5  # m from the next labelled splat, beyond which a splat has no label
 
@@ -32,13 +32,19 @@ class UserLabels:
 
     def __init__(self, scene, ids):
         self.ids = ids
+        self._of_nodes = np.array([OTHER_CLASS, *(a.label for a in scene.actors)], np.uint16)
         self._near = NEAR / scene.ground_frame.meters_per_unit
         self._rasterizer = Rasterizer(prepare(scene.splats))
 
-    def picture(self, camera):
-        """Return the labels that a camera (capture frame) sees, uint16; OTHER_CLASS for none."""
+    def picture(self, camera, node=None):
+        """Return the labels that a camera (capture frame) sees, uint16; OTHER_CLASS for none.
+
+        `node`, ndarray of shape (height, width): the layer `actor_id`. Its pixels have the labels
+        of their nodes.
+        """
         hit = self._rasterizer.draw(camera, self._near, hit=True).hit
-        return np.where(hit >= 0, self.ids[np.maximum(hit, 0)], np.uint16(OTHER_CLASS))
+        labels = np.where(hit >= 0, self.ids[np.maximum(hit, 0)], np.uint16(OTHER_CLASS))
+        return labels if node is None else np.where(node > 0, self._of_nodes[node], labels)
 
 
 def read_labels(path, scene):
@@ -62,13 +68,15 @@ def read_labels(path, scene):
 
 
 def _from_file(path, count):
-    remedy = f"give an .npy of {count} whole numbers from 0 to {MOST_ID}, one a splat, or a folder"
+    remedy = (
+        f"give an .npy of {count} whole numbers from 0 to {MOST_LABEL}, one a splat, or a folder"
+    )
     try:
         ids = np.load(path, allow_pickle=False)
     except (OSError, ValueError, EOFError) as error:
         raise InputError(f"labels {path} cannot be read ({error}); {remedy}") from None
     whole = isinstance(ids, np.ndarray) and ids.dtype.kind in "iu"
-    if not whole or ids.shape != (count,) or ids.min() < 0 or ids.max() > MOST_ID:
+    if not whole or ids.shape != (count,) or ids.min() < 0 or ids.max() > MOST_LABEL:
         shown = f"{ids.dtype} of shape {ids.shape}" if isinstance(ids, np.ndarray) else "no array"
         raise InputError(f"labels {path} are {shown}; they must fit the scene's splats; {remedy}")
     return ids.astype(np.uint16)

@@ -103,5 +103,8 @@ def _held(path, kind):
             return file
     except FileNotFoundError:
         pass
+    except OSError:  # the disk is gone; the lock would last as long as this process
+        os.close(file)
+        raise
     os.close(file)
     return None

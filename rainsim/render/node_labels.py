@@ -68,8 +68,7 @@ def facts_of_nodes(nodes, camera):
     Returns
     -------
     list of dict
-        `number` in the layer `actor_id`, `track` and `class`; `box3d` in the ground frame:
-        centre [m], size [m] along its own axes, rotation (quaternion, w first), velocity [m/s];
+        `number` in the layer `actor_id`, `track` and `class`; `box3d`, see `box_in_space`;
         `box2d`, the corners' box in the picture, (left, top, right, bottom) [px], cut at its edges,
         None if it lies beside the picture or behind the camera; `box2d_seen`, the box of the pixels
         that show the node, None if none does, and their number, `pixels`.
@@ -80,24 +79,35 @@ def facts_of_nodes(nodes, camera):
         pose = actor.track.at(nodes.time)
         if pose is None:
             continue
-        frame = nodes.frame
-        turn = Rotation.from_matrix(frame.rotation @ pose.rotation)
-        after = actor.track.pose(nodes.time + nodes.interval)
-        centre, then = (frame.to_ground(p.places(actor.box[:1]))[0] for p in (pose, after))
-        corners = frame.to_ground(pose.places(actor.corners()))
+        corners = nodes.frame.to_ground(pose.places(actor.corners()))
         mine = seen.get(number)
         facts.append({
             "number": number, "track": actor.id, "class": actor.kind,
-            "box3d": {
-                "centre": _rounded(centre),
-                "size": _rounded(actor.box[1] * frame.meters_per_unit),
-                "rotation": _rounded(np.roll(turn.as_quat(canonical=True), 1), 9),
-                "velocity": _rounded((then - centre) / nodes.interval),
-            },
+            "box3d": box_in_space(actor, nodes.frame, nodes.time, nodes.interval),
             "box2d": box_in_picture(corners, camera),
             "box2d_seen": mine and mine["box"], "pixels": mine["pixels"] if mine else 0,
         })  # fmt: skip
     return facts
+
+
+def box_in_space(actor, frame, time, interval):
+    """Return a node's box at a time [s] in the ground frame, as plain values; None if it is away.
+
+    Centre [m], size [m] along its own axes, rotation (quaternion, w first), and velocity [m/s] over
+    `interval` [s] from then on.
+    """
+    pose = actor.track.at(time)
+    if pose is None:
+        return None
+    turn = Rotation.from_matrix(frame.rotation @ pose.rotation)
+    after = actor.track.pose(time + interval)
+    centre, then = (frame.to_ground(p.places(actor.box[:1]))[0] for p in (pose, after))
+    return {
+        "centre": _rounded(centre),
+        "size": _rounded(actor.box[1] * frame.meters_per_unit),
+        "rotation": _rounded(np.roll(turn.as_quat(canonical=True), 1), 9),
+        "velocity": _rounded((then - centre) / interval),
+    }
 
 
 def box_in_picture(corners, camera):

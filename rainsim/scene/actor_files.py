@@ -15,7 +15,7 @@ import numpy as np
 from rainsim.errors import InputError, ParameterError, shown
 from rainsim.io.arrays import TEXT, Field, read_arrays, write_arrays
 from rainsim.io.files import number_array, path_named, printable_name, read_json
-from rainsim.scene.actors import Actor, ColorSeries, Track, box_of
+from rainsim.scene.actors import MOST_LABEL, NO_LABEL, Actor, ColorSeries, Track, box_of
 from rainsim.scene.formats import read_splats
 from rainsim.scene.harmonics import padded
 from rainsim.scene.lamps import LUMINANCE, Lamp, with_lamps
@@ -52,6 +52,7 @@ _FIELDS = {
     "turning": Field("bool", ("nodes",)),
     "wheel": Field("float64", ("wheels", 5), needed=False),
     "wheel_count": Field("int64", ("nodes",), -1, MOST_WHEELS, needed=False),
+    "label": Field("int64", ("nodes",), 0, MOST_LABEL, needed=False),
 }
 
 
@@ -200,9 +201,15 @@ def _actor(where, node, splats):
     except ParameterError as error:
         raise InputError(f"{where}: {error}; {REMEDY}") from None
     wheels = None if node.get("wheels") is None else _wheels(where, node["wheels"])
+    label = node.get("label", NO_LABEL)
+    if not isinstance(label, int) or isinstance(label, bool) or not 0 <= label <= MOST_LABEL:
+        raise InputError(
+            f"{where}: label is {shown(label)}; it must be a whole number from 0 to {MOST_LABEL}; "
+            f"{REMEDY}"
+        )
     return Actor(
         printable_name(name), printable_name(kind), splats, box, way,
-        turning=harmonics == "node", wheels=wheels,
+        turning=harmonics == "node", wheels=wheels, label=label,
     )  # fmt: skip
 
 
@@ -264,6 +271,7 @@ def actors_to_arrays(actors):
         "terms": np.concatenate([t.reshape(-1, 3) for t in terms]).astype(np.float32),
         "wheel": np.concatenate([NO_WHEELS if a.wheels is None else a.wheels for a in actors]),
         "wheel_count": np.array([-1 if a.wheels is None else len(a.wheels) for a in actors]),
+        "label": np.array([a.label for a in actors]),
     }  # fmt: skip
 
 
@@ -285,6 +293,7 @@ def actors_from_arrays(arrays):
     wheels, last = arrays.get("wheel", NO_WHEELS), np.cumsum(np.maximum(wheel_count, 0))
     if last[-1] != len(wheels):
         raise ParameterError("the counts of wheels do not add up; write the nodes again")
+    label = arrays.get("label", np.full(len(arrays["id"]), NO_LABEL)).tolist()
     actors = []
     for k in range(len(counts[0])):
         own, key, term = (
@@ -299,7 +308,9 @@ def actors_from_arrays(arrays):
         name, kind = str(arrays["id"][k]), str(arrays["kind"][k])
         turning = bool(arrays["turning"][k])
         own = None if wheel_count[k] < 0 else wheels[last[k] - wheel_count[k] : last[k]]
-        actors.append(Actor(name, kind, splats, arrays["box"][k], track, series, turning, own))
+        actors.append(
+            Actor(name, kind, splats, arrays["box"][k], track, series, turning, own, label[k])
+        )
     return tuple(actors)
 
 

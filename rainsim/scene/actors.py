@@ -17,6 +17,7 @@ from rainsim.scene.harmonics import padded, turned
 from rainsim.scene.types import Splats
 
 STILL = 1e-9  # of a pose's numbers: two that are nearer count as one pose
+NO_LABEL, MOST_LABEL = 255, 2**16 - 1  # of the user's own labels
 SOLID = 0.3  # opacity of splats that a body ends at, and that stop drops
 
 
@@ -98,6 +99,28 @@ class Track:
         k = max(int(np.searchsorted(self.time, time, side="right")) - 1, 0)
         return self.pose(time) if self.visible[k] else None
 
+    def poses(self, times):
+        """Return where the node is at many times [s], and whether it is there.
+
+        Parameters
+        ----------
+        times : ndarray of shape (n,), float64
+
+        Returns
+        -------
+        rotation : ndarray of shape (n, 3, 3), float64
+        position : ndarray of shape (n, 3), float64
+        visible : ndarray of shape (n,), bool
+        """
+        times = np.asarray(times, np.float64)
+        visible = self.visible[np.searchsorted(self.time, times, side="right").clip(1) - 1]
+        at = times.clip(self.time[0], self.time[-1])
+        position = np.stack([np.interp(at, self.time, axis) for axis in self.position.T], -1)
+        turns = Rotation.from_quat(self.rotation, scalar_first=True)
+        if len(self.time) == 1:
+            return np.tile(turns[0].as_matrix(), (len(at), 1, 1)), position, visible
+        return Slerp(self.time, turns)(at).as_matrix(), position, visible
+
     def pose(self, time):
         """Return the `Pose` at a time [s], whether the node is visible or not."""
         turns = Rotation.from_quat(self.rotation, scalar_first=True)
@@ -162,6 +185,8 @@ class Actor:
     wheels : ndarray of shape (n, 5), float64 [capture units], or None
         x, y, z of the middle of each tyre's contact patch in the node frame, the tyre's width and
         radius. None: those that the class and the box give, see `scene.wheels`.
+    label : int
+        What `rainsim export --labels` gives its pixels, 0 to 65535; 255 is no label.
     """
 
     id: str
@@ -172,6 +197,7 @@ class Actor:
     series: ColorSeries | None = None
     turning: bool = True
     wheels: np.ndarray | None = None
+    label: int = NO_LABEL
 
     def corners(self):
         """Return the corners of the box in the node frame, ndarray of shape (8, 3)."""

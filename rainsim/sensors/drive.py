@@ -14,8 +14,8 @@ from rainsim.errors import InputError, ParameterError
 from rainsim.io.files import read_json, replacing, write_json
 from rainsim.output_folder import input_facts, versions
 from rainsim.pipeline import extract_terrain, simulate
+from rainsim.render.node_labels import box_in_space
 from rainsim.render.weather import weather_of
-from rainsim.scene.actors import require_no_actors
 from rainsim.scene.pages import require_whole
 from rainsim.sensors import point_files
 from rainsim.sensors.lidar import LidarScanner, Pose, pose_at
@@ -120,7 +120,6 @@ def scan_rains(
     say : callable
         Called with notes.
     """
-    require_no_actors(scene.actors, "a lidar", "scan the static set that the nodes stand in")
     require_whole(scene, "a lidar", "import the capture without --lod")
     terrain = extract_terrain(scene, config, None, tell, say)
     albedo, note = albedo_of_white(terrain, scene.splats, config.render.ground_albedo)
@@ -169,8 +168,20 @@ def scan_rains(
         "reflectivity_of_white": round(albedo, 4), "seed": config.rain.seed, "rains": rains,
         "files": sorted(folder.files),
     }  # fmt: skip
+    if scene.actors:
+        card["nodes"] = _nodes(scene, lidar.rate, turns)
     write_json(folder.folder / CARD, card)
     return card
+
+
+def _nodes(scene, rate, turns):
+    """Return what a card says of each node: its box, ground frame, as each turn begins."""
+    return [
+        {"number": number, "track": actor.id, "class": actor.kind,
+         "box3d": [box_in_space(actor, scene.ground_frame, turn / rate, 1 / rate)
+                   for turn in range(turns)]}
+        for number, actor in enumerate(scene.actors, start=1)
+    ]  # fmt: skip
 
 
 def _moved(pose, time):

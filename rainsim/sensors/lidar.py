@@ -2,7 +2,8 @@
 
 Each beam is traced through the splats (`rainsim.reflection.ray_traced`), water mirrors or dims it,
 and each drop of the field that is in the beam when the pulse passes may echo louder than what
-stands behind. What the rain between takes away is its mean extinction, as in LISA.
+stands behind. What the rain between takes away is its mean extinction, as in LISA. Nodes that move
+are where they are as each pulse passes.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from rainsim.rain.moving_surfaces import MovingSurfaces
 from rainsim.reflection.ray_traced import Tracer
 from rainsim.sensors.lidar_model import (
     KEPT,
@@ -26,9 +28,9 @@ from rainsim.sensors.lidar_model import (
     fresnel_of,
 )
 from rainsim.sensors.near_drops import near_drops
+from rainsim.sensors.node_targets import NodeTarget
 from rainsim.shading.color import LUMA, roughly_linear
 from rainsim.shading.wetting import FLAT, ON_GROUND, wet_ratio
-from rainsim.simulation import surfaces_of
 from rainsim.water.puddles import WET
 
 SOLID = 0.5  # alpha from which a beam has met a surface
@@ -75,6 +77,9 @@ class Scan:
     distance, target : ndarray of shape (n,), float64
         Distance [m] of what the beam meets, infinite for nothing, and its reflectivity, wet as it
         is: what comes back where there are no drops.
+    node : ndarray of shape (n,), uint16, or None
+        Number of the node that a point lies on, as in the layer `actor_id`; 0: none. None for
+        scenes without nodes.
     """
 
     point: np.ndarray
@@ -83,16 +88,21 @@ class Scan:
     time: np.ndarray
     distance: np.ndarray
     target: np.ndarray
+    node: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
 class Surface:
-    """What beams met in clear air, arrays (n, ...): distance [m], place, normal, reflectivity."""
+    """What beams met in clear air, arrays (n, ...): distance [m], place, normal, reflectivity.
+
+    `node` is as in `Scan`.
+    """
 
     distance: np.ndarray
     place: np.ndarray
     normal: np.ndarray
     reflectivity: np.ndarray
+    node: np.ndarray | None = None
 
 
 class LidarScanner:
@@ -111,26 +121,44 @@ class LidarScanner:
         self.frame, self.terrain, self.albedo = scene.ground_frame, terrain, albedo
         # What a surface reflects is its own: colours without their change with the direction.
         base = np.ascontiguousarray(scene.splats.sh[:, :1])
-        self.surfaces, self._tracer = surfaces_of(terrain), Tracer(replace(scene.splats, sh=base))
+        self._moving, self._tracer = MovingSurfaces(terrain), Tracer(replace(scene.splats, sh=base))
+        self._nodes = [NodeTarget(actor) for actor in scene.actors]
 
-    def trace(self, origin, direction, before=0.0):
-        """Return the `Surface` that rays meet; ground frame, metres, unit directions."""
+    def surfaces_at(self, time):
+        """Return the `Surfaces` that shelter from the rain at a time [s]."""
+        return self._moving.at(time)
+
+    def trace(self, origin, direction, before=0.0, time=0.0):
+        """Return the `Surface` that rays meet; ground frame, metres, unit directions.
+
+        `before` [m] is the way to the origins, `time` [s] when each pulse is sent.
+        """
         frame, unit = self.frame, self.frame.meters_per_unit
         way_before = np.full(len(origin), before, np.float64) / unit
+        place, toward = frame.to_capture(origin), direction @ frame.rotation
         found = self._tracer.trace(
-            frame.to_capture(origin).astype(np.float32),
-            (direction @ frame.rotation).astype(np.float32), way_before,
+            place.astype(np.float32), toward.astype(np.float32), way_before,
             segment=FIRST_SEGMENT / unit,
         )  # fmt: skip
         met = found.alpha >= SOLID
         distance = np.where(met, found.plane_distance.astype(np.float64) * unit, np.inf)
+        node = np.zeros(len(origin), np.uint16) if self._nodes else None
+        sent = np.full(len(origin), time, np.float64)
+        for number, target in enumerate(self._nodes, start=1):
+            own = target.meet(place, toward, way_before, sent, FIRST_SEGMENT / unit)
+            away = own.distance.astype(np.float64) * unit
+            first = (own.alpha >= SOLID) & (away < distance[own.beam])
+            beam = own.beam[first]
+            met[beam], distance[beam], node[beam] = True, away[first], number
+            found.color[beam], found.alpha[beam] = own.color[first], own.alpha[first]
+            found.normal[beam] = own.normal[first]
         way = np.where(met, distance - before, 0.0)
         color = roughly_linear(found.color / np.maximum(found.alpha, 1e-3)[:, None], COLOR_DEGREE)
         normal = found.normal @ frame.rotation.T
         cosine = np.abs(np.einsum("ni,ni->n", normal, direction))
         return Surface(
             distance, origin + way[:, None] * direction, normal,
-            np.clip(self.albedo * color @ LUMA, 0, 1) * np.maximum(cosine, LEAST_COSINE),
+            np.clip(self.albedo * color @ LUMA, 0, 1) * np.maximum(cosine, LEAST_COSINE), node,
         )  # fmt: skip
 
     def scan(self, lidar, pose, time, rng, field=None, state=None, damp=0.0):
@@ -154,9 +182,11 @@ class LidarScanner:
         local, when = lidar.beams()
         direction = local @ pose.rotation.T
         origin = pose.position + when[:, None] * pose.velocity
-        target = self.trace(origin, direction)
+        target = self.trace(origin, direction, 0.0, time + when)
         alpha = 0.0 if field is None else extinction_of(field.spectrum)
-        distance, reflectivity, mirrored = self._behind_water(target, direction, alpha, state, damp)
+        distance, reflectivity, mirrored, node = self._behind_water(
+            target, direction, time + when, alpha, state, damp
+        )
         clear = distance.copy(), reflectivity
         there = np.isfinite(distance)
         bright = np.where(
@@ -177,7 +207,11 @@ class LidarScanner:
                 distance[beam[k]], label[beam[k]], power[beam[k]] = place[k], SCATTERED, echo[k]
                 bright[beam[k]] = echo[k] * place[k] ** 2
         label[(distance < lidar.near) & (label != SCATTERED)] = LOST
-        return _scan(lidar, local, when, label, distance, bright, power, clear, rng)
+        scan = _scan(lidar, local, when, label, distance, bright, power, clear, rng)
+        if node is None:
+            return scan
+        shown = (label == KEPT) | (label == MIRRORED)
+        return replace(scan, node=np.where(shown, node, 0).astype(np.uint16))
 
     def _drops(self, lidar, pose, time, field):
         """Return the drops that may echo loud enough in a turn, as they are in its middle."""
@@ -185,30 +219,32 @@ class LidarScanner:
         moves = (np.linalg.norm(field.velocity, axis=1) + np.linalg.norm(pose.velocity)) * half
         reach = lidar.drop_reach(field.spectrum.edges[1:]) + moves
         middle = pose.position + pose.velocity * half
-        return near_drops(field, middle, reach, time + half, self.surfaces)
+        return near_drops(field, middle, reach, time + half, self.surfaces_at(time + half))
 
-    def _behind_water(self, target, direction, alpha, state, damp):
-        """Return distance, reflectivity and whether mirrored, of what comes back from the scene.
+    def _behind_water(self, target, direction, time, alpha, state, damp):
+        """Return distance, reflectivity, whether mirrored and node of what the scene sends back.
 
         Wet ground is darker. Where water stands, its bed echoes through it and it mirrors the beam
         to something else; the louder of the two is seen, the mirrored one in the beam's direction.
         """
         distance, reflectivity = target.distance.copy(), target.reflectivity.copy()
-        mirrored = np.zeros(len(distance), bool)
+        mirrored, node = np.zeros(len(distance), bool), target.node
         if state is None:
-            return distance, reflectivity, mirrored
+            return distance, reflectivity, mirrored, node
         grid, place = self.terrain.grid, target.place
         row, column, inside = grid.cells(place[:, 0], place[:, 1])
         bed = self.terrain.bed[row, column]
         level = np.isfinite(distance) & inside & (target.normal[:, 2] > FLAT)
         ground = level & (np.abs(place[:, 2] - bed) < ON_GROUND)
+        if node is not None:
+            ground &= node == 0
         albedo = np.clip(reflectivity, 0.02, 0.8).astype(np.float32)
         darker = 1 - damp * (1 - wet_ratio(albedo))
         reflectivity = np.where(ground, reflectivity * darker, reflectivity)
         water = ground & (state.depth[row, column] >= WET)
         which = np.flatnonzero(water)
         if not len(which):
-            return distance, reflectivity, mirrored
+            return distance, reflectivity, mirrored, node
         depths = state.depth[row, column][which].astype(np.float64)
         down = np.maximum(-direction[which, 2], 1e-3)
         share, inner = fresnel_of(down)
@@ -218,7 +254,7 @@ class LidarScanner:
         flipped = direction[which] * (1, 1, -1)
         begin = place[which].copy()
         begin[:, 2] = bed[which] + depths + LIFT
-        other = self.trace(begin, flipped, distance[which])
+        other = self.trace(begin, flipped, distance[which], time[which])
         ghost = share**2 * other.reflectivity
         far = np.where(np.isfinite(other.distance), other.distance, FARTHEST)
         own = echo_power(reflectivity[which], distance[which], alpha)
@@ -226,7 +262,10 @@ class LidarScanner:
         chosen = which[louder]
         distance[chosen], reflectivity[chosen] = far[louder], ghost[louder]
         mirrored[chosen] = True
-        return distance, reflectivity, mirrored
+        if node is not None:
+            node = node.copy()
+            node[chosen] = other.node[louder]
+        return distance, reflectivity, mirrored, node
 
 
 def drops_in_beams(lidar, pose, time, drops, local, when):

@@ -1,7 +1,8 @@
 """Point clouds as bytes: KITTI's .bin with SemanticKITTI's .label, PCD of PCL, and PLY.
 
 KITTI: rows of float32 x, y, z, reflectance (development kit of its object benchmark).
-SemanticKITTI: a uint32 a point, its class in the lower 16 bits. PCD 0.7:
+SemanticKITTI: a uint32 a point, its class in the lower 16 bits, in the upper 16 the number of the
+node that it lies on. PCD and PLY have a field `node` where the scene has nodes. PCD 0.7:
 https://pointclouds.org/documentation/tutorials/pcd_file_format.html. Points are in the sensor's
 frame in metres. Lost pulses have no row; in a PCD, which holds all pulses, they are NaN.
 """
@@ -26,16 +27,26 @@ def kitti_bin(scan):
 
 def kitti_labels(scan):
     """Return the bytes of a SemanticKITTI .label: a uint32 for each row of the .bin."""
-    return scan.label[scan.label != LOST].astype("<u4").tobytes()
+    label = scan.label.astype("<u4")
+    if scan.node is not None:
+        label |= scan.node.astype("<u4") << 16
+    return label[scan.label != LOST].tobytes()
+
+
+def fields_of(scan):
+    """Return names and types of the values of a point."""
+    return FIELDS if scan.node is None else (*FIELDS, ("node", "<u4"))
 
 
 def rows_of(scan, lost_too):
-    """Return a structured array of FIELDS, with or without the lost pulses."""
-    rows = np.empty(len(scan.point), list(FIELDS))
+    """Return a structured array of `fields_of` a scan, with or without the lost pulses."""
+    rows = np.empty(len(scan.point), list(fields_of(scan)))
     point = np.where((scan.label == LOST)[:, None], np.float32(np.nan), scan.point)
     for axis, name in enumerate("xyz"):
         rows[name] = point[:, axis]
     rows["intensity"], rows["time"], rows["label"] = scan.reflectivity, scan.time, scan.label
+    if scan.node is not None:
+        rows["node"] = scan.node
     return rows if lost_too else rows[scan.label != LOST]
 
 
@@ -43,7 +54,7 @@ def pcd_bytes(scan, channels):
     """Return a binary PCD of all pulses, columns by channels, lost ones as NaN."""
     rows = rows_of(scan, lost_too=True)
     width = len(rows) // channels
-    names, kinds = zip(*FIELDS, strict=True)
+    names, kinds = zip(*fields_of(scan), strict=True)
     header = "\n".join([
         "# .PCD v0.7 - Point Cloud Data file format", "VERSION 0.7", f"FIELDS {' '.join(names)}",
         f"SIZE {' '.join('4' for _ in names)}",
@@ -60,6 +71,6 @@ def ply_bytes(scan):
     rows = rows_of(scan, lost_too=False)
     header = "\n".join([
         "ply", "format binary_little_endian 1.0", f"element vertex {len(rows)}",
-        *(f"property {PLY_KIND[kind]} {name}" for name, kind in FIELDS), "end_header", "",
+        *(f"property {PLY_KIND[kind]} {name}" for name, kind in fields_of(scan)), "end_header", "",
     ])  # fmt: skip
     return header.encode() + rows.tobytes()

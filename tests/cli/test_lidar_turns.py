@@ -5,6 +5,9 @@ import json
 import numpy as np
 import pytest
 
+from rainsim.scene.folder import write_scene
+from scenes import moving_scene
+
 MAP = ["--spacing", "0.04", "--extent", "1"]
 
 
@@ -65,3 +68,22 @@ def test_only_turns_are_replaced(lidar, tmp_path):
 def test_wrong_options_are_named(lidar, words, message):
     done = lidar("out", *words)
     assert done.code == 2 and message in done.error
+
+
+def test_nodes_are_numbered_in_labels_and_have_boxes(rainsim, tmp_path):
+    write_scene(tmp_path / "moving", moving_scene())
+    done = rainsim("lidar", "moving", *MAP, "--out", "turns", "--rain", "0,50", "--turns", "2",
+                   "--height", "0.6")  # fmt: skip
+    assert done.code == 0, done.err
+    card = json.loads((tmp_path / "turns/lidar.json").read_text())
+    (node,) = card["nodes"]
+    assert (node["number"], node["track"], node["class"]) == (1, "box", "parcel")
+    first, second = (np.array(box["centre"]) for box in node["box3d"])
+    assert np.linalg.norm(second - first) == pytest.approx(0.1, rel=0.01)  # 1 m/s
+    label = np.fromfile(tmp_path / "turns/rain/50mm/labels/000001.label", "<u4")
+    point = np.fromfile(tmp_path / "turns/rain/50mm/velodyne/000001.bin", "<f4").reshape(-1, 4)
+    on = label >> 16 == 1
+    assert on.sum() > 20 and set(np.unique(label & 0xFFFF)) <= {1, 2, 3}
+    pose = np.loadtxt(tmp_path / "turns/poses.txt").reshape(-1, 3, 4)[1]
+    place = point[on, :3] @ pose[:, :3].T + pose[:, 3]
+    assert np.linalg.norm(place - second, axis=1).max() < 0.5

@@ -344,10 +344,17 @@ def test_a_data_set_carries_the_nodes(scene, ground, camera):
     from rainsim.datasets import beside, kitti
     from rainsim.datasets.sample import Plan, View
     from rainsim.datasets.shots import Shots
+    from rainsim.datasets.user_labels import UserLabels
     from rainsim.render.labels import class_names
 
     view = View(0, "a", scene.ground_frame.camera_in_ground(camera))
-    (sample,) = Shots(scene, ground, [view], CONFIG, False).draw(10.0, [0])
+    labelled = replace(scene, actors=(replace(scene.actors[0], label=300),))
+    ids = np.full(len(scene.splats), 7, np.uint16)
+    shots = Shots(labelled, ground, [view], CONFIG, False, user_labels=UserLabels(labelled, ids))
+    (sample,) = shots.draw(10.0, [0])
+    assert (sample.labels[sample.actor_id == 1] == 300).all()
+    assert set(np.unique(sample.labels[sample.actor_id == 0])) <= {7, 255}
+    assert (sample.labels == 7).mean() > 0.3
     assert (sample.actor_id == 1).sum() == sample.facts["actors"][0]["pixels"] > 1000
     plan = Plan("a", (view,), (10.0,), False, None, None, class_names())
     files = {f.name: f for f in (*kitti.sample_files(sample, plan),
@@ -391,8 +398,9 @@ def test_a_description_is_read_and_a_scene_folder_keeps_it(scene, tmp_path):
     assert import_scene(tmp_path).source_hash != found.source_hash  # results go by the hash
     series = ColorSeries(np.ones((len(actor.splats), 3, 3), np.float32), 0.0, 2.0)
     other = replace(actor, id="b", series=series, turning=False)
-    write_scene(tmp_path / "kept", replace(found, actors=(actor, other)))
+    write_scene(tmp_path / "kept", replace(found, actors=(replace(actor, label=26), other)))
     again = read_scene(tmp_path / "kept").actors
+    assert [a.label for a in again] == [26, 255]
     assert [a.id for a in again] == ["7", "b"] and again[0].series is None
     np.testing.assert_array_equal(again[1].series.terms, series.terms)
     assert again[0].turning and not again[1].turning
@@ -414,6 +422,7 @@ def test_a_description_is_read_and_a_scene_folder_keeps_it(scene, tmp_path):
                     "visible": [1]}}, "true or false"),
         ({"track": [1]}, "must be an object"),
         ({"harmonics": "world"}, "node or scene"),
+        ({"label": 70000}, "whole number from 0 to 65535"),
     ],
 )  # fmt: skip
 def test_descriptions_that_are_refused(scene, tmp_path, changes, message):

@@ -10,6 +10,7 @@ from rainsim import pipeline
 from rainsim.config.settings import Config
 from rainsim.drops import Drops, RainField, RainSpectrum, flat_surfaces
 from rainsim.errors import ParameterError
+from rainsim.scene.actors import scene_at
 from rainsim.sensors import point_files
 from rainsim.sensors.lidar import LidarScanner, Pose, Surface, drops_in_beams, pose_at
 from rainsim.sensors.lidar_model import (
@@ -26,7 +27,7 @@ from rainsim.sensors.lidar_model import (
 from rainsim.sensors.lisa import lisa_returns, scattered_share
 from rainsim.sensors.near_drops import near_drops
 from rainsim.terrain.types import Grid
-from scenes import bed_height, tiny_scene
+from scenes import BOX_SIZE, BOX_WAY, bed_height, moving_scene, tiny_scene
 
 OPEN_AIR = flat_surfaces(1.0, 1.0, 1.0, origin=(1e9, 1e9))
 STILL = Pose(np.zeros(3), np.eye(3), np.zeros(3))
@@ -38,9 +39,11 @@ class Room(LidarScanner):
 
     def __init__(self, distance, reflectivity):
         self.distance, self.reflectivity = distance, reflectivity
-        self.surfaces = OPEN_AIR
 
-    def trace(self, origin, direction, before=0.0):
+    def surfaces_at(self, time):
+        return OPEN_AIR
+
+    def trace(self, origin, direction, before=0.0, time=0.0):
         n = len(direction)
         return Surface(np.full(n, self.distance), origin + self.distance * direction, -direction,
                        np.full(n, self.reflectivity))  # fmt: skip
@@ -204,9 +207,11 @@ class Yard(LidarScanner):
     def __init__(self):
         grid = Grid((40, 40), (-10.0, -10.0), 0.5)
         self.terrain = SimpleNamespace(grid=grid, bed=np.zeros(grid.shape, np.float32))
-        self.surfaces = OPEN_AIR
 
-    def trace(self, origin, direction, before=0.0):
+    def surfaces_at(self, time):
+        return OPEN_AIR
+
+    def trace(self, origin, direction, before=0.0, time=0.0):
         with np.errstate(divide="ignore", invalid="ignore"):
             down = np.where(direction[:, 2] < 0, -origin[:, 2] / direction[:, 2], np.inf)
             wall = np.where(direction[:, 0] > 0, (6 - origin[:, 0]) / direction[:, 0], np.inf)
@@ -259,6 +264,79 @@ def test_points_lie_on_the_captures_ground(rng):
     off = place[low, 2] - bed_height(place[low, 0], place[low, 1])
     assert np.median(np.abs(off)) < 5e-3 and np.percentile(np.abs(off), 95) < 0.03
     assert 0.02 < np.median(scan.reflectivity[back]) < 0.6
+
+
+# --- nodes ----------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def moving():
+    scene = moving_scene()
+    config = Config.from_preset("downpour").replace(extent=1.0, spacing=0.05)
+    terrain = pipeline.extract_terrain(scene, config)
+    return scene, terrain, LidarScanner(scene, terrain, 0.9)
+
+
+def test_beams_meet_a_node_where_it_is_as_each_is_sent(moving, rng):
+    scene, terrain, scanner = moving
+    n = 3000
+    origin = np.column_stack([rng.uniform(0.4, 1.1, n), rng.uniform(-1, 0.6, n), np.full(n, 1.5)])
+    direction = rng.normal((0, 0, -1.0), 0.15, (n, 3))
+    direction /= np.linalg.norm(direction, axis=1)[:, None]
+    which = np.arange(n) % 3
+    times = np.array([0.1, 0.45, 0.8])[which]
+    found, hits = scanner.trace(origin, direction, 0.0, times), []
+    for k, time in enumerate((0.1, 0.45, 0.8)):
+        here = which == k
+        alone = LidarScanner(scene_at(scene, time), terrain, 0.9).trace(
+            origin[here], direction[here]
+        )
+        same = np.isclose(found.distance[here], alone.distance, rtol=0, atol=2e-3)
+        assert np.mean(same) > 0.97 and alone.node is None
+        assert np.mean(np.abs(found.reflectivity[here] - alone.reflectivity) < 0.02) > 0.97
+        hits.append(found.node[here] == 1)
+        top = found.place[here][hits[-1]][:, 2].max()
+        assert top == pytest.approx(0.002 + BOX_SIZE[2], abs=0.02)
+    assert all(20 < hit.sum() < 0.5 * len(hit) for hit in hits)
+    still = scanner.trace(origin, direction, 0.0, 0.1)
+    assert not np.array_equal(still.node, found.node)  # it is elsewhere for the other two
+
+
+def test_points_of_a_turn_say_which_node_they_lie_on(moving, rng):
+    scene, _, scanner = moving
+    lidar = Lidar(tuple(np.radians(np.arange(-70, -20, 2.0))), columns=360, near=0.2, accuracy=0.0,
+                  rate=2.0)  # fmt: skip
+    pose = Pose(np.array([0.3, -0.3, 1.0]), np.eye(3), np.zeros(3))
+    scan = scanner.scan(lidar, pose, 0.2, rng)
+    on = scan.node == 1
+    assert 30 < on.sum() < 0.3 * len(on) and set(np.unique(scan.node)) == {0, 1}
+    # In its own frame each point lies on the box: half a second of its way would tear it apart.
+    frame, actor = scene.ground_frame, scene.actors[0]
+    place = frame.to_capture(scan.point[on].astype(float) @ pose.rotation.T + pose.position)
+    rotation, position, visible = actor.track.poses(0.2 + scan.time[on].astype(float))
+    own = np.einsum("nji,nj->ni", rotation, place - position)
+    off = np.abs(own - actor.box[0]) - 0.5 * actor.box[1]
+    assert visible.all() and off.max() * frame.meters_per_unit < 0.01
+    labels = np.frombuffer(point_files.kitti_labels(scan), "<u4")
+    back = scan.label != LOST
+    np.testing.assert_array_equal(labels >> 16, scan.node[back])
+    np.testing.assert_array_equal(labels & 0xFFFF, scan.label[back])
+    header, _, body = point_files.ply_bytes(scan).partition(b"end_header\n")
+    rows = np.frombuffer(body, list(point_files.fields_of(scan)))
+    assert b"property uint node" in header and (rows["node"] == scan.node[back]).all()
+    header, _, body = point_files.pcd_bytes(scan, len(lidar.elevation)).partition(b"DATA binary\n")
+    assert b"time label node" in header and b"TYPE F F F F F U U" in header
+    assert len(body) == len(scan.node) * 28
+
+
+def test_a_node_that_is_not_there_sends_nothing_back(rng):
+    scene = moving_scene(visible=(False, True))
+    config = Config.from_preset("downpour").replace(extent=1.0, spacing=0.05)
+    scanner = LidarScanner(scene, pipeline.extract_terrain(scene, config), 0.9)
+    down = np.array([[0.78, -0.6, 1.5]]), np.array([[0.0, 0.0, -1.0]])
+    there = [int(scanner.trace(*down, 0.0, time).node[0]) for time in (0.15, 1.0)]
+    over = np.array([[*BOX_WAY[1][:2], 1.5]])
+    assert there == [0, 0] and scanner.trace(over, down[1], 0.0, 1.0).node[0] == 1
 
 
 # --- files ----------------------------------------------------------------------------------------

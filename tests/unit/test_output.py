@@ -1,5 +1,6 @@
 """Output folders: what is not ours stays, whatever a record in the folder says."""
 
+import errno
 import json
 import os
 import subprocess
@@ -13,6 +14,7 @@ import pytest
 from rainsim.config.settings import Config
 from rainsim.errors import ParameterError
 from rainsim.io import images
+from rainsim.io.claim import ClaimedError, claim
 from rainsim.output_folder import CLAIM, PROVENANCE, FrameFolder, Record, claimed, read_record
 from rainsim.render.renderer import FrameReport
 from scenes import tiny_scene
@@ -96,6 +98,23 @@ def test_the_claim_of_a_run_that_was_killed_is_taken_over(tmp_path):
     with claimed(folder):
         (folder / "result").write_text("whole")
     assert [path.name for path in folder.iterdir()] == ["result"]
+
+
+def test_a_claim_that_a_failing_disk_stopped_is_not_held_on(tmp_path, monkeypatch):
+    def gone(*_):
+        raise OSError(errno.ESTALE, os.strerror(errno.ESTALE))
+
+    path = tmp_path / "claim"
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "stat", gone)
+        with pytest.raises(OSError, match=os.strerror(errno.ESTALE)):
+            with claim(path):
+                pass
+    assert path.is_file()
+    with claim(path):  # the same process takes it again
+        with pytest.raises(ClaimedError, match=f"process {os.getpid()} on"):
+            with claim(path):
+                pass
 
 
 def _written(folder, *names, **facts):

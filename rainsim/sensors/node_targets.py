@@ -1,0 +1,94 @@
+"""What beams meet of the nodes of a scene, each where it is as its pulse passes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from rainsim.reflection.ray_traced import Tracer
+from rainsim.splatting.prepared import SIGMAS
+
+WAY = 64  # times at which a node's way in a turn is looked at, for the ball that it stays in
+
+
+class Met(NamedTuple):
+    """What some of the beams met of a node, arrays (n, ...).
+
+    Attributes
+    ----------
+    beam : ndarray of shape (n,), int64
+    color : ndarray of shape (n, 3), float32
+        Multiplied by alpha.
+    alpha, distance : ndarray of shape (n,), float32 [-, capture units]
+    normal : ndarray of shape (n, 3), float64
+        Capture frame.
+    """
+
+    beam: np.ndarray
+    color: np.ndarray
+    alpha: np.ndarray
+    distance: np.ndarray
+    normal: np.ndarray
+
+
+class NodeTarget:
+    """A node as beams meet it: traced in its own frame, so that it may move from pulse to pulse.
+
+    Parameters
+    ----------
+    actor : Actor
+        Of colours that change over time, those in the middle of their series are taken.
+    """
+
+    def __init__(self, actor):
+        base, series = np.ascontiguousarray(actor.splats.sh[:, :1]), actor.series
+        if series is not None:
+            base[:, 0] = series.at(0.5 * (series.begin + series.end))
+        splats = replace(actor.splats, sh=base)
+        self._track, self._tracer = actor.track, Tracer(splats)
+        far = np.linalg.norm(splats.position.astype(np.float64), axis=1)
+        far = far + float(SIGMAS) * splats.scale.max(axis=1, initial=0.0)
+        self._radius = float(far[np.isfinite(far)].max(initial=0.0))
+
+    def meet(self, origin, direction, before, time, segment):
+        """Return what beams `Met`, in the capture frame.
+
+        Parameters
+        ----------
+        origin : ndarray of shape (n, 3), float64 [capture units]
+        direction : ndarray of shape (n, 3), float64
+        before : ndarray of shape (n,), float64 [capture units]
+            Length of the way to the origins.
+        time : ndarray of shape (n,), float64 [s]
+            When each pulse is sent.
+        segment : float [capture units]
+            See `Tracer.trace`.
+        """
+        beam = self._near(origin, direction, time)
+        moments, which = np.unique(time[beam], return_inverse=True)
+        rotation, position, visible = self._track.poses(moments)
+        there = visible[which]
+        beam, which = beam[there], which[there]
+        turn, place = rotation[which], position[which]
+        found = self._tracer.trace(
+            np.einsum("nji,nj->ni", turn, origin[beam] - place).astype(np.float32),
+            np.einsum("nji,nj->ni", turn, direction[beam]).astype(np.float32),
+            before[beam], segment=segment,
+        )  # fmt: skip
+        normal = np.einsum("nij,nj->ni", turn, found.normal)
+        return Met(beam, found.color, found.alpha, found.plane_distance, normal)
+
+    def _near(self, origin, direction, time):
+        """Return the beams that pass a ball in which the node stays."""
+        if not len(time):
+            return np.zeros(0, np.int64)
+        places = self._track.poses(np.linspace(time.min(), time.max(), WAY))[1]
+        middle = 0.5 * (places.min(axis=0) + places.max(axis=0))
+        step = np.linalg.norm(np.diff(places, axis=0), axis=1).max()
+        reach = self._radius + np.linalg.norm(places - middle, axis=1).max() + step
+        to = middle - origin
+        along = np.einsum("ni,ni->n", to, direction)
+        off = np.einsum("ni,ni->n", to, to) - np.maximum(along, 0) ** 2
+        return np.flatnonzero(off <= reach**2)
