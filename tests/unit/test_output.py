@@ -101,10 +101,13 @@ def test_the_claim_of_a_run_that_was_killed_is_taken_over(tmp_path):
 
 
 def test_a_claim_that_a_failing_disk_stopped_is_not_held_on(tmp_path, monkeypatch):
-    def gone(*_):
-        raise OSError(errno.ESTALE, os.strerror(errno.ESTALE))
+    path, look = tmp_path / "claim", os.stat
 
-    path = tmp_path / "claim"
+    def gone(name, *arguments, **named):
+        if name == path:
+            raise OSError(errno.ESTALE, os.strerror(errno.ESTALE))
+        return look(name, *arguments, **named)
+
     with monkeypatch.context() as patch:
         patch.setattr(os, "stat", gone)
         with pytest.raises(OSError, match=os.strerror(errno.ESTALE)):
