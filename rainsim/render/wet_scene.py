@@ -233,7 +233,11 @@ class WetScene:
     def _recolor(self, colors):
         """Take over the colours of the splats of another state, see `PresentSplats`."""
         self._colors, self.splats = colors, self._present.at(colors)
-        self.prepared = recolored(self.prepared, self.splats)
+        if self._detail is None:
+            self.prepared = recolored(self.prepared, self.splats)
+        else:
+            self._detail.recolor(self.splats)
+            self.prepared = self._detail.prepared
         if self.paged is not None:
             self.paged.take_colors(colors)
         if self.nodes is not None:
@@ -241,9 +245,6 @@ class WetScene:
             self.prepared = self.nodes.static
             self._put_nodes()
             return
-        if self._detail is not None:
-            self._detail.recolor(self.prepared)
-            self.prepared = self._detail.prepared
         if self.paged is None:
             self.rasterizer.recolor(self.drawn)
         self._standing = self.tracer = None

@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rainsim.numerics.blocks import in_blocks
 from rainsim.splatting.level_kernels import (
     GROUP,
     find_cells,
@@ -22,9 +23,10 @@ from rainsim.splatting.level_kernels import (
     merge_colors,
     merge_shapes,
 )
-from rainsim.splatting.prepared import GEOMETRY, LANES, NOBODY, boxes
+from rainsim.splatting.prepared import GEOMETRY, LANES, NOBODY, boxes, recolor
 
 SIDES = tuple(0.01 * 2**k for k in range(7))  # m, of the cells of the levels
+COPIED = 128  # chunks that a thread copies at a time
 WORTH = 0.8  # of a group's splats at the level before: with more, a level is left out
 
 
@@ -80,14 +82,22 @@ class Detail:
         before, reach = np.empty(groups, np.int64), np.empty((groups, 6), np.float32)
         self._weight = np.empty(self._leading * LANES, np.float32)
         measure_groups(prepared.geometry, self._leading, before, reach, self._weight)
-        levels = [self._level(prepared, np.float32(side), before) for side in sides]
-        self._levels = [level for level in levels if len(level.wanted)]
+        number = np.empty((len(sides), self._leading * LANES), np.int16)
+        count = np.empty((len(sides), groups, 2), np.int64)
+        self._levels = [
+            self._level(prepared, np.float32(side), before, *at)
+            for side, *at in zip(sides, number, count, strict=True)
+        ]
+        self._number, self._numbers = number, count
         self._count, self._first = len(prepared), sum(x.start[-1] for x in self._levels)
-        self.drawn = self._with_colors(self._with_shapes(prepared, reach), prepared)
+        self.drawn = self._with_levels(prepared, reach)
+        self._merge_colors()
 
-    def recolor(self, prepared):
-        """Take over `prepared`: the same splats in other colours, see `prepared.recolored`."""
-        self.drawn = self._with_colors(self.drawn, prepared)
+    def recolor(self, splats):
+        """Take over `splats`: the same ones in other colours, in the memory of `drawn`."""
+        recolor(self.prepared, splats)
+        self.drawn = replace(self.drawn)  # another one, for those who ask whether it changed
+        self._merge_colors()
 
     @property
     def prepared(self):
@@ -99,10 +109,8 @@ class Detail:
             leading=d.leading - first, span=None, reach=None,
         )  # fmt: skip
 
-    def _level(self, prepared, side, before):
+    def _level(self, prepared, side, before, number, count):
         """Return a `Level`; `before`, splats that groups have, becomes what they have at it."""
-        number = np.empty(self._leading * LANES, np.int16)
-        count = np.empty((len(before), 2), np.int64)
         find_cells(prepared.geometry, self._leading, side, number, count)
         total = count.sum(axis=1)
         wanted = np.flatnonzero(total <= WORTH * before)
@@ -118,13 +126,15 @@ class Detail:
             yield level, slice(begin, end)
             end = begin
 
-    def _with_shapes(self, prepared, reach):
-        """Return the splats with their levels' geometry, all in the colours of `prepared`."""
+    def _with_levels(self, prepared, reach):
+        """Return the splats with their levels, whose colours are not yet written."""
         first, n, leading = self._first, len(prepared.box), self._leading
-        geometry = np.empty((first + n, GEOMETRY * LANES), np.float32)
-        box, order = np.empty((first + n, 6), np.float32), np.full((first + n) * LANES, NOBODY)
-        geometry[first:], box[first:] = prepared.geometry, prepared.box
-        order = order.astype(np.int32)
+        runs = [
+            with_room(array, first)
+            for array in (prepared.geometry, prepared.sh, prepared.fine, prepared.step)
+        ]
+        geometry = runs[0]
+        box, order = with_room(prepared.box, first), np.full((first + n) * LANES, NOBODY, np.int32)
         order[first * LANES :][: self._count] = prepared.order
         span, around = np.zeros((first + n, 2), np.float32), np.zeros((first + n, 6), np.float32)
         until = np.full(len(reach), np.inf, np.float32)
@@ -142,19 +152,28 @@ class Detail:
         span[base, 1], around[base] = until[own], reach[own]
         boxes(geometry[:first].reshape(first, GEOMETRY, LANES), first * LANES, box[:first])
         return replace(
-            prepared, geometry=geometry, box=box, order=order, leading=first + leading, span=span,
-            reach=around,
+            prepared, **dict(zip(("geometry", "sh", "fine", "step"), runs, strict=True)), box=box,
+            order=order, leading=first + leading, span=span, reach=around,
         )  # fmt: skip
 
-    def _with_colors(self, drawn, prepared):
-        """Return `drawn` in the colours of `prepared`."""
-        arrays = []
-        for array in (prepared.sh, prepared.fine, prepared.step):
-            arrays.append(np.empty((self._first + len(array), array.shape[1]), array.dtype))
-            arrays[-1][self._first :] = array
-        for level, here in self._places():
-            merge_colors(
-                prepared.sh, prepared.fine, prepared.step, self._weight, self._leading,
-                level.wanted, level.number, level.count, level.start, *(a[here] for a in arrays),
-            )  # fmt: skip
-        return replace(drawn, sh=arrays[0], fine=arrays[1], step=arrays[2])
+    def _merge_colors(self):
+        """Write the colours of the levels from those of the splats."""
+        own, drawn = self.prepared, self.drawn
+        place = np.full(self._numbers.shape[:2], -1)
+        for (level, here), row in zip(self._places(), place[::-1], strict=True):
+            row[level.wanted] = here.start + level.start[:-1]
+        merge_colors(
+            own.sh, own.fine, own.step, self._weight, self._leading, self._number, self._numbers,
+            place, drawn.sh, drawn.fine, drawn.step,
+        )  # fmt: skip
+
+
+def with_room(array, first):
+    """Return a copy of an array with so many rows more before the others."""
+    whole = np.empty((first + len(array), *array.shape[1:]), array.dtype)
+
+    def work(part):
+        whole[first:][part] = array[part]
+
+    in_blocks(work, len(array), COPIED)
+    return whole

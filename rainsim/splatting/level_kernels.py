@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from rainsim.constants import ONE, ZERO
-from rainsim.jit import cpu_kernel, inlined_function, prange
+from rainsim.jit import cpu_kernel, device_function, inlined_function, prange
 from rainsim.splatting.coarse import HALF_STOPPED
 from rainsim.splatting.prepared import GEOMETRY, LANES, LARGEST, OPACITY
 
@@ -226,9 +226,9 @@ def merge_shapes(
 
 @cpu_kernel
 def merge_colors(
-    sh, fine, step, weight, leading, wanted, number, count, start, sh_out, fine_out, step_out
+    sh, fine, step, weight, leading, number, count, place, sh_out, fine_out, step_out
 ):  # fmt: skip
-    """Write the harmonics of the splats of a level, in the order of `merge_shapes`.
+    """Write the harmonics of the splats of all levels, in the order of `merge_shapes`.
 
     Parameters
     ----------
@@ -236,86 +236,100 @@ def merge_colors(
         See `prepared.PreparedSplats`.
     weight : ndarray of shape (256 leading,), float32
     leading : int
-    wanted, number, count, start : ndarray
-        See `detail.Level`.
+    number : ndarray of shape (levels, 256 leading), int16
+    count : ndarray of shape (levels, groups, 2), int64
+        As `find_cells` writes them.
+    place : ndarray of shape (levels, groups), int64
+        First chunk of each group at each level, -1 if it does not have that level.
     sh_out, fine_out, step_out : ndarray
-        As those that are read.
+        As those that are read. Only the chunks of levels are written.
     """
     coarse, more = sh.shape[1] // LANES, step.shape[1]
-    for w in prange(len(wanted)):
-        group = wanted[w]
-        kept, rows = count[group, 0], count[group].sum()
-        first, end = group * GROUP * LANES, min((group + 1) * GROUP, leading) * LANES
-        share, total = np.zeros(end - first, np.float32), np.zeros(rows, np.float32)
-        into = np.zeros(end - first, np.int32)
-        at = np.int64(0)
-        for o in range(first, end):
-            n = row_of(number[o], kept, at)
-            if n >= 0:
-                into[o - first] = n
-                at += np.int64(number[o] == ALONE)
-                share[o - first] = ONE if number[o] == ALONE else weight[o]
-                total[n] += share[o - first]
-        for o in range(end - first):
-            if share[o] > ZERO:
-                share[o] /= total[into[o]]
-        value = np.empty((3, (start[w + 1] - start[w]) * LANES), np.float32)
-        for k in range(0, coarse, 3):
-            value[:] = ZERO
-            for o in range(0, end - first, LANES):
-                own = sh[(first + o) // LANES, k * LANES : (k + 3) * LANES]
-                add_channels(own, share[o : o + LANES], into[o : o + LANES], ONE, ONE, ONE, value)
-            for q in range(start[w], start[w + 1]):
-                begin = (q - start[w]) * LANES
-                for c in range(3):
-                    own = sh_out[q, (k + c) * LANES : (k + c + 1) * LANES]
-                    own[:] = value[c, begin : begin + LANES]
-        for k in range(0, more, 3):
-            value[:] = ZERO
-            for o in range(0, end - first, LANES):
-                chunk = (first + o) // LANES
-                own, unit = fine[chunk, k * LANES : (k + 3) * LANES], step[chunk, k : k + 3]
-                part = share[o : o + LANES], into[o : o + LANES]
-                add_channels(own, part[0], part[1], unit[0], unit[1], unit[2], value)
-            for q in range(start[w], start[w + 1]):
-                begin = (q - start[w]) * LANES
-                for c in range(3):
-                    pack_fine(value[c, begin : begin + LANES], q, k + c, fine_out, step_out)
+    for group in prange(count.shape[1]):
+        first, end = group * GROUP, min((group + 1) * GROUP, leading)
+        splats = (end - first) * LANES
+        # One row a splat: what is merged is then added up in vectors.
+        value = np.empty((splats, coarse + more), np.float32)
+        for chunk in range(first, end):
+            rows = value[(chunk - first) * LANES : (chunk - first + 1) * LANES]
+            for k in range(coarse):
+                own = sh[chunk, k * LANES : (k + 1) * LANES]
+                for i in range(LANES):
+                    rows[i, k] = own[i]
+            for k in range(more):
+                whole = fine[chunk, k * LANES : (k + 1) * LANES]
+                for i in range(LANES):
+                    rows[i, coarse + k] = whole[i]
+        share, into = np.empty(splats, np.float32), np.empty(splats, np.int32)
+        for level in range(len(count)):
+            begin = place[level, group]
+            if begin < 0:
+                continue
+            kept, merged = count[level, group, 0], count[level, group, 1]
+            found = number[level, first * LANES : end * LANES]
+            weigh(found, weight[first * LANES : end * LANES], kept, kept + merged, share, into)
+            chunks = (kept + merged + LANES - 1) // LANES
+            total = np.zeros((chunks * LANES, coarse + more), np.float32)
+            for o in range(splats):
+                if share[o] > ZERO:
+                    unit = step[first + o // LANES]
+                    add_scaled(value[o], share[o], unit, coarse, total[into[o]])
+            for q in range(chunks):
+                rows = total[q * LANES : (q + 1) * LANES]
+                for k in range(coarse):
+                    own = sh_out[begin + q, k * LANES : (k + 1) * LANES]
+                    for i in range(LANES):
+                        own[i] = rows[i, k]
+                for k in range(more):
+                    whole = fine_out[begin + q, k * LANES : (k + 1) * LANES]
+                    step_out[begin + q, k] = pack_fine(rows, coarse + k, whole)
+
+
+@device_function
+def weigh(number, weight, kept, rows, share_out, into_out):
+    """Find into which of `rows` splats each of a group goes, and its share in that one's colour."""
+    total = np.zeros(rows, np.float32)
+    at = np.int64(0)
+    for o in range(len(number)):
+        n = row_of(number[o], kept, at)
+        share_out[o], into_out[o] = ZERO, max(n, 0)
+        if n >= 0:
+            at += np.int64(number[o] == ALONE)
+            share_out[o] = ONE if number[o] == ALONE else weight[o]
+            total[n] += share_out[o]
+    for o in range(len(number)):
+        if share_out[o] > ZERO:
+            share_out[o] /= total[into_out[o]]
 
 
 @inlined_function
-def add_channels(own, share, into, red, green, blue, value_out):
-    """Add a chunk's harmonic, its three channels after one another, to those of merged splats.
+def add_scaled(value, share, unit, coarse, total_out):
+    """Add a share of a splat's harmonics, of which those from `coarse` on count in units."""
+    for k in range(coarse):
+        total_out[k] += share * value[k]
+    for k in range(len(unit)):
+        total_out[coarse + k] += (share * unit[k]) * value[coarse + k]
+
+
+@device_function
+def pack_fine(rows, k, fine_out):
+    """Write column k of a chunk's harmonics above degree 1 as 16-bit integers; return the factor.
 
     Parameters
     ----------
-    own : ndarray of shape (768,)
-    share : ndarray of shape (256,), float32
-        Of each splat in what it is merged in.
-    into : ndarray of shape (256,), int32
-        Number of that in its group.
-    red, green, blue : float32
-        Factor of each channel.
-    value_out : ndarray of shape (3, rows), float32
+    rows : ndarray of shape (256, n), float32
+    k : int
+    fine_out : ndarray of shape (256,), int16
     """
+    column, most = np.empty(LANES, np.float32), ZERO
     for i in range(LANES):
-        n, part = into[i], share[i]
-        value_out[0, n] += part * (red * own[i])
-        value_out[1, n] += part * (green * own[LANES + i])
-        value_out[2, n] += part * (blue * own[2 * LANES + i])
-
-
-@inlined_function
-def pack_fine(value, chunk, k, fine_out, step_out):
-    """Write a chunk's values of a harmonic above degree 1 as 16-bit integers and their factor."""
-    most = ZERO
-    for i in range(LANES):
-        most = max(most, abs(value[i]))
+        column[i] = rows[i, k]
+        most = max(most, abs(column[i]))
     unit = most / LARGEST
-    step_out[chunk, k] = unit
     for i in range(LANES):
-        whole = value[i] / unit if unit > ZERO else ZERO
-        fine_out[chunk, k * LANES + i] = np.int16(np.rint(whole))
+        whole = column[i] / unit if unit > ZERO else ZERO
+        fine_out[i] = np.int16(np.rint(whole))
+    return unit
 
 
 @inlined_function

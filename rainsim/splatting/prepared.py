@@ -131,13 +131,21 @@ def _put_last(splats, order, last):
 
 def recolored(prepared, splats):
     """Return the prepared splats with the harmonics of `splats`, the same ones in other colours."""
-    values = splats.sh.reshape(len(splats), -1)
-    bad = np.empty((len(prepared.box), LANES), np.bool_)
-    n = len(prepared.box)
-    sh, fine = np.empty_like(prepared.sh), np.empty_like(prepared.fine)
-    step = np.empty_like(prepared.step)
-    _pack(values, prepared.order, sh.reshape(n, -1, LANES), fine.reshape(n, -1, LANES), step, bad)
-    return replace(prepared, sh=sh, fine=fine, step=step)
+    names = "sh", "fine", "step"
+    other = replace(prepared, **{name: np.empty_like(getattr(prepared, name)) for name in names})
+    recolor(other, splats)
+    return other
+
+
+def recolor(prepared, splats):
+    """Write the harmonics of `splats` over those of the prepared ones, which are the same splats.
+
+    What shares the arrays of `prepared` shows the other colours, too.
+    """
+    values, n = splats.sh.reshape(len(splats), -1), len(prepared.box)
+    sh, fine = prepared.sh.reshape(n, -1, LANES), prepared.fine.reshape(n, -1, LANES)
+    bad = np.empty((n, LANES), np.bool_)
+    _pack(values, prepared.order, sh, fine, prepared.step, bad)
 
 
 def select(prepared, keep):

@@ -15,7 +15,7 @@ from rainsim.render.renderer import Renderer
 from rainsim.scene.cameras import cropped
 from rainsim.scene.types import Camera, Splats
 from rainsim.splatting.detail import Detail
-from rainsim.splatting.prepared import GEOMETRY, LANES, NOBODY, OPACITY, by_splat, recolored
+from rainsim.splatting.prepared import GEOMETRY, LANES, NOBODY, OPACITY, by_splat
 from scenes import moving_scene, tiny_scene
 
 SIDES = (0.15, 0.3, 0.6)
@@ -330,8 +330,8 @@ def test_colours_that_change_are_merged_again():
     splats = leaves()
     detail = Detail(raster.prepare(splats), SIDES)
     other = replace(splats, sh=splats.sh[::-1].copy())
-    before, geometry = detail.drawn.sh, detail.drawn.geometry
-    detail.recolor(recolored(detail.prepared, other))
+    before, geometry = detail.drawn.sh.copy(), detail.drawn.geometry
+    detail.recolor(other)
     wanted = with_levels(raster.prepare(other), SIDES)
     for name in ("geometry", "sh", "fine", "step", "box", "order", "span", "reach"):
         np.testing.assert_array_equal(getattr(detail.drawn, name), getattr(wanted, name))

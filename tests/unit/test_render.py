@@ -254,3 +254,23 @@ def test_no_frame_decides_what_another_one_mirrors(scene, camera):
     np.testing.assert_array_equal(drawn[0][1], drawn[1][1])
     plain = Renderer(scene, terrain, config(rate=0.0, film="environment"), camera)
     assert (plain.draw(strip, state)[0] != drawn[0][0]).any()  # the strip mirrors something
+
+
+def test_a_camera_that_stops_shows_the_frame_that_it_showed_in_motion(scene, camera):
+    """Nothing flickers: the rain alone knows that the camera moved while the shutter was open."""
+    settings = config(frames=2)
+    terrain = extract_terrain(scene, settings)
+    states = simulate(terrain, settings)
+    before, state = next(states), next(states)
+    renderer = Renderer(scene, terrain, settings, camera)
+    near = scene.ground_frame.camera_in_ground(camera)
+    matrix = near.camera_from_world.copy()
+    matrix[0, 3] -= 0.02  # m to its right while the shutter is open
+    end = dataclasses.replace(near, camera_from_world=matrix)
+    renderer.draw(scene.cameras[1].resized(*SIZE), before)
+    moving, _ = renderer.draw(camera, state, end)
+    passing, _ = renderer.draw(dataclasses.replace(camera), state)
+    renderer.draw(camera, before)
+    held, _ = renderer.draw(camera, state)
+    np.testing.assert_array_equal(passing, held)
+    assert (moving != held).any() and decibel(moving, held) > 40
