@@ -218,6 +218,8 @@ class RainField:
         self._frame = np.empty((CLASSES, 4))
         self._frame[:, :2] = follow[:, None] * np.asarray(offset)
         self._frame[:, 2:] = clock[0], 1 / clock[1]
+        self._offset = np.zeros((CLASSES, 3))
+        self._offset[:, :2] = self._frame[:, :2]
         self.wind = tuple(require_finite("wind component", w) for w in wind)
         if len(self.wind) != 2:
             raise ParameterError(f"wind is {wind!r}; it must be two numbers, along x and y in m/s")
@@ -272,10 +274,9 @@ class RainField:
     def cube_range(self, low, high):
         """Return the first and last cubes, (CLASSES, 3) int64, of co-moving boxes per class."""
         side = self.cube[:, None]
-        offset = np.concatenate([self._frame[:, :2], np.zeros((CLASSES, 1))], axis=1)
-        low, high = low - offset, high - offset
-        first = np.floor(low / side).astype(np.int64)
-        return first, np.maximum(np.floor(high / side).astype(np.int64), first - 1)
+        first = np.floor((low - self._offset) / side).astype(np.int64)
+        last = np.floor((high - self._offset) / side).astype(np.int64)
+        return first, np.maximum(last, first - 1)
 
 
 @dataclass(frozen=True)

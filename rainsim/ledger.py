@@ -5,7 +5,7 @@ initial + rain + inflow = ground + film + airborne + obstacles + infiltrated + d
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 SUPPLY = ("initial", "rain", "inflow")
 WHEREABOUTS = (
@@ -61,9 +61,8 @@ class Ledger:
     @property
     def residual(self) -> float:
         """Share of the supplied volume that is missing (positive) or too much (negative)."""
-        if self.supplied == 0.0:
-            return -self.accounted
-        return (self.supplied - self.accounted) / self.supplied
+        supplied, accounted = self.supplied, self.accounted
+        return -accounted if supplied == 0.0 else (supplied - accounted) / supplied
 
     @classmethod
     def from_dict(cls, volumes):
@@ -72,4 +71,5 @@ class Ledger:
 
     def as_dict(self) -> dict:
         """Return all volumes [m3] and the residual (a share) by name."""
-        return {**asdict(self), "residual": self.residual}
+        volumes = {name: getattr(self, name) for name in (*SUPPLY, *WHEREABOUTS)}
+        return {**volumes, "residual": self.residual}

@@ -16,7 +16,7 @@ from rainsim.render.first_view import view_of_water
 from rainsim.render.labels import without_flow
 from rainsim.render.memory import require_memory
 from rainsim.render.report import FrameReport
-from rainsim.render.shutter import end_of_motion, is_too_fast, motions
+from rainsim.render.shutter import PathMotion, is_too_fast
 from rainsim.render.sunken import sunken_notes
 from rainsim.simulation import (
     SimState,
@@ -327,12 +327,12 @@ class SequenceRenderer:
         self._scene, self._terrain, self._cameras = scene, terrain, cameras
         self._config, self._names, self._backend = config, names, backend
         self._path = [scene.ground_frame.camera_in_ground(camera) for camera in cameras]
-        self._motions = motions(self._path)
+        self._along = PathMotion(self._path)
         self._renderer, self._notes = None, ()
 
     def render(self, states):
         """Yield (picture, FrameReport) for each state."""
-        path, (moves, turns) = self._path, self._motions
+        path, along = self._path, self._along
         config, cuts = self._config, deque()  # whether each frame that is drawn ends in a cut
 
         def shots():
@@ -342,10 +342,9 @@ class SequenceRenderer:
                 if self._scene.pages is not None and len(self._cameras) > 1:
                     ahead = min(state.index + READ_AHEAD, len(self._cameras) - 1)
                     self._renderer.read_ahead(self._cameras[ahead])
-                motion = moves[index], turns[index]
+                motion = along.moves[index], along.turns[index]
                 cuts.append(is_too_fast(motion, config.fps))
-                end = end_of_motion(path[index], motion, exposure, config.fps)
-                yield self._cameras[index], state, end
+                yield self._cameras[index], state, along.end(index, exposure, config.fps)
 
         if self._renderer is None:
             self._renderer = self.make()

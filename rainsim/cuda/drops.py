@@ -317,7 +317,9 @@ class Impacts:
     """
 
     def __init__(self, field, surfaces, room, stream=0, slots=1):
-        self.stream, self._map = stream, surfaces
+        self.stream, self._map, self._listed = stream, surfaces, None
+        corner, (ny, nx) = np.array([*surfaces.origin, 0.0]), surfaces.shape
+        self._corners = corner, corner + np.array([nx, ny, 0.0]) * surfaces.spacing
         f8, i8, i4 = np.float64, np.int64, np.int32
         self.surfaces = sent_surfaces(surfaces, stream)
         self._no_point = cuda.to_device(np.zeros((0, 0), i4), stream)
@@ -347,21 +349,19 @@ class Impacts:
 
         Arguments as `rainsim.drops.impacts` has them.
         """
-        surfaces, duration = self._map, stop - start
-        corner = np.array([*surfaces.origin, 0.0])
-        ny, nx = surfaces.shape
-        opposite = corner + np.array([nx, ny, 0.0]) * surfaces.spacing
+        (corner, opposite), duration = self._corners, stop - start
         drift, offset = field.velocity * duration, field.velocity * start
         first, last = field.cube_range(
             corner - np.maximum(drift, 0.0) - offset, opposite - np.minimum(drift, 0.0) - offset
         )
-        columns = np.prod(np.maximum(last - first + 1, 0)[:, :2], axis=1)
-        columns *= field.spectrum.edges[1:] > smallest
+        sides = np.maximum(last - first + 1, 0)
+        columns = sides[:, 0] * sides[:, 1] * (field.spectrum.edges[1:] > smallest)
         self.settled.update(times=(start, stop), slot=slot)
-        self.now.update(
-            counts=np.concatenate([[0], np.cumsum(columns)]), first=first, last=last,
-            times=(start, stop), slot=slot, **field.arrays()._asdict(),
-        )  # fmt: skip
+        self.now.host["counts"][1:] = columns.cumsum()
+        self.now.update(first=first, last=last, times=(start, stop), slot=slot)
+        if field is not self._listed:
+            self._listed = field
+            self.now.update(**field.arrays()._asdict())
 
     def launch(self, stream=None):
         """Queue the listing, on another stream than its own if given."""

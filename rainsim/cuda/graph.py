@@ -6,9 +6,9 @@ recorded is fixed: values that change lie in pinned arrays, which recorded copie
 
 from __future__ import annotations
 
+from rainsim.cuda.driver import Event, checked, driver, handle_of
 from rainsim.cuda.frame_uniforms import recording
-from rainsim.cuda.jit import SIMULATED, cuda
-from rainsim.errors import BackendError
+from rainsim.cuda.jit import SIMULATED
 
 
 class Graph:
@@ -26,21 +26,18 @@ class Graph:
         self._queue, self._stream = queue, stream
         if SIMULATED:
             return
-        from cuda.bindings import driver
-
-        self._driver = driver
-        self._handle = driver.CUstream(stream.__cuda_stream__()[1])
+        self._handle = handle_of(stream)
         mode = driver.CUstreamCaptureMode.CU_STREAM_CAPTURE_MODE_RELAXED
         stream.synchronize()
-        self._checked(driver.cuStreamBeginCapture(self._handle, mode))
+        checked(driver.cuStreamBeginCapture(self._handle, mode))
         try:
             with recording() as self._sent:
                 queue()
         finally:
-            recorded = self._checked(driver.cuStreamEndCapture(self._handle))
-        self._run = self._checked(driver.cuGraphInstantiate(recorded, 0))
-        self._checked(driver.cuGraphDestroy(recorded))
-        self._done_before = cuda.event()
+            recorded = checked(driver.cuStreamEndCapture(self._handle))
+        self._run = checked(driver.cuGraphInstantiate(recorded, 0))
+        checked(driver.cuGraphDestroy(recorded))
+        self._done_before = Event()
         self._done_before.record(stream)
 
     def launch(self):
@@ -51,7 +48,7 @@ class Graph:
         self._done_before.synchronize()  # its copies may still read the pinned arrays
         for uniforms in self._sent:
             uniforms.commit()
-        self._checked(self._driver.cuGraphLaunch(self._run, self._handle))
+        checked(driver.cuGraphLaunch(self._run, self._handle))
         self._done_before.record(self._stream)
 
     def wait(self):
@@ -61,12 +58,4 @@ class Graph:
 
     def __del__(self):
         if hasattr(self, "_run"):
-            self._driver.cuGraphExecDestroy(self._run)
-
-    @staticmethod
-    def _checked(result):
-        """Return the values of a driver's call, or raise if it failed."""
-        code, *values = result
-        if int(code) != 0:
-            raise BackendError(f"the CUDA driver answered {code.name} to a recorded frame")
-        return values[0] if values else None
+            driver.cuGraphExecDestroy(self._run)

@@ -212,7 +212,7 @@ class Rasterizer:
         self.lens = self._now[project.LENS : project.PLANE]
         self._count = pinned(1, np.int32)
         self._total = cuda.device_array(1, np.int32)
-        self._size = None
+        self._size = self._asked = None
         self._capacity, self._first_room = 0, first_room
         self.recolors = True
         self._highest = self._pictures = 0  # entries, and pictures they were counted in
@@ -270,10 +270,14 @@ class Rasterizer:
             Columns and rows of which the camera's picture is the upper left part: pictures of
             changing size are one recorded queue.
         """
-        require_choice("depth", depth, ("expected", "median"))
         s, (width, height) = self.splats, room or (camera.width, camera.height)
-        self._bands = s.bands if degree is None else min(degree + 1, s.bands)
         self._take_numbers(camera, near, plane, room, detail)
+        kind = width, height, camera.orthographic, depth, compensate, degree, drop_last
+        if kind == self._asked and self._taken == self.workspace.version:
+            return
+        self._asked = kind
+        require_choice("depth", depth, ("expected", "median"))
+        self._bands = s.bands if degree is None else min(degree + 1, s.bands)
         tiles = -(-width // TILE) * -(-height // TILE)
         compensate = bool(compensate or s.compensate)
         self._kind = bool(camera.orthographic), compensate, depth == "median", bool(drop_last)
@@ -314,17 +318,16 @@ class Rasterizer:
         eye = camera.forward if camera.orthographic else camera.position
         numbers[project.EYE : project.EYE + 3] = eye
         fx, fy, cx, cy = camera.fx, camera.fy, camera.cx, camera.cy
-        numbers[project.LENS : project.LENS + 4] = fx, fy, cx, cy
         numbers[project.PLANE : project.PLANE + 4] = NO_PLANE if plane is None else plane
-        numbers[project.NEAR : project.NEAR + 4] = near, width, height, detail
         x, y = FRUSTUM_MARGIN * width, FRUSTUM_MARGIN * height
-        limits = (-cx - x) / fx, (width - cx + x) / fx, (-cy - y) / fy, (height - cy + y) / fy
-        numbers[project.LIMITS : project.LIMITS + 4] = limits
-        ahead = exact[:3] @ self.splats.centre + exact[3]
+        numbers[project.LENS : project.LENS + 4] = fx, fy, cx, cy
+        ahead = float(exact[:3] @ self.splats.centre + exact[3])
         far = max(ahead + self.splats.reach, 2 * near)
-        numbers[project.SCALE : project.SCALE + 5] = project.depth_scale(
-            near, far, _levels(*(room or (width, height)))
-        )
+        numbers[project.NEAR : project.SCALE + 5] = (
+            near, width, height, detail, (-cx - x) / fx, (width - cx + x) / fx, (-cy - y) / fy,
+            (height - cy + y) / fy,
+            *project.depth_scale(near, far, _levels(*(room or (width, height)))),
+        )  # fmt: skip
         return numbers
 
     def _bring_numbers(self):

@@ -20,6 +20,7 @@ import numpy as np
 
 from rainsim import simulation as host
 from rainsim.config.settings import mm_per_hour
+from rainsim.cuda.driver import Event
 from rainsim.cuda.graph import Graph
 from rainsim.cuda.grid import Water
 from rainsim.cuda.jit import cuda, pinned
@@ -156,8 +157,8 @@ class Simulation:
             )  # fmt: skip
         self._control = pinned(step_control.CONTROL, np.float64)
         self._obstacles = pinned(1, np.int64)
-        self._ready, self._listed, self._forked, self._joined = (cuda.event() for _ in range(4))
-        self._drawn = cuda.event(), cuda.event()  # with either page
+        self._ready, self._listed, self._forked, self._joined = (Event() for _ in range(4))
+        self._drawn = Event(), Event()  # with either page
         self._steps, self._lists = [None, None], None
         self._index = self._begun = self._complete = self._late = -1
         self._accounts = [None, None]

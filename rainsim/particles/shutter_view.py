@@ -72,7 +72,7 @@ def shutter_view(camera, time, exposure, camera_end=None, aperture=0.0, focus=np
         ],
         dtype=np.float64,
     )
-    planes /= np.linalg.norm(planes, axis=1, keepdims=True)
+    planes /= np.sqrt((planes * planes).sum(axis=1, keepdims=True))
     rotation, rotation_end = (
         np.ascontiguousarray(c.camera_from_world[:3, :3], np.float64) for c in (camera, camera_end)
     )
@@ -126,7 +126,7 @@ def seen_air(field, camera, view, far, camera_end=None, aperture=0.0, focus=np.i
         raise ParameterError(f"far has shape {far.shape}; it must be one number or ({CLASSES},)")
     for value in {float(far.min()), float(far.max())}:
         require_positive("far", value, "m")
-    far = np.broadcast_to(far, (CLASSES,))
+    far = np.full(CLASSES, far) if far.ndim == 0 else far
     low, high, slack = _view_boxes(
         camera, camera if camera_end is None else camera_end, far, aperture, focus
     )
@@ -142,19 +142,21 @@ def _view_boxes(camera, camera_end, far, aperture, focus):
 
     And `SeenAir.slack`.
     """
-    corners = np.array([[u, v] for u in (0.0, camera.width) for v in (0.0, camera.height)])
-    rays = np.zeros((5, 3))
-    rays[1:, :2] = (corners - [camera.cx, camera.cy]) / [camera.fx, camera.fy]
-    rays[1:, 2] = 1.0
-    worlds = [
-        far[:, None, None] * (rays @ c.camera_from_world[:3, :3]) + c.position
-        for c in (camera, camera_end)
-    ]  # rows times R is R transposed times columns: world_from_camera
-    both = np.concatenate(worlds, axis=1)
+    left, right = -camera.cx / camera.fx, (camera.width - camera.cx) / camera.fx
+    top, bottom = -camera.cy / camera.fy, (camera.height - camera.cy) / camera.fy
+    rays = np.array(
+        [[0, 0, 0], [left, top, 1], [left, bottom, 1], [right, top, 1], [right, bottom, 1]]
+    )
+    worlds = np.empty((len(far), 10, 3))
+    for c, world in ((camera, worlds[:, :5]), (camera_end, worlds[:, 5:])):
+        # Rows times R is R transposed times columns: world_from_camera.
+        np.multiply(far[:, None, None], rays @ c.camera_from_world[:3, :3], out=world)
+        world += c.position
     around = LARGEST + aperture * np.maximum(far / focus, 1.0)  # how far a drop's image reaches
-    slack = np.linalg.norm(worlds[0] - worlds[1], axis=2).max(axis=1) + around
+    apart = worlds[:, :5] - worlds[:, 5:]
+    slack = np.sqrt((apart * apart).sum(axis=2).max(axis=1)) + around
     around = around[:, None]
-    return both.min(axis=1) - around, both.max(axis=1) + around, slack
+    return worlds.min(axis=1) - around, worlds.max(axis=1) + around, slack
 
 
 def footprint(camera, reach, margin=0.0):

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 FASTEST = 60.0  # m/s; a camera that moves faster from frame to frame was cut to another place
+TURNS_AT_ONCE = 64  # frames
 FASTEST_TURN = 2 * np.pi  # rad/s; and one that turns faster
 
 
@@ -33,15 +33,10 @@ def shutter_end(cameras, index, exposure, fps):
     """
     if len(cameras) < 2:
         return None
-    return end_of_motion(cameras[index], motion_to_next(cameras, index), exposure, fps)
-
-
-def end_of_motion(camera, motion, exposure, fps):
-    """Return what `shutter_end` does, of a camera and its `motion_to_next`."""
-    move, turn = motion
-    if not (move.any() or turn.any()) or is_too_fast(motion, fps):
+    motion, share = motion_to_next(cameras, index), exposure * fps
+    if _is_still(motion) or is_too_fast(motion, fps):
         return None
-    return moved(camera, exposure * fps * move, exposure * fps * turn)
+    return moved(cameras[index], share * motion[0], share * motion[1])
 
 
 def is_too_fast(motion, fps):
@@ -64,12 +59,58 @@ def next_camera(camera, camera_end, share):
     return moved(camera, move / share, turn / share)
 
 
+class PathMotion:
+    """How a camera moves from frame to frame.
+
+    Parameters
+    ----------
+    cameras : sequence of Camera
+        One per frame, in the ground frame, in metres; one alone stands still.
+
+    Attributes
+    ----------
+    moves, turns : ndarray of shape (n, 3), float64
+        See `motions`.
+    """
+
+    def __init__(self, cameras):
+        self._cameras = cameras
+        self.moves, self.turns = motions(cameras)
+        self._share, self._kept = None, {}
+
+    def end(self, index, exposure, fps):
+        """Return what `shutter_end` does of a frame.
+
+        The turns of many frames are computed at once: one by one they would take 0.1 ms of each.
+        """
+        motion, share = (self.moves[index], self.turns[index]), exposure * fps
+        if _is_still(motion) or is_too_fast(motion, fps):
+            return None
+        if share != self._share:
+            self._share, self._kept = share, {}
+        block, place = divmod(index, TURNS_AT_ONCE)
+        if block not in self._kept:
+            turns = self.turns[block * TURNS_AT_ONCE : (block + 1) * TURNS_AT_ONCE]
+            self._kept = {block: Rotation.from_rotvec(share * turns).as_matrix()}
+        return _posed(self._cameras[index], share * motion[0], self._kept[block][place])
+
+
+def _is_still(motion):
+    move, turn = motion
+    return not (move.any() or turn.any())
+
+
 def moved(camera, move, turn):
     """Return a camera at another place: its position plus `move`, turned by the vector `turn`."""
+    return _posed(camera, move, Rotation.from_rotvec(turn).as_matrix())
+
+
+def _posed(camera, move, turn):
+    """Return a camera moved by `move` and turned by a matrix (3, 3)."""
     matrix = np.eye(4)
-    matrix[:3, :3] = Rotation.from_rotvec(turn).as_matrix() @ camera.camera_from_world[:3, :3]
+    matrix[:3, :3] = turn @ camera.camera_from_world[:3, :3]
     matrix[:3, 3] = -matrix[:3, :3] @ (camera.position + move)
-    return replace(camera, camera_from_world=matrix)
+    return camera.posed(matrix)
 
 
 def motion_of(cameras, index, fps):

@@ -152,7 +152,7 @@ class WetScene:
         self.notes.append(about_albedo)
         dull = DULL_EXPOSURE * config.render.daylight
         self.day = day_sky(config.render, zenith_radiance(self.albedo, dull))
-        self.look = self.off_ground = None
+        self.look = self.off_ground = self._now = None
         self.set_time(config.at(0.0))
         place = config.render.surroundings
         eye = self.frame.to_ground(first_camera.position if place is None else np.array(place))
@@ -165,6 +165,9 @@ class WetScene:
 
     def set_time(self, now):
         """Take over the settings of a time; return whether they change what cameras see."""
+        if now is self._now:  # as all frames have it without keyframes
+            return False
+        self._now = now
         look = look_of(now, self.sky_distance, self.backdrop.count > 0, self.albedo, self._relit)
         off_ground = wetness.off_ground_wetness(now)
         if look == self.look and off_ground == self.off_ground:

@@ -395,10 +395,11 @@ def mirrored_camera(camera, frame, level):
     up = frame.up
     height = (level - frame.translation[2]) / frame.meters_per_unit  # along up, capture units
     flip = np.eye(4)
-    flip[:3, :3] -= 2 * np.outer(up, up)
+    flip[:3, :3] -= 2 * (up[:, None] * up)
     flip[:3, 3] = 2 * height * up
-    plane = np.append(up, height + MIRROR_CLEARANCE / frame.meters_per_unit)
-    return plane, replace(camera, camera_from_world=camera.camera_from_world @ flip)
+    plane = np.empty(4)
+    plane[:3], plane[3] = up, height + MIRROR_CLEARANCE / frame.meters_per_unit
+    return plane, camera.posed(camera.camera_from_world @ flip)
 
 
 def cropped(camera, window):

@@ -113,6 +113,13 @@ class Camera:
         """Unit direction of image-up in world coordinates."""
         return -self.camera_from_world[1, :3]
 
+    def posed(self, camera_from_world):
+        """Return the camera with another pose, a matrix (4, 4)."""
+        return Camera(  # in a tenth of the time that `dataclasses.replace` takes
+            self.width, self.height, self.fx, self.fy, self.cx, self.cy, camera_from_world,
+            self.name, self.orthographic,
+        )  # fmt: skip
+
     def resized(self, width, height):
         """Return the camera with the picture scaled to `width` x `height` px.
 
@@ -202,7 +209,9 @@ def _with_pose(camera, rotation, position, scale):
     matrix = np.eye(4)
     matrix[:3, :3] = rotation
     matrix[:3, 3] = -rotation @ position
-    zoom = 1 / scale if camera.orthographic else 1.0  # pixels per unit of length
+    if not camera.orthographic:
+        return camera.posed(matrix)
+    zoom = 1 / scale  # pixels per unit of length
     return replace(camera, camera_from_world=matrix, fx=camera.fx * zoom, fy=camera.fy * zoom)
 
 

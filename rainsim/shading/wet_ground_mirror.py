@@ -120,7 +120,7 @@ def level_camera(view, most=RESOLUTION):
     turn = view.camera_from_world[:3, :3].T
     u, v = _EDGES[0] * view.width, _EDGES[1] * view.height
     x, y = (u - view.cx) / view.fx, (v - view.cy) / view.fy
-    eastward, northward, upward = (m[0] * x + m[1] * y + m[2] for m in turn)
+    eastward, northward, upward = turn[:, :1] * x + turn[:, 1:2] * y + turn[:, 2:]
     e, n, _ = view.camera_from_world[2, :3]
     if math.hypot(e, n) < 1e-3:  # straight down: any direction
         e, n = -turn[0, 1], -turn[1, 1]

@@ -15,6 +15,7 @@ import numpy as np
 
 from rainsim.constants import ONE, TWO, ZERO
 from rainsim.cuda.drops import BLOCKS, arrays_of, class_of, sent_surfaces
+from rainsim.cuda.driver import Event
 from rainsim.cuda.frame_uniforms import FrameUniforms
 from rainsim.cuda.jit import SIMULATED, cuda, cuda_kernel
 from rainsim.cuda.particles.line_raster import TILE, read_depth, resolve
@@ -338,6 +339,7 @@ class Streaks:
 
     def __init__(self, field, surfaces, width, height, depth, stream=0):
         self.stream, self.size, self._depth = stream, (width, height), depth
+        self._listed = self._per_cube = None
         self._surfaces = sent_surfaces(surfaces, stream)
         f4, f8, i8 = np.float32, np.float64, np.int64
         names = {
@@ -348,7 +350,7 @@ class Streaks:
             "planes": ((4, 3), f4), "far": ((CLASSES,), f4), "slack": ((CLASSES,), f8),
             "sought": ((1,), np.int32), "many": ((1,), np.int32),
         }  # fmt: skip
-        self.now, self.sent = FrameUniforms(stream, names | arrays_of(field)), cuda.event()
+        self.now, self.sent = FrameUniforms(stream, names | arrays_of(field)), Event()
         tiles = 2, -(-height // DEPTH_TILE), -(-width // DEPTH_TILE)
         self.alpha = cuda.device_array((height, width), np.float32, stream=stream)
         self.columns = cuda.device_array(width * height, np.float32, stream=stream)
@@ -372,8 +374,12 @@ class Streaks:
         moving = camera_end, aperture, focus
         view = shutter_view(camera, time, exposure, *moving)
         air = seen_air(field, camera, view, far, *moving)
-        cubes = np.prod(np.maximum(air.last - air.first + 1, 0), axis=1) * (air.far > NEAR)
-        drops = float((cubes * field.listed.density * field.cube**3).sum())
+        sides = np.maximum(air.last - air.first + 1, 0)
+        cubes = sides[:, 0] * sides[:, 1] * sides[:, 2] * (air.far > NEAR)
+        if field is not self._listed:
+            self._listed, self._per_cube = field, field.listed.density * field.cube**3
+            self.now.update(**field.arrays()._asdict())
+        drops = float(cubes @ self._per_cube)
         wanted = drops + 6 * math.sqrt(drops)
         if wanted > MOST_ROOM:
             raise ParameterError(
@@ -382,9 +388,9 @@ class Streaks:
             )
         while self.room < wanted:
             self._make_room(2 * self.room)
-        values = view._asdict() | air._asdict() | field.arrays()._asdict()
-        times = values.pop("time"), values.pop("exposure")
-        self.now.update(counts=np.concatenate([[0], np.cumsum(cubes)]), times=times, **values)
+        self.now.host["counts"][1:] = cubes.cumsum()
+        values = view._asdict() | air._asdict()
+        self.now.update(times=(values.pop("time"), values.pop("exposure")), **values)
 
     def _make_room(self, drops):
         """Allocate the lists of drops in view; what was recorded with the old ones is stale."""

@@ -23,7 +23,7 @@ from rainsim.numerics.mipmap import COARSEST, coarse_shape, mean_of_four, top_of
 from rainsim.reflection.mirror_choice import LEAST_SHARE, LEVEL_STEP, LEVEL_STEPS, MOST_MIRRORS
 from rainsim.reflection.water_pass import WINDOW_SLOPE, WINDOW_STEP
 from rainsim.scene.cameras import mirrored_camera
-from rainsim.scene.view import pixel_ray, view_from, view_of
+from rainsim.scene.view import pixel_ray, view_from
 from rainsim.splatting.project import FRUSTUM_MARGIN
 
 BINS = 4096  # of LEVEL_STEP: 8 m of water heights
@@ -393,19 +393,21 @@ class Mirrors:
         """Take over the camera that is mirrored in a `WetScene`, and the `mirror_step`."""
         if not self.most:
             return
-        largest, tables = largest_window(camera), []
-        for level in (0.0, 1.0):
-            plane, mirrored = mirrored_camera(camera, scene.frame, level)
-            mirrored = replace(mirrored, width=largest[1], height=largest[0])
-            options = {"plane": plane, "detail": scene.merge}
-            tables.append(self.renderer.rasterizer.numbers_of(mirrored, scene.near, **options))
+        frame, largest = scene.frame, largest_window(camera)
+        plane, mirrored = mirrored_camera(camera, frame, 0.0)
+        mirrored = replace(mirrored, width=largest[1], height=largest[0])
+        turn, up = mirrored.camera_from_world[:3, :3], frame.rotation[2]
         numbers = self._now.host["camera"]
-        numbers[0] = tables[0]
-        numbers[1] = tables[1] - tables[0]
-        numbers[1, project.SCALE :] = 0
-        mirror_view = view_of(scene.frame.camera_in_ground(mirrored))
+        numbers[0] = self.renderer.rasterizer.numbers_of(
+            mirrored, scene.near, plane=plane, detail=scene.merge
+        )
+        # A metre higher the mirrored camera is two metres higher, and the plane one.
+        more = 1.0 / frame.meters_per_unit
+        numbers[1, project.VIEW + 3 : project.EYE : 4] = turn @ (-2 * more * up)
+        numbers[1, project.EYE : project.EYE + 3] = 0 if camera.orthographic else 2 * more * up
+        numbers[1, project.PLANE + 3] = more
         self._now.host["step"][0] = step
-        self._now.host["turn"][...] = mirror_view.ground_from_camera
+        self._now.host["turn"][...] = frame.rotation @ turn.T
         self._mirrored = mirrored, scene.near, plane
         if self.passes and (self._size != largest or len(self.picture) != self.passes):
             self._allocate(*largest)

@@ -11,6 +11,7 @@ import math
 
 import numpy as np
 
+from rainsim.cuda.driver import Event, copy_to_host
 from rainsim.cuda.frame_uniforms import FrameUniforms
 from rainsim.cuda.jit import cuda, pinned
 from rainsim.cuda.particles.drop_radiance import DropLight
@@ -76,7 +77,7 @@ class DeviceFrame:
         self.wet_scene, self.terrain = host.wet_scene, host.terrain
         self.rasterizer, self.wet_ground = self.wet_scene.rasterizer, host.wet_ground
         self._beside = [cuda.stream() for _ in range(2)]
-        self._forked, self._joined, self._found_tall = (cuda.event() for _ in range(3))
+        self._forked, self._joined, self._found_tall = (Event() for _ in range(3))
         grid, scene = self.terrain.grid, self.wet_scene
         self.place = to_device(np.array(grid.origin, np.float32)), np.float32(grid.spacing)
         self._bed, self._rings = to_device(self.terrain.bed), to_device(host.rings)
@@ -101,7 +102,7 @@ class DeviceFrame:
         self.drop_light = DropLight(self)
         self.streaks = self.splashes = self.size = self.uniforms = self._moments = None
         self.pending = []
-        self._fog_of = None, NO_FOG
+        self._fog_of = None, NO_FOG, None
         self._own_impacts = self._own_drips = None
 
     # ---- what a frame shows
@@ -159,7 +160,11 @@ class DeviceFrame:
     def _update_drops(self, field, state, camera_end):
         """Update streaks and splashes; return the fog of the drops that are not drawn."""
         host, render = self.host, self.host.now.render
-        reach = streak_reach(field, host.view, render.exposure, render.streak_far)
+        key = field, host.view.fx, host.view.fy, render.exposure, render.streak_far
+        if key != self._fog_of[0]:
+            reach = streak_reach(field, host.view, render.exposure, render.streak_far)
+            self._fog_of = key, fog_table(field, reach), reach
+        _, fog, reach = self._fog_of
         self.streaks.update(
             field, host.view, state.time, render.exposure, reach, camera_end, render.aperture,
             render.focus,
@@ -176,10 +181,7 @@ class DeviceFrame:
             recent = self._own_impacts if simulation is None else simulation.impacts
             self.splashes = Splashes(self.streaks, recent, self.surface.depth)
         self.splashes.update(field, WET_FILM * self.wet_scene.paving)
-        key = field, host.view.fx, host.view.fy, render.exposure, render.streak_far
-        if key != self._fog_of[0]:
-            self._fog_of = key, fog_table(field, reach)
-        return self._fog_of[1]
+        return fog
 
     def _take_state(self, state):
         """List the copies of the water and its ripples to the device, unless they are there."""
@@ -463,7 +465,7 @@ class DeviceFrame:
 
     def copy_image(self, image_out, stream=None):
         """Queue the copy of the 8-bit picture to the host."""
-        self._image.copy_to_host(image_out, stream=self.stream if stream is None else stream)
+        copy_to_host(self._image, image_out, self.stream if stream is None else stream)
 
     def rain_cover(self):
         """Return the `RainCover` of the finished frame, on the host."""

@@ -15,6 +15,7 @@ from functools import partial
 
 import numpy as np
 
+from rainsim.cuda.driver import Event
 from rainsim.cuda.graph import Graph
 from rainsim.cuda.jit import cuda, pinned
 from rainsim.cuda.render.device_frame import chain, simulation_of
@@ -62,7 +63,7 @@ class FrameQueue:
     def __init__(self, frame):
         self.frame, self.stream = frame, frame.stream
         self._copier, self._shore = cuda.stream(), cuda.stream()
-        self._composed, self._copied, self._surfaced = (cuda.event() for _ in range(3))
+        self._composed, self._copied, self._surfaced = (Event() for _ in range(3))
         self._recorded_for = None  # what the recorded queues depended on
         self._dry = self._still = self._last = None  # recorded queues
         self._wet, self._surfaces = {}, {}  # recorded, by the page of the simulation they show
@@ -154,9 +155,9 @@ class FrameQueue:
     def _is_still(self):
         """Return whether the picture without water is there: a still camera's, of the same look."""
         kept, new = self._kept, self._flight
-        if kept is None or self._is_stale():
+        if kept is None or kept.shot[0] is not new.shot[0] or kept.look != new.look:
             return False
-        return kept.shot[0] is new.shot[0] and kept.look == new.look
+        return not self._is_stale()
 
     def _is_stale(self):
         """Return whether the recorded queues no longer fit."""

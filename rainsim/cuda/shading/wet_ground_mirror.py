@@ -12,6 +12,7 @@ import math
 import numpy as np
 
 from rainsim.constants import ONE, ZERO
+from rainsim.cuda.driver import Event
 from rainsim.cuda.frame_uniforms import FrameUniforms
 from rainsim.cuda.jit import cuda, cuda_device, cuda_kernel
 from rainsim.cuda.raster import Rasterizer
@@ -152,7 +153,7 @@ class WetGroundLight:
     def __init__(self, frame):
         self.frame, self.wet_ground = frame, frame.wet_ground
         self.apart, self.rasterizers = self.wet_ground.apart, []
-        self.stream, self._forked, self._done = cuda.stream(), cuda.event(), cuda.event()
+        self.stream, self._forked, self._done = cuda.stream(), Event(), Event()
         self._room = None
         if not self.apart:
             return
