@@ -25,8 +25,8 @@ def checked(result):
 
 
 def handle_of(stream):
-    """Return the driver's handle of a numba stream."""
-    return driver.CUstream(stream.__cuda_stream__()[1])
+    """Return the driver's handle of a numba stream; 0: the default one."""
+    return driver.CUstream(0 if stream == 0 else stream.__cuda_stream__()[1])
 
 
 class Event:

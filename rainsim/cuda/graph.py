@@ -59,3 +59,13 @@ class Graph:
     def __del__(self):
         if hasattr(self, "_run"):
             driver.cuGraphExecDestroy(self._run)
+
+
+def chain(parts):
+    """Return a function that calls all of `parts`."""
+
+    def queue():
+        for part in parts:
+            part()
+
+    return queue

@@ -84,8 +84,6 @@ class DeviceSplats:
             span[:, 1] = np.inf
         self.span = cuda.to_device(np.ascontiguousarray(span, np.float32))
         self.around = cuda.to_device(np.ascontiguousarray(around, np.float32))
-        self.record = cuda.device_array(self.chunks * LANES * project.RECORD, np.float32)
-        self.seen = cuda.device_array(self.chunks, np.bool_)
 
     def send_colors(self, prepared):
         """Send the harmonics of `prepared`; the device must draw nothing meanwhile."""
@@ -124,7 +122,9 @@ def _clean(geometry):
 
 
 class Workspace:
-    """Lists and pictures that rasterizers of one stream share: each is done before the next begins.
+    """What rasterizers of one stream share: each is done before the next begins.
+
+    Projected splats, lists and pictures.
 
     Attributes
     ----------
@@ -136,6 +136,24 @@ class Workspace:
         self.version = 0
         self._lists, self._memory, self._pictures = (), None, ()
         self._entries = self._bytes = self._pixels = 0
+        self._chunks, self._records = -1, ()
+
+    def records(self, chunks):
+        """Return room for the projected splats of so many chunks and for which chunks are seen."""
+        if chunks > self._chunks:
+            self._chunks, self._records = chunks, ()
+            self._records = (
+                cuda.device_array(chunks * LANES * project.RECORD, np.float32),
+                cuda.device_array(chunks, np.bool_),
+            )
+            self.version += 1
+        return self._records
+
+    @property
+    def size(self):
+        """Bytes that it takes."""
+        arrays = *self._lists, *self._pictures, *self._records
+        return self._bytes + sum(array.nbytes for array in arrays)
 
     def lists(self, count):
         """Return keys, values and what they are sorted to: device arrays of `count` entries."""
@@ -253,8 +271,8 @@ class Rasterizer:
     def _take_chunks(self, leading):
         """Draw all splats, or only those that were not prepared to come last."""
         s = self.splats
-        chunks = s.leading if leading else s.chunks
-        self._box, self._seen = s.box[:chunks], s.seen[:chunks]
+        chunks = int(s.leading if leading else s.chunks)
+        self._chunks, self._box = chunks, s.box[:chunks]
 
     def update(
         self, camera, near, plane=None, depth="expected", compensate=False, degree=None,
@@ -299,6 +317,7 @@ class Rasterizer:
             self._capacity
         )
         self.layers = self.workspace.pictures(self._size[0] * self._size[1])
+        self._record, self._seen = self.workspace.records(self.splats.chunks)
         self._sorter = None if SIMULATED else _Sorter(
             self._key, self._value, self._key_sorted, self._value_sorted, self.stream,
             self.workspace,
@@ -336,42 +355,42 @@ class Rasterizer:
     def launch(self):
         """Queue the picture: copies and kernels only, so that a graph can record it."""
         self.take()
-        s, stream = self.splats, self.stream
+        s, stream, chunks = self.splats, self.stream, self._chunks
+        record, seen = self._record, self._seen[:chunks]
         width, height = self._size
         flat, compensate, median, drop = self._kind
         across = -(-width // TILE)
         now, key, value = self._now, self._key, self._value
         self._bring_numbers()
-        chunks = len(self._seen)
         blocks = max(1, min(-(-max(len(self._key), chunks) // THREADS), 2048))
         blocks = max(blocks, -(-chunks // THREADS))
         project.start[blocks, THREADS, stream](
             self._box, s.span, s.around, now[: project.EYE].reshape(3, 4),
             now[project.LENS : project.PLANE], self.size, now[project.NEAR : project.LIMITS],
-            now[project.PLANE : project.NEAR], flat, self._seen, key, self._range, self._total,
+            now[project.PLANE : project.NEAR], flat, seen, key, self._range, self._total,
         )  # fmt: skip
         if chunks:
             lister = project.list_kernel(self.plain)
             lister[chunks, THREADS, stream](
-                s.geometry, s.sh, s.seen, now, flat, compensate, self._bands, s.groups, across,
-                self._levels, s.record, key, value, self._total,
+                s.geometry, s.sh, seen, now, flat, compensate, self._bands, s.groups, across,
+                self._levels, record, key, value, self._total,
             )  # fmt: skip
         key, value = self._sort(key, value)
         tiles = len(self._range) // 2
         begin, end = self._range[:tiles], self._range[tiles:]
         project.find_ranges[-(-len(key) // THREADS), THREADS, stream](
-            self._total, self._levels, key, value, s.record, begin, end
+            self._total, self._levels, key, value, record, begin, end
         )
         out = self.layers
         pictures = out.color, out.alpha, out.depth, out.plane_depth, out.normal
         if self.plain:
             blend.blend_pixel_by_pixel[
                 (-(-width // TILE), -(-height // TILE)), (TILE, TILE), stream
-            ](value, begin, end, s.record, now, width, height, flat, median, drop, *pictures)
+            ](value, begin, end, record, now, width, height, flat, median, drop, *pictures)
         else:
             kernel = blend.BLEND_SQUARES[median, drop]
             kernel[tiles, 32 * blend.WARPS, stream](
-                value, begin, end, s.record, now, width, height, flat, across,
+                value, begin, end, record, now, width, height, flat, across,
                 np.float32(1 / across), *pictures,
             )  # fmt: skip
         self._total.copy_to_host(self._count, stream=stream)

@@ -4,6 +4,7 @@ from source import PACKAGE, arguments_of, functions_in, is_compiled
 
 # Files that only the device needs, each with its reason.
 CUDA_ONLY = {
+    "driver.py",  # events of streams, without numba's wrappers
     "frame_uniforms.py",  # numbers of a frame that a recorded queue reads
     "graph.py",  # recorded queues
     "rain/impact_history.py",  # hits of the last frames, which the CPU computes again

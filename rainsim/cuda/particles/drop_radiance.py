@@ -41,8 +41,8 @@ class DropLight:
         frame = self._frame
         now, stream = frame.uniforms, frame.stream if stream is None else stream
         fill_field[GRID[0] * GRID[1], _RAYS, stream](
-            frame.gloss, now["around"], now["turn"], now["lens"], frame.rasterizer.size,
-            self.drops, self.sheets,
+            frame.gloss, now["around"], now["turn"], now["lens"], now["size"], self.drops,
+            self.sheets,
         )  # fmt: skip
 
 

@@ -14,8 +14,8 @@ from typing import NamedTuple
 import numpy as np
 
 from rainsim.constants import ONE, TWO, ZERO
-from rainsim.cuda.drops import BLOCKS, arrays_of, class_of, sent_surfaces
 from rainsim.cuda.driver import Event
+from rainsim.cuda.drops import BLOCKS, arrays_of, class_of, sent_surfaces
 from rainsim.cuda.frame_uniforms import FrameUniforms
 from rainsim.cuda.jit import SIMULATED, cuda, cuda_kernel
 from rainsim.cuda.particles.line_raster import TILE, read_depth, resolve

@@ -14,28 +14,31 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rainsim.constants import ZERO
+from rainsim.cuda import free_memory
+from rainsim.cuda.driver import Event
 from rainsim.cuda.frame_uniforms import FrameUniforms
 from rainsim.cuda.jit import cuda, cuda_device, cuda_kernel, pinned
 from rainsim.cuda.raster import Rasterizer
+from rainsim.cuda.reflection.mirror_choice import (
+    BINS,
+    COUNT_ROWS,
+    THREADS,
+    UNUSED,
+    choose_levels,
+    clear_counts,
+    count_heights,
+)
 from rainsim.cuda.splatting import project
 from rainsim.numerics.mipmap import COARSEST, coarse_shape, mean_of_four, top_of
-from rainsim.reflection.mirror_choice import LEAST_SHARE, LEVEL_STEP, LEVEL_STEPS, MOST_MIRRORS
+from rainsim.reflection.mirror_choice import LEVEL_STEP, MOST_MIRRORS
 from rainsim.reflection.water_pass import WINDOW_SLOPE, WINDOW_STEP
 from rainsim.scene.cameras import mirrored_camera
-from rainsim.scene.view import pixel_ray, view_from
 from rainsim.splatting.project import FRUSTUM_MARGIN
 
-BINS = 4096  # of LEVEL_STEP: 8 m of water heights
-EDGES = BINS + 1
-THREADS = 256
-OWN_BINS = BINS // THREADS  # of a thread
 SQUARE_CELLS = 1 << (COARSEST - 1)  # of half the resolution in one of the coarsest
-COUNT_ROWS = 8  # that a block of threads counts
-NONE = 1 << 30  # first column of water where there is none
 TWICE_SLOPE = 2 * WINDOW_SLOPE
 MARGIN = float(FRUSTUM_MARGIN)
-UNUSED = 1e30  # distance of a plane that cuts everything away
+SPARED = 0.1  # of the free memory that a pass may take to be drawn beside others
 
 
 class MirrorArrays(NamedTuple):
@@ -58,155 +61,6 @@ def mirror_of(mirror_range, z):
         if z >= mirror_range[k, 1] and z < mirror_range[k, 2]:
             return k
     return -1
-
-
-@cuda_kernel
-def clear_counts(count, extent):
-    """Set all counts to zero and the water's extent to none."""
-    i = cuda.grid(1)
-    if i < count.size:
-        count[i] = 0
-    if i < 2:
-        extent[i] = NONE
-    elif i < 4:
-        extent[i] = -1
-
-
-@cuda_kernel
-def count_heights(hit, coverage, camera, first_bin, count_out, extent_out):
-    """Count the pixels that show water of each height and find the rectangle that holds them.
-
-    A block of THREADS threads takes COUNT_ROWS rows of as many columns; its counts are added up in
-    shared memory, and each thread adds runs of equal heights at once: level water is one bin.
-
-    camera : CameraArrays
-    extent_out : ndarray of shape (4,), int32
-        First column and row, last column and row.
-    """
-    bins = cuda.shared.array(BINS, np.int32)
-    tid = cuda.threadIdx.x
-    for k in range(tid, BINS, THREADS):
-        bins[k] = 0
-    cuda.syncthreads()
-    height, width = coverage.shape
-    column = cuda.blockIdx.x * THREADS + tid
-    first = cuda.blockIdx.y * COUNT_ROWS
-    view = view_from(camera)
-    upper, lower, run, at = height, -1, 0, 0
-    if column < width:
-        for row in range(first, min(first + COUNT_ROWS, height)):
-            if coverage[row, column] == ZERO or hit[row, column] < ZERO:  # on a sloping top
-                continue
-            z = view.eye[2] + hit[row, column] * pixel_ray(view, row, column)[2]
-            place = np.int64(math.floor(np.float64(z) / LEVEL_STEP)) - first_bin
-            place = min(max(place, 0), BINS - 1)
-            if place != at:
-                if run > 0:
-                    cuda.atomic.add(bins, at, run)
-                run, at = 0, place
-            run += 1
-            upper, lower = min(upper, row), row
-        if run > 0:
-            cuda.atomic.add(bins, at, run)
-            cuda.atomic.min(extent_out, 0, column)
-            cuda.atomic.min(extent_out, 1, upper)
-            cuda.atomic.max(extent_out, 2, column)
-            cuda.atomic.max(extent_out, 3, lower)
-    cuda.syncthreads()
-    for k in range(tid, BINS, THREADS):
-        if bins[k] > 0:
-            cuda.atomic.add(count_out, k, bins[k])
-
-
-# long: one block of threads, whose steps share its memory and wait for one another
-@cuda_kernel
-def choose_levels(count, first_bin, most, everywhere, served_out, wanted_out):
-    """Choose mirrors as `mirror_levels` does; one block of THREADS threads.
-
-    served_out : ndarray of shape (most, 3), float64 [m]
-        Level, lowest height served and the height from which on not; inverted if not wanted.
-    wanted_out : ndarray of shape (1,), int32
-        Number of mirrors.
-    """
-    # Counts up to a bin, its own excluded; then sums of runs of bins, or what to reduce.
-    before = cuda.shared.array(EDGES, np.int32)
-    sums = cuda.shared.array(THREADS, np.int32)
-    places = cuda.shared.array(THREADS, np.int32)  # a line each: the simulator knows them by it
-    tid = cuda.threadIdx.x
-    first = tid * OWN_BINS
-    wanted, left, total, lowest = 0, 0, 0, 0
-    for mirror in range(most):
-        own = 0
-        for k in range(first, first + OWN_BINS):
-            own += count[k]
-        sums[tid] = own
-        cuda.syncthreads()
-        reach = 1
-        while reach < THREADS:  # inclusive sums over threads
-            other = sums[tid - reach] if tid >= reach else 0
-            cuda.syncthreads()
-            sums[tid] += other
-            cuda.syncthreads()
-            reach *= 2
-        running = sums[tid] - own
-        for k in range(first, first + OWN_BINS):
-            before[k] = running
-            running += count[k]
-        if tid == THREADS - 1:
-            before[BINS] = running
-        cuda.syncthreads()
-        if mirror == 0:
-            left = total = before[BINS]
-            low, high = 0, BINS  # the lowest bin that is not empty, by bisection
-            while low < high:
-                middle = (low + high) // 2
-                if before[middle + 1] > 0:
-                    high = middle
-                else:
-                    low = middle + 1
-            lowest = low
-        best, at = -1, BINS
-        for k in range(max(first, lowest), first + OWN_BINS):
-            inside = before[min(k + LEVEL_STEPS, BINS)] - before[k]
-            if inside > best:
-                best, at = inside, k
-        sums[tid], places[tid] = best, at
-        cuda.syncthreads()
-        half = THREADS // 2
-        while half > 0:
-            if tid < half:
-                better = sums[tid + half] > sums[tid]
-                better |= sums[tid + half] == sums[tid] and places[tid + half] < places[tid]
-                if better:
-                    sums[tid], places[tid] = sums[tid + half], places[tid + half]
-            cuda.syncthreads()
-            half //= 2
-        best, at = sums[0], places[0]
-        enough = total > 0 and left >= LEAST_SHARE * total and best >= LEAST_SHARE * total
-        enough = enough and wanted == mirror
-        if tid == 0:
-            served_out[mirror, 0] = 0.0
-            served_out[mirror, 1], served_out[mirror, 2] = UNUSED, -UNUSED
-            if enough:
-                middle = at
-                while 2 * (before[middle + 1] - before[at]) < best:
-                    middle += 1
-                served_out[mirror, 0] = (first_bin + middle + 0.5) * LEVEL_STEP
-                served_out[mirror, 1] = -UNUSED if everywhere else (first_bin + at) * LEVEL_STEP
-                top = (first_bin + at + LEVEL_STEPS) * LEVEL_STEP
-                served_out[mirror, 2] = UNUSED if everywhere else top
-        if enough:
-            if at + tid < min(at + LEVEL_STEPS, BINS):
-                count[at + tid] = 0
-            wanted += 1
-            left -= best
-        elif wanted == mirror:  # no other will be wanted
-            for k in range(mirror + 1 + tid, most, THREADS):
-                served_out[k, 0], served_out[k, 1], served_out[k, 2] = 0.0, UNUSED, -UNUSED
-            break
-        cuda.syncthreads()
-    if tid == 0:
-        wanted_out[0] = wanted
 
 
 @cuda_device
@@ -325,6 +179,26 @@ class _MirroredRasterizer(Rasterizer):
         self._aim(self._now)
 
 
+class MirrorPass(NamedTuple):
+    """A mirrored picture's rasterizer and what it does not share with others.
+
+    Attributes
+    ----------
+    rasterizer : Rasterizer
+    stream : numba.cuda.stream
+        That all of its work is queued on.
+    eye : device array of shape (3,), float32 [m]
+        The mirrored camera's place.
+    done : Event
+        When the picture is finished.
+    """
+
+    rasterizer: object
+    stream: object
+    eye: object
+    done: object
+
+
 class Mirrors:
     """The wet capture as cameras mirrored at the levels of the water see it.
 
@@ -366,10 +240,10 @@ class Mirrors:
             "step": ((1,), np.float64),
         })  # fmt: skip
         self._numbers, self._turn = self._now["camera"], self._now["turn"]
-        self._eye = cuda.device_array(3, np.float32)
+        self._forked = Event()
         self._extent = cuda.device_array(4, np.int32)
         self.window = cuda.to_device(np.array([1, 1, 0, 0, 1, 1], np.float32))
-        self.rasterizers = []
+        self._each = []  # `MirrorPass`
         self.room_for(1, 1)
 
     def room_for(self, height, width):
@@ -386,8 +260,8 @@ class Mirrors:
         self.picture = cuda.device_array((passes, rows, columns, 3), np.float32)
         self.coarse = cuda.device_array((passes, *coarse_shape(rows, columns)), np.float32)
         self.depth = cuda.device_array((passes, rows, columns), np.float32)
-        self._clearance = cuda.device_array((rows, columns), np.float32)
-        self._no_film = self._clearance[:0]
+        self._clearance = cuda.device_array((passes, rows, columns), np.float32)
+        self._no_film = self._clearance[0, :0]
 
     def update(self, camera, scene, step):
         """Take over the camera that is mirrored in a `WetScene`, and the `mirror_step`."""
@@ -415,6 +289,17 @@ class Mirrors:
             rasterizer.update(*self._mirrored)
 
     @property
+    def rasterizers(self):
+        """Those of all passes."""
+        return [each.rasterizer for each in self._each]
+
+    @property
+    def apart(self):
+        """Whether the passes share no memory with the picture itself, so may be drawn beside it."""
+        own = self.renderer.rasterizer.workspace
+        return all(rasterizer.workspace is not own for rasterizer in self.rasterizers)
+
+    @property
     def arrays(self):
         """The pictures as kernels take them."""
         return MirrorArrays(
@@ -431,13 +316,7 @@ class Mirrors:
         lacking = False
         wanted = min(int(self._wanted_seen[0]), self.most)
         while self.passes < wanted:
-            own = self.renderer.rasterizer
-            rasterizer = _MirroredRasterizer(
-                own.splats, self.stream, workspace=own.workspace, first_room=own.entries,
-                leading=True,
-            )  # fmt: skip
-            rasterizer.aim_by(self._aim(self.passes))
-            self.rasterizers.append(rasterizer)
+            self._each.append(self._new_pass())
             self.passes += 1
             lacking = True
         if lacking:
@@ -456,11 +335,25 @@ class Mirrors:
             if rasterizer.count_picture() or rasterizer.is_tight():
                 rasterizer.make_room()
 
-    def _aim(self, mirror):
+    def _new_pass(self):
+        """Return one more pass: beside the others, with memory of its own, if there is plenty."""
+        own, stream = self.renderer.rasterizer, self.stream
+        roomy = own.workspace.size < SPARED * free_memory()
+        if roomy and self._each:
+            stream = cuda.stream()
+        rasterizer = _MirroredRasterizer(
+            own.splats, stream, workspace=None if roomy else own.workspace,
+            first_room=own.entries, leading=True,
+        )  # fmt: skip
+        eye = cuda.device_array(3, np.float32)
+        rasterizer.aim_by(self._aim(self.passes, stream, eye))
+        return MirrorPass(rasterizer, stream, eye, Event())
+
+    def _aim(self, mirror, stream, eye):
         def queue(now):
-            aim[1, 64, self.stream](
+            aim[1, 64, stream](
                 self._served, mirror, self._numbers, self._now["step"],
-                self.renderer.uniforms["eye"], self._extent, now, self._eye, self.range, self.window
+                self.renderer.uniforms["eye"], self._extent, now, eye, self.range, self.window
             )  # fmt: skip
 
         return queue
@@ -480,16 +373,24 @@ class Mirrors:
         )  # fmt: skip
         self._wanted.copy_to_host(self._wanted_seen, stream=self.stream)
         self._now.send()
-        for mirror, rasterizer in enumerate(self.rasterizers):
+        self._forked.record(self.stream)
+        for mirror, (rasterizer, stream, eye, done) in enumerate(self._each):
+            if stream is not self.stream:
+                self._forked.wait(stream)
             rasterizer.launch()
             self.renderer.grade(
-                rasterizer, self._size, self._turn, self._eye, self.picture[mirror],
-                self.depth[mirror], self._clearance, self._no_film, self.stream,
+                rasterizer, self._size, self._turn, eye, self.picture[mirror],
+                self.depth[mirror], self._clearance[mirror], self._no_film, stream,
             )  # fmt: skip
             rows, columns = (-(-side // (2 * SQUARE_CELLS)) for side in self._size)
-            coarsen[(columns, rows), THREADS, self.stream](
+            coarsen[(columns, rows), THREADS, stream](
                 self.window, self.picture[mirror], self.coarse[mirror]
             )
+            if stream is not self.stream:
+                done.record(stream)
+        for each in self._each:
+            if each.stream is not self.stream:
+                each.done.wait(self.stream)
 
 
 def largest_window(camera):

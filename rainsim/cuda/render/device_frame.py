@@ -13,6 +13,7 @@ import numpy as np
 
 from rainsim.cuda.driver import Event, copy_to_host
 from rainsim.cuda.frame_uniforms import FrameUniforms
+from rainsim.cuda.graph import chain
 from rainsim.cuda.jit import cuda, pinned
 from rainsim.cuda.particles.drop_radiance import DropLight
 from rainsim.cuda.particles.splash_pass import Splashes
@@ -76,6 +77,7 @@ class DeviceFrame:
         self.host, self.stream = host, stream
         self.wet_scene, self.terrain = host.wet_scene, host.terrain
         self.rasterizer, self.wet_ground = self.wet_scene.rasterizer, host.wet_ground
+        self.ahead = self.rasterizer.stream
         self._beside = [cuda.stream() for _ in range(2)]
         self._forked, self._joined, self._found_tall = (Event() for _ in range(3))
         grid, scene = self.terrain.grid, self.wet_scene
@@ -101,8 +103,7 @@ class DeviceFrame:
         self.ground_light = WetGroundLight(self)
         self.drop_light = DropLight(self)
         self.streaks = self.splashes = self.size = self.uniforms = self._moments = None
-        self.pending = []
-        self._fog_of = None, NO_FOG, None
+        self.pending, self._fog_of = [], (None, NO_FOG, None)
         self._own_impacts = self._own_drips = None
 
     # ---- what a frame shows
@@ -235,13 +236,13 @@ class DeviceFrame:
             "off_ground": ((len(OffGroundWetness._fields),), f4),
             "brightness": ((1,), f4), "fog": ((FOG_STEPS + 3,), f4),
             "sun": ((6,), f4), "air": ((3,), f4), "settings": ((3,), f4), "cover": ((2,), f4),
-            "around": ((3,), f4),
+            "around": ((3,), f4), "size": ((2,), f4),
             "tops": ((max(len(self._tops.form), 1), 2), f4),
         })  # fmt: skip
         stride = max(1.0, host.water.stride * width)
         self.uniforms.update(
             settings=(host.water.thickness, stride, water_pass.REFLECTION_LENGTH),
-            cover=COVERING_DEPTHS,
+            cover=COVERING_DEPTHS, size=(width, height),
         )  # fmt: skip
         self.streaks = self.splashes = None
         self._lines = pinned(1, np.int32)
@@ -264,15 +265,12 @@ class DeviceFrame:
 
     def grow(self):
         """Make room where the finished frame's water and rain lacked it; return whether any did."""
-        mirrors, splashes = self.mirrors.grow(), self._grow_splashes()
-        return mirrors or splashes
+        return any([self.mirrors.grow(), self._grow_splashes()])  # both
 
     def grow_dry(self):
         """Make room where what needs no water lacked it; return whether any did."""
         full = [splats for splats in self.dry_rasterizers() if splats.overflows()]
-        for splats in full:
-            splats.make_room()
-        return bool(full)
+        return bool([splats.make_room() for splats in full])
 
     def _grow_splashes(self):
         if self.streaks is None:
@@ -280,10 +278,9 @@ class DeviceFrame:
         if self._own_impacts is not None:
             self._own_impacts.check()
         lines = int(self._lines[0])
-        if lines <= len(self.splashes.lines):
-            return False
-        self.splashes.make_room(2 * lines)
-        return True
+        if full := lines > len(self.splashes.lines):
+            self.splashes.make_room(2 * lines)
+        return full
 
     def dependencies(self):
         """Return what a recorded queue depends on: when it changes, the queue is recorded again."""
@@ -296,11 +293,15 @@ class DeviceFrame:
 
     # ---- parts
 
-    def dry_parts(self):
-        """Return the parts that need no water, each a function that queues it."""
-        light = self.ground_light
-        return [self.uniforms.send, light.draw, self.rasterizer.launch, self._grade,
-                self._add_ground_light]  # fmt: skip
+    def splat(self):
+        """Queue the splatting of the picture and of the level picture, on the stream `ahead`."""
+        self.ground_light.splat(self.ahead)
+        self.rasterizer.launch()
+        self.ground_light.join(self.ahead)
+
+    def graded_parts(self):
+        """Return the parts that need splatted pictures and no water, each a function."""
+        return [self.uniforms.send, self.ground_light.draw, self._grade, self._add_ground_light]
 
     def wet_parts(self):
         """Return the parts that need the water, each a function that queues it."""
@@ -313,9 +314,8 @@ class DeviceFrame:
 
     def stages(self):
         """Return the parts that need no water, and all others, for timing one after the other."""
-        light = self.ground_light
-        dry = [p for p in self.dry_parts() if p not in (light.draw, self._add_ground_light)]
-        if light.apart:
+        dry = [self.uniforms.send, self._splat, self._grade]
+        if self.ground_light.apart:
             dry.append(self._ground_light)
         rain = []
         if self.streaks is not None:
@@ -380,8 +380,16 @@ class DeviceFrame:
             self.clearance, self._cover, self.stream, mirrored=False,
         )  # fmt: skip
 
+    def _splat(self):
+        """Queue the splatting in line with the frame's stream."""
+        self._forked.record(self.stream)
+        self._forked.wait(self.ahead)
+        self.splat()
+        self._joined.record(self.ahead)
+        self._joined.wait(self.stream)
+
     def _ground_light(self):
-        """Queue all of the wet-ground mirror, which in use lies beside other parts."""
+        """Queue the wet-ground mirror, which in use lies beside other parts."""
         self.ground_light.draw()
         self._add_ground_light()
 
@@ -489,13 +497,3 @@ def to_device(array):
 def simulation_of(state):
     """Return the simulation whose water is on the device, or None."""
     return getattr(state, "simulation", None)
-
-
-def chain(parts):
-    """Return a function that calls all of `parts`."""
-
-    def queue():
-        for part in parts:
-            part()
-
-    return queue

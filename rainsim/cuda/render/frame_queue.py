@@ -16,9 +16,9 @@ from functools import partial
 import numpy as np
 
 from rainsim.cuda.driver import Event
-from rainsim.cuda.graph import Graph
+from rainsim.cuda.graph import Graph, chain
 from rainsim.cuda.jit import cuda, pinned
-from rainsim.cuda.render.device_frame import chain, simulation_of
+from rainsim.cuda.render.device_frame import simulation_of
 
 MOST_TRIES = 8  # of a frame for which there was too little room
 
@@ -64,8 +64,9 @@ class FrameQueue:
         self.frame, self.stream = frame, frame.stream
         self._copier, self._shore = cuda.stream(), cuda.stream()
         self._composed, self._copied, self._surfaced = (Event() for _ in range(3))
+        self._splatted, self._graded = Event(), Event()
         self._recorded_for = None  # what the recorded queues depended on
-        self._dry = self._still = self._last = None  # recorded queues
+        self._splats = self._dry = self._still = self._last = None  # recorded queues
         self._wet, self._surfaces = {}, {}  # recorded, by the page of the simulation they show
         self._next = self._flight = self.done = None
         self._kept = None  # the flight whose picture without water is on the device
@@ -167,17 +168,34 @@ class FrameQueue:
         """Queue what needs no water, of a `still` camera the uniforms only."""
         if self._is_stale():
             self._recorded_for, self._dry, self._wet = self.frame.dependencies(), None, {}
+        frame, ahead = self.frame, self.frame.ahead
         if self._dry is None:
-            dry = chain(self.frame.dry_parts())
-            dry()  # compiles, and allocates what only then is known
-            self.stream.synchronize()
-            self._dry = Graph(self.stream, dry)
-            self._still = Graph(self.stream, self.frame.uniforms.send)
+            self._record_dry()
         if self._last is not None:
             self._last.wait()  # its pinned arrays may still be read
         self._last = self._still if still else self._dry
+        if not still:
+            self._graded.wait(ahead)  # the frame before is made of what is splatted until then
+            if not frame.mirrors.apart:
+                self._composed.wait(ahead)
+            self._splats.launch()
+            self._splatted.record(ahead)
+            self._splatted.wait(self.stream)
         self._last.launch()
+        self._graded.record(self.stream)
         self._kept = self._flight
+
+    def _record_dry(self):
+        """Record the queues of what needs no water."""
+        frame, graded = self.frame, chain(self.frame.graded_parts())
+        self.stream.synchronize()
+        frame.splat()  # compiles, and allocates what only then is known
+        frame.ahead.synchronize()
+        graded()
+        self.stream.synchronize()
+        self._splats = Graph(frame.ahead, frame.splat)
+        self._dry = Graph(self.stream, graded)
+        self._still = Graph(self.stream, frame.uniforms.send)
 
     def _launch_surface(self):
         """Queue the surface of the water of the frame that has begun, beside its splatting."""

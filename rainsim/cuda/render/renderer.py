@@ -25,7 +25,7 @@ from rainsim.scene.actors import require_no_actors
 from rainsim.scene.pages import require_whole
 
 STAGES = {  # names of the functions that queue them: those of the CPU where there is one
-    "FrameUniforms.send": "numbers", "Rasterizer.launch": "splat",
+    "FrameUniforms.send": "numbers", "DeviceFrame._splat": "splat",
     "DeviceFrame._grade": "grade and wet", "DeviceFrame._ground_light": "film",
     "Streaks.launch": "streaks", "WaterSurface.launch": "water surface",
     "DeviceFrame._keep_tall": "find tall", "DropLight.launch": "light of drops",
@@ -54,14 +54,14 @@ class Renderer:
         _require_known(config.render)
         require_no_actors(scene.actors, "backend cuda", "take backend cpu")
         require_whole(scene, "backend cuda", "take backend cpu")
-        self.stream = cuda.stream()
+        self.stream, self._ahead = cuda.stream(), cuda.stream()
         self.host = host.Renderer(scene, terrain, config, first_camera, self._rasterizer_of)
         self.frame = DeviceFrame(self.host, self.stream)
         self.queue = FrameQueue(self.frame)
         self._aovs = AovReader(self.frame)
 
     def _rasterizer_of(self, prepared):
-        return Rasterizer(DeviceSplats(prepared), self.stream)
+        return Rasterizer(DeviceSplats(prepared), self._ahead)
 
     def draw(self, camera, state, camera_end=None, names=()):
         """Return the picture (height, width, 3) uint8 that a camera takes, and its report.

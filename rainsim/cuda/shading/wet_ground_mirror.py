@@ -235,15 +235,30 @@ class WetGroundLight:
             return ()
         return self._step, self._room, *(rasterizer.queue for rasterizer in self.rasterizers)
 
+    def splat(self, stream):
+        """Queue the splatting of the level picture, beside what a stream does next."""
+        if self.rasterizers:
+            self._forked.record(stream)
+            self._forked.wait(self.stream)
+            self.rasterizers[0].launch()
+            self._done.record(self.stream)
+
+    def join(self, stream):
+        """Let a stream wait for what `splat` has queued."""
+        if self.rasterizers:
+            self._done.wait(stream)
+
     def draw(self):
-        """Queue the level picture and the field, beside what the frame's stream does next."""
+        """Queue the graded level picture and the field, beside what the frame's stream does next.
+
+        Its splats are drawn.
+        """
         if not self.apart:
             return
         self._forked.record(self.frame.stream)
         self._forked.wait(self.stream)
         self._uniforms.send()
         for rasterizer in self.rasterizers:
-            rasterizer.launch()
             self._grade(rasterizer)
         self._fill()
         self._done.record(self.stream)
