@@ -1,10 +1,11 @@
 """The order in which frames are queued: what the host prepares, what overlaps, what is repeated.
 
-A frame has three recorded queues. The first needs no water; that of the next frame begins as soon
-as the device has drawn this frame's, before the host knows whether there was room for all. Beside
-it lies the second, the water's surface, which waits for the simulation's step; the device takes
-that step while it draws the frame before. The third needs both. The picture goes to the host while
-the next frame is drawn.
+A frame has four recorded queues. The first splats; where there is memory for it, that of the next
+frame lies beside the water of this one. The second grades what was splatted; that of the next frame
+begins as soon as the device has drawn this frame's, before the host knows whether there was room
+for all. Beside it lies the third, the water's surface, which waits for the simulation's step; the
+device takes that step while it draws the frame before. The fourth needs both. The picture goes to
+the host while the next frame is drawn.
 """
 
 from __future__ import annotations
@@ -109,6 +110,8 @@ class FrameQueue:
                 self.draw(shot)
                 yield report()
                 continue
+            if (simulation := simulation_of(shot[1])) is not None:
+                simulation.begin(shot[1].index)  # the host prepares the frame meanwhile
             self._update(shot)
             early = before is not None and self._may_overlap()
             if early:
