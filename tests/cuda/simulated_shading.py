@@ -295,12 +295,11 @@ def test_light_of_drops_is_the_cpus():
     lens, size = np.array([90, 100, 60, 40], np.float32), np.array([120, 80], np.float32)
     wanted = np.stack(drop_radiance.falling_light(around, mean, turn, lens, 120, 80))
     assert wanted.std() > 0.01 and np.abs(wanted[0] - wanted[1]).max() > 0.01
-    uniforms = {"around": mean, "turn": turn, "lens": lens}
+    uniforms = {"around": mean, "turn": turn, "lens": lens, "size": size}
     drops = cuda_drops.DropLight(
         SimpleNamespace(
             uniforms={name: cuda.to_device(value) for name, value in uniforms.items()},
             gloss=cuda.to_device(around), stream=0,
-            rasterizer=SimpleNamespace(size=cuda.to_device(size)),
         )
     )  # fmt: skip
     for field in (drops.drops, drops.sheets):
