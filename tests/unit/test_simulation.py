@@ -40,8 +40,8 @@ def bowl():
     return np.maximum(-0.02 * (1 - (x * x + y * y) / 0.36), -0.02).clip(max=0)
 
 
-def states(terrain_, config, count):
-    run = simulation.simulate(terrain_, config)
+def states(terrain_, config, count, dtype=np.float32):
+    run = simulation.simulate(terrain_, config, dtype=dtype)
     return [next(run) for _ in range(count)]
 
 

@@ -157,28 +157,27 @@ def test_the_sheet_is_nusselts():
     assert thick == pytest.approx(2 * thin) and 0.1e-3 < thin < 1e-3
 
 
-def exact_states(made, settings, count):
-    """States whose ledger closes to the rounding of float64."""
-    run = simulate(made, settings, dtype=np.float64)
-    return [next(run) for _ in range(count)]
-
-
-def test_rain_fills_a_table_then_runs_off_and_the_ledger_closes():
+@pytest.mark.parametrize("dtype, least", [
+    pytest.param(np.float64, 1e-9, marks=pytest.mark.slow), (np.float32, 1e-6),
+])  # fmt: skip
+def test_rain_fills_a_table_then_runs_off_and_the_ledger_closes(dtype, least):
     made = with_table(hollow=5e-3)
     rain = mm_per_hour(900.0)
-    run = exact_states(made, config(rate=rain, fps=2.0, frames=20), 20)
+    run = states(made, config(rate=rain, fps=2.0, frames=20), 20, dtype)
     volume = np.array([state.top_water[0] for state in run])
-    assert all(abs(state.ledger["residual"]) < 1e-9 for state in run)
+    assert all(abs(state.ledger["residual"]) < least for state in run)
     capacity = TopWater(made).capacity[0]
     # The warm-up's second of rain is on it; drops that hit its sides are its too.
     grown = volume[4] - volume[0]
     assert grown == pytest.approx(rain * run[4].time * 1.0, rel=0.25) and grown > 0.1 * capacity
-    assert (np.diff(volume) >= -1e-12).all() and volume[-1] == pytest.approx(capacity, rel=0.01)
+    assert (np.diff(volume) >= -least / 1000).all() and volume[-1] == pytest.approx(
+        capacity, rel=0.01
+    )
     # Full, it gives on what it gets; what hangs at its edges falls in drops, not all at once.
     held = [state.ledger["obstacles"] for state in run]
     assert held[-1] - held[-4] < 0.5 * (held[4] - held[1])
     # Without tops the rain is at the ground earlier.
-    off = exact_states(made, config(rate=rain, fps=2.0, frames=5, tops="off"), 5)
+    off = states(made, config(rate=rain, fps=2.0, frames=5, tops="off"), 5, dtype)
     assert off[-1].ledger["obstacles"] < run[4].ledger["obstacles"] - 0.5 * volume[4]
     assert len(off[-1].top_water) == 0
 
