@@ -34,8 +34,9 @@ from rainsim.daylight.shade import NO_EDGES, EdgeShade, edge_shade, factor_in_sh
 from rainsim.daylight.sun import LEAST_SCORE, find_sun, places_of, seen_from
 from rainsim.daylight.surface import covariances, luminance, surface_of
 from rainsim.daylight.surroundings import USUAL_ALBEDO, patches_of, sent_in
-from rainsim.daylight.visibility import Window, resized, solids_of
+from rainsim.daylight.visibility import Window, resized, solids_of, with_plane
 from rainsim.jit import get_num_threads
+from rainsim.numerics.blocks import in_blocks
 
 SOUGHT = 600_000  # splats at most in which a sun is sought; more tell no more of it
 SIDE = 1024  # px of the maps of the sky's light
@@ -51,7 +52,8 @@ SURE = 0.5  # confidence from which on the sun is divided out
 # Values that raise the confidence from 0 to 1: sun over sky on level ground, share of pairs that
 # are brighter where the sun shines, and the score of the search.
 OVER_SKY, AGREE, SCORE = (0.15, 0.6), (0.6, 0.85), (LEAST_SCORE, 0.2)
-PAINT_REACH, PAINT_COUNT, LEAST_PAINT = 0.35, 16, 4  # m; splats that a splat's paint is taken from
+PAINT_REACH, PAINT_COUNT, LEAST_PAINT = 3.0, 16, 4  # m; splats that a splat's paint is taken from
+SAME_TINT = 0.35  # logarithm of the ratio of two channels, by which splats of one paint differ
 SHADED_SUNLIT = 0.12, 0.9  # shares by colour that count as none and all: paint varies
 STAYS = "the light stays as captured"
 
@@ -114,7 +116,7 @@ def find_relight(scene, sky_distance, sun=None, white=USUAL_ALBEDO):
     measured = SunRatio(np.zeros(3), 0, 0.0)
     if score > LEAST_SCORE:
         sent = sent_in(surface, patches, white)
-        measured = measure(places, solids, near, direction, sent)
+        measured = measure(places, solids, with_plane(solids, surface), near, direction, sent)
     confidence = _confidence(measured, score, direction)
     facts = direction, tuple(map(float, measured.ratio)), confidence
     if confidence < SURE:
@@ -128,7 +130,8 @@ def find_relight(scene, sky_distance, sun=None, white=USUAL_ALBEDO):
     windows = near, Window(near.middle, SIDE, np.float32(2 * FAR_HALF / SIDE))
     light = received(surface, solids, windows, direction, sent)
     lit = sunlit(surface, solids, windows, direction)
-    lit = by_color(surface, lit, light, direction, measured.ratio)
+    plane, _ = sunlit(surface, with_plane(solids, surface), windows, direction)
+    lit = by_color(surface, lit, plane, light, direction, measured.ratio)
     gain = np.ones((len(scene.splats), 3), np.float16)
     found = gains(surface, light, lit, direction, measured, light.around)
     later = sent_in(surface, patches, white, found)
@@ -188,13 +191,15 @@ def _unit(azimuth, elevation):
     return np.array([flat * math.cos(azimuth), flat * math.sin(azimuth), math.sin(elevation)])
 
 
-def measure(places, solids, window, direction, sent):
+def measure(places, solids, plane, window, direction, sent):
     """Return the `SunRatio` from pairs of places on both sides of the edges of shadows.
 
     Parameters
     ----------
     places : Places
-    solids : Solids
+    solids, plane : Solids
+        All, and those `with_plane`: between the leaves of a crown the sun reaches places that maps
+        have in its shade, so these count only where there are no others.
     window : Window
     direction : ndarray of shape (3,)
         Unit, towards the sun.
@@ -207,6 +212,9 @@ def measure(places, solids, window, direction, sent):
     swap = seen[first] < seen[second]
     lit, shaded = np.where(swap, second, first), np.where(swap, first, second)
     fit = (seen[lit] > 0.98) & (seen[shaded] < 0.02) & (np.minimum(*cosine[[lit, shaded]]) > 0.1)
+    firm = fit & (seen_from(places, plane, window, direction[None], 2 * SIDE)[shaded, 0] == 0)
+    if firm.sum() >= LEAST_PAIRS:
+        fit = firm
     lit, shaded = lit[fit], shaded[fit]
     which, back = np.unique(np.concatenate([lit, shaded]), return_inverse=True)
     position, normal = places.position[which], places.normal[which]
@@ -274,29 +282,35 @@ def _note(direction, measured, confidence, given):
     )
 
 
-def by_color(surface, lit, light, direction, ratio):
-    """Return the sunlit share of each splat, near the edges of shadows by its own brightness.
+def by_color(surface, lit, plane, light, direction, ratio):
+    """Return the sunlit share of each splat, by its own brightness where maps are not sure of it.
 
-    A splat's paint is that of splats around whose state is sure. Where its light lies between what
-    they would have in shade and in the sun is its sunlit share.
+    They are not near the edges of shadows, nor below a crown, whose gaps no capture holds as they
+    were. A splat's paint is that of splats around whose state is sure. Where its light lies between
+    what they would have in shade and in the sun is its sunlit share.
 
     Parameters
     ----------
     surface : Surface
     lit : tuple of two ndarray of shape (n,), float32
         See `sunlit`.
+    plane : ndarray of shape (n,), float32
+        The first of them, if only what has a plane stopped light.
     light : Light
     direction, ratio : ndarray of shape (3,)
     """
     shares, about = lit[0].copy(), lit[1]
-    cosine, sun = facing(surface, direction), float(luminance(ratio[None])[0])
+    cosine = facing(surface, direction)
     plain = (surface.flat > 0.3) & (cosine > 0.1)
     sure = (np.abs(shares - about) < 1e-4) & ((shares == 0) | (shares == 1))
+    sure &= (shares == 1) | (plane == 0)
     band, sure = np.flatnonzero(plain & ~sure), np.flatnonzero(plain & sure)
     if not len(band) or len(sure) < PAINT_COUNT:
         return shares
-    shade, bright = luminance(shade_of(light, direction, ratio)), luminance(surface.light)
-    paint = bright[sure] / (shade[sure] + shares[sure] * sun * cosine[sure])
+    shade = shade_of(light, direction, ratio)
+    lamp = (cosine[:, None] * ratio).astype(np.float32)
+    color = np.maximum(surface.light, 1e-4)
+    paint = np.log(color[sure] / (shade[sure] + shares[sure, None] * lamp[sure]))
     tree = cKDTree(surface.position[sure], compact_nodes=False, balanced_tree=False)
     away, near = tree.query(
         surface.position[band], k=PAINT_COUNT, distance_upper_bound=PAINT_REACH,
@@ -304,12 +318,23 @@ def by_color(surface, lit, light, direction, ratio):
     )  # fmt: skip
     known = np.isfinite(away)
     near = np.where(known, near, 0)
-    alike = np.einsum("ijk,ik->ij", surface.normal[sure][near], surface.normal[band]) > 0.85
-    weight = (known & alike).astype(np.float32)
-    count = weight.sum(axis=1)
-    tone = (weight * np.log(np.maximum(paint, 1e-4))[near]).sum(axis=1) / np.maximum(count, 1)
-    share = (bright[band] / np.exp(tone) - shade[band]) / (sun * cosine[band])
-    enough = count >= LEAST_PAINT
+    known &= np.einsum("ijk,ik->ij", surface.normal[sure][near], surface.normal[band]) > 0.85
+    share, enough = np.zeros(len(band), np.float32), np.zeros(len(band), bool)
+
+    def work(part):
+        own = band[part]
+        painted = np.exp(paint[near[part]])
+        found = luminance(color[own])[:, None] - luminance(painted * shade[own, None])
+        found /= luminance(painted * lamp[own, None])
+        # Where the colour cannot come about by sun and shade on the paint, it is another paint.
+        between = shade[own, None] + np.clip(found, 0, 1)[..., None] * lamp[own, None]
+        left = np.log(color[own, None] / (painted * between))
+        alike = known[part] & (np.abs(left[..., :2] - left[..., 1:]) < SAME_TINT).all(axis=2)
+        count = alike.sum(axis=1)
+        share[part] = (alike * found).sum(axis=1) / np.maximum(count, 1)
+        enough[part] = count >= LEAST_PAINT
+
+    in_blocks(work, len(band))
     low, high = SHADED_SUNLIT
     shares[band[enough]] = np.clip((share - low) / (high - low), 0, 1)[enough]
     # Paint varies from splat to splat; the median keeps the edge where it is.

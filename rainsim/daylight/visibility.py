@@ -49,13 +49,23 @@ def resized(window, side):
 
 def solids_of(position, covariance, opacity):
     """Return the `Solids` among splats of the ground frame."""
-    solid = opacity > STOPS * 1.02
+    solid = _is_solid(opacity)
     solid &= np.isfinite(position).all(axis=1) & np.isfinite(covariance).all(axis=1)
     reach = 2 * np.log(opacity[solid] / STOPS)
     return Solids(
         np.ascontiguousarray(position[solid], np.float32),
         np.ascontiguousarray(covariance[solid], np.float32), reach.astype(np.float32),
     )  # fmt: skip
+
+
+def _is_solid(opacity):
+    return opacity > STOPS * 1.02
+
+
+def with_plane(solids, surface):
+    """Return the solids of a `Surface` that lie in a plane with those around: no leaves."""
+    which = surface.flat[_is_solid(surface.weight)] > HALF
+    return Solids(*(values[which] for values in solids))
 
 
 def coarsened(solids, cell):
