@@ -66,7 +66,8 @@ def test_full_cases_lean(make, cells, bound):
 def test_lake_stays_at_rest(scheme, dtype):
     record = measure(cases.lake(200), scheme, dtype=dtype)
     assert record["max_speed"] == 0.0
-    assert record["error"] == 0.0
+    rounding = 0.0 if dtype == np.float64 else 0.5 * np.finfo(dtype).eps
+    assert record["error"] <= rounding  # the depths as they were given: float64
 
 
 def test_still_tiles_sleep_and_moving_water_wakes_them():
