@@ -9,6 +9,8 @@ import bisect
 from collections import deque
 from dataclasses import replace
 
+import numpy as np
+
 from rainsim.backend import free_device_memory, on_backend
 from rainsim.errors import BackendError, ParameterError
 from rainsim.io import cache
@@ -173,24 +175,25 @@ class FrameSequence:
                 if tell is not None and self._steps <= moment(indices[0]):
                     tell("simulate", self._steps, moment(indices[0]))
             state = _shown_at(self._state, index)
-            yield state if self._ground is None else widened(state, *self._window[1:])
+            yield state if self._ground is None else widened(state, *self._window)
 
     def _go_to(self, station, moment):
         """Have the water of a station at hand, at a state no later than the number `moment`."""
         if station == self._station and moment >= self._steps - 1:
             return
         if station != self._station:
-            self._window = self._state = self._water = None  # memory for the next
+            self._window = self._begin = self._state = self._water = None  # memory for the next
+            self._renderer.leave_ground()
             around = self._ground.around(self.scene, station)
             number, beyond = station.start(self.config), self._ground.about(around.grid)
             begin = steady_water(around, self.config, number, beyond)
             part = with_movers(part_of(around, station.window), self.scene)
-            self._window = part, station.window, begin
+            self._begin = part, begin.within(station.window)
+            self._window = station.window, begin.depth.astype(np.float32)
             self._station = station
-            self._renderer.take_ground(with_movers(around, self.scene))
-        part, place, begin = self._window
-        self._water = simulate(part, self.config, begin=begin.within(place))
-        self._steps = begin.number
+            self._renderer.take_ground(with_movers(around, self.scene), begin.exposure)
+        part, begin = self._begin
+        self._water, self._steps = simulate(part, self.config, begin=begin), begin.number
 
 
 def _shown_at(state, index):
@@ -355,9 +358,13 @@ class SequenceRenderer:
                 report = without_flow(report)
             yield picture, replace(report, notes=(*notes, *report.notes))
 
-    def take_ground(self, terrain):
+    def leave_ground(self):
+        """Let go of a part of the ground before the next is made, see `Renderer.leave_ground`."""
+        self._renderer.leave_ground()
+
+    def take_ground(self, terrain, reach):
         """Draw the water of another part of the ground from now on, see `Renderer.take_ground`."""
-        self._renderer.take_ground(terrain)
+        self._renderer.take_ground(terrain, reach)
 
     def make(self):
         """Return the backend's renderer for these frames."""

@@ -20,7 +20,7 @@ from rainsim.io.arrays import TEXT, Field, read_arrays, write_arrays
 from rainsim.io.files import json_number, parsed_json
 from rainsim.ledger import SUPPLY, WHEREABOUTS
 from rainsim.rain.dripping import DRIP_COLUMNS
-from rainsim.rain.exposure import rain_exposure
+from rainsim.rain.exposure import computed_exposure, rain_exposure
 from rainsim.rain.moving_surfaces import MovingSurfaces
 from rainsim.rain.tyres import AT, COLUMNS, NO_THROWS, column
 from rainsim.shading.wetness import evaporation_rate
@@ -124,30 +124,31 @@ def steady_water(terrain, config, number, beyond=None):
     now, fallen = config.at(time), Weather(config).fallen(time)
 
     def still(ground):
-        exposure = rain_exposure(ground, usual_wind(config), config.rain.roughness)
-        return initial_water(ground, now, exposure, fallen), now.rain.rate * exposure
+        exposure = computed_exposure(ground, usual_wind(config), config.rain.roughness)
+        return exposure, initial_water(ground, now, exposure, fallen), now.rain.rate * exposure
 
-    (depth, notes), rain = still(terrain)
+    exposure, (depth, notes), rain = still(terrain)
     inflow = ()
     if beyond is not None and now.rain.rate > 0:
-        (standing, _), coarse = still(beyond)
+        _, (standing, _), coarse = still(beyond)
         inflow = run_in(run_off(beyond, standing, coarse), beyond.grid, terrain.grid)
-    return Begin(number, *with_streams(terrain, depth, rain, inflow), notes)
+    return Begin(number, *with_streams(terrain, depth, rain, inflow), notes, exposure)
 
 
-def widened(state, window, begin):
-    """Return the state of a window over all that lies around it, where the water stays as it was.
+def widened(state, window, begun):
+    """Return the state of a window over all that lies around it, where the water stands still.
 
     Parameters
     ----------
     state : SimState
     window : tuple of slice
         Rows and columns of the window.
-    begin : Begin
-        Of the window and what lies around it.
+    begun : ndarray of shape (ny, nx), float32 [m]
+        Depth at the start, in the window and around it.
     """
-    depth, velocity = begin.depth.astype(np.float32), begin.velocity.copy()
+    depth = begun.copy()
     depth[window] = state.depth
+    velocity = np.zeros((2, *depth.shape), np.float32)
     velocity[(slice(None), *window)] = state.velocity
     tracks = state.tracks
     if tracks.size:
@@ -237,7 +238,7 @@ def simulate(terrain, config, progress=None, dtype=np.float32, begin=None):
     start, weather = config.at(begun), Weather(config)
     wind = usual_wind(config), config.rain.roughness
     moving = MovingSurfaces(terrain, *wind)
-    surfaces, exposure = moving.still, rain_exposure(terrain, *wind)
+    surfaces, exposure = moving.still, begin.exposure if begin else rain_exposure(terrain, *wind)
     whole = _area(terrain, exposure)
     puddle_growth = past_rain_growth(terrain, config, exposure, begun)
     level_change = level_changes(terrain, config)

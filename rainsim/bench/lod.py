@@ -2,8 +2,8 @@
 
 The built-in street's middle is repeated along its length and cut into chunks at several levels of
 detail. Rainy frames at some places are compared with the same frames of all splats, over the
-threshold that decides how fine each part is drawn. A drive from end to end shows whether time and
-memory stay as they are.
+threshold that decides how fine each part is drawn. Stretches of a drive show whether time and
+memory stay as they are along the way. The ground is that of windows along the path.
 """
 
 from __future__ import annotations
@@ -22,12 +22,13 @@ from rainsim.config.settings import Config
 from rainsim.jit import set_threads
 from rainsim.lod.cut import cut
 from rainsim.render.renderer import Renderer
-from rainsim.render.shutter import shutter_end
 from rainsim.scene.actors import joined
 from rainsim.scene.big import open_pages
 from rainsim.scene.cameras import resize_to
 from rainsim.scene.library import load_scene
 from rainsim.scene.types import Scene
+from rainsim.simulation import simulate, steady_water, widened
+from rainsim.terrain.path_ground import part_of
 
 PRESET = "moderate"
 MIDDLE = 0.0, 16.0  # m of the built-in street that are repeated: where it is densest
@@ -35,14 +36,16 @@ WIDE = 15.0  # m to either side
 SKY = 100.0  # m from the middle from where on splats are sky
 LENGTH = {False: 200.0, True: 40.0}  # m
 DETAILS = {False: (0.35, 0.5, 0.7, 1.0, 1.5, 2.0, 4.0), True: (1.0, 8.0)}  # px
-PLACES = {False: 4, True: 1}  # along the street, two frames each
+PLACES = {False: 3, True: 1}  # along the street, two frames each
 WIDTH = {False: 648, True: 96}  # px
-SPEED, FPS = 10.0, 2.0  # m/s, 1/s: of the drive that shows time and memory
-NEXT = 1 / 24  # s from a frame to the next at a place
-SPACING, EXTENT = {False: 0.05, True: 0.2}, {False: 12.0, True: 4.0}  # m, of the map
+SPEED, FPS = 10.0, 24.0  # m/s, 1/s: of the drive
+NEXT = 1 / FPS  # s from a frame to the next
+APART = 5.0  # m between the cameras that the capture is said to have
+SPACING = {False: 0.02, True: 0.1}  # m, of the windows' cells
+STRETCHES, BEFORE, STRETCH = {False: 4, True: 1}, 2, 8  # of the drive; their frames
 AWAY = 4.0  # m from either end of the street that the drive keeps
 AHEAD = 4  # frames
-FRAMES = {False: 9, True: 3}  # of a short drive at a place, NEXT apart
+FRAMES = {False: 5, True: 3}  # of a short drive at a place, NEXT apart
 EVERYTHING = 64e9  # bytes: full detail is drawn whatever it takes
 
 
@@ -74,17 +77,24 @@ def run(quick=False, say=None, length=None, folder=None):
             say(f"cut: {facts['splats']} splats in {facts['seconds']:.0f} s")
         scene = long_street(folder, length)
         facts |= {"splats": scene.count, "length": length, "bytes": _bytes(folder)}
+        path = drive(scene, length, WIDTH[quick])
         config = Config.from_preset(PRESET).replace(
-            frames=1, width=WIDTH[quick], spacing=SPACING[quick], extent=EXTENT[quick], fps=FPS
-        )
-        begin = time.perf_counter()
-        terrain = pipeline.extract_terrain(scene, config)
-        drive = measure_drive(folder, length, terrain, config, say)
-        alone = measure_alone(folder, length, terrain, config, PLACES[quick], FRAMES[quick], say)
-        rows = measure_details(folder, length, terrain, config, DETAILS[quick], PLACES[quick], say)
-        facts["set_up"] = drive[0]["begin"] - begin
+            frames=len(path), width=WIDTH[quick], spacing=SPACING[quick], fps=FPS,
+            ground_map="path",
+        )  # fmt: skip
+        begin = time.process_time()
+        ground = pipeline.ground_of(scene, config, path)
+        facts["windows"], facts["ground"] = len(ground.stations), time.process_time() - begin
+        del scene
+        rows = measure_drive(folder, length, ground, path, config, STRETCHES[quick], say)
+        facts["same"] = is_same_alone(folder, length, ground, path, config, rows)
+        places = places_of(folder, length, ground, path, config, PLACES[quick])
+        alone = measure_alone(folder, length, ground, places, config, FRAMES[quick], say)
+        details = measure_details(folder, length, ground, places, config, DETAILS[quick], say)
     machine = {"cores": os.cpu_count(), "threads": set_threads(None), "load": os.getloadavg()}
-    return {"machine": machine, "quick": quick, "cut": facts, "rows": rows, "drive": drive,
+    for row in rows:
+        del row["picture"]
+    return {"machine": machine, "quick": quick, "cut": facts, "rows": details, "drive": rows,
             "alone": alone}  # fmt: skip
 
 
@@ -112,18 +122,21 @@ def street_blocks(length):
 
 
 def long_street(folder, length):
-    """Return the Scene of a street in chunks, with the cameras of a drive from end to end."""
+    """Return the Scene of a street in chunks, with cameras APART from end to end."""
     built_in = load_scene("street")
-    frame, first = built_in.ground_frame, built_in.cameras[0]
     pages, splats, digest, notes = open_pages(folder)
-    view, step = frame.camera_in_ground(first), SPEED / FPS
-    cameras = []
-    for k in range(max(2, int((length - 2 * AWAY) / step))):
-        moved = view.camera_from_world.copy()
-        moved[:3, 3] -= moved[:3, :3] @ (AWAY + k * step, 0, 0)
-        cameras.append(frame.camera_in_capture(replace(view, camera_from_world=moved)))
-    source = Path(folder)
-    return Scene("long street", splats, tuple(cameras), frame, source, digest, notes, pages=pages)
+    scene = replace(built_in, cameras=built_in.cameras[:1])
+    count = max(2, int((length - 2 * AWAY) / APART))
+    cameras = tuple(ahead(scene, scene.cameras[0], AWAY + k * APART) for k in range(count))
+    return Scene("long street", splats, cameras, built_in.ground_frame, Path(folder), digest,
+                 notes, pages=pages)  # fmt: skip
+
+
+def drive(scene, length, width):
+    """Return the cameras of a drive from end to end, a list with one per frame."""
+    first = resize_to(scene.cameras[0], width)
+    count = max(2, int((length - 2 * AWAY) / (SPEED * NEXT)))
+    return [ahead(scene, first, k * SPEED * NEXT) for k in range(count)]
 
 
 def _bytes(folder):
@@ -133,55 +146,70 @@ def _bytes(folder):
 # --- measuring ------------------------------------------------------------------------------------
 
 
-def measure_drive(folder, length, terrain, config, say=None):
-    """Return a row for each frame of a drive along the street, in order, each drawn once.
+def measure_drive(folder, length, ground, path, config, stretches, say=None):
+    """Return a row for each frame of some stretches of a drive, each drawn once, in order.
 
-    The frame in the middle is drawn by itself, too, by another renderer: its row says whether both
-    are the `same` to the byte.
+    In each stretch a window of the ground begins; its first frame begins one, too, since the drive
+    does not come to it from before.
     """
     scene = long_street(folder, length)
-    cameras = [resize_to(camera, config.width) for camera in scene.cameras]
-    path = [scene.ground_frame.camera_in_ground(camera) for camera in cameras]
-    state = next(iter(pipeline.simulate(terrain, config)))
-    renderer = Renderer(scene, terrain, config, cameras[0])
-    rows, kept, middle = [], scene.pages.kept, len(cameras) // 2
-    for n, camera in enumerate(cameras):
-        begin, cpu, made = time.perf_counter(), time.process_time(), kept.made
-        renderer.read_ahead(cameras[min(n + AHEAD, len(cameras) - 1)])
-        exposure = config.render.exposure
-        end = shutter_end(path, n, exposure, config.fps)
-        picture, report = renderer.draw(camera, state, end)
-        if n == middle:
-            wanted = picture.copy(), end
-        rows.append({
-            "x": float(path[n].position[0]), "begin": begin,
-            "ms": (time.perf_counter() - begin) * 1e3, "cpu_ms": (time.process_time() - cpu) * 1e3,
-            "splat_ms": report.milliseconds["splat"],
-            "splats": seen_splats(renderer, camera),
-            "kept": kept.size, "read": kept.made - made, "resident": resident(),
-        })  # fmt: skip
-        if say and n % 20 == 0:
-            say(drive_line(rows[-1]))
-    del renderer, scene, kept  # two scenes at once are not what is measured
-    by_itself = Renderer(long_street(folder, length), terrain, config, cameras[0])
-    found, _ = by_itself.draw(cameras[middle], state, wanted[1])
-    rows[middle]["same"] = bool(np.array_equal(found, wanted[0]))
+    kept, stations = scene.pages.kept, ground.stations
+    sequence, rows = pipeline.FrameSequence(scene, ground, path, config), []
+    chosen = np.linspace(0, len(stations) - 1, stretches + 2).astype(int)[1:-1]
+    for n in chosen:
+        start = max(stations[n].first - BEFORE, 0)
+        for index in range(start, min(start + STRETCH, len(path))):
+            begin, cpu, made = time.perf_counter(), time.process_time(), kept.made
+            ((picture, report),) = sequence.frames([index])
+            x = scene.ground_frame.to_ground(path[index].position)[0]
+            rows.append({
+                "frame": index, "x": float(x), "jump": index == start,
+                "window": index == stations[n].first, "picture": picture,
+                "ms": (time.perf_counter() - begin) * 1e3,
+                "cpu_ms": (time.process_time() - cpu) * 1e3, "kept": kept.size,
+                "read": kept.made - made, "resident": resident(), "peak": peak(),
+                "residual": report.ledger["residual"],
+            })  # fmt: skip
+            if say:
+                say(drive_line(rows[-1]))
     return rows
 
 
-def measure_details(folder, length, terrain, config, details, places, say=None):
+def is_same_alone(folder, length, ground, path, config, rows):
+    """Tell whether the last frame of a drive has the same bytes where it is drawn by itself."""
+    alone = pipeline.FrameSequence(long_street(folder, length), ground, path, config)
+    ((picture, _),) = alone.frames([rows[-1]["frame"]])
+    return bool(np.array_equal(picture, rows[-1]["picture"]))
+
+
+def places_of(folder, length, ground, path, config, count):
+    """Return some places of a drive: camera, ground as `take_ground` takes it, and `SimState`."""
+    scene, found = long_street(folder, length), []
+    for n in np.linspace(0, len(ground.stations) - 1, count + 2).astype(int)[1:-1]:
+        station = ground.stations[n]
+        around = ground.around(scene, station)
+        about = ground.about(around.grid)
+        begin = steady_water(around, config, station.start(config), about)
+        within = part_of(around, station.window)
+        for state in simulate(within, config, begin=begin.within(station.window)):
+            if state.index >= config.moment(station.first):
+                break
+        state = widened(state, station.window, begin.depth.astype(np.float32))
+        found.append((path[station.first], (around, begin.exposure), state))
+    return found
+
+
+def measure_details(folder, length, ground, places, config, details, say=None):
     """Return a row for each threshold: accuracy of frames along the street, splats and time."""
-    state = next(iter(pipeline.simulate(terrain, config)))
     truth, rows = None, []
     for detail in (0.0, *details):
         memory = EVERYTHING if detail == 0 else config.render.memory
         settings = config.replace(detail=detail, memory=memory)
         scene = long_street(folder, length)
-        every = np.linspace(0, len(scene.cameras) - 1, places + 2).astype(int)[1:-1]
-        cameras = [resize_to(scene.cameras[n], config.width) for n in every]
-        renderer = Renderer(scene, terrain, settings, cameras[0])
+        renderer = Renderer(scene, ground.overview, settings, places[0][0])
         shown, splats, cpu = [], [], []
-        for camera in cameras:
+        for camera, around, state in places:
+            renderer.take_ground(*around)
             renderer.draw(camera, state)  # reads what it needs
             pair = []
             for shift in (0.0, SPEED * NEXT):
@@ -207,19 +235,15 @@ def measure_details(folder, length, terrain, config, details, places, say=None):
     return rows
 
 
-def measure_alone(folder, length, terrain, config, places, frames, say=None):
+def measure_alone(folder, length, ground, places, config, frames, say=None):
     """Return a row for each place of a street: frames from its chunks, and of what is seen alone.
 
     The scene that is compared with holds whole the runs that the cameras of a short drive need,
     each at the finest level that one of them asks for, and the splats that are always drawn.
     """
-    scene = long_street(folder, length)
-    state = next(iter(pipeline.simulate(terrain, config)))
-    every = np.linspace(0, len(scene.cameras) - 1, places + 2).astype(int)[1:-1]
-    start = resize_to(scene.cameras[every[0]], config.width)
-    paged, rows = Renderer(scene, terrain, config, start), []
-    for n in every:
-        first = resize_to(scene.cameras[n], config.width)
+    scene, rows = long_street(folder, length), []
+    paged = Renderer(scene, ground.overview, config, places[0][0])
+    for first, around, state in places:
         cameras = [ahead(scene, first, k * SPEED * NEXT) for k in range(frames)]
         runs, drawn = {}, paged.wet_scene.paged.whole
         for camera in cameras:
@@ -227,9 +251,10 @@ def measure_alone(folder, length, terrain, config, places, frames, say=None):
                 runs[leaf] = min(level, runs.get(leaf, level))
         held = [scene.pages.splats(*run) for run in sorted(runs.items())]
         whole = replace(scene, splats=joined(held), pages=None)
-        alone = Renderer(whole, terrain, config, first)
+        alone = Renderer(whole, ground.overview, config, first)
         cpu = {paged: [], alone: []}
         for renderer in cpu:
+            renderer.take_ground(*around)
             renderer.draw(ahead(scene, first, -SPEED * NEXT), state)  # reads what it needs
         for k, camera in enumerate(cameras):
             for renderer in cpu:
@@ -276,15 +301,24 @@ def resident():
         return 0
 
 
+def peak():
+    """Return the most bytes that this process has held; 0 where the system does not say."""
+    try:
+        with open("/proc/self/status", encoding="ascii") as file:
+            return next(int(line.split()[1]) << 10 for line in file if line.startswith("VmHWM"))
+    except (OSError, StopIteration):
+        return 0
+
+
 # --- results --------------------------------------------------------------------------------------
 
 
 def drive_line(row):
     """Return a frame of the drive as text."""
     return (
-        f"at {row['x']:6.0f} m: {row['ms']:6.0f} ms, {row['cpu_ms']:6.0f} ms of processors, "
-        f"{row['splats']} splats, {row['read']} pages read or made, "
-        f"{row['resident'] / 1e9:.2f} GB in all"
+        f"frame {row['frame']}, at {row['x']:4.0f} m: {row['cpu_ms']:6.0f} ms of processors, "
+        f"{row['read']} pages read or made, {row['resident'] / 1e9:.2f} GB in all, "
+        f"{row['peak'] / 1e9:.2f} GB at most" + ("; a window begins" if row["window"] else "")
     )
 
 
@@ -321,20 +355,23 @@ def table(result):
             f"{row['flicker']:+.1%} |"
         )
     drive, made = result["drive"], result["cut"]
-    half = len(drive) // 2
-    first, second = (
-        np.median([row["cpu_ms"] for row in part]) for part in (drive[1:half], drive[half:])
-    )
-    most = max(row["resident"] for row in drive)
-    same = drive[len(drive) // 2]["same"]
+    own = [row["cpu_ms"] for row in drive if not row["jump"] and not row["window"]]
+    begun = [row["cpu_ms"] for row in drive if row["window"]]
+    jumps = [row["cpu_ms"] for row in drive if row["jump"]]
     load = ", ".join(f"{x:.1f}" for x in result["machine"]["load"])
     return "\n".join([
         *lines, "",
-        f"the middle frame by itself: {'the same bytes' if same else 'OTHER BYTES'}",
+        f"the last frame by itself: {'the same bytes' if made['same'] else 'OTHER BYTES'}",
         f"{made['splats']} splats on {made['length']:.0f} m, {made['bytes'] / 1e6:.0f} MB; "
-        f"set-up {made['set_up']:.0f} s",
-        f"drive of {len(drive)} frames: {first:.0f} ms of processors in its first half, "
-        f"{second:.0f} in its second; {most / 1e9:.2f} GB at most",
+        f"{made['windows']} windows",
+        f"set-up: {made['ground']:.1f} s of processors for the ground, then {jumps[0] / 1e3:.1f} s "
+        f"to the first frame; {np.median(jumps[1:] or jumps) / 1e3:.1f} s after a jump",
+        f"drive of {len(drive)} frames: {min(own):.0f} to {max(own):.0f} ms of processors, "
+        f"{np.median(own):.0f} in the median; {min(begun) / 1e3:.1f} to {max(begun) / 1e3:.1f} s "
+        "where a window begins",
+        f"{min(row['resident'] for row in drive) / 1e9:.2f} to "
+        f"{max(row['resident'] for row in drive) / 1e9:.2f} GB after a frame, "
+        f"{drive[-1]['peak'] / 1e9:.2f} GB at most",
         *(alone_line(row) for row in result["alone"]),
         f"{result['machine']['threads']} threads, load {load}",
     ])  # fmt: skip
@@ -373,12 +410,21 @@ def draw(result, path):
         if row["detail"] == Config().render.detail:
             axes[1].annotate("default", (row["cpu_ms"], row["median_db"]), xytext=(6, -10),
                              textcoords="offset points", fontsize=8)  # fmt: skip
-    drive = result["drive"]
-    axes[2].plot([row["x"] for row in drive], [row["cpu_ms"] for row in drive], color=COLORS[0])
-    axes[2].set(xlabel="m along the street", ylabel="ms of processors", ylim=(0, None))
+    drive = [row for row in result["drive"] if not row["jump"]]
+    for which, n, label in ((False, 0, "frames"), (True, 2, "that begin a window")):
+        shown = [row for row in drive if row["window"] == which]
+        axes[2].semilogy([row["x"] for row in shown], [row["cpu_ms"] for row in shown], ls="",
+                         color=COLORS[n], marker=MARKERS[n], ms=4, label=label)  # fmt: skip
+    axes[2].set(xlabel="m along the street", ylabel="ms of processors", ylim=(100, 3e4))
+    axes[2].legend(fontsize=8, loc="upper left")
     twin = axes[2].twinx()
     twin.plot(
-        [row["x"] for row in drive], [row["resident"] / 1e9 for row in drive], color=COLORS[1]
+        [row["x"] for row in drive],
+        [row["resident"] / 1e9 for row in drive],
+        color=COLORS[1],
+        marker=MARKERS[1],
+        ls="",
+        ms=4,
     )
     twin.set(ylim=(0, None))
     twin.set_ylabel("memory of the process [GB]", color=COLORS[1])

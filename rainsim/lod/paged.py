@@ -7,6 +7,7 @@ in the order of the index, whatever was read first, so that a picture has the sa
 from __future__ import annotations
 
 import itertools
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,7 +27,7 @@ from rainsim.splatting.prepared import (
 )
 
 ARRAYS = ("geometry", "sh", "fine", "step", "box")
-GROWTH = 1.125  # times what a picture's pages need, of the memory that is taken for them
+GROWTH = 1.5  # times what a picture's pages need, of the memory that is set aside for them
 MIRRORED = 2.0  # times the threshold in pictures that water and the surroundings mirror
 
 
@@ -42,6 +43,27 @@ class Page:
         """What it takes."""
         parts = [self.first] if self.last is None else [self.first, self.last]
         return sum(getattr(p, name).nbytes for p in parts for name in (*ARRAYS, "order"))
+
+
+class Room:
+    """Memory for what a picture is drawn of, kept: to take it costs as much time as to fill it.
+
+    Attributes
+    ----------
+    holds : object
+        Whose pages were put there last.
+    """
+
+    def __init__(self):
+        self.holds, self._arrays = None, {}
+
+    def put(self, name, parts):
+        """Return arrays with rows of one shape as one array, in the memory of that name."""
+        rows, shape = sum(len(part) for part in parts), parts[0].shape[1:]
+        size = rows * math.prod(shape)
+        if name not in self._arrays or len(self._arrays[name]) < size:
+            self._arrays[name] = np.empty(int(GROWTH * size), parts[0].dtype)
+        return np.concatenate(parts, out=self._arrays[name][:size].reshape(rows, *shape))
 
 
 class PagedRasterizer:
@@ -62,6 +84,8 @@ class PagedRasterizer:
         Factor on `detail` for all pictures.
     compensate : bool
         See `PreparedSplats`.
+    room : Room, optional
+        Where the pages of a picture are put one after the other, shared by those who draw in turns.
 
     Attributes
     ----------
@@ -73,14 +97,14 @@ class PagedRasterizer:
 
     def __init__(
         self, pages, prepare, detail, coefficients, rasterizer_of=Rasterizer, coarser=1.0,
-        compensate=False,
+        compensate=False, room=None,
     ):  # fmt: skip
         self.pages, self._prepare, self._coefficients = pages, prepare, coefficients
         self._detail, self._rasterizer_of = detail * coarser, rasterizer_of
         self._compensate = compensate
         self._number = next(self._numbers)  # apart from other rasterizers of these pages
         self._front, self._drawn, self._rasterizer = None, None, None
-        self._room = {}  # arrays that the pages of each picture are put into
+        self._room = Room() if room is None else room
         self.used = {}
 
     def recolor(self, front=None):
@@ -97,24 +121,25 @@ class PagedRasterizer:
         """Prepare all pages again from now on: their colours are others."""
         self._number, self._drawn = next(self._numbers), None
 
-    def draw(self, camera, near, plane=None, leading=False, coarser=1.0, **options):
+    def draw(self, camera, near, plane=None, leading=False, threshold=None, **options):
         """Return the `Layers` that `camera` sees; the parameters are those of `Rasterizer.draw`.
 
-        `coarser` is a factor on the threshold for this picture.
+        `threshold` [px] takes the place of `detail` for this picture.
         """
-        wanted = self.wanted(camera, near, plane, leading, coarser)
+        wanted = self.wanted(camera, near, plane, leading, threshold)
         self._assemble(wanted, leading)
         return self._rasterizer.draw(camera, near, plane, **options)
 
-    def wanted(self, camera, near, plane=None, leading=False, coarser=1.0):
+    def wanted(self, camera, near, plane=None, leading=False, threshold=None):
         """Return the runs that a camera needs, as (leaf, level) in the order of the index."""
-        wanted, self.used = self._choose(camera, near, plane, leading, coarser)
+        wanted, self.used = self._choose(camera, near, plane, leading, threshold)
         return wanted
 
-    def _choose(self, camera, near, plane=None, leading=False, coarser=1.0):
+    def _choose(self, camera, near, plane=None, leading=False, threshold=None):
         """Return the runs that a camera needs, and what `used` says of them."""
         tree = self.pages.tree
-        detail = self._detail * coarser * (MIRRORED if leading else 1.0)
+        detail = self._detail if threshold is None else threshold
+        detail *= MIRRORED if leading else 1.0
         levels, detail = chosen_levels(tree, camera, near, detail, self._most, plane)
         wanted = [(int(n), int(levels[n])) for n in np.flatnonzero(levels != NONE)]
         splats = sum(int(tree.count[n, k]) for n, k in wanted)
@@ -136,13 +161,14 @@ class PagedRasterizer:
 
     def _assemble(self, wanted, leading):
         key = tuple(wanted), leading
-        if key == self._drawn:
+        if key == self._drawn and self._room.holds is self:
             return
         pages = [self._page(*place) for place in wanted]
         parts = [page.first for page in pages]
         if not leading:
             parts += [page.last for page in pages if page.last is not None]
         joined = together(parts, self._front, self._room)
+        self._room.holds = self
         joined = replace(joined, compensate=self._compensate)
         if self._rasterizer is None:
             self._rasterizer = self._rasterizer_of(joined)
@@ -186,30 +212,20 @@ def rasterizer_of_scene(scene, render, rasterizer_of=Rasterizer):
 def together(parts, front=None, room=None):
     """Return several `PreparedSplats` as one, which names no scene's splats but those of `front`.
 
-    Memory that is taken for each picture costs as much time as the copy itself.
-
     Parameters
     ----------
     parts : sequence of PreparedSplats
         At least one, harmonics of the same degree.
     front : PreparedSplats, optional
         That comes before the others.
-    room : dict, optional
-        Arrays of the last call, which the result is put into: the last result is lost.
+    room : Room, optional
+        What the result is put into: what it held before is lost.
     """
     every = [*([] if front is None else [front]), *parts]
     every = [part for part in every if len(part.box)] or every[:1]  # empty ones know no degree
-    room = {} if room is None else room
-    arrays = {name: _put(room, name, [getattr(p, name) for p in every]) for name in ARRAYS}
+    room = Room() if room is None else room
+    arrays = {name: room.put(name, [getattr(p, name) for p in every]) for name in ARRAYS}
     order = np.full(len(arrays["box"]) * LANES, NOBODY, np.int32)
     if front is not None:
         order[: len(front.order)] = front.order
     return replace(every[0], **arrays, order=order, leading=None)
-
-
-def _put(room, name, parts):
-    """Return arrays joined, in the array `name` of a room if they fit, else in a larger one."""
-    rows, shape = sum(len(part) for part in parts), parts[0].shape[1:]
-    if name not in room or len(room[name]) < rows or room[name].shape[1:] != shape:
-        room[name] = np.empty((int(GROWTH * rows), *shape), parts[0].dtype)
-    return np.concatenate(parts, out=room[name][:rows])

@@ -166,18 +166,26 @@ class Renderer:
         self.config, self._camera = config, None
         self.rain = RainPass(self.moving.still, config)
 
-    def take_ground(self, terrain):
+    def leave_ground(self):
+        """Let go of what depends on the present part of the ground; `take_ground` must follow."""
+        self._camera = self.water = self.rings = None
+        self.wet_ground = self.wet_ground.over(None)
+        self.wet_scene.leave_ground()
+
+    def take_ground(self, terrain, reach):
         """Draw the water of another part of the ground from now on; the light stays as it is.
 
         Parameters
         ----------
         terrain : Terrain
             A window of the ground of this renderer's scene.
+        reach : ndarray of shape (ny, nx), float32
+            Share of the rain that reaches the ground.
         """
         config, self._camera = self.config, None
         terrain = with_movers(tops_drawn(terrain, config), self.wet_scene.scene)
         self.terrain = terrain
-        self.wet_scene.take_ground(terrain, self.now)
+        self.wet_scene.take_ground(terrain, reach, self.now)
         self.moving = MovingSurfaces(terrain, usual_wind(config), config.rain.roughness)
         self.rain = RainPass(self.moving.still, config)
         self.rings = ring_share(self.wet_scene.reach, terrain.grid.spacing, *self._ring_reach)

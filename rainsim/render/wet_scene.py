@@ -36,7 +36,7 @@ from rainsim.splatting.detail import SIDES, Detail
 from rainsim.splatting.prepared import recolored
 from rainsim.water.rolling import NO_TRACKS
 
-COARSER = 4.0  # times the threshold of pages in metering pictures: they come from all over
+SMALL = 2.0  # px: threshold of pages in metering pictures, which come from all over a capture
 NEAR = 0.05  # m: splats nearer than this are not drawn
 FIRST_SEGMENT = 0.5  # m of a traced ray that are searched at first
 BRIGHT_SKY = 0.15  # mean linear light above which a far pixel shows the captured sky
@@ -181,18 +181,22 @@ class WetScene:
             self._recolor(colors)
         return True
 
-    def take_ground(self, terrain, now):
+    def leave_ground(self):
+        """Let go of what depends on the present part of the ground; `take_ground` must follow."""
+        self.reach = self.ground = self._untouched = self._grass = None
+
+    def take_ground(self, terrain, reach, now):
         """Draw another part of the ground from now on; the light stays as it was set up.
 
         Parameters
         ----------
         terrain : Terrain
+        reach : ndarray of shape (ny, nx), float32
+            Share of the rain that reaches the ground.
         now : Config
             Of the present time.
         """
-        self.terrain, self._tracks = terrain, NO_TRACKS
-        rain = self.config.rain
-        self.reach = rain_exposure(terrain, usual_wind(self.config), rain.roughness)
+        self.terrain, self.reach, self._tracks = terrain, reach, NO_TRACKS
         self._grass = ndimage.gaussian_filter(terrain.grassy.astype(np.float32), 1)
         self._place = np.array(terrain.grid.origin, np.float32), np.float32(terrain.grid.spacing)
         self._wet_ground(now)
@@ -354,7 +358,7 @@ class WetScene:
     @property
     def _small(self):
         """How a big capture draws the small pictures that the light is set up by."""
-        return {} if self.paged is None else {"coarser": COARSER}
+        return {} if self.paged is None else {"threshold": SMALL}
 
     def level_mirrored(self, level):
         """Return the `WetPicture` of what stands on the ground, seen mirrored at its plane.

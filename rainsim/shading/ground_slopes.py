@@ -13,6 +13,8 @@ from rainsim.jit import inlined_function
 from rainsim.scene.view import image_ray
 from rainsim.shading.microfacet import LEAST_DIP
 
+ROWS = 512  # of the ground that are averaged at once
+FILTER_REACH = 4.5  # times its width that a Gaussian filter reaches at most
 SLOPE_WIDTH = 0.25  # m, over which the ground's height and slope are averaged
 
 
@@ -27,12 +29,18 @@ class GroundSlopes(NamedTuple):
 
 def ground_slopes(terrain):
     """Return the `GroundSlopes` of a terrain: its bed is averaged over SLOPE_WIDTH."""
-    cell = terrain.grid.spacing
-    smooth = ndimage.gaussian_filter(terrain.bed.astype(np.float64), SLOPE_WIDTH / cell)
-    slopes = np.empty((*smooth.shape, 4), np.float32)
-    slopes[..., 0] = smooth
-    slopes[..., 1] = np.gradient(smooth, cell, axis=1)
-    slopes[..., 2] = np.gradient(smooth, cell, axis=0)
+    cell, bed = terrain.grid.spacing, terrain.bed
+    width = SLOPE_WIDTH / cell
+    beyond = int(FILTER_REACH * width) + 2  # rows that bear on a row
+    slopes = np.empty((*bed.shape, 4), np.float32)
+    for first in range(0, len(bed), ROWS):  # by parts, for memory
+        last = min(first + ROWS, len(bed))
+        low, high = max(first - beyond, 0), min(last + beyond, len(bed))
+        smooth = ndimage.gaussian_filter(bed[low:high].astype(np.float64), width)
+        part, rows = slopes[first:last], slice(first - low, last - low)
+        part[..., 0] = smooth[rows]
+        part[..., 1] = np.gradient(smooth[rows], cell, axis=1)
+        part[..., 2] = np.gradient(smooth, cell, axis=0)[rows]
     slopes[..., 3] = ndimage.gaussian_filter(terrain.by_class("film_slope"), 1)
     return GroundSlopes(slopes, np.array(terrain.grid.origin, np.float32), np.float32(cell))
 

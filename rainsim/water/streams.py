@@ -45,17 +45,22 @@ class Begin(NamedTuple):
     depth : ndarray of shape (ny, nx), float64 [m]
     velocity : ndarray of shape (2, ny, nx), float32 [m/s]
     notes : tuple of str
+    exposure : ndarray of shape (ny, nx), float32
+        Share of the rain that reaches the ground.
     """
 
     number: int
     depth: np.ndarray
     velocity: np.ndarray
     notes: tuple
+    exposure: np.ndarray
 
     def within(self, window):
         """Return the part of it in a window (slices of rows and columns)."""
-        part = (slice(None), *window)
-        return self._replace(depth=self.depth[window], velocity=self.velocity[part])
+        return self._replace(  # copied: the whole need not stay in memory
+            depth=self.depth[window].copy(), exposure=self.exposure[window].copy(),
+            velocity=self.velocity[(slice(None), *window)].copy(),
+        )  # fmt: skip
 
 
 class Runoff(NamedTuple):

@@ -12,8 +12,11 @@ def test_a_short_street(tmp_path):
     exact, fine, coarse = found["rows"]
     assert exact["detail"] == 0 and fine["median_db"] > 35 > coarse["median_db"] > 20
     assert exact["splats"] > fine["splats"] > coarse["splats"] > 0
-    middle = found["drive"][len(found["drive"]) // 2]
-    assert middle["same"] and middle["resident"] > 0
+    assert found["cut"]["same"] and found["cut"]["windows"] > 1
+    begun = [row["frame"] for row in found["drive"] if row["window"]]
+    assert len(begun) == 1 and found["drive"][0]["jump"] and found["drive"][0]["frame"] < begun[0]
+    for row in found["drive"]:
+        assert abs(row["residual"]) < 1e-6 and row["peak"] >= row["resident"] > 0
     for row in found["alone"]:
         assert row["splats"] > 1000 and row["cpu_ms"] > 0 and row["alone_ms"] > 0
     table = lod.table(found)

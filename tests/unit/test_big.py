@@ -19,7 +19,7 @@ from rainsim.lod.choose import chosen_levels, levels_of, pixels_per_unit
 from rainsim.lod.cut import cut
 from rainsim.lod.ground import finest_near, scene_over
 from rainsim.lod.merge import cells_of, covariances, merged_splats, reach_box
-from rainsim.lod.paged import rasterizer_of_scene, together
+from rainsim.lod.paged import Page, PagedRasterizer, Room, rasterizer_of_scene, together
 from rainsim.raster import Rasterizer, prepare
 from rainsim.render.memory import memory_of_frames
 from rainsim.render.renderer import Renderer
@@ -464,6 +464,34 @@ def test_a_picture_has_the_same_bytes_whatever_was_drawn_or_kept_before(folder, 
         if levels[n] == rasterizer_of_scene(big, render).wanted(big.cameras[n], 0.05):
             assert (again == alone[(2, 9).index(n)]).all()
     assert little.pages.kept.size <= 1e5 or len(little.pages.kept._values) == 1
+
+
+def test_those_who_draw_in_turns_share_the_memory_of_a_picture(big):
+    camera, render = big.cameras[2], CONFIG.render
+    big.pages.limit(render.memory)
+
+    def drawers(**room):
+        how = big.pages, lambda splats: Page(prepare(splats))
+        most = big.splats.sh.shape[1]
+        return [PagedRasterizer(*how, detail, most, **room) for detail in (1.0, 8.0)]
+
+    apart = [drawer.draw(camera, 0.05).color for drawer in drawers()]
+    assert (apart[0] != apart[1]).any()
+    one, other = drawers(room=Room())
+    for _ in range(2):
+        assert (one.draw(camera, 0.05).color == apart[0]).all()
+        assert (other.draw(camera, 0.05).color == apart[1]).all()
+
+
+def test_a_threshold_of_its_own_takes_the_place_of_a_pictures_detail(big):
+    fine, coarse = (
+        rasterizer_of_scene(big, CONFIG.replace(detail=detail).render) for detail in (0.0, 8.0)
+    )
+    camera = big.cameras[2]
+    every = fine.wanted(camera, 0.05)
+    assert fine.wanted(camera, 0.05, threshold=8.0) == coarse.wanted(camera, 0.05) != every
+    shown = fine.draw(camera, 0.05, threshold=8.0).color
+    assert (shown == coarse.draw(camera, 0.05).color).all()
 
 
 def test_pages_without_a_splat_are_left_out():

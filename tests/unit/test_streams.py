@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 from rainsim.grid import WaterSolver
+from rainsim.shading import ground_slopes as slopes_module
+from rainsim.shading.ground_slopes import ground_slopes
 from rainsim.terrain.table import DRAIN, HARD, class_table
 from rainsim.terrain.types import MEASURED, Grid, Terrain
 from rainsim.water import streams
@@ -162,3 +164,14 @@ def test_streams_from_beyond_a_part_run_on_in_it(monkeypatch):
     joined = run_off(part, still[east], rain[east], comes)
     assert joined.east[:, column].sum() == pytest.approx(wanted, rel=0.08)
     assert alone.east[:, column].sum() < 0.7 * wanted
+
+
+# --- the ground of a window -----------------------------------------------------------------------
+
+
+def test_slopes_of_ground_made_in_parts_are_those_of_the_whole(monkeypatch):
+    road = gutter(pit=True)
+    whole = ground_slopes(road).slopes
+    monkeypatch.setattr(slopes_module, "ROWS", 50)
+    parts = ground_slopes(road).slopes
+    assert parts.tobytes() == whole.tobytes() and np.ptp(whole[..., 2]) > 0.01
