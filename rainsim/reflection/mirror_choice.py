@@ -17,6 +17,7 @@ LEVEL_STEPS = int(MIRROR_SPREAD / LEVEL_STEP)
 # length and root of mm/h: 1.3e-3 to 2.7e-3 in three scenes at 10 and 50 mm/h.
 RING_BLUR = 1.6e-3
 HALF_BLUR = 2.0  # px: a picture of half the size blurs by less
+HALF_MERGE = 2.0  # times as wide are the cells in which such a picture merges splats
 
 
 def mirror_step(name, shower, lens):
@@ -36,6 +37,14 @@ def mirror_step(name, shower, lens):
     rate = shower.rate / MM_PER_HOUR
     blur = RING_BLUR * float(lens[0]) * math.sqrt(rate) * (1 - shower.surface_film)
     return 2 if blur >= HALF_BLUR else 1
+
+
+def merged_cells(merge, step):
+    """Return the side [px] of the cells in which a mirrored picture merges splats.
+
+    Of the picture itself, whose `mirror_step` is given. `merge` is that of the frame's own.
+    """
+    return merge * (HALF_MERGE if step > 1 else 1.0)
 
 
 def group_levels(height, name):

@@ -12,6 +12,7 @@ from rainsim.io import images
 from rainsim.numerics.mipmap import coarsened
 from rainsim.rain.exposure import rain_exposure
 from rainsim.raster import Rasterizer, prepare
+from rainsim.reflection.mirror_choice import merged_cells
 from rainsim.reflection.planar_mirror import MirrorPicture
 from rainsim.reflection.ray_traced import Tracer
 from rainsim.reflection.water_pass import WetPicture
@@ -398,7 +399,8 @@ class WetScene:
         plane, camera = mirrored_camera(camera, self.frame, level)
         camera = cropped(camera, window)
         camera = camera.resized(camera.width // step, camera.height // step)
-        layers = self.rasterizer.draw(camera, self.near, plane, leading=True, detail=self.merge)
+        cells = merged_cells(self.merge, step)
+        layers = self.rasterizer.draw(camera, self.near, plane, leading=True, detail=cells)
         wet = self._wetted(layers, camera, mirrored=True)
         return wet.view, MirrorPicture(wet.picture, coarsened(wet.picture), wet.depth)
 

@@ -11,6 +11,7 @@ from rainsim.config.settings import Config
 from rainsim.errors import ParameterError
 from rainsim.jit import set_threads
 from rainsim.pipeline import extract_terrain, simulate
+from rainsim.reflection.mirror_choice import merged_cells
 from rainsim.render.renderer import Renderer
 from rainsim.scene.cameras import cropped
 from rainsim.scene.types import Camera, Splats
@@ -349,3 +350,19 @@ def test_scenes_with_nodes_draw_every_splat():
 def test_the_setting_is_checked():
     with pytest.raises(ParameterError, match="merge is -1"):
         Config().replace(merge=-1.0).check()
+
+
+def test_mirrored_pictures_of_half_the_size_merge_in_wider_cells(frames, monkeypatch):
+    scene = frames[4.0][2].wet_scene
+    camera, asked = tiny_scene().cameras[0].resized(64, 48), []
+    plain = scene.rasterizer.draw
+
+    def draw(*given, **named):
+        asked.append((named["detail"], given[0].width))
+        return plain(*given, **named)
+
+    monkeypatch.setattr(scene.rasterizer, "draw", draw)
+    whole, half = (scene.mirrored(camera, 0.0, (0, 0, 64, 48), step)[1] for step in (1, 2))
+    assert asked == [(4.0, 64), (8.0, 32)]
+    assert whole.picture.shape == (48, 64, 3) and half.picture.shape == (24, 32, 3)
+    assert merged_cells(0.0, 2) == 0  # all splats as they are

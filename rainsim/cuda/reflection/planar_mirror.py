@@ -30,7 +30,7 @@ from rainsim.cuda.reflection.mirror_choice import (
 )
 from rainsim.cuda.splatting import project
 from rainsim.numerics.mipmap import COARSEST, coarse_shape, mean_of_four, top_of
-from rainsim.reflection.mirror_choice import LEVEL_STEP, MOST_MIRRORS
+from rainsim.reflection.mirror_choice import LEVEL_STEP, MOST_MIRRORS, merged_cells
 from rainsim.reflection.water_pass import WINDOW_SLOPE, WINDOW_STEP
 from rainsim.scene.cameras import mirrored_camera
 from rainsim.splatting.project import FRUSTUM_MARGIN
@@ -273,7 +273,10 @@ class Mirrors:
         turn, up = mirrored.camera_from_world[:3, :3], frame.rotation[2]
         numbers = self._now.host["camera"]
         numbers[0] = self.renderer.rasterizer.numbers_of(
-            mirrored, scene.near, plane=plane, detail=scene.merge
+            mirrored,
+            scene.near,
+            plane=plane,
+            detail=merged_cells(scene.merge, step),
         )
         # A metre higher the mirrored camera is two metres higher, and the plane one.
         more = 1.0 / frame.meters_per_unit
