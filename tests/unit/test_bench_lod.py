@@ -10,11 +10,10 @@ def test_a_short_street(tmp_path):
     told = []
     found = lod.run(quick=True, say=told.append, length=40.0, folder=tmp_path / "street")
     exact, fine, coarse = found["rows"]
-    assert exact["detail"] == 0 and fine["median_db"] > 35 > coarse["median_db"] > 20
+    assert exact["detail"] == 0 and fine["median_db"] > 30 > coarse["median_db"] > 20
     assert exact["splats"] > fine["splats"] > coarse["splats"] > 0
-    assert found["cut"]["same"] and found["cut"]["windows"] > 1
-    begun = [row["frame"] for row in found["drive"] if row["window"]]
-    assert len(begun) == 1 and found["drive"][0]["jump"] and found["drive"][0]["frame"] < begun[0]
+    assert found["cut"]["same"] and found["cut"]["windows"] == 1  # of wide cells
+    assert [row["window"] for row in found["drive"]] == [True] + [False] * 7
     for row in found["drive"]:
         assert abs(row["residual"]) < 1e-6 and row["peak"] >= row["resident"] > 0
     for row in found["alone"]:
