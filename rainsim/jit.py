@@ -138,7 +138,16 @@ TAKERS = 256
 
 
 @intrinsic
-def take_next(typingctx, taken):
+def _take_next(typingctx, taken):
+    def codegen(context, builder, signature, arguments):
+        array = cgutils.create_struct_proxy(signature.args[0])(context, builder, arguments[0])
+        one = ir.Constant(ir.IntType(64), 1)
+        return builder.atomic_rmw("add", array.data, one, "monotonic")
+
+    return types.int64(taken), codegen
+
+
+def take_next(taken):
     """Return taken[0] and add one to it, in one step for all threads.
 
     A parallel loop gives each thread a run of iterations beforehand. With a loop over `TAKERS` in
@@ -151,13 +160,13 @@ def take_next(typingctx, taken):
     taken : ndarray of shape (1,), int64
         Iterations that have been taken, see `none_taken`.
     """
+    count = taken[0]
+    taken[0] += 1
+    return count
 
-    def codegen(context, builder, signature, arguments):
-        array = cgutils.create_struct_proxy(signature.args[0])(context, builder, arguments[0])
-        one = ir.Constant(ir.IntType(64), 1)
-        return builder.atomic_rmw("add", array.data, one, "monotonic")
 
-    return types.int64(taken), codegen
+if not numba.config.DISABLE_JIT:  # above is what it does for one thread, without the compiler
+    take_next = _take_next
 
 
 @device_function
