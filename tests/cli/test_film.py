@@ -312,6 +312,7 @@ def test_ctrl_c_that_a_callback_swallows_still_ends_a_run(film, tmp_path, monkey
     assert signal.signal(signal.SIGINT, before) is signal.default_int_handler
 
 
+@pytest.mark.slow
 def test_cameras_in_every_way(film, tmp_path, scene_folder):
     frame_of = {}
     for name, options in {

@@ -48,6 +48,7 @@ def test_the_truth_is_that_of_the_plain_loops(orthographic, drop_last):
         np.testing.assert_allclose(mine[solid], plain[name][solid], rtol=1e-5, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_variant_has_its_own_constants_and_leaves_the_product_alone():
     splats, cam = fog(), camera()
     prepared = raster.prepare(splats)

@@ -116,6 +116,7 @@ def test_a_part_of_a_large_capture_tells_where_the_sun_stood(sunny, monkeypatch)
     assert np.median(moved) < 0.05 and (found.gain != 1).any(axis=1).mean() > 0.5
 
 
+@pytest.mark.slow
 def test_the_sun_is_found_without_cameras(sunny):
     found = relight.find_relight(replace(sunny[0], cameras=()), REACH)
     assert found.gain is not None and angle(found.sun, 200, 38) < 3

@@ -39,7 +39,7 @@ from rainsim.terrain.surface import _from_tiff as read_tiff
 from rainsim.terrain.surface import _read_obj, _read_ply
 from rainsim.terrain.table import class_table
 
-QUICK, CAMPAIGN = 120, 3_750  # of each of 27 kinds: 101,250 in all
+QUICK, CAMPAIGN = 60, 3_750  # of each of 27 kinds: 101,250 in all
 MEMORY = 2_000_000_000  # bytes that a reader may take beyond what the process has at its start
 PATIENCE = 10  # s for a file
 
