@@ -173,7 +173,7 @@ def seen_splashes(field, surfaces, camera, time, exposure, water_depth, film, de
         )
         if found.max() <= room:
             break
-        room = int(found.max())
+        room = int(found.sum())  # another pass may share them out differently
     listed = np.arange(room) < found[:, None]
     position, ids = position[listed], ids[listed]
     order = np.argsort(ids)
