@@ -363,3 +363,54 @@ def colmap_text(folder, cameras, lens=LENS, points=1):
         numbers = " ".join(repr(float(v)) for v in (*turn, *shift))
         lines += [f"{i + 1} {numbers} 7 {camera.name}.JPG", "1.5 2.5 -1 " * points]
     (folder / "images.txt").write_text("\n".join(lines) + "\n")
+
+
+# --- glTF -----------------------------------------------------------------------------------------
+
+
+GLTF = "KHR_gaussian_splatting"
+GLTF_TYPES = {"f4": 5126, "i1": 5120, "u1": 5121, "i2": 5122, "u2": 5123}
+
+
+def glb(splats, nodes=None, types=(), about=(), more=()):
+    """A binary glTF of one mesh of splats; positions, turns and colours are stored as they stand.
+
+    `nodes` place the mesh, `types` maps attributes to numpy types that are stored normalized,
+    `about` is added to the extension's object and `more` to the JSON.
+    """
+    columns = {"POSITION": splats.position, "ROTATION": np.roll(splats.rotation, -1, axis=1)}
+    columns |= {"SCALE": splats.scale, "OPACITY": splats.opacity[:, None]}
+    for k in range(splats.sh.shape[1]):
+        degree = int(np.sqrt(k))
+        columns[f"SH_DEGREE_{degree}_COEF_{k - degree * degree}"] = splats.sh[:, k]
+    attributes, views, accessors, binary = {}, [], [], b""
+    for name, column in columns.items():
+        kind = dict(types).get(name, "f4")
+        if kind != "f4":
+            column = np.round(column * np.iinfo(kind).max)
+        data = np.ascontiguousarray(column, "<" + kind).tobytes()
+        views.append({"buffer": 0, "byteOffset": len(binary), "byteLength": len(data)})
+        binary += data + bytes(-len(data) % 4)
+        accessors.append({
+            "bufferView": len(accessors), "componentType": GLTF_TYPES[kind], "count": len(splats),
+            "type": {1: "SCALAR", 3: "VEC3", 4: "VEC4"}[column.shape[1]],
+        } | ({} if kind == "f4" else {"normalized": True}))  # fmt: skip
+        attributes[name if name == "POSITION" else f"{GLTF}:{name}"] = len(accessors) - 1
+    extension = {"kernel": "ellipse", "colorSpace": "srgb_rec709_display"} | dict(about)
+    primitive = {"attributes": attributes, "mode": 0, "extensions": {GLTF: extension}}
+    tree = {
+        "asset": {"version": "2.0"}, "extensionsUsed": [GLTF], "scene": 0,
+        "scenes": [{"nodes": [0]}], "nodes": nodes or [{"mesh": 0}],
+        "meshes": [{"primitives": [primitive]}], "accessors": accessors, "bufferViews": views,
+        "buffers": [{"byteLength": len(binary)}],
+    } | dict(more)  # fmt: skip
+    return glb_of(tree, binary)
+
+
+def glb_of(tree, binary):
+    """A binary glTF of a JSON object and its binary chunk."""
+    text = json.dumps(tree).encode()
+    text += b" " * (-len(text) % 4)
+    size = 12 + 8 + len(text) + 8 + len(binary)
+    head = struct.pack("<4sII", b"glTF", 2, size) + struct.pack("<I4s", len(text), b"JSON")
+    return head + text + struct.pack("<I4s", len(binary), b"BIN\0") + binary

@@ -276,11 +276,12 @@ def test_import_takes_each_format(tmp_path, extra):
     (tmp_path / "e.sog").write_bytes(made.bundle(made.sog(splats)))
     made.write_folder(tmp_path / "f", made.sog(splats))
     hashes = set()
-    for name in ("a.ply", "b.ply", "c.spz", "d.splat", "e.sog", "f"):
+    (tmp_path / "g.glb").write_bytes(made.glb(splats))
+    for name in ("a.ply", "b.ply", "c.spz", "d.splat", "e.sog", "f", "g.glb"):
         scene = import_scene(tmp_path / name, ground_frame=UP)
         assert len(scene.splats) == 200 and scene.name == name.partition(".")[0]
         hashes.add(scene.source_hash)
-    assert len(hashes) == 6
+    assert len(hashes) == 7
     (tmp_path / "f/scales.webp").write_bytes((tmp_path / "f/sh0.webp").read_bytes())
     assert import_scene(tmp_path / "f", ground_frame=UP).source_hash not in hashes
 

@@ -17,6 +17,7 @@ from rainsim.scene.formats import read
 QUICK, THOROUGH = 120, 10_000
 COUNT = 300  # splats of the files that are mutated
 SMALL = made.tame_splats(COUNT, 4)
+TWO_NODES = [{"scale": [1, 2, 1], "children": [1]}, {"mesh": 0}]
 
 
 def ply_with_everything():
@@ -33,9 +34,13 @@ READERS = {
     "spz 4": (lambda: made.spz(SMALL, 4), mutate.plain),
     "sog": (lambda: made.sog(SMALL), mutate.bundled),
     "sog folder": (lambda: made.sog(SMALL), mutate.one_mutated),
+    "glb": (
+        lambda: made.glb(SMALL, [{"scale": [1, 2, 1], "children": [1]}, {"mesh": 0}]),
+        mutate.plain,
+    ),
     "sog 1": (lambda: made.sog_v1(SMALL), mutate.one_mutated),
 }
-NEED_EXTRA = {name for name in READERS if name not in ("ply", "splat")}
+NEED_EXTRA = {name for name in READERS if name not in ("ply", "splat", "glb")}
 
 
 def one_clear_line(error):

@@ -18,6 +18,7 @@ FORMATS = {
     "compressed PLY": (".compressed.ply", ()),
     "SPZ 3": (".spz", ("--spz-version", "3")),
     "SPZ 4": (".spz", ("--spz-version", "4")),
+    "glTF": (".glb", ()),
     "SOG": (".sog", ("--gpu", "cpu")),
     "SOG folder": ("/meta.json", ("--gpu", "cpu")),
 }
@@ -70,6 +71,8 @@ def test_what_the_converter_writes_is_read_and_so_is_the_way_back(tmp_path, capt
     reading = read(there)
     assert reading.broken == 0 and not reading.notes
     close(reading.splats, splats)
+    if kind == "glTF":  # which the converter writes and does not read
+        return
     back = read(convert(there, tmp_path / "back.ply"))
     assert back.broken == 0 and not back.notes
     close(back.splats, splats)

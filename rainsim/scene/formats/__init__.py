@@ -7,9 +7,10 @@
 | compressed PLY (PlayCanvas) | `ply` and packed properties | `rainsim[formats]` |
 | SPZ versions 2 to 4 | gzip, or `NGSP` | `rainsim[formats]` |
 | SOG, one file or a folder of pictures | zip, or `meta.json` | `rainsim[formats]` |
+| binary glTF with KHR_gaussian_splatting | `glTF` | nothing |
 
 All readers return `Splats` in the frame that the capture tool used. SPZ stores other axes (right,
-up, back), so its splats are rotated.
+up, back) and glTF y up, so their splats are rotated.
 """
 
 from __future__ import annotations
@@ -23,12 +24,11 @@ from rainsim.io.files import require_file
 from rainsim.scene.activate import MAX_BROKEN_SHARE
 from rainsim.scene.types import Splats
 
-SUFFIXES = (".ply", ".splat", ".spz", ".sog")  # usual names, for listing folders only
+SUFFIXES = (".ply", ".splat", ".spz", ".sog", ".glb")  # usual names, for listing folders only
 META = "meta.json"  # of an unbundled SOG
 START = 1 << 17  # bytes at the beginning of a file by which its format is recognised
-REMEDY = "export the capture as a splat PLY, compressed PLY, SPZ, SOG or .splat"
+REMEDY = "export the capture as a splat PLY, compressed PLY, SPZ, SOG, .glb or .splat"
 HINTS = {
-    b"glTF": " (it is a binary glTF model)",
     b"\x89PNG": " (it is a picture)",
     b"\xff\xd8\xff": " (it is a picture)",
     b"RIFF": " (it is a picture or sound; of a SOG name its meta.json)",
@@ -189,6 +189,10 @@ def _reader_of(path, start, file):
         from rainsim.scene.formats.spz import read_spz
 
         return "SPZ", read_spz
+    if start.startswith(b"glTF"):
+        from rainsim.scene.formats.gltf import read_glb
+
+        return "glTF", read_glb
     if start.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"{"):
         from rainsim.scene.formats.sog import read_folder
 
