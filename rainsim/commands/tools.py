@@ -41,11 +41,11 @@ def import_(path, info, lod, out, overwrite, resume, threads, as_json, quiet, **
     """Read a capture, find its ground, and write it as a scene folder.
 
     PATH is a trained model's folder (point_cloud/iteration_*/point_cloud.ply and cameras.json) or a
-    splat file (PLY, compressed PLY, SPZ, SOG, .splat, .glb) with cameras.json, transforms.json
-    or a COLMAP model (sparse/0) beside it; or a scene with things that move: an actors.json, a
-    Street Gaussians model, a drivestudio checkpoint (.pth). Writes splats.npz, scene.json, with
-    nodes actors.npz, and ground_frame.json. Put the folder where RAINSIM_SCENES points to use it by
-    name. Prints the ground frame and, from the height map, what the captured colours are taken for, which
+    splat file (PLY, compressed PLY, SPZ, SOG, .splat, .glb) with cameras.json, transforms.json or a
+    COLMAP model (sparse/0) beside it; or a scene with things that move: an actors.json, a Street
+    Gaussians model, a drivestudio checkpoint (.pth). Writes splats.npz, scene.json, with nodes
+    actors.npz, and ground_frame.json. Put the folder where RAINSIM_SCENES points to use it by name.
+    Prints the ground frame and, from the height map, what the captured colours are taken for, which
     --ground-albedo of `run` corrects.
 
     With --lod the folder holds chunks in place of splats.npz: a Streamed SOG.
