@@ -10,21 +10,18 @@ from rainsim.backend import on_backend
 from rainsim.config.settings import mm_per_hour
 from rainsim.datasets.sample import REPLACED, Sample, keep_mask
 from rainsim.drops import Weather
-from rainsim.lod.paged import rasterizer_of_scene
 from rainsim.pipeline import FrameSequence, simulate
 from rainsim.render.labels import boxes_of
 from rainsim.render.shutter import motion_of
-from rainsim.scene.actors import require_no_actors
 from rainsim.scene.pages import require_whole
 from rainsim.sensors.glass import caps_on, through_glass, wide_camera
 from rainsim.sensors.lens import lens_warp
-from rainsim.sensors.rolling import STILL, Motion, bands, draw_rolling
+from rainsim.sensors.rolling import STILL, Motion, draw_rolling
 from rainsim.terrain.pond import without_images
 
 LABELS = ("depth", "range", "class_id", "puddle_id", "splash_id", "rain_alpha", "splash_alpha")
 FLOWS, ACTORS = ("flow", "flow_mask"), "actor_id"
 CLEAR = "clean"
-NEAR = 0.05  # m: splats nearer than this are not drawn
 
 
 class Shots:
@@ -54,13 +51,11 @@ class Shots:
                  readout=0.0, pane=None):  # fmt: skip
         if user_labels is not None:
             require_whole(scene, "export with labels of splats", "leave out --labels")
-        if readout:
-            require_no_actors(scene.actors, "a rolling shutter", "leave out --rolling")
         self.scene, self.terrain, self.views = scene, terrain, views
         self.config, self.sequence, self.backend = config, sequence, backend
         self.user_labels, self.readout, self.pane = user_labels, readout, pane
         self._wide = None  # what drops on the glass show: rate, renderer, states, the last state
-        self._warps, self._dry = {}, None
+        self._warps = {}
         self.labels = (*LABELS, *((ACTORS,) if scene.actors else ()))
 
     def draw(self, rate, indices):
@@ -129,7 +124,6 @@ class Shots:
         first = frame.camera_in_capture(path[0])
         renderer = on_backend(self.backend)[0](scene, self.terrain, config, first)
         states, state = simulate(self.terrain, config), None
-        labels = tuple(name for name in names if name != CLEAR)
         for index in indices:
             while state is None or (self.sequence and state.index < index):
                 state = next(states)
@@ -138,24 +132,7 @@ class Shots:
                 motion = Motion(*motion_of(path, index, config.fps))
             own = self.views[index].camera
             sensor = {"first_row": own.cy - path[index].cy, "height": own.height}
-            picture, report = draw_rolling(
-                renderer, path[index], state, motion, self.readout, labels, **sensor
-            )
-            if CLEAR in names:
-                exposure = config.at(state.time).render.exposure
-                parts = bands(path[index], motion, self.readout, exposure, **sensor)
-                clear = [self._dry_picture(begin) for _, begin, _ in parts]
-                report = replace(report, aovs={**report.aovs, CLEAR: np.concatenate(clear)})
-            yield picture, report
-
-    def _dry_picture(self, camera):
-        """Return the dry capture, 8-bit colours, that a camera (ground frame) sees."""
-        frame = self.scene.ground_frame
-        if self._dry is None:
-            self._dry = rasterizer_of_scene(self.scene, self.config.render)
-        camera = frame.camera_in_capture(camera)
-        color = self._dry.draw(camera, NEAR / frame.meters_per_unit).color
-        return (np.clip(color, 0, 1) * 255 + 0.5).astype(np.uint8)
+            yield draw_rolling(renderer, path[index], state, motion, self.readout, names, **sensor)
 
     def _behind_glass(self, view, picture, rate, config):
         """Return a pinhole picture behind the wet glass, the share of drops, and their number.

@@ -116,5 +116,49 @@ def draw_rolling(renderer, camera, state, motion, readout, names=(), **options):
         if name in aovs:
             known = {entry["id"]: entry for r in reports for entry in r.facts.get(kind, ())}
             facts[kind] = [{**known.get(b["id"], {}), **b} for b in boxes_of(aovs[name])]
+    if "actor_id" in aovs:
+        heights = [len(part) for part, _ in parts]
+        facts["actors"] = _nodes(reports, np.cumsum([0, *heights]), aovs["actor_id"])
     notes = tuple(dict.fromkeys(note for r in reports for note in r.notes))
     return picture, replace(reports[0], time=state.time, aovs=aovs, facts=facts, notes=notes)
+
+
+def _nodes(reports, rows, number):
+    """Return what the labels say of each node that some band shows, or could.
+
+    Its box in the picture is that of its boxes in all bands; its box in space is that at the time
+    of the band in which the middle of this box lies.
+
+    Parameters
+    ----------
+    reports : sequence of FrameReport
+        Of the bands.
+    rows : ndarray of shape (bands + 1,), int
+        First row of each band, and the picture's height.
+    number : ndarray of shape (height, width), uint16
+        Of the whole picture, as the layer `actor_id`.
+    """
+    seen = {box["id"]: box for box in boxes_of(number)}
+    known = {}
+    for band, report in enumerate(reports):
+        for entry in report.facts.get("actors", ()):
+            known.setdefault(entry["number"], {})[band] = entry
+    nodes = []
+    for which, entries in sorted(known.items()):
+        boxes = [
+            np.add(entry["box2d"], (0, rows[band], 0, rows[band]))
+            for band, entry in entries.items()
+            if entry["box2d"] is not None
+        ]
+        box, middle = None, min(entries)
+        if boxes:
+            low, high = np.min(boxes, axis=0), np.max(boxes, axis=0)
+            box = [float(v) for v in (*low[:2], *high[2:])]
+            band = int(np.searchsorted(rows, (box[1] + box[3]) / 2, side="right")) - 1
+            middle = min(entries, key=lambda there: abs(there - band))
+        mine = seen.get(which)
+        nodes.append({
+            **entries[middle], "box2d": box, "box2d_seen": mine and mine["box"],
+            "pixels": mine["pixels"] if mine else 0,
+        })  # fmt: skip
+    return nodes

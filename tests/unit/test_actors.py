@@ -448,10 +448,6 @@ def test_other_descriptions_that_are_refused(scene, tmp_path):
         read_scene(tmp_path / "kept")
 
 
-def test_what_knows_no_nodes_refuses_them(scene, ground):
-    from rainsim.datasets.shots import Shots
-
-    with pytest.raises(ParameterError, match=r"1 moving nodes; a rolling shutter"):
-        Shots(scene, ground, [], CONFIG, False, readout=0.01)
+def test_nodes_of_one_name_are_refused(scene):
     with pytest.raises(ParameterError, match="differ; rename one"):
         with_actors(tiny_scene(), scene.actors * 2)

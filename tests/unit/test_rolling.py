@@ -1,5 +1,7 @@
 """Rolling shutters: edges lean as their closed form says, drops shear, nothing else changes."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -10,7 +12,7 @@ from rainsim.raster import Rasterizer, prepare
 from rainsim.render.renderer import Renderer
 from rainsim.scene.types import Camera, Splats
 from rainsim.sensors.rolling import STILL, Motion, bands, check_readout, draw_rolling
-from scenes import tiny_scene
+from scenes import moving_scene, tiny_scene
 
 
 def edge_scene():
@@ -85,6 +87,36 @@ def test_a_still_scene_is_the_same_and_drops_shear():
     # The first band is as before, below the drops have moved on by their band's time.
     assert np.abs(drops[2] - drops[0])[64:].max() > 10 * np.abs(drops[1] - drops[0])[64:].max()
     assert {p["id"] for p in now.facts["puddles"]} == {p["id"] for p in whole.facts["puddles"]}
+
+
+def test_a_moving_node_leans_as_its_rows_are_read():
+    """The box is in each band where it is at the band's time, and so are its labels."""
+    scene = moving_scene()
+    config = Config.from_preset("drizzle").replace(extent=1.0, spacing=0.05)
+    terrain = pipeline.extract_terrain(scene, config)
+    state = replace(next(pipeline.simulate(terrain, config)), time=0.4)
+    camera = scene.cameras[0].resized(96, 72)
+    here, names = scene.ground_frame.camera_in_ground(camera), ("actor_id", "clean")
+    renderer = Renderer(scene, terrain, config, camera)
+    readout = 0.2
+    _, rolling = draw_rolling(renderer, here, state, STILL, readout, names, rows=24)
+    number, drawn = rolling.aovs["actor_id"], []
+    for band in range(3):
+        rows = slice(24 * band, 24 * band + 24)
+        at = replace(state, time=0.4 + readout * (24 * band + 12) / 72)
+        _, whole = renderer.draw(camera, at, None, names)
+        drawn.append(whole)
+        assert (number[rows] == whole.aovs["actor_id"][rows]).mean() > 0.99
+        apart = np.abs(rolling.aovs["clean"][rows].astype(int) - whole.aovs["clean"][rows])
+        assert apart.mean() < 1
+    assert (number != drawn[0].aovs["actor_id"]).sum() > 10  # it moves meanwhile
+    (facts,) = rolling.facts["actors"]
+    assert facts["pixels"] == (number == 1).sum() > 100
+    left, top, right, bottom = facts["box2d"]
+    seen = facts["box2d_seen"]
+    assert left <= seen[0] and top <= seen[1] and seen[2] <= right and seen[3] <= bottom
+    middle = int((top + bottom) / 2 // 24)
+    assert facts["box3d"] == drawn[middle].facts["actors"][0]["box3d"]
 
 
 def test_readouts_are_checked():
