@@ -187,11 +187,11 @@ class FrameSequence:
             around = self._ground.around(self.scene, station)
             number, beyond = station.start(self.config), self._ground.about(around.grid)
             begin = steady_water(around, self.config, number, beyond)
-            part = with_movers(part_of(around, station.window), self.scene)
-            self._begin = part, begin.within(station.window)
+            part = part_of(around, station.window)
+            self._begin = part, begin.within(station.window, around)
             self._window = station.window, begin.depth.astype(np.float32)
             self._station = station
-            self._renderer.take_ground(with_movers(around, self.scene), begin.exposure)
+            self._renderer.take_ground(around, begin.exposure)
         part, begin = self._begin
         self._water, self._steps = simulate(part, self.config, begin=begin), begin.number
 

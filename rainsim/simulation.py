@@ -26,13 +26,15 @@ from rainsim.rain.tyres import AT, COLUMNS, NO_THROWS, column
 from rainsim.shading.wetness import evaporation_rate
 from rainsim.terrain.table import DRAIN
 from rainsim.terrain.types import NO_TOPS
+from rainsim.water.begin import Begin
 from rainsim.water.keyframes import level_changes, past_rain_growth
 from rainsim.water.on_objects import Objects
 from rainsim.water.puddles import WET, doubt, puddles_of, wet_share
 from rainsim.water.ripples import RippleTile, mean_chord, tile_impacts
-from rainsim.water.rolling import NO_TRACKS, Tyres
-from rainsim.water.streams import Begin, run_in, run_off, with_streams
+from rainsim.water.rolling import NO_TRACKS
+from rainsim.water.streams import run_in, run_off, with_streams
 from rainsim.water.top_water import TopWater
+from rainsim.water.window_tyres import tyres_of
 
 RIPPLE_DEPTHS = (2e-3, 0.1)  # m: films thinner carry no rings, deeper water is deep to them
 RIPPLE_WARM_UP = 5.0  # s of rain before the first frame: then rings come and go in balance
@@ -74,7 +76,8 @@ class SimState:
         What tyres have thrown that may be in the air, see `tyres.COLUMNS`.
     throw_id : ndarray of shape (t,), uint64
     tracks : ndarray of shape (ny, nx) or (0, 0), uint8
-        How full the film is where tyres have passed, of 255; see `Tyres.tracks`.
+        How full the film is where tyres have passed, of 255; see `Tyres.tracks`. Of a window
+        over all that lies around it.
     """
 
     index: int
@@ -138,6 +141,8 @@ def steady_water(terrain, config, number, beyond=None):
 def widened(state, window, begun):
     """Return the state of a window over all that lies around it, where the water stands still.
 
+    Tracks of tyres are those of all that lies around it already.
+
     Parameters
     ----------
     state : SimState
@@ -150,11 +155,7 @@ def widened(state, window, begun):
     depth[window] = state.depth
     velocity = np.zeros((2, *depth.shape), np.float32)
     velocity[(slice(None), *window)] = state.velocity
-    tracks = state.tracks
-    if tracks.size:
-        tracks = np.full(depth.shape, 255, np.uint8)  # no tyre has passed
-        tracks[window] = state.tracks
-    return replace(state, depth=depth, velocity=velocity, tracks=tracks)
+    return replace(state, depth=depth, velocity=velocity)
 
 
 def initial_water(terrain, config, exposure, fallen=0.0):
@@ -243,12 +244,14 @@ def simulate(terrain, config, progress=None, dtype=np.float32, begin=None):
     puddle_growth = past_rain_growth(terrain, config, exposure, begun)
     level_change = level_changes(terrain, config)
     solver = water_solver(terrain, start, dtype)
+    tyres = tyres_of(terrain, config, begin)
+    if begin:  # cars have come before the water's account opens
+        begin = begin._replace(depth=tyres.come(begin.depth, weather, first))
     depth, notes = _filled(solver, terrain, start, exposure, begin)
     ripples = ripple_tile(config, weather, None if begin else (depth, terrain.grid.spacing))
     objects = Objects(surfaces, start, *tops_of(terrain, config, start))
     warm_up(ripples, objects, weather, begun)
     objects.open_account()
-    tyres = tyres_of(terrain, config)
     index, hits, report = first, None, tyres.start(solver, weather, begun)
     while True:
         time = index / config.fps
@@ -284,7 +287,7 @@ def simulate(terrain, config, progress=None, dtype=np.float32, begin=None):
             _of_hits(hits, "position", (0, 3)), _of_hits(hits, "diameter", (0,)),
             _of_hits(hits, "kind", (0,), np.uint8), ledger,
             notes if index == first else (), *objects.falling(),
-            top_water=objects.top_water(), **tyres.state(deep),
+            top_water=objects.top_water(), **tyres.state(deep, time),
         )  # fmt: skip
         index += 1
 
@@ -331,13 +334,6 @@ def tops_of(terrain, config, start):
     """Return the `TopWater` of a terrain and how much of it has dried at the start [m]."""
     dried = evaporation_rate(start) * start.rain.drying
     return TopWater(tops_drawn(terrain, config)), dried
-
-
-def tyres_of(terrain, config):
-    """Return the `Tyres` of what moves on a terrain; none if the settings leave spray out."""
-    if config.render.spray == "off":
-        terrain = replace(terrain, movers=())
-    return Tyres(terrain, config.rain.seed, config.rain.roughness)
 
 
 def tops_drawn(terrain, config):

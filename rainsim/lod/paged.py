@@ -16,7 +16,7 @@ from rainsim.lod.choose import chosen_levels
 from rainsim.raster import Rasterizer
 from rainsim.scene.actors import padded
 from rainsim.scene.formats.streamed import NONE
-from rainsim.scene.pages import ALWAYS
+from rainsim.scene.pages import ALWAYS, levels_at
 from rainsim.splatting.prepared import (
     COARSE,
     GEOMETRY,
@@ -167,6 +167,9 @@ class PagedRasterizer:
         parts = [page.first for page in pages]
         if not leading:
             parts += [page.last for page in pages if page.last is not None]
+        if not parts and self._front is None:  # nothing of the capture is in the picture
+            level = int(levels_at(self.pages.tree, self.pages.tree.levels - 1)[0])
+            parts = [self._prepare(self.pages.splats(0, level).take(slice(0))).first]
         joined = together(parts, self._front, self._room)
         self._room.holds = self
         joined = replace(joined, compensate=self._compensate)

@@ -178,12 +178,12 @@ class Renderer:
         Parameters
         ----------
         terrain : Terrain
-            A window of the ground of this renderer's scene.
+            A window of the ground of this renderer's scene, its nodes on it.
         reach : ndarray of shape (ny, nx), float32
             Share of the rain that reaches the ground.
         """
         config, self._camera = self.config, None
-        terrain = with_movers(tops_drawn(terrain, config), self.wet_scene.scene)
+        terrain = tops_drawn(terrain, config)
         self.terrain = terrain
         self.wet_scene.take_ground(terrain, reach, self.now)
         self.moving = MovingSurfaces(terrain, usual_wind(config), config.rain.roughness)

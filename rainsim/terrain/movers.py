@@ -151,16 +151,22 @@ def _outline(splats):
     return np.concatenate(every)
 
 
-def with_movers(terrain, scene):
+def movers_of(scene, spacing):
+    """Return the `Mover` of each solid node of a scene, on maps of a spacing [m]."""
+    made = (mover_of(actor, scene.ground_frame, spacing) for actor in scene.actors)
+    return tuple(mover for mover in made if mover is not None)
+
+
+def with_movers(terrain, scene, movers=None):
     """Return the terrain with the nodes of a scene on it.
 
     Parked ones stand on the map as things do; those that move are its `movers`. Without nodes the
-    terrain itself is returned.
+    terrain itself is returned. `movers` are those of `movers_of`, where they are known.
     """
     if not scene.actors or terrain.movers:
         return terrain
-    made = [mover_of(a, scene.ground_frame, terrain.grid.spacing) for a in scene.actors]
-    movers = [mover for mover in made if mover is not None]
+    if movers is None:
+        movers = movers_of(scene, terrain.grid.spacing)
     top, underside = terrain.top.copy(), terrain.underside.copy()
     for mover in movers:
         if mover.track.parked:

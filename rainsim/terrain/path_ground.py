@@ -17,6 +17,7 @@ from rainsim.errors import BackendError, ParameterError
 from rainsim.terrain.choose import AUTO_CELLS, MOST_CELLS, USUAL_SPACING, choose_grid
 from rainsim.terrain.extract import MARGIN, arrays_over
 from rainsim.terrain.kept import kept_terrain
+from rainsim.terrain.movers import movers_of, with_movers
 from rainsim.terrain.stations import (
     HIGH,
     STRIP,
@@ -41,13 +42,15 @@ class PathGround:
     Parameters
     ----------
     overview : Terrain
-        The coarse map.
+        The coarse map, nodes on it.
     path : sequence of Camera
         One per frame, or one for all, in the ground frame.
     frames : int
         Of the whole path.
     spacing : float [m]
         Of the windows' cells.
+    movers : tuple of Mover
+        The nodes on maps of that spacing.
 
     Attributes
     ----------
@@ -56,8 +59,8 @@ class PathGround:
         In the order of their frames.
     """
 
-    def __init__(self, overview, path, frames, spacing):
-        self.overview = overview
+    def __init__(self, overview, path, frames, spacing, movers=()):
+        self.overview, self._movers = overview, movers
         self.stations = stations_of(path, frames, spacing, self.height)
         self._last = {}, None  # where the strips of the last `around` lie in it, by their cells
 
@@ -82,7 +85,7 @@ class PathGround:
         return station_at(self.stations, frame)
 
     def around(self, scene, station):
-        """Return the `Terrain` of a station's window and of what lies around it.
+        """Return the `Terrain` of a station's window and of what lies around it, nodes on it.
 
         Parameters
         ----------
@@ -110,7 +113,7 @@ class PathGround:
                     maps[name] = np.empty((*grid.shape, *values.shape[2:]), values.dtype)
                 maps[name][places[part, spacing]] = values
         self._last = places, Terrain(grid, **maps)
-        return self._last[1]
+        return with_movers(self._last[1], scene, self._movers)
 
     def about(self, grid):
         """Return the coarse `Terrain` about a part of the ground, a `Grid`, with what drains to it.
@@ -163,6 +166,8 @@ def grid_of(cells, spacing):
 def part_of(terrain, window):
     """Return the `Terrain` of a part of a map without tops and painted water, its arrays copied.
 
+    What moves on the map moves on the part, too.
+
     Parameters
     ----------
     terrain : Terrain
@@ -175,15 +180,14 @@ def part_of(terrain, window):
     part = grid_of(cells, grid.spacing)
     origin = grid.origin[0] + part.origin[0], grid.origin[1] + part.origin[1]
     maps = {name: getattr(terrain, name)[window].copy() for name in MAPS}
-    return Terrain(replace(part, origin=origin), **maps)
+    return Terrain(replace(part, origin=origin), **maps, movers=terrain.movers)
 
 
 def follows_path(scene, config, cameras, backend="cpu", mask=None):
     """Tell whether the ground of a scene is mapped along the path of the cameras.
 
     By `auto` it is where one map for all would need wider cells than usual, or more cells of the
-    given size than the memory holds. Scenes with nodes keep one map: their tyres throw water
-    wherever they drive, but in a window only there. So do cameras from above, who see far.
+    given size than the memory holds. Cameras from above, who see far, keep one map.
 
     Parameters
     ----------
@@ -227,7 +231,7 @@ def follows_path(scene, config, cameras, backend="cpu", mask=None):
             )
         return True
     eyes = scene.ground_frame.to_ground(np.array([camera.position for camera in cameras]))
-    one_map = backend != "cpu" or len(cameras) == 1 or scene.actors or eyes[:, 2].max() > HIGH
+    one_map = backend != "cpu" or len(cameras) == 1 or eyes[:, 2].max() > HIGH
     if one_map or any(wrong for wrong, _, _ in needs_one):
         return False
     area = np.prod(choose_grid(scene, TerrainConfig())[0].size)
@@ -250,7 +254,8 @@ def path_ground(scene, config, cameras):
     coarse = max(choose_grid(scene, TerrainConfig(), OVERVIEW_CELLS)[0].spacing, spacing)
     overview = kept_terrain(scene, TerrainConfig(spacing=coarse))
     path = [scene.ground_frame.camera_in_ground(camera) for camera in cameras]
-    ground = PathGround(replace(overview, tops=NO_TOPS), path, config.frames, spacing)
+    overview = with_movers(replace(overview, tops=NO_TOPS), scene)
+    ground = PathGround(overview, path, config.frames, spacing, movers_of(scene, spacing))
     sides = [max(s.cells[1] - s.cells[0], s.cells[3] - s.cells[2]) for s in ground.stations]
     windows = f"{len(sides)} window" + ("s" if len(sides) > 1 else "")
     note = (

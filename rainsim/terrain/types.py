@@ -218,12 +218,13 @@ class Terrain:
         """Mask of the paving."""
         return self.ground_class == HARD
 
-    def by_class(self, name):
+    def by_class(self, name, part=()):
         """Return a number of each cell's ground class, ndarray of shape (ny, nx).
 
-        `name` is a key of `ClassTable.columns`, which lists the units.
+        `name` is a key of `ClassTable.columns`, which lists the units. `part`, if given, are rows
+        and columns, two slices.
         """
-        return class_table().column(name)[self.ground_class]
+        return class_table().column(name)[self.ground_class[part]]
 
     @property
     def hard_noise(self):

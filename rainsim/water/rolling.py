@@ -84,8 +84,11 @@ class Tyres:
             _require_possible(car)
         self.lifted = self.returned = self.kept = self.gone = self._mist = 0.0
         self._throws, self._ids = NO_THROWS, np.zeros(0, np.uint64)
-        self._landing = np.zeros((0, 4))  # end [s], row, column, volume [m3]; row -1: beside it
+        self._own = np.zeros(0)  # share of each throw that the account has
+        # End [s], row, column, volume and the account's part of it [m3]; row -1: beside the map.
+        self._landing = np.zeros((0, 5))
         self._passed = np.zeros(terrain.grid.shape, bool) if self._cars else None
+        self._box = None  # first row, first column, last row, last column of all that was passed
         spacing = terrain.grid.spacing
         step = max(1, round(PATCH / 3 / spacing))  # cells between those that take a share
         reach = step * math.ceil(PATCH / (step * spacing))
@@ -129,7 +132,11 @@ class Tyres:
         """Return the table of throws that may still be in the air, and its ids."""
         return self._throws.copy(), self._ids.copy()
 
-    def state(self, depth):
+    def come(self, depth, weather, number):
+        """Return the depth of a window's water when cars have come to it, see `WindowTyres`."""
+        return depth
+
+    def state(self, depth, time):
         """Return throws, their ids and tracks over water of a depth, as `SimState` takes them."""
         throws, ids = self.throws()
         return {"throws": throws, "throw_id": ids, "tracks": self.tracks(depth)}
@@ -147,11 +154,21 @@ class Tyres:
         ndarray
             255 where none has passed; of shape (0, 0) where none has passed at all.
         """
-        if self._passed is None or not self._passed.any():
+        if self._box is None:
             return NO_TRACKS
-        full = np.maximum(self._terrain.by_class("storage"), LEFT)
-        share = np.where(self._passed, np.clip(depth / full, 0, 1), 1.0).astype(np.float32)
-        return np.rint(ndimage.gaussian_filter(share, SHOULDER) * 255).astype(np.uint8)
+        part = self._passed_part(math.ceil(4 * SHOULDER) + 1)  # the blur reaches no farther
+        full = np.maximum(self._terrain.by_class("storage", part), LEFT)
+        share = np.clip(depth[part] / full, 0, 1)
+        share = np.where(self._passed[part], share, 1.0).astype(np.float32)
+        tracks = np.full(self._passed.shape, 255, np.uint8)
+        tracks[part] = np.rint(ndimage.gaussian_filter(share, SHOULDER) * 255)
+        return tracks
+
+    def _passed_part(self, margin=0):
+        """Return rows and columns, two slices, about all that tyres have passed."""
+        low, high = self._box[:2], self._box[2:]
+        return tuple(slice(max(a - margin, 0), b + 1 + margin)
+                     for a, b in zip(low, high, strict=True))  # fmt: skip
 
     def book(self, ledger, time):
         """Return a ledger (a dict) with the water that tyres have thrown in it.
@@ -161,10 +178,10 @@ class Tyres:
         if not self._cars:
             return ledger
         ledger = dict(ledger)
-        hanging = float(mist_left(self._throws, time).sum())
+        hanging = float((mist_left(self._throws, time) * self._own).sum())
         ledger["drained"] -= self.lifted
         ledger["rain"] -= self.returned
-        ledger["airborne"] += float(self._landing[:, 3].sum()) + hanging
+        ledger["airborne"] += float(self._landing[:, 4].sum()) + hanging
         ledger["obstacles"] += self.kept
         ledger["outflow"] += self.gone + self._mist - hanging
         return Ledger.from_dict(ledger).as_dict()
@@ -172,7 +189,7 @@ class Tyres:
     def _step(self, solver, start, stop, weather):
         """Throw what all tyres meet in a step, and bring down what has flown long enough."""
         wind = weather.wind(0.5 * (start + stop)) * float(wind_at(WIND_AT, self._roughness))
-        rows, ids = [], []
+        rows, ids, own = [], [], []
         tick = round(stop / (LONGEST_STEP / 64))
         for number, car in enumerate(self._cars):
             places = _places(car, start), _places(car, stop)
@@ -180,42 +197,57 @@ class Tyres:
                 continue
             middle = _middle(car, stop)
             for k in range(len(car.width)):
-                row = self._throw(
+                row, share = self._throw(
                     solver, car, k, places[0][k], places[1][k], middle, start, stop, wind
                 )
                 if row is not None:
                     row[AT["car"]] = number
                     rows.append(row)
                     ids.append((number * MOST_WHEELS + k, tick))
+                    own.append(share)
         if rows:
             table, (wheel, moment) = np.array(rows), np.array(ids, np.int64).T
             ids = subkey(subkey(self._key, wheel), moment)
-            self._mist += float(column(table, "mist").sum())
+            own = np.array(own)
+            self._mist += float((column(table, "mist") * own).sum())
             self._throws = np.concatenate([self._throws, table])
             self._ids = np.concatenate([self._ids, ids])
-            self._landing = np.concatenate([self._landing, self._landings(table, ids)])
+            self._own = np.concatenate([self._own, own])
+            self._landing = np.concatenate([self._landing, self._landings(table, ids, own)])
         recent = column(self._throws, "end") > stop - REMEMBERED
         self._throws, self._ids = self._throws[recent], self._ids[recent]
+        self._own = self._own[recent]
         self._land(solver, stop)
 
     def _throw(self, solver, car, k, begin, end, middle, start, stop, wind):
-        """Take the water in the path of one tyre; return its row of the table, or None."""
+        """Take the water in the path of one tyre.
+
+        Returns
+        -------
+        row : ndarray or None
+            Of the table of throws.
+        share : float
+            Of it that the account has.
+        """
         step = np.hypot(*(end - begin)[:2])
         speed = step / (stop - start)
         if speed < SLOWEST:
-            return None
+            return None, 0.0
         grid = self._terrain.grid
         rows, columns = _swept(grid, begin, end, float(car.width[k]))
         if len(rows):
             off = np.abs(self._terrain.bed[rows, columns] - 0.5 * (begin + end)[2])
             rows, columns = (a[off < OFF_THE_ROAD] for a in (rows, columns))
         if not len(rows):
-            return None
+            return None, 0.0
         self._passed[rows, columns] = True
-        lifted = solver.lift(rows, columns, LEFT)
+        box = rows.min(), columns.min(), rows.max(), columns.max()
+        self._box = box if self._box is None else (
+            *np.minimum(self._box[:2], box[:2]), *np.maximum(self._box[2:], box[2:]))  # fmt: skip
+        lifted, own = self._taken(solver, rows, columns, stop)
         if lifted <= 0:
-            return None
-        self.lifted += lifted
+            return None, 0.0
+        self.lifted += own
         depth = lifted / (len(rows) * grid.cell_area)
         rates = thrown_rates(depth, car.width[k], speed)
         volumes = lifted * rates / rates.sum()
@@ -232,9 +264,14 @@ class Tyres:
         )  # fmt: skip
         row[AT["bow"] : AT["mist"]] = volumes - mist
         row[AT["mist"]] = mist.sum()
-        return row
+        return row, own / lifted
 
-    def _landings(self, table, ids):
+    def _taken(self, solver, rows, columns, time):
+        """Take the water of cells down to LEFT; return its volume and the account's part [m3]."""
+        lifted = solver.lift(rows, columns, LEFT)
+        return lifted, lifted
+
+    def _landings(self, table, ids, own):
         """Return when and where the drops of a table of throws come down, see `_landing`."""
         parcels = parcels_of(table, ids)
         age = landing_age(parcels)
@@ -244,22 +281,27 @@ class Tyres:
         cells = (cell[:, None] + self._patch).reshape(-1, 2)
         inside = ((cells >= 0) & (cells < grid.shape)).all(axis=1)
         cells[~inside] = -1
+        each = parcels.volume / count
         return np.column_stack([
-            np.repeat(parcels.begin + age, count), cells, np.repeat(parcels.volume / count, count)
+            np.repeat(parcels.begin + age, count), cells, np.repeat(each, count),
+            np.repeat(each * own[parcels.row], count),
         ])  # fmt: skip
 
     def _land(self, solver, time):
         """Bring down what lands up to a time [s]."""
         due = self._landing[:, 0] < time
         down, self._landing = self._landing[due], self._landing[~due]
-        cells, volume = down[:, 1:3].astype(np.int64), down[:, 3]
+        cells, volume, own = down[:, 1:3].astype(np.int64), down[:, 3], down[:, 4]
         inside = cells[:, 0] >= 0
-        self.gone += float(volume[~inside].sum())
-        (row, column), volume = cells[inside].T, volume[inside]
+        self.gone += float(own[~inside].sum())
+        (row, column), volume, own = cells[inside].T, volume[inside], own[inside]
         held = self._stands[row, column]
-        self.kept += float(volume[held].sum())
-        row, column, volume = row[~held], column[~held], volume[~held]
-        self.returned += float(volume.sum())
+        self.kept += float(own[held].sum())
+        self._put_down(solver, row[~held], column[~held], volume[~held], own[~held])
+
+    def _put_down(self, solver, row, column, volume, own):
+        """Give cells of the ground what comes down on them, and what of it the account has [m3]."""
+        self.returned += float(own.sum())
         solver.deposit(row, column, volume)
 
 

@@ -35,34 +35,6 @@ BISECTIONS = 20  # of HIGHEST: to a micrometre
 LEVEL, ROOT, EAST, NORTH, SHARE, TOTAL = range(6)  # rows of a table of streams
 
 
-class Begin(NamedTuple):
-    """Where the water of a window of the ground begins, see `simulation.steady_water`.
-
-    Attributes
-    ----------
-    number : int
-        Of the state.
-    depth : ndarray of shape (ny, nx), float64 [m]
-    velocity : ndarray of shape (2, ny, nx), float32 [m/s]
-    notes : tuple of str
-    exposure : ndarray of shape (ny, nx), float32
-        Share of the rain that reaches the ground.
-    """
-
-    number: int
-    depth: np.ndarray
-    velocity: np.ndarray
-    notes: tuple
-    exposure: np.ndarray
-
-    def within(self, window):
-        """Return the part of it in a window (slices of rows and columns)."""
-        return self._replace(  # copied: the whole need not stay in memory
-            depth=self.depth[window].copy(), exposure=self.exposure[window].copy(),
-            velocity=self.velocity[(slice(None), *window)].copy(),
-        )  # fmt: skip
-
-
 class Runoff(NamedTuple):
     """What runs off the ground under a steady rain, on blocks of cells.
 
@@ -149,13 +121,15 @@ def run_in(flow, grid, place):
     Parameters
     ----------
     flow : Runoff
-        Of the map, whose blocks are its cells.
+        Of the map.
     grid : Grid
         Of the map.
     place : Grid
         Of the part.
     """
-    x, y = grid.centres()
+    side = block_cells(grid.spacing) * grid.spacing
+    y, x = (start + (np.arange(count) + 0.5) * side
+            for start, count in zip(grid.origin[::-1], flow.level.shape, strict=True))  # fmt: skip
     low, high = place.origin, np.add(place.origin, place.size)
     inside = np.outer((y > low[1]) & (y < high[1]), (x > low[0]) & (x < high[0]))
     found = []

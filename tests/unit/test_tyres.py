@@ -58,7 +58,7 @@ def road(length=8.0, spacing=0.02):
     bed = np.zeros(shape, np.float32)
     return SimpleNamespace(
         grid=Grid(shape, (-2.0, -2.0), spacing), bed=bed, top=bed.copy(), movers=(),
-        by_class=lambda name: np.full(shape, 3e-4, np.float32),
+        by_class=lambda name, part=(): np.full(shape, 3e-4, np.float32)[part],
     )  # fmt: skip
 
 

@@ -1,0 +1,65 @@
+"""Where the water of a window of the ground begins."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+
+class Around(NamedTuple):
+    """What lies about a window of the ground, the window itself included.
+
+    Attributes
+    ----------
+    terrain : Terrain
+    window : tuple of slice
+        Its rows and columns.
+    depth : ndarray of shape (ny, nx), float32 [m]
+        Of the water at the start.
+    exposure : ndarray of shape (ny, nx), float32
+        Share of the rain that reaches the ground.
+    """
+
+    terrain: object
+    window: tuple
+    depth: np.ndarray
+    exposure: np.ndarray
+
+
+class Begin(NamedTuple):
+    """Where the water of a window of the ground begins, see `simulation.steady_water`.
+
+    Attributes
+    ----------
+    number : int
+        Of the state.
+    depth : ndarray of shape (ny, nx), float64 [m]
+    velocity : ndarray of shape (2, ny, nx), float32 [m/s]
+    notes : tuple of str
+    exposure : ndarray of shape (ny, nx), float32
+        Share of the rain that reaches the ground.
+    around : Around or None
+        Of a part, if cars drive there.
+    """
+
+    number: int
+    depth: np.ndarray
+    velocity: np.ndarray
+    notes: tuple
+    exposure: np.ndarray
+    around: Around | None = None
+
+    def within(self, window, terrain=None):
+        """Return the part of it in a window (slices of rows and columns).
+
+        `terrain` is that of the whole; without it no car drives in the part.
+        """
+        around = None
+        if terrain is not None and terrain.movers:
+            depth = self.depth.astype(np.float32)
+            around = Around(terrain, window, depth, self.exposure)
+        return self._replace(  # copied: the whole need not stay in memory
+            around=around, depth=self.depth[window].copy(), exposure=self.exposure[window].copy(),
+            velocity=self.velocity[(slice(None), *window)].copy(),
+        )  # fmt: skip
