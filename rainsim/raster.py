@@ -94,6 +94,7 @@ class Rasterizer:
     def draw(
         self, camera, near, plane=None, depth="expected", compensate=False, degree=None,
         background=(0, 0, 0), hit=False, drop_last=False, leading=False, detail=0.0,
+        among=None,
     ):  # fmt: skip
         """Return the `Layers` that `camera` sees; the same bytes for any number of threads.
 
@@ -124,11 +125,14 @@ class Rasterizer:
         detail : float [px]
             Where the prepared splats have levels of detail (`splatting.detail`): splats are merged
             in cells that take at most so much of the picture; 0: all are drawn as they are.
+        among : ndarray of int64, optional
+            Chunks of which the picture is drawn, in the order that splats of one depth are taken
+            in; without it all. Neither `leading` nor `detail` choose among them.
         """
         require_choice("depth", depth, ("expected", "median"))
         background = np.asarray(background, np.float32)
         compensate = bool(compensate or self.prepared.compensate)
-        chunks, start = self._list(camera, near, plane, compensate, degree, leading, detail)
+        chunks, start = self._list(camera, near, plane, compensate, degree, leading, detail, among)
         halfway = depth == "median"
         layers, half = self._blend(camera, start, background, halfway, bool(drop_last))
         if hit:
@@ -157,7 +161,9 @@ class Rasterizer:
         )  # fmt: skip
         return layers, half
 
-    def _list(self, camera, near, plane, compensate, degree, leading=False, detail=0.0):
+    def _list(
+        self, camera, near, plane, compensate, degree, leading=False, detail=0.0, among=None
+    ):  # fmt: skip
         """Project the visible splats and list them by tile.
 
         Returns the indices of the chunks in sight and, for each tile, the start of its list.
@@ -172,13 +178,15 @@ class Rasterizer:
             bool(camera.orthographic),
         )  # fmt: skip
         p = self.prepared
-        seen = np.empty(len(p.box), np.bool_)
-        find_chunks(p.box, frustum, seen)
-        if leading and p.leading is not None:
-            seen[p.leading :] = False
-        if p.span is not None:
-            choose_levels(p.span, p.reach, frustum, np.float32(detail), seen)
-        chunks = np.flatnonzero(seen)
+        box = p.box if among is None else p.box[among]
+        seen = np.empty(len(box), np.bool_)
+        find_chunks(box, frustum, seen)
+        if among is None:
+            if leading and p.leading is not None:
+                seen[p.leading :] = False
+            if p.span is not None:
+                choose_levels(p.span, p.reach, frustum, np.float32(detail), seen)
+        chunks = np.flatnonzero(seen) if among is None else among[seen]
         self._make_room(len(chunks) * LANES)
         visible = np.zeros(len(chunks), np.int64)
         count = np.zeros((BLOCKS, across * down), np.int64)

@@ -1,39 +1,34 @@
-"""Draws a big capture: for each picture the chunks that its camera needs, put one after the other.
+"""Draws a big capture: for each picture the chunks that its camera needs.
 
-A leaf at a level is prepared once and kept as long as memory allows. The pages of a picture stand
-in the order of the index, whatever was read first, so that a picture has the same bytes every time.
+A leaf at a level is prepared once and kept as long as memory allows. A picture takes the chunks of
+its pages in the order of the index, whatever was read first and wherever they lie, so that it has
+the same bytes every time.
 """
 
 from __future__ import annotations
 
 import itertools
-import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from rainsim.lod.choose import chosen_levels
+from rainsim.lod.room import ARRAYS, NO_CHUNKS, Stored, room_for
 from rainsim.raster import Rasterizer
 from rainsim.scene.actors import padded
 from rainsim.scene.formats.streamed import NONE
-from rainsim.scene.pages import ALWAYS, levels_at
-from rainsim.splatting.prepared import (
-    COARSE,
-    GEOMETRY,
-    LANES,
-    NOBODY,
-    PreparedSplats,
-    prepare,
-)
+from rainsim.scene.pages import ALWAYS
+from rainsim.splatting.prepared import COARSE, GEOMETRY, LANES, NOBODY, PreparedSplats, prepare
 
-ARRAYS = ("geometry", "sh", "fine", "step", "box")
-GROWTH = 1.5  # times what a picture's pages need, of the memory that is set aside for them
 MIRRORED = 2.0  # times the threshold in pictures that water and the surroundings mirror
 
 
 @dataclass(frozen=True)
 class Page:
-    """The prepared splats of a leaf at a level; `last` those that mirrors leave out, or None."""
+    """The prepared splats of a leaf at a level; `last` those that mirrors leave out, or None.
+
+    The numbers of their splats are not kept: those of other pages are the same.
+    """
 
     first: PreparedSplats
     last: PreparedSplats | None = None
@@ -43,27 +38,6 @@ class Page:
         """What it takes."""
         parts = [self.first] if self.last is None else [self.first, self.last]
         return sum(getattr(p, name).nbytes for p in parts for name in (*ARRAYS, "order"))
-
-
-class Room:
-    """Memory for what a picture is drawn of, kept: to take it costs as much time as to fill it.
-
-    Attributes
-    ----------
-    holds : object
-        Whose pages were put there last.
-    """
-
-    def __init__(self):
-        self.holds, self._arrays = None, {}
-
-    def put(self, name, parts):
-        """Return arrays with rows of one shape as one array, in the memory of that name."""
-        rows, shape = sum(len(part) for part in parts), parts[0].shape[1:]
-        size = rows * math.prod(shape)
-        if name not in self._arrays or len(self._arrays[name]) < size:
-            self._arrays[name] = np.empty(int(GROWTH * size), parts[0].dtype)
-        return np.concatenate(parts, out=self._arrays[name][:size].reshape(rows, *shape))
 
 
 class PagedRasterizer:
@@ -84,11 +58,13 @@ class PagedRasterizer:
         Factor on `detail` for all pictures.
     compensate : bool
         See `PreparedSplats`.
-    room : Room, optional
-        Where the pages of a picture are put one after the other, shared by those who draw in turns.
+    room : ChunkRoom, optional
+        Where pages lie, shared by those whose harmonics have the same degree.
 
     Attributes
     ----------
+    detail : float [px]
+        Times `coarser`.
     used : dict
         Of the last picture: `splats`, `pages` and `detail` [px].
     """
@@ -100,11 +76,12 @@ class PagedRasterizer:
         compensate=False, room=None,
     ):  # fmt: skip
         self.pages, self._prepare, self._coefficients = pages, prepare, coefficients
-        self._detail, self._rasterizer_of = detail * coarser, rasterizer_of
+        self.detail, self._rasterizer_of = detail * coarser, rasterizer_of
         self._compensate = compensate
         self._number = next(self._numbers)  # apart from other rasterizers of these pages
-        self._front, self._drawn, self._rasterizer = None, None, None
-        self._room = Room() if room is None else room
+        self._front, self._chosen, self._pages, self._chunks = None, None, [], None
+        self._rasterizer = None
+        self.room = room_for(pages) if room is None else room
         self.used = {}
 
     def recolor(self, front=None):
@@ -115,11 +92,13 @@ class PagedRasterizer:
         front : PreparedSplats, optional
             Their numbers in `order` are 0 or more.
         """
-        self._front, self._drawn = front, None
+        self._front, self._chosen = None, None  # whose places are free now
+        if front is not None:
+            self._front = Stored(self.room, front)
 
     def take_colors(self):
         """Prepare all pages again from now on: their colours are others."""
-        self._number, self._drawn = next(self._numbers), None
+        self._number, self._chosen = next(self._numbers), None
 
     def draw(self, camera, near, plane=None, leading=False, threshold=None, **options):
         """Return the `Layers` that `camera` sees; the parameters are those of `Rasterizer.draw`.
@@ -127,8 +106,13 @@ class PagedRasterizer:
         `threshold` [px] takes the place of `detail` for this picture.
         """
         wanted = self.wanted(camera, near, plane, leading, threshold)
-        self._assemble(wanted, leading)
-        return self._rasterizer.draw(camera, near, plane, **options)
+        self._choose_chunks(wanted, leading)
+        prepared = replace(self.room.prepared, compensate=self._compensate)
+        if self._rasterizer is None:
+            self._rasterizer = self._rasterizer_of(prepared)
+        else:
+            self._rasterizer.recolor(prepared)
+        return self._rasterizer.draw(camera, near, plane, among=self._chunks, **options)
 
     def wanted(self, camera, near, plane=None, leading=False, threshold=None):
         """Return the runs that a camera needs, as (leaf, level) in the order of the index."""
@@ -138,11 +122,12 @@ class PagedRasterizer:
     def _choose(self, camera, near, plane=None, leading=False, threshold=None):
         """Return the runs that a camera needs, and what `used` says of them."""
         tree = self.pages.tree
-        detail = self._detail if threshold is None else threshold
+        detail = self.detail if threshold is None else threshold
         detail *= MIRRORED if leading else 1.0
         levels, detail = chosen_levels(tree, camera, near, detail, self._most, plane)
-        wanted = [(int(n), int(levels[n])) for n in np.flatnonzero(levels != NONE)]
-        splats = sum(int(tree.count[n, k]) for n, k in wanted)
+        seen = np.flatnonzero(levels != NONE)
+        wanted = list(zip(seen.tolist(), levels[seen].tolist(), strict=True))
+        splats = int(tree.count[seen, levels[seen]].sum())
         used = {"splats": splats, "pages": len(wanted), "detail": detail}
         return ([(ALWAYS, 0), *wanted] if self.pages.always else wanted), used
 
@@ -159,33 +144,29 @@ class PagedRasterizer:
         each = 4 * GEOMETRY + 12 * (self._coefficients - fine) + 6 * fine
         return max(int(self.pages.picture_memory / each), LANES)
 
-    def _assemble(self, wanted, leading):
-        key = tuple(wanted), leading
-        if key == self._drawn and self._room.holds is self:
+    def _choose_chunks(self, wanted, leading):
+        """Hold the pages of a picture, and list their chunks."""
+        chosen = tuple(wanted), leading
+        if chosen == self._chosen:
             return
-        pages = [self._page(*place) for place in wanted]
-        parts = [page.first for page in pages]
+        keys = [(self._number, leaf, level) for leaf, level in wanted]
+        pages = self.pages.kept.get_all(keys)
+        for n, page in enumerate(pages):
+            if page is None:
+                pages[n] = self._made(keys[n])
+        self._chosen, self._pages = None, pages
+        parts = [NO_CHUNKS] if self._front is None else [self._front.first]
+        parts += [page.first for page in self._pages]
         if not leading:
-            parts += [page.last for page in pages if page.last is not None]
-        if not parts and self._front is None:  # nothing of the capture is in the picture
-            level = int(levels_at(self.pages.tree, self.pages.tree.levels - 1)[0])
-            parts = [self._prepare(self.pages.splats(0, level).take(slice(0))).first]
-        joined = together(parts, self._front, self._room)
-        self._room.holds = self
-        joined = replace(joined, compensate=self._compensate)
-        if self._rasterizer is None:
-            self._rasterizer = self._rasterizer_of(joined)
-        else:
-            self._rasterizer.recolor(joined)
-        self._drawn = key
+            parts += [page.last for page in self._pages]
+        self._chunks, self._chosen = np.concatenate(parts), chosen
 
-    def _page(self, leaf, level):
-        key = self._number, leaf, level
-        page = self.pages.kept.get(key)
-        if page is None:
-            page = self._prepare(self.pages.splats(leaf, level))
-            self.pages.kept.put(key, page, page.bytes)
-            self.pages.kept.drop((leaf, level))  # seldom needed again as it was read
+    def _made(self, key):
+        """Return the page of a key (own number, leaf, level), made now."""
+        made = self._prepare(self.pages.splats(*key[1:]))
+        page = Stored(self.room, _unnumbered(made.first), _unnumbered(made.last))
+        self.pages.kept.put(key, page, made.bytes)
+        self.pages.kept.drop(key[1:])  # seldom needed again as it was read
         return page
 
 
@@ -212,23 +193,8 @@ def rasterizer_of_scene(scene, render, rasterizer_of=Rasterizer):
     )
 
 
-def together(parts, front=None, room=None):
-    """Return several `PreparedSplats` as one, which names no scene's splats but those of `front`.
-
-    Parameters
-    ----------
-    parts : sequence of PreparedSplats
-        At least one, harmonics of the same degree.
-    front : PreparedSplats, optional
-        That comes before the others.
-    room : Room, optional
-        What the result is put into: what it held before is lost.
-    """
-    every = [*([] if front is None else [front]), *parts]
-    every = [part for part in every if len(part.box)] or every[:1]  # empty ones know no degree
-    room = Room() if room is None else room
-    arrays = {name: room.put(name, [getattr(p, name) for p in every]) for name in ARRAYS}
-    order = np.full(len(arrays["box"]) * LANES, NOBODY, np.int32)
-    if front is not None:
-        order[: len(front.order)] = front.order
-    return replace(every[0], **arrays, order=order, leading=None)
+def _unnumbered(prepared):
+    """Return prepared splats that name no splat of a scene; None stays None."""
+    if prepared is None:
+        return None
+    return replace(prepared, order=np.full_like(prepared.order, NOBODY))

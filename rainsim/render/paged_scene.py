@@ -14,7 +14,8 @@ from scipy.spatial import cKDTree
 
 from rainsim.constants import SH_0
 from rainsim.daylight.kept import under_clouds
-from rainsim.lod.paged import MIRRORED, Page, PagedRasterizer, Room
+from rainsim.lod.paged import MIRRORED, Page, PagedRasterizer
+from rainsim.lod.room import room_for
 from rainsim.raster import prepare
 from rainsim.scene.actors import padded
 from rainsim.shading.backdrop import sky_splats
@@ -67,7 +68,7 @@ class PagedScene:
         pages = scene.pages
         pages.limit(render.memory)
         how = render.detail, self._most, rasterizer_of
-        own = {"compensate": scene.antialiased, "room": Room()}
+        own = {"compensate": scene.antialiased, "room": room_for(pages)}
         self.whole = PagedRasterizer(pages, self._page, *how, **own)
         self.standing = PagedRasterizer(pages, self._standing_page, *how, MIRRORED, **own)
         self.captured = PagedRasterizer(pages, self._captured_page, *how, **own)

@@ -29,7 +29,7 @@ from rainsim.shading.color import LUMA, luminance_of, roughly_linear
 from rainsim.shading.grading import DULL_EXPOSURE, SHINES, look_of
 from rainsim.shading.skyline import skylines, with_skyline
 from rainsim.shading.visibility import badly_placed, pale, views_of_splats
-from rainsim.shading.wet_ground_mirror import in_level_picture
+from rainsim.shading.wet_ground_mirror import RESOLUTION, in_level_picture
 from rainsim.shading.wet_pass import NO_COVER, DryRays, dry_picture, grade_and_wet, grade_rays
 from rainsim.shading.wetting import GroundMaps, SkyMaps
 from rainsim.simulation import usual_wind
@@ -375,7 +375,11 @@ class WetScene:
             )  # fmt: skip
             self._standing = self._rasterizer_of(standing)
         _, camera = mirrored_camera(self.frame.camera_in_capture(level), self.frame, 0.0)
-        layers = self._standing.draw(camera, self.near)
+        options = {}
+        if self.paged is not None:  # the pages of a picture at RESOLUTION, whatever its own is
+            finer = max(camera.fx / RESOLUTION, 1.0)
+            options = {"threshold": self._standing.detail * finer}
+        layers = self._standing.draw(camera, self.near, **options)
         return self._wetted(layers, camera, mirrored=True)
 
     def mirrored(self, camera, level, window, step=1):

@@ -21,7 +21,7 @@ from rainsim.scene.types import Splats
 
 OVERVIEW = 400_000  # splats of a level that the whole scene is known by, at most
 DEFAULT_MEMORY = 0.8e9  # bytes
-PICTURE = 1 / 3  # of the memory, for the splats that a picture is drawn of
+PICTURE = 1 / 3  # of the memory, that the splats of a picture take at most
 ALWAYS = -1  # number of the leaf that stands for the splats which are always drawn
 
 
@@ -49,9 +49,9 @@ class Pages:
         self.limit(memory)
 
     def limit(self, memory):
-        """Let the splats take `memory` [bytes]: a third for those of a picture, two for `kept`."""
+        """Let the splats take `memory` [bytes], those of one picture a third of it."""
         self.memory, self.picture_memory = memory, PICTURE * memory
-        self.kept.most = (1 - PICTURE) * memory
+        self.kept.most = memory
 
     def __getstate__(self):
         return {"tree": self.tree, "memory": self.memory}
@@ -235,6 +235,15 @@ class Kept:
                 return None
             self._values.move_to_end(key)
             return self._values[key][0]
+
+    def get_all(self, keys):
+        """Return a list of the values of keys, None for those that are not kept."""
+        with self._lock:
+            found = [self._values.get(key) for key in keys]
+            for key, entry in zip(keys, found, strict=True):
+                if entry is not None:
+                    self._values.move_to_end(key)
+        return [None if entry is None else entry[0] for entry in found]
 
     def drop(self, key):
         """Let go of a key's value, if it is kept."""

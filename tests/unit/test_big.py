@@ -19,7 +19,8 @@ from rainsim.lod.choose import chosen_levels, levels_of, pixels_per_unit
 from rainsim.lod.cut import cut
 from rainsim.lod.ground import finest_near, scene_over
 from rainsim.lod.merge import cells_of, covariances, merged_splats, reach_box
-from rainsim.lod.paged import Page, PagedRasterizer, Room, rasterizer_of_scene, together
+from rainsim.lod.paged import Page, PagedRasterizer, rasterizer_of_scene
+from rainsim.lod.room import ChunkRoom, Stored
 from rainsim.raster import Rasterizer, prepare
 from rainsim.render.memory import memory_of_frames
 from rainsim.render.renderer import Renderer
@@ -33,6 +34,7 @@ from rainsim.scene.pages import ALWAYS, Kept, Pages, levels_at
 from rainsim.scene.ply import write_splats
 from rainsim.scene.types import GroundFrame, Scene, Splats
 from rainsim.splatting.coarse import _area
+from rainsim.splatting.prepared import NOBODY
 from rainsim.terrain.types import Grid
 
 pytest.importorskip("gsply")
@@ -466,7 +468,7 @@ def test_a_picture_has_the_same_bytes_whatever_was_drawn_or_kept_before(folder, 
     assert little.pages.kept.size <= 1e5 or len(little.pages.kept._values) == 1
 
 
-def test_those_who_draw_in_turns_share_the_memory_of_a_picture(big):
+def test_those_who_draw_in_turns_share_the_memory_of_pages(big):
     camera, render = big.cameras[2], CONFIG.render
     big.pages.limit(render.memory)
 
@@ -477,7 +479,7 @@ def test_those_who_draw_in_turns_share_the_memory_of_a_picture(big):
 
     apart = [drawer.draw(camera, 0.05).color for drawer in drawers()]
     assert (apart[0] != apart[1]).any()
-    one, other = drawers(room=Room())
+    one, other = drawers(room=ChunkRoom(1e5, 1000))  # less than they take: it grows
     for _ in range(2):
         assert (one.draw(camera, 0.05).color == apart[0]).all()
         assert (other.draw(camera, 0.05).color == apart[1]).all()
@@ -494,12 +496,29 @@ def test_a_threshold_of_its_own_takes_the_place_of_a_pictures_detail(big):
     assert (shown == coarse.draw(camera, 0.05).color).all()
 
 
-def test_pages_without_a_splat_are_left_out():
-    full = prepare(tame_splats(300, 4))
+def test_a_page_leaves_its_room_when_nobody_holds_it():
+    parts = [prepare(tame_splats(n, 4)) for n in (300, 700, 200)]
     none = prepare(tame_splats(300, 4).take(np.zeros(300, bool)))
-    whole = together([none, full, none])
-    assert len(whole.box) == len(full.box) == 2 and (whole.geometry == full.geometry).all()
-    assert len(together([none, none]).box) == 0
+    room = ChunkRoom(1, 1)
+    pages = [Stored(room, *parts[:2]), Stored(room, none), Stored(room, parts[2])]
+    assert [len(p.first) for p in pages] == [2, 0, 1] and len(pages[0].last) == 3
+    for part, places in zip(parts, (pages[0].first, pages[0].last, pages[2].first), strict=True):
+        assert (room.prepared.geometry[places] == part.geometry).all()
+        assert (room.prepared.sh[places] == part.sh).all()
+        order = room.prepared.order.reshape(-1, 256)[places].ravel()
+        assert (order[: len(part)] == part.order).all() and (order[len(part) :] == NOBODY).all()
+    held, left = len(room.prepared.box), set(pages[0].last.tolist())
+    del pages[0]
+    again = Stored(room, parts[1])
+    assert left <= set(again.first.tolist()) | set(room._free) and len(room.prepared.box) == held
+    assert (room.prepared.geometry[pages[-1].first] == parts[2].geometry).all()
+
+
+def test_a_picture_without_a_chunk_is_empty(big):
+    drawer = rasterizer_of_scene(big, CONFIG.render)
+    away = look_at((0, 0, 500.0), (0, 0, 900.0), (0, 1, 0), 60, 32, 24, "away")
+    assert (drawer.draw(away, 0.05).alpha == 0).all() and drawer.used["splats"] == 0
+    assert drawer.draw(big.cameras[2], 0.05).alpha.any()
 
 
 def test_kept_values_stay_below_the_limit():
@@ -509,6 +528,12 @@ def test_kept_values_stay_below_the_limit():
         assert kept.size <= 100
         assert k < 1 or kept.get(0) == "0" or k > 3 or kept.has(k - 1)
     assert kept.get(19) == "19" and kept.get(1) is None and kept.made == 20
+    few = Kept(90)
+    for k in range(3):
+        few.put(k, str(k), 30)
+    assert few.get_all([0, 7, 1]) == ["0", None, "1"]
+    few.put(3, "3", 30)  # 2 was asked for longest ago
+    assert few.get_all([0, 1, 2, 3]) == ["0", "1", None, "3"]
     kept.put("large", "x", 500)  # what is asked for is kept, alone
     assert kept.get("large") == "x" and kept.get(19) is None
     kept.put("large", "x", 10)
@@ -517,7 +542,7 @@ def test_kept_values_stay_below_the_limit():
 
 def test_pages_survive_a_journey(big):
     again = pickle.loads(pickle.dumps(big))
-    assert again.pages.memory == big.pages.memory > again.pages.kept.most > 0
+    assert again.pages.memory == big.pages.memory == again.pages.kept.most > 0
     a, b = big.pages.splats(3, 1), again.pages.splats(3, 1)
     assert all((getattr(a, n) == getattr(b, n)).all() for n in NAMES)
 
