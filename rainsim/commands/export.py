@@ -258,7 +258,7 @@ def _write(status, scene, plan, config, *, layout, out, overwrite, resume, backe
     from rainsim.datasets.export import DataSetFolder, read_card
     from rainsim.datasets.export import export as write_all
     from rainsim.datasets.shots import Shots
-    from rainsim.io.fingerprint import hash_of
+    from rainsim.io.fingerprint import hash_of, hash_of_array
     from rainsim.jit import set_threads
     from rainsim.output_folder import claimed, scene_content, settings_content
     from rainsim.render.memory import memory_notes
@@ -268,7 +268,7 @@ def _write(status, scene, plan, config, *, layout, out, overwrite, resume, backe
     if labels is not None:
         from rainsim.datasets.user_labels import read_labels
 
-        user_labels = read_labels(labels, scene)
+        user_labels = read_labels(labels, scene, config.render)
     content = {
         "scene": scene_content(scene), "settings": settings_content(config),
         "rates": plan.rates, "sequence": plan.sequence, "backend": backend,
@@ -276,7 +276,7 @@ def _write(status, scene, plan, config, *, layout, out, overwrite, resume, backe
         "names": [[view.name, view.held_out] for view in plan.views],
         "lens": str(plan.views[0].lens), "rolling": given["rolling"],
         "glass": given["glass"], "wiper": given["wiper"],
-        "labels": None if user_labels is None else hash_of(user_labels.ids.tolist()),
+        "labels": None if user_labels is None else hash_of_array(user_labels.ids),
     }  # fmt: skip
     sources = [scene.source, labels, *paths_in(given)]
     pane = _pane(given, plan)

@@ -94,10 +94,7 @@ def splat(scene, out, overwrite, threads, as_json, **given):
 
         require()
     from rainsim.commands.choose import settings
-    from rainsim.scene.pages import require_whole
 
-    if given["hit"]:
-        require_whole(capture, "--hit", "leave it out")
     render = settings("moderate", {name: given[name] for name in ("detail", "memory")}).render
     notes = [*capture.notes, *_memory(capture, camera, out, given["backend"])]
     layers, milliseconds = draw(
@@ -193,6 +190,7 @@ def draw(capture, camera, depth="expected", backend="cpu", render=None, **option
     import time
 
     from rainsim.config.settings import Config
+    from rainsim.lod.numbers import FinestNumbers
     from rainsim.lod.paged import rasterizer_of_scene
     from rainsim.raster import Rasterizer, prepare
     from rainsim.scene.actors import require_no_actors, scene_at
@@ -209,7 +207,9 @@ def draw(capture, camera, depth="expected", backend="cpu", render=None, **option
         drawer = Rasterizer(replace(prepared, compensate=capture.antialiased))
     else:
         require_no_actors(capture.actors, "rainsim splat of chunks", "draw the static set")
-        drawer = rasterizer_of_scene(capture, render or Config().render, Rasterizer)
+        numbers_of = FinestNumbers(capture.pages).of_run if options.get("hit") else None
+        render = render or Config().render
+        drawer = rasterizer_of_scene(capture, render, Rasterizer, numbers_of)
     begin = time.perf_counter()
     mode = "median" if depth == "median" else "expected"
     layers = drawer.draw(camera, NEAR, depth=mode, drop_last=True, **options)

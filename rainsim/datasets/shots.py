@@ -13,7 +13,6 @@ from rainsim.drops import Weather
 from rainsim.pipeline import FrameSequence, simulate
 from rainsim.render.labels import boxes_of
 from rainsim.render.shutter import motion_of
-from rainsim.scene.pages import require_whole
 from rainsim.sensors.glass import caps_on, through_glass, wide_camera
 from rainsim.sensors.lens import lens_warp
 from rainsim.sensors.rolling import STILL, Motion, draw_rolling
@@ -49,8 +48,6 @@ class Shots:
 
     def __init__(self, scene, terrain, views, config, sequence, backend="cpu", user_labels=None,
                  readout=0.0, pane=None):  # fmt: skip
-        if user_labels is not None:
-            require_whole(scene, "export with labels of splats", "leave out --labels")
         self.scene, self.terrain, self.views = scene, terrain, views
         self.config, self.sequence, self.backend = config, sequence, backend
         self.user_labels, self.readout, self.pane = user_labels, readout, pane

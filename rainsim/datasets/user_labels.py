@@ -3,6 +3,8 @@
 A label belongs to a splat. A picture's pixel has the label of the splat at which half of its light
 is stopped. Masks vote: each of their pixels votes for its id, for the splat that it shows; splats
 that no mask shows have the id of the nearest splat that has one. A node that moves has one label.
+
+Of a capture in chunks the splats of the finest level have labels, numbered as `FinestNumbers` says.
 """
 
 from __future__ import annotations
@@ -12,10 +14,10 @@ from scipy.spatial import cKDTree
 
 from rainsim.errors import InputError
 from rainsim.io import images
-from rainsim.raster import Rasterizer, prepare
+from rainsim.lod.numbers import FinestNumbers
+from rainsim.lod.paged import rasterizer_of_scene
 from rainsim.render.labels import OTHER_CLASS
 from rainsim.scene.actors import MOST_LABEL
-from rainsim.scene.pages import require_whole
 
 NEAR = 0.05  # m
 NEAREST = 0.5  # m from the next labelled splat, beyond which a splat has no label
@@ -28,13 +30,16 @@ class UserLabels:
     ----------
     scene : Scene
     ids : ndarray of shape (n,), uint16
+        Of each splat; of a scene in chunks by the numbers of `FinestNumbers`.
+    render : RenderConfig
+        Its `detail` and `memory` hold for a scene in chunks.
     """
 
-    def __init__(self, scene, ids):
+    def __init__(self, scene, ids, render):
         self.ids = ids
         self._of_nodes = np.array([OTHER_CLASS, *(a.label for a in scene.actors)], np.uint16)
         self._near = NEAR / scene.ground_frame.meters_per_unit
-        self._rasterizer = Rasterizer(prepare(scene.splats))
+        self._rasterizer = _numbered_rasterizer(scene, render)
 
     def picture(self, camera, node=None):
         """Return the labels that a camera (capture frame) sees, uint16; OTHER_CLASS for none.
@@ -47,7 +52,7 @@ class UserLabels:
         return labels if node is None else np.where(node > 0, self._of_nodes[node], labels)
 
 
-def read_labels(path, scene):
+def read_labels(path, scene, render):
     """Return the `UserLabels` of a file of ids by splat (.npy) or of a folder of masks (.png).
 
     Parameters
@@ -56,15 +61,26 @@ def read_labels(path, scene):
         A folder's masks are named as the capture's cameras and hold an id in each pixel; 255 is
         no label.
     scene : Scene
+    render : RenderConfig
+        Its `detail` and `memory` hold for a scene in chunks.
 
     Raises
     ------
     InputError
         If the ids do not fit the scene, or no mask belongs to a camera.
     """
-    require_whole(scene, "export with labels of splats", "leave out --labels")
-    ids = _from_masks(path, scene) if path.is_dir() else _from_file(path, len(scene.splats))
-    return UserLabels(scene, ids)
+    numbers = None if scene.pages is None else FinestNumbers(scene.pages)
+    count = len(scene.splats) if numbers is None else numbers.count
+    masks = path.is_dir()
+    ids = _from_masks(path, scene, count, render) if masks else _from_file(path, count)
+    return UserLabels(scene, ids, render)
+
+
+def _numbered_rasterizer(scene, render):
+    """Return what draws a scene and names the splats that pixels show."""
+    if scene.pages is None:
+        return rasterizer_of_scene(scene, render)
+    return rasterizer_of_scene(scene, render, numbers_of=FinestNumbers(scene.pages).of_run)
 
 
 def _from_file(path, count):
@@ -82,7 +98,7 @@ def _from_file(path, count):
     return ids.astype(np.uint16)
 
 
-def _from_masks(folder, scene):
+def _from_masks(folder, scene, count, render):
     files = {p.stem: p for p in sorted(folder.glob("*.png"))}
     named = [(c, files[n]) for c in scene.cameras for n in (c.name, c.name.rpartition(".")[0])
              if n in files]  # fmt: skip
@@ -91,7 +107,7 @@ def _from_masks(folder, scene):
             f"no picture in {folder} is named as one of the scene's cameras; masks must be PNGs "
             f"such as {scene.cameras[0].name if scene.cameras else 'CAMERA'}.png; rename them"
         )
-    rasterizer, votes = Rasterizer(prepare(scene.splats)), {}
+    rasterizer, shown, given = _numbered_rasterizer(scene, render), [], []
     near = NEAR / scene.ground_frame.meters_per_unit
     for camera, path in named:
         mask = images.read_image(path)
@@ -99,18 +115,35 @@ def _from_masks(folder, scene):
             raise InputError(f"mask {path} has shape {mask.shape}; it must be grey, an id a pixel")
         hit = rasterizer.draw(camera.resized(mask.shape[1], mask.shape[0]), near, hit=True).hit
         seen = (hit >= 0) & (mask != OTHER_CLASS)
-        for value in np.unique(mask[seen]):
-            count = np.bincount(hit[seen & (mask == value)], minlength=len(scene.splats))
-            votes[int(value)] = votes.get(int(value), 0) + count
-    if not votes:
+        shown.append(hit[seen].astype(np.int64))
+        given.append(mask[seen].astype(np.int64))
+    shown, given = np.concatenate(shown), np.concatenate(given)
+    if not len(shown):
         raise InputError(f"the masks in {folder} label nothing but 255; give an id other than 255")
-    values = np.array(sorted(votes), np.uint16)
-    table = np.stack([votes[int(value)] for value in values])
-    ids, voted = values[table.argmax(axis=0)], table.any(axis=0)
-    ids[~voted] = OTHER_CLASS
-    position = scene.splats.position
-    away, nearest = cKDTree(position[voted]).query(position[~voted])
-    found = np.where(away * scene.ground_frame.meters_per_unit < NEAREST, ids[voted][nearest],
-                     np.uint16(OTHER_CLASS))  # fmt: skip
-    ids[~voted] = found
+    ids, voted = np.full(count, OTHER_CLASS, np.uint16), np.zeros(count, np.bool_)
+    key, votes = np.unique(shown * (MOST_LABEL + 1) + given, return_counts=True)
+    # Each splat's last entry has the most votes, and of equal ones the least id.
+    order = np.lexsort((-(key % (MOST_LABEL + 1)), votes, key // (MOST_LABEL + 1)))
+    splat = key[order] // (MOST_LABEL + 1)
+    ids[splat], voted[splat] = key[order] % (MOST_LABEL + 1), True
+    _spread(scene, ids, voted)
     return ids
+
+
+def _spread(scene, ids, voted):
+    """Give splats without a vote the id of the nearest one that has one, if it is near."""
+    unit = scene.ground_frame.meters_per_unit
+    if scene.pages is None:
+        positions = scene.splats.position
+        labelled, parts = positions[voted], [np.arange(len(ids))]
+        position_of = positions.__getitem__
+    else:
+        numbers = FinestNumbers(scene.pages)
+        position_of, parts = numbers.positions, numbers.runs()
+        labelled = position_of(np.flatnonzero(voted))
+    tree, known = cKDTree(labelled), ids[voted]
+    for part in parts:
+        part = part[~voted[part]]
+        away, nearest = tree.query(position_of(part))
+        close = away * unit < NEAREST
+        ids[part] = np.where(close, known[nearest], np.uint16(OTHER_CLASS))

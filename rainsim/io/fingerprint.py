@@ -38,6 +38,13 @@ def hash_of(facts):
     return hashlib.sha256(text.encode()).hexdigest()
 
 
+def hash_of_array(array):
+    """Return the SHA-256 of an array's type, shape and values."""
+    digest = hashlib.sha256(f"{array.dtype.str} {array.shape}".encode())
+    digest.update(array.tobytes())
+    return digest.hexdigest()
+
+
 def hash_of_file(path):
     """Return the SHA-256 of a file's content."""
     digest = hashlib.sha256()

@@ -1,4 +1,7 @@
-"""The part of a big capture that a height map is made from: fine on the map, coarser far away."""
+"""Parts of a big capture that are held whole: for a height map and for the beams of a lidar.
+
+They are fine near by and coarser far away.
+"""
 
 from __future__ import annotations
 
@@ -10,8 +13,9 @@ from rainsim.scene.actors import joined
 from rainsim.scene.formats.streamed import NONE
 from rainsim.scene.pages import ALWAYS, levels_at
 
-MOST = 3_000_000  # splats that a map is made from; some 150 bytes each
+MOST = 3_000_000  # splats of such a part; some 150 bytes each
 NEAR = 10.0  # m from the cameras up to which the map is as fine as its cells
+LEAST = 1e-3  # m of a cell, from which on cells get wider
 NEAREST = 4  # leaves that show how dense the ground is
 
 
@@ -38,15 +42,55 @@ def scene_over(scene, grid):
         eyes = frame.to_ground(np.array([camera.position for camera in scene.cameras]))[:, :2]
         gap = np.maximum(np.maximum(low[:, None, :2] - eyes, eyes - high[:, None, :2]), 0)
         away = np.linalg.norm(gap, axis=-1).min(axis=1)
-    side, width = tree.side * frame.meters_per_unit, grid.spacing * np.maximum(away / NEAR, 1)
+    return _as_fine(scene, over, grid.spacing * np.maximum(away / NEAR, 1))
+
+
+def scene_in_reach(scene, places, far, angle):
+    """Return a scene of the splats that beams from some places reach, as fine as the beams are.
+
+    Levels are taken whose cells are no wider than a beam at the nearest point of the part that they
+    show; if these are more than MOST splats, coarser ones. A scene that is held whole is returned
+    as it is.
+
+    Parameters
+    ----------
+    scene : Scene
+    places : array_like of shape (n, 3) [m]
+        From which beams go out, ground frame.
+    far : float [m]
+        Reach of the beams.
+    angle : float [rad]
+        That a beam widens by.
+    """
+    if scene.pages is None:
+        return scene
+    low, high = _boxes_on_ground(scene.pages.tree.box, scene.ground_frame)
+    away = np.full(len(low), np.inf)
+    for place in np.asarray(places, np.float64):
+        gap = np.maximum(np.maximum(low - place, place - high), 0)
+        away = np.minimum(away, np.linalg.norm(gap, axis=1))
+    return _as_fine(scene, away <= far, angle * away)
+
+
+def _as_fine(scene, wanted, width):
+    """Return a scene of some leaves whose cells are at most so wide [m], of at most MOST splats.
+
+    Parameters
+    ----------
+    scene : Scene
+    wanted : ndarray of shape (leaves,), bool
+    width : ndarray of shape (leaves,) [m]
+    """
+    tree = scene.pages.tree
+    side = tree.side * scene.ground_frame.meters_per_unit
     while True:
         fine = side <= width[:, None]
         fine[:, 0] = True
         levels = levels_at(tree, tree.levels - 1 - fine[:, ::-1].argmax(axis=1))
-        count = tree.count[np.arange(len(levels)), levels][over].sum()
-        if count <= MOST or (levels[over] == tree.levels - 1).all():
-            return _of_runs(scene, [(n, levels[n]) for n in np.flatnonzero(over)])
-        width = width * 2**0.5
+        count = tree.count[np.arange(len(levels)), levels][wanted].sum()
+        if count <= MOST or (levels[wanted] == tree.levels - 1).all():
+            return _of_runs(scene, [(n, levels[n]) for n in np.flatnonzero(wanted)])
+        width = np.maximum(width, LEAST) * 2**0.5
 
 
 def finest_near(scene, point):

@@ -20,7 +20,7 @@ from rainsim.scene.formats.streamed import NONE
 from rainsim.scene.pages import ALWAYS
 from rainsim.splatting.prepared import COARSE, GEOMETRY, LANES, NOBODY, PreparedSplats, prepare
 
-MIRRORED = 2.0  # times the threshold in pictures that water and the surroundings mirror
+MIRRORED = 3.0  # times the threshold in pictures that water and the surroundings mirror
 
 
 @dataclass(frozen=True)
@@ -60,6 +60,9 @@ class PagedRasterizer:
         See `PreparedSplats`.
     room : ChunkRoom, optional
         Where pages lie, shared by those whose harmonics have the same degree.
+    numbers_of : callable, optional
+        numbers_of(leaf, level, splats) returns what hits name the splats of a run, int32; without
+        it they have no name. `prepare` must keep all splats then.
 
     Attributes
     ----------
@@ -73,11 +76,11 @@ class PagedRasterizer:
 
     def __init__(
         self, pages, prepare, detail, coefficients, rasterizer_of=Rasterizer, coarser=1.0,
-        compensate=False, room=None,
+        compensate=False, room=None, numbers_of=None,
     ):  # fmt: skip
         self.pages, self._prepare, self._coefficients = pages, prepare, coefficients
         self.detail, self._rasterizer_of = detail * coarser, rasterizer_of
-        self._compensate = compensate
+        self._compensate, self._numbers_of = compensate, numbers_of
         self._number = next(self._numbers)  # apart from other rasterizers of these pages
         self._front, self._chosen, self._pages, self._chunks = None, None, [], None
         self._rasterizer = None
@@ -163,14 +166,18 @@ class PagedRasterizer:
 
     def _made(self, key):
         """Return the page of a key (own number, leaf, level), made now."""
-        made = self._prepare(self.pages.splats(*key[1:]))
-        page = Stored(self.room, _unnumbered(made.first), _unnumbered(made.last))
+        splats = self.pages.splats(*key[1:])
+        made = self._prepare(splats)
+        numbers = np.full(len(splats), NOBODY, np.int32)
+        if self._numbers_of is not None:
+            numbers = self._numbers_of(*key[1:], splats)
+        page = Stored(self.room, _numbered(made.first, numbers), _numbered(made.last, numbers))
         self.pages.kept.put(key, page, made.bytes)
         self.pages.kept.drop(key[1:])  # seldom needed again as it was read
         return page
 
 
-def rasterizer_of_scene(scene, render, rasterizer_of=Rasterizer):
+def rasterizer_of_scene(scene, render, rasterizer_of=Rasterizer, numbers_of=None):
     """Return what draws a scene's splats as captured, from its chunks if it is in chunks.
 
     Parameters
@@ -179,6 +186,8 @@ def rasterizer_of_scene(scene, render, rasterizer_of=Rasterizer):
     render : RenderConfig
         Its `detail` and `memory` hold for a scene in chunks.
     rasterizer_of : callable
+    numbers_of : callable, optional
+        What hits name the splats of chunks, see `PagedRasterizer`.
     """
     if scene.pages is None:
         return rasterizer_of(replace(prepare(scene.splats), compensate=scene.antialiased))
@@ -189,12 +198,11 @@ def rasterizer_of_scene(scene, render, rasterizer_of=Rasterizer):
         return Page(prepare(replace(splats, sh=padded(splats.sh, most))))
 
     return PagedRasterizer(
-        scene.pages, page, render.detail, most, rasterizer_of, compensate=scene.antialiased
-    )
+        scene.pages, page, render.detail, most, rasterizer_of, compensate=scene.antialiased,
+        numbers_of=numbers_of,
+    )  # fmt: skip
 
 
-def _unnumbered(prepared):
-    """Return prepared splats that name no splat of a scene; None stays None."""
-    if prepared is None:
-        return None
-    return replace(prepared, order=np.full_like(prepared.order, NOBODY))
+def _numbered(prepared, numbers):
+    """Return prepared splats of a run with other numbers; None stays None."""
+    return None if prepared is None else replace(prepared, order=numbers[prepared.order])

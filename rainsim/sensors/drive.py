@@ -12,11 +12,11 @@ from rainsim.config.settings import mm_per_hour
 from rainsim.drops import Weather
 from rainsim.errors import InputError, ParameterError
 from rainsim.io.files import read_json, replacing, write_json
+from rainsim.lod.ground import scene_in_reach
 from rainsim.output_folder import input_facts, versions
 from rainsim.pipeline import extract_terrain, simulate
 from rainsim.render.node_labels import box_in_space
 from rainsim.render.weather import weather_of
-from rainsim.scene.pages import require_whole
 from rainsim.sensors import point_files
 from rainsim.sensors.lidar import LidarScanner, Pose, pose_at
 from rainsim.sensors.lidar_model import LABEL_NAMES, SENSORS, extinction_of
@@ -120,13 +120,13 @@ def scan_rains(
     say : callable
         Called with notes.
     """
-    require_whole(scene, "a lidar", "import the capture without --lod")
     terrain = extract_terrain(scene, config, None, tell, say)
     albedo, note = albedo_of_white(terrain, scene.splats, config.render.ground_albedo)
     say([note])
-    lidar, scanner = SENSORS[sensor], LidarScanner(scene, terrain, albedo)
-    pose = pose_at(camera, height)
+    lidar, pose = SENSORS[sensor], pose_at(camera, height)
     pose = Pose(pose.position, pose.rotation, speed * pose.rotation[:, 0])
+    way = [_moved(pose, turn / lidar.rate).position for turn in range(turns + 1)]
+    scanner = LidarScanner(_in_reach(scene, way, lidar, say), terrain, albedo)
     folder.begin()
     rains, done = [], 0
     for rate in rates:
@@ -172,6 +172,14 @@ def scan_rains(
         card["nodes"] = _nodes(scene, lidar.rate, turns)
     write_json(folder.folder / CARD, card)
     return card
+
+
+def _in_reach(scene, way, lidar, say):
+    """Return the scene that the beams of a lidar on its way (n, 3) [m] meet; of chunks a part."""
+    within = scene_in_reach(scene, way, lidar.far, lidar.divergence)
+    if within is not scene:
+        say([f"{len(within.splats)} splats are as fine as the beams that meet them"])
+    return within
 
 
 def _nodes(scene, rate, turns):

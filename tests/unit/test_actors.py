@@ -350,7 +350,8 @@ def test_a_data_set_carries_the_nodes(scene, ground, camera):
     view = View(0, "a", scene.ground_frame.camera_in_ground(camera))
     labelled = replace(scene, actors=(replace(scene.actors[0], label=300),))
     ids = np.full(len(scene.splats), 7, np.uint16)
-    shots = Shots(labelled, ground, [view], CONFIG, False, user_labels=UserLabels(labelled, ids))
+    own = UserLabels(labelled, ids, CONFIG.render)
+    shots = Shots(labelled, ground, [view], CONFIG, False, user_labels=own)
     (sample,) = shots.draw(10.0, [0])
     assert (sample.labels[sample.actor_id == 1] == 300).all()
     assert set(np.unique(sample.labels[sample.actor_id == 0])) <= {7, 255}

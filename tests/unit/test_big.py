@@ -13,12 +13,15 @@ from made_captures import random_splats
 from made_formats import sog, tame_splats, write_folder
 from rainsim import pipeline
 from rainsim.config.settings import Config
+from rainsim.datasets.user_labels import read_labels
 from rainsim.errors import InputError, ParameterError
+from rainsim.io.images import write_png
 from rainsim.lod import cut as cutting
 from rainsim.lod.choose import chosen_levels, levels_of, pixels_per_unit
 from rainsim.lod.cut import cut
 from rainsim.lod.ground import finest_near, scene_over
 from rainsim.lod.merge import cells_of, covariances, merged_splats, reach_box
+from rainsim.lod.numbers import FinestNumbers
 from rainsim.lod.paged import Page, PagedRasterizer, rasterizer_of_scene
 from rainsim.lod.room import ChunkRoom, Stored
 from rainsim.raster import Rasterizer, prepare
@@ -33,6 +36,8 @@ from rainsim.scene.formats.streamed import LOD_META, NONE, SIDES, read_tree
 from rainsim.scene.pages import ALWAYS, Kept, Pages, levels_at
 from rainsim.scene.ply import write_splats
 from rainsim.scene.types import GroundFrame, Scene, Splats
+from rainsim.sensors import drive
+from rainsim.sensors.lidar_model import Lidar
 from rainsim.splatting.coarse import _area
 from rainsim.splatting.prepared import NOBODY
 from rainsim.terrain.types import Grid
@@ -622,12 +627,100 @@ def test_frames_of_chunks_are_those_of_the_capture_held_whole(folder, film, whol
     assert psnr(a, b) > 35
 
 
-def test_what_takes_whole_captures_refuses_chunks(big, tmp_path):
-    from rainsim.datasets.user_labels import read_labels
+# --- labels and beams -----------------------------------------------------------------------------
 
-    np.save(tmp_path / "ids.npy", np.zeros(big.count, np.uint8))
-    with pytest.raises(ParameterError, match="chunks"):
-        read_labels(tmp_path / "ids.npy", big)
+
+def finest(big):
+    """Positions of the finest level's splats in the order of their numbers, and `FinestNumbers`."""
+    pages, numbers = big.pages, FinestNumbers(big.pages)
+    parts = [pages.splats(n, 0).position for n in range(len(pages.tree.box))]
+    if pages.always:
+        parts.append(pages.splats(ALWAYS, 0).position)
+    return np.concatenate(parts), numbers
+
+
+def test_hits_of_chunks_name_splats_of_the_finest_level(whole, big):
+    position, numbers = finest(big)
+    assert numbers.count == len(position) == len(whole.splats)
+    some = np.arange(0, numbers.count, 377)
+    assert (numbers.positions(some) == position[some]).all()
+    assert (np.concatenate(list(numbers.runs())) == np.arange(numbers.count)).all()
+    camera = whole.cameras[3]
+    for detail, most in ((0.0, 0.02), (4.0, 0.25)):
+        render = CONFIG.replace(detail=detail).render
+        drawer = rasterizer_of_scene(big, render, numbers_of=numbers.of_run)
+        layers = drawer.draw(camera, 0.05, hit=True, depth="median")
+        seen = layers.hit >= 0
+        assert seen.mean() > 0.5 and len(np.unique(layers.hit[seen])) > 100
+        view = position[layers.hit[seen]] @ camera.camera_from_world[2, :3]
+        depth = view + camera.camera_from_world[2, 3]
+        assert np.quantile(np.abs(depth - layers.depth[seen]), 0.95) < most  # m
+    nameless = rasterizer_of_scene(big, render).draw(camera, 0.05, hit=True)
+    assert (nameless.hit == -1).all()
+
+
+def test_labels_of_chunks_by_splat_and_by_masks(big, tmp_path):
+    position, _ = finest(big)
+    ids = np.where(position[:, 2] > 0.3, 11, 300).astype(np.uint16)
+    np.save(tmp_path / "ids.npy", ids)
+    own = read_labels(tmp_path / "ids.npy", big, CONFIG.render)
+    masks = tmp_path / "masks"
+    masks.mkdir()
+    for camera in big.cameras[:6]:
+        shown = own.picture(camera)
+        assert {11, 300} <= set(np.unique(shown))
+        write_png(masks / f"{camera.name}.png", np.where(shown == 300, 3, shown).astype(np.uint8))
+    voted = read_labels(masks, big, CONFIG.render)
+    known = voted.ids != 255
+    assert 0.1 < known.mean() < 1  # the strip's far end is in no mask
+    assert (voted.ids[known] == np.where(ids == 300, 3, ids)[known]).mean() > 0.95
+    for camera in big.cameras[:3]:
+        one, other = own.picture(camera), voted.picture(camera)
+        assert (np.where(one == 300, 3, one) == other).mean() > 0.97
+    np.save(tmp_path / "few.npy", ids[:-1])
+    with pytest.raises(InputError, match=f"{len(ids)} whole numbers"):
+        read_labels(tmp_path / "few.npy", big, CONFIG.render)
+
+
+def test_beams_reach_a_part_that_is_as_fine_as_they_are(whole, big, monkeypatch):
+    from rainsim.lod import ground
+
+    place = whole.ground_frame.to_ground(whole.cameras[0].position[None])
+    part = ground.scene_in_reach(big, place, 9.0, 3e-3)
+    assert part.pages is None and ground.scene_in_reach(part, place, 9.0, 3e-3) is part
+    away = np.linalg.norm(part.splats.position - place, axis=1)
+    assert 9.0 < away.max() < 24.0  # m: leaves are taken whole, and those beyond are not
+    assert len(part.splats) < big.count
+    wide = ground.scene_in_reach(big, place, 9.0, 0.1)
+    near, far = (
+        [int((np.abs(np.linalg.norm(s.splats.position - place, axis=1) - at) < 1).sum())
+         for s in (whole, part, wide)] for at in (1, 6)
+    )  # fmt: skip
+    assert abs(near[1] - near[0]) < 0.02 * near[0] and 0 < far[2] < 0.5 * far[0]
+    monkeypatch.setattr(ground, "MOST", 3000)
+    assert len(ground.scene_in_reach(big, place, 9.0, 3e-3).splats) < 5000
+
+
+def test_a_lidar_scans_chunks_as_the_whole(whole, folder, film, tmp_path, monkeypatch):
+    ground, cameras, _ = film
+    lidar = Lidar(tuple(np.radians(np.arange(-40, 20, 4.0))), columns=120, far=9.0, near=0.2,
+                  accuracy=0.0)  # fmt: skip
+    monkeypatch.setitem(drive.SENSORS, "small", lidar)
+    monkeypatch.setattr(drive, "extract_terrain", lambda *_: ground)
+    camera = whole.ground_frame.camera_in_ground(cameras[0])
+    scans, notes = [], []
+    monkeypatch.setattr(drive.LidarFolder, "add", lambda self, *what: scans.append(what[2]))
+    for name, scene in (("whole", whole), ("chunks", import_scene(folder))):
+        (tmp_path / name).mkdir()
+        out = drive.LidarFolder(tmp_path / name, "kitti")
+        drive.scan_rains(out, scene, CONFIG, [0.0], sensor="small", camera=camera, say=notes.extend)
+    assert any("as fine as the beams that meet" in note for note in notes)
+    range_, other = (np.where(scan.distance < 9.0, scan.distance, 0) for scan in scans)
+    both = (range_ > 0) & (other > 0)
+    assert both.mean() > 0.3 and ((range_ > 0) == (other > 0)).mean() > 0.97
+    # Merged discs of a wall met at a slant differ by a part of a beam's footprint.
+    assert np.median(np.abs(range_ - other)[both]) < 0.01
+    assert np.quantile(np.abs(range_ - other)[both], 0.9) < 0.05
 
 
 def test_the_clean_layer_and_mirrors_are_drawn_from_pages(folder, film):

@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from rainsim.config.settings import Config
 from rainsim.datasets import LAYOUTS, beside, cityscapes, colmap, kitti, nerfstudio, replicator
 from rainsim.datasets.card import card_of, card_text
 from rainsim.datasets.export import held_out, layout_of, safe_names
@@ -36,6 +37,7 @@ from rainsim.sensors.lens import Lens
 from scenes import tiny_scene
 
 CAMERA = Camera(40, 30, 35.0, 36.0, 19.0, 16.0, np.eye(4), "a.jpg")
+RENDER = Config().render
 POINT = np.array([0.4, -0.3, 2.5])  # in the frame of the first camera
 
 
@@ -404,7 +406,7 @@ def test_points_are_the_scenes():
 
 
 def test_the_card_says_by_which_numbers_it_rained():
-    from rainsim.config.settings import Config, mm_per_hour
+    from rainsim.config.settings import mm_per_hour
 
     base = Config.from_preset("downpour")
     card = card_of(plan_with(), "kitti", tiny_scene(), lambda r: base.replace(rate=mm_per_hour(r)))
@@ -427,11 +429,11 @@ def test_ids_by_splat_and_masks_give_the_same_labels(tmp_path):
     high = scene.ground_frame.to_ground(scene.splats.position.astype(float))[:, 2] > 0.2
     ids = np.where(high, 11, 3).astype(np.int32)
     np.save(tmp_path / "ids.npy", ids)
-    own = read_labels(tmp_path / "ids.npy", scene)
+    own = read_labels(tmp_path / "ids.npy", scene, RENDER)
     (tmp_path / "masks").mkdir()
     for camera in scene.cameras:
         images.write_png(tmp_path / f"masks/{camera.name}.png", own.picture(camera).astype("u1"))
-    voted = read_labels(tmp_path / "masks", scene)
+    voted = read_labels(tmp_path / "masks", scene, RENDER)
     assert (voted.ids == ids).mean() > 0.95
     for camera in scene.cameras:
         one, other = own.picture(camera), voted.picture(camera)
@@ -447,7 +449,7 @@ def test_labels_that_do_not_fit_are_named(tmp_path):
                           ("no.npy", "cannot be read"), ("empty", "such as view_0.png"),
                           ("none.npy", "cannot be read")):  # fmt: skip
         with pytest.raises(InputError, match=message):
-            read_labels(Path(tmp_path) / name, scene)
+            read_labels(Path(tmp_path) / name, scene, RENDER)
 
 
 def test_arrays_are_written_as_numpy_reads_them(tmp_path):
