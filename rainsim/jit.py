@@ -191,6 +191,7 @@ __all__ = [
     "ir",
     "kernel_folder",
     "lean_function",
+    "may_run_beside",
     "none_taken",
     "prange",
     "serial_kernel",
@@ -218,6 +219,18 @@ def held(kernel, signature):
 def threading_layer():
     """Return the name of numba's threading layer, once a kernel has run, and its threads."""
     return numba.threading_layer(), numba.get_num_threads()
+
+
+def may_run_beside():
+    """Tell whether kernels may run on two Python threads at once.
+
+    The threading layer "workqueue" aborts the process if they do; before the first kernel has run
+    it is not known which layer numba takes.
+    """
+    try:
+        return numba.threading_layer() != "workqueue"
+    except ValueError:
+        return False
 
 
 def processor():

@@ -9,8 +9,6 @@ import bisect
 from collections import deque
 from dataclasses import replace
 
-import numpy as np
-
 from rainsim.backend import free_device_memory, on_backend
 from rainsim.errors import BackendError, ParameterError
 from rainsim.io import cache
@@ -20,17 +18,11 @@ from rainsim.render.memory import require_memory
 from rainsim.render.report import FrameReport
 from rainsim.render.shutter import PathMotion, is_too_fast
 from rainsim.render.sunken import sunken_notes
-from rainsim.simulation import (
-    SimState,
-    read_state,
-    simulate,
-    steady_water,
-    widened,
-    write_state,
-)
+from rainsim.render.window_ahead import Windows
+from rainsim.simulation import SimState, read_state, simulate, widened, write_state
 from rainsim.terrain.kept import kept_terrain
 from rainsim.terrain.movers import with_movers
-from rainsim.terrain.path_ground import PathGround, follows_path, part_of, path_ground
+from rainsim.terrain.path_ground import PathGround, follows_path, path_ground
 from rainsim.terrain.pond import without_images
 from rainsim.terrain.types import Terrain
 
@@ -129,8 +121,9 @@ class FrameSequence:
 
     def __init__(self, scene, terrain, cameras, config, backend="cpu", layers=(), states=None):
         self.scene, self.cameras, self.config = scene, cameras, config
-        self._ground, self._station = None, None
+        self._ground, self._windows, self._window = None, None, None
         if isinstance(terrain, PathGround):
+            self._windows = Windows(terrain, scene, config)
             self._ground, terrain = terrain, terrain.overview
         self.terrain = terrain = with_movers(terrain, scene)
         self.backend, self.layers, self.states = backend, layers, states
@@ -152,7 +145,14 @@ class FrameSequence:
         """Yield (picture, FrameReport) of the frames `indices`, in rising order."""
         if len(indices) == 0:
             return
-        yield from self._renderer.render(self._states_of(list(indices), tell))
+        alone = self._ground is not None and self.states is None
+        if alone and self._window is None:  # beside the renderer's set-up
+            self._windows.make_ahead(self._ground.station(indices[0]))
+        try:
+            yield from self._renderer.render(self._states_of(list(indices), tell))
+        finally:
+            if self._windows is not None:
+                self._windows.stop()
 
     def keep_setup(self):
         """Compute with all threads what other processes that draw these frames find kept."""
@@ -164,9 +164,9 @@ class FrameSequence:
         if self.states is not None:
             yield from (_shown_at(self.states(moment(index)), index) for index in indices)
             return
-        for index in indices:
+        for n, index in enumerate(indices):
             if self._ground is not None:
-                self._go_to(self._ground.station(index), moment(index))
+                self._go_to(self._ground.station(index), moment(index), indices[n:])
             elif self._water is None or index < self.next:
                 _, simulate_on_backend = on_backend(self.backend)
                 self._water, self._steps = simulate_on_backend(self.terrain, self.config), 0
@@ -175,25 +175,36 @@ class FrameSequence:
                 if tell is not None and self._steps <= moment(indices[0]):
                     tell("simulate", self._steps, moment(indices[0]))
             state = _shown_at(self._state, index)
-            yield state if self._ground is None else widened(state, *self._window)
+            window = self._window
+            yield state if window is None else widened(state, window.station.window, window.depth)
 
-    def _go_to(self, station, moment):
-        """Have the water of a station at hand, at a state no later than the number `moment`."""
-        if station == self._station and moment >= self._steps - 1:
-            return
-        if station != self._station:
-            self._window = self._begin = self._state = self._water = None  # memory for the next
-            self._renderer.leave_ground()
-            around = self._ground.around(self.scene, station)
-            number, beyond = station.start(self.config), self._ground.about(around.grid)
-            begin = steady_water(around, self.config, number, beyond)
-            part = part_of(around, station.window)
-            self._begin = part, begin.within(station.window, around)
-            self._window = station.window, begin.depth.astype(np.float32)
-            self._station = station
-            self._renderer.take_ground(around, begin.exposure)
-        part, begin = self._begin
-        self._water, self._steps = simulate(part, self.config, begin=begin), begin.number
+    def _go_to(self, station, moment, indices):
+        """Have the water of a station at hand, at a state no later than the number `moment`.
+
+        The next window that the frames `indices` show is made meanwhile.
+        """
+        if self._window is None or station != self._window.station:
+            if not self._windows.is_ahead(station):  # memory for the next
+                self._leave_window()
+            window = self._windows.window(station, self._renderer.ready_ground)
+            self._leave_window()
+            self._renderer.take_ground(window)
+            self._water, self._state = window.states, window.state
+            self._steps = window.state.index + 1
+            self._window = window._replace(states=None, state=None, ready=None)
+            after = (self._ground.station(index) for index in indices)
+            following = next((other for other in after if other != station), None)
+            if following is not None:
+                self._windows.make_ahead(following, self._renderer.ready_ground)
+        if moment < self._steps - 1:
+            begin = self._window.begin
+            self._water = simulate(self._window.part, self.config, begin=begin)
+            self._steps = begin.number
+
+    def _leave_window(self):
+        """Let go of the present window and of all that was made for it."""
+        self._window = self._state = self._water = None
+        self._renderer.leave_ground()
 
 
 def _shown_at(state, index):
@@ -362,9 +373,17 @@ class SequenceRenderer:
         """Let go of a part of the ground before the next is made, see `Renderer.leave_ground`."""
         self._renderer.leave_ground()
 
-    def take_ground(self, terrain, reach):
-        """Draw the water of another part of the ground from now on, see `Renderer.take_ground`."""
-        self._renderer.take_ground(terrain, reach)
+    def take_ground(self, window):
+        """Draw the water of another part of the ground, a `Window`, from now on."""
+        ready = window.ready
+        if ready is None:
+            now = self._config.at(window.state.time)
+            ready = self.ready_ground(window.around, window.reach, now)
+        self._renderer.take_ground(ready)
+
+    def ready_ground(self, terrain, reach, now):
+        """Return what the renderer takes of a part of the ground, see `Renderer.ready_ground`."""
+        return self._renderer.ready_ground(terrain, reach, now)
 
     def make(self):
         """Return the backend's renderer for these frames."""

@@ -15,6 +15,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from rainsim import pipeline
 from rainsim.bench.chart import COLORS, MARKERS, require_matplotlib
@@ -22,9 +23,10 @@ from rainsim.config.settings import Config
 from rainsim.jit import set_threads
 from rainsim.lod.cut import cut
 from rainsim.render.renderer import Renderer
-from rainsim.scene.actors import joined
+from rainsim.scene.actors import joined, own_turns
 from rainsim.scene.big import open_pages
 from rainsim.scene.cameras import resize_to
+from rainsim.scene.harmonics import BANDS, turned
 from rainsim.scene.library import load_scene
 from rainsim.scene.types import Scene
 from rainsim.simulation import simulate, steady_water, widened
@@ -42,7 +44,7 @@ SPEED, FPS = 10.0, 24.0  # m/s, 1/s: of the drive
 NEXT = 1 / FPS  # s from a frame to the next
 APART = 5.0  # m between the cameras that the capture is said to have
 SPACING = {False: 0.02, True: 0.1}  # m, of the windows' cells
-STRETCHES, BEFORE, STRETCH = {False: 4, True: 1}, 2, 8  # of the drive; their frames
+STRETCHES, BEFORE, STRETCH = {False: 4, True: 1}, 32, 40  # of the drive; their frames
 AWAY = 4.0  # m from either end of the street that the drive keeps
 AHEAD = 4  # frames
 FRAMES = {False: 5, True: 3}  # of a short drive at a place, NEXT apart
@@ -109,16 +111,39 @@ def make(folder, length):
 
 
 def street_blocks(length):
-    """Yield the splats of a street of a length [m]: the middle of the built-in one, and its sky."""
+    """Yield the splats of a street of a length [m]: the middle of the built-in one, and its sky.
+
+    Every other repetition is mirrored, so that what meets at a joint is equally fine and wet.
+    """
     scene = load_scene("street")
     frame = scene.ground_frame
     place = frame.to_ground(scene.splats.position.astype(np.float64))
     inside = (place[:, 0] >= MIDDLE[0]) & (place[:, 0] < MIDDLE[1]) & (np.abs(place[:, 1]) < WIDE)
     middle, step = scene.splats.take(inside), MIDDLE[1] - MIDDLE[0]
+    repeated = middle, mirrored(middle, frame, 0.5 * sum(MIDDLE))
     for n in range(max(1, round(length / step))):
         shift = frame.rotation.T @ (n * step, 0, 0) / frame.meters_per_unit
-        yield replace(middle, position=middle.position + shift.astype(np.float32))
+        part = repeated[n % 2]
+        yield replace(part, position=part.position + shift.astype(np.float32))
     yield scene.splats.take(np.linalg.norm(place[:, :2], axis=1) > SKY)
+
+
+def mirrored(splats, frame, x):
+    """Return splats mirrored at the plane of a place x [m] of the ground frame.
+
+    A mirror image is half a turn about the plane's normal and an inversion. The inversion leaves
+    covariances as they are and changes the sign of harmonics of odd degree.
+    """
+    normal = frame.rotation.T @ (1.0, 0.0, 0.0)
+    turn = 2 * np.outer(normal, normal) - np.eye(3)
+    away = frame.to_ground(splats.position.astype(np.float64))[:, :1] - x
+    position = splats.position - 2 * away / frame.meters_per_unit * normal
+    rotation = (Rotation.from_matrix(turn) * own_turns(splats)).as_quat(scalar_first=True)
+    sh = turned(splats.sh, turn)
+    for odd in BANDS[1::2]:
+        sh[:, odd] *= -1
+    return replace(splats, position=position.astype(np.float32),
+                   rotation=rotation.astype(np.float32), sh=sh)  # fmt: skip
 
 
 def long_street(folder, length):
@@ -149,30 +174,40 @@ def _bytes(folder):
 def measure_drive(folder, length, ground, path, config, stretches, say=None):
     """Return a row for each frame of some stretches of a drive, each drawn once, in order.
 
-    In each stretch a window of the ground begins; its first frame begins one, too, since the drive
-    does not come to it from before.
+    In each stretch windows of the ground begin, made while the frames before are drawn; its first
+    frame begins one, too, since the drive does not come to it from before.
     """
     scene = long_street(folder, length)
-    kept, stations = scene.pages.kept, ground.stations
+    pages, stations = scene.pages, ground.stations
     sequence, rows = pipeline.FrameSequence(scene, ground, path, config), []
     chosen = np.linspace(0, len(stations) - 1, stretches + 2).astype(int)[1:-1]
+    begins = {station.first for station in stations}
     for n in chosen:
         start = max(stations[n].first - BEFORE, 0)
-        for index in range(start, min(start + STRETCH, len(path))):
-            begin, cpu, made = time.perf_counter(), time.process_time(), kept.made
-            ((picture, report),) = sequence.frames([index])
+        frames = sequence.frames(range(start, min(start + STRETCH, len(path))))
+        begin, cpu, made = time.perf_counter(), time.process_time(), _made(pages)
+        for picture, report in frames:
+            index = report.index
             x = scene.ground_frame.to_ground(path[index].position)[0]
+            if rows:  # of all pictures but the last, only the numbers stay in memory
+                rows[-1]["picture"] = None
             rows.append({
                 "frame": index, "x": float(x), "jump": index == start,
-                "window": index == stations[n].first, "picture": picture,
+                "window": index in begins, "picture": picture,
                 "ms": (time.perf_counter() - begin) * 1e3,
-                "cpu_ms": (time.process_time() - cpu) * 1e3, "kept": kept.size,
-                "read": kept.made - made, "resident": resident(), "peak": peak(),
+                "cpu_ms": (time.process_time() - cpu) * 1e3, "kept": pages.kept.size,
+                "read": _made(pages) - made, "resident": resident(), "peak": peak(),
                 "residual": report.ledger["residual"],
             })  # fmt: skip
             if say:
                 say(drive_line(rows[-1]))
+            begin, cpu, made = time.perf_counter(), time.process_time(), _made(pages)
     return rows
+
+
+def _made(pages):
+    """Return how many runs have been read, and pages of them made."""
+    return pages.kept.made + pages.read.made
 
 
 def is_same_alone(folder, length, ground, path, config, rows):
@@ -209,7 +244,7 @@ def measure_details(folder, length, ground, places, config, details, say=None):
         renderer = Renderer(scene, ground.overview, settings, places[0][0])
         shown, splats, cpu = [], [], []
         for camera, around, state in places:
-            renderer.take_ground(*around)
+            renderer.take_ground(renderer.ready_ground(*around, config))
             renderer.draw(camera, state)  # reads what it needs
             pair = []
             for shift in (0.0, SPEED * NEXT):
@@ -254,7 +289,7 @@ def measure_alone(folder, length, ground, places, config, frames, say=None):
         alone = Renderer(whole, ground.overview, config, first)
         cpu = {paged: [], alone: []}
         for renderer in cpu:
-            renderer.take_ground(*around)
+            renderer.take_ground(renderer.ready_ground(*around, config))
             renderer.draw(ahead(scene, first, -SPEED * NEXT), state)  # reads what it needs
         for k, camera in enumerate(cameras):
             for renderer in cpu:

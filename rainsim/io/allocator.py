@@ -8,11 +8,13 @@ those in use: 0.4 of 2.0 GB on a kilometre of street.
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import os
 
 VARIABLES = "MALLOC_MMAP_THRESHOLD_", "GLIBC_TUNABLES"  # by which a user chooses another threshold
-MMAP_THRESHOLD = -3  # number of the parameter in glibc's malloc.h
+MMAP_THRESHOLD, MOST_HEAPS = -3, -8  # numbers of the parameters in glibc's malloc.h
+HEAPS = 2  # of all threads; without a limit each new thread may begin one, which is never returned
 LARGE = 128 * 1024  # bytes, the value that glibc begins with; once set it no longer rises
 
 
@@ -28,6 +30,16 @@ def return_large_blocks():
     if any(name in os.environ for name in VARIABLES):
         return False
     try:
-        return ctypes.CDLL(None).mallopt(MMAP_THRESHOLD, LARGE) == 1
+        library = ctypes.CDLL(None)
+        return library.mallopt(MMAP_THRESHOLD, LARGE) == library.mallopt(MOST_HEAPS, HEAPS) == 1
     except (AttributeError, OSError, TypeError):  # another C library, or a system without one
         return False
+
+
+def trim():
+    """Return what is free in the C library's heaps to the system; nothing where there is no glibc.
+
+    Large blocks return at once, small ones only from the end of a heap, until this is called.
+    """
+    with contextlib.suppress(AttributeError, OSError, TypeError):
+        ctypes.CDLL(None).malloc_trim(0)

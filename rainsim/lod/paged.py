@@ -173,7 +173,7 @@ class PagedRasterizer:
             numbers = self._numbers_of(*key[1:], splats)
         page = Stored(self.room, _numbered(made.first, numbers), _numbered(made.last, numbers))
         self.pages.kept.put(key, page, made.bytes)
-        self.pages.kept.drop(key[1:])  # seldom needed again as it was read
+        self.pages.read.drop(key[1:])  # seldom needed again as it was read
         return page
 
 

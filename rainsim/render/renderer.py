@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from rainsim.render.rain_pass import RainPass
 from rainsim.render.report import FrameReport, Timer
 from rainsim.render.shutter import next_camera
 from rainsim.render.weather import weather_of
+from rainsim.render.wet_ground import WetGround, wet_ground_of
 from rainsim.render.wet_scene import WetScene
 from rainsim.shading import environment, sky
 from rainsim.shading.calibration import fixed_camera, metered, metering_views
@@ -28,6 +30,15 @@ from rainsim.terrain.movers import with_movers
 from rainsim.water.ripples import ring_reach, ring_share, sheltered_rings
 
 RING_DEPTH = 5e-3  # m of water on which rings travel in under cover
+
+
+class ReadyGround(NamedTuple):
+    """A part of the ground as `Renderer.take_ground` takes it."""
+
+    wet: WetGround
+    moving: MovingSurfaces
+    rings: np.ndarray
+    water: WaterPass
 
 
 class Renderer:
@@ -172,8 +183,8 @@ class Renderer:
         self.wet_ground = self.wet_ground.over(None)
         self.wet_scene.leave_ground()
 
-    def take_ground(self, terrain, reach):
-        """Draw the water of another part of the ground from now on; the light stays as it is.
+    def ready_ground(self, terrain, reach, now):
+        """Return what `take_ground` takes; nothing of the renderer changes.
 
         Parameters
         ----------
@@ -181,16 +192,26 @@ class Renderer:
             A window of the ground of this renderer's scene, its nodes on it.
         reach : ndarray of shape (ny, nx), float32
             Share of the rain that reaches the ground.
+        now : Config
+            Of the time from which on it is drawn.
         """
-        config, self._camera = self.config, None
+        config = self.config
         terrain = tops_drawn(terrain, config)
-        self.terrain = terrain
-        self.wet_scene.take_ground(terrain, reach, self.now)
-        self.moving = MovingSurfaces(terrain, usual_wind(config), config.rain.roughness)
-        self.rain = RainPass(self.moving.still, config)
-        self.rings = ring_share(self.wet_scene.reach, terrain.grid.spacing, *self._ring_reach)
-        self.water = WaterPass(terrain, self.rings, self._ring_reach, config.render)
-        self.wet_ground = self.wet_ground.over(terrain)
+        moving = MovingSurfaces(terrain, usual_wind(config), config.rain.roughness)
+        rings = ring_share(reach, terrain.grid.spacing, *self._ring_reach)
+        water = WaterPass(terrain, rings, self._ring_reach, config.render)
+        return ReadyGround(wet_ground_of(terrain, reach, now), moving, rings, water)
+
+    def take_ground(self, ready):
+        """Draw the water of another part of the ground from now on; the light stays as it is.
+
+        `ready` is what `ready_ground` returned.
+        """
+        self._camera, self.terrain = None, ready.wet.terrain
+        self.wet_scene.take_ground(ready.wet)
+        self.moving, self.rings, self.water = ready.moving, ready.rings, ready.water
+        self.rain = RainPass(self.moving.still, self.config)
+        self.wet_ground = self.wet_ground.over(self.terrain)
 
     def read_ahead(self, camera):
         """Begin to read what a camera of the capture frame needs, if the capture is in chunks."""

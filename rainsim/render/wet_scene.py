@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy import ndimage
 
 from rainsim.daylight.kept import kept_relight
 from rainsim.io import images
@@ -19,6 +18,7 @@ from rainsim.reflection.water_pass import WetPicture
 from rainsim.render.nodes import Nodes
 from rainsim.render.paged_scene import PagedScene
 from rainsim.render.present_splats import PresentSplats
+from rainsim.render.wet_ground import blurred_grass
 from rainsim.scene.actors import joined
 from rainsim.scene.cameras import MIRROR_CLEARANCE, cropped, mirrored_camera
 from rainsim.scene.view import view_of
@@ -119,7 +119,7 @@ class WetScene:
                 f"mirrors leave out {self.badly_placed.sum()} splats that hardly any camera saw"
             )
         self.reach = rain_exposure(terrain, usual_wind(config), config.rain.roughness)
-        self._grass = ndimage.gaussian_filter(terrain.grassy.astype(np.float32), 1)
+        self._grass = blurred_grass(terrain)
         self._relit = gain is not None
         self._present = PresentSplats(self.scene, gain, diffuse, terrain, self.reach, self._grass)
         self._colors = self._present.state(config.at(0.0))
@@ -186,21 +186,12 @@ class WetScene:
         """Let go of what depends on the present part of the ground; `take_ground` must follow."""
         self.reach = self.ground = self._untouched = self._grass = None
 
-    def take_ground(self, terrain, reach, now):
-        """Draw another part of the ground from now on; the light stays as it was set up.
-
-        Parameters
-        ----------
-        terrain : Terrain
-        reach : ndarray of shape (ny, nx), float32
-            Share of the rain that reaches the ground.
-        now : Config
-            Of the present time.
-        """
-        self.terrain, self.reach, self._tracks = terrain, reach, NO_TRACKS
-        self._grass = ndimage.gaussian_filter(terrain.grassy.astype(np.float32), 1)
-        self._place = np.array(terrain.grid.origin, np.float32), np.float32(terrain.grid.spacing)
-        self._wet_ground(now)
+    def take_ground(self, ground):
+        """Draw another part of the ground, a `WetGround`; the light stays as it was set up."""
+        self.terrain, self.reach, self._grass, self._untouched = ground
+        grid, self._tracks = self.terrain.grid, NO_TRACKS
+        self._place = np.array(grid.origin, np.float32), np.float32(grid.spacing)
+        self.ground = self._untouched
 
     def _wet_ground(self, now):
         """Find how wet the ground is at the present time."""

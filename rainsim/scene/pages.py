@@ -22,6 +22,7 @@ from rainsim.scene.types import Splats
 OVERVIEW = 400_000  # splats of a level that the whole scene is known by, at most
 DEFAULT_MEMORY = 0.8e9  # bytes
 PICTURE = 1 / 3  # of the memory, that the splats of a picture take at most
+READ = 0.15  # of the memory, for runs as they were read
 ALWAYS = -1  # number of the leaf that stands for the splats which are always drawn
 
 
@@ -39,11 +40,14 @@ class Pages:
     tree : ChunkTree
     memory, picture_memory : float [bytes]
     kept : Kept
-        Runs as they were read and whatever is made from them; shared by all that draw.
+        Prepared pages, such as `lod.paged.Page`; shared by all that draw.
+    read : Kept
+        Runs as they were read. They are kept apart from prepared pages, since a map of the ground
+        reads many runs once, and must not displace pages that every picture needs.
     """
 
     def __init__(self, tree, memory=DEFAULT_MEMORY):
-        self.tree, self.kept = tree, Kept(0)
+        self.tree, self.kept, self.read = tree, Kept(0), Kept(0)
         return_large_blocks()
         self._reading, self._ahead = threading.Lock(), None
         self.limit(memory)
@@ -51,7 +55,7 @@ class Pages:
     def limit(self, memory):
         """Let the splats take `memory` [bytes], those of one picture a third of it."""
         self.memory, self.picture_memory = memory, PICTURE * memory
-        self.kept.most = memory
+        self.kept.most, self.read.most = (1 - READ) * memory, READ * memory
 
     def __getstate__(self):
         return {"tree": self.tree, "memory": self.memory}
@@ -78,10 +82,10 @@ class Pages:
         InputError
             If a chunk is missing, damaged, or does not fit the index.
         """
-        found = self.kept.get((leaf, level))
+        found = self.read.get((leaf, level))
         if found is None:
             with self._reading:
-                found = self.kept.get((leaf, level))
+                found = self.read.get((leaf, level))
                 if found is None:
                     found = self._read(leaf, level)
         return found
@@ -95,7 +99,7 @@ class Pages:
         """
         if self._ahead is not None and not self._ahead.done():
             return
-        missing = [key for key in wanted if not self.kept.has(key)]
+        missing = [key for key in wanted if not self.read.has(key)]
         if missing:
             self._ahead = _reader().submit(self._read_all, missing)
 
@@ -125,7 +129,7 @@ class Pages:
         if leaf == ALWAYS:
             splats, good = read_chunk(tree, tree.environment)
             found = _usable(tree, tree.environment, splats, good)
-            self.kept.put((leaf, level), found, size_of(found))
+            self.read.put((leaf, level), found, size_of(found))
             return found
         file = int(tree.file[leaf, level])
         name = tree.names[file]
@@ -142,8 +146,8 @@ class Pages:
             if other == leaf:
                 found = run
             else:
-                self.kept.put((int(other), level), run, size_of(run))
-        self.kept.put((leaf, level), found, size_of(found))
+                self.read.put((int(other), level), run, size_of(run))
+        self.read.put((leaf, level), found, size_of(found))
         return found
 
 

@@ -107,7 +107,7 @@ def extract_terrain(scene, config, mask=None, tell=None):
     return replace(terrain, notes=notes, tops=tops)
 
 
-def arrays_over(scene, grid, level):
+def arrays_over(scene, grid, level, step=lambda: None):
     """Return the arrays of a `Terrain` over a part of a scene's ground; None if no splat is there.
 
     Parameters
@@ -117,6 +117,8 @@ def arrays_over(scene, grid, level):
         What lies within MARGIN of its rim is made from less than all that bears on it.
     level : callable
         level(x, y) is about the height of the ground [m], for arrays of points.
+    step : callable
+        step() is called between the steps.
 
     Returns
     -------
@@ -129,7 +131,7 @@ def arrays_over(scene, grid, level):
     if not over[2].any():
         return None
     cells = tuple(slice(0, n) for n in grid.shape)
-    found = _piece(scene, _Cloud(scene, grid, level, over), Piece(grid, cells), mask, lambda: None)
+    found = _piece(scene, _Cloud(scene, grid, level, over), Piece(grid, cells), mask, step)
     del found["left_out"]
     return found
 

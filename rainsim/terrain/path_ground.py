@@ -30,9 +30,9 @@ from rainsim.terrain.stations import (
 from rainsim.terrain.types import NO_TOPS, UNKNOWN, Grid, Terrain
 
 OVERVIEW_CELLS = 400_000  # of the coarse map
-DIRT = 0.35, 0.32, 0.28  # colour of ground that no splat shows; by eye
-MAPS = "bed", "top", "underside", "source", "ground_class", "noise", "color"
+MAPS = "bed", "top", "underside", "source", "ground_class", "noise"
 UPSTREAM = 100.0  # m about a window from which its streams may come
+NEXT_SHARE = 0.3  # of the memory a cell, that a window takes which is not drawn yet
 WIDER = 1.25  # times the usual cells: those of one map for all from which on windows are taken
 
 
@@ -69,9 +69,13 @@ class PathGround:
 
     @property
     def cells(self):
-        """Cells that are held at once at most: of a window, of what lies around, of the whole."""
+        """Cells that are held at once at most, as many as one map of the same memory has.
+
+        Of the whole, of a window and of what lies around it; and a share of the next window's,
+        which is made meanwhile and holds less than one that is drawn.
+        """
         each = [box_area(s.cells) + box_area(s.around) for s in self.stations]
-        return self.overview.bed.size + max(each)
+        return self.overview.bed.size + round((1 + NEXT_SHARE) * max(each))
 
     def height(self, x, y):
         """Return the height of the coarse map [m] at points, beyond it that of its rim."""
@@ -84,7 +88,7 @@ class PathGround:
         """Return the station that serves a frame."""
         return station_at(self.stations, frame)
 
-    def around(self, scene, station):
+    def around(self, scene, station, check=lambda: None):
         """Return the `Terrain` of a station's window and of what lies around it, nodes on it.
 
         Parameters
@@ -92,6 +96,8 @@ class PathGround:
         scene : Scene
             The one that the overview was made of.
         station : Station
+        check : callable
+            check() is called between the steps.
         """
         cells, spacing = station.around, station.spacing
         axis, strip = long_axis(cells), cells_of(STRIP, spacing)
@@ -105,14 +111,15 @@ class PathGround:
             places[part, spacing] = (slice(None), along) if axis else (along, slice(None))
             kept = before.get((part, spacing))
             if kept is None:
-                strip = self._made(scene, part, spacing)
+                strip = self._made(scene, part, spacing, check)
             else:
                 strip = {name: getattr(last, name)[kept] for name in MAPS}
-            for name, values in strip.items():
+            for name in MAPS:
+                values = strip[name]
                 if name not in maps:
                     maps[name] = np.empty((*grid.shape, *values.shape[2:]), values.dtype)
                 maps[name][places[part, spacing]] = values
-        self._last = places, Terrain(grid, **maps)
+        self._last = places, Terrain(grid, **maps, color=no_color(grid))
         return with_movers(self._last[1], scene, self._movers)
 
     def about(self, grid):
@@ -132,16 +139,16 @@ class PathGround:
         )
         return part_of(self.overview, (rows, columns))
 
-    def _made(self, scene, cells, spacing):
+    def _made(self, scene, cells, spacing, check=lambda: None):
         """Return the arrays of a `Terrain` over some cells."""
         margin = cells_of(MARGIN, spacing)
         south, north, west, east = cells
         grid = grid_of((south - margin, north + margin, west - margin, east + margin), spacing)
-        found = arrays_over(scene, grid, self.height)
+        found = arrays_over(scene, grid, self.height, check)
         if found is None:
             found = self._unseen(grid)
         inner = slice(margin, -margin)
-        return {name: a[inner, inner].copy() for name, a in found.items()}
+        return {name: found[name][inner, inner].copy() for name in MAPS}
 
     def _unseen(self, grid):
         """Return the arrays of ground over which no splat lies: that of the coarse map."""
@@ -153,7 +160,6 @@ class PathGround:
             "source": np.full(grid.shape, UNKNOWN, np.uint8),
             "ground_class": self.overview.ground_class[rows, columns],
             "noise": np.zeros(grid.shape, np.float32),
-            "color": np.broadcast_to(np.float32(DIRT), (*grid.shape, 3)),
         }  # fmt: skip
 
 
@@ -166,6 +172,7 @@ def grid_of(cells, spacing):
 def part_of(terrain, window):
     """Return the `Terrain` of a part of a map without tops and painted water, its arrays copied.
 
+    Nor has it colours, by which only the light of the whole is set up.
     What moves on the map moves on the part, too.
 
     Parameters
@@ -180,7 +187,14 @@ def part_of(terrain, window):
     part = grid_of(cells, grid.spacing)
     origin = grid.origin[0] + part.origin[0], grid.origin[1] + part.origin[1]
     maps = {name: getattr(terrain, name)[window].copy() for name in MAPS}
-    return Terrain(replace(part, origin=origin), **maps, movers=terrain.movers)
+    return Terrain(
+        replace(part, origin=origin), **maps, color=no_color(part), movers=terrain.movers
+    )
+
+
+def no_color(grid):
+    """Return black for each cell of a `Grid`, which takes no memory."""
+    return np.broadcast_to(np.float32(0), (*grid.shape, 3))
 
 
 def follows_path(scene, config, cameras, backend="cpu", mask=None):

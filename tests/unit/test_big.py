@@ -547,7 +547,9 @@ def test_kept_values_stay_below_the_limit():
 
 def test_pages_survive_a_journey(big):
     again = pickle.loads(pickle.dumps(big))
-    assert again.pages.memory == big.pages.memory == again.pages.kept.most > 0
+    assert (
+        again.pages.memory == big.pages.memory > again.pages.kept.most > again.pages.read.most > 0
+    )
     a, b = big.pages.splats(3, 1), again.pages.splats(3, 1)
     assert all((getattr(a, n) == getattr(b, n)).all() for n in NAMES)
 

@@ -10,6 +10,7 @@ import pytest
 from rainsim import pipeline, simulation
 from rainsim.config.settings import Config, TerrainConfig, mm_per_hour
 from rainsim.errors import BackendError, ParameterError
+from rainsim.render import window_ahead
 from rainsim.scene.cameras import look_at
 from rainsim.scene.painted import PaintedClasses
 from rainsim.scene.types import GroundFrame, Scene, Splats
@@ -114,7 +115,7 @@ def test_a_late_frame_simulates_only_its_own_window(scene, ground, drive, monkey
             begun.append((begin.number, state.index, state.depth.shape))
             yield state
 
-    monkeypatch.setattr(pipeline, "simulate", watched)
+    monkeypatch.setattr(window_ahead, "simulate", watched)
     last = CONFIG.frames - 1
     station = ground.station(last)
     assert frames(scene, ground, [last])[last] == drive[last]
