@@ -117,8 +117,8 @@ class Garden:
         albedo = np.asarray(albedo, np.float32)
         texture = {"type": "rgb", "value": albedo.tolist()} if albedo.ndim == 1 else {
             "type": "bitmap", "raw": True, "wrap_mode": "clamp",
-            # The first row of a bitmap has the greatest v.
-            "bitmap": self.mitsuba.Bitmap(np.ascontiguousarray(albedo[::-1])),
+            # The first row of a bitmap has the least v, as that of a `Picture`.
+            "bitmap": self.mitsuba.Bitmap(np.ascontiguousarray(albedo)),
         }  # fmt: skip
         coat = {"type": "plastic", "int_ior": REFRACTIVE_INDEX, "ext_ior": 1.0, "nonlinear": True,
                 "diffuse_reflectance": texture,

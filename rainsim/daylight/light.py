@@ -23,6 +23,7 @@ from rainsim.daylight.visibility import (
 )
 
 SKY_DIRECTIONS = 96
+SKIES = 5  # see `sky_radiance`
 SIDE_DIRECTIONS, SIDE = 24, 512  # and px, of the maps that show which side of a splat is open
 BLIND, OPEN = 0.06, 0.15  # light of an even sky on a side that is closed, and on an open one
 SUN_SIDE = 3072  # px of the near map of the sun
@@ -33,12 +34,12 @@ ANY_FACE = np.float32(0.25)  # mean cosine, not below 0, to a direction over all
 
 
 class Light(NamedTuple):
-    """What places receive, float32 (n,)."""
+    """What places receive, float32."""
 
-    clear: np.ndarray  # from the clear sky
-    overcast: np.ndarray  # from the overcast sky
+    clear: np.ndarray  # (n, 3): from the clear sky, for each channel
+    overcast: np.ndarray  # (n,): from the overcast sky
     blocked: np.ndarray  # (n, 2): shares of the view that are no sky, below the horizon and above
-    around: np.ndarray  # from their surroundings in the captured day
+    around: np.ndarray  # (n, 3): from their surroundings in the captured day
 
 
 def maps_along(solids, window, directions):
@@ -68,14 +69,14 @@ def turn_to_the_open(surface, solids, window):
 
 
 def sky_radiance(sun, count=SKY_DIRECTIONS):
-    """Return directions (m, 3) and the radiance of three skies in each, (m, 3) float32.
+    """Return directions (m, 3) and the radiance of skies in each, (m, 5) float32.
 
-    A clear one, an overcast one and an even one; open level ground receives 1 of each.
+    A clear one for each channel, an overcast one and an even one; open level ground receives 1 of
+    each.
     """
     directions = sky_light.hemisphere(count)
-    skies = np.stack([
-        sky_light.clear(directions, sun), sky_light.overcast(directions), np.ones(count),
-    ], -1)  # fmt: skip
+    clear = sky_light.clear(directions, sun)[:, None] * sky_light.clear_color(directions, sun)
+    skies = np.column_stack([clear, sky_light.overcast(directions), np.ones(count)])
     skies /= (skies * directions[:, 2:]).sum(axis=0)
     return directions, skies.astype(np.float32)
 
@@ -94,7 +95,7 @@ def received(surface, solids, windows, sun, sent):
     sent : Sent
         By the surroundings.
     """
-    total = np.zeros((len(surface.position), 3), np.float32)
+    total = np.zeros((len(surface.position), SKIES), np.float32)
     for part, window, margin in _parts(surface, windows):
         place = surface.position[part], surface.normal[part], surface.flat[part]
         total[part] = sky_sums(*place, solids, window, sun, margin)
@@ -103,8 +104,8 @@ def received(surface, solids, windows, sun, sent):
 
 
 def sky_sums(position, normal, flat, solids, window, sun, margin=MARGIN):
-    """Return what places receive of the three skies of `sky_radiance`, (n, 3) float32."""
-    total = np.zeros((len(position), 3), np.float32)
+    """Return what places receive of the skies of `sky_radiance`, (n, SKIES) float32."""
+    total = np.zeros((len(position), SKIES), np.float32)
     if len(position):
         directions, skies = sky_radiance(sun)
         for part, axes, heights in maps_along(solids, window, directions):
@@ -118,17 +119,17 @@ def sky_sums(position, normal, flat, solids, window, sun, margin=MARGIN):
 def light_of(sums, normal, flat, sent):
     """Return the `Light` of the sums that `sky_sums` returns: what is no sky is surroundings.
 
-    `sent` is the mean radiosity of these below the horizon and above, float32 (n, 2).
+    `sent` is the mean radiosity of these below the horizon and above, float32 (n, 2, 3).
     """
     below = flat * 0.5 * (1 - normal[:, 2]) + (1 - flat) * 0.5
-    above = np.maximum(1 - sums[:, 2] - below, 0)
+    above = np.maximum(1 - sums[:, 4] - below, 0)
     blocked = np.stack([below, above], axis=-1).astype(np.float32)
-    return Light(sums[:, 0], sums[:, 1], blocked, around_of(blocked, sent))
+    return Light(sums[:, :3], sums[:, 3], blocked, around_of(blocked, sent))
 
 
 def around_of(blocked, sent):
-    """Return the light of the surroundings, float32 (n,), of shares and mean radiosities (n, 2)."""
-    return np.einsum("ij,ij->i", blocked, sent)
+    """Return the light of the surroundings (n, 3) of shares (n, 2) and radiosities (n, 2, 3)."""
+    return np.einsum("ij,ijk->ik", blocked, sent)
 
 
 def facing(surface, direction):

@@ -31,7 +31,7 @@ from rainsim.daylight.light import (
     turn_to_the_open,
 )
 from rainsim.daylight.shade import NO_EDGES, EdgeShade, edge_shade, factor_in_shade
-from rainsim.daylight.sun import LEAST_SCORE, find_sun, places_of, seen_from
+from rainsim.daylight.sun import DIM, LEAST_SCORE, find_sun, places_of, seen_from
 from rainsim.daylight.surface import covariances, luminance, surface_of
 from rainsim.daylight.surroundings import USUAL_ALBEDO, patches_of, sent_in
 from rainsim.daylight.visibility import Window, resized, solids_of, with_plane
@@ -47,7 +47,7 @@ LEAST_PAIRS = 150  # of places
 SURE_REACH = 0.06  # m about a place that is surely in the sun or surely not
 OPEN = 0.1  # light of the clear sky below which a place tells nothing
 ROUNDS = 6  # of the fit of the ratio
-MOST_GAIN = 6.0  # of the luminance
+LEAST_GAIN, MOST_GAIN = 0.05, 2.0  # over what shaded open ground needs
 SURE = 0.5  # confidence from which on the sun is divided out
 # Values that raise the confidence from 0 to 1: sun over sky on level ground, share of pairs that
 # are brighter where the sun shines, and the score of the search.
@@ -223,7 +223,8 @@ def measure(places, solids, plane, window, direction, sent):
     sums = sky_sums(position, normal, flat, solids, coarse, direction)
     light = light_of(sums, normal, flat, sent.at(position, normal, flat))
     a, b = np.split(back, 2)
-    fit = (light.clear[a] > OPEN) & (light.clear[b] > OPEN)
+    clear = luminance(light.clear)
+    fit = (clear[a] > OPEN) & (clear[b] > OPEN) & (luminance(places.light[shaded]) > DIM)
     lit, shaded, a, b = lit[fit], shaded[fit], a[fit], b[fit]
     if len(lit) < LEAST_PAIRS:
         return SunRatio(np.zeros(3), len(lit), 0.0)
@@ -254,7 +255,7 @@ def _sure_share(places, solids, window, direction):
 def shade_of(light, direction, ratio):
     """Return what places receive in the captured day without the sun, (n, 3) float32."""
     open_ground = 1 + ratio * max(direction[2], 0.0)
-    return (light.clear[:, None] + light.around[:, None] * open_ground).astype(np.float32)
+    return (light.clear + light.around * open_ground).astype(np.float32)
 
 
 def _confidence(measured, score, direction):
@@ -347,15 +348,15 @@ def by_color(surface, lit, plane, light, direction, ratio):
 def gains(surface, light, lit, direction, measured, around):
     """Return the gain (n, 3), float16, on each splat's linear light.
 
-    `around` is the light of the surroundings under the overcast sky, float32 (n,).
+    `around` is the light of the surroundings under the overcast sky, float32 (n, 3).
     """
     ratio = measured.ratio
     sun = (lit * facing(surface, direction))[:, None] * ratio
     captured = shade_of(light, direction, ratio) + sun
-    rainy = (light.overcast + around)[:, None]
+    rainy = light.overcast[:, None] + around
     open_ground = 1 + ratio * max(direction[2], 0.0)
     gain = np.maximum(rainy * open_ground / np.maximum(captured, 1e-3), 1e-3)
     gain *= factor_in_shade(surface, lit, measured.edges)
     # Shade under a blue sky needs most in red: a bound on each channel would leave it blue-green.
-    bright = luminance(gain)[:, None]
-    return (gain * np.clip(bright, 1 / MOST_GAIN, MOST_GAIN) / bright).astype(np.float16)
+    bright = luminance(gain / open_ground)[:, None]
+    return (gain * np.clip(bright, LEAST_GAIN, MOST_GAIN) / bright).astype(np.float16)

@@ -30,6 +30,7 @@ CELL = 0.07  # m, of the places that are compared
 REACH = 0.5  # m between two of them
 PARTNERS = 12  # of each
 SAME_PLANE = 0.92  # cosine between their normals
+OFF_PLANE = 0.07  # of the distance between two places, that they may be apart along their normals
 # Logarithm of red over green, and of green over blue, of the brighter place less the darker one's:
 # paint is the same where light may make the difference, and the sun is redder than the sky.
 SAME_PAINT = -0.25, 0.9
@@ -106,6 +107,9 @@ def _pairs(position, normal, light):
     log = np.log(np.maximum(light, DIM / 2))
     tint = log[:, :2] - log[:, 1:]
     alike = np.einsum("ij,ij->i", normal[first], normal[second]) > SAME_PLANE
+    step = position[second] - position[first]
+    off = np.abs(np.einsum("ij,ij->i", step, normal[first] + normal[second]))
+    alike &= off < 2 * OFF_PLANE * np.linalg.norm(step, axis=1)
     bright = luminance(light)
     sign = np.where(bright[first] > bright[second], 1, -1)[:, None]
     redder = (tint[first] - tint[second]) * sign

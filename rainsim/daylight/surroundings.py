@@ -14,8 +14,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from rainsim.constants import HALF, ONE, QUARTER, ZERO
+from rainsim.daylight.sky_light import hemisphere
 from rainsim.daylight.surface import luminance
-from rainsim.jit import cpu_kernel, get_num_threads, prange
+from rainsim.jit import cpu_kernel, device_function, get_num_threads, prange
 
 CELL, COARSER = 0.4, 1.26  # m, of the patches, and the factor by which cells grow
 MOST_PATCHES = 8000  # each is compared with each
@@ -28,7 +29,10 @@ LEVEL = 0.9  # cosine to the vertical of level ground
 FEWEST_LEVEL = 20  # splats of level ground, below which all splats say what open ground sends
 BRIGHT_GROUND = 70  # percentile of level ground's light that is taken for open: much may be shaded
 MOST_BRIGHT = 1.5  # of that light, beyond which a splat counts as this
-PI = np.float32(np.pi)
+RAYS = 96  # of a patch, over each half of the sphere
+OVERLAP = np.float32(0.15)  # cells, by which a patch's plane reaches beyond its cell
+LEAST_LEFT = np.float32(0.02)  # of a ray, below which it has ended
+TINY = np.float32(1e-4)
 
 
 class Patches(NamedTuple):
@@ -61,9 +65,10 @@ class Sent(NamedTuple):
     Attributes
     ----------
     patches : Patches
-    light : ndarray of shape (m, 2), float32
-        From below the horizon and from above it, over the light on open level ground.
-    mean : ndarray of shape (2,), float32
+    light : ndarray of shape (m, 2, 3), float32
+        From below the horizon and from above it, over the light on open level ground, for each
+        channel.
+    mean : ndarray of shape (2, 3), float32
         Of all patches, for places away from them.
     """
 
@@ -72,7 +77,7 @@ class Sent(NamedTuple):
     mean: np.ndarray
 
     def at(self, position, normal, flat):
-        """Return the mean radiosity that places see below the horizon and above, (n, 2) float32.
+        """Return the mean radiosity that places see below the horizon and above, (n, 2, 3) float32.
 
         Parameters
         ----------
@@ -82,7 +87,7 @@ class Sent(NamedTuple):
         patches = self.patches
         count = min(NEAR_PATCHES, len(patches.area))
         if not count or not len(position):
-            return np.tile(self.mean, (len(position), 1))
+            return np.tile(self.mean, (len(position), 1, 1))
         tree = cKDTree(patches.position)
         away, near = tree.query(
             position, k=range(1, count + 1), distance_upper_bound=REACH * patches.cell,
@@ -94,8 +99,8 @@ class Sent(NamedTuple):
         plane = flat[:, None] * patches.flat[near]
         weight = plane * np.maximum(along, 0) ** 2 + OTHER_SIDE
         weight *= known * np.exp(-2 * (np.where(known, away, 0) / patches.cell) ** 2)
-        total = weight.sum(axis=1)[:, None]
-        found = np.einsum("ij,ijk->ik", weight, self.light[near]) / np.maximum(total, 1e-12)
+        total = weight.sum(axis=1)[:, None, None]
+        found = np.einsum("ij,ijkl->ikl", weight, self.light[near]) / np.maximum(total, 1e-12)
         return np.where(total > 0, found, self.mean).astype(np.float32)
 
 
@@ -151,50 +156,151 @@ def sent_in(surface, patches, white=USUAL_ALBEDO, gain=None):
     known = bright[level] if level.sum() >= FEWEST_LEVEL else bright
     ground = max(float(np.percentile(known, BRIGHT_GROUND)), 1e-3)
     albedo = float(np.clip(white * ground, LEAST_ALBEDO, MOST_ALBEDO))
-    own = np.minimum(bright / ground, MOST_BRIGHT)
+    own = surface.light / np.maximum(ground, bright / MOST_BRIGHT)[:, None]
     if gain is not None:
-        own = own * luminance(surface.light * gain) / np.maximum(bright, 1e-6)
+        own = own * gain
     count = len(patches.area)
     number = np.bincount(patches.of, minlength=count + 1)[:count]
-    radiosity = np.bincount(patches.of, albedo * own, minlength=count + 1)[:count]
-    radiosity = (radiosity / np.maximum(number, 1)).astype(np.float32)
-    light = np.zeros((count, 2), np.float32)
-    gather(*patches[:4], radiosity, light)
-    mean = light.mean(axis=0) if count else np.full(2, albedo * own.mean(), np.float32)
-    return Sent(patches, light, mean)
+    radiosity = np.stack([
+        np.bincount(patches.of, albedo * own[:, k], minlength=count + 1)[:count] for k in range(3)
+    ], -1)  # fmt: skip
+    radiosity = (radiosity / np.maximum(number, 1)[:, None]).astype(np.float32)
+    light = np.zeros((count, 2, 3), np.float32)
+    if count:
+        covered = -np.log1p(-np.minimum(patches.area / patches.cell**2, 1 - 1e-6))
+        low, first, order = _lists(patches.position, patches.cell)
+        rays = np.concatenate([hemisphere(RAYS), -hemisphere(RAYS)])
+        gather(
+            *patches[:3], covered.astype(np.float32), radiosity, low, np.float32(patches.cell),
+            first, order, rays.astype(np.float32), light,
+        )  # fmt: skip
+    mean = light.mean(axis=0) if count else np.tile(albedo * own.mean(axis=0), (2, 1))
+    return Sent(patches, light, mean.astype(np.float32))
+
+
+def _lists(position, cell):
+    """Return the cells of a grid about patches that have some, for `gather`.
+
+    Returns
+    -------
+    low : ndarray of shape (3,), float32 [m]
+        Corner of the grid.
+    first : ndarray of shape (nx, ny, nz, 2), int32
+        Where the patches of a cell begin and end in `order`.
+    order : ndarray of shape (m,), int64
+    """
+    low = position.min(axis=0) - np.float32(0.5 * cell)
+    place = ((position - low) / np.float32(cell)).astype(np.int64)
+    shape = place.max(axis=0) + 1
+    key = np.ravel_multi_index(place.T, shape)
+    order = np.argsort(key, kind="stable")
+    found, start, count = np.unique(key[order], return_index=True, return_counts=True)
+    first = np.zeros((int(np.prod(shape)), 2), np.int32)
+    first[found] = np.stack([start, start + count], axis=-1)
+    return low, first.reshape(*shape, 2), order
 
 
 @cpu_kernel
-def gather(position, normal, flat, area, radiosity, light_out):
+def gather(
+    position, normal, flat, covered, radiosity, low, cell, first, order, directions, light_out
+):  # fmt: skip
     """Write the mean radiosity of what each patch sees of the others, below the horizon and above.
 
-    The weights are form factors of discs (a disc of area A at a distance r fills A / (pi r^2 + A)),
-    but nothing hides what is behind, so only their ratios count. What has no plane
-    receives by its mean cosine of 1/4 and sends to both sides by 1/2, itself included.
+    Rays go from patch to patch through the cells of a grid. What has no plane receives by its mean
+    cosine of 1/4, and sends to both sides, itself included.
 
     Parameters
     ----------
     position, normal : ndarray of shape (m, 3), float32
-    flat, area, radiosity : ndarray of shape (m,), float32
-    light_out : ndarray of shape (m, 2), float32
+    flat : ndarray of shape (m,), float32
+    covered : ndarray of shape (m,), float32
+        Area of its splats over that of the face of a cell.
+    radiosity : ndarray of shape (m, 3), float32
+    low, first, order
+        See `_lists`.
+    cell : float32 [m]
+    directions : ndarray of shape (d, 3), float32
+        Unit, over the sphere.
+    light_out : ndarray of shape (m, 2, 3), float32
+        Zeros.
     """
-    for i in prange(len(area)):
-        x, y, z = position[i, 0], position[i, 1], position[i, 2]
-        n0, n1, n2, f = normal[i, 0], normal[i, 1], normal[i, 2], flat[i]
-        low, low_weight, high, high_weight = ZERO, ZERO, ZERO, ZERO
-        for j in range(len(area)):
-            d0, d1, d2 = position[j, 0] - x, position[j, 1] - y, position[j, 2] - z
-            square = d0 * d0 + d1 * d1 + d2 * d2
-            inverse = ONE / max(np.sqrt(square), np.float32(1e-6))
-            to = max((d0 * n0 + d1 * n1 + d2 * n2) * inverse, ZERO)
-            back = -(d0 * normal[j, 0] + d1 * normal[j, 1] + d2 * normal[j, 2]) * inverse
-            to = f * to + (ONE - f) * QUARTER
-            back = flat[j] * max(back, ZERO) + (ONE - flat[j]) * HALF
-            w = to * back * area[j] / (PI * square + area[j] + np.float32(1e-9))
-            below = w if d2 <= ZERO else ZERO
-            low_weight += below
-            low += below * radiosity[j]
-            high_weight += w - below
-            high += (w - below) * radiosity[j]
-        light_out[i, 0] = low / low_weight if low_weight > ZERO else ZERO
-        light_out[i, 1] = high / high_weight if high_weight > ZERO else ZERO
+    for i in prange(len(flat)):
+        below, above = ZERO, ZERO
+        for k in range(len(directions)):
+            d = directions[k]
+            to = d[0] * normal[i, 0] + d[1] * normal[i, 1] + d[2] * normal[i, 2]
+            to = flat[i] * max(to, ZERO) + (ONE - flat[i]) * QUARTER
+            if to <= ZERO:
+                continue
+            red, green, blue, met = _meet(
+                i, d, position, normal, flat, covered, radiosity, low, cell, first, order
+            )
+            side = 0 if d[2] <= ZERO else 1
+            light_out[i, side, 0] += to * red
+            light_out[i, side, 1] += to * green
+            light_out[i, side, 2] += to * blue
+            if side == 0:
+                below += to * met
+            else:
+                above += to * met
+        for k in range(3):
+            light_out[i, 0, k] /= max(below, np.float32(1e-9))
+            light_out[i, 1, k] /= max(above, np.float32(1e-9))
+
+
+@device_function
+def _meet(i, d, position, normal, flat, covered, radiosity, low, cell, first, order):
+    """Return the light of what a ray from patch `i` meets, and which share of it met something."""
+    red, green, blue, met, left = ZERO, ZERO, ZERO, ZERO, ONE
+    o0, o1, o2 = position[i, 0], position[i, 1], position[i, 2]
+    x, y, z = (o0 - low[0]) / cell, (o1 - low[1]) / cell, (o2 - low[2]) / cell
+    a, b, c = int(x), int(y), int(z)
+    step_a, step_b, step_c = (
+        (1 if d[0] > 0 else -1),
+        (1 if d[1] > 0 else -1),
+        (1 if d[2] > 0 else -1),
+    )
+    p, q, r = (ONE / max(abs(d[0]), TINY), ONE / max(abs(d[1]), TINY), ONE / max(abs(d[2]), TINY))
+    next_a = p * (np.float32(a + 1) - x if d[0] > 0 else x - np.float32(a))
+    next_b = q * (np.float32(b + 1) - y if d[1] > 0 else y - np.float32(b))
+    next_c = r * (np.float32(c + 1) - z if d[2] > 0 else z - np.float32(c))
+    begin = ZERO
+    while left > LEAST_LEFT:
+        if a < 0 or b < 0 or c < 0:
+            break
+        if a >= first.shape[0] or b >= first.shape[1] or c >= first.shape[2]:
+            break
+        end = min(next_a, min(next_b, next_c))
+        for n in range(first[a, b, c, 0], first[a, b, c, 1]):
+            j = order[n]
+            if flat[j] > HALF:
+                n0, n1, n2 = normal[j, 0], normal[j, 1], normal[j, 2]
+                slant = d[0] * n0 + d[1] * n1 + d[2] * n2
+                if j == i or abs(slant) < TINY:
+                    continue
+                away = (position[j, 0] - o0) * n0 + (position[j, 1] - o1) * n1
+                away = (away + (position[j, 2] - o2) * n2) / (slant * cell)
+                if away < OVERLAP or away < begin - OVERLAP or away > end + OVERLAP:
+                    continue
+                share = left * (ONE - np.exp(-covered[j]))
+                left -= share
+                if slant > ZERO:  # its back, whose light nobody saw
+                    continue
+            else:
+                share = left * (ONE - np.exp(-HALF * covered[j] * (end - begin)))
+                left -= share
+            met += share
+            red += share * radiosity[j, 0]
+            green += share * radiosity[j, 1]
+            blue += share * radiosity[j, 2]
+        begin = end
+        if next_a <= next_b and next_a <= next_c:
+            a += step_a
+            next_a += p
+        elif next_b <= next_c:
+            b += step_b
+            next_b += q
+        else:
+            c += step_c
+            next_c += r
+    return red, green, blue, met

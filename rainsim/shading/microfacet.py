@@ -88,10 +88,13 @@ def lobe_part(lobe, k, dip, tilt, slope):
     mean = lobe[i, k, 0] + (lobe[i + 1, k, 0] - lobe[i, k, 0]) * f
     width = lobe[i, k, 1] + (lobe[i + 1, k, 1] - lobe[i, k, 1]) * f
     lean = mean * slope + tilt
-    square = lean * lean
-    # The tangent of g + 2 atan(lean); beyond the zenith it counts as there.
-    down = max(ONE - square - TWO * lean * dip, np.float32(1e-3))
-    rise = min((dip * (ONE - square) + TWO * lean) / down, STEEPEST)
+    # Facets lean across the plane of view, too, by the rms slope: they mirror lower.
+    across = slope * slope
+    square = lean * lean + across
+    ahead = ONE + TWO * across - square - TWO * lean * dip
+    aside = TWO * (lean + dip) * slope
+    ahead = max(math.sqrt(ahead * ahead + aside * aside), np.float32(1e-3))
+    rise = min((dip * (ONE - square) + TWO * lean) / ahead, STEEPEST)
     away = (rise - tilt) / max(ONE + rise * tilt, LEAST_DIP)
     if away < LEAST_RISE or rise < LEAST_RISE:
         return ZERO, ZERO, ZERO, ZERO

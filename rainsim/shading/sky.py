@@ -18,6 +18,8 @@ OVERCAST_TINT = np.array([0.95, 1.0, 1.06])  # a dull sky is slightly blue (abou
 GROUND_ALBEDO = 0.15  # what the lower half of a plain sky map shows
 PANORAMA_ROWS = 512  # of the map of a panorama: it is seen behind the scene, too
 CLOUD_DEPTH = 0.3  # of the noise in the logarithm of a clouded sky's radiance
+# Exponents of x, y and z: on the sphere these span the harmonics to degree 3.
+CUBIC = [(i, j, k) for i in range(4) for j in range(4 - i) for k in (0, 1) if i + j + k <= 3]
 LEAST_SKY_SEEN = 0.02  # share of the upper half below which a captured sky tells nothing
 SEAM = 5.0  # texels of the map, over which a captured sky goes over into the filled one
 SUN_BLUR, SUN_PEAK = math.radians(2.5), 4.0
@@ -79,11 +81,28 @@ def clouded(environment, rows=2 * ROWS, depth=CLOUD_DEPTH):
     for octave, (size, amplitude) in enumerate(((1.7, 1.0), (0.8, 0.5), (0.36, 0.25), (0.17, 0.1))):
         at = [sheet[..., k] / size * (1.0, 0.6)[k] + 7.3 * octave for k in range(2)]
         noise += amplitude * ndimage.map_coordinates(lattice, at, order=3, mode="grid-wrap")
-    fade = np.clip(height / 0.25, 0, 1)
-    factor = np.exp(depth * fade * noise)
-    made = even * factor[..., None]
+    noise *= np.clip(height / 0.25, 0, 1)
+    above = height > 0
+    noise[above] -= _broad(noise, direction, above)
+    noise[above] /= 3 * noise[above].std()
+    made = even * np.exp(depth * noise)[..., None]
     made *= irradiance(environment)[1] / irradiance(made)[1]
     return np.ascontiguousarray(made, dtype=np.float32)
+
+
+def _broad(noise, direction, above):
+    """Return what of some noise is broader than a fourth of the sky, for each direction above.
+
+    The spherical harmonics to degree 3 that fit it best. A rain cloud covers the whole sky, and its
+    mean luminance depends on the elevation alone (CIE S 011): without this wet ground would mirror
+    one side of every sky twice as bright as the other.
+    """
+    x, y, z = direction[above].T
+    basis = np.stack([x**i * y**j * z**k for i, j, k in CUBIC], axis=-1)
+    some = slice(None, None, 5)  # enough for what is broad
+    root = (1 - z[some] ** 2) ** 0.25  # of the area of a texel
+    left, right = basis[some] * root[:, None], noise[above][some] * root
+    return basis @ np.linalg.lstsq(left, right, rcond=None)[0]
 
 
 def completed(radiance, known):

@@ -12,6 +12,7 @@ from rainsim.daylight import kept, relight, sky_light
 from rainsim.daylight.kept import covered_share, under_clouds
 from rainsim.daylight.light import Light
 from rainsim.daylight.shade import NO_EDGES, edge_shade, factor_in_shade
+from rainsim.daylight.sun import _pairs
 from rainsim.daylight.surface import Surface
 from rainsim.daylight.visibility import (
     NOTHING,
@@ -22,7 +23,7 @@ from rainsim.daylight.visibility import (
     find_seen,
     solids_of,
 )
-from rainsim.numerics.srgb import LUMINANCE_WEIGHTS, display, linear
+from rainsim.numerics.srgb import display, linear
 from rainsim.render.wet_scene import WetScene
 from rainsim.scene.types import Splats
 
@@ -378,12 +379,41 @@ def test_deep_shade_under_a_blue_sky_keeps_its_hue_where_the_gain_is_bounded():
     ratio = np.array([9.0, 5.0, 2.0])
     measured, up = relight.SunRatio(ratio, 999, 1.0), np.array([0, 0, 1.0])
     surface = surface_at([(0, 0, 0)] * 3)
-    clear, lit = np.float32([1, 0.6, 0.25]), np.float32([1, 0, 0])
-    none = np.zeros(3, np.float32)
+    clear = np.repeat(np.float32([[1], [0.6], [0.25]]), 3, axis=1)
+    lit, none = np.float32([1, 0, 0]), np.zeros((3, 3), np.float32)
     light = Light(clear, np.ones(3, np.float32), None, none)
     gain = relight.gains(surface, light, lit, up, measured, none).astype(float)
-    shown = (clear[:, None] + lit[:, None] * ratio) * gain
+    shown = (clear + lit[:, None] * ratio) * gain
     np.testing.assert_allclose(shown / shown[:, :1], np.tile([1, 0.6, 0.3], (3, 1)), rtol=5e-3)
     np.testing.assert_allclose(gain[0], 1, rtol=2e-3)
-    np.testing.assert_allclose(gain[1:] @ LUMINANCE_WEIGHTS, relight.MOST_GAIN, rtol=5e-3)
-    assert gain[1, 0] > 1.2 * relight.MOST_GAIN
+    np.testing.assert_allclose(gain[1], (1 + ratio) / 0.6, rtol=2e-3)  # below the bound
+    np.testing.assert_allclose(gain[2], (1 + ratio) * relight.MOST_GAIN, rtol=5e-3)
+    assert relight.MOST_GAIN < 1 / 0.25
+
+
+def test_the_clear_sky_is_bluest_away_from_the_sun():
+    directions, sun = sky_light.hemisphere(4000), sunny_yard.direction_of(0, 40)
+    color = sky_light.clear_color(directions, sun)
+    np.testing.assert_allclose(color @ [0.2126, 0.7152, 0.0722], 1, rtol=2e-3)
+    blue = color[:, 2] / color[:, 0]
+    high = directions[:, 2] > 0.5
+    near, away = directions @ sun > 0.95, directions @ sun < 0.2
+    assert (blue[high] > 1.2).all() and blue[high & away].mean() > 1.4 * blue[near].mean()
+    # CIE 1931 chromaticity at the zenith of turbidity 3, by the paper's polynomial.
+    zenith = sky_light.clear_color(np.array([[0, 0, 1.0]]), np.array([0, 0, 1.0]), 3.0)[0]
+    xyz = np.linalg.solve(sky_light.SRGB_OF_XYZ, zenith)
+    assert xyz[0] / xyz.sum() == pytest.approx(0.25886 + 3 * 0.00394, abs=1e-6)
+
+
+def test_places_above_one_another_are_no_pair():
+    """The underside of a bench and the top of its seat face up alike and are 4 cm apart."""
+    x, y = (a.ravel() * 0.1 for a in np.meshgrid(np.arange(10.0), np.arange(10.0)))
+    level = np.stack([x, y, 0 * x], -1).astype(np.float32)
+    above = level + np.float32([0, 0, 0.06])
+    normal = np.tile(np.float32([0, 0, 1]), (200, 1))
+    light = np.repeat(np.float32([[0.1] * 3, [0.2] * 3]), 100, axis=0)
+    pair = _pairs(np.concatenate([level, above]), normal, light)
+    assert len(pair) > 300 and (pair[:, 0] // 100 == pair[:, 1] // 100).mean() > 0.95
+    slanted = level + level[:, :1] * np.float32([0, 0, 0.3])  # a slope is one plane
+    normal = np.tile(np.float32([-0.287, 0, 0.958]), (100, 1))
+    assert len(_pairs(slanted, normal, light[:100])) > 300

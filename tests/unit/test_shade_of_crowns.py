@@ -35,7 +35,8 @@ def floor():
     neighbours = cKDTree(position).query(position, k=9)[1].astype(np.int32)
     color = (paint * (0.8 + share[:, None] * RATIO)).astype(np.float32)
     surface = Surface(position, normal, full, color, full, neighbours, full)
-    light = Light(0.8 * full, full, np.zeros((count, 2), np.float32), 0 * full)
+    sky, none = np.full((count, 3), 0.8, np.float32), np.zeros((count, 3), np.float32)
+    light = Light(sky, full, np.zeros((count, 2), np.float32), none)
     return surface, light, share, moss
 
 
