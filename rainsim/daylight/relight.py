@@ -34,7 +34,7 @@ from rainsim.daylight.shade import NO_EDGES, EdgeShade, edge_shade, factor_in_sh
 from rainsim.daylight.sun import DIM, LEAST_SCORE, find_sun, places_of, seen_from
 from rainsim.daylight.surface import covariances, luminance, surface_of
 from rainsim.daylight.surroundings import USUAL_ALBEDO, patches_of, sent_in
-from rainsim.daylight.visibility import Window, resized, solids_of, with_plane
+from rainsim.daylight.visibility import Window, solids_of, with_plane
 from rainsim.jit import get_num_threads
 from rainsim.numerics.blocks import in_blocks
 
@@ -54,7 +54,8 @@ SURE = 0.5  # confidence from which on the sun is divided out
 OVER_SKY, AGREE, SCORE = (0.15, 0.6), (0.6, 0.85), (LEAST_SCORE, 0.2)
 PAINT_REACH, PAINT_COUNT, LEAST_PAINT = 3.0, 16, 4  # m; splats that a splat's paint is taken from
 SAME_TINT = 0.35  # logarithm of the ratio of two channels, by which splats of one paint differ
-SHADED_SUNLIT = 0.12, 0.9  # shares by colour that count as none and all: paint varies
+MOST_VARIED = 0.4  # of a share, that variation may explain
+PAINT_VARIES = 0.15  # of the light of one paint, from splat to splat
 STAYS = "the light stays as captured"
 
 
@@ -219,8 +220,7 @@ def measure(places, solids, plane, window, direction, sent):
     which, back = np.unique(np.concatenate([lit, shaded]), return_inverse=True)
     position, normal = places.position[which], places.normal[which]
     flat = np.ones(len(which), np.float32)
-    coarse = resized(window, SIDE // 2)
-    sums = sky_sums(position, normal, flat, solids, coarse, direction)
+    sums = sky_sums(position, normal, flat, solids, window, direction)
     light = light_of(sums, normal, flat, sent.at(position, normal, flat))
     a, b = np.split(back, 2)
     clear = luminance(light.clear)
@@ -336,12 +336,15 @@ def by_color(surface, lit, plane, light, direction, ratio):
         enough[part] = count >= LEAST_PAINT
 
     in_blocks(work, len(band))
-    low, high = SHADED_SUNLIT
+    # What paint may do in the shade counts as none of the sun, what it may do in the sun as all.
+    low = PAINT_VARIES * luminance(shade[band]) / np.maximum(luminance(lamp[band]), 1e-6)
+    high = 1 - np.minimum(PAINT_VARIES + low, MOST_VARIED)
+    low = np.minimum(low, MOST_VARIED)
     shares[band[enough]] = np.clip((share - low) / (high - low), 0, 1)[enough]
     # Paint varies from splat to splat; the median keeps the edge where it is.
     median = np.median(shares[surface.neighbours[band[enough]]], axis=1)
     # A splat that is bright itself is not in the shade: its gain would make it a white dot.
-    shares[band[enough]] = np.maximum(median, np.clip(share[enough] - SHADED_SUNLIT[0], 0, 1))
+    shares[band[enough]] = np.maximum(median, np.clip(share - low, 0, 1)[enough])
     return shares
 
 

@@ -19,6 +19,8 @@ STOPS = np.float32(0.3)  # share of light that a splat stops where it counts as 
 LOW_PASS = np.float32(0.25)  # px^2 added to each splat's spread: none falls between pixels
 NOTHING = np.float32(-1e30)  # height where nothing stands
 MOST_REACH = np.float32(4.5)  # square of the deviations within which merged splats stop light
+# px by which splats are drawn wider than they are: a plane that is seen on edge would hide itself.
+WIDENED = np.float32(1.3)
 LEAST_SLANT = np.float32(0.15)  # cosine: planes that are steeper to the direction count as this
 
 
@@ -219,9 +221,10 @@ def seen_share(heights, a, window, position, normal, flat, margin):
     if sign < ZERO:
         fall = -fall
     rise_u, rise_v = fall * n0, fall * n1
+    slope = abs(fall) * math.sqrt(n0 * n0 + n1 * n1)
     i, j = int(u), int(v)
     f, g = u - np.float32(i), v - np.float32(j)
-    over = w + margin + window.pixel * HALF
+    over = w + max(margin + window.pixel * HALF, WIDENED * slope)
     seen = ZERO
     for b in range(2):
         for c in range(2):

@@ -5,6 +5,7 @@ All are environment maps, see `environment`.
 
 from __future__ import annotations
 
+import functools
 import math
 
 import numpy as np
@@ -46,9 +47,6 @@ def overcast(brightness=1.0):
 def clouded(environment, rows=2 * ROWS, depth=CLOUD_DEPTH):
     """Return the map of an even sky with the undersides of clouds drawn into it.
 
-    Smooth noise on a horizontal sheet of cloud is projected onto the sky, finer towards the
-    horizon, where it fades as if in haze. The strength was chosen by eye.
-
     Parameters
     ----------
     environment : ndarray of shape (m, n, 3)
@@ -56,7 +54,7 @@ def clouded(environment, rows=2 * ROWS, depth=CLOUD_DEPTH):
     rows : int
         Of the map that is made.
     depth : float
-        The radiance is multiplied by exp(depth * noise), where the noise is about -1 to 1.
+        The radiance is multiplied by exp(depth * noise), see `_bellies`; chosen by eye.
 
     Returns
     -------
@@ -74,6 +72,19 @@ def clouded(environment, rows=2 * ROWS, depth=CLOUD_DEPTH):
         ],
         axis=-1,
     )
+    made = even * np.exp(depth * _bellies(rows))[..., None]
+    made *= irradiance(environment)[1] / irradiance(made)[1]
+    return np.ascontiguousarray(made, dtype=np.float32)
+
+
+@functools.cache
+def _bellies(rows):
+    """Return the noise of the undersides of clouds, (rows, 2 rows), read-only, about -1 to 1.
+
+    Smooth noise on a horizontal sheet of cloud is projected onto the sky, finer towards the
+    horizon, where it fades as if in haze.
+    """
+    direction = directions(rows, 2 * rows)
     height = np.maximum(direction[..., 2], 0)
     sheet = direction[..., :2] / (height[..., None] + 0.25)
     lattice = np.random.Generator(np.random.PCG64(3)).uniform(-1, 1, (64, 64))
@@ -84,10 +95,10 @@ def clouded(environment, rows=2 * ROWS, depth=CLOUD_DEPTH):
     noise *= np.clip(height / 0.25, 0, 1)
     above = height > 0
     noise[above] -= _broad(noise, direction, above)
-    noise[above] /= 3 * noise[above].std()
-    made = even * np.exp(depth * noise)[..., None]
-    made *= irradiance(environment)[1] / irradiance(made)[1]
-    return np.ascontiguousarray(made, dtype=np.float32)
+    noise -= noise.mean(axis=1, keepdims=True)
+    noise /= 3 * noise[above].std()
+    noise.flags.writeable = False
+    return noise
 
 
 def _broad(noise, direction, above):
