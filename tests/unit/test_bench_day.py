@@ -13,6 +13,7 @@ from rainsim.bench.day_court import COURT
 from rainsim.bench.day_data import REGIONS, Labels
 from rainsim.bench.day_mitsuba import DULL, Garden, require_mitsuba, under_skin
 from rainsim.bench.day_patio import PATIO
+from rainsim.bench.day_remake import small
 from rainsim.errors import InputError, ParameterError
 
 SHAPE = 40, 60
@@ -254,6 +255,51 @@ def test_open_ground_under_the_overcast_sky_has_its_known_radiance():
     light = garden.radiance(places, down, 512, 1).mean(axis=0)
     sky = np.array([0.95, 1.0, 1.06]) * 7 / 9  # Moon and Spencer: E = 7/9 pi Lz
     assert np.allclose(light, sky * [0.3, 0.2, 0.1], rtol=0.02)
+
+
+@pytest.mark.slow
+def test_albedo_under_a_coat_lies_where_its_picture_has_it(monkeypatch):
+    """A lawn under a coat: dark but for one bright corner, traced from above."""
+    pytest.importorskip("mitsuba")
+    shapes = day_shapes.Shapes()
+    shapes.rectangle("lawn", (0, 0, 0), (4, 0, 0), (0, 4, 0), 0.1, 1.0)
+    albedo = np.full((4, 4, 3), 0.1)
+    albedo[0, 3] = 0.5  # the least y, the greatest x
+    for name in ("lawn", "paving"):
+        shapes.pictures[name] = day_shapes.Picture(albedo, (0, 4, 0, 4))
+    away = {"type": "sphere", "center": [0, 0, -99], "radius": 1.0}
+    monkeypatch.setattr(Garden, "_water", lambda *_: away)  # no puddles
+    garden = Garden(require_mitsuba(), COURT, shapes, None, COURT.rains[0], False)
+    places = np.array([[x, y, 1.0] for y in (0.5, 3.5) for x in (0.5, 3.5)])
+    light = garden.radiance(places, np.tile([0, 0, -1.0], (4, 1)), 256, 1)[:, 1]
+    assert light[1] > 3 * light[[0, 2, 3]].max()
+
+
+@pytest.mark.parametrize("case", [PATIO, COURT], ids=lambda case: case.name)
+def test_slabs_are_as_bright_in_the_traced_rain_as_in_the_dull_capture(case):
+    """Slabs of the paving, told apart by place: capture and truth show the same ones."""
+    _, paving = case.build()
+    arrays = day_data.read(case.name)
+    found = []
+    for view in case.rains[0].views:
+        camera = small(case.cameras()[view])
+        where = day_data.unpack_labels(arrays[f"labels {view}"])
+        x = (np.arange(camera.width) + 0.5 - camera.cx) / camera.fx
+        y = (np.arange(camera.height) + 0.5 - camera.cy) / camera.fy
+        ray = np.stack([*np.meshgrid(x, y), np.ones((camera.height, camera.width))], axis=-1)
+        ray = ray @ camera.camera_from_world[:3, :3]
+        ray = ray[where.shows("paving")]
+        place = camera.position + ray * (-camera.position[2] / ray[:, 2])[:, None]
+        light = day_data.unpack_picture(arrays[f"rain dull {view}"])[where.shows("paving")]
+        column = (place[:, 0] - paving.x[0]) / (paving.x[1] - paving.x[0])
+        row = (place[:, 1] - paving.y[0]) / (paving.y[1] - paving.y[0])
+        inside = (np.minimum(row, column) > 1) & (row < len(paving.y) - 1)
+        inside &= column < len(paving.x) - 1
+        albedo = paving.albedo[..., 1][row[inside].astype(int), column[inside].astype(int)]
+        shade = where.openness[where.shows("paving")][inside]
+        found.append((albedo, light[inside][:, 1] / np.maximum(shade, 0.1)))
+    albedo, light = (np.concatenate(values) for values in zip(*found, strict=True))
+    assert np.corrcoef(albedo, light)[0, 1] > 0.5
 
 
 @pytest.mark.slow
