@@ -102,6 +102,20 @@ def test_reflectance_is_that_of_facets_drawn_at_random(slope, rng, poisoned):
     assert (share < 1).all() and (np.diff(share[1:]) < 0).all()
 
 
+@pytest.mark.parametrize("degrees", [10, 28, 38, 60])
+def test_what_is_mirrored_stands_as_high_as_facets_drawn_at_random_mirror(degrees, rng):
+    """Facets that lean across the plane of view mirror lower: seen at 60 degrees by 9."""
+    slope, tangent = 0.2, math.tan(math.radians(degrees))
+    ray, weight = facets(np.array([1, 0, -tangent]) / math.hypot(1, tangent), slope, 60_000, rng)
+    wanted = np.degrees(np.arcsin(ray[:, 2])) @ weight / weight.sum()
+    parts = np.array([
+        microfacet.lobe_part(microfacet.LOBE, k, F4(tangent), F4(0), F4(slope))
+        for k in range(microfacet.SAMPLES)
+    ])  # fmt: skip
+    found = np.degrees(np.arctan(parts[:, 0])) @ parts[:, 1] / parts[:, 1].sum()
+    assert found == pytest.approx(wanted, abs=2)
+
+
 ONE_DEGREE = math.radians(1)  # at which road tables are seen
 WET_ASPHALT = 0.03  # sr^-1, luminance coefficient of what is not mirrored
 
