@@ -222,7 +222,7 @@ class RenderConfig:
     aperture: float = 0.0  # m, diameter of the lens's opening: near drops blur; 0: all are sharp
     focus: float = 4.0  # m, what is in focus
     merge: float = 4.0  # px: finer splats are one in cells of this side; 0: all are drawn
-    detail: float = 1.0  # px: what a level of a big capture merges is at most so wide; 0: nothing
+    detail: float = 0.7  # px: what a level of a big capture merges is at most so wide; 0: nothing
     memory: float = 0.8e9  # bytes that a big capture's splats may take
     surroundings: tuple | None = None  # x, y, z [capture units] from where the light is drawn that
     # rain and water mirror; None: the first camera's place
@@ -271,7 +271,7 @@ class RenderConfig:
         require_positive("focus", self.focus, "m", "4 is usual")
         require_positive("streak_far", self.streak_far, "m", "8 is usual")
         require_not_negative("merge", self.merge, "px", "4 is usual, 0 draws all")
-        require_not_negative("detail", self.detail, "px", "1 is usual, 0 draws all")
+        require_not_negative("detail", self.detail, "px", "0.7 is usual, 0 draws all")
         require_positive("memory", self.memory, "bytes", "1e9 is usual")
         if self.surroundings is not None:
             if not isinstance(self.surroundings, tuple | list) or len(self.surroundings) != 3:

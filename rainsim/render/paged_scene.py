@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 
 from rainsim.constants import SH_0
 from rainsim.daylight.kept import under_clouds
-from rainsim.lod.paged import MIRRORED, Page, PagedRasterizer
+from rainsim.lod.paged import Page, PagedRasterizer
 from rainsim.lod.room import room_for
 from rainsim.raster import prepare
 from rainsim.scene.actors import padded
@@ -22,6 +22,8 @@ from rainsim.shading.backdrop import sky_splats
 from rainsim.shading.diffuse import level_cells, share_of_level, without_gloss
 from rainsim.shading.visibility import pale
 from rainsim.shading.wet_ground_mirror import in_level_picture
+
+STANDING = 1.4  # times the threshold in what wet ground mirrors: with coarser levels lamps fade
 
 
 class PagedScene:
@@ -70,7 +72,7 @@ class PagedScene:
         how = render.detail, self._most, rasterizer_of
         own = {"compensate": scene.antialiased, "room": room_for(pages)}
         self.whole = PagedRasterizer(pages, self._page, *how, **own)
-        self.standing = PagedRasterizer(pages, self._standing_page, *how, MIRRORED, **own)
+        self.standing = PagedRasterizer(pages, self._standing_page, *how, STANDING, **own)
         self.captured = PagedRasterizer(pages, self._captured_page, *how, **own)
 
     def take_colors(self, colors):

@@ -9,6 +9,7 @@ from __future__ import annotations
 import threading
 from collections import OrderedDict
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -34,6 +35,8 @@ class Pages:
     tree : ChunkTree
     memory : float [bytes]
         That the splats may take, see `limit`.
+    change : Change, optional
+        What is drawn in place of the capture's own splats.
 
     Attributes
     ----------
@@ -46,8 +49,8 @@ class Pages:
         reads many runs once, and must not displace pages that every picture needs.
     """
 
-    def __init__(self, tree, memory=DEFAULT_MEMORY):
-        self.tree, self.kept, self.read = tree, Kept(0), Kept(0)
+    def __init__(self, tree, memory=DEFAULT_MEMORY, change=None):
+        self.tree, self.change, self.kept, self.read = tree, change, Kept(0), Kept(0)
         return_large_blocks()
         self._reading, self._ahead = threading.Lock(), None
         self.limit(memory)
@@ -58,7 +61,7 @@ class Pages:
         self.kept.most, self.read.most = (1 - READ) * memory, READ * memory
 
     def __getstate__(self):
-        return {"tree": self.tree, "memory": self.memory}
+        return {"tree": self.tree, "memory": self.memory, "change": self.change}
 
     def __setstate__(self, state):
         self.__init__(**state)
@@ -72,7 +75,7 @@ class Pages:
     @property
     def always(self):
         """Whether there are splats that are always drawn."""
-        return self.tree.environment is not None
+        return self.tree.environment is not None or self.change is not None
 
     def splats(self, leaf, level):
         """Return the usable Splats of a leaf at a level; of ALWAYS those that are always drawn.
@@ -127,8 +130,7 @@ class Pages:
         """Read the chunk of a run, keep all of its runs, and return the one."""
         tree = self.tree
         if leaf == ALWAYS:
-            splats, good = read_chunk(tree, tree.environment)
-            found = _usable(tree, tree.environment, splats, good)
+            found = self._always()
             self.read.put((leaf, level), found, size_of(found))
             return found
         file = int(tree.file[leaf, level])
@@ -143,12 +145,42 @@ class Pages:
             run = splats.take(part)
             if not good[part].all():
                 run = run.take(good[part])
+            run = self._changed(run)
             if other == leaf:
                 found = run
             else:
                 self.read.put((int(other), level), run, size_of(run))
         self.read.put((leaf, level), found, size_of(found))
         return found
+
+    def _always(self):
+        """Return the splats that are always drawn, those of the change after the capture's."""
+        tree, parts = self.tree, []
+        if tree.environment is not None:
+            splats, good = read_chunk(tree, tree.environment)
+            parts.append(self._changed(_usable(tree, tree.environment, splats, good)))
+        if self.change is not None:
+            parts.append(self.change.added)
+        return joined(parts)
+
+    def _changed(self, splats):
+        return splats if self.change is None else splats.take(~self.change.gone(splats))
+
+
+@dataclass(frozen=True)
+class Change:
+    """Splats that a capture in chunks is drawn without, and splats that are always drawn with it.
+
+    Attributes
+    ----------
+    gone : callable
+        gone(splats) returns which of the `Splats` are left out, ndarray of shape (n,), bool; a
+        function of a module or a `functools.partial` of one, so that it can be sent to workers.
+    added : Splats
+    """
+
+    gone: object
+    added: Splats
 
 
 def _reader():
@@ -248,6 +280,12 @@ class Kept:
                 if entry is not None:
                     self._values.move_to_end(key)
         return [None if entry is None else entry[0] for entry in found]
+
+    def clear(self):
+        """Let go of all values."""
+        with self._lock:
+            self._values.clear()
+            self.size = 0
 
     def drop(self, key):
         """Let go of a key's value, if it is kept."""

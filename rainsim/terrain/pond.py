@@ -7,13 +7,15 @@ image that the splats hold is removed, because it would be seen through the new 
 
 from __future__ import annotations
 
+import functools
 from dataclasses import replace
 
 import numpy as np
 from scipy import ndimage
 
 from rainsim.constants import SH_0
-from rainsim.errors import ParameterError
+from rainsim.scene.actors import joined
+from rainsim.scene.pages import Change, Pages
 from rainsim.scene.types import Splats
 from rainsim.terrain.table import WATER
 
@@ -82,22 +84,38 @@ def without_images(scene, terrain):
     """Return the scene with the assumed beds of painted water in place of the captured water.
 
     The splats of the captured water surface are left out, and so are the mirror images below the
-    ground, wherever they are: they would shine through the splats that cover the ground. Without
-    painted water the scene itself is returned.
+    ground, wherever they are: they would shine through the splats that cover the ground. Runs of a
+    capture in chunks are changed as they are read. Without painted water the scene itself is
+    returned.
     """
-    wet = terrain.water > 0
-    if not wet.any():
+    if not (terrain.water > 0).any():
         return scene
-    if scene.pages is not None:
-        raise ParameterError(
-            f"{scene.name} is in chunks, and water is painted on its map; the captured water can "
-            "be taken out of a capture that is held whole only; leave the water classes out"
-        )
     grid, frame = terrain.grid, scene.ground_frame
-    level = np.where(wet, terrain.bed + terrain.water, 0)
-    row, column = np.nonzero(wet)
+    gone = functools.partial(shows_water, frame, grid, terrain.bed, terrain.water)
+    kept = scene.splats.take(~gone(scene.splats))
+    added = _bed_splats(terrain, frame, kept.sh.shape[1])
+    pages = scene.pages
+    if pages is not None:
+        pages.read.clear()  # that the memory is not taken twice
+        pages = Pages(pages.tree, pages.memory, Change(gone, added))
+    return replace(scene, splats=joined([kept, added]), pages=pages)
+
+
+def shows_water(frame, grid, bed, water, splats):
+    """Return which splats are captured water or a mirror image below the ground, (n,) bool.
+
+    Parameters
+    ----------
+    frame : GroundFrame
+    grid : Grid
+    bed, water : ndarray of shape (ny, nx), float32 [m]
+        The assumed bed of painted water, and how deep it is.
+    splats : Splats
+    """
+    wet = water > 0
+    level = np.where(wet, bed + water, 0)
     with np.errstate(invalid="ignore", over="ignore"):
-        position = frame.to_ground(scene.splats.position)
+        position = frame.to_ground(splats.position)
         known = np.isfinite(position).all(axis=1)
         j, i, inside = grid.cells(*np.where(known[:, None], position, 1e9)[:, :2].T)
     gone = inside & wet[j, i] & (position[:, 2] < level[j, i] + SURFACE)
@@ -107,9 +125,14 @@ def without_images(scene, terrain):
         )
         for k in (0, 1)
     ]
-    ground = np.where(wet, level, terrain.bed)[j, i] - SLOPE * np.hypot(*beyond)
-    gone |= position[:, 2] < ground - DEEP
-    kept = scene.splats.take(~gone)
+    ground = np.where(wet, level, bed)[j, i] - SLOPE * np.hypot(*beyond)
+    return gone | (position[:, 2] < ground - DEEP)
+
+
+def _bed_splats(terrain, frame, coefficients):
+    """Return discs on the bed of painted water, in its colours."""
+    grid = terrain.grid
+    row, column = np.nonzero(terrain.water > 0)
     every = max(1, round(LEAST_PITCH / grid.spacing))
     chosen = (row % every == 0) & (column % every == 0)
     row, column = row[chosen], column[chosen]
@@ -117,14 +140,11 @@ def without_images(scene, terrain):
     points = np.stack([x[column], y[row], terrain.bed[row, column]], axis=1)
     size = DISC * every * grid.spacing / frame.meters_per_unit
     n = len(points)
-    sh = np.zeros((n, *kept.sh.shape[1:]), np.float32)
+    sh = np.zeros((n, coefficients, 3), np.float32)
     sh[:, 0] = (terrain.color[row, column] - 0.5) / SH_0
     rotation = np.zeros((n, 4), np.float32)
     rotation[:, 0] = 1
-    added = (
+    return Splats(
         frame.to_capture(points).astype(np.float32), rotation,
         np.full((n, 3), size, np.float32), np.full(n, 0.99, np.float32), sh,
     )  # fmt: skip
-    old = (kept.position, kept.rotation, kept.scale, kept.opacity, kept.sh)
-    splats = Splats(*(np.concatenate(pair) for pair in zip(old, added, strict=True)))
-    return replace(scene, splats=splats)

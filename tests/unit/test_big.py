@@ -38,8 +38,10 @@ from rainsim.scene.ply import write_splats
 from rainsim.scene.types import GroundFrame, Scene, Splats
 from rainsim.sensors import drive
 from rainsim.sensors.lidar_model import Lidar
+from rainsim.shading.wet_ground_mirror import RESOLUTION, level_camera, scaled
 from rainsim.splatting.coarse import _area
 from rainsim.splatting.prepared import NOBODY
+from rainsim.terrain.pond import without_images
 from rainsim.terrain.types import Grid
 
 pytest.importorskip("gsply")
@@ -735,6 +737,48 @@ def test_the_clean_layer_and_mirrors_are_drawn_from_pages(folder, film):
     clean = report.aovs["clean"]
     assert np.isfinite(clean).all() and clean.mean() > 0.05 and picture.any()
     assert renderer.wet_scene.paged.captured.used["splats"] > 0
+
+
+def test_painted_water_takes_the_place_of_what_the_chunks_show(whole, folder, film):
+    plain, _, _ = film
+    water = np.zeros_like(plain.bed)
+    middle = tuple(slice(n // 4, n // 2) for n in water.shape)
+    water[middle] = 0.2
+    level = float(plain.bed[middle].min())
+    bed = np.where(water > 0, np.float32(level - 0.2), plain.bed)
+    pond = replace(plain, bed=bed, water=water)
+    changed = [without_images(scene, pond) for scene in (whole, import_scene(folder))]
+    shown = [changed[0].splats, joined([changed[1].pages.splats(ALWAYS, 0), *(
+        changed[1].pages.splats(n, 0) for n in range(len(changed[1].pages.tree.box))
+    )])]  # fmt: skip
+    assert len(shown[0]) != len(whole.splats)
+    assert abs(len(shown[1]) - len(shown[0])) < 0.002 * len(shown[0])
+    low = [int((s.position[:, 2] < level - 0.15).sum()) for s in shown]
+    assert low[0] == low[1] > 10  # the bed's
+    again = pickle.loads(pickle.dumps(changed[1]))
+    assert len(again.pages.splats(3, 1)) == len(changed[1].pages.splats(3, 1))
+    x, y = np.array(plain.grid.origin) + 0.375 * np.array(plain.grid.size)
+    camera = look_at((x - 0.5, y, 1.0), (x, y, level), (0, 0, 1), 60, 96, 64)
+    render = CONFIG.replace(detail=0.0).render
+    seen = [rasterizer_of_scene(scene, render).draw(camera, 0.05).color
+            for scene in (*changed, whole, import_scene(folder))]  # fmt: skip
+    # A row of splats lies on the pond's edge, and the bytes of a SOG move it across.
+    error = np.abs(seen[0] - seen[1]).max(axis=-1)
+    assert np.quantile(error, 0.95) < 0.01 < 0.05 < np.abs(seen[1] - seen[3]).max()
+    assert psnr(seen[1], seen[3], 1.0) < psnr(seen[0], seen[1], 1.0) - 3
+    assert psnr(seen[2], seen[3], 1.0) > 45
+
+
+def test_both_pictures_of_lamps_are_drawn_of_the_same_pages(folder, film):
+    ground, cameras, _ = film
+    renderer = Renderer(import_scene(folder), ground, CONFIG.replace(frames=1), cameras[0])
+    scene = renderer.wet_scene
+    upright = level_camera(scene.frame.camera_in_ground(cameras[0].resized(648, 432)))
+    used = []
+    for camera in (upright, scaled(upright, 2 * RESOLUTION)):
+        assert scene.level_mirrored(camera).picture.any()
+        used.append(scene.paged.standing.used)
+    assert used[0]["splats"] == used[1]["splats"] > 0
 
 
 def test_nodes_stand_among_the_chunks(folder, film, whole):
