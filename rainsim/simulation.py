@@ -249,7 +249,7 @@ def simulate(terrain, config, progress=None, dtype=np.float32, begin=None):
         begin = begin._replace(depth=tyres.come(begin.depth, weather, first))
     depth, notes = _filled(solver, terrain, start, exposure, begin)
     ripples = ripple_tile(config, weather, None if begin else (depth, terrain.grid.spacing))
-    objects = Objects(surfaces, start, *tops_of(terrain, config, start))
+    objects = Objects(surfaces, start, *tops_of(terrain, config, start), keep=begin is None)
     warm_up(ripples, objects, weather, begun)
     objects.open_account()
     index, hits, report = first, None, tyres.start(solver, weather, begun)

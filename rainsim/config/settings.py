@@ -223,7 +223,7 @@ class RenderConfig:
     focus: float = 4.0  # m, what is in focus
     merge: float = 4.0  # px: finer splats are one in cells of this side; 0: all are drawn
     detail: float = 0.7  # px: what a level of a big capture merges is at most so wide; 0: nothing
-    memory: float = 0.8e9  # bytes that a big capture's splats may take
+    memory: float = 0.6e9  # bytes that a big capture's splats may take
     surroundings: tuple | None = None  # x, y, z [capture units] from where the light is drawn that
     # rain and water mirror; None: the first camera's place
 

@@ -154,10 +154,12 @@ class PagedRasterizer:
             return
         keys = [(self._number, leaf, level) for leaf, level in wanted]
         pages = self.pages.kept.get_all(keys)
+        # Places of the last picture's other pages are free for those that are made now.
+        self._chosen, self._pages = None, [page for page in pages if page is not None]
         for n, page in enumerate(pages):
             if page is None:
                 pages[n] = self._made(keys[n])
-        self._chosen, self._pages = None, pages
+        self._pages = pages
         parts = [NO_CHUNKS] if self._front is None else [self._front.first]
         parts += [page.first for page in self._pages]
         if not leading:

@@ -14,6 +14,8 @@ from rainsim.scene.types import Splats
 from rainsim.splatting.prepared import LANES, NOBODY, prepare
 
 ARRAYS = ("geometry", "sh", "fine", "step", "box")
+# Times the chunks that pages are expected to take: those of other pictures may be in use besides.
+SLACK = 1.5
 GROWTH = 1.5  # times the chunks that there was room for, where pages in use need more
 NOTHING = Splats(*(np.zeros((0, *shape), np.float32) for shape in ((3,), (4,), (3,), (), (1, 3))))
 NO_CHUNKS = np.zeros(0, np.int64)
@@ -71,7 +73,7 @@ class ChunkRoom:
         before = self.prepared
         if not self._next:
             each = sum(getattr(like, name)[0].nbytes for name in ARRAYS) + 4 * LANES
-            least = max(least, min(int(self._most / each), self._chunks))
+            least = max(least, min(int(SLACK * self._most / each), self._chunks))
         else:
             least = max(least, int(GROWTH * len(before.box)))
         arrays = {}

@@ -114,8 +114,10 @@ class Windows:
         config = self._config
         around = self._ground.around(self._scene, station, check)
         number, beyond = station.start(config), self._ground.about(around.grid)
+        trim()
         check()
         begin = steady_water(around, config, number, beyond)
+        trim()
         check()
         depth, reach = begin.depth.astype(np.float32), begin.exposure
         part = part_of(around, station.window)

@@ -21,8 +21,8 @@ from rainsim.scene.formats.streamed import NONE, read_chunk, require_run
 from rainsim.scene.types import Splats
 
 OVERVIEW = 400_000  # splats of a level that the whole scene is known by, at most
-DEFAULT_MEMORY = 0.8e9  # bytes
-PICTURE = 1 / 3  # of the memory, that the splats of a picture take at most
+DEFAULT_MEMORY = 0.6e9  # bytes
+PICTURE = 0.4  # of the memory, that the splats of a picture take at most
 READ = 0.15  # of the memory, for runs as they were read
 ALWAYS = -1  # number of the leaf that stands for the splats which are always drawn
 
@@ -56,7 +56,7 @@ class Pages:
         self.limit(memory)
 
     def limit(self, memory):
-        """Let the splats take `memory` [bytes], those of one picture a third of it."""
+        """Let the splats take `memory` [bytes], those of one picture two fifths of it."""
         self.memory, self.picture_memory = memory, PICTURE * memory
         self.kept.most, self.read.most = (1 - READ) * memory, READ * memory
 

@@ -313,3 +313,15 @@ def test_a_window_begins_with_the_streams_of_the_rain_and_without_them_when_it_i
     assert not dry.depth.any() and not dry.velocity.any()
     again = steady_water(around, wet, 0, ground.about(around.grid))
     assert again.depth.tobytes() == begin.depth.tobytes()
+
+
+def test_windows_leave_nothing_in_the_folder_of_results(scene, ground, monkeypatch, tmp_path):
+    monkeypatch.setenv("RAINSIM_CACHE", str(tmp_path))
+    monkeypatch.setattr("rainsim.rain.dripping.LEAST_KEPT", 100)
+    station = ground.stations[1]
+    around = ground.around(scene, station)
+    begin = steady_water(around, CONFIG, 0).within(station.window)
+    next(simulation.simulate(part_of(around, station.window), CONFIG, begin=begin))
+    assert not list(tmp_path.iterdir())
+    next(simulation.simulate(around, CONFIG))
+    assert list(tmp_path.glob("catchments-*"))
