@@ -85,11 +85,12 @@ class Rasterizer:
         self._entry = np.empty(0, np.uint64)
 
     def recolor(self, prepared):
-        """Take over `prepared`: the same splats in other colours, or with other nodes before them.
-
-        See `prepared.recolored` and `merged.Merger`.
-        """
+        """Take over `prepared`: the same splats in other colours, see `prepared.recolored`."""
         self.prepared = prepared
+
+    def put_nodes(self, merged):
+        """Take over the same splats with other nodes before them, see `merged.Merger`."""
+        self.prepared = merged
 
     def draw(
         self, camera, near, plane=None, depth="expected", compensate=False, degree=None,

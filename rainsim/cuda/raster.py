@@ -9,7 +9,7 @@ is counted, and a picture with too many is drawn again with more room.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,8 +17,9 @@ from rainsim import raster
 from rainsim.cuda.frame_uniforms import FrameUniforms
 from rainsim.cuda.jit import SIMULATED, cuda, pinned
 from rainsim.cuda.splatting import blend, project
-from rainsim.errors import ParameterError, require_choice
-from rainsim.splatting.prepared import LANES, OPACITY
+from rainsim.cuda.splatting.device_splats import DeviceSplats
+from rainsim.errors import require_choice
+from rainsim.splatting.prepared import LANES
 from rainsim.splatting.project import FRUSTUM_MARGIN, NO_PLANE, TILE
 
 # Entries there is room for, over the number that a picture had. A queue is recorded again when this
@@ -28,7 +29,6 @@ MOST_ROOM = 1.5  # over what there should be, up to which it is left
 NEARLY_FULL = 0.985  # share of the room from which on more is made before the next picture
 FIRST_ROOM = 4  # entries per splat before anything was counted
 THREADS = 256
-CHUNKS_AT_ONCE = 4096  # of colours that are converted and sent together
 
 
 @dataclass(frozen=True)
@@ -52,73 +52,10 @@ class DeviceLayers:
         )  # fmt: skip
 
 
-class DeviceSplats:
-    """Prepared splats on the device: sent once, shared by all pictures.
-
-    Parameters
-    ----------
-    prepared : rainsim.raster.PreparedSplats
-    """
-
-    def __init__(self, prepared):
-        self.count, self.chunks = len(prepared), len(prepared.box)
-        self.compensate = prepared.compensate
-        self.leading = self.chunks if prepared.leading is None else prepared.leading
-        if self.chunks * LANES > project.MOST_SPLATS:
-            raise ParameterError(
-                f"the scene has {self.count} splats; backend cuda takes at most "
-                f"{project.MOST_SPLATS}; take backend cpu"
-            )
-        geometry = _clean(prepared.geometry)
-        self.geometry = cuda.to_device(geometry.reshape(-1))
-        count = 3 * (prepared.degree + 1) ** 2
-        self.bands, self.groups = int(np.sqrt(count // 3)), -(-count // 8)
-        self.sh = cuda.device_array(max(self.chunks, 1) * self.groups * 8 * LANES, np.float16)
-        self.send_colors(prepared)
-        self.centre, self.reach = _reach(prepared.box)
-        # A chunk of nothing but holes has an infinite box, which no comparison finds outside.
-        self.box = cuda.to_device(prepared.box)
-        span, around = prepared.span, prepared.reach
-        if span is None:
-            span, around = np.zeros((self.chunks, 2)), np.zeros((self.chunks, 6))
-            span[:, 1] = np.inf
-        self.span = cuda.to_device(np.ascontiguousarray(span, np.float32))
-        self.around = cuda.to_device(np.ascontiguousarray(around, np.float32))
-
-    def send_colors(self, prepared):
-        """Send the harmonics of `prepared`; the device must draw nothing meanwhile."""
-        row = self.groups * 8 * LANES
-        for first in range(0, self.chunks, CHUNKS_AT_ONCE):
-            part = prepared.harmonics(first, first + CHUNKS_AT_ONCE)
-            halves = project.in_groups(part).reshape(-1)
-            self.sh[first * row : first * row + halves.size].copy_to_device(halves)
-
-
 def _levels(width, height):
     """Return how many levels of depth a key tells apart beside the tiles of a picture."""
     tiles = -(-width // TILE) * -(-height // TILE)
     return min((1 << 32) // tiles, 1 << 24) - 1
-
-
-def _reach(box):
-    """Return the middle of most chunks and the radius about it that holds nearly all."""
-    middle = 0.5 * (box[:, :3] + box[:, 3:])
-    middle = middle[np.isfinite(middle).all(axis=1)]
-    if len(middle) == 0:
-        return np.zeros(3), 1.0
-    centre = np.median(middle, axis=0).astype(np.float64)
-    return centre, float(np.percentile(np.linalg.norm(middle - centre, axis=1), 99))
-
-
-def _clean(geometry):
-    """Return the geometry with a finite opacity everywhere and nothing that is not a number."""
-    rows = geometry.reshape(len(geometry), -1, LANES)
-    bad = ~np.isfinite(rows).all(axis=1)
-    if bad.any():
-        rows = rows.copy()
-        rows[bad[:, None].repeat(rows.shape[1], axis=1)] = 0
-        rows[:, OPACITY][bad] = project.FAINT
-    return rows
 
 
 class Workspace:
@@ -210,7 +147,9 @@ class Rasterizer:
     Attributes
     ----------
     recolors : bool
-        Whether `recolor` sends the colours.
+        Whether `recolor` and `put_nodes` send what they take over.
+    nodes : PreparedSplats or None
+        The merged set of `put_nodes`.
     size : device array of shape (2,), float32 [px]
         Width and height of the picture.
     lens : device array of shape (4,), float32 [px]
@@ -232,7 +171,7 @@ class Rasterizer:
         self._total = cuda.device_array(1, np.int32)
         self._size = self._asked = None
         self._capacity, self._first_room = 0, first_room
-        self.recolors = True
+        self.recolors, self.nodes = True, None
         self._highest = self._pictures = 0  # entries, and pictures they were counted in
         self._patience = 1  # pictures after which too much room is given back
         self.workspace = Workspace() if workspace is None else workspace
@@ -243,16 +182,33 @@ class Rasterizer:
         if self.recolors:
             self.splats.send_colors(prepared)
 
+    def put_nodes(self, merged):
+        """Put other nodes before the static set, see `DeviceSplats.put_nodes`.
+
+        A `DeviceFrame` sends them when the device is idle: until then they wait in `nodes`.
+        """
+        self.nodes = merged
+        if self.recolors:
+            self.send_nodes()
+
+    def send_nodes(self):
+        """Send the nodes that wait; the device must draw nothing meanwhile."""
+        self.splats.put_nodes(self.nodes)
+
     def draw(
         self, camera, near, plane=None, depth="expected", compensate=False, degree=None,
         background=(0, 0, 0), hit=False, drop_last=False, leading=False, detail=0.0,
     ):  # fmt: skip
         """Return the `Layers` that `camera` sees, on the host; see `rainsim.raster`.
 
-        Hits are not reported on this backend: to ask for them raises ParameterError.
+        Raises
+        ------
+        ParameterError
+            If hits are asked for of more splats than a float32 can number.
         """
         if hit:
-            raise ParameterError("hit is asked for; only the CPU has it; use backend cpu")
+            self.splats.require_numbers()
+        size = camera.height, camera.width
         self.update(camera, near, plane, depth, compensate, degree, drop_last, detail=detail)
         self._take_chunks(leading)
         while True:
@@ -261,8 +217,14 @@ class Rasterizer:
             if not self.overflows():
                 break
             self.make_room()
+        layers = self.layers.to_host(*size)
+        if hit:
+            self.update(camera, near, plane, "median", compensate, degree, drop_last, detail=detail)
+            self.launch(numbered=True)
+            self.stream.synchronize()
+            number = self.layers.depth.copy_to_host().reshape(size)
+            layers = replace(layers, hit=self.splats.of_numbers(number))
         self._take_chunks(False)
-        layers = self.layers.to_host(camera.height, camera.width)
         if np.any(background):
             clear = (1 - layers.alpha)[..., None]
             layers.color[...] += clear * np.asarray(background, np.float32)
@@ -352,8 +314,11 @@ class Rasterizer:
     def _bring_numbers(self):
         self._camera.send()
 
-    def launch(self):
-        """Queue the picture: copies and kernels only, so that a graph can record it."""
+    def launch(self, numbered=False):
+        """Queue the picture: copies and kernels only, so that a graph can record it.
+
+        If it is `numbered`, depths are numbers of splats, see `project.number_records`.
+        """
         self.take()
         s, stream, chunks = self.splats, self.stream, self._chunks
         record, seen = self._record, self._seen[:chunks]
@@ -381,6 +346,9 @@ class Rasterizer:
         project.find_ranges[-(-len(key) // THREADS), THREADS, stream](
             self._total, self._levels, key, value, record, begin, end
         )
+        if numbered:
+            places = self.splats.chunks * LANES
+            project.number_records[-(-places // THREADS), THREADS, stream](places, record)
         out = self.layers
         pictures = out.color, out.alpha, out.depth, out.plane_depth, out.normal
         if self.plain:

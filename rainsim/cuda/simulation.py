@@ -34,7 +34,6 @@ from rainsim.errors import DivergedError
 from rainsim.rain.dripping import DRIP_COLUMNS
 from rainsim.rain.exposure import rain_exposure
 from rainsim.reflection.slope_moments import ripple_moments
-from rainsim.scene.actors import require_no_actors
 from rainsim.water.keyframes import level_changes, past_rain_growth
 from rainsim.water.ripples import LAYERS
 
@@ -122,7 +121,6 @@ class Simulation:
     def __init__(self, terrain, config):
         if config.water.scheme == "auto":
             config = replace(config, water=replace(config.water, scheme="lean"))
-        require_no_actors(terrain.movers, "backend cuda", "take backend cpu")
         self.terrain, self.config = terrain, config
         self.stream = cuda.stream()
         self.weather = Weather(config)
@@ -324,7 +322,13 @@ class Simulation:
 
 
 def simulate(terrain, config, progress=None):
-    """Yield the `DeviceState` at the time of each frame, from frame 0 on, without end."""
+    """Yield the `DeviceState` at the time of each frame, from frame 0 on, without end.
+
+    Where bodies move over the terrain the CPU simulates: its `SimState` is yielded.
+    """
+    if terrain.movers:
+        yield from host.simulate(terrain, config, progress)
+        return
     run = Simulation(terrain, config)
     while True:
         state = run.advance()

@@ -9,11 +9,12 @@ same light wherever the line is drawn.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from rainsim.constants import FAR_AWAY, HALF, ONE, ZERO
-from rainsim.jit import cpu_kernel, lean_function, prange
+from rainsim.jit import cpu_kernel, inlined_function, lean_function, prange
 from rainsim.numerics.approximations import exp_minus
 from rainsim.numerics.random import subkey, uniform_triple
 from rainsim.particles.line_raster import DEPTH_TILE, FAINTEST, NEAR
@@ -143,18 +144,24 @@ def lay_clouds(puffs, camera, depth, alpha_out):
     alpha_out : ndarray of shape (height, width), float32
         Share of light that drops replace; the clouds' is added as of one behind the other.
     """
-    if not len(puffs.section):
-        return
+    if len(puffs.section):
+        lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float32)
+        _lay_clouds(cloud_table(puffs, camera), lens, depth, alpha_out)
+
+
+def cloud_table(puffs, camera):
+    """Return clouds as the kernels of both backends take them, ndarray of shape (n, 5), float32.
+
+    Place in the camera's frame, deviation [m] and cross-section [m2].
+    """
     matrix = camera.camera_from_world
     place = puffs.place @ matrix[:3, :3].T + matrix[:3, 3]
-    table = np.column_stack([place, puffs.deviation, puffs.section]).astype(np.float32)
-    lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float32)
-    _lay_clouds(table, lens, depth, alpha_out)
+    return np.column_stack([place, puffs.deviation, puffs.section]).astype(np.float32)
 
 
 @cpu_kernel
 def _lay_clouds(puffs, lens, depth, alpha_out):
-    """See `lay_clouds`; `puffs` is (n, 5): place in the camera frame, deviation, cross-section."""
+    """See `lay_clouds`; `puffs` is a `cloud_table`."""
     height, width = alpha_out.shape
     bands = (height + DEPTH_TILE - 1) // DEPTH_TILE
     for band in prange(bands):
@@ -170,11 +177,7 @@ def _lay_clouds(puffs, lens, depth, alpha_out):
 
 @lean_function
 def _add_cloud(puff, lens, first, end, depth, optical_out):
-    """Add the optical depth of one Gaussian cloud to a band of rows.
-
-    Along a ray that passes it at the distance b it is S / (2 pi s^2) exp(-b^2 / (2 s^2)) times the
-    share of the mass before what the pixel shows, S the cross-section and s the deviation.
-    """
+    """Add the optical depth of one Gaussian cloud to a band of rows, see `cloud_thickness`."""
     x, y, z, deviation, section = puff[0], puff[1], puff[2], puff[3], puff[4]
     reach = np.float32(CUT) * deviation
     nearest = z - reach
@@ -191,25 +194,58 @@ def _add_cloud(puff, lens, first, end, depth, optical_out):
         top, bottom = max(top, high), min(bottom, low)
     if top >= bottom or left >= right:
         return
-    square = x * x + y * y + z * z
-    per_two_variances = HALF / (deviation * deviation)
-    most = section * _PER_TWO_PI / (deviation * deviation)
-    steep, clear = _LOGISTIC / deviation, square - reach * reach
+    cloud = cloud_of(x, y, z, deviation, section)
     for row in range(int(top), min(int(bottom) + 1, end)):
         b = (np.float32(row) + HALF - lens[3]) / lens[1]
         for k in range(int(left), min(int(right) + 1, depth.shape[1])):
             a = (np.float32(k) + HALF - lens[2]) / lens[0]
-            towards, stretch = a * x + b * y + z, ONE + a * a + b * b
-            if towards * towards < clear * stretch:  # it passes beside the cloud
-                continue
-            long = math.sqrt(stretch)
-            along = towards / long
-            aside = max(square - along * along, ZERO)
-            past = (min(depth[row, k], FAR_AWAY) * long - along) * steep
-            if past < -_CERTAIN:
-                continue
-            share = ONE if past > _CERTAIN else ONE / (ONE + math.exp(-past))
-            if nearest < ZERO:  # the camera may have some of the cloud behind it
-                share -= ONE / (ONE + math.exp(min(steep * along, _MOST)))
-            thickness = most * exp_minus(aside * per_two_variances)
-            optical_out[row - first, k] += thickness * max(share, ZERO)
+            optical_out[row - first, k] += cloud_thickness(a, b, depth[row, k], cloud)
+
+
+class Cloud(NamedTuple):
+    """A Gaussian cloud in the camera's frame, and what follows from it for all rays; float32."""
+
+    x: float
+    y: float
+    z: float
+    square: float  # m2: of the distance
+    per_two_variances: float  # m-2
+    most: float  # optical depth through the middle
+    steep: float  # m-1: of the share of the mass along a ray
+    clear: float  # m2: square of the distance up to which a ray passes beside it
+    nearest: float  # m
+
+
+@inlined_function
+def cloud_of(x, y, z, deviation, section):
+    """Return the `Cloud` of a row of a `cloud_table`."""
+    reach = np.float32(CUT) * deviation
+    square = x * x + y * y + z * z
+    return Cloud(
+        x, y, z, square, HALF / (deviation * deviation),
+        section * _PER_TWO_PI / (deviation * deviation), _LOGISTIC / deviation,
+        square - reach * reach, z - reach,
+    )  # fmt: skip
+
+
+@inlined_function
+def cloud_thickness(a, b, depth, cloud):
+    """Return the optical depth of a cloud along the ray (a, b, 1) up to a depth [m].
+
+    Along a ray that passes it at the distance b it is S / (2 pi s^2) exp(-b^2 / (2 s^2)) times the
+    share of the mass before what the pixel shows, S the cross-section and s the deviation.
+    """
+    towards, stretch = a * cloud.x + b * cloud.y + cloud.z, ONE + a * a + b * b
+    if towards * towards < cloud.clear * stretch:  # it passes beside the cloud
+        return ZERO
+    long = math.sqrt(stretch)
+    along = towards / long
+    aside = max(cloud.square - along * along, ZERO)
+    past = (min(depth, FAR_AWAY) * long - along) * cloud.steep
+    if past < -_CERTAIN:
+        return ZERO
+    share = ONE if past > _CERTAIN else ONE / (ONE + math.exp(-past))
+    if cloud.nearest < ZERO:  # the camera may have some of the cloud behind it
+        share -= ONE / (ONE + math.exp(min(cloud.steep * along, _MOST)))
+    thickness = cloud.most * exp_minus(aside * cloud.per_two_variances)
+    return thickness * max(share, ZERO)

@@ -26,6 +26,8 @@ class Nodes:
         Of each actor at the present time; None while it is not there. Empty before the first time.
     splats : Splats or None
         Of those that are there, in the capture frame.
+    placed : float [s] or None
+        The time for which they were put there: they may stand still since.
     static : PreparedSplats
         As it was given, in memory that is shared with the merged sets.
     first : int
@@ -33,7 +35,7 @@ class Nodes:
     """
 
     def __init__(self, actors, static):
-        self.actors, self.time, self.poses = actors, None, []
+        self.actors, self.time, self.placed, self.poses = actors, None, None, []
         self._most = sum(len(actor.splats) for actor in actors)
         self._merger, self._standing = Merger(static, self._most), None
         self.static, self.splats, self.first = self._merger.static, None, len(static)
@@ -49,7 +51,7 @@ class Nodes:
         changing = any(a.series is not None and p for a, p in zip(self.actors, poses, strict=False))
         if same and not changing:
             return False
-        self.poses, self.splats = poses, None
+        self.poses, self.splats, self.placed = poses, None, time
         there = [(a, p) for a, p in zip(self.actors, poses, strict=False) if p is not None]
         if there:
             self.splats = joined(actor.placed(pose, time) for actor, pose in there)

@@ -224,7 +224,7 @@ class WetScene:
     def _put_nodes(self):
         """Put the nodes as they are now before the static set."""
         if self.paged is None:
-            self.rasterizer.recolor(self.nodes.merged())
+            self.rasterizer.put_nodes(self.nodes.merged())
         else:
             self.paged.put_nodes(self.nodes, self.frame)
         self._standing = self.tracer = None
@@ -242,10 +242,10 @@ class WetScene:
         if self.nodes is not None:
             self.nodes.recolor(self.prepared)
             self.prepared = self.nodes.static
-            self._put_nodes()
-            return
         if self.paged is None:
             self.rasterizer.recolor(self.drawn)
+        if self.nodes is not None:
+            self._put_nodes()
         self._standing = self.tracer = None
 
     def _leave_out(self, shreds):

@@ -44,6 +44,7 @@ class Merger:
         """Take over other colours of the static set, see `prepared.recolored`."""
         for name in ("sh", "fine", "step"):
             self._arrays[name][self._room :] = getattr(static, name)
+        self.static = replace(self.static)  # another set, for those who ask whether it is the same
 
     def merged(self, nodes, first):
         """Return the static set with prepared nodes before it; overwritten by the next call.

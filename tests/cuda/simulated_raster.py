@@ -9,9 +9,12 @@ from rainsim import raster
 from rainsim.cuda import raster as twin
 from rainsim.cuda import simulated
 from rainsim.cuda.jit import cuda
+from rainsim.cuda.splatting import device_splats
+from rainsim.cuda.splatting.device_splats import ROW, DeviceSplats
 from rainsim.errors import ParameterError
 from rainsim.scene.types import Camera, Splats
 from rainsim.splatting.detail import Detail
+from rainsim.splatting.merged import Merger
 
 assert simulated()
 # Plain numpy numbers warn where a GPU's do not; kernels divide by zero and choose afterwards.
@@ -88,9 +91,41 @@ def test_levels_of_detail_are_those_of_the_cpu(options):
     assert decibel(plain.color, wanted.color) < 40  # of the two, the coarser one
 
 
-def test_what_only_the_cpu_has_is_told():
+def test_hits_are_those_of_the_cpu(monkeypatch):
+    prepared = raster.prepare(cloud(400))
+    wanted = raster.rasterize(prepared, camera(), 0.2, hit=True)
+    found = twin.rasterize(prepared, camera(), 0.2, hit=True)
+    np.testing.assert_array_equal(found.hit, wanted.hit)
+    assert_alike(found, wanted)
+    assert len(np.unique(found.hit)) > 20
+    empty = twin.rasterize(raster.prepare(cloud(2)), camera(), 0.2, hit=True).hit
+    assert (empty == -1).mean() > 0.5
+    monkeypatch.setattr(device_splats, "MOST_NUMBERS", 256)
     with pytest.raises(ParameterError, match=r"hit .* backend cpu"):
-        twin.rasterize(raster.prepare(cloud()), camera(), 0.2, hit=True)
+        twin.rasterize(prepared, camera(), 0.2, hit=True)
+
+
+def test_nodes_before_a_static_set_are_those_of_the_cpu():
+    """Only their chunks are sent, and none of a moment before is left."""
+    still, moving = cloud(300), cloud(700, seed=4)
+    for splats in (still, moving):
+        splats.scale[:] *= 0.3
+    still = raster.prepare(still)
+    merger = Merger(still, len(moving))
+    drawer = twin.Rasterizer(DeviceSplats(still, 3))
+    alone = raster.rasterize(still, camera(), 0.2)
+    static = drawer.splats.geometry.copy_to_host()[3 * ROW :]
+    for count in (700, 200, 0):
+        nodes = raster.prepare(moving.take(np.arange(700) < count)) if count else None
+        merged = merger.merged(nodes, len(still))
+        drawer.put_nodes(merged)
+        wanted = raster.rasterize(merged, camera(), 0.2, hit=True)
+        found = drawer.draw(camera(), 0.2, hit=True)
+        assert_alike(found, wanted)
+        np.testing.assert_array_equal(found.hit, wanted.hit)
+        assert (found.hit >= len(still)).any() == (count > 0)
+        assert (decibel(wanted.color, alone.color) > 80) == (count == 0)
+    np.testing.assert_array_equal(drawer.splats.geometry.copy_to_host()[3 * ROW :], static)
 
 
 def test_the_training_codes_stop():

@@ -4,11 +4,14 @@ import numpy as np
 import pytest
 
 from rainsim.cuda import simulated
-from rainsim.cuda.particles import streaks
+from rainsim.cuda.particles import spray, streaks
 from rainsim.cuda.particles.streaks import Streaks
 from rainsim.drops import RainField, RainSpectrum, Surfaces
 from rainsim.errors import ParameterError
+from rainsim.particles.line_raster import NEAR
+from rainsim.particles.spray import lay_clouds
 from rainsim.particles.streaks import draw_streaks
+from rainsim.rain.tyres import Puffs
 from rainsim.scene.types import Camera
 
 assert simulated()
@@ -56,6 +59,36 @@ def test_a_picture_is_that_of_the_cpu(poisoned, monkeypatch, room):
     twin.update(field, camera, 3.1, 1 / 1000, 1.3)
     twin.launch()
     assert np.abs(twin.alpha.copy_to_host() - wanted).max() > 0.1
+
+
+def test_spray_is_that_of_the_cpu(monkeypatch, poisoned):
+    """Drops that are drawn and clouds, more of them than there was room for; then none."""
+    monkeypatch.setattr(spray, "ROOM", 2)
+    camera, time, exposure = looking_ahead((0.0, 0.0, 0.0)), 3.0, 1 / 1000
+    depth = np.full((HEIGHT, WIDTH), np.inf, np.float32)
+    depth[:, :12] = 2.0
+    rng = np.random.default_rng(2)
+    place = rng.uniform((0.4, -0.1, -0.05), (4.0, 0.1, 0.05), (30, 3))
+    drops = np.column_stack([place, np.zeros((30, 2)), np.full(30, -3.0), np.full(30, 2e-3)])
+    puffs = Puffs(rng.uniform((0.1, -0.2, -0.1), (3.0, 0.2, 0.1), (9, 3)),
+                  rng.uniform(0.02, 0.3, 9), np.full(9, 2e-3))  # fmt: skip
+    none, wanted = RainField(RainSpectrum(0.0)), poisoned((HEIGHT, WIDTH))
+    draw_streaks(none, None, camera, time, exposure, depth, NEAR, wanted, more=drops)
+    assert 0.05 < wanted.max()
+    before = wanted.copy()
+    lay_clouds(puffs, camera, depth, wanted)
+    assert (wanted > before + 0.01).mean() > 0.2
+    twin = Streaks(none, roofed(), WIDTH, HEIGHT, depth)
+    twin.spray = spray.Spray()
+    assert twin.spray.room == 2
+    twin.update(none, camera, time, exposure, NEAR)
+    for _ in range(2):
+        twin.spray.send(drops, puffs, camera)
+        twin.launch()
+        np.testing.assert_allclose(twin.alpha.copy_to_host(), wanted, atol=2e-4)
+    twin.spray.send(drops[:0], Puffs(*(part[:0] for part in puffs)), camera)
+    twin.launch()
+    assert (twin.alpha.copy_to_host() == 0).all()
 
 
 def test_more_drops_than_any_device_should_list_are_refused(monkeypatch):

@@ -164,7 +164,7 @@ def test_merged_sets_draw_what_one_set_draws(scene, camera):
     assert (found.hit == expected.hit).mean() > 0.999
     assert (found.hit >= count).sum() > 500 and NOBODY not in merged.order[merged.order >= 0]
     # Another moment leaves nothing of this one behind, and no nodes leave the static set alone.
-    drawer.recolor(merger.merged(None, count))
+    drawer.put_nodes(merger.merged(None, count))
     alone = Rasterizer(prepare(scene.splats)).draw(camera, near)
     np.testing.assert_array_equal(drawer.draw(camera, near).color, alone.color)
 

@@ -335,12 +335,16 @@ class Streaks:
         Both of device arrays, as the drawing kernels read them.
     drips : cuda.rain.dripping.DripList or None
         Drips that are drawn too.
+    spray : cuda.particles.spray.Spray or None
+        What tyres throw, drawn too.
+    surfaces : HeightFields
+        Of device arrays.
     """
 
     def __init__(self, field, surfaces, width, height, depth, stream=0):
         self.stream, self.size, self._depth = stream, (width, height), depth
         self._listed = self._per_cube = None
-        self._surfaces = sent_surfaces(surfaces, stream)
+        self.surfaces = sent_surfaces(surfaces, stream)
         f4, f8, i8 = np.float32, np.float64, np.int64
         names = {
             "counts": ((CLASSES + 1,), i8), "first": ((CLASSES, 3), i8), "last": ((CLASSES, 3), i8),
@@ -364,7 +368,7 @@ class Streaks:
             for kind in (SentView, CubesInReach, DropField)
         )
         self.scene = SceneDepth(width, height, self.columns, self.tile_depth)
-        self.drips = None
+        self.drips = self.spray = None
 
     def update(
         self, field, camera, time, exposure, far, camera_end=None, aperture=0.0, focus=np.inf
@@ -415,7 +419,7 @@ class Streaks:
             self._air, self.view, self._field, scene, *self._sought, self._paths
         )
         follow[BLOCKS, THREADS, stream](
-            *self._sought, self.view, self._field, self._surfaces, self._paths, now["many"],
+            *self._sought, self.view, self._field, self.surfaces, self._paths, now["many"],
             self._large,
         )  # fmt: skip
         draw_large[BLOCKS, WHOLE, stream](
@@ -424,7 +428,11 @@ class Streaks:
         draw_field[BLOCKS, GROUPS, stream](now["sought"], self._paths, lens, scene, self.picture)
         if self.drips is not None:
             self.drips.draw(self.view, scene, self.picture, stream)
+        if self.spray is not None:
+            self.spray.draw(self.view, scene, self.picture, stream)
         self.resolve(self.alpha, stream)
+        if self.spray is not None:
+            self.spray.lay(lens, self._depth, self.alpha, stream)
 
     def resolve(self, alpha_out, stream):
         """Queue the turning of what was drawn into alpha, and blank the picture."""

@@ -28,6 +28,12 @@ class RecentImpacts(Impacts):
     ahead : int
         Intervals after a frame's time that its exposure sees.
     stream : cuda.stream
+
+    Attributes
+    ----------
+    relisted : bool
+        Whether what drops meet moves from frame to frame: then `list_again` lists all but the last
+        interval for each frame, by what they meet at its time.
     """
 
     def __init__(self, weather, surfaces, rate, ahead, stream=0):
@@ -36,7 +42,7 @@ class RecentImpacts(Impacts):
         # One more than a frame looks at: it may be listed while the frame before is drawn.
         slots = math.ceil(LONGEST_LIFE * rate) + ahead + 1
         super().__init__(field, surfaces, room_for(field, surfaces, 1 / rate), stream, slots)
-        self._newest = None
+        self._newest, self.relisted = None, False
         self._seen = pinned(slots, np.int32)
 
     def update(self, frame):
@@ -44,17 +50,26 @@ class RecentImpacts(Impacts):
 
         If it lacks more, because it does not follow on the frame before, they are listed here.
         """
-        newest, slots = frame + self._ahead - 1, len(self._seen)
-        if self._newest is None or newest not in (self._newest, self._newest + 1):
-            cuda.synchronize()
-            for number in range(newest - slots + 2, newest):
-                self._say(number)
-                super().launch()
-                cuda.synchronize()
+        newest = frame + self._ahead - 1
+        follows = self._newest is not None and newest in (self._newest, self._newest + 1)
+        if not (follows or self.relisted):
+            self._list_before(newest)
         self._say(newest)
         self._newest = newest
         times, slot = self._interval(frame - 1)
         self.settled.update(times=times, slot=slot)
+
+    def list_again(self):
+        """List what fell before the newest interval once more; waits for the device."""
+        self._list_before(self._newest)
+        self._say(self._newest)
+
+    def _list_before(self, newest):
+        cuda.synchronize()
+        for number in range(newest - len(self._seen) + 2, newest):
+            self._say(number)
+            super().launch()
+            cuda.synchronize()
 
     def launch(self, stream=None):
         """Queue the listing and what `check` looks at."""

@@ -60,6 +60,6 @@ class AovReader:
                 host.water.look(wet)
                 light_of = host.mirrored, scene.traced, scene.environment, host.sunlight
                 host.water.draw(state, host.shower, *light_of, Timer())
-            return host.aovs(names, state, wet, frame.rain_cover(), light)
+            return host.aovs(names, state, wet, frame.rain.cover(), light)
         finally:
             scene.rasterizer = frame.rasterizer

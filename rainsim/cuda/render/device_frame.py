@@ -7,28 +7,22 @@ water's surface, what needs the water (mirrors, reflection and refraction), rain
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from rainsim.cuda.driver import Event, copy_to_host
 from rainsim.cuda.frame_uniforms import FrameUniforms
 from rainsim.cuda.graph import chain
-from rainsim.cuda.jit import cuda, pinned
+from rainsim.cuda.jit import cuda
 from rainsim.cuda.particles.drop_radiance import DropLight
-from rainsim.cuda.particles.splash_pass import Splashes
-from rainsim.cuda.particles.streaks import Streaks
-from rainsim.cuda.rain.dripping import DripList
-from rainsim.cuda.rain.impact_history import RecentImpacts
 from rainsim.cuda.reflection import ray_water, screen_space, water_shading, wet_tops
 from rainsim.cuda.reflection.planar_mirror import Mirrors
 from rainsim.cuda.reflection.water_surface import WaterSurface
+from rainsim.cuda.render.moving_nodes import MovingNodes
+from rainsim.cuda.render.rain_pass import RainPass
 from rainsim.cuda.shading import wet_pass
 from rainsim.cuda.shading.composite import compose
 from rainsim.cuda.shading.wet_ground_mirror import WetGroundLight
-from rainsim.particles.fog import FOG_STEPS, NO_FOG, fog_table
-from rainsim.particles.splash import WET_FILM
-from rainsim.particles.streaks import streak_reach
+from rainsim.particles.fog import FOG_STEPS
 from rainsim.reflection import water_pass
 from rainsim.reflection.mirror_choice import mirror_step
 from rainsim.reflection.ray_water import COVERING_DEPTHS
@@ -65,8 +59,10 @@ class DeviceFrame:
     mirrors : Mirrors
     ground_light : WetGroundLight
     drop_light : DropLight
-    streaks, splashes : Streaks and Splashes, or None without rain
+    rain : RainPass
     surface : WaterSurface
+    nodes : MovingNodes or None
+        None in scenes without nodes.
     pending : list of callable
         Copies to the device that the next frame needs before its queue starts.
     size : tuple of int or None
@@ -102,9 +98,9 @@ class DeviceFrame:
         self.mirrors = Mirrors(self, host.config.render.reflections)
         self.ground_light = WetGroundLight(self)
         self.drop_light = DropLight(self)
-        self.streaks = self.splashes = self.size = self.uniforms = self._moments = None
-        self.pending, self._fog_of = [], (None, NO_FOG, None)
-        self._own_impacts = self._own_drips = None
+        self.size = self.uniforms = self._moments = None
+        self.pending, self.rain = [], RainPass(self)
+        self.nodes = None if scene.nodes is None else MovingNodes(self)
 
     # ---- what a frame shows
 
@@ -115,6 +111,8 @@ class DeviceFrame:
         """
         host, scene, self.pending = self.host, self.wet_scene, []
         changed = host.set_time(state.time)
+        if self.nodes is not None:
+            changed |= self.nodes.update(state)
         if scene.ground is not self._ground_sent:
             self.pending.append(self._send_ground)
         if scene.behind is not self._behind_sent:
@@ -134,15 +132,17 @@ class DeviceFrame:
         self.mirrors.update(camera, scene, step)
         self.ground_light.update(camera, host.view)
         self._take_state(state)
-        fog = NO_FOG
-        if self.streaks is not None:
-            fog = self._update_drops(field, state, camera_end)
+        fog = self.rain.update(field, state, camera_end, simulation_of(state))
         self.uniforms.update(
             turn=view.ground_from_camera, eye=view.eye, lens=view.lens, look=scene.look,
             off_ground=scene.off_ground, brightness=host.brightness, fog=fog, sun=host.sunlight,
             air=host.air_light, around=host.everywhere,
         )  # fmt: skip
         return changed
+
+    def send_rings(self, rings):
+        """Send the amplitudes of rings (ny, nx); the device must draw nothing meanwhile."""
+        self._rings.copy_to_device(np.ascontiguousarray(rings, np.float32))
 
     def _send_ground(self):
         self._ground.copy_to_device(np.ascontiguousarray(self.wet_scene.ground, np.float32))
@@ -158,32 +158,6 @@ class DeviceFrame:
         self.ground_light.send_colors()
         self._colors_sent = self.wet_scene.drawn
 
-    def _update_drops(self, field, state, camera_end):
-        """Update streaks and splashes; return the fog of the drops that are not drawn."""
-        host, render = self.host, self.host.now.render
-        key = field, host.view.fx, host.view.fy, render.exposure, render.streak_far
-        if key != self._fog_of[0]:
-            reach = streak_reach(field, host.view, render.exposure, render.streak_far)
-            self._fog_of = key, fog_table(field, reach), reach
-        _, fog, reach = self._fog_of
-        self.streaks.update(
-            field, host.view, state.time, render.exposure, reach, camera_end, render.aperture,
-            render.focus,
-        )  # fmt: skip
-        simulation = simulation_of(state)
-        if simulation is None and self._own_impacts is None:
-            # These states' times may lie within an interval: two more are to come.
-            self._own_impacts = RecentImpacts(
-                host.rain.weather, host.rain.surfaces, host.config.fps, 2, self.stream
-            )
-        if self._own_impacts is not None:
-            self._own_impacts.update(math.floor(state.time * host.config.fps + 1e-6))
-        if self.splashes is None:
-            recent = self._own_impacts if simulation is None else simulation.impacts
-            self.splashes = Splashes(self.streaks, recent, self.surface.depth)
-        self.splashes.update(field, WET_FILM * self.wet_scene.paving)
-        return fog
-
     def _take_state(self, state):
         """List the copies of the water and its ripples to the device, unless they are there."""
         self._tile = np.float32(state.tile_size)
@@ -196,24 +170,19 @@ class DeviceFrame:
         moments = ripple_moments(state.slopes)
         if self._moments is None:
             self._moments = cuda.to_device(moments)
-        room = 0 if self._own_drips is None else self._own_drips.room
-        if self.streaks is not None and len(state.drip_id) > room:
-            self._own_drips = DripList(2 * len(state.drip_id))
+        self.rain.room_for_drips(len(state.drip_id))
 
         def send():
             self._water.copy_to_device(np.ascontiguousarray(state.depth, np.float32))
             self._moments.copy_to_device(moments)
-            if self._own_drips is not None:
-                self._own_drips.fill(state.drips, state.drip_id)
-                self.streaks.drips = self._own_drips
+            self.rain.send_drips(state)
 
         self.pending.append(send)
 
     def take_water(self, state):
         """Take over the water that a simulation on the device has for a frame."""
         self._moments, self.surface.depth = state.moments, state.depth
-        if self.splashes is not None:
-            self.splashes.depth, self.streaks.drips = state.depth, state.drip_list
+        self.rain.take_water(state)
 
     def _allocate(self, field):
         """Allocate the buffers of a picture of the present size; `field` is None without rain."""
@@ -244,11 +213,7 @@ class DeviceFrame:
             settings=(host.water.thickness, stride, water_pass.REFLECTION_LENGTH),
             cover=COVERING_DEPTHS, size=(width, height),
         )  # fmt: skip
-        self.streaks = self.splashes = None
-        self._lines = pinned(1, np.int32)
-        if field is not None:
-            self.streaks = Streaks(field, host.rain.surfaces, width, height, self.depth,
-                                   self.stream)  # fmt: skip
+        self.rain.room_for(field, height, width, self.depth, self._none)
 
     # ---- what a finished frame had too little room for
 
@@ -265,30 +230,18 @@ class DeviceFrame:
 
     def grow(self):
         """Make room where the finished frame's water and rain lacked it; return whether any did."""
-        return any([self.mirrors.grow(), self._grow_splashes()])  # both
+        return any([self.mirrors.grow(), self.rain.grow()])  # both
 
     def grow_dry(self):
         """Make room where what needs no water lacked it; return whether any did."""
         full = [splats for splats in self.dry_rasterizers() if splats.overflows()]
         return bool([splats.make_room() for splats in full])
 
-    def _grow_splashes(self):
-        if self.streaks is None:
-            return False
-        if self._own_impacts is not None:
-            self._own_impacts.check()
-        lines = int(self._lines[0])
-        if full := lines > len(self.splashes.lines):
-            self.splashes.make_room(2 * lines)
-        return full
-
     def dependencies(self):
         """Return what a recorded queue depends on: when it changes, the queue is recorded again."""
-        lines = None if self.splashes is None else id(self.splashes.lines)
-        drops = None if self.streaks is None else self.streaks.room
         return (
-            self.size, self.rasterizer.queue, self.ground_light.queue, self.mirrors.queue, lines,
-            drops, self._own_drips,
+            self.size, self.rasterizer.queue, self.ground_light.queue, self.mirrors.queue,
+            *self.rain.dependencies(),
         )  # fmt: skip
 
     # ---- parts
@@ -310,19 +263,15 @@ class DeviceFrame:
 
     def last_parts(self):
         """Return the parts that need water and rain, each a function that queues it."""
-        return [self._compose, self._count_lines]
+        return [self._compose, self.rain.count_lines]
 
     def stages(self):
         """Return the parts that need no water, and all others, for timing one after the other."""
         dry = [self.uniforms.send, self._splat, self._grade]
         if self.ground_light.apart:
             dry.append(self._ground_light)
-        rain = []
-        if self.streaks is not None:
-            rain = [self.streaks.launch, self.splashes.launch]
-            if self._own_impacts is not None:
-                rain.insert(0, self._own_impacts.launch)
-        return dry, [*rain, self.surface.launch, *self.wet_parts(), *self.last_parts()]
+        wet = [*self.rain.parts(), self.surface.launch, *self.wet_parts(), *self.last_parts()]
+        return dry, wet
 
     def queue_wet(self):
         """Queue what needs the water; streaks and splashes on streams beside it."""
@@ -334,15 +283,7 @@ class DeviceFrame:
         tall(aside)
         self._found_tall.record(aside)
         light(aside)
-        if self.streaks is not None:
-            self.streaks.launch(beside)
-            self.streaks.sent.wait(aside)
-            if self._own_impacts is not None:
-                self._own_impacts.launch(aside)
-            self.splashes.gather(aside)
-            self._joined.record(aside)
-            self._joined.wait(beside)
-            self.splashes.draw(beside)
+        self.rain.queue(beside, aside, self._joined)
         self._joined.record(beside)
         meet()
         self._found_tall.wait(self.stream)
@@ -455,33 +396,17 @@ class DeviceFrame:
 
     def _compose(self):
         n = self.uniforms
-        rain = splash = self._none
-        if self.streaks is not None:
-            rain, splash = self.streaks.alpha, self.splashes.alpha
         compose[self._grid()](
-            self._shown, self.depth, RainCover(rain, splash, n["fog"]),
+            self._shown, self.depth, RainCover(*self.rain.alphas, n["fog"]),
             RainLight(self.drop_light.drops, self.drop_light.sheets, n["air"]), self.camera_arrays,
             n["brightness"], self._image,
         )  # fmt: skip
-
-    def _count_lines(self):
-        """Queue the copy of the number of splash lines, by which the host makes room."""
-        if self.streaks is not None:
-            self.splashes.count.copy_to_host(self._lines, stream=self.stream)
 
     # ---- what comes back
 
     def copy_image(self, image_out, stream=None):
         """Queue the copy of the 8-bit picture to the host."""
         copy_to_host(self._image, image_out, self.stream if stream is None else stream)
-
-    def rain_cover(self):
-        """Return the `RainCover` of the finished frame, on the host."""
-        if self.streaks is None:
-            nothing = np.zeros(self.size, np.float32)
-            return RainCover(nothing, nothing, NO_FOG)
-        rain, splash = (a.alpha.copy_to_host() for a in (self.streaks, self.splashes))
-        return RainCover(rain, splash, self._fog_of[1])
 
     def ripple_slopes(self):
         """Return the slopes of the tile of ripples, on the host, see `slope_moments`."""

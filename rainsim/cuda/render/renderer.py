@@ -13,16 +13,17 @@ from __future__ import annotations
 import time as clock
 
 from rainsim.cuda.jit import cuda
-from rainsim.cuda.raster import DeviceSplats, Rasterizer
+from rainsim.cuda.raster import Rasterizer
 from rainsim.cuda.render.aov import AovReader
 from rainsim.cuda.render.device_frame import DeviceFrame
 from rainsim.cuda.render.frame_queue import FrameQueue
+from rainsim.cuda.splatting.device_splats import DeviceSplats
 from rainsim.cuda.timing import part_times
 from rainsim.errors import ParameterError
 from rainsim.render import renderer as host
 from rainsim.render.report import FrameReport
-from rainsim.scene.actors import require_no_actors
 from rainsim.scene.pages import require_whole
+from rainsim.splatting.prepared import LANES
 
 STAGES = {  # names of the functions that queue them: those of the CPU where there is one
     "FrameUniforms.send": "numbers", "DeviceFrame._splat": "splat",
@@ -32,7 +33,7 @@ STAGES = {  # names of the functions that queue them: those of the CPU where the
     "DeviceFrame._meet_water": "find water",
     "DeviceFrame._mirror": "mirror", "DeviceFrame._lay_water": "water",
     "Splashes.launch": "splashes", "DeviceFrame._compose": "compose",
-    "DeviceFrame._count_lines": "counts", "copy_image": "copy",
+    "RainPass.count_lines": "counts", "copy_image": "copy",
 }  # fmt: skip
 
 
@@ -40,7 +41,7 @@ class Renderer:
     """Draws frames of one scene, terrain and configuration on the GPU.
 
     Takes the states that the CPU's simulation yields, or those of `rainsim.cuda.simulation`, whose
-    water never leaves the device.
+    water never leaves the device unless bodies move over it.
 
     Attributes
     ----------
@@ -52,16 +53,16 @@ class Renderer:
 
     def __init__(self, scene, terrain, config, first_camera):
         _require_known(config.render)
-        require_no_actors(scene.actors, "backend cuda", "take backend cpu")
         require_whole(scene, "backend cuda", "take backend cpu")
         self.stream, self._ahead = cuda.stream(), cuda.stream()
+        self._room = -(-sum(len(actor.splats) for actor in scene.actors) // LANES)
         self.host = host.Renderer(scene, terrain, config, first_camera, self._rasterizer_of)
         self.frame = DeviceFrame(self.host, self.stream)
         self.queue = FrameQueue(self.frame)
         self._aovs = AovReader(self.frame)
 
     def _rasterizer_of(self, prepared):
-        return Rasterizer(DeviceSplats(prepared), self._ahead)
+        return Rasterizer(DeviceSplats(prepared, self._room), self._ahead)
 
     def draw(self, camera, state, camera_end=None, names=()):
         """Return the picture (height, width, 3) uint8 that a camera takes, and its report.

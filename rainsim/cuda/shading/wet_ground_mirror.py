@@ -17,6 +17,7 @@ from rainsim.cuda.frame_uniforms import FrameUniforms
 from rainsim.cuda.jit import cuda, cuda_device, cuda_kernel
 from rainsim.cuda.raster import Rasterizer
 from rainsim.cuda.shading.wet_pass import BLOCK, blocks
+from rainsim.cuda.splatting.device_splats import DeviceSplats
 from rainsim.numerics.ripmap import LEVELS
 from rainsim.scene.cameras import mirrored_camera
 from rainsim.scene.view import view_from, view_of
@@ -192,7 +193,8 @@ class WetGroundLight:
         """Send the splats that stand on the ground to the device."""
         scene = self.frame.wet_scene
         splats = in_level_picture(scene.prepared, scene.terrain, scene.frame)
-        self.rasterizers = [Rasterizer(splats, self.stream, first_room=len(splats))]
+        splats = DeviceSplats(splats, self.frame.rasterizer.splats.room)
+        self.rasterizers = [Rasterizer(splats, self.stream, first_room=splats.count)]
 
     def send_colors(self):
         """Send the colours of the level picture's splats again, after `prepared` has changed.
@@ -205,6 +207,13 @@ class WetGroundLight:
             rasterizer.splats.send_colors(
                 in_level_picture(scene.prepared, scene.terrain, scene.frame)
             )
+
+    def send_nodes(self):
+        """Send the nodes of the present time; the device must draw nothing meanwhile."""
+        scene = self.frame.wet_scene
+        for rasterizer in self.rasterizers:
+            standing = scene.nodes.standing(scene.terrain, scene.frame)
+            rasterizer.splats.put_nodes(standing)
 
     def update(self, camera, camera_in_ground):
         """Take over the camera of the next picture, in the capture's and in the ground's frame."""

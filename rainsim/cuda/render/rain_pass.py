@@ -1,0 +1,189 @@
+"""Twin of `rainsim.render.rain_pass`: streaks, splashes and fog of one frame after another."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from rainsim.cuda.jit import pinned
+from rainsim.cuda.particles.splash_pass import Splashes
+from rainsim.cuda.particles.streaks import Streaks
+from rainsim.cuda.rain.dripping import DripList
+from rainsim.cuda.rain.impact_history import RecentImpacts
+from rainsim.drops import RainField, RainSpectrum
+from rainsim.particles.fog import NO_FOG, fog_table
+from rainsim.particles.line_raster import NEAR
+from rainsim.particles.splash import WET_FILM
+from rainsim.particles.streaks import streak_reach
+from rainsim.shading.composite import RainCover
+
+
+class RainPass:
+    """Draws what falls before a picture.
+
+    Parameters
+    ----------
+    frame : rainsim.cuda.render.device_frame.DeviceFrame
+
+    Attributes
+    ----------
+    streaks : Streaks or None
+        None where neither rain falls nor tyres throw anything.
+    splashes : Splashes or None
+        None without rain.
+    impacts : RecentImpacts or None
+        What fell in the last moments, for states of the host.
+    drips : DripList or None
+        For states of the host.
+    """
+
+    def __init__(self, frame):
+        self.frame, self.stream = frame, frame.stream
+        self.streaks = self.splashes = self.impacts = self.drips = None
+        self._fog_of = None, NO_FOG, None
+        self._lines = pinned(1, np.int32)
+
+    def room_for(self, field, height, width, depth, none):
+        """Allocate what pictures of a size need.
+
+        Parameters
+        ----------
+        field : RainField or None
+            None without rain.
+        height, width : int [px]
+        depth : device array of shape (height, width), float32 [m]
+        none : device array of shape (height, width), float32
+            Stands for the share of light that nothing replaces.
+        """
+        self.streaks = self.splashes = None
+        self._size, self._none = (height, width), none
+        nodes, surfaces = self.frame.nodes, self.frame.host.rain.surfaces
+        spray = None if nodes is None else nodes.spray
+        if field is None and spray is None:
+            return
+        field = RainField(RainSpectrum(0.0)) if field is None else field
+        self.streaks = Streaks(field, surfaces, width, height, depth, self.stream)
+        self._no_rain = field
+        if nodes is not None and nodes.heights is not None:
+            self.streaks.surfaces = nodes.heights.fields
+        self.streaks.spray = spray
+
+    def update(self, field, state, camera_end, simulation):
+        """Take over what the next frame shows; return the fog of drops that are not drawn."""
+        if self.streaks is None:
+            return NO_FOG
+        host = self.frame.host
+        render = host.now.render
+        shutter = host.view, state.time, render.exposure
+        lens = camera_end, render.aperture, render.focus
+        if field is None:
+            self.streaks.update(self._no_rain, *shutter, NEAR, *lens)
+            return NO_FOG
+        key = field, host.view.fx, host.view.fy, render.exposure, render.streak_far
+        if key != self._fog_of[0]:
+            reach = streak_reach(field, host.view, render.exposure, render.streak_far)
+            self._fog_of = key, fog_table(field, reach), reach
+        _, fog, reach = self._fog_of
+        self.streaks.update(field, *shutter, reach, *lens)
+        if simulation is None and self.impacts is None:
+            self.impacts = self._recent()
+        if self.impacts is not None:
+            self.impacts.update(math.floor(state.time * host.config.fps + 1e-6))
+        if self.splashes is None:
+            recent = self.impacts if simulation is None else simulation.impacts
+            self.splashes = Splashes(self.streaks, recent, self.frame.surface.depth)
+        self.splashes.update(field, WET_FILM * host.wet_scene.paving)
+        return fog
+
+    def _recent(self):
+        """Return the impacts of states whose times may lie within an interval."""
+        host, nodes = self.frame.host, self.frame.nodes
+        # Two more intervals are to come.
+        recent = RecentImpacts(
+            host.rain.weather, host.rain.surfaces, host.config.fps, 2, self.stream
+        )
+        if nodes is not None and nodes.heights is not None:
+            recent.surfaces, recent.relisted = nodes.heights.fields, True
+        return recent
+
+    def room_for_drips(self, count):
+        """Make room for the drips of a state of the host, if any may fall."""
+        room = 0 if self.drips is None else self.drips.room
+        if self.streaks is not None and count > room:
+            self.drips = DripList(2 * count)
+
+    def send_drips(self, state):
+        """Send the drips of a state of the host."""
+        if self.drips is not None:
+            self.drips.fill(state.drips, state.drip_id)
+            self.streaks.drips = self.drips
+
+    def take_water(self, state):
+        """Take over the water that a simulation on the device has for a frame."""
+        if self.splashes is not None:
+            self.splashes.depth = state.depth
+        if self.streaks is not None:
+            self.streaks.drips = state.drip_list
+
+    # ---- what is queued
+
+    @property
+    def alphas(self):
+        """Shares of light that drops and splashes replace, two device arrays."""
+        both = self.streaks, self.splashes
+        return tuple(self._none if each is None else each.alpha for each in both)
+
+    def parts(self):
+        """Return the parts of the rain one after the other, each a function that queues it."""
+        parts = []
+        if self.splashes is not None and self.impacts is not None:
+            parts.append(self.impacts.launch)
+        return parts + [each.launch for each in (self.streaks, self.splashes) if each is not None]
+
+    def queue(self, beside, aside, joined):
+        """Queue streaks on one stream and what splashes on another; `beside` waits for both."""
+        if self.streaks is None:
+            return
+        self.streaks.launch(beside)
+        if self.splashes is None:
+            return
+        self.streaks.sent.wait(aside)
+        if self.impacts is not None:
+            self.impacts.launch(aside)
+        self.splashes.gather(aside)
+        joined.record(aside)
+        joined.wait(beside)
+        self.splashes.draw(beside)
+
+    def count_lines(self):
+        """Queue the copy of the number of splash lines, by which the host makes room."""
+        if self.splashes is not None:
+            self.splashes.count.copy_to_host(self._lines, stream=self.stream)
+
+    # ---- what comes back
+
+    def grow(self):
+        """Make room where the finished frame's splashes lacked it; return whether they did."""
+        if self.splashes is None:
+            return False
+        if self.impacts is not None:
+            self.impacts.check()
+        lines = int(self._lines[0])
+        if full := lines > len(self.splashes.lines):
+            self.splashes.make_room(2 * lines)
+        return full
+
+    def dependencies(self):
+        """Return what a recorded queue depends on."""
+        lines = None if self.splashes is None else id(self.splashes.lines)
+        drops = clouds = None
+        if self.streaks is not None:
+            drops = self.streaks.room
+            clouds = None if self.streaks.spray is None else self.streaks.spray.room
+        return lines, drops, clouds, self.drips
+
+    def cover(self):
+        """Return the `RainCover` of the finished frame, on the host."""
+        fog = NO_FOG if self.splashes is None else self._fog_of[1]
+        return RainCover(*(alpha.copy_to_host() for alpha in self.alphas), fog)

@@ -1,0 +1,155 @@
+"""Prepared splats in the memory of a device, and room for those of nodes before them.
+
+The static set is sent once. For each moment only the nodes' chunks are sent, into the room that
+lies before it, as `rainsim.splatting.merged` has it on the host; the room's other chunks are never
+drawn. So no address changes, and recorded queues stay as they are.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rainsim.cuda.jit import cuda
+from rainsim.cuda.splatting import project
+from rainsim.errors import ParameterError
+from rainsim.splatting.prepared import GEOMETRY, LANES, OPACITY
+
+CHUNKS_AT_ONCE = 4096  # of colours that are converted and sent together
+ROW = GEOMETRY * LANES  # numbers of a chunk's geometry
+MOST_NUMBERS = 1 << 24  # whole numbers that a float32 tells apart
+
+
+class DeviceSplats:
+    """Prepared splats on the device: sent once, shared by all pictures.
+
+    Parameters
+    ----------
+    prepared : rainsim.raster.PreparedSplats
+        The static set.
+    room : int
+        Chunks of nodes that there is room for.
+
+    Attributes
+    ----------
+    chunks, static, leading : int
+        Chunks with the room, without it, and with it those that were not to come last.
+    count : int
+        Splats, at most.
+    """
+
+    def __init__(self, prepared, room=0):
+        self.room, self.static = room, len(prepared.box)
+        self.count, self.chunks = len(prepared) + room * LANES, room + self.static
+        self.compensate = prepared.compensate
+        self.leading = room + (self.static if prepared.leading is None else prepared.leading)
+        if self.chunks * LANES > project.MOST_SPLATS:
+            raise ParameterError(
+                f"the scene has {self.count} splats; backend cuda takes at most "
+                f"{project.MOST_SPLATS}; take backend cpu"
+            )
+        geometry = self._with_room(_clean(prepared.geometry).reshape(self.static, ROW), 0)
+        geometry[:room, OPACITY * LANES :] = project.FAINT
+        self.geometry = cuda.to_device(geometry.reshape(-1))
+        count = 3 * (prepared.degree + 1) ** 2
+        self.bands, self.groups = int(np.sqrt(count // 3)), -(-count // 8)
+        self.sh = cuda.device_array(max(self.chunks, 1) * self.groups * 8 * LANES, np.float16)
+        self.send_colors(prepared)
+        self.centre, self.reach = _reach(prepared.box)
+        # A chunk of nothing but holes has an infinite box, which no comparison finds outside.
+        self.box = cuda.to_device(self._with_room(prepared.box, 0))
+        span, around = prepared.span, prepared.reach
+        if span is None:
+            span, around = np.zeros((self.static, 2)), np.zeros((self.static, 6))
+            span[:, 1] = np.inf
+        span = self._with_room(np.ascontiguousarray(span, np.float32), np.inf)
+        self.span = cuda.to_device(span)
+        self.around = cuda.to_device(self._with_room(np.ascontiguousarray(around, np.float32), 0))
+        self._order, self._first = prepared.order, room  # of splats, and the place of its first
+
+    def _with_room(self, rows, value):
+        """Return rows, one per chunk of the static set, with the room's before them."""
+        if not self.room:
+            return rows
+        return np.concatenate([np.full((self.room, *rows.shape[1:]), value, rows.dtype), rows])
+
+    def send_colors(self, prepared):
+        """Send the static set's harmonics of `prepared`; the device must draw nothing meanwhile."""
+        self._send_harmonics(prepared, self.static, self.room)
+
+    def _send_harmonics(self, prepared, count, place):
+        """Send the harmonics of the first `count` chunks to a place in the list of chunks."""
+        row = self.groups * 8 * LANES
+        for first in range(0, count, CHUNKS_AT_ONCE):
+            part = prepared.harmonics(first, min(first + CHUNKS_AT_ONCE, count))
+            halves = project.in_groups(part).reshape(-1)
+            at = (place + first) * row
+            self.sh[at : at + halves.size].copy_to_device(halves)
+
+    def put_nodes(self, merged):
+        """Send the nodes of a merged set; the device must draw nothing meanwhile.
+
+        Parameters
+        ----------
+        merged : PreparedSplats
+            Of `splatting.merged.Merger`: chunks of nodes, then those of the static set, which are
+            on the device already.
+        """
+        used, room = len(merged.box) - self.static, self.room
+        first = room - used
+        if used:
+            geometry = np.ascontiguousarray(_clean(merged.geometry[:used]), np.float32)
+            self.geometry[first * ROW : room * ROW].copy_to_device(geometry.reshape(-1))
+            self.box[first:room].copy_to_device(np.ascontiguousarray(merged.box[:used]))
+            self._send_harmonics(merged, used, first)
+        if room:
+            span = np.full((room, 2), np.inf, np.float32)
+            span[first:, 0] = 0
+            self.span[:room].copy_to_device(span)
+        self._order, self._first = merged.order, first
+
+    def require_numbers(self):
+        """Raise ParameterError if there are more splats than pictures can tell by number."""
+        if self.chunks * LANES >= MOST_NUMBERS:
+            raise ParameterError(
+                f"hit is asked for of {self.count} splats; backend cuda numbers at most "
+                f"{MOST_NUMBERS - 1}; use backend cpu"
+            )
+
+    def of_numbers(self, number):
+        """Return the splats that a picture of numbers shows, see `project.number_records`.
+
+        Parameters
+        ----------
+        number : ndarray, float32
+            Infinite where no splat stops half of the light.
+
+        Returns
+        -------
+        ndarray, int32
+            Index in the scene that was prepared, nodes behind it; -1 for none.
+        """
+        seen = np.isfinite(number)
+        hit = np.full(number.shape, -1, np.int32)
+        hit[seen] = self._order[number[seen].astype(np.int64) - 1 - self._first * LANES]
+        return hit
+
+
+def _reach(box):
+    """Return the middle of most chunks and the radius about it that holds nearly all."""
+    middle = 0.5 * (box[:, :3] + box[:, 3:])
+    middle = middle[np.isfinite(middle).all(axis=1)]
+    if len(middle) == 0:
+        return np.zeros(3), 1.0
+    centre = np.median(middle, axis=0).astype(np.float64)
+    return centre, float(np.percentile(np.linalg.norm(middle - centre, axis=1), 99))
+
+
+def _clean(geometry):
+    """Return the geometry with a finite opacity everywhere and nothing that is not a number."""
+    rows = geometry.reshape(len(geometry), -1, LANES)
+    bad = ~np.isfinite(rows).all(axis=1)
+    if bad.any():
+        rows = rows.copy()
+        rows[bad[:, None].repeat(rows.shape[1], axis=1)] = 0
+        rows[:, OPACITY][bad] = project.FAINT
+    return rows

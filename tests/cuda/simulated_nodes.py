@@ -1,0 +1,101 @@
+"""Frames of scenes with nodes in numba's CUDA simulator, against the CPU's."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from rainsim.config.settings import Config
+from rainsim.cuda import simulated
+from rainsim.cuda.rain.moving_surfaces import MovingHeights, highest_of
+from rainsim.cuda.render import renderer as twin
+from rainsim.cuda.simulation import simulate
+from rainsim.cuda.splatting.device_splats import DeviceSplats
+from rainsim.pipeline import extract_terrain
+from rainsim.rain.moving_surfaces import MovingSurfaces
+from rainsim.render import renderer as rendering
+from rainsim.render.wet_scene import WetScene
+from rainsim.terrain.movers import with_movers
+from scenes import moving_scene
+
+assert simulated()
+pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
+SIZE = (32, 24)
+LAYERS = ("actor_id", "flow", "flow_mask", "depth")
+FRAMES = 0, 2
+CONFIG = Config.from_preset("downpour").replace(
+    rate=8 / 3.6e6, past=6e-3, frames=3, width=SIZE[0], extent=1.0, spacing=0.1, fps=4.0,
+    wind=(0.0, 0.0), drips=False,
+)  # fmt: skip
+
+
+@pytest.fixture(autouse=True)
+def quick(monkeypatch):
+    """The day's sky as surroundings: six pictures are much for the simulator."""
+    monkeypatch.setattr(WetScene, "_surroundings", lambda self, position: self.day)
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return moving_scene()
+
+
+@pytest.fixture(scope="module")
+def terrain(scene):
+    return with_movers(extract_terrain(scene, CONFIG), scene)
+
+
+def decibel(a, b):
+    error = np.mean((np.asarray(a, float) - np.asarray(b, float)) ** 2) / 255**2
+    return -10 * np.log10(max(error, 1e-12))
+
+
+def test_the_map_follows_what_moves_over_it(terrain):
+    moving, (mover,) = MovingSurfaces(terrain), terrain.movers
+    heights = MovingHeights(moving.still, terrain.movers, 0)
+    # The box is 0.28 m high, on cells of 0.1 m, and may turn any way.
+    assert 0.28 < highest_of(mover) < 1.0 and heights.fields.sky >= moving.still.sky
+    shown = []
+    for time in (0.0, 0.4, 9.0):
+        surfaces, shelters = moving.moment(time)
+        heights.send(surfaces, shelters)
+        for name in ("top", "underside", "patch_high", "around_high", "around_low"):
+            found = getattr(heights.fields, name).copy_to_host()
+            np.testing.assert_array_equal(found, getattr(surfaces.height_fields(), name))
+        assert heights.fields.sky >= surfaces.sky
+        shown.append(heights.fields.top.copy_to_host())
+    assert (shown[0] != shown[1]).any() and (shown[1] != shown[2]).any()
+    heights.send(moving.still, [])
+    np.testing.assert_array_equal(heights.fields.top.copy_to_host(), terrain.top)
+
+
+def test_frames_and_labels_are_those_of_the_cpu(scene, terrain, monkeypatch):
+    """Each frame; the static set is sent once, and moments in any order."""
+    camera = scene.cameras[0].resized(*SIZE)
+    states = [s for s, _ in zip(simulate(terrain, CONFIG), range(FRAMES[-1] + 1), strict=False)]
+    states = [states[n] for n in FRAMES]
+    cpu = rendering.Renderer(scene, terrain, CONFIG, camera)
+    wanted = [cpu.draw(camera, state, None, LAYERS) for state in states]
+    assert (wanted[0][0] != wanted[1][0]).any(axis=-1).mean() > 0.05
+    gpu, sent = twin.Renderer(scene, terrain, CONFIG, camera), []
+    send = DeviceSplats._send_harmonics
+    monkeypatch.setattr(
+        DeviceSplats, "_send_harmonics",
+        lambda self, *given: (sent.append(given[1]), send(self, *given)),
+    )  # fmt: skip
+    pictures = []
+    for (picture, report), state in zip(wanted, states, strict=True):
+        found, labels = gpu.draw(camera, state, None, LAYERS)
+        assert decibel(found, picture) > 45
+        for name in ("actor_id", "flow_mask"):
+            assert (labels.aovs[name] == report.aovs[name]).mean() > 0.99
+        same = np.abs(labels.aovs["flow"] - report.aovs["flow"]).max(axis=-1) < 0.1
+        assert same.mean() > 0.99 and np.abs(report.aovs["flow"]).max() > 0.5
+        assert (report.aovs["actor_id"] == 1).sum() > 10
+        (mine,), (theirs,) = labels.facts["actors"], report.facts["actors"]
+        assert mine["box2d"] == theirs["box2d"] and mine["box3d"] == theirs["box3d"]
+        pictures.append(found.copy())
+    static = len(scene.splats) // 256
+    assert sent and max(sent) < static
+    again = gpu.draw(dataclasses.replace(camera), states[0])[0]
+    np.testing.assert_array_equal(again, pictures[0])
