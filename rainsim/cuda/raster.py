@@ -17,7 +17,7 @@ from rainsim import raster
 from rainsim.cuda.frame_uniforms import FrameUniforms
 from rainsim.cuda.jit import SIMULATED, cuda, pinned
 from rainsim.cuda.splatting import blend, project
-from rainsim.cuda.splatting.device_splats import DeviceSplats
+from rainsim.cuda.splatting.prepared import DeviceSplats
 from rainsim.errors import require_choice
 from rainsim.splatting.prepared import LANES
 from rainsim.splatting.project import FRUSTUM_MARGIN, NO_PLANE, TILE

@@ -65,10 +65,17 @@ class Nodes:
         self._merger.recolor(static)
         self.static, self._standing = self._merger.static, None
 
-    def merged(self):
-        """Return the `PreparedSplats` of the whole scene; overwritten by the next call."""
+    def merged(self, merger=None):
+        """Return the `PreparedSplats` of the whole scene; overwritten by the next call.
+
+        Or, with a `merger_of` other static splats, of those and the nodes.
+        """
         nodes = None if self.splats is None else prepare(self.splats)
-        return self._merger.merged(nodes, self.first)
+        return (merger or self._merger).merged(nodes, self.first)
+
+    def merger_of(self, static):
+        """Return the `Merger` of other static splats, as many in the scene they came from."""
+        return Merger(static, self._most)
 
     def standing(self, terrain, frame):
         """Return what stands on the ground as the level picture takes it, nodes included."""

@@ -19,7 +19,6 @@ from rainsim.render.nodes import Nodes
 from rainsim.render.paged_scene import PagedScene
 from rainsim.render.present_splats import PresentSplats
 from rainsim.render.wet_ground import blurred_grass
-from rainsim.scene.actors import joined
 from rainsim.scene.cameras import MIRROR_CLEARANCE, cropped, mirrored_camera
 from rainsim.scene.view import view_of
 from rainsim.shading import environment, sky, wetness
@@ -149,7 +148,8 @@ class WetScene:
             self._skylines = skylines(self.scene, self.prepared, first_camera, self.near)
         self._tracks = NO_TRACKS
         self._place = np.array(terrain.grid.origin, np.float32), np.float32(terrain.grid.spacing)
-        self._standing = self._captured = self.tracer = None  # made when they are first asked for
+        self._standing = self._captured = self._captured_merger = None  # made when asked for
+        self.tracer = None
         self.notes.append(about_albedo)
         dull = DULL_EXPOSURE * config.render.daylight
         self.day = day_sky(config.render, zenith_radiance(self.albedo, dull))
@@ -294,14 +294,16 @@ class WetScene:
 
     def _captured_splats(self):
         """Return what draws all splats as captured, those of the sky included."""
-        splats = self.backdrop.whole.splats
-        if self.nodes is not None and self.nodes.splats is not None:
-            return self._rasterizer_of(prepare(joined([splats, self.nodes.splats])))
         if self._captured is None:
-            whole = prepare(splats)
+            whole = prepare(self.backdrop.whole.splats)
+            if self.nodes is not None:
+                self._captured_merger = self.nodes.merger_of(whole)
+                whole = self._captured_merger.static
             self._captured = self._rasterizer_of(
                 Detail(whole, self._sides).drawn if self.merge else whole
             )
+        if self.nodes is not None:
+            self._captured.put_nodes(self.nodes.merged(self._captured_merger))
         return self._captured
 
     def picture(self, camera, timer, cover=NO_COVER):

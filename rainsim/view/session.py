@@ -23,6 +23,7 @@ from rainsim.render.wet_scene import NEAR
 from rainsim.scene.camera_path import camera_path_data, path_cameras
 from rainsim.scene.cameras import resize_to
 from rainsim.terrain.classify import painted_mask
+from rainsim.terrain.movers import with_movers
 from rainsim.terrain.pond import without_images
 from rainsim.view.redo import LIGHT, PARTS, PASSES, TERRAIN, WATER, out_of_date
 from rainsim.view.water import SharedWater
@@ -178,7 +179,7 @@ class Session:
         self._drawn_scene = without_images(self.scene, terrain)
 
     def _make_water(self, config, check):
-        self.water.restart(self.terrain, config)
+        self.water.restart(with_movers(self.terrain, self.scene), config)
 
     def _make_light(self, config, check):
         """Make the renderer with all its light; its passes come with it."""

@@ -1,7 +1,6 @@
 """Whole rainy frames of the twin in the simulator, against the CPU's."""
 
 import dataclasses
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,7 +16,7 @@ from rainsim.pipeline import extract_terrain, simulate
 from rainsim.render import aov
 from rainsim.render import renderer as rendering
 from rainsim.render.wet_scene import WetScene
-from scenes import moving_scene, tiny_scene
+from scenes import tiny_scene
 
 assert simulated()
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
@@ -174,15 +173,6 @@ def test_layers_are_those_of_the_cpu():
         assert np.mean(difference > 1e-2 * max(np.abs(layer[far]).max(), 1e-6)) < 0.02, name
     assert found.aovs["coverage"].max() > 0.5 and found.aovs["rain_alpha"].max() > 0
     np.testing.assert_array_equal(renderer.draw(camera, state)[0], plain)
-
-
-def test_scenes_with_nodes_are_refused():
-    scene = moving_scene()
-    ground = SimpleNamespace(movers=(1,))
-    with pytest.raises(ParameterError, match="1 moving nodes; backend cuda"):
-        twin.Renderer(scene, ground, config(), scene.cameras[0])
-    with pytest.raises(ParameterError, match="1 moving nodes; backend cuda"):
-        next(iter(cuda_simulation.simulate(ground, config())))
 
 
 def test_looks_that_only_the_cpu_draws_are_refused():

@@ -9,8 +9,8 @@ from rainsim import raster
 from rainsim.cuda import raster as twin
 from rainsim.cuda import simulated
 from rainsim.cuda.jit import cuda
-from rainsim.cuda.splatting import device_splats
-from rainsim.cuda.splatting.device_splats import ROW, DeviceSplats
+from rainsim.cuda.splatting import prepared as on_device
+from rainsim.cuda.splatting.prepared import ROW, DeviceSplats
 from rainsim.errors import ParameterError
 from rainsim.scene.types import Camera, Splats
 from rainsim.splatting.detail import Detail
@@ -100,7 +100,7 @@ def test_hits_are_those_of_the_cpu(monkeypatch):
     assert len(np.unique(found.hit)) > 20
     empty = twin.rasterize(raster.prepare(cloud(2)), camera(), 0.2, hit=True).hit
     assert (empty == -1).mean() > 0.5
-    monkeypatch.setattr(device_splats, "MOST_NUMBERS", 256)
+    monkeypatch.setattr(on_device, "MOST_NUMBERS", 256)
     with pytest.raises(ParameterError, match=r"hit .* backend cpu"):
         twin.rasterize(prepared, camera(), 0.2, hit=True)
 

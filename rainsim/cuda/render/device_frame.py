@@ -17,7 +17,7 @@ from rainsim.cuda.particles.drop_radiance import DropLight
 from rainsim.cuda.reflection import ray_water, screen_space, water_shading, wet_tops
 from rainsim.cuda.reflection.planar_mirror import Mirrors
 from rainsim.cuda.reflection.water_surface import WaterSurface
-from rainsim.cuda.render.moving_nodes import MovingNodes
+from rainsim.cuda.render.nodes import MovingNodes
 from rainsim.cuda.render.rain_pass import RainPass
 from rainsim.cuda.shading import wet_pass
 from rainsim.cuda.shading.composite import compose

@@ -17,7 +17,7 @@ from rainsim.cuda.raster import Rasterizer
 from rainsim.cuda.render.aov import AovReader
 from rainsim.cuda.render.device_frame import DeviceFrame
 from rainsim.cuda.render.frame_queue import FrameQueue
-from rainsim.cuda.splatting.device_splats import DeviceSplats
+from rainsim.cuda.splatting.prepared import DeviceSplats
 from rainsim.cuda.timing import part_times
 from rainsim.errors import ParameterError
 from rainsim.render import renderer as host

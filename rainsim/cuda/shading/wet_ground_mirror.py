@@ -17,7 +17,7 @@ from rainsim.cuda.frame_uniforms import FrameUniforms
 from rainsim.cuda.jit import cuda, cuda_device, cuda_kernel
 from rainsim.cuda.raster import Rasterizer
 from rainsim.cuda.shading.wet_pass import BLOCK, blocks
-from rainsim.cuda.splatting.device_splats import DeviceSplats
+from rainsim.cuda.splatting.prepared import DeviceSplats
 from rainsim.numerics.ripmap import LEVELS
 from rainsim.scene.cameras import mirrored_camera
 from rainsim.scene.view import view_from, view_of

@@ -1,4 +1,4 @@
-"""Nodes of a scene on the device: for each frame what has moved is sent, and nothing else.
+"""Twin of `render.nodes`: for each frame what has moved is sent to the device, nothing else.
 
 The host puts the nodes, finds the map that drops meet, what bodies shelter and what tyres throw, as
 for frames of the CPU; the static set stays where it is. The water is that of the CPU's simulation.

@@ -1,4 +1,4 @@
-"""Prepared splats in the memory of a device, and room for those of nodes before them.
+"""Twin of `splatting.prepared`: splats on a device, and room for those of nodes before them.
 
 The static set is sent once. For each moment only the nodes' chunks are sent, into the room that
 lies before it, as `rainsim.splatting.merged` has it on the host; the room's other chunks are never

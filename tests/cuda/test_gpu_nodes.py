@@ -1,0 +1,190 @@
+"""Scenes with nodes on a real GPU: `pytest -m gpu tests/cuda/test_gpu_nodes.py`."""
+
+import dataclasses
+import itertools
+import time
+
+import numpy as np
+import pytest
+
+from rainsim import pipeline
+from rainsim.config.settings import Config
+from rainsim.render.renderer import Renderer as OnCpu
+from rainsim.scene.cameras import resize_to
+from rainsim.scene.library import load_scene
+from rainsim.terrain.movers import with_movers
+from scenes import moving_scene
+
+pytestmark = pytest.mark.gpu
+CONFIG = Config.from_preset("downpour").replace(past=6e-3, extent=1.0, spacing=0.025, width=320)
+BEHIND = 12  # frame at whose time, 0.5 s, the box stands behind the puddle
+LABELS = ("actor_id", "flow", "flow_mask", "depth", "class_id")
+STREET = Config.from_preset("downpour").replace(width=320, frames=6)
+
+
+def decibel(a, b, most=255):
+    error = np.mean((np.asarray(a, float) - np.asarray(b, float)) ** 2) / most**2
+    return -10 * np.log10(max(error, 1e-12))
+
+
+@pytest.fixture(scope="module")
+def on_gpu():
+    from rainsim.cuda.render.renderer import Renderer
+
+    return Renderer
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return moving_scene()
+
+
+@pytest.fixture(scope="module")
+def terrain(scene):
+    return with_movers(pipeline.extract_terrain(scene, CONFIG), scene)
+
+
+@pytest.fixture(scope="module")
+def states(terrain):
+    """The water up to the frame BEHIND."""
+    return list(itertools.islice(pipeline.simulate(terrain, CONFIG), BEHIND + 1))
+
+
+@pytest.fixture(scope="module")
+def camera(scene):
+    return scene.cameras[0].resized(320, 240)
+
+
+def test_frames_of_a_moving_box_are_those_of_the_cpu(on_gpu, scene, terrain, states, camera):
+    cpu, gpu = (make(scene, terrain, CONFIG, camera) for make in (OnCpu, on_gpu))
+    first = None
+    for index in (0, BEHIND // 2, BEHIND):
+        wanted, report = cpu.draw(camera, states[index], None, LABELS)
+        found, labels = gpu.draw(camera, states[index], None, LABELS)
+        first = found.copy() if first is None else first
+        assert decibel(found, wanted) > 45
+        mine, theirs = labels.aovs, report.aovs
+        assert (mine["actor_id"] == theirs["actor_id"]).mean() > 0.999
+        assert (theirs["actor_id"] == 1).sum() > 1000
+        assert (mine["class_id"] == theirs["class_id"]).mean() > 0.995
+        seen = (mine["flow_mask"] == 1) & (theirs["flow_mask"] == 1) & (theirs["actor_id"] == 1)
+        error = np.linalg.norm(mine["flow"] - theirs["flow"], axis=-1)
+        assert seen.sum() > 1000 and np.percentile(error[seen], 99) < 0.5
+        assert np.linalg.norm(theirs["flow"], axis=-1)[seen].min() > 1
+        (a,), (b,) = labels.facts["actors"], report.facts["actors"]
+        np.testing.assert_allclose(a["box2d_seen"], b["box2d_seen"], atol=1.0)
+        assert a["box2d"] == b["box2d"] and a["box3d"] == b["box3d"]
+    assert decibel(first, found) < 30  # it has moved
+    again = gpu.draw(dataclasses.replace(camera), states[0])[0]
+    np.testing.assert_array_equal(again, first)  # nothing of other moments is left
+
+
+def test_a_boxs_mirror_image_lies_where_the_traced_one_does(on_gpu, scene, terrain, states, camera):
+    """At the CPU's limits: 28 dB over the pixels of water, and over those of the image."""
+    calm = CONFIG.replace(rate=0.0)
+    state = dataclasses.replace(states[BEHIND], slopes=np.zeros_like(states[BEHIND].slopes))
+    bare = dataclasses.replace(scene, actors=())
+    light = {}
+    for name, one, make, settings in (
+        ("gpu", scene, on_gpu, calm), ("traced", scene, OnCpu, calm.replace(reflections="traced")),
+        ("without", bare, OnCpu, calm),
+    ):  # fmt: skip
+        own = terrain if one is scene else dataclasses.replace(terrain, movers=())
+        renderer = make(one, own, settings, camera)
+        _, report = renderer.draw(camera, state, None, ("reflection", "coverage"))
+        light[name], water = report.aovs["reflection"], report.aovs["coverage"] > 0.5
+    image = water & (np.abs(light["traced"] - light["without"]).max(axis=-1) > 0.05)
+    assert image.sum() > 500
+    for where in (water, image):
+        assert decibel(light["gpu"][where], light["traced"][where], 1) > 28
+    assert decibel(light["without"][image], light["traced"][image], 1) < 15
+
+
+def test_a_film_of_nodes_is_its_frames_and_sends_the_static_set_once(
+    on_gpu, scene, terrain, states, camera, monkeypatch
+):
+    from rainsim.cuda.splatting.prepared import DeviceSplats
+
+    shots = [(camera, state, None) for state in states[:6]]
+    alone = on_gpu(scene, terrain, CONFIG, camera)
+    wanted = [alone.draw(*shot)[0].copy() for shot in shots]
+    renderer, sent = on_gpu(scene, terrain, CONFIG, camera), []
+    send = DeviceSplats._send_harmonics
+    monkeypatch.setattr(
+        DeviceSplats, "_send_harmonics",
+        lambda self, prepared, count, place: (
+            sent.append(place + count <= self.room), send(self, prepared, count, place)
+        ),
+    )  # fmt: skip
+    found = [picture.copy() for picture, _ in renderer.film(shots)]
+    np.testing.assert_array_equal(found, wanted)
+    assert (found[2] != found[3]).any()
+    assert sent and all(sent)  # to the room of the nodes, before the static set
+    (latest,) = on_gpu(scene, terrain, CONFIG, camera).film(shots[5:])
+    np.testing.assert_array_equal(latest[0], wanted[5])  # alone as in sequence
+
+
+def test_nodes_that_are_away_change_no_byte(on_gpu, scene, terrain, states, camera):
+    pictures = []
+    for one in (dataclasses.replace(scene, actors=()), moving_scene(visible=(False, False)), scene):
+        own = with_movers(dataclasses.replace(terrain, movers=()), one)
+        renderer = on_gpu(one, own, CONFIG, camera)
+        pictures.append(renderer.draw(camera, states[BEHIND])[0].copy())
+    np.testing.assert_array_equal(pictures[0], pictures[1])
+    assert (pictures[0] != pictures[2]).any(axis=-1).sum() > 1500
+
+
+def test_the_streets_traffic_and_its_spray_are_those_of_the_cpu(on_gpu, capsys):
+    """A downpour on the flooded street, a moving camera: cars, labels, drops and clouds."""
+    scene = load_scene("traffic")
+    settings = STREET.replace(level=0.08)
+    cameras = [resize_to(camera, 320) for camera in scene.cameras]
+    terrain = with_movers(pipeline.extract_terrain(scene, settings), scene)
+    names = (*LABELS, "rain_alpha", "splash_alpha")
+    wanted, times = [], {}
+    states = list(itertools.islice(pipeline.simulate(terrain, settings), settings.frames))
+    assert max(len(state.throws) for state in states) > 0
+    for name, make in (("cpu", OnCpu), ("gpu", on_gpu)):
+        renderer = make(scene, terrain, settings, cameras[0])
+        path = list(zip(cameras, states, strict=False))
+        for index, (camera, state) in enumerate(path):
+            picture, report = renderer.draw(camera, state, None, names)
+            if name == "cpu":
+                wanted.append((picture.copy(), report))
+                continue
+            other, theirs = wanted[index]
+            assert decibel(picture, other) > 40, index
+            mine, theirs = report.aovs, theirs.aovs
+            assert (mine["actor_id"] == theirs["actor_id"]).mean() > 0.999, index
+            assert (theirs["actor_id"] > 0).sum() > 300
+            for layer in ("rain_alpha", "splash_alpha"):
+                assert decibel(mine[layer], theirs[layer], 1) > 40, (index, layer)
+        begin = time.perf_counter()
+        for _ in renderer.film([(camera, state, None) for camera, state in path]):
+            pass
+        times[name] = (time.perf_counter() - begin) / len(path)
+    # The spray is in these pictures.
+    plain = OnCpu(scene, terrain, settings, cameras[0])
+    last, empty = path[-1][1], np.zeros((0, path[-1][1].throws.shape[1]))
+    dry = dataclasses.replace(last, throws=empty, throw_id=last.throw_id[:0])
+    _, report = plain.draw(path[-1][0], dry, None, ("rain_alpha",))
+    without = report.aovs["rain_alpha"]
+    assert decibel(without, wanted[-1][1].aovs["rain_alpha"], 1) < 35
+    with capsys.disabled():
+        print(f"\ntraffic, 320 px, ms a frame without the water's step: "
+              f"{1e3 * times['cpu']:.1f} cpu, {1e3 * times['gpu']:.1f} gpu")  # fmt: skip
+
+
+def test_the_sequence_of_a_run_takes_the_backend(scene):
+    """As `rainsim run --backend cuda` calls it; frames by themselves and in one go."""
+    camera = scene.cameras[0].resized(320, 240)
+    ground = pipeline.extract_terrain(scene, CONFIG)
+
+    def frames(indices, backend="cuda"):
+        sequence = pipeline.FrameSequence(scene, ground, [camera], CONFIG, backend)
+        return {report.index: picture.copy() for picture, report in sequence.frames(indices)}
+
+    together, wanted = frames([0, 2, 3]), frames([3], "cpu")
+    np.testing.assert_array_equal(frames([3])[3], together[3])
+    assert decibel(together[3], wanted[3]) > 45
+    assert (together[2] != together[3]).any()
