@@ -142,19 +142,21 @@ class RainPass:
         return parts + [each.launch for each in (self.streaks, self.splashes) if each is not None]
 
     def queue(self, beside, aside, joined):
-        """Queue streaks on one stream and what splashes on another; `beside` waits for both."""
-        if self.streaks is None:
-            return
-        self.streaks.launch(beside)
-        if self.splashes is None:
-            return
-        self.streaks.sent.wait(aside)
-        if self.impacts is not None:
-            self.impacts.launch(aside)
-        self.splashes.gather(aside)
+        """Queue streaks on one stream and what splashes on another; `beside` waits for both.
+
+        Also for what else lies on the other one.
+        """
+        if self.streaks is not None:
+            self.streaks.launch(beside)
+        if self.splashes is not None:
+            self.streaks.sent.wait(aside)
+            if self.impacts is not None:
+                self.impacts.launch(aside)
+            self.splashes.gather(aside)
         joined.record(aside)
         joined.wait(beside)
-        self.splashes.draw(beside)
+        if self.splashes is not None:
+            self.splashes.draw(beside)
 
     def count_lines(self):
         """Queue the copy of the number of splash lines, by which the host makes room."""
