@@ -134,6 +134,26 @@ def test_nodes_that_are_away_change_no_byte(on_gpu, scene, terrain, states, came
     assert (pictures[0] != pictures[2]).any(axis=-1).sum() > 1500
 
 
+def test_a_parked_boxs_water_stays_on_the_device(on_gpu, terrain, camera):
+    """It is sent once; the simulation is the device's."""
+    from rainsim.cuda.simulation import DeviceState, simulate
+
+    parked = moving_scene(way=((0.3, 0.35, 0.4),), visible=(True,))
+    ground = pipeline.extract_terrain(dataclasses.replace(parked, actors=()), CONFIG)
+    ground = with_movers(ground, parked)
+    assert ground.movers == () and (ground.top - terrain.top).max() > 0.2
+    cpu, gpu = (make(parked, ground, CONFIG, camera) for make in (OnCpu, on_gpu))
+    state = next(iter(pipeline.simulate(ground, CONFIG)))
+    assert decibel(gpu.draw(camera, state)[0], cpu.draw(camera, state)[0]) > 45
+    own, renderer = simulate(ground, CONFIG), on_gpu(parked, ground, CONFIG, camera)
+    states = list(itertools.islice(own, 1))
+    assert isinstance(states[0], DeviceState)
+    shots = ((camera, state, None) for state in itertools.chain(states, itertools.islice(own, 3)))
+    pictures = [picture.copy() for picture, _ in renderer.film(shots)]
+    assert decibel(pictures[0], cpu.draw(camera, state)[0]) > 40
+    assert (pictures[2] != pictures[3]).any()
+
+
 def test_the_streets_traffic_and_its_spray_are_those_of_the_cpu(on_gpu, capsys):
     """A downpour on the flooded street, a moving camera: cars, labels, drops and clouds."""
     scene = load_scene("traffic")
