@@ -18,7 +18,7 @@ from rainsim.cuda.frame_uniforms import FrameUniforms
 from rainsim.cuda.jit import SIMULATED, cuda, pinned
 from rainsim.cuda.splatting import blend, project
 from rainsim.cuda.splatting.prepared import DeviceSplats
-from rainsim.errors import require_choice
+from rainsim.errors import ParameterError, require_choice
 from rainsim.splatting.prepared import LANES
 from rainsim.splatting.project import FRUSTUM_MARGIN, NO_PLANE, TILE
 
@@ -197,15 +197,19 @@ class Rasterizer:
 
     def draw(
         self, camera, near, plane=None, depth="expected", compensate=False, degree=None,
-        background=(0, 0, 0), hit=False, drop_last=False, leading=False, detail=0.0,
+        background=(0, 0, 0), hit=False, drop_last=False, leading=False, detail=0.0, among=None,
     ):  # fmt: skip
         """Return the `Layers` that `camera` sees, on the host; see `rainsim.raster`.
 
         Raises
         ------
         ParameterError
-            If hits are asked for of more splats than a float32 can number.
+            If hits are asked for of more splats than a float32 can number, or `among` is given.
         """
+        if among is not None:
+            raise ParameterError(
+                "backend cuda draws all chunks; parts of captures need the CPU; take backend cpu"
+            )
         if hit:
             self.splats.require_numbers()
         size = camera.height, camera.width

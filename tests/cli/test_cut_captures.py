@@ -50,8 +50,6 @@ def test_what_cannot_be_cut_or_drawn_is_refused_in_one_line(rainsim, model, tmp_
         ["import", "scene", "--lod", "--out", "again"],
         ["import", "scene/lod-meta.json", "--lod", "--out", "again"],
         ["import", "scene", "--out", "copy"],
-        ["splat", "scene", "--hit", "--out", "dry.npz"],
-        ["lidar", "scene", "--out", "points"],
         ["run", "--scene", "scene", "--detail", -1],
         ["run", "--scene", "scene", "--memory", 0],
     ):
