@@ -104,6 +104,7 @@ def test_a_given_sun_is_taken_and_a_wrong_one_refused(sunny):
     assert wrong.gain is None
 
 
+@pytest.mark.slow
 def test_a_part_of_a_large_capture_tells_where_the_sun_stood(sunny, monkeypatch):
     scene, whole = sunny[0], sunny[3]
     monkeypatch.setattr(relight, "SOUGHT", len(scene.splats) // 3)

@@ -101,7 +101,7 @@ def test_an_unfinished_run_is_gone_on_with_by_workers(tmp_path, client, whole): 
 @pytest.mark.parametrize(
     ("fault", "why"),
     [("die", "died"), ("garbage", "no picture of"), ("error", "disk of the worker is full"),
-     ("hang", "hung")],
+     pytest.param("hang", "hung", marks=pytest.mark.slow)],
 )  # fmt: skip
 def test_a_worker_that_fails_loses_nothing(tmp_path, client, whole, fault, why):  # noqa: F811
     limits = {"patience": 0.5, "first": 1.0} if fault == "hang" else {}

@@ -32,6 +32,7 @@ def plan():
     return LongStreet(1000.0, SEED, None)
 
 
+@pytest.mark.slow
 def test_same_street_every_time_and_another_of_another_length(street):
     pieces = list(LongStreet(LENGTH, SEED, _no_leaves).pieces())
     again = list(LongStreet(LENGTH, SEED, _no_leaves).pieces())
