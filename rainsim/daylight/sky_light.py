@@ -56,8 +56,7 @@ def clear(directions, sun):
     sun : ndarray of shape (3,)
         Unit, towards the sun.
     """
-    sine = np.maximum(directions[:, 2], 0.01)
-    angle = np.arccos(np.clip(directions @ sun, -1, 1))
+    sine, angle = _places(directions, sun)
     around = 1 + 10 * (np.exp(-3 * angle) - np.exp(-3 * np.pi / 2)) + 0.45 * np.cos(angle) ** 2
     return around * (1 - np.exp(-0.32 / sine))
 
@@ -77,8 +76,7 @@ def clear_color(directions, sun, turbidity=TURBIDITY):
     """
     high = np.arccos(np.clip(sun[2], 0.0, 1.0))
     powers = np.array([high**3, high**2, high, 1.0])
-    sine = np.maximum(directions[:, 2], 0.01)
-    angle = np.arccos(np.clip(directions @ sun, -1, 1))
+    sine, angle = _places(directions, sun)
     x, y = (
         turbidity ** np.arange(3) @ (np.array(zenith) @ powers)
         * _perez(coefficients, turbidity, sine, angle) / _perez(coefficients, turbidity, 1.0, high)
@@ -86,6 +84,11 @@ def clear_color(directions, sun, turbidity=TURBIDITY):
     )  # fmt: skip
     color = np.stack([x / y, np.ones_like(x), (1 - x - y) / y], axis=-1) @ SRGB_OF_XYZ.T
     return np.maximum(color, 0)
+
+
+def _places(directions, sun):
+    """Return the sine of each direction's elevation and its angle to the sun [rad]."""
+    return np.maximum(directions[:, 2], 0.01), np.arccos(np.clip(directions @ sun, -1, 1))
 
 
 def _perez(coefficients, turbidity, sine, angle):

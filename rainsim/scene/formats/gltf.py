@@ -17,7 +17,8 @@ from scipy.spatial.transform import Rotation
 from rainsim.errors import InputError, shown
 from rainsim.io.files import MAX_LENGTH, number_array
 from rainsim.scene.activate import activate, dropped_note, keep_good, require_believable
-from rainsim.scene.harmonics import padded, turned
+from rainsim.scene.actors import joined
+from rainsim.scene.harmonics import turned
 
 REMEDY = "it is damaged, export it again"
 EXTENSION = "KHR_gaussian_splatting"
@@ -96,8 +97,8 @@ def read_glb(path, max_broken):
     total = sum(_count(model, primitive) for primitive, _ in parts)
     require_believable(path, total, len(model.binary))
     notes = _notes(model, parts, others)
-    splats, good = _joined([_read(model, primitive, place) for primitive, place in parts])
-    splats, broken = keep_good(path, splats, good, max_broken)
+    read, good = zip(*(_read(model, *part) for part in parts), strict=True)
+    splats, broken = keep_good(path, joined(read), np.concatenate(good), max_broken)
     return splats, [*notes, *dropped_note(broken, len(splats))], broken
 
 
@@ -287,17 +288,6 @@ def _placed(turn, scale, rotation, scales):
         scale[own] = sizes
     turn[own] = np.roll(Rotation.from_matrix(matrices).as_quat(), 1, axis=1)
     return turn, scale
-
-
-def _joined(parts):
-    """Return the Splats of several primitives as one, all of the highest degree, and the masks."""
-    from rainsim.scene.types import Splats
-
-    most = max(splats.sh.shape[1] for splats, _ in parts)
-    names = ("position", "rotation", "scale", "opacity")
-    columns = [np.concatenate([getattr(s, name) for s, _ in parts]) for name in names]
-    sh = np.concatenate([padded(splats.sh, most) for splats, _ in parts])
-    return Splats(*columns, sh), np.concatenate([good for _, good in parts])
 
 
 # --- accessors ------------------------------------------------------------------------------------
