@@ -14,10 +14,18 @@ from typing import NamedTuple
 import numpy as np
 
 from rainsim.constants import FAR_AWAY, HALF, ONE, ZERO
-from rainsim.jit import cpu_kernel, inlined_function, lean_function, prange
+from rainsim.jit import (
+    TAKERS,
+    cpu_kernel,
+    inlined_function,
+    lean_function,
+    none_taken,
+    prange,
+    take_next,
+)
 from rainsim.numerics.approximations import exp_minus
 from rainsim.numerics.random import subkey, uniform_triple
-from rainsim.particles.line_raster import DEPTH_TILE, FAINTEST, NEAR
+from rainsim.particles.line_raster import FAINTEST, NEAR
 from rainsim.rain.tyres import (
     FLIGHT,
     Puffs,
@@ -36,10 +44,9 @@ FIRST_SPREAD, SPREAD, MOST_SPREAD = 0.02, 0.06, 0.25  # m, 1, m: deviation of a 
 # around its middle: at the tyre, over the way flown, at most; assumptions
 UNEVEN = 0.15  # of the velocity: deviation from drop to drop of a parcel; an assumption
 THINNEST = 2e-4  # optical depth of a puff's middle; what is less shows in no picture
+ROWS = 8  # of a picture that a thread takes at a time
 CUT = 3.0  # deviations at which a puff ends: 1 % of its mass lies beyond along a line of sight
 _LOGISTIC = np.float32(1.702)  # the normal distribution as a logistic one, to 0.01
-_CERTAIN, _MOST = np.float32(7.0), np.float32(60.0)  # where that is 0 or 1 to a thousandth; where
-# its exponential ends
 _PER_TWO_PI = np.float32(0.5 / math.pi)
 
 
@@ -163,22 +170,29 @@ def cloud_table(puffs, camera):
 def _lay_clouds(puffs, lens, depth, alpha_out):
     """See `lay_clouds`; `puffs` is a `cloud_table`."""
     height, width = alpha_out.shape
-    bands = (height + DEPTH_TILE - 1) // DEPTH_TILE
-    for band in prange(bands):
-        first, end = band * DEPTH_TILE, min((band + 1) * DEPTH_TILE, height)
-        optical = np.zeros((end - first, width), np.float32)
-        for n in range(puffs.shape[0]):
-            _add_cloud(puffs[n], lens, first, end, depth, optical)
-        for row in range(first, end):
-            for k in range(width):
-                through = exp_minus(optical[row - first, k])
-                alpha_out[row, k] = ONE - (ONE - alpha_out[row, k]) * through
+    bands = (height + ROWS - 1) // ROWS
+    taken = none_taken()  # clouds stand close together: some bands have most of them
+    for _taker in prange(TAKERS):
+        band = take_next(taken)
+        if band >= bands:
+            continue
+        optical = np.empty((ROWS, width), np.float32)
+        while band < bands:
+            first, end = band * ROWS, min((band + 1) * ROWS, height)
+            optical[:] = ZERO
+            for n in range(puffs.shape[0]):
+                _add_cloud(puffs, n, lens, first, end, depth, optical)
+            for row in range(first, end):
+                for k in range(width):
+                    through = exp_minus(optical[row - first, k])
+                    alpha_out[row, k] = ONE - (ONE - alpha_out[row, k]) * through
+            band = take_next(taken)
 
 
 @lean_function
-def _add_cloud(puff, lens, first, end, depth, optical_out):
+def _add_cloud(puffs, n, lens, first, end, depth, optical_out):
     """Add the optical depth of one Gaussian cloud to a band of rows, see `cloud_thickness`."""
-    x, y, z, deviation, section = puff[0], puff[1], puff[2], puff[3], puff[4]
+    x, y, z, deviation, section = puffs[n, 0], puffs[n, 1], puffs[n, 2], puffs[n, 3], puffs[n, 4]
     reach = np.float32(CUT) * deviation
     nearest = z - reach
     width = np.float32(depth.shape[1])
@@ -195,11 +209,20 @@ def _add_cloud(puff, lens, first, end, depth, optical_out):
     if top >= bottom or left >= right:
         return
     cloud = cloud_of(x, y, z, deviation, section)
-    for row in range(int(top), min(int(bottom) + 1, end)):
+    # Whole numbers without a sign: an index that may be negative keeps LLVM from vectorising.
+    begin, stop = np.uint32(max(left, ZERO)), np.uint32(min(int(right) + 1, depth.shape[1]))
+    per_x = ONE / lens[0]
+    for row in range(np.uint32(top), np.uint32(min(int(bottom) + 1, end))):
         b = (np.float32(row) + HALF - lens[3]) / lens[1]
-        for k in range(int(left), min(int(right) + 1, depth.shape[1])):
-            a = (np.float32(k) + HALF - lens[2]) / lens[0]
-            optical_out[row - first, k] += cloud_thickness(a, b, depth[row, k], cloud)
+        line = np.uint32(row - first)
+        if cloud.nearest < ZERO:
+            for k in range(begin, stop):
+                a = (np.float32(np.int32(k)) + HALF - lens[2]) * per_x
+                optical_out[line, k] += cloud_thickness(a, b, depth[row, k], cloud, True)
+        else:
+            for k in range(begin, stop):
+                a = (np.float32(np.int32(k)) + HALF - lens[2]) * per_x
+                optical_out[line, k] += cloud_thickness(a, b, depth[row, k], cloud, False)
 
 
 class Cloud(NamedTuple):
@@ -229,23 +252,34 @@ def cloud_of(x, y, z, deviation, section):
 
 
 @inlined_function
-def cloud_thickness(a, b, depth, cloud):
+def passes_beside(a, b, cloud):
+    """Return whether the ray (a, b, 1) passes a cloud farther away than `CUT` deviations."""
+    towards = a * cloud.x + b * cloud.y + cloud.z
+    return towards * towards < cloud.clear * (ONE + a * a + b * b)
+
+
+@inlined_function
+def cloud_thickness(a, b, depth, cloud, around):
     """Return the optical depth of a cloud along the ray (a, b, 1) up to a depth [m].
 
     Along a ray that passes it at the distance b it is S / (2 pi s^2) exp(-b^2 / (2 s^2)) times the
-    share of the mass before what the pixel shows, S the cross-section and s the deviation.
+    share of the mass before what the pixel shows, S the cross-section and s the deviation; 0 where
+    the ray `passes_beside`. `around` says that the camera may have some of the cloud behind it,
+    which is left out. Without branches, so that a processor does many pixels at once.
     """
-    towards, stretch = a * cloud.x + b * cloud.y + cloud.z, ONE + a * a + b * b
-    if towards * towards < cloud.clear * stretch:  # it passes beside the cloud
-        return ZERO
-    long = math.sqrt(stretch)
-    along = towards / long
+    long = math.sqrt(ONE + a * a + b * b)
+    along = (a * cloud.x + b * cloud.y + cloud.z) / long
     aside = max(cloud.square - along * along, ZERO)
-    past = (min(depth, FAR_AWAY) * long - along) * cloud.steep
-    if past < -_CERTAIN:
-        return ZERO
-    share = ONE if past > _CERTAIN else ONE / (ONE + math.exp(-past))
-    if cloud.nearest < ZERO:  # the camera may have some of the cloud behind it
-        share -= ONE / (ONE + math.exp(min(cloud.steep * along, _MOST)))
-    thickness = cloud.most * exp_minus(aside * cloud.per_two_variances)
-    return thickness * max(share, ZERO)
+    share = _logistic((min(depth, FAR_AWAY) * long - along) * cloud.steep)
+    if around:
+        share -= _logistic(-cloud.steep * along)
+    thickness = cloud.most * exp_minus(aside * cloud.per_two_variances) * max(share, ZERO)
+    return ZERO if passes_beside(a, b, cloud) else thickness
+
+
+@inlined_function
+def _logistic(x):
+    """Return 1 / (1 + exp(-x)) within 3e-6 of it."""
+    e = exp_minus(abs(x))
+    part = ONE / (ONE + e)
+    return part if x > ZERO else e * part

@@ -14,7 +14,13 @@ from rainsim.cuda.jit import SIMULATED, cuda, cuda_kernel
 from rainsim.cuda.particles.splash_pass import draw_list
 from rainsim.cuda.warp import GROUPS
 from rainsim.numerics.approximations import exp_minus
-from rainsim.particles.spray import MOST_DRAWN, cloud_of, cloud_table, cloud_thickness
+from rainsim.particles.spray import (
+    MOST_DRAWN,
+    cloud_of,
+    cloud_table,
+    cloud_thickness,
+    passes_beside,
+)
 
 BLOCK = (8, 4) if SIMULATED else (32, 8)  # threads, one a pixel
 ROOM = 1024  # clouds that there is room for at first
@@ -42,7 +48,8 @@ def lay_clouds(many, clouds, lens, depth, alpha_out):
     deep, optical = depth[row, column], ZERO
     for n in range(many[0]):
         cloud = cloud_of(clouds[n, 0], clouds[n, 1], clouds[n, 2], clouds[n, 3], clouds[n, 4])
-        optical += cloud_thickness(a, b, deep, cloud)
+        if not passes_beside(a, b, cloud):
+            optical += cloud_thickness(a, b, deep, cloud, cloud.nearest < ZERO)
     if optical > ZERO:
         alpha_out[row, column] = ONE - (ONE - alpha_out[row, column]) * exp_minus(optical)
 
