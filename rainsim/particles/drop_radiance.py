@@ -8,6 +8,11 @@ bright as the mean of what lies far around and behind it, and hardly as what is 
 before the sky it is as bright as the sky, before dark ground it still shows some sky. What a face
 throws back comes from everywhere.
 
+Where a drop hangs decides what it shows: under a table it shows legs and paving. The frame's own
+picture and its depth, coarsened, tell where a ray that leaves the drop ends; rays that leave the
+picture show the surroundings of the first camera. The drops of a pixel hang at all depths; they
+count as halfway to what the pixel shows.
+
 Half of a splash is taken for drops: its rim and droplets. The other half is sheets, whose faces
 stand up: seen from the side they mirror and let through the light of the sky and of all around,
 seen from above the dark ground beside them.
@@ -16,15 +21,20 @@ seen from above the dark ground beside them.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
-from rainsim.constants import ONE, ZERO
-from rainsim.jit import inlined_function, serial_kernel
+from rainsim.constants import HALF, ONE, ZERO
+from rainsim.jit import cpu_kernel, inlined_function, prange, serial_kernel
+from rainsim.numerics.interpolation import bilinear, bilinear_color
 from rainsim.shading.environment import directions, sample_environment
 from rainsim.shading.fresnel import fresnel
 
-GRID = (7, 9)  # places over a picture, from edge to edge, between which the light is interpolated
+GRID = (9, 13)  # places over a picture, from edge to edge, between which the light is interpolated
+CELLS = (20, 30)  # of the coarse picture that rays from drops end in; finer ones gain nothing
+MIDST = np.float32(4.0)  # m, mean depth of drops before what is far: they are drawn up to 8 m
+AHEAD = np.float32(0.05)  # cosine to the view axis from which on a ray may end in the picture
 # Of the light of a splash's sheets: what makes the drawn splash add as much light as path-traced
 # crowns do, seen 8 to 75 degrees from above. Six of them, 3 to 9 ms old, of drops of 2.5 and 4 mm,
 # over beds from a thirtieth to a third as bright as the zenith; see tests/unit/test_mitsuba_rain.
@@ -46,7 +56,21 @@ def mean_radiance(environment):
     return (np.einsum("ij,ijc->c", area, environment) / area.sum()).astype(np.float32)
 
 
-def falling_light(environment, everywhere, ground_from_camera, lens, width, height):
+class Behind(NamedTuple):
+    """What a camera sees behind its drops, in `CELLS` cells; read-only."""
+
+    radiance: np.ndarray  # (20, 30, 3) float32, mean of each cell
+    nearness: np.ndarray  # (20, 30) float32 [1/m], mean of one over the depth
+
+
+def coarse_picture(picture, depth):
+    """Return the `Behind` of a picture (height, width, 3) and its depth (height, width) [m]."""
+    behind = Behind(np.empty((*CELLS, 3), np.float32), np.empty(CELLS, np.float32))
+    _coarsen(picture, depth, *behind)
+    return behind
+
+
+def falling_light(environment, everywhere, ground_from_camera, lens, picture, depth):
     """Return the radiance of drops and of the sheets of splashes over a camera's picture.
 
     At places from edge to edge; between them it is interpolated, see `shading.composite.compose`.
@@ -59,15 +83,18 @@ def falling_light(environment, everywhere, ground_from_camera, lens, width, heig
         Its mean, see `mean_radiance`.
     ground_from_camera : ndarray of shape (3, 3), float32
     lens : ndarray of shape (4,), float32 [px]
-    width, height : int [px]
+    picture : ndarray of shape (height, width, 3), float32
+        Radiance of what the camera sees without rain.
+    depth : ndarray of shape (height, width), float32 [m]
 
     Returns
     -------
-    drops, sheets : ndarray of shape (7, 9, 3), float32
+    drops, sheets : ndarray of shape (9, 13, 3), float32
     """
     drops, sheets = np.empty((2, *GRID, 3), np.float32)
-    size = np.array([width, height], np.float32)
-    _fill(environment, everywhere, ground_from_camera, lens, size, drops, sheets)
+    size = np.array(depth.shape[::-1], np.float32)
+    behind = coarse_picture(picture, depth)
+    _fill(environment, behind, everywhere, ground_from_camera, lens, size, drops, sheets)
     return drops, sheets
 
 
@@ -106,10 +133,52 @@ def sheet_light(m, sight, drop, everywhere):
 
 
 @inlined_function
-def refracted(environment, m, sight, ring, turn):
+def cell_edges(number, cells, pixels):
+    """Return the first pixel of a cell and the one after its last; no cell is empty."""
+    first = number * pixels // cells
+    return first, max((number + 1) * pixels // cells, first + 1)
+
+
+@inlined_function
+def cell_place(a, b, lens, size):
+    """Return the column and row of the coarse picture, cells whole, where tangents (a, b) lie."""
+    rows, columns = CELLS
+    u = (a * lens[0] + lens[2]) / size[0] * np.float32(columns)
+    v = (b * lens[1] + lens[3]) / size[1] * np.float32(rows)
+    return u, v
+
+
+@inlined_function
+def drop_depth(nearness, sight, lens, size):
+    """Return the depth [m] at which the drops before a place of the grid count as hanging."""
+    u, v = cell_place(sight[0], sight[1], lens, size)
+    return HALF / max(bilinear(nearness, u - HALF, v - HALF), HALF / MIDST)
+
+
+@inlined_function
+def ray_end(nearness, sight, lens, size, z, u, v, w):
+    """Return where in the coarse picture a ray ends, and whether it does at all.
+
+    The ray leaves a drop at depth z on the line of sight `sight` in the direction (u, v, w) of
+    the camera frame. Were what it meets infinitely far, it would end where (u, v, w) vanishes; how
+    near that place is says by which share of the way to it the ray comes.
+    """
+    a, b = sight[0], sight[1]
+    w = max(w, AHEAD)
+    x, y = u / w, v / w
+    column, row = cell_place(x, y, lens, size)
+    share = max(ONE - z * bilinear(nearness, column - HALF, row - HALF), ZERO)
+    column, row = cell_place(a + (x - a) * share, b + (y - b) * share, lens, size)
+    rows, columns = CELLS
+    ends = w > AHEAD and ZERO < column < np.float32(columns) and ZERO < row < np.float32(rows)
+    return column, row, ends
+
+
+@inlined_function
+def refracted(environment, behind, m, lens, size, sight, z, ring, turn):
     """Return the light (r, g, b) that leaves a drop's disc at a ring and a turn of it.
 
-    `m` is ground_from_camera, `sight` the drop's `line_of_sight`.
+    `m` is ground_from_camera, `sight` the drop's `line_of_sight`, z its `drop_depth` [m].
     """
     a, b, inv = sight
     # Across the line of sight: two unit vectors of the camera frame.
@@ -119,27 +188,57 @@ def refracted(environment, m, sight, ring, turn):
     c, s, through = BEND_COSINE[ring] * inv, BEND_SINE[ring], THROUGH[ring]
     p, q = s * TURN_COSINE[turn], s * TURN_SINE[turn]
     u, v, w = c * a + p * px + q * qx, c * b + q * qy, c + p * pz + q * qz
-    red, green, blue = sample_environment(
-        environment,
-        m[0, 0] * u + m[0, 1] * v + m[0, 2] * w,
-        m[1, 0] * u + m[1, 1] * v + m[1, 2] * w,
-        m[2, 0] * u + m[2, 1] * v + m[2, 2] * w,
-    )
+    column, row, ends = ray_end(behind.nearness, sight, lens, size, z, u, v, w)
+    if ends:
+        red, green, blue = bilinear_color(behind.radiance, column, row)
+    else:
+        red, green, blue = sample_environment(
+            environment,
+            m[0, 0] * u + m[0, 1] * v + m[0, 2] * w,
+            m[1, 0] * u + m[1, 1] * v + m[1, 2] * w,
+            m[2, 0] * u + m[2, 1] * v + m[2, 2] * w,
+        )
     return through * red, through * green, through * blue
 
 
+@cpu_kernel
+def _coarsen(picture, depth, radiance_out, nearness_out):
+    """See `coarse_picture`."""
+    height, width = depth.shape
+    rows, columns = CELLS
+    for j in prange(rows):
+        top, end = cell_edges(j, rows, height)
+        for i in range(columns):
+            left, right = cell_edges(i, columns, width)
+            red, green, blue, near = ZERO, ZERO, ZERO, ZERO
+            for row in range(top, end):
+                for column in range(left, right):
+                    red += picture[row, column, 0]
+                    green += picture[row, column, 1]
+                    blue += picture[row, column, 2]
+                    near += ONE / depth[row, column]
+            share = ONE / np.float32((end - top) * (right - left))
+            radiance_out[j, i, 0] = red * share
+            radiance_out[j, i, 1] = green * share
+            radiance_out[j, i, 2] = blue * share
+            nearness_out[j, i] = near * share
+
+
 @serial_kernel
-def _fill(environment, everywhere, ground_from_camera, lens, size, drops_out, sheets_out):
+def _fill(environment, behind, everywhere, ground_from_camera, lens, size, drops_out, sheets_out):
     """See `falling_light`; so little work that threads would take longer to start."""
     rows, columns = GRID
     share = ONE / np.float32(RINGS * TURNS)
     for k in range(rows * columns):
         j, i = k // columns, k % columns
         sight = line_of_sight(lens, size, j, i)
+        z = drop_depth(behind.nearness, sight, lens, size)
         red, green, blue = ZERO, ZERO, ZERO
         for ring in range(RINGS):
             for turn in range(TURNS):
-                light = refracted(environment, ground_from_camera, sight, ring, turn)
+                light = refracted(
+                    environment, behind, ground_from_camera, lens, size, sight, z, ring, turn
+                )
                 red, green, blue = red + light[0], green + light[1], blue + light[2]
         drops_out[j, i, 0] = red * share + THROWN_BACK * everywhere[0]
         drops_out[j, i, 1] = green * share + THROWN_BACK * everywhere[1]

@@ -291,11 +291,12 @@ class Renderer:
             self.now.water.surface_film,
         )  # fmt: skip
 
-    def falling_light(self, view, camera):
-        """Return the light of drops and splashes in a picture: `drop_radiance.falling_light`."""
+    def falling_light(self, wet):
+        """Return the light of drops and splashes before a `WetPicture`, see `drop_radiance`."""
+        view = wet.view
         return drop_radiance.falling_light(
-            self.wet_scene.gloss, self.everywhere, view.ground_from_camera, view.lens, camera.width,
-            camera.height,
+            self.wet_scene.gloss, self.everywhere, view.ground_from_camera, view.lens, wet.picture,
+            wet.depth,
         )  # fmt: skip
 
     def mirrored(self, *place):
@@ -379,4 +380,4 @@ class Renderer:
         )
         timer.mark("film")
         self.water.look(self.wet)
-        self.drop_light = self.falling_light(self.wet.view, camera)
+        self.drop_light = self.falling_light(self.wet)

@@ -293,13 +293,17 @@ def test_light_of_drops_is_the_cpus():
     mean = drop_radiance.mean_radiance(around)
     turn = np.array([[0, 0, 1], [-1, 0, 0], [0, -1, 0]], np.float32)
     lens, size = np.array([90, 100, 60, 40], np.float32), np.array([120, 80], np.float32)
-    wanted = np.stack(drop_radiance.falling_light(around, mean, turn, lens, 120, 80))
+    picture = rng.uniform(0, 2, (80, 120, 3)).astype(np.float32)
+    depth = rng.uniform(1, 20, (80, 120)).astype(np.float32)
+    depth[:10] = np.inf
+    wanted = np.stack(drop_radiance.falling_light(around, mean, turn, lens, picture, depth))
     assert wanted.std() > 0.01 and np.abs(wanted[0] - wanted[1]).max() > 0.01
     uniforms = {"around": mean, "turn": turn, "lens": lens, "size": size}
     drops = cuda_drops.DropLight(
         SimpleNamespace(
             uniforms={name: cuda.to_device(value) for name, value in uniforms.items()},
-            gloss=cuda.to_device(around), stream=0,
+            gloss=cuda.to_device(around), picture=cuda.to_device(picture),
+            depth=cuda.to_device(depth), stream=0,
         )
     )  # fmt: skip
     for field in (drops.drops, drops.sheets):

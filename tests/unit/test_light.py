@@ -264,6 +264,51 @@ def test_panorama_is_scaled_to_the_skys_irradiance():
         assert maps.irradiance(environment)[1] == pytest.approx(wanted, rel=1e-3)
 
 
+LOOKS_ALONG_X = np.array([[0, 0, 1], [-1, 0, 0], [0, -1, 0]], np.float32)
+LENS = np.array([100, 100, 60, 40], np.float32)
+FAR = np.full((80, 120), np.inf, np.float32)
+
+
+def seen(around, turn=LOOKS_ALONG_X):
+    """The picture (80, 120, 3) of what lies infinitely far around."""
+    v, u = np.mgrid[:80, :120] + 0.5
+    ray = np.stack([(u - 60) / 100, (v - 40) / 100, np.ones_like(u)], -1) @ turn.T
+    ray = (ray / np.linalg.norm(ray, axis=-1, keepdims=True)).astype(np.float32)
+    shown = [maps.sample_environment(around, *d) for d in ray.reshape(-1, 3)]
+    return np.array(shown, np.float32).reshape(80, 120, 3)
+
+
+def drop_light(around, picture, depth, turn=LOOKS_ALONG_X):
+    """What `falling_light` returns of a picture (80, 120, 3) and the surroundings beside it."""
+    mean = drop_radiance.mean_radiance(around)
+    return drop_radiance.falling_light(around, mean, turn, LENS, picture, depth)
+
+
+def bent(into, normal, ratio):
+    """Directions that Snell's law gives to rays at a face."""
+    cosine = -(into * normal).sum(1, keepdims=True)
+    slip = np.sqrt(1 - ratio**2 * (1 - cosine**2))
+    return ratio * into + (ratio * cosine - slip) * normal
+
+
+def through_drop(u, v, rng, count=4000):
+    """Directions in which rays of a camera at a pixel leave a drop, and how much is thrown back."""
+    ahead = LOOKS_ALONG_X.astype(float) @ [(u - 60) / 100, (v - 40) / 100, 1]
+    ahead /= np.linalg.norm(ahead)
+    side = np.cross(ahead, [0, 0, 1.0])
+    side /= np.linalg.norm(side)
+    r, angle = np.sqrt(rng.random((count, 1))), rng.random((count, 1)) * 2 * np.pi
+    out = r * (np.cos(angle) * side + np.sin(angle) * np.cross(ahead, side))
+    first = out - np.sqrt(1 - r**2) * ahead  # where the ray of sight enters the sphere
+    within = bent(np.broadcast_to(ahead, out.shape), first, 1 / 1.333)
+    second = first - 2 * (first * within).sum(1, keepdims=True) * within
+    loss = 1 - np.array([fresnel(c) for c in np.sqrt(1 - r[:, 0] ** 2)])[:, None]
+    return bent(within, -second, 1.333).astype(np.float32), loss**2
+
+
+PLACES = {(4, 6): (60, 40), (0, 0): (0, 0), (8, 3): (30, 80)}
+
+
 def test_drop_is_a_lens_that_shows_what_lies_far_around_behind_it():
     """Rays through a sphere of water, bent by Snell's law at each face in three dimensions."""
     direction = maps.directions()
@@ -271,63 +316,76 @@ def test_drop_is_a_lens_that_shows_what_lies_far_around_behind_it():
     around = around.astype(np.float32)
     mean = drop_radiance.mean_radiance(around)
     np.testing.assert_allclose(mean, (1 + 2 / 3) * np.array([1, 0.6, 0.3]), rtol=2e-3)
-    turn = np.array([[0, 0, 1], [-1, 0, 0], [0, -1, 0]], np.float32)  # looks along x
-    lens = np.array([100, 100, 60, 40], np.float32)
-    field, _ = drop_radiance.falling_light(around, mean, turn, lens, 120, 80)
+    field, _ = drop_light(around, seen(around), FAR)
     rng = np.random.default_rng(3)
+    for place, pixel in PLACES.items():
+        leaves, through = through_drop(*pixel, rng)
+        shown = np.array([maps.sample_environment(around, *d) for d in leaves])
+        wanted = (through * shown + (1 - through) * mean).mean(axis=0)
+        np.testing.assert_allclose(field[place], wanted, rtol=0.02)
+    assert field[4, 6, 0] != pytest.approx(field[0, 6, 0], rel=0.01)
 
-    def bent(into, normal, ratio):
-        cosine = -(into * normal).sum(1, keepdims=True)
-        slip = np.sqrt(1 - ratio**2 * (1 - cosine**2))
-        return ratio * into + (ratio * cosine - slip) * normal
 
-    for (j, i), (u, v) in {(3, 4): (60, 40), (0, 0): (0, 0), (6, 2): (30, 80)}.items():
-        ahead = turn.astype(float) @ [(u - 60) / 100, (v - 40) / 100, 1]
-        ahead /= np.linalg.norm(ahead)
-        side = np.cross(ahead, [0, 0, 1.0])
-        side /= np.linalg.norm(side)
-        r, angle = np.sqrt(rng.random((4000, 1))), rng.random((4000, 1)) * 2 * np.pi
-        out = r * (np.cos(angle) * side + np.sin(angle) * np.cross(ahead, side))
-        first = out - np.sqrt(1 - r**2) * ahead  # where the ray of sight enters the sphere
-        within = bent(np.broadcast_to(ahead, out.shape), first, 1 / 1.333)
-        second = first - 2 * (first * within).sum(1, keepdims=True) * within
-        leaves = bent(within, -second, 1.333)
-        loss = 1 - np.array([fresnel(c) for c in np.sqrt(1 - r[:, 0] ** 2)])[:, None]
-        shown = np.array([maps.sample_environment(around, *d) for d in leaves.astype(np.float32)])
-        wanted = (loss**2 * shown + (1 - loss**2) * mean).mean(axis=0)
-        np.testing.assert_allclose(field[j, i], wanted, rtol=0.02)
-    assert field[3, 4, 0] != pytest.approx(field[0, 4, 0], rel=0.01)
+def test_drop_shows_of_a_wall_what_its_rays_meet():
+    """The wall is 3 m away and bright in its middle; a drop counts as halfway to it."""
+    around = np.full((32, 64, 3), 0.2, np.float32)
+    v, u = np.mgrid[:80, :120] + 0.5
+    glow = 0.2 + np.exp(-((u - 60) ** 2 + (v - 40) ** 2) / 18**2)
+    picture = np.repeat(glow[..., None], 3, axis=2).astype(np.float32)
+    rng = np.random.default_rng(4)
+    flat = {depth: np.full((80, 120), depth, np.float32) for depth in (3, 1e4)}
+    field = {depth: drop_light(around, picture, wall)[0][..., 0] for depth, wall in flat.items()}
+    for place, (left, top) in PLACES.items():
+        leaves, through = through_drop(left, top, rng)
+        x, y, z = -leaves[:, 1], -leaves[:, 2], leaves[:, 0]  # of the camera frame
+        ends = z > 0
+        a = (left - 60) / 100 / 2 + x / np.where(ends, z, 1) / 2
+        b = (top - 40) / 100 / 2 + y / np.where(ends, z, 1) / 2
+        square = (100 * a) ** 2 + (100 * b) ** 2
+        shown = 0.2 + np.where(ends, np.exp(-square / 18**2), 0)[:, None]
+        wanted = (through * shown + (1 - through) * 0.2).mean()
+        np.testing.assert_allclose(field[3][place], wanted, rtol=0.03)
+    assert field[3][4, 6] > 1.3 * field[1e4][4, 6]  # what is far is seen past the wall's middle
+
+
+def test_drops_under_a_roof_are_darker_than_before_the_sky():
+    """Posts and paving below a roof fill most of the picture, near and dark."""
+    around = sky.overcast()
+    around[around.shape[0] // 2 :] = 0.1
+    open_air, depth = seen(around), FAR.copy()
+    roofed = open_air.copy()
+    roofed[15:], depth[15:] = 0.02, 2.5
+    under, before = (drop_light(around, p, d)[0] for p, d in ((roofed, depth), (open_air, FAR)))
+    assert (under[5:7, 4:9] < 0.7 * before[5:7, 4:9]).all()
+    np.testing.assert_allclose(under[0, 6], before[0, 6], rtol=0.25)  # these show the sky still
+    assert (under[0, 6] > 1.5 * under[5, 6]).all()
 
 
 def test_sheets_of_splashes_show_the_less_of_the_sky_the_more_they_are_seen_from_above():
     around = sky.overcast()
     around[around.shape[0] // 2 :] = 0.1
-    mean, lens = drop_radiance.mean_radiance(around), np.array([100, 100, 60, 40], np.float32)
+    mean = drop_radiance.mean_radiance(around)
     shares, angles = [], np.array([0.0, 0.6, 1.5])
     for down in angles:
         c, s = np.cos(down), np.sin(down)
         turn = np.array([[0, -s, c], [-1, 0, 0], [0, -c, -s]], np.float32)
-        drops, sheets = drop_radiance.falling_light(around, mean, turn, lens, 120, 80)
+        drops, sheets = drop_light(around, seen(around, turn), FAR, turn)
         assert drops.shape == sheets.shape == (*drop_radiance.GRID, 3)
-        shares.append((sheets[3, 4, 1] - drops[3, 4, 1]) / (mean[1] - drops[3, 4, 1]))
+        shares.append((sheets[4, 6, 1] - drops[4, 6, 1]) / (mean[1] - drops[4, 6, 1]))
     wanted = drop_radiance.SEEN_LEVEL - drop_radiance.SEEN_ABOVE * np.sin(angles)
     np.testing.assert_allclose(shares, wanted, rtol=1e-3)
 
 
 def test_drops_before_the_ground_are_darker_than_before_the_sky(poisoned):
     around = sky.overcast()
-    turn = np.array([[0, 0, 1], [-1, 0, 0], [0, -1, 0]], np.float32)
-    lens = np.array([100, 100, 60, 40], np.float32)
-    field, _ = drop_radiance.falling_light(
-        around, drop_radiance.mean_radiance(around), turn, lens, 120, 80
-    )
-    assert (np.diff(field[:, 4, 1]) < 0).all() and field[0, 4, 1] > 1.5 * field[-1, 4, 1]
-    assert field[-1, 4, 1] > 1.5 * around[-1, 0, 1]  # some sky is in them
+    field, _ = drop_light(around, seen(around), FAR)
+    assert (np.diff(field[:, 6, 1]) < 0).all() and field[0, 6, 1] > 1.5 * field[-1, 6, 1]
+    assert field[-1, 6, 1] > 1.5 * around[-1, 0, 1]  # some sky is in them
     half, none = np.full((80, 120), 0.5, np.float32), np.zeros((80, 120), np.float32)
     shown = poisoned((80, 120, 3), np.uint8)
     compose(
         np.zeros((80, 120, 3), np.float32), none + 5, RainCover(half, none, fog.NO_FOG),
-        RainLight(field, field, around[0, 0]), View(turn, np.zeros(3, np.float32), *lens),
+        RainLight(field, field, around[0, 0]), View(LOOKS_ALONG_X, np.zeros(3, np.float32), *LENS),
         np.float32(1), shown,
     )  # fmt: skip
     wanted = [[display_from_linear(0.5 * c) * 255 for c in field[j, i]]

@@ -254,9 +254,10 @@ def test_a_crown_adds_as_much_light_as_in_a_path_tracer(pitch):
     view, gloss = view_of(camera), sky()
     mean = drop_radiance.mean_radiance(gloss)
     drops, sheets = drop_radiance.falling_light(
-        gloss, mean, view.ground_from_camera, view.lens, 120, 90
-    )
-    added = (alpha * (splash_light(drops[3, 4, 1], sheets[3, 4, 1]) - bare)).sum()
+        gloss, mean, view.ground_from_camera, view.lens, np.full((90, 120, 3), BED, np.float32),
+        plain(camera),
+    )  # fmt: skip
+    added = (alpha * (splash_light(drops[4, 6, 1], sheets[4, 6, 1]) - bare)).sum()
     wanted = (truth - bare)[shown].sum()
     print(f"crown at {pitch} degrees: {added:.1f} drawn, {wanted:.1f} traced")
     assert wanted > 10

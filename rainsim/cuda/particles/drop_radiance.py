@@ -1,15 +1,20 @@
-"""Twin of `rainsim.particles.drop_radiance`: a block of threads for each place of the grid."""
+"""Twin of `rainsim.particles.drop_radiance`: a block of threads for each cell and each place."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from rainsim.constants import ONE, ZERO
 from rainsim.cuda.jit import cuda, cuda_kernel
 from rainsim.particles.drop_radiance import (
+    CELLS,
     GRID,
     RINGS,
     THROWN_BACK,
     TURNS,
+    Behind,
+    cell_edges,
+    drop_depth,
     line_of_sight,
     refracted,
     sheet_light,
@@ -17,6 +22,7 @@ from rainsim.particles.drop_radiance import (
 
 _RAYS = RINGS * TURNS
 _SHARE = np.float32(1 / _RAYS)
+_SUMMERS = 64  # threads that add up the pixels of a cell
 
 
 class DropLight:
@@ -28,45 +34,83 @@ class DropLight:
 
     Attributes
     ----------
-    drops, sheets : device array of shape (7, 9, 3), float32
+    drops, sheets : device array of shape (9, 13, 3), float32
         See `rainsim.particles.drop_radiance.falling_light`.
     """
 
     def __init__(self, frame):
         self._frame = frame
         self.drops, self.sheets = (cuda.device_array((*GRID, 3), np.float32) for _ in range(2))
+        self._behind = Behind(
+            cuda.device_array((*CELLS, 3), np.float32), cuda.device_array(CELLS, np.float32)
+        )
 
     def launch(self, stream=None):
         """Queue the field of the present camera, on another stream than the frame's if given."""
         frame = self._frame
         now, stream = frame.uniforms, frame.stream if stream is None else stream
+        coarsen[CELLS[0] * CELLS[1], _SUMMERS, stream](frame.picture, frame.depth, *self._behind)
         fill_field[GRID[0] * GRID[1], _RAYS, stream](
-            frame.gloss, now["around"], now["turn"], now["lens"], now["size"], self.drops,
-            self.sheets,
+            frame.gloss, self._behind, now["around"], now["turn"], now["lens"], now["size"],
+            self.drops, self.sheets,
         )  # fmt: skip
 
 
 @cuda_kernel
-def fill_field(environment, everywhere, ground_from_camera, lens, size, drops_out, sheets_out):
+def coarsen(picture, depth, radiance_out, nearness_out):
+    """Write the means of a picture's cells, a block for each; see the CPU's `coarse_picture`."""
+    parts = cuda.shared.array((_SUMMERS, 4), np.float32)
+    rows, columns = nearness_out.shape
+    j, i = cuda.blockIdx.x // columns, cuda.blockIdx.x % columns
+    top, end = cell_edges(j, rows, depth.shape[0])
+    left, right = cell_edges(i, columns, depth.shape[1])
+    summer, wide = cuda.threadIdx.x, right - left
+    red, green, blue, near = ZERO, ZERO, ZERO, ZERO
+    for pixel in range(summer, (end - top) * wide, _SUMMERS):
+        row, column = top + pixel // wide, left + pixel % wide
+        red += picture[row, column, 0]
+        green += picture[row, column, 1]
+        blue += picture[row, column, 2]
+        near += ONE / depth[row, column]
+    parts[summer, 0], parts[summer, 1], parts[summer, 2] = red, green, blue
+    parts[summer, 3] = near
+    cuda.syncthreads()
+    if summer < 4:
+        total = ZERO
+        for other in range(_SUMMERS):
+            total += parts[other, summer]
+        mean = total / np.float32((end - top) * wide)
+        if summer < 3:
+            radiance_out[j, i, summer] = mean
+        else:
+            nearness_out[j, i] = mean
+
+
+@cuda_kernel
+def fill_field(
+    environment, behind, everywhere, ground_from_camera, lens, size, drops_out, sheets_out
+):
     """Write the light of drops and splashes over a picture, a thread for each ray of a drop.
 
     Parameters
     ----------
     environment : device array of shape (rows, columns, 3), float32
+    behind : Behind
     everywhere : device array of shape (3,), float32
     ground_from_camera : device array of shape (3, 3), float32
     lens : device array of shape (4,), float32 [px]
     size : device array of shape (2,), float32 [px]
         Width and height of the picture.
-    drops_out, sheets_out : device array of shape (7, 9, 3), float32
+    drops_out, sheets_out : device array of shape (9, 13, 3), float32
     """
     light = cuda.shared.array((_RAYS, 3), np.float32)
     columns = drops_out.shape[1]
     j, i = cuda.blockIdx.x // columns, cuda.blockIdx.x % columns
     ray = cuda.threadIdx.x
     sight = line_of_sight(lens, size, j, i)
+    z = drop_depth(behind.nearness, sight, lens, size)
     light[ray, 0], light[ray, 1], light[ray, 2] = refracted(
-        environment, ground_from_camera, sight, ray // TURNS, ray % TURNS
+        environment, behind, ground_from_camera, lens, size, sight, z, ray // TURNS, ray % TURNS
     )
     cuda.syncthreads()
     if ray < 3:
