@@ -252,7 +252,7 @@ class Renderer:
             now = self.config.at(time)
             if now.render.metering == "auto":
                 self.wet_scene.set_time(now)
-                light = self.wet_scene.land_light(views)
+                light = self.wet_scene.land_light(views, self.wet_ground.apart)
                 zenith = float(self.wet_scene.day[0].mean())
                 factors[k] = metered(*light, zenith, now.render.cloudiness)
         self.wet_scene.set_time(self.config.at(0.0))
@@ -272,8 +272,8 @@ class Renderer:
             views = metering_views(self.wet_scene.scene.cameras, first_camera)
             for time in self.config.key_times():
                 self.wet_scene.set_time(self.config.at(time))
-                for view, cover in self.wet_scene.covers(views):
-                    yield mean_share(view, cover)
+                for _, wet, cover in self.wet_scene.small_views(views, True):
+                    yield mean_share(wet.view, cover)
 
         self.notes.append(self.wet_ground.choose(shares()))
         self.wet_scene.set_time(self.config.at(0.0))

@@ -36,7 +36,8 @@ from rainsim.splatting.detail import SIDES, Detail
 from rainsim.splatting.prepared import recolored
 from rainsim.water.rolling import NO_TRACKS
 
-SMALL = 2.0  # px: threshold of pages in metering pictures, which come from all over a capture
+FINER = 4  # pixels of the drawn surroundings, across one of the map's faces
+SMALL = 4.0  # px: threshold of pages in metering pictures, which come from all over a capture
 NEAR = 0.05  # m: splats nearer than this are not drawn
 FIRST_SEGMENT = 0.5  # m of a traced ray that are searched at first
 BRIGHT_SKY = 0.15  # mean linear light above which a far pixel shows the captured sky
@@ -323,15 +324,14 @@ class WetScene:
             return np.zeros((camera.height, camera.width), np.uint16)
         return self.nodes.numbers(self.rasterizer.draw(camera, self.near, hit=True).hit)
 
-    def land_light(self, cameras):
-        """Return the mean linear luminance of the land that cameras see, as captured and wet.
+    def land_light(self, cameras, gloss_apart):
+        """Return the mean linear luminance of the land in views, as captured and wet.
 
-        And the share of their pictures that shows the sky.
+        And the share of the views that shows the sky. What wet ground mirrors is left out if the
+        wet-ground mirror adds it, `gloss_apart`: here nothing would hide what it mirrors.
         """
         captured, rainy, pixels, sky = 0.0, 0.0, 0, 0
-        for camera in cameras:
-            layers = self.rasterizer.draw(camera, self.near, **self._small)
-            wet = self._wetted(layers, camera)
+        for layers, wet, _ in self.small_views(cameras, gloss_apart):
             land = np.isfinite(wet.depth) & (layers.alpha > 0.5)
             captured += float(luminance_of(layers.color[land]).sum())
             light = wet.picture[land] @ LUMA
@@ -342,17 +342,13 @@ class WetScene:
             sky += int((~land).sum())
         return captured / max(pixels, 1), rainy / max(pixels, 1), sky / max(pixels + sky, 1)
 
-    def covers(self, cameras):
-        """Yield the `View` of small pictures, and the `cover_out` of `grade_and_wet` in each."""
+    def small_views(self, cameras, gloss_apart):
+        """Yield layers, `WetPicture` and `cover_out` of pictures that the light is set up by."""
+        options = {} if self.paged is None else {"threshold": SMALL}
         for camera in cameras:
-            cover = np.empty((camera.height, camera.width), np.float32)
-            layers = self.rasterizer.draw(camera, self.near, detail=self.merge, **self._small)
-            yield self._wetted(layers, camera, cover).view, cover
-
-    @property
-    def _small(self):
-        """How a big capture draws the small pictures that the light is set up by."""
-        return {} if self.paged is None else {"threshold": SMALL}
+            cover = np.empty((camera.height, camera.width) if gloss_apart else (0, 0), np.float32)
+            layers = self.rasterizer.draw(camera, self.near, detail=self.merge, **options)
+            yield layers, self._wetted(layers, camera, cover), cover
 
     def level_mirrored(self, level):
         """Return the `WetPicture` of what stands on the ground, seen mirrored at its plane.
@@ -467,11 +463,18 @@ class WetScene:
 
     def _surroundings(self, position):
         """Return the wet capture around `position` [m] with the sky of the day, as a map."""
+        # Splats finer than a pixel are drawn too wide, which would make near ground 1.6 times too
+        # bright here. So the faces are drawn larger, of merged splats, and reduced.
+        options = {} if self.paged is None else {"threshold": FINER * self.rasterizer.detail}
 
         def draw(view):
             camera = self.frame.camera_in_capture(view)
-            layers = self.rasterizer.draw(camera, self.near, leading=True)
-            return self._wetted(layers, camera, mirrored=True).picture
+            camera = camera.resized(FINER * camera.width, FINER * camera.height)
+            layers = self.rasterizer.draw(
+                camera, self.near, leading=True, detail=self.merge, **options
+            )
+            picture = self._wetted(layers, camera, mirrored=True).picture
+            return picture.reshape(view.height, FINER, view.width, FINER, 3).mean(axis=(1, 3))
 
         return environment.probe(draw, position)
 

@@ -30,7 +30,7 @@ ZENITH = 9 / 7  # of the mean radiance that gives level ground its light
 MIDDLE_GREY = 0.16  # mean linear light of the land in a well exposed picture of a dull day
 MOST_ZENITH = 1.5  # of white: above it the tone curve leaves no clouds in the sky
 MUCH_SKY = 0.3  # of the views, from which on the meter does not let the zenith be brighter
-VIEWS, VIEW_WIDTH = 8, 128  # cameras that the exposure is metered with, px
+VIEWS, VIEW_WIDTH = 8, 256  # cameras that the exposure is metered with, px
 VIEW_FOV, VIEW_SHAPE = 60.0, 1.5  # degrees, width over height: of one for a capture without cameras
 LEAST_AWAY = 1.0  # m from it to what it looks at, on the level
 

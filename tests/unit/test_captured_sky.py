@@ -6,8 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from rainsim.config.settings import Config
 from rainsim.constants import SH_0
+from rainsim.pipeline import extract_terrain
 from rainsim.raster import Rasterizer, prepare
+from rainsim.render.wet_scene import WetScene
+from rainsim.scene.cameras import resize_to
 from rainsim.scene.types import Camera, Scene, Splats
 from rainsim.shading import calibration, skyline, visibility
 from rainsim.shading.color import GAMMA
@@ -15,7 +19,7 @@ from rainsim.shading.environment import COLUMNS, ROWS, directions
 from rainsim.splatting.prepared import LANES, recolored
 from rainsim.terrain.surface import terrain_from_heights
 from rainsim.terrain.types import Grid
-from scenes import ground_frame
+from scenes import ground_frame, tiny_scene
 
 
 def patch(centre, count, spread, size, color, rng):
@@ -262,3 +266,40 @@ def test_the_meter_keeps_clouds_in_a_sky_that_fills_the_picture():
     assert no_sky == pytest.approx(4) and much == pytest.approx(calibration.MOST_ZENITH)
     assert much < some < no_sky
     assert calibration.metered(0.3, 0.16, 0.5, 1.0, 1.0) == pytest.approx(1)  # never darker for it
+
+
+@pytest.fixture(scope="module")
+def speckled():
+    """White specks of 2 millimetres, close together, over the dark ground of `tiny_scene`."""
+    scene = tiny_scene(1024, 768)
+    frame, rng = scene.ground_frame, np.random.default_rng(3)
+    at = np.column_stack([rng.uniform(-1, 1, (20_000, 2)), np.full(20_000, 0.004)])
+    specks = splats_of(patch((0, 0, 0), 20_000, 0.0, 2e-3 / frame.meters_per_unit, [0.95] * 3, rng))
+    specks = dataclasses.replace(specks, position=frame.to_capture(at).astype(np.float32))
+    dark = dataclasses.replace(scene.splats, sh=scene.splats.sh - np.float32(0.25 / SH_0))
+    both = Splats(*(np.concatenate([getattr(s, f.name) for s in (dark, specks)])
+                    for f in dataclasses.fields(Splats)))  # fmt: skip
+    scene = dataclasses.replace(scene, splats=both)
+    config = Config().replace(rate=0.0, past=0.0, extent=1.0, spacing=0.05)
+    return scene, config, extract_terrain(scene, config)
+
+
+def test_the_meter_sees_fine_splats_no_brighter_than_the_picture_shows_them(speckled):
+    scene, config, terrain = speckled
+    wet = WetScene(scene, terrain, config, scene.cameras[0])
+    small = [resize_to(camera, calibration.VIEW_WIDTH) for camera in scene.cameras]
+    captured, rainy, _ = wet.land_light(scene.cameras, True)
+    metered, metered_rainy, _ = wet.land_light(small, True)
+    wet.merge = 0.0  # all splats: those finer than a pixel are drawn too wide
+    wide, wide_rainy, _ = wet.land_light(small, True)
+    assert wide > 1.6 * captured
+    assert metered - captured < 0.5 * (wide - captured)
+    assert metered_rainy - rainy < 0.5 * (wide_rainy - rainy)
+
+
+def test_the_meter_leaves_out_the_gloss_that_the_wet_ground_mirror_adds(speckled):
+    scene, config, terrain = speckled
+    rainy = config.replace(past=2.0, cloudiness=1.0)
+    wet = WetScene(scene, terrain, rainy, scene.cameras[0])
+    views = [resize_to(c, 128) for c in scene.cameras]
+    assert wet.land_light(views, False)[1] > 1.05 * wet.land_light(views, True)[1]
