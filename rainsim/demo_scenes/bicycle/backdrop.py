@@ -52,7 +52,7 @@ def far_trees(rng, count=84):
         colour = FAR_GREENS[rng.integers(0, len(FAR_GREENS))]
         leaves, _ = crown(
             (*spot, 0.52 * height), np.array([across, across, 0.52 * height]), colour,
-            (0.105, 0.12, 0.135)[row], 9, 28, rng, clump=(0.40, 0.62), plump=0.5,
+            (0.062, 0.07, 0.078)[row], 18, 46, rng, clump=(0.38, 0.60), plump=0.5,
         )  # fmt: skip
         leaves.colour[:] += FAR_HAZE[row] * (HAZE - leaves.colour)
         parts.append(leaves)
