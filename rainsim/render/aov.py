@@ -19,7 +19,8 @@ from rainsim.rain.dripping import drip_impacts
 from rainsim.reflection import water_record
 from rainsim.render import labels, node_labels
 from rainsim.shading import composite
-from rainsim.shading.wet_pass import find_dampness
+from rainsim.shading.smooth_normals import AROUND
+from rainsim.shading.wet_pass import dry_picture, find_dampness
 from rainsim.terrain.table import WATER
 
 PICTURE, SHARE, INDEX, DATA = "picture", "share", "index", "data"  # kinds, see `Aov`
@@ -137,6 +138,9 @@ class FrameParts:
         Water on all that is wet.
     ground : GroundMaps
     off_ground : OffGroundWetness
+    look : Look
+    unit : float [m]
+        A unit of the capture.
     cover : RainCover
     far : float [m]
         As far as drops are drawn.
@@ -163,6 +167,8 @@ class FrameParts:
     film: float
     ground: object
     off_ground: object
+    look: object
+    unit: float
     cover: object
     far: float
     terrain: object
@@ -299,7 +305,8 @@ def _normal(parts):
 def _wetness(parts):
     damp = np.empty(parts.wet.depth.shape, np.float32)
     find_dampness(
-        parts.wet.depth, parts.wet.clearance, parts.dry.normal, parts.wet.view,
+        parts.wet.depth, parts.wet.clearance, dry_picture(parts.dry, parts.unit, AROUND),
+        parts.look, parts.wet.view,
         parts.ground, parts.off_ground, damp,
     )  # fmt: skip
     return damp

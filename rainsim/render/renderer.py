@@ -324,7 +324,8 @@ class Renderer:
             field=field, surfaces=self.rain.surfaces,
             camera=self.view, state=state, exposure=render.exposure,
             interval=self.config.frame_interval, film=WET_FILM * scene.paving,
-            ground=scene.ground_maps, off_ground=scene.off_ground, cover=cover,
+            ground=scene.ground_maps, off_ground=scene.off_ground, look=scene.look,
+            unit=scene.frame.meters_per_unit, cover=cover,
             far=render.streak_far, terrain=self.terrain, nodes=self._nodes_seen(names),
             **self._after(names),
         )  # fmt: skip

@@ -27,6 +27,7 @@ from rainsim.shading.calibration import albedo_of_white, zenith_radiance
 from rainsim.shading.color import LUMA, luminance_of, roughly_linear
 from rainsim.shading.grading import DULL_EXPOSURE, SHINES, look_of
 from rainsim.shading.skyline import skylines, with_skyline
+from rainsim.shading.smooth_normals import AROUND, NO_AROUND
 from rainsim.shading.visibility import badly_placed, pale, views_of_splats
 from rainsim.shading.wet_ground_mirror import RESOLUTION, in_level_picture
 from rainsim.shading.wet_pass import NO_COVER, DryRays, dry_picture, grade_and_wet, grade_rays
@@ -433,8 +434,8 @@ class WetScene:
         picture = np.empty((*shape, 3), np.float32)
         depth, clearance = np.empty(shape, np.float32), np.empty(shape, np.float32)
         grade_and_wet(
-            dry_picture(layers, self.frame.meters_per_unit), view, *self._shading(mirrored),
-            picture, depth, clearance, cover,
+            dry_picture(layers, self.frame.meters_per_unit, NO_AROUND if mirrored else AROUND),
+            view, *self._shading(mirrored), picture, depth, clearance, cover,
         )  # fmt: skip
         return WetPicture(picture, depth, clearance, view, picture)
 

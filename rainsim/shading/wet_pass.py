@@ -14,11 +14,20 @@ from typing import NamedTuple
 import numpy as np
 
 from rainsim.constants import FAR_AWAY, HALF, ONE, SURFACE_ALPHA, ZERO
-from rainsim.jit import cpu_kernel, device_function, inlined_function, prange
+from rainsim.jit import cpu_kernel, device_function, inlined_function, prange, serial_kernel
 from rainsim.numerics.pixel_batches import CHUNK, CORNERS, interpolate
 from rainsim.scene.view import View, pixel_ray
 from rainsim.shading.environment import azimuth_in_map, color_in_map, elevation_in_map
 from rainsim.shading.grading import Look, is_edge, undiluted
+from rainsim.shading.smooth_normals import (
+    SAMPLES,
+    STEPS,
+    sample,
+    sharpness,
+    smooth_normal,
+    step_of,
+    turned,
+)
 from rainsim.shading.walls import damp_off_ground
 from rainsim.shading.wetness import OffGroundWetness, Wetness, store_wetness, stored_wetness
 from rainsim.shading.wetting import (
@@ -35,6 +44,7 @@ from rainsim.shading.wetting import (
     on_ground,
     rainy_color,
     wet_pixel,
+    wetted_normal,
 )
 
 # Rows of a chunk's numbers. The dry pixel: colour, alpha, distances along the view axis [m] to the
@@ -47,8 +57,8 @@ from rainsim.shading.wetting import (
 (VIEW_X, VIEW_Y, VIEW_Z, X, Y, Z, LEAN_X, LEAN_Y, UPNESS, COSINE, AWAY, FAR) = (
     CHUNK * k for k in range(9, 21)
 )
-# Heights as `wet_state` returns them, shares of gloss, of sky and of a leaf's gloss, and the places
-# in maps: first the ground's column and row, then the environment's.
+# Heights as `heights_of` returns them, shares of gloss, of sky and of a leaf's gloss, and places in
+# maps: first the ground's column and row, then the environment's.
 (CLEARANCE, HEIGHT, GLOSS, THROUGH, LEAF, ACROSS, DOWN) = (CHUNK * k for k in range(21, 28))
 WETNESS = 28 * CHUNK  # as `store_wetness` writes it, a row for each field
 NUMBERS = WETNESS + len(Wetness._fields) * CHUNK
@@ -66,6 +76,7 @@ class DryPicture(NamedTuple):
     plane_depth: np.ndarray  # (height, width) float32 [units]
     normal: np.ndarray  # (height, width, 3) float32, unit, camera frame
     meters_per_unit: np.float32
+    around: np.float32  # m, of the neighbourhood whose normals count; 0: each pixel's own
 
 
 class DryRays(NamedTuple):
@@ -80,11 +91,11 @@ class DryRays(NamedTuple):
     direction: np.ndarray  # (n, 3) float32, unit, ground frame
 
 
-def dry_picture(layers, meters_per_unit):
+def dry_picture(layers, meters_per_unit, around):
     """Return the `DryPicture` of `raster.Layers` with depths in capture units."""
     return DryPicture(
         layers.color, layers.alpha, layers.depth, layers.plane_depth, layers.normal,
-        np.float32(meters_per_unit),
+        np.float32(meters_per_unit), np.float32(around),
     )  # fmt: skip
 
 
@@ -116,8 +127,8 @@ def grade_rays(
             normal[n, 0], normal[n, 1], normal[n, 2], d,
         )  # fmt: skip
         r, g, b, _, _ = wet_pixel(
-            (color[n, 0], color[n, 1], color[n, 2]), alpha[n], (x, y, z), d, point, ground, rain,
-            sky, look, False,
+            (color[n, 0], color[n, 1], color[n, 2]), alpha[n], (x, y, z), d, point,
+            (normal[n, 0], normal[n, 1], normal[n, 2]), ground, rain, sky, look, False,
         )  # fmt: skip
         light_out[n, 0], light_out[n, 1], light_out[n, 2] = r, g, b
 
@@ -154,7 +165,7 @@ def grade_and_wet(
     pictures = picture_out.reshape(height, 3 * width)
     for row in prange(height):
         grade_row(
-            np.int64(row), dry, colors[row], normals[row], view, ground, rain, sky, look,
+            np.int64(row), dry, colors[row], normals, view, ground, rain, sky, look,
             mirror_apart, pictures[row], depth_out[row], clearance_out[row],
             cover_out,
         )  # fmt: skip
@@ -162,7 +173,7 @@ def grade_and_wet(
 
 @device_function
 def grade_row(
-    row, dry, color, normal, view, ground, rain, sky, look, mirror_apart,
+    row, dry, color, normals, view, ground, rain, sky, look, mirror_apart,
     picture_out, depth_out, clearance_out, cover_out,
 ):  # fmt: skip
     """Grade, wet and measure one row of pixels; see `grade_and_wet`."""
@@ -178,10 +189,13 @@ def grade_row(
         read_colors(color[3 * left : 3 * end], alpha[left:end], look, n, s)
         read_surface(
             depth[left:end], plane_depth[left:end],
-            normal[3 * left : 3 * end], dry.meters_per_unit, n, s,
+            normals[row, 3 * left : 3 * end], dry.meters_per_unit, n, s,
         )  # fmt: skip
         locate(view, b, left, n, s)
-        find_wetness(ground, rain, n, s, glossy, corner)
+        find_heights(ground, n, s, glossy, corner)
+        if dry.around > ZERO:
+            take_normals_around(dry, normals, view, row, left, n, s, glossy)
+        find_wetness(ground, rain, n, s)
         color_pixels(look, mirror_apart, n, s)
         add_surroundings(sky, n, s, glossy, open_)
         write_pixels(
@@ -259,8 +273,8 @@ def depth_of_surface(depth, plane_depth, upness):
 
 
 @inlined_function
-def find_wetness(ground, rain, n, s, cell, corner):
-    """Find how wet each pixel's surface is; in vectors what `wet_state` does."""
+def find_heights(ground, n, s, cell, corner):
+    """Find how high over the ground each pixel's surface is; in vectors what `heights_of` does."""
     bed, origin, spacing = ground.bed, ground.origin, ground.spacing
     rows, columns = bed.shape
     right, bottom = np.float32(columns - 1), np.float32(rows - 1)
@@ -271,14 +285,86 @@ def find_wetness(ground, rain, n, s, cell, corner):
         s[HEIGHT + i] = ONE if inside else ZERO
         s[ACROSS + i], s[DOWN + i] = u, v
     interpolate(bed, n, s, ACROSS, DOWN, cell, corner)
-    off = 0  # pixels that show no ground
     for i in range(n):
         z, over = s[Z + i], s[Z + i] - s[ACROSS + i]
         solid, inside = s[ALPHA + i] >= SURFACE_ALPHA, s[HEIGHT + i] > ZERO
         clear, height = over if inside else FAR_AWAY, over if inside else z
         clear, height = clear if solid else FAR_AWAY, height if solid else FAR_AWAY
         s[CLEARANCE + i], s[HEIGHT + i] = clear, height
-        off += np.int64((clear >= ON_GROUND) | (s[UPNESS + i] <= FLAT))
+
+
+@inlined_function
+def take_normals_around(dry, normals, view, row, left, n, s, step):
+    """Replace the normals of pixels that show no ground by those of their neighbourhoods.
+
+    In vectors what `smooth_normal` and `wetted_normal` do. `step` has room for a number a pixel.
+    """
+    m, focal, around = view.ground_from_camera, view.fx, dry.around / dry.meters_per_unit
+    found = 0
+    for i in range(n):
+        level = (s[CLEARANCE + i] < ON_GROUND) & (s[UPNESS + i] > FLAT)
+        here = dry.depth[row, left + i]
+        shown = (s[ALPHA + i] >= SURFACE_ALPHA) & (not level)
+        which = step_of(focal, around, here)
+        s[GLOSS + i], s[THROUGH + i] = here, sharpness(focal, which, here)
+        step[i] = np.uint32(1 << which) if shown else np.uint32(0)
+    for i in range(n):
+        found |= np.int64(step[i])
+    for k in range(STEPS):
+        if found >> k & 1:
+            add_around(dry.depth, normals, row, left, n, k, s)
+            for i in range(n):
+                if step[i] == np.uint32(1 << k):
+                    x, y, z = turned(m, s[LEAF + i], s[ACROSS + i], s[DOWN + i])
+                    a, b, c = wetted_normal(
+                        s[RED + i], s[GREEN + i], s[BLUE + i], s[HEIGHT + i],
+                        (s[LEAN_X + i], s[LEAN_Y + i], s[UPNESS + i]), (x, y, z),
+                    )  # fmt: skip
+                    s[LEAN_X + i], s[LEAN_Y + i], s[UPNESS + i] = a, b, c
+                    s[COSINE + i] = -(a * s[VIEW_X + i] + b * s[VIEW_Y + i] + c * s[VIEW_Z + i])
+
+
+@inlined_function
+def add_around(depths, normals, row, left, n, step, s):
+    """Add up the normals around n pixels, to LEAF, ACROSS and DOWN."""
+    rows, columns = depths.shape
+    for i in range(n):
+        s[LEAF + i], s[ACROSS + i], s[DOWN + i] = ZERO, ZERO, ZERO
+    for k in range(SAMPLES):
+        across, down = sample(k, step)
+        v = min(max(row + down, 0), rows - 1)
+        # Beyond the picture's sides the pixels at its edge count.
+        first = min(max(left + across, 0), columns)
+        before = min(max(-left - across, 0), n)
+        inside = max(min(columns - first, n - before), 0)
+        add_normals(depths[v, first:], normals[v, 3 * first :], before, inside, s)
+        for i in range(before):
+            add_normals(depths[v], normals[v], i, 1, s)
+        for i in range(before + inside, n):
+            add_normals(depths[v, columns - 1 :], normals[v, 3 * columns - 3 :], i, 1, s)
+
+
+# Not inlined, as `pixel_batches.interpolate`.
+@serial_kernel
+def add_normals(depth, normal, first, n, s):
+    """Add the normals of n pixels of a row to those of the pixels from `first` on, where alike."""
+    for i in range(np.uint64(n)):
+        k = np.uint64(first) + i
+        away = (depth[i] - s[np.uint64(GLOSS) + k]) * s[np.uint64(THROUGH) + k]
+        weight = max(ONE - away * away, ZERO)
+        s[np.uint64(LEAF) + k] += weight * normal[np.uint64(3) * i]
+        s[np.uint64(ACROSS) + k] += weight * normal[np.uint64(3) * i + np.uint64(1)]
+        s[np.uint64(DOWN) + k] += weight * normal[np.uint64(3) * i + np.uint64(2)]
+
+
+@inlined_function
+def find_wetness(ground, rain, n, s):
+    """Find how wet each pixel's surface is; in vectors what `wet_state` does."""
+    origin, spacing = ground.origin, ground.spacing
+    o0, o1 = origin[0], origin[1]
+    off = 0  # pixels that show no ground
+    for i in range(n):
+        off += np.int64((s[CLEARANCE + i] >= ON_GROUND) | (s[UPNESS + i] <= FLAT))
     if off > 0:
         for i in range(n):
             height = s[HEIGHT + i]
@@ -386,16 +472,17 @@ def write_cover(ground, n, s, cover_out):
 
 @cpu_kernel
 def find_dampness(
-    depth, clearance, normal, view: View, ground: GroundMaps, rain: OffGroundWetness, damp_out
-):
+    depth, clearance, dry: DryPicture, look: Look, view: View, ground: GroundMaps,
+    rain: OffGroundWetness, damp_out,
+):  # fmt: skip
     """Write how wet what a picture shows is, for the AOV.
 
     Parameters
     ----------
     depth, clearance : ndarray of shape (height, width), float32 [m]
         As `grade_and_wet` wrote them.
-    normal : ndarray of shape (height, width, 3), float32
-        See `DryPicture`.
+    dry : DryPicture
+    look : Look
     view : View
     ground : GroundMaps
     rain : OffGroundWetness
@@ -403,7 +490,8 @@ def find_dampness(
         0 dry to 1 wet through; 0 for the sky.
     """
     height, width = depth.shape
-    m, eye = view.ground_from_camera, view.eye
+    m, eye, normal = view.ground_from_camera, view.eye, dry.normal
+    around = dry.around / dry.meters_per_unit
     for row in prange(height):
         for column in range(width):
             d = depth[row, column]
@@ -419,10 +507,17 @@ def find_dampness(
                 v = (y - ground.origin[1]) / ground.spacing - HALF
                 damp_out[row, column] = on_ground(ground, u, v).dampness
             else:
-                lean_x = m[0, 0] * n0 + m[0, 1] * n1 + m[0, 2] * n2
-                lean_y = m[1, 0] * n0 + m[1, 1] * n1 + m[1, 2] * n2
+                own = turned(m, n0, n1, n2)
                 above = clearance[row, column]
-                point = SurfacePoint(x, y, z, lean_x, lean_y, upness, d)
-                damp_out[row, column] = damp_off_ground(
-                    rain, point, above if above < FAR_AWAY else z
+                above = above if above < FAR_AWAY else z
+                n0, n1, n2 = smooth_normal(
+                    dry.depth, normal, row, column, height, width, view.fx, around
                 )
+                alpha = dry.alpha[row, column]
+                r, g, b = undiluted(
+                    dry.color[row, column, 0], dry.color[row, column, 1], dry.color[row, column, 2],
+                    alpha if is_edge(alpha, look) else ONE,
+                )  # fmt: skip
+                lean = wetted_normal(r, g, b, above, own, turned(m, n0, n1, n2))
+                point = SurfacePoint(x, y, z, lean[0], lean[1], lean[2], d)
+                damp_out[row, column] = damp_off_ground(rain, point, above)

@@ -169,8 +169,35 @@ def map_place(ground, x, y):
 
 
 @inlined_function
-def wet_state(point, solid, ground, rain):
-    """Return where a surface is over the ground, and how wet it is.
+def wetted_normal(r, g, b, height, own, around):
+    """Return the normal by which a surface gets wet and mirrors; see `smooth_normals`.
+
+    Parameters
+    ----------
+    r, g, b : float32
+        Captured linear colour: leaves keep their own normals.
+    height : float32 [m]
+        Over the ground.
+    own : tuple of 3 float32
+        Unit normal of the pixel, ground frame.
+    around : tuple of 3 float32
+        That of its neighbourhood, of any length.
+    """
+    x, y, z = around
+    square = x * x + y * y + z * z
+    inv = ONE / math.sqrt(max(square, np.float32(1e-12)))
+    x, y, z = x * inv, y * inv, z * inv
+    leaf = smoothstep(GREENISH, GREEN, greenness(r, g, b))
+    known = square > np.float32(1e-6) and (height >= ON_GROUND or max(own[2], z) <= FLAT)
+    leaf = leaf if known else ONE
+    x, y, z = x + leaf * (own[0] - x), y + leaf * (own[1] - y), z + leaf * (own[2] - z)
+    inv = ONE / max(math.sqrt(x * x + y * y + z * z), np.float32(1e-6))
+    return x * inv, y * inv, z * inv
+
+
+@inlined_function
+def heights_of(point, solid, ground):
+    """Return where a surface is over the ground.
 
     Parameters
     ----------
@@ -178,7 +205,6 @@ def wet_state(point, solid, ground, rain):
     solid : bool
         Whether there is a surface at all.
     ground : GroundMaps
-    rain : OffGroundWetness
 
     Returns
     -------
@@ -186,26 +212,34 @@ def wet_state(point, solid, ground, rain):
         Height over the bed; FAR_AWAY off the map and without a surface.
     height : float32 [m]
         The same, but off the map the height over the ground plane.
-    wet : Wetness
     """
     rows, columns = ground.bed.shape
     u, v = map_place(ground, point.x, point.y)
     inside = u > ZERO and v > ZERO
     inside = inside and u < np.float32(columns - 1) and v < np.float32(rows - 1)
     if not solid:
-        return FAR_AWAY, FAR_AWAY, Wetness(ZERO, ZERO, ZERO, ZERO)
+        return FAR_AWAY, FAR_AWAY
     clearance = point.z - bilinear(ground.bed, u, v) if inside else FAR_AWAY
-    height = clearance if inside else point.z
+    return clearance, clearance if inside else point.z
+
+
+@inlined_function
+def wet_state(point, clearance, height, ground, rain):
+    """Return how wet a surface is; the heights are those of `heights_of`."""
     if clearance < ON_GROUND and point.nz > FLAT:
-        return clearance, height, on_ground(ground, u, v)
-    return clearance, height, off_ground(rain, damp_off_ground(rain, point, height))
+        u, v = map_place(ground, point.x, point.y)
+        return on_ground(ground, u, v)
+    if height < FAR_AWAY:
+        return off_ground(rain, damp_off_ground(rain, point, height))
+    return Wetness(ZERO, ZERO, ZERO, ZERO)
 
 
 @inlined_function
 def mirror_cover(point, clearance, wet, ground):
     """Return the share of a full water film on level ground at a point, 0 to 1.
 
-    `clearance` and `wet` are those of `wet_state`. Off the map the film is that at the border.
+    `clearance` is that of `heights_of`, `wet` that of `wet_state`. Off the map the film is that at
+    the border.
     """
     lawn, film = wet.lawn, wet.film
     if not clearance < FAR_AWAY:
@@ -295,7 +329,7 @@ def glossed(x, y, z, cosine, nx, ny, nz, leaf):
 
 
 @inlined_function
-def wet_pixel(color, alpha, ray, distance, point, ground, rain, sky, look, mirror_apart):
+def wet_pixel(color, alpha, ray, distance, point, around, ground, rain, sky, look, mirror_apart):
     """Return the radiance of a captured point in the rain: all formulas put together.
 
     Parameters
@@ -309,6 +343,8 @@ def wet_pixel(color, alpha, ray, distance, point, ground, rain, sky, look, mirro
         To what is drawn.
     point : SurfacePoint
         Where it is wetted: on walls its distance may be another one than `distance`.
+    around : tuple of 3 float32
+        Unit normal of the neighbourhood, see `smooth_normals`; or the point's own.
     ground : GroundMaps
     rain : OffGroundWetness
     sky : SkyMaps
@@ -321,14 +357,19 @@ def wet_pixel(color, alpha, ray, distance, point, ground, rain, sky, look, mirro
     r, g, b : float32
         Radiance.
     clearance : float32 [m]
-        See `wet_state`.
+        See `heights_of`.
     cover : float32
         Share of a full water film, for the wet-ground mirror; 0 unless `mirror_apart`.
     """
     x, y, z = ray
-    clearance, height, wet = wet_state(point, alpha >= SURFACE_ALPHA, ground, rain)
+    clearance, height = heights_of(point, alpha >= SURFACE_ALPHA, ground)
     r, g, b = color
     r, g, b = undiluted(r, g, b, alpha if is_edge(alpha, look) else ONE)
+    lean = wetted_normal(r, g, b, height, (point.nx, point.ny, point.nz), around)
+    point = SurfacePoint(
+        point.x, point.y, point.z, lean[0], lean[1], lean[2], point.distance
+    )  # fmt: skip
+    wet = wet_state(point, clearance, height, ground, rain)
     cosine = -(x * point.nx + y * point.ny + z * point.nz)
     r, g, b, gloss, through, leaf = rainy_color(
         r, g, b, alpha, distance, z, cosine, point.nz, height, wet, look

@@ -92,7 +92,7 @@ def test_grade_and_wet(view, poisoned):
     look = np.array([0.8, 0.15, 0.9, 0.8, 30, 1, 0.85], F4)
     wetness = np.random.default_rng(2).uniform(0, 1, (CELLS, CELLS, 4)).astype(F4)
     dry = DryPicture(
-        view.color, view.alpha, view.depth, view.depth * F4(1.01), view.normal, F4(0.9)
+        view.color, view.alpha, view.depth, view.depth * F4(1.01), view.normal, F4(0.9), F4(0.2)
     )
     skies = SkyMaps(around, day)
 

@@ -34,7 +34,7 @@ def gloss_of(color, normal, rain, skies, look=LOOK):
     def drawn(maps):
         point = SurfacePoint(F4(3), F4(0), F4(1), *normal, F4(3))
         return wetting.wet_pixel(
-            color, F4(1), AHEAD, F4(3), point, LEVEL, rain, maps, look, False
+            color, F4(1), AHEAD, F4(3), point, normal, LEVEL, rain, maps, look, False
         )[1]  # fmt: skip
 
     return drawn(skies) - drawn(SkyMaps(0 * skies.gloss, skies.behind))

@@ -33,6 +33,7 @@ from rainsim.reflection.wet_tops import top_numbers
 from rainsim.scene.view import CameraArrays, view_of
 from rainsim.shading.composite import RainCover, RainLight
 from rainsim.shading.grading import Look
+from rainsim.shading.smooth_normals import AROUND, NO_AROUND
 from rainsim.shading.wet_pass import DryPicture
 from rainsim.shading.wetness import OffGroundWetness
 from rainsim.shading.wetting import GroundMaps, SkyMaps
@@ -301,6 +302,7 @@ class DeviceFrame:
             layers.color.reshape(*shape, 3), layers.alpha.reshape(shape),
             layers.depth.reshape(shape), layers.plane_depth.reshape(shape),
             layers.normal.reshape(*shape, 3), np.float32(self.wet_scene.frame.meters_per_unit),
+            NO_AROUND if mirrored else AROUND,
         )  # fmt: skip
         ground = GroundMaps(self._bed, self._ground, *self.place)
         wet_pass.grade_and_wet[wet_pass.blocks(*shape), wet_pass.BLOCK, stream](

@@ -9,10 +9,11 @@ import math
 
 import numpy as np
 
-from rainsim.constants import ONE, SURFACE_ALPHA
+from rainsim.constants import ONE, SURFACE_ALPHA, ZERO
 from rainsim.cuda.jit import cuda, cuda_kernel
 from rainsim.scene.view import pixel_ray, view_from
 from rainsim.shading.grading import look_from
+from rainsim.shading.smooth_normals import smooth_normal, turned
 from rainsim.shading.wet_pass import depth_of_surface
 from rainsim.shading.wetness import off_ground_from
 from rainsim.shading.wetting import SurfacePoint, wet_pixel
@@ -64,11 +65,18 @@ def grade_and_wet(
     point = SurfacePoint(
         eye[0] + e * x, eye[1] + e * y, eye[2] + e * z, lean_x, lean_y, upness, e * length
     )
+    around = lean_x, lean_y, upness
+    if dry.around > ZERO and alpha >= SURFACE_ALPHA:
+        n0, n1, n2 = smooth_normal(
+            dry.depth, normal, row, column, np.int64(size[1]), np.int64(size[0]), view.fx,
+            dry.around / dry.meters_per_unit,
+        )  # fmt: skip
+        around = turned(m, n0, n1, n2)
     mirror_apart = cover_out.shape[0] > 0
     r, g, b, clearance, cover = wet_pixel(
         (color[row, column, 0], color[row, column, 1], color[row, column, 2]), alpha,
-        (x * inv, y * inv, z * inv), d * length, point, ground, off_ground_from(rain), sky,
-        look_from(look), mirror_apart,
+        (x * inv, y * inv, z * inv), d * length, point, around, ground, off_ground_from(rain),
+        sky, look_from(look), mirror_apart,
     )  # fmt: skip
     picture_out[row, column, 0], picture_out[row, column, 1] = r, g
     picture_out[row, column, 2] = b
