@@ -19,8 +19,9 @@ from rainsim.rain.dripping import drip_impacts
 from rainsim.reflection import water_record
 from rainsim.render import labels, node_labels
 from rainsim.shading import composite
+from rainsim.shading.dampness import find_dampness
 from rainsim.shading.smooth_normals import AROUND
-from rainsim.shading.wet_pass import dry_picture, find_dampness
+from rainsim.shading.wet_pass import dry_picture
 from rainsim.terrain.table import WATER
 
 PICTURE, SHARE, INDEX, DATA = "picture", "share", "index", "data"  # kinds, see `Aov`

@@ -23,6 +23,7 @@ from rainsim.scene.cameras import MIRROR_CLEARANCE, cropped, mirrored_camera
 from rainsim.scene.view import view_of
 from rainsim.shading import environment, sky, wetness
 from rainsim.shading.backdrop import Backdrop, sky_distance
+from rainsim.shading.bodies import body_map, stamped
 from rainsim.shading.calibration import albedo_of_white, zenith_radiance
 from rainsim.shading.color import LUMA, luminance_of, roughly_linear
 from rainsim.shading.grading import DULL_EXPOSURE, SHINES, look_of
@@ -74,12 +75,15 @@ class WetScene:
         Splats that mirrored pictures and the surroundings leave out, see `visibility`.
     day, behind, behind_mirrored : ndarray of shape (rows, columns, 3), float32
         The sky of the day, and what is seen of it behind the scene and behind the mirrored scene.
-    environment, gloss : ndarray of shape (rows, columns, 3), float32
-        The wet capture around the first camera with the sky of the day; the same, blurred.
+    environment, gloss, coat : ndarray of shape (rows, columns, 3), float32
+        The wet capture around the first camera with the sky of the day; the same, blurred as rough
+        things mirror it and as smooth things do.
     look : Look
     off_ground : OffGroundWetness
     ground : ndarray of shape (ny, nx, 4), float32
         See `wetness.ground_wetness`.
+    bodies : ndarray of shape (ny, nx, 2) or (0, 0, 2), uint8
+        Where smooth bodies stand and move, see `bodies.body_map`.
     paving : float
         How wet open paving is, 0 to 1.
     paged : PagedScene or None
@@ -149,7 +153,7 @@ class WetScene:
         if not self.backdrop.count:
             self._skylines = skylines(self.scene, self.prepared, first_camera, self.near)
         self._tracks = NO_TRACKS
-        self._place = np.array(terrain.grid.origin, np.float32), np.float32(terrain.grid.spacing)
+        self._find_bodies()
         self._standing = self._captured = self._captured_merger = None  # made when asked for
         self.tracer = None
         self.notes.append(about_albedo)
@@ -162,9 +166,10 @@ class WetScene:
         if config.render.sky == "capture":
             self.day = self._captured_sky(eye)
             self._set_skies()
-        self.gloss = environment.blurred(self.day)  # until the surroundings are drawn
+        self.gloss = self.coat = environment.blurred(self.day)  # until the surroundings are drawn
         self.environment = self._surroundings(eye)
         self.gloss = environment.blurred(self.environment)
+        self.coat = environment.blurred(self.environment, environment.COAT_BLUR)
 
     def set_time(self, now):
         """Take over the settings of a time; return whether they change what cameras see."""
@@ -187,13 +192,28 @@ class WetScene:
     def leave_ground(self):
         """Let go of what depends on the present part of the ground; `take_ground` must follow."""
         self.reach = self.ground = self._untouched = self._grass = None
+        self.bodies = self._still_bodies = None
 
     def take_ground(self, ground):
         """Draw another part of the ground, a `WetGround`; the light stays as it was set up."""
         self.terrain, self.reach, self._grass, self._untouched = ground
-        grid, self._tracks = self.terrain.grid, NO_TRACKS
+        self._tracks, self.ground = NO_TRACKS, self._untouched
+        self._find_bodies()
+
+    def _find_bodies(self):
+        """Find where smooth bodies stand on the present part of the ground."""
+        grid = self.terrain.grid
         self._place = np.array(grid.origin, np.float32), np.float32(grid.spacing)
-        self.ground = self._untouched
+        self._still_bodies = body_map(self.terrain)
+        self._move_bodies()
+
+    def _move_bodies(self):
+        """Put the bodies that move where they are now."""
+        self.bodies = self._still_bodies
+        if self.nodes is not None and self.nodes.time is not None:
+            self.bodies = stamped(
+                self._still_bodies, self.terrain, self.terrain.movers, self.nodes.time
+            )
 
     def _wet_ground(self, now):
         """Find how wet the ground is at the present time."""
@@ -208,6 +228,7 @@ class WetScene:
         if self.nodes is None or not self.nodes.set_time(time):
             return False
         self._put_nodes()
+        self._move_bodies()
         return True
 
     def take_tracks(self, tracks):
@@ -278,7 +299,7 @@ class WetScene:
     @property
     def ground_maps(self):
         """The mapped ground as kernels take it."""
-        return GroundMaps(self.terrain.bed, self.ground, *self._place)
+        return GroundMaps(self.terrain.bed, self.ground, *self._place, self.bodies)
 
     def dry(self, camera, whole_color=False):
         """Return the `raster.Layers` of the capture that `camera` takes.
@@ -425,7 +446,7 @@ class WetScene:
     def _shading(self, mirrored):
         """Return ground, wetness off it, skies and look, as the grading kernels take them."""
         behind = self.behind_mirrored if mirrored else self.behind
-        return self.ground_maps, self.off_ground, SkyMaps(self.gloss, behind), self.look
+        return self.ground_maps, self.off_ground, SkyMaps(self.gloss, self.coat, behind), self.look
 
     def _wetted(self, layers, camera, cover=NO_COVER, mirrored=False):
         """Return the `WetPicture` of splatted layers, graded and wet."""

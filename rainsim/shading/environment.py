@@ -20,6 +20,7 @@ from rainsim.scene.types import Camera
 
 ROWS, COLUMNS = 128, 256
 GLOSS_BLUR = (math.radians(10), math.radians(6))  # of elevation and azimuth; by eye
+COAT_BLUR = (math.radians(2.5), math.radians(2.5))  # of drops and unevenness; by eye
 FACE = 160  # px, side of the pictures that a probe of the capture is made from
 
 INV_TWO_PI = np.float32(0.5 / np.pi)
@@ -38,10 +39,13 @@ def directions(rows=ROWS, columns=COLUMNS):
     return found
 
 
-def blurred(environment):
-    """Return what a wet rough surface mirrors of a map: its lobe is longer than wide."""
+def blurred(environment, by=GLOSS_BLUR):
+    """Return what a wet rough surface mirrors of a map: its lobe is longer than wide.
+
+    Or another surface, whose lobe has the deviations `by` of elevation and azimuth [rad].
+    """
     rows = environment.shape[0]
-    sigma = (GLOSS_BLUR[0] * rows / np.pi, GLOSS_BLUR[1] * rows / np.pi, 0)
+    sigma = (by[0] * rows / np.pi, by[1] * rows / np.pi, 0)
     made = ndimage.gaussian_filter(environment, sigma, mode=("nearest", "wrap", "nearest"))
     return np.ascontiguousarray(made, dtype=np.float32)
 

@@ -15,6 +15,7 @@ QUARTER = np.float32(0.25)
 LEANING = np.float32(0.1)  # cosine to the rain below which captured normals are mostly noise
 FOOT_SHARE = np.float32(0.3)  # of the rain, that splashes back on the foot of a wall; by eye
 FOOT_STEEP = np.float32(1 / 0.15)  # 1/m: decay of the back splash upwards; by eye
+RUN_OFF = np.float32(0.3)  # of the rain, that runs down the sides of a smooth body; by eye
 PATHS_ACROSS, PATHS_DOWN = np.float32(1 / 0.07), np.float32(1 / 2.5)  # 1/m, of paths down a wall
 PATHS = np.float32(1.2)  # variation of the dampness of a half wet wall along its paths
 FAINT = np.float32(0.04)  # variation of dampness that no eye sees
@@ -24,13 +25,13 @@ ONE_AXIS = np.float32(0.38)  # share of a normal's square below which an axis do
 
 
 @inlined_function
-def damp_off_ground(rain, point, height):
+def damp_off_ground(rain, point, height, body):
     """Return the dampness of a surface that is no mapped ground, 0 dry to 1 wet through.
 
     A surface catches rain as it faces the slanting drops; the foot of a wall gets what splashes
-    back from the ground. Walls in the lee, and all walls in calm air, stay dry above that. The sum
-    is an even dampness. A wall that is not wet through varies along the paths of the water that
-    runs down.
+    back from the ground, and the sides of smooth bodies get what runs down them. Walls in the lee,
+    and all walls in calm air, stay dry above that. The sum is an even dampness. A wall that is not
+    wet through varies along the paths of the water that runs down.
 
     Parameters
     ----------
@@ -39,12 +40,15 @@ def damp_off_ground(rain, point, height):
         Its distance decides whether the paths are seen.
     height : float32 [m]
         Over the ground.
+    body : float32
+        How surely it belongs to a smooth body, see `bodies`.
     """
     nx, ny, nz, far = point.nx, point.ny, point.nz, point.distance
     slant = -(nx * rain.slant_x + ny * rain.slant_y)
     caught = max(nz + slant, ZERO)
     caught *= caught / (caught + LEANING)
     if nz > -HALF:
+        caught = max(caught, RUN_OFF * body)
         caught += FOOT_SHARE * exp_minus(max(height, ZERO) * FOOT_STEEP)
     full = min(rain.supply * caught, TWO)
     damp = full * (ONE - QUARTER * full)

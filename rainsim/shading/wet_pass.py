@@ -16,7 +16,7 @@ import numpy as np
 from rainsim.constants import FAR_AWAY, HALF, ONE, SURFACE_ALPHA, ZERO
 from rainsim.jit import cpu_kernel, device_function, inlined_function, prange, serial_kernel
 from rainsim.numerics.pixel_batches import CHUNK, CORNERS, interpolate
-from rainsim.scene.view import View, pixel_ray
+from rainsim.scene.view import View
 from rainsim.shading.environment import azimuth_in_map, color_in_map, elevation_in_map
 from rainsim.shading.grading import Look, is_edge, undiluted
 from rainsim.shading.smooth_normals import (
@@ -24,7 +24,6 @@ from rainsim.shading.smooth_normals import (
     STEPS,
     sample,
     sharpness,
-    smooth_normal,
     step_of,
     turned,
 )
@@ -38,6 +37,7 @@ from rainsim.shading.wetting import (
     GroundMaps,
     SkyMaps,
     SurfacePoint,
+    body_of,
     glossed,
     mirror_cover,
     off_ground,
@@ -57,9 +57,9 @@ from rainsim.shading.wetting import (
 (VIEW_X, VIEW_Y, VIEW_Z, X, Y, Z, LEAN_X, LEAN_Y, UPNESS, COSINE, AWAY, FAR) = (
     CHUNK * k for k in range(9, 21)
 )
-# Heights as `heights_of` returns them, shares of gloss, of sky and of a leaf's gloss, and places in
-# maps: first the ground's column and row, then the environment's.
-(CLEARANCE, HEIGHT, GLOSS, THROUGH, LEAF, ACROSS, DOWN) = (CHUNK * k for k in range(21, 28))
+# Heights as `heights_of` returns them, shares of gloss, of sky and of what is smooth of the gloss,
+# and places in maps: first the ground's column and row, then the environment's.
+(CLEARANCE, HEIGHT, GLOSS, THROUGH, SMOOTH, ACROSS, DOWN) = (CHUNK * k for k in range(21, 28))
 WETNESS = 28 * CHUNK  # as `store_wetness` writes it, a row for each field
 NUMBERS = WETNESS + len(Wetness._fields) * CHUNK
 
@@ -315,7 +315,7 @@ def take_normals_around(dry, normals, view, row, left, n, s, step):
             add_around(dry.depth, normals, row, left, n, k, s)
             for i in range(n):
                 if step[i] == np.uint32(1 << k):
-                    x, y, z = turned(m, s[LEAF + i], s[ACROSS + i], s[DOWN + i])
+                    x, y, z = turned(m, s[SMOOTH + i], s[ACROSS + i], s[DOWN + i])
                     a, b, c = wetted_normal(
                         s[RED + i], s[GREEN + i], s[BLUE + i], s[HEIGHT + i],
                         (s[LEAN_X + i], s[LEAN_Y + i], s[UPNESS + i]), (x, y, z),
@@ -326,10 +326,10 @@ def take_normals_around(dry, normals, view, row, left, n, s, step):
 
 @inlined_function
 def add_around(depths, normals, row, left, n, step, s):
-    """Add up the normals around n pixels, to LEAF, ACROSS and DOWN."""
+    """Add up the normals around n pixels, to SMOOTH, ACROSS and DOWN."""
     rows, columns = depths.shape
     for i in range(n):
-        s[LEAF + i], s[ACROSS + i], s[DOWN + i] = ZERO, ZERO, ZERO
+        s[SMOOTH + i], s[ACROSS + i], s[DOWN + i] = ZERO, ZERO, ZERO
     for k in range(SAMPLES):
         across, down = sample(k, step)
         v = min(max(row + down, 0), rows - 1)
@@ -352,7 +352,7 @@ def add_normals(depth, normal, first, n, s):
         k = np.uint64(first) + i
         away = (depth[i] - s[np.uint64(GLOSS) + k]) * s[np.uint64(THROUGH) + k]
         weight = max(ONE - away * away, ZERO)
-        s[np.uint64(LEAF) + k] += weight * normal[np.uint64(3) * i]
+        s[np.uint64(SMOOTH) + k] += weight * normal[np.uint64(3) * i]
         s[np.uint64(ACROSS) + k] += weight * normal[np.uint64(3) * i + np.uint64(1)]
         s[np.uint64(DOWN) + k] += weight * normal[np.uint64(3) * i + np.uint64(2)]
 
@@ -368,9 +368,11 @@ def find_wetness(ground, rain, n, s):
     if off > 0:
         for i in range(n):
             height = s[HEIGHT + i]
-            damp = damp_off_ground(rain, surface_point(s, i), height)
+            point = surface_point(s, i)
+            body = body_of(point, s[CLEARANCE + i], ground)
+            damp = damp_off_ground(rain, point, height, body)
             damp = damp if s[ALPHA + i] >= SURFACE_ALPHA else ZERO
-            store_wetness(off_ground(rain, damp), s, WETNESS + i, CHUNK)
+            store_wetness(off_ground(rain, damp, body), s, WETNESS + i, CHUNK)
     for i in range(n):
         if s[CLEARANCE + i] < ON_GROUND and s[UPNESS + i] > FLAT:
             u, v = (s[X + i] - o0) / spacing - HALF, (s[Y + i] - o1) / spacing - HALF
@@ -389,13 +391,13 @@ def surface_point(s, i):
 def color_pixels(look, mirror_apart, n, s):
     """Grade and wet the colours."""
     for i in range(n):
-        r, g, b, gloss, through, leaf = rainy_color(
+        r, g, b, gloss, through, smooth = rainy_color(
             s[RED + i], s[GREEN + i], s[BLUE + i], s[ALPHA + i], s[FAR + i], s[VIEW_Z + i],
             s[COSINE + i], s[UPNESS + i], s[HEIGHT + i], stored_wetness(s, WETNESS + i, CHUNK),
             look,
         )  # fmt: skip
         s[RED + i], s[GREEN + i], s[BLUE + i], s[THROUGH + i] = r, g, b, through
-        s[LEAF + i] = leaf
+        s[SMOOTH + i] = smooth
         level = s[UPNESS + i] > FLAT and s[HEIGHT + i] < ON_GROUND
         s[GLOSS + i] = ZERO if mirror_apart and level else gloss
 
@@ -409,11 +411,14 @@ def add_surroundings(sky, n, s, glossy, open_):
         for i in range(n):
             x, y, z = glossed(
                 s[VIEW_X + i], s[VIEW_Y + i], s[VIEW_Z + i], s[COSINE + i], s[LEAN_X + i],
-                s[LEAN_Y + i], s[UPNESS + i], s[LEAF + i],
+                s[LEAN_Y + i], s[UPNESS + i], s[SMOOTH + i],
             )  # fmt: skip
             s[ACROSS + i], s[DOWN + i] = azimuth_in_map(x, y), elevation_in_map(x, y, z)
         for k in range(gloss):
-            add_radiance(sky.gloss, s, GLOSS, glossy[k])
+            if s[np.uint32(SMOOTH + glossy[k])] > ONE:
+                add_radiance(sky.coat, s, GLOSS, glossy[k])
+            else:
+                add_radiance(sky.gloss, s, GLOSS, glossy[k])
     if through > 0:
         for i in range(n):
             x, y, z = s[VIEW_X + i], s[VIEW_Y + i], s[VIEW_Z + i]
@@ -468,56 +473,3 @@ def write_cover(ground, n, s, cover_out):
                 surface_point(s, i), s[CLEARANCE + i], stored_wetness(s, WETNESS + i, CHUNK),
                 ground,
             )  # fmt: skip
-
-
-@cpu_kernel
-def find_dampness(
-    depth, clearance, dry: DryPicture, look: Look, view: View, ground: GroundMaps,
-    rain: OffGroundWetness, damp_out,
-):  # fmt: skip
-    """Write how wet what a picture shows is, for the AOV.
-
-    Parameters
-    ----------
-    depth, clearance : ndarray of shape (height, width), float32 [m]
-        As `grade_and_wet` wrote them.
-    dry : DryPicture
-    look : Look
-    view : View
-    ground : GroundMaps
-    rain : OffGroundWetness
-    damp_out : ndarray of shape (height, width), float32
-        0 dry to 1 wet through; 0 for the sky.
-    """
-    height, width = depth.shape
-    m, eye, normal = view.ground_from_camera, view.eye, dry.normal
-    around = dry.around / dry.meters_per_unit
-    for row in prange(height):
-        for column in range(width):
-            d = depth[row, column]
-            damp_out[row, column] = ZERO
-            if not d < FAR_AWAY:
-                continue
-            a, b, c = pixel_ray(view, row, column)
-            x, y, z = eye[0] + d * a, eye[1] + d * b, eye[2] + d * c
-            n0, n1, n2 = normal[row, column, 0], normal[row, column, 1], normal[row, column, 2]
-            upness = m[2, 0] * n0 + m[2, 1] * n1 + m[2, 2] * n2
-            if clearance[row, column] < ON_GROUND and upness > FLAT:
-                u = (x - ground.origin[0]) / ground.spacing - HALF
-                v = (y - ground.origin[1]) / ground.spacing - HALF
-                damp_out[row, column] = on_ground(ground, u, v).dampness
-            else:
-                own = turned(m, n0, n1, n2)
-                above = clearance[row, column]
-                above = above if above < FAR_AWAY else z
-                n0, n1, n2 = smooth_normal(
-                    dry.depth, normal, row, column, height, width, view.fx, around
-                )
-                alpha = dry.alpha[row, column]
-                r, g, b = undiluted(
-                    dry.color[row, column, 0], dry.color[row, column, 1], dry.color[row, column, 2],
-                    alpha if is_edge(alpha, look) else ONE,
-                )  # fmt: skip
-                lean = wetted_normal(r, g, b, above, own, turned(m, n0, n1, n2))
-                point = SurfacePoint(x, y, z, lean[0], lean[1], lean[2], d)
-                damp_out[row, column] = damp_off_ground(rain, point, above)

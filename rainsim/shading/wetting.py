@@ -15,6 +15,7 @@ import numpy as np
 from rainsim.constants import FAR_AWAY, FOUR, HALF, ONE, SURFACE_ALPHA, TWO, ZERO
 from rainsim.jit import inlined_function
 from rainsim.numerics.interpolation import bilinear, smoothstep
+from rainsim.shading.bodies import NO_BODIES, body_share
 from rainsim.shading.color import luminance
 from rainsim.shading.environment import sample_environment
 from rainsim.shading.fresnel import fresnel
@@ -32,6 +33,7 @@ LEAST_ALBEDO, MOST_ALBEDO = np.float32(0.02), np.float32(0.8)
 # and Duke 2001, Agric. For. Meteorol. 107, 117). A lawn, which gets no gloss here, keeps some 0.93
 # of its light; leaves keep some 0.88, and a sixth of their light is gloss besides.
 LEAF_SHED, LAWN_SHED = np.float32(0.8), np.float32(0.9)
+COATED = np.float32(0.7)  # the same of smooth things: paint and glazes have a coat when dry; by eye
 GREENISH, GREEN = np.float32(0.2), np.float32(0.6)  # of yellow walls, and of leaves: what glosses
 LEAF_ALBEDO = np.float32(0.1)  # of leaves in the open, as of grass in classes.toml
 ENRICHMENT = np.float32(0.25)  # of the saturation of a surface that is wet through; by eye
@@ -39,6 +41,12 @@ ENRICHMENT = np.float32(0.25)  # of the saturation of a surface that is wet thro
 GLOSS = np.float32(0.3)  # of a smooth mirror: what a water film on rough stone reflects; by eye
 GLOSS_LIFT = np.float32(0.3)  # sine by which its lobe is lifted above the mirror direction
 EDGE_COSINE = np.float32(0.25)  # of the view to a thing's surface, below which it glosses less
+# Porosity, over one, below which the water that covers a thing mirrors as a smooth coat.
+SMOOTH = np.float32(10)
+COAT_GRAZING, COAT_EDGE = np.float32(0.08), np.float32(0.12)  # as GRAZING and EDGE_COSINE
+SHADOWED = np.float32(0.6)  # m over the ground, below which a thing mirrors its shadow; by eye
+MIRROR = TWO  # in place of a share of leaves: a coat of water on a smooth thing
+TALLER = np.float32(3)  # m over the ground, above which there are no bodies
 GRAZING = np.float32(0.02)  # least cosine that Fresnel's factor is taken at
 # The same of leaves: one on edge fills no pixel, and the normal there is that of others. By eye.
 LEAF_GRAZING = np.float32(0.5)
@@ -60,12 +68,14 @@ class GroundMaps(NamedTuple):
     wetness: np.ndarray  # (ny, nx, 4) float32, see `Wetness`
     origin: np.ndarray  # (2,) float32 [m], corner of the first cell
     spacing: np.float32  # m
+    bodies: np.ndarray = NO_BODIES  # (ny, nx, 2) or (0, 0, 2) uint8, see `bodies.body_map`
 
 
 class SkyMaps(NamedTuple):
     """Environment maps in the ground frame, (rows, columns, 3) float32; read-only."""
 
     gloss: np.ndarray  # the surroundings, blurred as wet rough surfaces mirror them
+    coat: np.ndarray  # the surroundings, blurred as a coat of water on a smooth thing mirrors them
     behind: np.ndarray  # the sky that is seen behind the scene
 
 
@@ -125,15 +135,16 @@ def open_share(y, look):
 
 
 @inlined_function
-def wetted(r, g, b, share, wet, look):
+def wetted(r, g, b, share, coat, wet, look):
     """Return the graded colour of a surface of which a share is wet, the others being sky.
 
     It is darker by the ratio of wet to dry albedo, the albedo guessed from the colour: the ratio
     under a water film, mixed by the porosity with that of filled pores. Leaves and lawns darken
-    less, for they shed water. And it is more saturated.
+    less, for they shed water, and so do smooth things, of which a share is `coat`: most of them are
+    painted or glazed, and look dry as they would under water. And it is more saturated.
     """
     damp, green = wet.dampness * share, greenness(r, g, b)
-    amount = damp * (ONE - max(LEAF_SHED * green, LAWN_SHED * wet.lawn))
+    amount = damp * (ONE - max(max(LEAF_SHED * green, LAWN_SHED * wet.lawn), COATED * coat))
     y = luminance(r, g, b)
     albedo = min(max(y / look.exposure * look.albedo, LEAST_ALBEDO), MOST_ALBEDO)
     ratio = wet_ratio(albedo)
@@ -155,9 +166,18 @@ def on_ground(ground, u, v):
 
 
 @inlined_function
-def off_ground(rain, damp):
-    """Return the `Wetness` of a surface that is no ground."""
-    return Wetness(ZERO, damp, damp * rain.film_left, rain.porosity)
+def off_ground(rain, damp, body):
+    """Return the `Wetness` of a surface that is no ground; smooth bodies have no pores."""
+    return Wetness(ZERO, damp, damp * rain.film_left, rain.porosity * (ONE - body))
+
+
+@inlined_function
+def body_of(point, clearance, ground):
+    """Return how surely a point off the ground is on a smooth body, 0 to 1."""
+    if ground.bodies.shape[0] < 2 or not clearance < TALLER:
+        return ZERO
+    u, v = map_place(ground, point.x, point.y)
+    return body_share(ground.bodies, u, v, clearance, point.nz)
 
 
 @inlined_function
@@ -230,7 +250,8 @@ def wet_state(point, clearance, height, ground, rain):
         u, v = map_place(ground, point.x, point.y)
         return on_ground(ground, u, v)
     if height < FAR_AWAY:
-        return off_ground(rain, damp_off_ground(rain, point, height))
+        body = body_of(point, clearance, ground)
+        return off_ground(rain, damp_off_ground(rain, point, height, body), body)
     return Wetness(ZERO, ZERO, ZERO, ZERO)
 
 
@@ -256,7 +277,9 @@ def rainy_color(r, g, b, alpha, distance, sine, cosine, upness, height, wet, loo
     """Return a captured surface's colour in the rain, and the shares of gloss and of sky.
 
     Level surfaces gloss as rough stone does. A leaf is a mirror of its own: its facet reflects by
-    Fresnel's factor, as far as its surroundings are open.
+    Fresnel's factor, as far as its surroundings are open. So does the coat of water on a smooth
+    thing; what it mirrors does not reach what is below, so that in white surroundings nothing is
+    brighter than white.
 
     Parameters
     ----------
@@ -282,27 +305,37 @@ def rainy_color(r, g, b, alpha, distance, sine, cosine, upness, height, wet, loo
         Radiance that the surface adds to the pixel, without gloss.
     gloss, through : float32
         Weights of the mirrored surroundings and of the sky behind.
-    leaf : float32
-        How far the gloss is that of a leaf, see `glossed`.
+    smooth : float32
+        How far the gloss is that of a leaf, 0 to 1, or MIRROR, see `glossed`.
     """
-    sky, gloss, surface, leaf = ZERO, ZERO, ONE, ZERO
+    sky, gloss, surface, smooth = ZERO, ZERO, ONE, ZERO
     if distance > look.sky_distance and sine > SKY_SINE:
         sky = sky_share(r, g, b)
         surface = ONE - sky
         sky *= look.sky_replaced
     r, g, b = graded(r, g, b, look)
     if wet.dampness * surface > ZERO:
+        leaf, coat = ZERO, ZERO
         if upness <= FLAT or height >= ON_GROUND:
             leaf = smoothstep(GREENISH, GREEN, greenness(r, g, b))
-        gloss = (ONE - leaf) * max(TWO * upness - ONE, ZERO) * (ONE - wet.lawn) * GLOSS
+            coat = (ONE - leaf) * max(ONE - SMOOTH * wet.porosity, ZERO)
+        smooth = MIRROR if coat > leaf else leaf
+        gloss = (ONE - leaf - coat) * max(TWO * upness - ONE, ZERO) * (ONE - wet.lawn) * GLOSS
         if height > ON_GROUND:  # the film on things is broken; by eye
             gloss *= HALF
-        gloss = wet.film * (gloss + leaf * open_share(luminance(r, g, b), look))
-        r, g, b = wetted(r, g, b, surface, wet, look)
+        # What is low mirrors the road below the thing itself, which is dark.
+        coat_gloss = coat * smoothstep(ZERO, SHADOWED, height)
+        gloss = wet.film * (gloss + leaf * open_share(luminance(r, g, b), look) + coat_gloss)
+        r, g, b = wetted(r, g, b, surface, coat, wet, look)
         if gloss > ZERO:
-            gloss *= fresnel(max(cosine, GRAZING + leaf * (LEAF_GRAZING - GRAZING)))
+            least = GRAZING + leaf * (LEAF_GRAZING - GRAZING) + coat * (COAT_GRAZING - GRAZING)
+            share = fresnel(max(cosine, least))
             if height > ON_GROUND:  # blended normals at edges look grazed, which they are not
-                gloss *= smoothstep(ZERO, EDGE_COSINE, cosine)
+                share *= smoothstep(ZERO, EDGE_COSINE + coat * (COAT_EDGE - EDGE_COSINE), cosine)
+            gloss *= share
+            # What the coat lets out towards the eye, over the mean of all directions.
+            out = ONE + wet.film * coat_gloss * surface * ((ONE - share) / (ONE - ESCAPE) - ONE)
+            r, g, b = r * out, g * out, b * out
     # The sky of the day replaces the captured sky and fills what no splat covers. Many captures
     # leave dark places half open: those are not sky. Below the horizon, where a capture ends before
     # it, the map has dull ground in haze; `skyline` says in which directions it is open.
@@ -312,20 +345,20 @@ def rainy_color(r, g, b, alpha, distance, sine, cosine, upness, height, wet, loo
         through += (ONE - alpha) * smoothstep(OPEN_LOW, OPEN_HIGH, sine)
     else:
         through += (ONE - alpha) * smoothstep(HOLE, GAP, ONE - alpha)
-    return r * keep, g * keep, b * keep, gloss * keep, through, leaf
+    return r * keep, g * keep, b * keep, gloss * keep, through, smooth
 
 
 @inlined_function
-def glossed(x, y, z, cosine, nx, ny, nz, leaf):
+def glossed(x, y, z, cosine, nx, ny, nz, smooth):
     """Return a direction, of any length, that a wet surface seen along (x, y, z) mirrors.
 
-    Level rough surfaces mostly mirror what lies above the mirror direction. A share `leaf` is that
-    of a leaf, which mirrors by its own unit normal (nx, ny, nz); `cosine` is between that and the
-    way back.
+    Level rough surfaces mostly mirror what lies above the mirror direction. A share `smooth` is
+    that of a leaf, or MIRROR that of a smooth thing, which mirrors by its own unit normal
+    (nx, ny, nz); `cosine` is between that and the way back.
     """
-    up = abs(z) + GLOSS_LIFT
-    turn = TWO * cosine * leaf
-    return x + turn * nx, y + turn * ny, up + leaf * (z - up) + turn * nz
+    up, smooth = abs(z) + GLOSS_LIFT, min(smooth, ONE)
+    turn = TWO * cosine * smooth
+    return x + turn * nx, y + turn * ny, up + smooth * (z - up) + turn * nz
 
 
 @inlined_function
@@ -371,15 +404,15 @@ def wet_pixel(color, alpha, ray, distance, point, around, ground, rain, sky, loo
     )  # fmt: skip
     wet = wet_state(point, clearance, height, ground, rain)
     cosine = -(x * point.nx + y * point.ny + z * point.nz)
-    r, g, b, gloss, through, leaf = rainy_color(
+    r, g, b, gloss, through, smooth = rainy_color(
         r, g, b, alpha, distance, z, cosine, point.nz, height, wet, look
     )
     cover = ZERO
     if mirror_apart and point.nz > FLAT and height < ON_GROUND:
         cover = mirror_cover(point, clearance, wet, ground)
     elif gloss > ZERO:
-        u, v, w = glossed(x, y, z, cosine, point.nx, point.ny, point.nz, leaf)
-        e0, e1, e2 = sample_environment(sky.gloss, u, v, w)
+        u, v, w = glossed(x, y, z, cosine, point.nx, point.ny, point.nz, smooth)
+        e0, e1, e2 = sample_environment(sky.coat if smooth > ONE else sky.gloss, u, v, w)
         r, g, b = r + gloss * e0, g + gloss * e1, b + gloss * e2
     if through > LEAST_SKY:
         e0, e1, e2 = sample_environment(sky.behind, x, y, z)

@@ -94,7 +94,7 @@ def test_grade_and_wet(view, poisoned):
     dry = DryPicture(
         view.color, view.alpha, view.depth, view.depth * F4(1.01), view.normal, F4(0.9), F4(0.2)
     )
-    skies = SkyMaps(around, day)
+    skies = SkyMaps(around, sky.overcast(0.8), day)
 
     def on_both(damp):
         """Return the arguments of the CPU's kernel and of the twin."""

@@ -49,7 +49,7 @@ def scene(dry):
     """What the picture is graded with but its look: ground, wetness off it, skies."""
     ground = GroundMaps(dry.pop("bed"), dry.pop("wetness"), ORIGIN, SPACING)
     rain = OffGroundWetness(*F4([0.9, 0.2, -0.4, 0.8, 0.3]))
-    return ground, rain, SkyMaps(sky.overcast(0.6), sky.overcast())
+    return ground, rain, SkyMaps(sky.overcast(0.6), sky.overcast(0.7), sky.overcast())
 
 
 def pixel_by_pixel(dry, ground, rain, skies, look, apart):

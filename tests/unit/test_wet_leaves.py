@@ -25,7 +25,7 @@ def skies():
     """White above 45 degrees, black below."""
     bright = environment.directions()[..., 2] > np.sqrt(0.5)
     light = np.repeat(bright[..., None], 3, axis=-1).astype(F4)
-    return SkyMaps(light, light)
+    return SkyMaps(light, light, light)
 
 
 def gloss_of(color, normal, rain, skies, look=LOOK):
@@ -37,7 +37,7 @@ def gloss_of(color, normal, rain, skies, look=LOOK):
             color, F4(1), AHEAD, F4(3), point, normal, LEVEL, rain, maps, look, False
         )[1]  # fmt: skip
 
-    return drawn(skies) - drawn(SkyMaps(0 * skies.gloss, skies.behind))
+    return drawn(skies) - drawn(SkyMaps(0 * skies.gloss, 0 * skies.coat, skies.behind))
 
 
 def test_a_leaf_that_is_turned_to_the_zenith_mirrors_it(skies):
@@ -64,7 +64,7 @@ def test_dark_leaves_deep_in_a_hedge_mirror_little(skies):
 def test_a_leaf_on_edge_is_no_mirror_at_grazing_angles(skies):
     def reflected(cosine):
         normal = F4([-cosine, 0, np.sqrt(1 - cosine**2)])
-        white = SkyMaps(np.ones_like(skies.gloss), skies.behind)
+        white = SkyMaps(np.ones_like(skies.gloss), np.ones_like(skies.gloss), skies.behind)
         return gloss_of(1.2 * GREEN, normal, SOAKED, white)
 
     assert reflected(0.3) == pytest.approx(reflected(0.5), rel=1e-4)

@@ -81,6 +81,9 @@ class DeviceFrame:
         self.place = to_device(np.array(grid.origin, np.float32)), np.float32(grid.spacing)
         self._bed, self._rings = to_device(self.terrain.bed), to_device(host.rings)
         self._ground, self._ground_sent = to_device(scene.ground), scene.ground
+        bodies = scene.bodies.size or self.terrain.movers
+        self._bodies = cuda.device_array((*grid.shape, 2) if bodies else (1, 1, 2), np.uint8)
+        self._send_bodies()
         tops = host.water.tops
         self._tops = tops._replace(
             number=cuda.to_device(tops.number), form=to_device(tops.form),
@@ -88,6 +91,7 @@ class DeviceFrame:
             origin=to_device(tops.origin),
         )  # fmt: skip
         self._around, self.gloss = to_device(scene.environment), to_device(scene.gloss)
+        self._coat = to_device(scene.coat)
         self._behind, self._behind_sent = to_device(scene.behind), scene.behind
         self._behind_mirrored = to_device(scene.behind_mirrored)
         self._colors_sent, self.rasterizer.recolors = scene.drawn, False
@@ -116,6 +120,8 @@ class DeviceFrame:
             changed |= self.nodes.update(state)
         if scene.ground is not self._ground_sent:
             self.pending.append(self._send_ground)
+        if scene.bodies is not self._bodies_sent:
+            self.pending.append(self._send_bodies)
         if scene.behind is not self._behind_sent:
             self.pending.append(self._send_sky)
         if scene.drawn is not self._colors_sent:
@@ -148,6 +154,13 @@ class DeviceFrame:
     def _send_ground(self):
         self._ground.copy_to_device(np.ascontiguousarray(self.wet_scene.ground, np.float32))
         self._ground_sent = self.wet_scene.ground
+
+    def _send_bodies(self):
+        bodies = self.wet_scene.bodies
+        self._bodies.copy_to_device(
+            bodies if bodies.size else np.zeros(self._bodies.shape, np.uint8)
+        )
+        self._bodies_sent = bodies
 
     def _send_sky(self):
         self._behind.copy_to_device(self.wet_scene.behind)
@@ -304,10 +317,10 @@ class DeviceFrame:
             layers.normal.reshape(*shape, 3), np.float32(self.wet_scene.frame.meters_per_unit),
             NO_AROUND if mirrored else AROUND,
         )  # fmt: skip
-        ground = GroundMaps(self._bed, self._ground, *self.place)
+        ground = GroundMaps(self._bed, self._ground, *self.place, self._bodies)
         wet_pass.grade_and_wet[wet_pass.blocks(*shape), wet_pass.BLOCK, stream](
             rasterizer.size, dry, CameraArrays(turn, eye, rasterizer.lens), ground,
-            n["off_ground"], SkyMaps(self.gloss, behind), n["look"], picture, depth,
+            n["off_ground"], SkyMaps(self.gloss, self._coat, behind), n["look"], picture, depth,
             clearance, cover,
         )  # fmt: skip
 

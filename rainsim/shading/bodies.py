@@ -1,0 +1,131 @@
+"""Smooth bodies: cars, boxes, bollards, what stands on the ground and has an even upper side.
+
+Rain that falls on them runs down their sides, and does not soak in. So all of them but what faces
+the ground is wet, and mirrors as the water that covers it does. What is taller than a van, walls,
+trees and masts, is none; what is rough from above is leaves. Moving nodes are bodies wherever they
+are.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import ndimage
+
+from rainsim.constants import HALF, ONE, ZERO
+from rainsim.jit import inlined_function
+from rainsim.numerics.interpolation import smoothstep
+
+LOWEST, TALLEST = 0.25, 2.2  # m over the ground, of a body's upper side
+STANDS = 0.3  # m over the ground, of the lower side of what stands on it, as a car does
+ROUGHEST = 0.01  # m, rms of a body's upper side about its mean over some centimetres
+MEAN_OVER, ROUGH_OVER = 0.03, 0.06  # m, deviations of those means
+FEWEST = 0.05  # m2 of an upper side
+RIM = 0.22  # m, of an upper side: there it is steep
+AROUND = 0.08  # m beside a body's cells in which its sides show
+STEP = 0.02  # m, unit of the heights in the map
+TOP, HEIGHTS = 128, 127  # bit of the upper side: it shows water of its own; the bits of its height
+IN_STEPS = np.float32(1 / STEP)
+EDGE, SOFT = np.float32(4), np.float32(1 / 3)  # STEPs beyond its sides that a body reaches, fading
+SLOPED, LEVEL = np.float32(0.6), np.float32(0.85)  # cosines to the vertical of sides, of the top
+NO_BODIES = np.zeros((0, 0, 2), np.uint8)
+
+
+def body_map(terrain):
+    """Return between which heights over the bed each cell shows a body, in STEPs.
+
+    Parameters
+    ----------
+    terrain : Terrain
+
+    Returns
+    -------
+    ndarray of shape (ny, nx, 2), uint8
+        Lower and upper side; 0 and 0 where there is no body. TOP is added to the upper side where
+        that is a top with its own water. Of shape (0, 0, 2) if there is no body.
+    """
+    spacing = terrain.grid.spacing
+    height, under = (np.nan_to_num(a - terrain.bed) for a in (terrain.top, terrain.underside))
+    things = (height > LOWEST) & (height < TALLEST)
+    if not things.any():
+        return NO_BODIES
+    share = ndimage.gaussian_filter(things.astype(np.float32), MEAN_OVER / spacing)
+    share = np.maximum(share, np.float32(1e-3))
+    mean = ndimage.gaussian_filter(np.where(things, height, 0), MEAN_OVER / spacing) / share
+    uneven = np.where(things, (height - mean) ** 2, 0).astype(np.float32)
+    weight = ndimage.gaussian_filter(things.astype(np.float32), ROUGH_OVER / spacing)
+    uneven = ndimage.gaussian_filter(uneven, ROUGH_OVER / spacing)
+    smooth = things & (under < STANDS) & (uneven < ROUGHEST**2 * weight)
+    labels, count = ndimage.label(smooth)
+    area = np.bincount(labels.ravel(), minlength=count + 1) * terrain.grid.cell_area
+    smooth &= (area >= FEWEST)[labels]
+    rim = ndimage.distance_transform_edt(~smooth) <= RIM / spacing
+    found = with_sides(height, under, things & rim, spacing)
+    if found.size and len(terrain.tops):
+        found[..., 1] |= np.where((terrain.tops.index >= 0) & (found[..., 1] > 0), TOP, 0).astype(
+            np.uint8
+        )
+    return found
+
+
+def with_sides(height, underside, bodies, spacing):
+    """Return a map as `body_map` does of heights [m] in the cells `bodies` and around them."""
+    if not bodies.any():
+        return NO_BODIES
+    size = 2 * round(AROUND / spacing) + 1
+    high = ndimage.maximum_filter(np.where(bodies, height, 0), size)
+    low = ndimage.minimum_filter(np.where(bodies, underside, np.inf), size)
+    found = np.stack([np.where(high > 0, low, 0), high], axis=-1)
+    return np.ascontiguousarray(np.clip(np.rint(found / STEP), 0, HEIGHTS).astype(np.uint8))
+
+
+def stamped(bodies, terrain, movers, time):
+    """Return a map of `body_map` with the bodies that move over a terrain at a time [s] on it.
+
+    Parameters
+    ----------
+    bodies : ndarray of shape (ny, nx, 2) or (0, 0, 2), uint8
+    terrain : Terrain
+    movers : sequence of Mover
+    time : float [s]
+    """
+    shadows = [mover.shadow(terrain.grid, time) for mover in movers]
+    shadows = [shadow for shadow in shadows if shadow is not None]
+    if not shadows:
+        return bodies
+    found = bodies.copy() if bodies.size else np.zeros((*terrain.grid.shape, 2), np.uint8)
+    reach = round(AROUND / terrain.grid.spacing)
+    for shadow in shadows:
+        rows, columns = (
+            slice(max(s.start - reach, 0), min(s.stop + reach, most))
+            for s, most in zip(shadow.part, terrain.grid.shape, strict=True)
+        )
+        inner = tuple(
+            slice(s.start - outer.start, s.stop - outer.start)
+            for s, outer in zip(shadow.part, (rows, columns), strict=True)
+        )
+        bed = terrain.bed[rows, columns]
+        top, under = np.zeros_like(bed), np.zeros_like(bed)
+        top[inner], under[inner] = shadow.top - bed[inner], shadow.underside - bed[inner]
+        there = (top > 0) & (top < TALLEST)
+        mine = with_sides(np.where(there, top, 0), under, there, terrain.grid.spacing)
+        if mine.size:
+            found[rows, columns] = np.where(mine[..., 1:] > 0, mine, found[rows, columns])
+    return found
+
+
+@inlined_function
+def body_share(bodies, u, v, height, upness):
+    """Return how surely a place at column u and row v of the map is on a smooth body, 0 to 1.
+
+    `upness` is the cosine of its normal to the vertical: what is level of a top shows the top's own
+    water. `height` is over the bed [m].
+    """
+    i, j = int(u + HALF), int(v + HALF)
+    high = np.int64(bodies[j, i, 1])
+    if high == 0:
+        return ZERO
+    z = height * IN_STEPS
+    below = (np.float32(high & HEIGHTS) + EDGE - z) * SOFT
+    above = (z + EDGE - np.float32(bodies[j, i, 0])) * SOFT
+    share = min(max(min(below, above), ZERO), ONE)
+    return share * (ONE - smoothstep(SLOPED, LEVEL, upness)) if high > HEIGHTS else share
