@@ -23,7 +23,7 @@ from rainsim.scene.cameras import MIRROR_CLEARANCE, cropped, mirrored_camera
 from rainsim.scene.view import view_of
 from rainsim.shading import environment, sky, wetness
 from rainsim.shading.backdrop import Backdrop, sky_distance
-from rainsim.shading.bodies import body_map, stamped
+from rainsim.shading.bodies import BodyMap
 from rainsim.shading.calibration import albedo_of_white, zenith_radiance
 from rainsim.shading.color import LUMA, luminance_of, roughly_linear
 from rainsim.shading.grading import DULL_EXPOSURE, SHINES, look_of
@@ -82,8 +82,7 @@ class WetScene:
     off_ground : OffGroundWetness
     ground : ndarray of shape (ny, nx, 4), float32
         See `wetness.ground_wetness`.
-    bodies : ndarray of shape (ny, nx, 2) or (0, 0, 2), uint8
-        Where smooth bodies stand and move, see `bodies.body_map`.
+    bodies : BodyMap
     paving : float
         How wet open paving is, 0 to 1.
     paged : PagedScene or None
@@ -153,7 +152,8 @@ class WetScene:
         if not self.backdrop.count:
             self._skylines = skylines(self.scene, self.prepared, first_camera, self.near)
         self._tracks = NO_TRACKS
-        self._find_bodies()
+        self._place = np.array(terrain.grid.origin, np.float32), np.float32(terrain.grid.spacing)
+        self.bodies, self._time = BodyMap(terrain), None
         self._standing = self._captured = self._captured_merger = None  # made when asked for
         self.tracer = None
         self.notes.append(about_albedo)
@@ -191,29 +191,15 @@ class WetScene:
 
     def leave_ground(self):
         """Let go of what depends on the present part of the ground; `take_ground` must follow."""
-        self.reach = self.ground = self._untouched = self._grass = None
-        self.bodies = self._still_bodies = None
+        self.reach = self.ground = self._untouched = self._grass = self.bodies = None
 
     def take_ground(self, ground):
         """Draw another part of the ground, a `WetGround`; the light stays as it was set up."""
         self.terrain, self.reach, self._grass, self._untouched = ground
-        self._tracks, self.ground = NO_TRACKS, self._untouched
-        self._find_bodies()
-
-    def _find_bodies(self):
-        """Find where smooth bodies stand on the present part of the ground."""
-        grid = self.terrain.grid
+        grid, self._tracks = self.terrain.grid, NO_TRACKS
         self._place = np.array(grid.origin, np.float32), np.float32(grid.spacing)
-        self._still_bodies = body_map(self.terrain)
-        self._move_bodies()
-
-    def _move_bodies(self):
-        """Put the bodies that move where they are now."""
-        self.bodies = self._still_bodies
-        if self.nodes is not None and self.nodes.time is not None:
-            self.bodies = stamped(
-                self._still_bodies, self.terrain, self.terrain.movers, self.nodes.time
-            )
+        self.ground, self.bodies = self._untouched, BodyMap(self.terrain)
+        self.bodies.move(self._time)
 
     def _wet_ground(self, now):
         """Find how wet the ground is at the present time."""
@@ -227,8 +213,9 @@ class WetScene:
         """
         if self.nodes is None or not self.nodes.set_time(time):
             return False
+        self._time = time
         self._put_nodes()
-        self._move_bodies()
+        self.bodies.move(time)
         return True
 
     def take_tracks(self, tracks):
@@ -299,7 +286,7 @@ class WetScene:
     @property
     def ground_maps(self):
         """The mapped ground as kernels take it."""
-        return GroundMaps(self.terrain.bed, self.ground, *self._place, self.bodies)
+        return GroundMaps(self.terrain.bed, self.ground, *self._place, self.bodies.now)
 
     def dry(self, camera, whole_color=False):
         """Return the `raster.Layers` of the capture that `camera` takes.

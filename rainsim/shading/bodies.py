@@ -15,19 +15,47 @@ from rainsim.constants import HALF, ONE, ZERO
 from rainsim.jit import inlined_function
 from rainsim.numerics.interpolation import smoothstep
 
-LOWEST, TALLEST = 0.25, 2.2  # m over the ground, of a body's upper side
+LOWEST, TALLEST = 0.25, 2.8  # m over the ground, of a body's upper side
 STANDS = 0.3  # m over the ground, of the lower side of what stands on it, as a car does
 ROUGHEST = 0.01  # m, rms of a body's upper side about its mean over some centimetres
 MEAN_OVER, ROUGH_OVER = 0.03, 0.06  # m, deviations of those means
 FEWEST = 0.05  # m2 of an upper side
 RIM = 0.22  # m, of an upper side: there it is steep
+FADING = 0.12  # m, deviation of the edge between a body and what it is one with
 AROUND = 0.08  # m beside a body's cells in which its sides show
-STEP = 0.02  # m, unit of the heights in the map
+STEP = 0.025  # m, unit of the heights in the map
 TOP, HEIGHTS = 128, 127  # bit of the upper side: it shows water of its own; the bits of its height
-IN_STEPS = np.float32(1 / STEP)
+MOST = 255  # a whole body
+IN_STEPS, SHARE = np.float32(1 / STEP), np.float32(1 / MOST)
 EDGE, SOFT = np.float32(4), np.float32(1 / 3)  # STEPs beyond its sides that a body reaches, fading
+FOOT = np.float32(8)  # STEPs over the ground: what is lower by EDGE may be uneven ground
 SLOPED, LEVEL = np.float32(0.6), np.float32(0.85)  # cosines to the vertical of sides, of the top
-NO_BODIES = np.zeros((0, 0, 2), np.uint8)
+NO_BODIES = np.zeros((0, 0, 3), np.uint8)
+
+
+class BodyMap:
+    """Where smooth bodies stand and move on a part of the ground.
+
+    Parameters
+    ----------
+    terrain : Terrain
+        With its movers.
+
+    Attributes
+    ----------
+    now : ndarray of shape (ny, nx, 3) or (0, 0, 3), uint8
+        See `body_map`.
+    """
+
+    def __init__(self, terrain):
+        self._terrain, self._still = terrain, body_map(terrain)
+        self.now = self._still
+
+    def move(self, time):
+        """Put what moves where it is at a time [s]; without one nothing of it is there."""
+        self.now = self._still
+        if time is not None:
+            self.now = stamped(self._still, self._terrain, self._terrain.movers, time)
 
 
 def body_map(terrain):
@@ -39,9 +67,10 @@ def body_map(terrain):
 
     Returns
     -------
-    ndarray of shape (ny, nx, 2), uint8
-        Lower and upper side; 0 and 0 where there is no body. TOP is added to the upper side where
-        that is a top with its own water. Of shape (0, 0, 2) if there is no body.
+    ndarray of shape (ny, nx, 3), uint8
+        Lower and upper side, and the share of a body, of MOST; all 0 where there is no body. TOP is
+        added to the upper side where that is a top with its own water. Of shape (0, 0, 3) if there
+        is no body.
     """
     spacing = terrain.grid.spacing
     height, under = (np.nan_to_num(a - terrain.bed) for a in (terrain.top, terrain.underside))
@@ -59,7 +88,7 @@ def body_map(terrain):
     area = np.bincount(labels.ravel(), minlength=count + 1) * terrain.grid.cell_area
     smooth &= (area >= FEWEST)[labels]
     rim = ndimage.distance_transform_edt(~smooth) <= RIM / spacing
-    found = with_sides(height, under, things & rim, spacing)
+    found = with_sides(height, under, things, things & rim, spacing)
     if found.size and len(terrain.tops):
         found[..., 1] |= np.where((terrain.tops.index >= 0) & (found[..., 1] > 0), TOP, 0).astype(
             np.uint8
@@ -67,15 +96,26 @@ def body_map(terrain):
     return found
 
 
-def with_sides(height, underside, bodies, spacing):
-    """Return a map as `body_map` does of heights [m] in the cells `bodies` and around them."""
+def with_sides(height, underside, things, bodies, spacing):
+    """Return a map as `body_map` does of heights [m] in the cells `bodies` and around them.
+
+    Where a body and other `things` are one, its share fades out within some cells.
+    """
     if not bodies.any():
         return NO_BODIES
-    size = 2 * round(AROUND / spacing) + 1
-    high = ndimage.maximum_filter(np.where(bodies, height, 0), size)
-    low = ndimage.minimum_filter(np.where(bodies, underside, np.inf), size)
-    found = np.stack([np.where(high > 0, low, 0), high], axis=-1)
-    return np.ascontiguousarray(np.clip(np.rint(found / STEP), 0, HEIGHTS).astype(np.uint8))
+    sigma, size = FADING / spacing, 2 * round(AROUND / spacing) + 1
+    share = ndimage.gaussian_filter(bodies.astype(np.float32), sigma)
+    share /= np.maximum(ndimage.gaussian_filter(things.astype(np.float32), sigma), 1e-3)
+    share = np.where(things & (share > 0.02), np.minimum(share, 1), 0)
+    there = share > 0
+    share = ndimage.maximum_filter(share, size)
+    high = ndimage.maximum_filter(np.where(there, height, 0), size)
+    low = ndimage.minimum_filter(np.where(there, underside, np.inf), size)
+    found = np.zeros((*height.shape, 3), np.uint8)
+    found[..., 0] = np.clip(np.rint(np.where(high > 0, low, 0) / STEP), 0, HEIGHTS)
+    found[..., 1] = np.clip(np.rint(high / STEP), 0, HEIGHTS)
+    found[..., 2] = np.rint(share * MOST)
+    return found
 
 
 def stamped(bodies, terrain, movers, time):
@@ -83,7 +123,7 @@ def stamped(bodies, terrain, movers, time):
 
     Parameters
     ----------
-    bodies : ndarray of shape (ny, nx, 2) or (0, 0, 2), uint8
+    bodies : ndarray of shape (ny, nx, 3) or (0, 0, 3), uint8
     terrain : Terrain
     movers : sequence of Mover
     time : float [s]
@@ -92,7 +132,7 @@ def stamped(bodies, terrain, movers, time):
     shadows = [shadow for shadow in shadows if shadow is not None]
     if not shadows:
         return bodies
-    found = bodies.copy() if bodies.size else np.zeros((*terrain.grid.shape, 2), np.uint8)
+    found = bodies.copy() if bodies.size else np.zeros((*terrain.grid.shape, 3), np.uint8)
     reach = round(AROUND / terrain.grid.spacing)
     for shadow in shadows:
         rows, columns = (
@@ -107,9 +147,9 @@ def stamped(bodies, terrain, movers, time):
         top, under = np.zeros_like(bed), np.zeros_like(bed)
         top[inner], under[inner] = shadow.top - bed[inner], shadow.underside - bed[inner]
         there = (top > 0) & (top < TALLEST)
-        mine = with_sides(np.where(there, top, 0), under, there, terrain.grid.spacing)
+        mine = with_sides(np.where(there, top, 0), under, there, there, terrain.grid.spacing)
         if mine.size:
-            found[rows, columns] = np.where(mine[..., 1:] > 0, mine, found[rows, columns])
+            found[rows, columns] = np.where(mine[..., 2:] > 0, mine, found[rows, columns])
     return found
 
 
@@ -126,6 +166,6 @@ def body_share(bodies, u, v, height, upness):
         return ZERO
     z = height * IN_STEPS
     below = (np.float32(high & HEIGHTS) + EDGE - z) * SOFT
-    above = (z + EDGE - np.float32(bodies[j, i, 0])) * SOFT
-    share = min(max(min(below, above), ZERO), ONE)
+    above = (z + EDGE - max(np.float32(bodies[j, i, 0]), FOOT)) * SOFT
+    share = min(max(min(below, above), ZERO), ONE) * np.float32(bodies[j, i, 2]) * SHARE
     return share * (ONE - smoothstep(SLOPED, LEVEL, upness)) if high > HEIGHTS else share

@@ -13,16 +13,20 @@ import numpy as np
 
 from rainsim.constants import SH_0
 from rainsim.numerics.blocks import in_blocks
+from rainsim.shading.bodies import EDGE, STEP, TOP, body_map
 
 ON_TOP = 0.05  # m below the highest surface of its cell within which a splat lies open to the rain
 RINGS = (0.03, 8), (0.06, 16)  # m around a cell, and places on them that heights are compared at
 SAME = 0.01  # m, by which level places differ at most
 FEWEST, ENOUGH = 0.12, 0.22  # share of places as high: none is level, and all
+GREEN = 0.15  # excess of green over the largest channel, of leaves
 STEPS = 16  # of wetness between which colours are made again
 
 
 def level_share(scene, terrain, reach, lawn):
-    """Return how far each splat belongs to a level surface open to the rain, (n,) float32, 0 to 1.
+    """Return how far each splat belongs to what is smooth and open to the rain, float32, 0 to 1.
+
+    That are level surfaces and smooth bodies.
 
     Parameters
     ----------
@@ -34,7 +38,26 @@ def level_share(scene, terrain, reach, lawn):
         Share of grass, which has no gloss to lose.
     """
     cells = level_cells(terrain, reach, lawn)
-    return share_of_level(scene.splats, scene.ground_frame, terrain, cells)
+    level = share_of_level(scene.splats, scene.ground_frame, terrain, cells)
+    return np.maximum(level, share_of_bodies(scene.splats, scene.ground_frame, terrain))
+
+
+def share_of_bodies(splats, frame, terrain):
+    """Return how far each splat belongs to a smooth body, (n,) float32, 0 to 1; leaves do not."""
+    bodies = body_map(terrain)
+    if not bodies.size:
+        return np.zeros(len(splats), np.float32)
+    place = frame.to_ground(splats.position.astype(np.float64))
+    row, column, inside = terrain.grid.cells(place[:, 0], place[:, 1])
+    low, high = (bodies[row, column, k].astype(np.float32) for k in range(2))
+    high %= TOP
+    z = (place[:, 2] - terrain.bed[row, column]) / STEP
+    found = inside & (high > 0) & (z > low - float(EDGE)) & (z < high + float(EDGE))
+    r, g, b = np.clip(splats.sh[found, 0] * SH_0 + 0.5, 0, 1).T
+    green = 2 * g - r - b > GREEN * np.maximum(np.maximum(r, g), b)
+    share = np.zeros(len(splats), np.float32)
+    share[found] = ~green
+    return share
 
 
 def level_cells(terrain, reach, lawn):

@@ -68,7 +68,7 @@ class GroundMaps(NamedTuple):
     wetness: np.ndarray  # (ny, nx, 4) float32, see `Wetness`
     origin: np.ndarray  # (2,) float32 [m], corner of the first cell
     spacing: np.float32  # m
-    bodies: np.ndarray = NO_BODIES  # (ny, nx, 2) or (0, 0, 2) uint8, see `bodies.body_map`
+    bodies: np.ndarray = NO_BODIES  # (ny, nx, 3) or (0, 0, 3) uint8, see `bodies.body_map`
 
 
 class SkyMaps(NamedTuple):
@@ -333,8 +333,7 @@ def rainy_color(r, g, b, alpha, distance, sine, cosine, upness, height, wet, loo
             if height > ON_GROUND:  # blended normals at edges look grazed, which they are not
                 share *= smoothstep(ZERO, EDGE_COSINE + coat * (COAT_EDGE - EDGE_COSINE), cosine)
             gloss *= share
-            # What the coat lets out towards the eye, over the mean of all directions.
-            out = ONE + wet.film * coat_gloss * surface * ((ONE - share) / (ONE - ESCAPE) - ONE)
+            out = ONE - wet.film * coat_gloss * surface * share  # what the coat lets out to the eye
             r, g, b = r * out, g * out, b * out
     # The sky of the day replaces the captured sky and fills what no splat covers. Many captures
     # leave dark places half open: those are not sky. Below the horizon, where a capture ends before

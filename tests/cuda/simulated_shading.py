@@ -91,6 +91,8 @@ def test_grade_and_wet(view, poisoned):
     day, around = sky.overcast(), sky.overcast(0.7)
     look = np.array([0.8, 0.15, 0.9, 0.8, 30, 1, 0.85], F4)
     wetness = np.random.default_rng(2).uniform(0, 1, (CELLS, CELLS, 4)).astype(F4)
+    bodies = np.full((CELLS, CELLS, 3), 255, np.uint8)
+    bodies[..., 0], bodies[..., 1] = 0, 100  # all that stands is a smooth body
     dry = DryPicture(
         view.color, view.alpha, view.depth, view.depth * F4(1.01), view.normal, F4(0.9), F4(0.2)
     )
@@ -98,7 +100,7 @@ def test_grade_and_wet(view, poisoned):
 
     def on_both(damp):
         """Return the arguments of the CPU's kernel and of the twin."""
-        ground = GroundMaps(view.bed, wetness * F4(damp), ORIGIN, SPACING)
+        ground = GroundMaps(view.bed, wetness * F4(damp), ORIGIN, SPACING, bodies)
         rain = np.array([damp, 0.2, -0.4, 0.8, 0.3], F4)
         camera = CameraArrays(view.turn, view.eye, view.lens)
         ours = dry, View(view.turn, view.eye, *view.lens), ground, OffGroundWetness(*rain), skies

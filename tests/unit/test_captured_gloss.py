@@ -89,7 +89,7 @@ def test_open_level_splats_count_and_others_do_not():
     height = np.zeros((80, 80), np.float32)
     height[30:50, 30:50] = 0.7
     terrain = terrain_from_heights(height * 0, Grid((80, 80), (-0.8, -0.8), 0.02))
-    terrain = dataclasses.replace(terrain, top=height)
+    terrain = dataclasses.replace(terrain, top=height, underside=height)
     place = np.array([[0, 0, 0.7], [0.5, 0.5, 0.0], [0, 0, 0.4], [0.5, 0.5, 0.6], [9, 9, 0]])
     frame = ground_frame()
     splats = splats_at(frame.to_capture(place), np.zeros((5, 1, 3)))
@@ -101,6 +101,10 @@ def test_open_level_splats_count_and_others_do_not():
     np.testing.assert_allclose(found, [1, 0, 0, 0, 0], atol=0.05)
     found = level_share(scene, terrain, full, full)  # grass
     np.testing.assert_allclose(found, [1, 0, 0, 0, 0], atol=0.05)
+    box = dataclasses.replace(terrain, underside=terrain.bed)
+    np.testing.assert_allclose(level_share(scene, box, full, none), [1, 1, 1, 0, 0], atol=0.05)
+    leaves = dataclasses.replace(scene, splats=splats_at(splats.position, [[[0.0, 0.5, 0]]] * 5))
+    np.testing.assert_allclose(level_share(leaves, box, full, none), [1, 1, 0, 0, 0], atol=0.05)
 
 
 def test_without_gloss_a_splat_looks_the_same_from_all_sides(rng):

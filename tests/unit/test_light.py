@@ -99,8 +99,9 @@ def test_wet_ratio_is_the_published_curve():
 
 
 def test_wetting_darkens_and_dry_stays():
-    def wetted(r, g, b, damp=1.0, porosity=0.0, share=1.0):
-        return wetting.wetted(r, g, b, share, Wetness(0.0, damp, 1.0, porosity), AS_CAPTURED)
+    def wetted(r, g, b, damp=1.0, porosity=0.0, share=1.0, smooth=0.0):
+        wet = Wetness(0.0, damp, 1.0, porosity)
+        return wetting.wetted(r, g, b, share, smooth, wet, AS_CAPTURED)
 
     wet, dry = wetted(0.3, 0.3, 0.3), wetted(0.3, 0.3, 0.3, damp=0.0)
     np.testing.assert_allclose(dry, 0.3, rtol=1e-6)
@@ -108,6 +109,7 @@ def test_wetting_darkens_and_dry_stays():
     assert wetted(0.3, 0.3, 0.3, share=0.5) == wetted(0.3, 0.3, 0.3, damp=0.5)
     soaked = wetted(0.3, 0.3, 0.3, porosity=0.45)
     assert 0.4 < soaked[0] / wet[0] < 0.95  # filled pores darken more than a film
+    assert wet < wetted(0.3, 0.3, 0.3, smooth=1.0) < dry
     leaf = wetted(0.1, 0.3, 0.05)
     assert sum(leaf) / 0.45 > wet[0] / 0.3  # leaves shed water
 

@@ -77,7 +77,7 @@ def test_lawns_and_leaves_hardly_darken_where_paving_does():
     tones = {"stone": F4([0.25, 0.25, 0.24]), "leaf": F4([0.1, 0.2, 0.05])}
 
     def kept(color, wet):
-        found = wetting.wetted(*color, F4(1), wet, LOOK)
+        found = wetting.wetted(*color, F4(1), F4(0), wet, LOOK)
         return float(luminance(*map(F4, found)) / luminance(*color))
 
     assert kept(tones["stone"], wet) < 0.6

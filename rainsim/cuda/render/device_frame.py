@@ -81,8 +81,8 @@ class DeviceFrame:
         self.place = to_device(np.array(grid.origin, np.float32)), np.float32(grid.spacing)
         self._bed, self._rings = to_device(self.terrain.bed), to_device(host.rings)
         self._ground, self._ground_sent = to_device(scene.ground), scene.ground
-        bodies = scene.bodies.size or self.terrain.movers
-        self._bodies = cuda.device_array((*grid.shape, 2) if bodies else (1, 1, 2), np.uint8)
+        bodies = scene.bodies.now.size or self.terrain.movers
+        self._bodies = cuda.device_array((*grid.shape, 3) if bodies else (1, 1, 3), np.uint8)
         self._send_bodies()
         tops = host.water.tops
         self._tops = tops._replace(
@@ -120,7 +120,7 @@ class DeviceFrame:
             changed |= self.nodes.update(state)
         if scene.ground is not self._ground_sent:
             self.pending.append(self._send_ground)
-        if scene.bodies is not self._bodies_sent:
+        if scene.bodies.now is not self._bodies_sent:
             self.pending.append(self._send_bodies)
         if scene.behind is not self._behind_sent:
             self.pending.append(self._send_sky)
@@ -156,7 +156,7 @@ class DeviceFrame:
         self._ground_sent = self.wet_scene.ground
 
     def _send_bodies(self):
-        bodies = self.wet_scene.bodies
+        bodies = self.wet_scene.bodies.now
         self._bodies.copy_to_device(
             bodies if bodies.size else np.zeros(self._bodies.shape, np.uint8)
         )

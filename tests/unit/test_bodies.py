@@ -1,0 +1,110 @@
+"""Smooth bodies: where they stand, how they get wet, and what the water on them mirrors."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from rainsim.shading import bodies, environment, walls, wetting
+from rainsim.shading.fresnel import fresnel
+from rainsim.shading.grading import Look
+from rainsim.shading.wetness import OffGroundWetness
+from rainsim.shading.wetting import GroundMaps, SkyMaps, SurfacePoint
+from rainsim.terrain.types import NO_TOPS, Grid
+
+F4 = np.float32
+CELLS, SPACING = 200, 0.02
+LOOK = Look(*F4([1, 0, 0, 0, 30, 0, 1]))
+SOAKED = OffGroundWetness(*F4([100, 0, 0, 1, 0.2]))
+AHEAD = F4([1, 0, 0])
+BOX = slice(60, 120), slice(60, 120)  # cells of a box 0.8 m high
+
+
+def terrain_of(height, underside=None, tops=NO_TOPS):
+    """Return what `body_map` needs of a terrain at z = 0."""
+    bed = np.zeros((CELLS, CELLS), F4)
+    return SimpleNamespace(
+        grid=Grid(bed.shape, (0.0, 0.0), SPACING), bed=bed, top=height.astype(F4), tops=tops,
+        underside=(np.zeros_like(bed) if underside is None else underside.astype(F4)),
+    )  # fmt: skip
+
+
+def standing(height):
+    """Return the height map of a box of a height [m] on the ground."""
+    field = np.zeros((CELLS, CELLS))
+    field[BOX] = height
+    return field
+
+
+def share(found, x, y, z, upness=0.0):
+    """Return the `body_share` at a place [m]."""
+    return bodies.body_share(found, F4(x / SPACING - 0.5), F4(y / SPACING - 0.5), F4(z), F4(upness))
+
+
+def test_a_box_is_a_body_up_to_its_height_and_beside_its_cells():
+    found = bodies.body_map(terrain_of(standing(0.8)))
+    assert share(found, 1.8, 1.8, 0.4) == share(found, 1.16, 1.8, 0.4) == 1
+    assert share(found, 1.8, 1.8, 0.8) == 1 and share(found, 1.8, 1.8, 1.0) == 0
+    assert share(found, 1.0, 1.8, 0.4) == 0
+
+
+@pytest.mark.parametrize("height", [0.1, 3.0])
+def test_kerbs_and_walls_are_no_bodies(height):
+    assert bodies.body_map(terrain_of(standing(height))).size == 0
+
+
+def test_leaves_and_tables_are_no_bodies(rng):
+    rough = standing(0.8) * rng.uniform(0.8, 1.2, (CELLS, CELLS))
+    assert bodies.body_map(terrain_of(rough)).size == 0
+    assert bodies.body_map(terrain_of(standing(0.8), standing(0.75))).size == 0
+
+
+def test_the_level_part_of_a_top_shows_its_own_water():
+    index = np.where(standing(1.0) > 0, 0, -1)
+    tops = type("Tops", (), {"index": index, "__len__": lambda self: 1})()
+    found = bodies.body_map(terrain_of(standing(0.8), tops=tops))
+    assert share(found, 1.8, 1.8, 0.8, upness=1.0) == 0
+    assert share(found, 1.8, 1.8, 0.8, upness=0.1) == 1
+
+
+def test_sides_of_a_body_get_wet_in_calm_rain_and_its_underside_does_not():
+    rain = SOAKED._replace(supply=F4(6))
+
+    def damp(nz, body):
+        point = SurfacePoint(*F4([3, 0, 1]), *F4([-np.sqrt(1 - nz * nz), 0, nz]), F4(3))
+        return walls.damp_off_ground(rain, point, F4(1), F4(body))
+
+    assert damp(0, 1) > 0.9 and damp(0, 0) < 0.02
+    assert damp(-0.9, 1) == damp(-0.9, 0) == 0
+
+
+def pixel(normal, sky, body=True, color=(0.5, 0.5, 0.5), look=LOOK):
+    """Return the light of a wet thing 0.7 m over the ground, 3 m away along x."""
+    maps = np.zeros((8, 8, 3), np.uint8)
+    maps[...] = (0, 60, 255) if body else 0
+    ground = GroundMaps(np.zeros((8, 8), F4), np.zeros((8, 8, 4), F4), F4([0, -2]), F4(1), maps)
+    point = SurfacePoint(*F4([3, 0, 0.7]), *F4(normal), F4(3))
+    return np.array(wetting.wet_pixel(
+        tuple(F4(color)), F4(1), AHEAD, F4(3), point, tuple(F4(normal)), ground, SOAKED,
+        SkyMaps(sky, sky, sky), look, False,
+    )[:3])  # fmt: skip
+
+
+def test_a_coat_mirrors_by_fresnel_what_its_normal_shows():
+    """White above 45 degrees; facets that mirror the zenith, and what lies behind the viewer."""
+    bright = environment.directions()[..., 2] > np.sqrt(0.5)
+    light = np.repeat(bright[..., None], 3, axis=-1).astype(F4)
+    dark = 0 * light
+    up, back = F4([-1, 0, 1]) / F4(np.sqrt(2)), F4([-1, 0, 0])
+    added = pixel(up, light) - pixel(up, dark)
+    np.testing.assert_allclose(added, fresnel(F4(np.sqrt(0.5))), rtol=1e-3)
+    np.testing.assert_allclose(pixel(back, light), pixel(back, dark))
+    np.testing.assert_allclose(pixel(up, light, body=False), pixel(up, dark, body=False), atol=0.01)
+
+
+@pytest.mark.parametrize("slant", [0, 30, 60, 75, 84, 88])
+def test_white_things_in_white_surroundings_are_not_brighter_than_white(slant):
+    white = np.ones((32, 64, 3), F4)
+    turn = np.radians(slant)
+    light = pixel((-np.cos(turn), 0, np.sin(turn)), white, color=(1, 1, 1))
+    assert 0.8 < light.max() <= 1 + 1e-4
