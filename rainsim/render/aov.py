@@ -20,7 +20,6 @@ from rainsim.reflection import water_record
 from rainsim.render import labels, node_labels
 from rainsim.shading import composite
 from rainsim.shading.dampness import find_dampness
-from rainsim.shading.smooth_normals import AROUND
 from rainsim.shading.wet_pass import dry_picture
 from rainsim.terrain.table import WATER
 
@@ -306,7 +305,7 @@ def _normal(parts):
 def _wetness(parts):
     damp = np.empty(parts.wet.depth.shape, np.float32)
     find_dampness(
-        parts.wet.depth, parts.wet.clearance, dry_picture(parts.dry, parts.unit, AROUND),
+        parts.wet.depth, parts.wet.clearance, dry_picture(parts.dry, parts.unit),
         parts.look, parts.wet.view,
         parts.ground, parts.off_ground, damp,
     )  # fmt: skip

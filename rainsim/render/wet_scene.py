@@ -28,7 +28,6 @@ from rainsim.shading.calibration import albedo_of_white, zenith_radiance
 from rainsim.shading.color import LUMA, luminance_of, roughly_linear
 from rainsim.shading.grading import DULL_EXPOSURE, SHINES, look_of
 from rainsim.shading.skyline import skylines, with_skyline
-from rainsim.shading.smooth_normals import AROUND, NO_AROUND
 from rainsim.shading.visibility import badly_placed, pale, views_of_splats
 from rainsim.shading.wet_ground_mirror import RESOLUTION, in_level_picture
 from rainsim.shading.wet_pass import NO_COVER, DryRays, dry_picture, grade_and_wet, grade_rays
@@ -76,8 +75,7 @@ class WetScene:
     day, behind, behind_mirrored : ndarray of shape (rows, columns, 3), float32
         The sky of the day, and what is seen of it behind the scene and behind the mirrored scene.
     environment, gloss, coat : ndarray of shape (rows, columns, 3), float32
-        The wet capture around the first camera with the sky of the day; the same, blurred as rough
-        things mirror it and as smooth things do.
+        The wet capture around the first camera with the sky of the day; the same, see `glossy`.
     look : Look
     off_ground : OffGroundWetness
     ground : ndarray of shape (ny, nx, 4), float32
@@ -152,8 +150,7 @@ class WetScene:
         if not self.backdrop.count:
             self._skylines = skylines(self.scene, self.prepared, first_camera, self.near)
         self._tracks = NO_TRACKS
-        self._place = np.array(terrain.grid.origin, np.float32), np.float32(terrain.grid.spacing)
-        self.bodies, self._time = BodyMap(terrain), None
+        self._lay_out()
         self._standing = self._captured = self._captured_merger = None  # made when asked for
         self.tracer = None
         self.notes.append(about_albedo)
@@ -166,10 +163,9 @@ class WetScene:
         if config.render.sky == "capture":
             self.day = self._captured_sky(eye)
             self._set_skies()
-        self.gloss = self.coat = environment.blurred(self.day)  # until the surroundings are drawn
+        self.gloss, self.coat = environment.glossy(self.day)  # until the surroundings are drawn
         self.environment = self._surroundings(eye)
-        self.gloss = environment.blurred(self.environment)
-        self.coat = environment.blurred(self.environment, environment.COAT_BLUR)
+        self.gloss, self.coat = environment.glossy(self.environment)
 
     def set_time(self, now):
         """Take over the settings of a time; return whether they change what cameras see."""
@@ -196,10 +192,13 @@ class WetScene:
     def take_ground(self, ground):
         """Draw another part of the ground, a `WetGround`; the light stays as it was set up."""
         self.terrain, self.reach, self._grass, self._untouched = ground
-        grid, self._tracks = self.terrain.grid, NO_TRACKS
+        self.ground, self._tracks = self._untouched, NO_TRACKS
+        self._lay_out()
+
+    def _lay_out(self):
+        """Find place and bodies of the present part of the ground."""
+        grid, self.bodies = self.terrain.grid, BodyMap(self.terrain, self.nodes)
         self._place = np.array(grid.origin, np.float32), np.float32(grid.spacing)
-        self.ground, self.bodies = self._untouched, BodyMap(self.terrain)
-        self.bodies.move(self._time)
 
     def _wet_ground(self, now):
         """Find how wet the ground is at the present time."""
@@ -213,9 +212,8 @@ class WetScene:
         """
         if self.nodes is None or not self.nodes.set_time(time):
             return False
-        self._time = time
         self._put_nodes()
-        self.bodies.move(time)
+        self.bodies.move()
         return True
 
     def take_tracks(self, tracks):
@@ -442,7 +440,7 @@ class WetScene:
         picture = np.empty((*shape, 3), np.float32)
         depth, clearance = np.empty(shape, np.float32), np.empty(shape, np.float32)
         grade_and_wet(
-            dry_picture(layers, self.frame.meters_per_unit, NO_AROUND if mirrored else AROUND),
+            dry_picture(layers, self.frame.meters_per_unit, mirrored),
             view, *self._shading(mirrored), picture, depth, clearance, cover,
         )  # fmt: skip
         return WetPicture(picture, depth, clearance, view, picture)

@@ -20,6 +20,7 @@ STANDS = 0.3  # m over the ground, of the lower side of what stands on it, as a 
 ROUGHEST = 0.01  # m, rms of a body's upper side about its mean over some centimetres
 MEAN_OVER, ROUGH_OVER = 0.03, 0.06  # m, deviations of those means
 FEWEST = 0.05  # m2 of an upper side
+TALL, LARGE = 1.7, 1.5  # m, m2: what is higher and smaller is a trunk
 RIM = 0.22  # m, of an upper side: there it is steep
 FADING = 0.12  # m, deviation of the edge between a body and what it is one with
 AROUND = 0.08  # m beside a body's cells in which its sides show
@@ -40,6 +41,8 @@ class BodyMap:
     ----------
     terrain : Terrain
         With its movers.
+    nodes : Nodes or None
+        Whose time tells where the movers are; before they have one none is there.
 
     Attributes
     ----------
@@ -47,15 +50,15 @@ class BodyMap:
         See `body_map`.
     """
 
-    def __init__(self, terrain):
-        self._terrain, self._still = terrain, body_map(terrain)
-        self.now = self._still
+    def __init__(self, terrain, nodes=None):
+        self._terrain, self._nodes, self._still = terrain, nodes, body_map(terrain)
+        self.move()
 
-    def move(self, time):
-        """Put what moves where it is at a time [s]; without one nothing of it is there."""
+    def move(self):
+        """Put what moves where it is at the time of the nodes."""
         self.now = self._still
-        if time is not None:
-            self.now = stamped(self._still, self._terrain, self._terrain.movers, time)
+        if self._nodes is not None and self._nodes.time is not None:
+            self.now = stamped(self._still, self._terrain, self._terrain.movers, self._nodes.time)
 
 
 def body_map(terrain):
@@ -86,7 +89,8 @@ def body_map(terrain):
     smooth = things & (under < STANDS) & (uneven < ROUGHEST**2 * weight)
     labels, count = ndimage.label(smooth)
     area = np.bincount(labels.ravel(), minlength=count + 1) * terrain.grid.cell_area
-    smooth &= (area >= FEWEST)[labels]
+    tall = ndimage.mean(height, labels, np.arange(count + 1)) > TALL
+    smooth &= ((area >= FEWEST) & ((area >= LARGE) | ~tall))[labels]
     rim = ndimage.distance_transform_edt(~smooth) <= RIM / spacing
     found = with_sides(height, under, things, things & rim, spacing)
     if found.size and len(terrain.tops):

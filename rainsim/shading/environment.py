@@ -50,6 +50,11 @@ def blurred(environment, by=GLOSS_BLUR):
     return np.ascontiguousarray(made, dtype=np.float32)
 
 
+def glossy(environment):
+    """Return what wet rough things mirror of a map, and what water on smooth things does."""
+    return blurred(environment), blurred(environment, COAT_BLUR)
+
+
 def irradiance(environment):
     """Return the irradiance / pi that level ground receives from the map, three numbers."""
     direction = directions(*environment.shape[:2])

@@ -20,6 +20,8 @@ from rainsim.scene.view import View
 from rainsim.shading.environment import azimuth_in_map, color_in_map, elevation_in_map
 from rainsim.shading.grading import Look, is_edge, undiluted
 from rainsim.shading.smooth_normals import (
+    AROUND,
+    NO_AROUND,
     SAMPLES,
     STEPS,
     sample,
@@ -91,11 +93,14 @@ class DryRays(NamedTuple):
     direction: np.ndarray  # (n, 3) float32, unit, ground frame
 
 
-def dry_picture(layers, meters_per_unit, around):
-    """Return the `DryPicture` of `raster.Layers` with depths in capture units."""
+def dry_picture(layers, meters_per_unit, mirrored=False):
+    """Return the `DryPicture` of `raster.Layers` with depths in capture units.
+
+    In mirrored ones each pixel keeps its own normal.
+    """
     return DryPicture(
         layers.color, layers.alpha, layers.depth, layers.plane_depth, layers.normal,
-        np.float32(meters_per_unit), np.float32(around),
+        np.float32(meters_per_unit), NO_AROUND if mirrored else AROUND,
     )  # fmt: skip
 
 
