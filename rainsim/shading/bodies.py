@@ -139,21 +139,20 @@ def stamped(bodies, terrain, movers, time):
     found = bodies.copy() if bodies.size else np.zeros((*terrain.grid.shape, 3), np.uint8)
     reach = round(AROUND / terrain.grid.spacing)
     for shadow in shadows:
-        rows, columns = (
+        part = tuple(
             slice(max(s.start - reach, 0), min(s.stop + reach, most))
             for s, most in zip(shadow.part, terrain.grid.shape, strict=True)
         )
         inner = tuple(
             slice(s.start - outer.start, s.stop - outer.start)
-            for s, outer in zip(shadow.part, (rows, columns), strict=True)
+            for s, outer in zip(shadow.part, part, strict=True)
         )
-        bed = terrain.bed[rows, columns]
-        top, under = np.zeros_like(bed), np.zeros_like(bed)
-        top[inner], under[inner] = shadow.top - bed[inner], shadow.underside - bed[inner]
-        there = (top > 0) & (top < TALLEST)
-        mine = with_sides(np.where(there, top, 0), under, there, there, terrain.grid.spacing)
-        if mine.size:
-            found[rows, columns] = np.where(mine[..., 2:] > 0, mine, found[rows, columns])
+        steps = np.zeros([s.stop - s.start for s in part], np.uint8)
+        height = np.nan_to_num((shadow.top - terrain.bed[shadow.part]) / STEP)
+        steps[inner] = np.where(height < TALLEST / STEP, np.clip(height, 0, HEIGHTS), 0)
+        steps = ndimage.maximum_filter(steps, 2 * reach + 1)
+        for channel, value in enumerate((0, steps, MOST)):
+            np.copyto(found[(*part, channel)], np.uint8(value), where=steps > 0)
     return found
 
 
