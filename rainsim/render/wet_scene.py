@@ -150,7 +150,7 @@ class WetScene:
         if not self.backdrop.count:
             self._skylines = skylines(self.scene, self.prepared, first_camera, self.near)
         self._tracks = NO_TRACKS
-        self._lay_out()
+        self.bodies = BodyMap(terrain, self.nodes)
         self._standing = self._captured = self._captured_merger = None  # made when asked for
         self.tracer = None
         self.notes.append(about_albedo)
@@ -193,12 +193,7 @@ class WetScene:
         """Draw another part of the ground, a `WetGround`; the light stays as it was set up."""
         self.terrain, self.reach, self._grass, self._untouched = ground
         self.ground, self._tracks = self._untouched, NO_TRACKS
-        self._lay_out()
-
-    def _lay_out(self):
-        """Find place and bodies of the present part of the ground."""
-        grid, self.bodies = self.terrain.grid, BodyMap(self.terrain, self.nodes)
-        self._place = np.array(grid.origin, np.float32), np.float32(grid.spacing)
+        self.bodies = BodyMap(self.terrain, self.nodes)
 
     def _wet_ground(self, now):
         """Find how wet the ground is at the present time."""
@@ -284,7 +279,9 @@ class WetScene:
     @property
     def ground_maps(self):
         """The mapped ground as kernels take it."""
-        return GroundMaps(self.terrain.bed, self.ground, *self._place, self.bodies.now)
+        grid = self.terrain.grid
+        place = np.array(grid.origin, np.float32), np.float32(grid.spacing)
+        return GroundMaps(self.terrain.bed, self.ground, *place, self.bodies.now)
 
     def dry(self, camera, whole_color=False):
         """Return the `raster.Layers` of the capture that `camera` takes.
