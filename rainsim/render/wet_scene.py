@@ -26,7 +26,7 @@ from rainsim.shading.backdrop import Backdrop, sky_distance
 from rainsim.shading.bodies import BodyMap
 from rainsim.shading.calibration import albedo_of_white, zenith_radiance
 from rainsim.shading.color import LUMA, luminance_of, roughly_linear
-from rainsim.shading.grading import DULL_EXPOSURE, SHINES, look_of
+from rainsim.shading.grading import DULL_EXPOSURE, SHINES, look_of, replaces_sky
 from rainsim.shading.skyline import skylines, with_skyline
 from rainsim.shading.visibility import badly_placed, pale, views_of_splats
 from rainsim.shading.wet_ground_mirror import RESOLUTION, in_level_picture
@@ -172,7 +172,7 @@ class WetScene:
         if now is self._now:  # as all frames have it without keyframes
             return False
         self._now = now
-        look = look_of(now, self.sky_distance, self.backdrop.count > 0, self.albedo, self._relit)
+        look = self._look_of(now)
         off_ground = wetness.off_ground_wetness(now)
         if look == self.look and off_ground == self.off_ground:
             return False
@@ -185,6 +185,10 @@ class WetScene:
             self._recolor(colors)
         return True
 
+    def _look_of(self, now):
+        facts = self.sky_distance, self.backdrop.count > 0, self.albedo, self._relit
+        return look_of(now, *facts, len(self.terrain.tops) > 0)
+
     def leave_ground(self):
         """Let go of what depends on the present part of the ground; `take_ground` must follow."""
         self.reach = self.ground = self._untouched = self._grass = self.bodies = None
@@ -194,6 +198,7 @@ class WetScene:
         self.terrain, self.reach, self._grass, self._untouched = ground
         self.ground, self._tracks = self._untouched, NO_TRACKS
         self.bodies = BodyMap(self.terrain, self.nodes)
+        self.look = self._look_of(self._now)
 
     def _wet_ground(self, now):
         """Find how wet the ground is at the present time."""
@@ -492,9 +497,3 @@ def day_sky(config, zenith):
     if config.sky in ("overcast", "capture"):
         return sky.clouded(sky.overcast(level))
     return sky.from_panorama(images.read_hdr(config.sky), level)
-
-
-def replaces_sky(config):
-    """Tell whether the sky of the day replaces the captured sky at any time."""
-    looks = (look_of(config.at(time), 0, False, 1.0) for time in config.key_times())
-    return any(look.sky_replaced > 0 for look in looks)

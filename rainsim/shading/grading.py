@@ -15,6 +15,7 @@ from rainsim.numerics.interpolation import smoothstep
 from rainsim.shading.color import linear_from_display, luminance
 
 DULL_EXPOSURE = 0.7  # factor on captured light under an overcast sky, before the meter
+TOPS_END = 1.6  # m over the ground: `terrain.tops` finds tops up to 1.5 m, which may be warped
 SHINES = np.float32(1.5)  # linear luminance that only lamps reach in a capture
 COMPRESSED = np.float32(0.25)  # of white, above which highlights are compressed
 SKY_DARK, SKY_BRIGHT = np.float32(0.10), np.float32(0.22)  # linear luminance: no sky, all sky
@@ -26,15 +27,16 @@ class Look(NamedTuple):
     """How the light of the day differs from the captured light; each a float32."""
 
     exposure: np.float32  # factor on captured light
-    desaturation: np.float32  # share of the saturation that is lost, 0 to 1
     compression: np.float32  # of highlights, see `graded`; 0: none
     sky_replaced: np.float32  # share of the captured sky that the day's sky replaces, 0 to 1
     sky_distance: np.float32  # m, beyond which bright things may be sky
     open_sky: np.float32  # 1: the splats of the captured sky are left out, see `backdrop`; 0: drawn
     albedo: np.float32  # that a captured linear colour of 1 stands for, see `calibration`
+    # m over the ground, up to which level things are tops, on whose water the gloss lies; 0: none.
+    tops_end: np.float32
 
 
-def look_of(config, sky_distance, sky_is_left_out, albedo, relit=False):
+def look_of(config, sky_distance, sky_is_left_out, albedo, relit=False, tops=False):
     """Return the `Look` of the settings of one time.
 
     Parameters
@@ -48,13 +50,22 @@ def look_of(config, sky_distance, sky_is_left_out, albedo, relit=False):
         That a captured linear colour of 1 stands for.
     relit : bool
         Whether the captured sun is divided out: then there are no sunlit patches to compress.
+    tops : bool
+        Whether tops are drawn as water.
     """
     c = config.render.cloudiness
     replaced = 0.0 if config.render.sky == "capture" else c
     dimmed, compressed = 1 - (1 - DULL_EXPOSURE) * c, 0.0 if relit else 1.2 * c
     dimmed *= config.render.daylight
-    numbers = dimmed, 0.2 * c, compressed, replaced, sky_distance, sky_is_left_out, albedo
+    tops_end = TOPS_END if tops else 0.0
+    numbers = dimmed, compressed, replaced, sky_distance, sky_is_left_out, albedo, tops_end
     return Look(*(np.float32(n) for n in numbers))
+
+
+def replaces_sky(config):
+    """Tell whether the sky of the day replaces the captured sky at any time."""
+    looks = (look_of(config.at(time), 0, False, 1.0) for time in config.key_times())
+    return any(look.sky_replaced > 0 for look in looks)
 
 
 @inlined_function
@@ -65,7 +76,7 @@ def look_from(numbers):
 
 @inlined_function
 def graded(r, g, b, look):
-    """Return captured linear colour as it looks under a dull sky: darker, greyer, flatter.
+    """Return captured linear colour as it looks under a dull sky: darker and flatter.
 
     Compression divides what exceeds COMPRESSED of white: sunlit patches. What is brighter than
     SHINES is a lamp, which the day does not light: its excess over SHINES stays as it is.
@@ -75,9 +86,8 @@ def graded(r, g, b, look):
     y *= ONE - own
     excess = max(y * look.exposure - COMPRESSED, ZERO)
     gain = look.exposure / (ONE + excess * look.compression)
-    keep, lit = (ONE - look.desaturation) * gain, y * look.desaturation * gain
-    kept = (ONE - own) * keep + own
-    return lit + r * kept, lit + g * kept, lit + b * kept
+    kept = (ONE - own) * gain + own
+    return r * kept, g * kept, b * kept
 
 
 @inlined_function

@@ -15,7 +15,6 @@ from rainsim.numerics.srgb import LUMINANCE_WEIGHTS
 from rainsim.shading.environment import ROWS, directions, irradiance
 
 ZENITH_RADIANCE = 1.2  # of display white: overcast sky over wet ground at a normal exposure
-OVERCAST_TINT = np.array([0.95, 1.0, 1.06])  # a dull sky is slightly blue (about 7000 K)
 GROUND_ALBEDO = 0.15  # what the lower half of a plain sky map shows
 PANORAMA_ROWS = 512  # of the map of a panorama: it is seen behind the scene, too
 CLOUD_DEPTH = 0.3  # of the noise in the logarithm of a clouded sky's radiance
@@ -32,7 +31,8 @@ def overcast(brightness=1.0):
     """Return the map of an overcast sky over dull ground.
 
     Moon and Spencer 1942: L = Lz (1 + 2 sin(elevation)) / 3 above the horizon, which gives the
-    ground the irradiance (7/9) pi Lz.
+    ground the irradiance (7/9) pi Lz. It is grey: all light of the day comes from it, and the
+    capture's colours are those that a camera balances to white.
     """
     sine = directions()[..., 2]
     zenith = ZENITH_RADIANCE * brightness
@@ -41,7 +41,7 @@ def overcast(brightness=1.0):
     # No edge at the horizon: haze mixes the two within some degrees.
     mix = np.clip(sine / 0.05 + 0.5, 0, 1)
     radiance = below + (above - below) * mix
-    return np.ascontiguousarray(radiance[..., None] * OVERCAST_TINT, dtype=np.float32)
+    return np.repeat(radiance[..., None], 3, axis=2).astype(np.float32)
 
 
 def clouded(environment, rows=2 * ROWS, depth=CLOUD_DEPTH):

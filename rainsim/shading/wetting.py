@@ -36,7 +36,6 @@ LEAF_SHED, LAWN_SHED = np.float32(0.8), np.float32(0.9)
 COATED = np.float32(0.7)  # the same of smooth things: paint and glazes have a coat when dry; by eye
 GREENISH, GREEN = np.float32(0.2), np.float32(0.6)  # of yellow walls, and of leaves: what glosses
 LEAF_ALBEDO = np.float32(0.1)  # of leaves in the open, as of grass in classes.toml
-ENRICHMENT = np.float32(0.25)  # of the saturation of a surface that is wet through; by eye
 
 GLOSS = np.float32(0.3)  # of a smooth mirror: what a water film on rough stone reflects; by eye
 GLOSS_LIFT = np.float32(0.3)  # sine by which its lobe is lifted above the mirror direction
@@ -138,24 +137,30 @@ def open_share(y, look):
 def wetted(r, g, b, share, coat, wet, look):
     """Return the graded colour of a surface of which a share is wet, the others being sky.
 
-    It is darker by the ratio of wet to dry albedo, the albedo guessed from the colour: the ratio
-    under a water film, mixed by the porosity with that of filled pores. Leaves and lawns darken
-    less, for they shed water, and so do smooth things, of which a share is `coat`: most of them are
-    painted or glazed, and look dry as they would under water. And it is more saturated.
+    Each channel is darker by the ratio of wet to dry albedo, see `wet_channel`: colours get
+    somewhat more saturated. Leaves and lawns darken less, for they shed water, and so do smooth
+    things, of which a share is `coat`: most of them are painted or glazed, and look dry as they
+    would under water.
     """
     damp, green = wet.dampness * share, greenness(r, g, b)
     amount = damp * (ONE - max(max(LEAF_SHED * green, LAWN_SHED * wet.lawn), COATED * coat))
-    y = luminance(r, g, b)
-    albedo = min(max(y / look.exposure * look.albedo, LEAST_ALBEDO), MOST_ALBEDO)
-    ratio = wet_ratio(albedo)
-    ratio += wet.porosity * (min(filled_ratio(albedo), ratio) - ratio)
-    darker = ONE - amount * (ONE - ratio)
-    richer = ONE + ENRICHMENT * damp * (ONE - HALF * max(green, wet.lawn))
     return (
-        max(y + (r - y) * richer, ZERO) * darker,
-        max(y + (g - y) * richer, ZERO) * darker,
-        max(y + (b - y) * richer, ZERO) * darker,
-    )
+        wet_channel(r, amount, wet.porosity, look), wet_channel(g, amount, wet.porosity, look),
+        wet_channel(b, amount, wet.porosity, look),
+    )  # fmt: skip
+
+
+@inlined_function
+def wet_channel(value, amount, porosity, look):
+    """Return a graded channel of a surface of which an amount is wet.
+
+    The albedo is guessed from the value: the ratio under a water film is mixed by the porosity with
+    that of filled pores.
+    """
+    albedo = min(max(value / look.exposure * look.albedo, LEAST_ALBEDO), MOST_ALBEDO)
+    ratio = wet_ratio(albedo)
+    ratio += porosity * (min(filled_ratio(albedo), ratio) - ratio)
+    return max(value, ZERO) * (ONE - amount * (ONE - ratio))
 
 
 @inlined_function
@@ -322,7 +327,7 @@ def rainy_color(r, g, b, alpha, distance, sine, cosine, upness, height, wet, loo
         smooth = MIRROR if coat > leaf else leaf
         gloss = (ONE - leaf - coat) * max(TWO * upness - ONE, ZERO) * (ONE - wet.lawn) * GLOSS
         if height > ON_GROUND:  # the film on things is broken; by eye
-            gloss *= HALF
+            gloss *= HALF if height > look.tops_end else ZERO
         # What is low mirrors the road below the thing itself, which is dark.
         coat_gloss = coat * smoothstep(ZERO, SHADOWED, height)
         gloss = wet.film * (gloss + leaf * open_share(luminance(r, g, b), look) + coat_gloss)

@@ -9,12 +9,11 @@ from rainsim import pipeline
 from rainsim.config.settings import Config
 from rainsim.render import aov
 from rainsim.render.renderer import Renderer
-from rainsim.render.wet_scene import replaces_sky
 from rainsim.scene.types import Splats
 from rainsim.shading import backdrop, sky
 from rainsim.shading.color import linear_from_display
 from rainsim.shading.environment import sample_environment
-from rainsim.shading.grading import graded
+from rainsim.shading.grading import graded, replaces_sky
 from scenes import _looking, _splats, tiny_scene
 
 BLUE, LEAF, SIZE = (0.45, 0.62, 0.9), (0.1, 0.3, 0.05), 48

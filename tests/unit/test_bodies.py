@@ -14,7 +14,7 @@ from rainsim.terrain.types import NO_TOPS, Grid
 
 F4 = np.float32
 CELLS, SPACING = 200, 0.02
-LOOK = Look(*F4([1, 0, 0, 0, 30, 0, 1]))
+LOOK = Look(*F4([1, 0, 0, 30, 0, 1, 0]))
 SOAKED = OffGroundWetness(*F4([100, 0, 0, 1, 0.2]))
 AHEAD = F4([1, 0, 0])
 BOX = slice(60, 120), slice(60, 120)  # cells of a box 0.8 m high

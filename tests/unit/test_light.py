@@ -26,8 +26,8 @@ from rainsim.shading.grading import Look, graded
 from rainsim.shading.wetness import OffGroundWetness, Wetness
 from rainsim.shading.wetting import SurfacePoint
 
-AS_CAPTURED = Look(1.0, 0.0, 0.0, 0.0, 30.0, 0.0, 0.85)
-DULL = AS_CAPTURED._replace(exposure=0.7, desaturation=0.2, compression=1.2)
+AS_CAPTURED = Look(1.0, 0.0, 0.0, 30.0, 0.0, 0.85, 0.0)
+DULL = AS_CAPTURED._replace(exposure=0.7, compression=1.2)
 SLANTING = OffGroundWetness(1.0, 0.5, 0.0, 1.0, 0.1)  # rain to +x; one film of supply
 
 
@@ -114,6 +114,30 @@ def test_wetting_darkens_and_dry_stays():
     assert sum(leaf) / 0.45 > wet[0] / 0.3  # leaves shed water
 
 
+def test_wet_colors_are_richer_as_far_as_their_channels_darken():
+    wet = Wetness(0.0, 1.0, 1.0, 0.0)
+    red, green, blue = wetting.wetted(0.5, 0.25, 0.1, 1.0, 0.0, wet, AS_CAPTURED)
+    for found, dry in ((red, 0.5), (green, 0.25), (blue, 0.1)):
+        assert found / dry == pytest.approx(wetting.wet_ratio(0.85 * dry), rel=1e-5)
+    assert 1.1 * 5 < red / blue < 1.3 * 5
+    grey = wetting.wetted(0.3, 0.3, 0.3, 1.0, 0.0, wet, AS_CAPTURED)
+    assert grey[0] == grey[1] == grey[2]
+
+
+def test_level_things_gloss_by_their_water_alone_where_tops_are_drawn():
+    wet = Wetness(0.0, 1.0, 1.0, 0.2)
+
+    def gloss(height, tops_end):
+        look = AS_CAPTURED._replace(tops_end=tops_end)
+        return wetting.rainy_color(
+            0.2, 0.15, 0.1, 1.0, 5.0, -0.3, 0.3, 1.0, height, wet, look
+        )[3]  # fmt: skip
+
+    assert gloss(0.7, 0.0) > 0.005 and gloss(0.7, 1.6) == 0
+    for height in (0.1, 2.0):  # the ground, and roofs that are too high for tops
+        assert gloss(height, 1.6) == gloss(height, 0.0) > 0.005
+
+
 def test_filled_pores_follow_the_similarity_of_deep_layers():
     for albedo in (0.05, 0.1, 0.3, 0.5, 0.8):
         s = np.linspace(0, 1, 200_001)
@@ -176,10 +200,10 @@ def test_a_wall_is_wet_evenly_but_for_soft_paths_longer_than_wide():
 def test_grading_is_the_identity_when_asked_for():
     np.testing.assert_allclose(graded(0.2, 0.5, 0.9, AS_CAPTURED), (0.2, 0.5, 0.9), rtol=1e-6)
     r, _g, b = graded(0.2, 0.5, 0.9, DULL)
-    assert b < 0.7 * 0.9 and (b - r) / b < 0.7 / 0.9
+    assert b < 0.7 * 0.9 and r / b == pytest.approx(0.2 / 0.9, rel=1e-6)
 
 
-def test_lamps_are_not_greyed_by_the_day():
+def test_lamps_are_not_dimmed_by_the_day():
     """What exceeds white by far shines by itself; grading goes on smoothly up to there."""
     lamp = np.array(graded(20.0, 12.0, 4.0, DULL))
     assert (lamp > 0.85 * np.array([20, 12, 4])).all() and lamp[0] < 20
@@ -189,7 +213,7 @@ def test_lamps_are_not_greyed_by_the_day():
 
 def test_overcast_sky_has_moon_and_spencers_irradiance():
     environment = sky.overcast()
-    zenith = sky.ZENITH_RADIANCE * sky.OVERCAST_TINT
+    zenith = np.full(3, sky.ZENITH_RADIANCE)
     np.testing.assert_allclose(maps.irradiance(environment), 7 / 9 * zenith, rtol=0.01)
     np.testing.assert_allclose(environment[0].mean(0), zenith, rtol=0.01)
     assert environment[70, 0, 1] < environment[40, 0, 1]

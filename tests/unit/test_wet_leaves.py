@@ -11,7 +11,7 @@ from rainsim.shading.wetness import OffGroundWetness, Wetness
 from rainsim.shading.wetting import GroundMaps, SkyMaps, SurfacePoint
 
 F4 = np.float32
-LOOK = Look(*F4([1, 0, 0, 0, 30, 0, 1]))
+LOOK = Look(*F4([1, 0, 0, 30, 0, 1, 0]))
 SOAKED = OffGroundWetness(*F4([100, 0, 0, 1, 0.1]))
 DRY = SOAKED._replace(supply=F4(0))
 GREEN, BROWN = F4([0.30, 0.42, 0.22]), F4([0.40, 0.33, 0.26])  # display-referred
