@@ -171,15 +171,15 @@ class WaterSolver:
         self._asked_courant = require_courant(courant, MAX_COURANT[scheme])
         self._type = require_dtype(dtype)
         viscosity = require_not_negative("kinematic_viscosity", kinematic_viscosity, "m2/s")
-        storage = field("storage", storage, self.shape)
+        storage = field("storage", storage, self.shape).astype(self._type)
         infiltration = field(
             "infiltration", 0.0 if infiltration is None else infiltration, self.shape
-        )
+        ).astype(self._type)
         self.drains = require_drains(drains, self.shape)
-        manning = field("manning", manning, self.shape)
-        roughness = (manning**2).astype(self._type) if manning.any() else None
+        roughness = (field("manning", manning, self.shape) ** 2).astype(self._type)
+        roughness = roughness if roughness.any() else None
         # Levels are compared, so the height of the map itself must not cost digits.
-        level_bed = (bed + storage.astype(self._type) - bed.mean()).astype(self._type)
+        level_bed = (bed + storage - bed.mean()).astype(self._type)
         common = level_bed, self.spacing, self.gravity, open_edges(boundary), roughness, DRY_DEPTH
         if scheme == "paper":
             refuse_viscosity(viscosity)
@@ -220,12 +220,13 @@ class WaterSolver:
         flow, inner = self.flow, self.flow.inner
         self.film[inner] = np.minimum(depth, self.storage[inner])
         free = depth - self.film[inner]
+        del depth  # maps of millions of cells are let go as soon as they may
         flow.h[inner] = np.where(free >= DRY_DEPTH, free, 0.0)
         flow.remainder[inner] = free - flow.h[inner]
+        del free
         h, bed = flow.h[inner], flow.bed[inner]
-        flow.start(
-            mean_at_faces(u, h, bed, DRY_DEPTH, axis=1), mean_at_faces(v, h, bed, DRY_DEPTH, axis=0)
-        )
+        u = mean_at_faces(u, h, bed, DRY_DEPTH, axis=1).astype(self._type)
+        flow.start(u, mean_at_faces(v, h, bed, DRY_DEPTH, axis=0))
         self._advances = 0
         self._has_deposits = False  # drops that no step has taken in yet
         self.settled = False  # whether a step has shown that pressure moves nothing

@@ -183,9 +183,11 @@ class FrameSequence:
 
         The next window that the frames `indices` show is made meanwhile.
         """
-        if self._window is None or station != self._window.station:
-            if not self._windows.is_ahead(station):  # memory for the next
+        goes_back = moment < self._steps - 1
+        if self._window is None or station != self._window.station or goes_back:
+            if goes_back or not self._windows.is_ahead(station):  # memory for the next
                 self._leave_window()
+            self._renderer.hold(indices[0])  # while the window is made, if it is not there yet
             window = self._windows.window(station, self._renderer.ready_ground)
             self._leave_window()
             self._renderer.take_ground(window)
@@ -196,10 +198,6 @@ class FrameSequence:
             following = next((other for other in after if other != station), None)
             if following is not None:
                 self._windows.make_ahead(following, self._renderer.ready_ground)
-        if moment < self._steps - 1:
-            begin = self._window.begin
-            self._water = simulate(self._window.part, self.config, begin=begin)
-            self._steps = begin.number
 
     def _leave_window(self):
         """Let go of the present window and of all that was made for it."""
@@ -368,6 +366,10 @@ class SequenceRenderer:
             if cuts.popleft():
                 report = without_flow(report)
             yield picture, replace(report, notes=(*notes, *report.notes))
+
+    def hold(self, index):
+        """Read what the camera of the frame `index` needs now, see `Renderer.hold`."""
+        self._renderer.hold(self._cameras[0 if len(self._cameras) == 1 else index])
 
     def leave_ground(self):
         """Let go of a part of the ground before the next is made, see `Renderer.leave_ground`."""

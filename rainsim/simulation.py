@@ -163,13 +163,12 @@ def initial_water(terrain, config, exposure, fallen=0.0):
 
     `fallen` [m] is the rain that has come since the past rain.
     """
-    bed = terrain.bed.astype(np.float64)
     if config.water.level is not None:
         level = low_ground(terrain) + config.water.level
-        depth = np.maximum(level - bed, terrain.water)
+        depth = np.maximum(level - terrain.bed.astype(np.float64), terrain.water)
         return depth, (f"still water at {config.water.level:g} m above the low ground",)
     puddles = puddles_of(terrain)
-    puddles.rain((config.rain.past + fallen) * exposure.astype(np.float64))
+    puddles.rain(np.multiply(exposure, config.rain.past + fallen, dtype=np.float64))
     if config.rain.drying > 0:
         puddles.evaporate(evaporation_rate(config) * config.rain.drying)
     wet = wet_share(puddles.depth, terrain.sealed)
@@ -252,6 +251,7 @@ def simulate(terrain, config, progress=None, dtype=np.float32, begin=None):
     objects = Objects(surfaces, start, *tops_of(terrain, config, start), keep=begin is None)
     warm_up(ripples, objects, weather, begun)
     objects.open_account()
+    in_window, begin, depth = begin is not None, None, None  # the maps of the start are let go
     index, hits, report = first, None, tyres.start(solver, weather, begun)
     while True:
         time = index / config.fps
@@ -269,7 +269,7 @@ def simulate(terrain, config, progress=None, dtype=np.float32, begin=None):
                 objects.take_rain(hits, rain.spectrum.fine_rate * (time - before))
             solver.deposit(*objects.advance(before, time, weather))  # drips from objects
             tyres.roll(solver, before, time, weather)
-            if rain and begin:
+            if rain and in_window:
                 rings_on(ripples, rain, before, time)
             elif rain:  # rings of both
                 rings = objects.with_drips(landed, before, time)
@@ -280,16 +280,20 @@ def simulate(terrain, config, progress=None, dtype=np.float32, begin=None):
             if puddle_growth is not None:
                 solver.deposit(*puddle_growth(before, time))
             report = solver.advance(time - before, rain=fine)
-        (u, v), deep = solver.velocity, np.array(solver.depth, np.float32)
+        deep, met = np.array(solver.depth, np.float32), _met(hits)
         ledger = tyres.book(objects.ledger(report, solver), time)
+        hits = landed = fine = opened = None  # tens of MB that nobody needs while a frame is drawn
         yield SimState(
-            index, time, deep, np.stack([u, v]).astype(np.float32), ripples.slopes(), ripples.size,
-            _of_hits(hits, "position", (0, 3)), _of_hits(hits, "diameter", (0,)),
-            _of_hits(hits, "kind", (0,), np.uint8), ledger,
+            index, time, deep, _velocity(solver), ripples.slopes(), ripples.size, *met, ledger,
             notes if index == first else (), *objects.falling(),
             top_water=objects.top_water(), **tyres.state(deep, time),
         )  # fmt: skip
         index += 1
+
+
+def _velocity(solver):
+    """Return the velocity at cell centres as a state has it."""
+    return np.stack(solver.velocity).astype(np.float32, copy=False)
 
 
 def _filled(solver, terrain, start, exposure, begin):
@@ -326,8 +330,12 @@ def _area(terrain, share):
     return float(share.sum()) * terrain.grid.cell_area
 
 
-def _of_hits(hits, name, shape, dtype=np.float32):
-    return np.zeros(shape, dtype) if hits is None else np.asarray(getattr(hits, name), dtype)
+def _met(hits):
+    """Return the positions, diameters and kinds of `Impacts`, or of none, as a state has them."""
+    if hits is None:
+        return np.zeros((0, 3), np.float32), np.zeros(0, np.float32), np.zeros(0, np.uint8)
+    position, diameter = (np.asarray(a, np.float32) for a in (hits.position, hits.diameter))
+    return position, diameter, np.asarray(hits.kind, np.uint8)
 
 
 def tops_of(terrain, config, start):

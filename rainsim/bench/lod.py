@@ -18,8 +18,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from rainsim import pipeline
+from rainsim.bench import lod_whole
 from rainsim.bench.chart import COLORS, MARKERS, require_matplotlib
+from rainsim.bench.lod_whole import peak, resident, row_line
 from rainsim.config.settings import Config
+from rainsim.demo_scenes.street import first_view
 from rainsim.jit import set_threads
 from rainsim.lod.cut import cut
 from rainsim.render.renderer import Renderer
@@ -51,8 +54,8 @@ FRAMES = {False: 5, True: 3}  # of a short drive at a place, NEXT apart
 EVERYTHING = 64e9  # bytes: full detail is drawn whatever it takes
 
 
-def run(quick=False, say=None, length=None, folder=None):
-    """Run the whole bench.
+def run(quick=False, say=None, length=None, folder=None, whole=False):
+    """Run the bench.
 
     Parameters
     ----------
@@ -64,6 +67,8 @@ def run(quick=False, say=None, length=None, folder=None):
         Of the street.
     folder : path-like, optional
         Where the chunks are kept, and taken from if they are there; without it they are deleted.
+    whole : bool
+        Only drive from end to end, see `lod_whole`.
 
     Returns
     -------
@@ -79,14 +84,17 @@ def run(quick=False, say=None, length=None, folder=None):
             say(f"cut: {facts['splats']} splats in {facts['seconds']:.0f} s")
         scene = long_street(folder, length)
         facts |= {"splats": scene.count, "length": length, "bytes": _bytes(folder)}
-        path = drive(scene, length, WIDTH[quick])
+        fps = lod_whole.FPS if whole else FPS
+        path = drive(scene, length, WIDTH[quick], fps)
         config = Config.from_preset(PRESET).replace(
-            frames=len(path), width=WIDTH[quick], spacing=SPACING[quick], fps=FPS,
+            frames=len(path), width=WIDTH[quick], spacing=SPACING[quick], fps=fps,
             ground_map="path",
         )  # fmt: skip
         begin = time.process_time()
         ground = pipeline.ground_of(scene, config, path)
         facts["windows"], facts["ground"] = len(ground.stations), time.process_time() - begin
+        if whole:
+            return lod_whole.result_of(scene, ground, path, config, facts, say)
         del scene
         rows = measure_drive(folder, length, ground, path, config, STRETCHES[quick], say)
         facts["same"] = is_same_alone(folder, length, ground, path, config, rows)
@@ -148,20 +156,18 @@ def mirrored(splats, frame, x):
 
 def long_street(folder, length):
     """Return the Scene of a street in chunks, with cameras APART from end to end."""
-    built_in = load_scene("street")
+    first, frame = first_view()
     pages, splats, digest, notes = open_pages(folder)
-    scene = replace(built_in, cameras=built_in.cameras[:1])
     count = max(2, int((length - 2 * AWAY) / APART))
-    cameras = tuple(ahead(scene, scene.cameras[0], AWAY + k * APART) for k in range(count))
-    return Scene("long street", splats, cameras, built_in.ground_frame, Path(folder), digest,
-                 notes, pages=pages)  # fmt: skip
+    cameras = tuple(ahead(frame, first, AWAY + k * APART) for k in range(count))
+    return Scene("long street", splats, cameras, frame, Path(folder), digest, notes, pages=pages)
 
 
-def drive(scene, length, width):
+def drive(scene, length, width, fps=FPS):
     """Return the cameras of a drive from end to end, a list with one per frame."""
-    first = resize_to(scene.cameras[0], width)
-    count = max(2, int((length - 2 * AWAY) / (SPEED * NEXT)))
-    return [ahead(scene, first, k * SPEED * NEXT) for k in range(count)]
+    first, step = resize_to(scene.cameras[0], width), 1 / fps
+    count = max(2, int((length - 2 * AWAY) / (SPEED * step)))
+    return [ahead(scene.ground_frame, first, k * SPEED * step) for k in range(count)]
 
 
 def _bytes(folder):
@@ -200,7 +206,7 @@ def measure_drive(folder, length, ground, path, config, stretches, say=None):
                 "residual": report.ledger["residual"],
             })  # fmt: skip
             if say:
-                say(drive_line(rows[-1]))
+                say(row_line(rows[-1]))
             begin, cpu, made = time.perf_counter(), time.process_time(), _made(pages)
     return rows
 
@@ -241,6 +247,7 @@ def measure_details(folder, length, ground, places, config, details, say=None):
         memory = EVERYTHING if detail == 0 else config.render.memory
         settings = config.replace(detail=detail, memory=memory)
         scene = long_street(folder, length)
+        frame = scene.ground_frame
         renderer = Renderer(scene, ground.overview, settings, places[0][0])
         shown, splats, cpu = [], [], []
         for camera, around, state in places:
@@ -249,7 +256,7 @@ def measure_details(folder, length, ground, places, config, details, say=None):
             pair = []
             for shift in (0.0, SPEED * NEXT):
                 begin = time.process_time()
-                pair.append(renderer.draw(ahead(scene, camera, shift), state)[0].astype(float))
+                pair.append(renderer.draw(ahead(frame, camera, shift), state)[0].astype(float))
                 cpu.append((time.process_time() - begin) * 1e3)
             shown.append(pair)
             splats.append(seen_splats(renderer, camera))
@@ -277,9 +284,10 @@ def measure_alone(folder, length, ground, places, config, frames, say=None):
     each at the finest level that one of them asks for, and the splats that are always drawn.
     """
     scene, rows = long_street(folder, length), []
+    frame = scene.ground_frame
     paged = Renderer(scene, ground.overview, config, places[0][0])
     for first, around, state in places:
-        cameras = [ahead(scene, first, k * SPEED * NEXT) for k in range(frames)]
+        cameras = [ahead(frame, first, k * SPEED * NEXT) for k in range(frames)]
         runs, drawn = {}, paged.wet_scene.paged.whole
         for camera in cameras:
             for leaf, level in drawn.wanted(camera, paged.wet_scene.near):
@@ -290,7 +298,9 @@ def measure_alone(folder, length, ground, places, config, frames, say=None):
         cpu = {paged: [], alone: []}
         for renderer in cpu:
             renderer.take_ground(renderer.ready_ground(*around, config))
-            renderer.draw(ahead(scene, first, -SPEED * NEXT), state)  # reads what it needs
+            renderer.draw(
+                ahead(scene.ground_frame, first, -SPEED * NEXT), state
+            )  # reads what it needs
         for k, camera in enumerate(cameras):
             for renderer in cpu:
                 begin = time.process_time()
@@ -314,12 +324,12 @@ def seen_splats(renderer, camera):
     return drawn.used["splats"]
 
 
-def ahead(scene, camera, distance):
-    """Return a camera moved along the street by a distance [m]."""
-    view = scene.ground_frame.camera_in_ground(camera)
+def ahead(frame, camera, distance):
+    """Return a camera moved along the street by a distance [m]; `frame` is that of the ground."""
+    view = frame.camera_in_ground(camera)
     moved = view.camera_from_world.copy()
     moved[:3, 3] -= moved[:3, :3] @ (distance, 0, 0)
-    return scene.ground_frame.camera_in_capture(replace(view, camera_from_world=moved))
+    return frame.camera_in_capture(replace(view, camera_from_world=moved))
 
 
 def _flicker(pairs):
@@ -327,34 +337,7 @@ def _flicker(pairs):
     return float(np.mean([np.abs(b - a).mean() for a, b in pairs]))
 
 
-def resident():
-    """Return the bytes that this process holds in memory now; 0 where the system does not say."""
-    try:
-        with open("/proc/self/statm", encoding="ascii") as file:
-            return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE")
-    except OSError:
-        return 0
-
-
-def peak():
-    """Return the most bytes that this process has held; 0 where the system does not say."""
-    try:
-        with open("/proc/self/status", encoding="ascii") as file:
-            return next(int(line.split()[1]) << 10 for line in file if line.startswith("VmHWM"))
-    except (OSError, StopIteration):
-        return 0
-
-
 # --- results --------------------------------------------------------------------------------------
-
-
-def drive_line(row):
-    """Return a frame of the drive as text."""
-    return (
-        f"frame {row['frame']}, at {row['x']:4.0f} m: {row['cpu_ms']:6.0f} ms of processors, "
-        f"{row['read']} pages read or made, {row['resident'] / 1e9:.2f} GB in all, "
-        f"{row['peak'] / 1e9:.2f} GB at most" + ("; a window begins" if row["window"] else "")
-    )
 
 
 def alone_line(row):
@@ -376,6 +359,8 @@ def detail_line(row):
 
 def table(result):
     """Return the thresholds and the drive in Markdown."""
+    if result.get("whole"):
+        return lod_whole.table(result)
     lines = [
         "| threshold [px] | dB, median | worst | splats | ms of processors | pages [MB] "
         "| frame to frame |",
@@ -414,6 +399,8 @@ def table(result):
 
 def draw(result, path):
     """Draw accuracy over threshold, splats and time, and the drive, to a PNG."""
+    if result.get("whole"):
+        return lod_whole.draw(result, path)
     pyplot = require_matplotlib()
     figure, axes = pyplot.subplots(1, 3, figsize=(11, 3.6), layout="constrained")
     rows = [row for row in result["rows"] if row["detail"] > 0]
@@ -465,3 +452,4 @@ def draw(result, path):
     twin.set_ylabel("memory of the process [GB]", color=COLORS[1])
     figure.savefig(Path(path), dpi=110, format="png")
     pyplot.close(figure)
+    return None

@@ -156,6 +156,11 @@ def growth(**given):
     metavar="DIR",
     help="Keep the street's chunks there, or take them from there.",
 )
+@click.option(
+    "--whole",
+    is_flag=True,
+    help="Only drive from end to end, 8 frames a second: time and memory along the way.",
+)
 @_options
 def lod(**given):
     """Cut a long street into chunks and drive along it.

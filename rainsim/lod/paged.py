@@ -20,6 +20,7 @@ from rainsim.scene.formats.streamed import NONE
 from rainsim.scene.pages import ALWAYS
 from rainsim.splatting.prepared import COARSE, GEOMETRY, LANES, NOBODY, PreparedSplats, prepare
 
+BESIDE = 8  # runs that are read while those before them are prepared
 MIRRORED = 3.0  # times the threshold in pictures that water and the surroundings mirror
 
 
@@ -113,8 +114,7 @@ class PagedRasterizer:
         prepared = replace(self.room.prepared, compensate=self._compensate)
         if self._rasterizer is None:
             self._rasterizer = self._rasterizer_of(prepared)
-        else:
-            self._rasterizer.recolor(prepared)
+        self._rasterizer.recolor(prepared)  # it may draw for others as well
         return self._rasterizer.draw(camera, near, plane, among=self._chunks, **options)
 
     def wanted(self, camera, near, plane=None, leading=False, threshold=None):
@@ -133,6 +133,10 @@ class PagedRasterizer:
         splats = int(tree.count[seen, levels[seen]].sum())
         used = {"splats": splats, "pages": len(wanted), "detail": detail}
         return ([(ALWAYS, 0), *wanted] if self.pages.always else wanted), used
+
+    def hold(self, camera, near):
+        """Have the pages at hand that a picture of a camera is drawn of."""
+        self._choose_chunks(self.wanted(camera, near), False)
 
     def read_ahead(self, camera, near):
         """Begin to read what a camera needs, on another thread."""
@@ -156,9 +160,10 @@ class PagedRasterizer:
         pages = self.pages.kept.get_all(keys)
         # Places of the last picture's other pages are free for those that are made now.
         self._chosen, self._pages = None, [page for page in pages if page is not None]
-        for n, page in enumerate(pages):
-            if page is None:
-                pages[n] = self._made(keys[n])
+        missing = [n for n, page in enumerate(pages) if page is None]
+        for k, n in enumerate(missing):
+            self.pages.read_ahead([wanted[m] for m in missing[k + 1 : k + 1 + BESIDE]])
+            pages[n] = self._made(keys[n])
         self._pages = pages
         parts = [NO_CHUNKS] if self._front is None else [self._front.first]
         parts += [page.first for page in self._pages]

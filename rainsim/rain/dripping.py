@@ -23,6 +23,7 @@ STEP = 0.05  # m: where the top falls by more to the next cell there is an edge
 LOWEST = 0.05  # m: lower things are ground
 FILM = 2e-4  # m that a surface holds back, as `splash.WET_FILM`; a guess
 SMALLEST, LARGEST = 4.0e-3, 5.2e-3  # m, of drops that part from an edge
+NEIGHBOURS = ((0, 1), (0, -1), (1, 0), (-1, 0))  # rows and columns from a cell
 GATHERING = 0.1  # m: drops leave at one point of an edge of this length
 CLIMB = 200.0  # m of detour along the object that a metre of climb is worth
 LEAST_KEPT = 1 << 18  # cells of a map whose drip points are kept; a smaller one takes .1 s
@@ -346,14 +347,15 @@ def _catchments(surfaces):
     if not solid.any():
         return point, np.zeros((0, 2), np.int64), np.zeros((0, 2), np.int64)
     drop = np.zeros((ny, nx))  # to the lowest neighbour
-    foot = np.zeros((ny, nx, 2), np.int64)
-    rows, columns = np.indices((ny, nx))
-    for dj, di in ((0, 1), (0, -1), (1, 0), (-1, 0)):
-        j, i = np.clip(rows + dj, 0, ny - 1), np.clip(columns + di, 0, nx - 1)
-        deeper = top - top[j, i] > drop
-        drop[deeper] = (top - top[j, i])[deeper]
-        foot[deeper] = np.stack([j, i], axis=-1)[deeper]
+    lowest = np.zeros((ny, nx), np.uint8)  # its number in NEIGHBOURS
+    framed = np.pad(top, 1, mode="edge")
+    for n, (dj, di) in enumerate(NEIGHBOURS):
+        fall = top - framed[1 + dj : 1 + dj + ny, 1 + di : 1 + di + nx]
+        deeper = fall > drop
+        np.copyto(drop, fall, where=deeper)
+        lowest[deeper] = n
     edge = solid & (drop > STEP)
+    del framed, fall, deeper, drop  # float64 maps of millions of cells
     # One point gathers the edge cells of a small square: the lowest of them.
     side = max(round(GATHERING / surfaces.spacing), 1)
     edge_row, edge_column = np.nonzero(edge)
@@ -369,13 +371,15 @@ def _catchments(surfaces):
         number[edge_row * nx + edge_column] = which
         reached = source >= 0
         point.ravel()[reached] = number[source[reached]]
-    return point, chosen, foot[chosen[:, 0], chosen[:, 1]]
+    foot = chosen + np.array(NEIGHBOURS)[lowest[chosen[:, 0], chosen[:, 1]]]
+    return point, chosen, foot
 
 
 def _nearest_edge(top, solid, edges, spacing):
     """Return for each cell the edge cell that its water reaches first, flat; -1 for none."""
-    ny, nx = top.shape
-    index = np.arange(ny * nx).reshape(ny, nx)
+    cells = np.flatnonzero(solid)  # the graph has only these: open ground would take 100 bytes each
+    index = np.zeros(top.shape, np.int32)
+    index.reshape(-1)[cells] = np.arange(len(cells))
     starts, ends, costs = [], [], []
     for a, b in (
         (np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:, 1:], np.s_[:, :-1]),
@@ -387,12 +391,15 @@ def _nearest_edge(top, solid, edges, spacing):
         ends.append(index[b][joined])
         costs.append(spacing + CLIMB * np.maximum(rise[joined], 0.0))
     graph = sparse.csr_array(
-        (np.concatenate(costs), (np.concatenate(starts), np.concatenate(ends))), (ny * nx, ny * nx)
+        (np.concatenate(costs), (np.concatenate(starts), np.concatenate(ends))), (len(cells),) * 2
     )
-    _, _, source = sparse.csgraph.dijkstra(
+    edges = index.reshape(-1)[edges]
+    _, _, nearest = sparse.csgraph.dijkstra(
         graph, indices=edges, min_only=True, return_predecessors=True
     )
-    return np.where(source < 0, -1, source)
+    source = np.full(top.size, -1, np.int32)
+    source[cells] = np.where(nearest < 0, -1, cells[nearest])
+    return source
 
 
 # ---- drops in the air, as arrays by name

@@ -103,7 +103,8 @@ class Surfaces:
             if not np.isfinite(heights).all():
                 raise ParameterError(f"{name} holds heights that are not finite; fill them first")
             put(self, name, heights)
-        put(self, "top", np.maximum(self.top, self.ground))
+        if not (self.top >= self.ground).all():  # else the array that was given will do
+            put(self, "top", np.maximum(self.top, self.ground))
         put(self, "block_low", reduce_blocks(np.minimum, self.ground))
         put(self, "patch_high", reduce_blocks(np.maximum, self.top, PATCH))
         put(self, "around_low", grow_blocks(np.minimum, self.block_low))

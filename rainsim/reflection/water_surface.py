@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import weakref
 from typing import NamedTuple
 
 import numpy as np
@@ -49,12 +50,22 @@ def fine_relief(terrain):
     Captured beds are smoothed, so their puddles would end in lines too smooth for stone. The
     relief moves the drawn rim by less than a millimetre of depth; the solver's bed has none.
     """
-    rng = np.random.Generator(np.random.PCG64(0))
-    relief = np.zeros(terrain.grid.shape)
-    for width in RELIEF_WIDTHS:
-        part = ndimage.gaussian_filter(rng.normal(size=relief.shape), width / terrain.grid.spacing)
-        relief += part / part.std()
-    return (RELIEF / math.sqrt(len(RELIEF_WIDTHS)) * relief).astype(np.float32)
+    shape, spacing = terrain.grid.shape, terrain.grid.spacing
+    found = _reliefs.get((shape, spacing))
+    if found is None:
+        rng, relief = np.random.Generator(np.random.PCG64(0)), np.zeros(shape)
+        for width in RELIEF_WIDTHS:
+            part = rng.normal(size=shape)
+            for axis in (0, 1):  # in place: maps of millions of cells in float64 are large
+                ndimage.gaussian_filter1d(part, width / spacing, axis, output=part)
+            part /= part.std()
+            relief += part
+        relief *= RELIEF / math.sqrt(len(RELIEF_WIDTHS))
+        found = _reliefs[shape, spacing] = relief.astype(np.float32)
+    return found
+
+
+_reliefs = weakref.WeakValueDictionary()  # windows of one size share theirs while one holds it
 
 
 def water_surface(terrain, depth, relief, mirrors):

@@ -69,8 +69,10 @@ class PagedScene:
             self._eye = np.mean([camera.position for camera in scene.cameras], axis=0)
         pages = scene.pages
         pages.limit(render.memory)
-        how = render.detail, self._most, rasterizer_of
-        own = {"compensate": scene.antialiased, "room": room_for(pages)}
+        room = room_for(pages)
+        drawer = rasterizer_of(room.prepared)  # one working memory for all three
+        how = render.detail, self._most, lambda prepared: drawer
+        own = {"compensate": scene.antialiased, "room": room}
         self.whole = PagedRasterizer(pages, self._page, *how, **own)
         self.standing = PagedRasterizer(pages, self._standing_page, *how, STANDING, **own)
         self.captured = PagedRasterizer(pages, self._captured_page, *how, **own)

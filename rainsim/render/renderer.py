@@ -218,6 +218,11 @@ class Renderer:
         if self.wet_scene.paged is not None:
             self.wet_scene.paged.read_ahead(camera, self.wet_scene.near)
 
+    def hold(self, camera):
+        """Read what a camera of the capture frame needs now, if the capture is in chunks."""
+        if self.wet_scene.paged is not None:
+            self.wet_scene.paged.whole.hold(camera, self.wet_scene.near)
+
     def film(self, shots, names=()):
         """Yield what `draw` returns for each (camera, state, camera_end), one after the other."""
         for camera, state, camera_end in shots:

@@ -20,20 +20,26 @@ class WetGround(NamedTuple):
         Share of the rain that reaches the ground.
     grass : ndarray of shape (ny, nx), float32
         See `blurred_grass`.
-    wetness : ndarray of shape (ny, nx, 4), float32
-        See `wetness.ground_wetness`.
+    now : Config
+        Of the time from which on it is drawn.
     """
 
     terrain: object
     reach: np.ndarray
     grass: np.ndarray
-    wetness: np.ndarray
+    now: object
+
+    def wetness(self):
+        """Return how wet it is, (ny, nx, 4) float32, see `wetness.ground_wetness`.
+
+        Found when the part is drawn: until then it would only take memory.
+        """
+        return wetness.ground_wetness(self.terrain, self.grass, self.reach, self.now)
 
 
 def wet_ground_of(terrain, reach, now):
     """Return the `WetGround` of a terrain with the settings `now` of one time."""
-    grass = blurred_grass(terrain)
-    return WetGround(terrain, reach, grass, wetness.ground_wetness(terrain, grass, reach, now))
+    return WetGround(terrain, reach, blurred_grass(terrain), now)
 
 
 def blurred_grass(terrain):

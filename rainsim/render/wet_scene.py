@@ -63,7 +63,8 @@ class WetScene:
     scene : Scene
         Without the splats of its sky where another sky is drawn.
     splats, prepared : Splats and PreparedSplats
-        Those of `scene` in the light of the present time.
+        Those of `scene` in the light of the present time; of a big capture without nodes only
+        `splats`.
     merge : float [px]
         Side of the cells in which frames and mirrored pictures merge splats; 0: they merge none.
     frame : GroundFrame
@@ -149,6 +150,8 @@ class WetScene:
         self._skylines = None
         if not self.backdrop.count:
             self._skylines = skylines(self.scene, self.prepared, first_camera, self.near)
+        if self.paged is not None and self.nodes is None:
+            self.prepared = None  # the coarse whole was drawn for the last time
         self._tracks = NO_TRACKS
         self.bodies = BodyMap(terrain, self.nodes)
         self._standing = self._captured = self._captured_merger = None  # made when asked for
@@ -195,7 +198,8 @@ class WetScene:
 
     def take_ground(self, ground):
         """Draw another part of the ground, a `WetGround`; the light stays as it was set up."""
-        self.terrain, self.reach, self._grass, self._untouched = ground
+        self.terrain, self.reach, self._grass = ground.terrain, ground.reach, ground.grass
+        self._untouched = ground.wetness()
         self.ground, self._tracks = self._untouched, NO_TRACKS
         self.bodies = BodyMap(self.terrain, self.nodes)
         self.look = self._look_of(self._now)
@@ -240,9 +244,9 @@ class WetScene:
     def _recolor(self, colors):
         """Take over the colours of the splats of another state, see `PresentSplats`."""
         self._colors, self.splats = colors, self._present.at(colors)
-        if self._detail is None:
+        if self._detail is None and self.prepared is not None:
             self.prepared = recolored(self.prepared, self.splats)
-        else:
+        elif self._detail is not None:
             self._detail.recolor(self.splats)
             self.prepared = self._detail.prepared
         if self.paged is not None:

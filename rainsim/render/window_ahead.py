@@ -28,10 +28,6 @@ class Window(NamedTuple):
     Attributes
     ----------
     station : Station
-    part : Terrain
-        Of the window.
-    begin : Begin
-        Of its water.
     depth : ndarray of shape (ny, nx), float32 [m]
         Of the water at the start, in the window and around it.
     around : Terrain
@@ -46,8 +42,6 @@ class Window(NamedTuple):
     """
 
     station: object
-    part: object
-    begin: object
     depth: np.ndarray
     around: object
     reach: np.ndarray
@@ -72,7 +66,7 @@ class Windows:
 
     def __init__(self, ground, scene, config):
         self._ground, self._scene, self._config = ground, scene, config
-        self._work = None
+        self._work = self._ending = None  # the thread; the one before, if it was stopped
 
     def make_ahead(self, station, ready_ground=None):
         """Begin to make the window of a station on a thread, unless one is made already.
@@ -84,6 +78,7 @@ class Windows:
             See `Renderer.ready_ground`.
         """
         if self._work is None and may_run_beside():
+            self._wait()
             self._work = _Work(station, lambda check: self._made(station, ready_ground, check))
 
     def is_ahead(self, station):
@@ -100,14 +95,21 @@ class Windows:
             return work.result()
         if work is not None:
             work.stop()
-            work.wait()
+            self._ending = work
+        self._wait()
         return self._made(station, ready_ground)
 
     def stop(self):
         """Let the thread end after its present step."""
         if self._work is not None:
             self._work.stop()
-            self._work = None
+            self._ending, self._work = self._work, None
+
+    def _wait(self):
+        """Wait until a stopped thread has let go of its memory, before another window takes it."""
+        if self._ending is not None:
+            self._ending.wait()
+            self._ending = None
 
     def _made(self, station, ready_ground, check=lambda: None):
         """Return the `Window` of a station; `check()` is called between the steps."""
@@ -133,7 +135,7 @@ class Windows:
             check()
             ready = ready_ground(around, reach, config.at(state.time))
         trim()
-        return Window(station, part, begin, depth, around, reach, states, state, ready)
+        return Window(station, depth, around, reach, states, state, ready)
 
 
 class _Work:

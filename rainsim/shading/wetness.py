@@ -24,6 +24,7 @@ PORE_DEPTH = 0.010  # m of ground whose pores show their water as darkening; a g
 DULL_EVAPORATION, CLEAR_EVAPORATION = 0.1e-3 / 3600, 0.6e-3 / 3600
 SPRAY = 0.15  # share of the rain that splashes and drift bring to sheltered ground
 USUAL_DROP = 1.5e-3  # m, whose slant decides how much rain a wall catches
+ROWS = 128  # of a map that are worked on at once
 
 
 class Wetness(NamedTuple):
@@ -126,11 +127,16 @@ def ground_wetness(terrain, grass, reach, config):
     config : Config
         Of one time.
     """
-    film, porosity = terrain.by_class("storage"), terrain.by_class("porosity")
-    damp = dampness(config, film, porosity, reach) * (config.render.wetting != "none")
-    gloss = damp * film_left(config, film) * (1 - 0.5 * porosity)
-    wet = Wetness(lawn=grass, dampness=damp, film=gloss, porosity=porosity)
-    return np.ascontiguousarray(np.stack(wet, axis=-1), dtype=np.float32)
+    found = np.empty((*reach.shape, len(Wetness._fields)), np.float32)
+    for first in range(0, len(reach), ROWS):  # by parts, for memory
+        part = slice(first, first + ROWS)
+        film, porosity = (terrain.by_class(name, part) for name in ("storage", "porosity"))
+        damp = dampness(config, film, porosity, reach[part]) * (config.render.wetting != "none")
+        gloss = damp * film_left(config, film) * (1 - 0.5 * porosity)
+        wet = Wetness(lawn=grass[part], dampness=damp, film=gloss, porosity=porosity)
+        for n, values in enumerate(wet):
+            found[part, :, n] = values
+    return found
 
 
 def with_tracks(ground, tracks):

@@ -104,9 +104,12 @@ class PathGround:
         low, high = cells[2 * axis], cells[2 * axis + 1]
         rims = [low, *range((low // strip + 1) * strip, high, strip), high]
         grid, maps, places = grid_of(cells, spacing), {}, {}
+        parts = [(*cells[:2], a, b) if axis else (a, b, *cells[2:]) for a, b in pairwise(rims)]
         before, last = self._last
-        for start, stop in pairwise(rims):
-            part = (*cells[:2], start, stop) if axis else (start, stop, *cells[2:])
+        if not any((part, spacing) in before for part in parts):
+            self._last = last = {}, None  # nothing of it is needed: its memory is free now
+        for part in parts:
+            start, stop = part[2 * axis :][:2]
             along = slice(start - low, stop - low)
             places[part, spacing] = (slice(None), along) if axis else (along, slice(None))
             kept = before.get((part, spacing))

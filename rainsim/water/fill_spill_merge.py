@@ -102,8 +102,9 @@ class SpillGraph:
         cells = require_not_negative("minimum_area", minimum_area, "m2") / self.spacing**2
         kind = _cell_kinds(bed.shape, permeable, open_edges)
         # Sums of heights over cells must not cost digits.
-        self._bed = (bed - bed.mean()).reshape(-1)
-        self._tree = _Tree(self._bed.reshape(bed.shape), kind)
+        bed = bed - bed.mean()  # a map of millions of cells is held once
+        self._bed = bed.reshape(-1)
+        self._tree = _Tree(bed, kind)
         small = self._tree.too_small(minimum_depth, cells)
         self._capacity = self._tree.levels[VOLUME].copy()
         self._capacity[1:][small] = 0.0

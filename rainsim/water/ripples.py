@@ -275,7 +275,8 @@ class RippleTile:
         for dj, share_j in ((0, 1 - up), (1, up)):
             for di, share_i in ((0, 1 - right), (1, right)):
                 at = (j + dj) % n * n + (i + di) % n
-                grid += np.bincount(at, momentum * share_i * share_j, minlength=n * n)
+                hit, which = np.unique(at, return_inverse=True)  # few of all cells
+                grid[hit] += np.bincount(which, momentum * share_i * share_j)
         return scipy.fft.rfft2(grid.reshape(n, n).astype(self._real))
 
 
