@@ -84,10 +84,9 @@ def run(quick=False, say=None, length=None, folder=None, whole=False):
             say(f"cut: {facts['splats']} splats in {facts['seconds']:.0f} s")
         scene = long_street(folder, length)
         facts |= {"splats": scene.count, "length": length, "bytes": _bytes(folder)}
-        fps = lod_whole.FPS if whole else FPS
-        path = drive(scene, length, WIDTH[quick], fps)
+        path = drive(scene, length, WIDTH[quick])
         config = Config.from_preset(PRESET).replace(
-            frames=len(path), width=WIDTH[quick], spacing=SPACING[quick], fps=fps,
+            frames=len(path), width=WIDTH[quick], spacing=SPACING[quick], fps=FPS,
             ground_map="path",
         )  # fmt: skip
         begin = time.process_time()
@@ -163,11 +162,11 @@ def long_street(folder, length):
     return Scene("long street", splats, cameras, frame, Path(folder), digest, notes, pages=pages)
 
 
-def drive(scene, length, width, fps=FPS):
+def drive(scene, length, width):
     """Return the cameras of a drive from end to end, a list with one per frame."""
-    first, step = resize_to(scene.cameras[0], width), 1 / fps
-    count = max(2, int((length - 2 * AWAY) / (SPEED * step)))
-    return [ahead(scene.ground_frame, first, k * SPEED * step) for k in range(count)]
+    first = resize_to(scene.cameras[0], width)
+    count = max(2, int((length - 2 * AWAY) / (SPEED * NEXT)))
+    return [ahead(scene.ground_frame, first, k * SPEED * NEXT) for k in range(count)]
 
 
 def _bytes(folder):

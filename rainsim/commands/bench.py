@@ -159,7 +159,7 @@ def growth(**given):
 @click.option(
     "--whole",
     is_flag=True,
-    help="Only drive from end to end, 8 frames a second: time and memory along the way.",
+    help="Only drive from end to end, one of three frames: time and memory along the way.",
 )
 @_options
 def lod(**given):

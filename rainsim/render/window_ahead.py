@@ -122,18 +122,18 @@ class Windows:
         trim()
         check()
         depth, reach = begin.depth.astype(np.float32), begin.exposure
+        moment, ready = config.moment(station.first), None
+        if ready_ground is not None:  # before the water's own maps take memory
+            ready = ready_ground(around, reach, config.at(moment / config.fps))
+            trim()
+            check()
         part = part_of(around, station.window)
-        begin = begin.within(station.window, around)
-        states = simulate(part, config, begin=begin)
-        moment = config.moment(station.first)
+        states = simulate(part, config, begin=begin.within(station.window, around))
+        del begin
         state = next(states)
         while state.index < moment:
             check()
             state = next(states)
-        ready = None
-        if ready_ground is not None:
-            check()
-            ready = ready_ground(around, reach, config.at(state.time))
         trim()
         return Window(station, depth, around, reach, states, state, ready)
 

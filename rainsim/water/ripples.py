@@ -28,6 +28,7 @@ LAYERS = 2  # of the tile on the water, one turned against the other: each rings
 BLOCKS_AROUND = 6  # by which rings are followed across the map, see `block_reach`
 USUAL_CHORD = 0.5  # m, of a captured patio's puddles: their rings are drawn as the tile has them
 _LONGEST_STEP = 1 / 60  # s; impacts of one such step are born together, its end
+ROWS = 64  # of a spectrum that are worked on at once
 
 
 def angular_frequency(wavenumber, depth):
@@ -325,15 +326,21 @@ def ring_share(rained, spacing, reach, weight):
     """
     margin = max(int(2.0 / spacing), 1)  # m of it around: the transform is periodic
     padded = np.pad(np.asarray(rained, np.float32), margin, mode="edge")
-    spectrum = scipy.fft.rfft2(padded)
-    qy = 2 * np.pi * scipy.fft.fftfreq(padded.shape[0], spacing)[:, None]
-    qx = 2 * np.pi * scipy.fft.rfftfreq(padded.shape[1], spacing)[None]
-    square = (qx**2 + qy**2).astype(np.float32)
-    carried = np.zeros_like(square)
-    for length, share in zip(reach.astype(np.float32), weight.astype(np.float32), strict=True):
-        carried += share / np.sqrt(1 + length**2 * square)
-    energy = scipy.fft.irfft2(spectrum * carried, s=padded.shape)[margin:-margin, margin:-margin]
-    return np.sqrt(np.clip(energy, 0.0, 1.0)).astype(np.float32)
+    shape, spectrum = padded.shape, scipy.fft.rfft2(padded)
+    del padded  # maps of millions of cells are let go as soon as they may
+    qy = 2 * np.pi * scipy.fft.fftfreq(shape[0], spacing)
+    qx = 2 * np.pi * scipy.fft.rfftfreq(shape[1], spacing)[None]
+    lengths, shares = reach.astype(np.float32), weight.astype(np.float32)
+    for first in range(0, len(qy), ROWS):
+        rows = slice(first, first + ROWS)
+        square = (qx**2 + qy[rows, None] ** 2).astype(np.float32)
+        carried = np.zeros_like(square)
+        for length, share in zip(lengths, shares, strict=True):
+            carried += share / np.sqrt(1 + length**2 * square)
+        spectrum[rows] *= carried
+    energy = scipy.fft.irfft2(spectrum, s=shape, overwrite_x=True)
+    energy = energy[margin:-margin, margin:-margin]
+    return np.sqrt(np.clip(energy, 0.0, 1.0)).astype(np.float32, copy=False)
 
 
 def block_reach(side, reach, weight):

@@ -21,3 +21,15 @@ def test_a_short_street(tmp_path):
     table = lod.table(found)
     assert "the same bytes" in table and "only these are held" in table
     assert any("cut" in line for line in told)
+
+
+@pytest.mark.slow
+def test_a_short_street_from_end_to_end(tmp_path):
+    found = lod.run(quick=True, length=40.0, folder=tmp_path / "street", whole=True)
+    rows = found["drive"]
+    assert [row["frame"] for row in rows] == list(range(0, 76, 3))
+    assert rows[0]["window"] and rows[-1]["x"] - rows[0]["x"] > 30
+    for row in rows:
+        assert abs(row["residual"]) < 1e-6 and row["peak"] >= row["resident"] > 0
+    table = lod.table(found)
+    assert "GB at most" in table and table.count("\n") > 10

@@ -27,6 +27,7 @@ from rainsim.lod.room import ChunkRoom, Stored
 from rainsim.raster import Rasterizer, prepare
 from rainsim.render.memory import memory_of_frames
 from rainsim.render.renderer import Renderer
+from rainsim.render.report import Timer
 from rainsim.scene.big import open_pages
 from rainsim.scene.cameras import look_at
 from rainsim.scene.folder import import_scene, write_scene
@@ -779,6 +780,10 @@ def test_both_pictures_of_lamps_are_drawn_of_the_same_pages(folder, film):
         assert scene.level_mirrored(camera).picture.any()
         used.append(scene.paged.standing.used)
     assert used[0]["splats"] == used[1]["splats"] > 0
+    paged = scene.paged  # one working memory for both, as large as the largest picture
+    scene.picture(cameras[0], Timer())
+    assert paged.whole._rasterizer is paged.standing._rasterizer
+    assert scene.prepared is None
 
 
 def test_nodes_stand_among_the_chunks(folder, film, whole):

@@ -181,3 +181,22 @@ def test_wind_carries_drips_as_drag_has_it():
     moved = windy[:, 0] - calm[:, 0]
     assert (moved > 0.01).all() and (moved < 0.3).all()
     assert (drips_seen(blown.falling()[0], 2.9, 1 / 60)[:, 3] > 0).all()
+
+
+def test_tops_are_copied_only_where_the_ground_stands_higher():
+    level = np.zeros((4, 4), np.float32)
+    top = level + np.float32(0.5)
+    assert Surfaces(0.02, (0, 0), level, top, level).top is top
+    top[1, 2] = -0.5
+    raised = Surfaces(0.02, (0, 0), level, top, level).top
+    assert raised[1, 2] == 0 and top[1, 2] == -0.5
+
+
+def test_open_ground_around_changes_no_drip_point():
+    near, wide = (Drips(table(size=size), seed=1) for size in (40, 60))
+    inner = wide.point[10:50, 10:50]
+    np.testing.assert_array_equal(near.point >= 0, inner >= 0)
+    assert (near.point >= 0).sum() == 900 and not (wide.point[:10] >= 0).any()
+    for points in (near.point, inner):  # each point gathers as many cells, whatever its number
+        counts = np.unique(points[points >= 0], return_counts=True)[1]
+        assert counts.sum() == 900 and counts.min() > 0

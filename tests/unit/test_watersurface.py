@@ -5,7 +5,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from rainsim.reflection.water_surface import GRASS_HEIGHT, water_surface
+from rainsim.reflection.water_surface import GRASS_HEIGHT, fine_relief, water_surface
+from rainsim.terrain.types import Grid
 
 SHAPE = (60, 60)
 
@@ -45,3 +46,14 @@ def test_a_lawn_is_covered_from_its_tips_on_without_a_step():
     assert values[3] == pytest.approx(0.01, abs=1e-5)
     paved = drawn(flat + 0.049, True, flat)[1][30, 30]
     assert paved == pytest.approx(0.049, abs=1e-5)
+
+
+def test_windows_of_one_size_share_their_relief():
+    first, same, finer = (
+        SimpleNamespace(grid=Grid((40, 60), (x, 0.0), spacing))
+        for x, spacing in ((0.0, 0.02), (7.0, 0.02), (0.0, 0.01))
+    )
+    relief = fine_relief(first)
+    assert fine_relief(same) is relief and relief.dtype == np.float32
+    assert fine_relief(finer) is not relief and (fine_relief(finer) != relief).any()
+    assert relief.std() == pytest.approx(0.5e-3, rel=0.2)

@@ -97,7 +97,8 @@ def test_a_run_that_is_given_up_stops_its_thread_between_two_steps(scene, ground
             go_on.wait(30)
         return original(self, scene, cells, spacing, check)
 
-    frames = sequence_of(scene, ground).frames(range(16))
+    sequence = sequence_of(scene, ground)
+    frames = sequence.frames(range(16))
     next(frames)
     monkeypatch.setattr(type(ground), "_made", slow)
     for _ in range(20):
@@ -106,9 +107,9 @@ def test_a_run_that_is_given_up_stops_its_thread_between_two_steps(scene, ground
             break
         next(frames)
     frames.close()
-    go_on.set()
-    work.wait(30)
-    assert not work._thread.is_alive() and len(steps) <= 1
+    threading.Timer(0.2, go_on.set).start()
+    sequence._windows.window(ground.stations[0])  # not before the thread has let go of its memory
+    assert go_on.is_set() and not work._thread.is_alive() and len(steps) <= 1
     assert not window_ahead._threads and work._made is None
 
 
