@@ -63,8 +63,7 @@ class WetScene:
     scene : Scene
         Without the splats of its sky where another sky is drawn.
     splats, prepared : Splats and PreparedSplats
-        Those of `scene` in the light of the present time; of a big capture without nodes only
-        `splats`.
+        Those of `scene` in the present light; of a big capture without nodes only `splats`.
     merge : float [px]
         Side of the cells in which frames and mirrored pictures merge splats; 0: they merge none.
     frame : GroundFrame
@@ -150,12 +149,10 @@ class WetScene:
         self._skylines = None
         if not self.backdrop.count:
             self._skylines = skylines(self.scene, self.prepared, first_camera, self.near)
-        if self.paged is not None and self.nodes is None:
-            self.prepared = None  # the coarse whole was drawn for the last time
+        self.prepared = self.prepared if self.paged is None or self.nodes else None
         self._tracks = NO_TRACKS
         self.bodies = BodyMap(terrain, self.nodes)
-        self._standing = self._captured = self._captured_merger = None  # made when asked for
-        self.tracer = None
+        self._standing = self._captured = self._captured_merger = self.tracer = None  # on demand
         self.notes.append(about_albedo)
         dull = DULL_EXPOSURE * config.render.daylight
         self.day = day_sky(config.render, zenith_radiance(self.albedo, dull))
@@ -198,10 +195,9 @@ class WetScene:
 
     def take_ground(self, ground):
         """Draw another part of the ground, a `WetGround`; the light stays as it was set up."""
-        self.terrain, self.reach, self._grass = ground.terrain, ground.reach, ground.grass
-        self._untouched = ground.wetness()
-        self.ground, self._tracks = self._untouched, NO_TRACKS
-        self.bodies = BodyMap(self.terrain, self.nodes)
+        self.terrain, self.reach, self._grass = ground[:3]
+        self.ground = self._untouched = ground.wetness()
+        self._tracks, self.bodies = NO_TRACKS, BodyMap(self.terrain, self.nodes)
         self.look = self._look_of(self._now)
 
     def _wet_ground(self, now):
