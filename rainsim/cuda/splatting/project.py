@@ -269,7 +269,7 @@ def list_splat_by_splat(
         for x in range(left >> 1, (right >> 1) + 1):
             if place < key_out.size:
                 bits = quarters(x, y, left, right, first, last)
-                key_out[place] = np.uint32((y * across + x) * levels + level)
+                key_out[place] = np.uint32((y * across + x) * levels + int(level))
                 value_out[place] = np.uint32(i | bits << SPLAT_BITS)
             place += 1
 
