@@ -398,7 +398,8 @@ def _nearest_edge(top, solid, edges, spacing):
         graph, indices=edges, min_only=True, return_predecessors=True
     )
     source = np.full(top.size, -1, np.int32)
-    source[cells] = np.where(nearest < 0, -1, cells[nearest])
+    reached = nearest >= 0  # else -9999
+    source[cells[reached]] = cells[nearest[reached]]
     return source
 
 

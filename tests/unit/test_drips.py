@@ -36,6 +36,14 @@ def rain_on(surfaces, drips, rate=60.0, steps=60, step=0.05, fine=True, wind=(0,
     return came, np.concatenate(rows), np.concatenate(columns), np.concatenate(volumes)
 
 
+def test_a_hollow_that_no_edge_is_reached_from_keeps_its_water():
+    surfaces = table()
+    surfaces.top[28:32, 28:32] = 0.3  # a pot in the table, 40 cm deep
+    point = Drips(surfaces).point
+    assert (point[28:32, 28:32] == -2).all()
+    assert (point[20:26, 20:40] >= 0).all()
+
+
 def test_the_water_is_on_the_object_in_the_air_or_on_the_ground():
     for wet in (True, False):
         surfaces = table()
