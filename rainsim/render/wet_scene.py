@@ -19,7 +19,7 @@ from rainsim.render.nodes import Nodes
 from rainsim.render.paged_scene import PagedScene
 from rainsim.render.present_splats import PresentSplats
 from rainsim.render.wet_ground import blurred_grass
-from rainsim.scene.cameras import MIRROR_CLEARANCE, cropped, mirrored_camera
+from rainsim.scene.cameras import MIRROR_CLEARANCE, cropped, mirrored_camera, resize_to
 from rainsim.scene.view import view_of
 from rainsim.shading import environment, sky, wetness
 from rainsim.shading.backdrop import Backdrop, sky_distance
@@ -38,6 +38,7 @@ from rainsim.splatting.prepared import recolored
 from rainsim.water.rolling import NO_TRACKS
 
 FINER = 4  # pixels of the drawn surroundings, across one of the map's faces
+ALL = 2.5  # times as wide are small views of all splats, which are drawn too wide in smaller ones
 SMALL = 4.0  # px: threshold of pages in metering pictures, which come from all over a capture
 NEAR = 0.05  # m: splats nearer than this are not drawn
 FIRST_SEGMENT = 0.5  # m of a traced ray that are searched at first
@@ -355,6 +356,8 @@ class WetScene:
         """Yield layers, `WetPicture` and `cover_out` of pictures that the light is set up by."""
         options = {} if self.paged is None else {"threshold": SMALL}
         for camera in cameras:
+            if not self.merge and self.paged is None:
+                camera = resize_to(camera, round(ALL * camera.width))
             cover = np.empty((camera.height, camera.width) if gloss_apart else (0, 0), np.float32)
             layers = self.rasterizer.draw(camera, self.near, detail=self.merge, **options)
             yield layers, self._wetted(layers, camera, cover), cover
@@ -472,13 +475,11 @@ class WetScene:
 
     def _surroundings(self, position):
         """Return the wet capture around `position` [m] with the sky of the day, as a map."""
-        # Splats finer than a pixel are drawn too wide, which would make near ground 1.6 times too
-        # bright here. So the faces are drawn larger, of merged splats, and reduced.
+        # Splats finer than a pixel are drawn too wide: drawn larger and reduced they are not.
         options = {} if self.paged is None else {"threshold": FINER * self.rasterizer.detail}
 
         def draw(view):
-            camera = self.frame.camera_in_capture(view)
-            camera = camera.resized(FINER * camera.width, FINER * camera.height)
+            camera = self.frame.camera_in_capture(resize_to(view, FINER * view.width))
             layers = self.rasterizer.draw(
                 camera, self.near, leading=True, detail=self.merge, **options
             )

@@ -10,6 +10,7 @@ from rainsim.config.settings import Config
 from rainsim.constants import SH_0
 from rainsim.pipeline import extract_terrain
 from rainsim.raster import Rasterizer, prepare
+from rainsim.render import wet_scene
 from rainsim.render.wet_scene import WetScene
 from rainsim.scene.cameras import resize_to
 from rainsim.scene.types import Camera, Scene, Splats
@@ -284,14 +285,17 @@ def speckled():
     return scene, config, extract_terrain(scene, config)
 
 
-def test_the_meter_sees_fine_splats_no_brighter_than_the_picture_shows_them(speckled):
+def test_the_meter_sees_fine_splats_no_brighter_than_the_picture_shows_them(speckled, monkeypatch):
     scene, config, terrain = speckled
     wet = WetScene(scene, terrain, config, scene.cameras[0])
     small = [resize_to(camera, calibration.VIEW_WIDTH) for camera in scene.cameras]
     captured, rainy, _ = wet.land_light(scene.cameras, True)
     metered, metered_rainy, _ = wet.land_light(small, True)
-    wet.merge = 0.0  # all splats: those finer than a pixel are drawn too wide
+    wet.merge = 0.0
+    unmerged = wet.land_light(small, True)[0]
+    monkeypatch.setattr(wet_scene, "ALL", 1.0)  # those finer than a pixel are drawn too wide
     wide, wide_rainy, _ = wet.land_light(small, True)
+    assert unmerged - captured < 0.5 * (wide - captured)
     assert wide > 1.6 * captured
     assert metered - captured < 0.5 * (wide - captured)
     assert metered_rainy - rainy < 0.5 * (wide_rainy - rainy)
