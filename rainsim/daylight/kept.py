@@ -18,7 +18,7 @@ ROUNDING = 0.1  # of the logarithm of an albedo
 NO_RELIGHT = Relight(None, "")
 
 
-def kept_relight(scene, config, sky_distance, white):
+def kept_relight(scene, config, found, white):
     """Return the `Relight` of a scene, from an earlier run if there was one.
 
     Nothing is looked for where the setting `relight` is "off", where no cloud ever covers the sky,
@@ -28,8 +28,8 @@ def kept_relight(scene, config, sky_distance, white):
     ----------
     scene : Scene
     config : Config
-    sky_distance : float [m]
-        See `find_relight`.
+    found : surface.kept.Found or None
+        What the scene's cameras show.
     white : float
         Albedo that a captured linear colour of 1 stands for. It is rounded in steps of ROUNDING, so
         that another height map of the scene seldom asks for another search.
@@ -40,18 +40,18 @@ def kept_relight(scene, config, sky_distance, white):
     sun = config.render.sun if isinstance(config.render.sun, tuple) else None
     white = math.exp(round(math.log(white) / ROUNDING) * ROUNDING)
     if not cache.folder():
-        return find_relight(scene, sky_distance, sun, white)
+        return find_relight(scene, found, sun, white)
     name = cache.name_of(
-        KIND, scene.splats, scene.ground_frame, scene.cameras, float(sky_distance), sun, white
+        KIND, scene.splats, scene.ground_frame, scene.cameras, sun, white
     )
-    found = cache.read(KIND, name)
-    if found:
-        facts, arrays = found
+    entry = cache.read(KIND, name)
+    if entry:
+        facts, arrays = entry
         direction = None if facts["sun"] is None else np.array(facts["sun"])
         return Relight(
             arrays.get("gain"), facts["note"], direction, facts["ratio"], facts["confidence"]
         )
-    relight = find_relight(scene, sky_distance, sun, white)
+    relight = find_relight(scene, found, sun, white)
     facts = {
         "note": relight.note, "confidence": relight.confidence, "ratio": relight.ratio,
         "sun": None if relight.sun is None else [float(x) for x in relight.sun],

@@ -5,6 +5,7 @@ The unit is the irradiance of the same sky on open level ground.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -29,6 +30,7 @@ BLIND, OPEN = 0.06, 0.15  # light of an even sky on a side that is closed, and o
 SUN_SIDE = 3072  # px of the near map of the sun
 MARGIN, FAR_MARGIN = 0.025, 0.15  # m by which what hides a place stands above it
 BAND = 0.05  # m about the edge of a shadow within which its place is not sure
+SUNS = 4  # about the sun, that are looked at where its place is not sure
 AROUND = 6  # places that are looked at about one
 ANY_FACE = np.float32(0.25)  # mean cosine, not below 0, to a direction over all ways to face
 
@@ -138,12 +140,19 @@ def facing(surface, direction):
     return surface.flat * cosine + (1 - surface.flat) * ANY_FACE
 
 
-def sunlit(surface, solids, windows, sun):
-    """Return how much of each splat nothing hides from the sun, and of the places about it.
+def sunlit(surface, solids, windows, sun, unsure=0.0):
+    """Return how much of each place nothing hides from the sun, and of the places about it.
 
-    The second is the mean over places BAND away: where it is another, the edge of a shadow is near.
+    The second is the mean over places BAND away, and over suns `unsure` [rad] away: where it is
+    another, the edge of a shadow is near or may be.
     """
     axes = axes_of(sun)
+    others = []
+    if unsure:
+        turn = np.arange(SUNS) * 2 * np.pi / SUNS
+        moved = np.cos(turn)[:, None] * axes[0, 0] + np.sin(turn)[:, None] * axes[0, 1]
+        moved = sun + math.tan(unsure) * moved
+        others = axes_of(moved / np.linalg.norm(moved, axis=1, keepdims=True))
     own, about = (np.zeros(len(surface.position), np.float32) for _ in range(2))
     for part, window, margin in _parts(surface, windows):
         if window is windows[0]:
@@ -156,6 +165,10 @@ def sunlit(surface, solids, windows, sun):
         for step in about_normal(normal):
             moved = position + np.float32(BAND) * step
             about[part] += _seen(heights, axes, window, moved, *rest) / AROUND
+        for other in others:
+            draw_heights(solids, other[None], window, heights)
+            change = _seen(heights, other[None], window, position, *rest) - own[part]
+            about[part] += change / len(others)
     return own, about
 
 

@@ -20,6 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
+from rainsim.constants import SH_0
 from rainsim.daylight.light import (
     about_normal,
     around_of,
@@ -32,30 +33,32 @@ from rainsim.daylight.light import (
 )
 from rainsim.daylight.shade import NO_EDGES, EdgeShade, edge_shade, factor_in_shade
 from rainsim.daylight.sun import DIM, LEAST_SCORE, find_sun, places_of, seen_from
-from rainsim.daylight.surface import covariances, luminance, surface_of
+from rainsim.daylight.surface import carried, luminance, surface_of
 from rainsim.daylight.surroundings import USUAL_ALBEDO, patches_of, sent_in
 from rainsim.daylight.visibility import Window, solids_of, with_plane
 from rainsim.jit import get_num_threads
 from rainsim.numerics.blocks import in_blocks
+from rainsim.numerics.srgb import linear
+from rainsim.surface.fuse import VOXEL
 
-SOUGHT = 600_000  # splats at most in which a sun is sought; more tell no more of it
 SIDE = 1024  # px of the maps of the sky's light
-LEAST_HALF, MOST_HALF, BEYOND = 6.0, 40.0, 4.0  # m, of the near window; past the cameras
 FAR_HALF = 60.0  # m, of the far window
-FEWEST = 100  # splats
+FEWEST = 100  # places
 LEAST_PAIRS = 150  # of places
 SURE_REACH = 0.06  # m about a place that is surely in the sun or surely not
 OPEN = 0.1  # light of the clear sky below which a place tells nothing
 ROUNDS = 6  # of the fit of the ratio
 LEAST_GAIN, MOST_GAIN = 0.05, 2.0  # over what shaded open ground needs
 SURE = 0.5  # confidence from which on the sun is divided out
-# Values that raise the confidence from 0 to 1: sun over sky on level ground, share of pairs that
-# are brighter where the sun shines, and the score of the search.
+# Values that raise the confidence from 0 to 1: sun over sky on level ground, share of the changes
+# of brightness that are towards where the sun shines, and the score of the search.
 OVER_SKY, AGREE, SCORE = (0.15, 0.6), (0.6, 0.85), (LEAST_SCORE, 0.2)
 PAINT_REACH, PAINT_COUNT, LEAST_PAINT = 3.0, 16, 4  # m; splats that a splat's paint is taken from
 SAME_TINT = 0.35  # logarithm of the ratio of two channels, by which splats of one paint differ
 MOST_VARIED = 0.4  # of a share, that variation may explain
 PAINT_VARIES = 0.15  # of the light of one paint, from splat to splat
+FOUND_UNSURE, GIVEN_UNSURE = math.radians(1), math.radians(3)  # of a sun's direction
+USUAL_RATIO = 6.0, 3.8, 2.0  # of a clear day, see `SunRatio`, where a given sun cannot be measured
 STAYS = "the light stays as captured"
 
 
@@ -64,7 +67,7 @@ class SunRatio(NamedTuple):
 
     ratio: np.ndarray  # (3,)
     pairs: int
-    agree: float  # share of the pairs that are brighter where the sun shines
+    agree: float  # share of all changes of brightness that are towards where the sun shines
     edges: EdgeShade = NO_EDGES
 
 
@@ -91,100 +94,74 @@ class Relight:
     confidence: float = 0.0
 
 
-def find_relight(scene, sky_distance, sun=None, white=USUAL_ALBEDO):
+def find_relight(scene, found, sun=None, white=USUAL_ALBEDO):
     """Return the `Relight` of a capture.
 
     Parameters
     ----------
     scene : Scene
-    sky_distance : float [m]
-        From the cameras; what is farther is left as it is.
+    found : surface.kept.Found or None
+        What its cameras show; None if there are too few splats.
     sun : tuple, optional
-        Azimuth and elevation [rad] of the captured sun; found if not given.
+        Azimuth and elevation [rad] of the captured sun, which is taken as it is; found if not
+        given.
     white : float
         Albedo that a captured linear colour of 1 stands for, on open level ground.
     """
-    loaded = _surface_of(scene, sky_distance, SOUGHT)
-    if loaded is None:
+    if found is None or len(found.surface.position) < FEWEST:
         return Relight(None, f"relight: too few splats to find a sun; {STAYS}")
-    which, surface, solids, near, part = loaded
+    if sun is not None and sun[1] <= 0:
+        return Relight(None, f"relight: the given sun is below the horizon; {STAYS}")
+    surface = surface_of(found.surface)
+    solids = solids_of(surface)
+    near = Window(found.middle, SIDE, np.float32(2 * found.half / SIDE))
     turn_to_the_open(surface, solids, near)
     places = places_of(surface, near)
-    if len(places.pair) < LEAST_PAIRS:
+    if sun is None and len(places.pair) < LEAST_PAIRS:
         return Relight(None, f"relight: too few flat surfaces to find a sun; {STAYS}")
-    direction, score = find_sun(places, solids, near) if sun is None else (_unit(*sun), 1.0)
+    plane = with_plane(solids, surface)
+    if sun is None:
+        direction, score = find_sun(places, solids, plane, near)
+    else:
+        direction, score = _unit(*sun), 1.0
     patches = patches_of(surface, near)
+    sent = sent_in(surface, patches, white)
     measured = SunRatio(np.zeros(3), 0, 0.0)
-    if score > LEAST_SCORE:
-        sent = sent_in(surface, patches, white)
-        measured = measure(places, solids, with_plane(solids, surface), near, direction, sent)
+    if score > LEAST_SCORE and len(places.pair):
+        measured = measure(places, solids, plane, near, direction, sent)
     confidence = _confidence(measured, score, direction)
+    if sun is not None and confidence < SURE:
+        measured = SunRatio(np.array(USUAL_RATIO), measured.pairs, measured.agree)
     facts = direction, tuple(map(float, measured.ratio)), confidence
-    if confidence < SURE:
+    if sun is None and confidence < SURE:
         shown = f"no sure sign of sunshine in the capture (confidence {confidence:.2f})"
         return Relight(None, f"relight: {shown}; {STAYS}", *facts)
-    if part:
-        which, surface, solids, near, _ = _surface_of(scene, sky_distance, len(scene.splats))
-        turn_to_the_open(surface, solids, near)
-        patches = patches_of(surface, near)
-        sent = sent_in(surface, patches, white)
     windows = near, Window(near.middle, SIDE, np.float32(2 * FAR_HALF / SIDE))
     light = received(surface, solids, windows, direction, sent)
-    lit = sunlit(surface, solids, windows, direction)
-    plane, _ = sunlit(surface, with_plane(solids, surface), windows, direction)
-    lit = by_color(surface, lit, plane, light, direction, measured.ratio)
-    gain = np.ones((len(scene.splats), 3), np.float16)
-    found = gains(surface, light, lit, direction, measured, light.around)
-    later = sent_in(surface, patches, white, found)
+    unsure = FOUND_UNSURE if sun is None else GIVEN_UNSURE
+    lit = sunlit(surface, solids, windows, direction, unsure)
+    firm, _ = sunlit(surface, plane, windows, direction)
+    lit = by_color(surface, lit, firm, light, direction, measured.ratio)
+    gain = gains(surface, light, lit, direction, measured, light.around)
+    later = sent_in(surface, patches, white, gain)
     later = later.at(surface.position, surface.normal, surface.flat)
-    gain[which] = gains(surface, light, lit, direction, measured, around_of(light.blocked, later))
-    return Relight(gain, _note(direction, measured, confidence, sun is not None), *facts)
+    gain = gains(surface, light, lit, direction, measured, around_of(light.blocked, later))
+    note = _note(direction, measured, confidence, sun is not None)
+    return Relight(_on_splats(scene, surface, gain), note, *facts)
 
 
-def _surface_of(scene, sky_distance, most):
-    """Return indices of the splats that are lit, their surface, solids and near window, or None.
-
-    And whether they are a part of these splats: of more than `most` every so many are taken, each
-    as large as those that it stands for together.
-    """
-    frame, splats = scene.ground_frame, scene.splats
+def _on_splats(scene, surface, gain):
+    """Return the gain (n, 3), float16, of a scene's splats of that of its surface."""
     with np.errstate(all="ignore"):
-        position = frame.to_ground(splats.position).astype(np.float32)
-        covariance, thin, size = covariances(splats, frame)
-        good = splats.opacity > 0
-        for values in (position, covariance, thin, splats.sh[:, 0], splats.opacity[:, None]):
+        position = scene.ground_frame.to_ground(scene.splats.position).astype(np.float32)
+        good = scene.splats.opacity > 0
+        for values in (position, scene.splats.sh[:, 0]):
             good &= np.isfinite(values).all(axis=1)
-    if np.count_nonzero(good) < FEWEST:
-        return None
-    cameras = [frame.camera_in_ground(camera) for camera in scene.cameras]
-    middle, half = _near(position[good], cameras)
-    with np.errstate(all="ignore"):
-        good &= np.linalg.norm(position - middle, axis=1) < min(sky_distance, FAR_HALF)
-    which = np.flatnonzero(good)
-    if len(which) < FEWEST:
-        return None
-    step = -(-len(which) // most)
-    which = which[::step]
-    position, opacity = position[which], splats.opacity[which]
-    surface = surface_of(
-        position, thin[which], math.sqrt(step) * size[which], opacity, splats.sh[which, 0], cameras
-    )
-    solids = solids_of(position, np.float32(step) * covariance[which], opacity)
-    window = Window(middle, SIDE, np.float32(2 * half / SIDE))
-    return which, surface, solids, window, step > 1
-
-
-def _near(position, cameras):
-    """Return the middle [m] and half the width [m] of what the cameras look at."""
-    if cameras:
-        eyes = np.array([camera.position for camera in cameras])
-        middle = np.median(eyes, axis=0)
-        reach = np.percentile(np.linalg.norm(eyes[:, :2] - middle[:2], axis=1), 90)
-        half = 1.6 * reach + BEYOND
-    else:
-        middle = np.median(position, axis=0)
-        half = 1.2 * np.percentile(np.abs(position[:, :2] - middle[:2]), 90)
-    return middle.astype(np.float32), float(np.clip(half, LEAST_HALF, MOST_HALF))
+    light = linear(scene.splats.sh[good, 0] * np.float32(SH_0) + np.float32(0.5))
+    found, near = carried(surface, VOXEL, gain.astype(np.float32), position[good], light)
+    result = np.ones((len(good), 3), np.float16)
+    result[np.flatnonzero(good)[near]] = found[near]
+    return result
 
 
 def _unit(azimuth, elevation):
@@ -238,8 +215,10 @@ def measure(places, solids, plane, window, direction, sent):
     place = places.position[shaded], places.normal[shaded]
     edges = edge_shade(*place, np.log(change / np.maximum(expected, 1e-4)))
     shade = luminance(shade)
-    agree = luminance(places.light[lit]) * shade[b] > luminance(places.light[shaded]) * shade[a]
-    return SunRatio(ratio, len(lit), float(agree.mean()), edges)
+    brighter = np.log(luminance(places.light[lit]) * shade[b])
+    brighter -= np.log(luminance(places.light[shaded]) * shade[a])
+    agree = np.maximum(brighter, 0).sum() / max(float(np.abs(brighter).sum()), 1e-6)
+    return SunRatio(ratio, len(lit), float(agree), edges)
 
 
 def _sure_share(places, solids, window, direction):

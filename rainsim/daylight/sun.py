@@ -48,6 +48,12 @@ LEAST_SCORE = 0.08  # of the coarse maps, from which a sun is sought any further
 DISC, SPACED = 0.12, 0.03  # rad
 TOPS = 6  # of the discs that are refined in fine maps
 STEPS = (0.015, 0.008, 0.004)  # rad
+# The direction is found to less than a degree by sharp shadows alone, each by itself: those of
+# leaves are blurred and longer than their outlines say. So places are compared in blocks of this
+# size, and a block counts by a power of how well it agrees.
+BLOCK, AGREEMENT = 1.0, 4  # m
+SHARP_STEPS = (0.03, 0.02, 0.015, 0.008, 0.004)  # rad
+FAINT = 4.0  # sum of squares of changes of visibility that tells nothing yet
 MARGIN = 0.025  # m by which what casts a shadow stands above it
 
 
@@ -118,13 +124,14 @@ def _pairs(position, normal, light):
     return np.stack([first[alike], second[alike]], -1)
 
 
-def find_sun(places, solids, window):
+def find_sun(places, solids, plane, window):
     """Return the direction from which light agrees best with the shadows, and how well.
 
     Parameters
     ----------
     places : Places
-    solids : Solids
+    solids, plane : Solids
+        All, and those `with_plane`.
     window : Window
         Its middle and width; the maps have sides of their own.
 
@@ -156,7 +163,45 @@ def find_sun(places, solids, window):
     for step in STEPS:
         best = [_refined(places, sets[FINE], window, d, step, FINE) for d, _ in best]
         best = sorted(best, key=lambda found: -found[1])[:1]
-    return best[0]
+    sets = [coarsened(s, COARSER * width / FINE) for s in (solids, plane)]
+    return _sharpest(places, sets, window, best[0][0]), best[0][1]
+
+
+def _sharpest(places, sets, window, direction):
+    """Return the direction near one from which the sharpest shadows agree best."""
+    middle = places.position[places.pair].mean(axis=1)
+    side = np.argmax(np.abs(places.normal[places.pair[:, 0]]), axis=1)
+    key = np.column_stack([np.floor(middle / BLOCK).astype(np.int64), side])
+    block = np.unique(key, axis=0, return_inverse=True)[1].ravel()
+    energy = np.bincount(block, places.change**2)
+
+    def agreement(tried):
+        total = np.zeros(len(tried))
+        for solids in sets:
+            for k, change in enumerate(_changes(places, solids, window, tried, FINE).T):
+                product = np.bincount(block, places.change * change)
+                square = np.bincount(block, change * change) + FAINT
+                cosine = product / np.sqrt(np.maximum(energy * square, 1e-9))
+                total[k] += energy @ np.maximum(cosine, 0) ** AGREEMENT
+        return total
+
+    best = agreement(direction[None])[0]
+    for step in SHARP_STEPS:
+        right, up, _ = axes_of(direction)[0].astype(np.float64)
+        turn = np.arange(6) * np.pi / 3
+        tried = direction + step * (np.cos(turn)[:, None] * right + np.sin(turn)[:, None] * up)
+        tried /= np.linalg.norm(tried, axis=1, keepdims=True)
+        found = agreement(tried)
+        if found.max() > best:
+            best, direction = found.max(), tried[np.argmax(found)]
+    return direction
+
+
+def _changes(places, solids, window, directions, side):
+    """Return the change of visibility over each pair, (p, m), from some directions."""
+    seen = seen_from(places, solids, window, directions, side)
+    seen[places.normal @ directions.T.astype(np.float32) < 0.05] = 0
+    return seen[places.pair[:, 0]] - seen[places.pair[:, 1]]
 
 
 def _near(directions):
@@ -217,9 +262,7 @@ def strengths(places, solids, window, directions, side):
     norm = rms * np.sqrt(len(places.change))
     for start in range(0, len(directions), BATCH):
         part = directions[start : start + BATCH]
-        seen = seen_from(places, solids, window, part, side)
-        seen[places.normal @ part.T.astype(np.float32) < 0.05] = 0
-        change = seen[places.pair[:, 0]] - seen[places.pair[:, 1]]
+        change = _changes(places, solids, window, part, side)
         square = np.einsum("ij,ij->j", change, change)
         product = places.change @ change
         found[start : start + BATCH] = product / np.sqrt(np.maximum(square, 25.0)) / norm

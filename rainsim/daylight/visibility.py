@@ -1,8 +1,8 @@
 """What of a scene is seen from far away: height maps along many directions, and look-ups in them.
 
-Each splat that stops much light is drawn as the part of its plane on which it does, without
-blending: of each pixel the height nearest to the far end counts. This takes a tenth of the time of
-a splatted picture, and shadows need no more.
+Each place of the capture's surface is drawn as a disc, without blending: of each pixel the height
+nearest to the far end counts. This takes a tenth of the time of a splatted picture, and shadows
+need no more.
 """
 
 from __future__ import annotations
@@ -15,7 +15,9 @@ import numpy as np
 from rainsim.constants import HALF, ONE, QUARTER, TWO, ZERO
 from rainsim.jit import cpu_kernel, device_function, prange
 
-STOPS = np.float32(0.3)  # share of light that a splat stops where it counts as solid
+# Of a place of the surface: deviation over the side of its voxel, and square of the deviations
+# within which it hides what is behind it.
+ROUND_SHARE, REACH = 0.55, np.float32(1.6)
 LOW_PASS = np.float32(0.25)  # px^2 added to each splat's spread: none falls between pixels
 NOTHING = np.float32(-1e30)  # height where nothing stands
 MOST_REACH = np.float32(4.5)  # square of the deviations within which merged splats stop light
@@ -29,11 +31,11 @@ COARSER = 3.0  # px of a map within which splats are drawn as one
 
 
 class Solids(NamedTuple):
-    """Splats that stop light, in the ground frame; read-only."""
+    """What stops light, as Gaussians of the ground frame; read-only."""
 
     position: np.ndarray  # (n, 3) float32 [m]
     covariance: np.ndarray  # (n, 6) float32 [m2]: xx, xy, xz, yy, yz, zz
-    reach: np.ndarray  # (n,) float32: square of the deviations within which it stops STOPS
+    reach: np.ndarray  # (n,) float32: square of the deviations within which it is solid
 
 
 class Window(NamedTuple):
@@ -49,24 +51,22 @@ def resized(window, side):
     return Window(window.middle, side, np.float32(window.side * float(window.pixel) / side))
 
 
-def solids_of(position, covariance, opacity):
-    """Return the `Solids` among splats of the ground frame."""
-    solid = _is_solid(opacity)
-    solid &= np.isfinite(position).all(axis=1) & np.isfinite(covariance).all(axis=1)
-    reach = 2 * np.log(opacity[solid] / STOPS)
+def solids_of(surface):
+    """Return the places of a `Surface` as `Solids`: discs in their planes, balls where is none."""
+    normal, flat = surface.normal.astype(np.float64), surface.flat.astype(np.float64)
+    spread = ROUND_SHARE**2 * surface.area.astype(np.float64)
+    full = np.eye(3) - flat[:, None, None] * normal[:, :, None] * normal[:, None, :]
+    full *= spread[:, None, None]
+    packed = full[:, [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
     return Solids(
-        np.ascontiguousarray(position[solid], np.float32),
-        np.ascontiguousarray(covariance[solid], np.float32), reach.astype(np.float32),
+        surface.position, np.ascontiguousarray(packed, np.float32),
+        np.full(len(spread), REACH, np.float32),
     )  # fmt: skip
-
-
-def _is_solid(opacity):
-    return opacity > STOPS * 1.02
 
 
 def with_plane(solids, surface):
     """Return the solids of a `Surface` that lie in a plane with those around: no leaves."""
-    which = surface.flat[_is_solid(surface.weight)] > HALF
+    which = surface.flat > HALF
     return Solids(*(values[which] for values in solids))
 
 

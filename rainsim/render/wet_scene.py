@@ -35,6 +35,7 @@ from rainsim.shading.wetting import GroundMaps, SkyMaps
 from rainsim.simulation import usual_wind
 from rainsim.splatting.detail import SIDES, Detail
 from rainsim.splatting.prepared import recolored
+from rainsim.surface.kept import kept_surface
 from rainsim.water.rolling import NO_TRACKS
 
 FINER = 4  # pixels of the drawn surroundings, across one of the map's faces
@@ -98,14 +99,17 @@ class WetScene:
         self.terrain, self.config, self.frame = terrain, config, scene.ground_frame
         self._whole_ground = terrain
         self.sky_distance = sky_distance(scene)
-        self.backdrop = Backdrop(scene, self.sky_distance, replaces_sky(config))
+        # Nothing was photographed of a generated scene: its splats are where its surfaces are.
+        found = None if scene.source is None else kept_surface(scene)
+        sky_splats = None if found is None else found.sky
+        self.backdrop = Backdrop(scene, self.sky_distance, replaces_sky(config), sky_splats)
         self.scene = self.backdrop.scene
         self.near = NEAR / self.frame.meters_per_unit
         self._rasterizer_of = rasterizer_of
         self.albedo, about_albedo = albedo_of_white(
             terrain, self.scene.splats, config.render.ground_albedo
         )
-        relight = kept_relight(scene, config, self.sky_distance, self.albedo)
+        relight = kept_relight(scene, config, found, self.albedo)
         self.notes = [note for note in (self.backdrop.note(), relight.note) if note]
         gain = None if relight.gain is None else relight.gain[self.backdrop.kept]
         if gain is not None:

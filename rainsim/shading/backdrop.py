@@ -45,6 +45,9 @@ class Backdrop:
         Beyond which what is bright may be sky.
     wanted : bool
         Whether another sky is to be seen at any time; if not, nothing is taken out.
+    found : ndarray of shape (n,), bool, optional
+        Which splats the capture's cameras show as sky; without it those are taken that are far,
+        high and bright.
 
     Attributes
     ----------
@@ -56,13 +59,14 @@ class Backdrop:
         Which splats of the given scene `scene` has.
     """
 
-    def __init__(self, scene, distance, wanted):
+    def __init__(self, scene, distance, wanted, found=None):
         self.whole, self.scene, self.count, self.kept = scene, scene, 0, slice(None)
         self._seen = None  # the panorama, once it is drawn
         if not wanted or not scene.cameras:
             return
         eye = np.mean([camera.position for camera in scene.cameras], axis=0)
-        found = sky_splats(scene.splats, scene.ground_frame, eye, distance)
+        if found is None:
+            found = sky_splats(scene.splats, scene.ground_frame, eye, distance)
         if covered(scene.splats, eye, found) >= sky.LEAST_SKY_SEEN:
             self.count, self._eye = int(found.sum()), eye
             self._sky, self.kept = scene.splats.take(found), ~found

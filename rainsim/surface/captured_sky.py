@@ -1,0 +1,136 @@
+"""Which pixels of the captured pictures show the sky.
+
+The sky is so far away that it has the same colour in one direction from every camera. So its colour
+is found as a map over directions, from pixels that may be sky in several cameras, and a pixel above
+the horizon shows the sky if it has the map's colour there.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import ndimage
+
+from rainsim.numerics.srgb import LUMINANCE_WEIGHTS
+
+ROWS, COLUMNS = 18, 72  # of the map: 5 degrees of elevation and of azimuth
+LOWEST = -0.01  # sine of the elevation from which on a pixel may show the sky
+DULL, BLUE = 0.6, 0.8  # blue over the largest channel: no sky, likely sky
+DARK = 0.1  # linear luminance below which nothing is the sky of a day
+EVEN = 0.15  # range of the logarithm of luminance about a pixel of the sky
+ABOUT = 5  # px, side of the square in which that is measured
+BRIGHTER = 0.7  # quantile of a texel's pixels: things before the sky are darker
+DARKER = 0.5  # logarithm of luminance by which a texel is darker than the sky around: no sky
+SAME = 0.35  # logarithm of a channel by which a pixel differs from the map
+LEAST_TEXELS = 6  # that show the sky
+LEAST_PIXELS = 30  # of a texel
+FITS = 6  # of the smooth sky
+
+
+class SkyColors:
+    """The colour of the captured sky by direction.
+
+    Parameters
+    ----------
+    views : sequence of DepthView
+
+    Attributes
+    ----------
+    color : ndarray of shape (ROWS, COLUMNS, 3) or None
+        Logarithm of linear light; row 0 at the horizon. None: no camera sees the sky.
+    """
+
+    def __init__(self, views):
+        total = [[] for _ in range(ROWS * COLUMNS)]
+        for view in views:
+            direction = directions(view)
+            likely = _likely(view, direction)
+            texel = _texels(direction)[likely]
+            color = np.log(np.clip(view.light[likely], 0.01, 1.0))
+            order = np.argsort(texel, kind="stable")
+            texel, color = texel[order], color[order]
+            first = np.flatnonzero(np.diff(texel, prepend=-1))
+            for start, stop in zip(first, np.append(first[1:], len(texel)), strict=False):
+                total[texel[start]].append(color[start:stop])
+        found = np.full((ROWS * COLUMNS, 3), np.nan)
+        for n, parts in enumerate(total):
+            if sum(map(len, parts)) >= LEAST_PIXELS:
+                color = np.concatenate(parts)
+                light = np.exp(color) @ LUMINANCE_WEIGHTS
+                found[n] = np.median(color[light >= np.quantile(light, BRIGHTER)], axis=0)
+        self.color = _completed(found.reshape(ROWS, COLUMNS, 3))
+
+    def shown(self, view):
+        """Return which pixels of a `DepthView` show the sky, bool (height, width)."""
+        if self.color is None:
+            return np.zeros(view.depth.shape, bool)
+        direction = directions(view)
+        away = np.abs(np.log(np.clip(view.light, 0.01, 1.0)) - self.at(direction)).max(axis=-1)
+        near = (away < SAME) & (direction[..., 2] > LOWEST)
+        return ndimage.median_filter(near, 3)
+
+    def at(self, direction):
+        """Return the logarithm of the sky's colour in directions (..., 3)."""
+        row = np.arcsin(np.clip(direction[..., 2], 0, 1)) / (np.pi / 2) * ROWS - 0.5
+        column = np.arctan2(direction[..., 1], direction[..., 0]) / (2 * np.pi) * COLUMNS - 0.5
+        wide = np.concatenate([self.color[:, -1:], self.color, self.color[:, :1]], axis=1)
+        place = [row, column % COLUMNS + 1]
+        channels = [
+            ndimage.map_coordinates(wide[..., c], place, order=1, mode="nearest") for c in range(3)
+        ]
+        return np.stack(channels, axis=-1)
+
+
+def directions(view):
+    """Return the unit direction of each pixel of a `DepthView` in the ground frame."""
+    height, width = view.depth.shape
+    fx, fy, cx, cy = view.lens
+    x = (np.arange(width, dtype=np.float32) + 0.5 - cx) / fx
+    y = (np.arange(height, dtype=np.float32) + 0.5 - cy) / fy
+    ray = np.empty((height, width, 3), np.float32)
+    ray[..., 0], ray[..., 1], ray[..., 2] = x, y[:, None], 1
+    ray /= np.linalg.norm(ray, axis=-1, keepdims=True)
+    return ray @ view.matrix[:, :3]
+
+
+def _likely(view, direction):
+    """Return which pixels are even, bright and blue or grey, and above the horizon."""
+    light = view.light @ LUMINANCE_WEIGHTS.astype(np.float32)
+    blue = view.light[..., 2] / np.maximum(view.light.max(axis=-1), 1e-3)
+    log = np.log(np.maximum(light, 0.01))
+    even = ndimage.maximum_filter(log, ABOUT) - ndimage.minimum_filter(log, ABOUT) < EVEN
+    return even & (light > DARK) & (blue > BLUE) & (direction[..., 2] > 0)
+
+
+def _texels(direction):
+    row = np.arcsin(np.clip(direction[..., 2], 0, 1)) / (np.pi / 2) * ROWS
+    column = np.arctan2(direction[..., 1], direction[..., 0]) / (2 * np.pi) * COLUMNS
+    row, column = row.astype(np.int64).clip(0, ROWS - 1), np.floor(column).astype(np.int64)
+    return row * COLUMNS + column % COLUMNS
+
+
+def _completed(color):
+    """Return a map of the sky without holes, None if too little of it is sky."""
+    row, column = np.mgrid[:ROWS, :COLUMNS]
+    high, turn = (row + 0.5) / ROWS * np.pi / 2, (column + 0.5) / COLUMNS * 2 * np.pi
+    x, y, z = np.cos(high) * np.cos(turn), np.cos(high) * np.sin(turn), np.sin(high)
+    terms = np.stack([np.ones_like(x), x, y, z, x * y, x * z, y * z, x * x - y * y, z * z], -1)
+    known = np.isfinite(color[..., 0])
+    light = np.log(np.exp(color) @ LUMINANCE_WEIGHTS)
+    for _ in range(FITS):
+        if np.count_nonzero(known) < LEAST_TEXELS:
+            return None
+        # Few texels say little of the shape: the higher terms are held down.
+        hold = np.diag([0, *[0.5] * 3, *[1.0] * 5])
+        a = terms[known]
+        smooth = terms @ np.linalg.solve(a.T @ a + hold, a.T @ color[known])
+        off = light - np.log(np.exp(smooth) @ LUMINANCE_WEIGHTS)
+        new = known & (off > -DARKER)
+        if (new == known).all():
+            break
+        known = new
+    where = np.where(known[..., None], color - smooth, 0)
+    weight = known.astype(float)
+    mode = ("nearest", "wrap")
+    spread = np.stack([ndimage.gaussian_filter(where[..., c], 1, mode=mode) for c in range(3)], -1)
+    near = ndimage.gaussian_filter(weight, 1, mode=mode)[..., None]
+    return smooth + spread / (near + 0.05)

@@ -1,0 +1,344 @@
+"""The surface of a capture: the depth pictures of its cameras, put together.
+
+A trained splat lies where training left it: before walls hangs half-transparent haze, and the sky
+is made of splats that hang anywhere in the air. What several cameras see at one place from
+different sides is solid. So each camera's depth picture is cut into voxels, the mean of all samples
+in a voxel is a place of the surface, and a place that other cameras look through is left out.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from rainsim.jit import cpu_kernel, get_num_threads, prange, serial_kernel
+from rainsim.numerics.blocks import in_blocks
+from rainsim.surface.views import DepthView
+
+VOXEL = 0.04  # m, within the radius of what the cameras look at; beyond it twice that, and so on
+LEVELS = 8  # of voxels, each twice as large
+JUMP = np.float32(0.04)  # of the depth, between pixels: the edge of something
+SLACK, LEAST_SLACK = np.float32(0.015), np.float32(0.02)  # of the depth, and m: places that agree
+LEAST_VIEWS = 3  # cameras that see a place
+MOST_THROUGH = 0.5  # of these, that may look through it
+NEIGHBOURS = 20  # places about one that its plane is fitted to
+ROUND = 0.45  # voxels off the plane (rms), from which on a place has none
+SUMS = 11  # of a voxel, see `_Voxels`
+COARSER, NODES = 3, 24  # voxels in a cell of plain parts; cells about one that a plane is fitted to
+WIDE, ROBUST, FARTHEST = 0.3, 0.06, 0.5  # m: deviation of their weights, across, off the plane; end
+EVEN = 0.15  # of the variance along a plane, that across it may be
+KEY_BITS = 19  # of a voxel's place along each axis
+
+
+class CaptureSurface(NamedTuple):
+    """Places on the surface of a capture, in the ground frame.
+
+    Attributes
+    ----------
+    position, normal : ndarray of shape (n, 3), float32
+        [m]; unit, towards the cameras that see it.
+    flat : ndarray of shape (n,), float32
+        How far the places around lie in one plane, 0 (leaves) to 1 (paving).
+    light : ndarray of shape (n, 3), float32
+        Linear captured colour, relative to display white.
+    size : ndarray of shape (n,), float32 [m]
+        Side of its voxel.
+    views : ndarray of shape (n,), uint8
+        Cameras that see it.
+    """
+
+    position: np.ndarray
+    normal: np.ndarray
+    flat: np.ndarray
+    light: np.ndarray
+    size: np.ndarray
+    views: np.ndarray
+
+
+def fused(views, middle, radius):
+    """Return the `CaptureSurface` that depth pictures show.
+
+    Parameters
+    ----------
+    views : sequence of DepthView
+    middle : ndarray of shape (3,) [m]
+        Of what the cameras look at.
+    radius : float [m]
+        About it, within which voxels are VOXEL wide.
+    """
+    middle = np.asarray(middle, np.float32)
+    voxels = _Voxels()
+    for view in views:
+        voxels.add(view, middle, np.float32(radius))
+    sums = voxels.sums
+    number = np.maximum(sums[:, 0], 1)[:, None]
+    position = np.ascontiguousarray(sums[:, 1:4] / number + middle, np.float32)
+    size = VOXEL * 2.0 ** (voxels.keys >> 3 * KEY_BITS)
+    found = np.zeros((len(position), 2), np.uint8)
+    for view in views:
+        count_views(position, size.astype(np.float32), view, found)
+    solid = (found[:, 0] >= LEAST_VIEWS) & (found[:, 1] <= MOST_THROUGH * found[:, 0])
+    position, towards = position[solid], sums[solid, 7:10]
+    light = (sums[solid, 4:7] / number[solid]).astype(np.float32)
+    size = size[solid].astype(np.float32)
+    plain = (sums[solid, 10] / number[solid, 0]).astype(np.float32)
+    position = evened(position, plain, size, found[solid, 0])
+    normal, flat, smooth = planes(position, towards, size)
+    return thinned(CaptureSurface(smooth, normal, flat, light, size, found[solid, 0]))
+
+
+def evened(position, plain, size, weight):
+    """Return places (n, 3), those where the capture is plain moved to planes of what is around.
+
+    Where nothing tells the depth, what is seen lies in a thick layer about the surface. A plane
+    fitted to the layer, over a wider neighbourhood, is surer than any of its places.
+    """
+    which = np.flatnonzero(plain > 0.5)
+    result = position.copy()
+    if len(which) < 4 * NEIGHBOURS:
+        return result
+    cell = COARSER * VOXEL
+    _, group = np.unique(np.floor(position[which] / cell).astype(np.int64), axis=0,
+                         return_inverse=True)  # fmt: skip
+    group = group.ravel()
+    share = weight[which].astype(np.float64)
+    total = np.bincount(group, share)
+    node = np.stack([np.bincount(group, share * position[which, k]) for k in range(3)], -1)
+    node /= total[:, None]
+    k = min(NODES, len(node))
+    tree = cKDTree(node)
+    scale = WIDE
+
+    def work(part):
+        own = which[part]
+        at = position[own].astype(np.float64)
+        away, near = tree.query(at, k=k)
+        around = node[near]
+        base = total[near] * np.exp(-0.5 * (away / scale) ** 2)
+        weights = base
+        for _ in range(3):
+            weights = weights / weights.sum(axis=1, keepdims=True)
+            middle = np.einsum("ij,ijk->ik", weights, around)
+            offset = around - middle[:, None]
+            spread = np.einsum("ij,ijk,ijl->ikl", weights, offset, offset)
+            value, axes = np.linalg.eigh(spread)
+            up = axes[:, :, 0]
+            off = np.einsum("ijk,ik->ij", offset, up)
+            weights = base / (1 + (off / ROBUST) ** 2)
+        even = (value[:, 0] < EVEN * value[:, 1])[:, None]
+        lift = np.einsum("ij,ij->i", middle - at, up)[:, None] * up
+        result[own] += np.where(even & (np.abs(lift) < FARTHEST), lift, 0).astype(np.float32)
+
+    in_blocks(work, len(which), 1 << 13)
+    return result
+
+
+def thinned(surface):
+    """Return a surface with one place in each voxel."""
+    size = surface.size.astype(np.float64)
+    place = np.floor(surface.position / size[:, None]).astype(np.int64)
+    level = np.rint(np.log2(size / VOXEL)).astype(np.int64)
+    key = np.column_stack([level, place, surface.normal @ [1, 2, 4] > 0])
+    _, group = np.unique(key, axis=0, return_inverse=True)
+    group = group.ravel()
+    weight = surface.views.astype(np.float64)
+    total = np.bincount(group, weight)
+
+    def mean(values):
+        sums = [np.bincount(group, weight * v) for v in np.atleast_2d(values.T)]
+        return (np.stack(sums, -1) / total[:, None]).astype(np.float32)
+
+    normal = mean(surface.normal)
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-6)
+    views = np.zeros(len(total), np.uint8)
+    np.maximum.at(views, group, surface.views)
+    return CaptureSurface(
+        mean(surface.position), normal, mean(surface.flat)[:, 0], mean(surface.light),
+        mean(surface.size)[:, 0], views,
+    )  # fmt: skip
+
+
+class _Voxels:
+    """A hash table of voxels, which grows.
+
+    Attributes
+    ----------
+    keys : ndarray of shape (n,), int64
+        Level and place of each voxel.
+    sums : ndarray of shape (n, 10), float64
+        Samples, and sums over them: place from the middle [m], colour, direction to the camera.
+    """
+
+    def __init__(self):
+        self._count = 0
+        self._keys, self._sums = np.empty(0, np.int64), np.empty((0, SUMS))
+        self._table = np.empty(0, np.int64)
+
+    @property
+    def keys(self):
+        return self._keys[: self._count]
+
+    @property
+    def sums(self):
+        return self._sums[: self._count]
+
+    def add(self, view, middle, radius):
+        """Add the samples of a view."""
+        room = self._count + view.depth.size
+        if room > len(self._keys):
+            size = 2 * room
+            self._keys = np.concatenate([self.keys, np.empty(size - self._count, np.int64)])
+            self._sums = np.concatenate([self.sums, np.zeros((size - self._count, SUMS))])
+            self._table = np.full(1 << (2 * size).bit_length(), -1, np.int64)
+            fill_table(self.keys, self._table)
+        self._count = add_view(
+            view, middle, radius, np.float32(VOXEL), self._count, self._table, self._keys,
+            self._sums,
+        )  # fmt: skip
+
+
+@serial_kernel
+def fill_table(keys, table_out):
+    """Enter keys into an empty hash table, whose length is a power of two."""
+    mask = len(table_out) - 1
+    for n in range(len(keys)):
+        at = ((keys[n] * 0x9E3779B1) ^ (keys[n] >> 29)) & mask
+        while table_out[at] >= 0:
+            at = (at + 1) & mask
+        table_out[at] = n
+
+
+@serial_kernel
+def add_view(view: DepthView, middle, radius, voxel, count, table_out, keys_out, sums_out):
+    """Add a view's samples to voxels, and return how many voxels there are.
+
+    table_out, keys_out, sums_out
+        See `_Voxels`.
+    """
+    height, width = view.depth.shape
+    mask = len(table_out) - 1
+    m, eye = view.matrix, view.eye
+    half = 1 << (KEY_BITS - 1)
+    for row in range(1, height - 1):
+        for column in range(1, width - 1):
+            d = view.depth[row, column]
+            if not d < 1e6:
+                continue
+            jump = max(
+                abs(view.depth[row, column + 1] - d), abs(view.depth[row, column - 1] - d),
+                abs(view.depth[row + 1, column] - d), abs(view.depth[row - 1, column] - d),
+            )  # fmt: skip
+            if not jump < JUMP * d:
+                continue
+            a = (np.float32(column) + np.float32(0.5) - view.lens[2]) / view.lens[0]
+            b = (np.float32(row) + np.float32(0.5) - view.lens[3]) / view.lens[1]
+            x = (m[0, 0] * a + m[1, 0] * b + m[2, 0]) * d
+            y = (m[0, 1] * a + m[1, 1] * b + m[2, 1]) * d
+            z = (m[0, 2] * a + m[1, 2] * b + m[2, 2]) * d
+            away = math.sqrt(x * x + y * y + z * z)
+            px, py, pz = x + eye[0] - middle[0], y + eye[1] - middle[1], z + eye[2] - middle[2]
+            far = math.sqrt(px * px + py * py + pz * pz) / radius
+            level = 0
+            while far > 1 and level < LEVELS:
+                far *= np.float32(0.5)
+                level += 1
+            side = voxel * np.float32(1 << level)
+            i = int(math.floor(px / side)) + half
+            j = int(math.floor(py / side)) + half
+            k = int(math.floor(pz / side)) + half
+            if not (0 < i < 2 * half and 0 < j < 2 * half and 0 < k < 2 * half):
+                continue
+            key = (((level << KEY_BITS | i) << KEY_BITS) | j) << KEY_BITS | k
+            at = ((key * 0x9E3779B1) ^ (key >> 29)) & mask
+            while table_out[at] >= 0 and keys_out[table_out[at]] != key:
+                at = (at + 1) & mask
+            n = table_out[at]
+            if n < 0:
+                n = count
+                table_out[at], keys_out[n] = n, key
+                count += 1
+            sums_out[n, 0] += 1
+            sums_out[n, 1] += px
+            sums_out[n, 2] += py
+            sums_out[n, 3] += pz
+            for c in range(3):
+                sums_out[n, 4 + c] += view.light[row, column, c]
+            sums_out[n, 7] -= x / away
+            sums_out[n, 8] -= y / away
+            sums_out[n, 9] -= z / away
+            sums_out[n, 10] += view.plain[row, column]
+    return count
+
+
+@cpu_kernel
+def count_views(position, size, view: DepthView, found_out):
+    """Count the views that see each place, and those that look through it.
+
+    Parameters
+    ----------
+    position : ndarray of shape (n, 3), float32 [m]
+    size : ndarray of shape (n,), float32 [m]
+        By half of which a place may be off.
+    view : DepthView
+    found_out : ndarray of shape (n, 2), uint8
+    """
+    height, width = view.depth.shape
+    m, lens = view.matrix, view.lens
+    for n in prange(len(position)):
+        x, y, z = position[n, 0], position[n, 1], position[n, 2]
+        far = m[2, 0] * x + m[2, 1] * y + m[2, 2] * z + m[2, 3]
+        if not far > np.float32(0.1):
+            continue
+        u = lens[0] * (m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + m[0, 3]) / far + lens[2]
+        v = lens[1] * (m[1, 0] * x + m[1, 1] * y + m[1, 2] * z + m[1, 3]) / far + lens[3]
+        if not (u >= 0 and v >= 0 and u < width and v < height):
+            continue
+        slack = LEAST_SLACK + SLACK * far + np.float32(0.5) * size[n]
+        if view.least[int(v), int(u)] - far > np.float32(2) * slack:
+            found_out[n, 1] += np.uint8(1)
+        elif abs(view.depth[int(v), int(u)] - far) < slack:
+            found_out[n, 0] += np.uint8(1)
+
+
+def planes(position, towards, size):
+    """Return normals (n, 3), how flat it is (n,), and the places (n, 3) moved to planes fitted.
+
+    Parameters
+    ----------
+    position : ndarray of shape (n, 3), float32 [m]
+    towards : ndarray of shape (n, 3)
+        Sum of the directions to the cameras that see each place.
+    size : ndarray of shape (n,), float32 [m]
+    """
+    count = len(position)
+    normal, flat = np.zeros((count, 3), np.float32), np.zeros(count, np.float32)
+    smooth = position.copy()
+    k = min(NEIGHBOURS, count)
+    if k < 4:
+        return normal, flat, smooth
+    tree = cKDTree(position, compact_nodes=False, balanced_tree=False)
+    away, near = tree.query(position, k=k, workers=get_num_threads())
+
+    def work(part):
+        around = position[near[part]].astype(np.float64)
+        scale = 2.0 * size[part, None]
+        weight = np.exp(-0.5 * (away[part] / scale) ** 2)
+        weight /= weight.sum(axis=1, keepdims=True)
+        middle = np.einsum("ij,ijk->ik", weight, around)
+        around -= middle[:, None]
+        spread = np.einsum("ij,ijk,ijl->ikl", weight, around, around)
+        value, axes = np.linalg.eigh(spread)
+        up = axes[:, :, 0]
+        up *= np.where(np.einsum("ij,ij->i", up, towards[part]) < 0, -1, 1)[:, None]
+        off = np.sqrt(np.maximum(value[:, 0], 0)) / size[part]
+        broad = np.sqrt(np.maximum(value[:, 1], 0)) / size[part]
+        even = np.clip(2 - 2 * off / ROUND, 0, 1) * np.clip(2 * broad, 0, 1)
+        normal[part], flat[part] = up, even
+        lift = np.einsum("ij,ij->i", middle - position[part], up) * even
+        smooth[part] += (lift[:, None] * up).astype(np.float32)
+
+    in_blocks(work, count, 1 << 14)
+    return normal, flat, smooth

@@ -1,0 +1,159 @@
+"""What a capture's own cameras tell of it, found once and kept: its surface, its sky."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from rainsim.constants import SH_0
+from rainsim.io import cache
+from rainsim.jit import cpu_kernel, get_num_threads, prange
+from rainsim.numerics.srgb import linear
+from rainsim.surface.captured_sky import SAME, SkyColors
+from rainsim.surface.fuse import CaptureSurface, fused
+from rainsim.surface.views import (
+    DepthView,
+    cameras_of,
+    depth_views,
+    leave_out_sky,
+    window_of,
+)
+
+KIND = "surface"
+FEWEST = 100  # splats
+LIKE_SKY = 1.0  # logarithm of a channel by which a splat before the sky differs from it
+ALONE = 4.0  # voxels from any surface, beyond which a splat belongs to none
+MORE_SKY = 2  # times as many cameras must see a splat before the sky as see it before something
+LOWEST = -0.05  # sine of the elevation from which on what nobody sees may be sky
+
+
+class Found(NamedTuple):
+    """What the cameras of a capture show.
+
+    Attributes
+    ----------
+    surface : CaptureSurface
+    sky : ndarray of shape (n,), bool
+        Splats that are sky.
+    middle : ndarray of shape (3,), float32 [m]
+        Of what the cameras look at, in the ground frame.
+    half : float [m]
+        Half the width of that.
+    """
+
+    surface: CaptureSurface
+    sky: np.ndarray
+    middle: np.ndarray
+    half: float
+
+
+_last = [None, None]  # name of the result that was asked for last, and the result
+
+
+def kept_surface(scene):
+    """Return what the cameras of a scene show, as `Found`, from an earlier run if there was one.
+
+    None if there are fewer splats than FEWEST.
+    """
+    if len(scene.splats) < FEWEST:
+        return None
+    name = cache.name_of(KIND, scene.splats, scene.ground_frame, scene.cameras)
+    if _last[0] != name:
+        entry = cache.read(KIND, name)
+        if entry is None:
+            found = find_surface(scene)
+            arrays = {"sky": found.sky, "middle": found.middle, **found.surface._asdict()}
+            cache.write(KIND, name, {"half": found.half}, arrays)
+        else:
+            facts, arrays = entry
+            sky, middle = arrays.pop("sky"), arrays.pop("middle")
+            found = Found(CaptureSurface(**arrays), sky, middle, facts["half"])
+        _last[:] = name, found
+    return _last[1]
+
+
+def find_surface(scene):
+    """Return what the cameras of a scene show, as `Found`."""
+    frame, splats = scene.ground_frame, scene.splats
+    with np.errstate(all="ignore"):
+        position = frame.to_ground(splats.position).astype(np.float32)
+        good = np.isfinite(position).all(axis=1) & np.isfinite(splats.sh[:, 0]).all(axis=1)
+    placed = [frame.camera_in_ground(camera) for camera in scene.cameras]
+    middle, half = window_of(position[good], placed)
+    views = depth_views(scene, cameras_of(scene, middle, half))
+    colors = SkyColors(views)
+    shown = [colors.shown(view) for view in views]
+    leave_out_sky(views, shown)
+    surface = fused(views, middle, half)
+    sky = np.zeros(len(position), bool)
+    if colors.color is not None:
+        off = _off_sky(position[good], splats.sh[good, 0], colors, middle)
+        alone = _alone(position[good], surface)
+        sky[good] = _sky_splats(position[good], off, alone, views, shown, middle)
+    return Found(surface, sky, middle, half)
+
+
+def _off_sky(position, color, colors, middle):
+    """Return the logarithm by which splats differ from the sky's colour behind them, (n,)."""
+    light = np.clip(linear(color * np.float32(SH_0) + np.float32(0.5)), 0.01, 1.0)
+    return np.abs(np.log(light) - colors.at(_directions(position, middle))).max(axis=1)
+
+
+def _directions(position, middle):
+    away = position - middle
+    return away / np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-6)
+
+
+def _alone(position, surface):
+    """Return which splats are away from every place of the surface, bool (n,)."""
+    if not len(surface.position):
+        return np.ones(len(position), bool)
+    tree = cKDTree(surface.position, compact_nodes=False, balanced_tree=False)
+    away, near = tree.query(position, workers=get_num_threads())
+    return away > ALONE * surface.size[near]
+
+
+def _sky_splats(position, off, alone, views, shown, middle):
+    """Return which splats are sky, bool (n,).
+
+    They stand before the sky in most of the cameras that see them, or no camera sees them; and they
+    have about its colour, or are away from every surface.
+    """
+    votes = np.zeros((len(position), 2), np.uint8)
+    for view, sky in zip(views, shown, strict=True):
+        count_sky(position, view, sky, votes)
+    before, land = votes.T.astype(np.int64)
+    high = _directions(position, middle)[:, 2] > LOWEST
+    found = (before > MORE_SKY * land) & ((off < LIKE_SKY) | alone)
+    return found | ((before + land == 0) & high & (off < np.where(alone, LIKE_SKY, SAME)))
+
+
+@cpu_kernel
+def count_sky(position, view: DepthView, sky, votes_out):
+    """Count the cameras that have each splat before the sky, and those before something else.
+
+    Parameters
+    ----------
+    position : ndarray of shape (n, 3), float32 [m]
+    view : DepthView
+    sky : ndarray of shape (height, width), bool
+        Pixels that show the sky.
+    votes_out : ndarray of shape (n, 2), uint8
+    """
+    height, width = view.depth.shape
+    m, lens = view.matrix, view.lens
+    for n in prange(len(position)):
+        x, y, z = position[n, 0], position[n, 1], position[n, 2]
+        far = m[2, 0] * x + m[2, 1] * y + m[2, 2] * z + m[2, 3]
+        if not far > np.float32(0.1):
+            continue
+        u = lens[0] * (m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + m[0, 3]) / far + lens[2]
+        v = lens[1] * (m[1, 0] * x + m[1, 1] * y + m[1, 2] * z + m[1, 3]) / far + lens[3]
+        if not (u >= 0 and v >= 0 and u < width and v < height):
+            continue
+        if sky[int(v), int(u)]:
+            votes_out[n, 0] += np.uint8(1)
+        elif far < view.depth[int(v), int(u)] * np.float32(1.05):
+            votes_out[n, 1] += np.uint8(1)

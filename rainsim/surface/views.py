@@ -1,0 +1,120 @@
+"""The depth pictures of a capture's cameras, without the sky."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy import ndimage
+
+from rainsim.numerics.srgb import LUMINANCE_WEIGHTS, linear
+from rainsim.raster import Rasterizer, prepare
+from rainsim.scene.cameras import look_at, resize_to
+
+MOST_CAMERAS = 96  # of the capture, evenly spaced, that are asked
+WIDTH = 324  # px of their depth pictures
+NEAR = 0.05  # m from a camera, within which nothing is drawn
+THIN = 0.1  # of its second axis, that a splat is thick: then its plane tells the depth
+OPAQUE = np.float32(0.7)  # alpha from which a pixel shows a surface
+ABOUT, PLAIN = 9, (0.05, 0.12)  # px, and range of log luminance about a pixel: plain, textured
+LEAST_HALF, MOST_HALF, BEYOND = 6.0, 40.0, 4.0  # m, of what cameras look at; past the cameras
+# Cameras of a capture without any: rings about its middle, as a person would walk them.
+RINGS = ((0.35, 1.1), (0.6, 1.7), (0.85, 2.4))  # of half its width; m over the ground
+ON_RING, MADE_FOV, MADE_SHAPE = 12, 70.0, 1.5  # cameras; degrees; width over height
+
+
+class DepthView(NamedTuple):
+    """What a camera of the capture sees, in metres of the ground frame; a kernel's bundle."""
+
+    matrix: np.ndarray  # (3, 4) float32: camera frame from ground frame
+    eye: np.ndarray  # (3,) float32
+    lens: np.ndarray  # (4,) float32: fx, fy, cx, cy [px]
+    depth: np.ndarray  # (height, width) float32 [m]; infinite where no surface is
+    least: np.ndarray  # (height, width) float32 [m]: least depth of the pixels around
+    light: np.ndarray  # (height, width, 3) float32, linear
+    plain: np.ndarray  # (height, width) float32: 0 texture tells the depth, 1 none does
+
+
+def window_of(position, cameras):
+    """Return the middle [m] and half the width [m] of what cameras look at.
+
+    Parameters
+    ----------
+    position : ndarray of shape (n, 3) [m]
+        Of the splats.
+    cameras : sequence of Camera
+        In the ground frame; may be empty.
+    """
+    if cameras:
+        eyes = np.array([camera.position for camera in cameras])
+        middle = np.median(eyes, axis=0)
+        reach = np.percentile(np.linalg.norm(eyes[:, :2] - middle[:2], axis=1), 90)
+        half = 1.6 * reach + BEYOND
+    else:
+        middle = np.median(position, axis=0)
+        half = 1.2 * np.percentile(np.abs(position[:, :2] - middle[:2]), 90)
+    return middle.astype(np.float32), float(np.clip(half, LEAST_HALF, MOST_HALF))
+
+
+def cameras_of(scene, middle, half):
+    """Return the cameras that a surface is found from, in the capture frame.
+
+    Those of the capture, evenly spaced; without any, rings of cameras about its middle.
+    """
+    if scene.cameras:
+        return scene.cameras[:: -(-len(scene.cameras) // MOST_CAMERAS)]
+    made = []
+    for share, high in RINGS:
+        for k in range(ON_RING):
+            turn = 2 * np.pi * (k + share) / ON_RING
+            away = share * half * np.array([np.cos(turn), np.sin(turn)])
+            eye = np.array([*(middle[:2] + away), high])
+            at = np.array([*(middle[:2] - 0.3 * away), 0.3])
+            camera = look_at(eye, at, (0, 0, 1), MADE_FOV, WIDTH, round(WIDTH / MADE_SHAPE))
+            made.append(scene.ground_frame.camera_in_capture(camera))
+    return made
+
+
+def depth_views(scene, cameras):
+    """Return the `DepthView` of each camera (capture frame), the sky not yet left out.
+
+    The mean of the splats' centres lies before a surface of thick splats, since the nearer hide
+    the farther, and the blended plane about as far behind it: the mean of both is taken. Of flat
+    splats the plane is right.
+    """
+    frame, unit = scene.ground_frame, np.float32(scene.ground_frame.meters_per_unit)
+    rasterizer = Rasterizer(prepare(scene.splats))
+    axes = np.sort(scene.splats.scale, axis=1)
+    thin = np.median(axes[:, 0] / np.maximum(axes[:, 1], np.float32(1e-12))) < THIN
+    views = []
+    for camera in cameras:
+        camera = resize_to(camera, WIDTH)
+        layers = rasterizer.draw(camera, NEAR / frame.meters_per_unit, depth="median")
+        light = linear(layers.color / np.maximum(layers.alpha, np.float32(0.5))[..., None])
+        depth = layers.plane_depth if thin else 0.5 * (layers.plane_depth + layers.depth)
+        depth = np.where(layers.alpha > OPAQUE, depth * unit, np.float32(np.inf))
+        placed = frame.camera_in_ground(camera)
+        views.append(DepthView(
+            np.ascontiguousarray(placed.camera_from_world[:3], np.float32),
+            placed.position.astype(np.float32),
+            np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float32),
+            depth.astype(np.float32), np.empty(depth.shape, np.float32),
+            light.astype(np.float32), _plainness(light),
+        ))  # fmt: skip
+    return views
+
+
+def leave_out_sky(views, sky):
+    """Write into the views that pixels of the sky, bool (height, width) each, show no surface."""
+    for view, shown in zip(views, sky, strict=True):
+        view.depth[shown] = np.inf
+        ndimage.minimum_filter(view.depth, 3, output=view.least)
+
+
+def _plainness(light):
+    """Return how plain a picture (height, width, 3) of linear light is about each pixel, 0 to 1."""
+    log = np.log(np.maximum(light @ LUMINANCE_WEIGHTS.astype(np.float32), np.float32(0.01)))
+    log = ndimage.gaussian_filter(log, 0.7)
+    spread = ndimage.maximum_filter(log, ABOUT) - ndimage.minimum_filter(log, ABOUT)
+    low, high = PLAIN
+    return np.clip((high - spread) / (high - low), 0, 1).astype(np.float32)
