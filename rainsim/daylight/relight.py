@@ -206,11 +206,13 @@ def measure(places, solids, plane, window, direction, sent):
     if len(lit) < LEAST_PAIRS:
         return SunRatio(np.zeros(3), len(lit), 0.0)
     change = np.maximum(places.light[lit], 1e-4) / np.maximum(places.light[shaded], 1e-4)
+    # Where maps have an edge of a shadow that is not there, brightness hardly changes.
+    weight = np.abs(np.log(luminance(change)))
     ratio = np.zeros(3)
     for _ in range(ROUNDS):  # what the surroundings send depends on the ratio, but weakly
         shade = shade_of(light, direction, ratio)
         found = (change * shade[b] - shade[a]) / cosine[lit][:, None]
-        ratio = np.maximum(np.median(found, axis=0), 0)
+        ratio = np.maximum([_weighted_median(channel, weight) for channel in found.T], 0)
     expected = (shade[a] + cosine[lit][:, None] * ratio) / shade[b]
     place = places.position[shaded], places.normal[shaded]
     edges = edge_shade(*place, np.log(change / np.maximum(expected, 1e-4)))
@@ -219,6 +221,13 @@ def measure(places, solids, plane, window, direction, sent):
     brighter -= np.log(luminance(places.light[shaded]) * shade[a])
     agree = np.maximum(brighter, 0).sum() / max(float(np.abs(brighter).sum()), 1e-6)
     return SunRatio(ratio, len(lit), float(agree), edges)
+
+
+def _weighted_median(values, weight):
+    """Return the value below which half of the weight lies."""
+    order = np.argsort(values)
+    total = np.cumsum(weight[order])
+    return values[order[np.searchsorted(total, 0.5 * total[-1])]]
 
 
 def _sure_share(places, solids, window, direction):

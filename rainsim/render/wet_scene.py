@@ -152,7 +152,9 @@ class WetScene:
             self.prepared = self._detail.prepared
         self.rasterizer = rasterizer_of(self.drawn) if self.paged is None else self.paged.whole
         self._skylines = None
-        if not self.backdrop.count:
+        # Where the captured sky is left out, what it filled between leaves and before dark things is
+        # open too: only directions that lie open show the day's.
+        if not self.backdrop.count or sky_splats is not None:
             self._skylines = skylines(self.scene, self.prepared, first_camera, self.near)
         self.prepared = self.prepared if self.paged is None or self.nodes else None
         self._tracks = NO_TRACKS
@@ -273,8 +275,8 @@ class WetScene:
         self.behind = self.behind_mirrored = self.backdrop.behind(self.day, self.look)
         if self._skylines:
             whole, mirrored = self._skylines
-            self.behind = with_skyline(self.day, whole, 0.0)
-            self.behind_mirrored = with_skyline(self.day, mirrored, self.look.exposure)
+            self.behind_mirrored = with_skyline(self.behind, mirrored, self.look.exposure)
+            self.behind = with_skyline(self.behind, whole, 0.0)
 
     @property
     def drawn(self):

@@ -8,7 +8,8 @@ the horizon shows the sky if it has the map's colour there.
 from __future__ import annotations
 
 import numpy as np
-from scipy import ndimage
+from scipy import ndimage, sparse
+from scipy.sparse import csgraph
 
 from rainsim.numerics.srgb import LUMINANCE_WEIGHTS
 
@@ -18,12 +19,12 @@ DULL, BLUE = 0.6, 0.8  # blue over the largest channel: no sky, likely sky
 DARK = 0.1  # linear luminance below which nothing is the sky of a day
 EVEN = 0.15  # range of the logarithm of luminance about a pixel of the sky
 ABOUT = 5  # px, side of the square in which that is measured
-BRIGHTER = 0.7  # quantile of a texel's pixels: things before the sky are darker
-DARKER = 0.5  # logarithm of luminance by which a texel is darker than the sky around: no sky
+BRIGHTER = 0.7  # quantile of the cameras: things before the sky are darker
+STEP = 0.25  # logarithm of a channel between texels of the sky, at most
+NEAR = 0.1  # logarithm of a channel by which cameras differ from each other: not the sky
 SAME = 0.35  # logarithm of a channel by which a pixel differs from the map
 LEAST_TEXELS = 6  # that show the sky
 LEAST_PIXELS = 30  # of a texel
-FITS = 6  # of the smooth sky
 
 
 class SkyColors:
@@ -40,7 +41,7 @@ class SkyColors:
     """
 
     def __init__(self, views):
-        total = [[] for _ in range(ROWS * COLUMNS)]
+        found = [[] for _ in range(ROWS * COLUMNS)]  # of each texel: a colour for each camera
         for view in views:
             direction = directions(view)
             likely = _likely(view, direction)
@@ -50,14 +51,18 @@ class SkyColors:
             texel, color = texel[order], color[order]
             first = np.flatnonzero(np.diff(texel, prepend=-1))
             for start, stop in zip(first, np.append(first[1:], len(texel)), strict=False):
-                total[texel[start]].append(color[start:stop])
-        found = np.full((ROWS * COLUMNS, 3), np.nan)
-        for n, parts in enumerate(total):
-            if sum(map(len, parts)) >= LEAST_PIXELS:
-                color = np.concatenate(parts)
-                light = np.exp(color) @ LUMINANCE_WEIGHTS
-                found[n] = np.median(color[light >= np.quantile(light, BRIGHTER)], axis=0)
-        self.color = _completed(found.reshape(ROWS, COLUMNS, 3))
+                if stop - start >= LEAST_PIXELS:
+                    found[texel[start]].append(np.median(color[start:stop], axis=0))
+        color, spread = np.full((ROWS * COLUMNS, 3), np.nan), np.full(ROWS * COLUMNS, np.nan)
+        for n, seen in enumerate(found):
+            if seen:
+                # What hides the sky from some cameras is darker.
+                bright = np.sum(seen, axis=1)
+                color[n] = seen[np.argsort(bright)[int(BRIGHTER * (len(seen) - 1) + 0.5)]]
+                away = np.abs(np.array(seen) - color[n]).max(axis=1)
+                spread[n] = np.median(away) if len(seen) > 1 else np.nan
+        shape = ROWS, COLUMNS
+        self.color = _completed(color.reshape(*shape, 3), spread.reshape(shape))
 
     def shown(self, view):
         """Return which pixels of a `DepthView` show the sky, bool (height, width)."""
@@ -108,29 +113,48 @@ def _texels(direction):
     return row * COLUMNS + column % COLUMNS
 
 
-def _completed(color):
-    """Return a map of the sky without holes, None if too little of it is sky."""
+def _completed(color, spread):
+    """Return a map of the sky without holes, None if too little of it is sky.
+
+    Of the parts of the map that are smooth in themselves the sky is the one that is highest and
+    widest; a wall that hides it is another. Where it stands near, what is seen in one direction
+    differs from camera to camera.
+    """
     row, column = np.mgrid[:ROWS, :COLUMNS]
     high, turn = (row + 0.5) / ROWS * np.pi / 2, (column + 0.5) / COLUMNS * 2 * np.pi
+    known = np.isfinite(color[..., 0])
+    part = _parts(color, known)
+    if part is None:
+        return None
+    weight = np.bincount(part[known], (np.sin(high) * np.cos(high))[known])
+    known &= part == np.argmax(weight)
+    told = known & np.isfinite(spread)
+    if np.count_nonzero(known) < LEAST_TEXELS or not told.any():
+        return None
+    if np.median(spread[told]) > NEAR:
+        return None
     x, y, z = np.cos(high) * np.cos(turn), np.cos(high) * np.sin(turn), np.sin(high)
     terms = np.stack([np.ones_like(x), x, y, z, x * y, x * z, y * z, x * x - y * y, z * z], -1)
-    known = np.isfinite(color[..., 0])
-    light = np.log(np.exp(color) @ LUMINANCE_WEIGHTS)
-    for _ in range(FITS):
-        if np.count_nonzero(known) < LEAST_TEXELS:
-            return None
-        # Few texels say little of the shape: the higher terms are held down.
-        hold = np.diag([0, *[0.5] * 3, *[1.0] * 5])
-        a = terms[known]
-        smooth = terms @ np.linalg.solve(a.T @ a + hold, a.T @ color[known])
-        off = light - np.log(np.exp(smooth) @ LUMINANCE_WEIGHTS)
-        new = known & (off > -DARKER)
-        if (new == known).all():
-            break
-        known = new
+    hold = np.diag([0, *[0.5] * 3, *[1.0] * 5])  # few texels say little of the shape
+    a = terms[known]
+    smooth = terms @ np.linalg.solve(a.T @ a + hold, a.T @ color[known])
     where = np.where(known[..., None], color - smooth, 0)
-    weight = known.astype(float)
     mode = ("nearest", "wrap")
     spread = np.stack([ndimage.gaussian_filter(where[..., c], 1, mode=mode) for c in range(3)], -1)
-    near = ndimage.gaussian_filter(weight, 1, mode=mode)[..., None]
+    near = ndimage.gaussian_filter(known.astype(float), 1, mode=mode)[..., None]
     return smooth + spread / (near + 0.05)
+
+
+def _parts(color, known):
+    """Return the number of the smooth part that each texel belongs to; None without texels."""
+    if not known.any():
+        return None
+    number = np.arange(ROWS * COLUMNS).reshape(ROWS, COLUMNS)
+    pairs = []
+    for down, across in ((0, 1), (1, 0), (1, 1), (1, -1)):
+        other = np.roll(color, -across, axis=1)[down:], np.roll(number, -across, axis=1)[down:]
+        alike = np.abs(color[: ROWS - down] - other[0]).max(axis=-1) < STEP
+        pairs.append(np.stack([number[: ROWS - down][alike], other[1][alike]]))
+    first, second = np.concatenate(pairs, axis=1)
+    graph = sparse.coo_matrix((np.ones(len(first)), (first, second)), (number.size, number.size))
+    return csgraph.connected_components(graph, directed=False)[1].reshape(ROWS, COLUMNS)

@@ -17,6 +17,7 @@ from scipy.spatial import cKDTree
 from rainsim.jit import cpu_kernel, get_num_threads, prange, serial_kernel
 from rainsim.numerics.blocks import in_blocks
 from rainsim.surface.views import DepthView
+from rainsim.surface.walls import to_walls
 
 VOXEL = 0.04  # m, within the radius of what the cameras look at; beyond it twice that, and so on
 LEVELS = 8  # of voxels, each twice as large
@@ -27,8 +28,11 @@ MOST_THROUGH = 0.5  # of these, that may look through it
 NEIGHBOURS = 20  # places about one that its plane is fitted to
 ROUND = 0.45  # voxels off the plane (rms), from which on a place has none
 SUMS = 11  # of a voxel, see `_Voxels`
-COARSER, NODES = 3, 24  # voxels in a cell of plain parts; cells about one that a plane is fitted to
-WIDE, ROBUST, FARTHEST = 0.3, 0.06, 0.5  # m: deviation of their weights, across, off the plane; end
+# Of plain parts: cells that are taken together, and the deviation of the weights of those about a
+# place, both in m; how many of them; off a plane, over that deviation: half their weight; farthest.
+SCALES, NODES = ((0.24, 0.7), (0.12, 0.3)), 32
+BARELY_PLAIN = 0.15  # of places that are moved to a wall beside them
+ROBUST, FARTHEST = 0.2, 1.5
 EVEN = 0.15  # of the variance along a plane, that across it may be
 KEY_BITS = 19  # of a voxel's place along each axis
 
@@ -85,55 +89,62 @@ def fused(views, middle, radius):
     light = (sums[solid, 4:7] / number[solid]).astype(np.float32)
     size = size[solid].astype(np.float32)
     plain = (sums[solid, 10] / number[solid, 0]).astype(np.float32)
-    position = evened(position, plain, size, found[solid, 0])
+    position = evened(position, plain, towards, size, found[solid, 0])
     normal, flat, smooth = planes(position, towards, size)
     return thinned(CaptureSurface(smooth, normal, flat, light, size, found[solid, 0]))
 
 
-def evened(position, plain, size, weight):
+def evened(position, plain, towards, size, weight):
     """Return places (n, 3), those where the capture is plain moved to planes of what is around.
 
     Where nothing tells the depth, what is seen lies in a thick layer about the surface. A plane
-    fitted to the layer, over a wider neighbourhood, is surer than any of its places.
+    fitted to the layer, over a wider neighbourhood, is surer than any of its places: that of a
+    whole wall, or of the widest neighbourhood that is a layer.
     """
-    which = np.flatnonzero(plain > 0.5)
-    result = position.copy()
-    if len(which) < 4 * NEIGHBOURS:
-        return result
-    cell = COARSER * VOXEL
-    _, group = np.unique(np.floor(position[which] / cell).astype(np.int64), axis=0,
-                         return_inverse=True)  # fmt: skip
-    group = group.ravel()
-    share = weight[which].astype(np.float64)
-    total = np.bincount(group, share)
-    node = np.stack([np.bincount(group, share * position[which, k]) for k in range(3)], -1)
+    which = np.flatnonzero(plain > BARELY_PLAIN)
+    result, wall = position.copy(), np.zeros(len(position), bool)
+    result[which], wall[which] = to_walls(
+        position[which], towards[which], size[which], plain[which]
+    )
+    which = np.flatnonzero((plain > 0.5) & ~wall)
+    for cell, wide in SCALES:
+        if len(which) < 4 * NODES:
+            break
+        moved, even = _to_planes(position[which], weight[which].astype(np.float64), cell, wide)
+        result[which[even]] = moved[even]
+        which = which[~even]
+    return result
+
+
+def _to_planes(position, weight, cell, wide):
+    """Return places moved to planes of what is `wide` [m] around, and where that is a layer."""
+    place = np.floor(position / cell).astype(np.int64)
+    group = np.unique(place, axis=0, return_inverse=True)[1].ravel()
+    total = np.bincount(group, weight)
+    node = np.stack([np.bincount(group, weight * position[:, k]) for k in range(3)], -1)
     node /= total[:, None]
-    k = min(NODES, len(node))
-    tree = cKDTree(node)
-    scale = WIDE
+    tree, k = cKDTree(node), min(NODES, len(node))
+    result, even = position.copy(), np.zeros(len(position), bool)
 
     def work(part):
-        own = which[part]
-        at = position[own].astype(np.float64)
+        at = position[part].astype(np.float64)
         away, near = tree.query(at, k=k)
         around = node[near]
-        base = total[near] * np.exp(-0.5 * (away / scale) ** 2)
-        weights = base
+        weights = base = total[near] * np.exp(-0.5 * (away / wide) ** 2)
         for _ in range(3):
             weights = weights / weights.sum(axis=1, keepdims=True)
             middle = np.einsum("ij,ijk->ik", weights, around)
             offset = around - middle[:, None]
-            spread = np.einsum("ij,ijk,ijl->ikl", weights, offset, offset)
-            value, axes = np.linalg.eigh(spread)
+            value, axes = np.linalg.eigh(np.einsum("ij,ijk,ijl->ikl", weights, offset, offset))
             up = axes[:, :, 0]
             off = np.einsum("ijk,ik->ij", offset, up)
-            weights = base / (1 + (off / ROBUST) ** 2)
-        even = (value[:, 0] < EVEN * value[:, 1])[:, None]
-        lift = np.einsum("ij,ij->i", middle - at, up)[:, None] * up
-        result[own] += np.where(even & (np.abs(lift) < FARTHEST), lift, 0).astype(np.float32)
+            weights = base / (1 + (off / (ROBUST * wide)) ** 2)
+        lift = np.einsum("ij,ij->i", middle - at, up)
+        even[part] = (value[:, 0] < EVEN * value[:, 1]) & (np.abs(lift) < FARTHEST * wide)
+        result[part] += (lift[:, None] * up).astype(np.float32)
 
-    in_blocks(work, len(which), 1 << 13)
-    return result
+    in_blocks(work, len(position), 1 << 13)
+    return result, even
 
 
 def thinned(surface):

@@ -91,7 +91,10 @@ def depth_views(scene, cameras):
         camera = resize_to(camera, WIDTH)
         layers = rasterizer.draw(camera, NEAR / frame.meters_per_unit, depth="median")
         light = linear(layers.color / np.maximum(layers.alpha, np.float32(0.5))[..., None])
-        depth = layers.plane_depth if thin else 0.5 * (layers.plane_depth + layers.depth)
+        plain = _plainness(light)
+        share = 1.0 if thin else 0.5 + 0.5 * np.clip(2 * plain - 1, 0, 1)
+        with np.errstate(invalid="ignore"):  # infinite where nothing is
+            depth = layers.depth + share * (layers.plane_depth - layers.depth)
         depth = np.where(layers.alpha > OPAQUE, depth * unit, np.float32(np.inf))
         placed = frame.camera_in_ground(camera)
         views.append(DepthView(
@@ -99,7 +102,7 @@ def depth_views(scene, cameras):
             placed.position.astype(np.float32),
             np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float32),
             depth.astype(np.float32), np.empty(depth.shape, np.float32),
-            light.astype(np.float32), _plainness(light),
+            light.astype(np.float32), plain,
         ))  # fmt: skip
     return views
 

@@ -16,6 +16,8 @@ from rainsim import raster
 from rainsim.errors import GroundError, ParameterError
 from rainsim.lod.ground import scene_over
 from rainsim.scene.types import Camera
+from rainsim.surface.kept import kept_surface
+from rainsim.surface.sweep import GroundSweep
 from rainsim.terrain import bed as bedding
 from rainsim.terrain import filters
 from rainsim.terrain.choose import choose_grid
@@ -38,6 +40,7 @@ NEAR_BED = 0.03  # m, and four times the noise: what is farther from the first b
 LARGEST_SHIFT, SHIFT_WIDTH = 0.02, 0.05  # m, by which overlapping splats may hide the ground
 EDGE_THICKNESS = 5e-3  # m between the looks from above and below from where an edge begins
 EDGE_WIDTH = 0.06  # m: splats of a kerb's top reach so far over its edge
+SWEPT_NOISE = 3e-3  # m, of heights from pictures, as far as smoothing them goes
 LEAST_GROUND = 0.02  # share of the map that must show ground
 
 
@@ -238,7 +241,7 @@ def _piece(scene, cloud, piece, mask, step):
         ground = cloud.look(kept, grid)
     step()
     below = cloud.look(kept, grid, from_below=True)
-    bed, source, noise, color, green = _bed(ground, below, grid, cloud.level)
+    bed, source, noise, color, green = _bed(ground, below, grid, cloud.level, cloud.sweep)
     step()
     upper = cloud.look(cloud.below_ceiling & over, grid)
     step()
@@ -336,6 +339,11 @@ class _Cloud:
         floating = lonely(self.position, self.splats, self.frame, grid, self.top)
         self.below_ceiling &= ~floating | (self.above <= SLAB)
         self.overhead = self.below_ceiling & (self.above > SLAB)
+        self.sweep = None
+        # Pictures tell nothing of what nobody photographed, and take too long along a drive.
+        if scene.source is not None and scene.cameras and scene.pages is None:
+            found = kept_surface(scene)
+            self.sweep = None if found is None else GroundSweep(scene, found.surface)
         self.notes = ()
         if level.max() - level.min() > SLAB:
             self.notes = (
@@ -438,7 +446,7 @@ def _less_bias(above, below, bare, grid):
     return height
 
 
-def _bed(seen, below, grid, level):
+def _bed(seen, below, grid, level, sweep=None):
     """Return bed, source, noise, colour and excess green from a look at the ground."""
     known = seen.alpha > MIN_SEEN_ALPHA
     if not known.any():
@@ -452,6 +460,9 @@ def _bed(seen, below, grid, level):
     green = filters.gaussian_filter(np.where(known, green, 0), 0.06 / grid.spacing)
     bare = known & (green < EXCESS_GREEN)
     height = np.where(known, _less_bias(seen, below, bare, grid), 0)
+    swept = np.zeros(grid.shape, np.float32)
+    if sweep is not None:
+        height, swept = sweep.heights(grid, height.astype(np.float32), bare)
     filled = bedding.inpaint(height, known)
     standing = bedding.objects(filled, known, green > EXCESS_GREEN, grid.spacing)
     # A hole that is all within known ground is where something stood: a table's foot, a pot.
@@ -466,6 +477,7 @@ def _bed(seen, below, grid, level):
     if measured.any():
         filled = bedding.inpaint(np.where(measured, height, 0), measured)
     noise = bedding.local_noise(filled, measured, grid.spacing)
+    noise = np.maximum(noise, SWEPT_NOISE * swept)
     bed = bedding.smooth(filled, noise, grid.spacing)
     if bare.any() and not bare.all():
         # Blades must not raise the rim of the paving beside them: it would dam puddles.

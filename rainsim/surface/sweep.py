@@ -1,0 +1,247 @@
+"""Heights of the ground from the captured pictures: where they agree on what the ground looks like.
+
+The depth of trained splats is off by a centimetre, more than most puddles are deep. Their pictures
+are not: seen at its right height, a speck of the ground has the same brightness from every camera
+(the plane sweep of Collins 1996, about a first guess). Heights are tried in steps, brightness is
+compared over patches, and the means over patches are weighted by how sharply the agreement peaks.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy import ndimage
+
+from rainsim.jit import cpu_kernel, prange
+from rainsim.numerics.srgb import LUMINANCE_WEIGHTS
+from rainsim.raster import Rasterizer, prepare
+from rainsim.scene.cameras import resize_to
+from rainsim.surface.views import MOST_CAMERAS, NEAR
+
+WIDTH = 648  # px of the pictures, about that of most training
+TEXTURE = 4.0  # px, deviation of what is subtracted: light and shade are no texture
+DARK = 0.02  # linear light below which noise decides
+CELL = 0.04  # m, of the places whose height is found
+# Of each pass: steps to either side, their height [m], patches' deviation, the means' deviation and
+# the height by which a patch may be off them [m].
+PASSES = ((12, 4e-3, 0.08, 0.12, 6e-3), (8, 1.5e-3, 0.03, 0.07, 4e-3))
+LEVEL = 0.8  # cosine to the vertical of the surface that is ground
+GUESS_OFF, GUESS_WIDTH = 0.1, 0.08  # m off the splats' height that it may be; m, of its mean
+LEAST_SIN = np.float32(0.15)  # of the elevation of a camera: lower ones see too little
+USUAL_AWAY = np.float32(2.5)  # m, from which on a camera counts the less the farther it is
+RIM = 8  # px of a picture's edge that are not used
+ENOUGH = 1.0  # weight of the cameras from which on a place is known
+LEAST_SIGMA, MOST_SIGMA = 1.5e-3, 0.02  # m of a patch's height
+ROUNDS = 2  # in which patches that are off the mean lose their weight
+
+
+class TexturePicture(NamedTuple):
+    """A picture of the capture, in metres of the ground frame; a kernel's bundle."""
+
+    matrix: np.ndarray  # (3, 4) float32: camera frame from ground frame
+    eye: np.ndarray  # (3,) float32
+    lens: np.ndarray  # (4,) float32: fx, fy, cx, cy [px]
+    depth: np.ndarray  # (height, width) float32 [m]
+    texture: np.ndarray  # (height, width) float32: log luminance without its mean around
+
+
+class GroundSweep:
+    """The pictures of a capture, in which heights of its ground are tried.
+
+    Parameters
+    ----------
+    scene : Scene
+        With cameras.
+    surface : CaptureSurface
+        Whose heights are the first guess.
+    """
+
+    def __init__(self, scene, surface):
+        frame, self._pictures = scene.ground_frame, []
+        level = (surface.normal[:, 2] > LEVEL) & (surface.flat > 0.3)
+        self._guess = surface.position[level].astype(np.float64)
+        unit, rasterizer = np.float32(frame.meters_per_unit), Rasterizer(prepare(scene.splats))
+        for camera in scene.cameras[:: -(-len(scene.cameras) // MOST_CAMERAS)]:
+            camera = resize_to(camera, min(WIDTH, camera.width))
+            layers = rasterizer.draw(camera, NEAR / frame.meters_per_unit)
+            light = layers.color @ LUMINANCE_WEIGHTS.astype(np.float32)
+            log = np.log(np.maximum(light, np.float32(DARK)))
+            placed = frame.camera_in_ground(camera)
+            self._pictures.append(TexturePicture(
+                np.ascontiguousarray(placed.camera_from_world[:3], np.float32),
+                placed.position.astype(np.float32),
+                np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float32),
+                layers.depth * unit, log - ndimage.gaussian_filter(log, TEXTURE),
+            ))  # fmt: skip
+
+    def heights(self, grid, start, wanted):
+        """Return the height of the ground in the cells of a map, and how sure it is.
+
+        Parameters
+        ----------
+        grid : Grid
+        start : ndarray of shape (ny, nx), float32 [m]
+            A first guess, within some centimetres.
+        wanted : ndarray of shape (ny, nx), bool
+            Cells whose height is asked for; the others are left as they are.
+
+        Returns
+        -------
+        height : ndarray of shape (ny, nx), float32 [m]
+        sure : ndarray of shape (ny, nx), float32
+            0 as guessed to 1 as seen.
+        """
+        times = max(1, round(CELL / grid.spacing))
+        cell = times * grid.spacing
+        coarse, share = _coarser(np.where(wanted, start, 0), times), _coarser(wanted * 1.0, times)
+        height = np.where(share > 0, coarse / np.maximum(share, 1e-6), 0)
+        height = self._guessed(height, grid.origin, cell)
+        x = grid.origin[0] + (np.arange(height.shape[1]) + 0.5) * cell
+        y = grid.origin[1] + (np.arange(height.shape[0]) + 0.5) * cell
+        sure = np.zeros(height.shape)
+        for count, step, patch, around, off in PASSES:
+            offsets = (step * np.arange(-count, count + 1)).astype(np.float32)
+            found, sigma = self._tried(x, y, height, share > 0.5, offsets, patch / cell)
+            mean, weight = _mean(found, sigma, around / cell, off)
+            sure = weight / (weight + 1 / MOST_SIGMA**2)
+            height = height + sure * (mean - height)
+        # Where little was seen the guess stays, moved as what was seen around it.
+        moved = _spread(_finer(height, times, grid.shape) - start, _finer(sure, times, grid.shape))
+        sure = np.where(wanted, _finer(sure, times, grid.shape), 0)
+        seen = _finer(height, times, grid.shape)
+        result = sure * seen + (1 - sure) * (start + moved)
+        return np.where(wanted, result, start).astype(np.float32), sure.astype(np.float32)
+
+    def _guessed(self, height, origin, cell):
+        """Return heights (ny, nx) with those of the surface where it lies about there."""
+        row, column = (np.floor((self._guess[:, k] - origin[k]) / cell).astype(int) for k in (1, 0))
+        inside = (row >= 0) & (column >= 0) & (row < height.shape[0]) & (column < height.shape[1])
+        row, column, z = row[inside], column[inside], self._guess[inside, 2]
+        near = np.abs(z - height[row, column]) < GUESS_OFF
+        place, z = (row * height.shape[1] + column)[near], z[near]
+        count = np.bincount(place, minlength=height.size).reshape(height.shape)
+        total = np.bincount(place, z, minlength=height.size).reshape(height.shape)
+        width = GUESS_WIDTH / cell
+        share = ndimage.gaussian_filter(np.minimum(count, 1.0), width)
+        change = np.where(count > 0, total / np.maximum(count, 1) - height, 0)
+        return height + ndimage.gaussian_filter(change, width) / np.maximum(share, 1e-2)
+
+    def _tried(self, x, y, height, wanted, offsets, patch):
+        """Return the best of some heights in each place, and its standard deviation [m]."""
+        sums = np.zeros((3, len(offsets), *height.shape), np.float32)
+        place = x.astype(np.float32), y.astype(np.float32), height.astype(np.float32)
+        for picture in self._pictures:
+            try_heights(*place, wanted, offsets, picture, sums)
+        weight = sums[0].min(axis=0)
+        known = weight > ENOUGH
+        total = np.maximum(sums[0], 1e-6)
+        variance = np.maximum(sums[2] / total - (sums[1] / total) ** 2, 0)
+        share = np.maximum(ndimage.gaussian_filter(weight * known, patch), 1e-6)
+        for k in range(len(offsets)):
+            variance[k] = ndimage.gaussian_filter(variance[k] * weight * known, patch) / share
+        best = np.argmin(variance, axis=0)
+        inner = np.clip(best, 1, len(offsets) - 2)
+        below, at, above = (
+            np.take_along_axis(variance, inner[None] + k, 0)[0] for k in (-1, 0, 1)
+        )
+        bend, step = np.maximum(below - 2 * at + above, 1e-12), float(offsets[1] - offsets[0])
+        found = height + offsets[inner] + step * np.clip(0.5 * (below - above) / bend, -0.5, 0.5)
+        sigma = step * np.sqrt(2 * np.maximum(at, 1e-9) / bend / np.maximum(weight, 0.3))
+        sigma[~known | (best != inner)] = np.inf
+        return found, sigma
+
+
+def _mean(found, sigma, around, off):
+    """Return weighted means of heights over their surroundings, and the weights [1/m2]."""
+    weight = np.where(sigma < MOST_SIGMA, 1 / (sigma**2 + LEAST_SIGMA**2), 0)
+    total = ndimage.gaussian_filter(weight, around)
+    mean = ndimage.gaussian_filter(weight * found, around) / np.maximum(total, 1e-9)
+    for _ in range(ROUNDS):
+        kept = weight / (1 + ((found - mean) / off) ** 2) ** 2
+        total = ndimage.gaussian_filter(kept, around)
+        mean = ndimage.gaussian_filter(kept * found, around) / np.maximum(total, 1e-9)
+    return mean, total
+
+
+def _spread(change, sure):
+    """Return a change (ny, nx) as what is sure of it has it around, in ever wider circles."""
+    total, weight = np.zeros_like(change), np.zeros_like(change)
+    for k, width in enumerate((4, 16, 64)):
+        share = 1e-3**k
+        total += share * ndimage.gaussian_filter(change * sure, width)
+        weight += share * ndimage.gaussian_filter(sure, width)
+    return total / np.maximum(weight, 1e-12)
+
+
+def _coarser(values, times):
+    """Return the means over blocks of `times` by `times` cells; the last ones may be cut."""
+    padded = np.pad(values, [(0, -n % times) for n in values.shape], mode="edge")
+    shape = padded.shape[0] // times, times, padded.shape[1] // times, times
+    return padded.reshape(shape).mean(axis=(1, 3))
+
+
+def _finer(values, times, shape):
+    """Return values of blocks interpolated between their middles, (ny, nx)."""
+    row, column = ((np.arange(n) + 0.5) / times - 0.5 for n in shape)
+    place = np.meshgrid(row, column, indexing="ij")
+    return ndimage.map_coordinates(values, place, order=1, mode="nearest")
+
+
+@cpu_kernel
+def try_heights(x, y, height, wanted, offsets, picture: TexturePicture, sums_out):
+    """Add what a picture shows at some heights to the sums of each place.
+
+    Parameters
+    ----------
+    x : ndarray of shape (nx,), float32 [m]
+    y : ndarray of shape (ny,), float32 [m]
+    height : ndarray of shape (ny, nx), float32 [m]
+    wanted : ndarray of shape (ny, nx), bool
+    offsets : ndarray of shape (k,), float32 [m]
+        From `height`.
+    picture : TexturePicture
+    sums_out : ndarray of shape (3, k, ny, nx), float32
+        Sums of the weights, and of the texture and of its square with these.
+    """
+    rows, columns = picture.texture.shape
+    m, lens, eye, texture = picture.matrix, picture.lens, picture.eye, picture.texture
+    half = np.float32(0.5)
+    for j in prange(len(y)):
+        for i in range(len(x)):
+            if not wanted[j, i]:
+                continue
+            z = height[j, i]
+            dx, dy, dz = eye[0] - x[i], eye[1] - y[j], eye[2] - z
+            away = np.sqrt(dx * dx + dy * dy + dz * dz)
+            if not dz > LEAST_SIN * away:
+                continue
+            px = m[0, 0] * x[i] + m[0, 1] * y[j] + m[0, 3]
+            py = m[1, 0] * x[i] + m[1, 1] * y[j] + m[1, 3]
+            pz = m[2, 0] * x[i] + m[2, 1] * y[j] + m[2, 3]
+            far = pz + m[2, 2] * z
+            if not far > np.float32(0.2):
+                continue
+            u = lens[0] * (px + m[0, 2] * z) / far + lens[2]
+            v = lens[1] * (py + m[1, 2] * z) / far + lens[3]
+            if not (u >= RIM and v >= RIM and u < columns - RIM and v < rows - RIM):
+                continue
+            if picture.depth[int(v), int(u)] < np.float32(0.97) * far - np.float32(0.03):
+                continue
+            near = USUAL_AWAY / max(away, USUAL_AWAY)
+            weight = dz / away * near * near
+            for k in range(len(offsets)):
+                h = z + offsets[k]
+                far = pz + m[2, 2] * h
+                u = lens[0] * (px + m[0, 2] * h) / far + lens[2] - half
+                v = lens[1] * (py + m[1, 2] * h) / far + lens[3] - half
+                a, b = int(u), int(v)
+                if not (u >= 0 and v >= 0 and a < columns - 1 and b < rows - 1):
+                    continue
+                f, g = u - np.float32(a), v - np.float32(b)
+                top = texture[b, a] + f * (texture[b, a + 1] - texture[b, a])
+                low = texture[b + 1, a] + f * (texture[b + 1, a + 1] - texture[b + 1, a])
+                value = top + g * (low - top)
+                sums_out[0, k, j, i] += weight
+                sums_out[1, k, j, i] += weight * value
+                sums_out[2, k, j, i] += weight * value * value

@@ -1,0 +1,101 @@
+"""Upright planes among the plain parts of a capture: walls, of which no texture tells the depth.
+
+A plain wall is trained as a haze before the wall, decimetres thick where it is seen on edge. All of
+it together tells where the wall is: its strongest plane is found over all directions and distances
+(the transform of Hough 1962, in the plane of the ground), and what lies about it is moved to it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+TURNS = 180  # directions of half a turn
+BIN, SMOOTH = 0.04, 3  # m of the distances; bins over which they are summed
+MOST = 16  # walls
+LEAST_AREA = 1.5  # m2 of a wall
+THICK = 0.35  # m before and behind a wall, that is moved to it
+CELL, LEAST_SUPPORT = 0.25, 2  # m along a wall, and up; places near its plane that each must have
+NEAR = 0.12  # m
+ROUNDS = 4  # of its fit
+STEEP = 0.3  # sine of the way that a place is seen, to the wall: on edge it tells less
+PLAIN = 0.5  # of a place that shows where a wall is
+FEWEST = 200  # of them
+
+
+def to_walls(position, towards, size, plain):
+    """Return places moved to the walls that they belong to, and which of them are.
+
+    Parameters
+    ----------
+    position : ndarray of shape (n, 3), float32 [m]
+    towards : ndarray of shape (n, 3)
+        Sum of the directions to the cameras that see each.
+    size : ndarray of shape (n,), float32 [m]
+    plain : ndarray of shape (n,), float32
+        How plain each is, 0 to 1: what is plain shows where walls are.
+
+    Returns
+    -------
+    moved : ndarray of shape (n, 3), float32
+    found : ndarray of shape (n,), bool
+    """
+    moved, found = position.copy(), np.zeros(len(position), bool)
+    towards = towards / np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-9)
+    area = np.where(plain > PLAIN, size.astype(np.float64) ** 2, 0.0)
+    turn = np.arange(TURNS) * np.pi / TURNS
+    across = np.stack([np.cos(turn), np.sin(turn)], -1)
+    middle = np.median(position[:, :2], axis=0) if len(position) else np.zeros(2)
+    flat = position[:, :2].astype(np.float64) - middle
+    for _ in range(MOST):
+        left = np.flatnonzero(~found)
+        if np.count_nonzero(area[left]) < FEWEST:
+            break
+        plane = _strongest(flat[left], area[left], across)
+        normal, offset = _fitted(flat[left], towards[left], area[left], *plane)
+        away = flat[left] @ normal - offset
+        near = np.abs(away) < THICK
+        along = flat[left] @ np.array([-normal[1], normal[0]])
+        cell = np.floor(np.stack([along, position[left, 2]], -1) / CELL).astype(np.int64)
+        _, group = np.unique(cell, axis=0, return_inverse=True)
+        group = group.ravel()
+        support = np.bincount(group, np.abs(away) < NEAR)
+        mine = near & (support[group] >= LEAST_SUPPORT)
+        covered = np.count_nonzero(np.bincount(group, mine)) * CELL**2
+        if covered < LEAST_AREA:
+            break
+        which = left[mine]
+        moved[which, :2] -= (away[mine, None] * normal).astype(np.float32)
+        found[which] = True
+    return moved, found
+
+
+def _strongest(flat, area, across):
+    """Return normal (2,) and offset [m] of the line that most area lies on."""
+    reach = np.linalg.norm(flat, axis=1).max() + BIN
+    count = int(2 * reach / BIN) + 1
+    best = -1.0, across[0], 0.0
+    for normal in across:
+        place = ((flat @ normal + reach) / BIN).astype(np.int64)
+        bins = np.convolve(np.bincount(place, area, count), np.ones(SMOOTH), "same")
+        k = int(np.argmax(bins))
+        if bins[k] > best[0]:
+            best = bins[k], normal, (k + 0.5) * BIN - reach
+    return best[1], best[2]
+
+
+def _fitted(flat, towards, area, normal, offset):
+    """Return normal and offset of a line fitted to what lies about it, seen squarely the most."""
+    for _ in range(ROUNDS):
+        away = flat @ normal - offset
+        facing = np.abs(towards[:, :2] @ normal)
+        weight = area * facing**4 / (1 + (away / (0.5 * NEAR)) ** 2) ** 2
+        weight *= (np.abs(away) < THICK) & (facing > STEEP)
+        total = weight.sum()
+        if total <= 0:
+            break
+        mean = weight @ flat / total
+        spread = (flat - mean).T @ ((flat - mean) * weight[:, None])
+        axis = np.linalg.eigh(spread)[1][:, 0]
+        normal = axis if axis @ normal > 0 else -axis
+        offset = float(mean @ normal)
+    return normal, offset
