@@ -14,6 +14,7 @@ surfaces of one colour.
 from __future__ import annotations
 
 import math
+import warnings
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -52,9 +53,12 @@ LEAST_GAIN, MOST_GAIN = 0.05, 2.0  # over what shaded open ground needs
 SURE = 0.5  # confidence from which on the sun is divided out
 # Values that raise the confidence from 0 to 1: sun over sky on level ground, share of the changes
 # of brightness that are towards where the sun shines, and the score of the search.
-OVER_SKY, AGREE, SCORE = (0.15, 0.6), (0.6, 0.85), (LEAST_SCORE, 0.2)
+OVER_SKY, AGREE, SCORE = (0.15, 0.6), (0.55, 0.75), (LEAST_SCORE, 0.15)
 PAINT_REACH, PAINT_COUNT, LEAST_PAINT = 3.0, 16, 4  # m; splats that a splat's paint is taken from
 SAME_TINT = 0.35  # logarithm of the ratio of two channels, by which splats of one paint differ
+# m: cells about a place whose paint is compared with its own; how many, and how far away.
+AROUND_CELL, AROUND_COUNT, AROUND_REACH = 0.2, 150, 2.0
+WRONG, LEAST_SUN = 0.5, 0.5  # share of what the sun adds, in logarithms, from which maps are wrong
 MOST_VARIED = 0.4  # of a share, that variation may explain
 PAINT_VARIES = 0.15  # of the light of one paint, from splat to splat
 FOUND_UNSURE, GIVEN_UNSURE = math.radians(1), math.radians(3)  # of a sun's direction
@@ -293,13 +297,18 @@ def by_color(surface, lit, plane, light, direction, ratio):
     plain = (surface.flat > 0.3) & (cosine > 0.1)
     sure = (np.abs(shares - about) < 1e-4) & ((shares == 0) | (shares == 1))
     sure &= (shares == 1) | (plane == 0)
-    band, sure = np.flatnonzero(plain & ~sure), np.flatnonzero(plain & sure)
-    if not len(band) or len(sure) < PAINT_COUNT:
+    if np.count_nonzero(plain & sure) < PAINT_COUNT:
         return shares
     shade = shade_of(light, direction, ratio)
     lamp = (cosine[:, None] * ratio).astype(np.float32)
     color = np.maximum(surface.light, 1e-4)
-    paint = np.log(color[sure] / (shade[sure] + shares[sure, None] * lamp[sure]))
+    paint = np.log(color / (shade + shares[:, None] * lamp))
+    which = np.flatnonzero(plain & sure)
+    sure[which] &= ~_contradicted(surface, which, paint[which], shares, shade, lamp)
+    band, sure = np.flatnonzero(plain & ~sure), np.flatnonzero(plain & sure)
+    if not len(band) or len(sure) < PAINT_COUNT:
+        return shares
+    paint = paint[sure]
     tree = cKDTree(surface.position[sure], compact_nodes=False, balanced_tree=False)
     away, near = tree.query(
         surface.position[band], k=PAINT_COUNT, distance_upper_bound=PAINT_REACH,
@@ -334,6 +343,53 @@ def by_color(surface, lit, plane, light, direction, ratio):
     # A splat that is bright itself is not in the shade: its gain would make it a white dot.
     shares[band[enough]] = np.maximum(median, np.clip(share - low, 0, 1)[enough])
     return shares
+
+
+def _contradicted(surface, which, paint, shares, shade, lamp):
+    """Return which places have another state than maps say, by the paint around them, bool (n,).
+
+    Maps put the edge of a shadow as far off as its edge was captured. A place that is called shaded
+    and is sunlit would have paint that is as much brighter than what is around it as the sun is.
+
+    Parameters
+    ----------
+    surface : Surface
+    which : ndarray of shape (n,), int64
+        Places of it.
+    paint : ndarray of shape (n, 3)
+        Logarithm of their colour over their light.
+    shares, shade, lamp
+        See `by_color`, of all places.
+    """
+    position, normal = surface.position[which], surface.normal[which]
+    cell = np.floor(position / AROUND_CELL).astype(np.int64)
+    side = np.argmax(np.abs(normal), axis=1)
+    _, group = np.unique(np.column_stack([cell, side]), axis=0, return_inverse=True)
+    group = group.ravel()
+    number = np.bincount(group)
+
+    def mean(values):
+        return np.stack([np.bincount(group, v) for v in values.T], -1) / number[:, None]
+
+    middle, up, own = mean(position), mean(normal), mean(paint)
+    count = min(AROUND_COUNT, len(middle))
+    tree = cKDTree(middle)
+    away, near = tree.query(
+        middle, k=range(1, count + 1), distance_upper_bound=AROUND_REACH, workers=get_num_threads()
+    )
+    known = np.isfinite(away)
+    near = np.where(known, near, 0)
+    known &= np.einsum("ijk,ik->ij", up[near], up) > 0.85
+    tint = own[:, :2] - own[:, 1:]
+    known &= (np.abs(tint[near] - tint[:, None]) < 2 * SAME_TINT).all(axis=2)
+    bright = np.where(known, own.mean(axis=1)[near], np.nan)
+    with np.errstate(all="ignore"), warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # a place without any around it
+        usual = np.nan_to_num(np.nanmedian(bright, axis=1), nan=np.inf)[group]
+    off = paint.mean(axis=1) - usual
+    sun = np.log1p(luminance(lamp[which]) / np.maximum(luminance(shade[which]), 1e-6))
+    wrong = np.where(shares[which] > 0.5, -off, off) > WRONG * sun
+    return wrong & np.isfinite(off) & (sun > LEAST_SUN)
 
 
 def gains(surface, light, lit, direction, measured, around):

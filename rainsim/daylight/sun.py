@@ -46,13 +46,12 @@ LEAST_SCORE = 0.08  # of the coarse maps, from which a sun is sought any further
 # those of the first search, and the distance between their own: the straight edge of a shadow
 # agrees with many directions, shadows of leaves only with one that is right to a place's width.
 DISC, SPACED = 0.12, 0.03  # rad
-TOPS = 6  # of the discs that are refined in fine maps
-STEPS = (0.015, 0.008, 0.004)  # rad
+TOPS = 4  # of the discs that are refined in fine maps
+STEPS = (0.015, 0.015, 0.008, 0.004)  # rad
 # The direction is found to less than a degree by sharp shadows alone, each by itself: those of
 # leaves are blurred and longer than their outlines say. So places are compared in blocks of this
 # size, and a block counts by a power of how well it agrees.
 BLOCK, AGREEMENT = 1.0, 4  # m
-SHARP_STEPS = (0.03, 0.02, 0.015, 0.008, 0.004)  # rad
 FAINT = 4.0  # sum of squares of changes of visibility that tells nothing yet
 MARGIN = 0.025  # m by which what casts a shadow stands above it
 
@@ -158,43 +157,53 @@ def find_sun(places, solids, plane, window):
     if not likely:
         return max(best, key=lambda found: found[1])
     near = _near([direction for direction, _ in likely])
-    strength = strengths(places, sets[COARSE], window, near, COARSE)
-    best = [(near[k], strength[k]) for k in np.argsort(-strength)[:TOPS]]
+    agreement = _Agreement(places, window)
+    found = agreement.of(near, [coarsened(s, COARSER * width / COARSE) for s in (solids, plane)],
+                         COARSE)  # fmt: skip
+    fine = [coarsened(s, COARSER * width / FINE) for s in (solids, plane)]
+    best = [near[k] for k in np.argsort(-found)[:TOPS]]
     for step in STEPS:
-        best = [_refined(places, sets[FINE], window, d, step, FINE) for d, _ in best]
-        best = sorted(best, key=lambda found: -found[1])[:1]
-    sets = [coarsened(s, COARSER * width / FINE) for s in (solids, plane)]
-    return _sharpest(places, sets, window, best[0][0]), best[0][1]
+        rings = [_ring(direction, step) for direction in best]
+        found = [agreement.of(ring, fine, FINE) for ring in rings]
+        best = [max(zip(*pair, strict=True), key=lambda d: d[1]) for pair in zip(rings, found,
+                strict=True)]  # fmt: skip
+        best = [max(best, key=lambda d: d[1])[0]]
+    return best[0], float(strengths(places, sets[FINE], window, best[0][None], FINE)[0])
 
 
-def _sharpest(places, sets, window, direction):
-    """Return the direction near one from which the sharpest shadows agree best."""
-    middle = places.position[places.pair].mean(axis=1)
-    side = np.argmax(np.abs(places.normal[places.pair[:, 0]]), axis=1)
-    key = np.column_stack([np.floor(middle / BLOCK).astype(np.int64), side])
-    block = np.unique(key, axis=0, return_inverse=True)[1].ravel()
-    energy = np.bincount(block, places.change**2)
+def _ring(direction, step):
+    """Return a direction and six about it, (7, 3)."""
+    right, up, _ = axes_of(direction)[0].astype(np.float64)
+    turn = np.arange(6) * np.pi / 3
+    ring = direction + step * (np.cos(turn)[:, None] * right + np.sin(turn)[:, None] * up)
+    ring = np.concatenate([direction[None], ring])
+    return ring / np.linalg.norm(ring, axis=1, keepdims=True)
 
-    def agreement(tried):
-        total = np.zeros(len(tried))
-        for solids in sets:
-            for k, change in enumerate(_changes(places, solids, window, tried, FINE).T):
-                product = np.bincount(block, places.change * change)
-                square = np.bincount(block, change * change) + FAINT
-                cosine = product / np.sqrt(np.maximum(energy * square, 1e-9))
-                total[k] += energy @ np.maximum(cosine, 0) ** AGREEMENT
+
+class _Agreement:
+    """How well the sharpest shadows agree with directions of the sun."""
+
+    def __init__(self, places, window):
+        self._places, self._window = places, window
+        middle = places.position[places.pair].mean(axis=1)
+        side = np.argmax(np.abs(places.normal[places.pair[:, 0]]), axis=1)
+        key = np.column_stack([np.floor(middle / BLOCK).astype(np.int64), side])
+        self._block = np.unique(key, axis=0, return_inverse=True)[1].ravel()
+        self._energy = np.bincount(self._block, places.change**2)
+
+    def of(self, directions, sets, side):
+        """Return the sum over blocks of each of the directions (m, 3), by some sets of solids."""
+        total = np.zeros(len(directions))
+        for start in range(0, len(directions), BATCH):
+            part = slice(start, start + BATCH)
+            for solids in sets:
+                changes = _changes(self._places, solids, self._window, directions[part], side)
+                for k, change in enumerate(changes.T, start):
+                    product = np.bincount(self._block, self._places.change * change)
+                    square = np.bincount(self._block, change * change) + FAINT
+                    cosine = product / np.sqrt(np.maximum(self._energy * square, 1e-9))
+                    total[k] += self._energy @ np.maximum(cosine, 0) ** AGREEMENT
         return total
-
-    best = agreement(direction[None])[0]
-    for step in SHARP_STEPS:
-        right, up, _ = axes_of(direction)[0].astype(np.float64)
-        turn = np.arange(6) * np.pi / 3
-        tried = direction + step * (np.cos(turn)[:, None] * right + np.sin(turn)[:, None] * up)
-        tried /= np.linalg.norm(tried, axis=1, keepdims=True)
-        found = agreement(tried)
-        if found.max() > best:
-            best, direction = found.max(), tried[np.argmax(found)]
-    return direction
 
 
 def _changes(places, solids, window, directions, side):

@@ -26,6 +26,9 @@ WIDENED = np.float32(1.3)
 LEAST_SLANT = np.float32(0.15)  # cosine: planes that are steeper to the direction count as this
 
 
+RAGGED = np.float32(5)  # times the margin, that what hides a place without a plane stands above it
+
+
 BATCH = 8  # maps that are drawn at once
 COARSER = 3.0  # px of a map within which splats are drawn as one
 
@@ -224,6 +227,8 @@ def seen_share(heights, a, window, position, normal, flat, margin):
     slope = abs(fall) * math.sqrt(n0 * n0 + n1 * n1)
     i, j = int(u), int(v)
     f, g = u - np.float32(i), v - np.float32(j)
+    # Leaves are seen less sharply than planes.
+    margin *= ONE + RAGGED * (ONE - flat)
     over = w + max(margin + window.pixel * HALF, WIDENED * slope)
     seen = ZERO
     for b in range(2):

@@ -34,8 +34,8 @@ from rainsim.shading.wet_pass import NO_COVER, DryRays, dry_picture, grade_and_w
 from rainsim.shading.wetting import GroundMaps, SkyMaps
 from rainsim.simulation import usual_wind
 from rainsim.splatting.detail import SIDES, Detail
-from rainsim.splatting.prepared import recolored
-from rainsim.surface.kept import kept_surface
+from rainsim.splatting.prepared import recolored, turn
+from rainsim.surface.kept import kept_surface, splat_normals
 from rainsim.water.rolling import NO_TRACKS
 
 FINER = 4  # pixels of the drawn surroundings, across one of the map's faces
@@ -150,6 +150,8 @@ class WetScene:
         if self.merge:
             self._detail = Detail(self.prepared, self._sides)
             self.prepared = self._detail.prepared
+        if found is not None and self.paged is None:
+            turn(self.drawn, *splat_normals(self.scene, found))
         self.rasterizer = rasterizer_of(self.drawn) if self.paged is None else self.paged.whole
         self._skylines = None
         # Where the captured sky is left out, what it filled between leaves and before dark things is

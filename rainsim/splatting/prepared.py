@@ -129,6 +129,24 @@ def _put_last(splats, order, last):
     return np.concatenate([first, behind[filling], behind[~filling]]), leading
 
 
+def turn(prepared, normal, share):
+    """Write other normals over those of prepared splats, levels of detail included, in place.
+
+    A splat's own normal is its thinnest axis, which tells little of a thick one.
+
+    Parameters
+    ----------
+    prepared : PreparedSplats
+        Its `order` says which splat a place shows.
+    normal : ndarray of shape (n, 3), float32
+        Unit, in the capture frame, of the scene's splats; either way along them.
+    share : ndarray of shape (n,), float32
+        0 keeps a splat's own normal, 1 takes the other.
+    """
+    geometry = prepared.geometry.reshape(-1, GEOMETRY, LANES)
+    _turn(geometry, prepared.order, normal, share)
+
+
 def recolored(prepared, splats):
     """Return the prepared splats with the harmonics of `splats`, the same ones in other colours."""
     names = "sh", "fine", "step"
@@ -261,6 +279,25 @@ def _lay_out(position, scale, rotation, opacity, order, geometry_out):
             else:
                 g[9, i], g[10, i], g[11, i] = r02, r12, r22
             g[OPACITY, i] = np.log2(opacity[o])
+
+
+@cpu_kernel
+def _turn(geometry_out, order, normal, share):
+    """Blend the normals of each chunk with those of its splats."""
+    for chunk in prange(len(geometry_out)):
+        g = geometry_out[chunk]
+        for i in range(min(LANES, len(order) - chunk * LANES)):
+            o = order[chunk * LANES + i]
+            if o < 0:
+                continue
+            x, y, z = g[9, i], g[10, i], g[11, i]
+            a = share[o] if x * normal[o, 0] + y * normal[o, 1] + z * normal[o, 2] >= 0 else -share[o]
+            b = ONE - share[o]
+            x, y, z = b * x + a * normal[o, 0], b * y + a * normal[o, 1], b * z + a * normal[o, 2]
+            square = x * x + y * y + z * z
+            if square > np.float32(1e-6):
+                unit = ONE / np.sqrt(square)
+                g[9, i], g[10, i], g[11, i] = x * unit, y * unit, z * unit
 
 
 @cpu_kernel

@@ -24,9 +24,12 @@ LEVELS = 8  # of voxels, each twice as large
 JUMP = np.float32(0.04)  # of the depth, between pixels: the edge of something
 SLACK, LEAST_SLACK = np.float32(0.015), np.float32(0.02)  # of the depth, and m: places that agree
 LEAST_VIEWS = 3  # cameras that see a place
-MOST_THROUGH = 0.5  # of these, that may look through it
+MOST_THROUGH = 0.3  # of these, that may look through it
 NEIGHBOURS = 20  # places about one that its plane is fitted to
-ROUND = 0.45  # voxels off the plane (rms), from which on a place has none
+# Voxels off the plane (rms), from which on a place has none: where texture tells the depth, and
+# where none does.
+ROUND, PLAIN_ROUND = 0.45, 1.0
+AROUND = 9  # of them, of whose flatness the median is taken
 SUMS = 11  # of a voxel, see `_Voxels`
 # Of plain parts: cells that are taken together, and the deviation of the weights of those about a
 # place, both in m; how many of them; off a plane, over that deviation: half their weight; farthest.
@@ -90,7 +93,7 @@ def fused(views, middle, radius):
     size = size[solid].astype(np.float32)
     plain = (sums[solid, 10] / number[solid, 0]).astype(np.float32)
     position = evened(position, plain, towards, size, found[solid, 0])
-    normal, flat, smooth = planes(position, towards, size)
+    normal, flat, smooth = planes(position, towards, size, plain)
     return thinned(CaptureSurface(smooth, normal, flat, light, size, found[solid, 0]))
 
 
@@ -314,7 +317,7 @@ def count_views(position, size, view: DepthView, found_out):
             found_out[n, 0] += np.uint8(1)
 
 
-def planes(position, towards, size):
+def planes(position, towards, size, plain):
     """Return normals (n, 3), how flat it is (n,), and the places (n, 3) moved to planes fitted.
 
     Parameters
@@ -323,6 +326,8 @@ def planes(position, towards, size):
     towards : ndarray of shape (n, 3)
         Sum of the directions to the cameras that see each place.
     size : ndarray of shape (n,), float32 [m]
+    plain : ndarray of shape (n,), float32
+        How little texture tells the depth, 0 to 1.
     """
     count = len(position)
     normal, flat = np.zeros((count, 3), np.float32), np.zeros(count, np.float32)
@@ -346,10 +351,11 @@ def planes(position, towards, size):
         up *= np.where(np.einsum("ij,ij->i", up, towards[part]) < 0, -1, 1)[:, None]
         off = np.sqrt(np.maximum(value[:, 0], 0)) / size[part]
         broad = np.sqrt(np.maximum(value[:, 1], 0)) / size[part]
-        even = np.clip(2 - 2 * off / ROUND, 0, 1) * np.clip(2 * broad, 0, 1)
+        limit = ROUND + (PLAIN_ROUND - ROUND) * plain[part]
+        even = np.clip(2 - 2 * off / limit, 0, 1) * np.clip(2 * broad, 0, 1)
         normal[part], flat[part] = up, even
         lift = np.einsum("ij,ij->i", middle - position[part], up) * even
         smooth[part] += (lift[:, None] * up).astype(np.float32)
 
     in_blocks(work, count, 1 << 14)
-    return normal, flat, smooth
+    return normal, np.median(flat[near[:, :AROUND]], axis=1), smooth

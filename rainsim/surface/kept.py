@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 from rainsim.constants import SH_0
 from rainsim.io import cache
 from rainsim.jit import cpu_kernel, get_num_threads, prange
+from rainsim.numerics.blocks import in_blocks
 from rainsim.numerics.srgb import linear
 from rainsim.surface.captured_sky import SAME, SkyColors
 from rainsim.surface.fuse import CaptureSurface, fused
@@ -25,6 +26,7 @@ KIND = "surface"
 FEWEST = 100  # splats
 LIKE_SKY = 1.0  # logarithm of a channel by which a splat before the sky differs from it
 ALONE = 4.0  # voxels from any surface, beyond which a splat belongs to none
+FACING, REACH = 6, 0.25  # places that a splat's normal is taken of; m away, from which it is less
 MORE_SKY = 2  # times as many cameras must see a splat before the sky as see it before something
 LOWEST = -0.05  # sine of the elevation from which on what nobody sees may be sky
 
@@ -113,6 +115,38 @@ def _alone(position, surface):
     tree = cKDTree(surface.position, compact_nodes=False, balanced_tree=False)
     away, near = tree.query(position, workers=get_num_threads())
     return away > ALONE * surface.size[near]
+
+
+def splat_normals(scene, found):
+    """Return normals of the surface at a scene's splats (n, 3), and how sure they are (n,).
+
+    In the capture frame, float32. What a picture shows of a wall then faces one way, however its
+    splats lie.
+    """
+    surface, frame = found.surface, scene.ground_frame
+    normal, share = np.zeros((len(scene.splats), 3), np.float32), np.zeros(len(scene.splats), "f4")
+    count = min(FACING, len(surface.position))
+    if not count:
+        return normal, share
+    with np.errstate(all="ignore"):
+        position = frame.to_ground(scene.splats.position).astype(np.float32)
+    good = np.flatnonzero(np.isfinite(position).all(axis=1))
+    tree = cKDTree(surface.position, compact_nodes=False, balanced_tree=False)
+
+    def work(part):
+        which = good[part]
+        away, near = tree.query(position[which], k=range(1, count + 1))
+        size = surface.size[near[:, 0]]
+        weight = np.exp(-0.5 * ((away - away[:, :1]) / size[:, None]) ** 2) * surface.flat[near]
+        total = np.einsum("ij,ijk->ik", weight, surface.normal[near])
+        length = np.linalg.norm(total, axis=1)
+        normal[which] = total / np.maximum(length, 1e-6)[:, None]
+        # Places that face different ways, and splats far from any, tell less.
+        sure = length / np.maximum(weight.sum(axis=1), 1e-6) * weight.sum(axis=1) / count
+        share[which] = np.clip(2 * sure, 0, 1) * np.clip(2 - away[:, 0] / REACH, 0, 1)
+
+    in_blocks(work, len(good), 1 << 14)
+    return np.ascontiguousarray(normal @ frame.rotation.astype(np.float32)), share
 
 
 def _sky_splats(position, off, alone, views, shown, middle):

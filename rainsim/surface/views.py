@@ -16,7 +16,7 @@ WIDTH = 324  # px of their depth pictures
 NEAR = 0.05  # m from a camera, within which nothing is drawn
 THIN = 0.1  # of its second axis, that a splat is thick: then its plane tells the depth
 OPAQUE = np.float32(0.7)  # alpha from which a pixel shows a surface
-ABOUT, PLAIN = 9, (0.05, 0.12)  # px, and range of log luminance about a pixel: plain, textured
+ABOUT, PLAIN = 9, (0.1, 0.25)  # px, and range of log luminance about a pixel: plain, textured
 LEAST_HALF, MOST_HALF, BEYOND = 6.0, 40.0, 4.0  # m, of what cameras look at; past the cameras
 # Cameras of a capture without any: rings about its middle, as a person would walk them.
 RINGS = ((0.35, 1.1), (0.6, 1.7), (0.85, 2.4))  # of half its width; m over the ground

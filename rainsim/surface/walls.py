@@ -15,6 +15,7 @@ MOST = 16  # walls
 LEAST_AREA = 1.5  # m2 of a wall
 THICK = 0.35  # m before and behind a wall, that is moved to it
 CELL, LEAST_SUPPORT = 0.25, 2  # m along a wall, and up; places near its plane that each must have
+LEVELS = 3  # cells above each other, at least, of a wall
 NEAR = 0.12  # m
 ROUNDS = 4  # of its fit
 STEEP = 0.3  # sine of the way that a place is seen, to the wall: on edge it tells less
@@ -42,6 +43,7 @@ def to_walls(position, towards, size, plain):
     moved, found = position.copy(), np.zeros(len(position), bool)
     towards = towards / np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-9)
     area = np.where(plain > PLAIN, size.astype(np.float64) ** 2, 0.0)
+    area[~_tall(position)] = 0
     turn = np.arange(TURNS) * np.pi / TURNS
     across = np.stack([np.cos(turn), np.sin(turn)], -1)
     middle = np.median(position[:, :2], axis=0) if len(position) else np.zeros(2)
@@ -59,7 +61,10 @@ def to_walls(position, towards, size, plain):
         _, group = np.unique(cell, axis=0, return_inverse=True)
         group = group.ravel()
         support = np.bincount(group, np.abs(away) < NEAR)
-        mine = near & (support[group] >= LEAST_SUPPORT)
+        mine = near & (support[group] >= LEAST_SUPPORT) & (area[left] > 0)
+        # What is less plain belongs to the wall too, where it is beside what shows it.
+        shown = np.bincount(group, mine) > 0
+        mine |= near & shown[group]
         covered = np.count_nonzero(np.bincount(group, mine)) * CELL**2
         if covered < LEAST_AREA:
             break
@@ -67,6 +72,15 @@ def to_walls(position, towards, size, plain):
         moved[which, :2] -= (away[mine, None] * normal).astype(np.float32)
         found[which] = True
     return moved, found
+
+
+def _tall(position):
+    """Return which places have others above or below them, in LEVELS cells together."""
+    cell = np.floor(position / CELL).astype(np.int64)
+    cell, back = np.unique(cell, axis=0, return_inverse=True)
+    _, column = np.unique(cell[:, :2], axis=0, return_inverse=True)
+    column = column.ravel()
+    return (np.bincount(column) >= LEVELS)[column][back.ravel()]
 
 
 def _strongest(flat, area, across):
