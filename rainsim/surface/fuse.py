@@ -92,31 +92,34 @@ def fused(views, middle, radius):
     light = (sums[solid, 4:7] / number[solid]).astype(np.float32)
     size = size[solid].astype(np.float32)
     plain = (sums[solid, 10] / number[solid, 0]).astype(np.float32)
-    position = evened(position, plain, towards, size, found[solid, 0])
+    position, upright = evened(position, plain, towards, size, found[solid, 0], views)
     normal, flat, smooth = planes(position, towards, size, plain)
+    wall = upright.any(axis=1)
+    side = np.where(np.einsum("ij,ij->i", upright[wall], towards[wall]) < 0, -1, 1)
+    normal[wall], flat[wall], smooth[wall] = upright[wall] * side[:, None], 1, position[wall]
     return thinned(CaptureSurface(smooth, normal, flat, light, size, found[solid, 0]))
 
 
-def evened(position, plain, towards, size, weight):
-    """Return places (n, 3), those where the capture is plain moved to planes of what is around.
+def evened(position, plain, towards, size, weight, views):
+    """Return places (n, 3), where the capture is plain moved to planes, and the normals of walls.
 
     Where nothing tells the depth, what is seen lies in a thick layer about the surface. A plane
     fitted to the layer, over a wider neighbourhood, is surer than any of its places: that of a
     whole wall, or of the widest neighbourhood that is a layer.
     """
     which = np.flatnonzero(plain > BARELY_PLAIN)
-    result, wall = position.copy(), np.zeros(len(position), bool)
-    result[which], wall[which] = to_walls(
-        position[which], towards[which], size[which], plain[which]
+    result, upright = position.copy(), np.zeros_like(position)
+    result[which], upright[which] = to_walls(
+        position[which], towards[which], size[which], plain[which], weight[which], views
     )
-    which = np.flatnonzero((plain > 0.5) & ~wall)
+    which = np.flatnonzero((plain > 0.5) & ~upright.any(axis=1))
     for cell, wide in SCALES:
         if len(which) < 4 * NODES:
             break
         moved, even = _to_planes(position[which], weight[which].astype(np.float64), cell, wide)
         result[which[even]] = moved[even]
         which = which[~even]
-    return result
+    return result, upright
 
 
 def _to_planes(position, weight, cell, wide):

@@ -28,7 +28,8 @@ CELL = 0.04  # m, of the places whose height is found
 PASSES = ((12, 4e-3, 0.08, 0.12, 6e-3), (8, 1.5e-3, 0.03, 0.07, 4e-3))
 LEVEL = 0.8  # cosine to the vertical of the surface that is ground
 GUESS_OFF, GUESS_WIDTH = 0.1, 0.08  # m off the splats' height that it may be; m, of its mean
-LEAST_SIN = np.float32(0.15)  # of the elevation of a camera: lower ones see too little
+LEAST_COSINE = np.float32(0.15)  # to the normal: who looks along a surface sees too little
+UP = np.array([0, 0, 1], np.float32)
 USUAL_AWAY = np.float32(2.5)  # m, from which on a camera counts the less the farther it is
 RIM = 8  # px of a picture's edge that are not used
 ENOUGH = 1.0  # weight of the cameras from which on a place is known
@@ -129,14 +130,9 @@ class GroundSweep:
 
     def _tried(self, x, y, height, wanted, offsets, patch):
         """Return the best of some heights in each place, and its standard deviation [m]."""
-        sums = np.zeros((3, len(offsets), *height.shape), np.float32)
-        place = x.astype(np.float32), y.astype(np.float32), height.astype(np.float32)
-        for picture in self._pictures:
-            try_heights(*place, wanted, offsets, picture, sums)
-        weight = sums[0].min(axis=0)
+        place = np.stack([*np.meshgrid(x, y), height], -1).astype(np.float32)
+        variance, weight = variances(place, UP, wanted, offsets, self._pictures)
         known = weight > ENOUGH
-        total = np.maximum(sums[0], 1e-6)
-        variance = np.maximum(sums[2] / total - (sums[1] / total) ** 2, 0)
         share = np.maximum(ndimage.gaussian_filter(weight * known, patch), 1e-6)
         for k in range(len(offsets)):
             variance[k] = ndimage.gaussian_filter(variance[k] * weight * known, patch) / share
@@ -189,17 +185,16 @@ def _finer(values, times, shape):
 
 
 @cpu_kernel
-def try_heights(x, y, height, wanted, offsets, picture: TexturePicture, sums_out):
-    """Add what a picture shows at some heights to the sums of each place.
+def try_offsets(position, normal, wanted, offsets, picture: TexturePicture, sums_out):
+    """Add what a picture shows at some offsets along a normal to the sums of each place.
 
     Parameters
     ----------
-    x : ndarray of shape (nx,), float32 [m]
-    y : ndarray of shape (ny,), float32 [m]
-    height : ndarray of shape (ny, nx), float32 [m]
+    position : ndarray of shape (ny, nx, 3), float32 [m]
+    normal : ndarray of shape (3,), float32
+        Unit, towards the cameras that count.
     wanted : ndarray of shape (ny, nx), bool
     offsets : ndarray of shape (k,), float32 [m]
-        From `height`.
     picture : TexturePicture
     sums_out : ndarray of shape (3, k, ny, nx), float32
         Sums of the weights, and of the texture and of its square with these.
@@ -207,34 +202,36 @@ def try_heights(x, y, height, wanted, offsets, picture: TexturePicture, sums_out
     rows, columns = picture.texture.shape
     m, lens, eye, texture = picture.matrix, picture.lens, picture.eye, picture.texture
     half = np.float32(0.5)
-    for j in prange(len(y)):
-        for i in range(len(x)):
+    step_x = m[0, 0] * normal[0] + m[0, 1] * normal[1] + m[0, 2] * normal[2]
+    step_y = m[1, 0] * normal[0] + m[1, 1] * normal[1] + m[1, 2] * normal[2]
+    step_z = m[2, 0] * normal[0] + m[2, 1] * normal[1] + m[2, 2] * normal[2]
+    for j in prange(position.shape[0]):
+        for i in range(position.shape[1]):
             if not wanted[j, i]:
                 continue
-            z = height[j, i]
-            dx, dy, dz = eye[0] - x[i], eye[1] - y[j], eye[2] - z
+            x, y, z = position[j, i, 0], position[j, i, 1], position[j, i, 2]
+            dx, dy, dz = eye[0] - x, eye[1] - y, eye[2] - z
             away = np.sqrt(dx * dx + dy * dy + dz * dz)
-            if not dz > LEAST_SIN * away:
+            facing = dx * normal[0] + dy * normal[1] + dz * normal[2]
+            if not facing > LEAST_COSINE * away:
                 continue
-            px = m[0, 0] * x[i] + m[0, 1] * y[j] + m[0, 3]
-            py = m[1, 0] * x[i] + m[1, 1] * y[j] + m[1, 3]
-            pz = m[2, 0] * x[i] + m[2, 1] * y[j] + m[2, 3]
-            far = pz + m[2, 2] * z
-            if not far > np.float32(0.2):
+            px = m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + m[0, 3]
+            py = m[1, 0] * x + m[1, 1] * y + m[1, 2] * z + m[1, 3]
+            pz = m[2, 0] * x + m[2, 1] * y + m[2, 2] * z + m[2, 3]
+            if not pz > np.float32(0.2):
                 continue
-            u = lens[0] * (px + m[0, 2] * z) / far + lens[2]
-            v = lens[1] * (py + m[1, 2] * z) / far + lens[3]
+            u, v = lens[0] * px / pz + lens[2], lens[1] * py / pz + lens[3]
             if not (u >= RIM and v >= RIM and u < columns - RIM and v < rows - RIM):
                 continue
-            if picture.depth[int(v), int(u)] < np.float32(0.97) * far - np.float32(0.03):
+            slack = np.float32(0.03) + np.float32(0.03) * pz + offsets[-1]
+            if picture.depth[int(v), int(u)] < pz - slack:
                 continue
             near = USUAL_AWAY / max(away, USUAL_AWAY)
-            weight = dz / away * near * near
+            weight = facing / away * near * near
             for k in range(len(offsets)):
-                h = z + offsets[k]
-                far = pz + m[2, 2] * h
-                u = lens[0] * (px + m[0, 2] * h) / far + lens[2] - half
-                v = lens[1] * (py + m[1, 2] * h) / far + lens[3] - half
+                far = pz + step_z * offsets[k]
+                u = lens[0] * (px + step_x * offsets[k]) / far + lens[2] - half
+                v = lens[1] * (py + step_y * offsets[k]) / far + lens[3] - half
                 a, b = int(u), int(v)
                 if not (u >= 0 and v >= 0 and a < columns - 1 and b < rows - 1):
                     continue
@@ -245,3 +242,24 @@ def try_heights(x, y, height, wanted, offsets, picture: TexturePicture, sums_out
                 sums_out[0, k, j, i] += weight
                 sums_out[1, k, j, i] += weight * value
                 sums_out[2, k, j, i] += weight * value * value
+
+
+def variances(position, normal, wanted, offsets, pictures):
+    """Return how much pictures differ at offsets along a normal, and their weights.
+
+    Parameters
+    ----------
+    position, normal, wanted, offsets
+        See `try_offsets`.
+    pictures : sequence of TexturePicture
+
+    Returns
+    -------
+    variance : ndarray of shape (k, ny, nx), float32
+    weight : ndarray of shape (ny, nx), float32
+    """
+    sums = np.zeros((3, len(offsets), *wanted.shape), np.float32)
+    for picture in pictures:
+        try_offsets(position, normal, wanted, offsets, picture, sums)
+    total = np.maximum(sums[0], 1e-6)
+    return np.maximum(sums[2] / total - (sums[1] / total) ** 2, 0), sums[0].min(axis=0)

@@ -1,19 +1,25 @@
 """Upright planes among the plain parts of a capture: walls, of which no texture tells the depth.
 
 A plain wall is trained as a haze before the wall, decimetres thick where it is seen on edge. All of
-it together tells where the wall is: its strongest plane is found over all directions and distances
-(the transform of Hough 1962, in the plane of the ground), and what lies about it is moved to it.
+it together tells about where the wall is: its strongest plane is found over all directions and
+distances (the transform of Hough 1962, in the plane of the ground). Then offsets of the whole wall
+are tried in the pictures, and what lies about it is moved to where they agree.
 """
 
 from __future__ import annotations
 
 import numpy as np
+from scipy import ndimage
+
+from rainsim.numerics.srgb import LUMINANCE_WEIGHTS
+from rainsim.surface.sweep import DARK, TexturePicture, variances
 
 TURNS = 180  # directions of half a turn
 BIN, SMOOTH = 0.04, 3  # m of the distances; bins over which they are summed
 MOST = 16  # walls
 LEAST_AREA = 1.5  # m2 of a wall
 THICK = 0.35  # m before and behind a wall, that is moved to it
+HAZE, FEW = 0.9, 0.6  # m before a wall; cameras over those that see the wall
 CELL, LEAST_SUPPORT = 0.25, 2  # m along a wall, and up; places near its plane that each must have
 LEVELS = 3  # cells above each other, at least, of a wall
 NEAR = 0.12  # m
@@ -21,10 +27,14 @@ ROUNDS = 4  # of its fit
 STEEP = 0.3  # sine of the way that a place is seen, to the wall: on edge it tells less
 PLAIN = 0.5  # of a place that shows where a wall is
 FEWEST = 200  # of them
+TEXTURE = 25  # px, of the square whose mean is subtracted from the pictures of walls
+STEP, STEPS = 0.02, 15  # m of the offsets that are tried; to either side
+MOST_TRIED = 3000  # places of a wall
+SURE = 0.85  # of the greatest difference between pictures, that the least may be
 
 
-def to_walls(position, towards, size, plain):
-    """Return places moved to the walls that they belong to, and which of them are.
+def to_walls(position, towards, size, plain, seen, views):
+    """Return places moved to the walls that they belong to, and the walls' normals.
 
     Parameters
     ----------
@@ -34,13 +44,18 @@ def to_walls(position, towards, size, plain):
     size : ndarray of shape (n,), float32 [m]
     plain : ndarray of shape (n,), float32
         How plain each is, 0 to 1: what is plain shows where walls are.
+    seen : ndarray of shape (n,), uint8
+        Cameras that see each.
+    views : sequence of DepthView
 
     Returns
     -------
     moved : ndarray of shape (n, 3), float32
-    found : ndarray of shape (n,), bool
+    upright : ndarray of shape (n, 3), float32
+        Either way along the normal; 0 where no wall is.
     """
     moved, found = position.copy(), np.zeros(len(position), bool)
+    upright, walls = np.zeros((len(position), 3), np.float32), []
     towards = towards / np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-9)
     area = np.where(plain > PLAIN, size.astype(np.float64) ** 2, 0.0)
     area[~_tall(position)] = 0
@@ -62,16 +77,53 @@ def to_walls(position, towards, size, plain):
         group = group.ravel()
         support = np.bincount(group, np.abs(away) < NEAR)
         mine = near & (support[group] >= LEAST_SUPPORT) & (area[left] > 0)
-        # What is less plain belongs to the wall too, where it is beside what shows it.
+        # What is less plain belongs to the wall too, where it is beside what shows it, and what is
+        # plain, stands before it and was seen by fewer cameras: haze that few of them saw.
         shown = np.bincount(group, mine) > 0
         mine |= near & shown[group]
+        few = FEW * np.median(seen[left[mine]]) if mine.any() else 0
+        before = away * np.sign(np.sum(towards[left[mine], :2] @ normal))
+        haze = (before > 0) & (before < HAZE) & (seen[left] <= few) & (area[left] > 0)
+        mine |= haze & shown[group]
         covered = np.count_nonzero(np.bincount(group, mine)) * CELL**2
         if covered < LEAST_AREA:
             break
         which = left[mine]
         moved[which, :2] -= (away[mine, None] * normal).astype(np.float32)
-        found[which] = True
-    return moved, found
+        found[which], upright[which, :2] = True, normal
+        walls.append(which)
+    pictures = [_textured(view) for view in views] if walls else []
+    for which in walls:
+        normal = upright[which[0]]
+        normal = normal if np.sum(towards[which] @ normal) > 0 else -normal
+        moved[which] += np.float32(_offset(moved[which], normal, pictures)) * normal
+    return moved, upright
+
+
+def _textured(view):
+    """Return the `TexturePicture` of a `DepthView`."""
+    log = np.log(np.maximum(view.light @ LUMINANCE_WEIGHTS.astype(np.float32), np.float32(DARK)))
+    texture = log - ndimage.uniform_filter(log, TEXTURE)
+    return TexturePicture(view.matrix, view.eye, view.lens, view.depth, texture)
+
+
+def _offset(position, normal, pictures):
+    """Return how far a wall's places are to be moved along its normal [m], 0 if nothing tells."""
+    some = position[:: max(1, len(position) // MOST_TRIED)][None]
+    offsets = (STEP * np.arange(-STEPS, STEPS + 1)).astype(np.float32)
+    wanted = np.ones(some.shape[:2], bool)
+    variance, weight = variances(some, normal.astype(np.float32), wanted, offsets, pictures)
+    known = weight > 1
+    if np.count_nonzero(known) < FEWEST:
+        return 0.0
+    curve = variance[:, known] / np.maximum(variance[:, known].mean(axis=0), 1e-12)
+    curve = np.median(curve, axis=1)
+    k = int(np.argmin(curve))
+    if not 0 < k < len(curve) - 1 or curve[k] > SURE * curve.max():
+        return 0.0
+    below, at, above = curve[k - 1 : k + 2]
+    bend = max(below - 2 * at + above, 1e-9)
+    return float(offsets[k] + STEP * np.clip(0.5 * (below - above) / bend, -0.5, 0.5))
 
 
 def _tall(position):
