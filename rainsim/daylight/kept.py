@@ -41,9 +41,7 @@ def kept_relight(scene, config, found, white):
     white = math.exp(round(math.log(white) / ROUNDING) * ROUNDING)
     if not cache.folder():
         return find_relight(scene, found, sun, white)
-    name = cache.name_of(
-        KIND, scene.splats, scene.ground_frame, scene.cameras, sun, white
-    )
+    name = cache.name_of(KIND, scene.splats, scene.ground_frame, scene.cameras, sun, white)
     entry = cache.read(KIND, name)
     if entry:
         facts, arrays = entry

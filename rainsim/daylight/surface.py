@@ -102,7 +102,7 @@ def carried(surface, size, values, position, light):
         )
         known = np.isfinite(away)
         which = np.where(known, which, 0)
-        away = np.where(known, away, np.inf)
+        away = np.where(known, away, FARTHEST)
         # What floats before the surface has the nearest places at its own distance.
         spread = SPREAD * size + 0.5 * away[:, :1]
         weight = np.exp(-0.5 * (away / spread) ** 2 + 0.5 * (away[:, :1] / spread) ** 2)

@@ -26,7 +26,7 @@ WIDENED = np.float32(1.3)
 LEAST_SLANT = np.float32(0.15)  # cosine: planes that are steeper to the direction count as this
 
 
-RAGGED = np.float32(5)  # times the margin, that what hides a place without a plane stands above it
+RAGGED = np.float32(2)  # times the margin, that what hides a place without a plane stands above it
 
 
 BATCH = 8  # maps that are drawn at once

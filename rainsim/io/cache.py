@@ -45,8 +45,8 @@ HASHING_THREADS = 4
 # is a house rule with a test, which also holds this list to it.
 STAGES = (
     "errors", "jit", "constants", "compiling", "numerics", "config", "io", "scene", "splatting",
-    "raster", "surface", "lod", "demo_scenes", "terrain", "rain", "drops", "ledger", "water", "grid",
-    "shading", "daylight", "ssr", "reflection", "particles", "simulation",
+    "raster", "surface", "lod", "demo_scenes", "terrain", "rain", "drops", "ledger", "water",
+    "grid", "shading", "daylight", "ssr", "reflection", "particles", "simulation",
 )  # fmt: skip
 LIBRARIES = ("numpy", "scipy", "scikit-image", "numba", "llvmlite")
 # Variables that choose machine code, and with it the last digits of results.

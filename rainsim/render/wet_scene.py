@@ -99,10 +99,9 @@ class WetScene:
         self.terrain, self.config, self.frame = terrain, config, scene.ground_frame
         self._whole_ground = terrain
         self.sky_distance = sky_distance(scene)
-        # Nothing was photographed of a generated scene: its splats are where its surfaces are.
-        found = None if scene.source is None else kept_surface(scene)
-        sky_splats = None if found is None else found.sky
-        self.backdrop = Backdrop(scene, self.sky_distance, replaces_sky(config), sky_splats)
+        found = None if scene.source is None else kept_surface(scene)  # generated ones have none
+        sky = None if found is None else found.sky
+        self.backdrop = Backdrop(scene, self.sky_distance, replaces_sky(config), sky)
         self.scene = self.backdrop.scene
         self.near = NEAR / self.frame.meters_per_unit
         self._rasterizer_of = rasterizer_of
@@ -154,9 +153,8 @@ class WetScene:
             turn(self.drawn, *splat_normals(self.scene, found))
         self.rasterizer = rasterizer_of(self.drawn) if self.paged is None else self.paged.whole
         self._skylines = None
-        # Where the captured sky is left out, what it filled between leaves and before dark things is
-        # open too: only directions that lie open show the day's.
-        if not self.backdrop.count or sky_splats is not None:
+        # Without the captured sky leaves and dark things are open, too: it filled them.
+        if not self.backdrop.count or found is not None:
             self._skylines = skylines(self.scene, self.prepared, first_camera, self.near)
         self.prepared = self.prepared if self.paged is None or self.nodes else None
         self._tracks = NO_TRACKS

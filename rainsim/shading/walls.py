@@ -14,7 +14,7 @@ from rainsim.numerics.interpolation import smoothstep
 QUARTER = np.float32(0.25)
 LEANING = np.float32(0.1)  # cosine to the rain below which captured normals are mostly noise
 FOOT_SHARE = np.float32(0.3)  # of the rain, that splashes back on the foot of a wall; by eye
-FOOT_STEEP = np.float32(1 / 0.15)  # 1/m: decay of the back splash upwards; by eye
+FOOT_STEEP = np.float32(1 / 0.08)  # 1/m: decay of the back splash upwards; by eye
 RUN_OFF = np.float32(0.3)  # of the rain, that runs down the sides of a smooth body; by eye
 PATHS_ACROSS, PATHS_DOWN = np.float32(1 / 0.07), np.float32(1 / 2.5)  # 1/m, of paths down a wall
 PATHS = np.float32(1.2)  # variation of the dampness of a half wet wall along its paths

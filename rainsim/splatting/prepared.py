@@ -291,7 +291,11 @@ def _turn(geometry_out, order, normal, share):
             if o < 0:
                 continue
             x, y, z = g[9, i], g[10, i], g[11, i]
-            a = share[o] if x * normal[o, 0] + y * normal[o, 1] + z * normal[o, 2] >= 0 else -share[o]
+            a = (
+                share[o]
+                if x * normal[o, 0] + y * normal[o, 1] + z * normal[o, 2] >= 0
+                else -share[o]
+            )
             b = ONE - share[o]
             x, y, z = b * x + a * normal[o, 0], b * y + a * normal[o, 1], b * z + a * normal[o, 2]
             square = x * x + y * y + z * z

@@ -263,9 +263,9 @@ def add_view(view: DepthView, middle, radius, voxel, count, table_out, keys_out,
                 far *= np.float32(0.5)
                 level += 1
             side = voxel * np.float32(1 << level)
-            i = int(math.floor(px / side)) + half
-            j = int(math.floor(py / side)) + half
-            k = int(math.floor(pz / side)) + half
+            i = math.floor(px / side) + half
+            j = math.floor(py / side) + half
+            k = math.floor(pz / side) + half
             if not (0 < i < 2 * half and 0 < j < 2 * half and 0 < k < 2 * half):
                 continue
             key = (((level << KEY_BITS | i) << KEY_BITS) | j) << KEY_BITS | k

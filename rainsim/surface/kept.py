@@ -1,4 +1,4 @@
-"""What a capture's own cameras tell of it, found once and kept: its surface, its sky."""
+"""The surface and the sky of a capture, found once from its own cameras, and kept."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Found(NamedTuple):
     middle : ndarray of shape (3,), float32 [m]
         Of what the cameras look at, in the ground frame.
     half : float [m]
-        Half the width of that.
+        From the middle, how far they look.
     """
 
     surface: CaptureSurface

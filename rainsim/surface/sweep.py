@@ -47,6 +47,11 @@ class TexturePicture(NamedTuple):
     texture: np.ndarray  # (height, width) float32: log luminance without its mean around
 
 
+def ground_sweep(scene, found):
+    """Return the `GroundSweep` of a scene whose surface is known, None if it has none."""
+    return None if found is None else GroundSweep(scene, found.surface)
+
+
 class GroundSweep:
     """The pictures of a capture, in which heights of its ground are tried.
 
@@ -138,9 +143,7 @@ class GroundSweep:
             variance[k] = ndimage.gaussian_filter(variance[k] * weight * known, patch) / share
         best = np.argmin(variance, axis=0)
         inner = np.clip(best, 1, len(offsets) - 2)
-        below, at, above = (
-            np.take_along_axis(variance, inner[None] + k, 0)[0] for k in (-1, 0, 1)
-        )
+        below, at, above = (np.take_along_axis(variance, inner[None] + k, 0)[0] for k in (-1, 0, 1))
         bend, step = np.maximum(below - 2 * at + above, 1e-12), float(offsets[1] - offsets[0])
         found = height + offsets[inner] + step * np.clip(0.5 * (below - above) / bend, -0.5, 0.5)
         sigma = step * np.sqrt(2 * np.maximum(at, 1e-9) / bend / np.maximum(weight, 0.3))

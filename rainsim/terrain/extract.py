@@ -17,7 +17,7 @@ from rainsim.errors import GroundError, ParameterError
 from rainsim.lod.ground import scene_over
 from rainsim.scene.types import Camera
 from rainsim.surface.kept import kept_surface
-from rainsim.surface.sweep import GroundSweep
+from rainsim.surface.sweep import ground_sweep
 from rainsim.terrain import bed as bedding
 from rainsim.terrain import filters
 from rainsim.terrain.choose import choose_grid
@@ -342,8 +342,7 @@ class _Cloud:
         self.sweep = None
         # Pictures tell nothing of what nobody photographed, and take too long along a drive.
         if scene.source is not None and scene.cameras and scene.pages is None:
-            found = kept_surface(scene)
-            self.sweep = None if found is None else GroundSweep(scene, found.surface)
+            self.sweep = ground_sweep(scene, kept_surface(scene))
         self.notes = ()
         if level.max() - level.min() > SLAB:
             self.notes = (
@@ -460,7 +459,7 @@ def _bed(seen, below, grid, level, sweep=None):
     green = filters.gaussian_filter(np.where(known, green, 0), 0.06 / grid.spacing)
     bare = known & (green < EXCESS_GREEN)
     height = np.where(known, _less_bias(seen, below, bare, grid), 0)
-    swept = np.zeros(grid.shape, np.float32)
+    swept = 0.0
     if sweep is not None:
         height, swept = sweep.heights(grid, height.astype(np.float32), bare)
     filled = bedding.inpaint(height, known)

@@ -123,7 +123,7 @@ def test_film_gets_a_mirrored_picture_where_it_is_worth_one():
 def test_colors_follow_clouds_that_come_and_go(monkeypatch, tmp_path):
     """A captured sun that is divided out frame by frame, and the layer of the capture itself."""
 
-    def relight(scene, sky_distance, sun, _kept):
+    def relight(scene, _found, sun, _kept):
         gain = np.linspace(0.4, 3, 3 * len(scene.splats)).reshape(-1, 3).astype(np.float16)
         return Relight(gain, "made for a test")
 

@@ -21,6 +21,7 @@ config io
 scene
 splatting
 raster
+surface
 lod
 demo_scenes
 terrain

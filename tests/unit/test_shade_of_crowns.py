@@ -7,6 +7,7 @@ from scipy.spatial import cKDTree
 from rainsim.daylight import relight
 from rainsim.daylight.light import Light
 from rainsim.daylight.surface import Surface, surface_of
+from rainsim.surface.fuse import CaptureSurface, planes
 from rainsim.daylight.visibility import solids_of, with_plane
 
 STEP, SIDE = 0.05, 48  # m, splats
@@ -73,14 +74,11 @@ def test_leaves_are_no_part_of_what_lies_in_planes():
     board = np.column_stack([rng.uniform(-1, 1, (count, 2)), np.full(count, 1.0)])
     leaves = np.column_stack([rng.uniform(-1, 1, (count, 2)), rng.uniform(2, 3, count)])
     position = np.concatenate([board, leaves]).astype(np.float32)
-    thin = rng.standard_normal((2 * count, 3))
-    thin[:count] = UP
-    thin /= np.linalg.norm(thin, axis=1, keepdims=True)
-    size = np.tile(np.float32([0.001, 0.08, 0.08]), (2 * count, 1))
-    covariance = np.tile(np.float32([0.08**2, 0, 0, 0.08**2, 0, 1e-6]), (2 * count, 1))
-    opacity, color = np.full(2 * count, 0.9, np.float32), np.zeros((2 * count, 3), np.float32)
-    surface = surface_of(position, thin.astype(np.float32), size, opacity, color, cameras=())
-    solids = solids_of(position, covariance, opacity)
+    size = np.full(2 * count, 0.12, np.float32)
+    normal, flat, _ = planes(position, np.tile(UP, (2 * count, 1)), size, np.zeros(2 * count, "f4"))
+    seen = np.full(2 * count, 5, np.uint8)
+    surface = surface_of(CaptureSurface(position, normal, flat, 0 * position, size, seen))
+    solids = solids_of(surface)
     plane = with_plane(solids, surface)
     assert len(solids.reach) == 2 * count
     assert (plane.position[:, 2] < 1.5).sum() > 0.95 * count  # the board

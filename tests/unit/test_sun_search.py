@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rainsim.daylight import sun
-from rainsim.daylight.visibility import Window, axes_of, solids_of
+from rainsim.daylight.visibility import Solids, Window, axes_of
 
 LEAF = 0.09  # m, radius
 TOP = np.array([-2.0, -1.5, 0.7])  # m, of a round table
@@ -31,7 +31,8 @@ def court(azimuth, elevation, lit_over_shade, seed=4):
     covariance[: len(wall), [3, 5]] = 0.14**2
     covariance[len(wall) :, [0, 3]] = (radius**2 / (2 * np.log(0.99 / 0.5)))[:, None]
     covariance[:, [0, 3, 5]] += 1e-6
-    solids = solids_of(position, covariance, np.full(len(position), 0.99, np.float32))
+    reach = np.full(len(position), 2 * np.log(0.99 / 0.3), np.float32)
+    solids = Solids(position, covariance, reach)
 
     x, y = np.mgrid[-4:2.4:0.07, -3:3:0.07].reshape(2, -1)
     ground = np.stack([x, y, np.zeros_like(x)], -1).astype(np.float32)
@@ -50,6 +51,11 @@ def court(azimuth, elevation, lit_over_shade, seed=4):
     return sun.Places(ground, normal, light, pair, change), solids, window, towards
 
 
+def search(places, solids, window):
+    """Return what is found where all that stops light has a plane."""
+    return sun.find_sun(places, solids, solids, window)
+
+
 def degrees_between(a, b):
     return np.degrees(np.arccos(np.clip(a @ b, -1, 1)))
 
@@ -57,13 +63,13 @@ def degrees_between(a, b):
 @pytest.mark.parametrize("seed", [4, 6])
 def test_shadows_of_leaves_fix_the_sun(seed):
     *yard, towards = court(0.3, 0.9, 5.0, seed)
-    found, score = sun.find_sun(*yard)
+    found, score = search(*yard)
     assert degrees_between(found, towards) < 0.5 and score > 0.4
 
 
 def test_light_without_shadows_has_no_score():
     *yard, _ = court(0.3, 0.9, 1.0)
-    assert sun.find_sun(*yard)[1] < sun.LEAST_SCORE
+    assert search(*yard)[1] < sun.LEAST_SCORE
 
 
 def test_the_discs_cover_what_the_first_search_leaves_open():
