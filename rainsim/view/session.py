@@ -12,7 +12,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from rainsim.backend import free_device_memory, on_backend
-from rainsim.errors import GroundError
+from rainsim.errors import GroundError, ParameterError, shown
+from rainsim.io.files import number_array
 from rainsim.lod.paged import rasterizer_of_scene
 from rainsim.pipeline import extract_terrain
 from rainsim.render.memory import require_memory
@@ -21,6 +22,7 @@ from rainsim.render.report import Timer
 from rainsim.render.shutter import shutter_end
 from rainsim.render.wet_scene import NEAR
 from rainsim.scene.camera_path import camera_path_data, path_cameras
+from rainsim.scene.camera_rule import RIGID_TOLERANCE
 from rainsim.scene.cameras import resize_to
 from rainsim.terrain.classify import painted_mask
 from rainsim.terrain.movers import with_movers
@@ -47,6 +49,16 @@ class View:
     position: tuple
     turn: tuple
     fov: float
+
+    def __post_init__(self):
+        """Raise ParameterError unless these are a place, a turn and an angle: pages send them."""
+        position, turn = number_array(self.position, (3,)), number_array(self.turn, (4,))
+        is_turn = turn is not None and abs(np.linalg.norm(turn) - 1) < RIGID_TOLERANCE
+        if position is None or not is_turn or not 0 < self.fov < math.pi:  # false for NaN
+            raise ParameterError(
+                f"the view is {shown((self.position, self.turn, self.fov))}; it must be a place, a "
+                "unit quaternion and an angle below 180 degrees; move the camera"
+            )
 
     @property
     def rotation(self):
