@@ -16,7 +16,7 @@ from rainsim.errors import GroundError, ParameterError, shown
 from rainsim.io.files import number_array
 from rainsim.lod.paged import rasterizer_of_scene
 from rainsim.pipeline import extract_terrain
-from rainsim.render.memory import require_memory
+from rainsim.render.memory import require_memory, require_memory_of_picture
 from rainsim.render.renderer import Renderer
 from rainsim.render.report import Timer
 from rainsim.render.shutter import shutter_end
@@ -293,7 +293,9 @@ class Session:
         self._follow(self.config)
         key = view, width, height, simple
         if self._camera is None or self._camera[0] != key:
-            self._camera = key, self.camera_of(view, width, height)
+            camera = self.camera_of(view, width, height)
+            require_memory_of_picture(camera, free_device_memory(self.backend))
+            self._camera = key, camera
             self._simplify(simple)
         return self.draw_camera(self._camera[1], index, None, names, check)
 
@@ -346,7 +348,9 @@ class Session:
         picture : ndarray of shape (height, width, 3), uint8
         depth : ndarray of shape (height, width), float32 [m]
         """
-        layers = self.dry(self.camera_of(view, width, height))
+        camera = self.camera_of(view, width, height)
+        require_memory_of_picture(camera)
+        layers = self.dry(camera)
         picture = np.rint(np.clip(layers.color, 0, 1) * 255).astype(np.uint8)
         return picture, layers.depth * np.float32(self.scene.ground_frame.meters_per_unit)
 
