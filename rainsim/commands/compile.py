@@ -17,16 +17,23 @@ def compiled_beside(status, uses, threads=None):
     threads : int, optional
         That the run may use: so many processes compile at most.
     """
+    from rainsim.compiling import folder
     from rainsim.compiling.start import end, start
 
     def in_line(count):
         status.say(f"{count} kernels are compiled for this machine, once; it takes minutes")
 
+    status.notes([f"{refused}; {folder.CACHE_FOLDER} is used" for refused in folder.REFUSED])
     pool = start(uses, threads, status.compiling, in_line)
     try:
         yield pool
     finally:
         end(pool)
+        if folder.unsaved is not None:
+            status.say(
+                f"compiled kernels could not be kept ({folder.unsaved}); make room there, or set "
+                "NUMBA_CACHE_DIR"
+            )
         if pool is not None and pool.stale:
             count = len(pool.stale)
             status.say(
