@@ -82,9 +82,10 @@ MOST_TURNS = 9999
 @options.ground_options
 @options.terrain_options
 @options.output_options("rainsim-out/SCENE-SENSOR")
+@options.resume_option
 def lidar(
-    scene, sensor, rains, camera, height, speed, turns, kind, preset, out, overwrite, as_json,
-    quiet, **given,
+    scene, sensor, rains, camera, height, speed, turns, kind, preset, out, overwrite, resume,
+    as_json, quiet, **given,
 ):  # fmt: skip
     """Scan SCENE by a lidar, clear and in rain, through the very drops that the cameras see.
 
@@ -111,9 +112,9 @@ def lidar(
         from rainsim.output_folder import claimed
         from rainsim.sensors.drive import LidarFolder, scan_rains
 
-        with claimed(out, overwrite, False, [loaded.source, *paths_in(given)]):
+        with claimed(out, overwrite, resume, [loaded.source, *paths_in(given)]):
             set_threads(config.threads)
-            folder = LidarFolder(out, kind, overwrite)
+            folder = LidarFolder(out, kind, overwrite, resume)
             facts = scan_rains(
                 folder, loaded, config, rates, sensor=sensor, camera=place, height=height,
                 speed=speed, turns=turns, tell=status.progress, say=status.notes,
