@@ -85,8 +85,8 @@ def import_(path, info, lod, out, overwrite, resume, threads, as_json, quiet, **
                 scene, record = cut_to_scene(status, *whole, out, given, resume)
         else:
             record = Record(out, scene)
-            if resume:
-                record.resume(())  # one step: it is made again in the folder of the same scene
+            if resume:  # one step: it is made again in the folder of the same scene
+                record.resume(())
             record.begin()
         frame = scene.ground_frame
         write_scene(out, scene)
@@ -99,14 +99,11 @@ def import_(path, info, lod, out, overwrite, resume, threads, as_json, quiet, **
     status.say(f"scene folder {relative(out)}")
     if as_json:
         result = {
-            "out": str(out),
-            "name": scene.name,
-            "splats": len(scene.splats),
+            "out": str(out), "name": scene.name, "splats": len(scene.splats),
             "cameras": [camera.name for camera in scene.cameras],
             "ground_frame": ground_frame_to_dict(frame),
-            "calibration": calibration,
-            "notes": list(scene.notes),
-        }
+            "calibration": calibration, "notes": list(scene.notes),
+        }  # fmt: skip
         click.echo(json.dumps(result, indent=1))
         return
     click.echo(f"up                {_shown(frame.up)}")
