@@ -146,7 +146,8 @@ def _lamps(where, data):
         row = None
         if isinstance(entry, dict) and isinstance(entry.get("at"), list):
             row = number_array([*entry["at"], entry.get("radius")], (4,))
-        if row is None or row[3] <= 0 or entry.get("class") not in LUMINANCE:
+        kind = entry.get("class") if isinstance(entry, dict) else None
+        if row is None or row[3] <= 0 or not isinstance(kind, str) or kind not in LUMINANCE:
             raise InputError(
                 f"{where}: lamps has {shown(entry if entry is not None else data)}; it must be a "
                 f"list of at most {MOST_LAMPS} objects with class ({', '.join(LUMINANCE)}), at "
