@@ -16,6 +16,7 @@ from rainsim.errors import ParameterError
 SENSORS = ("vlp16", "hdl32", "hdl64")
 FORMATS = ("kitti", "pcd", "ply")
 MOST_TURNS = 9999
+HIGHEST = 1000.0  # m above or below the ground's level
 
 
 @click.command(short_help="Scan a scene by a lidar, clear and in rain.")
@@ -102,6 +103,10 @@ def lidar(
     config = settings(preset, given)
     if not abs(speed) <= 100:  # false for NaN
         raise ParameterError(f"--speed is {speed} m/s; it must lie from -100 to 100")
+    if height is not None and not abs(height) <= HIGHEST:
+        raise ParameterError(
+            f"--height is {height} m; it must lie from -{HIGHEST:g} to {HIGHEST:g}"
+        )
     from rainsim.compiling.uses import LIDAR
 
     with status, compiled_beside(status, [LIDAR], config.threads):

@@ -27,6 +27,7 @@ VERSION = 1
 REMEDY = "docs/actors.md describes the file; correct it"
 MOST_NODES = 4096
 MOST_LAMPS = 4096
+MOST_PATH, MOST_PART = 1000, 250  # bytes of a path and of a name in it; longer ones no system opens
 FLOAT = float(np.finfo(np.float32).max)
 LONGEST = 1e9  # s
 SPLATS = ("position", "rotation", "scale", "opacity", "sh")
@@ -158,7 +159,8 @@ def _lamps(where, data):
 
 
 def _name(where, key, value):
-    if not isinstance(value, str) or not value or not value.isprintable():
+    name = value.encode() if isinstance(value, str) and value.isprintable() else b""
+    if not 0 < len(name) <= MOST_PATH or max(map(len, name.split(b"/"))) > MOST_PART:
         raise InputError(f"{where}: {key} is {shown(value)}; it must be a path; {REMEDY}")
     return value
 

@@ -64,6 +64,7 @@ def test_only_turns_are_replaced(lidar, tmp_path):
 @pytest.mark.parametrize(
     "words, message",
     [(("--rain", "x"), "--rain is 'x'"), (("--speed", "500"), "--speed is 500"),
+     (("--height", "1e300"), "--height is 1e+300 m; it must lie"),
      (("--camera", "nobody"), "has no camera 'nobody'")],
 )  # fmt: skip
 def test_wrong_options_are_named(lidar, words, message):
