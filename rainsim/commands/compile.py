@@ -5,6 +5,13 @@ from __future__ import annotations
 import contextlib
 
 
+def refused_folders():
+    """Return a note on each folder of compiled kernels that others can write to: it is not used."""
+    from rainsim.compiling.folder import CACHE_FOLDER, REFUSED
+
+    return [f"{refused}; {CACHE_FOLDER} is used" for refused in REFUSED]
+
+
 @contextlib.contextmanager
 def compiled_beside(status, uses, threads=None):
     """Compile in other processes what some recorded uses lack, while the block runs.
@@ -23,7 +30,7 @@ def compiled_beside(status, uses, threads=None):
     def in_line(count):
         status.say(f"{count} kernels are compiled for this machine, once; it takes minutes")
 
-    status.notes([f"{refused}; {folder.CACHE_FOLDER} is used" for refused in folder.REFUSED])
+    status.notes(refused_folders())
     pool = start(uses, threads, status.compiling, in_line)
     try:
         yield pool

@@ -9,6 +9,7 @@ import click
 
 from rainsim.commands import options
 from rainsim.commands.choose import DEFAULT_FOV, DEFAULT_SHAPE, DEFAULT_WIDTH, named_camera
+from rainsim.commands.compile import refused_folders
 from rainsim.commands.options import FILE, Numbers
 from rainsim.errors import ParameterError, require_positive
 
@@ -96,7 +97,7 @@ def splat(scene, out, overwrite, threads, as_json, **given):
     from rainsim.commands.choose import settings
 
     render = settings("moderate", {name: given[name] for name in ("detail", "memory")}).render
-    notes = [*capture.notes, *_memory(capture, camera, out, given["backend"])]
+    notes = [*refused_folders(), *capture.notes, *_memory(capture, camera, out, given["backend"])]
     layers, milliseconds = draw(
         capture, camera, given["depth"], given["backend"], compensate=given["compensate"],
         background=given["background"], hit=given["hit"], render=render,

@@ -26,6 +26,10 @@ WORDS_EVERY = 1.0  # s between complaints to one page
 FOV = "give the window another shape, or the camera another angle"
 
 
+class UnfinishedError(ParameterError):
+    """What passes by itself: a number below a control's least while one types 640 digit by digit."""
+
+
 def _is_text(value):
     return isinstance(value, str) and len(value) <= MOST_TEXT
 
@@ -94,6 +98,8 @@ def require_values(kind, values):
     values : dict
         As they were decoded.
     """
+    if 0 in (values.get("image_width"), values.get("image_height")):
+        raise UnfinishedError("the page has no size yet")
     for name, fits in FIELDS[kind].items():
         if not fits(values.get(name)):
             raise ParameterError(
@@ -132,6 +138,8 @@ def require_value(control, value):
         fits, rule = _is_number(value) and low <= value <= high, f"from {low:g} to {high:g}"
     else:
         fits, rule = False, "nothing that a page sends"
+    if not fits and low is not None and _is_number(value) and 0 <= value < low:
+        raise UnfinishedError("there is more to be typed")
     if not fits:
         label = getattr(control, "label", "a control")
         raise ParameterError(f"{label} is {shown(value)}; it must be {rule}; type another value")
@@ -205,6 +213,8 @@ class Checks:
                 require_upload(control)
                 self._uploads.take(connection, kind, values)
             Message.deserialize(raw)
+        except UnfinishedError:
+            return False
         except RainsimError as error:
             self.complain(connection, error)
             return False

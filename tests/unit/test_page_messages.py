@@ -14,6 +14,7 @@ from rainsim.view.home import Home
 from rainsim.view.page_messages import (
     MOST_UPLOADS,
     WORDS_EVERY,
+    UnfinishedError,
     Uploads,
     require_upload,
     require_value,
@@ -54,11 +55,13 @@ def test_controls_keep_to_their_limits():
     ):
         require_value(control, value)
     stopped = SimpleNamespace(label="stop", value=False, disabled=True)
-    for control, value in ((number, 1e300), (number, 7), (number, float("nan")), (number, "9"),
+    for control, value in ((number, 1e300), (number, -7), (number, float("nan")), (number, "9"),
                            (number, True), (choice, "c"), (choice, []), (tick, 1), (stopped, True),
                            (SimpleNamespace(label="file", value=None), b"")):  # fmt: skip
         with pytest.raises(ParameterError, match=f"{control.label} is .*; it must be"):
             require_value(control, value)
+    with pytest.raises(UnfinishedError):  # of 64, the first digit
+        require_value(number, 6)
     require_upload(SimpleNamespace(label="file", value=SimpleNamespace(content=b"")))
     with pytest.raises(ParameterError, match="width takes no file"):
         require_upload(number)
