@@ -27,7 +27,7 @@ FOV = "give the window another shape, or the camera another angle"
 
 
 class UnfinishedError(ParameterError):
-    """What passes by itself: a number below a control's least while one types 640 digit by digit."""
+    """What passes by itself: a number below a control's least while one types 640, say."""
 
 
 def _is_text(value):
