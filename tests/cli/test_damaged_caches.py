@@ -11,7 +11,7 @@ import pytest
 from made_captures import write_model_folder
 from scenes import tiny_scene
 
-RUNS, EACH = 12, 40  # runs, and files that are damaged before each of them
+RUNS, EACH = 8, 20  # runs, and files that are damaged before each of them
 ARGUMENTS = ["--meters-per-unit", "0.6", "--spacing", "0.04", "--extent", "1", "--frames", "2",
              "--width", "64", "--overwrite", "-q", "--out", "out"]  # fmt: skip
 
