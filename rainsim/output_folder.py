@@ -38,10 +38,10 @@ NOT_OF_THE_CONTENT = ("preset", "terrain_input")  # facts that name things and c
 CLAIM = ".rainsim-claim"  # locked by the run that writes to the folder
 # Names that the program gives to files; other names in a provenance file are ignored.
 OURS = re.compile(
-    r"frames/\d{5}\.png|states/\d{5}\.npz|preview\.webp|video\.mp4|transforms\.json"
-    r"|(terrain|splats|actors)\.npz|(scene|ground_frame|simulation)\.json|(bed|top)\.tif"
-    r"|(hillshade|classes|check|puddles-\d+mm)\.png"
-    r"|layers/(\d{5}\.json|[a-z_]+/\d{5}\.(png|exr|npz))|finished\.jsonl"
+    r"frames/\d{5}\.png|states/\d{5}\.npz|preview\.webp|video\.mp4|(terrain|splats|actors)\.npz"
+    r"|(scene|ground_frame|simulation|transforms)\.json|(bed|top)\.tif|puddles-\d+mm\.png"
+    r"|(hillshade|classes|check)\.png|finished\.jsonl|lod-meta\.json"
+    r"|layers/(\d{5}\.json|[a-z_]+/\d{5}\.(png|exr|npz))|(env|\d+_\d+)/\w+\.(webp|json)"
 )
 JOURNAL = "finished.jsonl"  # which frames or states are finished
 STATE = "states/{:05d}.npz"
@@ -49,7 +49,7 @@ STATE_FACTS = {"ledger": dict, "notes": list}  # what the journal says of a stat
 FRAME_FACTS = STATE_FACTS | {"time": float, "milliseconds": dict}
 # Files of a run that was killed while it wrote them, see `rainsim.io.files.replacing`.
 TEMPORARY = re.compile(r"\.([\w.-]+)\.[a-z0-9_]{8}(\.[a-z0-9]+)?")
-FOLDERS = ("", "frames", "states", "layers", "layers/*")  # that the program writes to
+FOLDERS = ("", "frames", "states", "layers", "layers/*", "env", "[0-9]*_[0-9]*")
 VERSIONS_OF = ("numpy", "scipy", "numba", "llvmlite", "pillow")
 
 

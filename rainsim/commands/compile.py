@@ -5,6 +5,13 @@ from __future__ import annotations
 import contextlib
 
 
+def refused_folders():
+    """Return a note on each folder of compiled kernels that others can write to: it is not used."""
+    from rainsim.compiling.folder import CACHE_FOLDER, REFUSED
+
+    return [f"{refused}; {CACHE_FOLDER} is used" for refused in REFUSED]
+
+
 @contextlib.contextmanager
 def compiled_beside(status, uses, threads=None):
     """Compile in other processes what some recorded uses lack, while the block runs.
@@ -17,16 +24,23 @@ def compiled_beside(status, uses, threads=None):
     threads : int, optional
         That the run may use: so many processes compile at most.
     """
+    from rainsim.compiling import folder
     from rainsim.compiling.start import end, start
 
     def in_line(count):
         status.say(f"{count} kernels are compiled for this machine, once; it takes minutes")
 
+    status.notes(refused_folders())
     pool = start(uses, threads, status.compiling, in_line)
     try:
         yield pool
     finally:
         end(pool)
+        if folder.unsaved is not None:
+            status.say(
+                f"compiled kernels could not be kept ({folder.unsaved}); make room there, or set "
+                "NUMBA_CACHE_DIR"
+            )
         if pool is not None and pool.stale:
             count = len(pool.stale)
             status.say(

@@ -2,27 +2,67 @@
 
 from __future__ import annotations
 
+import threading
 from dataclasses import replace
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
-from rainsim.errors import InputError, ParameterError
+from rainsim.errors import InputError
+from rainsim.scene.formats.streamed import LOD_META
 
 STAGE = "cut"
 
 
-def require_cuttable(path, overwrite, resume):
+class Chunks:
+    """The chunks of a cut that can be gone on with, on the record of its folder.
+
+    Parameters
+    ----------
+    record : Record
+    resume : bool
+        Whether whole chunks of an unfinished cut are kept.
+    """
+
+    def __init__(self, record, resume):
+        self._record, self._resumes, self._lock = record, resume, threading.Lock()
+        self._whole, self._number = {}, 0
+
+    def begin(self):
+        """Find what is kept of an unfinished cut, or remove the files of an earlier one."""
+        from rainsim.output_folder import JOURNAL
+
+        if self._resumes:
+            self._record.resume(())
+        self._record.begin()
+        entries = self._record.journal.entries()
+        self._number = max(entries, default=-1) + 1
+        whole = self._record.journal.finished(entries) if self._resumes else {}
+        self._whole = {PurePosixPath(next(iter(e["files"]))).parent: e for e in whole.values()}
+        self._record.add(JOURNAL, LOD_META)
+
+    def has(self, name):
+        """Return whether a chunk of an unfinished cut is there, whole."""
+        entry = self._whole.get(PurePosixPath(name).parent)
+        if entry is not None:
+            self._record.add(*entry["files"])
+        return entry is not None
+
+    def done(self, name):
+        """Note a chunk whose files are whole."""
+        with self._lock:  # two threads write chunks
+            folder = (self._record.folder / name).parent
+            names = sorted(p.relative_to(self._record.folder).as_posix() for p in folder.iterdir())
+            self._record.journal.add(self._number, names)
+            self._record.add(*names)
+            self._number += 1
+
+
+def require_cuttable(path):
     """Return the splat file that is to be cut and its model's folder, or raise an error."""
     from rainsim.scene.actor_files import actors_file
     from rainsim.scene.drivestudio import is_checkpoint
     from rainsim.scene.folder import SCENE_FILE, locate
-    from rainsim.scene.formats.streamed import LOD_META
     from rainsim.scene.street_gaussians import is_street_ply
 
-    if overwrite or resume:
-        raise ParameterError(
-            "--lod writes to a new folder only, for a cut is made in one go; leave --overwrite and "
-            "--resume out and give another --out"
-        )
     path = Path(path)
     if actors_file(path) is not None or (path / SCENE_FILE).is_file():
         raise InputError(
@@ -36,8 +76,8 @@ def require_cuttable(path, overwrite, resume):
     return file, model
 
 
-def cut_to_scene(status, file, model, out, given):
-    """Cut a splat file into chunks in a folder, and return the Scene of them.
+def cut_to_scene(status, file, model, out, given, resume):
+    """Cut a splat file into chunks in a folder; return the Scene of them and the record.
 
     Parameters
     ----------
@@ -47,25 +87,33 @@ def cut_to_scene(status, file, model, out, given):
     out : Path
     given : dict
         Options of the ground.
+    resume : bool
+        Whether to go on with an unfinished cut in the folder.
     """
     from rainsim.commands.choose import scene_of
     from rainsim.commands.status import say_scene
+    from rainsim.io.fingerprint import hash_of, hash_of_file
     from rainsim.lod.cut import cut
-    from rainsim.scene.cameras import load_cameras
+    from rainsim.output_folder import Record, input_facts
+    from rainsim.scene.cameras import cameras_to_data, load_cameras
     from rainsim.scene.folder import cameras_beside
     from rainsim.scene.formats import splat_blocks, trained_antialiased
-    from rainsim.scene.formats.streamed import LOD_META
 
     cameras = given.get("cameras")
     cameras, notes = load_cameras(cameras) if cameras else cameras_beside(file, model)
     blocks, _ = splat_blocks(file)
+    record = Record(out, None, {
+        "cut": hash_of_file(file), "cameras": hash_of(cameras_to_data(cameras)),
+        "options": {name: str(value) for name, value in given.items()},
+    })  # fmt: skip
     cut(
         out, blocks, tell=lambda done, total: status.progress(STAGE, done, total),
-        antialiased=trained_antialiased(file),
+        antialiased=trained_antialiased(file), keep=Chunks(record, resume),
     )  # fmt: skip
     given = given | {"cameras": cameras, "tracks": None, "track_fps": None}
     scene = scene_of(str((out / LOD_META).resolve()), given)
     name = model.resolve().name if file.stem in ("point_cloud", "meta") else file.stem
     scene = replace(scene, name=name, source=file, notes=(*scene.notes, *notes))
     say_scene(status, scene)
-    return scene
+    record.facts["input"] = input_facts(scene, out)
+    return scene, record

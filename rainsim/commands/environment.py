@@ -10,6 +10,7 @@ from importlib import metadata
 import numpy as np
 
 from rainsim import __version__
+from rainsim.compiling.folder import LOST, NAME, REFUSED
 from rainsim.io import cache as results
 from rainsim.jit import CACHE_FOLDER, cpu_kernel, prange, threading_layer
 
@@ -60,6 +61,7 @@ def report():
             f"compiled kernels go to {cache['folder']} and are lost; set NUMBA_CACHE_DIR to a "
             "folder that can be written"
         )
+    wrong += cache["refused"]
     versions = {"rainsim": __version__, "python": platform.python_version()}
     versions |= {name: _version(name) for name in (*PACKAGES, *OPTIONAL)}
     return {
@@ -105,7 +107,8 @@ def _cache():
     return {
         "folder": str(CACHE_FOLDER), "writable": os.access(CACHE_FOLDER, os.W_OK), "size": size,
         "free": shutil.disk_usage(CACHE_FOLDER).free,
-        "kept": CACHE_FOLDER.name == "rainsim-kernels",
+        "kept": CACHE_FOLDER.name == NAME and not CACHE_FOLDER.parent.name.startswith(LOST),
+        "refused": REFUSED,
     }  # fmt: skip
 
 

@@ -16,6 +16,7 @@ from rainsim.errors import ParameterError
 SENSORS = ("vlp16", "hdl32", "hdl64")
 FORMATS = ("kitti", "pcd", "ply")
 MOST_TURNS = 9999
+HIGHEST = 1000.0  # m above or below the ground's level
 
 
 @click.command(short_help="Scan a scene by a lidar, clear and in rain.")
@@ -82,9 +83,10 @@ MOST_TURNS = 9999
 @options.ground_options
 @options.terrain_options
 @options.output_options("rainsim-out/SCENE-SENSOR")
+@options.resume_option
 def lidar(
-    scene, sensor, rains, camera, height, speed, turns, kind, preset, out, overwrite, as_json,
-    quiet, **given,
+    scene, sensor, rains, camera, height, speed, turns, kind, preset, out, overwrite, resume,
+    as_json, quiet, **given,
 ):  # fmt: skip
     """Scan SCENE by a lidar, clear and in rain, through the very drops that the cameras see.
 
@@ -101,6 +103,10 @@ def lidar(
     config = settings(preset, given)
     if not abs(speed) <= 100:  # false for NaN
         raise ParameterError(f"--speed is {speed} m/s; it must lie from -100 to 100")
+    if height is not None and not abs(height) <= HIGHEST:
+        raise ParameterError(
+            f"--height is {height} m; it must lie from -{HIGHEST:g} to {HIGHEST:g}"
+        )
     from rainsim.compiling.uses import LIDAR
 
     with status, compiled_beside(status, [LIDAR], config.threads):
@@ -111,9 +117,9 @@ def lidar(
         from rainsim.output_folder import claimed
         from rainsim.sensors.drive import LidarFolder, scan_rains
 
-        with claimed(out, overwrite, False, [loaded.source, *paths_in(given)]):
+        with claimed(out, overwrite, resume, [loaded.source, *paths_in(given)]):
             set_threads(config.threads)
-            folder = LidarFolder(out, kind, overwrite)
+            folder = LidarFolder(out, kind, overwrite, resume)
             facts = scan_rains(
                 folder, loaded, config, rates, sensor=sensor, camera=place, height=height,
                 speed=speed, turns=turns, tell=status.progress, say=status.notes,

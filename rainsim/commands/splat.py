@@ -9,6 +9,7 @@ import click
 
 from rainsim.commands import options
 from rainsim.commands.choose import DEFAULT_FOV, DEFAULT_SHAPE, DEFAULT_WIDTH, named_camera
+from rainsim.commands.compile import refused_folders
 from rainsim.commands.options import FILE, Numbers
 from rainsim.errors import ParameterError, require_positive
 
@@ -96,7 +97,7 @@ def splat(scene, out, overwrite, threads, as_json, **given):
     from rainsim.commands.choose import settings
 
     render = settings("moderate", {name: given[name] for name in ("detail", "memory")}).render
-    notes = [*capture.notes, *_memory(capture, camera, out, given["backend"])]
+    notes = [*refused_folders(), *capture.notes, *_memory(capture, camera, out, given["backend"])]
     layers, milliseconds = draw(
         capture, camera, given["depth"], given["backend"], compensate=given["compensate"],
         background=given["background"], hit=given["hit"], render=render,
@@ -142,15 +143,18 @@ def _check(given):
 
 def _camera(capture, given):
     """Return the camera that the options name or place, in the size asked for."""
-    from rainsim.scene.cameras import look_at
+    from rainsim.scene.camera_rule import require_camera
+    from rainsim.scene.cameras import PLACED, look_at
 
+    refusal = "the camera", ParameterError, PLACED
     width, height = given["width"], given["height"]
     if given["eye"] is None:
         camera = named_camera(capture, given["camera"])
         if height is None:
             width = width or DEFAULT_WIDTH
             height = max(round(width * camera.height / camera.width), 1)
-        return camera.resized(width or round(height * camera.width / camera.height), height)
+        width = width or round(height * camera.width / camera.height)
+        return require_camera(camera.resized(width, height), *refusal)
     width = width or (round(height * DEFAULT_SHAPE) if height else DEFAULT_WIDTH)
     height = height or max(round(width / DEFAULT_SHAPE), 1)
     fov = DEFAULT_FOV if given["fov"] is None else given["fov"]
@@ -158,6 +162,7 @@ def _camera(capture, given):
     if given["ortho_height"] is not None:
         scale = height / given["ortho_height"]
         camera = replace(camera, fx=scale, fy=scale, orthographic=True)
+        require_camera(camera, *refusal)
     return camera
 
 

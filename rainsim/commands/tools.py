@@ -73,7 +73,7 @@ def import_(path, info, lod, out, overwrite, resume, threads, as_json, quiet, **
 
     status = Status(quiet)
     if lod:
-        whole = require_cuttable(path, overwrite, resume)
+        whole = require_cuttable(path)
         out = out or Path(f"{options.plain(path.stem)}-scene")
     else:
         with status:
@@ -82,12 +82,13 @@ def import_(path, info, lod, out, overwrite, resume, threads, as_json, quiet, **
     with claimed(out, overwrite, resume, [path, *paths_in(given)]):
         if lod:
             with status:
-                scene = cut_to_scene(status, *whole, out, given)
+                scene, record = cut_to_scene(status, *whole, out, given, resume)
+        else:
+            record = Record(out, scene)
+            if resume:  # one step: it is made again in the folder of the same scene
+                record.resume(())
+            record.begin()
         frame = scene.ground_frame
-        record = Record(out, scene)
-        if resume:
-            record.resume(())  # one step: it is made again in the folder of the very same scene
-        record.begin()
         write_scene(out, scene)
         write_ground_frame(out / GROUND_FRAME, frame)
         arrays = () if scene.pages is not None else ("splats.npz",)
@@ -98,14 +99,11 @@ def import_(path, info, lod, out, overwrite, resume, threads, as_json, quiet, **
     status.say(f"scene folder {relative(out)}")
     if as_json:
         result = {
-            "out": str(out),
-            "name": scene.name,
-            "splats": len(scene.splats),
+            "out": str(out), "name": scene.name, "splats": len(scene.splats),
             "cameras": [camera.name for camera in scene.cameras],
             "ground_frame": ground_frame_to_dict(frame),
-            "calibration": calibration,
-            "notes": list(scene.notes),
-        }
+            "calibration": calibration, "notes": list(scene.notes),
+        }  # fmt: skip
         click.echo(json.dumps(result, indent=1))
         return
     click.echo(f"up                {_shown(frame.up)}")

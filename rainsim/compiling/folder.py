@@ -12,28 +12,69 @@ from importlib.util import find_spec
 from pathlib import Path
 
 NAME = "rainsim-kernels"
+LOST = f"{NAME}-"  # begins the names of folders that no later run looks into
+OTHERS, ENTER = 0o022, 0o011  # permissions of group and others to write, and to enter
 PACKAGE = Path(__file__).parent.parent
 COMPILERS = ("numba", "llvmlite", "numpy")
 CPU_INFO = Path("/proc/cpuinfo")
 CPU_LINES = ("model name", "flags", "CPU part", "Features")  # of the first core
 
 
+def is_mine(found):
+    """Return whether a file or folder, by its `os.stat_result`, belongs to who runs this."""
+    return not hasattr(os, "geteuid") or found.st_uid == os.geteuid()
+
+
+def fault_of(folder):
+    """Return why machine code must not be loaded from a folder, None if it may be.
+
+    Who can write there can run code as this user.
+    """
+    inside = []
+    if os.stat(folder).st_mode & ENTER:  # else nobody comes to what is inside
+        with os.scandir(folder) as entries:
+            inside = [entry.path for entry in entries if entry.is_dir()]
+    for place in (folder, *inside):
+        found = os.stat(place)
+        if not is_mine(found):
+            return f"{place} belongs to another user"
+        if os.name == "posix" and found.st_mode & OTHERS:
+            return f"others can write to {place}"
+    return None
+
+
 def _cache_folder():
-    """Return a writable folder for compiled kernels, the user's own if it can be."""
+    """Return a folder for compiled kernels that the user alone can write to, and what was refused.
+
+    Returns
+    -------
+    folder : Path
+    refused : tuple of str
+        Sentences on the folders that were not taken though they could be written.
+    """
     wanted = [os.environ.get("NUMBA_CACHE_DIR")]
     wanted.append(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"))
+    refused = []
     for base in map(Path, filter(None, wanted)):
         folder = base if base.name == NAME else base / NAME  # ours: set by a parent process
         try:
-            folder.mkdir(parents=True, exist_ok=True)
+            folder.parent.mkdir(parents=True, exist_ok=True)
+            folder.mkdir(mode=0o700, exist_ok=True)
+            fault = fault_of(folder) if os.access(folder, os.W_OK) else ""
         except OSError:
             continue
-        if os.access(folder, os.W_OK):
-            return folder
-    return Path(tempfile.mkdtemp(prefix=f"{NAME}-"))
+        if fault is None:
+            return folder, tuple(refused)
+        if fault:
+            refused.append(f"{fault}: compiled kernels could be planted there; delete {folder}")
+    try:
+        return Path(tempfile.mkdtemp(prefix=LOST)) / NAME, tuple(refused)
+    except OSError:  # not even there: nothing is kept
+        return Path(os.devnull) / NAME, tuple(refused)
 
 
-CACHE_FOLDER = _cache_folder()
+CACHE_FOLDER, REFUSED = _cache_folder()
+unsaved = None  # why a kernel's machine code could not be written, once one could not
 os.environ["NUMBA_CACHE_DIR"] = str(CACHE_FOLDER)
 # An idle thread of GNU's OpenMP looks for work so many times before it sleeps, 300,000 by default:
 # milliseconds, in which it keeps a core from a thread that has work. A frame then takes three to

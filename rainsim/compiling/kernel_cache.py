@@ -14,6 +14,8 @@ import numba
 import numpy as np
 from numba.core import caching, types
 
+from rainsim.compiling import folder
+from rainsim.compiling.checked_files import CheckedFiles
 from rainsim.compiling.source_key import source_key
 from rainsim.compiling.waiting import wait_for
 
@@ -34,16 +36,16 @@ class KernelCache(caching.FunctionCache):
     ----------
     function : function
         The kernel's Python function.
-    folder : Path
+    place : Path
         Where its module's kernels are kept.
     options : str
         The kernel's compiler options.
     """
 
-    def __init__(self, function, folder, options):
+    def __init__(self, function, place, options):
         self._name = repr(function)
         self._py_func = function
-        self._folder, self._options = folder, options
+        self._folder, self._options = place, options
         self.kernel_name = f"{function.__module__}:{function.__qualname__}"
         self.enable()
 
@@ -62,7 +64,7 @@ class KernelCache(caching.FunctionCache):
 
     @functools.cached_property
     def _cache_file(self):
-        return caching.IndexDataCacheFile(
+        return CheckedFiles(
             cache_path=self._cache_path,
             filename_base=self._impl.filename_base,
             source_stamp=self._impl.locator.get_source_stamp(),
@@ -75,15 +77,17 @@ class KernelCache(caching.FunctionCache):
 
     def save_overload(self, sig, data):
         """Write the machine code for a signature; the oldest versions of this kernel go."""
-        super().save_overload(sig, data)
+        try:
+            super().save_overload(sig, data)
+        except OSError as error:  # the kernel runs all the same; the next run compiles it again
+            folder.unsaved = str(error)
+            return
         self._forget_old()
 
     def holds(self, sig, target_context):
         """Return whether the machine code for a signature is on disk; loads none of it."""
         target_context.refresh()
-        key = self._index_key(sig, target_context.codegen())
-        name = self._cache_file._load_index().get(key)
-        return name is not None and (self._folder / name).is_file()
+        return self._cache_file.holds(self._index_key(sig, target_context.codegen()))
 
     def _index_key(self, sig, codegen):
         """Return numba's key of a signature, with the fields of bundles: they may change places."""
@@ -132,6 +136,10 @@ class _KeyedLocator(caching._CacheLocator):
 
     def get_cache_path(self):
         return os.fspath(self._folder)
+
+    def ensure_cache_path(self):
+        os.makedirs(self._folder, mode=0o700, exist_ok=True)
+        super().ensure_cache_path()
 
     def get_source_stamp(self):
         return self._key

@@ -23,6 +23,7 @@ from rainsim.config.preset_files import (
     preset_names,
     preset_text,
 )
+from rainsim.config.ranges import check_ranges
 from rainsim.config.rules import check_sky, pair, require_whole, rounded
 from rainsim.errors import (
     ParameterError,
@@ -419,8 +420,10 @@ class Config:
                 raise ParameterError(f"at {time:g} s: {error}") from None
         for group in _GROUPS:
             getattr(self, group).check()
+            check_ranges(getattr(self, group))
         require_whole("frames", self.frames, 1, MAX_FRAMES)
         require_positive("fps", self.fps, "frames/s", "24 is usual")
+        check_ranges(self)
         for name in ("width", "height"):
             if getattr(self, name) is not None:
                 require_whole(name, getattr(self, name), MIN_SIDE, MAX_SIDE, "px")

@@ -14,6 +14,8 @@ from scipy.spatial import cKDTree
 
 from rainsim.errors import InputError
 from rainsim.io import images
+from rainsim.io.arrays import npy_header
+from rainsim.io.files import require_file
 from rainsim.lod.numbers import FinestNumbers
 from rainsim.lod.paged import rasterizer_of_scene
 from rainsim.render.labels import OTHER_CLASS
@@ -88,13 +90,21 @@ def _from_file(path, count):
         f"give an .npy of {count} whole numbers from 0 to {MOST_LABEL}, one a splat, or a folder"
     )
     try:
-        ids = np.load(path, allow_pickle=False)
-    except (OSError, ValueError, EOFError) as error:
-        raise InputError(f"labels {path} cannot be read ({error}); {remedy}") from None
-    whole = isinstance(ids, np.ndarray) and ids.dtype.kind in "iu"
-    if not whole or ids.shape != (count,) or ids.min() < 0 or ids.max() > MOST_LABEL:
-        shown = f"{ids.dtype} of shape {ids.shape}" if isinstance(ids, np.ndarray) else "no array"
-        raise InputError(f"labels {path} are {shown}; they must fit the scene's splats; {remedy}")
+        with open(require_file(path, "a file of labels", remedy), "rb") as file:
+            shape, _, dtype = npy_header(file)  # before memory is taken for what it promises
+            fits = dtype.kind in "iu" and shape == (count,)
+            ids = np.fromfile(file, dtype, count) if fits else np.zeros(0, int)
+    except InputError:
+        raise
+    except Exception as error:  # numpy raises whatever a damaged header leads to
+        text = f"labels {path} cannot be read ({type(error).__name__}: {error}); {remedy}"
+        raise InputError(text) from None
+    if len(ids) != count or ids.min() < 0 or ids.max() > MOST_LABEL:
+        values = f", cut or beyond 0 to {MOST_LABEL}" if fits else ""
+        raise InputError(
+            f"labels {path} are {dtype} of shape {shape}{values}; they must fit the scene's "
+            f"splats; {remedy}"
+        )
     return ids.astype(np.uint16)
 
 

@@ -93,6 +93,19 @@ async def _end(nannies):
             raise fault
 
 
+async def _require_answer(distributed, address, seconds):
+    """Raise OSError or ValueError unless a scheduler answers in time.
+
+    A client goes on trying for minutes where something takes the connection and says nothing.
+    """
+    arguments = distributed.Security().get_connection_args("client")
+    answer = distributed.comm.connect(address, timeout=seconds, **arguments)
+    try:
+        (await asyncio.wait_for(answer, seconds)).abort()
+    except TimeoutError:
+        raise OSError(f"not within {seconds:g} s") from None
+
+
 def _connected(distributed, address):
     """Return a client of the scheduler at an address."""
     if address.startswith("tls://"):
@@ -103,6 +116,7 @@ def _connected(distributed, address):
                 "certificate of the client; it must; see docs/many_machines.md"
             )
     try:
+        asyncio.run(_require_answer(distributed, address, PATIENCE / 4))
         return distributed.Client(address, timeout=PATIENCE / 4, set_as_default=False)
     except (OSError, ValueError) as error:
         raise BackendError(

@@ -136,7 +136,7 @@ class _Reader:
         """Return one array; `lengths` takes the lengths that its shape names."""
         info = members[name + ".npy"]
         with archive.open(info) as file:
-            shape, by_columns, dtype = _header(file)
+            shape, by_columns, dtype = npy_header(file)
             self._check_type(name, field, shape, dtype)
             self._check_shape(name, field, shape, lengths)
             count = 1
@@ -177,7 +177,7 @@ class _Reader:
             raise self.wrong(name, found, rule)
 
 
-def _header(file):
+def npy_header(file):
     """Return shape, whether columns come first, and dtype of the array that begins here."""
     version = np.lib.format.read_magic(file)
     read = {

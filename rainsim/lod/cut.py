@@ -41,7 +41,7 @@ ENVIRONMENT = f"env/{META}"
 WRITERS = 2  # threads
 
 
-def cut(folder, blocks, leaf=LEAF, tell=None, antialiased=False):
+def cut(folder, blocks, leaf=LEAF, tell=None, antialiased=False, keep=None):
     """Write a Streamed SOG of a capture.
 
     Parameters
@@ -57,6 +57,10 @@ def cut(folder, blocks, leaf=LEAF, tell=None, antialiased=False):
         tell(done, total) is called as splats are written.
     antialiased : bool
         Whether the chunks say that their splats were trained antialiased.
+    keep : object, optional
+        Of a cut that can be gone on with: its begin() is called before the first chunk is written,
+        has(name) says whether a chunk is there whole, and done(name) notes one that is. Without it
+        what a cut that fails has written is removed.
 
     Returns
     -------
@@ -83,15 +87,15 @@ def cut(folder, blocks, leaf=LEAF, tell=None, antialiased=False):
             is_broad = block.scale.max(axis=1) > broad
             sorted_.add(block.take(~is_broad), tree)
             sorted_.add_broad(block.take(is_broad))
-        return _write(folder, sorted_, tree, tell or (lambda done, total: None), antialiased)
+        chunks = _Chunks(folder, antialiased, keep)
+        return _write(chunks, sorted_, tree, tell or (lambda done, total: None))
 
 
-def _write(folder, sorted_, tree, tell, antialiased):
+def _write(chunks, sorted_, tree, tell):
     """Write all chunks and the index; return the number of splats of each level."""
     sides = _sides(sorted_)
-    chunks, total = _Chunks(folder, len(sides), antialiased), sorted_.count
-    boxes, runs, done = {}, {}, 0
-    with chunks:
+    boxes, runs, done, total = {}, {}, 0, sorted_.count
+    with chunks.of_levels(len(sides)):
         for leaf in range(tree.leaves):
             splats = sorted_.leaf(leaf)
             if not len(splats):
@@ -115,7 +119,7 @@ def _write(folder, sorted_, tree, tell, antialiased):
         "filenames": chunks.names,
         "tree": tree.nested(boxes, runs),
     }  # fmt: skip
-    with replacing(folder / LOD_META) as path:
+    with replacing(chunks.folder / LOD_META) as path:
         path.write_text(json.dumps(index, separators=(",", ":")), encoding="utf-8")
     return counts
 
@@ -330,15 +334,20 @@ class _Chunks:
     """Runs of splats on their way into chunks, level by level."""
 
     folder: Path
-    levels: int
     antialiased: bool
+    keep: object = None
     names: list = field(default_factory=list)
 
-    def __post_init__(self):
-        self._open = [[] for _ in range(self.levels)]
-        self._number = [0] * self.levels
-        self._file = [None] * self.levels
+    def of_levels(self, levels):
+        """Begin with so many levels."""
+        self.levels = levels
+        self._open = [[] for _ in range(levels)]
+        self._number = [0] * levels
+        self._file = [None] * levels
         self._pool, self._ahead = ThreadPoolExecutor(WRITERS), deque()
+        if self.keep is not None:
+            self.keep.begin()
+        return self
 
     def __enter__(self):
         return self
@@ -352,7 +361,7 @@ class _Chunks:
                     self._ahead.popleft().result()
         finally:
             self._pool.shutdown(cancel_futures=True)
-            if kind is not None:
+            if kind is not None and self.keep is None:
                 for name in [*self.names, ENVIRONMENT]:
                     shutil.rmtree((self.folder / name).parent, ignore_errors=True)
 
@@ -376,8 +385,13 @@ class _Chunks:
         self._file[level] = None
 
     def write(self, name, splats):
-        """Write a chunk beside the work on the next ones."""
+        """Write a chunk beside the work on the next ones, unless it is there."""
         while len(self._ahead) > WRITERS:
             self._ahead.popleft().result()
-        job = write_sog, (self.folder / name).parent, splats, self.antialiased
-        self._ahead.append(self._pool.submit(*job))
+        if self.keep is None or not self.keep.has(name):
+            self._ahead.append(self._pool.submit(self._write, name, splats))
+
+    def _write(self, name, splats):
+        write_sog((self.folder / name).parent, splats, self.antialiased)
+        if self.keep is not None:
+            self.keep.done(name)

@@ -127,6 +127,17 @@ def require_memory_of_dry(splats, camera, arrays=False, device_free=None):
     return _notes(need, _require(need, free_memory(), camera, FEWER))
 
 
+def require_memory_of_picture(camera, device_free=None):
+    """Raise ParameterError if one more picture does not fit, where scene and light are in memory.
+
+    The parameters are those of `require_memory`.
+    """
+    pixel, where = (PIXEL, "") if device_free is None else (DEVICE_PIXEL, " of the GPU")
+    size = pixel * camera.width * camera.height
+    free = free_memory() if device_free is None else device_free
+    _require(Need(_pictures("a picture", camera), size, pixel, where), free, camera, FEWER)
+
+
 def require_memory_of_water(cells):
     """Raise ParameterError if simulated states of a map do not fit; list a note if it is much.
 

@@ -27,6 +27,7 @@ VERSION = 1
 REMEDY = "docs/actors.md describes the file; correct it"
 MOST_NODES = 4096
 MOST_LAMPS = 4096
+MOST_PATH, MOST_PART = 1000, 250  # bytes of a path and of a name in it; longer ones no system opens
 FLOAT = float(np.finfo(np.float32).max)
 LONGEST = 1e9  # s
 SPLATS = ("position", "rotation", "scale", "opacity", "sh")
@@ -146,7 +147,8 @@ def _lamps(where, data):
         row = None
         if isinstance(entry, dict) and isinstance(entry.get("at"), list):
             row = number_array([*entry["at"], entry.get("radius")], (4,))
-        if row is None or row[3] <= 0 or entry.get("class") not in LUMINANCE:
+        kind = entry.get("class") if isinstance(entry, dict) else None
+        if row is None or row[3] <= 0 or not isinstance(kind, str) or kind not in LUMINANCE:
             raise InputError(
                 f"{where}: lamps has {shown(entry if entry is not None else data)}; it must be a "
                 f"list of at most {MOST_LAMPS} objects with class ({', '.join(LUMINANCE)}), at "
@@ -157,7 +159,8 @@ def _lamps(where, data):
 
 
 def _name(where, key, value):
-    if not isinstance(value, str) or not value or not value.isprintable():
+    name = value.encode() if isinstance(value, str) and value.isprintable() else b""
+    if not 0 < len(name) <= MOST_PATH or max(map(len, name.split(b"/"))) > MOST_PART:
         raise InputError(f"{where}: {key} is {shown(value)}; it must be a path; {REMEDY}")
     return value
 

@@ -6,9 +6,9 @@ import numpy as np
 
 from rainsim.errors import InputError, shown
 from rainsim.io.files import json_number, number_array
+from rainsim.scene.camera_rule import MAX_SIDE, RIGID_TOLERANCE, require_camera
+from rainsim.scene.types import Camera
 
-MAX_SIDE = 65_536  # px; anything longer is a damaged file
-RIGID_TOLERANCE = 1e-3  # files with six decimals pass, scaled or mirrored poses do not
 FLIP = np.array([1.0, -1.0, -1.0])  # OpenGL camera axes (y up, z back) to ours, and back
 
 
@@ -55,6 +55,10 @@ class Entry:
             u, _, v = np.linalg.svd(matrix)
             return u @ v
         return matrix
+
+    def camera(self, size, lens, pose, name):
+        """Return the `Camera` of a size, a lens (fx, fy, cx, cy) and a pose, checked."""
+        return require_camera(Camera(*size, *lens, pose, name), self.label)
 
     def error(self, key, rule):
         """Return the InputError for a value that breaks a rule."""

@@ -17,7 +17,7 @@ import numpy as np
 from rainsim.errors import InputError
 from rainsim.io.files import json_number, write_json
 from rainsim.scene.camera_entry import FLIP, Entry, pose_at
-from rainsim.scene.types import Camera
+from rainsim.scene.camera_rule import focal_length
 
 KINDS = ("perspective",)  # of `camera_type`: others are no pinhole cameras
 MOST_SECONDS = 86_400.0  # between two keyframes, and of rain
@@ -154,12 +154,13 @@ def path_keyframes(data, source):
 
 def _camera(entry, index, key="camera_to_world"):
     width, height = entry.side("render_width"), entry.side("render_height")
-    focal = height / 2 / math.tan(math.radians(entry.number("fov", 0, 180)) / 2)
+    focal = focal_length(height, math.radians(entry.number("fov", 0, 180)))
     matrix = np.reshape(entry.array(key, (16,)), (4, 4))
     rotation = entry.rotation(key, matrix[:3, :3]) * FLIP
     camera_from_world = pose_at(rotation.T, matrix[:3, 3])
     name = f"path_{index:05d}"
-    return Camera(width, height, focal, focal, width / 2, height / 2, camera_from_world, name)
+    lens = focal, focal, width / 2, height / 2
+    return entry.camera((width, height), lens, camera_from_world, name)
 
 
 def camera_path_data(poses, width, height, fps, keyframes=(), moments=()):

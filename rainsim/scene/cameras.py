@@ -15,16 +15,25 @@ import numpy as np
 
 from rainsim.errors import InputError, ParameterError
 from rainsim.io.files import json_number, number_array, printable_name, read_json, write_json
-from rainsim.scene.camera_entry import FLIP, MAX_SIDE, Entry, pose_at
+from rainsim.scene.camera_entry import FLIP, Entry, pose_at
 from rainsim.scene.camera_path import is_camera_path, path_cameras, path_moments
+from rainsim.scene.camera_rule import (
+    LEAST_FOV,
+    MAX_FOCAL,
+    MAX_SIDE,
+    MOST_FOV,
+    ROUNDING,
+    focal_length,
+    require_camera,
+)
 from rainsim.scene.colmap import MODEL_FILES, read_model
 from rainsim.scene.picture_size import with_size
 from rainsim.scene.types import Camera
 
-MAX_FOCAL = 1e9  # px
 JSON_FILES = ("cameras.json", "transforms.json")  # looked for in a folder, in this order
 DISTORTION = ("k1", "k2", "k3", "k4", "p1", "p2")
 MIRROR_CLEARANCE = 0.015  # m above the water: lower things cannot be distinguished from the ground
+PLACED = "choose another view, --width or --height"
 PINHOLES = ("PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "SIMPLE_RADIAL", "RADIAL")
 
 
@@ -177,16 +186,12 @@ def _capture_camera(entry):
     rotation = entry.rotation("rotation", entry.array("rotation", (3, 3)))
     width, height = entry.side("width"), entry.side("height")
     name = entry.get("img_name")
-    return Camera(
-        width=width,
-        height=height,
-        fx=entry.number("fx", 0, MAX_FOCAL),
-        fy=entry.number("fy", 0, MAX_FOCAL),
-        cx=width / 2,
-        cy=height / 2,
-        camera_from_world=pose_at(rotation.T, entry.array("position", (3,))),
-        name=printable_name(entry.get("id") if name is None else name),
-    )
+    focal = entry.number("fx", 0, MAX_FOCAL), entry.number("fy", 0, MAX_FOCAL)
+    return entry.camera(
+        (width, height), (*focal, width / 2, height / 2),
+        pose_at(rotation.T, entry.array("position", (3,))),
+        printable_name(entry.get("id") if name is None else name),
+    )  # fmt: skip
 
 
 def _nerf_camera(entry):
@@ -194,17 +199,10 @@ def _nerf_camera(entry):
     if model is not None and model not in PINHOLES:
         raise entry.error("camera_model", f"one of {', '.join(PINHOLES)}")
     width, height = entry.side("w"), entry.side("h")
-    fx, fy = _focal_lengths(entry, width, height)
-    return Camera(
-        width=width,
-        height=height,
-        fx=fx,
-        fy=fy,
-        cx=width / 2 if entry.get("cx") is None else entry.number("cx", -MAX_FOCAL, MAX_FOCAL),
-        cy=height / 2 if entry.get("cy") is None else entry.number("cy", -MAX_FOCAL, MAX_FOCAL),
-        camera_from_world=_nerf_pose(entry),
-        name=_nerf_name(entry),
-    )
+    cx = width / 2 if entry.get("cx") is None else entry.number("cx", -MAX_FOCAL, MAX_FOCAL)
+    cy = height / 2 if entry.get("cy") is None else entry.number("cy", -MAX_FOCAL, MAX_FOCAL)
+    lens = *_focal_lengths(entry, width, height), cx, cy
+    return entry.camera((width, height), lens, _nerf_pose(entry), _nerf_name(entry))
 
 
 def _focal_lengths(entry, width, height):
@@ -212,13 +210,13 @@ def _focal_lengths(entry, width, height):
     if entry.get("fl_x") is not None:
         fx = entry.number("fl_x", 0, MAX_FOCAL)
     elif entry.get("camera_angle_x") is not None:
-        fx = width / 2 / math.tan(entry.number("camera_angle_x", 0, math.pi) / 2)
+        fx = focal_length(width, entry.number("camera_angle_x", 0, math.pi))
     else:
         fx = None
     if entry.get("fl_y") is not None:
         fy = entry.number("fl_y", 0, MAX_FOCAL)
     elif entry.get("camera_angle_y") is not None:
-        fy = height / 2 / math.tan(entry.number("camera_angle_y", 0, math.pi) / 2)
+        fy = focal_length(height, entry.number("camera_angle_y", 0, math.pi))
     else:
         fy = fx
     if fy is None:
@@ -284,9 +282,10 @@ def look_at(eye, target, up, fov_degrees, width, height, name=""):
     """
     eye, target, up = (_vector(n, v) for n, v in (("eye", eye), ("look-at", target), ("up", up)))
     width, height = _side("width", width), _side("height", height)
-    if not 0 < fov_degrees < 180:  # false for NaN
+    if not LEAST_FOV / ROUNDING <= fov_degrees <= MOST_FOV * ROUNDING:  # false for NaN
         raise ParameterError(
-            f"fov is {fov_degrees} degrees; it must be above 0 and below 180; 60 is usual"
+            f"fov is {fov_degrees} degrees; it must be from {LEAST_FOV:g} to {MOST_FOV:g}; 60 is "
+            "usual"
         )
     forward = target - eye
     distance = np.linalg.norm(forward)
@@ -304,10 +303,11 @@ def look_at(eye, target, up, fov_degrees, width, height, name=""):
         )
     right /= length
     rotation = np.stack([right, np.cross(forward, right), forward])
-    focal = width / 2 / math.tan(math.radians(fov_degrees) / 2)
-    return Camera(
+    focal = focal_length(width, math.radians(fov_degrees))
+    camera = Camera(
         width, height, focal, focal, width / 2, height / 2, pose_at(rotation, eye), name=name
     )
+    return require_camera(camera, "the camera that is placed", ParameterError, PLACED)
 
 
 def orbit(ground_frame, cameras, target=None, count=24, width=None, height=None):
@@ -429,7 +429,8 @@ def resize_to(camera, width=None, height=None):
     scaled = camera.resized(width, same_shape)
     if height is None or _side("height", height) == same_shape:
         return scaled
-    return replace(scaled, height=height, cy=scaled.cy + (height - same_shape) / 2)
+    scaled = replace(scaled, height=height, cy=scaled.cy + (height - same_shape) / 2)
+    return require_camera(scaled, f"camera {camera.name}", ParameterError, PLACED)
 
 
 def _vector(name, value):

@@ -16,14 +16,13 @@ import numpy as np
 
 from rainsim.errors import InputError
 from rainsim.io.files import MAX_LENGTH, printable_name, read_text, require_file
+from rainsim.scene.camera_rule import require_camera
 from rainsim.scene.types import Camera
 
 PLACES = ("", "0", "sparse/0", "sparse", "colmap/sparse/0", "distorted/sparse/0")
 MODEL_FILES = ("cameras.bin", "images.bin", "cameras.txt", "images.txt")
 MOST_TEXT = 1 << 32  # bytes of a model as text; it lists each point that an image shows
 REMEDY = "export the model from COLMAP again"
-MAX_SIDE = 65_536  # px
-MAX_FOCAL = 1e9  # px
 NAME_LIMIT = 4096  # bytes of an image's name
 POINT = 24  # bytes of an observed point, which are skipped
 
@@ -173,13 +172,6 @@ def _camera(path, image, lenses, name):
     two = MODELS[lens.model][2]
     fx, fy = lens.values[0], lens.values[1 if two else 0]
     cx, cy = lens.values[2 if two else 1 :][:2]
-    sizes = 1 <= lens.width <= MAX_SIDE and 1 <= lens.height <= MAX_SIDE
-    focal = 0 < fx < MAX_FOCAL and 0 < fy < MAX_FOCAL
-    if not sizes or not focal or not abs(cx) < MAX_FOCAL or not abs(cy) < MAX_FOCAL:
-        raise InputError(
-            f"{label} is {lens.width} x {lens.height} px with focal lengths "
-            f"{fx:g}, {fy:g} and centre {cx:g}, {cy:g}; these must be a picture's; {REMEDY}"
-        )
     length = math.hypot(*image.turn)
     if not 1e-6 < length < 1e6 or not all(abs(v) < MAX_LENGTH for v in image.shift):
         raise InputError(
@@ -189,7 +181,8 @@ def _camera(path, image, lenses, name):
     pose = np.eye(4)
     pose[:3, :3] = _rotation(np.array(image.turn) / length)
     pose[:3, 3] = image.shift
-    return Camera(lens.width, lens.height, fx, fy, cx, cy, pose, name)
+    camera = Camera(lens.width, lens.height, fx, fy, cx, cy, pose, name)
+    return require_camera(camera, label, remedy=REMEDY)
 
 
 def _rotation(turn):

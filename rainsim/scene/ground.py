@@ -21,7 +21,7 @@ from rainsim.errors import (
     require_positive,
     shown,
 )
-from rainsim.io.files import json_number, number_array, read_json, write_json
+from rainsim.io.files import MAX_LENGTH, json_number, number_array, read_json, write_json
 from rainsim.scene.ground_search import (
     angle_between,
     ground_candidates,
@@ -267,7 +267,13 @@ def rescale_ground_frame(frame, cameras, meters_per_unit=None, camera_height=Non
 def scale_from_length(a, b, length):
     """Return the metres per unit if the points a and b [capture units] are `length` [m] apart."""
     length = require_positive("known-length", length, "m")
-    units = float(np.linalg.norm(np.subtract(a, b)))
+    ends = number_array([a, b], (2, 3))
+    if ends is None:
+        raise ParameterError(
+            f"known-length has the points {shown((a, b))}; they must be finite and less than "
+            f"{MAX_LENGTH:g} units away; pick points of the capture"
+        )
+    units = float(np.linalg.norm(ends[0] - ends[1]))
     if not units > 0:
         raise ParameterError(
             "known-length has the same point twice; the points must differ; pick two ends of "
@@ -351,14 +357,17 @@ def ground_frame_from_dict(data, source):
     notes = data.get("notes", [])
     if confidence is None or not 0 <= confidence <= 1 or not isinstance(notes, list):
         raise InputError(f"{source}: confidence must be 0 to 1 and notes a list; correct the file")
-    return GroundFrame(
-        rotation=rotation,
-        meters_per_unit=scale,
-        translation=_numbers(data, "translation", (3,), source),
-        confidence=confidence,
-        notes=tuple(map(one_line, notes)),
-        scale_assumed=data.get("scale_assumed") is True,
-    )
+    try:
+        return GroundFrame(
+            rotation=rotation,
+            meters_per_unit=scale,
+            translation=_numbers(data, "translation", (3,), source),
+            confidence=confidence,
+            notes=tuple(map(one_line, notes)),
+            scale_assumed=data.get("scale_assumed") is True,
+        )
+    except ParameterError as error:
+        raise InputError(f"{source}: {error}") from None
 
 
 def _numbers(data, key, shape, source):

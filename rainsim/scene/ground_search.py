@@ -18,6 +18,7 @@ AREA_CAP = 4.0  # times the median area: a big splat must not outweigh the pavin
 LEAST_SHARE = 0.1  # of the splats must be as near as the cameras, or the search starts wider:
 START_SHARE = 0.4  # around one garden camera 0.2 sees lawn only, 2 degrees off; 0.4 is 0.2 off
 GROWTH = 1.5  # of the search radius when the ground is not within it
+LEAST_RADIUS = 1e-4  # of the farthest: where many splats are in one point a radius of 0 never grows
 
 
 def search_ground(splats, eyes, up, max_angle, seed, up_given):
@@ -34,7 +35,7 @@ def search_ground(splats, eyes, up, max_angle, seed, up_given):
         radius = start
     if not len(eyes) and up is None:  # only its width distinguishes the ground from a table
         radius = farthest
-    radii = [radius]
+    radii = [max(radius, LEAST_RADIUS * farthest)]
     while radii[-1] < farthest:
         radii.append(radii[-1] * GROWTH)
     best = None

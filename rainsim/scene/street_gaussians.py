@@ -21,8 +21,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from rainsim.errors import InputError, shown
-from rainsim.io.files import json_number, printable_name, read_json, read_text
+from rainsim.io.files import MAX_LENGTH, json_number, printable_name, read_json, read_text
 from rainsim.scene.actors import Actor, ColorSeries, Track, joined
+from rainsim.scene.camera_rule import is_rigid
 from rainsim.scene.ply import read_element
 from rainsim.scene.plyheader import read_header
 
@@ -183,9 +184,10 @@ def _rows(path):
 
 def _number(word):
     try:
-        return json_number(float(word))
+        value = json_number(float(word))
     except ValueError:
         return None
+    return None if value is None or abs(value) > MAX_LENGTH else value
 
 
 def _times(path):
@@ -212,7 +214,13 @@ def _poses(folder):
         values = [_number(word) for word in read_text(path, "a pose").split()]
         if len(values) != 16 or None in values:
             raise InputError(f"{path} holds no 4 x 4 numbers; {REMEDY}")
-        poses[int(path.stem)] = np.array(values).reshape(4, 4)
+        pose = np.array(values).reshape(4, 4)
+        if not is_rigid(pose):
+            raise InputError(
+                f"{path} is no pose; it must be a rotation, not mirrored or scaled, and a place; "
+                f"{REMEDY}"
+            )
+        poses[int(path.stem)] = pose
     if not poses:
         raise InputError(f"{folder} has no poses NNNNNN.txt; {REMEDY}")
     middle = np.mean([pose[:3, 3] for pose in poses.values()], axis=0)

@@ -8,7 +8,9 @@ and a file from anywhere can do no more than be refused.
 
 from __future__ import annotations
 
+import io
 import pickle
+import pickletools
 import zipfile
 from collections import OrderedDict
 from typing import NamedTuple
@@ -19,7 +21,8 @@ from rainsim.errors import InputError, shown
 from rainsim.io.files import require_file
 
 REMEDY = "save the weights again with torch.save, tensors and plain values only"
-MOST_PICKLE = 1 << 26  # bytes of data.pkl; a real one has some ten thousand
+MOST_PICKLE = 1 << 22  # bytes of data.pkl; a real one has some ten thousand
+MOST_COPIES = 4  # of a file's bytes in its tensors: real ones name each storage once
 MOST_AXES = 16
 TYPES = {
     "FloatStorage": "<f4", "DoubleStorage": "<f8", "HalfStorage": "<f2", "LongStorage": "<i8",
@@ -68,8 +71,9 @@ def read_weights(path):
             _require_little_endian(path, archive, folder, names)
             if archive.getinfo(found[0]).file_size > MOST_PICKLE:
                 raise InputError(f"{path}: its index has over {MOST_PICKLE} bytes; {REMEDY}")
-            with archive.open(found[0]) as file:
-                return _Reader(file, path, archive, folder).load()
+            index = archive.read(found[0])
+            _require_small_memo(index)
+            return _Reader(index, path, archive, folder).load()
     except InputError:
         raise
     except zipfile.BadZipFile:
@@ -87,13 +91,24 @@ def _require_little_endian(path, archive, folder, names):
         raise InputError(f"{path} is big-endian; little-endian weights are read; {REMEDY}")
 
 
+def _require_small_memo(index):
+    """Raise ValueError if a pickle numbers what it remembers beyond what it can hold.
+
+    pickle makes a table as long as the largest number: nine bytes would take gigabytes.
+    """
+    for code, number, _ in pickletools.genops(index):
+        if code.name in ("PUT", "LONG_BINPUT") and number > len(index):
+            raise ValueError("a memo beyond the file")
+
+
 class _Reader(pickle.Unpickler):
     """Reads the index; every name that it asks for is looked up in `_KNOWN`."""
 
-    def __init__(self, file, path, archive, folder):
-        super().__init__(file)
+    def __init__(self, index, path, archive, folder):
+        super().__init__(io.BytesIO(index))
         self._path, self._archive, self._folder = path, archive, folder
         self._storages = {}
+        self._left = MOST_COPIES * path.stat().st_size
 
     def find_class(self, module, name):
         """Return what stands for a name; refuse unknown ones."""
@@ -104,7 +119,14 @@ class _Reader(pickle.Unpickler):
                 f"{self._path} asks for {shown(f'{module}.{name}')}; only weights are read and no "
                 f"code is run; {REMEDY}"
             )
-        return _KNOWN[module, name]
+        return self._tensor if name == "_rebuild_tensor_v2" else _KNOWN[module, name]
+
+    def _tensor(self, *given):
+        tensor = _tensor(*given)
+        self._left -= tensor.nbytes
+        if self._left < 0:
+            raise ValueError("more tensors than numbers")
+        return tensor
 
     def persistent_load(self, pid):
         """Return the storage that a tensor names."""

@@ -16,8 +16,12 @@ from pathlib import Path
 
 import numpy as np
 
+from rainsim.errors import ParameterError
 from rainsim.numerics.blocks import in_blocks
 from rainsim.scene.painted import PaintedClasses
+
+SCALES = 1e-6, 1e6  # m per capture unit, least and greatest
+FARTHEST = 1e9  # m to the ground's origin
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,6 +168,20 @@ class GroundFrame:
     confidence: float = 1.0
     notes: tuple = ()
     scale_assumed: bool = False
+
+    def __post_init__(self):
+        """Raise ParameterError unless scale and origin are such that metres can be computed."""
+        low, high = SCALES
+        if not low <= self.meters_per_unit <= high:  # false for NaN
+            raise ParameterError(
+                f"the scale is {self.meters_per_unit:g} m per capture unit; it must lie from "
+                f"{low:g} to {high:g}; give another --meters-per-unit, --camera-height or length"
+            )
+        if not (np.abs(self.translation) < FARTHEST).all():
+            raise ParameterError(
+                f"the ground's origin is {np.abs(self.translation).max():g} m away; it must be "
+                f"within {FARTHEST:g} m; check scale and capture"
+            )
 
     def to_ground(self, points):
         """Take points of shape (..., 3) from the capture frame to the ground frame [m]."""

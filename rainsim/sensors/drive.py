@@ -12,8 +12,16 @@ from rainsim.config.settings import mm_per_hour
 from rainsim.drops import Weather
 from rainsim.errors import InputError, ParameterError
 from rainsim.io.files import read_json, replacing, write_json
+from rainsim.io.fingerprint import fingerprint
+from rainsim.io.journal import Journal
 from rainsim.lod.ground import scene_in_reach
-from rainsim.output_folder import input_facts, versions
+from rainsim.output_folder import (
+    TEMPORARY,
+    input_facts,
+    scene_content,
+    settings_content,
+    versions,
+)
 from rainsim.pipeline import extract_terrain, simulate
 from rainsim.render.node_labels import box_in_space
 from rainsim.render.weather import weather_of
@@ -27,9 +35,11 @@ from rainsim.shading.wetness import paving_dampness
 
 CARD = "lidar.json"
 CARD_VERSION = 1
+JOURNAL = "turns.jsonl"  # which turns are whole
+WRITER = {"rainsim_lidar": CARD_VERSION, "program": "rainsim", "version": __version__}
 OURS = re.compile(
     r"(clear|rain/[\d.]+mm)/((velodyne|labels)/\d{6}\.(bin|label)|points/\d{6}\.(pcd|ply))"
-    r"|poses\.txt"
+    r"|poses\.txt|turns\.jsonl"
 )
 SAMPLES = 2000  # targets that LISA's expectation is averaged over
 
@@ -44,28 +54,78 @@ class LidarFolder:
     kind : {"kitti", "pcd", "ply"}
     overwrite : bool
         Whether it may hold an earlier result, whose files are removed.
+    resume : bool
+        Whether to go on with an unfinished scan in the folder.
+
+    Attributes
+    ----------
+    kept : dict of int to dict
+        The journal's entries of the turns that need not be scanned.
     """
 
-    def __init__(self, folder, kind, overwrite=False):
-        self.folder, self.kind, self.files = folder, kind, []
-        before = _card_in(folder)
-        if overwrite and before is None:
+    def __init__(self, folder, kind, overwrite=False, resume=False):
+        self.folder, self.kind, self.files, self.kept = folder, kind, [], {}
+        self._journal = Journal(folder, JOURNAL, OURS.fullmatch)
+        self._before, self._resumes = _card_in(folder), resume
+        if (overwrite or resume) and self._before is None:
             found = [p.name for p in folder.iterdir() if not p.name.startswith(".rainsim")]
+            found = [name for name in found if not TEMPORARY.fullmatch(name)]
             if found:
                 raise ParameterError(
                     f"output folder {folder} holds {found[0]} and no turns of a lidar; --overwrite "
-                    "replaces those only; give another --out"
+                    "and --resume replace those only; give another --out"
                 )
-        self._before = [name for name in (before or {}).get("files", ())
-                        if isinstance(name, str) and OURS.fullmatch(name)]  # fmt: skip
 
-    def begin(self):
-        """Remove the files of an earlier result."""
-        for name in self._before:
-            (self.folder / name).unlink(missing_ok=True)
+    def begin(self, content, count):
+        """Find what is kept of an unfinished scan, or remove the files of an earlier one.
 
-    def add(self, where, turn, scan, channels):
-        """Write a turn into the folder `where` of its rain."""
+        Parameters
+        ----------
+        content : dict
+            Plain JSON values that the turns depend on.
+        count : int
+            Of the turns of all rains.
+        """
+        self.fingerprint, before = fingerprint(content), self._before or {}
+        if self._resumes and before:
+            if before.get("fingerprint") != self.fingerprint:
+                raise ParameterError(
+                    f"the scan in {self.folder} was another: other scene, sensor, rains, place, "
+                    "settings or version; --resume goes on with the very same scan only; give "
+                    "another --out, or --overwrite to replace its turns"
+                )
+            found = self._journal.finished(range(count)).items()
+            self.kept = {n: entry for n, entry in found if _has_facts(entry)}
+        noted = [name for e in self._journal.entries().values() for name in e["files"]]
+        kept = {name for entry in self.kept.values() for name in entry["files"]}
+        for name in {*noted, *before.get("files", ())} - kept:
+            if isinstance(name, str) and OURS.fullmatch(name):
+                (self.folder / name).unlink(missing_ok=True)
+        for path in self.folder.rglob(".*"):  # of a scan that was killed
+            if path.is_file() and TEMPORARY.fullmatch(path.name):
+                path.unlink()
+        if self.kept:
+            self._journal.begin_line()
+        else:
+            self._journal.path.unlink(missing_ok=True)
+        self._write_card({"complete": False})  # a scan that is killed can be gone on with
+
+    def finish(self, card):
+        """Write the card of a whole scan, which needs no journal any more."""
+        self._write_card({**card, "complete": True, "files": sorted([*self.files, JOURNAL])})
+
+    def _write_card(self, facts):
+        write_json(self.folder / CARD, WRITER | {"fingerprint": self.fingerprint} | facts)
+
+    def keep(self, number):
+        """Return the journal's entry of a turn that is kept, None if it is to be scanned."""
+        entry = self.kept.get(number)
+        if entry is not None:
+            self.files += entry["files"]
+        return entry
+
+    def add(self, number, where, turn, scan, channels, facts):
+        """Write a turn into the folder `where` of its rain, and note it with facts."""
         if self.kind == "kitti":
             files = {f"velodyne/{turn:06d}.bin": point_files.kitti_bin(scan),
                      f"labels/{turn:06d}.label": point_files.kitti_labels(scan)}  # fmt: skip
@@ -75,6 +135,7 @@ class LidarFolder:
             files = {f"points/{turn:06d}.ply": point_files.ply_bytes(scan)}
         for name, content in files.items():
             self.write(f"{where}/{name}", content)
+        self._journal.add(number, [f"{where}/{name}" for name in files], **facts)
 
     def write(self, name, content):
         """Write a file of bytes."""
@@ -83,6 +144,10 @@ class LidarFolder:
         with replacing(path) as temporary:
             temporary.write_bytes(content)
         self.files.append(name)
+
+
+def _has_facts(entry):
+    return isinstance(entry.get("points"), dict) and isinstance(entry.get("share"), float)
 
 
 def _card_in(folder):
@@ -127,51 +192,63 @@ def scan_rains(
     pose = Pose(pose.position, pose.rotation, speed * pose.rotation[:, 0])
     way = [_moved(pose, turn / lidar.rate).position for turn in range(turns + 1)]
     scanner = LidarScanner(_in_reach(scene, way, lidar, say), terrain, albedo)
-    folder.begin()
+    folder.begin({
+        "scene": scene_content(scene), "settings": settings_content(config), "rates": list(rates),
+        "sensor": sensor, "kind": folder.kind, "turns": turns, "speed": speed, "height": height,
+        "place": pose.position.tolist(), "turn": pose.rotation.tolist(),
+    }, turns * len(rates))  # fmt: skip
     rains, done = [], 0
     for rate in rates:
         own = config.replace(rate=mm_per_hour(rate), frames=turns, fps=lidar.rate)
         own = own if rate > 0 else own.replace(past=0.0, level=None)
         weather, states = Weather(own.check()), simulate(terrain, own)
-        where, counts, shares = f"rain/{rate:g}mm" if rate > 0 else "clear", {}, []
+        where, counts, shares, ahead = f"rain/{rate:g}mm" if rate > 0 else "clear", {}, [], -1
         for turn in range(turns):
             begin = turn / lidar.rate
             field = weather.field(begin, begin + 1 / lidar.rate)
-            state, here = next(states), _moved(pose, begin)
-            # Noise of its own for each turn and rain, whatever is scanned besides.
-            rng = np.random.default_rng([own.rain.seed, turn, round(rate * 1e6)])
-            damp = paving_dampness(own.at(begin)) if rate > 0 else 0.0
-            scan = scanner.scan(lidar, here, begin, rng, field, state, damp)
-            folder.add(where, turn, scan, len(lidar.elevation))
-            for label, name in LABEL_NAMES.items():
-                counts[name] = counts.get(name, 0) + int((scan.label == label).sum())
-            shares.append(_expected(scan, lidar, field))
+            facts = folder.keep(done)
+            if facts is None:
+                while ahead < turn:  # each state follows from the one before
+                    state, ahead = next(states), ahead + 1
+                # Noise of its own for each turn and rain, whatever is scanned besides.
+                rng = np.random.default_rng([own.rain.seed, turn, round(rate * 1e6)])
+                damp = paving_dampness(own.at(begin)) if rate > 0 else 0.0
+                scan = scanner.scan(lidar, _moved(pose, begin), begin, rng, field, state, damp)
+                points = {n: int((scan.label == k).sum()) for k, n in LABEL_NAMES.items()}
+                facts = {"points": points, "share": _expected(scan, lidar, field)}
+                folder.add(done, where, turn, scan, len(lidar.elevation), facts)
+            for name, count in facts["points"].items():
+                counts[name] = counts.get(name, 0) + count
+            shares.append(facts["share"])
             done += 1
             tell("turns", done, turns * len(rates))
-        rains.append({
-            "folder": where, **weather_of(own, field), "points": counts,
-            "lidar_extinction_per_m": 0.0 if field is None else extinction_of(field.spectrum),
-            "scattered_share": counts["scattered"] / max(sum(counts.values()), 1),
-            "scattered_share_by_lisa": float(np.mean(shares)),
-            "radar_db_per_km_vertical_77_ghz": round(float(rain_attenuation(rate, 77.0)), 4),
-        })  # fmt: skip
+        rains.append({"folder": where, **_rain_facts(rate, own, field, counts, shares)})
     poses = [_moved(pose, turn / lidar.rate) for turn in range(turns)]
     lines = ["".join(_row(p)) for p in poses]
     folder.write("poses.txt", "".join(lines).encode())
     card = {
-        "rainsim_lidar": CARD_VERSION, "program": "rainsim", "version": __version__,
         "command": ["rainsim", *sys.argv[1:]],
         "versions": versions(), "input": input_facts(scene, folder.folder), "sensor": sensor,
         "channels": len(lidar.elevation), "columns": lidar.columns, "far_m": lidar.far,
         "turns_per_s": lidar.rate, "divergence_rad": lidar.divergence, "speed_m_per_s": speed,
         "labels": {str(k): name for k, name in LABEL_NAMES.items()},
         "reflectivity_of_white": round(albedo, 4), "seed": config.rain.seed, "rains": rains,
-        "files": sorted(folder.files),
     }  # fmt: skip
     if scene.actors:
         card["nodes"] = _nodes(scene, lidar.rate, turns)
-    write_json(folder.folder / CARD, card)
-    return card
+    folder.finish(card)
+    return WRITER | card
+
+
+def _rain_facts(rate, config, field, counts, shares):
+    """Return what a card says of one rain [mm/h]: its weather, and what became of the pulses."""
+    return {
+        **weather_of(config, field), "points": counts,
+        "lidar_extinction_per_m": 0.0 if field is None else extinction_of(field.spectrum),
+        "scattered_share": counts["scattered"] / max(sum(counts.values()), 1),
+        "scattered_share_by_lisa": float(np.mean(shares)),
+        "radar_db_per_km_vertical_77_ghz": round(float(rain_attenuation(rate, 77.0)), 4),
+    }  # fmt: skip
 
 
 def _in_reach(scene, way, lidar, say):

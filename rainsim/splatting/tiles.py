@@ -17,7 +17,9 @@ from rainsim.splatting.prepared import LANES
 from rainsim.splatting.project import BLOCKS, TILE_SHIFT
 
 FEW = 48  # entries up to which insertion beats the radix sort
+MANY = 1 << 14  # entries from which on each bit of the depths is sorted by
 DIGIT_BITS = 8
+LAST_BIT = np.uint64(63)
 DIGITS = 1 << DIGIT_BITS
 DIGIT = np.uint64(DIGITS - 1)
 # An entry of a tile's list: the depth's highest 38 bits as float64, without its sign, then the
@@ -83,8 +85,10 @@ def sort_keys(key, spare, histogram, n):
     """Sort key[:n]: by insertion if few; else by radix, and what is out of order then by insertion.
 
     The radix passes look at the highest 16 bits of the depths' span, two digits of a byte: after
-    them hardly a key is more than a place or two from where it belongs. Whole keys are compared at
-    the end, so ties in depth end in the order of the records.
+    them hardly a key is more than a place or two from where it belongs. Of MANY keys they look at
+    all bits: millions of splats in one place may share the highest, and insertion takes the square
+    of their number. Whole keys are compared at the end, so ties in depth end in the order of the
+    records.
     """
     if n >= FEW:
         low, high = key[0], key[0]
@@ -92,11 +96,16 @@ def sort_keys(key, spare, histogram, n):
             low, high = min(low, key[i]), max(high, key[i])
         span = (high - low) >> RECORD_SHIFT
         shift = RECORD_SHIFT
-        while span >> np.uint64(2 * DIGIT_BITS):
+        while n < MANY and span >> np.uint64(2 * DIGIT_BITS):
             span >>= np.uint64(1)
             shift += np.uint64(1)
-        scatter(key, spare, histogram, n, low, shift)
-        scatter(spare, key, histogram, n, low, shift + np.uint64(DIGIT_BITS))
+        is_left = True
+        while is_left:
+            scatter(key, spare, histogram, n, low, shift)
+            scatter(spare, key, histogram, n, low, min(shift + np.uint64(DIGIT_BITS), LAST_BIT))
+            span >>= np.uint64(2 * DIGIT_BITS)
+            shift += np.uint64(2 * DIGIT_BITS)
+            is_left = span > 0
     for i in range(1, n):
         k = key[i]
         j = i - 1

@@ -7,9 +7,7 @@ viser. Callbacks run in viser's threads and only hand on to the `Painter`.
 from __future__ import annotations
 
 import contextlib
-import functools
 import io
-import math
 import re
 import threading
 import time
@@ -17,12 +15,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rainsim.errors import BackendError, ParameterError, RainsimError
+from rainsim.errors import BackendError, ParameterError
 from rainsim.view import schedule
 from rainsim.view.modes import MODES, PUDDLES, RAIN
 from rainsim.view.page_ground import GroundTools
 from rainsim.view.page_home import HomeTools
+from rainsim.view.page_messages import MOST_BYTES, Checks, connections_of, may_show
 from rainsim.view.page_settings import SettingsTools
+from rainsim.view.painter import named
 from rainsim.view.session import View
 
 HOST = "127.0.0.1"  # no other: the server has no sign-in
@@ -82,7 +82,9 @@ class Page:
         self._greeting = greeting
         self._has_nodes = False
         self._threads = []
-        self.server = _server(port)
+        checks = Checks()
+        self.server = _server(port, checks)
+        checks.controls, checks.complain = self._controls, self._complain_to
         self.server.request_share_url = lambda *_, **__: None  # no tunnel to the world
         self.server.gui.configure_theme(show_share_button=False, show_logo=False, dark_mode=True)
         self._place(first)
@@ -141,12 +143,11 @@ class Page:
 
     def _look(self, key, camera):
         client = self.clients.get(key)
-        fov, aspect = float(camera.fov), float(camera.aspect)
-        if client is None or not (0 < fov < math.pi and 0.05 < aspect < 20):
+        if client is None:
             return
         position, turn = (tuple(map(float, v)) for v in (camera.position, camera.wxyz))
-        client.view = View(position, turn, fov)
-        self.painter.look(key, client.view, aspect)
+        client.view = View(position, turn, float(camera.fov))
+        self.painter.look(key, client.view, float(camera.aspect))
 
     def show(self, key, shown):
         """Show a picture to a client; called by the drawing thread."""
@@ -193,10 +194,23 @@ class Page:
         def callback(event):
             try:
                 function(event)
-            except (RainsimError, OSError) as error:
-                self.complain(getattr(event, "client", None), error)
+            except Exception as error:  # of any kind: one page's value must not end the server
+                self.complain(getattr(event, "client", None), named(error))
 
         return callback
+
+    def _controls(self):
+        """Yield the controls of all pages and of each, by their identifiers."""
+        for owner in (self.server, *(c.handle for c in list(self.clients.values()))):
+            yield owner.gui._gui_input_handle_from_uuid
+
+    def _complain_to(self, connection, error):
+        """Tell the page at the end of a connection what was wrong with its message."""
+        live = self.server._websock_server._live_connections
+        key = next((key for key, one in list(live.items()) if one is connection), None)
+        client = self.clients.get(key)
+        if client is not None and may_show(connection):
+            self.complain(client.handle, error)
 
     def view_of(self, event):
         """Return the View of the page that an event came from."""
@@ -231,26 +245,31 @@ def _looking(view):
     return position, position + forward * min(max(away, 0.5), 4 * LOOK_AHEAD)
 
 
-def _server(port):
+def _server(port, checks):
     try:
         import viser
     except ImportError:
         raise BackendError(REMEDY) from None
-    with contextlib.redirect_stdout(io.StringIO()), _own_pages_only():
+    with contextlib.redirect_stdout(io.StringIO()), _own_pages_only(checks):
         return viser.ViserServer(host=HOST, port=port, label="rainsim", verbose=False)
 
 
 @contextlib.contextmanager
-def _own_pages_only():
-    """Let servers that start in this block refuse the pages of other sites.
+def _own_pages_only(checks):
+    """Let servers that start in this block refuse the pages of other sites and what is no message.
 
     A browser lets every site open a socket to 127.0.0.1 and says which site it is. viser has no
-    option for that check, which its socket library makes.
+    option for that check, nor for one of values, which its socket library makes.
     """
     from websockets.asyncio import server
 
     serve = server.serve
-    server.serve = functools.partial(serve, origins=[OWN_PAGES, None])  # None: not a browser
+
+    def checked(*given, **named):
+        named |= {"origins": [OWN_PAGES, None], "max_size": MOST_BYTES}  # None: not a browser
+        return serve(*given, **named, create_connection=connections_of(checks))
+
+    server.serve = checked
     try:
         yield
     finally:

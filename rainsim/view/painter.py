@@ -40,6 +40,13 @@ class Shown:
     seconds: float
 
 
+def named(error):
+    """Return an error as pages show it: those of the program itself by their kind, too."""
+    if isinstance(error, RainsimError | OSError):
+        return error
+    return RainsimError(f"that cannot be done ({type(error).__name__}: {error}); undo the change")
+
+
 class Painter:
     """Draws for all clients in one thread, the one that runs `run`.
 
@@ -241,8 +248,8 @@ class Painter:
         except OutOfDateError:
             self.schedule.given_up(job, self._now())
             return
-        except RainsimError as error:
-            self._give_in(job, error)
+        except Exception as error:  # of any kind: the thread must go on for the other pages
+            self._give_in(job, named(error))
             return
         seconds = self._now() - begin
         if job.step == schedule.SMALL:

@@ -12,15 +12,17 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from rainsim.backend import free_device_memory, on_backend
-from rainsim.errors import GroundError
+from rainsim.errors import GroundError, ParameterError, shown
+from rainsim.io.files import number_array
 from rainsim.lod.paged import rasterizer_of_scene
 from rainsim.pipeline import extract_terrain
-from rainsim.render.memory import require_memory
+from rainsim.render.memory import require_memory, require_memory_of_picture
 from rainsim.render.renderer import Renderer
 from rainsim.render.report import Timer
 from rainsim.render.shutter import shutter_end
 from rainsim.render.wet_scene import NEAR
 from rainsim.scene.camera_path import camera_path_data, path_cameras
+from rainsim.scene.camera_rule import RIGID_TOLERANCE
 from rainsim.scene.cameras import resize_to
 from rainsim.terrain.classify import painted_mask
 from rainsim.terrain.movers import with_movers
@@ -47,6 +49,16 @@ class View:
     position: tuple
     turn: tuple
     fov: float
+
+    def __post_init__(self):
+        """Raise ParameterError unless these are a place, a turn and an angle: pages send them."""
+        position, turn = number_array(self.position, (3,)), number_array(self.turn, (4,))
+        is_turn = turn is not None and abs(np.linalg.norm(turn) - 1) < RIGID_TOLERANCE
+        if position is None or not is_turn or not 0 < self.fov < math.pi:  # false for NaN
+            raise ParameterError(
+                f"the view is {shown((self.position, self.turn, self.fov))}; it must be a place, a "
+                "unit quaternion and an angle below 180 degrees; move the camera"
+            )
 
     @property
     def rotation(self):
@@ -281,7 +293,9 @@ class Session:
         self._follow(self.config)
         key = view, width, height, simple
         if self._camera is None or self._camera[0] != key:
-            self._camera = key, self.camera_of(view, width, height)
+            camera = self.camera_of(view, width, height)
+            require_memory_of_picture(camera, free_device_memory(self.backend))
+            self._camera = key, camera
             self._simplify(simple)
         return self.draw_camera(self._camera[1], index, None, names, check)
 
@@ -334,7 +348,9 @@ class Session:
         picture : ndarray of shape (height, width, 3), uint8
         depth : ndarray of shape (height, width), float32 [m]
         """
-        layers = self.dry(self.camera_of(view, width, height))
+        camera = self.camera_of(view, width, height)
+        require_memory_of_picture(camera)
+        layers = self.dry(camera)
         picture = np.rint(np.clip(layers.color, 0, 1) * 255).astype(np.uint8)
         return picture, layers.depth * np.float32(self.scene.ground_frame.meters_per_unit)
 

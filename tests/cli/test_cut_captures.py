@@ -1,11 +1,14 @@
 """`rainsim import --lod` and what runs on its chunks, as a user calls them."""
 
 import json
+from functools import partial
 from pathlib import Path
 
 import pytest
 
 from made_captures import write_model_folder
+from rainsim.lod import cut
+from run_folders import facts, written
 from scenes import tiny_scene
 
 pytest.importorskip("gsply")
@@ -46,7 +49,7 @@ def test_what_cannot_be_cut_or_drawn_is_refused_in_one_line(rainsim, model, tmp_
     before = {p: p.read_bytes() for p in Path(tmp_path / "scene").rglob("*") if p.is_file()}
     for command in (
         ["import", model, "--lod", "--out", "scene"],
-        ["import", model, "--lod", "--out", "scene", "--overwrite"],
+        ["import", model, "--lod", "--out", "scene", "--resume"],
         ["import", "scene", "--lod", "--out", "again"],
         ["import", "scene/lod-meta.json", "--lod", "--out", "again"],
         ["import", "scene", "--out", "copy"],
@@ -58,3 +61,36 @@ def test_what_cannot_be_cut_or_drawn_is_refused_in_one_line(rainsim, model, tmp_
         assert "Traceback" not in done.err and done.err.count("Error:") == 1, done.err
     now = {p: p.read_bytes() for p in Path(tmp_path / "scene").rglob("*") if p.is_file()}
     assert now == before
+
+
+def test_an_interrupted_cut_goes_on_or_is_replaced(rainsim, model, tmp_path, monkeypatch):
+    monkeypatch.setattr(cut, "CHUNK", 500)
+    monkeypatch.setattr(cut, "cut", partial(cut.cut, leaf=300))
+    words = ["import", model, "--lod", "--meters-per-unit", 0.6, "--out"]
+    assert rainsim(*words, "whole").code == 0
+    write, written_now = cut.write_sog, []
+
+    def until_the_third(folder, *more):
+        written_now.append(folder.name)
+        if len(written_now) == 3:
+            raise KeyboardInterrupt
+        write(folder, *more)
+
+    monkeypatch.setattr(cut, "write_sog", until_the_third)
+    monkeypatch.setattr(cut, "WRITERS", 1)
+    assert rainsim(*words, "out").code == 130
+    first = set(written_now[:2])
+    assert len(first) == 2 and not (tmp_path / "out/lod-meta.json").exists()
+    assert rainsim(*words, "out").code == 2
+    other = rainsim("import", model, "--lod", "--meters-per-unit", 1, "--out", "out", "--resume")
+    assert other.code == 2 and "was another" in other.error
+    done = rainsim(*words, "out", "--resume")
+    assert done.code == 0 and not first & set(written_now[3:]), done.err
+    assert written(tmp_path / "out") == written(tmp_path / "whole")
+    assert facts(tmp_path / "out") == facts(tmp_path / "whole")
+
+    (tmp_path / "out/notes.txt").write_text("keep")
+    words[words.index(0.6)] = 1
+    assert rainsim(*words, "out", "--overwrite").code == 0
+    record = set(facts(tmp_path / "out")["files"]) | {"notes.txt"}
+    assert set(written(tmp_path / "out")) == record - {"finished.jsonl"}

@@ -192,7 +192,7 @@ def test_wet_glass_behind_a_lens_and_a_wiper(export, path_file, tmp_path):
         (("--views", "nobody"), "has no camera 'nobody'"),
         (("--lens", "opencv:1"), "must be 4 or 5 finite numbers"),
         (("--path", "x.json", "--views", "2"), "sequence of its own"),
-        (("--labels", "none.npy"), "labels none.npy cannot be read"),
+        (("--labels", "none.npy"), "none.npy does not exist; a file of labels"),
         (("--rolling", "500"), "at most 200 ms"),
         (("--glass", "10,500"), "0 to 100 m/s"),
         (("--wiper", "2"), "--wiper clears the glass of --glass"),

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from rainsim.scene.folder import write_scene
+from rainsim.sensors.drive import LidarFolder
 from scenes import moving_scene
 
 MAP = ["--spacing", "0.04", "--extent", "1"]
@@ -63,6 +64,7 @@ def test_only_turns_are_replaced(lidar, tmp_path):
 @pytest.mark.parametrize(
     "words, message",
     [(("--rain", "x"), "--rain is 'x'"), (("--speed", "500"), "--speed is 500"),
+     (("--height", "1e300"), "--height is 1e+300 m; it must lie"),
      (("--camera", "nobody"), "has no camera 'nobody'")],
 )  # fmt: skip
 def test_wrong_options_are_named(lidar, words, message):
@@ -87,3 +89,42 @@ def test_nodes_are_numbered_in_labels_and_have_boxes(rainsim, tmp_path):
     pose = np.loadtxt(tmp_path / "turns/poses.txt").reshape(-1, 3, 4)[1]
     place = point[on, :3] @ pose[:, :3].T + pose[:, 3]
     assert np.linalg.norm(place - second, axis=1).max() < 0.5
+
+
+def test_an_interrupted_scan_goes_on_or_is_replaced(lidar, tmp_path, monkeypatch):
+    words = "--sensor", "hdl32", "--turns", "2", "--rain", "0,50"
+    assert lidar("whole", *words).code == 0
+    add, added = LidarFolder.add, []
+
+    def until_the_third(self, number, *more):
+        added.append(number)
+        if len(added) == 3:
+            raise KeyboardInterrupt
+        add(self, number, *more)
+
+    monkeypatch.setattr(LidarFolder, "add", until_the_third)
+    assert lidar("out", *words).code == 130
+    assert not json.loads((tmp_path / "out/lidar.json").read_text())["complete"]
+    assert lidar("out", *words).code == 2
+    other = lidar("out", *words, "--speed", "1", "--resume")
+    assert other.code == 2 and "was another" in other.error
+    (tmp_path / "out/clear/labels/000000.label").write_bytes(b"damaged")
+    (tmp_path / "out/clear/velodyne/.000001.bin.abcd1234.bin").write_bytes(b"half")
+    done = lidar("out", *words, "--resume")
+    assert done.code == 0 and added == [0, 1, 2, 0, 2, 3], done.err
+    assert without_times(tmp_path / "out") == without_times(tmp_path / "whole")
+
+    added[:] = []
+    assert lidar("again", *words).code == 130
+    done = lidar("again", "--rain", "0", "--format", "ply", "--overwrite")
+    assert done.code == 0, done.err
+    left = {p.relative_to(tmp_path / "again").as_posix() for p in (tmp_path / "again").rglob("*.*")}
+    assert left == {"lidar.json", "turns.jsonl", "poses.txt", "clear/points/000000.ply"}
+
+
+def without_times(folder):
+    """The files of a scan; of its card what does not name the command."""
+    card = json.loads((folder / "lidar.json").read_text())
+    names = {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()}
+    content = {n: (folder / n).read_bytes() for n in names - {"lidar.json", "turns.jsonl"}}
+    return content, {name: card[name] for name in card if name != "command"}

@@ -172,7 +172,7 @@ OPTIONS = {"fastmath", "nogil", "error_model", "parallel", "forceinline"}
 def test_only_jit_imports_numba():
     users = _users("numba")
     assert COMPILERS <= users
-    names = ("callees", "kernel_cache", "signatures", "watching")
+    names = ("callees", "checked_files", "kernel_cache", "signatures", "watching")
     kernels_on_disk = {f"compiling/{n}.py" for n in names}
     gpu = {"cuda/__init__.py", "cuda/scalars.py", "cuda/warp.py"}
     assert users <= COMPILERS | kernels_on_disk | gpu

@@ -714,7 +714,7 @@ def test_a_lidar_scans_chunks_as_the_whole(whole, folder, film, tmp_path, monkey
     monkeypatch.setattr(drive, "extract_terrain", lambda *_: ground)
     camera = whole.ground_frame.camera_in_ground(cameras[0])
     scans, notes = [], []
-    monkeypatch.setattr(drive.LidarFolder, "add", lambda self, *what: scans.append(what[2]))
+    monkeypatch.setattr(drive.LidarFolder, "add", lambda self, *what: scans.append(what[3]))
     for name, scene in (("whole", whole), ("chunks", import_scene(folder))):
         (tmp_path / name).mkdir()
         out = drive.LidarFolder(tmp_path / name, "kitti")

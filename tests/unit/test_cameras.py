@@ -12,6 +12,7 @@ from rainsim.commands.choose import cameras_of, settings
 from rainsim.config.settings import Config
 from rainsim.errors import InputError, ParameterError
 from rainsim.io.images import write_png
+from rainsim.scene.camera_rule import focal_length, require_camera
 from rainsim.scene.cameras import (
     load_cameras,
     look_at,
@@ -301,3 +302,51 @@ def test_the_frame_range_is_checked_by_the_length_of_the_path():
         settings("moderate", cut)
     with pytest.raises(ParameterError, match=f"B <= {usual} "):
         settings("moderate", {"orbit": True, "frame_range": (usual + 1, 30)})
+
+
+def path_of(fov):
+    matrix = np.eye(4).ravel().tolist()
+    frames = [{"camera_to_world": matrix, "fov": fov}]
+    return {"camera_path": frames, "render_width": 64, "render_height": 64}
+
+
+RULE = r"must be from 0\.1 to 170|must be a number above 0 and below 1e"
+WAYS = {  # of a camera of 64 x 64 px with an angle [degrees]
+    "option": lambda _, fov: look_at((0, -3, 1), (0, 0, 0), (0, 0, 1), fov, 64, 64),
+    "cameras.json": lambda at, fov: read(
+        at, [CAPTURE | {"width": 64, "height": 64} | dict.fromkeys(("fx", "fy"), focal_length(
+            64, math.radians(fov)))]),
+    "transforms.json": lambda at, fov: read(
+        at, {"camera_angle_x": math.radians(fov), "w": 64, "h": 64, "frames": NERF["frames"]}),
+    "path": lambda at, fov: read(at, path_of(fov)),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_one_rule_for_the_angle_of_all_cameras(tmp_path, way):
+    for fov in (0.1, 60.0, 170.0):
+        assert WAYS[way](tmp_path, fov)
+    for fov in (1e-300, 1e-30, 0.0999, 170.1, 179.9999):
+        with pytest.raises((InputError, ParameterError), match=RULE) as seen:
+            WAYS[way](tmp_path, fov)
+        assert "\n" not in str(seen.value) and str(seen.value).count(";") >= 2
+
+
+def test_lenses_and_poses_that_cannot_be_drawn_from():
+    camera, good = ring()[0], {"fx": 70.0, "cx": 300.0}
+    assert require_camera(replace(camera, **good), "it")
+    mirrored = camera.camera_from_world * np.diag([-1.0, 1, 1, 1])
+    for changes, message in (
+        ({"width": 70_000}, "70000 x 48 px"), ({"fx": math.nan}, "nan"), ({"cy": math.inf}, "inf"),
+        ({"fx": 5000.0}, "16 times"), ({"cx": 1e6}, "1e\\+06, 24 px; no pixel"),
+        ({"camera_from_world": mirrored}, "no mirroring"),
+        ({"camera_from_world": 1e13 * np.eye(4)}, "no rotation"),
+        ({"orthographic": True, "fx": 1e-300, "fy": 1e-300}, "from 1e-09"),
+    ):  # fmt: skip
+        with pytest.raises(InputError, match=message):
+            require_camera(replace(camera, **changes), "it")
+
+
+def test_a_size_cannot_widen_the_angle_beyond_the_rule():
+    with pytest.raises(ParameterError, match=r"angle of 17\d degrees; .*--width or --height"):
+        resize_to(ring()[0], 8, 300)

@@ -125,7 +125,7 @@ BAD = {
     "model": (damaged_text("cameras.txt", "PINHOLE", "PERISCOPE"), "line 2 .*a camera"),
     "few parameters": (damaged_text("cameras.txt", " 25.0", ""), "line 2 .*parameters"),
     "width": (damaged_text("cameras.txt", " 64 ", " 0 "), "is 0 x 48 px"),
-    "focal": (damaged_text("cameras.txt", " 50.0", " nan"), "focal lengths nan"),
+    "focal": (damaged_text("cameras.txt", " 50.0", " nan"), "centre nan, 51"),
     "word": (damaged_text("images.txt", " 7 ring00", " seven ring00"), "line 3 .*an image"),
     "lens": (damaged_text("images.txt", " 7 ring00", " 8 ring00"), "ring00.JPG has camera 8"),
     "binary model": (damaged_binary("cameras.bin", 12, "<i", 99), "camera 7 has the model 99"),

@@ -2,6 +2,7 @@
 
 import io
 import json
+import os
 import struct
 from pathlib import Path
 from types import SimpleNamespace
@@ -445,11 +446,25 @@ def test_labels_that_do_not_fit_are_named(tmp_path):
     np.save(tmp_path / "few.npy", np.zeros(5, int))
     (tmp_path / "no.npy").write_bytes(b"x")
     (tmp_path / "empty").mkdir()
-    for name, message in (("few.npy", r"int64 of shape \(5,\); they must fit"),
-                          ("no.npy", "cannot be read"), ("empty", "such as view_0.png"),
-                          ("none.npy", "cannot be read")):  # fmt: skip
-        with pytest.raises(InputError, match=message):
+    os.mkfifo(tmp_path / "pipe.npy")
+    np.save(tmp_path / "whole.npy", np.full(len(scene.splats), 70_000))
+    whole = (tmp_path / "whole.npy").read_bytes()
+    short, long = f"({len(scene.splats)},), }}".encode(), b"(1000000000000,), }"
+    (tmp_path / "cut.npy").write_bytes(whole[:-8])
+    padded = short + b" " * (len(long) - len(short))
+    (tmp_path / "huge.npy").write_bytes(whole.replace(padded, long))
+    (tmp_path / "braces.npy").write_bytes(whole.replace(b"{", b"((("))
+    (tmp_path / "names.npy").write_bytes(whole.replace(b"'<i8'", b"'<j8'"))
+    for name, message in (
+        ("few.npy", r"int64 of shape \(5,\); they must fit"), ("no.npy", "cannot be read"),
+        ("empty", "such as view_0.png"), ("none.npy", "does not exist"), ("pipe.npy", "is a pipe"),
+        ("whole.npy", "cut or beyond 0 to 65535"), ("cut.npy", "cut or beyond 0 to 65535"),
+        ("huge.npy", r"int64 of shape \(1000000000000,\); they must fit"),
+        ("braces.npy", "cannot be read"), ("names.npy", "cannot be read"),
+    ):  # fmt: skip
+        with pytest.raises(InputError, match=message) as caught:
             read_labels(Path(tmp_path) / name, scene, RENDER)
+        assert "\n" not in str(caught.value)
 
 
 def test_arrays_are_written_as_numpy_reads_them(tmp_path):

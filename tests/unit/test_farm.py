@@ -5,6 +5,7 @@ import os
 import pickle
 import random
 import signal
+import socket
 import threading
 import time
 from pathlib import Path
@@ -173,9 +174,15 @@ def test_without_the_engine_one_line_says_what_brings_it(monkeypatch):
 
 def test_a_scheduler_that_is_not_there(monkeypatch):
     monkeypatch.setattr(cluster, "PATIENCE", 2.0)
-    for address, why in (("tcp://127.0.0.1:9", "does not answer"), ("tls://a:9", "no certificate")):
-        with pytest.raises(BackendError, match=why), cluster.client_of(address):
-            pass
+    with socket.create_server(("127.0.0.1", 0)) as silent:  # takes connections and says nothing
+        port, begun = silent.getsockname()[1], time.monotonic()
+        for address, why in (
+            ("tcp://127.0.0.1:9", "does not answer"), ("tls://a:9", "no certificate"),
+            (f"tcp://127.0.0.1:{port}", r"not within 0\.5 s"), ("nonsense://a", "does not answer"),
+        ):  # fmt: skip
+            with pytest.raises(BackendError, match=why), cluster.client_of(address):
+                pass
+        assert time.monotonic() - begun < 5
 
 
 def killer(client, ended, seed, killed):

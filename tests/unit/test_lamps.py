@@ -79,7 +79,7 @@ def test_lamps_in_files(tmp_path):
     static = import_scene(path)
     assert "1 lamps of 0 splats shine; 1 have no splat" in static.notes[-1]  # the paving is grey
     for wrong in (3, [3], [lamp | {"class": "moon"}], [lamp | {"radius": 0}], [{"class": "tail"}],
-                  [lamp | {"at": [0, 0]}]):  # fmt: skip
+                  [lamp | {"at": [0, 0]}], [lamp | {"class": []}]):  # fmt: skip
         with pytest.raises(InputError, match="lamps has"):
             read_actors(described(tmp_path, scene, lamps=wrong))
 

@@ -99,6 +99,9 @@ def test_lenses_of_transforms(tmp_path):
     write_json(path, {"frames": [{"k1": 0.1}, {"k1": 0.2}]})
     with pytest.raises(InputError, match="cameras of 2 lenses; all must be of one"):
         lens_named(str(path))
+    write_json(path, {"frames": [{}, {"k1": "0.1"}]})
+    with pytest.raises(InputError, match=r"frame 1: k1 is '0\.1'; it must be a number"):
+        lens_named(str(path))
     write_json(path, [1])
     with pytest.raises(InputError, match="must be a transforms"):
         lens_named(str(path))

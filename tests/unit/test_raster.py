@@ -11,6 +11,7 @@ from rainsim import raster
 from rainsim.errors import ParameterError
 from rainsim.jit import set_threads
 from rainsim.scene.types import Camera, Splats
+from rainsim.splatting.tiles import DIGITS, MANY, RECORD_MASK, sort_keys
 
 
 def camera(width=64, height=48, focal=60.0, **kwargs):
@@ -481,3 +482,14 @@ def test_harmonics_come_back_within_half_a_step(rng):
     for bands, degree in ((1, 0), (4, 1), (9, 2)):
         fewer = dataclasses.replace(splats, sh=np.ascontiguousarray(wanted[:, :bands]))
         assert raster.prepare(fewer).degree == degree
+
+
+def test_many_splats_in_one_place_are_sorted_as_soon_as_any(rng):
+    n = MANY + 100
+    depth = np.concatenate([[1e-3, 50.0], 2.0 + 1e-6 * rng.random(n - 2)])  # one range of 16 bits
+    bits = depth.view(np.uint64) << np.uint64(1) & ~RECORD_MASK
+    key = bits | np.arange(n, dtype=np.uint64)
+    key[5], key[n // 2] = key[7] & ~RECORD_MASK | np.uint64(5), key[7]  # ties
+    expected = np.sort(key)
+    sort_keys(key, np.empty_like(key), np.empty(DIGITS, np.int64), n)
+    np.testing.assert_array_equal(key, expected)

@@ -16,6 +16,7 @@ import subprocess
 import sys
 import tempfile
 import time
+import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,18 +29,26 @@ import test_own_files as own
 
 import made_formats as made
 import mutate
-from made_captures import ring
+from made_captures import random_splats, ring
+from made_checkpoints import Parameter, archive_of, torch_file
 from rainsim.config.settings import Config
+from rainsim.datasets.user_labels import _from_file as label_ids
 from rainsim.errors import InputError, RainsimError
 from rainsim.io.images import read_hdr
-from rainsim.scene.cameras import load_cameras
+from rainsim.scene.actor_files import read_actors
+from rainsim.scene.camera_rule import require_camera
+from rainsim.scene.cameras import load_cameras, read_path
 from rainsim.scene.formats import read
+from rainsim.scene.ply import write_splats
+from rainsim.scene.street_gaussians import _rows as track_rows
+from rainsim.scene.torch_file import read_weights
+from rainsim.sensors.lens_files import lens_named
 from rainsim.terrain.classify import read_mask
 from rainsim.terrain.surface import _from_tiff as read_tiff
 from rainsim.terrain.surface import _read_obj, _read_ply
 from rainsim.terrain.table import class_table
 
-QUICK, CAMPAIGN = 60, 3_750  # of each of 27 kinds: 101,250 in all
+QUICK, CAMPAIGN = 60, 3_750  # of each of 34 kinds: 127,500 in all
 MEMORY = 2_000_000_000  # bytes that a reader may take beyond what the process has at its start
 PATIENCE = 10  # s for a file
 
@@ -201,7 +210,82 @@ def damaged_among(damage):
     return one
 
 
+def weights():
+    rng = np.random.default_rng(1)
+    data = {"step": 3, "rows": [rng.random((3, 4)), Parameter(rng.random(5).astype(np.float32))]}
+    return torch_file(data)
+
+
+def index_damaged(rng, data):
+    """A file of weights, damaged as it stands or in the pickle within a sound archive."""
+    if rng.random() < 0.3:
+        return mutate.mutated(rng, data)
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        index = archive.read("archive/data.pkl")
+    return archive_of(mutate.mutated(rng, index), [np.zeros(12), np.zeros(5, np.float32)])
+
+
+def labels():
+    file = io.BytesIO()
+    np.save(file, np.arange(40, dtype=np.uint16))
+    return file.getvalue()
+
+
+def as_json(data):
+    return lambda: json.dumps(data).encode()
+
+
+LENS = {"camera_model": "OPENCV", "frames": [{"k1": 0.1, "k2": -0.02, "p1": 0, "p2": 1e-3}] * 2}
+POSE = [1, 0, 0, 0, 0, 0, -1, -3, 0, 1, 0, 1.5, 0, 0, 0, 1]
+PATH = {
+    "camera_type": "perspective", "render_height": 48, "render_width": 64, "fps": 24.0,
+    "camera_path": [{"camera_to_world": POSE, "fov": 50.0, "aspect": 1.5, "render_time": t / 24}
+                    for t in range(3)],
+}  # fmt: skip
+
+
+def make_actors(folder):
+    write_splats(folder / "box.ply", random_splats(20, 1))
+    track = {"times": [0, 1.5], "positions": [[0, 0, 0], [1, 0, 0]],
+             "rotations": [[1, 0, 0, 0], [0.7, 0, 0, 0.7]], "visible": [True, False]}  # fmt: skip
+    node = {
+        "id": "a", "class": "car", "splats": "box.ply", "track": track, "label": 3,
+        "box": {"centre": [0, 0, 0], "size": [1, 1, 1]}, "harmonics": "scene",
+        "lamps": [{"class": "tail", "at": [0, 0, 0], "radius": 0.5}],
+        "wheels": [{"at": [0, 0, 0], "width": 0.2, "radius": 0.3}],
+    }  # fmt: skip
+    data = {"rainsim_actors": 1, "scene": "static.ply", "nodes": [node]}
+    (folder / "actors.json").write_text(json.dumps(data), encoding="utf-8")
+    return folder / "actors.json"
+
+
+def tracks():
+    head = b"frame_id track_id object_class alpha height width length x y z heading"
+    return head + b"".join(
+        b"\n%d 0 car 0.1 1.5 1.8 4.2 %d.5 0.5 0.2 0.1" % (k, k) for k in range(4)
+    )
+
+
+def read_camera_path(path):
+    cameras, moments = read_path(path)
+    for camera in cameras:
+        require_camera(camera, "it")
+    assert list(moments) == sorted(moments)
+
+
+def read_moving(path):
+    for actor in read_actors(path).actors:
+        made.check_arrays(actor.splats)
+        assert np.isfinite(actor.track.pose(0.7).rotation).all()
+
+
 KINDS = {
+    "weights": Kind("a.pth", weights, index_damaged, read_weights),
+    "labels": Kind("a.npy", labels, mutate.plain, lambda path: label_ids(path, 40)),
+    "lens": Kind("transforms.json", as_json(LENS), mutate.valued, lambda p: lens_named(str(p))),
+    "camera path": Kind("path.json", as_json(PATH), mutate.valued, read_camera_path),
+    "nodes": Kind("", content_of(make_actors), damaged_among(mutate.valued), read_moving),
+    "tracks": Kind("a.txt", tracks, mutate.plain, track_rows),
     "mesh, text": Kind("a.ply", lambda: mesh_ply("ascii"), mutate.plain, read_mesh),
     "mesh": Kind("a.ply", lambda: mesh_ply("binary_little_endian"), mutate.plain, read_mesh),
     "OBJ": Kind("a.obj", obj, mutate.plain, read_mesh),
@@ -300,6 +384,7 @@ def test_a_campaign_in_a_process_of_its_own(tmp_path, name):
     done = subprocess.run(command, capture_output=True, text=True, env=environment)
     assert done.returncode == 0, (done.returncode, done.stderr[-2000:])
     outcome = json.loads(done.stdout)
+    print(f"{name}: {CAMPAIGN} files, {outcome}")
     assert outcome["read"] + outcome["refused"] == CAMPAIGN and outcome["memory"] < MEMORY, outcome
 
 

@@ -112,6 +112,9 @@ def test_without_tracks_the_static_set_is_read(model):
         ("timestamps.json", lambda t: t.replace("FRAME", "CLOCK"), "lacks FRAME"),
         ("timestamps.json", lambda t: t.replace("000004", "000014"), "no time or no pose"),
         ("ego_pose/000004.txt", lambda t: t.replace("e", "x"), "no 4 x 4 numbers"),
+        ("ego_pose/000004.txt", lambda t: "0 " * 16, "is no pose"),
+        ("ego_pose/000004.txt", lambda t: "-1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1", "not mirrored"),
+        ("ego_pose/000004.txt", lambda t: "1 0 0 1e300 0 1 0 0 0 0 1 0 0 0 0 1", "no 4 x 4"),
     ],
 )
 def test_data_that_are_refused(model, name, change, message):

@@ -130,6 +130,13 @@ def test_each_changed_setting_draws_what_a_new_session_draws(scene, session, vie
     same_as_new(scene, session, view, [settings(scene, **CHANGES[name])])
 
 
+def test_a_picture_that_does_not_fit_into_memory_is_refused(session, view, monkeypatch):
+    monkeypatch.setattr("rainsim.render.memory.free_memory", lambda: int(1e9))
+    assert session.draw(view, *SIZE, 1)[0].shape == (SIZE[1], SIZE[0], 3)
+    with pytest.raises(ParameterError, match="a picture of 16384 x 9000 pixels takes some 32"):
+        session.draw(view, 16384, 9000, 1)
+
+
 def test_a_first_try_shows_the_change_at_once(scene, session, view):
     before = session.draw(view, *SIZE, 0)[0]
     session.set_config(settings(scene, brightness=0.5))
