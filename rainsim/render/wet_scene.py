@@ -27,7 +27,7 @@ from rainsim.shading.bodies import BodyMap
 from rainsim.shading.calibration import albedo_of_white, zenith_radiance
 from rainsim.shading.color import LUMA, luminance_of, roughly_linear
 from rainsim.shading.grading import DULL_EXPOSURE, SHINES, look_of, replaces_sky
-from rainsim.shading.skyline import skylines, with_skyline
+from rainsim.shading.skyline import opened, skylines, with_skyline
 from rainsim.shading.visibility import badly_placed, pale, views_of_splats
 from rainsim.shading.wet_ground_mirror import RESOLUTION, in_level_picture
 from rainsim.shading.wet_pass import NO_COVER, DryRays, dry_picture, grade_and_wet, grade_rays
@@ -100,7 +100,7 @@ class WetScene:
         self._whole_ground = terrain
         self.sky_distance = sky_distance(scene)
         found = None if scene.source is None else kept_surface(scene)  # generated ones have none
-        sky = None if found is None else found.sky
+        sky = None if found is None or not found.sky.any() else found.sky
         self.backdrop = Backdrop(scene, self.sky_distance, replaces_sky(config), sky)
         self.scene = self.backdrop.scene
         self.near = NEAR / self.frame.meters_per_unit
@@ -153,9 +153,10 @@ class WetScene:
             turn(self.drawn, *splat_normals(self.scene, found))
         self.rasterizer = rasterizer_of(self.drawn) if self.paged is None else self.paged.whole
         self._skylines = None
-        # Without the captured sky leaves and dark things are open, too: it filled them.
-        if not self.backdrop.count or found is not None:
+        if not self.backdrop.count or sky is not None:
             self._skylines = skylines(self.scene, self.prepared, first_camera, self.near)
+            if self.backdrop.count:
+                self._skylines = [opened(part, found.open) for part in self._skylines]
         self.prepared = self.prepared if self.paged is None or self.nodes else None
         self._tracks = NO_TRACKS
         self.bodies = BodyMap(terrain, self.nodes)

@@ -46,8 +46,7 @@ class Backdrop:
     wanted : bool
         Whether another sky is to be seen at any time; if not, nothing is taken out.
     found : ndarray of shape (n,), bool, optional
-        Which splats the capture's cameras show as sky; without it those are taken that are far,
-        high and bright.
+        Which splats the capture's cameras show as sky, besides those that are far, high and bright.
 
     Attributes
     ----------
@@ -65,8 +64,8 @@ class Backdrop:
         if not wanted or not scene.cameras:
             return
         eye = np.mean([camera.position for camera in scene.cameras], axis=0)
-        if found is None:
-            found = sky_splats(scene.splats, scene.ground_frame, eye, distance)
+        far = sky_splats(scene.splats, scene.ground_frame, eye, distance)
+        found = far if found is None else far | found
         if covered(scene.splats, eye, found) >= sky.LEAST_SKY_SEEN:
             self.count, self._eye = int(found.sum()), eye
             self._sky, self.kept = scene.splats.take(found), ~found

@@ -72,6 +72,25 @@ def skylines(scene, prepared, first_camera, near):
     return both[0], both[-1]
 
 
+def opened(skyline, seen):
+    """Return a skyline that is open where the capture's cameras saw the sky.
+
+    Parameters
+    ----------
+    skyline : Skyline
+    seen : ndarray of shape (rows, columns), bool
+        See `surface.captured_sky.seen_sky`.
+    """
+    rows, columns = seen.shape
+    direction = directions(*skyline.open.shape)
+    row = np.arcsin(np.clip(direction[..., 2], -1, 1)) / (np.pi / 2) * rows
+    column = np.arctan2(direction[..., 1], direction[..., 0]) / (2 * np.pi) * columns
+    there = seen[np.clip(row.astype(int), 0, rows - 1), np.floor(column).astype(int) % columns]
+    there = (there & (row >= 0)).astype(np.float32)
+    there = ndimage.gaussian_filter(there, SOFT, mode=("nearest", "wrap"))
+    return skyline._replace(open=np.maximum(skyline.open, there))
+
+
 def seen_from(draw, places):
     """Return the `Skyline` of a capture.
 

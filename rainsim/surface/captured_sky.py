@@ -23,6 +23,8 @@ BRIGHTER = 0.7  # quantile of the cameras: things before the sky are darker
 STEP = 0.25  # logarithm of a channel between texels of the sky, at most
 NEAR = 0.1  # logarithm of a channel by which cameras differ from each other: not the sky
 SAME = 0.35  # logarithm of a channel by which a pixel differs from the map
+SEEN = 45, 180  # rows and columns of the map of where the sky is seen
+LEAST_SEEN = 0.02  # share of the pixels that look in a direction, that show the sky
 LEAST_TEXELS = 6  # that show the sky
 LEAST_PIXELS = 30  # of a texel
 
@@ -97,6 +99,31 @@ def directions(view):
     return ray @ view.matrix[:, :3]
 
 
+def seen_sky(views, shown):
+    """Return in which directions cameras saw the sky, bool (rows, columns) of 2 degrees.
+
+    Row 0 is at the horizon, column 0 at azimuth 0. What no camera looked at counts as sky.
+
+    Parameters
+    ----------
+    views : sequence of DepthView
+    shown : sequence of ndarray of shape (height, width), bool
+        Their pixels of the sky.
+    """
+    rows, columns = SEEN
+    count = np.zeros((2, rows * columns))
+    for view, sky in zip(views, shown, strict=True):
+        direction = directions(view)
+        row = np.arcsin(np.clip(direction[..., 2], -1, 1)) / (np.pi / 2) * rows
+        column = np.arctan2(direction[..., 1], direction[..., 0]) / (2 * np.pi) * columns
+        above = row >= 0
+        row = np.minimum(row[above].astype(int), rows - 1)
+        place = row * columns + np.floor(column[above]).astype(int) % columns
+        count[0] += np.bincount(place, minlength=rows * columns)
+        count[1] += np.bincount(place, sky[above], minlength=rows * columns)
+    return ((count[0] == 0) | (count[1] > LEAST_SEEN * count[0])).reshape(SEEN)
+
+
 def _likely(view, direction):
     """Return which pixels are even, bright and blue or grey, and above the horizon."""
     light = view.light @ LUMINANCE_WEIGHTS.astype(np.float32)
@@ -129,9 +156,9 @@ def _completed(color, spread):
     weight = np.bincount(part[known], (np.sin(high) * np.cos(high))[known])
     known &= part == np.argmax(weight)
     told = known & np.isfinite(spread)
-    if np.count_nonzero(known) < LEAST_TEXELS or not told.any():
+    if np.count_nonzero(known) < LEAST_TEXELS:
         return None
-    if np.median(spread[told]) > NEAR:
+    if told.any() and np.median(spread[told]) > NEAR:
         return None
     x, y, z = np.cos(high) * np.cos(turn), np.cos(high) * np.sin(turn), np.sin(high)
     terms = np.stack([np.ones_like(x), x, y, z, x * y, x * z, y * z, x * x - y * y, z * z], -1)

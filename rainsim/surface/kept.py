@@ -12,7 +12,7 @@ from rainsim.io import cache
 from rainsim.jit import cpu_kernel, get_num_threads, prange
 from rainsim.numerics.blocks import in_blocks
 from rainsim.numerics.srgb import linear
-from rainsim.surface.captured_sky import SAME, SkyColors
+from rainsim.surface.captured_sky import SAME, SkyColors, seen_sky
 from rainsim.surface.fuse import CaptureSurface, fused
 from rainsim.surface.views import (
     DepthView,
@@ -24,7 +24,8 @@ from rainsim.surface.views import (
 
 KIND = "surface"
 FEWEST = 100  # splats
-LIKE_SKY = 1.0  # logarithm of a channel by which a splat before the sky differs from it
+# Logarithm of a channel by which a splat before the sky differs from it: beside a surface, alone.
+LIKE_SKY, ABOUT_SKY = 1.0, 1.8
 ALONE = 4.0  # voxels from any surface, beyond which a splat belongs to none
 FACING, REACH = 6, 0.25  # places that a splat's normal is taken of; m away, from which it is less
 MORE_SKY = 2  # times as many cameras must see a splat before the sky as see it before something
@@ -41,6 +42,8 @@ class Found(NamedTuple):
         Splats that are sky.
     middle : ndarray of shape (3,), float32 [m]
         Of what the cameras look at, in the ground frame.
+    open : ndarray of shape (rows, columns), bool
+        See `captured_sky.seen_sky`.
     half : float [m]
         From the middle, how far they look.
     """
@@ -48,6 +51,7 @@ class Found(NamedTuple):
     surface: CaptureSurface
     sky: np.ndarray
     middle: np.ndarray
+    open: np.ndarray
     half: float
 
 
@@ -66,12 +70,13 @@ def kept_surface(scene):
         entry = cache.read(KIND, name)
         if entry is None:
             found = find_surface(scene)
-            arrays = {"sky": found.sky, "middle": found.middle, **found.surface._asdict()}
+            arrays = {"sky": found.sky, "middle": found.middle, "open": found.open}
+            arrays |= found.surface._asdict()
             cache.write(KIND, name, {"half": found.half}, arrays)
         else:
             facts, arrays = entry
-            sky, middle = arrays.pop("sky"), arrays.pop("middle")
-            found = Found(CaptureSurface(**arrays), sky, middle, facts["half"])
+            own = [arrays.pop(name) for name in ("sky", "middle", "open")]
+            found = Found(CaptureSurface(**arrays), *own, facts["half"])
         _last[:] = name, found
     return _last[1]
 
@@ -94,7 +99,7 @@ def find_surface(scene):
         off = _off_sky(position[good], splats.sh[good, 0], colors, middle)
         alone = _alone(position[good], surface)
         sky[good] = _sky_splats(position[good], off, alone, views, shown, middle)
-    return Found(surface, sky, middle, half)
+    return Found(surface, sky, middle, seen_sky(views, shown), half)
 
 
 def _off_sky(position, color, colors, middle):
@@ -153,15 +158,15 @@ def _sky_splats(position, off, alone, views, shown, middle):
     """Return which splats are sky, bool (n,).
 
     They stand before the sky in most of the cameras that see them, or no camera sees them; and they
-    have about its colour, or are away from every surface.
+    have about its colour, the less so the farther they are from every surface.
     """
     votes = np.zeros((len(position), 2), np.uint8)
     for view, sky in zip(views, shown, strict=True):
         count_sky(position, view, sky, votes)
     before, land = votes.T.astype(np.int64)
     high = _directions(position, middle)[:, 2] > LOWEST
-    found = (before > MORE_SKY * land) & ((off < LIKE_SKY) | alone)
-    return found | ((before + land == 0) & high & (off < np.where(alone, LIKE_SKY, SAME)))
+    found = (before > MORE_SKY * land) & (off < np.where(alone, ABOUT_SKY, LIKE_SKY))
+    return found | ((before + land == 0) & high & alone & (off < SAME))
 
 
 @cpu_kernel

@@ -17,7 +17,7 @@ from rainsim.jit import cpu_kernel, prange
 from rainsim.numerics.srgb import LUMINANCE_WEIGHTS
 from rainsim.raster import Rasterizer, prepare
 from rainsim.scene.cameras import resize_to
-from rainsim.surface.views import MOST_CAMERAS, NEAR
+from rainsim.surface.views import MOST_CAMERAS, NEAR, has_thin_splats
 
 WIDTH = 648  # px of the pictures, about that of most training
 TEXTURE = 4.0  # px, deviation of what is subtracted: light and shade are no texture
@@ -26,6 +26,7 @@ CELL = 0.04  # m, of the places whose height is found
 # Of each pass: steps to either side, their height [m], patches' deviation, the means' deviation and
 # the height by which a patch may be off them [m].
 PASSES = ((12, 4e-3, 0.08, 0.12, 6e-3), (8, 1.5e-3, 0.03, 0.07, 4e-3))
+DETAIL = 0.09  # m, deviation of what the means leave of the ground's forms
 LEVEL = 0.8  # cosine to the vertical of the surface that is ground
 GUESS_OFF, GUESS_WIDTH = 0.1, 0.08  # m off the splats' height that it may be; m, of its mean
 LEAST_COSINE = np.float32(0.15)  # to the normal: who looks along a surface sees too little
@@ -61,10 +62,16 @@ class GroundSweep:
         With cameras.
     surface : CaptureSurface
         Whose heights are the first guess.
+
+    Attributes
+    ----------
+    thin : bool
+        Whether the capture's splats are flat: then they show finer forms than the pictures tell.
     """
 
     def __init__(self, scene, surface):
         frame, self._pictures = scene.ground_frame, []
+        self.thin = has_thin_splats(scene.splats)
         level = (surface.normal[:, 2] > LEVEL) & (surface.flat > 0.3)
         self._guess = surface.position[level].astype(np.float64)
         unit, rasterizer = np.float32(frame.meters_per_unit), Rasterizer(prepare(scene.splats))
@@ -116,6 +123,11 @@ class GroundSweep:
         moved = _spread(_finer(height, times, grid.shape) - start, _finer(sure, times, grid.shape))
         sure = np.where(wanted, _finer(sure, times, grid.shape), 0)
         seen = _finer(height, times, grid.shape)
+        if self.thin:  # the forms of a hand's breadth are those of the splats
+            width = DETAIL / grid.spacing
+            share = np.maximum(ndimage.gaussian_filter(wanted * 1.0, width), 1e-3)
+            mean = ndimage.gaussian_filter(np.where(wanted, start, 0), width) / share
+            seen += start - mean
         result = sure * seen + (1 - sure) * (start + moved)
         return np.where(wanted, result, start).astype(np.float32), sure.astype(np.float32)
 

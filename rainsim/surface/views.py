@@ -75,6 +75,12 @@ def cameras_of(scene, middle, half):
     return made
 
 
+def has_thin_splats(splats):
+    """Tell whether most splats are flat, as PGSR and 2DGS train them."""
+    axes = np.sort(splats.scale, axis=1)
+    return bool(np.median(axes[:, 0] / np.maximum(axes[:, 1], np.float32(1e-12))) < THIN)
+
+
 def depth_views(scene, cameras):
     """Return the `DepthView` of each camera (capture frame), the sky not yet left out.
 
@@ -84,8 +90,7 @@ def depth_views(scene, cameras):
     """
     frame, unit = scene.ground_frame, np.float32(scene.ground_frame.meters_per_unit)
     rasterizer = Rasterizer(prepare(scene.splats))
-    axes = np.sort(scene.splats.scale, axis=1)
-    thin = np.median(axes[:, 0] / np.maximum(axes[:, 1], np.float32(1e-12))) < THIN
+    thin = has_thin_splats(scene.splats)
     views = []
     for camera in cameras:
         camera = resize_to(camera, WIDTH)

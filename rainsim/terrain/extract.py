@@ -462,6 +462,7 @@ def _bed(seen, below, grid, level, sweep=None):
     swept = 0.0
     if sweep is not None:
         height, swept = sweep.heights(grid, height.astype(np.float32), bare)
+        swept = 0.0 if sweep.thin else swept
     filled = bedding.inpaint(height, known)
     standing = bedding.objects(filled, known, green > EXCESS_GREEN, grid.spacing)
     # A hole that is all within known ground is where something stood: a table's foot, a pot.
