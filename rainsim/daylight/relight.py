@@ -36,7 +36,7 @@ from rainsim.daylight.shade import NO_EDGES, EdgeShade, edge_shade, factor_in_sh
 from rainsim.daylight.sun import DIM, LEAST_SCORE, find_sun, places_of, seen_from
 from rainsim.daylight.surface import carried, luminance, surface_of
 from rainsim.daylight.surroundings import USUAL_ALBEDO, patches_of, sent_in
-from rainsim.daylight.visibility import Window, solids_of, with_plane
+from rainsim.daylight.visibility import Window, solids_of, with_plane, with_splats
 from rainsim.jit import get_num_threads
 from rainsim.numerics.blocks import in_blocks
 from rainsim.numerics.srgb import linear
@@ -53,12 +53,13 @@ LEAST_GAIN, MOST_GAIN = 0.05, 2.0  # over what shaded open ground needs
 SURE = 0.5  # confidence from which on the sun is divided out
 # Values that raise the confidence from 0 to 1: sun over sky on level ground, share of the changes
 # of brightness that are towards where the sun shines, and the score of the search.
-OVER_SKY, AGREE, SCORE = (0.15, 0.6), (0.55, 0.75), (LEAST_SCORE, 0.15)
+OVER_SKY, AGREE, SCORE = (0.15, 0.6), (0.55, 0.75), (0.06, 0.1)
 PAINT_REACH, PAINT_COUNT, LEAST_PAINT = 3.0, 16, 4  # m; splats that a splat's paint is taken from
 SAME_TINT = 0.35  # logarithm of the ratio of two channels, by which splats of one paint differ
 # m: cells about a place whose paint is compared with its own; how many, and how far away.
 AROUND_CELL, AROUND_COUNT, AROUND_REACH = 0.2, 150, 2.0
 WRONG, LEAST_SUN = 0.5, 0.5  # share of what the sun adds, in logarithms, from which maps are wrong
+NEAREST = 3  # places, itself included, whose median share smooths what paint does
 MOST_VARIED = 0.4  # of a share, that variation may explain
 PAINT_VARIES = 0.15  # of the light of one paint, from splat to splat
 FOUND_UNSURE, GIVEN_UNSURE = math.radians(1), math.radians(3)  # of a sun's direction
@@ -117,13 +118,13 @@ def find_relight(scene, found, sun=None, white=USUAL_ALBEDO):
     if sun is not None and sun[1] <= 0:
         return Relight(None, f"relight: the given sun is below the horizon; {STAYS}")
     surface = surface_of(found.surface)
-    solids = solids_of(surface)
+    plane = with_plane(solids_of(surface), surface)
+    solids = with_splats(plane, found.solid)
     near = Window(found.middle, SIDE, np.float32(2 * found.half / SIDE))
     turn_to_the_open(surface, solids, near)
     places = places_of(surface, near)
     if sun is None and len(places.pair) < LEAST_PAIRS:
         return Relight(None, f"relight: too few flat surfaces to find a sun; {STAYS}")
-    plane = with_plane(solids, surface)
     if sun is None:
         direction, score = find_sun(places, solids, plane, near)
     else:
@@ -144,8 +145,8 @@ def find_relight(scene, found, sun=None, white=USUAL_ALBEDO):
     light = received(surface, solids, windows, direction, sent)
     unsure = FOUND_UNSURE if sun is None else GIVEN_UNSURE
     lit = sunlit(surface, solids, windows, direction, unsure)
-    firm, _ = sunlit(surface, plane, windows, direction)
-    lit = by_color(surface, lit, firm, light, direction, measured.ratio)
+    by_plane, _ = sunlit(surface, plane, windows, direction)
+    lit = by_color(surface, lit, by_plane, light, direction, measured.ratio)
     gain = gains(surface, light, lit, direction, measured, light.around)
     later = sent_in(surface, patches, white, gain)
     later = later.at(surface.position, surface.normal, surface.flat)
@@ -339,7 +340,7 @@ def by_color(surface, lit, plane, light, direction, ratio):
     low = np.minimum(low, MOST_VARIED)
     shares[band[enough]] = np.clip((share - low) / (high - low), 0, 1)[enough]
     # Paint varies from splat to splat; the median keeps the edge where it is.
-    median = np.median(shares[surface.neighbours[band[enough]]], axis=1)
+    median = np.median(shares[surface.neighbours[band[enough], :NEAREST]], axis=1)
     # A splat that is bright itself is not in the shade: its gain would make it a white dot.
     shares[band[enough]] = np.maximum(median, np.clip(share - low, 0, 1)[enough])
     return shares

@@ -67,6 +67,15 @@ def solids_of(surface):
     )  # fmt: skip
 
 
+def with_splats(solids, splats):
+    """Return solids and the solid splats of a `surface.kept.Found`, whose leaves are finer."""
+    return Solids(
+        np.concatenate([solids.position, splats[:, :3]]),
+        np.concatenate([solids.covariance, splats[:, 3:9]]),
+        np.concatenate([solids.reach, splats[:, 9]]),
+    )  # fmt: skip
+
+
 def with_plane(solids, surface):
     """Return the solids of a `Surface` that lie in a plane with those around: no leaves."""
     which = surface.flat > HALF

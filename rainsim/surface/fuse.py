@@ -84,9 +84,7 @@ def fused(views, middle, radius):
     number = np.maximum(sums[:, 0], 1)[:, None]
     position = np.ascontiguousarray(sums[:, 1:4] / number + middle, np.float32)
     size = VOXEL * 2.0 ** (voxels.keys >> 3 * KEY_BITS)
-    found = np.zeros((len(position), 2), np.uint8)
-    for view in views:
-        count_views(position, size.astype(np.float32), view, found)
+    found = counted(position, size.astype(np.float32), views)
     solid = (found[:, 0] >= LEAST_VIEWS) & (found[:, 1] <= MOST_THROUGH * found[:, 0])
     position, towards = position[solid], sums[solid, 7:10]
     light = (sums[solid, 4:7] / number[solid]).astype(np.float32)
@@ -176,6 +174,21 @@ def thinned(surface):
         mean(surface.position), normal, mean(surface.flat)[:, 0], mean(surface.light),
         mean(surface.size)[:, 0], views,
     )  # fmt: skip
+
+
+def counted(position, size, views):
+    """Return how many views see each place, look through it, and have something before it, (n, 3).
+
+    Parameters
+    ----------
+    position : ndarray of shape (n, 3), float32 [m]
+    size : ndarray of shape (n,), float32 [m]
+    views : sequence of DepthView
+    """
+    found = np.zeros((len(position), 3), np.uint8)
+    for view in views:
+        count_views(position, size, view, found)
+    return found
 
 
 class _Voxels:
@@ -292,7 +305,7 @@ def add_view(view: DepthView, middle, radius, voxel, count, table_out, keys_out,
 
 @cpu_kernel
 def count_views(position, size, view: DepthView, found_out):
-    """Count the views that see each place, and those that look through it.
+    """Count the views that see each place, look through it, and have something before it.
 
     Parameters
     ----------
@@ -300,7 +313,7 @@ def count_views(position, size, view: DepthView, found_out):
     size : ndarray of shape (n,), float32 [m]
         By half of which a place may be off.
     view : DepthView
-    found_out : ndarray of shape (n, 2), uint8
+    found_out : ndarray of shape (n, 3), uint8
     """
     height, width = view.depth.shape
     m, lens = view.matrix, view.lens
@@ -318,6 +331,8 @@ def count_views(position, size, view: DepthView, found_out):
             found_out[n, 1] += np.uint8(1)
         elif abs(view.depth[int(v), int(u)] - far) < slack:
             found_out[n, 0] += np.uint8(1)
+        elif view.depth[int(v), int(u)] < far:
+            found_out[n, 2] += np.uint8(1)
 
 
 def planes(position, towards, size, plain):

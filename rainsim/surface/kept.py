@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
 
 from rainsim.constants import SH_0
 from rainsim.io import cache
@@ -13,7 +14,7 @@ from rainsim.jit import cpu_kernel, get_num_threads, prange
 from rainsim.numerics.blocks import in_blocks
 from rainsim.numerics.srgb import linear
 from rainsim.surface.captured_sky import SAME, SkyColors, seen_sky
-from rainsim.surface.fuse import CaptureSurface, fused
+from rainsim.surface.fuse import LEAST_VIEWS, MOST_THROUGH, CaptureSurface, counted, fused
 from rainsim.surface.views import (
     DepthView,
     cameras_of,
@@ -27,6 +28,7 @@ FEWEST = 100  # splats
 # Logarithm of a channel by which a splat before the sky differs from it: beside a surface, alone.
 LIKE_SKY, ABOUT_SKY = 1.0, 1.8
 ALONE = 4.0  # voxels from any surface, beyond which a splat belongs to none
+STOPS, LARGEST = 0.3, 0.3  # share of light that a solid splat stops; its deviation [m], at most
 FACING, REACH = 6, 0.25  # places that a splat's normal is taken of; m away, from which it is less
 MORE_SKY = 2  # times as many cameras must see a splat before the sky as see it before something
 LOWEST = -0.05  # sine of the elevation from which on what nobody sees may be sky
@@ -42,6 +44,9 @@ class Found(NamedTuple):
         Splats that are sky.
     middle : ndarray of shape (3,), float32 [m]
         Of what the cameras look at, in the ground frame.
+    solid : ndarray of shape (m, 10), float32
+        Of the splats that stop light: place [m], covariance [m2] as xx, xy, xz, yy, yz, zz, and the
+        square of the deviations within which they stop STOPS.
     open : ndarray of shape (rows, columns), bool
         See `captured_sky.seen_sky`.
     half : float [m]
@@ -51,6 +56,7 @@ class Found(NamedTuple):
     surface: CaptureSurface
     sky: np.ndarray
     middle: np.ndarray
+    solid: np.ndarray
     open: np.ndarray
     half: float
 
@@ -70,12 +76,13 @@ def kept_surface(scene):
         entry = cache.read(KIND, name)
         if entry is None:
             found = find_surface(scene)
-            arrays = {"sky": found.sky, "middle": found.middle, "open": found.open}
+            arrays = {"sky": found.sky, "middle": found.middle, "open": found.open,
+                      "solid": found.solid}  # fmt: skip
             arrays |= found.surface._asdict()
             cache.write(KIND, name, {"half": found.half}, arrays)
         else:
             facts, arrays = entry
-            own = [arrays.pop(name) for name in ("sky", "middle", "open")]
+            own = [arrays.pop(name) for name in ("sky", "middle", "solid", "open")]
             found = Found(CaptureSurface(**arrays), *own, facts["half"])
         _last[:] = name, found
     return _last[1]
@@ -87,6 +94,7 @@ def find_surface(scene):
     with np.errstate(all="ignore"):
         position = frame.to_ground(splats.position).astype(np.float32)
         good = np.isfinite(position).all(axis=1) & np.isfinite(splats.sh[:, 0]).all(axis=1)
+        good &= np.isfinite(splats.scale).all(axis=1) & (np.abs(splats.rotation).max(axis=1) > 0)
     placed = [frame.camera_in_ground(camera) for camera in scene.cameras]
     middle, half = window_of(position[good], placed)
     views = depth_views(scene, cameras_of(scene, middle, half))
@@ -99,7 +107,31 @@ def find_surface(scene):
         off = _off_sky(position[good], splats.sh[good, 0], colors, middle)
         alone = _alone(position[good], surface)
         sky[good] = _sky_splats(position[good], off, alone, views, shown, middle)
-    return Found(surface, sky, middle, seen_sky(views, shown), half)
+    solid = _solid(position, splats, good & ~sky, views, frame)
+    return Found(surface, sky, middle, solid, seen_sky(views, shown), half)
+
+
+def _solid(position, splats, good, views, frame):
+    """Return the splats that stop light, (m, 10) float32, see `Found`.
+
+    Cameras agree that something is where a splat is, or all of them have something before it: it is
+    the other side of a thing, or the inside of a crown. Nothing speaks against one that no camera
+    looks at.
+    """
+    which = np.flatnonzero(good & (splats.opacity > 1.02 * STOPS))
+    size = splats.scale[which] * np.float32(frame.meters_per_unit)
+    deviation = np.sort(size, axis=1)[:, 1]
+    seen, through, hidden = counted(position[which], 0 * deviation, views).T.astype(np.int64)
+    solid = (seen + hidden >= LEAST_VIEWS) & (through <= MOST_THROUGH * seen)
+    solid |= seen + hidden + through == 0
+    solid &= deviation < LARGEST
+    which, size = which[solid], size[solid]
+    turn = Rotation.from_quat(splats.rotation[which][:, [1, 2, 3, 0]]).as_matrix()
+    axes = np.matmul(frame.rotation, turn) * size[:, None, :]
+    full = np.matmul(axes, axes.transpose(0, 2, 1))
+    packed = full[:, [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
+    reach = 2 * np.log(splats.opacity[which] / STOPS)
+    return np.column_stack([position[which], packed, reach]).astype(np.float32)
 
 
 def _off_sky(position, color, colors, middle):

@@ -29,7 +29,6 @@ from rainsim.scene.types import Splats
 from rainsim.surface.kept import kept_surface
 
 
-
 def relit(scene, sun=None):
     """Return the `Relight` of a scene, whose sun may be given by its angles in degrees."""
     return relight.find_relight(

@@ -7,8 +7,8 @@ from scipy.spatial import cKDTree
 from rainsim.daylight import relight
 from rainsim.daylight.light import Light
 from rainsim.daylight.surface import Surface, surface_of
-from rainsim.surface.fuse import CaptureSurface, planes
 from rainsim.daylight.visibility import solids_of, with_plane
+from rainsim.surface.fuse import CaptureSurface, planes
 
 STEP, SIDE = 0.05, 48  # m, splats
 UP = np.array([0.0, 0.0, 1.0])
