@@ -58,6 +58,7 @@ PAINT_REACH, PAINT_COUNT, LEAST_PAINT = 3.0, 16, 4  # m; splats that a splat's p
 SAME_TINT = 0.35  # logarithm of the ratio of two channels, by which splats of one paint differ
 # m: cells about a place whose paint is compared with its own; how many, and how far away.
 AROUND_CELL, AROUND_COUNT, AROUND_REACH = 0.2, 150, 2.0
+REAL = 0.5  # share of the logarithm of a change at an edge, from which a pair is at an edge
 WRONG, LEAST_SUN = 0.5, 0.5  # share of what the sun adds, in logarithms, from which maps are wrong
 NEAREST = 3  # places, itself included, whose median share smooths what paint does
 MOST_VARIED = 0.4  # of a share, that variation may explain
@@ -211,16 +212,22 @@ def measure(places, solids, plane, window, direction, sent):
     if len(lit) < LEAST_PAIRS:
         return SunRatio(np.zeros(3), len(lit), 0.0)
     change = np.maximum(places.light[lit], 1e-4) / np.maximum(places.light[shaded], 1e-4)
-    # Where maps have an edge of a shadow that is not there, brightness hardly changes.
+    # Where maps have an edge of a shadow that is not there, brightness hardly changes: the pairs
+    # that change most say about what the edges do, and then those count that do half of it.
     weight = np.abs(np.log(luminance(change)))
     ratio = np.zeros(3)
     for _ in range(ROUNDS):  # what the surroundings send depends on the ratio, but weakly
         shade = shade_of(light, direction, ratio)
         found = (change * shade[b] - shade[a]) / cosine[lit][:, None]
         ratio = np.maximum([_weighted_median(channel, weight) for channel in found.T], 0)
+        wanted = np.log((shade[a] + cosine[lit][:, None] * ratio) / shade[b])
+        real = np.log(luminance(change)) > REAL * luminance(wanted)
+        if luminance(ratio[None])[0] > LEAST_SUN and real.sum() > LEAST_PAIRS / 3:
+            ratio = np.maximum(np.median(found[real], axis=0), 0)
     expected = (shade[a] + cosine[lit][:, None] * ratio) / shade[b]
     place = places.position[shaded], places.normal[shaded]
-    edges = edge_shade(*place, np.log(change / np.maximum(expected, 1e-4)))
+    off = np.log(change / np.maximum(expected, 1e-4))
+    edges = edge_shade(*(values[real] for values in (*place, off)))
     shade = luminance(shade)
     brighter = np.log(luminance(places.light[lit]) * shade[b])
     brighter -= np.log(luminance(places.light[shaded]) * shade[a])

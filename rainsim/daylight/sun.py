@@ -192,18 +192,23 @@ class _Agreement:
         self._energy = np.bincount(self._block, places.change**2)
 
     def of(self, directions, sets, side):
-        """Return the sum over blocks of each of the directions (m, 3), by some sets of solids."""
-        total = np.zeros(len(directions))
+        """Return how well each of the directions (m, 3) agrees, by some sets of solids.
+
+        The sum over the blocks, times the strength over all pairs together.
+        """
+        total, strength = np.zeros(len(directions)), np.zeros(len(directions))
         for start in range(0, len(directions), BATCH):
             part = slice(start, start + BATCH)
             for solids in sets:
                 changes = _changes(self._places, solids, self._window, directions[part], side)
                 for k, change in enumerate(changes.T, start):
                     product = np.bincount(self._block, self._places.change * change)
-                    square = np.bincount(self._block, change * change) + FAINT
+                    square = np.bincount(self._block, change * change)
+                    strength[k] += product.sum() / np.sqrt(max(square.sum(), 25.0))
+                    square += FAINT
                     cosine = product / np.sqrt(np.maximum(self._energy * square, 1e-9))
                     total[k] += self._energy @ np.maximum(cosine, 0) ** AGREEMENT
-        return total
+        return total * np.maximum(strength, 0)
 
 
 def _changes(places, solids, window, directions, side):

@@ -27,8 +27,8 @@ from rainsim.shading.bodies import BodyMap
 from rainsim.shading.calibration import albedo_of_white, zenith_radiance
 from rainsim.shading.color import LUMA, luminance_of, roughly_linear
 from rainsim.shading.grading import DULL_EXPOSURE, SHINES, look_of, replaces_sky
-from rainsim.shading.skyline import opened, skylines, with_skyline
-from rainsim.shading.visibility import badly_placed, pale, views_of_splats
+from rainsim.shading.skyline import skylines, with_skyline
+from rainsim.shading.visibility import badly_placed, views_of_splats, without_shreds
 from rainsim.shading.wet_ground_mirror import RESOLUTION, in_level_picture
 from rainsim.shading.wet_pass import NO_COVER, DryRays, dry_picture, grade_and_wet, grade_rays
 from rainsim.shading.wetting import GroundMaps, SkyMaps
@@ -119,7 +119,8 @@ class WetScene:
         diffuse = None if views is None else views.diffuse
         self.badly_placed = badly_placed(self.scene, views)
         if not self.backdrop.count and replaces_sky(config):
-            self._leave_out(self.badly_placed & pale(self.scene.splats))
+            self.scene, told = without_shreds(self.scene, self.badly_placed)
+            self.notes += told
         if self.badly_placed.any():
             self.notes.append(
                 f"mirrors leave out {self.badly_placed.sum()} splats that hardly any camera saw"
@@ -154,9 +155,8 @@ class WetScene:
         self.rasterizer = rasterizer_of(self.drawn) if self.paged is None else self.paged.whole
         self._skylines = None
         if not self.backdrop.count or sky is not None:
-            self._skylines = skylines(self.scene, self.prepared, first_camera, self.near)
-            if self.backdrop.count:
-                self._skylines = [opened(part, found.open) for part in self._skylines]
+            seen = found.open if self.backdrop.count else None
+            self._skylines = skylines(self.scene, self.prepared, first_camera, self.near, seen)
         self.prepared = self.prepared if self.paged is None or self.nodes else None
         self._tracks = NO_TRACKS
         self.bodies = BodyMap(terrain, self.nodes)
@@ -263,13 +263,6 @@ class WetScene:
         if self.nodes is not None:
             self._put_nodes()
         self._standing = self.tracer = None
-
-    def _leave_out(self, shreds):
-        """Leave shreds of the captured sky (n,) out of all pictures."""
-        if shreds.any():
-            opacity = np.where(shreds, np.float32(0), self.scene.splats.opacity)
-            self.scene = replace(self.scene, splats=replace(self.scene.splats, opacity=opacity))
-            self.notes.append(f"{shreds.sum()} splats of the captured sky are left out")
 
     def _set_skies(self):
         """Make the skies behind the scene and behind the mirrored scene, by the present look."""

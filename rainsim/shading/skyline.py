@@ -34,7 +34,7 @@ class Skyline(NamedTuple):
     land: np.ndarray  # (rows, columns, 3) float32: linear captured light of what hides the sky
 
 
-def skylines(scene, prepared, first_camera, near):
+def skylines(scene, prepared, first_camera, near, seen=None):
     """Return the `Skyline` of all splats of a scene, and that without those prepared to come last.
 
     Kept for the next run.
@@ -47,6 +47,8 @@ def skylines(scene, prepared, first_camera, near):
     first_camera : Camera
         Of the frames, in the capture frame: from there it is seen if the scene has no cameras.
     near : float [capture units]
+    seen : ndarray of shape (rows, columns), bool, optional
+        Where cameras saw the sky, see `surface.captured_sky.seen_sky`: there it is open.
     """
     places = places_of(scene, first_camera)
     parts = (False,) if prepared.leading is None else (False, True)
@@ -69,6 +71,8 @@ def skylines(scene, prepared, first_camera, near):
         "skyline", "shading", draw, prepared, scene.ground_frame, places, near
     )
     both = [Skyline(found[f"open {int(part)}"], found[f"land {int(part)}"]) for part in parts]
+    if seen is not None:
+        both = [opened(skyline, seen) for skyline in both]
     return both[0], both[-1]
 
 

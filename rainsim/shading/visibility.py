@@ -9,6 +9,7 @@ would hide the sky.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -61,6 +62,16 @@ def pale(splats):
     light = color @ LUMA
     blue = color[:, 2] / np.maximum(color[:, :2].max(axis=1), np.float32(1e-3))
     return (light > PALE) & (blue > 0.5 * (SKY_DULL + SKY_BLUE))
+
+
+def without_shreds(scene, badly_placed):
+    """Return a scene without the badly placed splats (n,) that are pale as the sky, and notes."""
+    shreds = badly_placed & pale(scene.splats)
+    if not shreds.any():
+        return scene, []
+    opacity = np.where(shreds, np.float32(0), scene.splats.opacity)
+    scene = replace(scene, splats=replace(scene.splats, opacity=opacity))
+    return scene, [f"{shreds.sum()} splats of the captured sky are left out"]
 
 
 class Views(NamedTuple):

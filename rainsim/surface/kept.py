@@ -107,11 +107,11 @@ def find_surface(scene):
         off = _off_sky(position[good], splats.sh[good, 0], colors, middle)
         alone = _alone(position[good], surface)
         sky[good] = _sky_splats(position[good], off, alone, views, shown, middle)
-    solid = _solid(position, splats, good & ~sky, views, frame)
+    solid = _solid(position, splats, good & ~sky, views, frame, surface)
     return Found(surface, sky, middle, solid, seen_sky(views, shown), half)
 
 
-def _solid(position, splats, good, views, frame):
+def _solid(position, splats, good, views, frame, surface):
     """Return the splats that stop light, (m, 10) float32, see `Found`.
 
     Cameras agree that something is where a splat is, or all of them have something before it: it is
@@ -125,6 +125,11 @@ def _solid(position, splats, good, views, frame):
     solid = (seen + hidden >= LEAST_VIEWS) & (through <= MOST_THROUGH * seen)
     solid |= seen + hidden + through == 0
     solid &= deviation < LARGEST
+    flat = surface.flat > 0.5
+    if flat.any():  # what lies in a plane is the surface's: splats before it would hide it
+        tree = cKDTree(surface.position[flat], compact_nodes=False, balanced_tree=False)
+        away, near = tree.query(position[which], workers=get_num_threads())
+        solid &= away > ALONE * surface.size[flat][near]
     which, size = which[solid], size[solid]
     turn = Rotation.from_quat(splats.rotation[which][:, [1, 2, 3, 0]]).as_matrix()
     axes = np.matmul(frame.rotation, turn) * size[:, None, :]

@@ -102,8 +102,8 @@ class GroundSweep:
         Returns
         -------
         height : ndarray of shape (ny, nx), float32 [m]
-        sure : ndarray of shape (ny, nx), float32
-            0 as guessed to 1 as seen.
+        smoothed : ndarray of shape (ny, nx), float32
+            How far the pictures' means have smoothed it, 0 to 1.
         """
         times = max(1, round(CELL / grid.spacing))
         cell = times * grid.spacing
@@ -129,7 +129,8 @@ class GroundSweep:
             mean = ndimage.gaussian_filter(np.where(wanted, start, 0), width) / share
             seen += start - mean
         result = sure * seen + (1 - sure) * (start + moved)
-        return np.where(wanted, result, start).astype(np.float32), sure.astype(np.float32)
+        smoothed = np.zeros_like(start) if self.thin else sure.astype(np.float32)
+        return np.where(wanted, result, start).astype(np.float32), smoothed
 
     def _guessed(self, height, origin, cell):
         """Return heights (ny, nx) with those of the surface where it lies about there."""

@@ -340,7 +340,7 @@ class _Cloud:
         self.below_ceiling &= ~floating | (self.above <= SLAB)
         self.overhead = self.below_ceiling & (self.above > SLAB)
         self.sweep = None
-        # Pictures tell nothing of what nobody photographed, and take too long along a drive.
+        # Generated scenes were not photographed; along a drive pictures take too long.
         if scene.source is not None and scene.cameras and scene.pages is None:
             self.sweep = ground_sweep(scene, kept_surface(scene))
         self.notes = ()
@@ -462,7 +462,6 @@ def _bed(seen, below, grid, level, sweep=None):
     swept = 0.0
     if sweep is not None:
         height, swept = sweep.heights(grid, height.astype(np.float32), bare)
-        swept = 0.0 if sweep.thin else swept
     filled = bedding.inpaint(height, known)
     standing = bedding.objects(filled, known, green > EXCESS_GREEN, grid.spacing)
     # A hole that is all within known ground is where something stood: a table's foot, a pot.

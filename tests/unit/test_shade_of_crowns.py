@@ -63,9 +63,13 @@ def test_another_paint_is_not_taken_for_shade_or_sun(floor):
     assert np.mean(shares_by_color(floor, plane=1)[moss] == 0) > 0.8
 
 
-def test_the_shade_of_a_wall_is_sure(floor):
-    right = floor[0].position[:, 0] > STEP * SIDE / 2
-    assert (shares_by_color(floor, plane=0)[right] == 0).all()
+def test_paint_may_contradict_the_shade_of_a_wall(floor):
+    _, _, share, moss = floor
+    right = (floor[0].position[:, 0] > STEP * SIDE / 2) & ~moss
+    found = shares_by_color(floor, plane=0)
+    # Flecks that are as much brighter as the sun is are in the sun, whatever the map says.
+    assert found[right & (share == 1)].mean() > 0.8
+    assert found[right & (share == 0)].mean() < 0.2 and (found[moss] == 0).mean() > 0.8
 
 
 def test_leaves_are_no_part_of_what_lies_in_planes():

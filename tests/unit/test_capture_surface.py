@@ -1,0 +1,265 @@
+"""The surface of a capture: where its cameras agree, what is sky, how high its ground lies."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import sunny_yard
+from rainsim.daylight.surface import Surface, carried
+from rainsim.scene.types import Splats
+from rainsim.splatting.prepared import GEOMETRY, LANES, prepare, turn
+from rainsim.surface import captured_sky, fuse, kept, sweep, views, walls
+from rainsim.terrain.types import Grid
+
+
+def joined(*parts):
+    names = ("position", "rotation", "scale", "opacity", "sh")
+    return Splats(*(np.concatenate([getattr(p, n) for p in parts]) for n in names))
+
+
+def floating(scene, place, count=60, spread=0.05, opacity=0.9, color=(0.9, 0.9, 0.9)):
+    """Return splats in the air about a place of the ground frame [m]."""
+    rng = np.random.default_rng(3)
+    position = np.asarray(place) + spread * rng.standard_normal((count, 3))
+    like = scene.splats.take(slice(0, count))
+    sh = np.zeros_like(like.sh)
+    sh[:, 0] = (np.asarray(color) - 0.5) / sunny_yard.SH_0
+    return replace(
+        like, position=scene.ground_frame.to_capture(position).astype(np.float32), sh=sh,
+        opacity=np.full(count, opacity, np.float32),
+        scale=np.full((count, 3), 0.06, np.float32),
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def yard():
+    return sunny_yard.yard(step=0.05)[0]
+
+
+@pytest.fixture(scope="module")
+def found(yard):
+    return kept.find_surface(yard)
+
+
+def off_the_faces(points):
+    """Return the distance [m] of points to the ground and to the boxes of the yard."""
+    away = np.abs(points[:, 2])
+    for low, high in sunny_yard.BOXES:
+        out = np.maximum(np.maximum(low - points, points - high), 0)
+        inside = np.minimum(points - low, high - points).min(axis=1)
+        face = np.where(inside > 0, inside, np.linalg.norm(out, axis=1))
+        away = np.minimum(away, face)
+    return away
+
+
+def test_the_surface_lies_on_what_was_captured(found):
+    away = off_the_faces(found.surface.position.astype(float))
+    assert len(found.surface.position) > 3000
+    assert np.median(away) < 0.01 and np.percentile(away, 95) < 0.05
+    ground = (found.surface.position[:, 2] < 0.01) & (found.surface.flat > 0.9)
+    assert ground.sum() > 1000 and np.median(found.surface.normal[ground, 2]) > 0.99
+
+
+def test_what_cameras_look_through_is_no_surface(yard):
+    haze = floating(yard, (0.9, -0.3, 0.9), spread=0.15, opacity=0.3)
+    hazy = kept.find_surface(replace(yard, splats=joined(yard.splats, haze)))
+    near = np.linalg.norm(hazy.surface.position - [0.9, -0.3, 0.9], axis=1) < 0.25
+    assert near.sum() < 20  # of some hundred
+    # What stands there is seen by all cameras, and stays.
+    box = np.abs(hazy.surface.position - [-0.2, 0.15, 0.75]).max(axis=1) < 0.3
+    assert box.sum() > 30
+    solid = np.linalg.norm(hazy.solid[:, :3] - [0.9, -0.3, 0.9], axis=1) < 0.25
+    assert not solid.any()
+
+
+def test_a_yard_without_sky_has_none(found, yard):
+    assert not found.sky.any() and found.sky.shape == (len(yard.splats),)
+
+
+def view_of(light, up=0.0):
+    """Return the `DepthView` of a level camera at the origin that looks along x, `up` [rad]."""
+    height, width = light.shape[:2]
+    c, s = np.cos(up), np.sin(up)
+    forward, right, down = [c, 0, s], [0, -1, 0], [s, 0, -c]
+    matrix = np.zeros((3, 4), np.float32)
+    matrix[:, :3] = right, down, forward
+    lens = np.array([width, width, width / 2, height / 2], np.float32)
+    depth = np.full((height, width), 5.0, np.float32)
+    return views.DepthView(
+        matrix, np.zeros(3, np.float32), lens, depth, depth.copy(), light, np.ones_like(depth)
+    )
+
+
+def blue_over_wall(height=60, width=80):
+    """Return a picture whose upper half is a blue sky and whose lower half a plain grey wall."""
+    light = np.empty((height, width, 3), np.float32)
+    light[: height // 2] = (0.25, 0.4, 0.7)
+    light[height // 2 :] = (0.2, 0.2, 0.19)
+    return light
+
+
+def test_the_sky_is_found_by_its_colour_and_a_wall_is_not_sky():
+    pictures = [view_of(blue_over_wall(), 0.45 + 0.02 * k) for k in range(4)]
+    colors = captured_sky.SkyColors(pictures)
+    assert colors.color is not None
+    shown = colors.shown(pictures[0])
+    assert shown[2:28].mean() > 0.95 and shown[32:].mean() == 0
+    seen = captured_sky.seen_sky(pictures, [colors.shown(p) for p in pictures])
+    assert seen[22:].any() and not seen[2:5, :2].any()  # low and straight ahead is the wall
+
+
+def test_a_ceiling_that_differs_from_place_to_place_is_no_sky():
+    pictures = [view_of(blue_over_wall() * np.float32(0.5 + 0.2 * k), 0.45) for k in range(4)]
+    assert captured_sky.SkyColors(pictures).color is None
+    plain = [view_of(np.full((60, 80, 3), 0.01, np.float32), 0.4)]
+    assert captured_sky.SkyColors(plain).color is None  # a night
+
+
+def test_haze_before_a_wall_is_moved_to_the_wall():
+    rng = np.random.default_rng(0)
+    count = 6000
+    place = np.column_stack([
+        2 - 0.1 * np.abs(rng.standard_normal(count)),
+        rng.uniform(-2, 2, count), rng.uniform(0, 2.5, count),
+    ]).astype(np.float32)  # fmt: skip
+    towards = np.tile([-1.0, 0, 0], (count, 1))
+    size, plain = np.full(count, 0.04, np.float32), np.ones(count, np.float32)
+    seen = np.full(count, 6, np.uint8)
+    moved, upright = walls.to_walls(place, towards, size, plain, seen, [])
+    wall = upright.any(axis=1)
+    assert wall.mean() > 0.9 and np.abs(upright[wall, 0]).min() > 0.999
+    assert np.ptp(moved[wall, 0]) < 0.02 and 1.8 < moved[wall, 0].mean() < 2.0
+    ground = place.copy()
+    ground[:, 2] = 0
+    ground[:, 0] = rng.uniform(-2, 2, count)
+    moved, upright = walls.to_walls(ground, towards, size, plain, seen, [])
+    assert not upright.any() and np.array_equal(moved, ground)
+
+
+def ground_seen(bump, textured):
+    """Return pictures of a ground with a bump [m] and its height; specks, or none."""
+    rng = np.random.default_rng(1)
+    cells = 12 * rng.standard_normal((200, 200)) * textured
+
+    def texture(x, y):
+        return cells[(np.floor(y / 0.03) % 200).astype(int), (np.floor(x / 0.03) % 200).astype(int)]
+
+    def height(x, y):
+        return bump * np.exp(-(x**2 + y**2) / (2 * 0.25**2))
+
+    pictures = []
+    for turn_ in np.arange(10) * 2 * np.pi / 10:
+        eye = np.array([1.3 * np.cos(turn_), 1.3 * np.sin(turn_), 1.2])
+        forward = -eye / np.linalg.norm(eye)
+        right = np.cross(forward, [0, 0, 1.0])
+        right /= np.linalg.norm(right)
+        turning = np.stack([right, np.cross(forward, right), forward])
+        width, tall, focal = 240, 180, 260.0
+        u, v = np.meshgrid(np.arange(width) + 0.5, np.arange(tall) + 0.5)
+        ray = np.stack([(u - width / 2) / focal, (v - tall / 2) / focal, 1 + 0 * u], -1) @ turning
+        z = np.zeros(u.shape)
+        for _ in range(6):
+            far = (z - eye[2]) / ray[..., 2]
+            z = height(eye[0] + far * ray[..., 0], eye[1] + far * ray[..., 1])
+        shown = texture(eye[0] + far * ray[..., 0], eye[1] + far * ray[..., 1])
+        matrix = np.column_stack([turning, -turning @ eye]).astype(np.float32)
+        lens = np.array([focal, focal, width / 2, tall / 2], np.float32)
+        pictures.append(sweep.TexturePicture(
+            matrix, eye.astype(np.float32), lens, far.astype(np.float32), shown.astype("f4")
+        ))  # fmt: skip
+    return pictures, height
+
+
+@pytest.mark.parametrize("textured", [True, False])
+def test_heights_come_from_specks_and_from_nothing_else(textured):
+    pictures, height = ground_seen(0.015, textured)
+    ground = object.__new__(sweep.GroundSweep)
+    ground._pictures, ground._guess, ground.thin = pictures, np.zeros((0, 3)), False
+    grid = Grid((48, 48), (-0.48, -0.48), 0.02)
+    x, y = np.meshgrid(*grid.centres())
+    start = np.full(grid.shape, 0.004, np.float32)
+    found, smoothed = ground.heights(grid, start, np.ones(grid.shape, bool))
+    assert np.isfinite(found).all()
+    if textured:
+        assert np.median(np.abs(found - height(x, y))) < 1.5e-3
+        assert found[24, 24] - found[4, 4] > 0.008 and smoothed.mean() > 0.5
+    else:
+        assert np.abs(found - start).max() < 2e-3  # nothing to go by: as guessed
+
+
+def test_offsets_that_are_tried_add_up(poisoned):
+    pictures, _ = ground_seen(0.0, True)
+    place = np.zeros((1, 1, 3), np.float32)
+    offsets = np.array([-0.02, 0.0, 0.02], np.float32)
+    variance, weight = sweep.variances(place, sweep.UP, np.ones((1, 1), bool), offsets, pictures)
+    assert weight[0, 0] > 1 and variance[1, 0, 0] < 0.5 * variance[[0, 2], 0, 0].min()
+    sums = poisoned((3, 3, 1, 1))
+    sweep.try_offsets(place, sweep.UP, np.zeros((1, 1), bool), offsets, pictures[0], sums)
+    assert np.isnan(sums).all()  # what is not wanted is not touched
+
+
+def test_dark_splats_take_the_values_of_dark_places():
+    x = np.arange(-0.4, 0.4, 0.04, dtype=np.float32)
+    place = np.stack([*np.meshgrid(x, x), np.zeros((20, 20), "f4")], -1).reshape(-1, 3)
+    dark = place[:, 0] < 0
+    light = np.where(dark, 0.05, 0.4).astype("f4")[:, None] * np.ones(3, "f4")
+    one = np.ones(len(place), np.float32)
+    near = np.zeros((len(place), 1), np.int32)
+    surface = Surface(place, 0 * place, one, light, one, near, one)
+    values = np.where(dark, 4.0, 0.5).astype("f4")[:, None]
+    at = np.array([[0.01, 0, 0.02], [0.01, 0, 0.02], [5, 5, 5]], np.float32)
+    own = np.array([0.05, 0.4, 0.4], "f4")[:, None] * np.ones(3, "f4")
+    found, known = carried(surface, 0.04, values, at, own)
+    assert found[0, 0] > 3 and found[1, 0] < 0.7 and known.tolist() == [True, True, False]
+
+
+def test_normals_are_turned_and_others_are_kept(yard):
+    splats = yard.splats.take(slice(0, 300))
+    prepared = prepare(splats)
+    before = prepared.geometry.reshape(-1, GEOMETRY, LANES)[:, 9:12].copy()
+    share = np.zeros(300, np.float32)
+    share[::2] = 1
+    turn(prepared, np.tile(np.float32([0.6, 0.8, 0]), (300, 1)), share)
+    after = prepared.geometry.reshape(-1, GEOMETRY, LANES)[:, 9:12]
+    rows = after.transpose(0, 2, 1).reshape(-1, 3)[:300]
+    old = before.transpose(0, 2, 1).reshape(-1, 3)[:300]
+    turned = share[prepared.order] == 1
+    assert np.abs(rows[turned] @ [0.6, 0.8, 0]).min() > 0.9999
+    np.testing.assert_allclose(rows[~turned], old[~turned], atol=1e-6)
+
+
+def test_few_splats_have_no_surface(yard):
+    assert kept.kept_surface(replace(yard, splats=yard.splats.take(slice(0, 20)))) is None
+
+
+def test_it_is_kept_for_the_next_run(yard, found, tmp_path, monkeypatch):
+    monkeypatch.setenv("RAINSIM_CACHE", str(tmp_path))
+    monkeypatch.setattr(kept, "_last", [None, None])
+    monkeypatch.setattr(kept, "find_surface", lambda scene: found)
+    kept.kept_surface(yard)
+    monkeypatch.setattr(kept, "_last", [None, None])
+    monkeypatch.setattr(kept, "find_surface", None)  # to call it would be an error
+    again = kept.kept_surface(yard)
+    for name, values in found.surface._asdict().items():
+        np.testing.assert_array_equal(getattr(again.surface, name), values)
+    np.testing.assert_array_equal(again.solid, found.solid)
+    assert again.half == found.half
+
+
+def test_cameras_are_made_up_where_there_are_none(yard):
+    bare = replace(yard, cameras=())
+    middle, half = views.window_of(yard.ground_frame.to_ground(yard.splats.position), ())
+    made = views.cameras_of(bare, middle, half)
+    assert len(made) == len(views.RINGS) * views.ON_RING
+    assert len(views.cameras_of(yard, middle, half)) == len(yard.cameras)
+
+
+def test_views_are_counted(poisoned):
+    light = np.full((40, 40, 3), 0.3, np.float32)
+    view = view_of(light)
+    place = np.array([[5, 0, 0], [3, 0, 0], [8, 0, 0], [-5, 0, 0]], np.float32)
+    found = fuse.counted(place, np.full(4, 0.04, np.float32), [view, view])
+    assert found.tolist() == [[2, 0, 0], [0, 2, 0], [0, 0, 2], [0, 0, 0]]
+    assert SimpleNamespace(**view._asdict()).plain.min() == 1
