@@ -34,7 +34,8 @@ UP = np.array([0, 0, 1], np.float32)
 USUAL_AWAY = np.float32(2.5)  # m, from which on a camera counts the less the farther it is
 RIM = 8  # px of a picture's edge that are not used
 ENOUGH = 1.0  # weight of the cameras from which on a place is known
-LEAST_SIGMA, MOST_SIGMA = 1.5e-3, 0.02  # m of a patch's height
+FEW = 5.0  # cameras, so many of which agree on any height by chance
+LEAST_SIGMA, MOST_SIGMA = 1.5e-3, 0.04  # m of a patch's height
 ROUNDS = 2  # in which patches that are off the mean lose their weight
 
 
@@ -78,14 +79,12 @@ class GroundSweep:
         for camera in scene.cameras[:: -(-len(scene.cameras) // MOST_CAMERAS)]:
             camera = resize_to(camera, min(WIDTH, camera.width))
             layers = rasterizer.draw(camera, NEAR / frame.meters_per_unit)
-            light = layers.color @ LUMINANCE_WEIGHTS.astype(np.float32)
-            log = np.log(np.maximum(light, np.float32(DARK)))
             placed = frame.camera_in_ground(camera)
             self._pictures.append(TexturePicture(
                 np.ascontiguousarray(placed.camera_from_world[:3], np.float32),
                 placed.position.astype(np.float32),
                 np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float32),
-                layers.depth * unit, log - ndimage.gaussian_filter(log, TEXTURE),
+                layers.depth * unit, _texture(layers.color, layers.alpha),
             ))  # fmt: skip
 
     def heights(self, grid, start, wanted):
@@ -149,8 +148,8 @@ class GroundSweep:
     def _tried(self, x, y, height, wanted, offsets, patch):
         """Return the best of some heights in each place, and its standard deviation [m]."""
         place = np.stack([*np.meshgrid(x, y), height], -1).astype(np.float32)
-        variance, weight = variances(place, UP, wanted, offsets, self._pictures)
-        known = weight > ENOUGH
+        variance, weight, count = variances(place, UP, wanted, offsets, self._pictures)
+        known = (weight > ENOUGH) & (count > FEW)
         share = np.maximum(ndimage.gaussian_filter(weight * known, patch), 1e-6)
         for k in range(len(offsets)):
             variance[k] = ndimage.gaussian_filter(variance[k] * weight * known, patch) / share
@@ -159,9 +158,21 @@ class GroundSweep:
         below, at, above = (np.take_along_axis(variance, inner[None] + k, 0)[0] for k in (-1, 0, 1))
         bend, step = np.maximum(below - 2 * at + above, 1e-12), float(offsets[1] - offsets[0])
         found = height + offsets[inner] + step * np.clip(0.5 * (below - above) / bend, -0.5, 0.5)
-        sigma = step * np.sqrt(2 * np.maximum(at, 1e-9) / bend / np.maximum(weight, 0.3))
+        weight = np.maximum(weight, 0.3) * np.maximum(1 - FEW / np.maximum(count, 1), 1e-3)
+        sigma = step * np.sqrt(2 * np.maximum(at, 1e-9) / bend / weight)
         sigma[~known | (best != inner)] = np.inf
         return found, sigma
+
+
+def _texture(color, alpha):
+    """Return the log luminance of a picture (height, width) without its mean around.
+
+    The mean is of what there is: the edge of the capture is no speck of its ground.
+    """
+    light = color @ LUMINANCE_WEIGHTS.astype(np.float32) / np.maximum(alpha, np.float32(0.1))
+    log = np.log(np.maximum(light, np.float32(DARK)))
+    share = np.maximum(ndimage.gaussian_filter(alpha, TEXTURE), np.float32(1e-3))
+    return alpha * (log - ndimage.gaussian_filter(alpha * log, TEXTURE) / share)
 
 
 def _mean(found, sigma, around, off):
@@ -201,7 +212,7 @@ def _finer(values, times, shape):
 
 
 @cpu_kernel
-def try_offsets(position, normal, wanted, offsets, picture: TexturePicture, sums_out):
+def try_offsets(position, normal, wanted, offsets, picture: TexturePicture, sums_out, count_out):
     """Add what a picture shows at some offsets along a normal to the sums of each place.
 
     Parameters
@@ -214,6 +225,8 @@ def try_offsets(position, normal, wanted, offsets, picture: TexturePicture, sums
     picture : TexturePicture
     sums_out : ndarray of shape (3, k, ny, nx), float32
         Sums of the weights, and of the texture and of its square with these.
+    count_out : ndarray of shape (ny, nx), uint16
+        One more where the picture shows it.
     """
     rows, columns = picture.texture.shape
     m, lens, eye, texture = picture.matrix, picture.lens, picture.eye, picture.texture
@@ -242,6 +255,27 @@ def try_offsets(position, normal, wanted, offsets, picture: TexturePicture, sums
             slack = np.float32(0.03) + np.float32(0.03) * pz + offsets[-1]
             if picture.depth[int(v), int(u)] < pz - slack:
                 continue
+            # At its highest and lowest it must be seen on the ground, not beside it: nothing looks
+            # the same from everywhere. What stands before the ground colours the means beside it.
+            outer = slack + offsets[-1] * away / facing
+            clear = True
+            for k in (0, len(offsets) - 1):
+                far = pz + step_z * offsets[k]
+                a = int(lens[0] * (px + step_x * offsets[k]) / far + lens[2])
+                b = int(lens[1] * (py + step_y * offsets[k]) / far + lens[3])
+                if a >= 0 and b >= 0 and a < columns and b < rows:
+                    clear = clear and picture.depth[b, a] < far + outer
+            a, b = int(u), int(v)
+            slope = (step_x * px + step_y * py + step_z * pz) / pz
+            for da, db in ((-RIM, 0), (RIM, 0), (0, -RIM), (0, RIM)):
+                along = (
+                    slope + step_x * np.float32(da) / lens[0] + step_y * np.float32(db) / lens[1]
+                )
+                if along * slope > 0:
+                    clear = clear and picture.depth[b + db, a + da] > pz * slope / along - slack
+            if not clear:
+                continue
+            count_out[j, i] += np.uint16(1)
             near = USUAL_AWAY / max(away, USUAL_AWAY)
             weight = facing / away * near * near
             for k in range(len(offsets)):
@@ -273,9 +307,12 @@ def variances(position, normal, wanted, offsets, pictures):
     -------
     variance : ndarray of shape (k, ny, nx), float32
     weight : ndarray of shape (ny, nx), float32
+    count : ndarray of shape (ny, nx), uint16
+        Of the pictures that show a place.
     """
     sums = np.zeros((3, len(offsets), *wanted.shape), np.float32)
+    count = np.zeros(wanted.shape, np.uint16)
     for picture in pictures:
-        try_offsets(position, normal, wanted, offsets, picture, sums)
+        try_offsets(position, normal, wanted, offsets, picture, sums, count)
     total = np.maximum(sums[0], 1e-6)
-    return np.maximum(sums[2] / total - (sums[1] / total) ** 2, 0), sums[0].min(axis=0)
+    return np.maximum(sums[2] / total - (sums[1] / total) ** 2, 0), sums[0].min(axis=0), count

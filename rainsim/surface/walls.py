@@ -112,7 +112,7 @@ def _offset(position, normal, pictures):
     some = position[:: max(1, len(position) // MOST_TRIED)][None]
     offsets = (STEP * np.arange(-STEPS, STEPS + 1)).astype(np.float32)
     wanted = np.ones(some.shape[:2], bool)
-    variance, weight = variances(some, normal.astype(np.float32), wanted, offsets, pictures)
+    variance, weight, _ = variances(some, normal.astype(np.float32), wanted, offsets, pictures)
     known = weight > 1
     if np.count_nonzero(known) < FEWEST:
         return 0.0

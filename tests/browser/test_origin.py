@@ -14,7 +14,7 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture(scope="module")
 def address():
-    server = _server(0)
+    server = _server(0, None)
     yield f"ws://127.0.0.1:{server.get_port()}"
     server.stop()
 

@@ -193,11 +193,43 @@ def test_offsets_that_are_tried_add_up(poisoned):
     pictures, _ = ground_seen(0.0, True)
     place = np.zeros((1, 1, 3), np.float32)
     offsets = np.array([-0.02, 0.0, 0.02], np.float32)
-    variance, weight = sweep.variances(place, sweep.UP, np.ones((1, 1), bool), offsets, pictures)
-    assert weight[0, 0] > 1 and variance[1, 0, 0] < 0.5 * variance[[0, 2], 0, 0].min()
-    sums = poisoned((3, 3, 1, 1))
-    sweep.try_offsets(place, sweep.UP, np.zeros((1, 1), bool), offsets, pictures[0], sums)
-    assert np.isnan(sums).all()  # what is not wanted is not touched
+    one = np.ones((1, 1), bool)
+    variance, weight, count = sweep.variances(place, sweep.UP, one, offsets, pictures)
+    assert (
+        weight[0, 0] > 1
+        and count[0, 0] == len(pictures)
+        and variance[1, 0, 0] < 0.5 * variance[[0, 2], 0, 0].min()
+    )
+    sums, count = poisoned((3, 3, 1, 1)), np.zeros((1, 1), np.uint16)
+    sweep.try_offsets(place, sweep.UP, ~one, offsets, pictures[0], sums, count)
+    assert np.isnan(sums).all() and count[0, 0] == 0  # what is not wanted is not touched
+
+
+@pytest.mark.parametrize("before", ["nothing", "a thing", "no ground"])
+def test_a_picture_counts_where_it_shows_ground_all_around(before):
+    pictures, _ = ground_seen(0.0, True)
+    place, one = np.zeros((1, 1, 3), np.float32), np.ones((1, 1), bool)
+    rows, columns = pictures[0].depth.shape
+    for picture in pictures:  # beside the middle, where the place is seen
+        side = picture.depth[:, columns // 2 + 5 :]
+        side[:] = {"nothing": side, "a thing": 0.5, "no ground": side}[before]
+        if before == "no ground":
+            picture.depth[:, : columns // 2 + 2] = np.inf
+            picture.depth[: rows // 2 - 2] = np.inf
+    offsets = np.array([-0.02, 0.0, 0.02], np.float32)
+    count = sweep.variances(place, sweep.UP, one, offsets, pictures)[2]
+    assert count[0, 0] == (len(pictures) if before == "nothing" else 0)
+
+
+@pytest.mark.parametrize("count", [5, 10])
+def test_few_cameras_leave_the_ground_as_the_splats_have_it(count):
+    pictures, height = ground_seen(0.015, True)
+    ground = object.__new__(sweep.GroundSweep)
+    ground._pictures, ground._guess, ground.thin = pictures[:count], np.zeros((0, 3)), False
+    grid = Grid((48, 48), (-0.48, -0.48), 0.02)
+    start = height(*np.meshgrid(*grid.centres())).astype(np.float32) + np.float32(0.004)
+    change = ground.heights(grid, start, np.ones(grid.shape, bool))[0] - start
+    assert np.abs(change).max() < 1e-6 if count == 5 else np.median(change) < -0.003
 
 
 def test_dark_splats_take_the_values_of_dark_places():
