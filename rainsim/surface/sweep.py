@@ -34,7 +34,7 @@ UP = np.array([0, 0, 1], np.float32)
 USUAL_AWAY = np.float32(2.5)  # m, from which on a camera counts the less the farther it is
 RIM = 8  # px of a picture's edge that are not used
 ENOUGH = 1.0  # weight of the cameras from which on a place is known
-FEW = 5.0  # cameras, so many of which agree on any height by chance
+BY_CHANCE = 5.0  # cameras, so many of which agree on any height by chance
 LEAST_SIGMA, MOST_SIGMA = 1.5e-3, 0.04  # m of a patch's height
 ROUNDS = 2  # in which patches that are off the mean lose their weight
 
@@ -149,7 +149,7 @@ class GroundSweep:
         """Return the best of some heights in each place, and its standard deviation [m]."""
         place = np.stack([*np.meshgrid(x, y), height], -1).astype(np.float32)
         variance, weight, count = variances(place, UP, wanted, offsets, self._pictures)
-        known = (weight > ENOUGH) & (count > FEW)
+        known = (weight > ENOUGH) & (count > BY_CHANCE)
         share = np.maximum(ndimage.gaussian_filter(weight * known, patch), 1e-6)
         for k in range(len(offsets)):
             variance[k] = ndimage.gaussian_filter(variance[k] * weight * known, patch) / share
@@ -158,7 +158,7 @@ class GroundSweep:
         below, at, above = (np.take_along_axis(variance, inner[None] + k, 0)[0] for k in (-1, 0, 1))
         bend, step = np.maximum(below - 2 * at + above, 1e-12), float(offsets[1] - offsets[0])
         found = height + offsets[inner] + step * np.clip(0.5 * (below - above) / bend, -0.5, 0.5)
-        weight = np.maximum(weight, 0.3) * np.maximum(1 - FEW / np.maximum(count, 1), 1e-3)
+        weight = np.maximum(weight, 0.3) * np.maximum(1 - BY_CHANCE / np.maximum(count, 1), 1e-3)
         sigma = step * np.sqrt(2 * np.maximum(at, 1e-9) / bend / weight)
         sigma[~known | (best != inner)] = np.inf
         return found, sigma

@@ -12,7 +12,7 @@ import numpy as np
 from scipy import ndimage
 
 from rainsim.numerics.srgb import LUMINANCE_WEIGHTS
-from rainsim.surface.sweep import DARK, TexturePicture, variances
+from rainsim.surface.sweep import BY_CHANCE, DARK, ENOUGH, TexturePicture, variances
 
 TURNS = 180  # directions of half a turn
 BIN, SMOOTH = 0.04, 3  # m of the distances; bins over which they are summed
@@ -26,7 +26,7 @@ NEAR = 0.12  # m
 ROUNDS = 4  # of its fit
 STEEP = 0.3  # sine of the way that a place is seen, to the wall: on edge it tells less
 PLAIN = 0.5  # of a place that shows where a wall is
-FEWEST = 200  # of them
+FEWEST, TOLD = 200, 0.2  # of them; share of a wall's places whose depth pictures tell
 TEXTURE = 25  # px, of the square whose mean is subtracted from the pictures of walls
 STEP, STEPS = 0.02, 15  # m of the offsets that are tried; to either side
 MOST_TRIED = 3000  # places of a wall
@@ -112,9 +112,9 @@ def _offset(position, normal, pictures):
     some = position[:: max(1, len(position) // MOST_TRIED)][None]
     offsets = (STEP * np.arange(-STEPS, STEPS + 1)).astype(np.float32)
     wanted = np.ones(some.shape[:2], bool)
-    variance, weight, _ = variances(some, normal.astype(np.float32), wanted, offsets, pictures)
-    known = weight > 1
-    if np.count_nonzero(known) < FEWEST:
+    variance, weight, count = variances(some, normal.astype(np.float32), wanted, offsets, pictures)
+    known = (weight > ENOUGH) & (count > BY_CHANCE)
+    if np.count_nonzero(known) < max(FEWEST, TOLD * known.size):
         return 0.0
     curve = variance[:, known] / np.maximum(variance[:, known].mean(axis=0), 1e-12)
     curve = np.median(curve, axis=1)
