@@ -147,12 +147,7 @@ def find_relight(scene, found, sun=None, white=USUAL_ALBEDO):
         measured = SunRatio(np.array(USUAL_RATIO), measured.pairs, measured.agree)
     facts = direction, tuple(map(float, measured.ratio)), confidence
     if sun is None and confidence < SURE:
-        shown = f"no sure sign of sunshine in the capture (confidence {confidence:.2f})"
-        if 0 < len(scene.cameras) < FEWEST_CAMERAS:
-            shown += (
-                f"; too few cameras to see what throws shadows: {len(scene.cameras)} of the "
-                f"{FEWEST_CAMERAS} it takes (or give --sun)"
-            )
+        shown = _unsure(confidence, len(scene.cameras))
         return Relight(None, f"relight: {shown}; {STAYS}", *facts)
     windows = near, Window(near.middle, SIDE, np.float32(2 * FAR_HALF / SIDE))
     light = received(surface, solids, windows, direction, sent)
@@ -287,6 +282,15 @@ def _raised(value, limits):
 def _over_sky(measured, direction):
     """Return the sun's light on level ground over the sky's."""
     return float(luminance(measured.ratio[None])[0]) * max(direction[2], 0.0)
+
+
+def _unsure(confidence, cameras):
+    """Return the note that no sun is sure in a capture with this number of cameras."""
+    shown = f"no sure sign of sunshine in the capture (confidence {confidence:.2f})"
+    if 0 < cameras < FEWEST_CAMERAS:
+        shown += f"; too few cameras to see what throws shadows: {cameras} of the {FEWEST_CAMERAS} "
+        shown += "it takes (or give --sun)"
+    return shown
 
 
 def _note(direction, measured, confidence, given):
