@@ -41,6 +41,7 @@ from rainsim.jit import get_num_threads
 from rainsim.numerics.blocks import in_blocks
 from rainsim.numerics.srgb import linear
 from rainsim.surface.fuse import VOXEL
+from rainsim.surface.views import FEWEST_CAMERAS
 
 SIDE = 1024  # px of the maps of the sky's light
 FAR_HALF = 60.0  # m, of the far window
@@ -54,6 +55,9 @@ SURE = 0.5  # confidence from which on the sun is divided out
 # Values that raise the confidence from 0 to 1: sun over sky on level ground, share of the changes
 # of brightness that are towards where the sun shines, and the score of the search.
 OVER_SKY, AGREE, SCORE = (0.15, 0.6), (0.55, 0.75), (0.06, 0.1)
+# Red over blue of the sun over the sky, likewise: the shade of a clear day is blue, whereas dark
+# paint and the corners of a dull day are darker in all channels.
+RED_OVER_BLUE = 1.1, 1.25
 PAINT_REACH, PAINT_COUNT, LEAST_PAINT = 3.0, 16, 4  # m; splats that a splat's paint is taken from
 SAME_TINT = 0.35  # logarithm of the ratio of two channels, by which splats of one paint differ
 # m: cells about a place whose paint is compared with its own; how many, and how far away.
@@ -115,7 +119,8 @@ def find_relight(scene, found, sun=None, white=USUAL_ALBEDO):
         Albedo that a captured linear colour of 1 stands for, on open level ground.
     """
     if found is None or len(found.surface.position) < FEWEST:
-        return Relight(None, f"relight: too few splats to find a sun; {STAYS}")
+        what = "too few splats" if found is None else "too little that its cameras agree on"
+        return Relight(None, f"relight: {what} to find a sun; {STAYS}")
     if sun is not None and sun[1] <= 0:
         return Relight(None, f"relight: the given sun is below the horizon; {STAYS}")
     surface = surface_of(found.surface)
@@ -136,11 +141,13 @@ def find_relight(scene, found, sun=None, white=USUAL_ALBEDO):
     if score > LEAST_SCORE and len(places.pair):
         measured = measure(places, solids, plane, near, direction, sent)
     confidence = _confidence(measured, score, direction)
-    if sun is not None and confidence < SURE:
+    if sun is None:
+        confidence *= _raised(measured.ratio[0] / max(measured.ratio[2], 1e-6), RED_OVER_BLUE)
+    elif confidence < SURE:
         measured = SunRatio(np.array(USUAL_RATIO), measured.pairs, measured.agree)
     facts = direction, tuple(map(float, measured.ratio)), confidence
     if sun is None and confidence < SURE:
-        shown = f"no sure sign of sunshine in the capture (confidence {confidence:.2f})"
+        shown = _unsure(confidence, len(scene.cameras))
         return Relight(None, f"relight: {shown}; {STAYS}", *facts)
     windows = near, Window(near.middle, SIDE, np.float32(2 * FAR_HALF / SIDE))
     light = received(surface, solids, windows, direction, sent)
@@ -264,12 +271,26 @@ def _confidence(measured, score, direction):
         return 0.0
     values = _over_sky(measured, direction), measured.agree, score
     limits = zip(values, (OVER_SKY, AGREE, SCORE), strict=True)
-    return float(np.prod([np.clip((v - low) / (high - low), 0, 1) for v, (low, high) in limits]))
+    return float(np.prod([_raised(value, limit) for value, limit in limits]))
+
+
+def _raised(value, limits):
+    """Return 0 to 1, as a value lies between limits."""
+    return float(np.clip((value - limits[0]) / (limits[1] - limits[0]), 0, 1))
 
 
 def _over_sky(measured, direction):
     """Return the sun's light on level ground over the sky's."""
     return float(luminance(measured.ratio[None])[0]) * max(direction[2], 0.0)
+
+
+def _unsure(confidence, cameras):
+    """Return the note that no sun is sure in a capture with this number of cameras."""
+    shown = f"no sure sign of sunshine in the capture (confidence {confidence:.2f})"
+    if 0 < cameras < FEWEST_CAMERAS:
+        shown += f"; too few cameras to see what throws shadows: {cameras} of the {FEWEST_CAMERAS} "
+        shown += "it takes (or give --sun)"
+    return shown
 
 
 def _note(direction, measured, confidence, given):

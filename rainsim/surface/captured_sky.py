@@ -23,6 +23,7 @@ BRIGHTER = 0.7  # quantile of the cameras: things before the sky are darker
 STEP = 0.25  # logarithm of a channel between texels of the sky, at most
 NEAR = 0.1  # logarithm of a channel by which cameras differ from each other: not the sky
 SAME = 0.35  # logarithm of a channel by which a pixel differs from the map
+LIKE_LAND = 0.5  # share of what lies below the horizon that may differ so little from the map
 SEEN = 45, 180  # rows and columns of the map of where the sky is seen
 LEAST_SEEN = 0.02  # share of the pixels that look in a direction, that show the sky
 LEAST_TEXELS = 6  # that show the sky
@@ -65,14 +66,29 @@ class SkyColors:
                 spread[n] = np.median(away) if len(seen) > 1 else np.nan
         shape = ROWS, COLUMNS
         self.color = _completed(color.reshape(*shape, 3), spread.reshape(shape))
+        if self.color is not None and self._like_land(views) > LIKE_LAND:
+            self.color = None  # fog, or a room of one grey: no colour tells the sky from a wall
+
+    def _like_land(self, views):
+        """Return the share of the pixels below the horizon that have the map's colour."""
+        alike = below = 0
+        for view in views:
+            direction = directions(view)
+            low = direction[..., 2] < 2 * LOWEST
+            below += np.count_nonzero(low)
+            alike += np.count_nonzero(self._off(view, direction)[low] < SAME)
+        return alike / max(below, 1)
+
+    def _off(self, view, direction):
+        """Return the logarithm by which a view's pixels differ from the map, (height, width)."""
+        return np.abs(np.log(np.clip(view.light, 0.01, 1.0)) - self.at(direction)).max(axis=-1)
 
     def shown(self, view):
         """Return which pixels of a `DepthView` show the sky, bool (height, width)."""
         if self.color is None:
             return np.zeros(view.depth.shape, bool)
         direction = directions(view)
-        away = np.abs(np.log(np.clip(view.light, 0.01, 1.0)) - self.at(direction)).max(axis=-1)
-        near = (away < SAME) & (direction[..., 2] > LOWEST)
+        near = (self._off(view, direction) < SAME) & (direction[..., 2] > LOWEST)
         return ndimage.median_filter(near, 3)
 
     def at(self, direction):

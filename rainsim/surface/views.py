@@ -18,7 +18,8 @@ THIN = 0.1  # of its second axis, that a splat is thick: then its plane tells th
 OPAQUE = np.float32(0.7)  # alpha from which a pixel shows a surface
 ABOUT, PLAIN = 9, (0.1, 0.25)  # px, and range of log luminance about a pixel: plain, textured
 LEAST_HALF, MOST_HALF, BEYOND = 6.0, 40.0, 4.0  # m, of what cameras look at; past the cameras
-# Cameras of a capture without any: rings about its middle, as a person would walk them.
+FEWEST_CAMERAS = 8  # of the capture, below which cameras are made too
+# Cameras of a capture without enough: rings about its middle, as a person would walk them.
 RINGS = ((0.35, 1.1), (0.6, 1.7), (0.85, 2.4))  # of half its width; m over the ground
 ON_RING, MADE_FOV, MADE_SHAPE = 12, 70.0, 1.5  # cameras; degrees; width over height
 
@@ -43,27 +44,29 @@ def window_of(position, cameras):
     position : ndarray of shape (n, 3) [m]
         Of the splats.
     cameras : sequence of Camera
-        In the ground frame; may be empty.
+        In the ground frame. Where they are few the splats say it.
     """
-    if cameras:
+    if len(cameras) >= FEWEST_CAMERAS:
         eyes = np.array([camera.position for camera in cameras])
         middle = np.median(eyes, axis=0)
         reach = np.percentile(np.linalg.norm(eyes[:, :2] - middle[:2], axis=1), 90)
         half = 1.6 * reach + BEYOND
     else:
         middle = np.median(position, axis=0)
-        half = 1.2 * np.percentile(np.abs(position[:, :2] - middle[:2]), 90)
+        # Of a disc, somewhat more than its radius, though half of the splats may be far sky.
+        half = 1.6 * np.median(np.linalg.norm(position[:, :2] - middle[:2], axis=1))
     return middle.astype(np.float32), float(np.clip(half, LEAST_HALF, MOST_HALF))
 
 
 def cameras_of(scene, middle, half):
     """Return the cameras that a surface is found from, in the capture frame.
 
-    Those of the capture, evenly spaced; without any, rings of cameras about its middle.
+    Those of the capture, evenly spaced; where they are few, rings of cameras about its middle too:
+    few cameras take a wall for sky, and what throws a shadow stands outside their pictures.
     """
-    if scene.cameras:
+    if len(scene.cameras) >= FEWEST_CAMERAS:
         return scene.cameras[:: -(-len(scene.cameras) // MOST_CAMERAS)]
-    made = []
+    made = list(scene.cameras)
     for share, high in RINGS:
         for k in range(ON_RING):
             turn = 2 * np.pi * (k + share) / ON_RING

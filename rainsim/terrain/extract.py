@@ -92,8 +92,8 @@ def extract_terrain(scene, config, mask=None, tell=None):
     if seen < LEAST_GROUND:
         raise GroundError(
             f"only {seen:.1%} of the map of {grid.size[0]:g} x {grid.size[1]:g} m shows "
-            f"ground within {SLAB:g} m of the ground plane; give --up and "
-            "--meters-per-unit, or --ground-frame"
+            f"ground within {SLAB:g} m of the ground plane, from {len(scene.splats):,} splats; "
+            "give --up and --meters-per-unit, or --ground-frame, or a capture with more splats"
         )
     water, pond_notes = fill_ponds(grid, bed, maps["ground_class"], maps["color"])
     if water is not None:

@@ -117,6 +117,17 @@ def test_a_ceiling_that_differs_from_place_to_place_is_no_sky():
     assert captured_sky.SkyColors(plain).color is None  # a night
 
 
+def test_one_grey_everywhere_is_no_sky():
+    grey = np.full((60, 80, 3), 0.25, np.float32)
+    assert captured_sky.SkyColors([view_of(grey, 0.02 * k) for k in range(4)]).color is None
+    # The same grey over darker land is the sky of a dull day.
+    over_land = grey.copy()
+    over_land[30:] = (0.1, 0.09, 0.05)
+    assert (
+        captured_sky.SkyColors([view_of(over_land, 0.02 * k) for k in range(4)]).color is not None
+    )
+
+
 def test_haze_before_a_wall_is_moved_to_the_wall():
     rng = np.random.default_rng(0)
     count = 6000
@@ -282,10 +293,17 @@ def test_it_is_kept_for_the_next_run(yard, found, tmp_path, monkeypatch):
 
 def test_cameras_are_made_up_where_there_are_none(yard):
     bare = replace(yard, cameras=())
-    middle, half = views.window_of(yard.ground_frame.to_ground(yard.splats.position), ())
+    position = yard.ground_frame.to_ground(yard.splats.position)
+    middle, half = views.window_of(position, ())
     made = views.cameras_of(bare, middle, half)
     assert len(made) == len(views.RINGS) * views.ON_RING
-    assert len(views.cameras_of(yard, middle, half)) == len(yard.cameras)
+    assert len(views.cameras_of(yard, middle, half)) == len(yard.cameras) == views.FEWEST_CAMERAS
+    few = replace(yard, cameras=yard.cameras[:4])
+    assert len(views.cameras_of(few, middle, half)) == 4 + len(made)
+    # Splats of a sky far away, somewhat less than half of all, change little of what is looked at.
+    sky = 30 + np.zeros((int(0.8 * len(position)), 3))
+    wide = views.window_of(np.concatenate([position, sky]), ())[1]
+    assert half <= wide < 2.5 * half
 
 
 def test_views_are_counted(poisoned):

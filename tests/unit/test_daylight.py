@@ -106,6 +106,18 @@ def test_a_dull_capture_is_left_alone(dull):
     assert "no sure sign of sunshine" in found.note and "stays as captured" in found.note
 
 
+def test_shade_that_is_not_bluer_is_paint():
+    found = relit(sunny_yard.yard(sun=np.full(3, 4.4))[0])
+    assert found.gain is None and found.confidence < 0.5
+    assert angle(found.sun, 200, 38) < 3  # its edges lie as those of a shadow
+
+
+def test_few_cameras_are_said():
+    said = "too few cameras to see what throws shadows: 4 of the 8 it takes"
+    assert said in relight._unsure(0.0, 4)
+    assert all("too few" not in relight._unsure(0.0, count) for count in (0, 8))
+
+
 def test_a_given_sun_is_taken_wherever_it_stands(sunny):
     scene = sunny[0]
     given = relit(scene, [200.0, 38.0])
