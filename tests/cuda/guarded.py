@@ -13,6 +13,7 @@ import os
 import numpy as np
 
 BYTE = int(os.environ.get("RAINSIM_SPOIL", "3f"), 16)
+MANAGER = "NUMBA_CUDA_MEMORY_MANAGER"
 GUARD = 256  # bytes after each array
 SIMULATED = os.environ.get("NUMBA_ENABLE_CUDASIM") == "1"
 
@@ -34,7 +35,7 @@ def spoil_simulated():
     cuda.device_array = spoilt
 
 
-if not SIMULATED and os.environ.get("NUMBA_CUDA_MEMORY_MANAGER") == "guarded":
+if not SIMULATED and os.environ.get(MANAGER) == "guarded":
     from numba.cuda.cudadrv import driver as numba_driver
 
     driver = numba_driver.driver

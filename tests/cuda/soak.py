@@ -17,13 +17,14 @@ import gc
 import hashlib
 import itertools
 import json
+import os
 import random
 import subprocess
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
 
-from guarded import SIMULATED, damaged, spoil_simulated
+from guarded import MANAGER, SIMULATED, damaged, spoil_simulated
 
 from rainsim import pipeline
 from rainsim.bench.frame_levels import cameras_of
@@ -108,9 +109,13 @@ class Run:
 
 
 def fresh(name, tiny):
-    """Return the digests of a case drawn by a process of its own, or end with what it said."""
+    """Return the digests of a case drawn by a process of its own, or end with what it said.
+
+    Its memory is as the driver gives it, even if this process's is `guarded`.
+    """
+    plain = {key: value for key, value in os.environ.items() if key != MANAGER}
     command = [sys.executable, __file__, "--case", name, *(["--tiny"] if tiny else [])]
-    done = subprocess.run(command, capture_output=True, text=True)
+    done = subprocess.run(command, capture_output=True, text=True, env=plain)
     if done.returncode:
         sys.exit(f"{name}: a fresh process failed\n{done.stderr[-2000:]}")
     return json.loads(done.stdout.splitlines()[-1])
