@@ -29,7 +29,8 @@ def spoil_simulated():
         if np.dtype(dtype) == np.bool_:
             host[:] = 1
         array = make(shape, dtype, **options)
-        array.copy_to_device(host.view(dtype).reshape(shape))
+        if array.size:
+            array.copy_to_device(host.view(dtype).reshape(shape))
         return array
 
     cuda.device_array = spoilt

@@ -15,6 +15,7 @@ compute-sanitizer; `--tiny` is for numba's simulator.
 import argparse
 import gc
 import hashlib
+import importlib
 import itertools
 import json
 import os
@@ -28,9 +29,10 @@ from guarded import MANAGER, SIMULATED, damaged, spoil_simulated
 
 from rainsim import pipeline
 from rainsim.bench.frame_levels import cameras_of
-from rainsim.config.settings import Config
+from rainsim.config.settings import Config, mm_per_hour
 from rainsim.cuda import trouble
 from rainsim.render.renderer import Renderer as OnCpu
+from rainsim.render.wet_scene import WetScene
 from rainsim.scene.cameras import resize_to
 from rainsim.scene.library import load_scene
 from rainsim.terrain.movers import with_movers
@@ -54,7 +56,10 @@ FRAMES, AGAIN = 5, 2  # of a sequence; then one by one
 BESIDE = 3  # renderers that live at once, at most
 FRESH_AT_ONCE = 4  # processes
 LEFT, CPU_DRAWS = 0.2, 0.05  # shares left in the middle, and followed by a picture of the CPU
-TINY = {"width": 16, "spacing": 0.2, "extent": 1.0}
+TINY = {
+    "width": 16, "spacing": 0.2, "extent": 1.0, "frames": 3, "film": "environment",
+    "rate": mm_per_hour(3.0),
+}  # fmt: skip
 _worlds = {}
 
 
@@ -66,10 +71,11 @@ def world(name, tiny):
         changes = {"width": width, "spacing": 0.06, **changes, "frames": FRAMES}
         settings = Config.from_preset(preset).replace(**changes | (TINY if tiny else {}))
         terrain = with_movers(pipeline.extract_terrain(scene, settings), scene)
+        count = settings.frames
         if kind in ("box", "tiny"):
-            cameras = [resize_to(scene.cameras[0], settings.width)] * FRAMES
+            cameras = [resize_to(scene.cameras[0], settings.width)] * count
         else:
-            cameras = cameras_of(scene, "moving", FRAMES + 1)[:FRAMES]
+            cameras = cameras_of(scene, "moving", count + 1)[:count]
             cameras = [resize_to(camera, settings.width) for camera in cameras]
         _worlds[name] = scene, terrain, settings, cameras
     return _worlds[name]
@@ -96,9 +102,9 @@ class Run:
         for camera, state in zip(self.cameras, states, strict=False):
             yield camera, state, None
 
-    def sequence(self, count=FRAMES):
-        """Return digests of a sequence; with fewer frames it is left while the next is drawn."""
-        film = self.own.film(self._shots())
+    def sequence(self, stops=False):
+        """Return digests of a sequence; if it `stops` it is left while the next frame is drawn."""
+        film, count = self.own.film(self._shots()), self.settings.frames - 2 * stops
         return [digest(picture) for picture, _ in itertools.islice(film, count)]
 
     def again(self):
@@ -147,7 +153,7 @@ def soak(names, count, seed, tiny):
     for n in range(count):
         run = Run(rng.choice(names) if n >= len(names) else names[n], tiny)
         stops = rng.random() < LEFT
-        compare(run, n, run.sequence(FRAMES - 2 if stops else FRAMES), "sequence")
+        compare(run, n, run.sequence(stops), "sequence")
         if stops:  # freed while the next frame is drawn
             left += 1
             del run
@@ -182,6 +188,10 @@ def main():
     chosen = parser.parse_args()
     if (why := trouble()) is not None:
         sys.exit(why)
+    if SIMULATED:
+        importlib.import_module("conftest")  # its threads take turns
+    if chosen.tiny:  # six pictures of the surroundings are much for the simulator
+        WetScene._surroundings = lambda self, position: self.day
     if SIMULATED and chosen.spoil:
         spoil_simulated()
     names = chosen.cases.split(",") if chosen.cases else list(CASES)
