@@ -198,6 +198,7 @@ class Rasterizer:
         """Send the nodes that wait; the device must draw nothing meanwhile."""
         self.splats.put_nodes(self.nodes)
 
+    @one_fault()
     def draw(
         self, camera, near, plane=None, depth="expected", compensate=False, degree=None,
         background=(0, 0, 0), hit=False, drop_last=False, leading=False, detail=0.0, among=None,
@@ -218,8 +219,12 @@ class Rasterizer:
         size = camera.height, camera.width
         self.update(camera, near, plane, depth, compensate, degree, drop_last, detail=detail)
         self._take_chunks(leading)
-        with one_fault():
-            self._draw_all()
+        while True:
+            self.launch()
+            self.stream.synchronize()
+            if not self.overflows():
+                break
+            self.make_room()
         layers = self.layers.to_host(*size)
         if hit:
             self.update(camera, near, plane, "median", compensate, degree, drop_last, detail=detail)
@@ -232,15 +237,6 @@ class Rasterizer:
             clear = (1 - layers.alpha)[..., None]
             layers.color[...] += clear * np.asarray(background, np.float32)
         return layers
-
-    def _draw_all(self):
-        """Draw the picture, and again with more room until all entries have had some."""
-        while True:
-            self.launch()
-            self.stream.synchronize()
-            if not self.overflows():
-                return
-            self.make_room()
 
     def _take_chunks(self, leading):
         """Draw all splats, or only those that were not prepared to come last."""

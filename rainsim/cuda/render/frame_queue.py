@@ -88,6 +88,7 @@ class FrameQueue:
 
     def draw(self, shot):
         """Draw a shot (camera, state, camera_end) and wait for it."""
+        self._copied.synchronize()  # a sequence may have been left in the middle
         self._update(shot)
         self._begin()
         self._go_on()
@@ -104,6 +105,7 @@ class FrameQueue:
             Called as soon as a shot is finished.
         """
         before = None
+        self._copied.synchronize()
         for shot in shots:
             if before is not None and not self._fits(shot):
                 self._finish(before)
