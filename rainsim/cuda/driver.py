@@ -5,6 +5,9 @@ A frame records and awaits some thirty events. Numba's own calls take the host f
 
 from __future__ import annotations
 
+import contextlib
+from functools import partial
+
 from rainsim.cuda.jit import SIMULATED, cuda
 from rainsim.errors import BackendError
 
@@ -24,6 +27,42 @@ def checked(result):
     return values[0] if values else None
 
 
+@contextlib.contextmanager
+def one_fault():
+    """Raise BackendError, one line, if what fails in the context has left the device dead."""
+    try:
+        yield
+    except BackendError:
+        raise
+    except Exception:
+        code = 0 if SIMULATED else driver.cuCtxSynchronize()[0]
+        if int(code) == 0:
+            raise
+        raise BackendError(f"the CUDA device failed: {code.name}; start again") from None
+
+
+def prepare():
+    """Have a context, whose memory is freed without a word by threads that have it.
+
+    Numba frees in whichever thread collects garbage. One without the context cannot, and on a dead
+    device nobody can: numba would print a traceback for each array.
+    """
+    if SIMULATED:
+        return
+    context = cuda.current_context()
+    for owner in (context, context.memory_manager):
+        pending = getattr(owner, "deallocations", None)
+        if pending is not None and "clear" not in vars(pending):
+            pending.clear = partial(_free, pending.clear)
+
+
+def _free(clear):
+    code, context = driver.cuCtxGetCurrent()
+    if int(code) == 0 and int(context) != 0:
+        with contextlib.suppress(Exception):  # the next call that waits for the device tells
+            clear()
+
+
 def handle_of(stream):
     """Return the driver's handle of a numba stream; 0: the default one."""
     return driver.CUstream(0 if stream == 0 else stream.__cuda_stream__()[1])
@@ -38,7 +77,7 @@ class Event:
 
     def __init__(self):
         if not SIMULATED:
-            cuda.current_context()  # without one there are no events
+            prepare()  # without a context there are no events
             self._handle = checked(driver.cuEventCreate(_NO_TIMES))
 
     def record(self, stream):
@@ -59,6 +98,36 @@ class Event:
     def __del__(self):
         if hasattr(self, "_handle"):
             driver.cuEventDestroy(self._handle)
+
+
+def to_device(array, stream=0):
+    """Return a copy of a host array on the device, once it is there.
+
+    A copy from memory that is not pinned may read it after the call has returned, when the array
+    may be gone. Nor would another stream wait for it.
+    """
+    found = cuda.to_device(array, stream)
+    _wait(found, stream)
+    return found
+
+
+def send(array, values, stream=0):
+    """Copy host values to a device array and wait until they are there, see `to_device`."""
+    array.copy_to_device(values, stream=stream)
+    _wait(array, stream)
+
+
+def fetch(array, stream=0):
+    """Return a copy of a device array on the host, once it is there."""
+    found = array.copy_to_host(stream=stream)
+    _wait(array, stream)
+    return found
+
+
+def _wait(array, stream):
+    """Wait for the stream that numba has copied on: that of the array if none is given."""
+    if not SIMULATED and (stream or array.stream):
+        (stream or array.stream).synchronize()
 
 
 def copy_to_host(array, host_out, stream):

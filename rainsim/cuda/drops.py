@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rainsim.cuda.driver import fetch, to_device
 from rainsim.cuda.frame_uniforms import FrameUniforms
 from rainsim.cuda.jit import SIMULATED, cuda, cuda_kernel
 from rainsim.cuda.rain.settling import (
@@ -322,8 +323,8 @@ class Impacts:
         self._corners = corner, corner + np.array([nx, ny, 0.0]) * surfaces.spacing
         f8, i8, i4 = np.float64, np.int64, np.int32
         self.surfaces = sent_surfaces(surfaces, stream)
-        self._no_point = cuda.to_device(np.zeros((0, 0), i4), stream)
-        self._no_drips = cuda.to_device(np.zeros(0, i8), stream)
+        self._no_point = to_device(np.zeros((0, 0), i4), stream)
+        self._no_drips = to_device(np.zeros(0, i8), stream)
         names = {
             "counts": ((CLASSES + 1,), i8), "first": ((CLASSES, 3), i8), "last": ((CLASSES, 3), i8),
             "times": ((2,), f8), "slot": ((1,), i4), "sought": ((1,), i4),
@@ -332,17 +333,17 @@ class Impacts:
         self._columns = Columns(*(self.now[name] for name in Columns._fields))
         self._field = DropField(*(self.now[name] for name in DropField._fields))
         self.settled = FrameUniforms(stream, {"times": ((2,), f8), "slot": ((1,), i4)})
-        self._fall = cuda.to_device(np.ascontiguousarray(-field.velocity[:, 2]), stream)
+        self._fall = to_device(np.ascontiguousarray(-field.velocity[:, 2]), stream)
         many = SOUGHT * room + 2**16  # those near tall things are sought for longer
         self._tasks = cuda.device_array((many, 2), i4, stream=stream)
         self._words = cuda.device_array(many, np.uint64, stream=stream)
         self.room, self.room_sought = room, many
-        self.found = cuda.to_device(np.zeros(slots, i4), stream)
+        self.found = to_device(np.zeros(slots, i4), stream)
         self.values = cuda.device_array((slots, room, VALUES), f8, stream=stream)
         self.labels = cuda.device_array((slots, room, LABELS), i4, stream=stream)
         self.ids = cuda.device_array((slots, room), np.uint64, stream=stream)
         self.lists = ImpactLists(self.found, self.values, self.labels, self.ids)
-        self.obstacles = cuda.to_device(np.zeros(1, i8), stream)
+        self.obstacles = to_device(np.zeros(1, i8), stream)
 
     def update(self, field, start, stop, smallest=0.0, slot=0):
         """Set what `launch` lists next, and which list it fills and `settle` settles.
@@ -395,7 +396,7 @@ class Impacts:
 
     def missing(self):
         """Return how many hits the first list had no room for; waits for them."""
-        return max(int(self.found.copy_to_host(stream=self.stream)[0]) - self.room, 0)
+        return max(int(fetch(self.found, self.stream)[0]) - self.room, 0)
 
 
 def sent_surfaces(surfaces, stream):
@@ -403,7 +404,7 @@ def sent_surfaces(surfaces, stream):
     fields = surfaces.height_fields()
     return fields._replace(
         **{
-            name: cuda.to_device(value, stream)
+            name: to_device(value, stream)
             for name, value in fields._asdict().items()
             if isinstance(value, np.ndarray)
         }

@@ -6,9 +6,18 @@ recorded is fixed: values that change lie in pinned arrays, which recorded copie
 
 from __future__ import annotations
 
+import itertools
+
 from rainsim.cuda.driver import Event, checked, driver, handle_of
 from rainsim.cuda.frame_uniforms import recording
-from rainsim.cuda.jit import SIMULATED
+from rainsim.cuda.jit import SIMULATED, cuda
+
+new_version = itertools.count(1).__next__
+"""Return a number that nothing allocated before has.
+
+What a queue was recorded with is known by such numbers. Sizes and ids come again: by them a queue
+that holds the addresses of freed arrays would be taken for one of the arrays that are there.
+"""
 
 
 class Graph:
@@ -23,18 +32,20 @@ class Graph:
     """
 
     def __init__(self, stream, queue):
-        self._queue, self._stream = queue, stream
+        self._stream = stream
         if SIMULATED:
+            self._queue = queue
             return
         self._handle = handle_of(stream)
         mode = driver.CUstreamCaptureMode.CU_STREAM_CAPTURE_MODE_RELAXED
         stream.synchronize()
-        checked(driver.cuStreamBeginCapture(self._handle, mode))
-        try:
-            with recording() as self._sent:
-                queue()
-        finally:
-            recorded = checked(driver.cuStreamEndCapture(self._handle))
+        with cuda.defer_cleanup():  # garbage is freed before or after, not in the recording
+            checked(driver.cuStreamBeginCapture(self._handle, mode))
+            try:
+                with recording() as self._sent:
+                    queue()
+            finally:
+                recorded = checked(driver.cuStreamEndCapture(self._handle))
         self._run = checked(driver.cuGraphInstantiate(recorded, 0))
         checked(driver.cuGraphDestroy(recorded))
         self._done_before = Event()

@@ -10,8 +10,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from rainsim.cuda.driver import fetch, send, to_device
 from rainsim.cuda.frame_uniforms import FrameUniforms
-from rainsim.cuda.jit import cuda
 from rainsim.cuda.water import flow as lean
 from rainsim.cuda.water import step_control
 from rainsim.errors import DivergedError, ParameterError
@@ -68,17 +68,17 @@ class Water:
         self.width = step_control.pitch(nx)
         self.first = PAD * self.width + PAD + step_control.LEAD
         fields = np.stack([self._framed(a) for a in (flow.h, flow.u, flow.v)])
-        self._fields = cuda.to_device(np.stack([fields, fields]).reshape(-1), stream)
+        self._fields = to_device(np.stack([fields, fields]).reshape(-1), stream)
         takes = _what_the_ground_takes(solver)
         maps = flow.bed, rough, np.pad(self._exposure, PAD), takes, solver.storage
         maps = *maps, flow.remainder, solver.film
         *maps, self._remainder, self._film = (
-            cuda.to_device(self._framed(field).reshape(-1), stream) for field in maps
+            to_device(self._framed(field).reshape(-1), stream) for field in maps
         )
         self._maps = lean.Maps(*maps)
-        self.waiting = cuda.to_device(np.zeros((ny + 1) * self.width, np.int64), stream)
+        self.waiting = to_device(np.zeros((ny + 1) * self.width, np.int64), stream)
         depth = np.ascontiguousarray(solver.depth)
-        self.depths = [cuda.to_device(depth, stream) for _ in range(2)]
+        self.depths = [to_device(depth, stream) for _ in range(2)]
         self.turn_page(0)
         self._wide = (nx - 2 * PAD + lean.THREADS - 1) // lean.THREADS
         rows = lean.rows_for(ny - 2 * PAD, self._wide)
@@ -88,7 +88,7 @@ class Water:
         height = (ny - 2 * PAD + step_control.HEIGHT - 1) // step_control.HEIGHT
         self._stripes = (side, -(-height // step_control.STRIPE))
         blocks = max(self._wide * self._high, side * height)
-        self._partial = cuda.to_device(np.zeros((step_control.PARTIAL, blocks)), stream)
+        self._partial = to_device(np.zeros((step_control.PARTIAL, blocks)), stream)
         self._begin(solver, flow)
 
     def _begin(self, solver, flow):
@@ -123,9 +123,9 @@ class Water:
             int(solver.settled),
         )
         self._courant = solver.courant
-        self._numbers = cuda.to_device(numbers, self.stream)
-        self._control = cuda.to_device(control, self.stream)
-        self._state = cuda.to_device(state, self.stream)
+        self._numbers = to_device(numbers, self.stream)
+        self._control = to_device(control, self.stream)
+        self._state = to_device(state, self.stream)
         self._numbers_now = FrameUniforms(self.stream, {"now": ((step_control.NOW,), np.float64)})
         self._now = self._numbers_now["now"]
 
@@ -143,18 +143,17 @@ class Water:
         """Let drops wait for the next frame: arrays of rows, columns and volumes [m3]."""
         depth = np.asarray(volumes, np.float64) / (self.spacing**2 * step_control.UNIT)
         cells = self._cells(rows, columns)
-        waiting = self.waiting.copy_to_host(stream=self.stream)
+        waiting = fetch(self.waiting, self.stream)
         np.add.at(waiting, cells, np.rint(depth).astype(np.int64))
-        self.waiting.copy_to_device(waiting, stream=self.stream)
+        send(self.waiting, waiting, self.stream)
 
     def withdraw(self, rows, columns, volumes):
         """Drain up to `volumes` [m3] of free water from cells, none of them named twice; waits."""
         cells, depth = self._cells(rows, columns), np.asarray(volumes) / self.spacing**2
         state, control, fields, remainder = (
-            array.copy_to_host(stream=self.stream)
+            fetch(array, self.stream)
             for array in (self._state, self._control, self._fields, self._remainder)
         )
-        self.stream.synchronize()
         here = 3 * len(remainder) * state[step_control.PARITY] + cells
         fields[here], remainder[cells], taken = drain_cells(
             fields[here], remainder[cells], depth, DRY_DEPTH
@@ -163,7 +162,7 @@ class Water:
         for array, values in (
             (self._control, control), (self._fields, fields), (self._remainder, remainder)
         ):  # fmt: skip
-            array.copy_to_device(values, stream=self.stream)
+            send(array, values, self.stream)
 
     def _cells(self, rows, columns):
         rows, columns = np.asarray(rows, np.int64), np.asarray(columns, np.int64)
@@ -231,7 +230,7 @@ class Water:
 
     def missing(self):
         """Return the time [s] of the frame that the queued steps did not reach; waits for them."""
-        return float(self._control.copy_to_host(stream=self.stream)[step_control.LEFT])
+        return float(fetch(self._control, self.stream)[step_control.LEFT])
 
     def advance(self, duration, rate=0.0, added=True):
         """Advance by `duration` [s] and wait; return the number of steps.
@@ -245,7 +244,7 @@ class Water:
         self.launch()
         while self.missing() > 0.0:
             self.go_on()
-        state = self._state.copy_to_host(stream=self.stream)
+        state = fetch(self._state, self.stream)
         if state[step_control.UNSOUND] or not np.isfinite(self.ledger().ground):
             raise DivergedError(
                 "the water on the CUDA device is faster than water can be; use a smaller courant "
@@ -255,7 +254,7 @@ class Water:
 
     def control(self):
         """Return the device's account, see `cuda.water.step_control`; waits for it."""
-        return self._control.copy_to_host(stream=self.stream)
+        return fetch(self._control, self.stream)
 
     def ledger(self, control=None):
         """Return the `Ledger` at the last frame's end, of `control` if it is known."""
@@ -275,10 +274,10 @@ class Water:
 
     def fields(self):
         """Return depth (ny, nx), u (ny, nx + 1) and v (ny + 1, nx) as host arrays; waits."""
-        parity = self._state.copy_to_host(stream=self.stream)[step_control.PARITY]
-        fields = self._fields.copy_to_host(stream=self.stream)
+        parity = fetch(self._state, self.stream)[step_control.PARITY]
+        fields = fetch(self._fields, self.stream)
         _, u, v = fields.reshape(2, 3, -1, self.width)[parity]
-        west, depth = step_control.LEAD + PAD, self.depth.copy_to_host(stream=self.stream)
+        west, depth = step_control.LEAD + PAD, fetch(self.depth, self.stream)
         east = west + self.shape[1]
         return depth, u[PAD : -PAD - 1, west : east + 1], v[PAD:-PAD, west:east]
 

@@ -14,7 +14,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rainsim import raster
+from rainsim.cuda.driver import one_fault, prepare
 from rainsim.cuda.frame_uniforms import FrameUniforms
+from rainsim.cuda.graph import new_version
 from rainsim.cuda.jit import SIMULATED, cuda, pinned
 from rainsim.cuda.splatting import blend, project
 from rainsim.cuda.splatting.prepared import DeviceSplats
@@ -70,7 +72,7 @@ class Workspace:
     """
 
     def __init__(self):
-        self.version = 0
+        self.version = new_version()
         self._lists, self._memory, self._pictures = (), None, ()
         self._entries = self._bytes = self._pixels = 0
         self._chunks, self._records = -1, ()
@@ -83,7 +85,7 @@ class Workspace:
                 cuda.device_array(chunks * LANES * project.RECORD, np.float32),
                 cuda.device_array(chunks, np.bool_),
             )
-            self.version += 1
+            self.version = new_version()
         return self._records
 
     @property
@@ -97,7 +99,7 @@ class Workspace:
         if count > self._entries:
             self._entries, self._lists = count, ()  # freed before more is asked for
             self._lists = tuple(cuda.device_array(count, np.uint32) for _ in range(4))
-            self.version += 1
+            self.version = new_version()
         return tuple(array[:count] for array in self._lists)
 
     def memory(self, size):
@@ -105,7 +107,7 @@ class Workspace:
         if size > self._bytes:
             self._bytes, self._memory = size, None
             self._memory = cuda.device_array(size, np.uint8)
-            self.version += 1
+            self.version = new_version()
         return self._memory
 
     def pictures(self, pixels):
@@ -115,7 +117,7 @@ class Workspace:
             self._pictures = tuple(
                 cuda.device_array(n * pixels, np.float32) for n in (3, 1, 1, 1, 3)
             )
-            self.version += 1
+            self.version = new_version()
         return DeviceLayers(
             *(a[: n * pixels] for a, n in zip(self._pictures, (3, 1, 1, 1, 3), strict=True))
         )
@@ -125,7 +127,7 @@ class Workspace:
         if self._entries > count:
             self._entries = self._bytes = 0
             self._lists, self._memory = (), None
-            self.version += 1
+            self.version = new_version()
 
 
 class Rasterizer:
@@ -161,6 +163,7 @@ class Rasterizer:
     ):
         self.splats = prepared if isinstance(prepared, DeviceSplats) else DeviceSplats(prepared)
         self._take_chunks(leading)
+        prepare()
         self.stream = cuda.stream() if stream is None else stream
         self.plain = plain or SIMULATED
         self._camera = FrameUniforms(self.stream, {"now": ((project.CAMERA,), np.float32)})
@@ -169,7 +172,7 @@ class Rasterizer:
         self.lens = self._now[project.LENS : project.PLANE]
         self._count = pinned(1, np.int32)
         self._total = cuda.device_array(1, np.int32)
-        self._size = self._asked = None
+        self._size = self._asked = self._version = None
         self._capacity, self._first_room = 0, first_room
         self.recolors, self.nodes = True, None
         self._highest = self._pictures = 0  # entries, and pictures they were counted in
@@ -195,6 +198,7 @@ class Rasterizer:
         """Send the nodes that wait; the device must draw nothing meanwhile."""
         self.splats.put_nodes(self.nodes)
 
+    @one_fault()
     def draw(
         self, camera, near, plane=None, depth="expected", compensate=False, degree=None,
         background=(0, 0, 0), hit=False, drop_last=False, leading=False, detail=0.0, among=None,
@@ -269,7 +273,7 @@ class Rasterizer:
         if self._size != (width, height):
             self._size = width, height
             self._range = cuda.device_array(2 * tiles, np.int32)
-            self._taken = None
+            self._taken, self._version = None, new_version()
         if self._capacity == 0:
             first = FIRST_ROOM * s.count if self._first_room is None else self._first_room
             self._room_for_entries(first + tiles)
@@ -404,7 +408,8 @@ class Rasterizer:
     @property
     def queue(self):
         """What a recorded queue of launches depends on: when it changes, record again."""
-        return self._size, self._kind, self._bands, self._capacity, self.workspace.version
+        kind = self._kind, self._bands, self._capacity
+        return self._version, *kind, self.workspace.version
 
     @property
     def entries(self):

@@ -20,7 +20,7 @@ import numpy as np
 
 from rainsim import simulation as host
 from rainsim.config.settings import mm_per_hour
-from rainsim.cuda.driver import Event
+from rainsim.cuda.driver import Event, one_fault, send
 from rainsim.cuda.graph import Graph
 from rainsim.cuda.grid import Water
 from rainsim.cuda.jit import cuda, pinned
@@ -118,6 +118,7 @@ class Simulation:
         Water of scheme "auto" is computed by "lean" here.
     """
 
+    @one_fault()
     def __init__(self, terrain, config):
         if config.water.scheme == "auto":
             config = replace(config, water=replace(config.water, scheme="lean"))
@@ -166,6 +167,7 @@ class Simulation:
         """Return the water on each top [m3] (n,) at the time of the last state."""
         return self._objects.top_water_after(self._fallen)
 
+    @one_fault()
     def advance(self):
         """Go on to the next frame and return its `DeviceState`; see `begin`."""
         self.begin(self._index)
@@ -246,7 +248,7 @@ class Simulation:
         return int(self._obstacles[0]), drips, self._objects.inflow
 
     def _show_first_slopes(self):
-        self.ripples.moments.copy_to_device(ripple_moments(self._first_slopes))
+        send(self.ripples.moments, ripple_moments(self._first_slopes))
 
     def _bring(self, before, time):
         """Say what falls between two times."""
@@ -304,6 +306,7 @@ class Simulation:
         late, self._late = self._late == index, -1
         return late
 
+    @one_fault()
     def ledger(self, index):
         """Return the account of the water up to a frame, m3, as `rainsim.simulation` gives it.
 

@@ -1,6 +1,7 @@
 """The drips' twin in numba's CUDA simulator; `tests/unit/test_cuda.py` runs this file."""
 
 from itertools import pairwise
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from rainsim.cuda.particles.splash_pass import Splashes
 from rainsim.cuda.particles.streaks import Streaks
 from rainsim.cuda.rain.dripping import LISTED, DripList, Drips, volumes
 from rainsim.cuda.rain.settling import PUSH_UNIT, VOLUME_UNIT
+from rainsim.cuda.render.rain_pass import RainPass
 from rainsim.drops import GROUND, OBSTACLE, RainField, RainSpectrum, Surfaces
 from rainsim.drops import Impacts as Hits
 from rainsim.errors import BackendError
@@ -121,6 +123,23 @@ def test_a_list_without_room_is_counted(steps):
     assert twin.account[LISTED] > 2
     with pytest.raises(BackendError, match="set drips to false, or use backend cpu"):
         twin.check()
+
+
+def test_what_a_recorded_queue_holds_changes_as_the_drips_are_sent():
+    """Not before: the frame before may be recorded once more until then."""
+    rain, marks = RainPass.__new__(RainPass), []
+    rain.splashes = rain.drips = None
+    rain.streaks = SimpleNamespace(version=1, spray=None, drips=None)
+    for count in (3, 5, 9, 4):
+        state = SimpleNamespace(
+            drips=np.ones((count, 9)), drip_id=np.arange(count, dtype=np.uint64)
+        )
+        rain.send_drips(state)
+        assert rain.streaks.drips is rain.drips and rain.drips.fetch()[1].tolist() == [
+            *range(count)
+        ]
+        marks.append(rain.dependencies())
+    assert marks[0] == marks[1] != marks[2] == marks[3]
 
 
 def test_pictures_are_those_of_the_cpu(steps, poisoned):

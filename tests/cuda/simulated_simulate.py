@@ -21,8 +21,7 @@ pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
 def small_tile(monkeypatch):
     """Rings on few cells."""
     small = functools.partial(simulation.RippleTile, cells=16, size=0.5)
-    for module in (simulation, twin):
-        monkeypatch.setattr(module, "RippleTile", small)
+    monkeypatch.setattr(simulation, "RippleTile", small)
 
 
 def test_frames_are_those_of_the_cpu():

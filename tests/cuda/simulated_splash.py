@@ -50,3 +50,13 @@ def test_a_picture_is_that_of_the_cpu(poisoned):
     assert wanted.max() > 0.02 and (wanted > 1e-4).sum() > 20
     assert twin.missing() == 0 and int(twin.count.copy_to_host()[0]) > 10
     np.testing.assert_allclose(twin.alpha.copy_to_host(), wanted, atol=1e-5)
+    # A list that the next step is filling may hold anything.
+    closed, count = recent.next_list(int(TIME * RATE)), int(twin.count.copy_to_host()[0])
+    found, labels = recent.found.copy_to_host(), recent.labels.copy_to_host()
+    found[closed], labels[closed] = recent.room, 2**30
+    recent.found.copy_to_device(found)
+    recent.labels.copy_to_device(labels)
+    twin.update(field, FILM, closed)
+    streaks.launch()
+    twin.launch()
+    assert int(twin.count.copy_to_host()[0]) == count

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from rainsim.cuda.driver import fetch
 from rainsim.cuda.drops import (
     BLOCKS,
     CLASS,
@@ -22,6 +23,7 @@ from rainsim.cuda.drops import (
     Z,
 )
 from rainsim.cuda.frame_uniforms import FrameUniforms
+from rainsim.cuda.graph import new_version
 from rainsim.cuda.jit import SIMULATED, cuda, cuda_kernel
 from rainsim.cuda.particles.streaks import view_of
 from rainsim.cuda.warp import GROUP, GROUPS, THREADS, claim_row
@@ -86,7 +88,9 @@ def focal_of(lens):
 
 
 @cuda_kernel
-def list_splashes(lists, per_list, velocity, sent, scene, water, least, count_out, lines_out):
+def list_splashes(
+    lists, per_list, velocity, sent, scene, water, least, closed, count_out, lines_out
+):  # fmt: skip
     """List the droplets, crowns and jets of listed impacts that splash in view.
 
     Parameters
@@ -102,6 +106,8 @@ def list_splashes(lists, per_list, velocity, sent, scene, water, least, count_ou
         Its film a device array of shape (1,), float64 [m].
     least : device array of shape (1,), int32
         The smallest class of drops that may splash.
+    closed : device array of shape (1,), int32
+        A list that is not looked at: the next frame's step may be filling it meanwhile.
     count_out : device array of shape (1,), int32
         Raised by the number of lines, also of those for which there is no room.
     lines_out : device array of shape (room, 7), float64
@@ -115,7 +121,7 @@ def list_splashes(lists, per_list, velocity, sent, scene, water, least, count_ou
     group = cuda.threadIdx.y
     thread = group * GROUP + cuda.threadIdx.x
     which, block = cuda.blockIdx.x // per_list, cuda.blockIdx.x % per_list
-    listed = min(lists.found[which], lists.ids.shape[1])
+    listed = 0 if which == closed[0] else min(lists.found[which], lists.ids.shape[1])
     for begin in range(block * THREADS, listed, per_list * THREADS):
         if thread == 0:
             many[0] = 0
@@ -198,6 +204,7 @@ class Splashes:
         self.stream = stream = streaks.stream
         self.now = FrameUniforms(stream, {
             "film": ((1,), np.float64), "least": ((1,), np.int32), "count": ((1,), np.int32),
+            "closed": ((1,), np.int32),
         })  # fmt: skip
         self.count = self.now["count"]  # blanked by each `send`
         self.make_room(room)
@@ -206,12 +213,16 @@ class Splashes:
     def make_room(self, room):
         """Make room for so many lines."""
         self.lines = cuda.device_array((room, 7), np.float64, stream=self.stream)
+        self.version = new_version()
 
-    def update(self, field, film):
-        """Set what the next picture shows; arguments as `draw_splashes` has them."""
+    def update(self, field, film, closed=-1):
+        """Set what the next picture shows; arguments as `draw_splashes` has them.
+
+        `closed` is the number of a list that is left out, see `list_splashes`.
+        """
         smallest = SMALLEST_ON_FILM if film > WET_DEPTH else SMALLEST_SPLASH
         least = np.searchsorted(field.spectrum.edges[1:], smallest, side="right")
-        self.now.update(film=film, least=least)
+        self.now.update(film=film, least=least, closed=closed)
 
     def launch(self):
         """Queue the picture, after the streaks'."""
@@ -227,7 +238,7 @@ class Splashes:
         per_list = 2 if SIMULATED else -(-recent.room // THREADS)
         list_splashes[per_list * len(recent.found), GROUPS, stream](
             recent.lists, per_list, self._streaks.now["velocity"], view, scene, water,
-            self.now["least"], self.count, self.lines,
+            self.now["least"], self.now["closed"], self.count, self.lines,
         )  # fmt: skip
         if (drips := self._streaks.drips) is not None:
             drips.gather(recent.surfaces, view, scene, water, self.count, self.lines, stream=stream)
@@ -243,5 +254,5 @@ class Splashes:
 
     def missing(self):
         """Return how many lines there was no room for; waits for them."""
-        lines = int(self.count.copy_to_host(stream=self.stream)[0]) - len(self.lines)
+        lines = int(fetch(self.count, self.stream)[0]) - len(self.lines)
         return max(lines, 0)

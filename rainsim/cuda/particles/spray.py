@@ -10,6 +10,7 @@ import numpy as np
 
 from rainsim.constants import HALF, ONE, ZERO
 from rainsim.cuda.drops import BLOCKS
+from rainsim.cuda.graph import new_version
 from rainsim.cuda.jit import SIMULATED, cuda, cuda_kernel
 from rainsim.cuda.particles.splash_pass import draw_list
 from rainsim.cuda.warp import GROUPS
@@ -60,7 +61,9 @@ class Spray:
     Attributes
     ----------
     room : int
-        Clouds that there is room for; a recorded queue depends on it.
+        Clouds that there is room for.
+    version : int
+        Of the list of clouds, see `cuda.graph.new_version`.
     """
 
     def __init__(self):
@@ -70,6 +73,7 @@ class Spray:
 
     def _make_room(self, room):
         self.room, self._clouds = room, cuda.device_array((room, 5), np.float32)
+        self.version = new_version()
 
     def send(self, drops, puffs, camera):
         """Send what `spray_seen` has found; the device must draw nothing meanwhile."""

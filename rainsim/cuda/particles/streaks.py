@@ -14,9 +14,10 @@ from typing import NamedTuple
 import numpy as np
 
 from rainsim.constants import ONE, TWO, ZERO
-from rainsim.cuda.driver import Event
+from rainsim.cuda.driver import Event, to_device
 from rainsim.cuda.drops import BLOCKS, arrays_of, class_of, sent_surfaces
 from rainsim.cuda.frame_uniforms import FrameUniforms
+from rainsim.cuda.graph import new_version
 from rainsim.cuda.jit import SIMULATED, cuda, cuda_kernel
 from rainsim.cuda.particles.line_raster import TILE, read_depth, resolve
 from rainsim.cuda.warp import GROUP, GROUPS, THREADS, WHOLE, ballot, claim_row
@@ -327,7 +328,9 @@ class Streaks:
     alpha : device array of shape (height, width), float32
         Share of light that drops replace.
     room : int
-        Drops in view that the lists have room for; a recorded queue depends on it.
+        Drops in view that the lists have room for.
+    version : int
+        Of the lists, see `cuda.graph.new_version`.
     sent : event
         When `launch` has sent the camera and the times.
     view : SentView
@@ -362,7 +365,7 @@ class Streaks:
         self.room, self._sought, self._paths = 0, (), None
         self._make_room(ROOM)
         self._large = cuda.device_array(MANY, np.int32, stream=stream)
-        self.picture = cuda.to_device(np.zeros(width * height, np.int64), stream)
+        self.picture = to_device(np.zeros(width * height, np.int64), stream)
         self.view, self._air, self._field = (
             kind(*(self.now[name] for name in kind._fields))
             for kind in (SentView, CubesInReach, DropField)
@@ -405,6 +408,7 @@ class Streaks:
             cuda.device_array(drops, np.uint64, stream=stream),
         )
         self._paths = cuda.device_array((drops, PATH), np.float32, stream=stream)
+        self.version = new_version()
 
     def launch(self, stream=None):
         """Queue the picture, on another stream than its own if given."""

@@ -10,7 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rainsim.cuda.driver import fetch, send, to_device
 from rainsim.cuda.drops import BLOCKS
+from rainsim.cuda.graph import new_version
 from rainsim.cuda.jit import cuda, cuda_kernel
 from rainsim.cuda.particles.splash_pass import focal_of, seen_at, still_shows
 from rainsim.cuda.particles.streaks import view_of
@@ -128,12 +130,14 @@ class DripList:
     Attributes
     ----------
     page : Page
+    version : int
+        See `cuda.graph.new_version`.
     """
 
     def __init__(self, room, stream=0):
-        self.room, self._stream = room, stream
+        self.room, self._stream, self.version = room, stream, new_version()
         self.page = Page(
-            cuda.to_device(np.zeros(BOOK, np.int64), stream),
+            to_device(np.zeros(BOOK, np.int64), stream),
             cuda.device_array((room, DRIP), np.float64, stream=stream),
             cuda.device_array(room, np.int32, stream=stream),
             cuda.device_array(room, np.uint64, stream=stream),
@@ -144,19 +148,19 @@ class DripList:
         count = len(ids)
         book = np.zeros(BOOK, np.int64) if book is None else book
         book[LISTED] = count
-        self.page.book.copy_to_device(book, stream=self._stream)
+        send(self.page.book, book, self._stream)
         page = self.page
         for array, values in ((page.table, table), (page.ids, ids), (page.where, where)):
             if count and values is not None:
                 values = np.ascontiguousarray(values, array.dtype)
-                array[:count].copy_to_device(values, stream=self._stream)
+                send(array[:count], values, self._stream)
 
     def fetch(self):
         """Return the table and the ids on the host, in the order of the ids; waits for them."""
-        count = int(self.page.book.copy_to_host(stream=self._stream)[LISTED])
-        ids = self.page.ids.copy_to_host(stream=self._stream)[:count]
+        count = int(fetch(self.page.book, self._stream)[LISTED])
+        ids = fetch(self.page.ids, self._stream)[:count]
         order = np.argsort(ids)
-        return self.page.table.copy_to_host(stream=self._stream)[:count][order], ids[order]
+        return fetch(self.page.table, self._stream)[:count][order], ids[order]
 
     def draw(self, view, scene, picture, stream):
         """Queue the drawing into the streaks' picture; see `draw_drips`."""

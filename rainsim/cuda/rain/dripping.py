@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rainsim.constants import WATER_DENSITY
+from rainsim.cuda.driver import to_device
 from rainsim.cuda.frame_uniforms import FrameUniforms
 from rainsim.cuda.jit import SIMULATED, cuda, cuda_kernel, pinned
 from rainsim.cuda.rain.drip_list import (
@@ -306,17 +307,17 @@ class Drips:
         room = int(min(most, MOST)) + 2 * len(sites) + 1024
         self.pages = [DripList(room, stream) for _ in range(2)]
         self._sites = Sites(
-            *(cuda.to_device(array, stream) for array in (drips._key, sites, ends, drips.point))
+            *(to_device(array, stream) for array in (drips._key, sites, ends, drips.point))
         )
         self.point = self._sites.point
         store, film = (
             np.rint(water / VOLUME_UNIT).astype(np.int64) for water in (drips._store, drips._room)
         )
         self._store, self._room, self._parted = (
-            cuda.to_device(array, stream) for array in (store, film, drips._drops)
+            to_device(array, stream) for array in (store, film, drips._drops)
         )
-        self.came = [cuda.to_device(np.zeros(len(ends), np.int64), stream) for _ in range(2)]
-        self._blank = cuda.to_device(np.zeros(BOOK, np.int64), stream)
+        self.came = [to_device(np.zeros(len(ends), np.int64), stream) for _ in range(2)]
+        self._blank = to_device(np.zeros(BOOK, np.int64), stream)
         self._now = FrameUniforms(stream, {"now": ((NOW,), np.float64)})
         self.account = pinned(BOOK, np.int64)
         self.account[HANGING] = store.sum()

@@ -59,6 +59,13 @@ class RecentImpacts(Impacts):
         times, slot = self._interval(frame - 1)
         self.settled.update(times=times, slot=slot)
 
+    def next_list(self, frame):
+        """Return which list the frame after this one fills, maybe while this one is drawn.
+
+        What it holds until then is too old to be seen.
+        """
+        return (frame + self._ahead) % len(self._seen)
+
     def list_again(self):
         """List what fell before the newest interval once more; waits for the device."""
         self._list_before(self._newest)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from rainsim.cuda.drops import sent_surfaces
+from rainsim.cuda.jit import SIMULATED
 
 ABOVE = 0.01  # m; lines are followed from this far above all that moves
 BODY = ("top", "underside")
@@ -35,6 +36,7 @@ class MovingHeights:
         fields = sent_surfaces(still, stream)
         highest = max((highest_of(mover) for mover in movers), default=-np.inf)
         self.fields = fields._replace(sky=max(fields.sky, highest + ABOVE))
+        self._stream = stream
         self._rows = []  # that movers cover on the device
 
     def send(self, surfaces, shelters):
@@ -46,6 +48,8 @@ class MovingHeights:
         if self._rows or rows:
             for name in BLOCKS:
                 getattr(self.fields, name).copy_to_device(getattr(found, name))
+        if not SIMULATED:
+            self._stream.synchronize()  # before the map of the host goes on
         self._rows = rows
 
 

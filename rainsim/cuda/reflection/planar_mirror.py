@@ -17,6 +17,7 @@ import numpy as np
 from rainsim.cuda import free_memory
 from rainsim.cuda.driver import Event
 from rainsim.cuda.frame_uniforms import FrameUniforms
+from rainsim.cuda.graph import new_version
 from rainsim.cuda.jit import cuda, cuda_device, cuda_kernel, pinned
 from rainsim.cuda.raster import Rasterizer
 from rainsim.cuda.reflection.mirror_choice import (
@@ -261,7 +262,7 @@ class Mirrors:
         self.coarse = cuda.device_array((passes, *coarse_shape(rows, columns)), np.float32)
         self.depth = cuda.device_array((passes, rows, columns), np.float32)
         self._clearance = cuda.device_array((passes, rows, columns), np.float32)
-        self._no_film = self._clearance[0, :0]
+        self._no_film, self._version = self._clearance[0, :0], new_version()
 
     def update(self, camera, scene, step):
         """Take over the camera that is mirrored in a `WetScene`, and the `mirror_step`."""
@@ -312,7 +313,7 @@ class Mirrors:
     @property
     def queue(self):
         """What a recorded queue depends on."""
-        return self.passes, self._size, *(rasterizer.queue for rasterizer in self.rasterizers)
+        return self._version, *(rasterizer.queue for rasterizer in self.rasterizers)
 
     def grow(self):
         """Make room for what the finished frame wanted; return whether it lacked anything."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from rainsim.cuda.driver import Event, copy_to_host
 from rainsim.cuda.frame_uniforms import FrameUniforms
-from rainsim.cuda.graph import chain
+from rainsim.cuda.graph import chain, new_version
 from rainsim.cuda.jit import cuda
 from rainsim.cuda.particles.drop_radiance import DropLight
 from rainsim.cuda.reflection import ray_water, screen_space, water_shading, wet_tops
@@ -103,7 +103,7 @@ class DeviceFrame:
         self.mirrors = Mirrors(self, host.config.render.reflections)
         self.ground_light = WetGroundLight(self)
         self.drop_light = DropLight(self)
-        self.size = self.uniforms = self._moments = None
+        self.size = self.uniforms = self._moments = self._version = None
         self.pending, self.rain = [], RainPass(self)
         self.nodes = None if scene.nodes is None else MovingNodes(self)
 
@@ -184,7 +184,6 @@ class DeviceFrame:
         moments = ripple_moments(state.slopes)
         if self._moments is None:
             self._moments = cuda.to_device(moments)
-        self.rain.room_for_drips(len(state.drip_id))
 
         def send():
             self._water.copy_to_device(np.ascontiguousarray(state.depth, np.float32))
@@ -192,6 +191,11 @@ class DeviceFrame:
             self.rain.send_drips(state)
 
         self.pending.append(send)
+
+    def leave_water(self):
+        """Let go of the water of the frames so far; the next shows that of another simulation."""
+        self._moments, self.surface.depth = None, self._water
+        self.rain.leave_water()
 
     def take_water(self, state):
         """Take over the water that a simulation on the device has for a frame."""
@@ -228,6 +232,7 @@ class DeviceFrame:
             cover=COVERING_DEPTHS, size=(width, height),
         )  # fmt: skip
         self.rain.room_for(field, height, width, self.depth, self._none)
+        self._version = new_version()
 
     # ---- what a finished frame had too little room for
 
@@ -254,7 +259,7 @@ class DeviceFrame:
     def dependencies(self):
         """Return what a recorded queue depends on: when it changes, the queue is recorded again."""
         return (
-            self.size, self.rasterizer.queue, self.ground_light.queue, self.mirrors.queue,
+            self._version, self.rasterizer.queue, self.ground_light.queue, self.mirrors.queue,
             *self.rain.dependencies(),
         )  # fmt: skip
 

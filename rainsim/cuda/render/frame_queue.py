@@ -67,6 +67,7 @@ class FrameQueue:
         self._composed, self._copied, self._surfaced = (Event() for _ in range(3))
         self._splatted, self._graded = Event(), Event()
         self._recorded_for = None  # what the recorded queues depended on
+        self._simulation = None  # whose water they show, on the device
         self._splats = self._dry = self._still = self._last = None  # recorded queues
         self._wet, self._surfaces = {}, {}  # recorded, by the page of the simulation they show
         self._next = self._flight = self.done = None
@@ -79,12 +80,15 @@ class FrameQueue:
         """The picture drawn last, host array (height, width, 3) uint8; the next is another."""
         return self._images[self._drawn % 2]
 
-    def _fits(self, camera):
-        """Return whether a camera's picture has the size of the frames before."""
-        return self.frame.size == (camera.height, camera.width)
+    def _fits(self, shot):
+        """Return whether a shot has the size and the simulation of the frames before."""
+        camera, state, _ = shot
+        size = camera.height, camera.width
+        return self.frame.size == size and simulation_of(state) is self._simulation
 
     def draw(self, shot):
         """Draw a shot (camera, state, camera_end) and wait for it."""
+        self._copied.synchronize()  # a sequence may have been left in the middle
         self._update(shot)
         self._begin()
         self._go_on()
@@ -101,8 +105,9 @@ class FrameQueue:
             Called as soon as a shot is finished.
         """
         before = None
+        self._copied.synchronize()
         for shot in shots:
-            if before is not None and not self._fits(shot[0]):
+            if before is not None and not self._fits(shot):
                 self._finish(before)
                 yield report()
                 before = None
@@ -130,7 +135,10 @@ class FrameQueue:
             yield report()
 
     def _update(self, shot):
-        """Prepare the next frame; the device may still be drawing the one before."""
+        """Prepare the next frame; the device may still be drawing the one before, if that fits."""
+        if (simulation := simulation_of(shot[1])) is not self._simulation:
+            self._simulation, self._recorded_for, self._surfaces = simulation, None, {}
+            self.frame.leave_water()
         self._looks += self.frame.update(*shot)
         self._next = Flight(shot, self._looks)
         if self._image_size != self.frame.size:

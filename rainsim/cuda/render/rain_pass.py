@@ -88,12 +88,14 @@ class RainPass:
         self.streaks.update(field, *shutter, reach, *lens)
         if simulation is None and self.impacts is None:
             self.impacts = self._recent()
+        frame = math.floor(state.time * host.config.fps + 1e-6)
         if self.impacts is not None:
-            self.impacts.update(math.floor(state.time * host.config.fps + 1e-6))
+            self.impacts.update(frame)
+        recent = self.impacts if simulation is None else simulation.impacts
         if self.splashes is None:
-            recent = self.impacts if simulation is None else simulation.impacts
             self.splashes = Splashes(self.streaks, recent, self.frame.surface.depth)
-        self.splashes.update(field, WET_FILM * host.wet_scene.paving)
+        film = WET_FILM * host.wet_scene.paving
+        self.splashes.update(field, film, recent.next_list(frame))
         return fog
 
     def _recent(self):
@@ -107,14 +109,21 @@ class RainPass:
             recent.surfaces, recent.relisted = nodes.heights.fields, True
         return recent
 
-    def room_for_drips(self, count):
-        """Make room for the drips of a state of the host, if any may fall."""
-        room = 0 if self.drips is None else self.drips.room
-        if self.streaks is not None and count > room:
-            self.drips = DripList(2 * count)
+    def leave_water(self):
+        """Let go of what fell and drips in the frames so far: the next shows another simulation."""
+        self.splashes = self.impacts = self.drips = None
+        if self.streaks is not None:
+            self.streaks.drips = None
 
     def send_drips(self, state):
-        """Send the drips of a state of the host."""
+        """Send the drips of a state of the host; the device must draw nothing meanwhile.
+
+        Room is made here and not before: the frame before may still be drawn again, and a queue
+        recorded for that would hold the list without the room.
+        """
+        count, room = len(state.drip_id), 0 if self.drips is None else self.drips.room
+        if self.streaks is not None and count > room:
+            self.drips = DripList(2 * count)
         if self.drips is not None:
             self.drips.fill(state.drips, state.drip_id)
             self.streaks.drips = self.drips
@@ -178,12 +187,9 @@ class RainPass:
 
     def dependencies(self):
         """Return what a recorded queue depends on."""
-        lines = None if self.splashes is None else id(self.splashes.lines)
-        drops = clouds = None
-        if self.streaks is not None:
-            drops = self.streaks.room
-            clouds = None if self.streaks.spray is None else self.streaks.spray.room
-        return lines, drops, clouds, self.drips
+        spray = None if self.streaks is None else self.streaks.spray
+        parts = self.splashes, self.streaks, spray, self.drips
+        return tuple(0 if part is None else part.version for part in parts)
 
     def cover(self):
         """Return the `RainCover` of the finished frame, on the host."""

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import time as clock
 
+from rainsim.cuda.driver import one_fault
 from rainsim.cuda.jit import cuda
 from rainsim.cuda.raster import Rasterizer
 from rainsim.cuda.render.aov import AovReader
@@ -51,6 +52,7 @@ class Renderer:
     queue : FrameQueue
     """
 
+    @one_fault()
     def __init__(self, scene, terrain, config, first_camera):
         _require_known(config.render)
         require_whole(scene, "backend cuda", "take backend cpu")
@@ -64,6 +66,7 @@ class Renderer:
     def _rasterizer_of(self, prepared):
         return Rasterizer(DeviceSplats(prepared, self._room), self._ahead)
 
+    @one_fault()
     def draw(self, camera, state, camera_end=None, names=()):
         """Return the picture (height, width, 3) uint8 that a camera takes, and its report.
 
@@ -78,11 +81,13 @@ class Renderer:
         While one is drawn, the next is asked for and prepared, and begun on the device.
         """
         if not names:
-            yield from self.queue.draw_each(shots, self._report)
+            with one_fault():
+                yield from self.queue.draw_each(shots, self._report)
             return
         for shot in shots:
             yield self.draw(*shot, names)
 
+    @one_fault()
     def stage_times(self):
         """Return the milliseconds of each stage of the frame drawn last, by events; draws it again.
 

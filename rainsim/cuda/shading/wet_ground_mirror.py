@@ -14,6 +14,7 @@ import numpy as np
 from rainsim.constants import ONE, ZERO
 from rainsim.cuda.driver import Event
 from rainsim.cuda.frame_uniforms import FrameUniforms
+from rainsim.cuda.graph import new_version
 from rainsim.cuda.jit import cuda, cuda_device, cuda_kernel
 from rainsim.cuda.raster import Rasterizer
 from rainsim.cuda.shading.wet_pass import BLOCK, blocks
@@ -188,6 +189,7 @@ class WetGroundLight:
         self._depth, self._clearance = (cuda.device_array((height, width), f4) for _ in range(2))
         high, wide = (-(-side // COARSEST) * 2 * COARSEST for side in (height, width))
         self._atlas = cuda.device_array((high, wide, 3), f4)
+        self._version = new_version()
 
     def _prepare(self):
         """Send the splats that stand on the ground to the device."""
@@ -222,6 +224,7 @@ class WetGroundLight:
             self._field_step = self._step
             shape = (-(-n // self._step) for n in self._shape)
             self.field = cuda.device_array((*shape, 3), np.float32)
+            self._version = new_version()
         if not self.rasterizers:
             return
         scene, level = self.frame.wet_scene, level_camera(camera_in_ground)
@@ -242,7 +245,7 @@ class WetGroundLight:
         """What a recorded queue depends on."""
         if not self.apart:
             return ()
-        return self._step, self._room, *(rasterizer.queue for rasterizer in self.rasterizers)
+        return self._version, *(rasterizer.queue for rasterizer in self.rasterizers)
 
     def splat(self, stream):
         """Queue the splatting of the level picture, beside what a stream does next."""

@@ -12,6 +12,7 @@ import math
 import numpy as np
 
 from rainsim.constants import HALF, ONE
+from rainsim.cuda.driver import to_device
 from rainsim.cuda.jit import SIMULATED, cuda, cuda_kernel
 from rainsim.cuda.rain.settling import PUSH_UNIT
 from rainsim.errors import ParameterError
@@ -234,17 +235,17 @@ class Ripples:
             np.sin(around),
         )  # fmt: skip
         tables = [np.ascontiguousarray(t, dtype=np.float32).reshape(-1) for t in tables]
-        *self._turn, self._cosines, self._sines = (cuda.to_device(t, stream) for t in tables)
+        *self._turn, self._cosines, self._sines = (to_device(t, stream) for t in tables)
         parts = tile._eta.real, tile._eta.imag, tile._lag.real, tile._lag.imag
         waves = np.stack([part.reshape(-1) for part in parts]).astype(np.float32)
-        self._waves = cuda.to_device(waves, stream)
-        self.pushes = cuda.to_device(np.zeros(2 * self._maps * n * n, np.int64), stream)
+        self._waves = to_device(waves, stream)
+        self.pushes = to_device(np.zeros(2 * self._maps * n * n, np.int64), stream)
         maps = np.zeros(self._maps * n * n, np.float32)
-        self._maps_on_device = [cuda.to_device(maps, stream) for _ in range(4)]
-        self.slopes = cuda.to_device(np.zeros((2, n, n), np.float32), stream)
+        self._maps_on_device = [to_device(maps, stream) for _ in range(4)]
+        self.slopes = to_device(np.zeros((2, n, n), np.float32), stream)
         self._flat = self.slopes.reshape(2 * n * n)
         empty = np.zeros((n, n + n // 2, MOMENTS), np.float32)
-        self.pages = [cuda.to_device(empty, stream) for _ in range(2)]
+        self.pages = [to_device(empty, stream) for _ in range(2)]
         self.turn_page(0)
 
     def turn_page(self, page):
