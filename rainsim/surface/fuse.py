@@ -23,7 +23,7 @@ VOXEL = 0.04  # m, within the radius of what the cameras look at; beyond it twic
 LEVELS = 8  # of voxels, each twice as large
 JUMP = np.float32(0.04)  # of the depth, between pixels: the edge of something
 SLACK, LEAST_SLACK = np.float32(0.015), np.float32(0.02)  # of the depth, and m: places that agree
-LEAST_VIEWS, PER_VIEW = 3, 12  # cameras that see a place, at most; one of so many
+FEW_VIEWS, LEAST_VIEWS, MANY = 2, 3, 36  # cameras that see a place; of many; so many are many
 MOST_THROUGH = 0.3  # of these, that may look through it
 NEIGHBOURS = 20  # places about one that its plane is fitted to
 # Voxels off the plane (rms), from which on a place has none: where texture tells the depth, and
@@ -85,7 +85,8 @@ def fused(views, middle, radius):
     position = np.ascontiguousarray(sums[:, 1:4] / number + middle, np.float32)
     size = VOXEL * 2.0 ** (voxels.keys >> 3 * KEY_BITS)
     found = counted(position, size.astype(np.float32), views)
-    solid = (found[:, 0] >= least_views(len(views))) & (found[:, 1] <= MOST_THROUGH * found[:, 0])
+    least = LEAST_VIEWS if len(views) >= MANY else FEW_VIEWS
+    solid = (found[:, 0] >= least) & (found[:, 1] <= MOST_THROUGH * found[:, 0])
     position, towards = position[solid], sums[solid, 7:10]
     light = (sums[solid, 4:7] / number[solid]).astype(np.float32)
     size = size[solid].astype(np.float32)
@@ -96,11 +97,6 @@ def fused(views, middle, radius):
     side = np.where(np.einsum("ij,ij->i", upright[wall], towards[wall]) < 0, -1, 1)
     normal[wall], flat[wall], smooth[wall] = upright[wall] * side[:, None], 1, position[wall]
     return thinned(CaptureSurface(smooth, normal, flat, light, size, found[solid, 0]))
-
-
-def least_views(count):
-    """Return how many of some cameras must see a place: with few of them one is all there is."""
-    return min(max(count // PER_VIEW, 1), LEAST_VIEWS)
 
 
 def evened(position, plain, towards, size, weight, views):

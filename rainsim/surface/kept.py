@@ -14,7 +14,14 @@ from rainsim.jit import cpu_kernel, get_num_threads, prange
 from rainsim.numerics.blocks import in_blocks
 from rainsim.numerics.srgb import linear
 from rainsim.surface.captured_sky import SAME, SkyColors, seen_sky
-from rainsim.surface.fuse import MOST_THROUGH, CaptureSurface, counted, fused, least_views
+from rainsim.surface.fuse import (
+    LEAST_VIEWS,
+    MANY,
+    MOST_THROUGH,
+    CaptureSurface,
+    counted,
+    fused,
+)
 from rainsim.surface.views import (
     DepthView,
     cameras_of,
@@ -122,7 +129,8 @@ def _solid(position, splats, good, views, frame, surface):
     size = splats.scale[which] * np.float32(frame.meters_per_unit)
     deviation = np.sort(size, axis=1)[:, 1]
     seen, through, hidden = counted(position[which], 0 * deviation, views).T.astype(np.int64)
-    solid = (seen + hidden >= least_views(len(views))) & (through <= MOST_THROUGH * seen)
+    least = LEAST_VIEWS if len(views) >= MANY else 1
+    solid = (seen + hidden >= least) & (through <= MOST_THROUGH * seen)
     solid |= seen + hidden + through == 0
     solid &= deviation < LARGEST
     flat = surface.flat > 0.5

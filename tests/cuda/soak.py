@@ -169,6 +169,8 @@ def soak(names, count, seed, tiny):
             camera = resize_to(cameras[0], 96)
             OnCpu(scene, terrain, settings, camera).draw(camera, state)
             gc.collect()
+        if n % 20 == 19:
+            print(f"{n + 1} renderers, {pictures} pictures", flush=True)
         if behind := damaged():
             wrong.append(f"renderer {n}: written behind arrays of {behind} bytes")
     print(f"{count} renderers, {pictures} pictures, {left} sequences left in the middle")
