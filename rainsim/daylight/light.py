@@ -77,7 +77,7 @@ def sky_radiance(sun, count=SKY_DIRECTIONS):
     each.
     """
     directions = sky_light.hemisphere(count)
-    clear = sky_light.clear(directions, sun)[:, None] * sky_light.clear_color(directions, sun)
+    clear = sky_light.clear(directions, sun)
     skies = np.column_stack([clear, sky_light.overcast(directions), np.ones(count)])
     skies /= (skies * directions[:, 2:]).sum(axis=0)
     return directions, skies.astype(np.float32)

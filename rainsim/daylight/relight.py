@@ -33,7 +33,7 @@ from rainsim.daylight.light import (
     turn_to_the_open,
 )
 from rainsim.daylight.shade import NO_EDGES, EdgeShade, edge_shade, factor_in_shade
-from rainsim.daylight.sun import DIM, LEAST_SCORE, find_sun, places_of, seen_from
+from rainsim.daylight.sun import DIM, LEAST_SCORE, find_sun, of_one_paint, places_of, seen_from
 from rainsim.daylight.surface import carried, luminance, surface_of
 from rainsim.daylight.surroundings import USUAL_ALBEDO, patches_of, sent_in
 from rainsim.daylight.visibility import Window, solids_of, with_plane, with_splats
@@ -47,6 +47,7 @@ SIDE = 1024  # px of the maps of the sky's light
 FAR_HALF = 60.0  # m, of the far window
 FEWEST = 100  # places
 LEAST_PAIRS = 150  # of places
+EDGE_REACH, EDGE_PARTNERS = 0.5, 4  # m, and lit places that a shaded one is compared with
 SURE_REACH = 0.06  # m about a place that is surely in the sun or surely not
 OPEN = 0.1  # light of the clear sky below which a place tells nothing
 ROUNDS = 6  # of the fit of the ratio
@@ -199,14 +200,13 @@ def measure(places, solids, plane, window, direction, sent):
     """
     cosine = places.normal @ direction.astype(np.float32)
     seen = _sure_share(places, solids, window, direction)
-    first, second = places.pair.T
-    swap = seen[first] < seen[second]
-    lit, shaded = np.where(swap, second, first), np.where(swap, first, second)
-    fit = (seen[lit] > 0.98) & (seen[shaded] < 0.02) & (np.minimum(*cosine[[lit, shaded]]) > 0.1)
-    firm = fit & (seen_from(places, plane, window, direction[None], 2 * SIDE)[shaded, 0] == 0)
-    if firm.sum() >= LEAST_PAIRS:
-        fit = firm
-    lit, shaded = lit[fit], shaded[fit]
+    facing_it = cosine > 0.1
+    lit, shade = facing_it & (seen > 0.98), facing_it & (seen < 0.02)
+    firm = shade & (seen_from(places, plane, window, direction[None], 2 * SIDE)[:, 0] == 0)
+    pairs = _across_edges(places, lit, firm)
+    if len(pairs) < LEAST_PAIRS:
+        pairs = _across_edges(places, lit, shade)
+    lit, shaded = pairs.T
     which, back = np.unique(np.concatenate([lit, shaded]), return_inverse=True)
     position, normal = places.position[which], places.normal[which]
     flat = np.ones(len(which), np.float32)
@@ -240,6 +240,21 @@ def measure(places, solids, plane, window, direction, sent):
     brighter -= np.log(luminance(places.light[shaded]) * shade[a])
     agree = np.maximum(brighter, 0).sum() / max(float(np.abs(brighter).sum()), 1e-6)
     return SunRatio(ratio, len(lit), float(agree), edges)
+
+
+def _across_edges(places, lit, shaded):
+    """Return pairs (p, 2) of a lit and a near shaded place, of one paint; both bool (n,)."""
+    lit, shaded = np.flatnonzero(lit), np.flatnonzero(shaded)
+    if not len(lit) or not len(shaded):
+        return np.zeros((0, 2), np.int64)
+    tree, count = cKDTree(places.position[lit]), min(EDGE_PARTNERS, len(lit))
+    _, near = tree.query(
+        places.position[shaded], k=range(1, count + 1), distance_upper_bound=EDGE_REACH,
+        workers=get_num_threads(),
+    )  # fmt: skip
+    real = near < len(lit)
+    pairs = np.stack([lit[near[real]], np.repeat(shaded, count)[real.ravel()]], -1)
+    return pairs[of_one_paint(*places[:3], *pairs.T)]
 
 
 def _weighted_median(values, weight):

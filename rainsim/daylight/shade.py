@@ -15,8 +15,8 @@ from scipy.spatial import cKDTree
 from rainsim.jit import get_num_threads
 
 CELL = 0.4  # m, within which the pairs have one mean
-SPREAD, REACH = 0.5, 1.5  # m: standard deviation and end of the weight with the distance
-NEAR_CELLS = 16
+SPREAD, REACH = 1.0, 3.0  # m: standard deviation and end of the weight with the distance
+NEAR_CELLS = 32
 ENOUGH = 6.0  # pairs that count as much as the model does
 MOST_PAIRS = 40.0  # of a cell, beyond which more pairs say no more
 MOST_CHANGE = 0.8  # of the logarithm

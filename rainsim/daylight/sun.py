@@ -109,6 +109,12 @@ def _pairs(position, normal, light):
     second = near.ravel()
     real = (second < len(position)) & (first != second)
     first, second = first[real], second[real]
+    alike = of_one_paint(position, normal, light, first, second)
+    return np.stack([first[alike], second[alike]], -1)
+
+
+def of_one_paint(position, normal, light, first, second):
+    """Return which pairs of places (p,), numbers of them, are of one plane and about one colour."""
     log = np.log(np.maximum(light, DIM / 2))
     tint = log[:, :2] - log[:, 1:]
     alike = np.einsum("ij,ij->i", normal[first], normal[second]) > SAME_PLANE
@@ -119,8 +125,7 @@ def _pairs(position, normal, light):
     sign = np.where(bright[first] > bright[second], 1, -1)[:, None]
     redder = (tint[first] - tint[second]) * sign
     alike &= ((redder > SAME_PAINT[0]) & (redder < SAME_PAINT[1])).all(axis=1)
-    alike &= np.maximum(bright[first], bright[second]) > 2 * DIM
-    return np.stack([first[alike], second[alike]], -1)
+    return alike & (np.maximum(bright[first], bright[second]) > 2 * DIM)
 
 
 def find_sun(places, solids, plane, window):
