@@ -389,6 +389,7 @@ def test_json_is_the_only_thing_on_stdout(film, tmp_path):
     assert shown["ledger"] == record(tmp_path / "out")["ledger"]
 
 
+@pytest.mark.slow
 def test_a_flood_and_other_light_change_the_picture(film, tmp_path):
     plain = ["--frame-range", "0:1"]
     mean = {}

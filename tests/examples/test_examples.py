@@ -96,6 +96,7 @@ def test_parts_of_the_rain(capsys):
     assert [cell.strip(" %") for cell in dry[3:7]] == ["0.0", "0.0", "0.0", "0.000"]
 
 
+@pytest.mark.slow
 def test_beside_the_paper(capsys):
     load("beside_the_paper").main(tiny_scene(), width=64, frames=3, **TINY)
     paper, ours = (line.split("|") for line in capsys.readouterr().out.splitlines()[2:])

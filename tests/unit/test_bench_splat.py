@@ -93,6 +93,7 @@ def test_pairs_merged_keep_place_size_and_cover():
     assert 22 < splat.decibel(*pictures) < 60
 
 
+@pytest.mark.slow
 def test_a_quick_run_measures_every_choice(monkeypatch, tmp_path):
     scene, groups = tiny_scene(48, 32), splat_choices.all_choices()
     for name in ("polynomial of 2^x", "cut-off of a splat", "storage of harmonics"):

@@ -148,6 +148,7 @@ def test_no_drop_lands_under_the_car_in_a_window(scene, ground):
     assert under == 0 and beside > 5
 
 
+@pytest.mark.slow
 def test_the_account_of_a_window_closes_with_cars_in_it_and_around_it(scene, ground):
     station = ground.stations[1]
     west, east = (c * CONFIG.terrain.spacing for c in station.cells[2:])
