@@ -20,6 +20,7 @@ from rainsim.config.preset_files import HUMAN_KEYS, preset_names
 from rainsim.config.settings import Config
 from rainsim.errors import ParameterError, RainsimError
 from rainsim.render.shutter import FASTEST, FASTEST_TURN, shutter_end
+from rainsim.scene.camera_rule import MOST_FOV
 from rainsim.scene.cameras import (
     look_at,
     mirrored_camera,
@@ -243,6 +244,11 @@ def written_paths_come_back(eyes, target, fov, width, height):
 
 def sizes_keep_the_view(eye, target, fov, width, height):
     camera = camera_at(eye, target, fov)
+    half = camera.width / camera.fx / 2 * max(1, height / width)  # of the longer side
+    if math.degrees(2 * math.atan(half)) > MOST_FOV:
+        with pytest.raises(ParameterError, match="angle"):
+            resize_to(camera, width, height)
+        return
     resized = resize_to(camera, width, height)
     assert (resized.width, resized.height) == (width, height)
     assert math.isclose(resized.width / resized.fx, camera.width / camera.fx, rel_tol=1e-9)
