@@ -27,7 +27,7 @@ class Sun:
         Horizontal direction to the sun, of any length.
     elevation : float [degrees]
     turbidity : float
-        Of Preetham's sky.
+        Of Hosek and Wilkie's sky.
     """
 
     azimuth: tuple

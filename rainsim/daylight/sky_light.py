@@ -33,8 +33,8 @@ def clear(directions, sun):
     """Return the clear sky's radiance in three channels without the sun itself, (m, 3).
 
     Perez's function of the elevation and of the angle to the sun, with the coefficients `CLEAR`:
-    brighter about the sun and at the horizon, there and opposite to the sun less blue. Each
-    channel is relative to nothing in particular.
+    brighter about the sun and at the horizon, and less blue there. Each channel is relative to
+    nothing in particular.
 
     Parameters
     ----------
