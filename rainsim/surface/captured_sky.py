@@ -76,19 +76,19 @@ class SkyColors:
             direction = directions(view)
             low = direction[..., 2] < 2 * LOWEST
             below += np.count_nonzero(low)
-            alike += np.count_nonzero(self._off(view, direction)[low] < SAME)
+            alike += np.count_nonzero(self.off(view.light, direction)[low] < SAME)
         return alike / max(below, 1)
 
-    def _off(self, view, direction):
-        """Return the logarithm by which a view's pixels differ from the map, (height, width)."""
-        return np.abs(np.log(np.clip(view.light, 0.01, 1.0)) - self.at(direction)).max(axis=-1)
+    def off(self, light, direction):
+        """Return the logarithm by which linear light (..., 3) differs from the sky, (...)."""
+        return np.abs(np.log(np.clip(light, 0.01, 1.0)) - self.at(direction)).max(axis=-1)
 
     def shown(self, view):
         """Return which pixels of a `DepthView` show the sky, bool (height, width)."""
         if self.color is None:
             return np.zeros(view.depth.shape, bool)
         direction = directions(view)
-        near = (self._off(view, direction) < SAME) & (direction[..., 2] > LOWEST)
+        near = (self.off(view.light, direction) < SAME) & (direction[..., 2] > LOWEST)
         return ndimage.median_filter(near, 3)
 
     def at(self, direction):

@@ -149,8 +149,8 @@ def _solid(position, splats, good, views, frame, surface):
 
 def _off_sky(position, color, colors, middle):
     """Return the logarithm by which splats differ from the sky's colour behind them, (n,)."""
-    light = np.clip(linear(color * np.float32(SH_0) + np.float32(0.5)), 0.01, 1.0)
-    return np.abs(np.log(light) - colors.at(_directions(position, middle))).max(axis=1)
+    light = linear(color * np.float32(SH_0) + np.float32(0.5))
+    return colors.off(light, _directions(position, middle))
 
 
 def _directions(position, middle):
