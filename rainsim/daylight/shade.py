@@ -1,7 +1,7 @@
 """What the shade of a capture differs from its model by, measured along the edges of shadows.
 
-A model of the sky has one colour and the surroundings have one brightness; shade beside a hedge is
-bluer and darker than that. Pairs of places on both sides of an edge show by how much, and splats
+The model's sky is that of a usual clear day and its surroundings are coarse; shade beside a hedge
+may be bluer and darker than that. Pairs of places on both sides of an edge show by how much, and splats
 in the shade around take it over.
 """
 
