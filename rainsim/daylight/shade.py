@@ -1,8 +1,8 @@
 """What the shade of a capture differs from its model by, measured along the edges of shadows.
 
 The model's sky is that of a usual clear day and its surroundings are coarse; shade beside a hedge
-may be bluer and darker than that. Pairs of places on both sides of an edge show by how much, and splats
-in the shade around take it over.
+may be bluer and darker than that. Pairs of places on both sides of an edge show by how much, and
+splats in the shade around take it over.
 """
 
 from __future__ import annotations
