@@ -236,7 +236,8 @@ light_options = _group(
                  "picture, an overcast sky, or the captured sky."),
     click.option("--sun", type=Numbers("azimuth,elevation", words="none|sky"), show_default=PRESETS,
                  help="Direction of the sun in degrees, azimuth as for --wind; sky: the brightest "
-                 "spot of the sky. Also where --relight takes the captured sun to have stood."),
+                 "spot of the sky. Also where --relight takes the captured sun to have stood, "
+                 "within 5 degrees."),
     click.option("--cloudiness", type=float, metavar="0..1", show_default=PRESETS,
                  help="Share of the sky under clouds: 0 clear to 1 overcast."),
     click.option("--relight", metavar="auto|off", show_default=PRESETS,

@@ -114,8 +114,8 @@ def find_relight(scene, found, sun=None, white=USUAL_ALBEDO):
     found : surface.kept.Found or None
         What its cameras show; None if there are too few splats.
     sun : tuple, optional
-        Azimuth and elevation [rad] of the captured sun, which is taken as it is; found if not
-        given.
+        Azimuth and elevation [rad] of the captured sun; found if not given. It is taken as it is,
+        unless the shadows surely show where within 5 degrees of it the sun stood.
     white : float
         Albedo that a captured linear colour of 1 stands for, on open level ground.
     """
@@ -132,27 +132,27 @@ def find_relight(scene, found, sun=None, white=USUAL_ALBEDO):
     places = places_of(surface, near)
     if sun is None and len(places.pair) < LEAST_PAIRS:
         return Relight(None, f"relight: too few flat surfaces to find a sun; {STAYS}")
-    if sun is None:
-        direction, score = find_sun(places, solids, plane, near)
-    else:
-        direction, score = _unit(*sun), 1.0
     patches = patches_of(surface, near)
     sent = sent_in(surface, patches, white)
-    measured = SunRatio(np.zeros(3), 0, 0.0)
-    if score > LEAST_SCORE and len(places.pair):
-        measured = measure(places, solids, plane, near, direction, sent)
-    confidence = _confidence(measured, score, direction)
-    if sun is None:
+    given = None if sun is None else _unit(*sun)
+    direction, score = given, 0.0
+    if len(places.pair) >= LEAST_PAIRS:
+        direction, score = find_sun(places, solids, plane, near, given)
+    measured, confidence = _measured(places, solids, plane, near, direction, score, sent)
+    if given is None:
         confidence *= _raised(measured.ratio[0] / max(measured.ratio[2], 1e-6), RED_OVER_BLUE)
-    elif confidence < SURE:
-        measured = SunRatio(np.array(USUAL_RATIO), measured.pairs, measured.agree)
+    elif confidence < SURE:  # shadows name no better one
+        direction = given
+        measured, confidence = _measured(places, solids, plane, near, direction, 1.0, sent)
+        if confidence < SURE:
+            measured = SunRatio(np.array(USUAL_RATIO), measured.pairs, measured.agree)
     facts = direction, tuple(map(float, measured.ratio)), confidence
     if sun is None and confidence < SURE:
         shown = _unsure(confidence, len(scene.cameras))
         return Relight(None, f"relight: {shown}; {STAYS}", *facts)
     windows = near, Window(near.middle, SIDE, np.float32(2 * FAR_HALF / SIDE))
     light = received(surface, solids, windows, direction, sent)
-    unsure = FOUND_UNSURE if sun is None else GIVEN_UNSURE
+    unsure = GIVEN_UNSURE if direction is given else FOUND_UNSURE
     lit = sunlit(surface, solids, windows, direction, unsure)
     by_plane, _ = sunlit(surface, plane, windows, direction)
     lit = by_color(surface, lit, by_plane, light, direction, measured.ratio)
@@ -160,7 +160,7 @@ def find_relight(scene, found, sun=None, white=USUAL_ALBEDO):
     later = sent_in(surface, patches, white, gain)
     later = later.at(surface.position, surface.normal, surface.flat)
     gain = gains(surface, light, lit, direction, measured, around_of(light.blocked, later))
-    note = _note(direction, measured, confidence, sun is not None)
+    note = _note(direction, measured, confidence, given)
     return Relight(_on_splats(scene, surface, gain), note, *facts)
 
 
@@ -280,6 +280,14 @@ def shade_of(light, direction, ratio):
     return (light.clear + light.around * open_ground).astype(np.float32)
 
 
+def _measured(places, solids, plane, window, direction, score, sent):
+    """Return the `SunRatio` of a direction of some score, and how sure it is."""
+    measured = SunRatio(np.zeros(3), 0, 0.0)
+    if score > LEAST_SCORE and len(places.pair):
+        measured = measure(places, solids, plane, window, direction, sent)
+    return measured, _confidence(measured, score, direction)
+
+
 def _confidence(measured, score, direction):
     """Return how sure it is, 0 to 1, that the capture was taken in sunshine from there."""
     if measured.pairs < LEAST_PAIRS or direction[2] <= 0:
@@ -309,14 +317,21 @@ def _unsure(confidence, cameras):
 
 
 def _note(direction, measured, confidence, given):
-    """Return the note on a sun that is divided out."""
-    azimuth = math.degrees(math.atan2(direction[1], direction[0]))
-    elevation = math.degrees(math.asin(np.clip(direction[2], -1, 1)))
+    """Return the note on a sun that is divided out; `given` is None or the given direction."""
+    from_where = f"sun {'found' if given is None else 'given'} at {_shown(direction)}"
+    if given is not None and direction is not given:
+        from_where = f"the given sun, {_shown(given)}, is at {_shown(direction)} by the shadows"
     return (
-        f"relight: sun {'given' if given else 'found'} at azimuth {azimuth:.0f}, elevation "
-        f"{elevation:.0f} degrees, {_over_sky(measured, direction):.1f} times the sky's light on "
+        f"relight: {from_where}, {_over_sky(measured, direction):.1f} times the sky's light on "
         f"level ground (confidence {confidence:.2f}); it goes as clouds cover the sky"
     )
+
+
+def _shown(direction):
+    """Return azimuth and elevation of a direction as text."""
+    azimuth = math.degrees(math.atan2(direction[1], direction[0]))
+    elevation = math.degrees(math.asin(np.clip(direction[2], -1, 1)))
+    return f"azimuth {azimuth:.0f}, elevation {elevation:.0f} degrees"
 
 
 def by_color(surface, lit, plane, light, direction, ratio):

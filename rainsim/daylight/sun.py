@@ -46,6 +46,7 @@ LEAST_SCORE = 0.08  # of the coarse maps, from which a sun is sought any further
 # those of the first search, and the distance between their own: the straight edge of a shadow
 # agrees with many directions, shadows of leaves only with one that is right to a place's width.
 DISC, SPACED = 0.12, 0.03  # rad
+GIVEN_DISC = 0.09  # rad: a sun that is read off a map or a clock may be 5 degrees off
 TOPS = 4  # of the discs that are refined in fine maps
 STEPS = (0.015, 0.015, 0.008, 0.004)  # rad
 # The direction is found to less than a degree by sharp shadows alone, each by itself: those of
@@ -128,8 +129,10 @@ def of_one_paint(position, normal, light, first, second):
     return alike & (np.maximum(bright[first], bright[second]) > 2 * DIM)
 
 
-def find_sun(places, solids, plane, window):
+def find_sun(places, solids, plane, window, given=None):
     """Return the direction from which light agrees best with the shadows, and how well.
+
+    Of all directions, or of those near one that is given.
 
     Parameters
     ----------
@@ -138,6 +141,8 @@ def find_sun(places, solids, plane, window):
         All, and those `with_plane`.
     window : Window
         Its middle and width; the maps have sides of their own.
+    given : ndarray of shape (3,), optional
+        Unit, within GIVEN_DISC of the sun. A direction by the horizon comes back with a score of 0.
 
     Returns
     -------
@@ -148,20 +153,15 @@ def find_sun(places, solids, plane, window):
     """
     width = window.side * float(window.pixel)
     sets = {side: coarsened(solids, COARSER * width / side) for side in (COARSE, FINE)}
-    tried = hemisphere(DIRECTIONS)
-    tried = tried[tried[:, 2] > LEAST_HEIGHT]
-    strength = strengths(places, sets[COARSE], window, tried, COARSE)
-    best = []
-    for k in np.argsort(-strength):
-        if all(tried[k] @ other[0] < np.cos(0.2) for other in best):
-            best.append((tried[k], strength[k]))
-        if len(best) == CANDIDATES:
-            break
-    best = [_refined(places, sets[COARSE], window, d, FIRST_STEP, COARSE) for d, _ in best]
-    likely = [found for found in best if found[1] > LEAST_SCORE]
-    if not likely:
-        return max(best, key=lambda found: found[1])
-    near = _near([direction for direction, _ in likely])
+    if given is not None:
+        near = _near([given], GIVEN_DISC)
+        if not len(near):
+            return given, 0.0
+    else:
+        likely = _likely(places, sets[COARSE], window)
+        if likely[0][1] <= LEAST_SCORE:
+            return likely[0]
+        near = _near([direction for direction, score in likely if score > LEAST_SCORE], DISC)
     agreement = _Agreement(places, window)
     found = agreement.of(near, [coarsened(s, COARSER * width / COARSE) for s in (solids, plane)],
                          COARSE)  # fmt: skip
@@ -174,6 +174,21 @@ def find_sun(places, solids, plane, window):
                 strict=True)]  # fmt: skip
         best = [max(best, key=lambda d: d[1])[0]]
     return best[0], float(strengths(places, sets[FINE], window, best[0][None], FINE)[0])
+
+
+def _likely(places, solids, window):
+    """Return directions apart from one another, from the whole sky, and strengths: best first."""
+    tried = hemisphere(DIRECTIONS)
+    tried = tried[tried[:, 2] > LEAST_HEIGHT]
+    strength = strengths(places, solids, window, tried, COARSE)
+    best = []
+    for k in np.argsort(-strength):
+        if all(tried[k] @ other < np.cos(0.2) for other in best):
+            best.append(tried[k])
+        if len(best) == CANDIDATES:
+            break
+    best = [_refined(places, solids, window, one, FIRST_STEP, COARSE) for one in best]
+    return sorted(best, key=lambda found: -found[1])
 
 
 def _ring(direction, step):
@@ -223,21 +238,21 @@ def _changes(places, solids, window, directions, side):
     return seen[places.pair[:, 0]] - seen[places.pair[:, 1]]
 
 
-def _near(directions):
-    """Return unit vectors (m, 3) SPACED apart and at most DISC from any of some directions."""
-    rows = int(np.ceil(DISC / SPACED * math.sqrt(4 / 3)))
+def _near(directions, disc):
+    """Return unit vectors (m, 3) SPACED apart and at most `disc` [rad] from any of directions."""
+    rows = int(np.ceil(disc / SPACED * math.sqrt(4 / 3)))
     i, j = np.mgrid[-2 * rows : 2 * rows + 1, -rows : rows + 1].reshape(2, -1)
     x, y = SPACED * (i + 0.5 * j), SPACED * math.sqrt(0.75) * j
-    inside = np.hypot(x, y) <= DISC
+    inside = np.hypot(x, y) <= disc
     found = np.zeros((0, 3))
     for direction in directions:
         right, up, _ = axes_of(direction)[0].astype(np.float64)
-        disc = direction + x[inside, None] * right + y[inside, None] * up
-        disc /= np.linalg.norm(disc, axis=1, keepdims=True)
-        new = disc[:, 2] > LEAST_HEIGHT / 2
+        about = direction + x[inside, None] * right + y[inside, None] * up
+        about /= np.linalg.norm(about, axis=1, keepdims=True)
+        new = about[:, 2] > LEAST_HEIGHT / 2
         if len(found):
-            new &= (disc @ found.T).max(axis=1) < math.cos(0.75 * SPACED)
-        found = np.concatenate([found, disc[new]])
+            new &= (about @ found.T).max(axis=1) < math.cos(0.75 * SPACED)
+        found = np.concatenate([found, about[new]])
     return found
 
 

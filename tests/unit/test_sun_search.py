@@ -74,9 +74,13 @@ def test_light_without_shadows_has_no_score():
 
 def test_the_discs_cover_what_the_first_search_leaves_open():
     middles = [np.array([0.6, 0.0, 0.8]), np.array([0.55, 0.1, np.sqrt(1 - 0.55**2 - 0.1**2)])]
-    near = sun._near(middles)
+    near = sun._near(middles, sun.DISC)
     np.testing.assert_allclose(np.linalg.norm(near, axis=1), 1)
-    assert len(near) == len(np.unique(near.round(6), axis=0)) < 2 * len(sun._near(middles[:1]))
+    assert (
+        len(near)
+        == len(np.unique(near.round(6), axis=0))
+        < 2 * len(sun._near(middles[:1], sun.DISC))
+    )
     rng = np.random.default_rng(0)
     for middle in middles:
         radius, turn = 0.95 * sun.DISC * np.sqrt(rng.random(200)), 2 * np.pi * rng.random(200)
