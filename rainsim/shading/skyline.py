@@ -107,13 +107,15 @@ def seen_from(draw, places):
         From where it is seen, the first in the middle. What is open from one of them counts as
         open, for the frames' cameras stand elsewhere.
     """
-    open_, land = np.zeros((ROWS, COLUMNS), np.bool_), None
+    (open_, thin), land = np.zeros((2, ROWS, COLUMNS), np.bool_), None
     for place in places:
         seen = probe(draw, place)
         open_ |= open_sky(seen[..., 3])
+        thin |= seen[..., 3] < SOLID
         land = spread_colors(seen) if land is None else land
     reach = round(PARALLAX * ROWS / math.pi)
-    wide = ndimage.maximum_filter(open_, 2 * reach + 1, mode=("nearest", "wrap"))
+    # What is solid from everywhere is no sky: eaves and gutters are dark and half covered besides.
+    wide = ndimage.maximum_filter(open_, 2 * reach + 1, mode=("nearest", "wrap")) & (open_ | thin)
     share = ndimage.gaussian_filter(wide.astype(np.float32), SOFT, mode=("nearest", "wrap"))
     return Skyline(share, land)
 

@@ -21,7 +21,9 @@ EVEN = 0.15  # range of the logarithm of luminance about a pixel of the sky
 ABOUT = 5  # px, side of the square in which that is measured
 BRIGHTER = 0.7  # quantile of the cameras: things before the sky are darker
 STEP = 0.25  # logarithm of a channel between texels of the sky, at most
-NEAR = 0.1  # logarithm of a channel by which cameras differ from each other: not the sky
+# Logarithm of a channel by which cameras differ from each other, from which on it is not the sky.
+# Captures whose harmonics were cut off (.splat) have .12 where whole ones have .03.
+NEAR = 0.16
 SAME = 0.35  # logarithm of a channel by which a pixel differs from the map
 LIKE_LAND = 0.5  # share of what lies below the horizon that may differ so little from the map
 SEEN = 45, 180  # rows and columns of the map of where the sky is seen

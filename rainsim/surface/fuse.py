@@ -199,7 +199,7 @@ class _Voxels:
     ----------
     keys : ndarray of shape (n,), int64
         Level and place of each voxel.
-    sums : ndarray of shape (n, 10), float64
+    sums : ndarray of shape (n, SUMS), float64
         Samples, and sums over them: place from the middle [m], colour, direction to the camera.
     """
 

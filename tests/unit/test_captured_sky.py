@@ -14,7 +14,7 @@ from rainsim.render import wet_scene
 from rainsim.render.wet_scene import WetScene
 from rainsim.scene.cameras import resize_to
 from rainsim.scene.types import Camera, Scene, Splats
-from rainsim.shading import calibration, skyline, visibility
+from rainsim.shading import calibration, sky, skyline, visibility
 from rainsim.shading.color import GAMMA
 from rainsim.shading.environment import COLUMNS, ROWS, directions
 from rainsim.splatting.prepared import LANES, recolored
@@ -161,9 +161,9 @@ def test_the_sky_is_what_is_connected_with_the_zenith():
         abs(directions()[..., 1]) < 0.2
     )
     alpha[pane] = 0.2
-    sky = skyline.open_sky(alpha)
-    assert sky[: int(ROWS * 68 / 180)].all()
-    assert not sky[pane].any()
+    found = skyline.open_sky(alpha)
+    assert found[: int(ROWS * 68 / 180)].all()
+    assert not found[pane].any()
     notch = dome(lambda e, a: (e < 20) & ~((abs(a) < 20) & (e > 5)))
     assert skyline.open_sky(notch)[int(ROWS * 80 / 180), COLUMNS // 2]  # a gap between two houses
 
@@ -172,9 +172,25 @@ def test_gaps_in_a_crown_show_the_sky_and_half_open_ones_do_not():
     crown = dome(lambda e, a: e < 90)
     gap, dark = (slice(30, 34), slice(100, 104)), (slice(30, 34), slice(150, 154))
     crown[gap], crown[dark] = 0.0, 0.3
-    sky = skyline.open_sky(crown)
-    assert sky[gap].all() and not sky[dark].any()
-    assert sky.sum() == 16
+    found = skyline.open_sky(crown)
+    assert found[gap].all() and not found[dark].any()
+    assert found.sum() == 16
+
+
+def test_the_skyline_spreads_over_what_a_place_sees_through_and_over_nothing_solid(monkeypatch):
+    row = np.arange(ROWS)[:, None]
+    border = ROWS // 2 - 10
+    solid, thin = np.where(row < border, 0.0, 1.0), np.where(row < border, 0.0, 1.0)
+    thin = np.where((row >= border + 1) & (row < border + 3), 0.3, thin)
+    share = {}
+    for name, maps in (("solid", (solid, solid)), ("thin", (solid, thin))):
+        seen = iter([np.dstack([np.zeros((ROWS, COLUMNS, 3)), np.tile(m, (1, COLUMNS))])
+                     for m in maps])  # fmt: skip
+        monkeypatch.setattr(skyline, "probe", lambda draw, place, seen=seen: next(seen))
+        share[name] = skyline.seen_from(None, np.zeros((2, 3))).open[:, 5]
+    assert share["solid"][border - 4] > 0.99 and share["solid"][border + 1] < 0.2
+    assert share["thin"][border + 1] > share["solid"][border + 1] + 0.2
+    assert share["thin"][border + 5] < 0.01
 
 
 def test_under_an_open_sky_the_day_is_drawn_and_below_it_the_land():
@@ -190,6 +206,20 @@ def test_under_an_open_sky_the_day_is_drawn_and_below_it_the_land():
     np.testing.assert_allclose(behind[ROWS + 4 :], 0.7 * 0.5**GAMMA, rtol=1e-3)
     dark = skyline.with_skyline(day, skyline.Skyline(open_, land), 0.0)
     assert (dark[ROWS + 4 :] == 0).all() and (dark[0] == 3).all()
+
+
+@pytest.mark.parametrize("high", [1.5, 20.0])
+def test_distant_ground_goes_over_into_the_horizons_sky(high):
+    plain = sky.overcast()
+    made = sky.with_haze(plain, high)
+    sine, rows = directions()[:, 0, 2], made[:, 0, 1]
+    assert (np.diff(rows[sine < 0.03]) <= 1e-6).all()  # ever darker from the horizon down
+    beside = rows[(sine < 0) & (sine > -0.02)]
+    assert beside.min() > 0.6 * rows[sine > 0].min()  # the plain map: .5
+    np.testing.assert_array_equal(made[sine > sky.AIR], plain[sine > sky.AIR])
+    down = np.exp(-high / sky.HAZE)
+    ground, air = plain[-1, 0, 1], rows[(sine > 0) & (sine < 0.03)].mean()
+    assert made[-1, 0, 1] == pytest.approx(air + down * (ground - air), rel=0.02)
 
 
 def test_a_kept_skyline_is_that_of_the_colors_drawn(yard, tmp_path, monkeypatch):
