@@ -23,6 +23,7 @@ from rainsim.shading.grading import Look, graded, sky_share, undiluted
 SH_0 = np.float32(constants.SH_0)
 LOWEST = np.float32(-0.06)  # sine of the elevation: a sky's splats are broad, and reach below 0
 SKY_SHARE, NEAREST_SKY = 0.7, 30.0  # of the capture's reach [m] where its sky may begin
+LOW_EYE = 1.5  # m above the ground, at least, of whom distant ground is drawn for
 SURE = np.float32(0.5)  # `sky_share` from which a splat is sky
 
 
@@ -60,10 +61,13 @@ class Backdrop:
 
     def __init__(self, scene, distance, wanted, found=None):
         self.whole, self.scene, self.count, self.kept = scene, scene, 0, slice(None)
-        self._seen = None  # the panorama, once it is drawn
-        if not wanted or not scene.cameras:
+        self._seen, self._height = None, LOW_EYE  # the panorama, once it is drawn
+        if not scene.cameras:
             return
         eye = np.mean([camera.position for camera in scene.cameras], axis=0)
+        self._height = max(float(scene.ground_frame.to_ground(eye)[2]), LOW_EYE)
+        if not wanted:
+            return
         far = sky_splats(scene.splats, scene.ground_frame, eye, distance)
         found = far if found is None else far | found
         if covered(scene.splats, eye, found) >= sky.LEAST_SKY_SEEN:
@@ -77,7 +81,7 @@ class Backdrop:
             return None
         return f"sky: that of the day is drawn behind the scene, for {self.count} splats of its own"
 
-    def behind(self, day, look):
+    def behind(self, day, look, plain=True):
         """Return the sky that is seen behind the scene, a map of the shape of `day`.
 
         Parameters
@@ -86,7 +90,10 @@ class Backdrop:
             The sky that replaces the captured one.
         look : Look
             Its `sky_replaced` says how much of the captured sky is replaced.
+        plain : bool
+            Whether the day has no land of its own, as a panorama has.
         """
+        day = sky.with_haze(day, self._height) if plain else day
         if not self.count or look.sky_replaced >= 1:
             return day
         blended = np.empty_like(day)

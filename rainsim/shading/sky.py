@@ -15,8 +15,12 @@ from rainsim.numerics.srgb import LUMINANCE_WEIGHTS
 from rainsim.shading.environment import ROWS, directions, irradiance
 
 ZENITH_RADIANCE = 1.2  # of display white: overcast sky over wet ground at a normal exposure
+PLAIN = "overcast", "capture"  # settings of the sky whose map has no land of its own
 GROUND_ALBEDO = 0.15  # what the lower half of a plain sky map shows
 PANORAMA_ROWS = 512  # of the map of a panorama: it is seen behind the scene, too
+# m: over which distant ground goes over into the air before it, and the sine of the elevation below
+# which a map is the horizon's. Chosen: the rain's own extinction alone would leave a dark edge.
+HAZE, AIR = 60.0, 0.06
 CLOUD_DEPTH = 0.3  # of the noise in the logarithm of a clouded sky's radiance
 # Exponents of x, y and z: on the sphere these span the harmonics to degree 3.
 CUBIC = [(i, j, k) for i in range(4) for j in range(4 - i) for k in (0, 1) if i + j + k <= 3]
@@ -42,6 +46,22 @@ def overcast(brightness=1.0):
     mix = np.clip(sine / 0.05 + 0.5, 0, 1)
     radiance = below + (above - below) * mix
     return np.repeat(radiance[..., None], 3, axis=2).astype(np.float32)
+
+
+def with_haze(environment, height):
+    """Return the map with its ground seen through haze, as on a plain `height` [m] below the eye.
+
+    A capture ends before the horizon. What lies beyond goes over into the horizon's sky, the more
+    the farther it is: without that a dark band would stand above the last captured ground.
+    """
+    sine = directions(*environment.shape[:2])[:, 0, 2]
+    air = environment[(sine > AIR / 2) & (sine < 2 * AIR)].mean(axis=0)
+    ground = environment[sine < -AIR].mean(axis=0)
+    far = height / np.maximum(-sine, 1e-6)
+    clear = np.where(sine < 0, np.exp(-far / HAZE), 0)[:, None, None]
+    low = np.clip((AIR - sine) / (AIR / 2), 0, 1)[:, None, None]  # of the map's own horizon
+    made = environment + low * (air + clear * (ground - air) - environment)
+    return np.ascontiguousarray(made, np.float32)
 
 
 def clouded(environment, rows=2 * ROWS, depth=CLOUD_DEPTH):
