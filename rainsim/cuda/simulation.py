@@ -74,7 +74,7 @@ class DeviceState:
 
     @property
     def moments(self):
-        """Moments of the ripples' slopes, device array of shape (n, n + n // 2, 5).
+        """Moments of the ripples' slopes, device array of shape (n, n + n // 2, 6).
 
         See `reflection.slope_moments`.
         """

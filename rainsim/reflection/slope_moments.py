@@ -13,13 +13,14 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import scipy.fft
 
 from rainsim.constants import HALF, ONE, TWO, ZERO
 from rainsim.jit import cpu_kernel, device_function, prange
 
 QUARTER = np.float32(0.25)
 
-MOMENTS = 5  # of slopes a, b along x, y: a, b, a^2, b^2, a b
+MOMENTS = 6  # of slopes a, b along x, y and height h: a, b, a^2, b^2, a b, h over the tile's size
 # Width c of a cell over the width w of the part of the footprint that the cell stands for. A mean
 # over a cell (variance c^2 / 12), interpolated between neighbours (c^2 / 6), weights places with a
 # variance of c^2 / 4; an even weight over w has w^2 / 12. The two are equal for c = w / sqrt(3).
@@ -48,15 +49,28 @@ def mean_of_four(moments, n, level, row, column, c):
     )
 
 
+def heights_of(slopes):
+    """Return the heights of a periodic tile over its size, (n, n), from slopes (2, n, n)."""
+    n = slopes.shape[1]
+    kx = 2 * np.pi * np.arange(n // 2 + 1, dtype=np.float32)
+    ky = 2 * np.pi * scipy.fft.fftfreq(n, 1 / n).astype(np.float32)[:, None]
+    if n % 2 == 0:  # the shortest waves have no slope
+        kx[-1] = ky[n // 2] = 0
+    square = kx * kx + ky * ky
+    square[square == 0] = 1  # nor has the mean height
+    along_x, along_y = scipy.fft.rfft2(slopes.astype(np.float32, copy=False))
+    return scipy.fft.irfft2(-1j * (kx * along_x + ky * along_y) / square, s=(n, n))
+
+
 @cpu_kernel
-def _lay(slopes, moments_out):
+def _lay(slopes, height, moments_out):
     """Write the moments of the cells, then those of all halved resolutions."""
     n = slopes.shape[1]
     for j in prange(n):
         for i in range(n):
             a, b = slopes[0, j, i], slopes[1, j, i]
             m = moments_out[j, i]
-            m[0], m[1], m[2], m[3], m[4] = a, b, a * a, b * b, a * b
+            m[0], m[1], m[2], m[3], m[4], m[5] = a, b, a * a, b * b, a * b, height[j, i]
     level, cells = 1, n >> 1
     while cells > 0 and 2 * cells == n >> (level - 1):
         top, left = place_of(n, level)
@@ -73,15 +87,38 @@ def ripple_moments(slopes):
 
     Returns
     -------
-    ndarray of shape (n, n + n // 2, 5), float32
+    ndarray of shape (n, n + n // 2, MOMENTS), float32
         Full resolution in the first n columns; half of that in the first n / 2 rows of the others,
         a quarter below it, and so on for as long as the number of cells can be halved.
     """
     slopes = np.ascontiguousarray(slopes, dtype=np.float32)
     n = slopes.shape[1]
     moments = np.zeros((n, n + n // 2, MOMENTS), np.float32)
-    _lay(slopes, moments)
+    _lay(slopes, heights_of(slopes).astype(np.float32, copy=False), moments)
     return moments
+
+
+@device_function
+def _level_of(n, size, cell):
+    """Return the level of a tile of n x n cells and some size [m] for cells of a width [m]."""
+    level, edge = 0, ROOT_TWO * size / np.float32(n)
+    while FINER * cell > edge and 2 * (n >> (level + 1)) == n >> level:
+        level += 1
+        edge *= TWO
+    return level
+
+
+@device_function
+def tile_height(moments, size, x, y, width):
+    """Return the height [m] of a tile's ripples as a pixel of some width [m] holds it."""
+    n = moments.shape[0]
+    level = _level_of(n, size, CELL_SHARE * width)
+    u, v = x / size, y / size
+    i, j, k, m, a, b = _between(n >> level, u - np.floor(u), v - np.floor(v))
+    top, left = place_of(n, level)
+    upper = moments[top + j, left + i, 5] * (ONE - a) + moments[top + j, left + k, 5] * a
+    lower = moments[top + m, left + i, 5] * (ONE - a) + moments[top + m, left + k, 5] * a
+    return size * (upper * (ONE - b) + lower * b)
 
 
 @device_function
@@ -90,7 +127,7 @@ def pixel_slopes(moments, size, x, y, vx, vy, vz, width):
 
     Parameters
     ----------
-    moments : ndarray of shape (n, n + n // 2, 5), float32
+    moments : ndarray of shape (n, n + n // 2, MOMENTS), float32
         Of a periodic tile, see `ripple_moments`.
     size : float32 [m]
         Of the tile.
@@ -114,10 +151,7 @@ def pixel_slopes(moments, size, x, y, vx, vy, vz, width):
     count = min(max(np.ceil(slant * width / apart), ONE), MOST_CELLS)
     step = slant * width / count
     cell = max(width, step) * CELL_SHARE
-    level, edge = 0, ROOT_TWO * size / np.float32(n)
-    while FINER * cell > edge and 2 * (n >> (level + 1)) == n >> level:
-        level += 1
-        edge *= TWO
+    level = _level_of(n, size, cell)
     inv = ONE / (size * math.sqrt(max(vx * vx + vy * vy, np.float32(1e-9))))
     du, dv = step * vx * inv, step * vy * inv
     back = HALF * (count - ONE)
@@ -141,15 +175,20 @@ def pixel_slopes(moments, size, x, y, vx, vy, vz, width):
 
 
 @device_function
-def _mixed(moments, n, level, u, v):
-    """Return the moments of a level at (u, v), shares of the tile from 0 to 1, interpolated."""
-    cells = n >> level
-    top, left = place_of(n, level)
+def _between(cells, u, v):
+    """Return columns i, k and rows j, m about (u, v), and how far it lies from the first ones."""
     u, v = u * np.float32(cells) - HALF, v * np.float32(cells) - HALF
     i, j = int(u + ONE) - 1, int(v + ONE) - 1  # the floor: both are above -1
     a, b = u - np.float32(i), v - np.float32(j)
     k, m = i + 1 if i + 1 < cells else 0, j + 1 if j + 1 < cells else 0
-    i, j = i if i >= 0 else cells - 1, j if j >= 0 else cells - 1
+    return i if i >= 0 else cells - 1, j if j >= 0 else cells - 1, k, m, a, b
+
+
+@device_function
+def _mixed(moments, n, level, u, v):
+    """Return the moments of a level at (u, v), shares of the tile from 0 to 1, interpolated."""
+    i, j, k, m, a, b = _between(n >> level, u, v)
+    top, left = place_of(n, level)
     w0, w1, w2, w3 = (ONE - a) * (ONE - b), a * (ONE - b), (ONE - a) * b, a * b
     p, q = moments[top + j, left + i], moments[top + j, left + k]
     r, s = moments[top + m, left + i], moments[top + m, left + k]

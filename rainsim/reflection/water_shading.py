@@ -24,7 +24,7 @@ from rainsim.jit import (
 from rainsim.numerics.approximations import exp_minus
 from rainsim.numerics.interpolation import bilinear, bilinear_color, smoothstep
 from rainsim.reflection.facets import normal_of, pixel_reflectance, view_cosine
-from rainsim.reflection.slope_moments import pixel_slopes
+from rainsim.reflection.slope_moments import pixel_slopes, tile_height
 from rainsim.reflection.water_record import (
     WaterPixel,
     read_record,
@@ -53,6 +53,7 @@ RIPPLE_LOW, RIPPLE_HIGH = np.float32(0.0008), np.float32(0.004)  # m of water: n
 SHELTERED_SHARE = np.float32(0.07)  # of the rings, under cover: they run in from the open
 CELLS = np.float32(BLOCK)  # of a block, along a side
 NEAREST = np.float32(0.05)  # m
+RISES, LEAST_RISE = 3, np.float32(0.1)  # steps to where a ray meets ripples; its sine, at least
 TURN_COSINE, TURN_SINE = np.float32(math.cos(1)), np.float32(math.sin(1))  # of the second layer
 REFRACT_TOLERANCE = np.float32(0.04)  # m: what lies nearer than the bed by more is foreground
 
@@ -60,7 +61,7 @@ REFRACT_TOLERANCE = np.float32(0.04)  # m: what lies nearer than the bed by more
 class Ripples(NamedTuple):
     """The ripples of one time."""
 
-    moments: np.ndarray  # (n, n + n // 2, 5) float32, of slopes on a periodic tile: slope_moments
+    moments: np.ndarray  # (n, n + n // 2, 6) float32, of slopes on a periodic tile: slope_moments
     tile_size: np.float32  # m
 
 
@@ -130,7 +131,8 @@ def tilted(water, ripples, tops):
     share = water.ripple_share
     a, b, aa, bb, ab = ZERO, ZERO, ZERO, ZERO, ZERO
     if share > ZERO:
-        a, b, aa, bb, ab = layered_slopes(water, ripples)
+        x, y = risen(water, ripples)
+        a, b, aa, bb, ab = layered_slopes(water, ripples, x, y)
     square = share * share
     a, b, aa, bb, ab = share * a, share * b, square * aa, square * bb, square * ab
     top, _, smooth, gx, gy = top_below(tops, water.x, water.y, water.z)
@@ -141,8 +143,29 @@ def tilted(water, ripples, tops):
 
 
 @inlined_function
-def layered_slopes(water, ripples):
-    """Return the slopes of both layers of the tile together, as `pixel_slopes` returns one's.
+def risen(water, ripples):
+    """Return where a pixel's ray meets the ripples, x and y, and not the level of the water.
+
+    In a low view crests stand before troughs, and their far sides are hidden: without that heavy
+    rain has bright bands along all crests, up to a quarter too much light and the wrong waves.
+    The place is found by steps that shorten where slopes are below a ray's own.
+    """
+    x, y = water.x, water.y
+    rise = max(-water.view_z, LEAST_RISE)
+    for _ in range(RISES):
+        h, c, s = ZERO, ONE, ZERO
+        for _ in range(LAYERS):
+            h += tile_height(ripples.moments, ripples.tile_size, c * x + s * y, c * y - s * x,
+                             water.width)  # fmt: skip
+            c, s = TURN_COSINE, TURN_SINE
+        back = water.ripple_share * h / rise
+        x, y = water.x - back * water.view_x, water.y - back * water.view_y
+    return x, y
+
+
+@inlined_function
+def layered_slopes(water, ripples, x, y):
+    """Return the slopes of both layers of the tile at (x, y), as `pixel_slopes` returns one's.
 
     One layer lies as the tile does, the other turned by a radian: a sheet of water that is wider
     than the tile then nowhere looks as it does a tile further on.
@@ -151,9 +174,9 @@ def layered_slopes(water, ripples):
     c, s = ONE, ZERO
     for _ in range(LAYERS):
         p, q, pp, qq, pq = pixel_slopes(
-            ripples.moments, ripples.tile_size, c * water.x + s * water.y,
-            c * water.y - s * water.x, c * water.view_x + s * water.view_y,
-            c * water.view_y - s * water.view_x, water.view_z, water.width,
+            ripples.moments, ripples.tile_size, c * x + s * y, c * y - s * x,
+            c * water.view_x + s * water.view_y, c * water.view_y - s * water.view_x, water.view_z,
+            water.width,
         )  # fmt: skip
         a, b = a + c * p - s * q, b + s * p + c * q
         cc, ss, cs = c * c, s * s, c * s

@@ -180,8 +180,7 @@ class WetScene:
         if now is self._now:  # as all frames have it without keyframes
             return False
         self._now = now
-        look = self._look_of(now)
-        off_ground = wetness.off_ground_wetness(now)
+        look, off_ground = self._look_of(now), wetness.off_ground_wetness(now)
         if look == self.look and off_ground == self.off_ground:
             return False
         self.look, self.off_ground = look, off_ground
@@ -266,7 +265,8 @@ class WetScene:
 
     def _set_skies(self):
         """Make the skies behind the scene and behind the mirrored scene, by the present look."""
-        self.behind = self.behind_mirrored = self.backdrop.behind(self.day, self.look)
+        plain = self.config.render.sky in sky.PLAIN
+        self.behind = self.behind_mirrored = self.backdrop.behind(self.day, self.look, plain)
         if self._skylines:
             whole, mirrored = self._skylines
             self.behind_mirrored = with_skyline(self.behind, mirrored, self.look.exposure)
@@ -495,6 +495,6 @@ def day_sky(config, zenith):
     `zenith` is the radiance of its zenith if it is overcast; a panorama gets as bright as that.
     """
     level = zenith / sky.ZENITH_RADIANCE
-    if config.sky in ("overcast", "capture"):
+    if config.sky in sky.PLAIN:
         return sky.clouded(sky.overcast(level))
     return sky.from_panorama(images.read_hdr(config.sky), level)

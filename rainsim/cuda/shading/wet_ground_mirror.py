@@ -75,7 +75,7 @@ def halve_heights(atlas):
     if row >= 2 * height or column >= atlas.shape[1]:
         return
     level, start = level_of(row, height)
-    if level == LEVELS:
+    if level == LEVELS or level_of(column, atlas.shape[1] // 2)[0] == LEVELS:
         return
     j = (row - start) << level
     r, g, b = ZERO, ZERO, ZERO

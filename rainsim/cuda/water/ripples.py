@@ -1,8 +1,9 @@
 """Rings on water on a CUDA device: twin of `rainsim.water.ripples.RippleTile`.
 
 The tile's spectrum is evolved as on the CPU. Two real maps make one complex one, so that a frame
-takes one transform for each two parts of the interval and one for both slopes. A block transforms a
-row in shared memory and writes it as a column; twice that is a transform in two dimensions.
+takes one transform for each two parts of the interval, one for both slopes and one for the heights.
+A block transforms a row in shared memory and writes it as a column; twice that is a transform in
+two dimensions.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import math
 
 import numpy as np
 
-from rainsim.constants import HALF, ONE
+from rainsim.constants import HALF, ONE, ZERO
 from rainsim.cuda.driver import to_device
 from rainsim.cuda.jit import SIMULATED, cuda, cuda_kernel
 from rainsim.cuda.rain.settling import PUSH_UNIT
@@ -106,8 +107,8 @@ def transform(re_in, im_in, cosines, sines, n, sign, re_out, im_out):
 
 
 @cuda_kernel
-def turn(re, im, steps, n, cosine, sine, push, wave, waves_out, re_out, im_out):
-    """Evolve all waves over an interval, add its drops, and give the spectrum of the slopes.
+def turn(re, im, steps, n, inverse_size, cosine, sine, push, wave, waves_out, re_out, im_out):
+    """Evolve all waves over an interval, add its drops, and give spectra of slopes and heights.
 
     Parameters
     ----------
@@ -115,6 +116,8 @@ def turn(re, im, steps, n, cosine, sine, push, wave, waves_out, re_out, im_out):
         Transforms of the momentum by size of the drops and part of the interval, two in one.
     steps, n : int
         Parts of the interval, and cells along a side.
+    inverse_size : float32 [1/m]
+        1 over the size of the tile.
     cosine, sine : device array of shape (n * (n // 2 + 1),), float32
         What a wave turns by in a part of the interval, damping included.
     push : device array of shape (SIZES * n * (n // 2 + 1),), float32
@@ -123,8 +126,8 @@ def turn(re, im, steps, n, cosine, sine, push, wave, waves_out, re_out, im_out):
         Wavenumbers along an axis; 0 for the shortest, whose slope is not defined.
     waves_out : device array of shape (4, n * (n // 2 + 1)), float32
         Elevation and the quarter period behind it, real and imaginary parts; modified in place.
-    re_out, im_out : device array of shape (n * n,), float32
-        Spectrum of slope along x + i slope along y, over n * n.
+    re_out, im_out : device array of shape (2 * n * n,), float32
+        Spectra of slope along x + i slope along y, and of height over the tile's size; over n * n.
     """
     wide = n // 2 + 1
     here = cuda.grid(1)
@@ -152,27 +155,32 @@ def turn(re, im, steps, n, cosine, sine, push, wave, waves_out, re_out, im_out):
     scale = np.float32(1.0 / (n * n))
     at = row * n + column
     re_out[at], im_out[at] = -(ky * a + kx * b) * scale, (kx * a - ky * b) * scale
+    # Waves without a slope have no height either, as where heights are found from slopes.
+    high, height = n * n + at, scale * inverse_size if kx != ZERO or ky != ZERO else ZERO
+    re_out[high], im_out[high] = a * height, b * height
     if 0 < column < n // 2:
         back = back_row * n + back_column
+        re_out[n * n + back], im_out[n * n + back] = a * height, -b * height
         re_out[back], im_out[back] = (ky * a - kx * b) * scale, -(kx * a + ky * b) * scale
 
 
 @cuda_kernel
-def lay_moments(slopes, moments_out):
+def lay_moments(re, im, moments_out):
     """Write the moments of the finest resolution; see `reflection.slope_moments.ripple_moments`.
 
     Parameters
     ----------
-    slopes : device array of shape (2, n, n), float32
-    moments_out : device array of shape (n, n + n // 2, 5), float32
+    re, im : device array of shape (2, n, n), float32
+        Slopes along x and y, then heights over the tile's size and nothing.
+    moments_out : device array of shape (n, n + n // 2, MOMENTS), float32
         Its first n columns are written.
     """
     i, j = cuda.grid(2)
-    n = slopes.shape[1]
+    n = re.shape[1]
     if j < n and i < n:
-        a, b = slopes[0, j, i], slopes[1, j, i]
+        a, b = re[0, j, i], im[0, j, i]
         m = moments_out[j, i]
-        m[0], m[1], m[2], m[3], m[4] = a, b, a * a, b * b, a * b
+        m[0], m[1], m[2], m[3], m[4], m[5] = a, b, a * a, b * b, a * b, re[1, j, i]
 
 
 @cuda_kernel
@@ -204,10 +212,8 @@ class Ripples:
     pushes : device array, int64
         Momentum of drops that fell since, in `settling.PUSH_UNIT`: for each size of drops and each
         part a map of (cells, cells), one after the other.
-    slopes : device array of shape (2, n, n), float32
-        Along x and y.
-    moments : device array of shape (n, n + n // 2, 5), float32
-        Of the slopes, see `rainsim.reflection.slope_moments`.
+    moments : device array of shape (n, n + n // 2, MOMENTS), float32
+        Of slopes and heights, see `rainsim.reflection.slope_moments`.
 
     Raises
     ------
@@ -242,8 +248,8 @@ class Ripples:
         self.pushes = to_device(np.zeros(2 * self._maps * n * n, np.int64), stream)
         maps = np.zeros(self._maps * n * n, np.float32)
         self._maps_on_device = [to_device(maps, stream) for _ in range(4)]
-        self.slopes = to_device(np.zeros((2, n, n), np.float32), stream)
-        self._flat = self.slopes.reshape(2 * n * n)
+        flat = np.zeros((2, n, n), np.float32)
+        self._surface = to_device(flat, stream), to_device(flat, stream)
         empty = np.zeros((n, n + n // 2, MOMENTS), np.float32)
         self.pages = [to_device(empty, stream) for _ in range(2)]
         self.turn_page(0)
@@ -256,20 +262,19 @@ class Ripples:
         """Queue a frame: waves run on, the drops that fell ring, the slopes follow."""
         n, re, im, other_re, other_im = self.cells, *self._maps_on_device
         tables = self._cosines, self._sines, n
-        rows, plane = (n, self._maps), n * n
+        rows = n, self._maps
         transform_pushes[rows, n // 2, self.stream](self.pushes, *tables, re, im)
         forth, back = -ONE, ONE
         transform[rows, n // 2, self.stream](re, im, *tables, forth, other_re, other_im)
         blocks = -(-n * (n // 2 + 1) // THREADS)
         turn[blocks, THREADS, self.stream](
-            other_re, other_im, self.steps, n, *self._turn, self._waves, re, im
-        )
-        one = n, 1
-        transform[one, n // 2, self.stream](re, im, *tables, back, other_re, other_im)
-        transform[one, n // 2, self.stream](
-            other_re, other_im, *tables, back, self._flat[:plane], self._flat[plane:]
-        )
-        lay_moments[_cells(n), CELLS, self.stream](self.slopes, self.moments)
+            other_re, other_im, self.steps, n, np.float32(1 / self.size), *self._turn, self._waves,
+            re, im,
+        )  # fmt: skip
+        both, surface = (n, 2), [part.reshape(2 * n * n) for part in self._surface]
+        transform[both, n // 2, self.stream](re, im, *tables, back, other_re, other_im)
+        transform[both, n // 2, self.stream](other_re, other_im, *tables, back, *surface)
+        lay_moments[_cells(n), CELLS, self.stream](*self._surface, self.moments)
         for level in range(1, n.bit_length()):
             halve_moments[_cells(n >> level), CELLS, self.stream](level, self.moments)
 
