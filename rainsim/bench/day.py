@@ -4,6 +4,7 @@ Two made-up gardens of known geometry and materials: `day_patio`, which never ch
 `day_court`, on which nothing is tuned. Splats of the radiance of a sunny day (with and without
 splats of its sky) and of a dull dry day are the captures. The truth is the same garden traced under
 an overcast sky, wet, with water in its dips. What falls is left out of the comparison.
+Two captures of another patio were trained from pictures, as users' are: see `day_trained`.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import time
 
 import numpy as np
 
-from rainsim.bench import day_data, day_score
+from rainsim.bench import day_data, day_score, day_trained
 from rainsim.bench.chart import COLORS, require_matplotlib, save
 from rainsim.bench.day_capture import capture, frames
 from rainsim.bench.day_case import TINT, WIDTH
@@ -66,6 +67,11 @@ def run(quick=False, say=lambda line: None, remake=False, before=None):
             scene = capture(case, shapes, arrays, baked, sky)
             days[day] = _compare_day(case, scene, arrays, quick, with_wind=day == "sun")
         found[case.name] = days
+    if not quick:
+        found["trained"] = {}
+        for name, scene, arrays in day_trained.scenes():
+            say(f"trained, {name}")
+            found["trained"][name] = _compare_rain(scene, arrays, day_trained.RAIN)[0]
     return {
         "cases": found, "seconds": time.perf_counter() - start, "before": before,
         "machine": {
@@ -78,15 +84,7 @@ def run(quick=False, say=lambda line: None, remake=False, before=None):
 def _compare_day(case, scene, arrays, quick, with_wind):
     """Return the figures of one capture: each rain of the case, and what the truth's choices do."""
     main, *others = case.rains
-    views = main.views[:1] if quick else main.views
-    found, drawn = {"views": {}, "choices": {}}, {}
-    for view, *frame in frames(scene, main, views, WIDTH):
-        drawn[view] = frame
-        found["views"][view] = compare_view(arrays, main, view, *frame)
-    # The factor that gives land its level, over that of the truth: the level of the true land
-    # differs from view to view, too.
-    factors = [one["exposure"] / one["zenith"] for one in found["views"].values()]
-    found["spread"] = day_score.spread(factors)
+    found, drawn = _compare_rain(scene, arrays, main, main.views[:1] if quick else main.views)
     for rain in () if quick else others:
         if rain.wind == main.wind and rain.past == main.past:
             found["choices"][rain.name] = {
@@ -98,6 +96,19 @@ def _compare_day(case, scene, arrays, quick, with_wind):
                 for view, *frame in frames(scene, rain, rain.views, WIDTH)
             }
     return found
+
+
+def _compare_rain(scene, arrays, rain, views=None):
+    """Return the figures of a capture's views in a rain, and what was drawn of each."""
+    found, drawn = {"views": {}, "choices": {}}, {}
+    for view, *frame in frames(scene, rain, views or rain.views, WIDTH):
+        drawn[view] = frame
+        found["views"][view] = compare_view(arrays, rain, view, *frame)
+    # The factor that gives land its level, over that of the truth: the level of the true land
+    # differs from view to view, too.
+    factors = [one["exposure"] / one["zenith"] for one in found["views"].values()]
+    found["spread"] = day_score.spread(factors)
+    return found, drawn
 
 
 def compare_view(arrays, rain, view, parts, zenith, brightness):
@@ -123,6 +134,10 @@ def compare_view(arrays, rain, view, parts, zenith, brightness):
         "exposure": factor, "zenith": gain, "ratios": {"truth": true, "drawn": own},
         "regions": day_score.by_region(picture, truth, labels, brightness),
         "ladder": day_score.ladder(picture, truth, labels),
+        "patches": {
+            name: day_score.patches(one, parts["clean"], labels)
+            for name, one in (("truth", truth), ("drawn", picture))
+        },
     }  # fmt: skip
     if rain.gloss:
         without, _ = traced(arrays, f"{rain.name} dull {view}", labels, gain)
@@ -146,7 +161,7 @@ def compare_view(arrays, rain, view, parts, zenith, brightness):
 
 def traced(arrays, name, labels, gain=None):
     """Return a traced picture, white-balanced, and the factor that gave its land LAND."""
-    picture = day_data.unpack_picture(arrays[name]) / TINT
+    picture = day_data.unpack_picture(arrays[name]) / arrays.get("tint", TINT)
     if gain is None:
         gain = LAND / day_score.luminance(picture, ~labels.shows("sky"))
     return gain * picture, gain
@@ -189,6 +204,13 @@ def _lines(title, found):
         lines.append(f"  {name:34s}" + "".join(
             f"{'':22s}" if c is None else f"{c['ratio']:10.2f} {c['psnr']:5.1f} {c['as_is']:5.1f}"
             for c in cells
+        ))  # fmt: skip
+    lines.append(f"  {'patches: rms of log gain':34s}" + f"{'drawn  true':>22s}" * len(views))
+    for name in day_score.PATCHED:
+        cells = ([one["patches"][side].get(name) for side in ("drawn", "truth")]
+                 for one in views.values())  # fmt: skip
+        lines.append(f"  {name:34s}" + "".join(
+            f"{'':22s}" if drawn is None else f"{drawn:16.3f} {true:5.3f}" for drawn, true in cells
         ))  # fmt: skip
     for choice, others in found["choices"].items():
         cells = ", ".join(

@@ -12,7 +12,7 @@ from scipy import ndimage
 from skimage.color import deltaE_ciede2000, rgb2lab
 from skimage.metrics import structural_similarity
 
-from rainsim.numerics.srgb import LUMINANCE_WEIGHTS, display
+from rainsim.numerics.srgb import LUMINANCE_WEIGHTS, display, linear
 
 LAND = 0.16  # mean luminance of land, as a camera's exposure has it
 EDGE = 4  # px: nearer than that to the sky a pixel of leaves may show some of it
@@ -21,6 +21,9 @@ OPEN = 0.5  # openness from which ground counts as open
 SPLIT = ("paving", "lawn", "wall", "tabletop")  # regions measured in and out of the sun, too
 GROUND = ("paving", "puddle", "rim")
 FILMS = ("paving", "puddle", "tabletop")  # regions whose gloss is measured
+PATCHED = ("wall", "paving")  # regions whose patches are measured
+# px: patches are smaller; and of the border of a region, left out; dim linear light of the capture.
+PATCH, BORDER, DIM = 6, 3, 0.004
 LADDER = ("as is", "shadows gone", "levels right", "colours right")
 SCALARS = {
     "shadow": "cast shadow over open ground", "wall": "wall over paving",
@@ -180,6 +183,34 @@ def ratios(picture, labels):
         for name, (one, other) in pairs.items()
         if min(one.sum(), other.sum()) >= FEWEST
     }
+
+
+def patches(picture, clean, labels):
+    """Return how patchy the gain from the dry capture to a picture is in each region of PATCHED.
+
+    The root mean square of the gain's logarithm, less what is smooth over PATCH pixels of the
+    region (12 px of a frame); the borders of regions, thus the edges of puddles, are left out.
+
+    Parameters
+    ----------
+    picture : ndarray of shape (height, width, 3)
+        Radiance, drawn or traced.
+    clean : ndarray of shape (height, width, 3)
+        Display colours of the dry capture, 0 to 1.
+    labels : Labels
+    """
+    dry = np.maximum(linear(clean) @ LUMINANCE_WEIGHTS, DIM)
+    gain = np.log(np.maximum(picture @ LUMINANCE_WEIGHTS, 1e-3) / dry)
+    found = {}
+    for name in PATCHED:
+        inside = ndimage.binary_erosion(labels.shows(name), iterations=BORDER)
+        if inside.sum() < FEWEST:
+            continue
+        weight = ndimage.gaussian_filter(inside.astype(np.float64), PATCH)
+        smooth = ndimage.gaussian_filter(np.where(inside, gain, 0.0), PATCH)
+        rest = gain[inside] - (smooth[inside] / weight[inside])
+        found[name] = float(np.sqrt((rest**2).mean()))
+    return found
 
 
 def gloss(mirrored, labels, zenith):

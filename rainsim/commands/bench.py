@@ -224,8 +224,9 @@ def day(before_path, **given):
     """Make captures of a sunny and a dull day rainy, and compare them with path-traced rainy days.
 
     Two made-up gardens: a patio that never changes, and a court under a tree on which nothing is
-    tuned. Prints accuracy by region and what repairs by an oracle would win; cast shadows, walls,
-    sky and film over what they should be; and how far the result moves with what the truth chose.
+    tuned; and two captures that were trained from pictures, as users' are. Prints accuracy by
+    region and what repairs by an oracle would win; cast shadows, walls, sky and film over what they
+    should be; patches of the gain; and how far the result moves with what the truth chose.
 
     \b
     Example:

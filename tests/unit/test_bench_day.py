@@ -7,7 +7,15 @@ import numpy as np
 import pytest
 from skimage.color import deltaE_ciede2000, rgb2lab
 
-from rainsim.bench import day, day_capture, day_data, day_ground, day_score, day_shapes
+from rainsim.bench import (
+    day,
+    day_capture,
+    day_data,
+    day_ground,
+    day_score,
+    day_shapes,
+    day_trained,
+)
 from rainsim.bench.day_case import Rain, Sun
 from rainsim.bench.day_court import COURT
 from rainsim.bench.day_data import REGIONS, Labels
@@ -15,6 +23,7 @@ from rainsim.bench.day_mitsuba import DULL, Garden, require_mitsuba, under_skin
 from rainsim.bench.day_patio import PATIO
 from rainsim.bench.day_remake import small
 from rainsim.errors import InputError, ParameterError
+from rainsim.scene.types import Splats
 
 SHAPE = 40, 60
 
@@ -111,6 +120,19 @@ def test_scalars_are_quotients_of_what_they_name(truth):
     assert day_score.gloss(even, where, 2.0)["puddle"] == pytest.approx(0.1)
 
 
+def test_patches_are_what_the_gain_has_beside_its_smooth_part(rng):
+    where, row = labels(), np.arange(SHAPE[0])[:, None]
+    clean = np.full((*SHAPE, 3), 0.5)
+    smooth = np.broadcast_to(0.2 * np.exp(row / 200)[..., None], clean.shape)
+    none = day_score.patches(smooth, clean, where)
+    assert none["paving"] < 0.02 and none["wall"] < 0.02
+    speckled = smooth * np.exp(0.1 * rng.choice([-1, 1], SHAPE))[..., None]
+    found = day_score.patches(speckled, clean, where)
+    assert found["paving"] == pytest.approx(0.1, rel=0.2)
+    puddle = smooth * np.where(where.shows("puddle"), 3, 1)[..., None]
+    assert day_score.patches(puddle, clean, where) == pytest.approx(none)
+
+
 def test_the_shown_picture_is_the_programs_own():
     from rainsim.shading import composite
 
@@ -192,9 +214,42 @@ def test_what_is_shipped_belongs_to_the_geometry(case):
             assert day_score.luminance(light, ~where.shows("sky")) == pytest.approx(0.16)
 
 
+def test_trained_captures_come_back(rng):
+    position = rng.normal(0, 5, (50, 3)).astype(np.float32)
+    rotation = rng.normal(0, 1, (50, 4)).astype(np.float32)
+    rotation /= np.linalg.norm(rotation, axis=1, keepdims=True)
+    scale = np.exp(rng.uniform(-12, 1, (50, 3))).astype(np.float32)
+    sh = rng.normal(0, 1, (50, 4, 3)).astype(np.float32)
+    splats = Splats(position, rotation, scale, rng.uniform(0, 1, 50).astype(np.float32), sh)
+    found = day_trained.unpack(day_trained.pack(splats))
+    assert (np.abs(found.position - position) < 1e-4 * (1 + np.abs(position))).all()
+    np.testing.assert_allclose(found.rotation, rotation, atol=0.01)
+    np.testing.assert_allclose(found.scale, scale, rtol=0.05)
+    np.testing.assert_allclose(found.opacity, splats.opacity, atol=0.003)
+    np.testing.assert_allclose(found.sh[:, 0], sh[:, 0], atol=0.01)
+    assert found.sh.shape == (50, 1, 3)
+
+
+def test_trained_captures_have_their_cameras_and_truth():
+    trained = list(day_trained.scenes())
+    for name, scene, _ in trained:
+        assert name in day_trained.NAMES and len(scene.splats) > 200_000
+        names = [camera.name for camera in scene.cameras[:3]]
+        assert names == ["test_c00", "test_c01", "test_c02"]
+        assert len(scene.cameras) == 95
+    arrays = trained[0][2]
+    for view in range(3):
+        where = day_data.unpack_labels(arrays[f"labels {view}"])
+        truth, _ = day.traced(arrays, f"rain {view}", where)
+        assert truth.shape == (210, 324, 3) and where.shows("puddle").any()
+        assert day_score.luminance(truth, ~where.shows("sky")) == pytest.approx(day_score.LAND)
+
+
 def test_the_files_are_small():
-    files = list(day_data.FOLDER.glob("*.npz"))
-    assert files and sum(file.stat().st_size for file in files) < 10e6
+    files = {file: file.stat().st_size for file in day_data.FOLDER.glob("*.npz")}
+    trained = [size for file, size in files.items() if file.name.startswith("trained")]
+    assert len(trained) == 3 and sum(trained) < 9e6
+    assert len(files) > 3 and sum(files.values()) - sum(trained) < 10e6
 
 
 def test_wind_goes_the_same_way_in_any_ground_frame():
@@ -235,12 +290,14 @@ def test_table_and_chart_hold_all_views_and_an_earlier_run(truth, tmp_path):
         view = {
             "scalars": {"wall": factor}, "ladder": day_score.ladder(picture, truth, where),
             "regions": day_score.by_region(picture, truth, where, 1.0),
+            "patches": {"drawn": {"wall": 0.1234}, "truth": {"wall": 0.04}},
         }  # fmt: skip
         days[name] = {"views": {0: view, 1: view}, "spread": 0.125, "choices": {}}
     result = {"cases": {"patio": days}, "seconds": 1.0, "before": {"cases": {"patio": days}}}
     text = day.table(result)
     assert "patio, sun" in text and "patio, dull" in text and "12.5%" in text
     assert text.count("camera 1") == 2 and "wall over paving" in text
+    assert text.count("0.123 0.040") == 4
     day.draw(result, tmp_path / "chart.png")
     assert (tmp_path / "chart.png").read_bytes().startswith(b"\x89PNG")
 
