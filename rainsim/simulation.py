@@ -29,7 +29,7 @@ from rainsim.terrain.types import NO_TOPS
 from rainsim.water.begin import Begin
 from rainsim.water.keyframes import level_changes, past_rain_growth
 from rainsim.water.on_objects import Objects
-from rainsim.water.puddles import WET, doubt, puddles_of, wet_share
+from rainsim.water.puddles import WET, doubt, probability, puddles_of, wet_share
 from rainsim.water.ripples import RippleTile, mean_chord, tile_impacts
 from rainsim.water.rolling import NO_TRACKS
 from rainsim.water.streams import run_in, run_off, with_streams
@@ -171,12 +171,14 @@ def initial_water(terrain, config, exposure, fallen=0.0):
     puddles.rain(np.multiply(exposure, config.rain.past + fallen, dtype=np.float64))
     if config.rain.drying > 0:
         puddles.evaporate(evaporation_rate(config) * config.rain.drying)
-    wet = wet_share(puddles.depth, terrain.sealed)
     warning = doubt(terrain, config.rain.past)
+    sure = probability(terrain, puddles.depth)
+    likely = "" if sure is None else f", water with a probability of {sure:.0%}"
+    count = f"{puddles.count()} puddles{likely}"
     return puddles.depth, (
-        f"{config.rain.past * 1e3:g} mm of past rain stand at rest in {puddles.count()} puddles; "
-        f"{wet:.0%} of the paving under {WET * 1e3:g} mm or more; {puddles.graph.dropped} of "
-        f"{puddles.graph.count} hollows left out as noise",
+        f"{config.rain.past * 1e3:g} mm of past rain stand at rest in {count}; "
+        f"{wet_share(puddles.depth, terrain.sealed):.0%} of the paving under {WET * 1e3:g} mm or "
+        f"more; {puddles.graph.dropped} of {puddles.graph.count} hollows left out as noise",
         *([warning] if warning else []),
     )
 

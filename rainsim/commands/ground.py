@@ -150,7 +150,7 @@ def _puddles(out, terrain, record):
     """Write the puddle pictures; return figures per rain and the depth after CHECK_RAIN."""
     from rainsim.io import images
     from rainsim.terrain.pictures import puddle_overlay
-    from rainsim.water.puddles import doubt, puddles_of, wet_share
+    from rainsim.water.puddles import doubt, probability, puddles_of, wet_share
 
     puddles, rows, fallen, shown = puddles_of(terrain), [], 0, None
     for rain in RAINS:
@@ -167,6 +167,7 @@ def _puddles(out, terrain, record):
                 "litres": puddles.volume * 1e3,
                 "wet_share_of_paving": wet_share(puddles.depth, terrain.sealed),
                 "deepest_mm": float(puddles.depth.max()) * 1e3,
+                "probability": probability(terrain, puddles.depth),
                 "doubt": doubt(terrain, rain * 1e-3),
             }
         )
@@ -254,7 +255,7 @@ def _as_text(result):
     lines = [f"height map        {result['out']}"]
     if "ground_frame" in result:
         frame = result["ground_frame"]
-        assumed = " (ASSUMED from the cameras' height)" if frame["scale_assumed"] else ""
+        assumed = " (ASSUMED)" if frame["scale_assumed"] else ""
         lines += [
             f"up                {', '.join(f'{v:.5f}' for v in frame['up'])}",
             f"metres per unit   {frame['meters_per_unit']:.6g}{assumed}",
@@ -280,6 +281,7 @@ def _as_text(result):
             f"after {row['rain_mm']:>2} mm       {row['puddles']} puddles, {row['litres']:.1f} "
             f"litres, {row['wet_share_of_paving']:.0%} of the paving wet, deepest "
             f"{row['deepest_mm']:.1f} mm"
+            + ("" if row["probability"] is None else f", probable by {row['probability']:.0%}")
         )
     if result["check"] is not None:
         lines.append(

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from scipy import ndimage
+from scipy.special import ndtr
 
 from rainsim.errors import ParameterError, require_not_negative
 from rainsim.terrain.types import MEASURED
@@ -157,6 +158,18 @@ def bed_error(terrain):
     and 10 mm of noise (`rainsim bench ground`) the bed is 4.7, 4.9 and 5.0 times that off.
     """
     return ERROR_PER_NOISE * bed_noise(terrain)
+
+
+def probability(terrain, depth):
+    """Return how probable water is where it is shown: the mean over all puddles; None without any.
+
+    Water stands in a cell if the bed is below the water's level. The bed is off by `bed_error`,
+    normally distributed, so water of depth h stands there with the probability Phi(h / error).
+    """
+    shown = depth[depth >= WET]
+    if not shown.size:
+        return None
+    return float(np.mean(ndtr(shown / max(bed_error(terrain), 1e-9))))
 
 
 def doubt(terrain, rain):

@@ -6,7 +6,14 @@ import pytest
 from rainsim.errors import ParameterError
 from rainsim.terrain import HARD, MEASURED, UNKNOWN, Grid, Terrain
 from rainsim.water.fill_spill_merge import SpillGraph, standing_water
-from rainsim.water.puddles import Puddles, bed_error, doubt, puddles_of, wet_share
+from rainsim.water.puddles import (
+    Puddles,
+    bed_error,
+    doubt,
+    probability,
+    puddles_of,
+    wet_share,
+)
 
 SPACING = 0.05
 
@@ -110,3 +117,18 @@ def test_puddles_on_a_noisy_or_unseen_bed_are_not_to_be_believed():
     assert "mm off" in doubt(rough, 1e-3) and doubt(rough, 0.1) is None
     quiet.source[:30] = UNKNOWN
     assert "only 25% of the paving is measured" in doubt(quiet, 3e-3)
+
+
+def test_water_is_as_probable_as_its_depth_is_beyond_the_beds_error():
+    x = np.linspace(-1, 1, 41)
+    bowl = 0.02 * (x[:, None] ** 2 + x**2)
+    sure, unsure = made_terrain(bowl, noise=1e-4), made_terrain(bowl, noise=6e-3)
+    depth = np.maximum(0.01 - bowl, 0)
+    assert probability(sure, depth) > 0.999 > 0.95 > probability(unsure, depth) > 0.5
+    assert probability(sure, 0 * depth) is None
+    # The share of shown water that is there, over beds that are off by the error that is told.
+    error = bed_error(unsure)
+    rng = np.random.default_rng(1)
+    there = [(0.01 - bowl + error * rng.normal(size=bowl.shape))[depth >= 1.5e-3] > 0
+             for _ in range(20)]  # fmt: skip
+    assert np.mean(there) == pytest.approx(probability(unsure, depth), abs=0.01)
