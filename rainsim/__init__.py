@@ -15,6 +15,7 @@ _MODULES = {
         "Camera": "rainsim.scene.types",
         "look_at": "rainsim.scene.cameras",
         "orbit": "rainsim.scene.cameras",
+        "offered_cameras": "rainsim.surface.offered_views",
         "resize_to": "rainsim.scene.cameras",
         "load_cameras": "rainsim.scene.cameras",
         "write_transforms": "rainsim.scene.cameras",

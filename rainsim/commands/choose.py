@@ -116,8 +116,8 @@ def scene_to_look_at(name, given):
             raise
     import numpy as np
 
+    from rainsim.scene.assumed_ground import assumed_ground_frame
     from rainsim.scene.library import load_scene
-    from rainsim.scene.offered import offered_ground_frame
     from rainsim.scene.types import GroundFrame
 
     nowhere = GroundFrame(np.eye(3), 1.0, np.zeros(3))  # until one is offered
@@ -125,7 +125,7 @@ def scene_to_look_at(name, given):
     length, scale = given.get("known_length"), given.get("meters_per_unit")
     if length is not None and length[0] is None:
         scale = _scale_in_space(*length[1])
-    frame = offered_ground_frame(scene.splats, scene.cameras, given.get("up"), scale)
+    frame = assumed_ground_frame(scene.splats, scene.cameras, given.get("up"), scale)
     return replace(scene, ground_frame=frame), True
 
 
@@ -197,6 +197,7 @@ def cameras_of(scene, config, given, most=None):
     config : Config
     """
     from rainsim.scene.cameras import orbit, read_path
+    from rainsim.surface.offered_views import with_offered_cameras
 
     check_camera_options(given)
     if given.get("eye") is not None:
@@ -206,11 +207,15 @@ def cameras_of(scene, config, given, most=None):
         cameras, config = _one_per_frame(path, given["path"], config, given, most)
         if len(moments) >= config.frames:
             config = config.replace(moments=moments[: config.frames])
-    elif not scene.cameras:
-        raise _no_camera(scene)
     elif given.get("orbit"):
-        cameras = orbit(scene.ground_frame, scene.cameras, count=config.frames)
+        around = with_offered_cameras(scene).cameras
+        cameras = orbit(scene.ground_frame, around, count=config.frames)
     elif given.get("drive"):
+        if not scene.cameras:
+            raise ParameterError(
+                f"scene {scene.name} has no cameras; --drive moves along them; give --orbit, "
+                "--path transforms.json or --cameras cameras.json"
+            )
         cameras, config = _one_per_frame(scene.cameras, f"scene {scene.name}", config, given, most)
     else:
         cameras = [named_camera(scene, given.get("camera"))]
@@ -242,28 +247,21 @@ def view_on(scene, terrain, cameras, config, given, status):
     if any(given.get(name) not in (None, False) for name in CAMERA_WAYS):
         return cameras
     from rainsim.pipeline import PathGround, view_of_water
+    from rainsim.surface.offered_views import with_offered_cameras
 
     if isinstance(terrain, PathGround):
         raise ParameterError(
             "ground_map is path and no camera is named; windows of ground follow cameras that are "
             "given; give --drive, --path, --orbit or --camera, or --ground-map whole"
         )
-    chosen = view_of_water(scene, terrain)
-    status.notes([f"camera {chosen.name} is drawn, which shows most water; --camera takes another"])
+    offered = with_offered_cameras(scene)
+    chosen = view_of_water(offered, terrain)
+    about = "which shows most water; --camera takes another"
+    if not scene.cameras:
+        last = offered.cameras[-1].name
+        about = f"offered as view_00 to {last} are; --camera, or --eye and --look-at, takes another"
+    status.notes([f"camera {chosen.name} is drawn, {about}"])
     return _sized([chosen], config)
-
-
-def _no_camera(scene):
-    """Return the error for a scene without cameras, with a view that can be typed."""
-    eye, target = (
-        ",".join(f"{v:.3g}" for v in scene.ground_frame.to_capture(place) + 0.0)
-        for place in ((-4.0, 0.0, 1.6), (0.0, 0.0, 0.3))
-    )
-    return ParameterError(
-        f"scene {scene.name} has no cameras; one is needed; give --eye={eye} --look-at={target} (4 "
-        "m from the middle of the ground, 1.6 m high; capture units), --path transforms.json or "
-        "--cameras cameras.json"
-    )
 
 
 def _one_per_frame(cameras, where, config, given, most):
@@ -291,11 +289,13 @@ def _placed(scene, config, given):
 
 
 def named_camera(scene, name):
-    """Return the camera of a scene with a name, its first if `name` is None."""
-    if not scene.cameras:
-        raise ParameterError(
-            f"scene {scene.name} has no cameras; one is needed; give --cameras cameras.json"
-        )
+    """Return the camera of a scene with a name, its first if `name` is None.
+
+    A scene without cameras has those that are offered.
+    """
+    from rainsim.surface.offered_views import with_offered_cameras
+
+    scene = with_offered_cameras(scene)
     if name is None:
         return scene.cameras[0]
     for camera in scene.cameras:

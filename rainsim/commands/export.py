@@ -192,12 +192,11 @@ def _cameras(scene, config, given):
     """Return the data set's cameras, sized, in the capture frame."""
     from rainsim.commands.choose import named_camera
     from rainsim.scene.cameras import read_cameras, resize_to
+    from rainsim.surface.offered_views import with_offered_cameras
 
-    views = given["views"]
+    views, scene = given["views"], with_offered_cameras(scene)
     if given["path"] is not None:
         cameras = read_cameras(given["path"])
-    elif not scene.cameras:
-        named_camera(scene, None)  # raises
     elif views == "all":
         cameras = scene.cameras
     elif views.isdecimal() and int(views) > 0 and views not in {c.name for c in scene.cameras}:

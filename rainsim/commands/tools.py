@@ -148,7 +148,7 @@ def _shown(vector):
 
 
 def _assumed(frame):
-    return " (ASSUMED from the cameras' height)" if frame.scale_assumed else ""
+    return " (ASSUMED)" if frame.scale_assumed else ""
 
 
 @click.command(short_help="List the scenes known by name.")

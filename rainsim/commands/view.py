@@ -94,14 +94,12 @@ def _session(status, scene, config, camera, backend, mask):
     from rainsim.errors import GroundError
     from rainsim.jit import set_threads
     from rainsim.pipeline import view_of_water
-    from rainsim.scene.offered import offered_cameras
+    from rainsim.surface.offered_views import with_offered_cameras
     from rainsim.view.session import Session
 
     set_threads(config.threads)
     config = replace(config, width=config.width or options.WIDTH, height=None)
-    seen = scene
-    if not scene.cameras and camera is None:
-        seen = replace(scene, cameras=tuple(offered_cameras(scene.splats, scene.ground_frame)))
+    seen = with_offered_cameras(scene)
     first = named_camera(seen, camera)  # an error before anything is computed
     session = Session(
         scene, _around(config, first), backend, mask, status.progress, status.notes, seen.cameras
@@ -121,8 +119,10 @@ def _session(status, scene, config, camera, backend, mask):
 def _greeting(session, is_offered):
     """Return what a user must know before believing the picture, one message; "" if nothing."""
     said = []
+    frame = session.scene.ground_frame
+    is_offered = is_offered or (frame.scale_assumed and not session.scene.cameras)
     if is_offered:
-        said.append("; ".join(session.scene.ground_frame.notes))
+        said.append("; ".join(frame.notes))
     if not session.scene.cameras:
         said.append("the capture has no cameras: the view is offered")
     if session.no_ground is not None:

@@ -84,7 +84,7 @@ def card_text(card):
             f"| {rain['exposure_s'] * 1e3:.4g} | {shown} | {rain['seed']} "
             f"| {rain['radar_db_per_km_vertical']['77_ghz']:g} |"
         )
-    assumed = " (assumed from the cameras' height)" if card["scale_assumed"] else ""
+    assumed = " (assumed)" if card["scale_assumed"] else ""
     lines += [
         "",
         f"World: {card['world']}; {card['meters_per_unit']:.6g} m a unit of the capture{assumed}. "

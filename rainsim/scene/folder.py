@@ -36,6 +36,7 @@ from rainsim.scene.actor_files import (
     write_actor_arrays,
 )
 from rainsim.scene.actors import with_actors
+from rainsim.scene.assumed_ground import ground_frame_of
 from rainsim.scene.big import open_pages, require_home
 from rainsim.scene.cameras import (
     JSON_FILES,
@@ -48,7 +49,6 @@ from rainsim.scene.drivestudio import FRAMES_PER_SECOND, is_checkpoint, read_che
 from rainsim.scene.formats import META, SUFFIXES, read_splats, sha256_of, trained_antialiased
 from rainsim.scene.formats.streamed import LOD_META
 from rainsim.scene.ground import (
-    estimate_ground_frame,
     ground_frame_from_dict,
     ground_frame_to_dict,
     read_ground_frame,
@@ -77,6 +77,7 @@ ARRAYS = {
 }
 MODEL_STEMS = ("point_cloud", "meta", "lod-meta")  # of files that have their model's name
 COEFFICIENTS = (1, 4, 9, 16)
+MOST_NAMED = 8  # files in an error message
 NOT_UNIT = 1e-2  # of a quaternion's squared length from 1
 
 
@@ -96,7 +97,8 @@ def import_scene(
     cameras : path-like or sequence of Camera, optional
         Cameras to use instead of those in files beside the splats; see `read_cameras`.
     up, meters_per_unit, camera_height
-        See `estimate_ground_frame`. Values not given are kept from a scene folder.
+        See `estimate_ground_frame`. Values not given are kept from a scene folder; without cameras
+        they are assumed, see `assumed_ground_frame`.
     ground_frame : path-like or GroundFrame, optional
         The whole ground frame; `up` and the scale are then ignored.
     tracks : path-like, optional
@@ -226,13 +228,13 @@ def _import_with_actors(path, file, *given):
 def _kept_frame(source_hash, splats, *given):
     """Return the ground frame of the splats in a file: of an earlier run, or estimated and kept.
 
-    `given` is what `estimate_ground_frame` takes besides the splats.
+    `given` is what `ground_frame_of` takes besides the splats.
     """
     name = cache.name_of("scene", source_hash, *given) if cache.folder() else None
     found = name and cache.read("frame", name)
     if found:
         return ground_frame_from_dict(found[0], "kept ground frame")
-    frame = estimate_ground_frame(splats, *given)
+    frame = ground_frame_of(splats, *given)
     if name:
         cache.write("frame", name, ground_frame_to_dict(frame), {})
     return frame
@@ -253,9 +255,7 @@ def override_ground_frame(
         if meters_per_unit is None and camera_height is None:
             if not frame.scale_assumed or not scene.cameras:
                 meters_per_unit = frame.meters_per_unit
-        frame = estimate_ground_frame(
-            scene.splats, scene.cameras, up, meters_per_unit, camera_height
-        )
+        frame = ground_frame_of(scene.splats, scene.cameras, up, meters_per_unit, camera_height)
     elif meters_per_unit is not None or camera_height is not None:
         frame = rescale_ground_frame(frame, scene.cameras, meters_per_unit, camera_height)
     return in_ground_frame(scene, frame)
@@ -325,11 +325,18 @@ def _only_splat_file(folder):
         if (folder / name).is_file():
             return folder / name
     loose = sorted(p for p in folder.iterdir() if p.suffix.lower() in SUFFIXES and p.is_file())
-    if len(loose) != 1:
+    if len(loose) > 1:
+        names = ", ".join(path.name for path in loose[:MOST_NAMED])
+        more = f" and {len(loose) - MOST_NAMED} more" if len(loose) > MOST_NAMED else ""
         raise InputError(
-            f"{folder} has no point_cloud/iteration_*/point_cloud.ply, no {SCENE_FILE} and "
-            f"{len(loose)} splat files ({', '.join(SUFFIXES)}); it must be a trained model's "
-            "folder or a scene folder; name the splat file itself"
+            f"{folder} holds {len(loose)} splat files ({names}{more}); one is a scene; name it, as "
+            f"{loose[0]}"
+        )
+    if not loose:
+        raise InputError(
+            f"{folder} has no point_cloud/iteration_*/point_cloud.ply, no {SCENE_FILE} and no "
+            f"splat file ({', '.join(SUFFIXES)}); it must be a trained model's folder or a scene "
+            "folder; name the splat file itself"
         )
     return loose[0]
 

@@ -24,9 +24,7 @@ from rainsim.errors import (
 from rainsim.io.files import MAX_LENGTH, json_number, number_array, read_json, write_json
 from rainsim.scene.ground_search import (
     angle_between,
-    ground_candidates,
     reasons_of,
-    said,
     search_ground,
 )
 from rainsim.scene.types import GroundFrame
@@ -54,7 +52,8 @@ def estimate_ground_frame(
     splats : Splats
     cameras : sequence of Camera
         In the capture frame. They say where to look for the ground, stand above it and fix the
-        scale; without any, `up` and `meters_per_unit` are needed.
+        scale; without any, `up` and `meters_per_unit` are needed: `assumed_ground_frame` does
+        without them.
     up : array_like of shape (3,), optional
         Roughly up in the capture frame. The ground is searched within 20 degrees of level and
         then made exactly level; to keep a known fall, give the whole ground frame instead.
@@ -80,9 +79,12 @@ def estimate_ground_frame(
         If a given value is out of range, or both ways to give the scale are used.
     """
     cameras = list(cameras)
-    up = _check_hints(up, meters_per_unit, camera_height)
+    up = check_hints(up, meters_per_unit, camera_height)
     if not cameras and (up is None or meters_per_unit is None):
-        raise _not_enough(splats, up, meters_per_unit, seed)
+        raise GroundError(
+            "there are no cameras to find up and scale from; without any both must be given; give "
+            "--up x,y,z and --meters-per-unit S"
+        )
     eyes = np.array([camera.position for camera in cameras]).reshape(-1, 3)
     hint, max_angle = up, UP_HINT_ANGLE
     if up is None:
@@ -106,7 +108,7 @@ def estimate_ground_frame(
     )
 
 
-def _check_hints(up, meters_per_unit, camera_height):
+def check_hints(up, meters_per_unit, camera_height):
     """Return `up` as a unit vector or None, after checking all that the user gave."""
     if meters_per_unit is not None and camera_height is not None:
         raise ParameterError(
@@ -123,41 +125,6 @@ def _check_hints(up, meters_per_unit, camera_height):
             raise ParameterError(f"up is {given!r}; it must be three numbers, not all 0, as 0,-1,0")
         up /= np.linalg.norm(up)
     return up
-
-
-def _not_enough(splats, up, meters_per_unit, seed):
-    """Return the error for a capture without cameras for which up or scale is not given."""
-    given = ("--up", up), ("--meters-per-unit", meters_per_unit)
-    missing = " and no ".join(name for name, value in given if value is None)
-    max_angle = math.pi if up is None else UP_HINT_ANGLE
-    try:
-        plane, centre = search_ground(splats, np.zeros((0, 3)), up, max_angle, seed, up is not None)
-    except GroundError:
-        shown_up, scale, views = "--up x,y,z", "--meters-per-unit S", "--eye x,y,z --look-at x,y,z"
-        found = "no flat surface was found that might be the ground"
-    else:
-        points, _ = ground_candidates(splats)
-        width = width_of(points[np.abs(plane.height(points)) < plane.threshold])
-        eye, target = _view_over(plane, centre, width)
-        shown_up = f"--up={said(plane.normal)}"
-        scale = f"--meters-per-unit {10 / width:.3g}"
-        views = f"--eye={said(eye)} --look-at={said(target)}"
-        found = (
-            "that is the flattest wide surface with most of the capture above it; the splats on "
-            f"it lie within {width:.3g} units, and the scale makes them 10 m"
-        )
-    return GroundError(
-        f"there are no cameras to find up and scale from, and no {missing}; put the capture's "
-        f"cameras.json beside the splats, or give {shown_up} {scale} (or --known-length) and, to "
-        f"draw, {views}: {found}"
-    )
-
-
-def _view_over(plane, centre, width):
-    """Return an eye and what it looks at [capture units] for a view over a plane's middle."""
-    side = ground_axes(plane.normal, [])[0]
-    foot = centre - plane.height(centre) * plane.normal
-    return foot + width * (0.15 * plane.normal - 0.5 * side), foot
 
 
 def width_of(points):
@@ -244,7 +211,7 @@ def ground_axes(up, cameras):
 
 def rescale_ground_frame(frame, cameras, meters_per_unit=None, camera_height=None):
     """Return the same ground frame with another scale, given as in `estimate_ground_frame`."""
-    _check_hints(frame.up, meters_per_unit, camera_height)
+    check_hints(frame.up, meters_per_unit, camera_height)
     if not len(cameras) and meters_per_unit is None:
         raise GroundError(
             "there are no cameras to find the scale from; without cameras --meters-per-unit S is "

@@ -21,10 +21,11 @@ GROWTH = 1.5  # of the search radius when the ground is not within it
 LEAST_RADIUS = 1e-4  # of the farthest: where many splats are in one point a radius of 0 never grows
 
 
-def search_ground(splats, eyes, up, max_angle, seed, up_given):
+def search_ground(splats, eyes, up, max_angle, seed, up_given, ambiguous=False):
     """Return the ground Plane and the middle of the splats on it; the radius grows until found.
 
-    Flat ground is looked for first, then rougher.
+    Flat ground is looked for first, then rougher. Of two planes that are as good one is taken if it
+    may be `ambiguous`, else that is an error.
     """
     points, weights = ground_candidates(splats)
     centre = eyes.mean(axis=0) if len(eyes) else _weighted_median(points, weights)
@@ -49,7 +50,9 @@ def search_ground(splats, eyes, up, max_angle, seed, up_given):
                 continue
             plane = _nearer(plane, up) if up_given else plane
             if plane.confidence >= LEAST_CONFIDENCE:
-                if plane.rival is not None:  # a wider search would find a plane between the two
+                if (
+                    plane.rival is not None and not ambiguous
+                ):  # a wider search would find a plane between the two
                     raise _two_grounds(plane)
                 on_it = np.abs(plane.height(here)) < 2 * thickness * radius
                 return plane, _weighted_median(here[on_it], weight[on_it])

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from rainsim.errors import GroundError, ParameterError
+from rainsim.scene.assumed_ground import levelled_frame
 from rainsim.scene.cameras import cropped
 from rainsim.scene.folder import in_ground_frame, override_ground_frame
 from rainsim.scene.ground import scale_from_length
-from rainsim.scene.offered import levelled_frame
 from rainsim.scene.painted import PaintedClasses
 from rainsim.terrain.table import class_table
 from rainsim.terrain.types import INFERRED, MEASURED

@@ -9,6 +9,8 @@ import pytest
 
 from rainsim.scene.ply import write_splats
 
+MAP = ("--extent", 1, "--spacing", 0.04)
+
 
 def splat_ply(path):
     from scenes import tiny_scene
@@ -156,26 +158,21 @@ def test_many_nan_splats_are_refused_and_few_are_dropped(rainsim, tmp_path):
     assert "14 splats" in dropped.err or "14 of" in dropped.err
 
 
-def test_no_cameras_where_they_are_needed(rainsim, tmp_path):
+def test_a_bare_file_is_drawn_and_says_what_is_assumed(rainsim, tmp_path):
     splat_ply(tmp_path / "s.ply")
-    done = rainsim("heightmap", "s.ply")
-    assert done.code == 1
-    offered = re.findall(r"--([a-z-]+)[= ]([-0-9.,]+)", done.error)  # all four, to be typed
-    assert [name for name, _ in offered] == ["up", "meters-per-unit", "eye", "look-at"]
-    done = rainsim("heightmap", "s.ply", *(f"--{name}={value}" for name, value in offered[:2]))
+    done = rainsim("run", "--scene", "./s.ply", "--frames", 1, "--width", 96, "--out", "wet", *MAP)
     assert done.code == 0, done.err
-    done = rainsim("run", "--scene", "./s.ply", "--up", "0.727,-0.570,-0.383",
-                   "--meters-per-unit", "0.6")  # fmt: skip
-    assert done.code == 2
-    assert "has no cameras" in done.error
-    assert re.search(r"--eye=[-0-9.,]+ --look-at=[-0-9.,]+ ", done.error)
-
-
-def test_a_ground_that_cannot_be_found(rainsim, tmp_path):
-    splat_ply(tmp_path / "s.ply")
-    done = rainsim("import", "s.ply", "--up", "-0.38,0.38,-0.85", "--meters-per-unit", "1")
-    assert done.code == 1
-    assert "ground" in done.error
+    assert (tmp_path / "wet/frames/00000.png").is_file()
+    for assumed, remedy in (
+        ("UP IS ASSUMED", "--up x,y,z"), ("if a unit is", "--meters-per-unit S"),
+        ("camera view_0", "--eye and --look-at"),
+    ):  # fmt: skip
+        (line,) = (line for line in done.err.splitlines() if assumed in line)
+        assert remedy in line
+    done = rainsim("heightmap", "s.ply", *MAP, "--up", "0.727,-0.570,-0.383")
+    assert done.code == 0 and "UP IS" not in done.err and "SCALE IS ASSUMED" in done.err, done.err
+    done = rainsim("run", "--scene", "./s.ply", "--drive")
+    assert done.code == 2 and "no cameras" in done.error and "--orbit" in done.error
 
 
 def test_an_output_that_cannot_be_written(rainsim, tmp_path, scene_folder):

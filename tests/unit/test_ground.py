@@ -137,7 +137,7 @@ def test_without_cameras_up_and_scale_are_needed_and_enough():
     origin = frame.to_ground(found.to_capture(np.zeros(3)))
     assert abs(origin[2]) < 0.002 and np.hypot(*origin[:2]) < 1
     for given in ({}, {"up": rough}, {"meters_per_unit": 1.0}, {"up": rough, "camera_height": 1.5}):
-        with pytest.raises(GroundError, match=r"--up=.* --meters-per-unit .*--look-at"):
+        with pytest.raises(GroundError, match=r"--up x,y,z and --meters-per-unit S"):
             estimate_ground_frame(splats, [], **given)
 
 
@@ -202,17 +202,6 @@ def test_why_it_is_sure_is_said():
     assert re.search(
         r"confidence .* \(\d+% of the splats .* as beside it, across \d+%", found.notes[0]
     )
-
-
-def test_without_cameras_the_message_tells_what_up_may_be():
-    frame = random_frame()
-    splats, _ = captured(frame, patio())
-    with pytest.raises(GroundError, match="flattest wide surface") as told:
-        estimate_ground_frame(splats, [])
-    up = typed(re.search(r"--up=(\S+) ", str(told.value))[1])
-    assert angle(up, frame.up) < 0.3
-    width = float(re.search(r"within (\S+) units", str(told.value))[1]) * frame.meters_per_unit
-    assert 5 < width < 14
 
 
 def test_rough_meadows_without_a_flat_place_are_found():

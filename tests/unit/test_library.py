@@ -63,16 +63,20 @@ def test_cameras_given_instead(model, tmp_path):
     assert len(import_scene(model, cameras=ring(count=6)).cameras) == 6
 
 
-def test_a_lone_file_needs_up_and_scale(tmp_path):
+def test_a_lone_file_is_read_with_an_up_and_a_scale_that_are_assumed(tmp_path):
     write_splats(tmp_path / "lone.ply", splats_at(patio(3000)))
-    with pytest.raises(GroundError, match=r"--up .*--meters-per-unit"):
-        import_scene(tmp_path / "lone.ply")
+    assert import_scene(tmp_path / "lone.ply").ground_frame.scale_assumed
     scene = import_scene(tmp_path / "lone.ply", up=(0, 0, 1), meters_per_unit=2.0)
     assert scene.name == "lone" and scene.cameras == ()
-    assert scene.ground_frame.meters_per_unit == 2
+    assert scene.ground_frame.meters_per_unit == 2 and not scene.ground_frame.scale_assumed
+    with pytest.raises(GroundError, match="no cameras"):
+        import_scene(tmp_path / "lone.ply", camera_height=1.5)
     write_transforms(tmp_path / "transforms.json", ring())
     assert len(import_scene(tmp_path / "lone.ply").cameras) == 12
     assert import_scene(tmp_path).name == tmp_path.name  # the only PLY in its folder
+    write_splats(tmp_path / "other.ply", splats_at(patio(3000)))
+    with pytest.raises(InputError, match=r"2 splat files \(lone.ply, other.ply\).*name it, as"):
+        import_scene(tmp_path)
 
 
 def test_ground_frame_given_as_a_file_wins(model, tmp_path):
@@ -219,7 +223,7 @@ def test_damaged_scene_folders(tmp_path, damage, expected):
 def test_paths_that_hold_no_scene(tmp_path):
     with pytest.raises(InputError, match="does not exist"):
         load_scene(str(tmp_path / "none"))
-    with pytest.raises(InputError, match="0 splat files"):
+    with pytest.raises(InputError, match="no splat file"):
         load_scene(tmp_path)
 
 

@@ -19,7 +19,7 @@ from rainsim.pipeline import FrameSequence, render_rain
 from rainsim.scene.cameras import look_at, read_cameras, resize_to
 from rainsim.scene.folder import override_ground_frame, write_scene
 from rainsim.scene.library import load_scene
-from rainsim.scene.offered import offered_cameras
+from rainsim.surface.offered_views import offered_cameras
 from rainsim.terrain.classify import read_mask
 from rainsim.terrain.table import GRASS
 from rainsim.view import probe, redo
@@ -305,7 +305,7 @@ def looked_around(scene, cameras=()):
 @pytest.mark.parametrize("cameras", [True, False])
 def test_a_shot_is_drawn_from_its_files_to_the_byte(scene, tmp_path, cameras):
     if not cameras:
-        offered = offered_cameras(scene.splats, scene.ground_frame)
+        offered = offered_cameras(replace(scene, cameras=()))
         scene = replace(scene, cameras=())
     session, view = looked_around(scene, () if cameras else offered)
     home = Home(tmp_path / "out", "a scene")

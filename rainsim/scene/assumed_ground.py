@@ -1,0 +1,182 @@
+"""The ground frame of a capture that does not say where up is or how long a metre is.
+
+Nothing of it is known. It is a start from which a person mends up and scale by what is seen, so
+each assumption is a note of its own, with the option that corrects it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from rainsim.errors import GroundError
+from rainsim.scene.ground import (
+    ASSUMED_CAMERA_HEIGHT,
+    UP_HINT_ANGLE,
+    check_hints,
+    estimate_ground_frame,
+    ground_axes,
+    mean_image_up,
+    width_of,
+)
+from rainsim.scene.ground_search import ground_candidates, said, search_ground
+from rainsim.scene.types import GroundFrame
+
+USUAL_UPS = (0.0, -1.0, 0.0), (0.0, 0.0, 1.0), (0.0, 1.0, 0.0)  # COLMAP's, maps', glTF's
+WIDTH = 8.0  # m across what lies on the ground: a yard
+SURE, LEAST_SURE = 0.5, 0.2  # scores of a surface: no other is looked for; it counts at all
+LEAST_WIDTH = 1e-6  # of the greatest coordinate: less is one point, in float32
+LOWEST = 2.0  # percentile of the splats' heights that is ground where no surface is found
+SLAB = 0.3  # m about the ground's height in which splats lie on it
+
+
+def ground_frame_of(splats, cameras, up=None, meters_per_unit=None, camera_height=None):
+    """Return the `GroundFrame` estimated with the cameras; without cameras one that is assumed."""
+    if cameras or camera_height is not None:
+        return estimate_ground_frame(splats, cameras, up, meters_per_unit, camera_height)
+    return assumed_ground_frame(splats, (), up, meters_per_unit)
+
+
+def assumed_ground_frame(splats, cameras=(), up=None, meters_per_unit=None):
+    """Return a `GroundFrame` for a capture of which too little is known to estimate one.
+
+    Parameters
+    ----------
+    splats : Splats
+    cameras : sequence of Camera
+        In the capture frame.
+    up : array_like of shape (3,), optional
+        Roughly up; otherwise the flattest wide surface with most of the capture above it counts as
+        level. Without such a surface it is the mean image-up of the cameras, or -y.
+    meters_per_unit : float, optional
+        Otherwise the cameras stand 1.5 m above the ground, or the ground is 8 m wide.
+
+    Returns
+    -------
+    GroundFrame
+        Each assumption is a note, with the option that corrects it.
+
+    Raises
+    ------
+    GroundError
+        If fewer than three splats are solid.
+    ParameterError
+        If a given value is out of range.
+    """
+    eyes = np.array([camera.position for camera in cameras]).reshape(-1, 3)
+    hint = check_hints(up, meters_per_unit, None)
+    points, _ = ground_candidates(splats)
+    found = _surface(splats, points, hint)
+    if found is None:
+        normal = hint if hint is not None else mean_image_up(cameras)
+        normal = np.array(USUAL_UPS[0]) if normal is None else normal
+        on_it, centre, confidence = points, np.median(points, axis=0), 0.0
+        low = np.percentile(points @ normal, LOWEST)
+        centre = centre + (low - centre @ normal) * normal
+        why = "no flat surface was found"
+    else:
+        plane, centre = found
+        normal, confidence = plane.normal, plane.confidence
+        on_it = points[np.abs(plane.height(points)) < plane.threshold]
+        centre = centre - plane.height(centre) * normal
+        why = "the flattest wide surface under most of the capture is taken as level"
+    notes = [f"UP IS ASSUMED: {why}, up is {said(normal)}; --up x,y,z corrects it"]
+    if up is not None:
+        notes = [f"up is {said(normal)}, near the one that was given"]
+    heights = (eyes - centre) @ normal
+    scale = meters_per_unit
+    if scale is None and len(eyes) and heights.mean() > 0:
+        scale = ASSUMED_CAMERA_HEIGHT / float(heights.mean())
+    elif scale is None:
+        scale = WIDTH / _require_width(width_of(on_it), points)
+    rotation = ground_axes(normal, cameras)
+    frame = GroundFrame(rotation, float(scale), -scale * rotation @ centre, confidence)
+    length, width = sorted(ground_extent(splats, frame)[1], reverse=True)
+    size = f"the ground is {length:.2g} m by {width:.2g} m"
+    if meters_per_unit is None:
+        notes.append(
+            f"SCALE IS ASSUMED: if a unit is {scale:.3g} m, {size}; --meters-per-unit S or "
+            "--known-length corrects it"
+        )
+    else:
+        notes.append(f"scale given: {scale:g} m per unit; {size}")
+    return replace(frame, notes=tuple(notes), scale_assumed=meters_per_unit is None)
+
+
+def _require_width(width, points):
+    """Return a width [capture units]; raise GroundError if it is that of a point."""
+    if width > LEAST_WIDTH * max(1.0, float(np.abs(points).max())):
+        return width
+    raise GroundError(
+        f"the ground cannot be found: most of the {len(points)} splats lie in one point; check "
+        "that this is the whole capture, or give --ground-frame FILE.json"
+    )
+
+
+def _surface(splats, points, hint):
+    """Return the Plane that counts as level and the middle of what lies on it; None without one.
+
+    Nothing tells a lawn from a lawn upside down, nor a wall from ground: a surface counts by how
+    sure it is and by how much more of the capture is above it than below. Where that decides
+    nothing it is one that is level if the usual up is right.
+    """
+
+    def search(up, angle):
+        try:
+            return search_ground(
+                splats, np.zeros((0, 3)), up, angle, 0, hint is not None, ambiguous=True
+            )
+        except GroundError:
+            return None
+
+    def score(found):
+        plane = found[0]
+        height = plane.height(points)
+        above, below = np.mean(height > plane.threshold), np.mean(height < -plane.threshold)
+        return plane.confidence * (above - below) / max(above + below, 1e-9)
+
+    if hint is not None:
+        return search(hint, UP_HINT_ANGLE)
+    found = [search(None, math.pi)]
+    if found[0] is None or score(found[0]) < SURE:
+        found += [search(np.array(up), UP_HINT_ANGLE) for up in USUAL_UPS]
+    best = max(filter(None, found), key=score, default=None)
+    if best is not None and score(best) > LEAST_SURE:
+        return best
+    return found[1] if len(found) > 1 else None
+
+
+def ground_extent(splats, frame):
+    """Return the middle (2,) [m] of a capture's ground and its width along x and y (2,) [m]."""
+    points = frame.to_ground(ground_candidates(splats)[0])
+    near = np.abs(points[:, 2]) < SLAB
+    near = points[near] if near.any() else points
+    low, high = np.percentile(near[:, :2], (5, 95), axis=0)
+    return (low + high) / 2, high - low
+
+
+def levelled_frame(frame, up, point):
+    """Return a ground frame with another up, whose ground goes through a point; none is searched.
+
+    Parameters
+    ----------
+    frame : GroundFrame
+        Its scale stays, and its x axis as far as it is level.
+    up, point : array_like of shape (3,)
+        In the capture frame; `point` in capture units.
+    """
+    up, point = np.array(up, np.float64) / np.linalg.norm(up), np.array(point, np.float64)
+    axes = [axis - (axis @ up) * up for axis in (frame.rotation[0], frame.rotation[2])]
+    x = max(axes, key=np.linalg.norm)
+    x /= np.linalg.norm(x)
+    rotation = np.stack([x, np.cross(up, x), up])
+    origin = frame.to_capture(np.zeros(3))
+    origin = origin - ((origin - point) @ up) * up
+    notes = [note for note in frame.notes if note.lower().startswith("scale")]
+    note = "up is given, and the ground goes through a point that is given; no plane was fitted"
+    scale = frame.meters_per_unit
+    return GroundFrame(
+        rotation, scale, -scale * rotation @ origin, 1.0, (note, *notes), frame.scale_assumed
+    )
