@@ -168,11 +168,11 @@ def initial_water(terrain, config, exposure, fallen=0.0):
         depth = np.maximum(level - terrain.bed.astype(np.float64), terrain.water)
         return depth, (f"still water at {config.water.level:g} m above the low ground",)
     puddles = puddles_of(terrain)
-    puddles.rain(np.multiply(exposure, config.rain.past + fallen, dtype=np.float64))
+    stands = config.rain.past * config.rain.puddles + fallen
+    puddles.rain(np.multiply(exposure, stands, dtype=np.float64))
     if config.rain.drying > 0:
         puddles.evaporate(evaporation_rate(config) * config.rain.drying)
-    warning = doubt(terrain, config.rain.past)
-    sure = probability(terrain, puddles.depth)
+    sure, warning = probability(terrain, puddles.depth), doubt(terrain, config.rain.past)
     likely = "" if sure is None else f", water with a probability of {sure:.0%}"
     count = f"{puddles.count()} puddles{likely}"
     return puddles.depth, (

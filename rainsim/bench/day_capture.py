@@ -104,7 +104,8 @@ def settings(scene, rain, width):
     toward = scene.ground_frame.rotation @ (math.cos(turn), math.sin(turn), 0.0)
     wind = speed, math.atan2(toward[1], toward[0])
     config = Config.from_preset(PRESET)
-    return config.replace(rate=0.0, past=rain.past, wind=wind, frames=1, width=width).check()
+    return config.replace(rate=0.0, past=rain.past, wind=wind, frames=1, width=width,
+                          exposure_bias=0.0).check()  # fmt: skip
 
 
 def frames(scene, rain, views, width):

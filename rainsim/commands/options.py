@@ -204,6 +204,8 @@ rain_options = _group(
     click.option("--drying", type=float, metavar="HOURS", show_default=PRESETS,
                  help="Hours since the past rain ended: first the gloss dries, then the darkening; "
                  "puddles shrink."),
+    click.option("--puddles", type=float, metavar="0..2", show_default=PRESETS,
+                 help="Factor on the past rain that stands in the ground's dips."),
     click.option("--wind", type=Numbers("speed,direction"), show_default=PRESETS,
                  help="Wind in m/s at 10 m height, and the direction in which the air moves, in "
                  "degrees from the first camera's view, counter-clockwise seen from above."),
@@ -253,6 +255,13 @@ light_options = _group(
     click.option("--metering", metavar="auto|off", show_default=PRESETS,
                  help="auto exposes the land as a camera's meter does on a rainy day; off keeps "
                  "the capture's exposure."),
+    click.option("--exposure-bias", type=float, metavar="EV", show_default=PRESETS,
+                 help="Added to the meter's choice where it is wet: a meter takes back what "
+                 "wetting darkens."),
+    click.option("--wetness", type=float, metavar="0..2", show_default=PRESETS,
+                 help="Factor on how much wet things darken and gloss; 1 is as measured."),
+    click.option("--ripples", type=float, metavar="0..2", show_default=PRESETS,
+                 help="Factor on the height of ripples; 1 is as measured."),
     click.option("--ground-albedo", type=float, metavar="0..1", show_default="guessed",
                  help="Share of the light that the open dry ground reflects, such as 0.3 for clean "
                  "concrete: it sets how bright the sky is against the land."),

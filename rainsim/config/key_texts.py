@@ -14,6 +14,7 @@ MEANINGS = {
     "rain_mm_per_hour": "rain rate, as a gauge on level ground collects it",
     "past_rain_mm": "rain that fell before the first frame; it stands in puddles, at rest",
     "drying_hours": "time since the past rain ended: first the gloss dries, then the darkening",
+    "puddles": "factor on the past rain that stands in the ground's dips, 0 to 2",
     "wind_speed_m_per_s": "wind at a height of 10 m",
     "wind_direction_degrees": "the way the air goes, from the first camera's view, "
     "counter-clockwise seen from above",
@@ -38,8 +39,12 @@ MEANINGS = {
     "relight": "auto takes the captured sun away as clouds cover the sky, off leaves it",
     "brightness": "factor on the finished picture",
     "metering": "auto exposes the land as a camera's meter does, off as it was captured",
+    "exposure_bias_ev": "added to the meter's choice in f-stops, as far as open ground is wet: a "
+    "meter takes back what wetting darkens",
     "ground_albedo": "share of the light that the open dry ground reflects; without it guessed",
     "wetting": "class darkens and glosses things by their class, none keeps them dry",
+    "wetness": "factor on the darkening and the gloss of what is wet, 0 to 2; 1 is as measured",
+    "ripples": "factor on the height of ripples, 0 to 2; 1 is as measured",
     "reflections": "how mirrored light is found",
     "mirror_size": "size of mirrored pictures; auto halves them where ripples blur them",
     "film": "the mirror of wet ground between puddles; auto draws it where it shows",
@@ -77,7 +82,7 @@ MEANINGS = {
 UNITS = {  # endings of keys, and the unit as a table shows it
     "_mm_per_hour": "mm/h", "_m_per_s": "m/s", "_mm": "mm", "_ms": "ms", "_hours": "h",
     "_degrees": "degrees", "_m": "m", "fps": "1/s", "width": "px", "height": "px",
-    "_px": "px", "_gb": "GB",
+    "_px": "px", "_gb": "GB", "_ev": "EV",
 }  # fmt: skip
 
 

@@ -119,6 +119,7 @@ class RainConfig:
     rate: float = mm_per_hour(10.0)  # m/s, as a gauge on level ground collects it
     past: float = 3e-3  # m of rain that fell before the first frame; it stands at rest
     drying: float = 0.0  # s since the past rain ended; water films, pores and puddles dry meanwhile
+    puddles: float = 1.0  # factor on the past rain that stands in the ground's dips
     wind: tuple = (0.0, 0.0)  # speed at 10 m [m/s] and the way it goes, from x towards y [rad]
     roughness: float = 0.03  # m, roughness length of the land around: grass; 0: one wind everywhere
     gusts: float = 0.0  # standard deviation of the wind's speed over its mean, 0 to 0.5
@@ -149,6 +150,7 @@ class RainConfig:
             )
         drying = self.drying / 3600 if is_number(self.drying) else self.drying
         require_not_negative("drying", drying, "h", "0 is still wet from the rain")
+        require_not_negative("puddles", self.puddles, "", "1 is as it rained, 0 leaves none")
         speed, direction = pair("wind", self.wind, "a speed and a direction")
         require_not_negative("wind speed", speed, "m/s", "turn the direction instead")
         if speed > MAX_WIND:
@@ -203,8 +205,11 @@ class RenderConfig:
     relight: str = "auto"  # a captured sun goes as clouds cover the sky; off: it stays
     brightness: float = 1.0  # factor on the finished picture
     metering: str = "auto"  # exposed as by a camera's meter; off: as the capture was
+    exposure_bias: float = -0.3  # EV on the meter's choice, as far as open ground is wet
     ground_albedo: float | None = None  # of the open ground; None: guessed, class by class
     wetting: str = "class"  # things darken and gloss by class; none: they stay dry, the paper's
+    wetness: float = 1.0  # factor on how much what is wet darkens and glosses
+    ripples: float = 1.0  # factor on the height of ripples
     reflections: str = "auto"  # mirror: one mirrored pass; ssr: march the depth; auto: a mirror
     # for each level of much water, else the march; traced: rays, slow; paper: a point test
     mirror_size: str = "auto"  # of mirrored pictures; half: of the frame's sides; auto: by ripples
@@ -254,6 +259,9 @@ class RenderConfig:
                 "brighter picture raise brightness"
             )
         require_positive("brightness", self.brightness, "", "1 is as graded, 0.5 half as bright")
+        require_finite("exposure_bias", self.exposure_bias)
+        require_not_negative("wetness", self.wetness, "", "1 is as measured, 0 stays dry")
+        require_not_negative("ripples", self.ripples, "", "1 is as measured, 0 is calm water")
         if self.ground_albedo is not None:
             require_positive("ground_albedo", self.ground_albedo, "", "0.2 is worn paving")
             if self.ground_albedo > 1:

@@ -17,6 +17,7 @@ LIST_KEY = "keyframe"  # [[keyframe]] in TOML
 # What a keyframe may set.
 CHANGING = (
     "rate", "past", "drying", "level", "wind", "exposure", "cloudiness", "brightness",
+    "exposure_bias", "wetness",
 )  # fmt: skip
 
 

@@ -12,6 +12,7 @@ from rainsim.particles.splash import WET_FILM
 from rainsim.rain.moving_surfaces import MovingSurfaces
 from rainsim.raster import Rasterizer
 from rainsim.reflection.water_pass import Shower, WaterPass
+from rainsim.reflection.water_shading import SHELTERED_SHARE
 from rainsim.render import aov
 from rainsim.render.node_labels import NodesSeen
 from rainsim.render.rain_pass import RainPass
@@ -21,13 +22,18 @@ from rainsim.render.weather import weather_of
 from rainsim.render.wet_ground import WetGround, wet_ground_of
 from rainsim.render.wet_scene import WetScene
 from rainsim.shading import environment, sky
-from rainsim.shading.calibration import fixed_camera, metered, metering_views
+from rainsim.shading.calibration import (
+    exposure_bias,
+    fixed_camera,
+    metered,
+    metering_views,
+)
 from rainsim.shading.composite import RainLight, compose
 from rainsim.shading.glare import Glare
 from rainsim.shading.wet_ground_mirror import WetGroundMirror, mean_share
 from rainsim.simulation import tops_drawn, usual_wind
 from rainsim.terrain.movers import with_movers
-from rainsim.water.ripples import ring_reach, ring_share, sheltered_rings
+from rainsim.water.ripples import ring_reach, ring_share, sheltered_rings, taller_rings
 
 RING_DEPTH = 5e-3  # m of water on which rings travel in under cover
 
@@ -100,7 +106,7 @@ class Renderer:
         self._ring_reach = ring_reach(
             RING_DEPTH, config.water.surface_film, self.rain.weather.mean_rate
         )
-        self.rings = ring_share(self.wet_scene.reach, terrain.grid.spacing, *self._ring_reach)
+        self.rings = self._rings_on(terrain, self.wet_scene.reach)
         self.water = WaterPass(terrain, self.rings, self._ring_reach, config.render)
         self.wet_ground = WetGroundMirror(terrain, config.render)
         self.sun, note = sky.sun_of(config.render.sun, self.wet_scene.day)
@@ -198,9 +204,14 @@ class Renderer:
         config = self.config
         terrain = tops_drawn(terrain, config)
         moving = MovingSurfaces(terrain, usual_wind(config), config.rain.roughness)
-        rings = ring_share(reach, terrain.grid.spacing, *self._ring_reach)
+        rings = self._rings_on(terrain, reach)
         water = WaterPass(terrain, rings, self._ring_reach, config.render)
         return ReadyGround(wet_ground_of(terrain, reach, now), moving, rings, water)
+
+    def _rings_on(self, terrain, reach):
+        """Return the amplitude of rings on each cell over that in the open, (ny, nx)."""
+        rings = ring_share(reach, terrain.grid.spacing, *self._ring_reach)
+        return taller_rings(rings, self.config.render.ripples, SHELTERED_SHARE)
 
     def take_ground(self, ready):
         """Draw the water of another part of the ground from now on; the light stays as it is.
@@ -232,6 +243,7 @@ class Renderer:
         """Take over the settings of a time [s]; return whether they change the dry picture."""
         self.now = self.config.at(time)
         self.brightness = self.now.render.brightness * math.exp(np.interp(time, *self._metered))
+        self.brightness *= 2 ** exposure_bias(self.now)
         changed = self.wet_scene.set_time(self.now)
         return self._move_nodes(time) or changed
 
@@ -254,7 +266,7 @@ class Renderer:
         factors = np.ones(len(times))
         views = metering_views(self.wet_scene.scene.cameras, first_camera)
         for k, time in enumerate(times):
-            now = self.config.at(time)
+            now = self.config.at(time).replace(wetness=1.0)  # else it would take that back
             if now.render.metering == "auto":
                 self.wet_scene.set_time(now)
                 light = self.wet_scene.land_light(views, self.wet_ground.apart)
@@ -262,7 +274,9 @@ class Renderer:
                 factors[k] = metered(*light, zenith, now.render.cloudiness)
         self.wet_scene.set_time(self.config.at(0.0))
         if (factors != 1).any():
-            self.notes.append(f"exposure: the meter takes the light {factors[0]:.2f} times")
+            bias = exposure_bias(self.config.at(0.0))
+            about = f", and {bias:+.2g} EV as it is wet" if bias else ""
+            self.notes.append(f"exposure: the meter takes the light {factors[0]:.2f} times{about}")
         return times, np.log(factors)
 
     def _choose_film(self, first_camera):

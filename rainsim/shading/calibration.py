@@ -18,6 +18,7 @@ from rainsim.scene.cameras import look_at, resize_to
 from rainsim.shading.backdrop import Backdrop, sky_distance
 from rainsim.shading.color import luminance_of
 from rainsim.shading.grading import DULL_EXPOSURE
+from rainsim.shading.wetness import LEAST_FILM, OTHER_POROSITY, dampness
 from rainsim.terrain.table import class_table
 from rainsim.terrain.types import MEASURED
 
@@ -162,6 +163,21 @@ def metered(captured, rainy, sky_share, zenith, cloudiness):
     for_sky = min(for_land, MOST_ZENITH / zenith)
     weight = min(sky_share / MUCH_SKY, 1.0) * cloudiness
     return for_land ** (1 - weight) * for_sky**weight
+
+
+def exposure_bias(config):
+    """Return the f-stops that are added to the meter's choice, as far as open ground is wet.
+
+    A meter takes back what wetting darkens, so that a lawn is as bright in rain as dry.
+
+    Parameters
+    ----------
+    config : Config
+        Of one time.
+    """
+    if config.render.metering != "auto" or config.render.wetting == "none":
+        return 0.0
+    return config.render.exposure_bias * float(dampness(config, LEAST_FILM, OTHER_POROSITY))
 
 
 def fixed_camera(scene, terrain, config):

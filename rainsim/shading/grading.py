@@ -34,6 +34,7 @@ class Look(NamedTuple):
     albedo: np.float32  # that a captured linear colour of 1 stands for, see `calibration`
     # m over the ground, up to which level things are tops, on whose water the gloss lies; 0: none.
     tops_end: np.float32
+    wetness: np.float32 = ONE  # factor on darkening and gloss, 0 to 2; 1: as measured
 
 
 def look_of(config, sky_distance, sky_is_left_out, albedo, relit=False, tops=False):
@@ -58,7 +59,10 @@ def look_of(config, sky_distance, sky_is_left_out, albedo, relit=False, tops=Fal
     dimmed, compressed = 1 - (1 - DULL_EXPOSURE) * c, 0.0 if relit else 1.2 * c
     dimmed *= config.render.daylight
     tops_end = TOPS_END if tops else 0.0
-    numbers = dimmed, compressed, replaced, sky_distance, sky_is_left_out, albedo, tops_end
+    numbers = (
+        dimmed, compressed, replaced, sky_distance, sky_is_left_out, albedo, tops_end,
+        config.render.wetness,
+    )  # fmt: skip
     return Look(*(np.float32(n) for n in numbers))
 
 
@@ -71,7 +75,10 @@ def replaces_sky(config):
 @inlined_function
 def look_from(numbers):
     """Return the `Look` whose numbers an array holds, as CUDA kernels get them."""
-    return Look(numbers[0], numbers[1], numbers[2], numbers[3], numbers[4], numbers[5], numbers[6])
+    return Look(
+        numbers[0], numbers[1], numbers[2], numbers[3], numbers[4], numbers[5], numbers[6],
+        numbers[7],
+    )  # fmt: skip
 
 
 @inlined_function

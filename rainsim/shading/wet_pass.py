@@ -208,7 +208,7 @@ def grade_row(
             clearance_out[left:end],
         )  # fmt: skip
         if mirror_apart:
-            write_cover(ground, n, s, cover_out[row, left:end])
+            write_cover(ground, look, n, s, cover_out[row, left:end])
 
 
 @inlined_function
@@ -469,12 +469,12 @@ def write_pixels(n, s, picture_out, depth_out, clearance_out):
 
 
 @inlined_function
-def write_cover(ground, n, s, cover_out):
+def write_cover(ground, look, n, s, cover_out):
     """Write the share of a full water film on level ground."""
     for i in range(n):
         cover_out[i] = ZERO
         if s[UPNESS + i] > FLAT and s[HEIGHT + i] < ON_GROUND:
             cover_out[i] = mirror_cover(
                 surface_point(s, i), s[CLEARANCE + i], stored_wetness(s, WETNESS + i, CHUNK),
-                ground,
+                ground, look,
             )  # fmt: skip

@@ -27,6 +27,7 @@ from rainsim.shading.wetness import Wetness, wetness_in
 ESCAPE = np.float32(0.066)  # diffuse light that the water film reflects from outside
 TRAPPED = np.float32(0.4746)  # diffuse light that the water film reflects back from inside
 FILLING = np.float32(1.55)  # of the similarity: its asymmetry goes from some 0.64 to 0.85
+LEAST_LEFT = np.float32(0.1)  # of the light: no factor on the darkening takes more away
 LEAST_ALBEDO, MOST_ALBEDO = np.float32(0.02), np.float32(0.8)
 # Shares of the darkening that leaves and lawns do without, for they shed water. Measured in visible
 # light, turf wet with rain reflects 4 to 16 % more than dry, its gloss included (Madeira, Gillespie
@@ -144,6 +145,7 @@ def wetted(r, g, b, share, coat, wet, look):
     """
     damp, green = wet.dampness * share, greenness(r, g, b)
     amount = damp * (ONE - max(max(LEAF_SHED * green, LAWN_SHED * wet.lawn), COATED * coat))
+    amount *= look.wetness
     return (
         wet_channel(r, amount, wet.porosity, look), wet_channel(g, amount, wet.porosity, look),
         wet_channel(b, amount, wet.porosity, look),
@@ -160,7 +162,7 @@ def wet_channel(value, amount, porosity, look):
     albedo = min(max(value / look.exposure * look.albedo, LEAST_ALBEDO), MOST_ALBEDO)
     ratio = wet_ratio(albedo)
     ratio += porosity * (min(filled_ratio(albedo), ratio) - ratio)
-    return max(value, ZERO) * (ONE - amount * (ONE - ratio))
+    return max(value, ZERO) * max(ONE - amount * (ONE - ratio), LEAST_LEFT)
 
 
 @inlined_function
@@ -261,8 +263,8 @@ def wet_state(point, clearance, height, ground, rain):
 
 
 @inlined_function
-def mirror_cover(point, clearance, wet, ground):
-    """Return the share of a full water film on level ground at a point, 0 to 1.
+def mirror_cover(point, clearance, wet, ground, look):
+    """Return the share of a full water film on level ground at a point, times `look.wetness`.
 
     `clearance` is that of `heights_of`, `wet` that of `wet_state`. Off the map the film is that at
     the border.
@@ -274,7 +276,7 @@ def mirror_cover(point, clearance, wet, ground):
         v = min(max(v, ZERO), np.float32(ground.wetness.shape[0]) - TO_BORDER)
         border = on_ground(ground, u, v)
         lawn, film = border.lawn, border.film
-    return film * (TWO * point.nz - ONE) * (ONE - lawn)
+    return look.wetness * film * (TWO * point.nz - ONE) * (ONE - lawn)
 
 
 @inlined_function
@@ -330,7 +332,9 @@ def rainy_color(r, g, b, alpha, distance, sine, cosine, upness, height, wet, loo
             gloss *= HALF if height > look.tops_end else ZERO
         # What is low mirrors the road below the thing itself, which is dark.
         coat_gloss = coat * smoothstep(ZERO, SHADOWED, height)
-        gloss = wet.film * (gloss + leaf * open_share(luminance(r, g, b), look) + coat_gloss)
+        film = wet.film * look.wetness
+        covered = min(film, ONE) * coat_gloss  # a coat mirrors no more than all that it can
+        gloss = film * (gloss + leaf * open_share(luminance(r, g, b), look)) + covered
         r, g, b = wetted(r, g, b, surface, coat, wet, look)
         if gloss > ZERO:
             least = GRAZING + leaf * (LEAF_GRAZING - GRAZING) + coat * (COAT_GRAZING - GRAZING)
@@ -338,7 +342,7 @@ def rainy_color(r, g, b, alpha, distance, sine, cosine, upness, height, wet, loo
             if height > ON_GROUND:  # blended normals at edges look grazed, which they are not
                 share *= smoothstep(ZERO, EDGE_COSINE + coat * (COAT_EDGE - EDGE_COSINE), cosine)
             gloss *= share
-            out = ONE - wet.film * coat_gloss * surface * share  # what the coat lets out to the eye
+            out = ONE - covered * surface * share  # what the coat lets out to the eye
             r, g, b = r * out, g * out, b * out
     # The sky of the day replaces the captured sky and fills what no splat covers. Many captures
     # leave dark places half open: those are not sky. Below the horizon, where a capture ends before
@@ -413,7 +417,7 @@ def wet_pixel(color, alpha, ray, distance, point, around, ground, rain, sky, loo
     )
     cover = ZERO
     if mirror_apart and point.nz > FLAT and height < ON_GROUND:
-        cover = mirror_cover(point, clearance, wet, ground)
+        cover = mirror_cover(point, clearance, wet, ground, look)
     elif gloss > ZERO:
         u, v, w = glossed(x, y, z, cosine, point.nx, point.ny, point.nz, smooth)
         e0, e1, e2 = sample_environment(sky.coat if smooth > ONE else sky.gloss, u, v, w)

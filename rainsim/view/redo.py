@@ -13,23 +13,23 @@ PARTS = (TERRAIN, WATER, LIGHT, PASSES)
 _RAIN = (WATER, LIGHT)  # it falls on the water, and wets what the light falls on
 # Settings that are read for each picture: a changed one needs a new picture and nothing else.
 PICTURE = frozenset({
-    "exposure", "brightness", "streak_far", "aperture", "focus", "streaks", "splashes", "glare",
-    "frames", "width", "height", "frame_range", "threads", "moments",
+    "exposure", "brightness", "exposure_bias", "streak_far", "aperture", "focus", "streaks",
+    "splashes", "glare", "frames", "width", "height", "frame_range", "threads", "moments",
 })  # fmt: skip
 NEEDS = {
     "spacing": (TERRAIN,), "extent": (TERRAIN,), "ground_map": (TERRAIN,),
-    "rate": _RAIN, "past": _RAIN, "drying": _RAIN, "level": _RAIN, "wind": _RAIN,
-    "roughness": _RAIN, "tops": _RAIN, "keyframes": _RAIN,
+    "rate": _RAIN, "past": _RAIN, "drying": _RAIN, "puddles": (WATER,),
+    "level": _RAIN, "wind": _RAIN, "roughness": _RAIN, "tops": _RAIN, "keyframes": _RAIN,
     "scheme": (WATER,), "courant": (WATER,),
     "seed": (WATER, PASSES), "gusts": (WATER, PASSES), "drop_radii": (WATER, PASSES),
     "drips": (WATER, PASSES), "surface_film": (WATER, PASSES), "fps": (WATER, PASSES),
     "spray": (WATER, PASSES),
     "sky": (LIGHT,), "sun": (LIGHT,), "cloudiness": (LIGHT,),
     "daylight": (LIGHT,), "relight": (LIGHT,),
-    "ground_albedo": (LIGHT,), "wetting": (LIGHT,), "surroundings": (LIGHT,), "film": (LIGHT,),
-    "detail": (LIGHT,), "memory": (LIGHT,), "merge": (LIGHT,),
-    "metering": (PASSES,), "reflections": (PASSES,), "mirror_size": (PASSES,),
-    "refraction": (PASSES,),
+    "ground_albedo": (LIGHT,), "wetting": (LIGHT,), "wetness": (LIGHT,),
+    "surroundings": (LIGHT,), "film": (LIGHT,), "detail": (LIGHT,), "memory": (LIGHT,),
+    "merge": (LIGHT,), "metering": (PASSES,), "ripples": (PASSES,),
+    "reflections": (PASSES,), "mirror_size": (PASSES,), "refraction": (PASSES,),
     "fresnel": (PASSES,), "highlight": (PASSES,), "coverage": (PASSES,),
     "water_geometry": (PASSES,),
 }  # fmt: skip

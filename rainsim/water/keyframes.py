@@ -28,13 +28,13 @@ def past_rain_growth(terrain, config, exposure, begin=0.0):
     if np.ptp(past) == 0 or config.at(0.0).water.level is not None:
         return None
     puddles = puddles_of(terrain)
-    puddles.rain(config.at(begin).rain.past * exposure.astype(np.float64))
+    puddles.rain(config.rain.puddles * config.at(begin).rain.past * exposure.astype(np.float64))
 
     def between(before, time):
         more = config.at(time).rain.past - config.at(before).rain.past
         stood = puddles.depth
         if more > 0:
-            puddles.rain(more * exposure.astype(np.float64))
+            puddles.rain(config.rain.puddles * more * exposure.astype(np.float64))
         grown = np.maximum(puddles.depth - stood, 0.0)
         rows, columns = np.nonzero(grown)
         return (

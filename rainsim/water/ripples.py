@@ -343,6 +343,24 @@ def ring_share(rained, spacing, reach, weight):
     return np.sqrt(np.clip(energy, 0.0, 1.0)).astype(np.float32, copy=False)
 
 
+def taller_rings(rings, height, sheltered):
+    """Return amplitudes of rings whose heights are multiplied by `height`, also under cover.
+
+    Parameters
+    ----------
+    rings : ndarray of shape (ny, nx), float32
+        See `ring_share`.
+    height : float
+    sheltered : float
+        Share of the amplitude that runs in from the open where `rings` is 0: a pixel has
+        sheltered + (1 - sheltered) rings.
+    """
+    if height == 1:
+        return rings
+    share = np.float32(sheltered)
+    return np.float32(height) * rings + np.float32(height - 1) * share / (1 - share)
+
+
 def block_reach(side, reach, weight):
     """Return how the energy of rings spreads from a block of water to those around, float32.
 

@@ -292,6 +292,17 @@ def test_the_meter_keeps_a_clear_day_and_greys_a_dull_one():
     assert calibration.metered(0.1, np.nan, 0.0, 1.0, 1.0) == 1.0
 
 
+def test_the_meter_is_biased_as_far_as_it_is_wet():
+    wet = Config()
+    assert calibration.exposure_bias(wet) == pytest.approx(-0.3)
+    assert calibration.exposure_bias(wet.replace(rate=0.0, past=0.0)) == 0
+    drying = wet.replace(rate=0.0, past=1e-3, drying=8 * 3600.0)
+    assert -0.3 < calibration.exposure_bias(drying) < -0.01
+    assert calibration.exposure_bias(wet.replace(exposure_bias=0.5)) == pytest.approx(0.5)
+    assert calibration.exposure_bias(wet.replace(metering="off")) == 0
+    assert calibration.exposure_bias(Config.from_preset("paper")) == 0
+
+
 def test_the_meter_keeps_clouds_in_a_sky_that_fills_the_picture():
     no_sky, some, much = (calibration.metered(0.3, 0.04, s, 1.0, 1.0) for s in (0.0, 0.1, 0.5))
     assert no_sky == pytest.approx(4) and much == pytest.approx(calibration.MOST_ZENITH)

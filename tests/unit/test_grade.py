@@ -82,7 +82,7 @@ def pixel_by_pixel(dry, ground, rain, skies, look, apart):
 
 @pytest.mark.parametrize(("open_sky", "apart"), [(0, False), (1, True)])
 def test_chunks_give_what_single_pixels_give(dry, scene, poisoned, open_sky, apart):
-    look = Look(*F4([0.8, 0.9, 0.8, 30, open_sky, 0.85, 0.6]))
+    look = Look(*F4([0.8, 0.9, 0.8, 30, open_sky, 0.85, 0.6, 1.3]))
     dry = wet_pass.DryPicture(**dry, meters_per_unit=UNIT, around=F4(0.4 if apart else 0))
     shape = HEIGHT, WIDTH
     found = [poisoned(s) for s in ((*shape, 3), shape, shape, shape if apart else (0, 0))]
@@ -97,7 +97,7 @@ def test_chunks_give_what_single_pixels_give(dry, scene, poisoned, open_sky, apa
 
 def test_rays_are_graded_as_pixels_are(dry, scene, poisoned):
     """A picture's pixels as rays that start at its eye, where walls have no plane of their own."""
-    look = Look(*F4([0.8, 0.9, 0.8, 30, 1, 0.85, 0.6]))
+    look = Look(*F4([0.8, 0.9, 0.8, 30, 1, 0.85, 0.6, 1.3]))
     dry["plane_depth"] = dry["depth"]
     picture = wet_pass.DryPicture(**dry, meters_per_unit=UNIT, around=F4(0))
     shape, none = (HEIGHT, WIDTH), np.empty((0, 0), F4)

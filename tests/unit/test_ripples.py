@@ -25,6 +25,7 @@ from rainsim.water.ripples import (
     ring_reach,
     ring_share,
     stirring,
+    taller_rings,
     tile_impacts,
 )
 
@@ -323,3 +324,14 @@ def test_shores_calm_the_rings_of_small_puddles_as_the_balance_says():
     assert found[0] < 0.75 * found[1] < 0.75 * found[2] == 0.75
     lawn = puddle_rings(depth, np.zeros(depth.shape, bool), around)
     assert (lawn == 0).all()  # grass stands out of it
+
+
+def test_taller_rings_are_as_many_times_as_high_also_under_cover():
+    rings, sheltered = np.linspace(0, 1, 12, dtype=np.float32).reshape(3, 4), 0.07
+    drawn = sheltered + (1 - sheltered) * rings  # the amplitude that a pixel has
+    for height in (0.0, 0.5, 1.0, 2.0):
+        taller = taller_rings(rings, height, sheltered)
+        assert taller.dtype == np.float32
+        np.testing.assert_allclose(
+            sheltered + (1 - sheltered) * taller, height * drawn, atol=1e-6
+        )  # fmt: skip

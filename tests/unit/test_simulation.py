@@ -59,6 +59,16 @@ def test_past_rain_stands_in_the_dip_and_stays():
     assert len(last.impact_diameter) == 0 and not last.slopes.any()
 
 
+def test_a_factor_on_the_puddles_changes_what_stands_and_nothing_else():
+    open_ = np.ones((NY, NX), np.float32)
+    volume = [
+        simulation.initial_water(ground(bowl()), config(past=1e-3, puddles=f), open_)[0].sum()
+        for f in (0.0, 0.5, 1.0, 2.0)
+    ]
+    assert volume[0] == 0 < volume[1]
+    assert volume[3] > 1.2 * volume[2] > 1.4 * volume[1]
+
+
 def test_rain_arrives_by_the_ledger_and_moves_the_water():
     first, *_, last = states(ground(bowl()), config(past=2e-3), 5)
     assert abs(last.ledger["residual"]) < 1e-9

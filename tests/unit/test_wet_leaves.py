@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from rainsim.numerics.srgb import linear
 from rainsim.shading import environment, wetting
 from rainsim.shading.color import luminance
 from rainsim.shading.fresnel import fresnel
@@ -85,3 +86,26 @@ def test_lawns_and_leaves_hardly_darken_where_paving_does():
     assert 0.92 < kept(tones["leaf"], wet._replace(lawn=F4(1), porosity=F4(0.45))) < 0.97
     dry = wet._replace(dampness=F4(0))
     assert kept(tones["leaf"], dry) == pytest.approx(1, abs=1e-6)
+
+
+def test_a_factor_on_the_wetness_darkens_and_glosses_by_as_much(skies):
+    dark = SkyMaps(0 * skies.gloss, 0 * skies.coat, 0 * skies.behind)
+
+    def drawn(factor, color=BROWN, maps=dark):
+        point = SurfacePoint(F4(3), F4(0), F4(1), *TO_ZENITH, F4(3))
+        look = LOOK._replace(wetness=F4(factor))
+        return wetting.wet_pixel(
+            color, F4(1), AHEAD, F4(3), point, TO_ZENITH, LEVEL, SOAKED, maps, look, False
+        )[1]  # fmt: skip
+
+    captured = luminance(*linear(np.array([BROWN[1]] * 3)))
+    none, half, one, two = (drawn(f) for f in (0, 0.5, 1, 2))
+    assert none == pytest.approx(captured, rel=1e-5)
+    assert none - half == pytest.approx((none - one) / 2, rel=0.05)
+    assert 0.1 * captured * 0.99 <= two < one < half
+    gloss = [gloss_of(GREEN, TO_ZENITH, SOAKED, skies, LOOK._replace(wetness=F4(f)))
+             for f in (0, 1, 2)]  # fmt: skip
+    assert gloss[0] == 0 and gloss[2] == pytest.approx(2 * gloss[1], rel=1e-4) and gloss[1] > 0
+    white = SkyMaps(0 * skies.gloss + 1, 0 * skies.coat + 1, skies.behind)
+    smooth = SOAKED._replace(porosity=F4(0))  # a coat of water is no more than a mirror
+    assert gloss_of(BROWN, TO_ZENITH, smooth, white, LOOK._replace(wetness=F4(2))) <= 1
