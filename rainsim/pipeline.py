@@ -14,6 +14,7 @@ from rainsim.errors import BackendError, ParameterError
 from rainsim.io import cache
 from rainsim.render.first_view import view_of_water
 from rainsim.render.labels import without_flow
+from rainsim.render.leaving import leaving_notes
 from rainsim.render.memory import require_memory
 from rainsim.render.report import FrameReport
 from rainsim.render.shutter import PathMotion, is_too_fast
@@ -360,7 +361,11 @@ class SequenceRenderer:
 
         if self._renderer is None:
             self._renderer = self.make()
-            self._notes = sunken_notes(path, self._terrain, config)
+            host = getattr(self._renderer, "host", self._renderer)
+            self._notes = (
+                *sunken_notes(path, self._terrain, config),
+                *leaving_notes(host.wet_scene.scene, self._cameras),
+            )
         for picture, report in self._renderer.film(shots(), self._names):
             notes, self._notes = self._notes, ()
             if cuts.popleft():

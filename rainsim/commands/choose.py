@@ -196,6 +196,7 @@ def cameras_of(scene, config, given, most=None):
         One per frame, or a single one for all.
     config : Config
     """
+    from rainsim.demo_scenes import FIRST_VIEWS
     from rainsim.scene.cameras import orbit, read_path
     from rainsim.surface.offered_views import with_offered_cameras
 
@@ -217,6 +218,9 @@ def cameras_of(scene, config, given, most=None):
                 "--path transforms.json or --cameras cameras.json"
             )
         cameras, config = _one_per_frame(scene.cameras, f"scene {scene.name}", config, given, most)
+    elif given.get("camera") is None and scene.source is None and scene.name in FIRST_VIEWS:
+        eye, target = FIRST_VIEWS[scene.name]
+        cameras = [_placed(scene, config, {"eye": eye, "look_at": target})]
     else:
         cameras = [named_camera(scene, given.get("camera"))]
     return _sized(cameras, config), config

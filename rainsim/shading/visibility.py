@@ -80,6 +80,7 @@ class Views(NamedTuple):
     seen: np.ndarray  # (n,) uint8: cameras that see it
     asked: int  # cameras that were asked
     diffuse: np.ndarray  # (n, 3) float16: display-referred colour of its darker views
+    toward: np.ndarray  # (n, 3) float16: mean of the unit directions to those cameras; 0 for none
 
 
 def views_of_splats(scene):
@@ -97,7 +98,7 @@ def views_of_splats(scene):
 
     def count():
         rasterizer = Rasterizer(prepare(splats))
-        views, total = np.zeros(len(splats), np.uint8), np.zeros((len(splats), 4), np.float32)
+        views, total = np.zeros(len(splats), np.uint8), np.zeros((len(splats), 7), np.float32)
         for camera in cameras:
             view = np.ascontiguousarray(camera.camera_from_world[:3], np.float32)
             lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float32)
@@ -105,16 +106,19 @@ def views_of_splats(scene):
             depth = rasterizer.draw(camera, NEAR).depth
             count_view(splats.position, splats.sh, view, eye, lens, depth, views, total)
         plain = np.float32(0.5) + np.float32(SH_0) * splats.sh[:, 0]
-        seen = total[:, :3] / np.maximum(total[:, 3:], np.float32(1e-20))
-        return {"views": views, "diffuse": np.where(total[:, 3:] > 0, seen, plain).astype("f2")}
+        weight = total[:, 3:4]
+        seen = total[:, :3] / np.maximum(weight, np.float32(1e-20))
+        toward = total[:, 4:] / np.maximum(views, 1)[:, None]
+        return {"views": views, "diffuse": np.where(weight > 0, seen, plain).astype("f2"),
+                "toward": toward.astype("f2")}  # fmt: skip
 
     found = cache.kept_arrays("views", "shading", count, splats, cameras)
-    return Views(found["views"], len(cameras), found["diffuse"])
+    return Views(found["views"], len(cameras), found["diffuse"], found["toward"])
 
 
 @cpu_kernel
 def count_view(position, sh, view, eye, lens, depth, views_out, total_out):
-    """Add one to the count of each splat that a camera sees, and its colour to a weighted sum.
+    """Add one to the count of each splat that a camera sees; sum up its colour and the direction.
 
     The weight falls with the fourth power of the luminance: the mean is that of the darker views,
     which have the least gloss.
@@ -131,8 +135,8 @@ def count_view(position, sh, view, eye, lens, depth, views_out, total_out):
     depth : ndarray of shape (height, width), float32 [capture units]
         Of what the camera sees.
     views_out : ndarray of shape (n,), uint8
-    total_out : ndarray of shape (n, 4), float32
-        Sums of weighted colours (3) and of weights.
+    total_out : ndarray of shape (n, 7), float32
+        Sums of weighted colours (3), of weights, and of unit directions to the cameras (3).
     """
     height, width = depth.shape
     fx, fy, cx, cy = lens[0], lens[1], lens[2], lens[3]
@@ -151,8 +155,11 @@ def count_view(position, sh, view, eye, lens, depth, views_out, total_out):
 
 @device_function
 def add_color(sh, x, y, z, total_out):
-    """Add the colour of a splat seen along (x, y, z) to a weighted sum, the darker the more."""
+    """Add a splat that is seen along (x, y, z) to the sums of `count_view`, dark views the more."""
     length = ONE / math.sqrt(x * x + y * y + z * z)
+    total_out[4] -= x * length
+    total_out[5] -= y * length
+    total_out[6] -= z * length
     r, g, b = (
         color_seen(sh, 0, x * length, y * length, z * length),
         color_seen(sh, 1, x * length, y * length, z * length),

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rainsim.errors import BackendError, ParameterError
+from rainsim.render.leaving import HARDLY_SEEN, MUCH
 from rainsim.view import schedule
 from rainsim.view.modes import MODES, PUDDLES, RAIN
 from rainsim.view.page_ground import GroundTools
@@ -46,6 +47,8 @@ class Client:
         Width and height of the picture that was shown last [px].
     said : tuple of (str, float)
         The first word of its state and when it was last shown [s].
+    badly_seen : float
+        Share of the finished picture that was shown last, see `render.leaving`.
     """
 
     handle: object
@@ -55,6 +58,7 @@ class Client:
     view: View | None = None
     size: tuple = (0, 0)
     said: tuple = ("", 0.0)
+    badly_seen: float = 0.0
 
 
 class Page:
@@ -171,6 +175,16 @@ class Page:
                 f"t = {self.painter.clock.time:.2f} s"
             )
 
+    def leaves(self, key, share):
+        """Tell a page how much of its finished picture is badly seen; of the drawing thread."""
+        client = self.clients.get(key)
+        if client is None:
+            return
+        client.badly_seen = share
+        if share > MUCH:
+            client.state.content += f"  \n**{share:.0%} of it {HARDLY_SEEN}**"
+            client.handle.flush()
+
     def say(self, text):
         """Show all pages what is being computed."""
         if text.startswith("computing"):
@@ -218,6 +232,11 @@ class Page:
         if client is None or client.view is None:
             raise ParameterError("the page has no camera yet; move it once")
         return client.view
+
+    def badly_seen(self, event):
+        """Return the share that is badly seen of the page that an event came from."""
+        client = self.clients.get(event.client.client_id) if event.client else None
+        return 0.0 if client is None else client.badly_seen
 
     def use_depth(self):
         """Send depth with finished pictures from now on: there are things in the scene."""

@@ -11,6 +11,7 @@ import numpy as np
 from rainsim.config.settings import MAX_SIDE
 from rainsim.errors import ParameterError, RainsimError
 from rainsim.io.files import parsed_json, printable_name
+from rainsim.render.leaving import HARDLY_SEEN, MUCH
 from rainsim.scene.camera_path import path_keyframes
 from rainsim.view.home import Run
 from rainsim.view.keyframes import Keyframe, smooth_path
@@ -106,6 +107,11 @@ class HomeTools:
         )  # fmt: skip
         self.keyframes.append(keyframe)
         self._show_path()
+        share = self.page.badly_seen(event)
+        if share > MUCH:
+            event.client.add_notification(
+                "rainsim", f"{share:.0%} of this keyframe's picture {HARDLY_SEEN}", color="yellow"
+            )  # fmt: skip
 
     def _load(self, event):
         """Take the keyframes of a file; settings are the present ones, since it has none."""

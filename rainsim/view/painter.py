@@ -64,6 +64,8 @@ class Painter:
         fail(error) reports a RainsimError that settings led to.
     now : callable
         The clock [s].
+    leaves : callable, optional
+        leaves(key, share) tells how much of a finished picture the capture's cameras hardly saw.
 
     Attributes
     ----------
@@ -71,8 +73,8 @@ class Painter:
     clock : Clock
     """
 
-    def __init__(self, session, show, say=None, fail=None, now=time.perf_counter):
-        self.session, self._show, self._now = session, show, now
+    def __init__(self, session, show, say=None, fail=None, now=time.perf_counter, leaves=None):
+        self.session, self._show, self._now, self._leaves = session, show, now, leaves
         self._say, self._fail = say or (lambda text: None), fail or (lambda error: None)
         self.schedule = Schedule(full=session.config.width)
         self.clock = Clock(session.config.frames, session.config.fps)
@@ -260,6 +262,10 @@ class Painter:
         self._show(job.client, Shown(picture, depth if finished else None, job, seconds))
         what = "finished" if finished else "moving"
         self._say(f"{what}: {job.width} x {job.height}, {seconds * 1e3:.0f} ms")
+        if finished and self._leaves is not None:
+            share = session.badly_seen(job.view, job.width, job.height)
+            if share is not None:
+                self._leaves(job.client, share)
 
     def _make(self, check):
         """Make what is out of date, once for each choice of settings that fails."""

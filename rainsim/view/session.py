@@ -16,6 +16,7 @@ from rainsim.errors import GroundError, ParameterError, shown
 from rainsim.io.files import number_array
 from rainsim.lod.paged import rasterizer_of_scene
 from rainsim.pipeline import extract_terrain
+from rainsim.render.leaving import leaving_of
 from rainsim.render.memory import require_memory, require_memory_of_picture
 from rainsim.render.renderer import Renderer
 from rainsim.render.report import Timer
@@ -132,6 +133,7 @@ class Session:
         self.water = SharedWater(simulate, *(() if backend == "cpu" else (0,)))
         self.terrain = self.renderer = self._drawn_scene = None
         self._camera = None  # of the last picture, with what it was made from
+        self._leaving = None  # of the scene, once it was asked for; False: nothing is known
         self._kept = (None, None, None)  # key, terrain and what was computed for them, last asked
 
     def set_config(self, config):
@@ -353,6 +355,17 @@ class Session:
         layers = self.dry(camera)
         picture = np.rint(np.clip(layers.color, 0, 1) * 255).astype(np.uint8)
         return picture, layers.depth * np.float32(self.scene.ground_frame.meters_per_unit)
+
+    def badly_seen(self, view, width, height):
+        """Return the share of a view that the capture's cameras hardly saw; None if unknown.
+
+        See `render.leaving`.
+        """
+        if not self.is_ready or not self.scene.cameras:
+            return None
+        if self._leaving is None:
+            self._leaving = leaving_of(self.host.wet_scene.scene) or False
+        return self._leaving.share(self.camera_of(view, width, height)) if self._leaving else None
 
     def _simplify(self, simple):
         """Let the renderer leave out mirrored pictures, or draw as the settings ask."""

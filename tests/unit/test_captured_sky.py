@@ -74,7 +74,7 @@ def test_a_high_splat_that_few_cameras_saw_is_badly_placed(yard):
 
 def test_what_hides_a_splat_keeps_it_from_being_seen(yard):
     scene, which = yard
-    seen, asked, _ = visibility.views_of_splats(scene)
+    seen, asked, *_ = visibility.views_of_splats(scene)
     assert asked == 31
     assert seen[which == 0].max() >= 30 and (seen[which == 2] == 0).all()
     behind = scene.splats.position.copy()
@@ -104,7 +104,7 @@ def test_nothing_is_badly_placed_where_nothing_is_known(yard, change):
 def test_places_and_depths_that_are_no_numbers_are_not_seen():
     position = np.array([[0, 0, 2], [np.nan, 0, 2], [0, 0, np.inf], [0, -np.inf, 2]], np.float32)
     view, lens = np.eye(3, 4, dtype=np.float32), np.array([8, 8, 4, 4], np.float32)
-    seen, total = np.zeros(4, np.uint8), np.zeros((4, 4), np.float32)
+    seen, total = np.zeros(4, np.uint8), np.zeros((4, 7), np.float32)
     sh, eye = np.zeros((4, 1, 3), np.float32), np.zeros(3, np.float32)
 
     def look(depth):
@@ -114,7 +114,8 @@ def test_places_and_depths_that_are_no_numbers_are_not_seen():
 
     assert look(2.0) == [1, 0, 0, 0] and look(np.nan) == [1, 0, 0, 0]
     assert look(np.inf) == [2, 0, 0, 0]
-    assert (total[0] > 0).all() and not total[1:].any()
+    assert (total[0, :4] > 0).all() and not total[1:].any()
+    np.testing.assert_array_equal(total[0, 4:], (0, 0, -2))  # towards the camera, twice
 
 
 def test_a_picture_can_leave_the_last_splats_out(yard):

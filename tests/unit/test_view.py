@@ -4,6 +4,7 @@ import json
 import threading
 import time
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -418,10 +419,11 @@ class Pages:
     """What a painter shows, in place of a browser."""
 
     def __init__(self, session, **changes):
-        self.shown, self.errors, self.time = [], [], 0.0
+        self.shown, self.errors, self.left, self.time = [], [], [], 0.0
         self.painter = Painter(
             session, lambda key, shown: self.shown.append((key, shown)),
             fail=self.errors.append, now=lambda: self.time,
+            leaves=lambda key, share: self.left.append((key, share)),
         )  # fmt: skip
         self.painter.set_sizes(full=SIZE[0], least=32)
         self.painter.schedule._pace = 1.0  # slow: small pictures are the least ones
@@ -563,6 +565,29 @@ def test_the_thread_answers_draws_and_ends(session, view):
         painter.end()
         thread.join(60)
     assert not thread.is_alive()
+
+
+def test_a_finished_picture_tells_how_much_of_it_is_badly_seen(session, view):
+    pages = Pages(session)
+    pages.painter.add(1)
+    pages.painter.look(1, view, 4 / 3)
+    pages.run()
+    assert pages.left == []  # a generated scene: nothing is known
+    session.scene, before = replace(session.scene, source=Path("somewhere")), session.scene
+    wet, scene = session.host.wet_scene, session.host.wet_scene.scene
+    wet.scene, session._leaving = replace(scene, source=Path("somewhere")), None
+    try:
+        from_below = look_at((0.2, 0.1, -0.8), (0.0, 0.0, 0.2), (0, 0, 1), 50, 64, 48)
+        under = session.view_of(before.ground_frame.camera_in_capture(from_below))
+        shares = []
+        for seen in (other(view, 0.01), under):
+            pages.painter.look(1, seen, 4 / 3)
+            pages.run()
+            shares.append(pages.left[-1])
+        assert shares[0] == (1, pytest.approx(0, abs=0.1))
+        assert shares[1][1] > 0.5 > 5 * shares[0][1]
+    finally:
+        session.scene, wet.scene, session._leaving = before, scene, None
 
 
 def _fail(session):

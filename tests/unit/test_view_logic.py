@@ -514,7 +514,7 @@ def test_ctrl_c_before_the_loop_leaves_no_thread(moment, monkeypatch, tmp_path):
             closed.append(True)
 
     class Hand:
-        def __init__(self, *_):
+        def __init__(self, *_, **__):
             pass
 
         def run(self):
