@@ -59,7 +59,7 @@ def test_films_move_and_stills_are_sharp(module):
     for path, commands in shown(module):
         with Image.open(path) as picture:
             count = getattr(picture, "n_frames", 1)
-            width = int(value(commands[0], "--width")) * len(commands)
+            width = int(value(commands[0], "--width") or 648) * len(commands)
             assert picture.width == width, path.name
             assert (count > 1) == (path.suffix == ".webp")
             if count > 1:

@@ -5,6 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from rainsim.commands.choose import cameras_of
+from rainsim.config.settings import Config
+from rainsim.demo_scenes import FIRST_VIEWS
 from rainsim.render.first_view import mirrored_share, places_of_water, view_of_water
 from rainsim.scene.cameras import look_at
 from rainsim.scene.types import GroundFrame, Scene
@@ -78,3 +81,16 @@ def test_the_share_is_that_of_the_picture():
     assert mirrored_share(above, places, area, ground) == pytest.approx(0.0204, rel=0.15)
     aside = look_at((2, 0.5, 0.4), (2, 3, 0), (0, 0, 1), 20, 60, 30, "aside")
     assert 0.06 < mirrored_share(aside, places, area, ground) < 0.5
+
+
+def test_the_built_in_bicycle_is_seen_from_low_unless_a_camera_is_named():
+    given, config = {"camera": None}, Config().replace(width=96)
+    built_in = replace(scene(STEEP, LOW), name="bicycle")
+    (first,), _ = cameras_of(built_in, config, given)
+    np.testing.assert_allclose(first.position, FIRST_VIEWS["bicycle"][0])
+    assert (first.width, first.height) == (96, 64)
+    (named,), _ = cameras_of(built_in, config, {"camera": "low"})
+    assert named.name == "low"
+    for other in (replace(built_in, source="mine"), replace(built_in, name="yard")):
+        (first,), _ = cameras_of(other, config, given)
+        assert first.name == "steep"
