@@ -13,6 +13,7 @@ from rainsim.numerics.interpolation import smoothstep
 
 QUARTER = np.float32(0.25)
 LEANING = np.float32(0.1)  # cosine to the rain below which captured normals are mostly noise
+UNDER_LOW, UNDER_HIGH = np.float32(-0.8), np.float32(-0.2)  # cosines of undersides, of sides
 FOOT_SHARE = np.float32(0.3)  # of the rain, that splashes back on the foot of a wall; by eye
 FOOT_STEEP = np.float32(1 / 0.08)  # 1/m: decay of the back splash upwards; by eye
 RUN_OFF = np.float32(0.3)  # of the rain, that runs down the sides of a smooth body; by eye
@@ -22,6 +23,13 @@ FAINT = np.float32(0.04)  # variation of dampness that no eye sees
 PATH_NEAR, PATH_FAR = np.float32(8), np.float32(25)  # m, between which paths fade out
 UPRIGHT, SLOPING = np.float32(0.3), np.float32(0.6)  # cosines to the vertical: paths, no paths
 ONE_AXIS = np.float32(0.38)  # share of a normal's square below which an axis does not count
+
+
+@inlined_function
+def _damp_of(supply):
+    """Return the dampness of a surface that has got so many full films of rain."""
+    full = min(supply, TWO)
+    return full * (ONE - QUARTER * full)
 
 
 @inlined_function
@@ -47,11 +55,12 @@ def damp_off_ground(rain, point, height, body):
     slant = -(nx * rain.slant_x + ny * rain.slant_y)
     caught = max(nz + slant, ZERO)
     caught *= caught / (caught + LEANING)
-    if nz > -HALF:
+    damp = _damp_of(rain.supply * caught)
+    if nz > UNDER_LOW:  # undersides get neither; normals of haze are noise, so the edge is soft
         caught = max(caught, RUN_OFF * body)
         caught += FOOT_SHARE * exp_minus(max(height, ZERO) * FOOT_STEEP)
-    full = min(rain.supply * caught, TWO)
-    damp = full * (ONE - QUARTER * full)
+        facing = smoothstep(UNDER_LOW, UNDER_HIGH, nz)
+        damp += facing * (_damp_of(rain.supply * caught) - damp)
     variation = PATHS * damp * (ONE - damp)
     if variation < FAINT or far > PATH_FAR or abs(nz) > SLOPING:
         return damp

@@ -37,6 +37,7 @@ LIKE_SKY, ABOUT_SKY = 1.0, 1.8
 ALONE = 4.0  # voxels from any surface, beyond which a splat belongs to none
 STOPS, LARGEST = 0.3, 0.3  # share of light that a solid splat stops; its deviation [m], at most
 FACING, REACH = 6, 0.25  # places that a splat's normal is taken of; m away, from which it is less
+LOST = 0.5  # m from every place, beyond which a splat shows no surface; at twice that surely
 MORE_SKY = 2  # times as many cameras must see a splat before the sky as see it before something
 LOWEST = -0.05  # sine of the elevation from which on what nobody sees may be sky
 
@@ -194,6 +195,13 @@ def splat_normals(scene, found):
         # Places that face different ways, and splats far from any, tell less.
         sure = length / np.maximum(weight.sum(axis=1), 1e-6) * weight.sum(axis=1) / count
         share[which] = np.clip(2 * sure, 0, 1) * np.clip(2 - away[:, 0] / REACH, 0, 1)
+        # Haze far from every place: each splat lies as it happens to, so that one would be wet
+        # beside a dry one. It faces the cameras, upright.
+        lost = np.flatnonzero(away[:, 0] > LOST)
+        inwards = (found.middle - position[which[lost]]) * np.float32([1, 1, 0])
+        length = np.linalg.norm(inwards, axis=1, keepdims=True)
+        normal[which[lost]] = inwards / np.maximum(length, np.float32(1e-6))
+        share[which[lost]] = np.clip(away[lost, 0] / LOST - 1, 0, 1)
 
     in_blocks(work, len(good), 1 << 14)
     return np.ascontiguousarray(normal @ frame.rotation.astype(np.float32)), share

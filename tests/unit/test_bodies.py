@@ -90,6 +90,21 @@ def pixel(normal, sky, body=True, color=(0.5, 0.5, 0.5), look=LOOK):
     )[:3])  # fmt: skip
 
 
+def test_between_sides_and_undersides_wetness_has_no_edge():
+    upness = np.linspace(-1, 0.3, 131)
+    for body, height in ((1.0, 1.5), (0.0, 0.02)):
+        damp = np.array([
+            walls.damp_off_ground(
+                SOAKED._replace(supply=F4(15)),
+                SurfacePoint(F4(0), F4(0), F4(1), F4(np.sqrt(1 - z * z)), F4(0), F4(z), F4(50)),
+                F4(height), F4(body),
+            )
+            for z in upness
+        ])  # fmt: skip
+        assert np.abs(np.diff(damp)).max() < 0.05
+        assert damp[0] == 0 and damp[upness > -0.15].min() > 0.9
+
+
 def test_a_coat_mirrors_by_fresnel_what_its_normal_shows():
     """White above 45 degrees; facets that mirror the zenith, and what lies behind the viewer."""
     bright = environment.directions()[..., 2] > np.sqrt(0.5)

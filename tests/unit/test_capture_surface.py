@@ -273,6 +273,25 @@ def test_normals_are_turned_and_others_are_kept(yard):
     np.testing.assert_allclose(rows[~turned], old[~turned], atol=1e-6)
 
 
+def test_haze_far_from_every_place_faces_the_cameras_upright(yard):
+    rng = np.random.default_rng(4)
+    place = np.column_stack([rng.uniform(-1, 1, (400, 2)), np.zeros(400)]).astype(np.float32)
+    up = np.tile(np.float32([0, 0, 1]), (400, 1))
+    size = np.full(400, 0.04, np.float32)
+    surface = fuse.CaptureSurface(place, up, 0 * size + 1, 0 * place, size, np.zeros(400, "u1"))
+    at = np.float32([[0, 0, 0.02], [0, 0, 0.6], [0, 4, 2], [3, 4, 0]])
+    frame = yard.ground_frame
+    splats = yard.splats.take(np.arange(4))
+    scene = replace(yard, splats=replace(splats, position=frame.to_capture(at).astype("f4")))
+    seen = SimpleNamespace(surface=surface, middle=np.float32([0, 0, 1.5]))
+    normal, share = kept.splat_normals(scene, seen)
+    normal = normal @ frame.rotation.T
+    np.testing.assert_allclose(share[1:], [0.2, 1, 1], atol=0.01)
+    assert share[0] > 0.8
+    np.testing.assert_allclose(normal[0], (0, 0, 1), atol=1e-3)
+    np.testing.assert_allclose(normal[2:], [(0, -1, 0), (-0.6, -0.8, 0)], atol=1e-3)
+
+
 def test_few_splats_have_no_surface(yard):
     assert kept.kept_surface(replace(yard, splats=yard.splats.take(slice(0, 20)))) is None
 
