@@ -24,7 +24,8 @@ VALUES = {
     "rain_mm_per_hour": 120, "past_rain_mm": 0, "drying_hours": 20, "wind_speed_m_per_s": 18,
     "wind_direction_degrees": 120, "gusts": 0.5, "water_level_m": 0.05, "cloudiness": 0.1,
     "sun_azimuth_degrees": 20, "sun_elevation_degrees": 28, "brightness": 2, "exposure_ms": 30,
-    "aperture_mm": 30, "focus_m": 0.5,
+    "aperture_mm": 30, "focus_m": 0.5, "puddles": 0, "wetness": 1.5, "ripples": 0.2,
+    "exposure_bias_ev": 0.6,
 }  # fmt: skip
 
 
@@ -72,6 +73,8 @@ def test_each_slider_acts(server, open_page):
         if slider.key == "drying_hours":  # water again, for the sun to glint on
             act(page, lambda: page.type_into("drying [h]", 0))
             act(page, lambda: page.type_into("past rain [mm]", 8))
+        if slider.key == "puddles":
+            act(page, lambda: page.type_into("puddles", 1))
         if slider.key == "water_level_m":
             act(page, lambda: page.tick("flood"))
     before, after = act(page, lambda: page.choose("preset", "drizzle"))
