@@ -410,6 +410,11 @@ class WaterSolver:
             ledger.drained += self._drain(rows, columns, rates * dt)
         flow.note_sources(everywhere)
 
+    @property
+    def choice(self):
+        """Scheme and Courant number of the present state, and why, as a sentence."""
+        return f"water: scheme {self.scheme}, Courant number {self.courant:g} ({self.reason})"
+
     def _choose_scheme(self):
         """Choose scheme and Courant number, "auto" from the state."""
         h, bed = self.flow.h[self.flow.inner], self.flow.bed[self.flow.inner]

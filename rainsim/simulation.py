@@ -305,7 +305,7 @@ def _filled(solver, terrain, start, exposure, begin):
         return begin.depth, begin.notes
     depth, notes = initial_water(terrain, start, exposure)
     solver.set_state(depth)
-    return depth, notes
+    return depth, (*notes, solver.choice)
 
 
 def ripple_tile(config, weather, water=None):

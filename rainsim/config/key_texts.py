@@ -25,7 +25,8 @@ MEANINGS = {
     "exponential for all rates",
     "drips": "whether rain on objects drips from their edges",
     "seed": "number of the random drops; another number gives other drops",
-    "water_scheme": "how the flow is computed",
+    "water_scheme": "how the flow is computed; auto takes accurate on a CPU and lean, the only one "
+    "there, on a GPU, and the run says which",
     "water_level_m": "level of still water above the low ground; without it there is no flood",
     "surface_film": "dirt on the water that damps ripples, 0 clean to 1 full",
     "courant": "Courant number of the flow; without it the scheme chooses",

@@ -39,7 +39,7 @@ __all__ = [
     "WaterConfig", "check_sky", "mm_per_hour", "nearest", "preset_names", "preset_text",
 ]  # fmt: skip
 
-WATER_SCHEMES = ("auto", "paper")
+WATER_SCHEMES = ("auto", "accurate", "lean", "paper")
 REFLECTIONS = ("auto", "mirror", "ssr", "traced", "paper")
 # Where there are two choices, the second is the paper's.
 FILMS = ("auto", "mirror", "environment")

@@ -306,7 +306,7 @@ def _require_lean(solver, flow):
     if not getattr(flow, "is_lean", False) or flow.h.dtype != np.float32:
         raise ParameterError(
             f"the water scheme is {solver.scheme!r} in {flow.h.dtype}; on a CUDA device it must be "
-            '"lean" in float32'
+            '"lean" in float32, which "auto" takes; give that, or backend "cpu"'
         )
 
 

@@ -120,7 +120,8 @@ class Simulation:
 
     @one_fault()
     def __init__(self, terrain, config):
-        if config.water.scheme == "auto":
+        asked = config.water.scheme
+        if asked == "auto":
             config = replace(config, water=replace(config.water, scheme="lean"))
         self.terrain, self.config = terrain, config
         self.stream = cuda.stream()
@@ -133,6 +134,8 @@ class Simulation:
         self._level_change = level_changes(terrain, config)
         solver = host.water_solver(terrain, start)
         solver.set_state(depth)
+        why = "auto: the scheme of a CUDA device" if asked == "auto" else solver.reason
+        self.notes = (*self.notes, f"water: scheme {solver.scheme} ({why})")
         tile = host.ripple_tile(config, self.weather, (depth, terrain.grid.spacing))
         open_area = float(exposure.sum()) * terrain.grid.cell_area
         self._objects = host.Objects(surfaces, start, *host.tops_of(terrain, config, start))

@@ -86,7 +86,7 @@ BAD = [
     ({"brightness": 0.0}, "brightness is 0.0; it must be positive"),
     ({"sun": (0.0, 2.0)}, "sun elevation is 114.59"),
     ({"sky": "sunny"}, "sky is 'sunny'; it must be overcast or capture or the path"),
-    ({"scheme": "magic"}, "water scheme is 'magic'; it must be one of auto, paper"),
+    ({"scheme": "magic"}, "water scheme is 'magic'; it must be one of auto, accurate, lean, paper"),
     ({"level": math.nan}, "water level is nan"),
     ({"courant": 2.0}, "courant is 2.0"),
     ({"spacing": 0.0}, "terrain spacing is 0.0 m; it must be positive"),

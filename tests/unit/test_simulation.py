@@ -69,6 +69,14 @@ def test_a_factor_on_the_puddles_changes_what_stands_and_nothing_else():
     assert volume[3] > 1.2 * volume[2] > 1.4 * volume[1]
 
 
+@pytest.mark.parametrize("asked", ["auto", "accurate", "lean", "paper"])
+def test_the_scheme_is_taken_by_name_and_said(asked):
+    (first,) = states(ground(bowl()), config(past=2e-3, scheme=asked), 1)
+    (said,) = (note for note in first.notes if note.startswith("water: scheme"))
+    assert ("accurate" if asked == "auto" else asked) in said
+    assert ("auto: smooth" if asked == "auto" else "asked for by name") in said
+
+
 def test_rain_arrives_by_the_ledger_and_moves_the_water():
     first, *_, last = states(ground(bowl()), config(past=2e-3), 5)
     assert abs(last.ledger["residual"]) < 1e-9
