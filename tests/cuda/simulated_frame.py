@@ -110,7 +110,7 @@ def test_film_gets_a_mirrored_picture_where_it_is_worth_one():
         for _ in range(2):
             picture, report = renderer.draw(camera, state)
             pictures.append(picture.copy())
-            notes.append([note for note in report.notes if "film" in note])
+            notes.append([note for note in report.notes if note.startswith("film")])
     assert notes[0] == notes[2] and "a mirrored picture" in notes[2][0] and notes[3] == []
     assert len(renderer.frame.ground_light.rasterizers) == 1
     assert decibel(pictures[2], pictures[0]) > 50

@@ -15,7 +15,8 @@ ROOT = SOAK.parents[2]
 @pytest.mark.parametrize("spoil", [None, "3f", "ff"])
 def test_pictures_do_not_depend_on_what_was_drawn_and_freed_before(spoil):
     """As fresh processes draw them; also where memory is full of other bytes than zeros."""
-    own = {"PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tests"), str(SOAK.parent)])}
+    roots = [str(ROOT), str(ROOT / "tests"), str(SOAK.parent), os.environ.get("PYTHONPATH", "")]
+    own = {"PYTHONPATH": os.pathsep.join(filter(None, roots))}
     if spoil is not None:
         own |= {"NUMBA_CUDA_MEMORY_MANAGER": "guarded", "RAINSIM_SPOIL": spoil}
     command = [sys.executable, str(SOAK), "--renderers", "24"]
