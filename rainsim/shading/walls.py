@@ -13,6 +13,9 @@ from rainsim.numerics.interpolation import smoothstep
 
 QUARTER = np.float32(0.25)
 LEANING = np.float32(0.1)  # cosine to the rain below which captured normals are mostly noise
+# Cosines of normals to the vertical: what is nearer to upright than the first catches what slants
+# alone, as captured walls lean by up to so much where they are plain; a pitched roof catches all.
+UPRIGHT_LOW, UPRIGHT_HIGH = np.float32(0.25), np.float32(0.5)
 UNDER_LOW, UNDER_HIGH = np.float32(-0.8), np.float32(-0.2)  # cosines of undersides, of sides
 FOOT_SHARE = np.float32(0.3)  # of the rain, that splashes back on the foot of a wall; by eye
 FOOT_STEEP = np.float32(1 / 0.08)  # 1/m: decay of the back splash upwards; by eye
@@ -53,7 +56,7 @@ def damp_off_ground(rain, point, height, body):
     """
     nx, ny, nz, far = point.nx, point.ny, point.nz, point.distance
     slant = -(nx * rain.slant_x + ny * rain.slant_y)
-    caught = max(nz + slant, ZERO)
+    caught = max(nz * smoothstep(UPRIGHT_LOW, UPRIGHT_HIGH, abs(nz)) + slant, ZERO)
     caught *= caught / (caught + LEANING)
     damp = _damp_of(rain.supply * caught)
     if nz > UNDER_LOW:  # undersides get neither; normals of haze are noise, so the edge is soft
