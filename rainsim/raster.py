@@ -32,7 +32,8 @@ from rainsim.splatting.project import (
     find_chunks,
     project_chunks,
 )
-from rainsim.splatting.tiles import RECORD_BITS, list_tiles, tile_starts
+from rainsim.splatting.tiles import RECORD_BITS, RECORD_MASK, list_tiles, tile_starts
+from rainsim.splatting.weigh import weigh_tiles
 
 __all__ = ["Layers", "PreparedSplats", "Rasterizer", "prepare", "rasterize", "select"]
 
@@ -142,6 +143,32 @@ class Rasterizer:
             )[1]  # fmt: skip
             layers = replace(layers, hit=self._splats(half, chunks).reshape(half.shape))
         return layers
+
+    def weigh(self, camera, near, part, step=1):
+        """Return how much light each splat gives to parts of a picture.
+
+        Parameters
+        ----------
+        camera : Camera
+        near : float [world units]
+        part : ndarray of shape (height, width), int8
+            -1 for the pixels of the first part, 1 for the second, 0 for the third.
+        step : int [px]
+            Every step-th pixel of every step-th row is asked, and stands for those around it.
+
+        Returns
+        -------
+        ndarray of shape (n, 3) [px]
+            For each splat of the scene that was prepared the sum over each part's pixels of its
+            opacity there times what the splats before it let through.
+        """
+        chunks, start = self._list(camera, near, None, self.prepared.compensate, None)
+        weight = np.empty((start[-1], 3), np.float32)
+        weigh_tiles(self._record, self._entry, start, camera.width, part, step, weight)
+        record = (self._entry[: start[-1]] & RECORD_MASK).astype(np.int64)
+        splat = self.prepared.order[chunks[record // LANES] * LANES + self._lane[record]]
+        count = len(self.prepared.order)
+        return step * step * np.stack([np.bincount(splat, one, count) for one in weight.T], -1)
 
     def _blend(self, camera, start, background, halfway, drop_last):
         """Return the `Layers` of the listed splats and, if asked for, each pixel's halfway one."""

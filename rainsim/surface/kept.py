@@ -5,14 +5,16 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from scipy import ndimage
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from rainsim.constants import SH_0
 from rainsim.io import cache
-from rainsim.jit import cpu_kernel, get_num_threads, prange
+from rainsim.jit import get_num_threads
 from rainsim.numerics.blocks import in_blocks
-from rainsim.numerics.srgb import linear
+from rainsim.numerics.srgb import LUMINANCE_WEIGHTS, linear
+from rainsim.raster import Rasterizer, prepare
 from rainsim.surface.captured_sky import SAME, SkyColors, seen_sky
 from rainsim.surface.fuse import (
     LEAST_VIEWS,
@@ -22,24 +24,19 @@ from rainsim.surface.fuse import (
     counted,
     fused,
 )
-from rainsim.surface.views import (
-    DepthView,
-    cameras_of,
-    depth_views,
-    leave_out_sky,
-    window_of,
-)
+from rainsim.surface.views import NEAR, cameras_of, depth_views, leave_out_sky, window_of
 
 KIND = "surface"
 FEWEST = 100  # splats
-# Logarithm of a channel by which a splat before the sky differs from it: beside a surface, alone.
-LIKE_SKY, ABOUT_SKY = 1.0, 1.8
+# Shares of the light that a splat gives to pictures, that goes to the sky: of one that is sky, and
+# of one that is sky if it is as bright or alone. Less light in all, in px, is hardly seen.
+MOSTLY, LIKELY, HARDLY = 0.5, 0.2, 20.0
+BRIGHT = 0.75  # of the sky's luminance
+RIM, EVERY = 3, 2  # px beside the sky, that show either; every so many pixels are asked
 ALONE = 4.0  # voxels from any surface, beyond which a splat belongs to none
 STOPS, LARGEST = 0.3, 0.3  # share of light that a solid splat stops; its deviation [m], at most
 FACING, REACH = 6, 0.25  # places that a splat's normal is taken of; m away, from which it is less
 LOST = 0.5  # m from every place, beyond which a splat shows no surface; at twice that surely
-MORE_SKY = 2  # times as many cameras must see a splat before the sky as see it before something
-LOWEST = -0.05  # sine of the elevation from which on what nobody sees may be sky
 
 
 class Found(NamedTuple):
@@ -105,16 +102,17 @@ def find_surface(scene):
         good &= np.isfinite(splats.scale).all(axis=1) & (np.abs(splats.rotation).max(axis=1) > 0)
     placed = [frame.camera_in_ground(camera) for camera in scene.cameras]
     middle, half = window_of(position[good], placed)
-    views = depth_views(scene, cameras_of(scene, middle, half))
+    cameras = cameras_of(scene, middle, half)
+    views = depth_views(scene, cameras)
     colors = SkyColors(views)
     shown = [colors.shown(view) for view in views]
     leave_out_sky(views, shown)
     surface = fused(views, middle, half)
     sky = np.zeros(len(position), bool)
     if colors.color is not None:
-        off = _off_sky(position[good], splats.sh[good, 0], colors, middle)
-        alone = _alone(position[good], surface)
-        sky[good] = _sky_splats(position[good], off, alone, views, shown, middle)
+        alone = np.ones(len(position), bool)
+        alone[good] = _alone(position[good], surface)
+        sky = good & _sky_splats(scene, views, cameras, shown, colors, position, alone, middle)
     solid = _solid(position, splats, good & ~sky, views, frame, surface)
     return Found(surface, sky, middle, solid, seen_sky(views, shown), half)
 
@@ -146,12 +144,6 @@ def _solid(position, splats, good, views, frame, surface):
     packed = full[:, [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
     reach = 2 * np.log(splats.opacity[which] / STOPS)
     return np.column_stack([position[which], packed, reach]).astype(np.float32)
-
-
-def _off_sky(position, color, colors, middle):
-    """Return the logarithm by which splats differ from the sky's colour behind them, (n,)."""
-    light = linear(color * np.float32(SH_0) + np.float32(0.5))
-    return colors.off(light, _directions(position, middle))
 
 
 def _directions(position, middle):
@@ -207,45 +199,31 @@ def splat_normals(scene, found):
     return np.ascontiguousarray(normal @ frame.rotation.astype(np.float32)), share
 
 
-def _sky_splats(position, off, alone, views, shown, middle):
+def _sky_splats(scene, views, cameras, shown, colors, position, alone, middle):
     """Return which splats are sky, bool (n,).
 
-    They stand before the sky in most of the cameras that see them, or no camera sees them; and they
-    have about its colour, the less so the farther they are from every surface.
+    What a splat paints tells it: the light that it gives to pixels that show the sky, and to those
+    that show something else. Its own colour hardly does. Splats of a trained sky lie behind and
+    before one another, and some are white, some yellow and some dark, so that together they are
+    blue. Of pixels beside the sky nobody knows which they show: they count against splats of a
+    surface, and neither for nor against what is as bright as the sky or away from all surfaces.
     """
-    votes = np.zeros((len(position), 2), np.uint8)
-    for view, sky in zip(views, shown, strict=True):
-        count_sky(position, view, sky, votes)
-    before, land = votes.T.astype(np.int64)
-    high = _directions(position, middle)[:, 2] > LOWEST
-    found = (before > MORE_SKY * land) & (off < np.where(alone, ABOUT_SKY, LIKE_SKY))
-    return found | ((before + land == 0) & high & alone & (off < SAME))
-
-
-@cpu_kernel
-def count_sky(position, view: DepthView, sky, votes_out):
-    """Count the cameras that have each splat before the sky, and those before something else.
-
-    Parameters
-    ----------
-    position : ndarray of shape (n, 3), float32 [m]
-    view : DepthView
-    sky : ndarray of shape (height, width), bool
-        Pixels that show the sky.
-    votes_out : ndarray of shape (n, 2), uint8
-    """
-    height, width = view.depth.shape
-    m, lens = view.matrix, view.lens
-    for n in prange(len(position)):
-        x, y, z = position[n, 0], position[n, 1], position[n, 2]
-        far = m[2, 0] * x + m[2, 1] * y + m[2, 2] * z + m[2, 3]
-        if not far > np.float32(0.1):
-            continue
-        u = lens[0] * (m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + m[0, 3]) / far + lens[2]
-        v = lens[1] * (m[1, 0] * x + m[1, 1] * y + m[1, 2] * z + m[1, 3]) / far + lens[3]
-        if not (u >= 0 and v >= 0 and u < width and v < height):
-            continue
-        if sky[int(v), int(u)]:
-            votes_out[n, 0] += np.uint8(1)
-        elif far < view.depth[int(v), int(u)] * np.float32(1.05):
-            votes_out[n, 1] += np.uint8(1)
+    frame, light = scene.ground_frame, np.zeros((len(position), 3))
+    rasterizer = Rasterizer(prepare(scene.splats))
+    for view, camera, sky in zip(views, cameras, shown, strict=True):
+        rim = ndimage.binary_dilation(sky, iterations=RIM)
+        part = np.where(sky, 1, np.where(rim, 0, -1)).astype(np.int8)
+        height, width = view.depth.shape
+        camera = camera.resized(width, height)
+        light += rasterizer.weigh(camera, NEAR / frame.meters_per_unit, part, EVERY)
+    land, sky, beside = light.T
+    with np.errstate(invalid="ignore"):  # 0 / 0 of those that no camera sees, and absurd splats
+        direction = _directions(position, middle)
+        color = linear(scene.splats.sh[:, 0] * np.float32(SH_0) + np.float32(0.5))
+        behind = np.exp(colors.at(direction)) @ LUMINANCE_WEIGHTS
+        likely = alone | (color @ LUMINANCE_WEIGHTS > BRIGHT * behind)
+        like_sky = alone | (colors.off(color, direction) < SAME)
+        found = sky / (land + sky + beside) > MOSTLY
+        found_likely = likely & (sky / (land + sky) > LIKELY)
+    unseen = like_sky & (land + sky + beside < HARDLY)
+    return found | ((found_likely | unseen) & (direction[:, 2] > 0))

@@ -194,7 +194,18 @@ def test_a_wall_is_wet_evenly_but_for_soft_paths_longer_than_wide():
         ]
         assert np.abs(np.diff(around)).max() < 0.08
     steep = [damp(0.3, 0.7, 1.0, -np.sqrt(1 - z * z), 0.0, z) for z in np.arange(-0.95, 0.95, 0.01)]
-    assert np.abs(np.diff(steep)).max() < 0.03
+    assert np.abs(np.diff(steep)).max() < 0.04
+
+
+def test_noise_of_a_walls_normals_wets_no_patch_in_calm_air():
+    calm = SLANTING._replace(slant_x=np.float32(0), slant_y=np.float32(0), supply=100.0)
+
+    def damp(nz):
+        point = SurfacePoint(0.3, 0.7, 2.0, np.sqrt(1 - nz * nz), 0.0, nz, 2.0)
+        return walls.damp_off_ground(calm, point, 2.0, 0.0)
+
+    assert damp(0.0) == damp(0.2) == damp(-0.2) < 0.01 and damp(0.4) > 0.9
+
 
 
 def test_grading_is_the_identity_when_asked_for():

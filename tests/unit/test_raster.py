@@ -8,6 +8,7 @@ import pytest
 
 import naive
 from rainsim import raster
+from rainsim.constants import SH_0
 from rainsim.errors import ParameterError
 from rainsim.jit import set_threads
 from rainsim.scene.types import Camera, Splats
@@ -400,6 +401,26 @@ def test_lower_degrees_of_harmonics_are_those_of_a_truncated_scene(rng):
         one = raster.rasterize(prepared, camera(), 0.2, degree=degree).color
         assert decibel(one, draw(fewer, camera()).color) > 110
         assert decibel(one, draw(splats, camera()).color) < 60
+
+
+def test_the_light_of_a_splat_is_what_it_adds_to_each_part_of_the_picture(rng):
+    """One splat white, all others black: what is drawn is its light."""
+    splats, view = cloud(rng, 60, 1), camera()
+    part = np.zeros((view.height, view.width), np.int8)
+    part[:20], part[20:30, 7:] = -1, 1
+    light = raster.Rasterizer(raster.prepare(splats)).weigh(view, 0.01, part)
+    assert light.shape == (60, 3)
+    drawn = np.zeros((60, 3))
+    for k in range(60):
+        sh = np.full_like(splats.sh, -0.5 / SH_0)
+        sh[k] *= -1
+        alone = dataclasses.replace(splats, sh=sh)
+        picture = raster.rasterize(raster.prepare(alone), view).color[..., 0]
+        drawn[k] = [picture[part == which].sum() for which in (-1, 1, 0)]
+    assert np.abs(light - drawn).max() < 1e-3 * drawn.max()
+    assert (drawn.max(axis=0) > 1).all()
+    some = raster.Rasterizer(raster.prepare(splats)).weigh(view, 0.01, part, 2)
+    assert abs(some.sum() / light.sum() - 1) < 0.02
 
 
 def test_selecting_prepared_splats_is_preparing_selected_ones(rng):

@@ -1,0 +1,80 @@
+"""How much light each splat gives to parts of a picture."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rainsim.constants import HALF, ONE, ZERO
+from rainsim.jit import TAKERS, cpu_kernel, none_taken, prange, take_next
+from rainsim.numerics.approximations import exp_minus
+from rainsim.splatting.lanes import MAX_ALPHA, TRANSMITTANCE_STOP
+from rainsim.splatting.project import MIN_ALPHA_LOG2, R_CONIC, R_LEVEL, R_U, R_V, TILE
+from rainsim.splatting.tiles import DIGITS, RECORD_MASK, sort_keys
+
+LN2 = np.float32(np.log(2))
+OPAQUE_MOST = np.float32(MAX_ALPHA)
+EIGHT = np.float32(8)
+
+
+@cpu_kernel
+def weigh_tiles(record, entry, start, width, part, step, weight_out):
+    """Sort each tile's list and add up the light that splats give to three parts of a picture.
+
+    Parameters
+    ----------
+    record : ndarray of shape (n, RECORD), float32
+    entry : ndarray of uint64
+        Lists of the tiles; sorted in place.
+    start : ndarray of shape (tiles + 1,), int64
+    width : int [px]
+    part : ndarray of shape (height, width), int8
+        -1 the first, 1 the second, 0 the third.
+    step : int [px]
+        Every step-th pixel of every step-th row is asked.
+    weight_out : ndarray of shape (entries, 3), float32
+        Of each entry, for each part: the sum of alpha times transmittance [px].
+    """
+    across = (width + TILE - 1) // TILE
+    tiles = len(start) - 1
+    height = part.shape[0]
+    longest = 0
+    for tile in range(tiles):
+        longest = max(longest, start[tile + 1] - start[tile])
+    taken = none_taken()
+    for _ in prange(TAKERS):
+        clear, mine = np.empty(TILE * TILE, np.float32), np.empty(TILE * TILE, np.float32)
+        spare, histogram = np.empty(longest, np.uint64), np.empty(DIGITS, np.int64)
+        tile = take_next(taken)
+        while tile < tiles:
+            top, left = tile // across * TILE, tile % across * TILE
+            columns = (min(TILE, width - left) + step - 1) // step
+            rows = (min(TILE, height - top) + step - 1) // step
+            for j in range(rows):
+                for i in range(columns):
+                    clear[j * columns + i] = ONE
+                    mine[j * columns + i] = np.float32(part[top + j * step, left + i * step])
+            begin, end = start[tile], start[tile + 1]
+            sort_keys(entry[begin:end], spare, histogram, end - begin)
+            for k in range(begin, end):
+                o = np.int64(entry[k] & RECORD_MASK)
+                level = record[o, R_LEVEL]
+                a, b, c = record[o, R_CONIC], record[o, R_CONIC + 1], record[o, R_CONIC + 2]
+                x = np.float32(left) + HALF - record[o, R_U]
+                y = np.float32(top) + HALF - record[o, R_V]
+                total, first, second = ZERO, ZERO, ZERO
+                for j in range(rows):
+                    dy = y + np.float32(j * step)
+                    for i in range(columns):
+                        dx = x + np.float32(i * step)
+                        log2 = EIGHT * (level - a * dx * dx - b * dx * dy - c * dy * dy)
+                        now = clear[j * columns + i]
+                        alpha = min(exp_minus(-LN2 * log2), OPAQUE_MOST)
+                        counts = log2 > MIN_ALPHA_LOG2 and now > TRANSMITTANCE_STOP
+                        light = alpha * now if counts else ZERO
+                        clear[j * columns + i] = now - light
+                        total += light
+                        second += light * max(mine[j * columns + i], ZERO)
+                        first += light * max(-mine[j * columns + i], ZERO)
+                weight_out[k, 0], weight_out[k, 1] = first, second
+                weight_out[k, 2] = total - first - second
+            tile = take_next(taken)
