@@ -19,7 +19,7 @@ LOWEST, TALLEST = 0.25, 2.8  # m over the ground, of a body's upper side
 STANDS = 0.3  # m over the ground, of the lower side of what stands on it, as a car does
 ROUGHEST = 0.01  # m, rms of a body's upper side about its mean over some centimetres
 MEAN_OVER, ROUGH_OVER = 0.03, 0.06  # m, deviations of those means
-FEWEST = 0.05  # m2 of an upper side
+FEWEST, STEEPEST = 0.05, 0.5  # m2 of an upper side that slopes by less: haze in the air has none
 TALL, LARGE = 1.7, 1.5  # m, m2: what is higher and smaller is a trunk
 RIM = 0.22  # m, of an upper side: there it is steep
 FADING = 0.12  # m, deviation of the edge between a body and what it is one with
@@ -88,7 +88,8 @@ def body_map(terrain):
     uneven = ndimage.gaussian_filter(uneven, ROUGH_OVER / spacing)
     smooth = things & (under < STANDS) & (uneven < ROUGHEST**2 * weight)
     labels, count = ndimage.label(smooth)
-    area = np.bincount(labels.ravel(), minlength=count + 1) * terrain.grid.cell_area
+    level = np.hypot(*np.gradient(height, spacing)) < STEEPEST
+    area = np.bincount(labels.ravel(), level.ravel(), count + 1) * terrain.grid.cell_area
     tall = ndimage.mean(height, labels, np.arange(count + 1)) > TALL
     smooth &= ((area >= FEWEST) & ((area >= LARGE) | ~tall))[labels]
     rim = ndimage.distance_transform_edt(~smooth) <= RIM / spacing

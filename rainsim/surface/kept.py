@@ -36,6 +36,7 @@ RIM, EVERY = 3, 2  # px beside the sky, that show either; every so many pixels a
 ALONE = 4.0  # voxels from any surface, beyond which a splat belongs to none
 STOPS, LARGEST = 0.3, 0.3  # share of light that a solid splat stops; its deviation [m], at most
 FACING, REACH = 6, 0.25  # places that a splat's normal is taken of; m away, from which it is less
+AHEAD = 0.9  # cosine to a plane's normal from which on what is off it is before it
 LOST = 0.5  # m from every place, beyond which a splat shows no surface; at twice that surely
 
 
@@ -134,9 +135,12 @@ def _solid(position, splats, good, views, frame, surface):
     solid &= deviation < LARGEST
     flat = surface.flat > 0.5
     if flat.any():  # what lies in a plane is the surface's: splats before it would hide it
-        tree = cKDTree(surface.position[flat], compact_nodes=False, balanced_tree=False)
-        away, near = tree.query(position[which], workers=get_num_threads())
+        away, near = _nearest(surface.position[flat], position[which])
         solid &= away > ALONE * surface.size[flat][near]
+        # So is haze before it, to which the plane is the nearest that there is.
+        away, near = _nearest(surface.position, position[which])
+        ahead = np.sum((position[which] - surface.position[near]) * surface.normal[near], axis=1)
+        solid &= ~flat[near] | (away > LOST) | (ahead < AHEAD * away)
     which, size = which[solid], size[solid]
     turn = Rotation.from_quat(splats.rotation[which][:, [1, 2, 3, 0]]).as_matrix()
     axes = np.matmul(frame.rotation, turn) * size[:, None, :]
@@ -155,9 +159,14 @@ def _alone(position, surface):
     """Return which splats are away from every place of the surface, bool (n,)."""
     if not len(surface.position):
         return np.ones(len(position), bool)
-    tree = cKDTree(surface.position, compact_nodes=False, balanced_tree=False)
-    away, near = tree.query(position, workers=get_num_threads())
+    away, near = _nearest(surface.position, position)
     return away > ALONE * surface.size[near]
+
+
+def _nearest(places, position):
+    """Return how far the nearest of `places` is from each position [m], and which it is."""
+    tree = cKDTree(places, compact_nodes=False, balanced_tree=False)
+    return tree.query(position, workers=get_num_threads())
 
 
 def splat_normals(scene, found):

@@ -59,6 +59,15 @@ def test_leaves_and_tables_are_no_bodies(rng):
     assert bodies.body_map(terrain_of(standing(0.8), standing(0.75))).size == 0
 
 
+def test_what_has_no_level_upper_side_is_no_body():
+    """Haze that hangs over the ground, as a cone; a car's bonnet slopes by less."""
+    y, x = np.mgrid[:CELLS, :CELLS] * SPACING - 2.0
+    away = np.hypot(x, y)
+    for slope, is_body in ((3.0, False), (0.4, True)):
+        cone = np.where(away < 0.4, 0.3 + slope * (0.4 - away), 0.0)
+        assert bool(bodies.body_map(terrain_of(cone)).size) == is_body
+
+
 def test_the_level_part_of_a_top_shows_its_own_water():
     index = np.where(standing(1.0) > 0, 0, -1)
     tops = type("Tops", (), {"index": index, "__len__": lambda self: 1})()
@@ -92,10 +101,10 @@ def pixel(normal, sky, body=True, color=(0.5, 0.5, 0.5), look=LOOK):
 
 def test_between_sides_and_undersides_wetness_has_no_edge():
     upness = np.linspace(-1, 0.3, 131)
-    for body, height in ((1.0, 1.5), (0.0, 0.02)):
+    for body, height, supply in ((1.0, 1.5, 15), (0.0, 0.02, 150)):
         damp = np.array([
             walls.damp_off_ground(
-                SOAKED._replace(supply=F4(15)),
+                SOAKED._replace(supply=F4(supply)),
                 SurfacePoint(F4(0), F4(0), F4(1), F4(np.sqrt(1 - z * z)), F4(0), F4(z), F4(50)),
                 F4(height), F4(body),
             )

@@ -159,12 +159,12 @@ def test_walls_catch_what_slants_towards_them():
     side, lee = damp(0.0, 1.0, 0.0, 8.0), damp(1.0, 0.0, 0.0, 8.0)
     assert damp(-1.0, 0.0, 0.0) > 0.2 > damp(0.0, 1.0, 0.0)
     assert side < 0.01 and lee < 0.01  # no drop meets them; their foot gets what splashes back
-    assert damp(0.0, 1.0, 0.0, 8.0, 0.1) > 0.5
+    assert damp(0.0, 1.0, 0.0, 80.0, 0.1) > 0.5
     assert damp(-1.0, 0.0, 0.0, 30.0) == 1.0 and damp(0.0, 0.0, -1.0) < 0.03  # soffits stay dry
     assert damp(-1.0, 0.0, 0.0, 0.0) == 0.0
     # What splashes back from the ground wets the foot of a wall, and nothing below a table.
-    foot = damp(1.0, 0.0, 0.0, 3.0, 0.02)
-    assert foot > 2 * damp(1.0, 0.0, 0.0, 3.0) and damp(1.0, 0.0, 0.0, 0.0, 0.02) == 0.0
+    foot = damp(1.0, 0.0, 0.0, 30.0, 0.02)
+    assert foot > 0.5 > 2 * damp(1.0, 0.0, 0.0, 30.0) and damp(1.0, 0.0, 0.0, 0.0, 0.02) == 0.0
     assert damp(0.0, 0.0, -1.0, 1.0, 0.02) < 0.03
 
 
