@@ -158,12 +158,13 @@ class Rasterizer:
 
         Returns
         -------
-        ndarray of shape (n, 3) [px]
+        ndarray of shape (n, 4) [px]
             For each splat of the scene that was prepared the sum over each part's pixels of its
-            opacity there times what the splats before it let through.
+            opacity there times the transmittance of the splats before it. Last, the sum of its
+            opacity over the second part, as if no splat stood before it.
         """
         chunks, start = self._list(camera, near, None, self.prepared.compensate, None)
-        weight = np.empty((start[-1], 3), np.float32)
+        weight = np.empty((start[-1], 4), np.float32)
         weigh_tiles(self._record, self._entry, start, camera.width, part, step, weight)
         record = (self._entry[: start[-1]] & RECORD_MASK).astype(np.int64)
         splat = self.prepared.order[chunks[record // LANES] * LANES + self._lane[record]]

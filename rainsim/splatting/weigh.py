@@ -31,8 +31,9 @@ def weigh_tiles(record, entry, start, width, part, step, weight_out):
         -1 the first, 1 the second, 0 the third.
     step : int [px]
         Every step-th pixel of every step-th row is asked.
-    weight_out : ndarray of shape (entries, 3), float32
-        Of each entry, for each part: the sum of alpha times transmittance [px].
+    weight_out : ndarray of shape (entries, 4), float32
+        Of each entry, for each part: the sum of alpha times transmittance [px]; and the sum of
+        alpha over the second, whatever stands before it.
     """
     across = (width + TILE - 1) // TILE
     tiles = len(start) - 1
@@ -61,7 +62,7 @@ def weigh_tiles(record, entry, start, width, part, step, weight_out):
                 a, b, c = record[o, R_CONIC], record[o, R_CONIC + 1], record[o, R_CONIC + 2]
                 x = np.float32(left) + HALF - record[o, R_U]
                 y = np.float32(top) + HALF - record[o, R_V]
-                total, first, second = ZERO, ZERO, ZERO
+                total, first, second, whole = ZERO, ZERO, ZERO, ZERO
                 for j in range(rows):
                     dy = y + np.float32(j * step)
                     for i in range(columns):
@@ -69,12 +70,13 @@ def weigh_tiles(record, entry, start, width, part, step, weight_out):
                         log2 = EIGHT * (level - a * dx * dx - b * dx * dy - c * dy * dy)
                         now = clear[j * columns + i]
                         alpha = min(exp_minus(-LN2 * log2), OPAQUE_MOST)
-                        counts = log2 > MIN_ALPHA_LOG2 and now > TRANSMITTANCE_STOP
-                        light = alpha * now if counts else ZERO
+                        alpha = alpha if log2 > MIN_ALPHA_LOG2 else ZERO
+                        light = alpha * now if now > TRANSMITTANCE_STOP else ZERO
                         clear[j * columns + i] = now - light
                         total += light
                         second += light * max(mine[j * columns + i], ZERO)
+                        whole += alpha * max(mine[j * columns + i], ZERO)
                         first += light * max(-mine[j * columns + i], ZERO)
                 weight_out[k, 0], weight_out[k, 1] = first, second
-                weight_out[k, 2] = total - first - second
+                weight_out[k, 2], weight_out[k, 3] = total - first - second, whole
             tile = take_next(taken)

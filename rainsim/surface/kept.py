@@ -29,9 +29,10 @@ from rainsim.surface.views import NEAR, cameras_of, depth_views, leave_out_sky, 
 KIND = "surface"
 FEWEST = 100  # splats
 # Shares of the light that a splat gives to pictures, that goes to the sky: of one that is sky, and
-# of one that is sky if it is as bright or alone. Less light in all, in px, is hardly seen.
-MOSTLY, LIKELY, HARDLY = 0.5, 0.2, 20.0
-BRIGHT = 0.75  # of the sky's luminance
+# of one that is sky if it is as bright or alone and about as blue.
+MOSTLY, LIKELY = 0.5, 0.2
+HIDDEN = 2.0  # times as much of a splat must lie in pixels of the sky as it gives light to others
+BRIGHT, ABOUT_SKY = 0.75, 1.8  # of the sky's luminance; logarithm of a channel off its colour
 RIM, EVERY = 3, 2  # px beside the sky, that show either; every so many pixels are asked
 ALONE = 4.0  # voxels from any surface, beyond which a splat belongs to none
 STOPS, LARGEST = 0.3, 0.3  # share of light that a solid splat stops; its deviation [m], at most
@@ -211,13 +212,13 @@ def splat_normals(scene, found):
 def _sky_splats(scene, views, cameras, shown, colors, position, alone, middle):
     """Return which splats are sky, bool (n,).
 
-    What a splat paints tells it: the light that it gives to pixels that show the sky, and to those
-    that show something else. Its own colour hardly does. Splats of a trained sky lie behind and
-    before one another, and some are white, some yellow and some dark, so that together they are
-    blue. Of pixels beside the sky nobody knows which they show: they count against splats of a
-    surface, and neither for nor against what is as bright as the sky or away from all surfaces.
+    The light that a splat gives to pixels that show the sky, and to those that show something else,
+    tells it. Its own colour tells little: splats of a trained sky lie before one another, and some
+    are white, some yellow and some dark, so that together they are blue. What is darker than the
+    sky and narrower than a pixel may be a twig that hardly darkens the pixel. Pixels beside the sky
+    show either: they count against a splat, but not against one as bright as the sky.
     """
-    frame, light = scene.ground_frame, np.zeros((len(position), 3))
+    frame, light = scene.ground_frame, np.zeros((len(position), 4))
     rasterizer = Rasterizer(prepare(scene.splats))
     for view, camera, sky in zip(views, cameras, shown, strict=True):
         rim = ndimage.binary_dilation(sky, iterations=RIM)
@@ -225,14 +226,19 @@ def _sky_splats(scene, views, cameras, shown, colors, position, alone, middle):
         height, width = view.depth.shape
         camera = camera.resized(width, height)
         light += rasterizer.weigh(camera, NEAR / frame.meters_per_unit, part, EVERY)
-    land, sky, beside = light.T
+    land, sky, beside, before_sky = light.T
+    seen = land + sky + beside
     with np.errstate(invalid="ignore"):  # 0 / 0 of those that no camera sees, and absurd splats
         direction = _directions(position, middle)
         color = linear(scene.splats.sh[:, 0] * np.float32(SH_0) + np.float32(0.5))
         behind = np.exp(colors.at(direction)) @ LUMINANCE_WEIGHTS
-        likely = alone | (color @ LUMINANCE_WEIGHTS > BRIGHT * behind)
-        like_sky = alone | (colors.off(color, direction) < SAME)
-        found = sky / (land + sky + beside) > MOSTLY
-        found_likely = likely & (sky / (land + sky) > LIKELY)
-    unseen = like_sky & (land + sky + beside < HARDLY)
-    return found | ((found_likely | unseen) & (direction[:, 2] > 0))
+        bright = color @ LUMINANCE_WEIGHTS > BRIGHT * behind
+        off = colors.off(color, direction)
+        across = np.sort(scene.splats.scale, axis=1)[:, 1] * np.float32(frame.meters_per_unit)
+        wide = across * views[0].lens[0] > np.linalg.norm(position - middle, axis=1)
+        alike = alone & (off < ABOUT_SKY)
+        found = (sky / seen > MOSTLY) & (bright | alike | wide)
+        likely = (sky / (land + sky) > LIKELY) & (bright | alike)
+    hidden = (before_sky > HIDDEN * (land + beside)) & (alike | (off < SAME))
+    unseen = (before_sky + seen == 0) & alone & (off < SAME)
+    return found | ((likely | hidden | unseen) & (direction[:, 2] > 0))

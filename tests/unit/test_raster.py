@@ -409,7 +409,8 @@ def test_the_light_of_a_splat_is_what_it_adds_to_each_part_of_the_picture(rng):
     part = np.zeros((view.height, view.width), np.int8)
     part[:20], part[20:30, 7:] = -1, 1
     light = raster.Rasterizer(raster.prepare(splats)).weigh(view, 0.01, part)
-    assert light.shape == (60, 3)
+    assert light.shape == (60, 4)
+    light, whole = light[:, :3], light[:, 3]
     drawn = np.zeros((60, 3))
     for k in range(60):
         sh = np.full_like(splats.sh, -0.5 / SH_0)
@@ -419,7 +420,9 @@ def test_the_light_of_a_splat_is_what_it_adds_to_each_part_of_the_picture(rng):
         drawn[k] = [picture[part == which].sum() for which in (-1, 1, 0)]
     assert np.abs(light - drawn).max() < 1e-3 * drawn.max()
     assert (drawn.max(axis=0) > 1).all()
-    some = raster.Rasterizer(raster.prepare(splats)).weigh(view, 0.01, part, 2)
+    alone = raster.Rasterizer(raster.prepare(splats.take(np.array([7])))).weigh(view, 0.01, part)
+    assert whole[7] == pytest.approx(alone[0, 1], rel=1e-5) and (whole > 0.999 * light[:, 1]).all()
+    some = raster.Rasterizer(raster.prepare(splats)).weigh(view, 0.01, part, 2)[:, :3]
     assert abs(some.sum() / light.sum() - 1) < 0.02
 
 
