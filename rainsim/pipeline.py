@@ -25,6 +25,7 @@ from rainsim.terrain.kept import kept_terrain
 from rainsim.terrain.movers import with_movers
 from rainsim.terrain.path_ground import PathGround, follows_path, path_ground
 from rainsim.terrain.pond import without_images
+from rainsim.terrain.poured import with_water
 from rainsim.terrain.types import Terrain
 
 __all__ = [
@@ -211,7 +212,9 @@ def _shown_at(state, index):
     return state if state.index == index else replace(state, index=index)
 
 
-def ground_of(scene, config, cameras, backend="cpu", mask=None, progress=None, say=None):
+def ground_of(
+    scene, config, cameras, backend="cpu", mask=None, progress=None, say=None, water=None
+):  # fmt: skip
     """Return the ground of frames: one `Terrain`, or a `PathGround` where it follows the path.
 
     Parameters
@@ -223,14 +226,20 @@ def ground_of(scene, config, cameras, backend="cpu", mask=None, progress=None, s
     backend : {"cpu", "cuda"}
     mask, progress, say
         As `extract_terrain` takes them.
+    water : rainsim.terrain.poured.WaterMask, optional
+        On the ground at the start.
 
     Raises
     ------
     ParameterError, BackendError
         If the path is asked for together with what needs one map.
     """
-    if not follows_path(scene, config, cameras, backend, mask):
-        return extract_terrain(scene, config, mask, progress, say)
+    if not follows_path(scene, config, cameras, backend, mask if water is None else water):
+        terrain = extract_terrain(scene, config, mask, progress, say)
+        wet = with_water(terrain, water)
+        if say is not None and wet is not terrain:
+            say(wet.notes[-1:])
+        return wet
     tell = progress or (lambda stage, done, total: None)
     tell("terrain", 0, 1)
     ground, notes = path_ground(scene, config, cameras)

@@ -24,9 +24,10 @@ from rainsim.rain.exposure import computed_exposure, rain_exposure
 from rainsim.rain.moving_surfaces import MovingSurfaces
 from rainsim.rain.tyres import AT, COLUMNS, NO_THROWS, column
 from rainsim.shading.wetness import evaporation_rate
+from rainsim.terrain.poured import with_standing
 from rainsim.terrain.table import DRAIN
 from rainsim.terrain.types import NO_TOPS
-from rainsim.water.begin import Begin
+from rainsim.water.begin import Begin, low_ground
 from rainsim.water.keyframes import level_changes, past_rain_growth
 from rainsim.water.on_objects import Objects
 from rainsim.water.puddles import WET, doubt, probability, puddles_of, wet_share
@@ -107,11 +108,6 @@ def surfaces_of(terrain):
     )  # fmt: skip
 
 
-def low_ground(terrain):
-    """Return the height of the low ground [m], over which water levels are given."""
-    return float(np.percentile(terrain.bed.astype(np.float64), 5))
-
-
 def steady_water(terrain, config, number, beyond=None):
     """Return the `Begin` at a state: the rain until then at rest, and the streams of steady rain.
 
@@ -166,7 +162,8 @@ def initial_water(terrain, config, exposure, fallen=0.0):
     if config.water.level is not None:
         level = low_ground(terrain) + config.water.level
         depth = np.maximum(level - terrain.bed.astype(np.float64), terrain.water)
-        return depth, (f"still water at {config.water.level:g} m above the low ground",)
+        note = f"still water at {config.water.level:g} m above the low ground"
+        return with_standing(terrain, depth), (note,)
     puddles = puddles_of(terrain)
     stands = config.rain.past * config.rain.puddles + fallen
     puddles.rain(np.multiply(exposure, stands, dtype=np.float64))
@@ -175,7 +172,7 @@ def initial_water(terrain, config, exposure, fallen=0.0):
     sure, warning = probability(terrain, puddles.depth), doubt(terrain, config.rain.past)
     likely = "" if sure is None else f", water with a probability of {sure:.0%}"
     count = f"{puddles.count()} puddles{likely}"
-    return puddles.depth, (
+    return with_standing(terrain, puddles.depth), (
         f"{config.rain.past * 1e3:g} mm of past rain stand at rest in {count}; "
         f"{wet_share(puddles.depth, terrain.sealed):.0%} of the paving under {WET * 1e3:g} mm or "
         f"more; {puddles.graph.dropped} of {puddles.graph.count} hollows left out as noise",

@@ -153,6 +153,24 @@ def mask_of(path):
     return None if path is None else read_mask(path)
 
 
+def water_mask_of(given):
+    """Return the `WaterMask` of a --water-mask, None without one."""
+    from rainsim.terrain.poured import read_water_mask
+
+    path = given.get("water_mask")
+    return None if path is None else read_water_mask(path, given["water_mask_use"])
+
+
+def masks_named(class_mask, given):
+    """Return hashes of the masks that are given, as what a folder is made of."""
+    from rainsim.io.fingerprint import hash_of_file
+
+    found = {} if class_mask is None else {"mask": hash_of_file(class_mask)}
+    if given.get("water_mask") is not None:
+        found["water_mask"] = [hash_of_file(given["water_mask"]), given["water_mask_use"]]
+    return found
+
+
 def paths_in(given):
     """Return the files that options name, a list of Path."""
     return [value for value in given.values() if isinstance(value, Path)]

@@ -12,9 +12,11 @@ from rainsim.commands.choose import (
     cameras_of,
     check_camera_options,
     mask_of,
+    masks_named,
     paths_in,
     settings,
     view_on,
+    water_mask_of,
 )
 from rainsim.commands.compile import compiled_beside, uses_of
 from rainsim.commands.status import Status, loaded_scene
@@ -38,7 +40,7 @@ VERSION = 1  # of simulation.json; those without a version are of version 1
 @options.ground_options
 @options.terrain_options
 @options.ground_map_option
-@options.class_mask_option
+@options.mask_options
 @options.resume_option
 @options.output_options("rainsim-out/SCENE-PRESET")
 def run(
@@ -59,7 +61,7 @@ def run(
     status = Status(quiet)
     config = settings(preset, given)
     names = _check_before_loading(given, video, layers, backend)
-    mask = mask_of(class_mask)
+    mask, water = mask_of(class_mask), water_mask_of(given)
     uses = uses_of(config, names, backend)
     with status, compiled_beside(status, uses, config.threads) as pool:
         loaded = loaded_scene(status, scene, given)
@@ -72,16 +74,12 @@ def run(
             from rainsim.pipeline import FrameSequence, ground_of
 
             tell = status.progress, status.notes
-            ground = ground_of(loaded, config, cameras, backend, mask, *tell)
+            ground = ground_of(loaded, config, cameras, backend, mask, *tell, water)
             path = view_on(loaded, ground, cameras, config, given, status)
             _say_memory(status, loaded, ground, path, names, backend)
             return path, FrameSequence(loaded, ground, path, config, backend, names)
 
-        content = {"layers": names, "backend": backend}
-        if class_mask is not None:
-            from rainsim.io.fingerprint import hash_of_file
-
-            content["mask"] = hash_of_file(class_mask)
+        content = {"layers": names, "backend": backend, **masks_named(class_mask, given)}
         files = {"out": out, "overwrite": overwrite, "resume": resume, "video": video}
         files |= {"stale": stale, "as_json": as_json, "farm": (given, backend, pool)}
         files["sources"] = [loaded.source, class_mask, *paths_in(given)]

@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from rainsim.commands import options
-from rainsim.commands.choose import paths_in, settings
+from rainsim.commands.choose import masks_named, paths_in, settings, water_mask_of
 from rainsim.commands.compile import compiled_beside
 from rainsim.commands.status import Status, loaded_scene
 from rainsim.errors import ParameterError
@@ -22,7 +22,7 @@ CHECK_RAIN = 3  # mm of them, over what a camera sees
 @click.argument("scene")
 @options.ground_options
 @options.terrain_options
-@options.class_mask_option
+@options.mask_options
 @click.option(
     "--check",
     is_flag=False,
@@ -51,11 +51,12 @@ def heightmap(scene, class_mask, check, out, overwrite, resume, threads, as_json
     """
     from rainsim.output_folder import Record, claimed, relative
     from rainsim.scene.ground import write_ground_frame
+    from rainsim.terrain.poured import with_water
     from rainsim.terrain.surface import is_surface
 
     status = Status(quiet)
     config = settings(None, {**given, "threads": threads}, base=_default_config())
-    surface = is_surface(scene)
+    surface, water = is_surface(scene), water_mask_of(given)
     loaded = None
     if surface:
         _refuse_with_surface(scene, class_mask, check, given)
@@ -87,6 +88,7 @@ def heightmap(scene, class_mask, check, out, overwrite, resume, threads, as_json
             status.progress("terrain", 1, 1)
         else:
             terrain = _from_splats(loaded, config, class_mask, status)
+        terrain = with_water(terrain, water)
         status.notes(terrain.notes)
         record.begin()
         record.add(*(path.name for path in write_terrain(out, terrain)))
@@ -108,8 +110,8 @@ def _content(surface, class_mask, check, given):
     """Return what a height map depends on besides its scene and settings, as plain values."""
     from rainsim.io.fingerprint import hash_of_file
 
-    files = {"surface": surface, "mask": class_mask}
-    hashes = {name: None if path is None else hash_of_file(path) for name, path in files.items()}
+    hashes = {"surface": None if surface is None else hash_of_file(surface), "mask": None}
+    hashes |= masks_named(class_mask, given)
     axes = {name: given.get(name) for name in ("up", "meters_per_unit")} if surface else {}
     return {**hashes, **axes, "check": check}
 

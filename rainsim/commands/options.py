@@ -149,11 +149,27 @@ ground_options = _group(
     ),
 )
 
-class_mask_option = click.option(
-    "--class-mask",
-    type=FILE,
-    metavar="FILE.png",
-    help="Classes painted in the colours of classes.png; black is left to the program.",
+mask_options = _group(
+    click.option(
+        "--class-mask",
+        type=FILE,
+        metavar="FILE.png",
+        help="Classes painted in the colours of classes.png; black is left to the program.",
+    ),
+    click.option(
+        "--water-mask",
+        type=FILE,
+        metavar="FILE.png",
+        help="Water at the start: a grey picture of the height map's cells, its value the depth "
+        "in mm.",
+    ),
+    click.option(
+        "--water-mask-use",
+        type=click.Choice(["stays", "drains"]),
+        default="stays",
+        help="stays: the ground is dented by the depth, so that the water stays; drains: it is "
+        "poured, and stands where the ground dips.  [default: stays]",
+    ),
 )
 
 camera_options = _group(

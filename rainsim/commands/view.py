@@ -10,7 +10,13 @@ from pathlib import Path
 import click
 
 from rainsim.commands import options
-from rainsim.commands.choose import mask_of, named_camera, scene_to_look_at, settings
+from rainsim.commands.choose import (
+    mask_of,
+    named_camera,
+    scene_to_look_at,
+    settings,
+    water_mask_of,
+)
 from rainsim.commands.compile import compiled_beside, uses_of
 from rainsim.commands.status import READING, Status, say_scene
 
@@ -33,7 +39,7 @@ WAIT = 0.5  # s between looks at whether Ctrl-C was pressed
 @options.backend_option
 @options.ground_options
 @options.terrain_options
-@options.class_mask_option
+@options.mask_options
 @click.option("--port", type=click.IntRange(1, 65535), default=PORT, show_default=True,
               help="Port on this machine; if it is in use, the next free one.")  # fmt: skip
 @click.option("--out", "-o", type=options.FOLDER, metavar="DIR",
@@ -59,12 +65,12 @@ def view(scene, preset, camera, backend, class_mask, port, out, quiet, **given):
     status = Status(quiet)
     config = settings(preset, given)
     _require_viser(backend)
-    mask = mask_of(class_mask)
+    mask, water = mask_of(class_mask), water_mask_of(given)
     with status, compiled_beside(status, uses_of(config, ("clean",), backend), config.threads):
         status.progress(READING, 0, 1)
         loaded, is_offered = scene_to_look_at(scene, given)
         say_scene(status, loaded)
-        session, first = _session(status, loaded, config, camera, backend, mask)
+        session, first = _session(status, loaded, config, camera, backend, (mask, water))
     greeting = _greeting(session, is_offered)
     if greeting:
         status.notes([greeting])
@@ -89,7 +95,7 @@ def _require_viser(backend):
         require()
 
 
-def _session(status, scene, config, camera, backend, mask):
+def _session(status, scene, config, camera, backend, masks):
     """Return a `Session` with terrain, water and light made, and the View to begin with."""
     from rainsim.errors import GroundError
     from rainsim.jit import set_threads
@@ -102,7 +108,8 @@ def _session(status, scene, config, camera, backend, mask):
     seen = with_offered_cameras(scene)
     first = named_camera(seen, camera)  # an error before anything is computed
     session = Session(
-        scene, _around(config, first), backend, mask, status.progress, status.notes, seen.cameras
+        scene, _around(config, first), backend, masks[0], status.progress, status.notes,
+        seen.cameras, masks[1],
     )  # fmt: skip
     try:
         session.make_ground()

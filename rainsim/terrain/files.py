@@ -31,7 +31,10 @@ _ARRAYS = {
     "noise": Field("float32", _MAP, 0, HEIGHT),
     "color": Field("float32", (*_MAP, 3), -100, 100),
 }
+_WATER = ("water", "standing", "poured")
 _OTHERS = {
+    "standing": Field("float32", _MAP, 0, HEIGHT, needed=False),
+    "poured": Field("float32", _MAP, 0, HEIGHT, needed=False),
     "water": Field("float32", _MAP, 0, HEIGHT, needed=False),  # not in the files of old versions
     "origin": Field("float64", (2,), **_LENGTH),
     "spacing": Field("float64", (), 1e-5, 1e3),
@@ -69,7 +72,8 @@ def write_terrain(folder, terrain):
 
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    arrays = {name: getattr(terrain, name) for name in (*_ARRAYS, "water")}
+    arrays = {name: getattr(terrain, name) for name in (*_ARRAYS, *_WATER)}
+    arrays = {name: values for name, values in arrays.items() if values is not None}
     arrays |= {_TOPS + name: values for name, values in terrain.tops.arrays().items()}
     grid = terrain.grid
     arrays |= {
@@ -110,8 +114,8 @@ def read_terrain(folder):
     tops = _tops(path, found, shape)
     grid = Grid(shape, tuple(found["origin"].tolist()), float(found["spacing"]))
     arrays = {name: found[name] for name in _ARRAYS}
-    notes, water = tuple(found["notes"]), found.get("water")
-    return Terrain(grid, **arrays, notes=notes, water=water, tops=tops)
+    arrays |= {name: found[name] for name in _WATER if name in found}
+    return Terrain(grid, **arrays, notes=tuple(found["notes"]), tops=tops)
 
 
 def _wrong(path, fact, rule):

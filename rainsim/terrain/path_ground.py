@@ -213,8 +213,8 @@ def follows_path(scene, config, cameras, backend="cpu", mask=None):
     cameras : sequence of Camera
         One per frame, or one for all.
     backend : {"cpu", "cuda"}
-    mask : ndarray, optional
-        Classes of one map.
+    mask : object, optional
+        Classes of one map, or water on it.
 
     Raises
     ------
@@ -231,7 +231,7 @@ def follows_path(scene, config, cameras, backend="cpu", mask=None):
     needs_one = (
         (terrain.extent is not None, "an extent is", "leave out --extent"),
         (flood, "a water level is", "leave out --water-level"),
-        (mask is not None, "a class mask is", "leave out --class-mask"),
+        (mask is not None, "a mask is", "leave out --class-mask and --water-mask"),
         (painted, "painted water is", "paint no water"),
     )
     if choice == "path":

@@ -59,7 +59,7 @@ def fill_ponds(grid, bed, classes, color):
         part = tuple(slice(max(s.start - margin, 0), s.stop + margin) for s in part)
         here = labels[part] == n
         away = ndimage.distance_transform_edt(np.pad(wet[part], 1, mode="edge"))[1:-1, 1:-1]
-        level = _rim_level(bed[part], here, wet[part], grid.spacing)
+        level = rim_level(bed[part], here, wet[part], grid.spacing)
         deep = np.minimum(DEPTH, SHELF * away * grid.spacing)
         bed[part] = np.where(here, level - deep, bed[part])
         depth[part] = np.where(here, deep, depth[part])
@@ -73,7 +73,7 @@ def fill_ponds(grid, bed, classes, color):
     return depth, tuple(notes)
 
 
-def _rim_level(bed, here, wet, spacing):
+def rim_level(bed, here, wet, spacing):
     """Return the level [m] of painted water: that of its rim where it is low."""
     around = ndimage.distance_transform_edt(~here) * spacing
     rim = (around > 0) & (around < RIM) & ~wet

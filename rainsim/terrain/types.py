@@ -52,6 +52,11 @@ class Grid:
         x = self.origin[0] + (np.arange(nx) + 0.5) * self.spacing
         return x, self.origin[1] + (np.arange(ny) + 0.5) * self.spacing
 
+    def disc(self, point, radius):
+        """Return which cells lie within `radius` [m] of a point (x, y) [m], bool (ny, nx)."""
+        x, y = self.centres()
+        return (x[None, :] - point[0]) ** 2 + (y[:, None] - point[1]) ** 2 <= radius**2
+
     def cells(self, x, y):
         """Return rows, columns of the cells that hold points, clipped to the map, and a mask."""
         column = np.floor((np.asarray(x) - self.origin[0]) / self.spacing).astype(np.int64)
@@ -158,6 +163,9 @@ class Terrain:
     notes : tuple of str
     water : ndarray of shape (ny, nx), float32 [m]
         Depth of the water that the user painted, over an assumed bed; 0 elsewhere.
+    standing, poured : ndarray of shape (ny, nx), float32 [m], or None
+        Depth of the water that the user put on the ground: in dents of it, and where it runs off;
+        see `rainsim.terrain.poured`.
     tops : Tops
         What lies flat above the ground, see `rainsim.terrain.tops`.
     movers : tuple of rainsim.terrain.movers.Mover
@@ -180,6 +188,8 @@ class Terrain:
     color: np.ndarray
     notes: tuple = ()
     water: np.ndarray | None = None
+    standing: np.ndarray | None = None
+    poured: np.ndarray | None = None
     tops: Tops = NO_TOPS
     movers: tuple = ()
 

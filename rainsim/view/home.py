@@ -18,11 +18,13 @@ from rainsim.output_folder import relative
 from rainsim.scene.camera_path import camera_path_data, write_camera_path
 from rainsim.scene.folder import write_scene
 from rainsim.scene.ground import write_ground_frame
+from rainsim.terrain.poured import DRAINS, STAYS, write_water_mask
 from rainsim.view.keyframes import path_config, smooth_path
 from rainsim.view.probe import mask_picture, painted_classes
 
 PATH, PRESET, PICTURE, COMMAND = "camera_path.json", "preset.toml", "picture.png", "command.txt"
-GROUND, MASK, DRAWN = "ground_frame.json", "class-mask.png", "drawn"
+GROUND, DRAWN = "ground_frame.json", "drawn"
+MASK, WATER = "class-mask.png", "water-mask.png"
 MOST = 9999  # folders of one kind
 END_WAIT = 20.0  # s for a run that was interrupted to write its record
 
@@ -124,13 +126,14 @@ class Home:
     def save_scene(self, session):
         """Write the scene with its mended ground as a scene folder; return what was `Taken`.
 
-        Every command takes the folder in place of the capture, with the painted classes.
+        Every command takes the folder in place of the capture, with the painted classes. Water
+        that was put on the ground lies beside it as a mask.
         """
         folder, scene = self._new("scene"), session.scene
         if session.mask is not None:
             scene = replace(scene, painted=painted_classes(session.mask, session.terrain.grid))
         write_scene(folder, scene)
-        return Taken(folder, ["view", relative(folder)])
+        return Taken(folder, ["view", relative(folder), *_water(session, folder)])
 
     def _write(self, session, folder, config, data, frames):
         """Write camera path, preset and command into a folder."""
@@ -153,11 +156,12 @@ class Home:
         return ["--ground-frame", relative(folder / GROUND), *self._mask(session, folder)]
 
     def _mask(self, session, folder):
-        """Write painted classes into a folder; return their options, none without any."""
+        """Write painted classes and water into a folder; return their options, if any."""
+        water = _water(session, folder)
         if session.mask is None:
-            return []
+            return water
         images.write_png(folder / MASK, mask_picture(session.mask))
-        return ["--class-mask", relative(folder / MASK)]
+        return ["--class-mask", relative(folder / MASK), *water]
 
     def _new(self, kind):
         """Return a new folder, such as shot-001."""
@@ -231,3 +235,12 @@ def _frames_of(command):
         first, end = re.split(":", command[command.index("--frame-range") + 1])
         return int(end) - int(first)
     return int(command[command.index("--frames") + 1])
+
+
+def _water(session, folder):
+    """Write the water that was put on the ground into a folder; return its options, if any."""
+    if session.water_mask is None:
+        return []
+    write_water_mask(folder / WATER, session.water_mask)
+    use = STAYS if session.water_mask.stays else DRAINS
+    return ["--water-mask", relative(folder / WATER), "--water-mask-use", use]

@@ -8,16 +8,18 @@ import numpy as np
 
 from rainsim.errors import ParameterError
 from rainsim.scene.folder import override_ground_frame
+from rainsim.terrain.poured import DRAINS, STAYS, painted_water
 from rainsim.terrain.table import class_table
 from rainsim.view import probe
 from rainsim.view.page_up import UpDisc
 
-READ, MEASURE, UP, DISC, PAINT = "read", "measure", "up", "disc", "paint"
+READ, MEASURE, UP, DISC, PAINT, POUR = "read", "measure", "up", "disc", "paint", "pour"
 TOOLS = {
     READ: "read a point", MEASURE: "measure: two points", UP: "up: three points",
-    DISC: "up: turn a disc", PAINT: "paint a class",
+    DISC: "up: turn a disc", PAINT: "paint a class", POUR: "put water",
 }  # fmt: skip
-POINTS = {READ: 1, MEASURE: 2, UP: 3, DISC: 1, PAINT: 1}
+POINTS = {READ: 1, MEASURE: 2, UP: 3, DISC: 1, PAINT: 1, POUR: 1}
+BRUSHES = PAINT, POUR
 LEFT = "leave to the program"
 SOME_SIZE = 300, 200  # px, of cameras whose place alone matters
 MARK = 0.02  # m, radius of the mark of a clicked point
@@ -43,12 +45,15 @@ class GroundTools:
             names = (*class_table().names, LEFT)
             self.kind = gui.add_dropdown("class", names)
             self.radius = gui.add_slider("brush [m]", 0.05, 3.0, 0.05, 0.3)
+            self.depth = gui.add_slider("water put [mm]", 0, 200, 1, 10)
+            self.use = gui.add_dropdown("it", (STAYS, DRAINS))
             self.flood = gui.add_button("water up to the point", disabled=True)
             self.save = gui.add_button("save ground and classes")
             self.keep = gui.add_button("save as a scene of its own")
         self.tool.on_update(self._choose_tool)
         self.kind.on_update(self._say_brush)
-        self.radius.on_update(self._say_brush)
+        for control in (self.radius, self.depth, self.use):
+            control.on_update(self._say_brush)
         self.scale.on_click(page.guarded(self._set_scale))
         self.up.on_click(page.guarded(self._set_up))
         self.flood.on_click(page.guarded(self._flood))
@@ -78,9 +83,12 @@ class GroundTools:
 
     def _say_brush(self, event):
         """Say what the next click paints."""
+        radius = float(self.radius.value)
         if self.chosen == PAINT:
-            radius = float(self.radius.value)
             self.answer.content = f"a click paints {self.kind.value} within {radius:.2f} m"
+        elif self.chosen == POUR:
+            put = f"{self.depth.value:g} mm of water that {self.use.value}"
+            self.answer.content = f"a click puts {put} within {radius:.2f} m"
 
     def _click(self, event):
         view = self.page.view_of(event)
@@ -103,12 +111,10 @@ class GroundTools:
             if self.chosen != tool:  # another tool was chosen meanwhile
                 return
             self._take(reading, history, tool, view)
-        if tool == PAINT and reading.cell is None:
-            raise ParameterError(
-                "no map lies there; classes are painted on its ground; click on it"
-            )
-        if tool == PAINT:
-            self._paint(reading.point)
+        if tool in BRUSHES and reading.cell is None:
+            raise ParameterError("no map lies there; brushes work on its ground; click on it")
+        if tool in BRUSHES:
+            (self._paint if tool == PAINT else self._pour)(reading.point)
 
     def _take(self, reading, history, tool, view):
         """Take a clicked point for the tool that is chosen, and say what was read there."""
@@ -231,13 +237,25 @@ class GroundTools:
         self.painter.ask(paint).result()
         self.painter.redraw()
 
+    def _pour(self, point):
+        radius, depth = float(self.radius.value), 1e-3 * float(self.depth.value)
+        stays = self.use.value == STAYS
+
+        def pour(session):
+            grid = session.terrain.grid
+            mask = painted_water(session.water_mask, grid, point, radius, depth, stays)
+            session.set_water_mask(mask)
+
+        self.painter.ask(pour).result()
+        self.painter.redraw()
+
     def _flood(self, event):
         if not self.points:
             raise ParameterError("no point is chosen; click on the picture first")
         height = self.points[-1][2]
 
         def level(session):
-            from rainsim.simulation import low_ground
+            from rainsim.water.begin import low_ground
 
             return height - low_ground(session.terrain)
 

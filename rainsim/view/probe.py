@@ -185,9 +185,7 @@ def painted(mask, terrain, point, radius, code):
         Class, or -1 to leave the disk to the program.
     """
     found = np.full(terrain.grid.shape, -1, np.int16) if mask is None else mask.copy()
-    x, y = terrain.grid.centres()
-    inside = (x[None, :] - point[0]) ** 2 + (y[:, None] - point[1]) ** 2 <= radius**2
-    found[inside] = code
+    found[terrain.grid.disc(point, radius)] = code
     return found
 
 

@@ -28,6 +28,7 @@ from rainsim.scene.cameras import resize_to
 from rainsim.terrain.classify import painted_mask
 from rainsim.terrain.movers import with_movers
 from rainsim.terrain.pond import without_images
+from rainsim.terrain.poured import with_water
 from rainsim.view.redo import LIGHT, PARTS, PASSES, TERRAIN, WATER, out_of_date
 from rainsim.view.water import SharedWater
 
@@ -105,6 +106,8 @@ class Session:
         As `pipeline.extract_terrain` takes them.
     cameras : sequence of Camera, optional
         In the capture frame: those offered for a capture that has none.
+    water : rainsim.terrain.poured.WaterMask, optional
+        On the ground at the start.
 
     Attributes
     ----------
@@ -122,9 +125,11 @@ class Session:
     """
 
     def __init__(
-        self, scene, config, backend="cpu", mask=None, progress=None, say=None, cameras=()
+        self, scene, config, backend="cpu", mask=None, progress=None, say=None, cameras=(),
+        water=None,
     ):  # fmt: skip
         self.scene, self.config, self.backend, self.mask = scene, config, backend, mask
+        self.water_mask = water
         self.cameras, self.no_ground, self._bare = tuple(scene.cameras or cameras), None, None
         self.stale, self._drawn_with = set(PARTS), config
         self._progress, self._say = progress or (lambda stage, done, total: None), say
@@ -142,8 +147,18 @@ class Session:
         self.config = config
 
     def set_scene(self, scene, mask=None):
-        """Take another ground frame or other painted classes: all parts are out of date."""
+        """Take another ground frame or other painted classes: all parts are out of date.
+
+        Water that was put on the ground stays if the ground frame does.
+        """
+        if scene.ground_frame is not self.scene.ground_frame:
+            self.water_mask = None
         self.scene, self.mask, self._camera = scene, mask, None
+        self.stale |= set(PARTS)
+
+    def set_water_mask(self, mask):
+        """Put other water on the ground, a `WaterMask` or None: all parts are out of date."""
+        self.water_mask, self._camera = mask, None
         self.stale |= set(PARTS)
 
     @property
@@ -185,6 +200,7 @@ class Session:
 
         try:
             terrain = extract_terrain(self.scene, config, self.mask, progress, self._say)
+            terrain = with_water(terrain, self.water_mask)
         except GroundError as error:
             self.terrain, self.renderer, self.no_ground = None, None, error
             raise

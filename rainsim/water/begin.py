@@ -1,4 +1,4 @@
-"""Where the water of a window of the ground begins."""
+"""Where the water begins: of the whole ground, and of a window of it."""
 
 from __future__ import annotations
 
@@ -63,3 +63,8 @@ class Begin(NamedTuple):
             around=around, depth=self.depth[window].copy(), exposure=self.exposure[window].copy(),
             velocity=self.velocity[(slice(None), *window)].copy(),
         )  # fmt: skip
+
+
+def low_ground(terrain):
+    """Return the height of the low ground [m], over which water levels are given."""
+    return float(np.percentile(terrain.bed.astype(np.float64), 5))

@@ -122,7 +122,7 @@ def _fall(depth, wanted):
 
 
 def puddles_of(terrain):
-    """Return the `Puddles` of a terrain before rain: dry but for water that the capture shows.
+    """Return the `Puddles` of a terrain before rain: dry but for water that a user put there.
 
     Depressions shallower than twice the noise that is left in the smoothed bed, or smaller than a
     hand, are the capture's own and hold no water; the graph counts them as `dropped`.
@@ -132,8 +132,9 @@ def puddles_of(terrain):
         minimum_depth=NOISE_FACTOR * bed_noise(terrain), minimum_area=SMALLEST_PUDDLE,
     )  # fmt: skip
     puddles = Puddles(graph, np.zeros(terrain.grid.shape))
-    if terrain.water.any():
-        puddles.start(terrain.water)
+    for water in (terrain.water, terrain.poured):
+        if water is not None and water.any():
+            puddles.start(water)
     return puddles
 
 

@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 
+from rainsim import simulation
 from rainsim.io import images
 from rainsim.scene.folder import read_scene
 
@@ -27,6 +28,17 @@ def test_heightmap_tells_and_draws(rainsim, scene_folder, tmp_path):
     images.write_png(tmp_path / "grass.png", mask)
     done = rainsim("heightmap", scene_folder, *MAP, "--out", "b", "--class-mask", "grass.png")
     assert done.code == 0 and "grass 100%" in done.out, done.err
+    water = np.zeros((50, 50))
+    water[10:20, 10:20] = 25
+    images.write_png16(tmp_path / "water.png", water)
+    done = rainsim("heightmap", scene_folder, *MAP, "--out", "d", "--water-mask", "water.png")
+    assert done.code == 0 and "water mask: dents of 4 litres" in done.err, done.err
+    done = rainsim("simulate", "d", "--frames", 1, "--past-rain", 0, "--rain", 0, "--out", "still")
+    assert done.code == 0, done.err
+    depth = simulation.read_state(tmp_path / "still" / "states" / "00000.npz").depth
+    assert depth.max() > 5e-3
+    done = rainsim("heightmap", scene_folder, "--out", "e", "--water-mask", "grass.png")
+    assert done.code == 1 and "must be grey" in done.err
 
 
 def test_a_mesh_can_be_rained_on(rainsim, tmp_path):

@@ -280,7 +280,7 @@ def _raised(view, height):
     [
         ({"extent": 3.0}, {}, "leave out --extent"),
         ({"level": 0.1}, {}, "leave out --water-level"),
-        ({}, {"mask": np.zeros((4, 4), int)}, "leave out --class-mask"),
+        ({}, {"mask": np.zeros((4, 4), int)}, "leave out --class-mask and --water-mask"),
     ],
 )
 def test_what_needs_one_map_is_refused_with_the_path(scene, changes, how, text):

@@ -22,6 +22,7 @@ from rainsim.scene.folder import override_ground_frame, write_scene
 from rainsim.scene.library import load_scene
 from rainsim.surface.offered_views import offered_cameras
 from rainsim.terrain.classify import read_mask
+from rainsim.terrain.poured import painted_water, read_water_mask
 from rainsim.terrain.table import GRASS
 from rainsim.view import probe, redo
 from rainsim.view.home import Home
@@ -284,6 +285,27 @@ def test_a_painted_class_changes_the_puddles_and_is_saved_as_a_mask(scene, tmp_p
     again = load_scene(saved.command[1])
     assert again.ground_frame.meters_per_unit == twice.ground_frame.meters_per_unit
     np.testing.assert_array_equal(Session(again, settings(again)).scene.painted.cells, mask)
+
+
+def test_water_that_is_put_on_the_ground_stands_there_and_is_saved_as_a_mask(scene, tmp_path):
+    session = Session(scene, settings(scene, rate=0.0, past=0.0))
+    session.make()
+    point = (0.5, 0.5, 0.0)
+    assert probe.read_point(session, point, 0).depth == 0
+    grid = session.terrain.grid
+    mask = painted_water(None, grid, point, 0.3, 0.02, True)
+    session.set_water_mask(mask)
+    session.make()
+    assert probe.read_point(session, point, 0).depth > 5e-3
+    taken = Home(tmp_path / "out", "tiny").save_ground(session)
+    options = dict(zip(taken.command[2::2], taken.command[3::2], strict=True))
+    again = read_water_mask(options["--water-mask"], options["--water-mask-use"])
+    np.testing.assert_allclose(again.depth, mask.depth, atol=1e-7)
+    saved = Home(tmp_path / "out", "tiny").save_scene(session)
+    assert saved.command[2] == "--water-mask" and again.stays
+    twice = override_ground_frame(scene, meters_per_unit=2 * scene.ground_frame.meters_per_unit)
+    session.set_scene(twice)
+    assert session.water_mask is None  # it lies elsewhere now
 
 
 # --- what is taken home ---------------------------------------------------------------------------
