@@ -40,6 +40,10 @@ def test_pairs_of_clear_and_rainy_pictures(export, tmp_path):
     folder = tmp_path / "set"
     card = json.loads((folder / "card.json").read_text())
     assert card["complete"] and card["pictures"] == 6 and card["held_out"] == ["view_2"]
+    assert "WARNING: 3 views: 2 in train, 0 in val, 1 in test; val holds no picture" in done.err
+    meta = json.loads((folder / "clear/transforms.json").read_text())
+    assert meta["train_filenames"] == ["images/view_0.png", "images/view_1.png"]
+    assert (meta["val_filenames"], meta["test_filenames"]) == ([], ["images/view_2.png"])
     assert [rain["folder"] for rain in card["rains"]] == ["clear", "rain/50mm"]
     clear, rain = (read_image(folder / c / "images/view_0.png") for c in ("clear", "rain/50mm"))
     assert clear.shape == rain.shape == (48, 64, 3)
@@ -192,6 +196,9 @@ def test_wet_glass_behind_a_lens_and_a_wiper(export, path_file, tmp_path):
         (("--views", "nobody"), "has no camera 'nobody'"),
         (("--lens", "opencv:1"), "must be 4 or 5 finite numbers"),
         (("--path", "x.json", "--views", "2"), "sequence of its own"),
+        (("--views", "view_1,view_1"), "--views names view_1 twice"),
+        (("--hold-out", "4"), "--hold-out is 4 and holds out none of 3 views; it must be from 2"),
+        (("--hold-out", "1"), "holds out all of 3 views; it must be from 2 to 3, or 0 for none"),
         (("--labels", "none.npy"), "none.npy does not exist; a file of labels"),
         (("--rolling", "500"), "at most 200 ms"),
         (("--glass", "10,500"), "0 to 100 m/s"),
