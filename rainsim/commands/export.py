@@ -57,6 +57,14 @@ MOST_LAYERS = 11  # AOVs that a picture's labels are made from
 )
 @click.option("--fps", type=float, show_default=PRESETS, help="Views per second with --drive.")
 @click.option(
+    "--drive-speed",
+    type=float,
+    metavar="KM/H",
+    show_default="what views and --fps make",
+    help="Place the views of --drive by this speed along the path of the cameras: all that it has "
+    "room for, or the first N of --views N.",
+)
+@click.option(
     "--hold-out",
     type=click.IntRange(0),
     metavar="N",
@@ -137,6 +145,12 @@ def export(
     check_camera_options(given)
     if given["path"] is not None and (given["views"] != "all" or given["drive"]):
         raise ParameterError("--path is a sequence of its own; leave out --views and --drive")
+    if given["drive_speed"] is not None:
+        from rainsim.datasets.pace import check_speed
+
+        check_speed(given["drive_speed"])
+        if not given["drive"]:
+            raise ParameterError("--drive-speed is the speed of --drive; give that too")
     lens = None
     if given["lens"] is not None:
         from rainsim.sensors.lens_files import lens_named
@@ -159,7 +173,7 @@ def export(
         loaded = loaded_scene(status, scene, given)
         out = out or options.default_out(loaded.name, layout)
         cameras = _cameras(loaded, config, given)
-        plan = _plan(status, loaded, cameras, lens, rates, layout, given)
+        plan = _plan(status, loaded, cameras, lens, rates, config, layout, given)
         card = _write(
             status, loaded, plan, config, layout=layout, out=out, overwrite=overwrite,
             resume=resume, backend=backend, labels=labels, given=given,
@@ -196,7 +210,7 @@ def _cameras(scene, config, given):
     views, scene = given["views"], with_offered_cameras(scene)
     if given["path"] is not None:
         cameras = read_cameras(given["path"])
-    elif views == "all":
+    elif views == "all" or (given["drive_speed"] is not None and _number_of(views, scene)):
         cameras = scene.cameras
     elif _number_of(views, scene):
         count = min(int(views), len(scene.cameras))
@@ -219,7 +233,7 @@ def _number_of(views, scene):
     return int(views) or None if is_number else None
 
 
-def _plan(status, scene, cameras, lens, rates, layout, given):
+def _plan(status, scene, cameras, lens, rates, config, layout, given):
     from rainsim.datasets.export import safe_names
     from rainsim.datasets.points import points_of
     from rainsim.datasets.sample import Plan, View
@@ -232,6 +246,8 @@ def _plan(status, scene, cameras, lens, rates, layout, given):
             "the views of a sequence differ in size; all must be equal; give --width and --height"
         )
     cameras = [scene.ground_frame.camera_in_ground(camera) for camera in cameras]
+    if given["drive"]:
+        cameras = _driven(status, scene, cameras, config.fps, given)
     named = zip(safe_names(cameras), cameras, strict=True)
     views = [View(k, name, camera, lens) for k, (name, camera) in enumerate(named)]
     every = given["hold_out"]
@@ -241,6 +257,19 @@ def _plan(status, scene, cameras, lens, rates, layout, given):
     views = held_out(views, every)
     status.notes([split_note(views, layout)])
     return Plan(options.plain(scene.name), views, rates, sequence, *points_of(scene), class_names())
+
+
+def _driven(status, scene, cameras, fps, given):
+    """Return the views of a drive, in the ground frame; say how fast it is, or refuse it."""
+    from rainsim.datasets.pace import check_pace, pace_note, placed_by_speed
+
+    assumed, speed = scene.ground_frame.scale_assumed, given["drive_speed"]
+    if speed is not None:
+        cameras = placed_by_speed(cameras, speed, fps, _number_of(given["views"], scene))
+    else:
+        check_pace(cameras, fps, assumed)
+    status.notes([pace_note(cameras, fps, assumed)])
+    return cameras
 
 
 def _pane(given, plan):
