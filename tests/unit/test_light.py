@@ -207,7 +207,6 @@ def test_noise_of_a_walls_normals_wets_no_patch_in_calm_air():
     assert damp(0.0) == damp(0.2) == damp(-0.2) < 0.01 and damp(0.4) > 0.9
 
 
-
 def test_grading_is_the_identity_when_asked_for():
     np.testing.assert_allclose(graded(0.2, 0.5, 0.9, AS_CAPTURED), (0.2, 0.5, 0.9), rtol=1e-6)
     r, _g, b = graded(0.2, 0.5, 0.9, DULL)
