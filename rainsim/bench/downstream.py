@@ -240,10 +240,15 @@ def measure(folder, out, rates=None, steps=3000, most=50_000, seed=0, degree=1, 
     Raises
     ------
     ParameterError
-        If torch is not installed, or on a GPU gsplat.
+        If torch is not installed, or on a GPU gsplat, or no view is held out.
     """
-    device = _device()
     card, clear = stored_card(folder), [view for view in read_views(folder, 0) if view.held_out]
+    if not clear:
+        raise ParameterError(
+            f"{folder} holds out none of its {len(card['views'])} views; it must hold out one or "
+            "more to judge by; export it again with more --views or another --hold-out"
+        )
+    device = _device()
     rates = [r["rain_mm_per_hour"] for r in card["rains"]] if rates is None else rates
     places, colors = read_points(folder)
     some = np.random.default_rng(seed).permutation(len(places))[:most]

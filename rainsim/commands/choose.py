@@ -257,13 +257,19 @@ def view_on(scene, terrain, cameras, config, given, status):
     given : dict
         As for `cameras_of`.
     status : Status
-        Reports which camera was chosen.
+        Reports which camera was chosen, and how fast a drive is.
 
     Raises
     ------
     ParameterError
         If none was asked for and the ground follows the path.
     """
+    if given.get("drive"):
+        from rainsim.datasets.pace import film_note
+
+        frame = scene.ground_frame
+        path = [frame.camera_in_ground(camera) for camera in cameras]
+        status.notes([film_note(path, config.fps, frame.scale_assumed)])
     if scene.source is None:  # the first cameras of the built-in scenes were made to be looked at
         return cameras
     if any(given.get(name) not in (None, False) for name in CAMERA_WAYS):

@@ -57,12 +57,19 @@ MOST_LAYERS = 11  # AOVs that a picture's labels are made from
 )
 @click.option("--fps", type=float, show_default=PRESETS, help="Views per second with --drive.")
 @click.option(
+    "--drive-speed",
+    type=float,
+    metavar="KM/H",
+    show_default="what views and --fps make",
+    help="Place the views of --drive by this speed along the path of the cameras: all that it has "
+    "room for, or the first N of --views N.",
+)
+@click.option(
     "--hold-out",
     type=click.IntRange(0),
-    default=8,
-    show_default=True,
     metavar="N",
-    help="Hold out every N-th view for tests; 0 holds none out.",
+    show_default="8; of fewer than 16 views so that two are",
+    help="Hold out every N-th view to test and to validate, in turn; 0 holds none out.",
 )
 @click.option(
     "--lens",
@@ -138,6 +145,12 @@ def export(
     check_camera_options(given)
     if given["path"] is not None and (given["views"] != "all" or given["drive"]):
         raise ParameterError("--path is a sequence of its own; leave out --views and --drive")
+    if given["drive_speed"] is not None:
+        from rainsim.datasets.pace import check_speed
+
+        check_speed(given["drive_speed"])
+        if not given["drive"]:
+            raise ParameterError("--drive-speed is the speed of --drive; give that too")
     lens = None
     if given["lens"] is not None:
         from rainsim.sensors.lens_files import lens_named
@@ -160,7 +173,7 @@ def export(
         loaded = loaded_scene(status, scene, given)
         out = out or options.default_out(loaded.name, layout)
         cameras = _cameras(loaded, config, given)
-        plan = _plan(loaded, cameras, lens, rates, given)
+        plan = _plan(status, loaded, cameras, lens, rates, config, layout, given)
         card = _write(
             status, loaded, plan, config, layout=layout, out=out, overwrite=overwrite,
             resume=resume, backend=backend, labels=labels, given=given,
@@ -197,38 +210,66 @@ def _cameras(scene, config, given):
     views, scene = given["views"], with_offered_cameras(scene)
     if given["path"] is not None:
         cameras = read_cameras(given["path"])
-    elif views == "all":
+    elif views == "all" or (given["drive_speed"] is not None and _number_of(views, scene)):
         cameras = scene.cameras
-    elif views.isdecimal() and int(views) > 0 and views not in {c.name for c in scene.cameras}:
+    elif _number_of(views, scene):
         count = min(int(views), len(scene.cameras))
         step = len(scene.cameras) / count
         cameras = [scene.cameras[int((k + 0.5) * step)] for k in range(count)]
     else:
         cameras = [named_camera(scene, name.strip()) for name in views.split(",")]
+        for place, camera in enumerate(cameras):
+            if any(camera is other for other in cameras[:place]):
+                raise ParameterError(
+                    f"--views names {camera.name} twice; each must be named once; leave one out"
+                )
     return [resize_to(camera, config.width, config.height) for camera in cameras]
 
 
-def _plan(scene, cameras, lens, rates, given):
-    from rainsim.datasets.export import held_out, safe_names
+def _number_of(views, scene):
+    """Return the number that --views is, None if it is no number or names a camera."""
+    names = {camera.name for camera in scene.cameras}
+    is_number = views.isdecimal() and len(views) < 10 and views not in names
+    return int(views) or None if is_number else None
+
+
+def _plan(status, scene, cameras, lens, rates, config, layout, given):
+    from rainsim.datasets.export import safe_names
     from rainsim.datasets.points import points_of
     from rainsim.datasets.sample import Plan, View
+    from rainsim.datasets.splits import check_hold_out, held_out, split_note, usual_hold_out
     from rainsim.render.labels import class_names
 
-    names = safe_names(cameras)
-    views = [
-        View(k, name, scene.ground_frame.camera_in_ground(camera), lens)
-        for k, (name, camera) in enumerate(zip(names, cameras, strict=True))
-    ]
     sequence = given["drive"] or given["path"] is not None
     if sequence and len({(c.width, c.height) for c in cameras}) > 1:
         raise ParameterError(
             "the views of a sequence differ in size; all must be equal; give --width and --height"
         )
-    points = points_of(scene)
-    return Plan(
-        options.plain(scene.name), held_out(views, given["hold_out"]), rates, sequence, *points,
-        class_names(),
-    )  # fmt: skip
+    cameras = [scene.ground_frame.camera_in_ground(camera) for camera in cameras]
+    if given["drive"]:
+        cameras = _driven(status, scene, cameras, config.fps, given)
+    named = zip(safe_names(cameras), cameras, strict=True)
+    views = [View(k, name, camera, lens) for k, (name, camera) in enumerate(named)]
+    every = given["hold_out"]
+    if every is None:
+        every = usual_hold_out(len(views))
+    check_hold_out(every, len(views), layout)
+    views = held_out(views, every)
+    status.notes([split_note(views, layout)])
+    return Plan(options.plain(scene.name), views, rates, sequence, *points_of(scene), class_names())
+
+
+def _driven(status, scene, cameras, fps, given):
+    """Return the views of a drive, in the ground frame; say how fast it is, or refuse it."""
+    from rainsim.datasets.pace import check_pace, pace_note, placed_by_speed
+
+    assumed, speed = scene.ground_frame.scale_assumed, given["drive_speed"]
+    if speed is not None:
+        cameras = placed_by_speed(cameras, speed, fps, _number_of(given["views"], scene))
+    else:
+        check_pace(cameras, fps, assumed)
+    status.notes([pace_note(cameras, fps, assumed)])
+    return cameras
 
 
 def _pane(given, plan):

@@ -8,7 +8,6 @@ import shutil
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 from functools import partial
 
 from rainsim.datasets import LAYOUTS, beside
@@ -201,12 +200,7 @@ def safe_names(cameras):
         stem = re.sub(r"\.(png|jpe?g|JPE?G|PNG)$", "", camera.name or "")
         name = re.sub(r"[^\w-]+", "_", stem, flags=re.ASCII).strip("_") or f"view_{index:05d}"
         name = name if name[0] != "-" else f"v{name}"
-        names.append(name if name not in names else f"{name}_{index:05d}")
+        while name in names:  # as may be what was made of another's name
+            name = f"{name}_{index:05d}"
+        names.append(name)
     return names
-
-
-def held_out(views, every):
-    """Return the views with every `every`-th held out for tests; 0 holds none out."""
-    return tuple(
-        replace(view, held_out=every > 0 and view.index % every == every - 1) for view in views
-    )

@@ -13,6 +13,7 @@ import numpy as np
 from rainsim.datasets.files import BYTES, JSON, PNG, PNG16, DataFile, condition
 from rainsim.datasets.points import ply_bytes
 from rainsim.datasets.sample import depth_mm
+from rainsim.datasets.splits import lists_of
 from rainsim.scene.cameras import FLIP
 
 OPENCV_KEYS, FISHEYE_KEYS = ("k1", "k2", "p1", "p2", "k3"), ("k1", "k2", "k3", "k4")
@@ -40,9 +41,8 @@ def transforms(plan):
     fisheye = lens is not None and lens.model == "fisheye"
     keys = FISHEYE_KEYS if fisheye else OPENCV_KEYS
     bent = {} if lens is None else dict(zip(keys, lens.values, strict=False))
-    names = [f"images/{view.name}.png" for view in plan.views]
-    held = [name for name, view in zip(names, plan.views, strict=True) if view.held_out]
-    kept = [name for name, view in zip(names, plan.views, strict=True) if not view.held_out]
+    train, val, test = ([f"images/{view.name}.png" for view in part]
+                        for part in lists_of(plan.views))  # fmt: skip
     frames = [{
         "file_path": f"images/{view.name}.png",
         "depth_file_path": f"depths/{view.name}.png",
@@ -56,8 +56,7 @@ def transforms(plan):
         "camera_model": "OPENCV_FISHEYE" if fisheye else "OPENCV",
         "orientation_override": "none",  # z is up already
         "ply_file_path": "points.ply",
-        "train_filenames": kept or names, "val_filenames": held or names,
-        "test_filenames": held or names,
+        "train_filenames": train, "val_filenames": val, "test_filenames": test,
         "frames": frames,
     }  # fmt: skip
 

@@ -35,7 +35,7 @@ class StoredView:
     camera : Camera
         In the ground frame, in metres.
     held_out : bool
-        Whether it is for testing.
+        Whether it is to test or to validate, not to train on.
     """
 
     name: str
@@ -77,7 +77,7 @@ def read_views(folder, rate):
     data = read_json(place / "transforms.json", "a camera file")
     cameras = cameras_from_data(data, place / "transforms.json")
     return [
-        _view(place, frame, camera, frame["file_path"] in data["test_filenames"])
+        _view(place, frame, camera, frame["file_path"] not in data["train_filenames"])
         for frame, camera in zip(data["frames"], cameras, strict=True)
     ]
 

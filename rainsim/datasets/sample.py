@@ -30,7 +30,7 @@ class View:
     lens : Lens or None
         None for a pinhole.
     held_out : bool
-        Whether it is for testing.
+        Whether it is to test or to validate, not to train on.
     """
 
     index: int

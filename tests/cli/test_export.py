@@ -40,6 +40,10 @@ def test_pairs_of_clear_and_rainy_pictures(export, tmp_path):
     folder = tmp_path / "set"
     card = json.loads((folder / "card.json").read_text())
     assert card["complete"] and card["pictures"] == 6 and card["held_out"] == ["view_2"]
+    assert "WARNING: 3 views: 2 in train, 0 in val, 1 in test; val holds no picture" in done.err
+    meta = json.loads((folder / "clear/transforms.json").read_text())
+    assert meta["train_filenames"] == ["images/view_0.png", "images/view_1.png"]
+    assert (meta["val_filenames"], meta["test_filenames"]) == ([], ["images/view_2.png"])
     assert [rain["folder"] for rain in card["rains"]] == ["clear", "rain/50mm"]
     clear, rain = (read_image(folder / c / "images/view_0.png") for c in ("clear", "rain/50mm"))
     assert clear.shape == rain.shape == (48, 64, 3)
@@ -131,6 +135,27 @@ def test_a_sequence_has_flow(export, path_file, tmp_path):
     assert len((training / "poses.txt").read_text().splitlines()) == 3
 
 
+def test_a_drive_says_how_fast_it_is_and_goes_as_fast_as_it_is_told(export, tmp_path):
+    words = "--layout", "nerfstudio", "--rain", "0", "--drive"
+    done = export("fast", *words)
+    assert done.code == 2 and not (tmp_path / "fast").exists()
+    assert "km/h at --fps 24" in done.error and "at most 130, as cars drive" in done.error
+    done = export("slow", *words, "--fps", "2")
+    assert done.code == 0 and "drive: 3 views along 3.133 m at 2/s: 11.3 km/h" in done.err
+    done = export("told", *words, "--fps", "5", "--drive-speed", "9", "--views", "5")
+    assert done.code == 0, done.err
+    assert "drive: 5 views along 1.935 m at 5/s: 8.71 km/h" in done.err  # across the bend
+    assert "  5 views: 3 in train, 1 in val, 1 in test" in done.err
+    cameras = read_cameras(tmp_path / "told/clear/transforms.json")
+    place = np.array([camera.position for camera in cameras])
+    first = read_cameras(tmp_path / "slow/clear/transforms.json")[0]
+    np.testing.assert_allclose(place[0], first.position, atol=1e-6)
+    # Even steps of 0.5 m along the path; the third lies across its bend and is shorter.
+    np.testing.assert_allclose(np.linalg.norm(np.diff(place[:3], axis=0), axis=1), 0.5, atol=1e-6)
+    done = export("long", *words, "--fps", "5", "--drive-speed", "9", "--views", "9")
+    assert done.code == 2 and "has room for 7, and must for 9" in done.error
+
+
 def test_distorted_pictures_have_distorted_labels(export, tmp_path):
     words = "--rain", "25", "--views", "view_0", "--layout", "replicator"
     assert export("bent", *words, "--lens", "opencv:-0.25,0.05,0,0").code == 0
@@ -192,6 +217,11 @@ def test_wet_glass_behind_a_lens_and_a_wiper(export, path_file, tmp_path):
         (("--views", "nobody"), "has no camera 'nobody'"),
         (("--lens", "opencv:1"), "must be 4 or 5 finite numbers"),
         (("--path", "x.json", "--views", "2"), "sequence of its own"),
+        (("--views", "view_1,view_1"), "--views names view_1 twice"),
+        (("--hold-out", "4"), "--hold-out is 4 and holds out none of 3 views; it must be from 2"),
+        (("--hold-out", "1"), "holds out all of 3 views; it must be from 2 to 3, or 0 for none"),
+        (("--drive-speed", "40"), "--drive-speed is the speed of --drive; give that too"),
+        (("--drive", "--drive-speed", "nan"), "--drive-speed is nan km/h; it must be from 1 to"),
         (("--labels", "none.npy"), "none.npy does not exist; a file of labels"),
         (("--rolling", "500"), "at most 200 ms"),
         (("--glass", "10,500"), "0 to 100 m/s"),

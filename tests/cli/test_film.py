@@ -345,6 +345,7 @@ def test_cameras_in_every_way(film, tmp_path, scene_folder):
     assert np.linalg.norm(one.position - two.position) > 1
     done = film("drive", "--drive", frames=None)
     assert done.code == 0, done.err
+    assert "WARNING: drive: 3 frames along 3.133 m at 24/s: 135 km/h" in done.err
     driven = read_cameras(tmp_path / "drive" / "transforms.json")
     assert len(pictures(tmp_path / "drive")) == len(driven) == len(own)
     assert all(np.allclose(a.position, b.position) for a, b in zip(driven, own, strict=True))

@@ -13,7 +13,7 @@ import pytest
 from rainsim.config.settings import Config
 from rainsim.datasets import LAYOUTS, beside, cityscapes, colmap, kitti, nerfstudio, replicator
 from rainsim.datasets.card import card_of, card_text
-from rainsim.datasets.export import held_out, layout_of, safe_names
+from rainsim.datasets.export import layout_of, safe_names
 from rainsim.datasets.files import PNG48, DataFile, condition, write_file
 from rainsim.datasets.points import ply_bytes, points_of
 from rainsim.datasets.reading import read_points, read_views
@@ -26,6 +26,7 @@ from rainsim.datasets.sample import (
     kitti_depth,
     kitti_flow,
 )
+from rainsim.datasets.splits import held_out
 from rainsim.datasets.user_labels import read_labels
 from rainsim.errors import InputError, ParameterError
 from rainsim.io import images
@@ -163,6 +164,8 @@ def test_folders_and_names():
     cameras = [SimpleNamespace(name=n) for n in ("a/b.png", "a b", "a_b", "", "../x", "ü.JPG")]
     names = safe_names(cameras)
     assert names[:2] == ["a_b", "a_b_00001"] and len(set(names)) == 6
+    made = safe_names([SimpleNamespace(name=n) for n in ("a", "a_00002", "a")])
+    assert len(set(made)) == 3  # what is made of a name may be another's
     assert all("/" not in name and not name.startswith(".") for name in names)
     for name in LAYOUTS:
         assert callable(layout_of(name).sample_files)
@@ -179,8 +182,8 @@ def test_nerfstudio_by_its_parsers_rules():
     meta = json.loads(json.dumps(nerfstudio.transforms(plan)))
     assert {f"{split}_filenames" for split in ("train", "val", "test")} <= set(meta)
     files = [frame["file_path"] for frame in meta["frames"]]
-    assert {*meta["train_filenames"], *meta["test_filenames"]} == set(files)
-    assert not set(meta["train_filenames"]) & set(meta["test_filenames"])
+    assert [meta[f"{split}_filenames"] for split in ("train", "val", "test")] == [
+        files[:2], [], files[2:]]  # fmt: skip
     assert meta["camera_model"] in ("OPENCV", "OPENCV_FISHEYE")
     for frame, view in zip(meta["frames"], plan.views, strict=True):
         assert {"mask_path", "depth_file_path"} <= set(frame)

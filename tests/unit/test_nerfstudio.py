@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 from test_datasets import LENSES, plan_with, write_set
 
+from rainsim.datasets.splits import lists_of
+
 pytest.importorskip("nerfstudio")
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore")]
 
@@ -24,10 +26,9 @@ def parsed(folder, split):
 
 @pytest.mark.parametrize("lens", LENSES[:2] + LENSES[3:], ids=("none", "opencv", "fisheye"))
 def test_nerfstudio_reads_an_export(tmp_path, lens):
-    plan = plan_with(lens)
+    plan = plan_with(lens, count=6)
     write_set(tmp_path, plan)
-    for split, held_out in (("train", False), ("test", True), ("val", True)):
-        views = [view for view in plan.views if view.held_out == held_out]
+    for split, views in zip(("train", "val", "test"), lists_of(plan.views), strict=True):
         found = parsed(tmp_path / "rain/10mm", split)
         assert [path.stem for path in found.image_filenames] == [view.name for view in views]
         assert len(found.mask_filenames) == len(found.metadata["depth_filenames"]) == len(views)
