@@ -239,6 +239,6 @@ def _sky_splats(scene, views, cameras, shown, colors, position, alone, middle):
         alike = alone & (off < ABOUT_SKY)
         found = (sky / seen > MOSTLY) & (bright | alike | wide)
         likely = (sky / (land + sky) > LIKELY) & (bright | alike)
-    hidden = (before_sky > HIDDEN * (land + beside)) & (alike | (off < SAME))
+    hidden = (before_sky > HIDDEN * (land + beside)) & (alike | wide | (off < SAME))
     unseen = (before_sky + seen == 0) & alone & (off < SAME)
     return found | ((likely | hidden | unseen) & (direction[:, 2] > 0))
