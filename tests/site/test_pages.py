@@ -2,6 +2,7 @@
 
 import importlib.util
 import re
+from xml.etree import ElementTree
 
 import click
 import pytest
@@ -13,6 +14,9 @@ from rainsim.config.preset_files import HUMAN_KEYS, preset_names
 from rainsim.render.aov import AOVS
 from site_pages import DOCS, PAGES, ROOT, anchors, blocks, commands, links, name_of
 
+PICTURES = ".png", ".jpg", ".webp", ".svg"
+DRAWINGS = sorted(DOCS.glob("_static/*.svg"))
+LARGEST_DRAWING, SMALLEST_TEXT = 12_000, 12  # bytes, px
 SHOWN = [pytest.param(path, id=name_of(path)) for path in PAGES]
 
 
@@ -128,7 +132,7 @@ def test_every_variable_of_ours_that_the_code_reads_is_documented():
 
 def test_pictures_of_pages_are_there_and_used():
     used = {(path.parent / link).resolve() for path in PAGES for link in links(path)}
-    pictures = {path for path in DOCS.rglob("*") if path.suffix in (".png", ".jpg", ".webp")}
+    pictures = {path for path in DOCS.rglob("*") if path.suffix in PICTURES}
     assert pictures <= used, sorted(name_of(path) for path in pictures - used)
 
 
@@ -136,9 +140,29 @@ def test_pictures_of_pages_are_there_and_used():
 def test_every_picture_stands_near_its_command(path):
     text = path.read_text(encoding="utf-8")
     for match in re.finditer(r"!\[[^\]]*\]\(([^)]+)\)", text):
+        if match[1].endswith(".svg"):
+            continue  # drawn by hand: no command makes it
         near = text[max(0, match.start() - 1200) : match.end() + 700]
         by = r"rainsim (bench|run|view|heightmap|export) |rainsim (bench|view)|python examples/"
         assert re.search(rf"{by}|gallery\.md", near), match[1]
+
+
+@pytest.mark.parametrize("path", [pytest.param(path, id=path.stem) for path in DRAWINGS])
+def test_drawings_are_small_and_name_what_exists(path, from_code):
+    text = path.read_text(encoding="utf-8")
+    assert len(text.encode()) < LARGEST_DRAWING
+    root = ElementTree.fromstring(text)
+    assert root.get("width") == "760" and root.find("{*}title").text
+    assert "href" not in text and "<script" not in text
+    sizes = [float(size) for size in re.findall(r"font-size:\s*([\d.]+)px", text)]
+    assert sizes and min(sizes) >= SMALLEST_TEXT
+    words = " ".join(root.itertext())
+    params = [param for _, command in from_code.commands() for param in command.params]
+    options = {name for param in params for name in param.opts}
+    assert set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", words)) <= options
+    files = {file.name for file in ROOT.glob("rainsim/**/*.py")}
+    assert set(re.findall(r"\w+\.py\b", words)) <= files
+    assert set(re.findall(r"\brainsim (\w+)", words)) <= set(cli.commands)
 
 
 def test_the_version_stands_in_the_citation():
