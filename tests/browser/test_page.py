@@ -116,6 +116,22 @@ def test_a_painted_class_changes_the_puddles(server, open_page):
     assert list(server[2].glob("home/ground-001/class-mask.png"))
 
 
+def test_water_that_is_put_on_the_ground_shows_and_is_saved(server, open_page):
+    page = open_page(server[1])
+    page.settle(WIDTH)
+    page.open_folder("Ground")
+    page.choose("a click", "put water")
+    page.type_into("water put [mm]", 30)
+    page.wait_until(lambda: page.says("a click puts 30 mm of water that stays within 0.30 m"))
+    before, after = act(page, lambda: page.page.mouse.click(350, 350))
+    changed = np.abs(after.astype(float) - before).max(axis=-1) > 8
+    assert 0.005 < changed.mean() < 0.5  # a puddle, not the whole picture
+    page.press("save ground and classes")
+    page.wait_until(lambda: page.says("saved in"))
+    assert page.says("--water-mask-use stays")
+    assert list(server[2].glob("home/ground-001/water-mask.png"))
+
+
 def test_a_saved_picture_is_that_of_the_page_and_of_its_command(server, open_page):
     page = open_page(server[1])
     page.settle(WIDTH)
