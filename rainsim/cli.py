@@ -108,5 +108,5 @@ for _command in (
 
 
 def main():
-    """Run the command line; what `rainsim` and `python -m rainsim` call."""
+    """Run the command line; the entry of `rainsim` and of `python -m rainsim`."""
     cli(prog_name="rainsim")

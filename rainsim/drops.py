@@ -1,4 +1,4 @@
-"""Falling drops without state: which drops are where at any time, and what they hit.
+"""Falling drops without state: which drops are where at any time, and where they hit.
 
 All drops of a size class have one velocity. Seen from a frame that moves with the class they stand
 still: a frozen Poisson field. That frame is cut into cubes; a counter-based hash of (seed, class,
@@ -235,7 +235,7 @@ class RainField:
         self._size = size_tables(self.listed)
 
     def arrays(self):
-        """Return what kernels need to list the drops of a cube, `DropField`."""
+        """Return the `DropField` from which kernels list the drops of a cube."""
         return DropField(
             self.velocity, self.cube, self._key, self._count, self._size, self._share, self._frame
         )

@@ -46,7 +46,7 @@ class ParameterError(RainsimError, ValueError):
 
 
 class InputError(RainsimError):
-    """A file cannot be read as what it is meant to be."""
+    """A file cannot be read as the kind of file that it should be."""
 
 
 class GroundError(RainsimError):

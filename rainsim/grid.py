@@ -52,7 +52,7 @@ QUIET_FALL = 0.5  # cells that water may fall from rest in the first step that m
 
 @dataclass(frozen=True, slots=True)
 class WaterReport:
-    """What `WaterSolver.advance` did.
+    """Report of one call of `WaterSolver.advance`.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Output folders: checked before use, filled file by file, with a record of what was written.
+"""Output folders: checked before use, filled file by file, with a record of all written files.
 
 `provenance.json` in a folder names the files that the program wrote there; only these are ever
 removed or replaced, and only when new results are ready to take their place.
@@ -283,7 +283,7 @@ def settings_content(config):
 
 
 def states_content(folder):
-    """Return what of a folder of states frames depend on, as plain values."""
+    """Return the parts of a folder of states that frames depend on, as plain values."""
     return {
         "terrain": hash_of_file(folder / "terrain.npz"),
         "simulation": read_record(folder).get("fingerprint"),
@@ -291,7 +291,7 @@ def states_content(folder):
 
 
 def scene_content(scene):
-    """Return what of a scene results depend on, as plain values; None without one."""
+    """Return the parts of a scene that results depend on, as plain values; None without one."""
     if scene is None:
         return None
     from rainsim.scene.cameras import cameras_to_data
@@ -306,12 +306,12 @@ def scene_content(scene):
 
 
 def host_facts():
-    """Return where frames are drawn: what may differ from frame to frame of one run."""
+    """Return the host and process that draw frames, which may differ between frames of one run."""
     return {"name": platform.node(), "platform": platform.platform(), "process": os.getpid()}
 
 
 def read_record(folder):
-    """Return what an earlier run recorded in a folder, {} if nothing readable by this version."""
+    """Return the record of an earlier run in a folder, {} if nothing readable by this version."""
     try:
         record = read_json(Path(folder) / PROVENANCE, "a record")
     except (OSError, InputError):
@@ -473,7 +473,7 @@ class FrameFolder:
             self._finish(kind is None)
 
     def _finish(self, undisturbed):
-        """Write preview and record of what was written."""
+        """Write the preview and the record of the written frames."""
         if not self.reports:
             return
         self._preview.write(self.folder / "preview.webp")

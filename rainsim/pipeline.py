@@ -157,7 +157,7 @@ class FrameSequence:
                 self._windows.stop()
 
     def keep_setup(self):
-        """Compute with all threads what other processes that draw these frames find kept."""
+        """Compute with all threads the kept results that other processes of the run will read."""
         if self.backend == "cpu" and cache.folder() is not None:
             self._renderer.make()
 
@@ -341,7 +341,7 @@ def render(scene, terrain, states, cameras, config, names=(), backend="cpu"):
 
 
 class SequenceRenderer:
-    """Draws states with their cameras; takes what `render` takes but the states."""
+    """Draws states with their cameras; takes the arguments of `render` but the states."""
 
     def __init__(self, scene, terrain, cameras, config, names=(), backend="cpu"):
         if not cameras:
@@ -382,7 +382,7 @@ class SequenceRenderer:
             yield picture, replace(report, notes=(*notes, *report.notes))
 
     def hold(self, index):
-        """Read what the camera of the frame `index` needs now, see `Renderer.hold`."""
+        """Read the chunks that the camera of the frame `index` needs now, see `Renderer.hold`."""
         self._renderer.hold(self._cameras[0 if len(self._cameras) == 1 else index])
 
     def leave_ground(self):
@@ -398,7 +398,7 @@ class SequenceRenderer:
         self._renderer.take_ground(ready)
 
     def ready_ground(self, terrain, reach, now):
-        """Return what the renderer takes of a part of the ground, see `Renderer.ready_ground`."""
+        """Return the renderer's data of a part of the ground, see `Renderer.ready_ground`."""
         return self._renderer.ready_ground(terrain, reach, now)
 
     def make(self):

@@ -82,7 +82,7 @@ def run(quick=False, say=lambda line: None, remake=False, before=None):
 
 
 def _compare_day(case, scene, arrays, quick, with_wind):
-    """Return the figures of one capture: each rain of the case, and what the truth's choices do."""
+    """Return the figures of one capture: its main rain, and effects of choices of the truth."""
     main, *others = case.rains
     found, drawn = _compare_rain(scene, arrays, main, main.views[:1] if quick else main.views)
     for rain in () if quick else others:
@@ -99,7 +99,7 @@ def _compare_day(case, scene, arrays, quick, with_wind):
 
 
 def _compare_rain(scene, arrays, rain, views=None):
-    """Return the figures of a capture's views in a rain, and what was drawn of each."""
+    """Return the figures of a capture's views in a rain, and the frames that were drawn."""
     found, drawn = {"views": {}, "choices": {}}, {}
     for view, *frame in frames(scene, rain, views or rain.views, WIDTH):
         drawn[view] = frame

@@ -99,7 +99,7 @@ def _dome(color):
 
 
 def settings(scene, rain, width):
-    """Return the `Config` of a rainy day: no rain falls, what has fallen stands at rest."""
+    """Return the `Config` of a rainy day: no rain falls, the fallen rain stands at rest."""
     speed, turn = rain.wind
     toward = scene.ground_frame.rotation @ (math.cos(turn), math.sin(turn), 0.0)
     wind = speed, math.atan2(toward[1], toward[0])
@@ -109,7 +109,7 @@ def settings(scene, rain, width):
 
 
 def frames(scene, rain, views, width):
-    """Yield for each view what the program draws, reduced to the size of the traced pictures.
+    """Yield for each view the program's pictures, reduced to the size of the traced ones.
 
     Yields
     ------

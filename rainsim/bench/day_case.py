@@ -1,4 +1,4 @@
-"""What a made-up garden is for the bench of days: shapes, cameras, the sun, what gets wet."""
+"""Description of a made-up garden for the bench of days: shapes, cameras, sun, rain."""
 
 from __future__ import annotations
 

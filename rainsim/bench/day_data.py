@@ -1,4 +1,4 @@
-"""What `bench day` ships: colours of captures and small path-traced pictures, packed.
+"""Data that ship with `bench day`: colours of captures and small path-traced pictures, packed.
 
 Geometry is made again from its seeds, so a capture is three bytes a splat. A checksum of the places
 says whether they are still those that the colours were baked for.
@@ -24,7 +24,7 @@ LIT, COVERED = 1, 2  # bits: the sun of the captured day meets it; something sta
 
 @dataclass(frozen=True)
 class Labels:
-    """What each pixel of a traced picture shows.
+    """Region, sunlight and cover of each pixel of a traced picture.
 
     Attributes
     ----------

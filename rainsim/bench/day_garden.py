@@ -1,4 +1,4 @@
-"""What the made-up gardens are put together from: lawn, hedge, tree, rendered wall, planks."""
+"""The parts of the made-up gardens: lawn, hedge, tree, rendered wall, planks."""
 
 from __future__ import annotations
 

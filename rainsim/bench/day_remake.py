@@ -103,7 +103,7 @@ def _labels(case, garden, paving):
 
 
 def labels(case, garden, paving, camera):
-    """Return the `Labels` of a camera's pixels: what the ray through the middle of each meets."""
+    """Return the `Labels` of a camera's pixels, by the hit of the ray through each one's middle."""
     x = (np.arange(camera.width) + 0.5 - camera.cx) / camera.fx
     y = (np.arange(camera.height) + 0.5 - camera.cy) / camera.fy
     ray = np.stack([*np.meshgrid(x, y), np.ones((camera.height, camera.width))], axis=-1)

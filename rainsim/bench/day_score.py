@@ -121,7 +121,7 @@ def align(picture, labels):
 
 
 def ladder(picture, truth, labels):
-    """Return the accuracy on land of a picture and of what each repair by an oracle would make.
+    """Return the accuracy on land of a picture and of its repairs by an oracle.
 
     "shadows gone" scales what lay out of the sun in each region, so that it stands to what lay in
     it as in the truth; "levels right" scales each region but the ground besides, so that it stands

@@ -1,4 +1,4 @@
-"""What rain does to splats that are trained in it: PSNR and SSIM of clear views against mm/h.
+"""Effect of rain on splats that are trained in it: PSNR and SSIM of clear views against mm/h.
 
 Trains the same splats (same points, seed and steps) on a data set's clear pictures and on those of
 each rain, on all pixels and with those left out of the loss that drops or also puddles spoil, and
@@ -66,7 +66,7 @@ class Splats:
         return torch.optim.Adam(groups, eps=1e-15)
 
     def picture(self, camera):
-        """Return what a camera (ground frame, metres) sees over black, (height, width, 3)."""
+        """Return the picture of a camera (ground frame, metres) over black, (height, width, 3)."""
         v = self.values
         sh = torch.cat([v["color"], v["fine"]], dim=1)
         view = torch.tensor(camera.camera_from_world, dtype=torch.float32, device=sh.device)
@@ -276,7 +276,7 @@ def measure(folder, out, rates=None, steps=3000, most=50_000, seed=0, degree=1, 
 
 
 def _device():
-    """Return where to train, "cuda" or "cpu"; raise ParameterError for what is not installed."""
+    """Return where to train, "cuda" or "cpu"; raise ParameterError for a missing library."""
     remedy = 'pip install "rainsim[downstream]"'
     if torch is None:
         raise ParameterError(f"training needs torch, which is not installed; {remedy}")

@@ -1,4 +1,4 @@
-"""What the film on wet ground mirrors, against a lobe of rays traced through the splats.
+"""Reflections in the film on wet ground, against a lobe of rays traced through the splats.
 
 Facets are drawn at random by the slopes of the film and weighted by how large they are seen; each
 sends one ray from the ground through all that stands on it. Part of `rainsim bench look`.
@@ -62,7 +62,7 @@ def film_accuracy(renderer, camera, pixels=PIXELS, rays=RAYS, seed=0):
 
 
 def film_line(found):
-    """Return what `film_accuracy` found as a line of text."""
+    """Return the result of `film_accuracy` as a line of text."""
     told = ", ".join(
         f"{name} {found[key]['psnr']:.1f} dB ({found[key]['relative']:.0%})"
         for name, key in (
@@ -143,7 +143,7 @@ def ground_under(renderer, spot):
 
 
 def _trace(renderer, origin, direction, before, pixel):
-    """Return the radiance of rays that meet what stands on the ground."""
+    """Return the radiance of rays that are traced through the standing splats."""
     kept = renderer.wet_scene.tracer
     stands = wet_ground_mirror.standing(
         renderer.wet_scene.prepared, renderer.terrain, renderer.wet_scene.frame

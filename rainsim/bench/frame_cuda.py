@@ -174,7 +174,7 @@ def _memory_in_use():
 
 
 def machine():
-    """Return what the GPU is, as a dict."""
+    """Return name and memory of the GPU, as a dict."""
     from rainsim.cuda import device
 
     found = device()

@@ -31,7 +31,7 @@ REPEATS = 15  # pictures of each view by gsplat, of which the median counts
 
 
 def measure(scene, quick=False, say=None):
-    """Return rows of times [ms] of one scene: program, splats, what was drawn, median and least.
+    """Return rows of times [ms] of one scene: program, splats, picture, median and least.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ def measure(scene, quick=False, say=None):
 
 
 def _dry(splats, views):
-    """Return times [ms] of dry pictures by (program, what): rainsim, and gsplat if installed."""
+    """Return times [ms] of dry pictures by program and layers: rainsim, and gsplat if installed."""
     from rainsim.cuda.raster import Rasterizer
     from rainsim.cuda.timing import part_times
 
@@ -90,7 +90,7 @@ def _dry(splats, views):
 
 
 def _gsplat(splats, views):
-    """Return times [ms] of gsplat's pictures, by what they hold."""
+    """Return times [ms] of gsplat's pictures, by their layers."""
     import torch
     from gsplat import rasterization
 

@@ -1,4 +1,4 @@
-"""What `rainsim bench frame` draws and how a picture is compared, alike on both backends."""
+"""Cameras of `rainsim bench frame` and its comparison of pictures, alike on both backends."""
 
 from __future__ import annotations
 

@@ -277,7 +277,7 @@ def measure_details(folder, length, ground, places, config, details, say=None):
 
 
 def measure_alone(folder, length, ground, places, config, frames, say=None):
-    """Return a row for each place of a street: frames from its chunks, and of what is seen alone.
+    """Return a row for each place of a street: frames from its chunks, and of the seen part alone.
 
     The scene that is compared with holds whole the runs that the cameras of a short drive need,
     each at the finest level that one of them asks for, and the splats that are always drawn.

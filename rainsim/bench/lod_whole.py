@@ -154,7 +154,7 @@ def draw(result, path):
 
 
 def result_of(scene, ground, path, config, facts, say=None):
-    """Return what `table` and `draw` take, of a drive along a street with some `facts`."""
+    """Return the results that `table` and `draw` take, of a drive along a street."""
     rows = measure_whole(scene, ground, path, config, say)
     machine = {"cores": os.cpu_count(), "threads": set_threads(None), "load": os.getloadavg()}
     return {"machine": machine, "whole": True, "fps": config.fps, "cut": facts, "drive": rows}

@@ -1,4 +1,4 @@
-"""`rainsim bench look`: accuracy against time of each way to draw what water does with light.
+"""`rainsim bench look`: accuracy against time of each method for the light on water.
 
 The reference are rays traced through the splats, a mean over each pixel's area (see `truth`). The
 methods are compared with it as radiance before Fresnel's factor, display white being 1, where the

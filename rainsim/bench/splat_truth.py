@@ -25,7 +25,7 @@ SH_FACTORS = (SH_0, SH_1, *SH_2, *SH_3)
 
 @dataclass(frozen=True)
 class Truth:
-    """What a camera sees, all float64.
+    """The layers of a camera's picture, all float64.
 
     Attributes
     ----------

@@ -80,7 +80,7 @@ def peak(cells):
 
 
 def drain(cells):
-    """A drain in a full basin, greedier than what can flow to it in the end."""
+    """A drain in a full basin that takes more than can flow to it in the end."""
     x, y, spacing = _grid(cells)
     middle = cells // 2
     bed, drains = 0.3 * (x**2 + y**2), ((middle, middle, 0.05),)
@@ -124,7 +124,7 @@ class _Extremes:
 
 
 class _Run(NamedTuple):
-    """What is run: the case's name, the scheme, the type of the fields and a Courant number."""
+    """A run: the case's name, the scheme, the type of the fields and a Courant number."""
 
     case: str
     scheme: str

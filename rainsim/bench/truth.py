@@ -209,7 +209,7 @@ def _picture(water, values):
 
 
 def _similarity(x, a, b):
-    """Return the structural similarity (Wang et al. 2004) of x with what a and b estimate.
+    """Return the structural similarity (Wang et al. 2004) of x with the truth estimated by a and b.
 
     The truth's squared mean and variance are estimated as mean product and covariance of a and b.
     """

@@ -1,1 +1,1 @@
-"""Compiling: what machine code is kept for, the recorded list of kernels, and the processes."""
+"""Compiling: the kept machine code, the recorded list of kernels, and the worker processes."""

@@ -28,12 +28,12 @@ _kernels = []  # that are being compiled, each for the one before
 
 
 class _Library(JITCodeLibrary):
-    """Machine code in the making: a kernel's, or what is only linked into a kernel's."""
+    """Machine code in the making, of a kernel or of a function that a kernel links."""
 
     _only_linked = False
 
     def finalize(self):
-        """Optimise and link; what has been read from disk does not come here."""
+        """Optimise and link machine code; code read from disk does not pass through here."""
         self._only_linked = self.name != _kernels[-1].py_func.__qualname__
         super().finalize()
 
@@ -100,5 +100,5 @@ class _Compiling(event.Listener):
 
 
 def watch():
-    """From now on compile what kernels call as said above."""
+    """From now on compile the functions that kernels call as this module's docstring says."""
     event.register("numba:compile", _Compiling())

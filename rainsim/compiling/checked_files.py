@@ -1,4 +1,4 @@
-"""The files of a kernel's machine code, each with a digest of what it holds.
+"""The files of a kernel's machine code, each with a digest of its content.
 
 A flipped bit in machine code ends the process, a cut file is an error of its reader. A file whose
 digest is not that of its content counts as absent: the kernel is compiled again and replaces it.

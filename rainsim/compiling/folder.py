@@ -44,7 +44,7 @@ def fault_of(folder):
 
 
 def _cache_folder():
-    """Return a folder for compiled kernels that the user alone can write to, and what was refused.
+    """Return a folder for compiled kernels that the user alone can write to, and the refused ones.
 
     Returns
     -------
@@ -110,7 +110,7 @@ def _python_files(folder):
 
 
 def _processor():
-    """Return what distinguishes processors with different instructions."""
+    """Return the lines of /proc/cpuinfo that differ where a processor's instructions do."""
     try:
         with CPU_INFO.open() as lines:
             found = []

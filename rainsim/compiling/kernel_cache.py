@@ -1,4 +1,4 @@
-"""The machine code of kernels on disk, keyed by what it was compiled from.
+"""The machine code of kernels on disk, keyed by a hash of its sources.
 
 numba keys its own cache on the file that holds a kernel, not on the functions that the kernel
 calls: an edited helper would keep its old machine code. Here the name of a kernel's files carries
@@ -51,7 +51,7 @@ class KernelCache(caching.FunctionCache):
 
     @functools.cached_property
     def key(self):
-        """The hash of what the machine code is compiled from."""
+        """The hash of the sources, versions and options that the machine code is compiled from."""
         return source_key(self._py_func, f"{VERSIONS} {self._options}")
 
     @functools.cached_property

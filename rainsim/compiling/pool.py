@@ -62,7 +62,7 @@ def _available():
 
 
 def _left_to_this_container():
-    """Return what a container's limit leaves, None without one; files kept in memory can go."""
+    """Return the bytes left below a container's limit, file cache counted as free; None without."""
     try:
         limit, used = (int((CONTAINER / name).read_text()) for name in LIMIT_AND_USE)
         facts = dict(line.split() for line in (CONTAINER / "memory.stat").read_text().splitlines())
@@ -83,7 +83,7 @@ class _Job:
         self.begun = None  # s of the clock
 
     def order(self):
-        """What a run waits for first, then what it begins with; of these the longest first."""
+        """The sort key: kernels that a run waits for, then its first ones; the longest first."""
         return (not self.wanted, not self.first, -self.seconds)
 
 

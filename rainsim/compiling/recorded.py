@@ -1,4 +1,4 @@
-"""The recorded list: which kernels a use needs, for which arguments, and what they cost to compile.
+"""The recorded list: kernels that a use needs, their argument types and their times to compile.
 
 `rainsim bench compile --write` makes the list; a test fails when it is out of date. At run time an
 entry that no longer fits is skipped, and its kernel compiled when it is called, as one that is not
@@ -40,7 +40,7 @@ class Recorded:
 
     @property
     def name(self):
-        """What distinguishes it from the others on the list."""
+        """The name in the list: the kernel and its argument types."""
         return f"{self.kernel}({self.arguments})"
 
 

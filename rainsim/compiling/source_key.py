@@ -1,4 +1,4 @@
-"""What the machine code of a kernel was compiled from, as a hash.
+"""A hash of all that the machine code of a kernel was compiled from.
 
 A kernel's machine code depends on its own byte code, on that of each function it calls, on the
 constants that these read, and so on. Comments, other functions of the same files and files that
@@ -70,7 +70,7 @@ def _described(function):
 
 
 def _read_code(code, names, parts, documentation=None):
-    """Append what a code object and those inside it hold; collect the names that they look up.
+    """Append the content of a code object and of those inside it; collect the names they look up.
 
     A text among the constants that is the documentation is left out.
     """

@@ -1,4 +1,4 @@
-"""Compile what a run needs and the cache on disk lacks, in other processes."""
+"""Compile the kernels that a run needs and the cache on disk lacks, in other processes."""
 
 import importlib
 import os
@@ -58,7 +58,7 @@ def end(pool):
 
 
 def compile_here(uses, progress):
-    """Compile in this process what some uses lack, one kernel after another.
+    """Compile in this process the kernels that some uses lack, one after another.
 
     progress(share, done, total) is called as by a `Pool`.
     """
@@ -75,7 +75,7 @@ def compile_here(uses, progress):
 
 
 def missing(entries):
-    """Return the recorded kernels that the cache on disk lacks; what no longer fits is left out."""
+    """Return the recorded kernels that the cache on disk lacks, without outdated entries."""
     modules = {entry.kernel.partition(":")[0] for entry in entries}
     known = {module for module in modules if (CACHE_FOLDER / module).is_dir()}
     lacking = [entry for entry in entries if entry.kernel.partition(":")[0] not in known]

@@ -1,4 +1,4 @@
-"""What the recorded list is recorded for, and which of these a run is like."""
+"""The uses that the recorded list is made for, and the choice of those most like a run."""
 
 # Each use as the settings that a tiny run of it changes: a preset and single settings.
 USES = {
@@ -30,7 +30,7 @@ CHOICES = {
 
 
 def choices(config):
-    """Return what of a `Config` chooses kernels, as a tuple."""
+    """Return the choices of a `Config` that decide which kernels run, as a tuple."""
     picked = [getattr(getattr(config, group), n) for group, names in CHOICES.items() for n in names]
     sky = config.render.sky == "capture"
     return (*picked, sky, config.water.level is not None, config.rain.rate > 0)

@@ -29,7 +29,7 @@ def checked(result):
 
 @contextlib.contextmanager
 def one_fault():
-    """Raise BackendError, one line, if what fails in the context has left the device dead."""
+    """Raise BackendError, one line, if an error in the context has left the device dead."""
     try:
         yield
     except BackendError:
@@ -86,7 +86,7 @@ class Event:
             checked(driver.cuEventRecord(self._handle, handle_of(stream)))
 
     def wait(self, stream):
-        """Let what is queued on the stream from now on wait for the mark."""
+        """Let work that is queued on the stream from now on wait for the mark."""
         if not SIMULATED:
             checked(driver.cuStreamWaitEvent(handle_of(stream), self._handle, 0))
 

@@ -346,7 +346,7 @@ class Impacts:
         self.obstacles = to_device(np.zeros(1, i8), stream)
 
     def update(self, field, start, stop, smallest=0.0, slot=0):
-        """Set what `launch` lists next, and which list it fills and `settle` settles.
+        """Set the interval that `launch` lists next, and which list it fills and `settle` settles.
 
         Arguments as `rainsim.drops.impacts` has them.
         """

@@ -169,7 +169,7 @@ class Water:
         return self.first + rows * self.width + columns
 
     def update(self, duration, rate=0.0, added=True):
-        """Say what the next frame is: its length [s], the rain [m/s], whether drops fell."""
+        """Set the next frame's length [s], its rain [m/s] and whether drops fell."""
         now = self._numbers_now.host["now"]
         now[step_control.DURATION], now[step_control.ADDED] = duration, float(added)
         if rate != self._rate:
@@ -302,7 +302,7 @@ def _what_the_ground_takes(solver):
 
 
 def _require_lean(solver, flow):
-    """Raise ParameterError for what the device's solver does not have."""
+    """Raise ParameterError for a scheme or float type that the device's solver does not have."""
     if not getattr(flow, "is_lean", False) or flow.h.dtype != np.float32:
         raise ParameterError(
             f"the water scheme is {solver.scheme!r} in {flow.h.dtype}; on a CUDA device it must be "

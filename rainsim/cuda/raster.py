@@ -61,7 +61,7 @@ def _levels(width, height):
 
 
 class Workspace:
-    """What rasterizers of one stream share: each is done before the next begins.
+    """Memory that the rasterizers of one stream share: each is done before the next begins.
 
     Projected splats, lists and pictures.
 
@@ -95,7 +95,7 @@ class Workspace:
         return self._bytes + sum(array.nbytes for array in arrays)
 
     def lists(self, count):
-        """Return keys, values and what they are sorted to: device arrays of `count` entries."""
+        """Return keys, values and the arrays they are sorted into, each of `count` entries."""
         if count > self._entries:
             self._entries, self._lists = count, ()  # freed before more is asked for
             self._lists = tuple(cuda.device_array(count, np.uint32) for _ in range(4))
@@ -248,7 +248,7 @@ class Rasterizer:
         self, camera, near, plane=None, depth="expected", compensate=False, degree=None,
         drop_last=False, room=None, detail=0.0,
     ):  # fmt: skip
-        """Take over what the next pictures show; of the device only room for them is asked.
+        """Take over camera and options of the next pictures; the device only allocates room.
 
         Parameters
         ----------
@@ -407,7 +407,7 @@ class Rasterizer:
 
     @property
     def queue(self):
-        """What a recorded queue of launches depends on: when it changes, record again."""
+        """The values a recorded queue of launches depends on: when they change, record again."""
         kind = self._kind, self._bands, self._capacity
         return self._version, *kind, self.workspace.version
 

@@ -1,4 +1,4 @@
-"""What the shared formulas call of numpy, for the CUDA compiler: it knows math's functions only.
+"""Stand-ins for numpy's scalar functions in CUDA kernels, whose compiler knows only math's.
 
 The compiler of the CPU kernels takes `np.sqrt(x)` of a number, that of CUDA does not. With these
 stand-ins one formula serves both, in the type of its argument: no float64 sneaks in.

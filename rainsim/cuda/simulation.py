@@ -246,7 +246,7 @@ class Simulation:
         self._accounts[index % 2] = self._control.copy(), *self._of_objects()
 
     def _of_objects(self):
-        """Return what came to objects, the account of drips or None, and what rose; finished."""
+        """Return the volume on obstacles [VOLUME_UNIT], account of drips or None, inflow [m3]."""
         drips = None if self.drips is None else self.drips.account.copy()
         return int(self._obstacles[0]), drips, self._objects.inflow
 
@@ -254,7 +254,7 @@ class Simulation:
         send(self.ripples.moments, ripple_moments(self._first_slopes))
 
     def _bring(self, before, time):
-        """Say what falls between two times."""
+        """Set the rain that falls between two times."""
         field = self.weather.field(before, time)
         self._interval = before, time
         finer = 0.0 if field is None else field.spectrum.fine_rate
@@ -289,7 +289,7 @@ class Simulation:
             self._listed.wait(stream)
 
     def after(self, stream, page):
-        """Let the next step that writes to the `page` wait for what is queued on another stream."""
+        """Let the next step that writes to the `page` wait for work queued on another stream."""
         self._drawn[page].record(stream)
 
     def lacked(self, index):

@@ -146,7 +146,7 @@ def _wheels(frame):
 
 
 def _shade():
-    """Yield what a car takes of the sky's light on the road below it, as faint dark splats."""
+    """Yield faint dark splats: the shade of a car from the sky's light on the road below it."""
     for layer in range(SHADE_LAYERS):
         grow = 1 + 0.12 * layer
         size = np.array([[0.27 * cars.LENGTH * grow, 0.27 * cars.WIDTH * grow]])

@@ -96,7 +96,7 @@ class Chunks:
         return indices
 
     def drawn(self, worker):
-        """Note that a worker has drawn what it was given; return the frames."""
+        """Note that a worker has drawn its chunk; return the frames."""
         chunk = self._at.pop(worker)
         self._drawn[worker] += 1
         self._next[worker] = chunk.indices[-1] + 1
@@ -104,7 +104,7 @@ class Chunks:
         return chunk.indices
 
     def failed(self, worker, why):
-        """Take back what a worker was given, and did not draw.
+        """Take back the chunk that a worker was given, and did not draw.
 
         Raises
         ------
@@ -124,7 +124,7 @@ class Chunks:
         self._open = sorted([*self._open, *(chunk.indices if chunk else ())])
 
     def taken_back(self, worker):
-        """Take back what a worker was given and could not begin with."""
+        """Take back the chunk that a worker was given and could not begin with."""
         self._open = sorted([*self._open, *self._at.pop(worker).indices])
         self._next.pop(worker, None)
 
@@ -140,7 +140,7 @@ class Chunks:
 
 
 def accept(frames, indices, folder, shape, is_ours):
-    """Write the files of frames that were sent; return what is wrong, None if all is well.
+    """Write the files of frames that were sent; return the fault in words, None if all is well.
 
     Parameters
     ----------
@@ -175,7 +175,7 @@ def accept(frames, indices, folder, shape, is_ours):
 
 
 def _written(path, content, known):
-    """Write what was sent as a file; return False if it is not what its hash says."""
+    """Write sent bytes as a file; return False if their hash is not the known one."""
     if not isinstance(content, bytes) or hashlib.sha256(content).hexdigest() != known:
         return False
     path.parent.mkdir(parents=True, exist_ok=True)

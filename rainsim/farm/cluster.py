@@ -203,7 +203,7 @@ class FarmRun:
             ) from None
 
     def _admit(self, address, token):
-        """Ask a worker what it is, and send it the job or refuse it."""
+        """Ask a worker for its facts, and send it the job or refuse it."""
         try:
             facts = self._ask(address, on_worker.facts)
             fault = _difference(facts)
@@ -232,7 +232,7 @@ class FarmRun:
         self._say(f"worker {address} is refused: {fault}")
 
     def _ask(self, address, function, *arguments):
-        """Return what a function returns on a worker."""
+        """Return the result of a function that runs on a worker."""
         future = self._client.submit(
             function, *arguments, workers=[address], allow_other_workers=False, pure=False
         )
@@ -263,7 +263,7 @@ class FarmRun:
             self._futures[address] = future, indices
 
     def _collect(self, progress):
-        """Take what workers have drawn; note it, or give it to others if something is wrong."""
+        """Collect the frames that workers have drawn; give those of a faulty worker to others."""
         for address, (future, indices) in list(self._futures.items()):
             if not future.done():
                 if self._chunks.hangs(address):

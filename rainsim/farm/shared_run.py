@@ -66,7 +66,7 @@ def joined(path):
 
 
 class SharedRun:
-    """What this process does for a shared run.
+    """The part of this process in a shared run.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ class SharedRun:
             raise self.record.was_another()
 
     def draw(self, sequence, progress=None, say=None):
-        """Draw what is missing of the range until all of it is finished, here or elsewhere.
+        """Draw the missing frames of the range until all of it is finished, here or elsewhere.
 
         Parameters
         ----------
@@ -235,7 +235,7 @@ class SharedRun:
         return True
 
     def _write_whole(self):
-        """Write what needs all frames; return False if some turn out to be damaged."""
+        """Write the files that need all frames; return False if some frames are damaged."""
         arguments = self.folder, self.record, self._cameras, self._config, self._video
         film = FrameFolder(*arguments, resume=True)
         damaged = [i for i in self._config.indices if i not in film.kept]

@@ -1,4 +1,4 @@
-"""What a worker does: says what it is, takes a job, draws chunks of frames of it."""
+"""A worker of a farm: reports its facts, takes a job, draws chunks of frames of it."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _SEQUENCES = {}  # what this process draws, by the job's name; one at a time
 
 
 def facts():
-    """Return what decides whether this process draws the same bytes, as plain values."""
+    """Return the facts that decide whether this process draws the same bytes, as plain values."""
     from rainsim.jit import processor
 
     return {

@@ -37,7 +37,7 @@ def return_large_blocks():
 
 
 def trim():
-    """Return what is free in the C library's heaps to the system; nothing where there is no glibc.
+    """Return free memory in the C library's heaps to the system; do nothing without glibc.
 
     Large blocks return at once, small ones only from the end of a heap, until this is called.
     """

@@ -25,7 +25,7 @@ TEXT = "text"  # in place of a dtype
 
 @dataclass(frozen=True, slots=True)
 class Field:
-    """What one array of a file must be.
+    """The rule for one array of a file: its type, shape and bounds.
 
     Attributes
     ----------
@@ -104,7 +104,7 @@ def read_arrays(path, what, fields, version, remedy):
 
 
 class _Reader:
-    """Reads the members of one archive; knows how to say what is wrong with it."""
+    """Reads the members of one archive; words the errors about its faults."""
 
     def __init__(self, path, what, remedy):
         self.path, self.what, self.remedy = path, what, remedy

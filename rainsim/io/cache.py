@@ -70,7 +70,7 @@ def folder():
 
 
 def name_of(stage, *inputs):
-    """Return the name of the entry for what a stage computes from `inputs`.
+    """Return the name of the entry for a stage's result from `inputs`.
 
     Parameters
     ----------
@@ -166,7 +166,7 @@ _known = {}  # by the id of an array: a weak reference to it and its hash
 
 
 def know_hash(array, *content):
-    """Take the hash of what determines an array's bytes in place of a hash of the bytes.
+    """Take the hash of the source of an array's bytes in place of a hash of the bytes.
 
     A capture of four million splats is a gigabyte, which is hashed once, as a file.
 

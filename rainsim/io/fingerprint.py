@@ -22,7 +22,7 @@ BLOCK = 1 << 20  # bytes
 
 
 def fingerprint(content):
-    """Return the fingerprint of what a run computes from, 64 hexadecimal digits.
+    """Return the fingerprint of a run's inputs and code, 64 hexadecimal digits.
 
     Parameters
     ----------

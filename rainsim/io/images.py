@@ -135,7 +135,7 @@ def write_data(path, values, channels):
 
 
 def read_data(path, channels):
-    """Return what `write_data` wrote, ndarray of shape (height, width[, n]), float32."""
+    """Return the picture that `write_data` wrote, shape (height, width[, n]), float32."""
     path = require_file(path, "a float picture")
     if path.suffix == ".exr":
         with _openexr().File(str(path), separate_channels=True) as file:
@@ -181,7 +181,7 @@ def picture_size(path):
 
 
 def _decoded(path, read):
-    """Return what imageio reads of a picture's first page, or raise InputError."""
+    """Return the result of imageio's `read` for a picture's first page, or raise InputError."""
     path = require_file(path, "a picture")
     try:
         with warnings.catch_warnings(action="ignore"):  # Pillow warns of large pictures
@@ -228,7 +228,7 @@ class Preview:
         self._seen += 1
 
     def write(self, path):
-        """Write what was added as an animated WebP picture; with no frames do nothing."""
+        """Write the added pictures as an animated WebP picture; with no frames do nothing."""
         if self._frames:
             with replacing(path) as temporary:
                 _write(
@@ -243,7 +243,7 @@ class Preview:
 
 
 def _shrink(image, width):
-    """Return the picture at most `width` px wide: means of whole blocks, what is over is cut."""
+    """Return the picture at most `width` px wide: means of whole blocks, the remainder cut off."""
     block = -(-image.shape[1] // width)
     rows, columns = image.shape[0] // block, image.shape[1] // block
     if block == 1 or rows == 0:

@@ -64,7 +64,7 @@ class Journal:
         return dict(self._entries)
 
     def _new_lines(self, path):
-        """Return what was appended to a journal, by lines; one without an end is left for later."""
+        """Return the new lines of a journal; one without an end is left for later."""
         try:
             with open(path, "rb") as file:
                 file.seek(self._read.get(path, 0))

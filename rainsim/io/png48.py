@@ -46,7 +46,7 @@ def _chunk(kind, data):
 
 
 def read_png48(path):
-    """Return what `write_png48` wrote, ndarray of shape (height, width, 3), uint16."""
+    """Return the picture that `write_png48` wrote, shape (height, width, 3), uint16."""
     data = require_file(path, "a 48-bit picture").read_bytes()
     try:
         if data[:8] != SIGNATURE:

@@ -1,4 +1,4 @@
-"""Numbers of the splats of a big capture: what pictures of its chunks name when asked for hits.
+"""Numbers of the splats of a big capture, which pictures of its chunks name in their hits.
 
 The splats of the finest level are numbered leaf by leaf in the order of the index, those that are
 always drawn after them. A splat of a coarser level stands for several. It has the number of the

@@ -36,13 +36,13 @@ class Page:
 
     @property
     def bytes(self):
-        """What it takes."""
+        """The memory it takes [bytes]."""
         parts = [self.first] if self.last is None else [self.first, self.last]
         return sum(getattr(p, name).nbytes for p in parts for name in (*ARRAYS, "order"))
 
 
 class PagedRasterizer:
-    """Draws what a camera needs of a big capture, with the methods of a `Rasterizer`.
+    """Draws the parts of a big capture that a camera needs, with the methods of a `Rasterizer`.
 
     Parameters
     ----------
@@ -123,7 +123,7 @@ class PagedRasterizer:
         return wanted
 
     def _choose(self, camera, near, plane=None, leading=False, threshold=None):
-        """Return the runs that a camera needs, and what `used` says of them."""
+        """Return the runs that a camera needs, and the numbers of splats and pages for `used`."""
         tree = self.pages.tree
         detail = self.detail if threshold is None else threshold
         detail *= MIRRORED if leading else 1.0
@@ -139,7 +139,7 @@ class PagedRasterizer:
         self._choose_chunks(self.wanted(camera, near), False)
 
     def read_ahead(self, camera, near):
-        """Begin to read what a camera needs, on another thread."""
+        """Begin to read the runs that a camera needs, on another thread."""
         kept = self.pages.kept
         wanted = self._choose(camera, near)[0]
         self.pages.read_ahead([key for key in wanted if not kept.has((self._number, *key))])
@@ -185,7 +185,7 @@ class PagedRasterizer:
 
 
 def rasterizer_of_scene(scene, render, rasterizer_of=Rasterizer, numbers_of=None):
-    """Return what draws a scene's splats as captured, from its chunks if it is in chunks.
+    """Return the rasterizer of a scene's splats as captured, paged if the scene is in chunks.
 
     Parameters
     ----------

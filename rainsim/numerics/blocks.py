@@ -38,7 +38,7 @@ def in_blocks(work, count, size=ROWS):
 
 
 def stable_order(numbers):
-    """Return what `np.argsort(numbers, kind="stable")` returns, in a third of the time.
+    """Return the order of `np.argsort(numbers, kind="stable")`, in a third of the time.
 
     Number and place are sorted as one 64-bit word: no two are equal, so any sort keeps the order.
 

@@ -1,4 +1,4 @@
-"""The light of water in the air: what a drop shows of its surroundings, seen from anywhere.
+"""The light of water in the air: the surroundings that a drop shows, seen from anywhere.
 
 A drop is a lens of short focus. A ray that meets it at the share r of its radius, at the angle
 i = asin(r), is bent at both faces, by 2 (i - t) in all, sin(i) = n sin(t): a quarter of a drop's
@@ -57,7 +57,7 @@ def mean_radiance(environment):
 
 
 class Behind(NamedTuple):
-    """What a camera sees behind its drops, in `CELLS` cells; read-only."""
+    """The scene that a camera sees behind its drops, in `CELLS` cells; read-only."""
 
     radiance: np.ndarray  # (20, 30, 3) float32, mean of each cell
     nearness: np.ndarray  # (20, 30) float32 [1/m], mean of one over the depth

@@ -36,7 +36,7 @@ def fog_optical_depth(field, depth, far):
 
 
 def fog_table(field, far):
-    """Return what `shading.composite.compose` needs to know of the fog.
+    """Return the table of the fog that `shading.composite.compose` reads.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""A camera while its shutter is open: what kernels read of it, and which air and ground it sees."""
+"""A camera while its shutter is open: its numbers for kernels, the air and ground that it sees."""
 
 from __future__ import annotations
 
@@ -138,7 +138,7 @@ def seen_air(field, camera, view, far, camera_end=None, aperture=0.0, focus=np.i
 
 
 def _view_boxes(camera, camera_end, far, aperture, focus):
-    """Return the low and high corners, (CLASSES, 3) [m], of what both cameras see up to `far`.
+    """Return low and high corners, (CLASSES, 3) [m], of the space both cameras see up to `far`.
 
     And `SeenAir.slack`.
     """
@@ -160,7 +160,7 @@ def _view_boxes(camera, camera_end, far, aperture, focus):
 
 
 def footprint(camera, reach, margin=0.0):
-    """Return the low and high corner (x, y) of what a camera sees up to a depth, and a margin [m].
+    """Return low and high corner (x, y) of a camera's view up to a depth, with a margin [m].
 
     Returns
     -------
@@ -218,7 +218,7 @@ def step_from(corner, axes, x, y, z):
 
 @lean_function
 def cube_radius(size_class, field, view, air):
-    """Return the radius [m] of a ball that holds what a cube's drops cover during the exposure.
+    """Return the radius [m] of a ball around all places of a cube's drops during the exposure.
 
     The ball stands about the middle of the cube halfway through the exposure. The radius is half
     the cube's diagonal (0.87 sides), half the way that the drops move during the exposure, and

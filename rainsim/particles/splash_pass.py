@@ -1,4 +1,4 @@
-"""Splashes as a camera sees them: crowns, jets and droplets of what fell in view, drawn.
+"""Splashes as a camera sees them: crowns, jets and droplets of the impacts in view, drawn.
 
 Impacts of the rain are sought, tested and drawn in one pass; drips that have landed join them. The
 same pass can list the impacts that show, for labels: nothing else lists splashes as a whole.
@@ -181,7 +181,7 @@ def seen_splashes(field, surfaces, camera, time, exposure, water_depth, film, de
 
 
 def _run_pass(field, surfaces, camera, view, water, depth, alpha_out, more, room):
-    """Draw, and return what each worker has listed: how many splashes, their places and ids."""
+    """Draw, and return each worker's list of splashes: their number, their places and ids."""
     require_pictures(camera, depth, alpha_out)
     windows, tasks = _windows(field, surfaces, camera, view, water, max(float(depth.min()), NEAR))
     columns, tiles, pictures = drawing_buffers(depth.shape)
@@ -197,7 +197,7 @@ def _run_pass(field, surfaces, camera, view, water, depth, alpha_out, more, room
 
 
 def _windows(field, surfaces, camera, view, water, nearest):
-    """Return the `_Windows` of what fell and may show, and their slabs of cubes as tasks.
+    """Return the `_Windows` of impacts that may show, and their slabs of cubes as tasks.
 
     The first list has all whose crowns may still stand, the second those before near the camera,
     whose droplets and jets may be in the air. `nearest` [m] is the least depth that shows. A task
@@ -230,7 +230,7 @@ def _draw_splashes(
     tasks, windows, field, surfaces, water, drips, view, depth, columns_out, tiles_out, pictures,
     alpha_out, seen_out, position_out, ids_out,
 ):  # fmt: skip
-    """List the drops that splash in view, slab by slab of cubes, and draw what they throw up.
+    """List the drops that splash in view, slab by slab of cubes, and draw their splashes.
 
     Each worker draws its lines whenever it has enough of them.
     """

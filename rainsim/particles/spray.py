@@ -51,7 +51,7 @@ _PER_TWO_PI = np.float32(0.5 / math.pi)
 
 
 def spray_seen(throws, ids, camera, time, exposure):
-    """Return what a camera may see of the spray: drops and clouds.
+    """Return the spray that a camera may see: drops and clouds.
 
     Parameters
     ----------
@@ -226,7 +226,7 @@ def _add_cloud(puffs, n, lens, first, end, depth, optical_out):
 
 
 class Cloud(NamedTuple):
-    """A Gaussian cloud in the camera's frame, and what follows from it for all rays; float32."""
+    """A Gaussian cloud in the camera's frame, with the terms that all rays share; float32."""
 
     x: float
     y: float

@@ -299,7 +299,7 @@ _kept = threading.local()
 
 
 def drawing_buffers(shape):
-    """Return what a drawing kernel works in, for a picture of `shape`.
+    """Return the work arrays of a drawing kernel, for a picture of `shape`.
 
     Kept from call to call, for fresh memory costs as much as the drawing.
 

@@ -1,1 +1,1 @@
-"""What `rainsim.drops` calls: drop sizes, Poisson cells, height fields, wind, drips."""
+"""The parts of `rainsim.drops`: drop sizes, Poisson cells, height fields, wind, drips."""

@@ -1,4 +1,4 @@
-"""Water that leaves what stands above the ground: drips from edges, run-off down walls.
+"""Water that leaves objects above the ground: drips from edges, run-off down walls.
 
 Rain on the top of an object goes to the nearest edge along the object, where water collects until
 there is enough for a drop. Under an overhang the drop falls, from rest; at a wall that stands on
@@ -324,7 +324,7 @@ def drip_impacts(table, ids, surfaces, before, after):
 
 
 def _kept_catchments(surfaces):
-    """Return what `_catchments` returns; that of a large map is kept for the next run."""
+    """Return the result of `_catchments`; that of a large map is kept for the next run."""
     if surfaces.top.size < LEAST_KEPT:
         return _catchments(surfaces)
     found = cache.kept_arrays(

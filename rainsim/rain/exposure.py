@@ -42,7 +42,7 @@ def rain_exposure(terrain, wind, roughness=0.0):
 
 
 def computed_exposure(terrain, wind, roughness=0.0):
-    """Return the exposure of a terrain, or of what has its grid, bed, top and underside.
+    """Return the exposure of a terrain, or of an object with its grid, bed, top and underside.
 
     See `rain_exposure`, which keeps it.
     """

@@ -1,4 +1,4 @@
-"""What a falling drop can hit: the ground, one solid column per cell, and the first hit on a line.
+"""Height fields that drops hit: the ground, one solid column per cell, the first hit on a line.
 
 The map is made of flat-topped cells. A drop's path is a straight line from the open sky; it ends
 where it first meets a column's top or side or the ground.
@@ -25,7 +25,7 @@ _INFINITY = np.inf
 
 
 class HeightFields(NamedTuple):
-    """What kernels read of `Surfaces`.
+    """The arrays of `Surfaces` that kernels read.
 
     Attributes
     ----------
@@ -56,7 +56,7 @@ class HeightFields(NamedTuple):
 
 @dataclass(frozen=True)
 class Surfaces:
-    """The ground and what stands or hangs above it, as flat-topped cells.
+    """The ground and all that stands or hangs above it, as flat-topped cells.
 
     Row 0 is south (smallest y), column 0 west (smallest x). In each cell the space from
     `underside` to `top` is solid, and so is everything below `ground`. Beyond the map's edge
@@ -122,7 +122,7 @@ class Surfaces:
         return self.ground.size * self.spacing**2
 
     def height_fields(self):
-        """Return what kernels read of the map, `HeightFields`."""
+        """Return the map's arrays for kernels, `HeightFields`."""
         x0, y0 = map(float, self.origin)
         return HeightFields(
             x0, y0, float(self.spacing), self.sky, self.ground, self.underside, self.top,

@@ -1,4 +1,4 @@
-"""What drops can hit on a map over time: the map, and what moves over it."""
+"""The map that drops hit over time: the still map, with moving bodies over it."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ _DIAMETER_STREAM = np.uint64(0xD1A3)
 
 
 class DropField(NamedTuple):
-    """What kernels read of `rainsim.drops.RainField`, class by class.
+    """The arrays of `rainsim.drops.RainField` that kernels read, class by class.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What tyres throw: how much of the water on the road, by which way, and how it flies.
+"""Spray of tyres: how much water of the road they throw, by which way, and how it flies.
 
 A tyre that rolls over water of depth h clears it from its path. Four ways share it (Weir, Strange
 and Heffley 1978): the bow wave ahead of the tyre, the side waves, what the grooves of the tread
@@ -307,7 +307,7 @@ def mist_puffs(table, time):
 
 
 def _joined(table, age, place, variance, section):
-    """Return `Puffs`, in one puff what an axle threw within a while that grows with the age."""
+    """Return `Puffs`; an axle's throws within a while, which grows with their age, are one puff."""
     bins = np.select([age > JOINED[1][0], age > JOINED[0][0]], [JOINED[1][1], JOINED[0][1]], 0.0)
     moment = np.where(bins > 0, np.floor(column(table, "begin") / np.maximum(bins, 1e-9)), 0.0)
     alone = np.where(bins > 0, 0.0, 1.0 + np.arange(len(table)))

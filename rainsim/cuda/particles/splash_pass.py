@@ -216,7 +216,7 @@ class Splashes:
         self.version = new_version()
 
     def update(self, field, film, closed=-1):
-        """Set what the next picture shows; arguments as `draw_splashes` has them.
+        """Set rain and water of the next picture; arguments as `draw_splashes` has them.
 
         `closed` is the number of a list that is left out, see `list_splashes`.
         """
@@ -230,7 +230,7 @@ class Splashes:
         self.draw()
 
     def gather(self, stream=None):
-        """Queue the listing of what is seen, on another stream than its own if given."""
+        """Queue the listing of the splashes in view, on another stream than its own if given."""
         stream = self.stream if stream is None else stream
         self.now.send(stream)
         recent, view, scene = self._recent, self._streaks.view, self._streaks.scene
@@ -244,7 +244,7 @@ class Splashes:
             drips.gather(recent.surfaces, view, scene, water, self.count, self.lines, stream=stream)
 
     def draw(self, stream=None):
-        """Queue the drawing of what was gathered, after the streaks' picture."""
+        """Queue the drawing of the listed splashes, after the streaks' picture."""
         stream = self.stream if stream is None else stream
         seen = self._streaks
         draw_list[BLOCKS, GROUPS, stream](

@@ -1,4 +1,4 @@
-"""Twin of `rainsim.particles.spray`: what tyres throw, in a picture on a CUDA device.
+"""Twin of `rainsim.particles.spray`: the spray of tyres in a picture on a CUDA device.
 
 The host chooses the drops that are drawn one by one and the clouds of all others; the device draws
 both, the drops with the streaks of the rain. A thread takes a pixel through all clouds.
@@ -76,7 +76,7 @@ class Spray:
         self.version = new_version()
 
     def send(self, drops, puffs, camera):
-        """Send what `spray_seen` has found; the device must draw nothing meanwhile."""
+        """Send the drops and clouds of `spray_seen`; the device must draw nothing meanwhile."""
         clouds = cloud_table(puffs, camera)
         if len(clouds) > self.room:
             self._make_room(2 * len(clouds))

@@ -376,7 +376,7 @@ class Streaks:
     def update(
         self, field, camera, time, exposure, far, camera_end=None, aperture=0.0, focus=np.inf
     ):
-        """Set what the next picture shows; arguments as `streaks.draw_streaks` has them."""
+        """Set rain, camera and shutter of the next picture; arguments as in `draw_streaks`."""
         require_pictures(camera, self.alpha, self.alpha)
         moving = camera_end, aperture, focus
         view = shutter_view(camera, time, exposure, *moving)
@@ -400,7 +400,7 @@ class Streaks:
         self.now.update(times=(values.pop("time"), values.pop("exposure")), **values)
 
     def _make_room(self, drops):
-        """Allocate the lists of drops in view; what was recorded with the old ones is stale."""
+        """Allocate the lists of drops in view; launches recorded with the old ones are stale."""
         self.room, stream = drops, self.stream
         self._sought = (
             self.now["sought"],  # blanked by each `send`, as "many" is
@@ -439,7 +439,7 @@ class Streaks:
             self.spray.lay(lens, self._depth, self.alpha, stream)
 
     def resolve(self, alpha_out, stream):
-        """Queue the turning of what was drawn into alpha, and blank the picture."""
+        """Queue the conversion of the drawn picture into alpha, and blank the picture."""
         width, height = self.size
         blocks, threads = (-(-width // TILE), -(-height // TILE)), (TILE, 8)
         threads = (4, 1) if SIMULATED else threads

@@ -1,4 +1,4 @@
-"""What fell in the last moments, on a CUDA device: each interval of a film is listed once and kept.
+"""Impacts of the last moments on a CUDA device: each frame interval is listed once and kept.
 
 Its water falls in one step of the simulation, and its splashes are seen for some frames.
 """
@@ -16,7 +16,7 @@ from rainsim.particles.splash import LONGEST_LIFE
 
 
 class RecentImpacts(Impacts):
-    """What fell in the last moments, interval by interval; each is listed once.
+    """The impacts of the last moments, interval by interval; each is listed once.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ class RecentImpacts(Impacts):
         return (frame + self._ahead) % len(self._seen)
 
     def list_again(self):
-        """List what fell before the newest interval once more; waits for the device."""
+        """List the impacts before the newest interval once more; waits for the device."""
         self._list_before(self._newest)
         self._say(self._newest)
 
@@ -79,7 +79,7 @@ class RecentImpacts(Impacts):
             cuda.synchronize()
 
     def launch(self, stream=None):
-        """Queue the listing and what `check` looks at."""
+        """Queue the listing and the copy of its counts that `check` reads."""
         stream = self.stream if stream is None else stream
         super().launch(stream)
         self.found.copy_to_host(self._seen, stream=stream)

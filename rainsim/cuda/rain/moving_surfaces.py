@@ -1,4 +1,4 @@
-"""Twin of `rain.moving_surfaces`: the map that drops meet on a device, with what moves over it.
+"""Twin of `rain.moving_surfaces`: the map that drops meet on a device, with moving bodies on it.
 
 The host puts the bodies onto its map; the rows that they cover, and have covered, are sent.
 """
@@ -40,7 +40,7 @@ class MovingHeights:
         self._rows = []  # that movers cover on the device
 
     def send(self, surfaces, shelters):
-        """Send what `MovingSurfaces.moment` has found; the device must draw nothing meanwhile."""
+        """Send the map of `MovingSurfaces.moment`; the device must draw nothing meanwhile."""
         found, rows = surfaces.height_fields(), [part[0] for part, _ in shelters]
         for part in (*self._rows, *rows):
             for name in BODY:

@@ -181,7 +181,7 @@ class _MirroredRasterizer(Rasterizer):
 
 
 class MirrorPass(NamedTuple):
-    """A mirrored picture's rasterizer and what it does not share with others.
+    """A mirrored picture's rasterizer, stream and arrays, which no other picture shares.
 
     Attributes
     ----------
@@ -312,11 +312,11 @@ class Mirrors:
 
     @property
     def queue(self):
-        """What a recorded queue depends on."""
+        """The values that a recorded queue depends on."""
         return self._version, *(rasterizer.queue for rasterizer in self.rasterizers)
 
     def grow(self):
-        """Make room for what the finished frame wanted; return whether it lacked anything."""
+        """Make the room that the finished frame wanted; return whether it lacked any."""
         lacking = False
         wanted = min(int(self._wanted_seen[0]), self.most)
         while self.passes < wanted:
@@ -334,7 +334,7 @@ class Mirrors:
         return lacking or bool(full)
 
     def make_ahead(self):
-        """Make room where little is left, and give back what pictures in turn left unused."""
+        """Make room where little is left, and free the room that pictures in turn left unused."""
         for rasterizer in self.rasterizers:
             if rasterizer.count_picture() or rasterizer.is_tight():
                 rasterizer.make_room()

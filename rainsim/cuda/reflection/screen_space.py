@@ -1,4 +1,4 @@
-"""Twin of `reflection.screen_space`: what can be mirrored, and where the rays of water meet it."""
+"""Twin of `reflection.screen_space`: the depth that water can mirror, and hits of its rays."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ JOINERS = 32 if SIMULATED else 128  # threads of a block of `join_bounds`
 
 @cuda_kernel
 def keep_tall(depth, clearance, tall_out, bounds_out):
-    """Keep the depth of what water can mirror; see `reflection.screen_space`, `ssr.block_bounds`.
+    """Keep the depth of all but the ground; see `reflection.screen_space`, `ssr.block_bounds`.
 
     A block of threads takes a row of blocks of pixels.
     """

@@ -27,7 +27,7 @@ def shade_water(
     hit, coverage, distance, background, tall, camera, water_map, tops, ripples, environment,
     gloss, settings, mirrors, optics, picture_out,
 ):  # fmt: skip
-    """Write the picture with the water on it: ripples, what it mirrors, what shows through, glint.
+    """Write the picture with the water on it: ripples, reflection, refraction, the sun's glint.
 
     Parameters
     ----------

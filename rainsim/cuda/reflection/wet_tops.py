@@ -11,7 +11,7 @@ from rainsim.shading.wetness import off_ground_from
 
 @cuda_kernel
 def meet_tops(depth, camera, tops, rain, hit_out, coverage_out):
-    """Add the wet tops to what `ray_water.meet_water` has found; see `reflection.wet_tops`.
+    """Add the wet tops to the hits of `ray_water.meet_water`; see `reflection.wet_tops`.
 
     camera : CameraArrays
     rain : device array of shape (fields,), float32

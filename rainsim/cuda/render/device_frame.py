@@ -110,7 +110,7 @@ class DeviceFrame:
     # ---- what a frame shows
 
     def update(self, camera, state, camera_end=None):
-        """Take over what the next frame shows; return whether its look has changed.
+        """Take over camera, state and look of the next frame; return whether the look has changed.
 
         The device may still be drawing the frame before: only `pending` writes to its buffers.
         """
@@ -237,7 +237,7 @@ class DeviceFrame:
     # ---- what a finished frame had too little room for
 
     def dry_rasterizers(self):
-        """Return the rasterizers of what needs no water."""
+        """Return the rasterizers of the pictures that need no water."""
         return [self.rasterizer, *self.ground_light.rasterizers]
 
     def dry_is_amiss(self):
@@ -252,12 +252,12 @@ class DeviceFrame:
         return any([self.mirrors.grow(), self.rain.grow()])  # both
 
     def grow_dry(self):
-        """Make room where what needs no water lacked it; return whether any did."""
+        """Make room in the dry rasterizers that lacked it; return whether any did."""
         full = [splats for splats in self.dry_rasterizers() if splats.overflows()]
         return bool([splats.make_room() for splats in full])
 
     def dependencies(self):
-        """Return what a recorded queue depends on: when it changes, the queue is recorded again."""
+        """Return the values a recorded queue depends on: when they change, it is recorded again."""
         return (
             self._version, self.rasterizer.queue, self.ground_light.queue, self.mirrors.queue,
             *self.rain.dependencies(),
@@ -293,7 +293,7 @@ class DeviceFrame:
         return dry, wet
 
     def queue_wet(self):
-        """Queue what needs the water; streaks and splashes on streams beside it."""
+        """Queue the launches that need the water; streaks and splashes on streams beside it."""
         tall, light, meet, *wet = self.wet_parts()
         beside, aside = self._beside
         self._forked.record(self.stream)
@@ -313,7 +313,7 @@ class DeviceFrame:
     def grade(
         self, rasterizer, shape, turn, eye, picture, depth, clearance, cover, stream, mirrored=True
     ):
-        """Queue the grading and wetting of what a rasterizer has drawn, a picture of `shape`."""
+        """Queue the grading and wetting of a rasterizer's layers, a picture of `shape`."""
         layers, n = rasterizer.layers, self.uniforms
         behind = self._behind_mirrored if mirrored else self._behind
         dry = DryPicture(

@@ -1,4 +1,4 @@
-"""The order in which frames are queued: what the host prepares, what overlaps, what is repeated.
+"""The order in which frames are queued: work of the host, overlap of frames, recorded queues.
 
 A frame has four recorded queues. The first splats; where there is memory for it, that of the next
 frame lies beside the water of this one. The second grades what was splatted; that of the next frame
@@ -146,14 +146,14 @@ class FrameQueue:
             self._images = [pinned((*self.frame.size, 3), np.uint8) for _ in range(2)]
 
     def _may_overlap(self):
-        """Return whether the next frame may begin before it is known what the last one lacked."""
+        """Return whether the next frame may begin before the last is checked for lack of room."""
         if self._dry is None or self.frame.pending or self._is_stale():
             return False
         self._last.wait()  # for the counts of the frame that is being drawn
         return not self.frame.dry_is_amiss()
 
     def _begin(self):
-        """Queue what needs no water of the next frame, and the step of its simulation."""
+        """Queue the next frame's launches that need no water, and the step of its simulation."""
         self._flight = Flight(self._next.shot, self._next.look, clock.perf_counter())
         state = self._flight.state
         for send in self.frame.pending:
@@ -176,7 +176,7 @@ class FrameQueue:
         return self._recorded_for != self.frame.dependencies()
 
     def _launch_dry(self, still=False):
-        """Queue what needs no water, of a `still` camera the uniforms only."""
+        """Queue the launches that need no water, of a `still` camera the uniforms only."""
         if self._is_stale():
             self._recorded_for, self._dry, self._wet = self.frame.dependencies(), None, {}
         frame, ahead = self.frame, self.frame.ahead
@@ -197,7 +197,7 @@ class FrameQueue:
         self._kept = self._flight
 
     def _record_dry(self):
-        """Record the queues of what needs no water."""
+        """Record the queues of the launches that need no water."""
         frame, graded = self.frame, chain(self.frame.graded_parts())
         self.stream.synchronize()
         frame.splat()  # compiles, and allocates what only then is known

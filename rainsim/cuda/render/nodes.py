@@ -1,4 +1,4 @@
-"""Twin of `render.nodes`: for each frame what has moved is sent to the device, nothing else.
+"""Twin of `render.nodes`: for each frame only the data of moved nodes are sent to the device.
 
 The host puts the nodes, finds the map that drops meet, what bodies shelter and what tyres throw, as
 for frames of the CPU; the static set stays where it is. The water is that of the CPU's simulation.
@@ -12,7 +12,7 @@ from rainsim.particles.spray import spray_seen
 
 
 class MovingNodes:
-    """What moves in the scene of a `DeviceFrame`.
+    """The moving nodes in the scene of a `DeviceFrame`.
 
     Parameters
     ----------

@@ -20,7 +20,7 @@ from rainsim.shading.composite import RainCover
 
 
 class RainPass:
-    """Draws what falls before a picture.
+    """Draws streaks, splashes, drips and spray before a picture.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ class RainPass:
         self._lines = pinned(1, np.int32)
 
     def room_for(self, field, height, width, depth, none):
-        """Allocate what pictures of a size need.
+        """Allocate the arrays that pictures of a size need.
 
         Parameters
         ----------
@@ -70,7 +70,7 @@ class RainPass:
         self.streaks.spray = spray
 
     def update(self, field, state, camera_end, simulation):
-        """Take over what the next frame shows; return the fog of drops that are not drawn."""
+        """Take over rain and shutter of the next frame; return the fog of undrawn drops."""
         if self.streaks is None:
             return NO_FOG
         host = self.frame.host
@@ -110,7 +110,7 @@ class RainPass:
         return recent
 
     def leave_water(self):
-        """Let go of what fell and drips in the frames so far: the next shows another simulation."""
+        """Drop the impacts and drips of the frames so far: the next shows another simulation."""
         self.splashes = self.impacts = self.drips = None
         if self.streaks is not None:
             self.streaks.drips = None
@@ -151,7 +151,7 @@ class RainPass:
         return parts + [each.launch for each in (self.streaks, self.splashes) if each is not None]
 
     def queue(self, beside, aside, joined):
-        """Queue streaks on one stream and what splashes on another; `beside` waits for both.
+        """Queue streaks on one stream and splashes on another; `beside` waits for both.
 
         Also for what else lies on the other one.
         """
@@ -186,7 +186,7 @@ class RainPass:
         return full
 
     def dependencies(self):
-        """Return what a recorded queue depends on."""
+        """Return the values that a recorded queue depends on."""
         spray = None if self.streaks is None else self.streaks.spray
         parts = self.splashes, self.streaks, spray, self.drips
         return tuple(0 if part is None else part.version for part in parts)

@@ -76,7 +76,7 @@ class Renderer:
         return self._report(names)
 
     def film(self, shots, names=()):
-        """Yield what `draw` returns for each (camera, state, camera_end), one after the other.
+        """Yield the result of `draw` for each (camera, state, camera_end), one after the other.
 
         While one is drawn, the next is asked for and prepared, and begun on the device.
         """

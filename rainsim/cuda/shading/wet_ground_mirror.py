@@ -1,4 +1,4 @@
-"""Twin of `shading.wet_ground_mirror` and `numerics.ripmap`: what wet ground mirrors, on the GPU.
+"""Twin of `shading.wet_ground_mirror` and `numerics.ripmap`: reflections in wet ground.
 
 The level picture and the field of mirrored light need nothing of the picture itself: they are drawn
 on a stream beside it, and added to it once it is graded. Every block of the field is computed, wet
@@ -117,7 +117,7 @@ def mirrored_field(camera, step, ground, lobe, level, level_size, environment, f
 
 @cuda_kernel
 def add_reflection(bare, cover, field, step, picture_out):
-    """Add what wet ground mirrors to a picture without it; see the CPU's kernel."""
+    """Add the light that wet ground mirrors to a picture without it; see the CPU's kernel."""
     column, row = cuda.grid(2)
     height, width = cover.shape
     if row >= height or column >= width:
@@ -133,7 +133,7 @@ def add_reflection(bare, cover, field, step, picture_out):
 
 
 class WetGroundLight:
-    """What wet ground mirrors in the frames of a device.
+    """The light that wet ground mirrors in the frames of a device.
 
     Parameters
     ----------
@@ -173,7 +173,7 @@ class WetGroundLight:
             self._prepare()
 
     def room_for(self, height, width):
-        """Allocate what a picture of this size needs; return the cover's array."""
+        """Allocate the arrays of a picture of this size; return the array of the film's cover."""
         f4, self._shape = np.float32, (height, width)
         self.bare = self.field = None
         self.cover = cuda.device_array((height if self.apart else 1, width), f4)
@@ -242,13 +242,13 @@ class WetGroundLight:
 
     @property
     def queue(self):
-        """What a recorded queue depends on."""
+        """The values that a recorded queue depends on."""
         if not self.apart:
             return ()
         return self._version, *(rasterizer.queue for rasterizer in self.rasterizers)
 
     def splat(self, stream):
-        """Queue the splatting of the level picture, beside what a stream does next."""
+        """Queue the splatting of the level picture, beside the next work of a stream."""
         if self.rasterizers:
             self._forked.record(stream)
             self._forked.wait(self.stream)
@@ -256,12 +256,12 @@ class WetGroundLight:
             self._done.record(self.stream)
 
     def join(self, stream):
-        """Let a stream wait for what `splat` has queued."""
+        """Let a stream wait for the splatting that `splat` has queued."""
         if self.rasterizers:
             self._done.wait(stream)
 
     def draw(self):
-        """Queue the graded level picture and the field, beside what the frame's stream does next.
+        """Queue the graded level picture and the field, beside the next work of the frame's stream.
 
         Its splats are drawn.
         """
@@ -294,7 +294,7 @@ class WetGroundLight:
         )  # fmt: skip
 
     def add(self, picture):
-        """Queue the sum of the graded picture and what its wet ground mirrors."""
+        """Queue the sum of the graded picture and the light that its wet ground mirrors."""
         stream = self.frame.stream
         self._done.wait(stream)
         add_reflection[blocks(*self._shape), BLOCK, stream](

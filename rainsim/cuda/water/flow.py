@@ -82,7 +82,7 @@ def rows_for(ny, wide):
 
 
 class Maps(NamedTuple):
-    """What the ground is like: device arrays of shape (cells,), float32.
+    """Maps of the ground: device arrays of shape (cells,), float32.
 
     Attributes
     ----------

@@ -73,7 +73,7 @@ def block_sum(room, lane, value):
 
 @cuda.jit(device=True)
 def known(control, state, now, numbers):
-    """Read what `plan` needs, all at once: one wait for memory instead of a dozen."""
+    """Read the numbers that `plan` needs, all at once: one wait for memory instead of a dozen."""
     return (
         control[LEFT], control[OWED], control[PENDING], control[RAINED], now[RAIN_SUM],
         now[RAIN_STEP], numbers[SPACING], numbers[GRAVITY], numbers[COURANT],
@@ -212,7 +212,7 @@ def _fall(here, level, there, bed_there):
 
 @cuda_kernel
 def refresh(control, state, now, numbers, w, bed, ny, nx, wide):
-    """Begin a frame: measure what the first step and the cap follow, and plan that step.
+    """Begin a frame: measure the maxima that set the first step and the cap, and plan that step.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What stands where along a street: its ends, drains, dips, cars, lamps, and side streets.
+"""Layouts of streets: the places of ends, drains, dips, cars, lamps, and side streets.
 
 The built-in street has one `Layout` that was made by hand (`road.LAYOUT`); a street of a given
 length has one that `long_layout` draws by a seed.
@@ -30,7 +30,7 @@ MARGIN = 14.0  # m from a piece of street up to which drains and dips have to do
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """What stands where along a street; x goes along it, y across, from its middle [m].
+    """The layout of a street: places by x along and y across it, from its middle [m].
 
     Attributes
     ----------
@@ -78,7 +78,7 @@ class Layout:
     sides: tuple = ()
 
     def piece(self, first, last):
-        """Return the layout of the street from x = `first` to `last`, with what has effect there.
+        """Return the layout of the street from x = `first` to `last`, with all that acts there.
 
         Drains and dips near the piece shape its ground; what is drawn once, such as a cover, is
         only in the piece that holds its x.
@@ -108,7 +108,7 @@ class Layout:
 
 @dataclass(frozen=True, slots=True)
 class Standing:
-    """What stands on the ground of a street.
+    """The things that stand on the ground of a street.
 
     Attributes
     ----------
@@ -124,7 +124,7 @@ class Standing:
     trees: tuple
 
     def piece(self, first, last):
-        """Return what stands between x = `first` and `last`."""
+        """Return the things that stand between x = `first` and `last`."""
         return Standing(*(
             tuple(row for row in getattr(self, name) if first <= row[0] < last)
             for name in self.__slots__
@@ -206,7 +206,7 @@ def _bays(layout):
 
 
 def _standing(layout, rng, shapes):
-    """Draw what stands along a street."""
+    """Draw at random the things that stand along a street."""
     first, last = layout.ends
     cars, trees, bollards = [], [], []
     for side in (-1, 1):
