@@ -246,7 +246,7 @@ def size_of(splats):
 
 
 class Kept:
-    """Values by key, up to a limit in bytes; what was asked for longest ago goes first.
+    """Values by key, up to a limit in bytes; the least recently used goes first.
 
     Attributes
     ----------

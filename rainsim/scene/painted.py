@@ -63,7 +63,7 @@ def write_painted(path, painted):
 
 
 def read_painted(path):
-    """Read what `write_painted` wrote; raise InputError if it is damaged."""
+    """Read the file that `write_painted` wrote; raise InputError if it is damaged."""
     found = read_arrays(path, "file of painted classes", ARRAYS, VERSION, REMEDY)
     names, cells = tuple(map(str, found["name"])), found["cells"]
     if cells.size and cells.max() >= len(names):

@@ -30,7 +30,7 @@ COMPOSED = 8 * CHUNK
 
 
 class RainCover(NamedTuple):
-    """What falling drops and splashes hide of a picture; read-only."""
+    """Opacity of falling drops, splashes and fog before a picture; read-only."""
 
     rain_alpha: np.ndarray  # (height, width) float32, share of light that falling drops replace
     splash_alpha: np.ndarray  # (height, width) float32, share of light that splashes replace
@@ -40,7 +40,7 @@ class RainCover(NamedTuple):
 
 
 class RainLight(NamedTuple):
-    """Radiance of what is before the scene; read-only."""
+    """Radiance of drops, splashes and air before the scene; read-only."""
 
     # (m, n, 3) float32, of falling drops at places from edge to edge of the picture, bilinear
     # between them; see `falling_light`.
@@ -178,7 +178,7 @@ def compose_row(row, height, radiance, depth, drops, light, view, brightness, im
 
 @inlined_function
 def find_transmittance(depth, fog, view, b, left, n, s):
-    """Find how clear the air before n pixels of a row is; in vectors what `transmittance` does."""
+    """Find the transmittance of the air before n pixels of a row: `transmittance` in vectors."""
     f, c, square = view.fx, view.cx, ONE + b * b
     for i in range(n):
         s[CLEAR + i] = fog_thickness(fog, min(depth[i], FAR_AWAY))
@@ -248,7 +248,7 @@ def write_image(n, s, image_out):
 
 @cpu_kernel
 def find_clear(depth, fog, view: View, clear_out):
-    """Write the transmittance, 0 to 1, of the air between the camera and what each pixel shows.
+    """Write the transmittance, 0 to 1, of the air between the camera and each pixel's surface.
 
     It is drawn as an AOV.
 

@@ -110,7 +110,7 @@ class Detail:
         )  # fmt: skip
 
     def _level(self, prepared, side, before, number, count):
-        """Return a `Level`; `before`, splats that groups have, becomes what they have at it."""
+        """Return a `Level`; `before`, splats of each group, becomes their number at the level."""
         find_cells(prepared.geometry, self._leading, side, number, count)
         total = count.sum(axis=1)
         wanted = np.flatnonzero(total <= WORTH * before)

@@ -68,7 +68,7 @@ def _halved(values, known):
 
 
 def objects(filled, known, grass, spacing):
-    """Return the mask of what stands out of the ground by more than an opening leaves."""
+    """Return the mask of objects: cells well above the morphological opening of the ground."""
     width = max(3, round(OPENING_WIDTH / spacing))
     opened = filters.grey_opening(filters.median_filter(filled), size=width)
     # An opening cuts the corners of kerbs; beside the upper level they are no objects.

@@ -178,7 +178,7 @@ class Schedule:
         return None, min(waits, default=None)
 
     def _step_after(self, client):
-        """Return the step that refines what a client was shown; None if there is none."""
+        """Return the step that refines the picture a client was shown; None if there is none."""
         _, width, step = client.shown
         if self.plays or step == EXACT:
             return None

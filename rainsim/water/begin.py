@@ -8,7 +8,7 @@ import numpy as np
 
 
 class Around(NamedTuple):
-    """What lies about a window of the ground, the window itself included.
+    """The surroundings of a window of the ground, the window itself included.
 
     Attributes
     ----------

@@ -243,7 +243,7 @@ class RippleTile:
         self._eta, self._lag = cosine * eta + sine * lag, cosine * lag - sine * eta
 
     def _push_spectrum(self, width):
-        """Return what one unit of momentum per cell adds to the lagging spectrum.
+        """Return the lagging spectrum of one unit of momentum per cell.
 
         An impulse I over a Gaussian footprint G of a `width` [m] starts the surface moving down at
         d eta/dt = -(I / rho) k tanh(k h) G(k); divided by omega that is the lagging part.
