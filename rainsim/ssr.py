@@ -46,7 +46,7 @@ class DepthBlocks(NamedTuple):
 
 
 class MarchSettings(NamedTuple):
-    """How a ray is marched."""
+    """Settings of the march of a ray."""
 
     thickness: np.float32  # m, how far behind its depth a surface still stops a ray
     stride: np.float32  # px of a step

@@ -89,7 +89,7 @@ class PagedRasterizer:
         self.used = {}
 
     def recolor(self, front=None):
-        """Draw prepared splats before the pages from now on, those of nodes; None: no such splats.
+        """Draw the splats `front`, those of nodes, before the pages from now on; None: no splats.
 
         Parameters
         ----------

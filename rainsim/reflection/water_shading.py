@@ -59,7 +59,7 @@ REFRACT_TOLERANCE = np.float32(0.04)  # m: what lies nearer than the bed by more
 
 
 class Ripples(NamedTuple):
-    """The ripples of one time."""
+    """Moments of the ripples' slopes at one time."""
 
     moments: np.ndarray  # (n, n + n // 2, 6) float32, of slopes on a periodic tile: slope_moments
     tile_size: np.float32  # m

@@ -282,7 +282,7 @@ class Kept:
         return [None if entry is None else entry[0] for entry in found]
 
     def clear(self):
-        """Let go of all values."""
+        """Forget all values."""
         with self._lock:
             self._values.clear()
             self.size = 0

@@ -48,7 +48,7 @@ class PaintedClasses:
 
     @property
     def sha256(self):
-        """Hash of all of it."""
+        """SHA-256 of the names, the cells and their place."""
         digest = hashlib.sha256(repr((self.name, self.origin, self.spacing)).encode())
         digest.update(np.ascontiguousarray(self.cells, np.int16).tobytes())
         return digest.hexdigest()

@@ -200,7 +200,7 @@ def read_covers(rain_alpha, splash_alpha, n, s):
 
 @inlined_function
 def read_colors(radiance, n, s):
-    """Read the radiance of n pixels."""
+    """Read the radiance of n pixels into the scratch rows RED, GREEN and BLUE."""
     for i in range(n):
         s[RED + i], s[GREEN + i] = radiance[3 * i], radiance[3 * i + 1]
         s[BLUE + i] = radiance[3 * i + 2]
@@ -239,7 +239,7 @@ def finish(s, color, n, air, brightness):
 
 @inlined_function
 def write_image(n, s, image_out):
-    """Write n pixels of 8 bit."""
+    """Write n pixels as 8-bit colours."""
     for i in range(n):
         image_out[3 * i] = eight_bit(s[RED + i])
         image_out[3 * i + 1] = eight_bit(s[GREEN + i])

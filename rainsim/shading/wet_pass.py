@@ -331,7 +331,7 @@ def take_normals_around(dry, normals, view, row, left, n, s, step):
 
 @inlined_function
 def add_around(depths, normals, row, left, n, step, s):
-    """Add up the normals around n pixels, to SMOOTH, ACROSS and DOWN."""
+    """Sum up the normals of like depth around each of n pixels into SMOOTH, ACROSS and DOWN."""
     rows, columns = depths.shape
     for i in range(n):
         s[SMOOTH + i], s[ACROSS + i], s[DOWN + i] = ZERO, ZERO, ZERO
@@ -352,7 +352,7 @@ def add_around(depths, normals, row, left, n, step, s):
 # Not inlined, as `pixel_batches.interpolate`.
 @serial_kernel
 def add_normals(depth, normal, first, n, s):
-    """Add the normals of n pixels of a row to those of the pixels from `first` on, where alike."""
+    """Add n normals of a row to the sums of the pixels from `first` on, weighted by like depth."""
     for i in range(np.uint64(n)):
         k = np.uint64(first) + i
         away = (depth[i] - s[np.uint64(GLOSS) + k]) * s[np.uint64(THROUGH) + k]
@@ -394,7 +394,7 @@ def surface_point(s, i):
 
 @inlined_function
 def color_pixels(look, mirror_apart, n, s):
-    """Grade and wet the colours."""
+    """Grade and wet the colours of n pixels."""
     for i in range(n):
         r, g, b, gloss, through, smooth = rainy_color(
             s[RED + i], s[GREEN + i], s[BLUE + i], s[ALPHA + i], s[FAR + i], s[VIEW_Z + i],

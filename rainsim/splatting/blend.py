@@ -214,7 +214,7 @@ def write_tile(
     state, top, left, height, width, lens, orthographic, background, halfway,
     color_out, alpha_out, depth_out, plane_out, normal_out,
 ):  # fmt: skip
-    """Write the tile's pixels."""
+    """Write the pixels of a finished tile into the pictures."""
     for block in range(BLOCKS):
         x, y = np.float32(left + block % ROW * SIDE), np.float32(top + block // ROW * SIDE)
         at = block * CHANNELS * LANES

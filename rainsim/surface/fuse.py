@@ -217,7 +217,7 @@ class _Voxels:
         return self._sums[: self._count]
 
     def add(self, view, middle, radius):
-        """Add the samples of a view."""
+        """Add the samples of a view to the sums of their voxels."""
         room = self._count + view.depth.size
         if room > len(self._keys):
             size = 2 * room

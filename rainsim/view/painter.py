@@ -88,7 +88,7 @@ class Painter:
     # --- from other threads -----------------------------------------------------------------------
 
     def add(self, key):
-        """Take in a client."""
+        """Begin to draw for a client, first the rain."""
         with self._lock:
             self.schedule.add(key, self._now())
             self._modes[key] = (RAIN, 0.0)
@@ -100,7 +100,7 @@ class Painter:
             self._modes.pop(key, None)
 
     def look(self, key, view, aspect):
-        """Note a client's camera."""
+        """Note the present camera of a client."""
         with self._lock:
             if self.schedule.move(key, view, aspect, self._now()):
                 self._lock.notify_all()

@@ -107,7 +107,7 @@ class Schedule:
     _simple_pace: float = FIRST_GUESS  # of those with simple reflections
 
     def add(self, key, now):
-        """Take in a client."""
+        """Add a client to the schedule."""
         self.clients[key] = Client(changed=now, served=now)
 
     def remove(self, key):

@@ -63,7 +63,7 @@ class View:
 
     @property
     def rotation(self):
-        """ground_from_camera, ndarray of shape (3, 3)."""
+        """Rotation to the ground frame from the camera frame, ndarray of shape (3, 3)."""
         return Rotation.from_quat(self.turn, scalar_first=True).as_matrix()
 
 

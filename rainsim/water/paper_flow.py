@@ -85,7 +85,7 @@ class PaperFlow:
         return left
 
     def advance_velocity(self, dt):
-        """Bring velocity from n to n+1."""
+        """Advance the face velocities from step n to n+1 by `dt` [s]."""
         dtype, spacing, gravity = self._type, self._spacing, self._gravity
         numbers = StepNumbers(
             k=dtype(dt / spacing), kg=dtype(gravity * dt / spacing),
