@@ -65,7 +65,7 @@ def _set_environment(codegen, name, environment):
 
 
 class _Compiling(event.Listener):
-    """Has libraries made as above from the start of a kernel's compilation to its end."""
+    """Puts our code library in numba's place while a kernel is being compiled."""
 
     def on_start(self, event):
         """Set up the compilation if the event is of a kernel."""

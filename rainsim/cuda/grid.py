@@ -140,7 +140,7 @@ class Water:
         self.page, self.depth = page, self.depths[page]
 
     def deposit(self, rows, columns, volumes):
-        """Let drops wait for the next frame: arrays of rows, columns and volumes [m3]."""
+        """Store the volumes [m3] of drops by rows and columns until the next frame adds them."""
         depth = np.asarray(volumes, np.float64) / (self.spacing**2 * step_control.UNIT)
         cells = self._cells(rows, columns)
         waiting = fetch(self.waiting, self.stream)

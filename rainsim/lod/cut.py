@@ -339,7 +339,7 @@ class _Chunks:
     names: list = field(default_factory=list)
 
     def of_levels(self, levels):
-        """Begin with so many levels."""
+        """Begin to write chunks of so many levels; return this object."""
         self.levels = levels
         self._open = [[] for _ in range(levels)]
         self._number = [0] * levels

@@ -135,7 +135,7 @@ class PagedRasterizer:
         return ([(ALWAYS, 0), *wanted] if self.pages.always else wanted), used
 
     def hold(self, camera, near):
-        """Have the pages at hand that a picture of a camera is drawn of."""
+        """Load now the pages that a picture of a camera is drawn of."""
         self._choose_chunks(self.wanted(camera, near), False)
 
     def read_ahead(self, camera, near):

@@ -73,7 +73,7 @@ def transmittance(fog, depth, a, b):
 
 @device_function
 def field_place(pixel, count, places):
-    """Return where between `places` from edge to edge of `count` pixels the pixel's middle is."""
+    """Return a pixel's real index among `places` spaced evenly over `count` pixels."""
     return (np.float32(pixel) + HALF) * (np.float32(places - 1) / np.float32(count))
 
 

@@ -94,7 +94,7 @@ class Detail:
         self._merge_colors()
 
     def recolor(self, splats):
-        """Take over `splats`: the same ones in other colours, in the memory of `drawn`."""
+        """Take over the colours of `splats`, otherwise the same, in the memory of `drawn`."""
         recolor(self.prepared, splats)
         self.drawn = replace(self.drawn)  # another one, for those who ask whether it changed
         self._merge_colors()

@@ -194,7 +194,7 @@ def straighten(height, step, spacing):
 
 
 def _straighten_one(height, band, spacing, out):
-    """Put one step's edge in its place, in `out`."""
+    """Straighten one step's edge, into `out`."""
     size = max(3, 2 * round(0.08 / spacing) + 1)
     middle = (filters.minimum_filter(height, size) + filters.maximum_filter(height, size)) / 2
     nearest = ndimage.distance_transform_edt(~band, return_distances=False, return_indices=True)

@@ -104,7 +104,7 @@ class Page:
         return f"http://{HOST}:{self.server.get_port()}"
 
     def _place(self, view):
-        """Let new pages begin with a view."""
+        """Set the view with which new pages begin."""
         start = self.server.initial_camera
         start.position, start.look_at = _looking(view)
         start.fov = view.fov

@@ -110,7 +110,7 @@ class Painter:
         self._change(lambda: self._modes.__setitem__(key, (name, amount)), key)
 
     def set_config(self, change):
-        """Want the settings that change(config) returns.
+        """Set the settings that change(config) returns for the next pictures.
 
         Raises
         ------
@@ -134,7 +134,7 @@ class Painter:
         return self._config
 
     def turn(self, change):
-        """Let change(clock, now) do something to the time."""
+        """Change the clock by change(clock, now)."""
         self._change(lambda: change(self.clock, self._now()))
 
     def set_sizes(self, full=None, least=None, adapts=None, simplifies=None):

@@ -204,7 +204,7 @@ class Schedule:
             client.served = now
 
     def given_up(self, job, now):
-        """Note that a job was not finished."""
+        """Note that a job was given up before its picture was finished."""
         client = self.clients.get(job.client)
         if client is not None:
             client.served = now

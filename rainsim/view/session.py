@@ -137,7 +137,7 @@ class Session:
         self._kept = (None, None, None)  # key, terrain and what was computed for them, last asked
 
     def set_config(self, config):
-        """Want other settings; `make` makes again the parts that they change."""
+        """Take over other settings; `make` then makes again the parts that they change."""
         self.stale |= set(out_of_date(self.config, config))
         self.config = config
 

@@ -68,7 +68,7 @@ class PaperFlow:
         )
 
     def advance_depth(self, dt):
-        """Bring depth from n to n+1; return the volume [m3] that left through open edges."""
+        """Advance the depth from n to n+1; return the volume [m3] that left through open edges."""
         k = self._type(dt / self._spacing)
         self._before = self.u, self.v
         if not self.moves:

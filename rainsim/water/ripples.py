@@ -209,7 +209,7 @@ class RippleTile:
         return scipy.fft.irfft2(self._eta, s=(self.cells, self.cells))
 
     def set_elevation(self, elevation):
-        """Put the surface to `elevation` (cells, cells) [m], at rest."""
+        """Set the surface to `elevation` (cells, cells) [m], at rest."""
         elevation = np.asarray(elevation, np.float64)
         if elevation.shape != (self.cells, self.cells):
             raise ParameterError(
