@@ -1,4 +1,4 @@
-"""`python -m rainsim`."""
+"""Entry of `python -m rainsim`, the command line."""
 
 from rainsim.cli import main
 

@@ -432,7 +432,7 @@ class FrameFolder:
             self._video.add(picture)
 
     def _note(self, report, names):
-        """Record a frame that is written."""
+        """Enter a written frame in the record and its journal."""
         self.record.add(JOURNAL, *names)
         self.record.journal.add(report.index, names, **facts_of(report), host=host_facts())
         self.reports.append(report)

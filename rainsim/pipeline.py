@@ -181,7 +181,7 @@ class FrameSequence:
             yield state if window is None else widened(state, window.station.window, window.depth)
 
     def _go_to(self, station, moment, indices):
-        """Have the water of a station at hand, at a state no later than the number `moment`.
+        """Provide the water of a station, at a state no later than the number `moment`.
 
         The next window that the frames `indices` show is made meanwhile.
         """

@@ -181,7 +181,7 @@ def initial_water(terrain, config, exposure, fallen=0.0):
 
 
 def puddle_depth(depth):
-    """Return the depth [m] that rings run on: the median of what is deep enough to carry them."""
+    """Return the depth [m] for rings: the median of the depths that can carry them."""
     deep = depth[depth > RIPPLE_DEPTHS[0]]
     return float(np.clip(np.median(deep) if deep.size else 0.0, *RIPPLE_DEPTHS))
 
@@ -349,7 +349,7 @@ def tops_drawn(terrain, config):
 
 
 def usual_wind(config):
-    """Return the mean wind of the keyframes, (speed [m/s], direction [rad]): what shelters."""
+    """Return the mean wind of the keyframes, (speed [m/s], direction [rad]), for shelter."""
     winds = [config.at(time).rain.wind_velocity for time in config.key_times()]
     x, y = np.mean(winds, axis=0)
     return math.hypot(x, y), math.atan2(y, x)
@@ -473,7 +473,7 @@ def read_state(path, terrain=None):
 
 
 def _are_volumes(ledger):
-    """Whether what was read from JSON is an account of volumes."""
+    """Whether a value read from JSON is an account of volumes."""
     names = (*SUPPLY, *WHEREABOUTS)
     return isinstance(ledger, dict) and all(json_number(ledger.get(n)) is not None for n in names)
 

@@ -39,14 +39,14 @@ _ONE, _TWO = np.uint32(1), np.uint32(2)
 
 
 class DepthBlocks(NamedTuple):
-    """What a picture shows: its depth, and bounds of that over blocks of pixels."""
+    """A picture's depth, and bounds of the depth over blocks of pixels."""
 
     depth: np.ndarray  # (height, width) float32 [m], along the view axis; infinite: never hit
     bounds: np.ndarray  # `bounds_of(height, width)` float32 [m], see `block_bounds`; saves time
 
 
 class MarchSettings(NamedTuple):
-    """How a ray is marched."""
+    """Settings of the march of a ray."""
 
     thickness: np.float32  # m, how far behind its depth a surface still stops a ray
     stride: np.float32  # px of a step
@@ -55,7 +55,7 @@ class MarchSettings(NamedTuple):
 
 @lean_function
 def march(blocks, view, start, direction, settings):
-    """Find where a ray first meets what the picture shows.
+    """Find the first hit of a ray with the surfaces that a picture shows.
 
     Parameters
     ----------
@@ -181,7 +181,7 @@ def screen_line(view, w, h, start, direction, farthest):
 
 @inlined_function
 def bisected(depth, u0, v0, iz, du, dv, diz, a, b):
-    """Return the way [px] between a and b at which a ray passes behind what the picture shows."""
+    """Return the way [px] between a and b at which a ray passes behind the picture's surface."""
     for _ in range(BISECTIONS):
         middle = HALF * (a + b)
         i, j = np.uint32(u0 + du * middle), np.uint32(v0 + dv * middle)
@@ -243,7 +243,7 @@ def block_bounds(depth, bounds_out):
 
 @device_function
 def joined_at(bounds, rows, columns, at):
-    """Return what `block_bounds` writes at place `at`, beyond the blocks themselves."""
+    """Return the value that `block_bounds` writes at place `at`, beyond the blocks themselves."""
     side, wide = 1, columns
     if at >= KINDS * rows * columns:
         at -= KINDS * rows * columns

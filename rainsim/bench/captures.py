@@ -157,7 +157,7 @@ def _lattice(rng, half, step):
 
 
 def _air(rng, count, floaters, half):
-    """Yield a sky and floaters."""
+    """Yield the splats of a sky and of floaters at random places."""
     way = rng.normal(size=(2000, 3))
     way[:, 2] = np.abs(way[:, 2])
     sky = 20 * half * way / np.linalg.norm(way, axis=1)[:, None]

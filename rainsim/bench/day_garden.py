@@ -42,7 +42,7 @@ def add_lawn(shapes, rng, low, high, spacing):
 
 
 def paint_lawn(shapes, low, high):
-    """Add the lawn's albedo as a picture, so that it can get a coat of water."""
+    """Add the lawn's albedo from `low` to `high` [m] as a picture that can get a coat of water."""
     x, y = (np.arange(a + LAWN_STEP / 2, b, LAWN_STEP) for a, b in zip(low, high, strict=True))
     albedo = lawn_albedo(*np.meshgrid(x, y))
     bounds = (low[0], x[-1] + LAWN_STEP / 2, low[1], y[-1] + LAWN_STEP / 2)

@@ -131,7 +131,7 @@ def in_halves(splats, prepared):
 
 @device_function
 def color_half(g, sh, fine, step, eye, orthographic, bands, s):
-    """Twin of `color_chunk` for `in_halves`."""
+    """Twin of `color_chunk` for harmonics in half precision, see `in_halves`."""
     low, high = np.empty(len(sh), np.float32), np.empty(len(fine), np.float32)
     for i in range(len(low)):
         low[i] = from_half(sh[i])

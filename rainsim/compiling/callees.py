@@ -65,10 +65,10 @@ def _set_environment(codegen, name, environment):
 
 
 class _Compiling(event.Listener):
-    """Has libraries made as above from the start of a kernel's compilation to its end."""
+    """Puts our code library in numba's place while a kernel is being compiled."""
 
     def on_start(self, event):
-        """Begin, if this is a kernel."""
+        """Set up the compilation if the event is of a kernel."""
         kernel = event.data["dispatcher"]
         if not isinstance(getattr(kernel, "_cache", None), KernelCache):
             return
@@ -85,7 +85,7 @@ class _Compiling(event.Listener):
             codegen.set_env = functools.partial(_set_environment, codegen)
 
     def on_end(self, event):
-        """End, if this is a kernel."""
+        """Undo the setting up by `on_start` if the event is of a kernel."""
         kernel = event.data["dispatcher"]
         if not isinstance(getattr(kernel, "_cache", None), KernelCache):
             return

@@ -117,7 +117,7 @@ def _fields(kinds):
 
 
 class _Implementation(caching.CompileResultCacheImpl):
-    """How machine code becomes bytes, numba's own, at a place of ours."""
+    """numba's serialisation of machine code, with the files at a place of ours."""
 
     def __init__(self, function, locator):
         self._locator_classes = [locator]  # what is asked for a locator; this one gives itself
@@ -125,7 +125,7 @@ class _Implementation(caching.CompileResultCacheImpl):
 
 
 class _KeyedLocator(caching._CacheLocator):
-    """Says where a kernel's files lie: in its module's folder, with the key in their names."""
+    """Locator of a kernel's files: in its module's folder, with the key in their names."""
 
     def __init__(self, folder, key):
         self._folder, self._key = folder, key

@@ -213,7 +213,7 @@ class Pool:
             self._changed.notify_all()
 
     def _give_up_alone(self):
-        """Let nobody wait for kernels that no process is left to compile."""
+        """End the wait for kernels that no process is left to compile."""
         with self._changed:
             others = [t for t in self._threads[:-1] if t is not threading.current_thread()]
             if not any(thread.is_alive() for thread in others):

@@ -102,7 +102,7 @@ def _disabled():
 
 
 def _note(ready):
-    """Write a stamp; the oldest go."""
+    """Write the stamp file `ready`; delete the oldest stamps."""
     try:
         ready.parent.mkdir(parents=True, exist_ok=True)
         ready.touch()

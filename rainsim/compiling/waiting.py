@@ -1,4 +1,4 @@
-"""Where a kernel that is looked up on disk waits for the processes that compile it."""
+"""The wait of a kernel that is looked up on disk for the processes that compile it."""
 
 POOLS = []  # what compiles for this process at present, see `pool.Pool`
 

@@ -42,7 +42,7 @@ def one_fault():
 
 
 def prepare():
-    """Have a context, whose memory is freed without a word by threads that have it.
+    """Create the CUDA context; threads that have it free its memory, silently.
 
     Numba frees in whichever thread collects garbage. One without the context cannot, and on a dead
     device nobody can: numba would print a traceback for each array.

@@ -140,7 +140,7 @@ class Water:
         self.page, self.depth = page, self.depths[page]
 
     def deposit(self, rows, columns, volumes):
-        """Let drops wait for the next frame: arrays of rows, columns and volumes [m3]."""
+        """Store the volumes [m3] of drops by rows and columns until the next frame adds them."""
         depth = np.asarray(volumes, np.float64) / (self.spacing**2 * step_control.UNIT)
         cells = self._cells(rows, columns)
         waiting = fetch(self.waiting, self.stream)
@@ -202,7 +202,7 @@ class Water:
         self.close()
 
     def take_in(self):
-        """Queue the taking in of drops that wait."""
+        """Queue the launch that gives waiting drops to the film and the water of their cells."""
         step_control.take_in[self._stripes, (step_control.SIDE, step_control.HEIGHT), self.stream](
             self._state, self._now, self.waiting, self._maps.storage, *self._size, self.width,
             DRY_DEPTH, self._fields, self._remainder, self._film, self._partial,
@@ -216,7 +216,7 @@ class Water:
         )  # fmt: skip
 
     def step(self):
-        """Queue a step."""
+        """Queue one step of the solver."""
         lean.step[(self._wide, self._high), lean.THREADS, self.stream](
             self._control, self._state, self._now, self._numbers, self._maps, self._layout,
             self._limits, self._fields, self._remainder, self._film, self.depth, self._partial,

@@ -68,7 +68,7 @@ class Workspace:
     Attributes
     ----------
     version : int
-        Another one when what was taken is no longer it.
+        Changes when arrays that were taken are replaced by new ones.
     """
 
     def __init__(self):
@@ -78,7 +78,7 @@ class Workspace:
         self._chunks, self._records = -1, ()
 
     def records(self, chunks):
-        """Return room for the projected splats of so many chunks and for which chunks are seen."""
+        """Return arrays for the projected splats of so many chunks and for the seen chunks."""
         if chunks > self._chunks:
             self._chunks, self._records = chunks, ()
             self._records = (
@@ -239,7 +239,7 @@ class Rasterizer:
         return layers
 
     def _take_chunks(self, leading):
-        """Draw all splats, or only those that were not prepared to come last."""
+        """Choose the chunks to draw: all, or only the `leading` ones."""
         s = self.splats
         chunks = int(s.leading if leading else s.chunks)
         self._chunks, self._box = chunks, s.box[:chunks]
@@ -280,7 +280,7 @@ class Rasterizer:
         self.take()
 
     def take(self):
-        """Take the workspace's lists and pictures, unless they are those that were taken."""
+        """Take the workspace's present lists and pictures, unless they are taken already."""
         if self._taken == self.workspace.version:
             return
         self._key, self._value, self._key_sorted, self._value_sorted = self.workspace.lists(

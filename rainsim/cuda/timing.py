@@ -16,7 +16,7 @@ NAPS = 40  # before the parts, so that the host has queued all parts when the fi
 
 @cuda.jit
 def wait(naps):
-    """Keep the stream waiting."""
+    """Keep the stream waiting for `naps` times NAP nanoseconds."""
     for _ in range(naps):
         cuda.nanosleep(NAP)
 

@@ -194,7 +194,7 @@ class SharedRun:
         return []
 
     def _note(self, claims, report, names):
-        """Note a frame that is written."""
+        """Enter a written frame in the journal and end the claim on it."""
         host = host_facts()
         self.record.journal.add(report.index, names, **facts_of(report), host=host)
         self._bad.pop(report.index, None)

@@ -40,7 +40,7 @@ class Journal:
 
     @property
     def path(self):
-        """Of the journal."""
+        """Path of the journal."""
         return self.folder / self.name
 
     def add(self, index, names, **facts):

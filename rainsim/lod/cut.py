@@ -167,11 +167,11 @@ class _Sample:
 
     @property
     def share(self):
-        """Of the splats that are in the sample."""
+        """Share of the splats that are in the sample."""
         return sum(map(len, self._width)) / self.count
 
     def add(self, splats):
-        """Take some of a block."""
+        """Add every so many-th splat of a block to the sample."""
         first = -self.count % self._step
         self.count += len(splats)
         self.coefficients = max(self.coefficients, splats.sh.shape[1])
@@ -275,7 +275,7 @@ class _Sorted:
 
     @property
     def count(self):
-        """Splats that belong to leaves."""
+        """Number of the splats that belong to leaves."""
         return int(self.counts[:-1].sum())
 
     def add(self, splats, tree):
@@ -290,7 +290,7 @@ class _Sorted:
             self._note(n, int(cut[n]), int(cut[n + 1] - cut[n]), len(splats))
 
     def add_broad(self, splats):
-        """Store splats of no leaf."""
+        """Store splats that belong to no leaf."""
         if len(splats):
             self._store(splats)
             self._note(self.leaves, 0, len(splats), len(splats))
@@ -339,7 +339,7 @@ class _Chunks:
     names: list = field(default_factory=list)
 
     def of_levels(self, levels):
-        """Begin with so many levels."""
+        """Begin to write chunks of so many levels; return this object."""
         self.levels = levels
         self._open = [[] for _ in range(levels)]
         self._number = [0] * levels

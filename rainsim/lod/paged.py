@@ -89,7 +89,7 @@ class PagedRasterizer:
         self.used = {}
 
     def recolor(self, front=None):
-        """Draw prepared splats before the pages from now on, those of nodes; None: no such splats.
+        """Draw the splats `front`, those of nodes, before the pages from now on; None: no splats.
 
         Parameters
         ----------
@@ -135,7 +135,7 @@ class PagedRasterizer:
         return ([(ALWAYS, 0), *wanted] if self.pages.always else wanted), used
 
     def hold(self, camera, near):
-        """Have the pages at hand that a picture of a camera is drawn of."""
+        """Load now the pages that a picture of a camera is drawn of."""
         self._choose_chunks(self.wanted(camera, near), False)
 
     def read_ahead(self, camera, near):

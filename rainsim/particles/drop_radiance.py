@@ -203,7 +203,7 @@ def refracted(environment, behind, m, lens, size, sight, z, ring, turn):
 
 @cpu_kernel
 def _coarsen(picture, depth, radiance_out, nearness_out):
-    """See `coarse_picture`."""
+    """Write mean radiance and mean nearness [1/m] of each cell, see `coarse_picture`."""
     height, width = depth.shape
     rows, columns = CELLS
     for j in prange(rows):

@@ -168,7 +168,7 @@ def cloud_table(puffs, camera):
 
 @cpu_kernel
 def _lay_clouds(puffs, lens, depth, alpha_out):
-    """See `lay_clouds`; `puffs` is a `cloud_table`."""
+    """Blend the clouds `puffs`, a `cloud_table`, into the alpha, see `lay_clouds`."""
     height, width = alpha_out.shape
     bands = (height + ROWS - 1) // ROWS
     taken = none_taken()  # clouds stand close together: some bands have most of them

@@ -415,7 +415,7 @@ def _no_drops():
 
 
 def _split(drops, which):
-    """Return the drops that `which` selects and the others."""
+    """Return the drops that `which` selects, and the remaining drops."""
     return {k: v[which] for k, v in drops.items()}, {k: v[~which] for k, v in drops.items()}
 
 

@@ -134,7 +134,7 @@ def drop_volume(diameter):
 
 
 def _decay(rate_mm_per_hour):
-    """Marshall and Palmer's Lambda [1/m]."""
+    """Return Marshall and Palmer's decay Lambda [1/m] of the drop diameters at a rate."""
     return 4.1e3 * rate_mm_per_hour**-0.21
 
 

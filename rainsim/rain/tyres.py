@@ -109,7 +109,7 @@ class Parcels(NamedTuple):
     id: np.ndarray
 
     def take(self, where):
-        """Return some of the parcels."""
+        """Return the parcels at `where`, a mask or indices."""
         return Parcels(*(part[where] for part in self))
 
 

@@ -1,1 +1,1 @@
-"""Light on puddles: where a ray meets water, what is reflected and what is refracted."""
+"""Light on puddles: where a ray meets water, the reflected light and the refracted light."""

@@ -74,7 +74,7 @@ def facet_weight(water, law, gx, gy):
 
 @inlined_function
 def pixel_reflectance(law, water):
-    """Return the reflectance of what a pixel shows of the water: a mean over the area shown."""
+    """Return the reflectance of the water that a pixel shows: a mean over the area shown."""
     samples, a, b, c = slope_samples(water)
     area, light = ZERO, ZERO
     for sample in range(samples):

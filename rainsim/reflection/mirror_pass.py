@@ -1,4 +1,4 @@
-"""What water mirrors by a mirrored picture, on the CPU: many bent rays at a time, in vectors.
+"""Reflections in water by a mirrored picture, on the CPU: many bent rays at a time, in vectors.
 
 `planar_mirror.mirrored_light` does the same for one pixel, and a CUDA thread is no worse off with
 it. A CPU does eight rays in one instruction, but only where a loop holds one simple thing to do:
@@ -148,7 +148,7 @@ def add_rays(record, n, view, rays, s, owner):
 
 @inlined_function
 def level_depth(record, n, view, depth):
-    """Return the depth [m] of what level water of record n would mirror."""
+    """Return the depth [m] of the point that level water of record n would mirror."""
     water = read_record(record, n)
     u, v, _ = project(view, water.view_x, water.view_y, -water.view_z)
     rows, columns = depth.shape

@@ -184,7 +184,7 @@ def march_points(depth, view, start, direction, settings):
 
 @lean_function
 def paper_terms(water, row, column, background, view, optics, laws):
-    """Return what `water_shading.water_terms` does, by the paper's laws."""
+    """Return the terms of `water_shading.water_terms`, by the paper's laws."""
     ux, uy, uz = normal_of(water.slope_x, water.slope_y)
     cosine = view_cosine(water, ux, uy, uz)
     share = reflectance(optics.law, cosine)
@@ -230,7 +230,7 @@ def separate_paper_water(
     pixel, record, background: Background, view: View, optics: Optics, laws: PaperLaws,
     through_out, share_out, glint_out,
 ):  # fmt: skip
-    """Write what `water_shading.separate_water` does, by the paper's laws."""
+    """Write the arrays of `water_shading.separate_water`, by the paper's laws."""
     width = background.depth.shape[1]
     for n in prange(len(pixel)):
         row, column = pixel[n] // width, pixel[n] % width

@@ -1,4 +1,4 @@
-"""What water mirrors by a planar mirror: a picture that the mirrored camera takes, looked up.
+"""Reflections in water by a planar mirror: look-ups in the picture of the mirrored camera.
 
 The camera mirrored at the water's level sees, pixel for pixel, what level water mirrors. A ray
 that ripples bend is followed through that picture: its image starts where the mirrored camera sees
@@ -30,7 +30,7 @@ MIRROR_FAR = np.float32(100)  # m, stands for the sky's distance
 
 
 class MirrorPicture(NamedTuple):
-    """What stands above the water as a mirrored camera sees it, wet."""
+    """The scene above the water as a mirrored camera sees it, wet."""
 
     picture: np.ndarray  # (rows, columns, 3) float32, linear light
     coarse: np.ndarray  # (rows, columns // 2, 3) float32, its mip levels: mipmap.coarsened
@@ -66,7 +66,7 @@ def mirrored_light(view, mirror, water):
 
 @lean_function
 def march_mirror(view, depth, water, rx, ry, rz):
-    """Return where the mirrored picture shows what a ray r from a pixel's surface point meets.
+    """Return where the mirrored picture shows the hit of a ray r from a pixel's surface point.
 
     And the share of the way to the ray's vanishing point at which it does, 0 to 1. A ray that
     passes behind something, where the picture shows nothing of it, ends where it was last in front

@@ -79,7 +79,7 @@ class Ray(NamedTuple):
 
 @dataclass(frozen=True)
 class Traced:
-    """What rays met; distances from their virtual eye (see `Tracer.trace`), in capture units.
+    """Results of traced rays; distances from their virtual eye (see `Tracer.trace`), capture units.
 
     Attributes
     ----------
@@ -131,7 +131,7 @@ class Tracer:
 
     def trace(self, origin, direction, before=0.0, pixel=0.0, segment=1.0, plane=None,
               color_eye=None):  # fmt: skip
-        """Return what rays meet.
+        """Trace rays through the splats; return blended colour, distance and normal as `Traced`.
 
         Parameters
         ----------

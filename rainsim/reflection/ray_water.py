@@ -1,4 +1,4 @@
-"""Where view rays meet the water: what of a picture it covers."""
+"""Intersection of view rays with the water: distances, and the share of each pixel it covers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What water mirrors by screen-space reflection: a march through the picture's own depth.
+"""Reflections in water by a march through the picture's own depth (screen-space reflection).
 
 The ray of level water is marched (`rainsim.ssr`); the rays that ripples bend end as far away as it
 does, where the picture shows that point: marching each bent ray gives noise. Where the picture
@@ -100,7 +100,7 @@ def surrounding_light(environment, water):
 
 @inlined_function
 def on_screen(view, depth, start, water, rx, ry, rz, distance, thickness):
-    """Return where the picture shows what a mirrored ray meets, and the share to take from there.
+    """Return where the picture shows the hit of a mirrored ray, and the share to take from there.
 
     The end is that of the bent ray r at the distance of level water's hit or, if the picture does
     not show it, that of level water's own ray.
@@ -185,7 +185,7 @@ def environment_light(which, record, environment, light_out, source_out):
 
 @cpu_kernel
 def keep_tall(depth, clearance, tall_out):
-    """Keep the depth of what water can mirror: level water cannot mirror the ground it lies on.
+    """Keep the depth of all but the ground, which level water on it cannot mirror.
 
     Parameters
     ----------

@@ -123,7 +123,7 @@ def tile_height(moments, size, x, y, width):
 
 @device_function
 def pixel_slopes(moments, size, x, y, vx, vy, vz, width):
-    """Return mean and covariance of the ripples' slopes over what a pixel shows of level water.
+    """Return mean and covariance of the ripples' slopes over a pixel's footprint on level water.
 
     Parameters
     ----------

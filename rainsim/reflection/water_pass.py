@@ -1,4 +1,4 @@
-"""The water in a camera's picture: found, tilted by ripples and lit; what does not change is kept.
+"""The water in a camera's picture: found, tilted by ripples and lit; unchanged parts are kept.
 
 A planar mirror is drawn for each level at which much of the water stands, see `mirror_choice`;
 water at other levels is marched on the screen.
@@ -41,7 +41,7 @@ GLINT_VARIANCE = 0.0023**2 / 4 + 0.001**2
 
 @dataclass(frozen=True)
 class WetPicture:
-    """A wet picture without water, what it shows and where it was taken from.
+    """A wet picture without water, its depth and clearance, and the view it was taken from.
 
     Attributes
     ----------
@@ -65,12 +65,12 @@ class WetPicture:
 
     @property
     def background(self):
-        """What kernels take of the picture, see `water_shading.Background`."""
+        """The picture's arrays for kernels, see `water_shading.Background`."""
         return Background(self.picture, self.below, self.depth)
 
 
 class Shower(NamedTuple):
-    """What wets the tops at the time of a frame.
+    """The rain on the tops at the time of a frame, and the surroundings that they mirror.
 
     Attributes
     ----------
@@ -139,7 +139,7 @@ class WaterPass:
         self.wet = None
 
     def look(self, wet):
-        """Take over what a camera sees without water, a `WetPicture`; forget the last camera's."""
+        """Take over a camera's picture without water, a `WetPicture`; forget the last camera's."""
         self.wet = wet
         self._shown = wet.picture.copy()  # the picture with water on the listed pixels
         self.pixel = np.empty(0, np.int32)
@@ -258,7 +258,7 @@ class WaterPass:
         self._highest = np.float32(surface[wet].max()) if wet.any() else None
 
     def _update_tops(self, volume, shower):
-        """Take over the water on tops (n,) [m3] and what wets them; return whether it changed."""
+        """Take over the water on tops (n,) [m3] and the rain; return whether either changed."""
         if not len(self.tops.form):
             return False
         water = top_numbers(self.top_water, volume, sheet_depth(shower.rate))
@@ -369,7 +369,7 @@ class WaterPass:
         return mirrors, others, np.flatnonzero(left)
 
     def choice(self):
-        """Return in words what `auto` took for the last picture; None without water or choice."""
+        """Return in words the choice of `auto` for the last picture; None if it chose nothing."""
         if self.config.reflections != "auto" or not len(self.pixel):
             return None
         mirrors, others, surrounded = self._groups["auto"]
@@ -410,7 +410,7 @@ class WaterPass:
         )  # fmt: skip
 
     def _mirror_window(self, which):
-        """Return left, top, right and bottom of what the records `which` mirror [px].
+        """Return left, top, right and bottom [px] of the window that the records `which` mirror.
 
         It reaches beyond the picture where ripples look there.
         """

@@ -1,4 +1,4 @@
-"""What is known of a pixel of water: its names, and its row in the list of a picture's water.
+"""The record of a pixel of water: its names, and its row in the list of a picture's water.
 
 The water that a picture shows is a list, one record of RECORD numbers (a cache line) for each
 pixel that it covers. Formulas take a `WaterPixel`; the CPU's loops read it from a record, a CUDA

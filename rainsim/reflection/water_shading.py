@@ -1,4 +1,4 @@
-"""Light on water: how ripples tilt a pixel of it, what shows through it, and the sun's glint.
+"""Light on water: a pixel's tilt by ripples, the refracted bed, the reflection, the sun's glint.
 
 `water_at` makes a pixel of water of where its ray meets the surface, `tilted` adds the ripples;
 `shade_water_pixel` is the composition: what shows through the water, what it mirrors and the sun's
@@ -59,7 +59,7 @@ REFRACT_TOLERANCE = np.float32(0.04)  # m: what lies nearer than the bed by more
 
 
 class Ripples(NamedTuple):
-    """The ripples of one time."""
+    """Moments of the ripples' slopes at one time."""
 
     moments: np.ndarray  # (n, n + n // 2, 6) float32, of slopes on a periodic tile: slope_moments
     tile_size: np.float32  # m
@@ -111,7 +111,7 @@ def water_at(view, water_map, tops, row, column, t, coverage):
 
 @inlined_function
 def surface_at(view, row, column, t):
-    """Return what of a `WaterPixel` the camera alone decides; its other numbers are zero."""
+    """Return the numbers of a `WaterPixel` that the camera decides; the others are zero."""
     x, y, z = pixel_ray(view, row, column)
     eye = view.eye
     length = math.sqrt(x * x + y * y + z * z)
@@ -124,7 +124,7 @@ def surface_at(view, row, column, t):
 
 @inlined_function
 def tilted(water, ripples, tops):
-    """Return a `WaterPixel` with the ripples' slopes over what the pixel shows of the surface.
+    """Return a `WaterPixel` with the ripples' slopes over its footprint on the surface.
 
     On tops with the slopes of the top, and those of the film between puddles.
     """
@@ -351,7 +351,7 @@ def tilt_water(ripples: Ripples, tops: TopMaps, record_out):
 def lay_water(
     pixel, record, light, background: Background, view: View, optics: Optics, picture_out
 ):
-    """Write the water into the picture: what it mirrors, what shows through it, the sun's glint.
+    """Write the water into the picture: reflection, refraction and the sun's glint.
 
     Parameters
     ----------

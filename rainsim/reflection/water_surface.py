@@ -45,7 +45,7 @@ WIDE, NARROW = _gauss(1.5, 6), _gauss(0.7, 3)
 
 
 def fine_relief(terrain):
-    """Return a made-up roughness of hard ground below what a capture resolves, (ny, nx) [m].
+    """Return a made-up roughness of hard ground, finer than a capture resolves, (ny, nx) [m].
 
     Captured beds are smoothed, so their puddles would end in lines too smooth for stone. The
     relief moves the drawn rim by less than a millimetre of depth; the solver's bed has none.

@@ -315,7 +315,7 @@ def meet_tops(
     depth, view: View, tops: TopMaps, rain: OffGroundWetness, row_order, hit_out, coverage_out,
     count_out,
 ):  # fmt: skip
-    """Add the wet tops to what `ray_water.meet_water` has found; its water hides them.
+    """Add the wet tops to the hits that `ray_water.meet_water` found, whose water hides them.
 
     Parameters
     ----------

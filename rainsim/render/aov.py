@@ -31,7 +31,7 @@ SEEN_SPLASH = 1 / 512  # share of a pixel's light from which a splash is labelle
 
 @dataclass(frozen=True)
 class Aov:
-    """What an arbitrary output variable is.
+    """Description of an arbitrary output variable (AOV).
 
     Attributes
     ----------
@@ -117,7 +117,7 @@ def parse_names(text):
 
 @dataclass(frozen=True)
 class FrameParts:
-    """What a frame was composed of.
+    """The parts that a frame was composed of.
 
     Attributes
     ----------
@@ -204,7 +204,7 @@ def collect(names, parts):
 
 
 def facts_of(aovs, parts, weather):
-    """Return what a frame's labels say besides pictures, as plain JSON values.
+    """Return a frame's labels besides pictures, as plain JSON values.
 
     Parameters
     ----------

@@ -115,7 +115,7 @@ def write_layers(folder, report):
 
 
 def facts_of(report):
-    """Return what a journal notes of a frame besides its files; see `report_of`."""
+    """Return a journal's facts of a frame besides its files; see `report_of`."""
     return {
         "time": report.time, "milliseconds": report.milliseconds, "ledger": report.ledger,
         "notes": list(report.notes),

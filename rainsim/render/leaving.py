@@ -1,4 +1,4 @@
-"""Leaving the capture: how much of a picture shows what its cameras hardly saw, or saw from behind.
+"""Leaving the capture: the share of a picture that its cameras hardly saw, or saw from behind.
 
 A capture is what its cameras saw. Elsewhere it has holes, haze and undersides that training put
 there at will.
@@ -64,7 +64,7 @@ def leaving_of(scene):
 
 
 def leaving_notes(scene, cameras):
-    """Return what to say of cameras that leave the capture, a tuple of str.
+    """Return notes on cameras that leave the capture, a tuple of str.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""How much memory pictures and states take: estimated and compared with what is free beforehand.
+"""Memory of pictures and states: estimated and compared with the free memory beforehand.
 
 Peaks of whole runs, version 0.1.0 on a CPU: a garden of 493,196 splats of degree 3 (116 MB) on
 160,000 cells 877 MB at 648 x 420 pixels, 1206 at 2000 x 1296, 2410 at 4000 x 2593, there 3041 with
@@ -34,7 +34,7 @@ LEAST_WIDTH = 64  # px: a smaller one is no remedy
 
 
 class Need(NamedTuple):
-    """What is going to be taken.
+    """An estimate of memory that is going to be taken.
 
     Attributes
     ----------
@@ -162,7 +162,7 @@ def _require_on_device(what, splats, camera, cells, free, levels=DEVICE_LEVELS):
 
 
 def _bytes_of_pages(scene):
-    """Return what the chunks of a scene may take beside its splats."""
+    """Return the bytes that the chunks of a scene may take beside its splats."""
     return 0.0 if scene.pages is None else scene.pages.memory
 
 

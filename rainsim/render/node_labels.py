@@ -57,7 +57,7 @@ def moves_of(nodes):
 
 
 def facts_of_nodes(nodes, camera):
-    """Return what a frame's labels say of each node that is there, a list of plain values.
+    """Return the labels of each node that is present in a frame, a list of plain values.
 
     Parameters
     ----------

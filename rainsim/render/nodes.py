@@ -78,7 +78,7 @@ class Nodes:
         return Merger(static, self._most)
 
     def standing(self, terrain, frame):
-        """Return what stands on the ground as the level picture takes it, nodes included."""
+        """Return the standing splats for the level picture, nodes included."""
         if self._standing is None:
             static = in_level_picture(self.static, terrain, frame)
             self._standing = Merger(static, self._most)

@@ -27,7 +27,7 @@ STANDING = 1.4  # times the threshold in what wet ground mirrors: with coarser l
 
 
 class PagedScene:
-    """What draws a big capture: the whole, what stands on the ground, and all as captured.
+    """Rasterizers of a big capture: of the whole, of standing things, and of all as captured.
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ class PagedScene:
         self.standing.recolor(standing)
 
     def read_ahead(self, camera, near):
-        """Begin to read what a camera needs, on another thread."""
+        """Begin to read the chunks that a camera needs, on another thread."""
         self.whole.read_ahead(camera, near)
 
     def _page(self, splats):

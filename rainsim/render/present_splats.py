@@ -31,7 +31,7 @@ class PresentSplats:
             self._level = level_share(scene, terrain, reach, lawn)
 
     def state(self, now):
-        """Return what the colours depend on at the settings of one time, two numbers of 0 to 1.
+        """Return the two numbers of 0 to 1 on which the colours depend at the settings of one time.
 
         The share of the captured sun that clouds take, and how wet level surfaces are.
         """

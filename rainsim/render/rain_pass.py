@@ -1,4 +1,4 @@
-"""What falls before a camera: streaks and splashes, and the fog of drops too small to draw."""
+"""Water that falls before a camera: streaks, splashes, and fog of drops too small to draw."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ class RainPass:
         return RainCover(rain, splash, fog)
 
     def _draw_spray_alone(self, camera, camera_end, state, render, depth, drops, alpha_out):
-        """Draw what tyres throw from a wet road while no rain falls."""
+        """Draw the spray of tyres on a wet road while no rain falls."""
         if len(drops):
             none = RainField(RainSpectrum(0.0))
             draw_streaks(

@@ -184,13 +184,13 @@ class Renderer:
         self.rain = RainPass(self.moving.still, config)
 
     def leave_ground(self):
-        """Let go of what depends on the present part of the ground; `take_ground` must follow."""
+        """Drop all that depends on the present part of the ground; `take_ground` must follow."""
         self._camera = self.water = self.rings = None
         self.wet_ground = self.wet_ground.over(None)
         self.wet_scene.leave_ground()
 
     def ready_ground(self, terrain, reach, now):
-        """Return what `take_ground` takes; nothing of the renderer changes.
+        """Return the `ReadyGround` that `take_ground` takes; nothing of the renderer changes.
 
         Parameters
         ----------
@@ -225,17 +225,17 @@ class Renderer:
         self.wet_ground = self.wet_ground.over(self.terrain)
 
     def read_ahead(self, camera):
-        """Begin to read what a camera of the capture frame needs, if the capture is in chunks."""
+        """Begin to read the chunks that a camera of the capture frame needs, if there are any."""
         if self.wet_scene.paged is not None:
             self.wet_scene.paged.read_ahead(camera, self.wet_scene.near)
 
     def hold(self, camera):
-        """Read what a camera of the capture frame needs now, if the capture is in chunks."""
+        """Read now the chunks that a camera of the capture frame needs, if there are any."""
         if self.wet_scene.paged is not None:
             self.wet_scene.paged.whole.hold(camera, self.wet_scene.near)
 
     def film(self, shots, names=()):
-        """Yield what `draw` returns for each (camera, state, camera_end), one after the other."""
+        """Yield the result of `draw` for each (camera, state, camera_end), one after the other."""
         for camera, state, camera_end in shots:
             yield self.draw(camera, state, camera_end, names)
 
@@ -248,7 +248,7 @@ class Renderer:
         return self._move_nodes(time) or changed
 
     def _move_nodes(self, time):
-        """Take over where nodes are at a time [s], and what they shelter; return if they moved."""
+        """Take over the nodes' places at a time [s] and their shelter; return if nodes moved."""
         moved = self.wet_scene.move_nodes(time)
         if self.terrain.movers:
             self.rain.surfaces, shelters = self.moving.moment(time)
@@ -280,7 +280,7 @@ class Renderer:
         return times, np.log(factors)
 
     def _choose_film(self, first_camera):
-        """Let `auto` choose what wet ground mirrors, by the capture's views at all key times.
+        """Let `auto` choose the reflections of wet ground, by the capture's views at all key times.
 
         No frame decides, so all frames of a run agree on it, whichever of them are drawn here.
         """
@@ -319,7 +319,7 @@ class Renderer:
         )  # fmt: skip
 
     def mirrored(self, *place):
-        """Return what the last frame's camera sees mirrored, see `WetScene.mirrored`."""
+        """Return the mirrored picture of the last frame's camera, see `WetScene.mirrored`."""
         return self.wet_scene.mirrored(self._camera, *place)
 
     def aovs(self, names, state, wet, cover, light):
@@ -356,7 +356,7 @@ class Renderer:
         return aovs, radiances, aov.facts_of(aovs, parts, weather_of(self.now, field))
 
     def _after(self, names):
-        """Return the next frame's camera and what it sees, as `FrameParts` takes them."""
+        """Return the next frame's camera and its picture, as `FrameParts` takes them."""
         render, scene = self.now.render, self.wet_scene
         nodes, after = scene.nodes, None
         if self.view_end is not None:
@@ -375,7 +375,7 @@ class Renderer:
         return {"after": after, "depth_after": seen.depth}
 
     def _nodes_seen(self, names):
-        """Return what moves in the frame, `NodesSeen`; None without nodes or names that ask."""
+        """Return the `NodesSeen` of the frame; None without nodes or without names that ask."""
         scene = self.wet_scene
         if scene.nodes is None or aov.NODES.isdisjoint(names):
             return None
@@ -390,7 +390,7 @@ class Renderer:
         self._camera, self.view = camera, self.wet_scene.frame.camera_in_ground(camera)
 
     def _see(self, camera, timer):
-        """Draw what a new camera sees without water."""
+        """Draw the picture of a new camera without water."""
         self.take_camera(camera)
         shape = (camera.height, camera.width) if self.wet_ground.apart else (0, 0)
         cover = np.empty(shape, np.float32)

@@ -1,4 +1,4 @@
-"""What is said of a drawn frame: its report, and the clock of its stages."""
+"""The report of a drawn frame, and the clock of its stages."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 @dataclass(frozen=True)
 class FrameReport:
-    """What was done for a frame.
+    """Report of a drawn frame: times, volumes of water, notes, layers, light and facts.
 
     Attributes
     ----------

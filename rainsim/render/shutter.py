@@ -79,7 +79,7 @@ class PathMotion:
         self._share, self._kept = None, {}
 
     def end(self, index, exposure, fps):
-        """Return what `shutter_end` does of a frame.
+        """Return the camera at the end of a frame's exposure, as `shutter_end` does.
 
         The turns of many frames are computed at once: one by one they would take 0.1 ms of each.
         """

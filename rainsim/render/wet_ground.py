@@ -30,7 +30,7 @@ class WetGround(NamedTuple):
     now: object
 
     def wetness(self):
-        """Return how wet it is, (ny, nx, 4) float32, see `wetness.ground_wetness`.
+        """Return the wetness of the ground, (ny, nx, 4) float32, see `wetness.ground_wetness`.
 
         Found when the part is drawn: until then it would only take memory.
         """

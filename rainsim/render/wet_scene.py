@@ -176,7 +176,7 @@ class WetScene:
         self.gloss, self.coat = environment.glossy(self.environment)
 
     def set_time(self, now):
-        """Take over the settings of a time; return whether they change what cameras see."""
+        """Take over the settings of a time; return whether cameras see other pictures by them."""
         if now is self._now:  # as all frames have it without keyframes
             return False
         self._now = now
@@ -197,7 +197,7 @@ class WetScene:
         return look_of(now, *facts, len(self.terrain.tops) > 0)
 
     def leave_ground(self):
-        """Let go of what depends on the present part of the ground; `take_ground` must follow."""
+        """Drop all that depends on the present part of the ground; `take_ground` must follow."""
         self.reach = self.ground = self._untouched = self._grass = self.bodies = None
 
     def take_ground(self, ground):
@@ -304,7 +304,7 @@ class WetScene:
         return layers
 
     def _captured_splats(self):
-        """Return what draws all splats as captured, those of the sky included."""
+        """Return the rasterizer of all splats as captured, those of the sky included."""
         if self._captured is None:
             whole = prepare(self.backdrop.whole.splats)
             if self.nodes is not None:
@@ -363,7 +363,7 @@ class WetScene:
             yield layers, self._wetted(layers, camera, cover), cover
 
     def level_mirrored(self, level):
-        """Return the `WetPicture` of what stands on the ground, seen mirrored at its plane.
+        """Return the `WetPicture` of standing things, seen mirrored at the plane of the ground.
 
         `level` is the level, upright camera (ground frame) that is mirrored.
         """
@@ -384,7 +384,7 @@ class WetScene:
         return self._wetted(layers, camera, mirrored=True)
 
     def mirrored(self, camera, level, window, step=1):
-        """Return what stands above the water as `camera` mirrored at `level` [m] sees it.
+        """Return view and `MirrorPicture` of `camera` mirrored at the water's `level` [m].
 
         Parameters
         ----------
@@ -451,7 +451,7 @@ class WetScene:
         return WetPicture(picture, depth, clearance, view, picture)
 
     def _graded(self, rays):
-        """Return the radiance of what rays have met, graded and wet."""
+        """Return the radiance at the hits of rays, graded and wet."""
         light = np.empty_like(rays.color)
         grade_rays(rays, *self._shading(True), light)
         return light

@@ -23,7 +23,7 @@ _threads = []  # that are at work, at most one of each sequence
 
 
 class Window(NamedTuple):
-    """What frames of a station need.
+    """Terrain, water and renderer's data that the frames of a station need.
 
     Attributes
     ----------
@@ -164,7 +164,7 @@ class _Work:
         self._thread.join(seconds)
 
     def result(self):
-        """Return what was made; raise the error that came up."""
+        """Return the `Window` that was made; raise the error that came up."""
         self.wait()
         if self._error is not None:
             raise self._error

@@ -1,4 +1,4 @@
-"""Nodes as files: `actors.json`, which says what moves through a scene, and nodes as arrays.
+"""Nodes as files: `actors.json`, which lists the moving parts of a scene, and nodes as arrays.
 
 docs/actors.md describes `actors.json`. A scene folder holds its nodes as `actors.npz`: the splats
 of all nodes one after the other, the keys of all tracks one after the other, and how many of them
@@ -59,7 +59,7 @@ _FIELDS = {
 
 @dataclass(frozen=True)
 class ActorsFile:
-    """What an `actors.json` says.
+    """The content of an `actors.json`.
 
     Attributes
     ----------

@@ -39,7 +39,7 @@ class Pose(NamedTuple):
         return points @ self.rotation.T + self.position
 
     def same_as(self, other):
-        """Whether another pose is this one."""
+        """Whether another pose has the same rotation and position."""
         return np.array_equal(self.rotation, other.rotation) and np.array_equal(
             self.position, other.position
         )

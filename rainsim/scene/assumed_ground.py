@@ -116,7 +116,7 @@ def _require_width(width, points):
 
 
 def _surface(splats, points, hint):
-    """Return the Plane that counts as level and the middle of what lies on it; None without one.
+    """Return the Plane that counts as level and the middle of the splats on it; None without one.
 
     Nothing tells a lawn from a lawn upside down, nor a wall from ground: a surface counts by how
     sure it is and by how much more of the capture is above it than below. Where that decides

@@ -26,7 +26,7 @@ USUAL_SECONDS = 2.0
 
 
 def is_camera_path(data):
-    """Return whether what was read from JSON has the form of a camera path."""
+    """Return whether data read from JSON have the form of a camera path."""
     return (
         isinstance(data, dict)
         and isinstance(data.get("camera_path"), list)
@@ -204,7 +204,7 @@ def camera_path_data(poses, width, height, fps, keyframes=(), moments=()):
 
 
 def write_camera_path(path, data):
-    """Write what `camera_path_data` returned; it replaces the file whole or not at all."""
+    """Write data of `camera_path_data`; they replace the file whole or not at all."""
     write_json(path, data)
 
 

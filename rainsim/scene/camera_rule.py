@@ -1,4 +1,4 @@
-"""What a camera must be, wherever it comes from: options, files, the page."""
+"""The rule for cameras, wherever they come from: options, files, the page."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def require_camera(camera, label, error=InputError, remedy="correct the file"):
 
 
 def _fault(camera):
-    """Return what is wrong with a camera and the rule, None if nothing is."""
+    """Return the fault of a camera and the rule that it breaks, None without a fault."""
     sides = camera.width, camera.height
     if not all(side == int(side) and 1 <= side <= MAX_SIDE for side in sides):
         return f"is {sides[0]} x {sides[1]} px; each side must be a whole number to {MAX_SIDE}"

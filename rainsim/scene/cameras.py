@@ -141,7 +141,7 @@ def write_transforms(path, cameras, file_paths=None):
 
 
 def cameras_to_data(cameras, file_paths=None):
-    """Return what `write_transforms` writes, as a dict."""
+    """Return the content of the file that `write_transforms` writes, as a dict."""
     file_paths = [c.name for c in cameras] if file_paths is None else list(file_paths)
     frames = [
         _nerf_frame(camera, file_path)

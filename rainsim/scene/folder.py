@@ -154,7 +154,7 @@ def import_scene(
 
 
 def _import_chunks(path, index, cameras, camera_notes, ground_frame, given):
-    """Return the Scene of a Streamed SOG; `given` is what `_kept_frame` takes."""
+    """Return the Scene of a Streamed SOG; `given` are the last arguments of `_kept_frame`."""
     pages, splats, source_hash, notes = open_pages(index)
     found = ground_frame is None and _kept_frame(source_hash, splats, cameras, *given)
     frame = found or _as_frame(ground_frame)
@@ -447,7 +447,7 @@ def scene_to_data(scene):
 
 
 def scene_from_data(data, splats, where, name=""):
-    """Return the Scene of what `scene_to_data` returned and its splats, without a source.
+    """Return the Scene of its splats and of data from `scene_to_data`, without a source.
 
     Parameters
     ----------

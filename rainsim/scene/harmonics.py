@@ -40,7 +40,7 @@ def basis(directions):
 
 
 def turned(sh, rotation):
-    """Return harmonics as they are after a rotation of what they belong to.
+    """Return harmonics after a rotation of the splats that they belong to.
 
     The colour seen along R d afterwards is that seen along d before. A rotation mixes the functions
     of one degree among themselves; the mixing matrix is found from the functions' values at a fixed

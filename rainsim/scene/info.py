@@ -1,4 +1,4 @@
-"""What a splat file holds, in numbers: for `rainsim import --info` and for scripts."""
+"""The content of a splat file in numbers: for `rainsim import --info` and for scripts."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ DRAWING_SHARE = 1.3  # what drawing needs on top, at most, as a share of the spl
 
 
 def describe(path):
-    """Return what a splat file, model folder or scene folder holds.
+    """Return the content of a splat file, model folder or scene folder, in numbers.
 
     Broken splats are counted however many they are, where reading a scene refuses more than 1 %.
 
@@ -65,7 +65,7 @@ def describe(path):
 
 
 def _of_chunks(folder, splats, cameras, notes):
-    """Return what a folder of chunks holds, its numbers those of a level that fits the memory."""
+    """Return the content of a folder of chunks; its numbers are of a level that fits the memory."""
     size = sum(file.stat().st_size for file in folder.glob("*/*") if file.is_file())
     head = {"path": str(folder), "format": "Streamed SOG, in chunks", "bytes": size}
     return head | _numbers(splats, 0, cameras, notes)
@@ -109,7 +109,7 @@ def _percentiles(values):
 
 
 def as_text(info):
-    """Return what `describe` found as lines for people."""
+    """Return the result of `describe` as lines for people."""
     count = info["splats"]
     whole = count + info["broken"]
 

@@ -246,7 +246,7 @@ def size_of(splats):
 
 
 class Kept:
-    """Values by key, up to a limit in bytes; what was asked for longest ago goes first.
+    """Values by key, up to a limit in bytes; the least recently used goes first.
 
     Attributes
     ----------
@@ -282,7 +282,7 @@ class Kept:
         return [None if entry is None else entry[0] for entry in found]
 
     def clear(self):
-        """Let go of all values."""
+        """Forget all values."""
         with self._lock:
             self._values.clear()
             self.size = 0

@@ -48,7 +48,7 @@ class PaintedClasses:
 
     @property
     def sha256(self):
-        """Hash of all of it."""
+        """SHA-256 of the names, the cells and their place."""
         digest = hashlib.sha256(repr((self.name, self.origin, self.spacing)).encode())
         digest.update(np.ascontiguousarray(self.cells, np.int16).tobytes())
         return digest.hexdigest()
@@ -63,7 +63,7 @@ def write_painted(path, painted):
 
 
 def read_painted(path):
-    """Read what `write_painted` wrote; raise InputError if it is damaged."""
+    """Read the file that `write_painted` wrote; raise InputError if it is damaged."""
     found = read_arrays(path, "file of painted classes", ARRAYS, VERSION, REMEDY)
     names, cells = tuple(map(str, found["name"])), found["cells"]
     if cells.size and cells.max() >= len(names):

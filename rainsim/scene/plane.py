@@ -233,7 +233,7 @@ def _refine(points, weights, normal, offset, threshold, rounds=30):
 
 
 def _go_down(points, weights, normal, offset, threshold):
-    """Move to the lowest parallel layer that is well supported: the paving, not the lawn."""
+    """Return the plane moved down to the lowest well-supported layer: the paving, not the lawn."""
     bin_size = threshold / 2
     height = points @ normal + offset
     bins = np.floor(height / bin_size).astype(np.int64)

@@ -48,7 +48,7 @@ READERS = 2  # threads; reading is then bound by memory
 
 @dataclass(frozen=True, slots=True)
 class _Layout:
-    """What one row of splats holds."""
+    """The layout of one row of splats."""
 
     coefficients: int
     disc: bool

@@ -38,7 +38,7 @@ REMEDY = "it must be laid out as Street Gaussians' scripts for Waymo write it; c
 
 @dataclass(frozen=True)
 class StreetModel:
-    """What a PLY of Street Gaussians holds.
+    """The content of a PLY of Street Gaussians.
 
     Attributes
     ----------

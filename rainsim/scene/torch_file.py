@@ -44,7 +44,7 @@ class _Storage(NamedTuple):
 
 
 def read_weights(path):
-    """Return what a file of weights holds: dicts, lists and plain values, tensors as ndarrays.
+    """Return the content of a file of weights: dicts, lists, plain values, tensors as ndarrays.
 
     Parameters
     ----------
@@ -92,7 +92,7 @@ def _require_little_endian(path, archive, folder, names):
 
 
 def _require_small_memo(index):
-    """Raise ValueError if a pickle numbers what it remembers beyond what it can hold.
+    """Raise ValueError if a pickle numbers its memo beyond the length of the file.
 
     pickle makes a table as long as the largest number: nine bytes would take gigabytes.
     """
@@ -111,7 +111,7 @@ class _Reader(pickle.Unpickler):
         self._left = MOST_COPIES * path.stat().st_size
 
     def find_class(self, module, name):
-        """Return what stands for a name; refuse unknown ones."""
+        """Return the stand-in for a name in the pickle; refuse unknown ones."""
         if module == "torch" and name in TYPES:
             return _Kind(TYPES[name])
         if (module, name) not in _KNOWN:

@@ -31,7 +31,7 @@ class View(NamedTuple):
 
     @property
     def lens(self):
-        """fx, fy, cx, cy [px] as an array (4,), float32: what is sent to a device."""
+        """fx, fy, cx, cy [px] as an array (4,), float32, for a device."""
         return np.array([self.fx, self.fy, self.cx, self.cy], np.float32)
 
 

@@ -24,7 +24,7 @@ REMEDY = 'correct its box or the scale, give it wheels or `wheels: []`, or set s
 
 
 class Body(NamedTuple):
-    """What is known of a node that may stand on wheels; an `Actor` without its splats.
+    """Class, box and wheels of a node that may stand on wheels; an `Actor` without its splats.
 
     Attributes
     ----------

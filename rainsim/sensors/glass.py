@@ -137,7 +137,7 @@ def pane_flux(field, pane, camera):
 
 
 def pane_window(camera, pane):
-    """Return low and high corner, (2, 2) [m], of what a camera sees of a pane, with a margin."""
+    """Return low and high corner, (2, 2) [m], of the pane in a camera's view, with a margin."""
     corners = np.array([(u, v) for u in (0, camera.width) for v in (0, camera.height)], float)
     rays = np.column_stack([(corners - (camera.cx, camera.cy)) / (camera.fx, camera.fy),
                             np.ones(4)])  # fmt: skip
@@ -345,7 +345,7 @@ def _disc(diameter):
 
 
 def looked_up(out, leave, linear, depth, camera):
-    """Return what a wide picture shows from places near its camera in some directions.
+    """Return the colours of a wide picture along some directions from places near its camera.
 
     The picture's depth tells where a direction meets the scene, in a few steps; directions beyond
     the picture take its rim, those of light that never leaves the water are black.

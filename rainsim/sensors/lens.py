@@ -1,4 +1,4 @@
-"""Lens distortion: a pinhole picture that is wide enough, warped to what the real lens shows.
+"""Lens distortion: a pinhole picture that is wide enough, warped to the real lens's picture.
 
 Splats are drawn by pinhole cameras. So a distorted picture is drawn wider than it needs to be and
 looked up in that: colours are interpolated, depths and ids are taken from the nearest pixel, and

@@ -93,7 +93,7 @@ class Scan:
 
 @dataclass(frozen=True)
 class Surface:
-    """What beams met in clear air, arrays (n, ...): distance [m], place, normal, reflectivity.
+    """Hits of beams in clear air, arrays (n, ...): distance [m], place, normal, reflectivity.
 
     `node` is as in `Scan`.
     """
@@ -222,7 +222,7 @@ class LidarScanner:
         return near_drops(field, middle, reach, time + half, self.surfaces_at(time + half))
 
     def _behind_water(self, target, direction, time, alpha, state, damp):
-        """Return distance, reflectivity, whether mirrored and node of what the scene sends back.
+        """Return distance, reflectivity, whether mirrored and node of the scene's echoes.
 
         Wet ground is darker. Where water stands, its bed echoes through it and it mirrors the beam
         to something else; the louder of the two is seen, the mirrored one in the beam's direction.

@@ -1,4 +1,4 @@
-"""What a lidar measures: its beams, the power of an echo, and which echo it reports.
+"""Model of a lidar: its beams, the power of an echo, and the choice of the echo it reports.
 
 Powers are relative: an echo of reflectivity rho at range R through rain of extinction alpha has
 rho exp(-2 alpha R) / R^2, and the least that is measured is that of rho = 0.9 at the sensor's

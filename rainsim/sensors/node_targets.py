@@ -1,4 +1,4 @@
-"""What beams meet of the nodes of a scene, each where it is as its pulse passes."""
+"""Hits of beams on the nodes of a scene, each where it is as its pulse passes."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ WAY = 64  # times at which a node's way in a turn is looked at, for the ball tha
 
 
 class Met(NamedTuple):
-    """What some of the beams met of a node, arrays (n, ...).
+    """Hits of some of the beams on a node, arrays (n, ...).
 
     Attributes
     ----------
@@ -53,7 +53,7 @@ class NodeTarget:
         self._radius = float(far[np.isfinite(far)].max(initial=0.0))
 
     def meet(self, origin, direction, before, time, segment):
-        """Return what beams `Met`, in the capture frame.
+        """Return the hits of beams, as `Met`, in the capture frame.
 
         Parameters
         ----------

@@ -124,7 +124,7 @@ def draw_rolling(renderer, camera, state, motion, readout, names=(), **options):
 
 
 def _nodes(reports, rows, number):
-    """Return what the labels say of each node that some band shows, or could.
+    """Return the labels of each node that some band shows, or could.
 
     Its box in the picture is that of its boxes in all bands; its box in space is that at the time
     of the band in which the middle of this box lies.

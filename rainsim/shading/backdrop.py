@@ -37,7 +37,7 @@ def sky_distance(scene):
 
 
 class Backdrop:
-    """What lies behind the splats of a scene.
+    """The captured sky behind a scene: its splats, left out of the scene, and its panorama.
 
     Parameters
     ----------

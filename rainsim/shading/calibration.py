@@ -1,4 +1,4 @@
-"""What the captured colours mean: albedo, the level of an overcast sky, a camera's exposure.
+"""The meaning of captured colours: albedo, the level of an overcast sky, a camera's exposure.
 
 A capture's colours have an exposure of their own. Under an overcast sky the irradiance E of open
 ground of albedo a gives it the radiance L = a E / pi, and the zenith has the radiance 9/7 E / pi
@@ -115,7 +115,7 @@ def ground_gain(terrain, splats, gain, frame):
 
 
 def calibration_of(scene, terrain):
-    """Return what a run would take a capture's colours for, as facts by name.
+    """Return the calibration of a capture's colours that a run would use, as facts by name.
 
     Parameters
     ----------

@@ -30,7 +30,7 @@ COMPOSED = 8 * CHUNK
 
 
 class RainCover(NamedTuple):
-    """What falling drops and splashes hide of a picture; read-only."""
+    """Opacity of falling drops, splashes and fog before a picture; read-only."""
 
     rain_alpha: np.ndarray  # (height, width) float32, share of light that falling drops replace
     splash_alpha: np.ndarray  # (height, width) float32, share of light that splashes replace
@@ -40,7 +40,7 @@ class RainCover(NamedTuple):
 
 
 class RainLight(NamedTuple):
-    """Radiance of what is before the scene; read-only."""
+    """Radiance of drops, splashes and air before the scene; read-only."""
 
     # (m, n, 3) float32, of falling drops at places from edge to edge of the picture, bilinear
     # between them; see `falling_light`.
@@ -73,7 +73,7 @@ def transmittance(fog, depth, a, b):
 
 @device_function
 def field_place(pixel, count, places):
-    """Return where between `places` from edge to edge of `count` pixels the pixel's middle is."""
+    """Return a pixel's real index among `places` spaced evenly over `count` pixels."""
     return (np.float32(pixel) + HALF) * (np.float32(places - 1) / np.float32(count))
 
 
@@ -178,7 +178,7 @@ def compose_row(row, height, radiance, depth, drops, light, view, brightness, im
 
 @inlined_function
 def find_transmittance(depth, fog, view, b, left, n, s):
-    """Find how clear the air before n pixels of a row is; in vectors what `transmittance` does."""
+    """Find the transmittance of the air before n pixels of a row: `transmittance` in vectors."""
     f, c, square = view.fx, view.cx, ONE + b * b
     for i in range(n):
         s[CLEAR + i] = fog_thickness(fog, min(depth[i], FAR_AWAY))
@@ -200,7 +200,7 @@ def read_covers(rain_alpha, splash_alpha, n, s):
 
 @inlined_function
 def read_colors(radiance, n, s):
-    """Read the radiance of n pixels."""
+    """Read the radiance of n pixels into the scratch rows RED, GREEN and BLUE."""
     for i in range(n):
         s[RED + i], s[GREEN + i] = radiance[3 * i], radiance[3 * i + 1]
         s[BLUE + i] = radiance[3 * i + 2]
@@ -239,7 +239,7 @@ def finish(s, color, n, air, brightness):
 
 @inlined_function
 def write_image(n, s, image_out):
-    """Write n pixels of 8 bit."""
+    """Write n pixels as 8-bit colours."""
     for i in range(n):
         image_out[3 * i] = eight_bit(s[RED + i])
         image_out[3 * i + 1] = eight_bit(s[GREEN + i])
@@ -248,7 +248,7 @@ def write_image(n, s, image_out):
 
 @cpu_kernel
 def find_clear(depth, fog, view: View, clear_out):
-    """Write the transmittance, 0 to 1, of the air between the camera and what each pixel shows.
+    """Write the transmittance, 0 to 1, of the air between the camera and each pixel's surface.
 
     It is drawn as an AOV.
 

@@ -1,4 +1,4 @@
-"""How wet what a picture shows is, as `wet_pass` wets it: for the layer of that name."""
+"""The wetness of the surfaces in a picture, as `wet_pass` wets them: for the layer of that name."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def find_dampness(
     depth, clearance, dry: DryPicture, look: Look, view: View, ground: GroundMaps,
     rain: OffGroundWetness, damp_out,
 ):  # fmt: skip
-    """Write how wet what a picture shows is, for the AOV.
+    """Write how wet each pixel's surface is, for the AOV.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The captured gloss taken from what rain wets: wet things get the gloss of the rainy day instead.
+"""Captured gloss removed from wet surfaces, which get the gloss of the rainy day instead.
 
 A capture keeps the gloss of its own day in the harmonics: a table top mirrors the sky of that day.
 What water darkens is the diffuse part, and what it mirrors is drawn again. So level
@@ -24,7 +24,7 @@ STEPS = 16  # of wetness between which colours are made again
 
 
 def level_share(scene, terrain, reach, lawn):
-    """Return how far each splat belongs to what is smooth and open to the rain, float32, 0 to 1.
+    """Return each splat's share in smooth surfaces that are open to the rain, float32, 0 to 1.
 
     That are level surfaces and smooth bodies.
 
@@ -71,7 +71,7 @@ def level_cells(terrain, reach, lawn):
 
 
 def share_of_level(splats, frame, terrain, cells):
-    """Return what `level_share` does of splats in a ground frame; `cells` as `level_cells`."""
+    """Return each splat's share in level surfaces that are open to the rain, 0 to 1."""
     place = frame.to_ground(splats.position.astype(np.float64))
     row, column, inside = terrain.grid.cells(place[:, 0], place[:, 1])
     away = np.abs(place[:, 2] - terrain.top[row, column])

@@ -1,4 +1,4 @@
-"""Environment maps: equirectangular pictures of what lies around, linear light, ground frame.
+"""Environment maps: equirectangular pictures of the surroundings, linear light, ground frame.
 
 Column and row of a direction: azimuth 0 (the ground frame's x axis) is the map's middle column,
 azimuth grows to the left (a panorama as seen from inside), row 0 is the zenith.
@@ -40,7 +40,7 @@ def directions(rows=ROWS, columns=COLUMNS):
 
 
 def blurred(environment, by=GLOSS_BLUR):
-    """Return what a wet rough surface mirrors of a map: its lobe is longer than wide.
+    """Return a map as a wet rough surface mirrors it: its lobe is longer than wide.
 
     Or another surface, whose lobe has the deviations `by` of elevation and azimuth [rad].
     """
@@ -51,7 +51,7 @@ def blurred(environment, by=GLOSS_BLUR):
 
 
 def glossy(environment):
-    """Return what wet rough things mirror of a map, and what water on smooth things does."""
+    """Return a map as wet rough things mirror it, and as water on smooth things does."""
     return blurred(environment), blurred(environment, COAT_BLUR)
 
 
@@ -69,7 +69,7 @@ def horizon_radiance(environment):
 
 
 def probe(draw, position, rows=ROWS, columns=COLUMNS):
-    """Return the map (rows, columns, n) of what lies all around `position` (ground frame, m).
+    """Return the map (rows, columns, n) of all directions seen from `position` (ground frame, m).
 
     Parameters
     ----------

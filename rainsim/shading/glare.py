@@ -35,13 +35,13 @@ def point_spread(angle):
 
 
 def scattered(angle):
-    """Return `point_spread` without its first term: what leaves the sharp image."""
+    """Return `point_spread` without its first term: the light that leaves the sharp image."""
     angle = np.asarray(angle, np.float64)
     return 0.478 * 20.91 / (angle + 0.02) ** 3 + 0.138 * 72.37 / (angle + 0.02) ** 2
 
 
 def spread_kernel(focal, rows, columns):
-    """Return what a pixel scatters into others, (2 rows - 1, 2 columns - 1), 0 in its middle.
+    """Return the light a pixel scatters into others, (2 rows - 1, 2 columns - 1), 0 in its middle.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ class Glare:
         self._key = self._spread = None
 
     def added(self, picture, focal, brightness):
-        """Return a picture with the halos of what is brighter than `DAZZLES` of white.
+        """Return a picture with the halos of pixels brighter than `DAZZLES` of white.
 
         Parameters
         ----------

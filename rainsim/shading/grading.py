@@ -1,4 +1,4 @@
-"""From the captured light to that of a dull day: formulas of grading, and what counts as sky.
+"""From the captured light to that of a dull day: formulas of grading, and the test for sky.
 
 Colours are linear light, radiance relative to display white, unless a name says otherwise.
 """
@@ -99,13 +99,13 @@ def graded(r, g, b, look):
 
 @inlined_function
 def is_edge(alpha, look):
-    """Tell whether the sky behind shows past what covers a share `alpha` of a pixel."""
+    """Tell whether the sky behind shows past a surface that covers a share `alpha` of a pixel."""
     return look.open_sky > ZERO and alpha < OPAQUE
 
 
 @inlined_function
 def undiluted(r, g, b, alpha):
-    """Return the linear colour of what covers a share `alpha` of a pixel.
+    """Return the linear colour of a surface that covers a share `alpha` of a pixel.
 
     (r, g, b) is its display-referred colour over black, as the rasterizer blends it.
     """

@@ -1,4 +1,4 @@
-"""The images of lamps in wet ground: small sources that are far brighter than what is around them.
+"""The images of lamps in wet ground: small sources far brighter than their surroundings.
 
 A part of the lobe of `wet_ground_mirror` is one look-up in a blurred picture, as wide as the part
 is at the depth of what it meets. A lamp is much smaller and hundreds of times brighter than what is

@@ -122,7 +122,7 @@ def _bellies(rows):
 
 
 def _broad(noise, direction, above):
-    """Return what of some noise is broader than a fourth of the sky, for each direction above.
+    """Return the parts of some noise broader than a fourth of the sky, for each direction above.
 
     The spherical harmonics to degree 3 that fit it best. A rain cloud covers the whole sky, and its
     mean luminance depends on the elevation alone (CIE S 011): without this wet ground would mirror
@@ -137,7 +137,7 @@ def _broad(noise, direction, above):
 
 
 def completed(radiance, known):
-    """Return a sky map with what no camera saw filled by an overcast sky, and the share known.
+    """Return a sky map with unseen directions filled by an overcast sky, and the share known.
 
     Parameters
     ----------

@@ -28,7 +28,7 @@ FILL = math.radians(6)  # over which the colours of what hides the sky are sprea
 
 
 class Skyline(NamedTuple):
-    """What directions show where no splat covers them; maps as in `environment`."""
+    """The sky and the land in directions that no splat covers; maps as in `environment`."""
 
     open: np.ndarray  # (rows, columns) float32: share of the day's sky, 0 to 1
     land: np.ndarray  # (rows, columns, 3) float32: linear captured light of what hides the sky
@@ -138,7 +138,7 @@ def open_sky(alpha):
 
 
 def spread_colors(seen):
-    """Return the linear colours of a probe spread over what it leaves open."""
+    """Return the linear colours of a probe, spread over its open directions."""
     rows = seen.shape[0]
     alpha = seen[..., 3:]
     color = roughly_linear(seen[..., :3] / np.maximum(alpha, 1e-3), 4) * alpha

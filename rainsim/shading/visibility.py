@@ -1,4 +1,4 @@
-"""What the capture's cameras saw of each splat: how many, and in which colour without its gloss.
+"""Views of each splat by the capture's cameras: how many, and its colour without gloss.
 
 A splat that few cameras saw was placed by few pictures: from their places it looks right, from
 others it stands at a wrong distance. The main picture needs such splats, for its camera is near one
@@ -75,7 +75,7 @@ def without_shreds(scene, badly_placed):
 
 
 class Views(NamedTuple):
-    """What the capture's cameras saw of each splat."""
+    """Views of each splat by the capture's cameras: their number, its colour, their direction."""
 
     seen: np.ndarray  # (n,) uint8: cameras that see it
     asked: int  # cameras that were asked

@@ -1,4 +1,4 @@
-"""What the water film on wet ground mirrors: lights, facades and sky as long streaks.
+"""Reflections in the water film on wet ground: lights, facades and sky as long streaks.
 
 A wet rough surface is a mirror whose facets tilt: their slopes have a Gaussian density, whose rms
 along one axis stands in the class table. A tilt t in the plane of view turns the mirrored ray by
@@ -75,7 +75,7 @@ WORTH = 0.006  # mean share of the light in view from which `auto` draws the lev
 
 
 class LevelPicture(NamedTuple):
-    """What stands on the ground as the level mirrored camera sees it; read-only."""
+    """Things that stand on the ground, as the level mirrored camera sees them; read-only."""
 
     atlas: np.ndarray  # (2 height, 2 width, 3) float32, see `ripmap`
     depth: np.ndarray  # (height, width) float32 [m], infinite for the sky; empty: nothing is drawn
@@ -90,7 +90,7 @@ NO_LEVEL_PICTURE = LevelPicture(
 
 
 def standing(prepared, terrain, frame):
-    """Return the leading splats of what stands on the ground, with harmonics to degree 1."""
+    """Return the leading splats of things that stand on the ground, with harmonics to degree 1."""
     place = frame.to_ground(prepared.position.astype(np.float64))
     (x0, y0), cell = terrain.grid.origin, terrain.grid.spacing
     column, row = np.floor((place[:, 0] - x0) / cell), np.floor((place[:, 1] - y0) / cell)
@@ -103,12 +103,12 @@ def standing(prepared, terrain, frame):
 
 
 def in_level_picture(prepared, terrain, frame):
-    """Return the splats that the level picture is drawn of: what stands, no finer than needed."""
+    """Return the splats of the level picture: of standing things, no finer than needed."""
     return merge_fine(standing(prepared, terrain, frame), FINE / frame.meters_per_unit)
 
 
 def level_camera(view, most=RESOLUTION):
-    """Return the level, upright camera (ground frame) for what wet ground mirrors to a camera.
+    """Return the level, upright camera (ground frame) that sees the reflections in wet ground.
 
     Parameters
     ----------
@@ -259,7 +259,7 @@ def mirrored_light(x, y, z, eye, ground, lobe, level, environment):
 
 @cpu_kernel
 def add_reflection(bare, cover, field, step, picture_out):
-    """Add what wet ground mirrors to a picture without it.
+    """Add the light that wet ground mirrors to a picture without it.
 
     Parameters
     ----------
@@ -300,7 +300,7 @@ def field_at(field, scale, row, column):
 
 
 class WetGroundMirror:
-    """Adds what wet ground mirrors to the pictures of one camera after another.
+    """Adds the light that wet ground mirrors to the pictures of one camera after another.
 
     Parameters
     ----------
@@ -319,7 +319,7 @@ class WetGroundMirror:
         self.drawn = config.film == "mirror"
 
     def over(self, terrain):
-        """Return the mirror of another terrain, with what was chosen for this one."""
+        """Return the mirror of another terrain, with the choice made for this one."""
         other = WetGroundMirror(terrain, self.config)
         other.drawn = self.drawn
         return other
@@ -331,7 +331,7 @@ class WetGroundMirror:
         return named and self.config.reflections in ("auto", "mirror", "traced")
 
     def add_to(self, wet, cover, camera, draw_mirrored, environment):
-        """Return a wet picture with what its ground mirrors.
+        """Return a wet picture with the reflections in its wet ground.
 
         Parameters
         ----------
@@ -355,7 +355,7 @@ class WetGroundMirror:
         return replace(wet, picture=picture, below=wet.picture)
 
     def choose(self, shares):
-        """Decide whether what the ground mirrors is worth a level picture; return a note.
+        """Decide whether wet ground mirrors enough light for a level picture; return a note.
 
         Parameters
         ----------

@@ -1,4 +1,4 @@
-"""The rainy picture without water: what was captured, graded and wetted; pictures and rays.
+"""The rainy picture without water: captured light, graded and wetted; pictures and rays.
 
 `grade_and_wet` does what `wetting.wet_pixel` does, a row in chunks of CHUNK pixels and each chunk
 in passes over numbers that stay in cache: so all but the look-ups in maps runs in vectors, which
@@ -82,7 +82,7 @@ class DryPicture(NamedTuple):
 
 
 class DryRays(NamedTuple):
-    """What rays through the splats met; read-only. See `ray_traced.Traced`."""
+    """Hits of rays through the splats; read-only. See `ray_traced.Traced`."""
 
     color: np.ndarray  # (n, 3) float32, display-referred, over black
     alpha: np.ndarray  # (n,) float32
@@ -108,7 +108,7 @@ def dry_picture(layers, meters_per_unit, mirrored=False):
 def grade_rays(
     rays: DryRays, ground: GroundMaps, rain: OffGroundWetness, sky: SkyMaps, look: Look, light_out
 ):
-    """Grade and wet what rays have met, as `grade_and_wet` does a picture.
+    """Grade and wet the hits of rays, as `grade_and_wet` does a picture.
 
     Parameters
     ----------
@@ -213,7 +213,7 @@ def grade_row(
 
 @inlined_function
 def read_colors(color, alpha, look, n, s):
-    """Read alpha and colour of n pixels, as linear light of what covers them."""
+    """Read alpha of n pixels, and their colour as linear light of the covered part."""
     for i in range(n):
         s[ALPHA + i] = alpha[i]
     for i in range(n):
@@ -279,7 +279,7 @@ def depth_of_surface(depth, plane_depth, upness):
 
 @inlined_function
 def find_heights(ground, n, s, cell, corner):
-    """Find how high over the ground each pixel's surface is; in vectors what `heights_of` does."""
+    """Find the height over the ground of each pixel's surface: `heights_of` in vectors."""
     bed, origin, spacing = ground.bed, ground.origin, ground.spacing
     rows, columns = bed.shape
     right, bottom = np.float32(columns - 1), np.float32(rows - 1)
@@ -331,7 +331,7 @@ def take_normals_around(dry, normals, view, row, left, n, s, step):
 
 @inlined_function
 def add_around(depths, normals, row, left, n, step, s):
-    """Add up the normals around n pixels, to SMOOTH, ACROSS and DOWN."""
+    """Sum up the normals of like depth around each of n pixels into SMOOTH, ACROSS and DOWN."""
     rows, columns = depths.shape
     for i in range(n):
         s[SMOOTH + i], s[ACROSS + i], s[DOWN + i] = ZERO, ZERO, ZERO
@@ -352,7 +352,7 @@ def add_around(depths, normals, row, left, n, step, s):
 # Not inlined, as `pixel_batches.interpolate`.
 @serial_kernel
 def add_normals(depth, normal, first, n, s):
-    """Add the normals of n pixels of a row to those of the pixels from `first` on, where alike."""
+    """Add n normals of a row to the sums of the pixels from `first` on, weighted by like depth."""
     for i in range(np.uint64(n)):
         k = np.uint64(first) + i
         away = (depth[i] - s[np.uint64(GLOSS) + k]) * s[np.uint64(THROUGH) + k]
@@ -364,7 +364,7 @@ def add_normals(depth, normal, first, n, s):
 
 @inlined_function
 def find_wetness(ground, rain, n, s):
-    """Find how wet each pixel's surface is; in vectors what `wet_state` does."""
+    """Find how wet each pixel's surface is: `wet_state` in vectors."""
     origin, spacing = ground.origin, ground.spacing
     o0, o1 = origin[0], origin[1]
     off = 0  # pixels that show no ground
@@ -394,7 +394,7 @@ def surface_point(s, i):
 
 @inlined_function
 def color_pixels(look, mirror_apart, n, s):
-    """Grade and wet the colours."""
+    """Grade and wet the colours of n pixels."""
     for i in range(n):
         r, g, b, gloss, through, smooth = rainy_color(
             s[RED + i], s[GREEN + i], s[BLUE + i], s[ALPHA + i], s[FAR + i], s[VIEW_Z + i],

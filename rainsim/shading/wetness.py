@@ -62,7 +62,7 @@ def stored_wetness(s, at, step):
 
 
 class OffGroundWetness(NamedTuple):
-    """What wets walls and things, which are on no map; see `damp_off_ground`. Each a float32."""
+    """Wetness of walls and things, which are on no map; see `damp_off_ground`. Each a float32."""
 
     supply: np.float32  # rain that a level surface has got, in full films of it
     slant_x: np.float32  # m that the rain goes sideways per m of fall

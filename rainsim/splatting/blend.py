@@ -147,7 +147,7 @@ def blend_row(
 
 @inlined_function
 def finish_pixel(alpha, z, nx, ny, nz, distance, a, b, orthographic, median):
-    """Turn what a pixel has gathered into depth, unit normal (3) and plane depth.
+    """Turn a pixel's blended sums into depth, unit normal (3) and plane depth.
 
     (a, b, 1) is the pixel's ray. The plane depth is where the ray meets n.p = distance, with n and
     distance blended alike. That falls back on the depth where the plane is nearly edge-on or far
@@ -184,7 +184,7 @@ def write_halves(state, record, top, left, height, width, half_out):
 
 @device_function
 def finish_block(rows, x, y, lens, orthographic, background, halfway):
-    """Turn what a block's pixels have gathered into colours, depths and unit normals; in place.
+    """Turn the blended sums of a block's pixels into colours, depths and unit normals; in place.
 
     Row 0 becomes alpha, rows 1 to 3 get the background's share, row 4 becomes the depth, rows 5 to
     7 the normal, row 8 the plane depth.
@@ -214,7 +214,7 @@ def write_tile(
     state, top, left, height, width, lens, orthographic, background, halfway,
     color_out, alpha_out, depth_out, plane_out, normal_out,
 ):  # fmt: skip
-    """Write the tile's pixels."""
+    """Write the pixels of a finished tile into the pictures."""
     for block in range(BLOCKS):
         x, y = np.float32(left + block % ROW * SIDE), np.float32(top + block // ROW * SIDE)
         at = block * CHANNELS * LANES

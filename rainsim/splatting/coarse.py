@@ -1,4 +1,4 @@
-"""Splats for small pictures: what is finer than a cell is one splat a cell.
+"""Splats for small pictures: those finer than a cell are merged to one splat a cell.
 
 A small picture of a dense scene spends its time on splats far smaller than its pixels, and shows
 them too large, for each is widened to a pixel. Here those of a cell become one Gaussian of their

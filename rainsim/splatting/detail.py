@@ -94,7 +94,7 @@ class Detail:
         self._merge_colors()
 
     def recolor(self, splats):
-        """Take over `splats`: the same ones in other colours, in the memory of `drawn`."""
+        """Take over the colours of `splats`, otherwise the same, in the memory of `drawn`."""
         recolor(self.prepared, splats)
         self.drawn = replace(self.drawn)  # another one, for those who ask whether it changed
         self._merge_colors()
@@ -110,7 +110,7 @@ class Detail:
         )  # fmt: skip
 
     def _level(self, prepared, side, before, number, count):
-        """Return a `Level`; `before`, splats that groups have, becomes what they have at it."""
+        """Return a `Level`; `before`, splats of each group, becomes their number at the level."""
         find_cells(prepared.geometry, self._leading, side, number, count)
         total = count.sum(axis=1)
         wanted = np.flatnonzero(total <= WORTH * before)

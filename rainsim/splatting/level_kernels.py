@@ -159,7 +159,7 @@ def cell_key(g, i, side):
 
 @inlined_function
 def row_of(number, kept, at):
-    """Return the row, among those that a group has at a level, that a splat goes into; -1: none.
+    """Return a splat's row among a group's splats at a level; -1 if it is none of them.
 
     `at` counts the splats that are kept before it.
     """

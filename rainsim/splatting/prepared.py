@@ -1,4 +1,4 @@
-"""What rasterizing needs of a scene and no camera changes: prepared once, used for all pictures.
+"""Data for rasterizing a scene that no camera changes: prepared once, used for all pictures.
 
 Splats lie in Morton order, near in space and near in memory, in chunks of 256. Within a chunk each
 quantity has a row of its own, so that the projection runs on 16 splats at a time. Each chunk knows

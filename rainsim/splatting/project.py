@@ -67,7 +67,7 @@ class SplatChunks(NamedTuple):
 
 
 class Frustum(NamedTuple):
-    """What a camera sees of space.
+    """The part of space that a camera sees.
 
     Attributes
     ----------
@@ -219,7 +219,7 @@ def half_extents(level, m00, m11):
 
 @inlined_function
 def compensation(spread, determinant):
-    """Return what Mip-Splatting (Yu et al. 2024, eq. 9) adds to a splat's log2 opacity.
+    """Return the term of Mip-Splatting (Yu et al. 2024, eq. 9) for a splat's log2 opacity.
 
     A splat widened by the low-pass keeps its light.
     """
@@ -234,13 +234,13 @@ def color_constant(s0):
 
 @inlined_function
 def color_degree_1(x, y, z, s1, s2, s3):
-    """Return what degree 1 adds to a channel seen along the unit vector (x, y, z)."""
+    """Return the part of degree 1 in a channel seen along the unit vector (x, y, z)."""
     return SH1 * (z * s2 - y * s1 - x * s3)
 
 
 @inlined_function
 def color_degree_2(x, y, z, s4, s5, s6, s7, s8):
-    """Return what degree 2 adds to the channel, arguments as for degree 1."""
+    """Return the part of degree 2 in the channel, arguments as for degree 1."""
     xx, yy, zz = x * x, y * y, z * z
     value = SH2A * (x * y * s4 - y * z * s5 - x * z * s7)
     value += SH2B * (TWO * zz - xx - yy) * s6
@@ -250,7 +250,7 @@ def color_degree_2(x, y, z, s4, s5, s6, s7, s8):
 
 @inlined_function
 def color_degree_3(x, y, z, s9, s10, s11, s12, s13, s14, s15):
-    """Return what degree 3 adds to the channel, arguments as for degree 1."""
+    """Return the part of degree 3 in the channel, arguments as for degree 1."""
     xx, yy, zz = x * x, y * y, z * z
     value = SH3B * x * y * z * s10
     value -= SH3A * y * (THREE * xx - yy) * s9
@@ -382,7 +382,7 @@ def color_chunk(g, sh, fine, step, eye, orthographic, bands, s):
 
 @device_function
 def face_chunk(g, frustum, deep, s):
-    """Fill the scratch rows NORMAL_X to REST: normals, planes, what rounding took from depths."""
+    """Fill the scratch rows NORMAL_X to REST: normals, planes, rounding errors of depths."""
     pose, orthographic = pose_of(frustum.camera_from_world), frustum.orthographic
     d0, d1, d2, d3 = deep[0], deep[1], deep[2], deep[3]
     for i in range(LANES):

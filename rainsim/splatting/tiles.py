@@ -82,7 +82,7 @@ def list_tiles(depth, box, visible, across, place, entry_out):
 
 @device_function
 def sort_keys(key, spare, histogram, n):
-    """Sort key[:n]: by insertion if few; else by radix, and what is out of order then by insertion.
+    """Sort key[:n]: by insertion if few, else by radix and a final pass of insertion.
 
     The radix passes look at the highest 16 bits of the depths' span, two digits of a byte: after
     them hardly a key is more than a place or two from where it belongs. Of MANY keys they look at

@@ -122,7 +122,7 @@ def evened(position, plain, towards, size, weight, views):
 
 
 def _to_planes(position, weight, cell, wide):
-    """Return places moved to planes of what is `wide` [m] around, and where that is a layer."""
+    """Return places moved to planes of the splats `wide` [m] around, and where they are layers."""
     place = np.floor(position / cell).astype(np.int64)
     group = np.unique(place, axis=0, return_inverse=True)[1].ravel()
     total = np.bincount(group, weight)
@@ -217,7 +217,7 @@ class _Voxels:
         return self._sums[: self._count]
 
     def add(self, view, middle, radius):
-        """Add the samples of a view."""
+        """Add the samples of a view to the sums of their voxels."""
         room = self._count + view.depth.size
         if room > len(self._keys):
             size = 2 * room

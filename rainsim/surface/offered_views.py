@@ -100,7 +100,7 @@ def tried_cameras(scene):
 
 
 def _stage(scene):
-    """Return the middle (3,) [m] of what is looked at, its width [m] and heights of eyes [m].
+    """Return the middle (3,) [m] of the area to look at, its width [m] and heights of eyes [m].
 
     It is the ground, or where none was found the whole: a thing without ground under it.
     """

@@ -1,4 +1,4 @@
-"""Heights of the ground from the captured pictures: where they agree on what the ground looks like.
+"""Heights of the ground from the captured pictures: heights at which the pictures agree.
 
 The depth of trained splats is off by a centimetre, more than most puddles are deep. Their pictures
 are not: seen at its right height, a speck of the ground has the same brightness from every camera
@@ -188,7 +188,7 @@ def _mean(found, sigma, around, off):
 
 
 def _spread(change, sure):
-    """Return a change (ny, nx) as what is sure of it has it around, in ever wider circles."""
+    """Return a change (ny, nx) filled from sure cells around each, in ever wider circles."""
     total, weight = np.zeros_like(change), np.zeros_like(change)
     for k, width in enumerate((4, 16, 64)):
         share = 1e-3**k
@@ -213,7 +213,7 @@ def _finer(values, times, shape):
 
 @cpu_kernel
 def try_offsets(position, normal, wanted, offsets, picture: TexturePicture, sums_out, count_out):
-    """Add what a picture shows at some offsets along a normal to the sums of each place.
+    """Add a picture's texture at some offsets along a normal to the sums of each place.
 
     Parameters
     ----------

@@ -25,7 +25,7 @@ ON_RING, MADE_FOV, MADE_SHAPE = 12, 70.0, 1.5  # cameras; degrees; width over he
 
 
 class DepthView(NamedTuple):
-    """What a camera of the capture sees, in metres of the ground frame; a kernel's bundle."""
+    """A camera's depth and light, in metres of the ground frame; a kernel's bundle."""
 
     matrix: np.ndarray  # (3, 4) float32: camera frame from ground frame
     eye: np.ndarray  # (3,) float32
@@ -37,7 +37,7 @@ class DepthView(NamedTuple):
 
 
 def window_of(position, cameras):
-    """Return the middle [m] and half the width [m] of what cameras look at.
+    """Return the middle [m] and half the width [m] of the area that cameras look at.
 
     Parameters
     ----------

@@ -150,7 +150,7 @@ def _strongest(flat, area, across):
 
 
 def _fitted(flat, towards, area, normal, offset):
-    """Return normal and offset of a line fitted to what lies about it, seen squarely the most."""
+    """Return normal and offset of a line fitted to points near it, weighted by facing."""
     for _ in range(ROUNDS):
         away = flat @ normal - offset
         facing = np.abs(towards[:, :2] @ normal)

@@ -1,4 +1,4 @@
-"""Terrain from splats: the ground, what stands on it or hangs over it, and what it is made of."""
+"""Terrain from splats: the ground and its classes, and the objects that stand on it or overhang."""
 
 _PUBLIC = {
     "bed": ("inpaint", "local_noise"),

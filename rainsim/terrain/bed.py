@@ -68,7 +68,7 @@ def _halved(values, known):
 
 
 def objects(filled, known, grass, spacing):
-    """Return the mask of what stands out of the ground by more than an opening leaves."""
+    """Return the mask of objects: cells well above the morphological opening of the ground."""
     width = max(3, round(OPENING_WIDTH / spacing))
     opened = filters.grey_opening(filters.median_filter(filled), size=width)
     # An opening cuts the corners of kerbs; beside the upper level they are no objects.
@@ -194,7 +194,7 @@ def straighten(height, step, spacing):
 
 
 def _straighten_one(height, band, spacing, out):
-    """Put one step's edge in its place, in `out`."""
+    """Straighten one step's edge, into `out`."""
     size = max(3, 2 * round(0.08 / spacing) + 1)
     middle = (filters.minimum_filter(height, size) + filters.maximum_filter(height, size)) / 2
     nearest = ndimage.distance_transform_edt(~band, return_distances=False, return_indices=True)

@@ -77,7 +77,7 @@ def choose_grid(scene, config, cells=AUTO_CELLS):
 
 
 def _surroundings(scene):
-    """Return low and high corner (2,) [m] of what lies about the cameras, and why; None if none."""
+    """Return low and high corner (2,) [m] of the area about the cameras, and why; None if none."""
     if not scene.cameras:
         return None, None, ""
     views = [scene.ground_frame.camera_in_ground(camera) for camera in scene.cameras]

@@ -1,4 +1,4 @@
-"""What the ground is: paving, soil, grass and low plants, or hidden below an object.
+"""Classes of the ground: paving, soil, grass and low plants, or hidden below an object.
 
 Green ground that is wide, or stands above the paving or is rough as blades are, is grass. Green on
 level paving in patches and strips narrower than a stride is moss in the joints and fallen leaves:

@@ -11,7 +11,7 @@ TOPS = "tops_"  # begins the names of the arrays of `Tops`
 
 
 def kept_terrain(scene, config, mask=None, tell=None):
-    """Return what `extract_terrain` returns, to the byte; the parameters are the same.
+    """Return the result of `extract_terrain`, to the byte; the parameters are the same.
 
     The kept entry is named by the splats' content, the ground frame, the cameras, the drains, the
     painted classes, the settings of the terrain, the mask and the code up to the terrain; see

@@ -1,4 +1,4 @@
-"""Height fields of nodes: what a moving body keeps the rain from, wherever it is.
+"""Height fields of nodes: the cells that a moving body keeps the rain from, wherever it is.
 
 A body's highest and lowest surfaces are found once from its own splats, over an upright frame of
 its own; at a time they are looked up for the cells of the map that the body is over.
@@ -21,7 +21,7 @@ HIGHER = 0.02  # m over the bed that a body must be in a cell to count there
 
 
 class Shadow(NamedTuple):
-    """What moving bodies cover at one time.
+    """The cells that moving bodies cover at one time.
 
     Attributes
     ----------
@@ -176,7 +176,7 @@ def with_movers(terrain, scene, movers=None):
 
 
 def put_on(bed, top, underside, shadow):
-    """Put what a `Shadow` says onto height fields, in place; return the mask of its cells.
+    """Put the bodies of a `Shadow` onto height fields, in place; return the mask of its cells.
 
     A cell holds one column. Where something higher hangs over the body, which keeps the rain off
     already, the cell stays as it is.

@@ -89,7 +89,7 @@ class PathGround:
         return station_at(self.stations, frame)
 
     def around(self, scene, station, check=lambda: None):
-        """Return the `Terrain` of a station's window and of what lies around it, nodes on it.
+        """Return the `Terrain` of a station's window and of its surroundings, nodes on it.
 
         Parameters
         ----------
@@ -126,7 +126,7 @@ class PathGround:
         return with_movers(self._last[1], scene, self._movers)
 
     def about(self, grid):
-        """Return the coarse `Terrain` about a part of the ground, a `Grid`, with what drains to it.
+        """Return the coarse `Terrain` of a `Grid` and of the ground around that may drain to it.
 
         None where the coarse map is as fine as the part.
         """

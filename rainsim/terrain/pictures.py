@@ -71,7 +71,7 @@ def _with_water(picture, depth):
 
 
 def through_camera(scene, terrain, camera, depth=None):
-    """Return what a camera sees with the ground's grid drawn over it, (height, width, 3) uint8.
+    """Return a camera's picture with the ground's grid drawn over it, (height, width, 3) uint8.
 
     Lines every half metre lie on the bed where the camera sees ground (within 4 cm of it): where
     they bend or vanish on open ground the bed is wrong. The axes are red (x) and green (y). With a
@@ -105,7 +105,7 @@ def through_camera(scene, terrain, camera, depth=None):
 
 
 def points_at(splats, camera, pixels):
-    """Return what a camera sees at pixels as points of the capture frame.
+    """Return the surface points that a camera sees at pixels, in the capture frame.
 
     Parameters
     ----------

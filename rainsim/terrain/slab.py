@@ -1,4 +1,4 @@
-"""What lies near the bed, even where the bed leaves the ground plane: a slab that follows it.
+"""Splats near the bed, even where the bed leaves the ground plane: a slab that follows it.
 
 Streets rise and fall and cross; a plane is their frame, not their bed. On coarse cells the level of
 the ground is followed from where it lies on the plane outwards: in each cell the lowest

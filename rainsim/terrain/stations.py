@@ -1,4 +1,4 @@
-"""Which part of the ground a moving camera needs at what time: windows on a lattice, in turns.
+"""Windows of the ground that a moving camera needs over time: on a lattice, in turns.
 
 The ground about a camera is mapped finely, and its water simulated, in a window. A window serves a
 run of frames, its station, and is large enough for what the cameras of all of them need. The water
@@ -53,7 +53,7 @@ class Station(NamedTuple):
 
     @property
     def window(self):
-        """Rows and columns of the window in what lies around it, as slices."""
+        """Rows and columns of the window within its surroundings, as slices."""
         south, _, west, _ = self.around
         return (slice(self.cells[0] - south, self.cells[1] - south),
                 slice(self.cells[2] - west, self.cells[3] - west))  # fmt: skip

@@ -1,4 +1,4 @@
-"""Height maps from what is no capture: triangle meshes (PLY, OBJ) and maps of heights (TIFF)."""
+"""Height maps without a capture: from triangle meshes (PLY, OBJ) and maps of heights (TIFF)."""
 
 from __future__ import annotations
 

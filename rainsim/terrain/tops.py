@@ -1,4 +1,4 @@
-"""What lies flat above the ground: tables, benches, roofs, sills, steps.
+"""Flat tops above the ground: tables, benches, roofs, sills, steps.
 
 A flat patch of the map of tops counts if a plane fits it to a centimetre: hedges, cushions and
 bonnets do not. Of a level one the splats show more than the map has cells for: seen from above
@@ -83,7 +83,7 @@ def find_tops(terrain, scene=None):
 
 
 def flat_patches(terrain):
-    """Yield the flat parts of what stands above the ground: a box of the map, and a mask in it."""
+    """Yield the flat parts of objects above the ground: a box of the map, and a mask in it."""
     spacing = terrain.grid.spacing
     height = terrain.top - terrain.bed
     things, count = ndimage.label((height > LOWEST) & (height < HIGHEST))  # NaN is no thing
@@ -214,7 +214,7 @@ def with_patches(tops, level, terrain, scene):
 
 
 def measured(tops, k, grid, terrain, scene):
-    """Return relief [m] and the mask of what holds water on the patch `grid` of a level top."""
+    """Return relief [m] and the mask of cells that hold water on the patch `grid` of a top."""
     x, y = np.meshgrid(*grid.centres())
     plane = terms_of(x - tops.centre[k, 0], y - tops.centre[k, 1]) @ tops.surface[k]
     if scene is None:

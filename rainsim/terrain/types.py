@@ -1,4 +1,4 @@
-"""What a terrain is: a grid, heights, classes and what is known about them."""
+"""Types of terrains: the grid, the flat tops, and the terrain with its heights and classes."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ class Grid:
 
 @dataclass(frozen=True)
 class Tops:
-    """What lies flat above the ground: tables, benches, roofs.
+    """Flat tops above the ground: tables, benches, roofs.
 
     A top's surface is a plane, or curved a little: s0 + s1 X + s2 Y + s3 X^2 + s4 X Y + s5 Y^2,
     with X, Y the distance from its centre. A level top has a patch of finer cells besides, on

@@ -1,4 +1,4 @@
-"""A capture in the rain in a browser: what is drawn when, what a change costs, what is taken home.
+"""A capture in the rain in a browser: when parts are drawn, costs of changes, files to take home.
 
 `page` alone imports viser; everything else runs without a browser.
 """

@@ -59,7 +59,7 @@ class Clock:
 
     @property
     def time(self):
-        """Seconds of rain."""
+        """Time of the present state [s of rain]."""
         return self.index / self.fps
 
     def wait(self, now):

@@ -1,4 +1,4 @@
-"""What is taken home: files from which `rainsim run` draws the same picture, and its command."""
+"""Files to take home, from which `rainsim run` draws the same picture, and its command."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ END_WAIT = 20.0  # s for a run that was interrupted to write its record
 
 @dataclass(frozen=True)
 class Taken:
-    """What was written.
+    """The folder that was written, and the command that draws from it.
 
     Attributes
     ----------
@@ -50,7 +50,7 @@ class Taken:
 
 
 class Home:
-    """Writes what is taken home into folders of its own; nothing that was there is replaced.
+    """Writes files to take home into folders of its own; no earlier file is replaced.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ class Home:
         self.say = say or (lambda line: None)
 
     def save_shot(self, session, view, index, width, height):
-        """Write the picture of a view as the command draws it; return what was `Taken`.
+        """Write the picture of a view as the command draws it; return the folder as `Taken`.
 
         The parameters are those of `save_view`.
         """
@@ -80,7 +80,7 @@ class Home:
         return self._write_view(session, folder, view, index, (width, height))
 
     def save_view(self, session, view, index, width, height):
-        """Write what the command of one picture needs and draw nothing; return what was `Taken`.
+        """Write the files for the command of one picture and draw nothing; return them as `Taken`.
 
         Parameters
         ----------
@@ -102,7 +102,7 @@ class Home:
         return self._write(session, folder, config, data, frames)
 
     def save_path(self, session, keyframes, width, height):
-        """Write a path through keyframes and the settings along it; return what was `Taken`.
+        """Write a path through keyframes and the settings along it; return the folder as `Taken`.
 
         The other parameters are those of `save_shot`.
         """
@@ -118,13 +118,13 @@ class Home:
         return self._write(session, folder, config, data, ["--frames", str(config.frames)])
 
     def save_ground(self, session):
-        """Write ground frame and painted classes, as options take them; return what was `Taken`."""
+        """Write ground frame and painted classes, as options take them; return them as `Taken`."""
         folder = self._new("ground")
         options = self._ground(session, folder)
         return Taken(folder, ["view", self.scene, *options, *self.options])
 
     def save_scene(self, session):
-        """Write the scene with its mended ground as a scene folder; return what was `Taken`.
+        """Write the scene with its mended ground as a scene folder; return the folder as `Taken`.
 
         Every command takes the folder in place of the capture, with the painted classes. Water
         that was put on the ground lies beside it as a mask.
@@ -215,7 +215,7 @@ class Run:
 
     @property
     def last_line(self):
-        """What the run said last."""
+        """The last line that the run printed."""
         return self._said
 
     def cancel(self):

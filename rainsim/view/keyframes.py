@@ -141,7 +141,7 @@ def rain_times_of(keyframes):
 
 
 def timeline_of(keyframes):
-    """Return the `Config.keyframes` of what the settings of keyframes change with time.
+    """Return the `Config.keyframes` of the settings that change from keyframe to keyframe.
 
     Raises
     ------

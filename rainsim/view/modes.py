@@ -1,4 +1,4 @@
-"""What a page can show in place of the rain: layers of the frame, and maps of what was found."""
+"""Pictures that a page can show in place of the rain: layers of the frame, maps of the terrain."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ MEASURED_COLOR, INFERRED_COLOR, UNKNOWN_COLOR = (40, 180, 90), (240, 180, 40), (
 def mode_picture(
     session, name, amount, shot, check=lambda: None, with_depth=True, simple=False
 ):  # fmt: skip
-    """Return what a mode shows, and the depth of its pixels.
+    """Return the picture of a mode, and the depth of its pixels.
 
     Parameters
     ----------
@@ -144,7 +144,7 @@ def confidence_colors(terrain):
 
 
 def puddle_depths(terrain, rain):
-    """Return the depth [m] (ny, nx) of what stands at rest after `rain` [mm]."""
+    """Return the depth [m] (ny, nx) of the water that stands at rest after `rain` [mm]."""
     puddles = puddles_of(terrain)
     puddles.rain(rain * 1e-3)
     return puddles.depth

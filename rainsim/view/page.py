@@ -36,7 +36,7 @@ REMEDY = 'the page needs viser; pip install "rainsim[view]"'
 
 @dataclass
 class Client:
-    """What belongs to one page.
+    """The state of one page: its controls, its view and the size of its picture.
 
     Attributes
     ----------
@@ -100,11 +100,11 @@ class Page:
 
     @property
     def address(self):
-        """What is typed into the browser."""
+        """The URL that is typed into the browser."""
         return f"http://{HOST}:{self.server.get_port()}"
 
     def _place(self, view):
-        """Let new pages begin with a view."""
+        """Set the view with which new pages begin."""
         start = self.server.initial_camera
         start.position, start.look_at = _looking(view)
         start.fov = view.fov
@@ -186,7 +186,7 @@ class Page:
             client.handle.flush()
 
     def say(self, text):
-        """Show all pages what is being computed."""
+        """Show all pages which parts are being computed."""
         if text.startswith("computing"):
             for client in list(self.clients.values()):
                 client.state.content = f"**{text}** ..."
@@ -219,7 +219,7 @@ class Page:
             yield owner.gui._gui_input_handle_from_uuid
 
     def _complain_to(self, connection, error):
-        """Tell the page at the end of a connection what was wrong with its message."""
+        """Show the page at the end of a connection the error in its message."""
         live = self.server._websock_server._live_connections
         key = next((key for key, one in list(live.items()) if one is connection), None)
         client = self.clients.get(key)
@@ -249,7 +249,7 @@ class Page:
         thread.start()
 
     def close(self):
-        """Stop the server and what was begun."""
+        """Stop the server, its threads and a run in progress."""
         self.home.cancel()
         with contextlib.redirect_stdout(io.StringIO()):  # it says so on stdout, which is for data
             self.server.stop()
@@ -275,7 +275,7 @@ def _server(port, checks):
 
 @contextlib.contextmanager
 def _own_pages_only(checks):
-    """Let servers that start in this block refuse the pages of other sites and what is no message.
+    """Let servers that start in this block refuse pages of other sites and malformed messages.
 
     A browser lets every site open a socket to 127.0.0.1 and says which site it is. viser has no
     option for that check, nor for one of values, which its socket library makes.

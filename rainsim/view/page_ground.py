@@ -26,7 +26,7 @@ MARK = 0.02  # m, radius of the mark of a clicked point
 
 
 class GroundTools:
-    """What clicks into the picture do, the same on all pages."""
+    """The actions of clicks into the picture, the same on all pages."""
 
     def __init__(self, page):
         self.page, self.painter = page, page.painter
@@ -82,7 +82,7 @@ class GroundTools:
         self.up.disabled = False
 
     def _say_brush(self, event):
-        """Say what the next click paints."""
+        """Say what the next click paints or puts, and how wide."""
         radius = float(self.radius.value)
         if self.chosen == PAINT:
             self.answer.content = f"a click paints {self.kind.value} within {radius:.2f} m"
@@ -117,7 +117,7 @@ class GroundTools:
             (self._paint if tool == PAINT else self._pour)(reading.point)
 
     def _take(self, reading, history, tool, view):
-        """Take a clicked point for the tool that is chosen, and say what was read there."""
+        """Take a clicked point for the chosen tool, and show its reading."""
         if len(self.points) >= POINTS[tool]:
             self._forget()
         self.points.append(reading.point)
@@ -137,7 +137,7 @@ class GroundTools:
         self.flood.disabled = reading.cell is None
 
     def _words(self, reading):
-        """Return what is said of the points that were clicked, lines."""
+        """Return the text on the points that were clicked, lines."""
         lines = reading.lines()
         if self.chosen == MEASURE and len(self.points) == 2:
             a, b = (np.array(point) for point in self.points)

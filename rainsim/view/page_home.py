@@ -73,7 +73,7 @@ class HomeTools:
 
     @property
     def size(self):
-        """Width and height of what is saved [px]."""
+        """Width and height of saved pictures [px]."""
         return int(self.width.value), int(self.height.value)
 
     def _save_shot(self, event):
@@ -83,7 +83,7 @@ class HomeTools:
         self._take_view(event, self.home.save_view)
 
     def _take_view(self, event, save):
-        """Let save(session, view, index, width, height) write what the page shows."""
+        """Let save(session, view, index, width, height) write the page's view."""
         view, index, size = self.page.view_of(event), self.painter.clock.index, self.size
         self._took(self.painter.ask(lambda session: save(session, view, index, *size)))
 

@@ -1,4 +1,4 @@
-"""What a page sends, checked before anything of it is kept.
+"""Messages of a page, checked before any value of them is kept.
 
 viser keeps the value of a control and the place of a camera as a page sends them, hands them to
 its callbacks, and shows them to all pages that come later. A value that cannot be is dropped here,
@@ -27,7 +27,7 @@ FOV = "give the window another shape, or the camera another angle"
 
 
 class UnfinishedError(ParameterError):
-    """What passes by itself: a number below a control's least while one types 640, say."""
+    """A fault that passes by itself: a number below a control's least while one types 640, say."""
 
 
 def _is_text(value):
@@ -146,7 +146,7 @@ def require_value(control, value):
 
 
 def require_upload(control):
-    """Raise ParameterError unless a control takes files: viser gives any control what is sent."""
+    """Raise ParameterError unless a control takes files: viser gives any control an upload."""
     if not hasattr(getattr(control, "value", None), "content"):
         raise ParameterError(
             f"{getattr(control, 'label', 'a control')} takes no file; load the page again"
@@ -179,7 +179,7 @@ class Uploads:
 
 
 class Checks:
-    """The socket's side of one server: what its connections receive is checked here.
+    """The socket's side of one server: checks the messages that its connections receive.
 
     Attributes
     ----------
@@ -228,7 +228,7 @@ class Checks:
 
 
 def connections_of(checks):
-    """Return the class of a server's connections that hand on only what passes `Checks`."""
+    """Return the class of a server's connections that hand on only messages that pass `Checks`."""
     from websockets.asyncio.server import ServerConnection
 
     class Connection(ServerConnection):

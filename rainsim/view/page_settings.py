@@ -82,7 +82,7 @@ class SettingsTools:
         self._handles[slider.key] = handle
 
     def _turn(self, key):
-        """Take over a slider, with the other sliders of its setting."""
+        """Take over the value of a slider, and of the other sliders of its setting."""
         attribute = HUMAN_KEYS[key][0]
         if attribute == "sun" and self.sun.value != "angles":
             return
@@ -103,7 +103,7 @@ class SettingsTools:
             self.change({"sun": None if self.sun.value == "none" else "sky"})
 
     def change(self, values):
-        """Want other values [SI] of settings, by their names."""
+        """Set values [SI] of settings, by their names, for the next pictures."""
         try:
             self.painter.set_config(lambda config: config.replace(**values))
         except ParameterError:

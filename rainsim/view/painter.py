@@ -88,7 +88,7 @@ class Painter:
     # --- from other threads -----------------------------------------------------------------------
 
     def add(self, key):
-        """Take in a client."""
+        """Begin to draw for a client, first the rain."""
         with self._lock:
             self.schedule.add(key, self._now())
             self._modes[key] = (RAIN, 0.0)
@@ -100,7 +100,7 @@ class Painter:
             self._modes.pop(key, None)
 
     def look(self, key, view, aspect):
-        """Note a client's camera."""
+        """Note the present camera of a client."""
         with self._lock:
             if self.schedule.move(key, view, aspect, self._now()):
                 self._lock.notify_all()
@@ -110,7 +110,7 @@ class Painter:
         self._change(lambda: self._modes.__setitem__(key, (name, amount)), key)
 
     def set_config(self, change):
-        """Want the settings that change(config) returns.
+        """Set the settings that change(config) returns for the next pictures.
 
         Raises
         ------
@@ -134,7 +134,7 @@ class Painter:
         return self._config
 
     def turn(self, change):
-        """Let change(clock, now) do something to the time."""
+        """Change the clock by change(clock, now)."""
         self._change(lambda: change(self.clock, self._now()))
 
     def set_sizes(self, full=None, least=None, adapts=None, simplifies=None):
@@ -158,11 +158,11 @@ class Painter:
         return future
 
     def redraw(self):
-        """Note that all pictures are out of date, and that what failed may be tried again."""
+        """Note that all pictures are out of date, and that failed settings may be tried again."""
         self._change(lambda: setattr(self, "_wrong", None))
 
     def end(self):
-        """Let `run` return as soon as what it is doing allows."""
+        """Let `run` return as soon as its present work allows."""
         with self._lock:
             self._ended = True
             self._lock.notify_all()
@@ -190,7 +190,7 @@ class Painter:
             self._asked.get()[1].cancel()
 
     def step(self):
-        """Do what is due now, for tests; return whether there was anything."""
+        """Do the work that is due now, for tests; return whether there was any."""
         asked = not self._asked.empty()
         self._answer()
         job = self._next(wait=False)
@@ -199,7 +199,7 @@ class Painter:
         return asked or job is not None
 
     def _answer(self):
-        """Call what was asked for."""
+        """Call the functions that were asked for."""
         while not self._asked.empty():
             function, future = self._asked.get()
             if not future.set_running_or_notify_cancel():
@@ -268,7 +268,7 @@ class Painter:
                 self._leaves(job.client, share)
 
     def _make(self, check):
-        """Make what is out of date, once for each choice of settings that fails."""
+        """Make the parts that are out of date, once for each choice of settings that fails."""
         if self.session.stale and self._wrong is not self.session.config:
             self._say("computing " + ", ".join(sorted(self.session.stale)))
             try:
@@ -290,7 +290,7 @@ class Painter:
             self._fail(error)
 
     def _picture(self, job, check):
-        """Return what a client's mode shows, and the depth [m] of the picture."""
+        """Return the picture of a client's mode, and the picture's depth [m]."""
         session = self.session
         if not session.is_ready:
             return session.draw_bare(job.view, job.width, job.height)

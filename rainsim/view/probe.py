@@ -1,4 +1,4 @@
-"""What stands at a point that was clicked, and what follows from several: a length, a plane."""
+"""Readings at clicked points, and results of several points: a length, a plane."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SOURCES = {MEASURED: "measured", INFERRED: "inferred"}
 
 @dataclass(frozen=True)
 class Reading:
-    """What is known of a clicked point.
+    """Place, ground, water and class at a clicked point.
 
     Attributes
     ----------

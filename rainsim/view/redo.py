@@ -1,4 +1,4 @@
-"""What a changed setting makes out of date, so that nothing else is computed again."""
+"""The parts that a changed setting makes out of date, so that nothing else is computed again."""
 
 from __future__ import annotations
 

@@ -107,7 +107,7 @@ class Schedule:
     _simple_pace: float = FIRST_GUESS  # of those with simple reflections
 
     def add(self, key, now):
-        """Take in a client."""
+        """Add a client to the schedule."""
         self.clients[key] = Client(changed=now, served=now)
 
     def remove(self, key):
@@ -178,7 +178,7 @@ class Schedule:
         return None, min(waits, default=None)
 
     def _step_after(self, client):
-        """Return the step that refines what a client was shown; None if there is none."""
+        """Return the step that refines the picture a client was shown; None if there is none."""
         _, width, step = client.shown
         if self.plays or step == EXACT:
             return None
@@ -204,7 +204,7 @@ class Schedule:
             client.served = now
 
     def given_up(self, job, now):
-        """Note that a job was not finished."""
+        """Note that a job was given up before its picture was finished."""
         client = self.clients.get(job.client)
         if client is not None:
             client.served = now

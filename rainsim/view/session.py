@@ -64,7 +64,7 @@ class View:
 
     @property
     def rotation(self):
-        """ground_from_camera, ndarray of shape (3, 3)."""
+        """Rotation to the ground frame from the camera frame, ndarray of shape (3, 3)."""
         return Rotation.from_quat(self.turn, scalar_first=True).as_matrix()
 
 
@@ -92,7 +92,7 @@ class CheckedTimer(Timer):
 
 
 class Session:
-    """A scene, its terrain, its water and what draws it, shared by all who look.
+    """A scene, its terrain, its water and its renderer, shared by all pages.
 
     Parameters
     ----------
@@ -142,7 +142,7 @@ class Session:
         self._kept = (None, None, None)  # key, terrain and what was computed for them, last asked
 
     def set_config(self, config):
-        """Want other settings; `make` makes again what is out of date by them."""
+        """Take over other settings; `make` then makes again the parts that they change."""
         self.stale |= set(out_of_date(self.config, config))
         self.config = config
 
@@ -238,7 +238,7 @@ class Session:
         self._progress(stage, 0, 1)
 
     def _first_camera(self):
-        """Return a camera for what a renderer asks of a sequence's first one."""
+        """Return the camera that a renderer takes as the first of a sequence."""
         return resize_to(self.cameras[0], self.config.width)
 
     def _follow(self, config):
@@ -392,7 +392,7 @@ class Session:
             self.renderer.water.config = self.renderer.wet_ground.config = look
 
     def kept(self, key, compute):
-        """Return what compute() returned for the same key and terrain, computed when it is new."""
+        """Return the result of compute() for a key and the terrain, computed when either is new."""
         if self._kept[0] != key or self._kept[1] is not self.terrain:
             self._kept = key, self.terrain, compute()
         return self._kept[2]

@@ -34,7 +34,7 @@ class SharedWater:
         return sorted(self._kept)
 
     def state(self, index, check=lambda: None):
-        """Return the state of an index.
+        """Return the `SimState` number `index`; simulate up to it if it is not kept.
 
         Parameters
         ----------

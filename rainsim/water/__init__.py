@@ -1,1 +1,1 @@
-"""What `rainsim.grid` calls, and water beside the solver: schemes, friction, puddles, ripples."""
+"""The parts of `rainsim.grid`, and other water: schemes, friction, puddles, ripples."""

@@ -8,7 +8,7 @@ import numpy as np
 
 
 class Around(NamedTuple):
-    """What lies about a window of the ground, the window itself included.
+    """The surroundings of a window of the ground, the window itself included.
 
     Attributes
     ----------
@@ -51,7 +51,7 @@ class Begin(NamedTuple):
     around: Around | None = None
 
     def within(self, window, terrain=None):
-        """Return the part of it in a window (slices of rows and columns).
+        """Return the part of this start within a window (slices of rows and columns).
 
         `terrain` is that of the whole; without it no car drives in the part.
         """

@@ -171,7 +171,7 @@ def volume_flux(tiles, h, bed, u, v, qu_out, qv_out):
 
 @cpu_kernel
 def move_depth(tiles, qu, qv, k, dry, h_out, remainder_out):
-    """Change the depth by what flows through the four faces; k = dt / spacing.
+    """Change the depth by the flow through the four faces; k = dt / spacing.
 
     The sums are float64, where those of float32 are exact, and what `h` cannot represent or is
     too little to flow stays in `remainder`: volume is conserved to float64 rounding.

@@ -164,7 +164,7 @@ class ConservingFlow:
         return ROUNDING_ROOM * min(step, MAX_STEP * self._spacing / max(self.water_speed, 1e-30))
 
     def advance_depth(self, dt):
-        """Bring depth from n to n+1; return the volume [m3] that left through open edges."""
+        """Advance the depth from n to n+1; return the volume [m3] that left through open edges."""
         if self.is_at_whole_step:  # half a step of pressure brings velocity from n to n+1/2
             self.is_at_whole_step, self._lead = False, dt
             if self.is_lean:
@@ -202,7 +202,7 @@ class ConservingFlow:
         return [np.maximum(speed, 0) * inside[edge] for edge, speed in outward.items()]
 
     def advance_velocity(self, dt):
-        """Bring velocity from n+1/2 to n+3/2; "lean" has done so with the depth."""
+        """Advance the velocity from step n+1/2 to n+3/2; "lean" has done so with the depth."""
         self._steps += 1
         if self._steps % CAP_STEPS == 0:
             self._raise_cap()

@@ -312,7 +312,7 @@ def build(bed, order, kind, nx, node_out, ending_out, links_out, levels_out):
 
 @serial_kernel
 def fill(bed, rainfall, order, node, ending, links, rim, capacity, depth_out, left_out):
-    """Pour the rain into the tree and spread what each depression holds over its cells.
+    """Pour the rain into the tree and spread each depression's water over its cells.
 
     Parameters
     ----------
@@ -353,7 +353,7 @@ def fill(bed, rainfall, order, node, ending, links, rim, capacity, depth_out, le
 
 @device_function
 def pour(leaf, volume, links, capacity, passes_out, water_out, full_out, whole_out):
-    """Pour `volume` into a leaf; return what was left at the last node reached, and that node.
+    """Pour `volume` into a leaf; return the volume left at the last node reached, and that node.
 
     Each turn fills a node for good, so all pours together take as many turns as there are nodes.
     """

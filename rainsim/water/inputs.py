@@ -94,7 +94,7 @@ def open_edges(boundary):
 
 
 def field(name, value, shape, signed=False):
-    """Return `value` as a float64 map, or raise ParameterError naming what is wrong with it."""
+    """Return `value` as a float64 map, or raise ParameterError that names its fault."""
     value = np.asarray(value, np.float64)
     if value.shape not in ((), shape):
         raise ParameterError(

@@ -84,7 +84,7 @@ def step_run(
     run, tiles, water: Water, bed, numbers: StepNumbers,
     h_out, u_out, v_out, wave_speed_out, speed_out,
 ):  # fmt: skip
-    """Bring depth and velocity of one run of tiles to the next step; see `step`."""
+    """Advance depth and velocity of one run of tiles by a step; see `step`."""
     h, u, v = water.h, water.u, water.v
     k, kg, gravity, cap = numbers.k, numbers.kg, numbers.gravity, numbers.cap
     rounding, dry = numbers.rounding, numbers.dry
@@ -150,7 +150,7 @@ def step(
     runs, tiles, water: Water, bed, numbers: StepNumbers,
     h_out, u_out, v_out, wave_speed_out, speed_out,
 ):  # fmt: skip
-    """Bring depth from n to n+1 and velocity from n+1/2 to n+3/2 in the tiles of `runs`.
+    """Advance depth from n to n+1 and velocity from n+1/2 to n+3/2 in the tiles of `runs`.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The water on what stands above the ground: films, puddles, drips from it, and its account."""
+"""The water on objects above the ground: films, puddles, drips from them, and its account."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ SMALLEST_ROOM = 1e-30  # m3, keeps tops without water from a division by zero
 
 
 class Objects:
-    """The water on what stands above the ground, with its account; drips from it if asked for.
+    """The water on objects above the ground, with its account; drips from them if asked for.
 
     Parameters
     ----------
@@ -72,19 +72,19 @@ class Objects:
         return self._on_each(np.minimum(self._held_of + self._area_of * rain, self._room_of))
 
     def _on_each(self, held):
-        """Return the water on each top [m3] of what is `held` behind each drip point [m3]."""
+        """Return the water on each top [m3] from the water `held` behind each drip point [m3]."""
         share = held / np.maximum(self._room_of, SMALLEST_ROOM)
         mine = np.bincount(self._top, self._room * share[self._point], len(self._on_tops))
         return mine / self._room_on * self.tops.capacity
 
     def open_account(self):
-        """Count what is on the objects and in the air now as there from the start."""
+        """Count the water that is now on the objects and in the air as there from the start."""
         self._came = self._returned = self._kept = 0.0
         if self.drips is not None:
             self.initial = self.drips.held + self.drips.airborne
 
     def take_rain(self, hits, fine_depth):
-        """Give the objects what fell on them, and a depth [m] of finer rain."""
+        """Give the objects the drops that fell on them, and a depth [m] of finer rain."""
         if self.drips is not None:
             self._came += self.drips.take_rain(hits, fine_depth)
         else:
@@ -98,14 +98,14 @@ class Objects:
             self._came += self.drips.take_even_rain(depth)
 
     def let_in(self, solver, rows, columns, volumes):
-        """Give the ground water that rises from outside, and take what falls."""
+        """Give the ground water that comes from outside; withdraw negative volumes [m3] from it."""
         more, less = volumes > 0, volumes < 0
         solver.deposit(rows[more], columns[more], volumes[more])
         solver.withdraw(rows[less], columns[less], -volumes[less])
         self.inflow += float(volumes[more].sum())
 
     def advance(self, start, stop, weather):
-        """Return the rows, columns and volumes [m3] of what comes down from them."""
+        """Return the rows, columns and volumes [m3] of the water that comes down from objects."""
         if self.drips is None:
             return np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0)
         wind = weather.wind(0.5 * (start + stop)), self._roughness

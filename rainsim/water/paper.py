@@ -65,7 +65,7 @@ def upwind_flux(speed, h_behind, h_ahead):
 
 @device_function
 def split_depth(j, i, total, dry, h_out, remainder_out):
-    """Store depth `total` as what flows and what is too little to flow or to represent."""
+    """Store depth `total` as flowing water and a remainder too little to flow or to represent."""
     h_out[j, i] = total if total >= dry else 0.0
     remainder_out[j, i] = total - np.float64(h_out[j, i])
 

@@ -68,7 +68,7 @@ class PaperFlow:
         )
 
     def advance_depth(self, dt):
-        """Bring depth from n to n+1; return the volume [m3] that left through open edges."""
+        """Advance the depth from n to n+1; return the volume [m3] that left through open edges."""
         k = self._type(dt / self._spacing)
         self._before = self.u, self.v
         if not self.moves:
@@ -85,7 +85,7 @@ class PaperFlow:
         return left
 
     def advance_velocity(self, dt):
-        """Bring velocity from n to n+1."""
+        """Advance the face velocities from step n to n+1 by `dt` [s]."""
         dtype, spacing, gravity = self._type, self._spacing, self._gravity
         numbers = StepNumbers(
             k=dtype(dt / spacing), kg=dtype(gravity * dt / spacing),

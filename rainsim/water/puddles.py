@@ -79,7 +79,7 @@ class Puddles:
         self._settle(left)
 
     def drain(self, row, column, volume):
-        """Take up to `volume` [m3] out of the puddle at a cell; return what was taken [m3]."""
+        """Take up to `volume` [m3] out of the puddle at a cell; return the volume taken [m3]."""
         require_not_negative("volume to drain", volume, "m3")
         ny, nx = self.depth.shape
         if not (0 <= row < ny and 0 <= column < nx):

@@ -209,7 +209,7 @@ class RippleTile:
         return scipy.fft.irfft2(self._eta, s=(self.cells, self.cells))
 
     def set_elevation(self, elevation):
-        """Put the surface to `elevation` (cells, cells) [m], at rest."""
+        """Set the surface to `elevation` (cells, cells) [m], at rest."""
         elevation = np.asarray(elevation, np.float64)
         if elevation.shape != (self.cells, self.cells):
             raise ParameterError(
@@ -243,7 +243,7 @@ class RippleTile:
         self._eta, self._lag = cosine * eta + sine * lag, cosine * lag - sine * eta
 
     def _push_spectrum(self, width):
-        """Return what one unit of momentum per cell adds to the lagging spectrum.
+        """Return the lagging spectrum of one unit of momentum per cell.
 
         An impulse I over a Gaussian footprint G of a `width` [m] starts the surface moving down at
         d eta/dt = -(I / rho) k tanh(k h) G(k); divided by omega that is the lagging part.

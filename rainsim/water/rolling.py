@@ -113,7 +113,7 @@ class Tyres:
         return solver.advance(0.0)
 
     def roll(self, solver, start, stop, weather):
-        """Let cars roll from `start` to `stop` [s], and what they have thrown come down.
+        """Let cars roll from `start` to `stop` [s], and the water they have thrown come down.
 
         Parameters
         ----------
@@ -187,7 +187,7 @@ class Tyres:
         return Ledger.from_dict(ledger).as_dict()
 
     def _step(self, solver, start, stop, weather):
-        """Throw what all tyres meet in a step, and bring down what has flown long enough."""
+        """Throw the water that tyres meet in a step, and land water that has flown long enough."""
         wind = weather.wind(0.5 * (start + stop)) * float(wind_at(WIND_AT, self._roughness))
         rows, ids, own = [], [], []
         tick = round(stop / (LONGEST_STEP / 64))
@@ -288,7 +288,7 @@ class Tyres:
         ])  # fmt: skip
 
     def _land(self, solver, time):
-        """Bring down what lands up to a time [s]."""
+        """Bring down the thrown water that lands up to a time [s]."""
         due = self._landing[:, 0] < time
         down, self._landing = self._landing[due], self._landing[~due]
         cells, volume, own = down[:, 1:3].astype(np.int64), down[:, 3], down[:, 4]
@@ -300,7 +300,7 @@ class Tyres:
         self._put_down(solver, row[~held], column[~held], volume[~held], own[~held])
 
     def _put_down(self, solver, row, column, volume, own):
-        """Give cells of the ground what comes down on them, and what of it the account has [m3]."""
+        """Put landed water [m3] on cells of the ground; `own` of it is in the account [m3]."""
         self.returned += float(own.sum())
         solver.deposit(row, column, volume)
 

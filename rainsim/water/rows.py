@@ -90,7 +90,7 @@ def runs_of(tiles, numbers, across):
 
 @inlined_function
 def copy_row(a, n, a_out):
-    """Write out n numbers."""
+    """Copy n numbers of `a`."""
     for c in range(n):
         a_out[c] = a[c]
 

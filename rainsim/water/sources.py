@@ -7,7 +7,7 @@ from rainsim.jit import cpu_kernel, device_function, prange
 
 @device_function
 def infiltrate_and_fill(free, film, demand, store):
-    """Return the losses of free water and of film to the ground, and what then fills the film.
+    """Return the losses of free water and of film to the ground, and the water that fills the film.
 
     The ground takes up to `demand`, first from the free water; then free water fills the film up
     to `store`. All are depths [m], float64.
@@ -46,7 +46,7 @@ def drain_cells(h, remainder, depth, dry):
 def apply_sources(
     tiles, rain, infiltration, storage, dt, dry, h_out, remainder_out, film_out, infiltrated_out
 ):
-    """Add rain, take infiltration and fill the films; what is left over flows.
+    """Add rain, take infiltration and fill the films; the remaining water flows.
 
     All sums are float64, so that rain far below the rounding of `h` is not lost.
 
@@ -98,7 +98,7 @@ def apply_sources(
 
 @cpu_kernel
 def sum_tiles(tiles, h, remainder, film, ground_out, film_out, least_out):
-    """Sum up what stands in each of `tiles`.
+    """Sum up the water that stands in each of `tiles`.
 
     Parameters
     ----------

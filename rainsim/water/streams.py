@@ -36,7 +36,7 @@ LEVEL, ROOT, EAST, NORTH, SHARE, TOTAL = range(6)  # rows of a table of streams
 
 
 class Runoff(NamedTuple):
-    """What runs off the ground under a steady rain, on blocks of cells.
+    """Runoff of the ground under a steady rain, on blocks of cells.
 
     Attributes
     ----------
@@ -53,7 +53,7 @@ class Runoff(NamedTuple):
 
     @property
     def discharge(self):
-        """What runs through the middle of each block to the east and north [m3/s]."""
+        """The discharge through the middle of each block to the east and north [m3/s]."""
         return (0.5 * (self.east[:, :-1] + self.east[:, 1:]),
                 0.5 * (self.north[:-1] + self.north[1:]))  # fmt: skip
 
@@ -116,7 +116,7 @@ def _lowest_near(level, grid, k, x, y):
 
 
 def run_in(flow, grid, place):
-    """Return what runs into a part of a map, as `run_off` takes it.
+    """Return the inflow to a part of a map, as `run_off` takes it.
 
     Parameters
     ----------
@@ -284,7 +284,7 @@ def flood(surface, sink, level_out):
 
 @serial_kernel
 def route(level, source, sink, order, east_out, north_out):
-    """Let what comes to each block run on to its lower neighbours, in proportion to the fall.
+    """Let the water of each block run on to its lower neighbours, in proportion to the fall.
 
     Parameters
     ----------

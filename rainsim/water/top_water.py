@@ -55,7 +55,7 @@ class TopWater:
 
     @property
     def capacity(self):
-        """What each top holds [m3], ndarray of shape (n,)."""
+        """The volume that each top holds when full [m3], ndarray of shape (n,)."""
         return self.volumes[-1]
 
     def _fill(self):
@@ -87,7 +87,7 @@ class TopWater:
         return np.array(each, np.float32)
 
     def room(self):
-        """Return what the tops hold [m3] above each cell of the terrain, and on which top, both
+        """Return the room [m3] of tops above each cell of the terrain, and the top's number, both
         (ny, nx).
         """
         room, top = np.zeros(self._grid.shape), np.full(self._grid.shape, -1)

@@ -23,7 +23,7 @@ CLOSING = 0.5  # s in which it does so, to a part of e; an assumption
 
 
 def tyres_of(terrain, config, begin=None):
-    """Return the `Tyres` of what moves on a terrain; none if the settings leave spray out.
+    """Return the `Tyres` of the nodes on a terrain; none if the settings leave spray out.
 
     Parameters
     ----------

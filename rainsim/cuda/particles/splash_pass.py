@@ -211,7 +211,7 @@ class Splashes:
         self.alpha = cuda.device_array(streaks.alpha.shape, np.float32, stream=stream)
 
     def make_room(self, room):
-        """Make room for so many lines."""
+        """Allocate room for so many lines of splashes in view."""
         self.lines = cuda.device_array((room, 7), np.float64, stream=self.stream)
         self.version = new_version()
 
@@ -225,7 +225,7 @@ class Splashes:
         self.now.update(film=film, least=least, closed=closed)
 
     def launch(self):
-        """Queue the picture, after the streaks'."""
+        """Queue the listing and the drawing of the splashes, after the streaks' picture."""
         self.gather()
         self.draw()
 

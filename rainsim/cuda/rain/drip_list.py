@@ -1,6 +1,6 @@
 """Drips in the air and those that have just landed, as a list on a CUDA device, and as pictures.
 
-The lists are in the order of chance.
+Entries stand in the lists in no fixed order.
 """
 
 from __future__ import annotations
@@ -144,7 +144,7 @@ class DripList:
         )
 
     def fill(self, table, ids, where=None, book=None):
-        """Bring a list from the host."""
+        """Copy a list of drips from the host to the device."""
         count = len(ids)
         book = np.zeros(BOOK, np.int64) if book is None else book
         book[LISTED] = count

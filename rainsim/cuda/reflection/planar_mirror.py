@@ -43,7 +43,7 @@ SPARED = 0.1  # of the free memory that a pass may take to be drawn beside other
 
 
 class MirrorArrays(NamedTuple):
-    """Mirrored pictures on a device."""
+    """Mirrored pictures of all mirror levels, as device arrays."""
 
     # (k, 3) float32 [m]: level of each mirror and the heights from which and below which water
     # looks into it; water at other heights is marched.
@@ -294,7 +294,7 @@ class Mirrors:
 
     @property
     def rasterizers(self):
-        """Those of all passes."""
+        """The rasterizers of all mirror passes."""
         return [each.rasterizer for each in self._each]
 
     @property

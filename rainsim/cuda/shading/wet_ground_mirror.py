@@ -286,7 +286,7 @@ class WetGroundLight:
         halve_heights[grid](self._atlas)
 
     def _fill(self):
-        """Queue the field."""
+        """Queue the field of mirrored light."""
         level = LevelPicture(self._atlas, self._depth, self._lens, self._uniforms["forward"])
         mirrored_field[blocks(*self.field.shape[:2]), BLOCK, self.stream](
             self.frame.camera_arrays, self._step, self._ground, self._lobe, level, self._size,

@@ -388,7 +388,7 @@ def find_ranges(total, levels, key, value, record, begin_out, end_out):
 
 @cuda_kernel
 def number_records(places, record):
-    """Put numbers in the place of the depths of records, from 1 on.
+    """Replace the depths of records by their numbers, from 1 on.
 
     The entries must be sorted. A picture of the median depth then shows which record stops half of
     the light; numbers up to 2^24 are exact.

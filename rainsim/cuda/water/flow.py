@@ -105,7 +105,7 @@ class Maps(NamedTuple):
 
 
 class Layout(NamedTuple):
-    """How the cells lie in memory and among threads.
+    """Layout of the cells in memory and among threads.
 
     Attributes
     ----------
@@ -138,7 +138,7 @@ def step(
     control, state, now, numbers, maps: Maps, layout: Layout, limits: Limits,
     w_out, remainder_out, film_out, depth_out, partial_out,
 ):  # fmt: skip
-    """Bring depth from n to n+1 and velocity from n+1/2 to n+3/2; then rain and infiltration.
+    """Advance depth from n to n+1, velocity from n+1/2 to n+3/2; then rain and infiltration.
 
     Parameters
     ----------

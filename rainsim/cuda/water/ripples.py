@@ -259,7 +259,7 @@ class Ripples:
         self.moments = self.pages[page]
 
     def launch(self):
-        """Queue a frame: waves run on, the drops that fell ring, the slopes follow."""
+        """Queue a frame of ripples: waves advance, new drops excite rings, slope moments follow."""
         n, re, im, other_re, other_im = self.cells, *self._maps_on_device
         tables = self._cosines, self._sines, n
         rows = n, self._maps

@@ -244,7 +244,7 @@ def _shop(wall, width, parts, wall_part, rng):
 
 
 def _goods(u0, u1, rng):
-    """Return the colour of a shop window: shelves of goods before a bright back wall."""
+    """Return colour(u, z) of a shop window: shelves of goods before a bright back wall."""
     warm = WARM[rng.integers(0, 4)] * 0.98
     palette = rng.uniform(0.15, 1.0, (9, 3)) * (1.0, 0.85, 0.65)
     width = rng.uniform(0.10, 0.24)

@@ -37,7 +37,7 @@ HINTS = {
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """What was read from a splat file.
+    """The splats read from a splat file, with its format and notes.
 
     Attributes
     ----------

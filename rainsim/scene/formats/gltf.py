@@ -167,7 +167,7 @@ def _instances(model):
 
 
 def _matrix(model, node):
-    """Return the matrix (4, 4) of a node: what it says, or its translation, rotation and scale."""
+    """Return the matrix (4, 4) of a node: its own, or of its translation, rotation and scale."""
 
     def numbers(key, default):
         value = number_array(node.get(key, default), (len(default),))
@@ -197,7 +197,7 @@ def _is_splats(primitive):
 
 
 def _notes(model, parts, others):
-    """Return notes on what is drawn otherwise or left out; raise InputError on what is not read."""
+    """Return notes on parts drawn otherwise or left out; raise InputError for features not read."""
     notes = []
     for about in (primitive["extensions"][EXTENSION] for primitive, _ in parts):
         if about.get("extensions"):

@@ -110,7 +110,7 @@ def _codebook(values):
 
 
 def _harmonics(sh):
-    """Return what meta.json says of harmonics (n, k, 3), their palette picture and their labels."""
+    """Return meta.json's entry on harmonics (n, k, 3), their palette picture and their labels."""
     n, bands = sh.shape[:2]
     label, entries = _palette(sh.reshape(n, -1), min(PALETTE_LIMIT, max(64, n // SHARE)))
     book, codes = _codebook(entries)
