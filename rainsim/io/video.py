@@ -84,7 +84,7 @@ class VideoFormat(NamedTuple):
     def settings(self):
         """What `imageio_ffmpeg.write_frames` is called with, dict."""
         codec = CODECS[self.codec]
-        if self == VideoFormat():
+        if self == USUAL:
             return {"codec": codec.encoder, "quality": 8}
         rate = codec.usual if self.quality is None else codec.rate(self.quality)
         more = [*rate, *codec.more, *COLORS]
@@ -94,7 +94,10 @@ class VideoFormat(NamedTuple):
         }  # fmt: skip
 
 
-def require_video(video=VideoFormat()):
+USUAL = VideoFormat()
+
+
+def require_video(video=USUAL):
     """Raise RainsimError unless videos can be written; to be asked before the first frame.
 
     Parameters
@@ -152,7 +155,7 @@ class VideoWriter:
         The name ends as this says.
     """
 
-    def __init__(self, path, fps, video=VideoFormat()):
+    def __init__(self, path, fps, video=USUAL):
         self._module = _ffmpeg()
         self.path, self._fps, self._format = Path(path), fps, video
         self._sender, self._temporary = None, None
@@ -194,8 +197,9 @@ class VideoWriter:
 def bytes_of_video(pictures, count, fps, video):
     """Return about how many bytes a video of `count` frames takes, int.
 
-    The first pictures are written for a try: the first is coded by itself, the others by what has
-    changed; ProRes codes all by themselves.
+    The pictures are written for a try: the first is coded by itself, the others by what has
+    changed; ProRes codes all by themselves. Encoders do better once they look further ahead, so
+    that H.264 and H.265 take less than this: 48 frames 0.6 to 0.9 times as much.
 
     Parameters
     ----------
