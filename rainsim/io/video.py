@@ -82,7 +82,7 @@ class VideoFormat(NamedTuple):
 
     @property
     def settings(self):
-        """What `imageio_ffmpeg.write_frames` is called with, dict."""
+        """The arguments for the function of imageio_ffmpeg that writes frames, dict."""
         codec = CODECS[self.codec]
         if self == USUAL:
             return {"codec": codec.encoder, "quality": 8}
