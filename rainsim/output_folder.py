@@ -38,9 +38,9 @@ NOT_OF_THE_CONTENT = ("preset", "terrain_input")  # facts that name things and c
 CLAIM = ".rainsim-claim"  # locked by the run that writes to the folder
 # Names that the program gives to files; other names in a provenance file are ignored.
 OURS = re.compile(
-    r"frames/\d{5}\.png|states/\d{5}\.npz|preview\.webp|video\.mp4|(terrain|splats|actors)\.npz"
+    r"frames/\d{5}\.png|states/\d{5}\.npz|preview\.webp|(terrain|splats|actors)\.npz"
     r"|(scene|ground_frame|simulation|transforms)\.json|(bed|top)\.tif|puddles-\d+mm\.png"
-    r"|(hillshade|classes|check)\.png|finished\.jsonl|lod-meta\.json"
+    r"|(hillshade|classes|check)\.png|video\.(mp4|mov)|finished\.jsonl|lod-meta\.json"
     r"|layers/(\d{5}\.json|[a-z_]+/\d{5}\.(png|exr|npz))|(env|\d+_\d+)/\w+\.(webp|json)"
 )
 JOURNAL = "finished.jsonl"  # which frames or states are finished
@@ -379,8 +379,8 @@ class FrameFolder:
     cameras : sequence of Camera
         One per frame of the whole sequence, or one for all.
     config : Config
-    video : bool
-        Whether to write video.mp4 too.
+    video : VideoFormat or None
+        What video to write too.
     resume : bool
         Whether to go on with an unfinished run in the folder.
 
@@ -390,19 +390,17 @@ class FrameFolder:
         The journal's entries of the frames that need not be drawn, by index.
     """
 
-    def __init__(self, folder, record, cameras, config, video=False, resume=False):
+    def __init__(self, folder, record, cameras, config, video=None, resume=False):
         from rainsim.io import images
 
         self._image, self.folder, self.record = images, folder, record
         self._cameras, self._config = cameras, config
         self.kept = record.resume(config.indices) if resume else {}
         self._preview = images.Preview(len(config.indices), config.fps)
-        self._stack = ExitStack()
-        self._video = None
-        self._wants_video = video
+        self._stack, self._video = ExitStack(), None
+        self._format = video
         self._writer = FrameWriter(folder, self._note)
-        self._has_begun = False
-        self.reports = []
+        self._has_begun, self.reports = False, []
 
     def __enter__(self):
         return self
@@ -423,7 +421,7 @@ class FrameFolder:
     @property
     def done(self):
         """Number of frames that were kept or handed over."""
-        return len(self.reports) + self._writer.is_writing
+        return len(self.kept) + len(self.reports) + self._writer.is_writing
 
     def _show(self, picture):
         """Add a frame to preview and video."""
@@ -446,6 +444,7 @@ class FrameFolder:
             self.reports.append(report_of(index, entry))
 
     def _begin(self):
+        from rainsim.io.video import VideoWriter
         from rainsim.scene.cameras import write_transforms
 
         if self._has_begun:
@@ -457,8 +456,9 @@ class FrameFolder:
         names = [FRAME.format(i) for i in range(count)]
         write_transforms(self.folder / "transforms.json", cameras[:count], names)
         self.record.add("transforms.json")
-        if self._wants_video:
-            writer = self._image.VideoWriter(self.folder / "video.mp4", self._config.fps)
+        if self._format:
+            path = self.folder / self._format.name
+            writer = VideoWriter(path, self._config.fps, self._format)
             self._video = self._stack.enter_context(writer)
 
     def __exit__(self, kind, *exception):
@@ -477,7 +477,7 @@ class FrameFolder:
         if not self.reports:
             return
         self._preview.write(self.folder / "preview.webp")
-        self.record.add("preview.webp", *(["video.mp4"] if self._video is not None else []))
+        self.record.add("preview.webp", *([self._format.name] if self._video else []))
         self.record.write(
             complete=undisturbed and len(self.reports) == len(self._config.indices),
             frames=[report.index for report in self.reports],

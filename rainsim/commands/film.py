@@ -19,6 +19,7 @@ from rainsim.commands.choose import (
     water_mask_of,
 )
 from rainsim.commands.compile import compiled_beside, uses_of
+from rainsim.commands.forecast import Forecast, format_of
 from rainsim.commands.status import Status, loaded_scene
 from rainsim.errors import InputError, ParameterError
 
@@ -60,7 +61,7 @@ def run(
     """
     status = Status(quiet)
     config = settings(preset, given)
-    names = _check_before_loading(given, video, layers, backend)
+    video, names = _check_before_loading(given, video, layers, backend)
     mask, water = mask_of(class_mask), water_mask_of(given)
     uses = uses_of(config, names, backend)
     with status, compiled_beside(status, uses, config.threads) as pool:
@@ -230,7 +231,7 @@ def render(
     status = Status(quiet)
     made = read_simulation(states)
     config = settings(None, given, base=made["config"])
-    names = _check_before_loading(given, video, layers, backend)
+    video, names = _check_before_loading(given, video, layers, backend)
     origin = made["origin"]
     if scene is None and origin["source"]:
         scene = str(path_named(origin["source"], states))
@@ -328,22 +329,19 @@ def _origin(made, path):
 
 
 def _check_before_loading(given, video, layers, backend):
-    """Return the names of the layers; raise for what could only fail later."""
+    """Return the video's format and the layers' names; raise for what could only fail later."""
     check_camera_options(given)
     _check_farm(given)
     if backend == "cuda":
         from rainsim.cuda import require
 
         require()
-    if video:
-        from rainsim.io.images import require_video
-
-        require_video()
+    video = format_of(video, given)
     if layers is None:
-        return ()
+        return video, ()
     from rainsim.render.aov import parse_names
 
-    return parse_names(layers)
+    return video, parse_names(layers)
 
 
 def _check_farm(given):
@@ -412,12 +410,13 @@ def _write_frames(
             out, scene, content, **facts, cameras=output_folder.cameras_facts(cameras)
         )
         run = out, record, cameras, config, video
+        forecast = Forecast(status, *run)
         if farm[0].get("workers") or farm[0].get("scheduler"):
-            reports = _draw_with_workers(status, sequence, run, resume, *farm)
+            reports = _draw_with_workers(forecast, sequence, run, resume, *farm)
         elif shared:
-            reports = _draw_shared(status, sequence, run, stale)
+            reports = _draw_shared(forecast, sequence, run, stale)
         else:
-            reports = _draw_alone(status, sequence, run, resume)
+            reports = _draw_alone(forecast, sequence, run, resume)
     total = f"{len(config.indices)} frames"
     status.say(f"{total} in {output_folder.relative(out)}/frames ({status.seconds:.1f} s)")
     result = {
@@ -440,7 +439,8 @@ def _draw_alone(status, sequence, run, resume):
         if folder.kept:
             status.say(f"{len(folder.kept)} of {len(indices)} frames are finished and kept")
         missing = [index for index in indices if index not in folder.kept]
-        for picture, report in sequence.frames(missing, _then_frames(status, len(indices))):
+        tell = _then_frames(status, len(indices), folder.done)
+        for picture, report in sequence.frames(missing, tell):
             status.notes(report.notes)
             folder.add(picture, report)
             status.progress("frames", folder.done, len(indices))
@@ -471,11 +471,11 @@ def _draw_with_workers(status, sequence, run, resume, given, backend, pool):
         return draw_with_workers(client, sequence, run, resume, status, threads)
 
 
-def _then_frames(status, total):
+def _then_frames(status, total, kept=0):
     def progress(stage, done, all_of_it):
         status.progress(stage, done, all_of_it)
         if stage != "frames" and done == all_of_it:  # what follows unannounced is the first frame
-            status.progress("frames", 0, total)
+            status.progress("frames", kept, total)
 
     return progress
 

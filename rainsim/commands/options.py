@@ -302,7 +302,17 @@ picture_options = _group(
                  help="Width of the frames in px."),
     click.option("--height", type=int, metavar="PX", show_default="the camera's shape",
                  help="Height of the frames in px; with --width the picture is cropped."),
-    click.option("--video", is_flag=True, help="Also write video.mp4 (needs rainsim[video])."),
+    click.option("--video", is_flag=True,
+                 help="Also write video.mp4, or video.mov for ProRes (needs rainsim[video])."),
+    click.option("--video-codec", type=click.Choice(["h264", "h265", "prores"]),
+                 show_default="h264",
+                 help="With --video: h264 plays everywhere; h265 takes less space; prores, 422 HQ "
+                 "of 10 bits, is for editing and large."),
+    click.option("--video-quality", type=click.IntRange(0, 100), metavar="0..100",
+                 show_default="the codec's: h264 82, h265 70, prores the rate of 422 HQ",
+                 help="With --video: higher is better and larger. For h264 and h265 it is a CRF of "
+                 "51 - N/2: 66 is CRF 18, which looks lossless, 56 is CRF 23. For prores it is a "
+                 "quantiser of 64^(1 - N/100)."),
     click.option("--layers", metavar="all|NAME,NAME", show_default="none",
                  help="Also write parts of each frame for compositing, such as depth,water_depth."),
 )  # fmt: skip

@@ -120,7 +120,7 @@ class Status:
         if self._stage is None or stage != self._stage.name:
             self.close()
             self._stage = Stage(stage)
-            self._open(stage, total)
+            self._open(stage, done, total)
         self._stage.update(done, total)
         if self._bar is not None:
             self._bar.update(done - self._bar.n)
@@ -132,15 +132,16 @@ class Status:
         elif total > 1 and self._stage.is_due():
             self._stage.tell()
 
-    def _open(self, stage, total):
+    def _open(self, stage, done, total):
         if not sys.stderr.isatty():
             click.echo(f"{stage} ...", err=True)
             return
         from tqdm import tqdm  # not needed for --help
 
         self._bar = tqdm(
-            total=total, desc=stage, file=sys.stderr, dynamic_ncols=True, leave=total > 1
-        )
+            total=total, initial=done, desc=stage, file=sys.stderr, dynamic_ncols=True,
+            leave=total > 1,
+        )  # fmt: skip
 
     def compiling(self, share, done, total, processes=1):
         """Show that `done` of `total` kernels are compiled, a `share` of the work, 0 to 1.
@@ -205,13 +206,16 @@ class Stage:
     def __init__(self, name):
         self.name, self.done, self.total = name, 0, 1
         self._begun = self._heard = time.perf_counter()
-        self._first = None  # parts done and time when the first report came: parts before are slow
+        self._base = None  # parts that were done before: no time of this stage went into them
+        self._first = None  # parts done and time when the first were: they are slow
         self._told = 0
 
     def update(self, done, total):
         """Take over how many parts are done."""
         self.done, self.total = done, total
-        if done > 0 and self._first is None:
+        if self._base is None:
+            self._base = done
+        elif done > self._base and self._first is None:
             self._first = done, time.perf_counter()
 
     def is_due(self):
@@ -241,7 +245,16 @@ class Stage:
         done, since = self._first
         if self.done > done:
             return (now - since) / (self.done - done) * (self.total - self.done)
-        return (now - self._begun) / self.done * (self.total - self.done)
+        return (now - self._begun) / (done - self._base) * (self.total - done)
+
+    @property
+    def counts(self):
+        """How many parts were done before, how many since, and how many after the first of these.
+
+        What went before took no time, and the first are slow: neither says how fast the others are.
+        """
+        base = self._base or 0
+        return base, self.done - base, self.done - self._first[0] if self._first else 0
 
 
 def in_words(seconds):

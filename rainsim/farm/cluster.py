@@ -336,7 +336,7 @@ def draw_with_workers(client, sequence, run, resume, status, threads=None, **lim
     sequence : FrameSequence
         What is drawn; it is sent to the workers.
     run : tuple
-        Folder, record, cameras, settings and whether there is a video, as `FrameFolder` takes them.
+        Folder, record, cameras, settings and the video's format, as `FrameFolder` takes them.
     resume : bool
     status : object
         With `say`, `notes` and `progress`.

@@ -77,8 +77,8 @@ class SharedRun:
         One per frame of the whole sequence, or one for all.
     config : Config
         Its frame range is what this process cares for.
-    video : bool
-        Whether video.mp4 belongs to the run.
+    video : VideoFormat or None
+        What video belongs to the run.
     stale : float [s]
         Age from which the claim of another process is taken over, see `PartClaims`.
 
@@ -88,7 +88,7 @@ class SharedRun:
         If the folder holds something else than a run with the same fingerprint.
     """
 
-    def __init__(self, folder, record, cameras, config, video=False, stale=STALE):
+    def __init__(self, folder, record, cameras, config, video=None, stale=STALE):
         self.folder, self.record, self._video = folder, record, video
         self._cameras, self._range = cameras, config.indices
         self._wanted = list(self._range)  # and frames of others that turn out to be damaged

@@ -1,4 +1,4 @@
-"""Pictures in and out: PNG frames, float TIFF maps, previews, video, and Radiance HDR panoramas.
+"""Pictures in and out: PNG frames, float TIFF maps, previews, and Radiance HDR panoramas.
 
 The only module that imports imageio. Every file is written whole under a temporary name and then
 renamed, so that what stood there before survives a failure.
@@ -7,17 +7,15 @@ renamed, so that what stood there before survives a failure.
 from __future__ import annotations
 
 import io
-import os
-import tempfile
 import warnings
 from pathlib import Path
 
 import imageio.v3 as iio
 import numpy as np
 
-from rainsim.errors import InputError, ParameterError, RainsimError
+from rainsim.errors import InputError, ParameterError
 from rainsim.io.arrays import Field, read_arrays, write_arrays
-from rainsim.io.files import put_in_place, replacing, require_file
+from rainsim.io.files import replacing, require_file
 
 VERSION = 1  # of files of float pictures
 PNG_LEVEL = 2  # three times as fast as the usual 6 and a twelfth larger
@@ -253,78 +251,6 @@ def _shrink(image, width):
         for column in range(block):
             total += image[row : rows * block : block, column : columns * block : block]
     return np.rint(total * np.float32(1 / block**2)).astype(np.uint8)
-
-
-# --- video ----------------------------------------------------------------------------------------
-
-
-def require_video():
-    """Raise RainsimError unless MP4 files can be written; to be asked before the first frame."""
-    _ffmpeg()
-
-
-def _ffmpeg():
-    try:
-        import imageio_ffmpeg  # an extra: 70 MB that most runs do not need
-
-        imageio_ffmpeg.get_ffmpeg_exe()
-    except (ImportError, RuntimeError):
-        raise RainsimError(
-            "a video was asked for and no video encoder is installed; "
-            'pip install "rainsim[video]" brings one, or leave out --video'
-        ) from None
-    return imageio_ffmpeg
-
-
-class VideoWriter:
-    """Writes frames to an MP4 file as they come; use as a context manager.
-
-    Parameters
-    ----------
-    path : path-like
-        Replaced when the block ends, also when it ends early with frames written; removed if
-        there were none.
-    fps : float
-    """
-
-    def __init__(self, path, fps):
-        self._module = _ffmpeg()
-        self.path, self._fps = Path(path), fps
-        self._sender, self._temporary = None, None
-
-    def __enter__(self):
-        handle, name = tempfile.mkstemp(
-            prefix=f".{self.path.name}.", suffix=".mp4", dir=self.path.parent
-        )
-        os.close(handle)
-        self._temporary = Path(name)
-        return self
-
-    def add(self, image):
-        """Append a frame, an ndarray of shape (height, width, 3), uint8."""
-        # H.264 with the usual chroma needs even sides: repeat the last line, do not rescale.
-        height, width = image.shape[:2]
-        image = np.pad(image, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")
-        if self._sender is None:
-            self._sender = self._module.write_frames(
-                str(self._temporary),
-                (image.shape[1], image.shape[0]),
-                fps=self._fps,
-                codec="libx264",
-                quality=8,
-                macro_block_size=2,
-                ffmpeg_log_level="error",
-            )
-            self._sender.send(None)
-        self._sender.send(np.ascontiguousarray(image))
-
-    def __exit__(self, *exception):
-        try:
-            if self._sender is not None:
-                self._sender.close()
-                put_in_place(self._temporary, self.path)
-        finally:
-            self._temporary.unlink(missing_ok=True)
 
 
 # --- Radiance HDR ---------------------------------------------------------------------------------

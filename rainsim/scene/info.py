@@ -120,7 +120,7 @@ def as_text(info):
     memory = info["memory"]
     rows = [
         ("file", info["path"]),
-        ("format", f"{info['format']}, {_bytes(info['bytes'])}"),
+        ("format", f"{info['format']}, {in_bytes(info['bytes'])}"),
         ("splats", f"{count:,}, spherical harmonics of degree {info['sh_degree']}"),
         ("cameras beside it", f"{info['cameras']:,}"),
         ("bounds", _box_text(info["bounds"])),
@@ -135,7 +135,7 @@ def as_text(info):
         ("oversized", f"{share('oversized', count)}, longer than the core"),
         ("needles", f"{share('needles', count)}, {NEEDLE:g} times longer than wide"),
         ("flat", f"{share('flat', count)}, thinner than {FLAT:g} of their width"),
-        ("memory", f"{_bytes(memory['splats'])} loaded, {_bytes(memory['drawing'])} to draw"),
+        ("memory", f"{in_bytes(memory['splats'])} loaded, {in_bytes(memory['drawing'])} to draw"),
         *(("note", note) for note in info["notes"]),
     ]
     return "\n".join(f"{name:<18}{text}" for name, text in rows)
@@ -154,9 +154,10 @@ def _box_text(box):
     return f"({low}) to ({high})"
 
 
-def _bytes(number):
+def in_bytes(number):
+    """Return a number of bytes for people: 12 bytes, 3.4 kB, 120 MB, 5 GB."""
     for unit in ("bytes", "kB", "MB"):
-        if number < 1000:
+        if number < 999.5:
             return f"{number:.3g} {unit}"
         number /= 1000
     return f"{number:.3g} GB"

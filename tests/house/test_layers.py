@@ -189,7 +189,8 @@ def test_nothing_needs_cuda_before_it_is_asked_for():
 
 
 def test_only_images_imports_imageio():
-    assert _users("imageio") | _users("imageio_ffmpeg") | _users("PIL") == {"io/images.py"}
+    assert _users("imageio") | _users("PIL") == {"io/images.py"}
+    assert _users("imageio_ffmpeg") == {"io/video.py"}
 
 
 def test_only_the_command_line_imports_click():

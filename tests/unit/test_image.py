@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from rainsim.errors import InputError, ParameterError, RainsimError
+from rainsim.errors import InputError, ParameterError
 from rainsim.io import images
 
 
@@ -93,59 +93,6 @@ def test_preview_shrinks_thins_and_keeps_the_time(tmp_path):
 def test_preview_of_nothing_writes_nothing(tmp_path):
     images.Preview(3, 24.0).write(tmp_path / "p.webp")
     assert not list(tmp_path.iterdir())
-
-
-def test_a_missing_encoder_is_told_with_its_remedy(monkeypatch):
-    monkeypatch.setitem(__import__("sys").modules, "imageio_ffmpeg", None)
-    with pytest.raises(RainsimError, match=r'pip install "rainsim\[video\]"'):
-        images.require_video()
-
-
-class OneFile:
-    """Stands for the encoder: writes each frame's bytes to the file."""
-
-    @staticmethod
-    def write_frames(path, size, **settings):
-        with open(path, "wb") as file:
-            while True:
-                frame = yield
-                if frame is not None:
-                    file.write(frame.tobytes())
-
-
-def test_a_video_has_the_permissions_of_any_new_file(monkeypatch, tmp_path):
-    monkeypatch.setattr(images, "_ffmpeg", lambda: OneFile)
-    (tmp_path / "other").write_bytes(b"")
-    frame = np.full((4, 6, 3), 7, np.uint8)
-    with images.VideoWriter(tmp_path / "v.mp4", 24.0) as video:
-        video.add(frame)
-    assert (tmp_path / "v.mp4").read_bytes() == frame.tobytes()
-    assert (tmp_path / "v.mp4").stat().st_mode == (tmp_path / "other").stat().st_mode
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["other", "v.mp4"]
-
-
-# The library leaves its pipes to the garbage collector.
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
-def test_video_of_odd_size_is_written_whole(tmp_path):
-    ffmpeg = pytest.importorskip("imageio_ffmpeg")
-    with images.VideoWriter(tmp_path / "v.mp4", 24.0) as video:
-        for n in range(4):
-            video.add(np.full((33, 47, 3), 60 * n, np.uint8))
-    frames = ffmpeg.read_frames(str(tmp_path / "v.mp4"))
-    meta = next(frames)
-    assert meta["size"] == (48, 34)
-    assert [np.frombuffer(f, np.uint8).mean() for f in frames] == pytest.approx(
-        [0, 60, 120, 180], abs=4
-    )
-    assert [p.name for p in tmp_path.iterdir()] == ["v.mp4"]
-
-
-def test_video_without_frames_leaves_what_was_there(tmp_path):
-    pytest.importorskip("imageio_ffmpeg")
-    (tmp_path / "v.mp4").write_bytes(b"before")
-    with images.VideoWriter(tmp_path / "v.mp4", 24.0):
-        pass
-    assert (tmp_path / "v.mp4").read_bytes() == b"before"
 
 
 # --- Radiance HDR ---------------------------------------------------------------------------------

@@ -15,6 +15,7 @@ import pytest
 from rainsim.config.settings import Config
 from rainsim.errors import ParameterError
 from rainsim.io import fingerprint
+from rainsim.io.video import VideoFormat
 from rainsim.output_folder import (
     JOURNAL,
     PROVENANCE,
@@ -41,7 +42,7 @@ def report(index):
     return FrameReport(index, index / 24, {"all": 1.0}, {"rain": index}, ("a note",), layers)
 
 
-def draw(folder, seed=0, resume=False, video=False, stop=None, pause=0.0):
+def draw(folder, seed=0, resume=False, video=None, stop=None, pause=0.0):
     """Write FRAMES frames into a folder, or those before `stop`; return which were drawn."""
     config, scene, drawn = Config().replace(frames=FRAMES), tiny_scene(), []
     with claimed(folder, resume=resume):
@@ -196,9 +197,9 @@ def test_runs_killed_at_many_random_moments_lose_nothing(tmp_path, whole, seed):
 
 def test_a_video_is_the_same(tmp_path):
     pytest.importorskip("imageio_ffmpeg")
-    draw(tmp_path / "whole", video=True)
+    draw(tmp_path / "whole", video=VideoFormat())
     with pytest.raises(KeyboardInterrupt):
-        draw(tmp_path / "a", stop=5, video=True)
-    draw(tmp_path / "a", resume=True, video=True)
+        draw(tmp_path / "a", stop=5, video=VideoFormat())
+    draw(tmp_path / "a", resume=True, video=VideoFormat())
     assert written(tmp_path / "a") == written(tmp_path / "whole")
     assert (tmp_path / "a" / "video.mp4").is_file()

@@ -1,0 +1,138 @@
+"""What a long run will take, said when its first frames are drawn: time, and space on the disk."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from contextlib import suppress
+
+from rainsim.commands.status import Stage, in_words
+from rainsim.errors import ParameterError, RainsimError
+
+FRAMES = "frames"  # the stage that is looked at
+MOST_UNSAID = 10  # frames; a run that draws no more of them is over soon
+DRAWN = 3  # frames after which it is said
+MEASURED = 3  # finished frames at most whose files are looked at
+
+
+def format_of(video, given):
+    """Return the `VideoFormat` that the options ask for, None without --video.
+
+    Raises
+    ------
+    ParameterError
+        If options of the video are given without it.
+    RainsimError
+        If it could not be written.
+    """
+    options = {name: given.get(f"video_{name}") for name in ("codec", "quality")}
+    options = {name: value for name, value in options.items() if value is not None}
+    if not video:
+        for name, value in options.items():
+            raise ParameterError(
+                f"--video-{name} {value} is given without --video; it is about a video; give "
+                "--video too, or leave it out"
+            )
+        return None
+    from rainsim.io.video import VideoFormat, require_video
+
+    asked = VideoFormat(**options)
+    require_video(asked)
+    return asked
+
+
+class Forecast:
+    """Shows the progress of a run as `Status` does, and says once what all of it will take.
+
+    Parameters
+    ----------
+    status : Status
+    folder : Path
+        That frames are written to.
+    record, cameras
+        Not needed: a run is handed on as it is.
+    config : Config
+        Of the frames that this process cares for.
+    video : VideoFormat or None
+    """
+
+    def __init__(self, status, folder, record, cameras, config, video):
+        self._status, self._folder, self._video = status, folder, video
+        self._config = config
+        self._frames = None if status.quiet else Stage(FRAMES)
+        self.say, self.notes = status.say, status.notes
+
+    def progress(self, stage, done, total):
+        """Show that `done` of `total` parts of a stage are done."""
+        self._status.progress(stage, done, total)
+        if stage == FRAMES and self._frames is not None:
+            self._look(done, total)
+
+    def _look(self, done, total):
+        """Say what the run takes if enough frames are drawn to know."""
+        self._frames.update(done, total)
+        before, drawn, measured = self._frames.counts
+        if total - before <= MOST_UNSAID or done == total:
+            self._frames = None
+        elif drawn >= DRAWN and measured >= DRAWN - 1:  # the first takes longer
+            left, self._frames = self._frames.seconds_left(time.perf_counter()), None
+            with suppress(OSError, RainsimError):  # no reason to end a run
+                self._tell(left, done, total)
+
+    def _tell(self, left, done, total):
+        from rainsim.output_folder import relative
+        from rainsim.scene.info import in_bytes
+
+        each = self._bytes_of_frames()
+        sizes = {name: number * total for name, number in each.items()}
+        if self._video:
+            sizes["video"] = self._bytes_of_video()
+        needed = sum(each.values()) * (total - done) + sizes.get("video", 0)
+        parts = ", ".join(f"{name} {in_bytes(size)}" for name, size in sizes.items())
+        text = (
+            f"{total} frames take about {in_words(self._status.seconds + left)} in all, until "
+            f"{clock_time(time.time() + left)}, and {in_bytes(sum(sizes.values()))} of disk "
+            f"({parts})"
+        )
+        free = shutil.disk_usage(self._folder).free
+        if needed > free:
+            text += (
+                f"; WARNING: {in_bytes(free)} are free in {relative(self._folder)} and "
+                f"{in_bytes(needed)} are still to be written; make room, or stop and give "
+                "another --out"
+            )
+        self.say(text, bold=needed > free)
+
+    def _finished(self):
+        """Return entries of the journal of finished frames, by index."""
+        from rainsim.io.journal import Journal
+        from rainsim.output_folder import JOURNAL, OURS
+
+        # One of its own: that of the record has read what stood there before the run.
+        entries = Journal(self._folder, JOURNAL, OURS.fullmatch).entries()
+        return {index: entries[index] for index in sorted(entries)[-MEASURED:]}
+
+    def _bytes_of_frames(self):
+        """Return what a frame and its layers take on average, by name."""
+        entries = self._finished()
+        sizes = dict.fromkeys(("frames", "layers"), 0.0)
+        for entry in entries.values():
+            for name in entry["files"]:
+                size = (self._folder / name).stat().st_size
+                sizes["layers" if name.startswith("layers/") else "frames"] += size / len(entries)
+        return {name: size for name, size in sizes.items() if size > 0}
+
+    def _bytes_of_video(self):
+        """Return about how much the video takes, after a try with finished frames."""
+        from rainsim.io.images import read_image
+        from rainsim.io.video import bytes_of_video
+        from rainsim.output_folder import FRAME
+
+        pictures = [read_image(self._folder / FRAME.format(index)) for index in self._finished()]
+        return bytes_of_video(pictures, self._config.frames, self._config.fps, self._video)
+
+
+def clock_time(seconds):
+    """Return a time since the epoch [s] as the clock shows it here, with the date if not today."""
+    then, now = time.localtime(seconds), time.localtime()
+    return time.strftime("%H:%M" if then[:3] == now[:3] else "%Y-%m-%d %H:%M", then)
