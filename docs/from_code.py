@@ -256,7 +256,7 @@ CONTENTS = {
     "reference/counts architecture",
     "Measurements": "measurements measurements/frame-cpu measurements/frame-gpu "
     "measurements/splatting measurements/reflections measurements/day measurements/rain "
-    "measurements/water measurements/ground measurements/start",
+    "measurements/water measurements/hydraulics measurements/ground measurements/start",
     "Project": "release changelog contributing security",
 }
 

@@ -44,20 +44,23 @@ def solve(case, scheme, dtype=np.float32):
     solver.set_state(case.depth, v=case.v)
     steps, readings = 0, []
     start = time.perf_counter()
-    if "gauge" not in case.extra:
-        report = solver.advance(case.duration)
+    if "flow" not in case.extra:
+        report = solver.advance(case.duration, rain=case.extra.get("supply", 0.0))
         steps = report.substeps
     else:
-        for n in range(round(case.duration / GAUGE_PERIOD)):
-            falls = n * GAUGE_PERIOD < case.extra["until"]
-            report = solver.advance(GAUGE_PERIOD, rain=case.extra["rate"] * falls)
+        period = case.extra.get("period", GAUGE_PERIOD)
+        for n in range(round(case.duration / period)):
+            falls = n * period < case.extra["until"]
+            report = solver.advance(period, rain=case.extra["rate"] * falls)
             steps += report.substeps
             readings.append((solver.time, _gauge(case, solver)))
     return solver, report, steps, time.perf_counter() - start, readings
 
 
 def _gauge(case, solver):
-    """Return the discharge per width [m2/s] at the gauge, from the two cells beside it."""
+    """Return the flow per width [m2/s] from the two cells beside the gauge, or all [m3/s]."""
+    if "edge" in case.extra:
+        return solver.discharge(case.extra["edge"])
     middle, i = case.bed.shape[0] // 2, round(case.extra["gauge"] / case.spacing)
     u, _ = solver.velocity
     return float((u * solver.depth)[middle, i - 1 : i + 1].mean())
@@ -81,6 +84,8 @@ def measure(case, scheme, repeats=1, dtype=np.float32):
         "seconds": best, "steps": steps, "max_speed": report.max_speed,
         "residual": report.residual, "reason": report.reason,
     }  # fmt: skip
+    if "edge" in case.extra:
+        record["readings"] = readings
     if case.name == "ripple":
         record["crest"] = cases.crest_of(case, depth)
     return record
@@ -152,29 +157,34 @@ def run(quick=False, say=None):
             case = make(cells)
             for scheme in SCHEMES:
                 records.append(measure(case, scheme, REPEATS[quick]))
-                say(_line(records[-1]))
+                say(line(records[-1]))
     still = cases.lake(LAKE_CELLS[quick])
     for dtype in (np.float32, np.float64):
         records.append(measure(still, "auto", dtype=dtype))
         records[-1]["case"] = f"lake {np.dtype(dtype).name}"
-        say(_line(records[-1]))
-    _mark_front(records)
+        say(line(records[-1]))
+    mark_front(records)
     rates, limit = throughput(SPEED_CELLS[quick]), memory_limit(COPY_SIZE[quick])
     for scheme, rate in rates.items():
         share = f"{rate / limit:.0%} of what memory allows a fused step"
         say(f"{scheme:9s} {rate / 1e6:7.1f} million cells a second, {share}")
-    machine = {
-        "cpu": platform.processor() or platform.machine(), "cores": os.cpu_count(),
-        "threads": set_threads(None), "python": platform.python_version(),
-        "numpy": np.__version__, "dtype": "float32",
-    }  # fmt: skip
     return {
-        "machine": machine, "quick": quick, "records": records, "throughput": rates,
+        "machine": machine("float32"), "quick": quick, "records": records, "throughput": rates,
         "memory_limit": limit,
     }  # fmt: skip
 
 
-def _mark_front(records):
+def machine(dtype):
+    """Return what the times depend on, with the fields' type, as a dict."""
+    return {
+        "cpu": platform.processor() or platform.machine(), "cores": os.cpu_count(),
+        "threads": set_threads(None), "python": platform.python_version(),
+        "numpy": np.__version__, "dtype": dtype,
+    }  # fmt: skip
+
+
+def mark_front(records):
+    """Note in each record of a case whether no other one beats it in both error and seconds."""
     for name in {record["case"] for record in records}:
         ours = [record for record in records if record["case"] == name]
         best = set(front([(record["seconds"], record["error"]) for record in ours]))
@@ -182,7 +192,8 @@ def _mark_front(records):
             record["front"] = (record["seconds"], record["error"]) in best
 
 
-def _line(record):
+def line(record):
+    """Return a record of `measure` as a line of text."""
     crest = f"  crest {record['crest']:.3f}" if "crest" in record else ""
     return (
         f"{record['case']:12s} {record['cells']:4d} {record['scheme']:9s} "

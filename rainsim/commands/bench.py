@@ -80,6 +80,22 @@ def stress(**given):
     _run("stress", **given)
 
 
+@bench.command(short_help="Water schemes on analytic cases and hydrographs.")
+@_options
+def hydraulics(**given):
+    """Run steady channels, dam breaks, a bowl, rain on planes and a V-catchment.
+
+    Every water scheme in float32 and float64 at three sizes: prints error and time, then tables
+    with the front of accuracy against time in bold, the orders at which errors fall with the grid,
+    and what the catchment's hydrograph is beside kinematic theory.
+
+    \b
+    Example:
+        rainsim bench hydraulics --json hydraulics.json --chart hydraulics.png
+    """
+    _run("hydraulics", **given)
+
+
 @bench.command(short_help="Accuracy of the ground found in generated captures.")
 @_options
 def ground(**given):

@@ -1,0 +1,199 @@
+"""`rainsim bench hydraulics`: analytic cases and hydrographs, and how errors fall with the grid.
+
+Beside the dam breaks and a bowl of `rainsim bench water` there are flows that stand still (a bump,
+MacDonald's channels), rain on planes and a V-catchment, on every scheme in float32 and float64.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from rainsim.bench import cases, hydraulic_cases, water
+from rainsim.bench.chart import draw_fronts
+from rainsim.jit import set_threads
+
+# name of a method: scheme and type of the fields
+METHODS = {
+    "accurate": ("accurate", np.float32), "accurate 64": ("accurate", np.float64),
+    "lean": ("lean", np.float32), "lean 64": ("lean", np.float64),
+    "paper": ("paper", np.float32), "paper 64": ("paper", np.float64),
+}  # fmt: skip
+# case: what makes it, the sizes, the sizes of a quick run
+SUITE = {
+    "stoker": (cases.stoker, (128, 256, 512), (64, 128)),
+    "ritter": (cases.ritter, (128, 256, 512), (64, 128)),
+    "bowl planar": (cases.bowl_planar, (50, 100, 200), (30, 60)),
+    "bump": (hydraulic_cases.bump, (140, 280, 560), (70, 140)),
+    "macdonald": (hydraulic_cases.macdonald, (50, 100, 200), (30, 60)),
+    "macdonald rain": (hydraulic_cases.macdonald_rain, (50, 100, 200), (30, 60)),
+    "macdonald rain, carried": (hydraulic_cases.macdonald_carried, (50, 100, 200), (30, 60)),
+    "plane 0.5 %": (hydraulic_cases.plane_gentle, (60, 120, 240), (30, 60)),
+    "plane 2 %": (hydraulic_cases.plane_middle, (60, 120, 240), (30, 60)),
+    "plane 10 %": (hydraulic_cases.plane_steep, (60, 120, 240), (30, 60)),
+    "catchment": (hydraulic_cases.catchment, (81, 162, 243), (81,)),
+}
+REPEATS = {False: 2, True: 1}  # runs of a case, of which the fastest counts
+NEARLY = 0.95  # of the steady flow, whose time is compared
+LEFT_OUT = {
+    "bumps and channels with a tranquil outlet": "no edge holds a level; a second bump does",
+    "channels that the water enters fast": "no edge prescribes depth and speed",
+    "Dressler's dam break": "Chezy's friction, of which the solver has none, and it is asymptotic",
+    "Thacker's bowl with friction": "linear in the velocity (Sampson et al. 2006); the solver has "
+    "Manning's and a laminar film's",
+}
+
+
+def measure(name, cells, method, repeats=1):
+    """Return the record of `water.measure` of a case by its name in `SUITE`."""
+    case = SUITE[name][0](cells)
+    scheme, dtype = METHODS[method]
+    record = water.measure(case, scheme, repeats, dtype)
+    record.update(case=name, scheme=method)
+    if "readings" in record:
+        record["catchment"] = _hydrograph(case, record.pop("readings"))
+    return record
+
+
+def _hydrograph(case, readings):
+    """Return how a hydrograph compares with kinematic theory, and with the balance of volume."""
+    at, flow = (np.array(numbers) for numbers in zip(*readings, strict=True))
+    exact = np.interp(at, case.extra["time"], case.extra["flow"])
+    steady = case.extra["rate"] * case.bed.size * case.spacing**2
+    volume = np.trapezoid(exact, at)
+    return {
+        "steady": float(flow[at <= case.extra["until"]][-1] / steady),
+        "reached": float(at[np.argmax(flow >= NEARLY * steady)]),
+        "reached_in_theory": float(at[np.argmax(exact >= NEARLY * steady)]),
+        "volume": float(np.trapezoid(flow, at) / volume),
+    }
+
+
+def at_sill(method):
+    """Return which share of the inflow leaves over `hydraulic_cases.sill`, and the depth [m].
+
+    After the case's duration, over a third of it, and in the last cell but one at the end.
+    """
+    case, (scheme, dtype) = hydraulic_cases.sill(), METHODS[method]
+    solver, *_ = water.solve(case, scheme, dtype)
+    before, third, rain = solver.ledger.outflow, case.duration / 3, case.extra["supply"]
+    after = solver.advance(third, rain=rain).ledger.outflow
+    leaves = (after - before) / (float(rain.sum()) * case.spacing**2 * third)
+    return {"leaves": leaves, "depth": float(solver.depth[0, -2])}
+
+
+def orders(records):
+    """Return {(case, method): order}: log of the errors' ratio over that of the cells.
+
+    From the coarsest to the finest grid; cases of one size have none.
+    """
+    grouped = {}
+    for record in records:
+        key = record["case"], record["scheme"]
+        grouped.setdefault(key, []).append((record["cells"], record["error"]))
+    found = {}
+    for key, points in grouped.items():
+        (few, first), (many, last) = min(points), max(points)
+        if many > few:
+            found[key] = math.log(first / last) / math.log(many / few)
+    return found
+
+
+def run(quick=False, say=None):
+    """Run the whole bench.
+
+    Parameters
+    ----------
+    quick : bool
+        Small sizes, one run each.
+    say : callable, optional
+        Called with a line of text for each result.
+
+    Returns
+    -------
+    dict
+        "machine", "quick", "records" (a list of dicts), "orders" ({case: {method: order}}), "sill"
+        ({method: what `at_sill` returns}) and "left_out" ({case: reason}).
+    """
+    threads = set_threads(None)
+    set_threads(1)  # maps of four rows: a second thread only waits, long if the machine is busy
+    try:
+        return _run(quick, say or (lambda line: None))
+    finally:
+        set_threads(threads)
+
+
+def _run(quick, say):
+    records = []
+    for method in METHODS:  # compile outside the clock
+        measure("macdonald", 10, method)
+        measure("plane 2 %", 20, method)
+    for name, (_, *sizes) in SUITE.items():
+        for cells in sizes[quick]:
+            for method in METHODS:
+                records.append(measure(name, cells, method, REPEATS[quick]))
+                say(water.line(records[-1]))
+    water.mark_front(records)
+    by_case = {}
+    for (name, method), order in orders(records).items():
+        by_case.setdefault(name, {})[method] = order
+    return {
+        "machine": water.machine("float32, float64"), "quick": quick, "records": records,
+        "orders": by_case, "sill": {method: at_sill(method) for method in METHODS},
+        "left_out": LEFT_OUT,
+    }  # fmt: skip
+
+
+def table(result):
+    """Return errors and times [s], orders, and the catchment's hydrographs as Markdown tables."""
+    head = ["| case | cells | " + " | ".join(METHODS) + " |", "|---" * (len(METHODS) + 2) + "|"]
+    rows = {}
+    for record in result["records"]:
+        rows.setdefault((record["case"], record["cells"]), {})[record["scheme"]] = record
+    lines = list(head)
+    for (name, cells), row in rows.items():
+        texts = []
+        for method in METHODS:
+            text = f"{row[method]['error']:.4f} / {row[method]['seconds']:.3f}"
+            texts.append(f"**{text}**" if row[method]["front"] else text)
+        lines.append(f"| {name} | {cells} | " + " | ".join(texts) + " |")
+    lines += ["", "| order | " + " | ".join(METHODS) + " |", "|---" * (len(METHODS) + 1) + "|"]
+    for name, order in result["orders"].items():
+        texts = [f"{order[method]:.2f}" for method in METHODS]
+        lines.append(f"| {name} | " + " | ".join(texts) + " |")
+    lines += ["", *_catchment_lines(result["records"])]
+    lines += ["", "| sill at an open edge | " + " | ".join(METHODS) + " |"]
+    lines.append("|---" * (len(METHODS) + 1) + "|")
+    for name, key, form in (("share that leaves", "leaves", ".3f"), ("depth [m]", "depth", ".2f")):
+        texts = [format(result["sill"][method][key], form) for method in METHODS]
+        lines.append(f"| {name} | " + " | ".join(texts) + " |")
+    lines += ["", "Left out:", ""]
+    lines += [f"- {name}: {reason}" for name, reason in result["left_out"].items()]
+    return "\n".join(lines)
+
+
+def _catchment_lines(records):
+    lines = [
+        f"| catchment | cells | steady flow | {NEARLY:.0%} reached [s] | in theory [s] "
+        "| volume left over theory's |",
+        "|---" * 6 + "|",
+    ]
+    for record in records:
+        if "catchment" in record:
+            found = record["catchment"]
+            lines.append(
+                f"| {record['scheme']} | {record['cells']} | {found['steady']:.4f} | "
+                f"{found['reached']:.0f} | {found['reached_in_theory']:.0f} | "
+                f"{found['volume']:.4f} |"
+            )
+    return lines
+
+
+def draw(result, path):
+    """Draw the chart of a result of `run` to a PNG."""
+    panels = {}
+    for record in result["records"]:
+        lines = panels.setdefault(record["case"], {"lines": {}})["lines"]
+        lines.setdefault(record["scheme"], []).append((record["seconds"], record["error"]))
+    draw_fronts(path, panels, "Hydraulics: error against time (one thread; 64: float64)")
