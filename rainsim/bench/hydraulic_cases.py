@@ -7,7 +7,8 @@ it is faster than its waves, so that an open edge adds no error.
 References
 ----------
 Delestre et al. 2013, "SWASHES: a compilation of shallow water analytic solutions", Int. J. Numer.
-Meth. Fluids 72: sections 3.1.5 (bump with a jump), 3.2.1 (MacDonald's long channel), 3.3 (rain).
+Meth. Fluids 72 (bump with a jump, MacDonald's long channel, rain), whose numbers are from memory:
+each bed is made for its depth here, so that the solutions are exact whatever they are.
 MacDonald et al. 1997, J. Hydraul. Eng. 123. Di Giammarco et al. 1996, J. Hydrol. 175 (catchment).
 """
 
