@@ -224,10 +224,8 @@ def ground_of(
     cameras : sequence of Camera
         As `FrameSequence` takes them.
     backend : {"cpu", "cuda"}
-    mask, progress, say
+    mask, progress, say, water
         As `extract_terrain` takes them.
-    water : rainsim.terrain.poured.WaterMask, optional
-        On the ground at the start.
 
     Raises
     ------
@@ -235,11 +233,7 @@ def ground_of(
         If the path is asked for together with what needs one map.
     """
     if not follows_path(scene, config, cameras, backend, mask if water is None else water):
-        terrain = extract_terrain(scene, config, mask, progress, say)
-        wet = with_water(terrain, water)
-        if say is not None and wet is not terrain:
-            say(wet.notes[-1:])
-        return wet
+        return extract_terrain(scene, config, mask, progress, say, water)
     tell = progress or (lambda stage, done, total: None)
     tell("terrain", 0, 1)
     ground, notes = path_ground(scene, config, cameras)
@@ -249,7 +243,7 @@ def ground_of(
     return ground
 
 
-def extract_terrain(scene, config, mask=None, progress=None, say=None):
+def extract_terrain(scene, config, mask=None, progress=None, say=None, water=None):
     """Return the `Terrain` of a scene as the configuration asks for it.
 
     Kept for the next run unless RAINSIM_CACHE is "off", see `rainsim.io.cache`.
@@ -263,12 +257,16 @@ def extract_terrain(scene, config, mask=None, progress=None, say=None):
     progress : callable, optional
         Called as progress("terrain", done, total) before, after each step and after the last.
     say : callable, optional
-        Called with notes on the map that is going to be made: its size and its cells.
+        Called with notes on the map that is going to be made, its size and its cells, and on the
+        water.
+    water : rainsim.terrain.poured.WaterMask, optional
+        On the ground at the start.
 
     Raises
     ------
     ParameterError
-        If the settings ask for ground along a path, which is no single map.
+        If the settings ask for ground along a path, which is no single map, or the water does not
+        fit the map.
 
     Examples
     --------
@@ -294,7 +292,10 @@ def extract_terrain(scene, config, mask=None, progress=None, say=None):
     tell("terrain", 0, 1)
     terrain = kept_terrain(scene, config.terrain, mask, steps)
     tell("terrain", all_of_it, all_of_it)
-    return with_movers(terrain, scene)
+    wet = with_water(terrain, water)
+    if say is not None and wet is not terrain:
+        say(wet.notes[-1:])
+    return with_movers(wet, scene)
 
 
 def frames_of(states, config, tell=None, skip=()):

@@ -84,11 +84,10 @@ def heightmap(scene, class_mask, check, out, overwrite, resume, threads, as_json
             record.resume(())  # one step: it is made again in the folder of the very same map
         if surface:
             status.progress("terrain", 0, 1)
-            terrain = _from_surface(scene, config, given)
+            terrain = with_water(_from_surface(scene, config, given), water)
             status.progress("terrain", 1, 1)
         else:
-            terrain = _from_splats(loaded, config, class_mask, status)
-        terrain = with_water(terrain, water)
+            terrain = _from_splats(loaded, config, class_mask, water, status)
         status.notes(terrain.notes)
         record.begin()
         record.add(*(path.name for path in write_terrain(out, terrain)))
@@ -141,11 +140,12 @@ def _from_surface(scene, config, given):
     )
 
 
-def _from_splats(scene, config, class_mask, status):
+def _from_splats(scene, config, class_mask, water, status):
     from rainsim.commands.choose import mask_of
     from rainsim.pipeline import extract_terrain
 
-    return extract_terrain(scene, config, mask_of(class_mask), status.progress, status.notes)
+    mask = mask_of(class_mask)
+    return extract_terrain(scene, config, mask, status.progress, status.notes, water)
 
 
 def _puddles(out, terrain, record):

@@ -167,8 +167,9 @@ mask_options = _group(
         "--water-mask-use",
         type=click.Choice(["stays", "drains"]),
         default="stays",
+        show_default=True,
         help="stays: the ground is dented by the depth, so that the water stays; drains: it is "
-        "poured, and stands where the ground dips.  [default: stays]",
+        "poured, and stands where the ground dips.",
     ),
 )
 

@@ -199,7 +199,8 @@ def bytes_of_video(pictures, count, fps, video):
 
     The pictures are written for a try: the first is coded by itself, the others by what has
     changed; ProRes codes all by themselves. Encoders do better once they look further ahead, so
-    that H.264 and H.265 take less than this: 48 frames 0.6 to 0.9 times as much.
+    that H.264 and H.265 take less than this: 48 frames .77 to .87 of it from a quality of 82 on
+    (H.264), .45 to .67 at 56 to 66.
 
     Parameters
     ----------

@@ -105,21 +105,23 @@ def find_surface(scene):
     placed = [frame.camera_in_ground(camera) for camera in scene.cameras]
     middle, half = window_of(position[good], placed)
     cameras = cameras_of(scene, middle, half)
-    views = depth_views(scene, cameras)
+    rasterizer = Rasterizer(prepare(splats))
+    views = depth_views(scene, cameras, rasterizer)
     colors = SkyColors(views)
     shown = [colors.shown(view) for view in views]
     leave_out_sky(views, shown)
     surface = fused(views, middle, half)
+    near = _nearest(surface.position, position, good)
     sky = np.zeros(len(position), bool)
     if colors.color is not None:
-        alone = np.ones(len(position), bool)
-        alone[good] = _alone(position[good], surface)
-        sky = good & _sky_splats(scene, views, cameras, shown, colors, position, alone, middle)
-    solid = _solid(position, splats, good & ~sky, views, frame, surface)
+        pictures = list(zip(views, cameras, shown, strict=True))
+        alone = _alone(near, surface)
+        sky = good & _sky_splats(scene, rasterizer, pictures, colors, position, alone, middle)
+    solid = _solid(position, near, splats, good & ~sky, views, frame, surface)
     return Found(surface, sky, middle, solid, seen_sky(views, shown), half)
 
 
-def _solid(position, splats, good, views, frame, surface):
+def _solid(position, near, splats, good, views, frame, surface):
     """Return the splats that stop light, (m, 10) float32, see `Found`.
 
     Cameras agree that something is where a splat is, or all of them have something before it: it is
@@ -136,12 +138,12 @@ def _solid(position, splats, good, views, frame, surface):
     solid &= deviation < LARGEST
     flat = surface.flat > 0.5
     if flat.any():  # what lies in a plane is the surface's: splats before it would hide it
-        away, near = _nearest(surface.position[flat], position[which])
-        solid &= away > ALONE * surface.size[flat][near]
+        away, place = _nearest(surface.position[flat], position[which])
+        solid &= away > ALONE * surface.size[flat][place]
         # So is haze before it, to which the plane is the nearest that there is.
-        away, near = _nearest(surface.position, position[which])
-        ahead = np.sum((position[which] - surface.position[near]) * surface.normal[near], axis=1)
-        solid &= ~flat[near] | (away > LOST) | (ahead < AHEAD * away)
+        away, place = (values[which] for values in near)
+        ahead = np.sum((position[which] - surface.position[place]) * surface.normal[place], axis=1)
+        solid &= ~flat[place] | (away > LOST) | (ahead < AHEAD * away)
     which, size = which[solid], size[solid]
     turn = Rotation.from_quat(splats.rotation[which][:, [1, 2, 3, 0]]).as_matrix()
     axes = np.matmul(frame.rotation, turn) * size[:, None, :]
@@ -156,18 +158,23 @@ def _directions(position, middle):
     return away / np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-6)
 
 
-def _alone(position, surface):
+def _alone(near, surface):
     """Return which splats are away from every place of the surface, bool (n,)."""
-    if not len(surface.position):
-        return np.ones(len(position), bool)
-    away, near = _nearest(surface.position, position)
-    return away > ALONE * surface.size[near]
+    away, place = near
+    return away > ALONE * surface.size[place] if len(surface.size) else np.ones(len(away), bool)
 
 
-def _nearest(places, position):
-    """Return how far the nearest of `places` is from each position [m], and which it is."""
-    tree = cKDTree(places, compact_nodes=False, balanced_tree=False)
-    return tree.query(position, workers=get_num_threads())
+def _nearest(places, position, good=None):
+    """Return how far the nearest of `places` is from each position [m], and which it is.
+
+    Infinity and 0 without places, and where `good` is false.
+    """
+    away, place = np.full(len(position), np.inf), np.zeros(len(position), np.int64)
+    if len(places):
+        good = np.ones(len(position), bool) if good is None else good
+        tree = cKDTree(places, compact_nodes=False, balanced_tree=False)
+        away[good], place[good] = tree.query(position[good], workers=get_num_threads())
+    return away, place
 
 
 def splat_normals(scene, found):
@@ -209,7 +216,7 @@ def splat_normals(scene, found):
     return np.ascontiguousarray(normal @ frame.rotation.astype(np.float32)), share
 
 
-def _sky_splats(scene, views, cameras, shown, colors, position, alone, middle):
+def _sky_splats(scene, rasterizer, pictures, colors, position, alone, middle):
     """Return which splats are sky, bool (n,).
 
     The light that a splat gives to pixels that show the sky, and to those that show something else,
@@ -219,8 +226,7 @@ def _sky_splats(scene, views, cameras, shown, colors, position, alone, middle):
     show either: they count against a splat, but not against one as bright as the sky.
     """
     frame, light = scene.ground_frame, np.zeros((len(position), 4))
-    rasterizer = Rasterizer(prepare(scene.splats))
-    for view, camera, sky in zip(views, cameras, shown, strict=True):
+    for view, camera, sky in pictures:
         rim = ndimage.binary_dilation(sky, iterations=RIM)
         part = np.where(sky, 1, np.where(rim, 0, -1)).astype(np.int8)
         height, width = view.depth.shape
@@ -235,7 +241,7 @@ def _sky_splats(scene, views, cameras, shown, colors, position, alone, middle):
         bright = color @ LUMINANCE_WEIGHTS > BRIGHT * behind
         off = colors.off(color, direction)
         across = np.sort(scene.splats.scale, axis=1)[:, 1] * np.float32(frame.meters_per_unit)
-        wide = across * views[0].lens[0] > np.linalg.norm(position - middle, axis=1)
+        wide = across * pictures[0][0].lens[0] > np.linalg.norm(position - middle, axis=1)
         alike = alone & (off < ABOUT_SKY)
         found = (sky / seen > MOSTLY) & (bright | alike | wide)
         likely = (sky / (land + sky) > LIKELY) & (bright | alike)

@@ -8,7 +8,6 @@ import numpy as np
 from scipy import ndimage
 
 from rainsim.numerics.srgb import LUMINANCE_WEIGHTS, linear
-from rainsim.raster import Rasterizer, prepare
 from rainsim.scene.cameras import look_at, resize_to
 
 MOST_CAMERAS = 96  # of the capture, evenly spaced, that are asked
@@ -84,15 +83,16 @@ def has_thin_splats(splats):
     return bool(np.median(axes[:, 0] / np.maximum(axes[:, 1], np.float32(1e-12))) < THIN)
 
 
-def depth_views(scene, cameras):
+def depth_views(scene, cameras, rasterizer):
     """Return the `DepthView` of each camera (capture frame), the sky not yet left out.
+
+    `rasterizer` draws the scene's splats.
 
     The mean of the splats' centres lies before a surface of thick splats, since the nearer hide
     the farther, and the blended plane about as far behind it: the mean of both is taken. Of flat
     splats the plane is right.
     """
     frame, unit = scene.ground_frame, np.float32(scene.ground_frame.meters_per_unit)
-    rasterizer = Rasterizer(prepare(scene.splats))
     thin = has_thin_splats(scene.splats)
     views = []
     for camera in cameras:

@@ -28,7 +28,6 @@ from rainsim.scene.cameras import resize_to
 from rainsim.terrain.classify import painted_mask
 from rainsim.terrain.movers import with_movers
 from rainsim.terrain.pond import without_images
-from rainsim.terrain.poured import with_water
 from rainsim.view.redo import LIGHT, PARTS, PASSES, TERRAIN, WATER, out_of_date
 from rainsim.view.water import SharedWater
 
@@ -199,8 +198,9 @@ class Session:
             self._progress(stage, done, total)
 
         try:
-            terrain = extract_terrain(self.scene, config, self.mask, progress, self._say)
-            terrain = with_water(terrain, self.water_mask)
+            terrain = extract_terrain(
+                self.scene, config, self.mask, progress, self._say, self.water_mask
+            )
         except GroundError as error:
             self.terrain, self.renderer, self.no_ground = None, None, error
             raise
