@@ -10,7 +10,7 @@ from pathlib import Path
 
 CHOSEN = os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0")
 NAMES = ("light", "grade", "moments", "splash", "crowns", "puddles", "surface", "watersurface")
-"""Files of tests/unit: those of formulas, which take Python seconds."""
+"""Files of formulas, which take Python seconds, by their names."""
 
 SLOW = {"test_splashes_per_area_and_second"}  # minutes in Python
 
@@ -21,4 +21,4 @@ WARNINGS = "ignore::RuntimeWarning"
 def is_plain(path):
     """Tell whether the tests of a file run without the compiler."""
     path = Path(path)
-    return path.parent.name == "unit" and path.stem.removeprefix("test_") in NAMES
+    return path.stem.removeprefix("test_") in NAMES

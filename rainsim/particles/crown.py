@@ -34,7 +34,7 @@ _RIM = 0.17  # thickness of the rim over the drop's diameter
 _BREAK_UP, _BREAK_UP_TIME = 9.02, 1 / 0.343
 _UNEVEN = 0.15  # by which share the number of fingers varies; chosen
 # Share of light that each replaces. A sheet is a window, whose faces mirror some 4 % each: so the
-# light that a crown adds is that of a path-traced crown (tests/unit/test_mitsuba_rain.py).
+# light that a crown adds is that of a path-traced crown (tests/particles/test_mitsuba_rain.py).
 _RIM_ALPHA, _SHEET_ALPHA = 0.8, 0.1
 _DRIFT = 0.1  # share of the drop's horizontal velocity with which a crown moves; chosen
 _JET_START, _JET_HEIGHT, _JET_WIDTH = 0.018, 3.0, 0.55  # s; diameters

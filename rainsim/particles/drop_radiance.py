@@ -37,7 +37,8 @@ MIDST = np.float32(4.0)  # m, mean depth of drops before what is far: they are d
 AHEAD = np.float32(0.05)  # cosine to the view axis from which on a ray may end in the picture
 # Of the light of a splash's sheets: what makes the drawn splash add as much light as path-traced
 # crowns do, seen 8 to 75 degrees from above. Six of them, 3 to 9 ms old, of drops of 2.5 and 4 mm,
-# over beds from a thirtieth to a third as bright as the zenith; see tests/unit/test_mitsuba_rain.
+# over beds from a thirtieth to a third as bright as the zenith
+# (tests/particles/test_mitsuba_rain.py).
 SEEN_LEVEL, SEEN_ABOVE = np.float32(1.09), np.float32(0.96)
 RINGS, TURNS = 8, 12  # of a drop's disc, of equal area, and places on each
 

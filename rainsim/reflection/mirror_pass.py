@@ -4,7 +4,7 @@
 it. A CPU does eight rays in one instruction, but only where a loop holds one simple thing to do:
 so the rays of some records fill a chunk (see `numerics.pixel_batches`), and each pass over it does
 one thing for all of them: bend, guess, march what the guess does not end, look up. The formulas are
-those of `planar_mirror`; `tests/unit/test_mirrors.py` holds the two together.
+those of `planar_mirror`; `tests/reflection/test_mirrors.py` holds the two together.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The drips' twin in numba's CUDA simulator; `tests/unit/test_cuda.py` runs this file."""
+"""The drips' twin in numba's CUDA simulator; `tests/cuda/test_cuda.py` runs this file."""
 
 from itertools import pairwise
 from types import SimpleNamespace

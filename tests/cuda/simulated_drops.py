@@ -1,4 +1,4 @@
-"""The impacts' twin in numba's CUDA simulator; `tests/unit/test_cuda.py` runs this file."""
+"""The impacts' twin in numba's CUDA simulator; `tests/cuda/test_cuda.py` runs this file."""
 
 import numpy as np
 import pytest
