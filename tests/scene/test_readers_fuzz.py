@@ -4,7 +4,7 @@ The default lane reads some of each kind that has no lane of its own (`test_form
 `test_own_files.py` have those of splats, COLMAP models and the program's own files) in this
 process. The campaign reads thousands of every kind in processes of their own, so that a segfault
 and a file that takes all memory count too; one kind by hand:
-`PYTHONPATH=.:tests:tests/scene python tests/scene/test_readers_fuzz.py KIND COUNT SEED FOLDER`.
+`PYTHONPATH=.:tests python tests/scene/test_readers_fuzz.py KIND COUNT SEED FOLDER`.
 """
 
 import io
