@@ -364,17 +364,16 @@ class SequenceRenderer:
                 exposure = config.at(state.time).render.exposure
                 if self._scene.pages is not None and len(self._cameras) > 1:
                     ahead = min(state.index + READ_AHEAD, len(self._cameras) - 1)
-                    self._renderer.read_ahead(self._cameras[ahead])
+                    self._renderer.conductor.read_ahead(self._cameras[ahead])
                 motion = along.moves[index], along.turns[index]
                 cuts.append(is_too_fast(motion, config.fps))
                 yield self._cameras[index], state, along.end(index, exposure, config.fps)
 
         if self._renderer is None:
             self._renderer = self.make()
-            host = getattr(self._renderer, "host", self._renderer)
             self._notes = (
                 *sunken_notes(path, self._terrain, config),
-                *leaving_notes(host.wet_scene.scene, self._cameras),
+                *leaving_notes(self._renderer.conductor.wet_scene.scene, self._cameras),
             )
         for picture, report in self._renderer.film(shots(), self._names):
             notes, self._notes = self._notes, ()
@@ -383,12 +382,12 @@ class SequenceRenderer:
             yield picture, replace(report, notes=(*notes, *report.notes))
 
     def hold(self, index):
-        """Read the chunks that the camera of the frame `index` needs now, see `Renderer.hold`."""
-        self._renderer.hold(self._cameras[0 if len(self._cameras) == 1 else index])
+        """Read the chunks that the camera of the frame `index` needs now, see `Conductor.hold`."""
+        self._renderer.conductor.hold(self._cameras[0 if len(self._cameras) == 1 else index])
 
     def leave_ground(self):
-        """Let go of a part of the ground before the next is made, see `Renderer.leave_ground`."""
-        self._renderer.leave_ground()
+        """Let go of a part of the ground before the next is made, see `Conductor.leave_ground`."""
+        self._renderer.conductor.leave_ground()
 
     def take_ground(self, window):
         """Draw the water of another part of the ground, a `Window`, from now on."""
@@ -396,11 +395,11 @@ class SequenceRenderer:
         if ready is None:
             now = self._config.at(window.state.time)
             ready = self.ready_ground(window.around, window.reach, now)
-        self._renderer.take_ground(ready)
+        self._renderer.conductor.take_ground(ready)
 
     def ready_ground(self, terrain, reach, now):
-        """Return the renderer's data of a part of the ground, see `Renderer.ready_ground`."""
-        return self._renderer.ready_ground(terrain, reach, now)
+        """Return the renderer's data of a part of the ground, see `Conductor.ready_ground`."""
+        return self._renderer.conductor.ready_ground(terrain, reach, now)
 
     def make(self):
         """Return the backend's renderer for these frames."""

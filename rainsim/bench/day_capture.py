@@ -161,7 +161,7 @@ def zenith_of(renderer):
     It is that of an overcast sky, L = Lz (1 + 2 sine) / 3, fitted above STEEP: the bellies of
     single clouds fall out.
     """
-    sky = renderer.wet_scene.day @ LUMINANCE_WEIGHTS  # row 0 is the zenith
+    sky = renderer.conductor.wet_scene.sky.day @ LUMINANCE_WEIGHTS  # row 0 is the zenith
     rows = sky.shape[0]
     elevation = (0.5 - (np.arange(rows) + 0.5) / rows) * np.pi
     cap = np.sin(elevation) > STEEP

@@ -13,7 +13,6 @@ import numpy as np
 
 from rainsim.constants import REFRACTIVE_INDEX
 from rainsim.reflection.ray_traced import Tracer
-from rainsim.render.report import Timer
 from rainsim.shading import wet_ground_mirror
 from rainsim.shading.microfacet import LEAST_DIP
 
@@ -40,7 +39,7 @@ def film_accuracy(renderer, camera, pixels=PIXELS, rays=RAYS, seed=0):
         peak 1, and the root mean square error over the mean of the truth.
     """
     cover = np.zeros((camera.height, camera.width), np.float32)
-    wet_picture = renderer.wet_scene.picture(camera, Timer(), cover)
+    wet_picture = renderer.conductor.wet_scene.picture(camera, cover)
     rows, columns = np.nonzero((cover > FULL) & np.isfinite(wet_picture.depth))
     if not len(rows):
         return None
@@ -75,14 +74,13 @@ def film_line(found):
 
 def _field(renderer, wet_picture, cover, name):
     """Return the field of mirrored light and its step, with or without the mirrored picture."""
-    wet = renderer.wet_ground
-    before = wet.drawn
-    wet.drawn = name == "mirror"
+    film, scene = renderer.conductor.ground.film, renderer.conductor.wet_scene
+    before, film.drawn = film.drawn, name == "mirror"
     try:
-        scene = renderer.wet_scene
-        return wet.field(wet_picture.view, cover, renderer.view, scene.level_mirrored, scene.gloss)
+        around = scene.level_mirrored, scene.sky.gloss
+        return film.field(wet_picture.view, cover, renderer.conductor.view, *around)
     finally:
-        wet.drawn = before
+        film.drawn = before
 
 
 def _error(difference, truth):
@@ -134,7 +132,8 @@ def traced_film(renderer, wet_picture, rows, columns, rays, rng):
 
 def ground_under(renderer, spot):
     """Return height, both slopes and the film's rms slope of the ground under points (n, 3)."""
-    terrain, ground = renderer.terrain, renderer.wet_ground.ground.slopes
+    tables = renderer.conductor.ground
+    terrain, ground = tables.terrain, tables.film.ground.slopes
     (x0, y0), cell = terrain.grid.origin, terrain.grid.spacing
     rows, columns = terrain.bed.shape
     i = np.clip(((spot[:, 0] - x0) / cell).astype(int), 0, columns - 1)
@@ -144,18 +143,17 @@ def ground_under(renderer, spot):
 
 def _trace(renderer, origin, direction, before, pixel):
     """Return the radiance of rays that are traced through the standing splats."""
-    kept = renderer.wet_scene.tracer
-    stands = wet_ground_mirror.standing(
-        renderer.wet_scene.prepared, renderer.terrain, renderer.wet_scene.frame
-    )
-    renderer.wet_scene.tracer = Tracer(renderer.wet_scene.scene.splats.take(np.sort(stands.order)))
+    scene = renderer.conductor.wet_scene
+    capture, terrain = scene.capture, renderer.conductor.ground.terrain
+    stands = wet_ground_mirror.standing(capture.prepared, terrain, scene.frame)
+    kept, capture.tracer = capture.tracer, Tracer(scene.scene.splats.take(np.sort(stands.order)))
     try:
-        return renderer.wet_scene.traced(
+        return scene.traced(
             origin.astype(np.float32), direction.astype(np.float32), before.astype(np.float32),
             np.full(len(origin), pixel, np.float32),
         )[0]  # fmt: skip
     finally:
-        renderer.wet_scene.tracer = kept
+        capture.tracer = kept
 
 
 def _fresnel(cosine):

@@ -137,7 +137,7 @@ def measure(cases, quantity, rounds):
     for n in range(rounds):
         for (_, renderer, camera, state), found in zip(cases, times, strict=True):
             moved = camera.camera_from_world.copy()
-            moved[0, 3] += STEP * (n + 1) / renderer.wet_scene.frame.meters_per_unit
+            moved[0, 3] += STEP * (n + 1) / renderer.conductor.wet_scene.frame.meters_per_unit
             start = time.perf_counter()
             _, report = renderer.draw(replace(camera, camera_from_world=moved), state)
             whole = (time.perf_counter() - start) * 1e3

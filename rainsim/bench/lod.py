@@ -250,7 +250,7 @@ def measure_details(folder, length, ground, places, config, details, say=None):
         renderer = Renderer(scene, ground.overview, settings, places[0][0])
         shown, splats, cpu = [], [], []
         for camera, around, state in places:
-            renderer.take_ground(renderer.ready_ground(*around, config))
+            renderer.conductor.take_ground(renderer.conductor.ready_ground(*around, config))
             renderer.draw(camera, state)  # reads what it needs
             pair = []
             for shift in (0.0, SPEED * NEXT):
@@ -287,16 +287,16 @@ def measure_alone(folder, length, ground, places, config, frames, say=None):
     paged = Renderer(scene, ground.overview, config, places[0][0])
     for first, around, state in places:
         cameras = [ahead(frame, first, k * SPEED * NEXT) for k in range(frames)]
-        runs, drawn = {}, paged.wet_scene.paged.whole
+        runs, drawn = {}, paged.conductor.wet_scene.capture.paged.whole
         for camera in cameras:
-            for leaf, level in drawn.wanted(camera, paged.wet_scene.near):
+            for leaf, level in drawn.wanted(camera, paged.conductor.wet_scene.capture.near):
                 runs[leaf] = min(level, runs.get(leaf, level))
         held = [scene.pages.splats(*run) for run in sorted(runs.items())]
         whole = replace(scene, splats=joined(held), pages=None)
         alone = Renderer(whole, ground.overview, config, first)
         cpu = {paged: [], alone: []}
         for renderer in cpu:
-            renderer.take_ground(renderer.ready_ground(*around, config))
+            renderer.conductor.take_ground(renderer.conductor.ready_ground(*around, config))
             renderer.draw(
                 ahead(scene.ground_frame, first, -SPEED * NEXT), state
             )  # reads what it needs
@@ -304,7 +304,7 @@ def measure_alone(folder, length, ground, places, config, frames, say=None):
             for renderer in cpu:
                 begin = time.process_time()
                 if renderer is paged:
-                    renderer.read_ahead(cameras[min(k + AHEAD, frames - 1)])
+                    renderer.conductor.read_ahead(cameras[min(k + AHEAD, frames - 1)])
                 renderer.draw(camera, state)
                 cpu[renderer].append((time.process_time() - begin) * 1e3)
         rows.append({
@@ -318,8 +318,9 @@ def measure_alone(folder, length, ground, places, config, frames, say=None):
 
 def seen_splats(renderer, camera):
     """Return how many splats the picture of a camera is drawn of."""
-    drawn = renderer.wet_scene.paged.whole
-    drawn.wanted(camera, renderer.wet_scene.near)
+    capture = renderer.conductor.wet_scene.capture
+    drawn = capture.paged.whole
+    drawn.wanted(camera, capture.near)
     return drawn.used["splats"]
 
 

@@ -26,11 +26,12 @@ from rainsim.bench.scenes import SCENES, scene_names
 from rainsim.bench.truth import DARK, clipped, compare, trace_truth
 from rainsim.config.settings import Config
 from rainsim.jit import set_threads
+from rainsim.reflection import water_pass
 from rainsim.reflection.mirror_choice import mirror_step
 from rainsim.reflection.mirrored_rays import ENVIRONMENT
+from rainsim.reflection.water_pass import March, choice_of
 from rainsim.reflection.water_record import SLOPES
 from rainsim.render.renderer import Renderer
-from rainsim.render.report import Timer
 from rainsim.scene.library import load_scene
 
 WIDTH = {False: 480, True: 120}  # px
@@ -113,7 +114,7 @@ def stage(scene, preset, quick):
 def measure(scene, preset, quick):
     """Return the figures of one scene and preset."""
     renderer, camera, state = stage(scene, preset, quick)
-    chosen = renderer.water.choice()
+    chosen = choice_of(renderer.water)
     truth = trace_truth(renderer, camera, state)
     levels, rate = reflection_levels(renderer, camera, state, truth, ROUNDS[quick])
     choices = paper_choices(renderer, camera, state, ROUNDS[quick])
@@ -134,13 +135,11 @@ def reflection_levels(renderer, camera, state, truth, rounds):
     rows = {name: {"name": name, "stage": [], "frame": []} for name in LEVELS}
     for turn in range(rounds + 1):
         for name, (method, settings) in LEVELS.items():
-            _set(renderer, settings, camera.width)
-            timer = Timer()
-            water.forget_reflections()
+            step = _set(renderer, settings, camera.width)
+            renderer.passes.forget_reflections()
             tracemalloc.start() if turn == 0 else None
             start = time.process_time()
-            around = renderer.wet_scene.environment
-            water.light_up(method, renderer.mirrored, None, around, timer)
+            light_up(renderer, method, step)
             seconds = time.process_time() - start
             row = rows[name]
             if turn == 0:  # not timed: it compiles, and tracing memory is slow
@@ -175,61 +174,70 @@ def reflection_levels(renderer, camera, state, truth, rounds):
 
 def march_rate(renderer, rounds):
     """Return how many rays a second the march follows: one a pixel, on water without ripples."""
-    water = renderer.water
+    water, sky = renderer.water, renderer.conductor.wet_scene.sky
     ripples = water.record[:, SLOPES].copy()
     water.record[:, SLOPES] = 0
-    water.forget_reflections()
-    seconds = []
+    wet, tops, around = renderer.wet, renderer.frame["tops"], (sky.environment, sky.gloss)
+    blocks, seconds = water_pass.depth_blocks(wet), []
     for _ in range(2 * rounds + 1):
         start = time.process_time()
-        water.light_up("ssr", renderer.mirrored, None, renderer.wet_scene.environment, Timer())
+        water_pass.light_up(water, "ssr", wet, tops, None, around, lambda: blocks)
         seconds.append(time.process_time() - start)
     water.record[:, SLOPES] = ripples
-    return len(water.pixel) / float(np.median(seconds[1:]))  # the first makes the blocks
+    return len(water.pixel) / float(np.median(seconds[1:]))
+
+
+def light_up(renderer, method, step):
+    """Find the light that the water drawn last mirrors by another method of reflection."""
+    frame, passes = renderer.frame, renderer.passes
+    others = {"methods": replace(frame["methods"], reflections=method), "mirror_step": step}
+    mirrors = passes.mirror(*frame.values("mirror", **others))
+    passes.reflect(*frame.values("reflection", mirrors=mirrors, **others))
 
 
 def _set(renderer, settings, width):
-    """Set a quality level of the reflection; settings that it does not name get their defaults."""
-    water = renderer.water
-    fresh = type(water)(water.terrain, water.rings, water.config)
-    water.thickness = settings.get("thickness", fresh.thickness)
-    water.stride = settings["px"] / width if "px" in settings else fresh.stride
-    size = settings.get("mirror_size", water.config.mirror_size)
-    water._step = mirror_step(size, renderer.shower, water.wet.view.lens)  # `draw` sets it else
+    """Set a quality level of the reflection; return its `mirror_step`.
+
+    Settings that it does not name get their defaults.
+    """
+    usual, conductor = March(), renderer.conductor
+    renderer.passes.march = March(
+        settings.get("thickness", usual.thickness),
+        settings["px"] / width if "px" in settings else usual.stride,
+    )
+    size = settings.get("mirror_size", conductor.methods.mirror_size)
+    rain = conductor.now.rain.rate, conductor.now.water.surface_film
+    return mirror_step(size, *rain, renderer.wet.view.lens)
 
 
 def _frame_time(renderer, camera, state, method, **sizes):
     """Return the seconds of a whole frame of a moving camera with a method of reflection."""
-    water = renderer.water
-    before = water.config
-    water.config = replace(before, reflections=method, **sizes)
+    conductor = renderer.conductor
+    before = conductor.methods
+    conductor.methods = replace(before, reflections=method, **sizes)
     start = time.process_time()
     renderer.draw(replace(camera), state)
     seconds = time.process_time() - start
-    water.config = before
+    conductor.methods = before
     return seconds
 
 
 def paper_choices(renderer, camera, state, rounds):
     """Return the difference of each choice of the paper from the default picture, and its time."""
-    water, around = renderer.water, renderer.wet_scene.environment
-    before = water.config
-    rows = []
+    frame, passes = renderer.frame, renderer.passes
+    before, rows = renderer.conductor.methods, []
     timings = {name: [] for name in ("as set", *PAPER_CHOICES)}
     pictures = {}
     for _ in range(rounds):
         for name in timings:
-            water.config = replace(before, **PAPER_CHOICES.get(name, {}))
-            water.coverage = None
-            water.forget_reflections()
+            passes.forget_reflections()
             start = time.process_time()
-            picture = water.draw(
-                state, renderer.shower, renderer.mirrored, None, around, renderer.sunlight, Timer()
-            )
+            frame.put("methods", replace(before, **PAPER_CHOICES.get(name, {})))
+            frame.make(("shown",), passes.work)
             timings[name].append(time.process_time() - start)
-            pictures[name] = picture.copy(), water.coverage.copy()
-    water.config, water.coverage = before, None
-    water.draw(state, renderer.shower, renderer.mirrored, None, around, renderer.sunlight, Timer())
+            pictures[name] = frame["shown"].copy(), frame["seen"].coverage.copy()
+    frame.put("methods", before)
+    frame.make(("shown",), passes.work)
     best, covered = pictures["as set"]
     wet = covered > 0
     for name, seconds in timings.items():

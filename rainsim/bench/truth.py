@@ -19,7 +19,7 @@ import numpy as np
 from scipy import ndimage
 
 from rainsim.reflection.facets import LEAST_VARIANCE, SAMPLES
-from rainsim.reflection.ray_traced import mirror_rays
+from rainsim.reflection.ray_traced import mirror_rays, traced_light
 from rainsim.reflection.screen_space import NOT_GROUND
 from rainsim.reflection.water_record import (
     COVARIANCE,
@@ -31,7 +31,6 @@ from rainsim.reflection.water_record import (
     VARIANCE_Y,
     VIEW_DEPTH,
 )
-from rainsim.render.report import Timer
 
 RAYS = 4  # along each side of a pixel
 SEEDS = 1, 2
@@ -57,25 +56,25 @@ def trace_truth(renderer, camera, state):
             What the method "traced" makes of it.
         causes, view_dependence, cost : dict
     """
-    water = renderer.water
-    renderer.wet_scene.traced(  # builds the hierarchy, which the time of tracing is counted without
+    water, wet, scene = renderer.water, renderer.wet, renderer.conductor.wet_scene
+    scene.traced(  # builds the hierarchy, which the time of tracing is counted without
         water.record[:1, POINT], np.array([[0, 0, 1]], np.float32), np.zeros(1, np.float32), 1e-3
     )
     start = time.process_time()
-    alpha, end = water.light_up("traced", None, renderer.wet_scene.traced, None, Timer())
+    alpha, end = traced_light(water.record, wet.view, scene.traced, water.light, water.source)
     seconds = time.process_time() - start
     traced = water.light.copy()
     sampled = (water.record[:, VARIANCE_X] + water.record[:, VARIANCE_Y] >= LEAST_VARIANCE).sum()
     rays = len(traced) + (SAMPLES - 1) * int(sampled)
-    causes = why_unseen(water, alpha, end)
+    causes = why_unseen(wet, alpha, end)
     # What the colours' dependence on the view alone makes: the same rays, colours as seen from the
     # camera, which is all that a march can show.
-    eye = renderer.wet_scene.frame.to_capture(water.wet.view.eye)
+    eye = scene.frame.to_capture(wet.view.eye)
 
     def trace(*ray):
-        return renderer.wet_scene.traced(*ray, color_eye=eye)
+        return scene.traced(*ray, color_eye=eye)
 
-    water.light_up("traced", None, trace, None, Timer())
+    traced_light(water.record, wet.view, trace, water.light, water.source)
     view_dependence = compare(water, water.light, (traced, traced), causes == "seen")
     pixel = water.pixel.copy()
     light = [area_light(renderer, camera, state, pixel, seed) for seed in SEEDS]
@@ -90,7 +89,7 @@ def trace_truth(renderer, camera, state):
                                                         strict=True)},
         "cost": {
             "seconds": seconds, "rays": rays, "rays_per_second": rays / max(seconds, 1e-9),
-            "memory_mb": renderer.wet_scene.tracer.nbytes / 1e6,
+            "memory_mb": scene.capture.tracer.nbytes / 1e6,
         },
     }  # fmt: skip
 
@@ -104,11 +103,12 @@ def area_light(renderer, camera, state, pixel, seed):
     fine = camera.resized(camera.width * RAYS, camera.height * RAYS)
     dx, dy = rng.uniform(-0.5, 0.5, 2)
     fine = replace(fine, cx=fine.cx + dx, cy=fine.cy + dy)
-    water = renderer.water
-    before = water.config
-    water.config = replace(before, reflections="ssr")  # what it mirrors is not wanted
+    conductor = renderer.conductor
+    before = conductor.methods
+    conductor.methods = replace(before, reflections="ssr")  # what it mirrors is not wanted
     renderer.draw(fine, state)
-    water.config = before
+    conductor.methods = before
+    water = renderer.water
     record, count = water.record, len(water.pixel)
     p, q = rng.standard_normal((2, count)).astype(np.float32)
     # A normal variable of the covariance that even these pixels hide: its root is triangular.
@@ -118,8 +118,8 @@ def area_light(renderer, camera, state, pixel, seed):
     across = np.sqrt(np.maximum(record[:, VARIANCE_Y] - along**2, 0))
     record[:, SLOPE_Y] += along * p + across * q
     direction, (way, weight) = np.empty((count, 3), np.float32), np.empty((2, count), np.float32)
-    mirror_rays(np.arange(count), record, water.wet.view, 0, direction, way, weight)
-    light, _, _ = renderer.wet_scene.traced(
+    mirror_rays(np.arange(count), record, renderer.wet.view, 0, direction, way, weight)
+    light, _, _ = conductor.wet_scene.traced(
         record[:, POINT], direction, way, record[:, VIEW_DEPTH] / way / np.float32(camera.fx)
     )
     row, column = np.divmod(water.pixel, fine.width)
@@ -132,9 +132,9 @@ def area_light(renderer, camera, state, pixel, seed):
         return (np.stack(sums, axis=1) / total[:, None]).astype(np.float32)
 
 
-def why_unseen(water, alpha, end):
+def why_unseen(wet, alpha, end):
     """Return for each record "seen", or why the camera does not see where its traced ray ends."""
-    wet, v = water.wet, water.wet.view
+    v = wet.view
     local = (np.where(np.isfinite(end), end, v.eye) - v.eye) @ v.ground_from_camera  # sky: nowhere
     height, width = wet.depth.shape
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -160,7 +160,7 @@ def compare(water, light, truth, mask):
 
     Parameters
     ----------
-    water : WaterPass
+    water : SeenWater
     light : ndarray of shape (n, 3)
         Of each record.
     truth : pair of ndarray of shape (n, 3)
@@ -176,7 +176,7 @@ def compare(water, light, truth, mask):
         return {"psnr": None, "ssim": None, "pixels": 0}
     light, (a, b) = light.astype(float), (t.astype(float) for t in truth)
     error = float(np.mean((light[mask] - a[mask]) * (light[mask] - b[mask])))
-    shape = water.wet.depth.shape
+    shape = water.coverage.shape
     wet = np.zeros(shape, bool)
     wet.ravel()[water.pixel] = True
     whole = ndimage.binary_erosion(wet, np.ones((WINDOW, WINDOW)))
@@ -203,7 +203,7 @@ def clipped(water, light, truth):
 
 
 def _picture(water, values):
-    picture = np.zeros((*water.wet.depth.shape, 3))
+    picture = np.zeros((*water.coverage.shape, 3))
     picture.reshape(-1, 3)[water.pixel] = values
     return picture
 

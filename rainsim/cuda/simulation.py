@@ -33,9 +33,11 @@ from rainsim.drops import Weather
 from rainsim.errors import DivergedError
 from rainsim.rain.dripping import DRIP_COLUMNS
 from rainsim.rain.exposure import rain_exposure
+from rainsim.rain.tyres import NO_THROWS
 from rainsim.reflection.slope_moments import ripple_moments
 from rainsim.water.keyframes import level_changes, past_rain_growth
 from rainsim.water.ripples import LAYERS
+from rainsim.water.rolling import NO_TRACKS
 
 
 class DeviceState:
@@ -57,6 +59,9 @@ class DeviceState:
         Water on each top of the terrain, on the host. It comes from the mean rain; the ledger adds
         up the drops that fell on the device, and differs from it by their chance.
     """
+
+    # No tyres roll through water that is on the device.
+    tracks, throws, throw_id = NO_TRACKS, NO_THROWS, np.zeros(0, np.uint64)
 
     def __init__(self, index, time, simulation, notes=()):
         self.index, self.time, self.simulation, self.notes = index, time, simulation, notes

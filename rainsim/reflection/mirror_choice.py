@@ -20,7 +20,7 @@ HALF_BLUR = 2.0  # px: a picture of half the size blurs by less
 HALF_MERGE = 2.0  # times as wide are the cells in which such a picture merges splats
 
 
-def mirror_step(name, shower, lens):
+def mirror_step(name, rate, surface_film, lens):
     """Return how many pixels of a picture one of its mirrored pictures stands for, 1 or 2.
 
     It follows from the moment and the lens alone: so a frame is the same in any film.
@@ -29,13 +29,15 @@ def mirror_step(name, shower, lens):
     ----------
     name : {"auto", "full", "half"}
         "auto" takes half the size where rings on open water blur what it mirrors by HALF_BLUR.
-    shower : Shower
+    rate : float [m/s]
+        Of the rain.
+    surface_film : float
+        How far a film of dirt calms the rings, 0 to 1.
     lens : array_like of shape (4,) [px]
     """
     if name != "auto":
         return 2 if name == "half" else 1
-    rate = shower.rate / MM_PER_HOUR
-    blur = RING_BLUR * float(lens[0]) * math.sqrt(rate) * (1 - shower.surface_film)
+    blur = RING_BLUR * float(lens[0]) * math.sqrt(rate / MM_PER_HOUR) * (1 - surface_film)
     return 2 if blur >= HALF_BLUR else 1
 
 

@@ -1,4 +1,7 @@
-"""The water in a camera's picture: found, tilted by ripples and lit; unchanged parts are kept.
+"""The water in a camera's picture: found, tilted by ripples, lit by what it mirrors, and laid.
+
+Each function here is a step of a frame (`rainsim.render.frame` names them in order). `WaterTables`
+is what they need of a ground, `SeenWater` the water that one picture shows.
 
 A planar mirror is drawn for each level at which much of the water stands, see `mirror_choice`;
 water at other levels is marched on the screen.
@@ -6,15 +9,15 @@ water at other levels is marched on the screen.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 
 from rainsim import ssr
 from rainsim.jit import interleaved
-from rainsim.reflection import paper, ray_traced, screen_space, water_record, water_shading
-from rainsim.reflection.mirror_choice import MIRROR_SPREAD, group_levels, mirror_step
+from rainsim.reflection import paper, screen_space, water_record, water_shading
+from rainsim.reflection.mirror_choice import MIRROR_SPREAD, group_levels
 from rainsim.reflection.mirror_pass import mirror_light
 from rainsim.reflection.puddle_rings import puddle_rings
 from rainsim.reflection.ray_water import COVERING_DEPTHS, meet_water
@@ -24,7 +27,6 @@ from rainsim.reflection.water_surface import BLOCK, WaterMap, fine_relief, water
 from rainsim.reflection.wet_tops import ROWS, list_tops, meet_tops, top_maps, top_numbers
 from rainsim.scene.view import View
 from rainsim.shading import fresnel
-from rainsim.shading.wetness import OffGroundWetness
 from rainsim.shading.wetting import ESCAPE
 from rainsim.water.ripples import block_reach
 from rainsim.water.top_water import TopWater, sheet_depth
@@ -69,365 +71,373 @@ class WetPicture:
         return Background(self.picture, self.below, self.depth)
 
 
-class Shower(NamedTuple):
-    """The rain on the tops at the time of a frame, and the surroundings that they mirror.
-
-    Attributes
-    ----------
-    wetness : OffGroundWetness
-    rate : float [m/s]
-        Of the rain.
-    gloss : ndarray of shape (rows, columns, 3), float32
-        The blurred surroundings, which sloping tops mirror.
-    surface_film : float
-        How far a film of dirt calms the rings, 0 to 1.
-    """
-
-    wetness: OffGroundWetness
-    rate: float
-    gloss: np.ndarray
-    surface_film: float = 0.0
-
-
-class WaterPass:
-    """Draws the water on the wet pictures of one camera after another.
-
-    For each camera call `look` before `draw`; `light_up`, `terms` and `choice` speak of the water
-    of the last `draw`.
+class WaterTables:
+    """What pictures of the water need of a ground, whatever the camera and the time.
 
     Parameters
     ----------
     terrain : Terrain
-    rings : ndarray of shape (ny, nx), float32
-        Amplitude of rings in each cell over that in the open, see `ripples.ring_share`.
     ring_reach : tuple of ndarray
         Reach and weight of rings, see `ripples.ring_reach`.
-    config : RenderConfig
-        Names the methods.
 
     Attributes
     ----------
-    wet : WetPicture
-        Of the camera.
-    pixel, record : ndarray
-        The list of the water that the last picture shows, see `water_record`.
-    light : ndarray of shape (n, 3), float32
-        What each record mirrors, before it is multiplied by the reflectance.
-    source : ndarray of shape (n,), uint8
-        Where that light was found: a code of `mirrored_rays`.
-    coverage : ndarray of shape (height, width), float32
-        Share of each pixel that is water.
     block_reach : ndarray
         See `ripples.block_reach`, of blocks of the map's cells.
-    thickness : float [m]
-        REFLECTION_THICKNESS, or another that is to be tried.
-    stride : float
-        REFLECTION_STRIDE, or another that is to be tried.
+    relief : ndarray of shape (ny, nx), float32 [m]
+        See `water_surface.fine_relief`.
+    top_water : TopWater
+    tops : TopMaps
+        Dry.
     """
 
-    def __init__(self, terrain, rings, ring_reach, config):
-        self.terrain, self.rings, self.config = terrain, rings, config
+    def __init__(self, terrain, ring_reach):
+        self.terrain = terrain
         self.block_reach = block_reach(BLOCK * terrain.grid.spacing, *ring_reach)
-        self.relief, self._films = fine_relief(terrain), terrain.mirrors
-        self._origin = np.array(terrain.grid.origin, np.float32)
-        self._spacing = np.float32(terrain.grid.spacing)
-        self.thickness, self.stride = REFLECTION_THICKNESS, REFLECTION_STRIDE
-        self.top_water = TopWater(terrain)
+        self.relief, self.top_water = fine_relief(terrain), TopWater(terrain)
         self.tops = top_maps(terrain, self.top_water)
-        self._rain = self._gloss = None  # that the kept list belongs to; what slopes mirrors
-        self._depth = None  # of the water that the kept surface belongs to
-        self.wet = None
-
-    def look(self, wet):
-        """Take over a camera's picture without water, a `WetPicture`; forget the last camera's."""
-        self.wet = wet
-        self._shown = wet.picture.copy()  # the picture with water on the listed pixels
-        self.pixel = np.empty(0, np.int32)
-        self.coverage = None
-        self.forget_reflections()
-
-    def take_rings(self, rings):
-        """Take over other amplitudes of rings (ny, nx), float32, for the water from now on."""
-        if rings is not self.rings:
-            self.rings, self._depth = rings, None
-
-    def forget_reflections(self):
-        """Forget the mirrored pictures and the depth that is marched; the next frame makes them."""
-        self._blocks, self._mirrors = None, {}
-
-    def draw(self, state, shower, draw_mirrored, trace, environment, sun, timer):
-        """Return the picture with the water of a state on it.
-
-        Parameters
-        ----------
-        state : SimState
-        shower : Shower
-            What wets the tops.
-        draw_mirrored : callable
-            draw_mirrored(level, window, step) returns the View and the
-            `planar_mirror.MirrorPicture` of the camera mirrored at a level [m], of a window (left,
-            top, right, bottom) [px] of its picture, each side 1 / step as many pixels.
-        trace : callable
-            As `ray_traced.traced_light` takes it.
-        environment : ndarray of shape (rows, columns, 3), float32
-        sun : ndarray of shape (6,), float32
-            See `water_shading.Optics`.
-        timer : Timer
-
-        Returns
-        -------
-        ndarray of shape (height, width, 3), float32
-            Overwritten by the next call.
-        """
-        moved = self._depth is None or not np.array_equal(state.depth, self._depth)
-        if moved:
-            self._update_surface(state.depth)
-        moved |= self._update_tops(state.top_water, shower)
-        self._gloss = shower.gloss
-        self._step = mirror_step(self.config.mirror_size, shower, self.wet.view.lens)
-        timer.mark("water surface")
-        before = self.pixel
-        if moved or self.coverage is None:
-            self._find()
-        timer.mark("find water")
-        _restore(self.wet.picture, before, self._shown)
-        if len(self.pixel):
-            ripples = Ripples(ripple_moments(state.slopes), np.float32(state.tile_size))
-            water_shading.tilt_water(ripples, self.tops, self.record)
-            self.light_up(self.config.reflections, draw_mirrored, trace, environment, timer)
-            self._lay(self.optics(sun))
-        timer.mark("water")
-        return self._shown
 
     @property
     def place(self):
         """Corner (2,) and spacing [m] of the map, float32."""
-        return self._origin, self._spacing
+        grid = self.terrain.grid
+        return np.array(grid.origin, np.float32), np.float32(grid.spacing)
 
-    def optics(self, sun):
-        """Return the `Optics` of the laws that the configuration names and a sun (6,)."""
-        law = fresnel.LAWS[self.config.fresnel]
-        gain = np.float32(1) if self.config.wetting == "none" else 1 / (1 - ESCAPE)
-        return Optics(law, np.float32(GLINT_VARIANCE), sun, np.float32(gain))
-
-    def terms(self, sun):
-        """Return the terms that the water of the last picture is put together from.
-
-        Returns
-        -------
-        through : ndarray of shape (n, 3), float32
-            Radiance from below, before it is multiplied by 1 - reflectance.
-        share : ndarray of shape (n,), float32
-            Reflectance.
-        glint : ndarray of shape (n, 3), float32
-            The sun's glint as it is added.
-        """
-        n = len(self.pixel)
-        through, glint = np.empty((n, 3), np.float32), np.empty((n, 3), np.float32)
-        share = np.empty(n, np.float32)
-        if n:
-            given = self.pixel, self.record, self.wet.background, self.wet.view, self.optics(sun)
-            laws = self._paper_laws()
-            if any(laws):
-                paper.separate_paper_water(*given, laws, through, share, glint)
-            else:
-                water_shading.separate_water(*given, through, share, glint)
-        return through, share, glint
-
-    def _lay(self, optics):
-        """Write the water into the picture."""
-        given = self.pixel, self.record, self.light, self.wet.background, self.wet.view, optics
-        laws = self._paper_laws()
-        if any(laws):
-            paper.lay_paper_water(*given, laws, self._shown)
-        else:
-            water_shading.lay_water(*given, self._shown)
-
-    def _paper_laws(self):
-        return paper.PaperLaws(
-            self.config.refraction == "shift", self.config.highlight == "blinn-phong"
-        )
-
-    def _update_surface(self, depth):
-        """Make the drawn surface of the water of a depth (ny, nx) [m]."""
-        self._depth = depth
-        surface, drawn_depth = water_surface(self.terrain, depth, self.relief, self._films)
-        shores = puddle_rings(depth, self._films, self.block_reach)
-        self._map = WaterMap(surface, drawn_depth, self.rings, self._origin, self._spacing, shores)
-        wet = drawn_depth > 0
-        self._highest = np.float32(surface[wet].max()) if wet.any() else None
-
-    def _update_tops(self, volume, shower):
-        """Take over the water on tops (n,) [m3] and the rain; return whether either changed."""
+    def tops_with(self, volume, rate):
+        """Return the `TopMaps` with a volume (n,) [m3] on each top, in rain of a rate [m/s]."""
         if not len(self.tops.form):
-            return False
-        water = top_numbers(self.top_water, volume, sheet_depth(shower.rate))
-        same = shower.wetness == self._rain and np.array_equal(water, self.tops.water)
-        self.tops, self._rain = self.tops._replace(water=water), shower.wetness
-        return not same
+            return self.tops
+        return self.tops._replace(water=top_numbers(self.top_water, volume, sheet_depth(rate)))
 
-    def _find(self):
-        """List the pixels that show water."""
-        height, width = self.wet.depth.shape
-        hit, count = np.empty((height, width), np.float32), np.zeros(height, np.int64)
-        self.coverage = np.zeros((height, width), np.float32)
-        if self._highest is not None:
-            self._find_on_ground(hit, count)
-        if len(self.tops.form):
-            meet_tops(
-                self.wet.depth, self.wet.view, self.tops, self._rain, interleaved(height), hit,
-                self.coverage, count,
-            )  # fmt: skip
-        self._list(count, hit)
 
-    def _find_on_ground(self, hit, count):
-        """Find the pixels that show water on the ground; writes to `hit`, `count` and coverage."""
-        height = len(count)
-        given, found = (self.wet.depth, self.wet.view, self._map), (hit, self.coverage, count)
-        if self.config.water_geometry == "spheres":
-            paper.meet_spheres(*given, *found)
-        elif self.config.coverage == "hard":
-            paper.meet_hard(*given, self._highest, *found)
-        else:
-            meet_water(*given, self._highest, interleaved(height), COVERING_DEPTHS, *found)
+class DrawnWater(NamedTuple):
+    """The water's surface as it is drawn.
 
-    def _list(self, count, hit):
-        """List the water: a record for each of the `count` pixels of each row, set on `self`.
+    Attributes
+    ----------
+    map : WaterMap
+    highest : float32 [m] or None
+        Of the surface where there is water; None if there is none.
+    """
 
-        Slopes and light are filled in later.
-        """
-        n = int(count.sum())
-        self.pixel = np.empty(n, np.int32)
-        self.record = np.empty((n, water_record.RECORD), np.float32)
-        self.light, self.source = np.empty((n, 3), np.float32), np.empty(n, np.uint8)
-        if n:
-            water_shading.list_water(
-                hit, self.coverage, np.cumsum(count) - count, interleaved(len(count)),
-                self.wet.view, self._map, self.tops, self.pixel, self.record,
-            )  # fmt: skip
-        self._top = np.full(n, -1, np.int16)  # that each record lies on
-        if len(self.tops.form):
-            list_tops(self.tops, self.record, self._top)
-        self._groups = {}  # how each method shares the pixels out
+    map: WaterMap
+    highest: object
 
-    def light_up(self, name, draw_mirrored, trace, environment, timer):
-        """Fill in the mirrored light of every record by the method `name`; arguments as in `draw`.
 
-        Returns what `ray_traced.traced_light` returns if that is the method.
-        """
-        if name == "traced":
-            found = ray_traced.traced_light(
-                self.record, self.wet.view, trace, self.light, self.source
-            )
-            timer.mark("reflection")
-            return found
-        if name not in self._groups:
-            mirrors, *others = self._group(name)
-            mirrors = [((level, self._mirror_window(which)), which) for level, which in mirrors]
-            self._groups[name] = mirrors, *others
-        mirrors, others, surrounded = self._groups[name]
-        kept = self._mirrors
-        self._mirrors = {
-            (*place, self._step): kept.get((*place, self._step))
-            or draw_mirrored(*place, self._step)
-            for place, _ in mirrors
-        }
-        timer.mark("mirror")
-        for place, which in mirrors:
-            view, mirror = self._mirrors[*place, self._step]
-            mirror_light(which, self.record, view, mirror, self.light, self.source)
-        if len(others):
-            self._march(others, name == "paper", environment)
-        if len(surrounded):
-            screen_space.environment_light(
-                surrounded, self.record, self._gloss, self.light, self.source
-            )
-        timer.mark("reflection")
-        return None
+@dataclass(eq=False)
+class SeenWater:
+    """The water that a picture shows, a record for each of its pixels.
 
-    def _group(self, name):
-        """Share the records out as `group_levels`; and those that mirror the surroundings alone.
+    Attributes
+    ----------
+    pixel : ndarray of shape (n,), int32
+        In the flattened picture.
+    record : ndarray of shape (n, RECORD), float32
+        See `water_record`.
+    top : ndarray of shape (n,), int16
+        That each record lies on, -1 for the ground.
+    coverage : ndarray of shape (height, width), float32
+        Share of each pixel that is water.
+    light : ndarray of shape (n, 3), float32
+        What each record mirrors, before it is multiplied by the reflectance.
+    source : ndarray of shape (n,), uint8
+        Where that light was found: a code of `mirrored_rays`.
+    groups : dict of str to tuple
+        How each method of reflection shares the records out, see `shared_out`.
+    """
 
-        These lie on tops that slope, or that are not at the level of the only mirror.
-        """
-        height = self.record[:, water_record.Z]
-        if not len(self.tops.form):
-            return *group_levels(height, name), np.zeros(0, np.int64)
-        level = self.tops.form[:, ROWS] > 0
-        level = np.flatnonzero((self._top < 0) | level[self._top])
-        mirrors, others = group_levels(height[level], name)
-        mirrors = [(z, level[which]) for z, which in mirrors]
-        if name == "mirror":  # one for all: but not for tops at other levels
-            mirrors = [
-                (z, which[(self._top[which] < 0) | (abs(height[which] - z) < MIRROR_SPREAD)])
-                for z, which in mirrors
-            ]
-        others = level[others]
-        left = np.ones(len(height), np.bool_)
-        for which in (others, *(which for _, which in mirrors)):
-            left[which] = False
-        return mirrors, others, np.flatnonzero(left)
+    pixel: np.ndarray
+    record: np.ndarray
+    top: np.ndarray
+    coverage: np.ndarray
+    light: np.ndarray
+    source: np.ndarray
+    groups: dict = field(default_factory=dict)
 
-    def choice(self):
-        """Return in words the choice of `auto` for the last picture; None if it chose nothing."""
-        if self.config.reflections != "auto" or not len(self.pixel):
-            return None
-        mirrors, others, surrounded = self._groups["auto"]
-        pictures = "picture" if len(mirrors) == 1 else "pictures"
-        share = 1 - (len(others) + len(surrounded)) / len(self.pixel)
-        tops = np.count_nonzero(self._top >= 0)
-        notes = [
-            f"reflections: {len(mirrors)} mirrored {pictures} for {share:.0%} of the water in view"
-            + (", a march on the screen for other levels" if len(others) else "")
-        ]
-        if tops:
-            share = tops / self.coverage.size
-            notes.append(f"tops above the ground are {share:.1%} of the picture")
-        if len(surrounded):
-            notes.append(f"{len(surrounded) / tops:.0%} of them slope and mirror the surroundings")
-        return "; ".join(notes)
+    def __len__(self):
+        return len(self.pixel)
 
-    def _march(self, which, is_paper, environment):
-        """Fill in the light of the records `which` by marching the picture's own depth."""
-        wet = self.wet
-        if self._blocks is None:
-            tall = np.empty_like(wet.depth)
-            bounds = np.empty(ssr.bounds_of(*wet.depth.shape), np.float32)
-            screen_space.keep_tall(wet.depth, wet.clearance, tall)
-            ssr.block_bounds(tall, bounds)
-            self._blocks = ssr.DepthBlocks(tall, bounds)
-        stride = max(1.0, self.stride * wet.depth.shape[1])
-        thickness = paper.EPSILON if is_paper else self.thickness
-        settings = ssr.MarchSettings(
-            *(np.float32(n) for n in (thickness, stride, REFLECTION_LENGTH))
-        )
-        march, depth = screen_space.march_light, self._blocks
-        if is_paper:
-            march, depth = paper.paper_light, self._blocks.depth
-        march(
-            which, self.record, wet.picture, depth, wet.view, environment, settings, self.light,
-            self.source,
+
+class March(NamedTuple):
+    """Steps of the march on the screen.
+
+    Attributes
+    ----------
+    thickness : float [m]
+    stride : float
+        Of the width, a step.
+    """
+
+    thickness: float = REFLECTION_THICKNESS
+    stride: float = REFLECTION_STRIDE
+
+    def settings(self, width, is_paper=False):
+        """Return the `ssr.MarchSettings` of a picture of a width [px]."""
+        numbers = (
+            paper.EPSILON if is_paper else self.thickness, max(1.0, self.stride * width),
+            REFLECTION_LENGTH,
         )  # fmt: skip
+        return ssr.MarchSettings(*(np.float32(n) for n in numbers))
 
-    def _mirror_window(self, which):
-        """Return left, top, right and bottom [px] of the window that the records `which` mirror.
 
-        It reaches beyond the picture where ripples look there.
-        """
-        height, width = self.wet.depth.shape
-        if not len(which):
-            return 0, 0, width, height
-        rows, columns = np.divmod(self.pixel[which], width)
-        across, down = (2 * WINDOW_SLOPE * float(f) for f in self.wet.view.lens[:2])
-        step = WINDOW_STEP
-        return (
-            int((columns.min() - across) // step * step),
-            int((rows.min() - down) // step * step),
-            int(-(-(columns.max() + 1 + across) // step) * step),
-            int(-(-(rows.max() + 1 + down) // step) * step),
+def draw_surface(tables, depth, rings):
+    """Return the `DrawnWater` of a depth of water and amplitudes of rings, (ny, nx) each."""
+    terrain = tables.terrain
+    surface, drawn_depth = water_surface(terrain, depth, tables.relief, terrain.mirrors)
+    shores = puddle_rings(depth, terrain.mirrors, tables.block_reach)
+    wet = drawn_depth > 0
+    highest = np.float32(surface[wet].max()) if wet.any() else None
+    return DrawnWater(WaterMap(surface, drawn_depth, rings, *tables.place, shores), highest)
+
+
+def find_water(config, depth, view, drawn, tops, off_ground):
+    """Return the `SeenWater` of a picture; slopes and light are filled in later.
+
+    Parameters
+    ----------
+    config : RenderConfig
+        Names the methods.
+    depth : ndarray of shape (height, width), float32 [m]
+        Of the picture without water.
+    view : View
+    drawn : DrawnWater
+    tops : TopMaps
+    off_ground : OffGroundWetness
+        What wets the tops.
+    """
+    height = len(depth)
+    hit, count = np.empty(depth.shape, np.float32), np.zeros(height, np.int64)
+    coverage = np.zeros(depth.shape, np.float32)
+    given, found = (depth, view, drawn.map), (hit, coverage, count)
+    if drawn.highest is None:
+        pass
+    elif config.water_geometry == "spheres":
+        paper.meet_spheres(*given, *found)
+    elif config.coverage == "hard":
+        paper.meet_hard(*given, drawn.highest, *found)
+    else:
+        meet_water(*given, drawn.highest, interleaved(height), COVERING_DEPTHS, *found)
+    if len(tops.form):
+        meet_tops(depth, view, tops, off_ground, interleaved(height), hit, coverage, count)
+    return _listed(view, drawn.map, tops, hit, coverage, count)
+
+
+def _listed(view, water, tops, hit, coverage, count):
+    """Return the `SeenWater` of the `count` pixels of each row that `hit` [m] tells."""
+    n = int(count.sum())
+    seen = SeenWater(
+        np.empty(n, np.int32), np.empty((n, water_record.RECORD), np.float32),
+        np.full(n, -1, np.int16), coverage, np.empty((n, 3), np.float32), np.empty(n, np.uint8),
+    )  # fmt: skip
+    if n:
+        water_shading.list_water(
+            hit, coverage, np.cumsum(count) - count, interleaved(len(count)), view, water, tops,
+            seen.pixel, seen.record,
+        )  # fmt: skip
+    if len(tops.form):
+        list_tops(tops, seen.record, seen.top)
+    return seen
+
+
+def shared_out(seen, name, tops, view):
+    """Return how a method shares the records out: to mirrors, the march, and the surroundings.
+
+    Parameters
+    ----------
+    seen : SeenWater
+    name : str
+        Of reflections.
+    tops : TopMaps
+    view : View
+
+    Returns
+    -------
+    mirrors : list of (place, which)
+        A place is the level [m] of a mirror and the window of its picture, see `mirror_window`.
+    others : ndarray of int64
+        Records that are marched.
+    surrounded : ndarray of int64
+        Records that mirror the surroundings alone: on tops that slope, or that are not at the level
+        of the only mirror.
+    """
+    if name not in seen.groups:
+        mirrors, *others = _grouped(seen, name, tops)
+        shape = seen.coverage.shape
+        mirrors = [
+            ((z, mirror_window(seen.pixel[which], shape, view.lens)), which) for z, which in mirrors
+        ]
+        seen.groups[name] = mirrors, *others
+    return seen.groups[name]
+
+
+def _grouped(seen, name, tops):
+    height = seen.record[:, water_record.Z]
+    if not len(tops.form):
+        return *group_levels(height, name), np.zeros(0, np.int64)
+    level = tops.form[:, ROWS] > 0
+    level = np.flatnonzero((seen.top < 0) | level[seen.top])
+    mirrors, others = group_levels(height[level], name)
+    mirrors = [(z, level[which]) for z, which in mirrors]
+    if name == "mirror":  # one for all: but not for tops at other levels
+        mirrors = [
+            (z, which[(seen.top[which] < 0) | (abs(height[which] - z) < MIRROR_SPREAD)])
+            for z, which in mirrors
+        ]
+    others = level[others]
+    left = np.ones(len(height), np.bool_)
+    for which in (others, *(which for _, which in mirrors)):
+        left[which] = False
+    return mirrors, others, np.flatnonzero(left)
+
+
+def mirror_window(pixel, shape, lens):
+    """Return left, top, right and bottom [px] of the window that some pixels of water mirror.
+
+    It reaches beyond the picture where ripples look there.
+
+    Parameters
+    ----------
+    pixel : ndarray of shape (n,), int
+        In the flattened picture.
+    shape : tuple of int
+        Height and width of the picture [px].
+    lens : array_like of shape (4,) [px]
+    """
+    height, width = shape
+    if not len(pixel):
+        return 0, 0, width, height
+    rows, columns = np.divmod(pixel, width)
+    across, down = (2 * WINDOW_SLOPE * float(f) for f in lens[:2])
+    step = WINDOW_STEP
+    return (
+        int((columns.min() - across) // step * step),
+        int((rows.min() - down) // step * step),
+        int(-(-(columns.max() + 1 + across) // step) * step),
+        int(-(-(rows.max() + 1 + down) // step) * step),
+    )
+
+
+def tilt(seen, slopes, size, tops):
+    """Fill in the slopes of every record by those of a tile of ripples and its size [m]."""
+    if len(seen):
+        ripples = Ripples(ripple_moments(slopes), np.float32(size))
+        water_shading.tilt_water(ripples, tops, seen.record)
+
+
+def light_up(seen, name, wet, tops, mirrors, surroundings, tall=None, march=None):
+    """Fill in the mirrored light of every record.
+
+    Parameters
+    ----------
+    seen : SeenWater
+    name : str
+        Of reflections; "traced" is `ray_traced.traced_light`.
+    wet : WetPicture
+    tops : TopMaps
+    mirrors : callable
+        mirrors(place) returns the View and the `planar_mirror.MirrorPicture` of a mirror, for each
+        place of `shared_out`.
+    surroundings : tuple of ndarray of shape (rows, columns, 3), float32
+        The environment that marched rays end in, and the blurred one that sloping tops mirror.
+    tall : callable, optional
+        tall() returns the `ssr.DepthBlocks` to march; without it they are made.
+    march : March, optional
+    """
+    march = march or March()
+    places, others, surrounded = shared_out(seen, name, tops, wet.view)
+    for place, which in places:
+        view, mirror = mirrors(place)
+        mirror_light(which, seen.record, view, mirror, seen.light, seen.source)
+    if len(others):
+        is_paper = name == "paper"
+        blocks = depth_blocks(wet) if tall is None else tall()
+        settings = march.settings(wet.depth.shape[1], is_paper)
+        go, depth = screen_space.march_light, blocks
+        if is_paper:
+            go, depth = paper.paper_light, blocks.depth
+        go(
+            others, seen.record, wet.picture, depth, wet.view, surroundings[0], settings,
+            seen.light, seen.source,
+        )  # fmt: skip
+    if len(surrounded):
+        screen_space.environment_light(
+            surrounded, seen.record, surroundings[1], seen.light, seen.source
         )
 
 
-def _restore(picture, pixel, shown):
-    """Put the picture without water back where the last frame's water was."""
-    shown.reshape(-1, 3)[pixel] = picture.reshape(-1, 3)[pixel]
+def depth_blocks(wet):
+    """Return the `ssr.DepthBlocks` of what stands on the ground of a `WetPicture`."""
+    tall = np.empty_like(wet.depth)
+    bounds = np.empty(ssr.bounds_of(*wet.depth.shape), np.float32)
+    screen_space.keep_tall(wet.depth, wet.clearance, tall)
+    ssr.block_bounds(tall, bounds)
+    return ssr.DepthBlocks(tall, bounds)
+
+
+def optics_of(config, sun):
+    """Return the `Optics` of the laws that a RenderConfig names and a sun (6,)."""
+    law = fresnel.LAWS[config.fresnel]
+    gain = np.float32(1) if config.wetting == "none" else 1 / (1 - ESCAPE)
+    return Optics(law, np.float32(GLINT_VARIANCE), sun, np.float32(gain))
+
+
+def terms(seen, config, wet, sun):
+    """Return the terms that the water of a picture is put together from.
+
+    Returns
+    -------
+    through : ndarray of shape (n, 3), float32
+        Radiance from below, before it is multiplied by 1 - reflectance.
+    share : ndarray of shape (n,), float32
+        Reflectance.
+    glint : ndarray of shape (n, 3), float32
+        The sun's glint as it is added.
+    """
+    n = len(seen)
+    through, glint = np.empty((n, 3), np.float32), np.empty((n, 3), np.float32)
+    share = np.empty(n, np.float32)
+    if n:
+        given = seen.pixel, seen.record, wet.background, wet.view, optics_of(config, sun)
+        laws = _paper_laws(config)
+        if any(laws):
+            paper.separate_paper_water(*given, laws, through, share, glint)
+        else:
+            water_shading.separate_water(*given, through, share, glint)
+    return through, share, glint
+
+
+def lay(seen, config, wet, sun, shown_out):
+    """Write the water into a picture, which holds the one without water."""
+    if not len(seen):
+        return
+    optics = optics_of(config, sun)
+    given = seen.pixel, seen.record, seen.light, wet.background, wet.view, optics
+    laws = _paper_laws(config)
+    if any(laws):
+        paper.lay_paper_water(*given, laws, shown_out)
+    else:
+        water_shading.lay_water(*given, shown_out)
+
+
+def _paper_laws(config):
+    return paper.PaperLaws(config.refraction == "shift", config.highlight == "blinn-phong")
+
+
+def choice_of(seen):
+    """Return in words the choice of `auto` for a picture; None where it chose nothing."""
+    if "auto" not in seen.groups or not len(seen):
+        return None
+    mirrors, others, surrounded = seen.groups["auto"]
+    pictures = "picture" if len(mirrors) == 1 else "pictures"
+    share = 1 - (len(others) + len(surrounded)) / len(seen)
+    tops = np.count_nonzero(seen.top >= 0)
+    notes = [
+        f"reflections: {len(mirrors)} mirrored {pictures} for {share:.0%} of the water in view"
+        + (", a march on the screen for other levels" if len(others) else "")
+    ]
+    if tops:
+        share = tops / seen.coverage.size
+        notes.append(f"tops above the ground are {share:.1%} of the picture")
+    if len(surrounded):
+        notes.append(f"{len(surrounded) / tops:.0%} of them slope and mirror the surroundings")
+    return "; ".join(notes)

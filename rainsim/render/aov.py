@@ -1,7 +1,7 @@
 """Arbitrary output variables (AOVs) of a frame, for compositing and as labels: `--layers`.
 
-Only those AOVs are computed that are asked for by name. `recompose` computes a frame from its AOVs:
-so it defines what they mean.
+Only those AOVs are computed that are asked for by name, by the passes of `rainsim.render.layers`.
+`recompose` computes a frame from its AOVs: so it defines what they mean.
 """
 
 from __future__ import annotations
@@ -9,24 +9,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from rainsim.errors import ParameterError
-from rainsim.particles.splash import LONGEST_LIFE
-from rainsim.particles.splash_pass import seen_splashes
-from rainsim.particles.streaks import NEAR
-from rainsim.rain.dripping import drip_impacts
-from rainsim.reflection import water_record
-from rainsim.render import labels, node_labels
 from rainsim.shading import composite
-from rainsim.shading.dampness import find_dampness
-from rainsim.shading.wet_pass import dry_picture
-from rainsim.terrain.table import WATER
 
 PICTURE, SHARE, INDEX, DATA = "picture", "share", "index", "data"  # kinds, see `Aov`
-MOST_INDEX = 2**16 - 1
-FLOW_SAMPLES = 24  # places on a drop's path at which its motion is recorded
-SEEN_SPLASH = 1 / 512  # share of a pixel's light from which a splash is labelled
 
 
 @dataclass(frozen=True)
@@ -84,12 +71,6 @@ AOVS = {
     "puddle_id": Aov(INDEX, "", "of the puddle that a pixel shows, 0 for none"),
     "actor_id": Aov(INDEX, "", "of the moving node that a pixel shows, 0 for none"),
 }
-TERMS = ("coverage", "reflection", "reflection_source", "refraction", "fresnel", "highlight",
-         "water_depth")  # fmt: skip
-OF_THE_WATER = (*TERMS, "class_id", "puddle_id")  # those that need the list of the water's pixels
-DRY = frozenset({"clean", "normal", "wetness", "class_id"})  # those that need the dry picture
-FLOW = frozenset({"flow", "flow_mask"})
-NODES = FLOW | {"actor_id", "class_id"}  # those that need to know which node a pixel shows
 NEEDED = ("wet", "coverage", "reflection", "refraction", "fresnel", "highlight", "transmission",
           "rain_alpha", "splash_alpha")  # fmt: skip
 
@@ -113,119 +94,6 @@ def parse_names(text):
                 f"there is no layer {name!r}; known are all, {', '.join(AOVS)}; correct the name"
             )
     return names
-
-
-@dataclass(frozen=True)
-class FrameParts:
-    """The parts that a frame was composed of.
-
-    Attributes
-    ----------
-    dry : raster.Layers or None
-        The dry capture; None if no AOV of DRY is asked for.
-    wet : WetPicture
-    water : WaterPass
-    sun : ndarray of shape (6,), float32
-        See `sky.sunlight`.
-    field : RainField or None
-    surfaces : Surfaces
-    camera : Camera
-        In the ground frame.
-    state : SimState
-    exposure, interval : float [s]
-        Of the shutter, and from frame to frame.
-    film : float [m]
-        Water on all that is wet.
-    ground : GroundMaps
-    off_ground : OffGroundWetness
-    look : Look
-    unit : float [m]
-        A unit of the capture.
-    cover : RainCover
-    far : float [m]
-        As far as drops are drawn.
-    terrain : Terrain
-    after : Camera or None
-        Of the next frame, in the ground frame; None: the camera stands still.
-    depth_after : ndarray of shape (height, width), float32 [m], or None
-        What the next frame's camera sees; None: the camera stands still, or no AOV of FLOW is
-        asked for.
-    nodes : NodesSeen or None
-        What moves; None: nothing does, or no AOV of NODES is asked for.
-    """
-
-    dry: object
-    wet: object
-    water: object
-    sun: np.ndarray
-    field: object
-    surfaces: object
-    camera: object
-    state: object
-    exposure: float
-    interval: float
-    film: float
-    ground: object
-    off_ground: object
-    look: object
-    unit: float
-    cover: object
-    far: float
-    terrain: object
-    after: object = None
-    depth_after: np.ndarray | None = None
-    nodes: node_labels.NodesSeen | None = None
-
-
-def collect(names, parts):
-    """Return the named AOVs of a frame, a dict of arrays (height, width) or (height, width, n).
-
-    Parameters
-    ----------
-    names : sequence of str
-        Of `AOVS`.
-    parts : FrameParts
-    """
-    found = {
-        "depth": parts.wet.depth, "wet": parts.wet.picture,
-        "film": parts.wet.picture - parts.wet.below,
-        "rain_alpha": parts.cover.rain_alpha, "splash_alpha": parts.cover.splash_alpha,
-    }  # fmt: skip
-    if not set(TERMS).isdisjoint(names):
-        found.update(_water_terms(parts))
-    if not FLOW.isdisjoint(names):
-        found["flow"], found["flow_mask"] = _flow(parts)
-    computed = {
-        "clean": _clean, "normal": _normal, "wetness": _wetness, "transmission": _transmission,
-        "splash_id": _splash_id, "drop_flow": _drop_flow, "range": _range, "class_id": _class_id,
-        "puddle_id": _puddle_id, "actor_id": _actor_id,
-    }  # fmt: skip
-    return {n: computed[n](parts) if n in computed else found[n].copy() for n in names}
-
-
-def facts_of(aovs, parts, weather):
-    """Return a frame's labels besides pictures, as plain JSON values.
-
-    Parameters
-    ----------
-    aovs : dict of str to ndarray
-        Those that were asked for: classes are named, puddles and splashes get their boxes.
-    parts : FrameParts
-    weather : dict
-        See `rainsim.render.weather.weather_of`.
-    """
-    facts = {"weather": weather}
-    if "class_id" in aovs:
-        facts["classes"] = labels.class_names()
-    if "puddle_id" in aovs:
-        _, puddles = labels.puddle_map(parts.terrain, parts.state.depth)
-        boxes = labels.boxes_of(aovs["puddle_id"])
-        facts["puddles"] = [{**box, **puddles.get(box["id"], {})} for box in boxes]
-    if "actor_id" in aovs and parts.nodes is not None:
-        facts["actors"] = node_labels.facts_of_nodes(parts.nodes, parts.camera)
-    if "splash_id" in aovs:
-        facts["splashes"] = labels.boxes_of(aovs["splash_id"])
-    return facts
 
 
 def recompose(aovs, drop, around, air, brightness):
@@ -292,155 +160,3 @@ def spread_field(drop, height, width):
     b, a = (v - j)[:, None, None], (u - i)[None, :, None]
     rows = drop[j] * (1 - b) + drop[j + 1] * b
     return rows[:, i] * (1 - a) + rows[:, i + 1] * a
-
-
-def _clean(parts):
-    return (np.clip(parts.dry.color, 0, 1) * 255 + 0.5).astype(np.uint8)
-
-
-def _normal(parts):
-    return (parts.dry.normal @ parts.wet.view.ground_from_camera.T).astype(np.float32)
-
-
-def _wetness(parts):
-    damp = np.empty(parts.wet.depth.shape, np.float32)
-    find_dampness(
-        parts.wet.depth, parts.wet.clearance, dry_picture(parts.dry, parts.unit),
-        parts.look, parts.wet.view,
-        parts.ground, parts.off_ground, damp,
-    )  # fmt: skip
-    return damp
-
-
-def _transmission(parts):
-    clear = np.empty(parts.wet.depth.shape, np.float32)
-    composite.find_clear(parts.wet.depth, parts.cover.fog, parts.wet.view, clear)
-    return clear
-
-
-def _water_terms(parts):
-    """Return the AOVs of TERMS; zero where there is no water."""
-    water, wet = parts.water, parts.wet
-    height, width = wet.depth.shape
-    through, share, glint = water.terms(parts.sun)
-
-    def spread(values, dtype=np.float32):
-        out = np.zeros((height * width, *values.shape[1:]), dtype)
-        out[water.pixel] = values
-        return out.reshape(height, width, *values.shape[1:])
-
-    return {
-        "coverage": spread(water.record[:, water_record.COVERAGE]),
-        "reflection": spread(water.light),
-        "reflection_source": spread(water.source + 1, np.uint16), "refraction": spread(through),
-        "fresnel": spread(share), "highlight": spread(glint),
-        "water_depth": spread(water.record[:, water_record.WATER_DEPTH]),
-    }  # fmt: skip
-
-
-def _splash_id(parts):
-    """Return a number for each splashed pixel: that of the splash whose middle is nearest.
-
-    A splash keeps its number from frame to frame and from camera to camera, for it comes from its
-    drop; two splashes of one picture can have the same one by chance.
-    """
-    labels = np.zeros(parts.cover.splash_alpha.shape, np.uint16)
-    rows, columns = np.nonzero(parts.cover.splash_alpha > SEEN_SPLASH)
-    if parts.field is None or not len(rows):
-        return labels
-    time, drips = parts.state.time, (parts.state.drips, parts.state.drip_id, parts.surfaces)
-    position, ids = seen_splashes(
-        parts.field, parts.surfaces, parts.camera, time, parts.exposure, parts.state.depth,
-        parts.film, parts.wet.depth,
-        more=drip_impacts(*drips, time - LONGEST_LIFE, time + parts.exposure),
-    )  # fmt: skip
-    if not len(ids):
-        return labels
-    place = _project(position, parts.camera)[:, :2]
-    nearest = cKDTree(place).query(np.column_stack([columns + 0.5, rows + 0.5]))[1]
-    labels[rows, columns] = (ids[nearest] % np.uint64(MOST_INDEX) + np.uint64(1)).astype(np.uint16)
-    return labels
-
-
-def _range(parts):
-    return labels.range_of(parts.wet.depth, parts.camera)
-
-
-def _flow(parts):
-    """Return motion and mask of the scene, see `labels.flow_of`; zero and seen if it is still."""
-    if parts.after is None:
-        shape = parts.wet.depth.shape
-        return np.zeros((*shape, 2), np.float32), np.full(shape, labels.SEEN, np.uint16)
-    given = parts.wet.depth, parts.camera, parts.after, parts.depth_after
-    if parts.nodes is None:
-        return labels.flow_of(*given)
-    return labels.flow_of(*given, parts.nodes.number, node_labels.moves_of(parts.nodes))
-
-
-def _class_id(parts):
-    water = np.zeros(parts.wet.depth.shape, bool)
-    kept = labels.shown_water(parts.water.record)
-    water.ravel()[parts.water.pixel[kept]] = True
-    ids = labels.class_ids(parts.wet, _normal(parts), parts.terrain, water)
-    if parts.nodes is not None:
-        ids[(parts.nodes.number > 0) & (ids != WATER)] = labels.OTHER_CLASS
-    return ids
-
-
-def _actor_id(parts):
-    if parts.nodes is None:
-        return np.zeros(parts.wet.depth.shape, np.uint16)
-    return parts.nodes.number.copy()
-
-
-def _puddle_id(parts):
-    ids, _ = labels.puddle_map(parts.terrain, parts.state.depth)
-    water = parts.water
-    return labels.puddle_ids(water.pixel, water.record, parts.wet.depth.shape, parts.terrain, ids)
-
-
-def _project(points, camera):
-    """Return image point and depth of ground-frame points, (n, 3)."""
-    matrix = camera.camera_from_world
-    x, y, z = (np.asarray(points, np.float64) @ matrix[:3, :3].T + matrix[:3, 3]).T
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.stack([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy, z], axis=1)
-
-
-def _drop_flow(parts):
-    """Return the motion of drops in the picture, the mean over the drops in a pixel.
-
-    The camera's own motion is part of it. Each drop counts with the light that it replaces; zero
-    where there are none.
-    """
-    height, width = parts.cover.rain_alpha.shape
-    flow = np.zeros((height * width, 2))
-    weight = np.zeros(height * width)
-    if parts.field is None:
-        return flow.reshape(height, width, 2).astype(np.float32)
-    camera, depth = parts.camera, parts.wet.depth
-    corners = np.array([(u, v, 1.0) for u in (0, camera.width) for v in (0, camera.height)])
-    rays = (corners - (camera.cx, camera.cy, 0)) / (camera.fx, camera.fy, 1)
-    box = np.concatenate([rays * parts.far, np.zeros((1, 3))])
-    box = box @ camera.camera_from_world[:3, :3] + camera.position
-    high = box.max(axis=0) + np.array([0, 0, 0.3])  # drops that fall into view meanwhile
-    found = parts.field.drops_in_box(parts.state.time, box.min(axis=0), high)
-    start = _project(found.position, camera)
-    view_after = camera if parts.after is None else parts.after
-    after = _project(found.position + found.velocity * parts.interval, view_after)
-    ahead = (start[:, 2] > NEAR) & (after[:, 2] > NEAR)
-    start, after = start[ahead], after[ahead]
-    cover = found.diameter[ahead] ** 2 / start[:, 2] ** 2
-    opened = parts.exposure / parts.interval
-    for k in range(FLOW_SAMPLES):
-        part = opened * (k + 0.5) / FLOW_SAMPLES
-        u, v, z = (start + part * (after - start)).T
-        inside = (u >= 0) & (u < width) & (v >= 0) & (v < height) & (z < parts.far)
-        at = v[inside].astype(np.int64) * width + u[inside].astype(np.int64)
-        before = z[inside] < depth.ravel()[at]
-        at, which = at[before], np.flatnonzero(inside)[before]
-        np.add.at(weight, at, cover[which])
-        np.add.at(flow, at, cover[which, None] * (after - start)[which, :2])
-    flow /= np.maximum(weight, 1e-30)[:, None]
-    flow[parts.cover.rain_alpha.ravel() <= 0] = 0
-    return flow.reshape(height, width, 2).astype(np.float32)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rainsim.drops import RainField, RainSpectrum, Weather
+from rainsim.drops import RainField, RainSpectrum
 from rainsim.particles import paper
 from rainsim.particles.fog import NO_FOG, fog_table
 from rainsim.particles.line_raster import NEAR
@@ -13,91 +13,84 @@ from rainsim.particles.splash_pass import draw_splashes
 from rainsim.particles.spray import lay_clouds, spray_seen
 from rainsim.particles.streaks import draw_streaks, streak_reach
 from rainsim.rain.dripping import drip_impacts, drips_seen
-from rainsim.shading.composite import RainCover
 
 
-class RainPass:
-    """Draws the rain of one scene, a moment after another.
+def draw_falling(depth, view, view_end, time, render, field, surfaces, drips, throws):
+    """Return the share of light that falling drops replace, and the fog of those not drawn.
 
     Parameters
     ----------
+    depth : ndarray of shape (height, width), float32 [m]
+        Of the picture.
+    view, view_end : Camera
+        In the ground frame, as the shutter opens and closes; None at the end: it stands still.
+    time : float [s]
+    render : RenderConfig
+        Of that time.
+    field : RainField or None
+        None without rain.
     surfaces : Surfaces
         What drops land on.
-    config : Config
+    drips, throws : tuple
+        Drips in the air and what tyres throw, each with its numbers.
 
-    Attributes
-    ----------
-    weather : Weather
+    Returns
+    -------
+    alpha : ndarray of shape (height, width), float32
+    fog : ndarray
+        See `fog_table`.
     """
-
-    def __init__(self, surfaces, config):
-        self.surfaces, self.interval = surfaces, config.frame_interval
-        self.weather = Weather(config)
-
-    def field(self, time, exposure):
-        """Return the drops whose streaks or splashes a frame shows, a RainField; None: no rain."""
-        return self.weather.field(time - LONGEST_LIFE, time + exposure)
-
-    def draw(self, camera, camera_end, state, render, paving, depth, timer):
-        """Return the `RainCover` before a picture.
-
-        Parameters
-        ----------
-        camera : Camera
-            In the ground frame, as the shutter opens.
-        camera_end : Camera or None
-            As it closes; None: the camera stands still.
-        state : SimState
-        render : RenderConfig
-            Of the state's time.
-        paving : float
-            How wet open paving is, 0 to 1.
-        depth : ndarray of shape (height, width), float32 [m]
-            Of the picture.
-        timer : Timer
-        """
-        rain = np.zeros((camera.height, camera.width), np.float32)
-        splash, field = np.zeros_like(rain), self.field(state.time, render.exposure)
-        drops, clouds = spray_seen(
-            state.throws, state.throw_id, camera, state.time, render.exposure
-        )
-        if field is None:
-            self._draw_spray_alone(camera, camera_end, state, render, depth, drops, rain)
-            lay_clouds(clouds, camera, depth, rain)
-            return RainCover(rain, splash, NO_FOG)
-        shutter = field, self.surfaces, camera, state.time
-        lens = camera_end, render.aperture, render.focus
-        reach = streak_reach(field, camera, render.exposure, render.streak_far)
-        if render.streaks == "paper":
-            paper.draw_lines(*shutter, render.streak_far, depth, rain)
-            fog = NO_FOG
-        else:
-            drips = drips_seen(state.drips, state.time, render.exposure)
-            more = np.concatenate([drips, drops]) if len(drops) else drips
-            draw_streaks(*shutter, render.exposure, depth, reach, rain, *lens, more=more)
-            fog = fog_table(field, reach)
-        lay_clouds(clouds, camera, depth, rain)
-        timer.mark("streaks")
-        if render.splashes == "paper":
-            begin = state.time - self.interval
-            paper.draw_gaussians(*shutter[:3], begin, state.time, depth, splash)
-        else:
-            impacts = drip_impacts(
-                state.drips, state.drip_id, self.surfaces, state.time - LONGEST_LIFE,
-                state.time + render.exposure,
-            )  # fmt: skip
-            draw_splashes(
-                *shutter, render.exposure, state.depth, WET_FILM * paving, depth, splash, *lens,
-                more=impacts,
-            )  # fmt: skip
-        timer.mark("splashes")
-        return RainCover(rain, splash, fog)
-
-    def _draw_spray_alone(self, camera, camera_end, state, render, depth, drops, alpha_out):
-        """Draw the spray of tyres on a wet road while no rain falls."""
+    alpha = np.zeros(depth.shape, np.float32)
+    drops, clouds = spray_seen(*throws, view, time, render.exposure)
+    lens = view_end, render.aperture, render.focus
+    if field is None:  # tyres on a wet road throw water while no rain falls
+        fog = NO_FOG
         if len(drops):
             none = RainField(RainSpectrum(0.0))
             draw_streaks(
-                none, None, camera, state.time, render.exposure, depth, NEAR, alpha_out,
-                camera_end, render.aperture, render.focus, more=drops,
-            )  # fmt: skip
+                none, None, view, time, render.exposure, depth, NEAR, alpha, *lens, more=drops
+            )
+    elif render.streaks == "paper":
+        paper.draw_lines(field, surfaces, view, time, render.streak_far, depth, alpha)
+        fog = NO_FOG
+    else:
+        reach = streak_reach(field, view, render.exposure, render.streak_far)
+        seen = drips_seen(drips[0], time, render.exposure)
+        more = np.concatenate([seen, drops]) if len(drops) else seen
+        draw_streaks(
+            field, surfaces, view, time, render.exposure, depth, reach, alpha, *lens, more=more
+        )
+        fog = fog_table(field, reach)
+    lay_clouds(clouds, view, depth, alpha)
+    return alpha, fog
+
+
+def draw_landing(
+    depth, view, view_end, time, interval, render, field, surfaces, drips, water, paving
+):
+    """Return the share of light that splashes replace, ndarray of shape (height, width), float32.
+
+    Parameters
+    ----------
+    interval : float [s]
+        From frame to frame.
+    water : ndarray of shape (ny, nx), float32 [m]
+        Depth on the ground.
+    paving : float
+        How wet open paving is, 0 to 1.
+
+    The others are those of `draw_falling`.
+    """
+    alpha = np.zeros(depth.shape, np.float32)
+    if field is None:
+        return alpha
+    shutter = field, surfaces, view
+    if render.splashes == "paper":
+        paper.draw_gaussians(*shutter, time - interval, time, depth, alpha)
+        return alpha
+    impacts = drip_impacts(*drips, surfaces, time - LONGEST_LIFE, time + render.exposure)
+    draw_splashes(
+        *shutter, time, render.exposure, water, WET_FILM * paving, depth, alpha, view_end,
+        render.aperture, render.focus, more=impacts,
+    )  # fmt: skip
+    return alpha

@@ -24,7 +24,7 @@ class FrameReport:
     light : dict
         What `aov.recompose` needs besides: radiances and the brightness.
     facts : dict
-        The frame's weather, names of classes, boxes: see `aov.facts_of`.
+        The frame's weather, names of classes, boxes: see `layers.facts_of`.
 
     Examples
     --------

@@ -1,45 +1,68 @@
-"""How wet a part of the ground is at one time, as a `WetScene` takes it."""
+"""How wet a part of the ground is, one time after another."""
 
 from __future__ import annotations
-
-from typing import NamedTuple
 
 import numpy as np
 from scipy import ndimage
 
 from rainsim.shading import wetness
+from rainsim.shading.bodies import BodyMap
+from rainsim.shading.wetting import GroundMaps
+from rainsim.water.rolling import NO_TRACKS
 
 
-class WetGround(NamedTuple):
+class WetGround:
     """A part of the ground and how wet it is.
 
-    Attributes
+    Parameters
     ----------
     terrain : Terrain
     reach : ndarray of shape (ny, nx), float32
         Share of the rain that reaches the ground.
+
+    Attributes
+    ----------
     grass : ndarray of shape (ny, nx), float32
         See `blurred_grass`.
-    now : Config
-        Of the time from which on it is drawn.
+    map : ndarray of shape (ny, nx, 4), float32, or None
+        See `wetness.ground_wetness`; None until `wet` is called.
+    bodies : BodyMap or None
+        None until `stand` is called.
     """
 
-    terrain: object
-    reach: np.ndarray
-    grass: np.ndarray
-    now: object
+    def __init__(self, terrain, reach):
+        self.terrain, self.reach, self.grass = terrain, reach, blurred_grass(terrain)
+        self.map = self._untouched = self.bodies = None
+        self._tracks = NO_TRACKS
 
-    def wetness(self):
-        """Return the wetness of the ground, (ny, nx, 4) float32, see `wetness.ground_wetness`.
+    def stand(self, nodes):
+        """Find the smooth bodies that stand on the ground, and where `nodes` (or None) are."""
+        self.bodies = BodyMap(self.terrain, nodes)
 
-        Found when the part is drawn: until then it would only take memory.
+    def wet(self, now):
+        """Find how wet the ground is at the settings of one time."""
+        self._untouched = wetness.ground_wetness(self.terrain, self.grass, self.reach, now)
+        self.map = wetness.with_tracks(self._untouched, self._tracks)
+
+    def take_tracks(self, tracks):
+        """Take over where tyres have thinned the film, see `Tyres.tracks`; return if that is new.
+
+        Parameters
+        ----------
+        tracks : ndarray of shape (ny, nx) or (0, 0), uint8
         """
-        return wetness.ground_wetness(self.terrain, self.grass, self.reach, self.now)
+        if np.array_equal(tracks, self._tracks):
+            return False
+        self._tracks = tracks
+        self.map = wetness.with_tracks(self._untouched, tracks)
+        return True
 
-
-def wet_ground_of(terrain, reach, now):
-    """Return the `WetGround` of a terrain with the settings `now` of one time."""
-    return WetGround(terrain, reach, blurred_grass(terrain), now)
+    @property
+    def maps(self):
+        """The `GroundMaps` of the present time, as kernels take them."""
+        grid = self.terrain.grid
+        place = np.array(grid.origin, np.float32), np.float32(grid.spacing)
+        return GroundMaps(self.terrain.bed, self.map, *place, self.bodies.now)
 
 
 def blurred_grass(terrain):

@@ -75,7 +75,7 @@ class Windows:
         ----------
         station : Station
         ready_ground : callable, optional
-            See `Renderer.ready_ground`.
+            See `Conductor.ready_ground`.
         """
         if self._work is None and may_run_beside():
             self._wait()

@@ -103,8 +103,8 @@ def draw_rolling(renderer, camera, state, motion, readout, names=(), **options):
     **options
         `rows`, `first_row` and `height` of `bands`.
     """
-    frame, parts = renderer.wet_scene.frame, []
-    exposure = renderer.config.at(state.time).render.exposure
+    frame, parts = renderer.conductor.wet_scene.frame, []
+    exposure = renderer.conductor.config.at(state.time).render.exposure
     for delay, begin, end in bands(camera, motion, readout, exposure, **options):
         here = replace(state, time=state.time + delay)
         parts.append(renderer.draw(frame.camera_in_capture(begin), here, end, names))

@@ -79,7 +79,7 @@ def mode_picture(
 
 
 def _depth_at_hand(session):
-    return session.renderer.wet.depth if session.backend == "cpu" else None
+    return session.renderer.frame["depth"] if session.backend == "cpu" else None
 
 
 def layer_picture(name, values):

@@ -16,12 +16,12 @@ from rainsim.errors import GroundError, ParameterError, shown
 from rainsim.io.files import number_array
 from rainsim.lod.paged import rasterizer_of_scene
 from rainsim.pipeline import extract_terrain
+from rainsim.render.drawn_capture import NEAR
 from rainsim.render.leaving import leaving_of
 from rainsim.render.memory import require_memory, require_memory_of_picture
 from rainsim.render.renderer import Renderer
 from rainsim.render.report import Timer
 from rainsim.render.shutter import shutter_end
-from rainsim.render.wet_scene import NEAR
 from rainsim.scene.camera_path import camera_path_data, path_cameras
 from rainsim.scene.camera_rule import RIGID_TOLERANCE
 from rainsim.scene.cameras import resize_to
@@ -227,7 +227,7 @@ class Session:
         if self.backend != "cpu":
             self._make_light(config, check)
             return
-        light = self.renderer.wet_scene
+        light = self.renderer.conductor.wet_scene
         light.config = config
         self.renderer = Renderer(
             self._drawn_scene, self.terrain, config, self._first_camera(), wet_scene=light
@@ -246,7 +246,7 @@ class Session:
         if self._drawn_with == config:
             return
         if self.backend == "cpu":
-            self.renderer.take_settings(config)
+            self.renderer.conductor.take_settings(config)
             self._camera, self._drawn_with = None, config
         elif not self.stale:  # the device has copies of the settings
             self._make_light(config, None)
@@ -353,7 +353,7 @@ class Session:
     def dry(self, camera):
         """Return the `raster.Layers` of the capture that a Camera of the capture frame takes."""
         if self.is_ready:
-            return self.host.wet_scene.dry(camera)
+            return self.renderer.conductor.wet_scene.capture.dry(camera)
         if self._bare is None:
             self._bare = rasterizer_of_scene(self.scene, self.config.render)
         return self._bare.draw(camera, NEAR / self.scene.ground_frame.meters_per_unit)
@@ -380,7 +380,7 @@ class Session:
         if not self.is_ready or not self.scene.cameras:
             return None
         if self._leaving is None:
-            self._leaving = leaving_of(self.host.wet_scene.scene) or False
+            self._leaving = leaving_of(self.renderer.conductor.wet_scene.scene) or False
         return self._leaving.share(self.camera_of(view, width, height)) if self._leaving else None
 
     def _simplify(self, simple):
@@ -389,15 +389,10 @@ class Session:
             look = self._drawn_with.render
             if simple and look.reflections in MIRRORS:
                 look = replace(look, reflections="ssr", film="environment")
-            self.renderer.water.config = self.renderer.wet_ground.config = look
+            self.renderer.conductor.take_methods(look)
 
     def kept(self, key, compute):
         """Return the result of compute() for a key and the terrain, computed when either is new."""
         if self._kept[0] != key or self._kept[1] is not self.terrain:
             self._kept = key, self.terrain, compute()
         return self._kept[2]
-
-    @property
-    def host(self):
-        """The CPU's `Renderer`: scene, light and terrain, whatever the backend."""
-        return self.renderer if self.backend == "cpu" else self.renderer.host

@@ -26,7 +26,8 @@ def water(rng):
     lens = (np.float32(n) for n in (50, 50, WIDTH / 2, HEIGHT / 2))
     dark = np.zeros((HEIGHT, WIDTH, 3), np.float32)
     wet = WetPicture(dark, depth, clearance, View(turn, np.zeros(3, np.float32), *lens), dark)
-    return SimpleNamespace(wet=wet, pixel=np.arange(HEIGHT * WIDTH // 2, HEIGHT * WIDTH))
+    pixel = np.arange(HEIGHT * WIDTH // 2, HEIGHT * WIDTH)
+    return SimpleNamespace(wet=wet, pixel=pixel, coverage=depth)
 
 
 def test_accuracy_is_that_of_the_masked_pixels(water, rng):
@@ -90,9 +91,9 @@ def test_why_the_camera_does_not_see_a_traced_end(water):
         "before what is seen": (0.0, 0.0, 3.0), "outside the picture": (10.0, 0.0, 5.0),
         "behind the camera": (0.0, 0.0, -1.0), "ground": (-2.8, 0.0, 5.0),
     }  # fmt: skip
-    causes = truth_bench.why_unseen(water, np.ones(6), np.array(list(ends.values())))
+    causes = truth_bench.why_unseen(water.wet, np.ones(6), np.array(list(ends.values())))
     assert list(causes) == list(ends)
-    sky = truth_bench.why_unseen(water, np.zeros(1), np.full((1, 3), np.inf))
+    sky = truth_bench.why_unseen(water.wet, np.zeros(1), np.full((1, 3), np.inf))
     assert list(sky) == ["sky"]
 
 

@@ -15,7 +15,7 @@ pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
 @pytest.fixture(autouse=True)
 def sky_alone(monkeypatch):
     """The day's sky as surroundings: six pictures are much for the simulator."""
-    monkeypatch.setattr(WetScene, "_surroundings", lambda self, position: self.day)
+    monkeypatch.setattr(WetScene, "_surroundings", lambda self, position: self.sky.day)
 
 
 def test_a_level_is_measured(monkeypatch):

@@ -26,7 +26,7 @@ SIZE = (32, 24)
 @pytest.fixture(autouse=True)
 def quick(monkeypatch):
     """The day's sky as surroundings: six pictures are much for the simulator."""
-    monkeypatch.setattr(WetScene, "_surroundings", lambda self, position: self.day)
+    monkeypatch.setattr(WetScene, "_surroundings", lambda self, position: self.sky.day)
 
 
 def config(**changes):
@@ -66,7 +66,7 @@ def test_frames_are_those_of_the_cpu(reflections, least):
         assert decibel(a, b) > least
     assert (wanted[0] != wanted[1]).any()
     # Of the ground's water, and of what lies level above it.
-    assert renderer.frame.mirrors.passes == (2 if reflections == "auto" else 0)
+    assert renderer.frame.passes.mirrors.passes == (2 if reflections == "auto" else 0)
     again = renderer.draw(camera, states[0])[0]
     np.testing.assert_array_equal(again, found[0])
     assert len(launches) == count > 0  # a still camera's picture is kept
@@ -112,7 +112,7 @@ def test_film_gets_a_mirrored_picture_where_it_is_worth_one():
             pictures.append(picture.copy())
             notes.append([note for note in report.notes if note.startswith("film")])
     assert notes[0] == notes[2] and "a mirrored picture" in notes[2][0] and notes[3] == []
-    assert len(renderer.frame.ground_light.rasterizers) == 1
+    assert len(renderer.frame.passes.ground_light.rasterizers) == 1
     assert decibel(pictures[2], pictures[0]) > 50
     np.testing.assert_array_equal(pictures[2], pictures[3])
     plain = config(reflections="auto", film="environment", rate=0.0)

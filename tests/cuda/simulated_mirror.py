@@ -1,7 +1,6 @@
 """How the twin chooses mirrors and what part of them is drawn, in the simulator."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,7 +9,7 @@ from rainsim.cuda import simulated
 from rainsim.cuda.reflection import planar_mirror as twin
 from rainsim.cuda.splatting import project
 from rainsim.reflection.mirror_choice import LEVEL_STEP, group_levels
-from rainsim.reflection.water_pass import WaterPass
+from rainsim.reflection.water_pass import mirror_window
 from rainsim.scene.types import Camera
 from rainsim.scene.view import CameraArrays
 
@@ -82,10 +81,7 @@ def test_the_window_is_that_of_the_cpu(water, focal, step):
     _, coverage = water
     camera = Camera(WIDTH, HEIGHT, focal, 1.1 * focal, 44.0, 36.0, np.eye(4))
     lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float32)
-    wet = SimpleNamespace(depth=coverage, view=SimpleNamespace(lens=lens))
-    left, top, right, bottom = WaterPass._mirror_window(
-        SimpleNamespace(wet=wet, pixel=np.flatnonzero(coverage)), np.arange((coverage > 0).sum())
-    )
+    left, top, right, bottom = mirror_window(np.flatnonzero(coverage), coverage.shape, lens)
     rows, columns = np.nonzero(coverage)
     extent = np.array([columns.min(), rows.min(), columns.max(), rows.max()], np.int32)
     numbers = np.zeros((2, project.CAMERA))

@@ -32,7 +32,7 @@ CONFIG = Config.from_preset("downpour").replace(
 @pytest.fixture(autouse=True)
 def quick(monkeypatch):
     """The day's sky as surroundings: six pictures are much for the simulator."""
-    monkeypatch.setattr(WetScene, "_surroundings", lambda self, position: self.day)
+    monkeypatch.setattr(WetScene, "_surroundings", lambda self, position: self.sky.day)
 
 
 @pytest.fixture(scope="module")

@@ -217,7 +217,7 @@ def main():
     if SIMULATED:
         importlib.import_module("conftest")  # its threads take turns
     if chosen.tiny:  # six pictures of the surroundings are much for the simulator
-        WetScene._surroundings = lambda self, position: self.day
+        WetScene._surroundings = lambda self, position: self.sky.day
     if SIMULATED and chosen.spoil:
         spoil_simulated()
     if chosen.cleared:

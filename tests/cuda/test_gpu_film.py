@@ -52,7 +52,6 @@ def test_a_frame_with_its_film_is_that_of_the_cpu(film):
     pictures, notes = [], []
     for renderer in (OnCpu, OnGpu):
         renderer = renderer(scene, terrain, settings, camera)
-        host = getattr(renderer, "host", renderer)
         notes.append([])
         for _ in range(2):
             picture, report = renderer.draw(camera, state)
@@ -62,4 +61,4 @@ def test_a_frame_with_its_film_is_that_of_the_cpu(film):
     assert error < 1e-6  # 60 dB
     np.testing.assert_array_equal(pictures[2], pictures[3])
     assert notes[0] == notes[1] and len(notes[0]) == (film == "auto")
-    assert host.wet_ground.drawn == (film != "environment")
+    assert renderer.conductor.ground.film.drawn == (film != "environment")

@@ -283,12 +283,12 @@ def test_a_timeline_brings_the_sun_back(tmp_path, monkeypatch):
     terrain = extract_terrain(scene, config)
     wet = WetScene(scene, terrain, config, camera)
     assert "fake" in wet.notes
-    covered = wet.dry(camera).color
-    clean = wet.dry(camera, True).color
+    covered = wet.capture.dry(camera).color
+    clean = wet.capture.dry(camera, True).color
     assert wet.set_time(config.at(1.0))
-    sunny = wet.dry(camera).color
+    sunny = wet.capture.dry(camera).color
     off = WetScene(scene, terrain, config.replace(relight="off"), camera)
-    np.testing.assert_array_equal(sunny, off.dry(camera).color)
+    np.testing.assert_array_equal(sunny, off.capture.dry(camera).color)
     np.testing.assert_array_equal(clean, sunny)  # the layer `clean` is the capture at any time
     assert covered.mean() > 1.2 * sunny.mean()
 

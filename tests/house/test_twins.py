@@ -12,6 +12,7 @@ CUDA_ONLY = {
     "rain/settling.py",  # lists of drops that ended, and where their water goes
     "render/device_frame.py",  # arrays of a frame that stay on the device
     "render/frame_queue.py",  # launches of a frame, recorded
+    "render/lanes.py",  # streams, and which of them waits for which
     "scalars.py",  # sums and lists over a grid of threads
     "timing.py",  # events
     "warp.py",  # instructions of a warp

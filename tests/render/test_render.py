@@ -11,7 +11,6 @@ from rainsim.config.settings import Config, mm_per_hour
 from rainsim.errors import ParameterError
 from rainsim.pipeline import extract_terrain, render_rain, simulate
 from rainsim.reflection.mirror_choice import mirror_step
-from rainsim.reflection.water_pass import Shower
 from rainsim.render import rain_pass
 from rainsim.render.renderer import Renderer
 from rainsim.scene.cameras import mirrored_camera
@@ -116,8 +115,8 @@ def test_half_mirrors_show_much_the_same_and_small_pictures_have_full_ones(scene
      ("auto", 0, 600, 0, 1), ("auto", 10, 60, 0, 1), ("auto", 10, 600, 1, 1)],
 )  # fmt: skip
 def test_mirrors_have_half_the_size_where_rings_blur_them(name, rate, focal, film, step):
-    shower = Shower(None, mm_per_hour(rate), None, film)
-    assert mirror_step(name, shower, np.full(4, focal, np.float32)) == step
+    lens = np.full(4, focal, np.float32)
+    assert mirror_step(name, mm_per_hour(rate), film, lens) == step
 
 
 @pytest.mark.parametrize(

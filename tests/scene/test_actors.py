@@ -240,9 +240,9 @@ def test_a_parked_box_keeps_its_ground_dry_and_drips(ground):
     assert terrain.movers == () and (terrain.top - ground.top).max() > 0.2
     camera = parked.cameras[2].resized(160, 120)
     renderer = Renderer(parked, terrain, CONFIG, camera)
-    dry = renderer.wet_scene.reach < 0.2
+    dry = renderer.conductor.wet_scene.ground.reach < 0.2
     free = Renderer(replace(parked, actors=()), replace(ground, movers=()), CONFIG, camera)
-    more = dry.sum() - (free.wet_scene.reach < 0.2).sum()
+    more = dry.sum() - (free.conductor.wet_scene.ground.reach < 0.2).sum()
     assert more * terrain.grid.cell_area == pytest.approx(BOX_SIZE[0] * BOX_SIZE[1], rel=0.35)
 
 

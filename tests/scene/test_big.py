@@ -27,7 +27,6 @@ from rainsim.lod.room import ChunkRoom, Stored
 from rainsim.raster import Rasterizer, prepare
 from rainsim.render.memory import memory_of_frames
 from rainsim.render.renderer import Renderer
-from rainsim.render.report import Timer
 from rainsim.scene.big import open_pages
 from rainsim.scene.cameras import look_at
 from rainsim.scene.folder import import_scene, write_scene
@@ -737,7 +736,7 @@ def test_the_clean_layer_and_mirrors_are_drawn_from_pages(folder, film):
     picture, report = renderer.draw(cameras[0], next(states), names=("clean", "depth"))
     clean = report.aovs["clean"]
     assert np.isfinite(clean).all() and clean.mean() > 0.05 and picture.any()
-    assert renderer.wet_scene.paged.captured.used["splats"] > 0
+    assert renderer.conductor.wet_scene.capture.paged.captured.used["splats"] > 0
 
 
 def test_painted_water_takes_the_place_of_what_the_chunks_show(whole, folder, film):
@@ -773,17 +772,17 @@ def test_painted_water_takes_the_place_of_what_the_chunks_show(whole, folder, fi
 def test_both_pictures_of_lamps_are_drawn_of_the_same_pages(folder, film):
     ground, cameras, _ = film
     renderer = Renderer(import_scene(folder), ground, CONFIG.replace(frames=1), cameras[0])
-    scene = renderer.wet_scene
+    scene = renderer.conductor.wet_scene
     upright = level_camera(scene.frame.camera_in_ground(cameras[0].resized(648, 432)))
     used = []
     for camera in (upright, scaled(upright, 2 * RESOLUTION)):
         assert scene.level_mirrored(camera).picture.any()
-        used.append(scene.paged.standing.used)
+        used.append(scene.capture.paged.standing.used)
     assert used[0]["splats"] == used[1]["splats"] > 0
-    paged = scene.paged  # one working memory for both, as large as the largest picture
-    scene.picture(cameras[0], Timer())
+    paged = scene.capture.paged  # one working memory for both, as large as the largest picture
+    scene.picture(cameras[0])
     assert paged.whole._rasterizer is paged.standing._rasterizer
-    assert scene.prepared is None
+    assert scene.capture.prepared is None
 
 
 def test_nodes_stand_among_the_chunks(folder, film, whole):

@@ -156,9 +156,9 @@ def test_lamps_shine_at_dusk_and_the_meter_follows_the_land(dusk):
     renderers = [Renderer(scene, terrain, config, camera) for scene in scenes]
     clipped, shining = renderers
     pictures = [r.draw(camera, state)[0].astype(int) for r in renderers]
-    assert shining.brightness == pytest.approx(clipped.brightness, rel=0.15)
+    assert shining.conductor.brightness == pytest.approx(clipped.conductor.brightness, rel=0.15)
     assert (pictures[1] - pictures[0]).max() > 40
-    assert clipped.wet_scene.look.exposure == pytest.approx(0.7 * 0.04, rel=1e-5)
+    assert clipped.conductor.wet_scene.shading.look.exposure == pytest.approx(0.7 * 0.04, rel=1e-5)
 
 
 def test_the_image_of_a_lamp_in_the_water_is_that_of_traced_rays(dusk):
@@ -169,7 +169,7 @@ def test_the_image_of_a_lamp_in_the_water_is_that_of_traced_rays(dusk):
                              ("clipped", scenes[0], "traced")):  # fmt: skip
         renderer = Renderer(scene, terrain, config.replace(reflections=way), camera)
         _, report = renderer.draw(camera, state, None, ("reflection", "coverage"))
-        radiance = report.aovs["reflection"] * np.float32(renderer.brightness)
+        radiance = report.aovs["reflection"] * np.float32(renderer.conductor.brightness)
         light[name] = np.vectorize(tone_curve)(radiance.astype(np.float32))
         water = report.aovs["coverage"] > 0.5
 

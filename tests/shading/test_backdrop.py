@@ -62,36 +62,45 @@ def dull(scene):
 
 def test_a_leaf_is_mixed_with_the_sky_of_the_day(scene, dull, monkeypatch):
     renderer, report, _ = dull
-    assert renderer.wet_scene.backdrop.count == 360 and any(
+    assert renderer.conductor.wet_scene.sky.backdrop.count == 360 and any(
         "360 splats" in note for note in report.notes
     )
     middle = SIZE // 2, SIZE // 2
-    leaf = graded(*(linear_from_display(np.float32(c)) for c in LEAF), renderer.wet_scene.look)
-    day = sample_environment(renderer.wet_scene.day, *RAY)
+    leaf = graded(
+        *(linear_from_display(np.float32(c)) for c in LEAF),
+        renderer.conductor.wet_scene.shading.look,
+    )
+    day = sample_environment(renderer.conductor.wet_scene.sky.day, *RAY)
     wanted = 0.5 * np.array(leaf) + 0.5 * np.array(day)
     np.testing.assert_allclose(renderer.wet.picture[middle], wanted, rtol=0.03)
     # A ray that is traced sees the same.
     eye = np.array([[0, 0, 1]], np.float32)
-    light, alpha, _ = renderer.wet_scene.traced(eye, RAY[None], np.zeros(1), 0.01)
+    light, alpha, _ = renderer.conductor.wet_scene.traced(eye, RAY[None], np.zeros(1), 0.01)
     assert alpha[0] == pytest.approx(0.5, abs=0.02)
     np.testing.assert_allclose(light[0], wanted, rtol=0.05)
     # Laid over the captured sky it is not: that one has lent the leaf's edge its light.
     monkeypatch.setattr(sky, "LEAST_SKY_SEEN", 9.0)
     hard, *_ = drawn(scene)
-    assert hard.wet_scene.backdrop.count == 0 and hard.wet_scene.scene is scene
+    assert (
+        hard.conductor.wet_scene.sky.backdrop.count == 0 and hard.conductor.wet_scene.scene is scene
+    )
     assert np.abs(hard.wet.picture[middle] / wanted - 1).max() > 0.2
 
 
 def test_clouds_that_cover_half_leave_half_of_the_captured_sky(scene, dull):
     half, *_ = drawn(scene, 0.5)
-    own = graded(*(linear_from_display(np.float32(c)) for c in BLUE), half.wet_scene.look)
-    up = 0.5 * half.wet_scene.day[20:40] + 0.5 * np.float32(own)
-    np.testing.assert_allclose(half.wet_scene.behind[20:40], up, rtol=0.04)
-    behind, day = dull[0].wet_scene.behind, dull[0].wet_scene.day
+    own = graded(
+        *(linear_from_display(np.float32(c)) for c in BLUE), half.conductor.wet_scene.shading.look
+    )
+    up = 0.5 * half.conductor.wet_scene.sky.day[20:40] + 0.5 * np.float32(own)
+    np.testing.assert_allclose(half.conductor.wet_scene.sky.behind[20:40], up, rtol=0.04)
+    wet = dull[0].conductor.wet_scene
+    behind, day = wet.sky.behind, wet.sky.day
     np.testing.assert_array_equal(behind[:120], day[:120])  # in haze from there on
     assert (behind[126:130].mean(axis=1) > 1.2 * day[126:130].mean(axis=1)).all()
-    assert replaces_sky(half.config) and not replaces_sky(half.config.replace(cloudiness=0.0))
-    assert not replaces_sky(half.config.replace(sky="capture"))  # so the splats stay
+    config = half.conductor.config
+    assert replaces_sky(config) and not replaces_sky(config.replace(cloudiness=0.0))
+    assert not replaces_sky(config.replace(sky="capture"))  # so the splats stay
 
 
 def test_layers_tell_the_capture_and_the_sky(dull):

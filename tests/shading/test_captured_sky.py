@@ -10,7 +10,7 @@ from rainsim.config.settings import Config
 from rainsim.constants import SH_0
 from rainsim.pipeline import extract_terrain
 from rainsim.raster import Rasterizer, prepare
-from rainsim.render import wet_scene
+from rainsim.render import drawn_capture
 from rainsim.render.wet_scene import WetScene
 from rainsim.scene.cameras import resize_to
 from rainsim.scene.types import Camera, Scene, Splats
@@ -333,9 +333,9 @@ def test_the_meter_sees_fine_splats_no_brighter_than_the_picture_shows_them(spec
     small = [resize_to(camera, calibration.VIEW_WIDTH) for camera in scene.cameras]
     captured, rainy, _ = wet.land_light(scene.cameras, True)
     metered, metered_rainy, _ = wet.land_light(small, True)
-    wet.merge = 0.0
+    wet.capture.merge = 0.0
     unmerged = wet.land_light(small, True)[0]
-    monkeypatch.setattr(wet_scene, "ALL", 1.0)  # those finer than a pixel are drawn too wide
+    monkeypatch.setattr(drawn_capture, "ALL", 1.0)  # those finer than a pixel are drawn too wide
     wide, wide_rainy, _ = wet.land_light(small, True)
     assert unmerged - captured < 0.5 * (wide - captured)
     assert wide > 1.6 * captured

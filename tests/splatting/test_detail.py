@@ -317,8 +317,9 @@ def frames():
 
 
 def test_frames_merge_as_set(frames):
-    assert frames[0.0][2].wet_scene.drawn is frames[0.0][2].wet_scene.prepared
-    assert len(frames[12.0][2].wet_scene.drawn.box) > len(frames[12.0][2].wet_scene.prepared.box)
+    every, merged = (frames[k][2].conductor.wet_scene.capture for k in (0.0, 12.0))
+    assert every.drawn is every.prepared
+    assert len(merged.drawn.box) > len(merged.prepared.box)
 
     def rms(k, a):
         return np.sqrt(np.mean((frames[0.0][k] - frames[a][k]) ** 2))
@@ -344,7 +345,8 @@ def test_colours_that_change_are_merged_again():
 
 def test_scenes_with_nodes_draw_every_splat():
     renderer, _ = renderer_of(moving_scene())
-    assert renderer.wet_scene.merge == 0 and renderer.wet_scene.drawn.span is None
+    capture = renderer.conductor.wet_scene.capture
+    assert capture.merge == 0 and capture.drawn.span is None
 
 
 def test_the_setting_is_checked():
@@ -353,15 +355,15 @@ def test_the_setting_is_checked():
 
 
 def test_mirrored_pictures_of_half_the_size_merge_in_wider_cells(frames, monkeypatch):
-    scene = frames[4.0][2].wet_scene
+    scene = frames[4.0][2].conductor.wet_scene
     camera, asked = tiny_scene().cameras[0].resized(64, 48), []
-    plain = scene.rasterizer.draw
+    plain = scene.capture.rasterizer.draw
 
     def draw(*given, **named):
         asked.append((named["detail"], given[0].width))
         return plain(*given, **named)
 
-    monkeypatch.setattr(scene.rasterizer, "draw", draw)
+    monkeypatch.setattr(scene.capture.rasterizer, "draw", draw)
     whole, half = (scene.mirrored(camera, 0.0, (0, 0, 64, 48), step)[1] for step in (1, 2))
     assert asked == [(4.0, 64), (8.0, 32)]
     assert whole.picture.shape == (48, 64, 3) and half.picture.shape == (24, 32, 3)

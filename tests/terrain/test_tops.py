@@ -7,14 +7,15 @@ import pytest
 from test_simulation import centres, config, ground, states
 
 from rainsim import terrain as terrains
+from rainsim.bench.look import light_up
 from rainsim.config.settings import Config, mm_per_hour
 from rainsim.errors import ParameterError
 from rainsim.pipeline import extract_terrain
 from rainsim.reflection import wet_tops
+from rainsim.reflection.water_pass import choice_of
 from rainsim.reflection.wet_tops import DRY_TOPS, TopMaps
 from rainsim.render import aov
 from rainsim.render.renderer import Renderer
-from rainsim.render.report import Timer
 from rainsim.scene.view import View, pixel_ray
 from rainsim.shading.wetness import OffGroundWetness
 from rainsim.simulation import read_state, simulate, tops_drawn, write_state
@@ -382,13 +383,13 @@ def test_a_wet_table_is_in_the_frame_its_layers_and_its_notes(shots):
     again = aov.recompose(report.aovs, **report.light)
     assert np.abs(again.astype(int) - picture).max() <= 1
     table = np.zeros(picture.shape[0] * picture.shape[1], bool)
-    table[renderer.water.pixel[renderer.water._top >= 0]] = True
+    table[renderer.water.pixel[renderer.water.top >= 0]] = True
     table = table.reshape(picture.shape[:2])
     assert table.mean() > 0.03
     found = report.aovs
     assert (found["coverage"][table] > 0).all() and (found["water_depth"][table] > 1e-4).all()
     assert (found["reflection_source"][table] > 0).all()
-    assert "surroundings" not in renderer.water.choice() and renderer.water._groups["auto"][0]
+    assert "surroundings" not in choice_of(renderer.water) and renderer.water.groups["auto"][0]
     assert (without.aovs["coverage"][table] == 0).mean() > 0.9
     assert np.abs(picture[table].astype(int) - plain[table]).mean() > 2
     assert any("tops above the ground" in note for note in report.notes)
@@ -397,11 +398,11 @@ def test_a_wet_table_is_in_the_frame_its_layers_and_its_notes(shots):
 
 def test_methods_of_reflection_may_take_turns_on_one_picture(shots):
     _, _, renderer = shots[0]
-    water, environment = renderer.water, renderer.wet_scene.environment
+    water = renderer.water
     found = []
     for name in ("mirror", "ssr", "auto", "mirror", "ssr"):
         water.light[:] = np.nan
-        water.light_up(name, renderer.mirrored, None, environment, Timer())
+        light_up(renderer, name, 1)
         assert np.isfinite(water.light).all()
         found.append(water.light.copy())
     np.testing.assert_array_equal(found[0], found[3])

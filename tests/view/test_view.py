@@ -179,7 +179,7 @@ def test_another_scale_makes_all_parts_again(scene, made, view):
     session.set_scene(twice)
     assert session.stale == set(redo.PARTS)
     session.make()
-    assert session.renderer.wet_scene.frame is twice.ground_frame
+    assert session.renderer.conductor.wet_scene.frame is twice.ground_frame
 
 
 # --- modes ----------------------------------------------------------------------------------------
@@ -596,7 +596,8 @@ def test_a_finished_picture_tells_how_much_of_it_is_badly_seen(session, view):
     pages.run()
     assert pages.left == []  # a generated scene: nothing is known
     session.scene, before = replace(session.scene, source=Path("somewhere")), session.scene
-    wet, scene = session.host.wet_scene, session.host.wet_scene.scene
+    wet = session.renderer.conductor.wet_scene
+    scene = wet.scene
     wet.scene, session._leaving = replace(scene, source=Path("somewhere")), None
     try:
         from_below = look_at((0.2, 0.1, -0.8), (0.0, 0.0, 0.2), (0, 0, 1), 50, 64, 48)

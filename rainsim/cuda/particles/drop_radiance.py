@@ -49,9 +49,11 @@ class DropLight:
         """Queue the field of the present camera, on another stream than the frame's if given."""
         frame = self._frame
         now, stream = frame.uniforms, frame.stream if stream is None else stream
-        coarsen[CELLS[0] * CELLS[1], _SUMMERS, stream](frame.picture, frame.depth, *self._behind)
+        coarsen[CELLS[0] * CELLS[1], _SUMMERS, stream](
+            frame["picture"], frame["depth"], *self._behind
+        )
         fill_field[GRID[0] * GRID[1], _RAYS, stream](
-            frame.gloss, self._behind, now["around"], now["turn"], now["lens"], now["size"],
+            frame["gloss"], self._behind, now["around"], now["turn"], now["lens"], now["size"],
             self.drops, self.sheets,
         )  # fmt: skip
 

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rainsim.constants import ONE, TWO, ZERO
-from rainsim.cuda.driver import Event, to_device
+from rainsim.cuda.driver import to_device
 from rainsim.cuda.drops import BLOCKS, arrays_of, class_of, sent_surfaces
 from rainsim.cuda.frame_uniforms import FrameUniforms
 from rainsim.cuda.graph import new_version
@@ -331,8 +331,6 @@ class Streaks:
         Drops in view that the lists have room for.
     version : int
         Of the lists, see `cuda.graph.new_version`.
-    sent : event
-        When `launch` has sent the camera and the times.
     view : SentView
     scene : SceneDepth
         Both of device arrays, as the drawing kernels read them.
@@ -357,7 +355,7 @@ class Streaks:
             "planes": ((4, 3), f4), "far": ((CLASSES,), f4), "slack": ((CLASSES,), f8),
             "sought": ((1,), np.int32), "many": ((1,), np.int32),
         }  # fmt: skip
-        self.now, self.sent = FrameUniforms(stream, names | arrays_of(field)), Event()
+        self.now = FrameUniforms(stream, names | arrays_of(field))
         tiles = 2, -(-height // DEPTH_TILE), -(-width // DEPTH_TILE)
         self.alpha = cuda.device_array((height, width), np.float32, stream=stream)
         self.columns = cuda.device_array(width * height, np.float32, stream=stream)
@@ -410,13 +408,15 @@ class Streaks:
         self._paths = cuda.device_array((drops, PATH), np.float32, stream=stream)
         self.version = new_version()
 
-    def launch(self, stream=None):
-        """Queue the picture, on another stream than its own if given."""
-        stream = self.stream if stream is None else stream
+    def launch(self):
+        """Queue the numbers of the picture and the picture."""
+        self.now.send()
+        self.draw(self.stream)
+
+    def draw(self, stream):
+        """Queue the picture, whose numbers are sent."""
         _, rows, columns = self.tile_depth.shape
         threads = (1, 1) if SIMULATED else (DEPTH_TILE, DEPTH_TILE)
-        self.now.send(stream)
-        self.sent.record(stream)
         read_depth[(columns, rows), threads, stream](self._depth, self.columns, self.tile_depth)
         now, lens, scene = self.now, self.now["lens"], self.scene
         list_drops[BLOCKS, THREADS, stream](

@@ -29,6 +29,7 @@ from rainsim.cuda.reflection.mirror_choice import (
     clear_counts,
     count_heights,
 )
+from rainsim.cuda.shading.wet_pass import grade_layers
 from rainsim.cuda.splatting import project
 from rainsim.numerics.mipmap import COARSEST, coarse_shape, mean_of_four, top_of
 from rainsim.reflection.mirror_choice import LEVEL_STEP, MOST_MIRRORS, merged_cells
@@ -225,11 +226,13 @@ class Mirrors:
         Level of each mirror and the heights from which and below which water looks into it.
     """
 
-    def __init__(self, renderer, name):
-        self.renderer, self.stream, self.name = renderer, renderer.stream, name
+    def __init__(self, frame, name):
+        self.frame, self.stream, self.name = frame, frame.stream, name
         self.most = {"auto": MOST_MIRRORS, "mirror": 1, "ssr": 0}[name]
         self.passes = 0
-        self._first_bin = math.floor(float(renderer.terrain.bed.min()) / LEVEL_STEP) - 8
+        self._first_bin = (
+            math.floor(float(frame.conductor.ground.terrain.bed.min()) / LEVEL_STEP) - 8
+        )
         self._count = cuda.device_array(BINS, np.int32)
         rows = max(self.most, 1)
         self._served = cuda.device_array((rows, 3), np.float64)
@@ -264,20 +267,20 @@ class Mirrors:
         self._clearance = cuda.device_array((passes, rows, columns), np.float32)
         self._no_film, self._version = self._clearance[0, :0], new_version()
 
-    def update(self, camera, scene, step):
-        """Take over the camera that is mirrored in a `WetScene`, and the `mirror_step`."""
+    def update(self, camera, capture, step):
+        """Take over the camera that is mirrored in a `DrawnCapture`, and the `mirror_step`."""
         if not self.most:
             return
-        frame, largest = scene.frame, largest_window(camera)
+        frame, largest = capture.frame, largest_window(camera)
         plane, mirrored = mirrored_camera(camera, frame, 0.0)
         mirrored = replace(mirrored, width=largest[1], height=largest[0])
         turn, up = mirrored.camera_from_world[:3, :3], frame.rotation[2]
         numbers = self._now.host["camera"]
-        numbers[0] = self.renderer.rasterizer.numbers_of(
+        numbers[0] = self.frame.rasterizer.numbers_of(
             mirrored,
-            scene.near,
+            capture.near,
             plane=plane,
-            detail=merged_cells(scene.merge, step),
+            detail=merged_cells(capture.merge, step),
         )
         # A metre higher the mirrored camera is two metres higher, and the plane one.
         more = 1.0 / frame.meters_per_unit
@@ -286,7 +289,7 @@ class Mirrors:
         numbers[1, project.PLANE + 3] = more
         self._now.host["step"][0] = step
         self._now.host["turn"][...] = frame.rotation @ turn.T
-        self._mirrored = mirrored, scene.near, plane
+        self._mirrored = mirrored, capture.near, plane
         if self.passes and (self._size != largest or len(self.picture) != self.passes):
             self._allocate(*largest)
         for rasterizer in self.rasterizers:
@@ -300,7 +303,7 @@ class Mirrors:
     @property
     def apart(self):
         """Whether the passes share no memory with the picture itself, so may be drawn beside it."""
-        own = self.renderer.rasterizer.workspace
+        own = self.frame.rasterizer.workspace
         return all(rasterizer.workspace is not own for rasterizer in self.rasterizers)
 
     @property
@@ -341,7 +344,7 @@ class Mirrors:
 
     def _new_pass(self):
         """Return one more pass: beside the others, with memory of its own, if there is plenty."""
-        own, stream = self.renderer.rasterizer, self.stream
+        own, stream = self.frame.rasterizer, self.stream
         roomy = own.workspace.size < SPARED * free_memory()
         if roomy and self._each:
             stream = cuda.stream()
@@ -357,7 +360,7 @@ class Mirrors:
         def queue(now):
             aim[1, 64, stream](
                 self._served, mirror, self._numbers, self._now["step"],
-                self.renderer.uniforms["eye"], self._extent, now, eye, self.range, self.window
+                self.frame.uniforms["eye"], self._extent, now, eye, self.range, self.window
             )  # fmt: skip
 
         return queue
@@ -369,7 +372,7 @@ class Mirrors:
         height, width = self._picture_size
         clear_counts[BINS // THREADS, THREADS, self.stream](self._count, self._extent)
         count_heights[(-(-width // THREADS), -(-height // COUNT_ROWS)), THREADS, self.stream](
-            hit, coverage, self.renderer.camera_arrays, self._first_bin, self._count, self._extent,
+            hit, coverage, self.frame.camera_arrays, self._first_bin, self._count, self._extent,
         )  # fmt: skip
         choose_levels[1, THREADS, self.stream](
             self._count, self._first_bin, self.most, self.name == "mirror", self._served,
@@ -382,8 +385,8 @@ class Mirrors:
             if stream is not self.stream:
                 self._forked.wait(stream)
             rasterizer.launch()
-            self.renderer.grade(
-                rasterizer, self._size, self._turn, eye, self.picture[mirror],
+            grade_layers(
+                self.frame, rasterizer, self._size, self._turn, eye, self.picture[mirror],
                 self.depth[mirror], self._clearance[mirror], self._no_film, stream,
             )  # fmt: skip
             rows, columns = (-(-side // (2 * SQUARE_CELLS)) for side in self._size)

@@ -20,6 +20,7 @@ from rainsim.cuda.driver import Event
 from rainsim.cuda.graph import Graph, chain
 from rainsim.cuda.jit import cuda, pinned
 from rainsim.cuda.render.device_frame import simulation_of
+from rainsim.render.frame import DRY, SPLAT, SURFACE, WET
 
 MOST_TRIES = 8  # of a frame for which there was too little room
 
@@ -32,14 +33,14 @@ class Flight:
     ----------
     shot : tuple
         Camera, state and the camera as the shutter closes.
-    look : int
-        Number of changes of the look before this frame.
+    look : tuple
+        Numbers of what changes the look, see `WetScene.changes`.
     begin : float [s]
         When its queue began.
     """
 
     shot: tuple
-    look: int
+    look: tuple
     begin: float = 0.0
 
     @property
@@ -72,7 +73,7 @@ class FrameQueue:
         self._wet, self._surfaces = {}, {}  # recorded, by the page of the simulation they show
         self._next = self._flight = self.done = None
         self._kept = None  # the flight whose picture without water is on the device
-        self._looks = self._drawn = 0
+        self._drawn = 0
         self._images, self._image_size = (), None
 
     @property
@@ -139,8 +140,8 @@ class FrameQueue:
         if (simulation := simulation_of(shot[1])) is not self._simulation:
             self._simulation, self._recorded_for, self._surfaces = simulation, None, {}
             self.frame.leave_water()
-        self._looks += self.frame.update(*shot)
-        self._next = Flight(shot, self._looks)
+        self.frame.update(*shot)
+        self._next = Flight(shot, self.frame.conductor.wet_scene.changes)
         if self._image_size != self.frame.size:
             self._image_size = self.frame.size
             self._images = [pinned((*self.frame.size, 3), np.uint8) for _ in range(2)]
@@ -150,7 +151,7 @@ class FrameQueue:
         if self._dry is None or self.frame.pending or self._is_stale():
             return False
         self._last.wait()  # for the counts of the frame that is being drawn
-        return not self.frame.dry_is_amiss()
+        return not self.frame.passes.dry_is_amiss()
 
     def _begin(self):
         """Queue the next frame's launches that need no water, and the step of its simulation."""
@@ -187,7 +188,7 @@ class FrameQueue:
         self._last = self._still if still else self._dry
         if not still:
             self._graded.wait(ahead)  # the frame before is made of what is splatted until then
-            if not frame.mirrors.apart:
+            if not frame.passes.mirrors.apart:
                 self._composed.wait(ahead)
             self._splats.launch()
             self._splatted.record(ahead)
@@ -198,28 +199,31 @@ class FrameQueue:
 
     def _record_dry(self):
         """Record the queues of the launches that need no water."""
-        frame, graded = self.frame, chain(self.frame.graded_parts())
+        frame, queue = self.frame, self.frame.passes.lanes.queue
+        splat = partial(queue, SPLAT, frame.ahead)
+        graded = chain([frame.uniforms.send, partial(queue, DRY, self.stream)])
         self.stream.synchronize()
-        frame.splat()  # compiles, and allocates what only then is known
+        splat()  # compiles, and allocates what only then is known
         frame.ahead.synchronize()
         graded()
         self.stream.synchronize()
-        self._splats = Graph(frame.ahead, frame.splat)
+        self._splats = Graph(frame.ahead, splat)
         self._dry = Graph(self.stream, graded)
         self._still = Graph(self.stream, frame.uniforms.send)
 
     def _launch_surface(self):
         """Queue the surface of the water of the frame that has begun, beside its splatting."""
-        state, surface = self._flight.state, self.frame.surface
+        state, passes = self._flight.state, self.frame.passes
         simulation, page = simulation_of(state), getattr(state, "page", 0)
         if simulation is not None:
             simulation.before(self._shore, falls=False)
-            surface.depth = state.depth
+            passes.surface.depth = state.depth
         self._composed.wait(self._shore)  # the frame before reads the last surface until then
         if page not in self._surfaces:
-            surface.launch(self._shore)  # compiles
+            queue = partial(passes.lanes.queue, SURFACE, self._shore)
+            queue()  # compiles
             self._shore.synchronize()
-            self._surfaces[page] = Graph(self._shore, partial(surface.launch, self._shore))
+            self._surfaces[page] = Graph(self._shore, queue)
         self._surfaces[page].launch()
         self._surfaced.record(self._shore)
 
@@ -233,10 +237,12 @@ class FrameQueue:
         self._copied.wait(self.stream)
         self._surfaced.wait(self.stream)
         if page not in self._wet:
+            passes = self.frame.passes
+            queue = chain([partial(passes.lanes.queue, WET, self.stream), passes.rain.count_lines])
             if not self._wet:
-                self.frame.queue_wet()  # compiles
+                queue()  # compiles
                 self.stream.synchronize()
-            self._wet[page] = Graph(self.stream, self.frame.queue_wet)
+            self._wet[page] = Graph(self.stream, queue)
         self._wet[page].launch()
         if simulation is not None:
             simulation.after(self.stream, page)
@@ -257,9 +263,9 @@ class FrameQueue:
         self._copied.synchronize()
         for _ in range(MOST_TRIES):
             lacking = simulation is not None and simulation.lacked(flight.state.index)
-            lacking |= frame.grow()
+            lacking |= frame.passes.grow()
             if not early:
-                lacking |= frame.grow_dry()
+                lacking |= frame.passes.grow_dry()
             if not lacking:
                 break
             cuda.synchronize()
@@ -269,10 +275,10 @@ class FrameQueue:
             self._launch_surface()
             self._go_on()
             self._copied.synchronize()
-        for splats in frame.dry_rasterizers():
+        for splats in frame.passes.dry_rasterizers():
             if not early and (splats.count_picture() or splats.is_tight()):
                 splats.make_room()
-        frame.mirrors.make_ahead()
+        frame.passes.mirrors.make_ahead()
         drawn_again = self._next is not ahead
         if drawn_again or self._is_stale():
             self._update(ahead.shot)

@@ -27,44 +27,25 @@ class MovingNodes:
     """
 
     def __init__(self, frame):
-        self.frame, self._placed = frame, None
-        host, movers = frame.host, frame.terrain.movers
+        self._frame, conductor = frame, frame.conductor
+        movers = conductor.ground.terrain.movers
         self.heights = self.spray = None
-        self._rings_sent = host.water.rings
         if movers:
-            self.heights = MovingHeights(host.moving.still, movers, frame.stream)
-            self.spray = None if host.config.render.spray == "off" else Spray()
+            self.heights = MovingHeights(conductor.ground.moving.still, movers, frame.stream)
+            self.spray = None if conductor.config.render.spray == "off" else Spray()
 
     def update(self, state):
-        """List the copies to the device for the next frame; return if its ground has changed."""
-        frame, host = self.frame, self.frame.host
-        if host.wet_scene.nodes.placed != self._placed:
-            frame.pending.append(self._send_splats)
-        if self.heights is None:
-            return False
-        if host.water.rings is not self._rings_sent:
-            frame.pending.append(self._send_rings)
-        frame.pending.append(lambda: self._send_moment(state))
-        return host.wet_scene.take_tracks(state.tracks)
-
-    def _send_splats(self):
-        frame = self.frame
-        frame.rasterizer.send_nodes()
-        frame.ground_light.send_nodes()
-        self._placed = frame.wet_scene.nodes.placed
-
-    def _send_rings(self):
-        rings = self.frame.host.water.rings
-        self.frame.send_rings(rings)
-        self._rings_sent = rings
+        """List the copies to the device for the next frame."""
+        if self.heights is not None:
+            self._frame.pending.append(lambda: self._send_moment(state))
 
     def _send_moment(self, state):
         """Send the map as bodies cover it at the time of a state, and its spray."""
-        frame, host = self.frame, self.frame.host
-        self.heights.send(*host.moving.moment(state.time))
-        if frame.rain.impacts is not None:
-            frame.rain.impacts.list_again()
+        frame, conductor = self._frame, self._frame.conductor
+        self.heights.send(*conductor.ground.moving.moment(state.time))
+        if frame.passes.rain.impacts is not None:
+            frame.passes.rain.impacts.list_again()
         if self.spray is not None:
-            exposure = host.now.render.exposure
-            seen = spray_seen(state.throws, state.throw_id, host.view, state.time, exposure)
-            self.spray.send(*seen, host.view)
+            exposure = conductor.now.render.exposure
+            seen = spray_seen(state.throws, state.throw_id, conductor.view, state.time, exposure)
+            self.spray.send(*seen, conductor.view)

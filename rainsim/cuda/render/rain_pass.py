@@ -25,6 +25,9 @@ class RainPass:
     Parameters
     ----------
     frame : rainsim.cuda.render.device_frame.DeviceFrame
+    nodes : MovingNodes or None
+    surface : WaterSurface
+        Of the water that splashes are thrown from.
 
     Attributes
     ----------
@@ -38,27 +41,18 @@ class RainPass:
         For states of the host.
     """
 
-    def __init__(self, frame):
-        self.frame, self.stream = frame, frame.stream
+    def __init__(self, frame, nodes, surface):
+        self._frame, self._nodes, self._surface = frame, nodes, surface
+        self.stream = frame.stream
         self.streaks = self.splashes = self.impacts = self.drips = None
         self._fog_of = None, NO_FOG, None
         self._lines = pinned(1, np.int32)
 
-    def room_for(self, field, height, width, depth, none):
-        """Allocate the arrays that pictures of a size need.
-
-        Parameters
-        ----------
-        field : RainField or None
-            None without rain.
-        height, width : int [px]
-        depth : device array of shape (height, width), float32 [m]
-        none : device array of shape (height, width), float32
-            Stands for the share of light that nothing replaces.
-        """
+    def room_for(self, height, width):
+        """Allocate the arrays that pictures of a size [px] need."""
         self.streaks = self.splashes = None
-        self._size, self._none = (height, width), none
-        nodes, surfaces = self.frame.nodes, self.frame.host.rain.surfaces
+        inputs, nodes = self._frame.conductor.frame, self._nodes
+        field, surfaces, depth = inputs["field"], inputs["surfaces"], self._frame["depth"]
         spray = None if nodes is None else nodes.spray
         if field is None and spray is None:
             return
@@ -69,41 +63,41 @@ class RainPass:
             self.streaks.surfaces = nodes.heights.fields
         self.streaks.spray = spray
 
-    def update(self, field, state, camera_end, simulation):
+    def update(self, state, camera_end):
         """Take over rain and shutter of the next frame; return the fog of undrawn drops."""
         if self.streaks is None:
             return NO_FOG
-        host = self.frame.host
-        render = host.now.render
-        shutter = host.view, state.time, render.exposure
+        conductor, simulation = self._frame.conductor, getattr(state, "simulation", None)
+        render, view, field = conductor.now.render, conductor.view, conductor.frame["field"]
+        shutter = view, state.time, render.exposure
         lens = camera_end, render.aperture, render.focus
         if field is None:
             self.streaks.update(self._no_rain, *shutter, NEAR, *lens)
             return NO_FOG
-        key = field, host.view.fx, host.view.fy, render.exposure, render.streak_far
+        key = field, view.fx, view.fy, render.exposure, render.streak_far
         if key != self._fog_of[0]:
-            reach = streak_reach(field, host.view, render.exposure, render.streak_far)
+            reach = streak_reach(field, view, render.exposure, render.streak_far)
             self._fog_of = key, fog_table(field, reach), reach
         _, fog, reach = self._fog_of
         self.streaks.update(field, *shutter, reach, *lens)
         if simulation is None and self.impacts is None:
             self.impacts = self._recent()
-        frame = math.floor(state.time * host.config.fps + 1e-6)
+        frame = math.floor(state.time * conductor.config.fps + 1e-6)
         if self.impacts is not None:
             self.impacts.update(frame)
         recent = self.impacts if simulation is None else simulation.impacts
         if self.splashes is None:
-            self.splashes = Splashes(self.streaks, recent, self.frame.surface.depth)
-        film = WET_FILM * host.wet_scene.paving
+            self.splashes = Splashes(self.streaks, recent, self._surface.depth)
+        film = WET_FILM * conductor.frame["paving"]
         self.splashes.update(field, film, recent.next_list(frame))
         return fog
 
     def _recent(self):
         """Return the impacts of states whose times may lie within an interval."""
-        host, nodes = self.frame.host, self.frame.nodes
+        conductor, nodes = self._frame.conductor, self._nodes
         # Two more intervals are to come.
         recent = RecentImpacts(
-            host.rain.weather, host.rain.surfaces, host.config.fps, 2, self.stream
+            conductor.weather, conductor.frame["surfaces"], conductor.config.fps, 2, self.stream
         )
         if nodes is not None and nodes.heights is not None:
             recent.surfaces, recent.relisted = nodes.heights.fields, True
@@ -141,31 +135,30 @@ class RainPass:
     def alphas(self):
         """Shares of light that drops and splashes replace, two device arrays."""
         both = self.streaks, self.splashes
-        return tuple(self._none if each is None else each.alpha for each in both)
+        none = self._frame["no_rain"]
+        return tuple(none if each is None else each.alpha for each in both)
 
-    def parts(self):
-        """Return the parts of the rain one after the other, each a function that queues it."""
-        parts = []
-        if self.splashes is not None and self.impacts is not None:
-            parts.append(self.impacts.launch)
-        return parts + [each.launch for each in (self.streaks, self.splashes) if each is not None]
-
-    def queue(self, beside, aside, joined):
-        """Queue streaks on one stream and splashes on another; `beside` waits for both.
-
-        Also for what else lies on the other one.
-        """
+    def send(self, stream):
+        """Queue the copy of camera, shutter and drops of the picture."""
         if self.streaks is not None:
-            self.streaks.launch(beside)
+            self.streaks.now.send(stream)
+
+    def draw_streaks(self, stream):
+        """Queue the picture of the falling drops."""
+        if self.streaks is not None:
+            self.streaks.draw(stream)
+
+    def list_splashes(self, stream):
+        """Queue the listing of the splashes in view."""
         if self.splashes is not None:
-            self.streaks.sent.wait(aside)
             if self.impacts is not None:
-                self.impacts.launch(aside)
-            self.splashes.gather(aside)
-        joined.record(aside)
-        joined.wait(beside)
+                self.impacts.launch(stream)
+            self.splashes.gather(stream)
+
+    def draw_splashes(self, stream):
+        """Queue the drawing of the listed splashes, after the picture of the falling drops."""
         if self.splashes is not None:
-            self.splashes.draw(beside)
+            self.splashes.draw(stream)
 
     def count_lines(self):
         """Queue the copy of the number of splash lines, by which the host makes room."""

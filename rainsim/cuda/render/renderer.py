@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import time as clock
 
-from rainsim.cuda.driver import one_fault
+from rainsim.cuda.driver import Event, one_fault
 from rainsim.cuda.jit import cuda
 from rainsim.cuda.raster import Rasterizer
 from rainsim.cuda.render.aov import AovReader
@@ -21,21 +21,11 @@ from rainsim.cuda.render.frame_queue import FrameQueue
 from rainsim.cuda.splatting.prepared import DeviceSplats
 from rainsim.cuda.timing import part_times
 from rainsim.errors import ParameterError
-from rainsim.render import renderer as host
-from rainsim.render.report import FrameReport
+from rainsim.render.conductor import Conductor
+from rainsim.render.frame import DRY, SPLAT, SURFACE, WET
+from rainsim.render.renderer import report_of
 from rainsim.scene.pages import require_whole
 from rainsim.splatting.prepared import LANES
-
-STAGES = {  # names of the functions that queue them: those of the CPU where there is one
-    "FrameUniforms.send": "numbers", "DeviceFrame._splat": "splat",
-    "DeviceFrame._grade": "grade and wet", "DeviceFrame._ground_light": "film",
-    "Streaks.launch": "streaks", "WaterSurface.launch": "water surface",
-    "DeviceFrame._keep_tall": "find tall", "DropLight.launch": "light of drops",
-    "DeviceFrame._meet_water": "find water",
-    "DeviceFrame._mirror": "mirror", "DeviceFrame._lay_water": "water",
-    "Splashes.launch": "splashes", "DeviceFrame._compose": "compose",
-    "RainPass.count_lines": "counts", "copy_image": "copy",
-}  # fmt: skip
 
 
 class Renderer:
@@ -46,8 +36,8 @@ class Renderer:
 
     Attributes
     ----------
-    host : rainsim.render.renderer.Renderer
-        Scene, water and light; its rasterizer draws on the device.
+    conductor : Conductor
+        Scene, light, weather and ground; its capture's rasterizer draws on the device.
     frame : DeviceFrame
     queue : FrameQueue
     """
@@ -57,9 +47,10 @@ class Renderer:
         _require_known(config.render)
         require_whole(scene, "backend cuda", "take backend cpu")
         self.stream, self._ahead = cuda.stream(), cuda.stream()
+        self._before, self._after = Event(), Event()
         self._room = -(-sum(len(actor.splats) for actor in scene.actors) // LANES)
-        self.host = host.Renderer(scene, terrain, config, first_camera, self._rasterizer_of)
-        self.frame = DeviceFrame(self.host, self.stream)
+        self.conductor = Conductor(scene, terrain, config, first_camera, self._rasterizer_of)
+        self.frame = DeviceFrame(self.conductor, self.stream)
         self.queue = FrameQueue(self.frame)
         self._aovs = AovReader(self.frame)
 
@@ -93,25 +84,29 @@ class Renderer:
 
         The stages follow one another here; in use some lie beside others, and take less.
         """
-        dry, wet = self.frame.stages()
+        frame, passes, stream = self.frame, self.frame.passes, self.stream
 
-        def copy_image():
-            self.frame.copy_image(self.queue.image)
+        def splat():
+            self._before.record(stream)
+            self._before.wait(frame.ahead)
+            passes.lanes.queue(SPLAT, frame.ahead)
+            self._after.record(frame.ahead)
+            self._after.wait(stream)
 
-        parts = [*dry, *wet, copy_image]
-        names = [part.__qualname__.rpartition(".<locals>.")[2] for part in parts]
-        return part_times(
-            self.stream, {STAGES.get(n, n): part for n, part in zip(names, parts, strict=True)}
-        )
+        parts = {"numbers": frame.uniforms.send, "splat": splat}
+        for part in (DRY, SURFACE, WET):
+            parts.update(passes.each(part, stream))
+        parts["counts"] = passes.rain.count_lines
+        parts["copy"] = lambda: frame.copy_image(self.queue.image)
+        return part_times(stream, parts)
 
     def _report(self, names=()):
         """Return the picture and the report of the frame that was finished last."""
         done = self.queue.done
         stages = {"frame": (clock.perf_counter() - done.begin) * 1e3}
-        state, image = done.state, self.queue.image
-        notes, self.host.notes = (*state.notes, *self.host.notes), []
-        apart = self._aovs.read(names, state) if names else ()
-        return image, FrameReport(state.index, state.time, stages, state.ledger, notes, *apart)
+        if names:
+            self._aovs.make(names, done.state)
+        return self.queue.image, report_of(self.conductor, done.state, stages, names)
 
 
 def _require_known(render):

@@ -12,12 +12,11 @@ import math
 import numpy as np
 
 from rainsim.constants import ONE, ZERO
-from rainsim.cuda.driver import Event
 from rainsim.cuda.frame_uniforms import FrameUniforms
 from rainsim.cuda.graph import new_version
 from rainsim.cuda.jit import cuda, cuda_device, cuda_kernel
 from rainsim.cuda.raster import Rasterizer
-from rainsim.cuda.shading.wet_pass import BLOCK, blocks
+from rainsim.cuda.shading.wet_pass import BLOCK, blocks, grade_layers
 from rainsim.cuda.splatting.prepared import DeviceSplats
 from rainsim.numerics.ripmap import LEVELS
 from rainsim.scene.cameras import mirrored_camera
@@ -138,7 +137,7 @@ class WetGroundLight:
     Parameters
     ----------
     frame : DeviceFrame
-        Its `wet_ground` says whether the level picture is drawn.
+        The film of its conductor's ground says whether the level picture is drawn.
 
     Attributes
     ----------
@@ -146,20 +145,17 @@ class WetGroundLight:
         Whether the film's cover is found and its reflection added.
     rasterizers : list of Rasterizer
         Empty, or the rasterizer of the level picture: of the splats that stand on the ground.
-    bare : device array of shape (height, width, 3), float32
-        The picture without the reflection of level ground.
     cover : device array of shape (height, width), float32
         Share of a full water film; unused rows where `apart` is False.
     """
 
     def __init__(self, frame):
-        self.frame, self.wet_ground = frame, frame.wet_ground
-        self.apart, self.rasterizers = self.wet_ground.apart, []
-        self.stream, self._forked, self._done = cuda.stream(), Event(), Event()
-        self._room = None
+        self.frame, film = frame, frame.conductor.ground.film
+        self.apart, self.rasterizers = film.apart, []
+        self.stream, self._room = cuda.stream(), None
         if not self.apart:
             return
-        slopes, *place = self.wet_ground.ground
+        slopes, *place = film.ground
         self._ground = GroundSlopes(cuda.to_device(slopes), cuda.to_device(place[0]), place[1])
         self._lobe = cuda.to_device(LOBE)
         # Stand for a level picture that shows nothing.
@@ -169,18 +165,14 @@ class WetGroundLight:
             "turn": ((3, 3), np.float32), "eye": ((3,), np.float32), "forward": ((2,), np.float32),
         })  # fmt: skip
         self._allocate(1, 1)
-        if self.wet_ground.drawn:
+        if film.drawn:
             self._prepare()
 
     def room_for(self, height, width):
         """Allocate the arrays of a picture of this size; return the array of the film's cover."""
-        f4, self._shape = np.float32, (height, width)
-        self.bare = self.field = None
-        self.cover = cuda.device_array((height if self.apart else 1, width), f4)
-        if not self.apart:
-            return self.cover[:0]
-        self.bare = cuda.device_array((height, width, 3), f4)
-        return self.cover
+        self._shape, self.field = (height, width), None
+        self.cover = cuda.device_array((height if self.apart else 1, width), np.float32)
+        return self.cover if self.apart else self.cover[:0]
 
     def _allocate(self, width, height):
         """Allocate the level picture of at most this size, and its ripmap."""
@@ -193,10 +185,13 @@ class WetGroundLight:
 
     def _prepare(self):
         """Send the splats that stand on the ground to the device."""
-        scene = self.frame.wet_scene
-        splats = in_level_picture(scene.prepared, scene.terrain, scene.frame)
-        splats = DeviceSplats(splats, self.frame.rasterizer.splats.room)
+        splats = DeviceSplats(self._level_splats(), self.frame.rasterizer.splats.room)
         self.rasterizers = [Rasterizer(splats, self.stream, first_room=splats.count)]
+
+    def _level_splats(self):
+        conductor = self.frame.conductor
+        scene, terrain = conductor.wet_scene, conductor.ground.terrain
+        return in_level_picture(scene.capture.prepared, terrain, scene.frame)
 
     def send_colors(self):
         """Send the colours of the level picture's splats again, after `prepared` has changed.
@@ -204,18 +199,15 @@ class WetGroundLight:
         These splats are the scene's that stand on the ground; without a level picture nothing is
         sent.
         """
-        scene = self.frame.wet_scene
         for rasterizer in self.rasterizers:
-            rasterizer.splats.send_colors(
-                in_level_picture(scene.prepared, scene.terrain, scene.frame)
-            )
+            rasterizer.splats.send_colors(self._level_splats())
 
     def send_nodes(self):
         """Send the nodes of the present time; the device must draw nothing meanwhile."""
-        scene = self.frame.wet_scene
+        conductor = self.frame.conductor
+        scene, terrain = conductor.wet_scene, conductor.ground.terrain
         for rasterizer in self.rasterizers:
-            standing = scene.nodes.standing(scene.terrain, scene.frame)
-            rasterizer.splats.put_nodes(standing)
+            rasterizer.splats.put_nodes(scene.capture.nodes.standing(terrain, scene.frame))
 
     def update(self, camera, camera_in_ground):
         """Take over the camera of the next picture, in the capture's and in the ground's frame."""
@@ -227,7 +219,7 @@ class WetGroundLight:
             self._version = new_version()
         if not self.rasterizers:
             return
-        scene, level = self.frame.wet_scene, level_camera(camera_in_ground)
+        scene, level = self.frame.conductor.wet_scene, level_camera(camera_in_ground)
         _, mirrored = mirrored_camera(scene.frame.camera_in_capture(level), scene.frame, 0.0)
         self._horizon = round(level.cy)
         room = math.ceil(2 * MOST_ASIDE * level.fx), math.ceil((ABOVE + MOST_UP) * level.fx)
@@ -235,7 +227,7 @@ class WetGroundLight:
             self._room = room
             self._allocate(*room)
         rasterizer = self.rasterizers[0]
-        rasterizer.update(mirrored, scene.near, room=room)
+        rasterizer.update(mirrored, scene.capture.near, room=room)
         self._size, self._lens = rasterizer.size, rasterizer.lens
         view = view_of(scene.frame.camera_in_ground(mirrored))
         self._uniforms.update(turn=view.ground_from_camera, eye=view.eye, forward=level.forward[:2])
@@ -248,55 +240,38 @@ class WetGroundLight:
         return self._version, *(rasterizer.queue for rasterizer in self.rasterizers)
 
     def splat(self, stream):
-        """Queue the splatting of the level picture, beside the next work of a stream."""
-        if self.rasterizers:
-            self._forked.record(stream)
-            self._forked.wait(self.stream)
-            self.rasterizers[0].launch()
-            self._done.record(self.stream)
-
-    def join(self, stream):
-        """Let a stream wait for the splatting that `splat` has queued."""
-        if self.rasterizers:
-            self._done.wait(stream)
-
-    def draw(self):
-        """Queue the graded level picture and the field, beside the next work of the frame's stream.
-
-        Its splats are drawn.
-        """
-        if not self.apart:
-            return
-        self._forked.record(self.frame.stream)
-        self._forked.wait(self.stream)
-        self._uniforms.send()
+        """Queue the splatting of the level picture on `stream`, which is this one's own."""
         for rasterizer in self.rasterizers:
-            self._grade(rasterizer)
-        self._fill()
-        self._done.record(self.stream)
+            rasterizer.launch()
 
-    def _grade(self, rasterizer):
+    def draw(self, stream):
+        """Queue the graded level picture, whose splats are drawn, and the field."""
+        self._uniforms.send(stream)
+        for rasterizer in self.rasterizers:
+            self._grade(rasterizer, stream)
+        self._fill(stream)
+
+    def _grade(self, rasterizer, stream):
         """Queue the grading of the level picture, and its ripmap."""
         pictures = self._picture, self._depth, self._clearance, self.cover[:0]
         turn, eye = self._uniforms["turn"], self._uniforms["eye"]
-        self.frame.grade(rasterizer, self._depth.shape, turn, eye, *pictures, self.stream)
+        grade_layers(self.frame, rasterizer, self._depth.shape, turn, eye, *pictures, stream)
         high, wide, _ = self._atlas.shape
-        grid = blocks(high // 2, wide), BLOCK, self.stream
+        grid = blocks(high // 2, wide), BLOCK, stream
         halve_widths[grid](self._picture, self._size, self._horizon, self._atlas)
         halve_heights[grid](self._atlas)
 
-    def _fill(self):
+    def _fill(self, stream):
         """Queue the field of mirrored light."""
         level = LevelPicture(self._atlas, self._depth, self._lens, self._uniforms["forward"])
-        mirrored_field[blocks(*self.field.shape[:2]), BLOCK, self.stream](
+        mirrored_field[blocks(*self.field.shape[:2]), BLOCK, stream](
             self.frame.camera_arrays, self._step, self._ground, self._lobe, level, self._size,
-            self.frame.gloss, self.field,
+            self.frame["gloss"], self.field,
         )  # fmt: skip
 
-    def add(self, picture):
+    def add(self, stream):
         """Queue the sum of the graded picture and the light that its wet ground mirrors."""
-        stream = self.frame.stream
-        self._done.wait(stream)
+        frame = self.frame
         add_reflection[blocks(*self._shape), BLOCK, stream](
-            self.bare, self.cover, self.field, self._step, picture
+            frame["below"], self.cover, self.field, self._step, frame["picture"]
         )

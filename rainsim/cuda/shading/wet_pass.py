@@ -11,12 +11,12 @@ import numpy as np
 
 from rainsim.constants import ONE, SURFACE_ALPHA, ZERO
 from rainsim.cuda.jit import cuda, cuda_kernel
-from rainsim.scene.view import pixel_ray, view_from
+from rainsim.scene.view import CameraArrays, pixel_ray, view_from
 from rainsim.shading.grading import look_from
-from rainsim.shading.smooth_normals import smooth_normal, turned
-from rainsim.shading.wet_pass import depth_of_surface
+from rainsim.shading.smooth_normals import AROUND, NO_AROUND, smooth_normal, turned
+from rainsim.shading.wet_pass import DryPicture, depth_of_surface
 from rainsim.shading.wetness import off_ground_from
-from rainsim.shading.wetting import SurfacePoint, wet_pixel
+from rainsim.shading.wetting import GroundMaps, SkyMaps, SurfacePoint, wet_pixel
 
 BLOCK = (32, 8)  # threads: columns, rows
 NO_DEPTH = np.float32(np.inf)
@@ -25,6 +25,44 @@ NO_DEPTH = np.float32(np.inf)
 def blocks(height, width):
     """Return the grid of blocks that covers a picture."""
     return -(-width // BLOCK[0]), -(-height // BLOCK[1])
+
+
+def pixel_grid(size, stream):
+    """Return the launch configuration of a thread for each pixel of a picture (height, width)."""
+    return blocks(*size), BLOCK, stream
+
+
+def grade_layers(
+    frame, rasterizer, shape, turn, eye, picture, depth, clearance, cover, stream, mirrored=True
+):
+    """Queue the grading and wetting of the layers of a rasterizer.
+
+    Parameters
+    ----------
+    frame : DeviceFrame
+    rasterizer : rainsim.cuda.raster.Rasterizer
+    shape : tuple of int
+        Height and width of its picture [px].
+    turn, eye : device array
+        Of its camera, in the ground frame.
+    picture, depth, clearance, cover : device array
+        What is written.
+    stream : numba.cuda.stream
+    mirrored : bool
+    """
+    layers = rasterizer.layers
+    dry = DryPicture(
+        layers.color.reshape(*shape, 3), layers.alpha.reshape(shape), layers.depth.reshape(shape),
+        layers.plane_depth.reshape(shape), layers.normal.reshape(*shape, 3),
+        np.float32(frame.conductor.wet_scene.frame.meters_per_unit),
+        NO_AROUND if mirrored else AROUND,
+    )  # fmt: skip
+    ground = GroundMaps(frame["bed"], frame["ground_map"], *frame.place, frame["bodies"])
+    sky = SkyMaps(frame["gloss"], frame["coat"], frame["behind_mirrored" if mirrored else "behind"])
+    grade_and_wet[pixel_grid(shape, stream)](
+        rasterizer.size, dry, CameraArrays(turn, eye, rasterizer.lens), ground,
+        frame.uniforms["off_ground"], sky, frame.uniforms["look"], picture, depth, clearance, cover,
+    )  # fmt: skip
 
 
 @cuda_kernel

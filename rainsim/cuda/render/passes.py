@@ -1,0 +1,184 @@
+"""Twin of `rainsim.render.passes`: what the passes of a frame queue on the device."""
+
+from __future__ import annotations
+
+from functools import partial
+
+from rainsim.cuda.jit import cuda
+from rainsim.cuda.particles.drop_radiance import DropLight
+from rainsim.cuda.reflection import ray_water, screen_space, water_shading, wet_tops
+from rainsim.cuda.reflection.planar_mirror import Mirrors
+from rainsim.cuda.reflection.water_surface import WaterSurface
+from rainsim.cuda.render.lanes import Lanes, Launch
+from rainsim.cuda.render.nodes import MovingNodes
+from rainsim.cuda.render.rain_pass import RainPass
+from rainsim.cuda.shading.composite import compose
+from rainsim.cuda.shading.wet_ground_mirror import WetGroundLight
+from rainsim.cuda.shading.wet_pass import grade_layers, pixel_grid
+from rainsim.reflection.water_pass import optics_of
+from rainsim.reflection.water_shading import Background, Ripples
+from rainsim.reflection.water_surface import WaterMap
+from rainsim.render.frame import PASSES
+from rainsim.shading.composite import RainCover, RainLight
+
+
+class Passes:
+    """The passes of the frames of a device, with their tables there.
+
+    Parameters
+    ----------
+    frame : DeviceFrame
+
+    Attributes
+    ----------
+    mirrors : Mirrors
+    ground_light : WetGroundLight
+    drop_light : DropLight
+    surface : WaterSurface
+    nodes : MovingNodes or None
+        None in scenes without nodes.
+    rain : RainPass
+    lanes : Lanes
+        What is queued beside what.
+    launches : dict of str to Launch
+        By the names of the passes. What is no pass of the device has no entry: the reflection is
+        found where the water is shaded, and there is no glare.
+    """
+
+    def __init__(self, frame):
+        self._frame, conductor = frame, frame.conductor
+        ground = conductor.ground
+        self.surface = WaterSurface(
+            ground.terrain.bed, ground.water.relief, ground.terrain.mirrors, frame["water"],
+            ground.water.block_reach, frame.stream,
+        )  # fmt: skip
+        self.mirrors = Mirrors(frame, conductor.config.render.reflections)
+        self.ground_light, self.drop_light = WetGroundLight(frame), DropLight(frame)
+        aside, beside = cuda.stream(), cuda.stream()
+        capture = conductor.wet_scene.capture
+        self.nodes = None if capture.nodes is None else MovingNodes(frame)
+        self.rain = RainPass(frame, self.nodes, self.surface)
+        launches = {
+            "splat": Launch(lambda stream: frame.rasterizer.launch()),
+            "grade and wet": Launch(self._grade),
+            "water surface": Launch(self.surface.launch),
+            "find tall": Launch(self._find_tall, aside),
+            "light of drops": Launch(self.drop_light.launch, aside),
+            "list drops": Launch(self.rain.send, beside),
+            "streaks": Launch(self.rain.draw_streaks, beside),
+            "list splashes": Launch(self.rain.list_splashes, aside),
+            "splashes": Launch(self.rain.draw_splashes, beside),
+            "find water": Launch(self._find_water),
+            "mirror": Launch(lambda stream: self.mirrors.launch(frame["hit"], frame["coverage"])),
+            "water": Launch(self._lay_water), "compose": Launch(self._compose),
+        }  # fmt: skip
+        if self.ground_light.apart:
+            launches["splat level"] = Launch(self.ground_light.splat, self.ground_light.stream)
+            launches["light on wet ground"] = Launch(
+                self.ground_light.draw, self.ground_light.stream
+            )
+            launches["film"] = Launch(self.ground_light.add)
+        self.launches, self.lanes = launches, Lanes(PASSES, launches)
+
+    def each(self, part, stream):
+        """Return what a part queues, by pass, one after the other on a stream: functions."""
+        return {
+            each.name: partial(self.launches[each.name].queue, stream)
+            for each in self.lanes.of(part)
+        }
+
+    def room_for(self, height, width):
+        """Make room for pictures of a size [px]."""
+        self.mirrors.room_for(height, width)
+        self.rain.room_for(height, width)
+
+    # ---- what a finished frame had too little room for
+
+    def dry_rasterizers(self):
+        """Return the rasterizers of the pictures that need no water."""
+        return [self._frame.rasterizer, *self.ground_light.rasterizers]
+
+    def dry_is_amiss(self):
+        """Return whether the finished frame's rasterizers had too little room or far too much."""
+        return any([  # a list: each of them counts its picture
+            splats.count_picture() or splats.overflows() or splats.is_tight()
+            for splats in self.dry_rasterizers()
+        ])  # fmt: skip
+
+    def grow(self):
+        """Make room where the finished frame's water and rain lacked it; return whether any did."""
+        return any([self.mirrors.grow(), self.rain.grow()])  # both
+
+    def grow_dry(self):
+        """Make room in the dry rasterizers that lacked it; return whether any did."""
+        full = [splats for splats in self.dry_rasterizers() if splats.overflows()]
+        return bool([splats.make_room() for splats in full])
+
+    def dependencies(self):
+        """Return the values a recorded queue depends on: when they change, it is recorded again."""
+        return (
+            self._frame.rasterizer.queue, self.ground_light.queue, self.mirrors.queue,
+            *self.rain.dependencies(),
+        )  # fmt: skip
+
+    # ---- what is queued
+
+    def _grade(self, stream):
+        frame = self._frame
+        grade_layers(
+            frame, frame.rasterizer, frame.size, frame.uniforms["turn"], frame.uniforms["eye"],
+            frame["below"], frame["depth"], frame["clearance"], frame["cover"], stream,
+            mirrored=False,
+        )  # fmt: skip
+
+    def _find_tall(self, stream):
+        frame, joiners = self._frame, screen_space.JOINERS
+        screen_space.keep_tall[pixel_grid(frame.size, stream)](
+            frame["depth"], frame["clearance"], frame["tall"], frame["bounds"]
+        )
+        screen_space.join_bounds[-(-len(frame["bounds"]) // joiners), joiners, stream](
+            *frame.size, frame["bounds"]
+        )
+
+    def _find_water(self, stream):
+        frame = self._frame
+        grid, found = pixel_grid(frame.size, stream), (frame["hit"], frame["coverage"])
+        ray_water.meet_water[grid](
+            frame["depth"], frame.camera_arrays, self._water_map, self.surface.highest,
+            frame.uniforms["cover"], *found,
+        )  # fmt: skip
+        if len(frame.tops.form):
+            wet_tops.meet_tops[grid](
+                frame["depth"], frame.camera_arrays, frame.tops, frame.uniforms["off_ground"],
+                *found,
+            )  # fmt: skip
+
+    @property
+    def _water_map(self):
+        drawn, place = self.surface, self._frame.place
+        return WaterMap(drawn.surface, drawn.over, self._frame["rings"], *place, drawn.shores)
+
+    def _lay_water(self, stream):
+        frame, mirrors = self._frame, self.mirrors
+        (height, width), (wide, high) = frame.size, screen_space.PATCH
+        patches = (-(-width // wide), -(-height // high)), screen_space.PATCH, stream
+        found, settings = (frame["hit"], frame["coverage"]), frame.uniforms["settings"]
+        screen_space.find_hits[patches](
+            *found, frame["tall"], frame["bounds"], frame.camera_arrays, settings, mirrors.range,
+            frame["distance"],
+        )  # fmt: skip
+        water_shading.shade_water[pixel_grid(frame.size, stream)](
+            *found, frame["distance"],
+            Background(frame["picture"], frame["below"], frame["depth"]), frame["tall"],
+            frame.camera_arrays, self._water_map, frame.tops, Ripples(frame["moments"], frame.tile),
+            frame["environment"], frame["gloss"], settings, mirrors.arrays,
+            optics_of(frame.conductor.methods, frame.uniforms["sun"]), frame["shown"],
+        )  # fmt: skip
+
+    def _compose(self, stream):
+        frame, light = self._frame, self.drop_light
+        compose[pixel_grid(frame.size, stream)](
+            frame["shown"], frame["depth"], RainCover(*self.rain.alphas, frame.uniforms["fog"]),
+            RainLight(light.drops, light.sheets, frame.uniforms["air"]), frame.camera_arrays,
+            frame.uniforms["brightness"], frame["image"],
+        )  # fmt: skip

@@ -1,0 +1,308 @@
+"""What a frame shows: scene, weather, camera and water of its time, the inputs of its passes.
+
+Both backends have a `Conductor` and draw with the `Frame` that it fills.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from rainsim.drops import Weather
+from rainsim.particles import drop_radiance
+from rainsim.particles.splash import LONGEST_LIFE
+from rainsim.rain.moving_surfaces import MovingSurfaces
+from rainsim.raster import Rasterizer
+from rainsim.reflection.mirror_choice import mirror_step
+from rainsim.reflection.water_pass import WaterTables
+from rainsim.reflection.water_shading import SHELTERED_SHARE
+from rainsim.render.frame import PASSES, Frame
+from rainsim.render.layers import LAYER_PASSES
+from rainsim.render.wet_ground import WetGround
+from rainsim.render.wet_scene import WetScene
+from rainsim.shading import environment, sky
+from rainsim.shading.calibration import (
+    exposure_bias,
+    fixed_camera,
+    metered,
+    metering_views,
+)
+from rainsim.shading.wet_ground_mirror import WetGroundMirror, mean_share
+from rainsim.simulation import tops_drawn, usual_wind
+from rainsim.terrain.movers import with_movers
+from rainsim.water.ripples import ring_reach, ring_share, sheltered_rings, taller_rings
+
+RING_DEPTH = 5e-3  # m of water on which rings travel in under cover
+
+
+class GroundTables(NamedTuple):
+    """A part of the ground that carries the water, as passes take it.
+
+    Attributes
+    ----------
+    terrain : Terrain
+    moving : MovingSurfaces
+    rings : ndarray of shape (ny, nx), float32
+        See `ring_share`; what moves shelters some of them.
+    water : WaterTables
+    film : WetGroundMirror
+    """
+
+    terrain: object
+    moving: MovingSurfaces
+    rings: np.ndarray
+    water: WaterTables
+    film: WetGroundMirror
+
+
+class ReadyGround(NamedTuple):
+    """A part of the ground as `Conductor.take_ground` takes it."""
+
+    wet: WetGround
+    now: object
+    tables: GroundTables
+
+
+class Conductor:
+    """Puts the inputs of one frame after another, of one scene, terrain and configuration.
+
+    Parameters
+    ----------
+    scene : Scene
+    terrain : Terrain
+    config : Config
+    first_camera : Camera
+        In the capture frame; the surroundings are drawn from its place, and a capture without
+        cameras is metered by it, see `fixed_camera`.
+    rasterizer_of : callable
+        rasterizer_of(prepared) returns what draws prepared splats.
+    wet_scene : WetScene, optional
+        Of another conductor, whose settings differ in nothing that a `WetScene` depends on.
+
+    Attributes
+    ----------
+    frame : Frame
+    wet_scene : WetScene
+    ground : GroundTables
+    methods : RenderConfig
+        Names how water and film are drawn.
+    weather : Weather
+    now : Config
+        Of the present time.
+    view : Camera or None
+        Of the last frame, in the ground frame.
+    brightness : float
+        Factor on the finished picture: that of the settings times the meter's.
+    notes : list of str
+        That no report has held yet.
+    """
+
+    def __init__(
+        self, scene, terrain, config, first_camera, rasterizer_of=Rasterizer, wet_scene=None
+    ):
+        self.frame = Frame((*PASSES, *LAYER_PASSES))
+        terrain = with_movers(tops_drawn(terrain, config), scene)
+        self.config, self.methods = config, config.render
+        first_camera = fixed_camera(scene, terrain, config) or first_camera
+        if wet_scene is None:
+            wet_scene = WetScene(scene, terrain, config, first_camera, rasterizer_of)
+        self.wet_scene = wet_scene
+        wet_scene.move_nodes(None)  # the light of a run depends on no frame
+        self.weather = Weather(config)
+        self._ring_reach = ring_reach(RING_DEPTH, config.water.surface_film, self.weather.mean_rate)
+        film = WetGroundMirror(terrain, config.render)
+        self.ground = self._tables(terrain, wet_scene.ground.reach, film)
+        self._sun, note = sky.sun_of(config.render.sun, wet_scene.sky.day)
+        self.notes = [*wet_scene.notes, *([note] if note else [])]
+        self._air = environment.horizon_radiance(wet_scene.sky.day)
+        self._everywhere = drop_radiance.mean_radiance(wet_scene.sky.gloss)
+        self.now, self.brightness = config.at(0.0), 1.0
+        self._metered = self._meter(first_camera)
+        self._choose_film(first_camera)
+        self.camera = self.view = None
+
+    # ---- a frame
+
+    def take(self, camera, state, camera_end=None):
+        """Put the inputs of the next frame.
+
+        Parameters
+        ----------
+        camera : Camera
+            In the capture frame.
+        state : SimState or DeviceState
+        camera_end : Camera or None
+            As the shutter closes, in the ground frame; None: the camera stands still. Only rain
+            shows the motion: the capture stays sharp.
+        """
+        put, scene = self.frame.put, self.wet_scene
+        scene.take_tracks(state.tracks)
+        self.set_time(state.time)
+        if camera is not self.camera:
+            self.camera, self.view = camera, scene.frame.camera_in_ground(camera)
+        now, render = self.now, self.now.render
+        put("camera", self.camera)
+        put("view", self.view)
+        put("view_end", camera_end)
+        put("capture", scene.capture, scene.capture.changes)
+        put("scene", scene, scene.changes)
+        put("ground", self.ground)
+        put("methods", self.methods)
+        put("film_apart", self.ground.film.apart)
+        put("render", render)
+        put("time", state.time)
+        put("interval", self.config.frame_interval)
+        surfaces, rings = self._moment(state.time)
+        put("surfaces", surfaces)
+        put("rings", rings)
+        put("tops", self.ground.water.tops_with(state.top_water, now.rain.rate))
+        rain = now.rain.rate, now.water.surface_film
+        lens = self.view.fx, self.view.fy
+        put("mirror_step", mirror_step(self.methods.mirror_size, *rain, lens))
+        put("field", self.field(state.time))
+        put("paving", scene.shading.paving)
+        put("sun", sky.sunlight(self._sun, render.cloudiness))
+        put("everywhere", self._everywhere)
+        put("air", self._air)
+        put("brightness", self.brightness)
+
+    def take_water(self, state):
+        """Put the water and the drops of the next frame's state, where the host has them."""
+        put = self.frame.put
+        put("water", state.depth)
+        put("ripples", (state.slopes, state.tile_size))
+        put("drips", (state.drips, state.drip_id))
+        put("throws", (state.throws, state.throw_id))
+
+    def field(self, time):
+        """Return the drops whose streaks or splashes a frame shows, a RainField; None: no rain."""
+        return self.weather.field(time - LONGEST_LIFE, time + self.now.render.exposure)
+
+    def _moment(self, time):
+        """Return what drops land on at a time [s], and the amplitude of rings on each cell."""
+        ground = self.ground
+        if not ground.terrain.movers:
+            return ground.moving.still, ground.rings
+        surfaces, shelters = ground.moving.moment(time)
+        return surfaces, sheltered_rings(
+            ground.rings, self.wet_scene.ground.reach, shelters, ground.terrain.grid.spacing,
+            self._ring_reach,
+        )  # fmt: skip
+
+    def set_time(self, time):
+        """Take over the settings and the places of what moves of a time [s]."""
+        self.now = self.config.at(time)
+        self.brightness = self.now.render.brightness * math.exp(np.interp(time, *self._metered))
+        self.brightness *= 2 ** exposure_bias(self.now)
+        self.wet_scene.set_time(self.now)
+        self.wet_scene.move_nodes(time)
+
+    def take_settings(self, config):
+        """Draw with other settings from now on, but with the light that was set up for the first.
+
+        Exact for what is read for each frame: brightness, exposure, streaks, splashes and the lens;
+        else an approximation, until a renderer with these settings is made.
+        """
+        self.config, self.weather = config, Weather(config)
+
+    def take_methods(self, render):
+        """Draw water and film by the methods that a RenderConfig names, from now on."""
+        self.methods = self.ground.film.config = render
+
+    # ---- parts of the ground
+
+    def _tables(self, terrain, reach, film):
+        config = self.config
+        moving = MovingSurfaces(terrain, usual_wind(config), config.rain.roughness)
+        rings = ring_share(reach, terrain.grid.spacing, *self._ring_reach)
+        rings = taller_rings(rings, config.render.ripples, SHELTERED_SHARE)
+        return GroundTables(terrain, moving, rings, WaterTables(terrain, self._ring_reach), film)
+
+    def leave_ground(self):
+        """Drop all that depends on the present part of the ground; `take_ground` must follow."""
+        film = self.ground.film.over(None)
+        self.ground = GroundTables(None, None, None, None, film)
+        self.camera, self.frame = None, Frame((*PASSES, *LAYER_PASSES))
+        self.wet_scene.leave_ground()
+
+    def ready_ground(self, terrain, reach, now):
+        """Return the `ReadyGround` that `take_ground` takes; nothing that is drawn changes.
+
+        Parameters
+        ----------
+        terrain : Terrain
+            A window of the ground of this scene, its nodes on it.
+        reach : ndarray of shape (ny, nx), float32
+            Share of the rain that reaches the ground.
+        now : Config
+            Of the time from which on it is drawn.
+        """
+        terrain = tops_drawn(terrain, self.config)
+        return ReadyGround(
+            WetGround(terrain, reach), now, self._tables(terrain, reach, self.ground.film)
+        )
+
+    def take_ground(self, ready):
+        """Draw the water of another part of the ground from now on; the light stays as it is.
+
+        `ready` is what `ready_ground` returned.
+        """
+        terrain = ready.tables.terrain
+        self.ground = ready.tables._replace(film=self.ground.film.over(terrain))
+        self.wet_scene.take_ground(ready.wet, ready.now)
+
+    # ---- choices before the first frame
+
+    def _meter(self, first_camera):
+        """Return the key times and the logarithms of the factors that a camera's meter chooses."""
+        times = self.config.key_times()
+        factors = np.ones(len(times))
+        views = metering_views(self.wet_scene.scene.cameras, first_camera)
+        for k, time in enumerate(times):
+            now = self.config.at(time).replace(wetness=1.0)  # else it would take that back
+            if now.render.metering == "auto":
+                self.wet_scene.set_time(now)
+                light = self.wet_scene.land_light(views, self.ground.film.apart)
+                zenith = float(self.wet_scene.sky.day[0].mean())
+                factors[k] = metered(*light, zenith, now.render.cloudiness)
+        self.wet_scene.set_time(self.config.at(0.0))
+        if (factors != 1).any():
+            bias = exposure_bias(self.config.at(0.0))
+            about = f", and {bias:+.2g} EV as it is wet" if bias else ""
+            self.notes.append(f"exposure: the meter takes the light {factors[0]:.2f} times{about}")
+        return times, np.log(factors)
+
+    def _choose_film(self, first_camera):
+        """Let `auto` choose the reflections of wet ground, by the capture's views at all key times.
+
+        No frame decides, so all frames of a run agree on it, whichever of them are drawn here.
+        """
+        film = self.ground.film
+        if not (film.apart and self.config.render.film == "auto"):
+            return
+
+        def shares():
+            views = metering_views(self.wet_scene.scene.cameras, first_camera)
+            for time in self.config.key_times():
+                self.wet_scene.set_time(self.config.at(time))
+                for _, wet, cover in self.wet_scene.small_views(views, True):
+                    yield mean_share(wet.view, cover)
+
+        self.notes.append(film.choose(shares()))
+        self.wet_scene.set_time(self.config.at(0.0))
+
+    # ---- captures in chunks
+
+    def read_ahead(self, camera):
+        """Begin to read the chunks that a camera of the capture frame needs, if there are any."""
+        capture = self.wet_scene.capture
+        if capture.paged is not None:
+            capture.paged.read_ahead(camera, capture.near)
+
+    def hold(self, camera):
+        """Read now the chunks that a camera of the capture frame needs, if there are any."""
+        capture = self.wet_scene.capture
+        if capture.paged is not None:
+            capture.paged.whole.hold(camera, capture.near)

@@ -1,0 +1,251 @@
+"""The splats of a capture as cameras, mirrored cameras and rays see them, dry."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from rainsim.raster import prepare
+from rainsim.reflection.mirror_choice import merged_cells
+from rainsim.reflection.ray_traced import Tracer
+from rainsim.render.nodes import Nodes
+from rainsim.scene.cameras import MIRROR_CLEARANCE, cropped, mirrored_camera, resize_to
+from rainsim.shading.wet_ground_mirror import RESOLUTION, in_level_picture
+from rainsim.splatting.detail import SIDES, Detail
+from rainsim.splatting.prepared import recolored, turn
+
+FINER = 4  # pixels of the drawn surroundings, across one of the map's faces
+ALL = 2.5  # times as wide are small views of all splats, which are drawn too wide in smaller ones
+SMALL = 4.0  # px: threshold of pages in metering pictures, which come from all over a capture
+NEAR = 0.05  # m: splats nearer than this are not drawn
+FIRST_SEGMENT = 0.5  # m of a traced ray that are searched at first
+
+
+class DrawnCapture:
+    """A capture in the colours of the present time, with what moves where it is now.
+
+    Parameters
+    ----------
+    backdrop : Backdrop
+        Its scene is drawn, or `scene`.
+    scene : Scene
+        That of `backdrop`, perhaps without shreds of its sky.
+    present : PresentSplats
+    colors : tuple
+        State of `present` at the start.
+    badly_placed : ndarray of shape (n,), bool
+        Splats that mirrored pictures and the surroundings leave out, see `visibility`.
+    merge : float [px]
+        Side of the cells in which pictures merge splats, where they can; 0: they merge none.
+    terrain : Terrain
+        Whole, by which splats stand on the ground.
+    paged : PagedScene or None
+        What draws a big capture.
+    rasterizer_of : callable
+        rasterizer_of(prepared) returns what draws prepared splats.
+    normals : tuple, optional
+        See `surface.kept.splat_normals`.
+
+    Attributes
+    ----------
+    splats, prepared : Splats and PreparedSplats
+        Those of `scene` in the present light; of a big capture without nodes only `splats`.
+    merge : float [px]
+        Side of the cells in which frames and mirrored pictures do merge splats.
+    near : float [capture units]
+    rasterizer : Rasterizer or PagedRasterizer
+    nodes : Nodes or None
+        What moves, see `move_nodes`.
+    tracer : Tracer or None
+        Of the scene's splats, once rays were traced.
+    changes : int
+        Counts whatever makes pictures of the same camera differ.
+    """
+
+    def __init__(
+        self, backdrop, scene, present, colors, badly_placed, merge, terrain, paged, rasterizer_of,
+        normals=None,
+    ):  # fmt: skip
+        self.scene, self.frame, self._whole = scene, scene.ground_frame, backdrop.whole
+        self.near = NEAR / self.frame.meters_per_unit
+        self._present, self._colors, self._terrain = present, colors, terrain
+        self.badly_placed, self.paged, self._rasterizer_of = badly_placed, paged, rasterizer_of
+        self.splats = present.at(colors)
+        self.prepared = replace(prepare(self.splats, badly_placed), compensate=scene.antialiased)
+        self.nodes = Nodes(scene.actors, self.prepared) if scene.actors else None
+        if self.nodes is not None:
+            self.prepared = self.nodes.static
+        if paged is not None:
+            paged.take_colors(colors)
+        # Captures in chunks have levels of their own; nodes are put before the whole static set.
+        self.merge, self._detail = merge if self.nodes is None and paged is None else 0.0, None
+        if self.merge:
+            self._detail = Detail(self.prepared, self._sides)
+            self.prepared = self._detail.prepared
+        if normals is not None and paged is None:
+            turn(self.drawn, *normals)
+        self.rasterizer = rasterizer_of(self.drawn) if paged is None else paged.whole
+        self._standing = self._captured = self._captured_merger = self.tracer = None  # on demand
+        self.changes = 0
+
+    def forget_whole(self):
+        """Drop the prepared splats of a big capture, of which pages are drawn."""
+        if self.paged is not None and self.nodes is None:
+            self.prepared = None
+
+    # ---- what changes
+
+    def take_time(self, now):
+        """Take over the colours of the settings of a time."""
+        colors = self._present.state(now)
+        if colors == self._colors:
+            return
+        self._colors, self.splats = colors, self._present.at(colors)
+        if self._detail is None and self.prepared is not None:
+            self.prepared = recolored(self.prepared, self.splats)
+        elif self._detail is not None:
+            self._detail.recolor(self.splats)
+            self.prepared = self._detail.prepared
+        if self.paged is not None:
+            self.paged.take_colors(colors)
+        if self.nodes is not None:
+            self.nodes.recolor(self.prepared)
+            self.prepared = self.nodes.static
+        if self.paged is None:
+            self.rasterizer.recolor(self.drawn)
+        if self.nodes is not None:
+            self._put_nodes()
+        self._changed()
+
+    def move_nodes(self, time):
+        """Take over where the scene's nodes are at a time [s]; return whether they have moved.
+
+        Until the first call, and after a time of None, none is there.
+        """
+        if self.nodes is None or not self.nodes.set_time(time):
+            return False
+        self._put_nodes()
+        self._changed()
+        return True
+
+    def _put_nodes(self):
+        """Put the nodes as they are now before the static set."""
+        if self.paged is None:
+            self.rasterizer.put_nodes(self.nodes.merged())
+        else:
+            self.paged.put_nodes(self.nodes, self.frame)
+
+    def _changed(self):
+        self._standing = self.tracer = None
+        self.changes += 1
+
+    # ---- what is drawn
+
+    @property
+    def drawn(self):
+        """`prepared`, with levels of detail where splats are merged."""
+        return self.prepared if self._detail is None else self._detail.drawn
+
+    @property
+    def _sides(self):
+        """Sides of the cells of the levels of detail [capture units]."""
+        return [side / self.frame.meters_per_unit for side in SIDES]
+
+    def layers(self, camera, **options):
+        """Return the `raster.Layers` that a camera of the capture frame takes."""
+        return self.rasterizer.draw(camera, self.near, detail=self.merge, **options)
+
+    def dry(self, camera, whole_color=False):
+        """Return the `raster.Layers` that a camera of the capture frame takes.
+
+        `whole_color`: the colour is that of all splats as captured, those of the sky included.
+        """
+        layers = self.layers(camera)
+        return replace(layers, color=self.captured_color(camera, layers)) if whole_color else layers
+
+    def captured_color(self, camera, layers):
+        """Return the colour of all splats as captured, or that of `layers` where it is the same."""
+        if self.paged is not None:
+            return self.paged.captured.draw(camera, self.near).color
+        if self.splats is self._whole.splats:
+            return layers.color
+        options = {"compensate": self.prepared.compensate, "detail": self.merge}
+        return self._captured_splats().draw(camera, self.near, **options).color
+
+    def _captured_splats(self):
+        """Return the rasterizer of all splats as captured, those of the sky included."""
+        if self._captured is None:
+            whole = prepare(self._whole.splats)
+            if self.nodes is not None:
+                self._captured_merger = self.nodes.merger_of(whole)
+                whole = self._captured_merger.static
+            self._captured = self._rasterizer_of(
+                Detail(whole, self._sides).drawn if self.merge else whole
+            )
+        if self.nodes is not None:
+            self._captured.put_nodes(self.nodes.merged(self._captured_merger))
+        return self._captured
+
+    def node_numbers(self, camera):
+        """Return the number of the node that each pixel of `camera` shows, see `Nodes.numbers`."""
+        if self.nodes is None:
+            return np.zeros((camera.height, camera.width), np.uint16)
+        return self.nodes.numbers(self.rasterizer.draw(camera, self.near, hit=True).hit)
+
+    def small_layers(self, cameras):
+        """Yield camera and layers of small pictures, by which the light is set up."""
+        options = {} if self.paged is None else {"threshold": SMALL}
+        for camera in cameras:
+            if not self.merge and self.paged is None:
+                camera = resize_to(camera, round(ALL * camera.width))
+            yield camera, self.layers(camera, **options)
+
+    def surrounding_layers(self, view):
+        """Return camera and layers of a face of the surroundings, a camera of the ground frame."""
+        # Splats finer than a pixel are drawn too wide: drawn larger and reduced they are not.
+        options = {} if self.paged is None else {"threshold": FINER * self.rasterizer.detail}
+        camera = self.frame.camera_in_capture(resize_to(view, FINER * view.width))
+        return camera, self.layers(camera, leading=True, **options)
+
+    def level_layers(self, level):
+        """Return camera and layers of standing things, mirrored at the plane of the ground.
+
+        `level` is the level, upright camera (ground frame) that is mirrored.
+        """
+        if self._standing is None and self.paged is not None:
+            self._standing = self.paged.standing
+        if self._standing is None:
+            place = self._terrain, self.frame
+            standing = in_level_picture(self.prepared, *place) if self.nodes is None else (
+                self.nodes.standing(*place)
+            )  # fmt: skip
+            self._standing = self._rasterizer_of(standing)
+        _, camera = mirrored_camera(self.frame.camera_in_capture(level), self.frame, 0.0)
+        options = {}
+        if self.paged is not None:  # the pages of a picture at RESOLUTION, whatever its own is
+            finer = max(camera.fx / RESOLUTION, 1.0)
+            options = {"threshold": self._standing.detail * finer}
+        return camera, self._standing.draw(camera, self.near, **options)
+
+    def mirrored_layers(self, camera, level, window, step=1):
+        """Return camera and layers of a camera mirrored at a level, see `WetScene.mirrored`."""
+        plane, camera = mirrored_camera(camera, self.frame, level)
+        camera = cropped(camera, window)
+        camera = camera.resized(camera.width // step, camera.height // step)
+        cells = merged_cells(self.merge, step)
+        return camera, self.rasterizer.draw(camera, self.near, plane, leading=True, detail=cells)
+
+    def trace(self, origin, direction, before, pixel, color_eye=None):
+        """Return what `ray_traced.Tracer.trace` finds along rays of the ground frame [m]."""
+        if self.tracer is None:
+            splats = self.splats
+            if self.badly_placed.any():
+                splats = splats.take(~self.badly_placed)
+            self.tracer = Tracer(splats) if self.nodes is None else self.nodes.tracer(splats)
+        unit, turned = self.frame.meters_per_unit, self.frame.rotation
+        clear = np.append(self.frame.up, MIRROR_CLEARANCE / unit)
+        return self.tracer.trace(
+            self.frame.to_capture(origin), direction @ turned, before / unit, pixel,
+            FIRST_SEGMENT / unit, clear, color_eye,
+        )  # fmt: skip

@@ -1,0 +1,273 @@
+"""A frame as a list of passes: what each reads, what it writes, and when it runs again. Start here.
+
+`PASSES` names the passes of a picture in the order in which they run on either backend. A pass
+reads inputs and buffers and writes buffers. An input is a value that
+`rainsim.render.conductor.Conductor` puts for each frame: the camera, the water, the scene in the
+light of the moment. A buffer is what a pass writes, an array or a bundle of arrays of one picture.
+A `Frame` holds both by name. It knows which of them are newer than what was made of them, so it
+runs no pass twice for the same: of a still camera the picture without water is drawn once, still
+water is found once.
+
+What a pass computes stands with its backend: `rainsim.render.passes` for the CPU,
+`rainsim.cuda.render.passes` for the GPU. Neither holds an order of its own. A layer (AOV) is a
+buffer, too: `rainsim.render.aov` lists the passes that write layers, which run after these.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+INPUTS = {
+    "camera": "Camera of the picture, in the capture frame",
+    "view": "the same in the ground frame, a Camera",
+    "view_end": "as the shutter closes, in the ground frame; None: the camera stands still",
+    "capture": "DrawnCapture: the splats in their present colours, what moves where it is now",
+    "scene": "WetScene: how light and wet everything is now",
+    "ground": "GroundTables: the ground that carries the water",
+    "methods": "RenderConfig that names how water is drawn",
+    "film_apart": "whether what wet ground mirrors is added to the picture, see `WetGroundMirror`",
+    "render": "RenderConfig of the present time: shutter, lens, streaks",
+    "time": "of the frame [s]",
+    "interval": "from frame to frame [s]",
+    "water": "depth of the water on the ground, (ny, nx) [m]",
+    "rings": "amplitude of rings on each cell over that in the open, (ny, nx)",
+    "ripples": "slopes of the tile of ripples and its size [m]",
+    "tops": "TopMaps: tables and benches, and the water that stands on them",
+    "mirror_step": "pixels of the picture for one of its mirrored pictures, see `mirror_step`",
+    "field": "RainField of the drops that are seen; None: no rain",
+    "surfaces": "Surfaces: what drops land on",
+    "drips": "drips in the air and their numbers",
+    "throws": "what tyres throw, and its numbers",
+    "paving": "how wet open paving is, 0 to 1",
+    "sun": "direction and radiance of the sun, see `sky.sunlight`",
+    "everywhere": "mean radiance of the surroundings, (3,)",
+    "air": "radiance of distant air, (3,)",
+    "brightness": "factor on the finished picture",
+}
+
+
+# Parts of a frame, which a GPU records apart.
+SPLAT = "splat"  # needs the camera and the capture alone
+DRY = "dry"  # needs no water; drawn once for a camera that stands still
+SURFACE = "surface"  # of the water, whatever the camera
+WET = "wet"  # all else
+
+
+class Pass(NamedTuple):
+    """A part of a frame's work.
+
+    Attributes
+    ----------
+    name : str
+        By which a backend knows what to compute, and by which times are reported.
+    part : str
+        SPLAT, DRY, SURFACE or WET.
+    reads : tuple of str
+        Inputs, and buffers that earlier passes write. The CPU's function takes their values in
+        this order.
+    writes : tuple of str
+        Buffers. The CPU's function returns them in this order.
+    """
+
+    name: str
+    part: str
+    reads: tuple
+    writes: tuple
+
+
+PASSES = (
+    # The capture, graded and wet, with what wet ground mirrors.
+    Pass("splat level", SPLAT, ("camera", "capture"), ("level_layers",)),
+    Pass("splat", SPLAT, ("camera", "capture"), ("layers",)),
+    Pass("light on wet ground", DRY, ("level_layers", "scene", "view"), ("field_on_ground",)),
+    Pass("grade and wet", DRY, ("layers", "camera", "scene", "film_apart"),
+         ("below", "depth", "clearance", "cover")),
+    Pass("film", DRY, ("below", "depth", "clearance", "cover", "view", "scene", "ground",
+                       "field_on_ground"), ("picture",)),
+    # The water, and what falls before it.
+    Pass("water surface", SURFACE, ("water", "rings", "ground"), ("surface",)),
+    Pass("find tall", WET, ("depth", "clearance"), ("tall",)),
+    Pass("light of drops", WET, ("picture", "depth", "view", "scene", "everywhere"),
+         ("drop_light",)),
+    Pass("list drops", WET, ("view", "view_end", "time", "render", "field"), ("drops",)),
+    Pass("streaks", WET, ("drops", "depth", "view", "view_end", "time", "render", "field",
+                          "surfaces", "drips", "throws"), ("rain_alpha", "fog")),
+    Pass("list splashes", WET, ("drops", "depth", "field", "surfaces", "drips", "water"),
+         ("splashes",)),
+    Pass("splashes", WET, ("splashes", "rain_alpha", "depth", "view", "view_end", "time",
+                           "interval", "render", "field", "surfaces", "drips", "water", "paving"),
+         ("splash_alpha",)),
+    Pass("find water", WET, ("depth", "view", "surface", "tops", "scene", "methods"), ("seen",)),
+    Pass("mirror", WET, ("seen", "tops", "camera", "view", "scene", "methods", "mirror_step"),
+         ("mirrors",)),
+    Pass("reflection", WET, ("seen", "mirrors", "ripples", "tops", "picture", "depth", "clearance",
+                             "tall", "view", "scene", "methods"), ("reflected",)),
+    Pass("water", WET, ("seen", "reflected", "picture", "below", "depth", "view", "sun",
+                        "methods"), ("shown",)),
+    Pass("light of the rain", WET, ("drop_light", "air", "shown", "render"), ("rain_light",)),
+    Pass("glare", WET, ("shown", "view", "brightness", "render"), ("dazzling",)),
+    Pass("compose", WET, ("dazzling", "depth", "rain_alpha", "splash_alpha", "fog", "rain_light",
+                          "view", "brightness"), ("image",)),
+)  # fmt: skip
+TRANSIENT = frozenset({"layers", "level_layers"})  # dropped with the picture: 36 bytes a pixel
+
+
+class Frame:
+    """The inputs and buffers of one picture after another, by name.
+
+    Parameters
+    ----------
+    passes : sequence of Pass
+        In the order in which they may run.
+    """
+
+    def __init__(self, passes=PASSES):
+        self._passes = tuple(passes)
+        self._writer = {name: each.name for each in self._passes for name in each.writes}
+        self._values, self._marks = {}, {}
+        self._written, self._done = {}, {}  # number of the change that wrote a name, ran a pass
+        self._changes = 0
+
+    def __getitem__(self, name):
+        return self._values[name]
+
+    def __contains__(self, name):
+        return name in self._values
+
+    def put(self, name, value, mark=None):
+        """Take over a value; nothing that reads it is run again if it is the same as before.
+
+        Parameters
+        ----------
+        name : str
+            An input, or a buffer, which then counts as written by its pass.
+        value : object
+        mark : object, optional
+            Changes when the value does, where that is an object that lives on and changes.
+        """
+        same = name in self._values and is_same(value, self._values[name])
+        if not same or not is_same(mark, self._marks.get(name)):
+            self._store(name, value)
+        self._marks[name] = mark
+        if name in self._writer:
+            self._done[self._writer[name]] = self._changes
+
+    def values(self, name, **others):
+        """Return what a pass reads, a list, with some of the values replaced by `others`."""
+        reads = next(each.reads for each in self._passes if each.name == name)
+        return [others[read] if read in others else self._values[read] for read in reads]
+
+    def make(self, names, work, mark=lambda name: None):
+        """Run the passes on which buffers depend, as far as what they read has changed.
+
+        Parameters
+        ----------
+        names : iterable of str
+            Of the buffers.
+        work : dict of str to callable
+            What each pass computes: it takes the values of `reads` and returns those of `writes`.
+            A pass that has no entry writes None.
+        mark : callable, optional
+            mark(name) is called after each pass; what it raises ends the work. What was finished
+            until then stays.
+        """
+        for each, is_stale in self.due(names):
+            self._done[each.name] = self._changes
+            compute = work.get(each.name)
+            if compute is None:
+                values = (None,) * len(each.writes)
+            else:
+                values = compute(*(self._values[name] for name in each.reads))
+                values = values if len(each.writes) > 1 else (values,)
+            for name, value in zip(each.writes, values, strict=True):
+                if is_stale:
+                    self._store(name, value)
+                else:
+                    self._values[name] = value  # as it was before it was dropped
+            if compute is not None:
+                mark(each.name)
+        for name in TRANSIENT:
+            self._values.pop(name, None)
+
+    def due(self, names):
+        """Return the passes that buffers depend on and that must run, in their order.
+
+        Returns
+        -------
+        list of (Pass, bool)
+            Whether something has changed; if not, only what was dropped is made again.
+        """
+        asked = passes_to(names, self._passes)
+        due, newer = set(), set()
+        for each in asked:
+            done = self._done.get(each.name, -1)
+            if not newer.isdisjoint(each.reads) or any(
+                self._written.get(name, done + 1) > done for name in each.reads
+            ):
+                due.add(each.name)
+                newer.update(each.writes)
+        stale = set(due)
+        for each in reversed(asked):
+            if each.name in due:
+                gone = [name for name in each.reads if name not in self._values]
+                due.update(self._writer[name] for name in gone if name in self._writer)
+        return [(each, each.name in stale) for each in asked if each.name in due]
+
+    def _store(self, name, value):
+        self._changes += 1
+        self._values[name], self._written[name] = value, self._changes
+
+
+def passes_to(names, passes=PASSES):
+    """Return the passes on which buffers depend, in their order."""
+    wanted, found = set(names), []
+    for each in reversed(passes):
+        if not wanted.isdisjoint(each.writes):
+            found.append(each)
+            wanted.update(each.reads)
+    return found[::-1]
+
+
+def reads_of(passes, launched):
+    """Return what each of some passes reads, where others are computed with those that read them.
+
+    Parameters
+    ----------
+    passes : sequence of Pass
+    launched : container of str
+        Names of those that a backend computes by themselves.
+
+    Returns
+    -------
+    dict of str to set of str
+        By the names of those launched: inputs, and buffers that others of them write.
+    """
+    found, within = {}, {}
+    for each in passes:
+        reads = set().union(*(within.get(name, {name}) for name in each.reads))
+        if each.name in launched:
+            found[each.name] = reads
+        else:
+            within.update(dict.fromkeys(each.writes, reads))
+    return found
+
+
+def inputs_of(names, passes=PASSES):
+    """Return the inputs on which buffers depend, a set of str."""
+    read = {name for each in passes_to(names, passes) for name in each.reads}
+    return (read | set(names)) - {name for each in passes for name in each.writes}
+
+
+def is_same(value, other):
+    """Tell whether two inputs are equal: by identity, numbers and arrays by what they hold."""
+    if value is other:
+        return True
+    if type(value) is not type(other):
+        return False
+    if isinstance(value, np.ndarray):
+        return value.dtype == other.dtype and np.array_equal(value, other)
+    if isinstance(value, tuple):
+        return len(value) == len(other) and all(map(is_same, value, other))
+    return isinstance(value, (int, float, str, np.generic)) and value == other

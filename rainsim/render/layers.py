@@ -1,0 +1,253 @@
+"""The layers (AOVs) of a frame as passes: what each is computed from, and how.
+
+`rainsim.render.aov` says what they mean. They run after the passes of `rainsim.render.frame`, on
+the CPU; of a frame that a GPU drew its buffers are fetched first.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from rainsim.particles.splash import LONGEST_LIFE, WET_FILM
+from rainsim.particles.splash_pass import seen_splashes
+from rainsim.particles.streaks import NEAR
+from rainsim.rain.dripping import drip_impacts
+from rainsim.reflection import water_record
+from rainsim.reflection.water_pass import WetPicture, terms
+from rainsim.render import labels, node_labels
+from rainsim.render.frame import WET, Pass
+from rainsim.render.shutter import next_camera
+from rainsim.scene.view import view_of
+from rainsim.shading import composite
+from rainsim.shading.dampness import find_dampness
+from rainsim.shading.wet_pass import dry_picture
+from rainsim.terrain.table import WATER
+
+MOST_INDEX = 2**16 - 1
+FLOW_SAMPLES = 24  # places on a drop's path at which its motion is recorded
+SEEN_SPLASH = 1 / 512  # share of a pixel's light from which a splash is labelled
+TERMS = ("coverage", "reflection", "reflection_source", "refraction", "fresnel", "highlight",
+         "water_depth")  # fmt: skip
+
+LAYER_PASSES = (
+    Pass("layer clean", WET, ("layers", "camera", "capture"), ("clean",)),
+    Pass("layer wet", WET, ("picture",), ("wet",)),
+    Pass("layer film", WET, ("picture", "below"), ("film",)),
+    Pass("layer range", WET, ("depth", "view"), ("range",)),
+    Pass("layer normal", WET, ("layers", "view"), ("normal",)),
+    Pass("layer wetness", WET, ("layers", "depth", "clearance", "view", "scene"), ("wetness",)),
+    Pass("layer terms of the water", WET, ("seen", "reflected", "picture", "below", "depth", "view",
+                                      "sun", "methods"), TERMS),
+    Pass("layer transmission", WET, ("depth", "fog", "view"), ("transmission",)),
+    Pass("layer splash_id", WET, ("splash_alpha", "depth", "view", "time", "render", "field",
+                             "surfaces", "drips", "water", "paving"), ("splash_id",)),
+    Pass("view of the next frame", WET, ("view", "view_end", "render", "interval", "scene"),
+         ("next_view",)),
+    Pass("layer drop_flow", WET, ("rain_alpha", "depth", "view", "next_view", "time", "render",
+                                  "field", "interval"), ("drop_flow",)),
+    Pass("nodes", WET, ("camera", "scene", "interval"), ("nodes",)),
+    Pass("layer flow", WET, ("depth", "view", "next_view", "interval", "nodes", "scene"),
+         ("flow", "flow_mask")),
+    Pass("layer actor_id", WET, ("depth", "nodes"), ("actor_id",)),
+    Pass("layer class_id", WET, ("layers", "depth", "clearance", "view", "seen", "nodes", "ground"),
+         ("class_id",)),
+    Pass("layer puddle_id", WET, ("seen", "depth", "ground", "water"), ("puddle_id",)),
+)  # fmt: skip
+
+
+def facts_of(names, frame, weather):
+    """Return a frame's labels besides pictures, as plain JSON values.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Layers that were made: classes are named, puddles and splashes get their boxes.
+    frame : Frame
+    weather : dict
+        See `rainsim.render.weather.weather_of`.
+    """
+    facts = {"weather": weather}
+    if "class_id" in names:
+        facts["classes"] = labels.class_names()
+    if "puddle_id" in names:
+        _, puddles = labels.puddle_map(frame["ground"].terrain, frame["water"])
+        boxes = labels.boxes_of(frame["puddle_id"])
+        facts["puddles"] = [{**box, **puddles.get(box["id"], {})} for box in boxes]
+    if "actor_id" in names and frame["nodes"] is not None:
+        facts["actors"] = node_labels.facts_of_nodes(frame["nodes"], frame["view"])
+    if "splash_id" in names:
+        facts["splashes"] = labels.boxes_of(frame["splash_id"])
+    return facts
+
+
+def _clean(layers, camera, capture):
+    color = capture.captured_color(camera, layers)
+    return (np.clip(color, 0, 1) * 255 + 0.5).astype(np.uint8)
+
+
+def _normal(layers, view):
+    return (layers.normal @ view_of(view).ground_from_camera.T).astype(np.float32)
+
+
+def _wetness(layers, depth, clearance, view, scene):
+    damp, now = np.empty(depth.shape, np.float32), scene.shading
+    find_dampness(
+        depth, clearance, dry_picture(layers, scene.frame.meters_per_unit), now.look, view_of(view),
+        now.ground, now.off_ground, damp,
+    )  # fmt: skip
+    return damp
+
+
+def _transmission(depth, fog, view):
+    clear = np.empty(depth.shape, np.float32)
+    composite.find_clear(depth, fog, view_of(view), clear)
+    return clear
+
+
+def _water_terms(seen, reflected, picture, below, depth, view, sun, methods):
+    """Return the AOVs of TERMS; zero where there is no water."""
+    height, width = depth.shape
+    wet = WetPicture(picture, depth, None, view_of(view), below)
+    through, share, glint = terms(seen, methods, wet, sun)
+
+    def spread(values, dtype=np.float32):
+        out = np.zeros((height * width, *values.shape[1:]), dtype)
+        out[seen.pixel] = values
+        return out.reshape(height, width, *values.shape[1:])
+
+    return (
+        spread(seen.record[:, water_record.COVERAGE]), spread(seen.light),
+        spread(seen.source + 1, np.uint16), spread(through), spread(share), spread(glint),
+        spread(seen.record[:, water_record.WATER_DEPTH]),
+    )  # fmt: skip
+
+
+def _splash_id(splash_alpha, depth, view, time, render, field, surfaces, drips, water, paving):
+    """Return a number for each splashed pixel: that of the splash whose middle is nearest.
+
+    A splash keeps its number from frame to frame and from camera to camera, for it comes from its
+    drop; two splashes of one picture can have the same one by chance.
+    """
+    found = np.zeros(splash_alpha.shape, np.uint16)
+    rows, columns = np.nonzero(splash_alpha > SEEN_SPLASH)
+    if field is None or not len(rows):
+        return found
+    position, ids = seen_splashes(
+        field, surfaces, view, time, render.exposure, water, WET_FILM * paving, depth,
+        more=drip_impacts(*drips, surfaces, time - LONGEST_LIFE, time + render.exposure),
+    )  # fmt: skip
+    if not len(ids):
+        return found
+    place = _project(position, view)[:, :2]
+    nearest = cKDTree(place).query(np.column_stack([columns + 0.5, rows + 0.5]))[1]
+    found[rows, columns] = (ids[nearest] % np.uint64(MOST_INDEX) + np.uint64(1)).astype(np.uint16)
+    return found
+
+
+def _next_view(view, view_end, render, interval, scene):
+    """Return the next frame's camera; None where neither the camera nor anything else moves."""
+    if view_end is not None:
+        return next_camera(view, view_end, render.exposure / interval)
+    return None if scene.capture.nodes is None else view
+
+
+def _nodes(camera, scene, interval):
+    """Return the `NodesSeen` of the frame; None without nodes."""
+    nodes = scene.capture.nodes
+    if nodes is None:
+        return None
+    numbers = scene.capture.node_numbers(camera)
+    return node_labels.NodesSeen(nodes.actors, nodes.time, interval, scene.frame, numbers)
+
+
+def _flow(depth, view, next_view, interval, nodes, scene):
+    """Return motion and mask of the scene, see `labels.flow_of`; zero and seen if it is still."""
+    if next_view is None:
+        return np.zeros((*depth.shape, 2), np.float32), np.full(depth.shape, labels.SEEN, np.uint16)
+    if nodes is not None:
+        scene.move_nodes(nodes.time + interval)
+    seen = scene.picture(scene.frame.camera_in_capture(next_view))
+    if nodes is None:
+        return labels.flow_of(depth, view, next_view, seen.depth)
+    scene.move_nodes(nodes.time)
+    moves = node_labels.moves_of(nodes)
+    return labels.flow_of(depth, view, next_view, seen.depth, nodes.number, moves)
+
+
+def _class_id(layers, depth, clearance, view, seen, nodes, ground):
+    water = np.zeros(depth.shape, bool)
+    water.ravel()[seen.pixel[labels.shown_water(seen.record)]] = True
+    wet = WetPicture(None, depth, clearance, view_of(view), None)
+    ids = labels.class_ids(wet, _normal(layers, view), ground.terrain, water)
+    if nodes is not None:
+        ids[(nodes.number > 0) & (ids != WATER)] = labels.OTHER_CLASS
+    return ids
+
+
+def _actor_id(depth, nodes):
+    return np.zeros(depth.shape, np.uint16) if nodes is None else nodes.number
+
+
+def _puddle_id(seen, depth, ground, water):
+    ids, _ = labels.puddle_map(ground.terrain, water)
+    return labels.puddle_ids(seen.pixel, seen.record, depth.shape, ground.terrain, ids)
+
+
+def _project(points, camera):
+    """Return image point and depth of ground-frame points, (n, 3)."""
+    matrix = camera.camera_from_world
+    x, y, z = (np.asarray(points, np.float64) @ matrix[:3, :3].T + matrix[:3, 3]).T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.stack([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy, z], axis=1)
+
+
+def _drop_flow(rain_alpha, depth, view, next_view, time, render, field, interval):
+    """Return the motion of drops in the picture, the mean over the drops in a pixel.
+
+    The camera's own motion is part of it. Each drop counts with the light that it replaces; zero
+    where there are none.
+    """
+    (height, width), far = rain_alpha.shape, render.streak_far
+    flow = np.zeros((height * width, 2))
+    weight = np.zeros(height * width)
+    if field is None:
+        return flow.reshape(height, width, 2).astype(np.float32)
+    corners = np.array([(u, v, 1.0) for u in (0, view.width) for v in (0, view.height)])
+    rays = (corners - (view.cx, view.cy, 0)) / (view.fx, view.fy, 1)
+    box = np.concatenate([rays * far, np.zeros((1, 3))])
+    box = box @ view.camera_from_world[:3, :3] + view.position
+    high = box.max(axis=0) + np.array([0, 0, 0.3])  # drops that fall into view meanwhile
+    found = field.drops_in_box(time, box.min(axis=0), high)
+    start = _project(found.position, view)
+    after = _project(
+        found.position + found.velocity * interval, view if next_view is None else next_view
+    )
+    ahead = (start[:, 2] > NEAR) & (after[:, 2] > NEAR)
+    start, after = start[ahead], after[ahead]
+    cover = found.diameter[ahead] ** 2 / start[:, 2] ** 2
+    opened = render.exposure / interval
+    for k in range(FLOW_SAMPLES):
+        part = opened * (k + 0.5) / FLOW_SAMPLES
+        u, v, z = (start + part * (after - start)).T
+        inside = (u >= 0) & (u < width) & (v >= 0) & (v < height) & (z < far)
+        at = v[inside].astype(np.int64) * width + u[inside].astype(np.int64)
+        before = z[inside] < depth.ravel()[at]
+        at, which = at[before], np.flatnonzero(inside)[before]
+        np.add.at(weight, at, cover[which])
+        np.add.at(flow, at, cover[which, None] * (after - start)[which, :2])
+    flow /= np.maximum(weight, 1e-30)[:, None]
+    flow[rain_alpha.ravel() <= 0] = 0
+    return flow.reshape(height, width, 2).astype(np.float32)
+
+
+WORK = {
+    "layer clean": _clean, "layer wet": lambda picture: picture,
+    "layer film": lambda picture, below: picture - below, "layer range": labels.range_of,
+    "layer normal": _normal, "layer wetness": _wetness, "layer terms of the water": _water_terms,
+    "layer transmission": _transmission, "layer splash_id": _splash_id,
+    "view of the next frame": _next_view, "layer drop_flow": _drop_flow, "nodes": _nodes,
+    "layer flow": _flow, "layer actor_id": _actor_id, "layer class_id": _class_id,
+    "layer puddle_id": _puddle_id,
+}  # fmt: skip
+"""What each pass of LAYER_PASSES computes, see `Frame.make`."""

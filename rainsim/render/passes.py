@@ -1,0 +1,154 @@
+"""What the passes of a frame compute on the CPU; `rainsim.render.frame` names them in order."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rainsim.particles import drop_radiance, paper
+from rainsim.reflection import water_pass
+from rainsim.reflection.ray_traced import traced_light
+from rainsim.reflection.water_pass import WetPicture
+from rainsim.render import layers
+from rainsim.render.frame import is_same
+from rainsim.render.rain_pass import draw_falling, draw_landing
+from rainsim.scene.view import view_of
+from rainsim.shading.composite import RainCover, RainLight, compose
+from rainsim.shading.glare import Glare
+
+
+class Passes:
+    """The passes of a frame on the CPU, with what they keep from one frame to the next.
+
+    Attributes
+    ----------
+    work : dict of str to callable
+        By the names of the passes, see `Frame.make`. What is no pass of the CPU has no entry: the
+        light on wet ground is found with the film, tall things when a ray is first marched.
+    march : March
+        Steps of the march on the screen.
+    """
+
+    def __init__(self):
+        self.march = water_pass.March()
+        self._mirrors, self._mirrored = {}, None  # by level, window and step; what they show
+        self._blocks, self._laid, self._glare = (None, None), (None, None, None), Glare()
+        self.work = {
+            "splat": _splat, "grade and wet": _grade, "film": _add_film,
+            "water surface": _draw_surface, "light of drops": _light_drops,
+            "find water": _find_water, "mirror": self.mirror, "reflection": self.reflect,
+            "water": self._lay, "streaks": _fall, "splashes": _splash,
+            "light of the rain": _light_rain, "glare": self._add_glare, "compose": _compose,
+            **layers.WORK,
+        }  # fmt: skip
+
+    def forget_reflections(self):
+        """Forget the mirrored pictures and the depth that is marched."""
+        self._mirrors, self._blocks = {}, (None, None)
+
+    def mirror(self, seen, tops, camera, view, scene, methods, step):
+        """Return the mirrored pictures that the water asks for, by their places."""
+        shows = camera, scene.changes
+        if not is_same(shows, self._mirrored):
+            self._mirrors, self._mirrored = {}, shows
+        if not len(seen) or methods.reflections == "traced":
+            return {}
+        places = water_pass.shared_out(seen, methods.reflections, tops, view_of(view))[0]
+        kept = self._mirrors
+        self._mirrors = {
+            (*place, step): kept.get((*place, step)) or scene.mirrored(camera, *place, step)
+            for place, _ in places
+        }
+        return {place: self._mirrors[*place, step] for place, _ in places}
+
+    def reflect(
+        self, seen, mirrors, ripples, tops, picture, depth, clearance, _tall, view, scene, methods
+    ):
+        """Fill in the slopes and the mirrored light of the water."""
+        if not len(seen):
+            return seen
+        water_pass.tilt(seen, *ripples, tops)
+        wet = WetPicture(picture, depth, clearance, view_of(view), None)
+        if methods.reflections == "traced":
+            traced_light(seen.record, wet.view, scene.traced, seen.light, seen.source)
+            return seen
+        around = scene.sky.environment, scene.sky.gloss
+        water_pass.light_up(
+            seen, methods.reflections, wet, tops, mirrors.get, around,
+            lambda: self._depth_blocks(wet), self.march,
+        )  # fmt: skip
+        return seen
+
+    def _depth_blocks(self, wet):
+        if self._blocks[0] is not wet.depth:
+            self._blocks = wet.depth, water_pass.depth_blocks(wet)
+        return self._blocks[1]
+
+    def _lay(self, seen, _reflected, picture, below, depth, view, sun, methods):
+        """Return the picture with the water on it; overwritten by the next call."""
+        without, shown, pixel = self._laid
+        if without is picture:  # only the last frame's water is taken away
+            shown.reshape(-1, 3)[pixel] = picture.reshape(-1, 3)[pixel]
+        else:
+            shown = picture.copy()
+        wet = WetPicture(picture, depth, None, view_of(view), below)
+        water_pass.lay(seen, methods, wet, sun, shown)
+        self._laid = picture, shown, seen.pixel
+        return shown
+
+    def _add_glare(self, shown, view, brightness, render):
+        return shown if render.glare == "off" else self._glare.added(shown, view.fx, brightness)
+
+
+def _splat(camera, capture):
+    return capture.layers(camera)
+
+
+def _grade(layers, camera, scene, apart):
+    """Return picture, depth, clearance and cover without what wet ground mirrors."""
+    cover = np.empty((camera.height, camera.width) if apart else (0, 0), np.float32)
+    wet = scene.wetted(layers, camera, cover)
+    return wet.picture, wet.depth, wet.clearance, cover
+
+
+def _add_film(below, depth, clearance, cover, view, scene, ground, _light):
+    wet = WetPicture(below, depth, clearance, view_of(view), below)
+    return ground.film.add_to(wet, cover, view, scene.level_mirrored, scene.sky.gloss).picture
+
+
+def _draw_surface(water, rings, ground):
+    return water_pass.draw_surface(ground.water, water, rings)
+
+
+def _light_drops(picture, depth, view, scene, everywhere):
+    seen = view_of(view)
+    return drop_radiance.falling_light(
+        scene.sky.gloss, everywhere, seen.ground_from_camera, seen.lens, picture, depth
+    )
+
+
+def _find_water(depth, view, surface, tops, scene, methods):
+    off_ground = scene.shading.off_ground
+    return water_pass.find_water(methods, depth, view_of(view), surface, tops, off_ground)
+
+
+def _fall(_listed, *given):
+    return draw_falling(*given)
+
+
+def _splash(_listed, _rain, *given):
+    return draw_landing(*given)
+
+
+def _light_rain(drop_light, air, shown, render):
+    """Return the `RainLight` of drops, splashes and air."""
+    if render.streaks == "paper":
+        drops = drop_radiance.even(paper.line_radiance(shown))
+        return RainLight(drops, drops, air)
+    return RainLight(*drop_light, air)
+
+
+def _compose(picture, depth, rain_alpha, splash_alpha, fog, light, view, brightness):
+    image = np.empty((*depth.shape, 3), np.uint8)
+    cover = RainCover(rain_alpha, splash_alpha, fog)
+    compose(picture, depth, cover, light, view_of(view), np.float32(brightness), image)
+    return image
