@@ -128,6 +128,7 @@ class Frame:
         self._writer = {name: each.name for each in self._passes for name in each.writes}
         self._values, self._marks = {}, {}
         self._written, self._done = {}, {}  # number of the change that wrote a name, ran a pass
+        self._given = set()  # buffers that were put
         self._changes = 0
 
     def __getitem__(self, name):
@@ -142,7 +143,7 @@ class Frame:
         Parameters
         ----------
         name : str
-            An input, or a buffer, which then counts as written by its pass.
+            An input, or a buffer, which then no pass is run for.
         value : object
         mark : object, optional
             Changes when the value does, where that is an object that lives on and changes.
@@ -152,7 +153,7 @@ class Frame:
             self._store(name, value)
         self._marks[name] = mark
         if name in self._writer:
-            self._done[self._writer[name]] = self._changes
+            self._given.add(name)
 
     def values(self, name, **others):
         """Return what a pass reads, a list, with some of the values replaced by `others`."""
@@ -199,7 +200,7 @@ class Frame:
         list of (Pass, bool)
             Whether something has changed; if not, only what was dropped is made again.
         """
-        asked = passes_to(names, self._passes)
+        asked = passes_to(names, self._passes, self._given)
         due, newer = set(), set()
         for each in asked:
             done = self._done.get(each.name, -1)
@@ -220,13 +221,13 @@ class Frame:
         self._values[name], self._written[name] = value, self._changes
 
 
-def passes_to(names, passes=PASSES):
-    """Return the passes on which buffers depend, in their order."""
-    wanted, found = set(names), []
+def passes_to(names, passes=PASSES, given=frozenset()):
+    """Return the passes on which buffers depend, in their order, where some are `given`."""
+    wanted, found = set(names) - given, []
     for each in reversed(passes):
         if not wanted.isdisjoint(each.writes):
             found.append(each)
-            wanted.update(each.reads)
+            wanted.update(set(each.reads) - given)
     return found[::-1]
 
 

@@ -77,8 +77,8 @@ def test_what_is_put_stands_for_its_pass():
     made = Made()
     made.image()
     made.ran.clear()
+    made.frame.put("look", 5)
     made.frame.put("picture", 40)
-    made.frame.put("depth", 0)
     made.frame.make(("image",), made.work)
     assert made.frame["image"] == 43 and made.ran == ["lay"]
 

@@ -39,7 +39,6 @@ class AovReader:
         inputs, capture = conductor.frame, conductor.wet_scene.capture
         for name in ("picture", "below", "depth", "clearance"):
             inputs.put(name, frame[name].copy_to_host())
-        inputs.put("cover", None)
         cover, light = frame.passes.rain.cover(), frame.passes.drop_light
         inputs.put("rain_alpha", cover.rain_alpha)
         inputs.put("fog", cover.fog)
