@@ -330,9 +330,9 @@ class Simulation:
 def simulate(terrain, config, progress=None):
     """Yield the `DeviceState` at the time of each frame, from frame 0 on, without end.
 
-    Where bodies move over the terrain the CPU simulates: its `SimState` is yielded.
+    Where actors move over the terrain the CPU simulates: its `SimState` is yielded.
     """
-    if terrain.movers:
+    if terrain.footprints:
         yield from host.simulate(terrain, config, progress)
         return
     run = Simulation(terrain, config)

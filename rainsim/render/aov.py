@@ -17,7 +17,7 @@ from rainsim.particles.splash_pass import seen_splashes
 from rainsim.particles.streaks import NEAR
 from rainsim.rain.dripping import drip_impacts
 from rainsim.reflection import water_record
-from rainsim.render import labels, node_labels
+from rainsim.render import actor_labels, labels
 from rainsim.shading import composite
 from rainsim.shading.dampness import find_dampness
 from rainsim.shading.wet_pass import dry_picture
@@ -82,14 +82,14 @@ AOVS = {
     "flow_mask": Aov(INDEX, "", "0 no flow, 1 seen, 2 occluded, 3 outside the next frame"),
     "class_id": Aov(INDEX, "", "class of ground or water, 255 for all else"),
     "puddle_id": Aov(INDEX, "", "of the puddle that a pixel shows, 0 for none"),
-    "actor_id": Aov(INDEX, "", "of the moving node that a pixel shows, 0 for none"),
+    "actor_id": Aov(INDEX, "", "of the actor that a pixel shows, 0 for none"),
 }
 TERMS = ("coverage", "reflection", "reflection_source", "refraction", "fresnel", "highlight",
          "water_depth")  # fmt: skip
 OF_THE_WATER = (*TERMS, "class_id", "puddle_id")  # those that need the list of the water's pixels
 DRY = frozenset({"clean", "normal", "wetness", "class_id"})  # those that need the dry picture
 FLOW = frozenset({"flow", "flow_mask"})
-NODES = FLOW | {"actor_id", "class_id"}  # those that need to know which node a pixel shows
+ACTORS = FLOW | {"actor_id", "class_id"}  # those that need to know which actor a pixel shows
 NEEDED = ("wet", "coverage", "reflection", "refraction", "fresnel", "highlight", "transmission",
           "rain_alpha", "splash_alpha")  # fmt: skip
 
@@ -150,8 +150,8 @@ class FrameParts:
     depth_after : ndarray of shape (height, width), float32 [m], or None
         What the next frame's camera sees; None: the camera stands still, or no AOV of FLOW is
         asked for.
-    nodes : NodesSeen or None
-        What moves; None: nothing does, or no AOV of NODES is asked for.
+    actors : ActorsSeen or None
+        What moves; None: nothing does, or no AOV of ACTORS is asked for.
     """
 
     dry: object
@@ -174,7 +174,7 @@ class FrameParts:
     terrain: object
     after: object = None
     depth_after: np.ndarray | None = None
-    nodes: node_labels.NodesSeen | None = None
+    actors: actor_labels.ActorsSeen | None = None
 
 
 def collect(names, parts):
@@ -221,8 +221,8 @@ def facts_of(aovs, parts, weather):
         _, puddles = labels.puddle_map(parts.terrain, parts.state.depth)
         boxes = labels.boxes_of(aovs["puddle_id"])
         facts["puddles"] = [{**box, **puddles.get(box["id"], {})} for box in boxes]
-    if "actor_id" in aovs and parts.nodes is not None:
-        facts["actors"] = node_labels.facts_of_nodes(parts.nodes, parts.camera)
+    if "actor_id" in aovs and parts.actors is not None:
+        facts["actors"] = actor_labels.facts_of_actors(parts.actors, parts.camera)
     if "splash_id" in aovs:
         facts["splashes"] = labels.boxes_of(aovs["splash_id"])
     return facts
@@ -372,9 +372,9 @@ def _flow(parts):
         shape = parts.wet.depth.shape
         return np.zeros((*shape, 2), np.float32), np.full(shape, labels.SEEN, np.uint16)
     given = parts.wet.depth, parts.camera, parts.after, parts.depth_after
-    if parts.nodes is None:
+    if parts.actors is None:
         return labels.flow_of(*given)
-    return labels.flow_of(*given, parts.nodes.number, node_labels.moves_of(parts.nodes))
+    return labels.flow_of(*given, parts.actors.number, actor_labels.moves_of(parts.actors))
 
 
 def _class_id(parts):
@@ -382,15 +382,15 @@ def _class_id(parts):
     kept = labels.shown_water(parts.water.record)
     water.ravel()[parts.water.pixel[kept]] = True
     ids = labels.class_ids(parts.wet, _normal(parts), parts.terrain, water)
-    if parts.nodes is not None:
-        ids[(parts.nodes.number > 0) & (ids != WATER)] = labels.OTHER_CLASS
+    if parts.actors is not None:
+        ids[(parts.actors.number > 0) & (ids != WATER)] = labels.OTHER_CLASS
     return ids
 
 
 def _actor_id(parts):
-    if parts.nodes is None:
+    if parts.actors is None:
         return np.zeros(parts.wet.depth.shape, np.uint16)
-    return parts.nodes.number.copy()
+    return parts.actors.number.copy()
 
 
 def _puddle_id(parts):

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rainsim.actors.footprint import with_footprints
 from rainsim.particles import drop_radiance, paper
 from rainsim.particles.splash import WET_FILM
 from rainsim.rain.moving_surfaces import MovingSurfaces
@@ -14,7 +15,7 @@ from rainsim.raster import Rasterizer
 from rainsim.reflection.water_pass import Shower, WaterPass
 from rainsim.reflection.water_shading import SHELTERED_SHARE
 from rainsim.render import aov
-from rainsim.render.node_labels import NodesSeen
+from rainsim.render.actor_labels import ActorsSeen
 from rainsim.render.rain_pass import RainPass
 from rainsim.render.report import FrameReport, Timer
 from rainsim.render.shutter import next_camera
@@ -32,7 +33,6 @@ from rainsim.shading.composite import RainLight, compose
 from rainsim.shading.glare import Glare
 from rainsim.shading.wet_ground_mirror import WetGroundMirror, mean_share
 from rainsim.simulation import tops_drawn, usual_wind
-from rainsim.terrain.movers import with_movers
 from rainsim.water.ripples import ring_reach, ring_share, sheltered_rings, taller_rings
 
 RING_DEPTH = 5e-3  # m of water on which rings travel in under cover
@@ -94,13 +94,13 @@ class Renderer:
     def __init__(
         self, scene, terrain, config, first_camera, rasterizer_of=Rasterizer, wet_scene=None
     ):
-        terrain = with_movers(tops_drawn(terrain, config), scene)
+        terrain = with_footprints(tops_drawn(terrain, config), scene)
         self.terrain, self.config = terrain, config
         first_camera = fixed_camera(scene, terrain, config) or first_camera
         if wet_scene is None:
             wet_scene = WetScene(scene, terrain, config, first_camera, rasterizer_of)
         self.wet_scene = wet_scene
-        wet_scene.move_nodes(None)  # the light of a run depends on no frame
+        wet_scene.move_actors(None)  # the light of a run depends on no frame
         self.moving = MovingSurfaces(terrain, usual_wind(config), config.rain.roughness)
         self.rain = RainPass(self.moving.still, config)
         self._ring_reach = ring_reach(
@@ -195,7 +195,7 @@ class Renderer:
         Parameters
         ----------
         terrain : Terrain
-            A window of the ground of this renderer's scene, its nodes on it.
+            A window of the ground of this renderer's scene, its actors on it.
         reach : ndarray of shape (ny, nx), float32
             Share of the rain that reaches the ground.
         now : Config
@@ -245,12 +245,12 @@ class Renderer:
         self.brightness = self.now.render.brightness * math.exp(np.interp(time, *self._metered))
         self.brightness *= 2 ** exposure_bias(self.now)
         changed = self.wet_scene.set_time(self.now)
-        return self._move_nodes(time) or changed
+        return self._move_actors(time) or changed
 
-    def _move_nodes(self, time):
-        """Take over the nodes' places at a time [s] and their shelter; return if nodes moved."""
-        moved = self.wet_scene.move_nodes(time)
-        if self.terrain.movers:
+    def _move_actors(self, time):
+        """Take over the actors' places at a time [s] and their shelter; return if actors moved."""
+        moved = self.wet_scene.move_actors(time)
+        if self.terrain.footprints:
             self.rain.surfaces, shelters = self.moving.moment(time)
             self.water.take_rings(
                 sheltered_rings(
@@ -345,7 +345,7 @@ class Renderer:
             interval=self.config.frame_interval, film=WET_FILM * scene.paving,
             ground=scene.ground_maps, off_ground=scene.off_ground, look=scene.look,
             unit=scene.frame.meters_per_unit, cover=cover,
-            far=render.streak_far, terrain=self.terrain, nodes=self._nodes_seen(names),
+            far=render.streak_far, terrain=self.terrain, actors=self._actors_seen(names),
             **self._after(names),
         )  # fmt: skip
         radiances = {
@@ -358,31 +358,31 @@ class Renderer:
     def _after(self, names):
         """Return the next frame's camera and its picture, as `FrameParts` takes them."""
         render, scene = self.now.render, self.wet_scene
-        nodes, after = scene.nodes, None
+        actors, after = scene.actors, None
         if self.view_end is not None:
             share = render.exposure / self.config.frame_interval
             after = next_camera(self.view, self.view_end, share)
-        elif nodes is not None:
+        elif actors is not None:
             after = self.view
         if after is None or aov.FLOW.isdisjoint(names):
             return {"after": after}
-        now = None if nodes is None else nodes.time
-        if nodes is not None:
-            scene.move_nodes(now + self.config.frame_interval)
+        now = None if actors is None else actors.time
+        if actors is not None:
+            scene.move_actors(now + self.config.frame_interval)
         seen = scene.picture(scene.frame.camera_in_capture(after), Timer())
-        if nodes is not None:
-            scene.move_nodes(now)
+        if actors is not None:
+            scene.move_actors(now)
         return {"after": after, "depth_after": seen.depth}
 
-    def _nodes_seen(self, names):
-        """Return the `NodesSeen` of the frame; None without nodes or without names that ask."""
+    def _actors_seen(self, names):
+        """Return the `ActorsSeen` of the frame; None without actors or without names that ask."""
         scene = self.wet_scene
-        if scene.nodes is None or aov.NODES.isdisjoint(names):
+        if scene.actors is None or aov.ACTORS.isdisjoint(names):
             return None
-        nodes = scene.nodes
-        return NodesSeen(
-            nodes.actors, nodes.time, self.config.frame_interval, scene.frame,
-            scene.node_numbers(self._camera),
+        actors = scene.actors
+        return ActorsSeen(
+            actors.actors, actors.time, self.config.frame_interval, scene.frame,
+            scene.actor_numbers(self._camera),
         )  # fmt: skip
 
     def take_camera(self, camera):

@@ -15,7 +15,7 @@ from rainsim.reflection.mirror_choice import merged_cells
 from rainsim.reflection.planar_mirror import MirrorPicture
 from rainsim.reflection.ray_traced import Tracer
 from rainsim.reflection.water_pass import WetPicture
-from rainsim.render.nodes import Nodes
+from rainsim.render.actor_splats import ActorSplats
 from rainsim.render.paged_scene import PagedScene
 from rainsim.render.present_splats import PresentSplats
 from rainsim.render.wet_ground import blurred_grass
@@ -36,7 +36,7 @@ from rainsim.simulation import usual_wind
 from rainsim.splatting.detail import SIDES, Detail
 from rainsim.splatting.prepared import recolored, turn
 from rainsim.surface.kept import kept_surface, splat_normals
-from rainsim.water.rolling import NO_TRACKS
+from rainsim.water.tyres import NO_TRACKS
 
 FINER = 4  # pixels of the drawn surroundings, across one of the map's faces
 ALL = 2.5  # times as wide are small views of all splats, which are drawn too wide in smaller ones
@@ -65,7 +65,7 @@ class WetScene:
     scene : Scene
         Without the splats of its sky where another sky is drawn.
     splats, prepared : Splats and PreparedSplats
-        Those of `scene` in the present light; of a big capture without nodes only `splats`.
+        Those of `scene` in the present light; of a big capture without actors only `splats`.
     merge : float [px]
         Side of the cells in which frames and mirrored pictures merge splats; 0: they merge none.
     frame : GroundFrame
@@ -87,8 +87,8 @@ class WetScene:
         How wet open paving is, 0 to 1.
     paged : PagedScene or None
         What draws a big capture in place of `prepared`, which then is its coarse whole.
-    nodes : Nodes or None
-        What moves, see `move_nodes`.
+    actors : ActorSplats or None
+        What moves, see `move_actors`.
     tracer : Tracer or None
         Of the scene's splats, once rays were traced.
     notes : list of str
@@ -133,9 +133,9 @@ class WetScene:
         self.splats = self._present.at(self._colors)
         self.prepared = prepare(self.splats, self.badly_placed)
         self.prepared = replace(self.prepared, compensate=scene.antialiased)
-        self.nodes = Nodes(scene.actors, self.prepared) if scene.actors else None
-        if self.nodes is not None:
-            self.prepared = self.nodes.static
+        self.actors = ActorSplats(scene.actors, self.prepared) if scene.actors else None
+        if self.actors is not None:
+            self.prepared = self.actors.static
         self.paged = None
         if scene.pages is not None:
             leave_out = not self.backdrop.count and replaces_sky(config)
@@ -144,8 +144,8 @@ class WetScene:
                 terrain, self.reach, self._grass, config.render, rasterizer_of,
             )  # fmt: skip
             self.paged.take_colors(self._colors)
-        # Captures in chunks have levels of their own; nodes are put before the whole static set.
-        merges = self.nodes is None and self.paged is None
+        # Captures in chunks have levels of their own; actors are put before the whole static set.
+        merges = self.actors is None and self.paged is None
         self.merge, self._detail = config.render.merge if merges else 0.0, None
         if self.merge:
             self._detail = Detail(self.prepared, self._sides)
@@ -157,9 +157,9 @@ class WetScene:
         if not self.backdrop.count or sky is not None:
             seen = found.open if self.backdrop.count else None
             self._skylines = skylines(self.scene, self.prepared, first_camera, self.near, seen)
-        self.prepared = self.prepared if self.paged is None or self.nodes else None
+        self.prepared = self.prepared if self.paged is None or self.actors else None
         self._tracks = NO_TRACKS
-        self.bodies = BodyMap(terrain, self.nodes)
+        self.bodies = BodyMap(terrain, self.actors)
         self._standing = self._captured = self._captured_merger = self.tracer = None  # on demand
         self.notes.append(about_albedo)
         dull = DULL_EXPOSURE * config.render.daylight
@@ -204,7 +204,7 @@ class WetScene:
         """Draw another part of the ground, a `WetGround`; the light stays as it was set up."""
         self.terrain, self.reach, self._grass = ground[:3]
         self.ground = self._untouched = ground.wetness()
-        self._tracks, self.bodies = NO_TRACKS, BodyMap(self.terrain, self.nodes)
+        self._tracks, self.bodies = NO_TRACKS, BodyMap(self.terrain, self.actors)
         self.look = self._look_of(self._now)
 
     def _wet_ground(self, now):
@@ -212,14 +212,14 @@ class WetScene:
         self._untouched = wetness.ground_wetness(self.terrain, self._grass, self.reach, now)
         self.ground = wetness.with_tracks(self._untouched, self._tracks)
 
-    def move_nodes(self, time):
-        """Take over where the scene's nodes are at a time [s]; return whether they have moved.
+    def move_actors(self, time):
+        """Take over where the scene's actors are at a time [s]; return whether they have moved.
 
         Until the first call, and after a time of None, none is there.
         """
-        if self.nodes is None or not self.nodes.set_time(time):
+        if self.actors is None or not self.actors.set_time(time):
             return False
-        self._put_nodes()
+        self._put_actors()
         self.bodies.move()
         return True
 
@@ -236,12 +236,12 @@ class WetScene:
         self.ground = wetness.with_tracks(self._untouched, tracks)
         return True
 
-    def _put_nodes(self):
-        """Put the nodes as they are now before the static set."""
+    def _put_actors(self):
+        """Put the actors as they are now before the static set."""
         if self.paged is None:
-            self.rasterizer.put_nodes(self.nodes.merged())
+            self.rasterizer.put_actors(self.actors.merged())
         else:
-            self.paged.put_nodes(self.nodes, self.frame)
+            self.paged.put_actors(self.actors, self.frame)
         self._standing = self.tracer = None
 
     def _recolor(self, colors):
@@ -254,13 +254,13 @@ class WetScene:
             self.prepared = self._detail.prepared
         if self.paged is not None:
             self.paged.take_colors(colors)
-        if self.nodes is not None:
-            self.nodes.recolor(self.prepared)
-            self.prepared = self.nodes.static
+        if self.actors is not None:
+            self.actors.recolor(self.prepared)
+            self.prepared = self.actors.static
         if self.paged is None:
             self.rasterizer.recolor(self.drawn)
-        if self.nodes is not None:
-            self._put_nodes()
+        if self.actors is not None:
+            self._put_actors()
         self._standing = self.tracer = None
 
     def _set_skies(self):
@@ -307,14 +307,14 @@ class WetScene:
         """Return the rasterizer of all splats as captured, those of the sky included."""
         if self._captured is None:
             whole = prepare(self.backdrop.whole.splats)
-            if self.nodes is not None:
-                self._captured_merger = self.nodes.merger_of(whole)
+            if self.actors is not None:
+                self._captured_merger = self.actors.merger_of(whole)
                 whole = self._captured_merger.static
             self._captured = self._rasterizer_of(
                 Detail(whole, self._sides).drawn if self.merge else whole
             )
-        if self.nodes is not None:
-            self._captured.put_nodes(self.nodes.merged(self._captured_merger))
+        if self.actors is not None:
+            self._captured.put_actors(self.actors.merged(self._captured_merger))
         return self._captured
 
     def picture(self, camera, timer, cover=NO_COVER):
@@ -328,11 +328,11 @@ class WetScene:
         timer.mark("grade and wet")
         return wet
 
-    def node_numbers(self, camera):
-        """Return the number of the node that each pixel of `camera` shows, see `Nodes.numbers`."""
-        if self.nodes is None:
+    def actor_numbers(self, camera):
+        """Return the number of the actor at each pixel of `camera`, see `ActorSplats.numbers`."""
+        if self.actors is None:
             return np.zeros((camera.height, camera.width), np.uint16)
-        return self.nodes.numbers(self.rasterizer.draw(camera, self.near, hit=True).hit)
+        return self.actors.numbers(self.rasterizer.draw(camera, self.near, hit=True).hit)
 
     def land_light(self, cameras, gloss_apart):
         """Return the mean linear luminance of the land in views, as captured and wet.
@@ -371,8 +371,8 @@ class WetScene:
             self._standing = self.paged.standing
         if self._standing is None:
             place = self._whole_ground, self.frame
-            standing = in_level_picture(self.prepared, *place) if self.nodes is None else (
-                self.nodes.standing(*place)
+            standing = in_level_picture(self.prepared, *place) if self.actors is None else (
+                self.actors.standing(*place)
             )  # fmt: skip
             self._standing = self._rasterizer_of(standing)
         _, camera = mirrored_camera(self.frame.camera_in_capture(level), self.frame, 0.0)
@@ -418,7 +418,7 @@ class WetScene:
             splats = self.splats
             if self.badly_placed.any():
                 splats = splats.take(~self.badly_placed)
-            self.tracer = Tracer(splats) if self.nodes is None else self.nodes.tracer(splats)
+            self.tracer = Tracer(splats) if self.actors is None else self.actors.tracer(splats)
         unit, turn = self.frame.meters_per_unit, self.frame.rotation
         clear = np.append(self.frame.up, MIRROR_CLEARANCE / unit)
         found = self.tracer.trace(

@@ -2,7 +2,7 @@
 
 Rain that falls on them runs down their sides, and does not soak in. So all of them but what faces
 the ground is wet, and mirrors as the water that covers it does. What is taller than a van, walls,
-trees and masts, is none; what is rough from above is leaves. Moving nodes are bodies wherever they
+trees and masts, is none; what is rough from above is leaves. Moving actors are bodies wherever they
 are.
 """
 
@@ -40,9 +40,9 @@ class BodyMap:
     Parameters
     ----------
     terrain : Terrain
-        With its movers.
-    nodes : Nodes or None
-        Whose time tells where the movers are; before they have one none is there.
+        With the footprints of what moves over it.
+    actors : ActorSplats or None
+        Whose time tells where the actors are; before they have one none is there.
 
     Attributes
     ----------
@@ -50,15 +50,15 @@ class BodyMap:
         See `body_map`.
     """
 
-    def __init__(self, terrain, nodes=None):
-        self._terrain, self._nodes, self._still = terrain, nodes, body_map(terrain)
+    def __init__(self, terrain, actors=None):
+        self._terrain, self._actors, self._still = terrain, actors, body_map(terrain)
         self.move()
 
     def move(self):
-        """Put what moves where it is at the time of the nodes."""
+        """Put what moves where it is at the time of the actors."""
         self.now = self._still
-        if self._nodes is not None and self._nodes.time is not None:
-            self.now = stamped(self._still, self._terrain, self._terrain.movers, self._nodes.time)
+        if self._actors is not None and self._actors.time is not None:
+            self.now = stamped(self._still, self._terrain, self._actors.time)
 
 
 def body_map(terrain):
@@ -123,17 +123,16 @@ def with_sides(height, underside, things, bodies, spacing):
     return found
 
 
-def stamped(bodies, terrain, movers, time):
-    """Return a map of `body_map` with the bodies that move over a terrain at a time [s] on it.
+def stamped(bodies, terrain, time):
+    """Return a map of `body_map` with the actors that move over a terrain at a time [s] on it.
 
     Parameters
     ----------
     bodies : ndarray of shape (ny, nx, 3) or (0, 0, 3), uint8
     terrain : Terrain
-    movers : sequence of Mover
     time : float [s]
     """
-    shadows = [mover.shadow(terrain.grid, time) for mover in movers]
+    shadows = [footprint.shadow(terrain.grid, time) for footprint in terrain.footprints]
     shadows = [shadow for shadow in shadows if shadow is not None]
     if not shadows:
         return bodies

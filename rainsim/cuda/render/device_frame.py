@@ -17,7 +17,7 @@ from rainsim.cuda.particles.drop_radiance import DropLight
 from rainsim.cuda.reflection import ray_water, screen_space, water_shading, wet_tops
 from rainsim.cuda.reflection.planar_mirror import Mirrors
 from rainsim.cuda.reflection.water_surface import WaterSurface
-from rainsim.cuda.render.nodes import MovingNodes
+from rainsim.cuda.render.actor_splats import MovingActors
 from rainsim.cuda.render.rain_pass import RainPass
 from rainsim.cuda.shading import wet_pass
 from rainsim.cuda.shading.composite import compose
@@ -62,8 +62,8 @@ class DeviceFrame:
     drop_light : DropLight
     rain : RainPass
     surface : WaterSurface
-    nodes : MovingNodes or None
-        None in scenes without nodes.
+    actors : MovingActors or None
+        None in scenes without actors.
     pending : list of callable
         Copies to the device that the next frame needs before its queue starts.
     size : tuple of int or None
@@ -81,7 +81,7 @@ class DeviceFrame:
         self.place = to_device(np.array(grid.origin, np.float32)), np.float32(grid.spacing)
         self._bed, self._rings = to_device(self.terrain.bed), to_device(host.rings)
         self._ground, self._ground_sent = to_device(scene.ground), scene.ground
-        bodies = scene.bodies.now.size or self.terrain.movers
+        bodies = scene.bodies.now.size or self.terrain.footprints
         self._bodies = cuda.device_array((*grid.shape, 3) if bodies else (1, 1, 3), np.uint8)
         self._send_bodies()
         tops = host.water.tops
@@ -105,7 +105,7 @@ class DeviceFrame:
         self.drop_light = DropLight(self)
         self.size = self.uniforms = self._moments = self._version = None
         self.pending, self.rain = [], RainPass(self)
-        self.nodes = None if scene.nodes is None else MovingNodes(self)
+        self.actors = None if scene.actors is None else MovingActors(self)
 
     # ---- what a frame shows
 
@@ -116,8 +116,8 @@ class DeviceFrame:
         """
         host, scene, self.pending = self.host, self.wet_scene, []
         changed = host.set_time(state.time)
-        if self.nodes is not None:
-            changed |= self.nodes.update(state)
+        if self.actors is not None:
+            changed |= self.actors.update(state)
         if scene.ground is not self._ground_sent:
             self.pending.append(self._send_ground)
         if scene.bodies.now is not self._bodies_sent:

@@ -58,15 +58,15 @@ class RainPass:
         """
         self.streaks = self.splashes = None
         self._size, self._none = (height, width), none
-        nodes, surfaces = self.frame.nodes, self.frame.host.rain.surfaces
-        spray = None if nodes is None else nodes.spray
+        actors, surfaces = self.frame.actors, self.frame.host.rain.surfaces
+        spray = None if actors is None else actors.spray
         if field is None and spray is None:
             return
         field = RainField(RainSpectrum(0.0)) if field is None else field
         self.streaks = Streaks(field, surfaces, width, height, depth, self.stream)
         self._no_rain = field
-        if nodes is not None and nodes.heights is not None:
-            self.streaks.surfaces = nodes.heights.fields
+        if actors is not None and actors.heights is not None:
+            self.streaks.surfaces = actors.heights.fields
         self.streaks.spray = spray
 
     def update(self, field, state, camera_end, simulation):
@@ -100,13 +100,13 @@ class RainPass:
 
     def _recent(self):
         """Return the impacts of states whose times may lie within an interval."""
-        host, nodes = self.frame.host, self.frame.nodes
+        host, actors = self.frame.host, self.frame.actors
         # Two more intervals are to come.
         recent = RecentImpacts(
             host.rain.weather, host.rain.surfaces, host.config.fps, 2, self.stream
         )
-        if nodes is not None and nodes.heights is not None:
-            recent.surfaces, recent.relisted = nodes.heights.fields, True
+        if actors is not None and actors.heights is not None:
+            recent.surfaces, recent.relisted = actors.heights.fields, True
         return recent
 
     def leave_water(self):

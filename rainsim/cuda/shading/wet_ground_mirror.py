@@ -210,12 +210,12 @@ class WetGroundLight:
                 in_level_picture(scene.prepared, scene.terrain, scene.frame)
             )
 
-    def send_nodes(self):
-        """Send the nodes of the present time; the device must draw nothing meanwhile."""
+    def send_actors(self):
+        """Send the actors of the present time; the device must draw nothing meanwhile."""
         scene = self.frame.wet_scene
         for rasterizer in self.rasterizers:
-            standing = scene.nodes.standing(scene.terrain, scene.frame)
-            rasterizer.splats.put_nodes(standing)
+            standing = scene.actors.standing(scene.terrain, scene.frame)
+            rasterizer.splats.put_actors(standing)
 
     def update(self, camera, camera_in_ground):
         """Take over the camera of the next picture, in the capture's and in the ground's frame."""

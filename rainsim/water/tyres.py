@@ -8,10 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
+from rainsim.actors.wheels import MOST_WHEELS, REMEDY, wheels_of
 from rainsim.errors import ParameterError
 from rainsim.ledger import Ledger
 from rainsim.numerics.random import mix, subkey
-from rainsim.rain.tyres import (
+from rainsim.rain.throws import (
     AT,
     COLUMNS,
     NO_THROWS,
@@ -26,7 +27,6 @@ from rainsim.rain.tyres import (
     thrown_rates,
 )
 from rainsim.rain.wind import wind_at
-from rainsim.scene.wheels import MOST_WHEELS, REMEDY, wheels_of
 
 LEFT = 1e-4  # m of water that stays in the road's texture under a tyre; an assumption
 LONGEST_STEP = 1 / 24  # s: within it a tyre rolls straight at one speed
@@ -42,9 +42,9 @@ NO_TRACKS = np.zeros((0, 0), np.uint8)
 
 @dataclass(frozen=True)
 class _Car:
-    """A mover with its tyres, in metres and the node frame; front tyres come first."""
+    """A footprint with its tyres, in metres and the actor frame; front tyres come first."""
 
-    mover: object
+    footprint: object
     patches: np.ndarray  # (n, 3)
     width: np.ndarray
     radius: np.ndarray
@@ -78,8 +78,8 @@ class Tyres:
     def __init__(self, terrain, seed=0, roughness=0.0):
         self._terrain, self._roughness = terrain, roughness
         self._key = mix(np.array([seed % 2**64], np.uint64) ^ np.uint64(0x7912E5))
-        found = ((m, wheels_of(m.body, m.scale)) for m in terrain.movers if m.body is not None)
-        self._cars = [_car(mover, wheels) for mover, wheels in found if len(wheels)]
+        found = ((m, wheels_of(m.body, m.scale)) for m in terrain.footprints if m.body is not None)
+        self._cars = [_car(footprint, wheels) for footprint, wheels in found if len(wheels)]
         for car in self._cars:
             _require_possible(car)
         self.lifted = self.returned = self.kept = self.gone = self._mist = 0.0
@@ -305,14 +305,20 @@ class Tyres:
         solver.deposit(row, column, volume)
 
 
-def _car(mover, wheels):
-    """Return the `_Car` of a mover and its wheels (n, 5) [m]; those in front come first."""
-    centre, size = mover.body.box * mover.scale
+def _car(footprint, wheels):
+    """Return the `_Car` of a footprint and its wheels (n, 5) [m]; those in front come first."""
+    centre, size = footprint.body.box * footprint.scale
     wheels = wheels[np.argsort(-wheels[:, 0], kind="stable")]
     rearmost = wheels[:, 0].min()
     covered = wheels[:, 0] > rearmost + 0.5 * wheels[:, 4]
     return _Car(
-        mover, wheels[:, :3], wheels[:, 3], wheels[:, 4], centre, covered, float(size[1] * size[2])
+        footprint,
+        wheels[:, :3],
+        wheels[:, 3],
+        wheels[:, 4],
+        centre,
+        covered,
+        float(size[1] * size[2]),
     )
 
 
@@ -321,7 +327,7 @@ def _pose(car, time):
 
     Before a track that is there from its first key on, the car has come as it goes on.
     """
-    track = car.mover.track
+    track = car.footprint.track
     first = float(track.time[0])
     if time >= first or not track.visible[0] or len(track.time) < 2:
         return track.at(time), np.zeros(3)
@@ -336,13 +342,13 @@ def _places(car, time):
     pose, moved = _pose(car, time)
     if pose is None:
         return None
-    return car.mover.places(car.patches, pose._replace(position=pose.position + moved))
+    return car.footprint.places(car.patches, pose._replace(position=pose.position + moved))
 
 
 def _middle(car, time):
     """Return the middle of a car's box at a time [s], (3,) [m]."""
     pose, moved = _pose(car, time)
-    return car.mover.places(car.middle[None], pose._replace(position=pose.position + moved))[0]
+    return car.footprint.places(car.middle[None], pose._replace(position=pose.position + moved))[0]
 
 
 def _swept(grid, begin, end, width):
@@ -364,12 +370,12 @@ def _swept(grid, begin, end, width):
 
 def _require_possible(car):
     """Raise ParameterError if a car's track is faster than any car while it is there."""
-    track, mover = car.mover.track, car.mover
-    step = np.linalg.norm(np.diff(track.position, axis=0), axis=1) * mover.scale
+    track, footprint = car.footprint.track, car.footprint
+    step = np.linalg.norm(np.diff(track.position, axis=0), axis=1) * footprint.scale
     speed = step / np.diff(track.time) * track.visible[:-1]
     if len(speed) and speed.max() > FASTEST:
         k = int(speed.argmax())
         raise ParameterError(
-            f"node {mover.body.id} moves at {speed[k]:.4g} m/s from {track.time[k]:g} s on; what "
-            f"has tyres must move at {FASTEST:g} m/s at most; {REMEDY}, or hide it there"
+            f"actor {footprint.body.id} moves at {speed[k]:.4g} m/s from {track.time[k]:g} s on; "
+            f"what has tyres must move at {FASTEST:g} m/s at most; {REMEDY}, or hide it there"
         )

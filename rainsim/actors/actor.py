@@ -1,7 +1,7 @@
-"""Rigid nodes that move through a scene: their splats, boxes, classes and tracks.
+"""Actors, the rigid things that move through a scene: their splats, boxes, classes and tracks.
 
-A node's splats and box stand in the node's own frame, whose unit of length is the capture's. Its
-track says where that frame is in the capture frame at a time, and whether the node is there.
+An actor's splats and box stand in the actor's own frame, whose unit of length is the capture's. Its
+track says where that frame is in the capture frame at a time, and whether the actor is there.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from rainsim.errors import ParameterError
 from rainsim.scene.harmonics import padded, turned
+from rainsim.scene.splat_sets import joined, own_turns
 from rainsim.scene.types import Splats
 
 STILL = 1e-9  # of a pose's numbers: two that are nearer count as one pose
@@ -22,12 +23,12 @@ SOLID = 0.3  # opacity of splats that a body ends at, and that stop drops
 
 
 class Pose(NamedTuple):
-    """Where a node's frame is at one time.
+    """Where an actor's frame is at one time.
 
     Attributes
     ----------
     rotation : ndarray of shape (3, 3), float64
-        Node frame to capture frame.
+        Actor frame to capture frame.
     position : ndarray of shape (3,), float64 [capture units]
     """
 
@@ -35,7 +36,7 @@ class Pose(NamedTuple):
     position: np.ndarray
 
     def places(self, points):
-        """Take points (n, 3) of the node frame to the capture frame."""
+        """Take points (n, 3) of the actor frame to the capture frame."""
         return points @ self.rotation.T + self.position
 
     def same_as(self, other):
@@ -47,10 +48,10 @@ class Pose(NamedTuple):
 
 @dataclass(frozen=True)
 class Track:
-    """The way of a node.
+    """The way of an actor.
 
     Between two keys the position is interpolated linearly and the rotation spherically; before the
-    first and after the last key the node stays as it is there. A key's visibility holds until the
+    first and after the last key the actor stays as it is there. A key's visibility holds until the
     next key.
 
     Attributes
@@ -59,7 +60,7 @@ class Track:
         Of the keys, rising; 0 is the first frame.
     position : ndarray of shape (k, 3), float64 [capture units]
     rotation : ndarray of shape (k, 4), float64
-        Unit quaternions, w first: node frame to capture frame.
+        Unit quaternions, w first: actor frame to capture frame.
     visible : ndarray of shape (k,), bool
     """
 
@@ -88,19 +89,19 @@ class Track:
 
     @property
     def parked(self):
-        """Whether the node stands in one place and is always there."""
+        """Whether the actor stands in one place and is always there."""
         apart = np.abs(self.position - self.position[0]).max()
         turned_by = 1 - np.abs(self.rotation @ self.rotation[0]).min()
         still = apart <= STILL * (1 + np.abs(self.position).max()) and turned_by <= STILL
         return bool(still and self.visible.all())
 
     def at(self, time):
-        """Return the `Pose` at a time [s], or None while the node is not there."""
+        """Return the `Pose` at a time [s], or None while the actor is not there."""
         k = max(int(np.searchsorted(self.time, time, side="right")) - 1, 0)
         return self.pose(time) if self.visible[k] else None
 
     def poses(self, times):
-        """Return where the node is at many times [s], and whether it is there.
+        """Return where the actor is at many times [s], and whether it is there.
 
         Parameters
         ----------
@@ -122,7 +123,7 @@ class Track:
         return Slerp(self.time, turns)(at).as_matrix(), position, visible
 
     def pose(self, time):
-        """Return the `Pose` at a time [s], whether the node is visible or not."""
+        """Return the `Pose` at a time [s], whether the actor is visible or not."""
         turns = Rotation.from_quat(self.rotation, scalar_first=True)
         k = max(int(np.searchsorted(self.time, time, side="right")) - 1, 0)
         if time <= self.time[0] or k == len(self.time) - 1:
@@ -133,7 +134,7 @@ class Track:
 
     @property
     def first_seen(self):
-        """The `Pose` at the first key at which the node is there; the first key's if at none."""
+        """The `Pose` at the first key at which the actor is there; the first key's if at none."""
         return self.pose(self.time[int(np.argmax(self.visible))])
 
 
@@ -164,27 +165,27 @@ class ColorSeries(NamedTuple):
 
 @dataclass(frozen=True)
 class Actor:
-    """A rigid node.
+    """A rigid thing that moves, or could.
 
     Attributes
     ----------
     id : str
-        Of the track; differs from node to node.
+        Of the track; differs from actor to actor.
     kind : str
         Class of the thing, such as car.
     splats : Splats
-        In the node frame, lengths in capture units.
+        In the actor frame, lengths in capture units.
     box : ndarray of shape (2, 3), float64 [capture units]
-        Centre and size of the node's box along the axes of the node frame.
+        Centre and size of the actor's box along the axes of the actor frame.
     track : Track
     series : ColorSeries or None
         Colours over time in place of the first coefficients of `splats`.
     turning : bool
-        Whether the harmonics turn with the node. Models that were trained with directions of the
+        Whether the harmonics turn with the actor. Models that were trained with directions of the
         capture frame have harmonics that do not (Street Gaussians, drivestudio).
     wheels : ndarray of shape (n, 5), float64 [capture units], or None
-        x, y, z of the middle of each tyre's contact patch in the node frame, the tyre's width and
-        radius. None: those that the class and the box give, see `scene.wheels`.
+        x, y, z of the middle of each tyre's contact patch in the actor frame, the tyre's width and
+        radius. None: those that the class and the box give, see `actors.wheels`.
     label : int
         What `rainsim export --labels` gives its pixels, 0 to 65535; 255 is no label.
     """
@@ -200,12 +201,12 @@ class Actor:
     label: int = NO_LABEL
 
     def corners(self):
-        """Return the corners of the box in the node frame, ndarray of shape (8, 3)."""
+        """Return the corners of the box in the actor frame, ndarray of shape (8, 3)."""
         signs = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
         return self.box[0] + 0.5 * signs * self.box[1]
 
     def placed(self, pose, time):
-        """Return the node's splats in the capture frame, at a `Pose` and a time [s]."""
+        """Return the actor's splats in the capture frame, at a `Pose` and a time [s]."""
         splats = self.splats
         sh = turned(splats.sh, pose.rotation) if self.turning else splats.sh.copy()
         if self.series is not None:
@@ -219,13 +220,8 @@ class Actor:
         )  # fmt: skip
 
 
-def own_turns(splats):
-    """Return the rotations from the own axes of splats to their frame, a float64 `Rotation`."""
-    return Rotation.from_quat(splats.rotation.astype(np.float64), scalar_first=True)
-
-
 def box_of(splats):
-    """Return the box (2, 3) around a node's splats, out to one standard deviation.
+    """Return the box (2, 3) around an actor's splats, out to one standard deviation.
 
     Faint splats and the outermost five-hundredth on each side are left out.
     """
@@ -244,19 +240,8 @@ def _spread(splats):
     return np.sqrt(np.einsum("nij,nj->ni", axes**2, splats.scale.astype(np.float64) ** 2))
 
 
-def joined(parts):
-    """Return one set of splats of several, in their order; harmonics get the highest degree."""
-    parts = list(parts)
-    most = max(part.sh.shape[1] for part in parts)
-    return Splats(
-        *(np.concatenate([getattr(p, name) for p in parts])
-          for name in ("position", "rotation", "scale", "opacity")),
-        np.concatenate([padded(p.sh, most) for p in parts]),
-    )  # fmt: skip
-
-
 def with_actors(scene, actors, notes=()):
-    """Return a scene with nodes; all splats get harmonics of one degree.
+    """Return a scene with actors; all splats get harmonics of one degree.
 
     Parameters
     ----------
@@ -268,13 +253,13 @@ def with_actors(scene, actors, notes=()):
     Raises
     ------
     ParameterError
-        If two nodes have the same id.
+        If two actors have the same id.
     """
     actors = tuple(actors)
     ids = [actor.id for actor in actors]
     if len(set(ids)) < len(ids):
         twice = next(name for name in ids if ids.count(name) > 1)
-        raise ParameterError(f"two nodes have the id {twice!r}; ids must differ; rename one")
+        raise ParameterError(f"two actors have the id {twice!r}; ids must differ; rename one")
     most = max(part.sh.shape[1] for part in (scene.splats, *(a.splats for a in actors)))
     splats = scene.splats
     if splats.sh.shape[1] < most:
@@ -286,18 +271,18 @@ def with_actors(scene, actors, notes=()):
 
 
 def require_no_actors(actors, what, remedy):
-    """Raise ParameterError if there are nodes, which `what` does not know.
+    """Raise ParameterError if there are actors, which `what` does not know.
 
     Parameters
     ----------
     actors : sequence
-        Of a scene, or its movers on a terrain.
+        Of a scene.
     what, remedy : str
         For the message.
     """
     if actors:
         raise ParameterError(
-            f"the scene has {len(actors)} moving nodes; {what} takes scenes without any; {remedy}"
+            f"the scene has {len(actors)} actors; {what} takes scenes without any; {remedy}"
         )
 
 

@@ -1,7 +1,7 @@
-"""Height fields of nodes: the cells that a moving body keeps the rain from, wherever it is.
+"""Height fields of actors: the cells that an actor keeps the rain from, wherever it is.
 
-A body's highest and lowest surfaces are found once from its own splats, over an upright frame of
-its own; at a time they are looked up for the cells of the map that the body is over.
+An actor's highest and lowest surfaces are found once from its own splats, over an upright frame of
+its own; at a time they are looked up for the cells of the map that the actor is over.
 """
 
 from __future__ import annotations
@@ -12,23 +12,24 @@ from typing import NamedTuple
 import numpy as np
 from scipy import ndimage
 
-from rainsim.scene.actors import SOLID, Track, own_turns
-from rainsim.scene.wheels import Body
+from rainsim.actors.actor import SOLID, Track
+from rainsim.actors.wheels import Body
+from rainsim.scene.splat_sets import own_turns
 
-LEAST_SPACING = 0.03  # m, of a body's own cells: what is finer shows gaps between its splats
+LEAST_SPACING = 0.03  # m, of an actor's own cells: what is finer shows gaps between its splats
 CLOSING = 2  # cells: gaps up to twice as wide are closed
-HIGHER = 0.02  # m over the bed that a body must be in a cell to count there
+HIGHER = 0.02  # m over the bed that an actor must be in a cell to count there
 
 
 class Shadow(NamedTuple):
-    """The cells that moving bodies cover at one time.
+    """The cells that actors cover at one time.
 
     Attributes
     ----------
     part : tuple of slice
         Rows and columns of the map.
     top, underside : ndarray, float32 [m]
-        Of the bodies in that part; NaN where there is none.
+        Of the actors in that part; NaN where there is none.
     """
 
     part: tuple
@@ -37,15 +38,15 @@ class Shadow(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Mover:
-    """A body.
+class Footprint:
+    """The heights of an actor over the cells around it, wherever it is.
 
     Attributes
     ----------
     track : Track
         In the capture frame.
     upright : ndarray of shape (3, 3), float64
-        Takes points of the node frame [capture units] to the upright frame [m].
+        Takes points of the actor frame [capture units] to the upright frame [m].
     turn : ndarray of shape (3, 3), float64
         Rotation from the capture frame to the ground frame.
     scale : float [m / capture unit]
@@ -55,7 +56,7 @@ class Mover:
         Corner of the height fields in the upright frame.
     spacing : float [m]
     top, underside : ndarray of shape (rows, columns), float32 [m]
-        In the upright frame; NaN beside the body.
+        In the upright frame; NaN beside the actor.
     body : Body or None
         For its wheels.
     """
@@ -72,7 +73,7 @@ class Mover:
     body: Body | None = None
 
     def places(self, points, pose):
-        """Take points (n, 3) of the node frame, in metres, to the ground frame at a pose [m]."""
+        """Take points (n, 3) of the actor frame, in metres, to the ground frame at a pose [m]."""
         place = self.turn @ pose.position * self.scale + self.shift
         return points @ (self.turn @ pose.rotation).T + place
 
@@ -114,8 +115,8 @@ class Mover:
         return Shadow(part, *heights)
 
 
-def mover_of(actor, frame, spacing):
-    """Return the `Mover` of an actor on a map of a spacing [m]; None if nothing of it is solid."""
+def footprint_of(actor, frame, spacing):
+    """Return the `Footprint` of an actor on a map of a spacing [m]; None if none of it is solid."""
     splats = actor.splats.take(actor.splats.opacity > SOLID)
     if not len(splats):
         return None
@@ -135,7 +136,7 @@ def mover_of(actor, frame, spacing):
     body = ndimage.binary_fill_holes(ndimage.binary_closing(hit, square, CLOSING))
     nearest = ndimage.distance_transform_edt(~hit, return_distances=False, return_indices=True)
     top, underside = (np.where(body, a[tuple(nearest)], np.nan) for a in (top, underside))
-    return Mover(
+    return Footprint(
         actor.track, upright, frame.rotation, frame.meters_per_unit, frame.translation, low,
         spacing, top.astype(np.float32), underside.astype(np.float32),
         Body(actor.id, actor.kind, actor.box, actor.wheels),
@@ -151,34 +152,35 @@ def _outline(splats):
     return np.concatenate(every)
 
 
-def movers_of(scene, spacing):
-    """Return the `Mover` of each solid node of a scene, on maps of a spacing [m]."""
-    made = (mover_of(actor, scene.ground_frame, spacing) for actor in scene.actors)
-    return tuple(mover for mover in made if mover is not None)
+def footprints_of(scene, spacing):
+    """Return the `Footprint` of each solid actor of a scene, on maps of a spacing [m]."""
+    made = (footprint_of(actor, scene.ground_frame, spacing) for actor in scene.actors)
+    return tuple(footprint for footprint in made if footprint is not None)
 
 
-def with_movers(terrain, scene, movers=None):
-    """Return the terrain with the nodes of a scene on it.
+def with_footprints(terrain, scene, footprints=None):
+    """Return the terrain with the actors of a scene on it.
 
-    Parked ones stand on the map as things do; those that move are its `movers`. Without nodes the
-    terrain itself is returned. `movers` are those of `movers_of`, where they are known.
+    Parked ones stand on the map as things do; of those that move it has the `footprints`. Without
+    actors the terrain itself is returned. `footprints` are those of `footprints_of`, where they are
+    known.
     """
-    if not scene.actors or terrain.movers:
+    if not scene.actors or terrain.footprints:
         return terrain
-    if movers is None:
-        movers = movers_of(scene, terrain.grid.spacing)
+    if footprints is None:
+        footprints = footprints_of(scene, terrain.grid.spacing)
     top, underside = terrain.top.copy(), terrain.underside.copy()
-    for mover in movers:
-        if mover.track.parked:
-            put_on(terrain.bed, top, underside, mover.shadow(terrain.grid, 0.0))
-    moving = tuple(mover for mover in movers if not mover.track.parked)
-    return replace(terrain, top=top, underside=underside, movers=moving)
+    for footprint in footprints:
+        if footprint.track.parked:
+            put_on(terrain.bed, top, underside, footprint.shadow(terrain.grid, 0.0))
+    moving = tuple(footprint for footprint in footprints if not footprint.track.parked)
+    return replace(terrain, top=top, underside=underside, footprints=moving)
 
 
 def put_on(bed, top, underside, shadow):
-    """Put the bodies of a `Shadow` onto height fields, in place; return the mask of its cells.
+    """Put the actors of a `Shadow` onto height fields, in place; return the mask of its cells.
 
-    A cell holds one column. Where something higher hangs over the body, which keeps the rain off
+    A cell holds one column. Where something higher hangs over the actor, which keeps the rain off
     already, the cell stays as it is.
     """
     if shadow is None:

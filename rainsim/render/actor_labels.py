@@ -1,4 +1,4 @@
-"""Labels of moving nodes: which pixels show them, their boxes in space and in the picture, flow."""
+"""Labels of actors: which pixels show them, their boxes in space and in the picture, flow."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ NEAREST = 0.05  # m before the camera: nearer parts of a box are cut off
 EDGES = np.array([(i, i | bit) for bit in (1, 2, 4) for i in range(8) if not i & bit])
 
 
-class NodesSeen(NamedTuple):
-    """The nodes of a frame.
+class ActorsSeen(NamedTuple):
+    """The actors of a frame.
 
     Attributes
     ----------
@@ -23,7 +23,7 @@ class NodesSeen(NamedTuple):
         Of the frame, and to the next one.
     frame : GroundFrame
     number : ndarray of shape (height, width), uint16
-        Of the node that each pixel shows, from 1 on in the order of `actors`; 0 for none.
+        Of the actor that each pixel shows, from 1 on in the order of `actors`; 0 for none.
     """
 
     actors: tuple
@@ -33,35 +33,35 @@ class NodesSeen(NamedTuple):
     number: np.ndarray
 
 
-def moves_of(nodes):
-    """Return how the nodes that are there move until the next frame.
+def moves_of(actors):
+    """Return how the actors that are there move until the next frame.
 
     Parameters
     ----------
-    nodes : NodesSeen
+    actors : ActorsSeen
 
     Returns
     -------
     dict of int to ndarray of shape (4, 4), float64
-        By the node's number: takes ground points [m] on the node to where they are then. A node
+        By the actor's number: takes ground points [m] on the actor to where they are then. An actor
         that is gone then goes on as it did.
     """
     moves = {}
-    for number, actor in enumerate(nodes.actors, start=1):
-        if actor.track.at(nodes.time) is None:
+    for number, actor in enumerate(actors.actors, start=1):
+        if actor.track.at(actors.time) is None:
             continue
-        before = _matrix(actor.track.pose(nodes.time), nodes.frame)
-        after = _matrix(actor.track.pose(nodes.time + nodes.interval), nodes.frame)
+        before = _matrix(actor.track.pose(actors.time), actors.frame)
+        after = _matrix(actor.track.pose(actors.time + actors.interval), actors.frame)
         moves[number] = after @ np.linalg.inv(before)
     return moves
 
 
-def facts_of_nodes(nodes, camera):
-    """Return the labels of each node that is present in a frame, a list of plain values.
+def facts_of_actors(actors, camera):
+    """Return the labels of each actor that is present in a frame, a list of plain values.
 
     Parameters
     ----------
-    nodes : NodesSeen
+    actors : ActorsSeen
     camera : Camera
         In the ground frame.
 
@@ -71,19 +71,19 @@ def facts_of_nodes(nodes, camera):
         `number` in the layer `actor_id`, `track` and `class`; `box3d`, see `box_in_space`;
         `box2d`, the corners' box in the picture, (left, top, right, bottom) [px], cut at its edges,
         None if it lies beside the picture or behind the camera; `box2d_seen`, the box of the pixels
-        that show the node, None if none does, and their number, `pixels`.
+        that show the actor, None if none does, and their number, `pixels`.
     """
-    seen = {box["id"]: box for box in boxes_of(nodes.number)}
+    seen = {box["id"]: box for box in boxes_of(actors.number)}
     facts = []
-    for number, actor in enumerate(nodes.actors, start=1):
-        pose = actor.track.at(nodes.time)
+    for number, actor in enumerate(actors.actors, start=1):
+        pose = actor.track.at(actors.time)
         if pose is None:
             continue
-        corners = nodes.frame.to_ground(pose.places(actor.corners()))
+        corners = actors.frame.to_ground(pose.places(actor.corners()))
         mine = seen.get(number)
         facts.append({
             "number": number, "track": actor.id, "class": actor.kind,
-            "box3d": box_in_space(actor, nodes.frame, nodes.time, nodes.interval),
+            "box3d": box_in_space(actor, actors.frame, actors.time, actors.interval),
             "box2d": box_in_picture(corners, camera),
             "box2d_seen": mine and mine["box"], "pixels": mine["pixels"] if mine else 0,
         })  # fmt: skip
@@ -91,7 +91,7 @@ def facts_of_nodes(nodes, camera):
 
 
 def box_in_space(actor, frame, time, interval):
-    """Return a node's box at a time [s] in the ground frame, as plain values; None if it is away.
+    """Return an actor's box at a time [s] in the ground frame, as plain values; None if it is away.
 
     Centre [m], size [m] along its own axes, rotation (quaternion, w first), and velocity [m/s] over
     `interval` [s] from then on.
@@ -145,7 +145,7 @@ def box_in_picture(corners, camera):
 
 
 def _matrix(pose, frame):
-    """Return ground_from_node of a pose, node lengths in metres, ndarray of shape (4, 4)."""
+    """Return ground_from_node of a pose, actor lengths in metres, ndarray of shape (4, 4)."""
     matrix = np.eye(4)
     matrix[:3, :3] = frame.rotation @ pose.rotation
     matrix[:3, 3] = frame.to_ground(pose.position)

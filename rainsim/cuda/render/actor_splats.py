@@ -1,7 +1,8 @@
-"""Twin of `render.nodes`: for each frame only the data of moved nodes are sent to the device.
+"""Twin of `render.actor_splats`: for each frame the data of actors that moved go to the device.
 
-The host puts the nodes, finds the map that drops meet, what bodies shelter and what tyres throw, as
-for frames of the CPU; the static set stays where it is. The water is that of the CPU's simulation.
+The host puts the actors, finds the map that drops meet, what actors shelter and what tyres throw,
+as for frames of the CPU; the static set stays where it is. The water is that of the CPU's
+simulation.
 """
 
 from __future__ import annotations
@@ -11,8 +12,8 @@ from rainsim.cuda.rain.moving_surfaces import MovingHeights
 from rainsim.particles.spray import spray_seen
 
 
-class MovingNodes:
-    """The moving nodes in the scene of a `DeviceFrame`.
+class MovingActors:
+    """The actors in the scene of a `DeviceFrame`.
 
     Parameters
     ----------
@@ -21,24 +22,24 @@ class MovingNodes:
     Attributes
     ----------
     heights : MovingHeights or None
-        None where no body keeps the rain off that moves.
+        None where no actor keeps the rain off.
     spray : Spray or None
         None where no tyre can throw anything.
     """
 
     def __init__(self, frame):
         self.frame, self._placed = frame, None
-        host, movers = frame.host, frame.terrain.movers
+        host, footprints = frame.host, frame.terrain.footprints
         self.heights = self.spray = None
         self._rings_sent = host.water.rings
-        if movers:
-            self.heights = MovingHeights(host.moving.still, movers, frame.stream)
+        if footprints:
+            self.heights = MovingHeights(host.moving.still, footprints, frame.stream)
             self.spray = None if host.config.render.spray == "off" else Spray()
 
     def update(self, state):
         """List the copies to the device for the next frame; return if its ground has changed."""
         frame, host = self.frame, self.frame.host
-        if host.wet_scene.nodes.placed != self._placed:
+        if host.wet_scene.actors.placed != self._placed:
             frame.pending.append(self._send_splats)
         if self.heights is None:
             return False
@@ -49,9 +50,9 @@ class MovingNodes:
 
     def _send_splats(self):
         frame = self.frame
-        frame.rasterizer.send_nodes()
-        frame.ground_light.send_nodes()
-        self._placed = frame.wet_scene.nodes.placed
+        frame.rasterizer.send_actors()
+        frame.ground_light.send_actors()
+        self._placed = frame.wet_scene.actors.placed
 
     def _send_rings(self):
         rings = self.frame.host.water.rings
@@ -59,7 +60,7 @@ class MovingNodes:
         self._rings_sent = rings
 
     def _send_moment(self, state):
-        """Send the map as bodies cover it at the time of a state, and its spray."""
+        """Send the map as actors cover it at the time of a state, and its spray."""
         frame, host = self.frame, self.frame.host
         self.heights.send(*host.moving.moment(state.time))
         if frame.rain.impacts is not None:
