@@ -131,7 +131,8 @@ BOX_WAY = ((0.78, -0.75, 0.0), (0.78, 0.25, 0.6))  # x, y [m] and heading [rad] 
 
 def moving_scene(way=BOX_WAY, visible=(True, True), **size):
     """`tiny_scene` with a box that stands on the ground and moves past the dip, as an actor."""
-    from rainsim.actors.actor import Actor, Track, with_actors
+    from rainsim.actors.actor import Actor, with_actors
+    from rainsim.actors.motion import Track
     from rainsim.demo_scenes.build import box, join, quaternions, to_splats, turn_about
 
     scene = tiny_scene(**size)

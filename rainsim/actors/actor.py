@@ -1,4 +1,4 @@
-"""Actors, the rigid things that move through a scene: their splats, boxes, classes and tracks.
+"""Actors, the rigid things that move through a scene, and scenes with them.
 
 An actor's splats and box stand in the actor's own frame, whose unit of length is the capture's. Its
 track says where that frame is in the capture frame at a time, and whether the actor is there.
@@ -10,132 +10,16 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import Rotation, Slerp
+from scipy.spatial.transform import Rotation
 
+from rainsim.actors.motion import Track
 from rainsim.errors import ParameterError
 from rainsim.scene.harmonics import padded, turned
 from rainsim.scene.splat_sets import joined, own_turns
 from rainsim.scene.types import Splats
 
-STILL = 1e-9  # of a pose's numbers: two that are nearer count as one pose
 NO_LABEL, MOST_LABEL = 255, 2**16 - 1  # of the user's own labels
 SOLID = 0.3  # opacity of splats that a body ends at, and that stop drops
-
-
-class Pose(NamedTuple):
-    """Where an actor's frame is at one time.
-
-    Attributes
-    ----------
-    rotation : ndarray of shape (3, 3), float64
-        Actor frame to capture frame.
-    position : ndarray of shape (3,), float64 [capture units]
-    """
-
-    rotation: np.ndarray
-    position: np.ndarray
-
-    def places(self, points):
-        """Take points (n, 3) of the actor frame to the capture frame."""
-        return points @ self.rotation.T + self.position
-
-    def same_as(self, other):
-        """Whether another pose has the same rotation and position."""
-        return np.array_equal(self.rotation, other.rotation) and np.array_equal(
-            self.position, other.position
-        )
-
-
-@dataclass(frozen=True)
-class Track:
-    """The way of an actor.
-
-    Between two keys the position is interpolated linearly and the rotation spherically; before the
-    first and after the last key the actor stays as it is there. A key's visibility holds until the
-    next key.
-
-    Attributes
-    ----------
-    time : ndarray of shape (k,), float64 [s]
-        Of the keys, rising; 0 is the first frame.
-    position : ndarray of shape (k, 3), float64 [capture units]
-    rotation : ndarray of shape (k, 4), float64
-        Unit quaternions, w first: actor frame to capture frame.
-    visible : ndarray of shape (k,), bool
-    """
-
-    time: np.ndarray
-    position: np.ndarray
-    rotation: np.ndarray
-    visible: np.ndarray
-
-    def __post_init__(self):
-        """Check lengths and order, and scale the quaternions to unit length."""
-        k = len(self.time)
-        shapes = (self.position.shape, self.rotation.shape, self.visible.shape)
-        if k == 0 or shapes != ((k, 3), (k, 4), (k,)):
-            raise ParameterError(
-                f"a track has {k} times and keys of shapes {shapes}; it must have one time, place, "
-                "quaternion and visibility for each of at least one key"
-            )
-        length = np.linalg.norm(self.rotation, axis=1)
-        if not np.isfinite(self.time).all() or (np.diff(self.time) <= 0).any():
-            raise ParameterError("the times of a track must be finite and rise from key to key")
-        if not np.isfinite(self.position).all() or not (np.isfinite(length) & (length > 0)).all():
-            raise ParameterError(
-                "places and quaternions of a track must be finite, no quaternion 0"
-            )
-        object.__setattr__(self, "rotation", self.rotation / length[:, None])
-
-    @property
-    def parked(self):
-        """Whether the actor stands in one place and is always there."""
-        apart = np.abs(self.position - self.position[0]).max()
-        turned_by = 1 - np.abs(self.rotation @ self.rotation[0]).min()
-        still = apart <= STILL * (1 + np.abs(self.position).max()) and turned_by <= STILL
-        return bool(still and self.visible.all())
-
-    def at(self, time):
-        """Return the `Pose` at a time [s], or None while the actor is not there."""
-        k = max(int(np.searchsorted(self.time, time, side="right")) - 1, 0)
-        return self.pose(time) if self.visible[k] else None
-
-    def poses(self, times):
-        """Return where the actor is at many times [s], and whether it is there.
-
-        Parameters
-        ----------
-        times : ndarray of shape (n,), float64
-
-        Returns
-        -------
-        rotation : ndarray of shape (n, 3, 3), float64
-        position : ndarray of shape (n, 3), float64
-        visible : ndarray of shape (n,), bool
-        """
-        times = np.asarray(times, np.float64)
-        visible = self.visible[np.searchsorted(self.time, times, side="right").clip(1) - 1]
-        at = times.clip(self.time[0], self.time[-1])
-        position = np.stack([np.interp(at, self.time, axis) for axis in self.position.T], -1)
-        turns = Rotation.from_quat(self.rotation, scalar_first=True)
-        if len(self.time) == 1:
-            return np.tile(turns[0].as_matrix(), (len(at), 1, 1)), position, visible
-        return Slerp(self.time, turns)(at).as_matrix(), position, visible
-
-    def pose(self, time):
-        """Return the `Pose` at a time [s], whether the actor is visible or not."""
-        turns = Rotation.from_quat(self.rotation, scalar_first=True)
-        k = max(int(np.searchsorted(self.time, time, side="right")) - 1, 0)
-        if time <= self.time[0] or k == len(self.time) - 1:
-            return Pose(turns[k].as_matrix(), self.position[k].copy())
-        share = (time - self.time[k]) / (self.time[k + 1] - self.time[k])
-        rotation = Slerp((0.0, 1.0), turns[[k, k + 1]])(share).as_matrix()
-        return Pose(rotation, (1 - share) * self.position[k] + share * self.position[k + 1])
-
-    @property
-    def first_seen(self):
-        """The `Pose` at the first key at which the actor is there; the first key's if at none."""
-        return self.pose(self.time[int(np.argmax(self.visible))])
 
 
 class ColorSeries(NamedTuple):

@@ -12,7 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from rainsim.actors.actor import MOST_LABEL, NO_LABEL, Actor, ColorSeries, Track, box_of
+from rainsim.actors.actor import MOST_LABEL, NO_LABEL, Actor, ColorSeries, box_of
+from rainsim.actors.motion import Track
 from rainsim.actors.wheels import MOST_WHEELS, NO_WHEELS
 from rainsim.errors import InputError, ParameterError, shown
 from rainsim.io.arrays import TEXT, Field, read_arrays, write_arrays

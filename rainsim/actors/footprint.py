@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy import ndimage
 
-from rainsim.actors.actor import SOLID, Track
-from rainsim.actors.wheels import Body
+from rainsim.actors.actor import SOLID
+from rainsim.actors.motion import Motion
 from rainsim.scene.splat_sets import own_turns
 
 LEAST_SPACING = 0.03  # m, of an actor's own cells: what is finer shows gaps between its splats
@@ -22,19 +22,33 @@ HIGHER = 0.02  # m over the bed that an actor must be in a cell to count there
 
 
 class Shadow(NamedTuple):
-    """The cells that actors cover at one time.
+    """The cells that an actor covers at one time.
 
     Attributes
     ----------
     part : tuple of slice
         Rows and columns of the map.
     top, underside : ndarray, float32 [m]
-        Of the actors in that part; NaN where there is none.
+        Of the actor in that part; NaN beside it.
     """
 
     part: tuple
     top: np.ndarray
     underside: np.ndarray
+
+    def widened(self, margin, shape):
+        """Return the part with a margin of cells around it on a map of a shape, and itself in that.
+
+        Both are two slices: rows and columns of the map, and of that wider part.
+        """
+        wide = tuple(
+            slice(max(s.start - margin, 0), min(s.stop + margin, n))
+            for s, n in zip(self.part, shape, strict=True)
+        )
+        inner = tuple(
+            slice(s.start - w.start, s.stop - w.start) for s, w in zip(self.part, wide, strict=True)
+        )
+        return wide, inner
 
 
 @dataclass(frozen=True)
@@ -43,48 +57,45 @@ class Footprint:
 
     Attributes
     ----------
-    track : Track
-        In the capture frame.
+    motion : Motion
     upright : ndarray of shape (3, 3), float64
         Takes points of the actor frame [capture units] to the upright frame [m].
-    turn : ndarray of shape (3, 3), float64
-        Rotation from the capture frame to the ground frame.
-    scale : float [m / capture unit]
-    shift : ndarray of shape (3,), float64 [m]
-        Of the ground frame.
     low : ndarray of shape (2,), float64 [m]
         Corner of the height fields in the upright frame.
     spacing : float [m]
     top, underside : ndarray of shape (rows, columns), float32 [m]
         In the upright frame; NaN beside the actor.
-    body : Body or None
-        For its wheels.
     """
 
-    track: Track
+    motion: Motion
     upright: np.ndarray
-    turn: np.ndarray
-    scale: float
-    shift: np.ndarray
     low: np.ndarray
     spacing: float
     top: np.ndarray
     underside: np.ndarray
-    body: Body | None = None
 
-    def places(self, points, pose):
-        """Take points (n, 3) of the actor frame, in metres, to the ground frame at a pose [m]."""
-        place = self.turn @ pose.position * self.scale + self.shift
-        return points @ (self.turn @ pose.rotation).T + place
+    @property
+    def parked(self):
+        """Whether the actor stands in one place and is always there."""
+        return self.motion.actor.track.parked
+
+    @property
+    def highest(self):
+        """A height over z = 0 [m] that no part of the actor ever exceeds, however it turns."""
+        ends = self.low, self.low + self.spacing * np.array(self.top.shape[::-1])
+        across = np.abs(ends).max(axis=0)
+        up = max(np.nanmax(np.abs(self.top)), np.nanmax(np.abs(self.underside)))
+        way = self.motion.frame.to_ground(self.motion.actor.track.position)
+        return float(way[:, 2].max() + np.hypot(np.hypot(*across), up))
 
     def ground_from_upright(self, pose):
         """Return rotation and shift [m] that take the upright frame to the ground at a pose."""
-        rotation = self.turn @ pose.rotation @ np.linalg.inv(self.upright) * self.scale
-        return rotation, self.turn @ pose.position * self.scale + self.shift
+        scale = self.motion.frame.meters_per_unit
+        return pose.rotation @ np.linalg.inv(self.upright) * scale, pose.position
 
     def shadow(self, grid, time):
         """Return the `Shadow` on a `Grid` at a time [s]; None beside the map or while not there."""
-        pose = self.track.at(time)
+        pose = self.motion.at(time)
         if pose is None:
             return None
         rotation, shift = self.ground_from_upright(pose)
@@ -136,11 +147,8 @@ def footprint_of(actor, frame, spacing):
     body = ndimage.binary_fill_holes(ndimage.binary_closing(hit, square, CLOSING))
     nearest = ndimage.distance_transform_edt(~hit, return_distances=False, return_indices=True)
     top, underside = (np.where(body, a[tuple(nearest)], np.nan) for a in (top, underside))
-    return Footprint(
-        actor.track, upright, frame.rotation, frame.meters_per_unit, frame.translation, low,
-        spacing, top.astype(np.float32), underside.astype(np.float32),
-        Body(actor.id, actor.kind, actor.box, actor.wheels),
-    )  # fmt: skip
+    top, underside = top.astype(np.float32), underside.astype(np.float32)
+    return Footprint(Motion(actor, frame), upright, low, spacing, top, underside)
 
 
 def _outline(splats):
@@ -169,22 +177,25 @@ def with_footprints(terrain, scene, footprints=None):
         return terrain
     if footprints is None:
         footprints = footprints_of(scene, terrain.grid.spacing)
+    parked, moving = (tuple(f for f in footprints if f.parked is still) for still in (True, False))
     top, underside = terrain.top.copy(), terrain.underside.copy()
-    for footprint in footprints:
-        if footprint.track.parked:
-            put_on(terrain.bed, top, underside, footprint.shadow(terrain.grid, 0.0))
-    moving = tuple(footprint for footprint in footprints if not footprint.track.parked)
+    for shadow in shadows_on(terrain.grid, parked, 0.0):
+        put_on(terrain.bed, top, underside, shadow)
     return replace(terrain, top=top, underside=underside, footprints=moving)
 
 
+def shadows_on(grid, footprints, time):
+    """Return the `Shadow` of each actor that is over a `Grid` at a time [s]."""
+    shadows = (footprint.shadow(grid, time) for footprint in footprints)
+    return [shadow for shadow in shadows if shadow is not None]
+
+
 def put_on(bed, top, underside, shadow):
-    """Put the actors of a `Shadow` onto height fields, in place; return the mask of its cells.
+    """Put the actor of a `Shadow` onto height fields, in place; return the mask of its cells.
 
     A cell holds one column. Where something higher hangs over the actor, which keeps the rain off
     already, the cell stays as it is.
     """
-    if shadow is None:
-        return None
     part = shadow.part
     with np.errstate(invalid="ignore"):
         here = (shadow.top > bed[part] + HIGHER) & (shadow.top > top[part])

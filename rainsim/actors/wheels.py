@@ -6,8 +6,6 @@ common hatchback and saloon within some centimetres; a description can name them
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from rainsim.errors import ParameterError
@@ -23,28 +21,12 @@ LENGTHS, WIDTHS, HEIGHTS = (1.0, 30.0), (0.5, 5.0), (0.5, 6.0)  # m
 REMEDY = 'correct its box or the scale, give it wheels or `wheels: []`, or set spray = "off"'
 
 
-class Body(NamedTuple):
-    """Class, box and wheels of an actor that may stand on wheels; an `Actor` without its splats.
-
-    Attributes
-    ----------
-    id, kind : str
-    box : ndarray of shape (2, 3) [capture units]
-    wheels : ndarray of shape (n, 5) [capture units], or None
-    """
-
-    id: str
-    kind: str
-    box: np.ndarray
-    wheels: np.ndarray | None
-
-
 def wheels_of(actor, unit):
     """Return the tyres of an actor in metres.
 
     Parameters
     ----------
-    actor : Actor or Body
+    actor : Actor
     unit : float [m / capture unit]
 
     Returns

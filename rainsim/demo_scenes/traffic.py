@@ -12,7 +12,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from rainsim.actors.actor import Actor, Track, box_of, with_actors
+from rainsim.actors.actor import Actor, box_of, with_actors
+from rainsim.actors.motion import Track
 from rainsim.demo_scenes.build import (
     content_hash,
     discs,

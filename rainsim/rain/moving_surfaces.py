@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rainsim.actors.footprint import put_on
+from rainsim.actors.footprint import put_on, shadows_on
 from rainsim.rain.exposure import computed_exposure
 from rainsim.rain.heightfield import Surfaces
 from rainsim.terrain.types import Grid
@@ -87,10 +87,8 @@ class MovingSurfaces:
     def _found(self, time):
         terrain = self._terrain
         top, underside, shelters = terrain.top.copy(), terrain.underside.copy(), []
-        for footprint in terrain.footprints:
-            shadow = footprint.shadow(terrain.grid, time)
-            here = put_on(terrain.bed, top, underside, shadow)
-            if here is not None and here.any():
+        for shadow in shadows_on(terrain.grid, terrain.footprints, time):
+            if put_on(terrain.bed, top, underside, shadow).any():
                 shelters.append(self._shelter(shadow))
         if not shelters:
             return self.still, []
@@ -105,13 +103,8 @@ class MovingSurfaces:
         high = float(np.nanmax(shadow.top)) - float(terrain.bed[shadow.part].min())
         margin = MARGIN + self._wind[0] / SLOWEST * max(high, 0.0)
         margin = math.ceil(margin / grid.spacing)
-        part = tuple(
-            slice(max(s.start - margin, 0), min(s.stop + margin, n))
-            for s, n in zip(shadow.part, grid.shape, strict=True)
-        )
+        part, inner = shadow.widened(margin, grid.shape)
         bed = terrain.bed[part].copy()
         own = Heights(Grid(bed.shape, (0.0, 0.0), grid.spacing), bed, bed.copy(), bed.copy())
-        inner = tuple(slice(s.start - p.start, s.stop - p.start)
-                      for s, p in zip(shadow.part, part, strict=True))  # fmt: skip
         put_on(own.bed, own.top, own.underside, shadow._replace(part=inner))
         return part, computed_exposure(own, self._wind, self._roughness)

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from rainsim.actors.motion import Motion
 from rainsim.render.labels import boxes_of
 
 NEAREST = 0.05  # m before the camera: nearer parts of a box are cut off
@@ -32,6 +33,14 @@ class ActorsSeen(NamedTuple):
     frame: object
     number: np.ndarray
 
+    def present(self):
+        """Yield number, `Motion` and present `Pose` in the ground frame of each that is there."""
+        for number, actor in enumerate(self.actors, start=1):
+            motion = Motion(actor, self.frame)
+            pose = motion.at(self.time)
+            if pose is not None:
+                yield number, motion, pose
+
 
 def moves_of(actors):
     """Return how the actors that are there move until the next frame.
@@ -46,14 +55,9 @@ def moves_of(actors):
         By the actor's number: takes ground points [m] on the actor to where they are then. An actor
         that is gone then goes on as it did.
     """
-    moves = {}
-    for number, actor in enumerate(actors.actors, start=1):
-        if actor.track.at(actors.time) is None:
-            continue
-        before = _matrix(actor.track.pose(actors.time), actors.frame)
-        after = _matrix(actor.track.pose(actors.time + actors.interval), actors.frame)
-        moves[number] = after @ np.linalg.inv(before)
-    return moves
+    return {
+        number: motion.step(actors.time, actors.interval) for number, motion, _ in actors.present()
+    }
 
 
 def facts_of_actors(actors, camera):
@@ -75,39 +79,34 @@ def facts_of_actors(actors, camera):
     """
     seen = {box["id"]: box for box in boxes_of(actors.number)}
     facts = []
-    for number, actor in enumerate(actors.actors, start=1):
-        pose = actor.track.at(actors.time)
-        if pose is None:
-            continue
-        corners = actors.frame.to_ground(pose.places(actor.corners()))
+    for number, motion, pose in actors.present():
+        actor = motion.actor
+        corners = pose.places(actor.corners() * actors.frame.meters_per_unit)
         mine = seen.get(number)
         facts.append({
             "number": number, "track": actor.id, "class": actor.kind,
-            "box3d": box_in_space(actor, actors.frame, actors.time, actors.interval),
+            "box3d": box_in_space(motion, actors.time, actors.interval),
             "box2d": box_in_picture(corners, camera),
             "box2d_seen": mine and mine["box"], "pixels": mine["pixels"] if mine else 0,
         })  # fmt: skip
     return facts
 
 
-def box_in_space(actor, frame, time, interval):
+def box_in_space(motion, time, interval):
     """Return an actor's box at a time [s] in the ground frame, as plain values; None if it is away.
 
     Centre [m], size [m] along its own axes, rotation (quaternion, w first), and velocity [m/s] over
-    `interval` [s] from then on.
+    `interval` [s] from then on. `motion` is the actor's `Motion`.
     """
-    pose = actor.track.at(time)
+    pose = motion.at(time)
     if pose is None:
         return None
-    turn = Rotation.from_matrix(frame.rotation @ pose.rotation)
-    after = actor.track.pose(time + interval)
-    centre, then = (frame.to_ground(p.places(actor.box[:1]))[0] for p in (pose, after))
+    centre, size = motion.box
+    turn = Rotation.from_matrix(pose.rotation).as_quat(canonical=True, scalar_first=True)
     return {
-        "centre": _rounded(centre),
-        "size": _rounded(actor.box[1] * frame.meters_per_unit),
-        "rotation": _rounded(np.roll(turn.as_quat(canonical=True), 1), 9),
-        "velocity": _rounded((then - centre) / interval),
-    }
+        "centre": _rounded(pose.places(centre)), "size": _rounded(size),
+        "rotation": _rounded(turn, 9), "velocity": _rounded(motion.velocity(time, interval)),
+    }  # fmt: skip
 
 
 def box_in_picture(corners, camera):
@@ -144,13 +143,5 @@ def box_in_picture(corners, camera):
     return _rounded([left, top, right, bottom], 3)
 
 
-def _matrix(pose, frame):
-    """Return ground_from_node of a pose, actor lengths in metres, ndarray of shape (4, 4)."""
-    matrix = np.eye(4)
-    matrix[:3, :3] = frame.rotation @ pose.rotation
-    matrix[:3, 3] = frame.to_ground(pose.position)
-    return matrix
-
-
 def _rounded(values, digits=6):
-    return [round(float(value), digits) for value in values]
+    return [round(float(value), digits) + 0.0 for value in values]  # no -0.0

@@ -13,7 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from rainsim.actors.actor import Actor, Track
+from rainsim.actors.actor import Actor
+from rainsim.actors.motion import Track
 from rainsim.constants import SH_0
 from rainsim.errors import InputError
 from rainsim.io.files import MAX_LENGTH, printable_name

@@ -20,7 +20,8 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from rainsim.actors.actor import Actor, ColorSeries, Track
+from rainsim.actors.actor import Actor, ColorSeries
+from rainsim.actors.motion import Track
 from rainsim.errors import InputError, shown
 from rainsim.io.files import MAX_LENGTH, json_number, printable_name, read_json, read_text
 from rainsim.scene.camera_rule import is_rigid

@@ -8,6 +8,7 @@ import sys
 import numpy as np
 
 from rainsim import __version__
+from rainsim.actors.motion import Motion
 from rainsim.config.settings import mm_per_hour
 from rainsim.drops import Weather
 from rainsim.errors import InputError, ParameterError
@@ -263,7 +264,7 @@ def _actors(scene, rate, turns):
     """Return what a card says of each actor: its box, ground frame, as each turn begins."""
     return [
         {"number": number, "track": actor.id, "class": actor.kind,
-         "box3d": [box_in_space(actor, scene.ground_frame, turn / rate, 1 / rate)
+         "box3d": [box_in_space(Motion(actor, scene.ground_frame), turn / rate, 1 / rate)
                    for turn in range(turns)]}
         for number, actor in enumerate(scene.actors, start=1)
     ]  # fmt: skip

@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import ndimage
 
+from rainsim.actors.footprint import shadows_on
 from rainsim.constants import HALF, ONE, ZERO
 from rainsim.jit import inlined_function
 from rainsim.numerics.interpolation import smoothstep
@@ -132,21 +133,13 @@ def stamped(bodies, terrain, time):
     terrain : Terrain
     time : float [s]
     """
-    shadows = [footprint.shadow(terrain.grid, time) for footprint in terrain.footprints]
-    shadows = [shadow for shadow in shadows if shadow is not None]
+    shadows = shadows_on(terrain.grid, terrain.footprints, time)
     if not shadows:
         return bodies
     found = bodies.copy() if bodies.size else np.zeros((*terrain.grid.shape, 3), np.uint8)
     reach = round(AROUND / terrain.grid.spacing)
     for shadow in shadows:
-        part = tuple(
-            slice(max(s.start - reach, 0), min(s.stop + reach, most))
-            for s, most in zip(shadow.part, terrain.grid.shape, strict=True)
-        )
-        inner = tuple(
-            slice(s.start - outer.start, s.stop - outer.start)
-            for s, outer in zip(shadow.part, part, strict=True)
-        )
+        part, inner = shadow.widened(reach, terrain.grid.shape)
         steps = np.zeros([s.stop - s.start for s in part], np.uint8)
         height = np.nan_to_num((shadow.top - terrain.bed[shadow.part]) / STEP)
         steps[inner] = np.where(height < TALLEST / STEP, np.clip(height, 0, HEIGHTS), 0)

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from rainsim import pipeline
-from rainsim.actors.actor import Actor, ColorSeries, Track, box_of, scene_at, with_actors
+from rainsim.actors.actor import Actor, ColorSeries, box_of, scene_at, with_actors
 from rainsim.actors.actor_files import read_actors
 from rainsim.actors.footprint import footprint_of, with_footprints
+from rainsim.actors.motion import Track
 from rainsim.config.settings import Config
 from rainsim.drops import GROUND, OBSTACLE
 from rainsim.errors import InputError, ParameterError
@@ -257,7 +258,7 @@ def test_a_box_in_the_picture_is_that_of_its_splats(scene, shot, camera):
     # The upright box of the same size at the same place has the splats' outline in the picture.
     frame, actor, time = scene.ground_frame, scene.actors[0], report.time
     footprint = footprint_of(actor, frame, 0.025)
-    rotation, shift = footprint.ground_from_upright(actor.track.at(time))
+    rotation, shift = footprint.ground_from_upright(footprint.motion.at(time))
     half = BOX_SIZE / 2
     signs = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
     corners = (signs * half + [0, 0, half[2]]) @ rotation.T + shift  # its first heading is 0
@@ -286,7 +287,7 @@ def test_flow_of_a_nodes_pixels_is_that_of_its_points(scene, shot, camera):
     frame, actor = scene.ground_frame, scene.actors[0]
     view = frame.camera_in_ground(camera)
     footprint = footprint_of(actor, frame, 0.025)
-    now, then = (footprint.ground_from_upright(actor.track.pose(t))
+    now, then = (footprint.ground_from_upright(footprint.motion.pose(t))
                  for t in (report.time, report.time + 1 / CONFIG.fps))  # fmt: skip
     rows, columns = np.nonzero(mine)
     rays = np.stack([(columns + 0.5 - view.cx) / view.fx, (rows + 0.5 - view.cy) / view.fy,

@@ -8,7 +8,7 @@ import pytest
 from rainsim.actors.footprint import with_footprints
 from rainsim.config.settings import Config
 from rainsim.cuda import simulated
-from rainsim.cuda.rain.moving_surfaces import MovingHeights, highest_of
+from rainsim.cuda.rain.moving_surfaces import MovingHeights
 from rainsim.cuda.render import renderer as twin
 from rainsim.cuda.simulation import simulate
 from rainsim.cuda.splatting.prepared import DeviceSplats
@@ -54,7 +54,7 @@ def test_the_map_follows_what_moves_over_it(terrain):
     moving, (footprint,) = MovingSurfaces(terrain), terrain.footprints
     heights = MovingHeights(moving.still, terrain.footprints, 0)
     # The box is 0.28 m high, on cells of 0.1 m, and may turn any way.
-    assert 0.28 < highest_of(footprint) < 1.0 and heights.fields.sky >= moving.still.sky
+    assert 0.28 < footprint.highest < 1.0 and heights.fields.sky >= moving.still.sky
     shown = []
     for time in (0.0, 0.4, 9.0):
         surfaces, shelters = moving.moment(time)

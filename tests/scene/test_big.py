@@ -787,7 +787,8 @@ def test_both_pictures_of_lamps_are_drawn_of_the_same_pages(folder, film):
 
 
 def test_nodes_stand_among_the_chunks(folder, film, whole):
-    from rainsim.actors.actor import Actor, Track, box_of, with_actors
+    from rainsim.actors.actor import Actor, box_of, with_actors
+    from rainsim.actors.motion import Track
 
     ground, cameras, shown = film
     body = whole.splats.take(np.abs(whole.splats.position - (3.0, 1.5, 0.5)).max(axis=1) < 0.3)

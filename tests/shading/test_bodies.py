@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from rainsim.actors.footprint import Shadow
 from rainsim.shading import bodies, environment, walls, wetting
 from rainsim.shading.fresnel import fresnel
 from rainsim.shading.grading import Look
@@ -143,7 +144,7 @@ def test_an_actor_that_moves_takes_its_place_on_the_map_along():
             return None
         rows, columns = slice(80, 110), slice(20 + int(time * 10), 70 + int(time * 10))
         top = np.full((30, 50), 0.8, F4)
-        return SimpleNamespace(part=(rows, columns), top=top, underside=top * 0)
+        return Shadow((rows, columns), top, top * 0)
 
     still = bodies.body_map(terrain)
     terrain.footprints = (SimpleNamespace(shadow=shadow),)

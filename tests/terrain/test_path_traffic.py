@@ -8,7 +8,8 @@ from test_path_ground import CONFIG as ROAD
 from test_path_ground import DRIVE, camera, road, small  # noqa: F401
 
 from rainsim import pipeline, simulation
-from rainsim.actors.actor import Actor, Track, with_actors
+from rainsim.actors.actor import Actor, with_actors
+from rainsim.actors.motion import Track
 from rainsim.config.settings import mm_per_hour
 from rainsim.drops import GROUND
 from rainsim.lod.cut import cut

@@ -34,7 +34,7 @@ class MovingHeights:
 
     def __init__(self, still, footprints, stream):
         fields = sent_surfaces(still, stream)
-        highest = max((highest_of(footprint) for footprint in footprints), default=-np.inf)
+        highest = max((footprint.highest for footprint in footprints), default=-np.inf)
         self.fields = fields._replace(sky=max(fields.sky, highest + ABOVE))
         self._stream = stream
         self._rows = []  # that actors cover on the device
@@ -51,12 +51,3 @@ class MovingHeights:
         if not SIMULATED:
             self._stream.synchronize()  # before the map of the host goes on
         self._rows = rows
-
-
-def highest_of(footprint):
-    """Return a height [m] that no part of a `Footprint` ever exceeds, however it turns."""
-    ends = footprint.low, footprint.low + footprint.spacing * np.array(footprint.top.shape[::-1])
-    across = np.abs(ends).max(axis=0)
-    up = max(np.nanmax(np.abs(footprint.top)), np.nanmax(np.abs(footprint.underside)))
-    place = footprint.track.position @ footprint.turn.T * footprint.scale + footprint.shift
-    return float(place[:, 2].max() + np.hypot(np.hypot(*across), up))
