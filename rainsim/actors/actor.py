@@ -19,7 +19,7 @@ from rainsim.scene.splat_sets import joined, own_turns
 from rainsim.scene.types import Splats
 
 NO_LABEL, MOST_LABEL = 255, 2**16 - 1  # of the user's own labels
-SOLID = 0.3  # opacity of splats that a body ends at, and that stop drops
+SOLID = 0.3  # opacity of splats that an actor ends at, and that stop drops
 
 
 class ColorSeries(NamedTuple):

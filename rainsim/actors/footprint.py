@@ -144,9 +144,9 @@ def footprint_of(actor, frame, spacing):
     np.minimum.at(underside, (row, column), points[:, 2])
     hit = np.isfinite(top)
     square = np.ones((3, 3), bool)
-    body = ndimage.binary_fill_holes(ndimage.binary_closing(hit, square, CLOSING))
+    solid = ndimage.binary_fill_holes(ndimage.binary_closing(hit, square, CLOSING))
     nearest = ndimage.distance_transform_edt(~hit, return_distances=False, return_indices=True)
-    top, underside = (np.where(body, a[tuple(nearest)], np.nan) for a in (top, underside))
+    top, underside = (np.where(solid, a[tuple(nearest)], np.nan) for a in (top, underside))
     top, underside = top.astype(np.float32), underside.astype(np.float32)
     return Footprint(Motion(actor, frame), upright, low, spacing, top, underside)
 

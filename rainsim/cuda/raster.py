@@ -188,7 +188,7 @@ class Rasterizer:
     def put_actors(self, merged):
         """Put other actors before the static set, see `DeviceSplats.put_actors`.
 
-        A `DeviceFrame` sends them when the device is idle: until then they wait in `nodes`.
+        A `DeviceFrame` sends them when the device is idle: until then they wait in `actors`.
         """
         self.actors = merged
         if self.recolors:

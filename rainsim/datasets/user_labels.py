@@ -46,7 +46,7 @@ class UserLabels:
     def picture(self, camera, actor=None):
         """Return the labels that a camera (capture frame) sees, uint16; OTHER_CLASS for none.
 
-        `node`, ndarray of shape (height, width): the layer `actor_id`. Its pixels have the labels
+        `actor`, ndarray of shape (height, width): the layer `actor_id`. Its pixels have the labels
         of their actors.
         """
         hit = self._rasterizer.draw(camera, self._near, hit=True).hit

@@ -95,7 +95,7 @@ class Scan:
 class Surface:
     """Hits of beams in clear air, arrays (n, ...): distance [m], place, normal, reflectivity.
 
-    `node` is as in `Scan`.
+    `actor` is as in `Scan`.
     """
 
     distance: np.ndarray

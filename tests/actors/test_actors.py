@@ -98,7 +98,7 @@ def test_the_basis_is_that_of_the_rasterizer(rng):
     assert value[1:] @ sh[1:] == pytest.approx(float(sum(bands)), abs=1e-5)
 
 
-def test_a_track_is_interpolated_and_says_when_its_node_is_there():
+def test_a_track_is_interpolated_and_says_when_its_actor_is_there():
     turns = np.array([[1.0, 0, 0, 0], QUARTER * -3])  # any length, either sign
     way = Track(np.array([1.0, 3.0]), np.array([[0.0, 0, 0], [2.0, 4, 0]]), turns,
                 np.array([True, False]))  # fmt: skip
@@ -171,7 +171,7 @@ def test_merged_sets_draw_what_one_set_draws(scene, camera):
 
 
 @pytest.mark.slow
-def test_nodes_that_nobody_sees_change_no_byte(scene, ground, states, camera):
+def test_actors_that_nobody_sees_change_no_byte(scene, ground, states, camera):
     hidden = moving_scene(visible=(False, False))
     pictures = []
     for one in (replace(scene, actors=()), hidden, scene):
@@ -216,7 +216,7 @@ def test_no_drop_lands_under_a_moving_box_and_water_keeps_its_account(scene, gro
     assert hit == 0 and on_top > 3
 
 
-def test_a_shelter_moves_with_its_node_and_leaves_what_is_beside_it(scene, ground):
+def test_a_shelter_moves_with_its_actor_and_leaves_what_is_beside_it(scene, ground):
     moving = MovingSurfaces(ground)
     share = np.ones(ground.grid.shape, np.float32)
     for time in (0.2, 0.8):
@@ -278,7 +278,7 @@ def test_a_box_behind_or_beside_the_camera(camera, scene):
     assert around == [0, 0, camera.width, camera.height]
 
 
-def test_flow_of_a_nodes_pixels_is_that_of_its_points(scene, shot, camera):
+def test_flow_of_an_actors_pixels_is_that_of_its_points(scene, shot, camera):
     _, report, _ = shot
     number, flow, mask = (report.aovs[n] for n in ("actor_id", "flow", "flow_mask"))
     mine = (number == 1) & (mask == 1)
@@ -341,7 +341,7 @@ def test_a_box_hides_the_streaks_behind_it(scene, ground, states, camera):
     assert shown["with"]["rain_alpha"][box].sum() < 0.7 * shown["without"]["rain_alpha"][box].sum()
 
 
-def test_a_data_set_carries_the_nodes(scene, ground, camera):
+def test_a_data_set_carries_the_actors(scene, ground, camera):
     from rainsim.datasets import beside, kitti
     from rainsim.datasets.sample import Plan, View
     from rainsim.datasets.shots import Shots
@@ -450,6 +450,6 @@ def test_other_descriptions_that_are_refused(scene, tmp_path):
         read_scene(tmp_path / "kept")
 
 
-def test_nodes_of_one_name_are_refused(scene):
+def test_actors_of_one_name_are_refused(scene):
     with pytest.raises(ParameterError, match="differ; rename one"):
         with_actors(tiny_scene(), scene.actors * 2)

@@ -105,7 +105,7 @@ def test_hits_are_those_of_the_cpu(monkeypatch):
         twin.rasterize(prepared, camera(), 0.2, hit=True)
 
 
-def test_nodes_before_a_static_set_are_those_of_the_cpu():
+def test_actors_before_a_static_set_are_those_of_the_cpu():
     """Only their chunks are sent, and none of a moment before is left."""
     still, moving = cloud(60), cloud(300, seed=4)
     for splats in (still, moving):

@@ -100,7 +100,7 @@ def test_a_boxs_mirror_image_lies_where_the_traced_one_does(on_gpu, scene, terra
     assert decibel(light["without"][image], light["traced"][image], 1) < 15
 
 
-def test_a_film_of_nodes_is_its_frames_and_sends_the_static_set_once(
+def test_a_film_of_actors_is_its_frames_and_sends_the_static_set_once(
     on_gpu, scene, terrain, states, camera, monkeypatch
 ):
     from rainsim.cuda.splatting.prepared import DeviceSplats
@@ -124,7 +124,7 @@ def test_a_film_of_nodes_is_its_frames_and_sends_the_static_set_once(
     np.testing.assert_array_equal(latest[0], wanted[5])  # alone as in sequence
 
 
-def test_nodes_that_are_away_change_no_byte(on_gpu, scene, terrain, states, camera):
+def test_actors_that_are_away_change_no_byte(on_gpu, scene, terrain, states, camera):
     pictures = []
     for one in (dataclasses.replace(scene, actors=()), moving_scene(visible=(False, False)), scene):
         own = with_footprints(dataclasses.replace(terrain, footprints=()), one)

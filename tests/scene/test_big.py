@@ -786,7 +786,7 @@ def test_both_pictures_of_lamps_are_drawn_of_the_same_pages(folder, film):
     assert scene.prepared is None
 
 
-def test_nodes_stand_among_the_chunks(folder, film, whole):
+def test_actors_stand_among_the_chunks(folder, film, whole):
     from rainsim.actors.actor import Actor, box_of, with_actors
     from rainsim.actors.motion import Track
 

@@ -277,7 +277,7 @@ def moving():
     return scene, terrain, LidarScanner(scene, terrain, 0.9)
 
 
-def test_beams_meet_a_node_where_it_is_as_each_is_sent(moving, rng):
+def test_beams_meet_an_actor_where_it_is_as_each_is_sent(moving, rng):
     scene, terrain, scanner = moving
     n = 3000
     origin = np.column_stack([rng.uniform(0.4, 1.1, n), rng.uniform(-1, 0.6, n), np.full(n, 1.5)])
@@ -329,7 +329,7 @@ def test_points_of_a_turn_say_which_actor_they_lie_on(moving, rng):
     assert len(body) == len(scan.actor) * 28
 
 
-def test_a_node_that_is_not_there_sends_nothing_back(rng):
+def test_an_actor_that_is_not_there_sends_nothing_back(rng):
     scene = moving_scene(visible=(False, True))
     config = Config.from_preset("downpour").replace(extent=1.0, spacing=0.05)
     scanner = LidarScanner(scene, pipeline.extract_terrain(scene, config), 0.9)
