@@ -139,17 +139,18 @@ def classes():
 def formats():
     """Return the table of rainsim's own files, with the version that is written and read."""
     from rainsim import output_folder, simulation
+    from rainsim.actors import actor_files
     from rainsim.commands import film
     from rainsim.datasets import card
     from rainsim.io import images
     from rainsim.render import frame_files
-    from rainsim.scene import actor_files, folder, ground, painted
+    from rainsim.scene import folder, ground, painted
     from rainsim.sensors import drive
     from rainsim.terrain import files
 
     rows = [
         ("scene.json, splats.npz", folder.VERSION, "`import`", "cameras, ground frame; splats"),
-        ("actors.npz", actor_files.VERSION, "`import`", "nodes that move through a scene"),
+        ("actors.npz", actor_files.VERSION, "`import`", "actors that move through a scene"),
         ("classes.npz", painted.VERSION, "`view`", "classes painted on the ground of a scene"),
         ("terrain.npz", files.VERSION, "`heightmap`", "ground, what stands on it, classes, noise"),
         ("states/NNNNN.npz", simulation.STATE_VERSION, "`simulate`", "water at a frame's time"),

@@ -9,6 +9,7 @@ import bisect
 from collections import deque
 from dataclasses import replace
 
+from rainsim.actors.footprint import with_footprints
 from rainsim.backend import free_device_memory, on_backend
 from rainsim.errors import BackendError, ParameterError
 from rainsim.io import cache
@@ -22,7 +23,6 @@ from rainsim.render.sunken import sunken_notes
 from rainsim.render.window_ahead import Windows
 from rainsim.simulation import SimState, read_state, simulate, widened, write_state
 from rainsim.terrain.kept import kept_terrain
-from rainsim.terrain.movers import with_movers
 from rainsim.terrain.path_ground import PathGround, follows_path, path_ground
 from rainsim.terrain.pond import without_images
 from rainsim.terrain.poured import with_water
@@ -127,7 +127,7 @@ class FrameSequence:
         if isinstance(terrain, PathGround):
             self._windows = Windows(terrain, scene, config)
             self._ground, terrain = terrain, terrain.overview
-        self.terrain = terrain = with_movers(terrain, scene)
+        self.terrain = terrain = with_footprints(terrain, scene)
         self.backend, self.layers, self.states = backend, layers, states
         self._renderer = SequenceRenderer(scene, terrain, cameras, config, layers, backend)
         self._water, self._state, self._steps = None, None, 0
@@ -295,7 +295,7 @@ def extract_terrain(scene, config, mask=None, progress=None, say=None, water=Non
     wet = with_water(terrain, water)
     if say is not None and wet is not terrain:
         say(wet.notes[-1:])
-    return with_movers(wet, scene)
+    return with_footprints(wet, scene)
 
 
 def frames_of(states, config, tell=None, skip=()):

@@ -89,8 +89,8 @@ class Rasterizer:
         """Take over `prepared`: the same splats in other colours, see `prepared.recolored`."""
         self.prepared = prepared
 
-    def put_nodes(self, merged):
-        """Take over the same splats with other nodes before them, see `merged.Merger`."""
+    def put_actors(self, merged):
+        """Take over the same splats with other actors before them, see `merged.Merger`."""
         self.prepared = merged
 
     def draw(

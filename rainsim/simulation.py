@@ -22,7 +22,7 @@ from rainsim.ledger import SUPPLY, WHEREABOUTS
 from rainsim.rain.dripping import DRIP_COLUMNS
 from rainsim.rain.exposure import computed_exposure, rain_exposure
 from rainsim.rain.moving_surfaces import MovingSurfaces
-from rainsim.rain.tyres import AT, COLUMNS, NO_THROWS, column
+from rainsim.rain.throws import AT, COLUMNS, NO_THROWS, column
 from rainsim.shading.wetness import evaporation_rate
 from rainsim.terrain.poured import with_standing
 from rainsim.terrain.table import DRAIN
@@ -32,9 +32,9 @@ from rainsim.water.keyframes import level_changes, past_rain_growth
 from rainsim.water.on_objects import Objects
 from rainsim.water.puddles import WET, doubt, probability, puddles_of, wet_share
 from rainsim.water.ripples import RippleTile, mean_chord, tile_impacts
-from rainsim.water.rolling import NO_TRACKS
 from rainsim.water.streams import run_in, run_off, with_streams
 from rainsim.water.top_water import TopWater
+from rainsim.water.tyres import NO_TRACKS
 from rainsim.water.window_tyres import tyres_of
 
 RIPPLE_DEPTHS = (2e-3, 0.1)  # m: films thinner carry no rings, deeper water is deep to them

@@ -120,7 +120,7 @@ def gaussian_weights(splats, degree_0=False):
 
 def node_weights(parts, sizes, places, turns, there, **options):
     """The weights of a class of nodes: `parts` lists the Splats of each node."""
-    from rainsim.scene.actors import joined
+    from rainsim.scene.splat_sets import joined
 
     weights = gaussian_weights(joined(parts), **options)
     weights["instances_quats"] = Parameter(np.asarray(turns, np.float32))

@@ -7,7 +7,7 @@ import numpy as np
 
 from rainsim.ledger import Ledger
 from rainsim.rain.dripping import DRIP_COLUMNS
-from rainsim.rain.tyres import AT, COLUMNS
+from rainsim.rain.throws import AT, COLUMNS
 from rainsim.simulation import SimState
 from rainsim.terrain.types import Grid, Terrain, Tops
 

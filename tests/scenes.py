@@ -130,16 +130,17 @@ BOX_WAY = ((0.78, -0.75, 0.0), (0.78, 0.25, 0.6))  # x, y [m] and heading [rad] 
 
 
 def moving_scene(way=BOX_WAY, visible=(True, True), **size):
-    """`tiny_scene` with a box that stands on the ground and moves past the dip, as a node."""
+    """`tiny_scene` with a box that stands on the ground and moves past the dip, as an actor."""
+    from rainsim.actors.actor import Actor, with_actors
+    from rainsim.actors.motion import Track
     from rainsim.demo_scenes.build import box, join, quaternions, to_splats, turn_about
-    from rainsim.scene.actors import Actor, Track, with_actors
 
     scene = tiny_scene(**size)
     frame, half = scene.ground_frame, BOX_SIZE / 2
     body = box((0, 0, half[2]), half - 0.004, (0.75, 0.15, 0.10), spacing=0.015, stretch=1.0)
     stripe = box((0, 0, 0.16), (half[0] - 0.002, half[1] - 0.002, 0.03), (0.9, 0.85, 0.2),
                  spacing=0.015, stretch=1.0)  # fmt: skip
-    own = _rotation(0.5, 1) @ _rotation(-1.2, 0)  # upright to node frame: any frame will do
+    own = _rotation(0.5, 1) @ _rotation(-1.2, 0)  # upright to actor frame: any frame will do
     placed = GroundFrame(own.T, frame.meters_per_unit, np.zeros(3))
     splats = to_splats(join([body, stripe]), placed)
     splats = Splats(splats.position, splats.rotation, splats.scale, splats.opacity,
@@ -151,6 +152,6 @@ def moving_scene(way=BOX_WAY, visible=(True, True), **size):
     track = Track(
         time, frame.to_capture(ground), quaternions(np.array(turns)), np.array(visible[: len(way)])
     )
-    # The node frame is tilted against the box: its box is the upright one's bound there.
+    # The actor frame is tilted against the box: its box is the upright one's bound there.
     reach = np.abs(own) @ half * 2 / frame.meters_per_unit
     return with_actors(scene, [Actor("box", "parcel", splats, np.stack([centre, reach]), track)])

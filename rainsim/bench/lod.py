@@ -26,11 +26,11 @@ from rainsim.demo_scenes.street import first_view
 from rainsim.jit import set_threads
 from rainsim.lod.cut import cut
 from rainsim.render.renderer import Renderer
-from rainsim.scene.actors import joined, own_turns
 from rainsim.scene.big import open_pages
 from rainsim.scene.cameras import resize_to
 from rainsim.scene.harmonics import BANDS, turned
 from rainsim.scene.library import load_scene
+from rainsim.scene.splat_sets import joined, own_turns
 from rainsim.scene.types import Scene
 from rainsim.simulation import simulate, steady_water, widened
 from rainsim.terrain.path_ground import part_of

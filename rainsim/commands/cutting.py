@@ -58,7 +58,7 @@ class Chunks:
 
 def require_cuttable(path):
     """Return the splat file that is to be cut and its model's folder, or raise an error."""
-    from rainsim.scene.actor_files import actors_file
+    from rainsim.actors.actor_files import actors_file
     from rainsim.scene.drivestudio import is_checkpoint
     from rainsim.scene.folder import SCENE_FILE, locate
     from rainsim.scene.street_gaussians import is_street_ply
@@ -67,7 +67,7 @@ def require_cuttable(path):
     if actors_file(path) is not None or (path / SCENE_FILE).is_file():
         raise InputError(
             f"{path} is no splat file; --lod cuts one; name the file, and the chunks as the scene "
-            "of an actors.json where there are nodes"
+            "of an actors.json where there are actors"
         )
     file, model = locate(path)
     street = file.suffix.lower() == ".ply" and is_street_ply(file)

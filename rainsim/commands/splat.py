@@ -194,11 +194,11 @@ def draw(capture, camera, depth="expected", backend="cpu", render=None, **option
     """
     import time
 
+    from rainsim.actors.actor import require_no_actors, scene_at
     from rainsim.config.settings import Config
     from rainsim.lod.numbers import FinestNumbers
     from rainsim.lod.paged import rasterizer_of_scene
     from rainsim.raster import Rasterizer, prepare
-    from rainsim.scene.actors import require_no_actors, scene_at
     from rainsim.scene.pages import require_whole
 
     if backend == "cuda":

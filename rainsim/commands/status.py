@@ -328,7 +328,7 @@ def say_scene(status, scene):
     status.say(
         f"scene {scene.name}: {scene.count:,} splats, {cameras} "
         f"camera{'' if cameras == 1 else 's'}"
-        + (f", {len(scene.actors)} moving nodes" if scene.actors else "")
+        + (f", {len(scene.actors)} actors" if scene.actors else "")
     )
     status.notes(scene.notes)
     status.notes(scene.ground_frame.notes)

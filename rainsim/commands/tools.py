@@ -43,7 +43,7 @@ def import_(path, info, lod, out, overwrite, resume, threads, as_json, quiet, **
     PATH is a trained model's folder (point_cloud/iteration_*/point_cloud.ply and cameras.json) or a
     splat file (PLY, compressed PLY, SPZ, SOG, .splat, .glb) with cameras.json, transforms.json or a
     COLMAP model (sparse/0) beside it; or a scene with things that move: an actors.json, a Street
-    Gaussians model, a drivestudio checkpoint (.pth). Writes splats.npz, scene.json, with nodes
+    Gaussians model, a drivestudio checkpoint (.pth). Writes splats.npz, scene.json, with actors
     actors.npz, and ground_frame.json. Put the folder where RAINSIM_SCENES points to use it by name.
     Prints the ground frame and, from the height map, what the captured colours are taken for, which
     --ground-albedo of `run` corrects.
@@ -65,9 +65,9 @@ def import_(path, info, lod, out, overwrite, resume, threads, as_json, quiet, **
     if info:
         _tell_info(path, as_json)
         return
+    from rainsim.actors.actor_files import ACTORS_ARRAYS
     from rainsim.commands.cutting import cut_to_scene, require_cuttable
     from rainsim.output_folder import Record, claimed, relative
-    from rainsim.scene.actor_files import ACTORS_ARRAYS
     from rainsim.scene.folder import write_scene
     from rainsim.scene.ground import ground_frame_to_dict, write_ground_frame
 
@@ -92,8 +92,8 @@ def import_(path, info, lod, out, overwrite, resume, threads, as_json, quiet, **
         write_scene(out, scene)
         write_ground_frame(out / GROUND_FRAME, frame)
         arrays = () if scene.pages is not None else ("splats.npz",)
-        nodes = (ACTORS_ARRAYS,) if scene.actors else ()
-        record.add("scene.json", *arrays, *nodes, GROUND_FRAME)
+        moving = (ACTORS_ARRAYS,) if scene.actors else ()
+        record.add("scene.json", *arrays, *moving, GROUND_FRAME)
         record.write(complete=True)
         calibration = _calibration(status, scene, threads)
     status.say(f"scene folder {relative(out)}")

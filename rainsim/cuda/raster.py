@@ -149,9 +149,9 @@ class Rasterizer:
     Attributes
     ----------
     recolors : bool
-        Whether `recolor` and `put_nodes` send what they take over.
-    nodes : PreparedSplats or None
-        The merged set of `put_nodes`.
+        Whether `recolor` and `put_actors` send what they take over.
+    actors : PreparedSplats or None
+        The merged set of `put_actors`.
     size : device array of shape (2,), float32 [px]
         Width and height of the picture.
     lens : device array of shape (4,), float32 [px]
@@ -174,7 +174,7 @@ class Rasterizer:
         self._total = cuda.device_array(1, np.int32)
         self._size = self._asked = self._version = None
         self._capacity, self._first_room = 0, first_room
-        self.recolors, self.nodes = True, None
+        self.recolors, self.actors = True, None
         self._highest = self._pictures = 0  # entries, and pictures they were counted in
         self._patience = 1  # pictures after which too much room is given back
         self.workspace = Workspace() if workspace is None else workspace
@@ -185,18 +185,18 @@ class Rasterizer:
         if self.recolors:
             self.splats.send_colors(prepared)
 
-    def put_nodes(self, merged):
-        """Put other nodes before the static set, see `DeviceSplats.put_nodes`.
+    def put_actors(self, merged):
+        """Put other actors before the static set, see `DeviceSplats.put_actors`.
 
-        A `DeviceFrame` sends them when the device is idle: until then they wait in `nodes`.
+        A `DeviceFrame` sends them when the device is idle: until then they wait in `actors`.
         """
-        self.nodes = merged
+        self.actors = merged
         if self.recolors:
-            self.send_nodes()
+            self.send_actors()
 
-    def send_nodes(self):
-        """Send the nodes that wait; the device must draw nothing meanwhile."""
-        self.splats.put_nodes(self.nodes)
+    def send_actors(self):
+        """Send the actors that wait; the device must draw nothing meanwhile."""
+        self.splats.put_actors(self.actors)
 
     @one_fault()
     def draw(

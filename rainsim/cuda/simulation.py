@@ -33,11 +33,11 @@ from rainsim.drops import Weather
 from rainsim.errors import DivergedError
 from rainsim.rain.dripping import DRIP_COLUMNS
 from rainsim.rain.exposure import rain_exposure
-from rainsim.rain.tyres import NO_THROWS
+from rainsim.rain.throws import NO_THROWS
 from rainsim.reflection.slope_moments import ripple_moments
 from rainsim.water.keyframes import level_changes, past_rain_growth
 from rainsim.water.ripples import LAYERS
-from rainsim.water.rolling import NO_TRACKS
+from rainsim.water.tyres import NO_TRACKS
 
 
 class DeviceState:
@@ -335,9 +335,9 @@ class Simulation:
 def simulate(terrain, config, progress=None):
     """Yield the `DeviceState` at the time of each frame, from frame 0 on, without end.
 
-    Where bodies move over the terrain the CPU simulates: its `SimState` is yielded.
+    Where actors move over the terrain the CPU simulates: its `SimState` is yielded.
     """
-    if terrain.movers:
+    if terrain.footprints:
         yield from host.simulate(terrain, config, progress)
         return
     run = Simulation(terrain, config)

@@ -51,7 +51,7 @@ def plan_files(plan):
 
 
 def object_labels(actors, camera):
-    """Return a label_2 file: a line for each node that the picture shows.
+    """Return a label_2 file: a line for each actor that the picture shows.
 
     After the object development kit: type, truncated, occluded (3: not known), alpha, box in the
     picture, height, width and length [m], middle of the bottom in the camera's frame [m] and
@@ -60,7 +60,7 @@ def object_labels(actors, camera):
     Parameters
     ----------
     actors : sequence of dict
-        See `rainsim.render.node_labels.facts_of_nodes`.
+        See `rainsim.render.actor_labels.facts_of_actors`.
     camera : Camera
         In the ground frame.
     """

@@ -63,9 +63,9 @@ class Sample:
     glass : ndarray, float32, or None
         Share of the pixel's light that came through drops on the glass before the lens.
     facts : dict
-        Weather, puddles, splashes and nodes of the picture, see `rainsim.render.layers.facts_of`.
+        Weather, puddles, splashes and actors of the picture, see `rainsim.render.layers.facts_of`.
     actor_id : ndarray, uint16, or None
-        Number of the node that the pixel shows; None if nothing moves through the scene.
+        Number of the actor that the pixel shows; None if nothing moves through the scene.
     """
 
     view: View

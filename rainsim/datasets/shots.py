@@ -194,9 +194,9 @@ def _facts(facts, found, warped):
     if ACTORS in found:
         seen = {box["id"]: box for box in boxes_of(found[ACTORS])}
         facts["actors"] = [
-            {**node, "box2d": None, "box2d_seen": None, "pixels": 0}
+            {**actor, "box2d": None, "box2d_seen": None, "pixels": 0}
             | ({"box2d_seen": mine["box"], "pixels": mine["pixels"]} if mine else {})
-            for node in facts.get("actors", ())
-            for mine in (seen.get(node["number"]),)
+            for actor in facts.get("actors", ())
+            for mine in (seen.get(actor["number"]),)
         ]
     return facts

@@ -2,7 +2,7 @@
 
 A label belongs to a splat. A picture's pixel has the label of the splat at which half of its light
 is stopped. Masks vote: each of their pixels votes for its id, for the splat that it shows; splats
-that no mask shows have the id of the nearest splat that has one. A node that moves has one label.
+that no mask shows have the id of the nearest splat that has one. An actor that moves has one label.
 
 Of a capture in chunks the splats of the finest level have labels, numbered as `FinestNumbers` says.
 """
@@ -12,6 +12,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
+from rainsim.actors.actor import MOST_LABEL
 from rainsim.errors import InputError
 from rainsim.io import images
 from rainsim.io.arrays import npy_header
@@ -19,7 +20,6 @@ from rainsim.io.files import require_file
 from rainsim.lod.numbers import FinestNumbers
 from rainsim.lod.paged import rasterizer_of_scene
 from rainsim.render.labels import OTHER_CLASS
-from rainsim.scene.actors import MOST_LABEL
 
 NEAR = 0.05  # m
 NEAREST = 0.5  # m from the next labelled splat, beyond which a splat has no label
@@ -39,19 +39,19 @@ class UserLabels:
 
     def __init__(self, scene, ids, render):
         self.ids = ids
-        self._of_nodes = np.array([OTHER_CLASS, *(a.label for a in scene.actors)], np.uint16)
+        self._of_actors = np.array([OTHER_CLASS, *(a.label for a in scene.actors)], np.uint16)
         self._near = NEAR / scene.ground_frame.meters_per_unit
         self._rasterizer = _numbered_rasterizer(scene, render)
 
-    def picture(self, camera, node=None):
+    def picture(self, camera, actor=None):
         """Return the labels that a camera (capture frame) sees, uint16; OTHER_CLASS for none.
 
-        `node`, ndarray of shape (height, width): the layer `actor_id`. Its pixels have the labels
-        of their nodes.
+        `actor`, ndarray of shape (height, width): the layer `actor_id`. Its pixels have the labels
+        of their actors.
         """
         hit = self._rasterizer.draw(camera, self._near, hit=True).hit
         labels = np.where(hit >= 0, self.ids[np.maximum(hit, 0)], np.uint16(OTHER_CLASS))
-        return labels if node is None else np.where(node > 0, self._of_nodes[node], labels)
+        return labels if actor is None else np.where(actor > 0, self._of_actors[actor], labels)
 
 
 def read_labels(path, scene, render):

@@ -1,8 +1,8 @@
-"""The third built-in scene: the street with cars that move, as rigid nodes.
+"""The third built-in scene: the street with cars that move, as actors.
 
 A hatchback pulls out to the middle of the road ahead of the drive; a saloon drives on before it. On
 a street of a given length cars also cross at the side streets, and wait there.
-Each node has its splats in a frame of its own: x ahead, z up, the tyres on z = 0.
+Each actor has its splats in a frame of its own: x ahead, z up, the tyres on z = 0.
 """
 
 from __future__ import annotations
@@ -12,6 +12,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from rainsim.actors.actor import Actor, box_of, with_actors
+from rainsim.actors.motion import Track
 from rainsim.demo_scenes.build import (
     content_hash,
     discs,
@@ -31,7 +33,6 @@ from rainsim.demo_scenes.street import (
     road,
 )
 from rainsim.demo_scenes.street.long import LongStreet
-from rainsim.scene.actors import Actor, Track, box_of, with_actors
 from rainsim.scene.types import GroundFrame
 
 SPACING = 0.035  # m, of a car's splats
@@ -104,7 +105,7 @@ def make_long_traffic(length):
 
 
 def _joined(street, actors, name):
-    """Return a street with nodes as a scene of its own."""
+    """Return a street with actors as a scene of its own."""
     digest = hashlib.sha256(street.source_hash.encode())
     for actor in actors:
         digest.update(content_hash(actor.splats).encode() + actor.track.position.tobytes())
@@ -113,7 +114,7 @@ def _joined(street, actors, name):
 
 
 def _car(name, shape, paint, track, frame, rng):
-    """Return a car as a node that follows a track."""
+    """Return a car as an actor that follows a track."""
     own = GroundFrame(np.eye(3), frame.meters_per_unit, np.zeros(3))
     body = cars.car(shape, np.array(paint), True, SPACING, rng)
     splats = to_splats(join([body, *_shade()]), own)

@@ -21,10 +21,10 @@ from rainsim import __version__
 from rainsim.errors import InputError
 from rainsim.io.files import replacing
 from rainsim.lod.merge import merged_splats, reach_box
-from rainsim.scene.actors import joined
 from rainsim.scene.formats.sog import META
 from rainsim.scene.formats.sog_writer import write_sog
 from rainsim.scene.formats.streamed import LOD_META, MOST_LEVELS, SIDES, VERSION
+from rainsim.scene.splat_sets import joined
 from rainsim.scene.types import Splats
 from rainsim.splatting.prepared import morton_order
 

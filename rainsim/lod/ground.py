@@ -9,9 +9,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from rainsim.scene.actors import joined
 from rainsim.scene.formats.streamed import NONE
 from rainsim.scene.pages import ALWAYS, levels_at
+from rainsim.scene.splat_sets import joined
 
 MOST = 3_000_000  # splats of such a part; some 150 bytes each
 NEAR = 10.0  # m from the cameras up to which the map is as fine as its cells

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from rainsim.scene.actors import joined
+from rainsim.scene.splat_sets import joined
 from rainsim.scene.types import Splats
 from rainsim.splatting.coarse import HALF_CELLS, merged_rows
 from rainsim.splatting.level_kernels import FLAT

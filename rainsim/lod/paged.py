@@ -15,8 +15,8 @@ import numpy as np
 from rainsim.lod.choose import chosen_levels
 from rainsim.lod.room import ARRAYS, NO_CHUNKS, Stored, room_for
 from rainsim.raster import Rasterizer
-from rainsim.scene.actors import padded
 from rainsim.scene.formats.streamed import NONE
+from rainsim.scene.harmonics import padded
 from rainsim.scene.pages import ALWAYS
 from rainsim.splatting.prepared import COARSE, GEOMETRY, LANES, NOBODY, PreparedSplats, prepare
 
@@ -89,7 +89,7 @@ class PagedRasterizer:
         self.used = {}
 
     def recolor(self, front=None):
-        """Draw the splats `front`, those of nodes, before the pages from now on; None: no splats.
+        """Draw the splats `front`, those of actors, before the pages from now on; None: no splats.
 
         Parameters
         ----------

@@ -1,6 +1,6 @@
 """Spray of tyres in a picture: drops that show one by one, and clouds of all others.
 
-What tyres have thrown (`rain.tyres`) is parcels of drops. A drop is drawn as rain is, as a streak
+What tyres have thrown (`rain.throws`) is parcels of drops. A drop is drawn as rain is, as a streak
 of its path over the exposure, if a pixel would show it; the drops that are too small or too many
 are Gaussian clouds, as are the mist's. A drop is in one of both, so that all of them replace the
 same light wherever the line is drawn.
@@ -26,7 +26,7 @@ from rainsim.jit import (
 from rainsim.numerics.approximations import exp_minus
 from rainsim.numerics.random import subkey, uniform_triple
 from rainsim.particles.line_raster import FAINTEST, NEAR
-from rainsim.rain.tyres import (
+from rainsim.rain.throws import (
     FLIGHT,
     Puffs,
     column,

@@ -1,4 +1,4 @@
-"""The map that drops hit over time: the still map, with moving bodies over it."""
+"""The map that drops hit over time: the still map, with actors over it."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rainsim.actors.footprint import put_on, shadows_on
 from rainsim.rain.exposure import computed_exposure
 from rainsim.rain.heightfield import Surfaces
-from rainsim.terrain.movers import put_on
 from rainsim.terrain.types import Grid
 
-MARGIN = 1.0  # m around a body in which it thins the rain, besides what the wind adds
+MARGIN = 1.0  # m around an actor in which it thins the rain, besides what the wind adds
 SLOWEST = 4.0  # m/s: drops of 1 mm, the slowest whose paths the exposure follows
 
 
@@ -26,7 +26,7 @@ class Heights(NamedTuple):
 
 
 class MovingSurfaces:
-    """The surfaces of a terrain with its movers, one moment after another.
+    """The surfaces of a terrain with the actors on it, one moment after another.
 
     Parameters
     ----------
@@ -59,23 +59,23 @@ class MovingSurfaces:
         return self.moment(time)[0]
 
     def moment(self, time):
-        """Return the `Surfaces` at a time [s] and the parts of the map that movers shelter.
+        """Return the `Surfaces` at a time [s] and the parts of the map that actors shelter.
 
         Returns
         -------
         surfaces : Surfaces
         shelters : list of (part, share)
-            Rows and columns, two slices, and the share of the rain there that the movers let
+            Rows and columns, two slices, and the share of the rain there that the actors let
             through to the ground, float32. Parts may overlap: shares are multiplied.
         """
-        if not self._terrain.movers:
+        if not self._terrain.footprints:
             return self.still, []
         if self._moment is None or self._moment[0] != time:
             self._moment = time, *self._found(time)
         return self._moment[1:]
 
     def thinned(self, share, time):
-        """Return a share of the rain on the map (ny, nx) with that of movers at a time [s]."""
+        """Return a share of the rain on the map (ny, nx) with that of actors at a time [s]."""
         shelters = self.moment(time)[1]
         if not shelters:
             return share
@@ -87,17 +87,15 @@ class MovingSurfaces:
     def _found(self, time):
         terrain = self._terrain
         top, underside, shelters = terrain.top.copy(), terrain.underside.copy(), []
-        for mover in terrain.movers:
-            shadow = mover.shadow(terrain.grid, time)
-            here = put_on(terrain.bed, top, underside, shadow)
-            if here is not None and here.any():
+        for shadow in shadows_on(terrain.grid, terrain.footprints, time):
+            if put_on(terrain.bed, top, underside, shadow).any():
                 shelters.append(self._shelter(shadow))
         if not shelters:
             return self.still, []
         return self._surfaces(top, underside), shelters
 
     def _shelter(self, shadow):
-        """Return the part of the map that a body shelters, and the share that it lets through.
+        """Return the part of the map that an actor shelters, and the share that it lets through.
 
         Of the rain that things which stand let through: their shares are multiplied.
         """
@@ -105,13 +103,8 @@ class MovingSurfaces:
         high = float(np.nanmax(shadow.top)) - float(terrain.bed[shadow.part].min())
         margin = MARGIN + self._wind[0] / SLOWEST * max(high, 0.0)
         margin = math.ceil(margin / grid.spacing)
-        part = tuple(
-            slice(max(s.start - margin, 0), min(s.stop + margin, n))
-            for s, n in zip(shadow.part, grid.shape, strict=True)
-        )
+        part, inner = shadow.widened(margin, grid.shape)
         bed = terrain.bed[part].copy()
         own = Heights(Grid(bed.shape, (0.0, 0.0), grid.spacing), bed, bed.copy(), bed.copy())
-        inner = tuple(slice(s.start - p.start, s.stop - p.start)
-                      for s, p in zip(shadow.part, part, strict=True))  # fmt: skip
         put_on(own.bed, own.top, own.underside, shadow._replace(part=inner))
         return part, computed_exposure(own, self._wind, self._roughness)

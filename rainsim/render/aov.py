@@ -69,7 +69,7 @@ AOVS = {
     "flow_mask": Aov(INDEX, "", "0 no flow, 1 seen, 2 occluded, 3 outside the next frame"),
     "class_id": Aov(INDEX, "", "class of ground or water, 255 for all else"),
     "puddle_id": Aov(INDEX, "", "of the puddle that a pixel shows, 0 for none"),
-    "actor_id": Aov(INDEX, "", "of the moving node that a pixel shows, 0 for none"),
+    "actor_id": Aov(INDEX, "", "of the actor that a pixel shows, 0 for none"),
 }
 NEEDED = ("wet", "coverage", "reflection", "refraction", "fresnel", "highlight", "transmission",
           "rain_alpha", "splash_alpha")  # fmt: skip

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rainsim.actors.footprint import with_footprints
 from rainsim.drops import Weather
 from rainsim.particles import drop_radiance
 from rainsim.particles.splash import LONGEST_LIFE
@@ -31,7 +32,6 @@ from rainsim.shading.calibration import (
 )
 from rainsim.shading.wet_ground_mirror import WetGroundMirror, mean_share
 from rainsim.simulation import tops_drawn, usual_wind
-from rainsim.terrain.movers import with_movers
 from rainsim.water.ripples import ring_reach, ring_share, sheltered_rings, taller_rings
 
 RING_DEPTH = 5e-3  # m of water on which rings travel in under cover
@@ -103,13 +103,13 @@ class Conductor:
         self, scene, terrain, config, first_camera, rasterizer_of=Rasterizer, wet_scene=None
     ):
         self.frame = Frame((*PASSES, *LAYER_PASSES))
-        terrain = with_movers(tops_drawn(terrain, config), scene)
+        terrain = with_footprints(tops_drawn(terrain, config), scene)
         self.config, self.methods = config, config.render
         first_camera = fixed_camera(scene, terrain, config) or first_camera
         if wet_scene is None:
             wet_scene = WetScene(scene, terrain, config, first_camera, rasterizer_of)
         self.wet_scene = wet_scene
-        wet_scene.move_nodes(None)  # the light of a run depends on no frame
+        wet_scene.move_actors(None)  # the light of a run depends on no frame
         self.weather = Weather(config)
         self._ring_reach = ring_reach(RING_DEPTH, config.water.surface_film, self.weather.mean_rate)
         film = WetGroundMirror(terrain, config.render)
@@ -183,7 +183,7 @@ class Conductor:
     def _moment(self, time):
         """Return what drops land on at a time [s], and the amplitude of rings on each cell."""
         ground = self.ground
-        if not ground.terrain.movers:
+        if not ground.terrain.footprints:
             return ground.moving.still, ground.rings
         surfaces, shelters = ground.moving.moment(time)
         return surfaces, sheltered_rings(
@@ -197,7 +197,7 @@ class Conductor:
         self.brightness = self.now.render.brightness * math.exp(np.interp(time, *self._metered))
         self.brightness *= 2 ** exposure_bias(self.now)
         self.wet_scene.set_time(self.now)
-        self.wet_scene.move_nodes(time)
+        self.wet_scene.move_actors(time)
 
     def take_settings(self, config):
         """Draw with other settings from now on, but with the light that was set up for the first.
@@ -233,7 +233,7 @@ class Conductor:
         Parameters
         ----------
         terrain : Terrain
-            A window of the ground of this scene, its nodes on it.
+            A window of the ground of this scene, its actors on it.
         reach : ndarray of shape (ny, nx), float32
             Share of the rain that reaches the ground.
         now : Config

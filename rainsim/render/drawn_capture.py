@@ -9,7 +9,7 @@ import numpy as np
 from rainsim.raster import prepare
 from rainsim.reflection.mirror_choice import merged_cells
 from rainsim.reflection.ray_traced import Tracer
-from rainsim.render.nodes import Nodes
+from rainsim.render.actor_splats import ActorSplats
 from rainsim.scene.cameras import MIRROR_CLEARANCE, cropped, mirrored_camera, resize_to
 from rainsim.shading.wet_ground_mirror import RESOLUTION, in_level_picture
 from rainsim.splatting.detail import SIDES, Detail
@@ -50,13 +50,13 @@ class DrawnCapture:
     Attributes
     ----------
     splats, prepared : Splats and PreparedSplats
-        Those of `scene` in the present light; of a big capture without nodes only `splats`.
+        Those of `scene` in the present light; of a big capture without actors only `splats`.
     merge : float [px]
         Side of the cells in which frames and mirrored pictures do merge splats.
     near : float [capture units]
     rasterizer : Rasterizer or PagedRasterizer
-    nodes : Nodes or None
-        What moves, see `move_nodes`.
+    actors : ActorSplats or None
+        What moves, see `move_actors`.
     tracer : Tracer or None
         Of the scene's splats, once rays were traced.
     changes : int
@@ -73,13 +73,13 @@ class DrawnCapture:
         self.badly_placed, self.paged, self._rasterizer_of = badly_placed, paged, rasterizer_of
         self.splats = present.at(colors)
         self.prepared = replace(prepare(self.splats, badly_placed), compensate=scene.antialiased)
-        self.nodes = Nodes(scene.actors, self.prepared) if scene.actors else None
-        if self.nodes is not None:
-            self.prepared = self.nodes.static
+        self.actors = ActorSplats(scene.actors, self.prepared) if scene.actors else None
+        if self.actors is not None:
+            self.prepared = self.actors.static
         if paged is not None:
             paged.take_colors(colors)
-        # Captures in chunks have levels of their own; nodes are put before the whole static set.
-        self.merge, self._detail = merge if self.nodes is None and paged is None else 0.0, None
+        # Captures in chunks have levels of their own; actors are put before the whole static set.
+        self.merge, self._detail = merge if self.actors is None and paged is None else 0.0, None
         if self.merge:
             self._detail = Detail(self.prepared, self._sides)
             self.prepared = self._detail.prepared
@@ -91,7 +91,7 @@ class DrawnCapture:
 
     def forget_whole(self):
         """Drop the prepared splats of a big capture, of which pages are drawn."""
-        if self.paged is not None and self.nodes is None:
+        if self.paged is not None and self.actors is None:
             self.prepared = None
 
     # ---- what changes
@@ -109,32 +109,32 @@ class DrawnCapture:
             self.prepared = self._detail.prepared
         if self.paged is not None:
             self.paged.take_colors(colors)
-        if self.nodes is not None:
-            self.nodes.recolor(self.prepared)
-            self.prepared = self.nodes.static
+        if self.actors is not None:
+            self.actors.recolor(self.prepared)
+            self.prepared = self.actors.static
         if self.paged is None:
             self.rasterizer.recolor(self.drawn)
-        if self.nodes is not None:
-            self._put_nodes()
+        if self.actors is not None:
+            self._put_actors()
         self._changed()
 
-    def move_nodes(self, time):
-        """Take over where the scene's nodes are at a time [s]; return whether they have moved.
+    def move_actors(self, time):
+        """Take over where the scene's actors are at a time [s]; return whether they have moved.
 
         Until the first call, and after a time of None, none is there.
         """
-        if self.nodes is None or not self.nodes.set_time(time):
+        if self.actors is None or not self.actors.set_time(time):
             return False
-        self._put_nodes()
+        self._put_actors()
         self._changed()
         return True
 
-    def _put_nodes(self):
-        """Put the nodes as they are now before the static set."""
+    def _put_actors(self):
+        """Put the actors as they are now before the static set."""
         if self.paged is None:
-            self.rasterizer.put_nodes(self.nodes.merged())
+            self.rasterizer.put_actors(self.actors.merged())
         else:
-            self.paged.put_nodes(self.nodes, self.frame)
+            self.paged.put_actors(self.actors, self.frame)
 
     def _changed(self):
         self._standing = self.tracer = None
@@ -177,21 +177,21 @@ class DrawnCapture:
         """Return the rasterizer of all splats as captured, those of the sky included."""
         if self._captured is None:
             whole = prepare(self._whole.splats)
-            if self.nodes is not None:
-                self._captured_merger = self.nodes.merger_of(whole)
+            if self.actors is not None:
+                self._captured_merger = self.actors.merger_of(whole)
                 whole = self._captured_merger.static
             self._captured = self._rasterizer_of(
                 Detail(whole, self._sides).drawn if self.merge else whole
             )
-        if self.nodes is not None:
-            self._captured.put_nodes(self.nodes.merged(self._captured_merger))
+        if self.actors is not None:
+            self._captured.put_actors(self.actors.merged(self._captured_merger))
         return self._captured
 
-    def node_numbers(self, camera):
-        """Return the number of the node that each pixel of `camera` shows, see `Nodes.numbers`."""
-        if self.nodes is None:
+    def actor_numbers(self, camera):
+        """Return the number of the actor at each pixel of `camera`, see `ActorSplats.numbers`."""
+        if self.actors is None:
             return np.zeros((camera.height, camera.width), np.uint16)
-        return self.nodes.numbers(self.rasterizer.draw(camera, self.near, hit=True).hit)
+        return self.actors.numbers(self.rasterizer.draw(camera, self.near, hit=True).hit)
 
     def small_layers(self, cameras):
         """Yield camera and layers of small pictures, by which the light is set up."""
@@ -217,8 +217,8 @@ class DrawnCapture:
             self._standing = self.paged.standing
         if self._standing is None:
             place = self._terrain, self.frame
-            standing = in_level_picture(self.prepared, *place) if self.nodes is None else (
-                self.nodes.standing(*place)
+            standing = in_level_picture(self.prepared, *place) if self.actors is None else (
+                self.actors.standing(*place)
             )  # fmt: skip
             self._standing = self._rasterizer_of(standing)
         _, camera = mirrored_camera(self.frame.camera_in_capture(level), self.frame, 0.0)
@@ -242,7 +242,7 @@ class DrawnCapture:
             splats = self.splats
             if self.badly_placed.any():
                 splats = splats.take(~self.badly_placed)
-            self.tracer = Tracer(splats) if self.nodes is None else self.nodes.tracer(splats)
+            self.tracer = Tracer(splats) if self.actors is None else self.actors.tracer(splats)
         unit, turned = self.frame.meters_per_unit, self.frame.rotation
         clear = np.append(self.frame.up, MIRROR_CLEARANCE / unit)
         return self.tracer.trace(

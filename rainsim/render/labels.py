@@ -55,9 +55,9 @@ def flow_of(depth, camera, after, depth_after, number=None, moves=None):
         Of the picture and of the next one, in one frame in metres.
     depth_after : ndarray of shape (height, width), float32 [m]
     number : ndarray of shape (height, width), int, optional
-        Of the node that each pixel shows.
+        Of the actor that each pixel shows.
     moves : dict of int to ndarray of shape (4, 4), optional
-        How the nodes move in that frame, see `node_labels.moves_of`.
+        How the actors move in that frame, see `actor_labels.moves_of`.
 
     Returns
     -------
@@ -74,8 +74,8 @@ def flow_of(depth, camera, after, depth_after, number=None, moves=None):
     # Over the depth: a point at infinity has no shift.
     per_depth = np.where(far, 0.0, 1 / np.where(far, 1.0, depth.astype(np.float64)))
     there = rays @ turn.T + per_depth[..., None] * shift
-    for node, move in (moves or {}).items():
-        mine = (number == node) & ~far
+    for actor, move in (moves or {}).items():
+        mine = (number == actor) & ~far
         own = after.camera_from_world @ move @ np.linalg.inv(camera.camera_from_world)
         there[mine] = rays[mine] @ own[:3, :3].T + per_depth[mine, None] * own[:3, 3]
     x, y, z = np.moveaxis(there, -1, 0)

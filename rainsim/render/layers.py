@@ -15,7 +15,7 @@ from rainsim.particles.streaks import NEAR
 from rainsim.rain.dripping import drip_impacts
 from rainsim.reflection import water_record
 from rainsim.reflection.water_pass import WetPicture, terms
-from rainsim.render import labels, node_labels
+from rainsim.render import actor_labels, labels
 from rainsim.render.frame import WET, Pass
 from rainsim.render.shutter import next_camera
 from rainsim.scene.view import view_of
@@ -46,12 +46,12 @@ LAYER_PASSES = (
          ("next_view",)),
     Pass("layer drop_flow", WET, ("rain_alpha", "depth", "view", "next_view", "time", "render",
                                   "field", "interval"), ("drop_flow",)),
-    Pass("nodes", WET, ("camera", "scene", "interval"), ("nodes",)),
-    Pass("layer flow", WET, ("depth", "view", "next_view", "interval", "nodes", "scene"),
+    Pass("actors", WET, ("camera", "scene", "interval"), ("actors",)),
+    Pass("layer flow", WET, ("depth", "view", "next_view", "interval", "actors", "scene"),
          ("flow", "flow_mask")),
-    Pass("layer actor_id", WET, ("depth", "nodes"), ("actor_id",)),
-    Pass("layer class_id", WET, ("layers", "depth", "clearance", "view", "seen", "nodes", "ground"),
-         ("class_id",)),
+    Pass("layer actor_id", WET, ("depth", "actors"), ("actor_id",)),
+    Pass("layer class_id", WET, ("layers", "depth", "clearance", "view", "seen", "actors",
+                                 "ground"), ("class_id",)),
     Pass("layer puddle_id", WET, ("seen", "depth", "ground", "water"), ("puddle_id",)),
 )  # fmt: skip
 
@@ -74,8 +74,8 @@ def facts_of(names, frame, weather):
         _, puddles = labels.puddle_map(frame["ground"].terrain, frame["water"])
         boxes = labels.boxes_of(frame["puddle_id"])
         facts["puddles"] = [{**box, **puddles.get(box["id"], {})} for box in boxes]
-    if "actor_id" in names and frame["nodes"] is not None:
-        facts["actors"] = node_labels.facts_of_nodes(frame["nodes"], frame["view"])
+    if "actor_id" in names and frame["actors"] is not None:
+        facts["actors"] = actor_labels.facts_of_actors(frame["actors"], frame["view"])
     if "splash_id" in names:
         facts["splashes"] = labels.boxes_of(frame["splash_id"])
     return facts
@@ -149,44 +149,44 @@ def _next_view(view, view_end, render, interval, scene):
     """Return the next frame's camera; None where neither the camera nor anything else moves."""
     if view_end is not None:
         return next_camera(view, view_end, render.exposure / interval)
-    return None if scene.capture.nodes is None else view
+    return None if scene.capture.actors is None else view
 
 
-def _nodes(camera, scene, interval):
-    """Return the `NodesSeen` of the frame; None without nodes."""
-    nodes = scene.capture.nodes
-    if nodes is None:
+def _actors(camera, scene, interval):
+    """Return the `ActorsSeen` of the frame; None without actors."""
+    actors = scene.capture.actors
+    if actors is None:
         return None
-    numbers = scene.capture.node_numbers(camera)
-    return node_labels.NodesSeen(nodes.actors, nodes.time, interval, scene.frame, numbers)
+    numbers = scene.capture.actor_numbers(camera)
+    return actor_labels.ActorsSeen(actors.actors, actors.time, interval, scene.frame, numbers)
 
 
-def _flow(depth, view, next_view, interval, nodes, scene):
+def _flow(depth, view, next_view, interval, actors, scene):
     """Return motion and mask of the scene, see `labels.flow_of`; zero and seen if it is still."""
     if next_view is None:
         return np.zeros((*depth.shape, 2), np.float32), np.full(depth.shape, labels.SEEN, np.uint16)
-    if nodes is not None:
-        scene.move_nodes(nodes.time + interval)
+    if actors is not None:
+        scene.move_actors(actors.time + interval)
     seen = scene.picture(scene.frame.camera_in_capture(next_view))
-    if nodes is None:
+    if actors is None:
         return labels.flow_of(depth, view, next_view, seen.depth)
-    scene.move_nodes(nodes.time)
-    moves = node_labels.moves_of(nodes)
-    return labels.flow_of(depth, view, next_view, seen.depth, nodes.number, moves)
+    scene.move_actors(actors.time)
+    moves = actor_labels.moves_of(actors)
+    return labels.flow_of(depth, view, next_view, seen.depth, actors.number, moves)
 
 
-def _class_id(layers, depth, clearance, view, seen, nodes, ground):
+def _class_id(layers, depth, clearance, view, seen, actors, ground):
     water = np.zeros(depth.shape, bool)
     water.ravel()[seen.pixel[labels.shown_water(seen.record)]] = True
     wet = WetPicture(None, depth, clearance, view_of(view), None)
     ids = labels.class_ids(wet, _normal(layers, view), ground.terrain, water)
-    if nodes is not None:
-        ids[(nodes.number > 0) & (ids != WATER)] = labels.OTHER_CLASS
+    if actors is not None:
+        ids[(actors.number > 0) & (ids != WATER)] = labels.OTHER_CLASS
     return ids
 
 
-def _actor_id(depth, nodes):
-    return np.zeros(depth.shape, np.uint16) if nodes is None else nodes.number
+def _actor_id(depth, actors):
+    return np.zeros(depth.shape, np.uint16) if actors is None else actors.number
 
 
 def _puddle_id(seen, depth, ground, water):
@@ -246,7 +246,7 @@ WORK = {
     "layer film": lambda picture, below: picture - below, "layer range": labels.range_of,
     "layer normal": _normal, "layer wetness": _wetness, "layer terms of the water": _water_terms,
     "layer transmission": _transmission, "layer splash_id": _splash_id,
-    "view of the next frame": _next_view, "layer drop_flow": _drop_flow, "nodes": _nodes,
+    "view of the next frame": _next_view, "layer drop_flow": _drop_flow, "actors": _actors,
     "layer flow": _flow, "layer actor_id": _actor_id, "layer class_id": _class_id,
     "layer puddle_id": _puddle_id,
 }  # fmt: skip

@@ -17,7 +17,7 @@ from rainsim.daylight.kept import under_clouds
 from rainsim.lod.paged import Page, PagedRasterizer
 from rainsim.lod.room import room_for
 from rainsim.raster import prepare
-from rainsim.scene.actors import padded
+from rainsim.scene.harmonics import padded
 from rainsim.shading.backdrop import sky_splats
 from rainsim.shading.diffuse import level_cells, share_of_level, without_gloss
 from rainsim.shading.visibility import pale
@@ -84,12 +84,12 @@ class PagedScene:
             self.whole.take_colors()
             self.standing.take_colors()
 
-    def put_nodes(self, nodes, frame):
-        """Draw the nodes as they are now with the pages."""
+    def put_actors(self, actors, frame):
+        """Draw the actors as they are now with the pages."""
         front = standing = captured = None
-        if nodes.splats is not None:
-            front = captured = _numbered(prepare(nodes.splats), nodes)
-            standing = in_level_picture(prepare(nodes.splats), self._terrain, frame)
+        if actors.splats is not None:
+            front = captured = _numbered(prepare(actors.splats), actors)
+            standing = in_level_picture(prepare(actors.splats), self._terrain, frame)
         self.whole.recolor(front)
         self.captured.recolor(captured)
         self.standing.recolor(standing)
@@ -144,7 +144,7 @@ class PagedScene:
         return np.float32(0.5) + np.float32(SH_0) * splats.sh[:, 0] + gloss
 
 
-def _numbered(prepared, nodes):
-    """Return prepared splats of nodes, numbered as `Nodes.numbers` counts them."""
-    order = np.where(prepared.order >= 0, prepared.order + np.int32(nodes.first), prepared.order)
+def _numbered(prepared, actors):
+    """Return prepared splats of actors, numbered as `ActorSplats.numbers` counts them."""
+    order = np.where(prepared.order >= 0, prepared.order + np.int32(actors.first), prepared.order)
     return replace(prepared, order=order.astype(np.int32))

@@ -8,7 +8,7 @@ from scipy import ndimage
 from rainsim.shading import wetness
 from rainsim.shading.bodies import BodyMap
 from rainsim.shading.wetting import GroundMaps
-from rainsim.water.rolling import NO_TRACKS
+from rainsim.water.tyres import NO_TRACKS
 
 
 class WetGround:
@@ -35,9 +35,9 @@ class WetGround:
         self.map = self._untouched = self.bodies = None
         self._tracks = NO_TRACKS
 
-    def stand(self, nodes):
-        """Find the smooth bodies that stand on the ground, and where `nodes` (or None) are."""
-        self.bodies = BodyMap(self.terrain, nodes)
+    def stand(self, actors):
+        """Find the smooth bodies that stand on the ground, and where `actors` (or None) are."""
+        self.bodies = BodyMap(self.terrain, actors)
 
     def wet(self, now):
         """Find how wet the ground is at the settings of one time."""

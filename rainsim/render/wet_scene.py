@@ -124,7 +124,7 @@ class WetScene:
                 self.scene, self.capture.prepared, first_camera, self.capture.near, seen
             )
         self.capture.forget_whole()
-        self.ground.stand(self.capture.nodes)
+        self.ground.stand(self.capture.actors)
         self.notes.append(about_albedo)
         dull = DULL_EXPOSURE * config.render.daylight
         day = day_sky(config.render, zenith_radiance(self._albedo, dull))
@@ -188,19 +188,19 @@ class WetScene:
             Of the time from which on it is drawn.
         """
         self.ground = ground
-        ground.stand(self.capture.nodes)
+        ground.stand(self.capture.actors)
         ground.wet(now)
         self._shade(
             self._look_of(self._now), wetness.off_ground_wetness(self._now),
             wetness.paving_dampness(self._now),
         )  # fmt: skip
 
-    def move_nodes(self, time):
-        """Take over where the scene's nodes are at a time [s]; return whether they have moved.
+    def move_actors(self, time):
+        """Take over where the scene's actors are at a time [s]; return whether they have moved.
 
         Until the first call, and after a time of None, none is there.
         """
-        if not self.capture.move_nodes(time):
+        if not self.capture.move_actors(time):
             return False
         self.ground.bodies.move()
         self._shade()

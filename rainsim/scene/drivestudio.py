@@ -13,12 +13,14 @@ from pathlib import Path
 
 import numpy as np
 
+from rainsim.actors.actor import Actor
+from rainsim.actors.motion import Track
 from rainsim.constants import SH_0
 from rainsim.errors import InputError
 from rainsim.io.files import MAX_LENGTH, printable_name
 from rainsim.scene.activate import activate, dropped_note, keep_good
-from rainsim.scene.actors import Actor, Track, joined
 from rainsim.scene.ply import DISC_THICKNESS
+from rainsim.scene.splat_sets import joined
 from rainsim.scene.torch_file import read_weights
 
 SUFFIX = ".pth"

@@ -14,6 +14,17 @@ from pathlib import Path
 
 import numpy as np
 
+from rainsim.actors.actor import with_actors
+from rainsim.actors.actor_files import (
+    ACTORS_ARRAYS,
+    ACTORS_FILE,
+    REMEDY,
+    actors_file,
+    lamp_notes,
+    read_actor_arrays,
+    read_actors,
+    write_actor_arrays,
+)
 from rainsim.errors import InputError, ParameterError, one_line, shown
 from rainsim.io import cache
 from rainsim.io.arrays import Field, read_arrays, write_arrays
@@ -25,17 +36,6 @@ from rainsim.io.files import (
     require_file,
     write_json,
 )
-from rainsim.scene.actor_files import (
-    ACTORS_ARRAYS,
-    ACTORS_FILE,
-    REMEDY,
-    actors_file,
-    lamp_notes,
-    read_actor_arrays,
-    read_actors,
-    write_actor_arrays,
-)
-from rainsim.scene.actors import with_actors
 from rainsim.scene.assumed_ground import ground_frame_of
 from rainsim.scene.big import open_pages, require_home
 from rainsim.scene.cameras import (
@@ -134,11 +134,11 @@ def import_scene(
         return _import_chunks(path, splat_file, cameras, camera_notes, ground_frame, given)
     with ThreadPoolExecutor(1) as pool:  # hashing runs beside reading
         hashed = pool.submit(sha256_of, splat_file)
-        splats, notes, nodes = _read(splat_file, tracks, track_fps)
+        splats, notes, moving = _read(splat_file, tracks, track_fps)
         if cameras is None:
             cameras, camera_notes = cameras_beside(splat_file, model)
         source_hash = hashed.result()
-    if isinstance(nodes, StreetModel):
+    if isinstance(moving, StreetModel):
         cameras = in_order(cameras)
     for field in fields(splats):
         cache.know_hash(getattr(splats, field.name), "splats", source_hash, field.name)
@@ -150,7 +150,7 @@ def import_scene(
     notes = (*notes, *camera_notes)
     scene = Scene(name, splats, tuple(cameras), frame, path, source_hash, notes,
                   antialiased=trained_antialiased(splat_file))  # fmt: skip
-    return _with_nodes(scene, nodes, tracks) if nodes else scene
+    return _with_moving(scene, moving, tracks) if moving else scene
 
 
 def _import_chunks(path, index, cameras, camera_notes, ground_frame, given):
@@ -164,7 +164,7 @@ def _import_chunks(path, index, cameras, camera_notes, ground_frame, given):
 
 
 def _read(file, tracks, track_fps):
-    """Return the static splats of a file, notes, and nodes: a `StreetModel`, a tuple of Actor."""
+    """Return the static splats of a file, notes, and actors: a `StreetModel`, a tuple of Actor."""
     street = file.suffix.lower() == ".ply" and is_street_ply(file)
     _require_options(file, tracks, track_fps, street, is_checkpoint(file))
     if street:
@@ -186,16 +186,16 @@ def _require_options(path, tracks, track_fps, street=False, checkpoint=False):
             raise InputError(f"{path} is no {what}, whose option {name} is; leave it out")
 
 
-def _with_nodes(scene, nodes, tracks):
-    """Return a scene with the nodes that `_read` returned; those without tracks are left out."""
-    actors, notes = nodes, ()
-    if isinstance(nodes, StreetModel):
-        if not nodes.nodes:
+def _with_moving(scene, moving, tracks):
+    """Return a scene with the actors that `_read` returned; those without tracks are left out."""
+    actors, notes = moving, ()
+    if isinstance(moving, StreetModel):
+        if not moving.nodes:
             return scene
         if tracks is None:
-            note = f"{len(nodes.nodes)} nodes are left out: --tracks of `rainsim import` adds them"
+            note = f"{len(moving.nodes)} actors are left out: `rainsim import --tracks` adds them"
             return replace(scene, notes=(*scene.notes, note))
-        actors, notes = street_actors(nodes, tracks, scene.cameras)
+        actors, notes = street_actors(moving, tracks, scene.cameras)
     digest = hashlib.sha256(scene.source_hash.encode())
     for actor in actors:
         track = actor.track
@@ -205,11 +205,11 @@ def _with_nodes(scene, nodes, tracks):
 
 
 def _import_with_actors(path, file, *given):
-    """Read the static set that an `actors.json` names, and its nodes; `given` as `import_scene`."""
+    """Read the static set that an `actors.json` names, and its actors; see `import_scene`."""
     found = read_actors(file)
     scene = import_scene(found.static, *given)
     if scene.actors:
-        raise InputError(f"{file}: its scene has nodes already; it must be a static set; {REMEDY}")
+        raise InputError(f"{file}: its scene has actors already; it must be a static set; {REMEDY}")
     notes = found.notes
     if found.lamps:
         splats, counts = with_lamps(scene.splats, found.lamps)
@@ -421,7 +421,7 @@ def read_scene(folder):
     actors = read_actor_arrays(folder / ACTORS_ARRAYS)
     if len(actors) != data["actors"]:
         raise InputError(
-            f"{folder} has {len(actors)} nodes but {SCENE_FILE} speaks of {shown(data['actors'])}; "
+            f"{folder} has {len(actors)} actors but {SCENE_FILE} counts {shown(data['actors'])}; "
             "the files must belong together; import the capture again"
         )
     return with_actors(scene, actors)

@@ -1,4 +1,4 @@
-"""Real spherical harmonics of splats as matrices: their values, and how they turn with a node."""
+"""Real spherical harmonics of splats as matrices: their values, and how they turn with an actor."""
 
 from __future__ import annotations
 

@@ -7,10 +7,10 @@ from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 
+from rainsim.actors.actor import with_actors
+from rainsim.actors.actor_files import actors_from_arrays, actors_to_arrays
 from rainsim.errors import InputError, ParameterError
 from rainsim.io import cache
-from rainsim.scene.actor_files import actors_from_arrays, actors_to_arrays
-from rainsim.scene.actors import with_actors
 from rainsim.scene.folder import (
     ARRAYS,
     import_scene,
@@ -23,7 +23,7 @@ from rainsim.scene.formats import SUFFIXES
 from rainsim.scene.types import Splats
 
 FOLDERS_VARIABLE = "RAINSIM_SCENES"  # folders of scenes, separated as in PATH
-NODES = "node_"  # begins the names of the arrays of what moves
+ACTORS = "actor_"  # begins the names of the arrays of what moves
 KIND = "demo_scenes"  # of entries of `rainsim.io.cache`, and the room of their code
 DEMO_SCENES = "rainsim." + KIND
 BUILT_IN = {
@@ -122,15 +122,15 @@ def _built_in(name):
         made = getattr(import_module(module), function)(*given)
         arrays = {array: getattr(made.splats, array) for array in ARRAYS}
         if made.actors:
-            nodes = actors_to_arrays(made.actors)
-            arrays |= {NODES + name: values for name, values in nodes.items()}
+            actors = actors_to_arrays(made.actors)
+            arrays |= {ACTORS + name: values for name, values in actors.items()}
         found = scene_to_data(made), arrays
         if entry:
             cache.write(KIND, entry, *found)
     facts, arrays = found
-    nodes = {n.removeprefix(NODES): a for n, a in arrays.items() if n.startswith(NODES)}
+    actors = {n.removeprefix(ACTORS): a for n, a in arrays.items() if n.startswith(ACTORS)}
     scene = scene_from_data(facts, Splats(**{n: arrays[n] for n in ARRAYS}), name)
-    return with_actors(scene, actors_from_arrays(nodes)) if nodes else scene
+    return with_actors(scene, actors_from_arrays(actors)) if actors else scene
 
 
 def list_scenes():

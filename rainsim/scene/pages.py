@@ -16,8 +16,8 @@ import numpy as np
 from rainsim.errors import InputError, ParameterError
 from rainsim.io.allocator import return_large_blocks
 from rainsim.scene.activate import MAX_BROKEN_SHARE
-from rainsim.scene.actors import joined
 from rainsim.scene.formats.streamed import NONE, read_chunk, require_run
+from rainsim.scene.splat_sets import joined
 from rainsim.scene.types import Splats
 
 OVERVIEW = 400_000  # splats of a level that the whole scene is known by, at most

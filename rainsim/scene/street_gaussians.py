@@ -20,12 +20,14 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from rainsim.actors.actor import Actor, ColorSeries
+from rainsim.actors.motion import Track
 from rainsim.errors import InputError, shown
 from rainsim.io.files import MAX_LENGTH, json_number, printable_name, read_json, read_text
-from rainsim.scene.actors import Actor, ColorSeries, Track, joined
 from rainsim.scene.camera_rule import is_rigid
 from rainsim.scene.ply import read_element
 from rainsim.scene.plyheader import read_header
+from rainsim.scene.splat_sets import joined
 
 BACKGROUND, SKY, NODE = "vertex_background", "vertex_sky", "vertex_obj_"
 TRACKS, POSES, TIMES = "track/track_info.txt", "ego_pose", "timestamps.json"

@@ -252,7 +252,7 @@ class Scene:
         What the reader counted, dropped or assumed, one line each.
     drains : tuple of (x, y, z) [capture units]
         Middles of gratings that take the water of a street.
-    actors : tuple of rainsim.scene.actors.Actor
+    actors : tuple of rainsim.actors.actor.Actor
         What moves through the scene; their splats are not among `splats`.
     painted : rainsim.scene.painted.PaintedClasses or None
         Classes of the ground that a user painted in this ground frame.

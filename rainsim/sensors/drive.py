@@ -8,6 +8,7 @@ import sys
 import numpy as np
 
 from rainsim import __version__
+from rainsim.actors.motion import Motion
 from rainsim.config.settings import mm_per_hour
 from rainsim.drops import Weather
 from rainsim.errors import InputError, ParameterError
@@ -23,7 +24,7 @@ from rainsim.output_folder import (
     versions,
 )
 from rainsim.pipeline import extract_terrain, simulate
-from rainsim.render.node_labels import box_in_space
+from rainsim.render.actor_labels import box_in_space
 from rainsim.render.weather import weather_of
 from rainsim.sensors import point_files
 from rainsim.sensors.lidar import LidarScanner, Pose, pose_at
@@ -235,7 +236,7 @@ def scan_rains(
         "reflectivity_of_white": round(albedo, 4), "seed": config.rain.seed, "rains": rains,
     }  # fmt: skip
     if scene.actors:
-        card["nodes"] = _nodes(scene, lidar.rate, turns)
+        card["nodes"] = _actors(scene, lidar.rate, turns)
     folder.finish(card)
     return WRITER | card
 
@@ -259,11 +260,11 @@ def _in_reach(scene, way, lidar, say):
     return within
 
 
-def _nodes(scene, rate, turns):
-    """Return what a card says of each node: its box, ground frame, as each turn begins."""
+def _actors(scene, rate, turns):
+    """Return what a card says of each actor: its box, ground frame, as each turn begins."""
     return [
         {"number": number, "track": actor.id, "class": actor.kind,
-         "box3d": [box_in_space(actor, scene.ground_frame, turn / rate, 1 / rate)
+         "box3d": [box_in_space(Motion(actor, scene.ground_frame), turn / rate, 1 / rate)
                    for turn in range(turns)]}
         for number, actor in enumerate(scene.actors, start=1)
     ]  # fmt: skip

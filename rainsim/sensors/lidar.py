@@ -2,7 +2,7 @@
 
 Each beam is traced through the splats (`rainsim.reflection.ray_traced`), water mirrors or dims it,
 and each drop of the field that is in the beam when the pulse passes may echo louder than what
-stands behind. What the rain between takes away is its mean extinction, as in LISA. Nodes that move
+stands behind. What the rain between takes away is its mean extinction, as in LISA. Actors that move
 are where they are as each pulse passes.
 """
 
@@ -15,6 +15,7 @@ import numpy as np
 
 from rainsim.rain.moving_surfaces import MovingSurfaces
 from rainsim.reflection.ray_traced import Tracer
+from rainsim.sensors.actor_targets import ActorTarget
 from rainsim.sensors.lidar_model import (
     KEPT,
     LOST,
@@ -28,7 +29,6 @@ from rainsim.sensors.lidar_model import (
     fresnel_of,
 )
 from rainsim.sensors.near_drops import near_drops
-from rainsim.sensors.node_targets import NodeTarget
 from rainsim.shading.color import LUMA, roughly_linear
 from rainsim.shading.wetting import FLAT, ON_GROUND, wet_ratio
 from rainsim.water.puddles import WET
@@ -77,9 +77,9 @@ class Scan:
     distance, target : ndarray of shape (n,), float64
         Distance [m] of what the beam meets, infinite for nothing, and its reflectivity, wet as it
         is: what comes back where there are no drops.
-    node : ndarray of shape (n,), uint16, or None
-        Number of the node that a point lies on, as in the layer `actor_id`; 0: none. None for
-        scenes without nodes.
+    actor : ndarray of shape (n,), uint16, or None
+        Number of the actor that a point lies on, as in the layer `actor_id`; 0: none. None for
+        scenes without actors.
     """
 
     point: np.ndarray
@@ -88,21 +88,21 @@ class Scan:
     time: np.ndarray
     distance: np.ndarray
     target: np.ndarray
-    node: np.ndarray | None = None
+    actor: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
 class Surface:
     """Hits of beams in clear air, arrays (n, ...): distance [m], place, normal, reflectivity.
 
-    `node` is as in `Scan`.
+    `actor` is as in `Scan`.
     """
 
     distance: np.ndarray
     place: np.ndarray
     normal: np.ndarray
     reflectivity: np.ndarray
-    node: np.ndarray | None = None
+    actor: np.ndarray | None = None
 
 
 class LidarScanner:
@@ -122,7 +122,7 @@ class LidarScanner:
         # What a surface reflects is its own: colours without their change with the direction.
         base = np.ascontiguousarray(scene.splats.sh[:, :1])
         self._moving, self._tracer = MovingSurfaces(terrain), Tracer(replace(scene.splats, sh=base))
-        self._nodes = [NodeTarget(actor) for actor in scene.actors]
+        self._actors = [ActorTarget(actor) for actor in scene.actors]
 
     def surfaces_at(self, time):
         """Return the `Surfaces` that shelter from the rain at a time [s]."""
@@ -142,14 +142,14 @@ class LidarScanner:
         )  # fmt: skip
         met = found.alpha >= SOLID
         distance = np.where(met, found.plane_distance.astype(np.float64) * unit, np.inf)
-        node = np.zeros(len(origin), np.uint16) if self._nodes else None
+        actor = np.zeros(len(origin), np.uint16) if self._actors else None
         sent = np.full(len(origin), time, np.float64)
-        for number, target in enumerate(self._nodes, start=1):
+        for number, target in enumerate(self._actors, start=1):
             own = target.meet(place, toward, way_before, sent, FIRST_SEGMENT / unit)
             away = own.distance.astype(np.float64) * unit
             first = (own.alpha >= SOLID) & (away < distance[own.beam])
             beam = own.beam[first]
-            met[beam], distance[beam], node[beam] = True, away[first], number
+            met[beam], distance[beam], actor[beam] = True, away[first], number
             found.color[beam], found.alpha[beam] = own.color[first], own.alpha[first]
             found.normal[beam] = own.normal[first]
         way = np.where(met, distance - before, 0.0)
@@ -158,7 +158,7 @@ class LidarScanner:
         cosine = np.abs(np.einsum("ni,ni->n", normal, direction))
         return Surface(
             distance, origin + way[:, None] * direction, normal,
-            np.clip(self.albedo * color @ LUMA, 0, 1) * np.maximum(cosine, LEAST_COSINE), node,
+            np.clip(self.albedo * color @ LUMA, 0, 1) * np.maximum(cosine, LEAST_COSINE), actor,
         )  # fmt: skip
 
     def scan(self, lidar, pose, time, rng, field=None, state=None, damp=0.0):
@@ -184,7 +184,7 @@ class LidarScanner:
         origin = pose.position + when[:, None] * pose.velocity
         target = self.trace(origin, direction, 0.0, time + when)
         alpha = 0.0 if field is None else extinction_of(field.spectrum)
-        distance, reflectivity, mirrored, node = self._behind_water(
+        distance, reflectivity, mirrored, actor = self._behind_water(
             target, direction, time + when, alpha, state, damp
         )
         clear = distance.copy(), reflectivity
@@ -208,10 +208,10 @@ class LidarScanner:
                 bright[beam[k]] = echo[k] * place[k] ** 2
         label[(distance < lidar.near) & (label != SCATTERED)] = LOST
         scan = _scan(lidar, local, when, label, distance, bright, power, clear, rng)
-        if node is None:
+        if actor is None:
             return scan
         shown = (label == KEPT) | (label == MIRRORED)
-        return replace(scan, node=np.where(shown, node, 0).astype(np.uint16))
+        return replace(scan, actor=np.where(shown, actor, 0).astype(np.uint16))
 
     def _drops(self, lidar, pose, time, field):
         """Return the drops that may echo loud enough in a turn, as they are in its middle."""
@@ -222,29 +222,29 @@ class LidarScanner:
         return near_drops(field, middle, reach, time + half, self.surfaces_at(time + half))
 
     def _behind_water(self, target, direction, time, alpha, state, damp):
-        """Return distance, reflectivity, whether mirrored and node of the scene's echoes.
+        """Return distance, reflectivity, whether mirrored and actor of the scene's echoes.
 
         Wet ground is darker. Where water stands, its bed echoes through it and it mirrors the beam
         to something else; the louder of the two is seen, the mirrored one in the beam's direction.
         """
         distance, reflectivity = target.distance.copy(), target.reflectivity.copy()
-        mirrored, node = np.zeros(len(distance), bool), target.node
+        mirrored, actor = np.zeros(len(distance), bool), target.actor
         if state is None:
-            return distance, reflectivity, mirrored, node
+            return distance, reflectivity, mirrored, actor
         grid, place = self.terrain.grid, target.place
         row, column, inside = grid.cells(place[:, 0], place[:, 1])
         bed = self.terrain.bed[row, column]
         level = np.isfinite(distance) & inside & (target.normal[:, 2] > FLAT)
         ground = level & (np.abs(place[:, 2] - bed) < ON_GROUND)
-        if node is not None:
-            ground &= node == 0
+        if actor is not None:
+            ground &= actor == 0
         albedo = np.clip(reflectivity, 0.02, 0.8).astype(np.float32)
         darker = 1 - damp * (1 - wet_ratio(albedo))
         reflectivity = np.where(ground, reflectivity * darker, reflectivity)
         water = ground & (state.depth[row, column] >= WET)
         which = np.flatnonzero(water)
         if not len(which):
-            return distance, reflectivity, mirrored, node
+            return distance, reflectivity, mirrored, actor
         depths = state.depth[row, column][which].astype(np.float64)
         down = np.maximum(-direction[which, 2], 1e-3)
         share, inner = fresnel_of(down)
@@ -262,10 +262,10 @@ class LidarScanner:
         chosen = which[louder]
         distance[chosen], reflectivity[chosen] = far[louder], ghost[louder]
         mirrored[chosen] = True
-        if node is not None:
-            node = node.copy()
-            node[chosen] = other.node[louder]
-        return distance, reflectivity, mirrored, node
+        if actor is not None:
+            actor = actor.copy()
+            actor[chosen] = other.actor[louder]
+        return distance, reflectivity, mirrored, actor
 
 
 def drops_in_beams(lidar, pose, time, drops, local, when):

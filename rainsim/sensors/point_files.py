@@ -2,7 +2,7 @@
 
 KITTI: rows of float32 x, y, z, reflectance (development kit of its object benchmark).
 SemanticKITTI: a uint32 a point, its class in the lower 16 bits, in the upper 16 the number of the
-node that it lies on. PCD and PLY have a field `node` where the scene has nodes. PCD 0.7:
+actor that it lies on. PCD and PLY have a field `node` where the scene has actors. PCD 0.7:
 https://pointclouds.org/documentation/tutorials/pcd_file_format.html. Points are in the sensor's
 frame in metres. Lost pulses have no row; in a PCD, which holds all pulses, they are NaN.
 """
@@ -28,14 +28,14 @@ def kitti_bin(scan):
 def kitti_labels(scan):
     """Return the bytes of a SemanticKITTI .label: a uint32 for each row of the .bin."""
     label = scan.label.astype("<u4")
-    if scan.node is not None:
-        label |= scan.node.astype("<u4") << 16
+    if scan.actor is not None:
+        label |= scan.actor.astype("<u4") << 16
     return label[scan.label != LOST].tobytes()
 
 
 def fields_of(scan):
     """Return names and types of the values of a point."""
-    return FIELDS if scan.node is None else (*FIELDS, ("node", "<u4"))
+    return FIELDS if scan.actor is None else (*FIELDS, ("node", "<u4"))
 
 
 def rows_of(scan, lost_too):
@@ -45,8 +45,8 @@ def rows_of(scan, lost_too):
     for axis, name in enumerate("xyz"):
         rows[name] = point[:, axis]
     rows["intensity"], rows["time"], rows["label"] = scan.reflectivity, scan.time, scan.label
-    if scan.node is not None:
-        rows["node"] = scan.node
+    if scan.actor is not None:
+        rows["node"] = scan.actor
     return rows if lost_too else rows[scan.label != LOST]
 
 

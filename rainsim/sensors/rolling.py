@@ -118,13 +118,13 @@ def draw_rolling(renderer, camera, state, motion, readout, names=(), **options):
             facts[kind] = [{**known.get(b["id"], {}), **b} for b in boxes_of(aovs[name])]
     if "actor_id" in aovs:
         heights = [len(part) for part, _ in parts]
-        facts["actors"] = _nodes(reports, np.cumsum([0, *heights]), aovs["actor_id"])
+        facts["actors"] = _actors(reports, np.cumsum([0, *heights]), aovs["actor_id"])
     notes = tuple(dict.fromkeys(note for r in reports for note in r.notes))
     return picture, replace(reports[0], time=state.time, aovs=aovs, facts=facts, notes=notes)
 
 
-def _nodes(reports, rows, number):
-    """Return the labels of each node that some band shows, or could.
+def _actors(reports, rows, number):
+    """Return the labels of each actor that some band shows, or could.
 
     Its box in the picture is that of its boxes in all bands; its box in space is that at the time
     of the band in which the middle of this box lies.
@@ -143,7 +143,7 @@ def _nodes(reports, rows, number):
     for band, report in enumerate(reports):
         for entry in report.facts.get("actors", ()):
             known.setdefault(entry["number"], {})[band] = entry
-    nodes = []
+    actors = []
     for which, entries in sorted(known.items()):
         boxes = [
             np.add(entry["box2d"], (0, rows[band], 0, rows[band]))
@@ -157,8 +157,8 @@ def _nodes(reports, rows, number):
             band = int(np.searchsorted(rows, (box[1] + box[3]) / 2, side="right")) - 1
             middle = min(entries, key=lambda there: abs(there - band))
         mine = seen.get(which)
-        nodes.append({
+        actors.append({
             **entries[middle], "box2d": box, "box2d_seen": mine and mine["box"],
             "pixels": mine["pixels"] if mine else 0,
         })  # fmt: skip
-    return nodes
+    return actors

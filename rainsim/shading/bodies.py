@@ -2,7 +2,7 @@
 
 Rain that falls on them runs down their sides, and does not soak in. So all of them but what faces
 the ground is wet, and mirrors as the water that covers it does. What is taller than a van, walls,
-trees and masts, is none; what is rough from above is leaves. Moving nodes are bodies wherever they
+trees and masts, is none; what is rough from above is leaves. Moving actors are bodies wherever they
 are.
 """
 
@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import ndimage
 
+from rainsim.actors.footprint import shadows_on
 from rainsim.constants import HALF, ONE, ZERO
 from rainsim.jit import inlined_function
 from rainsim.numerics.interpolation import smoothstep
@@ -40,9 +41,9 @@ class BodyMap:
     Parameters
     ----------
     terrain : Terrain
-        With its movers.
-    nodes : Nodes or None
-        Whose time tells where the movers are; before they have one none is there.
+        With the footprints of what moves over it.
+    actors : ActorSplats or None
+        Whose time tells where the actors are; before they have one none is there.
 
     Attributes
     ----------
@@ -50,15 +51,15 @@ class BodyMap:
         See `body_map`.
     """
 
-    def __init__(self, terrain, nodes=None):
-        self._terrain, self._nodes, self._still = terrain, nodes, body_map(terrain)
+    def __init__(self, terrain, actors=None):
+        self._terrain, self._actors, self._still = terrain, actors, body_map(terrain)
         self.move()
 
     def move(self):
-        """Put what moves where it is at the time of the nodes."""
+        """Put what moves where it is at the time of the actors."""
         self.now = self._still
-        if self._nodes is not None and self._nodes.time is not None:
-            self.now = stamped(self._still, self._terrain, self._terrain.movers, self._nodes.time)
+        if self._actors is not None and self._actors.time is not None:
+            self.now = stamped(self._still, self._terrain, self._actors.time)
 
 
 def body_map(terrain):
@@ -123,31 +124,22 @@ def with_sides(height, underside, things, bodies, spacing):
     return found
 
 
-def stamped(bodies, terrain, movers, time):
-    """Return a map of `body_map` with the bodies that move over a terrain at a time [s] on it.
+def stamped(bodies, terrain, time):
+    """Return a map of `body_map` with the actors that move over a terrain at a time [s] on it.
 
     Parameters
     ----------
     bodies : ndarray of shape (ny, nx, 3) or (0, 0, 3), uint8
     terrain : Terrain
-    movers : sequence of Mover
     time : float [s]
     """
-    shadows = [mover.shadow(terrain.grid, time) for mover in movers]
-    shadows = [shadow for shadow in shadows if shadow is not None]
+    shadows = shadows_on(terrain.grid, terrain.footprints, time)
     if not shadows:
         return bodies
     found = bodies.copy() if bodies.size else np.zeros((*terrain.grid.shape, 3), np.uint8)
     reach = round(AROUND / terrain.grid.spacing)
     for shadow in shadows:
-        part = tuple(
-            slice(max(s.start - reach, 0), min(s.stop + reach, most))
-            for s, most in zip(shadow.part, terrain.grid.shape, strict=True)
-        )
-        inner = tuple(
-            slice(s.start - outer.start, s.stop - outer.start)
-            for s, outer in zip(shadow.part, part, strict=True)
-        )
+        part, inner = shadow.widened(reach, terrain.grid.shape)
         steps = np.zeros([s.stop - s.start for s in part], np.uint8)
         height = np.nan_to_num((shadow.top - terrain.bed[shadow.part]) / STEP)
         steps[inner] = np.where(height < TALLEST / STEP, np.clip(height, 0, HEIGHTS), 0)

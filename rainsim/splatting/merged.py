@@ -1,7 +1,8 @@
-"""Prepared splats of a static set with those of moving nodes before them.
+"""Prepared splats of a static set with those of actors before them.
 
-The static set is prepared and copied once; for each moment only the nodes' chunks are written, into
-the room that lies before it. The nodes come first because pictures can leave out the last chunks.
+The static set is prepared and copied once; for each moment only the actors' chunks are written,
+into the room that lies before it. The actors come first because pictures can leave out the last
+chunks.
 """
 
 from __future__ import annotations
@@ -16,13 +17,13 @@ _ARRAYS = ("geometry", "sh", "fine", "step", "box")
 
 
 class Merger:
-    """Puts nodes before a static set, one moment after another.
+    """Puts actors before a static set, one moment after another.
 
     Parameters
     ----------
     static : PreparedSplats
     most : int
-        Splats of all nodes together, at most.
+        Splats of all actors together, at most.
 
     Attributes
     ----------
@@ -46,26 +47,26 @@ class Merger:
             self._arrays[name][self._room :] = getattr(static, name)
         self.static = replace(self.static)  # another set, for those who ask whether it is the same
 
-    def merged(self, nodes, first):
-        """Return the static set with prepared nodes before it; overwritten by the next call.
+    def merged(self, actors, first):
+        """Return the static set with prepared actors before it; overwritten by the next call.
 
         Parameters
         ----------
-        nodes : PreparedSplats or None
+        actors : PreparedSplats or None
             Harmonics of the same degree as the static set's.
         first : int
-            Index that the nodes' first splat has in the merged scene: the static set's length.
+            Index that the actors' first splat has in the merged scene: the static set's length.
         """
-        if nodes is None or not len(nodes):
+        if actors is None or not len(actors):
             return self.static
-        begin = self._room - len(nodes.box)
+        begin = self._room - len(actors.box)
         for name in _ARRAYS:
-            self._arrays[name][begin : self._room] = getattr(nodes, name)
-        order = np.full(len(nodes.box) * LANES + len(self.static), NOBODY, np.int32)
-        order[: len(nodes)] = nodes.order + np.int32(first)
-        order[len(nodes.box) * LANES :] = self.static.order
+            self._arrays[name][begin : self._room] = getattr(actors, name)
+        order = np.full(len(actors.box) * LANES + len(self.static), NOBODY, np.int32)
+        order[: len(actors)] = actors.order + np.int32(first)
+        order[len(actors.box) * LANES :] = self.static.order
         leading = self.static.leading
         return replace(
             self.static, **{name: self._arrays[name][begin:] for name in _ARRAYS}, order=order,
-            leading=None if leading is None else leading + len(nodes.box),
+            leading=None if leading is None else leading + len(actors.box),
         )  # fmt: skip

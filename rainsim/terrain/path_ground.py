@@ -12,12 +12,12 @@ from itertools import pairwise
 import numpy as np
 from scipy import ndimage
 
+from rainsim.actors.footprint import footprints_of, with_footprints
 from rainsim.config.settings import TerrainConfig
 from rainsim.errors import BackendError, ParameterError
 from rainsim.terrain.choose import AUTO_CELLS, MOST_CELLS, USUAL_SPACING, choose_grid
 from rainsim.terrain.extract import MARGIN, arrays_over
 from rainsim.terrain.kept import kept_terrain
-from rainsim.terrain.movers import movers_of, with_movers
 from rainsim.terrain.stations import (
     HIGH,
     STRIP,
@@ -42,15 +42,15 @@ class PathGround:
     Parameters
     ----------
     overview : Terrain
-        The coarse map, nodes on it.
+        The coarse map, actors on it.
     path : sequence of Camera
         One per frame, or one for all, in the ground frame.
     frames : int
         Of the whole path.
     spacing : float [m]
         Of the windows' cells.
-    movers : tuple of Mover
-        The nodes on maps of that spacing.
+    footprints : tuple of Footprint
+        The actors on maps of that spacing.
 
     Attributes
     ----------
@@ -59,8 +59,8 @@ class PathGround:
         In the order of their frames.
     """
 
-    def __init__(self, overview, path, frames, spacing, movers=()):
-        self.overview, self._movers = overview, movers
+    def __init__(self, overview, path, frames, spacing, footprints=()):
+        self.overview, self._footprints = overview, footprints
         self.stations = stations_of(path, frames, spacing, self.height)
         self._last = {}, None  # where the strips of the last `around` lie in it, by their cells
 
@@ -89,7 +89,7 @@ class PathGround:
         return station_at(self.stations, frame)
 
     def around(self, scene, station, check=lambda: None):
-        """Return the `Terrain` of a station's window and of its surroundings, nodes on it.
+        """Return the `Terrain` of a station's window and of its surroundings, actors on it.
 
         Parameters
         ----------
@@ -123,7 +123,7 @@ class PathGround:
                     maps[name] = np.empty((*grid.shape, *values.shape[2:]), values.dtype)
                 maps[name][places[part, spacing]] = values
         self._last = places, Terrain(grid, **maps, color=no_color(grid))
-        return with_movers(self._last[1], scene, self._movers)
+        return with_footprints(self._last[1], scene, self._footprints)
 
     def about(self, grid):
         """Return the coarse `Terrain` of a `Grid` and of the ground around that may drain to it.
@@ -191,7 +191,7 @@ def part_of(terrain, window):
     origin = grid.origin[0] + part.origin[0], grid.origin[1] + part.origin[1]
     maps = {name: getattr(terrain, name)[window].copy() for name in MAPS}
     return Terrain(
-        replace(part, origin=origin), **maps, color=no_color(part), movers=terrain.movers
+        replace(part, origin=origin), **maps, color=no_color(part), footprints=terrain.footprints
     )
 
 
@@ -271,8 +271,8 @@ def path_ground(scene, config, cameras):
     coarse = max(choose_grid(scene, TerrainConfig(), OVERVIEW_CELLS)[0].spacing, spacing)
     overview = kept_terrain(scene, TerrainConfig(spacing=coarse))
     path = [scene.ground_frame.camera_in_ground(camera) for camera in cameras]
-    overview = with_movers(replace(overview, tops=NO_TOPS), scene)
-    ground = PathGround(overview, path, config.frames, spacing, movers_of(scene, spacing))
+    overview = with_footprints(replace(overview, tops=NO_TOPS), scene)
+    ground = PathGround(overview, path, config.frames, spacing, footprints_of(scene, spacing))
     sides = [max(s.cells[1] - s.cells[0], s.cells[3] - s.cells[2]) for s in ground.stations]
     windows = f"{len(sides)} window" + ("s" if len(sides) > 1 else "")
     note = (

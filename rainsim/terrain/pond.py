@@ -14,8 +14,8 @@ import numpy as np
 from scipy import ndimage
 
 from rainsim.constants import SH_0
-from rainsim.scene.actors import joined
 from rainsim.scene.pages import Change, Pages
+from rainsim.scene.splat_sets import joined
 from rainsim.scene.types import Splats
 from rainsim.terrain.table import WATER
 

@@ -168,8 +168,8 @@ class Terrain:
         see `rainsim.terrain.poured`.
     tops : Tops
         What lies flat above the ground, see `rainsim.terrain.tops`.
-    movers : tuple of rainsim.terrain.movers.Mover
-        What moves over the map; not written to files.
+    footprints : tuple of rainsim.actors.footprint.Footprint
+        Of the actors that move over the map; not written to files.
 
     Examples
     --------
@@ -191,7 +191,7 @@ class Terrain:
     standing: np.ndarray | None = None
     poured: np.ndarray | None = None
     tops: Tops = NO_TOPS
-    movers: tuple = ()
+    footprints: tuple = ()
 
     def __post_init__(self):
         """Fill in a map of zeros if no water was painted."""

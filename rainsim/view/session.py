@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from rainsim.actors.footprint import with_footprints
 from rainsim.backend import free_device_memory, on_backend
 from rainsim.errors import GroundError, ParameterError, shown
 from rainsim.io.files import number_array
@@ -26,7 +27,6 @@ from rainsim.scene.camera_path import camera_path_data, path_cameras
 from rainsim.scene.camera_rule import RIGID_TOLERANCE
 from rainsim.scene.cameras import resize_to
 from rainsim.terrain.classify import painted_mask
-from rainsim.terrain.movers import with_movers
 from rainsim.terrain.pond import without_images
 from rainsim.view.redo import LIGHT, PARTS, PASSES, TERRAIN, WATER, out_of_date
 from rainsim.view.water import SharedWater
@@ -209,7 +209,7 @@ class Session:
         self._drawn_scene = without_images(self.scene, terrain)
 
     def _make_water(self, config, check):
-        self.water.restart(with_movers(self.terrain, self.scene), config)
+        self.water.restart(with_footprints(self.terrain, self.scene), config)
 
     def _make_light(self, config, check):
         """Make the renderer with all its light; its passes come with it."""

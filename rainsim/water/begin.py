@@ -56,7 +56,7 @@ class Begin(NamedTuple):
         `terrain` is that of the whole; without it no car drives in the part.
         """
         around = None
-        if terrain is not None and terrain.movers:
+        if terrain is not None and terrain.footprints:
             depth = self.depth.astype(np.float32)
             around = Around(terrain, window, depth, self.exposure)
         return self._replace(  # copied: the whole need not stay in memory

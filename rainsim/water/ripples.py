@@ -396,14 +396,14 @@ def block_reach(side, reach, weight):
 
 
 def sheltered_rings(rings, rained, shelters, spacing, reach):
-    """Return the amplitude of rings where bodies keep off a part of the rain.
+    """Return the amplitude of rings where actors keep off a part of the rain.
 
     Parameters
     ----------
     rings, rained : ndarray of shape (ny, nx), float32
-        Without the bodies, see `ring_share`.
+        Without the actors, see `ring_share`.
     shelters : list of (part, share)
-        Parts of the map, two slices, and the share of the rain there that a body lets through.
+        Parts of the map, two slices, and the share of the rain there that an actor lets through.
     spacing : float [m]
     reach : tuple of ndarray
         Reach and weight, as `ring_share` takes them.
@@ -411,7 +411,7 @@ def sheltered_rings(rings, rained, shelters, spacing, reach):
     Returns
     -------
     ndarray of shape (ny, nx), float32
-        `rings` itself without bodies.
+        `rings` itself without actors.
     """
     if not shelters:
         return rings

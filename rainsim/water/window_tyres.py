@@ -15,15 +15,15 @@ from dataclasses import replace
 import numpy as np
 
 from rainsim.config.settings import mm_per_hour
-from rainsim.rain.tyres import REMEMBERED
-from rainsim.water.rolling import BEFORE, LEFT, Tyres
+from rainsim.rain.throws import REMEMBERED
+from rainsim.water.tyres import BEFORE, LEFT, Tyres
 
 DEEP = 1e-3  # m over the film: water that stands so deep flows back behind a tyre
 CLOSING = 0.5  # s in which it does so, to a part of e; an assumption
 
 
 def tyres_of(terrain, config, begin=None):
-    """Return the `Tyres` of the nodes on a terrain; none if the settings leave spray out.
+    """Return the `Tyres` of the actors on a terrain; none if the settings leave spray out.
 
     Parameters
     ----------
@@ -35,8 +35,8 @@ def tyres_of(terrain, config, begin=None):
     around = None if begin is None else begin.around
     how = config.rain.seed, config.rain.roughness
     if config.render.spray == "off" or around is None:
-        movers = () if config.render.spray == "off" else terrain.movers
-        return Tyres(replace(terrain, movers=movers), *how)
+        footprints = () if config.render.spray == "off" else terrain.footprints
+        return Tyres(replace(terrain, footprints=footprints), *how)
     return WindowTyres(around, config.fps, *how)
 
 

@@ -72,7 +72,7 @@ def test_wrong_options_are_named(lidar, words, message):
     assert done.code == 2 and message in done.error
 
 
-def test_nodes_are_numbered_in_labels_and_have_boxes(rainsim, tmp_path):
+def test_actors_are_numbered_in_labels_and_have_boxes(rainsim, tmp_path):
     write_scene(tmp_path / "moving", moving_scene())
     done = rainsim("lidar", "moving", *MAP, "--out", "turns", "--rain", "0,50", "--turns", "2",
                    "--height", "0.6")  # fmt: skip

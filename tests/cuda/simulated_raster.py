@@ -105,7 +105,7 @@ def test_hits_are_those_of_the_cpu(monkeypatch):
         twin.rasterize(prepared, camera(), 0.2, hit=True)
 
 
-def test_nodes_before_a_static_set_are_those_of_the_cpu():
+def test_actors_before_a_static_set_are_those_of_the_cpu():
     """Only their chunks are sent, and none of a moment before is left."""
     still, moving = cloud(60), cloud(300, seed=4)
     for splats in (still, moving):
@@ -116,9 +116,9 @@ def test_nodes_before_a_static_set_are_those_of_the_cpu():
     alone = raster.rasterize(still, camera(), 0.2)
     static = drawer.splats.geometry.copy_to_host()[2 * ROW :]
     for count in (300, 80, 0):
-        nodes = raster.prepare(moving.take(np.arange(300) < count)) if count else None
-        merged = merger.merged(nodes, len(still))
-        drawer.put_nodes(merged)
+        actors = raster.prepare(moving.take(np.arange(300) < count)) if count else None
+        merged = merger.merged(actors, len(still))
+        drawer.put_actors(merged)
         wanted = raster.rasterize(merged, camera(), 0.2, hit=True)
         found = drawer.draw(camera(), 0.2, hit=True)
         assert_alike(found, wanted)

@@ -11,7 +11,7 @@ from rainsim.errors import ParameterError
 from rainsim.particles.line_raster import NEAR
 from rainsim.particles.spray import lay_clouds
 from rainsim.particles.streaks import draw_streaks
-from rainsim.rain.tyres import Puffs
+from rainsim.rain.throws import Puffs
 from rainsim.scene.types import Camera
 
 assert simulated()

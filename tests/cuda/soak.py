@@ -2,7 +2,7 @@
 
 `PYTHONPATH=.:tests:tests/cuda python tests/cuda/soak.py`, from the root of the repository.
 
-Twelve cases differ in scene, size, rain, film, mirrors, map and nodes. A fresh process draws each
+Twelve cases differ in scene, size, rain, film, mirrors, map and actors. A fresh process draws each
 and prints a digest of each picture. Then one process makes and frees renderers of the cases in
 mixed order: some live beside others, some are left in the middle of a sequence, and between them
 the CPU draws and garbage is collected. Each draws a sequence, and later frames of another
@@ -28,6 +28,7 @@ from concurrent.futures import ThreadPoolExecutor
 from guarded import MANAGER, SIMULATED, damaged, spoil_simulated
 
 from rainsim import pipeline
+from rainsim.actors.footprint import with_footprints
 from rainsim.bench.frame_levels import cameras_of
 from rainsim.config.settings import Config, mm_per_hour
 from rainsim.cuda import trouble
@@ -35,7 +36,6 @@ from rainsim.render.renderer import Renderer as OnCpu
 from rainsim.render.wet_scene import WetScene
 from rainsim.scene.cameras import resize_to
 from rainsim.scene.library import load_scene
-from rainsim.terrain.movers import with_movers
 from scenes import moving_scene, tiny_scene
 
 CASES = {  # scene, preset, width [px], changes, layers
@@ -70,7 +70,7 @@ def world(name, tiny):
         scene = {"box": moving_scene, "tiny": tiny_scene}.get(kind, lambda: load_scene(kind))()
         changes = {"width": width, "spacing": 0.06, **changes, "frames": FRAMES}
         settings = Config.from_preset(preset).replace(**changes | (TINY if tiny else {}))
-        terrain = with_movers(pipeline.extract_terrain(scene, settings), scene)
+        terrain = with_footprints(pipeline.extract_terrain(scene, settings), scene)
         count = settings.frames
         if kind in ("box", "tiny"):
             cameras = [resize_to(scene.cameras[0], settings.width)] * count

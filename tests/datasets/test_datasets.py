@@ -74,7 +74,7 @@ def projected(camera, point):
     return camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy, z
 
 
-def test_boxes_of_nodes_as_kitti_has_them():
+def test_boxes_of_actors_as_kitti_has_them():
     from scipy.spatial.transform import Rotation
 
     from rainsim.datasets.kitti import object_labels

@@ -18,7 +18,7 @@ ORDER = """
 errors jit constants compiling
 numerics
 config io
-scene
+scene actors
 splatting
 raster
 surface

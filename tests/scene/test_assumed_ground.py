@@ -9,8 +9,8 @@ import pytest
 from made_captures import patio, ring, splats_at
 from rainsim.commands.choose import named_camera, scene_of, scene_to_look_at
 from rainsim.errors import GroundError, ParameterError
-from rainsim.scene.actors import joined
 from rainsim.scene.assumed_ground import assumed_ground_frame, ground_extent
+from rainsim.scene.splat_sets import joined
 from rainsim.scene.types import GroundFrame, Scene
 from rainsim.shading.calibration import fixed_camera
 from rainsim.surface import offered_views

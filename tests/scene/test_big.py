@@ -785,8 +785,9 @@ def test_both_pictures_of_lamps_are_drawn_of_the_same_pages(folder, film):
     assert scene.capture.prepared is None
 
 
-def test_nodes_stand_among_the_chunks(folder, film, whole):
-    from rainsim.scene.actors import Actor, Track, box_of, with_actors
+def test_actors_stand_among_the_chunks(folder, film, whole):
+    from rainsim.actors.actor import Actor, box_of, with_actors
+    from rainsim.actors.motion import Track
 
     ground, cameras, shown = film
     body = whole.splats.take(np.abs(whole.splats.position - (3.0, 1.5, 0.5)).max(axis=1) < 0.3)
@@ -797,11 +798,11 @@ def test_nodes_stand_among_the_chunks(folder, film, whole):
         np.array([0.0, 1.0]), np.array([[2.0, 0.3, 0.0], [2.5, 0.3, 0.0]]), turn,
         np.ones(2, bool),
     )  # fmt: skip
-    node = Actor("box", "cart", body, box_of(body), track)
+    actor = Actor("box", "cart", body, box_of(body), track)
     config = CONFIG.replace(detail=0.0, frames=1)
     seen = []
     for scene in (import_scene(folder), whole):
-        scene = with_actors(scene, (node,))
+        scene = with_actors(scene, (actor,))
         found = pipeline.render_rain(
             scene, cameras[:1], config, terrain=ground, layers=("actor_id", "clean")
         )
@@ -809,7 +810,7 @@ def test_nodes_stand_among_the_chunks(folder, film, whole):
     (a, first), (b, second) = seen
     number, truth = first.aovs["actor_id"], second.aovs["actor_id"]
     assert truth.any() and np.mean(number == truth) > 0.99
-    assert psnr(a, b) > 33 and psnr(a, shown[0]) < 33  # the node is there
+    assert psnr(a, b) > 33 and psnr(a, shown[0]) < 33  # the actor is there
     red = first.aovs["clean"][number == 1].mean(axis=0)
     assert red[0] > 2 * red[1]
 

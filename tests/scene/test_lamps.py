@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 from scipy import integrate
 
+from rainsim.actors.actor_files import read_actors
 from rainsim.config.settings import Config
 from rainsim.errors import InputError, ParameterError
 from rainsim.numerics.srgb import LUMINANCE_WEIGHTS, display, linear
 from rainsim.pipeline import extract_terrain, simulate
 from rainsim.render.renderer import Renderer
-from rainsim.scene.actor_files import read_actors
-from rainsim.scene.actors import joined
 from rainsim.scene.folder import import_scene
 from rainsim.scene.lamps import LUMINANCE, WHITE, Lamp, with_lamps
+from rainsim.scene.splat_sets import joined
 from rainsim.shading.color import linear_from_display
 from rainsim.shading.composite import tone_curve
 from rainsim.shading.glare import DAZZLES, Glare, point_spread, scattered

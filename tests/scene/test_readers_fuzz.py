@@ -31,11 +31,11 @@ import made_formats as made
 import mutate
 from made_captures import random_splats, ring
 from made_checkpoints import Parameter, archive_of, torch_file
+from rainsim.actors.actor_files import read_actors
 from rainsim.config.settings import Config
 from rainsim.datasets.user_labels import _from_file as label_ids
 from rainsim.errors import InputError, RainsimError
 from rainsim.io.images import read_hdr
-from rainsim.scene.actor_files import read_actors
 from rainsim.scene.camera_rule import require_camera
 from rainsim.scene.cameras import load_cameras, read_path
 from rainsim.scene.formats import read

@@ -92,7 +92,7 @@ def test_a_node_is_there_from_just_before_its_first_frame_to_its_last(model):
 def test_without_tracks_the_static_set_is_read(model):
     folder, *_ = model
     scene = import_scene(folder, meters_per_unit=1.0)
-    assert scene.actors == () and any("2 nodes are left out: --tracks" in n for n in scene.notes)
+    assert scene.actors == () and any("2 actors are left out" in n for n in scene.notes)
     first = [c.name for c in scene.cameras]
     assert first[:6] == ["000002_0", "000003_0", "000004_0", "000005_0", "000006_0", "000002_1"]
     assert [c.name for c in in_order(ring(count=3))] == ["ring00", "ring01", "ring02"]

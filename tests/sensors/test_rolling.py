@@ -89,7 +89,7 @@ def test_a_still_scene_is_the_same_and_drops_shear():
     assert {p["id"] for p in now.facts["puddles"]} == {p["id"] for p in whole.facts["puddles"]}
 
 
-def test_a_moving_node_leans_as_its_rows_are_read():
+def test_an_actor_that_moves_leans_as_its_rows_are_read():
     """The box is in each band where it is at the band's time, and so are its labels."""
     scene = moving_scene()
     config = Config.from_preset("drizzle").replace(extent=1.0, spacing=0.05)

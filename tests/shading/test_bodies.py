@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from rainsim.actors.footprint import Shadow
 from rainsim.shading import bodies, environment, walls, wetting
 from rainsim.shading.fresnel import fresnel
 from rainsim.shading.grading import Look
@@ -134,8 +135,8 @@ def test_white_things_in_white_surroundings_are_not_brighter_than_white(slant):
     assert 0.8 < light.max() <= 1 + 1e-4
 
 
-def test_a_body_that_moves_takes_its_place_on_the_map_along():
-    """A mover 1 m long and 0.8 m high that goes along x."""
+def test_an_actor_that_moves_takes_its_place_on_the_map_along():
+    """An actor 1 m long and 0.8 m high that goes along x."""
     terrain = terrain_of(standing(0.0))
 
     def shadow(grid, time):
@@ -143,11 +144,11 @@ def test_a_body_that_moves_takes_its_place_on_the_map_along():
             return None
         rows, columns = slice(80, 110), slice(20 + int(time * 10), 70 + int(time * 10))
         top = np.full((30, 50), 0.8, F4)
-        return SimpleNamespace(part=(rows, columns), top=top, underside=top * 0)
+        return Shadow((rows, columns), top, top * 0)
 
     still = bodies.body_map(terrain)
-    movers = (SimpleNamespace(shadow=shadow),)
-    assert bodies.stamped(still, terrain, movers, -1.0) is still
-    before, after = (bodies.stamped(still, terrain, movers, time) for time in (0.0, 10.0))
+    terrain.footprints = (SimpleNamespace(shadow=shadow),)
+    assert bodies.stamped(still, terrain, -1.0) is still
+    before, after = (bodies.stamped(still, terrain, time) for time in (0.0, 10.0))
     assert share(before, 0.9, 1.9, 0.4) == share(after, 2.9, 1.9, 0.4) == 1
     assert share(after, 0.9, 1.9, 0.4) == share(before, 2.9, 1.9, 0.4) == 0

@@ -343,7 +343,7 @@ def test_colours_that_change_are_merged_again():
         np.testing.assert_array_equal(getattr(detail.prepared, name), whole)
 
 
-def test_scenes_with_nodes_draw_every_splat():
+def test_scenes_with_actors_draw_every_splat():
     renderer, _ = renderer_of(moving_scene())
     capture = renderer.conductor.wet_scene.capture
     assert capture.merge == 0 and capture.drawn.span is None

@@ -8,12 +8,13 @@ from test_path_ground import CONFIG as ROAD
 from test_path_ground import DRIVE, camera, road, small  # noqa: F401
 
 from rainsim import pipeline, simulation
+from rainsim.actors.actor import Actor, with_actors
+from rainsim.actors.motion import Track
 from rainsim.config.settings import mm_per_hour
 from rainsim.drops import GROUND
 from rainsim.lod.cut import cut
-from rainsim.rain.tyres import AT, column
+from rainsim.rain.throws import AT, column
 from rainsim.raster import prepare
-from rainsim.scene.actors import Actor, Track, with_actors
 from rainsim.scene.big import open_pages
 from rainsim.scene.types import Splats
 from rainsim.simulation import steady_water
@@ -59,7 +60,7 @@ def ground(scene):
 
 
 def shots(scene, ground, indices, config=CONFIG):
-    """Bytes and node numbers of frames by a new sequence, and what says more, by their indices."""
+    """Bytes and actor numbers of frames by a new sequence, and what says more, by their indices."""
     sequence = pipeline.FrameSequence(scene, ground, DRIVE, config, layers=("actor_id",))
     return {r.index: (p.tobytes(), r.aovs["actor_id"].copy(), r, sequence._state)
             for p, r in sequence.frames(indices)}  # fmt: skip

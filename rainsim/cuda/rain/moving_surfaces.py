@@ -1,6 +1,6 @@
-"""Twin of `rain.moving_surfaces`: the map that drops meet on a device, with moving bodies on it.
+"""Twin of `rain.moving_surfaces`: the map that drops meet on a device, with actors on it.
 
-The host puts the bodies onto its map; the rows that they cover, and have covered, are sent.
+The host puts the actors onto its map; the rows that they cover, and have covered, are sent.
 """
 
 from __future__ import annotations
@@ -11,39 +11,39 @@ from rainsim.cuda.drops import sent_surfaces
 from rainsim.cuda.jit import SIMULATED
 
 ABOVE = 0.01  # m; lines are followed from this far above all that moves
-BODY = ("top", "underside")
+FIELDS = ("top", "underside")
 BLOCKS = ("patch_high", "around_high")
 
 
 class MovingHeights:
-    """The height fields of a terrain with its movers, on a device.
+    """The height fields of a terrain with the actors on it, on a device.
 
     Parameters
     ----------
     still : Surfaces
         Without what moves.
-    movers : sequence of Mover
+    footprints : sequence of Footprint
     stream : numba.cuda.stream
 
     Attributes
     ----------
     fields : HeightFields
-        Of device arrays, at fixed addresses, with a sky above all that the movers ever reach: a
+        Of device arrays, at fixed addresses, with a sky above all that the actors ever reach: a
         recorded queue holds them.
     """
 
-    def __init__(self, still, movers, stream):
+    def __init__(self, still, footprints, stream):
         fields = sent_surfaces(still, stream)
-        highest = max((highest_of(mover) for mover in movers), default=-np.inf)
+        highest = max((footprint.highest for footprint in footprints), default=-np.inf)
         self.fields = fields._replace(sky=max(fields.sky, highest + ABOVE))
         self._stream = stream
-        self._rows = []  # that movers cover on the device
+        self._rows = []  # that actors cover on the device
 
     def send(self, surfaces, shelters):
         """Send the map of `MovingSurfaces.moment`; the device must draw nothing meanwhile."""
         found, rows = surfaces.height_fields(), [part[0] for part, _ in shelters]
         for part in (*self._rows, *rows):
-            for name in BODY:
+            for name in FIELDS:
                 getattr(self.fields, name)[part].copy_to_device(getattr(found, name)[part])
         if self._rows or rows:
             for name in BLOCKS:
@@ -51,12 +51,3 @@ class MovingHeights:
         if not SIMULATED:
             self._stream.synchronize()  # before the map of the host goes on
         self._rows = rows
-
-
-def highest_of(mover):
-    """Return a height [m] that no part of a `Mover` ever exceeds, however it turns."""
-    ends = mover.low, mover.low + mover.spacing * np.array(mover.top.shape[::-1])
-    across = np.abs(ends).max(axis=0)
-    up = max(np.nanmax(np.abs(mover.top)), np.nanmax(np.abs(mover.underside)))
-    place = mover.track.position @ mover.turn.T * mover.scale + mover.shift
-    return float(place[:, 2].max() + np.hypot(np.hypot(*across), up))

@@ -57,7 +57,7 @@ class DeviceFrame:
         self.rasterizer = scene.capture.rasterizer
         grid = ground.terrain.grid
         self.place = to_device(np.array(grid.origin, np.float32)), np.float32(grid.spacing)
-        bodies = scene.ground.bodies.now.size or ground.terrain.movers
+        bodies = scene.ground.bodies.now.size or ground.terrain.footprints
         shape = (*grid.shape, 3) if bodies else (1, 1, 3)
         self._buffers = {
             "bed": to_device(ground.terrain.bed), "ground_map": to_device(scene.ground.map),
@@ -76,7 +76,7 @@ class DeviceFrame:
         self.size = self.uniforms = self.tile = self._version = None
         self.passes = Passes(self)
         self.pending = []
-        self._sent = {name: value for name, value, _ in self._kept() if name != "nodes"}
+        self._sent = {name: value for name, value, _ in self._kept() if name != "actors"}
         self._send("bodies", scene.ground.bodies.now, self._copy_bodies)
         self.rasterizer.recolors = False
 
@@ -101,8 +101,8 @@ class DeviceFrame:
             partial(self._send, name, value, send)
             for name, value, send in self._kept() if value is not self._sent.get(name)
         ]  # fmt: skip
-        if passes.nodes is not None:
-            passes.nodes.update(state)
+        if passes.actors is not None:
+            passes.actors.update(state)
         if self.size != (camera.height, camera.width):
             self.size = camera.height, camera.width
             self._allocate()
@@ -130,8 +130,8 @@ class DeviceFrame:
             else self.conductor.ground.rings,
         }  # fmt: skip
         kept = [(name, array, partial(self._copy, name)) for name, array in copies.items()]
-        if scene.capture.nodes is not None:
-            kept.append(("nodes", scene.capture.nodes.placed, self._send_nodes))
+        if scene.capture.actors is not None:
+            kept.append(("actors", scene.capture.actors.placed, self._send_actors))
         kept.append(("bodies", scene.ground.bodies.now, self._copy_bodies))
         kept.append(("colors", scene.capture.drawn, self._send_colors))
         return kept
@@ -151,9 +151,9 @@ class DeviceFrame:
         self.rasterizer.splats.send_colors(drawn)
         self.passes.ground_light.send_colors()
 
-    def _send_nodes(self, _placed):
-        self.rasterizer.send_nodes()
-        self.passes.ground_light.send_nodes()
+    def _send_actors(self, _placed):
+        self.rasterizer.send_actors()
+        self.passes.ground_light.send_actors()
 
     def _take_state(self, state):
         """List the copies of the water and its ripples to the device, unless they are there."""

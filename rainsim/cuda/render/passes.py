@@ -9,8 +9,8 @@ from rainsim.cuda.particles.drop_radiance import DropLight
 from rainsim.cuda.reflection import ray_water, screen_space, water_shading, wet_tops
 from rainsim.cuda.reflection.planar_mirror import Mirrors
 from rainsim.cuda.reflection.water_surface import WaterSurface
+from rainsim.cuda.render.actor_splats import MovingActors
 from rainsim.cuda.render.lanes import Lanes, Launch
-from rainsim.cuda.render.nodes import MovingNodes
 from rainsim.cuda.render.rain_pass import RainPass
 from rainsim.cuda.shading.composite import compose
 from rainsim.cuda.shading.wet_ground_mirror import WetGroundLight
@@ -35,8 +35,8 @@ class Passes:
     ground_light : WetGroundLight
     drop_light : DropLight
     surface : WaterSurface
-    nodes : MovingNodes or None
-        None in scenes without nodes.
+    actors : MovingActors or None
+        None in scenes without actors.
     rain : RainPass
     lanes : Lanes
         What is queued beside what.
@@ -56,8 +56,8 @@ class Passes:
         self.ground_light, self.drop_light = WetGroundLight(frame), DropLight(frame)
         aside, beside = cuda.stream(), cuda.stream()
         capture = conductor.wet_scene.capture
-        self.nodes = None if capture.nodes is None else MovingNodes(frame)
-        self.rain = RainPass(frame, self.nodes, self.surface)
+        self.actors = None if capture.actors is None else MovingActors(frame)
+        self.rain = RainPass(frame, self.actors, self.surface)
         launches = {
             "splat": Launch(lambda stream: frame.rasterizer.launch()),
             "grade and wet": Launch(self._grade),

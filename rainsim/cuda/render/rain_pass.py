@@ -25,7 +25,7 @@ class RainPass:
     Parameters
     ----------
     frame : rainsim.cuda.render.device_frame.DeviceFrame
-    nodes : MovingNodes or None
+    actors : MovingActors or None
     surface : WaterSurface
         Of the water that splashes are thrown from.
 
@@ -41,8 +41,8 @@ class RainPass:
         For states of the host.
     """
 
-    def __init__(self, frame, nodes, surface):
-        self._frame, self._nodes, self._surface = frame, nodes, surface
+    def __init__(self, frame, actors, surface):
+        self._frame, self._actors, self._surface = frame, actors, surface
         self.stream = frame.stream
         self.streaks = self.splashes = self.impacts = self.drips = None
         self._fog_of = None, NO_FOG, None
@@ -51,16 +51,16 @@ class RainPass:
     def room_for(self, height, width):
         """Allocate the arrays that pictures of a size [px] need."""
         self.streaks = self.splashes = None
-        inputs, nodes = self._frame.conductor.frame, self._nodes
+        inputs, actors = self._frame.conductor.frame, self._actors
         field, surfaces, depth = inputs["field"], inputs["surfaces"], self._frame["depth"]
-        spray = None if nodes is None else nodes.spray
+        spray = None if actors is None else actors.spray
         if field is None and spray is None:
             return
         field = RainField(RainSpectrum(0.0)) if field is None else field
         self.streaks = Streaks(field, surfaces, width, height, depth, self.stream)
         self._no_rain = field
-        if nodes is not None and nodes.heights is not None:
-            self.streaks.surfaces = nodes.heights.fields
+        if actors is not None and actors.heights is not None:
+            self.streaks.surfaces = actors.heights.fields
         self.streaks.spray = spray
 
     def update(self, state, camera_end):
@@ -94,13 +94,13 @@ class RainPass:
 
     def _recent(self):
         """Return the impacts of states whose times may lie within an interval."""
-        conductor, nodes = self._frame.conductor, self._nodes
+        conductor, actors = self._frame.conductor, self._actors
         # Two more intervals are to come.
         recent = RecentImpacts(
             conductor.weather, conductor.frame["surfaces"], conductor.config.fps, 2, self.stream
         )
-        if nodes is not None and nodes.heights is not None:
-            recent.surfaces, recent.relisted = nodes.heights.fields, True
+        if actors is not None and actors.heights is not None:
+            recent.surfaces, recent.relisted = actors.heights.fields, True
         return recent
 
     def leave_water(self):

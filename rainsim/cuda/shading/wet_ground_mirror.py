@@ -202,12 +202,12 @@ class WetGroundLight:
         for rasterizer in self.rasterizers:
             rasterizer.splats.send_colors(self._level_splats())
 
-    def send_nodes(self):
-        """Send the nodes of the present time; the device must draw nothing meanwhile."""
+    def send_actors(self):
+        """Send the actors of the present time; the device must draw nothing meanwhile."""
         conductor = self.frame.conductor
         scene, terrain = conductor.wet_scene, conductor.ground.terrain
         for rasterizer in self.rasterizers:
-            rasterizer.splats.put_nodes(scene.capture.nodes.standing(terrain, scene.frame))
+            rasterizer.splats.put_actors(scene.capture.actors.standing(terrain, scene.frame))
 
     def update(self, camera, camera_in_ground):
         """Take over the camera of the next picture, in the capture's and in the ground's frame."""

@@ -1,6 +1,6 @@
-"""Twin of `splatting.prepared`: splats on a device, and room for those of nodes before them.
+"""Twin of `splatting.prepared`: splats on a device, and room for those of actors before them.
 
-The static set is sent once. For each moment only the nodes' chunks are sent, into the room that
+The static set is sent once. For each moment only the actors' chunks are sent, into the room that
 lies before it, as `rainsim.splatting.merged` has it on the host; the room's other chunks are never
 drawn. So no address changes, and recorded queues stay as they are.
 """
@@ -27,7 +27,7 @@ class DeviceSplats:
     prepared : rainsim.raster.PreparedSplats
         The static set.
     room : int
-        Chunks of nodes that there is room for.
+        Chunks of actors that there is room for.
 
     Attributes
     ----------
@@ -85,13 +85,13 @@ class DeviceSplats:
             at = (place + first) * row
             self.sh[at : at + halves.size].copy_to_device(halves)
 
-    def put_nodes(self, merged):
-        """Send the nodes of a merged set; the device must draw nothing meanwhile.
+    def put_actors(self, merged):
+        """Send the actors of a merged set; the device must draw nothing meanwhile.
 
         Parameters
         ----------
         merged : PreparedSplats
-            Of `splatting.merged.Merger`: chunks of nodes, then those of the static set, which are
+            Of `splatting.merged.Merger`: chunks of actors, then those of the static set, which are
             on the device already.
         """
         used, room = len(merged.box) - self.static, self.room
@@ -126,7 +126,7 @@ class DeviceSplats:
         Returns
         -------
         ndarray, int32
-            Index in the scene that was prepared, nodes behind it; -1 for none.
+            Index in the scene that was prepared, actors behind it; -1 for none.
         """
         seen = np.isfinite(number)
         hit = np.full(number.shape, -1, np.int32)

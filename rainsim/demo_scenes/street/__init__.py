@@ -17,7 +17,7 @@ from rainsim.demo_scenes.build import Noise, content_hash, discs, join, tilted_f
 from rainsim.demo_scenes.street import cars, footway, furniture, road
 from rainsim.demo_scenes.street.facades import houses
 from rainsim.demo_scenes.street.long import LongStreet
-from rainsim.scene.actors import joined
+from rainsim.scene.splat_sets import joined
 from rainsim.scene.types import Camera, Scene
 
 SEED = 1871

@@ -17,8 +17,8 @@ from scipy.spatial.transform import Rotation
 from rainsim.errors import InputError, shown
 from rainsim.io.files import MAX_LENGTH, number_array
 from rainsim.scene.activate import activate, dropped_note, keep_good, require_believable
-from rainsim.scene.actors import joined
 from rainsim.scene.harmonics import turned
+from rainsim.scene.splat_sets import joined
 
 REMEDY = "it is damaged, export it again"
 EXTENSION = "KHR_gaussian_splatting"

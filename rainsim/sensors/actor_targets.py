@@ -1,4 +1,4 @@
-"""Hits of beams on the nodes of a scene, each where it is as its pulse passes."""
+"""Hits of beams on the actors of a scene, each where it is as its pulse passes."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ import numpy as np
 from rainsim.reflection.ray_traced import Tracer
 from rainsim.splatting.prepared import SIGMAS
 
-WAY = 64  # times at which a node's way in a turn is looked at, for the ball that it stays in
+WAY = 64  # times at which an actor's way in a turn is looked at, for the ball that it stays in
 
 
 class Met(NamedTuple):
-    """Hits of some of the beams on a node, arrays (n, ...).
+    """Hits of some of the beams on an actor, arrays (n, ...).
 
     Attributes
     ----------
@@ -33,8 +33,8 @@ class Met(NamedTuple):
     normal: np.ndarray
 
 
-class NodeTarget:
-    """A node as beams meet it: traced in its own frame, so that it may move from pulse to pulse.
+class ActorTarget:
+    """An actor as beams meet it: traced in its own frame, so that it may move from pulse to pulse.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ class NodeTarget:
         return Met(beam, found.color, found.alpha, found.plane_distance, normal)
 
     def _near(self, origin, direction, time):
-        """Return the beams that pass a ball in which the node stays."""
+        """Return the beams that pass a ball in which the actor stays."""
         if not len(time):
             return np.zeros(0, np.int64)
         places = self._track.poses(np.linspace(time.min(), time.max(), WAY))[1]

@@ -9,12 +9,17 @@ import numpy as np
 import pytest
 
 from rainsim import pipeline
+from rainsim.actors.actor import Actor
+from rainsim.actors.actor_files import read_actors
+from rainsim.actors.footprint import Footprint, with_footprints
+from rainsim.actors.motion import Motion, Track
+from rainsim.actors.wheels import wheels_of
 from rainsim.config.settings import Config
 from rainsim.drops import Weather
 from rainsim.errors import InputError, ParameterError
 from rainsim.grid import WaterSolver
 from rainsim.particles.spray import lay_clouds, spray_seen
-from rainsim.rain.tyres import (
+from rainsim.rain.throws import (
     AT,
     BOW,
     FILM,
@@ -35,15 +40,11 @@ from rainsim.rain.tyres import (
     thrown_rates,
 )
 from rainsim.render.renderer import Renderer
-from rainsim.scene.actor_files import read_actors
-from rainsim.scene.actors import Track
 from rainsim.scene.folder import read_scene, write_scene
-from rainsim.scene.types import Camera
-from rainsim.scene.wheels import Body, wheels_of
+from rainsim.scene.types import Camera, GroundFrame
 from rainsim.simulation import read_state, write_state
-from rainsim.terrain.movers import Mover, with_movers
 from rainsim.terrain.types import Grid
-from rainsim.water.rolling import FASTEST, LEFT, Tyres
+from rainsim.water.tyres import FASTEST, LEFT, Tyres
 from scenes import BOX_SIZE, moving_scene
 
 CONFIG = Config.from_preset("downpour").replace(past=6e-3, extent=1.0, spacing=0.025)
@@ -57,27 +58,31 @@ def road(length=8.0, spacing=0.02):
     shape = round(4.0 / spacing), round(length / spacing)
     bed = np.zeros(shape, np.float32)
     return SimpleNamespace(
-        grid=Grid(shape, (-2.0, -2.0), spacing), bed=bed, top=bed.copy(), movers=(),
+        grid=Grid(shape, (-2.0, -2.0), spacing), bed=bed, top=bed.copy(), footprints=(),
         by_class=lambda name, part=(): np.full(shape, 3e-4, np.float32)[part],
     )  # fmt: skip
 
 
-def driving(speed, wheels=WHEEL, kind="car", box=BOX, seconds=10.0):
+def driving(speed, wheels=WHEEL, kind="car", box=BOX, seconds=10.0, scale=1.0):
     """A car without splats that drives along x from x = 0 at time 0 on."""
     time = np.array([0.0, seconds])
     place = np.array([[0.0, 0, 0], [speed * seconds, 0, 0]])
     turn = np.tile([1.0, 0, 0, 0], (2, 1))
     track = Track(time, place, turn, np.ones(2, bool))
     field = np.zeros((1, 1), np.float32)
-    one = np.eye(3)
-    body = Body("a", kind, box, wheels)
-    return Mover(track, one, one, 1.0, np.zeros(3), np.zeros(2), 1.0, field, field, body)
+    motion = Motion(car(kind, wheels, box, track), GroundFrame(np.eye(3), scale, np.zeros(3)))
+    return Footprint(motion, np.eye(3), np.zeros(2), 1.0, field, field)
+
+
+def car(kind, wheels, box=BOX, track=None):
+    """An actor without splats."""
+    return Actor("a", kind, None, box, track, wheels=wheels)
 
 
 def rolled(speed, depth, seconds=0.25, wheels=WHEEL, dtype=np.float64, steps=6):
     """Return `Tyres`, solver and ledger after a drive on standing water."""
     terrain = road()
-    terrain.movers = (driving(speed, wheels),)
+    terrain.footprints = (driving(speed, wheels),)
     solver = WaterSolver(terrain.bed, terrain.grid.spacing, dtype=dtype)
     solver.set_state(depth)
     tyres = Tyres(terrain)
@@ -343,31 +348,31 @@ def test_a_cloud_replaces_the_light_of_its_cross_section_and_hides_behind_things
 
 
 def test_wheels_of_a_box_and_of_a_description():
-    wheels = wheels_of(Body("a", "Car", BOX, None), 1.0)
+    wheels = wheels_of(car("Car", None), 1.0)
     assert wheels.shape == (4, 5)
     np.testing.assert_allclose(wheels[:, 0].max() - wheels[:, 0].min(), 0.6 * 4.2)
     np.testing.assert_allclose(np.unique(wheels[:, 2]), 0.0, atol=1e-12)
     assert 0.15 < wheels[0, 3] < 0.25 and 0.25 < wheels[0, 4] < 0.35
-    np.testing.assert_allclose(wheels_of(Body("a", "x", BOX, WHEEL), 2.0), 2 * WHEEL)
+    np.testing.assert_allclose(wheels_of(car("x", WHEEL), 2.0), 2 * WHEEL)
     for kind in ("pedestrian", "object"):
-        assert len(wheels_of(Body("a", kind, BOX, None), 1.0)) == 0
-    assert len(wheels_of(Body("a", "car", BOX, WHEEL[:0]), 1.0)) == 0
+        assert len(wheels_of(car(kind, None), 1.0)) == 0
+    assert len(wheels_of(car("car", WHEEL[:0]), 1.0)) == 0
 
 
 @pytest.mark.parametrize("scale", [0.01, 10.0])
 def test_boxes_that_are_no_car(scale):
     terrain = road()
-    terrain.movers = (replace(driving(10.0, None), scale=scale),)
+    terrain.footprints = (driving(10.0, None, scale=scale),)
     with pytest.raises(ParameterError, match="road vehicle"):
         Tyres(terrain)
 
 
 def test_a_track_that_no_car_drives():
     terrain = road()
-    terrain.movers = (driving(1.01 * FASTEST),)
+    terrain.footprints = (driving(1.01 * FASTEST),)
     with pytest.raises(ParameterError, match="moves at 101 m/s"):
         Tyres(terrain)
-    terrain.movers = (driving(0.99 * FASTEST),)
+    terrain.footprints = (driving(0.99 * FASTEST),)
     Tyres(terrain)
 
 
@@ -381,8 +386,8 @@ def test_wheels_in_files(scene, tmp_path):
     assert none.wheels.shape == (0, 5)
     (auto,) = read_actors(described(tmp_path, scene)).actors
     assert auto.wheels is None
-    nodes = [replace(a, id=str(k)) for k, a in enumerate((actor, none, auto))]
-    write_scene(tmp_path / "kept", replace(scene, actors=tuple(nodes)))
+    actors = [replace(a, id=str(k)) for k, a in enumerate((actor, none, auto))]
+    write_scene(tmp_path / "kept", replace(scene, actors=tuple(actors)))
     kept = [a.wheels for a in read_scene(tmp_path / "kept").actors]
     assert kept[0].shape == (2, 5) and kept[1].shape == (0, 5) and kept[2] is None
     for wrong in (3, [3], [{"at": [0, 0, 0], "width": 0, "radius": 1}],
@@ -393,8 +398,8 @@ def test_wheels_in_files(scene, tmp_path):
     assert json.loads((tmp_path / "actors.json").read_text())["nodes"][0]["wheels"]
 
 
-def test_movers_know_their_wheels(scene, ground):
-    (mover,) = with_movers(replace(ground, movers=()), scene).movers
-    tyres = wheels_of(mover.body, mover.scale)
-    low = mover.places(tyres[:, :3], mover.track.pose(0.0))[:, 2]
+def test_actors_know_their_wheels(scene, ground):
+    (footprint,) = with_footprints(replace(ground, footprints=()), scene).footprints
+    motion = footprint.motion
+    low = motion.pose(0.0).places(motion.wheels[:, :3])[:, 2]
     np.testing.assert_allclose(low, 0.002, atol=1e-6)  # they stand where the box does

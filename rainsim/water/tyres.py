@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy import ndimage
 
+from rainsim.actors.motion import Motion
+from rainsim.actors.wheels import MOST_WHEELS, REMEDY
 from rainsim.errors import ParameterError
 from rainsim.ledger import Ledger
 from rainsim.numerics.random import mix, subkey
-from rainsim.rain.tyres import (
+from rainsim.rain.throws import (
     AT,
     COLUMNS,
     NO_THROWS,
@@ -26,7 +28,6 @@ from rainsim.rain.tyres import (
     thrown_rates,
 )
 from rainsim.rain.wind import wind_at
-from rainsim.scene.wheels import MOST_WHEELS, REMEDY, wheels_of
 
 LEFT = 1e-4  # m of water that stays in the road's texture under a tyre; an assumption
 LONGEST_STEP = 1 / 24  # s: within it a tyre rolls straight at one speed
@@ -40,15 +41,10 @@ SHOULDER = 1.0  # cells: deviation with which the edges of tracks are softened
 NO_TRACKS = np.zeros((0, 0), np.uint8)
 
 
-@dataclass(frozen=True)
-class _Car:
-    """A mover with its tyres, in metres and the node frame; front tyres come first."""
+class _Car(NamedTuple):
+    """An actor with tyres."""
 
-    mover: object
-    patches: np.ndarray  # (n, 3)
-    width: np.ndarray
-    radius: np.ndarray
-    middle: np.ndarray  # (3,)
+    motion: Motion
     covered: np.ndarray  # (n,), whether the car's floor is behind the tyre
     section: float  # m2
 
@@ -78,10 +74,10 @@ class Tyres:
     def __init__(self, terrain, seed=0, roughness=0.0):
         self._terrain, self._roughness = terrain, roughness
         self._key = mix(np.array([seed % 2**64], np.uint64) ^ np.uint64(0x7912E5))
-        found = ((m, wheels_of(m.body, m.scale)) for m in terrain.movers if m.body is not None)
-        self._cars = [_car(mover, wheels) for mover, wheels in found if len(wheels)]
+        motions = [footprint.motion for footprint in terrain.footprints]
+        self._cars = [_car(motion) for motion in motions if len(motion.wheels)]
         for car in self._cars:
-            _require_possible(car)
+            _require_possible(car.motion)
         self.lifted = self.returned = self.kept = self.gone = self._mist = 0.0
         self._throws, self._ids = NO_THROWS, np.zeros(0, np.uint64)
         self._own = np.zeros(0)  # share of each throw that the account has
@@ -192,14 +188,13 @@ class Tyres:
         rows, ids, own = [], [], []
         tick = round(stop / (LONGEST_STEP / 64))
         for number, car in enumerate(self._cars):
-            places = _places(car, start), _places(car, stop)
-            if places[0] is None or places[1] is None:
+            poses = car.motion.coming(start), car.motion.coming(stop)
+            if poses[0] is None or poses[1] is None:
                 continue
-            middle = _middle(car, stop)
-            for k in range(len(car.width)):
-                row, share = self._throw(
-                    solver, car, k, places[0][k], places[1][k], middle, start, stop, wind
-                )
+            ways = [pose.places(car.motion.wheels[:, :3]) for pose in poses]
+            middle = poses[1].places(car.motion.box[:1])[0]
+            for k, (begin, end) in enumerate(zip(*ways, strict=True)):
+                row, share = self._throw(solver, car, k, begin, end, middle, start, stop, wind)
                 if row is not None:
                     row[AT["car"]] = number
                     rows.append(row)
@@ -229,12 +224,13 @@ class Tyres:
         share : float
             Of it that the account has.
         """
+        width, radius = car.motion.wheels[k, 3:]
         step = np.hypot(*(end - begin)[:2])
         speed = step / (stop - start)
         if speed < SLOWEST:
             return None, 0.0
         grid = self._terrain.grid
-        rows, columns = _swept(grid, begin, end, float(car.width[k]))
+        rows, columns = _swept(grid, begin, end, float(width))
         if len(rows):
             off = np.abs(self._terrain.bed[rows, columns] - 0.5 * (begin + end)[2])
             rows, columns = (a[off < OFF_THE_ROAD] for a in (rows, columns))
@@ -249,7 +245,7 @@ class Tyres:
             return None, 0.0
         self.lifted += own
         depth = lifted / (len(rows) * grid.cell_area)
-        rates = thrown_rates(depth, car.width[k], speed)
+        rates = thrown_rates(depth, width, speed)
         volumes = lifted * rates / rates.sum()
         mist = volumes * mist_share(speed, car.section)
         out = 0.5 * (begin + end)[:2] - middle[:2]
@@ -259,8 +255,8 @@ class Tyres:
         out = out / length if length > 0 else np.array([-ahead[1], ahead[0]])
         row = np.zeros(len(COLUMNS))
         row[: AT["bow"]] = (
-            start, stop, *begin, *end[:2], *out, car.width[k], car.radius[k], car.covered[k],
-            0, *wind, car.section, depth,
+            start, stop, *begin, *end[:2], *out, width, radius, car.covered[k], 0, *wind,
+            car.section, depth,
         )  # fmt: skip
         row[AT["bow"] : AT["mist"]] = volumes - mist
         row[AT["mist"]] = mist.sum()
@@ -305,44 +301,11 @@ class Tyres:
         solver.deposit(row, column, volume)
 
 
-def _car(mover, wheels):
-    """Return the `_Car` of a mover and its wheels (n, 5) [m]; those in front come first."""
-    centre, size = mover.body.box * mover.scale
-    wheels = wheels[np.argsort(-wheels[:, 0], kind="stable")]
-    rearmost = wheels[:, 0].min()
-    covered = wheels[:, 0] > rearmost + 0.5 * wheels[:, 4]
-    return _Car(
-        mover, wheels[:, :3], wheels[:, 3], wheels[:, 4], centre, covered, float(size[1] * size[2])
-    )
-
-
-def _pose(car, time):
-    """Return the pose of a car at a time [s], None while it is not there.
-
-    Before a track that is there from its first key on, the car has come as it goes on.
-    """
-    track = car.mover.track
-    first = float(track.time[0])
-    if time >= first or not track.visible[0] or len(track.time) < 2:
-        return track.at(time), np.zeros(3)
-    step = min(0.1, float(track.time[1]) - first)
-    pose = track.pose(first)
-    speed = (track.pose(first + step).position - pose.position) / step
-    return pose, (time - first) * speed
-
-
-def _places(car, time):
-    """Return where the tyres of a car touch the ground at a time [s], (n, 3) [m]; None: nowhere."""
-    pose, moved = _pose(car, time)
-    if pose is None:
-        return None
-    return car.mover.places(car.patches, pose._replace(position=pose.position + moved))
-
-
-def _middle(car, time):
-    """Return the middle of a car's box at a time [s], (3,) [m]."""
-    pose, moved = _pose(car, time)
-    return car.mover.places(car.middle[None], pose._replace(position=pose.position + moved))[0]
+def _car(motion):
+    """Return the `_Car` of an actor's motion."""
+    wheels, size = motion.wheels, motion.box[1]
+    covered = wheels[:, 0] > wheels[:, 0].min() + 0.5 * wheels[:, 4]
+    return _Car(motion, covered, float(size[1] * size[2]))
 
 
 def _swept(grid, begin, end, width):
@@ -362,14 +325,12 @@ def _swept(grid, begin, end, width):
     return j[inside], i[inside]
 
 
-def _require_possible(car):
-    """Raise ParameterError if a car's track is faster than any car while it is there."""
-    track, mover = car.mover.track, car.mover
-    step = np.linalg.norm(np.diff(track.position, axis=0), axis=1) * mover.scale
-    speed = step / np.diff(track.time) * track.visible[:-1]
+def _require_possible(motion):
+    """Raise ParameterError if an actor with tyres is faster than any car while it is there."""
+    speed = motion.speeds()
     if len(speed) and speed.max() > FASTEST:
-        k = int(speed.argmax())
+        k, actor = int(speed.argmax()), motion.actor
         raise ParameterError(
-            f"node {mover.body.id} moves at {speed[k]:.4g} m/s from {track.time[k]:g} s on; what "
+            f"actor {actor.id} moves at {speed[k]:.4g} m/s from {actor.track.time[k]:g} s on; what "
             f"has tyres must move at {FASTEST:g} m/s at most; {REMEDY}, or hide it there"
         )

@@ -1,13 +1,14 @@
-"""Frames of scenes with nodes in numba's CUDA simulator, against the CPU's."""
+"""Frames of scenes with actors in numba's CUDA simulator, against the CPU's."""
 
 import dataclasses
 
 import numpy as np
 import pytest
 
+from rainsim.actors.footprint import with_footprints
 from rainsim.config.settings import Config
 from rainsim.cuda import simulated
-from rainsim.cuda.rain.moving_surfaces import MovingHeights, highest_of
+from rainsim.cuda.rain.moving_surfaces import MovingHeights
 from rainsim.cuda.render import renderer as twin
 from rainsim.cuda.simulation import simulate
 from rainsim.cuda.splatting.prepared import DeviceSplats
@@ -15,7 +16,6 @@ from rainsim.pipeline import extract_terrain
 from rainsim.rain.moving_surfaces import MovingSurfaces
 from rainsim.render import renderer as rendering
 from rainsim.render.wet_scene import WetScene
-from rainsim.terrain.movers import with_movers
 from scenes import moving_scene
 
 assert simulated()
@@ -42,7 +42,7 @@ def scene():
 
 @pytest.fixture(scope="module")
 def terrain(scene):
-    return with_movers(extract_terrain(scene, CONFIG), scene)
+    return with_footprints(extract_terrain(scene, CONFIG), scene)
 
 
 def decibel(a, b):
@@ -51,10 +51,10 @@ def decibel(a, b):
 
 
 def test_the_map_follows_what_moves_over_it(terrain):
-    moving, (mover,) = MovingSurfaces(terrain), terrain.movers
-    heights = MovingHeights(moving.still, terrain.movers, 0)
+    moving, (footprint,) = MovingSurfaces(terrain), terrain.footprints
+    heights = MovingHeights(moving.still, terrain.footprints, 0)
     # The box is 0.28 m high, on cells of 0.1 m, and may turn any way.
-    assert 0.28 < highest_of(mover) < 1.0 and heights.fields.sky >= moving.still.sky
+    assert 0.28 < footprint.highest < 1.0 and heights.fields.sky >= moving.still.sky
     shown = []
     for time in (0.0, 0.4, 9.0):
         surfaces, shelters = moving.moment(time)
@@ -97,6 +97,6 @@ def test_frames_and_labels_are_those_of_the_cpu(scene, terrain, monkeypatch):
         (mine,), (theirs,) = labels.facts["actors"], report.facts["actors"]
         assert mine["box2d"] == theirs["box2d"] and mine["box3d"] == theirs["box3d"]
         pictures.append(found.copy())
-    assert sent and all(sent)  # to the room of the nodes, before the static set
+    assert sent and all(sent)  # to the room of the actors, before the static set
     again = gpu.draw(dataclasses.replace(camera), states[0])[0]
     np.testing.assert_array_equal(again, pictures[0])

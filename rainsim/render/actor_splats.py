@@ -1,4 +1,4 @@
-"""The nodes of a scene at one time: their splats, put before the static set's, and who is where."""
+"""The actors of a scene at one time: their splats, put before the static set's, and their poses."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ import numpy as np
 
 from rainsim.raster import prepare
 from rainsim.reflection.ray_traced import Tracer
-from rainsim.scene.actors import joined
+from rainsim.scene.splat_sets import joined
 from rainsim.shading.wet_ground_mirror import in_level_picture
 from rainsim.splatting.merged import Merger
 
 
-class Nodes:
+class ActorSplats:
     """The moving splats of a scene, one moment after another.
 
     Parameters
@@ -31,7 +31,7 @@ class Nodes:
     static : PreparedSplats
         As it was given, in memory that is shared with the merged sets.
     first : int
-        Number that the first of the nodes' splats has in the merged set.
+        Number that the first of the actors' splats has in the merged set.
     """
 
     def __init__(self, actors, static):
@@ -42,7 +42,7 @@ class Nodes:
         self._ends = np.zeros(len(actors) + 1, np.int64)
 
     def set_time(self, time):
-        """Take over the poses of a time [s], None for no nodes; return whether they moved."""
+        """Take over the poses of a time [s], None for no actors; return whether they moved."""
         poses = [] if time is None else [actor.track.at(time) for actor in self.actors]
         same = len(poses) == len(self.poses) and all(
             _same(a, b) for a, b in zip(poses, self.poses, strict=True)
@@ -68,31 +68,31 @@ class Nodes:
     def merged(self, merger=None):
         """Return the `PreparedSplats` of the whole scene; overwritten by the next call.
 
-        Or, with a `merger_of` other static splats, of those and the nodes.
+        Or, with a `merger_of` other static splats, of those and the actors.
         """
-        nodes = None if self.splats is None else prepare(self.splats)
-        return (merger or self._merger).merged(nodes, self.first)
+        actors = None if self.splats is None else prepare(self.splats)
+        return (merger or self._merger).merged(actors, self.first)
 
     def merger_of(self, static):
         """Return the `Merger` of other static splats, as many in the scene they came from."""
         return Merger(static, self._most)
 
     def standing(self, terrain, frame):
-        """Return the standing splats for the level picture, nodes included."""
+        """Return the standing splats for the level picture, actors included."""
         if self._standing is None:
             static = in_level_picture(self.static, terrain, frame)
             self._standing = Merger(static, self._most)
-        nodes = None
+        actors = None
         if self.splats is not None:
-            nodes = in_level_picture(prepare(self.splats), terrain, frame)
-        return self._standing.merged(nodes, 0)
+            actors = in_level_picture(prepare(self.splats), terrain, frame)
+        return self._standing.merged(actors, 0)
 
     def tracer(self, splats):
-        """Return the `Tracer` of static splats and of the nodes."""
+        """Return the `Tracer` of static splats and of the actors."""
         return Tracer(splats if self.splats is None else joined([splats, self.splats]))
 
     def numbers(self, hit):
-        """Return the number of the node that each pixel shows, from 1 on, 0 for the static set.
+        """Return the number of the actor that each pixel shows, from 1 on, 0 for the static set.
 
         Parameters
         ----------

@@ -1,8 +1,8 @@
-"""Nodes as files: `actors.json`, which lists the moving parts of a scene, and nodes as arrays.
+"""Actors as files: `actors.json`, which lists the moving parts of a scene, and actors as arrays.
 
-docs/actors.md describes `actors.json`. A scene folder holds its nodes as `actors.npz`: the splats
-of all nodes one after the other, the keys of all tracks one after the other, and how many of them
-belong to each node.
+docs/actors.md describes `actors.json`. A scene folder holds its actors as `actors.npz`: the splats
+of all actors one after the other, the keys of all tracks one after the other, and how many of them
+belong to each actor.
 """
 
 from __future__ import annotations
@@ -12,20 +12,21 @@ from pathlib import Path
 
 import numpy as np
 
+from rainsim.actors.actor import MOST_LABEL, NO_LABEL, Actor, ColorSeries, box_of
+from rainsim.actors.motion import Track
+from rainsim.actors.wheels import MOST_WHEELS, NO_WHEELS
 from rainsim.errors import InputError, ParameterError, shown
 from rainsim.io.arrays import TEXT, Field, read_arrays, write_arrays
 from rainsim.io.files import number_array, path_named, printable_name, read_json
-from rainsim.scene.actors import MOST_LABEL, NO_LABEL, Actor, ColorSeries, Track, box_of
 from rainsim.scene.formats import read_splats
 from rainsim.scene.harmonics import padded
 from rainsim.scene.lamps import LUMINANCE, Lamp, with_lamps
 from rainsim.scene.types import Splats
-from rainsim.scene.wheels import MOST_WHEELS, NO_WHEELS
 
 ACTORS_FILE, ACTORS_ARRAYS = "actors.json", "actors.npz"
 VERSION = 1
 REMEDY = "docs/actors.md describes the file; correct it"
-MOST_NODES = 4096
+MOST_ACTORS = 4096
 MOST_LAMPS = 4096
 MOST_PATH, MOST_PART = 1000, 250  # bytes of a path and of a name in it; longer ones no system opens
 FLOAT = float(np.finfo(np.float32).max)
@@ -38,22 +39,22 @@ _FIELDS = {
     "scale": Field("float32", ("splats", 3), 0),
     "opacity": Field("float32", ("splats",), 0, 1),
     "sh": Field("float32", ("splats", "coefficients", 3), -FLOAT, FLOAT),
-    "id": Field(TEXT, ("nodes",)),
-    "kind": Field(TEXT, ("nodes",)),
-    "box": Field("float64", ("nodes", 2, 3)),
-    "splat_count": Field("int64", ("nodes",), 1, 1 << 40),
-    "key_count": Field("int64", ("nodes",), 1, 1 << 40),
-    "term_count": Field("int64", ("nodes",), 0, 1 << 16),
-    "span": Field("float64", ("nodes", 2), -LONGEST, LONGEST),
+    "id": Field(TEXT, ("actors",)),
+    "kind": Field(TEXT, ("actors",)),
+    "box": Field("float64", ("actors", 2, 3)),
+    "splat_count": Field("int64", ("actors",), 1, 1 << 40),
+    "key_count": Field("int64", ("actors",), 1, 1 << 40),
+    "term_count": Field("int64", ("actors",), 0, 1 << 16),
+    "span": Field("float64", ("actors", 2), -LONGEST, LONGEST),
     "key_time": Field("float64", ("keys",), -LONGEST, LONGEST),
     "key_position": Field("float64", ("keys", 3)),
     "key_rotation": Field("float64", ("keys", 4), -2, 2),
     "key_visible": Field("bool", ("keys",)),
     "terms": Field("float32", ("terms", 3), -FLOAT, FLOAT),
-    "turning": Field("bool", ("nodes",)),
+    "turning": Field("bool", ("actors",)),
     "wheel": Field("float64", ("wheels", 5), needed=False),
-    "wheel_count": Field("int64", ("nodes",), -1, MOST_WHEELS, needed=False),
-    "label": Field("int64", ("nodes",), 0, MOST_LABEL, needed=False),
+    "wheel_count": Field("int64", ("actors",), -1, MOST_WHEELS, needed=False),
+    "label": Field("int64", ("actors",), 0, MOST_LABEL, needed=False),
 }
 
 
@@ -64,12 +65,12 @@ class ActorsFile:
     Attributes
     ----------
     static : Path
-        Of the scene that the nodes move through.
+        Of the scene that the actors move through.
     lamps : tuple of Lamp
         Of the static set, in the capture frame.
     actors : tuple of Actor
     files : tuple of Path
-        All files that were read: this one and those of the nodes' splats.
+        All files that were read: this one and those of the actors' splats.
     notes : tuple of str
     """
 
@@ -105,30 +106,30 @@ def read_actors(path):
         If it breaks a rule of docs/actors.md, or a splat file cannot be read.
     """
     path = Path(path)
-    data = read_json(path, "a description of nodes")
+    data = read_json(path, "a description of actors")
     if not isinstance(data, dict) or data.get("rainsim_actors") != VERSION:
         raise InputError(f"{path} lacks rainsim_actors: {VERSION}; it must have it; {REMEDY}")
     static = path.parent / _name(path, "scene", data.get("scene"))
-    nodes = data.get("nodes")
-    if not isinstance(nodes, list) or not 0 < len(nodes) <= MOST_NODES:
-        raise InputError(f"{path}: nodes must be a list of 1 to {MOST_NODES} nodes; {REMEDY}")
+    entries = data.get("nodes")
+    if not isinstance(entries, list) or not 0 < len(entries) <= MOST_ACTORS:
+        raise InputError(f"{path}: nodes must be a list of 1 to {MOST_ACTORS} actors; {REMEDY}")
     if static.resolve() == path.resolve() or actors_file(static) is not None:
-        raise InputError(f"{path}: scene must name a static set, not nodes again; {REMEDY}")
+        raise InputError(f"{path}: scene must name a static set, not actors again; {REMEDY}")
     actors, files, notes, read = [], [path], [], {}
-    for number, node in enumerate(nodes):
-        where = f"{path}, node {number}"
-        if not isinstance(node, dict):
-            raise InputError(f"{where} is {shown(node)}; it must be an object; {REMEDY}")
-        file = path_named(_name(where, "splats", node.get("splats")), path.parent)
+    for number, entry in enumerate(entries):
+        where = f"{path}, actor {number}"
+        if not isinstance(entry, dict):
+            raise InputError(f"{where} is {shown(entry)}; it must be an object; {REMEDY}")
+        file = path_named(_name(where, "splats", entry.get("splats")), path.parent)
         if file not in read:
             read[file] = read_splats(file)
             files.append(file)
             notes += [f"{file.name}: {note}" for note in read[file][1]]
-        splats, lamps = read[file][0], _lamps(where, node.get("lamps", []))
+        splats, lamps = read[file][0], _lamps(where, entry.get("lamps", []))
         if lamps:
             splats, counts = with_lamps(splats, lamps)
             notes += lamp_notes(where, counts)
-        actors.append(_actor(where, node, splats))
+        actors.append(_actor(where, entry, splats))
     lamps = _lamps(str(path), data.get("lamps", []))
     return ActorsFile(static, tuple(actors), tuple(files), tuple(notes), lamps)
 
@@ -165,14 +166,14 @@ def _name(where, key, value):
     return value
 
 
-def _actor(where, node, splats):
-    """Return the Actor of one node of an `actors.json`."""
-    name, kind = node.get("id"), node.get("class", "object")
+def _actor(where, entry, splats):
+    """Return the Actor of an entry of `nodes` in an `actors.json`."""
+    name, kind = entry.get("id"), entry.get("class", "object")
     if not isinstance(name, str | int) or isinstance(name, bool) or not str(name):
         raise InputError(f"{where}: id is {shown(name)}; it must be a text or number; {REMEDY}")
     if not isinstance(kind, str):
         raise InputError(f"{where}: class is {shown(kind)}; it must be a text; {REMEDY}")
-    track = node.get("track")
+    track = entry.get("track")
     if not isinstance(track, dict):
         raise InputError(f"{where}: track is {shown(track)}; it must be an object; {REMEDY}")
     times = track.get("times")
@@ -193,18 +194,18 @@ def _actor(where, node, splats):
         not all(isinstance(v, bool) for v in visible)
     ):  # fmt: skip
         raise InputError(f"{where}: visible must be {count} of true or false; {REMEDY}")
-    harmonics = node.get("harmonics", "node")
+    harmonics = entry.get("harmonics", "node")
     if harmonics not in ("node", "scene"):
         raise InputError(
             f"{where}: harmonics is {shown(harmonics)}; it must be node or scene; {REMEDY}"
         )
-    box = box_of(splats) if node.get("box") is None else _box(where, node["box"])
+    box = box_of(splats) if entry.get("box") is None else _box(where, entry["box"])
     try:
         way = Track(arrays["times"], arrays["positions"], arrays["rotations"], np.array(visible))
     except ParameterError as error:
         raise InputError(f"{where}: {error}; {REMEDY}") from None
-    wheels = None if node.get("wheels") is None else _wheels(where, node["wheels"])
-    label = node.get("label", NO_LABEL)
+    wheels = None if entry.get("wheels") is None else _wheels(where, entry["wheels"])
+    label = entry.get("label", NO_LABEL)
     if not isinstance(label, int) or isinstance(label, bool) or not 0 <= label <= MOST_LABEL:
         raise InputError(
             f"{where}: label is {shown(label)}; it must be a whole number from 0 to {MOST_LABEL}; "
@@ -229,7 +230,7 @@ def _box(where, data):
 
 
 def _wheels(where, data):
-    """Return the wheels of a node as `Actor` has them."""
+    """Return the wheels of an actor as `Actor` has them."""
     rows = None
     if isinstance(data, list) and len(data) <= MOST_WHEELS:
         rows = [
@@ -248,11 +249,11 @@ def _wheels(where, data):
     return rows
 
 
-# --- nodes as arrays ------------------------------------------------------------------------------
+# --- actors as arrays -----------------------------------------------------------------------------
 
 
 def actors_to_arrays(actors):
-    """Return nodes as arrays by name, as `actors_from_arrays` takes them."""
+    """Return actors as arrays by name, as `actors_from_arrays` takes them."""
     splats = [actor.splats for actor in actors]
     most = max(part.sh.shape[1] for part in splats)
     terms = [np.zeros((0, 0, 3)) if a.series is None else a.series.terms for a in actors]
@@ -279,7 +280,7 @@ def actors_to_arrays(actors):
 
 
 def actors_from_arrays(arrays):
-    """Return the nodes that `actors_to_arrays` gave, a tuple of Actor.
+    """Return the actors that `actors_to_arrays` gave, a tuple of Actor.
 
     Raises
     ------
@@ -291,11 +292,11 @@ def actors_from_arrays(arrays):
     ends = [np.cumsum(n) for n in (*counts, terms)]
     for end, name in zip(ends, ("position", "key_time", "terms"), strict=True):
         if end[-1] != len(arrays[name]):
-            raise ParameterError(f"the counts of {name} do not add up; write the nodes again")
+            raise ParameterError(f"the counts of {name} do not add up; write the actors again")
     wheel_count = arrays.get("wheel_count", np.full(len(arrays["id"]), -1))
     wheels, last = arrays.get("wheel", NO_WHEELS), np.cumsum(np.maximum(wheel_count, 0))
     if last[-1] != len(wheels):
-        raise ParameterError("the counts of wheels do not add up; write the nodes again")
+        raise ParameterError("the counts of wheels do not add up; write the actors again")
     label = arrays.get("label", np.full(len(arrays["id"]), NO_LABEL)).tolist()
     actors = []
     for k in range(len(counts[0])):
@@ -318,16 +319,16 @@ def actors_from_arrays(arrays):
 
 
 def write_actor_arrays(path, actors):
-    """Write nodes as an .npz file of a scene folder."""
+    """Write actors as an .npz file of a scene folder."""
     write_arrays(path, VERSION, actors_to_arrays(actors))
 
 
 def read_actor_arrays(path):
-    """Return the nodes of an .npz file that `write_actor_arrays` wrote, all of it checked."""
-    arrays = read_arrays(path, "set of nodes", _FIELDS, VERSION, "import the scene again")
+    """Return the actors of an .npz file that `write_actor_arrays` wrote, all of it checked."""
+    arrays = read_arrays(path, "set of actors", _FIELDS, VERSION, "import the scene again")
     turn = np.einsum("ni,ni->n", arrays["rotation"], arrays["rotation"])
     if len(arrays["id"]) == 0 or len(turn) == 0 or np.abs(turn - 1).max() > 1e-2:
-        raise InputError(f"{path} has no nodes or rotations that are no unit quaternions; "
+        raise InputError(f"{path} has no actors or rotations that are no unit quaternions; "
                          "import the scene again")  # fmt: skip
     try:
         actors = actors_from_arrays(arrays)

@@ -1,7 +1,8 @@
-"""Twin of `render.nodes`: for each frame only the data of moved nodes are sent to the device.
+"""Twin of `render.actor_splats`: for each frame the data of actors that moved go to the device.
 
-The host puts the nodes, finds the map that drops meet, what bodies shelter and what tyres throw, as
-for frames of the CPU; the static set stays where it is. The water is that of the CPU's simulation.
+The host puts the actors, finds the map that drops meet, what actors shelter and what tyres throw,
+as for frames of the CPU; the static set stays where it is. The water is that of the CPU's
+simulation.
 """
 
 from __future__ import annotations
@@ -11,8 +12,8 @@ from rainsim.cuda.rain.moving_surfaces import MovingHeights
 from rainsim.particles.spray import spray_seen
 
 
-class MovingNodes:
-    """The moving nodes in the scene of a `DeviceFrame`.
+class MovingActors:
+    """The actors in the scene of a `DeviceFrame`.
 
     Parameters
     ----------
@@ -21,17 +22,17 @@ class MovingNodes:
     Attributes
     ----------
     heights : MovingHeights or None
-        None where no body keeps the rain off that moves.
+        None where no actor keeps the rain off.
     spray : Spray or None
         None where no tyre can throw anything.
     """
 
     def __init__(self, frame):
         self._frame, conductor = frame, frame.conductor
-        movers = conductor.ground.terrain.movers
+        footprints = conductor.ground.terrain.footprints
         self.heights = self.spray = None
-        if movers:
-            self.heights = MovingHeights(conductor.ground.moving.still, movers, frame.stream)
+        if footprints:
+            self.heights = MovingHeights(conductor.ground.moving.still, footprints, frame.stream)
             self.spray = None if conductor.config.render.spray == "off" else Spray()
 
     def update(self, state):
@@ -40,7 +41,7 @@ class MovingNodes:
             self._frame.pending.append(lambda: self._send_moment(state))
 
     def _send_moment(self, state):
-        """Send the map as bodies cover it at the time of a state, and its spray."""
+        """Send the map as actors cover it at the time of a state, and its spray."""
         frame, conductor = self._frame, self._frame.conductor
         self.heights.send(*conductor.ground.moving.moment(state.time))
         if frame.passes.rain.impacts is not None:

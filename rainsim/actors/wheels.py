@@ -1,12 +1,10 @@
-"""Where a node's tyres touch the road: as its description says, or derived from a car's box.
+"""Where an actor's tyres touch the road: as its description says, or derived from a car's box.
 
 A box has no wheels in it. Those of a car are put at fixed shares of its box, which are those of a
 common hatchback and saloon within some centimetres; a description can name them exactly.
 """
 
 from __future__ import annotations
-
-from typing import NamedTuple
 
 import numpy as np
 
@@ -23,35 +21,19 @@ LENGTHS, WIDTHS, HEIGHTS = (1.0, 30.0), (0.5, 5.0), (0.5, 6.0)  # m
 REMEDY = 'correct its box or the scale, give it wheels or `wheels: []`, or set spray = "off"'
 
 
-class Body(NamedTuple):
-    """Class, box and wheels of a node that may stand on wheels; an `Actor` without its splats.
-
-    Attributes
-    ----------
-    id, kind : str
-    box : ndarray of shape (2, 3) [capture units]
-    wheels : ndarray of shape (n, 5) [capture units], or None
-    """
-
-    id: str
-    kind: str
-    box: np.ndarray
-    wheels: np.ndarray | None
-
-
 def wheels_of(actor, unit):
-    """Return the tyres of a node in metres.
+    """Return the tyres of an actor in metres.
 
     Parameters
     ----------
-    actor : Actor or Body
+    actor : Actor
     unit : float [m / capture unit]
 
     Returns
     -------
     ndarray of shape (n, 5), float64 [m]
-        x, y, z of the middle of each contact patch in the node frame, the tyre's width and its
-        radius. Without wheels of its own a node of a class in `WHEELED` has four.
+        x, y, z of the middle of each contact patch in the actor frame, the tyre's width and its
+        radius. Without wheels of its own an actor of a class in `WHEELED` has four.
 
     Raises
     ------
@@ -67,7 +49,7 @@ def wheels_of(actor, unit):
     for word, length, (low, high) in limits:
         if not low <= length <= high:
             raise ParameterError(
-                f"node {actor.id} of class {actor.kind} is {length:.3g} m {word}; a road vehicle "
+                f"actor {actor.id} of class {actor.kind} is {length:.3g} m {word}; a road vehicle "
                 f"must be from {low:g} to {high:g} m {word}; {REMEDY}"
             )
     width, radius = TYRE_WIDTH * size[1], TYRE_RADIUS * size[2]

@@ -1,4 +1,4 @@
-"""Nodes that move: their splats, harmonics, shadows, mirror images, labels; the same every time."""
+"""Actors: their splats, harmonics, shadows, mirror images, labels; the same every time."""
 
 import json
 from dataclasses import replace
@@ -7,22 +7,23 @@ import numpy as np
 import pytest
 
 from rainsim import pipeline
+from rainsim.actors.actor import Actor, ColorSeries, box_of, scene_at, with_actors
+from rainsim.actors.actor_files import read_actors
+from rainsim.actors.footprint import footprint_of, with_footprints
+from rainsim.actors.motion import Track
 from rainsim.config.settings import Config
 from rainsim.drops import GROUND, OBSTACLE
 from rainsim.errors import InputError, ParameterError
 from rainsim.rain.moving_surfaces import MovingSurfaces
 from rainsim.raster import Rasterizer, prepare
-from rainsim.render.node_labels import box_in_picture
+from rainsim.render.actor_labels import box_in_picture
 from rainsim.render.renderer import Renderer
-from rainsim.scene.actor_files import read_actors
-from rainsim.scene.actors import Actor, ColorSeries, Track, box_of, scene_at, with_actors
 from rainsim.scene.folder import import_scene, read_scene, write_scene
 from rainsim.scene.harmonics import basis, turned
 from rainsim.scene.library import load_scene
 from rainsim.scene.ply import write_splats
 from rainsim.splatting.merged import NOBODY, Merger
 from rainsim.splatting.project import color_degree_1, color_degree_2, color_degree_3
-from rainsim.terrain.movers import mover_of, with_movers
 from scenes import BOX_SIZE, moving_scene, one_splat, tiny_scene
 
 CONFIG = Config.from_preset("downpour").replace(past=6e-3, extent=1.0, spacing=0.025)
@@ -97,7 +98,7 @@ def test_the_basis_is_that_of_the_rasterizer(rng):
     assert value[1:] @ sh[1:] == pytest.approx(float(sum(bands)), abs=1e-5)
 
 
-def test_a_track_is_interpolated_and_says_when_its_node_is_there():
+def test_a_track_is_interpolated_and_says_when_its_actor_is_there():
     turns = np.array([[1.0, 0, 0, 0], QUARTER * -3])  # any length, either sign
     way = Track(np.array([1.0, 3.0]), np.array([[0.0, 0, 0], [2.0, 4, 0]]), turns,
                 np.array([True, False]))  # fmt: skip
@@ -163,18 +164,18 @@ def test_merged_sets_draw_what_one_set_draws(scene, camera):
         np.testing.assert_allclose(getattr(found, name), getattr(expected, name), atol=2e-5)
     assert (found.hit == expected.hit).mean() > 0.999
     assert (found.hit >= count).sum() > 500 and NOBODY not in merged.order[merged.order >= 0]
-    # Another moment leaves nothing of this one behind, and no nodes leave the static set alone.
-    drawer.put_nodes(merger.merged(None, count))
+    # Another moment leaves nothing of this one behind, and no actors leave the static set alone.
+    drawer.put_actors(merger.merged(None, count))
     alone = Rasterizer(prepare(scene.splats)).draw(camera, near)
     np.testing.assert_array_equal(drawer.draw(camera, near).color, alone.color)
 
 
 @pytest.mark.slow
-def test_nodes_that_nobody_sees_change_no_byte(scene, ground, states, camera):
+def test_actors_that_nobody_sees_change_no_byte(scene, ground, states, camera):
     hidden = moving_scene(visible=(False, False))
     pictures = []
     for one in (replace(scene, actors=()), hidden, scene):
-        terrain = with_movers(replace(ground, movers=()), one)
+        terrain = with_footprints(replace(ground, footprints=()), one)
         pictures.append(Renderer(one, terrain, CONFIG, camera).draw(camera, states[BEHIND])[0])
     np.testing.assert_array_equal(pictures[0], pictures[1])
     assert (pictures[0] != pictures[2]).any(axis=-1).sum() > 1500
@@ -215,7 +216,7 @@ def test_no_drop_lands_under_a_moving_box_and_water_keeps_its_account(scene, gro
     assert hit == 0 and on_top > 3
 
 
-def test_a_shelter_moves_with_its_node_and_leaves_what_is_beside_it(scene, ground):
+def test_a_shelter_moves_with_its_actor_and_leaves_what_is_beside_it(scene, ground):
     moving = MovingSurfaces(ground)
     share = np.ones(ground.grid.shape, np.float32)
     for time in (0.2, 0.8):
@@ -236,12 +237,12 @@ def test_a_shelter_moves_with_its_node_and_leaves_what_is_beside_it(scene, groun
 
 def test_a_parked_box_keeps_its_ground_dry_and_drips(ground):
     parked = moving_scene(way=((0.3, 0.35, 0.4),), visible=(True,))
-    terrain = with_movers(replace(ground, movers=()), parked)
-    assert terrain.movers == () and (terrain.top - ground.top).max() > 0.2
+    terrain = with_footprints(replace(ground, footprints=()), parked)
+    assert terrain.footprints == () and (terrain.top - ground.top).max() > 0.2
     camera = parked.cameras[2].resized(160, 120)
     renderer = Renderer(parked, terrain, CONFIG, camera)
     dry = renderer.conductor.wet_scene.ground.reach < 0.2
-    free = Renderer(replace(parked, actors=()), replace(ground, movers=()), CONFIG, camera)
+    free = Renderer(replace(parked, actors=()), replace(ground, footprints=()), CONFIG, camera)
     more = dry.sum() - (free.conductor.wet_scene.ground.reach < 0.2).sum()
     assert more * terrain.grid.cell_area == pytest.approx(BOX_SIZE[0] * BOX_SIZE[1], rel=0.35)
 
@@ -256,8 +257,8 @@ def test_a_box_in_the_picture_is_that_of_its_splats(scene, shot, camera):
     np.testing.assert_allclose(np.linalg.norm(facts["box3d"]["velocity"]), 1.0, rtol=1e-3)
     # The upright box of the same size at the same place has the splats' outline in the picture.
     frame, actor, time = scene.ground_frame, scene.actors[0], report.time
-    mover = mover_of(actor, frame, 0.025)
-    rotation, shift = mover.ground_from_upright(actor.track.at(time))
+    footprint = footprint_of(actor, frame, 0.025)
+    rotation, shift = footprint.ground_from_upright(footprint.motion.at(time))
     half = BOX_SIZE / 2
     signs = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
     corners = (signs * half + [0, 0, half[2]]) @ rotation.T + shift  # its first heading is 0
@@ -277,7 +278,7 @@ def test_a_box_behind_or_beside_the_camera(camera, scene):
     assert around == [0, 0, camera.width, camera.height]
 
 
-def test_flow_of_a_nodes_pixels_is_that_of_its_points(scene, shot, camera):
+def test_flow_of_an_actors_pixels_is_that_of_its_points(scene, shot, camera):
     _, report, _ = shot
     number, flow, mask = (report.aovs[n] for n in ("actor_id", "flow", "flow_mask"))
     mine = (number == 1) & (mask == 1)
@@ -285,8 +286,8 @@ def test_flow_of_a_nodes_pixels_is_that_of_its_points(scene, shot, camera):
     # Surfaces of the box by its truth: each pixel's ray meets the box, its point moves with it.
     frame, actor = scene.ground_frame, scene.actors[0]
     view = frame.camera_in_ground(camera)
-    mover = mover_of(actor, frame, 0.025)
-    now, then = (mover.ground_from_upright(actor.track.pose(t))
+    footprint = footprint_of(actor, frame, 0.025)
+    now, then = (footprint.ground_from_upright(footprint.motion.pose(t))
                  for t in (report.time, report.time + 1 / CONFIG.fps))  # fmt: skip
     rows, columns = np.nonzero(mine)
     rays = np.stack([(columns + 0.5 - view.cx) / view.fx, (rows + 0.5 - view.cy) / view.fy,
@@ -317,7 +318,7 @@ def test_the_mirror_image_lies_where_the_traced_one_does(scene, ground, states, 
         ("mirror", scene, calm), ("traced", scene, calm.replace(reflections="traced")),
         ("without", replace(scene, actors=()), calm),
     ):  # fmt: skip
-        renderer = Renderer(one, replace(ground, movers=()), config, camera)
+        renderer = Renderer(one, replace(ground, footprints=()), config, camera)
         _, report = renderer.draw(camera, state, None, ("reflection", "coverage"))
         light[name], water = report.aovs["reflection"], report.aovs["coverage"] > 0.5
     image = water & (np.abs(light["traced"] - light["without"]).max(axis=-1) > 0.05)
@@ -333,14 +334,14 @@ def test_the_mirror_image_lies_where_the_traced_one_does(scene, ground, states, 
 def test_a_box_hides_the_streaks_behind_it(scene, ground, states, camera):
     shown = {}
     for name, one in (("with", scene), ("without", replace(scene, actors=()))):
-        renderer = Renderer(one, replace(ground, movers=()), CONFIG, camera)
+        renderer = Renderer(one, replace(ground, footprints=()), CONFIG, camera)
         _, report = renderer.draw(camera, states[BEHIND], None, ("rain_alpha", "actor_id"))
         shown[name] = report.aovs
     box = shown["with"]["actor_id"] > 0
     assert shown["with"]["rain_alpha"][box].sum() < 0.7 * shown["without"]["rain_alpha"][box].sum()
 
 
-def test_a_data_set_carries_the_nodes(scene, ground, camera):
+def test_a_data_set_carries_the_actors(scene, ground, camera):
     from rainsim.datasets import beside, kitti
     from rainsim.datasets.sample import Plan, View
     from rainsim.datasets.shots import Shots
@@ -369,17 +370,17 @@ def test_a_data_set_carries_the_nodes(scene, ground, camera):
 
 
 def described(folder, scene, **changes):
-    """Write a scene's static set, its node and the actors.json of both into a folder."""
+    """Write a scene's static set, its actor and the actors.json of both into a folder."""
     write_scene(folder / "static", replace(scene, actors=()))
     actor = scene.actors[0]
     write_splats(folder / "box.ply", actor.splats)
-    node = {
+    actor = {
         "id": 7, "class": "parcel", "splats": "box.ply",
         "box": {"centre": actor.box[0].tolist(), "size": actor.box[1].tolist()},
         "track": {"times": actor.track.time.tolist(), "positions": actor.track.position.tolist(),
                   "rotations": actor.track.rotation.tolist()},
     }  # fmt: skip
-    data = {"rainsim_actors": 1, "scene": "static", "nodes": [node | changes]}
+    data = {"rainsim_actors": 1, "scene": "static", "nodes": [actor | changes]}
     (folder / "actors.json").write_text(json.dumps(data), encoding="utf-8")
     return folder / "actors.json"
 
@@ -436,7 +437,7 @@ def test_other_descriptions_that_are_refused(scene, tmp_path):
     good = json.loads(file.read_text(encoding="utf-8"))
     for wrong, message in (
         ({}, "rainsim_actors"), (good | {"nodes": []}, "1 to"), (good | {"scene": "."}, "static"),
-        (good | {"nodes": good["nodes"] * 2}, "two nodes have the id"),
+        (good | {"nodes": good["nodes"] * 2}, "two actors have the id"),
         (good | {"scene": 1}, "path"),
     ):  # fmt: skip
         file.write_text(json.dumps(wrong), encoding="utf-8")
@@ -449,6 +450,6 @@ def test_other_descriptions_that_are_refused(scene, tmp_path):
         read_scene(tmp_path / "kept")
 
 
-def test_nodes_of_one_name_are_refused(scene):
+def test_actors_of_one_name_are_refused(scene):
     with pytest.raises(ParameterError, match="differ; rename one"):
         with_actors(tiny_scene(), scene.actors * 2)

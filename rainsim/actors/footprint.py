@@ -1,7 +1,7 @@
-"""Height fields of nodes: the cells that a moving body keeps the rain from, wherever it is.
+"""Height fields of actors: the cells that an actor keeps the rain from, wherever it is.
 
-A body's highest and lowest surfaces are found once from its own splats, over an upright frame of
-its own; at a time they are looked up for the cells of the map that the body is over.
+An actor's highest and lowest surfaces are found once from its own splats, over an upright frame of
+its own; at a time they are looked up for the cells of the map that the actor is over.
 """
 
 from __future__ import annotations
@@ -12,78 +12,90 @@ from typing import NamedTuple
 import numpy as np
 from scipy import ndimage
 
-from rainsim.scene.actors import SOLID, Track, own_turns
-from rainsim.scene.wheels import Body
+from rainsim.actors.actor import SOLID
+from rainsim.actors.motion import Motion
+from rainsim.scene.splat_sets import own_turns
 
-LEAST_SPACING = 0.03  # m, of a body's own cells: what is finer shows gaps between its splats
+LEAST_SPACING = 0.03  # m, of an actor's own cells: what is finer shows gaps between its splats
 CLOSING = 2  # cells: gaps up to twice as wide are closed
-HIGHER = 0.02  # m over the bed that a body must be in a cell to count there
+HIGHER = 0.02  # m over the bed that an actor must be in a cell to count there
 
 
 class Shadow(NamedTuple):
-    """The cells that moving bodies cover at one time.
+    """The cells that an actor covers at one time.
 
     Attributes
     ----------
     part : tuple of slice
         Rows and columns of the map.
     top, underside : ndarray, float32 [m]
-        Of the bodies in that part; NaN where there is none.
+        Of the actor in that part; NaN beside it.
     """
 
     part: tuple
     top: np.ndarray
     underside: np.ndarray
 
+    def widened(self, margin, shape):
+        """Return the part with a margin of cells around it on a map of a shape, and itself in that.
+
+        Both are two slices: rows and columns of the map, and of that wider part.
+        """
+        wide = tuple(
+            slice(max(s.start - margin, 0), min(s.stop + margin, n))
+            for s, n in zip(self.part, shape, strict=True)
+        )
+        inner = tuple(
+            slice(s.start - w.start, s.stop - w.start) for s, w in zip(self.part, wide, strict=True)
+        )
+        return wide, inner
+
 
 @dataclass(frozen=True)
-class Mover:
-    """A body.
+class Footprint:
+    """The heights of an actor over the cells around it, wherever it is.
 
     Attributes
     ----------
-    track : Track
-        In the capture frame.
+    motion : Motion
     upright : ndarray of shape (3, 3), float64
-        Takes points of the node frame [capture units] to the upright frame [m].
-    turn : ndarray of shape (3, 3), float64
-        Rotation from the capture frame to the ground frame.
-    scale : float [m / capture unit]
-    shift : ndarray of shape (3,), float64 [m]
-        Of the ground frame.
+        Takes points of the actor frame [capture units] to the upright frame [m].
     low : ndarray of shape (2,), float64 [m]
         Corner of the height fields in the upright frame.
     spacing : float [m]
     top, underside : ndarray of shape (rows, columns), float32 [m]
-        In the upright frame; NaN beside the body.
-    body : Body or None
-        For its wheels.
+        In the upright frame; NaN beside the actor.
     """
 
-    track: Track
+    motion: Motion
     upright: np.ndarray
-    turn: np.ndarray
-    scale: float
-    shift: np.ndarray
     low: np.ndarray
     spacing: float
     top: np.ndarray
     underside: np.ndarray
-    body: Body | None = None
 
-    def places(self, points, pose):
-        """Take points (n, 3) of the node frame, in metres, to the ground frame at a pose [m]."""
-        place = self.turn @ pose.position * self.scale + self.shift
-        return points @ (self.turn @ pose.rotation).T + place
+    @property
+    def parked(self):
+        """Whether the actor stands in one place and is always there."""
+        return self.motion.actor.track.parked
+
+    @property
+    def highest(self):
+        """A height over z = 0 [m] that no part of the actor ever exceeds, however it turns."""
+        ends = self.low, self.low + self.spacing * np.array(self.top.shape[::-1])
+        across = np.abs(ends).max(axis=0)
+        up = max(np.nanmax(np.abs(self.top)), np.nanmax(np.abs(self.underside)))
+        way = self.motion.frame.to_ground(self.motion.actor.track.position)
+        return float(way[:, 2].max() + np.hypot(np.hypot(*across), up))
 
     def ground_from_upright(self, pose):
         """Return rotation and shift [m] that take the upright frame to the ground at a pose."""
-        rotation = self.turn @ pose.rotation @ np.linalg.inv(self.upright) * self.scale
-        return rotation, self.turn @ pose.position * self.scale + self.shift
+        scale = self.motion.frame.meters_per_unit
+        return pose.rotation @ np.linalg.inv(self.upright) * scale, pose.position
 
     def shadow(self, grid, time):
         """Return the `Shadow` on a `Grid` at a time [s]; None beside the map or while not there."""
-        pose = self.track.at(time)
+        pose = self.motion.at(time)
         if pose is None:
             return None
         rotation, shift = self.ground_from_upright(pose)
@@ -114,8 +126,8 @@ class Mover:
         return Shadow(part, *heights)
 
 
-def mover_of(actor, frame, spacing):
-    """Return the `Mover` of an actor on a map of a spacing [m]; None if nothing of it is solid."""
+def footprint_of(actor, frame, spacing):
+    """Return the `Footprint` of an actor on a map of a spacing [m]; None if none of it is solid."""
     splats = actor.splats.take(actor.splats.opacity > SOLID)
     if not len(splats):
         return None
@@ -132,14 +144,11 @@ def mover_of(actor, frame, spacing):
     np.minimum.at(underside, (row, column), points[:, 2])
     hit = np.isfinite(top)
     square = np.ones((3, 3), bool)
-    body = ndimage.binary_fill_holes(ndimage.binary_closing(hit, square, CLOSING))
+    solid = ndimage.binary_fill_holes(ndimage.binary_closing(hit, square, CLOSING))
     nearest = ndimage.distance_transform_edt(~hit, return_distances=False, return_indices=True)
-    top, underside = (np.where(body, a[tuple(nearest)], np.nan) for a in (top, underside))
-    return Mover(
-        actor.track, upright, frame.rotation, frame.meters_per_unit, frame.translation, low,
-        spacing, top.astype(np.float32), underside.astype(np.float32),
-        Body(actor.id, actor.kind, actor.box, actor.wheels),
-    )  # fmt: skip
+    top, underside = (np.where(solid, a[tuple(nearest)], np.nan) for a in (top, underside))
+    top, underside = top.astype(np.float32), underside.astype(np.float32)
+    return Footprint(Motion(actor, frame), upright, low, spacing, top, underside)
 
 
 def _outline(splats):
@@ -151,38 +160,42 @@ def _outline(splats):
     return np.concatenate(every)
 
 
-def movers_of(scene, spacing):
-    """Return the `Mover` of each solid node of a scene, on maps of a spacing [m]."""
-    made = (mover_of(actor, scene.ground_frame, spacing) for actor in scene.actors)
-    return tuple(mover for mover in made if mover is not None)
+def footprints_of(scene, spacing):
+    """Return the `Footprint` of each solid actor of a scene, on maps of a spacing [m]."""
+    made = (footprint_of(actor, scene.ground_frame, spacing) for actor in scene.actors)
+    return tuple(footprint for footprint in made if footprint is not None)
 
 
-def with_movers(terrain, scene, movers=None):
-    """Return the terrain with the nodes of a scene on it.
+def with_footprints(terrain, scene, footprints=None):
+    """Return the terrain with the actors of a scene on it.
 
-    Parked ones stand on the map as things do; those that move are its `movers`. Without nodes the
-    terrain itself is returned. `movers` are those of `movers_of`, where they are known.
+    Parked ones stand on the map as things do; of those that move it has the `footprints`. Without
+    actors the terrain itself is returned. `footprints` are those of `footprints_of`, where they are
+    known.
     """
-    if not scene.actors or terrain.movers:
+    if not scene.actors or terrain.footprints:
         return terrain
-    if movers is None:
-        movers = movers_of(scene, terrain.grid.spacing)
+    if footprints is None:
+        footprints = footprints_of(scene, terrain.grid.spacing)
+    parked, moving = (tuple(f for f in footprints if f.parked is still) for still in (True, False))
     top, underside = terrain.top.copy(), terrain.underside.copy()
-    for mover in movers:
-        if mover.track.parked:
-            put_on(terrain.bed, top, underside, mover.shadow(terrain.grid, 0.0))
-    moving = tuple(mover for mover in movers if not mover.track.parked)
-    return replace(terrain, top=top, underside=underside, movers=moving)
+    for shadow in shadows_on(terrain.grid, parked, 0.0):
+        put_on(terrain.bed, top, underside, shadow)
+    return replace(terrain, top=top, underside=underside, footprints=moving)
+
+
+def shadows_on(grid, footprints, time):
+    """Return the `Shadow` of each actor that is over a `Grid` at a time [s]."""
+    shadows = (footprint.shadow(grid, time) for footprint in footprints)
+    return [shadow for shadow in shadows if shadow is not None]
 
 
 def put_on(bed, top, underside, shadow):
-    """Put the bodies of a `Shadow` onto height fields, in place; return the mask of its cells.
+    """Put the actor of a `Shadow` onto height fields, in place; return the mask of its cells.
 
-    A cell holds one column. Where something higher hangs over the body, which keeps the rain off
+    A cell holds one column. Where something higher hangs over the actor, which keeps the rain off
     already, the cell stays as it is.
     """
-    if shadow is None:
-        return None
     part = shadow.part
     with np.errstate(invalid="ignore"):
         here = (shadow.top > bed[part] + HIGHER) & (shadow.top > top[part])

@@ -1,4 +1,4 @@
-"""Scenes with nodes on a real GPU: `pytest -m gpu tests/cuda/test_gpu_nodes.py`."""
+"""Scenes with actors on a real GPU: `pytest -m gpu tests/cuda/test_gpu_actors.py`."""
 
 import dataclasses
 import itertools
@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from rainsim import pipeline
+from rainsim.actors.footprint import with_footprints
 from rainsim.config.settings import Config
 from rainsim.render.renderer import Renderer as OnCpu
 from rainsim.scene.cameras import resize_to
 from rainsim.scene.library import load_scene
-from rainsim.terrain.movers import with_movers
 from scenes import moving_scene
 
 pytestmark = pytest.mark.gpu
@@ -41,7 +41,7 @@ def scene():
 
 @pytest.fixture(scope="module")
 def terrain(scene):
-    return with_movers(pipeline.extract_terrain(scene, CONFIG), scene)
+    return with_footprints(pipeline.extract_terrain(scene, CONFIG), scene)
 
 
 @pytest.fixture(scope="module")
@@ -89,7 +89,7 @@ def test_a_boxs_mirror_image_lies_where_the_traced_one_does(on_gpu, scene, terra
         ("gpu", scene, on_gpu, calm), ("traced", scene, OnCpu, calm.replace(reflections="traced")),
         ("without", bare, OnCpu, calm),
     ):  # fmt: skip
-        own = terrain if one is scene else dataclasses.replace(terrain, movers=())
+        own = terrain if one is scene else dataclasses.replace(terrain, footprints=())
         renderer = make(one, own, settings, camera)
         _, report = renderer.draw(camera, state, None, ("reflection", "coverage"))
         light[name], water = report.aovs["reflection"], report.aovs["coverage"] > 0.5
@@ -100,7 +100,7 @@ def test_a_boxs_mirror_image_lies_where_the_traced_one_does(on_gpu, scene, terra
     assert decibel(light["without"][image], light["traced"][image], 1) < 15
 
 
-def test_a_film_of_nodes_is_its_frames_and_sends_the_static_set_once(
+def test_a_film_of_actors_is_its_frames_and_sends_the_static_set_once(
     on_gpu, scene, terrain, states, camera, monkeypatch
 ):
     from rainsim.cuda.splatting.prepared import DeviceSplats
@@ -119,15 +119,15 @@ def test_a_film_of_nodes_is_its_frames_and_sends_the_static_set_once(
     found = [picture.copy() for picture, _ in renderer.film(shots)]
     np.testing.assert_array_equal(found, wanted)
     assert (found[2] != found[3]).any()
-    assert sent and all(sent)  # to the room of the nodes, before the static set
+    assert sent and all(sent)  # to the room of the actors, before the static set
     (latest,) = on_gpu(scene, terrain, CONFIG, camera).film(shots[5:])
     np.testing.assert_array_equal(latest[0], wanted[5])  # alone as in sequence
 
 
-def test_nodes_that_are_away_change_no_byte(on_gpu, scene, terrain, states, camera):
+def test_actors_that_are_away_change_no_byte(on_gpu, scene, terrain, states, camera):
     pictures = []
     for one in (dataclasses.replace(scene, actors=()), moving_scene(visible=(False, False)), scene):
-        own = with_movers(dataclasses.replace(terrain, movers=()), one)
+        own = with_footprints(dataclasses.replace(terrain, footprints=()), one)
         renderer = on_gpu(one, own, CONFIG, camera)
         pictures.append(renderer.draw(camera, states[BEHIND])[0].copy())
     np.testing.assert_array_equal(pictures[0], pictures[1])
@@ -140,8 +140,8 @@ def test_a_parked_boxs_water_stays_on_the_device(on_gpu, terrain, camera):
 
     parked = moving_scene(way=((0.3, 0.35, 0.4),), visible=(True,))
     ground = pipeline.extract_terrain(dataclasses.replace(parked, actors=()), CONFIG)
-    ground = with_movers(ground, parked)
-    assert ground.movers == () and (ground.top - terrain.top).max() > 0.2
+    ground = with_footprints(ground, parked)
+    assert ground.footprints == () and (ground.top - terrain.top).max() > 0.2
     cpu, gpu = (make(parked, ground, CONFIG, camera) for make in (OnCpu, on_gpu))
     state = next(iter(pipeline.simulate(ground, CONFIG)))
     assert decibel(gpu.draw(camera, state)[0], cpu.draw(camera, state)[0]) > 45
@@ -159,7 +159,7 @@ def test_the_streets_traffic_and_its_spray_are_those_of_the_cpu(on_gpu, capsys):
     scene = load_scene("traffic")
     settings = STREET.replace(level=0.08)
     cameras = [resize_to(camera, 320) for camera in scene.cameras]
-    terrain = with_movers(pipeline.extract_terrain(scene, settings), scene)
+    terrain = with_footprints(pipeline.extract_terrain(scene, settings), scene)
     names = (*LABELS, "rain_alpha", "splash_alpha")
     wanted, times = [], {}
     states = list(itertools.islice(pipeline.simulate(terrain, settings), settings.frames))

@@ -1,4 +1,4 @@
-"""Labels of moving nodes: which pixels show them, their boxes in space and in the picture, flow."""
+"""Labels of actors: which pixels show them, their boxes in space and in the picture, flow."""
 
 from __future__ import annotations
 
@@ -7,14 +7,15 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from rainsim.actors.motion import Motion
 from rainsim.render.labels import boxes_of
 
 NEAREST = 0.05  # m before the camera: nearer parts of a box are cut off
 EDGES = np.array([(i, i | bit) for bit in (1, 2, 4) for i in range(8) if not i & bit])
 
 
-class NodesSeen(NamedTuple):
-    """The nodes of a frame.
+class ActorsSeen(NamedTuple):
+    """The actors of a frame.
 
     Attributes
     ----------
@@ -23,7 +24,7 @@ class NodesSeen(NamedTuple):
         Of the frame, and to the next one.
     frame : GroundFrame
     number : ndarray of shape (height, width), uint16
-        Of the node that each pixel shows, from 1 on in the order of `actors`; 0 for none.
+        Of the actor that each pixel shows, from 1 on in the order of `actors`; 0 for none.
     """
 
     actors: tuple
@@ -32,36 +33,39 @@ class NodesSeen(NamedTuple):
     frame: object
     number: np.ndarray
 
+    def present(self):
+        """Yield number, `Motion` and present `Pose` in the ground frame of each that is there."""
+        for number, actor in enumerate(self.actors, start=1):
+            motion = Motion(actor, self.frame)
+            pose = motion.at(self.time)
+            if pose is not None:
+                yield number, motion, pose
 
-def moves_of(nodes):
-    """Return how the nodes that are there move until the next frame.
+
+def moves_of(actors):
+    """Return how the actors that are there move until the next frame.
 
     Parameters
     ----------
-    nodes : NodesSeen
+    actors : ActorsSeen
 
     Returns
     -------
     dict of int to ndarray of shape (4, 4), float64
-        By the node's number: takes ground points [m] on the node to where they are then. A node
+        By the actor's number: takes ground points [m] on the actor to where they are then. An actor
         that is gone then goes on as it did.
     """
-    moves = {}
-    for number, actor in enumerate(nodes.actors, start=1):
-        if actor.track.at(nodes.time) is None:
-            continue
-        before = _matrix(actor.track.pose(nodes.time), nodes.frame)
-        after = _matrix(actor.track.pose(nodes.time + nodes.interval), nodes.frame)
-        moves[number] = after @ np.linalg.inv(before)
-    return moves
+    return {
+        number: motion.step(actors.time, actors.interval) for number, motion, _ in actors.present()
+    }
 
 
-def facts_of_nodes(nodes, camera):
-    """Return the labels of each node that is present in a frame, a list of plain values.
+def facts_of_actors(actors, camera):
+    """Return the labels of each actor that is present in a frame, a list of plain values.
 
     Parameters
     ----------
-    nodes : NodesSeen
+    actors : ActorsSeen
     camera : Camera
         In the ground frame.
 
@@ -71,43 +75,38 @@ def facts_of_nodes(nodes, camera):
         `number` in the layer `actor_id`, `track` and `class`; `box3d`, see `box_in_space`;
         `box2d`, the corners' box in the picture, (left, top, right, bottom) [px], cut at its edges,
         None if it lies beside the picture or behind the camera; `box2d_seen`, the box of the pixels
-        that show the node, None if none does, and their number, `pixels`.
+        that show the actor, None if none does, and their number, `pixels`.
     """
-    seen = {box["id"]: box for box in boxes_of(nodes.number)}
+    seen = {box["id"]: box for box in boxes_of(actors.number)}
     facts = []
-    for number, actor in enumerate(nodes.actors, start=1):
-        pose = actor.track.at(nodes.time)
-        if pose is None:
-            continue
-        corners = nodes.frame.to_ground(pose.places(actor.corners()))
+    for number, motion, pose in actors.present():
+        actor = motion.actor
+        corners = pose.places(actor.corners() * actors.frame.meters_per_unit)
         mine = seen.get(number)
         facts.append({
             "number": number, "track": actor.id, "class": actor.kind,
-            "box3d": box_in_space(actor, nodes.frame, nodes.time, nodes.interval),
+            "box3d": box_in_space(motion, actors.time, actors.interval),
             "box2d": box_in_picture(corners, camera),
             "box2d_seen": mine and mine["box"], "pixels": mine["pixels"] if mine else 0,
         })  # fmt: skip
     return facts
 
 
-def box_in_space(actor, frame, time, interval):
-    """Return a node's box at a time [s] in the ground frame, as plain values; None if it is away.
+def box_in_space(motion, time, interval):
+    """Return an actor's box at a time [s] in the ground frame, as plain values; None if it is away.
 
     Centre [m], size [m] along its own axes, rotation (quaternion, w first), and velocity [m/s] over
-    `interval` [s] from then on.
+    `interval` [s] from then on. `motion` is the actor's `Motion`.
     """
-    pose = actor.track.at(time)
+    pose = motion.at(time)
     if pose is None:
         return None
-    turn = Rotation.from_matrix(frame.rotation @ pose.rotation)
-    after = actor.track.pose(time + interval)
-    centre, then = (frame.to_ground(p.places(actor.box[:1]))[0] for p in (pose, after))
+    centre, size = motion.box
+    turn = Rotation.from_matrix(pose.rotation).as_quat(canonical=True, scalar_first=True)
     return {
-        "centre": _rounded(centre),
-        "size": _rounded(actor.box[1] * frame.meters_per_unit),
-        "rotation": _rounded(np.roll(turn.as_quat(canonical=True), 1), 9),
-        "velocity": _rounded((then - centre) / interval),
-    }
+        "centre": _rounded(pose.places(centre)), "size": _rounded(size),
+        "rotation": _rounded(turn, 9), "velocity": _rounded(motion.velocity(time, interval)),
+    }  # fmt: skip
 
 
 def box_in_picture(corners, camera):
@@ -144,13 +143,5 @@ def box_in_picture(corners, camera):
     return _rounded([left, top, right, bottom], 3)
 
 
-def _matrix(pose, frame):
-    """Return ground_from_node of a pose, node lengths in metres, ndarray of shape (4, 4)."""
-    matrix = np.eye(4)
-    matrix[:3, :3] = frame.rotation @ pose.rotation
-    matrix[:3, 3] = frame.to_ground(pose.position)
-    return matrix
-
-
 def _rounded(values, digits=6):
-    return [round(float(value), digits) for value in values]
+    return [round(float(value), digits) + 0.0 for value in values]  # no -0.0

@@ -1,0 +1,1 @@
+"""What moves through a scene: its list, motion, wheels, footprint and files."""

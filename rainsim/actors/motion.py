@@ -1,0 +1,221 @@
+"""Where actors are at a time: their tracks in the capture frame, and their motion over the ground.
+
+All that follows a moving thing asks here: pictures, labels, sensors, the rain that a thing keeps
+off and the water that its tyres throw.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import Rotation, Slerp
+
+from rainsim.actors.wheels import wheels_of
+from rainsim.errors import ParameterError
+
+STILL = 1e-9  # of a pose's numbers: two that are nearer count as one pose
+COMING = 0.1  # s after the first key whose mean velocity the time before the key has
+
+
+class Pose(NamedTuple):
+    """Where an actor's frame is at one time, in the capture frame or the ground frame.
+
+    Attributes
+    ----------
+    rotation : ndarray of shape (3, 3), float64
+        Actor frame to that frame.
+    position : ndarray of shape (3,), float64 [capture units], or [m] in the ground frame
+    """
+
+    rotation: np.ndarray
+    position: np.ndarray
+
+    def places(self, points):
+        """Take points (n, 3) of the actor frame to that frame, in its unit of length."""
+        return points @ self.rotation.T + self.position
+
+    def same_as(self, other):
+        """Whether another pose has the same rotation and position."""
+        return np.array_equal(self.rotation, other.rotation) and np.array_equal(
+            self.position, other.position
+        )
+
+
+@dataclass(frozen=True)
+class Track:
+    """The way of an actor.
+
+    Between two keys the position is interpolated linearly and the rotation spherically; before the
+    first and after the last key the actor stays as it is there. A key's visibility holds until the
+    next key.
+
+    Attributes
+    ----------
+    time : ndarray of shape (k,), float64 [s]
+        Of the keys, rising; 0 is the first frame.
+    position : ndarray of shape (k, 3), float64 [capture units]
+    rotation : ndarray of shape (k, 4), float64
+        Unit quaternions, w first: actor frame to capture frame.
+    visible : ndarray of shape (k,), bool
+    """
+
+    time: np.ndarray
+    position: np.ndarray
+    rotation: np.ndarray
+    visible: np.ndarray
+
+    def __post_init__(self):
+        """Check lengths and order, and scale the quaternions to unit length."""
+        k = len(self.time)
+        shapes = (self.position.shape, self.rotation.shape, self.visible.shape)
+        if k == 0 or shapes != ((k, 3), (k, 4), (k,)):
+            raise ParameterError(
+                f"a track has {k} times and keys of shapes {shapes}; it must have one time, place, "
+                "quaternion and visibility for each of at least one key"
+            )
+        length = np.linalg.norm(self.rotation, axis=1)
+        if not np.isfinite(self.time).all() or (np.diff(self.time) <= 0).any():
+            raise ParameterError("the times of a track must be finite and rise from key to key")
+        if not np.isfinite(self.position).all() or not (np.isfinite(length) & (length > 0)).all():
+            raise ParameterError(
+                "places and quaternions of a track must be finite, no quaternion 0"
+            )
+        object.__setattr__(self, "rotation", self.rotation / length[:, None])
+
+    @property
+    def parked(self):
+        """Whether the actor stands in one place and is always there."""
+        apart = np.abs(self.position - self.position[0]).max()
+        turned_by = 1 - np.abs(self.rotation @ self.rotation[0]).min()
+        still = apart <= STILL * (1 + np.abs(self.position).max()) and turned_by <= STILL
+        return bool(still and self.visible.all())
+
+    def at(self, time):
+        """Return the `Pose` at a time [s], or None while the actor is not there."""
+        k = max(int(np.searchsorted(self.time, time, side="right")) - 1, 0)
+        return self.pose(time) if self.visible[k] else None
+
+    def poses(self, times):
+        """Return where the actor is at many times [s], and whether it is there.
+
+        Parameters
+        ----------
+        times : ndarray of shape (n,), float64
+
+        Returns
+        -------
+        rotation : ndarray of shape (n, 3, 3), float64
+        position : ndarray of shape (n, 3), float64
+        visible : ndarray of shape (n,), bool
+        """
+        times = np.asarray(times, np.float64)
+        visible = self.visible[np.searchsorted(self.time, times, side="right").clip(1) - 1]
+        at = times.clip(self.time[0], self.time[-1])
+        position = np.stack([np.interp(at, self.time, axis) for axis in self.position.T], -1)
+        turns = Rotation.from_quat(self.rotation, scalar_first=True)
+        if len(self.time) == 1:
+            return np.tile(turns[0].as_matrix(), (len(at), 1, 1)), position, visible
+        return Slerp(self.time, turns)(at).as_matrix(), position, visible
+
+    def pose(self, time):
+        """Return the `Pose` at a time [s], whether the actor is visible or not."""
+        turns = Rotation.from_quat(self.rotation, scalar_first=True)
+        k = max(int(np.searchsorted(self.time, time, side="right")) - 1, 0)
+        if time <= self.time[0] or k == len(self.time) - 1:
+            return Pose(turns[k].as_matrix(), self.position[k].copy())
+        share = (time - self.time[k]) / (self.time[k + 1] - self.time[k])
+        rotation = Slerp((0.0, 1.0), turns[[k, k + 1]])(share).as_matrix()
+        return Pose(rotation, (1 - share) * self.position[k] + share * self.position[k + 1])
+
+    def coming(self, time):
+        """Return the `Pose` at a time [s] as `at` does; before the first key, where it came from.
+
+        An actor that is there from its first key on has come as it goes on.
+        """
+        first = float(self.time[0])
+        if time >= first or not self.visible[0] or len(self.time) < 2:
+            return self.at(time)
+        step = min(COMING, float(self.time[1]) - first)
+        pose = self.pose(first)
+        speed = (self.pose(first + step).position - pose.position) / step
+        return pose._replace(position=pose.position + (time - first) * speed)
+
+    @property
+    def first_seen(self):
+        """The `Pose` at the first key at which the actor is there; the first key's if at none."""
+        return self.pose(self.time[int(np.argmax(self.visible))])
+
+
+@dataclass(frozen=True)
+class Motion:
+    """An actor's motion in the ground frame.
+
+    Its poses take points of the actor frame, in metres, to the ground frame [m].
+
+    Attributes
+    ----------
+    actor : rainsim.actors.actor.Actor
+    frame : rainsim.scene.types.GroundFrame
+    """
+
+    actor: object
+    frame: object
+
+    @property
+    def box(self):
+        """Centre and size of the box in the actor frame, ndarray of shape (2, 3) [m]."""
+        return self.actor.box * self.frame.meters_per_unit
+
+    @cached_property
+    def wheels(self):
+        """The tyres as `wheels_of` returns them [m], those in front first."""
+        wheels = wheels_of(self.actor, self.frame.meters_per_unit)
+        return wheels[np.argsort(-wheels[:, 0], kind="stable")]
+
+    def at(self, time):
+        """Return the `Pose` at a time [s], or None while the actor is not there."""
+        return self._over_ground(self.actor.track.at(time))
+
+    def pose(self, time):
+        """Return the `Pose` at a time [s], whether the actor is visible or not."""
+        return self._over_ground(self.actor.track.pose(time))
+
+    def coming(self, time):
+        """Return the `Pose` at a time [s] that may lie before the track, see `Track.coming`."""
+        return self._over_ground(self.actor.track.coming(time))
+
+    def _over_ground(self, pose):
+        """Return a pose in the capture frame as a pose in the ground frame; None for None."""
+        if pose is None:
+            return None
+        turn, scale = self.frame.rotation, self.frame.meters_per_unit
+        place = turn @ pose.position * scale + self.frame.translation
+        return Pose(turn @ pose.rotation, place)
+
+    def velocity(self, time, interval):
+        """Return the mean velocity [m/s] (3,) of the box's centre over an interval from a time."""
+        now, then = (self.pose(t).places(self.box[:1])[0] for t in (time, time + interval))
+        return (then - now) / interval
+
+    def step(self, time, interval):
+        """Return the matrix (4, 4) that takes ground points [m] on the actor along for an interval.
+
+        The interval [s] begins at `time` [s].
+        """
+        return _matrix(self.pose(time + interval)) @ np.linalg.inv(_matrix(self.pose(time)))
+
+    def speeds(self):
+        """Return the speed [m/s] after each key but the last, 0 while the actor is not there."""
+        track = self.actor.track
+        way = np.linalg.norm(np.diff(track.position, axis=0), axis=1) * self.frame.meters_per_unit
+        return way / np.diff(track.time) * track.visible[:-1]
+
+
+def _matrix(pose):
+    """Return a pose as a matrix of shape (4, 4)."""
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = pose
+    return matrix
