@@ -6,8 +6,8 @@ import json
 import math
 
 from rainsim.config import timeline
-from rainsim.config.preset_files import HUMAN_KEYS, PARTS
-from rainsim.config.settings import Config, group_of
+from rainsim.config.settings import Config
+from rainsim.config.tables import HUMAN_KEYS, PARTS, SETTINGS, group_of
 
 
 def preset_text_of(config, about=""):
@@ -24,7 +24,10 @@ def preset_text_of(config, about=""):
         One line for the head of the file, `rainsim presets` shows it.
     """
     usual, lines = Config(), [f"# {about}\n"] if about else []
-    for attribute in dict.fromkeys(name for name, _ in HUMAN_KEYS.values()):
+    if config.look != usual.look:
+        lines.append(as_toml({"look": config.look}))
+        usual = usual.replace(look=config.look)
+    for attribute in (name for name, one in SETTINGS.items() if one.keys):
         value = value_of(config, attribute)
         if value is not None and value != value_of(usual, attribute):
             lines.append(as_toml(human_values(attribute, value)))

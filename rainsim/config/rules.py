@@ -1,11 +1,101 @@
-"""Rules of single settings, and what their messages show."""
+"""Rules of single settings: whether a value may stand, in the units that people write.
+
+A rule is called with the setting's name, its value and the unit, and raises an error that names
+value, rule and remedy.
+"""
 
 from __future__ import annotations
 
+import math
 import os
+from collections.abc import Callable
+from dataclasses import dataclass
 
-from rainsim.config.preset_files import SKIES, is_number
-from rainsim.errors import InputError, ParameterError, shown
+from rainsim.errors import (
+    InputError,
+    ParameterError,
+    require_choice,
+    require_finite,
+    require_not_negative,
+    require_positive,
+    shown,
+)
+
+MM_PER_HOUR = 1e-3 / 3600  # m/s
+SKIES = ("overcast", "capture")
+
+
+@dataclass(frozen=True)
+class Number:
+    """A finite number between two ends.
+
+    Attributes
+    ----------
+    sign : callable
+        Its first check: `positive`, `not_negative` and `finite` make rules with it.
+    remedy : str
+        A usual value.
+    label : str
+        The setting's name in messages, where its attribute is none.
+    low, high : float
+        Beyond them nothing can be meant, or formulas overflow or never end.
+    most : str
+        The upper end as a message says it; without it the message names both ends.
+    """
+
+    sign: Callable
+    remedy: str = ""
+    label: str = ""
+    low: float = -math.inf
+    high: float = math.inf
+    most: str = ""
+
+    def __call__(self, name, value, unit):
+        """Raise ParameterError unless `value` obeys."""
+        name = self.label or name
+        self.sign(name, value, unit, self.remedy)
+        if self.low <= rounded(value) <= self.high:
+            return
+        unit = f" {unit}" if unit else ""
+        ends = f"lie from {self.low:g} to {self.high:g}{unit}" + f"; {self.remedy}" * bool(
+            self.remedy
+        )
+        if value > self.high and self.most:
+            ends = f"be at most {self.most}"
+        raise ParameterError(f"{name} is {value}{unit}; it must {ends}")
+
+
+def positive(remedy="", **bounds):
+    """Return the rule of a number above zero; `bounds` are attributes of `Number`."""
+    return Number(require_positive, remedy, **bounds)
+
+
+def not_negative(remedy="", **bounds):
+    """Return the rule of a number that is zero or more; `bounds` are attributes of `Number`."""
+    return Number(require_not_negative, remedy, **{"low": 0.0} | bounds)
+
+
+def finite(remedy="", **bounds):
+    """Return the rule of a number of either sign; `bounds` are attributes of `Number`."""
+    return Number(
+        lambda name, value, unit, more: require_finite(name, value, more), remedy, **bounds
+    )
+
+
+class OneOf:
+    """One of some values; where there are two, the second is mostly the paper's."""
+
+    def __init__(self, *choices, remedy="", label=""):
+        self.choices, self.remedy, self.label = choices, remedy, label
+
+    def __call__(self, name, value, unit):
+        """Raise ParameterError unless `value` is one of them."""
+        require_choice(self.label or name, value, self.choices, self.remedy)
+
+
+def whole(low, high):
+    """Return the rule of a whole number from `low` to `high`."""
+    return lambda name, value, unit: require_whole(name, value, low, high, unit)
 
 
 def check_sky(sky):
@@ -41,3 +131,10 @@ def pair(name, value, what):
 def rounded(value):
     """Return a number as a person wrote it: without the noise of a change of units."""
     return float(f"{value:.9g}") if is_number(value) else value
+
+
+def is_number(value):
+    """Return whether a value is a number that a float can hold."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return False
+    return isinstance(value, float) or abs(value) < 2**63  # TOML allows any length

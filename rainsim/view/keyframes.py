@@ -10,9 +10,10 @@ import numpy as np
 from scipy.interpolate import CubicSpline, PchipInterpolator
 from scipy.spatial.transform import Rotation, RotationSpline
 
+from rainsim.config.frame_settings import MAX_FRAMES
 from rainsim.config.preset_writer import value_of
-from rainsim.config.settings import MAX_FRAMES, Config
-from rainsim.config.timeline import CHANGING
+from rainsim.config.settings import Config
+from rainsim.config.tables import CHANGING
 from rainsim.errors import ParameterError, require_positive
 from rainsim.view.session import View
 

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from rainsim.config.controls import SLIDERS
-from rainsim.config.preset_files import HUMAN_KEYS, PARTS, from_human, preset_names
+from rainsim.config.frame_settings import MAX_SIDE
+from rainsim.config.preset_files import from_human, preset_names
 from rainsim.config.preset_writer import human_values, value_of
-from rainsim.config.settings import MAX_SEED, MAX_SIDE, METERINGS, REFLECTIONS, RELIGHTS, Config
+from rainsim.config.rain_settings import MAX_SEED
+from rainsim.config.settings import Config
+from rainsim.config.tables import HUMAN_KEYS, PARTS, SETTINGS, SLIDERS
 from rainsim.errors import ParameterError
 
 SUN_CHOICES = ("none", "sky", "angles")
 SPEEDS = ("1", "1/2", "1/4", "1/8")
-CHOICES = {"reflections": REFLECTIONS, "relight": RELIGHTS, "metering": METERINGS}
+CHOICES = {name: one.choices for name, one in SETTINGS.items() if one.dropdown}
 NO_LEVEL = 0.1  # m, where the slider of the flood begins
 SUN = {"sun_azimuth_degrees": 0.0, "sun_elevation_degrees": 45.0}  # where its sliders begin
 KEPT = ("frames", "fps", "width", "height", "surroundings", "spacing", "extent", "threads")

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from rainsim.commands.view import _address_for, _serve
-from rainsim.config.controls import OPTION_KEYS, SLIDERS, si_value
-from rainsim.config.preset_files import HUMAN_KEYS, PARTS, from_human
+from rainsim.config.preset_files import from_human
 from rainsim.config.preset_writer import preset_text_of, value_of
 from rainsim.config.settings import Config, preset_names
+from rainsim.config.tables import HUMAN_KEYS, OPTION_KEYS, PARTS, SLIDERS, si_value
 from rainsim.errors import InputError, ParameterError
 from rainsim.scene.camera_path import (
     camera_path_data,
