@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 
 import click
@@ -230,7 +231,7 @@ def _of_setting(name, text=""):
         kind = float if setting.is_number else int
     text, unit = text or option.help or setting.keys[0].meaning, setting.keys[0].unit
     if unit and unit not in (word.strip(",;:") for word in text.split()):
-        text += f", in {unit}"
+        text = re.sub("[:;]|$", f", in {unit}\\g<0>", text, count=1)
     if text.split()[0].rstrip(":") not in setting.choices:
         text = text[0].upper() + text[1:]
     return click.option(f"--{option.name.replace('_', '-')}", type=kind, metavar=metavar,
@@ -238,16 +239,17 @@ def _of_setting(name, text=""):
 
 
 def _of_panel(panel):
-    """Return the options of the settings that belong to a panel."""
-    return [_of_setting(name) for name, one in SETTINGS.items()
-            if one.option and (one.option.panel or PANELS[one.group]) == panel]  # fmt: skip
+    """Return the options of the settings that belong to a panel, as one decorator."""
+    own = {name: one.option.panel or PANELS[one.group]
+           for name, one in SETTINGS.items() if one.option}  # fmt: skip
+    return _group(*(_of_setting(name) for name, its in own.items() if its == panel))
 
 
-rain_options = _group(*_of_panel("rain"))
-light_options = _group(*_of_panel("light"))
-big_options = _group(*_of_panel("big"))
-terrain_options = _group(*_of_panel("terrain"))
-ground_map_option = _group(*_of_panel("ground_map"))
+rain_options = _of_panel("rain")
+light_options = _of_panel("light")
+big_options = _of_panel("big")
+terrain_options = _of_panel("terrain")
+ground_map_option = _of_panel("ground_map")
 shower_options = _group(  # for commands whose --rain takes several rates
     _of_setting("past", "Rain that fell before and stands in puddles, in mm; none for 0 mm/h"),
     _of_setting("wind", "Wind in m/s and the direction in which the air moves, in degrees"),
@@ -255,7 +257,7 @@ shower_options = _group(  # for commands whose --rain takes several rates
 )
 
 picture_options = _group(
-    *_of_panel("picture"),
+    _of_panel("picture"),
     click.option("--video", is_flag=True,
                  help="Also write video.mp4, or video.mov for ProRes (needs rainsim[video])."),
     click.option("--video-codec", type=click.Choice(["h264", "h265", "prores"]),

@@ -20,7 +20,7 @@ UNITS = {  # as people write them: one of it in SI, and its SI unit
 }  # fmt: skip
 # Parts of what a picture is drawn from, in the order in which they are made: a changed setting
 # makes those out of date that it touches, and a new picture is drawn in any case.
-TERRAIN, WATER, LIGHT, PASSES = PARTS = ("terrain", "water", "light", "passes")
+TERRAIN, WATER, LIGHT, PASSES = ("terrain", "water", "light", "passes")
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ class Setting:
     rule: Callable | None = None  # rule(name, value, unit) raises an error, see `rules`
     option: Option | None = None
     changing: bool = False  # whether a keyframe may set it
-    touches: tuple = PARTS  # that are made again when it changes
+    touches: tuple = (TERRAIN, WATER, LIGHT, PASSES)  # made again when it changes
     paper: object = None  # its value in the look of the paper; None: the look leaves it alone
     dropdown: bool = False  # whether the page chooses it beside the light's sliders
     kept_for: str = ""  # where no option, no slider and no built-in preset sets it: who needs it

@@ -18,22 +18,18 @@ class FrameConfig(Group):
     # fmt: off
     frames: int = setting(
         24, "frames", "", "number of frames", whole(1, MAX_FRAMES),
-        option=Option("frames", None, "the preset's, or the path's length"), touches=(),
-    )
+        option=Option("frames", None, "the preset's, or the path's length"), touches=())
     fps: float = setting(
         24.0, "fps", "frames/s", "rate of the frames",
         positive("24 is usual", low=0.1, high=9999.0),
-        option=Option("fps"), touches=(WATER, PASSES),
-    )
+        option=Option("fps"), touches=(WATER, PASSES))
     width: int | None = setting(  # None: the camera's own
         648, "width", "px", "width of the frames", whole(MIN_SIDE, MAX_SIDE),
-        option=Option("width", "PX", "648, or as --height asks", "picture"), touches=(),
-    )
+        option=Option("width", "PX", "648, or as --height asks", "picture"), touches=())
     height: int | None = setting(
-        None, "height", "px", "height of the frames in px; with a width too the picture is "
-        "cropped, without a height it follows from the camera's shape", whole(MIN_SIDE, MAX_SIDE),
-        option=Option("height", "PX", "the camera's shape", "picture"), touches=(),
-    )
+        None, "height", "px", "height of the frames; with a width too the picture is cropped, "
+        "without a height it follows from the camera's shape", whole(MIN_SIDE, MAX_SIDE),
+        option=Option("height", "PX", "the camera's shape", "picture"), touches=())
     # fmt: on
     frame_range: tuple | None = setting(None, touches=())  # (first, end), end excluded; None: all
     threads: int | None = setting(None, rule=whole(1, 4096), touches=())  # None: all cores

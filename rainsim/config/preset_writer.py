@@ -7,7 +7,7 @@ import math
 
 from rainsim.config import timeline
 from rainsim.config.settings import Config
-from rainsim.config.tables import HUMAN_KEYS, PARTS, SETTINGS, group_of
+from rainsim.config.tables import HUMAN_KEYS, PARTS, SETTINGS
 
 
 def preset_text_of(config, about=""):
@@ -28,8 +28,8 @@ def preset_text_of(config, about=""):
         lines.append(as_toml({"look": config.look}))
         usual = usual.replace(look=config.look)
     for attribute in (name for name, one in SETTINGS.items() if one.keys):
-        value = value_of(config, attribute)
-        if value is not None and value != value_of(usual, attribute):
+        value = config.value(attribute)
+        if value is not None and value != usual.value(attribute):
             lines.append(as_toml(human_values(attribute, value)))
     for time, changes in config.keyframes:
         table = {timeline.TIME_KEY: time}
@@ -37,12 +37,6 @@ def preset_text_of(config, about=""):
             table |= human_values(name, value)
         lines.append(f"\n[[{timeline.LIST_KEY}]]\n{as_toml(table)}")
     return "".join(lines)
-
-
-def value_of(config, attribute):
-    """Return the value [SI] of a setting by its name, whatever its group."""
-    group = group_of(attribute)
-    return getattr(config if group is None else getattr(config, group), attribute)
 
 
 def human(value, unit):

@@ -27,28 +27,14 @@ SKIES = ("overcast", "capture")
 
 @dataclass(frozen=True)
 class Number:
-    """A finite number between two ends.
+    """A finite number between two ends; `positive`, `not_negative` and `finite` make one."""
 
-    Attributes
-    ----------
-    sign : callable
-        Its first check: `positive`, `not_negative` and `finite` make rules with it.
-    remedy : str
-        A usual value.
-    label : str
-        The setting's name in messages, where its attribute is none.
-    low, high : float
-        Beyond them nothing can be meant, or formulas overflow or never end.
-    most : str
-        The upper end as a message says it; without it the message names both ends.
-    """
-
-    sign: Callable
-    remedy: str = ""
-    label: str = ""
-    low: float = -math.inf
+    sign: Callable  # its first check
+    remedy: str = ""  # a usual value
+    label: str = ""  # the setting's name in messages, where its attribute is none
+    low: float = -math.inf  # beyond the ends nothing can be meant, or formulas overflow
     high: float = math.inf
-    most: str = ""
+    most: str = ""  # the upper end as a message says it; without it the message names both
 
     def __call__(self, name, value, unit):
         """Raise ParameterError unless `value` obeys."""
@@ -57,12 +43,12 @@ class Number:
         if self.low <= rounded(value) <= self.high:
             return
         unit = f" {unit}" if unit else ""
-        ends = f"lie from {self.low:g} to {self.high:g}{unit}" + f"; {self.remedy}" * bool(
-            self.remedy
-        )
+        rule = f"lie from {self.low:g} to {self.high:g}{unit}"
         if value > self.high and self.most:
-            ends = f"be at most {self.most}"
-        raise ParameterError(f"{name} is {value}{unit}; it must {ends}")
+            rule = f"be at most {self.most}"
+        elif self.remedy:
+            rule += f"; {self.remedy}"
+        raise ParameterError(f"{name} is {value}{unit}; it must {rule}")
 
 
 def positive(remedy="", **bounds):
@@ -77,9 +63,7 @@ def not_negative(remedy="", **bounds):
 
 def finite(remedy="", **bounds):
     """Return the rule of a number of either sign; `bounds` are attributes of `Number`."""
-    return Number(
-        lambda name, value, unit, more: require_finite(name, value, more), remedy, **bounds
-    )
+    return Number(lambda name, x, _, more: require_finite(name, x, more), remedy, **bounds)
 
 
 class OneOf:

@@ -67,10 +67,11 @@ class Config(FrameConfig):
     def look(self):
         """The look: "paper" where every choice of the paper is taken, else "physical"."""
         paper = look_settings("paper")
-        taken = all(self._value(name) == value for name, value in paper.items())
+        taken = all(self.value(name) == value for name, value in paper.items())
         return "paper" if taken else "physical"
 
-    def _value(self, name):
+    def value(self, name):
+        """Return the value [SI] of a setting by its name, whatever its group."""
         group = group_of(name)
         return getattr(self if group is None else getattr(self, group), name)
 
@@ -82,7 +83,7 @@ class Config(FrameConfig):
         """Return the settings as they are at a time [s], without keyframes."""
         if not self.keyframes:
             return self
-        values = timeline.values_at(self.keyframes, self._value, time)
+        values = timeline.values_at(self.keyframes, self.value, time)
         return dataclasses.replace(self, keyframes=()).replace(**values)
 
     @property

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from rainsim.config.declare import LIGHT, PARTS, PASSES, TERRAIN, WATER
-from rainsim.config.preset_writer import value_of
+from rainsim.config.declare import LIGHT, PASSES, TERRAIN, WATER
 from rainsim.config.tables import SETTINGS
 
+PARTS = (TERRAIN, WATER, LIGHT, PASSES)  # in the order in which they are made
 NEEDS = {name: one.touches for name, one in SETTINGS.items() if one.touches}
 # Settings that are read for each picture: a changed one needs a new picture and nothing else.
 PICTURE = frozenset(SETTINGS) - set(NEEDS)
@@ -23,7 +23,7 @@ def settings():
 
 def changed(before, after):
     """Return the names of the settings in which two `Config` differ."""
-    return [n for n in settings() if value_of(before, n) != value_of(after, n)]
+    return [n for n in settings() if before.value(n) != after.value(n)]
 
 
 def out_of_date(before, after):

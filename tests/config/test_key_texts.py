@@ -5,7 +5,7 @@ import json
 import pytest
 
 from rainsim.config.preset_files import preset_text
-from rainsim.config.preset_writer import preset_text_of, value_of
+from rainsim.config.preset_writer import preset_text_of
 from rainsim.config.settings import Config, preset_names
 from rainsim.config.tables import (
     CHOICES,
@@ -85,11 +85,11 @@ def test_the_look_sets_the_choices_of_the_paper_and_each_can_still_be_set_by_its
     assert together.look == "paper" and Config().look == "physical"
     assert together.replace(look="physical") == Config()
     for name, value in paper.items():
-        assert value_of(Config(), name) != value
+        assert Config().value(name) != value
         alone = Config().replace(**{name: value})
-        assert alone.look == "physical" and value_of(alone, name) == value
-        but = f'{name} = {json.dumps(value_of(Config(), name))}\nlook = "paper"\n'
-        assert Config.from_toml(but) == together.replace(**{name: value_of(Config(), name)})
+        assert alone.look == "physical" and alone.value(name) == value
+        but = f'{name} = {json.dumps(Config().value(name))}\nlook = "paper"\n'
+        assert Config.from_toml(but) == together.replace(**{name: Config().value(name)})
         assert Config.from_toml(preset_text_of(alone)) == alone
     assert preset_text_of(together) == 'look = "paper"\n'
     with pytest.raises(ParameterError, match=r"a.toml: look is 3; it must be one of physical, pap"):
