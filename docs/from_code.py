@@ -17,7 +17,7 @@ import rainsim
 from rainsim.cli import INTERRUPTED, cli
 from rainsim.commands.variables import VARIABLES
 from rainsim.config import preset_files
-from rainsim.config.key_texts import table as key_table
+from rainsim.config.tables import table as key_table
 
 ROOT = Path(__file__).resolve().parent.parent
 PLACE = re.compile(r"<!-- code: ([\w /.-]+) -->")
@@ -225,8 +225,6 @@ def public_nodes(kinds):
 
 def counts():
     """Return how many of each kind of thing are documented, of all that exist."""
-    from rainsim.config.key_texts import MEANINGS
-    from rainsim.config.preset_files import HUMAN_KEYS
     from rainsim.render.aov import AOVS
 
     every = [command for _, command in commands()]
@@ -237,7 +235,7 @@ def counts():
     pairs = {
         "commands": (sum(bool(command.help) for command in every), len(every)),
         "options": (sum(bool(option.help) for option in options), len(options)),
-        "keys of preset files": (sum(key in MEANINGS for key in HUMAN_KEYS), len(HUMAN_KEYS)),
+        "keys of preset files": (sum(bool(row[-1]) for row in key_table()), len(key_table())),
         "presets": (presets().count("\n### ") + 1, len(preset_files.preset_names())),
         "layers": (sum(bool(aov.what) for aov in AOVS.values()), len(AOVS)),
         "environment variables": (sum(map(bool, VARIABLES.values())), len(VARIABLES)),

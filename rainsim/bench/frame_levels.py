@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import ndimage
 
-from rainsim.config.settings import REFLECTIONS
+from rainsim.config.tables import CHOICES
 from rainsim.scene.cameras import orbit
 
 PRESET = "moderate"
@@ -23,12 +23,14 @@ LEVELS = {
     "merge 8 px": ({"merge": 8.0}, 1.0),
     "full mirrors": ({"mirror_size": "full"}, 1.0),
     **{
-        name: ({"reflections": name}, 1.0) for name in REFLECTIONS if name not in ("auto", "traced")
+        name: ({"reflections": name}, 1.0)
+        for name in CHOICES["reflections"]
+        if name not in ("auto", "traced")
     },
 }
 TRUTH = {
     "merge": 0.0,
-    "reflections": "traced" if "traced" in REFLECTIONS else "auto",
+    "reflections": "traced",
     "streak_far": 16.0,
 }
 

@@ -27,8 +27,8 @@ def settings(preset, given, base=None):
         Option names and their values in the command line's units; None is not given.
     base : Config, optional
     """
-    from rainsim.config.controls import OPTION_KEYS
     from rainsim.config.settings import Config
+    from rainsim.config.tables import OPTION_KEYS
 
     changes = {}
     for name, value in given.items():
@@ -56,8 +56,7 @@ def _path_says(given):
 
 def _in_si(keys, value):
     """Return the attribute that an option's preset keys fill, and its value in SI units."""
-    from rainsim.config.controls import SUN_WORDS, si_value
-    from rainsim.config.preset_files import HUMAN_KEYS
+    from rainsim.config.tables import HUMAN_KEYS, SUN_WORDS, si_value
 
     attribute = HUMAN_KEYS[keys[0]][0]
     if len(keys) == 1:

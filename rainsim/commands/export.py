@@ -186,7 +186,7 @@ def export(
 
 def rains_of(text):
     """Return the rain rates [mm/h] of a text with commas, rising, each once."""
-    from rainsim.config.settings import MAX_RATE
+    from rainsim.config.rain_settings import MAX_RATE
 
     try:
         rates = sorted({float(part) for part in text.split(",")})

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 
 import click
 
 from rainsim.config.preset_files import DEFAULT_PRESET
+from rainsim.config.tables import SETTINGS
 
 WIDTH = 648  # px, where neither a width nor a height is given
 PRESETS = "the preset's"  # shown as the default of options that override a preset
@@ -213,96 +215,49 @@ preset_option = click.option(
     help="A name from `rainsim presets`, or a file of such settings.",
 )
 
-rain_options = _group(
-    click.option("--rain", type=float, metavar="MM/H", show_default=PRESETS,
-                 help="Rain rate in mm/h."),
-    click.option("--past-rain", type=float, metavar="MM", show_default=PRESETS,
-                 help="Rain that fell before the first frame and stands in puddles, in mm."),
-    click.option("--drying", type=float, metavar="HOURS", show_default=PRESETS,
-                 help="Hours since the past rain ended: first the gloss dries, then the darkening; "
-                 "puddles shrink."),
-    click.option("--puddles", type=float, metavar="0..2", show_default=PRESETS,
-                 help="Factor on the past rain that stands in the ground's dips."),
-    click.option("--wind", type=Numbers("speed,direction"), show_default=PRESETS,
-                 help="Wind in m/s at 10 m height, and the direction in which the air moves, in "
-                 "degrees from the first camera's view, counter-clockwise seen from above."),
-    click.option("--water-level", type=float, metavar="M", show_default=PRESETS,
-                 help="Flood: level of still water, in metres above the low ground (the 5th "
-                 "percentile of its heights)."),
-    click.option("--water-scheme", metavar="NAME", show_default=PRESETS,
-                 help="How the flow is computed: accurate, of second order (auto on a CPU); lean, "
-                 "of first order in less than half the time (auto on a GPU, which has no other); "
-                 "paper, as the RainyGS paper does."),
-    click.option("--seed", type=int, show_default=PRESETS,
-                 help="Random seed: other drops with another number."),
-    click.option("--frames", type=int, show_default="the preset's, or the path's length",
-                 help="Number of frames."),
-    click.option("--fps", type=float, show_default=PRESETS, help="Frames per second."),
-)  # fmt: skip
+PANELS = {  # group of settings: its options, where a setting names no others
+    "rain": "rain", "water": "rain", "render": "light", None: "rain", "terrain": "terrain",
+}  # fmt: skip
 
+
+def _of_setting(name, text=""):
+    """Return the option of a setting; `text` is a help text in place of its own."""
+    setting, option = SETTINGS[name], SETTINGS[name].option
+    kind, metavar = str, option.metavar
+    if len(setting.keys) > 1:
+        parts, _, words = metavar.partition("|")
+        kind, metavar = Numbers(parts.lower(), words), None
+    elif setting.kind.startswith(("float", "int")):
+        kind = float if setting.is_number else int
+    text, unit = text or option.help or setting.keys[0].meaning, setting.keys[0].unit
+    if unit and unit not in (word.strip(",;:") for word in text.split()):
+        text = re.sub("[:;]|$", f", in {unit}\\g<0>", text, count=1)
+    if text.split()[0].rstrip(":") not in setting.choices:
+        text = text[0].upper() + text[1:]
+    return click.option(f"--{option.name.replace('_', '-')}", type=kind, metavar=metavar,
+                        show_default=option.default, help=f"{text}.")  # fmt: skip
+
+
+def _of_panel(panel):
+    """Return the options of the settings that belong to a panel, as one decorator."""
+    own = {name: one.option.panel or PANELS[one.group]
+           for name, one in SETTINGS.items() if one.option}  # fmt: skip
+    return _group(*(_of_setting(name) for name, its in own.items() if its == panel))
+
+
+rain_options = _of_panel("rain")
+light_options = _of_panel("light")
+big_options = _of_panel("big")
+terrain_options = _of_panel("terrain")
+ground_map_option = _of_panel("ground_map")
 shower_options = _group(  # for commands whose --rain takes several rates
-    click.option("--past-rain", type=float, metavar="MM", show_default=PRESETS,
-                 help="Rain that fell before and stands in puddles, in mm; none for 0 mm/h."),
-    click.option("--wind", type=Numbers("speed,direction"), show_default=PRESETS,
-                 help="Wind in m/s and the direction in which the air moves, in degrees."),
-    click.option("--seed", type=int, show_default=PRESETS,
-                 help="Random seed: other drops with another number."),
-)  # fmt: skip
-
-light_options = _group(
-    click.option("--exposure", type=float, metavar="MS", show_default=PRESETS,
-                 help="Shutter time in ms, at most the time from one frame to the next."),
-    click.option("--sky", metavar="FILE.hdr|overcast|capture", show_default=PRESETS,
-                 help="What water mirrors where the capture shows nothing: an equirectangular "
-                 "picture, an overcast sky, or the captured sky."),
-    click.option("--sun", type=Numbers("azimuth,elevation", words="none|sky"), show_default=PRESETS,
-                 help="Direction of the sun in degrees, azimuth as for --wind; sky: the brightest "
-                 "spot of the sky. Also where --relight takes the captured sun to have stood, "
-                 "within 5 degrees."),
-    click.option("--cloudiness", type=float, metavar="0..1", show_default=PRESETS,
-                 help="Share of the sky under clouds: 0 clear to 1 overcast."),
-    click.option("--relight", metavar="auto|off", show_default=PRESETS,
-                 help="auto: shadows and colour of the sun that a capture was taken in go as "
-                 "clouds cover the sky; off: they stay."),
-    click.option("--reflections", metavar="NAME", show_default=PRESETS,
-                 help="How reflections are found: mirror draws the capture again from the mirrored "
-                 "camera; ssr marches rays through the picture; auto uses mirror at the levels "
-                 "of most water and ssr elsewhere; traced follows rays through the splats and is "
-                 "slow; paper does as the RainyGS paper."),
-    click.option("--brightness", type=float, metavar="FACTOR", show_default=PRESETS,
-                 help="Factor on the brightness of the finished picture."),
-    click.option("--metering", metavar="auto|off", show_default=PRESETS,
-                 help="auto exposes the land as a camera's meter does on a rainy day; off keeps "
-                 "the capture's exposure."),
-    click.option("--exposure-bias", type=float, metavar="EV", show_default=PRESETS,
-                 help="Added to the meter's choice where it is wet: a meter takes back what "
-                 "wetting darkens."),
-    click.option("--wetness", type=float, metavar="0..2", show_default=PRESETS,
-                 help="Factor on how much wet things darken and gloss; 1 is as measured."),
-    click.option("--ripples", type=float, metavar="0..2", show_default=PRESETS,
-                 help="Factor on the height of ripples; 1 is as measured."),
-    click.option("--ground-albedo", type=float, metavar="0..1", show_default="guessed",
-                 help="Share of the light that the open dry ground reflects, such as 0.3 for clean "
-                 "concrete: it sets how bright the sky is against the land."),
-    click.option("--merge", type=float, metavar="PX", show_default=PRESETS,
-                 help="Splats that are finer than cells of so many px are drawn as one for each "
-                 "cell; larger is coarser and faster, 0 draws all splats."),
-)  # fmt: skip
-
-big_options = _group(
-    click.option("--detail", type=float, metavar="PX", show_default=PRESETS,
-                 help="Of a capture in chunks: what is merged takes at most so many px of the "
-                 "picture; larger is coarser and faster, 0 draws all splats."),
-    click.option("--memory", type=float, metavar="GB", show_default=PRESETS,
-                 help="What the splats of a capture in chunks may take, in GB; what does not fit "
-                 "is drawn coarser."),
-)  # fmt: skip
+    _of_setting("past", "Rain that fell before and stands in puddles, in mm; none for 0 mm/h"),
+    _of_setting("wind", "Wind in m/s and the direction in which the air moves, in degrees"),
+    _of_setting("seed"),
+)
 
 picture_options = _group(
-    click.option("--width", type=int, metavar="PX", show_default="648, or as --height asks",
-                 help="Width of the frames in px."),
-    click.option("--height", type=int, metavar="PX", show_default="the camera's shape",
-                 help="Height of the frames in px; with --width the picture is cropped."),
+    _of_panel("picture"),
     click.option("--video", is_flag=True,
                  help="Also write video.mp4, or video.mov for ProRes (needs rainsim[video])."),
     click.option("--video-codec", type=click.Choice(["h264", "h265", "prores"]),
@@ -316,20 +271,6 @@ picture_options = _group(
                  "quantiser of 64^(1 - N/100)."),
     click.option("--layers", metavar="all|NAME,NAME", show_default="none",
                  help="Also write parts of each frame for compositing, such as depth,water_depth."),
-)  # fmt: skip
-
-terrain_options = _group(
-    click.option("--spacing", type=float, metavar="M", show_default="about 0.02, chosen",
-                 help="Cell size of the height map in metres."),
-    click.option("--extent", type=float, metavar="M", show_default="chosen from the cameras",
-                 help="Half the width of the height map in metres."),
-)  # fmt: skip
-
-ground_map_option = click.option(
-    "--ground-map", metavar="auto|whole|path", show_default=PRESETS,
-    help="whole is one height map for all frames; path, windows of fine cells that follow the "
-    "frames' cameras, each with water of its own; auto takes path for several cameras near the "
-    "ground that range so far that one map would have cells of more than 2.5 cm.",
 )  # fmt: skip
 
 range_option = click.option(

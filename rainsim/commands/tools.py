@@ -206,7 +206,7 @@ def presets(name, keys, as_json):
 
 
 def _list_keys(as_json):
-    from rainsim.config.key_texts import table
+    from rainsim.config.tables import table
 
     names = ("key", "unit", "default", "choices", "in_keyframes", "meaning")
     rows = [dict(zip(names, row, strict=True)) for row in table()]

@@ -1,4 +1,4 @@
-"""The keys of preset files: their names, the units that people use, and the files themselves."""
+"""Preset files: where they lie, and how their keys, in the units of people, are read."""
 
 from __future__ import annotations
 
@@ -8,79 +8,12 @@ import tomllib
 from importlib import resources
 from pathlib import Path
 
+from rainsim.config.rules import SKIES, is_number
+from rainsim.config.tables import HUMAN_KEYS, PARTS
 from rainsim.errors import MOST_VALUE, InputError, ParameterError, shown
 
-MM_PER_HOUR = 1e-3 / 3600  # m/s
 MOST_BYTES, LONGEST_LINE = 1 << 20, 1000  # of a preset file; 10,000 keyframes fit
-SKIES = ("overcast", "capture")
-
-# Key in a preset file: attribute and what one unit of the key is in SI (None: not a number).
-HUMAN_KEYS = {
-    "rain_mm_per_hour": ("rate", MM_PER_HOUR),
-    "past_rain_mm": ("past", 1e-3),
-    "drying_hours": ("drying", 3600.0),
-    "puddles": ("puddles", 1.0),
-    "wind_speed_m_per_s": ("wind", 1.0),
-    "wind_direction_degrees": ("wind", math.pi / 180),
-    "wind_roughness_m": ("roughness", 1.0),
-    "gusts": ("gusts", 1.0),
-    "drop_radii": ("drop_radii", None),
-    "drips": ("drips", None),
-    "seed": ("seed", None),
-    "water_scheme": ("scheme", None),
-    "water_level_m": ("level", 1.0),
-    "surface_film": ("surface_film", 1.0),
-    "courant": ("courant", 1.0),
-    "exposure_ms": ("exposure", 1e-3),
-    "sky": ("sky", None),
-    "sun_azimuth_degrees": ("sun", math.pi / 180),
-    "sun_elevation_degrees": ("sun", math.pi / 180),
-    "cloudiness": ("cloudiness", 1.0),
-    "daylight": ("daylight", 1.0),
-    "relight": ("relight", None),
-    "brightness": ("brightness", 1.0),
-    "metering": ("metering", None),
-    "exposure_bias_ev": ("exposure_bias", 1.0),
-    "ground_albedo": ("ground_albedo", 1.0),
-    "wetting": ("wetting", None),
-    "wetness": ("wetness", 1.0),
-    "ripples": ("ripples", 1.0),
-    "reflections": ("reflections", None),
-    "mirror_size": ("mirror_size", None),
-    "film": ("film", None),
-    "tops": ("tops", None),
-    "refraction": ("refraction", None),
-    "fresnel": ("fresnel", None),
-    "highlight": ("highlight", None),
-    "coverage": ("coverage", None),
-    "water_geometry": ("water_geometry", None),
-    "streaks": ("streaks", None),
-    "splashes": ("splashes", None),
-    "spray": ("spray", None),
-    "glare": ("glare", None),
-    "streak_far_m": ("streak_far", 1.0),
-    "aperture_mm": ("aperture", 1e-3),
-    "focus_m": ("focus", 1.0),
-    "merge_px": ("merge", 1.0),
-    "detail_px": ("detail", 1.0),
-    "memory_gb": ("memory", 1e9),
-    "surroundings_x": ("surroundings", 1.0),
-    "surroundings_y": ("surroundings", 1.0),
-    "surroundings_z": ("surroundings", 1.0),
-    "frames": ("frames", None),
-    "fps": ("fps", 1.0),
-    "width": ("width", None),
-    "height": ("height", None),
-    "terrain_spacing_m": ("spacing", 1.0),
-    "terrain_extent_m": ("extent", 1.0),
-    "ground_map": ("ground_map", None),
-}
 DEFAULT_PRESET = "downpour"  # what a newcomer sees first: rain that shows at once
-PARTS = {  # attributes that several keys fill, with what stands for a missing one (None: required)
-    "wind": (("wind_speed_m_per_s", 0.0), ("wind_direction_degrees", 0.0)),
-    "sun": (("sun_azimuth_degrees", None), ("sun_elevation_degrees", None)),
-    "surroundings": tuple((f"surroundings_{axis}", None) for axis in "xyz"),
-}
 
 
 def preset_names():
@@ -178,10 +111,3 @@ def nearest(name, known, hint="the nearest is {!r}", otherwise="known are {}"):
     """Return a hint that names the known word closest to `name`, or all if none is close."""
     close = difflib.get_close_matches(str(name)[:MOST_VALUE], list(known), n=1, cutoff=0.5)
     return hint.format(close[0]) if close else otherwise.format(", ".join(known))
-
-
-def is_number(value):
-    """Return whether a value is a number that a float can hold."""
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        return False
-    return isinstance(value, float) or abs(value) < 2**63  # TOML allows any length

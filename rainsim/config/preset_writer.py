@@ -6,8 +6,8 @@ import json
 import math
 
 from rainsim.config import timeline
-from rainsim.config.preset_files import HUMAN_KEYS, PARTS
-from rainsim.config.settings import Config, group_of
+from rainsim.config.settings import Config
+from rainsim.config.tables import HUMAN_KEYS, PARTS, SETTINGS
 
 
 def preset_text_of(config, about=""):
@@ -24,9 +24,12 @@ def preset_text_of(config, about=""):
         One line for the head of the file, `rainsim presets` shows it.
     """
     usual, lines = Config(), [f"# {about}\n"] if about else []
-    for attribute in dict.fromkeys(name for name, _ in HUMAN_KEYS.values()):
-        value = value_of(config, attribute)
-        if value is not None and value != value_of(usual, attribute):
+    if config.look != usual.look:
+        lines.append(as_toml({"look": config.look}))
+        usual = usual.replace(look=config.look)
+    for attribute in (name for name, one in SETTINGS.items() if one.keys):
+        value = config.value(attribute)
+        if value is not None and value != usual.value(attribute):
             lines.append(as_toml(human_values(attribute, value)))
     for time, changes in config.keyframes:
         table = {timeline.TIME_KEY: time}
@@ -34,12 +37,6 @@ def preset_text_of(config, about=""):
             table |= human_values(name, value)
         lines.append(f"\n[[{timeline.LIST_KEY}]]\n{as_toml(table)}")
     return "".join(lines)
-
-
-def value_of(config, attribute):
-    """Return the value [SI] of a setting by its name, whatever its group."""
-    group = group_of(attribute)
-    return getattr(config if group is None else getattr(config, group), attribute)
 
 
 def human(value, unit):

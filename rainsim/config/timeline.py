@@ -10,15 +10,11 @@ import math
 from bisect import bisect_right
 from itertools import pairwise
 
+from rainsim.config.tables import CHANGING
 from rainsim.errors import ParameterError, require_choice, require_finite
 
 TIME_KEY = "time_s"
 LIST_KEY = "keyframe"  # [[keyframe]] in TOML
-# What a keyframe may set.
-CHANGING = (
-    "rate", "past", "drying", "level", "wind", "exposure", "cloudiness", "brightness",
-    "exposure_bias", "wetness",
-)  # fmt: skip
 
 
 def read_keyframes(tables, from_human, where):

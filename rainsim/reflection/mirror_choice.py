@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from rainsim.config.preset_files import MM_PER_HOUR
+from rainsim.config.rules import MM_PER_HOUR
 
 MIRROR_SPREAD = 0.06  # m: water at levels farther apart has no mirror in common
 MOST_MIRRORS = 3  # levels that auto draws mirrored; what stands at others is marched

@@ -24,7 +24,7 @@ def fresnel(cosine):
     return HALF * (s * s + p * p)
 
 
-# Laws of reflectance by the name that a configuration gives them (`config.settings.FRESNELS`).
+# Laws of reflectance by the name that a configuration gives them (`RenderConfig.fresnel`).
 EXACT, SCHLICK = 0, 1
 LAWS = {"exact": EXACT, "schlick": SCHLICK}
 

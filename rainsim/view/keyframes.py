@@ -10,9 +10,9 @@ import numpy as np
 from scipy.interpolate import CubicSpline, PchipInterpolator
 from scipy.spatial.transform import Rotation, RotationSpline
 
-from rainsim.config.preset_writer import value_of
-from rainsim.config.settings import MAX_FRAMES, Config
-from rainsim.config.timeline import CHANGING
+from rainsim.config.frame_settings import MAX_FRAMES
+from rainsim.config.settings import Config
+from rainsim.config.tables import CHANGING
 from rainsim.errors import ParameterError, require_positive
 from rainsim.view.session import View
 
@@ -150,7 +150,7 @@ def timeline_of(keyframes):
     """
     changes = []
     for name in CHANGING:
-        values = [value_of(keyframe.config, name) for keyframe in keyframes]
+        values = [keyframe.config.value(name) for keyframe in keyframes]
         if all(value == values[0] for value in values):
             continue
         if None in values:
@@ -185,7 +185,7 @@ def path_config(keyframes, config):
         What the keyframes do not change is taken from it.
     """
     frames = len(smooth_path(keyframes, config.fps))
-    steady = config.replace(**{n: value_of(keyframes[0].config, n) for n in CHANGING})
+    steady = config.replace(**{n: keyframes[0].config.value(n) for n in CHANGING})
     moments = moments_of(keyframes, config.fps)
     steady = replace(steady, frames=frames, moments=moments)
     return replace(steady, keyframes=timeline_of(keyframes)).check()

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from rainsim.config.settings import MAX_SIDE
+from rainsim.config.frame_settings import MAX_SIDE
 from rainsim.errors import ParameterError, RainsimError
 from rainsim.io.files import parsed_json, printable_name
 from rainsim.render.leaving import HARDLY_SEEN, MUCH

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from rainsim.config.controls import SLIDERS
-from rainsim.config.preset_files import HUMAN_KEYS, PARTS, from_human, preset_names
-from rainsim.config.preset_writer import human_values, value_of
-from rainsim.config.settings import MAX_SEED, MAX_SIDE, METERINGS, REFLECTIONS, RELIGHTS, Config
+from rainsim.config.frame_settings import MAX_SIDE
+from rainsim.config.preset_files import from_human, preset_names
+from rainsim.config.preset_writer import human_values
+from rainsim.config.rain_settings import MAX_SEED
+from rainsim.config.settings import Config
+from rainsim.config.tables import HUMAN_KEYS, PARTS, SETTINGS, SLIDERS
 from rainsim.errors import ParameterError
 
 SUN_CHOICES = ("none", "sky", "angles")
 SPEEDS = ("1", "1/2", "1/4", "1/8")
-CHOICES = {"reflections": REFLECTIONS, "relight": RELIGHTS, "metering": METERINGS}
+CHOICES = {name: one.choices for name, one in SETTINGS.items() if one.dropdown}
 NO_LEVEL = 0.1  # m, where the slider of the flood begins
 SUN = {"sun_azimuth_degrees": 0.0, "sun_elevation_degrees": 45.0}  # where its sliders begin
 KEPT = ("frames", "fps", "width", "height", "surroundings", "spacing", "extent", "threads")
@@ -68,7 +70,7 @@ class SettingsTools:
         self._on(self.sun, self._turn_sun)
         self._choices = {}
         for name, choices in CHOICES.items():
-            handle = gui.add_dropdown(name, choices, initial_value=value_of(config, name))
+            handle = gui.add_dropdown(name, choices, initial_value=config.value(name))
             self._on(handle, lambda _, n=name, h=handle: self.change({n: h.value}))
             self._choices[name] = handle
 
@@ -116,7 +118,7 @@ class SettingsTools:
         fresh = Config.from_preset(self.preset.value)
 
         def change(config):
-            return fresh.replace(**{name: value_of(config, name) for name in KEPT})
+            return fresh.replace(**{name: config.value(name) for name in KEPT})
 
         self.painter.set_config(change)
         self.show_config(self.painter.config)
@@ -129,7 +131,7 @@ class SettingsTools:
         if config.render.sky in self.sky.options:
             self.sky.value = config.render.sky
         for name, handle in self._choices.items():
-            handle.value = value_of(config, name)
+            handle.value = config.value(name)
         for slider in SLIDERS:
             handle, value = self._handles[slider.key], float(_shown(slider, config))
             handle.value = min(max(value, handle.min), handle.max)
@@ -208,6 +210,6 @@ def _sun_choice(config):
 def _shown(slider, config):
     """Return the number that a slider shows for settings."""
     attribute = HUMAN_KEYS[slider.key][0]
-    value = value_of(config, attribute)
+    value = config.value(attribute)
     values = {} if value is None else human_values(attribute, value)
     return values.get(slider.key, SUN.get(slider.key, NO_LEVEL))

@@ -2,37 +2,13 @@
 
 from __future__ import annotations
 
-import dataclasses
+from rainsim.config.declare import LIGHT, PASSES, TERRAIN, WATER
+from rainsim.config.tables import SETTINGS
 
-from rainsim.config.preset_writer import value_of
-from rainsim.config.settings import Config
-
-# Parts of what a picture is drawn from, in the order in which they are made.
-TERRAIN, WATER, LIGHT, PASSES = "terrain", "water", "light", "passes"
-PARTS = (TERRAIN, WATER, LIGHT, PASSES)
-_RAIN = (WATER, LIGHT)  # it falls on the water, and wets what the light falls on
+PARTS = (TERRAIN, WATER, LIGHT, PASSES)  # in the order in which they are made
+NEEDS = {name: one.touches for name, one in SETTINGS.items() if one.touches}
 # Settings that are read for each picture: a changed one needs a new picture and nothing else.
-PICTURE = frozenset({
-    "exposure", "brightness", "exposure_bias", "streak_far", "aperture", "focus", "streaks",
-    "splashes", "glare", "frames", "width", "height", "frame_range", "threads", "moments",
-})  # fmt: skip
-NEEDS = {
-    "spacing": (TERRAIN,), "extent": (TERRAIN,), "ground_map": (TERRAIN,),
-    "rate": _RAIN, "past": _RAIN, "drying": _RAIN, "puddles": (WATER,),
-    "level": _RAIN, "wind": _RAIN, "roughness": _RAIN, "tops": _RAIN, "keyframes": _RAIN,
-    "scheme": (WATER,), "courant": (WATER,),
-    "seed": (WATER, PASSES), "gusts": (WATER, PASSES), "drop_radii": (WATER, PASSES),
-    "drips": (WATER, PASSES), "surface_film": (WATER, PASSES), "fps": (WATER, PASSES),
-    "spray": (WATER, PASSES),
-    "sky": (LIGHT,), "sun": (LIGHT,), "cloudiness": (LIGHT,),
-    "daylight": (LIGHT,), "relight": (LIGHT,),
-    "ground_albedo": (LIGHT,), "wetting": (LIGHT,), "wetness": (LIGHT,),
-    "surroundings": (LIGHT,), "film": (LIGHT,), "detail": (LIGHT,), "memory": (LIGHT,),
-    "merge": (LIGHT,), "metering": (PASSES,), "ripples": (PASSES,),
-    "reflections": (PASSES,), "mirror_size": (PASSES,), "refraction": (PASSES,),
-    "fresnel": (PASSES,), "highlight": (PASSES,), "coverage": (PASSES,),
-    "water_geometry": (PASSES,),
-}  # fmt: skip
+PICTURE = frozenset(SETTINGS) - set(NEEDS)
 # A part that is made again takes these with it.
 WITH = {
     TERRAIN: frozenset(PARTS), WATER: frozenset({WATER}), LIGHT: frozenset({LIGHT, PASSES}),
@@ -42,15 +18,12 @@ WITH = {
 
 def settings():
     """Return the names of all settings, whatever their group."""
-    groups = (Config, *(f.default_factory for f in dataclasses.fields(Config)
-                        if isinstance(f.default_factory, type)))  # fmt: skip
-    names = [f.name for group in groups for f in dataclasses.fields(group)]
-    return [name for name in names if name not in ("terrain", "rain", "water", "render")]
+    return list(SETTINGS)
 
 
 def changed(before, after):
     """Return the names of the settings in which two `Config` differ."""
-    return [n for n in settings() if value_of(before, n) != value_of(after, n)]
+    return [n for n in settings() if before.value(n) != after.value(n)]
 
 
 def out_of_date(before, after):
@@ -67,6 +40,5 @@ def out_of_date(before, after):
     """
     wanted = set()
     for name in changed(before, after):
-        for part in NEEDS.get(name, () if name in PICTURE else PARTS):
-            wanted |= WITH[part]
+        wanted = wanted.union(*(WITH[part] for part in NEEDS.get(name, ())))
     return tuple(part for part in PARTS if part in wanted)

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from pages import viewing
-from rainsim.config.controls import SLIDERS
+from rainsim.config.tables import SLIDERS
 from rainsim.io.images import read_image
 from rainsim.scene.cameras import read_cameras
 

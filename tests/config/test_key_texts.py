@@ -1,18 +1,29 @@
-"""Every key of a preset file has its meaning, unit and default in the table of the reference."""
+"""Every setting is declared once, and keys, tables and choices say what the declaration says."""
 
 import json
 
 import pytest
 
-from rainsim.config.key_texts import MEANINGS, default_of, table, unit_of
-from rainsim.config.preset_files import HUMAN_KEYS, PARTS
-from rainsim.config.settings import CHOICES, Config
+from rainsim.config.preset_files import preset_text
+from rainsim.config.preset_writer import preset_text_of
+from rainsim.config.settings import Config, preset_names
+from rainsim.config.tables import (
+    CHOICES,
+    HUMAN_KEYS,
+    LOOK,
+    PARTS,
+    SETTINGS,
+    default_of,
+    look_settings,
+    table,
+)
 from rainsim.errors import ParameterError
 
 
-def test_every_key_is_explained_once_and_in_the_order_of_the_parser():
-    assert list(MEANINGS) == list(HUMAN_KEYS)
-    assert [row[0] for row in table()] == list(HUMAN_KEYS)
+def test_every_key_is_explained_once():
+    rows = table()
+    assert [row[0] for row in rows] == list(HUMAN_KEYS)
+    assert len({row[-1] for row in rows}) >= len(rows) - 1 and all(row[-1] for row in rows)
 
 
 def test_units_are_those_that_are_parsed():
@@ -24,9 +35,10 @@ def test_units_are_those_that_are_parsed():
         "degrees": 0.0174532925,
         "GB": 1e9,
     }
-    for key, (_, factor) in HUMAN_KEYS.items():
+    for key, unit, *_ in table():
+        factor = HUMAN_KEYS[key][1]
         if factor is not None:
-            assert factor == pytest.approx(factors.get(unit_of(key), 1.0)), key
+            assert factor == pytest.approx(factors.get(unit, 1.0)), key
 
 
 @pytest.mark.parametrize("key", [key for key in HUMAN_KEYS if default_of(key) is not None])
@@ -52,3 +64,38 @@ def test_choices_are_those_that_are_taken(attribute):
         Config().replace(**{attribute: choice}).check()
     with pytest.raises(ParameterError, match=CHOICES[attribute][0]):
         Config().replace(**{attribute: "no-such-choice"}).check()
+
+
+def test_every_setting_is_reached_or_says_who_needs_it():
+    presets = "\n".join(preset_text(name) for name in preset_names() if name != "paper")
+    for one in SETTINGS.values():
+        reached = (
+            one.option or one.dropdown or one.paper is not None
+            or any(key.slider or f"\n{key.name} =" in presets for key in one.keys)
+        )  # fmt: skip
+        assert bool(reached) != bool(one.kept_for) or not one.keys, one.name
+
+
+def test_the_look_sets_the_choices_of_the_paper_and_each_can_still_be_set_by_itself():
+    paper = look_settings("paper")
+    assert len(paper) == 10
+    assert all(f" {name}" in LOOK.keys[0].meaning for name in paper)
+    together = Config.from_toml('look = "paper"')
+    assert together == Config().replace(**paper) == Config().replace(look="paper")
+    assert together.look == "paper" and Config().look == "physical"
+    assert together.replace(look="physical") == Config()
+    for name, value in paper.items():
+        assert Config().value(name) != value
+        alone = Config().replace(**{name: value})
+        assert alone.look == "physical" and alone.value(name) == value
+        but = f'{name} = {json.dumps(Config().value(name))}\nlook = "paper"\n'
+        assert Config.from_toml(but) == together.replace(**{name: Config().value(name)})
+        assert Config.from_toml(preset_text_of(alone)) == alone
+    assert preset_text_of(together) == 'look = "paper"\n'
+    with pytest.raises(ParameterError, match=r"a.toml: look is 3; it must be one of physical, pap"):
+        Config.from_toml("look = 3", "a.toml")
+
+
+def test_attributes_are_described_in_si_units():
+    assert "rate : float\n        rain rate, as a gauge" in Config().rain.__doc__
+    assert "it [m/s]\n" in Config().rain.__doc__

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from rainsim.commands.view import _address_for, _serve
-from rainsim.config.controls import OPTION_KEYS, SLIDERS, si_value
-from rainsim.config.preset_files import HUMAN_KEYS, PARTS, from_human
-from rainsim.config.preset_writer import preset_text_of, value_of
+from rainsim.config.preset_files import from_human
+from rainsim.config.preset_writer import preset_text_of
 from rainsim.config.settings import Config, preset_names
+from rainsim.config.tables import HUMAN_KEYS, OPTION_KEYS, PARTS, SLIDERS, si_value
 from rainsim.errors import InputError, ParameterError
 from rainsim.scene.camera_path import (
     camera_path_data,
@@ -230,7 +230,7 @@ def test_sliders_stay_within_the_rules():
                 table = {key: 0.0 for key, _ in PARTS[attribute]} | table
             config = Config().replace(**from_human(table, "a slider"))
             config.check()
-            assert si_value(slider.key, number) in np.ravel(value_of(config, attribute))
+            assert si_value(slider.key, number) in np.ravel(config.value(attribute))
         assert slider.low < slider.high and 0 < slider.step <= slider.high - slider.low
 
 
