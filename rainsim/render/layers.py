@@ -36,7 +36,7 @@ LAYER_PASSES = (
     Pass("layer film", WET, ("picture", "below"), ("film",)),
     Pass("layer range", WET, ("depth", "view"), ("range",)),
     Pass("layer normal", WET, ("layers", "view"), ("normal",)),
-    Pass("layer wetness", WET, ("layers", "depth", "clearance", "view", "scene"), ("wetness",)),
+    Pass("layer wetness", WET, ("layers", "depth", "view", "scene"), ("wetness",)),
     Pass("layer terms of the water", WET, ("seen", "reflected", "picture", "below", "depth", "view",
                                       "sun", "methods"), TERMS),
     Pass("layer transmission", WET, ("depth", "fog", "view"), ("transmission",)),
@@ -90,10 +90,10 @@ def _normal(layers, view):
     return (layers.normal @ view_of(view).ground_from_camera.T).astype(np.float32)
 
 
-def _wetness(layers, depth, clearance, view, scene):
+def _wetness(layers, depth, view, scene):
     damp, now = np.empty(depth.shape, np.float32), scene.shading
     find_dampness(
-        depth, clearance, dry_picture(layers, scene.frame.meters_per_unit), now.look, view_of(view),
+        depth, dry_picture(layers, scene.frame.meters_per_unit), now.look, view_of(view),
         now.ground, now.off_ground, damp,
     )  # fmt: skip
     return damp

@@ -2,36 +2,37 @@
 
 from __future__ import annotations
 
-from rainsim.constants import FAR_AWAY, HALF, ONE, ZERO
+import math
+
+from rainsim.constants import FAR_AWAY, ONE, ZERO
 from rainsim.jit import cpu_kernel, prange
 from rainsim.scene.view import View, pixel_ray
 from rainsim.shading.grading import Look, is_edge, undiluted
 from rainsim.shading.smooth_normals import smooth_normal, turned
-from rainsim.shading.walls import damp_off_ground
-from rainsim.shading.wet_pass import DryPicture
+from rainsim.shading.wet_pass import DryPicture, depth_of_surface
 from rainsim.shading.wetness import OffGroundWetness
 from rainsim.shading.wetting import (
     FLAT,
     ON_GROUND,
     GroundMaps,
     SurfacePoint,
-    body_of,
-    on_ground,
+    heights_of,
+    wet_state,
     wetted_normal,
 )
 
 
 @cpu_kernel
 def find_dampness(
-    depth, clearance, dry: DryPicture, look: Look, view: View, ground: GroundMaps,
-    rain: OffGroundWetness, damp_out,
+    depth, dry: DryPicture, look: Look, view: View, ground: GroundMaps, rain: OffGroundWetness,
+    damp_out,
 ):  # fmt: skip
-    """Write how wet each pixel's surface is, for the AOV.
+    """Write how wet each pixel's surface is by `wet_state`, at the place where it is wetted.
 
     Parameters
     ----------
-    depth, clearance : ndarray of shape (height, width), float32 [m]
-        As `grade_and_wet` wrote them.
+    depth : ndarray of shape (height, width), float32 [m]
+        As `grade_and_wet` wrote it.
     dry : DryPicture
     look : Look
     view : View
@@ -41,35 +42,29 @@ def find_dampness(
         0 dry to 1 wet through; 0 for the sky.
     """
     height, width = depth.shape
-    m, eye, normal = view.ground_from_camera, view.eye, dry.normal
-    around = dry.around / dry.meters_per_unit
+    m, eye, normal, unit = view.ground_from_camera, view.eye, dry.normal, dry.meters_per_unit
     for row in prange(height):
         for column in range(width):
-            d = depth[row, column]
             damp_out[row, column] = ZERO
-            if not d < FAR_AWAY:
+            if not depth[row, column] < FAR_AWAY:
                 continue
             a, b, c = pixel_ray(view, row, column)
+            own = turned(m, normal[row, column, 0], normal[row, column, 1], normal[row, column, 2])
+            _, d = depth_of_surface(
+                dry.depth[row, column] * unit, dry.plane_depth[row, column] * unit, own[2]
+            )
             x, y, z = eye[0] + d * a, eye[1] + d * b, eye[2] + d * c
-            n0, n1, n2 = normal[row, column, 0], normal[row, column, 1], normal[row, column, 2]
-            upness = m[2, 0] * n0 + m[2, 1] * n1 + m[2, 2] * n2
-            if clearance[row, column] < ON_GROUND and upness > FLAT:
-                u = (x - ground.origin[0]) / ground.spacing - HALF
-                v = (y - ground.origin[1]) / ground.spacing - HALF
-                damp_out[row, column] = on_ground(ground, u, v).dampness
-            else:
-                own = turned(m, n0, n1, n2)
-                above = clearance[row, column]
-                above = above if above < FAR_AWAY else z
+            away = d * math.sqrt(a * a + b * b + c * c)
+            point = SurfacePoint(x, y, z, own[0], own[1], own[2], away)
+            clearance, above = heights_of(point, True, ground)
+            if clearance >= ON_GROUND or own[2] <= FLAT:
                 n0, n1, n2 = smooth_normal(
-                    dry.depth, normal, row, column, height, width, view.fx, around
+                    dry.depth, normal, row, column, height, width, view.fx, dry.around / unit
                 )
-                alpha = dry.alpha[row, column]
                 r, g, b = undiluted(
                     dry.color[row, column, 0], dry.color[row, column, 1], dry.color[row, column, 2],
-                    alpha if is_edge(alpha, look) else ONE,
+                    dry.alpha[row, column] if is_edge(dry.alpha[row, column], look) else ONE,
                 )  # fmt: skip
                 lean = wetted_normal(r, g, b, above, own, turned(m, n0, n1, n2))
-                point = SurfacePoint(x, y, z, lean[0], lean[1], lean[2], d)
-                body = body_of(point, clearance[row, column], ground)
-                damp_out[row, column] = damp_off_ground(rain, point, above, body)
+                point = SurfacePoint(x, y, z, lean[0], lean[1], lean[2], away)
+            damp_out[row, column] = wet_state(point, clearance, above, ground, rain).dampness

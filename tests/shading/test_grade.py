@@ -8,7 +8,8 @@ from rainsim.numerics import pixel_batches
 from rainsim.numerics.interpolation import bilinear
 from rainsim.scene.view import View, pixel_ray
 from rainsim.shading import sky, wet_pass, wetting
-from rainsim.shading.grading import Look
+from rainsim.shading.dampness import find_dampness
+from rainsim.shading.grading import Look, is_edge, undiluted
 from rainsim.shading.smooth_normals import smooth_normal
 from rainsim.shading.wetness import OffGroundWetness
 from rainsim.shading.wetting import GroundMaps, SkyMaps, SurfacePoint
@@ -93,6 +94,38 @@ def test_chunks_give_what_single_pixels_give(dry, scene, poisoned, open_sky, apa
     on_map = wanted[2] < FAR_AWAY
     assert 0.1 < on_map.mean() < 0.9 and np.isinf(wanted[1]).any()
     assert not apart or 0.05 < (wanted[3] > 0).mean() < 0.8
+
+
+def test_the_layer_shows_how_wet_the_place_is_that_is_wetted(dry, scene, poisoned):
+    """Not the place that is drawn: along walls that one may lie beside the map."""
+    dry["plane_depth"] = (dry["depth"] * np.where(np.arange(WIDTH) % 3, 1.02, 0.9)).astype(F4)
+    dry = wet_pass.DryPicture(**dry, meters_per_unit=UNIT, around=F4(0.4))
+    look = Look(*F4([0.8, 0.9, 0.8, 30, 1, 0.85, 0.6, 1.3]))
+    ground, rain, _ = scene
+    *_, depth, _, _ = pixel_by_pixel(dry, *scene, look, True)
+    found, wanted = poisoned((HEIGHT, WIDTH)), np.zeros((HEIGHT, WIDTH))
+    find_dampness(depth.astype(F4), dry, look, VIEW, ground, rain, found)
+    beside = 0
+    for at in zip(*np.nonzero(np.isfinite(depth)), strict=True):
+        ray, normal = F4(pixel_ray(VIEW, *at)), TURN @ dry.normal[at]
+        d, e = wet_pass.depth_of_surface(
+            dry.depth[at] * UNIT, dry.plane_depth[at] * UNIT, normal[2]
+        )
+        length = F4(np.linalg.norm(ray))
+        point = SurfacePoint(*(EYE + e * ray), *normal, e * length)
+        clearance, above = wetting.heights_of(point, True, ground)
+        drawn = wetting.map_place(ground, *(EYE + d * ray)[:2])
+        beside += clearance < FAR_AWAY and not -0.5 < max(drawn, key=abs) < CELLS - 0.5
+        if clearance >= wetting.ON_GROUND or normal[2] <= wetting.FLAT:
+            alpha, around = dry.alpha[at], TURN @ F4(smooth_normal(
+                dry.depth, dry.normal, *at, HEIGHT, WIDTH, VIEW.fx, dry.around / UNIT
+            ))  # fmt: skip
+            rgb = undiluted(*dry.color[at], alpha if is_edge(alpha, look) else F4(1))
+            lean = wetting.wetted_normal(*rgb, above, tuple(normal), tuple(around))
+            point = SurfacePoint(*(EYE + e * ray), *lean, e * length)
+        wanted[at] = wetting.wet_state(point, clearance, above, ground, rain).dampness
+    np.testing.assert_allclose(found, wanted, rtol=2e-3, atol=2e-4)
+    assert beside > 0 and (wanted > 0.05).mean() > 0.3 and np.ptp(wanted) > 0.5
 
 
 def test_rays_are_graded_as_pixels_are(dry, scene, poisoned):
