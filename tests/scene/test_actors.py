@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from made_actors import described
 from rainsim import pipeline
 from rainsim.config.settings import Config
 from rainsim.drops import GROUND, OBSTACLE
@@ -19,7 +20,6 @@ from rainsim.scene.actors import Actor, ColorSeries, Track, box_of, scene_at, wi
 from rainsim.scene.folder import import_scene, read_scene, write_scene
 from rainsim.scene.harmonics import basis, turned
 from rainsim.scene.library import load_scene
-from rainsim.scene.ply import write_splats
 from rainsim.splatting.merged import NOBODY, Merger
 from rainsim.splatting.project import color_degree_1, color_degree_2, color_degree_3
 from rainsim.terrain.movers import mover_of, with_movers
@@ -366,22 +366,6 @@ def test_a_data_set_carries_the_nodes(scene, ground, camera):
 
 
 # --- files ----------------------------------------------------------------------------------------
-
-
-def described(folder, scene, **changes):
-    """Write a scene's static set, its node and the actors.json of both into a folder."""
-    write_scene(folder / "static", replace(scene, actors=()))
-    actor = scene.actors[0]
-    write_splats(folder / "box.ply", actor.splats)
-    node = {
-        "id": 7, "class": "parcel", "splats": "box.ply",
-        "box": {"centre": actor.box[0].tolist(), "size": actor.box[1].tolist()},
-        "track": {"times": actor.track.time.tolist(), "positions": actor.track.position.tolist(),
-                  "rotations": actor.track.rotation.tolist()},
-    }  # fmt: skip
-    data = {"rainsim_actors": 1, "scene": "static", "nodes": [node | changes]}
-    (folder / "actors.json").write_text(json.dumps(data), encoding="utf-8")
-    return folder / "actors.json"
 
 
 def test_a_description_is_read_and_a_scene_folder_keeps_it(scene, tmp_path):

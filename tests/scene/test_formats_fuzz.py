@@ -2,7 +2,6 @@
 
 import gzip
 import struct
-import tracemalloc
 
 import numpy as np
 import pytest
@@ -13,6 +12,7 @@ from made_captures import random_splats, ring
 from rainsim.errors import InputError
 from rainsim.scene.cameras import load_cameras
 from rainsim.scene.formats import read
+from refusals import one_clear_line, refused_within
 
 QUICK, THOROUGH = 120, 10_000
 COUNT = 300  # splats of the files that are mutated
@@ -41,11 +41,6 @@ READERS = {
     "sog 1": (lambda: made.sog_v1(SMALL), mutate.one_mutated),
 }
 NEED_EXTRA = {name for name in READERS if name not in ("ply", "splat", "glb")}
-
-
-def one_clear_line(error):
-    text = str(error)
-    assert "\n" not in text and len(text) < 700 and text.count(";") >= 1, text
 
 
 def fuzz_reader(kind, folder, count, seed):
@@ -136,20 +131,6 @@ def test_files_cut_off_anywhere(tmp_path, kind):
         with pytest.raises(InputError) as caught:
             read(tmp_path / "cut")
         one_clear_line(caught.value)
-
-
-def refused_within(limit, path, read=read):
-    """The message of the error that reading ends in, with the peak of memory checked."""
-    tracemalloc.start()
-    try:
-        with pytest.raises(InputError) as caught:
-            read(path)
-        peak = tracemalloc.get_traced_memory()[1]
-    finally:
-        tracemalloc.stop()
-    assert peak < limit
-    one_clear_line(caught.value)
-    return str(caught.value)
 
 
 BOMB = 200_000_000  # bytes that unpack from a small file

@@ -10,7 +10,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_formats_fuzz import one_clear_line, refused_within
 
 import made_captures as captures
 import made_formats as made
@@ -31,6 +30,7 @@ from rainsim.simulation import read_state
 from rainsim.terrain.classify import read_mask
 from rainsim.terrain.files import read_terrain
 from rainsim.terrain.surface import is_surface, terrain_from_surface
+from refusals import one_clear_line, refused_within
 from scenes import tiny_scene
 
 

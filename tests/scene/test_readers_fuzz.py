@@ -47,6 +47,7 @@ from rainsim.terrain.classify import read_mask
 from rainsim.terrain.surface import _from_tiff as read_tiff
 from rainsim.terrain.surface import _read_obj, _read_ply
 from rainsim.terrain.table import class_table
+from refusals import one_clear_line
 
 QUICK, CAMPAIGN = 60, 3_750  # of each of 34 kinds: 127,500 in all
 MEMORY = 2_000_000_000  # bytes that a reader may take beyond what the process has at its start
@@ -335,7 +336,7 @@ def fuzz(name, folder, count, seed):
         try:
             kind.read(path)
         except RainsimError as error:
-            formats.one_clear_line(error)
+            one_clear_line(error)
             outcome["refused"] += 1
         else:
             outcome["read"] += 1

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_simulation import centres, config, ground, states
 
+from made_rain import centres, config, ground, states
 from rainsim import terrain as terrains
 from rainsim.config.settings import Config, mm_per_hour
 from rainsim.errors import ParameterError
