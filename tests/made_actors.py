@@ -3,8 +3,8 @@
 import json
 from dataclasses import replace
 
+from made_formats import write_splats
 from rainsim.scene.folder import write_scene
-from rainsim.scene.ply import write_splats
 
 
 def described(folder, scene, **changes):

@@ -98,7 +98,7 @@ def measure(scene, preset, quick):
     chosen = renderer.water.choice()
     truth = trace_truth(renderer, camera, state)
     levels, rate = reflection_levels(renderer, camera, state, truth, ROUNDS[quick])
-    choices = paper_choices(renderer, camera, state, ROUNDS[quick])
+    choices = paper_choices(renderer, state, ROUNDS[quick])
     return {
         "scene": scene.name, "preset": preset, "size": [camera.width, camera.height],
         "water_pixels": len(renderer.water.pixel), "causes": truth["causes"], "auto": chosen,
@@ -192,7 +192,7 @@ def _frame_time(renderer, camera, state, method, **sizes):
     return seconds
 
 
-def paper_choices(renderer, camera, state, rounds):
+def paper_choices(renderer, state, rounds):
     """Return the difference of each choice of the paper from the default picture, and its time."""
     water, around = renderer.water, renderer.wet_scene.environment
     before = water.config

@@ -49,7 +49,7 @@ def load_line(result):
     return f"{result['machine']['threads']} threads, load {load}"
 
 
-def in_turn(jobs, rounds, clock=time.process_time):
+def in_turn(jobs, rounds):
     """Run jobs in turn, so that the machine's load affects all alike.
 
     Parameters
@@ -57,19 +57,18 @@ def in_turn(jobs, rounds, clock=time.process_time):
     jobs : dict of str to callable
     rounds : int
         That count; one more before them compiles and warms up.
-    clock : callable
 
     Returns
     -------
     dict of str to dict
-        least_ms and median_ms of each job.
+        least_ms and median_ms of each job, processor time.
     """
     times = {name: [] for name in jobs}
     for _ in range(rounds + 1):
         for name, job in jobs.items():
-            start = clock()
+            start = time.process_time()
             job()
-            times[name].append((clock() - start) * 1e3)
+            times[name].append((time.process_time() - start) * 1e3)
     return {
         name: {"least_ms": min(t[1:]), "median_ms": float(np.median(t[1:]))}
         for name, t in times.items()

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from rainsim.io.images import read_image
-from rainsim.io.png48 import read_png48
 from rainsim.render.shutter import moved
 from rainsim.scene.cameras import read_cameras, write_transforms
 from rainsim.scene.colmap import read_model
@@ -127,7 +126,8 @@ def test_a_sequence_has_flow(export, path_file, tmp_path):
                      "000002_10.png"]  # fmt: skip
     same = (training / "image_2/000000_11.png").read_bytes()
     assert same == (training / "image_2/000001_10.png").read_bytes()
-    flow = read_png48(training / "flow_noc/000000_10.png")
+    imagecodecs = pytest.importorskip("imagecodecs")
+    flow = imagecodecs.png_decode((training / "flow_noc/000000_10.png").read_bytes())
     valid = flow[..., 2] == 1
     assert valid.mean() > 0.4
     moves = np.linalg.norm((flow[valid][:, :2].astype(float) - 2**15) / 64, axis=1)

@@ -15,10 +15,11 @@ import pytest
 
 from rainsim import output_folder, pipeline
 from rainsim.errors import DivergedError
-from rainsim.io.images import read_data, read_image
+from rainsim.io.images import read_image
 from rainsim.render.aov import AOVS, recompose
 from rainsim.scene.cameras import read_cameras
 from rainsim.scene.library import load_scene
+from run_folders import layer
 
 MAP = ["--spacing", "0.04", "--extent", "1"]
 FILM = [*MAP, "--width", "64", "--preset", "downpour"]
@@ -371,7 +372,7 @@ def test_layers_are_written_and_make_the_frame(film, tmp_path):
             values = read_image(folder / file)
             found[name] = values / 65535 if AOVS[name].kind == "share" else values
         else:
-            found[name] = read_data(folder / file, AOVS[name].channels)
+            found[name] = layer(folder / file, AOVS[name].channels)
     frame = pictures(folder)["00000.png"].astype(int)
     assert np.abs(recompose(found, **facts["light"]) - frame).max() <= 1
     assert film("out", "--overwrite", "--rain", 3, frames=1).code == 0  # another film

@@ -10,7 +10,7 @@ import pytest
 
 import rainsim.scene.pages
 from made_captures import random_splats
-from made_formats import sog, tame_splats, write_folder
+from made_formats import sog, tame_splats, write_folder, write_splats
 from rainsim import pipeline
 from rainsim.config.settings import Config
 from rainsim.datasets.user_labels import read_labels
@@ -35,7 +35,6 @@ from rainsim.scene.formats import read_splats, splat_blocks
 from rainsim.scene.formats.sog_writer import write_sog
 from rainsim.scene.formats.streamed import LOD_META, NONE, SIDES, read_tree
 from rainsim.scene.pages import ALWAYS, Kept, Pages, levels_at
-from rainsim.scene.ply import write_splats
 from rainsim.scene.types import GroundFrame, Scene, Splats
 from rainsim.sensors import drive
 from rainsim.sensors.lidar_model import Lidar

@@ -14,6 +14,7 @@ import pytest
 import made_captures as captures
 import made_formats as made
 from made_checkpoints import archive_of
+from made_formats import write_splats
 from rainsim.cli import cli
 from rainsim.commands.choose import named_camera
 from rainsim.commands.status import Status
@@ -24,7 +25,6 @@ from rainsim.io.images import read_hdr, read_image
 from rainsim.scene.cameras import read_cameras
 from rainsim.scene.folder import import_scene
 from rainsim.scene.ground import read_ground_frame
-from rainsim.scene.ply import write_splats
 from rainsim.scene.torch_file import read_weights
 from rainsim.simulation import read_state
 from rainsim.terrain.classify import read_mask

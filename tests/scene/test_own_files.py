@@ -14,7 +14,6 @@ from made_captures import capture_cameras, ring, splats_at
 from rainsim.commands.film import SIMULATION, read_simulation
 from rainsim.config.settings import Config
 from rainsim.errors import InputError
-from rainsim.io import images
 from rainsim.io.arrays import Field, read_arrays, write_arrays
 from rainsim.io.files import write_json
 from rainsim.output_folder import read_record
@@ -27,7 +26,6 @@ from rainsim.terrain.files import read_terrain, write_terrain
 from refusals import one_clear_line, refused_within
 
 QUICK, THOROUGH = 150, 5_000
-CHANNELS = ("x", "y")
 
 
 def make_terrain(folder):
@@ -46,16 +44,10 @@ def make_splats(folder):
     return folder / "splats.npz"
 
 
-def make_layer(folder):
-    images.write_data(folder / "layer.npz", np.zeros((6, 7, 2)), CHANNELS)
-    return folder / "layer.npz"
-
-
 KINDS = {
     "terrain": (make_terrain, read_terrain),
     "state": (make_state, lambda path: read_state(path, made.small_terrain())),
     "splats": (make_splats, lambda path: read_scene(path.parent)),
-    "layer": (make_layer, lambda path: images.read_data(path, CHANNELS)),
 }
 
 
@@ -116,7 +108,7 @@ def test_arrays_of_another_type_shape_or_range_are_refused(kind):
             else:
                 read_anyway += 1
                 # A row of no meaning may have any length; the others may not.
-                assert name in ("notes", "sh", "y", "x", "version") or "impact" in name, name
+                assert name in ("notes", "sh", "version") or "impact" in name, name
         if name not in ("version", "water", "notes") and not name.startswith("impact"):
             path.write_bytes(made.rezipped({n: a for n, a in arrays.items() if n != name}))
             refused(read, path)

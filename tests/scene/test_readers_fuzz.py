@@ -31,6 +31,7 @@ import made_formats as made
 import mutate
 from made_captures import random_splats, ring
 from made_checkpoints import Parameter, archive_of, torch_file
+from made_formats import write_splats
 from rainsim.config.settings import Config
 from rainsim.datasets.user_labels import _from_file as label_ids
 from rainsim.errors import InputError, RainsimError
@@ -39,7 +40,6 @@ from rainsim.scene.actor_files import read_actors
 from rainsim.scene.camera_rule import require_camera
 from rainsim.scene.cameras import load_cameras, read_path
 from rainsim.scene.formats import read
-from rainsim.scene.ply import write_splats
 from rainsim.scene.street_gaussians import _rows as track_rows
 from rainsim.scene.torch_file import read_weights
 from rainsim.sensors.lens_files import lens_named

@@ -19,13 +19,17 @@ from rainsim.scene.view import View, pixel_ray
 from rainsim.shading.wetness import OffGroundWetness
 from rainsim.simulation import read_state, simulate, tops_drawn, write_state
 from rainsim.terrain.kept import kept_terrain
-from rainsim.terrain.tops import find_tops, gaps_in, note_of, with_tops
+from rainsim.terrain.tops import find_tops, gaps_in, note_of
 from rainsim.terrain.types import NO_TOPS
 from rainsim.water.top_water import PINNED, RAINS, TopWater, sheet_depth
 from scenes import tiny_scene
 
 F4 = np.float32
 SOAKED = OffGroundWetness(F4(9), F4(0), F4(0), F4(1), F4(0.1))
+
+
+def with_tops(terrain):
+    return replace(terrain, tops=find_tops(terrain))
 
 
 def with_table(height=0.7, half=0.5, tilt=0.0, centre=(0.0, 0.0), rough=0.0, hollow=0.0):
