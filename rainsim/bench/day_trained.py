@@ -17,7 +17,7 @@ from rainsim.scene.cameras import Camera
 from rainsim.scene.ground import estimate_ground_frame
 from rainsim.scene.types import Scene, Splats
 
-NAMES = "3DGS", "2DGS"
+NAMES, TRUTH = ("3DGS", "2DGS"), "trained_truth"
 RAIN = Rain("rain", (), past=0.03)
 # Steps of the logarithm of 1 + position [m], of the logarithm of the scale, of the parts of a unit
 # quaternion, of opacity and of the display colour, in which splats are kept.
@@ -27,8 +27,13 @@ LEAST_SCALE = 1e-6  # m
 
 
 def scenes():
-    """Yield name, `Scene` and the truth's arrays of each trained capture; the test views first."""
-    truth = day_data.read("trained_truth")
+    """Yield name, `Scene` and the truth's arrays of each trained capture; the test views first.
+
+    None where their files are not: nothing here makes them again.
+    """
+    if not (day_data.FOLDER / f"{TRUTH}.npz").is_file():
+        return
+    truth = day_data.read(TRUTH)
     cameras = [
         Camera(*(int(n) for n in truth["size"]), *lens, pose, str(name))
         for name, lens, pose in zip(truth["names"], truth["lens"], truth["poses"], strict=True)
