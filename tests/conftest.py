@@ -129,6 +129,29 @@ def pytest_sessionfinish(session):
         session.config.stash[Simulator.KEY].end()
 
 
+SHORT_WARM_UP = {"RIPPLE_WARM_UP": 0.2, "DRIP_WARM_UP": 0.2}  # s of rain before the first frame
+DRAWING = ("cli", "datasets", "render", "scene", "sensors", "shading", "splatting", "terrain",
+           "view")  # fmt: skip
+
+
+@pytest.fixture(scope="module", autouse=True)
+def short_warm_up(request):
+    """Rings of a moment before the first frame where frames are drawn for something else.
+
+    Five seconds of them take a third of the time of a small frame. Tests of rain and water and the
+    golden frames have all of them.
+    """
+    if request.path.parent.name not in DRAWING:
+        yield
+        return
+    from rainsim import simulation
+
+    with pytest.MonkeyPatch.context() as patch:
+        for name, seconds in SHORT_WARM_UP.items():
+            patch.setattr(simulation, name, seconds)
+        yield
+
+
 @pytest.fixture
 def rng():
     """Random numbers, the same in every run."""

@@ -25,6 +25,7 @@ from rainsim.bench.truth import DARK, clipped, compare, trace_truth
 from rainsim.config.settings import Config
 from rainsim.reflection.mirror_choice import mirror_step
 from rainsim.reflection.mirrored_rays import ENVIRONMENT
+from rainsim.reflection.water_pass import REFLECTION_STRIDE, REFLECTION_THICKNESS
 from rainsim.reflection.water_record import SLOPES
 from rainsim.render.renderer import Renderer
 from rainsim.render.report import Timer
@@ -173,9 +174,8 @@ def march_rate(renderer, rounds):
 def _set(renderer, settings, width):
     """Set a quality level of the reflection; settings that it does not name get their defaults."""
     water = renderer.water
-    fresh = type(water)(water.terrain, water.rings, water.config)
-    water.thickness = settings.get("thickness", fresh.thickness)
-    water.stride = settings["px"] / width if "px" in settings else fresh.stride
+    water.thickness = settings.get("thickness", REFLECTION_THICKNESS)
+    water.stride = settings["px"] / width if "px" in settings else REFLECTION_STRIDE
     size = settings.get("mirror_size", water.config.mirror_size)
     water._step = mirror_step(size, renderer.shower, water.wet.view.lens)  # `draw` sets it else
 

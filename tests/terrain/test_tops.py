@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from factories import off_ground
 from made_rain import centres, config, ground, states
 from rainsim import terrain as terrains
 from rainsim.config.settings import Config, mm_per_hour
@@ -16,7 +17,6 @@ from rainsim.render import aov
 from rainsim.render.renderer import Renderer
 from rainsim.render.report import Timer
 from rainsim.scene.view import View, pixel_ray
-from rainsim.shading.wetness import OffGroundWetness
 from rainsim.simulation import read_state, simulate, tops_drawn, write_state
 from rainsim.terrain.kept import kept_terrain
 from rainsim.terrain.tops import find_tops, gaps_in, note_of
@@ -25,7 +25,7 @@ from rainsim.water.top_water import PINNED, RAINS, TopWater, sheet_depth
 from scenes import tiny_scene
 
 F4 = np.float32
-SOAKED = OffGroundWetness(F4(9), F4(0), F4(0), F4(1), F4(0.1))
+SOAKED = off_ground(supply=9)
 
 
 def with_tops(terrain):
@@ -262,7 +262,7 @@ def test_pixels_that_show_the_table_are_its_and_no_others():
     # What stands on it, or water of the ground before it, hides it.
     assert (met(made, view, depth - F4(0.3))[1] == 0).all()
     assert met(made, view, depth, inner)[1][inner] == pytest.approx(0.5)
-    dry = OffGroundWetness(*(F4(0) for _ in range(5)))
+    dry = off_ground(supply=0, film_left=0, porosity=0)
     assert (met(made, view, depth, rain=dry)[1][inner] < 1).any()
 
 
