@@ -129,7 +129,7 @@ def pytest_sessionfinish(session):
         session.config.stash[Simulator.KEY].end()
 
 
-SHORT_WARM_UP = {"RIPPLE_WARM_UP": 0.2, "DRIP_WARM_UP": 0.2}  # s of rain before the first frame
+SHORT_WARM_UP = 0.2  # s of rain that makes rings before the first frame
 DRAWING = ("cli", "datasets", "render", "scene", "sensors", "shading", "splatting", "terrain",
            "view")  # fmt: skip
 
@@ -147,8 +147,28 @@ def short_warm_up(request):
     from rainsim import simulation
 
     with pytest.MonkeyPatch.context() as patch:
-        for name, seconds in SHORT_WARM_UP.items():
-            patch.setattr(simulation, name, seconds)
+        patch.setattr(simulation, "RIPPLE_WARM_UP", SHORT_WARM_UP)
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def scenes_made_once():
+    """The built-in scenes, which take seconds each, are made once where no results are kept."""
+    from rainsim.io import cache
+    from rainsim.scene import library
+
+    make, made = library._built_in, {}
+
+    def built_in(name):
+        if cache.folder():
+            return make(name)
+        known = name, str(library.BUILT_IN)  # which a test may change
+        if known not in made:
+            made[known] = make(name)
+        return made[known]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(library, "_built_in", built_in)
         yield
 
 

@@ -21,7 +21,7 @@ from rainsim.scene.cameras import read_cameras
 from rainsim.scene.library import load_scene
 from run_folders import layer
 
-WARM_UP = {name: getattr(simulation, name) for name in ("RIPPLE_WARM_UP", "DRIP_WARM_UP")}
+WARM_UP = simulation.RIPPLE_WARM_UP  # s
 MAP = ["--spacing", "0.04", "--extent", "1"]
 LIGHT = ["--relight", "off"]  # looking for a sun takes a third of the time
 FILM = [*MAP, *LIGHT, "--width", "64", "--preset", "downpour"]
@@ -171,8 +171,7 @@ def test_frames_of_a_range_are_those_of_the_whole(film, tmp_path):
 
 def test_workers_draw_the_same_frames(film, tmp_path, monkeypatch):
     pytest.importorskip("distributed")
-    for name, seconds in WARM_UP.items():  # as in the workers' processes
-        monkeypatch.setattr(simulation, name, seconds)
+    monkeypatch.setattr(simulation, "RIPPLE_WARM_UP", WARM_UP)  # as in the workers' processes
     assert film("whole", frames=2).code == 0
     done = film("farm", "--workers", 1, frames=2)
     assert done.code == 0 and "frames 2/2" in done.err, done.err
