@@ -7,9 +7,9 @@ import json
 import click
 
 from rainsim.commands import options
-from rainsim.commands.choose import named_camera, paths_in, settings
 from rainsim.commands.compile import compiled_beside
 from rainsim.commands.export import rains_of
+from rainsim.commands.given import named_camera, paths_in, settings
 from rainsim.commands.status import Status, loaded_scene
 from rainsim.errors import ParameterError
 

@@ -14,7 +14,7 @@ from rainsim.errors import InputError, ParameterError
 from rainsim.io.files import read_json, replacing, write_json
 from rainsim.io.fingerprint import fingerprint
 from rainsim.io.journal import Journal
-from rainsim.lod.ground import scene_in_reach
+from rainsim.lod.held_parts import scene_in_reach
 from rainsim.output_folder import (
     TEMPORARY,
     input_facts,

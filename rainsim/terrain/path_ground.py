@@ -14,9 +14,9 @@ from scipy import ndimage
 
 from rainsim.config.settings import TerrainConfig
 from rainsim.errors import BackendError, ParameterError
-from rainsim.terrain.choose import AUTO_CELLS, MOST_CELLS, USUAL_SPACING, choose_grid
 from rainsim.terrain.extract import MARGIN, arrays_over
 from rainsim.terrain.kept import kept_terrain
+from rainsim.terrain.map_size import AUTO_CELLS, MOST_CELLS, USUAL_SPACING, choose_grid
 from rainsim.terrain.movers import movers_of, with_movers
 from rainsim.terrain.stations import (
     HIGH,

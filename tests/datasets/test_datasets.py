@@ -13,8 +13,8 @@ import pytest
 from rainsim.config.settings import Config
 from rainsim.datasets import LAYOUTS, beside, cityscapes, colmap, kitti, nerfstudio, replicator
 from rainsim.datasets.card import card_of, card_text
+from rainsim.datasets.data_files import PNG48, DataFile, condition, write_file
 from rainsim.datasets.export import layout_of, safe_names
-from rainsim.datasets.files import PNG48, DataFile, condition, write_file
 from rainsim.datasets.points import ply_bytes, points_of
 from rainsim.datasets.reading import read_points, read_views
 from rainsim.datasets.sample import (

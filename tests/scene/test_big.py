@@ -17,9 +17,9 @@ from rainsim.datasets.user_labels import read_labels
 from rainsim.errors import InputError, ParameterError
 from rainsim.io.images import write_png
 from rainsim.lod import cut as cutting
-from rainsim.lod.choose import chosen_levels, levels_of, pixels_per_unit
 from rainsim.lod.cut import cut
-from rainsim.lod.ground import finest_near, scene_over
+from rainsim.lod.held_parts import finest_near, scene_over
+from rainsim.lod.levels import chosen_levels, levels_of, pixels_per_unit
 from rainsim.lod.merge import cells_of, covariances, merged_splats, reach_box
 from rainsim.lod.numbers import FinestNumbers
 from rainsim.lod.paged import Page, PagedRasterizer, rasterizer_of_scene
@@ -571,7 +571,7 @@ def test_a_scene_folder_of_chunks_comes_back(whole, folder, big, tmp_path):
 
 
 def test_a_map_is_made_of_fine_splats(big, whole, monkeypatch):
-    from rainsim.lod import ground
+    from rainsim.lod import held_parts
 
     grid = Grid((40, 40), (8.0, -1.0), 0.05)
     over = scene_over(big, grid)
@@ -585,7 +585,7 @@ def test_a_map_is_made_of_fine_splats(big, whole, monkeypatch):
     assert abs(inside(over.splats) - inside(whole.splats)) < 20
     assert len(over.splats) < big.count  # what lies elsewhere is left out
     assert scene_over(over, grid) is over
-    monkeypatch.setattr(ground, "MOST", 1000)
+    monkeypatch.setattr(held_parts, "MOST", 1000)
     assert len(scene_over(big, grid).splats) < len(over.splats)
     near = finest_near(big, (2.0, 0.0))
     assert np.abs(near.splats.position[:, 0] - 2).min() < 0.1 and near.pages is None
@@ -687,22 +687,22 @@ def test_labels_of_chunks_by_splat_and_by_masks(big, tmp_path):
 
 
 def test_beams_reach_a_part_that_is_as_fine_as_they_are(whole, big, monkeypatch):
-    from rainsim.lod import ground
+    from rainsim.lod import held_parts
 
     place = whole.ground_frame.to_ground(whole.cameras[0].position[None])
-    part = ground.scene_in_reach(big, place, 9.0, 3e-3)
-    assert part.pages is None and ground.scene_in_reach(part, place, 9.0, 3e-3) is part
+    part = held_parts.scene_in_reach(big, place, 9.0, 3e-3)
+    assert part.pages is None and held_parts.scene_in_reach(part, place, 9.0, 3e-3) is part
     away = np.linalg.norm(part.splats.position - place, axis=1)
     assert 9.0 < away.max() < 24.0  # m: leaves are taken whole, and those beyond are not
     assert len(part.splats) < big.count
-    wide = ground.scene_in_reach(big, place, 9.0, 0.1)
+    wide = held_parts.scene_in_reach(big, place, 9.0, 0.1)
     near, far = (
         [int((np.abs(np.linalg.norm(s.splats.position - place, axis=1) - at) < 1).sum())
          for s in (whole, part, wide)] for at in (1, 6)
     )  # fmt: skip
     assert abs(near[1] - near[0]) < 0.02 * near[0] and 0 < far[2] < 0.5 * far[0]
-    monkeypatch.setattr(ground, "MOST", 3000)
-    assert len(ground.scene_in_reach(big, place, 9.0, 3e-3).splats) < 5000
+    monkeypatch.setattr(held_parts, "MOST", 3000)
+    assert len(held_parts.scene_in_reach(big, place, 9.0, 3e-3).splats) < 5000
 
 
 def test_a_lidar_scans_chunks_as_the_whole(whole, folder, film, tmp_path, monkeypatch):

@@ -16,7 +16,7 @@ import made_formats as made
 from made_checkpoints import archive_of
 from made_formats import write_splats
 from rainsim.cli import cli
-from rainsim.commands.choose import named_camera
+from rainsim.commands.given import named_camera
 from rainsim.commands.status import Status
 from rainsim.config.settings import Config
 from rainsim.errors import GroundError, InputError, RainsimError
@@ -28,7 +28,7 @@ from rainsim.scene.ground import read_ground_frame
 from rainsim.scene.torch_file import read_weights
 from rainsim.simulation import read_state
 from rainsim.terrain.classify import read_mask
-from rainsim.terrain.files import read_terrain
+from rainsim.terrain.map_files import read_terrain
 from rainsim.terrain.surface import is_surface, terrain_from_surface
 from refusals import one_clear_line, refused_within
 from scenes import tiny_scene

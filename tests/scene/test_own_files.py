@@ -22,7 +22,7 @@ from rainsim.scene.folder import read_scene, write_scene
 from rainsim.scene.ground import read_ground_frame, write_ground_frame
 from rainsim.scene.types import GroundFrame, Scene
 from rainsim.simulation import read_state, write_state
-from rainsim.terrain.files import read_terrain, write_terrain
+from rainsim.terrain.map_files import read_terrain, write_terrain
 from refusals import one_clear_line, refused_within
 
 QUICK, THOROUGH = 150, 5_000

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from rainsim.commands.choose import cameras_of
-from rainsim.commands.choose import settings as settings_of
+from rainsim.commands.given import cameras_of
+from rainsim.commands.given import settings as settings_of
 from rainsim.config.settings import Config, mm_per_hour
 from rainsim.errors import BackendError, ParameterError
 from rainsim.io.images import read_image
