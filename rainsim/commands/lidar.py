@@ -49,12 +49,7 @@ HIGHEST = 1000.0  # m above or below the ground's level
     help="Height of the lidar above the ground's level in metres.",
 )
 @click.option(
-    "--speed",
-    type=float,
-    default=0.0,
-    show_default=True,
-    metavar="M/S",
-    help="Speed ahead in m/s.",
+    "--speed", type=float, default=0.0, show_default=True, metavar="M/S", help="Speed ahead in m/s."
 )
 @click.option(
     "--turns",

@@ -12,14 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from rainsim.demo_scenes.build import (
-    content_hash,
-    discs,
-    join,
-    quaternions,
-    to_splats,
-    turn_about,
-)
+from rainsim.demo_scenes.build import content_hash, discs, join, quaternions, to_splats, turn_about
 from rainsim.demo_scenes.street import (
     CAMERAS,
     FRAMES_PER_SECOND,

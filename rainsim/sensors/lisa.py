@@ -13,11 +13,7 @@ import math
 import numpy as np
 
 from rainsim.rain.size_distribution import LARGEST, SMALLEST
-from rainsim.sensors.lidar_model import (
-    DROP_REFLECTIVITY,
-    echo_power,
-    extinction_of,
-)
+from rainsim.sensors.lidar_model import DROP_REFLECTIVITY, echo_power, extinction_of
 
 RANGES = 2000  # nodes of the integral
 

@@ -17,15 +17,7 @@ from rainsim.datasets.data_files import PNG48, DataFile, condition, write_file
 from rainsim.datasets.export import layout_of, safe_names
 from rainsim.datasets.points import ply_bytes, points_of
 from rainsim.datasets.reading import read_points, read_views
-from rainsim.datasets.sample import (
-    Plan,
-    Sample,
-    View,
-    depth_mm,
-    keep_mask,
-    kitti_depth,
-    kitti_flow,
-)
+from rainsim.datasets.sample import Plan, Sample, View, depth_mm, keep_mask, kitti_depth, kitti_flow
 from rainsim.datasets.splits import held_out
 from rainsim.datasets.user_labels import read_labels
 from rainsim.errors import InputError, ParameterError
