@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 import made_files as made
-import mutate
 from made_captures import capture_cameras, ring, splats_at
 from rainsim.commands.film import SIMULATION, read_simulation
 from rainsim.config.settings import Config
@@ -24,8 +23,6 @@ from rainsim.scene.types import GroundFrame, Scene
 from rainsim.simulation import read_state, write_state
 from rainsim.terrain.map_files import read_terrain, write_terrain
 from refusals import one_clear_line, refused_within
-
-QUICK, THOROUGH = 150, 5_000
 
 
 def make_terrain(folder):
@@ -194,45 +191,6 @@ def test_order_of_columns_and_types_come_back(tmp_path):
     assert found["text"] == "so" and found["texts"] == ["a", "bc"]
 
 
-def tried(read, path):
-    """Return whether a damaged file is "read" or "refused", the latter in one clear line."""
-    try:
-        read(path)
-    except InputError as error:
-        one_clear_line(error)
-        return "refused"
-    return "read"
-
-
-def fuzz(kind, count, seed):
-    """Read mutated files; return how many were read and how many refused."""
-    path, read = kind
-    rng, whole, arrays = np.random.default_rng(seed), path.read_bytes(), made.arrays_in(path)
-    names, outcome = list(arrays), {"read": 0, "refused": 0}
-    for _ in range(count):
-        if rng.random() < 0.5:  # the file as it stands, or an array in a sound archive
-            data = mutate.mutated(rng, whole)
-        else:
-            name = names[rng.integers(len(names))]
-            member = io.BytesIO()
-            np.lib.format.write_array(member, arrays[name])
-            data = made.rezipped(arrays | {name: mutate.mutated(rng, member.getvalue())})
-        path.write_bytes(data)
-        outcome[tried(read, path)] += 1
-    return outcome
-
-
-def test_mutated_files(kind):
-    outcome = fuzz(kind, QUICK, seed=1)
-    assert outcome["refused"] > QUICK // 2, outcome
-
-
-@pytest.mark.slow
-def test_mutated_files_by_the_thousand(kind):
-    outcome = fuzz(kind, THOROUGH, seed=2)
-    assert outcome["refused"] > THOROUGH // 2, outcome
-
-
 # --- JSON -----------------------------------------------------------------------------------------
 
 
@@ -281,28 +239,6 @@ JSON_KINDS = {
     "transforms": (make_transforms, read_json_cameras),
     "cameras": (make_capture_cameras, read_json_cameras),
 }
-
-
-def fuzz_json(name, folder, count, seed):
-    make, read = JSON_KINDS[name]
-    path = make(folder)
-    read(path)
-    rng, whole, outcome = np.random.default_rng(seed), path.read_bytes(), {"read": 0, "refused": 0}
-    for _ in range(count):
-        path.write_bytes(mutate.valued(rng, whole))
-        outcome[tried(read, path)] += 1
-    assert outcome["refused"] > count // 4 and outcome["read"] > 0, outcome
-
-
-@pytest.mark.parametrize("name", JSON_KINDS)
-def test_mutated_json(tmp_path, name):
-    fuzz_json(name, tmp_path, QUICK, seed=1)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", JSON_KINDS)
-def test_mutated_json_by_the_thousand(tmp_path, name):
-    fuzz_json(name, tmp_path, THOROUGH, seed=2)
 
 
 def test_a_sky_whose_name_no_file_can_have(tmp_path):
