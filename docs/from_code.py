@@ -146,13 +146,18 @@ def formats():
     from rainsim.render import frame_files
     from rainsim.scene import folder, ground, painted
     from rainsim.sensors import drive
-    from rainsim.terrain import files
+    from rainsim.terrain import map_files
 
     rows = [
         ("scene.json, splats.npz", folder.VERSION, "`import`", "cameras, ground frame; splats"),
         ("actors.npz", actor_files.VERSION, "`import`", "actors that move through a scene"),
         ("classes.npz", painted.VERSION, "`view`", "classes painted on the ground of a scene"),
-        ("terrain.npz", files.VERSION, "`heightmap`", "ground, what stands on it, classes, noise"),
+        (
+            "terrain.npz",
+            map_files.VERSION,
+            "`heightmap`",
+            "ground, what stands on it, classes, noise",
+        ),
         ("states/NNNNN.npz", simulation.STATE_VERSION, "`simulate`", "water at a frame's time"),
         ("simulation.json", film.VERSION, "`simulate`", "settings and input of the states"),
         ("layers/NAME/NNNNN.npz", images.VERSION, "`run`, `render`", "a float layer"),

@@ -35,8 +35,8 @@ _MODULES = {
     "Ground and water": {
         "Terrain": "rainsim.terrain.types",
         "Grid": "rainsim.terrain.types",
-        "read_terrain": "rainsim.terrain.files",
-        "write_terrain": "rainsim.terrain.files",
+        "read_terrain": "rainsim.terrain.map_files",
+        "write_terrain": "rainsim.terrain.map_files",
         "SimState": "rainsim.simulation",
         "read_state": "rainsim.simulation",
         "write_state": "rainsim.simulation",

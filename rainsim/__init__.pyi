@@ -35,8 +35,8 @@ from rainsim.simulation import read_state as read_state
 from rainsim.simulation import simulate as simulate
 from rainsim.simulation import write_state as write_state
 from rainsim.surface.offered_views import offered_cameras as offered_cameras
-from rainsim.terrain.files import read_terrain as read_terrain
-from rainsim.terrain.files import write_terrain as write_terrain
+from rainsim.terrain.map_files import read_terrain as read_terrain
+from rainsim.terrain.map_files import write_terrain as write_terrain
 from rainsim.terrain.types import Grid as Grid
 from rainsim.terrain.types import Terrain as Terrain
 from rainsim.water.fill_spill_merge import standing_water as standing_water

@@ -10,7 +10,7 @@ import errno
 import click
 
 from rainsim import __version__
-from rainsim.commands import bench, doctor, export, film, ground, lidar, splat, tools, view
+from rainsim.commands import bench, doctor, export, film, heightmap, lidar, splat, tools, view
 from rainsim.commands.status import interrupts_remembered
 from rainsim.errors import ParameterError, RainsimError, one_line
 
@@ -91,7 +91,7 @@ def cli():
 for _command in (
     film.run,
     tools.import_,
-    ground.heightmap,
+    heightmap.heightmap,
     film.simulate,
     film.render,
     splat.splat,

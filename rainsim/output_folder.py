@@ -24,13 +24,7 @@ from rainsim.io.files import named_path, read_json, write_json
 from rainsim.io.fingerprint import fingerprint, hash_of, hash_of_file
 from rainsim.io.fingerprint import versions as library_versions
 from rainsim.io.journal import SHARED_FOLDER, Journal
-from rainsim.render.frame_files import (
-    FRAME,
-    FrameWriter,
-    facts_of,
-    mean_milliseconds,
-    report_of,
-)
+from rainsim.render.frame_files import FRAME, FrameWriter, facts_of, mean_milliseconds, report_of
 
 PROVENANCE, RECORD_VERSION, VERSION = "provenance.json", "rainsim_record", 1
 WRITER = {RECORD_VERSION: VERSION, "program": "rainsim", "version": __version__}

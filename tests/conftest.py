@@ -129,6 +129,49 @@ def pytest_sessionfinish(session):
         session.config.stash[Simulator.KEY].end()
 
 
+SHORT_WARM_UP = 0.2  # s of rain that makes rings before the first frame
+DRAWING = ("cli", "datasets", "render", "scene", "sensors", "shading", "splatting", "terrain",
+           "view")  # fmt: skip
+
+
+@pytest.fixture(scope="module", autouse=True)
+def short_warm_up(request):
+    """Rings of a moment before the first frame where frames are drawn for something else.
+
+    Five seconds of them take a third of the time of a small frame. Tests of rain and water and the
+    golden frames have all of them.
+    """
+    if request.path.parent.name not in DRAWING:
+        yield
+        return
+    from rainsim import simulation
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(simulation, "RIPPLE_WARM_UP", SHORT_WARM_UP)
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def scenes_made_once():
+    """The built-in scenes, which take seconds each, are made once where no results are kept."""
+    from rainsim.io import cache
+    from rainsim.scene import library
+
+    make, made = library._built_in, {}
+
+    def built_in(name):
+        if cache.folder():
+            return make(name)
+        known = name, str(library.BUILT_IN)  # which a test may change
+        if known not in made:
+            made[known] = make(name)
+        return made[known]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(library, "_built_in", built_in)
+        yield
+
+
 @pytest.fixture
 def rng():
     """Random numbers, the same in every run."""

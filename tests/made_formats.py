@@ -8,6 +8,7 @@ import io
 import json
 import struct
 import zipfile
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -89,6 +90,13 @@ def stored_columns(splats, normals=True):
     columns |= {"opacity": logit(splats.opacity)}
     columns |= {f"scale_{i}": np.log(splats.scale[:, i]) for i in range(splats.scale.shape[1])}
     return columns | {f"rot_{i}": splats.rotation[:, i] for i in range(4)}
+
+
+def write_splats(path, splats):
+    """Write splats as the original code does; opacities of 0 or 1 as the nearest finite logit."""
+    opacity = np.clip(splats.opacity.astype(np.float64), 1e-12, 1 - 1e-12)
+    scale = np.maximum(splats.scale, np.finfo(np.float32).tiny)
+    path.write_bytes(ply(stored_columns(replace(splats, opacity=opacity, scale=scale))))
 
 
 def compressed_ply(splats, with_colors=True):

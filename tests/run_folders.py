@@ -6,6 +6,8 @@ import hashlib
 import re
 from pathlib import Path
 
+import numpy as np
+
 from rainsim.io.journal import Journal
 from rainsim.output_folder import JOURNAL, PROVENANCE, read_record
 
@@ -20,6 +22,19 @@ def written(folder):
         path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
         for path in files if path.name not in NOT_COMPARED
     }  # fmt: skip
+
+
+def layer(path, channels):
+    """The values of a float layer, (height, width[, n])."""
+    if path.suffix == ".exr":
+        import OpenEXR
+
+        with OpenEXR.File(str(path), separate_channels=True) as file:
+            parts = {name: channel.pixels for name, channel in file.channels().items()}
+    else:
+        parts = np.load(path)
+    planes = np.stack([parts[name] for name in channels], axis=-1)
+    return planes[..., 0] if len(channels) == 1 else planes
 
 
 def facts(folder):

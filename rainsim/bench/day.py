@@ -9,8 +9,6 @@ Two captures of another patio were trained from pictures, as users' are: see `da
 
 from __future__ import annotations
 
-import os
-import platform
 import time
 
 import numpy as np
@@ -22,8 +20,8 @@ from rainsim.bench.day_case import TINT, WIDTH
 from rainsim.bench.day_court import COURT
 from rainsim.bench.day_patio import PATIO
 from rainsim.bench.day_score import LADDER, LAND, SCALARS
+from rainsim.bench.suite import machine, quiet
 from rainsim.errors import InputError
-from rainsim.jit import set_threads
 
 CASES = PATIO, COURT
 DAYS = {"sun": ("sun", True), "no sky": ("sun", False), "dull": ("dull", True)}
@@ -32,15 +30,14 @@ ON_LAND = "PSNR on land"  # panel of the chart
 COVERED = 0.9  # coverage from which a pixel of a puddle counts as water
 
 
-def run(quick=False, say=lambda line: None, remake=False, before=None):
-    """Return all figures as plain values.
+def run(quick=False, say=quiet, remake=False, before=None):
+    """Return all figures, see `rainsim.bench.suite`.
 
     Parameters
     ----------
     quick : bool
         One view of the sunny patio.
     say : callable
-        Called with a line of text on what is being measured.
     remake : bool
         Whether captures and traced pictures are made again first.
     before : dict, optional
@@ -74,10 +71,7 @@ def run(quick=False, say=lambda line: None, remake=False, before=None):
             found["trained"][name] = _compare_rain(scene, arrays, day_trained.RAIN)[0]
     return {
         "cases": found, "seconds": time.perf_counter() - start, "before": before,
-        "machine": {
-            "processor": platform.machine(), "threads": set_threads(None),
-            "load": os.getloadavg(),
-        },
+        "machine": machine(),
     }  # fmt: skip
 
 

@@ -14,6 +14,7 @@ from rainsim.config.settings import Config
 from rainsim.constants import SH_0
 from rainsim.numerics.srgb import LUMINANCE_WEIGHTS
 from rainsim.render.renderer import Renderer
+from rainsim.scene.cameras import resize_to
 from rainsim.scene.ground import estimate_ground_frame
 from rainsim.scene.types import Scene, Splats
 
@@ -126,8 +127,7 @@ def frames(scene, rain, views, width):
     ground = pipeline.extract_terrain(scene, config)
     states = list(pipeline.frames_of(pipeline.simulate(ground, config), config))
     for view in views:
-        camera = scene.cameras[view]
-        camera = camera.resized(width, round(camera.height * width / camera.width))
+        camera = resize_to(scene.cameras[view], width)
         renderer = Renderer(scene, ground, config, camera)
         _, report = next(renderer.film([(camera, states[0], None)], LAYERS))
         yield view, parts_of(report.aovs), zenith_of(renderer), report.light["brightness"]

@@ -1,4 +1,7 @@
-"""Data that ship with `bench day`: colours of captures and small path-traced pictures, packed.
+"""Data of `bench day`: colours of captures and small path-traced pictures, packed.
+
+They stand in the source (15 MB), and a wheel has none: there the folder `day_data` in the current
+one holds what is copied from the source or made again.
 
 Geometry is made again from its seeds, so a capture is three bytes a splat. A checksum of the places
 says whether they are still those that the colours were baked for.
@@ -14,7 +17,10 @@ import numpy as np
 
 from rainsim.errors import InputError
 
-FOLDER = Path(__file__).parent / "day_data"
+IN_SOURCE = "tests/bench/day_data"
+FOLDER = Path(__file__).parents[2] / IN_SOURCE
+if not FOLDER.is_dir():
+    FOLDER = Path("day_data")
 HALF = 2  # the traced pictures have the size of a frame over this
 ROOT_STEP = 1 / 1023  # of the root of radiance, in which traced pictures are kept
 REGIONS = ("sky", "paving", "puddle", "rim", "lawn", "wall", "tabletop", "leaf", "core", "box",
@@ -107,8 +113,8 @@ def read(case, folder=FOLDER):
     path = folder / f"{case}.npz"
     if not path.is_file():
         raise InputError(
-            f"{path} does not exist; bench day needs its captures and traced pictures; run "
-            "rainsim bench day --remake"
+            f"{path} does not exist; bench day needs its captures and traced pictures; copy "
+            f"{IN_SOURCE} of rainsim's source here, or run rainsim bench day --remake"
         )
     with np.load(path) as file:
         return {name: file[name] for name in file.files}

@@ -12,6 +12,7 @@ from scipy import ndimage
 from skimage.color import deltaE_ciede2000, rgb2lab
 from skimage.metrics import structural_similarity
 
+from rainsim.bench.suite import decibels
 from rainsim.numerics.srgb import LUMINANCE_WEIGHTS, display, linear
 
 LAND = 0.16  # mean luminance of land, as a camera's exposure has it
@@ -55,11 +56,6 @@ def differences(shown_picture, shown_truth):
     )[1].mean(axis=-1)
     color = deltaE_ciede2000(rgb2lab(shown_truth), rgb2lab(shown_picture))
     return ((shown_picture - shown_truth) ** 2).mean(axis=-1), similar, color
-
-
-def decibels(squared_error):
-    """Return the peak signal-to-noise ratio [dB] of a mean squared error, white being 1."""
-    return float(-10 * np.log10(max(squared_error, 1e-12)))
 
 
 def regions_of(labels):

@@ -11,14 +11,13 @@ from __future__ import annotations
 import numpy as np
 
 from rainsim.bench import day_data
-from rainsim.bench.day_capture import reduced
 from rainsim.bench.day_case import Rain
 from rainsim.constants import SH_0
 from rainsim.scene.cameras import Camera
 from rainsim.scene.ground import estimate_ground_frame
 from rainsim.scene.types import Scene, Splats
 
-NAMES = "3DGS", "2DGS"
+NAMES, TRUTH = ("3DGS", "2DGS"), "trained_truth"
 RAIN = Rain("rain", (), past=0.03)
 # Steps of the logarithm of 1 + position [m], of the logarithm of the scale, of the parts of a unit
 # quaternion, of opacity and of the display colour, in which splats are kept.
@@ -28,8 +27,13 @@ LEAST_SCALE = 1e-6  # m
 
 
 def scenes():
-    """Yield name, `Scene` and the truth's arrays of each trained capture; the test views first."""
-    truth = day_data.read("trained_truth")
+    """Yield name, `Scene` and the truth's arrays of each trained capture; the test views first.
+
+    None where their files are not: nothing here makes them again.
+    """
+    if not (day_data.FOLDER / f"{TRUTH}.npz").is_file():
+        return
+    truth = day_data.read(TRUTH)
     cameras = [
         Camera(*(int(n) for n in truth["size"]), *lens, pose, str(name))
         for name, lens, pose in zip(truth["names"], truth["lens"], truth["poses"], strict=True)
@@ -69,32 +73,3 @@ def unpack(arrays):
     return Splats(*(np.ascontiguousarray(a, np.float32) for a in (
         position, values["rotation"] / length, scale, values["opacity"], sh[:, None],
     )))  # fmt: skip
-
-
-def pack_truth(cameras, pictures):
-    """Return the arrays of `trained_truth`.
-
-    Parameters
-    ----------
-    cameras : list of Camera
-        In the capture frame; those of the test views first.
-    pictures : list of dict
-        For each test view: rain, radiance of shape (height, width, 3), with sides that HALF
-        divides; region, number in `names`; lit, bool.
-    """
-    arrays = {
-        "size": np.array([cameras[0].width, cameras[0].height]),
-        "names": np.array([camera.name for camera in cameras]),
-        "lens": np.array([[c.fx, c.fy, c.cx, c.cy] for c in cameras]),
-        "poses": np.array([c.camera_from_world for c in cameras]), "tint": np.ones(3),
-    }  # fmt: skip
-    for view, picture in enumerate(pictures):
-        half = day_data.HALF
-        region = picture["region"][::half, ::half]
-        region = np.array([day_data.REGIONS.index(name) for name in picture["names"]])[region]
-        lit = picture["lit"][::half, ::half]
-        labels = day_data.Labels(region, lit, np.zeros_like(lit), np.ones(lit.shape))
-        rain = reduced(picture["rain"].astype(np.float64))
-        arrays[f"{RAIN.name} {view}"] = day_data.pack_picture(rain)
-        arrays[f"labels {view}"] = day_data.pack_labels(labels)
-    return arrays

@@ -11,6 +11,7 @@ import time
 
 import numpy as np
 
+from rainsim.bench.suite import decibels
 from rainsim.constants import REFRACTIVE_INDEX
 from rainsim.reflection.ray_traced import Tracer
 from rainsim.shading import wet_ground_mirror
@@ -86,7 +87,7 @@ def _field(renderer, wet_picture, cover, name):
 def _error(difference, truth):
     square = float(np.mean(np.square(difference, dtype=np.float64)))
     return {
-        "psnr": -10 * math.log10(max(square, 1e-12)),
+        "psnr": decibels(square),
         "relative": math.sqrt(square) / max(float(truth.mean()), 1e-9),
     }
 

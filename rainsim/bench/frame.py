@@ -7,9 +7,6 @@ turn, so that the load of the machine affects all of them alike.
 
 from __future__ import annotations
 
-import os
-import platform
-import resource
 import time
 
 import numpy as np
@@ -19,9 +16,17 @@ from rainsim.backend import on_backend
 from rainsim.bench import frame_cuda, frame_gsplat, frame_levels
 from rainsim.bench.chart import draw_fronts
 from rainsim.bench.frame_levels import TRUTH_SCALE, TRUTH_WIDTH
-from rainsim.bench.scenes import SCENES, scene_names
+from rainsim.bench.suite import (
+    SCENES,
+    decibels,
+    load_line,
+    machine,
+    markdown,
+    peak,
+    quiet,
+    scene_names,
+)
 from rainsim.config.settings import Config
-from rainsim.jit import set_threads
 from rainsim.render.renderer import Renderer
 from rainsim.scene.library import load_scene
 
@@ -32,15 +37,13 @@ FRAMES = {False: 2, True: 1}  # compared with the truth
 EXTENT = {False: None, True: 3.0}  # m
 
 
-def run(quick=False, say=None, backend="cpu"):
-    """Run the whole bench.
+def run(quick=False, say=quiet, backend="cpu"):
+    """Run the whole bench, see `rainsim.bench.suite`.
 
     Parameters
     ----------
     quick : bool
-        One scene, small, one drawing of each.
-    say : callable, optional
-        Called with a line of text for each result.
+    say : callable
     backend : {"cpu", "cuda"}
         What draws; `rainsim.bench.frame_cuda` says what is measured on a GPU.
 
@@ -56,7 +59,6 @@ def run(quick=False, say=None, backend="cpu"):
     BackendError
         If the backend cannot run here.
     """
-    say = say or (lambda line: None)
     on_backend(backend)  # before anything is drawn
     rows = []
     for name in scene_names(quick):
@@ -72,15 +74,12 @@ def run(quick=False, say=None, backend="cpu"):
                 for row in measure(scene, width, motion, quick):
                     rows.append(row)
                     say(_line(row))
-    machine = {
-        "cpu": platform.processor() or platform.machine(), "cores": os.cpu_count(),
-        "threads": set_threads(None), "load": os.getloadavg(),
-        "peak_mib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
+    result = {
+        "machine": machine(peak_mib=peak() / 2**20), "quick": quick, "backend": backend,
+        "rows": rows,
     }  # fmt: skip
     if backend == "cuda":
-        machine |= frame_cuda.machine()
-    result = {"machine": machine, "quick": quick, "backend": backend, "rows": rows}
-    if backend == "cuda":
+        result["machine"] |= frame_cuda.machine()
         result["peers"] = frame_gsplat.measure(scene, quick, say)  # the capture, if it is there
     return result
 
@@ -166,7 +165,7 @@ def _line(row):
 
 
 def _decibel(rmse):
-    return "-" if rmse is None else f"{-20 * np.log10(max(rmse, 1e-9)):.1f}"
+    return "-" if rmse is None else f"{decibels(rmse**2, 1e-18):.1f}"
 
 
 def table(result):
@@ -178,28 +177,26 @@ def table(result):
         + r["level"].removeprefix("as set").replace("map", ", map")
         for r in own
     ]
-    lines = ["| ms | " + " | ".join(heads) + " |", "|---" * (len(own) + 1) + "|"]
-    for stage in dict.fromkeys(s for row in own for s in row["milliseconds"]):
-        cells = [_milliseconds(row["milliseconds"].get(stage, 0.0)) for row in own]
-        lines.append(f"| {stage} | " + " | ".join(cells) + " |")
+    stages = dict.fromkeys(s for row in own for s in row["milliseconds"])
+    cells = [
+        (stage, *(_milliseconds(row["milliseconds"].get(stage, 0.0)) for row in own))
+        for stage in stages
+    ]
     for name, title in (("sequence_ms", "frame of a sequence"), ("memory_mib", "MiB of memory")):
         if any(row.get(name) is not None for row in own):
-            cells = [_milliseconds(row.get(name)) for row in own]
-            lines.append(f"| {title} | " + " | ".join(cells) + " |")
+            cells.append((title, *(_milliseconds(row.get(name)) for row in own)))
+    lines = markdown(("ms", *heads), cells)
     measured = [row for row in rows if row["rmse"] is not None]
-    heads = {(r["scene"], r["width"], r["height"], r["motion"]): None for r in measured}
-    titles = [f"{scene} {w} x {h} {motion}" for scene, w, h, motion in heads]
-    lines += ["", "| ms / dB | " + " | ".join(titles) + " |", "|---" * (len(heads) + 1) + "|"]
-    for level in dict.fromkeys(row["level"] for row in measured):
-        cells = [
-            f"{_milliseconds(row['milliseconds']['frame'])} / {_decibel(row['rmse'])}"
-            for row in measured
-            if row["level"] == level
-        ]
-        lines.append(f"| {level} | " + " | ".join(cells) + " |")
-    load = ", ".join(f"{x:.1f}" for x in result["machine"]["load"])
+    heads = dict.fromkeys(
+        f"{r['scene']} {r['width']} x {r['height']} {r['motion']}" for r in measured
+    )
+    levels = {}
+    for row in measured:
+        text = f"{_milliseconds(row['milliseconds']['frame'])} / {_decibel(row['rmse'])}"
+        levels.setdefault(row["level"], [row["level"]]).append(text)
     memory, gpu = result["machine"]["peak_mib"], result["machine"].get("gpu")
-    last = f"{result['machine']['threads']} threads, load {load}, peak {memory:.0f} MiB"
+    last = f"{load_line(result)}, peak {memory:.0f} MiB"
+    lines += ["", *markdown(("ms / dB", *heads), levels.values())]
     lines += ["", last + (f", {gpu}" if gpu else "")]
     if result.get("peers"):
         lines += ["", frame_gsplat.table(result["peers"])]

@@ -17,6 +17,7 @@ import numpy as np
 from rainsim import pipeline, raster
 from rainsim.bench import frame_levels
 from rainsim.bench.growth import halved
+from rainsim.bench.suite import markdown, quiet
 from rainsim.config.settings import Config
 from rainsim.scene.cameras import resize_to
 
@@ -30,7 +31,7 @@ VIEWS = {False: 8, True: 1}  # cameras of which the dry pictures are timed
 REPEATS = 15  # pictures of each view by gsplat, of which the median counts
 
 
-def measure(scene, quick=False, say=None):
+def measure(scene, quick=False, say=quiet):
     """Return rows of times [ms] of one scene: program, splats, picture, median and least.
 
     Parameters
@@ -38,7 +39,7 @@ def measure(scene, quick=False, say=None):
     scene : Scene
     quick : bool
         Small, the scene's own splats alone.
-    say : callable, optional
+    say : callable
         Called with a line of text for each row.
     """
     rows = []
@@ -48,9 +49,8 @@ def measure(scene, quick=False, say=None):
             "scene": scene.name, "program": program, "what": what, "splats": count,
             "median_ms": float(np.median(times)), "least_ms": float(np.min(times)),
         })  # fmt: skip
-        if say:
-            say("{scene} {splats:8d} splats  {program:8s} {what:24s} {median_ms:7.3f} ms  "
-                "(least {least_ms:.3f})".format(**rows[-1]))  # fmt: skip
+        say("{scene} {splats:8d} splats  {program:8s} {what:24s} {median_ms:7.3f} ms  "
+            "(least {least_ms:.3f})".format(**rows[-1]))  # fmt: skip
 
     config = Config.from_preset(PRESETS[0]).replace(spacing=SPACING[quick], extent=EXTENT[quick])
     cameras = frame_levels.cameras_of(scene, "moving", FRAMES[quick] + 1)
@@ -148,15 +148,12 @@ def _rainy(scene, terrain, settings, cameras, settling):
 def table(rows):
     """Return the rows of one scene as a Markdown table: medians, and the least in brackets."""
     counts = list(dict.fromkeys(row["splats"] for row in rows))
-    heads = [f"{count / 1e6:.2f} M splats" for count in counts]
-    lines = [f"| {rows[0]['scene']}: ms, median (least) | " + " | ".join(heads) + " |"]
-    lines.append("|---" * (len(heads) + 1) + "|")
-    for what in dict.fromkeys((row["program"], row["what"]) for row in rows):
-        cells = {
-            row["splats"]: f"{row['median_ms']:.3g} ({row['least_ms']:.3g})"
-            for row in rows
-            if (row["program"], row["what"]) == what
-        }
-        cells = [cells.get(count, "-") for count in counts]
-        lines.append(f"| {what[0]}, {what[1]} | " + " | ".join(cells) + " |")
-    return "\n".join(lines)
+    cells = {}
+    for row in rows:
+        of = cells.setdefault(f"{row['program']}, {row['what']}", dict.fromkeys(counts, "-"))
+        of[row["splats"]] = f"{row['median_ms']:.3g} ({row['least_ms']:.3g})"
+    heads = (f"{count / 1e6:.2f} M splats" for count in counts)
+    return "\n".join(markdown(
+        (f"{rows[0]['scene']}: ms, median (least)", *heads),
+        [(what, *of.values()) for what, of in cells.items()],
+    ))  # fmt: skip

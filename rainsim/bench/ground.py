@@ -10,6 +10,8 @@ import numpy as np
 from scipy import ndimage
 
 from rainsim.bench import captures
+from rainsim.bench.chart import draw_fronts
+from rainsim.bench.suite import quiet
 from rainsim.config.settings import TerrainConfig
 from rainsim.errors import GroundError
 from rainsim.scene.ground import estimate_ground_frame
@@ -28,17 +30,8 @@ FOLDS = ((4, 0.5), (8, 0.5), (15, 0.55), (25, 0.5), (-8, 0.5), (8, 0.7), (25, 0.
 WRONG = 2.0  # degrees: a ground found farther off than that counts as wrong
 
 
-def run(quick=False, say=None):
-    """Return figures on frames, beds, dips and a street as plain values.
-
-    Parameters
-    ----------
-    quick : bool
-        Two captures per case instead of ten, and one cell size.
-    say : callable, optional
-        Called with a line of text on what is being measured.
-    """
-    say = say or (lambda line: None)
+def run(quick=False, say=quiet):
+    """Return figures on frames, beds, dips and a street; see `rainsim.bench.suite`."""
     seeds = 2 if quick else 10
     spacings = (0.02,) if quick else SPACINGS
     measure_bed(*captures.yard(0), 0.05)  # compiles; not timed
@@ -88,8 +81,6 @@ def _shown(value):
 
 def draw(result, path):
     """Draw the bed's error against time for each noise of the splats, by size of cell, as PNG."""
-    from rainsim.bench.chart import draw_fronts
-
     panels = {}
     for row in result["beds"]:
         panel = panels.setdefault(f"{row['noise_mm']:g} mm of noise", {"lines": {}})

@@ -7,7 +7,6 @@ the least times: 1 means that the time doubles with the quantity.
 
 from __future__ import annotations
 
-import os
 import time
 from dataclasses import replace
 
@@ -16,9 +15,8 @@ from scipy.spatial.transform import Rotation
 
 from rainsim import pipeline
 from rainsim.bench.chart import COLORS, MARKERS, log_ticks, require_matplotlib, save
-from rainsim.bench.scenes import SCENES, scene_names
+from rainsim.bench.suite import SCENES, load_line, machine, markdown, quiet, scene_names
 from rainsim.config.settings import Config
-from rainsim.jit import set_threads
 from rainsim.render.renderer import Renderer
 from rainsim.scene.cameras import resize_to
 from rainsim.scene.library import load_scene
@@ -39,15 +37,8 @@ LOWEST, HIGHEST = 20, 500  # ms, of the chart's axes
 WET_STAGES = ("find water", "mirror", "reflection", "water")
 
 
-def run(quick=False, say=None):
-    """Run the whole bench.
-
-    Parameters
-    ----------
-    quick : bool
-        One scene, small, two cases of each quantity.
-    say : callable, optional
-        Called with a line of text for each case.
+def run(quick=False, say=quiet):
+    """Run the whole bench, see `rainsim.bench.suite`.
 
     Returns
     -------
@@ -71,10 +62,8 @@ def run(quick=False, say=None):
         ):
             for row in measure(cases, quantity, ROUNDS[quick]):
                 rows.append({"scene": scene.name, "quantity": quantity, **row})
-                if say:
-                    say(_line(rows[-1]))
-    machine = {"cores": os.cpu_count(), "threads": set_threads(None), "load": os.getloadavg()}
-    return {"machine": machine, "quick": quick, "rows": rows}
+                say(_line(rows[-1]))
+    return {"machine": machine(), "quick": quick, "rows": rows}
 
 
 def splat_cases(scene, terrain, config, camera, shares):
@@ -172,28 +161,20 @@ def _series(result):
     """Yield scene, quantity and the rows of each."""
     for scene in dict.fromkeys(row["scene"] for row in result["rows"]):
         for quantity in QUANTITIES:
-            rows = [
-                row
-                for row in result["rows"]
-                if row["scene"] == scene and row["quantity"] == quantity
-            ]
+            rows = [r for r in result["rows"] if (r["scene"], r["quantity"]) == (scene, quantity)]
             yield scene, quantity, sorted(rows, key=lambda row: row["count"])
 
 
 def table(result):
     """Return the times and exponents in Markdown."""
-    lines = [
-        "| scene | quantity | counts | least ms of a frame | of its water | exponent, water's |",
-        "|---|---|---|---|---|---|",
-    ]
-    for scene, quantity, rows in _series(result):
-        counts = ", ".join(f"{row['count']}" for row in rows)
-        whole = ", ".join(f"{row['least_ms']:.0f}" for row in rows)
-        water = ", ".join(f"{row['water_ms']:.0f}" for row in rows)
-        slopes = f"{exponent(rows):.2f}, {exponent(rows, 'water_ms'):.2f}"
-        lines.append(f"| {scene} | {quantity} | {counts} | {whole} | {water} | {slopes} |")
-    load = ", ".join(f"{x:.1f}" for x in result["machine"]["load"])
-    return "\n".join([*lines, "", f"{result['machine']['threads']} threads, load {load}"])
+    cells = [
+        (scene, quantity, *(", ".join(f"{row[key]:.0f}" for row in rows)
+                            for key in ("count", "least_ms", "water_ms")),
+         f"{exponent(rows):.2f}, {exponent(rows, 'water_ms'):.2f}")
+        for scene, quantity, rows in _series(result)
+    ]  # fmt: skip
+    head = "scene", "quantity", "counts", "least ms of a frame", "of its water", "exponent, water's"
+    return "\n".join([*markdown(head, cells), "", load_line(result)])
 
 
 def draw(result, path):

@@ -12,6 +12,7 @@ import numpy as np
 
 from rainsim.bench import cases, hydraulic_cases, water
 from rainsim.bench.chart import draw_fronts
+from rainsim.bench.suite import machine, markdown, quiet
 from rainsim.jit import set_threads
 
 # name of a method: scheme and type of the fields
@@ -100,15 +101,8 @@ def orders(records):
     return found
 
 
-def run(quick=False, say=None):
-    """Run the whole bench.
-
-    Parameters
-    ----------
-    quick : bool
-        Small sizes, one run each.
-    say : callable, optional
-        Called with a line of text for each result.
+def run(quick=False, say=quiet):
+    """Run the whole bench, see `rainsim.bench.suite`.
 
     Returns
     -------
@@ -119,7 +113,7 @@ def run(quick=False, say=None):
     threads = set_threads(None)
     set_threads(1)  # maps of four rows: a second thread only waits, long if the machine is busy
     try:
-        return _run(quick, say or (lambda line: None))
+        return _run(quick, say)
     finally:
         set_threads(threads)
 
@@ -139,7 +133,7 @@ def _run(quick, say):
     for (name, method), order in orders(records).items():
         by_case.setdefault(name, {})[method] = order
     return {
-        "machine": water.machine("float32, float64"), "quick": quick, "records": records,
+        "machine": machine(dtype="float32, float64"), "quick": quick, "records": records,
         "orders": by_case, "sill": {method: at_sill(method) for method in METHODS},
         "left_out": LEFT_OUT,
     }  # fmt: skip
@@ -147,47 +141,32 @@ def _run(quick, say):
 
 def table(result):
     """Return errors and times [s], orders, and the catchment's hydrographs as Markdown tables."""
-    head = ["| case | cells | " + " | ".join(METHODS) + " |", "|---" * (len(METHODS) + 2) + "|"]
-    rows = {}
-    for record in result["records"]:
-        rows.setdefault((record["case"], record["cells"]), {})[record["scheme"]] = record
-    lines = list(head)
-    for (name, cells), row in rows.items():
-        texts = []
-        for method in METHODS:
-            text = f"{row[method]['error']:.4f} / {row[method]['seconds']:.3f}"
-            texts.append(f"**{text}**" if row[method]["front"] else text)
-        lines.append(f"| {name} | {cells} | " + " | ".join(texts) + " |")
-    lines += ["", "| order | " + " | ".join(METHODS) + " |", "|---" * (len(METHODS) + 1) + "|"]
-    for name, order in result["orders"].items():
-        texts = [f"{order[method]:.2f}" for method in METHODS]
-        lines.append(f"| {name} | " + " | ".join(texts) + " |")
-    lines += ["", *_catchment_lines(result["records"])]
-    lines += ["", "| sill at an open edge | " + " | ".join(METHODS) + " |"]
-    lines.append("|---" * (len(METHODS) + 1) + "|")
-    for name, key, form in (("share that leaves", "leaves", ".3f"), ("depth [m]", "depth", ".2f")):
-        texts = [format(result["sill"][method][key], form) for method in METHODS]
-        lines.append(f"| {name} | " + " | ".join(texts) + " |")
-    lines += ["", "Left out:", ""]
-    lines += [f"- {name}: {reason}" for name, reason in result["left_out"].items()]
-    return "\n".join(lines)
-
-
-def _catchment_lines(records):
-    lines = [
-        f"| catchment | cells | steady flow | {NEARLY:.0%} reached [s] | in theory [s] "
-        "| volume left over theory's |",
-        "|---" * 6 + "|",
+    orders_ = [
+        (name, *(f"{order[method]:.2f}" for method in METHODS))
+        for name, order in result["orders"].items()
     ]
-    for record in records:
-        if "catchment" in record:
-            found = record["catchment"]
-            lines.append(
-                f"| {record['scheme']} | {record['cells']} | {found['steady']:.4f} | "
-                f"{found['reached']:.0f} | {found['reached_in_theory']:.0f} | "
-                f"{found['volume']:.4f} |"
-            )
-    return lines
+    hydrographs = [
+        (r["scheme"], r["cells"], f"{found['steady']:.4f}", f"{found['reached']:.0f}",
+         f"{found['reached_in_theory']:.0f}", f"{found['volume']:.4f}")
+        for r in result["records"] if (found := r.get("catchment"))
+    ]  # fmt: skip
+    sill = [
+        (name, *(format(result["sill"][method][key], form) for method in METHODS))
+        for name, key, form in (
+            ("share that leaves", "leaves", ".3f"), ("depth [m]", "depth", ".2f")
+        )
+    ]  # fmt: skip
+    reached = f"{NEARLY:.0%} reached [s]", "in theory [s]"
+    return "\n".join([
+        *water.front_lines(result["records"], METHODS), "",
+        *markdown(("order", *METHODS), orders_), "",
+        *markdown(
+            ("catchment", "cells", "steady flow", *reached, "volume left over theory's"),
+            hydrographs,
+        ), "",
+        *markdown(("sill at an open edge", *METHODS), sill), "", "Left out:", "",
+        *(f"- {name}: {reason}" for name, reason in result["left_out"].items()),
+    ])  # fmt: skip
 
 
 def draw(result, path):

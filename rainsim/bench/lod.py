@@ -8,7 +8,6 @@ memory stay as they are along the way. The ground is that of windows along the p
 
 from __future__ import annotations
 
-import os
 import tempfile
 import time
 from dataclasses import replace
@@ -19,11 +18,11 @@ from scipy.spatial.transform import Rotation
 
 from rainsim import pipeline
 from rainsim.bench import lod_whole
-from rainsim.bench.chart import COLORS, MARKERS, require_matplotlib
-from rainsim.bench.lod_whole import peak, resident, row_line
+from rainsim.bench.chart import COLORS, MARKERS, require_matplotlib, save
+from rainsim.bench.lod_whole import row_line
+from rainsim.bench.suite import load_line, machine, markdown, peak, quiet, resident
 from rainsim.config.settings import Config
 from rainsim.demo_scenes.street import first_view
-from rainsim.jit import set_threads
 from rainsim.lod.cut import cut
 from rainsim.render.renderer import Renderer
 from rainsim.scene.big import open_pages
@@ -54,15 +53,13 @@ FRAMES = {False: 5, True: 3}  # of a short drive at a place, NEXT apart
 EVERYTHING = 64e9  # bytes: full detail is drawn whatever it takes
 
 
-def run(quick=False, say=None, length=None, folder=None, whole=False):
-    """Run the bench.
+def run(quick=False, say=quiet, length=None, folder=None, whole=False):
+    """Run the bench, see `rainsim.bench.suite`.
 
     Parameters
     ----------
     quick : bool
-        A short street, small pictures, two thresholds.
-    say : callable, optional
-        Called with a line of text for each step.
+    say : callable
     length : float, optional [m]
         Of the street.
     folder : path-like, optional
@@ -80,7 +77,7 @@ def run(quick=False, say=None, length=None, folder=None, whole=False):
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary) / "street" if folder is None else Path(folder)
         facts = {} if (folder / "lod-meta.json").is_file() else make(folder, length)
-        if say and facts:
+        if facts:
             say(f"cut: {facts['splats']} splats in {facts['seconds']:.0f} s")
         scene = long_street(folder, length)
         facts |= {"splats": scene.count, "length": length, "bytes": _bytes(folder)}
@@ -100,10 +97,9 @@ def run(quick=False, say=None, length=None, folder=None, whole=False):
         places = places_of(folder, length, ground, path, config, PLACES[quick])
         alone = measure_alone(folder, length, ground, places, config, FRAMES[quick], say)
         details = measure_details(folder, length, ground, places, config, DETAILS[quick], say)
-    machine = {"cores": os.cpu_count(), "threads": set_threads(None), "load": os.getloadavg()}
     for row in rows:
         del row["picture"]
-    return {"machine": machine, "quick": quick, "cut": facts, "rows": details, "drive": rows,
+    return {"machine": machine(), "quick": quick, "cut": facts, "rows": details, "drive": rows,
             "alone": alone}  # fmt: skip
 
 
@@ -176,7 +172,7 @@ def _bytes(folder):
 # --- measuring ------------------------------------------------------------------------------------
 
 
-def measure_drive(folder, length, ground, path, config, stretches, say=None):
+def measure_drive(folder, length, ground, path, config, stretches, say=quiet):
     """Return a row for each frame of some stretches of a drive, each drawn once, in order.
 
     In each stretch windows of the ground begin, made while the frames before are drawn; its first
@@ -204,8 +200,7 @@ def measure_drive(folder, length, ground, path, config, stretches, say=None):
                 "read": _made(pages) - made, "resident": resident(), "peak": peak(),
                 "residual": report.ledger["residual"],
             })  # fmt: skip
-            if say:
-                say(row_line(rows[-1]))
+            say(row_line(rows[-1]))
             begin, cpu, made = time.perf_counter(), time.process_time(), _made(pages)
     return rows
 
@@ -239,7 +234,7 @@ def places_of(folder, length, ground, path, config, count):
     return found
 
 
-def measure_details(folder, length, ground, places, config, details, say=None):
+def measure_details(folder, length, ground, places, config, details, say=quiet):
     """Return a row for each threshold: accuracy of frames along the street, splats and time."""
     truth, rows = None, []
     for detail in (0.0, *details):
@@ -271,12 +266,11 @@ def measure_details(folder, length, ground, places, config, details, say=None):
             "splats": float(np.mean(splats)), "cpu_ms": float(np.median(cpu)),
             "kept": scene.pages.kept.size,
         })  # fmt: skip
-        if say:
-            say(detail_line(rows[-1]))
+        say(detail_line(rows[-1]))
     return rows
 
 
-def measure_alone(folder, length, ground, places, config, frames, say=None):
+def measure_alone(folder, length, ground, places, config, frames, say=quiet):
     """Return a row for each place of a street: frames from its chunks, and of the seen part alone.
 
     The scene that is compared with holds whole the runs that the cameras of a short drive need,
@@ -297,9 +291,7 @@ def measure_alone(folder, length, ground, places, config, frames, say=None):
         cpu = {paged: [], alone: []}
         for renderer in cpu:
             renderer.conductor.take_ground(renderer.conductor.ready_ground(*around, config))
-            renderer.draw(
-                ahead(scene.ground_frame, first, -SPEED * NEXT), state
-            )  # reads what it needs
+            renderer.draw(ahead(frame, first, -SPEED * NEXT), state)  # reads what it needs
         for k, camera in enumerate(cameras):
             for renderer in cpu:
                 begin = time.process_time()
@@ -311,8 +303,7 @@ def measure_alone(folder, length, ground, places, config, frames, say=None):
             "splats": len(whole.splats), "cpu_ms": float(np.median(cpu[paged])),
             "alone_ms": float(np.median(cpu[alone])),
         })  # fmt: skip
-        if say:
-            say(alone_line(rows[-1]))
+        say(alone_line(rows[-1]))
     return rows
 
 
@@ -361,26 +352,20 @@ def table(result):
     """Return the thresholds and the drive in Markdown."""
     if result.get("whole"):
         return lod_whole.table(result)
-    lines = [
-        "| threshold [px] | dB, median | worst | splats | ms of processors | pages [MB] "
-        "| frame to frame |",
-        "|---|---|---|---|---|---|---|",
-    ]
+    cells = []
     for row in result["rows"]:
-        exact = row["detail"] == 0
-        decibels = ("", "") if exact else (f"{row['median_db']:.1f}", f"{row['worst_db']:.1f}")
-        lines.append(
-            f"| {'all splats' if exact else row['detail']} | {decibels[0]} | {decibels[1]} | "
-            f"{row['splats']:.0f} | {row['cpu_ms']:.0f} | {row['kept'] / 1e6:.0f} | "
-            f"{row['flicker']:+.1%} |"
-        )
+        accuracy = row["detail"], f"{row['median_db']:.1f}", f"{row['worst_db']:.1f}"
+        cells.append((
+            *(accuracy if row["detail"] else ("all splats", "", "")), f"{row['splats']:.0f}",
+            f"{row['cpu_ms']:.0f}", f"{row['kept'] / 1e6:.0f}", f"{row['flicker']:+.1%}",
+        ))  # fmt: skip
     drive, made = result["drive"], result["cut"]
     own = [row["cpu_ms"] for row in drive if not row["jump"] and not row["window"]]
     begun = [row["cpu_ms"] for row in drive if row["window"]]
     jumps = [row["cpu_ms"] for row in drive if row["jump"]]
-    load = ", ".join(f"{x:.1f}" for x in result["machine"]["load"])
     return "\n".join([
-        *lines, "",
+        *markdown(("threshold [px]", "dB, median", "worst", "splats", "ms of processors",
+                   "pages [MB]", "frame to frame"), cells), "",
         f"the last frame by itself: {'the same bytes' if made['same'] else 'OTHER BYTES'}",
         f"{made['splats']} splats on {made['length']:.0f} m, {made['bytes'] / 1e6:.0f} MB; "
         f"{made['windows']} windows",
@@ -393,7 +378,7 @@ def table(result):
         f"{max(row['resident'] for row in drive) / 1e9:.2f} GB after a frame, "
         f"{drive[-1]['peak'] / 1e9:.2f} GB at most",
         *(alone_line(row) for row in result["alone"]),
-        f"{result['machine']['threads']} threads, load {load}",
+        load_line(result),
     ])  # fmt: skip
 
 
@@ -440,16 +425,8 @@ def draw(result, path):
     axes[2].set(xlabel="m along the street", ylabel="ms of processors", ylim=(100, 3e4))
     axes[2].legend(fontsize=8, loc="upper left")
     twin = axes[2].twinx()
-    twin.plot(
-        [row["x"] for row in drive],
-        [row["resident"] / 1e9 for row in drive],
-        color=COLORS[1],
-        marker=MARKERS[1],
-        ls="",
-        ms=4,
-    )
+    twin.plot([row["x"] for row in drive], [row["resident"] / 1e9 for row in drive], ls="",
+              color=COLORS[1], marker=MARKERS[1], ms=4)  # fmt: skip
     twin.set(ylim=(0, None))
     twin.set_ylabel("memory of the process [GB]", color=COLORS[1])
-    figure.savefig(Path(path), dpi=110, format="png")
-    pyplot.close(figure)
-    return None
+    return save(figure, path)

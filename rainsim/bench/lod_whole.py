@@ -6,22 +6,20 @@ that the process held is counted for each frame by itself, so that the table say
 
 from __future__ import annotations
 
-import os
 import time
-from pathlib import Path
 
 import numpy as np
 
 from rainsim import pipeline
-from rainsim.bench.chart import COLORS, MARKERS, require_matplotlib
-from rainsim.jit import set_threads
+from rainsim.bench.chart import COLORS, MARKERS, require_matplotlib, save
+from rainsim.bench.suite import load_line, machine, markdown, peak, quiet, resident
 
 EVERY = 3  # frames of the drive, of which one is drawn; the water moves in all
 PARTS = 10  # of the way, a row of the table each
 FORGET_PEAK = "5"  # to clear_refs, see proc(5)
 
 
-def measure_whole(scene, ground, path, config, say=None):
+def measure_whole(scene, ground, path, config, say=quiet):
     """Return a row for each frame of a drive that is drawn, all in order.
 
     Parameters
@@ -32,7 +30,7 @@ def measure_whole(scene, ground, path, config, say=None):
     path : list of Camera
         One per frame.
     config : Config
-    say : callable, optional
+    say : callable
         Called with a line of text for each row.
     """
     sequence, rows, pages = pipeline.FrameSequence(scene, ground, path, config), [], scene.pages
@@ -48,8 +46,7 @@ def measure_whole(scene, ground, path, config, say=None):
             "cpu_ms": (time.process_time() - before[1]) * 1e3, "read": number - made,
             "resident": resident(), "peak": peak(), "residual": report.ledger["residual"],
         })  # fmt: skip
-        if say:
-            say(row_line(rows[-1]))
+        say(row_line(rows[-1]))
         before, made = (time.perf_counter(), time.process_time()), number
         forget_peak()
     return rows
@@ -62,24 +59,6 @@ def row_line(row):
         f"{row['read']} pages read or made, {row['resident'] / 1e9:.2f} GB in all, "
         f"{row['peak'] / 1e9:.2f} GB at most" + ("; a window begins" if row["window"] else "")
     )
-
-
-def resident():
-    """Return the bytes that this process holds in memory now; 0 where the system does not say."""
-    try:
-        with open("/proc/self/statm", encoding="ascii") as file:
-            return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE")
-    except OSError:
-        return 0
-
-
-def peak():
-    """Return the most bytes that this process has held; 0 where the system does not say."""
-    try:
-        with open("/proc/self/status", encoding="ascii") as file:
-            return next(int(line.split()[1]) << 10 for line in file if line.startswith("VmHWM"))
-    except (OSError, StopIteration):
-        return 0
 
 
 def forget_peak():
@@ -105,22 +84,18 @@ def parts_of(rows):
 def table(result):
     """Return the drive in Markdown, a line for each part of the way."""
     rows, made = result["drive"], result["cut"]
-    lines = [
-        "| m along the street | windows | ms of processors, median | tenth decile | most "
-        "| GB after a frame, median | at most |",
-        "|---|---|---|---|---|---|---|",
-    ]
+    cells = []
     for part in filter(None, parts_of(rows)):
         cpu, held = ([row[key] for row in part] for key in ("cpu_ms", "resident"))
-        lines.append(
-            f"| {part[0]['x']:.0f} to {part[-1]['x']:.0f} | {sum(row['window'] for row in part)} | "
-            f"{np.median(cpu):.0f} | {np.percentile(cpu, 90):.0f} | {max(cpu):.0f} | "
-            f"{np.median(held) / 1e9:.2f} | {max(row['peak'] for row in part) / 1e9:.2f} |"
-        )
+        cells.append((
+            f"{part[0]['x']:.0f} to {part[-1]['x']:.0f}", sum(row["window"] for row in part),
+            f"{np.median(cpu):.0f}", f"{np.percentile(cpu, 90):.0f}", f"{max(cpu):.0f}",
+            f"{np.median(held) / 1e9:.2f}", f"{max(row['peak'] for row in part) / 1e9:.2f}",
+        ))  # fmt: skip
     later, first = rows[1:], rows[0]
-    load = ", ".join(f"{x:.1f}" for x in result["machine"]["load"])
     return "\n".join([
-        *lines, "",
+        *markdown(("m along the street", "windows", "ms of processors, median", "tenth decile",
+                   "most", "GB after a frame, median", "at most"), cells), "",
         f"{made['splats']} splats on {made['length']:.0f} m, {made['windows']} windows, "
         f"{len(rows)} frames, one of {EVERY} at {result['fps']:g} a second",
         f"set-up: {made['ground']:.1f} s of processors for the ground, then "
@@ -129,7 +104,7 @@ def table(result):
         f"median, {np.mean([row['cpu_ms'] for row in later]):.0f} in the mean, "
         f"{max(row['peak'] for row in later) / 1e9:.2f} GB at most",
         f"ledger: {max(abs(row['residual']) for row in rows):.1e} of its water at most",
-        f"{result['machine']['threads']} threads, load {load}",
+        load_line(result),
     ])  # fmt: skip
 
 
@@ -149,12 +124,10 @@ def draw(result, path):
                      color=COLORS[n], lw=1, label=label)  # fmt: skip
     axes[1].set(xlabel="m along the street", ylabel="memory [GB]", ylim=(0, None))
     axes[1].legend(fontsize=8, loc="lower right")
-    figure.savefig(Path(path), dpi=110, format="png")
-    pyplot.close(figure)
+    save(figure, path)
 
 
-def result_of(scene, ground, path, config, facts, say=None):
+def result_of(scene, ground, path, config, facts, say=quiet):
     """Return the results that `table` and `draw` take, of a drive along a street."""
     rows = measure_whole(scene, ground, path, config, say)
-    machine = {"cores": os.cpu_count(), "threads": set_threads(None), "load": os.getloadavg()}
-    return {"machine": machine, "whole": True, "fps": config.fps, "cut": facts, "drive": rows}
+    return {"machine": machine(), "whole": True, "fps": config.fps, "cut": facts, "drive": rows}

@@ -10,8 +10,6 @@ with the exact one, spheres with the height field.
 
 from __future__ import annotations
 
-import os
-import platform
 import time
 import tracemalloc
 from dataclasses import replace
@@ -22,16 +20,16 @@ from rainsim import pipeline
 from rainsim.bench import whole
 from rainsim.bench.chart import draw_fronts
 from rainsim.bench.film import film_accuracy, film_line
-from rainsim.bench.scenes import SCENES, scene_names
+from rainsim.bench.suite import SCENES, decibels, machine, quiet, rms, scene_names
 from rainsim.bench.truth import DARK, clipped, compare, trace_truth
 from rainsim.config.settings import Config
-from rainsim.jit import set_threads
 from rainsim.reflection import water_pass
 from rainsim.reflection.mirror_choice import mirror_step
 from rainsim.reflection.mirrored_rays import ENVIRONMENT
 from rainsim.reflection.water_pass import March, choice_of
 from rainsim.reflection.water_record import SLOPES
 from rainsim.render.renderer import Renderer
+from rainsim.scene.cameras import resize_to
 from rainsim.scene.library import load_scene
 
 WIDTH = {False: 480, True: 120}  # px
@@ -67,16 +65,8 @@ PAPER_CHOICES = {
 }  # fmt: skip
 
 
-def run(quick=False, say=lambda line: None):
-    """Return all figures as plain values.
-
-    Parameters
-    ----------
-    quick : bool
-        One scene, small, each level once.
-    say : callable
-        Called with a line of text on what is being measured.
-    """
+def run(quick=False, say=quiet):
+    """Return all figures, see `rainsim.bench.suite`."""
     cases, frames = [], {}
     for name in scene_names(quick):
         scene = load_scene(name)
@@ -87,13 +77,7 @@ def run(quick=False, say=lambda line: None):
         if not quick:
             frames[name] = whole.measure(name, WHOLE, WIDTH[quick])
             say(_whole(name, frames[name]))
-    return {
-        "cases": cases, "frames": frames,
-        "machine": {
-            "processor": platform.machine(), "threads": set_threads(None),
-            "load": os.getloadavg(),
-        },
-    }  # fmt: skip
+    return {"cases": cases, "frames": frames, "machine": machine()}
 
 
 def stage(scene, preset, quick):
@@ -101,9 +85,7 @@ def stage(scene, preset, quick):
     config = Config.from_preset(preset).replace(
         frames=1, spacing=SPACING[quick], extent=EXTENT[quick], width=WIDTH[quick]
     )
-    camera = scene.cameras[0]
-    height = round(camera.height * WIDTH[quick] / camera.width)
-    camera = camera.resized(WIDTH[quick], height)
+    camera = resize_to(scene.cameras[0], WIDTH[quick])
     terrain = pipeline.extract_terrain(scene, config)
     state = next(pipeline.simulate(terrain, config))
     renderer = Renderer(scene, terrain, config, camera)
@@ -117,7 +99,7 @@ def measure(scene, preset, quick):
     chosen = choice_of(renderer.water)
     truth = trace_truth(renderer, camera, state)
     levels, rate = reflection_levels(renderer, camera, state, truth, ROUNDS[quick])
-    choices = paper_choices(renderer, camera, state, ROUNDS[quick])
+    choices = paper_choices(renderer, state, ROUNDS[quick])
     return {
         "scene": scene.name, "preset": preset, "size": [camera.width, camera.height],
         "water_pixels": len(renderer.water.pixel), "causes": truth["causes"], "auto": chosen,
@@ -222,7 +204,7 @@ def _frame_time(renderer, camera, state, method, **sizes):
     return seconds
 
 
-def paper_choices(renderer, camera, state, rounds):
+def paper_choices(renderer, state, rounds):
     """Return the difference of each choice of the paper from the default picture, and its time."""
     frame, passes = renderer.frame, renderer.passes
     before, rows = renderer.conductor.methods, []
@@ -245,7 +227,7 @@ def paper_choices(renderer, camera, state, rounds):
         error = float(np.mean((picture[wet] - best[wet]) ** 2))
         rows.append({
             "name": name, "seconds": float(np.median(seconds)),
-            "psnr": None if name == "as set" else -10 * np.log10(max(error, 1e-12)),
+            "psnr": None if name == "as set" else decibels(error),
             "covers": float(coverage[wet].sum() / covered[wet].sum()),
         })  # fmt: skip
     return rows
@@ -281,15 +263,12 @@ def _lines(case):
         ),
         f"  traced: {cost['rays_per_second'] / 1e3:.1f} k rays/s, {cost['memory_mb']:.0f} MB; "
         f"colours seen from the camera instead: {_accuracy(case['view_dependence'])}",
+        f"  auto: {case['auto']}",
+        f"  march alone: {case['march_rays_per_second'] / 1e6:.2f} M rays/s",
         f"  {'reflection':27s} {'seen: dB, SSIM':>16s} {'all':>14s} {'clipped, seen':>14s} "
         f"{'all':>14s} {'false sky':>10s} "
         f"{'ms':>8s} {'M rays/s':>9s} {'MB':>6s} {'frame ms':>9s}",
     ]  # fmt: skip
-    rate = case["march_rays_per_second"]
-    lines.insert(3, f"  auto: {case['auto']}")
-    lines.insert(4, (
-        f"  march alone: {rate / 1e6:.2f} M rays/s"
-    ))  # fmt: skip
     for row in case["levels"]:
         frame = "" if row["frame"] is None else f"{row['frame'] * 1e3:9.1f}"
         lines.append(
@@ -325,7 +304,7 @@ def draw(result, path):
     for case in result["cases"]:
         if case["scene"] in SCENES:
             panels[f"{case['scene']}, {case['preset']}"] = {"lines": {
-                row["name"]: [(row["stage"], 10 ** (-row["all"]["psnr"] / 20))]
+                row["name"]: [(row["stage"], rms(row["all"]["psnr"]))]
                 for row in case["levels"] if row["all"]["psnr"] is not None
             }}  # fmt: skip
     draw_fronts(

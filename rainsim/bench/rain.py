@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import math
-import os
-import platform
-import time
 from functools import partial
 
 import numpy as np
 
 from rainsim.bench.chart import COLORS, MARKERS, log_ticks, require_matplotlib, save
+from rainsim.bench.suite import in_turn, load_line, machine, markdown, quiet
 from rainsim.constants import GRAVITY
 from rainsim.drops import RainField, RainSpectrum, flat_surfaces, impacts
 from rainsim.grid import WaterSolver
-from rainsim.jit import set_threads
 from rainsim.particles.fog import fog_optical_depth
 from rainsim.particles.splash import WET_FILM
 from rainsim.particles.splash_pass import draw_splashes
@@ -38,16 +35,8 @@ ROUNDS = {False: 15, True: 2}  # alternating, of which the least and the median 
 EYE_HEIGHT = 1.5  # m
 
 
-def run(quick=False, say=lambda line: None):
-    """Return all figures as plain values.
-
-    Parameters
-    ----------
-    quick : bool
-        Fewer drops and rounds.
-    say : callable
-        Called with a line of text on what is being measured.
-    """
+def run(quick=False, say=quiet):
+    """Return all figures, see `rainsim.bench.suite`."""
     say("gauge")
     gauge = [read_gauge(rate, GAUGE_DROPS[quick], GAUGE_SEEDS[quick]) for rate in RATES]
     say("waves")
@@ -60,9 +49,7 @@ def run(quick=False, say=lambda line: None):
     tiles = time_tiles(ROUNDS[quick])
     return {
         "gauge": gauge, "waves": waves, "streaks": streaks, "frame": frame, "tiles": tiles,
-        "machine": {
-            "processor": platform.machine(), "threads": set_threads(None), "load": os.getloadavg(),
-        },
+        "machine": machine(),
     }  # fmt: skip
 
 
@@ -137,7 +124,7 @@ def time_streaks(rounds):
             reach = streak_reach(field, camera, exposure, FAR)
             jobs = {"one split": np.full_like(reach, FAR), "by class": reach}
             arguments = (field, ground, camera, 1.0, exposure, depth)
-            milliseconds = _alternate(
+            milliseconds = in_turn(
                 {way: partial(draw_streaks, *arguments, far, alpha) for way, far in jobs.items()},
                 rounds,
             )
@@ -190,7 +177,7 @@ def time_frame(rounds):
             field, ground, camera, 1.0, 1 / 60, water, WET_FILM, depth, alpha
         ),
     }
-    return {"impacts": len(found), **_alternate(jobs, rounds)}
+    return {"impacts": len(found), **in_turn(jobs, rounds)}
 
 
 def time_tiles(rounds):
@@ -203,61 +190,42 @@ def time_tiles(rounds):
             tile = RippleTile(cells=cells, dtype=dtype)
             falls = tile_impacts(found, ground.area, tile.size, 1.0 + FRAME)
             jobs[f"{cells} {dtype}"] = lambda tile=tile, falls=falls: tile.advance(FRAME, *falls)
-    return _alternate(jobs, rounds)
+    return in_turn(jobs, rounds)
 
 
 def _ground():
     return flat_surfaces(MAP_SIDE, MAP_SIDE, MAP_SPACING, (0.0, -MAP_SIDE / 2))
 
 
-def _alternate(jobs, rounds):
-    """Run the jobs in turn and return least and median milliseconds of each; the first warms up."""
-    times = {name: [] for name in jobs}
-    for _ in range(rounds + 1):
-        for name, job in jobs.items():
-            start = time.process_time()
-            job()
-            times[name].append((time.process_time() - start) * 1e3)
-    return {
-        name: {"least_ms": min(t[1:]), "median_ms": float(np.median(t[1:]))}
-        for name, t in times.items()
-    }
-
-
 def table(result):
     """Return the figures as text in Markdown."""
-    lines = [
-        "| rain mm/h | drops | mean gauge / asked | error of the mean | error of one gauge |",
-        "|---|---|---|---|---|",
-    ]
-    lines += [
-        f"| {g['rate']:g} | {g['drops']} | {g['ratio']:.4f} | {g['error']:.4f} | "
-        f"{g['sampling']:.4f} |"
-        for g in result["gauge"]
-    ]
-    lines += ["", "| depth mm | wavelength mm | fitted / theory | shallow water / theory |",
-              "|---|---|---|---|"]  # fmt: skip
-    lines += [
-        f"| {w['depth'] * 1e3:g} | {w['wavelength'] * 1e3:g} | {w['fitted'] / w['theory']:.4f} | "
-        f"{w['shallow'] / w['theory']:.2f} |"
-        for w in result["waves"]
-    ]
-    lines += ["", "| streaks | exposure ms | split | drops | least ms | median ms | drawn + fog |",
-              "|---|---|---|---|---|---|---|"]  # fmt: skip
-    lines += [
-        f"| {s['size']} | {s['exposure'] * 1e3:.3g} | {s['way']} | {s['drops']:.0f} | "
-        f"{s['least_ms']:.1f} | {s['median_ms']:.1f} | {s['total']:.5f} |"
-        for s in result["streaks"]
-    ]
-    lines += ["", "| part of a frame | least ms | median ms |", "|---|---|---|"]
     parts = {k: v for k, v in result["frame"].items() if k != "impacts"}
-    for name, t in (*parts.items(), *result["tiles"].items()):
-        label = f"ripple tile {name}" if name[0].isdigit() else name
-        lines.append(f"| {label} | {t['least_ms']:.2f} | {t['median_ms']:.2f} |")
+    times = {**parts, **{f"ripple tile {name}": t for name, t in result["tiles"].items()}}
     total = sum(t["least_ms"] for t in parts.values())
-    lines.append(f"| drops, deposits, ripples, splashes | {total:.2f} | |")
-    load = ", ".join(f"{x:.1f}" for x in result["machine"]["load"])
-    return "\n".join([*lines, "", f"{result['machine']['threads']} threads, load {load}"])
+    return "\n".join([
+        *markdown(
+            ("rain mm/h", "drops", "mean gauge / asked", "error of the mean", "error of one gauge"),
+            [(f"{g['rate']:g}", g["drops"], f"{g['ratio']:.4f}", f"{g['error']:.4f}",
+              f"{g['sampling']:.4f}") for g in result["gauge"]],
+        ), "",
+        *markdown(
+            ("depth mm", "wavelength mm", "fitted / theory", "shallow water / theory"),
+            [(f"{w['depth'] * 1e3:g}", f"{w['wavelength'] * 1e3:g}",
+              f"{w['fitted'] / w['theory']:.4f}", f"{w['shallow'] / w['theory']:.2f}")
+             for w in result["waves"]],
+        ), "",
+        *markdown(
+            ("streaks", "exposure ms", "split", "drops", "least ms", "median ms", "drawn + fog"),
+            [(s["size"], f"{s['exposure'] * 1e3:.3g}", s["way"], f"{s['drops']:.0f}",
+              f"{s['least_ms']:.1f}", f"{s['median_ms']:.1f}", f"{s['total']:.5f}")
+             for s in result["streaks"]],
+        ), "",
+        *markdown(
+            ("part of a frame", "least ms", "median ms"),
+            [(name, f"{t['least_ms']:.2f}", f"{t['median_ms']:.2f}") for name, t in times.items()],
+        ),
+        f"| drops, deposits, ripples, splashes | {total:.2f} | |", "", load_line(result),
+    ])  # fmt: skip
 
 
 def draw(result, path):

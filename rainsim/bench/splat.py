@@ -7,8 +7,6 @@ more threads is measured as wall time, stage by stage, which needs an idle machi
 
 from __future__ import annotations
 
-import os
-import platform
 import time
 
 import numpy as np
@@ -18,11 +16,12 @@ from rainsim.bench import peers
 from rainsim.bench.chart import draw_fronts
 from rainsim.bench.splat_choices import all_choices
 from rainsim.bench.splat_truth import draw_truth
+from rainsim.bench.suite import decibels, load_line, machine, markdown, quiet, rms, scene_names
 from rainsim.jit import set_threads
-from rainsim.scene.library import list_scenes, load_scene
+from rainsim.scene.cameras import resize_to
+from rainsim.scene.library import load_scene
 
 SCENE = "bicycle"
-CAPTURE = "garden"  # also measured if a folder of RAINSIM_SCENES holds a scene named so
 WIDTH = {False: 648, True: 96}  # px
 ROUNDS = {False: 15, True: 2}  # of which the least and the median count; one more warms up
 NEAR = 0.01  # capture units
@@ -37,30 +36,14 @@ STAGES = {
 }  # fmt: skip
 
 
-def run(quick=False, say=None):
-    """Return all figures as plain values.
-
-    Parameters
-    ----------
-    quick : bool
-        A small picture and few rounds.
-    say : callable, optional
-        Called with a line of text for each result.
-
-    Returns
-    -------
-    dict
-        "machine" and "records", one for each scene, group and choice.
-    """
-    say = say or (lambda line: None)
+def run(quick=False, say=quiet):
+    """Return "machine" and "records", one for each scene, group and choice; see `suite`."""
     records, sizes, scaling = [], {}, []
-    known = [name for name, _, built_in in list_scenes() if name == CAPTURE and not built_in]
-    for name in (SCENE, *known):
+    for name in scene_names(False, (SCENE,)):
         scene = load_scene(name)
-        camera = scene.cameras[0]
-        height = round(WIDTH[quick] * camera.height / camera.width)
-        camera = camera.resized(WIDTH[quick], height)
-        sizes[name] = {"width": camera.width, "height": height, "splats": len(scene.splats)}
+        camera = resize_to(scene.cameras[0], WIDTH[quick])
+        size = {"width": camera.width, "height": camera.height, "splats": len(scene.splats)}
+        sizes[name] = size
         say(f"{name}: float64")
         truth = draw_truth(scene.splats, camera, NEAR)
         prepared = raster.prepare(scene.splats)
@@ -74,10 +57,7 @@ def run(quick=False, say=None):
         found = time_stages(prepared, camera, ROUNDS[quick])
         scaling += [{"scene": name, **record} for record in found]
     return {
-        "machine": {
-            "processor": platform.machine(), "threads": 1, "dtype": "float32",
-            "load": os.getloadavg(),
-        },
+        "machine": machine(dtype="float32") | {"threads": 1},
         "quick": quick, "rounds": ROUNDS[quick], "scenes": sizes, "records": records,
         "scaling": scaling,
     }  # fmt: skip
@@ -153,7 +133,7 @@ def time_stages(prepared, camera, rounds):
 
 def decibel(picture, truth):
     """Return the peak signal-to-noise ratio of a picture, peak 1; 200 at most."""
-    return float(-10 * np.log10(max(np.mean((picture - truth) ** 2), 1e-20)))
+    return decibels(np.mean((picture - truth) ** 2), 1e-20)
 
 
 def _depth_error(depth, truth, alpha):
@@ -169,32 +149,29 @@ def table(result):
     """Return the figures as text in Markdown, the defaults in bold."""
     lines = []
     for name, size in result["scenes"].items():
+        choices = [
+            (r["group"], f"**{r['choice']}**" if r["default"] else r["choice"],
+             f"{r['decibel']:.1f}", f"{r['worst']:.4f}", f"{r['depth_error']:.0e}",
+             f"{r['least_ms']:.1f}", f"{r['median_ms']:.1f}", f"{r['ratio']:.2f}")
+            for r in result["records"] if r["scene"] == name
+        ]  # fmt: skip
+        times = {}
+        for r in result["scaling"]:
+            if r["scene"] == name:
+                row = times.setdefault(r["threads"], {})
+                row[r["stage"]] = f"{r['least_ms']:.1f} / {r['median_ms']:.1f}"
+        stages = (*STAGES, "all")
         lines += [
             f"{name}: {size['splats']} splats, {size['width']} x {size['height']}", "",
-            "| choice | value | dB | worst | depth, 99 % | least ms | median ms | x default |",
-            "|---|---|---|---|---|---|---|---|",
+            *markdown(("choice", "value", "dB", "worst", "depth, 99 %", "least ms", "median ms",
+                       "x default"), choices), "",
+            *markdown(("wall time, least / median ms", *stages), [
+                (f"{count} thread{'s' if count > 1 else ''}", *(row[s] for s in stages))
+                for count, row in times.items()
+            ]), "",
         ]  # fmt: skip
-        for r in result["records"]:
-            if r["scene"] == name:
-                mark = "**" if r["default"] else ""
-                lines.append(
-                    f"| {r['group']} | {mark}{r['choice']}{mark} | {r['decibel']:.1f} | "
-                    f"{r['worst']:.4f} | {r['depth_error']:.0e} | {r['least_ms']:.1f} | "
-                    f"{r['median_ms']:.1f} | {r['ratio']:.2f} |"
-                )
-        lines += ["", "| wall time, least / median ms | " + " | ".join((*STAGES, "all")) + " |",
-                  "|---" * (len(STAGES) + 2) + "|"]  # fmt: skip
-        found = [r for r in result["scaling"] if r["scene"] == name]
-        for count in dict.fromkeys(r["threads"] for r in found):
-            cells = {r["stage"]: f"{r['least_ms']:.1f} / {r['median_ms']:.1f}"
-                     for r in found if r["threads"] == count}  # fmt: skip
-            row = " | ".join(cells[stage] for stage in (*STAGES, "all"))
-            lines.append(f"| {count} thread{'s' if count > 1 else ''} | {row} |")
-        lines.append("")
-    machine = result["machine"]
-    load = ", ".join(f"{x:.1f}" for x in machine["load"])
-    lines.append(f"choices: processor time on one thread; {machine['dtype']}; load {load}")
-    return "\n".join(lines)
+    said = f"choices: processor time on one thread; {result['machine']['dtype']}; "
+    return "\n".join([*lines, said + load_line(result).partition(", ")[2]])
 
 
 def draw(result, path):
@@ -216,16 +193,7 @@ def draw(result, path):
         if group == PEERS_IN and not result["quick"]:  # their pictures have the full size
             panels[group]["peers"] = peers.SPLATTING
     size = result["scenes"][SCENE]
+    title = f"Splatting {size['splats']} splats at {size['width']} x {size['height']}, one thread"
     draw_fronts(
-        path,
-        panels,
-        f"Splatting {size['splats']} splats at {size['width']} x {size['height']}, one thread",
-        error="rms error (white is 1)",
-        time="processor time",
-        own=True,
+        path, panels, title, error="rms error (white is 1)", time="processor time", own=True
     )
-
-
-def rms(decibel):
-    """Return the root mean square error of a peak signal-to-noise ratio, peak 1."""
-    return 10 ** (-decibel / 20)

@@ -14,6 +14,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rainsim.bench.chart import draw_marks
+from rainsim.bench.suite import markdown, quiet
 from rainsim.constants import GRAVITY
 from rainsim.errors import DivergedError, ParameterError
 from rainsim.grid import WaterSolver
@@ -196,22 +198,15 @@ def endure_rain(trial, scheme, most_steps, dtype=np.float32, seed=0):
     return _record(_Run(trial.name, scheme, dtype), extremes, worst, allowed, count, seconds)
 
 
-def run(quick=False, say=None):
+def run(quick=False, say=quiet):
     """Run all trials on all schemes in both types, and the dam at several Courant numbers.
-
-    Parameters
-    ----------
-    quick : bool
-        Small sizes and short runs.
-    say : callable, optional
-        Called with a line of text for each result.
 
     Returns
     -------
     dict
         "quick" and "records", a list of dicts.
     """
-    say, records = say or (lambda line: None), []
+    records = []
 
     def note(record):
         records.append(record)
@@ -251,18 +246,12 @@ def table(result):
             elif record["outcome"] != "holds":
                 text = f"**{text} {record['outcome'].partition(':')[0]}**"
             rows.setdefault(name, {})[record["scheme"]] = text
-    lines = ["| case | " + " | ".join(SCHEMES) + " |", "|---" * (len(SCHEMES) + 1) + "|"]
-    lines += [
-        f"| {name} | " + " | ".join(row[scheme] for scheme in SCHEMES) + " |"
-        for name, row in rows.items()
-    ]
-    return "\n".join(lines)
+    cells = [(name, *(row[scheme] for scheme in SCHEMES)) for name, row in rows.items()]
+    return "\n".join(markdown(("case", *SCHEMES), cells))
 
 
 def draw(result, path):
     """Draw the drift of every run and its speed over the bound to a PNG."""
-    from rainsim.bench.chart import draw_marks
-
     panels = {}
     for name, key, floor, limits in (
         ("change of volume, float32", "drift", 1e-17, [MOST_DRIFT[np.float32]]),

@@ -18,6 +18,7 @@ from dataclasses import replace
 import numpy as np
 from scipy import ndimage
 
+from rainsim.bench.suite import decibels
 from rainsim.reflection.facets import LEAST_VARIANCE, SAMPLES
 from rainsim.reflection.ray_traced import mirror_rays, traced_light
 from rainsim.reflection.screen_space import NOT_GROUND
@@ -186,7 +187,7 @@ def compare(water, light, truth, mask):
     similar = None
     if wanted.any():
         similar = float(_similarity(*(_picture(water, v) for v in (light, a, b)))[wanted].mean())
-    return {"psnr": -10 * np.log10(max(error, 1e-12)), "ssim": similar, "pixels": int(mask.sum())}
+    return {"psnr": decibels(error), "ssim": similar, "pixels": int(mask.sum())}
 
 
 def clipped(water, light, truth):

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import os
-import platform
 import time
 
 import numpy as np
 
 from rainsim.bench import cases, peers
 from rainsim.bench.chart import draw_fronts, front
+from rainsim.bench.suite import machine, markdown, quiet
 from rainsim.grid import WaterSolver
-from rainsim.jit import cpu_kernel, prange, set_threads
+from rainsim.jit import cpu_kernel, prange
 
 SCHEMES = ("auto", "accurate", "lean", "paper")
 SUITE = {
@@ -132,15 +131,8 @@ def memory_limit(numbers):
     return 2 * a.nbytes / best / CELL_BYTES
 
 
-def run(quick=False, say=None):
-    """Run the whole bench.
-
-    Parameters
-    ----------
-    quick : bool
-        Small sizes, one run each.
-    say : callable, optional
-        Called with a line of text for each result.
+def run(quick=False, say=quiet):
+    """Run the whole bench, see `rainsim.bench.suite`.
 
     Returns
     -------
@@ -148,7 +140,6 @@ def run(quick=False, say=None):
         "machine", "records" (a list of dicts), "throughput" (cells per second by scheme) and
         "memory_limit" (cells per second).
     """
-    say = say or (lambda line: None)
     records = []
     for scheme in SCHEMES:  # compile outside the clock
         measure(cases.rain(32), scheme)
@@ -169,17 +160,8 @@ def run(quick=False, say=None):
         share = f"{rate / limit:.0%} of what memory allows a fused step"
         say(f"{scheme:9s} {rate / 1e6:7.1f} million cells a second, {share}")
     return {
-        "machine": machine("float32"), "quick": quick, "records": records, "throughput": rates,
-        "memory_limit": limit,
-    }  # fmt: skip
-
-
-def machine(dtype):
-    """Return what the times depend on, with the fields' type, as a dict."""
-    return {
-        "cpu": platform.processor() or platform.machine(), "cores": os.cpu_count(),
-        "threads": set_threads(None), "python": platform.python_version(),
-        "numpy": np.__version__, "dtype": dtype,
+        "machine": machine(dtype="float32"), "quick": quick, "records": records,
+        "throughput": rates, "memory_limit": limit,
     }  # fmt: skip
 
 
@@ -204,18 +186,21 @@ def line(record):
 
 def table(result):
     """Return errors and times [s] as a Markdown table, a row per case and size, the front bold."""
-    lines = ["| case | cells | " + " | ".join(SCHEMES) + " |", "|---" * (len(SCHEMES) + 2) + "|"]
+    records = [record for record in result["records"] if record["case"] in SUITE]
+    return "\n".join(front_lines(records, SCHEMES))
+
+
+def front_lines(records, schemes):
+    """Return the lines of `table` for records of some schemes."""
     rows = {}
-    for record in result["records"]:
-        if record["case"] in SUITE:
-            rows.setdefault((record["case"], record["cells"]), {})[record["scheme"]] = record
-    for (name, cells), row in rows.items():
-        texts = []
-        for scheme in SCHEMES:
-            text = f"{row[scheme]['error']:.4f} / {row[scheme]['seconds']:.3f}"
-            texts.append(f"**{text}**" if row[scheme]["front"] else text)
-        lines.append(f"| {name} | {cells} | " + " | ".join(texts) + " |")
-    return "\n".join(lines)
+    for record in records:
+        text = f"{record['error']:.4f} / {record['seconds']:.3f}"
+        row = rows.setdefault((record["case"], record["cells"]), {})
+        row[record["scheme"]] = f"**{text}**" if record["front"] else text
+    return markdown(
+        ("case", "cells", *schemes),
+        [(*key, *(row[scheme] for scheme in schemes)) for key, row in rows.items()],
+    )
 
 
 def draw(result, path):

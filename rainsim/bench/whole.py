@@ -7,14 +7,14 @@ Run as a module, so that the process's peak memory belongs to one method alone:
 from __future__ import annotations
 
 import json
-import resource
 import subprocess
 import sys
 import time
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
+
+from rainsim.bench.suite import peak
 
 METHODS = ("ssr", "mirror", "auto", "traced")
 FRAMES = 3  # of a moving camera, of which the median counts; one more before them compiles
@@ -37,30 +37,20 @@ def measure(scene, preset, width):
     return found
 
 
-def _peak_mb():
-    """Return the peak memory [MB] of this process."""
-    try:
-        # getrusage would count the memory of the parent process, from which this one was forked.
-        status = Path("/proc/self/status").read_text(encoding="ascii")
-        return int(status.partition("VmHWM:")[2].split()[0]) / 1024
-    except OSError:  # no Linux
-        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-
-
 def draw_frames(name, preset, width, method):
     """Draw FRAMES frames and return their figures."""
     from rainsim import pipeline
     from rainsim.config.settings import Config
     from rainsim.render.renderer import Renderer
+    from rainsim.scene.cameras import resize_to
     from rainsim.scene.library import load_scene
 
     scene = load_scene(name)
     config = Config.from_preset(preset).replace(frames=1, width=width, reflections=method)
-    camera = scene.cameras[0]
-    camera = camera.resized(width, round(camera.height * width / camera.width))
+    camera = resize_to(scene.cameras[0], width)
     terrain = pipeline.extract_terrain(scene, config)
     state = next(pipeline.simulate(terrain, config))
-    before = _peak_mb()
+    before = peak() / 2**20
     renderer = Renderer(scene, terrain, config, camera)
     seconds = []
     for _ in range(FRAMES + 1):
@@ -68,7 +58,7 @@ def draw_frames(name, preset, width, method):
         renderer.draw(replace(camera), state)  # a new camera object: the renderer keeps no picture
         seconds.append(time.perf_counter() - start)
     milliseconds = 1e3 * float(np.median(seconds[1:]))
-    return {"milliseconds": milliseconds, "peak_mb": _peak_mb(), "before_mb": before}
+    return {"milliseconds": milliseconds, "peak_mb": peak() / 2**20, "before_mb": before}
 
 
 if __name__ == "__main__":

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import wraps
 from importlib import import_module
 from pathlib import Path
 
@@ -23,36 +24,44 @@ def bench():
     """
 
 
-def _options(command):
-    """Add the options that every suite has."""
-    for option in reversed((
-        click.option("--json", "json_path", type=_FILE, help="Write all results to this file."),
-        click.option("--chart", "chart_path", type=_FILE,
-                     help='Draw the results to this PNG; needs pip install "rainsim[chart]".'),
-        click.option("--quick", is_flag=True, help="Small sizes, a minute at most."),
-    )):  # fmt: skip
-        command = option(command)
-    return command
+def _suite(short_help):
+    """Make the suite `rainsim.bench.NAME` a command; the function below has its name and help.
+
+    The function takes the options of this suite alone and may return what they stand for.
+    """
+
+    def add(function):
+        @bench.command(function.__name__, short_help=short_help)
+        @click.option("--json", "json_path", type=_FILE, help="Write all results to this file.")
+        @click.option(
+            "--chart",
+            "chart_path",
+            type=_FILE,
+            help='Draw the results to this PNG; needs pip install "rainsim[chart]".',
+        )
+        @click.option("--quick", is_flag=True, help="Small sizes, a minute at most.")
+        @wraps(function)
+        def run(json_path, chart_path, quick, **others):
+            from rainsim.bench import chart
+
+            others = function(**others) or others
+            suite = import_module(f"rainsim.bench.{function.__name__}")
+            if chart_path:
+                chart.require_matplotlib()  # before minutes are spent
+            result = suite.run(quick, say=lambda line: click.echo(line, err=True), **others)
+            if json_path:
+                json_path.write_text(json.dumps(result, indent=1), encoding="utf-8")
+            if chart_path:
+                suite.draw(result, chart_path)
+            click.echo(suite.table(result))
+
+        return run
+
+    return add  # fmt: skip
 
 
-def _run(name, json_path, chart_path, quick, **others):
-    """Run the suite `rainsim.bench.NAME`, write JSON and chart if asked, print its table."""
-    from rainsim.bench import chart
-
-    suite = import_module(f"rainsim.bench.{name}")
-    if chart_path:
-        chart.require_matplotlib()  # before minutes are spent
-    result = suite.run(quick, say=lambda line: click.echo(line, err=True), **others)
-    if json_path:
-        json_path.write_text(json.dumps(result, indent=1), encoding="utf-8")
-    if chart_path:
-        suite.draw(result, chart_path)
-    click.echo(suite.table(result))
-
-
-@bench.command(short_help="Accuracy and time of the water schemes.")
-@_options
-def water(**given):
+@_suite("Accuracy and time of the water schemes.")
+def water():
     """Run dam breaks, bowls, a ripple, a lake and rain on every water scheme.
 
     Prints relative error and time of each, then a table with the front of accuracy against time in
@@ -62,12 +71,10 @@ def water(**given):
     Example:
         rainsim bench water --json water.json --chart water.png
     """
-    _run("water", **given)
 
 
-@bench.command(short_help="Water schemes on cases where such schemes fail.")
-@_options
-def stress(**given):
+@_suite("Water schemes on cases where such schemes fail.")
+def stress():
     """Try every water scheme on cases in which such schemes fail.
 
     Tall steps, thin water films, falls, drains, random rain, long time steps: prints whether the
@@ -77,12 +84,10 @@ def stress(**given):
     Example:
         rainsim bench stress --json stress.json --chart stress.png
     """
-    _run("stress", **given)
 
 
-@bench.command(short_help="Water schemes on analytic cases and hydrographs.")
-@_options
-def hydraulics(**given):
+@_suite("Water schemes on analytic cases and hydrographs.")
+def hydraulics():
     """Run steady channels, dam breaks, a bowl, rain on planes and a V-catchment.
 
     Every water scheme in float32 and float64 at three sizes: prints error and time, then tables
@@ -93,12 +98,10 @@ def hydraulics(**given):
     Example:
         rainsim bench hydraulics --json hydraulics.json --chart hydraulics.png
     """
-    _run("hydraulics", **given)
 
 
-@bench.command(short_help="Accuracy of the ground found in generated captures.")
-@_options
-def ground(**given):
+@_suite("Accuracy of the ground found in generated captures.")
+def ground():
     """Find the ground of generated captures whose true ground is known.
 
     Yards with dips, a kerb, a lawn, a table and floaters, tilted and scaled, and a street of 300 m:
@@ -108,12 +111,10 @@ def ground(**given):
     Example:
         rainsim bench ground --json ground.json --chart ground.png
     """
-    _run("ground", **given)
 
 
-@bench.command(short_help="Rain rate, ripples, and times of rain and splashes.")
-@_options
-def rain(**given):
+@_suite("Rain rate, ripples, and times of rain and splashes.")
+def rain():
     """Read a gauge, fit ripples, and time streaks, splashes and ripples.
 
     Prints the collected rain over the rain rate that was asked for, and the time of each stage.
@@ -122,12 +123,10 @@ def rain(**given):
     Example:
         rainsim bench rain --json rain.json --chart rain.png
     """
-    _run("rain", **given)
 
 
-@bench.command(short_help="Accuracy and time of whole rainy frames.")
+@_suite("Accuracy and time of whole rainy frames.")
 @backend_option
-@_options
 def frame(**given):
     """Draw whole rainy frames at several levels of quality, with a still and a moving camera.
 
@@ -140,12 +139,10 @@ def frame(**given):
     Example:
         rainsim bench frame --json frame.json --chart frame.png
     """
-    _run("frame", **given)
 
 
-@bench.command(short_help="How the time of a frame grows with splats and pixels.")
-@_options
-def growth(**given):
+@_suite("How the time of a frame grows with splats and pixels.")
+def growth():
     """Draw moving frames with ever more splats, pixels and wet pixels.
 
     Prints times, and for each quantity n the exponent p of a fit of time = c n^p. A scene named
@@ -155,10 +152,9 @@ def growth(**given):
     Example:
         rainsim bench growth --json growth.json --chart growth.png
     """
-    _run("growth", **given)
 
 
-@bench.command(short_help="A long street in chunks: accuracy against memory and time.")
+@_suite("A long street in chunks: accuracy against memory and time.")
 @click.option(
     "--length",
     type=click.FloatRange(40, 5000),
@@ -177,7 +173,6 @@ def growth(**given):
     is_flag=True,
     help="Only drive from end to end, one of three frames: time and memory along the way.",
 )
-@_options
 def lod(**given):
     """Cut a long street into chunks and drive along it.
 
@@ -188,12 +183,10 @@ def lod(**given):
     Example:
         rainsim bench lod --length 1000 --json lod.json --chart lod.png
     """
-    _run("lod", **given)
 
 
-@bench.command(short_help="Accuracy and time of splatting.")
-@_options
-def splat(**given):
+@_suite("Accuracy and time of splatting.")
+def splat():
     """Draw captures with each choice of the rasterizer and compare them with float64 pictures.
 
     Prints accuracy and time of each choice: polynomial of the exponential, cut-off, stop, storage
@@ -204,12 +197,10 @@ def splat(**given):
     Example:
         rainsim bench splat --json splat.json --chart splat.png
     """
-    _run("splat", **given)
 
 
-@bench.command(short_help="Accuracy and time of reflections.")
-@_options
-def look(**given):
+@_suite("Accuracy and time of reflections.")
+def look():
     """Compare reflections with rays traced through the splats, and measure refraction and coverage.
 
     Prints accuracy, time and memory of each method of reflection, how many pixels of water mirror
@@ -219,10 +210,9 @@ def look(**given):
     Example:
         rainsim bench look --json look.json --chart look.png
     """
-    _run("look", **given)
 
 
-@bench.command(short_help="Rainy pictures of captured days against a path tracer.")
+@_suite("Rainy pictures of captured days against a path tracer.")
 @click.option(
     "--before",
     "before_path",
@@ -235,7 +225,6 @@ def look(**given):
     help="Bake the captures and trace the truth again first, "
     'which takes Mitsuba (pip install "rainsim[truth]") 20 minutes on two cores.',
 )
-@_options
 def day(before_path, **given):
     """Make captures of a sunny and a dull day rainy, and compare them with path-traced rainy days.
 
@@ -248,9 +237,7 @@ def day(before_path, **given):
     Example:
         rainsim bench day --json day.json --chart day.png
     """
-    before = None
-    if before_path is not None:
-        from rainsim.io.files import read_json
+    from rainsim.io.files import read_json
 
-        before = read_json(before_path, "the result of bench day")
-    _run("day", before=before, **given)
+    before = None if before_path is None else read_json(before_path, "the result of bench day")
+    return {"before": before, **given}

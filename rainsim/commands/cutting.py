@@ -90,7 +90,7 @@ def cut_to_scene(status, file, model, out, given, resume):
     resume : bool
         Whether to go on with an unfinished cut in the folder.
     """
-    from rainsim.commands.choose import scene_of
+    from rainsim.commands.given import scene_of
     from rainsim.commands.status import say_scene
     from rainsim.io.fingerprint import hash_of, hash_of_file
     from rainsim.lod.cut import cut

@@ -9,8 +9,8 @@ from pathlib import Path
 import click
 
 from rainsim.commands import options
-from rainsim.commands.choose import check_camera_options, paths_in, settings
 from rainsim.commands.compile import compiled_beside, uses_of
+from rainsim.commands.given import check_camera_options, paths_in, settings
 from rainsim.commands.options import FILE, PRESETS, Numbers
 from rainsim.commands.status import Status, loaded_scene
 from rainsim.datasets import LAYOUTS
@@ -203,7 +203,7 @@ def rains_of(text):
 
 def _cameras(scene, config, given):
     """Return the data set's cameras, sized, in the capture frame."""
-    from rainsim.commands.choose import named_camera
+    from rainsim.commands.given import named_camera
     from rainsim.scene.cameras import read_cameras, resize_to
     from rainsim.surface.offered_views import with_offered_cameras
 

@@ -8,7 +8,9 @@ from pathlib import Path
 import click
 
 from rainsim.commands import options
-from rainsim.commands.choose import (
+from rainsim.commands.compile import compiled_beside, uses_of
+from rainsim.commands.forecast import Forecast, format_of
+from rainsim.commands.given import (
     cameras_of,
     check_camera_options,
     mask_of,
@@ -18,8 +20,6 @@ from rainsim.commands.choose import (
     view_on,
     water_mask_of,
 )
-from rainsim.commands.compile import compiled_beside, uses_of
-from rainsim.commands.forecast import Forecast, format_of
 from rainsim.commands.status import Status, loaded_scene
 from rainsim.errors import InputError, ParameterError
 
@@ -108,7 +108,7 @@ def simulate(terrain, preset, out, overwrite, resume, threads, as_json, quiet, *
     config = settings(preset, {**given, "threads": threads})
     from rainsim.output_folder import claimed, relative
     from rainsim.render.memory import require_memory_of_water
-    from rainsim.terrain.files import read_terrain
+    from rainsim.terrain.map_files import read_terrain
 
     ground = read_terrain(terrain)
     status.notes(require_memory_of_water(ground.bed.size))
@@ -257,7 +257,7 @@ def render(
 
     def film(config):
         from rainsim.pipeline import FrameSequence, read_state
-        from rainsim.terrain.files import read_terrain
+        from rainsim.terrain.map_files import read_terrain
 
         ground = read_terrain(states)
         path = view_on(loaded, ground, cameras, config, given, status)

@@ -7,9 +7,9 @@ import json
 import click
 
 from rainsim.commands import options
-from rainsim.commands.choose import named_camera, paths_in, settings
 from rainsim.commands.compile import compiled_beside
 from rainsim.commands.export import rains_of
+from rainsim.commands.given import named_camera, paths_in, settings
 from rainsim.commands.status import Status, loaded_scene
 from rainsim.errors import ParameterError
 
@@ -49,12 +49,7 @@ HIGHEST = 1000.0  # m above or below the ground's level
     help="Height of the lidar above the ground's level in metres.",
 )
 @click.option(
-    "--speed",
-    type=float,
-    default=0.0,
-    show_default=True,
-    metavar="M/S",
-    help="Speed ahead in m/s.",
+    "--speed", type=float, default=0.0, show_default=True, metavar="M/S", help="Speed ahead in m/s."
 )
 @click.option(
     "--turns",

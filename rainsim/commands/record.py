@@ -54,7 +54,7 @@ def command_lines(use, folder):
 
 def run_one(use):
     """Run a use here and print each kernel that it calls as a line of JSON."""
-    from rainsim.commands import film, ground, lidar, splat, status
+    from rainsim.commands import film, heightmap, lidar, splat, status
     from rainsim.compiling.watching import watched
 
     stage = STAGES[0]
@@ -70,7 +70,7 @@ def run_one(use):
         row = {"kernel": kernel, "arguments": arguments, "seconds": seconds, "stage": stage}
         print(json.dumps(row), flush=True)
 
-    commands = {"run": film.run, "simulate": film.simulate, "heightmap": ground.heightmap,
+    commands = {"run": film.run, "simulate": film.simulate, "heightmap": heightmap.heightmap,
                 "splat": splat.splat, "lidar": lidar.lidar}  # fmt: skip
     status.Status.progress = progress
     with tempfile.TemporaryDirectory() as folder, watched(found):

@@ -8,8 +8,8 @@ from pathlib import Path
 import click
 
 from rainsim.commands import options
-from rainsim.commands.choose import DEFAULT_FOV, DEFAULT_SHAPE, DEFAULT_WIDTH, named_camera
 from rainsim.commands.compile import refused_folders
+from rainsim.commands.given import DEFAULT_FOV, DEFAULT_SHAPE, DEFAULT_WIDTH, named_camera
 from rainsim.commands.options import FILE, Numbers
 from rainsim.errors import ParameterError, require_positive
 
@@ -94,7 +94,7 @@ def splat(scene, out, overwrite, threads, as_json, **given):
         from rainsim.cuda import require
 
         require()
-    from rainsim.commands.choose import settings
+    from rainsim.commands.given import settings
 
     render = settings("moderate", {name: given[name] for name in ("detail", "memory")}).render
     notes = [*refused_folders(), *capture.notes, *_memory(capture, camera, out, given["backend"])]

@@ -312,8 +312,8 @@ class _Compiling:
 
 
 def loaded_scene(status, name, given):
-    """Load a scene as `choose.scene_of` does; say what was loaded, found and only assumed."""
-    from rainsim.commands.choose import scene_of
+    """Load a scene as `given.scene_of` does; say what was loaded, found and only assumed."""
+    from rainsim.commands.given import scene_of
 
     status.progress(READING, 0, 1)
     scene = scene_of(name, given)

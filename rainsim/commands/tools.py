@@ -8,8 +8,8 @@ from pathlib import Path
 import click
 
 from rainsim.commands import options
-from rainsim.commands.choose import paths_in
 from rainsim.commands.compile import compiled_beside
+from rainsim.commands.given import paths_in
 from rainsim.commands.status import Status, loaded_scene
 from rainsim.errors import RainsimError
 

@@ -10,14 +10,8 @@ from pathlib import Path
 import click
 
 from rainsim.commands import options
-from rainsim.commands.choose import (
-    mask_of,
-    named_camera,
-    scene_to_look_at,
-    settings,
-    water_mask_of,
-)
 from rainsim.commands.compile import compiled_beside, uses_of
+from rainsim.commands.given import mask_of, named_camera, scene_to_look_at, settings, water_mask_of
 from rainsim.commands.status import READING, Status, say_scene
 
 PORT = 8080

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rainsim.datasets.files import FOLDER, JSON, PNG, PNG16, PNG48, DataFile, condition
+from rainsim.datasets.data_files import FOLDER, JSON, PNG, PNG16, PNG48, DataFile, condition
 from rainsim.datasets.sample import depth_mm, flow_known, kitti_flow
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from rainsim import __version__
-from rainsim.datasets.files import condition
+from rainsim.datasets.data_files import condition
 from rainsim.drops import Weather
 from rainsim.render.labels import class_names
 from rainsim.render.weather import weather_of

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rainsim.datasets.files import PNG, PNG16, DataFile
+from rainsim.datasets.data_files import PNG, PNG16, DataFile
 from rainsim.datasets.sample import depth_mm
 from rainsim.terrain.table import DRAIN, GRASS, HARD, SOIL, WATER
 

@@ -12,7 +12,7 @@ import struct
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from rainsim.datasets.files import BYTES, PNG, DataFile, condition
+from rainsim.datasets.data_files import BYTES, PNG, DataFile, condition
 from rainsim.scene.colmap import MODELS
 
 

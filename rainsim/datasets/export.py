@@ -12,7 +12,7 @@ from functools import partial
 
 from rainsim.datasets import LAYOUTS, beside
 from rainsim.datasets.card import card_of, card_text
-from rainsim.datasets.files import TEXT, DataFile, write_file
+from rainsim.datasets.data_files import TEXT, DataFile, write_file
 from rainsim.errors import InputError, ParameterError
 from rainsim.io.files import read_json, write_json
 from rainsim.io.fingerprint import fingerprint

@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from rainsim.datasets.files import PNG, PNG16, PNG48, TEXT, DataFile, condition
+from rainsim.datasets.data_files import PNG, PNG16, PNG48, TEXT, DataFile, condition
 from rainsim.datasets.sample import flow_known, kitti_depth, kitti_flow
 
 LEAST_DEPTH = 0.05  # m: a box with a nearer corner is beside the camera

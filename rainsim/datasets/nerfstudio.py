@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rainsim.datasets.files import BYTES, JSON, PNG, PNG16, DataFile, condition
+from rainsim.datasets.data_files import BYTES, JSON, PNG, PNG16, DataFile, condition
 from rainsim.datasets.points import ply_bytes
 from rainsim.datasets.sample import depth_mm
 from rainsim.datasets.splits import lists_of

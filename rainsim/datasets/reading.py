@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from rainsim.datasets.card import VERSION, VERSION_KEY
-from rainsim.datasets.files import FOLDER, condition
+from rainsim.datasets.data_files import FOLDER, condition
 from rainsim.errors import InputError, ParameterError, shown
 from rainsim.io.files import read_json, require_file
 from rainsim.io.images import read_image

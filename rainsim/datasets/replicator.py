@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rainsim.datasets.files import JSON, NPY, PNG, DataFile, condition
+from rainsim.datasets.data_files import JSON, NPY, PNG, DataFile, condition
 from rainsim.datasets.nerfstudio import opengl_pose
 from rainsim.render.labels import OTHER_CLASS
 from rainsim.terrain.table import class_table

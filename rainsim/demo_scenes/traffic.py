@@ -14,14 +14,7 @@ import numpy as np
 
 from rainsim.actors.actor import Actor, box_of, with_actors
 from rainsim.actors.motion import Track
-from rainsim.demo_scenes.build import (
-    content_hash,
-    discs,
-    join,
-    quaternions,
-    to_splats,
-    turn_about,
-)
+from rainsim.demo_scenes.build import content_hash, discs, join, quaternions, to_splats, turn_about
 from rainsim.demo_scenes.street import (
     CAMERAS,
     FRAMES_PER_SECOND,

@@ -66,11 +66,6 @@ class Chunks:
         """Number of frames that are not drawn."""
         return len(self._open) + sum(len(chunk.indices) for chunk in self._at.values())
 
-    @property
-    def busy(self):
-        """The workers that are at a chunk."""
-        return list(self._at)
-
     def give(self, worker, workers):
         """Return the frames that a worker is to draw next, of so many workers; [] without any.
 

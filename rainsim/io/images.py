@@ -14,7 +14,7 @@ import imageio.v3 as iio
 import numpy as np
 
 from rainsim.errors import InputError, ParameterError
-from rainsim.io.arrays import Field, read_arrays, write_arrays
+from rainsim.io.arrays import write_arrays
 from rainsim.io.files import replacing, require_file
 
 VERSION = 1  # of files of float pictures
@@ -130,19 +130,6 @@ def write_data(path, values, channels):
     header = {"compression": exr.ZIP_COMPRESSION, "type": exr.scanlineimage}
     with replacing(path) as temporary, exr.File(header, parts) as file:
         file.write(str(temporary))
-
-
-def read_data(path, channels):
-    """Return the picture that `write_data` wrote, shape (height, width[, n]), float32."""
-    path = require_file(path, "a float picture")
-    if path.suffix == ".exr":
-        with _openexr().File(str(path), separate_channels=True) as file:
-            parts = {name: channel.pixels for name, channel in file.channels().items()}
-    else:
-        table = {name: Field("float32", ("rows", "columns"), -np.inf, np.inf) for name in channels}
-        parts = read_arrays(path, "layer", table, VERSION, "draw it again")
-    planes = np.stack([parts[name] for name in channels], axis=-1)
-    return planes[..., 0] if len(channels) == 1 else planes
 
 
 def read_image(path, most=MOST_PIXELS):

@@ -11,8 +11,8 @@ import zlib
 
 import numpy as np
 
-from rainsim.errors import InputError, ParameterError
-from rainsim.io.files import replacing, require_file
+from rainsim.errors import ParameterError
+from rainsim.io.files import replacing
 
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
 SUB = 1  # filter type: minus the byte of the pixel before
@@ -43,33 +43,3 @@ def write_png48(path, values):
 
 def _chunk(kind, data):
     return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
-
-
-def read_png48(path):
-    """Return the picture that `write_png48` wrote, shape (height, width, 3), uint16."""
-    data = require_file(path, "a 48-bit picture").read_bytes()
-    try:
-        if data[:8] != SIGNATURE:
-            raise ValueError
-        place, body, size = 8, b"", None
-        while place < len(data):
-            length, kind = struct.unpack_from(">I4s", data, place)
-            chunk = data[place + 8 : place + 8 + length]
-            if kind == b"IHDR":
-                size = struct.unpack(">IIBBBBB", chunk)
-            body += chunk if kind == b"IDAT" else b""
-            place += 12 + length
-        width, height = size[:2]
-        limit = height * (1 + STEP * width)
-        if size[2:] != (16, 2, 0, 0, 0):
-            raise ValueError
-        raw = zlib.decompressobj().decompress(body, limit)
-        lines = np.frombuffer(raw, np.uint8).reshape(height, -1)
-        if not (lines[:, 0] == SUB).all():
-            raise ValueError
-        pixels = np.cumsum(lines[:, 1:].reshape(height, width, STEP), axis=1, dtype=np.uint8)
-        return pixels.view(">u2").astype(np.uint16)
-    except (ValueError, TypeError, struct.error, zlib.error):
-        raise InputError(
-            f"{path} is no 48-bit picture as rainsim writes it; export it again"
-        ) from None

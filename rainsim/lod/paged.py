@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rainsim.lod.choose import chosen_levels
+from rainsim.lod.levels import chosen_levels
 from rainsim.lod.room import ARRAYS, NO_CHUNKS, Stored, room_for
 from rainsim.raster import Rasterizer
 from rainsim.scene.formats.streamed import NONE

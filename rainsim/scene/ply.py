@@ -21,7 +21,7 @@ import numpy as np
 
 from rainsim.constants import SH_0
 from rainsim.errors import InputError
-from rainsim.io.files import replacing, require_file
+from rainsim.io.files import require_file
 from rainsim.scene.activate import (
     MAX_BROKEN_SHARE,
     REST_COEFFICIENTS,
@@ -154,48 +154,6 @@ def read_element(path, element, base=BASE_COLOR, more=()):
         good &= np.isfinite(values).all(axis=1)
     splats, broken = keep_good(path, splats, good)
     return splats, values[good], [*_variant_notes(layout), *dropped_note(broken, len(splats))]
-
-
-def write_splats(path, splats):
-    """Write splats as a 3D Gaussian Splatting PLY file with the properties of the original code.
-
-    Parameters
-    ----------
-    path : path-like
-        Replaced whole or not at all.
-    splats : Splats
-
-    Notes
-    -----
-    The file stores logits and logarithms: opacities of exactly 0 or 1 and scales of 0 come back
-    as the nearest value that has a finite one, all else to float32 rounding.
-    """
-    n, k = splats.sh.shape[:2]
-    rest = [f"f_rest_{i}" for i in range(3 * (k - 1))]
-    names = [*POSITION, "nx", "ny", "nz", *BASE_COLOR, *rest, "opacity", *SCALE, *ROTATION]
-    header = ["ply", "format binary_little_endian 1.0", f"element vertex {n}"]
-    header += [f"property float {name}" for name in names] + ["end_header", ""]
-    with replacing(path) as temporary, open(temporary, "wb") as file:
-        file.write("\n".join(header).encode("ascii"))
-        for start in range(0, n, ROWS_PER_STEP):
-            rows = splats.take(slice(start, start + ROWS_PER_STEP))
-            file.write(_stored_rows(rows).tobytes())
-
-
-def _stored_rows(splats):
-    n = len(splats)
-    opacity = np.clip(splats.opacity.astype(np.float64), 1e-12, 1 - 1e-12)
-    scale = np.maximum(splats.scale, np.finfo(np.float32).tiny)
-    columns = [
-        splats.position,
-        np.zeros((n, 3)),
-        splats.sh[:, 0],
-        splats.sh[:, 1:].transpose(0, 2, 1).reshape(n, -1),
-        np.log(opacity / (1 - opacity))[:, None],
-        np.log(scale),
-        splats.rotation,
-    ]
-    return np.concatenate(columns, axis=1).astype("<f4")
 
 
 # --- what the rows hold ---------------------------------------------------------------------------

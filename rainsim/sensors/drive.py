@@ -15,14 +15,8 @@ from rainsim.errors import InputError, ParameterError
 from rainsim.io.files import read_json, replacing, write_json
 from rainsim.io.fingerprint import fingerprint
 from rainsim.io.journal import Journal
-from rainsim.lod.ground import scene_in_reach
-from rainsim.output_folder import (
-    TEMPORARY,
-    input_facts,
-    scene_content,
-    settings_content,
-    versions,
-)
+from rainsim.lod.held_parts import scene_in_reach
+from rainsim.output_folder import TEMPORARY, input_facts, scene_content, settings_content, versions
 from rainsim.pipeline import extract_terrain, simulate
 from rainsim.render.actor_labels import box_in_space
 from rainsim.render.weather import weather_of

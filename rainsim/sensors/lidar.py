@@ -197,7 +197,7 @@ class LidarScanner:
         label[power < lidar.least_power] = LOST
         if field is not None:
             drops = self._drops(lidar, pose, time, field)
-            beam, place, diameter = drops_in_beams(lidar, pose, time, drops, local, when)
+            beam, place, diameter = drops_in_beams(lidar, pose, drops, local, when)
             drop = drop_reflectivity(diameter, place, lidar.divergence)
             echo = echo_power(drop, place, alpha)
             # Drops behind what the beam meets are not there for it.
@@ -268,15 +268,13 @@ class LidarScanner:
         return distance, reflectivity, mirrored, actor
 
 
-def drops_in_beams(lidar, pose, time, drops, local, when):
+def drops_in_beams(lidar, pose, drops, local, when):
     """Return which beams have which drops in them as their pulses pass.
 
     Parameters
     ----------
     lidar : Lidar
     pose : Pose
-    time : float [s]
-        When the turn begins.
     drops : Drops
         At mid-turn.
     local, when : ndarray

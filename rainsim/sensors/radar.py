@@ -79,16 +79,3 @@ def rain_attenuation(rate, frequency_ghz, polarization="vertical", elevation=0.0
     k = (kh + kv + (kh - kv) * mix) / 2
     alpha = (kh * ah + kv * av + (kh * ah - kv * av) * mix) / (2 * k)
     return k * np.asarray(rate, np.float64) ** alpha
-
-
-def echo_loss(rate, distance, frequency_ghz=77.0, polarization="vertical"):
-    """Return how much weaker an echo is for the rain on both ways [dB].
-
-    Parameters
-    ----------
-    rate : float [mm/h]
-    distance : float or ndarray [m]
-    frequency_ghz : float [GHz]
-    polarization : str
-    """
-    return 2 * rain_attenuation(rate, frequency_ghz, polarization) * np.asarray(distance) / 1000

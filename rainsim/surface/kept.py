@@ -16,14 +16,7 @@ from rainsim.numerics.blocks import in_blocks
 from rainsim.numerics.srgb import LUMINANCE_WEIGHTS, linear
 from rainsim.raster import Rasterizer, prepare
 from rainsim.surface.captured_sky import SAME, SkyColors, seen_sky
-from rainsim.surface.fuse import (
-    LEAST_VIEWS,
-    MANY,
-    MOST_THROUGH,
-    CaptureSurface,
-    counted,
-    fused,
-)
+from rainsim.surface.fuse import LEAST_VIEWS, MANY, MOST_THROUGH, CaptureSurface, counted, fused
 from rainsim.surface.views import NEAR, cameras_of, depth_views, leave_out_sky, window_of
 
 KIND = "surface"

@@ -2,10 +2,10 @@
 
 _PUBLIC = {
     "bed": ("inpaint", "local_noise"),
-    "choose": ("choose_grid",),
     "classify": ("read_mask",),
     "extract": ("extract_terrain",),
-    "files": ("read_terrain", "write_terrain"),
+    "map_files": ("read_terrain", "write_terrain"),
+    "map_size": ("choose_grid",),
     "pictures": ("hillshade",),
     "surface": ("is_surface", "terrain_from_heights", "terrain_from_surface"),
     "table": ("GRASS", "HARD", "OBJECT", "SOIL", "WATER", "class_table"),

@@ -15,7 +15,7 @@ from rainsim.constants import SH_0
 from rainsim.errors import InputError, shown
 from rainsim.terrain import filters
 from rainsim.terrain.bed import blur
-from rainsim.terrain.choose import MOST_CELLS
+from rainsim.terrain.map_size import MOST_CELLS
 from rainsim.terrain.table import DRAIN, GRASS, HARD, OBJECT, SOIL, class_table
 from rainsim.terrain.types import MEASURED, UNKNOWN, Grid
 

@@ -14,14 +14,14 @@ from skimage.morphology import remove_small_objects
 
 from rainsim import raster
 from rainsim.errors import GroundError, ParameterError
-from rainsim.lod.ground import scene_over
+from rainsim.lod.held_parts import scene_over
 from rainsim.scene.types import Camera
 from rainsim.surface.kept import kept_surface
 from rainsim.surface.sweep import ground_sweep
 from rainsim.terrain import bed as bedding
 from rainsim.terrain import filters
-from rainsim.terrain.choose import choose_grid
 from rainsim.terrain.classify import EXCESS_GREEN, classify, is_green, mark_drains, painted_mask
+from rainsim.terrain.map_size import choose_grid
 from rainsim.terrain.pond import fill_ponds
 from rainsim.terrain.slab import FAINT, SLAB, follow_ground, lonely, splat_cover
 from rainsim.terrain.table import GRASS, HARD

@@ -9,7 +9,7 @@ import numpy as np
 from scipy import ndimage
 
 from rainsim.errors import InputError, ParameterError
-from rainsim.terrain.choose import MOST_CELLS
+from rainsim.terrain.map_size import MOST_CELLS
 from rainsim.terrain.pond import rim_level
 
 STAYS, DRAINS = "stays", "drains"

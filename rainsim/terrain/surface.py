@@ -10,7 +10,7 @@ from rainsim.errors import InputError, ParameterError, require_positive
 from rainsim.io.files import require_file
 from rainsim.jit import serial_kernel
 from rainsim.terrain.bed import inpaint, local_noise
-from rainsim.terrain.choose import MOST_CELLS, choose_spacing
+from rainsim.terrain.map_size import MOST_CELLS, choose_spacing
 from rainsim.terrain.table import GRASS, HARD
 from rainsim.terrain.types import MEASURED, UNKNOWN, Grid, Terrain
 

@@ -41,8 +41,8 @@ RIM = 0.03  # m along the edge: there splats bend down
 FITS = 4  # of the surface, each to the better half of the cells
 
 
-def with_tops(terrain, scene=None):
-    """Return the terrain with its `Tops`.
+def find_tops(terrain, scene=None):
+    """Return the `Tops` of a terrain.
 
     Parameters
     ----------
@@ -50,11 +50,6 @@ def with_tops(terrain, scene=None):
     scene : Scene or None
         Whose splats show the relief of level tops; without one the terrain's cells do.
     """
-    return replace(terrain, tops=find_tops(terrain, scene))
-
-
-def find_tops(terrain, scene=None):
-    """Return the `Tops` of a terrain; parameters as those of `with_tops`."""
     grid, found = terrain.grid, []
     for box, mask in flat_patches(terrain):
         fit = fitted(terrain, box, mask)

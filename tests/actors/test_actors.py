@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from made_actors import described
 from rainsim import pipeline
 from rainsim.actors.actor import Actor, ColorSeries, box_of, scene_at, with_actors
 from rainsim.actors.actor_files import read_actors
@@ -21,7 +22,6 @@ from rainsim.render.renderer import Renderer
 from rainsim.scene.folder import import_scene, read_scene, write_scene
 from rainsim.scene.harmonics import basis, turned
 from rainsim.scene.library import load_scene
-from rainsim.scene.ply import write_splats
 from rainsim.splatting.merged import NOBODY, Merger
 from rainsim.splatting.project import color_degree_1, color_degree_2, color_degree_3
 from scenes import BOX_SIZE, moving_scene, one_splat, tiny_scene
@@ -367,22 +367,6 @@ def test_a_data_set_carries_the_actors(scene, ground, camera):
 
 
 # --- files ----------------------------------------------------------------------------------------
-
-
-def described(folder, scene, **changes):
-    """Write a scene's static set, its actor and the actors.json of both into a folder."""
-    write_scene(folder / "static", replace(scene, actors=()))
-    actor = scene.actors[0]
-    write_splats(folder / "box.ply", actor.splats)
-    actor = {
-        "id": 7, "class": "parcel", "splats": "box.ply",
-        "box": {"centre": actor.box[0].tolist(), "size": actor.box[1].tolist()},
-        "track": {"times": actor.track.time.tolist(), "positions": actor.track.position.tolist(),
-                  "rotations": actor.track.rotation.tolist()},
-    }  # fmt: skip
-    data = {"rainsim_actors": 1, "scene": "static", "nodes": [actor | changes]}
-    (folder / "actors.json").write_text(json.dumps(data), encoding="utf-8")
-    return folder / "actors.json"
 
 
 def test_a_description_is_read_and_a_scene_folder_keeps_it(scene, tmp_path):

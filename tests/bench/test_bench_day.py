@@ -7,15 +7,7 @@ import numpy as np
 import pytest
 from skimage.color import deltaE_ciede2000, rgb2lab
 
-from rainsim.bench import (
-    day,
-    day_capture,
-    day_data,
-    day_ground,
-    day_score,
-    day_shapes,
-    day_trained,
-)
+from rainsim.bench import day, day_capture, day_data, day_ground, day_score, day_shapes, day_trained
 from rainsim.bench.day_case import Rain, Sun
 from rainsim.bench.day_court import COURT
 from rainsim.bench.day_data import REGIONS, Labels

@@ -100,6 +100,6 @@ def test_why_the_camera_does_not_see_a_traced_end(water):
 def test_a_process_for_each_method_tells_its_own_memory():
     """Not that of the process that starts it, which is larger here."""
     held = np.ones(80_000_000)  # 640 MB
-    code = "from rainsim.bench import whole; print(whole._peak_mb())"
+    code = "from rainsim.bench import suite; print(suite.peak() / 2**20)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert 10 < float(done.stdout) < 400 < held.nbytes / 2**20

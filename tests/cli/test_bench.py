@@ -7,6 +7,7 @@ from click.testing import CliRunner
 
 from rainsim.bench import chart, day, frame, ground, look, rain, splat, stress, water
 from rainsim.cli import cli
+from rainsim.commands.bench import bench
 from rainsim.errors import RainsimError
 
 
@@ -26,6 +27,17 @@ def test_results_are_printed_and_written(suite, monkeypatch, tmp_path):
     done = CliRunner().invoke(cli, ["bench", name, "--quick", "--json", str(path)])
     assert done.exit_code == 0 and "error 0.5" in done.stdout and "working" in done.stderr
     assert seen == [True] and json.loads(path.read_text()) == {"error": 0.5}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", bench.commands)
+def test_a_quick_run_ends_in_a_table_and_a_chart(name, tmp_path):
+    pytest.importorskip("matplotlib")
+    files = "--json", str(tmp_path / "r.json"), "--chart", str(tmp_path / "c.png")
+    done = CliRunner().invoke(cli, ["bench", name, "--quick", *files], catch_exceptions=False)
+    assert done.exit_code == 0 and done.stdout.strip(), done.stderr
+    assert json.loads((tmp_path / "r.json").read_text())
+    assert (tmp_path / "c.png").stat().st_size > 1000
 
 
 def test_a_chart_without_matplotlib_is_told_before_anything_runs(monkeypatch, tmp_path):

@@ -1,18 +1,18 @@
 """`rainsim export`, end to end on a tiny scene."""
 
 import json
+import shutil
 
 import numpy as np
 import pytest
 
 from rainsim.io.images import read_image
-from rainsim.io.png48 import read_png48
 from rainsim.render.shutter import moved
 from rainsim.scene.cameras import read_cameras, write_transforms
 from rainsim.scene.colmap import read_model
 from rainsim.scene.library import load_scene
 
-MAP = ["--spacing", "0.04", "--extent", "1", "--width", "64"]
+MAP = ["--spacing", "0.04", "--extent", "1", "--width", "64", "--relight", "off"]
 
 
 @pytest.fixture
@@ -69,7 +69,7 @@ def test_pairs_of_clear_and_rainy_pictures(export, tmp_path):
 def test_an_export_that_was_killed_goes_on(export, tmp_path):
     words = "--rain", "0,25", "--layout", "colmap", "--views", "view_0,view_2"
     assert export("whole", *words).code == 0
-    assert export("cut", *words).code == 0
+    shutil.copytree(tmp_path / "whole", tmp_path / "cut")
     folder = tmp_path / "cut"
     # As a kill leaves it: the last entry cut off, a temporary file, one picture damaged, no card.
     journal = folder / "pictures.jsonl"
@@ -127,7 +127,8 @@ def test_a_sequence_has_flow(export, path_file, tmp_path):
                      "000002_10.png"]  # fmt: skip
     same = (training / "image_2/000000_11.png").read_bytes()
     assert same == (training / "image_2/000001_10.png").read_bytes()
-    flow = read_png48(training / "flow_noc/000000_10.png")
+    imagecodecs = pytest.importorskip("imagecodecs")
+    flow = imagecodecs.png_decode((training / "flow_noc/000000_10.png").read_bytes())
     valid = flow[..., 2] == 1
     assert valid.mean() > 0.4
     moves = np.linalg.norm((flow[valid][:, :2].astype(float) - 2**15) / 64, axis=1)

@@ -17,7 +17,7 @@ from rainsim.scene.folder import write_scene
 from run_folders import written
 from scenes import tiny_scene
 
-WIDTH = ["--width", "64"]
+WIDTH = ["--width", "64", "--relight", "off"]
 STAGES = {
     "import": ["import", "tiny"],
     "heightmap": ["heightmap", "tiny", *MAP],
@@ -86,7 +86,7 @@ class Disk:
 
 
 @pytest.fixture
-def stage(rainsim, tmp_path, monkeypatch):
+def stage(rainsim, tmp_path):
     """Return a function that makes what a stage reads and returns a function that runs it."""
 
     def prepare(name):

@@ -12,7 +12,8 @@ from rainsim.commands.forecast import Forecast, clock_time
 from rainsim.commands.status import Status
 from rainsim.config.settings import Config
 
-SMALL = ["--spacing", "0.04", "--extent", "1", "--width", "64", "--preset", "downpour"]
+SMALL = ["--spacing", "0.04", "--extent", "1", "--width", "64", "--preset", "downpour",
+         "--relight", "off"]  # fmt: skip
 LINE = re.compile(
     r"12 frames take about (.+) in all, until (\S+| ?\S+ \S+), and ([\d.]+ kB) of disk \((.*?)\)"
 )
@@ -27,7 +28,10 @@ def on_disk(folder, name):
     return sum(p.stat().st_size for p in (folder / name).rglob("*") if p.is_file()) / 1e3
 
 
-@pytest.mark.parametrize("more", [[], ["--workers", "2"], ["--frame-range", "0:12"]])
+@pytest.mark.parametrize(
+    "more",
+    [[], pytest.param(["--workers", "2"], marks=pytest.mark.slow), ["--frame-range", "0:12"]],
+)
 def test_a_long_run_says_once_what_it_takes(rainsim, scene_folder, tmp_path, more):
     if more[:1] == ["--workers"]:
         pytest.importorskip("distributed")
@@ -50,7 +54,9 @@ def test_render_says_it_and_a_disk_that_is_too_full_is_a_warning(
     monkeypatch.setattr(forecast.shutil, "disk_usage", lambda folder: Disk(10**9, 10**9, 20_000))
     assert rainsim("heightmap", scene_folder, *SMALL[:4], "--out", "map").code == 0
     assert rainsim("simulate", "map", "--frames", 12, "--out", "states").code == 0
-    done = rainsim("render", "states", "--width", "64", "--video", "--out", "out")
+    done = rainsim(
+        "render", "states", "--relight", "off", "--width", "64", "--video", "--out", "out"
+    )
     assert done.code == 0, done.err
     found = LINE.findall(done.err)
     assert len(found) == 1 and set(in_kilobytes(found[0][3])) == {"frames", "video"}, done.err

@@ -5,10 +5,10 @@ import json
 import numpy as np
 import pytest
 
+from made_formats import write_splats
 from rainsim.scene.cameras import write_transforms
 from rainsim.scene.folder import read_scene
 from rainsim.scene.ground import read_ground_frame
-from rainsim.scene.ply import write_splats
 from scenes import tiny_scene
 
 

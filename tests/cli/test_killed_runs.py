@@ -22,13 +22,14 @@ from scenes import tiny_scene
 KILLS, SEED = 20, 16
 IN_A_ROW = 4  # kills of one folder at most before its run may end
 MAP = ["--spacing", "0.04", "--extent", "1"]
+PICTURE = ["--width", "64", "--relight", "off"]
 FRAMES = ["--frames", "6", "--preset", "downpour"]
 STAGES = {
     "import": ["import", "tiny"],
     "heightmap": ["heightmap", "tiny", *MAP],
     "simulate": ["simulate", "map", *FRAMES],
-    "render": ["render", "states", "--scene", "tiny", "--width", "64", "--layers", "depth"],
-    "run": ["run", "--scene", "tiny", *MAP, *FRAMES, "--width", "64"],
+    "render": ["render", "states", "--scene", "tiny", *PICTURE, "--layers", "depth"],
+    "run": ["run", "--scene", "tiny", *MAP, *FRAMES, *PICTURE],
 }
 
 

@@ -92,7 +92,7 @@ def test_actors_are_numbered_in_labels_and_have_boxes(rainsim, tmp_path):
 
 
 def test_an_interrupted_scan_goes_on_or_is_replaced(lidar, tmp_path, monkeypatch):
-    words = "--sensor", "hdl32", "--turns", "2", "--rain", "0,50"
+    words = "--turns", "2", "--rain", "0,50"
     assert lidar("whole", *words).code == 0
     add, added = LidarFolder.add, []
 

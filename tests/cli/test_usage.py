@@ -7,7 +7,7 @@ import struct
 
 import pytest
 
-from rainsim.scene.ply import write_splats
+from made_formats import write_splats
 
 MAP = ("--extent", 1, "--spacing", 0.04)
 

@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
-from test_formats_fuzz import one_clear_line
 
 from rainsim.config import timeline
 from rainsim.config.preset_files import HUMAN_KEYS, preset_names
@@ -29,6 +28,7 @@ from rainsim.scene.cameras import (
     resize_to,
     write_transforms,
 )
+from refusals import one_clear_line
 from scenes import ground_frame
 
 QUICK, MANY = 60, 5_000

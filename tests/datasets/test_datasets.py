@@ -13,24 +13,16 @@ import pytest
 from rainsim.config.settings import Config
 from rainsim.datasets import LAYOUTS, beside, cityscapes, colmap, kitti, nerfstudio, replicator
 from rainsim.datasets.card import card_of, card_text
+from rainsim.datasets.data_files import PNG48, DataFile, condition, write_file
 from rainsim.datasets.export import layout_of, safe_names
-from rainsim.datasets.files import PNG48, DataFile, condition, write_file
 from rainsim.datasets.points import ply_bytes, points_of
 from rainsim.datasets.reading import read_points, read_views
-from rainsim.datasets.sample import (
-    Plan,
-    Sample,
-    View,
-    depth_mm,
-    keep_mask,
-    kitti_depth,
-    kitti_flow,
-)
+from rainsim.datasets.sample import Plan, Sample, View, depth_mm, keep_mask, kitti_depth, kitti_flow
 from rainsim.datasets.splits import held_out
 from rainsim.datasets.user_labels import read_labels
 from rainsim.errors import InputError, ParameterError
 from rainsim.io import images
-from rainsim.io.png48 import read_png48, write_png48
+from rainsim.io.png48 import write_png48
 from rainsim.render.labels import class_names
 from rainsim.render.shutter import moved
 from rainsim.scene.colmap import read_model
@@ -126,7 +118,8 @@ def test_flow_as_kitti_has_it(tmp_path):
     valid = np.array([[True, True, True, True, False]])
     values = kitti_flow(flow, valid)
     write_file(tmp_path, DataFile("f/flow.png", PNG48, values))
-    back = read_png48(tmp_path / "f/flow.png")
+    imagecodecs = pytest.importorskip("imagecodecs")
+    back = imagecodecs.png_decode((tmp_path / "f/flow.png").read_bytes())
     np.testing.assert_array_equal(back, values)
     assert back[0, :, 2].tolist() == [1, 1, 1, 0, 0]  # too far for 16 bits: not valid
     decoded = (back[..., :2].astype(float) - 2**15) / 64
@@ -135,22 +128,17 @@ def test_flow_as_kitti_has_it(tmp_path):
 
 
 def test_colour_of_16_bits_as_another_program_reads_it(tmp_path, rng):
-    cv2 = pytest.importorskip("cv2")
+    imagecodecs = pytest.importorskip("imagecodecs")
     values = rng.integers(0, 65536, (23, 37, 3)).astype(np.uint16)
     write_png48(tmp_path / "a.png", values)
-    found = cv2.imread(str(tmp_path / "a.png"), cv2.IMREAD_UNCHANGED)
+    found = imagecodecs.png_decode((tmp_path / "a.png").read_bytes())
     assert found.dtype == np.uint16
-    np.testing.assert_array_equal(found[..., ::-1], values)
+    np.testing.assert_array_equal(found, values)
 
 
 def test_what_is_no_48_bit_picture_is_refused(tmp_path):
     with pytest.raises(ParameterError, match=r"uint8 of shape \(2, 2, 3\)"):
         write_png48(tmp_path / "a.png", np.zeros((2, 2, 3), np.uint8))
-    images.write_png(tmp_path / "b.png", np.zeros((4, 4, 3), np.uint8))
-    (tmp_path / "c.png").write_bytes(b"nothing")
-    for name in ("b.png", "c.png"):
-        with pytest.raises(InputError, match="no 48-bit picture"):
-            read_png48(tmp_path / name)
 
 
 def test_what_rain_spoils_is_left_out():

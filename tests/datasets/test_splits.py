@@ -8,13 +8,7 @@ from test_datasets import plan_with, sample_of, write_set
 
 from rainsim.bench.downstream import measure
 from rainsim.datasets import LAYOUTS, cityscapes, nerfstudio
-from rainsim.datasets.splits import (
-    check_hold_out,
-    held_out,
-    lists_of,
-    split_note,
-    usual_hold_out,
-)
+from rainsim.datasets.splits import check_hold_out, held_out, lists_of, split_note, usual_hold_out
 from rainsim.errors import ParameterError
 
 SPLITS = "train", "val", "test"

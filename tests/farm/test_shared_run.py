@@ -18,13 +18,7 @@ from rainsim.errors import InputError, ParameterError
 from rainsim.farm import shared_run
 from rainsim.farm.shared_run import SharedRun, joined
 from rainsim.io.journal import SHARED_FOLDER
-from rainsim.output_folder import (
-    JOURNAL,
-    FrameFolder,
-    Record,
-    claimed,
-    read_record,
-)
+from rainsim.output_folder import JOURNAL, FrameFolder, Record, claimed, read_record
 from run_folders import assert_same_run, written
 from scenes import tiny_scene
 

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from made_captures import patio, ring, splats_at
+from made_formats import write_splats
 from rainsim import pipeline
 from rainsim.config.settings import Config
 from rainsim.io import cache
@@ -21,7 +22,6 @@ from rainsim.scene import library
 from rainsim.scene.cameras import write_transforms
 from rainsim.scene.folder import import_scene
 from rainsim.scene.library import load_scene
-from rainsim.scene.ply import write_splats
 from rainsim.terrain import kept
 from rainsim.terrain.types import Grid, Terrain
 from scenes import tiny_scene

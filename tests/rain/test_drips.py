@@ -4,8 +4,8 @@ from itertools import islice
 
 import numpy as np
 import pytest
-from test_simulation import config, ground, mm_per_hour, states
 
+from made_rain import config, ground, mm_per_hour, states
 from rainsim.drops import OBSTACLE, RainField, RainSpectrum, Surfaces, drop_volume, impacts
 from rainsim.rain.dripping import Drips, drift, drip_impacts, drips_seen, fall_time, fallen
 from rainsim.rain.size_distribution import terminal_speed

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rainsim.commands.choose import cameras_of
+from rainsim.commands.given import cameras_of
 from rainsim.config.settings import Config
 from rainsim.demo_scenes import FIRST_VIEWS
 from rainsim.render.first_view import mirrored_share, places_of_water, view_of_water

@@ -12,6 +12,7 @@ from rainsim.io import images
 from rainsim.render import aov
 from rainsim.render.aov import AOVS, NEEDED, recompose
 from rainsim.render.renderer import Renderer
+from run_folders import layer
 from scenes import tiny_scene
 
 
@@ -100,9 +101,9 @@ def test_every_layer_is_documented():
     from pathlib import Path
 
     text = (Path(__file__).parents[2] / "docs/layers.md").read_text(encoding="utf-8")
-    for name, layer in AOVS.items():
+    for name, about in AOVS.items():
         row = next(line for line in text.splitlines() if line.startswith(f"| `{name}` |"))
-        assert f"| {layer.kind} |" in row and layer.unit in row, name
+        assert f"| {about.kind} |" in row and about.unit in row, name
 
 
 @pytest.mark.parametrize("suffix", ["npz", "exr"])
@@ -115,7 +116,7 @@ def test_float_pictures_come_back_exactly(tmp_path, rng, suffix):
         values = values[..., 0] if len(channels) == 1 else values
         path = tmp_path / f"a{len(channels)}.{suffix}"
         images.write_data(path, values, channels)
-        np.testing.assert_array_equal(images.read_data(path, channels), values)
+        np.testing.assert_array_equal(layer(path, channels), values)
 
 
 def test_indices_come_back_exactly(tmp_path):

@@ -7,8 +7,8 @@ import time
 
 import numba
 import pytest
-import test_path_ground as path
 
+import made_road as path
 from rainsim import jit, pipeline
 from rainsim.errors import InputError
 from rainsim.render import window_ahead

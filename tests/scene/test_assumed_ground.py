@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from made_captures import patio, ring, splats_at
-from rainsim.commands.choose import named_camera, scene_of, scene_to_look_at
+from rainsim.commands.given import named_camera, scene_of, scene_to_look_at
 from rainsim.errors import GroundError, ParameterError
 from rainsim.scene.assumed_ground import assumed_ground_frame, ground_extent
 from rainsim.scene.splat_sets import joined

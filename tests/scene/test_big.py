@@ -10,16 +10,16 @@ import pytest
 
 import rainsim.scene.pages
 from made_captures import random_splats
-from made_formats import sog, tame_splats, write_folder
+from made_formats import sog, tame_splats, write_folder, write_splats
 from rainsim import pipeline
 from rainsim.config.settings import Config
 from rainsim.datasets.user_labels import read_labels
 from rainsim.errors import InputError, ParameterError
 from rainsim.io.images import write_png
 from rainsim.lod import cut as cutting
-from rainsim.lod.choose import chosen_levels, levels_of, pixels_per_unit
 from rainsim.lod.cut import cut
-from rainsim.lod.ground import finest_near, scene_over
+from rainsim.lod.held_parts import finest_near, scene_over
+from rainsim.lod.levels import chosen_levels, levels_of, pixels_per_unit
 from rainsim.lod.merge import cells_of, covariances, merged_splats, reach_box
 from rainsim.lod.numbers import FinestNumbers
 from rainsim.lod.paged import Page, PagedRasterizer, rasterizer_of_scene
@@ -34,7 +34,6 @@ from rainsim.scene.formats import read_splats, splat_blocks
 from rainsim.scene.formats.sog_writer import write_sog
 from rainsim.scene.formats.streamed import LOD_META, NONE, SIDES, read_tree
 from rainsim.scene.pages import ALWAYS, Kept, Pages, levels_at
-from rainsim.scene.ply import write_splats
 from rainsim.scene.types import GroundFrame, Scene, Splats
 from rainsim.sensors import drive
 from rainsim.sensors.lidar_model import Lidar
@@ -47,7 +46,7 @@ from rainsim.terrain.types import Grid
 pytest.importorskip("gsply")
 pytest.importorskip("imagecodecs")
 CONFIG = Config.from_preset("moderate").replace(
-    past=4e-3, extent=1.0, spacing=0.05, frames=3, width=96, height=64, detail=0.7
+    past=4e-3, extent=1.0, spacing=0.05, frames=3, width=96, height=64, detail=0.7, relight="off"
 )
 NAMES = ("position", "rotation", "scale", "opacity", "sh")
 
@@ -571,7 +570,7 @@ def test_a_scene_folder_of_chunks_comes_back(whole, folder, big, tmp_path):
 
 
 def test_a_map_is_made_of_fine_splats(big, whole, monkeypatch):
-    from rainsim.lod import ground
+    from rainsim.lod import held_parts
 
     grid = Grid((40, 40), (8.0, -1.0), 0.05)
     over = scene_over(big, grid)
@@ -585,7 +584,7 @@ def test_a_map_is_made_of_fine_splats(big, whole, monkeypatch):
     assert abs(inside(over.splats) - inside(whole.splats)) < 20
     assert len(over.splats) < big.count  # what lies elsewhere is left out
     assert scene_over(over, grid) is over
-    monkeypatch.setattr(ground, "MOST", 1000)
+    monkeypatch.setattr(held_parts, "MOST", 1000)
     assert len(scene_over(big, grid).splats) < len(over.splats)
     near = finest_near(big, (2.0, 0.0))
     assert np.abs(near.splats.position[:, 0] - 2).min() < 0.1 and near.pages is None
@@ -687,22 +686,22 @@ def test_labels_of_chunks_by_splat_and_by_masks(big, tmp_path):
 
 
 def test_beams_reach_a_part_that_is_as_fine_as_they_are(whole, big, monkeypatch):
-    from rainsim.lod import ground
+    from rainsim.lod import held_parts
 
     place = whole.ground_frame.to_ground(whole.cameras[0].position[None])
-    part = ground.scene_in_reach(big, place, 9.0, 3e-3)
-    assert part.pages is None and ground.scene_in_reach(part, place, 9.0, 3e-3) is part
+    part = held_parts.scene_in_reach(big, place, 9.0, 3e-3)
+    assert part.pages is None and held_parts.scene_in_reach(part, place, 9.0, 3e-3) is part
     away = np.linalg.norm(part.splats.position - place, axis=1)
     assert 9.0 < away.max() < 24.0  # m: leaves are taken whole, and those beyond are not
     assert len(part.splats) < big.count
-    wide = ground.scene_in_reach(big, place, 9.0, 0.1)
+    wide = held_parts.scene_in_reach(big, place, 9.0, 0.1)
     near, far = (
         [int((np.abs(np.linalg.norm(s.splats.position - place, axis=1) - at) < 1).sum())
          for s in (whole, part, wide)] for at in (1, 6)
     )  # fmt: skip
     assert abs(near[1] - near[0]) < 0.02 * near[0] and 0 < far[2] < 0.5 * far[0]
-    monkeypatch.setattr(ground, "MOST", 3000)
-    assert len(ground.scene_in_reach(big, place, 9.0, 3e-3).splats) < 5000
+    monkeypatch.setattr(held_parts, "MOST", 3000)
+    assert len(held_parts.scene_in_reach(big, place, 9.0, 3e-3).splats) < 5000
 
 
 def test_a_lidar_scans_chunks_as_the_whole(whole, folder, film, tmp_path, monkeypatch):

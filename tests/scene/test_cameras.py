@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from made_captures import ring
-from rainsim.commands.choose import cameras_of, settings
+from rainsim.commands.given import cameras_of, settings
 from rainsim.config.settings import Config
 from rainsim.errors import InputError, ParameterError
 from rainsim.io.images import write_png

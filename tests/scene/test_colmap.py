@@ -7,11 +7,11 @@ import pytest
 
 import made_formats as made
 from made_captures import ring, splats_at
+from made_formats import write_splats
 from rainsim.errors import InputError
 from rainsim.scene.cameras import load_cameras, read_cameras
 from rainsim.scene.colmap import find_model
 from rainsim.scene.folder import cameras_beside, import_scene
-from rainsim.scene.ply import write_splats
 from rainsim.scene.types import GroundFrame
 
 

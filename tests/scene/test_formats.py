@@ -8,10 +8,10 @@ import pytest
 import made_formats as made
 import naive
 from made_captures import random_splats
+from made_formats import write_splats
 from rainsim.errors import InputError
 from rainsim.scene.folder import import_scene
 from rainsim.scene.formats import read, read_splats
-from rainsim.scene.ply import write_splats
 from rainsim.scene.types import GroundFrame
 
 UP = GroundFrame(np.eye(3), 1.0, np.zeros(3))

@@ -10,13 +10,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_formats_fuzz import one_clear_line, refused_within
 
 import made_captures as captures
 import made_formats as made
 from made_checkpoints import archive_of
+from made_formats import write_splats
 from rainsim.cli import cli
-from rainsim.commands.choose import named_camera
+from rainsim.commands.given import named_camera
 from rainsim.commands.status import Status
 from rainsim.config.settings import Config
 from rainsim.errors import GroundError, InputError, RainsimError
@@ -25,12 +25,12 @@ from rainsim.io.images import read_hdr, read_image
 from rainsim.scene.cameras import read_cameras
 from rainsim.scene.folder import import_scene
 from rainsim.scene.ground import read_ground_frame
-from rainsim.scene.ply import write_splats
 from rainsim.scene.torch_file import read_weights
 from rainsim.simulation import read_state
 from rainsim.terrain.classify import read_mask
-from rainsim.terrain.files import read_terrain
+from rainsim.terrain.map_files import read_terrain
 from rainsim.terrain.surface import is_surface, terrain_from_surface
+from refusals import one_clear_line, refused_within
 from scenes import tiny_scene
 
 

@@ -8,12 +8,12 @@ from click.testing import CliRunner
 
 import made_formats as made
 from made_captures import random_splats, ring, splats_at
+from made_formats import write_splats
 from rainsim.cli import cli
 from rainsim.errors import InputError
 from rainsim.scene.cameras import write_transforms
 from rainsim.scene.folder import import_scene, write_scene
 from rainsim.scene.info import as_text, describe
-from rainsim.scene.ply import write_splats
 from rainsim.scene.types import GroundFrame
 
 

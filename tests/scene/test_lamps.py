@@ -62,7 +62,7 @@ def test_dark_and_far_splats_are_no_lamps():
 
 
 def test_lamps_in_files(tmp_path):
-    from test_actors import described
+    from made_actors import described
 
     scene = moving_scene()
     actor = scene.actors[0]

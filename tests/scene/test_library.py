@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from made_captures import patio, ring, splats_at
+from made_formats import write_splats
 from rainsim.errors import GroundError, InputError, ParameterError
 from rainsim.scene import library
 from rainsim.scene.cameras import write_transforms
@@ -18,7 +19,6 @@ from rainsim.scene.folder import import_scene, read_scene, write_scene
 from rainsim.scene.ground import write_ground_frame
 from rainsim.scene.library import find_scene, list_scenes, load_scene
 from rainsim.scene.painted import PaintedClasses, read_painted, write_painted
-from rainsim.scene.ply import write_splats
 from rainsim.scene.types import GroundFrame, Scene
 
 FRAME = GroundFrame(np.eye(3), 0.8, np.array([0.0, 0, 0.1]), notes=("made", "scale given: 0.8"))

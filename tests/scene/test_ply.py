@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from made_captures import random_splats
+from made_formats import write_splats
 from rainsim.errors import InputError
-from rainsim.scene.ply import read_splats, write_splats
+from rainsim.scene.ply import read_splats
 
 USUAL = [
     "x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2",

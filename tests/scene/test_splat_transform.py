@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import made_formats as made
+from made_formats import write_splats
 from rainsim.scene.formats import read
-from rainsim.scene.ply import write_splats
 
 PROGRAM = shutil.which("splat-transform")  # npm install -g @playcanvas/splat-transform
 COUNT, OPAQUE = 600, 90

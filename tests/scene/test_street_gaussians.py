@@ -97,7 +97,7 @@ def test_without_tracks_the_static_set_is_read(model):
     assert first[:6] == ["000002_0", "000003_0", "000004_0", "000005_0", "000006_0", "000002_1"]
     assert [c.name for c in in_order(ring(count=3))] == ["ring00", "ring01", "ring02"]
     with pytest.raises(InputError, match="no model of Street Gaussians"):
-        from rainsim.scene.ply import write_splats
+        from made_formats import write_splats
 
         write_splats(folder / "plain.ply", splats_at(patio(3000)))
         import_scene(folder / "plain.ply", tracks=folder, up=(0, 0, 1), meters_per_unit=1.0)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rainsim.errors import ParameterError
-from rainsim.sensors.radar import echo_loss, rain_attenuation, rain_coefficients
+from rainsim.sensors.radar import rain_attenuation, rain_coefficients
 
 
 def test_at_77_ghz_as_the_recommendation_has_it():
@@ -28,11 +28,6 @@ def test_as_itur_computes_it(polarization, elevation):
             expected = rain_specific_attenuation(rate, frequency, np.degrees(elevation), tilt)
             found = rain_attenuation(rate, frequency, polarization, elevation)
             assert found == pytest.approx(expected.value, rel=0.01)
-
-
-def test_echoes_lose_both_ways():
-    assert echo_loss(25.0, 500.0) == pytest.approx(float(rain_attenuation(25.0, 77.0)))
-    assert echo_loss(0.0, 500.0) == 0
 
 
 @pytest.mark.parametrize(

@@ -5,18 +5,17 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from factories import look, off_ground
 from rainsim.actors.footprint import Shadow
 from rainsim.shading import bodies, environment, walls, wetting
 from rainsim.shading.fresnel import fresnel
-from rainsim.shading.grading import Look
-from rainsim.shading.wetness import OffGroundWetness
 from rainsim.shading.wetting import GroundMaps, SkyMaps, SurfacePoint
 from rainsim.terrain.types import NO_TOPS, Grid
 
 F4 = np.float32
 CELLS, SPACING = 200, 0.02
-LOOK = Look(*F4([1, 0, 0, 30, 0, 1, 0]))
-SOAKED = OffGroundWetness(*F4([100, 0, 0, 1, 0.2]))
+LOOK = look()
+SOAKED = off_ground(supply=100, porosity=0.2)
 AHEAD = F4([1, 0, 0])
 BOX = slice(60, 120), slice(60, 120)  # cells of a box 0.8 m high
 

@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
+import factories
 from rainsim.constants import FAR_AWAY, SURFACE_ALPHA
 from rainsim.numerics import pixel_batches
 from rainsim.numerics.interpolation import bilinear
 from rainsim.scene.view import View, pixel_ray
 from rainsim.shading import sky, wet_pass, wetting
 from rainsim.shading.dampness import find_dampness
-from rainsim.shading.grading import Look, is_edge, undiluted
+from rainsim.shading.grading import is_edge, undiluted
 from rainsim.shading.smooth_normals import smooth_normal
-from rainsim.shading.wetness import OffGroundWetness
 from rainsim.shading.wetting import GroundMaps, SkyMaps, SurfacePoint
 
 F4 = np.float32
@@ -21,6 +21,11 @@ LENS = F4([200, 210, WIDTH / 2, HEIGHT / 2])
 EYE = F4([0, 0, 1])
 TURN = np.array([[1, 0, 0], [0, -0.3, 0.954], [0, -0.954, -0.3]], F4)  # looks down a little
 VIEW = View(TURN, EYE, *LENS)
+
+
+def dull(open_sky):
+    return factories.look(exposure=0.8, compression=0.9, sky_replaced=0.8, open_sky=open_sky,
+                          albedo=0.85, tops_end=0.6, wetness=1.3)  # fmt: skip
 
 
 @pytest.fixture
@@ -51,7 +56,7 @@ def scene(dry):
     rng = np.random.default_rng(5)
     bodies = rng.integers(0, (20, 256, 256), (CELLS, CELLS, 3)).astype(np.uint8)
     ground = GroundMaps(dry.pop("bed"), dry.pop("wetness"), ORIGIN, SPACING, bodies)
-    rain = OffGroundWetness(*F4([0.9, 0.2, -0.4, 0.8, 0.3]))
+    rain = factories.off_ground(supply=0.9, slant_x=0.2, slant_y=-0.4, film_left=0.8, porosity=0.3)
     return ground, rain, SkyMaps(sky.overcast(0.6), sky.overcast(0.7), sky.overcast())
 
 
@@ -83,7 +88,7 @@ def pixel_by_pixel(dry, ground, rain, skies, look, apart):
 
 @pytest.mark.parametrize(("open_sky", "apart"), [(0, False), (1, True)])
 def test_chunks_give_what_single_pixels_give(dry, scene, poisoned, open_sky, apart):
-    look = Look(*F4([0.8, 0.9, 0.8, 30, open_sky, 0.85, 0.6, 1.3]))
+    look = dull(open_sky)
     dry = wet_pass.DryPicture(**dry, meters_per_unit=UNIT, around=F4(0.4 if apart else 0))
     shape = HEIGHT, WIDTH
     found = [poisoned(s) for s in ((*shape, 3), shape, shape, shape if apart else (0, 0))]
@@ -100,7 +105,7 @@ def test_the_layer_shows_how_wet_the_place_is_that_is_wetted(dry, scene, poisone
     """Not the place that is drawn: along walls that one may lie beside the map."""
     dry["plane_depth"] = (dry["depth"] * np.where(np.arange(WIDTH) % 3, 1.02, 0.9)).astype(F4)
     dry = wet_pass.DryPicture(**dry, meters_per_unit=UNIT, around=F4(0.4))
-    look = Look(*F4([0.8, 0.9, 0.8, 30, 1, 0.85, 0.6, 1.3]))
+    look = dull(open_sky=1)
     ground, rain, _ = scene
     *_, depth, _, _ = pixel_by_pixel(dry, *scene, look, True)
     found, wanted = poisoned((HEIGHT, WIDTH)), np.zeros((HEIGHT, WIDTH))
@@ -130,7 +135,7 @@ def test_the_layer_shows_how_wet_the_place_is_that_is_wetted(dry, scene, poisone
 
 def test_rays_are_graded_as_pixels_are(dry, scene, poisoned):
     """A picture's pixels as rays that start at its eye, where walls have no plane of their own."""
-    look = Look(*F4([0.8, 0.9, 0.8, 30, 1, 0.85, 0.6, 1.3]))
+    look = dull(open_sky=1)
     dry["plane_depth"] = dry["depth"]
     picture = wet_pass.DryPicture(**dry, meters_per_unit=UNIT, around=F4(0))
     shape, none = (HEIGHT, WIDTH), np.empty((0, 0), F4)
@@ -183,7 +188,7 @@ def test_nowhere_is_some_place_in_memory(poisoned):
 @pytest.mark.parametrize("z", [0.3, -0.3])
 def test_what_lies_behind_shows_where_nothing_was_captured_also_below_the_horizon(scene, z):
     ground, rain, skies = scene
-    look = Look(*F4([1.0, 0.0, 100.0, 0.0, 0.0, 0.0, 0.0]))
+    look = factories.look(sky_replaced=100, sky_distance=0, albedo=0)
     ray = F4([0.0, np.sqrt(1 - z * z), z])
     nowhere = SurfacePoint(*F4([0, 99, 99]), *F4([0, -1, 0]), F4(99))
 

@@ -5,6 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
+from factories import look, off_ground, wetness
 from rainsim.numerics.approximations import (
     angle,
     exp_minus,
@@ -22,13 +23,12 @@ from rainsim.shading.fresnel import (
     fresnel,
     schlick,
 )
-from rainsim.shading.grading import Look, graded
-from rainsim.shading.wetness import OffGroundWetness, Wetness
+from rainsim.shading.grading import graded
 from rainsim.shading.wetting import SurfacePoint
 
-AS_CAPTURED = Look(1.0, 0.0, 0.0, 30.0, 0.0, 0.85, 0.0)
+AS_CAPTURED = look(albedo=0.85)
 DULL = AS_CAPTURED._replace(exposure=0.7, compression=1.2)
-SLANTING = OffGroundWetness(1.0, 0.5, 0.0, 1.0, 0.1)  # rain to +x; one film of supply
+SLANTING = off_ground(slant_x=0.5)  # rain to +x; one film of supply
 
 
 def test_fresnel_is_the_exact_dielectric():
@@ -100,7 +100,7 @@ def test_wet_ratio_is_the_published_curve():
 
 def test_wetting_darkens_and_dry_stays():
     def wetted(r, g, b, damp=1.0, porosity=0.0, share=1.0, smooth=0.0):
-        wet = Wetness(0.0, damp, 1.0, porosity)
+        wet = wetness(dampness=damp, porosity=porosity)
         return wetting.wetted(r, g, b, share, smooth, wet, AS_CAPTURED)
 
     wet, dry = wetted(0.3, 0.3, 0.3), wetted(0.3, 0.3, 0.3, damp=0.0)
@@ -115,7 +115,7 @@ def test_wetting_darkens_and_dry_stays():
 
 
 def test_wet_colors_are_richer_as_far_as_their_channels_darken():
-    wet = Wetness(0.0, 1.0, 1.0, 0.0)
+    wet = wetness()
     red, green, blue = wetting.wetted(0.5, 0.25, 0.1, 1.0, 0.0, wet, AS_CAPTURED)
     for found, dry in ((red, 0.5), (green, 0.25), (blue, 0.1)):
         assert found / dry == pytest.approx(wetting.wet_ratio(0.85 * dry), rel=1e-5)
@@ -125,7 +125,7 @@ def test_wet_colors_are_richer_as_far_as_their_channels_darken():
 
 
 def test_level_things_gloss_by_their_water_alone_where_tops_are_drawn():
-    wet = Wetness(0.0, 1.0, 1.0, 0.2)
+    wet = wetness(porosity=0.2)
 
     def gloss(height, tops_end):
         look = AS_CAPTURED._replace(tops_end=tops_end)

@@ -3,17 +3,16 @@
 import numpy as np
 import pytest
 
+from factories import look, off_ground, wetness
 from rainsim.numerics.srgb import linear
 from rainsim.shading import environment, wetting
 from rainsim.shading.color import luminance
 from rainsim.shading.fresnel import fresnel
-from rainsim.shading.grading import Look
-from rainsim.shading.wetness import OffGroundWetness, Wetness
 from rainsim.shading.wetting import GroundMaps, SkyMaps, SurfacePoint
 
 F4 = np.float32
-LOOK = Look(*F4([1, 0, 0, 30, 0, 1, 0]))
-SOAKED = OffGroundWetness(*F4([100, 0, 0, 1, 0.1]))
+LOOK = look()
+SOAKED = off_ground(supply=100)
 DRY = SOAKED._replace(supply=F4(0))
 GREEN, BROWN = F4([0.30, 0.42, 0.22]), F4([0.40, 0.33, 0.26])  # display-referred
 LEVEL = GroundMaps(np.zeros((4, 4), F4), np.zeros((4, 4, 4), F4), F4([50, 50]), F4(1))
@@ -74,7 +73,7 @@ def test_a_leaf_on_edge_is_no_mirror_at_grazing_angles(skies):
 
 
 def test_lawns_and_leaves_hardly_darken_where_paving_does():
-    wet = Wetness(*F4([0, 1, 1, 0.12]))
+    wet = wetness(porosity=0.12)
     tones = {"stone": F4([0.25, 0.25, 0.24]), "leaf": F4([0.1, 0.2, 0.05])}
 
     def kept(color, wet):

@@ -9,7 +9,7 @@ from rainsim.errors import ParameterError
 from rainsim.scene.cameras import look_at
 from rainsim.scene.types import GroundFrame, Scene
 from rainsim.terrain import choose_grid
-from rainsim.terrain.choose import AUTO_CELLS, choose_spacing
+from rainsim.terrain.map_size import AUTO_CELLS, choose_spacing
 
 FRAME = GroundFrame(np.eye(3), 1.0, np.zeros(3))
 

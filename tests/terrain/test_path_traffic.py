@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_path_ground import CONFIG as ROAD
-from test_path_ground import DRIVE, camera, road, small  # noqa: F401
 
+from made_road import CONFIG as ROAD
+from made_road import DRIVE, camera, road, small  # noqa: F401
 from rainsim import pipeline, simulation
 from rainsim.actors.actor import Actor, with_actors
 from rainsim.actors.motion import Track

@@ -9,7 +9,7 @@ from rainsim import simulation
 from rainsim.config.settings import Config
 from rainsim.errors import InputError, ParameterError
 from rainsim.io import images
-from rainsim.terrain import files
+from rainsim.terrain import map_files
 from rainsim.terrain.poured import (
     DRAINS,
     STAYS,
@@ -87,8 +87,8 @@ def test_masks_come_back_from_pictures_and_terrains_from_files(tmp_path):
     assert again.stays and not read_water_mask(tmp_path / "w.png", DRAINS).stays
     for stays in (True, False):
         terrain = with_water(ground(slope=0.05), mask._replace(stays=stays))
-        files.write_terrain(tmp_path / "t", terrain)
-        read = files.read_terrain(tmp_path / "t")
+        map_files.write_terrain(tmp_path / "t", terrain)
+        read = map_files.read_terrain(tmp_path / "t")
         for name in ("bed", "standing", "poured"):
             ours, theirs = getattr(terrain, name), getattr(read, name)
             assert (ours is None and theirs is None) or (ours == theirs).all()

@@ -4,8 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_simulation import centres, config, ground, states
 
+from factories import off_ground
+from made_rain import centres, config, ground, states
 from rainsim import terrain as terrains
 from rainsim.bench.look import light_up
 from rainsim.config.settings import Config, mm_per_hour
@@ -17,16 +18,19 @@ from rainsim.reflection.wet_tops import DRY_TOPS, TopMaps
 from rainsim.render import aov
 from rainsim.render.renderer import Renderer
 from rainsim.scene.view import View, pixel_ray
-from rainsim.shading.wetness import OffGroundWetness
 from rainsim.simulation import read_state, simulate, tops_drawn, write_state
 from rainsim.terrain.kept import kept_terrain
-from rainsim.terrain.tops import find_tops, gaps_in, note_of, with_tops
+from rainsim.terrain.tops import find_tops, gaps_in, note_of
 from rainsim.terrain.types import NO_TOPS
 from rainsim.water.top_water import PINNED, RAINS, TopWater, sheet_depth
 from scenes import tiny_scene
 
 F4 = np.float32
-SOAKED = OffGroundWetness(F4(9), F4(0), F4(0), F4(1), F4(0.1))
+SOAKED = off_ground(supply=9)
+
+
+def with_tops(terrain):
+    return replace(terrain, tops=find_tops(terrain))
 
 
 def with_table(height=0.7, half=0.5, tilt=0.0, centre=(0.0, 0.0), rough=0.0, hollow=0.0):
@@ -259,7 +263,7 @@ def test_pixels_that_show_the_table_are_its_and_no_others():
     # What stands on it, or water of the ground before it, hides it.
     assert (met(made, view, depth - F4(0.3))[1] == 0).all()
     assert met(made, view, depth, inner)[1][inner] == pytest.approx(0.5)
-    dry = OffGroundWetness(*(F4(0) for _ in range(5)))
+    dry = off_ground(supply=0, film_left=0, porosity=0)
     assert (met(made, view, depth, rain=dry)[1][inner] < 1).any()
 
 

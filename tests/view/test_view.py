@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from rainsim import simulation
-from rainsim.commands.choose import cameras_of
-from rainsim.commands.choose import settings as settings_of
+from rainsim.commands.given import cameras_of
+from rainsim.commands.given import settings as settings_of
 from rainsim.config.settings import Config, mm_per_hour
 from rainsim.errors import BackendError, ParameterError
 from rainsim.io.images import read_image
@@ -44,15 +43,6 @@ def settings(scene, **changes):
     if scene.cameras:
         base["surroundings"] = tuple(float(v) for v in scene.cameras[0].position)
     return Config().replace(**{**base, **changes})
-
-
-@pytest.fixture(scope="module", autouse=True)
-def short_warm_up():
-    """Rings of five seconds of rain before the first frame are no matter here."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(simulation, "RIPPLE_WARM_UP", 0.2)
-        patch.setattr(simulation, "DRIP_WARM_UP", 0.2)
-        yield
 
 
 @pytest.fixture(scope="module")

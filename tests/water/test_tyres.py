@@ -377,7 +377,7 @@ def test_a_track_that_no_car_drives():
 
 
 def test_wheels_in_files(scene, tmp_path):
-    from test_actors import described
+    from made_actors import described
 
     wheel = {"at": [1, 2, 0], "width": 0.2, "radius": 0.3}
     (actor,) = read_actors(described(tmp_path, scene, wheels=[wheel, wheel])).actors

@@ -66,7 +66,7 @@ def make_bicycle() -> Scene:
             hedge(HEDGE_FACES[0], 0.032, 22_000, noise, rng),
             hedge(HEDGE_FACES[1], 0.050, 9_000, noise, rng),
             far_trees(rng),
-            sky_cloud(noise, rng),
+            sky_cloud(noise),
         ]
     )
     eyes = _eyes()

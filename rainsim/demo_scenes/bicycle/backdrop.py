@@ -20,7 +20,7 @@ FAR_GREENS = np.array(
 )
 
 
-def sky_cloud(noise, rng, count=4200, radius=SKY_RADIUS):
+def sky_cloud(noise, count=4200, radius=SKY_RADIUS):
     """Return the sky as large splats on a dome, from just below the horizon to the zenith."""
     k = np.arange(count) + 0.5
     z = -0.10 + 1.10 * k / count

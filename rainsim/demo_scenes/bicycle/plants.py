@@ -50,7 +50,7 @@ def on_path(x, y, margin=0.0):
     return (y > NEAR_EDGE + margin) & (y < FAR_EDGE - margin) & (np.abs(x) < PATH_REACH)
 
 
-def _lawn_colour(points, noise, rng):
+def _lawn_colour(points, noise):
     """Colour of the grass: patches of several greens, worn and yellowish in places."""
     patch = np.clip(0.5 + 0.55 * noise(points[:, :2], 2.6, octaves=3), 0, 1)[:, None]
     dry = np.clip(noise(points[:, :2] + 40.0, 1.1, octaves=3) - 0.35, 0, 0.9)[:, None]
@@ -84,7 +84,7 @@ def lawn_cloud(noise, rng, ground_light, blades):
     points[:, 2] = lawn_height(points, noise) + direction[:, 2] * length * 1.15
     tone = rng.uniform(0.78, 1.22, (n, 1)) * (1 + rng.normal(0, 0.05, (n, 3)))
     straw = rng.random(n) < 0.04
-    colour = _lawn_colour(points, noise, rng) * tone
+    colour = _lawn_colour(points, noise) * tone
     colour[straw] = (0.60, 0.55, 0.33)
     side = np.stack([*rng.normal(0, 1, (2, n)), 0.4 * np.ones(n)], axis=1)
     parts.append(
@@ -107,7 +107,7 @@ def _turf(noise, rng):
         keep = (r >= inner) & (r < outer) & ~on_path(x, y, margin=-0.06 - 1.1 * cell)
         points = np.stack([x[keep], y[keep], 0 * x[keep]], axis=1)
         points[:, 2] = lawn_height(points, noise)
-        colour = _lawn_colour(points, noise, rng) * rng.uniform(0.62, 0.98, (len(points), 1))
+        colour = _lawn_colour(points, noise) * rng.uniform(0.62, 0.98, (len(points), 1))
         parts.append(discs(points, (0, 0, 1), colour, 0.68 * cell, thickness=0.003))
     parts.append(_verge(noise, rng))
     return join(parts)
@@ -125,7 +125,7 @@ def _verge(noise, rng):
                 points = np.stack([x + rng.normal(0, 0.3 * cell, x.size), y, 0 * x], axis=1)
                 points[:, 2] = lawn_height(points, noise) - 0.018 * (away < 0.02)
                 shade = rng.uniform(tone, tone + 0.25, (x.size, 1))
-                colour = _lawn_colour(points, noise, rng) * shade
+                colour = _lawn_colour(points, noise) * shade
                 size = np.tile([1.36 * cell, 0.66 * cell], (x.size, 1))
                 parts.append(discs(points, (0, 0, 1), colour, size, thickness=0.002))
     x = np.arange(-PATH_REACH, PATH_REACH, 0.07)
@@ -261,10 +261,10 @@ def hedge(face, leaf, count, noise, rng):
     light = light * np.exp(-sunk / 0.10) * np.clip(1 + 3.6 * bulge, 0.3, 1.6)
     colour = np.array([0.325, 0.430, 0.170]) + 0.045 * noise(points, 1.9, octaves=2)[:, None]
     cloud = _leaves(points, outward, colour, leaf * rng.uniform(0.7, 1.3, count), light, rng)
-    return join([cloud, _hedge_core(face, inward, depth)])
+    return join([cloud, _hedge_core(face, inward)])
 
 
-def _hedge_core(face, inward, depth):
+def _hedge_core(face, inward):
     """Return the dark inside of a hedge, so that nobody looks through it."""
     cell = 0.16
     x, z = (

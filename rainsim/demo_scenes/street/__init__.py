@@ -48,7 +48,7 @@ def make_street() -> Scene:
             fronts,
             cars.parked_cars(rng),
             furniture.furniture(rng),
-            sky_cloud(noise, rng, SKY_SPLATS, SKY_RADIUS),
+            sky_cloud(noise, SKY_SPLATS, SKY_RADIUS),
         ]
     )
     frame = tilted_frame(CAPTURE_TILT, METERS_PER_UNIT, CAPTURE_ORIGIN)

@@ -221,7 +221,7 @@ def _shop(wall, width, parts, wall_part, rng):
         if u1 - u0 < 0.8:
             continue
         wall_part(edge, u0, 0.45, 2.65)
-        parts.append(wall.panel(u0, u1, 0.45, 2.65, _goods(u0, u1, rng), out=-0.06, fine=0.7))
+        parts.append(wall.panel(u0, u1, 0.45, 2.65, _goods(u0, rng), out=-0.06, fine=0.7))
         bars = [(u0, 0.45), (u0, 2.65), (u1, 2.65), (u1, 0.45), (u0, 0.45)]
         parts.append(wall.bar(bars, sign * 1.3, 0.035, out=0.0))
         for k in np.arange(1, round((u1 - u0) / 1.5)):
@@ -243,7 +243,7 @@ def _shop(wall, width, parts, wall_part, rng):
     return glows
 
 
-def _goods(u0, u1, rng):
+def _goods(u0, rng):
     """Return colour(u, z) of a shop window: shelves of goods before a bright back wall."""
     warm = WARM[rng.integers(0, 4)] * 0.98
     palette = rng.uniform(0.15, 1.0, (9, 3)) * (1.0, 0.85, 0.65)

@@ -15,7 +15,6 @@ from rainsim.demo_scenes.build import Noise, join, moved
 from rainsim.demo_scenes.street import cars, facades, footway, furniture, road
 from rainsim.demo_scenes.street.layout import AFTER, SIDE_FACADE, SIDE_REACH, long_layout
 
-SHORTEST = 60.0  # m of street
 PIECE = 20.0  # m
 WALLS = 0.17  # m, distance of the splats at the foot of a wall
 FRONT = 7.8  # m of street that a house takes, about
@@ -62,7 +61,7 @@ class LongStreet:
             del fronts[k - 1]
         yield self._closing()
         length = self.layout.ends[1] - self.layout.ends[0]
-        sky = sky_cloud(self.noise, self._rng(3, 0), SKY_SPLATS, 0.5 * length + SKY_BEYOND)
+        sky = sky_cloud(self.noise, SKY_SPLATS, 0.5 * length + SKY_BEYOND)
         yield moved(sky, np.eye(3), (0.5 * (self.layout.ends[0] + self.layout.ends[1]), 0, 0))
 
     def bed_height(self):

@@ -8,8 +8,8 @@ from pathlib import Path
 import click
 
 from rainsim.commands import options
-from rainsim.commands.choose import masks_named, paths_in, settings, water_mask_of
 from rainsim.commands.compile import compiled_beside
+from rainsim.commands.given import masks_named, paths_in, settings, water_mask_of
 from rainsim.commands.status import Status, loaded_scene
 from rainsim.errors import ParameterError
 
@@ -75,7 +75,7 @@ def heightmap(scene, class_mask, check, out, overwrite, resume, threads, as_json
         compiled_beside(status, [HEIGHTMAP], config.threads),
     ):
         from rainsim.jit import set_threads
-        from rainsim.terrain.files import write_terrain
+        from rainsim.terrain.map_files import write_terrain
 
         set_threads(config.threads)
         content = _content(scene if surface else None, class_mask, check, given)
@@ -141,7 +141,7 @@ def _from_surface(scene, config, given):
 
 
 def _from_splats(scene, config, class_mask, water, status):
-    from rainsim.commands.choose import mask_of
+    from rainsim.commands.given import mask_of
     from rainsim.pipeline import extract_terrain
 
     mask = mask_of(class_mask)
@@ -178,7 +178,7 @@ def _puddles(out, terrain, record):
 
 
 def _check(out, scene, terrain, name, depth, record):
-    from rainsim.commands.choose import named_camera
+    from rainsim.commands.given import named_camera
     from rainsim.io import images
     from rainsim.terrain.pictures import through_camera
 

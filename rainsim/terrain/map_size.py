@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from rainsim.errors import ParameterError
-from rainsim.lod.ground import finest_near
+from rainsim.lod.held_parts import finest_near
 from rainsim.terrain.slab import FAINT, SLAB
 from rainsim.terrain.types import Grid
 

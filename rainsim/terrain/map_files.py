@@ -9,7 +9,7 @@ import numpy as np
 
 from rainsim.errors import InputError
 from rainsim.io.arrays import TEXT, Field, read_arrays, write_arrays
-from rainsim.terrain.choose import MOST_CELLS
+from rainsim.terrain.map_size import MOST_CELLS
 from rainsim.terrain.table import DRAIN
 from rainsim.terrain.types import MEASURED, NO_TOPS, Grid, Terrain, Tops
 
