@@ -223,8 +223,14 @@ def test_damaged_scene_folders(tmp_path, damage, expected):
 def test_paths_that_hold_no_scene(tmp_path):
     with pytest.raises(InputError, match="does not exist"):
         load_scene(str(tmp_path / "none"))
-    with pytest.raises(InputError, match="no splat file"):
+    with pytest.raises(InputError, match=r"no splat file.*name the splat file itself"):
         load_scene(tmp_path)
+
+
+def test_a_folder_around_a_model_is_answered_with_the_model(model):
+    with pytest.raises(InputError) as caught:
+        load_scene(model.parent)
+    assert str(caught.value).endswith(f"name {model}, which is one")
 
 
 @pytest.fixture
