@@ -1,6 +1,6 @@
 """Twins of the hot loops for NVIDIA GPUs: `--backend cuda`.
 
-Optional: `pip install rainsim[cuda]` and a driver. These modules are imported only for the backend
+Optional: `pip install "rainsim[cuda]"` and a driver. These modules are imported only for the backend
 "cuda". Where it cannot run, an error names what is missing; there is no fallback to the CPU.
 
 A twin stands at the path of its CPU module, calls the same scalar formulas and differs in how the
@@ -15,7 +15,7 @@ import os
 
 from rainsim.errors import BackendError
 
-REMEDY = "pip install rainsim[cuda]"
+REMEDY = 'pip install "rainsim[cuda]"'
 
 
 def simulated():
