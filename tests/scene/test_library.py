@@ -6,6 +6,7 @@ import os
 import sys
 import types
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -289,6 +290,8 @@ def test_a_folder_that_hides_a_built_in_scene_is_named(monkeypatch, tmp_path):
     with pytest.raises(InputError) as other:
         load_scene("yard")
     assert "built-in" not in str(other.value)
+    with pytest.raises(InputError, match="the built-in scene traffic needs no import"):
+        load_scene(Path("traffic"))  # as `rainsim import` has it
 
 
 def test_unknown_names_are_answered_with_the_known_ones(fake_built_in):
