@@ -18,7 +18,7 @@ project = "rainsim"
 copyright = "the authors of rainsim, Apache-2.0"
 version = release = rainsim.__version__
 
-extensions = ["myst_parser", "sphinx.ext.autodoc", "numpydoc"]
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.viewcode", "numpydoc"]
 exclude_patterns = ["site", "_build"]
 myst_enable_extensions = ["dollarmath"]
 myst_heading_anchors = 3

@@ -21,6 +21,7 @@ from rainsim.config.tables import table as key_table
 
 ROOT = Path(__file__).resolve().parent.parent
 PLACE = re.compile(r"<!-- code: ([\w /.-]+) -->")
+SOURCE = "[the source](../rainsim)", '<a href="_modules/index.html">the source</a>'
 OUTSIDE = {"../CONTRIBUTING.md": "contributing.md", "../CHANGELOG.md": "changelog.md",
            "../SECURITY.md": "security.md", "../README.md": "index.md"}  # fmt: skip
 
@@ -191,6 +192,12 @@ def formats():
     return table(("file", "version", "written by", "holds"), rows)
 
 
+DATA = {  # public names that are neither functions nor classes, with their meaning
+    "AOVS": "The layers, a dict: for each name its kind, unit, meaning and the names of its "
+    "channels. :doc:`/layers` shows it as a table.",
+}
+
+
 def names():
     """Return the reference of all public names of the package."""
     parts = []
@@ -201,13 +208,12 @@ def names():
             kind = "autoclass" if isinstance(value, type) else "autofunction"
             if isinstance(value, type) and issubclass(value, BaseException):
                 kind = "autoexception"
-            if not callable(value):
-                kind = "autodata"
-            inside = ":members:\n" if kind == "autoclass" else ""
-            module = getattr(value, "__module__", None)
-            target = f"{module}.{name}" if kind != "autodata" else f"rainsim.render.aov.{name}"
-            parts.append(f"### rainsim.{name}\n\n```{{eval-rst}}\n.. {kind}:: {target}\n"
-                         + (f"   {inside}" if inside else "") + "```\n")  # fmt: skip
+            inside = "   :members:\n" if kind == "autoclass" else ""
+            if name in DATA:
+                kind, inside = "py:data", f"\n   {DATA[name]}\n"
+            parts.append(
+                f"### rainsim.{name}\n\n```{{eval-rst}}\n.. {kind}:: rainsim.{name}\n{inside}```\n"
+            )
     return "\n".join(parts)
 
 
@@ -292,7 +298,7 @@ def filled(text):
 
     for outside, inside in OUTSIDE.items():
         text = text.replace(f"]({outside})", f"]({inside})")
-    return PLACE.sub(part, text)
+    return PLACE.sub(part, text.replace(*SOURCE))
 
 
 def included(text):

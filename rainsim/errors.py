@@ -34,6 +34,11 @@ def shown(value, most=MOST_VALUE):
     return text if len(text) <= most else text[: most - 3] + "..."
 
 
+def counted(number, thing):
+    """Return a number and its noun as a message shows them: "1 frame", "2 frames"."""
+    return f"{number} {thing}" if number == 1 else f"{number} {thing}s"
+
+
 class RainsimError(Exception):
     """Base of all errors that rainsim raises on purpose; the command exits with 1."""
 

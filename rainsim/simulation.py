@@ -14,7 +14,7 @@ import numpy as np
 
 from rainsim.config.settings import mm_per_hour
 from rainsim.drops import GROUND, OBSTACLE, Surfaces, Weather, flat_surfaces, impacts
-from rainsim.errors import InputError
+from rainsim.errors import InputError, counted
 from rainsim.grid import WaterSolver
 from rainsim.io.arrays import TEXT, Field, read_arrays, write_arrays
 from rainsim.io.files import json_number, parsed_json
@@ -170,8 +170,8 @@ def initial_water(terrain, config, exposure, fallen=0.0):
     if config.rain.drying > 0:
         puddles.evaporate(evaporation_rate(config) * config.rain.drying)
     sure, warning = probability(terrain, puddles.depth), doubt(terrain, config.rain.past)
-    likely = "" if sure is None else f", water with a probability of {sure:.0%}"
-    count = f"{puddles.count()} puddles{likely}"
+    likely = "" if sure is None else f" (probability of water where it is shown {sure:.0%})"
+    count = counted(puddles.count(), "puddle") + likely
     return with_standing(terrain, puddles.depth), (
         f"{config.rain.past * 1e3:g} mm of past rain stand at rest in {count}; "
         f"{wet_share(puddles.depth, terrain.sealed):.0%} of the paving under {WET * 1e3:g} mm or "

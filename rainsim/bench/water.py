@@ -141,8 +141,10 @@ def run(quick=False, say=quiet):
         "memory_limit" (cells per second).
     """
     records = []
-    for scheme in SCHEMES:  # compile outside the clock
+    for scheme in SCHEMES:  # compile outside the clock: kernels with and without friction
         measure(cases.rain(32), scheme)
+        measure(cases.stoker(32), scheme)
+    measure(cases.lake(8), "auto", dtype=np.float64)
     for name, (make, sizes, _) in SUITE.items():
         for cells in QUICK[name] if quick else sizes:
             case = make(cells)

@@ -127,7 +127,7 @@ def table(found):
     present = {k: v for k, v in found["versions"].items() if v and k not in OPTIONAL}
     lines = ["versions   " + ", ".join(f"{k} {v}" for k, v in present.items())]
     extras = ", ".join(
-        f"{name} {found['versions'][name] or f'missing: pip install rainsim[{extra}]'}"
+        f"{name} " + (found["versions"][name] or f'missing: pip install "rainsim[{extra}]"')
         for name, extra in OPTIONAL.items()
     )
     threads, memory, cache = found["threads"], found["memory"], found["cache"]

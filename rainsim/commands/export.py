@@ -14,7 +14,7 @@ from rainsim.commands.given import check_camera_options, paths_in, settings
 from rainsim.commands.options import FILE, PRESETS, Numbers
 from rainsim.commands.status import Status, loaded_scene
 from rainsim.datasets import LAYOUTS
-from rainsim.errors import ParameterError
+from rainsim.errors import ParameterError, counted
 
 DEFAULT_RAINS = "0,1,5,10,25,50"
 MOST_RAINS = 64
@@ -180,7 +180,8 @@ def export(
         )  # fmt: skip
     from rainsim.output_folder import relative
 
-    status.say(f"{card['pictures']} pictures in {relative(out)} ({status.seconds:.1f} s)")
+    total = counted(card["pictures"], "picture")
+    status.say(f"{total} in {relative(out)} ({status.seconds:.1f} s)")
     click.echo(json.dumps({"out": str(out), **card}, indent=1) if as_json else str(out))
 
 

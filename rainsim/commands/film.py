@@ -21,7 +21,7 @@ from rainsim.commands.given import (
     water_mask_of,
 )
 from rainsim.commands.status import Status, loaded_scene
-from rainsim.errors import InputError, ParameterError
+from rainsim.errors import InputError, ParameterError, counted
 
 SIMULATION = "simulation.json"
 VERSION = 1  # of simulation.json; those without a version are of version 1
@@ -124,7 +124,7 @@ def simulate(terrain, preset, out, overwrite, resume, threads, as_json, quiet, *
     ):
         _set_up(config)
         record, ledger = _write_states(status, ground, terrain, config, preset, out, resume)
-    status.say(f"{len(config.indices)} water states in {relative(out)}")
+    status.say(f"{counted(len(config.indices), 'water state')} in {relative(out)}")
     _print({"out": str(out), "states": record.files, "ledger": ledger}, out, as_json)
 
 
@@ -417,7 +417,7 @@ def _write_frames(
             reports = _draw_shared(forecast, sequence, run, stale)
         else:
             reports = _draw_alone(forecast, sequence, run, resume)
-    total = f"{len(config.indices)} frames"
+    total = counted(len(config.indices), "frame")
     status.say(f"{total} in {output_folder.relative(out)}/frames ({status.seconds:.1f} s)")
     result = {
         "out": str(out),

@@ -11,7 +11,7 @@ from rainsim.commands import options
 from rainsim.commands.compile import compiled_beside
 from rainsim.commands.given import masks_named, paths_in, settings, water_mask_of
 from rainsim.commands.status import Status, loaded_scene
-from rainsim.errors import ParameterError
+from rainsim.errors import ParameterError, counted
 
 GROUND_FRAME = "ground_frame.json"
 RAINS = (1, 3, 8, 20)  # mm of past rain that puddles are shown for
@@ -280,10 +280,10 @@ def _as_text(result):
     ]
     for row in result["puddles"]["after_rain"]:
         lines.append(
-            f"after {row['rain_mm']:>2} mm       {row['puddles']} puddles, {row['litres']:.1f} "
-            f"litres, {row['wet_share_of_paving']:.0%} of the paving wet, deepest "
-            f"{row['deepest_mm']:.1f} mm"
-            + ("" if row["probability"] is None else f", probable by {row['probability']:.0%}")
+            f"after {row['rain_mm']:>2} mm       {counted(row['puddles'], 'puddle')}, "
+            f"{row['litres']:.1f} litres, {row['wet_share_of_paving']:.0%} of the paving wet, "
+            f"deepest {row['deepest_mm']:.1f} mm"
+            + ("" if row["probability"] is None else f", probability {row['probability']:.0%}")
         )
     if result["check"] is not None:
         lines.append(

@@ -11,7 +11,7 @@ from rainsim.commands.compile import compiled_beside
 from rainsim.commands.export import rains_of
 from rainsim.commands.given import named_camera, paths_in, settings
 from rainsim.commands.status import Status, loaded_scene
-from rainsim.errors import ParameterError
+from rainsim.errors import ParameterError, counted
 
 SENSORS = ("vlp16", "hdl32", "hdl64")
 FORMATS = ("kitti", "pcd", "ply")
@@ -121,5 +121,5 @@ def lidar(
             )  # fmt: skip
     from rainsim.output_folder import relative
 
-    status.say(f"{turns * len(rates)} turns in {relative(out)} ({status.seconds:.1f} s)")
+    status.say(f"{counted(turns * len(rates), 'turn')} in {relative(out)} ({status.seconds:.1f} s)")
     click.echo(json.dumps({"out": str(out), **facts}, indent=1) if as_json else str(out))

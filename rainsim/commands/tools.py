@@ -67,7 +67,7 @@ def import_(path, info, lod, out, overwrite, resume, threads, as_json, quiet, **
         return
     from rainsim.actors.actor_files import ACTORS_ARRAYS
     from rainsim.commands.cutting import cut_to_scene, require_cuttable
-    from rainsim.output_folder import Record, claimed, relative
+    from rainsim.output_folder import Record, claimed
     from rainsim.scene.folder import write_scene
     from rainsim.scene.ground import ground_frame_to_dict, write_ground_frame
 
@@ -96,7 +96,6 @@ def import_(path, info, lod, out, overwrite, resume, threads, as_json, quiet, **
         record.add("scene.json", *arrays, *moving, GROUND_FRAME)
         record.write(complete=True)
         calibration = _calibration(status, scene, threads)
-    status.say(f"scene folder {relative(out)}")
     if as_json:
         result = {
             "out": str(out), "name": scene.name, "splats": len(scene.splats),

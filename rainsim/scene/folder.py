@@ -333,10 +333,11 @@ def _only_splat_file(folder):
             f"{loose[0]}"
         )
     if not loose:
+        inner = sorted(p.parents[2] for p in folder.glob("*/point_cloud/iteration_*/*.ply"))
         raise InputError(
             f"{folder} has no point_cloud/iteration_*/point_cloud.ply, no {SCENE_FILE} and no "
             f"splat file ({', '.join(SUFFIXES)}); it must be a trained model's folder or a scene "
-            "folder; name the splat file itself"
+            f"folder; name {f'{inner[0]}, which is one' if inner else 'the splat file itself'}"
         )
     return loose[0]
 

@@ -91,9 +91,9 @@ def load_scene(
         except InputError as error:
             if str(name_or_path) not in BUILT_IN:
                 raise
-            raise InputError(
-                f"{error}; it hides the built-in scene {name_or_path}: rename it, or run elsewhere"
-            ) from None
+            hides = f"it hides the built-in scene {name_or_path}: rename it, or run elsewhere"
+            known = f"the built-in scene {name_or_path} needs no import: `run` knows its name"
+            raise InputError(f"{error}; {hides if Path(path).exists() else known}") from None
         if _is_name(name_or_path):
             scene = replace(scene, name=str(name_or_path))
         return scene

@@ -13,6 +13,7 @@ import numpy as np
 from scipy import ndimage
 
 from rainsim import raster
+from rainsim.errors import counted
 from rainsim.scene.types import Camera
 from rainsim.terrain.types import NO_TOPS, Grid, Tops
 
@@ -171,8 +172,8 @@ def note_of(tops):
     if len(level) > 3:
         words.append(f"{len(level) - 3} more level ones")
     if len(level) < len(tops):
-        words.append(f"{len(tops) - len(level)} that slope")
-    yield f"{len(tops)} flat tops above the ground: {', '.join(words)}"
+        words.append(f"{len(tops) - len(level)} not level")
+    yield f"{counted(len(tops), 'flat top')} above the ground: {', '.join(words)}"
 
 
 # ---- the relief of level tops

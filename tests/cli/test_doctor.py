@@ -14,7 +14,7 @@ def test_doctor_tells_threads_backends_and_cache(rainsim):
     assert found["backends"]["cpu"]["ready"] and found["threads"]["number"] >= 1
     assert found["threads"]["layer"] in ("workqueue", "omp", "tbb")
     gpu = found["backends"]["cuda"]
-    assert gpu["ready"] or "pip install rainsim[cuda]" in gpu["why"] or "driver" in gpu["why"]
+    assert gpu["ready"] or 'pip install "rainsim[cuda]"' in gpu["why"] or "driver" in gpu["why"]
     assert found["cache"]["writable"] and found["versions"]["numba"]
     assert done.code == (1 if found["wrong"] else 0)
 

@@ -26,8 +26,8 @@ def test_the_twins_in_the_simulator(request, root, names):
 
 def test_what_is_missing_is_named_with_its_remedy(monkeypatch):
     monkeypatch.setattr(rainsim.cuda, "_is_installed", lambda package: package != "numba_cuda")
-    assert rainsim.cuda.trouble() == ("numba-cuda is not installed; pip install rainsim[cuda]")
-    with pytest.raises(BackendError, match="pip install rainsim"):
+    assert rainsim.cuda.trouble() == 'numba-cuda is not installed; pip install "rainsim[cuda]"'
+    with pytest.raises(BackendError, match=r"pip install .rainsim"):
         rainsim.cuda.require()
     monkeypatch.setattr(rainsim.cuda, "_is_installed", lambda package: package != "cuda.compute")
     assert "cuda-cccl is not installed" in rainsim.cuda.trouble()

@@ -6,6 +6,7 @@ import os
 import sys
 import types
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -223,8 +224,14 @@ def test_damaged_scene_folders(tmp_path, damage, expected):
 def test_paths_that_hold_no_scene(tmp_path):
     with pytest.raises(InputError, match="does not exist"):
         load_scene(str(tmp_path / "none"))
-    with pytest.raises(InputError, match="no splat file"):
+    with pytest.raises(InputError, match=r"no splat file.*name the splat file itself"):
         load_scene(tmp_path)
+
+
+def test_a_folder_around_a_model_is_answered_with_the_model(model):
+    with pytest.raises(InputError) as caught:
+        load_scene(model.parent)
+    assert str(caught.value).endswith(f"name {model}, which is one")
 
 
 @pytest.fixture
@@ -283,6 +290,8 @@ def test_a_folder_that_hides_a_built_in_scene_is_named(monkeypatch, tmp_path):
     with pytest.raises(InputError) as other:
         load_scene("yard")
     assert "built-in" not in str(other.value)
+    with pytest.raises(InputError, match="the built-in scene traffic needs no import"):
+        load_scene(Path("traffic"))  # as `rainsim import` has it
 
 
 def test_unknown_names_are_answered_with_the_known_ones(fake_built_in):

@@ -1,10 +1,11 @@
 """Every command and every Python block of the pages runs, in the order of its page.
 
-Each page has a fresh folder with a stand-in for the reader's capture, called garden, and painted
-masks of its cameras. Commands run as they stand.
+Each page has a fresh folder with a stand-in for the reader's capture, called garden, the same as a
+file without cameras, called park.ply, and painted masks of its cameras. Commands run as they stand.
 """
 
 import os
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -32,12 +33,13 @@ def has_work(path):
 
 @pytest.fixture(scope="session")
 def garden(tmp_path_factory, bicycle_scene):
-    """The built-in yard as a trained model's folder, with the names that the pages use."""
+    """The built-in yard as a trained model's folder, and as a file without cameras, park.ply."""
     folder = tmp_path_factory.mktemp("captures")
     cameras = tuple(camera.resized(5184, 3456) for camera in bicycle_scene.cameras)
     names = [*NAMES, *(camera.name for camera in cameras[len(NAMES) :])]
     scene = replace(bicycle_scene, cameras=cameras)
     write_model_folder(folder / "garden", scene, names)
+    shutil.copy(next((folder / "garden").rglob("*.ply")), folder / "park.ply")
     (folder / "masks").mkdir()
     for name in names:
         write_png(folder / "masks" / f"{name}.png", np.full((48, 72), 7, np.uint8))
@@ -106,7 +108,7 @@ def test_python_of_a_page_runs(name, here, capsys):
     "path", [pytest.param(path, id=name_of(path)) for path in PAGES if has_work(path)]
 )
 def test_a_page_runs_as_it_stands(path, here, garden):
-    for name in ("garden", "masks"):
+    for name in ("garden", "masks", "park.ply"):
         (here / name).symlink_to(garden / name)
     (here / "examples").symlink_to(ROOT / "examples")
     walk(path)

@@ -58,7 +58,7 @@ def test_a_table_is_found_with_its_level_area_and_cells():
     held = tops.holds[tops.cells_of(0)].sum() * tops.spacing**2
     assert held == pytest.approx(1.0, rel=0.1)
     assert not tops.holds[[0, -1]].any() and not tops.holds[:, [0, -1]].any()
-    assert "1 flat tops" in next(note_of(tops)) and "0.70 m" in next(note_of(tops))
+    assert "1 flat top " in next(note_of(tops)) and "0.70 m" in next(note_of(tops))
 
 
 def test_what_slopes_has_no_patch_and_what_is_rough_or_low_is_no_top():
