@@ -68,7 +68,7 @@ def import_(path, info, lod, out, overwrite, resume, threads, as_json, quiet, **
     from rainsim.actors.actor_files import ACTORS_ARRAYS
     from rainsim.commands.cutting import cut_to_scene, require_cuttable
     from rainsim.output_folder import Record, claimed
-    from rainsim.scene.folder import write_scene
+    from rainsim.scene.folder import import_scene, write_scene
     from rainsim.scene.ground import ground_frame_to_dict, write_ground_frame
 
     status = Status(quiet)
@@ -95,6 +95,8 @@ def import_(path, info, lod, out, overwrite, resume, threads, as_json, quiet, **
         moving = (ACTORS_ARRAYS,) if scene.actors else ()
         record.add("scene.json", *arrays, *moving, GROUND_FRAME)
         record.write(complete=True)
+        if scene.pages is None:
+            scene = import_scene(out)  # its map is kept for the runs of the folder
         calibration = _calibration(status, scene, threads)
     if as_json:
         result = {

@@ -1,14 +1,19 @@
 """`rainsim import`: a capture becomes a scene folder, with its ground frame printed."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from made_formats import write_splats
+from rainsim.config.settings import Config
+from rainsim.io import cache
 from rainsim.scene.cameras import write_transforms
 from rainsim.scene.folder import read_scene
 from rainsim.scene.ground import read_ground_frame
+from rainsim.scene.library import load_scene
+from rainsim.terrain import kept
 from scenes import tiny_scene
 
 
@@ -60,6 +65,17 @@ def test_its_ground_frame_can_be_given_back(rainsim, tmp_path):
     assert one.ground_frame.meters_per_unit == two.ground_frame.meters_per_unit
     record = json.loads((tmp_path / "two" / "provenance.json").read_text())
     assert record["complete"] and record["input"]["sha256"] == two.source_hash != ""
+
+
+def test_the_map_of_the_folder_is_kept_for_its_runs(rainsim, tmp_path, monkeypatch):
+    """Content of the folder names the map, not that of the capture."""
+    monkeypatch.setenv("RAINSIM_CACHE", str(tmp_path / "kept"))
+    capture(tmp_path)
+    assert rainsim("import", "tiny.ply", "--out", "one").code == 0
+    scene, terrain = load_scene(tmp_path / "one"), Config().terrain
+    assert cache.read(kept.KIND, kept.entry_name(scene, terrain)) is not None
+    other = replace(terrain, spacing=0.03)
+    assert cache.read(kept.KIND, kept.entry_name(scene, other)) is None
 
 
 def test_overwriting_keeps_what_is_not_ours(rainsim, tmp_path):
