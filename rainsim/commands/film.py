@@ -399,6 +399,7 @@ def _write_frames(
 
     from rainsim import output_folder
     from rainsim.farm.shared_run import joined
+    from rainsim.render.frame_files import FRAME, mean_milliseconds
 
     shared = config.frame_range is not None and not overwrite
     with joined(out) if shared else output_folder.claimed(out, overwrite, resume, sources):
@@ -421,9 +422,9 @@ def _write_frames(
     status.say(f"{total} in {output_folder.relative(out)}/frames ({status.seconds:.1f} s)")
     result = {
         "out": str(out),
-        "frames": [output_folder.FRAME.format(report.index) for report in reports],
+        "frames": [FRAME.format(report.index) for report in reports],
         "seconds": round(status.seconds, 3),
-        "milliseconds": output_folder.mean_milliseconds(reports),
+        "milliseconds": mean_milliseconds(reports),
         "ledger": reports[-1].ledger,
         "notes": [*scene.notes, *scene.ground_frame.notes],
     }

@@ -126,7 +126,7 @@ class Forecast:
         """Return about how much the video takes, after a try with finished frames."""
         from rainsim.io.images import read_image
         from rainsim.io.video import bytes_of_video
-        from rainsim.output_folder import FRAME
+        from rainsim.render.frame_files import FRAME
 
         pictures = [read_image(self._folder / FRAME.format(index)) for index in self._finished()]
         return bytes_of_video(pictures, self._config.frames, self._config.fps, self._video)

@@ -89,27 +89,25 @@ def test_an_error_of_the_thread_comes_up_in_the_frame_that_needs_the_window(
 
 
 def test_a_run_that_is_given_up_stops_its_thread_between_two_steps(scene, ground, monkeypatch):
-    steps, go_on, original = [], threading.Event(), type(ground)._made
+    begun, go_on, original = threading.Event(), threading.Event(), window_ahead.steady_water
 
-    def slow(self, scene, cells, spacing, check=lambda: None):
-        if threading.current_thread().name == "window ahead":
-            steps.append(cells)
+    def slow(terrain, config, number, beyond):
+        if number == ground.stations[1].start(config):
+            assert threading.current_thread().name == "window ahead" and not begun.is_set()
+            begun.set()
             go_on.wait(30)
-        return original(self, scene, cells, spacing, check)
+        return original(terrain, config, number, beyond)
 
+    monkeypatch.setattr(window_ahead, "steady_water", slow)
     sequence = sequence_of(scene, ground)
     frames = sequence.frames(range(16))
     next(frames)
-    monkeypatch.setattr(type(ground), "_made", slow)
-    for _ in range(20):
-        (work,) = window_ahead._threads or (None,)
-        if work is not None and work.station == ground.stations[1]:
-            break
-        next(frames)
+    (work,) = window_ahead._threads
+    assert work.station == ground.stations[1] and begun.wait(30)
     frames.close()
     threading.Timer(0.2, go_on.set).start()
     sequence._windows.window(ground.stations[0])  # not before the thread has let go of its memory
-    assert go_on.is_set() and not work._thread.is_alive() and len(steps) <= 1
+    assert go_on.is_set() and not work._thread.is_alive()
     assert not window_ahead._threads and work._made is None
 
 

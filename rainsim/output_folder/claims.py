@@ -1,0 +1,117 @@
+"""One run at a time in an output folder, and nothing in it lost that no run would make again."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from rainsim.errors import ParameterError, one_line
+from rainsim.io.claim import ClaimedError, claim
+from rainsim.io.journal import Journal
+from rainsim.output_folder.names import (
+    CLAIM,
+    JOURNAL,
+    OURS,
+    PROVENANCE,
+    files_of,
+    names_in,
+    read_record,
+)
+
+
+@contextmanager
+def claimed(path, overwrite=False, resume=False, sources=()):
+    """Check and make an output folder and yield it; remove it again if it stays empty.
+
+    Parameters
+    ----------
+    path : path-like
+        Made, with the folders above it, if it does not exist.
+    overwrite : bool
+        Whether it may hold files already. Earlier results are replaced, other files stay.
+    resume : bool
+        Whether it may hold an unfinished run, see `Record.resume`.
+    sources : iterable of path-like or None
+        What the run reads: results in the folder are not replaced while they are read.
+
+    Raises
+    ------
+    ParameterError
+        If it holds files and `overwrite` is not set, is no folder, or another run writes to it; or
+        if results would replace what the run reads or files that no record of a run lists.
+    OSError
+        If it cannot be made or written to.
+    """
+    path = Path(path)
+    require_no_file(path)
+    _require_empty(path, overwrite or resume)
+    made = [p for p in (path, *path.parents) if not p.exists()]
+    try:
+        with claim(path / CLAIM):
+            _require_empty(path, overwrite or resume)  # another run may have been first
+            if overwrite and not resume:
+                _require_replaceable(path, sources)
+            tempfile.TemporaryFile(dir=path).close()  # before hours of work, not after
+            yield path
+    except ClaimedError as error:
+        raise ParameterError(
+            f"another run writes to output folder {path} ({error}); each run needs its own; give "
+            f"another --out, or remove {path / CLAIM} if that run has ended"
+        ) from None
+    finally:
+        for folder in (path / "frames", path / "states", path / "layers", *made):
+            with suppress(OSError):  # it is not empty, or not there
+                folder.rmdir()
+
+
+def require_no_file(path):
+    """Raise ParameterError if an output folder's path is that of a file."""
+    if path.exists() and not path.is_dir():
+        raise ParameterError(f"output {path} is a file; it must be a folder; give another --out")
+
+
+def _require_empty(path, overwrite):
+    if path.is_dir() and not overwrite and any(entry.name != CLAIM for entry in path.iterdir()):
+        raise ParameterError(
+            f"output folder {path} exists and is not empty; it must be new or empty; "
+            "give another --out, --overwrite to replace results in it, or --resume to go on with "
+            "an unfinished run"
+        )
+
+
+def _require_replaceable(path, sources):
+    """Raise ParameterError if new results in `path` would cost more than results of before."""
+    record, here = read_record(path), path.resolve()
+    for source in (Path(source).resolve() for source in sources if source is not None):
+        is_ours = source.parent == here and OURS.fullmatch(source.name)
+        if is_ours or (record and source == here):
+            raise ParameterError(
+                f"output folder {path} holds what this run reads, {one_line(source.name)}; "
+                "--overwrite would remove it; give another --out"
+            )
+    if record and not record.get("complete"):
+        return  # a killed run leaves a file or two that it had no time to note
+    noted = Journal(path, JOURNAL, OURS.fullmatch).entries().values()
+    known = {*files_of(record), *(name for entry in noted for name in entry["files"])}
+    known |= {JOURNAL, PROVENANCE} if record else set()
+    for name in sorted(names_in(path)):
+        if (name == PROVENANCE or OURS.fullmatch(name)) and name not in known:
+            raise ParameterError(
+                f"{path / name} is on no record of a run; --overwrite replaces recorded results "
+                "only; give another --out, or move the file away"
+            )
+
+
+def relative(path):
+    """Return a path as messages show it, str.
+
+    It is relative to the current folder if it lies below that folder, else as given.
+    """
+    path = Path(path)
+    try:
+        short = os.path.relpath(path)
+    except ValueError:  # another drive
+        return str(path)
+    return str(path) if short.startswith("..") else short

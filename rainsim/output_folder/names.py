@@ -1,0 +1,50 @@
+"""Names of the files in an output folder, and the record that an earlier run left in one."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from rainsim.errors import InputError
+from rainsim.io.files import read_json
+
+PROVENANCE, RECORD_VERSION, VERSION = "provenance.json", "rainsim_record", 1
+CLAIM = ".rainsim-claim"  # locked by the run that writes to the folder
+# Names that the program gives to files; other names in a provenance file are ignored.
+OURS = re.compile(
+    r"frames/\d{5}\.png|states/\d{5}\.npz|preview\.webp|(terrain|splats|actors)\.npz"
+    r"|(scene|ground_frame|simulation|transforms)\.json|(bed|top)\.tif|puddles-\d+mm\.png"
+    r"|(hillshade|classes|check)\.png|video\.(mp4|mov)|finished\.jsonl|lod-meta\.json"
+    r"|layers/(\d{5}\.json|[a-z_]+/\d{5}\.(png|exr|npz))|(env|\d+_\d+)/\w+\.(webp|json)"
+)
+JOURNAL = "finished.jsonl"  # which frames or states are finished
+STATE = "states/{:05d}.npz"
+STATE_FACTS = {"ledger": dict, "notes": list}  # what the journal says of a state, and of a frame
+FRAME_FACTS = STATE_FACTS | {"time": float, "milliseconds": dict}
+# Files of a run that was killed while it wrote them, see `rainsim.io.files.replacing`.
+TEMPORARY = re.compile(r"\.([\w.-]+)\.[a-z0-9_]{8}(\.[a-z0-9]+)?")
+FOLDERS = ("", "frames", "states", "layers", "layers/*", "env", "[0-9]*_[0-9]*")
+
+
+def names_in(folder):
+    """Yield the names of all files where the program writes, relative to the folder."""
+    for pattern in FOLDERS:
+        for path in folder.glob(f"{pattern}/*".lstrip("/")):
+            if path.is_file():
+                yield path.relative_to(folder).as_posix()
+
+
+def files_of(record):
+    """Return the names of the program's files that a record lists."""
+    listed = record.get("files") if isinstance(record.get("files"), list) else []
+    return [f for f in listed if isinstance(f, str) and OURS.fullmatch(f)]
+
+
+def read_record(folder):
+    """Return the record of an earlier run in a folder, {} if nothing readable by this version."""
+    try:
+        record = read_json(Path(folder) / PROVENANCE, "a record")
+    except (OSError, InputError):
+        return {}
+    ours = isinstance(record, dict) and record.get("program") == "rainsim"
+    return record if ours and record.get(RECORD_VERSION, VERSION) == VERSION else {}
