@@ -347,6 +347,12 @@ class SequenceRenderer:
     def __init__(self, scene, terrain, cameras, config, names=(), backend="cpu"):
         if not cameras:
             raise ParameterError("no camera was given; a frame needs one")
+        last = max(config.indices, default=0)
+        if 1 < len(cameras) <= last:
+            raise ParameterError(
+                f"there are {len(cameras)} cameras and the last frame has the number {last}; give "
+                "one camera for each frame from 0 on, or one for all"
+            )
         self._scene, self._terrain, self._cameras = scene, terrain, cameras
         self._config, self._names, self._backend = config, names, backend
         self._path = [scene.ground_frame.camera_in_ground(camera) for camera in cameras]

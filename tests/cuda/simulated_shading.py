@@ -289,6 +289,10 @@ def test_signatures_are_those_of_the_cpu():
         assert [n for n in ours if n not in without] == [n for n in theirs if n not in without]
 
 
+class Buffers(dict):
+    """Device arrays by name, as a `DeviceFrame` has them."""
+
+
 def test_light_of_drops_is_the_cpus():
     rng = np.random.default_rng(8)
     around = rng.uniform(0, 2, (32, 64, 3)).astype(np.float32)
@@ -301,13 +305,11 @@ def test_light_of_drops_is_the_cpus():
     wanted = np.stack(drop_radiance.falling_light(around, mean, turn, lens, picture, depth))
     assert wanted.std() > 0.01 and np.abs(wanted[0] - wanted[1]).max() > 0.01
     uniforms = {"around": mean, "turn": turn, "lens": lens, "size": size}
-    drops = cuda_drops.DropLight(
-        SimpleNamespace(
-            uniforms={name: cuda.to_device(value) for name, value in uniforms.items()},
-            gloss=cuda.to_device(around), picture=cuda.to_device(picture),
-            depth=cuda.to_device(depth), stream=0,
-        )
-    )  # fmt: skip
+    buffers = {"gloss": around, "picture": picture, "depth": depth}
+    frame = Buffers((name, cuda.to_device(value)) for name, value in buffers.items())
+    frame.uniforms = {name: cuda.to_device(value) for name, value in uniforms.items()}
+    frame.stream = 0
+    drops = cuda_drops.DropLight(frame)
     for field in (drops.drops, drops.sheets):
         field.copy_to_device(np.full(wanted[0].shape, np.nan, np.float32))
     drops.launch()

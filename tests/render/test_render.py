@@ -59,6 +59,15 @@ def test_report_names_stages_and_closes_the_ledger(scene, camera):
     assert "mirrored picture" in told
 
 
+def test_cameras_must_be_one_for_each_frame_or_one_for_all(scene, camera):
+    config = Config().replace(frames=3, extent=1.0, spacing=0.1)
+    terrain = extract_terrain(scene, config)
+    with pytest.raises(ParameterError, match="2 cameras and the last frame has the number 2"):
+        next(pipeline.render(scene, terrain, iter(()), [camera] * 2, config))
+    for count in (1, 3):
+        assert list(pipeline.render(scene, terrain, iter(()), [camera] * count, config)) == []
+
+
 def test_no_rain_on_a_clear_day_is_the_capture_itself(scene, camera):
     """Without rain, clouds and puddles only the soft shoulder of the display curve is left."""
     picture, _ = frame(scene, camera, rate=0.0, past=0.0, cloudiness=0.0, sky="capture")
