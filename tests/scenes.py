@@ -1,6 +1,7 @@
 """Tiny scenes: just enough splats for every stage to have something to do."""
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from rainsim.scene.types import Camera, GroundFrame, Scene, Splats
 
@@ -102,27 +103,12 @@ def _looking(eye, target, width, height, name):
 
 
 def _rotation(angle, axis):
-    cosine, sine = np.cos(angle), np.sin(angle)
-    matrix = np.eye(3)
-    i, j = (axis + 1) % 3, (axis + 2) % 3
-    matrix[i, i] = matrix[j, j] = cosine
-    matrix[i, j], matrix[j, i] = -sine, sine
-    return matrix
+    return Rotation.from_rotvec(angle * np.eye(3)[axis]).as_matrix()
 
 
 def _quaternion(rotation):
-    """w, x, y, z of a rotation matrix, by the eigenvector that is safe for any angle."""
-    (a, b, c), (d, e, f), (g, h, i) = rotation
-    k = np.array(
-        [
-            [a + e + i, h - f, c - g, d - b],
-            [h - f, a - e - i, b + d, c + g],
-            [c - g, b + d, e - a - i, f + h],
-            [d - b, c + g, f + h, i - a - e],
-        ]
-    )
-    _, vectors = np.linalg.eigh(k)
-    return vectors[:, -1] * np.sign(vectors[0, -1] or 1.0)
+    """w, x, y, z of a rotation matrix, w not negative."""
+    return Rotation.from_matrix(rotation).as_quat(canonical=True, scalar_first=True)
 
 
 BOX_SIZE = np.array([0.30, 0.22, 0.28])  # m

@@ -4,6 +4,7 @@ Visibility is computed from the boxes' faces and not from the splats.
 """
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from rainsim.scene.types import Camera, GroundFrame, Scene, Splats
 
@@ -114,7 +115,9 @@ def yard(azimuth=200.0, elevation=38.0, sun=SUN_OVER_SKY, step=0.045, paint=0.2,
     frame = _frame() if turned else GroundFrame(np.eye(3), 1.0, np.zeros(3))
     splats = Splats(
         frame.to_capture(position).astype(np.float32),
-        np.tile(_quaternion(frame.rotation.T), (len(position), 1)).astype(np.float32),
+        np.tile(
+            Rotation.from_matrix(frame.rotation.T).as_quat(scalar_first=True), (len(position), 1)
+        ).astype(np.float32),
         np.ascontiguousarray(scale / frame.meters_per_unit, np.float32),
         np.full(len(position), 0.97, np.float32),
         np.ascontiguousarray(((color - 0.5) / SH_0)[:, None, :], np.float32),
@@ -138,16 +141,5 @@ def _looking(eye, target=(0.0, 0.0, 0.2)):
 
 
 def _frame():
-    a, b = np.radians(35.0), np.radians(-70.0)
-    turn = np.array([[np.cos(a), -np.sin(a), 0], [np.sin(a), np.cos(a), 0], [0, 0, 1.0]])
-    tilt = np.array([[1.0, 0, 0], [0, np.cos(b), -np.sin(b)], [0, np.sin(b), np.cos(b)]])
-    return GroundFrame(turn @ tilt, 0.7, np.array([0.2, -0.1, 0.5]))
-
-
-def _quaternion(rotation):
-    """Return w, x, y, z of a rotation matrix whose trace is above -1."""
-    w = 0.5 * np.sqrt(1 + np.trace(rotation))
-    return np.array([
-        w, (rotation[2, 1] - rotation[1, 2]) / (4 * w), (rotation[0, 2] - rotation[2, 0]) / (4 * w),
-        (rotation[1, 0] - rotation[0, 1]) / (4 * w),
-    ])  # fmt: skip
+    turn = Rotation.from_euler("ZX", (35.0, -70.0), degrees=True)
+    return GroundFrame(turn.as_matrix(), 0.7, np.array([0.2, -0.1, 0.5]))

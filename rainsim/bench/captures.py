@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from rainsim.constants import SH_0
 from rainsim.scene.cameras import look_at
@@ -44,19 +45,9 @@ def random_frame(rng, tilt=40.0):
     """Return a random ground frame: up to `tilt` degrees off z, any heading, scale and origin."""
     axis, angle = rng.uniform(0, 2 * np.pi), np.radians(rng.uniform(0, tilt))
     turn = rng.uniform(0, 2 * np.pi)
-    lean = _rotation((np.cos(axis), np.sin(axis), 0.0), angle)
-    rotation = _rotation((0.0, 0.0, 1.0), turn) @ lean
+    lean = Rotation.from_rotvec((-angle * np.cos(axis), -angle * np.sin(axis), 0.0))
+    rotation = (Rotation.from_rotvec((0.0, 0.0, -turn)) * lean).as_matrix()
     return GroundFrame(rotation, float(rng.uniform(0.2, 3.0)), rng.normal(size=3))
-
-
-def _rotation(axis, angle):
-    axis = np.asarray(axis)
-    cross = np.cross(np.eye(3), axis)
-    return (
-        np.cos(angle) * np.eye(3)
-        - np.sin(angle) * cross
-        + (1 - np.cos(angle)) * np.outer(axis, axis)
-    )
 
 
 def yard(seed, noise=1e-3, floaters=0.3, kerb=False, step=0.025):
@@ -184,7 +175,9 @@ def _scene(rng, parts, eyes, target, name, tilt=40.0):
     scale = np.stack([size, size, np.minimum(size, 1e-3)], 1) / frame.meters_per_unit
     splats = Splats(
         frame.to_capture(points).astype(np.float32),
-        np.tile(_quaternion(frame.rotation.T), (len(points), 1)).astype(np.float32),
+        np.tile(
+            Rotation.from_matrix(frame.rotation.T).as_quat(scalar_first=True), (len(points), 1)
+        ).astype(np.float32),
         scale.astype(np.float32),
         opacity.astype(np.float32),
         ((color - 0.5) / SH_0).astype(np.float32)[:, None, :],
@@ -195,11 +188,3 @@ def _scene(rng, parts, eyes, target, name, tilt=40.0):
         camera = look_at(eye, ahead, (0, 0, 1), 60, 320, 240)
         cameras.append(frame.camera_in_capture(camera))
     return Scene(name, splats, tuple(cameras), frame)
-
-
-def _quaternion(m):
-    """Return w, x, y, z of a rotation matrix, from an eigenvector, which is exact at any angle."""
-    (a, b, c), (d, e, f), (g, h, i) = m
-    k = np.array([[a + e + i, h - f, c - g, d - b], [h - f, a - e - i, b + d, c + g],
-                  [c - g, b + d, e - a - i, f + h], [d - b, c + g, f + h, i - a - e]])  # fmt: skip
-    return np.linalg.eigh(k)[1][:, -1]
