@@ -49,15 +49,17 @@ def compiled_beside(status, uses, threads=None):
             )
 
 
-def uses_of(config, layers=(), backend="cpu"):
-    """Return the recorded uses that a run with these settings is like."""
-    from rainsim.compiling.uses import SIMULATE, uses_like
+def uses_of(scene, config, layers=(), backend="cpu"):
+    """Return the recorded uses that a run of a scene, a name or a path, is like."""
+    from rainsim.compiling.uses import CAPTURE, SIMULATE, uses_like
     from rainsim.config.settings import Config
+    from rainsim.scene.library import is_capture
 
+    captured = is_capture(scene)
     if backend == "cuda":  # draws with kernels of its own; ground and standing water are the CPU's
-        return [SIMULATE]
+        return [SIMULATE, *([CAPTURE] if captured else [])]
 
     def config_of(preset, changes):
         return Config.from_preset(preset).replace(**changes)
 
-    return uses_like(config, config_of, layers)
+    return uses_like(config, config_of, layers, captured)

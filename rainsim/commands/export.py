@@ -168,7 +168,7 @@ def export(
         require()
     from rainsim.datasets.shots import FLOWS, LABELS
 
-    uses = uses_of(config, (*LABELS, *FLOWS), backend)
+    uses = uses_of(scene, config, (*LABELS, *FLOWS), backend)
     with status, compiled_beside(status, uses, config.threads):
         loaded = loaded_scene(status, scene, given)
         out = out or options.default_out(loaded.name, layout)

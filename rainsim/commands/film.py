@@ -63,7 +63,7 @@ def run(
     config = settings(preset, given)
     video, names = _check_before_loading(given, video, layers, backend)
     mask, water = mask_of(class_mask), water_mask_of(given)
-    uses = uses_of(config, names, backend)
+    uses = uses_of(scene, config, names, backend)
     with status, compiled_beside(status, uses, config.threads) as pool:
         loaded = loaded_scene(status, scene, given)
         cameras, config = cameras_of(loaded, config, given)
@@ -274,7 +274,7 @@ def render(
     content = {"layers": names, "backend": backend, "states": states_content(states)}
     files = {"out": out, "overwrite": overwrite, "resume": resume, "video": video}
     files["sources"] = [states, loaded.source, *paths_in(given)]
-    uses = uses_of(config, names, backend)
+    uses = uses_of(loaded.source or loaded.name, config, names, backend)
     with status, compiled_beside(status, uses, config.threads) as pool:
         files |= {"stale": stale, "as_json": as_json, "farm": (given, backend, pool)}
         _write_frames(status, film, loaded, config, preset, content, **files)

@@ -19,7 +19,16 @@ from dataclasses import replace
 from rainsim.compiling import recorded
 from rainsim.compiling.pool import VARIABLE, processes
 from rainsim.compiling.recorded import STAGES, TERRAIN, Recorded
-from rainsim.compiling.uses import ALL, HEIGHTMAP, LAYERS, LIDAR, SIMULATE, SPLAT, USES
+from rainsim.compiling.uses import (
+    ALL,
+    CAPTURE,
+    HEIGHTMAP,
+    LAYERS,
+    LIDAR,
+    SIMULATE,
+    SPLAT,
+    USES,
+)
 
 SCENE = "bicycle"
 SIZE = ("--width", "96", "--spacing", "0.05")
@@ -43,11 +52,12 @@ def command_lines(use, folder):
     if use == LIDAR:
         return [("lidar", SCENE, "--rain", "0,25", "--spacing", "0.05", "--out",
                  f"{folder}/turns", "-q")]  # fmt: skip
+    scene = f"{folder}/{CAPTURE}" if use == CAPTURE else SCENE
     preset, changes = USES.get(use, USES["drizzle"])
     words = [word for name, value in changes.items() for word in (f"--{name}", value)]
     words += ["--layers", "all", "--orbit"] if use == LAYERS else []
     return [
-        ("run", "--scene", SCENE, "--preset", preset, *SIZE, "--frames", "2", *words, "--out",
+        ("run", "--scene", scene, "--preset", preset, *SIZE, "--frames", "2", *words, "--out",
          f"{folder}/frames", "-q"),
     ]  # fmt: skip
 
@@ -55,7 +65,8 @@ def command_lines(use, folder):
 def run_one(use):
     """Run a use here and print each kernel that it calls as a line of JSON."""
     from rainsim.commands import film, heightmap, lidar, splat, status
-    from rainsim.compiling.watching import watched
+    from rainsim.scene.folder import write_scene
+    from rainsim.scene.library import load_scene
 
     stage = STAGES[0]
     tell = status.Status.progress
@@ -73,7 +84,16 @@ def run_one(use):
     commands = {"run": film.run, "simulate": film.simulate, "heightmap": heightmap.heightmap,
                 "splat": splat.splat, "lidar": lidar.lidar}  # fmt: skip
     status.Status.progress = progress
-    with tempfile.TemporaryDirectory() as folder, watched(found):
+    with tempfile.TemporaryDirectory() as folder:
+        if use == CAPTURE:
+            write_scene(f"{folder}/{CAPTURE}", load_scene(SCENE))
+        _run(commands, use, folder, found)
+
+
+def _run(commands, use, folder, found):
+    from rainsim.compiling.watching import watched
+
+    with watched(found):
         for command, *words in command_lines(use, folder):
             commands[command].main(args=words, standalone_mode=False)
 

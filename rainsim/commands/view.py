@@ -60,7 +60,8 @@ def view(scene, preset, camera, backend, class_mask, port, out, quiet, **given):
     config = settings(preset, given)
     _require_viser(backend)
     mask, water = mask_of(class_mask), water_mask_of(given)
-    with status, compiled_beside(status, uses_of(config, ("clean",), backend), config.threads):
+    uses = uses_of(scene, config, ("clean",), backend)
+    with status, compiled_beside(status, uses, config.threads):
         status.progress(READING, 0, 1)
         loaded, is_offered = scene_to_look_at(scene, given)
         say_scene(status, loaded)

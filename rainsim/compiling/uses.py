@@ -18,7 +18,8 @@ HEIGHTMAP = "heightmap"  # the command
 SIMULATE = "simulate"  # the command, and the height map that it needs
 SPLAT = "splat"  # the command
 LIDAR = "lidar"  # the command
-ALL = (*USES, LAYERS, HEIGHTMAP, SIMULATE, SPLAT, LIDAR)
+CAPTURE = "capture"  # a run of a capture: its surface, its sun and its sky are found first
+ALL = (*USES, LAYERS, HEIGHTMAP, SIMULATE, SPLAT, LIDAR, CAPTURE)
 # Settings that choose kernels, by group.
 CHOICES = {
     "water": ("scheme",),
@@ -36,7 +37,7 @@ def choices(config):
     return (*picked, sky, config.water.level is not None, config.rain.rate > 0)
 
 
-def uses_like(config, config_of, layers=()):
+def uses_like(config, config_of, layers=(), captured=False):
     """Return the names of the recorded uses that are most like a run.
 
     Parameters
@@ -46,6 +47,8 @@ def uses_like(config, config_of, layers=()):
         config_of(preset, changes) returns the Config of a use.
     layers : sequence of str
         Names of the layers that the run writes.
+    captured : bool
+        Whether the scene is a capture and not a built-in one.
     """
     wanted = choices(config)
     equal = {
@@ -54,4 +57,4 @@ def uses_like(config, config_of, layers=()):
     }
     best = max(equal.values())
     found = [name for name, count in equal.items() if count == best]
-    return [*found, LAYERS] if layers else found
+    return [*found, *([LAYERS] if layers else []), *([CAPTURE] if captured else [])]

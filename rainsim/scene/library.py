@@ -177,6 +177,14 @@ def find_scene(name_or_path):
     )
 
 
+def is_capture(name_or_path):
+    """Tell whether a scene is a capture and not a built-in one; False for what is neither."""
+    try:
+        return find_scene(name_or_path) is not None
+    except ParameterError:
+        return False
+
+
 def _long(name):
     """Return kind and length [m] of a built-in scene's name such as street:300, None of others."""
     kind, colon, text = name.partition(":")

@@ -325,7 +325,9 @@ def test_the_list_names_kernels_that_exist(module):
 
 
 @without_jit
-@pytest.mark.parametrize("use", ["drizzle", pytest.param("paper", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "use", ["drizzle", *(pytest.param(use, marks=pytest.mark.slow) for use in ("paper", "capture"))]
+)
 def test_a_run_calls_what_the_list_says(use):
     done = subprocess.run(
         [sys.executable, "-m", "rainsim.commands.record", "--one", use],
@@ -346,6 +348,8 @@ def test_a_run_compiles_what_the_recorded_run_most_like_it_calls():
         assert name in uses_like(config_of(*use), config_of)
     assert uses_like(Config.from_preset("paper"), config_of) == ["paper"]
     assert "layers" in uses_like(Config(), config_of, ["depth"])
+    assert "capture" in uses_like(Config(), config_of, captured=True)
+    assert "capture" not in uses_like(Config(), config_of)
 
 
 def test_a_second_run_looks_at_nothing_but_a_stamp(monkeypatch, tmp_path):
