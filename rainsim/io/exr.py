@@ -66,7 +66,8 @@ def write_parts(path, parts, header, frame_rate):
         try:
             file.write(str(temporary))
         except RuntimeError as error:  # the library's way to say that the disk is full
+            fault = str(error).replace(str(temporary), str(path)).splitlines()[0].rstrip(".")
             raise RainsimError(
-                f"{path} could not be written ({str(error).splitlines()[0]}); make room there, or "
-                "give another --out"
+                f"{path} could not be written ({fault}); its folder must have room and take files; "
+                "make room, or give another --out"
             ) from None

@@ -183,3 +183,17 @@ def test_without_the_library_one_line_says_what_brings_it(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "OpenEXR", None)
     with pytest.raises(RainsimError, match=r'pip install "rainsim\[exr\]"'):
         exr_files.require_exr()
+
+
+def test_a_full_disk_is_one_line_and_leaves_nothing(tmp_path, rng):
+    pytest.importorskip("OpenEXR")
+    resource = pytest.importorskip("resource")
+    noise = rng.random((200, 200)).astype(np.float32)
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, limits[1]))
+    try:
+        with pytest.raises(RainsimError, match=r"could not be written.*make room") as caught:
+            exr_files.write_parts(tmp_path / "a.exr", [("noise", {"R": noise}, {})], {}, 24.0)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert "\n" not in str(caught.value) and not list(tmp_path.iterdir())
