@@ -114,6 +114,8 @@ class FrameSequence:
     states : callable, optional
         states(number) returns the `SimState` of a number; without it the water is simulated here.
         Which one a frame shows is `Config.moment`.
+    exr : ExrFormat, optional
+        How the layers of a frame are written as one file; the layers must be those that it needs.
 
     Raises
     ------
@@ -121,14 +123,16 @@ class FrameSequence:
         If frames show other states than their own on a backend that cannot.
     """
 
-    def __init__(self, scene, terrain, cameras, config, backend="cpu", layers=(), states=None):
+    def __init__(
+        self, scene, terrain, cameras, config, backend="cpu", layers=(), states=None, exr=None
+    ):  # fmt: skip
         self.scene, self.cameras, self.config = scene, cameras, config
         self._ground, self._windows, self._window = None, None, None
         if isinstance(terrain, PathGround):
             self._windows = Windows(terrain, scene, config)
             self._ground, terrain = terrain, terrain.overview
         self.terrain = terrain = with_footprints(terrain, scene)
-        self.backend, self.layers, self.states = backend, layers, states
+        self.backend, self.layers, self.states, self.exr = backend, layers, states, exr
         self._renderer = SequenceRenderer(scene, terrain, cameras, config, layers, backend)
         self._water, self._state, self._steps = None, None, 0
         if config.moments and backend != "cpu":
@@ -151,7 +155,8 @@ class FrameSequence:
         if alone and self._window is None:  # beside the renderer's set-up
             self._windows.make_ahead(self._ground.station(indices[0]))
         try:
-            yield from self._renderer.render(self._states_of(list(indices), tell))
+            for picture, report in self._renderer.render(self._states_of(list(indices), tell)):
+                yield picture, report if self.exr is None else replace(report, exr=self.exr)
         finally:
             if self._windows is not None:
                 self._windows.stop()

@@ -37,6 +37,17 @@ def layer(path, channels):
     return planes[..., 0] if len(channels) == 1 else planes
 
 
+def exr_parts(path):
+    """The parts of an OpenEXR file as its own library reads them: header and channels by name."""
+    import OpenEXR
+
+    with OpenEXR.File(str(path), separate_channels=True) as file:
+        return {
+            part.name(): (dict(part.header), {n: c.pixels for n, c in part.channels.items()})
+            for part in file.parts
+        }
+
+
 def facts(folder):
     """What a record says but times."""
     record = read_record(folder)

@@ -9,7 +9,7 @@ import click
 
 from rainsim.commands import options
 from rainsim.commands.compile import compiled_beside, uses_of
-from rainsim.commands.forecast import Forecast, format_of
+from rainsim.commands.forecast import Forecast, exr_of, format_of
 from rainsim.commands.given import (
     cameras_of,
     check_camera_options,
@@ -61,7 +61,7 @@ def run(
     """
     status = Status(quiet)
     config = settings(preset, given)
-    video, names = _check_before_loading(given, video, layers, backend)
+    video, exr, names = _check_before_loading(given, config, video, layers, backend)
     mask, water = mask_of(class_mask), water_mask_of(given)
     uses = uses_of(scene, config, names, backend)
     with status, compiled_beside(status, uses, config.threads) as pool:
@@ -78,9 +78,10 @@ def run(
             ground = ground_of(loaded, config, cameras, backend, mask, *tell, water)
             path = view_on(loaded, ground, cameras, config, given, status)
             _say_memory(status, loaded, ground, path, names, backend)
-            return path, FrameSequence(loaded, ground, path, config, backend, names)
+            return path, FrameSequence(loaded, ground, path, config, backend, names, exr=exr)
 
         content = {"layers": names, "backend": backend, **masks_named(class_mask, given)}
+        content |= {"exr": exr.content} if exr else {}
         files = {"out": out, "overwrite": overwrite, "resume": resume, "video": video}
         files |= {"stale": stale, "as_json": as_json, "farm": (given, backend, pool)}
         files["sources"] = [loaded.source, class_mask, *paths_in(given)]
@@ -231,7 +232,7 @@ def render(
     status = Status(quiet)
     made = read_simulation(states)
     config = settings(None, given, base=made["config"])
-    video, names = _check_before_loading(given, video, layers, backend)
+    video, exr, names = _check_before_loading(given, config, video, layers, backend)
     origin = made["origin"]
     if scene is None and origin["source"]:
         scene = str(path_named(origin["source"], states))
@@ -266,12 +267,13 @@ def render(
         def state_of(index):
             return read_state(_state_file(states, index), ground)
 
-        return path, FrameSequence(loaded, ground, path, config, backend, names, state_of)
+        return path, FrameSequence(loaded, ground, path, config, backend, names, state_of, exr)
 
     for index in config.indices:
         _state_file(states, config.moment(index))
     preset = made["preset"]
     content = {"layers": names, "backend": backend, "states": states_content(states)}
+    content |= {"exr": exr.content} if exr else {}
     files = {"out": out, "overwrite": overwrite, "resume": resume, "video": video}
     files["sources"] = [states, loaded.source, *paths_in(given)]
     uses = uses_of(loaded.source or loaded.name, config, names, backend)
@@ -328,8 +330,8 @@ def _origin(made, path):
 # --- what run and render share --------------------------------------------------------------------
 
 
-def _check_before_loading(given, video, layers, backend):
-    """Return the video's format and the layers' names; raise for what could only fail later."""
+def _check_before_loading(given, config, video, layers, backend):
+    """Return formats of video and EXR, and the layers; raise for what could only fail later."""
     check_camera_options(given)
     _check_farm(given)
     if backend == "cuda":
@@ -337,11 +339,9 @@ def _check_before_loading(given, video, layers, backend):
 
         require()
     video = format_of(video, given)
-    if layers is None:
-        return video, ()
     from rainsim.render.aov import parse_names
 
-    return video, parse_names(layers)
+    return video, *exr_of(given, config.fps, parse_names(layers))
 
 
 def _check_farm(given):

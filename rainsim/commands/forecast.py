@@ -41,6 +41,42 @@ def format_of(video, given):
     return asked
 
 
+def exr_of(given, fps, names):
+    """Return the `ExrFormat` that the options ask for and the layers that frames need for all.
+
+    Parameters
+    ----------
+    given : dict
+        Values of the options `--exr`, `--exr-name`, `--frame-start` and `--colorspace`.
+    fps : float [1/s]
+    names : tuple of str
+        Layers that are written by themselves.
+
+    Raises
+    ------
+    ParameterError
+        If options of the files are given without `--exr`, or do not make a name.
+    RainsimError
+        If such files cannot be written.
+    """
+    options = {"name": "exr_name", "start": "frame_start", "colorspace": "colorspace"}
+    options = {key: given[name] for key, name in options.items() if given.get(name) is not None}
+    if not given.get("exr"):
+        for key, value in options.items():
+            option = {"name": "exr-name", "start": "frame-start"}.get(key, key)
+            raise ParameterError(
+                f"--{option} {value} is given without --exr; it is about OpenEXR files; give --exr "
+                "too, or leave it out"
+            )
+        return None, names
+    from rainsim.io.exr import require_exr
+    from rainsim.render.exr_frame import LAYERS, ExrFormat
+
+    exr = ExrFormat(fps, **options, layers=names)
+    require_exr()
+    return exr, tuple(dict.fromkeys((*names, *LAYERS)))
+
+
 class Forecast:
     """Shows the progress of a run as `Status` does, and says once what all of it will take.
 
@@ -115,11 +151,11 @@ class Forecast:
     def _bytes_of_frames(self):
         """Return what a frame and its layers take on average, by name."""
         entries = self._finished()
-        sizes = dict.fromkeys(("frames", "layers"), 0.0)
+        sizes = dict.fromkeys(("frames", "layers", "exr"), 0.0)
         for entry in entries.values():
             for name in entry["files"]:
                 size = (self._folder / name).stat().st_size
-                sizes["layers" if name.startswith("layers/") else "frames"] += size / len(entries)
+                sizes[name.split("/")[0]] += size / len(entries)
         return {name: size for name, size in sizes.items() if size > 0}
 
     def _bytes_of_video(self):

@@ -271,6 +271,15 @@ picture_options = _group(
                  "quantiser of 64^(1 - N/100)."),
     click.option("--layers", metavar="all|NAME,NAME", show_default="none",
                  help="Also write parts of each frame for compositing, such as depth,water_depth."),
+    click.option("--exr", is_flag=True,
+                 help="Also write one OpenEXR file a frame, in linear light, with all that it is "
+                 "composed of (needs rainsim[exr])."),
+    click.option("--exr-name", metavar="NAME.%04d.exr", show_default="rain.%04d.exr",
+                 help="With --exr: name of the files, with the place of the frame's number."),
+    click.option("--frame-start", type=click.IntRange(0, 10**8), metavar="N", show_default="0",
+                 help="With --exr: number of the first frame."),
+    click.option("--colorspace", type=click.Choice(["rec709", "acescg"]), show_default="rec709",
+                 help="With --exr: of the light in it, linear Rec. 709 or ACEScg."),
 )  # fmt: skip
 
 range_option = click.option(

@@ -15,6 +15,7 @@ import numpy as np
 
 from rainsim.errors import InputError, ParameterError
 from rainsim.io.arrays import write_arrays
+from rainsim.io.exr import openexr
 from rainsim.io.files import replacing, require_file
 
 VERSION = 1  # of files of float pictures
@@ -95,15 +96,7 @@ def _write(path, image, **options):
 
 def data_suffix():
     """Return how files of `write_data` end: exr with the extra `exr`, else npz."""
-    return "npz" if _openexr() is None else "exr"
-
-
-def _openexr():
-    try:
-        import OpenEXR  # an extra: most runs need no float pictures
-    except ImportError:
-        return None
-    return OpenEXR
+    return "npz" if openexr() is None else "exr"
 
 
 def write_data(path, values, channels):
@@ -126,7 +119,7 @@ def write_data(path, values, channels):
     if not str(path).endswith(".exr"):
         write_arrays(path, VERSION, parts)
         return
-    exr = _openexr()
+    exr = openexr()
     header = {"compression": exr.ZIP_COMPRESSION, "type": exr.scanlineimage}
     with replacing(path) as temporary, exr.File(header, parts) as file:
         file.write(str(temporary))

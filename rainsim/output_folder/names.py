@@ -16,6 +16,7 @@ OURS = re.compile(
     r"|(scene|ground_frame|simulation|transforms)\.json|(bed|top)\.tif|puddles-\d+mm\.png"
     r"|(hillshade|classes|check)\.png|video\.(mp4|mov)|finished\.jsonl|lod-meta\.json"
     r"|layers/(\d{5}\.json|[a-z_]+/\d{5}\.(png|exr|npz))|(env|\d+_\d+)/\w+\.(webp|json)"
+    r"|exr/[A-Za-z0-9_-][A-Za-z0-9_.-]*\.exr"
 )
 JOURNAL = "finished.jsonl"  # which frames or states are finished
 STATE = "states/{:05d}.npz"
@@ -23,7 +24,7 @@ STATE_FACTS = {"ledger": dict, "notes": list}  # what the journal says of a stat
 FRAME_FACTS = STATE_FACTS | {"time": float, "milliseconds": dict}
 # Files of a run that was killed while it wrote them, see `rainsim.io.files.replacing`.
 TEMPORARY = re.compile(r"\.([\w.-]+)\.[a-z0-9_]{8}(\.[a-z0-9]+)?")
-FOLDERS = ("", "frames", "states", "layers", "layers/*", "env", "[0-9]*_[0-9]*")
+FOLDERS = ("", "frames", "states", "layers", "layers/*", "exr", "env", "[0-9]*_[0-9]*")
 
 
 def names_in(folder):

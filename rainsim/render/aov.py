@@ -70,6 +70,14 @@ AOVS = {
     "class_id": Aov(INDEX, "", "class of ground or water, 255 for all else"),
     "puddle_id": Aov(INDEX, "", "of the puddle that a pixel shows, 0 for none"),
     "actor_id": Aov(INDEX, "", "of the actor that a pixel shows, 0 for none"),
+    "beauty": Aov(DATA, "display white", "the frame in linear light, before the tone curve"),
+    "dry": Aov(DATA, "display white", "the dry capture without grading, in linear light"),
+    "matte": Aov(SHARE, "", "of the pixel that captured splats cover, not the sky behind them"),
+    "position": Aov(DATA, "m", "in the ground frame, zero for sky", ("X", "Y", "Z")),
+    "glare": Aov(DATA, "display white", "halos of lamps, as they are added"),
+    "near_alpha": Aov(SHARE, "", "of the light that drops nearer than 2 m replace"),
+    "spray_alpha": Aov(SHARE, "", "of the light that spray of tyres replaces"),
+    "rain_depth": Aov(DATA, "m", "of drops, splashes and spray, infinite without any", ("Z",)),
 }
 NEEDED = ("wet", "coverage", "reflection", "refraction", "fresnel", "highlight", "transmission",
           "rain_alpha", "splash_alpha")  # fmt: skip

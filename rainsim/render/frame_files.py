@@ -86,8 +86,21 @@ class FrameWriter:
 def write_layers(folder, report):
     """Write a frame's layers as folder/layers/NAME/NNNNN.*, and the light that recomposing needs.
 
-    Returns the names of the files.
+    An OpenEXR file with all in one is written before, if the report asks for it. Returns the names
+    of the files.
     """
+    if report.exr is None:
+        return _write_apart(folder, report)
+    from rainsim.render.exr_frame import write_exr
+
+    whole = write_exr(folder, report)
+    if not report.exr.layers:
+        return [whole]
+    apart = {name: report.aovs[name] for name in report.exr.layers}
+    return [whole, *_write_apart(folder, replace(report, aovs=apart))]
+
+
+def _write_apart(folder, report):
     from rainsim.io import images
     from rainsim.render.aov import AOVS, DATA, INDEX, PICTURE
 

@@ -9,13 +9,14 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
+from rainsim.numerics import srgb
 from rainsim.particles.splash import LONGEST_LIFE, WET_FILM
 from rainsim.particles.splash_pass import seen_splashes
-from rainsim.particles.streaks import NEAR
 from rainsim.rain.dripping import drip_impacts
 from rainsim.reflection import water_record
 from rainsim.reflection.water_pass import WetPicture, terms
-from rainsim.render import actor_labels, labels
+from rainsim.render import actor_labels, labels, rain_layers
+from rainsim.render.aov import spread_field
 from rainsim.render.frame import WET, Pass
 from rainsim.render.shutter import next_camera
 from rainsim.scene.view import view_of
@@ -25,7 +26,6 @@ from rainsim.shading.wet_pass import dry_picture
 from rainsim.terrain.table import WATER
 
 MOST_INDEX = 2**16 - 1
-FLOW_SAMPLES = 24  # places on a drop's path at which its motion is recorded
 SEEN_SPLASH = 1 / 512  # share of a pixel's light from which a splash is labelled
 TERMS = ("coverage", "reflection", "reflection_source", "refraction", "fresnel", "highlight",
          "water_depth")  # fmt: skip
@@ -53,6 +53,19 @@ LAYER_PASSES = (
     Pass("layer class_id", WET, ("layers", "depth", "clearance", "view", "seen", "actors",
                                  "ground"), ("class_id",)),
     Pass("layer puddle_id", WET, ("seen", "depth", "ground", "water"), ("puddle_id",)),
+    Pass("layer beauty", WET, ("dazzling", "depth", "rain_alpha", "splash_alpha", "fog",
+                               "rain_light", "view", "brightness"), ("beauty",)),
+    Pass("layer dry", WET, ("layers", "camera", "capture"), ("dry",)),
+    Pass("layer matte", WET, ("layers",), ("matte",)),
+    Pass("layer position", WET, ("depth", "view"), ("position",)),
+    Pass("layer glare", WET, ("dazzling", "shown"), ("glare",)),
+    Pass("layer near_alpha", WET, ("depth", "view", "view_end", "time", "render", "field",
+                                   "surfaces"), ("near_alpha",)),
+    Pass("layer spray_alpha", WET, ("depth", "view", "view_end", "time", "render", "field",
+                                    "throws"), ("spray_alpha",)),
+    Pass("layer rain_depth", WET, ("rain_alpha", "splash_alpha", "depth", "view", "view_end",
+                                   "time", "render", "field", "drips", "throws"),
+         ("rain_depth",)),
 )  # fmt: skip
 
 
@@ -139,7 +152,7 @@ def _splash_id(splash_alpha, depth, view, time, render, field, surfaces, drips, 
     )  # fmt: skip
     if not len(ids):
         return found
-    place = _project(position, view)[:, :2]
+    place = rain_layers.project(position, view)[:, :2]
     nearest = cKDTree(place).query(np.column_stack([columns + 0.5, rows + 0.5]))[1]
     found[rows, columns] = (ids[nearest] % np.uint64(MOST_INDEX) + np.uint64(1)).astype(np.uint16)
     return found
@@ -194,51 +207,24 @@ def _puddle_id(seen, depth, ground, water):
     return labels.puddle_ids(seen.pixel, seen.record, depth.shape, ground.terrain, ids)
 
 
-def _project(points, camera):
-    """Return image point and depth of ground-frame points, (n, 3)."""
-    matrix = camera.camera_from_world
-    x, y, z = (np.asarray(points, np.float64) @ matrix[:3, :3].T + matrix[:3, 3]).T
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.stack([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy, z], axis=1)
+def _beauty(dazzling, depth, rain_alpha, splash_alpha, fog, light, view, brightness):
+    """Return the finished picture before its tone curve."""
+    clear = _transmission(depth, fog, view)[..., None]
+    drop, around = (spread_field(field, *depth.shape) for field in (light.drops, light.around))
+    past = (1 - alpha[..., None] for alpha in (splash_alpha, rain_alpha))
+    seen = composite.through_rain(dazzling, drop, around, np.asarray(light.air), clear, *past)
+    return (brightness * seen).astype(np.float32)
 
 
-def _drop_flow(rain_alpha, depth, view, next_view, time, render, field, interval):
-    """Return the motion of drops in the picture, the mean over the drops in a pixel.
+def _dry(layers, camera, capture):
+    return srgb.linear(capture.captured_color(camera, layers)).astype(np.float32)
 
-    The camera's own motion is part of it. Each drop counts with the light that it replaces; zero
-    where there are none.
-    """
-    (height, width), far = rain_alpha.shape, render.streak_far
-    flow = np.zeros((height * width, 2))
-    weight = np.zeros(height * width)
-    if field is None:
-        return flow.reshape(height, width, 2).astype(np.float32)
-    corners = np.array([(u, v, 1.0) for u in (0, view.width) for v in (0, view.height)])
-    rays = (corners - (view.cx, view.cy, 0)) / (view.fx, view.fy, 1)
-    box = np.concatenate([rays * far, np.zeros((1, 3))])
-    box = box @ view.camera_from_world[:3, :3] + view.position
-    high = box.max(axis=0) + np.array([0, 0, 0.3])  # drops that fall into view meanwhile
-    found = field.drops_in_box(time, box.min(axis=0), high)
-    start = _project(found.position, view)
-    after = _project(
-        found.position + found.velocity * interval, view if next_view is None else next_view
-    )
-    ahead = (start[:, 2] > NEAR) & (after[:, 2] > NEAR)
-    start, after = start[ahead], after[ahead]
-    cover = found.diameter[ahead] ** 2 / start[:, 2] ** 2
-    opened = render.exposure / interval
-    for k in range(FLOW_SAMPLES):
-        part = opened * (k + 0.5) / FLOW_SAMPLES
-        u, v, z = (start + part * (after - start)).T
-        inside = (u >= 0) & (u < width) & (v >= 0) & (v < height) & (z < far)
-        at = v[inside].astype(np.int64) * width + u[inside].astype(np.int64)
-        before = z[inside] < depth.ravel()[at]
-        at, which = at[before], np.flatnonzero(inside)[before]
-        np.add.at(weight, at, cover[which])
-        np.add.at(flow, at, cover[which, None] * (after - start)[which, :2])
-    flow /= np.maximum(weight, 1e-30)[:, None]
-    flow[rain_alpha.ravel() <= 0] = 0
-    return flow.reshape(height, width, 2).astype(np.float32)
+
+def _position(depth, view):
+    """Return the places of surfaces in the ground frame [m], zero for sky."""
+    away = np.where(np.isfinite(depth), depth, 0)[..., None]
+    place = labels.rays_of(view) * away @ view.camera_from_world[:3, :3] + view.position
+    return np.where(away > 0, place, 0).astype(np.float32)
 
 
 WORK = {
@@ -246,8 +232,13 @@ WORK = {
     "layer film": lambda picture, below: picture - below, "layer range": labels.range_of,
     "layer normal": _normal, "layer wetness": _wetness, "layer terms of the water": _water_terms,
     "layer transmission": _transmission, "layer splash_id": _splash_id,
-    "view of the next frame": _next_view, "layer drop_flow": _drop_flow, "actors": _actors,
+    "view of the next frame": _next_view, "layer drop_flow": rain_layers.drop_flow,
+    "actors": _actors,
     "layer flow": _flow, "layer actor_id": _actor_id, "layer class_id": _class_id,
-    "layer puddle_id": _puddle_id,
+    "layer puddle_id": _puddle_id, "layer beauty": _beauty, "layer dry": _dry,
+    "layer matte": lambda layers: np.clip(layers.alpha, 0, 1), "layer position": _position,
+    "layer glare": lambda dazzling, shown: dazzling - shown,
+    "layer near_alpha": rain_layers.near_alpha, "layer spray_alpha": rain_layers.spray_alpha,
+    "layer rain_depth": rain_layers.rain_depth,
 }  # fmt: skip
 """What each pass of LAYER_PASSES computes, see `Frame.make`."""

@@ -25,6 +25,8 @@ class FrameReport:
         What `aov.recompose` needs besides: radiances and the brightness.
     facts : dict
         The frame's weather, names of classes, boxes: see `layers.facts_of`.
+    exr : ExrFormat or None
+        How its layers are written as one OpenEXR file, too.
 
     Examples
     --------
@@ -41,6 +43,7 @@ class FrameReport:
     aovs: dict = field(default_factory=dict)
     light: dict = field(default_factory=dict)
     facts: dict = field(default_factory=dict)
+    exr: object = None
 
 
 class Timer:

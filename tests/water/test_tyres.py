@@ -280,8 +280,12 @@ def test_spray_and_tracks_show_and_go_with_the_setting(scene, ground, states):
         if spray == "off":
             state = replace(state, throws=NO_THROWS, throw_id=np.zeros(0, np.uint64))
         dry = CONFIG.replace(rate=0.0)  # spray alone: no rain falls
-        _, report = Renderer(scene, ground, dry, camera).draw(camera, state, None, ("rain_alpha",))
-        shown[spray] = report.aovs["rain_alpha"]
+        names = "rain_alpha", "spray_alpha", "rain_depth", "depth"
+        _, report = Renderer(scene, ground, dry, camera).draw(camera, state, None, names)
+        shown[spray] = alpha = report.aovs["rain_alpha"]
+        np.testing.assert_array_equal(report.aovs["spray_alpha"], alpha)
+        assert (np.isfinite(report.aovs["rain_depth"]) == (alpha > 0)).all()
+        assert (report.aovs["rain_depth"][alpha > 0] <= report.aovs["depth"][alpha > 0]).all()
     assert shown["off"].max() == 0 and shown["auto"].max() > 0.004
 
 

@@ -48,6 +48,7 @@ class AovReader:
         inputs.put("water", frame.passes.surface.depth.copy_to_host())
         inputs.put("ripples", (frame.ripple_slopes(), state.tile_size))
         inputs.put("drips", (state.drips, state.drip_id))
+        inputs.put("throws", (state.throws, state.throw_id))
         if self._rasterizer is None:
             own = frame.rasterizer
             self._rasterizer = Rasterizer(own.splats, own.stream, first_room=own.entries)

@@ -1,0 +1,73 @@
+"""OpenEXR files of several parts. OpenEXR's own library writes them, from the extra `exr`."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+import numpy as np
+
+from rainsim.errors import RainsimError
+from rainsim.io.files import replacing
+
+LARGEST_HALF = np.float32(65504)
+
+
+def openexr():
+    """Return the module OpenEXR, None where it is not installed."""
+    try:
+        import OpenEXR  # an extra: most runs need no float pictures
+    except ImportError:
+        return None
+    return OpenEXR
+
+
+def require_exr():
+    """Raise RainsimError unless OpenEXR files can be written; to be asked before all work."""
+    exr = openexr()
+    if exr is None or not hasattr(exr, "Part"):
+        raise RainsimError(
+            "--exr was given and OpenEXR 3.3 or later is not installed; it writes the files; "
+            'pip install "rainsim[exr]"'
+        )
+
+
+def half(values):
+    """Return values as float16; what is too large for it is the largest that it has."""
+    return np.clip(values, -LARGEST_HALF, LARGEST_HALF).astype(np.float16)
+
+
+def write_parts(path, parts, header, frame_rate):
+    """Write a multipart OpenEXR file, whole or not at all.
+
+    Parameters
+    ----------
+    path : path-like
+    parts : sequence of (str, dict, dict)
+        The name of each part, its channels by name, each an ndarray of shape (height, width),
+        float16 or float32, and attributes of this part alone.
+    header : dict of str to (float or int or str or tuple)
+        Attributes of all parts.
+    frame_rate : float [1/s]
+    """
+    exr = openexr()
+    common = {
+        **header, "compression": exr.ZIP_COMPRESSION, "type": exr.scanlineimage,
+        "framesPerSecond": Fraction(frame_rate).limit_denominator(1001),
+    }  # fmt: skip
+    made = [
+        exr.Part(
+            {**common, **own},
+            {name: np.ascontiguousarray(plane) for name, plane in channels.items()},
+            part,
+        )
+        for part, channels, own in parts
+    ]
+    with replacing(path) as temporary, exr.File(made) as file:
+        try:
+            file.write(str(temporary))
+        except RuntimeError as error:  # the library's way to say that the disk is full
+            fault = str(error).replace(str(temporary), str(path)).splitlines()[0].rstrip(".")
+            raise RainsimError(
+                f"{path} could not be written ({fault}); its folder must have room and take files; "
+                "make room, or give another --out"
+            ) from None

@@ -1,0 +1,198 @@
+"""Layers of the rain: its motion and depth, and the parts that the picture draws together.
+
+The picture has one alpha of all that falls. Drops near the camera, and what tyres throw, are drawn
+alone here, by the kernels that draw them all; since alphas combine as products of what is let
+through, that of the other drops follows by a division.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from scipy import ndimage
+
+from rainsim.drops import RainField, RainSpectrum
+from rainsim.particles.line_raster import NEAR
+from rainsim.particles.spray import CUT, lay_clouds, spray_seen
+from rainsim.particles.streaks import draw_streaks, streak_reach
+from rainsim.rain.dripping import drips_seen
+
+NEAR_DROPS = 2.0  # m: drops nearer than this are an element of their own
+SAMPLES = 24  # places on a drop's path at which its motion and its depth are recorded
+AHEAD = 0.3  # m above the view: drops there fall into it while the shutter is open
+
+
+def project(points, camera):
+    """Return image point and depth of ground-frame points, (n, 3)."""
+    matrix = camera.camera_from_world
+    x, y, z = (np.asarray(points, np.float64) @ matrix[:3, :3].T + matrix[:3, 3]).T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.stack([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy, z], axis=1)
+
+
+def near_alpha(depth, view, view_end, time, render, field, surfaces):
+    """Return the share of light that drops of the rain nearer than `NEAR_DROPS` replace."""
+    alpha = np.zeros(depth.shape, np.float32)
+    if field is not None and render.streaks != "paper":
+        reach = streak_reach(field, view, render.exposure, render.streak_far)
+        draw_streaks(
+            field, surfaces, view, time, render.exposure, depth, np.minimum(reach, NEAR_DROPS),
+            alpha, view_end, render.aperture, render.focus,
+        )  # fmt: skip
+    return alpha
+
+
+def spray_alpha(depth, view, view_end, time, render, field, throws):
+    """Return the share of light that what tyres throw replaces, drops and clouds."""
+    alpha = np.zeros(depth.shape, np.float32)
+    drops, clouds = _spray(view, time, render, field, throws)
+    if len(drops):
+        draw_streaks(
+            RainField(RainSpectrum(0.0)), None, view, time, render.exposure, depth, NEAR, alpha,
+            view_end, render.aperture, render.focus, more=drops,
+        )  # fmt: skip
+    lay_clouds(clouds, view, depth, alpha)
+    return alpha
+
+
+def _spray(view, time, render, field, throws):
+    """Return drops and clouds of spray as the picture has them: lines of the paper draw no drop."""
+    drops, clouds = spray_seen(*throws, view, time, render.exposure)
+    return drops[:0] if field is not None and render.streaks == "paper" else drops, clouds
+
+
+def drop_flow(rain_alpha, depth, view, next_view, time, render, field, interval):
+    """Return the motion of drops in the picture, the mean over the drops in a pixel.
+
+    The camera's own motion is part of it. Each drop counts with the light that it replaces; zero
+    where there are none.
+    """
+    height, width = rain_alpha.shape
+    flow = np.zeros((height * width, 2))
+    weight = np.zeros(height * width)
+    if field is None:
+        return flow.reshape(height, width, 2).astype(np.float32)
+    found = _drops_in_view(field, view, time, render.streak_far)
+    after = found.position + found.velocity * interval
+    ends = project(found.position, view), project(after, view if next_view is None else next_view)
+    opened = render.exposure / interval
+    for at, which, cover, _ in _samples(*ends, found.diameter, opened, depth, render.streak_far):
+        move = (ends[1] - ends[0])[which, :2]
+        np.add.at(weight, at, cover)
+        np.add.at(flow, at, cover[:, None] * move)
+    flow /= np.maximum(weight, 1e-30)[:, None]
+    flow[rain_alpha.ravel() <= 0] = 0
+    return flow.reshape(height, width, 2).astype(np.float32)
+
+
+def rain_depth(
+    rain_alpha, splash_alpha, depth, view, view_end, time, render, field, drips, throws
+):  # fmt: skip
+    """Return the depth of drops, splashes and spray [m], infinite where there are none.
+
+    The mean by the light that they replace, along the view axis; splashes count at the depth of the
+    surface behind them. A pixel that a drop touches only with its edge takes the depth of the
+    nearest one whose middle is known.
+    """
+    weight, total = np.zeros(depth.size), np.zeros(depth.size)
+    drops, clouds = _spray(view, time, render, field, throws)
+    lines = [drops]
+    if field is not None:
+        far = np.full(len(field.velocity), render.streak_far)
+        if render.streaks != "paper":
+            far = streak_reach(field, view, render.exposure, render.streak_far)
+        found = _drops_in_view(field, view, time, render.streak_far)
+        size = np.searchsorted(field.spectrum.edges, found.diameter, side="right") - 1
+        away = project(found.position, view)[:, 2]
+        shown = away < far[np.clip(size, 0, len(far) - 1)]
+        listed = np.column_stack([found.position, found.velocity, found.diameter])
+        lines += [listed[shown], drips_seen(drips[0], time, render.exposure)]
+    lines = np.concatenate(lines)
+    after = lines[:, :3] + lines[:, 3:6] * render.exposure
+    ends = project(lines[:, :3], view), project(after, view if view_end is None else view_end)
+    area = math.pi / 4 * view.fx * view.fy / SAMPLES  # a drop's alphas sum to its area in pixels
+    for at, _, cover, z in _samples(*ends, lines[:, 6], 1.0, depth, render.streak_far):
+        np.add.at(weight, at, area * cover)
+        np.add.at(total, at, area * cover * z)
+    # A drop is drawn in the two pixels beside its path, the samples are in one of them.
+    weight, total = (_spread(values.reshape(depth.shape)).ravel() for values in (weight, total))
+    _add_clouds(clouds, view, depth, weight, total)
+    splashes = -np.log1p(-np.minimum(splash_alpha.ravel(), 0.9999).astype(np.float64))
+    splashes[~np.isfinite(depth.ravel())] = 0
+    weight += splashes
+    total += np.where(splashes > 0, depth.ravel(), 0) * splashes
+    known = (weight > 0).reshape(depth.shape)
+    out = np.full(depth.shape, np.inf, np.float32)
+    shows = (rain_alpha > 0) | (splash_alpha > 0)
+    if known.any():
+        mean = (total / np.maximum(weight, 1e-30)).reshape(depth.shape)
+        nearest = ndimage.distance_transform_edt(
+            ~known, return_distances=False, return_indices=True
+        )
+        out[shows] = np.minimum(mean[tuple(nearest)], depth)[shows]
+    return out
+
+
+def _drops_in_view(field, view, time, far):
+    """Return the `Drops` of a box around what a camera sees up to the depth `far` [m]."""
+    corners = np.array([(u, v, 1.0) for u in (0, view.width) for v in (0, view.height)])
+    rays = (corners - (view.cx, view.cy, 0)) / (view.fx, view.fy, 1)
+    box = np.concatenate([rays * far, np.zeros((1, 3))])
+    box = box @ view.camera_from_world[:3, :3] + view.position
+    return field.drops_in_box(time, box.min(axis=0), box.max(axis=0) + np.array([0, 0, AHEAD]))
+
+
+def _samples(start, after, diameter, opened, depth, far):
+    """Yield for places on the paths of drops: pixel, drop, square of its visual angle, depth [m].
+
+    Parameters
+    ----------
+    start, after : ndarray of shape (n, 3)
+        Image point and depth, see `project`.
+    diameter : ndarray of shape (n,) [m]
+    opened : float
+        Share of the way from `start` to `after` while the shutter is open.
+    depth : ndarray of shape (height, width) [m]
+        Places behind it are left out, as are those beyond `far` [m].
+    """
+    height, width = depth.shape
+    ahead = np.flatnonzero((start[:, 2] > NEAR) & (after[:, 2] > NEAR))
+    start, after = start[ahead], after[ahead]
+    cover = diameter[ahead] ** 2 / start[:, 2] ** 2
+    for k in range(SAMPLES):
+        part = opened * (k + 0.5) / SAMPLES
+        u, v, z = (start + part * (after - start)).T
+        inside = (u >= 0) & (u < width) & (v >= 0) & (v < height) & (z < far)
+        at = v[inside].astype(np.int64) * width + u[inside].astype(np.int64)
+        before = z[inside] < depth.ravel()[at]
+        which = np.flatnonzero(inside)[before]
+        yield at[before], ahead[which], cover[which], z[which]
+
+
+def _spread(values):
+    """Return a picture with each value spread over its neighbours by halves and quarters."""
+    for axis in (0, 1):
+        values = ndimage.correlate1d(values, [0.25, 0.5, 0.25], axis, mode="constant")
+    return values
+
+
+def _add_clouds(clouds, view, depth, weight_out, total_out):
+    """Add the optical depths of Gaussian clouds, and those times their depths, to flat pictures."""
+    height, width = depth.shape
+    places = project(clouds.place, view)
+    for (u, v, z), deviation, section in zip(places, clouds.deviation, clouds.section, strict=True):
+        if not z > CUT * deviation:
+            continue
+        spread = view.fx * deviation / z  # px
+        left, right = (int(np.clip(u + s * CUT * spread, 0, width)) for s in (-1, 1))
+        top, bottom = (int(np.clip(v + s * CUT * spread, 0, height)) for s in (-1, 1))
+        if right <= left or bottom <= top:
+            continue
+        rows, columns = np.mgrid[top:bottom, left:right] + 0.5
+        square = ((columns - u) ** 2 + (rows - v) ** 2) / spread**2
+        thickness = section / (2 * math.pi * deviation**2) * np.exp(-square / 2)
+        thickness[depth[top:bottom, left:right] < z] = 0
+        at = ((rows - 0.5) * width + columns - 0.5).astype(np.int64)
+        weight_out[at] += thickness
+        total_out[at] += thickness * z
