@@ -18,7 +18,7 @@ from rainsim.reflection.water_pass import WetPicture, terms
 from rainsim.render import actor_labels, labels
 from rainsim.render.frame import WET, Pass
 from rainsim.render.shutter import next_camera
-from rainsim.scene.view import view_of
+from rainsim.scene.view import corner_rays, image_point, view_of
 from rainsim.shading import composite
 from rainsim.shading.dampness import find_dampness
 from rainsim.shading.wet_pass import dry_picture
@@ -199,7 +199,7 @@ def _project(points, camera):
     matrix = camera.camera_from_world
     x, y, z = (np.asarray(points, np.float64) @ matrix[:3, :3].T + matrix[:3, 3]).T
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.stack([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy, z], axis=1)
+        return np.stack([*image_point(camera, x, y, z), z], axis=1)
 
 
 def _drop_flow(rain_alpha, depth, view, next_view, time, render, field, interval):
@@ -213,9 +213,7 @@ def _drop_flow(rain_alpha, depth, view, next_view, time, render, field, interval
     weight = np.zeros(height * width)
     if field is None:
         return flow.reshape(height, width, 2).astype(np.float32)
-    corners = np.array([(u, v, 1.0) for u in (0, view.width) for v in (0, view.height)])
-    rays = (corners - (view.cx, view.cy, 0)) / (view.fx, view.fy, 1)
-    box = np.concatenate([rays * far, np.zeros((1, 3))])
+    box = np.concatenate([corner_rays(view) * far, np.zeros((1, 3))])
     box = box @ view.camera_from_world[:3, :3] + view.position
     high = box.max(axis=0) + np.array([0, 0, 0.3])  # drops that fall into view meanwhile
     found = field.drops_in_box(time, box.min(axis=0), high)
