@@ -80,7 +80,7 @@ def _field(renderer, wet_picture, cover, name):
     before, film.drawn = film.drawn, name == "mirror"
     try:
         around = scene.level_mirrored, scene.sky.gloss
-        return film.field(wet_picture.view, cover, renderer.conductor.view, *around)
+        return film.field(wet_picture.view, cover, renderer.conductor.ground_camera, *around)
     finally:
         film.drawn = before
 

@@ -18,7 +18,7 @@ from rainsim.reflection.water_pass import WetPicture, terms
 from rainsim.render import actor_labels, labels
 from rainsim.render.frame import WET, Pass
 from rainsim.render.shutter import next_camera
-from rainsim.scene.view import corner_rays, image_point, view_of
+from rainsim.scene.view import corner_rays, image_point
 from rainsim.shading import composite
 from rainsim.shading.dampness import find_dampness
 from rainsim.shading.wet_pass import dry_picture
@@ -34,21 +34,22 @@ LAYER_PASSES = (
     Pass("layer clean", WET, ("layers", "camera", "capture"), ("clean",)),
     Pass("layer wet", WET, ("picture",), ("wet",)),
     Pass("layer film", WET, ("picture", "below"), ("film",)),
-    Pass("layer range", WET, ("depth", "view"), ("range",)),
+    Pass("layer range", WET, ("depth", "ground_camera"), ("range",)),
     Pass("layer normal", WET, ("layers", "view"), ("normal",)),
     Pass("layer wetness", WET, ("layers", "depth", "view", "scene"), ("wetness",)),
     Pass("layer terms of the water", WET, ("seen", "reflected", "picture", "below", "depth", "view",
                                       "sun", "methods"), TERMS),
     Pass("layer transmission", WET, ("depth", "fog", "view"), ("transmission",)),
-    Pass("layer splash_id", WET, ("splash_alpha", "depth", "view", "time", "render", "field",
-                             "surfaces", "drips", "water", "paving"), ("splash_id",)),
-    Pass("view of the next frame", WET, ("view", "view_end", "render", "interval", "scene"),
-         ("next_view",)),
-    Pass("layer drop_flow", WET, ("rain_alpha", "depth", "view", "next_view", "time", "render",
-                                  "field", "interval"), ("drop_flow",)),
+    Pass("layer splash_id", WET, ("splash_alpha", "depth", "ground_camera", "time", "render",
+                                  "field", "surfaces", "drips", "water", "paving"),
+         ("splash_id",)),
+    Pass("camera of the next frame", WET, ("ground_camera", "ground_camera_end", "render",
+                                           "interval", "scene"), ("next_camera",)),
+    Pass("layer drop_flow", WET, ("rain_alpha", "depth", "ground_camera", "next_camera", "time",
+                                  "render", "field", "interval"), ("drop_flow",)),
     Pass("actors", WET, ("camera", "scene", "interval"), ("actors",)),
-    Pass("layer flow", WET, ("depth", "view", "next_view", "interval", "actors", "scene"),
-         ("flow", "flow_mask")),
+    Pass("layer flow", WET, ("depth", "ground_camera", "next_camera", "interval", "actors",
+                             "scene"), ("flow", "flow_mask")),
     Pass("layer actor_id", WET, ("depth", "actors"), ("actor_id",)),
     Pass("layer class_id", WET, ("layers", "depth", "clearance", "view", "seen", "actors",
                                  "ground"), ("class_id",)),
@@ -75,7 +76,7 @@ def facts_of(names, frame, weather):
         boxes = labels.boxes_of(frame["puddle_id"])
         facts["puddles"] = [{**box, **puddles.get(box["id"], {})} for box in boxes]
     if "actor_id" in names and frame["actors"] is not None:
-        facts["actors"] = actor_labels.facts_of_actors(frame["actors"], frame["view"])
+        facts["actors"] = actor_labels.facts_of_actors(frame["actors"], frame["ground_camera"])
     if "splash_id" in names:
         facts["splashes"] = labels.boxes_of(frame["splash_id"])
     return facts
@@ -87,13 +88,13 @@ def _clean(layers, camera, capture):
 
 
 def _normal(layers, view):
-    return (layers.normal @ view_of(view).ground_from_camera.T).astype(np.float32)
+    return (layers.normal @ view.ground_from_camera.T).astype(np.float32)
 
 
 def _wetness(layers, depth, view, scene):
     damp, now = np.empty(depth.shape, np.float32), scene.shading
     find_dampness(
-        depth, dry_picture(layers, scene.frame.meters_per_unit), now.look, view_of(view),
+        depth, dry_picture(layers, scene.frame.meters_per_unit), now.look, view,
         now.ground, now.off_ground, damp,
     )  # fmt: skip
     return damp
@@ -101,14 +102,14 @@ def _wetness(layers, depth, view, scene):
 
 def _transmission(depth, fog, view):
     clear = np.empty(depth.shape, np.float32)
-    composite.find_clear(depth, fog, view_of(view), clear)
+    composite.find_clear(depth, fog, view, clear)
     return clear
 
 
 def _water_terms(seen, reflected, picture, below, depth, view, sun, methods):
     """Return the AOVs of TERMS; zero where there is no water."""
     height, width = depth.shape
-    wet = WetPicture(picture, depth, None, view_of(view), below)
+    wet = WetPicture(picture, depth, None, view, below)
     through, share, glint = terms(seen, methods, wet, sun)
 
     def spread(values, dtype=np.float32):
@@ -123,7 +124,7 @@ def _water_terms(seen, reflected, picture, below, depth, view, sun, methods):
     )  # fmt: skip
 
 
-def _splash_id(splash_alpha, depth, view, time, render, field, surfaces, drips, water, paving):
+def _splash_id(splash_alpha, depth, camera, time, render, field, surfaces, drips, water, paving):
     """Return a number for each splashed pixel: that of the splash whose middle is nearest.
 
     A splash keeps its number from frame to frame and from camera to camera, for it comes from its
@@ -134,22 +135,22 @@ def _splash_id(splash_alpha, depth, view, time, render, field, surfaces, drips, 
     if field is None or not len(rows):
         return found
     position, ids = seen_splashes(
-        field, surfaces, view, time, render.exposure, water, WET_FILM * paving, depth,
+        field, surfaces, camera, time, render.exposure, water, WET_FILM * paving, depth,
         more=drip_impacts(*drips, surfaces, time - LONGEST_LIFE, time + render.exposure),
     )  # fmt: skip
     if not len(ids):
         return found
-    place = _project(position, view)[:, :2]
+    place = _project(position, camera)[:, :2]
     nearest = cKDTree(place).query(np.column_stack([columns + 0.5, rows + 0.5]))[1]
     found[rows, columns] = (ids[nearest] % np.uint64(MOST_INDEX) + np.uint64(1)).astype(np.uint16)
     return found
 
 
-def _next_view(view, view_end, render, interval, scene):
+def _next_camera(camera, camera_end, render, interval, scene):
     """Return the next frame's camera; None where neither the camera nor anything else moves."""
-    if view_end is not None:
-        return next_camera(view, view_end, render.exposure / interval)
-    return None if scene.capture.actors is None else view
+    if camera_end is not None:
+        return next_camera(camera, camera_end, render.exposure / interval)
+    return None if scene.capture.actors is None else camera
 
 
 def _actors(camera, scene, interval):
@@ -161,24 +162,24 @@ def _actors(camera, scene, interval):
     return actor_labels.ActorsSeen(actors.actors, actors.time, interval, scene.frame, numbers)
 
 
-def _flow(depth, view, next_view, interval, actors, scene):
+def _flow(depth, camera, after, interval, actors, scene):
     """Return motion and mask of the scene, see `labels.flow_of`; zero and seen if it is still."""
-    if next_view is None:
+    if after is None:
         return np.zeros((*depth.shape, 2), np.float32), np.full(depth.shape, labels.SEEN, np.uint16)
     if actors is not None:
         scene.move_actors(actors.time + interval)
-    seen = scene.picture(scene.frame.camera_in_capture(next_view))
+    seen = scene.picture(scene.frame.camera_in_capture(after))
     if actors is None:
-        return labels.flow_of(depth, view, next_view, seen.depth)
+        return labels.flow_of(depth, camera, after, seen.depth)
     scene.move_actors(actors.time)
     moves = actor_labels.moves_of(actors)
-    return labels.flow_of(depth, view, next_view, seen.depth, actors.number, moves)
+    return labels.flow_of(depth, camera, after, seen.depth, actors.number, moves)
 
 
 def _class_id(layers, depth, clearance, view, seen, actors, ground):
     water = np.zeros(depth.shape, bool)
     water.ravel()[seen.pixel[labels.shown_water(seen.record)]] = True
-    wet = WetPicture(None, depth, clearance, view_of(view), None)
+    wet = WetPicture(None, depth, clearance, view, None)
     ids = labels.class_ids(wet, _normal(layers, view), ground.terrain, water)
     if actors is not None:
         ids[(actors.number > 0) & (ids != WATER)] = labels.OTHER_CLASS
@@ -202,7 +203,7 @@ def _project(points, camera):
         return np.stack([*image_point(camera, x, y, z), z], axis=1)
 
 
-def _drop_flow(rain_alpha, depth, view, next_view, time, render, field, interval):
+def _drop_flow(rain_alpha, depth, camera, after, time, render, field, interval):
     """Return the motion of drops in the picture, the mean over the drops in a pixel.
 
     The camera's own motion is part of it. Each drop counts with the light that it replaces; zero
@@ -213,27 +214,25 @@ def _drop_flow(rain_alpha, depth, view, next_view, time, render, field, interval
     weight = np.zeros(height * width)
     if field is None:
         return flow.reshape(height, width, 2).astype(np.float32)
-    box = np.concatenate([corner_rays(view) * far, np.zeros((1, 3))])
-    box = box @ view.camera_from_world[:3, :3] + view.position
+    box = np.concatenate([corner_rays(camera) * far, np.zeros((1, 3))])
+    box = box @ camera.camera_from_world[:3, :3] + camera.position
     high = box.max(axis=0) + np.array([0, 0, 0.3])  # drops that fall into view meanwhile
     found = field.drops_in_box(time, box.min(axis=0), high)
-    start = _project(found.position, view)
-    after = _project(
-        found.position + found.velocity * interval, view if next_view is None else next_view
-    )
-    ahead = (start[:, 2] > NEAR) & (after[:, 2] > NEAR)
-    start, after = start[ahead], after[ahead]
+    start = _project(found.position, camera)
+    end = _project(found.position + found.velocity * interval, camera if after is None else after)
+    ahead = (start[:, 2] > NEAR) & (end[:, 2] > NEAR)
+    start, end = start[ahead], end[ahead]
     cover = found.diameter[ahead] ** 2 / start[:, 2] ** 2
     opened = render.exposure / interval
     for k in range(FLOW_SAMPLES):
         part = opened * (k + 0.5) / FLOW_SAMPLES
-        u, v, z = (start + part * (after - start)).T
+        u, v, z = (start + part * (end - start)).T
         inside = (u >= 0) & (u < width) & (v >= 0) & (v < height) & (z < far)
         at = v[inside].astype(np.int64) * width + u[inside].astype(np.int64)
         before = z[inside] < depth.ravel()[at]
         at, which = at[before], np.flatnonzero(inside)[before]
         np.add.at(weight, at, cover[which])
-        np.add.at(flow, at, cover[which, None] * (after - start)[which, :2])
+        np.add.at(flow, at, cover[which, None] * (end - start)[which, :2])
     flow /= np.maximum(weight, 1e-30)[:, None]
     flow[rain_alpha.ravel() <= 0] = 0
     return flow.reshape(height, width, 2).astype(np.float32)
@@ -244,7 +243,7 @@ WORK = {
     "layer film": lambda picture, below: picture - below, "layer range": labels.range_of,
     "layer normal": _normal, "layer wetness": _wetness, "layer terms of the water": _water_terms,
     "layer transmission": _transmission, "layer splash_id": _splash_id,
-    "view of the next frame": _next_view, "layer drop_flow": _drop_flow, "actors": _actors,
+    "camera of the next frame": _next_camera, "layer drop_flow": _drop_flow, "actors": _actors,
     "layer flow": _flow, "layer actor_id": _actor_id, "layer class_id": _class_id,
     "layer puddle_id": _puddle_id,
 }  # fmt: skip
