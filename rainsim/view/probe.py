@@ -69,7 +69,7 @@ def point_at(session, view, place, size):
     Parameters
     ----------
     session : Session
-    view : View
+    view : Viewpoint
     place : tuple of float
         Column and row as shares of the picture's width and height, from its upper left corner.
     size : tuple of int
