@@ -152,6 +152,18 @@ def image_ray(m, fx, fy, cx, cy, u, v):
 
 
 @inlined_function
+def column_slope(view, column):
+    """Return the slope to the right of the rays through the middles of a column of pixels."""
+    return (np.float32(column) + HALF - view.cx) / view.fx
+
+
+@inlined_function
+def row_slope(view, row):
+    """Return the slope down of the rays through the middles of a row of pixels."""
+    return (np.float32(row) + HALF - view.cy) / view.fy
+
+
+@inlined_function
 def camera_component(view, i, x, y, z):
     """Return component i (0 right, 1 down, 2 ahead) of a ground-frame vector in the camera."""
     m = view.ground_from_camera
