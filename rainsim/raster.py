@@ -19,6 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rainsim.errors import ParameterError, require_choice
+from rainsim.scene.view import lens_array
 from rainsim.splatting.blend import blend_tiles
 from rainsim.splatting.level_choice import choose_levels
 from rainsim.splatting.prepared import LANES, PreparedSplats, prepare, select
@@ -183,7 +184,7 @@ class Rasterizer:
         )
         half = np.empty((height, width) if halfway else (0, width), np.uint32)
         blend_tiles(
-            self._record, self._entry, start, height, width, _lens(camera),
+            self._record, self._entry, start, height, width, lens_array(camera),
             bool(camera.orthographic), background, halfway, drop_last,
             layers.color.ravel(), layers.alpha.ravel(), layers.depth.ravel(),
             layers.plane_depth.ravel(), layers.normal.ravel(), half.ravel(),
@@ -202,7 +203,7 @@ class Rasterizer:
         deep = np.ascontiguousarray(camera.camera_from_world[2], dtype=np.float64)
         eye = (camera.forward if camera.orthographic else camera.position).astype(np.float32)
         frustum = Frustum(
-            view, _lens(camera), np.array([camera.width, camera.height], np.float32),
+            view, lens_array(camera), np.array([camera.width, camera.height], np.float32),
             np.float32(near), NO_PLANE if plane is None else np.asarray(plane, np.float32),
             bool(camera.orthographic),
         )  # fmt: skip
@@ -250,10 +251,6 @@ class Rasterizer:
             self._depth = np.empty(places, np.float64)
             self._box = np.empty((places, 4), np.int16)
             self._lane = np.empty(places, np.uint8)
-
-
-def _lens(camera):
-    return np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float32)
 
 
 def rasterize(prepared, camera, near=0.01, **options):

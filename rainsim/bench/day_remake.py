@@ -12,6 +12,7 @@ from rainsim.bench.day_data import HALF, REGIONS, Labels
 from rainsim.bench.day_mitsuba import DULL, SUNNY, Garden, require_mitsuba
 from rainsim.bench.day_shapes import spiral
 from rainsim.numerics import srgb
+from rainsim.scene.view import pixel_rays
 
 BAKED = 64  # samples of a splat
 TRACED = 384  # of a pixel of the main rain; of the others OTHERS of it
@@ -104,10 +105,7 @@ def _labels(case, garden, paving):
 
 def labels(case, garden, paving, camera):
     """Return the `Labels` of a camera's pixels, by the hit of the ray through each one's middle."""
-    x = (np.arange(camera.width) + 0.5 - camera.cx) / camera.fx
-    y = (np.arange(camera.height) + 0.5 - camera.cy) / camera.fy
-    ray = np.stack([*np.meshgrid(x, y), np.ones((camera.height, camera.width))], axis=-1)
-    ray = ray.reshape(-1, 3) @ camera.camera_from_world[:3, :3]
+    ray = pixel_rays(camera).reshape(-1, 3) @ camera.camera_from_world[:3, :3]
     ray /= np.linalg.norm(ray, axis=1, keepdims=True)
     point, normal, part, names = garden.meet(camera.position, ray)
     hit = part >= 0

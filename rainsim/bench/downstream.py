@@ -19,6 +19,7 @@ from rainsim.datasets.reading import read_points, read_views, stored_card
 from rainsim.errors import ParameterError
 from rainsim.io.files import write_json
 from rainsim.io.images import write_png
+from rainsim.scene.view import image_point, intrinsics
 
 try:
     import torch
@@ -73,11 +74,11 @@ class Splats:
         if sh.is_cuda:
             from gsplat import rasterization
 
-            k = [[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]]
+            lens = torch.tensor(intrinsics(camera), dtype=torch.float32, device=sh.device)
             drawn = rasterization(
                 v["place"], v["turn"], v["scale"].exp(), v["opacity"].sigmoid(), sh, view[None],
-                torch.tensor(k, dtype=torch.float32, device=sh.device)[None], camera.width,
-                camera.height, near_plane=NEAR, sh_degree=self.degree, packed=False,
+                lens[None], camera.width, camera.height, near_plane=NEAR, sh_degree=self.degree,
+                packed=False,
             )  # fmt: skip
             return drawn[0][0]
         if self.degree:
@@ -115,7 +116,7 @@ def plain(place, turn, scale, opacity, color, view, camera):
     flat = lines.view(-1, 2, 3) @ view[:3, :3] @ half
     spread = flat @ flat.transpose(1, 2) + LOW_PASS * torch.eye(2, device=place.device)
     conic = torch.linalg.inv(spread)
-    u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
+    u, v = image_point(camera, x, y, z)
     columns = torch.arange(camera.width, device=place.device) + 0.5
     rows = []
     for row in range(camera.height):

@@ -14,6 +14,7 @@ import numpy as np
 from rainsim.bench.suite import decibels
 from rainsim.constants import REFRACTIVE_INDEX
 from rainsim.reflection.ray_traced import Tracer
+from rainsim.scene.view import slopes
 from rainsim.shading import wet_ground_mirror
 from rainsim.shading.microfacet import LEAST_DIP
 
@@ -79,7 +80,7 @@ def _field(renderer, wet_picture, cover, name):
     before, film.drawn = film.drawn, name == "mirror"
     try:
         around = scene.level_mirrored, scene.sky.gloss
-        return film.field(wet_picture.view, cover, renderer.conductor.view, *around)
+        return film.field(wet_picture.view, cover, renderer.conductor.ground_camera, *around)
     finally:
         film.drawn = before
 
@@ -98,11 +99,11 @@ def traced_film(renderer, wet_picture, rows, columns, rays, rng):
     Both have the shape (pixels, 3); the rays start on the ground that the pixels show, and meet
     only what stands on it.
     """
-    fx, fy, cx, cy = wet_picture.view.lens.astype(np.float64)
-    local = np.stack([(columns + 0.5 - cx) / fx, (rows + 0.5 - cy) / fy, np.ones(len(rows))], -1)
-    ray = local @ wet_picture.view.ground_from_camera.T.astype(np.float64)
-    spot = wet_picture.view.eye + ray * wet_picture.depth[rows, columns][:, None]
-    before = np.linalg.norm(spot - wet_picture.view.eye, axis=1)
+    view = wet_picture.view
+    local = np.stack([*slopes(view, columns + 0.5, rows + 0.5), np.ones(len(rows))], -1)
+    ray = local @ view.ground_from_camera.T.astype(np.float64)
+    spot = view.eye + ray * wet_picture.depth[rows, columns][:, None]
+    before = np.linalg.norm(spot - view.eye, axis=1)
     ray /= np.linalg.norm(ray, axis=1, keepdims=True)
     height, gx, gy, slope = ground_under(renderer, spot)
     spot[:, 2] = height
@@ -123,7 +124,7 @@ def traced_film(renderer, wet_picture, rows, columns, rays, rng):
     which = np.flatnonzero(up.ravel())
     light[which] = _trace(
         renderer, np.repeat(spot, rays, 0)[which], out.reshape(-1, 3)[which],
-        np.repeat(before, rays)[which], 1 / fx,
+        np.repeat(before, rays)[which], 1 / float(view.fx),
     )  # fmt: skip
     parts = weight[..., None] * light.reshape(n, rays, 3)
     total = parts.sum(axis=1)

@@ -20,6 +20,7 @@ from rainsim.bench.growth import halved
 from rainsim.bench.suite import markdown, quiet
 from rainsim.config.settings import Config
 from rainsim.scene.cameras import resize_to
+from rainsim.scene.view import intrinsics
 
 NEAR = 0.01  # capture units
 SIZES = {False: (0, 3), True: (0,)}  # how many times each splat is halved
@@ -105,8 +106,7 @@ def _gsplat(splats, views):
         for packed in (False, True):
             times = []
             for view in views:
-                k = [[view.fx, 0, view.cx], [0, view.fy, view.cy], [0, 0, 1]]
-                place = tensor(view.camera_from_world)[None], tensor(k)[None]
+                place = tensor(view.camera_from_world)[None], tensor(intrinsics(view))[None]
                 each = []
                 for _ in range(REPEATS):
                     begin, end = (torch.cuda.Event(enable_timing=True) for _ in range(2))

@@ -17,6 +17,7 @@ from rainsim.particles.splash import WET_FILM
 from rainsim.particles.splash_pass import draw_splashes
 from rainsim.particles.streaks import draw_streaks, streak_reach
 from rainsim.scene.types import Camera
+from rainsim.scene.view import slopes
 from rainsim.water.ripples import RippleTile, angular_frequency, tile_impacts
 
 RATES = (1.0, 10.0, 50.0, 100.0)  # mm/h
@@ -149,7 +150,7 @@ def time_streaks(rounds):
 def _slant(camera):
     """Return one over the cosine of each pixel's angle off the axis."""
     v, u = np.indices((camera.height, camera.width)) + 0.5
-    return np.hypot(1, np.hypot((u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy))
+    return np.hypot(1, np.hypot(*slopes(camera, u, v)))
 
 
 def _expected(field, camera, far):

@@ -12,6 +12,7 @@ import numpy as np
 
 from rainsim.constants import SH_0, SH_1, SH_2, SH_3
 from rainsim.jit import serial_kernel
+from rainsim.scene.view import image_point, pixel_rays
 
 LOW_PASS = 0.3  # px^2
 MIN_ALPHA = 1 / 255
@@ -92,7 +93,7 @@ def _project(splats, camera, near):
     opacity = splats.opacity[kept].astype(float)
     reach = np.sqrt(2 * np.log(opacity / MIN_ALPHA))
     ellipse = np.stack([
-        camera.fx * x / w + camera.cx, camera.fy * y / w + camera.cy,
+        *image_point(camera, x, y, w),
         conic[:, 0, 0], conic[:, 0, 1], conic[:, 1, 1], opacity,
         reach * np.sqrt(cov[:, 0, 0]), reach * np.sqrt(cov[:, 1, 1]),
     ], axis=1)  # fmt: skip
@@ -171,8 +172,7 @@ def _finish(camera, sums, alpha, median):
         depth = sums[..., 3] / alpha
         length = np.linalg.norm(sums[..., 4:7], axis=-1)
         known = (alpha >= MIN_COVERAGE) & (length > 0)
-        a = (np.arange(camera.width) + 0.5 - camera.cx) / camera.fx
-        b = ((np.arange(camera.height) + 0.5 - camera.cy) / camera.fy)[:, None]
+        a, b, _ = np.moveaxis(pixel_rays(camera), -1, 0)
         flat = sums[..., 4] * a + sums[..., 5] * b
         along = sums[..., 6] + (0 if camera.orthographic else flat)
         plane = (sums[..., 7] - (flat if camera.orthographic else 0)) / along

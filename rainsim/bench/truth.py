@@ -32,6 +32,7 @@ from rainsim.reflection.water_record import (
     VARIANCE_Y,
     VIEW_DEPTH,
 )
+from rainsim.scene.view import image_point
 
 RAYS = 4  # along each side of a pixel
 SEEDS = 1, 2
@@ -139,8 +140,7 @@ def why_unseen(wet, alpha, end):
     local = (np.where(np.isfinite(end), end, v.eye) - v.eye) @ v.ground_from_camera  # sky: nowhere
     height, width = wet.depth.shape
     with np.errstate(divide="ignore", invalid="ignore"):
-        u = v.fx * local[:, 0] / local[:, 2] + v.cx
-        w = v.fy * local[:, 1] / local[:, 2] + v.cy
+        u, w = image_point(v, *local.T)
     inside = (local[:, 2] > 0) & (u >= 0) & (w >= 0) & (u < width) & (w < height)
     column, row = (np.where(inside, a, 0).astype(int) for a in (u, w))
     there = wet.depth[row, column]

@@ -91,7 +91,7 @@ def _require_viser(backend):
 
 
 def _session(status, scene, config, camera, backend, masks):
-    """Return a `Session` with terrain, water and light made, and the View to begin with."""
+    """Return a `Session` with terrain, water and light made, and the Viewpoint to begin with."""
     from rainsim.errors import GroundError
     from rainsim.jit import set_threads
     from rainsim.pipeline import view_of_water
@@ -109,13 +109,13 @@ def _session(status, scene, config, camera, backend, masks):
     try:
         session.make_ground()
     except GroundError:
-        return session, session.view_of(first)
+        return session, session.viewpoint_of(first)
     if camera is None and scene.source is not None:
         first = view_of_water(seen, session.terrain)
         status.notes([f"camera {first.name} is shown first: it shows most water"])
         session.set_config(_around(config, first))
     session.make()
-    return session, session.view_of(first)
+    return session, session.viewpoint_of(first)
 
 
 def _greeting(session, is_offered):

@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from rainsim.datasets.data_files import PNG, PNG16, PNG48, TEXT, DataFile, condition
 from rainsim.datasets.sample import flow_known, kitti_depth, kitti_flow
+from rainsim.scene.view import image_point
 
 LEAST_DEPTH = 0.05  # m: a box with a nearer corner is beside the camera
 CORNERS = 0.5 * np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
@@ -100,7 +101,7 @@ def truncation(corners, shown, camera):
     x, y, z = (corners @ matrix[:3, :3].T + matrix[:3, 3]).T
     if z.min() < LEAST_DEPTH:
         return 1.0
-    u, v = camera.fx * x / z, camera.fy * y / z
+    u, v = image_point(camera, x, y, z)
     whole = np.ptp(u) * np.ptp(v)
     part = (shown[2] - shown[0]) * (shown[3] - shown[1])
     return float(np.clip(1 - part / max(whole, 1e-9), 0, 1))

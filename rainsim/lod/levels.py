@@ -10,6 +10,7 @@ import numpy as np
 
 from rainsim.scene.formats.streamed import NONE
 from rainsim.scene.pages import levels_at
+from rainsim.scene.view import finest, lens_array
 from rainsim.splatting.project import NO_PLANE, Frustum, find_chunks
 
 COARSER = 2**0.5  # times the threshold, until the choice fits into memory
@@ -68,7 +69,7 @@ def levels_of(tree, size, threshold):
 
 def pixels_per_unit(box, camera, near):
     """Return how many pixels one unit of length takes at the nearest point of boxes (n, 6)."""
-    focal = max(camera.fx, camera.fy)
+    focal = finest(camera)
     if camera.orthographic:
         return np.full(len(box), focal)
     eye = camera.position
@@ -78,7 +79,7 @@ def pixels_per_unit(box, camera, near):
 
 def seen_leaves(tree, camera, near, plane=None):
     """Return which leaves may touch the picture of a camera, ndarray of shape (leaves,), bool."""
-    lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float32)
+    lens = lens_array(camera)
     frustum = Frustum(
         np.ascontiguousarray(camera.camera_from_world, np.float32), lens,
         np.array([camera.width, camera.height], np.float32), np.float32(near),

@@ -15,6 +15,7 @@ from rainsim.particles.shutter_view import footprint
 from rainsim.particles.splash_pass import FARTHEST, MARGIN
 from rainsim.particles.streaks import draw_streaks
 from rainsim.rain.size_distribution import drop_volume
+from rainsim.scene.view import corner_rays
 
 SPHERE_RADIUS = 6e-3  # m; the supplement's, in the unknown units of its scenes
 LINE_LENGTH = 0.15  # m; not given
@@ -43,10 +44,7 @@ def draw_lines(field, surfaces, camera, time, far, depth, alpha_out):
     A drop is there unless its own place lies below the map's occluder top or ground: the paper
     tests points, so nothing falls under cover, however slanted the rain.
     """
-    corners = np.array([[u, v] for u in (0.0, camera.width) for v in (0.0, camera.height)])
-    rays = np.ones((5, 3))
-    rays[:4, :2] = (corners - [camera.cx, camera.cy]) / [camera.fx, camera.fy]
-    rays[4] = 0.0
+    rays = np.concatenate([corner_rays(camera), np.zeros((1, 3))])
     view = far * rays @ camera.camera_from_world[:3, :3] + camera.position
     reach = np.full(3, LINE_LENGTH)
     drops = field.drops_in_box(time, view.min(axis=0) - reach, view.max(axis=0) + reach)

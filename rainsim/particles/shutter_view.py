@@ -11,6 +11,7 @@ from rainsim.errors import ParameterError, require_not_negative, require_positiv
 from rainsim.jit import inlined_function, lean_function
 from rainsim.particles.line_raster import NEAR
 from rainsim.rain.size_distribution import CLASSES, LARGEST
+from rainsim.scene.view import corner_rays, edge_planes, finest, lens_array
 
 _NEAR = np.float32(NEAR)
 
@@ -55,31 +56,16 @@ def shutter_view(camera, time, exposure, camera_end=None, aperture=0.0, focus=np
     if not focus > 0:
         raise ParameterError(f"focus is {focus!r} m; it must be more than 0; inf is far away")
     camera_end = camera if camera_end is None else camera_end
-    focal = max(camera.fx, camera.fy)
-    lens = np.array(
-        [
-            camera.fx, camera.fy, camera.cx, camera.cy, 0.5 * LARGEST * focal, aperture * focal,
-            1 / focus,
-        ],
-        np.float32,
-    )  # fmt: skip
-    planes = np.array(
-        [
-            [camera.fx, 0, camera.cx],
-            [-camera.fx, 0, camera.width - camera.cx],
-            [0, camera.fy, camera.cy],
-            [0, -camera.fy, camera.height - camera.cy],
-        ],
-        dtype=np.float64,
-    )
-    planes /= np.sqrt((planes * planes).sum(axis=1, keepdims=True))
+    focal = finest(camera)
+    blur = np.array([0.5 * LARGEST * focal, aperture * focal, 1 / focus], np.float32)
+    lens = np.concatenate([lens_array(camera), blur])
     rotation, rotation_end = (
         np.ascontiguousarray(c.camera_from_world[:3, :3], np.float64) for c in (camera, camera_end)
     )
     return ShutterView(
         float(time), float(exposure), rotation, camera.position, rotation_end, camera_end.position,
         rotation.astype(np.float32), rotation_end.astype(np.float32), lens,
-        planes.astype(np.float32),
+        edge_planes(camera).astype(np.float32),
     )  # fmt: skip
 
 
@@ -142,11 +128,7 @@ def _view_boxes(camera, camera_end, far, aperture, focus):
 
     And `SeenAir.slack`.
     """
-    left, right = -camera.cx / camera.fx, (camera.width - camera.cx) / camera.fx
-    top, bottom = -camera.cy / camera.fy, (camera.height - camera.cy) / camera.fy
-    rays = np.array(
-        [[0, 0, 0], [left, top, 1], [left, bottom, 1], [right, top, 1], [right, bottom, 1]]
-    )
+    rays = np.concatenate([np.zeros((1, 3)), corner_rays(camera)])
     worlds = np.empty((len(far), 10, 3))
     for c, world in ((camera, worlds[:, :5]), (camera_end, worlds[:, 5:])):
         # Rows times R is R transposed times columns: world_from_camera.
@@ -166,10 +148,7 @@ def footprint(camera, reach, margin=0.0):
     -------
     ndarray of shape (2, 2), float64 [m]
     """
-    corners = np.array([[u, v] for u in (0.0, camera.width) for v in (0.0, camera.height)])
-    rays = np.ones((4, 3))
-    rays[:, :2] = (corners - [camera.cx, camera.cy]) / [camera.fx, camera.fy]
-    points = reach * rays @ camera.camera_from_world[:3, :3] + camera.position
+    points = reach * corner_rays(camera) @ camera.camera_from_world[:3, :3] + camera.position
     points = np.concatenate([points, camera.position[None]])[:, :2]
     return np.stack([points.min(axis=0) - margin, points.max(axis=0) + margin])
 

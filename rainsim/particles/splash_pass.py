@@ -72,6 +72,7 @@ from rainsim.rain.poisson_cells import (
     swept_cubes,
 )
 from rainsim.rain.size_distribution import terminal_speed
+from rainsim.scene.view import finest
 
 FARTHEST = 100.0  # m; beyond it no splash is drawn
 MARGIN = 0.1  # m by which splashes reach into the picture from outside
@@ -205,7 +206,7 @@ def _windows(field, surfaces, camera, view, water, nearest):
     """
     time, exposure = view.time, view.exposure
     smallest = SMALLEST_ON_FILM if water.film > WET_DEPTH else SMALLEST_SPLASH
-    focal = max(camera.fx, camera.fy)
+    focal = finest(camera)
     least = max(smallest, least_seen(nearest / focal, exposure) / LARGEST_SHARE)
     if water.ground.max() > JET_FROM * smallest:
         least = smallest

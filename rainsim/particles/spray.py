@@ -35,6 +35,7 @@ from rainsim.rain.throws import (
     mist_puffs,
     parcels_of,
 )
+from rainsim.scene.view import edge_planes, finest, lens_array
 
 MOST_DRAWN = 120_000  # drops of a picture that are drawn one by one
 MOST_OF_ONE = 4000  # drops of a parcel
@@ -97,19 +98,14 @@ def _in_view(camera, place, radius):
     """Return which balls (n,) may be in a camera's picture."""
     seen = place @ camera.camera_from_world[:3, :3].T + camera.camera_from_world[:3, 3]
     x, y, z = seen.T
-    planes = np.array([
-        (camera.fx, 0, camera.cx), (-camera.fx, 0, camera.width - camera.cx),
-        (0, camera.fy, camera.cy), (0, -camera.fy, camera.height - camera.cy),
-    ], np.float64)  # fmt: skip
-    planes /= np.linalg.norm(planes, axis=1, keepdims=True)
-    aside = np.stack([x, y, z], axis=-1) @ planes.T
+    aside = np.stack([x, y, z], axis=-1) @ edge_planes(camera).T
     return (z + radius > NEAR) & (aside > -radius[:, None]).all(axis=1)
 
 
 def _drawn(camera, diameter, place, velocity, exposure, number):
     """Return how many drops of each parcel are drawn one by one, (n,) float64, whole numbers."""
     depth = place @ camera.camera_from_world[2, :3] + camera.camera_from_world[2, 3]
-    focal = max(camera.fx, camera.fy)
+    focal = finest(camera)
     depth = np.maximum(depth, NEAR)
     cover = math.pi / 4 * (focal * diameter / depth) ** 2  # px
     length = focal / depth * np.linalg.norm(velocity, axis=1) * exposure
@@ -152,7 +148,7 @@ def lay_clouds(puffs, camera, depth, alpha_out):
         Share of light that drops replace; the clouds' is added as of one behind the other.
     """
     if len(puffs.section):
-        lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float32)
+        lens = lens_array(camera)
         _lay_clouds(cloud_table(puffs, camera), lens, depth, alpha_out)
 
 

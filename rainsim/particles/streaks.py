@@ -64,6 +64,7 @@ from rainsim.rain.poisson_cells import (
     slab_tasks,
     thinned_out,
 )
+from rainsim.scene.view import finest
 
 HIDDEN, PARTLY, CLEAR = 0, 1, 2  # of a path, by the depths of the tiles that it touches
 NO_LINES = np.zeros((0, 7))
@@ -141,7 +142,7 @@ def streak_reach(field, camera, exposure, far):
     There even the largest drop of the class replaces less than FAINTEST in any pixel, so that an
     8-bit picture would not show it; what all of them replace together belongs to the fog.
     """
-    focal = max(camera.fx, camera.fy)
+    focal = finest(camera)
     cover = math.pi / 4 * (focal * field.spectrum.edges[1:]) ** 2  # px m2: over depth squared
     length = focal * np.linalg.norm(field.velocity, axis=1) * exposure  # px m: over depth
     reach = np.minimum(cover / (length * FAINTEST), np.sqrt(cover / FAINTEST))

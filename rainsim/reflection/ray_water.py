@@ -9,7 +9,7 @@ from rainsim.jit import device_function, inlined_function, lean_function, prange
 from rainsim.numerics.interpolation import bilinear, smoothstep
 from rainsim.numerics.pixel_batches import CHUNK, CORNERS, interpolate
 from rainsim.reflection.water_surface import WaterMap
-from rainsim.scene.view import View
+from rainsim.scene.view import View, column_slope, row_slope
 
 HIDE_LOW, HIDE_HIGH = np.float32(0.004), np.float32(0.014)  # m above water: hides it, softly
 # m of water that begin to close over rough ground, and that hide it wholly; chosen by eye on a
@@ -69,7 +69,7 @@ def meet_row(row, depth, view, water_map, highest, cover, hit_out, coverage_out)
     s, place = np.empty(NUMBERS, np.float32), np.empty(CHUNK, np.uint32)
     corner = np.empty(CORNERS, np.float32)
     count = 0
-    b = (np.float32(row) + HALF - view.cy) / view.fy
+    b = row_slope(view, row)
     for left in range(0, width, CHUNK):
         n = min(CHUNK, width - left)
         here = coverage_out[left : left + n]
@@ -92,12 +92,12 @@ def aim(depth, view, highest, left, b, n, s):
     m00, m01, m02 = m[0, 0], m[0, 1], m[0, 2]
     m10, m11, m12 = m[1, 0], m[1, 1], m[1, 2]
     m20, m21, m22 = m[2, 0], m[2, 1], m[2, 2]
-    f, c, up = view.fx, view.cx, view.eye[2]
+    up = view.eye[2]
     for i in range(n):
         s[DEPTH + i] = depth[i]
     low = 0
     for i in range(n):
-        a = (np.float32(left + i) + HALF - c) / f
+        a = column_slope(view, left + i)
         x, y, z = m00 * a + m01 * b + m02, m10 * a + m11 * b + m12, m20 * a + m21 * b + m22
         down = (z <= LEAST_DIP) & (up + s[DEPTH + i] * z <= highest + HIDE_HIGH)
         z = z if down else -ONE

@@ -18,7 +18,7 @@ from rainsim.jit import cpu_kernel, inlined_function, prange
 from rainsim.numerics.interpolation import bilinear, smoothstep
 from rainsim.reflection.ray_water import LEAST_COVERAGE, LEAST_DIP
 from rainsim.reflection.water_record import X, Y, Z
-from rainsim.scene.view import View, pixel_ray
+from rainsim.scene.view import View, column_slope, pixel_ray, row_slope
 from rainsim.shading.wetness import OffGroundWetness
 
 # m from its surface up to which what a picture shows is a top; its depth is blended at the edges
@@ -333,9 +333,9 @@ def meet_tops(
     for k in prange(height):
         row = row_order[k]
         count = 0
-        b = (np.float32(row) + HALF - view.cy) / view.fy
+        b = row_slope(view, row)
         for column in range(width):
-            a = (np.float32(column) + HALF - view.cx) / view.fx
+            a = column_slope(view, column)
             shown = up + depth[row, column] * (m20 * a + m21 * b + m22)
             if not (shown > low and shown < high) or coverage_out[row, column] > ZERO:
                 continue  # most pixels: the call takes longer

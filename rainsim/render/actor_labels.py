@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from rainsim.actors.motion import Motion
 from rainsim.render.labels import boxes_of
+from rainsim.scene.view import image_point
 
 NEAREST = 0.05  # m before the camera: nearer parts of a box are cut off
 EDGES = np.array([(i, i | bit) for bit in (1, 2, 4) for i in range(8) if not i & bit])
@@ -134,8 +135,7 @@ def box_in_picture(corners, camera):
     points = np.concatenate([ahead, first + share * (last - first)])
     if not len(points):
         return None
-    u = camera.fx * points[:, 0] / points[:, 2] + camera.cx
-    v = camera.fy * points[:, 1] / points[:, 2] + camera.cy
+    u, v = image_point(camera, *points.T)
     left, right = np.clip([u.min(), u.max()], 0, camera.width)
     top, bottom = np.clip([v.min(), v.max()], 0, camera.height)
     if left >= right or top >= bottom:

@@ -23,6 +23,7 @@ from rainsim.render.frame import PASSES, Frame
 from rainsim.render.layers import LAYER_PASSES
 from rainsim.render.wet_ground import WetGround
 from rainsim.render.wet_scene import WetScene
+from rainsim.scene.view import view_of
 from rainsim.shading import environment, sky
 from rainsim.shading.calibration import (
     exposure_bias,
@@ -91,8 +92,10 @@ class Conductor:
     weather : Weather
     now : Config
         Of the present time.
-    view : Camera or None
-        Of the last frame, in the ground frame.
+    camera, ground_camera : Camera or None
+        Of the last frame, in the capture frame and in the ground frame.
+    view : View or None
+        Of the ground camera, as kernels take it.
     brightness : float
         Factor on the finished picture: that of the settings times the meter's.
     notes : list of str
@@ -121,7 +124,7 @@ class Conductor:
         self.now, self.brightness = config.at(0.0), 1.0
         self._metered = self._meter(first_camera)
         self._choose_film(first_camera)
-        self.camera = self.view = None
+        self.camera = self.ground_camera = self.view = None
 
     # ---- a frame
 
@@ -141,11 +144,13 @@ class Conductor:
         scene.take_tracks(state.tracks)
         self.set_time(state.time)
         if camera is not self.camera:
-            self.camera, self.view = camera, scene.frame.camera_in_ground(camera)
+            self.camera, self.ground_camera = camera, scene.frame.camera_in_ground(camera)
+            self.view = view_of(self.ground_camera)
         now, render = self.now, self.now.render
         put("camera", self.camera)
+        put("ground_camera", self.ground_camera)
+        put("ground_camera_end", camera_end)
         put("view", self.view)
-        put("view_end", camera_end)
         put("capture", scene.capture, scene.capture.changes)
         put("scene", scene, scene.changes)
         put("ground", self.ground)
@@ -159,7 +164,7 @@ class Conductor:
         put("rings", rings)
         put("tops", self.ground.water.tops_with(state.top_water, now.rain.rate))
         rain = now.rain.rate, now.water.surface_film
-        lens = self.view.fx, self.view.fy
+        lens = self.ground_camera.fx, self.ground_camera.fy
         put("mirror_step", mirror_step(self.methods.mirror_size, *rain, lens))
         put("field", self.field(state.time))
         put("paving", scene.shading.paving)

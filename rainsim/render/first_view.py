@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from rainsim.scene.view import image_point
 from rainsim.shading.fresnel import fresnel
 from rainsim.terrain.types import UNKNOWN
 from rainsim.water.puddles import WET, puddles_of
@@ -77,7 +78,7 @@ def mirrored_share(camera, places, area, terrain):
     right, down, ahead = camera.camera_from_world[:3, :3] @ offset.T
     above = -offset[:, 2]
     with np.errstate(divide="ignore", invalid="ignore"):
-        u, v = camera.fx * right / ahead + camera.cx, camera.fy * down / ahead + camera.cy
+        u, v = image_point(camera, right, down, ahead)
     seen = (ahead > NEAREST) & (above > 0)
     seen &= (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
     offset, ahead, above = offset[seen], ahead[seen], above[seen]

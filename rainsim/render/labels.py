@@ -13,6 +13,7 @@ import numpy as np
 from scipy import ndimage
 
 from rainsim.reflection import water_record
+from rainsim.scene.view import image_point, pixel_rays, rays
 from rainsim.shading.wetting import FLAT
 from rainsim.terrain.table import OBJECT, WATER, class_table
 from rainsim.water.puddles import WET
@@ -27,20 +28,9 @@ ON_TOP = 0.15  # m over the bed from which water stands on a thing
 MOST_ID = 2**16 - 1
 
 
-def rays_of(camera):
-    """Return the camera-frame rays through all pixels' middles, 1 along the view axis.
-
-    Returns
-    -------
-    ndarray of shape (height, width, 3), float64
-    """
-    v, u = np.mgrid[: camera.height, : camera.width] + 0.5
-    return np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones_like(u)], -1)
-
-
 def range_of(depth, camera):
     """Return the distance from the camera's centre [m] of a picture's z-depth [m], float32."""
-    stretch = np.linalg.norm(rays_of(camera), axis=-1)
+    stretch = np.linalg.norm(pixel_rays(camera), axis=-1)
     return (depth * stretch).astype(np.float32)
 
 
@@ -67,23 +57,23 @@ def flow_of(depth, camera, after, depth_after, number=None, moves=None):
         NO_FLOW: behind the next camera. SEEN: the next picture shows the same surface there.
         OCCLUDED: it shows another one. OUTSIDE: the place lies outside the next picture.
     """
-    rays = rays_of(camera)
+    ray = pixel_rays(camera)
     turn = after.camera_from_world[:3, :3] @ camera.camera_from_world[:3, :3].T
     shift = after.camera_from_world[:3, 3] - turn @ camera.camera_from_world[:3, 3]
     far = ~np.isfinite(depth)
     # Over the depth: a point at infinity has no shift.
     per_depth = np.where(far, 0.0, 1 / np.where(far, 1.0, depth.astype(np.float64)))
-    there = rays @ turn.T + per_depth[..., None] * shift
+    there = ray @ turn.T + per_depth[..., None] * shift
     for actor, move in (moves or {}).items():
         mine = (number == actor) & ~far
         own = after.camera_from_world @ move @ np.linalg.inv(camera.camera_from_world)
-        there[mine] = rays[mine] @ own[:3, :3].T + per_depth[mine, None] * own[:3, 3]
+        there[mine] = ray[mine] @ own[:3, :3].T + per_depth[mine, None] * own[:3, 3]
     x, y, z = np.moveaxis(there, -1, 0)
     ahead = z > 1e-6
     z = np.where(ahead, z, 1.0)
-    u, v = after.fx * x / z + after.cx, after.fy * y / z + after.cy
-    flow = np.stack([u - rays[..., 0] * camera.fx - camera.cx,
-                     v - rays[..., 1] * camera.fy - camera.cy], axis=-1)  # fmt: skip
+    u, v = image_point(after, x, y, z)
+    flow = np.stack([u - ray[..., 0] * camera.fx - camera.cx,
+                     v - ray[..., 1] * camera.fy - camera.cy], axis=-1)  # fmt: skip
     flow[~ahead] = 0
     inside = ahead & (u >= 0) & (u < after.width) & (v >= 0) & (v < after.height)
     mask = np.where(ahead, OUTSIDE, NO_FLOW).astype(np.uint16)
@@ -165,9 +155,8 @@ def _places(wet):
     """Return where each pixel's surface is [m], ground frame; nonsense for sky."""
     view, (height, width) = wet.view, wet.depth.shape
     v, u = np.mgrid[:height, :width] + 0.5
-    rays = np.stack([(u - view.cx) / view.fx, (v - view.cy) / view.fy, np.ones_like(u)], axis=-1)
     depth = np.where(np.isfinite(wet.depth), wet.depth, 0)
-    return view.eye + depth[..., None] * (rays @ view.ground_from_camera.T)
+    return view.eye + depth[..., None] * (rays(view, u, v) @ view.ground_from_camera.T)
 
 
 def shown_water(record):

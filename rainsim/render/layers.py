@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
+from rainsim.constants import FAR_AWAY
 from rainsim.numerics import srgb
 from rainsim.particles.splash import LONGEST_LIFE, WET_FILM
 from rainsim.particles.splash_pass import seen_splashes
@@ -19,7 +20,7 @@ from rainsim.render import actor_labels, labels, rain_layers
 from rainsim.render.aov import spread_field
 from rainsim.render.frame import WET, Pass
 from rainsim.render.shutter import next_camera
-from rainsim.scene.view import view_of
+from rainsim.scene.view import pixel_rays
 from rainsim.shading import composite
 from rainsim.shading.dampness import find_dampness
 from rainsim.shading.wet_pass import dry_picture
@@ -30,43 +31,27 @@ SEEN_SPLASH = 1 / 512  # share of a pixel's light from which a splash is labelle
 TERMS = ("coverage", "reflection", "reflection_source", "refraction", "fresnel", "highlight",
          "water_depth")  # fmt: skip
 
-LAYER_PASSES = (
-    Pass("layer clean", WET, ("layers", "camera", "capture"), ("clean",)),
-    Pass("layer wet", WET, ("picture",), ("wet",)),
-    Pass("layer film", WET, ("picture", "below"), ("film",)),
-    Pass("layer range", WET, ("depth", "view"), ("range",)),
-    Pass("layer normal", WET, ("layers", "view"), ("normal",)),
-    Pass("layer wetness", WET, ("layers", "depth", "view", "scene"), ("wetness",)),
-    Pass("layer terms of the water", WET, ("seen", "reflected", "picture", "below", "depth", "view",
-                                      "sun", "methods"), TERMS),
-    Pass("layer transmission", WET, ("depth", "fog", "view"), ("transmission",)),
-    Pass("layer splash_id", WET, ("splash_alpha", "depth", "view", "time", "render", "field",
-                             "surfaces", "drips", "water", "paving"), ("splash_id",)),
-    Pass("view of the next frame", WET, ("view", "view_end", "render", "interval", "scene"),
-         ("next_view",)),
-    Pass("layer drop_flow", WET, ("rain_alpha", "depth", "view", "next_view", "time", "render",
-                                  "field", "interval"), ("drop_flow",)),
-    Pass("actors", WET, ("camera", "scene", "interval"), ("actors",)),
-    Pass("layer flow", WET, ("depth", "view", "next_view", "interval", "actors", "scene"),
-         ("flow", "flow_mask")),
-    Pass("layer actor_id", WET, ("depth", "actors"), ("actor_id",)),
-    Pass("layer class_id", WET, ("layers", "depth", "clearance", "view", "seen", "actors",
-                                 "ground"), ("class_id",)),
-    Pass("layer puddle_id", WET, ("seen", "depth", "ground", "water"), ("puddle_id",)),
-    Pass("layer beauty", WET, ("dazzling", "depth", "rain_alpha", "splash_alpha", "fog",
-                               "rain_light", "view", "brightness"), ("beauty",)),
-    Pass("layer dry", WET, ("layers", "camera", "capture"), ("dry",)),
-    Pass("layer matte", WET, ("layers",), ("matte",)),
-    Pass("layer position", WET, ("depth", "view"), ("position",)),
-    Pass("layer glare", WET, ("dazzling", "shown"), ("glare",)),
-    Pass("layer near_alpha", WET, ("depth", "view", "view_end", "time", "render", "field",
-                                   "surfaces"), ("near_alpha",)),
-    Pass("layer spray_alpha", WET, ("depth", "view", "view_end", "time", "render", "field",
-                                    "throws"), ("spray_alpha",)),
-    Pass("layer rain_depth", WET, ("rain_alpha", "splash_alpha", "depth", "view", "view_end",
-                                   "time", "render", "field", "drips", "throws"),
-         ("rain_depth",)),
-)  # fmt: skip
+LAYER_PASSES, WORK = [], {}  # in the order of this file; what each computes, see `Frame.make`
+
+
+def layer(*writes, name=""):
+    """Make a pass of a function: it reads the inputs and buffers that its parameters are named for.
+
+    Parameters
+    ----------
+    *writes : str
+        The layers, or other buffers, that it returns.
+    name : str
+        Of the pass; by default that of the layer.
+    """
+
+    def passed(compute):
+        code, called = compute.__code__, name or f"layer {writes[0]}"
+        LAYER_PASSES.append(Pass(called, WET, code.co_varnames[: code.co_argcount], writes))
+        WORK[called] = compute
+        return compute
+
+    return passed
 
 
 def facts_of(names, frame, weather):
@@ -88,40 +73,65 @@ def facts_of(names, frame, weather):
         boxes = labels.boxes_of(frame["puddle_id"])
         facts["puddles"] = [{**box, **puddles.get(box["id"], {})} for box in boxes]
     if "actor_id" in names and frame["actors"] is not None:
-        facts["actors"] = actor_labels.facts_of_actors(frame["actors"], frame["view"])
+        facts["actors"] = actor_labels.facts_of_actors(frame["actors"], frame["ground_camera"])
     if "splash_id" in names:
         facts["splashes"] = labels.boxes_of(frame["splash_id"])
     return facts
 
 
+@layer("clean")
 def _clean(layers, camera, capture):
     color = capture.captured_color(camera, layers)
     return (np.clip(color, 0, 1) * 255 + 0.5).astype(np.uint8)
 
 
+@layer("wet")
+def _wet(picture):
+    return picture
+
+
+@layer("film")
+def _film(picture, below):
+    return picture - below
+
+
+@layer("range")
+def _range(depth, ground_camera):
+    return labels.range_of(depth, ground_camera)
+
+
+@layer("height")
+def _height(clearance):
+    return np.where(clearance < FAR_AWAY, clearance, np.float32(np.inf))
+
+
+@layer("normal")
 def _normal(layers, view):
-    return (layers.normal @ view_of(view).ground_from_camera.T).astype(np.float32)
+    return (layers.normal @ view.ground_from_camera.T).astype(np.float32)
 
 
+@layer("wetness")
 def _wetness(layers, depth, view, scene):
     damp, now = np.empty(depth.shape, np.float32), scene.shading
     find_dampness(
-        depth, dry_picture(layers, scene.frame.meters_per_unit), now.look, view_of(view),
+        depth, dry_picture(layers, scene.frame.meters_per_unit), now.look, view,
         now.ground, now.off_ground, damp,
     )  # fmt: skip
     return damp
 
 
+@layer("transmission")
 def _transmission(depth, fog, view):
     clear = np.empty(depth.shape, np.float32)
-    composite.find_clear(depth, fog, view_of(view), clear)
+    composite.find_clear(depth, fog, view, clear)
     return clear
 
 
+@layer(*TERMS, name="layer terms of the water")
 def _water_terms(seen, reflected, picture, below, depth, view, sun, methods):
     """Return the AOVs of TERMS; zero where there is no water."""
     height, width = depth.shape
-    wet = WetPicture(picture, depth, None, view_of(view), below)
+    wet = WetPicture(picture, depth, None, view, below)
     through, share, glint = terms(seen, methods, wet, sun)
 
     def spread(values, dtype=np.float32):
@@ -136,7 +146,10 @@ def _water_terms(seen, reflected, picture, below, depth, view, sun, methods):
     )  # fmt: skip
 
 
-def _splash_id(splash_alpha, depth, view, time, render, field, surfaces, drips, water, paving):
+@layer("splash_id")
+def _splash_id(
+    splash_alpha, depth, ground_camera, time, render, field, surfaces, drips, water, paving
+):
     """Return a number for each splashed pixel: that of the splash whose middle is nearest.
 
     A splash keeps its number from frame to frame and from camera to camera, for it comes from its
@@ -147,24 +160,26 @@ def _splash_id(splash_alpha, depth, view, time, render, field, surfaces, drips, 
     if field is None or not len(rows):
         return found
     position, ids = seen_splashes(
-        field, surfaces, view, time, render.exposure, water, WET_FILM * paving, depth,
+        field, surfaces, ground_camera, time, render.exposure, water, WET_FILM * paving, depth,
         more=drip_impacts(*drips, surfaces, time - LONGEST_LIFE, time + render.exposure),
     )  # fmt: skip
     if not len(ids):
         return found
-    place = rain_layers.project(position, view)[:, :2]
+    place = rain_layers.project(position, ground_camera)[:, :2]
     nearest = cKDTree(place).query(np.column_stack([columns + 0.5, rows + 0.5]))[1]
     found[rows, columns] = (ids[nearest] % np.uint64(MOST_INDEX) + np.uint64(1)).astype(np.uint16)
     return found
 
 
-def _next_view(view, view_end, render, interval, scene):
+@layer("next_ground_camera", name="camera of the next frame")
+def _next_camera(ground_camera, ground_camera_end, render, interval, scene):
     """Return the next frame's camera; None where neither the camera nor anything else moves."""
-    if view_end is not None:
-        return next_camera(view, view_end, render.exposure / interval)
-    return None if scene.capture.actors is None else view
+    if ground_camera_end is not None:
+        return next_camera(ground_camera, ground_camera_end, render.exposure / interval)
+    return None if scene.capture.actors is None else ground_camera
 
 
+@layer("actors", name="actors")
 def _actors(camera, scene, interval):
     """Return the `ActorsSeen` of the frame; None without actors."""
     actors = scene.capture.actors
@@ -174,71 +189,79 @@ def _actors(camera, scene, interval):
     return actor_labels.ActorsSeen(actors.actors, actors.time, interval, scene.frame, numbers)
 
 
-def _flow(depth, view, next_view, interval, actors, scene):
+@layer("flow", "flow_mask")
+def _flow(depth, ground_camera, next_ground_camera, interval, actors, scene):
     """Return motion and mask of the scene, see `labels.flow_of`; zero and seen if it is still."""
-    if next_view is None:
+    if next_ground_camera is None:
         return np.zeros((*depth.shape, 2), np.float32), np.full(depth.shape, labels.SEEN, np.uint16)
     if actors is not None:
         scene.move_actors(actors.time + interval)
-    seen = scene.picture(scene.frame.camera_in_capture(next_view))
+    seen = scene.picture(scene.frame.camera_in_capture(next_ground_camera))
     if actors is None:
-        return labels.flow_of(depth, view, next_view, seen.depth)
+        return labels.flow_of(depth, ground_camera, next_ground_camera, seen.depth)
     scene.move_actors(actors.time)
     moves = actor_labels.moves_of(actors)
-    return labels.flow_of(depth, view, next_view, seen.depth, actors.number, moves)
+    return labels.flow_of(
+        depth, ground_camera, next_ground_camera, seen.depth, actors.number, moves
+    )
 
 
+@layer("class_id")
 def _class_id(layers, depth, clearance, view, seen, actors, ground):
     water = np.zeros(depth.shape, bool)
     water.ravel()[seen.pixel[labels.shown_water(seen.record)]] = True
-    wet = WetPicture(None, depth, clearance, view_of(view), None)
+    wet = WetPicture(None, depth, clearance, view, None)
     ids = labels.class_ids(wet, _normal(layers, view), ground.terrain, water)
     if actors is not None:
         ids[(actors.number > 0) & (ids != WATER)] = labels.OTHER_CLASS
     return ids
 
 
+@layer("actor_id")
 def _actor_id(depth, actors):
     return np.zeros(depth.shape, np.uint16) if actors is None else actors.number
 
 
+@layer("puddle_id")
 def _puddle_id(seen, depth, ground, water):
     ids, _ = labels.puddle_map(ground.terrain, water)
     return labels.puddle_ids(seen.pixel, seen.record, depth.shape, ground.terrain, ids)
 
 
-def _beauty(dazzling, depth, rain_alpha, splash_alpha, fog, light, view, brightness):
+@layer("beauty")
+def _beauty(dazzling, depth, rain_alpha, splash_alpha, fog, rain_light, view, brightness):
     """Return the finished picture before its tone curve."""
     clear = _transmission(depth, fog, view)[..., None]
-    drop, around = (spread_field(field, *depth.shape) for field in (light.drops, light.around))
+    both = rain_light.drops, rain_light.around
+    drop, around = (spread_field(field, *depth.shape) for field in both)
     past = (1 - alpha[..., None] for alpha in (splash_alpha, rain_alpha))
-    seen = composite.through_rain(dazzling, drop, around, np.asarray(light.air), clear, *past)
+    seen = composite.through_rain(dazzling, drop, around, np.asarray(rain_light.air), clear, *past)
     return (brightness * seen).astype(np.float32)
 
 
+@layer("dry")
 def _dry(layers, camera, capture):
     return srgb.linear(capture.captured_color(camera, layers)).astype(np.float32)
 
 
-def _position(depth, view):
+@layer("matte")
+def _matte(layers):
+    return np.clip(layers.alpha, 0, 1)
+
+
+@layer("position")
+def _position(depth, ground_camera):
     """Return the places of surfaces in the ground frame [m], zero for sky."""
     away = np.where(np.isfinite(depth), depth, 0)[..., None]
-    place = labels.rays_of(view) * away @ view.camera_from_world[:3, :3] + view.position
+    turn = ground_camera.camera_from_world[:3, :3]
+    place = pixel_rays(ground_camera) * away @ turn + ground_camera.position
     return np.where(away > 0, place, 0).astype(np.float32)
 
 
-WORK = {
-    "layer clean": _clean, "layer wet": lambda picture: picture,
-    "layer film": lambda picture, below: picture - below, "layer range": labels.range_of,
-    "layer normal": _normal, "layer wetness": _wetness, "layer terms of the water": _water_terms,
-    "layer transmission": _transmission, "layer splash_id": _splash_id,
-    "view of the next frame": _next_view, "layer drop_flow": rain_layers.drop_flow,
-    "actors": _actors,
-    "layer flow": _flow, "layer actor_id": _actor_id, "layer class_id": _class_id,
-    "layer puddle_id": _puddle_id, "layer beauty": _beauty, "layer dry": _dry,
-    "layer matte": lambda layers: np.clip(layers.alpha, 0, 1), "layer position": _position,
-    "layer glare": lambda dazzling, shown: dazzling - shown,
-    "layer near_alpha": rain_layers.near_alpha, "layer spray_alpha": rain_layers.spray_alpha,
-    "layer rain_depth": rain_layers.rain_depth,
-}  # fmt: skip
-"""What each pass of LAYER_PASSES computes, see `Frame.make`."""
+@layer("glare")
+def _glare(dazzling, shown):
+    return dazzling - shown
+
+
+for _name in ("drop_flow", "near_alpha", "spray_alpha", "rain_depth"):
+    layer(_name)(getattr(rain_layers, _name))

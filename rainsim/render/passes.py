@@ -11,7 +11,6 @@ from rainsim.reflection.water_pass import WetPicture
 from rainsim.render import layers
 from rainsim.render.frame import is_same
 from rainsim.render.rain_pass import draw_falling, draw_landing
-from rainsim.scene.view import view_of
 from rainsim.shading.composite import RainCover, RainLight, compose
 from rainsim.shading.glare import Glare
 
@@ -52,7 +51,7 @@ class Passes:
             self._mirrors, self._mirrored = {}, shows
         if not len(seen) or methods.reflections == "traced":
             return {}
-        places = water_pass.shared_out(seen, methods.reflections, tops, view_of(view))[0]
+        places = water_pass.shared_out(seen, methods.reflections, tops, view)[0]
         kept = self._mirrors
         self._mirrors = {
             (*place, step): kept.get((*place, step)) or scene.mirrored(camera, *place, step)
@@ -67,7 +66,7 @@ class Passes:
         if not len(seen):
             return seen
         water_pass.tilt(seen, *ripples, tops)
-        wet = WetPicture(picture, depth, clearance, view_of(view), None)
+        wet = WetPicture(picture, depth, clearance, view, None)
         if methods.reflections == "traced":
             traced_light(seen.record, wet.view, scene.traced, seen.light, seen.source)
             return seen
@@ -90,29 +89,29 @@ class Passes:
             shown.reshape(-1, 3)[pixel] = picture.reshape(-1, 3)[pixel]
         else:
             shown = picture.copy()
-        wet = WetPicture(picture, depth, None, view_of(view), below)
+        wet = WetPicture(picture, depth, None, view, below)
         water_pass.lay(seen, methods, wet, sun, shown)
         self._laid = picture, shown, seen.pixel
         return shown
 
-    def _add_glare(self, shown, view, brightness, render):
-        return shown if render.glare == "off" else self._glare.added(shown, view.fx, brightness)
+    def _add_glare(self, shown, camera, brightness, render):
+        return shown if render.glare == "off" else self._glare.added(shown, camera.fx, brightness)
 
 
 def _splat(camera, capture):
     return capture.layers(camera)
 
 
-def _grade(layers, camera, scene, apart):
+def _grade(layers, view, scene, apart):
     """Return picture, depth, clearance and cover without what wet ground mirrors."""
-    cover = np.empty((camera.height, camera.width) if apart else (0, 0), np.float32)
-    wet = scene.wetted(layers, camera, cover)
+    cover = np.empty(layers.alpha.shape if apart else (0, 0), np.float32)
+    wet = scene.wetted(layers, view, cover)
     return wet.picture, wet.depth, wet.clearance, cover
 
 
-def _add_film(below, depth, clearance, cover, view, scene, ground, _light):
-    wet = WetPicture(below, depth, clearance, view_of(view), below)
-    return ground.film.add_to(wet, cover, view, scene.level_mirrored, scene.sky.gloss).picture
+def _add_film(below, depth, clearance, cover, view, camera, scene, ground, _light):
+    wet = WetPicture(below, depth, clearance, view, below)
+    return ground.film.add_to(wet, cover, camera, scene.level_mirrored, scene.sky.gloss).picture
 
 
 def _draw_surface(water, rings, ground):
@@ -120,15 +119,14 @@ def _draw_surface(water, rings, ground):
 
 
 def _light_drops(picture, depth, view, scene, everywhere):
-    seen = view_of(view)
     return drop_radiance.falling_light(
-        scene.sky.gloss, everywhere, seen.ground_from_camera, seen.lens, picture, depth
+        scene.sky.gloss, everywhere, view.ground_from_camera, view.lens, picture, depth
     )
 
 
 def _find_water(depth, view, surface, tops, scene, methods):
     off_ground = scene.shading.off_ground
-    return water_pass.find_water(methods, depth, view_of(view), surface, tops, off_ground)
+    return water_pass.find_water(methods, depth, view, surface, tops, off_ground)
 
 
 def _fall(_listed, *given):
@@ -150,5 +148,5 @@ def _light_rain(drop_light, air, shown, render):
 def _compose(picture, depth, rain_alpha, splash_alpha, fog, light, view, brightness):
     image = np.empty((*depth.shape, 3), np.uint8)
     cover = RainCover(rain_alpha, splash_alpha, fog)
-    compose(picture, depth, cover, light, view_of(view), np.float32(brightness), image)
+    compose(picture, depth, cover, light, view, np.float32(brightness), image)
     return image

@@ -17,6 +17,7 @@ from rainsim.particles.line_raster import NEAR
 from rainsim.particles.spray import CUT, lay_clouds, spray_seen
 from rainsim.particles.streaks import draw_streaks, streak_reach
 from rainsim.rain.dripping import drips_seen
+from rainsim.scene.view import corner_rays, image_point
 
 NEAR_DROPS = 2.0  # m: drops nearer than this are an element of their own
 SAMPLES = 24  # places on a drop's path at which its motion and its depth are recorded
@@ -28,41 +29,41 @@ def project(points, camera):
     matrix = camera.camera_from_world
     x, y, z = (np.asarray(points, np.float64) @ matrix[:3, :3].T + matrix[:3, 3]).T
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.stack([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy, z], axis=1)
+        return np.stack([*image_point(camera, x, y, z), z], axis=1)
 
 
-def near_alpha(depth, view, view_end, time, render, field, surfaces):
+def near_alpha(depth, ground_camera, ground_camera_end, time, render, field, surfaces):
     """Return the share of light that drops of the rain nearer than `NEAR_DROPS` replace."""
     alpha = np.zeros(depth.shape, np.float32)
     if field is not None and render.streaks != "paper":
-        reach = streak_reach(field, view, render.exposure, render.streak_far)
+        reach = streak_reach(field, ground_camera, render.exposure, render.streak_far)
         draw_streaks(
-            field, surfaces, view, time, render.exposure, depth, np.minimum(reach, NEAR_DROPS),
-            alpha, view_end, render.aperture, render.focus,
+            field, surfaces, ground_camera, time, render.exposure, depth,
+            np.minimum(reach, NEAR_DROPS), alpha, ground_camera_end, render.aperture, render.focus,
         )  # fmt: skip
     return alpha
 
 
-def spray_alpha(depth, view, view_end, time, render, field, throws):
+def spray_alpha(depth, ground_camera, ground_camera_end, time, render, field, throws):
     """Return the share of light that what tyres throw replaces, drops and clouds."""
     alpha = np.zeros(depth.shape, np.float32)
-    drops, clouds = _spray(view, time, render, field, throws)
+    drops, clouds = _spray(ground_camera, time, render, field, throws)
     if len(drops):
         draw_streaks(
-            RainField(RainSpectrum(0.0)), None, view, time, render.exposure, depth, NEAR, alpha,
-            view_end, render.aperture, render.focus, more=drops,
+            RainField(RainSpectrum(0.0)), None, ground_camera, time, render.exposure, depth, NEAR,
+            alpha, ground_camera_end, render.aperture, render.focus, more=drops,
         )  # fmt: skip
-    lay_clouds(clouds, view, depth, alpha)
+    lay_clouds(clouds, ground_camera, depth, alpha)
     return alpha
 
 
-def _spray(view, time, render, field, throws):
+def _spray(ground_camera, time, render, field, throws):
     """Return drops and clouds of spray as the picture has them: lines of the paper draw no drop."""
-    drops, clouds = spray_seen(*throws, view, time, render.exposure)
+    drops, clouds = spray_seen(*throws, ground_camera, time, render.exposure)
     return drops[:0] if field is not None and render.streaks == "paper" else drops, clouds
 
 
-def drop_flow(rain_alpha, depth, view, next_view, time, render, field, interval):
+def drop_flow(rain_alpha, depth, ground_camera, next_ground_camera, time, render, field, interval):
     """Return the motion of drops in the picture, the mean over the drops in a pixel.
 
     The camera's own motion is part of it. Each drop counts with the light that it replaces; zero
@@ -73,9 +74,12 @@ def drop_flow(rain_alpha, depth, view, next_view, time, render, field, interval)
     weight = np.zeros(height * width)
     if field is None:
         return flow.reshape(height, width, 2).astype(np.float32)
-    found = _drops_in_view(field, view, time, render.streak_far)
+    found = _drops_in_view(field, ground_camera, time, render.streak_far)
     after = found.position + found.velocity * interval
-    ends = project(found.position, view), project(after, view if next_view is None else next_view)
+    ends = (
+        project(found.position, ground_camera),
+        project(after, ground_camera if next_ground_camera is None else next_ground_camera),
+    )
     opened = render.exposure / interval
     for at, which, cover, _ in _samples(*ends, found.diameter, opened, depth, render.streak_far):
         move = (ends[1] - ends[0])[which, :2]
@@ -87,7 +91,8 @@ def drop_flow(rain_alpha, depth, view, next_view, time, render, field, interval)
 
 
 def rain_depth(
-    rain_alpha, splash_alpha, depth, view, view_end, time, render, field, drips, throws
+    rain_alpha, splash_alpha, depth, ground_camera, ground_camera_end, time, render, field, drips,
+    throws,
 ):  # fmt: skip
     """Return the depth of drops, splashes and spray [m], infinite where there are none.
 
@@ -96,28 +101,33 @@ def rain_depth(
     nearest one whose middle is known.
     """
     weight, total = np.zeros(depth.size), np.zeros(depth.size)
-    drops, clouds = _spray(view, time, render, field, throws)
+    drops, clouds = _spray(ground_camera, time, render, field, throws)
     lines = [drops]
     if field is not None:
         far = np.full(len(field.velocity), render.streak_far)
         if render.streaks != "paper":
-            far = streak_reach(field, view, render.exposure, render.streak_far)
-        found = _drops_in_view(field, view, time, render.streak_far)
+            far = streak_reach(field, ground_camera, render.exposure, render.streak_far)
+        found = _drops_in_view(field, ground_camera, time, render.streak_far)
         size = np.searchsorted(field.spectrum.edges, found.diameter, side="right") - 1
-        away = project(found.position, view)[:, 2]
+        away = project(found.position, ground_camera)[:, 2]
         shown = away < far[np.clip(size, 0, len(far) - 1)]
         listed = np.column_stack([found.position, found.velocity, found.diameter])
         lines += [listed[shown], drips_seen(drips[0], time, render.exposure)]
     lines = np.concatenate(lines)
     after = lines[:, :3] + lines[:, 3:6] * render.exposure
-    ends = project(lines[:, :3], view), project(after, view if view_end is None else view_end)
-    area = math.pi / 4 * view.fx * view.fy / SAMPLES  # a drop's alphas sum to its area in pixels
+    ends = (
+        project(lines[:, :3], ground_camera),
+        project(after, ground_camera if ground_camera_end is None else ground_camera_end),
+    )
+    area = (
+        math.pi / 4 * ground_camera.fx * ground_camera.fy / SAMPLES
+    )  # a drop's alphas sum to its area in pixels
     for at, _, cover, z in _samples(*ends, lines[:, 6], 1.0, depth, render.streak_far):
         np.add.at(weight, at, area * cover)
         np.add.at(total, at, area * cover * z)
     # A drop is drawn in the two pixels beside its path, the samples are in one of them.
     weight, total = (_spread(values.reshape(depth.shape)).ravel() for values in (weight, total))
-    _add_clouds(clouds, view, depth, weight, total)
+    _add_clouds(clouds, ground_camera, depth, weight, total)
     splashes = -np.log1p(-np.minimum(splash_alpha.ravel(), 0.9999).astype(np.float64))
     splashes[~np.isfinite(depth.ravel())] = 0
     weight += splashes
@@ -134,12 +144,10 @@ def rain_depth(
     return out
 
 
-def _drops_in_view(field, view, time, far):
+def _drops_in_view(field, ground_camera, time, far):
     """Return the `Drops` of a box around what a camera sees up to the depth `far` [m]."""
-    corners = np.array([(u, v, 1.0) for u in (0, view.width) for v in (0, view.height)])
-    rays = (corners - (view.cx, view.cy, 0)) / (view.fx, view.fy, 1)
-    box = np.concatenate([rays * far, np.zeros((1, 3))])
-    box = box @ view.camera_from_world[:3, :3] + view.position
+    box = np.concatenate([corner_rays(ground_camera) * far, np.zeros((1, 3))])
+    box = box @ ground_camera.camera_from_world[:3, :3] + ground_camera.position
     return field.drops_in_box(time, box.min(axis=0), box.max(axis=0) + np.array([0, 0, AHEAD]))
 
 
@@ -177,14 +185,14 @@ def _spread(values):
     return values
 
 
-def _add_clouds(clouds, view, depth, weight_out, total_out):
+def _add_clouds(clouds, ground_camera, depth, weight_out, total_out):
     """Add the optical depths of Gaussian clouds, and those times their depths, to flat pictures."""
     height, width = depth.shape
-    places = project(clouds.place, view)
+    places = project(clouds.place, ground_camera)
     for (u, v, z), deviation, section in zip(places, clouds.deviation, clouds.section, strict=True):
         if not z > CUT * deviation:
             continue
-        spread = view.fx * deviation / z  # px
+        spread = ground_camera.fx * deviation / z  # px
         left, right = (int(np.clip(u + s * CUT * spread, 0, width)) for s in (-1, 1))
         top, bottom = (int(np.clip(v + s * CUT * spread, 0, height)) for s in (-1, 1))
         if right <= left or bottom <= top:

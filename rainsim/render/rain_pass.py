@@ -15,14 +15,14 @@ from rainsim.particles.streaks import draw_streaks, streak_reach
 from rainsim.rain.dripping import drip_impacts, drips_seen
 
 
-def draw_falling(depth, view, view_end, time, render, field, surfaces, drips, throws):
+def draw_falling(depth, camera, camera_end, time, render, field, surfaces, drips, throws):
     """Return the share of light that falling drops replace, and the fog of those not drawn.
 
     Parameters
     ----------
     depth : ndarray of shape (height, width), float32 [m]
         Of the picture.
-    view, view_end : Camera
+    camera, camera_end : Camera
         In the ground frame, as the shutter opens and closes; None at the end: it stands still.
     time : float [s]
     render : RenderConfig
@@ -41,32 +41,32 @@ def draw_falling(depth, view, view_end, time, render, field, surfaces, drips, th
         See `fog_table`.
     """
     alpha = np.zeros(depth.shape, np.float32)
-    drops, clouds = spray_seen(*throws, view, time, render.exposure)
-    lens = view_end, render.aperture, render.focus
+    drops, clouds = spray_seen(*throws, camera, time, render.exposure)
+    lens = camera_end, render.aperture, render.focus
     if field is None:  # tyres on a wet road throw water while no rain falls
         fog = NO_FOG
         if len(drops):
             none = RainField(RainSpectrum(0.0))
             draw_streaks(
-                none, None, view, time, render.exposure, depth, NEAR, alpha, *lens, more=drops
+                none, None, camera, time, render.exposure, depth, NEAR, alpha, *lens, more=drops
             )
     elif render.streaks == "paper":
-        paper.draw_lines(field, surfaces, view, time, render.streak_far, depth, alpha)
+        paper.draw_lines(field, surfaces, camera, time, render.streak_far, depth, alpha)
         fog = NO_FOG
     else:
-        reach = streak_reach(field, view, render.exposure, render.streak_far)
+        reach = streak_reach(field, camera, render.exposure, render.streak_far)
         seen = drips_seen(drips[0], time, render.exposure)
         more = np.concatenate([seen, drops]) if len(drops) else seen
         draw_streaks(
-            field, surfaces, view, time, render.exposure, depth, reach, alpha, *lens, more=more
+            field, surfaces, camera, time, render.exposure, depth, reach, alpha, *lens, more=more
         )
         fog = fog_table(field, reach)
-    lay_clouds(clouds, view, depth, alpha)
+    lay_clouds(clouds, camera, depth, alpha)
     return alpha, fog
 
 
 def draw_landing(
-    depth, view, view_end, time, interval, render, field, surfaces, drips, water, paving
+    depth, camera, camera_end, time, interval, render, field, surfaces, drips, water, paving
 ):
     """Return the share of light that splashes replace, ndarray of shape (height, width), float32.
 
@@ -84,13 +84,13 @@ def draw_landing(
     alpha = np.zeros(depth.shape, np.float32)
     if field is None:
         return alpha
-    shutter = field, surfaces, view
+    shutter = field, surfaces, camera
     if render.splashes == "paper":
         paper.draw_gaussians(*shutter, time - interval, time, depth, alpha)
         return alpha
     impacts = drip_impacts(*drips, surfaces, time - LONGEST_LIFE, time + render.exposure)
     draw_splashes(
-        *shutter, time, render.exposure, water, WET_FILM * paving, depth, alpha, view_end,
+        *shutter, time, render.exposure, water, WET_FILM * paving, depth, alpha, camera_end,
         render.aperture, render.focus, more=impacts,
     )  # fmt: skip
     return alpha

@@ -13,7 +13,6 @@ from rainsim.render.layers import facts_of
 from rainsim.render.passes import Passes
 from rainsim.render.report import FrameReport, Timer
 from rainsim.render.weather import weather_of
-from rainsim.scene.view import view_of
 
 
 class Renderer:
@@ -71,7 +70,7 @@ class Renderer:
         """The `WetPicture` drawn last, without water."""
         names = "picture", "depth", "clearance", "view", "below"
         picture, depth, clearance, view, below = (self.frame[name] for name in names)
-        return WetPicture(picture, depth, clearance, view_of(view), below)
+        return WetPicture(picture, depth, clearance, view, below)
 
     def draw(self, camera, state, camera_end=None, names=(), timer=None):
         """Return the picture (height, width, 3) uint8 that a camera takes, and its report.

@@ -220,7 +220,7 @@ class WetScene:
 
         `cover` is the `cover_out` of `grade_and_wet`.
         """
-        return self.wetted(self.capture.layers(camera), camera, cover)
+        return self.wetted(self.capture.layers(camera), self.view_of(camera), cover)
 
     def land_light(self, cameras, gloss_apart):
         """Return the mean linear luminance of the land in views, as captured and wet.
@@ -244,7 +244,7 @@ class WetScene:
         """Yield layers, `WetPicture` and `cover_out` of pictures that the light is set up by."""
         for camera, layers in self.capture.small_layers(cameras):
             cover = np.empty((camera.height, camera.width) if gloss_apart else (0, 0), np.float32)
-            yield layers, self.wetted(layers, camera, cover), cover
+            yield layers, self.wetted(layers, self.view_of(camera), cover), cover
 
     def level_mirrored(self, level):
         """Return the `WetPicture` of standing things, seen mirrored at the plane of the ground.
@@ -252,7 +252,7 @@ class WetScene:
         `level` is the level, upright camera (ground frame) that is mirrored.
         """
         camera, layers = self.capture.level_layers(level)
-        return self.wetted(layers, camera, mirrored=True)
+        return self.wetted(layers, self.view_of(camera), mirrored=True)
 
     def mirrored(self, camera, level, window, step=1):
         """Return view and `MirrorPicture` of `camera` mirrored at the water's `level` [m].
@@ -273,7 +273,7 @@ class WetScene:
         picture : MirrorPicture
         """
         camera, layers = self.capture.mirrored_layers(camera, level, window, step)
-        wet = self.wetted(layers, camera, mirrored=True)
+        wet = self.wetted(layers, self.view_of(camera), mirrored=True)
         return wet.view, MirrorPicture(wet.picture, coarsened(wet.picture), wet.depth)
 
     def traced(self, origin, direction, before, pixel, color_eye=None):
@@ -293,13 +293,16 @@ class WetScene:
         grade_rays(rays, *self._shading_of(True), light)
         return light, found.alpha, rays.distance
 
-    def wetted(self, layers, camera, cover=NO_COVER, mirrored=False):
-        """Return the `WetPicture` of splatted layers of a camera (capture frame), graded and wet.
+    def view_of(self, camera):
+        """Return the `View` of a camera of the capture frame."""
+        return view_of(self.frame.camera_in_ground(camera))
+
+    def wetted(self, layers, view, cover=NO_COVER, mirrored=False):
+        """Return the `WetPicture` of splatted layers of a camera with this `View`, graded and wet.
 
         `cover` is the `cover_out` of `grade_and_wet`.
         """
-        view = view_of(self.frame.camera_in_ground(camera))
-        shape = (camera.height, camera.width)
+        shape = layers.alpha.shape
         picture = np.empty((*shape, 3), np.float32)
         depth, clearance = np.empty(shape, np.float32), np.empty(shape, np.float32)
         grade_and_wet(
@@ -337,7 +340,7 @@ class WetScene:
 
         def draw(view):
             camera, layers = self.capture.surrounding_layers(view)
-            picture = self.wetted(layers, camera, mirrored=True).picture
+            picture = self.wetted(layers, self.view_of(camera), mirrored=True).picture
             return picture.reshape(view.height, FINER, view.width, FINER, 3).mean(axis=(1, 3))
 
         return environment.probe(draw, position)

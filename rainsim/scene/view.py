@@ -1,7 +1,10 @@
-"""The view of a camera as formulas of kernels take it: pose and lens in one read-only bundle.
+"""The view of a camera: pose and lens in one read-only bundle, and all formulas of the pinhole.
 
-Directions and offsets are in the ground frame (x and y level, z up) unless a name says otherwise;
-the camera frame has x to the right, y down and z along the view axis.
+The first part is for arrays: there a camera is a `Camera` or a `View`. The second part holds the
+scalar formulas of kernels. A picture's place (u, v) [px] counts from its upper left corner; a slope
+is the tangent of a ray's angle to the view axis, to the right or down. Directions and offsets are
+in the ground frame (x and y level, z up) unless a name says otherwise; the camera frame has x to
+the right, y down and z along the view axis.
 """
 
 from __future__ import annotations
@@ -32,7 +35,7 @@ class View(NamedTuple):
     @property
     def lens(self):
         """fx, fy, cx, cy [px] as an array (4,), float32, for a device."""
-        return np.array([self.fx, self.fy, self.cx, self.cy], np.float32)
+        return lens_array(self)
 
 
 class CameraArrays(NamedTuple):
@@ -50,6 +53,73 @@ def view_of(camera):
         camera.position.astype(np.float32),
         *(np.float32(n) for n in (camera.fx, camera.fy, camera.cx, camera.cy)),
     )
+
+
+# ---- the pinhole, for arrays
+
+
+def lens_array(camera):
+    """Return fx, fy, cx, cy [px], ndarray of shape (4,), float32."""
+    return np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float32)
+
+
+def intrinsics(camera):
+    """Return the matrix of the lens as three rows: camera frame to homogeneous image points."""
+    return [[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]]
+
+
+def finest(camera):
+    """Return the pixels per unit of slope, along the axis on which they are more."""
+    return max(camera.fx, camera.fy)
+
+
+def slopes(camera, u, v):
+    """Return the slopes to the right and down of the rays through places (u, v) of a picture."""
+    return (u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy
+
+
+def image_point(camera, x, y, z):
+    """Return the place (u, v) [px] at which a picture shows a place of the camera frame."""
+    return camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
+
+
+def rays(camera, u, v):
+    """Return the camera-frame rays (..., 3) through places of a picture, 1 along the view axis."""
+    return np.stack([*slopes(camera, u, v), np.ones_like(u)], axis=-1)
+
+
+def pixel_rays(camera):
+    """Return the `rays` through the middles of a camera's pixels, (height, width, 3), float64."""
+    v, u = np.mgrid[: camera.height, : camera.width] + 0.5
+    return rays(camera, u, v)
+
+
+def corner_rays(camera):
+    """Return the `rays` through a picture's corners: both left ones, then both right ones."""
+    u, v = np.array([[u, v] for u in (0.0, camera.width) for v in (0.0, camera.height)]).T
+    return rays(camera, u, v)
+
+
+def edge_planes(camera):
+    """Return inward unit normals of a picture's left, right, top and bottom, camera frame.
+
+    Returns
+    -------
+    ndarray of shape (4, 3), float64
+    """
+    planes = np.array(
+        [
+            [camera.fx, 0, camera.cx],
+            [-camera.fx, 0, camera.width - camera.cx],
+            [0, camera.fy, camera.cy],
+            [0, -camera.fy, camera.height - camera.cy],
+        ],
+        dtype=np.float64,
+    )
+    return planes / np.sqrt((planes * planes).sum(axis=1, keepdims=True))
+
+
+# ---- formulas for kernels
 
 
 @inlined_function
@@ -79,6 +149,18 @@ def image_ray(m, fx, fy, cx, cy, u, v):
         m[0, 0] * a + m[0, 1] * b + m[0, 2], m[1, 0] * a + m[1, 1] * b + m[1, 2],
         m[2, 0] * a + m[2, 1] * b + m[2, 2],
     )  # fmt: skip
+
+
+@inlined_function
+def column_slope(view, column):
+    """Return the slope to the right of the rays through the middles of a column of pixels."""
+    return (np.float32(column) + HALF - view.cx) / view.fx
+
+
+@inlined_function
+def row_slope(view, row):
+    """Return the slope down of the rays through the middles of a row of pixels."""
+    return (np.float32(row) + HALF - view.cy) / view.fy
 
 
 @inlined_function

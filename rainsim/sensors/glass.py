@@ -15,6 +15,7 @@ from scipy.signal import fftconvolve
 
 from rainsim.errors import ParameterError, require_not_negative, require_positive
 from rainsim.rain.size_distribution import drop_volume
+from rainsim.scene.view import corner_rays, image_point, pixel_rays
 
 INDEX = 1.333  # of water
 TENSION, WEIGHT = 0.0728, 9810.0  # N/m, N/m3 of water at 20 degrees
@@ -138,10 +139,7 @@ def pane_flux(field, pane, camera):
 
 def pane_window(camera, pane):
     """Return low and high corner, (2, 2) [m], of the pane in a camera's view, with a margin."""
-    corners = np.array([(u, v) for u in (0, camera.width) for v in (0, camera.height)], float)
-    rays = np.column_stack([(corners - (camera.cx, camera.cy)) / (camera.fx, camera.fy),
-                            np.ones(4)])  # fmt: skip
-    place = on_pane(rays, pane)[0]
+    place = on_pane(corner_rays(camera), pane)[0]
     if not np.isfinite(place).all():
         raise ParameterError(
             f"the glass is tilted by {math.degrees(pane.tilt):g} degrees and the picture sees past "
@@ -309,9 +307,7 @@ def through_glass(picture, camera, caps, pane, wide, wide_depth):
     picture : ndarray of shape (height, width, 3), uint8
     share : ndarray of shape (height, width), float32
     """
-    v, u = np.mgrid[: camera.height, : camera.width] + 0.5
-    rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones_like(u)], -1)
-    rays = rays.reshape(-1, 3)
+    rays = pixel_rays(camera).reshape(-1, 3)
     place, point = on_pane(rays, pane)
     rays = rays / np.linalg.norm(rays, axis=1, keepdims=True)
     light, share = np.zeros((len(rays), 3)), np.zeros(len(rays))
@@ -365,8 +361,8 @@ def looked_up(out, leave, linear, depth, camera):
     for step in range(PARALLAX_STEPS + 1):
         place = leave + way[:, None] * ray
         ahead = np.maximum(place[:, 2], 1e-6)
-        u = np.clip(camera.fx * place[:, 0] / ahead + camera.cx, 0, camera.width - 1e-3)
-        v = np.clip(camera.fy * place[:, 1] / ahead + camera.cy, 0, camera.height - 1e-3)
+        u, v = image_point(camera, place[:, 0], place[:, 1], ahead)
+        u, v = np.clip(u, 0, camera.width - 1e-3), np.clip(v, 0, camera.height - 1e-3)
         row, column = v.astype(int), u.astype(int)
         if step < PARALLAX_STEPS:
             far = np.minimum(depth[row, column], 1e6)

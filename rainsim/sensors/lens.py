@@ -14,6 +14,7 @@ import numpy as np
 
 from rainsim.errors import ParameterError
 from rainsim.render.labels import NO_FLOW, OUTSIDE
+from rainsim.scene.view import image_point, slopes
 
 MODELS = {"opencv": (4, 5), "fisheye": (4,)}  # numbers of coefficients
 WIDEST = math.tan(math.radians(80))  # off the axis that a pinhole picture is drawn to
@@ -193,10 +194,9 @@ class LensWarp:
         after = self if after is None else after
         lens, wide = after.lens, after.wide
         there = self.nearest(flow)
-        x = (self.u + there[..., 0] - wide.cx) / wide.fx
-        y = (self.v + there[..., 1] - wide.cy) / wide.fy
+        x, y = slopes(wide, self.u + there[..., 0], self.v + there[..., 1])
         p, q = lens.distort(x, y)
-        u, v = p * after.camera.fx + after.camera.cx, q * after.camera.fy + after.camera.cy
+        u, v = image_point(after.camera, p, q, 1.0)
         row, column = np.mgrid[: self.camera.height, : self.camera.width] + 0.5
         found = np.stack([u - column, v - row], axis=-1).astype(np.float32)
         kept = self.nearest(mask).copy()
@@ -218,7 +218,7 @@ def lens_warp(camera, lens):
         the picture belongs to no ray of the lens.
     """
     row, column = np.mgrid[: camera.height, : camera.width] + 0.5
-    x, y = lens.undistort((column - camera.cx) / camera.fx, (row - camera.cy) / camera.fy)
+    x, y = lens.undistort(*slopes(camera, column, row))
     if not np.isfinite(x).all():
         share = np.mean(~np.isfinite(x))
         raise ParameterError(
@@ -240,6 +240,4 @@ def lens_warp(camera, lens):
             f"at most {MOST_SIDE} a side; give a smaller --width"
         )
     wide = replace(camera, width=width, height=height, cx=float(-left), cy=float(-top))
-    return LensWarp(
-        camera, lens, wide, x * camera.fx + wide.cx, y * camera.fy + wide.cy
-    )  # fmt: skip
+    return LensWarp(camera, lens, wide, *image_point(wide, x, y, 1.0))

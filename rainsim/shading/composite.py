@@ -16,7 +16,7 @@ from rainsim.constants import FAR_AWAY, HALF, ONE, TWO, ZERO
 from rainsim.jit import cpu_kernel, device_function, inlined_function, prange, serial_kernel
 from rainsim.numerics.approximations import exp_minus
 from rainsim.numerics.pixel_batches import CHUNK
-from rainsim.scene.view import View
+from rainsim.scene.view import View, column_slope, row_slope
 from rainsim.shading.color import display_from_linear
 
 WHITE = np.float32(255)
@@ -159,7 +159,7 @@ def compose_row(row, height, radiance, depth, drops, light, view, brightness, im
     v = field_place(row, height, field.shape[0])
     j = int(v)
     below = v - np.float32(j)
-    b = (np.float32(row) + HALF - view.cy) / view.fy
+    b = row_slope(view, row)
     for left in range(0, width, CHUNK):
         end = min(left + CHUNK, width)
         n = end - left
@@ -179,11 +179,11 @@ def compose_row(row, height, radiance, depth, drops, light, view, brightness, im
 @inlined_function
 def find_transmittance(depth, fog, view, b, left, n, s):
     """Find the transmittance of the air before n pixels of a row: `transmittance` in vectors."""
-    f, c, square = view.fx, view.cx, ONE + b * b
+    square = ONE + b * b
     for i in range(n):
         s[CLEAR + i] = fog_thickness(fog, min(depth[i], FAR_AWAY))
     for i in range(n):
-        a = (np.float32(left + i) + HALF - c) / f
+        a = column_slope(view, left + i)
         s[CLEAR + i] = exp_minus(s[CLEAR + i] * math.sqrt(square + a * a))
     for i in range(n):
         s[CLEAR + i] = s[CLEAR + i] if depth[i] < FAR_AWAY else ONE
@@ -262,9 +262,9 @@ def find_clear(depth, fog, view: View, clear_out):
     """
     height, width = depth.shape
     for row in prange(height):
-        b = (np.float32(row) + HALF - view.cy) / view.fy
+        b = row_slope(view, row)
         for column in range(width):
-            a = (np.float32(column) + HALF - view.cx) / view.fx
+            a = column_slope(view, column)
             clear_out[row, column] = transmittance(fog, depth[row, column], a, b)
 
 

@@ -17,6 +17,7 @@ from rainsim.jit import device_function, inlined_function
 from rainsim.numerics.approximations import angle
 from rainsim.numerics.interpolation import four_colors
 from rainsim.scene.types import Camera
+from rainsim.scene.view import image_point
 
 ROWS, COLUMNS = 128, 256
 GLOSS_BLUR = (math.radians(10), math.radians(6))  # of elevation and azimuth; by eye
@@ -89,8 +90,7 @@ def probe(draw, position, rows=ROWS, columns=COLUMNS):
             if radiance is None:
                 radiance = np.zeros((rows, columns, picture.shape[-1]), np.float32)
             local = direction[which] @ camera.camera_from_world[:3, :3].T
-            column = camera.fx * local[:, 0] / local[:, 2] + camera.cx
-            row = camera.fy * local[:, 1] / local[:, 2] + camera.cy
+            column, row = image_point(camera, *local.T)
             row = np.clip(row.astype(int), 0, side - 1)
             column = np.clip(column.astype(int), 0, side - 1)
             radiance[which] = picture[row, column]

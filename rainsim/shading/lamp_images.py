@@ -18,7 +18,7 @@ from scipy import ndimage
 
 from rainsim.constants import HALF, ONE, ZERO
 from rainsim.jit import cpu_kernel, inlined_function, prange
-from rainsim.scene.view import View
+from rainsim.scene.view import View, slopes
 from rainsim.shading.fresnel import fresnel
 from rainsim.shading.ground_slopes import GroundSlopes, block_ray, ground_met
 from rainsim.shading.microfacet import LEAST_DIP, LEAST_RISE, shadowing
@@ -74,7 +74,7 @@ def lamps_in(picture, depth, camera):
     _, which = np.unique(tiles, axis=0, return_inverse=True)
     count, which = which.max() + 1, which.ravel()
     right, forward = camera.camera_from_world[0, :3], camera.camera_from_world[2, :3]
-    a, b = (columns + 0.5 - camera.cx) / camera.fx, (rows + 0.5 - camera.cy) / camera.fy
+    a, b = slopes(camera, columns + 0.5, rows + 0.5)
     place = camera.position * (1, 1, -1) + far[:, None] * (forward + a[:, None] * right)
     place[:, 2] += far * b
     area = far**2 / (camera.fx * camera.fy) / np.sqrt(1 + a * a + b * b)  # square to the view

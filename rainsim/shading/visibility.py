@@ -19,6 +19,7 @@ from rainsim.io import cache
 from rainsim.jit import cpu_kernel, device_function, prange
 from rainsim.raster import Rasterizer, prepare
 from rainsim.scene.cameras import resize_to
+from rainsim.scene.view import lens_array
 from rainsim.shading.color import LUMA, LUMA_B, LUMA_G, LUMA_R, roughly_linear
 from rainsim.shading.grading import SKY_BLUE, SKY_DULL
 from rainsim.splatting.project import (
@@ -101,7 +102,7 @@ def views_of_splats(scene):
         views, total = np.zeros(len(splats), np.uint8), np.zeros((len(splats), 7), np.float32)
         for camera in cameras:
             view = np.ascontiguousarray(camera.camera_from_world[:3], np.float32)
-            lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float32)
+            lens = lens_array(camera)
             eye = camera.position.astype(np.float32)
             depth = rasterizer.draw(camera, NEAR).depth
             count_view(splats.position, splats.sh, view, eye, lens, depth, views, total)

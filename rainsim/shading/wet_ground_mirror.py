@@ -35,7 +35,7 @@ from rainsim.numerics.interpolation import four_colors
 from rainsim.numerics.ripmap import LEVELS, ripmap, sample_ripmap
 from rainsim.raster import select
 from rainsim.scene.types import Camera
-from rainsim.scene.view import View, pixel_ray
+from rainsim.scene.view import View, pixel_ray, slopes
 from rainsim.shading.environment import sample_environment
 from rainsim.shading.ground_slopes import GroundSlopes, block_ray, ground_met, ground_slopes
 from rainsim.shading.lamp_images import (
@@ -119,7 +119,7 @@ def level_camera(view, most=RESOLUTION):
     """
     turn = view.camera_from_world[:3, :3].T
     u, v = _EDGES[0] * view.width, _EDGES[1] * view.height
-    x, y = (u - view.cx) / view.fx, (v - view.cy) / view.fy
+    x, y = slopes(view, u, v)
     eastward, northward, upward = turn[:, :1] * x + turn[:, 1:2] * y + turn[:, 2:]
     e, n, _ = view.camera_from_world[2, :3]
     if math.hypot(e, n) < 1e-3:  # straight down: any direction

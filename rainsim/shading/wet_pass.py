@@ -16,7 +16,7 @@ import numpy as np
 from rainsim.constants import FAR_AWAY, HALF, ONE, SURFACE_ALPHA, ZERO
 from rainsim.jit import cpu_kernel, device_function, inlined_function, prange, serial_kernel
 from rainsim.numerics.pixel_batches import CHUNK, CORNERS, interpolate
-from rainsim.scene.view import View
+from rainsim.scene.view import View, column_slope, row_slope
 from rainsim.shading.environment import azimuth_in_map, color_in_map, elevation_in_map
 from rainsim.shading.grading import Look, is_edge, undiluted
 from rainsim.shading.smooth_normals import (
@@ -187,7 +187,7 @@ def grade_row(
     )  # fmt: skip
     s, corner = np.empty(NUMBERS, np.float32), np.empty(CORNERS, np.float32)
     glossy, open_ = np.empty(CHUNK, np.uint32), np.empty(CHUNK, np.uint32)
-    b = (np.float32(row) + HALF - view.cy) / view.fy
+    b = row_slope(view, row)
     for left in range(0, width, CHUNK):
         n = min(CHUNK, width - left)
         end = left + n
@@ -242,13 +242,13 @@ def read_surface(depth, plane_depth, normal, meters_per_unit, n, s):
 @inlined_function
 def locate(view, b, left, n, s):
     """Find where in the ground frame each pixel of a row at tangent b is."""
-    m, eye, f, c = view.ground_from_camera, view.eye, view.fx, view.cx
+    m, eye = view.ground_from_camera, view.eye
     m00, m01, m02 = m[0, 0], m[0, 1], m[0, 2]
     m10, m11, m12 = m[1, 0], m[1, 1], m[1, 2]
     m20, m21, m22 = m[2, 0], m[2, 1], m[2, 2]
     e0, e1, e2 = eye[0], eye[1], eye[2]
     for i in range(n):
-        a = (np.float32(left + i) + HALF - c) / f
+        a = column_slope(view, left + i)
         x, y, z = m00 * a + m01 * b + m02, m10 * a + m11 * b + m12, m20 * a + m21 * b + m22
         length = math.sqrt(x * x + y * y + z * z)
         inv = ONE / length

@@ -17,6 +17,7 @@ from rainsim.jit import cpu_kernel, prange
 from rainsim.numerics.srgb import LUMINANCE_WEIGHTS
 from rainsim.raster import Rasterizer, prepare
 from rainsim.scene.cameras import resize_to
+from rainsim.scene.view import lens_array
 from rainsim.surface.views import MOST_CAMERAS, NEAR, has_thin_splats
 
 WIDTH = 648  # px of the pictures, about that of most training
@@ -83,7 +84,7 @@ class GroundSweep:
             self._pictures.append(TexturePicture(
                 np.ascontiguousarray(placed.camera_from_world[:3], np.float32),
                 placed.position.astype(np.float32),
-                np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float32),
+                lens_array(camera),
                 layers.depth * unit, _texture(layers.color, layers.alpha),
             ))  # fmt: skip
 

@@ -9,6 +9,7 @@ from scipy import ndimage
 
 from rainsim.numerics.srgb import LUMINANCE_WEIGHTS, linear
 from rainsim.scene.cameras import look_at, resize_to
+from rainsim.scene.view import lens_array
 
 MOST_CAMERAS = 96  # of the capture, evenly spaced, that are asked
 WIDTH = 324  # px of their depth pictures
@@ -108,7 +109,7 @@ def depth_views(scene, cameras, rasterizer):
         views.append(DepthView(
             np.ascontiguousarray(placed.camera_from_world[:3], np.float32),
             placed.position.astype(np.float32),
-            np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float32),
+            lens_array(camera),
             depth.astype(np.float32), np.empty(depth.shape, np.float32),
             light.astype(np.float32), plain,
         ))  # fmt: skip

@@ -8,6 +8,7 @@ import numpy as np
 
 from rainsim.errors import ParameterError
 from rainsim.lod.held_parts import finest_near
+from rainsim.scene.view import rays
 from rainsim.terrain.slab import FAINT, SLAB
 from rainsim.terrain.types import Grid
 
@@ -145,8 +146,7 @@ def _pixel_footprint(scene):
     sizes = []
     for camera in scene.cameras:
         view = scene.ground_frame.camera_in_ground(camera)
-        down = (0.75 * view.height - view.cy) / view.fy
-        ray = np.array([0, down, 1.0]) @ view.camera_from_world[:3, :3]
+        ray = rays(view, view.cx, 0.75 * view.height) @ view.camera_from_world[:3, :3]
         if view.position[2] > 0 and ray[2] < -0.05 and not camera.orthographic:
             sizes.append(view.position[2] / -ray[2] / view.fx)
     return float(np.median(sizes)) if sizes else None

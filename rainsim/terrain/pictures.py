@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from rainsim.errors import ParameterError
+from rainsim.scene.view import pixel_rays
 from rainsim.terrain.pond import without_images
 from rainsim.terrain.table import class_table
 from rainsim.terrain.types import UNKNOWN
@@ -148,9 +149,7 @@ def points_at(splats, camera, pixels):
 
 def seen_points(view, depth):
     """Return the points [m] (height, width, 3) at a view's z-depths and their distances."""
-    u = (np.arange(view.width) + 0.5 - view.cx) / view.fx
-    v = (np.arange(view.height) + 0.5 - view.cy) / view.fy
-    ray = np.stack([*np.meshgrid(u, v), np.ones(depth.shape)], axis=-1)
+    ray = pixel_rays(view)
     depth = np.where(np.isfinite(depth), depth, 1e4)[..., None]
     points = view.position + (ray * depth) @ view.camera_from_world[:3, :3]
     return points, np.linalg.norm(ray, axis=-1) * depth[..., 0]

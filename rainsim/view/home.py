@@ -85,7 +85,7 @@ class Home:
         Parameters
         ----------
         session : Session
-        view : View
+        view : Viewpoint
         index : int
             Of the state.
         width, height : int [px]

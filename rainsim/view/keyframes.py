@@ -14,7 +14,7 @@ from rainsim.config.frame_settings import MAX_FRAMES
 from rainsim.config.settings import Config
 from rainsim.config.tables import CHANGING
 from rainsim.errors import ParameterError, require_positive
-from rainsim.view.session import View
+from rainsim.view.session import Viewpoint
 
 
 @dataclass(frozen=True)
@@ -23,7 +23,7 @@ class Keyframe:
 
     Attributes
     ----------
-    view : View
+    view : Viewpoint
     config : Config
         Of it those settings count that can change with time, see `timeline.CHANGING`.
     seconds : float
@@ -32,7 +32,7 @@ class Keyframe:
         Of the rain that it shows [s]; None: time goes on along the path.
     """
 
-    view: View
+    view: Viewpoint
     config: Config
     seconds: float = 2.0
     time: float | None = None
@@ -64,7 +64,7 @@ def smooth_path(keyframes, fps):
 
     Returns
     -------
-    list of View
+    list of Viewpoint
         One per frame; a single one if there is one keyframe.
 
     Raises
@@ -89,7 +89,7 @@ def smooth_path(keyframes, fps):
     fov = PchipInterpolator(at, [view.fov for view in views])(when)
     quaternion = RotationSpline(at, turns)(when).as_quat()
     return [
-        View(tuple(map(float, p)), tuple(map(float, (q[3], q[0], q[1], q[2]))), float(f))
+        Viewpoint(tuple(map(float, p)), tuple(map(float, (q[3], q[0], q[1], q[2]))), float(f))
         for p, q, f in zip(position, quaternion, fov, strict=True)
     ]
 

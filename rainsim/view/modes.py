@@ -52,7 +52,7 @@ def mode_picture(
     amount : float [mm]
         Of rain, for PUDDLES.
     shot : tuple
-        View, width [px], height [px] and index of the state.
+        Viewpoint, width [px], height [px] and index of the state.
     check : callable
         See `Session.draw`.
     with_depth : bool

@@ -24,7 +24,7 @@ from rainsim.view.page_home import HomeTools
 from rainsim.view.page_messages import MOST_BYTES, Checks, connections_of, may_show
 from rainsim.view.page_settings import SettingsTools
 from rainsim.view.painter import named
-from rainsim.view.session import View
+from rainsim.view.session import Viewpoint
 
 HOST = "127.0.0.1"  # no other: the server has no sign-in
 OWN_PAGES = re.compile(r"http://(127\.0\.0\.1|localhost)(:\d+)?")  # as a browser names them
@@ -42,7 +42,7 @@ class Client:
     ----------
     handle : viser.ClientHandle
     mode, rain, state : handles of its own controls
-    view : View
+    view : Viewpoint
     size : tuple of int
         Width and height of the picture that was shown last [px].
     said : tuple of (str, float)
@@ -55,7 +55,7 @@ class Client:
     mode: object
     rain: object
     state: object
-    view: View | None = None
+    view: Viewpoint | None = None
     size: tuple = (0, 0)
     said: tuple = ("", 0.0)
     badly_seen: float = 0.0
@@ -70,7 +70,7 @@ class Page:
     home : Home
     port : int
         If it is in use the next free one is taken.
-    first : View
+    first : Viewpoint
         Where a new page's camera is.
     greeting : str
         Shown on each new page until it is closed there; "" for none.
@@ -150,7 +150,7 @@ class Page:
         if client is None:
             return
         position, turn = (tuple(map(float, v)) for v in (camera.position, camera.wxyz))
-        client.view = View(position, turn, float(camera.fov))
+        client.view = Viewpoint(position, turn, float(camera.fov))
         self.painter.look(key, client.view, float(camera.aspect))
 
     def show(self, key, shown):
@@ -226,7 +226,7 @@ class Page:
         if client is not None and may_show(connection):
             self.complain(client.handle, error)
 
-    def view_of(self, event):
+    def viewpoint_of(self, event):
         """Return the View of the page that an event came from."""
         client = self.clients.get(event.client.client_id) if event.client else None
         if client is None or client.view is None:

@@ -91,7 +91,7 @@ class GroundTools:
             self.answer.content = f"a click puts {put} within {radius:.2f} m"
 
     def _click(self, event):
-        view = self.page.view_of(event)
+        view = self.page.viewpoint_of(event)
         size = self.page.clients[event.client.client_id].size
         if not size[0]:
             return
@@ -215,7 +215,7 @@ class GroundTools:
         def work(session):
             cameras = [session.camera_of(view, *SOME_SIZE) for view in before]
             found = change(session)
-            return found, [session.view_of(camera) for camera in cameras]
+            return found, [session.viewpoint_of(camera) for camera in cameras]
 
         found, views = self.painter.ask(work).result()
         with self._lock:

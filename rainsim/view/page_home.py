@@ -84,7 +84,7 @@ class HomeTools:
 
     def _take_view(self, event, save):
         """Let save(session, view, index, width, height) write the page's view."""
-        view, index, size = self.page.view_of(event), self.painter.clock.index, self.size
+        view, index, size = self.page.viewpoint_of(event), self.painter.clock.index, self.size
         self._took(self.painter.ask(lambda session: save(session, view, index, *size)))
 
     def _save_path(self, event):
@@ -102,7 +102,7 @@ class HomeTools:
 
     def _add(self, event):
         keyframe = Keyframe(
-            self.page.view_of(event), self.painter.config, float(self.seconds.value),
+            self.page.viewpoint_of(event), self.painter.config, float(self.seconds.value),
             self.painter.clock.time,
         )  # fmt: skip
         self.keyframes.append(keyframe)
@@ -118,7 +118,9 @@ class HomeTools:
         name = printable_name(self.load.value.name)
         data = parsed_json(self.load.value.content.decode("utf-8", "replace"))
         loaded = path_keyframes(data, name)
-        views = self.painter.ask(lambda s: [s.view_of(camera) for camera, *_ in loaded]).result()
+        views = self.painter.ask(
+            lambda s: [s.viewpoint_of(camera) for camera, *_ in loaded]
+        ).result()
         config = self.painter.config
         self.keyframes = [
             Keyframe(view, config, seconds, time)

@@ -12,6 +12,7 @@ from rainsim.scene.cameras import cropped
 from rainsim.scene.folder import in_ground_frame, override_ground_frame
 from rainsim.scene.ground import scale_from_length
 from rainsim.scene.painted import PaintedClasses
+from rainsim.scene.view import rays
 from rainsim.terrain.table import class_table
 from rainsim.terrain.types import INFERRED, MEASURED
 
@@ -68,7 +69,7 @@ def point_at(session, view, place, size):
     Parameters
     ----------
     session : Session
-    view : View
+    view : Viewpoint
     place : tuple of float
         Column and row as shares of the picture's width and height, from its upper left corner.
     size : tuple of int
@@ -90,8 +91,7 @@ def point_at(session, view, place, size):
         raise ParameterError("nothing solid is seen there; click on a surface")
     frame = session.scene.ground_frame
     placed = frame.camera_in_ground(camera)
-    ray = np.array([(u - placed.cx) / placed.fx, (v - placed.cy) / placed.fy, 1.0])
-    away = ray * float(depth) * frame.meters_per_unit
+    away = rays(placed, u, v) * float(depth) * frame.meters_per_unit
     return placed.position + away @ placed.camera_from_world[:3, :3]
 
 

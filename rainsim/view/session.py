@@ -35,7 +35,7 @@ MIRRORS = ("auto", "mirror")  # reflections that draw the capture again
 
 
 @dataclass(frozen=True)
-class View:
+class Viewpoint:
     """Where a page's camera is, in the ground frame.
 
     Attributes
@@ -263,7 +263,7 @@ class Session:
 
         Parameters
         ----------
-        view : View
+        view : Viewpoint
         width, height : int [px]
         """
         data = camera_path_data([(self.pose_of(view), view.fov)], width, height, self.config.fps)
@@ -276,8 +276,8 @@ class Session:
         matrix[:3, 3] = frame.to_capture(np.array(view.position))
         return matrix
 
-    def view_of(self, camera):
-        """Return the View that is nearest to a camera of the capture frame.
+    def viewpoint_of(self, camera):
+        """Return the Viewpoint that is nearest to a camera of the capture frame.
 
         A page's camera has square pixels and its principal point in the middle.
         """
@@ -285,14 +285,14 @@ class Session:
         x, y, z, w = Rotation.from_matrix(placed.camera_from_world[:3, :3].T).as_quat()
         fov = 2 * math.atan(camera.height / 2 / camera.fy)
         turn = tuple(float(v) for v in (w, x, y, z))
-        return View(tuple(float(v) for v in placed.position), turn, fov)
+        return Viewpoint(tuple(float(v) for v in placed.position), turn, fov)
 
     def draw(self, view, width, height, index, names=(), check=lambda: None, simple=False):
         """Return the picture of a view and its report, as the parts and settings are now.
 
         Parameters
         ----------
-        view : View
+        view : Viewpoint
         width, height : int [px]
         index : int
             Of the state.

@@ -185,7 +185,7 @@ def test_a_click_that_is_answered_after_another_tool_was_chosen_leaves_no_mark()
         )
         page = SimpleNamespace(
             server=server, painter=painter, guarded=lambda function: function,
-            view_of=lambda event: SimpleNamespace(position=(0.0, 0.0, 1.0)),
+            viewpoint_of=lambda event: SimpleNamespace(position=(0.0, 0.0, 1.0)),
             clients={1: SimpleNamespace(size=(64, 48))}, use_depth=lambda: None,
         )  # fmt: skip
         tools = GroundTools(page)

@@ -14,6 +14,7 @@ from rainsim.render.labels import NO_FLOW, OCCLUDED, OUTSIDE, SEEN
 from rainsim.render.renderer import Renderer
 from rainsim.render.shutter import is_too_fast, motion_to_next, moved, next_camera, shutter_end
 from rainsim.scene.types import Camera
+from rainsim.scene.view import pixel_rays
 from scenes import DIP_CENTRE, tiny_scene
 
 CAMERA = Camera(96, 64, 80.0, 82.0, 47.0, 33.0, np.eye(4), "front")
@@ -21,7 +22,7 @@ CAMERA = Camera(96, 64, 80.0, 82.0, 47.0, 33.0, np.eye(4), "front")
 
 def walls(camera):
     """Depth of a wall at z = 5 m before which a square of 1 m stands at z = 2 m."""
-    rays = labels.rays_of(camera) @ camera.camera_from_world[:3, :3]
+    rays = pixel_rays(camera) @ camera.camera_from_world[:3, :3]
     eye = camera.position
     depth = np.full(rays.shape[:2], np.inf)
     for z, half in ((5.0, 50.0), (2.0, 0.5)):

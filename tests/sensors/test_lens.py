@@ -13,6 +13,7 @@ from rainsim.render import labels
 from rainsim.render.labels import OUTSIDE, SEEN
 from rainsim.render.shutter import moved
 from rainsim.scene.types import Camera
+from rainsim.scene.view import pixel_rays
 from rainsim.sensors.lens import Lens, lens_of, lens_warp
 from rainsim.sensors.lens_files import lens_named
 
@@ -116,7 +117,7 @@ def test_lenses_of_transforms(tmp_path):
 
 def plane(camera, tilt=0.3):
     """The depth of the plane z = 4 + tilt x, and a pattern on it, as a pinhole camera sees them."""
-    rays = labels.rays_of(camera) @ camera.camera_from_world[:3, :3]
+    rays = pixel_rays(camera) @ camera.camera_from_world[:3, :3]
     eye = camera.position
     way = (4 + tilt * eye[0] - eye[2]) / (rays[..., 2] - tilt * rays[..., 0])
     place = eye + way[..., None] * rays

@@ -21,7 +21,7 @@ from rainsim.view.page_messages import (
     require_values,
 )
 from rainsim.view.painter import Painter
-from rainsim.view.session import View
+from rainsim.view.session import Viewpoint
 
 QUICK, THOROUGH = 300, 4000
 CAMERA = {name: value for name, value in LEVEL.items() if name != "type"}
@@ -85,9 +85,9 @@ def test_uploads_do_not_pile_up():
 
 @pytest.mark.parametrize("turn", [(0, 0, 0, 0), (2, 0, 0, 0), (1, 0, 0), "abcd"])
 def test_a_view_turns_by_a_unit_quaternion(turn):
-    assert View((0, 0, 1), (1, 0, 0, 0), 1.0).rotation[0, 0] == 1
+    assert Viewpoint((0, 0, 1), (1, 0, 0, 0), 1.0).rotation[0, 0] == 1
     with pytest.raises(ParameterError, match="unit quaternion"):
-        View((0, 0, 1), turn, 1.0)
+        Viewpoint((0, 0, 1), turn, 1.0)
 
 
 class Bare:
@@ -116,7 +116,9 @@ def served(tmp_path):
 
     errors = []
     painter = Painter(Bare(), lambda *shown: page.show(*shown), fail=errors.append)
-    page = Page(painter, Home(tmp_path, "none"), free_port(), View((0, -3, 1), (1, 0, 0, 0), 1.0))
+    page = Page(
+        painter, Home(tmp_path, "none"), free_port(), Viewpoint((0, -3, 1), (1, 0, 0, 0), 1.0)
+    )
     drawing = threading.Thread(target=painter.run)
     drawing.start()
     yield page.server.get_port(), painter, drawing, errors

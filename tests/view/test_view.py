@@ -55,7 +55,7 @@ def made(scene):
     """A session with all parts, and the view of the scene's first camera."""
     session = Session(scene, settings(scene))
     session.make()
-    return session, session.view_of(scene.cameras[0])
+    return session, session.viewpoint_of(scene.cameras[0])
 
 
 @pytest.fixture
@@ -218,7 +218,7 @@ def test_a_click_reads_the_ground_and_its_water(session, view):
 
 def test_nothing_solid_is_one_clear_error(session, view):
     up = look_at((0.0, 0.0, 1.0), (0.3, 0.0, 3.0), (0, 0, 1), 60.0, *SIZE)
-    above = session.view_of(session.scene.ground_frame.camera_in_capture(up))
+    above = session.viewpoint_of(session.scene.ground_frame.camera_in_capture(up))
     with pytest.raises(ParameterError, match="nothing solid"):
         probe.point_at(session, above, (0.5, 0.5), SIZE)
 
@@ -307,7 +307,7 @@ def looked_around(scene, cameras=()):
     place = {"surroundings": tuple(float(v) for v in first.position)}
     session = Session(scene, settings(scene, **place), cameras=cameras)
     session.make()
-    view = session.view_of(first)
+    view = session.viewpoint_of(first)
     session.draw(view, *SIZE, 0)
     changes = {"rate": mm_per_hour(40.0), "wind": (3.0, 0.7), "sun": (0.3, 0.8)}
     session.set_config(settings(scene, **changes, **place))
@@ -394,7 +394,7 @@ def test_a_path_is_drawn_by_its_command_to_the_byte(scene, tmp_path, rainsim_run
     low = settings(scene, fps=10.0)
     session = Session(scene, low)
     session.make()
-    view, high = session.view_of(scene.cameras[0]), low.replace(brightness=1.5)
+    view, high = session.viewpoint_of(scene.cameras[0]), low.replace(brightness=1.5)
     keyframes = [Keyframe(view, low), Keyframe(other(view, 0.1), high, 0.2)]
     taken = Home(tmp_path / "out", str(folder)).save_path(session, keyframes, *SIZE)
     path = read_cameras(taken.folder / "camera_path.json")
@@ -525,7 +525,7 @@ def test_without_ground_the_capture_is_drawn_until_up_is_mended(scene, view):
     session = Session(replace(scene, ground_frame=beside), settings(scene, rate=0.0))
     pages = Pages(session)
     pages.painter.add(1)
-    lost = session.view_of(scene.cameras[0])
+    lost = session.viewpoint_of(scene.cameras[0])
     pages.painter.look(1, lost, 4 / 3)
     pages.run()
     shown = [s for _, s in pages.take()]
@@ -591,7 +591,7 @@ def test_a_finished_picture_tells_how_much_of_it_is_badly_seen(session, view):
     wet.scene, session._leaving = replace(scene, source=Path("somewhere")), None
     try:
         from_below = look_at((0.2, 0.1, -0.8), (0.0, 0.0, 0.2), (0, 0, 1), 50, 64, 48)
-        under = session.view_of(before.ground_frame.camera_in_capture(from_below))
+        under = session.viewpoint_of(before.ground_frame.camera_in_capture(from_below))
         shares = []
         for seen in (other(view, 0.01), under):
             pages.painter.look(1, seen, 4 / 3)

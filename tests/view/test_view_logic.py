@@ -26,7 +26,7 @@ from rainsim.view.clock import Clock
 from rainsim.view.keyframes import Keyframe, moments_of, path_config, smooth_path, timeline_of
 from rainsim.view.page_home import FRUSTUM, behind
 from rainsim.view.schedule import EXACT, SHARP, SMALL, STILL_AFTER, Schedule
-from rainsim.view.session import View
+from rainsim.view.session import Viewpoint
 from rainsim.view.threads import ThreadChoice
 from rainsim.view.water import SharedWater
 
@@ -274,7 +274,7 @@ def test_without_viser_the_command_says_what_to_install(monkeypatch):
 
 def pose(turn=(0.6, 0.0, 0.8, 0.0), place=(1.0, 2.0, 3.0)):
     matrix = np.eye(4)
-    matrix[:3, :3] = View(place, turn, 1.0).rotation
+    matrix[:3, :3] = Viewpoint(place, turn, 1.0).rotation
     matrix[:3, 3] = place
     return matrix
 
@@ -373,8 +373,8 @@ def test_times_that_no_rain_has_are_refused(times, message):
 
 
 def test_keyframes_that_show_their_own_times_stop_the_rain():
-    low, view = Config.from_preset("drizzle"), View((0.0, 0.0, 1.0), (1.0, 0, 0, 0), 1.0)
-    far = View((1.0, 0.0, 1.0), (1.0, 0, 0, 0), 1.0)
+    low, view = Config.from_preset("drizzle"), Viewpoint((0.0, 0.0, 1.0), (1.0, 0, 0, 0), 1.0)
+    far = Viewpoint((1.0, 0.0, 1.0), (1.0, 0, 0, 0), 1.0)
     still = [Keyframe(view, low, 2.0, 0.5), Keyframe(far, low, 1.0, 0.5)]
     assert moments_of(still, 24.0) == (12,) * 25
     config = path_config(still, low)
@@ -406,7 +406,7 @@ def test_keyframes_that_show_their_own_times_stop_the_rain():
 def test_a_path_goes_through_its_keyframes_without_a_jump():
     config = Config.from_preset("drizzle")
     frames = [
-        Keyframe(View((float(n), n % 2, 1.0), t, 0.8 + 0.1 * n), config, 1.0)
+        Keyframe(Viewpoint((float(n), n % 2, 1.0), t, 0.8 + 0.1 * n), config, 1.0)
         for n, t in enumerate([(1.0, 0, 0, 0), (0.6, 0, 0.8, 0), (0.0, 0, 1.0, 0)])
     ]
     views = smooth_path(frames, 10.0)
@@ -425,7 +425,7 @@ def test_a_path_goes_through_its_keyframes_without_a_jump():
 
 
 def test_the_frustum_of_a_keyframe_is_not_seen_from_its_place():
-    view = View((1.0, 2.0, 3.0), (0.6, 0.0, 0.8, 0.0), 1.1)
+    view = Viewpoint((1.0, 2.0, 3.0), (0.6, 0.0, 0.8, 0.0), 1.1)
     place, ahead = behind(view, 1.5), view.rotation[:, 2]
     length = FRUSTUM / math.cbrt(math.tan(0.55) ** 2 * 1.5 / 3)
     rim = (place + length * ahead - view.position) @ ahead
@@ -434,7 +434,7 @@ def test_the_frustum_of_a_keyframe_is_not_seen_from_its_place():
 
 
 def test_settings_of_keyframes_become_a_timeline():
-    low, view = Config.from_preset("drizzle"), View((0.0, 0.0, 1.0), (1.0, 0, 0, 0), 1.0)
+    low, view = Config.from_preset("drizzle"), Viewpoint((0.0, 0.0, 1.0), (1.0, 0, 0, 0), 1.0)
     high = low.replace(rate=1e-5, cloudiness=1.0, seed=3)
     keyframes = [Keyframe(view, low), Keyframe(view, high, 2.0)]
     assert timeline_of([Keyframe(view, low), Keyframe(view, low, 1.0)]) == ()

@@ -48,5 +48,7 @@ class MovingActors:
             frame.passes.rain.impacts.list_again()
         if self.spray is not None:
             exposure = conductor.now.render.exposure
-            seen = spray_seen(state.throws, state.throw_id, conductor.view, state.time, exposure)
-            self.spray.send(*seen, conductor.view)
+            seen = spray_seen(
+                state.throws, state.throw_id, conductor.ground_camera, state.time, exposure
+            )
+            self.spray.send(*seen, conductor.ground_camera)

@@ -18,7 +18,7 @@ from rainsim.particles.fog import FOG_STEPS
 from rainsim.reflection.ray_water import COVERING_DEPTHS
 from rainsim.reflection.slope_moments import ripple_moments
 from rainsim.reflection.water_pass import March
-from rainsim.scene.view import CameraArrays, view_of
+from rainsim.scene.view import CameraArrays
 from rainsim.shading.grading import Look
 from rainsim.shading.wetness import OffGroundWetness
 from rainsim.ssr import bounds_of
@@ -110,10 +110,10 @@ class DeviceFrame:
         capture = scene.capture
         self.rasterizer.update(camera, capture.near, detail=capture.merge)
         passes.mirrors.update(camera, capture, inputs["mirror_step"])
-        passes.ground_light.update(camera, conductor.view)
+        passes.ground_light.update(camera, conductor.ground_camera)
         self._take_state(state)
         fog = passes.rain.update(state, camera_end)
-        view = view_of(conductor.view)
+        view = conductor.view
         self.uniforms.update(
             turn=view.ground_from_camera, eye=view.eye, lens=view.lens, look=scene.shading.look,
             off_ground=scene.shading.off_ground, brightness=conductor.brightness, fog=fog,

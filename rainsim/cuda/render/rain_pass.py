@@ -68,15 +68,15 @@ class RainPass:
         if self.streaks is None:
             return NO_FOG
         conductor, simulation = self._frame.conductor, getattr(state, "simulation", None)
-        render, view, field = conductor.now.render, conductor.view, conductor.frame["field"]
-        shutter = view, state.time, render.exposure
+        render, camera = conductor.now.render, conductor.ground_camera
+        field, shutter = conductor.frame["field"], (camera, state.time, render.exposure)
         lens = camera_end, render.aperture, render.focus
         if field is None:
             self.streaks.update(self._no_rain, *shutter, NEAR, *lens)
             return NO_FOG
-        key = field, view.fx, view.fy, render.exposure, render.streak_far
+        key = field, camera.fx, camera.fy, render.exposure, render.streak_far
         if key != self._fog_of[0]:
-            reach = streak_reach(field, view, render.exposure, render.streak_far)
+            reach = streak_reach(field, camera, render.exposure, render.streak_far)
             self._fog_of = key, fog_table(field, reach), reach
         _, fog, reach = self._fog_of
         self.streaks.update(field, *shutter, reach, *lens)

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from rainsim.constants import HALF, ONE
 from rainsim.cuda.jit import cuda, cuda_kernel
 from rainsim.numerics.interpolation import bilinear_color
-from rainsim.scene.view import view_from
+from rainsim.scene.view import column_slope, row_slope, view_from
 from rainsim.shading.composite import (
     eight_bit,
     field_place,
@@ -33,8 +31,8 @@ def compose(picture, depth, drops, light, camera, brightness, image_out):
     if row >= height or column >= width:
         return
     view = view_from(camera)
-    a = (np.float32(column) + HALF - view.cx) / view.fx
-    b = (np.float32(row) + HALF - view.cy) / view.fy
+    a = column_slope(view, column)
+    b = row_slope(view, row)
     clear = transmittance(drops.fog, depth[row, column], a, b)
     past_splashes, past_drops = (
         ONE - drops.splash_alpha[row, column], ONE - drops.rain_alpha[row, column]
