@@ -30,30 +30,27 @@ SEEN_SPLASH = 1 / 512  # share of a pixel's light from which a splash is labelle
 TERMS = ("coverage", "reflection", "reflection_source", "refraction", "fresnel", "highlight",
          "water_depth")  # fmt: skip
 
-LAYER_PASSES = (
-    Pass("layer clean", WET, ("layers", "camera", "capture"), ("clean",)),
-    Pass("layer wet", WET, ("picture",), ("wet",)),
-    Pass("layer film", WET, ("picture", "below"), ("film",)),
-    Pass("layer range", WET, ("depth", "view"), ("range",)),
-    Pass("layer normal", WET, ("layers", "view"), ("normal",)),
-    Pass("layer wetness", WET, ("layers", "depth", "view", "scene"), ("wetness",)),
-    Pass("layer terms of the water", WET, ("seen", "reflected", "picture", "below", "depth", "view",
-                                      "sun", "methods"), TERMS),
-    Pass("layer transmission", WET, ("depth", "fog", "view"), ("transmission",)),
-    Pass("layer splash_id", WET, ("splash_alpha", "depth", "view", "time", "render", "field",
-                             "surfaces", "drips", "water", "paving"), ("splash_id",)),
-    Pass("view of the next frame", WET, ("view", "view_end", "render", "interval", "scene"),
-         ("next_view",)),
-    Pass("layer drop_flow", WET, ("rain_alpha", "depth", "view", "next_view", "time", "render",
-                                  "field", "interval"), ("drop_flow",)),
-    Pass("actors", WET, ("camera", "scene", "interval"), ("actors",)),
-    Pass("layer flow", WET, ("depth", "view", "next_view", "interval", "actors", "scene"),
-         ("flow", "flow_mask")),
-    Pass("layer actor_id", WET, ("depth", "actors"), ("actor_id",)),
-    Pass("layer class_id", WET, ("layers", "depth", "clearance", "view", "seen", "actors",
-                                 "ground"), ("class_id",)),
-    Pass("layer puddle_id", WET, ("seen", "depth", "ground", "water"), ("puddle_id",)),
-)  # fmt: skip
+LAYER_PASSES, WORK = [], {}  # in the order of this file; what each computes, see `Frame.make`
+
+
+def layer(*writes, name=""):
+    """Make a pass of a function: it reads the inputs and buffers that its parameters are named for.
+
+    Parameters
+    ----------
+    *writes : str
+        The layers, or other buffers, that it returns.
+    name : str
+        Of the pass; by default that of the layer.
+    """
+
+    def passed(compute):
+        code, called = compute.__code__, name or f"layer {writes[0]}"
+        LAYER_PASSES.append(Pass(called, WET, code.co_varnames[: code.co_argcount], writes))
+        WORK[called] = compute
+        return compute
+
+    return passed
 
 
 def facts_of(names, frame, weather):
@@ -81,15 +78,33 @@ def facts_of(names, frame, weather):
     return facts
 
 
+@layer("clean")
 def _clean(layers, camera, capture):
     color = capture.captured_color(camera, layers)
     return (np.clip(color, 0, 1) * 255 + 0.5).astype(np.uint8)
 
 
+@layer("wet")
+def _wet(picture):
+    return picture
+
+
+@layer("film")
+def _film(picture, below):
+    return picture - below
+
+
+@layer("range")
+def _range(depth, view):
+    return labels.range_of(depth, view)
+
+
+@layer("normal")
 def _normal(layers, view):
     return (layers.normal @ view_of(view).ground_from_camera.T).astype(np.float32)
 
 
+@layer("wetness")
 def _wetness(layers, depth, view, scene):
     damp, now = np.empty(depth.shape, np.float32), scene.shading
     find_dampness(
@@ -99,12 +114,14 @@ def _wetness(layers, depth, view, scene):
     return damp
 
 
+@layer("transmission")
 def _transmission(depth, fog, view):
     clear = np.empty(depth.shape, np.float32)
     composite.find_clear(depth, fog, view_of(view), clear)
     return clear
 
 
+@layer(*TERMS, name="layer terms of the water")
 def _water_terms(seen, reflected, picture, below, depth, view, sun, methods):
     """Return the AOVs of TERMS; zero where there is no water."""
     height, width = depth.shape
@@ -123,6 +140,7 @@ def _water_terms(seen, reflected, picture, below, depth, view, sun, methods):
     )  # fmt: skip
 
 
+@layer("splash_id")
 def _splash_id(splash_alpha, depth, view, time, render, field, surfaces, drips, water, paving):
     """Return a number for each splashed pixel: that of the splash whose middle is nearest.
 
@@ -145,6 +163,7 @@ def _splash_id(splash_alpha, depth, view, time, render, field, surfaces, drips, 
     return found
 
 
+@layer("next_view", name="view of the next frame")
 def _next_view(view, view_end, render, interval, scene):
     """Return the next frame's camera; None where neither the camera nor anything else moves."""
     if view_end is not None:
@@ -152,6 +171,7 @@ def _next_view(view, view_end, render, interval, scene):
     return None if scene.capture.actors is None else view
 
 
+@layer("actors", name="actors")
 def _actors(camera, scene, interval):
     """Return the `ActorsSeen` of the frame; None without actors."""
     actors = scene.capture.actors
@@ -161,6 +181,7 @@ def _actors(camera, scene, interval):
     return actor_labels.ActorsSeen(actors.actors, actors.time, interval, scene.frame, numbers)
 
 
+@layer("flow", "flow_mask")
 def _flow(depth, view, next_view, interval, actors, scene):
     """Return motion and mask of the scene, see `labels.flow_of`; zero and seen if it is still."""
     if next_view is None:
@@ -175,6 +196,7 @@ def _flow(depth, view, next_view, interval, actors, scene):
     return labels.flow_of(depth, view, next_view, seen.depth, actors.number, moves)
 
 
+@layer("class_id")
 def _class_id(layers, depth, clearance, view, seen, actors, ground):
     water = np.zeros(depth.shape, bool)
     water.ravel()[seen.pixel[labels.shown_water(seen.record)]] = True
@@ -185,10 +207,12 @@ def _class_id(layers, depth, clearance, view, seen, actors, ground):
     return ids
 
 
+@layer("actor_id")
 def _actor_id(depth, actors):
     return np.zeros(depth.shape, np.uint16) if actors is None else actors.number
 
 
+@layer("puddle_id")
 def _puddle_id(seen, depth, ground, water):
     ids, _ = labels.puddle_map(ground.terrain, water)
     return labels.puddle_ids(seen.pixel, seen.record, depth.shape, ground.terrain, ids)
@@ -202,6 +226,7 @@ def _project(points, camera):
         return np.stack([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy, z], axis=1)
 
 
+@layer("drop_flow")
 def _drop_flow(rain_alpha, depth, view, next_view, time, render, field, interval):
     """Return the motion of drops in the picture, the mean over the drops in a pixel.
 
@@ -239,15 +264,3 @@ def _drop_flow(rain_alpha, depth, view, next_view, time, render, field, interval
     flow /= np.maximum(weight, 1e-30)[:, None]
     flow[rain_alpha.ravel() <= 0] = 0
     return flow.reshape(height, width, 2).astype(np.float32)
-
-
-WORK = {
-    "layer clean": _clean, "layer wet": lambda picture: picture,
-    "layer film": lambda picture, below: picture - below, "layer range": labels.range_of,
-    "layer normal": _normal, "layer wetness": _wetness, "layer terms of the water": _water_terms,
-    "layer transmission": _transmission, "layer splash_id": _splash_id,
-    "view of the next frame": _next_view, "layer drop_flow": _drop_flow, "actors": _actors,
-    "layer flow": _flow, "layer actor_id": _actor_id, "layer class_id": _class_id,
-    "layer puddle_id": _puddle_id,
-}  # fmt: skip
-"""What each pass of LAYER_PASSES computes, see `Frame.make`."""
