@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
+from rainsim.constants import FAR_AWAY
 from rainsim.particles.splash import LONGEST_LIFE, WET_FILM
 from rainsim.particles.splash_pass import seen_splashes
 from rainsim.particles.streaks import NEAR
@@ -97,6 +98,11 @@ def _film(picture, below):
 @layer("range")
 def _range(depth, view):
     return labels.range_of(depth, view)
+
+
+@layer("height")
+def _height(clearance):
+    return np.where(clearance < FAR_AWAY, clearance, np.float32(np.inf))
 
 
 @layer("normal")
