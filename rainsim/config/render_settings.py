@@ -147,8 +147,9 @@ class RenderConfig(Group):
         OneOf("snell", "shift"), touches=(PASSES,), paper="shift")
     fresnel: str = setting(
         "exact", "fresnel", "",
-        "law of reflectance: exact for a dielectric, or Schlick's approximation",
-        OneOf("exact", "schlick"), touches=(PASSES,), paper="schlick")
+        "law by which water and all that is wet reflects: exact for a dielectric, or "
+        "Schlick's approximation",
+        OneOf("exact", "schlick"), touches=(LIGHT, PASSES), paper="schlick")
     highlight: str = setting(
         "cox-munk", "highlight", "", "the sun's glint on water",
         OneOf("cox-munk", "blinn-phong"), touches=(PASSES,), paper="blinn-phong")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from rainsim import __version__
 from rainsim.datasets.data_files import condition
 from rainsim.drops import Weather
+from rainsim.rain.size_distribution import SIZE_LAWS
 from rainsim.render.labels import class_names
 from rainsim.render.weather import weather_of
 from rainsim.sensors.radar import rain_attenuation
@@ -88,8 +89,18 @@ def card_text(card):
     lines += [
         "",
         f"World: {card['world']}; {card['meters_per_unit']:.6g} m a unit of the capture{assumed}. "
-        "Drops: N(D) = N0 exp(-decay D), Marshall and Palmer 1948 with N0 renormalised to the "
-        "rate. Radar: ITU-R P.838-3, vertical, one way. Clear is the dry capture as it was taken.",
+        f"{drop_law(card['rains'])}Radar: ITU-R P.838-3, vertical, one way. Clear is the dry "
+        "capture as it was taken.",
         "",
     ]
     return "\n".join(lines)
+
+
+def drop_law(rains):
+    """Return a sentence on the sizes of drops in some rains, see `rain_facts`; none without any."""
+    for rain in rains:
+        if rain["drops"] is not None:
+            law, radii = rain["drops"]["law"].replace("intercept", "N0"), rain["drops"]["radii"]
+            source = SIZE_LAWS[radii](rain["rain_mm_per_hour"]).source
+            return f"Drops: {law}, {source} with N0 renormalised to the rate. "
+    return ""

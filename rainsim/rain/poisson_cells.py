@@ -190,7 +190,6 @@ def class_keys(seed):
 
 def size_tables(spectrum):
     """Return (lowest diameter, share of the exponential within, its scale) for each class."""
-    low, high = spectrum.edges[:-1], spectrum.edges[1:]
-    span = -np.expm1(-spectrum.decay * (high - low))
-    scale = np.full(len(low), 1 / spectrum.decay)
-    return np.ascontiguousarray(np.stack([low, span, scale], axis=1))
+    low, high, decay = spectrum.edges[:-1], spectrum.edges[1:], spectrum.class_decay
+    span = -np.expm1(-decay * (high - low))
+    return np.ascontiguousarray(np.stack([low, span, 1 / decay], axis=1))

@@ -41,6 +41,9 @@ AOVS = {
     "clean": Aov(PICTURE, "", "the dry capture without grading"),
     "depth": Aov(DATA, "m", "along the view axis (z-depth), infinite for sky", ("Z",)),
     "range": Aov(DATA, "m", "distance from the camera's centre, infinite for sky", ("Y",)),
+    "height": Aov(
+        DATA, "m", "of the surface over the ground, infinite for sky and off the map", ("Y",)
+    ),
     "normal": Aov(
         DATA, "", "of the captured surface, in the ground frame; zero for sky", ("X", "Y", "Z")
     ),

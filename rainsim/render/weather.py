@@ -53,7 +53,7 @@ def weather_of(now, field=None):
         if extinction > 0:
             found["optical_range_m"] = round(-math.log(LEAST_CONTRAST) / extinction, 1)
         found["drops"] = {
-            "law": "N(D) = intercept exp(-decay D)",
+            "law": spectrum.law.text,
             "radii": spectrum.radii,
             "decay_per_m": float(f"{spectrum.decay:.6g}"),
             "intercept_per_m4": float(f"{spectrum.intercept:.6g}"),

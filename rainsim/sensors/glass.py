@@ -188,7 +188,7 @@ def caps_on(field, pane, camera, seed):
         time = (span + random[0]) * SPAN
         kept &= (time >= begin) & (time < pane.age)
         across, down = low[:, None] + np.stack(random[1:3]) * size[:, None]
-        diameter = _diameter(field.spectrum, kind, random[3])
+        diameter = field.spectrum.diameters(kind, random[3])
         arrivals.append(np.column_stack([time, across, down, diameter])[kept])
     time, across, down, diameter = np.concatenate(arrivals).T
     order = np.argsort(time, kind="stable")
@@ -196,13 +196,6 @@ def caps_on(field, pane, camera, seed):
     normal = pane.axes()[2] @ camera.camera_from_world[:3, :3]
     slope = math.sqrt(max(1 - normal[2] ** 2, 0.0))  # sine of the pane's slope
     return _settled(place, drop_volume(diameter[order]), pane, slope)
-
-
-def _diameter(spectrum, kind, random):
-    """Return diameters [m] within classes, which follow the exponential spectrum there."""
-    edges, decay = spectrum.edges, spectrum.decay
-    share = -np.expm1(-decay * (edges[1:] - edges[:-1]))[kind]
-    return edges[kind] - np.log(1 - random * share) / decay
 
 
 def _settled(place, volume, pane, slope):

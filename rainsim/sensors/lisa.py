@@ -42,8 +42,7 @@ def scattered_share(distance, reflectivity, lidar, spectrum):
     share = threshold * r**2 * np.exp(2 * alpha * r) / DROP_REFLECTIVITY
     least = np.sqrt(share) * r * math.tan(lidar.divergence)
     low = np.clip(least, SMALLEST, LARGEST)
-    decay = spectrum.decay
-    density = spectrum.intercept / decay * (np.exp(-decay * low) - np.exp(-decay * LARGEST))
+    density = spectrum.intercept * spectrum.law.number_between(low, LARGEST)
     density = np.where(share > 1, 0.0, density)
     section = math.pi * (r * math.tan(lidar.divergence) / 2) ** 2
     return float(-np.expm1(-(density * section).sum() * (end - lidar.near) / RANGES))

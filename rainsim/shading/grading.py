@@ -13,6 +13,7 @@ from rainsim.constants import ONE, ZERO
 from rainsim.jit import inlined_function
 from rainsim.numerics.interpolation import smoothstep
 from rainsim.shading.color import linear_from_display, luminance
+from rainsim.shading.fresnel import LAWS
 
 DULL_EXPOSURE = 0.7  # factor on captured light under an overcast sky, before the meter
 TOPS_END = 1.6  # m over the ground: `terrain.tops` finds tops up to 1.5 m, which may be warped
@@ -35,6 +36,7 @@ class Look(NamedTuple):
     # m over the ground, up to which level things are tops, on whose water the gloss lies; 0: none.
     tops_end: np.float32
     wetness: np.float32 = ONE  # factor on darkening and gloss, 0 to 2; 1: as measured
+    law: np.float32 = ZERO  # of reflectance, a number of `fresnel.LAWS`
 
 
 def look_of(config, sky_distance, sky_is_left_out, albedo, relit=False, tops=False):
@@ -61,7 +63,7 @@ def look_of(config, sky_distance, sky_is_left_out, albedo, relit=False, tops=Fal
     tops_end = TOPS_END if tops else 0.0
     numbers = (
         dimmed, compressed, replaced, sky_distance, sky_is_left_out, albedo, tops_end,
-        config.render.wetness,
+        config.render.wetness, LAWS[config.render.fresnel],
     )  # fmt: skip
     return Look(*(np.float32(n) for n in numbers))
 
@@ -77,7 +79,7 @@ def look_from(numbers):
     """Return the `Look` whose numbers an array holds, as CUDA kernels get them."""
     return Look(
         numbers[0], numbers[1], numbers[2], numbers[3], numbers[4], numbers[5], numbers[6],
-        numbers[7],
+        numbers[7], numbers[8],
     )  # fmt: skip
 
 

@@ -11,6 +11,7 @@ from scipy import ndimage
 from rainsim.constants import HALF, ONE, ZERO
 from rainsim.jit import inlined_function
 from rainsim.scene.view import image_ray
+from rainsim.shading.fresnel import EXACT
 from rainsim.shading.microfacet import LEAST_DIP
 
 ROWS = 512  # of the ground that are averaged at once
@@ -25,6 +26,7 @@ class GroundSlopes(NamedTuple):
     slopes: np.ndarray
     origin: np.ndarray  # (2,) float32 [m], corner of the first cell
     spacing: np.float32  # m
+    law: int = EXACT  # of the film's reflectance, a number of `fresnel.LAWS`
 
 
 def ground_slopes(terrain):

@@ -19,7 +19,7 @@ from scipy import ndimage
 from rainsim.constants import HALF, ONE, ZERO
 from rainsim.jit import cpu_kernel, inlined_function, prange
 from rainsim.scene.view import View, slopes
-from rainsim.shading.fresnel import fresnel
+from rainsim.shading.fresnel import reflectance
 from rainsim.shading.ground_slopes import GroundSlopes, block_ray, ground_met
 from rainsim.shading.microfacet import LEAST_DIP, LEAST_RISE, shadowing
 
@@ -164,8 +164,9 @@ def lamp_light(x, y, z, eye, ground, seen):
             continue
         square = flat * flat + dz * dz
         light = mirrored_share(
-            vx, vy, vz, dx, dy, dz, flat, square, gx, gy, slope, lamp[6], lamp[7], leave
-        )
+            vx, vy, vz, dx, dy, dz, flat, square, gx, gy, slope, lamp[6], lamp[7], leave,
+            ground.law,
+        )  # fmt: skip
         brightest = max(max(lamp[3], lamp[4]), lamp[5]) * light
         if brightest < FAINT:
             continue
@@ -177,7 +178,7 @@ def lamp_light(x, y, z, eye, ground, seen):
 
 
 @inlined_function
-def mirrored_share(vx, vy, vz, dx, dy, dz, flat, square, gx, gy, slope, wide, tall, leave):
+def mirrored_share(vx, vy, vz, dx, dy, dz, flat, square, gx, gy, slope, wide, tall, leave, law):
     """Return the radiance that the ground mirrors to the eye of a source of unit flux [1/m2].
 
     F D G / (4 cos v d^2) with the density D of the facets' normals, which is the density of slopes
@@ -195,6 +196,8 @@ def mirrored_share(vx, vy, vz, dx, dy, dz, flat, square, gx, gy, slope, wide, ta
     wide, tall : float32 [m2]
     leave : float32
         One and Smith's Lambda of the view.
+    law : int
+        Of reflectance, see `fresnel.LAWS`.
     """
     one = ONE / math.sqrt(square)
     lx, ly, lz = dx * one, dy * one, dz * one
@@ -214,7 +217,8 @@ def mirrored_share(vx, vy, vz, dx, dy, dz, flat, square, gx, gy, slope, wide, ta
     facet = (vx * hx + vy * hy + vz * hz) / long
     smith = ONE / (leave + shadowing(dz / flat / slope))
     quarter = HALF * HALF
-    return fresnel(facet) * density * smith * quarter / (up * up * up * up * vz * square)
+    weight = reflectance(law, facet) * density * smith * quarter
+    return weight / (up * up * up * up * vz * square)
 
 
 @inlined_function

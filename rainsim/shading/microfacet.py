@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from rainsim.jit import cpu_kernel, inlined_function, lean_function, prange
-from rainsim.shading.fresnel import fresnel
+from rainsim.shading.fresnel import EXACT, reflectance
 
 ZERO, ONE, TWO = (np.float32(v) for v in (0, 1, 2))
 SAMPLES = 8  # parts of the lobe
@@ -73,13 +73,14 @@ def shadowing(a):
 
 
 @inlined_function
-def lobe_part(lobe, k, dip, tilt, slope):
+def lobe_part(lobe, k, dip, tilt, slope, law):
     """Return the tangent of part k's elevation, its weight, its facets' sine and its width.
 
     The ground is seen at an angle of tangent `dip` and leans towards the viewer with slope `tilt`;
-    `slope` is the rms slope. The weight is Fresnel's factor times the visible share of the mirrored
-    ray (heights correlated, Heitz 2014) times the part's share; all weights add up to the
-    reflectance. The sine is that of the view's angle to the facets, the width in elevation [rad].
+    `slope` is the rms slope. The weight is the reflectance of a facet by one of `fresnel.LAWS`
+    times the visible share of the mirrored ray (heights correlated, Heitz 2014) times the part's
+    share; all weights add up to the reflectance of the ground. The sine is that of the view's
+    angle to the facets, the width in elevation [rad].
     """
     a = max((dip + tilt) / max(ONE - dip * tilt, LEAST_DIP), LEAST_DIP) / slope
     at = a / (ONE + a) * np.float32(ANGLES)
@@ -100,15 +101,15 @@ def lobe_part(lobe, k, dip, tilt, slope):
         return ZERO, ZERO, ZERO, ZERO
     facet = max(dip + lean, LEAST_DIP) / math.sqrt((ONE + dip * dip) * (ONE + square))
     seen = ONE + shadowing(a)
-    weight = PARTS[k] * fresnel(facet) * seen / (seen + shadowing(away / slope))
+    weight = PARTS[k] * reflectance(law, facet) * seen / (seen + shadowing(away / slope))
     return rise, weight, facet, TWO * slope * width / (ONE + square)
 
 
 @cpu_kernel
-def reflectance(lobe, tangent, slope, share_out):
+def ground_reflectance(lobe, tangent, slope, share_out):
     """Write the reflectance of wet ground of rms slope `slope` seen at angles of `tangent` (n,)."""
     for n in prange(len(tangent)):
         total = ZERO
         for k in range(SAMPLES):
-            total += lobe_part(lobe, k, tangent[n], ZERO, slope)[1]
+            total += lobe_part(lobe, k, tangent[n], ZERO, slope, EXACT)[1]
         share_out[n] = total

@@ -37,6 +37,7 @@ from rainsim.raster import select
 from rainsim.scene.types import Camera
 from rainsim.scene.view import View, pixel_ray, slopes
 from rainsim.shading.environment import sample_environment
+from rainsim.shading.fresnel import LAWS
 from rainsim.shading.ground_slopes import GroundSlopes, block_ray, ground_met, ground_slopes
 from rainsim.shading.lamp_images import (
     FINE_RESOLUTION,
@@ -46,7 +47,7 @@ from rainsim.shading.lamp_images import (
     lamps_in,
     without_lamps,
 )
-from rainsim.shading.microfacet import LEAST_DIP, LOBE, SAMPLES, lobe_part, reflectance
+from rainsim.shading.microfacet import LEAST_DIP, LOBE, SAMPLES, ground_reflectance, lobe_part
 from rainsim.splatting.coarse import merge_fine
 
 THIRD = np.float32(1 / 3)
@@ -218,7 +219,7 @@ def mirrored_light(x, y, z, eye, ground, lobe, level, environment):
     r, gr, b = ZERO, ZERO, ZERO
     way = ZERO  # level length of the mirrored ray [m]: one part's is a good guess for the next
     for k in range(SAMPLES):
-        rise, weight, facet, wide = lobe_part(lobe, k, dip, tilt, slope)
+        rise, weight, facet, wide = lobe_part(lobe, k, dip, tilt, slope, ground.law)
         if weight <= ZERO:
             continue
         # Facets that lean across turn the ray aside, and so does the slope of the ground.
@@ -400,9 +401,13 @@ class WetGroundMirror:
             add_lamps(view, step, wanted, self.ground, shown, field)
         return field, step
 
-    @functools.cached_property
+    @property
     def ground(self):
-        """The terrain's `GroundSlopes`."""
+        """The terrain's `GroundSlopes`, whose film mirrors by the law that the settings name."""
+        return self._slopes._replace(law=LAWS[self.config.fresnel])
+
+    @functools.cached_property
+    def _slopes(self):
         return ground_slopes(self.terrain)
 
 
@@ -453,7 +458,7 @@ def usual_shares():
     """Return the reflectance of usual wet ground at SHARES tangents, see `usual_share`."""
     tangent = np.geomspace(LEAST_DIP, STEEPEST_DIP, SHARES).astype(np.float32)
     share = np.empty_like(tangent)
-    reflectance(LOBE, tangent, USUAL_SLOPE, share)
+    ground_reflectance(LOBE, tangent, USUAL_SLOPE, share)
     return share
 
 

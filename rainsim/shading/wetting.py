@@ -18,7 +18,7 @@ from rainsim.numerics.interpolation import bilinear, smoothstep
 from rainsim.shading.bodies import NO_BODIES, body_share
 from rainsim.shading.color import luminance
 from rainsim.shading.environment import sample_environment
-from rainsim.shading.fresnel import fresnel
+from rainsim.shading.fresnel import reflectance
 from rainsim.shading.grading import graded, is_edge, sky_share, undiluted
 from rainsim.shading.walls import damp_off_ground
 from rainsim.shading.wetness import Wetness, wetness_in
@@ -338,7 +338,7 @@ def rainy_color(r, g, b, alpha, distance, sine, cosine, upness, height, wet, loo
         r, g, b = wetted(r, g, b, surface, coat, wet, look)
         if gloss > ZERO:
             least = GRAZING + leaf * (LEAF_GRAZING - GRAZING) + coat * (COAT_GRAZING - GRAZING)
-            share = fresnel(max(cosine, least))
+            share = reflectance(look.law, max(cosine, least))
             if height > ON_GROUND:  # blended normals at edges look grazed, which they are not
                 share *= smoothstep(ZERO, EDGE_COSINE + coat * (COAT_EDGE - EDGE_COSINE), cosine)
             gloss *= share

@@ -11,16 +11,9 @@ import numpy as np
 
 HARD, GRASS, SOIL, OBJECT, WATER, DRAIN = range(6)  # the codes in the table; HARD is its paving
 
-# Columns: the TOML's key, and the factor to SI.
-_COLUMNS = {
-    "storage": ("storage_mm", 1e-3),
-    "infiltration": ("infiltration_mm_per_hour", 1e-3 / 3600),
-    "manning": ("manning", 1.0),
-    "porosity": ("porosity", 1.0),
-    "film_slope": ("film_slope", 1.0),
-    "albedo": ("albedo", 1.0),
-    "albedo_spread": ("albedo_spread", 1.0),
-}
+# How keys of the TOML end that have a unit, and the factor to SI; the longer of two comes first.
+_UNITS = {"_mm_per_hour": 1e-3 / 3600, "_mm": 1e-3}
+_NOT_COLUMNS = "code", "color"
 
 
 @dataclass(frozen=True)
@@ -57,6 +50,16 @@ class ClassTable:
         return self.columns[name]
 
 
+def column_of(key, values):
+    """Return the name and the values [SI] of a column whose key in the TOML may end in a unit."""
+    if isinstance(values[0], bool):
+        return key, np.array(values)
+    for ending, factor in _UNITS.items():
+        if key.endswith(ending):
+            return key.removesuffix(ending), np.array([v * factor for v in values], np.float32)
+    return key, np.array(values, np.float32)
+
+
 @functools.cache
 def class_table():
     """Return the `ClassTable` that the package brings."""
@@ -66,10 +69,9 @@ def class_table():
     entries = [rows[name] for name in names]
     if [entry["code"] for entry in entries] != list(range(len(entries))):
         raise AssertionError("the codes of classes.toml must count from 0")
-    columns = {
-        name: np.array([entry[key] * factor for entry in entries], np.float32)
-        for name, (key, factor) in _COLUMNS.items()
-    }
-    for name in ("soaks", "mirrors"):
-        columns[name] = np.array([entry[name] for entry in entries])
+    columns = {}
+    for key in entries[0]:
+        if key not in _NOT_COLUMNS:
+            name, values = column_of(key, [entry[key] for entry in entries])
+            columns[name] = values
     return ClassTable(names, np.array([e["color"] for e in entries], np.uint8), columns)

@@ -9,6 +9,7 @@ from rainsim.cuda.shading.wet_pass import BLOCK, blocks
 from rainsim.numerics.ripmap import ripmap
 from rainsim.scene.view import CameraArrays, View
 from rainsim.shading import microfacet, sky, wet_ground_mirror
+from rainsim.shading.fresnel import SCHLICK
 from rainsim.shading.wet_ground_mirror import GroundSlopes, LevelPicture
 
 assert simulated()
@@ -45,7 +46,7 @@ def test_levels_of_the_ripmap_are_means_of_blocks(rng, poisoned, monkeypatch):
 def test_field_share_and_picture(pictured, rng, poisoned):
     ground = np.zeros((20, 24, 4), F4)
     ground[..., :3], ground[..., 3] = rng.normal(0, 0.02, (20, 24, 3)), 0.2
-    ground = GroundSlopes(ground, F4([-12, -4]), F4(1.0))
+    ground = GroundSlopes(ground, F4([-12, -4]), F4(1.0), SCHLICK)
     forward, around = F4([0, 1]), sky.overcast(0.5)
     picture = rng.uniform(0, 1, (24, 60, 3)).astype(F4)
     depth = rng.uniform(3, 30, (40, 70)).astype(F4)

@@ -89,7 +89,7 @@ def launch(kernel, *arguments):
 
 def test_grade_and_wet(view, poisoned):
     day, around = sky.overcast(), sky.overcast(0.7)
-    look = np.array([0.8, 0.9, 0.8, 30, 1, 0.85, 0.6, 1.3], F4)
+    look = np.array([0.8, 0.9, 0.8, 30, 1, 0.85, 0.6, 1.3, EXACT], F4)
     wetness = np.random.default_rng(2).uniform(0, 1, (CELLS, CELLS, 4)).astype(F4)
     bodies = np.full((CELLS, CELLS, 3), 255, np.uint8)
     bodies[..., 0], bodies[..., 1] = 0, 100  # all that stands is a smooth body
@@ -289,8 +289,10 @@ def test_signatures_are_those_of_the_cpu():
         assert [n for n in ours if n not in without] == [n for n in theirs if n not in without]
 
 
-class Buffers(dict):
-    """Device arrays by name, as a `DeviceFrame` has them."""
+class DeviceNames(dict):
+    """Buffers by name, with a stream, as a `DeviceFrame` has them."""
+
+    stream = 0
 
 
 def test_light_of_drops_is_the_cpus():
@@ -306,9 +308,8 @@ def test_light_of_drops_is_the_cpus():
     assert wanted.std() > 0.01 and np.abs(wanted[0] - wanted[1]).max() > 0.01
     uniforms = {"around": mean, "turn": turn, "lens": lens, "size": size}
     buffers = {"gloss": around, "picture": picture, "depth": depth}
-    frame = Buffers((name, cuda.to_device(value)) for name, value in buffers.items())
+    frame = DeviceNames({name: cuda.to_device(value) for name, value in buffers.items()})
     frame.uniforms = {name: cuda.to_device(value) for name, value in uniforms.items()}
-    frame.stream = 0
     drops = cuda_drops.DropLight(frame)
     for field in (drops.drops, drops.sheets):
         field.copy_to_device(np.full(wanted[0].shape, np.nan, np.float32))

@@ -17,7 +17,7 @@ from rainsim.drops import (
 from rainsim.errors import ParameterError
 from rainsim.numerics.random import subkey, uniform, uniform_triple
 from rainsim.rain.heightfield import BLOCK
-from rainsim.rain.size_distribution import SMALLEST, terminal_speed
+from rainsim.rain.size_distribution import SIZE_LAWS, SMALLEST, SizeLaw, terminal_speed
 
 GUNN_KINZER = {1.0: 4.03, 1.5: 5.40, 2.0: 6.49, 3.0: 8.06, 4.0: 8.83, 5.0: 9.09}  # mm: m/s
 
@@ -60,6 +60,38 @@ def test_extinction_is_the_shadow_of_the_spectrum():
     spectrum = RainSpectrum(10)
     whole = np.pi / 2 * spectrum.intercept / spectrum.decay**3
     assert spectrum.extinction.sum() + spectrum.fine_extinction == pytest.approx(whole, rel=2e-3)
+
+
+def gamma_rain(monkeypatch):
+    """A rain of 10 mm/h whose diameters follow a gamma distribution of shape 3."""
+    law = SizeLaw("a test", decay=3.8e3, shape=3.0)
+    monkeypatch.setitem(SIZE_LAWS, "gamma", lambda rate: law)
+    return RainSpectrum(10, "gamma")
+
+
+def test_a_gamma_law_brings_the_rate_and_its_own_numbers_of_drops(monkeypatch):
+    spectrum = gamma_rain(monkeypatch)
+    diameter = np.linspace(0, 6e-3, 200_001)
+    number = spectrum.intercept * (diameter * 1e3) ** 3 * np.exp(-3.8e3 * diameter)
+    flux = number * terminal_speed(diameter) * drop_volume(diameter)
+    assert np.trapezoid(flux, diameter) == pytest.approx(spectrum.rate, rel=2e-3)
+    tracked = np.trapezoid(np.where(diameter >= SMALLEST, number, 0), diameter)
+    assert spectrum.density.sum() == pytest.approx(tracked, rel=1e-3)
+    between = spectrum.intercept * spectrum.law.number_between(SMALLEST, 6e-3)
+    assert between == pytest.approx(tracked, rel=1e-3)
+    assert spectrum.law.text == "N(D) = intercept (D / 1 mm)^3 exp(-decay D)"
+
+
+def test_drops_of_a_gamma_law_have_its_sizes_within_the_classes_too(monkeypatch):
+    spectrum = gamma_rain(monkeypatch)
+    drops = RainField(spectrum, seed=3).drops_in_box(0.0, (-4, -4, 0), (4, 4, 4))
+    low, high, law = SMALLEST, 6e-3, spectrum.law
+    chance = law.number_between(low, drops.diameter) / law.number_between(low, high)
+    assert len(drops) > 10_000
+    assert stats.kstest(chance, "uniform").pvalue > 0.01
+    exponential = np.exp(-3.8e3 * np.array([low, high]))
+    chance = (exponential[0] - np.exp(-3.8e3 * drops.diameter)) / -np.diff(exponential)
+    assert stats.kstest(chance, "uniform").pvalue < 1e-6
 
 
 def test_no_rain_has_no_drops():

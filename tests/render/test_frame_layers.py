@@ -67,6 +67,8 @@ def test_layers_say_what_is_there(shot):
     up = found["normal"][water] @ [0, 0, 1]
     assert np.median(up) > 0.95  # the ground below water is level
     assert found["wetness"][water].min() > 0.2
+    assert np.median(np.abs(found["height"][water])) < 0.02  # it lies in dips of the ground
+    assert np.isinf(found["height"][np.isinf(found["depth"])]).all()
     assert found["highlight"].max() > 0  # the sun is given
     assert ((found["splash_id"] > 0) <= (found["splash_alpha"] > 0)).all()
 

@@ -7,6 +7,7 @@ from numpy import float32 as F4
 from rainsim.scene.types import Camera
 from rainsim.scene.view import view_of
 from rainsim.shading import lamp_images
+from rainsim.shading.fresnel import SCHLICK
 from rainsim.shading.ground_slopes import GroundSlopes
 from rainsim.shading.lamp_images import LampView, add_lamps, lamps_in, without_lamps
 from rainsim.shading.wet_ground_mirror import level_camera, scaled
@@ -39,14 +40,14 @@ def level_depth(surface=np.inf):
     return depth, lens, level.forward[:2].astype(np.float32)
 
 
-def field_of(lamp, depth=None):
+def field_of(lamp, depth=None, ground=GROUND):
     """The light of one lamp in every pixel's block, of shape (rows, columns, 3)."""
     seen, lens, forward = level_depth()
     depth = seen if depth is None else depth
     wanted = np.ones(PIXELS[::-1], bool)
     found = np.zeros((*PIXELS[::-1], 3), np.float32)
     shown = LampView(np.array([lamp], np.float32), depth, lens, forward)
-    add_lamps(view_of(CAMERA), 1, wanted, GROUND, shown, found)
+    add_lamps(view_of(CAMERA), 1, wanted, ground, shown, found)
     return found
 
 
@@ -94,6 +95,12 @@ def test_the_image_is_the_sum_over_the_facets_that_mirror_the_lamp(place):
         assert found[row, column, 0] == pytest.approx(wanted, rel=0.1)
         assert found[row, column, 1] == pytest.approx(0.5 * wanted, rel=0.1)
     assert found[..., 2].max() == 0 and np.isfinite(found).all()
+
+
+def test_lamps_are_mirrored_by_the_law_that_is_named():
+    lamp = (9.0, 0.6, 0.7, 1.0, 1.0, 1.0, 0.01, 0.01)
+    share = field_of(lamp, ground=GROUND._replace(law=SCHLICK))[9, 12] / field_of(lamp)[9, 12]
+    assert (np.abs(share - 1) > 0.02).all() and (np.abs(share - 1) < 0.25).all()
 
 
 def test_what_stands_between_hides_a_lamp():

@@ -12,6 +12,7 @@ from rainsim.pipeline import extract_terrain, simulate
 from rainsim.render.renderer import Renderer
 from rainsim.scene.view import View
 from rainsim.shading import microfacet, wet_ground_mirror
+from rainsim.shading.fresnel import EXACT, SCHLICK, schlick
 from rainsim.shading.wet_ground_mirror import GroundSlopes, LevelPicture
 from rainsim.terrain.table import HARD, class_table
 from scenes import tiny_scene
@@ -67,12 +68,12 @@ def level_ground(slope=0.2):
     return ground
 
 
-def field_of(atlas, depth, environment, poisoned, ground=None):
+def field_of(atlas, depth, environment, poisoned, ground=None, law=EXACT):
     wanted = np.ones((HEIGHT, WIDTH), bool)
     field = poisoned((HEIGHT, WIDTH, 3))
     slopes = level_ground() if ground is None else ground
     wet_ground_mirror.mirrored_field(
-        VIEW, 1, wanted, GroundSlopes(slopes, ORIGIN, SPACING), microfacet.LOBE,
+        VIEW, 1, wanted, GroundSlopes(slopes, ORIGIN, SPACING, law), microfacet.LOBE,
         LevelPicture(atlas, depth, LENS, FORWARD), environment, field,
     )  # fmt: skip
     assert np.isfinite(field).all()
@@ -94,7 +95,7 @@ def test_lobe_has_the_moments_of_the_visible_facets():
 def test_reflectance_is_that_of_facets_drawn_at_random(slope, rng, poisoned):
     tangent = np.array([0.02, 0.1, 0.3, 1, 3], F4)
     share = poisoned(tangent.shape)
-    microfacet.reflectance(microfacet.LOBE, tangent, F4(slope), share)
+    microfacet.ground_reflectance(microfacet.LOBE, tangent, F4(slope), share)
     for t, found in zip(tangent, share, strict=True):
         view = np.array([1, 0, -t]) / math.hypot(1, t)
         wanted = facets(view, slope, 60_000, rng)[1].sum()
@@ -109,11 +110,24 @@ def test_what_is_mirrored_stands_as_high_as_facets_drawn_at_random_mirror(degree
     ray, weight = facets(np.array([1, 0, -tangent]) / math.hypot(1, tangent), slope, 60_000, rng)
     wanted = np.degrees(np.arcsin(ray[:, 2])) @ weight / weight.sum()
     parts = np.array([
-        microfacet.lobe_part(microfacet.LOBE, k, F4(tangent), F4(0), F4(slope))
+        microfacet.lobe_part(microfacet.LOBE, k, F4(tangent), F4(0), F4(slope), EXACT)
         for k in range(microfacet.SAMPLES)
     ])  # fmt: skip
     found = np.degrees(np.arctan(parts[:, 0])) @ parts[:, 1] / parts[:, 1].sum()
     assert found == pytest.approx(wanted, abs=2)
+
+
+def test_the_film_mirrors_by_the_law_that_is_named(poisoned):
+    """A smooth film seen from above: between the angles where Schlick's law is right, it is low."""
+    atlas, depth, *_ = wet_ground_mirror.NO_LEVEL_PICTURE
+    white, ground = np.ones((8, 16, 3), F4), level_ground(0.01)
+    exact, approximate = (
+        field_of(atlas, depth, white, poisoned, ground, law)[..., 0] for law in (EXACT, SCHLICK)
+    )
+    row = 40
+    sine = (row + 0.5 - LENS[3]) / np.hypot(FOCAL, row + 0.5 - LENS[3])
+    assert approximate[row, 32] == pytest.approx(schlick(F4(sine)), rel=0.02)
+    assert approximate[row, 32] < 0.97 * exact[row, 32]
 
 
 ONE_DEGREE = math.radians(1)  # at which road tables are seen
@@ -144,7 +158,7 @@ def lobe_coefficient(beta, tangent, slope):
     """Return the luminance coefficient that the parts of the program's lobe make."""
     dip = F4(math.tan(ONE_DEGREE))
     parts = [
-        microfacet.lobe_part(microfacet.LOBE, k, dip, F4(0), F4(slope))
+        microfacet.lobe_part(microfacet.LOBE, k, dip, F4(0), F4(slope), EXACT)
         for k in range(microfacet.SAMPLES)
     ]
     rise, weight, facet, width = np.array(parts, np.float64).T
@@ -210,7 +224,7 @@ def test_white_surroundings_give_the_reflectance_and_no_more(pictured, poisoned)
     dip = (np.arange(HEIGHT) + 0.5 - 6) / FOCAL
     below = dip > 0.01
     share = poisoned(below.sum())
-    microfacet.reflectance(microfacet.LOBE, dip[below].astype(F4), F4(0.2), share)
+    microfacet.ground_reflectance(microfacet.LOBE, dip[below].astype(F4), F4(0.2), share)
     np.testing.assert_allclose(field[below, WIDTH // 2, 0], share, rtol=2e-3)
 
 
@@ -296,7 +310,7 @@ def test_share_of_light_that_film_mirrors(poisoned):
     )
     a, b = (u + 0.5 - LENS[2]) / FOCAL, (v + 0.5 - LENS[3]) / FOCAL
     share = poisoned(u.size)
-    microfacet.reflectance(
+    microfacet.ground_reflectance(
         microfacet.LOBE,
         (b / np.hypot(a, 1)).astype(F4).ravel(),
         wet_ground_mirror.USUAL_SLOPE,

@@ -7,7 +7,7 @@ from factories import look, off_ground, wetness
 from rainsim.numerics.srgb import linear
 from rainsim.shading import environment, wetting
 from rainsim.shading.color import luminance
-from rainsim.shading.fresnel import fresnel
+from rainsim.shading.fresnel import SCHLICK, fresnel, schlick
 from rainsim.shading.wetting import GroundMaps, SkyMaps, SurfacePoint
 
 F4 = np.float32
@@ -43,6 +43,9 @@ def gloss_of(color, normal, rain, skies, look=LOOK):
 def test_a_leaf_that_is_turned_to_the_zenith_mirrors_it(skies):
     open_leaf = gloss_of(1.2 * GREEN, TO_ZENITH, SOAKED, skies)
     assert open_leaf == pytest.approx(fresnel(F4(np.sqrt(0.5))), rel=0.02)
+    law = look(law=SCHLICK)
+    by_law = gloss_of(1.2 * GREEN, TO_ZENITH, SOAKED, skies, law)
+    assert by_law == pytest.approx(schlick(F4(np.sqrt(0.5))), rel=0.02) != open_leaf
     # One that faces the viewer mirrors what lies behind the viewer.
     assert gloss_of(1.2 * GREEN, ONWARDS, SOAKED, skies) == 0
 

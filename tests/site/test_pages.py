@@ -20,13 +20,18 @@ LARGEST_DRAWING, SMALLEST_TEXT = 12_000, 12  # bytes, px
 SHOWN = [pytest.param(path, id=name_of(path)) for path in PAGES]
 
 
-@pytest.fixture(scope="module")
-def from_code():
-    """The module that fills the tables of the site."""
-    spec = importlib.util.spec_from_file_location("from_code", DOCS / "from_code.py")
+def module_of(name):
+    """A Python file of the folder of the pages."""
+    spec = importlib.util.spec_from_file_location(name, DOCS / f"{name}.py")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
+
+
+@pytest.fixture(scope="module")
+def from_code():
+    """The module that fills the tables of the site."""
+    return module_of("from_code")
 
 
 def test_the_contents_name_every_page_once(from_code):
@@ -163,6 +168,14 @@ def test_drawings_are_small_and_name_what_exists(path, from_code):
     files = {file.name for file in ROOT.glob("rainsim/**/*.py")}
     assert set(re.findall(r"\w+\.py\b", words)) <= files
     assert set(re.findall(r"\brainsim (\w+)", words)) <= set(cli.commands)
+
+
+def test_maps_show_the_code_as_it_is():
+    """After a change of rooms, passes or streams: `python docs/drawings.py`."""
+    maps = module_of("drawings")
+    for name, draw in maps.DRAWINGS.items():
+        assert (maps.FOLDER / f"{name}.svg").read_text(encoding="utf-8") == draw(), name
+    assert len(maps.order()) > 25 and {"main", "aside", "beside"} < set(maps.launches().values())
 
 
 def test_the_version_stands_in_the_citation():

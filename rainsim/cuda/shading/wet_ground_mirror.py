@@ -156,7 +156,7 @@ class WetGroundLight:
         if not self.apart:
             return
         slopes, *place = film.ground
-        self._ground = GroundSlopes(cuda.to_device(slopes), cuda.to_device(place[0]), place[1])
+        self._ground = GroundSlopes(cuda.to_device(slopes), cuda.to_device(place[0]), *place[1:])
         self._lobe = cuda.to_device(LOBE)
         # Stand for a level picture that shows nothing.
         self._size = cuda.to_device(np.zeros(2, np.float32))
