@@ -15,6 +15,7 @@ from rainsim.water.conserving import (
     PAD,
     accelerate,
     fill_depth,
+    fill_edge_flux,
     fill_velocity,
     move_depth,
     volume_flux,
@@ -118,7 +119,9 @@ class ConservingFlow:
 
     def _fill_ghosts(self):
         fill_depth(self.edge_is_open, self.h)
-        fill_velocity(self.edge_is_open, self.u, self.v)
+        fill_velocity(
+            self.edge_is_open, self.bed, self._u_spare, self._v_spare, self.u, self.v
+        )  # fmt: skip
 
     def faces(self):
         """Velocities of all faces, shapes (ny, nx + 1) and (ny + 1, nx) [m/s]."""
@@ -179,6 +182,9 @@ class ConservingFlow:
         else:
             k = dt / self._spacing
             volume_flux(self._runs, self.h, self.bed, self.u, self.v, self._qu, self._qv)
+            fill_edge_flux(
+                self.edge_is_open, self.h, self.bed, self.u, self.v, self._qu, self._qv
+            )  # fmt: skip
             move_depth(self._runs, self._qu, self._qv, k, float(self.dry), self.h, self.remainder)
             fill_depth(self.edge_is_open, self.h)
             through = self._outward(self._qu, self._qv).values()

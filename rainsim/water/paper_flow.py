@@ -8,6 +8,7 @@ import numpy as np
 
 from rainsim.water.bundles import Ground, StepNumbers
 from rainsim.water.paper import BLOCK, accelerate, accelerate_rough, extrapolate, flow
+from rainsim.water.paper_sills import find_sills
 
 ROUNDINGS = 2  # rounding units of bed and depth within which levels are equal
 CAP = 0.5  # cells per step, the most a face may be sped up to (Chentanez and Mueller 2010)
@@ -36,11 +37,14 @@ class PaperFlow:
         self._signals = np.zeros((-(-ny // BLOCK), nx), dtype)
         south = np.arange(0, ny, BLOCK)
         north = np.minimum(south + BLOCK, ny)
+        self._sills = find_sills(bed, is_open)
         self._tiles = np.stack([south, north, 0 * south, 0 * south + nx], axis=1).astype(np.int64)
 
     def start(self, u, v):
         """Set the inner face velocities, (ny, nx - 1) and (ny - 1, nx); `h` must be set before."""
         self.u[:, 1:-1], self.v[1:-1] = u, v
+        for sill in self._sills:
+            sill.note(0 * self.u, 0 * self.v)
         self._set_edges()
         self.refresh()
 
@@ -71,6 +75,8 @@ class PaperFlow:
         """Advance the depth from n to n+1; return the volume [m3] that left through open edges."""
         k = self._type(dt / self._spacing)
         self._before = self.u, self.v
+        for sill in self._sills:
+            sill.note(self.u, self.v)
         if not self.moves:
             self._swap_velocity()  # pressure and friction read the velocity at n beside the new
             self.u[:], self.v[:] = 0, 0
@@ -82,6 +88,8 @@ class PaperFlow:
         )  # fmt: skip
         self.h, self._h_spare = self._h_spare, self.h  # h at n+1
         self._swap_velocity()  # carried, not yet pushed
+        for sill in self._sills:
+            sill.give_back(float(k), self._h_spare, self.h, self.remainder, self._dry)
         return left
 
     def advance_velocity(self, dt):
@@ -131,9 +139,11 @@ class PaperFlow:
         return sum(float(q.sum()) for q in flows) * self._spacing
 
     def _set_edges(self):
-        """Edge faces: zero at walls, the outward part of the next face at open edges."""
+        """Edge faces: zero at walls, as `conserving.speed_out` has it at open edges."""
         u, v, edges = self.u, self.v, self._open
         u[:, 0] = np.minimum(u[:, 1], 0) if edges["west"] else 0
         u[:, -1] = np.maximum(u[:, -2], 0) if edges["east"] else 0
         v[0] = np.minimum(v[1], 0) if edges["south"] else 0
         v[-1] = np.maximum(v[-2], 0) if edges["north"] else 0
+        for sill in self._sills:
+            sill.speed_up(u, v)
