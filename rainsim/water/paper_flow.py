@@ -28,7 +28,7 @@ class PaperFlow:
         self._type, self._spacing, self._gravity = dtype, spacing, gravity
         self._rounding = dtype(ROUNDINGS * np.finfo(dtype).eps)
         self._dry = dtype(dry)
-        self._open, self._roughness = is_open, roughness
+        self._open, self.roughness = is_open, roughness
         self.bed = bed
         self.h, self._h_spare = np.zeros((ny, nx), dtype), np.zeros((ny, nx), dtype)
         self.u, self._u_spare = np.zeros((ny, nx + 1), dtype), np.zeros((ny, nx + 1), dtype)
@@ -100,10 +100,10 @@ class PaperFlow:
             wave=dtype(gravity * (dt / spacing) ** 2), gravity=dtype(gravity),
             cap=dtype(CAP * spacing / dt), rounding=self._rounding, dry=self._dry,
         )  # fmt: skip
-        if self._roughness is None:
+        if self.roughness is None:
             accelerate(self.h, self.bed, numbers, self.u, self.v, self._signals)
         else:
-            ground, drag = Ground(self.bed, self._roughness), dtype(gravity * dt)
+            ground, drag = Ground(self.bed, self.roughness), dtype(gravity * dt)
             accelerate_rough(
                 self.h, ground, *self._before, drag, numbers, self.u, self.v, self._signals
             )
@@ -125,6 +125,26 @@ class PaperFlow:
 
     def note_sources(self, everywhere):
         """Take note that sources have changed depths: nothing to do here."""
+
+    def note_cells(self, edge, rows, columns, rise, dt):
+        """Take note that last cells of an edge rose, see `ConservingFlow.note_cells`."""
+        deepest = float(self.h[rows, columns].max())
+        if deepest > 0.0:
+            wave = math.sqrt(self._gravity * deepest)
+            self.wave_speed = max(self.wave_speed, self.water_speed + max(wave, self.water_speed))
+
+    def saved(self):
+        """Return the arrays that make up the state, by name."""
+        numbers = np.array([self.wave_speed, self.water_speed, float(self.moves)])
+        fields = {"h": self.h, "remainder": self.remainder, "u": self.u, "v": self.v}
+        return {**fields, "numbers": numbers}
+
+    def restore(self, arrays):
+        """Take over the arrays that `saved` returned."""
+        for name in ("h", "remainder", "u", "v"):
+            getattr(self, name)[:] = arrays[name]
+        self.wave_speed, self.water_speed, moves = arrays["numbers"].tolist()
+        self.moves = bool(moves)
 
     def _swap_velocity(self):
         self.u, self._u_spare = self._u_spare, self.u
