@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rainsim.bench import cases, chart, hydraulic_cases, hydraulics, water
+from rainsim.bench import cases, chart, held_cases, hydraulic_cases, hydraulics, water
 from rainsim.jit import set_threads
 
 G = hydraulic_cases.GRAVITY
@@ -68,6 +68,34 @@ def test_the_channels_bed_is_the_integral_of_its_slope_and_has_one_critical_plac
     assert found[inside] == pytest.approx(slope[inside], rel=2e-3)
     froude = flow / np.sqrt(G * np.where(inside, case.exact[0], 1.0) ** 3)
     assert np.array_equal(froude[inside] > 1, x[inside] > 500)
+
+
+def test_the_flows_between_a_discharge_and_a_level_are_steady():
+    x = np.linspace(10, 990, 99)
+    flow, h = hydraulic_cases.CHANNEL_FLOW, held_cases.tranquil_channel_depth(x)[0]
+
+    def thrust(at):
+        return hydraulic_cases.thrust(held_cases.tranquil_channel_depth(at)[0], flow)
+
+    friction = held_cases.TRANQUIL_MANNING**2 * flow**2 / h ** (10 / 3)
+    lost = G * h * (held_cases.tranquil_channel_slope(x) + friction)
+    assert np.abs(slope_of(thrust, x, 2.0) + lost).max() < 1e-9
+    assert (flow / np.sqrt(G * h**3) < 1).all()  # tranquil
+    x = np.linspace(0.05, 24.95, 250)
+    h = held_cases.tranquil_bump_depth(x)
+    total = hydraulic_cases.head(h, held_cases.TRANQUIL_FLOW) + np.maximum(
+        0.2 - 0.05 * (x - 10) ** 2, 0
+    )
+    assert np.ptp(total) < 1e-10 and h[-1] == pytest.approx(held_cases.TRANQUIL_STAGE)
+
+
+@pytest.mark.parametrize(
+    ("name", "cells", "bound"),
+    [("bump, jump", 50, 0.01), ("bump, tranquil", 50, 0.006), ("macdonald, tranquil", 50, 0.01)],
+)
+def test_a_discharge_and_a_level_hold_the_exact_flow(name, cells, bound):
+    record = hydraulics.measure(name, cells, "accurate")
+    assert record["error"] < bound and abs(record["residual"]) < 1e-9
 
 
 def test_the_inlet_brings_the_flow():
