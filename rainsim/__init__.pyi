@@ -9,7 +9,6 @@ from rainsim.errors import GroundError as GroundError
 from rainsim.errors import InputError as InputError
 from rainsim.errors import ParameterError as ParameterError
 from rainsim.errors import RainsimError as RainsimError
-from rainsim.grid import WaterReport as WaterReport
 from rainsim.grid import WaterSolver as WaterSolver
 from rainsim.io.images import read_image as read_image
 from rainsim.io.images import write_png as write_png
@@ -39,6 +38,13 @@ from rainsim.terrain.map_files import read_terrain as read_terrain
 from rainsim.terrain.map_files import write_terrain as write_terrain
 from rainsim.terrain.types import Grid as Grid
 from rainsim.terrain.types import Terrain as Terrain
+from rainsim.water.conditions import Discharge as Discharge
+from rainsim.water.conditions import Rating as Rating
+from rainsim.water.conditions import Stage as Stage
 from rainsim.water.fill_spill_merge import standing_water as standing_water
+from rainsim.water.gauges import Gauges as Gauges
+from rainsim.water.report import WaterReport as WaterReport
+from rainsim.water.series import Series as Series
+from rainsim.water.series import read_series as read_series
 
 __version__: str

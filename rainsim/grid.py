@@ -14,7 +14,7 @@ The scheme of the first and the last line is `rainsim.water.conserving_flow.Cons
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -27,6 +27,7 @@ from rainsim.errors import (
 )
 from rainsim.ledger import Ledger
 from rainsim.water.choose import MAX_COURANT, SCHEMES, choose
+from rainsim.water.conditions import QUIET_FALL, apply_conditions, longest_step, place_all
 from rainsim.water.conserving_flow import ConservingFlow
 from rainsim.water.inputs import (
     EDGES,
@@ -41,53 +42,15 @@ from rainsim.water.inputs import (
     require_dtype,
 )
 from rainsim.water.paper_flow import PaperFlow
+from rainsim.water.report import WaterReport
+from rainsim.water.saved_state import read_solver, write_solver
+from rainsim.water.series import rain_pieces
 from rainsim.water.sources import apply_sources, drain_cells, sum_tiles
 
 DRY_DEPTH = 1e-6  # m, below this water does not flow (RainyGS supplement, step 2)
 MAX_SPEED = 1000.0  # m/s, no water on the ground is as fast: the run has diverged
 SOURCE_PERIOD = 0.02  # s, rain and losses of shorter steps are booked together
 DECIDE_EVERY = 8  # calls of `advance`, between two looks of "auto" at the water
-QUIET_FALL = 0.5  # cells that water may fall from rest in the first step that moves it
-
-
-@dataclass(frozen=True, slots=True)
-class WaterReport:
-    """Report of one call of `WaterSolver.advance`.
-
-    Attributes
-    ----------
-    time : float [s]
-        Since the state was set.
-    substeps : int
-        Steps taken; 0 if nothing moved and nothing was added.
-    scheme : str
-        Scheme that ran.
-    reason : str
-        Why this scheme.
-    ledger : Ledger
-        Volumes [m3] since the state was set; a copy.
-    residual : float
-        The ledger's residual, relative to the water supplied.
-    max_speed : float [m/s]
-        Largest face speed at the end.
-    min_depth : float [m]
-        Smallest depth at the end.
-
-    Examples
-    --------
-    >>> report = rainsim.WaterSolver(np.zeros((8, 8)), spacing=0.1).advance(1.0, rain=1e-5)
-    >>> report.time
-    1.0
-    """
-
-    time: float
-    substeps: int
-    scheme: str
-    reason: str
-    ledger: Ledger
-    residual: float
-    max_speed: float
-    min_depth: float
 
 
 class WaterSolver:
@@ -107,7 +70,7 @@ class WaterSolver:
         One for all edges, or by edge: west, east, south, north (edges left out are walls). Water
         leaves through an open edge at the speed that it has just inside; none comes in.
     manning : float or array_like of shape (ny, nx) [s m^(-1/3)]
-        Manning's roughness; 0 is no friction.
+        Manning's roughness. There is no friction unless it or the viscosity is given.
     kinematic_viscosity : float [m2/s]
         Drag of a laminar film, 3 nu u / h^2; 0 is none. Not for "paper".
     gravity : float [m/s2]
@@ -122,6 +85,8 @@ class WaterSolver:
         Cells that lose water at up to that rate.
     dtype : numpy.float32 or numpy.float64
         Type of the fields. Volumes are float64 either way.
+    conditions : list of Stage, Discharge or Rating, optional
+        Given levels, discharges and rating curves on parts of edges that are walls.
 
     Attributes
     ----------
@@ -131,6 +96,10 @@ class WaterSolver:
         Depth held back in each cell, its limit, and what the ground takes.
     drains : tuple of ndarray
         Rows, columns and rates [m3/s].
+    is_open : dict
+        Whether each edge is open.
+    conditions : list
+        Each with the `volume` [m3] that came in through it and the `flow` [m3/s] of the last step.
 
     Notes
     -----
@@ -162,6 +131,7 @@ class WaterSolver:
         infiltration=None,
         drains=None,
         dtype=np.float32,
+        conditions=None,
     ):
         bed = require_bed(bed)
         self.shape = bed.shape
@@ -186,6 +156,8 @@ class WaterSolver:
             self.flow = PaperFlow(*common)
         else:
             self.flow = ConservingFlow(*common, viscosity, is_lean=scheme == "lean")
+        self.is_open = open_edges(boundary)
+        self.conditions = place_all(conditions, bed, self.flow.pad, self.is_open)
         self.storage, self.infiltration = self._framed(storage), self._framed(infiltration)
         self.film, self._rain = self._framed(0.0), self._framed(0.0)
         self.has_storage, self.has_infiltration = bool(storage.any()), bool(infiltration.any())
@@ -232,6 +204,8 @@ class WaterSolver:
         self.settled = False  # whether a step has shown that pressure moves nothing
         self._choose_scheme()
         self.time = self._unbooked_time = 0.0
+        for condition in self.conditions:
+            condition.reset()
         self._ledger = Ledger()
         self._book_standing_water()
         self._ledger.initial = self._ledger.ground + self._ledger.film
@@ -328,8 +302,16 @@ class WaterSolver:
 
     # -- time ----------------------------------------------------------------------------------
 
-    def advance(self, duration, rain=0.0):
-        """Advance by `duration` [s] under `rain` (a rate [m/s] or a map of rates).
+    def advance(self, duration, rain=0.0, progress=None):
+        """Advance by `duration` [s] under `rain` (a rate [m/s], a map of rates or a `Series`).
+
+        Parameters
+        ----------
+        duration : float [s]
+        rain : float, array_like of shape (ny, nx) or Series [m/s]
+        progress : callable, optional
+            Called with the time [s] after each step. Where it returns False the solver stops; the
+            time of the report says where, and the next call goes on from there.
 
         Returns
         -------
@@ -341,7 +323,6 @@ class WaterSolver:
             If the state is no longer finite or flows faster than water can.
         """
         end = self.time + require_not_negative("duration", duration, "s")
-        self._set_rain(rain)
         if self._has_deposits:
             self._apply_sources(0.0)
             self.flow.refresh()
@@ -349,6 +330,18 @@ class WaterSolver:
         self._advances += 1
         if self.flow.moves and self._advances % DECIDE_EVERY == 0:
             self._choose_scheme()
+        substeps = 0
+        for stop, rate in rain_pieces(rain, self.time, end):
+            self._set_rain(rate)
+            taken, goes_on = self._advance_to(stop, progress)
+            substeps += taken
+            if not goes_on:
+                break
+        self._book_standing_water()
+        return self._report(substeps)
+
+    def _advance_to(self, end, progress):
+        """Step to the time `end` [s]; return the steps taken and whether it was reached."""
         substeps = 0
         while end > self.time:
             if self._is_at_rest():
@@ -360,12 +353,24 @@ class WaterSolver:
             substeps += 1
             self.time = end if steps == 1 else self.time + left / steps
             self._require_possible_speed()
-        self._book_standing_water()
-        return self._report(substeps)
+            if progress is not None and progress(self.time) is False:
+                if self._unbooked_time > 0.0:  # the next call may bring another rain
+                    self._apply_sources(self._unbooked_time)
+                    self._unbooked_time = 0.0
+                return substeps, False
+        return substeps, True
+
+    def save(self, path):
+        """Write the whole state to a file (.npz), from which `load` goes on to the same bytes."""
+        write_solver(self, path)
+
+    def load(self, path):
+        """Take the state that `save` wrote; this solver must be made as that one was."""
+        read_solver(self, path)
 
     def _is_at_rest(self):
         """Whether a step would change no number."""
-        if self.flow.moves or not self.settled or self._rain_sum > 0.0:
+        if self.flow.moves or not self.settled or self._rain_sum > 0.0 or self.conditions:
             return False
         holds_water = self.flow.h.any() or self.flow.remainder.any() or self.film.any()
         return not (self.has_losses and holds_water)
@@ -379,11 +384,18 @@ class WaterSolver:
             dt = min(dt, (self.courant * self.spacing) ** (2 / 3) / rate ** (1 / 3))
             if not self.flow.moves:
                 dt = min(dt, math.sqrt(QUIET_FALL * self.spacing / self.gravity))
+        if self.conditions:
+            dt = longest_step(self, dt)
         return dt
 
     def _step(self, dt, last):
         """Advance depth, sources and velocity by `dt` [s]; see the module's docstring."""
         self._ledger.outflow += self.flow.advance_depth(dt)  # h at n+1
+        if self.conditions:
+            came, left = apply_conditions(self, self.time, self.time + dt, DRY_DEPTH)
+            self._ledger.inflow, self._ledger.outflow = (
+                self._ledger.inflow + came, self._ledger.outflow + left
+            )  # fmt: skip
         if self._rain_sum > 0.0 or self.has_storage or self.has_losses:
             self._unbooked_time += dt
             if last or self._unbooked_time >= SOURCE_PERIOD:

@@ -24,7 +24,8 @@ class Ledger:
     rain : float
         Rain since then, as a rate or as drops; with airborne water every drop that was released.
     inflow : float
-        Water that rose from outside the map, where keyframes raise the water level.
+        Water that came from outside the map: through a `Stage` or a `Discharge`, and where
+        keyframes raise the water level.
     ground : float
         Water on the ground that can flow, with the traces too thin to flow.
     film : float

@@ -41,6 +41,8 @@ class Case:
         What the case's own error needs: "deep" [m], water without the ripple. "supply" [m/s]: a map
         of rain that falls all the time. "rate" [m/s]: rain until "until" [s], for a hydrograph
         "flow" over "time" [s] at "gauge" [m] from the west [m2/s], or at the edge "edge" [m3/s].
+        "conditions": what makes the conditions at the edges. "u" [m/s]: velocity eastwards at the
+        start.
     """
 
     name: str

@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from rainsim.bench import cases, hydraulic_cases, water
+from rainsim.bench import cases, held_cases, hydraulic_cases, water
 from rainsim.bench.chart import draw_fronts
 from rainsim.bench.suite import machine, markdown, quiet
 from rainsim.jit import set_threads
@@ -27,6 +27,9 @@ SUITE = {
     "ritter": (cases.ritter, (128, 256, 512), (64, 128)),
     "bowl planar": (cases.bowl_planar, (50, 100, 200), (30, 60)),
     "bump": (hydraulic_cases.bump, (140, 280, 560), (70, 140)),
+    "bump, jump": (held_cases.bump_jump, (100, 200, 400), (50, 100)),
+    "bump, tranquil": (held_cases.bump_tranquil, (100, 200, 400), (50, 100)),
+    "macdonald, tranquil": (held_cases.macdonald_tranquil, (50, 100, 200), (30, 60)),
     "macdonald": (hydraulic_cases.macdonald, (50, 100, 200), (30, 60)),
     "macdonald rain": (hydraulic_cases.macdonald_rain, (50, 100, 200), (30, 60)),
     "macdonald rain, carried": (hydraulic_cases.macdonald_carried, (50, 100, 200), (30, 60)),
@@ -38,8 +41,7 @@ SUITE = {
 REPEATS = {False: 2, True: 1}  # runs of a case, of which the fastest counts
 NEARLY = 0.95  # of the steady flow, whose time is compared
 LEFT_OUT = {
-    "bumps and channels with a tranquil outlet": "no edge holds a level; a second bump does",
-    "channels that the water enters fast": "no edge prescribes depth and speed",
+    "channels that the water enters fast": "no edge takes depth and speed at once",
     "Dressler's dam break": "Chezy's friction, of which the solver has none, and it is asymptotic",
     "Thacker's bowl with friction": "linear in the velocity (Sampson et al. 2006); the solver has "
     "Manning's and a laminar film's",

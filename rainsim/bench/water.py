@@ -38,9 +38,9 @@ def solve(case, scheme, dtype=np.float32):
     """Run a case; return the solver, its last report, the steps, seconds and gauge readings."""
     solver = WaterSolver(
         case.bed, case.spacing, scheme=scheme, boundary=case.boundary, manning=case.manning,
-        gravity=cases.GRAVITY, dtype=dtype,
+        gravity=cases.GRAVITY, dtype=dtype, conditions=case.extra.get("conditions", list)(),
     )  # fmt: skip
-    solver.set_state(case.depth, v=case.v)
+    solver.set_state(case.depth, u=case.extra.get("u"), v=case.v)
     steps, readings = 0, []
     start = time.perf_counter()
     if "flow" not in case.extra:

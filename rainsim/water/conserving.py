@@ -386,23 +386,87 @@ def fill_depth(kinds, a_out):
         a_out[ny - 1, i] = a_out[ny - 3, i] if kinds[3] else a_out[ny - 4, i]
 
 
+@device_function
+def depth_into_edge_cell(deep, step):
+    """Depth that flows into a last cell whose bed is `step` above that of its neighbour, `deep`."""
+    return max(deep - max(step, ZERO), ZERO)
+
+
+@device_function
+def speed_out(speed, here, behind, step):
+    """Outward speed through an open edge.
+
+    Water leaves at the speed that it has just inside. Over a last cell whose bed is `step` above
+    its neighbour's it goes on gaining speed as it does before the edge; without that the sill holds
+    whatever depth has gathered, with it the flow over it becomes critical. Water at rest stays.
+
+    Parameters
+    ----------
+    speed : float [m/s]
+        Outward, of the face just inside.
+    here, behind : float [m/s]
+        Outward, one step earlier, of that face and of the next one inward.
+    step : float [m]
+    """
+    leaves = max(speed, ZERO)
+    return leaves + (min(max(here - behind, ZERO), leaves) if step > ZERO else ZERO)
+
+
 @serial_kernel
-def fill_velocity(kinds, u_out, v_out):
+def fill_edge_flux(kinds, h, bed, u, v, qu_out, qv_out):
+    """Let only what stands above a higher last cell flow into it, towards an open edge.
+
+    With the whole depth of its neighbour the cell would gain more than it passes on, and dam up.
+
+    Parameters
+    ----------
+    kinds : ndarray of shape (4,), int64
+        1 where the west, east, south, north edge is open, 0 where it is a wall.
+    h, bed : ndarray of shape (ny + 4, nx + 4) [m]
+    u, v : ndarray of shape (ny + 4, nx + 5) and (ny + 5, nx + 4) [m/s]
+    qu_out, qv_out : as u and v [m2/s]
+        Volume flux, in which the faces of those cells are changed.
+    """
+    ny, nx = h.shape
+    for j in range(PAD, ny - PAD):
+        step = bed[j, 2] - bed[j, 3]
+        if kinds[0] and step > ZERO and u[j, 3] < ZERO:
+            qu_out[j, 3] = u[j, 3] * depth_into_edge_cell(h[j, 3], step)
+        step = bed[j, nx - 3] - bed[j, nx - 4]
+        if kinds[1] and step > ZERO and u[j, nx - 3] > ZERO:
+            qu_out[j, nx - 3] = u[j, nx - 3] * depth_into_edge_cell(h[j, nx - 4], step)
+    for i in range(PAD, nx - PAD):
+        step = bed[2, i] - bed[3, i]
+        if kinds[2] and step > ZERO and v[3, i] < ZERO:
+            qv_out[3, i] = v[3, i] * depth_into_edge_cell(h[3, i], step)
+        step = bed[ny - 3, i] - bed[ny - 4, i]
+        if kinds[3] and step > ZERO and v[ny - 3, i] > ZERO:
+            qv_out[ny - 3, i] = v[ny - 3, i] * depth_into_edge_cell(h[ny - 4, i], step)
+
+
+@serial_kernel
+def fill_velocity(kinds, bed, u, v, u_out, v_out):
     """Set the velocity of the edge faces and of the ghost faces beyond them.
 
-    Nothing crosses a wall, and beyond it the flow is mirrored. Water leaves through an open edge at
-    the speed that it has just inside; none comes in.
+    Nothing crosses a wall, and beyond it the flow is mirrored. Water leaves through an open edge as
+    `speed_out` says; none comes in. `u` and `v` are the velocity one step earlier.
     """
     ny, nx = v_out.shape[0] - 1, u_out.shape[1] - 1
     for j in range(PAD, ny - PAD):
-        west, east = min(u_out[j, 3], ZERO), max(u_out[j, nx - 3], ZERO)
+        step = bed[j, 2] - bed[j, 3]
+        west = -speed_out(-u_out[j, 3], -u[j, 3], -u[j, 4], step)
+        step = bed[j, nx - 3] - bed[j, nx - 4]
+        east = speed_out(u_out[j, nx - 3], u[j, nx - 3], u[j, nx - 4], step)
         u_out[j, 2] = west if kinds[0] else ZERO
         u_out[j, nx - 2] = east if kinds[1] else ZERO
         u_out[j, 1] = u_out[j, 2] if kinds[0] else -u_out[j, 3]
         u_out[j, nx - 1] = u_out[j, nx - 2] if kinds[1] else -u_out[j, nx - 3]
         u_out[j, 0], u_out[j, nx] = u_out[j, 1], u_out[j, nx - 1]
     for i in range(PAD, nx - PAD):
-        south, north = min(v_out[3, i], ZERO), max(v_out[ny - 3, i], ZERO)
+        step = bed[2, i] - bed[3, i]
+        south = -speed_out(-v_out[3, i], -v[3, i], -v[4, i], step)
+        step = bed[ny - 3, i] - bed[ny - 4, i]
+        north = speed_out(v_out[ny - 3, i], v[ny - 3, i], v[ny - 4, i], step)
         v_out[2, i] = south if kinds[2] else ZERO
         v_out[ny - 2, i] = north if kinds[3] else ZERO
         v_out[1, i] = v_out[2, i] if kinds[2] else -v_out[3, i]

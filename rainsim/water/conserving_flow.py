@@ -15,6 +15,7 @@ from rainsim.water.conserving import (
     PAD,
     accelerate,
     fill_depth,
+    fill_edge_flux,
     fill_velocity,
     move_depth,
     volume_flux,
@@ -118,7 +119,9 @@ class ConservingFlow:
 
     def _fill_ghosts(self):
         fill_depth(self.edge_is_open, self.h)
-        fill_velocity(self.edge_is_open, self.u, self.v)
+        fill_velocity(
+            self.edge_is_open, self.bed, self._u_spare, self._v_spare, self.u, self.v
+        )  # fmt: skip
 
     def faces(self):
         """Velocities of all faces, shapes (ny, nx + 1) and (ny + 1, nx) [m/s]."""
@@ -152,9 +155,15 @@ class ConservingFlow:
         deepest, highest = (float(peak) for peak in peaks.max(axis=1))
         if deepest <= 0.0:
             return
-        fall = max(highest - self.lowest_bed, 0.0)
-        bound = 2 * math.sqrt(self._gravity * deepest) + math.sqrt(2 * self._gravity * fall)
-        self.cap = max(self.cap, bound, self.water_speed if self._steps == 0 else 0.0)
+        self._raise_cap_to(deepest, highest)
+        self.cap = max(self.cap, self.water_speed if self._steps == 0 else 0.0)
+
+    def _raise_cap_to(self, deepest, highest):
+        """Raise the cap for water of that depth and that level [m]."""
+        if deepest > 0.0:
+            fall = max(highest - self.lowest_bed, 0.0)
+            bound = 2 * math.sqrt(self._gravity * deepest) + math.sqrt(2 * self._gravity * fall)
+            self.cap = max(self.cap, bound)
 
     # -- step --------------------------------------------------------------------------------------
 
@@ -179,6 +188,9 @@ class ConservingFlow:
         else:
             k = dt / self._spacing
             volume_flux(self._runs, self.h, self.bed, self.u, self.v, self._qu, self._qv)
+            fill_edge_flux(
+                self.edge_is_open, self.h, self.bed, self.u, self.v, self._qu, self._qv
+            )  # fmt: skip
             move_depth(self._runs, self._qu, self._qv, k, float(self.dry), self.h, self.remainder)
             fill_depth(self.edge_is_open, self.h)
             through = self._outward(self._qu, self._qv).values()
@@ -263,6 +275,30 @@ class ConservingFlow:
         self._fill_ghosts()
         self._note_speeds(*speeds)
 
+    # -- file -----------------------------------------------------------------------------------
+
+    SAVED = "h", "_h_spare", "remainder", "u", "_u_spare", "_qu", "v", "_v_spare", "_qv"
+    SAVED_NUMBERS = (
+        "cap", "_steps", "is_at_whole_step", "_lead", "wave_speed", "water_speed", "moves",
+    )  # fmt: skip
+
+    def saved(self):
+        """Return the arrays that make up the state, by name."""
+        fields = {name.strip("_"): getattr(self, name) for name in self.SAVED}
+        numbers = np.array([float(getattr(self, name)) for name in self.SAVED_NUMBERS])
+        return {**fields, "numbers": numbers, "still_steps": self._still_steps}
+
+    def restore(self, arrays):
+        """Take over the arrays that `saved` returned."""
+        for name in self.SAVED:
+            getattr(self, name)[:] = arrays[name.strip("_")]
+        for name, number in zip(self.SAVED_NUMBERS, arrays["numbers"].tolist(), strict=True):
+            kind = {"_steps": int, "is_at_whole_step": bool, "moves": bool}.get(name, float)
+            setattr(self, name, kind(number))
+        self._still_steps[:] = arrays["still_steps"]
+        self._changed[:] = True
+        self._activate(slice(0, 0))
+
     # -- tiles -------------------------------------------------------------------------------------
 
     def tiles(self, everywhere):
@@ -281,6 +317,39 @@ class ConservingFlow:
             self._changed[:] = True
             self._activate(self._wet_tiles())
         fill_depth(self.edge_is_open, self.h)
+
+    def note_cells(self, edge, rows, columns, rise, dt):
+        """Take note that last cells of an edge rose within a step.
+
+        Parameters
+        ----------
+        edge : str
+        rows, columns : ndarray of int
+        rise : ndarray [m]
+            Of each cell.
+        dt : float [s]
+            Of the step.
+        """
+        if self.is_lean:
+            self._press(edge, rows + PAD, columns + PAD, rise, dt)
+        tiles = rows // ROWS * self._tile_shape[1] + columns // COLUMNS
+        self._changed[tiles] = True
+        self._activate(tiles)
+        fill_depth(self.edge_is_open, self.h)
+        at = rows + PAD, columns + PAD
+        self._raise_cap_to(float(self.h[at].max()), float((self.h[at] + self.bed[at]).max()))
+
+    def _press(self, edge, j, i, rise, dt):
+        """Give the faces inside the edge the pressure of a rise [m] that "lean" did not see.
+
+        It takes the velocity to n+3/2 together with the depth, before the cells rise.
+        """
+        sign = self._type(1 if edge in ("west", "south") else -1)
+        w = self.u if edge in ("west", "east") else self.v
+        at = j + (edge == "south"), i + (edge == "west")
+        pushed = w[at] + sign * (self._gravity * dt / self._spacing * rise).astype(self._type)
+        cap = self._type(self.cap)
+        w[at] = np.where(w[at] != 0, np.clip(pushed, -cap, cap), 0)  # closed faces stay closed
 
     def _wet_tiles(self):
         """Whether each tile holds water that can flow."""

@@ -8,6 +8,7 @@ import numpy as np
 
 from rainsim.water.bundles import Ground, StepNumbers
 from rainsim.water.paper import BLOCK, accelerate, accelerate_rough, extrapolate, flow
+from rainsim.water.paper_sills import find_sills
 
 ROUNDINGS = 2  # rounding units of bed and depth within which levels are equal
 CAP = 0.5  # cells per step, the most a face may be sped up to (Chentanez and Mueller 2010)
@@ -27,7 +28,7 @@ class PaperFlow:
         self._type, self._spacing, self._gravity = dtype, spacing, gravity
         self._rounding = dtype(ROUNDINGS * np.finfo(dtype).eps)
         self._dry = dtype(dry)
-        self._open, self._roughness = is_open, roughness
+        self._open, self.roughness = is_open, roughness
         self.bed = bed
         self.h, self._h_spare = np.zeros((ny, nx), dtype), np.zeros((ny, nx), dtype)
         self.u, self._u_spare = np.zeros((ny, nx + 1), dtype), np.zeros((ny, nx + 1), dtype)
@@ -36,11 +37,14 @@ class PaperFlow:
         self._signals = np.zeros((-(-ny // BLOCK), nx), dtype)
         south = np.arange(0, ny, BLOCK)
         north = np.minimum(south + BLOCK, ny)
+        self._sills = find_sills(bed, is_open)
         self._tiles = np.stack([south, north, 0 * south, 0 * south + nx], axis=1).astype(np.int64)
 
     def start(self, u, v):
         """Set the inner face velocities, (ny, nx - 1) and (ny - 1, nx); `h` must be set before."""
         self.u[:, 1:-1], self.v[1:-1] = u, v
+        for sill in self._sills:
+            sill.note(0 * self.u, 0 * self.v)
         self._set_edges()
         self.refresh()
 
@@ -71,6 +75,8 @@ class PaperFlow:
         """Advance the depth from n to n+1; return the volume [m3] that left through open edges."""
         k = self._type(dt / self._spacing)
         self._before = self.u, self.v
+        for sill in self._sills:
+            sill.note(self.u, self.v)
         if not self.moves:
             self._swap_velocity()  # pressure and friction read the velocity at n beside the new
             self.u[:], self.v[:] = 0, 0
@@ -82,6 +88,8 @@ class PaperFlow:
         )  # fmt: skip
         self.h, self._h_spare = self._h_spare, self.h  # h at n+1
         self._swap_velocity()  # carried, not yet pushed
+        for sill in self._sills:
+            sill.give_back(float(k), self._h_spare, self.h, self.remainder, self._dry)
         return left
 
     def advance_velocity(self, dt):
@@ -92,10 +100,10 @@ class PaperFlow:
             wave=dtype(gravity * (dt / spacing) ** 2), gravity=dtype(gravity),
             cap=dtype(CAP * spacing / dt), rounding=self._rounding, dry=self._dry,
         )  # fmt: skip
-        if self._roughness is None:
+        if self.roughness is None:
             accelerate(self.h, self.bed, numbers, self.u, self.v, self._signals)
         else:
-            ground, drag = Ground(self.bed, self._roughness), dtype(gravity * dt)
+            ground, drag = Ground(self.bed, self.roughness), dtype(gravity * dt)
             accelerate_rough(
                 self.h, ground, *self._before, drag, numbers, self.u, self.v, self._signals
             )
@@ -118,6 +126,26 @@ class PaperFlow:
     def note_sources(self, everywhere):
         """Take note that sources have changed depths: nothing to do here."""
 
+    def note_cells(self, edge, rows, columns, rise, dt):
+        """Take note that last cells of an edge rose, see `ConservingFlow.note_cells`."""
+        deepest = float(self.h[rows, columns].max())
+        if deepest > 0.0:
+            wave = math.sqrt(self._gravity * deepest)
+            self.wave_speed = max(self.wave_speed, self.water_speed + max(wave, self.water_speed))
+
+    def saved(self):
+        """Return the arrays that make up the state, by name."""
+        numbers = np.array([self.wave_speed, self.water_speed, float(self.moves)])
+        fields = {"h": self.h, "remainder": self.remainder, "u": self.u, "v": self.v}
+        return {**fields, "numbers": numbers}
+
+    def restore(self, arrays):
+        """Take over the arrays that `saved` returned."""
+        for name in ("h", "remainder", "u", "v"):
+            getattr(self, name)[:] = arrays[name]
+        self.wave_speed, self.water_speed, moves = arrays["numbers"].tolist()
+        self.moves = bool(moves)
+
     def _swap_velocity(self):
         self.u, self._u_spare = self._u_spare, self.u
         self.v, self._v_spare = self._v_spare, self.v
@@ -131,9 +159,11 @@ class PaperFlow:
         return sum(float(q.sum()) for q in flows) * self._spacing
 
     def _set_edges(self):
-        """Edge faces: zero at walls, the outward part of the next face at open edges."""
+        """Edge faces: zero at walls, as `conserving.speed_out` has it at open edges."""
         u, v, edges = self.u, self.v, self._open
         u[:, 0] = np.minimum(u[:, 1], 0) if edges["west"] else 0
         u[:, -1] = np.maximum(u[:, -2], 0) if edges["east"] else 0
         v[0] = np.minimum(v[1], 0) if edges["south"] else 0
         v[-1] = np.maximum(v[-2], 0) if edges["north"] else 0
+        for sill in self._sills:
+            sill.speed_up(u, v)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rainsim.bench import cases, chart, hydraulic_cases, hydraulics, water
+from rainsim.bench import cases, chart, held_cases, hydraulic_cases, hydraulics, water
 from rainsim.jit import set_threads
 
 G = hydraulic_cases.GRAVITY
@@ -70,6 +70,34 @@ def test_the_channels_bed_is_the_integral_of_its_slope_and_has_one_critical_plac
     assert np.array_equal(froude[inside] > 1, x[inside] > 500)
 
 
+def test_the_flows_between_a_discharge_and_a_level_are_steady():
+    x = np.linspace(10, 990, 99)
+    flow, h = hydraulic_cases.CHANNEL_FLOW, held_cases.tranquil_channel_depth(x)[0]
+
+    def thrust(at):
+        return hydraulic_cases.thrust(held_cases.tranquil_channel_depth(at)[0], flow)
+
+    friction = held_cases.TRANQUIL_MANNING**2 * flow**2 / h ** (10 / 3)
+    lost = G * h * (held_cases.tranquil_channel_slope(x) + friction)
+    assert np.abs(slope_of(thrust, x, 2.0) + lost).max() < 1e-9
+    assert (flow / np.sqrt(G * h**3) < 1).all()  # tranquil
+    x = np.linspace(0.05, 24.95, 250)
+    h = held_cases.tranquil_bump_depth(x)
+    total = hydraulic_cases.head(h, held_cases.TRANQUIL_FLOW) + np.maximum(
+        0.2 - 0.05 * (x - 10) ** 2, 0
+    )
+    assert np.ptp(total) < 1e-10 and h[-1] == pytest.approx(held_cases.TRANQUIL_STAGE)
+
+
+@pytest.mark.parametrize(
+    ("name", "cells", "bound"),
+    [("bump, jump", 50, 0.01), ("bump, tranquil", 50, 0.006), ("macdonald, tranquil", 50, 0.01)],
+)
+def test_a_discharge_and_a_level_hold_the_exact_flow(name, cells, bound):
+    record = hydraulics.measure(name, cells, "accurate")
+    assert record["error"] < bound and abs(record["residual"]) < 1e-9
+
+
 def test_the_inlet_brings_the_flow():
     for case, flow in (
         (hydraulic_cases.bump(70), hydraulic_cases.BUMP_FLOW),
@@ -131,7 +159,7 @@ def test_an_open_edge_holds_what_stands_there_and_passes_what_flows():
     assert solver.discharge("east") == pytest.approx(inflow, rel=5e-3)
     solver.set_state(1.0 - case.bed)  # a lake with a level surface
     assert solver.advance(1.0).max_speed == 0 and solver.discharge("east") == 0
-    assert hydraulics.at_sill("accurate")["leaves"] < 0.9  # a sill in the last cell: see the page
+    assert hydraulics.at_sill("accurate")["leaves"] == pytest.approx(1, abs=1e-3)
 
 
 def test_cells_without_an_exact_depth_do_not_count():
@@ -158,7 +186,7 @@ def test_a_quick_run_has_every_case(tmp_path):
     for part in ("| bump | 70 |", "| order |", "| catchment |", "| sill at an open edge |"):
         assert part in text
     assert water.line(result["records"][0]).startswith("stoker")
-    assert result["sill"]["lean"]["leaves"] > 0.9
+    assert result["sill"]["lean"]["leaves"] > 0.999
     chart.require_matplotlib()
     hydraulics.draw(result, tmp_path / "c.png")
     assert (tmp_path / "c.png").stat().st_size > 10_000

@@ -50,6 +50,31 @@ def test_a_frame_is_that_of_the_cpu():
     assert abs(found["residual"]) < 1e-7
 
 
+@pytest.mark.parametrize("edge", ["west", "east", "south", "north"])
+def test_water_leaves_over_a_higher_last_cell_as_on_the_cpu(edge):
+    bed = np.zeros((N, N))
+    last = {"west": np.s_[:, 0], "east": np.s_[:, -1], "south": np.s_[0], "north": np.s_[-1]}[edge]
+    bed[last] = 0.004
+    step = WaterSolver(bed, 0.01, scheme="lean", boundary={edge: "open"})
+    y, x = np.mgrid[:N, :N] / N
+    rise = {"west": 1 - x, "east": x, "south": 1 - y, "north": y}[edge]
+    away = {"west": -1, "south": -1}.get(edge, 1) * 0.05 * rise  # gains speed outward
+    step.set_state(0.01 - bed, **({"u": away} if edge in ("west", "east") else {"v": away}))
+    water = Water(step, capacity=4)
+    for _ in range(2):
+        steps = step.advance(1 / 30).substeps
+        assert water.advance(1 / 30, added=False) == steps
+    depth, u, v = water.fields()
+    wanted_u, wanted_v = step.flow.faces()
+    np.testing.assert_allclose(depth, step.depth, atol=1e-8)
+    np.testing.assert_allclose(u, wanted_u, atol=1e-6)
+    np.testing.assert_allclose(v, wanted_v, atol=1e-6)
+    inside, out = {"west": (u[:, 1], u[:, 0]), "east": (u[:, -2], u[:, -1]),
+                   "south": (v[1], v[0]), "north": (v[-2], v[-1])}[edge]  # fmt: skip
+    assert (np.abs(out) > 1.01 * np.abs(inside)).all()
+    assert water.ledger().outflow == pytest.approx(step.ledger.outflow, rel=1e-6)
+
+
 def test_drains_take_what_they_do_on_the_cpu():
     drains = [(10, 5, 4e-6), (11, 5, 1e-4), (2, 14, 1e-5)]  # the second takes all that comes
     solver, exposure = basin(drains=drains, infiltration=0.0)

@@ -56,7 +56,7 @@ from rainsim.cuda.water.step_control import (
     raised,
 )
 from rainsim.grid import MAX_SPEED
-from rainsim.water.conserving import PAD, depth_over_step, wave_speed
+from rainsim.water.conserving import PAD, depth_over_step, speed_out, wave_speed
 from rainsim.water.friction import slowed
 from rainsim.water.lean import accelerated, upwind_flux, upwind_gain
 from rainsim.water.sources import infiltrate_and_fill
@@ -250,19 +250,20 @@ def step(
                     if i == PAD:
                         passed -= np.float64(q_c)
                     if i == PAD + 1 and kinds & WEST:
-                        u_out[at - _ONE] = min(x, ZERO)
+                        u_out[at - _ONE] = -speed_out(-x, -u_c, -u_e, -t_c)
                     if i == last_column:
                         passed += np.float64(q_e)
                         if kinds & EAST:
-                            u_out[at + _ONE] = max(x, ZERO)
+                            u_out[at + _ONE] = speed_out(x, u_c, u_w, t_c)
                     if lowest and row == 1:
                         passed -= np.float64(q_s)
                     if lowest and row == 2 and kinds & SOUTH:
-                        v_out[np.uint64(np.uint32(place - wide))] = min(y, ZERO)
+                        south = np.uint64(np.uint32(place - wide))
+                        v_out[south] = -speed_out(-y, -v_c, -v_n, -t_s)
                     if highest and left == 0:
                         passed += np.float64(q_n)
                         if kinds & NORTH:
-                            v_out[north] = max(y, ZERO)
+                            v_out[north] = speed_out(y, v_c, v_s, t_s)
                     through[lane] += passed
             d_s, e_s, r_s, q_ss, q_cs, q_es, u_s, u_es = d, e, r_c, q_s, q_c, q_e, u_c, u_e
             t_s = t_n

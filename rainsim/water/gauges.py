@@ -1,0 +1,104 @@
+"""Readings of a `WaterSolver` over time: depths and speeds in cells, hydrographs of edges."""
+
+from __future__ import annotations
+
+import csv
+from collections import Counter
+
+import numpy as np
+
+from rainsim.errors import ParameterError, require_not_negative, require_positive
+from rainsim.io.files import replacing
+from rainsim.water.inputs import EDGES
+
+
+class Gauges:
+    """Gauges in cells, and hydrographs of the open edges and of the conditions.
+
+    Parameters
+    ----------
+    solver : WaterSolver
+    cells : dict of str to (int, int), optional
+        Row and column of each gauge by its name.
+
+    Attributes
+    ----------
+    names : list of str
+        Of the columns: the time; for each gauge its depth and its speeds towards east and north;
+        for each open edge the flow that leaves; for each condition the flow that came in over the
+        last step, less what left. The examples show how they are spelt.
+    rows : list of list of float
+        One for each reading.
+
+    Examples
+    --------
+    >>> slope = -0.02 * np.arange(50.0) * np.ones((4, 1))
+    >>> solver = rainsim.WaterSolver(slope, 1.0, boundary={"east": "open"}, manning=0.02)
+    >>> gauges = rainsim.Gauges(solver, {"middle": (2, 25)})
+    >>> report = gauges.run(60.0, period=20.0, rain=rainsim.mm_per_hour(50))
+    >>> gauges.names
+    ['time_s', 'middle_depth_m', 'middle_u_m_s', 'middle_v_m_s', 'outflow_east_m3_s']
+    >>> [row[0] for row in gauges.rows]
+    [20.0, 40.0, 60.0]
+    """
+
+    def __init__(self, solver, cells=None):
+        self._solver, self.rows = solver, []
+        for name, (row, column) in (cells or {}).items():
+            if not (0 <= row < solver.shape[0] and 0 <= column < solver.shape[1]):
+                raise ParameterError(
+                    f"gauge {name!r} is at row {row}, column {column}; the map has rows from 0 to "
+                    f"{solver.shape[0] - 1} and columns from 0 to {solver.shape[1] - 1}"
+                )
+        self._cells = [(int(row), int(column)) for row, column in (cells or {}).values()]
+        self._edges = [edge for edge in EDGES if solver.is_open[edge]]
+        names = [f"{name}_{what}" for name in cells or {} for what in ("depth_m", "u_m_s", "v_m_s")]
+        names += [f"outflow_{edge}_m3_s" for edge in self._edges]
+        seen = Counter()
+        for condition in solver.conditions:
+            name = f"inflow_{type(condition).__name__.lower()}_{condition.edge}"
+            seen[name] += 1
+            names.append(f"{name}{'' if seen[name] == 1 else f'_{seen[name]}'}_m3_s")
+        self.names = ["time_s", *names]
+
+    def read(self):
+        """Take a reading of the present state."""
+        solver, flow = self._solver, self._solver.flow
+        (u, v), row = flow.faces(), [solver.time]
+        for j, i in self._cells:
+            at = j + solver.flow.pad, i + solver.flow.pad
+            wet = solver.flow.h[at] > 0
+            row.append(
+                float(solver.film[at]) + float(solver.flow.h[at] + solver.flow.remainder[at])
+            )
+            row.append(0.5 * float(u[j, i] + u[j, i + 1]) if wet else 0.0)
+            row.append(0.5 * float(v[j, i] + v[j + 1, i]) if wet else 0.0)
+        row += [solver.discharge(edge) for edge in self._edges]
+        row += [condition.flow for condition in solver.conditions]
+        self.rows.append(row)
+
+    def run(self, duration, period, rain=0.0, progress=None):
+        """Advance the solver by `duration` [s] with a reading every `period` [s].
+
+        `rain` and `progress` are those of `WaterSolver.advance`; where `progress` returns False the
+        run stops, without a reading of that moment. Returns the last `WaterReport`.
+        """
+        require_positive("period", period, "s")
+        begin = self._solver.time
+        end = begin + require_not_negative("duration", duration, "s")
+        count = int(np.ceil((end - begin) / period - 1e-9))
+        report = self._solver.advance(0.0, rain)
+        for n in range(1, count + 1):
+            stop = end if n == count else begin + n * period
+            report = self._solver.advance(max(stop - self._solver.time, 0.0), rain, progress)
+            if report.time < stop - 1e-9 * max(abs(stop), 1.0):
+                break
+            self.read()
+        return report
+
+    def write(self, path):
+        """Write all readings as a CSV table with a line of names."""
+        with replacing(path) as temporary, open(temporary, "w", newline="") as file:
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerow(self.names)
+            writer.writerows([[f"{number:.9g}" for number in row] for row in self.rows])
