@@ -308,6 +308,11 @@ def _require_lean(solver, flow):
             f"the water scheme is {solver.scheme!r} in {flow.h.dtype}; on a CUDA device it must be "
             '"lean" in float32, which "auto" takes; give that, or backend "cpu"'
         )
+    if solver.conditions:
+        raise ParameterError(
+            f"the solver has {len(solver.conditions)} conditions of edges; a CUDA device has none; "
+            'leave them out, or take backend "cpu"'
+        )
 
 
 assert EDGES == ("west", "east", "south", "north")  # the order of the bits in `open_edges`

@@ -105,11 +105,6 @@ def _height(clearance):
     return np.where(clearance < FAR_AWAY, clearance, np.float32(np.inf))
 
 
-@layer("height")
-def _height(clearance):
-    return np.where(clearance < FAR_AWAY, clearance, np.float32(np.inf))
-
-
 @layer("normal")
 def _normal(layers, view):
     return (layers.normal @ view.ground_from_camera.T).astype(np.float32)
