@@ -10,7 +10,7 @@ water is found once.
 
 What a pass computes stands with its backend: `rainsim.render.passes` for the CPU,
 `rainsim.cuda.render.passes` for the GPU. Neither holds an order of its own. A layer (AOV) is a
-buffer, too: `rainsim.render.aov` lists the passes that write layers, which run after these.
+buffer, too: `rainsim.render.layers` has the passes that write layers, which run after these.
 """
 
 from __future__ import annotations
@@ -179,13 +179,13 @@ class Frame:
             until then stays.
         """
         for each, is_stale in self.due(names):
-            self._done[each.name] = self._changes
-            compute = work.get(each.name)
+            compute, read = work.get(each.name), self._changes
             if compute is None:
                 values = (None,) * len(each.writes)
             else:
                 values = compute(*(self._values[name] for name in each.reads))
                 values = values if len(each.writes) > 1 else (values,)
+            self._done[each.name] = read  # not before: a pass that raised must run again
             for name, value in zip(each.writes, values, strict=True):
                 if is_stale:
                     self._store(name, value)

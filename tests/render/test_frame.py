@@ -99,6 +99,16 @@ def test_an_error_leaves_what_was_finished():
     assert made.ran == ["flow", "lay"] and made.frame["image"] == 6
 
 
+def test_a_pass_that_raises_runs_again():
+    made = Made()
+    made.image()
+    flow, made.work["flow"] = made.work["flow"], lambda water: 1 / 0
+    with pytest.raises(ZeroDivisionError):
+        made.image(water=(0.0, 4.0))
+    made.work["flow"] = flow
+    assert made.image(water=(0.0, 4.0)) == 8 and made.ran == ["flow", "lay"]
+
+
 def test_a_mark_tells_of_changes_of_an_object_that_lives_on():
     frame, thing = Frame(MADE), [1]
     frame.put("camera", thing, mark=1)
