@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from rainsim.datasets.data_files import PNG, PNG16, PNG48, TEXT, DataFile, condition
 from rainsim.datasets.sample import flow_known, kitti_depth, kitti_flow
-from rainsim.scene.view import image_point
+from rainsim.scene.view import camera_points, image_point
 
 LEAST_DEPTH = 0.05  # m: a box with a nearer corner is beside the camera
 CORNERS = 0.5 * np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
@@ -97,8 +97,7 @@ def truncation(corners, shown, camera):
     camera : Camera
         In the ground frame.
     """
-    matrix = camera.camera_from_world
-    x, y, z = (corners @ matrix[:3, :3].T + matrix[:3, 3]).T
+    x, y, z = camera_points(camera, corners).T
     if z.min() < LEAST_DEPTH:
         return 1.0
     u, v = image_point(camera, x, y, z)

@@ -35,7 +35,7 @@ from rainsim.rain.throws import (
     mist_puffs,
     parcels_of,
 )
-from rainsim.scene.view import edge_planes, finest, lens_array
+from rainsim.scene.view import camera_points, edge_planes, finest, lens_array
 
 MOST_DRAWN = 120_000  # drops of a picture that are drawn one by one
 MOST_OF_ONE = 4000  # drops of a parcel
@@ -96,10 +96,9 @@ def spray_seen(throws, ids, camera, time, exposure):
 
 def _in_view(camera, place, radius):
     """Return which balls (n,) may be in a camera's picture."""
-    seen = place @ camera.camera_from_world[:3, :3].T + camera.camera_from_world[:3, 3]
-    x, y, z = seen.T
-    aside = np.stack([x, y, z], axis=-1) @ edge_planes(camera).T
-    return (z + radius > NEAR) & (aside > -radius[:, None]).all(axis=1)
+    seen = camera_points(camera, place)
+    aside = seen @ edge_planes(camera).T
+    return (seen[:, 2] + radius > NEAR) & (aside > -radius[:, None]).all(axis=1)
 
 
 def _drawn(camera, diameter, place, velocity, exposure, number):
@@ -157,8 +156,7 @@ def cloud_table(puffs, camera):
 
     Place in the camera's frame, deviation [m] and cross-section [m2].
     """
-    matrix = camera.camera_from_world
-    place = puffs.place @ matrix[:3, :3].T + matrix[:3, 3]
+    place = camera_points(camera, puffs.place)
     return np.column_stack([place, puffs.deviation, puffs.section]).astype(np.float32)
 
 

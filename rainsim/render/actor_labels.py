@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from rainsim.actors.motion import Motion
 from rainsim.render.labels import boxes_of
-from rainsim.scene.view import image_point
+from rainsim.scene.view import camera_points, image_point
 
 NEAREST = 0.05  # m before the camera: nearer parts of a box are cut off
 EDGES = np.array([(i, i | bit) for bit in (1, 2, 4) for i in range(8) if not i & bit])
@@ -125,8 +125,7 @@ def box_in_picture(corners, camera):
     list of float or None
         Left, top, right and bottom [px].
     """
-    matrix = camera.camera_from_world
-    points = corners @ matrix[:3, :3].T + matrix[:3, 3]
+    points = camera_points(camera, corners)
     ends = points[EDGES]
     ahead = points[points[:, 2] > NEAREST]
     cut = (ends[:, 0, 2] > NEAREST) != (ends[:, 1, 2] > NEAREST)

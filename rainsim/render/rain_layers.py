@@ -12,12 +12,12 @@ import math
 import numpy as np
 from scipy import ndimage
 
-from rainsim.drops import RainField, RainSpectrum
 from rainsim.particles.line_raster import NEAR
 from rainsim.particles.spray import CUT, lay_clouds, spray_seen
 from rainsim.particles.streaks import draw_streaks, streak_reach
 from rainsim.rain.dripping import drips_seen
-from rainsim.scene.view import corner_rays, image_point
+from rainsim.render.rain_pass import draw_spray
+from rainsim.scene.view import camera_points, corner_rays, image_point
 
 NEAR_DROPS = 2.0  # m: drops nearer than this are an element of their own
 SAMPLES = 24  # places on a drop's path at which its motion and its depth are recorded
@@ -26,8 +26,7 @@ AHEAD = 0.3  # m above the view: drops there fall into it while the shutter is o
 
 def project(points, camera):
     """Return image point and depth of ground-frame points, (n, 3)."""
-    matrix = camera.camera_from_world
-    x, y, z = (np.asarray(points, np.float64) @ matrix[:3, :3].T + matrix[:3, 3]).T
+    x, y, z = camera_points(camera, np.asarray(points, np.float64)).T
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.stack([*image_point(camera, x, y, z), z], axis=1)
 
@@ -48,11 +47,7 @@ def spray_alpha(depth, ground_camera, ground_camera_end, time, render, field, th
     """Return the share of light that what tyres throw replaces, drops and clouds."""
     alpha = np.zeros(depth.shape, np.float32)
     drops, clouds = _spray(ground_camera, time, render, field, throws)
-    if len(drops):
-        draw_streaks(
-            RainField(RainSpectrum(0.0)), None, ground_camera, time, render.exposure, depth, NEAR,
-            alpha, ground_camera_end, render.aperture, render.focus, more=drops,
-        )  # fmt: skip
+    draw_spray(drops, depth, ground_camera, ground_camera_end, time, render, alpha)
     lay_clouds(clouds, ground_camera, depth, alpha)
     return alpha
 
@@ -119,9 +114,8 @@ def rain_depth(
         project(lines[:, :3], ground_camera),
         project(after, ground_camera if ground_camera_end is None else ground_camera_end),
     )
-    area = (
-        math.pi / 4 * ground_camera.fx * ground_camera.fy / SAMPLES
-    )  # a drop's alphas sum to its area in pixels
+    # A drop's alphas sum to its area in pixels.
+    area = math.pi / 4 * ground_camera.fx * ground_camera.fy / SAMPLES
     for at, _, cover, z in _samples(*ends, lines[:, 6], 1.0, depth, render.streak_far):
         np.add.at(weight, at, area * cover)
         np.add.at(total, at, area * cover * z)

@@ -44,12 +44,8 @@ def draw_falling(depth, camera, camera_end, time, render, field, surfaces, drips
     drops, clouds = spray_seen(*throws, camera, time, render.exposure)
     lens = camera_end, render.aperture, render.focus
     if field is None:  # tyres on a wet road throw water while no rain falls
+        draw_spray(drops, depth, camera, camera_end, time, render, alpha)
         fog = NO_FOG
-        if len(drops):
-            none = RainField(RainSpectrum(0.0))
-            draw_streaks(
-                none, None, camera, time, render.exposure, depth, NEAR, alpha, *lens, more=drops
-            )
     elif render.streaks == "paper":
         paper.draw_lines(field, surfaces, camera, time, render.streak_far, depth, alpha)
         fog = NO_FOG
@@ -63,6 +59,15 @@ def draw_falling(depth, camera, camera_end, time, render, field, surfaces, drips
         fog = fog_table(field, reach)
     lay_clouds(clouds, camera, depth, alpha)
     return alpha, fog
+
+
+def draw_spray(drops, depth, camera, camera_end, time, render, alpha_out):
+    """Draw the drops of `spray_seen` alone; the other parameters are those of `draw_falling`."""
+    if len(drops):
+        draw_streaks(
+            RainField(RainSpectrum(0.0)), None, camera, time, render.exposure, depth, NEAR,
+            alpha_out, camera_end, render.aperture, render.focus, more=drops,
+        )  # fmt: skip
 
 
 def draw_landing(

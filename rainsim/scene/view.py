@@ -78,6 +78,12 @@ def slopes(camera, u, v):
     return (u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy
 
 
+def camera_points(camera, points):
+    """Return points (n, 3) of the frame that a `Camera` is placed in, in the camera's own frame."""
+    matrix = camera.camera_from_world
+    return points @ matrix[:3, :3].T + matrix[:3, 3]
+
+
 def image_point(camera, x, y, z):
     """Return the place (u, v) [px] at which a picture shows a place of the camera frame."""
     return camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy

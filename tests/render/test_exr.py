@@ -6,17 +6,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rainsim import pipeline
-from rainsim.config.settings import Config
+from made_shots import wet_shot
 from rainsim.errors import ParameterError, RainsimError
 from rainsim.io import exr as exr_files
 from rainsim.numerics.color_spaces import SPACES, from_rec709, xyz_from
 from rainsim.numerics.srgb import display
 from rainsim.render.exr_frame import LAYERS, ExrFormat, parts_of, write_exr
 from rainsim.render.rain_layers import NEAR_DROPS
-from rainsim.render.renderer import Renderer
 from run_folders import exr_parts
-from scenes import tiny_scene
 
 ELEMENTS = ("near", "streaks", "spray", "splashes", "air")  # from the front to the back
 # OpenColorIO's built-in transform of linear Rec. 709 to ACEScg, to ten places.
@@ -36,15 +33,7 @@ AP1_XYZ = [
 @pytest.fixture(scope="module")
 def shot():
     """A frame of a small wet scene with the layers of an OpenEXR file: picture and report."""
-    scene = tiny_scene()
-    camera = scene.cameras[0].resized(160, 120)
-    config = Config.from_preset("downpour").replace(
-        past=6e-3, sun=(0.0, 0.7), cloudiness=0.5, extent=1.0, spacing=0.025
-    )
-    ground = pipeline.extract_terrain(scene, config)
-    state = next(s for s in pipeline.simulate(ground, config) if s.index == 2)
-    names = (*LAYERS, "drop_flow")
-    return Renderer(scene, ground, config, camera).draw(camera, state, None, names)
+    return wet_shot((*LAYERS, "drop_flow"))[:2]
 
 
 def over(front, back):

@@ -5,31 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rainsim import pipeline
-from rainsim.config.settings import Config
+from made_shots import wet_shot
 from rainsim.errors import ParameterError
 from rainsim.io import images
 from rainsim.render import aov
 from rainsim.render.aov import AOVS, NEEDED, recompose
-from rainsim.render.renderer import Renderer
 from run_folders import layer
-from scenes import tiny_scene
 
 
 @pytest.fixture(scope="module")
 def shot():
     """A frame of a small wet scene with all layers: picture, report and renderer."""
-    scene = tiny_scene()
-    camera = scene.cameras[0].resized(160, 120)
-    config = Config.from_preset("downpour").replace(
-        past=6e-3, sun=(0.0, 0.7), cloudiness=0.5, extent=1.0, spacing=0.025
-    )
-    ground = pipeline.extract_terrain(scene, config)
-    states = pipeline.simulate(ground, config)
-    state = next(s for s in states if s.index == 2)
-    renderer = Renderer(scene, ground, config, camera)
-    picture, report = renderer.draw(camera, state, None, tuple(AOVS))
-    return picture, report, renderer, camera, state
+    return wet_shot(tuple(AOVS))
 
 
 def test_layers_make_the_frame_again(shot):

@@ -227,9 +227,7 @@ class DeviceFrame:
     @property
     def tops(self):
         """The tops as kernels take them, `TopMaps`."""
-        return self._tops if self.uniforms is None else self._tops._replace(
-            water=self.uniforms["tops"]
-        )  # fmt: skip
+        return self._tops._replace(water=self.uniforms["tops"])
 
     # ---- what comes back
 
