@@ -148,12 +148,12 @@ def test_too_many_entries_are_counted_and_the_picture_is_drawn_again():
     prepared = raster.prepare(cloud())
     rasterizer = twin.Rasterizer(prepared)
     first = rasterizer.draw(camera(), 0.2)
-    assert rasterizer.entries > 60
+    assert rasterizer.room.entries > 60
     small = twin.Rasterizer(prepared)
     small.update(camera(), 0.2)
-    small._capacity, small._taken = 8, None
+    small.room.size, small._taken = 8, None
     small.launch()
-    assert small.overflows() and small.entries == rasterizer.entries
+    assert small.room.overflows() and small.room.entries == rasterizer.room.entries
     again = small.draw(camera(), 0.2)
     for name in ("color", "alpha", "depth", "plane_depth", "normal"):
         np.testing.assert_array_equal(getattr(again, name), getattr(first, name))
@@ -162,27 +162,26 @@ def test_too_many_entries_are_counted_and_the_picture_is_drawn_again():
 def test_room_that_was_not_taken_is_given_back():
     rasterizer = twin.Rasterizer(raster.prepare(cloud()), first_room=5000)
     first = rasterizer.draw(camera(), 0.2)
-    assert rasterizer.count_picture() and not rasterizer.is_tight()
-    rasterizer.make_room()
-    assert not rasterizer.is_tight() and len(rasterizer._key) < 2000
+    rasterizer.make_ahead()
+    assert not rasterizer.room.is_tight() and len(rasterizer._taken.lists[0]) < 2000
     np.testing.assert_array_equal(rasterizer.draw(camera(), 0.2).color, first.color)
 
 
 def test_room_is_left_for_what_any_of_several_pictures_took():
     rasterizer = twin.Rasterizer(raster.prepare(cloud()))
     rasterizer.draw(camera(), 0.2)
-    most = rasterizer._count[0] = 2000
-    assert rasterizer.overflows()
-    rasterizer.make_room()
-    room, counts = rasterizer._capacity, []
+    room = rasterizer.room
+    most = room.count[0] = 2000
+    assert rasterizer.grow()
+    before, counts = room.size, []
     for entries in (0, most, 0, 0, 0, 0, 0, 0):  # a picture of nothing, and back
-        rasterizer._count[0] = entries
-        counts.append(rasterizer.count_picture())
-        assert rasterizer._capacity == room
+        room.count[0] = entries
+        counts.append(room.count_picture())
+        assert room.size == before
     # A pair of pictures, of which one took it; then four of which none did, until room is made.
     assert counts == [False] * 5 + [True] * 3
-    rasterizer.make_room()
-    assert rasterizer._capacity < room and not rasterizer.count_picture()
+    rasterizer.make_ahead()
+    assert room.size < before and not room.count_picture()
 
 
 def test_equal_depths_keep_the_order_of_the_cpu():

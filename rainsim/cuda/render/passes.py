@@ -69,7 +69,7 @@ class Passes:
             "list splashes": Launch(self.rain.list_splashes, aside),
             "splashes": Launch(self.rain.draw_splashes, beside),
             "find water": Launch(self._find_water),
-            "mirror": Launch(lambda stream: self.mirrors.launch(frame["hit"], frame["coverage"])),
+            "mirror": Launch(self.mirrors.launch),
             "water": Launch(self._lay_water), "compose": Launch(self._compose),
         }  # fmt: skip
         if self.ground_light.apart:
@@ -89,7 +89,7 @@ class Passes:
 
     def room_for(self, height, width):
         """Make room for pictures of a size [px]."""
-        self.mirrors.room_for(height, width)
+        self.mirrors.forget_size()
         self.rain.room_for(height, width)
 
     # ---- what a finished frame had too little room for
@@ -100,10 +100,7 @@ class Passes:
 
     def dry_is_amiss(self):
         """Return whether the finished frame's rasterizers had too little room or far too much."""
-        return any([  # a list: each of them counts its picture
-            splats.count_picture() or splats.overflows() or splats.is_tight()
-            for splats in self.dry_rasterizers()
-        ])  # fmt: skip
+        return any([splats.is_amiss() for splats in self.dry_rasterizers()])  # each counts
 
     def grow(self):
         """Make room where the finished frame's water and rain lacked it; return whether any did."""
@@ -111,8 +108,7 @@ class Passes:
 
     def grow_dry(self):
         """Make room in the dry rasterizers that lacked it; return whether any did."""
-        full = [splats for splats in self.dry_rasterizers() if splats.overflows()]
-        return bool([splats.make_room() for splats in full])
+        return any([splats.grow() for splats in self.dry_rasterizers()])  # all
 
     def dependencies(self):
         """Return the values a recorded queue depends on: when they change, it is recorded again."""
@@ -159,7 +155,7 @@ class Passes:
         return WaterMap(drawn.surface, drawn.over, self._frame["rings"], *place, drawn.shores)
 
     def _lay_water(self, stream):
-        frame, mirrors = self._frame, self.mirrors
+        frame, mirrors = self._frame, self.mirrors.arrays
         (height, width), (wide, high) = frame.size, screen_space.PATCH
         patches = (-(-width // wide), -(-height // high)), screen_space.PATCH, stream
         found, settings = (frame["hit"], frame["coverage"]), frame.uniforms["settings"]
@@ -171,7 +167,7 @@ class Passes:
             *found, frame["distance"],
             Background(frame["picture"], frame["below"], frame["depth"]), frame["tall"],
             frame.camera_arrays, self._water_map, frame.tops, Ripples(frame["moments"], frame.tile),
-            frame["environment"], frame["gloss"], settings, mirrors.arrays,
+            frame["environment"], frame["gloss"], settings, mirrors,
             optics_of(frame.conductor.methods, frame.uniforms["sun"]), frame["shown"],
         )  # fmt: skip
 

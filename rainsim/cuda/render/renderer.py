@@ -97,7 +97,7 @@ class Renderer:
         for part in (DRY, SURFACE, WET):
             parts.update(passes.each(part, stream))
         parts["counts"] = passes.rain.count_lines
-        parts["copy"] = lambda: frame.copy_image(self.queue.image)
+        parts["copy"] = lambda: frame.copy_image(self.queue.pictures.last)
         return part_times(stream, parts)
 
     def _report(self, names=()):
@@ -106,7 +106,7 @@ class Renderer:
         stages = {"frame": (clock.perf_counter() - done.begin) * 1e3}
         if names:
             self._aovs.make(names, done.state)
-        return self.queue.image, report_of(self.conductor, done.state, stages, names)
+        return self.queue.pictures.last, report_of(self.conductor, done.state, stages, names)
 
 
 def _require_known(render):
