@@ -7,7 +7,7 @@ from rainsim.cuda import simulated
 from rainsim.cuda.shading import wet_ground_mirror as twin
 from rainsim.cuda.shading.wet_pass import BLOCK, blocks
 from rainsim.numerics.ripmap import ripmap
-from rainsim.scene.view import CameraArrays, View
+from rainsim.scene.view import View, view_of_arrays
 from rainsim.shading import microfacet, sky, wet_ground_mirror
 from rainsim.shading.fresnel import SCHLICK
 from rainsim.shading.wet_ground_mirror import GroundSlopes, LevelPicture
@@ -57,7 +57,7 @@ def test_field_share_and_picture(pictured, rng, poisoned):
         size = F4([0, 0])
     shape = HEIGHT // STEP, WIDTH // STEP
     wanted, found = poisoned((*shape, 3)), poisoned((*shape, 3))
-    view, camera = View(TURN, EYE, *LENS), CameraArrays(TURN, EYE, LENS)
+    view, camera = View(TURN, EYE, *LENS), view_of_arrays(TURN, EYE, LENS)
     lobe = microfacet.LOBE
     level, larger = (LevelPicture(atlas, d, lens, forward) for d in (there, depth))
     wet_ground_mirror.mirrored_field(

@@ -12,7 +12,7 @@ from rainsim.cuda.splatting import project
 from rainsim.reflection.mirror_choice import LEVEL_STEP, group_levels
 from rainsim.reflection.water_pass import mirror_window
 from rainsim.scene.types import Camera
-from rainsim.scene.view import CameraArrays
+from rainsim.scene.view import view_of_arrays
 
 assert simulated()
 HEIGHT, WIDTH = 70, 90
@@ -42,7 +42,7 @@ def counted(z, coverage):
     levels.count_heights[blocks, levels.THREADS](
         (2 - z).astype(np.float32),
         coverage,
-        CameraArrays(down, eye, lens),
+        view_of_arrays(down, eye, lens),
         FIRST_BIN,
         count,
         extent,

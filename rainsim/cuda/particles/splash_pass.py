@@ -50,7 +50,7 @@ NEAREST = 0.05  # m, as on the CPU
 def seen_at(x, y, z, sent, scene):
     """Return the depth [m] at which the camera sees a splash there; negative if it does not.
 
-    `sent` is a `streaks.SentView`, and `scene` the `SceneDepth` of the picture.
+    `sent` is a `ShutterView` of device arrays, and `scene` the `SceneDepth` of the picture.
     """
     rotation, lens = sent.rotation, sent.lens
     x, y, z = x - sent.eye[0], y - sent.eye[1], z - sent.eye[2]
@@ -99,7 +99,7 @@ def list_splashes(
     per_list : int
         Blocks of threads for each list.
     velocity : device array of shape (CLASSES, 3), float64 [m/s]
-    sent : SentView
+    sent : ShutterView
     scene : SceneDepth
         For the size of the picture.
     water : WaterDepth
@@ -116,7 +116,7 @@ def list_splashes(
     chosen = cuda.shared.array(THREADS, np.int32)
     depths = cuda.shared.array((THREADS, 2), np.float64)  # of the scene and of the water there
     many = cuda.shared.array(1, np.int32)
-    time, exposure, focal = sent.times[0], sent.times[1], focal_of(sent.lens)
+    time, exposure, focal = sent.time[0], sent.exposure[0], focal_of(sent.lens)
     values, labels = lists.values, lists.labels
     group = cuda.threadIdx.y
     thread = group * GROUP + cuda.threadIdx.x
@@ -164,7 +164,7 @@ def draw_list(count, lines, sent, scene, picture):
     ----------
     count, lines
         As `list_splashes` left them.
-    sent : SentView
+    sent : ShutterView
     scene : SceneDepth
     picture : device array of shape (width * height,), int64
         Added to.

@@ -39,7 +39,7 @@ def count_heights(hit, coverage, camera, first_bin, count_out, extent_out):
     A block of THREADS threads takes COUNT_ROWS rows of as many columns; its counts are added up in
     shared memory, and each thread adds runs of equal heights at once: level water is one bin.
 
-    camera : CameraArrays
+    camera : View
     extent_out : ndarray of shape (4,), int32
         First column and row, last column and row.
     """

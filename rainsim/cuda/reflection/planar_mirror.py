@@ -311,7 +311,7 @@ class Mirrors:
         if not self._levels.most:
             return
         frame, arrays = self._frame, self.arrays
-        self._levels.launch(frame["hit"], frame["coverage"], frame.camera_arrays, stream)
+        self._levels.launch(frame["hit"], frame["coverage"], frame.view, stream)
         self._now.send()
         self._forked.record(stream)
         size = arrays.depth.shape[1:]

@@ -72,12 +72,10 @@ class Passes:
             "mirror": Launch(self.mirrors.launch),
             "water": Launch(self._lay_water), "compose": Launch(self._compose),
         }  # fmt: skip
-        if self.ground_light.apart:
-            launches["splat level"] = Launch(self.ground_light.splat, self.ground_light.stream)
-            launches["light on wet ground"] = Launch(
-                self.ground_light.draw, self.ground_light.stream
-            )
-            launches["film"] = Launch(self.ground_light.add)
+        if (light := self.ground_light).level is not None:
+            launches["splat level"] = Launch(light.splat, light.stream)
+            launches["light on wet ground"] = Launch(light.draw, light.stream)
+            launches["film"] = Launch(light.add)
         self.launches, self.lanes = launches, Lanes(PASSES, launches)
 
     def each(self, part, stream):
@@ -140,12 +138,12 @@ class Passes:
         frame = self._frame
         grid, found = pixel_grid(frame.size, stream), (frame["hit"], frame["coverage"])
         ray_water.meet_water[grid](
-            frame["depth"], frame.camera_arrays, self._water_map, self.surface.highest,
+            frame["depth"], frame.view, self._water_map, self.surface.highest,
             frame.uniforms["cover"], *found,
         )  # fmt: skip
         if len(frame.tops.form):
             wet_tops.meet_tops[grid](
-                frame["depth"], frame.camera_arrays, frame.tops, frame.uniforms["off_ground"],
+                frame["depth"], frame.view, frame.tops, frame.uniforms["off_ground"],
                 *found,
             )  # fmt: skip
 
@@ -160,13 +158,13 @@ class Passes:
         patches = (-(-width // wide), -(-height // high)), screen_space.PATCH, stream
         found, settings = (frame["hit"], frame["coverage"]), frame.uniforms["settings"]
         screen_space.find_hits[patches](
-            *found, frame["tall"], frame["bounds"], frame.camera_arrays, settings, mirrors.range,
+            *found, frame["tall"], frame["bounds"], frame.view, settings, mirrors.range,
             frame["distance"],
         )  # fmt: skip
         water_shading.shade_water[pixel_grid(frame.size, stream)](
             *found, frame["distance"],
             Background(frame["picture"], frame["below"], frame["depth"]), frame["tall"],
-            frame.camera_arrays, self._water_map, frame.tops, Ripples(frame["moments"], frame.tile),
+            frame.view, self._water_map, frame.tops, Ripples(frame["moments"], frame.tile),
             frame["environment"], frame["gloss"], settings, mirrors,
             optics_of(frame.conductor.methods, frame.uniforms["sun"]), frame["shown"],
         )  # fmt: skip
@@ -175,6 +173,6 @@ class Passes:
         frame, light = self._frame, self.drop_light
         compose[pixel_grid(frame.size, stream)](
             frame["shown"], frame["depth"], RainCover(*self.rain.alphas, frame.uniforms["fog"]),
-            RainLight(light.drops, light.sheets, frame.uniforms["air"]), frame.camera_arrays,
+            RainLight(light.drops, light.sheets, frame.uniforms["air"]), frame.view,
             frame.uniforms["brightness"], frame["image"],
         )  # fmt: skip
