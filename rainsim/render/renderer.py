@@ -30,8 +30,6 @@ class Renderer:
         cameras is metered by it, see `fixed_camera`.
     rasterizer_of : callable
         rasterizer_of(prepared) returns what draws prepared splats.
-    wet_scene : WetScene, optional
-        Of another renderer, whose settings differ in nothing that a `WetScene` depends on.
 
     Attributes
     ----------
@@ -48,10 +46,8 @@ class Renderer:
     ((48, 64, 3), (48, 64))
     """
 
-    def __init__(
-        self, scene, terrain, config, first_camera, rasterizer_of=Rasterizer, wet_scene=None
-    ):
-        self.conductor = Conductor(scene, terrain, config, first_camera, rasterizer_of, wet_scene)
+    def __init__(self, scene, terrain, config, first_camera, rasterizer_of=Rasterizer):
+        self.conductor = Conductor(scene, terrain, config, first_camera, rasterizer_of)
         self.passes = Passes()
         self._choice_is_noted = False  # of the reflections
 

@@ -13,6 +13,8 @@ from scipy.spatial.transform import Rotation
 
 from rainsim.actors.footprint import with_footprints
 from rainsim.backend import free_device_memory, on_backend
+from rainsim.config.declare import BASES, LIGHT, TERRAIN, WATER
+from rainsim.config.tables import SETTINGS
 from rainsim.errors import GroundError, ParameterError, shown
 from rainsim.io.files import number_array
 from rainsim.lod.paged import rasterizer_of_scene
@@ -20,7 +22,6 @@ from rainsim.pipeline import extract_terrain
 from rainsim.render.drawn_capture import NEAR
 from rainsim.render.leaving import leaving_of
 from rainsim.render.memory import require_memory, require_memory_of_picture
-from rainsim.render.renderer import Renderer
 from rainsim.render.report import Timer
 from rainsim.render.shutter import shutter_end
 from rainsim.scene.camera_path import camera_path_data, path_cameras
@@ -28,7 +29,6 @@ from rainsim.scene.camera_rule import RIGID_TOLERANCE
 from rainsim.scene.cameras import resize_to
 from rainsim.terrain.classify import painted_mask
 from rainsim.terrain.pond import without_images
-from rainsim.view.redo import LIGHT, PARTS, PASSES, TERRAIN, WATER, out_of_date
 from rainsim.view.water import SharedWater
 
 MIRRORS = ("auto", "mirror")  # reflections that draw the capture again
@@ -65,6 +65,14 @@ class Viewpoint:
     def rotation(self):
         """Rotation to the ground frame from the camera frame, ndarray of shape (3, 3)."""
         return Rotation.from_quat(self.turn, scalar_first=True).as_matrix()
+
+
+def out_of_date(before, after):
+    """Return the parts that a change from one `Config` to another makes out of date, a set."""
+    return {
+        part for name, one in SETTINGS.items() if before.value(name) != after.value(name)
+        for part in one.touches
+    }  # fmt: skip
 
 
 class OutOfDateError(Exception):
@@ -117,7 +125,7 @@ class Session:
     no_ground : GroundError or None
         Why the scene has no terrain. Then the capture alone is drawn.
     stale : set of str
-        Of `redo.PARTS`: the parts to be made again.
+        Of `BASES`: the parts to be made again.
     terrain : Terrain
     water : SharedWater
     renderer : Renderer of the backend
@@ -130,7 +138,7 @@ class Session:
         self.scene, self.config, self.backend, self.mask = scene, config, backend, mask
         self.water_mask = water
         self.cameras, self.no_ground, self._bare = tuple(scene.cameras or cameras), None, None
-        self.stale, self._drawn_with = set(PARTS), config
+        self.stale, self._drawn_with = set(BASES), config
         self._progress, self._say = progress or (lambda stage, done, total: None), say
         self._make_renderer, simulate = on_backend(backend)
         # The states of a GPU's simulation share its memory: only the last one is whole.
@@ -142,7 +150,7 @@ class Session:
 
     def set_config(self, config):
         """Take over other settings; `make` then makes again the parts that they change."""
-        self.stale |= set(out_of_date(self.config, config))
+        self.stale |= out_of_date(self.config, config)
         self.config = config
 
     def set_scene(self, scene, mask=None):
@@ -153,12 +161,12 @@ class Session:
         if scene.ground_frame is not self.scene.ground_frame:
             self.water_mask = None
         self.scene, self.mask, self._camera = scene, mask, None
-        self.stale |= set(PARTS)
+        self.stale |= set(BASES)
 
     def set_water_mask(self, mask):
         """Put other water on the ground, a `WaterMask` or None: all parts are out of date."""
         self.water_mask, self._camera = mask, None
-        self.stale |= set(PARTS)
+        self.stale |= set(BASES)
 
     @property
     def class_mask(self):
@@ -180,7 +188,6 @@ class Session:
         """
         for part, make in (
             (TERRAIN, self._make_terrain), (WATER, self._make_water), (LIGHT, self._make_light),
-            (PASSES, self._make_passes),
         ):  # fmt: skip
             if part in self.stale:
                 check()
@@ -212,26 +219,13 @@ class Session:
         self.water.restart(with_footprints(self.terrain, self.scene), config)
 
     def _make_light(self, config, check):
-        """Make the renderer with all its light; its passes come with it."""
+        """Make the renderer with all its light."""
         camera = self._first_camera()
         free = free_device_memory(self.backend)
         require_memory(self.scene, camera, self.terrain.bed.size, 0, free)
         self._say_stage("light")
         self.renderer = None  # its memory goes first
         self.renderer = self._make_renderer(self._drawn_scene, self.terrain, config, camera)
-        self._camera, self._drawn_with = None, config
-        self.stale.discard(PASSES)
-
-    def _make_passes(self, config, check):
-        """Make the renderer with the light that there is."""
-        if self.backend != "cpu":
-            self._make_light(config, check)
-            return
-        light = self.renderer.conductor.wet_scene
-        light.config = config
-        self.renderer = Renderer(
-            self._drawn_scene, self.terrain, config, self._first_camera(), wet_scene=light
-        )
         self._camera, self._drawn_with = None, config
 
     def _say_stage(self, stage):
@@ -242,7 +236,7 @@ class Session:
         return resize_to(self.cameras[0], self.config.width)
 
     def _follow(self, config):
-        """Let the renderer draw with settings that its parts were not made for."""
+        """Let the renderer draw with settings that it was not made for."""
         if self._drawn_with == config:
             return
         if self.backend == "cpu":

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from rainsim.commands.given import cameras_of
 from rainsim.commands.given import settings as settings_of
+from rainsim.config.declare import BASES
 from rainsim.config.settings import Config, mm_per_hour
 from rainsim.errors import BackendError, ParameterError
 from rainsim.io.images import read_image
@@ -23,7 +24,7 @@ from rainsim.surface.offered_views import offered_cameras
 from rainsim.terrain.classify import read_mask
 from rainsim.terrain.poured import painted_water, read_water_mask
 from rainsim.terrain.table import GRASS
-from rainsim.view import probe, redo
+from rainsim.view import probe
 from rainsim.view.home import Home
 from rainsim.view.keyframes import Keyframe
 from rainsim.view.modes import MODES, PUDDLES, RAIN, colored, mode_picture
@@ -89,6 +90,7 @@ def test_a_page_sees_what_the_capture_s_camera_sees(scene, made, view):
 CHANGES = {
     "picture": {"brightness": 1.7, "exposure": 0.02},
     "passes": {"seed": 5, "reflections": "ssr"},
+    "metering": {"metering": "off", "ripples": 0.2},
     "light": {"cloudiness": 0.2, "sun": (0.4, 0.7)},
     "rain": {"rate": mm_per_hour(60.0), "wind": (6.0, 1.0)},
     "puddles": {"past": 9e-3, "drying": 600.0},
@@ -167,7 +169,7 @@ def test_another_scale_makes_all_parts_again(scene, made, view):
     session.make()
     twice = override_ground_frame(scene, meters_per_unit=2 * scene.ground_frame.meters_per_unit)
     session.set_scene(twice)
-    assert session.stale == set(redo.PARTS)
+    assert session.stale == set(BASES)
     session.make()
     assert session.renderer.conductor.wet_scene.frame is twice.ground_frame
 
