@@ -78,12 +78,8 @@ class Conductor:
 
     Parameters
     ----------
-    scene : Scene
-    terrain : Terrain
-    config : Config
-    first_camera : Camera
-        In the capture frame; the surroundings are drawn from its place, and a capture without
-        cameras is metered by it, see `fixed_camera`.
+    scene, terrain, config, first_camera
+        As `rainsim.render.renderer.Renderer` takes them.
     rasterizer_of : callable
         rasterizer_of(prepared) returns what draws prepared splats.
 

@@ -156,14 +156,6 @@ class DrawnCapture:
         """Return the `raster.Layers` that a camera of the capture frame takes."""
         return self.rasterizer.draw(camera, self.near, detail=self.merge, **options)
 
-    def dry(self, camera, whole_color=False):
-        """Return the `raster.Layers` that a camera of the capture frame takes.
-
-        `whole_color`: the colour is that of all splats as captured, those of the sky included.
-        """
-        layers = self.layers(camera)
-        return replace(layers, color=self.captured_color(camera, layers)) if whole_color else layers
-
     def captured_color(self, camera, layers):
         """Return the colour of all splats as captured, or that of `layers` where it is the same."""
         if self.paged is not None:

@@ -17,6 +17,7 @@ from rainsim.config.settings import Config, mm_per_hour
 from rainsim.errors import BackendError, ParameterError
 from rainsim.io.images import read_image
 from rainsim.pipeline import FrameSequence, render_rain
+from rainsim.render.shutter import shutter_end
 from rainsim.scene.cameras import look_at, read_cameras, resize_to
 from rainsim.scene.folder import override_ground_frame, write_scene
 from rainsim.scene.library import load_scene
@@ -345,6 +346,15 @@ def test_a_shot_is_drawn_from_its_files_to_the_byte(scene, tmp_path, cameras):
     assert home.save_ground(session).folder.name == "ground-002"  # nothing is replaced
 
 
+def path_frame(session, cameras, index):
+    """One frame of a path as `rainsim run --path` draws it, with the session's parts."""
+    config, frame = session.config, session.scene.ground_frame
+    path, moment = [frame.camera_in_ground(camera) for camera in cameras], config.moment(index)
+    end = shutter_end(path, index, config.at(moment / config.fps).render.exposure, config.fps)
+    session._follow()
+    return session.renderer.draw(replace(cameras[index]), session.water.state(moment), end)[0]
+
+
 def test_a_path_on_which_the_rain_stands_still_is_drawn_by_its_file(scene, session, view, tmp_path):
     low = settings(scene, fps=10.0)
     session.set_config(low)
@@ -360,7 +370,7 @@ def test_a_path_on_which_the_rain_stands_still_is_drawn_by_its_file(scene, sessi
     session.set_config(config)
     session.make()
     for index, (picture, _) in enumerate(frames):
-        np.testing.assert_array_equal(picture, session.draw_path_frame(cameras, index))
+        np.testing.assert_array_equal(picture, path_frame(session, cameras, index))
     goes_on = list(render_rain(scene, cameras, replace(config, moments=())))
     np.testing.assert_array_equal(goes_on[1][0], frames[1][0])  # its own moment
     assert (goes_on[2][0] != frames[2][0]).any()
@@ -410,9 +420,7 @@ def test_a_path_is_drawn_by_its_command_to_the_byte(scene, tmp_path, rainsim_run
     session.set_config(config)
     session.make()
     for index in range(3):
-        np.testing.assert_array_equal(
-            read_image(drawn[index]), session.draw_path_frame(path, index)
-        )
+        np.testing.assert_array_equal(read_image(drawn[index]), path_frame(session, path, index))
 
 
 @pytest.fixture

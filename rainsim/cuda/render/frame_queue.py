@@ -239,7 +239,7 @@ class FrameQueue:
         if self._recorded.dry is None or self.frame.pending or self._recorded.is_stale:
             return False
         self._last.wait()  # for the counts of the frame that is being drawn
-        return not self.frame.passes.dry_is_amiss()
+        return not any([splats.is_amiss() for splats in self.frame.passes.dry_rasterizers()])
 
     def _begin(self):
         """Queue the next frame's launches that need no water, and the step of its simulation."""
@@ -317,7 +317,7 @@ class FrameQueue:
             lacking = simulation is not None and simulation.lacked(flight.state.index)
             lacking |= frame.passes.grow()
             if not early:
-                lacking |= frame.passes.grow_dry()
+                lacking |= any([splats.grow() for splats in frame.passes.dry_rasterizers()])  # all
             if not lacking:
                 break
             cuda.synchronize()

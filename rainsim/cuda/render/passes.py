@@ -96,17 +96,9 @@ class Passes:
         """Return the rasterizers of the pictures that need no water."""
         return [self._frame.rasterizer, *self.ground_light.rasterizers]
 
-    def dry_is_amiss(self):
-        """Return whether the finished frame's rasterizers had too little room or far too much."""
-        return any([splats.is_amiss() for splats in self.dry_rasterizers()])  # each counts
-
     def grow(self):
         """Make room where the finished frame's water and rain lacked it; return whether any did."""
         return any([self.mirrors.grow(), self.rain.grow()])  # both
-
-    def grow_dry(self):
-        """Make room in the dry rasterizers that lacked it; return whether any did."""
-        return any([splats.grow() for splats in self.dry_rasterizers()])  # all
 
     def dependencies(self):
         """Return the values a recorded queue depends on: when they change, it is recorded again."""

@@ -47,7 +47,6 @@ class Renderer:
         _require_known(config.render)
         require_whole(scene, "backend cuda", "take backend cpu")
         self.stream, self._ahead = cuda.stream(), cuda.stream()
-        self._before, self._after = Event(), Event()
         self._room = -(-sum(len(actor.splats) for actor in scene.actors) // LANES)
         self.conductor = Conductor(scene, terrain, config, first_camera, self._rasterizer_of)
         self.frame = DeviceFrame(self.conductor, self.stream)
@@ -86,12 +85,14 @@ class Renderer:
         """
         frame, passes, stream = self.frame, self.frame.passes, self.stream
 
+        before, after = Event(), Event()
+
         def splat():
-            self._before.record(stream)
-            self._before.wait(frame.ahead)
+            before.record(stream)
+            before.wait(frame.ahead)
             passes.lanes.queue(SPLAT, frame.ahead)
-            self._after.record(frame.ahead)
-            self._after.wait(stream)
+            after.record(frame.ahead)
+            after.wait(stream)
 
         parts = {"numbers": frame.uniforms.send, "splat": splat}
         for part in (DRY, SURFACE, WET):
