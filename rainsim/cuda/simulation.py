@@ -14,6 +14,7 @@ since depth and rings have two pages, the device can take a step while it draws 
 
 from __future__ import annotations
 
+import copy
 from dataclasses import replace
 
 import numpy as np
@@ -48,7 +49,9 @@ class DeviceState:
     Attributes
     ----------
     index : int
-        Of the frame.
+        Of the frame that shows it.
+    step : int
+        Of the simulation.
     time : float [s]
     simulation : Simulation
         Whose arrays the properties read.
@@ -64,12 +67,19 @@ class DeviceState:
     tracks, throws, throw_id = NO_TRACKS, NO_THROWS, np.zeros(0, np.uint64)
 
     def __init__(self, index, time, simulation, notes=()):
-        self.index, self.time, self.simulation, self.notes = index, time, simulation, notes
+        self.index = self.step = index
+        self.time, self.simulation, self.notes = time, simulation, notes
         self.tile_size, self.page = simulation.ripples.size, index % 2
         self.top_water = simulation.top_water()
 
+    def shown_by(self, index):
+        """Return this state as the one that the frame `index` shows."""
+        shown = copy.copy(self)
+        shown.index = index
+        return shown
+
     def _there(self):
-        self.simulation.begin(self.index)
+        self.simulation.begin(self.step)
         return self.simulation
 
     @property
@@ -110,7 +120,7 @@ class DeviceState:
     @property
     def ledger(self):
         """Volumes in m3, see `rainsim.ledger`; waits for the device."""
-        return self._there().ledger(self.index)
+        return self._there().ledger(self.step)
 
 
 class Simulation:
@@ -121,6 +131,12 @@ class Simulation:
     terrain : Terrain
     config : Config
         Water of scheme "auto" is computed by "lean" here.
+
+    Attributes
+    ----------
+    is_shown : bool
+        Whether a frame of the last step may still have to be drawn again; `advance` begins no step
+        meanwhile.
     """
 
     @one_fault()
@@ -170,6 +186,7 @@ class Simulation:
         self._index = self._begun = self._complete = self._late = -1
         self._accounts = [None, None]
         self._fallen = 0.0  # m of rain since the start
+        self.is_shown = False
 
     def top_water(self):
         """Return the water on each top [m3] (n,) at the time of the last state."""
@@ -178,21 +195,32 @@ class Simulation:
     @one_fault()
     def advance(self):
         """Go on to the next frame and return its `DeviceState`; see `begin`."""
-        self.begin(self._index)
+        if not self.is_shown:
+            self.begin(self._index)
         self._index += 1
         index, time = self._index, self._index / self.config.fps
         if index > 0:
             middle = time - 0.5 / self.config.fps
             self._fallen += mm_per_hour(self.weather.rate(middle)) / self.config.fps
-            self._bring((index - 1) / self.config.fps, time)
-        if self.impacts is not None:
-            self.impacts.update(index)
         return DeviceState(index, time, self, self.notes if index == 0 else ())
 
+    def follows(self, index):
+        """Return whether a step is at most one after the last that has begun.
+
+        Steps beyond overwrite the arrays of the state that is shown.
+        """
+        return index <= self._begun + 1
+
     def begin(self, index):
-        """Queue the step of that number, if it is the one that `advance` has said last."""
-        if index <= self._begun:
-            return
+        """Queue the steps up to that number, none beyond the one that `advance` has said last."""
+        for step in range(self._begun + 1, index + 1):
+            self._begin(step)
+
+    def _begin(self, index):
+        if index > 0:
+            self._bring((index - 1) / self.config.fps, index / self.config.fps)
+        if self.impacts is not None:
+            self.impacts.update(index)
         self.complete()
         page, self._begun = index % 2, index
         self.water.turn_page(page)

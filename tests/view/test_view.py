@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from rainsim.commands.given import cameras_of
 from rainsim.commands.given import settings as settings_of
 from rainsim.config.settings import Config, mm_per_hour
-from rainsim.errors import BackendError, ParameterError
+from rainsim.errors import ParameterError
 from rainsim.io.images import read_image
 from rainsim.pipeline import FrameSequence, render_rain
 from rainsim.scene.cameras import look_at, read_cameras, resize_to
@@ -369,8 +369,6 @@ def test_a_path_on_which_the_rain_stands_still_is_drawn_by_its_file(scene, sessi
     assert sequence.next == 0  # the state at hand is that of the first frame too
     ((picture, _),) = sequence.frames([0])
     np.testing.assert_array_equal(picture, frames[0][0])
-    with pytest.raises(BackendError, match="--backend cpu"):
-        FrameSequence(scene, session.terrain, cameras, config, "cuda")
 
 
 @pytest.mark.slow
