@@ -16,6 +16,7 @@ from rainsim.cuda.frame_uniforms import FrameUniforms
 from rainsim.cuda.graph import new_version
 from rainsim.cuda.jit import cuda, cuda_device, cuda_kernel
 from rainsim.cuda.raster import Rasterizer
+from rainsim.cuda.shading.lamp_images import Lamps, shines
 from rainsim.cuda.shading.wet_pass import BLOCK, blocks, grade_layers
 from rainsim.cuda.splatting.prepared import DeviceSplats
 from rainsim.numerics.ripmap import LEVELS
@@ -151,7 +152,7 @@ class WetGroundLight:
 
     def __init__(self, frame):
         self.frame, film = frame, frame.conductor.ground.film
-        self.apart, self.rasterizers = film.apart, []
+        self.apart, self.rasterizers, self._lamps = film.apart, [], None
         self.stream, self._room = cuda.stream(), None
         if not self.apart:
             return
@@ -187,6 +188,8 @@ class WetGroundLight:
         """Send the splats that stand on the ground to the device."""
         splats = DeviceSplats(self._level_splats(), self.frame.rasterizer.splats.room)
         self.rasterizers = [Rasterizer(splats, self.stream, first_room=splats.count)]
+        if shines(self.frame.conductor.wet_scene.scene):
+            self._lamps = Lamps(self.frame, splats, self.stream)
 
     def _level_splats(self):
         conductor = self.frame.conductor
@@ -229,6 +232,8 @@ class WetGroundLight:
         rasterizer = self.rasterizers[0]
         rasterizer.update(mirrored, scene.capture.near, room=room)
         self._size, self._lens = rasterizer.size, rasterizer.lens
+        if self._lamps is not None:
+            self._lamps.update(camera, camera_in_ground)
         view = view_of(scene.frame.camera_in_ground(mirrored))
         self._uniforms.update(turn=view.ground_from_camera, eye=view.eye, forward=level.forward[:2])
 
@@ -237,7 +242,8 @@ class WetGroundLight:
         """The values that a recorded queue depends on."""
         if not self.apart:
             return ()
-        return self._version, *(rasterizer.queue for rasterizer in self.rasterizers)
+        lamps = 0 if self._lamps is None else self._lamps.version
+        return self._version, lamps, *(rasterizer.queue for rasterizer in self.rasterizers)
 
     def splat(self, stream):
         """Queue the splatting of the level picture on `stream`, which is this one's own."""
@@ -256,6 +262,8 @@ class WetGroundLight:
         pictures = self._picture, self._depth, self._clearance, self.cover[:0]
         turn, eye = self._uniforms["turn"], self._uniforms["eye"]
         grade_layers(self.frame, rasterizer, self._depth.shape, turn, eye, *pictures, stream)
+        if self._lamps is not None:
+            self._lamps.dim(self._picture, stream)
         high, wide, _ = self._atlas.shape
         grid = blocks(high // 2, wide), BLOCK, stream
         halve_widths[grid](self._picture, self._size, self._horizon, self._atlas)
@@ -268,6 +276,8 @@ class WetGroundLight:
             self.frame.camera_arrays, self._step, self._ground, self._lobe, level, self._size,
             self.frame["gloss"], self.field,
         )  # fmt: skip
+        if self._lamps is not None:
+            self._lamps.add(self._step, self._ground, level, self._size, self.field, stream)
 
     def add(self, stream):
         """Queue the sum of the graded picture and the light that its wet ground mirrors."""
