@@ -11,6 +11,7 @@ from rainsim.config.settings import Config, mm_per_hour
 from rainsim.cuda import simulated
 from rainsim.cuda import simulation as cuda_simulation
 from rainsim.cuda.render import renderer as twin
+from rainsim.cuda.shading.lamp_images import Lamps
 from rainsim.daylight import kept
 from rainsim.daylight.relight import Relight
 from rainsim.errors import ParameterError
@@ -18,7 +19,7 @@ from rainsim.pipeline import FrameSequence, extract_terrain, simulate
 from rainsim.render import aov
 from rainsim.render import renderer as rendering
 from rainsim.render.wet_scene import WetScene
-from scenes import tiny_scene
+from scenes import lamp_scene, tiny_scene
 
 assert simulated()
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
@@ -164,6 +165,27 @@ def test_film_gets_a_mirrored_picture_where_it_is_worth_one():
     plain = config(reflections="auto", film="environment", rate=0.0)
     without = rendering.Renderer(scene, terrain, plain, camera).draw(camera, state)[0]
     assert decibel(pictures[2], without) < 45
+
+
+def test_lamps_on_wet_ground_are_those_of_the_cpu(monkeypatch):
+    """A lamp over wet paving at dusk; its image is that of a source."""
+    dark, scene = lamp_scene()
+    camera = scene.cameras[0].resized(*SIZE)
+    settings = config(
+        film="mirror", reflections="auto", rate=0.0, past=2e-3, daylight=0.04, brightness=0.35
+    )
+    terrain = extract_terrain(scene, settings)
+    state = next(iter(simulate(terrain, settings)))
+    wanted = rendering.Renderer(scene, terrain, settings, camera).draw(camera, state)[0]
+    renderer = twin.Renderer(scene, terrain, settings, camera)
+    found = renderer.draw(camera, state)[0].copy()
+    assert decibel(found, wanted) > 50
+    assert int(renderer.frame.passes.ground_light._lamps._many[0]) > 0
+    monkeypatch.setattr(Lamps, "add", lambda *_: None)
+    without = twin.Renderer(scene, terrain, settings, camera).draw(camera, state)[0]
+    assert decibel(without, wanted) < decibel(found, wanted) - 6
+    plain = twin.Renderer(dark, terrain, settings, camera)
+    assert plain.frame.passes.ground_light._lamps is None
 
 
 def test_colors_follow_clouds_that_come_and_go(monkeypatch, tmp_path):

@@ -57,7 +57,7 @@ def test_streets_at_dusk_are_those_of_the_cpu(on_gpu, name, capsys):
     scene = load_scene(name)
     settings = DUSK.replace(frames=3, scheme="lean")
     cameras = [resize_to(camera, 320) for camera in scene.cameras]
-    terrain = pipeline.ground_of(scene, settings, cameras)
+    terrain = pipeline.extract_terrain(scene, settings)
     states = list(itertools.islice(pipeline.simulate(terrain, settings), settings.frames))
     cpu, gpu = (make(scene, terrain, settings, cameras[0]) for make in (OnCpu, on_gpu))
     for camera, state in zip(cameras, states, strict=False):
