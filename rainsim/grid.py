@@ -45,7 +45,7 @@ from rainsim.water.paper_flow import PaperFlow
 from rainsim.water.report import WaterReport
 from rainsim.water.saved_state import read_solver, write_solver
 from rainsim.water.series import rain_pieces
-from rainsim.water.sources import apply_sources, drain_cells, sum_tiles
+from rainsim.water.sources import apply_sources, drain_cells, lift_cells, sum_tiles
 
 DRY_DEPTH = 1e-6  # m, below this water does not flow (RainyGS supplement, step 2)
 MAX_SPEED = 1000.0  # m/s, no water on the ground is as fast: the run has diverged
@@ -276,17 +276,11 @@ class WaterSolver:
         require_drops(rows, columns, np.zeros(len(rows)), self.shape)
         if not len(rows):
             return 0.0
-        at, area = (
-            (np.asarray(rows) + self.flow.pad, np.asarray(columns) + self.flow.pad),
-            (self.spacing**2),
+        flow = self.flow
+        at = np.asarray(rows) + flow.pad, np.asarray(columns) + flow.pad
+        flow.h[at], flow.remainder[at], self.film[at], taken = lift_cells(
+            flow.h[at], flow.remainder[at], self.film[at], left, self.spacing**2, DRY_DEPTH
         )
-        film = self.film[at].astype(np.float64)
-        keeps = np.minimum(film, left)
-        free = self.flow.h[at].astype(np.float64) + self.flow.remainder[at]
-        from_free = np.maximum(free - (left - keeps), 0.0)
-        taken = self._drain(rows, columns, from_free * area)
-        self.film[at] = keeps
-        taken += float((film - self.film[at].astype(np.float64)).sum()) * area
         self._ledger.drained += taken
         self._has_deposits = True
         return taken

@@ -139,17 +139,39 @@ class Water:
         """Let the next frame's depth be that array of `depths`, so that the last one's stays."""
         self.page, self.depth = page, self.depths[page]
 
+    def let_through(self, exposure, rows):
+        """Let another share of the rain fall from now on; waits.
+
+        Parameters
+        ----------
+        exposure : ndarray of shape (ny, nx), float32
+        rows : sequence of slice
+            That differ from the share before.
+        """
+        self._exposure, self._rate = exposure, None
+        west = step_control.LEAD + PAD
+        for part in rows:
+            framed = np.zeros((part.stop - part.start, self.width), np.float32)
+            framed[:, west : west + self.shape[1]] = exposure[part]
+            begin, end = ((n + PAD) * self.width for n in (part.start, part.stop))
+            send(self._maps.exposure[begin:end], framed.reshape(-1), self.stream)
+
+    @property
+    def cells(self):
+        """The arrays of all cells, see `flow.step`: state, control, fields, remainder, film."""
+        return self._state, self._control, self._fields, self._remainder, self._film
+
     def deposit(self, rows, columns, volumes):
         """Store the volumes [m3] of drops by rows and columns until the next frame adds them."""
         depth = np.asarray(volumes, np.float64) / (self.spacing**2 * step_control.UNIT)
-        cells = self._cells(rows, columns)
+        cells = self.places(rows, columns)
         waiting = fetch(self.waiting, self.stream)
         np.add.at(waiting, cells, np.rint(depth).astype(np.int64))
         send(self.waiting, waiting, self.stream)
 
     def withdraw(self, rows, columns, volumes):
         """Drain up to `volumes` [m3] of free water from cells, none of them named twice; waits."""
-        cells, depth = self._cells(rows, columns), np.asarray(volumes) / self.spacing**2
+        cells, depth = self.places(rows, columns), np.asarray(volumes) / self.spacing**2
         state, control, fields, remainder = (
             fetch(array, self.stream)
             for array in (self._state, self._control, self._fields, self._remainder)
@@ -164,7 +186,8 @@ class Water:
         ):  # fmt: skip
             send(array, values, self.stream)
 
-    def _cells(self, rows, columns):
+    def places(self, rows, columns):
+        """Return the places of cells in the arrays of `cells`, ndarray of int64."""
         rows, columns = np.asarray(rows, np.int64), np.asarray(columns, np.int64)
         return self.first + rows * self.width + columns
 

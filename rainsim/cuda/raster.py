@@ -21,7 +21,7 @@ from rainsim.cuda.frame_uniforms import FrameUniforms
 from rainsim.cuda.graph import new_version
 from rainsim.cuda.jit import SIMULATED, cuda, pinned
 from rainsim.cuda.splatting import blend, project
-from rainsim.cuda.splatting.prepared import DeviceSplats
+from rainsim.cuda.splatting.prepared import MOST_NUMBERS, DeviceSplats
 from rainsim.errors import ParameterError, require_choice
 from rainsim.splatting.prepared import LANES
 from rainsim.splatting.project import FRUSTUM_MARGIN, NO_PLANE, TILE
@@ -274,14 +274,12 @@ class Rasterizer:
         Raises
         ------
         ParameterError
-            If hits are asked for of more splats than a float32 can number, or `among` is given.
+            If `among` is given.
         """
         if among is not None:
             raise ParameterError(
                 "backend cuda draws all chunks; parts of captures need the CPU; take backend cpu"
             )
-        if hit:
-            self.splats.require_numbers()
         size = camera.height, camera.width
         self.update(camera, near, plane, depth, compensate, degree, drop_last, detail=detail)
         self._take_chunks(leading)
@@ -293,10 +291,12 @@ class Rasterizer:
         layers = self.layers.to_host(*size)
         if hit:
             self.update(camera, near, plane, "median", compensate, degree, drop_last, detail=detail)
-            self.launch(numbered=True)
-            self.stream.synchronize()
-            number = self.layers.depth.copy_to_host().reshape(size)
-            layers = replace(layers, hit=self.splats.of_numbers(number))
+            digits = []
+            for divisor in self.splats.divisors():
+                self.launch(divisor)
+                self.stream.synchronize()
+                digits.append(self.layers.depth.copy_to_host().reshape(size))
+            layers = replace(layers, hit=self.splats.of_digits(digits))
         self._take_chunks(False)
         if np.any(background):
             clear = (1 - layers.alpha)[..., None]
@@ -378,10 +378,10 @@ class Rasterizer:
         )  # fmt: skip
         return numbers
 
-    def launch(self, numbered=False):
+    def launch(self, divisor=None):
         """Queue the picture: copies and kernels only, so that a graph can record it.
 
-        If it is `numbered`, depths are numbers of splats, see `project.number_records`.
+        With a `divisor` depths are digits of the splats' numbers, see `project.number_records`.
         """
         self._take()
         s, stream, chunks, taken = self.splats, self.stream, self._chunks, self._taken
@@ -415,9 +415,11 @@ class Rasterizer:
         project.find_ranges[-(-len(key) // THREADS), THREADS, stream](
             self._total, levels, key, value, record, begin, end
         )
-        if numbered:
+        if divisor is not None:
             places = self.splats.chunks * LANES
-            project.number_records[-(-places // THREADS), THREADS, stream](places, record)
+            project.number_records[-(-places // THREADS), THREADS, stream](
+                places, divisor, MOST_NUMBERS, record
+            )
         out = taken.layers
         pictures = out.color, out.alpha, out.depth, out.plane_depth, out.normal
         if self.plain:

@@ -14,6 +14,7 @@ since depth and rings have two pages, the device can take a step while it draws 
 
 from __future__ import annotations
 
+import copy
 from dataclasses import replace
 
 import numpy as np
@@ -29,6 +30,7 @@ from rainsim.cuda.rain.impact_history import RecentImpacts
 from rainsim.cuda.rain.settling import VOLUME_UNIT
 from rainsim.cuda.water import step_control
 from rainsim.cuda.water.ripples import Ripples
+from rainsim.cuda.water.tyres import Traffic
 from rainsim.drops import Weather
 from rainsim.errors import DivergedError
 from rainsim.rain.dripping import DRIP_COLUMNS
@@ -48,7 +50,9 @@ class DeviceState:
     Attributes
     ----------
     index : int
-        Of the frame.
+        Of the frame that shows it.
+    step : int
+        Of the simulation.
     time : float [s]
     simulation : Simulation
         Whose arrays the properties read.
@@ -60,16 +64,20 @@ class DeviceState:
         up the drops that fell on the device, and differs from it by their chance.
     """
 
-    # No tyres roll through water that is on the device.
-    tracks, throws, throw_id = NO_TRACKS, NO_THROWS, np.zeros(0, np.uint64)
-
     def __init__(self, index, time, simulation, notes=()):
-        self.index, self.time, self.simulation, self.notes = index, time, simulation, notes
+        self.index = self.step = index
+        self.time, self.simulation, self.notes = time, simulation, notes
         self.tile_size, self.page = simulation.ripples.size, index % 2
         self.top_water = simulation.top_water()
 
+    def shown_by(self, index):
+        """Return this state as the one that the frame `index` shows."""
+        shown = copy.copy(self)
+        shown.index = index
+        return shown
+
     def _there(self):
-        self.simulation.begin(self.index)
+        self.simulation.begin(self.step)
         return self.simulation
 
     @property
@@ -84,6 +92,21 @@ class DeviceState:
         See `reflection.slope_moments`.
         """
         return self._there().ripples.pages[self.page]
+
+    @property
+    def tracks(self):
+        """How full the film is where tyres have passed, as `SimState` has it; waits."""
+        return self.simulation.thrown(self.step)["tracks"]
+
+    @property
+    def throws(self):
+        """What tyres have thrown, as `SimState` has it; waits."""
+        return self.simulation.thrown(self.step)["throws"]
+
+    @property
+    def throw_id(self):
+        """The ids of `throws`."""
+        return self.simulation.thrown(self.step)["throw_id"]
 
     @property
     def drip_list(self):
@@ -110,7 +133,7 @@ class DeviceState:
     @property
     def ledger(self):
         """Volumes in m3, see `rainsim.ledger`; waits for the device."""
-        return self._there().ledger(self.index)
+        return self._there().ledger(self.step)
 
 
 class Simulation:
@@ -121,6 +144,12 @@ class Simulation:
     terrain : Terrain
     config : Config
         Water of scheme "auto" is computed by "lean" here.
+
+    Attributes
+    ----------
+    is_shown : bool
+        Whether a frame of the last step may still have to be drawn again; `advance` begins no step
+        meanwhile.
     """
 
     @one_fault()
@@ -132,7 +161,8 @@ class Simulation:
         self.stream = cuda.stream()
         self.weather = Weather(config)
         surfaces = host.surfaces_of(terrain)
-        exposure = rain_exposure(terrain, host.usual_wind(config), config.rain.roughness)
+        wind = host.usual_wind(config), config.rain.roughness
+        exposure = rain_exposure(terrain, *wind)
         start = config.at(0.0)
         depth, self.notes = host.initial_water(terrain, start, exposure)
         self._puddle_growth = past_rain_growth(terrain, config, exposure)
@@ -142,16 +172,19 @@ class Simulation:
         why = "auto: the scheme of a CUDA device" if asked == "auto" else solver.reason
         self.notes = (*self.notes, f"water: scheme {solver.scheme} ({why})")
         tile = host.ripple_tile(config, self.weather, (depth, terrain.grid.spacing))
-        open_area = float(exposure.sum()) * terrain.grid.cell_area
         self._objects = host.Objects(surfaces, start, *host.tops_of(terrain, config, start))
         host.warm_up(tile, self._objects, self.weather)
         self._objects.open_account()
         self._first_slopes = tile.slopes()
         interval = 1 / config.fps
+        self._traffic = None
+        if terrain.footprints:
+            self._traffic = Traffic(terrain, config, wind, exposure)
+            self._traffic.tyres.start(solver, self.weather)
         self.water = Water(solver, exposure, stream=self.stream)
         self._beside = cuda.stream()
         self.ripples = Ripples(tile, interval, self._beside)
-        self._share = tile.size**2 / open_area / LAYERS if open_area > 0 else 0.0
+        self._share = self._share_of(exposure)
         self.impacts = self.drips = None
         if self.weather.rains:
             # An exposure is no longer than a frame: it sees one interval that is still to come.
@@ -162,6 +195,8 @@ class Simulation:
                 self._objects.drips, self.impacts, rate, interval, config.rain.roughness,
                 self.stream,
             )  # fmt: skip
+        if self._traffic is not None:
+            self._traffic.roll_over(self.water, self.impacts)
         self._control = pinned(step_control.CONTROL, np.float64)
         self._obstacles = pinned(1, np.int64)
         self._ready, self._listed, self._forked, self._joined = (Event() for _ in range(4))
@@ -169,7 +204,15 @@ class Simulation:
         self._steps, self._lists = [None, None], None
         self._index = self._begun = self._complete = self._late = -1
         self._accounts = [None, None]
+        nothing = {"tracks": NO_TRACKS, "throws": NO_THROWS, "throw_id": np.zeros(0, np.uint64)}
+        self._thrown = [nothing, nothing]
         self._fallen = 0.0  # m of rain since the start
+        self.is_shown = False
+
+    def _share_of(self, exposure):
+        """Return the share of the drops on a map's ground that ring on the tile."""
+        area = float(exposure.sum()) * self.terrain.grid.cell_area
+        return self.ripples.size**2 / area / LAYERS if area > 0 else 0.0
 
     def top_water(self):
         """Return the water on each top [m3] (n,) at the time of the last state."""
@@ -178,21 +221,35 @@ class Simulation:
     @one_fault()
     def advance(self):
         """Go on to the next frame and return its `DeviceState`; see `begin`."""
-        self.begin(self._index)
+        if not self.is_shown:
+            self.begin(self._index)
         self._index += 1
         index, time = self._index, self._index / self.config.fps
         if index > 0:
             middle = time - 0.5 / self.config.fps
             self._fallen += mm_per_hour(self.weather.rate(middle)) / self.config.fps
-            self._bring((index - 1) / self.config.fps, time)
-        if self.impacts is not None:
-            self.impacts.update(index)
         return DeviceState(index, time, self, self.notes if index == 0 else ())
 
+    def follows(self, index):
+        """Return whether a step is at most one after the last that has begun.
+
+        Steps beyond overwrite the arrays of the state that is shown.
+        """
+        return index <= self._begun + 1
+
     def begin(self, index):
-        """Queue the step of that number, if it is the one that `advance` has said last."""
-        if index <= self._begun:
-            return
+        """Queue the steps up to that number, none beyond the one that `advance` has said last."""
+        for step in range(self._begun + 1, index + 1):
+            self._begin(step)
+
+    def _begin(self, index):
+        if index > 0 and self._traffic is not None:
+            self.complete()
+            self._share = self._share_of(self._traffic.thin_rain())
+        if index > 0:
+            self._bring((index - 1) / self.config.fps, index / self.config.fps)
+        if self.impacts is not None:
+            self.impacts.update(index)
         self.complete()
         page, self._begun = index % 2, index
         self.water.turn_page(page)
@@ -206,7 +263,7 @@ class Simulation:
                 self._objects.let_in(self.water, *self._level_change(*self._interval))
             self._listed.wait(self.stream)
             self._drawn[page].wait(self.stream)
-            if index == 1:
+            if index == 1 or self._traffic is not None:
                 self.launch()  # compiles; that was the step itself
             else:
                 if self._steps[page] is None:
@@ -215,6 +272,10 @@ class Simulation:
         self._ready.record(self.stream)
         if self.impacts is None:
             return
+        if self._traffic is not None:
+            self._listed.synchronize()
+            before, after = (n / self.config.fps for n in (index, index + 1))
+            self._traffic.cover(0.5 * (before + after))
         if self._lists is None:
             self.impacts.launch()
             self.impacts.stream.synchronize()
@@ -237,6 +298,7 @@ class Simulation:
         self._ready.synchronize()
         if index == 0:
             self._accounts[0] = self.water.control(), *self._of_objects()
+            self._look_at_tracks(index)
             return
         while self._control[step_control.LEFT] > 0.0:
             self.water.go_on()
@@ -249,11 +311,29 @@ class Simulation:
                 f"{self.config.water.courant}"
             )
         self._accounts[index % 2] = self._control.copy(), *self._of_objects()
+        self._look_at_tracks(index)
 
     def _of_objects(self):
-        """Return the volume on obstacles [VOLUME_UNIT], account of drips or None, inflow [m3]."""
+        """Return what is beside the ground.
+
+        The volume on obstacles [VOLUME_UNIT], account of drips or None, inflow [m3], tyres or None.
+        """
         drips = None if self.drips is None else self.drips.account.copy()
-        return int(self._obstacles[0]), drips, self._objects.inflow
+        tyres = None if self._traffic is None else copy.copy(self._traffic.tyres)
+        return int(self._obstacles[0]), drips, self._objects.inflow, tyres
+
+    def _look_at_tracks(self, index):
+        if self._traffic is not None:
+            time = index / self.config.fps
+            self._thrown[index % 2] = self._traffic.state(self.water.depths[index % 2], time)
+
+    def thrown(self, index):
+        """Return throws, their ids and tracks of a step, at the earliest the last but one."""
+        if self._traffic is not None:
+            self.begin(index)
+            if index == self._begun:
+                self.complete()
+        return self._thrown[index % 2]
 
     def _show_first_slopes(self):
         send(self.ripples.moments, ripple_moments(self._first_slopes))
@@ -269,7 +349,10 @@ class Simulation:
             self.drips.update(before, time, wind, finer * (time - before))
 
     def launch(self):
-        """Queue a step, rings beside the flow; nothing here waits, allocates or reads results."""
+        """Queue a step, rings beside the flow.
+
+        Nothing here waits, allocates or reads results, unless tyres roll.
+        """
         if self.impacts is not None:
             land = self.water, self.ripples, self._share, self.stream
             if self.drips is None:
@@ -279,6 +362,8 @@ class Simulation:
                 self.impacts.settle(*land, self.drips.point, self.drips.came[page])
                 self.drips.launch(page, *land)
             self.impacts.obstacles.copy_to_host(self._obstacles, stream=self.stream)
+        if self._traffic is not None:
+            self._traffic.roll(*self._interval, self.weather)
         self._forked.record(self.stream)
         self._forked.wait(self._beside)
         self.ripples.launch()
@@ -322,24 +407,19 @@ class Simulation:
         """
         if index == self._begun:
             self.complete()
-        control, fallen, drips, inflow = self._accounts[index % 2]
+        control, fallen, drips, inflow, tyres = self._accounts[index % 2]
         came = fallen * VOLUME_UNIT
         returned, held, airborne = 0.0, came + self._objects.initial, 0.0
         if drips is not None:
             held, airborne, returned, fine = volumes(drips)
             came += fine
         ledger = self.water.ledger(control)
-        return self._objects.with_objects(ledger, came, returned, held, airborne, inflow)
+        ledger = self._objects.with_objects(ledger, came, returned, held, airborne, inflow)
+        return ledger if tyres is None else tyres.book(ledger, index / self.config.fps)
 
 
 def simulate(terrain, config, progress=None):
-    """Yield the `DeviceState` at the time of each frame, from frame 0 on, without end.
-
-    Where actors move over the terrain the CPU simulates: its `SimState` is yielded.
-    """
-    if terrain.footprints:
-        yield from host.simulate(terrain, config, progress)
-        return
+    """Yield the `DeviceState` at the time of each frame, from frame 0 on, without end."""
     run = Simulation(terrain, config)
     while True:
         state = run.advance()

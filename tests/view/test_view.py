@@ -14,7 +14,7 @@ from rainsim.commands.given import cameras_of
 from rainsim.commands.given import settings as settings_of
 from rainsim.config.declare import BASES
 from rainsim.config.settings import Config, mm_per_hour
-from rainsim.errors import BackendError, ParameterError
+from rainsim.errors import ParameterError
 from rainsim.io.images import read_image
 from rainsim.pipeline import FrameSequence, render_rain
 from rainsim.render.shutter import shutter_end
@@ -381,8 +381,6 @@ def test_a_path_on_which_the_rain_stands_still_is_drawn_by_its_file(scene, sessi
     assert sequence.next == 0  # the state at hand is that of the first frame too
     ((picture, _),) = sequence.frames([0])
     np.testing.assert_array_equal(picture, frames[0][0])
-    with pytest.raises(BackendError, match="--backend cpu"):
-        FrameSequence(scene, session.terrain, cameras, config, "cuda")
 
 
 @pytest.mark.slow

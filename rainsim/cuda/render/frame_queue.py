@@ -171,10 +171,13 @@ class FrameQueue:
         self._last = None  # of the recorded queues, the one that brought that
 
     def _fits(self, shot):
-        """Return whether a shot has the size and the simulation of the frames before."""
+        """Return whether a shot has size and simulation of the frames before, and follows them."""
         camera, state, _ = shot
         size = camera.height, camera.width
-        return self.frame.size == size and simulation_of(state) is self._simulation
+        simulation = simulation_of(state)
+        if self.frame.size != size or simulation is not self._simulation:
+            return False
+        return simulation is None or simulation.follows(state.step)
 
     def draw(self, shot):
         """Draw a shot (camera, state, camera_end) and wait for it."""
@@ -201,12 +204,13 @@ class FrameQueue:
                 self._finish(before)
                 yield report()
                 before = None
+                self._keep_state(False)
             if self.frame.size is None:
                 self.draw(shot)
                 yield report()
                 continue
             if (simulation := simulation_of(shot[1])) is not None:
-                simulation.begin(shot[1].index)  # the host prepares the frame meanwhile
+                simulation.begin(shot[1].step)  # the host prepares the frame meanwhile
             self._update(shot)
             early = before is not None and self._may_overlap()
             if early:
@@ -220,9 +224,16 @@ class FrameQueue:
             if before is not None:
                 yield finished
             before = self._flight
+            self._keep_state(True)
         if before is not None:
             self._finish(before)
+            self._keep_state(False)
             yield report()
+
+    def _keep_state(self, is_shown):
+        """Tell the simulation whether it must keep the state of the frame before."""
+        if self._simulation is not None:
+            self._simulation.is_shown = is_shown
 
     def _update(self, shot):
         """Prepare the next frame; the device may still be drawing the one before, if that fits."""
@@ -250,7 +261,7 @@ class FrameQueue:
         self.frame.pending = []
         self._launch_dry(self._is_still())
         if (simulation := simulation_of(state)) is not None:
-            simulation.begin(state.index)
+            simulation.begin(state.step)
         self._launch_surface()
 
     def _is_still(self):
@@ -314,7 +325,7 @@ class FrameQueue:
         ahead, latest = self._next, self._flight
         self.pictures.copied.synchronize()
         for _ in range(MOST_TRIES):
-            lacking = simulation is not None and simulation.lacked(flight.state.index)
+            lacking = simulation is not None and simulation.lacked(flight.state.step)
             lacking |= frame.passes.grow()
             if not early:
                 lacking |= any([splats.grow() for splats in frame.passes.dry_rasterizers()])  # all

@@ -32,7 +32,7 @@ class Renderer:
     """Draws frames of one scene, terrain and configuration on the GPU.
 
     Takes the states that the CPU's simulation yields, or those of `rainsim.cuda.simulation`, whose
-    water never leaves the device unless actors move over it.
+    water stays on the device.
 
     Attributes
     ----------

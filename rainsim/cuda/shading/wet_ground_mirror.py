@@ -16,6 +16,7 @@ from rainsim.cuda.frame_uniforms import FrameUniforms
 from rainsim.cuda.graph import new_version
 from rainsim.cuda.jit import cuda, cuda_device, cuda_kernel
 from rainsim.cuda.raster import Rasterizer
+from rainsim.cuda.shading.lamp_images import Lamps, shines
 from rainsim.cuda.shading.wet_pass import BLOCK, blocks, grade_layers, pixel_grid
 from rainsim.cuda.splatting.prepared import DeviceSplats
 from rainsim.numerics.ripmap import LEVELS
@@ -148,12 +149,12 @@ class LevelView:
         Empty, or the rasterizer of the splats that stand on the ground.
     size : device array of shape (2,), float32
         Columns and rows that are drawn; the arrays may be larger.
-    version : int
-        Of the arrays, see `cuda.graph.new_version`.
+    lamps : Lamps or None
+        None: the scene has none.
     """
 
     def __init__(self, frame, stream, drawn):
-        self._frame, self.rasterizers = frame, []
+        self._frame, self.rasterizers, self.lamps = frame, [], None
         self.size = cuda.to_device(np.zeros(2, np.float32))
         self._lens = cuda.to_device(np.ones(4, np.float32))
         self._uniforms = FrameUniforms(stream, {
@@ -164,6 +165,8 @@ class LevelView:
         if drawn:
             splats = DeviceSplats(self._splats(), frame.rasterizer.splats.room)
             self.rasterizers = [Rasterizer(splats, stream, first_room=splats.count)]
+            if shines(frame.conductor.wet_scene.scene):
+                self.lamps = Lamps(frame, splats, stream)
 
     def _allocate(self, width, height):
         """Allocate the picture of at most this size, and its ripmap."""
@@ -172,7 +175,7 @@ class LevelView:
         self._depth, self._clearance = (cuda.device_array((height, width), f4) for _ in range(2))
         high, wide = (-(-side // COARSEST) * 2 * COARSEST for side in (height, width))
         self._atlas = cuda.device_array((high, wide, 3), f4)
-        self.version = new_version()
+        self._version = new_version()
 
     def _splats(self):
         conductor = self._frame.conductor
@@ -191,8 +194,13 @@ class LevelView:
         for rasterizer in self.rasterizers:
             rasterizer.splats.put_actors(scene.capture.actors.standing(terrain, scene.frame))
 
-    def update(self, camera_in_ground):
-        """Take over the camera of the next picture, in the ground frame."""
+    @property
+    def versions(self):
+        """Of the arrays and of the list of lamps, see `cuda.graph.new_version`, a tuple."""
+        return self._version, 0 if self.lamps is None else self.lamps.version
+
+    def update(self, camera, camera_in_ground):
+        """Take over the camera of the next picture, in the capture's and in the ground's frame."""
         scene, level = self._frame.conductor.wet_scene, level_camera(camera_in_ground)
         _, mirrored = mirrored_camera(scene.frame.camera_in_capture(level), scene.frame, 0.0)
         self._horizon = round(level.cy)
@@ -203,6 +211,8 @@ class LevelView:
         for rasterizer in self.rasterizers:
             rasterizer.update(mirrored, scene.capture.near, room=room)
             self.size, self._lens = rasterizer.size, rasterizer.lens
+        if self.lamps is not None:
+            self.lamps.update(camera, camera_in_ground)
         view = view_of(scene.frame.camera_in_ground(mirrored))
         self._uniforms.update(turn=view.ground_from_camera, eye=view.eye, forward=level.forward[:2])
 
@@ -215,6 +225,8 @@ class LevelView:
         grid = blocks(high // 2, wide), BLOCK, stream
         for rasterizer in self.rasterizers:
             grade_layers(self._frame, rasterizer, self._depth.shape, turn, eye, *pictures, stream)
+            if self.lamps is not None:
+                self.lamps.dim(self._picture, stream)
             halve_widths[grid](self._picture, self.size, self._horizon, self._atlas)
             halve_heights[grid](self._atlas)
 
@@ -265,7 +277,7 @@ class WetGroundLight:
             shape = (-(-n // self._step) for n in self._frame.size)
             self._field = cuda.device_array((*shape, 3), np.float32)
         if self.rasterizers:
-            self.level.update(camera_in_ground)
+            self.level.update(camera, camera_in_ground)
 
     @property
     def queue(self):
@@ -273,7 +285,7 @@ class WetGroundLight:
         if self.level is None:
             return ()
         queues = (rasterizer.queue for rasterizer in self.rasterizers)
-        return *self._made_for, self.level.version, *queues
+        return *self._made_for, *self.level.versions, *queues
 
     def splat(self, stream):
         """Queue the splatting of the level picture on `stream`, which is this one's own."""
@@ -287,6 +299,9 @@ class WetGroundLight:
             self._frame.view, self._step, self._ground, self._lobe, self.level.arrays,
             self.level.size, self._frame["gloss"], self._field,
         )  # fmt: skip
+        if self.level.lamps is not None:
+            seen = self.level.arrays, self.level.size, self._field
+            self.level.lamps.add(self._step, self._ground, *seen, stream)
 
     def add(self, stream):
         """Queue the sum of the graded picture and the light that its wet ground mirrors."""
