@@ -32,16 +32,8 @@ STEEP = 0.9  # sine of the elevation from which sky counts as zenith
 def capture(case, shapes, arrays, day, sky=True):
     """Return the capture of a case's day as a `Scene`, its ground found as in any capture.
 
-    Parameters
-    ----------
-    case : Case
-    shapes : Shapes
-    arrays : dict of str to ndarray
-        As `day_data.read` returns them.
-    day : str
-        "sun" or "dull".
-    sky : bool
-        Whether the dome of the sky has splats.
+    `arrays` are those of `day_data.read`, `day` is "sun" or "dull"; without `sky` the dome of the
+    sky has no splats.
     """
     spots, part, names = shapes.joined()
     colors = unpack_colors(arrays[day])

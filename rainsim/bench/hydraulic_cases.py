@@ -159,16 +159,10 @@ def channel_depth(x):
 
 
 def channel_slope(x, flow, gain, brought):
-    """Return the bed's slope on which a flow of `channel_depth` is steady.
+    """Return the bed's slope on which a flow [m2/s] of `channel_depth` is steady at places `x` [m].
 
-    Parameters
-    ----------
-    x : ndarray [m]
-    flow : ndarray or float [m2/s]
-    gain : float [m/s]
-        Rain: the flow grows by that much in each metre.
-    brought : float
-        Speed of the rain over that of the water: 0 if it falls straight down, as in SWASHES.
+    Rain lets the flow grow by `gain` [m/s] in each metre; it comes at `brought` times the water's
+    speed: 0 if it falls straight down, as in SWASHES.
     """
     h, rise = channel_depth(x)
     friction = CHANNEL_MANNING**2 * flow**2 / h ** (10 / 3)

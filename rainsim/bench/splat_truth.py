@@ -47,16 +47,10 @@ class Truth:
 
 
 def draw_truth(splats, camera, near=0.01, drop_last=False):
-    """Return the `Truth` of `splats` (Splats) for `camera`.
+    """Return the `Truth` of `splats` (Splats) for `camera`; `near` is in world units.
 
-    Parameters
-    ----------
-    splats : Splats
-    camera : Camera
-    near : float [world units]
-    drop_last : bool
-        Leave out, as gsplat and the original code do, the splat that would bring a pixel's
-        transmittance to 1e-4 and all behind it.
+    `drop_last` leaves out, as gsplat and the original code do, the splat that would bring a pixel's
+    transmittance to 1e-4 and all behind it.
     """
     ellipse, values = _project(splats, camera, near)
     sums = np.zeros((camera.height, camera.width, LAYERS))

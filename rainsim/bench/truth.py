@@ -159,19 +159,9 @@ def why_unseen(wet, alpha, end):
 def compare(water, light, truth, mask):
     """Return PSNR [dB] and structural similarity of mirrored radiance over the records in mask.
 
-    Parameters
-    ----------
-    water : SeenWater
-    light : ndarray of shape (n, 3)
-        Of each record.
-    truth : pair of ndarray of shape (n, 3)
-        Independent estimates; where they are one and the same, these are the usual measures.
-    mask : ndarray of shape (n,), bool
-
-    Returns
-    -------
-    dict
-        psnr, ssim (in windows that hold water only; None if there are none) and pixels.
+    `light` is that of each record, (n, 3); `truth` a pair of independent estimates of it: where
+    these are one and the same, the measures are the usual ones. The result has psnr, ssim (in
+    windows that hold water only; None if there are none) and pixels.
     """
     if not mask.any():
         return {"psnr": None, "ssim": None, "pixels": 0}

@@ -29,13 +29,7 @@ def _use_threads(out):
 
 
 def report():
-    """Return the facts, and under "wrong" a list of lines, each with its remedy.
-
-    Returns
-    -------
-    dict
-        "versions", "threads", "backends", "memory", "cache", "results" and "wrong".
-    """
+    """Return the facts by subject, and under "wrong" a list of lines, each with its remedy."""
     wrong = []
     _use_threads(np.empty(64))
     layer, threads = threading_layer()

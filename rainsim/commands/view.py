@@ -156,12 +156,7 @@ def _has_graphics():
 def _address_for(address, width, has_graphics):
     """Return the address to open: with fewer pixels where a browser draws them on these cores.
 
-    Parameters
-    ----------
-    address : str
-    width : int [px]
-        Of a picture at rest: wide ones keep the page's full resolution.
-    has_graphics : bool
+    Pictures at rest that are wide (`width` [px]) keep the page's full resolution.
     """
     return address if has_graphics or width > COARSE_UP_TO else f"{address}/{FEWER_PIXELS}"
 

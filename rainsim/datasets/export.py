@@ -36,23 +36,10 @@ def _is_ours(name):
 
 
 class DataSetFolder:
-    """A folder that a data set is written to, with its card and its journal.
+    """A folder that a data set is written to, with its card and its journal; the caller claims it.
 
-    Parameters
-    ----------
-    folder : Path
-        Claimed by the caller, see `rainsim.output_folder.claimed`.
-    layout : str
-    plan : Plan
-    content : dict
-        Plain JSON values that the files depend on.
-    scene : Scene
-    resume, overwrite : bool
-
-    Attributes
-    ----------
-    kept : set of int
-        Parts that need not be drawn.
+    `content` holds plain JSON values that the files depend on. `kept` are numbers of parts that
+    need not be drawn.
     """
 
     def __init__(self, folder, layout, plan, content, scene, resume=False, overwrite=False):
@@ -173,14 +160,7 @@ def read_card(folder):
 def export(shots, folder, config_of, tell=None):
     """Draw and write all samples that are missing in a `DataSetFolder`.
 
-    Parameters
-    ----------
-    shots : Shots
-    folder : DataSetFolder
-    config_of : callable
-        config_of(rate) returns the settings of a rain rate [mm/h].
-    tell : callable, optional
-        Called as tell(stage, done, total).
+    config_of(rate) gives the settings of a rain rate [mm/h]; tell(stage, done, total) is called.
     """
     folder.begin(config_of)
     done = len(folder.kept)

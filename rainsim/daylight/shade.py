@@ -68,12 +68,7 @@ def edge_shade(position, normal, change):
 def factor_in_shade(surface, shares, edges):
     """Return the factor (n, 3), float32, on the gains of splats in the shade.
 
-    Parameters
-    ----------
-    surface : Surface
-    shares : ndarray of shape (n,), float32
-        How much of each splat the sun shines on.
-    edges : EdgeShade
+    `shares` is how much of each splat the sun shines on.
     """
     factor = np.ones((len(shares), 3), np.float32)
     which = np.flatnonzero(shares < 0.99)

@@ -66,25 +66,12 @@ def surface_of(found):
 
 
 def carried(surface, size, values, position, light):
-    """Return values of a surface's places at splats, and which splats have some.
+    """Return values (m, k) of a surface's places at splats, and which splats have some (m,).
 
     A splat takes the mean of the places around it, the less of one the farther it is and the more
-    its brightness differs: at the edge of a shadow dark splats follow dark places.
-
-    Parameters
-    ----------
-    surface : Surface
-    size : float [m]
-        Of the voxels of most places.
-    values : ndarray of shape (n, k), float32
-        Positive; their logarithms are averaged.
-    position, light : ndarray of shape (m, 3), float32
-        Of the splats.
-
-    Returns
-    -------
-    found : ndarray of shape (m, k), float32
-    near : ndarray of shape (m,), bool
+    its brightness differs: at the edge of a shadow dark splats follow dark places. `size` [m] is
+    that of the voxels of most places. `values`, (n, k), are positive; their logarithms are
+    averaged.
     """
     found = np.ones((len(position), values.shape[1]), np.float32)
     near = np.zeros(len(position), bool)

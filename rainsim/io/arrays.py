@@ -53,30 +53,12 @@ def write_arrays(path, version, arrays):
 
 
 def read_arrays(path, what, fields, version, remedy):
-    """Return the arrays of a file that `write_arrays` wrote.
+    """Return the arrays of a file that `write_arrays` wrote, as a dict.
 
-    Parameters
-    ----------
-    path : path-like
-    what : str
-        What the file is, for messages: "height map".
-    fields : dict of str to Field
-        Other arrays of the file are not read.
-    version : int
-        The latest version that can be read.
-    remedy : str
-        What makes a sound file, for messages.
-
-    Returns
-    -------
-    dict of str to ndarray
-        Writable and C-contiguous; text as str or, of an array, as a list of str. Arrays that are
-        not needed and not there are left out.
-
-    Raises
-    ------
-    InputError
-        Names the array, what it is and what it must be.
+    `what` and `remedy` say in messages what the file is ("height map") and what makes a sound one.
+    Arrays that are not among `fields` are not read; `version` is the latest that can be. Arrays are
+    writable and C-contiguous, text is str or, of an array, a list of str; those that are not needed
+    and not there are left out. InputError names the array, what it is and what it must be.
     """
     path = require_file(path, f"a {what}", remedy)
     reader = _Reader(path, what, remedy)

@@ -56,11 +56,7 @@ def chosen_levels(tree, camera, near, threshold, most, plane=None):
 def levels_of(tree, size, threshold):
     """Return the coarsest level of each leaf whose cells take at most `threshold` pixels.
 
-    Parameters
-    ----------
-    tree : ChunkTree
-    size : ndarray of shape (leaves,) [px / capture unit]
-    threshold : float [px]
+    `size` is that of a capture unit at each leaf [px].
     """
     fine_enough = tree.side * size[:, None] <= threshold
     fine_enough[:, 0] = True

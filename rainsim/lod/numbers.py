@@ -15,17 +15,7 @@ from rainsim.scene.pages import ALWAYS, levels_at
 
 
 class FinestNumbers:
-    """The number of each splat of the runs of a capture in chunks.
-
-    Parameters
-    ----------
-    pages : Pages
-
-    Attributes
-    ----------
-    count : int
-        Of all numbers.
-    """
+    """The number of each splat of the runs of a capture in chunks; `count` is that of all."""
 
     def __init__(self, pages):
         self._pages, tree = pages, pages.tree

@@ -96,17 +96,10 @@ def coarsened(picture):
 
 @inlined_function
 def blurred_color(picture, coarse, u, v, blur):
-    """Return the colour of a picture at image point (u, v), blurred.
+    """Return the colour of a picture at image point (u, v), blurred; the point is clamped to it.
 
-    Parameters
-    ----------
-    picture : ndarray of shape (height, width, 3), float32
-    coarse : ndarray of shape (height, width // 2, 3), float32
-        See `coarsened`.
-    u, v : float32 [px]
-        Clamped to the picture.
-    blur : float32 [px]
-        Standard deviation along one axis; the nearest mip level is used.
+    `coarse` are the levels of `coarsened`. `blur` [px] is the standard deviation along one axis;
+    the nearest mip level is used.
     """
     height, width = picture.shape[0], picture.shape[1]
     level = level_of(height, width, blur)

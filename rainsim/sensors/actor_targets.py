@@ -36,10 +36,7 @@ class Met(NamedTuple):
 class ActorTarget:
     """An actor as beams meet it: traced in its own frame, so that it may move from pulse to pulse.
 
-    Parameters
-    ----------
-    actor : Actor
-        Of colours that change over time, those in the middle of their series are taken.
+    Of colours that change over time, those in the middle of their series are taken.
     """
 
     def __init__(self, actor):

@@ -40,22 +40,11 @@ SAMPLES = 2000  # targets that LISA's expectation is averaged over
 
 
 class LidarFolder:
-    """A folder of turns.
+    """A folder of turns of a kind ("kitti", "pcd", "ply"), claimed by the caller.
 
-    Parameters
-    ----------
-    folder : Path
-        Claimed by the caller, see `rainsim.output_folder.claimed`.
-    kind : {"kitti", "pcd", "ply"}
-    overwrite : bool
-        Whether it may hold an earlier result, whose files are removed.
-    resume : bool
-        Whether to go on with an unfinished scan in the folder.
-
-    Attributes
-    ----------
-    kept : dict of int to dict
-        The journal's entries of the turns that need not be scanned.
+    It may hold an earlier result, whose files are removed, if `overwrite` is set, and an unfinished
+    scan, which `resume` goes on with. `kept` has the journal's entries of the turns that need not
+    be scanned.
     """
 
     def __init__(self, folder, kind, overwrite=False, resume=False):
@@ -74,12 +63,8 @@ class LidarFolder:
     def begin(self, content, count):
         """Find what is kept of an unfinished scan, or remove the files of an earlier one.
 
-        Parameters
-        ----------
-        content : dict
-            Plain JSON values that the turns depend on.
-        count : int
-            Of the turns of all rains.
+        `content` holds plain JSON values that the turns depend on, `count` is that of the turns of
+        all rains.
         """
         self.fingerprint, before = fingerprint(content), self._before or {}
         if self._resumes and before:
@@ -160,25 +145,10 @@ def scan_rains(
 ):  # fmt: skip
     """Scan a scene in each rain, write the turns, and return the card.
 
-    Parameters
-    ----------
-    folder : LidarFolder
-    scene : Scene
-    config : Config
-        Its rain rate is replaced by each of `rates`.
-    rates : sequence of float [mm/h]
-    sensor : str
-        A key of `lidar_model.SENSORS`.
-    camera : Camera
-        In the ground frame: where the lidar stands and looks.
-    height : float [m], optional
-    speed : float [m/s]
-        Ahead.
-    turns : int
-    tell : callable
-        Called as tell(stage, done, total).
-    say : callable
-        Called with notes.
+    The settings' rain is replaced by each of `rates` [mm/h]. `sensor` is a key of
+    `lidar_model.SENSORS`; the camera, in the ground frame, stands and looks as the lidar does, at
+    `height` [m] if that is given, and goes ahead at `speed` [m/s]. tell(stage, done, total) and
+    say(notes) are called.
     """
     terrain = extract_terrain(scene, config, None, tell, say)
     albedo, note = albedo_of_white(terrain, scene.splats, config.render.ground_albedo)

@@ -182,14 +182,8 @@ class LensWarp:
     def flow(self, flow, mask, after=None):
         """Return flow and mask of the distorted picture.
 
-        Parameters
-        ----------
-        flow : ndarray of shape (rows, columns, 2) [px]
-            Of the wide picture.
-        mask : ndarray of shape (rows, columns), uint16
-            See `rainsim.render.labels.flow_of`.
-        after : LensWarp, optional
-            That of the next frame; by default this one.
+        `flow` is that of the wide picture [px], `mask` as `rainsim.render.labels.flow_of` has it,
+        `after` the warp of the next frame, by default this one.
         """
         after = self if after is None else after
         lens, wide = after.lens, after.wide

@@ -108,13 +108,8 @@ class Surface:
 class LidarScanner:
     """Scans one scene.
 
-    Parameters
-    ----------
-    scene : Scene
-    terrain : Terrain
-    albedo : float
-        Of a captured linear colour of 1, see `calibration.albedo_of_white`; colours stand for
-        reflectivities at the laser's wavelength, which the capture does not know.
+    `albedo` is that of a captured linear colour of 1, see `calibration.albedo_of_white`; colours
+    stand for reflectivities at the laser's wavelength, which the capture does not know.
     """
 
     def __init__(self, scene, terrain, albedo):
@@ -162,22 +157,11 @@ class LidarScanner:
         )  # fmt: skip
 
     def scan(self, lidar, pose, time, rng, field=None, state=None, damp=0.0):
-        """Return the `Scan` of a turn.
+        """Return the `Scan` of a turn that begins at `time` [s].
 
-        Parameters
-        ----------
-        lidar : Lidar
-        pose : Pose
-        time : float [s]
-            When the turn begins.
-        rng : numpy.random.Generator
-            Of the noise of ranges alone.
-        field : RainField or None
-            The drops; None: no rain.
-        state : SimState or None
-            The water on the ground; None: it is dry.
-        damp : float
-            How wet open ground is, 0 to 1, see `wetness.paving_dampness`.
+        `rng` makes the noise of ranges alone. `field` has the drops (None: no rain), `state` the
+        water on the ground (None: it is dry); `damp` is how wet open ground is, 0 to 1, see
+        `wetness.paving_dampness`.
         """
         local, when = lidar.beams()
         direction = local @ pose.rotation.T
@@ -271,19 +255,8 @@ class LidarScanner:
 def drops_in_beams(lidar, pose, drops, local, when):
     """Return which beams have which drops in them as their pulses pass.
 
-    Parameters
-    ----------
-    lidar : Lidar
-    pose : Pose
-    drops : Drops
-        At mid-turn.
-    local, when : ndarray
-        See `Lidar.beams`.
-
-    Returns
-    -------
-    beam : ndarray of shape (m,), int64
-    distance, diameter : ndarray of shape (m,), float64 [m]
+    Drops are those of mid-turn, `local` and `when` those of `Lidar.beams`. The result is the beam,
+    the distance and the diameter [m] of each.
     """
     period, columns, channels = 1 / lidar.rate, lidar.columns, len(lidar.elevation)
     half = 0.5 * lidar.divergence
@@ -339,13 +312,8 @@ def _scan(lidar, local, when, label, distance, bright, power, clear, rng):
 def pose_at(camera, height=None, velocity=(0.0, 0.0, 0.0)):
     """Return the level `Pose` at a camera's place, ahead being where the camera looks.
 
-    Parameters
-    ----------
-    camera : Camera
-        In the ground frame.
-    height : float [m], optional
-        Above z = 0 instead of the camera's own.
-    velocity : array_like of shape (3,) [m/s]
+    The camera is in the ground frame; `height` [m] is above z = 0, by default the camera's own;
+    `velocity` is in m/s.
     """
     ahead = camera.forward * (1, 1, 0)
     if np.linalg.norm(ahead) < 1e-6:  # it looks straight down: its picture's upper edge is ahead

@@ -89,19 +89,8 @@ def bands(camera, motion, readout, exposure, rows=ROWS, first_row=0.0, height=No
 def draw_rolling(renderer, camera, state, motion, readout, names=(), **options):
     """Return the picture of a rolling shutter and its `FrameReport`, as `Renderer.draw` does.
 
-    Parameters
-    ----------
-    renderer : Renderer
-    camera : Camera
-        In the ground frame.
-    state : SimState
-        Water does not move on within the readout, drops do.
-    motion : Motion
-    readout : float [s]
-    names : sequence of str
-        AOVs; flow is not among them.
-    **options
-        `rows`, `first_row` and `height` of `bands`.
+    The camera is in the ground frame. Water does not move on within the readout [s], drops do. Flow
+    is not among the AOVs `names`; `options` are `rows`, `first_row` and `height` of `bands`.
     """
     frame, parts = renderer.conductor.wet_scene.frame, []
     exposure = renderer.conductor.config.at(state.time).render.exposure
@@ -127,16 +116,9 @@ def _actors(reports, rows, number):
     """Return the labels of each actor that some band shows, or could.
 
     Its box in the picture is that of its boxes in all bands; its box in space is that at the time
-    of the band in which the middle of this box lies.
-
-    Parameters
-    ----------
-    reports : sequence of FrameReport
-        Of the bands.
-    rows : ndarray of shape (bands + 1,), int
-        First row of each band, and the picture's height.
-    number : ndarray of shape (height, width), uint16
-        Of the whole picture, as the layer `actor_id`.
+    of the band in which the middle of this box lies. `reports` are those of the bands, `rows` the
+    first row of each and the picture's height, `number` is the layer `actor_id` of the whole
+    picture.
     """
     seen = {box["id"]: box for box in boxes_of(number)}
     known = {}

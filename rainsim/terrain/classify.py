@@ -42,15 +42,8 @@ def is_green(splats):
 def classify(bed, top, source, noise, color, green, spacing):
     """Return the class of every cell, ndarray of shape (ny, nx), uint8.
 
-    Parameters
-    ----------
-    bed, top : ndarray of shape (ny, nx), float32 [m]
-    source : ndarray of shape (ny, nx), uint8
-    noise : ndarray of shape (ny, nx), float32 [m]
-    color : ndarray of shape (ny, nx, 3), float32
-    green : ndarray of shape (ny, nx), float32
-        Excess green, 2 G - R - B, smoothed over a few cm.
-    spacing : float [m]
+    Bed, top and noise are heights [m]; `green` is the excess green, 2 G - R - B, smoothed over a
+    few cm.
     """
     unknown = source == UNKNOWN
     plants = (green > EXCESS_GREEN) | unknown

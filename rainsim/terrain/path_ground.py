@@ -91,13 +91,7 @@ class PathGround:
     def around(self, scene, station, check=lambda: None):
         """Return the `Terrain` of a station's window and of its surroundings, actors on it.
 
-        Parameters
-        ----------
-        scene : Scene
-            The one that the overview was made of.
-        station : Station
-        check : callable
-            check() is called between the steps.
+        The scene is the one that the overview was made of; check() is called between the steps.
         """
         cells, spacing = station.around, station.spacing
         axis, strip = long_axis(cells), cells_of(STRIP, spacing)
@@ -173,16 +167,10 @@ def grid_of(cells, spacing):
 
 
 def part_of(terrain, window):
-    """Return the `Terrain` of a part of a map without tops and painted water, its arrays copied.
+    """Return the `Terrain` of a window (rows, columns) of a map, its arrays copied.
 
-    Nor has it colours, by which only the light of the whole is set up.
-    What moves on the map moves on the part, too.
-
-    Parameters
-    ----------
-    terrain : Terrain
-    window : tuple of slice
-        Rows and columns.
+    It has no tops and no painted water, nor colours, by which only the light of the whole is set
+    up. What moves on the map moves on the part, too.
     """
     grid = terrain.grid
     rows, columns = window
@@ -258,14 +246,9 @@ def follows_path(scene, config, cameras, backend="cpu", mask=None):
 
 
 def path_ground(scene, config, cameras):
-    """Return the `PathGround` of a scene, and notes on it.
+    """Return the `PathGround` of a scene along cameras in the capture frame, and notes on it.
 
-    Parameters
-    ----------
-    scene : Scene
-    config : Config
-    cameras : sequence of Camera
-        One per frame, or one for all, in the capture frame.
+    There is one camera per frame, or one for all.
     """
     spacing = config.terrain.spacing or USUAL_SPACING
     coarse = max(choose_grid(scene, TerrainConfig(), OVERVIEW_CELLS)[0].spacing, spacing)

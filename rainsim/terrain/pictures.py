@@ -20,20 +20,10 @@ CHECK_WIDTH = 960  # px
 
 
 def hillshade(height, spacing, exaggerate=4):
-    """Return the brightness of a height field lit from the north-west, 35 degrees up.
+    """Return the brightness, 0 to 1, of a height field lit from the north-west, 35 degrees up.
 
-    Parameters
-    ----------
-    height : ndarray of shape (ny, nx) [m]
-        Row 0 in the south, as in the result.
-    spacing : float [m]
-    exaggerate : float
-        Factor on the heights.
-
-    Returns
-    -------
-    ndarray of shape (ny, nx)
-        0 to 1, without cast shadows.
+    Row 0 is in the south, also in the result. Heights are taken `exaggerate` times; no shadow is
+    cast.
     """
     azimuth, elevation = np.radians(135), np.radians(35)
     dy, dx = np.gradient(height * exaggerate, spacing)

@@ -104,13 +104,7 @@ def without_images(scene, terrain):
 def shows_water(frame, grid, bed, water, splats):
     """Return which splats are captured water or a mirror image below the ground, (n,) bool.
 
-    Parameters
-    ----------
-    frame : GroundFrame
-    grid : Grid
-    bed, water : ndarray of shape (ny, nx), float32 [m]
-        The assumed bed of painted water, and how deep it is.
-    splats : Splats
+    `bed` is the assumed bed of painted water [m], `water` how deep it is [m].
     """
     wet = water > 0
     level = np.where(wet, bed + water, 0)

@@ -61,19 +61,9 @@ def write_water_mask(path, mask):
 
 
 def painted_water(mask, grid, point, radius, depth, stays):
-    """Return a `WaterMask` with a disc of water painted on it.
+    """Return a `WaterMask` with a disc of water painted on it about `point` (x, y), radius in m.
 
-    Parameters
-    ----------
-    mask : WaterMask or None
-    grid : Grid
-    point : sequence of float [m]
-        Its x and y are the middle of the disc.
-    radius : float [m]
-    depth : float [m]
-        0 takes water away.
-    stays : bool
-        Of all water of the mask.
+    A depth [m] of 0 takes water away; `stays` holds for all water of the mask.
     """
     found = np.zeros(grid.shape, np.float32) if mask is None else mask.depth.copy()
     found[grid.disc(point, radius)] = depth

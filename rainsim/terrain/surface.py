@@ -84,13 +84,7 @@ def _level(up):
 def terrain_from_mesh(points, triangles, config, notes=()):
     """Return the `Terrain` of the uppermost surface of a triangle mesh.
 
-    Parameters
-    ----------
-    points : ndarray of shape (n, 3) [m]
-        z up.
-    triangles : ndarray of shape (m, 3), int
-    config : TerrainConfig
-    notes : tuple of str
+    `points` are of shape (n, 3) [m], z up, `triangles` of shape (m, 3), int.
     """
     used = points[np.unique(triangles)]
     low, high = used[:, :2].min(axis=0), used[:, :2].max(axis=0)

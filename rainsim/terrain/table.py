@@ -35,17 +35,9 @@ class ClassTable:
     columns: dict
 
     def column(self, name):
-        """Return one number of every ground class, ndarray of shape (n,).
+        """Return one number of every ground class by its key, see `columns`, ndarray of shape (n,).
 
-        Parameters
-        ----------
-        name : str
-            A key of `columns`, which lists the units.
-
-        Returns
-        -------
-        ndarray of shape (n,)
-            The table's own array, not a copy: index it with codes of ground classes.
+        It is the table's own array, not a copy: index it with codes of ground classes.
         """
         return self.columns[name]
 

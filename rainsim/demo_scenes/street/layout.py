@@ -132,15 +132,10 @@ class Standing:
 
 
 def long_layout(length, seed, shapes):
-    """Return the `Layout` and the `Standing` of a street of a length.
+    """Return the `Layout` and the `Standing` of a street of a length [m].
 
-    Parameters
-    ----------
-    length : float [m]
-        Of the drive and what lies ahead of its end.
-    seed : int
-    shapes : tuple
-        Of cars, one of which is drawn for each.
+    The length is that of the drive and what lies ahead of its end. One of `shapes` is drawn for
+    each car.
     """
     rng = np.random.Generator(np.random.PCG64((seed, 11)))
     ends = (BEFORE, float(length))
