@@ -19,25 +19,14 @@ SPOT_SPACING = 0.0135  # m
 
 @dataclass(frozen=True)
 class Paving:
-    """Paved ground at vertices, row = y, column = x.
-
-    Attributes
-    ----------
-    x, y : ndarray [m]
-    bed : ndarray of shape (ny, nx) [m]
-    level : ndarray of shape (ny, nx) [m]
-        Of the water, where depth is positive.
-    depth : ndarray of shape (ny, nx) [m]
-        Of puddles; 0 without.
-    albedo : ndarray of shape (ny, nx, 3)
-    """
+    """Paved ground at vertices, maps of shape (ny, nx), row = y, column = x, in metres."""
 
     x: np.ndarray
     y: np.ndarray
     bed: np.ndarray
-    level: np.ndarray
-    depth: np.ndarray
-    albedo: np.ndarray
+    level: np.ndarray  # of the water, where depth is positive
+    depth: np.ndarray  # of puddles; 0 without
+    albedo: np.ndarray  # (ny, nx, 3)
 
     @property
     def slopes(self):

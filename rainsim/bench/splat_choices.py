@@ -17,26 +17,13 @@ from rainsim.splatting.project import color_chunk
 
 @dataclass(frozen=True)
 class Choice:
-    """One way to draw, of a group of alternatives.
-
-    Attributes
-    ----------
-    name : str
-    changes : dict
-        Constants or functions of `rainsim.raster` to replace, by name; see `variants.variant`.
-    options : dict
-        Of `Rasterizer.draw`.
-    adapt : callable, optional
-        adapt(splats, prepared) returns what is drawn instead of `prepared`.
-    default : bool
-        Whether it is what the rasterizer does.
-    """
+    """One way to draw, of a group of alternatives."""
 
     name: str
-    changes: dict = field(default_factory=dict)
-    options: dict = field(default_factory=dict)
-    adapt: object = None
-    default: bool = False
+    changes: dict = field(default_factory=dict)  # of `rainsim.raster`, see `variants.variant`
+    options: dict = field(default_factory=dict)  # of `Rasterizer.draw`
+    adapt: object = None  # adapt(splats, prepared) returns what is drawn instead of `prepared`
+    default: bool = False  # whether it is what the rasterizer does
 
     def rasterizer(self, splats, prepared):
         """Return a Rasterizer that draws as this choice says."""

@@ -26,24 +26,14 @@ SH_FACTORS = (SH_0, SH_1, *SH_2, *SH_3)
 
 @dataclass(frozen=True)
 class Truth:
-    """The layers of a camera's picture, all float64.
+    """The layers of a camera's picture, float64, as `rainsim.raster.Layers` defines them."""
 
-    Attributes
-    ----------
-    color : ndarray of shape (height, width, 3)
-        Display-referred, over black.
-    alpha, depth, median_depth, plane_depth : ndarray of shape (height, width)
-        As `rainsim.raster.Layers` defines them, depths in capture units.
-    normal : ndarray of shape (height, width, 3)
-        Unit, camera frame.
-    """
-
-    color: np.ndarray
+    color: np.ndarray  # (height, width, 3), display-referred, over black
     alpha: np.ndarray
     depth: np.ndarray
     median_depth: np.ndarray
     plane_depth: np.ndarray
-    normal: np.ndarray
+    normal: np.ndarray  # (height, width, 3), unit, camera frame
 
 
 def draw_truth(splats, camera, near=0.01, drop_last=False):

@@ -84,24 +84,12 @@ class SunRatio(NamedTuple):
 
 @dataclass(frozen=True)
 class Relight:
-    """The gain that takes each splat's light from the captured day to an overcast one.
+    """The gain that takes each splat's light from the captured day to an overcast one."""
 
-    Attributes
-    ----------
-    gain : ndarray of shape (n, 3), float16, or None
-        On linear light; None: nothing is changed.
-    note : str
-    sun : ndarray of shape (3,) or None
-        Unit, in the ground frame, towards the sun that was found or given.
-    ratio : tuple of float or None
-        See `SunRatio`.
-    confidence : float
-    """
-
-    gain: np.ndarray | None
+    gain: np.ndarray | None  # (n, 3), float16, on linear light; None: nothing is changed
     note: str
-    sun: np.ndarray | None = None
-    ratio: tuple | None = None
+    sun: np.ndarray | None = None  # (3,), unit, ground frame, to the sun that was found or given
+    ratio: tuple | None = None  # see `SunRatio`
     confidence: float = 0.0
 
 

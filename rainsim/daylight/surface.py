@@ -20,30 +20,15 @@ DIM = 0.004  # linear light below which noise decides
 
 
 class Surface(NamedTuple):
-    """Places on the surface of a capture, in the ground frame.
+    """Places on the surface of a capture, in the ground frame."""
 
-    Attributes
-    ----------
-    position, normal : ndarray of shape (n, 3), float32
-        [m]; unit, towards those who see it.
-    flat : ndarray of shape (n,), float32
-        How far the places around lie in one plane, 0 (leaves) to 1 (paving).
-    light : ndarray of shape (n, 3), float32
-        Linear captured colour, relative to display white.
-    weight : ndarray of shape (n,), float32
-        Light that it stops, 0 to 1.
-    neighbours : ndarray of shape (n, NEIGHBOURS), int32
-    area : ndarray of shape (n,), float32 [m2]
-        That a place stands for.
-    """
-
-    position: np.ndarray
-    normal: np.ndarray
-    flat: np.ndarray
-    light: np.ndarray
-    weight: np.ndarray
-    neighbours: np.ndarray
-    area: np.ndarray
+    position: np.ndarray  # (n, 3), float32, m
+    normal: np.ndarray  # (n, 3), float32, unit, towards those who see it
+    flat: np.ndarray  # (n,), float32: places around lie in one plane, 0 (leaves) to 1 (paving)
+    light: np.ndarray  # (n, 3), float32, linear captured colour, relative to display white
+    weight: np.ndarray  # (n,), float32, light that it stops, 0 to 1
+    neighbours: np.ndarray  # (n, NEIGHBOURS), int32
+    area: np.ndarray  # (n,), float32, m2, that a place stands for
 
 
 def luminance(light):

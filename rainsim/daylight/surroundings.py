@@ -36,45 +36,22 @@ TINY = np.float32(1e-4)
 
 
 class Patches(NamedTuple):
-    """Pieces of a capture's surfaces, of one cell and side each.
+    """Pieces of a capture's surfaces, of one cell and side each."""
 
-    Attributes
-    ----------
-    position, normal : ndarray of shape (m, 3), float32
-        [m]; the normals are unit vectors.
-    flat : ndarray of shape (m,), float32
-        See `Surface`.
-    area : ndarray of shape (m,), float32 [m2]
-        That it covers.
-    cell : float [m]
-    of : ndarray of shape (n,), int64
-        The patch of each splat; m: none, it is too far away.
-    """
-
-    position: np.ndarray
-    normal: np.ndarray
-    flat: np.ndarray
-    area: np.ndarray
-    cell: float
-    of: np.ndarray
+    position: np.ndarray  # (m, 3), float32, m
+    normal: np.ndarray  # (m, 3), float32, unit
+    flat: np.ndarray  # (m,), float32, see `Surface`
+    area: np.ndarray  # (m,), float32, m2, that it covers
+    cell: float  # m
+    of: np.ndarray  # (n,), int64, the patch of each splat; m: none, it is too far away
 
 
 class Sent(NamedTuple):
-    """Light that the surroundings send to each patch, as mean radiosity of what it sees of them.
-
-    Attributes
-    ----------
-    patches : Patches
-    light : ndarray of shape (m, 2, 3), float32
-        From below the horizon and from above it, over the light on open level ground, for each
-        channel.
-    mean : ndarray of shape (2, 3), float32
-        Of all patches, for places away from them.
-    """
+    """Light that the surroundings send to each patch, as mean radiosity of what it sees of them."""
 
     patches: Patches
-    light: np.ndarray
-    mean: np.ndarray
+    light: np.ndarray  # (m, 2, 3), float32, from below the horizon and above it, over open ground's
+    mean: np.ndarray  # (2, 3), float32, of all patches, for places away from them
 
     def at(self, position, normal, flat):
         """Return the mean radiosity that places see below the horizon and above it, (n, 2, 3)."""

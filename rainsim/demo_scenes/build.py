@@ -23,28 +23,14 @@ LATTICE = 32  # cells of the periodic noise lattice, each way
 
 @dataclass(frozen=True, slots=True)
 class Cloud:
-    """Splats in the making.
+    """Splats in the making, arrays (n, ...), float32."""
 
-    Attributes
-    ----------
-    position : ndarray of shape (n, 3), float32 [m]
-    axes : ndarray of shape (n, 3, 3), float32
-        Row k is the splat's own axis k, a unit vector; row 2 is the normal of a surface splat.
-    scale : ndarray of shape (n, 3), float32 [m]
-        Standard deviations along the own axes.
-    colour : ndarray of shape (n, 3), float32
-        Display-referred.
-    opacity : ndarray of shape (n,), float32
-    sheen : ndarray of shape (n,), float32
-        How much brighter the splat is when seen along its surface than head-on.
-    """
-
-    position: np.ndarray
-    axes: np.ndarray
-    scale: np.ndarray
-    colour: np.ndarray
+    position: np.ndarray  # (n, 3), m
+    axes: np.ndarray  # (n, 3, 3), row k is own axis k, unit; row 2 a surface splat's normal
+    scale: np.ndarray  # (n, 3), m, standard deviations along the own axes
+    colour: np.ndarray  # (n, 3), display-referred
     opacity: np.ndarray
-    sheen: np.ndarray
+    sheen: np.ndarray  # how much brighter the splat is when seen along its surface than head-on
 
     def __len__(self):
         return len(self.position)

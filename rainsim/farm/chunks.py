@@ -24,19 +24,11 @@ FIRST_PATIENCE = 1800.0  # s for the first chunk of a worker, which compiles
 
 @dataclass
 class Chunk:
-    """Frames that a worker is at.
-
-    Attributes
-    ----------
-    indices : list of int
-    steps : int
-        Frames that the worker simulates or draws for it.
-    begun : float [s]
-    """
+    """Frames that a worker is at."""
 
     indices: list
-    steps: int
-    begun: float
+    steps: int  # frames that the worker simulates or draws for it
+    begun: float  # s
 
 
 class Chunks:

@@ -27,23 +27,15 @@ TEXT = "text"  # in place of a dtype
 class Field:
     """The rule for one array of a file: its type, shape and bounds.
 
-    Attributes
-    ----------
-    kind : str
-        The dtype, or `TEXT` for strings of any length.
-    shape : tuple of int or str
-        A name stands for a length that is the same wherever the name stands.
-    low, high : float
-        Range of the values, ends included; what is not finite lies in no range.
-    needed : bool
-        Whether a file without it is damaged.
+    A name in the shape stands for a length that is the same wherever the name stands. What is not
+    finite lies in no range.
     """
 
-    kind: str
+    kind: str  # the dtype, or `TEXT` for strings of any length
     shape: tuple = ()
     low: float = -MAX_LENGTH
-    high: float = MAX_LENGTH
-    needed: bool = True
+    high: float = MAX_LENGTH  # ends included
+    needed: bool = True  # whether a file without it is damaged
 
 
 def write_arrays(path, version, arrays):

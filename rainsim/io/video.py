@@ -62,18 +62,10 @@ CODECS = {
 
 
 class VideoFormat(NamedTuple):
-    """Codec and quality of a video.
+    """Codec and quality of a video."""
 
-    Attributes
-    ----------
-    codec : str
-        Of `CODECS`.
-    quality : float or None
-        From 0 to 100; None for what is usual for the codec.
-    """
-
-    codec: str = "h264"
-    quality: float | None = None
+    codec: str = "h264"  # of `CODECS`
+    quality: float | None = None  # from 0 to 100; None for what is usual for the codec
 
     @property
     def name(self):

@@ -14,23 +14,13 @@ WAY = 64  # times at which an actor's way in a turn is looked at, for the ball t
 
 
 class Met(NamedTuple):
-    """Hits of some of the beams on an actor, arrays (n, ...).
+    """Hits of some of the beams on an actor, arrays (n, ...)."""
 
-    Attributes
-    ----------
-    beam : ndarray of shape (n,), int64
-    color : ndarray of shape (n, 3), float32
-        Multiplied by alpha.
-    alpha, distance : ndarray of shape (n,), float32 [-, capture units]
-    normal : ndarray of shape (n, 3), float64
-        Capture frame.
-    """
-
-    beam: np.ndarray
-    color: np.ndarray
-    alpha: np.ndarray
-    distance: np.ndarray
-    normal: np.ndarray
+    beam: np.ndarray  # int64
+    color: np.ndarray  # (n, 3), float32, multiplied by alpha
+    alpha: np.ndarray  # float32
+    distance: np.ndarray  # float32, capture units
+    normal: np.ndarray  # (n, 3), float64, capture frame
 
 
 class ActorTarget:

@@ -33,33 +33,17 @@ MARGIN = 0.01  # m of pane around what the picture shows
 class Pane:
     """A pane of glass.
 
-    Attributes
-    ----------
-    distance : float [m]
-        From the camera along its axis.
-    tilt : float [rad]
-        By which its upper edge leans towards the camera's back: 0 is across the axis.
-    contact_angle : float [rad]
-        Of water on it.
-    speed : float [m/s]
-        Of the camera along its level view direction.
-    age : float [s]
-        For how long it has rained on the pane.
-    wiper : float [s] or None
-        Time between strokes, each of which clears the pane; the last stroke was
-        `age` modulo `wiper` ago. None: there is no wiper.
-    aperture, focus : float [m]
-        Of the lens: opening, 0 for a pinhole, and what is in focus.
+    A stroke of the wiper clears the pane; the last one was `age` modulo `wiper` ago.
     """
 
-    distance: float = 0.08
-    tilt: float = math.radians(30)
-    contact_angle: float = math.radians(50)
-    speed: float = 0.0
-    age: float = 10.0
-    wiper: float | None = None
-    aperture: float = 2e-3
-    focus: float = 10.0
+    distance: float = 0.08  # m, from the camera along its axis
+    tilt: float = math.radians(30)  # of the upper edge to the camera's back; 0: across the axis
+    contact_angle: float = math.radians(50)  # of water on it
+    speed: float = 0.0  # m/s, of the camera along its level view direction
+    age: float = 10.0  # s, for how long it has rained on the pane
+    wiper: float | None = None  # s, between strokes; None: there is no wiper
+    aperture: float = 2e-3  # m, of the lens; 0 for a pinhole
+    focus: float = 10.0  # m, distance of what is in focus
 
     def __post_init__(self):
         """Raise ParameterError if a value breaks its rule."""
@@ -92,21 +76,11 @@ class Pane:
 
 @dataclass(frozen=True)
 class Caps:
-    """Drops on a pane.
+    """Drops on a pane."""
 
-    Attributes
-    ----------
-    place : ndarray of shape (n, 2), float64 [m]
-        Right and down along the pane from where the camera's axis meets it.
-    radius : ndarray of shape (n,), float64 [m]
-        Of the wetted disc.
-    arrived : int
-        Drops that hit the pane.
-    """
-
-    place: np.ndarray
-    radius: np.ndarray
-    arrived: int
+    place: np.ndarray  # (n, 2), float64, m, right and down from where the axis meets the pane
+    radius: np.ndarray  # (n,), float64, m, of the wetted disc
+    arrived: int  # drops that hit the pane
 
 
 def cap_volume(radius, angle):

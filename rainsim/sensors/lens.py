@@ -27,12 +27,8 @@ REMEDY = "give other coefficients or a longer focal length"
 class Lens:
     """A lens as OpenCV has it.
 
-    Attributes
-    ----------
-    model : {"opencv", "fisheye"}
-        opencv: radial and tangential. fisheye: the angle off the axis as a polynomial.
-    values : tuple of float
-        k1, k2, p1, p2 and optionally k3; of a fisheye k1 to k4.
+    "opencv" is radial and tangential, with values k1, k2, p1, p2 and optionally k3; "fisheye" has
+    the angle off the axis as a polynomial, with values k1 to k4.
 
     References
     ----------
@@ -142,23 +138,12 @@ def lens_of(text):
 
 @dataclass(frozen=True)
 class LensWarp:
-    """Where each pixel of a distorted picture lies in the pinhole picture that it is warped from.
+    """Where each pixel of a distorted picture lies in the pinhole picture it is warped from."""
 
-    Attributes
-    ----------
-    camera : Camera
-        The distorted picture's size, focal lengths, principal point and pose.
-    lens : Lens
-    wide : Camera
-        The pinhole camera whose picture is wide enough.
-    u, v : ndarray of shape (height, width), float64 [px]
-        Image points in the wide picture.
-    """
-
-    camera: object
+    camera: object  # the distorted picture's size, focal lengths, principal point and pose
     lens: Lens
-    wide: object
-    u: np.ndarray
+    wide: object  # the pinhole camera whose picture is wide enough
+    u: np.ndarray  # (height, width), float64, px: image points in the wide picture, with `v`
     v: np.ndarray
 
     def colors(self, picture):

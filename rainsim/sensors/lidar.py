@@ -44,51 +44,27 @@ STEPS = 6  # of the search for the time at which the sensor looks at a drop
 
 @dataclass(frozen=True)
 class Pose:
-    """Where a lidar stands, in the ground frame.
+    """Where a lidar stands at the begin of a turn, in the ground frame."""
 
-    Attributes
-    ----------
-    position : ndarray of shape (3,) [m]
-        At the begin of a turn.
-    rotation : ndarray of shape (3, 3)
-        ground_from_sensor; x ahead, y left, z up.
-    velocity : ndarray of shape (3,) [m/s]
-    """
-
-    position: np.ndarray
-    rotation: np.ndarray
-    velocity: np.ndarray
+    position: np.ndarray  # m
+    rotation: np.ndarray  # ground_from_sensor; x ahead, y left, z up
+    velocity: np.ndarray  # m/s
 
 
 @dataclass(frozen=True)
 class Scan:
-    """A turn of a lidar.
+    """A turn of a lidar, arrays (n, ...) with a row for each beam.
 
-    Attributes
-    ----------
-    point : ndarray of shape (n, 3), float32 [m]
-        Sensor frame, one a beam; 0 where no echo came back.
-    reflectivity : ndarray of shape (n,), float32
-        0 to 1, extinction included, as the sensor reports it.
-    label : ndarray of shape (n,), uint8
-        LOST, SCATTERED, KEPT or MIRRORED.
-    time : ndarray of shape (n,), float32 [s]
-        Since the turn began.
-    distance, target : ndarray of shape (n,), float64
-        Distance [m] of what the beam meets, infinite for nothing, and its reflectivity, wet as it
-        is: what comes back where there are no drops.
-    actor : ndarray of shape (n,), uint16, or None
-        Number of the actor that a point lies on, as in the layer `actor_id`; 0: none. None for
-        scenes without actors.
+    Distance and target are what comes back where there are no drops.
     """
 
-    point: np.ndarray
-    reflectivity: np.ndarray
-    label: np.ndarray
-    time: np.ndarray
-    distance: np.ndarray
-    target: np.ndarray
-    actor: np.ndarray | None = None
+    point: np.ndarray  # (n, 3), float32, m, sensor frame; 0 where no echo came back
+    reflectivity: np.ndarray  # float32, 0 to 1, extinction included, as the sensor reports it
+    label: np.ndarray  # uint8, LOST, SCATTERED, KEPT or MIRRORED
+    time: np.ndarray  # float32, s, since the turn began
+    distance: np.ndarray  # float64, m, of what the beam meets, infinite for nothing
+    target: np.ndarray  # float64, its reflectivity, wet as it is
+    actor: np.ndarray | None = None  # uint16, as the layer `actor_id`; None without actors
 
 
 @dataclass(frozen=True)

@@ -41,28 +41,14 @@ KEY_BITS = 19  # of a voxel's place along each axis
 
 
 class CaptureSurface(NamedTuple):
-    """Places on the surface of a capture, in the ground frame.
+    """Places on the surface of a capture, in the ground frame."""
 
-    Attributes
-    ----------
-    position, normal : ndarray of shape (n, 3), float32
-        [m]; unit, towards the cameras that see it.
-    flat : ndarray of shape (n,), float32
-        How far the places around lie in one plane, 0 (leaves) to 1 (paving).
-    light : ndarray of shape (n, 3), float32
-        Linear captured colour, relative to display white.
-    size : ndarray of shape (n,), float32 [m]
-        Side of its voxel.
-    views : ndarray of shape (n,), uint8
-        Cameras that see it.
-    """
-
-    position: np.ndarray
-    normal: np.ndarray
-    flat: np.ndarray
-    light: np.ndarray
-    size: np.ndarray
-    views: np.ndarray
+    position: np.ndarray  # (n, 3), float32, m
+    normal: np.ndarray  # (n, 3), float32, unit, towards the cameras that see it
+    flat: np.ndarray  # (n,), float32: places around lie in one plane, 0 (leaves) to 1 (paving)
+    light: np.ndarray  # (n, 3), float32, linear captured colour, relative to display white
+    size: np.ndarray  # (n,), float32, m, side of its voxel
+    views: np.ndarray  # (n,), uint8, cameras that see it
 
 
 def fused(views, middle, radius):

@@ -17,18 +17,10 @@ DEEPEST = 10.0  # m
 
 
 class WaterMask(NamedTuple):
-    """Depths of water on the cells of a height map.
+    """Depths of water on the cells of a height map."""
 
-    Attributes
-    ----------
-    depth : ndarray of shape (ny, nx), float32 [m]
-        Row 0 in the south.
-    stays : bool
-        Whether the ground is dented by the depth, so that the water stays.
-    """
-
-    depth: np.ndarray
-    stays: bool
+    depth: np.ndarray  # (ny, nx), float32, m, row 0 in the south
+    stays: bool  # whether the ground is dented by the depth, so that the water stays
 
 
 def read_water_mask(path, use=STAYS):

@@ -33,23 +33,15 @@ LEAD = 0.2  # s before its first frame that a station's water is simulated
 class Station(NamedTuple):
     """A window of the ground and the frames that it serves.
 
-    Attributes
-    ----------
-    first, end : int
-        Frames; the end is not served.
-    cells : tuple of int
-        First and last row + 1, first and last column + 1 on the lattice of the window's cells,
-        whose cell (0, 0) has its south-western corner at the origin of the ground frame.
-    around : tuple of int
-        The same of the part of the ground from which water stands in the window.
-    spacing : float [m]
+    Cells are the first and last row + 1, first and last column + 1 on the lattice of the window's
+    cells, whose cell (0, 0) has its south-western corner at the origin of the ground frame.
     """
 
-    first: int
-    end: int
-    cells: tuple
-    around: tuple
-    spacing: float
+    first: int  # frame
+    end: int  # frame, not served
+    cells: tuple  # of the window
+    around: tuple  # of the part of the ground from which water stands in the window
+    spacing: float  # m
 
     @property
     def window(self):
