@@ -45,7 +45,7 @@ def tiny_scene(width=64, height=48, table=TABLE_HALF):
     )
     eyes = [(-1.3, -0.9, 1.0), (-0.2, -1.6, 1.2), (1.4, -0.8, 0.9)]
     cameras = [
-        frame.camera_in_capture(_looking(eye, (0.1, 0.0, 0.1), width, height, f"view_{n}"))
+        frame.camera_in_capture(looking(eye, (0.1, 0.0, 0.1), width, height, name=f"view_{n}"))
         for n, eye in enumerate(eyes)
     ]
     return Scene("tiny", splats, tuple(cameras), frame, None, "0" * 64, ())
@@ -90,15 +90,15 @@ def _splats(position, scale, opacity, color, quaternion=(1.0, 0.0, 0.0, 0.0)):
     )
 
 
-def _looking(eye, target, width, height, name):
-    """A camera with a field of view of 60 degrees, z up in the picture."""
+def looking(eye, target, width, height, focal=None, name=""):
+    """A camera with z up in the picture; without a focal length [px] 60 degrees wide."""
     forward = np.subtract(target, eye) / np.linalg.norm(np.subtract(target, eye))
     right = np.cross(forward, (0.0, 0.0, 1.0))
     right /= np.linalg.norm(right)
     matrix = np.eye(4)
     matrix[:3, :3] = right, np.cross(forward, right), forward
     matrix[:3, 3] = -matrix[:3, :3] @ eye
-    focal = width / 2 / np.tan(np.radians(30))
+    focal = width / 2 / np.tan(np.radians(30)) if focal is None else focal
     return Camera(width, height, focal, focal, width / 2, height / 2, matrix, name)
 
 

@@ -6,7 +6,8 @@ Visibility is computed from the boxes' faces and not from the splats.
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from rainsim.scene.types import Camera, GroundFrame, Scene, Splats
+from rainsim.scene.types import GroundFrame, Scene, Splats
+from scenes import looking
 
 SH_0 = 0.28209479177387814
 BOXES = np.array([  # lowest and highest corner [m]
@@ -122,22 +123,12 @@ def yard(azimuth=200.0, elevation=38.0, sun=SUN_OVER_SKY, step=0.045, paint=0.2,
         np.full(len(position), 0.97, np.float32),
         np.ascontiguousarray(((color - 0.5) / SH_0)[:, None, :], np.float32),
     )  # fmt: skip
+    eyes = [(2.0 * np.cos(a) - 0.3, 2.4 * np.sin(a), 1.5) for a in np.arange(8) * np.pi / 4]
     cameras = tuple(
-        frame.camera_in_capture(_looking((2.0 * np.cos(a) - 0.3, 2.4 * np.sin(a), 1.5)))
-        for a in np.arange(8) * np.pi / 4
+        frame.camera_in_capture(looking(eye, (0.0, 0.0, 0.2), 96, 64, 80.0)) for eye in eyes
     )
     scene = Scene("yard", splats, cameras, frame, None, "0" * 64, ())
     return scene, lit[:, None] * sun / np.maximum(light, 1e-9), sky
-
-
-def _looking(eye, target=(0.0, 0.0, 0.2)):
-    forward = np.subtract(target, eye) / np.linalg.norm(np.subtract(target, eye))
-    right = np.cross(forward, (0.0, 0.0, 1.0))
-    right /= np.linalg.norm(right)
-    matrix = np.eye(4)
-    matrix[:3, :3] = right, np.cross(forward, right), forward
-    matrix[:3, 3] = -matrix[:3, :3] @ np.asarray(eye)
-    return Camera(96, 64, 80.0, 80.0, 48.0, 32.0, matrix)
 
 
 def _frame():

@@ -102,18 +102,12 @@ def settings(scene, rain, width):
 
 
 def frames(scene, rain, views, width):
-    """Yield for each view the program's pictures, reduced to the size of the traced ones.
+    """Yield view, pictures of the program, zenith of the sky and brightness for each view.
 
-    Yields
-    ------
-    view : int
-    parts : dict
-        picture: radiance without what falls; gloss: what water and film mirror of it; mirrored and
-        fresnel: in water, before Fresnel's factor, and the factor; coverage; clean: the dry
-        capture, 0 to 1. Arrays of shape (height, width, ...).
-    zenith : float
-        Luminance of the drawn sky above.
-    brightness : float
+    Pictures are reduced to the size of the traced ones, (height, width, ...): picture: radiance
+    without what falls; gloss: what water and film mirror of it; mirrored and fresnel: in water,
+    before Fresnel's factor, and the factor; coverage; clean: the dry capture, 0 to 1. The zenith is
+    the luminance of the drawn sky above.
     """
     config = settings(scene, rain, width)
     ground = pipeline.extract_terrain(scene, config)

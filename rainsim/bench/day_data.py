@@ -93,13 +93,7 @@ def write(case, arrays, folder=FOLDER):
 
 
 def read(case, folder=FOLDER):
-    """Return the arrays of a case by name.
-
-    Raises
-    ------
-    InputError
-        If there are none.
-    """
+    """Return the arrays of a case by name; InputError if there are none."""
     path = folder / f"{case}.npz"
     if not path.is_file():
         raise InputError(

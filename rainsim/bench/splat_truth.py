@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from rainsim.constants import SH_0, SH_1, SH_2, SH_3
 from rainsim.jit import serial_kernel
@@ -58,7 +59,8 @@ def _project(splats, camera, near):
     kept = np.flatnonzero((point[:, 2] >= near) & (splats.opacity >= MIN_ALPHA))
     kept = kept[np.argsort(point[kept, 2], kind="stable")]
     x, y, z = point[kept].T
-    axes = turn @ _axes(splats.rotation[kept].astype(float))
+    own = Rotation.from_quat(splats.rotation[kept].astype(float), scalar_first=True)
+    axes = turn @ own.as_matrix()
     thinnest = np.argmin(splats.scale[kept], axis=1)
     normal = np.take_along_axis(axes, thinnest[:, None, None], axis=2)[..., 0]
     jacobian = np.zeros((len(kept), 2, 3))
@@ -93,16 +95,6 @@ def _project(splats, camera, near):
     sign = np.where(away, -1.0, 1.0)
     values = np.column_stack([color, z, normal * sign[:, None], distance * sign])
     return ellipse, values
-
-
-def _axes(q):
-    """Return the rotation matrices (n, 3, 3) of quaternions (n, 4), w first."""
-    w, x, y, z = (q / np.linalg.norm(q, axis=1, keepdims=True)).T
-    return np.stack([
-        1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
-        2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
-        2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
-    ], axis=1).reshape(-1, 3, 3)  # fmt: skip
 
 
 def _harmonics(way, count):

@@ -18,12 +18,8 @@ MEASURED = 3  # finished frames at most whose files are looked at
 def format_of(video, given):
     """Return the `VideoFormat` that the options ask for, None without --video.
 
-    Raises
-    ------
-    ParameterError
-        If options of the video are given without it.
-    RainsimError
-        If it could not be written.
+    ParameterError if options of the video are given without it, RainsimError if it could not be
+    written.
     """
     options = {name: given.get(f"video_{name}") for name in ("codec", "quality")}
     options = {name: value for name, value in options.items() if value is not None}

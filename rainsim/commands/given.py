@@ -16,6 +16,14 @@ AS_THEY_ARE = ("frame_range", "threads")  # options that no preset file has
 CAMERA_WAYS = ("camera", "path", "orbit", "drive", "eye")
 
 
+def require_backend(backend):
+    """Raise BackendError before any work where a backend cannot run."""
+    if backend == "cuda":
+        from rainsim.cuda import require
+
+        require()
+
+
 def settings(preset, given, base=None):
     """Return the checked Config of a preset with the options that were given on top.
 

@@ -63,7 +63,10 @@ def import_(path, info, lod, out, overwrite, resume, threads, as_json, quiet, **
         rainsim import --info biker.spz
     """
     if info:
-        _tell_info(path, as_json)
+        from rainsim.scene.info import as_text, describe
+
+        found = describe(path)
+        options.echo(found, as_json, as_text(found))
         return
     from rainsim.actors.actor_files import ACTORS_ARRAYS
     from rainsim.commands.cutting import cut_to_scene, require_cuttable
@@ -135,13 +138,6 @@ def _calibration(status, scene, threads):
             status.say(f"  no height map, so what the colours stand for is not known: {error}")
             return None
         return calibration_of(scene, terrain)
-
-
-def _tell_info(path, as_json):
-    from rainsim.scene.info import as_text, describe
-
-    found = describe(path)
-    click.echo(json.dumps(found, indent=1) if as_json else as_text(found))
 
 
 def _shown(vector):

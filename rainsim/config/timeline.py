@@ -63,10 +63,8 @@ def check_keyframes(frames, where="keyframes"):
 def from_json(frames):
     """Return keyframes that were read from JSON, which has lists in place of tuples.
 
-    Raises
-    ------
-    ParameterError
-        If they are not lists of a time and of pairs of a setting that can change and its value.
+    ParameterError if they are not lists of a time and of pairs of a setting that can change and its
+    value.
     """
     try:
         found = tuple(

@@ -13,8 +13,8 @@ from functools import partial
 from rainsim.datasets import LAYOUTS, beside
 from rainsim.datasets.card import card_of, card_text
 from rainsim.datasets.data_files import TEXT, DataFile, write_file
-from rainsim.errors import InputError, ParameterError
-from rainsim.io.files import read_json, write_json
+from rainsim.errors import ParameterError
+from rainsim.io.files import card_in, write_json
 from rainsim.io.fingerprint import fingerprint
 from rainsim.io.journal import SHARED_FOLDER, Journal
 from rainsim.output_folder import CLAIM, TEMPORARY, input_facts, versions
@@ -149,12 +149,8 @@ class DataSetFolder:
 
 def read_card(folder):
     """Return the card of a data set in a folder, None if there is none."""
-    try:
-        card = read_json(folder / CARD, "a card")
-    except (OSError, InputError):
-        return None
-    ours = isinstance(card, dict) and card.get("program") == "rainsim" and "layout" in card
-    return card if ours else None
+    card = card_in(folder / CARD)
+    return card if card and "layout" in card else None
 
 
 def export(shots, folder, config_of, tell=None):

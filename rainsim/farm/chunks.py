@@ -85,10 +85,7 @@ class Chunks:
     def failed(self, worker, why):
         """Take back the chunk that a worker was given, and did not draw.
 
-        Raises
-        ------
-        RainsimError
-            If one of the frames was given to workers too often.
+        RainsimError if one of the frames was given to workers too often.
         """
         chunk = self._at.pop(worker, None)
         self._next.pop(worker, None)

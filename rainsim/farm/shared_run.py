@@ -41,12 +41,8 @@ MOST_WAIT = 1.0  # s between looks at what the others do
 def joined(path):
     """Make an output folder, or join the processes that write to it, and yield it.
 
-    Raises
-    ------
-    ParameterError
-        If it is no folder, or a run that does not share it writes to it.
-    OSError
-        If it cannot be made or written to.
+    ParameterError if it is no folder, or a run that does not share it writes to it; OSError if it
+    cannot be made or written to.
     """
     path = Path(path)
     require_no_file(path)

@@ -23,12 +23,12 @@ import time
 import weakref
 from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
-from importlib import metadata
 from pathlib import Path
 
 import numpy as np
 
 from rainsim.io.files import replacing
+from rainsim.io.fingerprint import versions
 
 VARIABLE, OFF = "RAINSIM_CACHE", "off"
 MOST_ENTRIES, MOST_OF_A_KIND = 64, 16  # a drive keeps some of each of its windows
@@ -101,16 +101,9 @@ def _machine():
     """Return versions and the processor, of which the last digits of results depend."""
     from llvmlite import binding
 
-    versions = [platform.python_version(), *map(_version, LIBRARIES)]
+    found = list(versions(LIBRARIES).values())
     features = dict(binding.get_host_cpu_features())
-    return [versions, platform.platform(), binding.get_host_cpu_name(), features]
-
-
-def _version(library):
-    try:
-        return metadata.version(library)
-    except metadata.PackageNotFoundError:
-        return None
+    return [found, platform.platform(), binding.get_host_cpu_name(), features]
 
 
 def _variables():

@@ -153,6 +153,15 @@ def parsed_json(text):
         return None
 
 
+def card_in(path):
+    """Return the data of a card, a JSON file that this program wrote; None if there is none."""
+    try:
+        card = read_json(path, "a card")
+    except (OSError, InputError):
+        return None
+    return card if isinstance(card, dict) and card.get("program") == "rainsim" else None
+
+
 def write_json(path, data):
     """Write `data` as an indented JSON file; numbers read back exactly, NaN is refused."""
     text = json.dumps(data, indent=1, allow_nan=False) + "\n"

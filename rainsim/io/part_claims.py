@@ -58,12 +58,7 @@ class PartClaims:
     def take(self, part):
         """Claim a part that nobody holds, and return whether it became ours.
 
-        A stale claim is taken over.
-
-        Raises
-        ------
-        OSError
-            If the folder is gone or cannot be written to.
+        A stale claim is taken over. OSError if the folder is gone or cannot be written to.
         """
         if part in self._mine:
             return False

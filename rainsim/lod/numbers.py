@@ -28,10 +28,7 @@ class FinestNumbers:
     def of_run(self, leaf, level, splats):
         """Return the numbers of the `Splats` of a run, ndarray of shape (n,), int32.
 
-        Raises
-        ------
-        InputError
-            If the run lacks splats, so that the others have no certain number.
+        InputError if the run lacks splats, so that the others have no certain number.
         """
         if leaf == ALWAYS:
             return np.arange(self._first[-1], self.count, dtype=np.int32)

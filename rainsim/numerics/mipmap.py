@@ -76,17 +76,10 @@ def coarse_shape(height, width, channels=3):
 
 
 def coarsened(picture):
-    """Return the mip levels 1 to COARSEST of a picture in one array.
+    """Return the mip levels 1 to COARSEST of a picture in one (height, width // 2, channels).
 
-    Parameters
-    ----------
-    picture : ndarray of shape (height, width, channels), float32
-
-    Returns
-    -------
-    ndarray of shape (height, width // 2, channels), float32
-        Level 1 in the first height // 2 rows, level 2 below it, and so on; a last row or column
-        without a partner is left out. Cells beside the levels are not set.
+    Level 1 is in the first height // 2 rows, level 2 below it, and so on; a last row or column
+    without a partner is left out. Cells beside the levels are not set.
     """
     coarse = np.empty(coarse_shape(*picture.shape), np.float32)
     for level in range(1, COARSEST + 1):

@@ -40,10 +40,7 @@ class FrameFolder:
     def add(self, picture, report):
         """Begin to write the next frame, when the one before is written.
 
-        Raises
-        ------
-        OSError
-            If this frame's layers or the frame before could not be written.
+        OSError if this frame's layers or the frame before could not be written.
         """
         self._writer.wait()
         self._begin()

@@ -42,16 +42,9 @@ class ActorTarget:
     def meet(self, origin, direction, before, time, segment):
         """Return the hits of beams, as `Met`, in the capture frame.
 
-        Parameters
-        ----------
-        origin : ndarray of shape (n, 3), float64 [capture units]
-        direction : ndarray of shape (n, 3), float64
-        before : ndarray of shape (n,), float64 [capture units]
-            Length of the way to the origins.
-        time : ndarray of shape (n,), float64 [s]
-            When each pulse is sent.
-        segment : float [capture units]
-            See `Tracer.trace`.
+        Origin and direction are of shape (n, 3), float64; `before` is the length of the way to the
+        origins, (n,) [capture units]; `time` [s] says when each pulse is sent; `segment` is that of
+        `Tracer.trace`.
         """
         beam = self._near(origin, direction, time)
         moments, which = np.unique(time[beam], return_inverse=True)

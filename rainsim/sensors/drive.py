@@ -11,8 +11,8 @@ from rainsim import __version__
 from rainsim.actors.motion import Motion
 from rainsim.config.settings import mm_per_hour
 from rainsim.drops import Weather
-from rainsim.errors import InputError, ParameterError
-from rainsim.io.files import read_json, replacing, write_json
+from rainsim.errors import ParameterError
+from rainsim.io.files import card_in, replacing, write_json
 from rainsim.io.fingerprint import fingerprint
 from rainsim.io.journal import Journal
 from rainsim.lod.held_parts import scene_in_reach
@@ -50,7 +50,7 @@ class LidarFolder:
     def __init__(self, folder, kind, overwrite=False, resume=False):
         self.folder, self.kind, self.files, self.kept = folder, kind, [], {}
         self._journal = Journal(folder, JOURNAL, OURS.fullmatch)
-        self._before, self._resumes = _card_in(folder), resume
+        self._before, self._resumes = card_in(folder / CARD), resume
         if (overwrite or resume) and self._before is None:
             found = [p.name for p in folder.iterdir() if not p.name.startswith(".rainsim")]
             found = [name for name in found if not TEMPORARY.fullmatch(name)]
@@ -128,15 +128,6 @@ class LidarFolder:
 
 def _has_facts(entry):
     return isinstance(entry.get("points"), dict) and isinstance(entry.get("share"), float)
-
-
-def _card_in(folder):
-    try:
-        card = read_json(folder / CARD, "a card")
-    except (OSError, InputError):
-        return None
-    ours = isinstance(card, dict) and card.get("program") == "rainsim"
-    return card if ours else None
 
 
 def scan_rains(

@@ -190,11 +190,8 @@ class LensWarp:
 def lens_warp(camera, lens):
     """Return the `LensWarp` of a camera with a lens; its wide picture is as fine in the middle.
 
-    Raises
-    ------
-    ParameterError
-        If the lens sees farther off the axis than a pinhole picture can be drawn, or if a pixel of
-        the picture belongs to no ray of the lens.
+    ParameterError if the lens sees farther off the axis than a pinhole picture can be drawn, or if
+    a pixel of the picture belongs to no ray of the lens.
     """
     row, column = np.mgrid[: camera.height, : camera.width] + 0.5
     x, y = lens.undistort(*slopes(camera, column, row))

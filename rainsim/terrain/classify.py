@@ -138,10 +138,7 @@ def read_mask(path):
 def painted_mask(painted, grid):
     """Return a class mask of the cells of a `Grid` from `PaintedClasses`, -1 where none is.
 
-    Raises
-    ------
-    InputError
-        If a painted class has a name that this version does not know.
+    InputError if a painted class has a name that this version does not know.
     """
     names = class_table().names
     strange = [name for name in painted.name if name not in names]

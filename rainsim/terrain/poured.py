@@ -63,21 +63,11 @@ def painted_water(mask, grid, point, radius, depth, stays):
 
 
 def with_water(terrain, mask):
-    """Return the terrain with water on it at the start, and a note.
+    """Return the terrain with the water of a `WaterMask` on it at the start, and a note.
 
     Water that stays fills a dent of its depth in the ground up to the dent's low rim: on a slope a
     part of the dent is dry. Water that drains is poured, and comes to rest where the ground dips.
-
-    Parameters
-    ----------
-    terrain : Terrain
-    mask : WaterMask or None
-        None: the terrain itself is returned.
-
-    Raises
-    ------
-    ParameterError
-        If the mask does not fit the map.
+    Without a mask the terrain itself is returned; ParameterError if it does not fit the map.
     """
     if mask is None or not mask.depth.any():
         return terrain

@@ -31,25 +31,11 @@ UNSEEN, CARRIED, FOUND = 0, 1, 2
 
 
 def follow_ground(points, cover, grid, start):
-    """Return the coarse level of the ground.
+    """Return the coarse level of the ground, and the share of coarse cells with their own.
 
-    Parameters
-    ----------
-    points : ndarray of shape (n, 3) [m]
-        Centres of the splats.
-    cover : ndarray of shape (n,) [m2]
-        Area that each covers.
-    grid : Grid
-        Of the map.
-    start : float [m]
-        Radius about the map's middle in which the search starts, where ground lies on the plane.
-
-    Returns
-    -------
-    callable
-        level(x, y) of the ground [m], for arrays of points.
-    share : float
-        Of the map's coarse cells with ground of their own.
+    The level is a function of arrays of x and y [m]. `points` are the centres of the splats, (n, 3)
+    [m], `cover` the area that each covers [m2]. The search starts within `start` [m] of the map's
+    middle, where ground lies on the plane.
     """
     (width, depth), origin = grid.size, np.array(grid.origin)
     nx, ny = max(1, int(np.ceil(width / CELL))), max(1, int(np.ceil(depth / CELL)))

@@ -108,19 +108,8 @@ def needed_cells(camera, ground, spacing):
     """Return the cells that a camera needs, as `Station.cells`.
 
     A rectangle along its view on the ground; a high camera's lies where the view meets the ground.
-
-    Parameters
-    ----------
-    camera : Camera
-        In the ground frame.
-    ground : float [m]
-        Height of the ground below it.
-    spacing : float [m]
-
-    Raises
-    ------
-    ParameterError
-        If they are more than `MOST_CELLS`.
+    The camera is in the ground frame, `ground` the height of the ground below it [m].
+    ParameterError if the cells are more than `MOST_CELLS`.
     """
     eye, view = camera.position, camera.forward
     level = math.hypot(view[0], view[1])

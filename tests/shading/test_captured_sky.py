@@ -13,14 +13,14 @@ from rainsim.raster import Rasterizer, prepare
 from rainsim.render import drawn_capture
 from rainsim.render.wet_scene import WetScene
 from rainsim.scene.cameras import resize_to
-from rainsim.scene.types import Camera, Scene, Splats
+from rainsim.scene.types import Scene, Splats
 from rainsim.shading import calibration, sky, skyline, visibility
 from rainsim.shading.color import GAMMA
 from rainsim.shading.environment import COLUMNS, ROWS, directions
 from rainsim.splatting.prepared import LANES, recolored
 from rainsim.terrain.surface import terrain_from_heights
 from rainsim.terrain.types import Grid
-from scenes import ground_frame, tiny_scene
+from scenes import ground_frame, looking, tiny_scene
 
 
 def patch(centre, count, spread, size, color, rng):
@@ -38,16 +38,6 @@ def splats_of(*patches):
     return Splats(position, rotation, scale, np.full(len(position), 0.99, np.float32), sh)
 
 
-def looking(eye, target, side=160):
-    forward = np.subtract(target, eye) / np.linalg.norm(np.subtract(target, eye))
-    right = np.cross(forward, (0, 0, 1.0))
-    right /= np.linalg.norm(right)
-    matrix = np.eye(4)
-    matrix[:3, :3] = right, np.cross(forward, right), forward
-    matrix[:3, 3] = -matrix[:3, :3] @ eye
-    return Camera(side, side, side, side, side / 2, side / 2, matrix)
-
-
 @pytest.fixture
 def yard(rng):
     """A wall that all cameras see, a blob above that one sees, a crown that none look up to."""
@@ -55,8 +45,9 @@ def yard(rng):
     blob = patch((3.5, 5, 3.2), 40, 0.2, 0.2, (0.95, 0.95, 0.97), rng)
     low = patch((0, -30, 0.2), 30, 0.1, 0.1, (0.2, 0.2, 0.2), rng)
     splats = splats_of(wall, blob, low)
-    cameras = [looking((0.02 * k, 0, 1.5), (0, 5, 1.5)) for k in range(30)]
-    cameras.append(looking((0, 0, 1.5), (3.5, 5, 3.0)))
+    square = 160, 160, 160
+    cameras = [looking((0.02 * k, 0, 1.5), (0, 5, 1.5), *square) for k in range(30)]
+    cameras.append(looking((0, 0, 1.5), (3.5, 5, 3.0), *square))
     frame = dataclasses.replace(
         ground_frame(), rotation=np.eye(3), meters_per_unit=1.0, translation=np.zeros(3)
     )
