@@ -33,12 +33,13 @@ MARGIN = 0.01  # m of pane around what the picture shows
 class Pane:
     """A pane of glass.
 
-    A stroke of the wiper clears the pane; the last one was `age` modulo `wiper` ago.
+    Without tilt it stands across the camera's axis. A stroke of the wiper clears it; the last one
+    was `age` modulo `wiper` ago.
     """
 
     distance: float = 0.08  # m, from the camera along its axis
-    tilt: float = math.radians(30)  # of the upper edge to the camera's back; 0: across the axis
-    contact_angle: float = math.radians(50)  # of water on it
+    tilt: float = math.radians(30)  # rad, of the upper edge towards the camera's back
+    contact_angle: float = math.radians(50)  # rad, of water on it
     speed: float = 0.0  # m/s, of the camera along its level view direction
     age: float = 10.0  # s, for how long it has rained on the pane
     wiper: float | None = None  # s, between strokes; None: there is no wiper

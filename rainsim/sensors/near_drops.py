@@ -24,7 +24,7 @@ from rainsim.rain.poisson_cells import (
 def near_drops(field, centre, reach, time, surfaces):
     """Return the `Drops` of each size class within a distance of a place.
 
-    `reach` is the radius of the ball for each class, (CLASSES,) [m]. A drop whose way down the
+    At `time` [s], within `reach`, (CLASSES,) [m], of `centre`, (3,) [m]. A drop whose way down the
     surfaces blocked before is not there.
     """
     centre, around = np.asarray(centre, np.float64), np.asarray(reach, np.float64)[:, None]

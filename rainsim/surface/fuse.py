@@ -158,7 +158,10 @@ def thinned(surface):
 
 
 def counted(position, size, views):
-    """Return how many views see, look through and have something before each place, (n, 3)."""
+    """Return how many views see, look through and have something before each place, (n, 3).
+
+    Places and their sizes are in metres, see `count_views`.
+    """
     found = np.zeros((len(position), 3), np.uint8)
     for view in views:
         count_views(position, size, view, found)

@@ -167,8 +167,9 @@ def straighten(height, step, spacing):
     """Return `height` with the edges of its steps put where they are on average along them.
 
     Splats tell an edge to half the gap between them; along a kerb there are many. The mask of the
-    upper level, blurred, keeps a straight edge in its place and loses the jags; only cells within 4
-    cm of the edge change, between levels that are both wide. `step` marks the cells about steps.
+    upper level, blurred, keeps a straight edge in its place and loses the jags; only cells within
+    4 cm of the edge change, between levels that are both wide. `step` marks the cells about steps;
+    height and spacing are in metres.
     """
     labels, count = ndimage.label(ndimage.binary_dilation(step, np.ones((3, 3), bool)))
     margin = int(EDGE_AROUND / spacing) + 1
@@ -209,7 +210,7 @@ def lower_rim(height, hard, grass, spacing):
     """Return `height` with the last cells of paving before grass not above the paving behind them.
 
     Those cells are of both: blades in them raise a wall that would dam puddles. `hard` and `grass`
-    are masks.
+    are masks; height and spacing are in metres.
     """
     width = max(2, round(MIXED_WIDTH / spacing))
     rim = hard & ndimage.binary_dilation(grass, iterations=width)

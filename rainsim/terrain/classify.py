@@ -42,8 +42,8 @@ def is_green(splats):
 def classify(bed, top, source, noise, color, green, spacing):
     """Return the class of every cell, ndarray of shape (ny, nx), uint8.
 
-    Bed, top and noise are heights [m]; `green` is the excess green, 2 G - R - B, smoothed over a
-    few cm.
+    Bed and top are heights [m], `noise` is the bed's deviation [m]; `green` is the excess green,
+    2 G - R - B, smoothed over a few cm.
     """
     unknown = source == UNKNOWN
     plants = (green > EXCESS_GREEN) | unknown

@@ -22,8 +22,8 @@ CHECK_WIDTH = 960  # px
 def hillshade(height, spacing, exaggerate=4):
     """Return the brightness, 0 to 1, of a height field lit from the north-west, 35 degrees up.
 
-    Row 0 is in the south, also in the result. Heights are taken `exaggerate` times; no shadow is
-    cast.
+    Row 0 is in the south, also in the result. Heights and spacing are in metres; heights are taken
+    `exaggerate` times; no shadow is cast.
     """
     azimuth, elevation = np.radians(135), np.radians(35)
     dy, dx = np.gradient(height * exaggerate, spacing)

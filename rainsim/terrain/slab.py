@@ -191,8 +191,8 @@ def lonely(points, splats, frame, grid, top):
     """Return the mask of splats with too little surface about them to be a thing: floaters.
 
     Within three voxels of about 10 cm each way the splats of a surface cover it; floaters, be they
-    many, are small or faint. `points` are the splats' centres in the ground frame [m]. What lies
-    beyond the map or above the height `top` [m] is not lonely.
+    many, are small or faint. `points` are the centres in the ground frame [m], `splats` lie in the
+    capture frame. What lies beyond the map or above the height `top` [m] is not lonely.
     """
     lonely = np.zeros(len(points), bool)
     low = np.array([*grid.origin, points[:, 2].min(initial=0.0, where=np.isfinite(points[:, 2]))])
