@@ -63,10 +63,7 @@ def import_(path, info, lod, out, overwrite, resume, threads, as_json, quiet, **
         rainsim import --info biker.spz
     """
     if info:
-        from rainsim.scene.info import as_text, describe
-
-        found = describe(path)
-        options.echo(found, as_json, as_text(found))
+        _tell_info(path, as_json)
         return
     from rainsim.actors.actor_files import ACTORS_ARRAYS
     from rainsim.commands.cutting import cut_to_scene, require_cuttable
@@ -138,6 +135,13 @@ def _calibration(status, scene, threads):
             status.say(f"  no height map, so what the colours stand for is not known: {error}")
             return None
         return calibration_of(scene, terrain)
+
+
+def _tell_info(path, as_json):
+    from rainsim.scene.info import as_text, describe
+
+    found = describe(path)
+    options.echo(found, as_json, as_text(found))
 
 
 def _shown(vector):
