@@ -35,25 +35,11 @@ class StoredView:
 
 
 def read_views(folder, rate):
-    """Return the views of one rain of a data set, in their order.
+    """Return the views of one rain of a data set, `StoredView`s in their order.
 
-    Parameters
-    ----------
-    folder : path-like
-        Written by `rainsim export --layout nerfstudio`.
-    rate : float [mm/h]
-        One of the data set's; 0 for the clear pictures.
-
-    Returns
-    -------
-    list of StoredView
-
-    Raises
-    ------
-    InputError
-        If the folder holds no finished data set of this layout, or a file is damaged.
-    ParameterError
-        If the data set has no such rain.
+    `rainsim export --layout nerfstudio` wrote the folder; a rate [mm/h] of 0 gives the clear
+    pictures. InputError if the folder holds no finished data set of this layout, or a file is
+    damaged; ParameterError if the data set has no such rain.
     """
     card = stored_card(folder)
     rates = [rain["rain_mm_per_hour"] for rain in card["rains"]]

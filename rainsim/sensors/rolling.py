@@ -55,26 +55,14 @@ def check_readout(readout):
 
 
 def bands(camera, motion, readout, exposure, rows=ROWS, first_row=0.0, height=None):
-    """Yield the bands of a picture from top to bottom.
+    """Yield delay and cameras, as it opens and closes, of each band of a picture from the top down.
 
-    Parameters
-    ----------
-    camera : Camera
-        In the ground frame, when the first row opens.
-    motion : Motion
-    readout, exposure : float [s]
-    rows : int
-        Of a band; the last may have fewer.
-    first_row, height : float, float or None [px]
-        The row of the sensor that the picture's first row is, and the sensor's height, by default
-        the picture's own: a picture that is going to be distorted is larger than the sensor.
-
-    Yields
-    ------
-    delay : float [s]
-        Of the band's middle row after the sensor's first row.
-    camera, camera_end : Camera
-        Of the band alone, as it opens and closes; None at the end if the camera stands still.
+    The delay [s] is that of the band's middle row after the sensor's first row, the cameras are of
+    the band alone, the last None if the camera stands still. `camera` is in the ground frame, when
+    the first row opens; readout and exposure are in seconds. A band has `rows` rows, the last may
+    have fewer. `first_row` is the row of the sensor that the picture's first row is, `height` [px]
+    the sensor's, by default the picture's own: a picture that is going to be distorted is larger
+    than the sensor.
     """
     height = camera.height if height is None else height
     for top in range(0, camera.height, rows):

@@ -96,23 +96,10 @@ def through_camera(scene, terrain, camera, depth=None):
 
 
 def points_at(splats, camera, pixels):
-    """Return the surface points that a camera sees at pixels, in the capture frame.
+    """Return the surface points that a camera sees at pixels, (n, 3), in the capture frame.
 
-    Parameters
-    ----------
-    splats : Splats
-    camera : Camera
-    pixels : array_like of shape (n, 2) [px]
-        Column and row in the camera's full picture, from its upper left corner.
-
-    Returns
-    -------
-    ndarray of shape (n, 3), float64 [capture units]
-
-    Raises
-    ------
-    ParameterError
-        If a pixel lies outside the picture or shows nothing solid.
+    Pixels are columns and rows in the camera's full picture, (n, 2) [px], from its upper left
+    corner. ParameterError if one lies outside the picture or shows nothing solid.
     """
     from rainsim import raster
 

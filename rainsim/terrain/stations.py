@@ -58,27 +58,9 @@ class Station(NamedTuple):
 def stations_of(path, frames, spacing, height=None):
     """Return the stations of a path, a list of `Station` in the order of their frames.
 
-    Parameters
-    ----------
-    path : sequence of Camera
-        One per frame, or one for all, in the ground frame.
-    frames : int
-        Of the whole path.
-    spacing : float [m]
-    height : callable, optional
-        height(x, y) of the ground [m], for arrays of points; without it 0.
-
-    Raises
-    ------
-    ParameterError
-        If what a single camera needs has too many cells.
-
-    Examples
-    --------
-    A car drives straight on: each window lies ahead of the one before.
-
-    >>> len(stations_of([camera], 24, 0.02))
-    1
+    There is a camera for each of the frames, or one for all, in the ground frame. Cells are
+    `spacing` [m] wide; height(x, y) is that of the ground [m], for arrays of points, 0 if left out.
+    ParameterError if the part that a single camera needs has too many cells.
     """
     still = len(path) == 1
     eyes = np.array([camera.position for camera in path])
