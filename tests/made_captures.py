@@ -33,6 +33,21 @@ def random_splats(count, coefficients=4, seed=0):
     )
 
 
+def leaves(count, deviation, far, coefficients, seed=3):
+    """Fine flat leaves, scattered from 3 to `far` before a wall that is one large splat."""
+    rng = np.random.default_rng(seed)
+    rotation = rng.normal(size=(count, 4)).astype(np.float32)
+    scale = np.full((count, 3), deviation, np.float32)
+    scale[:, 2] = 1e-3
+    position = rng.uniform((-1, -1, 3), (1, 1, far), (count, 3)).astype(np.float32)
+    position[0], scale[0] = (0, 0, far + 2), (3, 3, 0.01)
+    rotation[0] = (1, 0, 0, 0)
+    color = rng.uniform(-1, 1, (count, coefficients, 3)).astype(np.float32)
+    color[:, 1:] *= 0.1
+    opacity = rng.uniform(0.1, 0.9, count).astype(np.float32)
+    return Splats(position, rotation, scale, opacity, color)
+
+
 def ring(radius=3.0, height=1.5, count=12):
     """Cameras on a circle that look at a point half a unit above the origin; z is up."""
     angles = np.linspace(0, 2 * np.pi, count, endpoint=False)

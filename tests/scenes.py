@@ -3,16 +3,16 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+import factories
 from rainsim.scene.types import Camera, GroundFrame, Scene, Splats
 
-SH_BASIS_0 = 0.28209479177387814  # the constant spherical harmonic, 1 / (2 sqrt(pi))
 DIP_DEPTH, DIP_RADIUS, DIP_CENTRE = 0.010, 0.30, (0.45, -0.35)  # m
 TABLE_CENTRE, TABLE_HALF, TABLE_HEIGHT = (-0.35, 0.35), 0.22, 0.42  # m
 
 
 def one_splat(position=(0.0, 0.0, 2.0), scale=0.1, opacity=0.8, color=(0.6, 0.3, 0.2)):
     """A round splat of one colour in the capture frame."""
-    return _splats(np.array([position]), np.full((1, 3), scale), opacity, np.array([color]))
+    return factories.splats([position], scale=scale, opacity=opacity, color=color)
 
 
 def ground_frame():
@@ -36,16 +36,13 @@ def tiny_scene(width=64, height=48, table=TABLE_HALF):
     rng = np.random.default_rng(5)
     parts = [_paving(rng), *_table(table)]
     position, scale, color = (np.concatenate(each) for each in zip(*parts, strict=True))
-    splats = _splats(
-        frame.to_capture(position),
-        scale / frame.meters_per_unit,
-        0.97,
-        color,
-        _quaternion(frame.rotation.T),
-    )
+    splats = factories.splats(
+        frame.to_capture(position), _quaternion(frame.rotation.T), scale / frame.meters_per_unit,
+        0.97, color=color,
+    )  # fmt: skip
     eyes = [(-1.3, -0.9, 1.0), (-0.2, -1.6, 1.2), (1.4, -0.8, 0.9)]
     cameras = [
-        frame.camera_in_capture(_looking(eye, (0.1, 0.0, 0.1), width, height, f"view_{n}"))
+        frame.camera_in_capture(looking(eye, (0.1, 0.0, 0.1), width, height, name=f"view_{n}"))
         for n, eye in enumerate(eyes)
     ]
     return Scene("tiny", splats, tuple(cameras), frame, None, "0" * 64, ())
@@ -78,27 +75,15 @@ def _table(half, side=14):
             yield position, scale, np.broadcast_to([0.35, 0.2, 0.1], position.shape)
 
 
-def _splats(position, scale, opacity, color, quaternion=(1.0, 0.0, 0.0, 0.0)):
-    count = len(position)
-    sh = (np.asarray(color) - 0.5) / SH_BASIS_0
-    return Splats(
-        np.ascontiguousarray(position, dtype=np.float32),
-        np.tile(np.asarray(quaternion, dtype=np.float32), (count, 1)),
-        np.ascontiguousarray(scale, dtype=np.float32),
-        np.full(count, opacity, np.float32),
-        np.ascontiguousarray(sh[:, None, :], dtype=np.float32),
-    )
-
-
-def _looking(eye, target, width, height, name):
-    """A camera with a field of view of 60 degrees, z up in the picture."""
+def looking(eye, target, width, height, focal=None, name=""):
+    """A camera with z up in the picture; without a focal length [px] 60 degrees wide."""
     forward = np.subtract(target, eye) / np.linalg.norm(np.subtract(target, eye))
     right = np.cross(forward, (0.0, 0.0, 1.0))
     right /= np.linalg.norm(right)
     matrix = np.eye(4)
     matrix[:3, :3] = right, np.cross(forward, right), forward
     matrix[:3, 3] = -matrix[:3, :3] @ eye
-    focal = width / 2 / np.tan(np.radians(30))
+    focal = width / 2 / np.tan(np.radians(30)) if focal is None else focal
     return Camera(width, height, focal, focal, width / 2, height / 2, matrix, name)
 
 

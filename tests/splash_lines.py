@@ -4,7 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rainsim.drops import Impacts
 from rainsim.particles.splash import Impact, droplet, droplets_of, relative_size, splashes_on
+from rainsim.rain.size_distribution import terminal_speed
 
 
 @dataclass(frozen=True)
@@ -23,6 +25,18 @@ class Lines:
     def of(rows, ids=()):
         rows = np.asarray(rows, np.float64).reshape(-1, 7)
         return Lines(rows[:, :3], rows[:, 3:6], rows[:, 6], np.array(ids, np.uint64))
+
+
+def fallen(diameters, wind=0.0, first=77):
+    """Drops that fell on the origin at terminal speed at time 0; their ids begin at `first`."""
+    diameters = np.asarray(diameters, np.float64)
+    n = len(diameters)
+    velocity = np.zeros((n, 3))
+    velocity[:, 0], velocity[:, 2] = wind, -terminal_speed(diameters)
+    return Impacts(
+        np.zeros((n, 3)), velocity, diameters, np.zeros(n), np.zeros(n, np.uint8),
+        np.zeros(n, np.int32), np.zeros(n, np.int32), np.arange(n, dtype=np.uint64) + first,
+    )  # fmt: skip
 
 
 def splash_droplets(impacts, depth, now, exposure=0.0):

@@ -6,7 +6,9 @@ Visibility is computed from the boxes' faces and not from the splats.
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from rainsim.scene.types import Camera, GroundFrame, Scene, Splats
+import factories
+from rainsim.scene.types import GroundFrame, Scene
+from scenes import looking
 
 SH_0 = 0.28209479177387814
 BOXES = np.array([  # lowest and highest corner [m]
@@ -113,31 +115,16 @@ def yard(azimuth=200.0, elevation=38.0, sun=SUN_OVER_SKY, step=0.045, paint=0.2,
     color = np.where(linear < 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
     scale = np.where(normal != 0, 1e-3, 0.6 * step)
     frame = _frame() if turned else GroundFrame(np.eye(3), 1.0, np.zeros(3))
-    splats = Splats(
-        frame.to_capture(position).astype(np.float32),
-        np.tile(
-            Rotation.from_matrix(frame.rotation.T).as_quat(scalar_first=True), (len(position), 1)
-        ).astype(np.float32),
-        np.ascontiguousarray(scale / frame.meters_per_unit, np.float32),
-        np.full(len(position), 0.97, np.float32),
-        np.ascontiguousarray(((color - 0.5) / SH_0)[:, None, :], np.float32),
-    )  # fmt: skip
+    turn = Rotation.from_matrix(frame.rotation.T).as_quat(scalar_first=True)
+    splats = factories.splats(
+        frame.to_capture(position), turn, scale / frame.meters_per_unit, 0.97, color=color
+    )
+    eyes = [(2.0 * np.cos(a) - 0.3, 2.4 * np.sin(a), 1.5) for a in np.arange(8) * np.pi / 4]
     cameras = tuple(
-        frame.camera_in_capture(_looking((2.0 * np.cos(a) - 0.3, 2.4 * np.sin(a), 1.5)))
-        for a in np.arange(8) * np.pi / 4
+        frame.camera_in_capture(looking(eye, (0.0, 0.0, 0.2), 96, 64, 80.0)) for eye in eyes
     )
     scene = Scene("yard", splats, cameras, frame, None, "0" * 64, ())
     return scene, lit[:, None] * sun / np.maximum(light, 1e-9), sky
-
-
-def _looking(eye, target=(0.0, 0.0, 0.2)):
-    forward = np.subtract(target, eye) / np.linalg.norm(np.subtract(target, eye))
-    right = np.cross(forward, (0.0, 0.0, 1.0))
-    right /= np.linalg.norm(right)
-    matrix = np.eye(4)
-    matrix[:3, :3] = right, np.cross(forward, right), forward
-    matrix[:3, 3] = -matrix[:3, :3] @ np.asarray(eye)
-    return Camera(96, 64, 80.0, 80.0, 48.0, 32.0, matrix)
 
 
 def _frame():

@@ -21,24 +21,12 @@ STREET_LENGTH, STREET_HALF, STREET_RISE, CAMBER = 300.0, 4.0, 0.03, 0.025
 
 @dataclass(frozen=True)
 class Truth:
-    """The ground truth of a synthetic capture.
+    """The ground truth of a synthetic capture."""
 
-    Attributes
-    ----------
-    frame : GroundFrame
-        The capture's true ground frame.
-    bed : callable
-        bed(x, y) [m].
-    dips : ndarray of shape (n, 2) [m]
-        Centres of the dips.
-    half : float [m]
-        Half width of the paving, about the middle.
-    """
-
-    frame: GroundFrame
-    bed: object
-    dips: np.ndarray
-    half: float
+    frame: GroundFrame  # the capture's true ground frame
+    bed: object  # bed(x, y) [m]
+    dips: np.ndarray  # (n, 2), centres [m]
+    half: float  # m, half width of the paving, about the middle
 
 
 def random_frame(rng, tilt=40.0):

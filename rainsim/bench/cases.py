@@ -24,37 +24,23 @@ WALLS = "wall"
 class Case:
     """A water problem and its exact answer, in SI units; maps of shape (ny, nx), row 0 south.
 
-    Attributes
-    ----------
-    name : str
-    cells : int
-        Along the longer side.
-    x, bed, depth : ndarray [m]
-        Positions of the cells' centres, ground, depth at the start.
-    spacing, duration : float [m], [s]
-    exact : ndarray or None [m]
-        Depth at the end; NaN in cells that do not count.
-    v : ndarray or 0 [m/s]
-        Velocity northwards at the start.
-    boundary, manning : as for `WaterSolver`
-    extra : dict
-        What the case's own error needs: "deep" [m], water without the ripple. "supply" [m/s]: a map
-        of rain that falls all the time. "rate" [m/s]: rain until "until" [s], for a hydrograph
-        "flow" over "time" [s] at "gauge" [m] from the west [m2/s], or at the edge "edge" [m3/s].
-        "conditions": what makes the conditions at the edges. "u" [m/s]: velocity eastwards at the
-        start.
+    `extra` has what the case's own error needs: "deep" [m], water without the ripple. "supply"
+    [m/s]: a map of rain that falls all the time. "rate" [m/s]: rain until "until" [s], for a
+    hydrograph "flow" over "time" [s] at "gauge" [m] from the west [m2/s], or at the edge "edge"
+    [m3/s]. "conditions": what makes the conditions at the edges. "u" [m/s]: velocity eastwards at
+    the start.
     """
 
     name: str
-    cells: int
-    x: np.ndarray
+    cells: int  # along the longer side
+    x: np.ndarray  # m, of the cells' centres
     bed: np.ndarray
-    depth: np.ndarray
+    depth: np.ndarray  # m, at the start
     spacing: float
     duration: float
-    exact: np.ndarray | None = None
-    v: object = 0.0
-    boundary: object = WALLS
+    exact: np.ndarray | None = None  # m, depth at the end; NaN in cells that do not count
+    v: object = 0.0  # m/s, velocity northwards at the start
+    boundary: object = WALLS  # as for `WaterSolver`
     manning: object = 0.0
     extra: dict = field(default_factory=dict)
 

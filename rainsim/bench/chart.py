@@ -184,16 +184,10 @@ def _draw_bars(axis, title, bars):
 
 
 def draw_marks(path, panels, title):
-    """Draw how one number of each method stands in each case, side by side, and its limit.
+    """Draw how one number of each method stands in each case, side by side, and its limit, as PNG.
 
-    Parameters
-    ----------
-    path : path-like
-        PNG to write.
-    panels : dict
-        {name: {"limits": [number, ...], "marks": {method: {case: number}}}}; an infinite number
-        stands at the right edge.
-    title : str
+    `panels` is {name: {"limits": [number, ...], "marks": {method: {case: number}}}}; an infinite
+    number stands at the right edge.
     """
     pyplot = require_matplotlib()
     cases = list(dict.fromkeys(

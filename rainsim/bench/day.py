@@ -31,17 +31,10 @@ COVERED = 0.9  # coverage from which a pixel of a puddle counts as water
 
 
 def run(quick=False, say=quiet, remake=False, before=None):
-    """Return all figures, see `rainsim.bench.suite`.
+    """Return all figures, see `rainsim.bench.suite`; `quick` compares one view of the sunny patio.
 
-    Parameters
-    ----------
-    quick : bool
-        One view of the sunny patio.
-    say : callable
-    remake : bool
-        Whether captures and traced pictures are made again first.
-    before : dict, optional
-        The result of an earlier run, kept with this one for the chart.
+    `remake`: captures and traced pictures are made again first; `before` is the result of an
+    earlier run, kept with this one for the chart.
     """
     if remake:
         from rainsim.bench.day_remake import remake as remake_files
@@ -108,14 +101,8 @@ def _compare_rain(scene, arrays, rain, views=None):
 def compare_view(arrays, rain, view, parts, zenith, brightness):
     """Return the figures of one view against its traced picture.
 
-    Parameters
-    ----------
-    arrays : dict of str to ndarray
-        As `day_data.read` returns them.
-    rain : Rain
-    view : int
-    parts, zenith, brightness
-        As `day_capture.frames` yields them.
+    `arrays` are those of `day_data.read`; `parts`, `zenith` and `brightness` come of
+    `day_capture.frames`.
     """
     labels = day_data.unpack_labels(arrays[f"labels {view}"])
     truth, gain = traced(arrays, f"{rain.name} {view}", labels)

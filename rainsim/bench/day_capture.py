@@ -32,16 +32,8 @@ STEEP = 0.9  # sine of the elevation from which sky counts as zenith
 def capture(case, shapes, arrays, day, sky=True):
     """Return the capture of a case's day as a `Scene`, its ground found as in any capture.
 
-    Parameters
-    ----------
-    case : Case
-    shapes : Shapes
-    arrays : dict of str to ndarray
-        As `day_data.read` returns them.
-    day : str
-        "sun" or "dull".
-    sky : bool
-        Whether the dome of the sky has splats.
+    `arrays` are those of `day_data.read`, `day` is "sun" or "dull"; without `sky` the dome of the
+    sky has no splats.
     """
     spots, part, names = shapes.joined()
     colors = unpack_colors(arrays[day])
@@ -110,18 +102,12 @@ def settings(scene, rain, width):
 
 
 def frames(scene, rain, views, width):
-    """Yield for each view the program's pictures, reduced to the size of the traced ones.
+    """Yield view, pictures of the program, zenith of the sky and brightness for each view.
 
-    Yields
-    ------
-    view : int
-    parts : dict
-        picture: radiance without what falls; gloss: what water and film mirror of it; mirrored and
-        fresnel: in water, before Fresnel's factor, and the factor; coverage; clean: the dry
-        capture, 0 to 1. Arrays of shape (height, width, ...).
-    zenith : float
-        Luminance of the drawn sky above.
-    brightness : float
+    Pictures are reduced to the size of the traced ones, (height, width, ...): picture: radiance
+    without what falls; gloss: what water and film mirror of it; mirrored and fresnel: in water,
+    before Fresnel's factor, and the factor; coverage; clean: the dry capture, 0 to 1. The zenith is
+    the luminance of the drawn sky above.
     """
     config = settings(scene, rain, width)
     ground = pipeline.extract_terrain(scene, config)

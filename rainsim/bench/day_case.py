@@ -19,20 +19,11 @@ SKIN = frozenset({"lawn", "leaf"})  # parts that water covers but does not soak
 
 @dataclass(frozen=True)
 class Sun:
-    """The sun of a captured day.
+    """The sun of a captured day."""
 
-    Attributes
-    ----------
-    azimuth : (float, float)
-        Horizontal direction to the sun, of any length.
-    elevation : float [degrees]
-    turbidity : float
-        Of Hosek and Wilkie's sky.
-    """
-
-    azimuth: tuple
-    elevation: float
-    turbidity: float
+    azimuth: tuple  # horizontal direction to the sun, (x, y) of any length
+    elevation: float  # degrees
+    turbidity: float  # of Hosek and Wilkie's sky
 
     @property
     def direction(self):
@@ -44,57 +35,29 @@ class Sun:
 
 @dataclass(frozen=True)
 class Rain:
-    """A rainy day of a garden.
-
-    Attributes
-    ----------
-    name : str
-    coated : tuple of str
-        Parts with a coat of water, see `COATS`. Lawn and leaves darken in any rain.
-    past : float [m]
-        What has fallen.
-    wind : (float, float)
-        Speed [m/s] and the way it goes [rad].
-    views : tuple of int
-        Numbers of the cameras whose pictures were traced.
-    slopes : float
-        Factor of the slopes in `COATS`.
-    skin : float
-        Albedo of lawn and leaves wet over dry; chosen, not measured.
-    gloss : bool
-        Whether pictures without what the water mirrors were traced too.
-    """
+    """A rainy day of a garden."""
 
     name: str
-    coated: tuple
-    past: float
-    wind: tuple = (0.0, 0.0)
-    views: tuple = (0, 1, 2)
-    slopes: float = 1.0
-    skin: float = 0.85
-    gloss: bool = False
+    coated: tuple  # parts with a coat of water, see `COATS`; lawn and leaves darken in any rain
+    past: float  # m, what has fallen
+    wind: tuple = (0.0, 0.0)  # speed [m/s] and the way it goes [rad]
+    views: tuple = (0, 1, 2)  # numbers of the cameras whose pictures were traced
+    slopes: float = 1.0  # factor of the slopes in `COATS`
+    skin: float = 0.85  # albedo of lawn and leaves wet over dry; chosen, not measured
+    gloss: bool = False  # whether pictures without what the water mirrors were traced too
 
 
 @dataclass(frozen=True)
 class Case:
     """A garden with its days.
 
-    Attributes
-    ----------
-    name : str
-    build : callable
-        Returns `Shapes` and `Paving`.
-    cameras : callable
-        Returns the capture's cameras in the ground frame; the first are compared.
-    sun : Sun
-    rains : tuple of Rain
-        The first is compared in full. Of the others those with its rain and wind say how far the
-        result moves with what the truth chose.
+    The first of the rains is compared in full. Of the others those with its rain and wind say how
+    far the result moves with what the truth chose.
     """
 
     name: str
-    build: object
-    cameras: object
+    build: object  # returns `Shapes` and `Paving`
+    cameras: object  # returns the capture's cameras in the ground frame; the first are compared
     sun: Sun
     rains: tuple = field(default=())
 

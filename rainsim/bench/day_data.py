@@ -30,22 +30,12 @@ LIT, COVERED = 1, 2  # bits: the sun of the captured day meets it; something sta
 
 @dataclass(frozen=True)
 class Labels:
-    """Region, sunlight and cover of each pixel of a traced picture.
+    """Region, sunlight and cover of the pixels of a traced picture, maps of its size."""
 
-    Attributes
-    ----------
-    region : ndarray of shape (height, width), uint8
-        Number in REGIONS.
-    lit, covered : ndarray of shape (height, width), bool
-        In the sun on the captured day; below a top.
-    openness : ndarray of shape (height, width)
-        Light of the overcast sky that the place gets, over that of open level ground.
-    """
-
-    region: np.ndarray
-    lit: np.ndarray
-    covered: np.ndarray
-    openness: np.ndarray
+    region: np.ndarray  # uint8, number in REGIONS
+    lit: np.ndarray  # bool, in the sun on the captured day
+    covered: np.ndarray  # bool, below a top
+    openness: np.ndarray  # light of the overcast sky over that of open level ground
 
     def shows(self, *names):
         """Return where one of the named regions is shown."""
@@ -103,13 +93,7 @@ def write(case, arrays, folder=FOLDER):
 
 
 def read(case, folder=FOLDER):
-    """Return the arrays of a case by name.
-
-    Raises
-    ------
-    InputError
-        If there are none.
-    """
+    """Return the arrays of a case by name; InputError if there are none."""
     path = folder / f"{case}.npz"
     if not path.is_file():
         raise InputError(

@@ -109,16 +109,8 @@ def plank_albedo(points):
 def paint_top(shapes, part, low, high, pixels=600):
     """Add a `Picture` of planks as the albedo of a tabletop, so that it can get a coat of water.
 
-    Parameters
-    ----------
-    shapes : Shapes
-        Its `pictures` gets the entry `part`.
-    part : str
-        Name of the mesh of the tabletop.
-    low, high : sequence of float [m]
-        Corners (x, y) of the tabletop.
-    pixels : int
-        Width and height of the picture.
+    `part` names the tabletop's mesh, `low` and `high` are its corners (x, y) [m]; the picture has
+    `pixels` rows and columns.
     """
     x, y = (a + (np.arange(pixels) + 0.5) / pixels * (b - a)
             for a, b in zip(low, high, strict=True))  # fmt: skip

@@ -19,25 +19,14 @@ SPOT_SPACING = 0.0135  # m
 
 @dataclass(frozen=True)
 class Paving:
-    """Paved ground at vertices, row = y, column = x.
-
-    Attributes
-    ----------
-    x, y : ndarray [m]
-    bed : ndarray of shape (ny, nx) [m]
-    level : ndarray of shape (ny, nx) [m]
-        Of the water, where depth is positive.
-    depth : ndarray of shape (ny, nx) [m]
-        Of puddles; 0 without.
-    albedo : ndarray of shape (ny, nx, 3)
-    """
+    """Paved ground at vertices, maps of shape (ny, nx), row = y, column = x, in metres."""
 
     x: np.ndarray
     y: np.ndarray
     bed: np.ndarray
-    level: np.ndarray
-    depth: np.ndarray
-    albedo: np.ndarray
+    level: np.ndarray  # of the water, where depth is positive
+    depth: np.ndarray  # of puddles; 0 without
+    albedo: np.ndarray  # (ny, nx, 3)
 
     @property
     def slopes(self):
@@ -64,18 +53,11 @@ def smooth_noise(shape, width, seed):
 
 
 def paved(low, high, dips, closed=(), rain=None, seed=0):
-    """Return the `Paving` of slabs over a rectangle.
+    """Return the `Paving` of slabs over a rectangle from `low` to `high` [m].
 
-    Parameters
-    ----------
-    low, high : (float, float) [m]
-        Corners of the rectangle.
-    dips : sequence of (x, y, depth, width) [m]
-    closed : sequence of {"west", "east", "south", "north"}
-        Sides over which no water leaves.
-    rain : float, optional [m]
-        What has fallen on the whole paving and run into the dips; None: they are full.
-    seed : int
+    `dips` are rows of x, y, depth and width [m]. No water leaves over the sides `closed` ("west",
+    "east", "south", "north"). `rain` [m] has fallen on the whole paving and run into the dips;
+    None: they are full.
     """
     nx, ny = (round((b - a) / CELL) + 1 for a, b in zip(low, high, strict=True))
     x, y = np.linspace(low[0], high[0], nx), np.linspace(low[1], high[1], ny)

@@ -59,16 +59,8 @@ def overcast_sky(rows=128):
 class Garden:
     """A case on one of its days, loaded into Mitsuba.
 
-    Parameters
-    ----------
-    mitsuba : module
-    case : Case
-    shapes : Shapes
-    paving : Paving
-    day : Rain or {"sun", "dull"}
-        "dull" is dry under the overcast sky.
-    mirrors : bool
-        False: water mirrors nothing; what it adds is the difference to True.
+    `day` is a `Rain`, "sun", or "dull": dry under the overcast sky. Without `mirrors` water mirrors
+    nothing, so that the difference of two gardens is the light that it mirrors.
     """
 
     def __init__(self, mitsuba, case, shapes, paving, day, mirrors=True):

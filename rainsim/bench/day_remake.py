@@ -26,15 +26,9 @@ MIDDLE = np.array([0.0, 0.0, 1.5])  # from where panes are baked
 
 
 def remake(cases, folder=day_data.FOLDER, say=lambda line: None, baked=BAKED, traced=TRACED):
-    """Bake and trace all cases and write their files.
+    """Bake and trace all cases and write their files to a folder.
 
-    Parameters
-    ----------
-    cases : sequence of Case
-    folder : path-like
-    say : callable
-    baked, traced : int
-        Samples of a splat and of a pixel.
+    `baked` and `traced` are the samples of a splat and of a pixel.
     """
     mitsuba = require_mitsuba()
     for case in cases:

@@ -81,18 +81,9 @@ def regions_of(labels):
 def by_region(picture, truth, labels, brightness):
     """Return the measures of each region.
 
-    Parameters
-    ----------
-    picture, truth : ndarray of shape (height, width, 3)
-        Radiance; the truth's mean over land is LAND.
-    labels : Labels
-    brightness : float
-        The program's own, for "as is".
-
-    Returns
-    -------
-    dict
-        {region: {share, truth, ratio, psnr, as_is, ssim, color}}; luminances aligned on land.
+    Pictures of radiance, (height, width, 3); the truth's mean over land is LAND. `brightness` is
+    the program's own, for "as is". The result is {region: {share, truth, ratio, psnr, as_is, ssim,
+    color}} with luminances aligned on land.
     """
     aligned = align(picture, labels)
     squares, similar, color = differences(shown(aligned), shown(truth))
@@ -122,12 +113,8 @@ def ladder(picture, truth, labels):
     "shadows gone" scales what lay out of the sun in each region, so that it stands to what lay in
     it as in the truth; "levels right" scales each region but the ground besides, so that it stands
     to the paving as in the truth; "colours right" gives each region, in and out of the sun, its
-    true mean colour.
-
-    Returns
-    -------
-    dict
-        {rung: {psnr, ssim, color, ground}}, ground being the PSNR [dB] of GROUND alone.
+    true mean colour. The result is {rung: {psnr, ssim, color, ground}}, ground being the PSNR [dB]
+    of GROUND.
     """
     names = [n for n, m in regions_of(labels) if n not in ("all", "land", "sky") and "," not in n]
     masks = {name: labels.shows(name) for name in names}
@@ -186,14 +173,7 @@ def patches(picture, clean, labels):
 
     The root mean square of the gain's logarithm, less what is smooth over PATCH pixels of the
     region (12 px of a frame); the borders of regions, thus the edges of puddles, are left out.
-
-    Parameters
-    ----------
-    picture : ndarray of shape (height, width, 3)
-        Radiance, drawn or traced.
-    clean : ndarray of shape (height, width, 3)
-        Display colours of the dry capture, 0 to 1.
-    labels : Labels
+    `picture` is radiance, drawn or traced, `clean` the display colours of the dry capture, 0 to 1.
     """
     dry = np.maximum(linear(clean) @ LUMINANCE_WEIGHTS, DIM)
     gain = np.log(np.maximum(picture @ LUMINANCE_WEIGHTS, 1e-3) / dry)

@@ -9,59 +9,31 @@ import numpy as np
 
 @dataclass
 class Mesh:
-    """Triangles of one part of a garden.
+    """Triangles of one part of a garden."""
 
-    Attributes
-    ----------
-    vertices : ndarray of shape (n, 3) [m]
-    faces : ndarray of shape (m, 3), int
-        Counter-clockwise seen from outside.
-    albedo : ndarray of shape (n, 3)
-    normals : ndarray of shape (n, 3) or None
-        None: the faces are flat.
-    """
-
-    vertices: np.ndarray
-    faces: np.ndarray
-    albedo: np.ndarray
-    normals: np.ndarray | None = None
+    vertices: np.ndarray  # (n, 3), m
+    faces: np.ndarray  # (m, 3), int, counter-clockwise seen from outside
+    albedo: np.ndarray  # (n, 3)
+    normals: np.ndarray | None = None  # (n, 3); None: the faces are flat
 
 
 @dataclass(frozen=True)
 class Spots:
-    """Places of splats on a part.
+    """Places of splats on a part, arrays (n, 3) or (n,)."""
 
-    Attributes
-    ----------
-    position, normal, along : ndarray of shape (n, 3)
-        Where [m]; unit normal; unit direction of the splat's first axis.
-    spacing : ndarray of shape (n,) [m]
-        Distance between neighbours; negative: the splat is a whole leaf of that half length.
-    """
-
-    position: np.ndarray
-    normal: np.ndarray
-    along: np.ndarray
-    spacing: np.ndarray
+    position: np.ndarray  # m
+    normal: np.ndarray  # unit
+    along: np.ndarray  # unit, the splat's first axis
+    spacing: np.ndarray  # m, of neighbours; negative: the splat is a whole leaf of that half length
 
 
 @dataclass(frozen=True)
 class Picture:
-    """Albedo as a picture over a rectangle of two axes, for parts that get a coat of water.
+    """Albedo as a picture over a rectangle of two axes, for parts that get a coat of water."""
 
-    Attributes
-    ----------
-    albedo : ndarray of shape (rows, columns, 3)
-        Row 0 has the least second coordinate.
-    bounds : tuple of float [m]
-        Least and greatest of the first axis, then of the second.
-    axes : tuple of int
-        Which coordinates the columns and the rows follow.
-    """
-
-    albedo: np.ndarray
-    bounds: tuple
-    axes: tuple = (0, 1)
+    albedo: np.ndarray  # (rows, columns, 3), row 0 has the least second coordinate
+    bounds: tuple  # m, least and greatest of the first axis, then of the second
+    axes: tuple = (0, 1)  # which coordinates the columns and the rows follow
 
     def texture_coordinates(self, points):
         """Return u, v in [0, 1], shape (n, 2), of points, shape (n, 3)."""

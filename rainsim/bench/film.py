@@ -25,20 +25,11 @@ FULL = 0.5  # share of film from which a pixel is compared
 def film_accuracy(renderer, camera, pixels=PIXELS, rays=RAYS, seed=0):
     """Return how near the film's light is to traced lobes, or None where no film is seen.
 
-    Parameters
-    ----------
-    renderer : Renderer
-        Has drawn `camera`.
-    pixels, rays : int
-        Pixels that are drawn at random among those with film, and facets of each.
-    seed : int
-
-    Returns
-    -------
-    dict
-        Number of pixels, seconds of the tracing, and for the mirrored picture ("mirror"), for the
-        surroundings only ("environment") and for the rays' own noise ("noise") the PSNR [dB], with
-        peak 1, and the root mean square error over the mean of the truth.
+    The renderer has drawn the camera. `pixels` are drawn at random among those with film, `rays`
+    are the facets of each. The result has the number of pixels, the seconds of the tracing, and for
+    the mirrored picture ("mirror"), for the surroundings only ("environment") and for the rays' own
+    noise ("noise") the PSNR [dB], with peak 1, and the root mean square error over the mean of the
+    truth.
     """
     cover = np.zeros((camera.height, camera.width), np.float32)
     wet_picture = renderer.conductor.wet_scene.picture(camera, cover)

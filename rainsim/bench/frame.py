@@ -38,26 +38,11 @@ EXTENT = {False: None, True: 3.0}  # m
 
 
 def run(quick=False, say=quiet, backend="cpu"):
-    """Run the whole bench, see `rainsim.bench.suite`.
+    """Run the whole bench on a backend, see `rainsim.bench.suite` and `rainsim.bench.frame_cuda`.
 
-    Parameters
-    ----------
-    quick : bool
-    say : callable
-    backend : {"cpu", "cuda"}
-        What draws; `rainsim.bench.frame_cuda` says what is measured on a GPU.
-
-    Returns
-    -------
-    dict
-        "machine" and "rows": scene, size, motion, level, milliseconds by stage, their sum and the
-        root mean square error against the truth in shares of display white (None: not measured).
-        On a GPU "peers", see `rainsim.bench.frame_gsplat`.
-
-    Raises
-    ------
-    BackendError
-        If the backend cannot run here.
+    The result has "machine" and "rows": scene, size, motion, level, milliseconds by stage, their
+    sum and the root mean square error against the truth in shares of display white (None: not
+    measured); on a GPU also "peers", see `rainsim.bench.frame_gsplat`.
     """
     on_backend(backend)  # before anything is drawn
     rows = []

@@ -88,20 +88,10 @@ def _true_pictures(scene, settings, ground, cameras, count):
 
 
 def _on_the_cpu(scene, settings, ground, cameras, count):
-    """Draw the first `count` frames three times on the CPU and time them.
+    """Draw the first `count` frames three times on the CPU, after one untimed, which compiles.
 
-    One frame is drawn before, untimed, so that kernels are compiled and memory is allocated.
-
-    Returns
-    -------
-    milliseconds : dict of str to float
-        Median time of each stage, and of the whole frame under "frame".
-    least : float [ms]
-        Time of the fastest frame.
-    pictures : list of ndarray
-        One for each of the `count` frames.
-    ground : Ground
-        The argument again: the last that `measure` needs for a row of its table.
+    Return the median time [ms] of each stage and, under "frame", of the whole; the fastest frame's
+    time [ms]; the frames; and the ground, which `measure` needs for a row of its table.
     """
     own, times, pictures = Renderer(scene, ground, settings, cameras[0]), [], []
     states = list(itertools.islice(pipeline.simulate(ground, settings), count))
@@ -119,15 +109,9 @@ def _on_the_cpu(scene, settings, ground, cameras, count):
 def _on_the_gpu(scene, settings, ground, cameras, count, quick):
     """Draw frames on the GPU and time them.
 
-    Returns
-    -------
-    milliseconds : dict of str to float
-        Time of each stage, and the median of the whole frame under "frame".
-    pictures : list of ndarray
-        The first `count` frames, to compare with the truth.
-    more : dict of str to float
-        memory_mib; least, the fastest frame [ms]; sequence_ms, the median time from frame to frame
-        of a frame sequence, or None.
+    Return the time [ms] of each stage and, under "frame", the median of the whole; the first
+    `count` frames; and memory_mib, least (the fastest frame [ms]) and sequence_ms, the median time
+    from frame to frame of a sequence, or None.
     """
     from rainsim.cuda.render.renderer import Renderer as OnGpu
     from rainsim.cuda.simulation import simulate

@@ -33,16 +33,7 @@ REPEATS = 15  # pictures of each view by gsplat, of which the median counts
 
 
 def measure(scene, quick=False, say=quiet):
-    """Return rows of times [ms] of one scene: program, splats, picture, median and least.
-
-    Parameters
-    ----------
-    scene : Scene
-    quick : bool
-        Small, the scene's own splats alone.
-    say : callable
-        Called with a line of text for each row.
-    """
+    """Return rows of times [ms] of one scene: program, splats, picture, median and least."""
     rows = []
 
     def add(program, what, count, times):

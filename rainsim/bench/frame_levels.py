@@ -57,14 +57,9 @@ def shrunk(picture):
 
 
 def error_of(picture, truth):
-    """Return the root mean square error of a picture, white being 1.
+    """Return the root mean square error of an 8-bit picture, white being 1.
 
-    Parameters
-    ----------
-    picture : ndarray of shape (height, width, 3), uint8
-        Enlarged to the truth's size if smaller.
-    truth : ndarray of shape (height, width, 3), float32
-        Display values from 0 to 1, as `shrunk` returns them.
+    It is enlarged to the truth's size if smaller; the truth is as `shrunk` returns it.
     """
     picture = picture / np.float32(255)
     if picture.shape != truth.shape:

@@ -40,11 +40,8 @@ WET_STAGES = ("find water", "mirror", "reflection", "water")
 def run(quick=False, say=quiet):
     """Run the whole bench, see `rainsim.bench.suite`.
 
-    Returns
-    -------
-    dict
-        "machine" and "rows": scene, quantity, count, least_ms and median_ms of a frame and
-        water_ms, the least of the stages that draw water.
+    The result has "machine" and "rows": scene, quantity, count, least_ms and median_ms of a frame
+    and water_ms, the least of the stages that draw water.
     """
     rows = []
     for name in scene_names(quick):

@@ -16,14 +16,15 @@ from rainsim.bench.hydraulic_cases import (
     BUMP_STAGE,
     CHANNEL,
     CHANNEL_FLOW,
-    FINE,
     ROWS,
+    bed_of,
     bump_depth,
     critical_depth,
     depth_of_head,
+    first_bump,
     head,
+    steady_slope,
 )
-from rainsim.constants import GRAVITY
 from rainsim.water.conditions import Discharge, Stage
 
 TRANQUIL_FLOW, TRANQUIL_STAGE = 4.42, 2.0  # m2/s, m: SWASHES' bump without a jump
@@ -50,22 +51,18 @@ def _held(name, cells, length, duration, flow, bed_of, exact_of, start_of, manni
     )  # fmt: skip
 
 
-def _bump_bed(x):
-    return np.maximum(0.2 - 0.05 * (x - 10) ** 2, 0)
-
-
 def bump_jump(cells):
     """0.18 m2/s over SWASHES' bump become fast and jump back to the level held at the outlet."""
     return _held(
-        "bump, jump", cells, BUMP_LENGTH, 300.0, BUMP_FLOW, _bump_bed, bump_depth,
-        lambda x: BUMP_STAGE - _bump_bed(x),
+        "bump, jump", cells, BUMP_LENGTH, 300.0, BUMP_FLOW, first_bump, bump_depth,
+        lambda x: BUMP_STAGE - first_bump(x),
     )  # fmt: skip
 
 
 def tranquil_bump_depth(x):
     """Return the steady depth [m] of SWASHES' tranquil flow over the bump at places `x` [m]."""
     energy = head(TRANQUIL_STAGE, TRANQUIL_FLOW)
-    return np.array([depth_of_head(energy - b, TRANQUIL_FLOW, False) for b in _bump_bed(x)])
+    return np.array([depth_of_head(energy - b, TRANQUIL_FLOW, False) for b in first_bump(x)])
 
 
 def bump_tranquil(cells):
@@ -74,7 +71,7 @@ def bump_tranquil(cells):
     Nothing but the scheme damps waves between the two edges, so another start would not settle.
     """
     return _held(
-        "bump, tranquil", cells, BUMP_LENGTH, 100.0, TRANQUIL_FLOW, _bump_bed,
+        "bump, tranquil", cells, BUMP_LENGTH, 100.0, TRANQUIL_FLOW, first_bump,
         tranquil_bump_depth, None,
     )  # fmt: skip
 
@@ -88,19 +85,13 @@ def tranquil_channel_depth(x):
 
 def tranquil_channel_slope(x):
     """Return the bed's slope on which the flow of `tranquil_channel_depth` is steady."""
-    h, rise = tranquil_channel_depth(x)
-    friction = TRANQUIL_MANNING**2 * CHANNEL_FLOW**2 / h ** (10 / 3)
-    return (CHANNEL_FLOW**2 / (GRAVITY * h**3) - 1) * rise - friction
+    return steady_slope(tranquil_channel_depth(x), CHANNEL_FLOW, TRANQUIL_MANNING)
 
 
 def macdonald_tranquil(cells):
     """2 m2/s in MacDonald's channel of 1 km, tranquil all along, from its level at rest."""
-    fine = np.linspace(0, CHANNEL, FINE + 1)
-    slope, middle = (tranquil_channel_slope(at) for at in (fine, 0.5 * (fine[1:] + fine[:-1])))
-    steps = (slope[1:] + 4 * middle + slope[:-1]) / 6 * np.diff(fine)
-    height = np.concatenate([[0.0], np.cumsum(steps)])
     return _held(
         "macdonald, tranquil", cells, CHANNEL, 3000.0, CHANNEL_FLOW,
-        lambda x: np.interp(x, fine, height), lambda x: tranquil_channel_depth(x)[0],
+        bed_of(tranquil_channel_slope), lambda x: tranquil_channel_depth(x)[0],
         lambda x: 0 * x + critical_depth(CHANNEL_FLOW), TRANQUIL_MANNING,
     )  # fmt: skip

@@ -64,11 +64,15 @@ def depth_of_head(energy, flow, is_fast):
     return brentq(lambda depth: head(depth, flow) - energy, *span, xtol=1e-15, rtol=1e-14)
 
 
+def first_bump(x):
+    """Return SWASHES' bump [m]."""
+    return np.maximum(0.2 - 0.05 * (x - 10) ** 2, 0)
+
+
 def bump_bed(x):
     """Return SWASHES' bump, and a second one whose crest holds the stage `BUMP_STAGE` [m]."""
     crest = head(BUMP_STAGE, BUMP_FLOW) - 1.5 * critical_depth(BUMP_FLOW)
-    first = np.maximum(0.2 - 0.05 * (x - 10) ** 2, 0)
-    return first + np.maximum(crest - 0.02 * (x - SECOND_CREST) ** 2, 0)
+    return first_bump(x) + np.maximum(crest - 0.02 * (x - SECOND_CREST) ** 2, 0)
 
 
 def jump_place():
@@ -158,35 +162,45 @@ def channel_depth(x):
     return depth, -critical / np.cosh(sharp * s) ** 2 / CHANNEL
 
 
-def channel_slope(x, flow, gain, brought):
-    """Return the bed's slope on which a flow of `channel_depth` is steady.
+def steady_slope(depth, flow, manning, drag=0.0):
+    """Return the bed's slope that keeps a depth [m] and its slope, a pair, under a flow [m2/s].
 
-    Parameters
-    ----------
-    x : ndarray [m]
-    flow : ndarray or float [m2/s]
-    gain : float [m/s]
-        Rain: the flow grows by that much in each metre.
-    brought : float
-        Speed of the rain over that of the water: 0 if it falls straight down, as in SWASHES.
+    `drag` is the slope that takes falling rain along.
     """
-    h, rise = channel_depth(x)
-    friction = CHANNEL_MANNING**2 * flow**2 / h ** (10 / 3)
-    rain_drag = (2 - brought) * flow * gain / (GRAVITY * h**2)
-    return (flow**2 / (GRAVITY * h**3) - 1) * rise - friction - rain_drag
+    h, rise = depth
+    friction = manning**2 * flow**2 / h ** (10 / 3)
+    return (flow**2 / (GRAVITY * h**3) - 1) * rise - friction - drag
+
+
+def channel_slope(x, flow, gain, brought):
+    """Return the bed's slope on which a flow [m2/s] of `channel_depth` is steady at places `x` [m].
+
+    Rain lets the flow grow by `gain` [m/s] in each metre; it comes at `brought` times the water's
+    speed: 0 if it falls straight down, as in SWASHES.
+    """
+    depth = channel_depth(x)
+    rain_drag = (2 - brought) * flow * gain / (GRAVITY * depth[0] ** 2)
+    return steady_slope(depth, flow, CHANNEL_MANNING, rain_drag)
+
+
+def bed_of(slope, start=0.0):
+    """Return the function of x [m] that gives the height [m] of the channel from `start` [m] on.
+
+    Its slope(x) is integrated by Simpson's rule.
+    """
+    fine = np.linspace(start, CHANNEL, FINE + 1)
+    ends, middle = slope(fine), slope(0.5 * (fine[1:] + fine[:-1]))
+    steps = (ends[1:] + 4 * middle + ends[:-1]) / 6 * np.diff(fine)
+    height = np.concatenate([[0.0], np.cumsum(steps)])
+    return lambda x: np.interp(x, fine, height)
 
 
 def _macdonald(name, cells, flow, gain, brought, inlet):
-    """Return a channel whose bed carries `flow`(x), which grows by `gain`(x), by Simpson's rule."""
-    fine = np.linspace(-inlet, CHANNEL, FINE + 1)
-    slope = channel_slope(fine, flow(fine), gain(fine), brought(fine))
-    between = 0.5 * (fine[1:] + fine[:-1])
-    middle = channel_slope(between, flow(between), gain(between), brought(between))
-    steps = (slope[1:] + 4 * middle + slope[:-1]) / 6 * np.diff(fine)
-    height = np.concatenate([[0.0], np.cumsum(steps)])
+    """Return a channel whose bed carries `flow`(x), which grows by `gain`(x)."""
+    bed = bed_of(lambda x: channel_slope(x, flow(x), gain(x), brought(x)), -inlet)
 
     def profile(x):
-        return np.interp(x, fine, height), 0 * x, channel_depth(x)[0]
+        return bed(x), 0 * x, channel_depth(x)[0]
 
     return _channel(
         name, cells, CHANNEL, 1500.0, flow, profile, inlet, manning=CHANNEL_MANNING

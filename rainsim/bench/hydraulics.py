@@ -106,11 +106,8 @@ def orders(records):
 def run(quick=False, say=quiet):
     """Run the whole bench, see `rainsim.bench.suite`.
 
-    Returns
-    -------
-    dict
-        "machine", "quick", "records" (a list of dicts), "orders" ({case: {method: order}}), "sill"
-        ({method: what `at_sill` returns}) and "left_out" ({case: reason}).
+    The result has "machine", "quick", "records" (a list of dicts), "orders" ({case: {method:
+    order}}), "sill" ({method: what `at_sill` returns}) and "left_out" ({case: reason}).
     """
     threads = set_threads(None)
     set_threads(1)  # maps of four rows: a second thread only waits, long if the machine is busy

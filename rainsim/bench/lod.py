@@ -54,24 +54,11 @@ EVERYTHING = 64e9  # bytes: full detail is drawn whatever it takes
 
 
 def run(quick=False, say=quiet, length=None, folder=None, whole=False):
-    """Run the bench, see `rainsim.bench.suite`.
+    """Run the bench on a street of a length [m], see `rainsim.bench.suite`.
 
-    Parameters
-    ----------
-    quick : bool
-    say : callable
-    length : float, optional [m]
-        Of the street.
-    folder : path-like, optional
-        Where the chunks are kept, and taken from if they are there; without it they are deleted.
-    whole : bool
-        Only drive from end to end, see `lod_whole`.
-
-    Returns
-    -------
-    dict
-        "machine", "cut" (splats, seconds, bytes), "rows" (a threshold each), "drive" (a frame
-        each) and "alone" (a place each).
+    Chunks are kept in `folder`, and taken from there if it has them; without one they are deleted.
+    `whole`: only drive from end to end, see `lod_whole`. The result has "machine", "cut" (splats,
+    seconds, bytes), "rows" (a threshold each), "drive" (a frame each) and "alone" (a place each).
     """
     length = LENGTH[quick] if length is None else length
     with tempfile.TemporaryDirectory() as temporary:

@@ -22,16 +22,7 @@ FORGET_PEAK = "5"  # to clear_refs, see proc(5)
 def measure_whole(scene, ground, path, config, say=quiet):
     """Return a row for each frame of a drive that is drawn, all in order.
 
-    Parameters
-    ----------
-    scene : Scene
-        In chunks.
-    ground : PathGround
-    path : list of Camera
-        One per frame.
-    config : Config
-    say : callable
-        Called with a line of text for each row.
+    The scene is in chunks; `path` has a camera for each frame.
     """
     sequence, rows, pages = pipeline.FrameSequence(scene, ground, path, config), [], scene.pages
     begins = {-(-station.first // EVERY) * EVERY for station in ground.stations}

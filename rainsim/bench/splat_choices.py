@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from rainsim.bench.variants import variant
 from rainsim.jit import device_function, intrinsic, ir, types
@@ -17,26 +18,13 @@ from rainsim.splatting.project import color_chunk
 
 @dataclass(frozen=True)
 class Choice:
-    """One way to draw, of a group of alternatives.
-
-    Attributes
-    ----------
-    name : str
-    changes : dict
-        Constants or functions of `rainsim.raster` to replace, by name; see `variants.variant`.
-    options : dict
-        Of `Rasterizer.draw`.
-    adapt : callable, optional
-        adapt(splats, prepared) returns what is drawn instead of `prepared`.
-    default : bool
-        Whether it is what the rasterizer does.
-    """
+    """One way to draw, of a group of alternatives."""
 
     name: str
-    changes: dict = field(default_factory=dict)
-    options: dict = field(default_factory=dict)
-    adapt: object = None
-    default: bool = False
+    changes: dict = field(default_factory=dict)  # of `rainsim.raster`, see `variants.variant`
+    options: dict = field(default_factory=dict)  # of `Rasterizer.draw`
+    adapt: object = None  # adapt(splats, prepared) returns what is drawn instead of `prepared`
+    default: bool = False  # whether it is what the rasterizer does
 
     def rasterizer(self, splats, prepared):
         """Return a Rasterizer that draws as this choice says."""
@@ -179,19 +167,12 @@ def merge_pairs(splats):
     scale = np.sqrt(np.maximum(value, 0))
     opacity = np.minimum(weight.sum(axis=1) / np.maximum(_area(scale), 1e-30), 1)
     sh = (share[..., None] * splats.sh[order]).sum(axis=1)
-    parts = middle, _quaternion(axes), scale, opacity, sh
+    rotation = Rotation.from_matrix(axes).as_quat(scalar_first=True)
+    parts = middle, rotation, scale, opacity, sh
     return Splats(*(np.ascontiguousarray(part, np.float32) for part in parts))
 
 
 def _covariance(rotation, scale):
-    from scipy.spatial.transform import Rotation
-
     turn = Rotation.from_quat(rotation, scalar_first=True).as_matrix()
     half = turn * scale[:, None, :]
     return half @ half.transpose(0, 2, 1)
-
-
-def _quaternion(axes):
-    from scipy.spatial.transform import Rotation
-
-    return Rotation.from_matrix(axes).as_quat(scalar_first=True)

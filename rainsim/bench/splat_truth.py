@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from rainsim.constants import SH_0, SH_1, SH_2, SH_3
 from rainsim.jit import serial_kernel
@@ -26,37 +27,21 @@ SH_FACTORS = (SH_0, SH_1, *SH_2, *SH_3)
 
 @dataclass(frozen=True)
 class Truth:
-    """The layers of a camera's picture, all float64.
+    """The layers of a camera's picture, float64, as `rainsim.raster.Layers` defines them."""
 
-    Attributes
-    ----------
-    color : ndarray of shape (height, width, 3)
-        Display-referred, over black.
-    alpha, depth, median_depth, plane_depth : ndarray of shape (height, width)
-        As `rainsim.raster.Layers` defines them, depths in capture units.
-    normal : ndarray of shape (height, width, 3)
-        Unit, camera frame.
-    """
-
-    color: np.ndarray
+    color: np.ndarray  # (height, width, 3), display-referred, over black
     alpha: np.ndarray
     depth: np.ndarray
     median_depth: np.ndarray
     plane_depth: np.ndarray
-    normal: np.ndarray
+    normal: np.ndarray  # (height, width, 3), unit, camera frame
 
 
 def draw_truth(splats, camera, near=0.01, drop_last=False):
-    """Return the `Truth` of `splats` (Splats) for `camera`.
+    """Return the `Truth` of `splats` (Splats) for `camera`; `near` is in world units.
 
-    Parameters
-    ----------
-    splats : Splats
-    camera : Camera
-    near : float [world units]
-    drop_last : bool
-        Leave out, as gsplat and the original code do, the splat that would bring a pixel's
-        transmittance to 1e-4 and all behind it.
+    `drop_last` leaves out, as gsplat and the original code do, the splat that would bring a pixel's
+    transmittance to 1e-4 and all behind it.
     """
     ellipse, values = _project(splats, camera, near)
     sums = np.zeros((camera.height, camera.width, LAYERS))
@@ -74,7 +59,8 @@ def _project(splats, camera, near):
     kept = np.flatnonzero((point[:, 2] >= near) & (splats.opacity >= MIN_ALPHA))
     kept = kept[np.argsort(point[kept, 2], kind="stable")]
     x, y, z = point[kept].T
-    axes = turn @ _axes(splats.rotation[kept].astype(float))
+    own = Rotation.from_quat(splats.rotation[kept].astype(float), scalar_first=True)
+    axes = turn @ own.as_matrix()
     thinnest = np.argmin(splats.scale[kept], axis=1)
     normal = np.take_along_axis(axes, thinnest[:, None, None], axis=2)[..., 0]
     jacobian = np.zeros((len(kept), 2, 3))
@@ -109,16 +95,6 @@ def _project(splats, camera, near):
     sign = np.where(away, -1.0, 1.0)
     values = np.column_stack([color, z, normal * sign[:, None], distance * sign])
     return ellipse, values
-
-
-def _axes(q):
-    """Return the rotation matrices (n, 3, 3) of quaternions (n, 4), w first."""
-    w, x, y, z = (q / np.linalg.norm(q, axis=1, keepdims=True)).T
-    return np.stack([
-        1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
-        2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
-        2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
-    ], axis=1).reshape(-1, 3, 3)  # fmt: skip
 
 
 def _harmonics(way, count):

@@ -201,10 +201,7 @@ def endure_rain(trial, scheme, most_steps, dtype=np.float32, seed=0):
 def run(quick=False, say=quiet):
     """Run all trials on all schemes in both types, and the dam at several Courant numbers.
 
-    Returns
-    -------
-    dict
-        "quick" and "records", a list of dicts.
+    The result has "quick" and "records", a list of dicts.
     """
     records = []
 

@@ -50,18 +50,10 @@ def load_line(result):
 
 
 def in_turn(jobs, rounds):
-    """Run jobs in turn, so that the machine's load affects all alike.
+    """Run jobs, {name: callable}, in turn, so that the machine's load affects all alike.
 
-    Parameters
-    ----------
-    jobs : dict of str to callable
-    rounds : int
-        That count; one more before them compiles and warms up.
-
-    Returns
-    -------
-    dict of str to dict
-        least_ms and median_ms of each job, processor time.
+    There are as many rounds as asked for and one before them, which compiles. Return {name:
+    {least_ms, median_ms}}, processor time.
     """
     times = {name: [] for name in jobs}
     for _ in range(rounds + 1):

@@ -45,18 +45,10 @@ STEADY = 0.01**2, 0.03**2  # constants of the structural similarity for values u
 def trace_truth(renderer, camera, state):
     """Return the traced light, which of it the camera sees, and why it does not see the other.
 
-    Returns
-    -------
-    dict
-        light : pair of ndarray of shape (n, 3), float32
-            Two independent estimates of what each record mirrors.
-        known, seen : ndarray of shape (n,), bool
-            Which records the truth has, and whose ray ends on something that the camera sees.
-        alpha : ndarray of shape (n,), float32
-            Of the ray of the mean slope.
-        traced : ndarray of shape (n, 3), float32
-            What the method "traced" makes of it.
-        causes, view_dependence, cost : dict
+    A dict. light: a pair of (n, 3), float32, independent estimates of what each record mirrors.
+    known and seen, (n,) bool: which records the truth has, and whose ray ends on something that the
+    camera sees. alpha, (n,): of the ray of the mean slope. traced, (n, 3): light of the method
+    "traced". causes, view_dependence and cost: dicts.
     """
     water, wet, scene = renderer.water, renderer.wet, renderer.conductor.wet_scene
     scene.traced(  # builds the hierarchy, which the time of tracing is counted without
@@ -159,19 +151,9 @@ def why_unseen(wet, alpha, end):
 def compare(water, light, truth, mask):
     """Return PSNR [dB] and structural similarity of mirrored radiance over the records in mask.
 
-    Parameters
-    ----------
-    water : SeenWater
-    light : ndarray of shape (n, 3)
-        Of each record.
-    truth : pair of ndarray of shape (n, 3)
-        Independent estimates; where they are one and the same, these are the usual measures.
-    mask : ndarray of shape (n,), bool
-
-    Returns
-    -------
-    dict
-        psnr, ssim (in windows that hold water only; None if there are none) and pixels.
+    `light` is that of each record, (n, 3); `truth` a pair of independent estimates of it: where
+    these are one and the same, the measures are the usual ones. The result has psnr, ssim (in
+    windows that hold water only; None if there are none) and pixels.
     """
     if not mask.any():
         return {"psnr": None, "ssim": None, "pixels": 0}

@@ -23,20 +23,8 @@ _MODULES = (project, lanes, blend, _PACKAGE)  # each imports only from those bef
 def variant(**changes):
     """Return a copy of `rainsim.raster` with other values for the named constants or functions.
 
-    Parameters
-    ----------
-    **changes
-        Names as the modules `project`, `lanes` and `blend` have them, and their new values.
-
-    Returns
-    -------
-    module
-        With the names of `rainsim.raster`; without changes it is `rainsim.raster` itself.
-
-    Raises
-    ------
-    KeyError
-        If none of the modules has one of the names.
+    Names are those of the modules `project`, `lanes` and `blend`; another one raises KeyError.
+    Without changes the module is `rainsim.raster` itself.
     """
     if not changes:
         return _PACKAGE

@@ -111,12 +111,7 @@ def throughput(cells, schemes=("accurate", "lean", "paper"), steps=32):
 
 @cpu_kernel
 def copy(a, a_out):
-    """Copy, with all threads.
-
-    Parameters
-    ----------
-    a, a_out : ndarray of shape (n,), float32
-    """
+    """Copy an array of shape (n,), float32, with all threads."""
     for c in prange(a.shape[0]):
         a_out[c] = a[c]
 
@@ -134,11 +129,8 @@ def memory_limit(numbers):
 def run(quick=False, say=quiet):
     """Run the whole bench, see `rainsim.bench.suite`.
 
-    Returns
-    -------
-    dict
-        "machine", "records" (a list of dicts), "throughput" (cells per second by scheme) and
-        "memory_limit" (cells per second).
+    The result has "machine", "records" (a list of dicts), "throughput" (cells per second by scheme)
+    and "memory_limit" (cells per second).
     """
     records = []
     for scheme in SCHEMES:  # compile outside the clock: kernels with and without friction

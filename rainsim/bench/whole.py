@@ -21,13 +21,9 @@ FRAMES = 3  # of a moving camera, of which the median counts; one more before th
 
 
 def measure(scene, preset, width):
-    """Return for each method the milliseconds of a frame and the peak memory [MB] of its process.
+    """Return {method: {milliseconds, peak_mb, before_mb}} of a frame and of its process.
 
-    Returns
-    -------
-    dict of str to dict
-        milliseconds; peak_mb of the whole process; before_mb: its peak before the first frame,
-        what capture, ground and water take.
+    `before_mb` is the peak before the first frame: what capture, ground and water take.
     """
     found = {}
     for method in METHODS:

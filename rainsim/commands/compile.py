@@ -16,13 +16,8 @@ def refused_folders():
 def compiled_beside(status, uses, threads=None):
     """Compile in other processes what some recorded uses lack, while the block runs.
 
-    Parameters
-    ----------
-    status : Status
-    uses : list of str
-        Of `rainsim.compiling.uses`.
-    threads : int, optional
-        That the run may use: so many processes compile at most.
+    `uses` are names of `rainsim.compiling.uses`; at most as many processes compile as the run may
+    use threads.
     """
     from rainsim.compiling import folder
     from rainsim.compiling.start import end, start

@@ -15,11 +15,7 @@ STAGE = "cut"
 class Chunks:
     """The chunks of a cut that can be gone on with, on the record of its folder.
 
-    Parameters
-    ----------
-    record : Record
-    resume : bool
-        Whether whole chunks of an unfinished cut are kept.
+    `resume` says whether whole chunks of an unfinished cut are kept.
     """
 
     def __init__(self, record, resume):
@@ -79,16 +75,7 @@ def require_cuttable(path):
 def cut_to_scene(status, file, model, out, given, resume):
     """Cut a splat file into chunks in a folder; return the Scene of them and the record.
 
-    Parameters
-    ----------
-    status : Status
-    file, model : Path
-        As `require_cuttable` returns them.
-    out : Path
-    given : dict
-        Options of the ground.
-    resume : bool
-        Whether to go on with an unfinished cut in the folder.
+    File and model are as `require_cuttable` returns them, `given` are the options of the ground.
     """
     from rainsim.commands.given import scene_of
     from rainsim.commands.status import say_scene

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import json
-
 import click
 
-from rainsim.commands.options import json_option
+from rainsim.commands.options import echo, json_option
 
 
 @click.command(short_help="Check the installation and this machine.")
@@ -25,5 +23,5 @@ def doctor(ctx, as_json):
     from rainsim.commands.environment import report, table
 
     found = report()
-    click.echo(json.dumps(found, indent=1) if as_json else table(found))
+    echo(found, as_json, table(found))
     ctx.exit(1 if found["wrong"] else 0)

@@ -5,13 +5,13 @@ from __future__ import annotations
 import os
 import platform
 import shutil
-from importlib import metadata
 
 import numpy as np
 
 from rainsim import __version__
 from rainsim.compiling.folder import LOST, NAME, REFUSED
 from rainsim.io import cache as results
+from rainsim.io.fingerprint import versions
 from rainsim.jit import CACHE_FOLDER, cpu_kernel, prange, threading_layer
 
 PACKAGES = ("numpy", "numba", "llvmlite", "scipy", "numba-cuda", "cuda-cccl")
@@ -29,13 +29,7 @@ def _use_threads(out):
 
 
 def report():
-    """Return the facts, and under "wrong" a list of lines, each with its remedy.
-
-    Returns
-    -------
-    dict
-        "versions", "threads", "backends", "memory", "cache", "results" and "wrong".
-    """
+    """Return the facts by subject, and under "wrong" a list of lines, each with its remedy."""
     wrong = []
     _use_threads(np.empty(64))
     layer, threads = threading_layer()
@@ -62,21 +56,12 @@ def report():
             "folder that can be written"
         )
     wrong += cache["refused"]
-    versions = {"rainsim": __version__, "python": platform.python_version()}
-    versions |= {name: _version(name) for name in (*PACKAGES, *OPTIONAL)}
     return {
-        "versions": versions,
+        "versions": {"rainsim": __version__, **versions((*PACKAGES, *OPTIONAL))},
         "threads": {"number": threads, "cores": os.cpu_count(), "layer": layer},
         "backends": {"cpu": {"ready": True, "name": _processor()}, "cuda": _cuda()},
         "memory": memory, "cache": cache, "results": results.summary(), "wrong": wrong,
     }  # fmt: skip
-
-
-def _version(name):
-    try:
-        return metadata.version(name)
-    except metadata.PackageNotFoundError:
-        return None
 
 
 def _processor():

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from pathlib import Path
 
@@ -10,7 +9,7 @@ import click
 
 from rainsim.commands import options
 from rainsim.commands.compile import compiled_beside, uses_of
-from rainsim.commands.given import check_camera_options, paths_in, settings
+from rainsim.commands.given import check_camera_options, paths_in, require_backend, settings
 from rainsim.commands.options import FILE, PRESETS, Numbers
 from rainsim.commands.status import Status, loaded_scene
 from rainsim.datasets import LAYOUTS
@@ -162,10 +161,7 @@ def export(
         check_readout(given["rolling"] * 1e-3)
         if backend == "cuda":
             raise ParameterError("--rolling is drawn on the CPU only; leave out --backend cuda")
-    if backend == "cuda":
-        from rainsim.cuda import require
-
-        require()
+    require_backend(backend)
     from rainsim.datasets.shots import FLOWS, LABELS
 
     uses = uses_of(scene, config, (*LABELS, *FLOWS), backend)
@@ -182,7 +178,7 @@ def export(
 
     total = counted(card["pictures"], "picture")
     status.say(f"{total} in {relative(out)} ({status.seconds:.1f} s)")
-    click.echo(json.dumps({"out": str(out), **card}, indent=1) if as_json else str(out))
+    options.echo({"out": str(out), **card}, as_json, str(out))
 
 
 def rains_of(text):

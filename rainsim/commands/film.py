@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import click
@@ -16,6 +15,7 @@ from rainsim.commands.given import (
     mask_of,
     masks_named,
     paths_in,
+    require_backend,
     settings,
     view_on,
     water_mask_of,
@@ -126,7 +126,8 @@ def simulate(terrain, preset, out, overwrite, resume, threads, as_json, quiet, *
         _set_up(config)
         record, ledger = _write_states(status, ground, terrain, config, preset, out, resume)
     status.say(f"{counted(len(config.indices), 'water state')} in {relative(out)}")
-    _print({"out": str(out), "states": record.files, "ledger": ledger}, out, as_json)
+    result = {"out": str(out), "states": record.files, "ledger": ledger}
+    options.echo(result, as_json, str(out))
 
 
 def _write_states(status, ground, terrain, config, preset, out, resume):
@@ -334,10 +335,7 @@ def _check_before_loading(given, config, video, layers, backend):
     """Return formats of video and EXR, and the layers; raise for what could only fail later."""
     check_camera_options(given)
     _check_farm(given)
-    if backend == "cuda":
-        from rainsim.cuda import require
-
-        require()
+    require_backend(backend)
     video = format_of(video, given)
     from rainsim.render.aov import parse_names
 
@@ -428,7 +426,7 @@ def _write_frames(
         "ledger": reports[-1].ledger,
         "notes": [*scene.notes, *scene.ground_frame.notes],
     }
-    _print(result, out, as_json)
+    options.echo(result, as_json, str(out))
 
 
 def _draw_alone(status, sequence, run, resume):
@@ -485,7 +483,3 @@ def _set_up(config):
     from rainsim.jit import set_threads
 
     set_threads(config.threads)
-
-
-def _print(result, out, as_json):
-    click.echo(json.dumps(result, indent=1) if as_json else str(out))

@@ -18,12 +18,8 @@ MEASURED = 3  # finished frames at most whose files are looked at
 def format_of(video, given):
     """Return the `VideoFormat` that the options ask for, None without --video.
 
-    Raises
-    ------
-    ParameterError
-        If options of the video are given without it.
-    RainsimError
-        If it could not be written.
+    ParameterError if options of the video are given without it, RainsimError if it could not be
+    written.
     """
     options = {name: given.get(f"video_{name}") for name in ("codec", "quality")}
     options = {name: value for name, value in options.items() if value is not None}
@@ -44,20 +40,9 @@ def format_of(video, given):
 def exr_of(given, fps, names):
     """Return the `ExrFormat` that the options ask for and the layers that frames need for all.
 
-    Parameters
-    ----------
-    given : dict
-        Values of the options `--exr`, `--exr-name`, `--frame-start` and `--colorspace`.
-    fps : float [1/s]
-    names : tuple of str
-        Layers that are written by themselves.
-
-    Raises
-    ------
-    ParameterError
-        If options of the files are given without `--exr`, or do not make a name.
-    RainsimError
-        If such files cannot be written.
+    `given` are the options `--exr`, `--exr-name`, `--frame-start` and `--colorspace`, `fps` is in
+    1/s, `names` are layers that are written by themselves. ParameterError if options of the files
+    are given without `--exr` or do not make a name, RainsimError if such files cannot be written.
     """
     options = {"name": "exr_name", "start": "frame_start", "colorspace": "colorspace"}
     options = {key: given[name] for key, name in options.items() if given.get(name) is not None}
@@ -80,16 +65,8 @@ def exr_of(given, fps, names):
 class Forecast:
     """Shows the progress of a run as `Status` does, and says once what all of it will take.
 
-    Parameters
-    ----------
-    status : Status
-    folder : Path
-        That frames are written to.
-    record, cameras
-        Not needed: a run is handed on as it is.
-    config : Config
-        Of the frames that this process cares for.
-    video : VideoFormat or None
+    `folder` is that of the frames, `config` has the frames that this process cares for. The record
+    and the cameras are not needed: a run is handed on as it is.
     """
 
     def __init__(self, status, folder, record, cameras, config, video):

@@ -16,16 +16,19 @@ AS_THEY_ARE = ("frame_range", "threads")  # options that no preset file has
 CAMERA_WAYS = ("camera", "path", "orbit", "drive", "eye")
 
 
+def require_backend(backend):
+    """Raise BackendError before any work where a backend cannot run."""
+    if backend == "cuda":
+        from rainsim.cuda import require
+
+        require()
+
+
 def settings(preset, given, base=None):
     """Return the checked Config of a preset with the options that were given on top.
 
-    Parameters
-    ----------
-    preset : str or None
-        None takes `base` instead.
-    given : dict
-        Option names and their values in the command line's units; None is not given.
-    base : Config, optional
+    Without a preset `base` is taken. `given` has values in the command line's units by option name;
+    None is not given.
     """
     from rainsim.config.settings import Config
     from rainsim.config.tables import OPTION_KEYS
@@ -100,11 +103,7 @@ def scene_of(name, given):
 def scene_to_look_at(name, given):
     """Load a scene as `scene_of` does, or with an offered ground frame where it has none.
 
-    Returns
-    -------
-    scene : Scene
-    is_offered : bool
-        Whether its up and scale are offered.
+    Return the scene and whether its up and scale are offered.
     """
     from rainsim.errors import GroundError
 
@@ -198,20 +197,8 @@ def check_camera_options(given):
 def cameras_of(scene, config, given, most=None):
     """Return the frames' cameras in the frames' size, and the Config with their number of frames.
 
-    Parameters
-    ----------
-    scene : Scene
-    config : Config
-    given : dict
-        camera, path, orbit, drive, eye, look_at, fov and frames as they were typed.
-    most : int, optional
-        Largest number of frames; a longer path is cut to it.
-
-    Returns
-    -------
-    cameras : list of Camera
-        One per frame, or a single one for all.
-    config : Config
+    There is a camera for each frame or one for all. `given` has camera, path, orbit, drive, eye,
+    look_at, fov and frames as they were typed; a path of more than `most` frames is cut to them.
     """
     from rainsim.demo_scenes import FIRST_VIEWS
     from rainsim.scene.cameras import orbit, read_path
@@ -246,22 +233,8 @@ def cameras_of(scene, config, given, most=None):
 def view_on(scene, terrain, cameras, config, given, status):
     """Return the frames' cameras: `cameras`, or where none was asked for the one with most water.
 
-    Parameters
-    ----------
-    scene : Scene
-    terrain : Terrain or PathGround
-    cameras : list of Camera
-        As `cameras_of` returned them.
-    config : Config
-    given : dict
-        As for `cameras_of`.
-    status : Status
-        Reports which camera was chosen, and how fast a drive is.
-
-    Raises
-    ------
-    ParameterError
-        If none was asked for and the ground follows the path.
+    `cameras` and `given` are those of `cameras_of`. `status` reports which camera was chosen, and
+    how fast a drive is. ParameterError if none was asked for and the ground follows the path.
     """
     if given.get("drive"):
         from rainsim.datasets.pace import film_note

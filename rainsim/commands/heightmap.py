@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import click
 
 from rainsim.commands import options
 from rainsim.commands.compile import compiled_beside
-from rainsim.commands.given import masks_named, paths_in, settings, water_mask_of
+from rainsim.commands.given import mask_of, masks_named, paths_in, settings, water_mask_of
 from rainsim.commands.status import Status, loaded_scene
 from rainsim.errors import ParameterError, counted
 
@@ -49,13 +48,14 @@ def heightmap(scene, class_mask, check, out, overwrite, resume, threads, as_json
         rainsim heightmap garden/ --out terrain --check
         rainsim heightmap plaza.ply --up 0,0,1 --meters-per-unit 1 --extent 6
     """
+    from rainsim.config.settings import Config
     from rainsim.output_folder import Record, claimed, relative
     from rainsim.scene.ground import write_ground_frame
     from rainsim.terrain.poured import with_water
     from rainsim.terrain.surface import is_surface
 
     status = Status(quiet)
-    config = settings(None, {**given, "threads": threads}, base=_default_config())
+    config = settings(None, {**given, "threads": threads}, base=Config())
     surface, water = is_surface(scene), water_mask_of(given)
     loaded = None
     if surface:
@@ -75,7 +75,9 @@ def heightmap(scene, class_mask, check, out, overwrite, resume, threads, as_json
         compiled_beside(status, [HEIGHTMAP], config.threads),
     ):
         from rainsim.jit import set_threads
+        from rainsim.pipeline import extract_terrain
         from rainsim.terrain.map_files import write_terrain
+        from rainsim.terrain.surface import terrain_from_surface
 
         set_threads(config.threads)
         content = _content(scene if surface else None, class_mask, check, given)
@@ -84,10 +86,14 @@ def heightmap(scene, class_mask, check, out, overwrite, resume, threads, as_json
             record.resume(())  # one step: it is made again in the folder of the very same map
         if surface:
             status.progress("terrain", 0, 1)
-            terrain = with_water(_from_surface(scene, config, given), water)
+            ground = terrain_from_surface(
+                scene, config.terrain, given.get("up"), given.get("meters_per_unit")
+            )
+            terrain = with_water(ground, water)
             status.progress("terrain", 1, 1)
         else:
-            terrain = _from_splats(loaded, config, class_mask, water, status)
+            tell = status.progress, status.notes
+            terrain = extract_terrain(loaded, config, mask_of(class_mask), *tell, water)
         status.notes(terrain.notes)
         record.begin()
         record.add(*(path.name for path in write_terrain(out, terrain)))
@@ -102,7 +108,7 @@ def heightmap(scene, class_mask, check, out, overwrite, resume, threads, as_json
         record.write(complete=True, notes=list(terrain.notes))
     status.say(f"height map and pictures in {relative(out)}")
     result = {**_result(out, terrain, loaded, puddles, record.files), "check": checked}
-    click.echo(json.dumps(result, indent=1) if as_json else _as_text(result))
+    options.echo(result, as_json, _as_text(result))
 
 
 def _content(surface, class_mask, check, given):
@@ -115,12 +121,6 @@ def _content(surface, class_mask, check, given):
     return {**hashes, **axes, "check": check}
 
 
-def _default_config():
-    from rainsim.config.settings import Config
-
-    return Config()
-
-
 def _refuse_with_surface(scene, class_mask, check, given):
     wrong = [n for n in ("cameras", "camera_height", "ground_frame", "fall", "known_length")
              if given.get(n) is not None]  # fmt: skip
@@ -130,22 +130,6 @@ def _refuse_with_surface(scene, class_mask, check, given):
             f"--{wrong[0].replace('_', '-')} is given with {scene}, a surface without cameras or "
             "colours; leave it out"
         )
-
-
-def _from_surface(scene, config, given):
-    from rainsim.terrain.surface import terrain_from_surface
-
-    return terrain_from_surface(
-        scene, config.terrain, up=given.get("up"), meters_per_unit=given.get("meters_per_unit")
-    )
-
-
-def _from_splats(scene, config, class_mask, water, status):
-    from rainsim.commands.given import mask_of
-    from rainsim.pipeline import extract_terrain
-
-    mask = mask_of(class_mask)
-    return extract_terrain(scene, config, mask, status.progress, status.notes, water)
 
 
 def _puddles(out, terrain, record):

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-
 import click
 
 from rainsim.commands import options
@@ -122,4 +120,4 @@ def lidar(
     from rainsim.output_folder import relative
 
     status.say(f"{counted(turns * len(rates), 'turn')} in {relative(out)} ({status.seconds:.1f} s)")
-    click.echo(json.dumps({"out": str(out), **facts}, indent=1) if as_json else str(out))
+    options.echo({"out": str(out), **facts}, as_json, str(out))

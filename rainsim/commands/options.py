@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import re
 from pathlib import Path
@@ -175,6 +176,11 @@ mask_options = _group(
     ),
 )
 
+eye_options = _group(
+    click.option("--eye", type=Numbers("x,y,z"), help="Where to look from, in capture units."),
+    click.option("--look-at", type=Numbers("x,y,z"), help="Where to look to, in capture units."),
+)
+
 camera_options = _group(
     click.option(
         "--camera",
@@ -196,8 +202,7 @@ camera_options = _group(
     click.option(
         "--drive", is_flag=True, help="The capture's own cameras in their order, one per frame."
     ),
-    click.option("--eye", type=Numbers("x,y,z"), help="Where to look from, in capture units."),
-    click.option("--look-at", type=Numbers("x,y,z"), help="Where to look to, in capture units."),
+    eye_options,
     click.option(
         "--fov",
         type=float,
@@ -335,8 +340,7 @@ def output_options(default):
         click.option("--overwrite", is_flag=True,
                      help="Allow a folder that is not empty; only earlier results that its record "
                      "lists are replaced."),
-        click.option("--threads", type=int, metavar="N", show_default="all cores",
-                     help="Number of threads."),
+        threads_option,
         json_option,
         click.option("--quiet", "-q", is_flag=True, help="Print errors only."),
     )  # fmt: skip
@@ -354,6 +358,15 @@ backend_option = click.option(
 )  # fmt: skip
 
 json_option = click.option("--json", "as_json", is_flag=True, help="Print results as JSON.")
+
+threads_option = click.option(
+    "--threads", type=int, metavar="N", show_default="all cores", help="Number of threads."
+)
+
+
+def echo(result, as_json, text):
+    """Print a command's result: plain values as JSON, or the text that stands for them."""
+    click.echo(json.dumps(result, indent=1) if as_json else text)
 
 
 def default_out(*names):

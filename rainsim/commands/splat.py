@@ -9,7 +9,13 @@ import click
 
 from rainsim.commands import options
 from rainsim.commands.compile import refused_folders
-from rainsim.commands.given import DEFAULT_FOV, DEFAULT_SHAPE, DEFAULT_WIDTH, named_camera
+from rainsim.commands.given import (
+    DEFAULT_FOV,
+    DEFAULT_SHAPE,
+    DEFAULT_WIDTH,
+    named_camera,
+    require_backend,
+)
 from rainsim.commands.options import FILE, Numbers
 from rainsim.errors import ParameterError, require_positive
 
@@ -21,8 +27,7 @@ SIDES = (1, 16384)  # px
 @click.argument("scene", default="bicycle")
 @click.option("--camera", metavar="NAME", help="A camera of the capture. [default: its first]")
 @click.option("--cameras", type=FILE, metavar="FILE.json", help="Cameras instead of the capture's.")
-@click.option("--eye", type=Numbers("x,y,z"), help="Where to look from, in capture units.")
-@click.option("--look-at", type=Numbers("x,y,z"), help="Where to look to, in capture units.")
+@options.eye_options
 @click.option("--fov", type=float, metavar="DEG",
               help="Horizontal field of view in degrees, with --eye. [default: 60]")  # fmt: skip
 @click.option("--up", type=Numbers("x,y,z"), help="Up in the picture, with --eye. [default: the "
@@ -52,8 +57,7 @@ SIDES = (1, 16384)  # px
 @click.option("--out", "-o", type=FILE, required=True, metavar="FILE.png|FILE.npz",
               help="Picture, or float32 arrays rgb, alpha, depth, normal.")  # fmt: skip
 @click.option("--overwrite", is_flag=True, help="Replace the file if it exists.")
-@click.option("--threads", type=int, metavar="N", show_default="all cores",
-              help="Number of threads.")  # fmt: skip
+@options.threads_option
 @options.big_options
 @options.backend_option
 @options.json_option
@@ -90,10 +94,7 @@ def splat(scene, out, overwrite, threads, as_json, **given):
     nowhere = GroundFrame(np.eye(3), 1.0, np.zeros(3))  # drawing needs no ground
     capture = load_scene(scene, cameras=given["cameras"], ground_frame=nowhere)
     camera = _camera(capture, given)
-    if given["backend"] == "cuda":
-        from rainsim.cuda import require
-
-        require()
+    require_backend(given["backend"])
     from rainsim.commands.given import settings
 
     render = settings("moderate", {name: given[name] for name in ("detail", "memory")}).render
@@ -203,9 +204,7 @@ def draw(capture, camera, depth="expected", backend="cpu", render=None, **option
 
     if backend == "cuda":
         require_whole(capture, "backend cuda", "take backend cpu")
-        from rainsim.cuda import require
-
-        require()
+        require_backend(backend)
         from rainsim.cuda.raster import Rasterizer
     if capture.pages is None:
         prepared = prepare(scene_at(capture, 0.0).splats)

@@ -141,7 +141,7 @@ def _tell_info(path, as_json):
     from rainsim.scene.info import as_text, describe
 
     found = describe(path)
-    click.echo(json.dumps(found, indent=1) if as_json else as_text(found))
+    options.echo(found, as_json, as_text(found))
 
 
 def _shown(vector):

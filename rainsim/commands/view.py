@@ -11,7 +11,14 @@ import click
 
 from rainsim.commands import options
 from rainsim.commands.compile import compiled_beside, uses_of
-from rainsim.commands.given import mask_of, named_camera, scene_to_look_at, settings, water_mask_of
+from rainsim.commands.given import (
+    mask_of,
+    named_camera,
+    require_backend,
+    scene_to_look_at,
+    settings,
+    water_mask_of,
+)
 from rainsim.commands.status import READING, Status, say_scene
 
 PORT = 8080
@@ -39,8 +46,7 @@ WAIT = 0.5  # s between looks at whether Ctrl-C was pressed
 @click.option("--out", "-o", type=options.FOLDER, metavar="DIR",
               show_default="rainsim-out/SCENE-view",
               help="Folder for what is saved on the page.")  # fmt: skip
-@click.option("--threads", type=int, metavar="N", show_default="all cores",
-              help="Number of threads.")  # fmt: skip
+@options.threads_option
 @click.option("--quiet", "-q", is_flag=True, help="Print the address and errors only.")
 def view(scene, preset, camera, backend, class_mask, port, out, quiet, **given):
     """Look at SCENE in the rain in a browser, on this machine only; needs rainsim[view].
@@ -84,10 +90,7 @@ def _require_viser(backend):
         from rainsim.view.page import REMEDY
 
         raise BackendError(REMEDY)
-    if backend == "cuda":
-        from rainsim.cuda import require
-
-        require()
+    require_backend(backend)
 
 
 def _session(status, scene, config, camera, backend, masks):
@@ -156,12 +159,7 @@ def _has_graphics():
 def _address_for(address, width, has_graphics):
     """Return the address to open: with fewer pixels where a browser draws them on these cores.
 
-    Parameters
-    ----------
-    address : str
-    width : int [px]
-        Of a picture at rest: wide ones keep the page's full resolution.
-    has_graphics : bool
+    Pictures at rest that are wide (`width` [px]) keep the page's full resolution.
     """
     return address if has_graphics or width > COARSE_UP_TO else f"{address}/{FEWER_PIXELS}"
 

@@ -101,17 +101,9 @@ class Setting:
 def setting(default, key="", unit="", meaning="", rule=None, *, slider=None, keys=(), **more):
     """Return the field of a setting, for a subclass of `Group`.
 
-    Parameters
-    ----------
-    default : object
-        In SI units; None: the program chooses.
-    key, unit, meaning, slider
-        Of its `Key`.
-    rule : callable
-    keys : tuple of Key
-        In place of these, where the value has several parts.
-    **more
-        Further attributes of `Setting`.
+    `default` is in SI units; None: the program chooses. `key`, `unit`, `meaning` and `slider` are
+    those of its `Key`; `keys` come in place of these, where the value has several parts. `more` are
+    further attributes of `Setting`.
     """
     keys = (Key(key, unit, meaning, slider),) if key else keys
     return dataclasses.field(default=default, metadata={"setting": Setting(keys, rule, **more)})

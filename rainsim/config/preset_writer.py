@@ -15,13 +15,7 @@ def preset_text_of(config, about=""):
 
     Settings that have their default value are left out, and so are those that no preset file can
     hold: `threads`, `frame_range`, `moments`, a sun that is where the sky has it, a size that is
-    not given.
-
-    Parameters
-    ----------
-    config : Config
-    about : str
-        One line for the head of the file, `rainsim presets` shows it.
+    not given. `about` is one line for the head of the file, `rainsim presets` shows it.
     """
     usual, lines = Config(), [f"# {about}\n"] if about else []
     if config.look != usual.look:

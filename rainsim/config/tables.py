@@ -103,10 +103,7 @@ def default_of(key):
 def table():
     """Return a row for each key: key, unit, default, choices, whether it may change, meaning.
 
-    Returns
-    -------
-    list of tuple
-        (str, str, value or None, tuple of str, bool, str), in the order of `HUMAN_KEYS`.
+    Rows are in the order of `HUMAN_KEYS`.
     """
     return [
         (key.name, key.unit, default_of(key.name), one.choices, one.changing, key.meaning)

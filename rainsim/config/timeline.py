@@ -20,14 +20,8 @@ LIST_KEY = "keyframe"  # [[keyframe]] in TOML
 def read_keyframes(tables, from_human, where):
     """Return keyframes, a tuple of (time [s], ((attribute, SI value), ...)), from TOML tables.
 
-    Parameters
-    ----------
-    tables : list of dict
-        What TOML has under [[keyframe]].
-    from_human : callable
-        from_human(table, where) gives attributes in SI units from the keys of a preset.
-    where : str
-        Names the file in errors.
+    `tables` are those under [[keyframe]]; from_human(table, where) gives attributes in SI units
+    from the keys of a preset; `where` names the file in errors.
     """
     if not isinstance(tables, list) or not all(isinstance(t, dict) for t in tables):
         raise ParameterError(
@@ -69,10 +63,8 @@ def check_keyframes(frames, where="keyframes"):
 def from_json(frames):
     """Return keyframes that were read from JSON, which has lists in place of tuples.
 
-    Raises
-    ------
-    ParameterError
-        If they are not lists of a time and of pairs of a setting that can change and its value.
+    ParameterError if they are not lists of a time and of pairs of a setting that can change and its
+    value.
     """
     try:
         found = tuple(
@@ -140,11 +132,7 @@ def _between_winds(a, b, part):
 def check_moments(moments, frames):
     """Raise ParameterError unless there is a moment for each frame, or none at all.
 
-    Parameters
-    ----------
-    moments : sequence of int
-        The number of the water's state that each frame shows, in rising order.
-    frames : int
+    A moment is the number of the water's state that a frame shows; they rise.
     """
     if moments and len(moments) != frames:
         raise ParameterError(

@@ -15,16 +15,7 @@ RADARS = (24.0, 77.0)  # GHz
 
 
 def card_of(plan, layout, scene, config_of):
-    """Return the card as plain JSON values.
-
-    Parameters
-    ----------
-    plan : Plan
-    layout : str
-    scene : Scene
-    config_of : callable
-        config_of(rate) returns the settings of a rain rate [mm/h].
-    """
+    """Return the card as plain JSON values; config_of(rate) gives the settings of a rate [mm/h]."""
     frame = scene.ground_frame
     lens = plan.views[0].lens
     return {

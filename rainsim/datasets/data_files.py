@@ -20,20 +20,11 @@ FOLDER = "rainsim"  # in the folder of each rain, with what a layout cannot hold
 
 @dataclass(frozen=True)
 class DataFile:
-    """A file to be written.
+    """A file to be written; kinds are PNG (uint8), PNG16 (grey), PNG48 (colour) and more."""
 
-    Attributes
-    ----------
-    name : str
-        Relative to the data set's folder.
-    kind : int
-        PNG (uint8), PNG16 (grey), PNG48 (colour), NPY (float32 and the like), JSON, TEXT, BYTES.
-    content : ndarray, dict, list, str or bytes
-    """
-
-    name: str
+    name: str  # relative to the data set's folder
     kind: int
-    content: Any
+    content: Any  # ndarray, dict, list, str or bytes
 
 
 def condition(rate):

@@ -13,8 +13,8 @@ from functools import partial
 from rainsim.datasets import LAYOUTS, beside
 from rainsim.datasets.card import card_of, card_text
 from rainsim.datasets.data_files import TEXT, DataFile, write_file
-from rainsim.errors import InputError, ParameterError
-from rainsim.io.files import read_json, write_json
+from rainsim.errors import ParameterError
+from rainsim.io.files import card_in, write_json
 from rainsim.io.fingerprint import fingerprint
 from rainsim.io.journal import SHARED_FOLDER, Journal
 from rainsim.output_folder import CLAIM, TEMPORARY, input_facts, versions
@@ -36,23 +36,10 @@ def _is_ours(name):
 
 
 class DataSetFolder:
-    """A folder that a data set is written to, with its card and its journal.
+    """A folder that a data set is written to, with its card and its journal; the caller claims it.
 
-    Parameters
-    ----------
-    folder : Path
-        Claimed by the caller, see `rainsim.output_folder.claimed`.
-    layout : str
-    plan : Plan
-    content : dict
-        Plain JSON values that the files depend on.
-    scene : Scene
-    resume, overwrite : bool
-
-    Attributes
-    ----------
-    kept : set of int
-        Parts that need not be drawn.
+    `content` holds plain JSON values that the files depend on. `kept` are numbers of parts that
+    need not be drawn.
     """
 
     def __init__(self, folder, layout, plan, content, scene, resume=False, overwrite=False):
@@ -162,25 +149,14 @@ class DataSetFolder:
 
 def read_card(folder):
     """Return the card of a data set in a folder, None if there is none."""
-    try:
-        card = read_json(folder / CARD, "a card")
-    except (OSError, InputError):
-        return None
-    ours = isinstance(card, dict) and card.get("program") == "rainsim" and "layout" in card
-    return card if ours else None
+    card = card_in(folder / CARD)
+    return card if card and "layout" in card else None
 
 
 def export(shots, folder, config_of, tell=None):
     """Draw and write all samples that are missing in a `DataSetFolder`.
 
-    Parameters
-    ----------
-    shots : Shots
-    folder : DataSetFolder
-    config_of : callable
-        config_of(rate) returns the settings of a rain rate [mm/h].
-    tell : callable, optional
-        Called as tell(stage, done, total).
+    config_of(rate) gives the settings of a rain rate [mm/h]; tell(stage, done, total) is called.
     """
     folder.begin(config_of)
     done = len(folder.kept)

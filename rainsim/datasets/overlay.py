@@ -22,10 +22,7 @@ EVERY_WAY = np.ones((3, 3), int)
 def streaks_in(alpha):
     """Return the streaks of a picture: the box (row slice, column slice) of each and its pixels.
 
-    Parameters
-    ----------
-    alpha : ndarray of shape (height, width), float
-        Share of light that drops replace.
+    `alpha`, (height, width), is the share of light that drops replace.
     """
     label, _ = ndimage.label(alpha > SEEN, EVERY_WAY)
     size = np.bincount(label.ravel())
@@ -34,13 +31,7 @@ def streaks_in(alpha):
 
 
 def flat_rain(alpha, seed):
-    """Return the alpha of the same streaks at random places, (height, width), float32.
-
-    Parameters
-    ----------
-    alpha : ndarray of shape (height, width), float
-    seed : int
-    """
+    """Return the alpha of the same streaks at random places, (height, width), float32."""
     rng, out = np.random.default_rng(seed), np.zeros(alpha.shape, np.float32)
     height, width = alpha.shape
     for box, own in streaks_in(alpha):
@@ -53,21 +44,12 @@ def flat_rain(alpha, seed):
 
 
 def partners(left, right, most):
-    """Return the share of a picture's streaks that the picture beside it shows too.
+    """Return the share of a picture's streaks that the picture beside it shows too, and a number.
 
-    Parameters
-    ----------
-    left, right : ndarray of shape (height, width), float
-        Alpha of two parallel cameras side by side at one moment: what the left one sees at a column
-        the right one sees up to `most` columns farther left, in the same row.
-    most : int [px]
-
-    Returns
-    -------
-    share : float
-        Of the streaks of the left picture that lie wholly in the right one's view.
-    count : int
-        Of those streaks.
+    Left and right are the alpha of two parallel cameras side by side at one moment: what the left
+    one sees at a column the right one sees up to `most` columns farther left, in the same row. The
+    number is that of the streaks that count: those of the left picture that lie wholly in the right
+    one's view.
     """
     if left.shape != right.shape or most < 1:
         raise ParameterError(

@@ -19,11 +19,7 @@ INTRINSICS = "fx", "fy", "cx", "cy"
 def pace_of(cameras, fps):
     """Return a drive's length [m], its mean speed and that of each of its steps [km/h].
 
-    Parameters
-    ----------
-    cameras : sequence of Camera
-        One for each view in its order, in the ground frame, in metres.
-    fps : float [1/s]
+    There is a camera for each view in its order, in the ground frame, in metres; `fps` is in 1/s.
     """
     steps = _steps(cameras)
     speeds = steps * fps * KMH
@@ -75,26 +71,11 @@ def check_speed(speed):
 
 
 def placed_by_speed(cameras, speed, fps, most=None):
-    """Return the views of a drive at an even speed along a path from its first camera on.
+    """Return the views of a drive at an even speed [km/h] along a path from its first camera on.
 
-    Parameters
-    ----------
-    cameras : sequence of Camera
-        The path, in the ground frame, in metres: straight from one to the next, turning evenly.
-    speed : float [km/h]
-    fps : float [1/s]
-        Of the views.
-    most : int, optional
-        Number of views; without it as many as the path has room for.
-
-    Returns
-    -------
-    list of Camera
-
-    Raises
-    ------
-    ParameterError
-        If the path is too short for so many views, or for two.
+    The path, in the ground frame, in metres, goes straight from one camera to the next, turning
+    evenly. `fps` [1/s] is that of the views, of which there are `most`, by default as many as the
+    path has room for. ParameterError if the path is too short for so many, or for two.
     """
     check_speed(speed)
     spacing, steps = speed / KMH / fps, _steps(cameras)

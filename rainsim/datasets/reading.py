@@ -22,51 +22,24 @@ HEADER_END = b"end_header\n"
 class StoredView:
     """A picture of a data set with its camera and the labels that trainers use.
 
-    Attributes
-    ----------
-    name : str
-    picture : ndarray of shape (height, width, 3), uint8
-    depth : ndarray of shape (height, width), float32 [m]
-        Along the view axis; infinite where the file has none.
-    keep : ndarray of shape (height, width), bool
-        Whether the pixel shows the scene: neither drops, splashes nor water spoil it.
-    class_id : ndarray of shape (height, width), uint8
-        The card's `classes` names them.
-    camera : Camera
-        In the ground frame, in metres.
-    held_out : bool
-        Whether it is to test or to validate, not to train on.
+    Arrays have the picture's height and width.
     """
 
     name: str
-    picture: np.ndarray
-    depth: np.ndarray
-    keep: np.ndarray
-    class_id: np.ndarray
-    camera: object
-    held_out: bool
+    picture: np.ndarray  # (height, width, 3), uint8
+    depth: np.ndarray  # float32, m, along the view axis; infinite where the file has none
+    keep: np.ndarray  # bool, shows the scene: neither drops, splashes nor water spoil it
+    class_id: np.ndarray  # uint8, the card's `classes` names them
+    camera: object  # in the ground frame, in metres
+    held_out: bool  # to test or to validate, not to train on
 
 
 def read_views(folder, rate):
-    """Return the views of one rain of a data set, in their order.
+    """Return the views of one rain of a data set, `StoredView`s in their order.
 
-    Parameters
-    ----------
-    folder : path-like
-        Written by `rainsim export --layout nerfstudio`.
-    rate : float [mm/h]
-        One of the data set's; 0 for the clear pictures.
-
-    Returns
-    -------
-    list of StoredView
-
-    Raises
-    ------
-    InputError
-        If the folder holds no finished data set of this layout, or a file is damaged.
-    ParameterError
-        If the data set has no such rain.
+    `rainsim export --layout nerfstudio` wrote the folder; a rate [mm/h] of 0 gives the clear
+    pictures. InputError if the folder holds no finished data set of this layout, or a file is
+    damaged; ParameterError if the data set has no such rain.
     """
     card = stored_card(folder)
     rates = [rain["rain_mm_per_hour"] for rain in card["rains"]]

@@ -17,100 +17,51 @@ KITTI_DEPTH, KITTI_FLOW, KITTI_ZERO = 256, 64, 2**15  # see `kitti_depth` and `k
 
 @dataclass(frozen=True)
 class View:
-    """A camera of a data set.
+    """A camera of a data set."""
 
-    Attributes
-    ----------
-    index : int
-        Its place in the data set.
-    name : str
-        Fit for a file's name.
-    camera : Camera
-        In the ground frame, in metres: the size, focal lengths and principal point of the picture.
-    lens : Lens or None
-        None for a pinhole.
-    held_out : bool
-        Whether it is to test or to validate, not to train on.
-    """
-
-    index: int
-    name: str
-    camera: object
-    lens: object = None
-    held_out: bool = False
+    index: int  # its place in the data set
+    name: str  # fit for a file's name
+    camera: object  # ground frame, metres: size, focal lengths, principal point of the picture
+    lens: object = None  # None for a pinhole
+    held_out: bool = False  # to test or to validate, not to train on
 
 
 @dataclass(frozen=True)
 class Sample:
     """A picture with its labels; arrays have the picture's height and width.
 
-    Attributes
-    ----------
-    view : View
-    rate : float [mm/h]
-        0 for the clear picture: the dry capture as it was taken.
-    picture : ndarray of shape (height, width, 3), uint8
-    depth, range : ndarray, float32 [m]
-        Along the view axis, and from the camera; infinite for sky.
-    class_id, puddle_id, splash_id : ndarray, uint16
-    keep : ndarray, bool
-        Whether the pixel shows the scene: neither drops, splashes nor water spoil it.
-    flow : ndarray of shape (height, width, 2), float32 [px], or None
-        None if the views do not follow one another in time.
-    flow_mask : ndarray, uint16, or None
-    labels : ndarray, uint16, or None
-        The user's own.
-    glass : ndarray, float32, or None
-        Share of the pixel's light that came through drops on the glass before the lens.
-    facts : dict
-        Weather, puddles, splashes and actors of the picture, see `rainsim.render.layers.facts_of`.
-    actor_id : ndarray, uint16, or None
-        Number of the actor that the pixel shows; None if nothing moves through the scene.
+    Flow is None if the views do not follow one another in time, the number of the actor that a
+    pixel shows if nothing moves through the scene.
     """
 
     view: View
-    rate: float
-    picture: np.ndarray
-    depth: np.ndarray
-    range: np.ndarray
-    class_id: np.ndarray
+    rate: float  # mm/h; 0 for the clear picture: the dry capture as it was taken
+    picture: np.ndarray  # (height, width, 3), uint8
+    depth: np.ndarray  # float32, m, along the view axis; infinite for sky
+    range: np.ndarray  # float32, m, from the camera; infinite for sky
+    class_id: np.ndarray  # uint16, as the other ids
     puddle_id: np.ndarray
     splash_id: np.ndarray
-    keep: np.ndarray
-    flow: np.ndarray | None = None
-    flow_mask: np.ndarray | None = None
-    labels: np.ndarray | None = None
-    glass: np.ndarray | None = None
-    facts: dict = field(default_factory=dict)
+    keep: np.ndarray  # bool, shows the scene: neither drops, splashes nor water spoil it
+    flow: np.ndarray | None = None  # (height, width, 2), float32, px
+    flow_mask: np.ndarray | None = None  # uint16
+    labels: np.ndarray | None = None  # uint16, the user's own
+    glass: np.ndarray | None = None  # float32, share of light that came through drops on it
+    facts: dict = field(default_factory=dict)  # see `rainsim.render.layers.facts_of`
     actor_id: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
 class Plan:
-    """What a data set consists of: all that its files besides the samples' say.
+    """What a data set consists of: all that its files besides the samples' say."""
 
-    Attributes
-    ----------
-    name : str
-        Of the scene.
-    views : tuple of View
-    rates : tuple of float [mm/h]
-    sequence : bool
-        Whether the views follow one another in time.
-    points : ndarray of shape (n, 3), float32 [m]
-        Places of the scene in the ground frame, and their colours (n, 3), uint8.
-    colors : ndarray
-    names : dict of str to str
-        Classes by id.
-    """
-
-    name: str
+    name: str  # of the scene
     views: tuple
-    rates: tuple
-    sequence: bool
-    points: np.ndarray
-    colors: np.ndarray
-    names: dict
+    rates: tuple  # mm/h
+    sequence: bool  # whether the views follow one another in time
+    points: np.ndarray  # (n, 3), float32, m, places of the scene in the ground frame
+    colors: np.ndarray  # (n, 3), uint8, of the points
+    names: dict  # classes by id
 
 
 def keep_mask(rain_alpha, splash_alpha, class_id):

@@ -26,24 +26,11 @@ CLEAR = "clean"
 class Shots:
     """The samples of one scene.
 
-    Parameters
-    ----------
-    scene : Scene
-    terrain : Terrain
-    views : sequence of View
-    config : Config
-        Its rain rate is replaced by that of each sample.
-    sequence : bool
-        Whether the views follow one another in time, at the rate of frames of the settings; else
-        all see the same moment, the first.
-    backend : {"cpu", "cuda"}
-    user_labels : UserLabels, optional
-    pane : Pane, optional
-        Glass before the lens, with drops of its own in each rain and view; in a sequence it is one
-        pane, which has been rained on for longer from view to view.
-    readout : float [s]
-        Of a rolling shutter, from the first row to the last; 0: all rows at once. There is no flow
-        with one.
+    The settings' rain rate is replaced by that of each sample. Views of a `sequence` follow one
+    another in time, at the rate of frames of the settings; else all see the same moment, the first.
+    A `pane` is glass before the lens, with drops of its own in each rain and view; in a sequence it
+    is one pane, which has been rained on for longer from view to view. `readout` [s] of a rolling
+    shutter goes from the first row to the last; 0: all rows at once. There is no flow with one.
     """
 
     def __init__(self, scene, terrain, views, config, sequence, backend="cpu", user_labels=None,

@@ -26,15 +26,10 @@ NEAREST = 0.5  # m from the next labelled splat, beyond which a splat has no lab
 
 
 class UserLabels:
-    """Labels of a scene's splats.
+    """Labels of a scene's splats: the id of each, (n,), uint16.
 
-    Parameters
-    ----------
-    scene : Scene
-    ids : ndarray of shape (n,), uint16
-        Of each splat; of a scene in chunks by the numbers of `FinestNumbers`.
-    render : RenderConfig
-        Its `detail` and `memory` hold for a scene in chunks.
+    Of a scene in chunks ids are by the numbers of `FinestNumbers`, and `detail` and `memory` of
+    `render` hold.
     """
 
     def __init__(self, scene, ids, render):
@@ -57,19 +52,9 @@ class UserLabels:
 def read_labels(path, scene, render):
     """Return the `UserLabels` of a file of ids by splat (.npy) or of a folder of masks (.png).
 
-    Parameters
-    ----------
-    path : Path
-        A folder's masks are named as the capture's cameras and hold an id in each pixel; 255 is
-        no label.
-    scene : Scene
-    render : RenderConfig
-        Its `detail` and `memory` hold for a scene in chunks.
-
-    Raises
-    ------
-    InputError
-        If the ids do not fit the scene, or no mask belongs to a camera.
+    Masks are named as the capture's cameras and hold an id in each pixel; 255 is no label. `detail`
+    and `memory` of `render` hold for a scene in chunks. InputError if the ids do not fit the scene,
+    or no mask belongs to a camera.
     """
     numbers = None if scene.pages is None else FinestNumbers(scene.pages)
     count = len(scene.splats) if numbers is None else numbers.count

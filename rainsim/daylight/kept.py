@@ -22,17 +22,9 @@ def kept_relight(scene, config, found, white):
     """Return the `Relight` of a scene, from an earlier run if there was one.
 
     Nothing is looked for where the setting `relight` is "off", where no cloud ever covers the sky,
-    and in generated scenes, which are lit by a dull sky.
-
-    Parameters
-    ----------
-    scene : Scene
-    config : Config
-    found : surface.kept.Found or None
-        What the scene's cameras show.
-    white : float
-        Albedo that a captured linear colour of 1 stands for. It is rounded in steps of ROUNDING, so
-        that another height map of the scene seldom asks for another search.
+    and in generated scenes, which are lit by a dull sky. `found` is what the scene's cameras show,
+    if anything; `white` the albedo that a captured linear colour of 1 stands for. It is rounded in
+    steps of ROUNDING, so that another height map of the scene seldom asks for another search.
     """
     clouds = max(config.at(time).render.cloudiness for time in config.key_times())
     if config.render.relight == "off" or clouds == 0 or scene.source is None:
@@ -70,16 +62,9 @@ def covered_share(render):
 def under_clouds(splats, gain, share):
     """Return the splats with a share of the sun divided out; the given ones where there is none.
 
-    Light adds up, so the gain on linear light is the mean of 1 and `gain`. A splat's harmonics are
-    display-referred: all are scaled by what the gain does to its colour of degree 0.
-
-    Parameters
-    ----------
-    splats : Splats
-    gain : ndarray of shape (n, 3) or None
-        See `Relight`.
-    share : float
-        0 as captured, 1 wholly overcast.
+    Light adds up, so the gain on linear light is the mean of 1 and `gain`, (n, 3), see `Relight`. A
+    splat's harmonics are display-referred: all are scaled by what the gain does to its colour of
+    degree 0. A share of 0 is as captured, 1 wholly overcast.
     """
     if gain is None or share == 0:
         return splats

@@ -86,16 +86,8 @@ def sky_radiance(sun, count=SKY_DIRECTIONS):
 def received(surface, solids, windows, sun, sent):
     """Return the `Light` on each splat.
 
-    Parameters
-    ----------
-    surface : Surface
-    solids : Solids
-    windows : sequence of Window
-        The near one and the far one: a splat takes the first that shows it.
-    sun : ndarray of shape (3,)
-        Unit, towards the sun of the clear sky.
-    sent : Sent
-        By the surroundings.
+    A splat takes the first of the windows, the near and the far one, that shows it. `sun` is the
+    unit vector to the sun of the clear sky, `sent` what the surroundings send.
     """
     total = np.zeros((len(surface.position), SKIES), np.float32)
     for part, window, margin in _parts(surface, windows):

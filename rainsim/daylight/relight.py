@@ -84,40 +84,22 @@ class SunRatio(NamedTuple):
 
 @dataclass(frozen=True)
 class Relight:
-    """The gain that takes each splat's light from the captured day to an overcast one.
+    """The gain that takes each splat's light from the captured day to an overcast one."""
 
-    Attributes
-    ----------
-    gain : ndarray of shape (n, 3), float16, or None
-        On linear light; None: nothing is changed.
-    note : str
-    sun : ndarray of shape (3,) or None
-        Unit, in the ground frame, towards the sun that was found or given.
-    ratio : tuple of float or None
-        See `SunRatio`.
-    confidence : float
-    """
-
-    gain: np.ndarray | None
+    gain: np.ndarray | None  # (n, 3), float16, on linear light; None: nothing is changed
     note: str
-    sun: np.ndarray | None = None
-    ratio: tuple | None = None
+    sun: np.ndarray | None = None  # (3,), unit, ground frame, to the sun that was found or given
+    ratio: tuple | None = None  # see `SunRatio`
     confidence: float = 0.0
 
 
 def find_relight(scene, found, sun=None, white=USUAL_ALBEDO):
     """Return the `Relight` of a capture.
 
-    Parameters
-    ----------
-    scene : Scene
-    found : surface.kept.Found or None
-        What its cameras show; None if there are too few splats.
-    sun : tuple, optional
-        Azimuth and elevation [rad] of the captured sun; found if not given. It is taken as it is,
-        unless the shadows surely show where within 5 degrees of it the sun stood.
-    white : float
-        Albedo that a captured linear colour of 1 stands for, on open level ground.
+    `found` is what its cameras show, None if there are too few splats. `sun`, azimuth and elevation
+    [rad], is taken as it is, unless the shadows surely show where within 5 degrees of it the sun
+    stood; without it the sun is found. `white` is the albedo that a captured linear colour of 1
+    stands for, on open level ground.
     """
     if found is None or len(found.surface.position) < FEWEST:
         what = "too few splats" if found is None else "too little that its cameras agree on"
@@ -186,17 +168,9 @@ def _unit(azimuth, elevation):
 def measure(places, solids, plane, window, direction, sent):
     """Return the `SunRatio` from pairs of places on both sides of the edges of shadows.
 
-    Parameters
-    ----------
-    places : Places
-    solids, plane : Solids
-        All, and those `with_plane`: between the leaves of a crown the sun reaches places that maps
-        have in its shade, so these count only where there are no others.
-    window : Window
-    direction : ndarray of shape (3,)
-        Unit, towards the sun.
-    sent : Sent
-        By the surroundings.
+    `solids` are all, `plane` those `with_plane`: between the leaves of a crown the sun reaches
+    places that maps have in its shade, so these count only where there are no others. `direction`
+    is the unit vector to the sun, `sent` what the surroundings send.
     """
     cosine = places.normal @ direction.astype(np.float32)
     seen = _sure_share(places, solids, window, direction)
@@ -339,17 +313,8 @@ def by_color(surface, lit, plane, light, direction, ratio):
 
     They are not near the edges of shadows, nor below a crown, whose gaps no capture holds as they
     were. A splat's paint is that of splats around whose state is sure. Where its light lies between
-    what they would have in shade and in the sun is its sunlit share.
-
-    Parameters
-    ----------
-    surface : Surface
-    lit : tuple of two ndarray of shape (n,), float32
-        See `sunlit`.
-    plane : ndarray of shape (n,), float32
-        The first of them, if only what has a plane stopped light.
-    light : Light
-    direction, ratio : ndarray of shape (3,)
+    what they would have in shade and in the sun is its sunlit share. `lit` is the pair of `sunlit`,
+    `plane` the first of it, if only what has a plane stopped light.
     """
     shares, about = lit[0].copy(), lit[1]
     cosine = facing(surface, direction)
@@ -409,16 +374,8 @@ def _contradicted(surface, which, paint, shares, shade, lamp):
 
     Maps put the edge of a shadow as far off as its edge was captured. A place that is called shaded
     and is sunlit would have paint that is as much brighter than what is around it as the sun is.
-
-    Parameters
-    ----------
-    surface : Surface
-    which : ndarray of shape (n,), int64
-        Places of it.
-    paint : ndarray of shape (n, 3)
-        Logarithm of their colour over their light.
-    shares, shade, lamp
-        See `by_color`, of all places.
+    `which` are the numbers of n places, `paint` the logarithm of their colour over their light;
+    `shares`, `shade` and `lamp` are those of all places, see `by_color`.
     """
     position, normal = surface.position[which], surface.normal[which]
     cell = np.floor(position / AROUND_CELL).astype(np.int64)

@@ -24,20 +24,12 @@ SAME_SIDE = 0.8  # cosine between normals
 
 
 class EdgeShade(NamedTuple):
-    """Mean logarithm of shade by the model over shade as captured, by cells with edges of shadows.
+    """Mean logarithm of shade by the model over captured shade, by cells with shadows' edges."""
 
-    Attributes
-    ----------
-    position, normal : ndarray of shape (n, 3), float32
-    change : ndarray of shape (n, 3), float64
-        For each channel.
-    weight : ndarray of shape (n,), float64
-    """
-
-    position: np.ndarray
-    normal: np.ndarray
-    change: np.ndarray
-    weight: np.ndarray
+    position: np.ndarray  # (n, 3), float32
+    normal: np.ndarray  # (n, 3), float32
+    change: np.ndarray  # (n, 3), float64, for each channel
+    weight: np.ndarray  # (n,), float64
 
 
 NO_EDGES = EdgeShade(
@@ -68,12 +60,7 @@ def edge_shade(position, normal, change):
 def factor_in_shade(surface, shares, edges):
     """Return the factor (n, 3), float32, on the gains of splats in the shade.
 
-    Parameters
-    ----------
-    surface : Surface
-    shares : ndarray of shape (n,), float32
-        How much of each splat the sun shines on.
-    edges : EdgeShade
+    `shares` is how much of each splat the sun shines on.
     """
     factor = np.ones((len(shares), 3), np.float32)
     which = np.flatnonzero(shares < 0.99)

@@ -34,14 +34,7 @@ def clear(directions, sun):
 
     Perez's function of the elevation and of the angle to the sun, with the coefficients `CLEAR`:
     brighter about the sun and at the horizon, and less blue there. Each channel is relative to
-    nothing in particular.
-
-    Parameters
-    ----------
-    directions : ndarray of shape (m, 3)
-        Unit, above the horizon.
-    sun : ndarray of shape (3,)
-        Unit, towards the sun.
+    nothing in particular. `directions` and `sun` are unit vectors, the former above the horizon.
     """
     sine = np.maximum(directions[:, 2:], 0.01)
     angle = np.arccos(np.clip(directions @ sun, -1, 1))[:, None]

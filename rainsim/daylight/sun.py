@@ -130,26 +130,12 @@ def of_one_paint(position, normal, light, first, second):
 
 
 def find_sun(places, solids, plane, window, given=None):
-    """Return the direction from which light agrees best with the shadows, and how well.
+    """Return the unit direction from which light agrees best with the shadows, and how well.
 
-    Of all directions, or of those near one that is given.
-
-    Parameters
-    ----------
-    places : Places
-    solids, plane : Solids
-        All, and those `with_plane`.
-    window : Window
-        Its middle and width; the maps have sides of their own.
-    given : ndarray of shape (3,), optional
-        Unit, within GIVEN_DISC of the sun. A direction by the horizon comes back with a score of 0.
-
-    Returns
-    -------
-    direction : ndarray of shape (3,), float64
-        Unit, towards the sun.
-    score : float
-        Correlation of brightness with visibility over the pairs that it tells apart.
+    Of all directions, or of those within GIVEN_DISC of a unit vector that is given: by the horizon
+    it comes back with a score of 0. `plane` are the solids `with_plane`; of the window middle and
+    width count, the maps have sides of their own. The score is the correlation of brightness with
+    visibility over the pairs that it tells apart.
     """
     width = window.side * float(window.pixel)
     sets = {side: coarsened(solids, COARSER * width / side) for side in (COARSE, FINE)}

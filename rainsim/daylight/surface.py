@@ -20,30 +20,15 @@ DIM = 0.004  # linear light below which noise decides
 
 
 class Surface(NamedTuple):
-    """Places on the surface of a capture, in the ground frame.
+    """Places on the surface of a capture, in the ground frame."""
 
-    Attributes
-    ----------
-    position, normal : ndarray of shape (n, 3), float32
-        [m]; unit, towards those who see it.
-    flat : ndarray of shape (n,), float32
-        How far the places around lie in one plane, 0 (leaves) to 1 (paving).
-    light : ndarray of shape (n, 3), float32
-        Linear captured colour, relative to display white.
-    weight : ndarray of shape (n,), float32
-        Light that it stops, 0 to 1.
-    neighbours : ndarray of shape (n, NEIGHBOURS), int32
-    area : ndarray of shape (n,), float32 [m2]
-        That a place stands for.
-    """
-
-    position: np.ndarray
-    normal: np.ndarray
-    flat: np.ndarray
-    light: np.ndarray
-    weight: np.ndarray
-    neighbours: np.ndarray
-    area: np.ndarray
+    position: np.ndarray  # (n, 3), float32, m
+    normal: np.ndarray  # (n, 3), float32, unit, towards those who see it
+    flat: np.ndarray  # (n,), float32: places around lie in one plane, 0 (leaves) to 1 (paving)
+    light: np.ndarray  # (n, 3), float32, linear captured colour, relative to display white
+    weight: np.ndarray  # (n,), float32, light that it stops, 0 to 1
+    neighbours: np.ndarray  # (n, NEIGHBOURS), int32
+    area: np.ndarray  # (n,), float32, m2, that a place stands for
 
 
 def luminance(light):
@@ -66,25 +51,12 @@ def surface_of(found):
 
 
 def carried(surface, size, values, position, light):
-    """Return values of a surface's places at splats, and which splats have some.
+    """Return values (m, k) of a surface's places at splats, and which splats have some (m,).
 
     A splat takes the mean of the places around it, the less of one the farther it is and the more
-    its brightness differs: at the edge of a shadow dark splats follow dark places.
-
-    Parameters
-    ----------
-    surface : Surface
-    size : float [m]
-        Of the voxels of most places.
-    values : ndarray of shape (n, k), float32
-        Positive; their logarithms are averaged.
-    position, light : ndarray of shape (m, 3), float32
-        Of the splats.
-
-    Returns
-    -------
-    found : ndarray of shape (m, k), float32
-    near : ndarray of shape (m,), bool
+    its brightness differs: at the edge of a shadow dark splats follow dark places. `size` [m] is
+    that of the voxels of most places. `values`, (n, k), are positive; their logarithms are
+    averaged.
     """
     found = np.ones((len(position), values.shape[1]), np.float32)
     near = np.zeros(len(position), bool)

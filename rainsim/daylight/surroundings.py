@@ -36,54 +36,25 @@ TINY = np.float32(1e-4)
 
 
 class Patches(NamedTuple):
-    """Pieces of a capture's surfaces, of one cell and side each.
+    """Pieces of a capture's surfaces, of one cell and side each."""
 
-    Attributes
-    ----------
-    position, normal : ndarray of shape (m, 3), float32
-        [m]; the normals are unit vectors.
-    flat : ndarray of shape (m,), float32
-        See `Surface`.
-    area : ndarray of shape (m,), float32 [m2]
-        That it covers.
-    cell : float [m]
-    of : ndarray of shape (n,), int64
-        The patch of each splat; m: none, it is too far away.
-    """
-
-    position: np.ndarray
-    normal: np.ndarray
-    flat: np.ndarray
-    area: np.ndarray
-    cell: float
-    of: np.ndarray
+    position: np.ndarray  # (m, 3), float32, m
+    normal: np.ndarray  # (m, 3), float32, unit
+    flat: np.ndarray  # (m,), float32, see `Surface`
+    area: np.ndarray  # (m,), float32, m2, that it covers
+    cell: float  # m
+    of: np.ndarray  # (n,), int64, the patch of each splat; m: none, it is too far away
 
 
 class Sent(NamedTuple):
-    """Light that the surroundings send to each patch, as mean radiosity of what it sees of them.
-
-    Attributes
-    ----------
-    patches : Patches
-    light : ndarray of shape (m, 2, 3), float32
-        From below the horizon and from above it, over the light on open level ground, for each
-        channel.
-    mean : ndarray of shape (2, 3), float32
-        Of all patches, for places away from them.
-    """
+    """Light that the surroundings send to each patch, as mean radiosity of what it sees of them."""
 
     patches: Patches
-    light: np.ndarray
-    mean: np.ndarray
+    light: np.ndarray  # (m, 2, 3), float32, from below the horizon and above it, over open ground's
+    mean: np.ndarray  # (2, 3), float32, of all patches, for places away from them
 
     def at(self, position, normal, flat):
-        """Return the mean radiosity that places see below the horizon and above, (n, 2, 3) float32.
-
-        Parameters
-        ----------
-        position, normal : ndarray of shape (n, 3), float32
-        flat : ndarray of shape (n,), float32
-        """
+        """Return the mean radiosity that places see below the horizon and above it, (n, 2, 3)."""
         patches = self.patches
         count = min(NEAR_PATCHES, len(patches.area))
         if not count or not len(position):
@@ -141,15 +112,9 @@ def patches_of(surface, window):
 def sent_in(surface, patches, white=USUAL_ALBEDO, gain=None):
     """Return what the surroundings send to each patch, as `Sent`.
 
-    Parameters
-    ----------
-    surface : Surface
-    patches : Patches
-        Of these splats.
-    white : float
-        Albedo that a captured linear colour of 1 stands for, on open level ground.
-    gain : ndarray of shape (n, 3), optional
-        On the splats' light, which keeps the mean of open ground: what they send in another light.
+    `patches` are those of the surface's splats, `white` is the albedo that a captured linear colour
+    of 1 stands for, on open level ground. A `gain` (n, 3) on the splats' light, which keeps the
+    mean of open ground, gives what they send in another light.
     """
     bright = luminance(surface.light)
     level = (surface.flat > HALF) & (surface.normal[:, 2] > LEVEL)
@@ -181,13 +146,8 @@ def sent_in(surface, patches, white=USUAL_ALBEDO, gain=None):
 def _lists(position, cell):
     """Return the cells of a grid about patches that have some, for `gather`.
 
-    Returns
-    -------
-    low : ndarray of shape (3,), float32 [m]
-        Corner of the grid.
-    first : ndarray of shape (nx, ny, nz, 2), int32
-        Where the patches of a cell begin and end in `order`.
-    order : ndarray of shape (m,), int64
+    The grid's low corner (3,), float32 [m]; where the patches of a cell begin and end in `order`,
+    (nx, ny, nz, 2), int32; and `order`, int64.
     """
     low = position.min(axis=0) - np.float32(0.5 * cell)
     place = ((position - low) / np.float32(cell)).astype(np.int64)

@@ -139,14 +139,8 @@ def axes_of(directions):
 def draw_heights(solids: Solids, axes, window: Window, heights_out):
     """Draw the height along each direction of what is nearest to its far end.
 
-    Parameters
-    ----------
-    solids : Solids
-    axes : ndarray of shape (m, 3, 3), float32
-        See `axes_of`.
-    window : Window
-    heights_out : ndarray of shape (m, side, side), float32 [m]
-        Above the window's middle; NOTHING where nothing stands.
+    `axes` are those of `axes_of`. Heights of shape (m, side, side) [m] are above the window's
+    middle; NOTHING where nothing stands.
     """
     for k in prange(len(axes)):
         heights = heights_out[k]

@@ -23,28 +23,14 @@ LATTICE = 32  # cells of the periodic noise lattice, each way
 
 @dataclass(frozen=True, slots=True)
 class Cloud:
-    """Splats in the making.
+    """Splats in the making, arrays (n, ...), float32."""
 
-    Attributes
-    ----------
-    position : ndarray of shape (n, 3), float32 [m]
-    axes : ndarray of shape (n, 3, 3), float32
-        Row k is the splat's own axis k, a unit vector; row 2 is the normal of a surface splat.
-    scale : ndarray of shape (n, 3), float32 [m]
-        Standard deviations along the own axes.
-    colour : ndarray of shape (n, 3), float32
-        Display-referred.
-    opacity : ndarray of shape (n,), float32
-    sheen : ndarray of shape (n,), float32
-        How much brighter the splat is when seen along its surface than head-on.
-    """
-
-    position: np.ndarray
-    axes: np.ndarray
-    scale: np.ndarray
-    colour: np.ndarray
+    position: np.ndarray  # (n, 3), m
+    axes: np.ndarray  # (n, 3, 3), row k is own axis k, unit; row 2 a surface splat's normal
+    scale: np.ndarray  # (n, 3), m, standard deviations along the own axes
+    colour: np.ndarray  # (n, 3), display-referred
     opacity: np.ndarray
-    sheen: np.ndarray
+    sheen: np.ndarray  # how much brighter the splat is when seen along its surface than head-on
 
     def __len__(self):
         return len(self.position)
@@ -56,28 +42,17 @@ class Cloud:
 
 
 class Noise:
-    """Smooth periodic noise in space with zero mean, about -1 to 1.
-
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-    """
+    """Smooth periodic noise in space with zero mean, about -1 to 1, from a random generator."""
 
     def __init__(self, rng):
         self._lattice = rng.uniform(-1, 1, (LATTICE,) * 3).astype(np.float32)
 
     def __call__(self, points, wavelength, octaves=3):
-        """Return the noise at `points`, ndarray of shape (n,), float32.
+        """Return the noise at points of shape (n, 2) or (n, 3) [m], ndarray of shape (n,), float32.
 
-        Parameters
-        ----------
-        points : ndarray of shape (n, 2) or (n, 3) [m]
-            Without a third coordinate it is 0.
-        wavelength : float or sequence of float [m]
-            Size of the largest features, for all axes or for each.
-        octaves : int
-            Number of terms that are added: each has half the wavelength and 0.55 of the amplitude
-            of the one before; the first has amplitude 1.
+        `wavelength` [m] is the size of the largest features, for all axes or for each. Of the
+        `octaves` that are added each has half the wavelength and 0.55 of the amplitude of the one
+        before; the first has amplitude 1.
         """
         points = np.asarray(points, np.float32) / np.asarray(wavelength, np.float32)
         coordinates = np.zeros((3, len(points)), np.float32)
@@ -340,13 +315,8 @@ def sky_directions(count=64):
 def sky_share(points, boxes, directions):
     """Return the share of an overcast sky's light that `boxes` let through to level ground, (n,).
 
-    Parameters
-    ----------
-    points : ndarray of shape (n, 3) [m]
-    boxes : ndarray of shape (m, 7)
-        Low corner, high corner [m] and how much of the light through the box it takes, 0 to 1.
-    directions : ndarray of shape (k, 3)
-        As `sky_directions` gives them.
+    `points` are places [m]; rows of `boxes` are the low and the high corner [m] and how much of the
+    light through the box it takes, 0 to 1; `directions` are those of `sky_directions`.
     """
     inverse = 1 / np.where(np.abs(directions) < 1e-6, np.float32(1e-6), directions)
     passed = np.ones((len(points), len(directions)), np.float32)

@@ -24,34 +24,18 @@ FIRST_PATIENCE = 1800.0  # s for the first chunk of a worker, which compiles
 
 @dataclass
 class Chunk:
-    """Frames that a worker is at.
-
-    Attributes
-    ----------
-    indices : list of int
-    steps : int
-        Frames that the worker simulates or draws for it.
-    begun : float [s]
-    """
+    """Frames that a worker is at."""
 
     indices: list
-    steps: int
-    begun: float
+    steps: int  # frames that the worker simulates or draws for it
+    begun: float  # s
 
 
 class Chunks:
     """Gives frames to workers until all are drawn.
 
-    Parameters
-    ----------
-    indices : iterable of int
-        The frames to be drawn.
-    tries : int
-        How often one frame is given to a worker at most.
-    patience : float [s]
-        What a chunk may take at least before its worker counts as hanging.
-    first : float [s]
-        The same for the first chunk of a worker.
+    One frame is given to a worker `tries` times at most. A chunk may take at least `patience` [s],
+    the first one of a worker `first` [s], before its worker counts as hanging.
     """
 
     def __init__(self, indices, tries=MOST_TRIES, patience=LEAST_PATIENCE, first=FIRST_PATIENCE):
@@ -101,10 +85,7 @@ class Chunks:
     def failed(self, worker, why):
         """Take back the chunk that a worker was given, and did not draw.
 
-        Raises
-        ------
-        RainsimError
-            If one of the frames was given to workers too often.
+        RainsimError if one of the frames was given to workers too often.
         """
         chunk = self._at.pop(worker, None)
         self._next.pop(worker, None)
@@ -137,18 +118,9 @@ class Chunks:
 def accept(frames, indices, folder, shape, is_ours):
     """Write the files of frames that were sent; return the fault in words, None if all is well.
 
-    Parameters
-    ----------
-    frames : object
-        What `worker.draw_chunk` returns, or what came in its place.
-    indices : list of int
-        The frames that were asked for.
-    folder : Path
-        Where the files are written, or are already.
-    shape : tuple of int
-        Height and width of the pictures.
-    is_ours : callable
-        Whether a name is one that the program gives to files.
+    `frames` is what `worker.draw_chunk` returns, or what came in its place; `indices` were asked
+    for. The files are written to the folder, or are there already; `shape` is that of the pictures.
+    is_ours(name) says whether a name is one that the program gives to files.
     """
     if not isinstance(frames, list) or [_get(f, "index", int) for f in frames] != indices:
         return "other frames came than it was asked for"

@@ -45,17 +45,10 @@ def require():
 def client_of(address=None, workers=1, backend="cpu", threads=None):
     """Yield a client of a scheduler, or of `workers` processes that are started on this machine.
 
-    Parameters
-    ----------
-    address : str, optional
-        Of a scheduler that runs, such as tls://host:8786.
-    workers : int
-        Without an address: processes to be started. They listen on 127.0.0.1 alone, without a
-        dashboard, and end with the block.
-    backend : {"cpu", "cuda"}
-        With cuda each of them has a GPU of its own, in turn.
-    threads : int, optional
-        Of all of them together; as many as there are cores unless given.
+    `address` is that of a scheduler that runs, such as tls://host:8786. Processes that are started
+    listen on 127.0.0.1 alone, without a dashboard, and end with the block; with the backend "cuda"
+    each of them has a GPU of its own, in turn. `threads` is the number for all of them together, by
+    default that of the cores.
     """
     distributed = require()
     import dask
@@ -139,18 +132,9 @@ def _gpu(number, backend):
 class FarmRun:
     """A run whose frames are drawn by the workers of a client.
 
-    Parameters
-    ----------
-    client : distributed.Client
-    sequence : FrameSequence
-        What is drawn; its states, where it has any, are sent along with each chunk.
-    record : Record
-    chunks : Chunks
-        The frames that are to be drawn.
-    say : callable
-        Called with a line on what happens to workers.
-    threads : int, optional
-        Of each worker's kernels; its share of its machine's cores unless given.
+    The states of `sequence`, where it has any, are sent along with each chunk; `chunks` has the
+    frames that are to be drawn. say(line) is called with what happens to workers. `threads` is the
+    number for each worker's kernels, by default its share of its machine's cores.
     """
 
     def __init__(self, client, sequence, record, chunks, say, threads=None):
@@ -330,20 +314,9 @@ def _difference(facts):
 def draw_with_workers(client, sequence, run, resume, status, threads=None, **limits):
     """Draw the frames that are missing in a folder by workers; return all reports.
 
-    Parameters
-    ----------
-    client : distributed.Client
-    sequence : FrameSequence
-        What is drawn; it is sent to the workers.
-    run : tuple
-        Folder, record, cameras, settings and the video's format, as `FrameFolder` takes them.
-    resume : bool
-    status : object
-        With `say`, `notes` and `progress`.
-    threads : int, optional
-        Of each worker.
-    **limits
-        Of `Chunks`.
+    `sequence` is sent to the workers. `run` has folder, record, cameras, settings and the video's
+    format, as `FrameFolder` takes them; `status` has `say`, `notes` and `progress`; `threads` is
+    the number for each worker, `limits` are those of `Chunks`.
     """
     folder, record, cameras, config, video = run
     kept = FrameFolder(*run, resume).kept

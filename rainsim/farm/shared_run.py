@@ -41,12 +41,8 @@ MOST_WAIT = 1.0  # s between looks at what the others do
 def joined(path):
     """Make an output folder, or join the processes that write to it, and yield it.
 
-    Raises
-    ------
-    ParameterError
-        If it is no folder, or a run that does not share it writes to it.
-    OSError
-        If it cannot be made or written to.
+    ParameterError if it is no folder, or a run that does not share it writes to it; OSError if it
+    cannot be made or written to.
     """
     path = Path(path)
     require_no_file(path)
@@ -68,24 +64,10 @@ def joined(path):
 class SharedRun:
     """The part of this process in a shared run.
 
-    Parameters
-    ----------
-    folder : Path
-        As `joined` yields it.
-    record : Record
-    cameras : sequence of Camera
-        One per frame of the whole sequence, or one for all.
-    config : Config
-        Its frame range is what this process cares for.
-    video : VideoFormat or None
-        What video belongs to the run.
-    stale : float [s]
-        Age from which the claim of another process is taken over, see `PartClaims`.
-
-    Raises
-    ------
-    ParameterError
-        If the folder holds something else than a run with the same fingerprint.
+    `folder` is as `joined` yields it. There is a camera for each frame of the whole sequence, or
+    one for all; the settings' frame range is what this process cares for. The claim of another
+    process is taken over from an age of `stale` [s] on, see `PartClaims`. ParameterError if the
+    folder holds something else than a run with the same fingerprint.
     """
 
     def __init__(self, folder, record, cameras, config, video=None, stale=STALE):
@@ -121,18 +103,8 @@ class SharedRun:
     def draw(self, sequence, progress=None, say=None):
         """Draw the missing frames of the range until all of it is finished, here or elsewhere.
 
-        Parameters
-        ----------
-        sequence : FrameSequence
-        progress : callable, optional
-            Called as progress(stage, done, total).
-        say : callable, optional
-            Called with the notes of each frame that is drawn here.
-
-        Returns
-        -------
-        reports : list of FrameReport
-            Of the range's frames.
+        progress(stage, done, total) is called, and say(notes) for each frame that is drawn here.
+        Return the reports of the range's frames.
         """
         tell = progress or (lambda stage, done, total: None)
         try:

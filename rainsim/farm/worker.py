@@ -58,27 +58,13 @@ def take_job(name, sequence, hashes):
 
 
 def draw_chunk(name, indices, folder=None, threads=None, states=None):
-    """Draw frames of a job.
+    """Draw frames of a job that follow one another.
 
-    Parameters
-    ----------
-    name : str
-        Of the job, as `take_job` had it.
-    indices : list of int
-        Frames that follow one another.
-    folder : str, optional
-        Where the frames' files go; without one they are sent back.
-    threads : int, optional
-        Of the kernels.
-    states : dict of int to SimState, optional
-        Of the frames; without them the water is simulated here.
-
-    Returns
-    -------
-    list of dict, or None
-        For each frame: `index`, the names of its `files` with their SHA-256, what the journal notes
-        of it as `facts`, and the files' `bytes` by name if they are sent back. None if the job is
-        not here: the worker was started again.
+    `name` is as `take_job` had it. The frames' files go to a folder; without one they are sent
+    back. `states` has the water of the frames; without it the water is simulated here. Return for
+    each frame its `index`, the names of its `files` with their SHA-256, what the journal notes of
+    it as `facts`, and the files' `bytes` by name if they are sent back; None if the job is not
+    here: the worker was started again.
     """
     from rainsim.jit import set_threads
 

@@ -21,11 +21,8 @@ LARGE = 128 * 1024  # bytes, the value that glibc begins with; once set it no lo
 def return_large_blocks():
     """Give each block of LARGE bytes or more a mapping of its own, which ends when it is freed.
 
-    Returns
-    -------
-    bool
-        Whether the C library took the setting; False where there is no glibc, or where a variable
-        of VARIABLES is set.
+    Return whether the C library took the setting; not so where there is no glibc, or where a
+    variable of VARIABLES is set.
     """
     if any(name in os.environ for name in VARIABLES):
         return False

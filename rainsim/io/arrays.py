@@ -27,23 +27,15 @@ TEXT = "text"  # in place of a dtype
 class Field:
     """The rule for one array of a file: its type, shape and bounds.
 
-    Attributes
-    ----------
-    kind : str
-        The dtype, or `TEXT` for strings of any length.
-    shape : tuple of int or str
-        A name stands for a length that is the same wherever the name stands.
-    low, high : float
-        Range of the values, ends included; what is not finite lies in no range.
-    needed : bool
-        Whether a file without it is damaged.
+    A name in the shape stands for a length that is the same wherever the name stands. What is not
+    finite lies in no range.
     """
 
-    kind: str
+    kind: str  # the dtype, or `TEXT` for strings of any length
     shape: tuple = ()
     low: float = -MAX_LENGTH
-    high: float = MAX_LENGTH
-    needed: bool = True
+    high: float = MAX_LENGTH  # ends included
+    needed: bool = True  # whether a file without it is damaged
 
 
 def write_arrays(path, version, arrays):
@@ -53,30 +45,12 @@ def write_arrays(path, version, arrays):
 
 
 def read_arrays(path, what, fields, version, remedy):
-    """Return the arrays of a file that `write_arrays` wrote.
+    """Return the arrays of a file that `write_arrays` wrote, as a dict.
 
-    Parameters
-    ----------
-    path : path-like
-    what : str
-        What the file is, for messages: "height map".
-    fields : dict of str to Field
-        Other arrays of the file are not read.
-    version : int
-        The latest version that can be read.
-    remedy : str
-        What makes a sound file, for messages.
-
-    Returns
-    -------
-    dict of str to ndarray
-        Writable and C-contiguous; text as str or, of an array, as a list of str. Arrays that are
-        not needed and not there are left out.
-
-    Raises
-    ------
-    InputError
-        Names the array, what it is and what it must be.
+    `what` and `remedy` say in messages what the file is ("height map") and what makes a sound one.
+    Arrays that are not among `fields` are not read; `version` is the latest that can be. Arrays are
+    writable and C-contiguous, text is str or, of an array, a list of str; those that are not needed
+    and not there are left out. InputError names the array, what it is and what it must be.
     """
     path = require_file(path, f"a {what}", remedy)
     reader = _Reader(path, what, remedy)

@@ -23,12 +23,12 @@ import time
 import weakref
 from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
-from importlib import metadata
 from pathlib import Path
 
 import numpy as np
 
 from rainsim.io.files import replacing
+from rainsim.io.fingerprint import versions
 
 VARIABLE, OFF = "RAINSIM_CACHE", "off"
 MOST_ENTRIES, MOST_OF_A_KIND = 64, 16  # a drive keeps some of each of its windows
@@ -70,25 +70,12 @@ def folder():
 
 
 def name_of(stage, *inputs):
-    """Return the name of the entry for a stage's result from `inputs`.
+    """Return the name of the entry for a stage's result from `inputs`, 64 hexadecimal digits.
 
-    Parameters
-    ----------
-    stage : str
-        Room of the code that computes the result, one of `STAGES`.
-    *inputs
-        All that the result depends on besides the code: None, bool, int, float, str, bytes, Path,
-        ndarray, dataclass, and tuples, lists and dicts of these.
-
-    Returns
-    -------
-    str
-        64 hexadecimal digits.
-
-    Raises
-    ------
-    TypeError
-        If an input is of another type: leaving it out would let two results share a name.
+    `stage` is the room of the code that computes the result, one of `STAGES`. `inputs` are all that
+    the result depends on besides the code: None, bool, int, float, str, bytes, Path, ndarray,
+    dataclass, and tuples, lists and dicts of these. Another type raises TypeError: leaving it out
+    would let two results share a name.
     """
     digest = hashlib.sha256()
     for part in (_code(stage), _machine(), _variables(), *inputs):
@@ -114,16 +101,9 @@ def _machine():
     """Return versions and the processor, of which the last digits of results depend."""
     from llvmlite import binding
 
-    versions = [platform.python_version(), *map(_version, LIBRARIES)]
+    found = list(versions(LIBRARIES).values())
     features = dict(binding.get_host_cpu_features())
-    return [versions, platform.platform(), binding.get_host_cpu_name(), features]
-
-
-def _version(library):
-    try:
-        return metadata.version(library)
-    except metadata.PackageNotFoundError:
-        return None
+    return [found, platform.platform(), binding.get_host_cpu_name(), features]
 
 
 def _variables():
@@ -168,14 +148,8 @@ _known = {}  # by the id of an array: a weak reference to it and its hash
 def know_hash(array, *content):
     """Take the hash of the source of an array's bytes in place of a hash of the bytes.
 
-    A capture of four million splats is a gigabyte, which is hashed once, as a file.
-
-    Parameters
-    ----------
-    array : ndarray
-        Never written to again.
-    *content
-        See `name_of`; together with the code it determines the array.
+    A capture of four million splats is a gigabyte, which is hashed once, as a file. The array is
+    never written to again; `content` (see `name_of`) and the code determine it.
     """
     digest = hashlib.sha256()
     _add(digest, content)
@@ -216,19 +190,9 @@ def _content_hash(array):
 def read(kind, name):
     """Return the facts and arrays of an entry, or None if there is no whole one.
 
-    Parameters
-    ----------
-    kind : str
-        What the entry holds, such as "terrain"; part of the file's name.
-    name : str
-        See `name_of`.
-
-    Returns
-    -------
-    facts : dict
-        As `write` took it, lists in place of tuples.
-    arrays : dict of str to ndarray
-        Writable, equal to the byte to those that `write` took.
+    `kind` is what the entry holds, such as "terrain", and part of the file's name; `name` comes of
+    `name_of`. Facts are as `write` took them, lists in place of tuples; arrays are writable and
+    equal to the byte.
     """
     at = folder()
     if at is None:
@@ -254,20 +218,8 @@ def read(kind, name):
 def kept_arrays(kind, stage, compute, *inputs):
     """Return the arrays of an entry, or compute them and keep them for the next run.
 
-    Parameters
-    ----------
-    kind : str
-        See `read`.
-    stage : str
-        See `name_of`.
-    compute : callable
-        Returns a dict of str to ndarray that depends on nothing but the code and `inputs`.
-    *inputs
-        See `name_of`.
-
-    Returns
-    -------
-    dict of str to ndarray
+    `kind` is as for `read`, `stage` and `inputs` as for `name_of`; `compute` returns a dict of str
+    to ndarray that depends on nothing but the code and the inputs.
     """
     name = name_of(stage, *inputs) if folder() else None
     found = name and read(kind, name)
@@ -305,14 +257,7 @@ def _read(file):
 def write(kind, name, facts, arrays):
     """Keep a result; do nothing if keeping is off or the folder cannot be written.
 
-    Parameters
-    ----------
-    kind, name : str
-        See `read`.
-    facts : dict
-        JSON values.
-    arrays : dict of str to ndarray
-        Of numbers or bool.
+    Facts are JSON values, arrays hold numbers or bool.
     """
     at = folder()
     if at is None:

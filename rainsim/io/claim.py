@@ -27,20 +27,8 @@ def claim(path, shared=False):
 
     The claim is a lock on the file. It ends with the process, however that ends, so that a claim
     which nobody holds any more is taken over. Where the file system has no locks the file itself is
-    the claim, and one that was left behind counts.
-
-    Parameters
-    ----------
-    path : path-like
-    shared : bool
-        Whether other processes may hold it too, if they share it as well.
-
-    Raises
-    ------
-    ClaimedError
-        If another process holds it, or another claim of this process.
-    OSError
-        If the file cannot be made.
+    the claim, and one that was left behind counts. Other processes may hold a shared one if they
+    share it, too. ClaimedError if another process holds it, or another claim of this process.
     """
     path, file = Path(path), None
     kind, deadline = (fcntl.LOCK_SH, 1.0) if shared else (fcntl.LOCK_EX, 0.0)

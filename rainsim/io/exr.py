@@ -39,15 +39,9 @@ def half(values):
 def write_parts(path, parts, header, frame_rate):
     """Write a multipart OpenEXR file, whole or not at all.
 
-    Parameters
-    ----------
-    path : path-like
-    parts : sequence of (str, dict, dict)
-        The name of each part, its channels by name, each an ndarray of shape (height, width),
-        float16 or float32, and attributes of this part alone.
-    header : dict of str to (float or int or str or tuple)
-        Attributes of all parts.
-    frame_rate : float [1/s]
+    A part is its name, its channels by name, each an ndarray of shape (height, width), float16 or
+    float32, and attributes of this part alone; `header` has those of all parts. `frame_rate` is in
+    1/s.
     """
     exr = openexr()
     common = {

@@ -45,13 +45,7 @@ def require_file(path, what, remedy="check the path"):
 def read_text(path, what, limit=MOST_TEXT):
     """Return the text of a file in UTF-8, without a byte order mark, or raise InputError.
 
-    Parameters
-    ----------
-    path : path-like
-    what : str
-        For messages, with its article: "a preset file".
-    limit : int
-        Bytes that such a file has at most.
+    `what` names it in messages, with its article: "a preset file"; it has at most `limit` bytes.
     """
     path = require_file(path, what)
     size = path.stat().st_size
@@ -128,12 +122,8 @@ def path_named(name, folder):
 def printable_name(name, most=MOST_NAME):
     """Return a name that was found in a file, cut and without characters that command a terminal.
 
-    Parameters
-    ----------
-    name : object
-        Whatever JSON holds; what is neither text nor number is no name.
-    most : int
-        Characters that are kept.
+    `name` is any value of JSON: one that is neither text nor number is no name. `most` characters
+    stay.
     """
     text = str(name)[:most] if isinstance(name, str | int | float) else "?"
     return "".join(c if c.isprintable() else "?" for c in text)
@@ -161,6 +151,15 @@ def parsed_json(text):
         return json.loads(text)
     except (ValueError, RecursionError):
         return None
+
+
+def card_in(path):
+    """Return the data of a card, a JSON file that this program wrote; None if there is none."""
+    try:
+        card = read_json(path, "a card")
+    except (OSError, InputError):
+        return None
+    return card if isinstance(card, dict) and card.get("program") == "rainsim" else None
 
 
 def write_json(path, data):

@@ -24,10 +24,7 @@ BLOCK = 1 << 20  # bytes
 def fingerprint(content):
     """Return the fingerprint of a run's inputs and code, 64 hexadecimal digits.
 
-    Parameters
-    ----------
-    content : dict
-        Plain JSON values: hashes of files and arrays, settings.
+    `content` holds plain JSON values: hashes of files and arrays, settings.
     """
     return hash_of({"content": content, "sources": sources(), "versions": versions()})
 

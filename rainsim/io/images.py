@@ -62,18 +62,9 @@ def lossless_webp(pixels):
 
 
 def write_png16(path, values):
-    """Write whole numbers as a grey 16-bit PNG, without loss.
+    """Write whole numbers, 0 to 65535 of any type, as a grey 16-bit PNG, without loss.
 
-    Parameters
-    ----------
-    path : path-like
-    values : ndarray of shape (height, width)
-        0 to 65535, of any type.
-
-    Raises
-    ------
-    ParameterError
-        If a value is out of that range or not finite.
+    ParameterError if a value is out of that range or not finite.
     """
     values = np.ascontiguousarray(values)
     if values.size and not (values.min() >= 0 and values.max() <= 65535):
@@ -102,12 +93,7 @@ def data_suffix():
 def write_data(path, values, channels):
     """Write a float32 picture, exactly: OpenEXR if the name ends so, else an .npz of its channels.
 
-    Parameters
-    ----------
-    path : path-like
-    values : ndarray of shape (height, width) or (height, width, n), float
-    channels : sequence of str
-        A name for each channel.
+    `values` are of shape (height, width) or (height, width, n); `channels` has a name for each.
     """
     values = np.asarray(values, np.float32)
     planes = values[..., None] if values.ndim == 2 else values
@@ -172,13 +158,7 @@ def _decoded(path, read):
 
 
 def write_tiff(path, values):
-    """Write a map of float32 values, exactly; row 0 is the top line.
-
-    Parameters
-    ----------
-    path : path-like
-    values : ndarray of shape (height, width), float
-    """
+    """Write a map of float32 values, exactly; row 0 is the top line."""
     values = np.ascontiguousarray(values, dtype=np.float32)
     if values.ndim != 2:
         raise ParameterError(f"the map for {path} has shape {values.shape}; it must have two axes")
@@ -239,19 +219,8 @@ def _shrink(image, width):
 def read_hdr(path):
     """Read a Radiance RGBE picture (.hdr), flat or run-length coded.
 
-    Parameters
-    ----------
-    path : path-like
-
-    Returns
-    -------
-    ndarray of shape (height, width, 3), float32
-        Linear radiance, row 0 at the top; exposure notes of the header are divided out.
-
-    Raises
-    ------
-    InputError
-        If the file is not such a picture or ends early.
+    Return linear radiance, (height, width, 3), float32, row 0 at the top; exposure notes of the
+    header are divided out. InputError if the file is not such a picture or ends early.
 
     References
     ----------

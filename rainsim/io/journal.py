@@ -18,18 +18,11 @@ SHARED_FOLDER = ".rainsim-shared"  # what processes that fill one folder say to 
 
 
 class Journal:
-    """The journal of a folder.
+    """The journal of a folder, in its file `name`.
 
-    Parameters
-    ----------
-    folder : Path
-    name : str
-        Of its file.
-    ours : callable
-        ours(name) says whether a file's name is one that the program gives: no other is looked at.
-    own : str, optional
-        Name of this process's journal, without ".jsonl", in the subfolder SHARED_FOLDER; without
-        one the journal itself is written.
+    ours(name) says whether a file's name is one that the program gives: no other is looked at.
+    `own` is the name of this process's journal, without ".jsonl", in the subfolder SHARED_FOLDER;
+    without one the journal itself is written.
     """
 
     def __init__(self, folder, name, ours, own=None):

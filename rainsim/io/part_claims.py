@@ -34,12 +34,8 @@ _HOLDER = re.compile(r"process (\d+) on (\S+) since ")
 class PartClaims:
     """The claims of one process; use as a context manager, which gives up those not finished.
 
-    Parameters
-    ----------
-    folder : path-like
-        Exists, and is seen by all processes.
-    stale : float [s]
-        Age of a claim, since it was refreshed, from which it may be taken over.
+    All processes see the folder. A claim may be taken over once it was not refreshed for `stale`
+    seconds.
     """
 
     def __init__(self, folder, stale=STALE):
@@ -62,12 +58,7 @@ class PartClaims:
     def take(self, part):
         """Claim a part that nobody holds, and return whether it became ours.
 
-        A stale claim is taken over.
-
-        Raises
-        ------
-        OSError
-            If the folder is gone or cannot be written to.
+        A stale claim is taken over. OSError if the folder is gone or cannot be written to.
         """
         if part in self._mine:
             return False

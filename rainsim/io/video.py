@@ -62,18 +62,10 @@ CODECS = {
 
 
 class VideoFormat(NamedTuple):
-    """Codec and quality of a video.
+    """Codec and quality of a video."""
 
-    Attributes
-    ----------
-    codec : str
-        Of `CODECS`.
-    quality : float or None
-        From 0 to 100; None for what is usual for the codec.
-    """
-
-    codec: str = "h264"
-    quality: float | None = None
+    codec: str = "h264"  # of `CODECS`
+    quality: float | None = None  # from 0 to 100; None for what is usual for the codec
 
     @property
     def name(self):
@@ -98,12 +90,7 @@ USUAL = VideoFormat()
 
 
 def require_video(video=USUAL):
-    """Raise RainsimError unless videos can be written; to be asked before the first frame.
-
-    Parameters
-    ----------
-    video : VideoFormat
-    """
+    """Raise RainsimError unless such videos can be written; to be asked before the first frame."""
     program = _ffmpeg().get_ffmpeg_exe()
     there = _encoders(program)
     if CODECS[video.codec].encoder not in there:
@@ -145,14 +132,8 @@ def _encoders(program):
 class VideoWriter:
     """Writes frames to a video file as they come; use as a context manager.
 
-    Parameters
-    ----------
-    path : path-like
-        Replaced when the block ends, also when it ends early with frames written; removed if
-        there were none.
-    fps : float
-    video : VideoFormat
-        The name ends as this says.
+    The file, whose name ends as `video` says, is replaced when the block ends, also when it ends
+    early with frames written; it is removed if there were none.
     """
 
     def __init__(self, path, fps, video=USUAL):
@@ -197,18 +178,10 @@ class VideoWriter:
 def bytes_of_video(pictures, count, fps, video):
     """Return about how many bytes a video of `count` frames takes, int.
 
-    The pictures are written for a try: the first is coded by itself, the others by what has
-    changed; ProRes codes all by themselves. Encoders do better once they look further ahead, so
-    that H.264 and H.265 take less than this: 48 frames .77 to .87 of it from a quality of 82 on
-    (H.264), .45 to .67 at 56 to 66.
-
-    Parameters
-    ----------
-    pictures : sequence of ndarray of shape (height, width, 3), uint8
-        Frames that follow one another, two or more.
-    count : int
-    fps : float
-    video : VideoFormat
+    `pictures`, two or more frames that follow one another, are written for a try: the first is
+    coded by itself, the others by what has changed; ProRes codes all by themselves. Encoders do
+    better once they look further ahead, so that H.264 and H.265 take less than this: 48 frames .77
+    to .87 of it from a quality of 82 on (H.264), .45 to .67 at 56 to 66.
     """
     sizes = []
     with tempfile.TemporaryDirectory(prefix="rainsim-") as folder:

@@ -24,12 +24,6 @@ def scene_over(scene, grid):
 
     Levels whose cells are no wider than the map's are taken near the cameras, and in proportion to
     the distance farther away; if these are more than MOST splats, coarser ones.
-
-    Parameters
-    ----------
-    scene : Scene
-    grid : Grid
-        Of the map.
     """
     if scene.pages is None:
         return scene
@@ -50,17 +44,8 @@ def scene_in_reach(scene, places, far, angle):
 
     Levels are taken whose cells are no wider than a beam at the nearest point of the part that they
     show; if these are more than MOST splats, coarser ones. A scene that is held whole is returned
-    as it is.
-
-    Parameters
-    ----------
-    scene : Scene
-    places : array_like of shape (n, 3) [m]
-        From which beams go out, ground frame.
-    far : float [m]
-        Reach of the beams.
-    angle : float [rad]
-        That a beam widens by.
+    as it is. `places` are (n, 3) [m] in the ground frame, `far` [m] is the reach of the beams and
+    `angle` [rad] that by which they widen.
     """
     if scene.pages is None:
         return scene
@@ -73,14 +58,7 @@ def scene_in_reach(scene, places, far, angle):
 
 
 def _as_fine(scene, wanted, width):
-    """Return a scene of some leaves whose cells are at most so wide [m], of at most MOST splats.
-
-    Parameters
-    ----------
-    scene : Scene
-    wanted : ndarray of shape (leaves,), bool
-    width : ndarray of shape (leaves,) [m]
-    """
+    """Return a scene of `wanted` leaves with cells at most so wide [m], of at most MOST splats."""
     tree = scene.pages.tree
     side = tree.side * scene.ground_frame.meters_per_unit
     while True:

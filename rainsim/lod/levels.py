@@ -20,27 +20,11 @@ def chosen_levels(tree, camera, near, threshold, most, plane=None):
     """Return the level at which each leaf is drawn, NONE where it is out of the picture.
 
     A level is coarse enough to be seen where the cells that it was merged to are larger than the
-    threshold in the picture, at the nearest point of the leaf's box.
-
-    Parameters
-    ----------
-    tree : ChunkTree
-    camera : Camera
-        In the capture frame; may be mirrored.
-    near : float [capture units]
-        Splats whose centres are nearer are not drawn.
-    threshold : float [px]
-        0 draws the finest level everywhere.
-    most : int
-        Splats of the choice; with more the threshold is raised by steps until they fit.
-    plane : array_like of shape (4,), optional
-        See `Rasterizer.draw`.
-
-    Returns
-    -------
-    levels : ndarray of shape (leaves,), int64
-    threshold : float [px]
-        That was used.
+    threshold [px] in the picture, at the nearest point of the leaf's box; 0 draws the finest level
+    everywhere. A choice of more than `most` splats raises the threshold by steps until they fit:
+    the one that was used is returned, too. The camera is in the capture frame and may be mirrored;
+    splats whose centres are nearer than `near` [capture units] are not drawn; `plane` is that of
+    `Rasterizer.draw`.
     """
     seen = seen_leaves(tree, camera, near, plane)
     size = pixels_per_unit(tree.box, camera, near)
@@ -56,11 +40,7 @@ def chosen_levels(tree, camera, near, threshold, most, plane=None):
 def levels_of(tree, size, threshold):
     """Return the coarsest level of each leaf whose cells take at most `threshold` pixels.
 
-    Parameters
-    ----------
-    tree : ChunkTree
-    size : ndarray of shape (leaves,) [px / capture unit]
-    threshold : float [px]
+    `size` is that of a capture unit at each leaf [px].
     """
     fine_enough = tree.side * size[:, None] <= threshold
     fine_enough[:, 0] = True

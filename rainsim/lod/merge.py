@@ -22,19 +22,10 @@ def merged_splats(splats, side):
     """Return splats of which those finer than a cell are one for each cell and way they face.
 
     Mean, covariance and harmonics of a cell's splats are kept, each weighted by the light that it
-    stops, and so is their optical depth times their area; see `rainsim.splatting.coarse`.
-
-    Parameters
-    ----------
-    splats : Splats
-    side : float [capture units]
-        Of the cells, which lie on a grid through the origin. A splat is finer than a cell if the
-        squares of its three deviations add up to less than the square of the side.
-
-    Returns
-    -------
-    Splats
-        Splats as they were first, then merged ones by cell.
+    stops, and so is their optical depth times their area; see `rainsim.splatting.coarse`. Cells
+    with the side `side` [capture units] lie on a grid through the origin. A splat is finer than a
+    cell if the squares of its three deviations add up to less than the square of the side. In the
+    result come splats as they were first, then merged ones by cell.
     """
     group = cells_of(splats, side)
     together = group >= 0
@@ -74,12 +65,7 @@ def cells_of(splats, side):
 
 
 def facings(splats):
-    """Return the axis of the capture frame, 1 to 3, that each flat splat faces most; 0 for others.
-
-    Returns
-    -------
-    ndarray of shape (n,), int64
-    """
+    """Return the axis of the capture frame that each flat splat faces, 1 to 3; 0 for others."""
     ordered = np.sort(splats.scale, axis=1)
     thinnest = turns(splats)[np.arange(len(splats)), :, splats.scale.argmin(axis=1)]
     return np.where(ordered[:, 0] < FLAT * ordered[:, 1], 1 + np.abs(thinnest).argmax(axis=1), 0)

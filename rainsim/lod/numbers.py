@@ -15,17 +15,7 @@ from rainsim.scene.pages import ALWAYS, levels_at
 
 
 class FinestNumbers:
-    """The number of each splat of the runs of a capture in chunks.
-
-    Parameters
-    ----------
-    pages : Pages
-
-    Attributes
-    ----------
-    count : int
-        Of all numbers.
-    """
+    """The number of each splat of the runs of a capture in chunks; `count` is that of all."""
 
     def __init__(self, pages):
         self._pages, tree = pages, pages.tree
@@ -38,10 +28,7 @@ class FinestNumbers:
     def of_run(self, leaf, level, splats):
         """Return the numbers of the `Splats` of a run, ndarray of shape (n,), int32.
 
-        Raises
-        ------
-        InputError
-            If the run lacks splats, so that the others have no certain number.
+        InputError if the run lacks splats, so that the others have no certain number.
         """
         if leaf == ALWAYS:
             return np.arange(self._first[-1], self.count, dtype=np.int32)

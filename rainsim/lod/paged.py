@@ -91,10 +91,7 @@ class PagedRasterizer:
     def recolor(self, front=None):
         """Draw the splats `front`, those of actors, before the pages from now on; None: no splats.
 
-        Parameters
-        ----------
-        front : PreparedSplats, optional
-            Their numbers in `order` are 0 or more.
+        Their numbers in `order` are 0 or more.
         """
         self._front, self._chosen = None, None  # whose places are free now
         if front is not None:
@@ -187,14 +184,8 @@ class PagedRasterizer:
 def rasterizer_of_scene(scene, render, rasterizer_of=Rasterizer, numbers_of=None):
     """Return the rasterizer of a scene's splats as captured, paged if the scene is in chunks.
 
-    Parameters
-    ----------
-    scene : Scene
-    render : RenderConfig
-        Its `detail` and `memory` hold for a scene in chunks.
-    rasterizer_of : callable
-    numbers_of : callable, optional
-        What hits name the splats of chunks, see `PagedRasterizer`.
+    `detail` and `memory` of `render` hold for a scene in chunks; there `numbers_of` gives what hits
+    name the splats, see `PagedRasterizer`.
     """
     if scene.pages is None:
         return rasterizer_of(replace(prepare(scene.splats), compensate=scene.antialiased))

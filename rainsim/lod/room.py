@@ -24,17 +24,9 @@ NO_CHUNKS = np.zeros(0, np.int64)
 class ChunkRoom:
     """Room for the chunks of pages, a chunk of any page in any place.
 
-    Parameters
-    ----------
-    most : float [bytes]
-        That pages are expected to take. The system gives memory when a place is first written.
-    chunks : int
-        Of all pages that there are, about.
-
-    Attributes
-    ----------
-    prepared : PreparedSplats
-        All places. In `order` a splat of a page has the number that its page gave it.
+    Pages are expected to take `most` bytes, and have about `chunks` chunks in all. The system gives
+    memory when a place is first written. `prepared` has all places: in its `order` a splat of a
+    page has the number that its page gave it.
     """
 
     def __init__(self, most, chunks):
@@ -96,17 +88,8 @@ def room_for(pages):
 class Stored:
     """Where a page lies in a room, which it leaves when nobody holds this any more.
 
-    Parameters
-    ----------
-    room : ChunkRoom
-    first : PreparedSplats
-    last : PreparedSplats, optional
-        Splats that mirrors leave out.
-
-    Attributes
-    ----------
-    first, last : ndarray of int64
-        Places of their chunks.
+    `last` are splats that mirrors leave out. The attributes `first` and `last` are the places of
+    their chunks, int64.
     """
 
     def __init__(self, room, first, last=None):

@@ -38,18 +38,10 @@ def in_blocks(work, count, size=ROWS):
 
 
 def stable_order(numbers):
-    """Return the order of `np.argsort(numbers, kind="stable")`, in a third of the time.
+    """Return the order of `np.argsort(numbers, kind="stable")`, int64, in a third of the time.
 
     Number and place are sorted as one 64-bit word: no two are equal, so any sort keeps the order.
-
-    Parameters
-    ----------
-    numbers : ndarray of shape (n,), integers from 0 to 2^32 - 1
-        n is at most 2^32.
-
-    Returns
-    -------
-    ndarray of shape (n,), int64
+    At most 2^32 numbers, each an integer from 0 to 2^32 - 1.
     """
     words = numbers.astype(np.uint64)
     words <<= _INDEX_BITS

@@ -19,21 +19,11 @@ BRADFORD = np.array([
 
 
 class ColorSpace(NamedTuple):
-    """A linear, scene-referred colour space.
+    """A linear, scene-referred colour space."""
 
-    Attributes
-    ----------
-    name : str
-        As it is known to OpenColorIO and OpenImageIO.
-    identifier : str
-        That of the Color Interop Forum.
-    chromaticities : tuple of float
-        x and y of red, green, blue and white (CIE 1931).
-    """
-
-    name: str
-    identifier: str
-    chromaticities: tuple
+    name: str  # as it is known to OpenColorIO and OpenImageIO
+    identifier: str  # that of the Color Interop Forum
+    chromaticities: tuple  # x and y of red, green, blue and white (CIE 1931)
 
 
 SPACES = {

@@ -76,17 +76,10 @@ def coarse_shape(height, width, channels=3):
 
 
 def coarsened(picture):
-    """Return the mip levels 1 to COARSEST of a picture in one array.
+    """Return the mip levels 1 to COARSEST of a picture in one (height, width // 2, channels).
 
-    Parameters
-    ----------
-    picture : ndarray of shape (height, width, channels), float32
-
-    Returns
-    -------
-    ndarray of shape (height, width // 2, channels), float32
-        Level 1 in the first height // 2 rows, level 2 below it, and so on; a last row or column
-        without a partner is left out. Cells beside the levels are not set.
+    Level 1 is in the first height // 2 rows, level 2 below it, and so on; a last row or column
+    without a partner is left out. Cells beside the levels are not set.
     """
     coarse = np.empty(coarse_shape(*picture.shape), np.float32)
     for level in range(1, COARSEST + 1):
@@ -96,17 +89,10 @@ def coarsened(picture):
 
 @inlined_function
 def blurred_color(picture, coarse, u, v, blur):
-    """Return the colour of a picture at image point (u, v), blurred.
+    """Return the colour of a picture at image point (u, v), blurred; the point is clamped to it.
 
-    Parameters
-    ----------
-    picture : ndarray of shape (height, width, 3), float32
-    coarse : ndarray of shape (height, width // 2, 3), float32
-        See `coarsened`.
-    u, v : float32 [px]
-        Clamped to the picture.
-    blur : float32 [px]
-        Standard deviation along one axis; the nearest mip level is used.
+    `coarse` are the levels of `coarsened`. `blur` [px] is the standard deviation along one axis;
+    the nearest mip level is used.
     """
     height, width = picture.shape[0], picture.shape[1]
     level = level_of(height, width, blur)

@@ -25,24 +25,13 @@ from rainsim.output_folder.names import (
 def claimed(path, overwrite=False, resume=False, sources=()):
     """Check and make an output folder and yield it; remove it again if it stays empty.
 
-    Parameters
-    ----------
-    path : path-like
-        Made, with the folders above it, if it does not exist.
-    overwrite : bool
-        Whether it may hold files already. Earlier results are replaced, other files stay.
-    resume : bool
-        Whether it may hold an unfinished run, see `Record.resume`.
-    sources : iterable of path-like or None
-        What the run reads: results in the folder are not replaced while they are read.
+    Folders above it are made, too. With `overwrite` it may hold files already: earlier results are
+    replaced, other files stay. With `resume` it may hold an unfinished run, see `Record.resume`.
+    The run reads `sources`: results in the folder are not replaced while they are read.
 
-    Raises
-    ------
-    ParameterError
-        If it holds files and `overwrite` is not set, is no folder, or another run writes to it; or
-        if results would replace what the run reads or files that no record of a run lists.
-    OSError
-        If it cannot be made or written to.
+    ParameterError if it holds files and `overwrite` is not set, is no folder, or another run writes
+    to it; or if results would replace what the run reads or files that no record of a run lists.
+    OSError if it cannot be made or written to.
     """
     path = Path(path)
     require_no_file(path)

@@ -17,23 +17,9 @@ class FrameFolder:
     written in a thread of its own while the next one is drawn. A frame and its layers are noted in
     the journal when they are whole.
 
-    Parameters
-    ----------
-    folder : Path
-        As `claimed` yields it.
-    record : Record
-    cameras : sequence of Camera
-        One per frame of the whole sequence, or one for all.
-    config : Config
-    video : VideoFormat or None
-        What video to write too.
-    resume : bool
-        Whether to go on with an unfinished run in the folder.
-
-    Attributes
-    ----------
-    kept : dict of int to dict
-        The journal's entries of the frames that need not be drawn, by index.
+    The folder is as `claimed` yields it. There is a camera for each frame of the whole sequence, or
+    one for all. `resume` goes on with an unfinished run in the folder: `kept` has the journal's
+    entries of the frames that need not be drawn, by index.
     """
 
     def __init__(self, folder, record, cameras, config, video=None, resume=False):
@@ -54,10 +40,7 @@ class FrameFolder:
     def add(self, picture, report):
         """Begin to write the next frame, when the one before is written.
 
-        Raises
-        ------
-        OSError
-            If this frame's layers or the frame before could not be written.
+        OSError if this frame's layers or the frame before could not be written.
         """
         self._writer.wait()
         self._begin()

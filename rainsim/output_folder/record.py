@@ -34,15 +34,8 @@ NOT_OF_THE_CONTENT = ("preset", "terrain_input")  # facts that name things and c
 class Record:
     """The record of a run: `provenance.json` in its output folder.
 
-    Parameters
-    ----------
-    folder : Path
-    scene : Scene or None
-    content : dict, optional
-        Plain JSON values that the results depend on besides the scene and the facts, or in place
-        of facts of the same name.
-    **facts
-        More entries; they must be plain JSON values.
+    Facts are more entries, plain JSON values, and so is `content`: what the results depend on
+    besides the scene and the facts, or in place of facts of the same name.
     """
 
     def __init__(self, folder, scene=None, content=None, **facts):
@@ -93,18 +86,9 @@ class Record:
     def resume(self, indices, part=FRAME, facts=FRAME_FACTS):
         """Return the journal's entries of the finished parts among `indices`, by index.
 
-        Parameters
-        ----------
-        indices : sequence of int
-        part : str
-            Name of the file that each part has, with its index to be filled in.
-        facts : dict of str to type
-            What an entry must hold.
-
-        Raises
-        ------
-        ParameterError
-            If the folder holds something else than a run with the same fingerprint.
+        `part` is the name of the file that each part has, with its index to be filled in, `facts`
+        what an entry must hold, by type. ParameterError if the folder holds something else than a
+        run with the same fingerprint.
         """
         # First the files, then the record: others may just begin, and write the record first.
         found = [path.name for path in self.folder.iterdir()]

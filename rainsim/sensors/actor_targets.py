@@ -14,32 +14,19 @@ WAY = 64  # times at which an actor's way in a turn is looked at, for the ball t
 
 
 class Met(NamedTuple):
-    """Hits of some of the beams on an actor, arrays (n, ...).
+    """Hits of some of the beams on an actor, arrays (n, ...)."""
 
-    Attributes
-    ----------
-    beam : ndarray of shape (n,), int64
-    color : ndarray of shape (n, 3), float32
-        Multiplied by alpha.
-    alpha, distance : ndarray of shape (n,), float32 [-, capture units]
-    normal : ndarray of shape (n, 3), float64
-        Capture frame.
-    """
-
-    beam: np.ndarray
-    color: np.ndarray
-    alpha: np.ndarray
-    distance: np.ndarray
-    normal: np.ndarray
+    beam: np.ndarray  # int64
+    color: np.ndarray  # (n, 3), float32, multiplied by alpha
+    alpha: np.ndarray  # float32
+    distance: np.ndarray  # float32, capture units
+    normal: np.ndarray  # (n, 3), float64, capture frame
 
 
 class ActorTarget:
     """An actor as beams meet it: traced in its own frame, so that it may move from pulse to pulse.
 
-    Parameters
-    ----------
-    actor : Actor
-        Of colours that change over time, those in the middle of their series are taken.
+    Of colours that change over time, those in the middle of their series are taken.
     """
 
     def __init__(self, actor):
@@ -55,16 +42,9 @@ class ActorTarget:
     def meet(self, origin, direction, before, time, segment):
         """Return the hits of beams, as `Met`, in the capture frame.
 
-        Parameters
-        ----------
-        origin : ndarray of shape (n, 3), float64 [capture units]
-        direction : ndarray of shape (n, 3), float64
-        before : ndarray of shape (n,), float64 [capture units]
-            Length of the way to the origins.
-        time : ndarray of shape (n,), float64 [s]
-            When each pulse is sent.
-        segment : float [capture units]
-            See `Tracer.trace`.
+        Origin and direction are of shape (n, 3), float64; `before` is the length of the way to the
+        origins, (n,) [capture units]; `time` [s] says when each pulse is sent; `segment` is that of
+        `Tracer.trace`.
         """
         beam = self._near(origin, direction, time)
         moments, which = np.unique(time[beam], return_inverse=True)

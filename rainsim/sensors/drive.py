@@ -11,8 +11,8 @@ from rainsim import __version__
 from rainsim.actors.motion import Motion
 from rainsim.config.settings import mm_per_hour
 from rainsim.drops import Weather
-from rainsim.errors import InputError, ParameterError
-from rainsim.io.files import read_json, replacing, write_json
+from rainsim.errors import ParameterError
+from rainsim.io.files import card_in, replacing, write_json
 from rainsim.io.fingerprint import fingerprint
 from rainsim.io.journal import Journal
 from rainsim.lod.held_parts import scene_in_reach
@@ -40,28 +40,17 @@ SAMPLES = 2000  # targets that LISA's expectation is averaged over
 
 
 class LidarFolder:
-    """A folder of turns.
+    """A folder of turns of a kind ("kitti", "pcd", "ply"), claimed by the caller.
 
-    Parameters
-    ----------
-    folder : Path
-        Claimed by the caller, see `rainsim.output_folder.claimed`.
-    kind : {"kitti", "pcd", "ply"}
-    overwrite : bool
-        Whether it may hold an earlier result, whose files are removed.
-    resume : bool
-        Whether to go on with an unfinished scan in the folder.
-
-    Attributes
-    ----------
-    kept : dict of int to dict
-        The journal's entries of the turns that need not be scanned.
+    It may hold an earlier result, whose files are removed, if `overwrite` is set, and an unfinished
+    scan, which `resume` goes on with. `kept` has the journal's entries of the turns that need not
+    be scanned.
     """
 
     def __init__(self, folder, kind, overwrite=False, resume=False):
         self.folder, self.kind, self.files, self.kept = folder, kind, [], {}
         self._journal = Journal(folder, JOURNAL, OURS.fullmatch)
-        self._before, self._resumes = _card_in(folder), resume
+        self._before, self._resumes = card_in(folder / CARD), resume
         if (overwrite or resume) and self._before is None:
             found = [p.name for p in folder.iterdir() if not p.name.startswith(".rainsim")]
             found = [name for name in found if not TEMPORARY.fullmatch(name)]
@@ -74,12 +63,8 @@ class LidarFolder:
     def begin(self, content, count):
         """Find what is kept of an unfinished scan, or remove the files of an earlier one.
 
-        Parameters
-        ----------
-        content : dict
-            Plain JSON values that the turns depend on.
-        count : int
-            Of the turns of all rains.
+        `content` holds plain JSON values that the turns depend on, `count` is that of the turns of
+        all rains.
         """
         self.fingerprint, before = fingerprint(content), self._before or {}
         if self._resumes and before:
@@ -145,40 +130,16 @@ def _has_facts(entry):
     return isinstance(entry.get("points"), dict) and isinstance(entry.get("share"), float)
 
 
-def _card_in(folder):
-    try:
-        card = read_json(folder / CARD, "a card")
-    except (OSError, InputError):
-        return None
-    ours = isinstance(card, dict) and card.get("program") == "rainsim"
-    return card if ours else None
-
-
 def scan_rains(
     folder, scene, config, rates, *, sensor, camera, height=None, speed=0.0, turns=1,
     tell=lambda stage, done, total: None, say=lambda notes: None,
 ):  # fmt: skip
     """Scan a scene in each rain, write the turns, and return the card.
 
-    Parameters
-    ----------
-    folder : LidarFolder
-    scene : Scene
-    config : Config
-        Its rain rate is replaced by each of `rates`.
-    rates : sequence of float [mm/h]
-    sensor : str
-        A key of `lidar_model.SENSORS`.
-    camera : Camera
-        In the ground frame: where the lidar stands and looks.
-    height : float [m], optional
-    speed : float [m/s]
-        Ahead.
-    turns : int
-    tell : callable
-        Called as tell(stage, done, total).
-    say : callable
-        Called with notes.
+    The settings' rain is replaced by each of `rates` [mm/h]. `sensor` is a key of
+    `lidar_model.SENSORS`; the camera, in the ground frame, stands and looks as the lidar does, at
+    `height` [m] if that is given, and goes ahead at `speed` [m/s]. tell(stage, done, total) and
+    say(notes) are called.
     """
     terrain = extract_terrain(scene, config, None, tell, say)
     albedo, note = albedo_of_white(terrain, scene.splats, config.render.ground_albedo)

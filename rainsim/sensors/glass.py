@@ -33,33 +33,18 @@ MARGIN = 0.01  # m of pane around what the picture shows
 class Pane:
     """A pane of glass.
 
-    Attributes
-    ----------
-    distance : float [m]
-        From the camera along its axis.
-    tilt : float [rad]
-        By which its upper edge leans towards the camera's back: 0 is across the axis.
-    contact_angle : float [rad]
-        Of water on it.
-    speed : float [m/s]
-        Of the camera along its level view direction.
-    age : float [s]
-        For how long it has rained on the pane.
-    wiper : float [s] or None
-        Time between strokes, each of which clears the pane; the last stroke was
-        `age` modulo `wiper` ago. None: there is no wiper.
-    aperture, focus : float [m]
-        Of the lens: opening, 0 for a pinhole, and what is in focus.
+    Without tilt it stands across the camera's axis. A stroke of the wiper clears it; the last one
+    was `age` modulo `wiper` ago.
     """
 
-    distance: float = 0.08
-    tilt: float = math.radians(30)
-    contact_angle: float = math.radians(50)
-    speed: float = 0.0
-    age: float = 10.0
-    wiper: float | None = None
-    aperture: float = 2e-3
-    focus: float = 10.0
+    distance: float = 0.08  # m, from the camera along its axis
+    tilt: float = math.radians(30)  # rad, of the upper edge towards the camera's back
+    contact_angle: float = math.radians(50)  # rad, of water on it
+    speed: float = 0.0  # m/s, of the camera along its level view direction
+    age: float = 10.0  # s, for how long it has rained on the pane
+    wiper: float | None = None  # s, between strokes; None: there is no wiper
+    aperture: float = 2e-3  # m, of the lens; 0 for a pinhole
+    focus: float = 10.0  # m, distance of what is in focus
 
     def __post_init__(self):
         """Raise ParameterError if a value breaks its rule."""
@@ -92,21 +77,11 @@ class Pane:
 
 @dataclass(frozen=True)
 class Caps:
-    """Drops on a pane.
+    """Drops on a pane."""
 
-    Attributes
-    ----------
-    place : ndarray of shape (n, 2), float64 [m]
-        Right and down along the pane from where the camera's axis meets it.
-    radius : ndarray of shape (n,), float64 [m]
-        Of the wetted disc.
-    arrived : int
-        Drops that hit the pane.
-    """
-
-    place: np.ndarray
-    radius: np.ndarray
-    arrived: int
+    place: np.ndarray  # (n, 2), float64, m, right and down from where the axis meets the pane
+    radius: np.ndarray  # (n,), float64, m, of the wetted disc
+    arrived: int  # drops that hit the pane
 
 
 def cap_volume(radius, angle):
@@ -121,14 +96,9 @@ def cap_radius(volume, angle):
 
 
 def pane_flux(field, pane, camera):
-    """Return how many drops of each class hit a pane [1/(m2 s)], ndarray of shape (CLASSES,).
+    """Return how many drops of each class hit a pane, (CLASSES,) [1/(m2 s)].
 
-    Parameters
-    ----------
-    field : RainField
-    pane : Pane
-    camera : Camera
-        In the ground frame.
+    The pane is the one before a camera in the ground frame.
     """
     normal = pane.axes()[2] @ camera.camera_from_world[:3, :3]
     ahead = camera.forward * (1, 1, 0)
@@ -158,18 +128,10 @@ def on_pane(rays, pane):
 
 
 def caps_on(field, pane, camera, seed):
-    """Return the `Caps` on the pane before a camera.
+    """Return the `Caps` on the pane before a camera, in the ground frame.
 
     The drops of a seed arrive at their own times: an older pane has those of a younger one, less
     what has flowed together, run off or been wiped since.
-
-    Parameters
-    ----------
-    field : RainField
-    pane : Pane
-    camera : Camera
-        In the ground frame.
-    seed : int
     """
     low, high = pane_window(camera, pane)
     flux, size = pane_flux(field, pane, camera), high - low
@@ -284,21 +246,8 @@ def wide_camera(camera):
 def through_glass(picture, camera, caps, pane, wide, wide_depth):
     """Return the picture seen through the wet pane, and the share of each pixel that drops fill.
 
-    Parameters
-    ----------
-    picture : ndarray of shape (height, width, 3), uint8
-        Without the pane.
-    camera : Camera
-    caps : Caps
-    pane : Pane
-    wide : ndarray of shape (WIDE_SIDE, WIDE_SIDE, 3), uint8
-        What `wide_camera` sees.
-    wide_depth : ndarray of shape (WIDE_SIDE, WIDE_SIDE), float32 [m]
-
-    Returns
-    -------
-    picture : ndarray of shape (height, width, 3), uint8
-    share : ndarray of shape (height, width), float32
+    `picture` is the one without the pane, (height, width, 3), uint8; `wide` and `wide_depth` [m]
+    are colours and depth of `wide_camera`. The share is of shape (height, width), float32.
     """
     rays = pixel_rays(camera).reshape(-1, 3)
     place, point = on_pane(rays, pane)
@@ -336,17 +285,9 @@ def _disc(diameter):
 def looked_up(out, leave, linear, depth, camera):
     """Return the colours of a wide picture along some directions from places near its camera.
 
-    The picture's depth tells where a direction meets the scene, in a few steps; directions beyond
-    the picture take its rim, those of light that never leaves the water are black.
-
-    Parameters
-    ----------
-    out, leave : ndarray of shape (n, 3)
-        Unit directions and places [m], camera frame.
-    linear : ndarray of shape (rows, columns, 3)
-    depth : ndarray of shape (rows, columns) [m]
-    camera : Camera
-        Of the picture.
+    The picture's depth [m] tells where a direction meets the scene, in a few steps; directions
+    beyond the picture take its rim, those of light that never leaves the water are black. Unit
+    directions `out` and places `leave` [m] are of shape (n, 3) in the camera frame.
     """
     gone = ~np.isfinite(out[:, 0])
     ray = np.where(gone[:, None], (0.0, 0.0, 1.0), out)

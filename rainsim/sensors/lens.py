@@ -27,12 +27,8 @@ REMEDY = "give other coefficients or a longer focal length"
 class Lens:
     """A lens as OpenCV has it.
 
-    Attributes
-    ----------
-    model : {"opencv", "fisheye"}
-        opencv: radial and tangential. fisheye: the angle off the axis as a polynomial.
-    values : tuple of float
-        k1, k2, p1, p2 and optionally k3; of a fisheye k1 to k4.
+    "opencv" is radial and tangential, with values k1, k2, p1, p2 and optionally k3; "fisheye" has
+    the angle off the axis as a polynomial, with values k1 to k4.
 
     References
     ----------
@@ -142,23 +138,12 @@ def lens_of(text):
 
 @dataclass(frozen=True)
 class LensWarp:
-    """Where each pixel of a distorted picture lies in the pinhole picture that it is warped from.
+    """Where each pixel of a distorted picture lies in the pinhole picture it is warped from."""
 
-    Attributes
-    ----------
-    camera : Camera
-        The distorted picture's size, focal lengths, principal point and pose.
-    lens : Lens
-    wide : Camera
-        The pinhole camera whose picture is wide enough.
-    u, v : ndarray of shape (height, width), float64 [px]
-        Image points in the wide picture.
-    """
-
-    camera: object
+    camera: object  # the distorted picture's size, focal lengths, principal point and pose
     lens: Lens
-    wide: object
-    u: np.ndarray
+    wide: object  # the pinhole camera whose picture is wide enough
+    u: np.ndarray  # (height, width), float64, px: image points in the wide picture, with `v`
     v: np.ndarray
 
     def colors(self, picture):
@@ -182,14 +167,8 @@ class LensWarp:
     def flow(self, flow, mask, after=None):
         """Return flow and mask of the distorted picture.
 
-        Parameters
-        ----------
-        flow : ndarray of shape (rows, columns, 2) [px]
-            Of the wide picture.
-        mask : ndarray of shape (rows, columns), uint16
-            See `rainsim.render.labels.flow_of`.
-        after : LensWarp, optional
-            That of the next frame; by default this one.
+        `flow` is that of the wide picture [px], `mask` as `rainsim.render.labels.flow_of` has it,
+        `after` the warp of the next frame, by default this one.
         """
         after = self if after is None else after
         lens, wide = after.lens, after.wide
@@ -211,11 +190,8 @@ class LensWarp:
 def lens_warp(camera, lens):
     """Return the `LensWarp` of a camera with a lens; its wide picture is as fine in the middle.
 
-    Raises
-    ------
-    ParameterError
-        If the lens sees farther off the axis than a pinhole picture can be drawn, or if a pixel of
-        the picture belongs to no ray of the lens.
+    ParameterError if the lens sees farther off the axis than a pinhole picture can be drawn, or if
+    a pixel of the picture belongs to no ray of the lens.
     """
     row, column = np.mgrid[: camera.height, : camera.width] + 0.5
     x, y = lens.undistort(*slopes(camera, column, row))

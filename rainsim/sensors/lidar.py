@@ -44,51 +44,27 @@ STEPS = 6  # of the search for the time at which the sensor looks at a drop
 
 @dataclass(frozen=True)
 class Pose:
-    """Where a lidar stands, in the ground frame.
+    """Where a lidar stands at the begin of a turn, in the ground frame."""
 
-    Attributes
-    ----------
-    position : ndarray of shape (3,) [m]
-        At the begin of a turn.
-    rotation : ndarray of shape (3, 3)
-        ground_from_sensor; x ahead, y left, z up.
-    velocity : ndarray of shape (3,) [m/s]
-    """
-
-    position: np.ndarray
-    rotation: np.ndarray
-    velocity: np.ndarray
+    position: np.ndarray  # m
+    rotation: np.ndarray  # ground_from_sensor; x ahead, y left, z up
+    velocity: np.ndarray  # m/s
 
 
 @dataclass(frozen=True)
 class Scan:
-    """A turn of a lidar.
+    """A turn of a lidar, arrays (n, ...) with a row for each beam.
 
-    Attributes
-    ----------
-    point : ndarray of shape (n, 3), float32 [m]
-        Sensor frame, one a beam; 0 where no echo came back.
-    reflectivity : ndarray of shape (n,), float32
-        0 to 1, extinction included, as the sensor reports it.
-    label : ndarray of shape (n,), uint8
-        LOST, SCATTERED, KEPT or MIRRORED.
-    time : ndarray of shape (n,), float32 [s]
-        Since the turn began.
-    distance, target : ndarray of shape (n,), float64
-        Distance [m] of what the beam meets, infinite for nothing, and its reflectivity, wet as it
-        is: what comes back where there are no drops.
-    actor : ndarray of shape (n,), uint16, or None
-        Number of the actor that a point lies on, as in the layer `actor_id`; 0: none. None for
-        scenes without actors.
+    Distance and target are what comes back where there are no drops.
     """
 
-    point: np.ndarray
-    reflectivity: np.ndarray
-    label: np.ndarray
-    time: np.ndarray
-    distance: np.ndarray
-    target: np.ndarray
-    actor: np.ndarray | None = None
+    point: np.ndarray  # (n, 3), float32, m, sensor frame; 0 where no echo came back
+    reflectivity: np.ndarray  # float32, 0 to 1, extinction included, as the sensor reports it
+    label: np.ndarray  # uint8, LOST, SCATTERED, KEPT or MIRRORED
+    time: np.ndarray  # float32, s, since the turn began
+    distance: np.ndarray  # float64, m, of what the beam meets, infinite for nothing
+    target: np.ndarray  # float64, its reflectivity, wet as it is
+    actor: np.ndarray | None = None  # uint16, as the layer `actor_id`; None without actors
 
 
 @dataclass(frozen=True)
@@ -108,13 +84,8 @@ class Surface:
 class LidarScanner:
     """Scans one scene.
 
-    Parameters
-    ----------
-    scene : Scene
-    terrain : Terrain
-    albedo : float
-        Of a captured linear colour of 1, see `calibration.albedo_of_white`; colours stand for
-        reflectivities at the laser's wavelength, which the capture does not know.
+    `albedo` is that of a captured linear colour of 1, see `calibration.albedo_of_white`; colours
+    stand for reflectivities at the laser's wavelength, which the capture does not know.
     """
 
     def __init__(self, scene, terrain, albedo):
@@ -162,22 +133,11 @@ class LidarScanner:
         )  # fmt: skip
 
     def scan(self, lidar, pose, time, rng, field=None, state=None, damp=0.0):
-        """Return the `Scan` of a turn.
+        """Return the `Scan` of a turn that begins at `time` [s].
 
-        Parameters
-        ----------
-        lidar : Lidar
-        pose : Pose
-        time : float [s]
-            When the turn begins.
-        rng : numpy.random.Generator
-            Of the noise of ranges alone.
-        field : RainField or None
-            The drops; None: no rain.
-        state : SimState or None
-            The water on the ground; None: it is dry.
-        damp : float
-            How wet open ground is, 0 to 1, see `wetness.paving_dampness`.
+        `rng` makes the noise of ranges alone. `field` has the drops (None: no rain), `state` the
+        water on the ground (None: it is dry); `damp` is how wet open ground is, 0 to 1, see
+        `wetness.paving_dampness`.
         """
         local, when = lidar.beams()
         direction = local @ pose.rotation.T
@@ -271,19 +231,8 @@ class LidarScanner:
 def drops_in_beams(lidar, pose, drops, local, when):
     """Return which beams have which drops in them as their pulses pass.
 
-    Parameters
-    ----------
-    lidar : Lidar
-    pose : Pose
-    drops : Drops
-        At mid-turn.
-    local, when : ndarray
-        See `Lidar.beams`.
-
-    Returns
-    -------
-    beam : ndarray of shape (m,), int64
-    distance, diameter : ndarray of shape (m,), float64 [m]
+    Drops are those of mid-turn, `local` and `when` those of `Lidar.beams`. The result is the beam,
+    the distance and the diameter [m] of each.
     """
     period, columns, channels = 1 / lidar.rate, lidar.columns, len(lidar.elevation)
     half = 0.5 * lidar.divergence
@@ -339,13 +288,8 @@ def _scan(lidar, local, when, label, distance, bright, power, clear, rng):
 def pose_at(camera, height=None, velocity=(0.0, 0.0, 0.0)):
     """Return the level `Pose` at a camera's place, ahead being where the camera looks.
 
-    Parameters
-    ----------
-    camera : Camera
-        In the ground frame.
-    height : float [m], optional
-        Above z = 0 instead of the camera's own.
-    velocity : array_like of shape (3,) [m/s]
+    The camera is in the ground frame; `height` [m] is above z = 0, by default the camera's own;
+    `velocity` is in m/s.
     """
     ahead = camera.forward * (1, 1, 0)
     if np.linalg.norm(ahead) < 1e-6:  # it looks straight down: its picture's upper edge is ahead

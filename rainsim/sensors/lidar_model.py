@@ -28,31 +28,15 @@ LABEL_NAMES = {LOST: "lost", SCATTERED: "scattered", KEPT: "kept", MIRRORED: "mi
 
 @dataclass(frozen=True)
 class Lidar:
-    """A spinning lidar.
+    """A spinning lidar."""
 
-    Attributes
-    ----------
-    elevation : tuple of float [rad]
-        Of each channel, from the lowest.
-    columns : int
-        Pulses of a channel in a turn.
-    rate : float [1/s]
-        Turns.
-    far, near : float [m]
-        The greatest range, of a target of reflectivity 0.9 in clear air, and the least.
-    divergence : float [rad]
-        Full angle of the beam; it begins as a point.
-    accuracy : float [m]
-        Resolution of the range: an echo of signal to noise s is off by accuracy / sqrt(2 s).
-    """
-
-    elevation: tuple
-    columns: int = 1800
-    rate: float = 10.0
-    far: float = 100.0
-    near: float = 1.5
-    divergence: float = 3e-3
-    accuracy: float = 0.09
+    elevation: tuple  # rad, of each channel, from the lowest
+    columns: int = 1800  # pulses of a channel in a turn
+    rate: float = 10.0  # 1/s, turns
+    far: float = 100.0  # m, the greatest range, of a target of reflectivity 0.9 in clear air
+    near: float = 1.5  # m, the least range
+    divergence: float = 3e-3  # rad, full angle of the beam; it begins as a point
+    accuracy: float = 0.09  # m: an echo of signal to noise s is off by accuracy / sqrt(2 s)
 
     def __post_init__(self):
         """Raise ParameterError if a value breaks its rule."""

@@ -22,14 +22,7 @@ def scattered_share(distance, reflectivity, lidar, spectrum):
     """Return the probability that a beam reports a drop instead of its target, in closed form.
 
     1 - exp(-m) with the mean number m of drops in the cone that echo louder than the target and
-    than the least power.
-
-    Parameters
-    ----------
-    distance, reflectivity : float
-        Of the target.
-    lidar : Lidar
-    spectrum : RainSpectrum
+    than the least power. Distance and reflectivity are the target's.
     """
     alpha = extinction_of(spectrum)
     target = float(echo_power(reflectivity, distance, alpha)) if math.isfinite(distance) else 0.0

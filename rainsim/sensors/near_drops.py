@@ -22,21 +22,10 @@ from rainsim.rain.poisson_cells import (
 
 
 def near_drops(field, centre, reach, time, surfaces):
-    """List the drops of each size class within a distance of a place.
+    """Return the `Drops` of each size class within a distance of a place.
 
-    Parameters
-    ----------
-    field : RainField
-    centre : ndarray of shape (3,) [m]
-    reach : ndarray of shape (CLASSES,) [m]
-        Radius of the ball for each class.
-    time : float [s]
-    surfaces : Surfaces
-        A drop whose way down they blocked before is not there.
-
-    Returns
-    -------
-    Drops
+    At `time` [s], within `reach`, (CLASSES,) [m], of `centre`, (3,) [m]. A drop whose way down the
+    surfaces blocked before is not there.
     """
     centre, around = np.asarray(centre, np.float64), np.asarray(reach, np.float64)[:, None]
     drift = field.velocity * time

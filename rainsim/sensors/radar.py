@@ -34,13 +34,7 @@ _ALPHA = {
 
 
 def rain_coefficients(frequency_ghz, polarization="vertical"):
-    """Return k and alpha of one polarization.
-
-    Parameters
-    ----------
-    frequency_ghz : float [GHz]
-    polarization : {"horizontal", "vertical"}
-    """
+    """Return k and alpha of one polarization, "horizontal" or "vertical", at a frequency [GHz]."""
     low, high = FREQUENCIES
     if not low <= frequency_ghz <= high:  # false for NaN
         raise ParameterError(
@@ -58,15 +52,10 @@ def _curve(x, gaussians, slope, constant):
 
 
 def rain_attenuation(rate, frequency_ghz, polarization="vertical", elevation=0.0):
-    """Return the specific attenuation by rain [dB/km] one way.
+    """Return the specific attenuation by rain [dB/km] one way, for one rate [mm/h] or an array.
 
-    Parameters
-    ----------
-    rate : float or ndarray [mm/h]
-    frequency_ghz : float [GHz]
-    polarization : {"horizontal", "vertical", "circular"}
-    elevation : float [rad]
-        Of the path above the horizon.
+    The polarization is "horizontal", "vertical" or "circular"; `elevation` [rad] is that of the
+    path above the horizon.
     """
     require_not_negative("rain rate", float(np.min(rate)), "mm/h")
     tilt = {"horizontal": 0.0, "vertical": math.pi / 2, "circular": math.pi / 4}.get(polarization)

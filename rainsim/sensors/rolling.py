@@ -55,26 +55,14 @@ def check_readout(readout):
 
 
 def bands(camera, motion, readout, exposure, rows=ROWS, first_row=0.0, height=None):
-    """Yield the bands of a picture from top to bottom.
+    """Yield delay and cameras, as it opens and closes, of each band of a picture from the top down.
 
-    Parameters
-    ----------
-    camera : Camera
-        In the ground frame, when the first row opens.
-    motion : Motion
-    readout, exposure : float [s]
-    rows : int
-        Of a band; the last may have fewer.
-    first_row, height : float, float or None [px]
-        The row of the sensor that the picture's first row is, and the sensor's height, by default
-        the picture's own: a picture that is going to be distorted is larger than the sensor.
-
-    Yields
-    ------
-    delay : float [s]
-        Of the band's middle row after the sensor's first row.
-    camera, camera_end : Camera
-        Of the band alone, as it opens and closes; None at the end if the camera stands still.
+    The delay [s] is that of the band's middle row after the sensor's first row, the cameras are of
+    the band alone, the last None if the camera stands still. `camera` is in the ground frame, when
+    the first row opens; readout and exposure are in seconds. A band has `rows` rows, the last may
+    have fewer. `first_row` is the row of the sensor that the picture's first row is, `height` [px]
+    the sensor's, by default the picture's own: a picture that is going to be distorted is larger
+    than the sensor.
     """
     height = camera.height if height is None else height
     for top in range(0, camera.height, rows):
@@ -89,19 +77,8 @@ def bands(camera, motion, readout, exposure, rows=ROWS, first_row=0.0, height=No
 def draw_rolling(renderer, camera, state, motion, readout, names=(), **options):
     """Return the picture of a rolling shutter and its `FrameReport`, as `Renderer.draw` does.
 
-    Parameters
-    ----------
-    renderer : Renderer
-    camera : Camera
-        In the ground frame.
-    state : SimState
-        Water does not move on within the readout, drops do.
-    motion : Motion
-    readout : float [s]
-    names : sequence of str
-        AOVs; flow is not among them.
-    **options
-        `rows`, `first_row` and `height` of `bands`.
+    The camera is in the ground frame. Water does not move on within the readout [s], drops do. Flow
+    is not among the AOVs `names`; `options` are `rows`, `first_row` and `height` of `bands`.
     """
     frame, parts = renderer.conductor.wet_scene.frame, []
     exposure = renderer.conductor.config.at(state.time).render.exposure
@@ -127,16 +104,9 @@ def _actors(reports, rows, number):
     """Return the labels of each actor that some band shows, or could.
 
     Its box in the picture is that of its boxes in all bands; its box in space is that at the time
-    of the band in which the middle of this box lies.
-
-    Parameters
-    ----------
-    reports : sequence of FrameReport
-        Of the bands.
-    rows : ndarray of shape (bands + 1,), int
-        First row of each band, and the picture's height.
-    number : ndarray of shape (height, width), uint16
-        Of the whole picture, as the layer `actor_id`.
+    of the band in which the middle of this box lies. `reports` are those of the bands, `rows` the
+    first row of each and the picture's height, `number` is the layer `actor_id` of the whole
+    picture.
     """
     seen = {box["id"]: box for box in boxes_of(number)}
     known = {}

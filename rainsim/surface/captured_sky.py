@@ -35,14 +35,8 @@ LEAST_PIXELS = 30  # of a texel
 class SkyColors:
     """The colour of the captured sky by direction.
 
-    Parameters
-    ----------
-    views : sequence of DepthView
-
-    Attributes
-    ----------
-    color : ndarray of shape (ROWS, COLUMNS, 3) or None
-        Logarithm of linear light; row 0 at the horizon. None: no camera sees the sky.
+    `color`, (ROWS, COLUMNS, 3), is the logarithm of linear light, row 0 at the horizon; None: no
+    camera sees the sky.
     """
 
     def __init__(self, views):
@@ -120,13 +114,8 @@ def directions(view):
 def seen_sky(views, shown):
     """Return in which directions cameras saw the sky, bool (rows, columns) of 2 degrees.
 
-    Row 0 is at the horizon, column 0 at azimuth 0. What no camera looked at counts as sky.
-
-    Parameters
-    ----------
-    views : sequence of DepthView
-    shown : sequence of ndarray of shape (height, width), bool
-        Their pixels of the sky.
+    Row 0 is at the horizon, column 0 at azimuth 0. What no camera looked at counts as sky. `shown`
+    are masks of the views' pixels of the sky.
     """
     rows, columns = SEEN
     count = np.zeros((2, rows * columns))

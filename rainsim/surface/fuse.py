@@ -41,40 +41,20 @@ KEY_BITS = 19  # of a voxel's place along each axis
 
 
 class CaptureSurface(NamedTuple):
-    """Places on the surface of a capture, in the ground frame.
+    """Places on the surface of a capture, in the ground frame."""
 
-    Attributes
-    ----------
-    position, normal : ndarray of shape (n, 3), float32
-        [m]; unit, towards the cameras that see it.
-    flat : ndarray of shape (n,), float32
-        How far the places around lie in one plane, 0 (leaves) to 1 (paving).
-    light : ndarray of shape (n, 3), float32
-        Linear captured colour, relative to display white.
-    size : ndarray of shape (n,), float32 [m]
-        Side of its voxel.
-    views : ndarray of shape (n,), uint8
-        Cameras that see it.
-    """
-
-    position: np.ndarray
-    normal: np.ndarray
-    flat: np.ndarray
-    light: np.ndarray
-    size: np.ndarray
-    views: np.ndarray
+    position: np.ndarray  # (n, 3), float32, m
+    normal: np.ndarray  # (n, 3), float32, unit, towards the cameras that see it
+    flat: np.ndarray  # (n,), float32: places around lie in one plane, 0 (leaves) to 1 (paving)
+    light: np.ndarray  # (n, 3), float32, linear captured colour, relative to display white
+    size: np.ndarray  # (n,), float32, m, side of its voxel
+    views: np.ndarray  # (n,), uint8, cameras that see it
 
 
 def fused(views, middle, radius):
     """Return the `CaptureSurface` that depth pictures show.
 
-    Parameters
-    ----------
-    views : sequence of DepthView
-    middle : ndarray of shape (3,) [m]
-        Of what the cameras look at.
-    radius : float [m]
-        About it, within which voxels are VOXEL wide.
+    Voxels are VOXEL wide within a radius [m] about `middle` [m], which the cameras look at.
     """
     middle = np.asarray(middle, np.float32)
     voxels = _Voxels()
@@ -178,13 +158,9 @@ def thinned(surface):
 
 
 def counted(position, size, views):
-    """Return how many views see each place, look through it, and have something before it, (n, 3).
+    """Return how many views see, look through and have something before each place, (n, 3).
 
-    Parameters
-    ----------
-    position : ndarray of shape (n, 3), float32 [m]
-    size : ndarray of shape (n,), float32 [m]
-    views : sequence of DepthView
+    Places and their sizes are in metres, see `count_views`.
     """
     found = np.zeros((len(position), 3), np.uint8)
     for view in views:
@@ -308,13 +284,7 @@ def add_view(view: DepthView, middle, radius, voxel, count, table_out, keys_out,
 def count_views(position, size, view: DepthView, found_out):
     """Count the views that see each place, look through it, and have something before it.
 
-    Parameters
-    ----------
-    position : ndarray of shape (n, 3), float32 [m]
-    size : ndarray of shape (n,), float32 [m]
-        By half of which a place may be off.
-    view : DepthView
-    found_out : ndarray of shape (n, 3), uint8
+    `position`, (n, 3) [m], may be off by half of `size`, (n,) [m]; `found_out` is (n, 3), uint8.
     """
     height, width = view.depth.shape
     m, lens = view.matrix, view.lens
@@ -339,14 +309,8 @@ def count_views(position, size, view: DepthView, found_out):
 def planes(position, towards, size, plain):
     """Return normals (n, 3), how flat it is (n,), and the places (n, 3) moved to planes fitted.
 
-    Parameters
-    ----------
-    position : ndarray of shape (n, 3), float32 [m]
-    towards : ndarray of shape (n, 3)
-        Sum of the directions to the cameras that see each place.
-    size : ndarray of shape (n,), float32 [m]
-    plain : ndarray of shape (n,), float32
-        How little texture tells the depth, 0 to 1.
+    `position` and `size` are in metres, `towards` is the sum of the directions to the cameras that
+    see each place, `plain` how little texture tells the depth, 0 to 1.
     """
     count = len(position)
     normal, flat = np.zeros((count, 3), np.float32), np.zeros(count, np.float32)

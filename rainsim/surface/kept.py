@@ -37,28 +37,16 @@ LOST = 0.5  # m from every place, beyond which a splat shows no surface; at twic
 class Found(NamedTuple):
     """What the cameras of a capture show.
 
-    Attributes
-    ----------
-    surface : CaptureSurface
-    sky : ndarray of shape (n,), bool
-        Splats that are sky.
-    middle : ndarray of shape (3,), float32 [m]
-        Of what the cameras look at, in the ground frame.
-    solid : ndarray of shape (m, 10), float32
-        Of the splats that stop light: place [m], covariance [m2] as xx, xy, xz, yy, yz, zz, and the
-        square of the deviations within which they stop STOPS.
-    open : ndarray of shape (rows, columns), bool
-        See `captured_sky.seen_sky`.
-    half : float [m]
-        From the middle, how far they look.
+    Of the splats that stop light `solid` has the place [m], the covariance [m2] as xx, xy, xz, yy,
+    yz, zz, and the square of the deviations within which they stop STOPS.
     """
 
     surface: CaptureSurface
-    sky: np.ndarray
-    middle: np.ndarray
-    solid: np.ndarray
-    open: np.ndarray
-    half: float
+    sky: np.ndarray  # (n,), bool, splats that are sky
+    middle: np.ndarray  # (3,), float32, m, of what the cameras look at, in the ground frame
+    solid: np.ndarray  # (m, 10), float32
+    open: np.ndarray  # (rows, columns), bool, see `captured_sky.seen_sky`
+    half: float  # m, from the middle, how far they look
 
 
 _last = [None, None]  # name of the result that was asked for last, and the result

@@ -56,19 +56,10 @@ def ground_sweep(scene, found):
 
 
 class GroundSweep:
-    """The pictures of a capture, in which heights of its ground are tried.
+    """The pictures of a capture with cameras, in which heights of its ground are tried.
 
-    Parameters
-    ----------
-    scene : Scene
-        With cameras.
-    surface : CaptureSurface
-        Whose heights are the first guess.
-
-    Attributes
-    ----------
-    thin : bool
-        Whether the capture's splats are flat: then they show finer forms than the pictures tell.
+    The heights of `surface` are the first guess. `thin` says whether the capture's splats are flat:
+    then they show finer forms than the pictures tell.
     """
 
     def __init__(self, scene, surface):
@@ -89,21 +80,11 @@ class GroundSweep:
             ))  # fmt: skip
 
     def heights(self, grid, start, wanted):
-        """Return the height of the ground in the cells of a map, and how sure it is.
+        """Return the height of the ground in the cells of a map [m], and how far it is smoothed.
 
-        Parameters
-        ----------
-        grid : Grid
-        start : ndarray of shape (ny, nx), float32 [m]
-            A first guess, within some centimetres.
-        wanted : ndarray of shape (ny, nx), bool
-            Cells whose height is asked for; the others are left as they are.
-
-        Returns
-        -------
-        height : ndarray of shape (ny, nx), float32 [m]
-        smoothed : ndarray of shape (ny, nx), float32
-            How far the pictures' means have smoothed it, 0 to 1.
+        `start` is a first guess [m], within some centimetres, `wanted` the cells whose height is
+        asked for: the others are left as they are. All are maps of shape (ny, nx); the pictures'
+        means have smoothed a height by 0 to 1.
         """
         times = max(1, round(CELL / grid.spacing))
         cell = times * grid.spacing
@@ -298,18 +279,8 @@ def try_offsets(position, normal, wanted, offsets, picture: TexturePicture, sums
 def variances(position, normal, wanted, offsets, pictures):
     """Return how much pictures differ at offsets along a normal, and their weights.
 
-    Parameters
-    ----------
-    position, normal, wanted, offsets
-        See `try_offsets`.
-    pictures : sequence of TexturePicture
-
-    Returns
-    -------
-    variance : ndarray of shape (k, ny, nx), float32
-    weight : ndarray of shape (ny, nx), float32
-    count : ndarray of shape (ny, nx), uint16
-        Of the pictures that show a place.
+    Arguments are as for `try_offsets`. The variance is of shape (k, ny, nx), float32; the weight,
+    float32, and the number of the pictures that show a place, uint16, are of shape (ny, nx).
     """
     sums = np.zeros((3, len(offsets), *wanted.shape), np.float32)
     count = np.zeros(wanted.shape, np.uint16)

@@ -37,14 +37,9 @@ class DepthView(NamedTuple):
 
 
 def window_of(position, cameras):
-    """Return the middle [m] and half the width [m] of the area that cameras look at.
+    """Return the middle [m] and half the width [m] of the area that cameras (ground frame) look at.
 
-    Parameters
-    ----------
-    position : ndarray of shape (n, 3) [m]
-        Of the splats.
-    cameras : sequence of Camera
-        In the ground frame. Where they are few the splats say it.
+    Where they are few the splats, at `position` [m], say it.
     """
     if len(cameras) >= FEWEST_CAMERAS:
         eyes = np.array([camera.position for camera in cameras])

@@ -34,25 +34,11 @@ SURE = 0.85  # of the greatest difference between pictures, that the least may b
 
 
 def to_walls(position, towards, size, plain, seen, views):
-    """Return places moved to the walls that they belong to, and the walls' normals.
+    """Return places (n, 3) moved to the walls that they belong to, and the walls' normals (n, 3).
 
-    Parameters
-    ----------
-    position : ndarray of shape (n, 3), float32 [m]
-    towards : ndarray of shape (n, 3)
-        Sum of the directions to the cameras that see each.
-    size : ndarray of shape (n,), float32 [m]
-    plain : ndarray of shape (n,), float32
-        How plain each is, 0 to 1: what is plain shows where walls are.
-    seen : ndarray of shape (n,), uint8
-        Cameras that see each.
-    views : sequence of DepthView
-
-    Returns
-    -------
-    moved : ndarray of shape (n, 3), float32
-    upright : ndarray of shape (n, 3), float32
-        Either way along the normal; 0 where no wall is.
+    `position` and `size` are in metres, `towards` is the sum of the directions to the `seen`
+    cameras that see each; `plain` is how plain each is, 0 to 1: what is plain shows where walls
+    are. A normal points either way; it is 0 where no wall is.
     """
     moved, found = position.copy(), np.zeros(len(position), bool)
     upright, walls = np.zeros((len(position), 3), np.float32), []

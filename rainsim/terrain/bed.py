@@ -141,10 +141,7 @@ def _block_median(values, known, size):
 def smooth(height, noise, spacing):
     """Return `height` smoothed at the scale of its noise, but only by a median at kerbs and steps.
 
-    Parameters
-    ----------
-    height, noise : ndarray of shape (ny, nx), float32 [m]
-    spacing : float [m]
+    Height and noise are maps [m], `spacing` the width of their cells [m].
     """
     median = filters.median_filter(height)
     finest, scale = SMOOTHING[0]
@@ -171,14 +168,8 @@ def straighten(height, step, spacing):
 
     Splats tell an edge to half the gap between them; along a kerb there are many. The mask of the
     upper level, blurred, keeps a straight edge in its place and loses the jags; only cells within
-    4 cm of the edge change, between levels that are both wide.
-
-    Parameters
-    ----------
-    height : ndarray of shape (ny, nx), float32 [m]
-    step : ndarray of shape (ny, nx), bool
-        Of the cells about steps.
-    spacing : float [m]
+    4 cm of the edge change, between levels that are both wide. `step` marks the cells about steps;
+    height and spacing are in metres.
     """
     labels, count = ndimage.label(ndimage.binary_dilation(step, np.ones((3, 3), bool)))
     margin = int(EDGE_AROUND / spacing) + 1
@@ -218,13 +209,8 @@ def _straighten_one(height, band, spacing, out):
 def lower_rim(height, hard, grass, spacing):
     """Return `height` with the last cells of paving before grass not above the paving behind them.
 
-    Those cells are of both: blades in them raise a wall that would dam puddles.
-
-    Parameters
-    ----------
-    height : ndarray of shape (ny, nx), float32 [m]
-    hard, grass : ndarray of shape (ny, nx), bool
-    spacing : float [m]
+    Those cells are of both: blades in them raise a wall that would dam puddles. `hard` and `grass`
+    are masks; height and spacing are in metres.
     """
     width = max(2, round(MIXED_WIDTH / spacing))
     rim = hard & ndimage.binary_dilation(grass, iterations=width)
@@ -246,17 +232,8 @@ def soil_under_grass(canopy, grass, points, weights, grid):
     """Return the height of the ground with the grass taken off, ndarray of shape (ny, nx) [m].
 
     Blades hide the soil from above, but splats reach down between them: the soil is a low
-    percentile of their heights.
-
-    Parameters
-    ----------
-    canopy : ndarray of shape (ny, nx), float32 [m]
-    grass : ndarray of shape (ny, nx), bool
-    points : ndarray of shape (n, 3) [m]
-        Solid splats near the ground.
-    weights : ndarray of shape (n,)
-        Not used where it is 0.
-    grid : Grid
+    percentile of their heights. `points` [m] are solid splats near the ground; those of weight 0
+    are not used.
     """
     row, column, inside = grid.cells(points[:, 0], points[:, 1])
     inside &= weights > 0

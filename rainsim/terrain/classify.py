@@ -42,15 +42,8 @@ def is_green(splats):
 def classify(bed, top, source, noise, color, green, spacing):
     """Return the class of every cell, ndarray of shape (ny, nx), uint8.
 
-    Parameters
-    ----------
-    bed, top : ndarray of shape (ny, nx), float32 [m]
-    source : ndarray of shape (ny, nx), uint8
-    noise : ndarray of shape (ny, nx), float32 [m]
-    color : ndarray of shape (ny, nx, 3), float32
-    green : ndarray of shape (ny, nx), float32
-        Excess green, 2 G - R - B, smoothed over a few cm.
-    spacing : float [m]
+    Bed and top are heights [m], `noise` is the bed's deviation [m]; `green` is the excess green,
+    2 G - R - B, smoothed over a few cm.
     """
     unknown = source == UNKNOWN
     plants = (green > EXCESS_GREEN) | unknown
@@ -145,10 +138,7 @@ def read_mask(path):
 def painted_mask(painted, grid):
     """Return a class mask of the cells of a `Grid` from `PaintedClasses`, -1 where none is.
 
-    Raises
-    ------
-    InputError
-        If a painted class has a name that this version does not know.
+    InputError if a painted class has a name that this version does not know.
     """
     names = class_table().names
     strange = [name for name in painted.name if name not in names]

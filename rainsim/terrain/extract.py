@@ -45,25 +45,12 @@ LEAST_GROUND = 0.02  # share of the map that must show ground
 
 
 def extract_terrain(scene, config, mask=None, tell=None):
-    """Return the `Terrain` of a scene.
+    """Return the `Terrain` of a scene, see `rainsim.pipeline.extract_terrain`.
 
-    Parameters
-    ----------
-    scene : Scene
-    config : TerrainConfig
-        spacing [m] and extent (half width [m] or None).
-    mask : ndarray of shape (ny, nx), int, optional
-        Class of each cell as the user has it; -1 where it is to be found from the splats. If None,
-        the classes painted in the scene are taken, see `Scene.painted`.
-    tell : callable, optional
-        tell(notes, done, total) is called as steps are done; `notes` say what map is made.
-
-    Raises
-    ------
-    GroundError
-        If hardly any ground is seen within the map.
-    ParameterError
-        If the mask does not fit the map.
+    `config` is the TerrainConfig. Cells of the mask that are -1 are found from the splats; without
+    one the classes painted in the scene are taken, see `Scene.painted`. tell(notes, done, total) is
+    called as steps are done; notes say what map is made. GroundError if hardly any ground is seen
+    within the map, ParameterError if the mask does not fit the map.
     """
     grid, notes = choose_grid(scene, config)
     if mask is None and scene.painted is not None:
@@ -113,20 +100,9 @@ def extract_terrain(scene, config, mask=None, tell=None):
 def arrays_over(scene, grid, level, step=lambda: None):
     """Return the arrays of a `Terrain` over a part of a scene's ground; None if no splat is there.
 
-    Parameters
-    ----------
-    scene : Scene
-    grid : Grid
-        What lies within MARGIN of its rim is made from less than all that bears on it.
-    level : callable
-        level(x, y) is about the height of the ground [m], for arrays of points.
-    step : callable
-        step() is called between the steps.
-
-    Returns
-    -------
-    dict of str to ndarray
-        Of shape (ny, nx) or (ny, nx, 3).
+    They are of shape (ny, nx) or (ny, nx, 3); within MARGIN of the grid's rim they are made from
+    less than all that bears on it. level(x, y) is about the height of the ground [m], for arrays of
+    points; step() is called between the steps.
     """
     mask = None if scene.painted is None else painted_mask(scene.painted, grid)
     scene = scene_over(scene, grid)
@@ -181,13 +157,8 @@ def pieces(grid):
     """Yield the parts in which a map is made, so that memory grows only with what is kept.
 
     Each overlaps its neighbours by a margin, wider than what cells know of each other. A part whose
-    margins are wider than itself would cost more than it saves: such a map has larger parts.
-
-    Yields
-    ------
-    core, inner : tuple of slice
-        The cells that the part is for, in the whole map and in the part.
-    piece : Piece
+    margins are wider than itself would cost more than it saves: such a map has larger parts. With a
+    `Piece` come the cells that it is for: slices in the whole map and in the part.
     """
     margin = round(MARGIN / grid.spacing)
     number = [1, 1]

@@ -39,24 +39,9 @@ WIDER = 1.25  # times the usual cells: those of one map for all from which on wi
 class PathGround:
     """The ground of a scene along a path.
 
-    Parameters
-    ----------
-    overview : Terrain
-        The coarse map, actors on it.
-    path : sequence of Camera
-        One per frame, or one for all, in the ground frame.
-    frames : int
-        Of the whole path.
-    spacing : float [m]
-        Of the windows' cells.
-    footprints : tuple of Footprint
-        The actors on maps of that spacing.
-
-    Attributes
-    ----------
-    overview : Terrain
-    stations : list of Station
-        In the order of their frames.
+    `overview` is the coarse map, actors on it; `path` has a camera for each of the frames, or one
+    for all, in the ground frame. Windows have cells of `spacing` [m]; `footprints` are those of the
+    actors on such maps. `stations` are in the order of their frames.
     """
 
     def __init__(self, overview, path, frames, spacing, footprints=()):
@@ -91,13 +76,7 @@ class PathGround:
     def around(self, scene, station, check=lambda: None):
         """Return the `Terrain` of a station's window and of its surroundings, actors on it.
 
-        Parameters
-        ----------
-        scene : Scene
-            The one that the overview was made of.
-        station : Station
-        check : callable
-            check() is called between the steps.
+        The scene is the one that the overview was made of; check() is called between the steps.
         """
         cells, spacing = station.around, station.spacing
         axis, strip = long_axis(cells), cells_of(STRIP, spacing)
@@ -173,16 +152,10 @@ def grid_of(cells, spacing):
 
 
 def part_of(terrain, window):
-    """Return the `Terrain` of a part of a map without tops and painted water, its arrays copied.
+    """Return the `Terrain` of a window (rows, columns) of a map, its arrays copied.
 
-    Nor has it colours, by which only the light of the whole is set up.
-    What moves on the map moves on the part, too.
-
-    Parameters
-    ----------
-    terrain : Terrain
-    window : tuple of slice
-        Rows and columns.
+    It has no tops and no painted water, nor colours, by which only the light of the whole is set
+    up. What moves on the map moves on the part, too.
     """
     grid = terrain.grid
     rows, columns = window
@@ -204,24 +177,9 @@ def follows_path(scene, config, cameras, backend="cpu", mask=None):
     """Tell whether the ground of a scene is mapped along the path of the cameras.
 
     By `auto` it is where one map for all would need wider cells than usual, or more cells of the
-    given size than the memory holds. Cameras from above, who see far, keep one map.
-
-    Parameters
-    ----------
-    scene : Scene
-    config : Config
-    cameras : sequence of Camera
-        One per frame, or one for all.
-    backend : {"cpu", "cuda"}
-    mask : object, optional
-        Classes of one map, or water on it.
-
-    Raises
-    ------
-    ParameterError
-        If the path is asked for together with what needs one map.
-    BackendError
-        If the backend cannot draw it.
+    given size than the memory holds. Cameras from above, who see far, keep one map. `mask` are
+    classes of one map, or water on it. ParameterError if the path is asked for together with what
+    needs one map, BackendError if the backend cannot draw it.
     """
     terrain, choice = config.terrain, config.terrain.ground_map
     if choice == "whole":
@@ -258,14 +216,9 @@ def follows_path(scene, config, cameras, backend="cpu", mask=None):
 
 
 def path_ground(scene, config, cameras):
-    """Return the `PathGround` of a scene, and notes on it.
+    """Return the `PathGround` of a scene along cameras in the capture frame, and notes on it.
 
-    Parameters
-    ----------
-    scene : Scene
-    config : Config
-    cameras : sequence of Camera
-        One per frame, or one for all, in the capture frame.
+    There is one camera per frame, or one for all.
     """
     spacing = config.terrain.spacing or USUAL_SPACING
     coarse = max(choose_grid(scene, TerrainConfig(), OVERVIEW_CELLS)[0].spacing, spacing)

@@ -20,20 +20,10 @@ CHECK_WIDTH = 960  # px
 
 
 def hillshade(height, spacing, exaggerate=4):
-    """Return the brightness of a height field lit from the north-west, 35 degrees up.
+    """Return the brightness, 0 to 1, of a height field lit from the north-west, 35 degrees up.
 
-    Parameters
-    ----------
-    height : ndarray of shape (ny, nx) [m]
-        Row 0 in the south, as in the result.
-    spacing : float [m]
-    exaggerate : float
-        Factor on the heights.
-
-    Returns
-    -------
-    ndarray of shape (ny, nx)
-        0 to 1, without cast shadows.
+    Row 0 is in the south, also in the result. Heights and spacing are in metres; heights are taken
+    `exaggerate` times; no shadow is cast.
     """
     azimuth, elevation = np.radians(135), np.radians(35)
     dy, dx = np.gradient(height * exaggerate, spacing)
@@ -106,23 +96,10 @@ def through_camera(scene, terrain, camera, depth=None):
 
 
 def points_at(splats, camera, pixels):
-    """Return the surface points that a camera sees at pixels, in the capture frame.
+    """Return the surface points that a camera sees at pixels, (n, 3), in the capture frame.
 
-    Parameters
-    ----------
-    splats : Splats
-    camera : Camera
-    pixels : array_like of shape (n, 2) [px]
-        Column and row in the camera's full picture, from its upper left corner.
-
-    Returns
-    -------
-    ndarray of shape (n, 3), float64 [capture units]
-
-    Raises
-    ------
-    ParameterError
-        If a pixel lies outside the picture or shows nothing solid.
+    Pixels are columns and rows in the camera's full picture, (n, 2) [px], from its upper left
+    corner. ParameterError if one lies outside the picture or shows nothing solid.
     """
     from rainsim import raster
 

@@ -32,21 +32,10 @@ LEAST_PITCH = 0.02  # m between them
 
 
 def fill_ponds(grid, bed, classes, color):
-    """Dig the assumed beds of painted water (bed and color are modified in place).
+    """Dig the assumed beds of painted water (bed [m] and color are modified in place).
 
-    Parameters
-    ----------
-    grid : Grid
-    bed : ndarray of shape (ny, nx), float32 [m]
-    classes : ndarray of shape (ny, nx), uint8
-        WATER where the user's mask has it.
-    color : ndarray of shape (ny, nx, 3), float32
-
-    Returns
-    -------
-    depth : ndarray of shape (ny, nx), float32 [m], or None
-        Of the water, 0 where there is none; None if there is none at all.
-    notes : tuple of str
+    `classes` are WATER where the user's mask has it. Return the depth of the water [m], 0 where
+    there is none, or None if there is none at all; and notes.
     """
     wet = classes == WATER
     if not wet.any():
@@ -104,13 +93,7 @@ def without_images(scene, terrain):
 def shows_water(frame, grid, bed, water, splats):
     """Return which splats are captured water or a mirror image below the ground, (n,) bool.
 
-    Parameters
-    ----------
-    frame : GroundFrame
-    grid : Grid
-    bed, water : ndarray of shape (ny, nx), float32 [m]
-        The assumed bed of painted water, and how deep it is.
-    splats : Splats
+    `bed` is the assumed bed of painted water [m], `water` how deep it is [m].
     """
     wet = water > 0
     level = np.where(wet, bed + water, 0)

@@ -17,18 +17,10 @@ DEEPEST = 10.0  # m
 
 
 class WaterMask(NamedTuple):
-    """Depths of water on the cells of a height map.
+    """Depths of water on the cells of a height map."""
 
-    Attributes
-    ----------
-    depth : ndarray of shape (ny, nx), float32 [m]
-        Row 0 in the south.
-    stays : bool
-        Whether the ground is dented by the depth, so that the water stays.
-    """
-
-    depth: np.ndarray
-    stays: bool
+    depth: np.ndarray  # (ny, nx), float32, m, row 0 in the south
+    stays: bool  # whether the ground is dented by the depth, so that the water stays
 
 
 def read_water_mask(path, use=STAYS):
@@ -61,19 +53,9 @@ def write_water_mask(path, mask):
 
 
 def painted_water(mask, grid, point, radius, depth, stays):
-    """Return a `WaterMask` with a disc of water painted on it.
+    """Return a `WaterMask` with a disc of water painted on it about `point` (x, y), radius in m.
 
-    Parameters
-    ----------
-    mask : WaterMask or None
-    grid : Grid
-    point : sequence of float [m]
-        Its x and y are the middle of the disc.
-    radius : float [m]
-    depth : float [m]
-        0 takes water away.
-    stays : bool
-        Of all water of the mask.
+    A depth [m] of 0 takes water away; `stays` holds for all water of the mask.
     """
     found = np.zeros(grid.shape, np.float32) if mask is None else mask.depth.copy()
     found[grid.disc(point, radius)] = depth
@@ -81,21 +63,11 @@ def painted_water(mask, grid, point, radius, depth, stays):
 
 
 def with_water(terrain, mask):
-    """Return the terrain with water on it at the start, and a note.
+    """Return the terrain with the water of a `WaterMask` on it at the start, and a note.
 
     Water that stays fills a dent of its depth in the ground up to the dent's low rim: on a slope a
     part of the dent is dry. Water that drains is poured, and comes to rest where the ground dips.
-
-    Parameters
-    ----------
-    terrain : Terrain
-    mask : WaterMask or None
-        None: the terrain itself is returned.
-
-    Raises
-    ------
-    ParameterError
-        If the mask does not fit the map.
+    Without a mask the terrain itself is returned; ParameterError if it does not fit the map.
     """
     if mask is None or not mask.depth.any():
         return terrain

@@ -31,25 +31,11 @@ UNSEEN, CARRIED, FOUND = 0, 1, 2
 
 
 def follow_ground(points, cover, grid, start):
-    """Return the coarse level of the ground.
+    """Return the coarse level of the ground, and the share of coarse cells with their own.
 
-    Parameters
-    ----------
-    points : ndarray of shape (n, 3) [m]
-        Centres of the splats.
-    cover : ndarray of shape (n,) [m2]
-        Area that each covers.
-    grid : Grid
-        Of the map.
-    start : float [m]
-        Radius about the map's middle in which the search starts, where ground lies on the plane.
-
-    Returns
-    -------
-    callable
-        level(x, y) of the ground [m], for arrays of points.
-    share : float
-        Of the map's coarse cells with ground of their own.
+    The level is a function of arrays of x and y [m]. `points` are the centres of the splats, (n, 3)
+    [m], `cover` the area that each covers [m2]. The search starts within `start` [m] of the map's
+    middle, where ground lies on the plane.
     """
     (width, depth), origin = grid.size, np.array(grid.origin)
     nx, ny = max(1, int(np.ceil(width / CELL))), max(1, int(np.ceil(depth / CELL)))
@@ -205,19 +191,8 @@ def lonely(points, splats, frame, grid, top):
     """Return the mask of splats with too little surface about them to be a thing: floaters.
 
     Within three voxels of about 10 cm each way the splats of a surface cover it; floaters, be they
-    many, are small or faint.
-
-    Parameters
-    ----------
-    points : ndarray of shape (n, 3) [m]
-        Centres in the ground frame.
-    splats : Splats
-        In the capture frame.
-    frame : GroundFrame
-    grid : Grid
-        Of the map; what lies beyond it is not lonely.
-    top : float [m]
-        Height up to which is looked.
+    many, are small or faint. `points` are the centres in the ground frame [m], `splats` lie in the
+    capture frame. What lies beyond the map or above the height `top` [m] is not lonely.
     """
     lonely = np.zeros(len(points), bool)
     low = np.array([*grid.origin, points[:, 2].min(initial=0.0, where=np.isfinite(points[:, 2]))])

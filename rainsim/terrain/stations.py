@@ -33,23 +33,15 @@ LEAD = 0.2  # s before its first frame that a station's water is simulated
 class Station(NamedTuple):
     """A window of the ground and the frames that it serves.
 
-    Attributes
-    ----------
-    first, end : int
-        Frames; the end is not served.
-    cells : tuple of int
-        First and last row + 1, first and last column + 1 on the lattice of the window's cells,
-        whose cell (0, 0) has its south-western corner at the origin of the ground frame.
-    around : tuple of int
-        The same of the part of the ground from which water stands in the window.
-    spacing : float [m]
+    Cells are the first and last row + 1, first and last column + 1 on the lattice of the window's
+    cells, whose cell (0, 0) has its south-western corner at the origin of the ground frame.
     """
 
-    first: int
-    end: int
-    cells: tuple
-    around: tuple
-    spacing: float
+    first: int  # frame
+    end: int  # frame, not served
+    cells: tuple  # of the window
+    around: tuple  # of the part of the ground from which water stands in the window
+    spacing: float  # m
 
     @property
     def window(self):
@@ -66,27 +58,9 @@ class Station(NamedTuple):
 def stations_of(path, frames, spacing, height=None):
     """Return the stations of a path, a list of `Station` in the order of their frames.
 
-    Parameters
-    ----------
-    path : sequence of Camera
-        One per frame, or one for all, in the ground frame.
-    frames : int
-        Of the whole path.
-    spacing : float [m]
-    height : callable, optional
-        height(x, y) of the ground [m], for arrays of points; without it 0.
-
-    Raises
-    ------
-    ParameterError
-        If what a single camera needs has too many cells.
-
-    Examples
-    --------
-    A car drives straight on: each window lies ahead of the one before.
-
-    >>> len(stations_of([camera], 24, 0.02))
-    1
+    There is a camera for each of the frames, or one for all, in the ground frame. Cells are
+    `spacing` [m] wide; height(x, y) is that of the ground [m], for arrays of points, 0 if left out.
+    ParameterError if the part that a single camera needs has too many cells.
     """
     still = len(path) == 1
     eyes = np.array([camera.position for camera in path])
@@ -116,19 +90,8 @@ def needed_cells(camera, ground, spacing):
     """Return the cells that a camera needs, as `Station.cells`.
 
     A rectangle along its view on the ground; a high camera's lies where the view meets the ground.
-
-    Parameters
-    ----------
-    camera : Camera
-        In the ground frame.
-    ground : float [m]
-        Height of the ground below it.
-    spacing : float [m]
-
-    Raises
-    ------
-    ParameterError
-        If they are more than `MOST_CELLS`.
+    The camera is in the ground frame, `ground` the height of the ground below it [m].
+    ParameterError if the cells are more than `MOST_CELLS`.
     """
     eye, view = camera.position, camera.forward
     level = math.hypot(view[0], view[1])

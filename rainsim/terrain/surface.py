@@ -41,15 +41,8 @@ def is_surface(path):
 def terrain_from_surface(path, config, up=None, meters_per_unit=None):
     """Return the `Terrain` of a mesh or a TIFF.
 
-    Parameters
-    ----------
-    path : path-like
-    config : TerrainConfig
-        spacing [m], of a TIFF its own cell size; extent (half width [m] or None for all).
-    up : array_like of shape (3,), optional
-        Of a mesh; z if not given.
-    meters_per_unit : float, optional
-        1 if not given.
+    Of the TerrainConfig spacing [m], of a TIFF its own cell size, and extent count (half width [m]
+    or None for all). `up` is a mesh's, z if not given; there is 1 metre in a unit if not given.
     """
     path = Path(path)
     scale = 1.0 if meters_per_unit is None else require_positive("meters-per-unit", meters_per_unit)
@@ -84,13 +77,7 @@ def _level(up):
 def terrain_from_mesh(points, triangles, config, notes=()):
     """Return the `Terrain` of the uppermost surface of a triangle mesh.
 
-    Parameters
-    ----------
-    points : ndarray of shape (n, 3) [m]
-        z up.
-    triangles : ndarray of shape (m, 3), int
-    config : TerrainConfig
-    notes : tuple of str
+    `points` are of shape (n, 3) [m], z up, `triangles` of shape (m, 3), int.
     """
     used = points[np.unique(triangles)]
     low, high = used[:, :2].min(axis=0), used[:, :2].max(axis=0)
@@ -155,13 +142,9 @@ def terrain_from_heights(height, grid, notes=()):
 
 @serial_kernel
 def raise_to_triangles(corners, height_out):
-    """Raise each cell's height to the triangles over its centre.
+    """Raise each cell's height [m] to the triangles over its centre.
 
-    Parameters
-    ----------
-    corners : ndarray of shape (m, 3, 3), float64
-        x, y in cells (a centre has whole numbers), z [m].
-    height_out : ndarray of shape (ny, nx), float32 [m]
+    `corners`, (m, 3, 3), float64, are x, y in cells (a centre has whole numbers) and z [m].
     """
     ny, nx = height_out.shape
     for n in range(len(corners)):

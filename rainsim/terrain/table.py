@@ -20,32 +20,18 @@ _NOT_COLUMNS = "code", "color"
 class ClassTable:
     """Names, colours and numbers of the ground classes; the place in each is the class's code.
 
-    Attributes
-    ----------
-    names : tuple of str
-    colors : ndarray of shape (n, 3), uint8
-        Of the class map.
-    columns : dict of str to ndarray of shape (n,)
-        storage [m], infiltration [m/s], manning [s/m^(1/3)], porosity, film_slope, albedo,
-        albedo_spread (float32); soaks, mirrors.
+    Columns by name: storage [m], infiltration [m/s], manning [s/m^(1/3)], porosity, film_slope,
+    albedo, albedo_spread (float32); soaks, mirrors.
     """
 
     names: tuple
-    colors: np.ndarray
+    colors: np.ndarray  # (n, 3), uint8, of the class map
     columns: dict
 
     def column(self, name):
-        """Return one number of every ground class, ndarray of shape (n,).
+        """Return one number of every ground class by its key, see `columns`, ndarray of shape (n,).
 
-        Parameters
-        ----------
-        name : str
-            A key of `columns`, which lists the units.
-
-        Returns
-        -------
-        ndarray of shape (n,)
-            The table's own array, not a copy: index it with codes of ground classes.
+        It is the table's own array, not a copy: index it with codes of ground classes.
         """
         return self.columns[name]
 

@@ -45,11 +45,7 @@ FITS = 4  # of the surface, each to the better half of the cells
 def find_tops(terrain, scene=None):
     """Return the `Tops` of a terrain.
 
-    Parameters
-    ----------
-    terrain : Terrain
-    scene : Scene or None
-        Whose splats show the relief of level tops; without one the terrain's cells do.
+    The splats of a scene show the relief of level tops; without one the terrain's cells do.
     """
     grid, found = terrain.grid, []
     for box, mask in flat_patches(terrain):

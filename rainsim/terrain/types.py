@@ -71,40 +71,20 @@ class Tops:
     """Flat tops above the ground: tables, benches, roofs.
 
     A top's surface is a plane, or curved a little: s0 + s1 X + s2 Y + s3 X^2 + s4 X Y + s5 Y^2,
-    with X, Y the distance from its centre. A level top has a patch of finer cells besides, on
-    which its relief is known; the patches lie one above the other in one array, with dry cells
-    around each.
-
-    Attributes
-    ----------
-    index : ndarray of shape (ny, nx), int16
-        The top over each cell of the terrain and a margin around it, -1 for none; (0, 0) if there
-        are no tops.
-    surface : ndarray of shape (n, 6), float64
-        s0 [m] to s5 [1/m].
-    centre : ndarray of shape (n, 2), float64 [m]
-    area : ndarray of shape (n,), float64 [m2]
-    patch : ndarray of shape (n, 3), int64
-        First row in the arrays, rows and columns of each top's patch; no rows if it is not level.
-    corner : ndarray of shape (n, 2), float64 [m]
-        x, y of the patch's south-western corner.
-    spacing : float [m]
-        Of the patches' cells.
-    relief : ndarray of shape (rows, columns), float32 [m]
-        Height over the surface.
-    holds : ndarray of shape (rows, columns), bool
-        Where water can stand: no gaps between planks, nothing beyond the edge.
+    with X, Y the distance from its centre. A level top has a patch of finer cells besides, on which
+    its relief is known; the patches lie one above the other in one array, with dry cells around
+    each. Without tops the index is of shape (0, 0).
     """
 
-    index: np.ndarray
-    surface: np.ndarray
-    centre: np.ndarray
-    area: np.ndarray
-    patch: np.ndarray
-    corner: np.ndarray
-    spacing: float
-    relief: np.ndarray
-    holds: np.ndarray
+    index: np.ndarray  # (ny, nx), int16, the top over each cell and a margin, -1: none
+    surface: np.ndarray  # (n, 6), float64, s0 [m] to s5 [1/m]
+    centre: np.ndarray  # (n, 2), float64, m
+    area: np.ndarray  # (n,), float64, m2
+    patch: np.ndarray  # (n, 3), int64: first row in the arrays, rows, columns; no rows if not level
+    corner: np.ndarray  # (n, 2), float64, m, x and y of the patch's south-western corner
+    spacing: float  # m, of the patches' cells
+    relief: np.ndarray  # (rows, columns), float32, m, over the surface
+    holds: np.ndarray  # (rows, columns), bool: water can stand: no gaps between planks, no edge
 
     def __len__(self):
         return len(self.surface)

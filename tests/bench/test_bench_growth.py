@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import factories
 from rainsim.bench import chart, growth
 from rainsim.raster import prepare, rasterize
 from rainsim.scene.cameras import look_at
-from rainsim.scene.types import Splats
 
 
 def rows_of(power, counts=(1000, 2000, 8000)):
@@ -30,13 +30,10 @@ def test_halved_splats_are_twice_as_many_and_look_the_same():
     rng = np.random.default_rng(5)
     n = 400
     turn = rng.normal(size=(n, 4))
-    splats = Splats(
-        rng.uniform(-0.5, 0.5, (n, 3)).astype(np.float32),
-        (turn / np.linalg.norm(turn, axis=1)[:, None]).astype(np.float32),
-        rng.uniform(0.01, 0.05, (n, 3)).astype(np.float32),
-        rng.uniform(0.1, 0.9, n).astype(np.float32),
-        rng.normal(0, 0.5, (n, 1, 3)).astype(np.float32),
-    )
+    splats = factories.splats(
+        rng.uniform(-0.5, 0.5, (n, 3)), turn / np.linalg.norm(turn, axis=1)[:, None],
+        rng.uniform(0.01, 0.05, (n, 3)), rng.uniform(0.1, 0.9, n), rng.normal(0, 0.5, (n, 1, 3)),
+    )  # fmt: skip
     camera = look_at((0, -2, 0), (0, 0, 0), (0, 0, 1), 40, 48, 48)
     halves = growth.halved(splats)
     assert len(halves) == 2 * n

@@ -5,25 +5,24 @@ import dataclasses
 import numpy as np
 import pytest
 
+import factories
 import naive
 from rainsim import raster
 from rainsim.bench import splat, splat_choices
 from rainsim.bench.splat_truth import draw_truth
 from rainsim.bench.variants import variant
-from rainsim.scene.types import Splats
 from scenes import tiny_scene
 
 
 def fog(count=300, bands=16):
     rng = np.random.default_rng(3)
     rotation = rng.normal(size=(count, 4))
-    return Splats(
-        rng.uniform((-2, -2, 2), (2, 2, 9), (count, 3)).astype(np.float32),
-        (rotation / np.linalg.norm(rotation, axis=1, keepdims=True)).astype(np.float32),
-        np.exp(rng.normal(-1.5, 0.8, (count, 3))).astype(np.float32),
-        rng.uniform(0, 1, count).astype(np.float32),
-        rng.normal(0, 0.3, (count, bands, 3)).astype(np.float32),
-    )
+    return factories.splats(
+        rng.uniform((-2, -2, 2), (2, 2, 9), (count, 3)),
+        rotation / np.linalg.norm(rotation, axis=1, keepdims=True),
+        np.exp(rng.normal(-1.5, 0.8, (count, 3))), rng.uniform(0, 1, count),
+        rng.normal(0, 0.3, (count, bands, 3)),
+    )  # fmt: skip
 
 
 def camera(**changes):

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from functools import partial
 
 import numpy as np
 import pytest
@@ -18,11 +19,7 @@ MAP = ["--spacing", "0.04", "--extent", "1", "--width", "64", "--relight", "off"
 @pytest.fixture
 def export(rainsim, scene_folder):
     """Return a function that exports the tiny scene into the folder `out`."""
-
-    def run(out, *more):
-        return rainsim("export", scene_folder, *MAP, "--out", out, *more)
-
-    return run
+    return partial(rainsim, "export", scene_folder, *MAP, "--out")
 
 
 def files_in(folder):

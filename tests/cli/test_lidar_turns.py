@@ -1,6 +1,7 @@
 """`rainsim lidar`, end to end on a tiny scene."""
 
 import json
+from functools import partial
 
 import numpy as np
 import pytest
@@ -15,11 +16,7 @@ MAP = ["--spacing", "0.04", "--extent", "1"]
 @pytest.fixture
 def lidar(rainsim, scene_folder):
     """Return a function that scans the tiny scene into the folder `out`."""
-
-    def run(out, *more):
-        return rainsim("lidar", scene_folder, *MAP, "--out", out, *more)
-
-    return run
+    return partial(rainsim, "lidar", scene_folder, *MAP, "--out")
 
 
 def test_turns_clear_and_in_rain(lidar, tmp_path):

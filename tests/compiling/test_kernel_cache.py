@@ -24,6 +24,19 @@ def kernel():
 """
 
 
+def python(*words, places, cache):
+    """Run Python on modules of `places` that keeps its kernels in `cache`; return its output."""
+    environment = os.environ | {
+        "PYTHONPATH": os.pathsep.join(map(str, places)), "NUMBA_CACHE_DIR": str(cache),
+    }  # fmt: skip
+    done = subprocess.run(
+        [sys.executable, "-c", *words], cwd=places[0], env=environment, capture_output=True,
+        text=True,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr[-2000:]
+    return done.stdout
+
+
 def test_an_edited_helper_recompiles_its_users_alone(root, tmp_path):
     package = tmp_path / "rainsim"
     package.mkdir()
@@ -41,19 +54,7 @@ def test_an_edited_helper_recompiles_its_users_alone(root, tmp_path):
             "for module in (a, b):\n"
             "    print(sum(module.kernel.stats.cache_misses.values()))\n"
         )
-        environment = os.environ | {
-            "PYTHONPATH": str(tmp_path),
-            "NUMBA_CACHE_DIR": str(tmp_path / "cache"),
-        }
-        done = subprocess.run(
-            [sys.executable, "-c", code],
-            cwd=tmp_path,
-            env=environment,
-            capture_output=True,
-            text=True,
-        )
-        assert done.returncode == 0, done.stderr
-        return done.stdout.split()
+        return python(code, places=[tmp_path], cache=tmp_path / "cache").split()
 
     assert run() == ["1", "1", "1", "1"]
     assert run() == ["1", "1", "0", "0"]
@@ -106,16 +107,8 @@ print(f"{count} damaged files, {anew} kernels compiled again, {folder.unsaved}")
 def damaged(root, tmp_path, count, seed):
     """Damage the files of a kernel in turn, and call it after each; return what was seen."""
     (tmp_path / "made.py").write_text(LOOPS)
-    environment = os.environ | {
-        "PYTHONPATH": os.pathsep.join([str(tmp_path), str(root)]),
-        "NUMBA_CACHE_DIR": str(tmp_path / "cache"),
-    }
-    done = subprocess.run(
-        [sys.executable, "-c", DAMAGES, str(count), str(seed)], env=environment,
-        capture_output=True, text=True,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr[-2000:]
-    return done.stdout.strip()
+    words = DAMAGES, str(count), str(seed)
+    return python(*words, places=[tmp_path, root], cache=tmp_path / "cache").strip()
 
 
 def test_damaged_files_count_as_absent(root, tmp_path):
@@ -140,14 +133,9 @@ def test_kernels_that_cannot_be_kept_run_all_the_same(root, tmp_path):
     place.mkdir(parents=True)
     (place / "made").write_text("a file where their folder would be")
     (tmp_path / "made.py").write_text(LOOPS)
-    environment = os.environ | {
-        "PYTHONPATH": os.pathsep.join([str(tmp_path), str(root)]), "NUMBA_CACHE_DIR": str(place),
-    }  # fmt: skip
-    done = subprocess.run(
-        [sys.executable, "-c", CALL], env=environment, capture_output=True, text=True
-    )
-    assert done.returncode == 0 and done.stdout.startswith("1.0 "), done.stderr
-    assert "File exists" in done.stdout and str(place / "made") in done.stdout
+    shown = python(CALL, places=[tmp_path, root], cache=place)
+    assert shown.startswith("1.0 ")
+    assert "File exists" in shown and str(place / "made") in shown
 
 
 def test_what_could_not_be_kept_is_said_once(monkeypatch, capsys):
@@ -207,15 +195,7 @@ print(difference(Pair(left=3.0, right=1.0)), *difference.stats.cache_misses.valu
 def test_fields_of_a_bundle_that_change_places_recompile_its_kernels(root, tmp_path):
     def run(*fields):
         (tmp_path / "made.py").write_text(BUNDLE.format(*fields))
-        environment = os.environ | {
-            "PYTHONPATH": os.pathsep.join([str(tmp_path), str(root)]),
-            "NUMBA_CACHE_DIR": str(tmp_path / "cache"),
-        }
-        done = subprocess.run(
-            [sys.executable, "-c", "import made"], env=environment, capture_output=True, text=True
-        )
-        assert done.returncode == 0, done.stderr
-        return done.stdout.split()
+        return python("import made", places=[tmp_path, root], cache=tmp_path / "cache").split()
 
     assert run("left", "right") == ["2.0", "1"]
     assert run("left", "right") == ["2.0"]

@@ -25,6 +25,7 @@ from rainsim.daylight.visibility import (
 )
 from rainsim.numerics.srgb import display, linear
 from rainsim.render.wet_scene import WetScene
+from rainsim.scene.splat_sets import joined
 from rainsim.scene.types import Splats
 from rainsim.surface.kept import kept_surface
 
@@ -169,9 +170,7 @@ def indoors():
     ground = splats.take(np.abs(place[:, 2]) < 0.01)
     above = replace(ground, position=frame.to_capture(
         frame.to_ground(ground.position) + np.array([0, 0, 2.4])).astype(np.float32))  # fmt: skip
-    both = Splats(*(np.concatenate([getattr(splats, n), getattr(above, n)]) for n in (
-        "position", "rotation", "scale", "opacity", "sh")))  # fmt: skip
-    return replace(scene, splats=both)
+    return replace(scene, splats=joined([splats, above]))
 
 
 @pytest.mark.parametrize(

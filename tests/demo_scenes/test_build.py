@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+import naive
 from rainsim.demo_scenes.build import (
     Noise,
     box,
@@ -25,25 +26,13 @@ from rainsim.scene.types import GroundFrame
 IDENTITY = GroundFrame(np.eye(3), 1.0, np.zeros(3))
 
 
-def rotation_of(quaternion):
-    """Rotation matrix of one unit quaternion, w first (the textbook formula)."""
-    w, x, y, z = quaternion
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
-
-
 def test_quaternions_give_their_matrices_back(rng):
     half_turns = [turn_about(axis, np.pi) for axis in np.eye(3)]
     matrices = [turn_about(rng.normal(size=3), rng.uniform(-4, 4)) for _ in range(50)]
     matrices = np.array([np.eye(3), *half_turns, *matrices])
     found = quaternions(matrices)
     for matrix, quaternion in zip(matrices, found, strict=True):
-        np.testing.assert_allclose(rotation_of(quaternion), matrix, atol=1e-12)
+        np.testing.assert_allclose(naive.quaternion_matrix(quaternion), matrix, atol=1e-12)
 
 
 def test_turn_about_turns_counter_clockwise():
@@ -151,7 +140,8 @@ def test_to_splats_takes_place_size_and_axes_to_the_capture_frame(rng):
     np.testing.assert_allclose(frame.to_ground(splats.position), cloud.position, atol=1e-5)
     np.testing.assert_allclose(splats.scale * 0.6, cloud.scale, rtol=1e-5)
     for quaternion, axes in zip(splats.rotation, cloud.axes, strict=True):
-        np.testing.assert_allclose(rotation @ rotation_of(quaternion), axes.T, atol=1e-5)
+        turned = rotation @ naive.quaternion_matrix(quaternion)
+        np.testing.assert_allclose(turned, axes.T, atol=1e-5)
 
 
 def colour_seen(splats, s, direction):

@@ -80,21 +80,17 @@ def test_an_array_of_several_blocks_comes_back(folder, monkeypatch, rng):
     same(cache.read("test", "name")[1]["array"], array)
 
 
-@pytest.mark.parametrize("where", [0, 20, 30, 70, 200, -5])
-def test_a_damaged_entry_counts_as_none_and_is_removed(folder, where):
+@pytest.mark.parametrize(
+    "flipped, length", [*((k, None) for k in (0, 20, 30, 70, 200, -5)),
+                        *((None, n) for n in (0, 5, 25, 60, 300, -1))],
+)  # fmt: skip
+def test_a_damaged_entry_counts_as_none_and_is_removed(folder, flipped, length):
     cache.write("test", "name", {"one": 1}, {"array": np.arange(100.0)})
     path = folder / "test-name.kept"
     content = bytearray(path.read_bytes())
-    content[where] ^= 1
-    path.write_bytes(content)
-    assert cache.read("test", "name") is None and not path.exists()
-
-
-@pytest.mark.parametrize("length", [0, 5, 25, 60, 300, -1])
-def test_an_entry_that_is_cut_off_counts_as_none(folder, length):
-    cache.write("test", "name", {"one": 1}, {"array": np.arange(100.0)})
-    path = folder / "test-name.kept"
-    path.write_bytes(path.read_bytes()[:length])
+    if flipped is not None:
+        content[flipped] ^= 1
+    path.write_bytes(content[:length])
     assert cache.read("test", "name") is None and not path.exists()
 
 
@@ -126,12 +122,17 @@ def test_keeping_can_be_turned_off(monkeypatch, tmp_path):
     assert cache.folder() == tmp_path / "rainsim" / "results"
 
 
+def write_aged(folder, *entries):
+    """Write small entries, each an age [s], a kind and a name."""
+    now = time.time()
+    for age, kind, name in entries:
+        cache.write(kind, name, {}, {"array": np.zeros(3)})
+        os.utime(folder / f"{kind}-{name}.kept", (now - age, now - age))
+
+
 def test_what_was_not_used_for_the_longest_time_is_deleted(folder, monkeypatch):
     monkeypatch.setattr(cache, "MOST_ENTRIES", 3)
-    now = time.time()
-    for age, name in ((30, "old"), (20, "used"), (10, "new")):
-        cache.write("test", name, {}, {"array": np.zeros(3)})
-        os.utime(folder / f"test-{name}.kept", (now - age, now - age))
+    write_aged(folder, (30, "test", "old"), (20, "test", "used"), (10, "test", "new"))
     assert cache.read("test", "old") is not None  # used now
     cache.write("test", "newest", {}, {"array": np.zeros(3)})
     assert {p.name for p in folder.iterdir()} == {
@@ -141,10 +142,7 @@ def test_what_was_not_used_for_the_longest_time_is_deleted(folder, monkeypatch):
 
 def test_many_entries_of_one_kind_leave_those_of_others(folder, monkeypatch):
     monkeypatch.setattr(cache, "MOST_OF_A_KIND", 2)
-    now = time.time()
-    for age, kind, name in ((40, "scene", "one"), (30, "part", "a"), (20, "part", "b")):
-        cache.write(kind, name, {}, {"array": np.zeros(3)})
-        os.utime(folder / f"{kind}-{name}.kept", (now - age, now - age))
+    write_aged(folder, (40, "scene", "one"), (30, "part", "a"), (20, "part", "b"))
     assert len(list(folder.iterdir())) == 3
     cache.write("part", "c", {}, {"array": np.zeros(3)})
     assert {p.name for p in folder.iterdir()} == {

@@ -1,5 +1,6 @@
 """Pictures: exact round trips, whole files or none, and HDR files in every coding."""
 
+import itertools
 import struct
 
 import numpy as np
@@ -124,19 +125,20 @@ def _value(rgbe):
     return out
 
 
+def _runs(values):
+    """Yield each value of an array's first axis that differs from the one before, and its count."""
+    for value, same in itertools.groupby(values.tolist()):
+        yield value, len(list(same))
+
+
 def _new_runs(rgbe):
     """Run-length code of today: each channel of a line by itself."""
     data = b""
     for line in rgbe:
         data += bytes((2, 2, 0, WIDTH))
         for channel in line.T:
-            at = 0
-            while at < WIDTH:
-                run = 1
-                while at + run < WIDTH and channel[at + run] == channel[at]:
-                    run += 1
-                data += bytes((128 + run, channel[at])) if run > 1 else bytes((1, channel[at]))
-                at += run
+            for value, run in _runs(channel):
+                data += bytes((128 + run if run > 1 else 1, value))
     return data
 
 
@@ -144,13 +146,8 @@ def _old_runs(rgbe):
     """Run-length code of old: a pixel 1 1 1 n repeats the one before n times."""
     data = b""
     for line in rgbe:
-        at = 0
-        while at < WIDTH:
-            run = 1
-            while at + run < WIDTH and (line[at + run] == line[at]).all():
-                run += 1
-            data += line[at].tobytes() + (bytes((1, 1, 1, run - 1)) if run > 1 else b"")
-            at += run
+        for pixel, run in _runs(line):
+            data += bytes(pixel) + (bytes((1, 1, 1, run - 1)) if run > 1 else b"")
     return data
 
 

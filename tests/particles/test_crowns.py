@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rainsim.drops import Impacts, RainField, RainSpectrum, Surfaces, flat_surfaces, impacts
+from rainsim.drops import RainField, RainSpectrum, Surfaces, flat_surfaces, impacts
 from rainsim.particles.crown import (
     LONGEST_CROWN,
     LONGEST_JET,
@@ -16,20 +16,9 @@ from rainsim.particles.splash import WET_FILM, Impact
 from rainsim.particles.splash_pass import draw_splashes, seen_splashes
 from rainsim.rain.size_distribution import terminal_speed
 from rainsim.scene.types import Camera
-from splash_lines import Lines, splash_droplets
+from splash_lines import Lines, fallen, splash_droplets
 
 NEIGHBOURS = [(j, i) for j in (-1, 0, 1) for i in (-1, 0, 1)]
-
-
-def fallen(diameters, time=0.0):
-    diameters = np.asarray(diameters, np.float64)
-    n = len(diameters)
-    velocity = np.zeros((n, 3))
-    velocity[:, 2] = -terminal_speed(diameters)
-    return Impacts(
-        np.zeros((n, 3)), velocity, diameters, np.full(n, time), np.zeros(n, np.uint8),
-        np.zeros(n, np.int32), np.zeros(n, np.int32), np.arange(n, dtype=np.uint64) + 5,
-    )  # fmt: skip
 
 
 def crown(diameter, age, film=1e-3, exposure=1e-5, pixel=1e-4):
@@ -106,7 +95,7 @@ def test_a_jet_rises_from_deep_water_only():
 
 
 def test_droplets_of_an_exposure_are_those_of_its_moments():
-    impact = fallen([3e-3])
+    impact = fallen([3e-3], first=5)
     still = splash_droplets(impact, 1e-3, 0.01)
     moving = splash_droplets(impact, 1e-3, 0.01, 0.01)
     end = splash_droplets(impact, 1e-3, 0.02)
@@ -157,7 +146,7 @@ def test_splashes_live_for_some_frames_and_threads_do_not_matter(threads):
 
 def test_drips_splash_beside_the_rain_and_are_known_by_their_ids():
     ground, view = flat_surfaces(4, 4, 0.05), camera()
-    drip = fallen([4.5e-3])
+    drip = fallen([4.5e-3], first=5)
     drip.position[:, :2] = 2.0, 2.0
     dry = RainField(RainSpectrum(0), seed=1)
     water = np.zeros(ground.shape, np.float32)

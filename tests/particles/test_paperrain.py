@@ -18,14 +18,12 @@ from rainsim.particles.paper import (
 )
 from rainsim.rain.size_distribution import PAPER_RADIUS, SMALLEST, RainSpectrum, drop_volume
 from rainsim.scene.types import Camera
+from scenes import looking
 
 
 def view(size=400, height=1.5):
     """A level camera that looks along x."""
-    matrix = np.eye(4)
-    matrix[:3, :3] = [[0, -1, 0], [0, 0, -1], [1, 0, 0]]
-    matrix[1, 3] = height
-    return Camera(size, size, size, size, size / 2, size / 2, matrix)
+    return looking((0, 0, height), (1, 0, height), size, size, size)
 
 
 def blank(camera):

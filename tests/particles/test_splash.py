@@ -3,22 +3,10 @@
 import numpy as np
 import pytest
 
-from rainsim.drops import Impacts, RainField, RainSpectrum, flat_surfaces, impacts
+from rainsim.drops import RainField, RainSpectrum, flat_surfaces, impacts
 from rainsim.particles.splash import LONGEST_LIFE, longest_flight, splashes_on
 from rainsim.rain.size_distribution import terminal_speed
-from splash_lines import splash_droplets
-
-
-def fallen(diameters, time=0.0, wind=0.0):
-    """Drops at terminal speed that fell on the origin at `time`."""
-    diameters = np.asarray(diameters, np.float64)
-    n = len(diameters)
-    velocity = np.zeros((n, 3))
-    velocity[:, 0], velocity[:, 2] = wind, -terminal_speed(diameters)
-    return Impacts(
-        np.zeros((n, 3)), velocity, diameters, np.full(n, time), np.zeros(n, np.uint8),
-        np.zeros(n, np.int32), np.zeros(n, np.int32), np.arange(n, dtype=np.uint64) + 77,
-    )  # fmt: skip
+from splash_lines import fallen, splash_droplets
 
 
 def test_thresholds_are_those_of_the_cited_papers():

@@ -225,19 +225,22 @@ def test_corners_of_a_wide_picture_see_the_longer_way_through_the_rain():
         assert optical[part].mean() == pytest.approx(expected * way[part].mean(), rel=0.08)
 
 
+def drawn_and_fog(field, camera, far, depth, count, exposure=1 / 60):
+    """Return the mean optical depth of `count` pictures and the fog behind, and its error."""
+    drawn = [
+        -np.log1p(-rain_alpha(field, camera, far, t, exposure, depth=depth)).mean(dtype=np.float64)
+        for t in np.arange(count) * 0.7
+    ]
+    fog = fog_optical_depth(field, float(depth.max()), far) * oblique(camera).mean()
+    return np.mean(drawn) + fog, np.std(drawn) / np.sqrt(count)
+
+
 @pytest.mark.parametrize(("near_split", "far_split"), [(3.0, 9.0), (5.0, 20.0)])
 def test_drawn_and_fog_together_do_not_depend_on_the_split(near_split, far_split):
     field, camera = RainField(RainSpectrum(50), seed=3), looking("ahead", focal=150.0)
     depth = np.full((80, 96), far_split, np.float32)
-    totals = []
-    for far in (near_split, far_split):
-        drawn = [
-            -np.log1p(-rain_alpha(field, camera, far, t, depth=depth)).mean(dtype=np.float64)
-            for t in np.arange(12) * 0.7
-        ]
-        fog = fog_optical_depth(field, far_split, far) * oblique(camera).mean()
-        totals.append((np.mean(drawn) + fog, np.std(drawn) / np.sqrt(12)))
-    (sooner, _), (later, error) = totals
+    splits = near_split, far_split
+    (sooner, _), (later, error) = (drawn_and_fog(field, camera, far, depth, 12) for far in splits)
     assert abs(sooner - later) < max(0.01 * later, 2 * error)
     fine, whole = fog_extinction(field)
     assert whole == pytest.approx(fine + field.spectrum.extinction.sum()) and fine > 0
@@ -308,16 +311,10 @@ def test_drops_too_faint_to_see_are_fog_and_nothing_is_lost(exposure):
     depth = np.full((80, 96), 9.0, np.float32)
     reach = streak_reach(field, camera, exposure, 9.0)
     assert reach.min() < 3 < reach.max() <= 9 and (np.diff(reach) >= 0).all()
-    totals, errors = [], []
-    for far in (9.0, reach):
-        drawn = [
-            -np.log1p(-rain_alpha(field, camera, far, t, exposure, depth=depth)).mean(dtype=float)
-            for t in np.arange(24) * 0.7
-        ]
-        fog = fog_optical_depth(field, 9.0, far) * oblique(camera).mean()
-        totals.append(np.mean(drawn) + fog)
-        errors.append(np.std(drawn) / np.sqrt(24))
-    assert abs(totals[0] - totals[1]) < max(0.01 * totals[0], 2 * max(errors))
+    (one, error), (own, other_error) = (
+        drawn_and_fog(field, camera, far, depth, 24, exposure) for far in (9.0, reach)
+    )
+    assert abs(one - own) < max(0.01 * one, 2 * error, 2 * other_error)
 
 
 def test_beyond_its_reach_a_drop_hardly_changes_a_pixel():

@@ -3,29 +3,23 @@
 import numpy as np
 import pytest
 
+import factories
 from rainsim.raster import prepare, rasterize
 from rainsim.reflection.ray_traced import Tracer
-from rainsim.scene.types import Camera, Splats
+from rainsim.scene.types import Camera
 
 
-def splats(position, scale, opacity, color, rotation=None):
-    n = len(position)
-    rotation = np.tile([1.0, 0, 0, 0], (n, 1)) if rotation is None else rotation
-    sh = (np.asarray(color, float)[:, None] - 0.5) / 0.28209479177387814
-    arrays = (position, rotation, scale, opacity, sh)
-    return Splats(*(np.ascontiguousarray(a, np.float32) for a in arrays))
+def splats(position, scale, opacity, color, rotation=(1, 0, 0, 0)):
+    return factories.splats(position, rotation, scale, opacity, color=color)
 
 
 def cloud(rng, n=3000, size=0.02, bands=4):
     rotation = rng.normal(size=(n, 4))
     rotation /= np.linalg.norm(rotation, axis=1, keepdims=True)
     position = rng.uniform(-1, 1, (n, 3)) + np.array([0, 0, 4])
-    return Splats(
-        position.astype(np.float32), rotation.astype(np.float32),
-        (size * rng.uniform(0.3, 1, (n, 3))).astype(np.float32),
-        rng.uniform(0.2, 0.9, n).astype(np.float32),
-        rng.normal(0, 0.4, (n, bands * bands, 3)).astype(np.float32),
-    )  # fmt: skip
+    scale, opacity = size * rng.uniform(0.3, 1, (n, 3)), rng.uniform(0.2, 0.9, n)
+    sh = rng.normal(0, 0.4, (n, bands * bands, 3))
+    return factories.splats(position, rotation, scale, opacity, sh)
 
 
 def test_one_splat_is_its_gaussian():

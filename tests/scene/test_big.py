@@ -34,6 +34,7 @@ from rainsim.scene.formats import read_splats, splat_blocks
 from rainsim.scene.formats.sog_writer import write_sog
 from rainsim.scene.formats.streamed import LOD_META, NONE, SIDES, read_tree
 from rainsim.scene.pages import ALWAYS, Kept, Pages, levels_at
+from rainsim.scene.splat_sets import joined
 from rainsim.scene.types import GroundFrame, Scene, Splats
 from rainsim.sensors import drive
 from rainsim.sensors.lidar_model import Lidar
@@ -183,10 +184,6 @@ def streamed(folder, runs, environment=None, **changes):
     folder.mkdir(exist_ok=True)
     (folder / LOD_META).write_text(json.dumps(data | changes))
     return folder
-
-
-def joined(parts):
-    return Splats(*(np.concatenate([getattr(p, n) for p in parts]) for n in NAMES))
 
 
 def test_files_of_the_format_are_read_run_by_run(tmp_path):

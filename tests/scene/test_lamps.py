@@ -8,6 +8,7 @@ from scipy import integrate
 
 from rainsim.actors.actor_files import read_actors
 from rainsim.config.settings import Config
+from rainsim.constants import SH_0
 from rainsim.errors import InputError, ParameterError
 from rainsim.numerics.srgb import LUMINANCE_WEIGHTS, display, linear
 from rainsim.pipeline import extract_terrain, simulate
@@ -18,7 +19,7 @@ from rainsim.scene.splat_sets import joined
 from rainsim.shading.color import linear_from_display
 from rainsim.shading.composite import tone_curve
 from rainsim.shading.glare import DAZZLES, Glare, point_spread, scattered
-from scenes import SH_BASIS_0, lamp_scene, moving_scene, one_splat
+from scenes import lamp_scene, moving_scene, one_splat
 
 FOCAL = 200.0
 
@@ -26,7 +27,7 @@ FOCAL = 200.0
 def light_of(splats):
     """Linear colours of splats, seen from anywhere."""
     assert (splats.sh[:, 1:] == 0).all()
-    return linear(0.5 + SH_BASIS_0 * splats.sh[:, 0].astype(float))
+    return linear(0.5 + SH_0 * splats.sh[:, 0].astype(float))
 
 
 # --- radiance -------------------------------------------------------------------------------------

@@ -5,12 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import factories
 from rainsim import pipeline
 from rainsim.config.settings import Config
 from rainsim.errors import ParameterError
 from rainsim.raster import Rasterizer, prepare
 from rainsim.render.renderer import Renderer
-from rainsim.scene.types import Camera, Splats
+from rainsim.scene.types import Camera
 from rainsim.sensors.rolling import STILL, Motion, bands, check_readout, draw_rolling
 from scenes import moving_scene, tiny_scene
 
@@ -20,9 +21,7 @@ def edge_scene():
     x, y = np.meshgrid(np.arange(0.01, 2.4, 0.02), np.arange(-1.6, 1.6, 0.02))
     n = x.size
     position = np.column_stack([x.ravel(), y.ravel(), np.full(n, 4.0)])
-    sh = np.full((n, 1, 3), 0.5 / 0.28209479177387814)
-    arrays = position, np.tile([1.0, 0, 0, 0], (n, 1)), np.full((n, 3), 0.012), np.full(n, 0.99), sh
-    return Splats(*(np.ascontiguousarray(a, np.float32) for a in arrays))
+    return factories.splats(position, scale=0.012, opacity=0.99, color=1.0)
 
 
 def edge_of(row):

@@ -5,16 +5,17 @@ import dataclasses
 import numpy as np
 import pytest
 
+import factories
 from rainsim import pipeline
 from rainsim.config.settings import Config
 from rainsim.render import aov
 from rainsim.render.renderer import Renderer
-from rainsim.scene.types import Splats
+from rainsim.scene.splat_sets import joined
 from rainsim.shading import backdrop, sky
 from rainsim.shading.color import linear_from_display
 from rainsim.shading.environment import sample_environment
 from rainsim.shading.grading import graded, replaces_sky
-from scenes import _looking, _splats, tiny_scene
+from scenes import looking, tiny_scene
 
 BLUE, LEAF, SIZE = (0.45, 0.62, 0.9), (0.1, 0.3, 0.05), 48
 LEAF_AT = (0.0, 3.0, 2.5)
@@ -31,18 +32,16 @@ def scene():
     flat = np.cos(elevation)
     dome = 60 * np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)], -1)
     unit = frame.meters_per_unit
-    added = _splats(frame.to_capture(dome.reshape(-1, 3)), np.full((dome.size // 3, 3), 6 / unit),
-                    0.97, np.broadcast_to(BLUE, (dome.size // 3, 3)))  # fmt: skip
-    leaf = _splats(frame.to_capture(np.array([LEAF_AT])), np.full((1, 3), 0.5 / unit), 0.5,
-                   np.array([LEAF]))  # fmt: skip
-    parts = zip(*(dataclasses.astuple(s) for s in (scene.splats, added, leaf)), strict=True)
-    return dataclasses.replace(scene, splats=Splats(*(np.concatenate(p) for p in parts)))
+    places = frame.to_capture(dome.reshape(-1, 3)), frame.to_capture(np.array([LEAF_AT]))
+    added = factories.splats(places[0], scale=6 / unit, opacity=0.97, color=BLUE)
+    leaf = factories.splats(places[1], scale=0.5 / unit, opacity=0.5, color=LEAF)
+    return dataclasses.replace(scene, splats=joined([scene.splats, added, leaf]))
 
 
 def drawn(scene, cloudiness=1.0, names=()):
     """Renderer, report and picture of a dry frame: the leaf and the sky above it."""
     camera = scene.ground_frame.camera_in_capture(
-        _looking((0.0, 0.0, 1.0), LEAF_AT, SIZE, SIZE, "level")
+        looking((0.0, 0.0, 1.0), LEAF_AT, SIZE, SIZE, name="level")
     )
     config = Config().replace(
         rate=0.0, past=0.0, frames=1, extent=1.0, spacing=0.05, cloudiness=cloudiness,

@@ -6,9 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import factories
 from rainsim.constants import SH_0
 from rainsim.raster import Rasterizer, prepare
-from rainsim.scene.types import Scene, Splats
+from rainsim.scene.types import Scene
 from rainsim.shading import visibility
 from rainsim.shading.diffuse import STEPS, level_share, levelness, step_of, without_gloss
 from rainsim.terrain.surface import terrain_from_heights
@@ -17,11 +18,7 @@ from scenes import ground_frame, tiny_scene
 
 
 def splats_at(position, sh):
-    n = len(position)
-    rotation = np.zeros((n, 4), np.float32)
-    rotation[:, 0] = 1
-    return Splats(np.asarray(position, np.float32), rotation, np.full((n, 3), 0.1, np.float32),
-                  np.full(n, 0.99, np.float32), np.asarray(sh, np.float32))  # fmt: skip
+    return factories.splats(position, opacity=0.99, sh=sh)
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import factories
 from rainsim.config.settings import Config
 from rainsim.constants import SH_0
 from rainsim.pipeline import extract_terrain
@@ -13,14 +14,15 @@ from rainsim.raster import Rasterizer, prepare
 from rainsim.render import drawn_capture
 from rainsim.render.wet_scene import WetScene
 from rainsim.scene.cameras import resize_to
-from rainsim.scene.types import Camera, Scene, Splats
+from rainsim.scene.splat_sets import joined
+from rainsim.scene.types import Scene
 from rainsim.shading import calibration, sky, skyline, visibility
 from rainsim.shading.color import GAMMA
 from rainsim.shading.environment import COLUMNS, ROWS, directions
 from rainsim.splatting.prepared import LANES, recolored
 from rainsim.terrain.surface import terrain_from_heights
 from rainsim.terrain.types import Grid
-from scenes import ground_frame, tiny_scene
+from scenes import ground_frame, looking, tiny_scene
 
 
 def patch(centre, count, spread, size, color, rng):
@@ -32,20 +34,8 @@ def patch(centre, count, spread, size, color, rng):
 
 
 def splats_of(*patches):
-    position, scale, sh = (np.concatenate(a).astype(np.float32) for a in zip(*patches, strict=True))
-    rotation = np.zeros((len(position), 4), np.float32)
-    rotation[:, 0] = 1
-    return Splats(position, rotation, scale, np.full(len(position), 0.99, np.float32), sh)
-
-
-def looking(eye, target, side=160):
-    forward = np.subtract(target, eye) / np.linalg.norm(np.subtract(target, eye))
-    right = np.cross(forward, (0, 0, 1.0))
-    right /= np.linalg.norm(right)
-    matrix = np.eye(4)
-    matrix[:3, :3] = right, np.cross(forward, right), forward
-    matrix[:3, 3] = -matrix[:3, :3] @ eye
-    return Camera(side, side, side, side, side / 2, side / 2, matrix)
+    position, scale, sh = (np.concatenate(a) for a in zip(*patches, strict=True))
+    return factories.splats(position, scale=scale, opacity=0.99, sh=sh)
 
 
 @pytest.fixture
@@ -55,8 +45,9 @@ def yard(rng):
     blob = patch((3.5, 5, 3.2), 40, 0.2, 0.2, (0.95, 0.95, 0.97), rng)
     low = patch((0, -30, 0.2), 30, 0.1, 0.1, (0.2, 0.2, 0.2), rng)
     splats = splats_of(wall, blob, low)
-    cameras = [looking((0.02 * k, 0, 1.5), (0, 5, 1.5)) for k in range(30)]
-    cameras.append(looking((0, 0, 1.5), (3.5, 5, 3.0)))
+    square = 160, 160, 160
+    cameras = [looking((0.02 * k, 0, 1.5), (0, 5, 1.5), *square) for k in range(30)]
+    cameras.append(looking((0, 0, 1.5), (3.5, 5, 3.0), *square))
     frame = dataclasses.replace(
         ground_frame(), rotation=np.eye(3), meters_per_unit=1.0, translation=np.zeros(3)
     )
@@ -320,9 +311,7 @@ def speckled():
     specks = splats_of(patch((0, 0, 0), 20_000, 0.0, 2e-3 / frame.meters_per_unit, [0.95] * 3, rng))
     specks = dataclasses.replace(specks, position=frame.to_capture(at).astype(np.float32))
     dark = dataclasses.replace(scene.splats, sh=scene.splats.sh - np.float32(0.25 / SH_0))
-    both = Splats(*(np.concatenate([getattr(s, f.name) for s in (dark, specks)])
-                    for f in dataclasses.fields(Splats)))  # fmt: skip
-    scene = dataclasses.replace(scene, splats=both)
+    scene = dataclasses.replace(scene, splats=joined([dark, specks]))
     config = Config().replace(rate=0.0, past=0.0, extent=1.0, spacing=0.05)
     return scene, config, extract_terrain(scene, config)
 

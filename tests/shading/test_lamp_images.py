@@ -4,29 +4,20 @@ import numpy as np
 import pytest
 from numpy import float32 as F4
 
-from rainsim.scene.types import Camera
 from rainsim.scene.view import view_of
 from rainsim.shading import lamp_images
 from rainsim.shading.fresnel import SCHLICK
 from rainsim.shading.ground_slopes import GroundSlopes
 from rainsim.shading.lamp_images import LampView, add_lamps, lamps_in, scaled, without_lamps
 from rainsim.shading.wet_ground_mirror import level_camera
+from scenes import looking
 
 HEIGHT, SLOPE = 1.5, 0.2  # m over the ground, rms slope of the film
 PIXELS = 24, 18
 
 
-def upright(width, height, focal, fall):
-    """A camera at x = 0 that looks along x and down by an angle."""
-    forward = np.array([np.cos(fall), 0.0, -np.sin(fall)])
-    right = np.array([0.0, -1.0, 0.0])
-    matrix = np.eye(4)
-    matrix[:3, :3] = right, np.cross(forward, right), forward
-    matrix[:3, 3] = -matrix[:3, :3] @ (0.0, 0.0, HEIGHT)
-    return Camera(width, height, focal, focal, width / 2, height / 2, matrix)
-
-
-CAMERA = upright(*PIXELS, 20.0, 0.35)
+FALL = 0.35  # rad, of the view that goes along x
+CAMERA = looking((0, 0, HEIGHT), (np.cos(FALL), 0, HEIGHT - np.sin(FALL)), *PIXELS, 20.0)
 GROUND = GroundSlopes(
     np.broadcast_to(np.array([0, 0, 0, SLOPE], np.float32), (8, 8, 4)).copy(),
     np.array([-20, -20], np.float32), F4(5.0),

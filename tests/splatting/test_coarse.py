@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+import made_captures
 from rainsim import raster
 from rainsim.scene.types import Camera, Splats
 from rainsim.splatting.coarse import merge_fine
@@ -11,19 +12,8 @@ from rainsim.splatting.prepared import OPACITY, by_splat
 SIDE = 0.2
 
 
-def leaves(count, seed=3, deviation=0.02):
-    """Return flat splats, scattered before a wall that is one large one."""
-    rng = np.random.default_rng(seed)
-    rotation = rng.normal(size=(count, 4)).astype(np.float32)
-    scale = np.full((count, 3), deviation, np.float32)
-    scale[:, 2] = 1e-3
-    position = rng.uniform((-1, -1, 3), (1, 1, 4), (count, 3)).astype(np.float32)
-    position[0], scale[0] = (0, 0, 6), (3, 3, 0.01)
-    rotation[0] = (1, 0, 0, 0)
-    color = rng.uniform(-1, 1, (count, 4, 3)).astype(np.float32)
-    color[:, 1:] *= 0.1
-    opacity = rng.uniform(0.1, 0.9, count).astype(np.float32)
-    return raster.prepare(Splats(position, rotation, scale, opacity, color))
+def leaves(count):
+    return raster.prepare(made_captures.leaves(count, 0.02, 4, 4))
 
 
 def rows_of(prepared):

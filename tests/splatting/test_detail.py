@@ -6,6 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+import made_captures
 from rainsim import raster
 from rainsim.config.settings import Config
 from rainsim.errors import ParameterError
@@ -23,19 +24,8 @@ SIDES = (0.15, 0.3, 0.6)
 LAYERS = ("color", "alpha", "depth", "plane_depth", "normal")
 
 
-def leaves(count=4000, seed=3, deviation=0.008, far=4.0):
-    """Return splats of fine flat leaves, scattered before a wall that is one large splat."""
-    rng = np.random.default_rng(seed)
-    rotation = rng.normal(size=(count, 4)).astype(np.float32)
-    scale = np.full((count, 3), deviation, np.float32)
-    scale[:, 2] = 1e-3
-    position = rng.uniform((-1, -1, 3), (1, 1, far), (count, 3)).astype(np.float32)
-    position[0], scale[0] = (0, 0, far + 2), (3, 3, 0.01)
-    rotation[0] = (1, 0, 0, 0)
-    color = rng.uniform(-1, 1, (count, 9, 3)).astype(np.float32)
-    color[:, 1:] *= 0.1
-    opacity = rng.uniform(0.1, 0.9, count).astype(np.float32)
-    return Splats(position, rotation, scale, opacity, color)
+def leaves(count=4000, far=4.0):
+    return made_captures.leaves(count, 0.008, far, 9)
 
 
 def with_levels(prepared, sides):

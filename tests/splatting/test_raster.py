@@ -6,11 +6,13 @@ import tracemalloc
 import numpy as np
 import pytest
 
+import factories
 import naive
 from rainsim import raster
 from rainsim.constants import SH_0
 from rainsim.errors import ParameterError
 from rainsim.jit import set_threads
+from rainsim.scene.splat_sets import joined
 from rainsim.scene.types import Camera, Splats
 from rainsim.splatting.tiles import DIGITS, MANY, RECORD_MASK, sort_keys
 
@@ -22,23 +24,15 @@ def camera(width=64, height=48, focal=60.0, **kwargs):
 
 
 def one_splat(position=(0, 0, 4.0), scale=(0.3, 0.2, 0.1), opacity=0.8, color=0.7):
-    sh = np.full((1, 1, 3), (color - 0.5) / 0.28209479177387814, np.float32)
-    return Splats(
-        np.array([position], np.float32), np.array([[1, 0, 0, 0]], np.float32),
-        np.array([scale], np.float32), np.array([opacity], np.float32), sh,
-    )  # fmt: skip
+    return factories.splats([position], scale=scale, opacity=opacity, color=color)
 
 
 def cloud(rng, n=400, bands=16):
     rotation = rng.normal(size=(n, 4))
     rotation /= np.linalg.norm(rotation, axis=1, keepdims=True)
     position = rng.uniform((-3, -2, -1), (3, 2, 9), (n, 3))
-    return Splats(
-        position.astype(np.float32), rotation.astype(np.float32),
-        np.exp(rng.normal(-2.5, 0.8, (n, 3))).astype(np.float32),
-        rng.uniform(0, 1, n).astype(np.float32),
-        rng.normal(0, 0.25, (n, bands, 3)).astype(np.float32),
-    )  # fmt: skip
+    scale, opacity = np.exp(rng.normal(-2.5, 0.8, (n, 3))), rng.uniform(0, 1, n)
+    return factories.splats(position, rotation, scale, opacity, rng.normal(0, 0.25, (n, bands, 3)))
 
 
 def decibel(a, b):
@@ -118,7 +112,7 @@ def test_the_last_splat_is_dropped_as_the_training_codes_do(rng):
     cam = Camera(33, 33, 50.0, 50.0, 16.5, 16.5, np.eye(4))
     parts = [one_splat((0, 0, z), (9, 9, 0.01), o, c)
              for z, o, c in ((3, 0.99, 0.2), (4, 0.995, 1.0), (5, 0.5, 1.0))]  # fmt: skip
-    stack = Splats(*(np.concatenate([getattr(p, n) for p in parts]) for n in Splats.__slots__))
+    stack = joined(parts)
     prepared = raster.prepare(stack)
     plain = raster.rasterize(prepared, cam, 0.2)
     dropped = raster.rasterize(prepared, cam, 0.2, drop_last=True, background=(1, 0, 0), hit=True)
@@ -142,7 +136,7 @@ def test_splats_a_millionth_of_their_depth_apart_keep_their_order():
     cam.camera_from_world[2, 3] = 7.3
     parts = [one_splat((0, 0, 0.7 + 1e-7 * k), (9, 9, 0.01), 0.9, c)
              for k, c in ((2, 0.2), (1, 0.5), (0, 1.0))]  # fmt: skip
-    stack = Splats(*(np.concatenate([getattr(p, n) for p in parts]) for n in Splats.__slots__))
+    stack = joined(parts)
     assert len(np.unique(stack.position[:, 2])) == 3
     assert draw(stack, cam).color[24, 32, 0] == pytest.approx(
         0.9 + 0.09 * 0.5 + 9e-3 * 0.2, abs=1e-3
@@ -167,16 +161,11 @@ def test_plane_depth_and_normal_of_a_tilted_plane(rng):
     rotation = np.stack([u, w, normal], axis=1)
     a, b = np.meshgrid(np.linspace(-4, 4, 40), np.linspace(-4, 4, 40))
     position = np.array([0, 0, 5.0]) + a.reshape(-1, 1) * u + b.reshape(-1, 1) * w
-    n = len(position)
     qw = np.sqrt(max(0.0, 1 + np.trace(rotation))) / 2
     q = np.array([qw, (rotation[2, 1] - rotation[1, 2]) / (4 * qw),
                   (rotation[0, 2] - rotation[2, 0]) / (4 * qw),
                   (rotation[1, 0] - rotation[0, 1]) / (4 * qw)])  # fmt: skip
-    splats = Splats(
-        position.astype(np.float32), np.tile(q, (n, 1)).astype(np.float32),
-        np.tile([0.2, 0.2, 0.001], (n, 1)).astype(np.float32), np.full(n, 0.95, np.float32),
-        np.zeros((n, 1, 3), np.float32),
-    )  # fmt: skip
+    splats = factories.splats(position, q, (0.2, 0.2, 0.001))
     cam = camera()
     layers = draw(splats, cam)
     v, h = np.mgrid[0:48, 0:64] + 0.5
@@ -328,7 +317,7 @@ def test_splats_across_the_near_plane_agree_with_float64(rng):
 def test_opacity_one_is_capped_and_what_is_behind_shows_a_thousandth():
     cam = Camera(33, 33, 50.0, 50.0, 16.5, 16.5, np.eye(4))
     parts = [one_splat((0, 0, z), (9, 9, 0.01), 1.0, c) for z, c in ((3, 0.1), (5, 0.9))]
-    stack = Splats(*(np.concatenate([getattr(p, n) for p in parts]) for n in Splats.__slots__))
+    stack = joined(parts)
     layers = draw(stack, cam)
     assert layers.color[16, 16, 0] == pytest.approx(0.999 * 0.1 + 0.001 * 0.999 * 0.9, abs=1e-6)
     assert layers.alpha[16, 16] == pytest.approx(1 - 1e-6, abs=2e-7)
@@ -356,7 +345,7 @@ def test_points_with_zero_scale_are_pixels():
 def test_median_depth_is_the_splat_that_stops_half_the_light():
     cam = Camera(33, 33, 50.0, 50.0, 16.5, 16.5, np.eye(4))
     parts = [one_splat((0, 0, z), (1, 1, 0.01), o) for z, o in ((3, 0.3), (4, 0.4), (5, 0.9))]
-    stack = Splats(*(np.concatenate([getattr(p, n) for p in parts]) for n in Splats.__slots__))
+    stack = joined(parts)
     layers = raster.rasterize(raster.prepare(stack), cam, 0.2, depth="median")
     # 0.7, then 0.42 of the light is left: the second splat.
     assert layers.depth[16, 16] == pytest.approx(4.0)

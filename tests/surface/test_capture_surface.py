@@ -8,15 +8,10 @@ import pytest
 
 import sunny_yard
 from rainsim.daylight.surface import Surface, carried
-from rainsim.scene.types import Splats
+from rainsim.scene.splat_sets import joined
 from rainsim.splatting.prepared import GEOMETRY, LANES, prepare, turn
 from rainsim.surface import captured_sky, fuse, kept, sweep, views, walls
 from rainsim.terrain.types import Grid
-
-
-def joined(*parts):
-    names = ("position", "rotation", "scale", "opacity", "sh")
-    return Splats(*(np.concatenate([getattr(p, n) for p in parts]) for n in names))
 
 
 def floating(scene, place, count=60, spread=0.05, opacity=0.9, color=(0.9, 0.9, 0.9)):
@@ -64,7 +59,7 @@ def test_the_surface_lies_on_what_was_captured(found):
 
 def test_what_cameras_look_through_is_no_surface(yard):
     haze = floating(yard, (0.9, -0.3, 0.9), spread=0.15, opacity=0.3)
-    hazy = kept.find_surface(replace(yard, splats=joined(yard.splats, haze)))
+    hazy = kept.find_surface(replace(yard, splats=joined([yard.splats, haze])))
     near = np.linalg.norm(hazy.surface.position - [0.9, -0.3, 0.9], axis=1) < 0.25
     assert near.sum() < 20  # of some hundred
     # What stands there is seen by all cameras, and stays.

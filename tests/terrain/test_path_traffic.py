@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import factories
 from made_road import CONFIG as ROAD
 from made_road import DRIVE, camera, road, small  # noqa: F401
 from rainsim import pipeline, simulation
@@ -16,7 +17,6 @@ from rainsim.lod.cut import cut
 from rainsim.rain.throws import AT, column
 from rainsim.raster import prepare
 from rainsim.scene.big import open_pages
-from rainsim.scene.types import Splats
 from rainsim.simulation import steady_water
 from rainsim.terrain.path_ground import follows_path, part_of, path_ground
 from rainsim.water import window_tyres
@@ -34,13 +34,8 @@ def car(name="car", first=FIRST, speed=SPEED, aside=0.0, parked=False):
     axes = [np.arange(-s / 2, s / 2 + 1e-6, 0.04) for s in SIZE]
     places = np.stack(np.meshgrid(*axes), -1).reshape(-1, 3)
     places = places[(np.abs(places) > SIZE / 2 - 0.05).any(axis=1)] + (0, 0, SIZE[2] / 2)
-    n = len(places)
-    sh = np.zeros((n, 1, 3), np.float32)
-    sh[:, 0] = 1.5, -1.0, -1.0
-    splats = Splats(
-        places.astype(np.float32), np.tile(np.float32([1, 0, 0, 0]), (n, 1)),
-        np.full((n, 3), 0.025, np.float32), np.full(n, 0.95, np.float32), sh,
-    )  # fmt: skip
+    sh = np.tile([[1.5, -1.0, -1.0]], (len(places), 1, 1))
+    splats = factories.splats(places, scale=0.025, sh=sh)
     time = np.array([0.0, 8.0])
     place = np.array([[first, aside, 0], [first + (0 if parked else speed * 8), aside, 0]])
     track = Track(time, place, np.tile([1.0, 0, 0, 0], (2, 1)), np.ones(2, bool))

@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
+import factories
 from rainsim import terrain
 from rainsim.config.settings import TerrainConfig
 from rainsim.errors import GroundError, InputError
-from rainsim.scene.types import GroundFrame, Scene, Splats
+from rainsim.scene.types import GroundFrame, Scene
 
 GREY, GREEN, BROWN = (0.5, 0.5, 0.5), (0.25, 0.5, 0.2), (0.4, 0.3, 0.2)
 
@@ -39,12 +40,8 @@ def scene_of(*parts, frame=None):
     w = np.sqrt(max(1e-12, 1 + np.trace(m))) / 2
     q = np.array([w, (m[2, 1] - m[1, 2]) / (4 * w), (m[0, 2] - m[2, 0]) / (4 * w),
                   (m[1, 0] - m[0, 1]) / (4 * w)])  # fmt: skip
-    n = len(position)
-    splats = Splats(
-        frame.to_capture(position).astype(np.float32), np.tile(q, (n, 1)).astype(np.float32),
-        (scale / frame.meters_per_unit).astype(np.float32), np.full(n, 0.95, np.float32),
-        sh.astype(np.float32),
-    )  # fmt: skip
+    place = frame.to_capture(position)
+    splats = factories.splats(place, q, scale / frame.meters_per_unit, sh=sh)
     return Scene("made", splats, (), frame)
 
 

@@ -41,11 +41,11 @@ from rainsim.rain.throws import (
 )
 from rainsim.render.renderer import Renderer
 from rainsim.scene.folder import read_scene, write_scene
-from rainsim.scene.types import Camera, GroundFrame
+from rainsim.scene.types import GroundFrame
 from rainsim.simulation import read_state, write_state
 from rainsim.terrain.types import Grid
 from rainsim.water.tyres import FASTEST, LEFT, Tyres
-from scenes import rolling_scene
+from scenes import looking, rolling_scene
 
 CONFIG = Config.from_preset("downpour").replace(past=6e-3, extent=1.0, spacing=0.025)
 WHEEL = np.array([[0.0, 0.0, 0.0, 0.2, 0.3]])  # x, y, z, width, radius [m]
@@ -300,19 +300,16 @@ def test_states_keep_what_is_in_the_air(states, ground, tmp_path):
 # --- the picture ----------------------------------------------------------------------------------
 
 
-def looking(distance, width=240, height=160, focal=200.0):
+def behind(distance):
     """A camera that looks along x from `distance` behind x = 2, 0.5 m up."""
-    matrix = np.eye(4)
-    matrix[:3, :3] = [[0, -1, 0], [0, 0, -1], [1, 0, 0]]
-    matrix[:3, 3] = -matrix[:3, :3] @ [2 - distance, 0, 0.5]
-    return Camera(width, height, focal, focal, width / 2, height / 2, matrix, "a")
+    return looking((2 - distance, 0, 0.5), (3 - distance, 0, 0.5), 240, 160, 200.0)
 
 
 @pytest.mark.parametrize("distance", [3.0, 6.0, 30.0])
 def test_drops_and_clouds_are_the_same_water_from_anywhere(distance):
     table, ids, parcels = thrown()
     now = 0.25
-    lines, puffs = spray_seen(table, ids, looking(distance), now, 0.004)
+    lines, puffs = spray_seen(table, ids, behind(distance), now, 0.004)
     flies = (parcels.begin <= now) & (
         flown(parcels, now - parcels.begin)[0][:, 2] > parcels.road)  # fmt: skip
     whole = cross_section(parcels.volume, parcels.diameter)[flies].sum()
@@ -324,7 +321,7 @@ def test_drops_and_clouds_are_the_same_water_from_anywhere(distance):
 
 def test_a_cloud_replaces_the_light_of_its_cross_section_and_hides_behind_things():
     puff = Puffs(np.array([[2.0, 0.1, 0.6]]), np.array([0.15]), np.array([0.02]))
-    camera = looking(5.0)
+    camera = behind(5.0)
     shape = camera.height, camera.width
     sums = {}
     for name, depth in (("open", np.inf), ("half", 5.0), ("before", 4.0)):

@@ -23,14 +23,8 @@ SIGNS = np.array([(0.10, 0.20, 0.17), (0.28, 0.07, 0.07), (0.08, 0.11, 0.22), (0
 class Wall:
     """The vertical plane of a house front: u goes along it, z up, `out` towards the street.
 
-    Parameters
-    ----------
-    corner : sequence of float [m]
-        (x, y) where u = 0.
-    along, out : sequence of float
-        Unit vectors (x, y).
-    spacing : float [m]
-        Distance of its splats at the foot; higher up it grows.
+    `corner` is (x, y) [m] where u = 0; `along` and `out` are unit vectors (x, y); `spacing` [m] is
+    the distance of its splats at the foot: higher up it grows.
     """
 
     def __init__(self, corner, along, out, spacing):
@@ -47,18 +41,10 @@ class Wall:
     def panel(self, u0, u1, z0, z1, colour, *, out=0.0, fine=1.0, shape=1.0, sheen=0.0):
         """Return the `Cloud` of a rectangle of the wall, or None if it has no area.
 
-        Parameters
-        ----------
-        u0, u1, z0, z1 : float [m]
-            Where it begins and ends along the wall and up.
-        colour : callable
-            Takes u and z of n splats, gives display-referred colours (n, 3).
-        out : float [m]
-            Distance before the wall.
-        fine, shape : float
-            Factor on the wall's spacing, which also grows with z0; width of a cell over its height.
-        sheen : float
-            See `Cloud`.
+        The rectangle goes from `u0` and `z0` to `u1` and `z1` [m], `out` [m] before the wall.
+        `colour` takes u and z of n splats and gives display-referred colours (n, 3). `fine` is a
+        factor on the wall's spacing, which also grows with z0, `shape` the width of a cell over its
+        height.
         """
         if u1 - u0 < 1e-3 or z1 - z0 < 1e-3:
             return None
@@ -327,13 +313,8 @@ def _dwelling(wall, width, parts, wall_part, rng):
 def houses(noise, rng, reach, depth):
     """Return all fronts and the glows on the ground: rows of x, y, reach [m], strength.
 
-    Parameters
-    ----------
-    noise : Noise
-    rng : numpy.random.Generator
-    reach : (first, last) x of the street [m]
-    depth : float [m]
-        From the middle of the street to the fronts.
+    `reach` is the first and the last x of the street [m], `depth` [m] goes from its middle to the
+    fronts.
     """
     parts, glows = [], []
     for side in (-1, 1):

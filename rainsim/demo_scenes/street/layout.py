@@ -32,50 +32,25 @@ MARGIN = 14.0  # m from a piece of street up to which drains and dips have to do
 class Layout:
     """The layout of a street: places by x along and y across it, from its middle [m].
 
-    Attributes
-    ----------
-    ends : (first, last) x
-    drains : ndarray of shape (n, 2)
-        x and y.
-    dips : ndarray of shape (n, 6)
-        Settlements: x, y, depth, half length, half width [m], angle [rad].
-    patches : tuple of (x0, x1, y0, y1, tone)
-        Mended asphalt.
-    crossings : tuple of (x0, x1)
-        Zebra crossings.
-    bays : tuple of (x0, x1)
-        Where parking bays are marked.
-    covers, cracks : tuple
-        Manholes as (x, y), sealed cracks as (x, y, direction [rad], length).
-    near : (first, last) x
-        Between these the ground is as fine as `cell` says, and single stones and joints are seen.
-    cell : tuple of float
-        Growth of the ground's cells per metre ahead of `near` and behind it.
-    fine, long : float
-        Factors on the ground's cells, and on their length along the street.
-    stones : int
-        Number of single stones.
-    camber : float
-        That the road falls to the gutter.
-    sides : tuple of float
-        x of the middles of side streets.
+    Between the places `near` the ground is as fine as `cell` says, and single stones and joints are
+    seen.
     """
 
-    ends: tuple
-    drains: np.ndarray
-    dips: np.ndarray
-    patches: tuple = ()
-    crossings: tuple = ()
-    bays: tuple = ()
-    covers: tuple = ()
-    cracks: tuple = ()
-    near: tuple = (2.0, 21.0)
-    cell: tuple = (0.0052, 0.03)
-    fine: float = 1.0
-    long: float = 1.0
-    stones: int = 0
-    camber: float = 0.058
-    sides: tuple = ()
+    ends: tuple  # first and last x
+    drains: np.ndarray  # (n, 2), x and y
+    dips: np.ndarray  # (n, 6), settlements: x, y, depth, half length, half width, angle [rad]
+    patches: tuple = ()  # of (x0, x1, y0, y1, tone), mended asphalt
+    crossings: tuple = ()  # of (x0, x1), zebra crossings
+    bays: tuple = ()  # of (x0, x1), where parking bays are marked
+    covers: tuple = ()  # of (x, y), manholes
+    cracks: tuple = ()  # of (x, y, direction [rad], length), sealed
+    near: tuple = (2.0, 21.0)  # x
+    cell: tuple = (0.0052, 0.03)  # growth of cells per metre ahead of `near` and behind it
+    fine: float = 1.0  # factor on the ground's cells
+    long: float = 1.0  # factor on their length along the street
+    stones: int = 0  # number of single stones
+    camber: float = 0.058  # that the road falls to the gutter
+    sides: tuple = ()  # x of the middles of side streets
 
     def piece(self, first, last):
         """Return the layout of the street from x = `first` to `last`, with all that acts there.
@@ -108,20 +83,12 @@ class Layout:
 
 @dataclass(frozen=True, slots=True)
 class Standing:
-    """The things that stand on the ground of a street.
+    """The things that stand on the ground of a street."""
 
-    Attributes
-    ----------
-    cars : tuple
-        Rows as `cars.PARKED`.
-    lamps, bollards : tuple of (x, side)
-    trees : tuple of (x, side, height, half width) [m]
-    """
-
-    cars: tuple
-    lamps: tuple
-    bollards: tuple
-    trees: tuple
+    cars: tuple  # rows as `cars.PARKED`
+    lamps: tuple  # of (x, side)
+    bollards: tuple  # of (x, side)
+    trees: tuple  # of (x, side, height, half width), m
 
     def piece(self, first, last):
         """Return the things that stand between x = `first` and `last`."""
@@ -132,15 +99,10 @@ class Standing:
 
 
 def long_layout(length, seed, shapes):
-    """Return the `Layout` and the `Standing` of a street of a length.
+    """Return the `Layout` and the `Standing` of a street of a length [m].
 
-    Parameters
-    ----------
-    length : float [m]
-        Of the drive and what lies ahead of its end.
-    seed : int
-    shapes : tuple
-        Of cars, one of which is drawn for each.
+    The length is that of the drive and what lies ahead of its end. One of `shapes` is drawn for
+    each car.
     """
     rng = np.random.Generator(np.random.PCG64((seed, 11)))
     ends = (BEFORE, float(length))

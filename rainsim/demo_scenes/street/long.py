@@ -25,19 +25,9 @@ SKY_SPLATS, SKY_BEYOND = 3600, 110.0  # m that the sky is farther away than the 
 class LongStreet:
     """A street of a length; the same arrays every time.
 
-    Parameters
-    ----------
-    length : float [m]
-        From the first place of the drive to the end of the street.
-    seed : int
-    leaves : callable
-        leaves(noise, rng, count, first, last, layout) returns the `Cloud` of fallen leaves.
-
-    Attributes
-    ----------
-    layout : Layout
-    drive : float [m]
-        Length of the drive.
+    The length [m] goes from the first place of the drive to the end of the street, `drive` [m] is
+    the drive's own. leaves(noise, rng, count, first, last, layout) returns the `Cloud` of fallen
+    leaves.
     """
 
     def __init__(self, length, seed, leaves):
