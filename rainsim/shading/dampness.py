@@ -4,21 +4,21 @@ from __future__ import annotations
 
 import math
 
-from rainsim.constants import FAR_AWAY, ONE, ZERO
+from rainsim.constants import FAR_AWAY, ZERO
 from rainsim.jit import cpu_kernel, prange
 from rainsim.scene.view import View, pixel_ray
-from rainsim.shading.grading import Look, is_edge, undiluted
+from rainsim.shading.grading import Look, surface_color
 from rainsim.shading.smooth_normals import smooth_normal, turned
 from rainsim.shading.wet_pass import DryPicture, depth_of_surface
 from rainsim.shading.wetness import OffGroundWetness
 from rainsim.shading.wetting import (
-    FLAT,
-    ON_GROUND,
     GroundMaps,
     SurfacePoint,
     heights_of,
+    is_ground,
     wet_state,
     wetted_normal,
+    with_normal,
 )
 
 
@@ -57,14 +57,14 @@ def find_dampness(
             away = d * math.sqrt(a * a + b * b + c * c)
             point = SurfacePoint(x, y, z, own[0], own[1], own[2], away)
             clearance, above = heights_of(point, True, ground)
-            if clearance >= ON_GROUND or own[2] <= FLAT:
+            if not is_ground(clearance, own[2]):
                 n0, n1, n2 = smooth_normal(
                     dry.depth, normal, row, column, height, width, view.fx, dry.around / unit
                 )
-                r, g, b = undiluted(
+                r, g, b = surface_color(
                     dry.color[row, column, 0], dry.color[row, column, 1], dry.color[row, column, 2],
-                    dry.alpha[row, column] if is_edge(dry.alpha[row, column], look) else ONE,
+                    dry.alpha[row, column], look,
                 )  # fmt: skip
                 lean = wetted_normal(r, g, b, above, own, turned(m, n0, n1, n2))
-                point = SurfacePoint(x, y, z, lean[0], lean[1], lean[2], away)
+                point = with_normal(point, lean)
             damp_out[row, column] = wet_state(point, clearance, above, ground, rain).dampness

@@ -34,6 +34,13 @@ def sharpness(focal, step, depth):
 
 
 @inlined_function
+def likeness(depth, here, sharp):
+    """Return the weight of a pixel's normal: 1 at a depth of `here`, 0 from 1 / `sharp` off it."""
+    away = (depth - here) * sharp
+    return max(ONE - away * away, ZERO)
+
+
+@inlined_function
 def sample(k, step):
     """Return columns and rows [px] from the middle of a neighbourhood to its pixel k."""
     if k < 4:
@@ -85,8 +92,7 @@ def smooth_normal(depth, normal, row, column, rows, columns, focal, around):
         across, down = sample(k, step)
         v = min(max(row + down, 0), rows - 1)
         u = min(max(column + across, 0), columns - 1)
-        away = (depth[v, u] - here) * sharp
-        weight = max(ONE - away * away, ZERO)
+        weight = likeness(depth[v, u], here, sharp)
         x += weight * normal[v, u, 0]
         y += weight * normal[v, u, 1]
         z += weight * normal[v, u, 2]

@@ -13,17 +13,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rainsim.constants import FAR_AWAY, HALF, ONE, SURFACE_ALPHA, ZERO
+from rainsim.constants import HALF, ONE, SURFACE_ALPHA, ZERO
 from rainsim.jit import cpu_kernel, device_function, inlined_function, prange, serial_kernel
 from rainsim.numerics.pixel_batches import CHUNK, CORNERS, interpolate
 from rainsim.scene.view import View, column_slope, row_slope
 from rainsim.shading.environment import azimuth_in_map, color_in_map, elevation_in_map
-from rainsim.shading.grading import Look, is_edge, undiluted
+from rainsim.shading.grading import Look, surface_color
 from rainsim.shading.smooth_normals import (
     AROUND,
     NO_AROUND,
     SAMPLES,
     STEPS,
+    likeness,
     sample,
     sharpness,
     step_of,
@@ -34,13 +35,15 @@ from rainsim.shading.wetness import OffGroundWetness, Wetness, store_wetness, st
 from rainsim.shading.wetting import (
     FLAT,
     LEAST_SKY,
-    ON_GROUND,
     WALL_SHARE,
     GroundMaps,
     SkyMaps,
     SurfacePoint,
     body_of,
     glossed,
+    heights_over,
+    is_ground,
+    is_on_map,
     mirror_cover,
     off_ground,
     on_ground,
@@ -220,9 +223,7 @@ def read_colors(color, alpha, look, n, s):
         s[RED + i], s[GREEN + i], s[BLUE + i] = color[3 * i], color[3 * i + 1], color[3 * i + 2]
     for i in range(n):
         cover = s[ALPHA + i]
-        r, g, b = undiluted(
-            s[RED + i], s[GREEN + i], s[BLUE + i], cover if is_edge(cover, look) else ONE
-        )
+        r, g, b = surface_color(s[RED + i], s[GREEN + i], s[BLUE + i], cover, look)
         s[RED + i], s[GREEN + i], s[BLUE + i] = r, g, b
 
 
@@ -281,20 +282,15 @@ def depth_of_surface(depth, plane_depth, upness):
 def find_heights(ground, n, s, cell, corner):
     """Find the height over the ground of each pixel's surface: `heights_of` in vectors."""
     bed, origin, spacing = ground.bed, ground.origin, ground.spacing
-    rows, columns = bed.shape
-    right, bottom = np.float32(columns - 1), np.float32(rows - 1)
     o0, o1 = origin[0], origin[1]
     for i in range(n):
         u, v = (s[X + i] - o0) / spacing - HALF, (s[Y + i] - o1) / spacing - HALF
-        inside = (u > ZERO) & (v > ZERO) & (u < right) & (v < bottom)
-        s[HEIGHT + i] = ONE if inside else ZERO
+        s[HEIGHT + i] = ONE if is_on_map(u, v, bed) else ZERO
         s[ACROSS + i], s[DOWN + i] = u, v
     interpolate(bed, n, s, ACROSS, DOWN, cell, corner)
     for i in range(n):
-        z, over = s[Z + i], s[Z + i] - s[ACROSS + i]
         solid, inside = s[ALPHA + i] >= SURFACE_ALPHA, s[HEIGHT + i] > ZERO
-        clear, height = over if inside else FAR_AWAY, over if inside else z
-        clear, height = clear if solid else FAR_AWAY, height if solid else FAR_AWAY
+        clear, height = heights_over(s[ACROSS + i], s[Z + i], inside, solid)
         s[CLEARANCE + i], s[HEIGHT + i] = clear, height
 
 
@@ -307,7 +303,7 @@ def take_normals_around(dry, normals, view, row, left, n, s, step):
     m, focal, around = view.ground_from_camera, view.fx, dry.around / dry.meters_per_unit
     found = 0
     for i in range(n):
-        level = (s[CLEARANCE + i] < ON_GROUND) & (s[UPNESS + i] > FLAT)
+        level = is_ground(s[CLEARANCE + i], s[UPNESS + i])
         here = dry.depth[row, left + i]
         shown = (s[ALPHA + i] >= SURFACE_ALPHA) & (not level)
         which = step_of(focal, around, here)
@@ -355,8 +351,7 @@ def add_normals(depth, normal, first, n, s):
     """Add n normals of a row to the sums of the pixels from `first` on, weighted by like depth."""
     for i in range(np.uint64(n)):
         k = np.uint64(first) + i
-        away = (depth[i] - s[np.uint64(GLOSS) + k]) * s[np.uint64(THROUGH) + k]
-        weight = max(ONE - away * away, ZERO)
+        weight = likeness(depth[i], s[np.uint64(GLOSS) + k], s[np.uint64(THROUGH) + k])
         s[np.uint64(SMOOTH) + k] += weight * normal[np.uint64(3) * i]
         s[np.uint64(ACROSS) + k] += weight * normal[np.uint64(3) * i + np.uint64(1)]
         s[np.uint64(DOWN) + k] += weight * normal[np.uint64(3) * i + np.uint64(2)]
@@ -369,7 +364,7 @@ def find_wetness(ground, rain, n, s):
     o0, o1 = origin[0], origin[1]
     off = 0  # pixels that show no ground
     for i in range(n):
-        off += np.int64((s[CLEARANCE + i] >= ON_GROUND) | (s[UPNESS + i] <= FLAT))
+        off += np.int64(not is_ground(s[CLEARANCE + i], s[UPNESS + i]))
     if off > 0:
         for i in range(n):
             height = s[HEIGHT + i]
@@ -379,7 +374,7 @@ def find_wetness(ground, rain, n, s):
             damp = damp if s[ALPHA + i] >= SURFACE_ALPHA else ZERO
             store_wetness(off_ground(rain, damp, body), s, WETNESS + i, CHUNK)
     for i in range(n):
-        if s[CLEARANCE + i] < ON_GROUND and s[UPNESS + i] > FLAT:
+        if is_ground(s[CLEARANCE + i], s[UPNESS + i]):
             u, v = (s[X + i] - o0) / spacing - HALF, (s[Y + i] - o1) / spacing - HALF
             store_wetness(on_ground(ground, u, v), s, WETNESS + i, CHUNK)
 
@@ -403,7 +398,7 @@ def color_pixels(look, mirror_apart, n, s):
         )  # fmt: skip
         s[RED + i], s[GREEN + i], s[BLUE + i], s[THROUGH + i] = r, g, b, through
         s[SMOOTH + i] = smooth
-        level = s[UPNESS + i] > FLAT and s[HEIGHT + i] < ON_GROUND
+        level = is_ground(s[HEIGHT + i], s[UPNESS + i])
         s[GLOSS + i] = ZERO if mirror_apart and level else gloss
 
 
@@ -473,7 +468,7 @@ def write_cover(ground, look, n, s, cover_out):
     """Write the share of a full water film on level ground."""
     for i in range(n):
         cover_out[i] = ZERO
-        if s[UPNESS + i] > FLAT and s[HEIGHT + i] < ON_GROUND:
+        if is_ground(s[HEIGHT + i], s[UPNESS + i]):
             cover_out[i] = mirror_cover(
                 surface_point(s, i), s[CLEARANCE + i], stored_wetness(s, WETNESS + i, CHUNK),
                 ground, look,

@@ -19,7 +19,7 @@ from rainsim.shading.bodies import NO_BODIES, body_share
 from rainsim.shading.color import luminance
 from rainsim.shading.environment import sample_environment
 from rainsim.shading.fresnel import reflectance
-from rainsim.shading.grading import graded, is_edge, sky_share, undiluted
+from rainsim.shading.grading import graded, is_edge, sky_share, surface_color
 from rainsim.shading.walls import damp_off_ground
 from rainsim.shading.wetness import Wetness, wetness_in
 
@@ -215,11 +215,42 @@ def wetted_normal(r, g, b, height, own, around):
     inv = ONE / math.sqrt(max(square, np.float32(1e-12)))
     x, y, z = x * inv, y * inv, z * inv
     leaf = smoothstep(GREENISH, GREEN, greenness(r, g, b))
-    known = square > np.float32(1e-6) and (height >= ON_GROUND or max(own[2], z) <= FLAT)
+    known = square > np.float32(1e-6) and not is_ground(height, max(own[2], z))
     leaf = leaf if known else ONE
     x, y, z = x + leaf * (own[0] - x), y + leaf * (own[1] - y), z + leaf * (own[2] - z)
     inv = ONE / max(math.sqrt(x * x + y * y + z * z), np.float32(1e-6))
     return x * inv, y * inv, z * inv
+
+
+@inlined_function
+def with_normal(point, normal):
+    """Return a `SurfacePoint` with another normal."""
+    return SurfacePoint(
+        point.x, point.y, point.z, normal[0], normal[1], normal[2], point.distance
+    )  # fmt: skip
+
+
+@inlined_function
+def is_ground(height, upness):
+    """Tell whether a surface at a height [m] over the bed is the ground: low and level.
+
+    `upness` is the cosine of its normal to the vertical.
+    """
+    return (height < ON_GROUND) & (upness > FLAT)
+
+
+@inlined_function
+def is_on_map(u, v, bed):
+    """Tell whether column u and row v of a map lie between cell centres."""
+    right, bottom = np.float32(bed.shape[1] - 1), np.float32(bed.shape[0] - 1)
+    return (u > ZERO) & (v > ZERO) & (u < right) & (v < bottom)
+
+
+@inlined_function
+def heights_over(bed, z, inside, solid):
+    """Return what `heights_of` does, of a surface at z [m] over a bed that is known if `inside`."""
+    clearance, height = z - bed if inside else FAR_AWAY, z - bed if inside else z
+    return clearance if solid else FAR_AWAY, height if solid else FAR_AWAY
 
 
 @inlined_function
@@ -240,20 +271,16 @@ def heights_of(point, solid, ground):
     height : float32 [m]
         The same, but off the map the height over the ground plane.
     """
-    rows, columns = ground.bed.shape
     u, v = map_place(ground, point.x, point.y)
-    inside = u > ZERO and v > ZERO
-    inside = inside and u < np.float32(columns - 1) and v < np.float32(rows - 1)
-    if not solid:
-        return FAR_AWAY, FAR_AWAY
-    clearance = point.z - bilinear(ground.bed, u, v) if inside else FAR_AWAY
-    return clearance, clearance if inside else point.z
+    inside = is_on_map(u, v, ground.bed)
+    bed = bilinear(ground.bed, u, v) if inside & solid else ZERO
+    return heights_over(bed, point.z, inside, solid)
 
 
 @inlined_function
 def wet_state(point, clearance, height, ground, rain):
     """Return how wet a surface is; the heights are those of `heights_of`."""
-    if clearance < ON_GROUND and point.nz > FLAT:
+    if is_ground(clearance, point.nz):
         u, v = map_place(ground, point.x, point.y)
         return on_ground(ground, u, v)
     if height < FAR_AWAY:
@@ -323,7 +350,7 @@ def rainy_color(r, g, b, alpha, distance, sine, cosine, upness, height, wet, loo
     r, g, b = graded(r, g, b, look)
     if wet.dampness * surface > ZERO:
         leaf, coat = ZERO, ZERO
-        if upness <= FLAT or height >= ON_GROUND:
+        if not is_ground(height, upness):
             leaf = smoothstep(GREENISH, GREEN, greenness(r, g, b))
             coat = (ONE - leaf) * max(ONE - SMOOTH * wet.porosity, ZERO)
         smooth = MIRROR if coat > leaf else leaf
@@ -404,19 +431,16 @@ def wet_pixel(color, alpha, ray, distance, point, around, ground, rain, sky, loo
     """
     x, y, z = ray
     clearance, height = heights_of(point, alpha >= SURFACE_ALPHA, ground)
-    r, g, b = color
-    r, g, b = undiluted(r, g, b, alpha if is_edge(alpha, look) else ONE)
-    lean = wetted_normal(r, g, b, height, (point.nx, point.ny, point.nz), around)
-    point = SurfacePoint(
-        point.x, point.y, point.z, lean[0], lean[1], lean[2], point.distance
-    )  # fmt: skip
+    r, g, b = surface_color(color[0], color[1], color[2], alpha, look)
+    own = point.nx, point.ny, point.nz
+    point = with_normal(point, wetted_normal(r, g, b, height, own, around))
     wet = wet_state(point, clearance, height, ground, rain)
     cosine = -(x * point.nx + y * point.ny + z * point.nz)
     r, g, b, gloss, through, smooth = rainy_color(
         r, g, b, alpha, distance, z, cosine, point.nz, height, wet, look
     )
     cover = ZERO
-    if mirror_apart and point.nz > FLAT and height < ON_GROUND:
+    if mirror_apart and is_ground(height, point.nz):
         cover = mirror_cover(point, clearance, wet, ground, look)
     elif gloss > ZERO:
         u, v, w = glossed(x, y, z, cosine, point.nx, point.ny, point.nz, smooth)
