@@ -53,11 +53,17 @@ def sample(k, step):
 
 
 @inlined_function
-def turned(m, x, y, z):
-    """Return the vector (x, y, z) turned by the matrix `m` (3, 3)."""
+def turn_of(m):
+    """Return the numbers of a matrix (3, 3): loops that write to arrays keep them in registers."""
+    return m[0, 0], m[0, 1], m[0, 2], m[1, 0], m[1, 1], m[1, 2], m[2, 0], m[2, 1], m[2, 2]
+
+
+@inlined_function
+def turned(turn, x, y, z):
+    """Return the vector (x, y, z) turned by a matrix of which `turn_of` made the numbers."""
     return (
-        m[0, 0] * x + m[0, 1] * y + m[0, 2] * z, m[1, 0] * x + m[1, 1] * y + m[1, 2] * z,
-        m[2, 0] * x + m[2, 1] * y + m[2, 2] * z,
+        turn[0] * x + turn[1] * y + turn[2] * z, turn[3] * x + turn[4] * y + turn[5] * z,
+        turn[6] * x + turn[7] * y + turn[8] * z,
     )  # fmt: skip
 
 

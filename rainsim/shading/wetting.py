@@ -1,8 +1,10 @@
 """How water changes the look of a captured surface: formulas of darkening and gloss, and one pixel.
 
-`wet_pixel` puts the formulas together for one point: traced rays and CUDA threads call it, and
-`wet_pass` does the same in vectors of pixels. Colours are linear light, radiance relative to
-display white; places and normals are in the ground frame.
+`wet_pixel` puts the formulas together for one point: traced rays and CUDA threads call it. Its twin
+is `wet_pass.grade_row`, which calls the same formulas in the same order for a chunk of pixels: who
+changes the order, or adds a step, changes both. `tests/shading/test_grade.py` fails when the two
+differ. Colours are linear light, radiance relative to display white; places and normals are in the
+ground frame.
 """
 
 from __future__ import annotations
@@ -14,7 +16,7 @@ import numpy as np
 
 from rainsim.constants import FAR_AWAY, FOUR, HALF, ONE, SURFACE_ALPHA, TWO, ZERO
 from rainsim.jit import inlined_function
-from rainsim.numerics.interpolation import bilinear, smoothstep
+from rainsim.numerics.interpolation import bilinear, is_on_map, map_place, smoothstep
 from rainsim.shading.bodies import NO_BODIES, body_share
 from rainsim.shading.color import luminance
 from rainsim.shading.environment import sample_environment
@@ -183,20 +185,12 @@ def body_of(point, clearance, ground):
     """Return how surely a point off the ground is on a smooth body, 0 to 1."""
     if ground.bodies.shape[0] < 2 or not clearance < TALLER:
         return ZERO
-    u, v = map_place(ground, point.x, point.y)
+    u, v = map_place(point.x, point.y, ground.origin, ground.spacing)
     return body_share(ground.bodies, u, v, clearance, point.nz)
 
 
 @inlined_function
-def map_place(ground, x, y):
-    """Return column and row of a map at (x, y) [m]; cell centres are whole numbers."""
-    u = (x - ground.origin[0]) / ground.spacing - HALF
-    v = (y - ground.origin[1]) / ground.spacing - HALF
-    return u, v
-
-
-@inlined_function
-def wetted_normal(r, g, b, height, own, around):
+def wetted_normal(r, g, b, height, point, around):
     """Return the normal by which a surface gets wet and mirrors; see `smooth_normals`.
 
     Parameters
@@ -205,8 +199,8 @@ def wetted_normal(r, g, b, height, own, around):
         Captured linear colour: leaves keep their own normals.
     height : float32 [m]
         Over the ground.
-    own : tuple of 3 float32
-        Unit normal of the pixel, ground frame.
+    point : SurfacePoint
+        With the pixel's own normal.
     around : tuple of 3 float32
         That of its neighbourhood, of any length.
     """
@@ -215,9 +209,9 @@ def wetted_normal(r, g, b, height, own, around):
     inv = ONE / math.sqrt(max(square, np.float32(1e-12)))
     x, y, z = x * inv, y * inv, z * inv
     leaf = smoothstep(GREENISH, GREEN, greenness(r, g, b))
-    known = square > np.float32(1e-6) and not is_ground(height, max(own[2], z))
+    known = square > np.float32(1e-6) and not is_ground(height, max(point.nz, z))
     leaf = leaf if known else ONE
-    x, y, z = x + leaf * (own[0] - x), y + leaf * (own[1] - y), z + leaf * (own[2] - z)
+    x, y, z = x + leaf * (point.nx - x), y + leaf * (point.ny - y), z + leaf * (point.nz - z)
     inv = ONE / max(math.sqrt(x * x + y * y + z * z), np.float32(1e-6))
     return x * inv, y * inv, z * inv
 
@@ -237,13 +231,6 @@ def is_ground(height, upness):
     `upness` is the cosine of its normal to the vertical.
     """
     return (height < ON_GROUND) & (upness > FLAT)
-
-
-@inlined_function
-def is_on_map(u, v, bed):
-    """Tell whether column u and row v of a map lie between cell centres."""
-    right, bottom = np.float32(bed.shape[1] - 1), np.float32(bed.shape[0] - 1)
-    return (u > ZERO) & (v > ZERO) & (u < right) & (v < bottom)
 
 
 @inlined_function
@@ -271,7 +258,7 @@ def heights_of(point, solid, ground):
     height : float32 [m]
         The same, but off the map the height over the ground plane.
     """
-    u, v = map_place(ground, point.x, point.y)
+    u, v = map_place(point.x, point.y, ground.origin, ground.spacing)
     inside = is_on_map(u, v, ground.bed)
     bed = bilinear(ground.bed, u, v) if inside & solid else ZERO
     return heights_over(bed, point.z, inside, solid)
@@ -281,7 +268,7 @@ def heights_of(point, solid, ground):
 def wet_state(point, clearance, height, ground, rain):
     """Return how wet a surface is; the heights are those of `heights_of`."""
     if is_ground(clearance, point.nz):
-        u, v = map_place(ground, point.x, point.y)
+        u, v = map_place(point.x, point.y, ground.origin, ground.spacing)
         return on_ground(ground, u, v)
     if height < FAR_AWAY:
         body = body_of(point, clearance, ground)
@@ -298,7 +285,7 @@ def mirror_cover(point, clearance, wet, ground, look):
     """
     lawn, film = wet.lawn, wet.film
     if not clearance < FAR_AWAY:
-        u, v = map_place(ground, point.x, point.y)
+        u, v = map_place(point.x, point.y, ground.origin, ground.spacing)
         u = min(max(u, ZERO), np.float32(ground.wetness.shape[1]) - TO_BORDER)
         v = min(max(v, ZERO), np.float32(ground.wetness.shape[0]) - TO_BORDER)
         border = on_ground(ground, u, v)
@@ -432,8 +419,7 @@ def wet_pixel(color, alpha, ray, distance, point, around, ground, rain, sky, loo
     x, y, z = ray
     clearance, height = heights_of(point, alpha >= SURFACE_ALPHA, ground)
     r, g, b = surface_color(color[0], color[1], color[2], alpha, look)
-    own = point.nx, point.ny, point.nz
-    point = with_normal(point, wetted_normal(r, g, b, height, own, around))
+    point = with_normal(point, wetted_normal(r, g, b, height, point, around))
     wet = wet_state(point, clearance, height, ground, rain)
     cosine = -(x * point.nx + y * point.ny + z * point.nz)
     r, g, b, gloss, through, smooth = rainy_color(
