@@ -108,15 +108,13 @@ def in_level_picture(prepared, terrain, frame):
     return merge_fine(standing(prepared, terrain, frame), FINE / frame.meters_per_unit)
 
 
-def level_camera(view, most=RESOLUTION):
+def level_camera(view):
     """Return the level, upright camera (ground frame) that sees the reflections in wet ground.
 
     Parameters
     ----------
     view : Camera
-        In the ground frame.
-    most : float
-        Pixels per unit of tangent, at most; fewer for small pictures.
+        In the ground frame. The level one has at most RESOLUTION pixels per unit of tangent.
     """
     turn = view.camera_from_world[:3, :3].T
     u, v = _EDGES[0] * view.width, _EDGES[1] * view.height
@@ -134,7 +132,7 @@ def level_camera(view, most=RESOLUTION):
     left, rightmost = (
         min(max(float(t), -MOST_ASIDE), MOST_ASIDE) for t in (least - MARGIN, largest + MARGIN)
     )
-    scale = min(most, view.fx)
+    scale = min(RESOLUTION, view.fx)
     width, height = math.ceil((rightmost - left) * scale), math.ceil((ABOVE + MOST_UP) * scale)
     matrix = np.eye(4)
     matrix[:3, :3] = (n, -e, 0.0), (0.0, 0.0, -1.0), (e, n, 0.0)
