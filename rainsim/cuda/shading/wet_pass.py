@@ -12,12 +12,11 @@ from rainsim.cuda.jit import cuda, cuda_kernel
 from rainsim.scene.view import CameraArrays, column_slope, row_slope, view_from
 from rainsim.shading.grading import look_from
 from rainsim.shading.smooth_normals import AROUND, NO_AROUND, smooth_normal, turn_of, turned
-from rainsim.shading.wet_pass import DryPicture, seen_surface
+from rainsim.shading.wet_pass import NO_DEPTH, DryPicture, seen_surface
 from rainsim.shading.wetness import off_ground_from
 from rainsim.shading.wetting import GroundMaps, SkyMaps, wet_pixel
 
 BLOCK = (32, 8)  # threads: columns, rows
-NO_DEPTH = np.float32(np.inf)
 
 
 def blocks(height, width):
