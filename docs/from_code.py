@@ -260,8 +260,8 @@ def counts():
 CONTENTS = {
     "Begin": "start capture recipes gallery limits compared",
     "Roads": "roads/film roads/perception roads/hydraulics",
-    "Subjects": "concepts conventions ground water rain light wet splatting layers actors big "
-    "datasets sensors view cuda many_machines",
+    "Subjects": "concepts conventions ground water rain light wet splatting lanes layers actors "
+    "big datasets sensors view cuda many_machines",
     "Reference": "reference/commands reference/settings reference/files reference/python "
     "reference/counts architecture",
     "Measurements": "measurements measurements/frame-cpu measurements/frame-gpu "

@@ -70,15 +70,15 @@ def turn_to_the_open(surface, solids, window):
     surface.normal[(sides[:, 0] < BLIND) & (sides[:, 1] > OPEN)] *= -1
 
 
-def sky_radiance(sun, count=SKY_DIRECTIONS):
+def sky_radiance(sun):
     """Return directions (m, 3) and the radiance of skies in each, (m, 5) float32.
 
     A clear one for each channel, an overcast one and an even one; open level ground receives 1 of
     each.
     """
-    directions = sky_light.hemisphere(count)
+    directions = sky_light.hemisphere(SKY_DIRECTIONS)
     clear = sky_light.clear(directions, sun)
-    skies = np.column_stack([clear, sky_light.overcast(directions), np.ones(count)])
+    skies = np.column_stack([clear, sky_light.overcast(directions), np.ones(SKY_DIRECTIONS)])
     skies /= (skies * directions[:, 2:]).sum(axis=0)
     return directions, skies.astype(np.float32)
 

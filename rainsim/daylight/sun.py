@@ -289,7 +289,7 @@ def strengths(places, solids, window, directions, side):
     return found
 
 
-def seen_from(places, solids, window, directions, side, margin=MARGIN):
+def seen_from(places, solids, window, directions, side):
     """Return the share of each place that is seen from each direction, (n, m) float32."""
     window = resized(window, side)
     axes = axes_of(directions)
@@ -297,5 +297,5 @@ def seen_from(places, solids, window, directions, side, margin=MARGIN):
     draw_heights(solids, axes, window, heights)
     seen = np.empty((len(places.position), len(axes)), np.float32)
     flat = np.ones(len(places.position), np.float32)
-    find_seen(heights, axes, window, places.position, places.normal, flat, np.float32(margin), seen)
+    find_seen(heights, axes, window, places.position, places.normal, flat, np.float32(MARGIN), seen)
     return seen

@@ -15,6 +15,22 @@ def smoothstep(low, high, x):
     return s * s * (THREE - TWO * s)
 
 
+@inlined_function
+def map_place(x, y, origin, spacing):
+    """Return column u and row v of a map at (x, y) [m]; cell centres are whole numbers.
+
+    `origin` (2,) [m] is the corner of the first cell.
+    """
+    return (x - origin[0]) / spacing - HALF, (y - origin[1]) / spacing - HALF
+
+
+@inlined_function
+def is_on_map(u, v, field):
+    """Tell whether column u and row v of a field lie between its outermost cell centres."""
+    right, bottom = np.float32(field.shape[1] - 1), np.float32(field.shape[0] - 1)
+    return (u > ZERO) & (v > ZERO) & (u < right) & (v < bottom)
+
+
 @device_function
 def bilinear(field, u, v):
     """Return `field` (rows, columns) at column u, row v, cell centres at whole numbers; clamped."""

@@ -1,10 +1,11 @@
 """Reflections in water by a mirrored picture, on the CPU: many bent rays at a time, in vectors.
 
-`planar_mirror.mirrored_light` does the same for one pixel, and a CUDA thread is no worse off with
-it. A CPU does eight rays in one instruction, but only where a loop holds one simple thing to do:
-so the rays of some records fill a chunk (see `numerics.pixel_batches`), and each pass over it does
-one thing for all of them: bend, guess, march what the guess does not end, look up. The formulas are
-those of `planar_mirror`; `tests/reflection/test_mirrors.py` holds the two together.
+Twin of `planar_mirror.mirrored_light`, which does the same for one pixel: a CUDA thread is no worse
+off with it. A CPU does eight rays in one instruction, but only where a loop holds one simple thing
+to do: so the rays of some records fill a chunk (see `numerics.pixel_batches`), and each pass over
+it does one thing for all of them: bend, guess, march what the guess does not end, look up. The
+formulas are those of `planar_mirror`; only order and packing stand here again, and
+`tests/reflection/test_mirrors.py` fails when the two differ.
 """
 
 from __future__ import annotations
@@ -42,8 +43,10 @@ from rainsim.reflection.planar_mirror import (
     HALVINGS,
     STEPS,
     MirrorPicture,
+    depth_gain,
     guessed_share,
     image_of,
+    is_behind,
     is_met,
     met_between,
     step_share,
@@ -227,7 +230,7 @@ def step_to(share, n, s):
 def check_step(share, n, s):
     """Mark which of n rays have met something since the last step; return how many have by now."""
     met = 0
-    gain = ONE / max(ONE - share, np.float32(1e-4))  # depth over that of the start
+    gain = depth_gain(share)
     for i in range(n):
         surface, before, last, free, high = (
             s[SURFACE + i], s[BEFORE + i], s[LAST + i], s[FREE + i], s[HIGH + i]
@@ -259,5 +262,5 @@ def keep_half(n, s):
     for i in range(n):
         low, high = s[LAST + i], s[HIGH + i]
         middle = HALF * (low + high)
-        behind = s[FROM_Z + i] >= s[SURFACE + i] * (ONE - middle)
+        behind = is_behind(s[FROM_Z + i], middle, s[SURFACE + i])
         s[LAST + i], s[HIGH + i] = low if behind else middle, middle if behind else high

@@ -6,7 +6,7 @@ import numpy as np
 
 from rainsim.constants import HALF, ONE, ZERO
 from rainsim.jit import device_function, inlined_function, lean_function, prange, thorough_kernel
-from rainsim.numerics.interpolation import bilinear, smoothstep
+from rainsim.numerics.interpolation import bilinear, map_place, smoothstep
 from rainsim.numerics.pixel_batches import CHUNK, CORNERS, interpolate
 from rainsim.reflection.water_surface import WaterMap
 from rainsim.scene.view import View, column_slope, row_slope
@@ -189,8 +189,7 @@ def meet_surface(view, water_map, x, y, z, start):
     u, v, step = ZERO, ZERO, ONE
     before = start
     for _ in range(MOST_STEPS):
-        u = (eye[0] + t * x - origin[0]) / spacing - HALF
-        v = (eye[1] + t * y - origin[1]) / spacing - HALF
+        u, v = map_place(eye[0] + t * x, eye[1] + t * y, origin, spacing)
         now = bilinear(surface, u, v)
         t = (now - eye[2]) * inv
         step = abs(now - before)
@@ -199,5 +198,5 @@ def meet_surface(view, water_map, x, y, z, start):
         before = now
     if step > FAR_OFF:
         return -ONE, u, v
-    return t, (eye[0] + t * x - origin[0]) / spacing - HALF, (
-        eye[1] + t * y - origin[1]) / spacing - HALF  # fmt: skip
+    u, v = map_place(eye[0] + t * x, eye[1] + t * y, origin, spacing)
+    return t, u, v

@@ -22,7 +22,7 @@ from rainsim.jit import (
     thorough_kernel,
 )
 from rainsim.numerics.approximations import exp_minus
-from rainsim.numerics.interpolation import bilinear, bilinear_color, smoothstep
+from rainsim.numerics.interpolation import bilinear, bilinear_color, map_place, smoothstep
 from rainsim.reflection.facets import normal_of, pixel_reflectance, view_cosine
 from rainsim.reflection.slope_moments import pixel_slopes, tile_height
 from rainsim.reflection.water_record import (
@@ -93,10 +93,9 @@ def water_at(view, water_map, tops, row, column, t, coverage):
     Rings do not run in a thin film of water, few run in where a roof keeps the rain off, and shores
     that are near take them.
     """
-    water, origin = surface_at(view, row, column, abs(t)), water_map.origin
+    water = surface_at(view, row, column, abs(t))
     top, on_top, _, _, _ = top_below(tops, water.x, water.y, water.z)
-    u = (water.x - origin[0]) / water_map.spacing - HALF
-    v = (water.y - origin[1]) / water_map.spacing - HALF
+    u, v = map_place(water.x, water.y, water_map.origin, water_map.spacing)
     water_depth = bilinear(water_map.depth, u, v)
     share = smoothstep(RIPPLE_LOW, RIPPLE_HIGH, water_depth)
     share *= SHELTERED_SHARE + (ONE - SHELTERED_SHARE) * bilinear(water_map.rings, u, v)

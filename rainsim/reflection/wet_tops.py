@@ -15,7 +15,7 @@ from scipy import ndimage
 
 from rainsim.constants import HALF, ONE, TWO, ZERO
 from rainsim.jit import cpu_kernel, inlined_function, prange
-from rainsim.numerics.interpolation import bilinear, smoothstep
+from rainsim.numerics.interpolation import bilinear, map_place, smoothstep
 from rainsim.reflection.ray_water import LEAST_COVERAGE, LEAST_DIP
 from rainsim.reflection.water_record import X, Y, Z
 from rainsim.scene.view import View, column_slope, pixel_ray, row_slope
@@ -143,8 +143,7 @@ def top_over(tops, x, y):
 def share_over(tops, k, x, y):
     """Return the share of top k at (x, y) [m], between the map's cells: its edge has no steps."""
     rows, columns = tops.number.shape
-    u = (x - tops.origin[0]) / tops.spacing - HALF
-    v = (y - tops.origin[1]) / tops.spacing - HALF
+    u, v = map_place(x, y, tops.origin, tops.spacing)
     u = min(max(u, ZERO), np.float32(columns - 1))
     v = min(max(v, ZERO), np.float32(rows - 1))
     i, j = min(int(u), columns - 2), min(int(v), rows - 2)
@@ -272,8 +271,7 @@ def top_with(tops, x, y, z):
     if is_at(tops, k, x, y, z):
         return k
     rows, columns = tops.number.shape
-    u = (x - tops.origin[0]) / tops.spacing - HALF
-    v = (y - tops.origin[1]) / tops.spacing - HALF
+    u, v = map_place(x, y, tops.origin, tops.spacing)
     if not (u > -ONE and v > -ONE and u < np.float32(columns) and v < np.float32(rows)):
         return -1
     for cell in range(4):

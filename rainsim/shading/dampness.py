@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-import math
-
-from rainsim.constants import FAR_AWAY, ONE, ZERO
+from rainsim.constants import FAR_AWAY, ZERO
 from rainsim.jit import cpu_kernel, prange
-from rainsim.scene.view import View, pixel_ray
-from rainsim.shading.grading import Look, is_edge, undiluted
-from rainsim.shading.smooth_normals import smooth_normal, turned
-from rainsim.shading.wet_pass import DryPicture, depth_of_surface
+from rainsim.scene.view import View, column_slope, row_slope
+from rainsim.shading.grading import Look, surface_color
+from rainsim.shading.smooth_normals import smooth_normal, turn_of, turned
+from rainsim.shading.wet_pass import DryPicture, seen_surface
 from rainsim.shading.wetness import OffGroundWetness
 from rainsim.shading.wetting import (
-    FLAT,
-    ON_GROUND,
     GroundMaps,
-    SurfacePoint,
     heights_of,
+    is_ground,
     wet_state,
     wetted_normal,
+    with_normal,
 )
 
 
@@ -42,29 +39,29 @@ def find_dampness(
         0 dry to 1 wet through; 0 for the sky.
     """
     height, width = depth.shape
-    m, eye, normal, unit = view.ground_from_camera, view.eye, dry.normal, dry.meters_per_unit
+    turn, eye, normal, unit = (
+        turn_of(view.ground_from_camera), view.eye, dry.normal, dry.meters_per_unit
+    )  # fmt: skip
     for row in prange(height):
         for column in range(width):
             damp_out[row, column] = ZERO
             if not depth[row, column] < FAR_AWAY:
                 continue
-            a, b, c = pixel_ray(view, row, column)
-            own = turned(m, normal[row, column, 0], normal[row, column, 1], normal[row, column, 2])
-            _, d = depth_of_surface(
-                dry.depth[row, column] * unit, dry.plane_depth[row, column] * unit, own[2]
-            )
-            x, y, z = eye[0] + d * a, eye[1] + d * b, eye[2] + d * c
-            away = d * math.sqrt(a * a + b * b + c * c)
-            point = SurfacePoint(x, y, z, own[0], own[1], own[2], away)
+            alpha = dry.alpha[row, column]
+            _, _, _, _, _, _, point = seen_surface(
+                turn, eye, column_slope(view, column), row_slope(view, row),
+                (normal[row, column, 0], normal[row, column, 1], normal[row, column, 2]),
+                dry.depth[row, column] * unit, dry.plane_depth[row, column] * unit, alpha,
+            )  # fmt: skip
             clearance, above = heights_of(point, True, ground)
-            if clearance >= ON_GROUND or own[2] <= FLAT:
+            if not is_ground(clearance, point.nz):
                 n0, n1, n2 = smooth_normal(
                     dry.depth, normal, row, column, height, width, view.fx, dry.around / unit
                 )
-                r, g, b = undiluted(
+                r, g, b = surface_color(
                     dry.color[row, column, 0], dry.color[row, column, 1], dry.color[row, column, 2],
-                    dry.alpha[row, column] if is_edge(dry.alpha[row, column], look) else ONE,
+                    alpha, look,
                 )  # fmt: skip
-                lean = wetted_normal(r, g, b, above, own, turned(m, n0, n1, n2))
-                point = SurfacePoint(x, y, z, lean[0], lean[1], lean[2], away)
+                around = turned(turn, n0, n1, n2)
+                point = with_normal(point, wetted_normal(r, g, b, above, point, around))
             damp_out[row, column] = wet_state(point, clearance, above, ground, rain).dampness

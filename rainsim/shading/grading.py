@@ -120,6 +120,12 @@ def undiluted(r, g, b, alpha):
 
 
 @inlined_function
+def surface_color(r, g, b, alpha, look):
+    """Return the linear colour of a captured surface; other parameters are those of `undiluted`."""
+    return undiluted(r, g, b, alpha if is_edge(alpha, look) else ONE)
+
+
+@inlined_function
 def sky_share(r, g, b):
     """Return how surely a far captured linear colour above the horizon is sky, 0 to 1.
 

@@ -10,6 +10,7 @@ from scipy import ndimage
 
 from rainsim.constants import HALF, ONE, ZERO
 from rainsim.jit import inlined_function
+from rainsim.numerics.interpolation import is_on_map, map_place
 from rainsim.scene.view import image_ray
 from rainsim.shading.fresnel import EXACT
 from rainsim.shading.microfacet import LEAST_DIP
@@ -76,12 +77,9 @@ def ground_met(x, y, z, eye, ground):
     u, v, gx, gy, slope = ZERO, ZERO, ZERO, ZERO, ONE
     for _ in range(3):
         span = max(eye[2] - here, np.float32(0.02)) / dip
-        u = (eye[0] + span * ux - origin[0]) / spacing - HALF
-        v = (eye[1] + span * uy - origin[1]) / spacing - HALF
+        u, v = map_place(eye[0] + span * ux, eye[1] + span * uy, origin, spacing)
         here, gx, gy, slope = slopes_at(slopes, u, v)
-    inside = u > ZERO and v > ZERO
-    inside = inside and u < np.float32(slopes.shape[1] - 1) and v < np.float32(slopes.shape[0] - 1)
-    if not inside:
+    if not is_on_map(u, v, slopes):
         gx, gy = ZERO, ZERO
     return ux, uy, dip, span, here, gx, gy, slope
 

@@ -21,7 +21,8 @@ PANORAMA_ROWS = 512  # of the map of a panorama: it is seen behind the scene, to
 # m: over which distant ground goes over into the air before it, and the sine of the elevation below
 # which a map is the horizon's. Chosen: the rain's own extinction alone would leave a dark edge.
 HAZE, AIR = 60.0, 0.06
-CLOUD_DEPTH = 0.3  # of the noise in the logarithm of a clouded sky's radiance
+CLOUD_DEPTH = 0.3  # of the noise in the logarithm of a clouded sky's radiance; by eye
+CLOUD_ROWS = 2 * ROWS  # of a clouded sky's map
 # Exponents of x, y and z: on the sphere these span the harmonics to degree 3.
 CUBIC = [(i, j, k) for i in range(4) for j in range(4 - i) for k in (0, 1) if i + j + k <= 3]
 LEAST_SKY_SEEN = 0.02  # share of the upper half below which a captured sky tells nothing
@@ -74,12 +75,10 @@ def clouded(environment):
 
     Returns
     -------
-    ndarray of shape (2 ROWS, 4 ROWS, 3), float32
+    ndarray of shape (CLOUD_ROWS, 2 CLOUD_ROWS, 3), float32
         Scaled so that level ground receives as much green light as before.
     """
-    rows = 2 * ROWS
-    direction = directions(rows, 2 * rows)
-    row, column = np.indices(direction.shape[:2]) / rows
+    row, column = np.indices((CLOUD_ROWS, 2 * CLOUD_ROWS)) / CLOUD_ROWS
     scale = environment.shape[0]
     where = [row * scale - 0.5, column * environment.shape[1] / 2 - 0.5]
     even = np.stack(
@@ -89,19 +88,19 @@ def clouded(environment):
         ],
         axis=-1,
     )
-    made = even * np.exp(CLOUD_DEPTH * _bellies(rows))[..., None]
+    made = even * np.exp(CLOUD_DEPTH * _bellies())[..., None]
     made *= irradiance(environment)[1] / irradiance(made)[1]
     return np.ascontiguousarray(made, dtype=np.float32)
 
 
 @functools.cache
-def _bellies(rows):
-    """Return the noise of the undersides of clouds, (rows, 2 rows), read-only, about -1 to 1.
+def _bellies():
+    """Return the noise of the undersides of clouds, read-only, about -1 to 1.
 
-    Smooth noise on a horizontal sheet of cloud is projected onto the sky, finer towards the
-    horizon, where it fades as if in haze.
+    Its shape is (CLOUD_ROWS, 2 CLOUD_ROWS). Smooth noise on a horizontal sheet of cloud is
+    projected onto the sky, finer towards the horizon, where it fades as if in haze.
     """
-    direction = directions(rows, 2 * rows)
+    direction = directions(CLOUD_ROWS, 2 * CLOUD_ROWS)
     height = np.maximum(direction[..., 2], 0)
     sheet = direction[..., :2] / (height[..., None] + 0.25)
     lattice = np.random.Generator(np.random.PCG64(3)).uniform(-1, 1, (64, 64))

@@ -34,6 +34,13 @@ def sharpness(focal, step, depth):
 
 
 @inlined_function
+def likeness(depth, here, sharp):
+    """Return the weight of a pixel's normal: 1 at a depth of `here`, 0 from 1 / `sharp` off it."""
+    away = (depth - here) * sharp
+    return max(ONE - away * away, ZERO)
+
+
+@inlined_function
 def sample(k, step):
     """Return columns and rows [px] from the middle of a neighbourhood to its pixel k."""
     if k < 4:
@@ -46,11 +53,17 @@ def sample(k, step):
 
 
 @inlined_function
-def turned(m, x, y, z):
-    """Return the vector (x, y, z) turned by the matrix `m` (3, 3)."""
+def turn_of(m):
+    """Return the numbers of a matrix (3, 3): loops that write to arrays keep them in registers."""
+    return m[0, 0], m[0, 1], m[0, 2], m[1, 0], m[1, 1], m[1, 2], m[2, 0], m[2, 1], m[2, 2]
+
+
+@inlined_function
+def turned(turn, x, y, z):
+    """Return the vector (x, y, z) turned by a matrix of which `turn_of` made the numbers."""
     return (
-        m[0, 0] * x + m[0, 1] * y + m[0, 2] * z, m[1, 0] * x + m[1, 1] * y + m[1, 2] * z,
-        m[2, 0] * x + m[2, 1] * y + m[2, 2] * z,
+        turn[0] * x + turn[1] * y + turn[2] * z, turn[3] * x + turn[4] * y + turn[5] * z,
+        turn[6] * x + turn[7] * y + turn[8] * z,
     )  # fmt: skip
 
 
@@ -85,8 +98,7 @@ def smooth_normal(depth, normal, row, column, rows, columns, focal, around):
         across, down = sample(k, step)
         v = min(max(row + down, 0), rows - 1)
         u = min(max(column + across, 0), columns - 1)
-        away = (depth[v, u] - here) * sharp
-        weight = max(ONE - away * away, ZERO)
+        weight = likeness(depth[v, u], here, sharp)
         x += weight * normal[v, u, 0]
         y += weight * normal[v, u, 1]
         z += weight * normal[v, u, 2]

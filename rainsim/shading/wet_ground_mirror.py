@@ -112,7 +112,7 @@ def level_camera(view):
     Parameters
     ----------
     view : Camera
-        In the ground frame.
+        In the ground frame. The level one has at most RESOLUTION pixels per unit of tangent.
     """
     turn = view.camera_from_world[:3, :3].T
     u, v = _EDGES[0] * view.width, _EDGES[1] * view.height

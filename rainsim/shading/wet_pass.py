@@ -1,8 +1,9 @@
 """The rainy picture without water: captured light, graded and wetted; pictures and rays.
 
-`grade_and_wet` does what `wetting.wet_pixel` does, a row in chunks of CHUNK pixels and each chunk
-in passes over numbers that stay in cache: so all but the look-ups in maps runs in vectors, which
-takes a third of the time of one pixel after the other. A test holds the two together to rounding.
+`grade_row` is the twin of `wetting.wet_pixel`: the same formulas in the same order, but for a row
+in chunks of CHUNK pixels and each chunk in passes over numbers that stay in cache. So all but the
+look-ups in maps runs in vectors, which takes a third of the time of one pixel after the other. Only
+the loops and the packing stand here; `tests/shading/test_grade.py` fails when the two differ.
 Rays are few and scattered: `grade_rays` calls `wet_pixel`.
 """
 
@@ -13,39 +14,40 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rainsim.constants import FAR_AWAY, HALF, ONE, SURFACE_ALPHA, ZERO
+from rainsim.constants import ONE, SURFACE_ALPHA, ZERO
 from rainsim.jit import cpu_kernel, device_function, inlined_function, prange, serial_kernel
+from rainsim.numerics.interpolation import is_on_map, map_place
 from rainsim.numerics.pixel_batches import CHUNK, CORNERS, interpolate
 from rainsim.scene.view import View, column_slope, row_slope
 from rainsim.shading.environment import azimuth_in_map, color_in_map, elevation_in_map
-from rainsim.shading.grading import Look, is_edge, undiluted
+from rainsim.shading.grading import Look, surface_color
 from rainsim.shading.smooth_normals import (
     AROUND,
     NO_AROUND,
     SAMPLES,
     STEPS,
+    likeness,
     sample,
     sharpness,
     step_of,
+    turn_of,
     turned,
 )
-from rainsim.shading.walls import damp_off_ground
 from rainsim.shading.wetness import OffGroundWetness, Wetness, store_wetness, stored_wetness
 from rainsim.shading.wetting import (
     FLAT,
     LEAST_SKY,
-    ON_GROUND,
     WALL_SHARE,
     GroundMaps,
     SkyMaps,
     SurfacePoint,
-    body_of,
     glossed,
+    heights_over,
+    is_ground,
     mirror_cover,
-    off_ground,
-    on_ground,
     rainy_color,
     wet_pixel,
+    wet_state,
     wetted_normal,
 )
 
@@ -220,9 +222,7 @@ def read_colors(color, alpha, look, n, s):
         s[RED + i], s[GREEN + i], s[BLUE + i] = color[3 * i], color[3 * i + 1], color[3 * i + 2]
     for i in range(n):
         cover = s[ALPHA + i]
-        r, g, b = undiluted(
-            s[RED + i], s[GREEN + i], s[BLUE + i], cover if is_edge(cover, look) else ONE
-        )
+        r, g, b = surface_color(s[RED + i], s[GREEN + i], s[BLUE + i], cover, look)
         s[RED + i], s[GREEN + i], s[BLUE + i] = r, g, b
 
 
@@ -240,30 +240,62 @@ def read_surface(depth, plane_depth, normal, meters_per_unit, n, s):
 
 
 @inlined_function
+def seen_surface(turn, eye, a, b, normal, depth, plane_depth, alpha):
+    """Return what a pixel of the capture shows: view direction, depths, cosine and place.
+
+    Parameters
+    ----------
+    turn : tuple of 9 float32
+        Of the camera, see `turn_of`.
+    eye : tuple of 3 float32, or such an array [m]
+    a, b : float32
+        Slopes of the pixel's ray to the right and down.
+    normal : tuple of 3 float32
+        Unit, camera frame.
+    depth, plane_depth : float32 [m]
+        As splatted.
+    alpha : float32
+
+    Returns
+    -------
+    x, y, z : float32
+        Unit direction of view, ground frame.
+    drawn, distance : float32 [m]
+        Depth of what is drawn, and how far that is from the eye.
+    cosine : float32
+        Between the normal and the way back to the eye.
+    point : SurfacePoint
+        Where it is wetted; at the eye if the pixel shows no surface.
+    """
+    x = turn[0] * a + turn[1] * b + turn[2]
+    y = turn[3] * a + turn[4] * b + turn[5]
+    z = turn[6] * a + turn[7] * b + turn[8]
+    length = math.sqrt(x * x + y * y + z * z)
+    inv = ONE / length
+    lean_x, lean_y, upness = turned(turn, normal[0], normal[1], normal[2])
+    cosine = -(normal[0] * a + normal[1] * b + normal[2]) * inv
+    d, e = depth_of_surface(depth, plane_depth, upness)
+    e = e if alpha >= SURFACE_ALPHA else ZERO
+    point = SurfacePoint(
+        eye[0] + e * x, eye[1] + e * y, eye[2] + e * z, lean_x, lean_y, upness, e * length
+    )
+    return x * inv, y * inv, z * inv, d, d * length, cosine, point
+
+
+@inlined_function
 def locate(view, b, left, n, s):
-    """Find where in the ground frame each pixel of a row at tangent b is."""
-    m, eye = view.ground_from_camera, view.eye
-    m00, m01, m02 = m[0, 0], m[0, 1], m[0, 2]
-    m10, m11, m12 = m[1, 0], m[1, 1], m[1, 2]
-    m20, m21, m22 = m[2, 0], m[2, 1], m[2, 2]
-    e0, e1, e2 = eye[0], eye[1], eye[2]
+    """Find where in the ground frame each pixel of a row at slope b is."""
+    turn, eye = turn_of(view.ground_from_camera), (view.eye[0], view.eye[1], view.eye[2])
     for i in range(n):
-        a = column_slope(view, left + i)
-        x, y, z = m00 * a + m01 * b + m02, m10 * a + m11 * b + m12, m20 * a + m21 * b + m22
-        length = math.sqrt(x * x + y * y + z * z)
-        inv = ONE / length
-        s[VIEW_X + i], s[VIEW_Y + i], s[VIEW_Z + i] = x * inv, y * inv, z * inv
-        n0, n1, n2 = s[NORMAL_X + i], s[NORMAL_Y + i], s[NORMAL_Z + i]
-        upness = m20 * n0 + m21 * n1 + m22 * n2
-        s[LEAN_X + i] = m00 * n0 + m01 * n1 + m02 * n2
-        s[LEAN_Y + i] = m10 * n0 + m11 * n1 + m12 * n2
-        s[UPNESS + i] = upness
-        s[COSINE + i] = -(n0 * a + n1 * b + n2) * inv
-        d, e = depth_of_surface(s[DEPTH + i], s[PLANE + i], upness)
-        s[DEPTH + i], s[FAR + i] = d, d * length
-        e = e if s[ALPHA + i] >= SURFACE_ALPHA else ZERO
-        s[X + i], s[Y + i], s[Z + i] = e0 + e * x, e1 + e * y, e2 + e * z
-        s[AWAY + i] = e * length
+        x, y, z, depth, far, cosine, point = seen_surface(
+            turn, eye, column_slope(view, left + i), b,
+            (s[NORMAL_X + i], s[NORMAL_Y + i], s[NORMAL_Z + i]), s[DEPTH + i], s[PLANE + i],
+            s[ALPHA + i],
+        )  # fmt: skip
+        s[VIEW_X + i], s[VIEW_Y + i], s[VIEW_Z + i] = x, y, z
+        s[LEAN_X + i], s[LEAN_Y + i], s[UPNESS + i] = point.nx, point.ny, point.nz
+        s[COSINE + i], s[DEPTH + i], s[FAR + i] = cosine, depth, far
+        s[X + i], s[Y + i], s[Z + i], s[AWAY + i] = point.x, point.y, point.z, point.distance
 
 
 @inlined_function
@@ -281,20 +313,15 @@ def depth_of_surface(depth, plane_depth, upness):
 def find_heights(ground, n, s, cell, corner):
     """Find the height over the ground of each pixel's surface: `heights_of` in vectors."""
     bed, origin, spacing = ground.bed, ground.origin, ground.spacing
-    rows, columns = bed.shape
-    right, bottom = np.float32(columns - 1), np.float32(rows - 1)
-    o0, o1 = origin[0], origin[1]
+    corner_of_map = origin[0], origin[1]
     for i in range(n):
-        u, v = (s[X + i] - o0) / spacing - HALF, (s[Y + i] - o1) / spacing - HALF
-        inside = (u > ZERO) & (v > ZERO) & (u < right) & (v < bottom)
-        s[HEIGHT + i] = ONE if inside else ZERO
+        u, v = map_place(s[X + i], s[Y + i], corner_of_map, spacing)
+        s[HEIGHT + i] = ONE if is_on_map(u, v, bed) else ZERO
         s[ACROSS + i], s[DOWN + i] = u, v
     interpolate(bed, n, s, ACROSS, DOWN, cell, corner)
     for i in range(n):
-        z, over = s[Z + i], s[Z + i] - s[ACROSS + i]
         solid, inside = s[ALPHA + i] >= SURFACE_ALPHA, s[HEIGHT + i] > ZERO
-        clear, height = over if inside else FAR_AWAY, over if inside else z
-        clear, height = clear if solid else FAR_AWAY, height if solid else FAR_AWAY
+        clear, height = heights_over(s[ACROSS + i], s[Z + i], inside, solid)
         s[CLEARANCE + i], s[HEIGHT + i] = clear, height
 
 
@@ -304,13 +331,14 @@ def take_normals_around(dry, normals, view, row, left, n, s, step):
 
     In vectors what `smooth_normal` and `wetted_normal` do. `step` has room for a number a pixel.
     """
-    m, focal, around = view.ground_from_camera, view.fx, dry.around / dry.meters_per_unit
+    turn, focal = turn_of(view.ground_from_camera), view.fx
+    radius = dry.around / dry.meters_per_unit
     found = 0
     for i in range(n):
-        level = (s[CLEARANCE + i] < ON_GROUND) & (s[UPNESS + i] > FLAT)
+        level = is_ground(s[CLEARANCE + i], s[UPNESS + i])
         here = dry.depth[row, left + i]
         shown = (s[ALPHA + i] >= SURFACE_ALPHA) & (not level)
-        which = step_of(focal, around, here)
+        which = step_of(focal, radius, here)
         s[GLOSS + i], s[THROUGH + i] = here, sharpness(focal, which, here)
         step[i] = np.uint32(1 << which) if shown else np.uint32(0)
     for i in range(n):
@@ -320,10 +348,10 @@ def take_normals_around(dry, normals, view, row, left, n, s, step):
             add_around(dry.depth, normals, row, left, n, k, s)
             for i in range(n):
                 if step[i] == np.uint32(1 << k):
-                    x, y, z = turned(m, s[SMOOTH + i], s[ACROSS + i], s[DOWN + i])
+                    around = turned(turn, s[SMOOTH + i], s[ACROSS + i], s[DOWN + i])
                     a, b, c = wetted_normal(
                         s[RED + i], s[GREEN + i], s[BLUE + i], s[HEIGHT + i],
-                        (s[LEAN_X + i], s[LEAN_Y + i], s[UPNESS + i]), (x, y, z),
+                        surface_point(s, i), around,
                     )  # fmt: skip
                     s[LEAN_X + i], s[LEAN_Y + i], s[UPNESS + i] = a, b, c
                     s[COSINE + i] = -(a * s[VIEW_X + i] + b * s[VIEW_Y + i] + c * s[VIEW_Z + i])
@@ -355,8 +383,7 @@ def add_normals(depth, normal, first, n, s):
     """Add n normals of a row to the sums of the pixels from `first` on, weighted by like depth."""
     for i in range(np.uint64(n)):
         k = np.uint64(first) + i
-        away = (depth[i] - s[np.uint64(GLOSS) + k]) * s[np.uint64(THROUGH) + k]
-        weight = max(ONE - away * away, ZERO)
+        weight = likeness(depth[i], s[np.uint64(GLOSS) + k], s[np.uint64(THROUGH) + k])
         s[np.uint64(SMOOTH) + k] += weight * normal[np.uint64(3) * i]
         s[np.uint64(ACROSS) + k] += weight * normal[np.uint64(3) * i + np.uint64(1)]
         s[np.uint64(DOWN) + k] += weight * normal[np.uint64(3) * i + np.uint64(2)]
@@ -365,23 +392,9 @@ def add_normals(depth, normal, first, n, s):
 @inlined_function
 def find_wetness(ground, rain, n, s):
     """Find how wet each pixel's surface is: `wet_state` in vectors."""
-    origin, spacing = ground.origin, ground.spacing
-    o0, o1 = origin[0], origin[1]
-    off = 0  # pixels that show no ground
     for i in range(n):
-        off += np.int64((s[CLEARANCE + i] >= ON_GROUND) | (s[UPNESS + i] <= FLAT))
-    if off > 0:
-        for i in range(n):
-            height = s[HEIGHT + i]
-            point = surface_point(s, i)
-            body = body_of(point, s[CLEARANCE + i], ground)
-            damp = damp_off_ground(rain, point, height, body)
-            damp = damp if s[ALPHA + i] >= SURFACE_ALPHA else ZERO
-            store_wetness(off_ground(rain, damp, body), s, WETNESS + i, CHUNK)
-    for i in range(n):
-        if s[CLEARANCE + i] < ON_GROUND and s[UPNESS + i] > FLAT:
-            u, v = (s[X + i] - o0) / spacing - HALF, (s[Y + i] - o1) / spacing - HALF
-            store_wetness(on_ground(ground, u, v), s, WETNESS + i, CHUNK)
+        wet = wet_state(surface_point(s, i), s[CLEARANCE + i], s[HEIGHT + i], ground, rain)
+        store_wetness(wet, s, WETNESS + i, CHUNK)
 
 
 @inlined_function
@@ -403,7 +416,7 @@ def color_pixels(look, mirror_apart, n, s):
         )  # fmt: skip
         s[RED + i], s[GREEN + i], s[BLUE + i], s[THROUGH + i] = r, g, b, through
         s[SMOOTH + i] = smooth
-        level = s[UPNESS + i] > FLAT and s[HEIGHT + i] < ON_GROUND
+        level = is_ground(s[HEIGHT + i], s[UPNESS + i])
         s[GLOSS + i] = ZERO if mirror_apart and level else gloss
 
 
@@ -473,7 +486,7 @@ def write_cover(ground, look, n, s, cover_out):
     """Write the share of a full water film on level ground."""
     for i in range(n):
         cover_out[i] = ZERO
-        if s[UPNESS + i] > FLAT and s[HEIGHT + i] < ON_GROUND:
+        if is_ground(s[HEIGHT + i], s[UPNESS + i]):
             cover_out[i] = mirror_cover(
                 surface_point(s, i), s[CLEARANCE + i], stored_wetness(s, WETNESS + i, CHUNK),
                 ground, look,

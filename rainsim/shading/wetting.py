@@ -1,8 +1,10 @@
 """How water changes the look of a captured surface: formulas of darkening and gloss, and one pixel.
 
-`wet_pixel` puts the formulas together for one point: traced rays and CUDA threads call it, and
-`wet_pass` does the same in vectors of pixels. Colours are linear light, radiance relative to
-display white; places and normals are in the ground frame.
+`wet_pixel` puts the formulas together for one point: traced rays and CUDA threads call it. Its twin
+is `wet_pass.grade_row`, which calls the same formulas in the same order for a chunk of pixels: who
+changes the order, or adds a step, changes both. `tests/shading/test_grade.py` fails when the two
+differ. Colours are linear light, radiance relative to display white; places and normals are in the
+ground frame.
 """
 
 from __future__ import annotations
@@ -14,12 +16,12 @@ import numpy as np
 
 from rainsim.constants import FAR_AWAY, FOUR, HALF, ONE, SURFACE_ALPHA, TWO, ZERO
 from rainsim.jit import inlined_function
-from rainsim.numerics.interpolation import bilinear, smoothstep
+from rainsim.numerics.interpolation import bilinear, is_on_map, map_place, smoothstep
 from rainsim.shading.bodies import NO_BODIES, body_share
 from rainsim.shading.color import luminance
 from rainsim.shading.environment import sample_environment
 from rainsim.shading.fresnel import reflectance
-from rainsim.shading.grading import graded, is_edge, sky_share, undiluted
+from rainsim.shading.grading import graded, is_edge, sky_share, surface_color
 from rainsim.shading.walls import damp_off_ground
 from rainsim.shading.wetness import Wetness, wetness_in
 
@@ -183,20 +185,12 @@ def body_of(point, clearance, ground):
     """Return how surely a point off the ground is on a smooth body, 0 to 1."""
     if ground.bodies.shape[0] < 2 or not clearance < TALLER:
         return ZERO
-    u, v = map_place(ground, point.x, point.y)
+    u, v = map_place(point.x, point.y, ground.origin, ground.spacing)
     return body_share(ground.bodies, u, v, clearance, point.nz)
 
 
 @inlined_function
-def map_place(ground, x, y):
-    """Return column and row of a map at (x, y) [m]; cell centres are whole numbers."""
-    u = (x - ground.origin[0]) / ground.spacing - HALF
-    v = (y - ground.origin[1]) / ground.spacing - HALF
-    return u, v
-
-
-@inlined_function
-def wetted_normal(r, g, b, height, own, around):
+def wetted_normal(r, g, b, height, point, around):
     """Return the normal by which a surface gets wet and mirrors; see `smooth_normals`.
 
     Parameters
@@ -205,8 +199,8 @@ def wetted_normal(r, g, b, height, own, around):
         Captured linear colour: leaves keep their own normals.
     height : float32 [m]
         Over the ground.
-    own : tuple of 3 float32
-        Unit normal of the pixel, ground frame.
+    point : SurfacePoint
+        With the pixel's own normal.
     around : tuple of 3 float32
         That of its neighbourhood, of any length.
     """
@@ -215,11 +209,35 @@ def wetted_normal(r, g, b, height, own, around):
     inv = ONE / math.sqrt(max(square, np.float32(1e-12)))
     x, y, z = x * inv, y * inv, z * inv
     leaf = smoothstep(GREENISH, GREEN, greenness(r, g, b))
-    known = square > np.float32(1e-6) and (height >= ON_GROUND or max(own[2], z) <= FLAT)
+    known = square > np.float32(1e-6) and not is_ground(height, max(point.nz, z))
     leaf = leaf if known else ONE
-    x, y, z = x + leaf * (own[0] - x), y + leaf * (own[1] - y), z + leaf * (own[2] - z)
+    x, y, z = x + leaf * (point.nx - x), y + leaf * (point.ny - y), z + leaf * (point.nz - z)
     inv = ONE / max(math.sqrt(x * x + y * y + z * z), np.float32(1e-6))
     return x * inv, y * inv, z * inv
+
+
+@inlined_function
+def with_normal(point, normal):
+    """Return a `SurfacePoint` with another normal."""
+    return SurfacePoint(
+        point.x, point.y, point.z, normal[0], normal[1], normal[2], point.distance
+    )  # fmt: skip
+
+
+@inlined_function
+def is_ground(height, upness):
+    """Tell whether a surface at a height [m] over the bed is the ground: low and level.
+
+    `upness` is the cosine of its normal to the vertical.
+    """
+    return (height < ON_GROUND) & (upness > FLAT)
+
+
+@inlined_function
+def heights_over(bed, z, inside, solid):
+    """Return what `heights_of` does, of a surface at z [m] over a bed that is known if `inside`."""
+    clearance, height = z - bed if inside else FAR_AWAY, z - bed if inside else z
+    return clearance if solid else FAR_AWAY, height if solid else FAR_AWAY
 
 
 @inlined_function
@@ -240,21 +258,17 @@ def heights_of(point, solid, ground):
     height : float32 [m]
         The same, but off the map the height over the ground plane.
     """
-    rows, columns = ground.bed.shape
-    u, v = map_place(ground, point.x, point.y)
-    inside = u > ZERO and v > ZERO
-    inside = inside and u < np.float32(columns - 1) and v < np.float32(rows - 1)
-    if not solid:
-        return FAR_AWAY, FAR_AWAY
-    clearance = point.z - bilinear(ground.bed, u, v) if inside else FAR_AWAY
-    return clearance, clearance if inside else point.z
+    u, v = map_place(point.x, point.y, ground.origin, ground.spacing)
+    inside = is_on_map(u, v, ground.bed)
+    bed = bilinear(ground.bed, u, v) if inside & solid else ZERO
+    return heights_over(bed, point.z, inside, solid)
 
 
 @inlined_function
 def wet_state(point, clearance, height, ground, rain):
     """Return how wet a surface is; the heights are those of `heights_of`."""
-    if clearance < ON_GROUND and point.nz > FLAT:
-        u, v = map_place(ground, point.x, point.y)
+    if is_ground(clearance, point.nz):
+        u, v = map_place(point.x, point.y, ground.origin, ground.spacing)
         return on_ground(ground, u, v)
     if height < FAR_AWAY:
         body = body_of(point, clearance, ground)
@@ -271,7 +285,7 @@ def mirror_cover(point, clearance, wet, ground, look):
     """
     lawn, film = wet.lawn, wet.film
     if not clearance < FAR_AWAY:
-        u, v = map_place(ground, point.x, point.y)
+        u, v = map_place(point.x, point.y, ground.origin, ground.spacing)
         u = min(max(u, ZERO), np.float32(ground.wetness.shape[1]) - TO_BORDER)
         v = min(max(v, ZERO), np.float32(ground.wetness.shape[0]) - TO_BORDER)
         border = on_ground(ground, u, v)
@@ -323,7 +337,7 @@ def rainy_color(r, g, b, alpha, distance, sine, cosine, upness, height, wet, loo
     r, g, b = graded(r, g, b, look)
     if wet.dampness * surface > ZERO:
         leaf, coat = ZERO, ZERO
-        if upness <= FLAT or height >= ON_GROUND:
+        if not is_ground(height, upness):
             leaf = smoothstep(GREENISH, GREEN, greenness(r, g, b))
             coat = (ONE - leaf) * max(ONE - SMOOTH * wet.porosity, ZERO)
         smooth = MIRROR if coat > leaf else leaf
@@ -404,19 +418,15 @@ def wet_pixel(color, alpha, ray, distance, point, around, ground, rain, sky, loo
     """
     x, y, z = ray
     clearance, height = heights_of(point, alpha >= SURFACE_ALPHA, ground)
-    r, g, b = color
-    r, g, b = undiluted(r, g, b, alpha if is_edge(alpha, look) else ONE)
-    lean = wetted_normal(r, g, b, height, (point.nx, point.ny, point.nz), around)
-    point = SurfacePoint(
-        point.x, point.y, point.z, lean[0], lean[1], lean[2], point.distance
-    )  # fmt: skip
+    r, g, b = surface_color(color[0], color[1], color[2], alpha, look)
+    point = with_normal(point, wetted_normal(r, g, b, height, point, around))
     wet = wet_state(point, clearance, height, ground, rain)
     cosine = -(x * point.nx + y * point.ny + z * point.nz)
     r, g, b, gloss, through, smooth = rainy_color(
         r, g, b, alpha, distance, z, cosine, point.nz, height, wet, look
     )
     cover = ZERO
-    if mirror_apart and point.nz > FLAT and height < ON_GROUND:
+    if mirror_apart and is_ground(height, point.nz):
         cover = mirror_cover(point, clearance, wet, ground, look)
     elif gloss > ZERO:
         u, v, w = glossed(x, y, z, cosine, point.nx, point.ny, point.nz, smooth)

@@ -10,10 +10,21 @@ from __future__ import annotations
 import numpy as np
 
 from rainsim.jit import cgutils, intrinsic, ir, types
-from rainsim.splatting.project import BLOCK_HALF, MIN_ALPHA_LOG2
+from rainsim.splatting.project import (
+    BLOCK_HALF,
+    MIN_ALPHA_LOG2,
+    R_COLOR,
+    R_CONIC,
+    R_LEVEL,
+    R_REACH,
+    R_U,
+    R_V,
+    RECORD,
+)
 
 LANES = 16
 CHANNELS = 9  # transmittance; colour (3), depth, normal (3), plane distance
+DEPTH_ROW = 4  # of the channels
 FLAGS = ("contract", "nsz", "arcp", "reassoc")
 
 TRANSMITTANCE_STOP = np.float32(1e-4)  # what is behind cannot change an 8-bit image
@@ -33,11 +44,36 @@ def _constant(value):
     return ir.Constant(_vector, [float(value)] * LANES)
 
 
-class _Tools:
-    """Arithmetic on vectors of sixteen numbers, and on a splat's record at `base`."""
+def _offsets(step):
+    """Columns and rows of sixteen places in rows of four, `step` apart."""
+    return (
+        ir.Constant(_vector, [float(step * (i % 4)) for i in range(LANES)]),
+        ir.Constant(_vector, [float(step * (i // 4)) for i in range(LANES)]),
+    )
 
-    def __init__(self, builder, record, base):
-        self.builder, self.record, self.base = builder, record, base
+
+def _data(context, builder, signature, arguments, k):
+    """Where the numbers of the array lie that is argument k."""
+    return cgutils.create_struct_proxy(signature.args[k])(context, builder, arguments[k]).data
+
+
+class _Tools:
+    """Arithmetic on vectors of sixteen numbers, and on a splat's record.
+
+    Parameters
+    ----------
+    builder : llvmlite.ir.IRBuilder
+        Each call appends instructions at its end.
+    record : llvmlite.ir.Value, optional
+        Where the records of the splats lie.
+    """
+
+    def __init__(self, builder, record=None):
+        self.builder, self.record, self.base = builder, record, None
+
+    def read(self, splat):
+        """Let `spread` read the record number `splat`."""
+        self.base = self.builder.mul(splat, ir.Constant(_int, RECORD))
 
     def add(self, a, b):
         return self.builder.fadd(a, b, flags=FLAGS)
@@ -66,6 +102,69 @@ class _Tools:
         place = self.builder.add(self.base, ir.Constant(_int, c))
         return self.copies(self.builder.load(self.builder.gep(self.record, [place])))
 
+    def vector_at(self, base, index, kind=_vector):
+        """Where sixteen numbers begin, `index` numbers behind `base`."""
+        return self.builder.bitcast(self.builder.gep(base, [index]), kind.as_pointer())
+
+    def load(self, base, index, kind=_vector):
+        """Sixteen numbers, which need not begin at a multiple of their size."""
+        value = self.builder.load(self.vector_at(base, index, kind))
+        value.align = 4
+        return value
+
+    def bits(self, mask):
+        """The sixteen truths of a comparison as the bits of a number."""
+        return self.builder.bitcast(mask, ir.IntType(LANES))
+
+    def alpha(self, px, py):
+        """The opacities of the splat at sixteen pixels; 0 where they are below the least."""
+        add, sub, mul, spread = self.add, self.sub, self.mul, self.spread
+        dx, dy = sub(px, spread(R_U)), sub(py, spread(R_V))
+        along = mul(dx, add(mul(spread(R_CONIC), dx), mul(spread(R_CONIC + 1), dy)))
+        power = sub(sub(spread(R_LEVEL), along), mul(spread(R_CONIC + 2), mul(dy, dy)))
+        above = self.builder.fcmp_ordered(">=", power, _constant(MIN_ALPHA_LOG2 / 8))
+        e = _constant(EXP2[-1])  # below the threshold this may be anything: it is not selected
+        for c in EXP2[-2::-1]:
+            e = add(mul(e, power), _constant(c))
+        for _ in range(3):
+            e = mul(e, e)
+        most = _constant(MAX_ALPHA)
+        e = self.builder.select(self.builder.fcmp_ordered("<", e, most), e, most)
+        return self.builder.select(above, e, _constant(0))
+
+    def ended_or(self, before, clear, weight):
+        """Transmittance and weight by the rule that `drop` asks for."""
+        kept = self.builder.fcmp_ordered(">", clear, _constant(LAST_LIGHT))
+        weight = self.builder.select(kept, weight, _constant(0))
+        sign = ir.Constant(_words, [1 << 31] * LANES)
+        ended = self.builder.or_(self.builder.bitcast(before, _words), sign)
+        return self.builder.select(kept, clear, self.builder.bitcast(ended, _vector)), weight
+
+    def half_mark(self, before, clear, splat, mark):
+        """The depth row by the rule that `halfway` asks for."""
+        half = _constant(0.5)
+        crossed = self.builder.and_(
+            self.builder.fcmp_ordered(">", before, half),
+            self.builder.fcmp_ordered("<=", clear, half),
+        )
+        number = self.copies(self.builder.add(splat, ir.Constant(_word, 1)))
+        return self.builder.select(crossed, self.builder.bitcast(number, _vector), mark)
+
+    def blended(self, rows, splat, px, py, find_half, drop_last):
+        """The nine rows of sixteen pixels after splat number `splat`, a 32-bit number."""
+        self.read(self.builder.zext(splat, _int))
+        weight = self.mul(self.alpha(px, py), rows[0])
+        clear = left = self.sub(rows[0], weight)
+        if drop_last:
+            left, weight = self.ended_or(rows[0], clear, weight)
+        after = [left]
+        for c in range(1, CHANNELS):
+            if c == DEPTH_ROW and find_half:
+                after.append(self.half_mark(rows[0], clear, splat, rows[c]))
+            else:
+                after.append(self.add(rows[c], self.mul(weight, self.spread(R_COLOR - 1 + c))))
+        return after
+
 
 @intrinsic
 def meets_blocks(typingctx, record, splat, x, y):
@@ -84,25 +183,22 @@ def meets_blocks(typingctx, record, splat, x, y):
     """
 
     def codegen(context, builder, signature, arguments):
-        array = cgutils.create_struct_proxy(signature.args[0])(context, builder, arguments[0])
-        tools = _Tools(builder, array.data, builder.mul(arguments[1], ir.Constant(_int, 16)))
+        tools = _Tools(builder, _data(context, builder, signature, arguments, 0))
+        tools.read(arguments[1])
         add, sub, mul, spread = tools.add, tools.sub, tools.mul, tools.spread
-        right = ir.Constant(_vector, [4.0 * (i % 4) for i in range(LANES)])
-        down = ir.Constant(_vector, [4.0 * (i // 4) for i in range(LANES)])
-        dx = sub(add(tools.copies(arguments[2]), right), spread(0))
-        dy = sub(add(tools.copies(arguments[3]), down), spread(1))
-        cross = mul(spread(3), _constant(0.5))
+        right, down = _offsets(4)
+        dx = sub(add(tools.copies(arguments[2]), right), spread(R_U))
+        dy = sub(add(tools.copies(arguments[3]), down), spread(R_V))
+        cross = mul(spread(R_CONIC + 1), _constant(0.5))
         # Half the gradient of the exponent; the line across it is what may part block and ellipse.
-        gx = add(mul(spread(2), dx), mul(cross, dy))
-        gy = add(mul(cross, dx), mul(spread(4), dy))
+        gx = add(mul(spread(R_CONIC), dx), mul(cross, dy))
+        gy = add(mul(cross, dx), mul(spread(R_CONIC + 2), dy))
         exponent = add(mul(dx, gx), mul(dy, gy))
         support = mul(add(tools.size(gx), tools.size(gy)), _constant(BLOCK_HALF))
         beyond = sub(exponent, support)
         within = builder.fcmp_ordered("<=", beyond, _constant(0))
-        near = builder.fcmp_ordered("<=", mul(beyond, beyond), mul(spread(14), exponent))
-        near = builder.or_(within, near)
-        bits = builder.bitcast(near, ir.IntType(LANES))
-        return builder.zext(bits, _int)
+        near = builder.fcmp_ordered("<=", mul(beyond, beyond), mul(spread(R_REACH), exponent))
+        return builder.zext(tools.bits(builder.or_(within, near)), _int)
 
     return types.int64(record, splat, x, y), codegen
 
@@ -112,15 +208,15 @@ def prefetch(typingctx, record, splat):
     """Ask for the cache line of record number `splat` before it is needed."""
 
     def codegen(context, builder, signature, arguments):
-        array = cgutils.create_struct_proxy(signature.args[0])(context, builder, arguments[0])
-        place = builder.gep(array.data, [builder.mul(arguments[1], ir.Constant(_int, 16))])
-        word, byte = ir.IntType(32), ir.IntType(8).as_pointer()
+        record = _data(context, builder, signature, arguments, 0)
+        place = builder.gep(record, [builder.mul(arguments[1], ir.Constant(_int, RECORD))])
+        byte = ir.IntType(8).as_pointer()
         function = cgutils.get_or_insert_function(
             builder.module,
-            ir.FunctionType(ir.VoidType(), [byte, word, word, word]),
+            ir.FunctionType(ir.VoidType(), [byte, _word, _word, _word]),
             "llvm.prefetch.p0",
         )
-        read, high, data = (ir.Constant(word, n) for n in (0, 3, 1))
+        read, high, data = (ir.Constant(_word, n) for n in (0, 3, 1))
         builder.call(function, [builder.bitcast(place, byte), read, high, data])
         return context.get_dummy_value()
 
@@ -142,21 +238,10 @@ def put_chosen(typingctx, bits, number, k, block, chosen, place):
     """
 
     def codegen(context, builder, signature, arguments):
-        def pointer(k):
-            array = signature.args[k]
-            return cgutils.create_struct_proxy(array)(context, builder, arguments[k]).data
-
-        def at(base, index):
-            return builder.bitcast(builder.gep(base, [index]), _words.as_pointer())
-
-        def load(base):
-            value = builder.load(at(base, arguments[2]))
-            value.align = 4
-            return value
-
-        tools = _Tools(builder, None, None)
+        bits, number, chosen = (_data(context, builder, signature, arguments, k) for k in (0, 1, 4))
+        tools = _Tools(builder)
         one = builder.shl(ir.Constant(_word, 1), builder.trunc(arguments[3], _word))
-        wanted = builder.and_(load(pointer(0)), tools.copies(one))
+        wanted = builder.and_(tools.load(bits, arguments[2], _words), tools.copies(one))
         mask = builder.icmp_unsigned("!=", wanted, ir.Constant(_words, [0] * LANES))
         masks = ir.VectorType(ir.IntType(1), LANES)
         compress = cgutils.get_or_insert_function(
@@ -164,15 +249,14 @@ def put_chosen(typingctx, bits, number, k, block, chosen, place):
             ir.FunctionType(_words, [_words, masks, _words]),
             f"llvm.experimental.vector.compress.v{LANES}i32",
         )
-        packed = builder.call(compress, [load(pointer(1)), mask, ir.Constant(_words, ir.Undefined)])
-        builder.store(packed, at(pointer(4), arguments[5])).align = 4
-        count = builder.ctpop(builder.bitcast(mask, ir.IntType(LANES)))
-        return builder.zext(count, _int)
+        numbers = tools.load(number, arguments[2], _words)
+        packed = builder.call(compress, [numbers, mask, ir.Constant(_words, ir.Undefined)])
+        builder.store(packed, tools.vector_at(chosen, arguments[5], _words)).align = 4
+        return builder.zext(builder.ctpop(tools.bits(mask)), _int)
 
     return types.int64(bits, number, k, block, chosen, place), codegen
 
 
-# long: it writes out the machine code of one loop, instruction by instruction
 @intrinsic
 def blend_lanes(typingctx, record, chosen, first, last, state, at, x, y, halfway, drop):
     """Blend the splats record[chosen[first:last]] into sixteen pixels, front to back.
@@ -201,100 +285,44 @@ def blend_lanes(typingctx, record, chosen, first, last, state, at, x, y, halfway
         return None
     find_half, drop_last = halfway.literal_value, drop.literal_value
 
-    # long: the instructions of one loop, as said above
     def codegen(context, builder, signature, arguments):
-        def pointer(k):
-            array = signature.args[k]
-            struct = cgutils.create_struct_proxy(array)(context, builder, arguments[k])
-            return struct.data
-
-        record_at, chosen_at, state_at = pointer(0), pointer(1), pointer(4)
+        record, chosen, state = (
+            _data(context, builder, signature, arguments, k) for k in (0, 1, 4)
+        )
         begin, end, offset = arguments[2], arguments[3], arguments[5]
-        vector_pointer = _vector.as_pointer()
-
-        def load(base, index, align=4):
-            place = builder.bitcast(builder.gep(base, [index]), vector_pointer)
-            value = builder.load(place)
-            value.align = align
-            return value
+        tools = _Tools(builder, record)
+        across, down = _offsets(1)
+        px = tools.add(tools.copies(arguments[6]), across)
+        py = tools.add(tools.copies(arguments[7]), down)
 
         def row(k):
             return builder.add(offset, ir.Constant(_int, k * LANES))
 
-        tools = _Tools(builder, record_at, None)
-        add, sub, mul, spread = tools.add, tools.sub, tools.mul, tools.spread
-        px = add(
-            tools.copies(arguments[6]), ir.Constant(_vector, [float(i % 4) for i in range(LANES)])
-        )
-        py = add(
-            tools.copies(arguments[7]), ir.Constant(_vector, [float(i // 4) for i in range(LANES)])
-        )
-        initial = [load(state_at, row(k)) for k in range(CHANNELS)]
+        initial = [tools.load(state, row(k)) for k in range(CHANNELS)]
         entry = builder.block
-        loop = builder.append_basic_block("splat")
-        done = builder.append_basic_block("done")
+        loop, done = builder.append_basic_block("splat"), builder.append_basic_block("done")
         builder.cbranch(builder.icmp_signed("<", begin, end), loop, done)
 
         builder.position_at_end(loop)
         k = builder.phi(_int)
         k.add_incoming(begin, entry)
         rows = [builder.phi(_vector) for _ in range(CHANNELS)]
-        for phi, value in zip(rows, initial, strict=True):
-            phi.add_incoming(value, entry)
-        splat = builder.load(builder.gep(chosen_at, [k]))
-        tools.base = builder.mul(builder.zext(splat, _int), ir.Constant(_int, 16))
-
-        dx, dy = sub(px, spread(0)), sub(py, spread(1))
-        along = mul(dx, add(mul(spread(2), dx), mul(spread(3), dy)))
-        power = sub(sub(spread(5), along), mul(spread(4), mul(dy, dy)))
-        above = builder.fcmp_ordered(">=", power, _constant(MIN_ALPHA_LOG2 / 8))
-        e = _constant(EXP2[-1])  # below the threshold this may be anything: it is not selected
-        for c in EXP2[-2::-1]:
-            e = add(mul(e, power), _constant(c))
-        e = mul(e, e)
-        e = mul(e, e)
-        e = mul(e, e)
-        most = _constant(MAX_ALPHA)
-        e = builder.select(builder.fcmp_ordered("<", e, most), e, most)
-        alpha = builder.select(above, e, _constant(0))
-        weight = mul(alpha, rows[0])
-        clear = sub(rows[0], weight)
-        after = [clear]
-        if drop_last:
-            kept = builder.fcmp_ordered(">", clear, _constant(LAST_LIGHT))
-            weight = builder.select(kept, weight, _constant(0))
-            sign = ir.Constant(_words, [1 << 31] * LANES)
-            ended = builder.or_(builder.bitcast(rows[0], _words), sign)
-            after = [builder.select(kept, clear, builder.bitcast(ended, _vector))]
-        for c in range(1, CHANNELS):
-            if c == 4 and find_half:
-                half = _constant(0.5)
-                crossed = builder.and_(
-                    builder.fcmp_ordered(">", rows[0], half),
-                    builder.fcmp_ordered("<=", clear, half),
-                )
-                number = tools.copies(builder.add(splat, ir.Constant(_word, 1)))
-                number = builder.bitcast(number, _vector)
-                after.append(builder.select(crossed, number, rows[c]))
-            else:
-                after.append(add(rows[c], mul(weight, spread(5 + c))))
+        splat = builder.load(builder.gep(chosen, [k]))
+        after = tools.blended(rows, splat, px, py, find_half, drop_last)
         following = builder.add(k, ir.Constant(_int, 1))
         k.add_incoming(following, loop)
-        for phi, value in zip(rows, after, strict=True):
+        for phi, first, value in zip(rows, initial, after, strict=True):
+            phi.add_incoming(first, entry)
             phi.add_incoming(value, loop)
         builder.cbranch(builder.icmp_signed("<", following, end), loop, done)
 
         builder.position_at_end(done)
-        for c in range(CHANNELS):
-            phi = builder.phi(_vector)
-            phi.add_incoming(initial[c], entry)
-            phi.add_incoming(after[c], loop)
-            initial[c] = phi
-        for c, value in enumerate(initial):
-            place = builder.bitcast(builder.gep(state_at, [row(c)]), vector_pointer)
-            builder.store(value, place).align = 4
-        clear = builder.fcmp_ordered(">", initial[0], _constant(TRANSMITTANCE_STOP))
-        bits = builder.bitcast(clear, ir.IntType(LANES))
-        return builder.icmp_unsigned("!=", bits, ir.Constant(bits.type, 0))
+        last = [builder.phi(_vector) for _ in range(CHANNELS)]
+        for c, (phi, first, value) in enumerate(zip(last, initial, after, strict=True)):
+            phi.add_incoming(first, entry)
+            phi.add_incoming(value, loop)
+            builder.store(phi, tools.vector_at(state, row(c))).align = 4
+        clear = builder.fcmp_ordered(">", last[0], _constant(TRANSMITTANCE_STOP))
+        return builder.icmp_unsigned("!=", tools.bits(clear), ir.Constant(ir.IntType(LANES), 0))
 
     return types.boolean(*[record, chosen, first, last, state, at, x, y, halfway, drop]), codegen

@@ -6,7 +6,7 @@ import pytest
 import factories
 from rainsim.constants import FAR_AWAY, SURFACE_ALPHA
 from rainsim.numerics import pixel_batches
-from rainsim.numerics.interpolation import bilinear
+from rainsim.numerics.interpolation import bilinear, map_place
 from rainsim.scene.view import View, pixel_ray
 from rainsim.shading import sky, wet_pass, wetting
 from rainsim.shading.dampness import find_dampness
@@ -119,14 +119,14 @@ def test_the_layer_shows_how_wet_the_place_is_that_is_wetted(dry, scene, poisone
         length = F4(np.linalg.norm(ray))
         point = SurfacePoint(*(EYE + e * ray), *normal, e * length)
         clearance, above = wetting.heights_of(point, True, ground)
-        drawn = wetting.map_place(ground, *(EYE + d * ray)[:2])
+        drawn = map_place(*(EYE + d * ray)[:2], ORIGIN, SPACING)
         beside += clearance < FAR_AWAY and not -0.5 < max(drawn, key=abs) < CELLS - 0.5
         if clearance >= wetting.ON_GROUND or normal[2] <= wetting.FLAT:
             alpha, around = dry.alpha[at], TURN @ F4(smooth_normal(
                 dry.depth, dry.normal, *at, HEIGHT, WIDTH, VIEW.fx, dry.around / UNIT
             ))  # fmt: skip
             rgb = undiluted(*dry.color[at], alpha if is_edge(alpha, look) else F4(1))
-            lean = wetting.wetted_normal(*rgb, above, tuple(normal), tuple(around))
+            lean = wetting.wetted_normal(*rgb, above, point, tuple(around))
             point = SurfacePoint(*(EYE + e * ray), *lean, e * length)
         wanted[at] = wetting.wet_state(point, clearance, above, ground, rain).dampness
     np.testing.assert_allclose(found, wanted, rtol=2e-3, atol=2e-4)
@@ -213,6 +213,6 @@ def test_what_lies_behind_shows_where_nothing_was_captured_also_below_the_horizo
     np.testing.assert_allclose(seen(0.0), behind, rtol=1e-5)
     np.testing.assert_allclose(
         seen(0.85),
-        wetting.graded(*wetting.undiluted(*F4([0.17, 0.17, 0.17]), F4(1)), look),
+        wetting.graded(*undiluted(*F4([0.17, 0.17, 0.17]), F4(1)), look),
         rtol=1e-5,
     )  # a half open pixel: nothing behind it

@@ -5,11 +5,20 @@ import pytest
 
 from rainsim.jit import TAKERS, none_taken, prange, serial_kernel, set_threads, take_next
 from rainsim.jit import cpu_kernel as parallel
-from rainsim.splatting.lanes import meets_blocks
+from rainsim.splatting.lanes import (
+    CHANNELS,
+    DEPTH_ROW,
+    LANES,
+    LAST_LIGHT,
+    MAX_ALPHA,
+    blend_lanes,
+    meets_blocks,
+)
 from rainsim.splatting.project import (
     EIGHTH,
     HALF_LOG2E,
     MIN_ALPHA_LOG2,
+    R_COLOR,
     R_CONIC,
     R_LEVEL,
     R_REACH,
@@ -24,6 +33,18 @@ from rainsim.splatting.project import (
 def blocks_met(record, bits_out):
     for n in range(len(record)):
         bits_out[n] = meets_blocks(record, n, np.float32(2), np.float32(2))
+
+
+@serial_kernel
+def blended(record, chosen, half, drop, state):
+    x, n = np.float32(0.5), len(chosen)
+    if half and drop:
+        return blend_lanes(record, chosen, 0, n, state, 0, x, x, 1, 1)
+    if half:
+        return blend_lanes(record, chosen, 0, n, state, 0, x, x, 1, 0)
+    if drop:
+        return blend_lanes(record, chosen, 0, n, state, 0, x, x, 0, 1)
+    return blend_lanes(record, chosen, 0, n, state, 0, x, x, 0, 0)
 
 
 @parallel
@@ -83,3 +104,36 @@ def test_each_part_is_taken_once(threads):
     finally:
         set_threads(before)
     assert (count == 1).all()
+
+
+@pytest.mark.parametrize("drop", [False, True])
+@pytest.mark.parametrize("half", [False, True])
+@pytest.mark.parametrize("count", [0, 8, 60])
+def test_a_block_is_blended_as_plain_numbers_are(rng, half, drop, count):
+    record = records(rng, 99)
+    record[:, [R_U, R_V]] = rng.uniform(-1, 5, (99, 2))
+    record[:, R_COLOR : R_COLOR + CHANNELS - 1] = rng.uniform(0, 1, (99, CHANNELS - 1))
+    chosen = rng.integers(0, 99, count).astype(np.uint32)
+    state = np.zeros((CHANNELS, LANES), np.float32)
+    state[0] = 1
+    more = blended(record, chosen, half, drop, state.reshape(-1))
+    wanted, mark = np.zeros((CHANNELS, LANES)), np.zeros(LANES, np.uint32)
+    wanted[0] = 1
+    x, y = np.arange(LANES) % 4 + 0.5, np.arange(LANES) // 4 + 0.5
+    for k in chosen:
+        r = record[k].astype(np.float64)
+        dx, dy, (a, b, c) = x - r[R_U], y - r[R_V], r[R_CONIC : R_CONIC + 3]
+        power = 8 * (r[R_LEVEL] - (a * dx + b * dy) * dx - c * dy * dy)
+        alpha = np.where(power >= MIN_ALPHA_LOG2, np.minimum(2**power, MAX_ALPHA), 0)
+        before = wanted[0].copy()
+        clear = before * (1 - alpha)
+        mark[(before > 0.5) & (clear <= 0.5)] = k + 1
+        ends = drop & (clear <= LAST_LIGHT)
+        wanted[1:] += np.where(ends, 0, before - clear) * r[R_COLOR : R_COLOR + CHANNELS - 1, None]
+        wanted[0] = np.where(ends, -abs(before), clear)
+    if half:
+        assert (state[DEPTH_ROW].view(np.uint32) == mark).all() and mark.any() == (count > 0)
+        state[DEPTH_ROW] = wanted[DEPTH_ROW]
+    np.testing.assert_allclose(state, wanted, rtol=1e-4, atol=2e-5)
+    assert more == (wanted[0] > 1e-4).any()
+    assert (wanted[0] < 0).any() == (drop and count == 60)

@@ -87,7 +87,6 @@ class Sites(NamedTuple):
     point: object
 
 
-# long: the two loops, over points and over drips in the air, add up one account
 @cuda_kernel
 def drip(
     now, points, surfaces, before, layout, tile, came, store, room, parted, came_out, book_out,
@@ -118,6 +117,24 @@ def drip(
         As in `drops.settle`.
     """
     sums = cuda.shared.array(THREADS, np.int64)
+    hanging, flying, taken, lost, returned, finer = _part(
+        now, points, surfaces, layout, tile, came, store, room, parted, came_out, book_out,
+        table_out, where_out, ids_out, waiting_out, pushes_out,
+    )  # fmt: skip
+    held, aloft, down = _fall_on(
+        now, points, surfaces, before, layout, tile, came_out, book_out, table_out, where_out,
+        ids_out, waiting_out, pushes_out,
+    )  # fmt: skip
+    water = hanging + held, flying + aloft, taken, lost, returned + down, finer
+    _add_up(sums, water, before.book, book_out)
+
+
+@cuda.jit(device=True)
+def _part(
+    now, points, surfaces, layout, tile, came, store, room, parted, came_out, book_out,
+    table_out, where_out, ids_out, waiting_out, pushes_out,
+):  # fmt: skip
+    """Let drops part; return what became of a thread's water, in the order of `_add_up`."""
     start, stop, count = now[START], now[STOP], len(points.keys)
     sites, ends = points.sites, points.ends
     hanging = flying = taken = lost = returned = finer = np.int64(0)
@@ -168,6 +185,17 @@ def drip(
                     _write_flight(flight, at, table_out)
                     where_out[at], ids_out[at] = n, word
         parted[n] += drops
+    return hanging, flying, taken, lost, returned, finer
+
+
+@cuda.jit(device=True)
+def _fall_on(
+    now, points, surfaces, before, layout, tile, came_out, book_out, table_out, where_out,
+    ids_out, waiting_out, pushes_out,
+):  # fmt: skip
+    """Let the drips in the air fall on; return a thread's water that hangs, flies, came down."""
+    start, stop = now[START], now[STOP]
+    hanging = flying = returned = np.int64(0)
     for n in range(cuda.grid(1), min(before.book[LISTED], len(before.ids)), cuda.gridsize(1)):
         flight = _flight_of(n, before)
         volume = _units(flight.diameter)
@@ -186,18 +214,28 @@ def drip(
                 for column in range(DRIP):
                     table_out[at, column] = before.table[n, column]
                 where_out[at], ids_out[at] = before.where[n], before.ids[n]
+    return hanging, flying, returned
+
+
+@cuda.jit(device=True)
+def _add_up(sums, water, before, book_out):
+    """Add to a book the water of a block's threads and, once, the account of the book before.
+
+    `water` is in VOLUME_UNIT: what hangs, flies, went to films, got lost, came down, came as finer
+    rain.
+    """
     thread = cuda.threadIdx.x
-    hanging, flying = block_sum(sums, thread, hanging), block_sum(sums, thread, flying)
-    taken, lost = block_sum(sums, thread, taken), block_sum(sums, thread, lost)
-    returned, finer = block_sum(sums, thread, returned), block_sum(sums, thread, finer)
+    hanging, flying = block_sum(sums, thread, water[0]), block_sum(sums, thread, water[1])
+    taken, lost = block_sum(sums, thread, water[2]), block_sum(sums, thread, water[3])
+    returned, finer = block_sum(sums, thread, water[4]), block_sum(sums, thread, water[5])
     if thread == 0:
         cuda.atomic.add(book_out, HANGING, hanging)
         cuda.atomic.add(book_out, AIRBORNE, flying)
-        begun = 1 if cuda.blockIdx.x == 0 else 0  # one block carries the account over
-        cuda.atomic.add(book_out, FILM, taken + begun * before.book[FILM])
-        cuda.atomic.add(book_out, LOST, lost + begun * before.book[LOST])
-        cuda.atomic.add(book_out, RETURNED, returned + begun * before.book[RETURNED])
-        cuda.atomic.add(book_out, FINE, finer + begun * before.book[FINE])
+        begun = 1 if cuda.blockIdx.x == 0 else 0
+        cuda.atomic.add(book_out, FILM, taken + begun * before[FILM])
+        cuda.atomic.add(book_out, LOST, lost + begun * before[LOST])
+        cuda.atomic.add(book_out, RETURNED, returned + begun * before[RETURNED])
+        cuda.atomic.add(book_out, FINE, finer + begun * before[FINE])
 
 
 class Flight(NamedTuple):

@@ -5,21 +5,18 @@ Numbers that change from frame to frame are device arrays, which a recorded fram
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
-from rainsim.constants import ONE, SURFACE_ALPHA, ZERO
+from rainsim.constants import SURFACE_ALPHA, ZERO
 from rainsim.cuda.jit import cuda, cuda_kernel
-from rainsim.scene.view import pixel_ray, view_from, view_of_arrays
+from rainsim.scene.view import column_slope, row_slope, view_from, view_of_arrays
 from rainsim.shading.grading import look_from
-from rainsim.shading.smooth_normals import AROUND, NO_AROUND, smooth_normal, turned
-from rainsim.shading.wet_pass import DryPicture, depth_of_surface
+from rainsim.shading.smooth_normals import AROUND, NO_AROUND, smooth_normal, turn_of, turned
+from rainsim.shading.wet_pass import NO_DEPTH, DryPicture, seen_surface
 from rainsim.shading.wetness import off_ground_from
-from rainsim.shading.wetting import GroundMaps, SkyMaps, SurfacePoint, wet_pixel
+from rainsim.shading.wetting import GroundMaps, SkyMaps, wet_pixel
 
 BLOCK = (32, 8)  # threads: columns, rows
-NO_DEPTH = np.float32(np.inf)
 
 
 def blocks(height, width):
@@ -87,33 +84,24 @@ def grade_and_wet(
     if row >= size[1] or column >= size[0]:
         return
     view = view_from(camera)
-    m, eye, normal = view.ground_from_camera, view.eye, dry.normal
-    x, y, z = pixel_ray(view, row, column)
-    length = math.sqrt(x * x + y * y + z * z)
-    inv = ONE / length
-    n0, n1, n2 = normal[row, column, 0], normal[row, column, 1], normal[row, column, 2]
-    lean_x = m[0, 0] * n0 + m[0, 1] * n1 + m[0, 2] * n2
-    lean_y = m[1, 0] * n0 + m[1, 1] * n1 + m[1, 2] * n2
-    upness = m[2, 0] * n0 + m[2, 1] * n1 + m[2, 2] * n2
-    d, e = depth_of_surface(
-        dry.depth[row, column] * dry.meters_per_unit,
-        dry.plane_depth[row, column] * dry.meters_per_unit, upness,
-    )  # fmt: skip
+    turn, normal, unit = turn_of(view.ground_from_camera), dry.normal, dry.meters_per_unit
     alpha, color = dry.alpha[row, column], dry.color
-    point = SurfacePoint(
-        eye[0] + e * x, eye[1] + e * y, eye[2] + e * z, lean_x, lean_y, upness, e * length
-    )
-    around = lean_x, lean_y, upness
+    x, y, z, d, distance, _, point = seen_surface(
+        turn, view.eye, column_slope(view, column), row_slope(view, row),
+        (normal[row, column, 0], normal[row, column, 1], normal[row, column, 2]),
+        dry.depth[row, column] * unit, dry.plane_depth[row, column] * unit, alpha,
+    )  # fmt: skip
+    around = point.nx, point.ny, point.nz
     if dry.around > ZERO and alpha >= SURFACE_ALPHA:
         n0, n1, n2 = smooth_normal(
             dry.depth, normal, row, column, np.int64(size[1]), np.int64(size[0]), view.fx,
-            dry.around / dry.meters_per_unit,
+            dry.around / unit,
         )  # fmt: skip
-        around = turned(m, n0, n1, n2)
+        around = turned(turn, n0, n1, n2)
     mirror_apart = cover_out.shape[0] > 0
     r, g, b, clearance, cover = wet_pixel(
         (color[row, column, 0], color[row, column, 1], color[row, column, 2]), alpha,
-        (x * inv, y * inv, z * inv), d * length, point, around, ground, off_ground_from(rain),
+        (x, y, z), distance, point, around, ground, off_ground_from(rain),
         sky, look_from(look), mirror_apart,
     )  # fmt: skip
     picture_out[row, column, 0], picture_out[row, column, 1] = r, g

@@ -176,11 +176,49 @@ def add_splat(shared, o, px, py, median, drop_last, upper_sums, lower_sums):
     )  # fmt: skip
 
 
-# long: it makes a kernel whose warps keep two pixels' sums in registers over a tile's whole list
-def _blend_squares(median, drop_last):
-    """Return the kernel for the mean or the median depth, and for either stop."""
+@fast_device
+def square_at(tile, quarter, across, inverse_across):
+    """Return the first column and row [px] of the square that a warp owns."""
+    row = np.int32((np.float32(tile) + HALF) * inverse_across)
+    column = np.int32(tile - np.int32(row * np.int32(across)))
+    x = np.int32(np.int32(column * TILE) + np.int32(np.int32(quarter & 1) * SQUARE))
+    y = np.int32(np.int32(row * TILE) + np.int32(np.int32(quarter >> 1) * SQUARE))
+    return x, y
 
-    # long: a warp's march over its tile's list, as said above
+
+@fast_device
+def no_sums(inside):
+    """Return the sums of a pixel before any splat; one beside the picture lets nothing through."""
+    clear = ONE if inside else ZERO
+    return clear, ZERO, ZERO, ZERO, ZERO, ZERO, ZERO, ZERO, ZERO
+
+
+@fast_device
+def stage(shared, o, record, place, first, second):
+    """Copy a splat's record to shared memory; its first eight numbers have been read."""
+    blue, z, n0, n1 = load4(record, np.int64(place) + 8)
+    n2, distance, _, _ = load4(record, np.int64(place) + 12)
+    store4(shared, o, first[0], first[1], first[2], first[3])
+    store4(shared, o + 4, second[0], second[1], second[2], second[3])
+    store4(shared, o + 8, blue, z, n0, n1)
+    store4(shared, o + 12, n2, distance, ZERO, ZERO)
+
+
+@fast_device
+def stage_nothing(shared, o):
+    """Write a splat to shared memory that no pixel shows."""
+    store4(shared, o, ZERO, ZERO, ZERO, ZERO)
+    store4(shared, o + 4, ZERO, FAINT, ZERO, ZERO)
+    store4(shared, o + 8, ZERO, ZERO, ZERO, ZERO)
+    store4(shared, o + 12, ZERO, ZERO, ZERO, ZERO)
+
+
+def _blend_squares(median, drop_last):
+    """Return the kernel for the mean or the median depth, and for either stop.
+
+    Its warps keep the sums of two pixels a lane in registers over a tile's whole list.
+    """
+
     @fast_kernel
     def blend_squares(
         value, begin, end, record, now, width, height, orthographic, across, inverse_across,
@@ -192,10 +230,7 @@ def _blend_squares(median, drop_last):
         lane, quarter = np.int32(tid & 31), np.int32(tid >> 5)
         staged = np.int32(quarter * ((32 + 1) * RECORD))
         tile = np.int32(cuda.blockIdx.x)
-        row = np.int32((np.float32(tile) + HALF) * inverse_across)
-        column = np.int32(tile - np.int32(row * np.int32(across)))
-        sx = np.int32(np.int32(column * TILE) + np.int32(np.int32(quarter & 1) * SQUARE))
-        sy = np.int32(np.int32(row * TILE) + np.int32(np.int32(quarter >> 1) * SQUARE))
+        sx, sy = square_at(tile, quarter, across, inverse_across)
         x, y = np.int32(sx + np.int32(lane & 7)), np.int32(sy + np.int32(lane >> 3))
         px, py = np.float32(x) + HALF, np.float32(y) + HALF
         if np.float32(sx) >= now[SIZE] or np.float32(sy) >= now[SIZE + 1]:
@@ -206,10 +241,8 @@ def _blend_squares(median, drop_last):
         lower_lanes = np.int32((np.int64(1) << lane) - 1)
         bit = np.uint32(np.uint32(1) << np.uint32(SPLAT_BITS + quarter))
         mask = np.uint32(SPLAT_MASK)
-        t0 = ONE if x < width and y < height else ZERO
-        t1 = ONE if x < width and y + 4 < height else ZERO
-        upper = t0, ZERO, ZERO, ZERO, ZERO, ZERO, ZERO, ZERO, ZERO
-        lower = t1, ZERO, ZERO, ZERO, ZERO, ZERO, ZERO, ZERO, ZERO
+        upper = no_sums(x < width and y < height)
+        lower = no_sums(x < width and y + 4 < height)
         # The next entries are read while these are blended.
         entry = value[at + lane] if at + lane < stop else np.uint32(0)
         reached = entry & bit != 0
@@ -227,18 +260,9 @@ def _blend_squares(median, drop_last):
             count = np.int32(cuda.popc(hits))
             if hit:
                 o = np.int32(staged + np.int32(cuda.popc(hits & lower_lanes)) * RECORD)
-                blue, z, n0, n1 = load4(record, np.int64(place) + 8)
-                n2, distance, _, _ = load4(record, np.int64(place) + 12)
-                store4(shared, o, u, v, a, b)
-                store4(shared, o + 4, c, level, red, green)
-                store4(shared, o + 8, blue, z, n0, n1)
-                store4(shared, o + 12, n2, distance, ZERO, ZERO)
+                stage(shared, o, record, place, (u, v, a, b), (c, level, red, green))
             if lane < (count & 1):
-                o = np.int32(staged + count * RECORD)
-                store4(shared, o, ZERO, ZERO, ZERO, ZERO)
-                store4(shared, o + 4, ZERO, FAINT, ZERO, ZERO)
-                store4(shared, o + 8, ZERO, ZERO, ZERO, ZERO)
-                store4(shared, o + 12, ZERO, ZERO, ZERO, ZERO)
+                stage_nothing(shared, np.int32(staged + count * RECORD))
             cuda.syncwarp()
             at = np.int32(at + 32)
             entry = following
