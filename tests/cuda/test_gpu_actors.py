@@ -200,7 +200,7 @@ def test_moving_things_leave_the_water_on_the_device(on_gpu, capsys):
     from rainsim.cuda.simulation import simulate
 
     scene = load_scene("traffic")
-    settings = STREET.replace(level=0.02, scheme="lean")
+    settings = STREET.replace(level=0.08, scheme="lean")
     cameras = [resize_to(camera, 320) for camera in scene.cameras]
     terrain = with_footprints(pipeline.extract_terrain(scene, settings), scene)
     own, theirs = simulate(terrain, settings), pipeline.simulate(terrain, settings)

@@ -45,7 +45,7 @@ def test_a_lamp_over_wet_ground_is_mirrored_as_on_the_cpu(on_gpu, monkeypatch):
     np.testing.assert_array_equal(pictures[3], pictures[0])
     film = [picture.copy() for picture, _ in gpu.film([(c, state, None) for c in cameras])]
     np.testing.assert_array_equal(film, pictures[:3])
-    assert int(gpu.frame.passes.ground_light._lamps._many.copy_to_host()[0]) > 0
+    assert int(gpu.frame.passes.ground_light.level.lamps._many.copy_to_host()[0]) > 0
     monkeypatch.setattr(wet_ground_mirror, "lamps_seen", lambda upright, draw: (draw(upright), ()))
     plain = OnCpu(scene, terrain, settings, cameras[0])
     looked_up = [plain.draw(camera, state)[0].copy() for camera in cameras]
@@ -65,5 +65,5 @@ def test_streets_at_dusk_are_those_of_the_cpu(on_gpu, name, capsys):
         with capsys.disabled():
             print(f"\n{name} at dusk: {decibel(found, wanted):.1f} dB")
         assert decibel(found, wanted) > 45
-    many = int(gpu.frame.passes.ground_light._lamps._many.copy_to_host()[0])
+    many = int(gpu.frame.passes.ground_light.level.lamps._many.copy_to_host()[0])
     assert many > 0
