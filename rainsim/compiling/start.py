@@ -3,6 +3,7 @@
 import importlib
 import os
 
+from rainsim.compiling import shipped
 from rainsim.compiling.folder import CACHE_FOLDER, stamp
 from rainsim.compiling.pool import Pool, processes
 from rainsim.compiling.recorded import needed
@@ -75,9 +76,13 @@ def compile_here(uses, progress):
 
 
 def missing(entries):
-    """Return the recorded kernels that the cache on disk lacks, without outdated entries."""
+    """Return the recorded kernels that the cache on disk lacks, without outdated entries.
+
+    Those that the package rainsim-kernels has count as being on disk.
+    """
     modules = {entry.kernel.partition(":")[0] for entry in entries}
-    known = {module for module in modules if (CACHE_FOLDER / module).is_dir()}
+    places = [CACHE_FOLDER] if shipped.PACK is None else [CACHE_FOLDER, shipped.PACK.folder]
+    known = {name for name in modules if any((place / name).is_dir() for place in places)}
     lacking = [entry for entry in entries if entry.kernel.partition(":")[0] not in known]
     return lacking + [
         entry for entry in entries if entry.kernel.partition(":")[0] in known and _lacks(entry)
