@@ -24,7 +24,7 @@ def compiled_beside(status, uses, threads=None):
     threads : int, optional
         That the run may use: so many processes compile at most.
     """
-    from rainsim.compiling import folder
+    from rainsim.compiling import folder, shipped
     from rainsim.compiling.start import end, start
 
     def in_line(count):
@@ -32,6 +32,8 @@ def compiled_beside(status, uses, threads=None):
 
     status.notes(refused_folders())
     pool = start(uses, threads, status.compiling, in_line)
+    if pool is not None and shipped.FAULT is not None:
+        status.say(f"the package rainsim-kernels is not used: {shipped.FAULT}")
     try:
         yield pool
     finally:

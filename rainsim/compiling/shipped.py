@@ -10,6 +10,7 @@ import json
 import os
 import platform
 import site
+import sys
 from importlib import metadata
 from pathlib import Path
 
@@ -73,6 +74,8 @@ class Pack:
         for name, value in PROCESSOR.items():
             if os.environ.get(name, value) != value:
                 return f"made for {name}={value}, and it is set to {os.environ[name]!r}"
+            if "numba" in sys.modules and name not in os.environ:
+                return "numba was imported before rainsim: it compiles for this machine by now"
         return None
 
     def read(self, path):
@@ -126,3 +129,5 @@ def _flags(info):
 PACK, FAULT = find(site.getsitepackages())
 if PACK is not None:
     os.environ.update(PROCESSOR)
+elif FAULT is not None:
+    os.environ[VARIABLE] = OFF  # the processes that this one starts compile as it does

@@ -7,6 +7,7 @@ from rainsim.compiling import shipped
 from rainsim.compiling.folder import CACHE_FOLDER, stamp
 from rainsim.compiling.pool import Pool, processes
 from rainsim.compiling.recorded import needed
+from rainsim.compiling.uses import ALL
 
 KEPT_STAMPS = 64
 
@@ -89,14 +90,22 @@ def missing(entries):
     ]
 
 
-def _lacks(entry):
-    """Return whether a kernel that may have been compiled has not been; imports its module."""
-    from rainsim.compiling.signatures import UnknownType, from_text, split
-    from rainsim.jit import KERNELS, held
+def not_shipped():
+    """Return the recorded kernels that the package rainsim-kernels, which is in use, lacks."""
+    from rainsim.jit import shipped_for
 
+    return [entry for entry in needed(ALL) if _lacks(entry, shipped_for)]
+
+
+def _lacks(entry, held=None):
+    """Return whether a kernel that may have been compiled has not been; imports its module."""
+    from rainsim import jit
+    from rainsim.compiling.signatures import UnknownType, from_text, split
+
+    held = held or jit.held
     try:
         importlib.import_module(entry.kernel.partition(":")[0])
-        kernel = KERNELS[entry.kernel]
+        kernel = jit.KERNELS[entry.kernel]
         return not held(kernel, tuple(from_text(text) for text in split(entry.arguments)))
     except (ImportError, KeyError, UnknownType):
         return False
