@@ -64,4 +64,4 @@ def uses_of(scene, config, layers=(), backend="cpu"):
     def config_of(preset, changes):
         return Config.from_preset(preset).replace(**changes)
 
-    return uses_like(config, config_of, layers, captured)
+    return uses_like(config, config_of, layers, captured, "" if captured else str(scene))

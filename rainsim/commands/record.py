@@ -25,8 +25,10 @@ from rainsim.compiling.uses import (
     HEIGHTMAP,
     LAYERS,
     LIDAR,
+    SCENES,
     SIMULATE,
     SPLAT,
+    TRAFFIC,
     USES,
 )
 
@@ -52,12 +54,14 @@ def command_lines(use, folder):
     if use == LIDAR:
         return [("lidar", SCENE, "--rain", "0,25", "--spacing", "0.05", "--out",
                  f"{folder}/turns", "-q")]  # fmt: skip
-    scene = f"{folder}/{CAPTURE}" if use == CAPTURE else SCENE
-    preset, changes = USES.get(use, USES["drizzle"])
+    scene = f"{folder}/{CAPTURE}" if use == CAPTURE else use if use in SCENES else SCENE
+    preset, changes = USES.get(use, USES["downpour" if use in SCENES else "drizzle"])
     words = [word for name, value in changes.items() for word in (f"--{name}", value)]
     words += ["--layers", "all", "--orbit"] if use == LAYERS else []
+    words += ["--drive"] if use == TRAFFIC else []
+    count = "4" if preset == "paper" else "2"  # its water moves from the third on
     return [
-        ("run", "--scene", scene, "--preset", preset, *SIZE, "--frames", "2", *words, "--out",
+        ("run", "--scene", scene, "--preset", preset, *SIZE, "--frames", count, *words, "--out",
          f"{folder}/frames", "-q"),
     ]  # fmt: skip
 
@@ -65,6 +69,7 @@ def command_lines(use, folder):
 def run_one(use):
     """Run a use here and print each kernel that it calls as a line of JSON."""
     from rainsim.commands import film, heightmap, lidar, splat, status
+    from rainsim.commands.forecast import FRAMES
     from rainsim.scene.folder import write_scene
     from rainsim.scene.library import load_scene
 
@@ -74,7 +79,7 @@ def run_one(use):
     def progress(self, name, done, total):
         nonlocal stage
         if name != status.READING and (name != TERRAIN or done == total):
-            stage = STAGES[1]
+            stage = STAGES[2 if name == FRAMES and done else 1]
         tell(self, name, done, total)
 
     def found(kernel, arguments, seconds):
