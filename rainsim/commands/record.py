@@ -69,7 +69,6 @@ def command_lines(use, folder):
 def run_one(use):
     """Run a use here and print each kernel that it calls as a line of JSON."""
     from rainsim.commands import film, heightmap, lidar, splat, status
-    from rainsim.commands.forecast import FRAMES
     from rainsim.scene.folder import write_scene
     from rainsim.scene.library import load_scene
 
@@ -79,7 +78,7 @@ def run_one(use):
     def progress(self, name, done, total):
         nonlocal stage
         if name != status.READING and (name != TERRAIN or done == total):
-            stage = STAGES[2 if name == FRAMES and done else 1]
+            stage = STAGES[1]
         tell(self, name, done, total)
 
     def found(kernel, arguments, seconds):

@@ -16,7 +16,7 @@ from collections import defaultdict
 from pathlib import Path
 
 from rainsim.compiling import waiting
-from rainsim.compiling.recorded import STAGES
+from rainsim.compiling.recorded import TERRAIN
 
 CONTAINER = Path("/sys/fs/cgroup")  # control group of a container, version 2
 LIMIT_AND_USE = ("memory.max", "memory.current")
@@ -78,13 +78,13 @@ class _Job:
         self.kernel = kernel
         self.arguments = [entry.arguments for entry in entries]
         self.seconds = sum(entry.seconds for entry in entries)
-        self.stage = min(STAGES.index(entry.stage) for entry in entries)
+        self.first = any(entry.stage == TERRAIN for entry in entries)
         self.wanted = self.done = False
         self.begun = None  # s of the clock
 
     def order(self):
-        """The sort key: kernels that a run waits for, then by stage, and there the longest."""
-        return (not self.wanted, self.stage, -self.seconds)
+        """The sort key: kernels that a run waits for, then its first ones; the longest first."""
+        return (not self.wanted, not self.first, -self.seconds)
 
 
 class Pool:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 FILE = Path(__file__).with_name("kernels.json")
 TERRAIN = "terrain"  # the stage that a run begins with
-STAGES = (TERRAIN, "frames", "later")  # the last: first called when a frame has been drawn
+STAGES = (TERRAIN, "frames")
 
 
 @dataclass(frozen=True)
