@@ -110,7 +110,7 @@ def find(folders):
             try:
                 pack = Pack(place)
                 fault = pack.fault()
-            except (OSError, ValueError, KeyError, TypeError) as error:
+            except (OSError, ValueError, KeyError, TypeError, ImportError) as error:
                 return None, f"damaged ({MANIFEST}: {type(error).__name__}: {error})"
             return (None, fault) if fault else (pack, None)
     return None, None

@@ -91,7 +91,7 @@ def missing(entries):
 
 
 def not_shipped():
-    """Return the recorded kernels that the package rainsim-kernels, which is in use, lacks."""
+    """Return the recorded kernels that the package rainsim-kernels lacks, if it is used."""
     from rainsim.jit import shipped_for
 
     return [entry for entry in needed(ALL) if _lacks(entry, shipped_for)]
