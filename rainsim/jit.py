@@ -216,6 +216,11 @@ def held(kernel, signature):
     return kernel._cache.holds(signature, kernel.targetctx)
 
 
+def shipped_for(kernel, signature):
+    """Return whether the package rainsim-kernels has a kernel for the argument types."""
+    return kernel._cache.ships(signature, kernel.targetctx)
+
+
 def threading_layer():
     """Return the name of numba's threading layer, once a kernel has run, and its threads."""
     return numba.threading_layer(), numba.get_num_threads()

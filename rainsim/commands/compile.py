@@ -19,7 +19,7 @@ def compiled_beside(status, uses, threads=None):
     `uses` are names of `rainsim.compiling.uses`; at most as many processes compile as the run may
     use threads.
     """
-    from rainsim.compiling import folder
+    from rainsim.compiling import folder, shipped
     from rainsim.compiling.start import end, start
 
     def in_line(count):
@@ -27,6 +27,8 @@ def compiled_beside(status, uses, threads=None):
 
     status.notes(refused_folders())
     pool = start(uses, threads, status.compiling, in_line)
+    if pool is not None and shipped.FAULT is not None:
+        status.say(f"the package rainsim-kernels is not used: {shipped.FAULT}")
     try:
         yield pool
     finally:
@@ -57,4 +59,4 @@ def uses_of(scene, config, layers=(), backend="cpu"):
     def config_of(preset, changes):
         return Config.from_preset(preset).replace(**changes)
 
-    return uses_like(config, config_of, layers, captured)
+    return uses_like(config, config_of, layers, captured, "" if captured else str(scene))

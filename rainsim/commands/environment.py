@@ -9,10 +9,12 @@ import shutil
 import numpy as np
 
 from rainsim import __version__
+from rainsim.compiling import shipped
 from rainsim.compiling.folder import LOST, NAME, REFUSED
+from rainsim.compiling.start import not_shipped
 from rainsim.io import cache as results
 from rainsim.io.fingerprint import versions
-from rainsim.jit import CACHE_FOLDER, cpu_kernel, prange, threading_layer
+from rainsim.jit import CACHE_FOLDER, cpu_kernel, prange, processor, threading_layer
 
 PACKAGES = ("numpy", "numba", "llvmlite", "scipy", "numba-cuda", "cuda-cccl")
 OPTIONAL = {
@@ -56,11 +58,19 @@ def report():
             "folder that can be written"
         )
     wrong += cache["refused"]
+    kernels = _shipped()
+    if kernels["damaged"]:
+        count, first = len(kernels["damaged"]), kernels["damaged"][0]
+        wrong.append(
+            f"{count} file{' is' if count == 1 else 's are'} damaged in {shipped.DISTRIBUTION} "
+            f"({first}): what they hold is compiled here; install it again"
+        )
     return {
         "versions": {"rainsim": __version__, **versions((*PACKAGES, *OPTIONAL))},
         "threads": {"number": threads, "cores": os.cpu_count(), "layer": layer},
         "backends": {"cpu": {"ready": True, "name": _processor()}, "cuda": _cuda()},
-        "memory": memory, "cache": cache, "results": results.summary(), "wrong": wrong,
+        "memory": memory, "cache": cache, "kernels": kernels, "results": results.summary(),
+        "wrong": wrong,
     }  # fmt: skip
 
 
@@ -94,6 +104,16 @@ def _cache():
         "free": shutil.disk_usage(CACHE_FOLDER).free,
         "kept": CACHE_FOLDER.name == NAME and not CACHE_FOLDER.parent.name.startswith(LOST),
         "refused": REFUSED,
+    }  # fmt: skip
+
+
+def _shipped():
+    """Return whether shipped kernels are used or why not, and which of them are not."""
+    used = shipped.PACK is not None
+    return {
+        "used": used, "why": shipped.FAULT, "processor": processor(),
+        "damaged": shipped.PACK.damaged() if used else [],
+        "changed": [entry.kernel for entry in not_shipped()] if used else [],
     }  # fmt: skip
 
 
@@ -134,9 +154,26 @@ def table(found):
             f"memory     {memory['free'] / 1e9:.1f} of {memory['total'] / 1e9:.1f} GB free"
         )
     lines.append(f"cache      {cache['folder']}: {cache['size'] / 1e6:.0f} MB of compiled kernels")
+    lines.append(f"kernels    {_kernels_line(found['kernels'])}")
     lines.append(_results_line(found["results"]))
     lines += [f"WRONG      {line}" for line in found["wrong"]] or ["nothing is wrong"]
     return "\n".join(lines)
+
+
+def _kernels_line(kernels):
+    """Return a text on the package of shipped kernels and what is compiled here beside them."""
+    name, level = shipped.DISTRIBUTION, shipped.PROCESSOR["NUMBA_CPU_NAME"]
+    if not kernels["used"]:
+        why = kernels["why"] or f"not installed, or {shipped.VARIABLE} is {shipped.OFF}"
+        return f"compiled here; {name} is not used: {why}"
+    here = list(dict.fromkeys(kernels["changed"]))
+    if not here:
+        return f"loaded from {name}, for {level}"
+    return (
+        f"loaded from {name}, for {level}, but for {len(here)} that are compiled here: their "
+        f"sources are not those it was made from, or a file is damaged ({', '.join(here[:3])}"
+        f"{', ...' if len(here) > 3 else ''})"
+    )
 
 
 def _results_line(kept):

@@ -25,8 +25,10 @@ from rainsim.compiling.uses import (
     HEIGHTMAP,
     LAYERS,
     LIDAR,
+    SCENES,
     SIMULATE,
     SPLAT,
+    TRAFFIC,
     USES,
 )
 
@@ -52,12 +54,14 @@ def command_lines(use, folder):
     if use == LIDAR:
         return [("lidar", SCENE, "--rain", "0,25", "--spacing", "0.05", "--out",
                  f"{folder}/turns", "-q")]  # fmt: skip
-    scene = f"{folder}/{CAPTURE}" if use == CAPTURE else SCENE
-    preset, changes = USES.get(use, USES["drizzle"])
+    scene = f"{folder}/{CAPTURE}" if use == CAPTURE else use if use in SCENES else SCENE
+    preset, changes = USES.get(use, USES["downpour" if use in SCENES else "drizzle"])
     words = [word for name, value in changes.items() for word in (f"--{name}", value)]
     words += ["--layers", "all", "--orbit"] if use == LAYERS else []
+    words += ["--drive"] if use == TRAFFIC else []
+    count = "4" if preset == "paper" else "2"  # its water moves from the third on
     return [
-        ("run", "--scene", scene, "--preset", preset, *SIZE, "--frames", "2", *words, "--out",
+        ("run", "--scene", scene, "--preset", preset, *SIZE, "--frames", count, *words, "--out",
          f"{folder}/frames", "-q"),
     ]  # fmt: skip
 

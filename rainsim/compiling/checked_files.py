@@ -10,6 +10,7 @@ import pickle
 
 from numba.core import caching
 
+from rainsim.compiling import shipped
 from rainsim.compiling.folder import is_mine
 
 DIGEST = 32  # bytes at the beginning of a file
@@ -34,8 +35,10 @@ def read_checked(path):
 class CheckedFiles(caching.IndexDataCacheFile):
     """numba's index and data files of one kernel, written and read with their digests."""
 
+    _read = staticmethod(read_checked)
+
     def _load_index(self):
-        content = read_checked(self._index_path)
+        content = self._read(self._index_path)
         version, stamp, overloads = (None, None, {}) if content is None else pickle.loads(content)
         known = version == self._version and stamp == self._source_stamp
         return overloads if known else {}
@@ -44,7 +47,7 @@ class CheckedFiles(caching.IndexDataCacheFile):
         self._write(self._index_path, (self._version, self._source_stamp, overloads))
 
     def _load_data(self, name):
-        content = read_checked(self._data_path(name))
+        content = self._read(self._data_path(name))
         return None if content is None else pickle.loads(content)
 
     def _save_data(self, name, data):
@@ -58,4 +61,12 @@ class CheckedFiles(caching.IndexDataCacheFile):
     def holds(self, key):
         """Return whether there is whole machine code for a key of the index; loads none of it."""
         name = self._load_index().get(key)
-        return name is not None and read_checked(self._data_path(name)) is not None
+        return name is not None and self._read(self._data_path(name)) is not None
+
+
+class ShippedFiles(CheckedFiles):
+    """The files of one kernel in `shipped.PACK`, read by the hashes of its manifest."""
+
+    def _read(self, path):
+        content = shipped.PACK.read(path)
+        return None if content is None else content[DIGEST:]

@@ -11,12 +11,13 @@ import tempfile
 from importlib.util import find_spec
 from pathlib import Path
 
+from rainsim.compiling import shipped
+from rainsim.compiling.shipped import COMPILERS, CPU_INFO
+
 NAME = "rainsim-kernels"
 LOST = f"{NAME}-"  # begins the names of folders that no later run looks into
 OTHERS, ENTER = 0o022, 0o011  # permissions of group and others to write, and to enter
 PACKAGE = Path(__file__).parent.parent
-COMPILERS = ("numba", "llvmlite", "numpy")
-CPU_INFO = Path("/proc/cpuinfo")
 CPU_LINES = ("model name", "flags", "CPU part", "Features")  # of the first core
 
 
@@ -88,10 +89,13 @@ def stamp(names):
     """Return the file that exists if the kernels of a list have been found compiled.
 
     Its name is a hash of the list, of size and time of each file of the package, of the compilers'
-    files and of the processor: when any of these change the kernels must be looked for one by one.
+    files, of the processor and of shipped kernels: when any of these change the kernels must be
+    looked for one by one.
     """
     digest = hashlib.sha256("\n".join(sorted(names)).encode())
     digest.update(f"{platform.python_version()} {platform.machine()} {_processor()}".encode())
+    made_for = [os.environ.get(name) for name in shipped.PROCESSOR]
+    digest.update(f"{made_for} {shipped.PACK and shipped.PACK.identity}".encode())
     files = [entry for entry in _python_files(PACKAGE)]
     files += [Path(find_spec(name).origin) for name in COMPILERS]
     for file in sorted(map(str, files)):

@@ -8,21 +8,22 @@ calls: an edited helper would keep its old machine code. Here the name of a kern
 import functools
 import os
 import platform
+import sys
 
 import llvmlite
 import numba
 import numpy as np
 from numba.core import caching, types
 
-from rainsim.compiling import folder
-from rainsim.compiling.checked_files import CheckedFiles
+from rainsim.compiling import folder, shipped
+from rainsim.compiling.checked_files import CheckedFiles, ShippedFiles
 from rainsim.compiling.source_key import source_key
 from rainsim.compiling.waiting import wait_for
 
 KEPT_VERSIONS = 4  # of a kernel, whose machine code is kept
 VERSIONS = (
     f"numba {numba.__version__} llvmlite {llvmlite.__version__} numpy {np.__version__} "
-    f"python {platform.python_version()} {platform.python_implementation()}"
+    f"{platform.python_implementation()} {sys.version_info.major}.{sys.version_info.minor}"
 )
 
 
@@ -64,14 +65,22 @@ class KernelCache(caching.FunctionCache):
 
     @functools.cached_property
     def _cache_file(self):
-        return CheckedFiles(
-            cache_path=self._cache_path,
-            filename_base=self._impl.filename_base,
-            source_stamp=self._impl.locator.get_source_stamp(),
-        )
+        return CheckedFiles(self._cache_path, self._impl.filename_base, self.key)
+
+    @functools.cached_property
+    def _shipped(self):
+        if shipped.PACK is None:
+            return None
+        place = os.fspath(shipped.PACK.folder / self._folder.name)
+        return ShippedFiles(place, self._impl.filename_base, self.key)
 
     def load_overload(self, sig, target_context):
         """Return the machine code for a signature, None if there is none on disk."""
+        if self._shipped is not None:
+            target_context.refresh()
+            data = self._shipped.load(self._index_key(sig, target_context.codegen()))
+            if data is not None:
+                return self._impl.rebuild(target_context, data)
         wait_for(self.kernel_name)  # another process may be at it
         return super().load_overload(sig, target_context)
 
@@ -87,7 +96,14 @@ class KernelCache(caching.FunctionCache):
     def holds(self, sig, target_context):
         """Return whether the machine code for a signature is on disk; loads none of it."""
         target_context.refresh()
-        return self._cache_file.holds(self._index_key(sig, target_context.codegen()))
+        key = self._index_key(sig, target_context.codegen())
+        return self.ships(sig, target_context) or self._cache_file.holds(key)
+
+    def ships(self, sig, target_context):
+        """Return whether the package rainsim-kernels has the machine code for a signature."""
+        target_context.refresh()
+        key = self._index_key(sig, target_context.codegen())
+        return self._shipped is not None and self._shipped.holds(key)
 
     def _index_key(self, sig, codegen):
         """Return numba's key of a signature, with the fields of bundles: they may change places."""
@@ -122,6 +138,10 @@ class _Implementation(caching.CompileResultCacheImpl):
     def __init__(self, function, locator):
         self._locator_classes = [locator]  # what is asked for a locator; this one gives itself
         super().__init__(function)
+
+    def reduce(self, data):
+        """Return numba's parts of machine code, less the one text: sources, only to be shown."""
+        return tuple("" if isinstance(part, str) else part for part in super().reduce(data))
 
 
 class _KeyedLocator(caching._CacheLocator):

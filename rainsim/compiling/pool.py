@@ -99,6 +99,8 @@ class Pool:
     progress : callable, optional
         progress(share, done, total, count): the share of the work from 0 to 1, kernels done and
         in all, processes; called from another thread.
+    environment : dict, optional
+        Variables that the processes get besides those of this one.
 
     Attributes
     ----------
@@ -110,7 +112,7 @@ class Pool:
         Entries that no longer fit, and why.
     """
 
-    def __init__(self, entries, count, progress=None):
+    def __init__(self, entries, count, progress=None, environment=None):
         kernels = defaultdict(list)
         for entry in entries:
             kernels[entry.kernel].append(entry)
@@ -119,6 +121,8 @@ class Pool:
         self._changed = threading.Condition()
         self._progress = progress or (lambda share, done, total, count: None)
         self._closed = False
+        paths = os.pathsep.join(filter(None, sys.path))
+        self._environment = os.environ | {"PYTHONPATH": paths} | (environment or {})
         self.count = min(count, len(self._jobs))
         self.compiled, self.seconds, self.stale = 0, 0.0, []
         self._processes = [self._start() for _ in range(self.count)]
@@ -175,7 +179,7 @@ class Pool:
         return subprocess.Popen(
             [sys.executable, "-P", "-m", "rainsim.compiling.worker"],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
-            text=True, env=os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+            text=True, env=self._environment,
         )  # fmt: skip
 
     def _serve(self, process):

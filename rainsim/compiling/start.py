@@ -3,9 +3,11 @@
 import importlib
 import os
 
+from rainsim.compiling import shipped
 from rainsim.compiling.folder import CACHE_FOLDER, stamp
 from rainsim.compiling.pool import Pool, processes
 from rainsim.compiling.recorded import needed
+from rainsim.compiling.uses import ALL
 
 KEPT_STAMPS = 64
 
@@ -75,23 +77,35 @@ def compile_here(uses, progress):
 
 
 def missing(entries):
-    """Return the recorded kernels that the cache on disk lacks, without outdated entries."""
+    """Return the recorded kernels that the cache on disk lacks, without outdated entries.
+
+    Those that the package rainsim-kernels has count as being on disk.
+    """
     modules = {entry.kernel.partition(":")[0] for entry in entries}
-    known = {module for module in modules if (CACHE_FOLDER / module).is_dir()}
+    places = [CACHE_FOLDER] if shipped.PACK is None else [CACHE_FOLDER, shipped.PACK.folder]
+    known = {name for name in modules if any((place / name).is_dir() for place in places)}
     lacking = [entry for entry in entries if entry.kernel.partition(":")[0] not in known]
     return lacking + [
         entry for entry in entries if entry.kernel.partition(":")[0] in known and _lacks(entry)
     ]
 
 
-def _lacks(entry):
-    """Return whether a kernel that may have been compiled has not been; imports its module."""
-    from rainsim.compiling.signatures import UnknownType, from_text, split
-    from rainsim.jit import KERNELS, held
+def not_shipped():
+    """Return the recorded kernels that the package rainsim-kernels lacks, if it is used."""
+    from rainsim.jit import shipped_for
 
+    return [entry for entry in needed(ALL) if _lacks(entry, shipped_for)]
+
+
+def _lacks(entry, held=None):
+    """Return whether a kernel that may have been compiled has not been; imports its module."""
+    from rainsim import jit
+    from rainsim.compiling.signatures import UnknownType, from_text, split
+
+    held = held or jit.held
     try:
         importlib.import_module(entry.kernel.partition(":")[0])
-        kernel = KERNELS[entry.kernel]
+        kernel = jit.KERNELS[entry.kernel]
         return not held(kernel, tuple(from_text(text) for text in split(entry.arguments)))
     except (ImportError, KeyError, UnknownType):
         return False

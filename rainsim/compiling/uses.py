@@ -19,7 +19,9 @@ SIMULATE = "simulate"  # the command, and the height map that it needs
 SPLAT = "splat"  # the command
 LIDAR = "lidar"  # the command
 CAPTURE = "capture"  # a run of a capture: its surface, its sun and its sky are found first
-ALL = (*USES, LAYERS, HEIGHTMAP, SIMULATE, SPLAT, LIDAR, CAPTURE)
+STREET, TRAFFIC = "street", "traffic"  # a run of that scene: its lamps, and its cars with spray
+SCENES = (STREET, TRAFFIC)
+ALL = (*USES, LAYERS, HEIGHTMAP, SIMULATE, SPLAT, LIDAR, CAPTURE, *SCENES)
 # Settings that choose kernels, by group.
 CHOICES = {
     "water": ("scheme",),
@@ -37,7 +39,7 @@ def choices(config):
     return (*picked, sky, config.water.level is not None, config.rain.rate > 0)
 
 
-def uses_like(config, config_of, layers=(), captured=False):
+def uses_like(config, config_of, layers=(), captured=False, scene=""):
     """Return the names of the recorded uses that are most like a run.
 
     Parameters
@@ -49,6 +51,8 @@ def uses_like(config, config_of, layers=(), captured=False):
         Names of the layers that the run writes.
     captured : bool
         Whether the scene is a capture and not a built-in one.
+    scene : str
+        Its name.
     """
     wanted = choices(config)
     equal = {
@@ -57,4 +61,6 @@ def uses_like(config, config_of, layers=(), captured=False):
     }
     best = max(equal.values())
     found = [name for name, count in equal.items() if count == best]
-    return [*found, *([LAYERS] if layers else []), *([CAPTURE] if captured else [])]
+    found += [LAYERS] if layers else []
+    found += [CAPTURE] if captured else []
+    return found + [kind for kind in SCENES if scene.partition(":")[0] == kind]

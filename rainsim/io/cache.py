@@ -27,6 +27,7 @@ from pathlib import Path
 
 import numpy as np
 
+import rainsim.compiling.shipped  # noqa: F401  (it may choose the processor that code is for)
 from rainsim.io.files import replacing
 from rainsim.io.fingerprint import versions
 

@@ -460,4 +460,6 @@ def _require_rainfall(rainfall, shape):
         raise ParameterError(
             f"rainfall is {rainfall[bad].flat[0]} m; it must be finite and not negative everywhere"
         )
-    return np.ascontiguousarray(np.broadcast_to(rainfall, shape))
+    rainfall = np.ascontiguousarray(np.broadcast_to(rainfall, shape))
+    rainfall.flags.writeable = False  # a number's as a map's already is: `fill` is compiled once
+    return rainfall

@@ -350,6 +350,8 @@ def test_a_run_compiles_what_the_recorded_run_most_like_it_calls():
     assert "layers" in uses_like(Config(), config_of, ["depth"])
     assert "capture" in uses_like(Config(), config_of, captured=True)
     assert "capture" not in uses_like(Config(), config_of)
+    assert "traffic" in uses_like(Config(), config_of, scene="traffic:300")
+    assert "street" not in uses_like(Config(), config_of, scene="bicycle")
 
 
 def test_a_second_run_looks_at_nothing_but_a_stamp(monkeypatch, tmp_path):

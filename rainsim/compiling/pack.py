@@ -1,0 +1,133 @@
+"""Make the wheel rainsim-kernels: `python -m rainsim.compiling.pack --out FOLDER`.
+
+It holds the machine code of the recorded kernels, compiled for `shipped.PROCESSOR`, and a manifest
+of what it was made for; no code of Python. `shipped` loads it.
+"""
+
+import argparse
+import base64
+import hashlib
+import json
+import os
+import sys
+import sysconfig
+import tempfile
+import zipfile
+from pathlib import Path
+
+from rainsim import __version__
+from rainsim.compiling import shipped
+from rainsim.compiling.folder import NAME
+from rainsim.compiling.pool import Pool, processes
+from rainsim.compiling.recorded import read_list
+
+METADATA = """Metadata-Version: 2.1
+Name: {name}
+Version: {version}
+Summary: Compiled kernels of rainsim {version} for {processor}
+License: Apache-2.0
+Requires-Python: =={python}.*
+Requires-Dist: rainsim=={version}
+{requires}
+"""
+WHEEL = """Wheel-Version: 1.0
+Generator: rainsim {version}
+Root-Is-Purelib: false
+Tag: {tag}
+"""
+EPOCH = (1980, 1, 1, 0, 0, 0)  # of all files: a wheel's bytes do not depend on the day
+
+
+def make(out, entries, progress=None):
+    """Compile recorded kernels and write them as a wheel.
+
+    Parameters
+    ----------
+    out : path-like
+        The wheel's folder, which is created.
+    entries : list of Recorded
+    progress : callable, optional
+        As for `Pool`.
+
+    Returns
+    -------
+    Path
+        Of the wheel.
+
+    Raises
+    ------
+    RuntimeError
+        If the list is out of date, or a kernel could not be compiled.
+    """
+    with tempfile.TemporaryDirectory() as work:
+        # Without Intel's library of vector functions, which a user may not have.
+        own = {"NUMBA_CACHE_DIR": work, "NUMBA_DISABLE_INTEL_SVML": "1"}
+        own |= shipped.PROCESSOR | {shipped.VARIABLE: shipped.OFF}
+        with Pool(entries, processes(), progress, own) as pool:
+            pool.join()
+        if pool.stale or pool.compiled < len(entries):
+            why = pool.stale[0] if pool.stale else "a process that compiles has ended"
+            raise RuntimeError(f"{pool.compiled} of {len(entries)} kernels were compiled: {why}")
+        place = Path(work) / NAME
+        files = {
+            file.relative_to(place).as_posix(): file.read_bytes()
+            for file in sorted(place.glob("*/*.nb[ic]"))
+        }
+    return _write_wheel(Path(out), files)
+
+
+def _write_wheel(out, files):
+    """Write the wheel of some files, by name; return its path."""
+    versions = shipped.versions()
+    manifest = {
+        "versions": versions, **shipped.PROCESSOR, "flags": shipped.FLAGS,
+        "files": {name: hashlib.sha256(content).hexdigest() for name, content in files.items()},
+    }  # fmt: skip
+    python = f"cp{sys.version_info.major}{sys.version_info.minor}"
+    tag = f"{python}-{python}-{sysconfig.get_platform().replace('-', '_').replace('.', '_')}"
+    stem = f"{shipped.FOLDER}-{__version__}"
+    words = {
+        "name": shipped.DISTRIBUTION, "version": __version__, "tag": tag,
+        "python": f"{sys.version_info.major}.{sys.version_info.minor}",
+        "processor": shipped.PROCESSOR["NUMBA_CPU_NAME"],
+        "requires": "\n".join(f"Requires-Dist: {n}=={versions[n]}" for n in shipped.COMPILERS),
+    }  # fmt: skip
+    content = {f"{shipped.FOLDER}/{name}": data for name, data in files.items()}
+    content[f"{shipped.FOLDER}/{shipped.MANIFEST}"] = json.dumps(manifest, indent=1).encode()
+    content[f"{stem}.dist-info/METADATA"] = METADATA.format(**words).encode()
+    content[f"{stem}.dist-info/WHEEL"] = WHEEL.format(**words).encode()
+    record = f"{stem}.dist-info/RECORD"
+    rows = [f"{name},sha256={_digest(data)},{len(data)}" for name, data in content.items()]
+    content[record] = "\n".join([*rows, f"{record},,", ""]).encode()
+    out.mkdir(parents=True, exist_ok=True)
+    path = out / f"{stem}-{tag}.whl"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as wheel:
+        for name, data in content.items():
+            entry = zipfile.ZipInfo(name, EPOCH)
+            entry.external_attr = 0o644 << 16
+            wheel.writestr(entry, data, zipfile.ZIP_DEFLATED, 9)
+    return path
+
+
+def _digest(content):
+    return base64.urlsafe_b64encode(hashlib.sha256(content).digest()).decode().rstrip("=")
+
+
+def _progress(share, done, total, count):
+    if sys.stderr.isatty() or done == total:
+        print(f"\rcompiled {done}/{total}", end="\n" * (done == total), file=sys.stderr, flush=True)
+
+
+def main(words=None):
+    """Compile all recorded kernels and print the wheel's path and size."""
+    parser = argparse.ArgumentParser(prog="python -m rainsim.compiling.pack", description=__doc__)
+    parser.add_argument("--out", required=True, metavar="FOLDER", help="Where the wheel goes.")
+    out = parser.parse_args(words).out
+    if sys.platform != "linux" or os.uname().machine != "x86_64":
+        sys.exit("kernels are packed on Linux on x86-64 alone; run this there")
+    path = make(out, read_list(), _progress)
+    print(f"{path} ({path.stat().st_size / 1e6:.1f} MB)")
+
+
+if __name__ == "__main__":
+    main()
