@@ -1,3 +1,10 @@
 """Data sets: clear and rainy pictures with labels, in the layouts that loaders read."""
 
-LAYOUTS = ("nerfstudio", "colmap", "kitti", "cityscapes", "replicator")  # modules of this room
+LAYOUTS = (
+    "nerfstudio",
+    "colmap",
+    "kitti",
+    "acdc",
+    "cityscapes",
+    "replicator",
+)  # modules of this room

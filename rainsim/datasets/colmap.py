@@ -26,7 +26,7 @@ def sample_files(sample, plan):
     yield DataFile(f"{folder}/stereo/depth_maps/{name}.geometric.bin", BYTES, depth)
 
 
-def plan_files(plan):
+def plan_files(plan, folder):
     """Yield the `DataFile`s of the whole data set."""
     model = {
         "cameras.bin": cameras_bytes(plan.views), "images.bin": images_bytes(plan.views),

@@ -45,7 +45,7 @@ def sample_files(sample, plan):
             yield DataFile(f"{training}/{name}/{number}_10.png", PNG48, flow)
 
 
-def plan_files(plan):
+def plan_files(plan, folder):
     """Yield the `DataFile`s of the whole data set."""
     for rate in plan.rates:
         yield DataFile(f"{condition(rate)}/training/poses.txt", TEXT, poses(plan.views))

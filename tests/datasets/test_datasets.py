@@ -11,7 +11,15 @@ import numpy as np
 import pytest
 
 from rainsim.config.settings import Config
-from rainsim.datasets import LAYOUTS, beside, cityscapes, colmap, kitti, nerfstudio, replicator
+from rainsim.datasets import (
+    LAYOUTS,
+    acdc,
+    beside,
+    colmap,
+    kitti,
+    nerfstudio,
+    replicator,
+)
 from rainsim.datasets.card import card_of, card_text
 from rainsim.datasets.data_files import PNG48, DataFile, condition, write_file
 from rainsim.datasets.export import layout_of, safe_names
@@ -185,7 +193,7 @@ def test_nerfstudio_by_its_parsers_rules():
         )
     named = {f.name for f in nerfstudio.sample_files(sample_of(plan, 1), plan)}
     assert named == {f"rain/10mm/{kind}/v1.png" for kind in ("images", "depths", "masks")}
-    assert {f.name for f in nerfstudio.plan_files(plan)} == {
+    assert {f.name for f in nerfstudio.plan_files(plan, None)} == {
         f"{c}/{n}" for c in ("clear", "rain/10mm") for n in ("transforms.json", "points.ply")
     }
 
@@ -193,7 +201,7 @@ def test_nerfstudio_by_its_parsers_rules():
 def write_set(folder, plan, **changes):
     """Write a data set of nerfstudio's layout with its card; return its samples in 10 mm/h."""
     samples = [sample_of(plan, k) for k in range(len(plan.views))]
-    for file in (*nerfstudio.plan_files(plan),
+    for file in (*nerfstudio.plan_files(plan, None),
                  *(f for s in samples for f in nerfstudio.sample_files(s, plan)),
                  *(f for s in samples for f in beside.sample_files(s, plan))):  # fmt: skip
         write_file(folder, file)
@@ -250,7 +258,7 @@ def test_our_reader_says_what_it_cannot_read(tmp_path):
 
 
 def write_colmap(folder, plan):
-    for file in colmap.plan_files(plan):
+    for file in colmap.plan_files(plan, None):
         write_file(folder, file)
     return folder / "rain/10mm/sparse/0"
 
@@ -338,10 +346,10 @@ def test_kitti_by_its_development_kit():
     )
 
 
-def test_cityscapes_by_the_rules_of_acdc():
+def test_acdc_by_its_rules():
     plan = plan_with()
-    rain = {f.name: f for f in cityscapes.sample_files(sample_of(plan, 0), plan)}
-    clear = {f.name: f for f in cityscapes.sample_files(sample_of(plan, 0, rate=0.0), plan)}
+    rain = {f.name: f for f in acdc.sample_files(sample_of(plan, 0), plan)}
+    clear = {f.name: f for f in acdc.sample_files(sample_of(plan, 0, rate=0.0), plan)}
     name = "yard10mm/yard10mm_frame_000000"
     assert {f"rgb_anon/rain/train/{name}_rgb_anon.png",
             f"gt/rain/train/{name}_gt_labelTrainIds.png",
@@ -350,10 +358,10 @@ def test_cityscapes_by_the_rules_of_acdc():
     ids = rain[f"gt/rain/train/{name}_gt_labelTrainIds.png"].content
     assert ids.dtype == np.uint8 and set(np.unique(ids)) == {0, 255}
     assert (ids[20:25] == 0).all()  # the puddle counts as the road below it
-    held = {f.name for f in cityscapes.sample_files(sample_of(plan, 2), plan)}
+    held = {f.name for f in acdc.sample_files(sample_of(plan, 2), plan)}
     assert any(n.startswith("rgb_anon/rain/val/") for n in held)
     own = sample_of(plan, 0, labels=np.full((30, 40), 13, np.uint16))
-    assert (cityscapes.train_ids(own) == 13).all()
+    assert (acdc.train_ids(own) == 13).all()
 
 
 def test_replicator_by_its_pages():
