@@ -18,7 +18,7 @@ from rainsim.errors import ParameterError, counted
 
 DEFAULT_RAINS = "0,1,5,10,25,50"
 MOST_RAINS = 64
-MOST_LAYERS = 11  # AOVs that a picture's labels are made from
+MOST_LAYERS = 13  # AOVs that a picture's labels are made from
 
 
 @click.command(short_help="Write a data set: clear and rainy pictures with labels.")
@@ -99,6 +99,12 @@ MOST_LAYERS = 11  # AOVs that a picture's labels are made from
     show_default="none",
     help="A wiper clears the glass every so many seconds since it began to rain on it; with "
     "--glass.",
+)
+@click.option(
+    "--partners",
+    is_flag=True,
+    help="Of each rainy picture also the same without what falls, without drops on the glass, and "
+    "dry: in the folder rainsim.",
 )
 @click.option(
     "--labels",
@@ -316,7 +322,7 @@ def _write(status, scene, plan, config, *, layout, out, overwrite, resume, backe
         "cameras": hash_of(cameras_to_data([view.camera for view in plan.views])),
         "names": [[view.name, view.held_out] for view in plan.views],
         "lens": str(plan.views[0].lens), "rolling": given["rolling"],
-        "glass": given["glass"], "wiper": given["wiper"],
+        "glass": given["glass"], "wiper": given["wiper"], "partners": given["partners"],
         "labels": None if user_labels is None else hash_of_array(user_labels.ids),
     }  # fmt: skip
     sources = [scene.source, labels, *paths_in(given)]
@@ -332,7 +338,7 @@ def _write(status, scene, plan, config, *, layout, out, overwrite, resume, backe
         readout = given["rolling"] * 1e-3
         shots = Shots(
             scene, terrain, plan.views, config, plan.sequence, backend, user_labels, readout,
-            pane,
+            pane, given["partners"],
         )  # fmt: skip
         largest = max((shots.drawn_camera(v) for v in plan.views), key=lambda c: c.width * c.height)
         status.notes(memory_notes(scene, largest, terrain.bed.size, MOST_LAYERS))

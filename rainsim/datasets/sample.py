@@ -12,6 +12,11 @@ from rainsim.terrain.table import WATER
 REPLACED = 1 / 32  # share of a pixel's light from which drops and splashes spoil it
 MOST = 2**16 - 1
 FAR_MM = MOST / 1000  # m, the farthest that whole millimetres in 16 bits hold
+PARTNERS = {
+    "clear_air": "without drops, splashes, spray and haze: what falls is gone, wet ground stays",
+    "no_glass": "without drops on the glass before the lens",
+    "dry": "the dry capture as it was taken",
+}
 KITTI_DEPTH, KITTI_FLOW, KITTI_ZERO = 256, 64, 2**15  # see `kitti_depth` and `kitti_flow`
 
 
@@ -66,6 +71,8 @@ class Sample:
         Weather, puddles, splashes and actors of the picture, see `rainsim.render.layers.facts_of`.
     actor_id : ndarray, uint16, or None
         Number of the actor that the pixel shows; None if nothing moves through the scene.
+    partners : dict of str to ndarray of shape (height, width, 3), uint8
+        The same picture without a part of the rain, by the names of PARTNERS.
     """
 
     view: View
@@ -83,6 +90,7 @@ class Sample:
     glass: np.ndarray | None = None
     facts: dict = field(default_factory=dict)
     actor_id: np.ndarray | None = None
+    partners: dict = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from rainsim.terrain.pond import without_images
 
 LABELS = ("depth", "range", "class_id", "puddle_id", "splash_id", "rain_alpha", "splash_alpha")
 FLOWS, ACTORS = ("flow", "flow_mask"), "actor_id"
-CLEAR = "clean"
+CLEAR, CLEAR_AIR = "clean", "clear_air"
 
 
 class Shots:
@@ -44,13 +44,16 @@ class Shots:
     readout : float [s]
         Of a rolling shutter, from the first row to the last; 0: all rows at once. There is no flow
         with one.
+    partners : bool
+        Whether rainy pictures have `Sample.partners`.
     """
 
     def __init__(self, scene, terrain, views, config, sequence, backend="cpu", user_labels=None,
-                 readout=0.0, pane=None):  # fmt: skip
+                 readout=0.0, pane=None, partners=False):  # fmt: skip
         self.scene, self.terrain, self.views = scene, terrain, views
         self.config, self.sequence, self.backend = config, sequence, backend
         self.user_labels, self.readout, self.pane = user_labels, readout, pane
+        self.partners = partners
         self._wide = None  # what drops on the glass show: rate, renderer, states, the last state
         self._warps = {}
         self.labels = (*LABELS, *((ACTORS,) if scene.actors else ()))
@@ -62,16 +65,25 @@ class Shots:
             return
         config = self.config_of(rate)
         names = (*self.labels, *(FLOWS if self.sequence and not self.readout else ()),
-                 *((CLEAR,) if rate == 0 else ()))  # fmt: skip
+                 *((CLEAR,) if rate == 0 else (CLEAR, CLEAR_AIR) if self.partners else ()),
+                 )  # fmt: skip
         drawn = self._in_sequence if self.sequence else self._at_one_moment
         drawn = self._rolling if self.readout else drawn
         for index, (picture, report) in zip(indices, drawn(config, indices, names), strict=True):
             picture = report.aovs[CLEAR] if rate == 0 else picture
-            view, glass = self.views[index], None
+            view, glass, partners = self.views[index], None, {}
+            if self.partners and rate > 0:
+                partners = {CLEAR_AIR: report.aovs[CLEAR_AIR], "dry": report.aovs[CLEAR]}
             if self.pane is not None and rate > 0:
-                picture, glass, count = self._behind_glass(view, picture, rate, config)
+                if self.partners:
+                    partners["no_glass"] = np.array(picture)
+                picture, clear_air, glass, count = self._behind_glass(
+                    view, picture, partners.get(CLEAR_AIR), rate, config
+                )
+                if self.partners:
+                    partners[CLEAR_AIR] = clear_air
                 report = replace(report, facts={**report.facts, "drops_on_glass": count})
-            yield self._sample(view, rate, picture, report, glass)
+            yield self._sample(view, rate, picture, report, glass, partners)
 
     def config_of(self, rate):
         """Return the settings of a rain rate [mm/h]; for 0 those of a dry day: no water at all."""
@@ -131,10 +143,11 @@ class Shots:
             sensor = {"first_row": own.cy - path[index].cy, "height": own.height}
             yield draw_rolling(renderer, path[index], state, motion, self.readout, names, **sensor)
 
-    def _behind_glass(self, view, picture, rate, config):
-        """Return a pinhole picture behind the wet glass, the share of drops, and their number.
+    def _behind_glass(self, view, picture, clear_air, rate, config):
+        """Return pinhole pictures behind the wet glass, the share of drops, and their number.
 
-        The drops are in the pinhole picture, so that a lens distorts them as all else.
+        The drops are in the pinhole pictures, so that a lens distorts them as all else. The second
+        picture, in clear air, may be None.
         """
         frame, place = self.scene.ground_frame, view.index if self.sequence else 0
         camera = frame.camera_in_ground(self.drawn_camera(view))
@@ -148,16 +161,20 @@ class Shots:
         while state is None or state.index < place:
             state = next(states)
         self._wide = rate, renderer, states, state
-        seen, report = renderer.draw(wide, state, None, ("depth",))
+        names = ("depth",) if clear_air is None else ("depth", CLEAR_AIR)
+        seen, report = renderer.draw(wide, state, None, names)
         seen, depth = np.array(seen), report.aovs["depth"]
         field = Weather(config).field(state.time, config.at(state.time).render.exposure)
         pane = replace(self.pane, age=self.pane.age + state.time)
         own = 0 if self.sequence else 7919 * view.index  # a pane of its own at one moment
         caps = caps_on(field, pane, camera, config.rain.seed + own)
         picture, share = through_glass(picture, camera, caps, pane, seen, depth)
-        return picture, share, len(caps.radius)
+        if clear_air is not None:
+            beyond = np.array(report.aovs[CLEAR_AIR])
+            clear_air, _ = through_glass(clear_air, camera, caps, pane, beyond, depth)
+        return picture, clear_air, share, len(caps.radius)
 
-    def _sample(self, view, rate, picture, report, glass):
+    def _sample(self, view, rate, picture, report, glass, partners):
         """Return the `Sample` of a frame, warped to its lens."""
         found, warp = report.aovs, self._warp(view)
         labels = None
@@ -166,6 +183,7 @@ class Shots:
         flow, mask = found.get("flow"), found.get("flow_mask")
         if warp is not None:
             picture = warp.colors(picture)
+            partners = {kind: warp.colors(other) for kind, other in partners.items()}
             if flow is not None:
                 flow, mask = warp.flow(flow, mask)
             labels = None if labels is None else warp.nearest(labels)
@@ -180,6 +198,7 @@ class Shots:
             view, rate, np.array(picture), found["depth"], found["range"], found["class_id"],
             found["puddle_id"], found["splash_id"], keep, flow, mask, labels, glass,
             facts=_facts(report.facts, found, warp is not None), actor_id=found.get(ACTORS),
+            partners={kind: np.array(other) for kind, other in partners.items()},
         )  # fmt: skip
 
 

@@ -234,3 +234,24 @@ def test_wrong_options_are_named(export, words, message, tmp_path):
     done = export("out", *words)
     assert done.code in (1, 2) and message in done.error
     assert not (tmp_path / "out").exists()
+
+
+def test_partners_tell_effects_apart(export, tmp_path):
+    """Without what falls only drops are missing, without drops on the glass only those."""
+    words = "--rain", "0,50", "--views", "view_0", "--glass", "10,15", "--partners"
+    done = export("set", *words, "--layout", "colmap", "--past-rain", "6")
+    assert done.code == 0, done.err
+    folder = tmp_path / "set/rain/50mm"
+    about = json.loads((folder / "rainsim/view_0.json").read_text())
+    assert set(about["partners"]) == {"clear_air", "no_glass", "dry"}
+    still, bare, dry = (read_image(folder / "rainsim" / about["partners"][k]).astype(int)
+                        for k in ("clear_air", "no_glass", "dry"))  # fmt: skip
+    rainy = read_image(folder / "images/view_0.png").astype(int)
+    glass = read_image(folder / "rainsim/glass/view_0.png") > 0
+    np.testing.assert_array_equal(rainy[~glass], bare[~glass])
+    assert glass.any() and np.abs(rainy - bare)[glass].mean() > 3
+    falls = np.abs(rainy - still)[~glass]
+    assert 0 < falls.mean() < 3 and falls.max() < 120
+    np.testing.assert_array_equal(dry, read_image(tmp_path / "set/clear/images/view_0.png"))
+    assert np.abs(dry - still).mean() > np.abs(rainy - still)[~glass].mean()
+    assert not (tmp_path / "set/clear/rainsim/clear_air").exists()
