@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import click
@@ -230,7 +231,19 @@ def _cameras(scene, config, given):
                 raise ParameterError(
                     f"--views names {camera.name} twice; each must be named once; leave one out"
                 )
-    return [resize_to(camera, config.width, config.height) for camera in cameras]
+    sized = [resize_to(camera, config.width, config.height) for camera in cameras]
+    return [as_square_as(*both) for both in zip(sized, cameras, strict=True)]
+
+
+def as_square_as(sized, camera):
+    """Return a camera that was sized with pixels of the shape that they had before.
+
+    A height that is rounded to whole pixels squeezes them, by up to a part in a thousand; here less
+    than half a row is cut off or added instead.
+    """
+    fy = sized.fx * camera.fy / camera.fx
+    middle = sized.height / 2
+    return replace(sized, fy=fy, cy=middle + (sized.cy - middle) * fy / sized.fy)
 
 
 def _number_of(views, scene):

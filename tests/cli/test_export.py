@@ -6,11 +6,13 @@ import shutil
 import numpy as np
 import pytest
 
+from rainsim.commands.export import as_square_as
 from rainsim.io.images import read_image
 from rainsim.render.shutter import moved
-from rainsim.scene.cameras import read_cameras, write_transforms
+from rainsim.scene.cameras import read_cameras, resize_to, write_transforms
 from rainsim.scene.colmap import read_model
 from rainsim.scene.library import load_scene
+from rainsim.scene.types import Camera
 
 MAP = ["--spacing", "0.04", "--extent", "1", "--width", "64", "--relight", "off"]
 
@@ -255,3 +257,16 @@ def test_partners_tell_effects_apart(export, tmp_path):
     np.testing.assert_array_equal(dry, read_image(tmp_path / "set/clear/images/view_0.png"))
     assert np.abs(dry - still).mean() > np.abs(rainy - still)[~glass].mean()
     assert not (tmp_path / "set/clear/rainsim/clear_air").exists()
+
+
+def test_pixels_keep_their_shape():
+    """A height that is rounded to whole pixels squeezes none; the middle stays in the middle."""
+    camera = Camera(5187, 3361, 3000.0, 3000.0, 2593.5, 1680.5, np.eye(4))
+    for size in ((648, None), (648, 360), (None, 333)):
+        sized = resize_to(camera, *size)
+        square = as_square_as(sized, camera)
+        assert square.fx == square.fy == sized.fx and square.height == sized.height
+        assert square.cy == pytest.approx(sized.height / 2)
+        assert abs(square.fy / sized.fy - 1) < 2e-3
+    oblong = Camera(100, 90, 50.0, 55.0, 40.0, 50.0, np.eye(4))
+    assert as_square_as(oblong, oblong) == oblong

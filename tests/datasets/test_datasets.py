@@ -4,6 +4,7 @@ import io
 import json
 import os
 import struct
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -297,6 +298,37 @@ def test_colmap_as_pycolmap_reads_it(tmp_path, lens):
         camera = found.cameras[image.camera_id]
         seen = camera.img_from_cam(np.array([x / z, y / z, 1.0]))
         np.testing.assert_allclose(seen, [35 * a + 19, 36 * b + 16], atol=1e-6)
+
+
+@pytest.mark.parametrize("lens", LENSES, ids=lambda lens: "none" if lens is None else lens.model)
+def test_tracks_of_points_as_pycolmap_reads_them(tmp_path, lens, rng):
+    """A wall of points before the cameras, half of them behind it: the front ones have tracks."""
+    pycolmap = pytest.importorskip("pycolmap")
+    plan = plan_with(lens)
+    views = [replace(v, camera=moved(CAMERA, k * np.array([0.1, 0, 0]), np.zeros(3)))
+             for k, v in enumerate(plan.views)]  # fmt: skip
+    places = np.column_stack([rng.uniform(-1, 1, (200, 2)), np.repeat([3.0, 4.0], 100)])
+    plan = replace(plan, views=tuple(views), points=places.astype(np.float32),
+                   colors=np.zeros((200, 3), np.uint8))  # fmt: skip
+    wall = np.full((30, 40), 3.0, np.float32)
+    for view in views:
+        name = f"clear/stereo/depth_maps/{view.name}.png.geometric.bin"
+        write_file(tmp_path, DataFile(name, 6, colmap.depth_map(wall)))
+    for file in colmap.plan_files(plan, tmp_path):
+        write_file(tmp_path, file)
+    found = pycolmap.Reconstruction(str(tmp_path / "clear/sparse/0"))
+    tracks = {k: len(p.track.elements) for k, p in found.points3D.items()}
+    assert max(tracks[k] for k in range(101, 201)) == 0
+    assert 50 < sum(tracks[k] > 1 for k in range(1, 101)) <= 100
+    assert found.compute_num_observations() == sum(tracks.values())
+    errors = []
+    for k, point in found.points3D.items():
+        for element in point.track.elements:
+            image = found.images[element.image_id]
+            assert image.points2D[element.point2D_idx].point3D_id == k
+            seen = image.project_point(point.xyz)
+            errors.append(np.abs(seen - image.points2D[element.point2D_idx].xy).max())
+    assert max(errors) < 1e-5
 
 
 def test_colmap_depth_maps_are_as_its_script_reads_them():
