@@ -14,11 +14,12 @@ from rainsim.commands.compile import compiled_beside, uses_of
 from rainsim.commands.given import check_camera_options, paths_in, settings
 from rainsim.commands.options import FILE, PRESETS, Numbers
 from rainsim.commands.status import Status, loaded_scene
-from rainsim.datasets import LAYOUTS
+from rainsim.datasets import LAYOUTS, SCANNED
 from rainsim.errors import ParameterError, counted
 
 DEFAULT_RAINS = "0,1,5,10,25,50"
 MOST_RAINS = 64
+ROUNDED = 1e-9  # by which the shape of a pixel may differ from rounding alone
 MOST_LAYERS = 13  # AOVs that a picture's labels are made from
 
 
@@ -102,6 +103,12 @@ MOST_LAYERS = 13  # AOVs that a picture's labels are made from
     "--glass.",
 )
 @click.option(
+    "--lidar",
+    type=click.Choice(("vlp16", "hdl32", "hdl64")),
+    show_default="hdl64",
+    help="Which lidar stands at the camera; with --layout kitti_object.",
+)
+@click.option(
     "--partners",
     is_flag=True,
     help="Of each rainy picture also the same without what falls, without drops on the glass, and "
@@ -158,6 +165,8 @@ def export(
         check_speed(given["drive_speed"])
         if not given["drive"]:
             raise ParameterError("--drive-speed is the speed of --drive; give that too")
+    if layout != SCANNED and given["lidar"] is not None:
+        raise ParameterError(f"--lidar is of --layout {SCANNED}; give that, or leave it out")
     lens = None
     if given["lens"] is not None:
         from rainsim.sensors.lens_files import lens_named
@@ -241,7 +250,9 @@ def as_square_as(sized, camera):
     A height that is rounded to whole pixels squeezes them, by up to a part in a thousand; here less
     than half a row is cut off or added instead.
     """
-    fy = sized.fx * camera.fy / camera.fx
+    fy = sized.fx * (camera.fy / camera.fx)
+    if abs(fy / sized.fy - 1) < ROUNDED:
+        return sized
     middle = sized.height / 2
     return replace(sized, fy=fy, cy=middle + (sized.cy - middle) * fy / sized.fy)
 
@@ -336,6 +347,7 @@ def _write(status, scene, plan, config, *, layout, out, overwrite, resume, backe
         "names": [[view.name, view.held_out] for view in plan.views],
         "lens": str(plan.views[0].lens), "rolling": given["rolling"],
         "glass": given["glass"], "wiper": given["wiper"], "partners": given["partners"],
+        "lidar": given["lidar"],
         "labels": None if user_labels is None else hash_of_array(user_labels.ids),
     }  # fmt: skip
     sources = [scene.source, labels, *paths_in(given)]
@@ -351,7 +363,7 @@ def _write(status, scene, plan, config, *, layout, out, overwrite, resume, backe
         readout = given["rolling"] * 1e-3
         shots = Shots(
             scene, terrain, plan.views, config, plan.sequence, backend, user_labels, readout,
-            pane, given["partners"],
+            pane, given["partners"], (given["lidar"] or "hdl64") if layout == SCANNED else None,
         )  # fmt: skip
         largest = max((shots.drawn_camera(v) for v in plan.views), key=lambda c: c.width * c.height)
         status.notes(memory_notes(scene, largest, terrain.bed.size, MOST_LAYERS))

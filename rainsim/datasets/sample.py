@@ -73,6 +73,8 @@ class Sample:
         Number of the actor that the pixel shows; None if nothing moves through the scene.
     partners : dict of str to ndarray of shape (height, width, 3), uint8
         The same picture without a part of the rain, by the names of PARTNERS.
+    cloud : tuple of ndarray, or None
+        Points of a lidar and their labels, see `rainsim.datasets.clouds.Clouds.cloud`.
     """
 
     view: View
@@ -91,6 +93,7 @@ class Sample:
     facts: dict = field(default_factory=dict)
     actor_id: np.ndarray | None = None
     partners: dict = field(default_factory=dict)
+    cloud: tuple | None = None
 
 
 @dataclass(frozen=True)

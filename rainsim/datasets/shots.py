@@ -8,18 +8,22 @@ import numpy as np
 
 from rainsim.backend import on_backend
 from rainsim.config.settings import mm_per_hour
+from rainsim.datasets.clouds import Clouds
 from rainsim.datasets.sample import REPLACED, Sample, keep_mask
 from rainsim.drops import Weather
 from rainsim.pipeline import FrameSequence, simulate
+from rainsim.raster import Rasterizer, prepare
 from rainsim.render.labels import boxes_of
 from rainsim.render.shutter import motion_of
 from rainsim.sensors.glass import caps_on, through_glass, wide_camera
 from rainsim.sensors.lens import lens_warp
 from rainsim.sensors.rolling import STILL, Motion, draw_rolling
+from rainsim.shading.wetness import paving_dampness
 from rainsim.terrain.pond import without_images
 
 LABELS = ("depth", "range", "class_id", "puddle_id", "splash_id", "rain_alpha", "splash_alpha")
 FLOWS, ACTORS = ("flow", "flow_mask"), "actor_id"
+NEAR = 0.05  # m
 CLEAR, CLEAR_AIR = "clean", "clear_air"
 
 
@@ -46,15 +50,20 @@ class Shots:
         with one.
     partners : bool
         Whether rainy pictures have `Sample.partners`.
+    lidar : str, optional
+        A key of `lidar_model.SENSORS`: samples have `Sample.cloud`, and actors the share of them
+        that others hide.
     """
 
     def __init__(self, scene, terrain, views, config, sequence, backend="cpu", user_labels=None,
-                 readout=0.0, pane=None, partners=False):  # fmt: skip
+                 readout=0.0, pane=None, partners=False, lidar=None):  # fmt: skip
         self.scene, self.terrain, self.views = scene, terrain, views
         self.config, self.sequence, self.backend = config, sequence, backend
         self.user_labels, self.readout, self.pane = user_labels, readout, pane
         self.partners = partners
-        self._wide = None  # what drops on the glass show: rate, renderer, states, the last state
+        self._clouds = None if lidar is None else Clouds(scene, terrain, views, lidar, config)
+        self._wide = None  # what drops on the glass show: rate, renderer
+        self._water = None  # rate, states, the last state
         self._warps = {}
         self.labels = (*LABELS, *((ACTORS,) if scene.actors else ()))
 
@@ -149,18 +158,14 @@ class Shots:
         The drops are in the pinhole pictures, so that a lens distorts them as all else. The second
         picture, in clear air, may be None.
         """
-        frame, place = self.scene.ground_frame, view.index if self.sequence else 0
+        frame = self.scene.ground_frame
         camera = frame.camera_in_ground(self.drawn_camera(view))
         wide = frame.camera_in_capture(wide_camera(camera))
         if self._wide is None or self._wide[0] != rate:
             scene = without_images(self.scene, self.terrain)
             own = config.replace(frames=len(self.views) if self.sequence else 1)
-            renderer = on_backend(self.backend)[0](scene, self.terrain, own, wide)
-            self._wide = rate, renderer, simulate(self.terrain, own), None
-        _, renderer, states, state = self._wide
-        while state is None or state.index < place:
-            state = next(states)
-        self._wide = rate, renderer, states, state
+            self._wide = rate, on_backend(self.backend)[0](scene, self.terrain, own, wide)
+        renderer, state = self._wide[1], self._state_of(view, rate, config)
         names = ("depth",) if clear_air is None else ("depth", CLEAR_AIR)
         seen, report = renderer.draw(wide, state, None, names)
         seen, depth = np.array(seen), report.aovs["depth"]
@@ -174,10 +179,51 @@ class Shots:
             clear_air, _ = through_glass(clear_air, camera, caps, pane, beyond, depth)
         return picture, clear_air, share, len(caps.radius)
 
+    def _state_of(self, view, rate, config):
+        """Return the water's state at the time of a view; views come in their order."""
+        place = view.index if self.sequence else 0
+        if self._water is None or self._water[0] != rate:
+            own = config.replace(frames=len(self.views) if self.sequence else 1)
+            self._water = rate, simulate(self.terrain, own), None
+        _, states, state = self._water
+        while state is None or state.index < place:
+            state = next(states)
+        self._water = rate, states, state
+        return state
+
+    def _cloud(self, view, rate, actors):
+        """Return points and labels of the lidar's view."""
+        config = self.config_of(rate)
+        state = self._state_of(view, rate, config)
+        now, field, damp = config.at(state.time), None, 0.0
+        if rate > 0:
+            field = Weather(config).field(state.time, now.render.exposure)
+            damp = paving_dampness(now)
+        return self._clouds.cloud(view, field, state, damp, actors)
+
+    def _with_hidden(self, actors, camera, time):
+        """Return the labels of actors with the share of each that others hide, as `hidden`."""
+        near, found = NEAR / self.scene.ground_frame.meters_per_unit, []
+        for entry in actors:
+            actor = self.scene.actors[entry["number"] - 1]
+            pose, hidden = actor.track.at(time), None
+            if entry["pixels"] and pose is not None:
+                alone = Rasterizer(prepare(actor.placed(pose, time)))
+                whole = int((alone.draw(camera, near, hit=True).hit >= 0).sum())
+                hidden = round(max(0.0, 1 - entry["pixels"] / max(whole, 1)), 4)
+            found.append({**entry, "hidden": hidden})
+        return found
+
     def _sample(self, view, rate, picture, report, glass, partners):
         """Return the `Sample` of a frame, warped to its lens."""
         found, warp = report.aovs, self._warp(view)
-        labels = None
+        labels, cloud, facts = None, None, report.facts
+        if self._clouds is not None:
+            actors = facts.get("actors", ())
+            if actors:
+                shown = self._with_hidden(actors, self.drawn_camera(view), report.time)
+                facts = {**facts, "actors": shown}
+            cloud = self._cloud(view, rate, actors)
         if self.user_labels is not None:
             labels = self.user_labels.picture(self.drawn_camera(view), found.get(ACTORS))
         flow, mask = found.get("flow"), found.get("flow_mask")
@@ -197,7 +243,7 @@ class Shots:
         return Sample(
             view, rate, np.array(picture), found["depth"], found["range"], found["class_id"],
             found["puddle_id"], found["splash_id"], keep, flow, mask, labels, glass,
-            facts=_facts(report.facts, found, warp is not None), actor_id=found.get(ACTORS),
+            cloud=cloud, facts=_facts(facts, found, warp is not None), actor_id=found.get(ACTORS),
             partners={kind: np.array(other) for kind, other in partners.items()},
         )  # fmt: skip
 

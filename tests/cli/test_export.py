@@ -265,8 +265,22 @@ def test_pixels_keep_their_shape():
     for size in ((648, None), (648, 360), (None, 333)):
         sized = resize_to(camera, *size)
         square = as_square_as(sized, camera)
-        assert square.fx == square.fy == sized.fx and square.height == sized.height
+        assert square.fx == sized.fx == pytest.approx(square.fy, rel=1e-8)
+        assert square.height == sized.height
         assert square.cy == pytest.approx(sized.height / 2)
         assert abs(square.fy / sized.fy - 1) < 2e-3
     oblong = Camera(100, 90, 50.0, 55.0, 40.0, 50.0, np.eye(4))
     assert as_square_as(oblong, oblong) == oblong
+
+
+def test_clouds_belong_to_one_layout(export, tmp_path):
+    done = export("out", "--lidar", "vlp16")
+    assert done.code == 2 and "--lidar is of --layout kitti_object" in done.error
+    assert not (tmp_path / "out").exists()
+    done = export("out", "--layout", "kitti_object", "--lidar", "vlp16", "--rain", "25",
+                  "--views", "view_0")  # fmt: skip
+    assert done.code == 0, done.err
+    training = tmp_path / "out/rain/25mm/training"
+    points = np.fromfile(training / "velodyne/000000.bin", "<f4").reshape(-1, 4)
+    assert len(points) * 4 == (training / "labels/000000.label").stat().st_size > 4000
+    assert (training / "label_2/000000.txt").read_text() == ""
