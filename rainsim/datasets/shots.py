@@ -15,6 +15,7 @@ from rainsim.pipeline import FrameSequence, simulate
 from rainsim.raster import Rasterizer, prepare
 from rainsim.render.labels import boxes_of
 from rainsim.render.shutter import motion_of
+from rainsim.scene.view import slopes
 from rainsim.sensors.glass import caps_on, through_glass, wide_camera
 from rainsim.sensors.lens import lens_warp
 from rainsim.sensors.rolling import STILL, Motion, draw_rolling
@@ -234,6 +235,9 @@ class Shots:
                 flow, mask = warp.flow(flow, mask)
             labels = None if labels is None else warp.nearest(labels)
             found = {name: warp.nearest(found[name]) for name in self.labels}
+            # Of the pixel's own ray; the nearest pixel's differs by up to half a pixel's angle.
+            x, y = slopes(warp.wide, warp.u, warp.v)
+            found["range"] = (found["depth"] * np.sqrt(1 + x * x + y * y)).astype(np.float32)
             glass = None if glass is None else warp.nearest(glass)
         keep = np.ones(picture.shape[:2], bool)
         if rate > 0:

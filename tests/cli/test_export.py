@@ -13,6 +13,7 @@ from rainsim.scene.cameras import read_cameras, resize_to, write_transforms
 from rainsim.scene.colmap import read_model
 from rainsim.scene.library import load_scene
 from rainsim.scene.types import Camera
+from rainsim.sensors.lens import Lens
 
 MAP = ["--spacing", "0.04", "--extent", "1", "--width", "64", "--relight", "off"]
 
@@ -168,6 +169,17 @@ def test_distorted_pictures_have_distorted_labels(export, tmp_path):
     assert one.shape == other.shape == (48, 64)
     middle = np.s_[20:28, 28:36]
     np.testing.assert_allclose(one[middle], other[middle], rtol=0.03)
+    row, column = np.mgrid[:48, :64] + 0.5
+    params = json.loads((bent / "camera_params_0000.json").read_text())
+    focal = params["cameraFocalLength"] / params["cameraAperture"][0] * 64
+    rays = Lens("opencv", (-0.25, 0.05, 0.0, 0.0)).undistort(
+        (column - 32) / focal, (row - 24) / focal
+    )
+    known = np.isfinite(one)
+    away = np.load(bent / "distance_to_camera_0000.npy")
+    np.testing.assert_allclose(
+        away[known] / one[known], np.sqrt(1 + rays[0] ** 2 + rays[1] ** 2)[known], rtol=1e-4
+    )
     ids = read_image(bent / "semantic_segmentation_0000.png")
     labels = json.loads((bent / "semantic_segmentation_labels_0000.json").read_text())
     assert {str(tuple(c)) for c in ids.reshape(-1, 4).tolist()} <= set(labels)

@@ -5,6 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
+from test_datasets import plan_with, sample_of
 
 from rainsim import pipeline
 from rainsim.config.settings import Config
@@ -81,21 +83,20 @@ def test_points_lie_on_what_the_picture_shows(exported):
 
 
 def test_boxes_hold_the_points_of_their_actor(exported):
-    folder, _ = exported
-    points, kind, node = points_in(folder / "clear")
+    """The box in space has them; this camera looks down, KITTI's boxes are upright to it."""
+    folder, samples = exported
+    points, _, node = points_in(folder / "clear")
     _, turn = calib(folder / "clear")
     text = (folder / "clear/training/label_2/000000.txt").read_text().split()
-    kind, cut, hidden = text[0], float(text[1]), int(text[2])
-    height, width, length, x, y, z, about = map(float, text[8:15])
-    assert kind == "Car" and 0 <= cut < 0.5 and hidden == 0
-    own = points[node == 1][:, :3] @ turn[:, :3].T - (x, y, z)
-    c, s = np.cos(about), np.sin(about)
-    own = own @ np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])  # into the box
+    assert text[0] == "Car" and 0 <= float(text[1]) < 0.5 and text[2] == "0"
+    camera = samples[0.0, 0].view.camera
+    own = np.column_stack([points[node == 1][:, :3], np.ones((node == 1).sum())]) @ turn.T
+    own = own @ camera.camera_from_world[:3, :3] + camera.position
+    box = samples[0.0, 0].facts["actors"][0]["box3d"]
+    axes = Rotation.from_quat(box["rotation"], scalar_first=True)
+    own = axes.inv().apply(own - box["centre"])
     assert len(own) > 3
-    room = 0.06  # the tilted box is upright to a few centimetres
-    assert (np.abs(own[:, 0]) < length / 2 + room).mean() > 0.9
-    assert (np.abs(own[:, 2]) < width / 2 + room).mean() > 0.9
-    assert ((own[:, 1] < room) & (own[:, 1] > -height - room)).mean() > 0.9
+    assert (np.abs(own) < np.array(box["size"]) / 2 + 0.02).all(axis=1).mean() > 0.95
 
 
 def test_drops_are_outliers_in_the_rain_alone(exported):
@@ -140,3 +141,23 @@ def test_torchvision_reads_it(exported, tmp_path):
         rows, columns = np.nonzero(sample.actor_id == 1)
         assert left <= columns.min() + 1 and right >= columns.max() - 1
         assert top <= rows.min() + 1 and bottom >= rows.max() - 1
+
+
+def test_torchvision_reads_the_flow_of_the_other_layout(tmp_path):
+    datasets = pytest.importorskip("torchvision.datasets")
+    plan = plan_with()
+    samples = [sample_of(plan, k) for k in range(3)]
+    for sample in samples:
+        for file in kitti.sample_files(sample, plan):
+            write_file(tmp_path, file)
+    (tmp_path / "KittiFlow").symlink_to(tmp_path / "rain/10mm")
+    found = datasets.KittiFlow(tmp_path, "train")
+    assert len(found) == 2
+    for k in range(2):
+        first, second, flow, valid = found[k]
+        np.testing.assert_array_equal(np.array(first), samples[k].picture)
+        np.testing.assert_array_equal(np.array(second), samples[k + 1].picture)
+        own = samples[k].flow_mask > 0
+        np.testing.assert_array_equal(valid, own)
+        off = np.abs(flow.transpose(1, 2, 0) - samples[k].flow)[own]
+        assert off.max() < 1 / 64
