@@ -1,7 +1,6 @@
 """Pairs of clear and rainy pictures as a data set that torch loads: pip install torch.
 
-Any object with a length and items is one to torch's DataLoader; so this file needs torch in main
-alone, and works with other frameworks.
+Any object with a length and items is one to torch's DataLoader; other frameworks take it, too.
 """
 
 import subprocess
@@ -17,15 +16,7 @@ from rainsim.io.images import read_image
 
 
 class RainyPairs:
-    """Views of an export in nerfstudio's layout: each in one rain and clear, with labels.
-
-    Parameters
-    ----------
-    folder : path-like
-        Of the export; its rains must have 0.
-    rate : float [mm/h]
-    split : {"train", "val", "test"}
-    """
+    """Views of an export in nerfstudio's layout, each in a rain [mm/h] and clear, with labels."""
 
     def __init__(self, folder, rate, split="train"):
         stored_card(folder)  # raises if it is no finished data set of the layout
@@ -37,7 +28,7 @@ class RainyPairs:
         return len(self.files)
 
     def __getitem__(self, index):
-        """Return a pair: pictures (3, height, width) from 0 to 1, depth [m], mask and partners."""
+        """Return a pair: pictures (3, height, width) from 0 to 1, depth [m], mask and partner."""
         name = Path(self.files[index]).name
         partner = self.rainy / "rainsim/clear_air" / name  # with --partners
         item = {
@@ -58,9 +49,9 @@ def main(folder="pairs", rate=50.0, batch=2):
     from torch.utils.data import DataLoader
 
     if not (Path(folder) / "card.json").exists():
-        command = [sys.executable, "-m", "rainsim", "export", "street", "--layout", "nerfstudio"]
-        command += ["--rain", f"0,{rate:g}", "--views", "8", "--width", "320", "--partners"]
-        subprocess.run([*command, "--out", str(folder)], check=True)
+        command = "export street --layout nerfstudio --views 8 --width 320 --partners".split()
+        command += ["--rain", f"0,{rate:g}", "--out", str(folder)]
+        subprocess.run([sys.executable, "-m", "rainsim", *command], check=True)
     for items in DataLoader(RainyPairs(folder, rate), batch_size=batch, shuffle=True):
         change = (items["rainy"] - items["clear"]).abs().mean()
         print(f"{tuple(items['rainy'].shape)}: mean change {255 * change:.1f} of 255")

@@ -143,6 +143,7 @@ def test_torchvision_reads_it(exported, tmp_path):
         assert top <= rows.min() + 1 and bottom >= rows.max() - 1
 
 
+@pytest.mark.filterwarnings("ignore:The image decoding:DeprecationWarning")
 def test_torchvision_reads_the_flow_of_the_other_layout(tmp_path):
     datasets = pytest.importorskip("torchvision.datasets")
     plan = plan_with()
