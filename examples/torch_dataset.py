@@ -1,7 +1,4 @@
-"""Pairs of clear and rainy pictures as a data set that torch loads: pip install torch.
-
-Any object with a length and items is one to torch's DataLoader; other frameworks take it, too.
-"""
+"""Pairs of clear and rainy pictures as a data set that torch's DataLoader takes."""
 
 import subprocess
 import sys
@@ -53,8 +50,8 @@ def main(folder="pairs", rate=50.0, batch=2):
         command += ["--rain", f"0,{rate:g}", "--out", str(folder)]
         subprocess.run([sys.executable, "-m", "rainsim", *command], check=True)
     for items in DataLoader(RainyPairs(folder, rate), batch_size=batch, shuffle=True):
-        change = (items["rainy"] - items["clear"]).abs().mean()
-        print(f"{tuple(items['rainy'].shape)}: mean change {255 * change:.1f} of 255")
+        change = 255 * (items["rainy"] - items["clear"]).abs().mean()
+        print(f"{tuple(items['rainy'].shape)}: mean change {change:.1f} of 255")
     return items
 
 
