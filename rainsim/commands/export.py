@@ -287,7 +287,13 @@ def _plan(status, scene, cameras, lens, rates, config, layout, given):
     check_hold_out(every, len(views), layout)
     views = held_out(views, every)
     status.notes([split_note(views, layout)])
-    return Plan(options.plain(scene.name), views, rates, sequence, *points_of(scene), class_names())
+    partners = ("clear_air", "dry") if given["partners"] else ()
+    if partners and given["glass"] is not None:
+        partners += ("no_glass",)
+    return Plan(
+        options.plain(scene.name), views, rates, sequence, *points_of(scene), class_names(),
+        partners,
+    )  # fmt: skip
 
 
 def _driven(status, scene, cameras, fps, given):

@@ -113,6 +113,8 @@ class Plan:
     colors : ndarray
     names : dict of str to str
         Classes by id.
+    partners : tuple of str
+        Names in PARTNERS that rainy pictures have.
     """
 
     name: str
@@ -122,6 +124,7 @@ class Plan:
     points: np.ndarray
     colors: np.ndarray
     names: dict
+    partners: tuple = ()
 
 
 def keep_mask(rain_alpha, splash_alpha, class_id):

@@ -258,6 +258,9 @@ def test_partners_tell_effects_apart(export, tmp_path):
     folder = tmp_path / "set/rain/50mm"
     about = json.loads((folder / "rainsim/view_0.json").read_text())
     assert set(about["partners"]) == {"clear_air", "no_glass", "dry"}
+    card = json.loads((tmp_path / "set/card.json").read_text())
+    assert set(card["partners"]) == set(about["partners"])
+    assert "- `no_glass`: without drops on" in (tmp_path / "set/CARD.md").read_text()
     still, bare, dry = (read_image(folder / "rainsim" / about["partners"][k]).astype(int)
                         for k in ("clear_air", "no_glass", "dry"))  # fmt: skip
     rainy = read_image(folder / "images/view_0.png").astype(int)
