@@ -265,7 +265,7 @@ CONTENTS = {
     "Reference": "reference/commands reference/settings reference/files reference/python "
     "reference/counts architecture",
     "Measurements": "measurements measurements/frame-cpu measurements/frame-gpu "
-    "measurements/splatting measurements/reflections measurements/day measurements/rain "
+    "measurements/splatting measurements/reflections measurements/day measurements/rain validate "
     "measurements/water measurements/hydraulics measurements/ground measurements/start",
     "Project": "release changelog contributing security",
 }

@@ -101,6 +101,7 @@ for _command in (
     tools.scenes,
     tools.presets,
     bench.bench,
+    bench.validate,
     tools.warmup,
     doctor.doctor,
 ):

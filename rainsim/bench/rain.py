@@ -99,7 +99,7 @@ def fit_wave(wavelength, depth):
     }  # fmt: skip
 
 
-def _camera(width, height, focal):
+def level_camera(width, height, focal):
     """Return a level camera at EYE_HEIGHT that looks along x, and the depth of level ground."""
     matrix = np.eye(4)
     matrix[:3, :3] = [[0, -1, 0], [0, 0, -1], [1, 0, 0]]
@@ -118,7 +118,7 @@ def time_streaks(rounds):
     field, ground = RainField(RainSpectrum(RATE), WIND), _ground()
     records = []
     for name, size in SIZES.items():
-        camera, depth = _camera(*size)
+        camera, depth = level_camera(*size)
         alpha = np.empty(depth.shape, np.float32)
         seen = np.minimum(depth, 30.0).astype(np.float64)
         for exposure in EXPOSURES:
@@ -165,7 +165,7 @@ def time_frame(rounds):
     solver = WaterSolver(ground.ground, MAP_SPACING, boundary="open")
     solver.set_state(np.full(ground.shape, 2e-3))
     tile = RippleTile(depth=0.01, dtype=np.float32)
-    camera, depth = _camera(*SIZES["648 x 420"])
+    camera, depth = level_camera(*SIZES["648 x 420"])
     alpha = np.empty(depth.shape, np.float32)
     water = np.full(ground.shape, 2e-3, np.float32)
     found = impacts(field, ground, 1.0, 1.0 + FRAME)

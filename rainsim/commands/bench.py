@@ -24,14 +24,15 @@ def bench():
     """
 
 
-def _suite(short_help):
+def _suite(short_help, command=bench.command):
     """Make the suite `rainsim.bench.NAME` a command; the function below has its name and help.
 
-    The function takes the options of this suite alone and may return what they stand for.
+    `command` makes it one of `bench` or, as click.command does, one of its own. The function takes
+    the options of this suite alone and may return what they stand for.
     """
 
     def add(function):
-        @bench.command(function.__name__, short_help=short_help)
+        @command(function.__name__, short_help=short_help)
         @click.option("--json", "json_path", type=_FILE, help="Write all results to this file.")
         @click.option(
             "--chart",
@@ -241,3 +242,17 @@ def day(before_path, **given):
 
     before = None if before_path is None else read_json(before_path, "the result of bench day")
     return {"before": before, **given}
+
+
+@_suite("Figures of our rain beside published laws.", click.command)
+def validate():
+    """Compare figures of our rain with published laws and measurements.
+
+    Drops along a path, gauges, extinction and visibility, false returns of a lidar, attenuation of
+    radar, length and contrast of streaks: prints ours and the published figure, the tolerance, and
+    the source.
+
+    \b
+    Example:
+        rainsim validate --json validate.json --chart validate.png
+    """

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import click
@@ -12,12 +13,13 @@ from rainsim.commands.compile import compiled_beside, uses_of
 from rainsim.commands.given import check_camera_options, paths_in, require_backend, settings
 from rainsim.commands.options import FILE, PRESETS, Numbers
 from rainsim.commands.status import Status, loaded_scene
-from rainsim.datasets import LAYOUTS
+from rainsim.datasets import LAYOUTS, SCANNED
 from rainsim.errors import ParameterError, counted
 
 DEFAULT_RAINS = "0,1,5,10,25,50"
 MOST_RAINS = 64
-MOST_LAYERS = 11  # AOVs that a picture's labels are made from
+ROUNDED = 1e-9  # by which the shape of a pixel may differ from rounding alone
+MOST_LAYERS = 13  # AOVs that a picture's labels are made from
 
 
 @click.command(short_help="Write a data set: clear and rainy pictures with labels.")
@@ -100,6 +102,18 @@ MOST_LAYERS = 11  # AOVs that a picture's labels are made from
     "--glass.",
 )
 @click.option(
+    "--lidar",
+    type=click.Choice(("vlp16", "hdl32", "hdl64")),
+    show_default="hdl64",
+    help="Which lidar stands at the camera; with --layout kitti_object.",
+)
+@click.option(
+    "--partners",
+    is_flag=True,
+    help="Of each rainy picture also the same without what falls, without drops on the glass, and "
+    "dry: in the folder rainsim.",
+)
+@click.option(
     "--labels",
     type=click.Path(path_type=Path),
     metavar="FILE.npy|FOLDER",
@@ -150,6 +164,8 @@ def export(
         check_speed(given["drive_speed"])
         if not given["drive"]:
             raise ParameterError("--drive-speed is the speed of --drive; give that too")
+    if layout != SCANNED and given["lidar"] is not None:
+        raise ParameterError(f"--lidar is of --layout {SCANNED}; give that, or leave it out")
     lens = None
     if given["lens"] is not None:
         from rainsim.sensors.lens_files import lens_named
@@ -220,7 +236,21 @@ def _cameras(scene, config, given):
                 raise ParameterError(
                     f"--views names {camera.name} twice; each must be named once; leave one out"
                 )
-    return [resize_to(camera, config.width, config.height) for camera in cameras]
+    sized = [resize_to(camera, config.width, config.height) for camera in cameras]
+    return [as_square_as(*both) for both in zip(sized, cameras, strict=True)]
+
+
+def as_square_as(sized, camera):
+    """Return a camera that was sized with pixels of the shape that they had before.
+
+    A height that is rounded to whole pixels squeezes them, by up to a part in a thousand; here less
+    than half a row is cut off or added instead.
+    """
+    fy = sized.fx * (camera.fy / camera.fx)
+    if abs(fy / sized.fy - 1) < ROUNDED:
+        return sized
+    middle = sized.height / 2
+    return replace(sized, fy=fy, cy=middle + (sized.cy - middle) * fy / sized.fy)
 
 
 def _number_of(views, scene):
@@ -253,7 +283,13 @@ def _plan(status, scene, cameras, lens, rates, config, layout, given):
     check_hold_out(every, len(views), layout)
     views = held_out(views, every)
     status.notes([split_note(views, layout)])
-    return Plan(options.plain(scene.name), views, rates, sequence, *points_of(scene), class_names())
+    partners = ("clear_air", "dry") if given["partners"] else ()
+    if partners and given["glass"] is not None:
+        partners += ("no_glass",)
+    return Plan(
+        options.plain(scene.name), views, rates, sequence, *points_of(scene), class_names(),
+        partners,
+    )  # fmt: skip
 
 
 def _driven(status, scene, cameras, fps, given):
@@ -312,7 +348,8 @@ def _write(status, scene, plan, config, *, layout, out, overwrite, resume, backe
         "cameras": hash_of(cameras_to_data([view.camera for view in plan.views])),
         "names": [[view.name, view.held_out] for view in plan.views],
         "lens": str(plan.views[0].lens), "rolling": given["rolling"],
-        "glass": given["glass"], "wiper": given["wiper"],
+        "glass": given["glass"], "wiper": given["wiper"], "partners": given["partners"],
+        "lidar": given["lidar"],
         "labels": None if user_labels is None else hash_of_array(user_labels.ids),
     }  # fmt: skip
     sources = [scene.source, labels, *paths_in(given)]
@@ -328,7 +365,7 @@ def _write(status, scene, plan, config, *, layout, out, overwrite, resume, backe
         readout = given["rolling"] * 1e-3
         shots = Shots(
             scene, terrain, plan.views, config, plan.sequence, backend, user_labels, readout,
-            pane,
+            pane, given["partners"], (given["lidar"] or "hdl64") if layout == SCANNED else None,
         )  # fmt: skip
         largest = max((shots.drawn_camera(v) for v in plan.views), key=lambda c: c.width * c.height)
         status.notes(memory_notes(scene, largest, terrain.bed.size, MOST_LAYERS))

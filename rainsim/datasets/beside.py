@@ -29,10 +29,12 @@ def sample_files(sample, plan):
         yield DataFile(f"{folder}/flow/{name}.png", PNG48, flow)
         mask = sample.flow_mask.astype(np.uint8)
         yield DataFile(f"{folder}/flow_mask/{name}.png", PNG, mask)
+    for kind, picture in sample.partners.items():
+        yield DataFile(f"{folder}/{kind}/{name}.png", PNG, picture)
     about = {
         "view": name, "index": sample.view.index, "rain_mm_per_hour": sample.rate,
         "held_out": sample.view.held_out, "classes": plan.names, **camera_facts(sample.view),
-        **sample.facts,
+        "partners": {kind: f"{kind}/{name}.png" for kind in sample.partners}, **sample.facts,
     }  # fmt: skip
     yield DataFile(f"{folder}/{name}.json", JSON, about)
 

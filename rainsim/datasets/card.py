@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from rainsim import __version__
 from rainsim.datasets.data_files import condition
+from rainsim.datasets.sample import PARTNERS
 from rainsim.drops import Weather
 from rainsim.rain.size_distribution import SIZE_LAWS
 from rainsim.render.labels import class_names
@@ -31,6 +32,7 @@ def card_of(plan, layout, scene, config_of):
         "sequence": plan.sequence,
         "lens": None if lens is None else {"model": lens.model, "values": list(lens.values)},
         "classes": class_names(),
+        "partners": {name: PARTNERS[name] for name in plan.partners},
         "world": "ground frame: metres, right-handed, z up",
         "meters_per_unit": frame.meters_per_unit,
         "scale_assumed": frame.scale_assumed,
@@ -76,6 +78,9 @@ def card_text(card):
             f"| {rain['exposure_s'] * 1e3:.4g} | {shown} | {rain['seed']} "
             f"| {rain['radar_db_per_km_vertical']['77_ghz']:g} |"
         )
+    if card["partners"]:
+        lines += ["", "Partners of each rainy picture, in `rainsim` of its rain:", ""]
+        lines += [f"- `{name}`: {text}" for name, text in card["partners"].items()]
     assumed = " (assumed)" if card["scale_assumed"] else ""
     lines += [
         "",

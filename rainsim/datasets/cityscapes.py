@@ -1,67 +1,82 @@
-"""The layout of ACDC, which loaders of Cityscapes read: rainy pictures, labels, clear partners.
+"""The layout of Cityscapes, as cityscapesScripts 2.3 and torchvision read it; one for each rain.
 
-After Sakaridis et al. 2021 (ACDC) and its loaders: rgb_anon/rain/train/SEQUENCE holds
-..._rgb_anon.png, gt/rain/train/SEQUENCE ..._gt_labelTrainIds.png and ..._gt_invIds.png, and the
-clear partner of each is rgb_anon/rain/train_ref/SEQUENCE/..._rgb_ref_anon.png. A sequence is the
-scene in one rain; its name ends in the severity. Views held out are in val and val_ref.
+After cityscapesScripts (labels.py, csHelpers.py): leftImg8bit/SPLIT/CITY holds
+CITY_SEQUENCE_FRAME_leftImg8bit.png, gtFine the same names with _gtFine_labelIds.png,
+_gtFine_instanceIds.png (16 bits: id x 1000 + number for what has instances, else the id) and
+_gtFine_labelTrainIds.png. There are no polygons and no colours. Views held out are in val.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from rainsim.datasets.data_files import PNG, PNG16, DataFile
+from rainsim.datasets.data_files import PNG, PNG16, DataFile, condition
+from rainsim.datasets.kinds import (
+    FIRST_WITH_INSTANCES,
+    GROUND,
+    IGNORED,
+    LAST_ID,
+    ROAD,
+    TRAIN_IDS,
+    UNLABELED,
+    kind_of,
+)
 from rainsim.datasets.sample import depth_mm
-from rainsim.terrain.table import DRAIN, GRASS, HARD, SOIL, WATER
+from rainsim.terrain.table import WATER
 
-# Ids to train with of Cityscapes (cityscapesScripts, labels.py): road 0, terrain 9, ignored 255.
-TRAIN_IDS = {HARD: 0, DRAIN: 0, GRASS: 9, SOIL: 9}
-IGNORED = 255
+PER_CLASS = 1000  # instances that a class has room for
 
 
 def sample_files(sample, plan):
     """Yield the `DataFile`s of a sample."""
+    city = city_of(plan.name)
     split = "val" if sample.view.held_out else "train"
-    number = f"frame_{sample.view.index:06d}"
-    if sample.rate > 0:
-        name = sequence(plan.name, sample.rate)
-        rgb, gt = (f"{kind}/rain/{split}/{name}/{name}_{number}" for kind in ("rgb_anon", "gt"))
-        yield DataFile(f"{rgb}_rgb_anon.png", PNG, sample.picture)
-        yield DataFile(f"{gt}_gt_labelTrainIds.png", PNG, train_ids(sample))
-        yield DataFile(f"{gt}_gt_invIds.png", PNG, np.where(sample.keep, 0, 1).astype(np.uint8))
-        yield DataFile(f"depth/rain/{split}/{name}/{name}_{number}_depth.png", PNG16,
-                       depth_mm(sample.depth))  # fmt: skip
-        return
-    # Each rain has its own copy of the clear partner, where its loader looks for it.
-    for rate in plan.rates:
-        if rate > 0:
-            name = sequence(plan.name, rate)
-            place = f"rain/{split}_ref/{name}/{name}_{number}"
-            yield DataFile(f"rgb_anon/{place}_rgb_ref_anon.png", PNG, sample.picture)
-            yield DataFile(f"gt/{place}_gt_ref_labelTrainIds.png", PNG, train_ids(sample))
+    name = f"{split}/{city}/{city}_000000_{sample.view.index:06d}"
+    folder, ids = condition(sample.rate), label_ids(sample)
+    table = np.full(256, IGNORED, np.uint8)
+    table[list(TRAIN_IDS)] = list(TRAIN_IDS.values())
+    yield DataFile(f"{folder}/leftImg8bit/{name}_leftImg8bit.png", PNG, sample.picture)
+    gt = f"{folder}/gtFine/{name}_gtFine"
+    yield DataFile(f"{gt}_labelIds.png", PNG, ids)
+    yield DataFile(f"{gt}_labelTrainIds.png", PNG, table[ids])
+    yield DataFile(f"{gt}_instanceIds.png", PNG16, instance_ids(sample, ids))
+    depth = depth_mm(sample.depth)
+    yield DataFile(f"{folder}/depth/{name}_depth.png", PNG16, depth)
 
 
-def plan_files(plan):
+def plan_files(plan, folder):
     """Yield the `DataFile`s of the whole data set: there are none."""
     yield from ()
 
 
-def sequence(name, rate):
-    """Return the name of the sequence of a scene in a rain [mm/h]."""
-    plain = "".join(c for c in name if c.isalnum()) or "scene"
-    return f"{plain}{rate:g}mm"
+def city_of(name):
+    """Return the name of a scene's city: letters and digits, as file names are split at _."""
+    return "".join(c for c in name if c.isascii() and c.isalnum()) or "scene"
 
 
-def train_ids(sample):
-    """Return the ids to train with, (height, width), uint8: the user's labels, or ground's.
+def label_ids(sample):
+    """Return Cityscapes' ids (height, width), uint8: the user's labels, else ground and actors.
 
-    A puddle counts as the road that it stands on; water else is ignored, as Cityscapes knows none.
+    A puddle counts as the road that it stands on.
     """
     if sample.labels is not None:
-        return np.minimum(sample.labels, IGNORED).astype(np.uint8)
-    table = np.full(256, IGNORED, np.uint8)
-    for code, number in TRAIN_IDS.items():
-        table[code] = number
-    ids = table[np.minimum(sample.class_id, IGNORED)]
-    ids[(sample.class_id == WATER) & (sample.puddle_id > 0)] = TRAIN_IDS[HARD]
+        return np.where(sample.labels <= LAST_ID, sample.labels, UNLABELED).astype(np.uint8)
+    table = np.full(256, UNLABELED, np.uint8)
+    table[list(GROUND)] = list(GROUND.values())
+    ids = table[np.minimum(sample.class_id, 255)]
+    ids[(sample.class_id == WATER) & (sample.puddle_id > 0)] = ROAD
+    for actor in sample.facts.get("actors", ()):
+        ids[sample.actor_id == actor["number"]] = kind_of(actor["class"]).cityscapes
     return ids
+
+
+def instance_ids(sample, ids):
+    """Return Cityscapes' ids of instances, (height, width), uint16: an actor is an instance.
+
+    What has no actor, such as things that the user labels, counts as a group: its id alone.
+    """
+    if sample.actor_id is None:
+        return ids.astype(np.uint16)
+    own = (sample.actor_id > 0) & (ids >= FIRST_WITH_INSTANCES)
+    number = (sample.actor_id.astype(np.int64) - 1) % PER_CLASS
+    return np.where(own, ids.astype(np.int64) * PER_CLASS + number, ids).astype(np.uint16)

@@ -2,7 +2,8 @@
 
 After COLMAP's format pages (https://colmap.github.io/format.html): cameras.bin, images.bin,
 points3D.bin; a mask is named as its image with .png appended, black is left out; depth maps are
-float32 after the text width&height&channels&. World is the ground frame in metres.
+float32 after the text width&height&channels&. World is the ground frame in metres. Tracks say which
+points which images see, by the depth of their pixels.
 """
 
 from __future__ import annotations
@@ -14,6 +15,11 @@ from scipy.spatial.transform import Rotation
 
 from rainsim.datasets.data_files import BYTES, PNG, DataFile, condition
 from rainsim.scene.colmap import MODELS
+from rainsim.scene.view import camera_points, image_point
+
+NEAREST = 0.05  # m before the camera
+WIDEST = 5.0  # slope off the axis up to which points are looked for
+SAME_DEPTH = 0.02  # of a point's depth, by which its pixel's may differ
 
 
 def sample_files(sample, plan):
@@ -26,15 +32,58 @@ def sample_files(sample, plan):
     yield DataFile(f"{folder}/stereo/depth_maps/{name}.geometric.bin", BYTES, depth)
 
 
-def plan_files(plan):
-    """Yield the `DataFile`s of the whole data set."""
+def plan_files(plan, folder):
+    """Yield the `DataFile`s of the whole data set; `folder` has the samples' files, None for none.
+
+    Depth is that of dry surfaces, so that one rain's depth maps say which points all views see.
+    """
+    seen = [observations(plan, view, _depth_in(folder, plan, view)) for view in plan.views]
     model = {
-        "cameras.bin": cameras_bytes(plan.views), "images.bin": images_bytes(plan.views),
-        "points3D.bin": points_bytes(plan.points, plan.colors),
+        "cameras.bin": cameras_bytes(plan.views), "images.bin": images_bytes(plan.views, seen),
+        "points3D.bin": points_bytes(plan.points, plan.colors, plan.views, seen),
     }  # fmt: skip
     for rate in plan.rates:
         for name, content in model.items():
             yield DataFile(f"{condition(rate)}/sparse/0/{name}", BYTES, content)
+
+
+def _depth_in(folder, plan, view):
+    """Return a view's depth map of the first rain, zero where nothing is known."""
+    if folder is None:
+        return np.zeros((view.camera.height, view.camera.width), np.float32)
+    name = f"stereo/depth_maps/{view.name}.png.geometric.bin"
+    data = (folder / condition(plan.rates[0]) / name).read_bytes()
+    width, height, _, body = data.split(b"&", 3)
+    return np.frombuffer(body, "<f4").reshape(int(height), int(width))
+
+
+def observations(plan, view, depth):
+    """Return the points that a view sees: their places in the plan, and their image points [px].
+
+    Parameters
+    ----------
+    plan : Plan
+    view : View
+    depth : ndarray of shape (height, width), float32 [m]
+        A point counts as seen if it lies at the depth of its pixel.
+
+    Returns
+    -------
+    number : ndarray of shape (k,), int64
+    place : ndarray of shape (k, 2), float64 [px]
+    """
+    camera = view.camera
+    x, y, z = camera_points(camera, plan.points.astype(np.float64)).T
+    ahead = z > NEAREST
+    x, y = (np.where(ahead, part / np.where(ahead, z, 1), 0) for part in (x, y))
+    near = ahead & (np.hypot(x, y) < WIDEST)  # beyond it a lens may fold back
+    x, y = (x, y) if view.lens is None else view.lens.distort(x, y)
+    u, v = image_point(camera, x, y, 1.0)
+    inside = near & (u >= 0) & (v >= 0) & (u < camera.width) & (v < camera.height)
+    number = np.flatnonzero(inside)
+    here = depth[v[number].astype(np.int64), u[number].astype(np.int64)]
+    number = number[np.abs(here - z[number]) < SAME_DEPTH * z[number]]
+    return number, np.column_stack([u[number], v[number]])
 
 
 def model_of(view):
@@ -61,24 +110,43 @@ def cameras_bytes(views):
     return b"".join(parts)
 
 
-def images_bytes(views):
-    """Return images.bin: pose (quaternion with w first, translation), camera and name of each."""
+def images_bytes(views, seen):
+    """Return images.bin: pose (quaternion with w first, translation), camera and name of each.
+
+    `seen` has the `observations` of each view.
+    """
     parts = [struct.pack("<Q", len(views))]
-    for view in views:
+    for view, (number, place) in zip(views, seen, strict=True):
         matrix = view.camera.camera_from_world
         x, y, z, w = Rotation.from_matrix(matrix[:3, :3]).as_quat()
         parts.append(struct.pack("<i7d", view.index + 1, w, x, y, z, *matrix[:3, 3]))
         parts.append(struct.pack("<i", view.index + 1) + f"{view.name}.png".encode() + b"\0")
-        parts.append(struct.pack("<Q", 0))  # no observed points
+        rows = np.zeros(len(number), [("place", "<f8", 2), ("point", "<u8")])
+        rows["place"], rows["point"] = place, number + 1
+        parts.append(struct.pack("<Q", len(rows)) + rows.tobytes())
     return b"".join(parts)
 
 
-def points_bytes(places, colors):
-    """Return points3D.bin: number, place, colour, error 0 and an empty track of each point."""
+def points_bytes(places, colors, views, seen):
+    """Return points3D.bin: number, place, colour, error 0 and track of each point.
+
+    A track names the images that see the point, and which of their points it is. `seen` has the
+    `observations` of each of the `views`.
+    """
     kind = [("id", "<u8"), ("xyz", "<f8", 3), ("rgb", "u1", 3), ("error", "<f8"), ("track", "<u8")]
     rows = np.zeros(len(places), kind)
     rows["id"], rows["xyz"], rows["rgb"] = np.arange(1, len(places) + 1), places, colors
-    return struct.pack("<Q", len(places)) + rows.tobytes()
+    point = np.concatenate([number for number, _ in seen])
+    track = np.zeros(len(point), [("image", "<i4"), ("which", "<i4")])
+    track["image"] = np.repeat([view.index + 1 for view in views], [len(n) for n, _ in seen])
+    track["which"] = np.concatenate([np.arange(len(number)) for number, _ in seen])
+    track = track[np.argsort(point, kind="stable")]
+    rows["track"] = np.bincount(point, minlength=len(places))
+    ends = np.cumsum(rows["track"]).astype(np.int64)
+    parts = [struct.pack("<Q", len(places))]
+    for row, begin, end in zip(rows, ends - rows["track"].astype(np.int64), ends, strict=True):
+        parts += [row.tobytes(), track[begin:end].tobytes()]
+    return b"".join(parts)
 
 
 def depth_map(depth):

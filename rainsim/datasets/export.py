@@ -137,7 +137,8 @@ class DataSetFolder:
 
     def finish(self):
         """Write what belongs to the whole data set, and the card as complete."""
-        names = [write_file(self.folder, file) for file in self.layout.plan_files(self.plan)]
+        files = self.layout.plan_files(self.plan, self.folder)
+        names = [write_file(self.folder, file) for file in files]
         names.append(write_file(self.folder, DataFile(CARD_TEXT, TEXT, card_text(self._card))))
         self._write_card(complete=len(self.kept) == self.count, files=sorted(names))
 

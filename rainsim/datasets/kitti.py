@@ -13,13 +13,13 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from rainsim.datasets.data_files import PNG, PNG16, PNG48, TEXT, DataFile, condition
+from rainsim.datasets.kinds import kind_of
 from rainsim.datasets.sample import flow_known, kitti_depth, kitti_flow
 from rainsim.scene.view import camera_points, image_point
 
 LEAST_DEPTH = 0.05  # m: a box with a nearer corner is beside the camera
 CORNERS = 0.5 * np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
-TYPES = {"car": "Car", "vehicle": "Car", "van": "Van", "truck": "Truck", "bus": "Truck",
-         "tram": "Tram", "pedestrian": "Pedestrian", "cyclist": "Cyclist"}  # fmt: skip
+OCCLUDED = (0.1, 0.5)  # shares of an actor's pixels from which it is partly and largely occluded
 SAME = " ".join(f"{v:.12e}" for v in np.eye(3).ravel())
 SAME_PLACE = " ".join(f"{v:.12e}" for v in np.eye(3, 4).ravel())
 
@@ -45,7 +45,7 @@ def sample_files(sample, plan):
             yield DataFile(f"{training}/{name}/{number}_10.png", PNG48, flow)
 
 
-def plan_files(plan):
+def plan_files(plan, folder):
     """Yield the `DataFile`s of the whole data set."""
     for rate in plan.rates:
         yield DataFile(f"{condition(rate)}/training/poses.txt", TEXT, poses(plan.views))
@@ -54,18 +54,30 @@ def plan_files(plan):
 def object_labels(actors, camera):
     """Return a label_2 file: a line for each actor that the picture shows.
 
-    After the object development kit: type, truncated, occluded (3: not known), alpha, box in the
-    picture, height, width and length [m], middle of the bottom in the camera's frame [m] and
-    rotation about its y axis. A box is taken to stand upright in the camera's frame, as KITTI's do.
+    After the object development kit: type, truncated, occluded, alpha, box in the picture, height,
+    width and length [m], middle of the bottom in the camera's frame [m] and rotation about its y
+    axis. A box is taken to stand upright in the camera's frame, as KITTI's do.
 
     Parameters
     ----------
     actors : sequence of dict
-        See `rainsim.render.actor_labels.facts_of_actors`.
+        See `rainsim.render.actor_labels.facts_of_actors`; `hidden`, the share of its pixels that
+        other things hide, may be missing.
     camera : Camera
         In the ground frame.
     """
-    lines, matrix = [], camera.camera_from_world
+    return "".join(
+        f"{kind_of(actor['class']).kitti} {cut:.2f} {hidden} {box}\n"
+        for actor, cut, hidden, box in object_boxes(actors, camera)
+    )
+
+
+def object_boxes(actors, camera):
+    """Yield each actor that a picture shows, its truncation, its occlusion and its box as text.
+
+    The text has alpha, the box in the picture, size, place and rotation, see `object_labels`.
+    """
+    matrix = camera.camera_from_world
     for actor in actors:
         if not actor["pixels"]:
             continue
@@ -78,11 +90,17 @@ def object_labels(actors, camera):
         alpha = (turn - np.arctan2(x, z) + np.pi) % (2 * np.pi) - np.pi
         corners = centre + (CORNERS * size) @ axes.T
         shown = actor["box2d"] or actor["box2d_seen"]
-        numbers = (*(v - 0.5 for v in shown), size[2], size[1], size[0], x, y, z, turn)
-        kind = TYPES.get(actor["class"].lower(), "Misc")
-        lines.append(f"{kind} {truncation(corners, shown, camera):.2f} 3 {alpha:.4f} "
-                     + " ".join(f"{v:.4f}" for v in numbers))  # fmt: skip
-    return "".join(line + "\n" for line in lines)
+        numbers = (alpha, *(v - 0.5 for v in shown), size[2], size[1], size[0], x, y, z, turn)
+        cut = truncation(corners, shown, camera)
+        yield actor, cut, occlusion(actor.get("hidden")), " ".join(f"{v:.4f}" for v in numbers)
+
+
+def occlusion(hidden):
+    """Return KITTI's level of occlusion: 0 none, 1 partly, 2 largely, 3 not known.
+
+    KITTI's were set by eye; here from `hidden`, the share of an actor's pixels that others hide.
+    """
+    return 3 if hidden is None else int(np.searchsorted(OCCLUDED, hidden, side="right"))
 
 
 def truncation(corners, shown, camera):
@@ -119,7 +137,8 @@ def calibration(camera):
 
 
 # The camera's axes x right, y down, z ahead from those of KITTI's lidar: x ahead, y left, z up.
-VELODYNE = " ".join(f"{v:.12e}" for v in (0, -1, 0, 0, 0, 0, -1, 0, 1, 0, 0, 0))
+CAMERA_FROM_LIDAR = np.array([[0, -1, 0], [0, 0, -1], [1, 0, 0]], float)
+VELODYNE = " ".join(f"{v:.12e}" for v in np.column_stack([CAMERA_FROM_LIDAR, np.zeros(3)]).ravel())
 
 
 def poses(views):

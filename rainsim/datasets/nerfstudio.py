@@ -27,7 +27,7 @@ def sample_files(sample, plan):
     yield DataFile(f"{folder}/masks/{name}.png", PNG, np.where(sample.keep, 255, 0).astype("u1"))
 
 
-def plan_files(plan):
+def plan_files(plan, folder):
     """Yield the `DataFile`s of the whole data set."""
     for rate in plan.rates:
         folder = condition(rate)

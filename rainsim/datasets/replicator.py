@@ -41,7 +41,7 @@ def sample_files(sample, plan):
     yield DataFile(f"{folder}/camera_params_{number}.json", JSON, params)
 
 
-def plan_files(plan):
+def plan_files(plan, folder):
     """Yield the `DataFile`s of the whole data set: there are none."""
     yield from ()
 

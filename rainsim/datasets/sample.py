@@ -12,6 +12,11 @@ from rainsim.terrain.table import WATER
 REPLACED = 1 / 32  # share of a pixel's light from which drops and splashes spoil it
 MOST = 2**16 - 1
 FAR_MM = MOST / 1000  # m, the farthest that whole millimetres in 16 bits hold
+PARTNERS = {
+    "clear_air": "without drops, splashes, spray and haze: what falls is gone, wet ground stays",
+    "no_glass": "without drops on the glass before the lens",
+    "dry": "the dry capture as it was taken",
+}
 KITTI_DEPTH, KITTI_FLOW, KITTI_ZERO = 256, 64, 2**15  # see `kitti_depth` and `kitti_flow`
 
 
@@ -49,6 +54,8 @@ class Sample:
     glass: np.ndarray | None = None  # float32, share of light that came through drops on it
     facts: dict = field(default_factory=dict)  # see `rainsim.render.layers.facts_of`
     actor_id: np.ndarray | None = None
+    partners: dict = field(default_factory=dict)  # pictures by the names of PARTNERS
+    cloud: tuple | None = None  # see `rainsim.datasets.clouds.Clouds.cloud`
 
 
 @dataclass(frozen=True)
@@ -62,6 +69,7 @@ class Plan:
     points: np.ndarray  # (n, 3), float32, m, places of the scene in the ground frame
     colors: np.ndarray  # (n, 3), uint8, of the points
     names: dict  # classes by id
+    partners: tuple = ()  # names in PARTNERS that rainy pictures have
 
 
 def keep_mask(rain_alpha, splash_alpha, class_id):

@@ -8,19 +8,24 @@ import numpy as np
 
 from rainsim.backend import on_backend
 from rainsim.config.settings import mm_per_hour
+from rainsim.datasets.clouds import Clouds
 from rainsim.datasets.sample import REPLACED, Sample, keep_mask
 from rainsim.drops import Weather
 from rainsim.pipeline import FrameSequence, simulate
+from rainsim.raster import Rasterizer, prepare
 from rainsim.render.labels import boxes_of
 from rainsim.render.shutter import motion_of
+from rainsim.scene.view import slopes
 from rainsim.sensors.glass import caps_on, through_glass, wide_camera
 from rainsim.sensors.lens import lens_warp
 from rainsim.sensors.rolling import STILL, Motion, draw_rolling
+from rainsim.shading.wetness import paving_dampness
 from rainsim.terrain.pond import without_images
 
 LABELS = ("depth", "range", "class_id", "puddle_id", "splash_id", "rain_alpha", "splash_alpha")
 FLOWS, ACTORS = ("flow", "flow_mask"), "actor_id"
-CLEAR = "clean"
+NEAR = 0.05  # m
+CLEAR, CLEAR_AIR = "clean", "clear_air"
 
 
 class Shots:
@@ -31,14 +36,20 @@ class Shots:
     A `pane` is glass before the lens, with drops of its own in each rain and view; in a sequence it
     is one pane, which has been rained on for longer from view to view. `readout` [s] of a rolling
     shutter goes from the first row to the last; 0: all rows at once. There is no flow with one.
+    With `partners` rainy pictures have `Sample.partners`. With a `lidar`, a key of
+    `lidar_model.SENSORS`, samples have `Sample.cloud`, and actors the share of them that others
+    hide.
     """
 
     def __init__(self, scene, terrain, views, config, sequence, backend="cpu", user_labels=None,
-                 readout=0.0, pane=None):  # fmt: skip
+                 readout=0.0, pane=None, partners=False, lidar=None):  # fmt: skip
         self.scene, self.terrain, self.views = scene, terrain, views
         self.config, self.sequence, self.backend = config, sequence, backend
         self.user_labels, self.readout, self.pane = user_labels, readout, pane
-        self._wide = None  # what drops on the glass show: rate, renderer, states, the last state
+        self.partners = partners
+        self._clouds = None if lidar is None else Clouds(scene, terrain, views, lidar, config)
+        self._wide = None  # what drops on the glass show: rate, renderer
+        self._water = None  # rate, states, the last state
         self._warps = {}
         self.labels = (*LABELS, *((ACTORS,) if scene.actors else ()))
 
@@ -49,16 +60,25 @@ class Shots:
             return
         config = self.config_of(rate)
         names = (*self.labels, *(FLOWS if self.sequence and not self.readout else ()),
-                 *((CLEAR,) if rate == 0 else ()))  # fmt: skip
+                 *((CLEAR,) if rate == 0 else (CLEAR, CLEAR_AIR) if self.partners else ()),
+                 )  # fmt: skip
         drawn = self._in_sequence if self.sequence else self._at_one_moment
         drawn = self._rolling if self.readout else drawn
         for index, (picture, report) in zip(indices, drawn(config, indices, names), strict=True):
             picture = report.aovs[CLEAR] if rate == 0 else picture
-            view, glass = self.views[index], None
+            view, glass, partners = self.views[index], None, {}
+            if self.partners and rate > 0:
+                partners = {CLEAR_AIR: report.aovs[CLEAR_AIR], "dry": report.aovs[CLEAR]}
             if self.pane is not None and rate > 0:
-                picture, glass, count = self._behind_glass(view, picture, rate, config)
+                if self.partners:
+                    partners["no_glass"] = np.array(picture)
+                picture, clear_air, glass, count = self._behind_glass(
+                    view, picture, partners.get(CLEAR_AIR), rate, config
+                )
+                if self.partners:
+                    partners[CLEAR_AIR] = clear_air
                 report = replace(report, facts={**report.facts, "drops_on_glass": count})
-            yield self._sample(view, rate, picture, report, glass)
+            yield self._sample(view, rate, picture, report, glass, partners)
 
     def config_of(self, rate):
         """Return the settings of a rain rate [mm/h]; for 0 those of a dry day: no water at all."""
@@ -118,45 +138,91 @@ class Shots:
             sensor = {"first_row": own.cy - path[index].cy, "height": own.height}
             yield draw_rolling(renderer, path[index], state, motion, self.readout, names, **sensor)
 
-    def _behind_glass(self, view, picture, rate, config):
-        """Return a pinhole picture behind the wet glass, the share of drops, and their number.
+    def _behind_glass(self, view, picture, clear_air, rate, config):
+        """Return pinhole pictures behind the wet glass, the share of drops, and their number.
 
-        The drops are in the pinhole picture, so that a lens distorts them as all else.
+        The drops are in the pinhole pictures, so that a lens distorts them as all else. The second
+        picture, in clear air, may be None.
         """
-        frame, place = self.scene.ground_frame, view.index if self.sequence else 0
+        frame = self.scene.ground_frame
         camera = frame.camera_in_ground(self.drawn_camera(view))
         wide = frame.camera_in_capture(wide_camera(camera))
         if self._wide is None or self._wide[0] != rate:
             scene = without_images(self.scene, self.terrain)
             own = config.replace(frames=len(self.views) if self.sequence else 1)
-            renderer = on_backend(self.backend)[0](scene, self.terrain, own, wide)
-            self._wide = rate, renderer, simulate(self.terrain, own), None
-        _, renderer, states, state = self._wide
-        while state is None or state.index < place:
-            state = next(states)
-        self._wide = rate, renderer, states, state
-        seen, report = renderer.draw(wide, state, None, ("depth",))
+            self._wide = rate, on_backend(self.backend)[0](scene, self.terrain, own, wide)
+        renderer, state = self._wide[1], self._state_of(view, rate, config)
+        names = ("depth",) if clear_air is None else ("depth", CLEAR_AIR)
+        seen, report = renderer.draw(wide, state, None, names)
         seen, depth = np.array(seen), report.aovs["depth"]
         field = Weather(config).field(state.time, config.at(state.time).render.exposure)
         pane = replace(self.pane, age=self.pane.age + state.time)
         own = 0 if self.sequence else 7919 * view.index  # a pane of its own at one moment
         caps = caps_on(field, pane, camera, config.rain.seed + own)
         picture, share = through_glass(picture, camera, caps, pane, seen, depth)
-        return picture, share, len(caps.radius)
+        if clear_air is not None:
+            beyond = np.array(report.aovs[CLEAR_AIR])
+            clear_air, _ = through_glass(clear_air, camera, caps, pane, beyond, depth)
+        return picture, clear_air, share, len(caps.radius)
 
-    def _sample(self, view, rate, picture, report, glass):
+    def _state_of(self, view, rate, config):
+        """Return the water's state at the time of a view; views come in their order."""
+        place = view.index if self.sequence else 0
+        if self._water is None or self._water[0] != rate:
+            own = config.replace(frames=len(self.views) if self.sequence else 1)
+            self._water = rate, simulate(self.terrain, own), None
+        _, states, state = self._water
+        while state is None or state.index < place:
+            state = next(states)
+        self._water = rate, states, state
+        return state
+
+    def _cloud(self, view, rate, actors):
+        """Return points and labels of the lidar's view."""
+        config = self.config_of(rate)
+        state = self._state_of(view, rate, config)
+        now, field, damp = config.at(state.time), None, 0.0
+        if rate > 0:
+            field = Weather(config).field(state.time, now.render.exposure)
+            damp = paving_dampness(now)
+        return self._clouds.cloud(view, field, state, damp, actors)
+
+    def _with_hidden(self, actors, camera, time):
+        """Return the labels of actors with the share of each that others hide, as `hidden`."""
+        near, found = NEAR / self.scene.ground_frame.meters_per_unit, []
+        for entry in actors:
+            actor = self.scene.actors[entry["number"] - 1]
+            pose, hidden = actor.track.at(time), None
+            if entry["pixels"] and pose is not None:
+                alone = Rasterizer(prepare(actor.placed(pose, time)))
+                whole = int((alone.draw(camera, near, hit=True).hit >= 0).sum())
+                hidden = round(max(0.0, 1 - entry["pixels"] / max(whole, 1)), 4)
+            found.append({**entry, "hidden": hidden})
+        return found
+
+    def _sample(self, view, rate, picture, report, glass, partners):
         """Return the `Sample` of a frame, warped to its lens."""
         found, warp = report.aovs, self._warp(view)
-        labels = None
+        labels, cloud, facts = None, None, report.facts
+        if self._clouds is not None:
+            actors = facts.get("actors", ())
+            if actors:
+                shown = self._with_hidden(actors, self.drawn_camera(view), report.time)
+                facts = {**facts, "actors": shown}
+            cloud = self._cloud(view, rate, actors)
         if self.user_labels is not None:
             labels = self.user_labels.picture(self.drawn_camera(view), found.get(ACTORS))
         flow, mask = found.get("flow"), found.get("flow_mask")
         if warp is not None:
             picture = warp.colors(picture)
+            partners = {kind: warp.colors(other) for kind, other in partners.items()}
             if flow is not None:
                 flow, mask = warp.flow(flow, mask)
             labels = None if labels is None else warp.nearest(labels)
             found = {name: warp.nearest(found[name]) for name in self.labels}
+            # Of the pixel's own ray; the nearest pixel's differs by up to half a pixel's angle.
+            x, y = slopes(warp.wide, warp.u, warp.v)
+            found["range"] = (found["depth"] * np.sqrt(1 + x * x + y * y)).astype(np.float32)
             glass = None if glass is None else warp.nearest(glass)
         keep = np.ones(picture.shape[:2], bool)
         if rate > 0:
@@ -166,7 +232,8 @@ class Shots:
         return Sample(
             view, rate, np.array(picture), found["depth"], found["range"], found["class_id"],
             found["puddle_id"], found["splash_id"], keep, flow, mask, labels, glass,
-            facts=_facts(report.facts, found, warp is not None), actor_id=found.get(ACTORS),
+            cloud=cloud, facts=_facts(facts, found, warp is not None), actor_id=found.get(ACTORS),
+            partners={kind: np.array(other) for kind, other in partners.items()},
         )  # fmt: skip
 
 

@@ -53,7 +53,7 @@ def split_note(views, layout):
     held = len(val) + len(test)
     if layout == "nerfstudio":
         parts = {"train": len(train), "val": len(val), "test": len(test)}
-    elif layout == "cityscapes":
+    elif layout in ("acdc", "cityscapes", "kitti_object"):
         parts = {"train": len(train), "val": held}
     else:
         where = "card.json names them, files are not split" if held else "files are not split"

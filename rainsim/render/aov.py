@@ -74,6 +74,7 @@ AOVS = {
     "puddle_id": Aov(INDEX, "", "of the puddle that a pixel shows, 0 for none"),
     "actor_id": Aov(INDEX, "", "of the actor that a pixel shows, 0 for none"),
     "beauty": Aov(DATA, "display white", "the frame in linear light, before the tone curve"),
+    "clear_air": Aov(PICTURE, "", "the frame without drops, splashes, spray and haze of rain"),
     "dry": Aov(DATA, "display white", "the dry capture without grading, in linear light"),
     "matte": Aov(SHARE, "", "of the pixel that captured splats cover, not the sky behind them"),
     "position": Aov(DATA, "m", "in the ground frame, zero for sky", ("X", "Y", "Z")),

@@ -239,6 +239,14 @@ def _beauty(dazzling, depth, rain_alpha, splash_alpha, fog, rain_light, view, br
     return (brightness * seen).astype(np.float32)
 
 
+@layer("clear_air")
+def _clear_air(dazzling, brightness):
+    """Return the finished picture as it would be if nothing fell, in its tone curve."""
+    image = np.empty(dazzling.shape, np.uint8)
+    composite.encode((brightness * dazzling).astype(np.float32).ravel(), image.ravel())
+    return image
+
+
 @layer("dry")
 def _dry(layers, camera, capture):
     return srgb.linear(capture.captured_color(camera, layers)).astype(np.float32)

@@ -31,11 +31,26 @@ def scattered_share(distance, reflectivity, lidar, spectrum):
     if end <= lidar.near:
         return 0.0
     r = lidar.near + (end - lidar.near) * (np.arange(RANGES) + 0.5) / RANGES
-    # The least diameter that echoes louder than the threshold from each range.
-    share = threshold * r**2 * np.exp(2 * alpha * r) / DROP_REFLECTIVITY
-    least = np.sqrt(share) * r * math.tan(lidar.divergence)
-    low = np.clip(least, SMALLEST, LARGEST)
-    density = spectrum.intercept * spectrum.law.number_between(low, LARGEST)
-    density = np.where(share > 1, 0.0, density)
+    density = loud_drops(r, threshold, lidar, spectrum)
     section = math.pi * (r * math.tan(lidar.divergence) / 2) ** 2
     return float(-np.expm1(-(density * section).sum() * (end - lidar.near) / RANGES))
+
+
+def loud_drops(distance, threshold, lidar, spectrum):
+    """Return the number [1/m3] of drops that echo louder than a power [1/m2] at ranges [m].
+
+    Parameters
+    ----------
+    distance : ndarray of shape (n,) [m]
+    threshold : float [1/m2]
+        See `lidar_model.echo_power`; a sensor's is its `least_power`.
+    lidar : Lidar
+    spectrum : RainSpectrum
+    """
+    # The least diameter that echoes louder than the threshold from each range.
+    loss = np.exp(2 * extinction_of(spectrum) * distance)
+    share = threshold * distance**2 * loss / DROP_REFLECTIVITY
+    least = np.sqrt(share) * distance * math.tan(lidar.divergence)
+    low = np.clip(least, SMALLEST, LARGEST)
+    density = spectrum.intercept * spectrum.law.number_between(low, LARGEST)
+    return np.where(share > 1, 0.0, density)

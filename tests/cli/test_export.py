@@ -7,11 +7,14 @@ from functools import partial
 import numpy as np
 import pytest
 
+from rainsim.commands.export import as_square_as
 from rainsim.io.images import read_image
 from rainsim.render.shutter import moved
-from rainsim.scene.cameras import read_cameras, write_transforms
+from rainsim.scene.cameras import read_cameras, resize_to, write_transforms
 from rainsim.scene.colmap import read_model
 from rainsim.scene.library import load_scene
+from rainsim.scene.types import Camera
+from rainsim.sensors.lens import Lens
 
 MAP = ["--spacing", "0.04", "--extent", "1", "--width", "64", "--relight", "off"]
 
@@ -163,6 +166,17 @@ def test_distorted_pictures_have_distorted_labels(export, tmp_path):
     assert one.shape == other.shape == (48, 64)
     middle = np.s_[20:28, 28:36]
     np.testing.assert_allclose(one[middle], other[middle], rtol=0.03)
+    row, column = np.mgrid[:48, :64] + 0.5
+    params = json.loads((bent / "camera_params_0000.json").read_text())
+    focal = params["cameraFocalLength"] / params["cameraAperture"][0] * 64
+    rays = Lens("opencv", (-0.25, 0.05, 0.0, 0.0)).undistort(
+        (column - 32) / focal, (row - 24) / focal
+    )
+    known = np.isfinite(one)
+    away = np.load(bent / "distance_to_camera_0000.npy")
+    np.testing.assert_allclose(
+        away[known] / one[known], np.sqrt(1 + rays[0] ** 2 + rays[1] ** 2)[known], rtol=1e-4
+    )
     ids = read_image(bent / "semantic_segmentation_0000.png")
     labels = json.loads((bent / "semantic_segmentation_labels_0000.json").read_text())
     assert {str(tuple(c)) for c in ids.reshape(-1, 4).tolist()} <= set(labels)
@@ -231,3 +245,54 @@ def test_wrong_options_are_named(export, words, message, tmp_path):
     done = export("out", *words)
     assert done.code in (1, 2) and message in done.error
     assert not (tmp_path / "out").exists()
+
+
+def test_partners_tell_effects_apart(export, tmp_path):
+    """Without what falls only drops are missing, without drops on the glass only those."""
+    words = "--rain", "0,50", "--views", "view_0", "--glass", "10,15", "--partners"
+    done = export("set", *words, "--layout", "colmap", "--past-rain", "6")
+    assert done.code == 0, done.err
+    folder = tmp_path / "set/rain/50mm"
+    about = json.loads((folder / "rainsim/view_0.json").read_text())
+    assert set(about["partners"]) == {"clear_air", "no_glass", "dry"}
+    card = json.loads((tmp_path / "set/card.json").read_text())
+    assert set(card["partners"]) == set(about["partners"])
+    assert "- `no_glass`: without drops on" in (tmp_path / "set/CARD.md").read_text()
+    still, bare, dry = (read_image(folder / "rainsim" / about["partners"][k]).astype(int)
+                        for k in ("clear_air", "no_glass", "dry"))  # fmt: skip
+    rainy = read_image(folder / "images/view_0.png").astype(int)
+    glass = read_image(folder / "rainsim/glass/view_0.png") > 0
+    np.testing.assert_array_equal(rainy[~glass], bare[~glass])
+    assert glass.any() and np.abs(rainy - bare)[glass].mean() > 3
+    falls = np.abs(rainy - still)[~glass]
+    assert 0 < falls.mean() < 3 and falls.max() < 120
+    np.testing.assert_array_equal(dry, read_image(tmp_path / "set/clear/images/view_0.png"))
+    assert np.abs(dry - still).mean() > np.abs(rainy - still)[~glass].mean()
+    assert not (tmp_path / "set/clear/rainsim/clear_air").exists()
+
+
+def test_pixels_keep_their_shape():
+    """A height that is rounded to whole pixels squeezes none; the middle stays in the middle."""
+    camera = Camera(5187, 3361, 3000.0, 3000.0, 2593.5, 1680.5, np.eye(4))
+    for size in ((648, None), (648, 360), (None, 333)):
+        sized = resize_to(camera, *size)
+        square = as_square_as(sized, camera)
+        assert square.fx == sized.fx == pytest.approx(square.fy, rel=1e-8)
+        assert square.height == sized.height
+        assert square.cy == pytest.approx(sized.height / 2)
+        assert abs(square.fy / sized.fy - 1) < 2e-3
+    oblong = Camera(100, 90, 50.0, 55.0, 40.0, 50.0, np.eye(4))
+    assert as_square_as(oblong, oblong) == oblong
+
+
+def test_clouds_belong_to_one_layout(export, tmp_path):
+    done = export("out", "--lidar", "vlp16")
+    assert done.code == 2 and "--lidar is of --layout kitti_object" in done.error
+    assert not (tmp_path / "out").exists()
+    done = export("out", "--layout", "kitti_object", "--lidar", "vlp16", "--rain", "25",
+                  "--views", "view_0")  # fmt: skip
+    assert done.code == 0, done.err
+    training = tmp_path / "out/rain/25mm/training"
+    points = np.fromfile(training / "velodyne/000000.bin", "<f4").reshape(-1, 4)
+    assert len(points) * 4 == (training / "labels/000000.label").stat().st_size > 4000
+    assert (training / "label_2/000000.txt").read_text() == ""

@@ -4,6 +4,7 @@ import io
 import json
 import os
 import struct
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -11,7 +12,15 @@ import numpy as np
 import pytest
 
 from rainsim.config.settings import Config
-from rainsim.datasets import LAYOUTS, beside, cityscapes, colmap, kitti, nerfstudio, replicator
+from rainsim.datasets import (
+    LAYOUTS,
+    acdc,
+    beside,
+    colmap,
+    kitti,
+    nerfstudio,
+    replicator,
+)
 from rainsim.datasets.card import card_of, card_text
 from rainsim.datasets.data_files import PNG48, DataFile, condition, write_file
 from rainsim.datasets.export import layout_of, safe_names
@@ -185,7 +194,7 @@ def test_nerfstudio_by_its_parsers_rules():
         )
     named = {f.name for f in nerfstudio.sample_files(sample_of(plan, 1), plan)}
     assert named == {f"rain/10mm/{kind}/v1.png" for kind in ("images", "depths", "masks")}
-    assert {f.name for f in nerfstudio.plan_files(plan)} == {
+    assert {f.name for f in nerfstudio.plan_files(plan, None)} == {
         f"{c}/{n}" for c in ("clear", "rain/10mm") for n in ("transforms.json", "points.ply")
     }
 
@@ -193,7 +202,7 @@ def test_nerfstudio_by_its_parsers_rules():
 def write_set(folder, plan, **changes):
     """Write a data set of nerfstudio's layout with its card; return its samples in 10 mm/h."""
     samples = [sample_of(plan, k) for k in range(len(plan.views))]
-    for file in (*nerfstudio.plan_files(plan),
+    for file in (*nerfstudio.plan_files(plan, None),
                  *(f for s in samples for f in nerfstudio.sample_files(s, plan)),
                  *(f for s in samples for f in beside.sample_files(s, plan))):  # fmt: skip
         write_file(folder, file)
@@ -250,7 +259,7 @@ def test_our_reader_says_what_it_cannot_read(tmp_path):
 
 
 def write_colmap(folder, plan):
-    for file in colmap.plan_files(plan):
+    for file in colmap.plan_files(plan, None):
         write_file(folder, file)
     return folder / "rain/10mm/sparse/0"
 
@@ -289,6 +298,37 @@ def test_colmap_as_pycolmap_reads_it(tmp_path, lens):
         camera = found.cameras[image.camera_id]
         seen = camera.img_from_cam(np.array([x / z, y / z, 1.0]))
         np.testing.assert_allclose(seen, [35 * a + 19, 36 * b + 16], atol=1e-6)
+
+
+@pytest.mark.parametrize("lens", LENSES, ids=lambda lens: "none" if lens is None else lens.model)
+def test_tracks_of_points_as_pycolmap_reads_them(tmp_path, lens, rng):
+    """A wall of points before the cameras, half of them behind it: the front ones have tracks."""
+    pycolmap = pytest.importorskip("pycolmap")
+    plan = plan_with(lens)
+    views = [replace(v, camera=moved(CAMERA, k * np.array([0.1, 0, 0]), np.zeros(3)))
+             for k, v in enumerate(plan.views)]  # fmt: skip
+    places = np.column_stack([rng.uniform(-1, 1, (200, 2)), np.repeat([3.0, 4.0], 100)])
+    plan = replace(plan, views=tuple(views), points=places.astype(np.float32),
+                   colors=np.zeros((200, 3), np.uint8))  # fmt: skip
+    wall = np.full((30, 40), 3.0, np.float32)
+    for view in views:
+        name = f"clear/stereo/depth_maps/{view.name}.png.geometric.bin"
+        write_file(tmp_path, DataFile(name, 6, colmap.depth_map(wall)))
+    for file in colmap.plan_files(plan, tmp_path):
+        write_file(tmp_path, file)
+    found = pycolmap.Reconstruction(str(tmp_path / "clear/sparse/0"))
+    tracks = {k: len(p.track.elements) for k, p in found.points3D.items()}
+    assert max(tracks[k] for k in range(101, 201)) == 0
+    assert 50 < sum(tracks[k] > 1 for k in range(1, 101)) <= 100
+    assert found.compute_num_observations() == sum(tracks.values())
+    errors = []
+    for k, point in found.points3D.items():
+        for element in point.track.elements:
+            image = found.images[element.image_id]
+            assert image.points2D[element.point2D_idx].point3D_id == k
+            seen = image.project_point(point.xyz)
+            errors.append(np.abs(seen - image.points2D[element.point2D_idx].xy).max())
+    assert max(errors) < 1e-5
 
 
 def test_colmap_depth_maps_are_as_its_script_reads_them():
@@ -338,10 +378,10 @@ def test_kitti_by_its_development_kit():
     )
 
 
-def test_cityscapes_by_the_rules_of_acdc():
+def test_acdc_by_its_rules():
     plan = plan_with()
-    rain = {f.name: f for f in cityscapes.sample_files(sample_of(plan, 0), plan)}
-    clear = {f.name: f for f in cityscapes.sample_files(sample_of(plan, 0, rate=0.0), plan)}
+    rain = {f.name: f for f in acdc.sample_files(sample_of(plan, 0), plan)}
+    clear = {f.name: f for f in acdc.sample_files(sample_of(plan, 0, rate=0.0), plan)}
     name = "yard10mm/yard10mm_frame_000000"
     assert {f"rgb_anon/rain/train/{name}_rgb_anon.png",
             f"gt/rain/train/{name}_gt_labelTrainIds.png",
@@ -350,10 +390,10 @@ def test_cityscapes_by_the_rules_of_acdc():
     ids = rain[f"gt/rain/train/{name}_gt_labelTrainIds.png"].content
     assert ids.dtype == np.uint8 and set(np.unique(ids)) == {0, 255}
     assert (ids[20:25] == 0).all()  # the puddle counts as the road below it
-    held = {f.name for f in cityscapes.sample_files(sample_of(plan, 2), plan)}
+    held = {f.name for f in acdc.sample_files(sample_of(plan, 2), plan)}
     assert any(n.startswith("rgb_anon/rain/val/") for n in held)
     own = sample_of(plan, 0, labels=np.full((30, 40), 13, np.uint16))
-    assert (cityscapes.train_ids(own) == 13).all()
+    assert (acdc.train_ids(own) == 13).all()
 
 
 def test_replicator_by_its_pages():

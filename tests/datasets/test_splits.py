@@ -7,7 +7,7 @@ import pytest
 from test_datasets import plan_with, sample_of, write_set
 
 from rainsim.bench.downstream import measure
-from rainsim.datasets import LAYOUTS, cityscapes, nerfstudio
+from rainsim.datasets import LAYOUTS, acdc, cityscapes, nerfstudio
 from rainsim.datasets.splits import check_hold_out, held_out, lists_of, split_note, usual_hold_out
 from rainsim.errors import ParameterError
 
@@ -73,13 +73,15 @@ def test_an_empty_list_is_said_with_what_fills_it():
     assert note(9, 0, "colmap") == "0 of 9 views held out for tests; files are not split"
 
 
-def test_no_picture_of_cityscapes_lies_in_two_folders():
+@pytest.mark.parametrize("layout", [acdc, cityscapes])
+def test_no_picture_lies_in_two_folders(layout):
     plan = plan_with(count=7)
     places = {}
     for index in range(7):
         for rate in plan.rates:
-            for file in cityscapes.sample_files(sample_of(plan, index, rate=rate), plan):
-                split = file.name.split("/")[2].removesuffix("_ref")
+            for file in layout.sample_files(sample_of(plan, index, rate=rate), plan):
+                split = next(p for p in file.name.split("/") if p[:3] in ("tra", "val"))
+                split = split.removesuffix("_ref")
                 places.setdefault(index, set()).add(split)
     assert [places[k] for k in range(7)] == [
         {"val"} if view.held_out else {"train"} for view in plan.views

@@ -148,7 +148,8 @@ def test_every_picture_stands_near_its_command(path):
         if match[1].endswith(".svg"):
             continue  # drawn by hand: no command makes it
         near = text[max(0, match.start() - 1200) : match.end() + 700]
-        by = r"rainsim (bench|run|view|heightmap|export) |rainsim (bench|view)|python examples/"
+        by = r"rainsim (bench|run|view|heightmap|export|validate) |rainsim (bench|view)"
+        by += r"|python examples/"
         assert re.search(rf"{by}|gallery\.md", near), match[1]
 
 

@@ -1,0 +1,94 @@
+"""Clouds of a lidar at the camera, as KITTI's benchmarks have them, with SemanticKITTI's classes.
+
+All pulses are sent at the time of the picture: KITTI's clouds are corrected for the motion within a
+turn, and so boxes, picture and points belong together.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from rainsim.datasets.kinds import OUTLIER, SEMANTIC_GROUND, kind_of
+from rainsim.datasets.kitti import CAMERA_FROM_LIDAR
+from rainsim.lod.held_parts import scene_in_reach
+from rainsim.render.labels import GROUND_REACH
+from rainsim.sensors.lidar import LidarScanner, Pose
+from rainsim.sensors.lidar_model import KEPT, LOST, SENSORS
+from rainsim.shading.calibration import albedo_of_white
+
+AT_ONCE = 1e6  # turns/s: all pulses within a microsecond
+MOVES = 0.5  # m/s, from which on an actor's class is the moving one
+NODE = 1 << 16  # the upper half of a label is the number of the instance
+
+
+class Clouds:
+    """The clouds of one scene's views.
+
+    Parameters
+    ----------
+    scene : Scene
+    terrain : Terrain
+    views : sequence of View
+    sensor : str
+        A key of `lidar_model.SENSORS`.
+    config : Config
+    """
+
+    def __init__(self, scene, terrain, views, sensor, config):
+        self.terrain, self.lidar = terrain, replace(SENSORS[sensor], rate=AT_ONCE)
+        albedo, _ = albedo_of_white(terrain, scene.splats, config.render.ground_albedo)
+        places = [view.camera.position for view in views]
+        near = scene_in_reach(scene, places, self.lidar.far, self.lidar.divergence)
+        self._scanner, self._seed = LidarScanner(near, terrain, albedo), config.rain.seed
+
+    def cloud(self, view, field, state, damp, actors):
+        """Return the points (n, 4), float32, and their labels (n,), uint32, of a view.
+
+        Parameters
+        ----------
+        view : View
+        field : RainField or None
+        state : SimState
+        damp : float
+            See `LidarScanner.scan`.
+        actors : sequence of dict
+            See `rainsim.render.actor_labels.facts_of_actors`.
+
+        Returns
+        -------
+        points : ndarray of shape (n, 4), float32
+            x ahead, y left, z up from the camera [m], and reflectivity.
+        labels : ndarray of shape (n,), uint32
+            SemanticKITTI's class, and in the upper half the number of the actor.
+        """
+        camera = view.camera
+        turn = camera.camera_from_world[:3, :3].T @ CAMERA_FROM_LIDAR
+        pose = Pose(camera.position, turn, np.zeros(3))
+        rate = 0 if field is None else field.spectrum.rate
+        rng = np.random.default_rng([self._seed, view.index, round(rate * 3.6e12)])
+        scan = self._scanner.scan(self.lidar, pose, state.time, rng, field, state, damp)
+        back = scan.label != LOST
+        points = np.column_stack([scan.point, scan.reflectivity])[back].astype("<f4")
+        place = pose.position + scan.point[back].astype(np.float64) @ turn.T
+        labels = self._ground_class(place)
+        labels[scan.label[back] != KEPT] = OUTLIER
+        if scan.actor is not None:
+            number = scan.actor[back].astype("<u4")
+            for actor in actors:
+                kind = kind_of(actor["class"])
+                moves = np.linalg.norm(actor["box3d"]["velocity"]) > MOVES
+                shown = (number == actor["number"]) & (scan.label[back] == KEPT)
+                labels[shown] = kind.moving if moves else kind.semantic
+            labels += NODE * number
+        return points, labels
+
+    def _ground_class(self, place):
+        """Return the class of the ground that points (n, 3) [m] lie on, 0 for none, uint32."""
+        terrain = self.terrain
+        row, column, inside = terrain.grid.cells(place[:, 0], place[:, 1])
+        near = inside & (np.abs(place[:, 2] - terrain.bed[row, column]) < GROUND_REACH)
+        table = np.zeros(256, "<u4")
+        table[list(SEMANTIC_GROUND)] = list(SEMANTIC_GROUND.values())
+        return np.where(near, table[terrain.ground_class[row, column]], 0).astype("<u4")
