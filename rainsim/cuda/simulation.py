@@ -23,21 +23,19 @@ from rainsim.config.settings import mm_per_hour
 from rainsim.cuda.driver import Event, one_fault, send
 from rainsim.cuda.graph import Graph
 from rainsim.cuda.grid import Water
-from rainsim.cuda.jit import cuda, pinned
+from rainsim.cuda.jit import cuda
 from rainsim.cuda.rain.dripping import Drips, volumes
 from rainsim.cuda.rain.impact_history import RecentImpacts
 from rainsim.cuda.rain.settling import VOLUME_UNIT
-from rainsim.cuda.water import step_control
 from rainsim.cuda.water.ripples import Ripples
+from rainsim.cuda.water.step_control import LEFT
 from rainsim.drops import Weather
 from rainsim.errors import DivergedError
-from rainsim.rain.dripping import DRIP_COLUMNS
+from rainsim.io.states import NO_DRIPS, NO_IDS, NO_THROWS, NO_TRACKS
 from rainsim.rain.exposure import rain_exposure
-from rainsim.rain.throws import NO_THROWS
 from rainsim.reflection.slope_moments import ripple_moments
-from rainsim.water.keyframes import level_changes, past_rain_growth
+from rainsim.water.keyframes import moved_water
 from rainsim.water.ripples import LAYERS
-from rainsim.water.tyres import NO_TRACKS
 
 
 class DeviceState:
@@ -61,11 +59,11 @@ class DeviceState:
     """
 
     # No tyres roll through water that is on the device.
-    tracks, throws, throw_id = NO_TRACKS, NO_THROWS, np.zeros(0, np.uint64)
+    tracks, throws, throw_id = NO_TRACKS, NO_THROWS, NO_IDS
 
     def __init__(self, index, time, simulation, notes=()):
         self.index, self.time, self.simulation, self.notes = index, time, simulation, notes
-        self.tile_size, self.page = simulation.ripples.size, index % 2
+        self.tile_size, self.page = simulation.ripples.tile.size, index % 2
         self.top_water = simulation.top_water()
 
     def _there(self):
@@ -103,9 +101,7 @@ class DeviceState:
 
     def _drips(self):
         listed = self.drip_list
-        if listed is None:
-            return np.zeros((0, len(DRIP_COLUMNS))), np.zeros(0, np.uint64)
-        return listed.fetch()
+        return (NO_DRIPS, NO_IDS) if listed is None else listed.fetch()
 
     @property
     def ledger(self):
@@ -128,30 +124,25 @@ class Simulation:
         asked = config.water.scheme
         if asked == "auto":
             config = replace(config, water=replace(config.water, scheme="lean"))
-        self.terrain, self.config = terrain, config
-        self.stream = cuda.stream()
-        self.weather = Weather(config)
+        self.config, self.weather, self.stream = config, Weather(config), cuda.stream()
         surfaces = host.surfaces_of(terrain)
         exposure = rain_exposure(terrain, host.usual_wind(config), config.rain.roughness)
-        start = config.at(0.0)
-        depth, self.notes = host.initial_water(terrain, start, exposure)
-        self._puddle_growth = past_rain_growth(terrain, config, exposure)
-        self._level_change = level_changes(terrain, config)
+        start, interval = config.at(0.0), 1 / config.fps
+        depth, notes = host.initial_water(terrain, start, exposure)
+        self._by_keyframes = moved_water(terrain, config, exposure)
         solver = host.water_solver(terrain, start)
         solver.set_state(depth)
         why = "auto: the scheme of a CUDA device" if asked == "auto" else solver.reason
-        self.notes = (*self.notes, f"water: scheme {solver.scheme} ({why})")
+        self.notes = (*notes, f"water: scheme {solver.scheme} ({why})")
         tile = host.ripple_tile(config, self.weather, (depth, terrain.grid.spacing))
         open_area = float(exposure.sum()) * terrain.grid.cell_area
+        share = tile.size**2 / open_area / LAYERS if open_area > 0 else 0.0
         self._objects = host.Objects(surfaces, start, *host.tops_of(terrain, config, start))
         host.warm_up(tile, self._objects, self.weather)
         self._objects.open_account()
-        self._first_slopes = tile.slopes()
-        interval = 1 / config.fps
         self.water = Water(solver, exposure, stream=self.stream)
-        self._beside = cuda.stream()
-        self.ripples = Ripples(tile, interval, self._beside)
-        self._share = tile.size**2 / open_area / LAYERS if open_area > 0 else 0.0
+        self.ripples = Ripples(tile, interval, cuda.stream(), share)
+        send(self.ripples.moments, ripple_moments(tile.slopes()))
         self.impacts = self.drips = None
         if self.weather.rains:
             # An exposure is no longer than a frame: it sees one interval that is still to come.
@@ -162,13 +153,9 @@ class Simulation:
                 self._objects.drips, self.impacts, rate, interval, config.rain.roughness,
                 self.stream,
             )  # fmt: skip
-        self._control = pinned(step_control.CONTROL, np.float64)
-        self._obstacles = pinned(1, np.int64)
-        self._ready, self._listed, self._forked, self._joined = (Event() for _ in range(4))
-        self._drawn = Event(), Event()  # with either page
-        self._steps, self._lists = [None, None], None
+        self._ready, self._drawn = Event(), (Event(), Event())  # a step; what draws either page
+        self._steps, self._accounts = [None, None], [None, None]
         self._index = self._begun = self._complete = self._late = -1
-        self._accounts = [None, None]
         self._fallen = 0.0  # m of rain since the start
 
     def top_water(self):
@@ -184,10 +171,13 @@ class Simulation:
         if index > 0:
             middle = time - 0.5 / self.config.fps
             self._fallen += mm_per_hour(self.weather.rate(middle)) / self.config.fps
-            self._bring((index - 1) / self.config.fps, time)
+            self._bring(*self._interval(index))
         if self.impacts is not None:
             self.impacts.update(index)
         return DeviceState(index, time, self, self.notes if index == 0 else ())
+
+    def _interval(self, index):
+        return (index - 1) / self.config.fps, index / self.config.fps
 
     def begin(self, index):
         """Queue the step of that number, if it is the one that `advance` has said last."""
@@ -195,16 +185,12 @@ class Simulation:
             return
         self.complete()
         page, self._begun = index % 2, index
-        self.water.turn_page(page)
+        self.water.page = page
         self.ripples.turn_page(page)
-        if index == 0:
-            self._show_first_slopes()
-        else:
-            if self._puddle_growth is not None:
-                self.water.deposit(*self._puddle_growth(*self._interval))
-            if self._level_change is not None:
-                self._objects.let_in(self.water, *self._level_change(*self._interval))
-            self._listed.wait(self.stream)
+        if index > 0:
+            self._by_keyframes(self.water, self._objects, *self._interval(index))
+            if self.impacts is not None:
+                self.impacts.listed.wait(self.stream)
             self._drawn[page].wait(self.stream)
             if index == 1:
                 self.launch()  # compiles; that was the step itself
@@ -213,15 +199,8 @@ class Simulation:
                     self._steps[page] = Graph(self.stream, self.launch)
                 self._steps[page].launch()
         self._ready.record(self.stream)
-        if self.impacts is None:
-            return
-        if self._lists is None:
-            self.impacts.launch()
-            self.impacts.stream.synchronize()
-            self._lists = Graph(self.impacts.stream, self.impacts.launch)
-        else:
-            self._lists.launch()
-        self._listed.record(self.impacts.stream)
+        if self.impacts is not None:
+            self.impacts.list_beside()
 
     def complete(self):
         """Wait for the step that has begun, and let it go on if it was not at its end.
@@ -234,64 +213,54 @@ class Simulation:
         if self._complete == self._begun:
             return
         self._complete = index = self._begun
+        account = self.water.account
         self._ready.synchronize()
         if index == 0:
-            self._accounts[0] = self.water.control(), *self._of_objects()
-            return
-        while self._control[step_control.LEFT] > 0.0:
-            self.water.go_on()
-            self.water._control.copy_to_host(self._control, stream=self.stream)
-            self.stream.synchronize()
-            self._late = index
-        if not np.isfinite(self._control).all():
-            raise DivergedError(
-                "the water on the CUDA device is no longer finite; use a smaller courant than "
-                f"{self.config.water.courant}"
-            )
-        self._accounts[index % 2] = self._control.copy(), *self._of_objects()
-
-    def _of_objects(self):
-        """Return the volume on obstacles [VOLUME_UNIT], account of drips or None, inflow [m3]."""
+            control = account.fetch()
+        else:
+            while account.seen[LEFT] > 0.0:
+                self.water.go_on()
+                account.copy()
+                self.stream.synchronize()
+                self._late = index
+            if not np.isfinite(account.seen).all():
+                raise DivergedError(
+                    "the water on the CUDA device is no longer finite; use a smaller courant than "
+                    f"{self.config.water.courant}"
+                )
+            control = account.seen.copy()
+        fallen = 0 if self.impacts is None else int(self.impacts.fallen[0])
         drips = None if self.drips is None else self.drips.account.copy()
-        return int(self._obstacles[0]), drips, self._objects.inflow
-
-    def _show_first_slopes(self):
-        send(self.ripples.moments, ripple_moments(self._first_slopes))
+        self._accounts[index % 2] = control, fallen, drips, self._objects.inflow
 
     def _bring(self, before, time):
         """Set the rain that falls between two times."""
         field = self.weather.field(before, time)
-        self._interval = before, time
         finer = 0.0 if field is None else field.spectrum.fine_rate
-        self.water.update(time - before, finer)
+        self.water.account.update(time - before, finer, True)
         if self.drips is not None:
             wind = self.weather.wind(0.5 * (before + time))
             self.drips.update(before, time, wind, finer * (time - before))
 
     def launch(self):
         """Queue a step, rings beside the flow; nothing here waits, allocates or reads results."""
-        if self.impacts is not None:
-            land = self.water, self.ripples, self._share, self.stream
-            if self.drips is None:
-                self.impacts.settle(*land)
-            else:
-                page = self.water.page
-                self.impacts.settle(*land, self.drips.point, self.drips.came[page])
-                self.drips.launch(page, *land)
-            self.impacts.obstacles.copy_to_host(self._obstacles, stream=self.stream)
-        self._forked.record(self.stream)
-        self._forked.wait(self._beside)
-        self.ripples.launch()
-        self._joined.record(self._beside)
+        land = self.water, self.ripples, self.stream
+        if self.drips is not None:
+            page = self.water.page
+            self.impacts.settle(*land, (self.drips.point, self.drips.came[page]))
+            self.drips.launch(page, *land)
+        elif self.impacts is not None:
+            self.impacts.settle(*land)
+        self.ripples.fork(self.stream)
         self.water.launch()
-        self.water._control.copy_to_host(self._control, stream=self.stream)
-        self._joined.wait(self.stream)
+        self.water.account.copy()
+        self.ripples.join(self.stream)
 
     def before(self, stream, falls=True):
         """Let another stream wait for the step that has begun and, if it `falls`, the impacts."""
         self._ready.wait(stream)
-        if falls:
-            self._listed.wait(stream)
+        if falls and self.impacts is not None:
+            self.impacts.listed.wait(stream)
 
     def after(self, stream, page):
         """Let the next step that writes to the `page` wait for work queued on another stream."""
@@ -328,7 +297,7 @@ class Simulation:
         if drips is not None:
             held, airborne, returned, fine = volumes(drips)
             came += fine
-        ledger = self.water.ledger(control)
+        ledger = self.water.account.ledger(control)
         return self._objects.with_objects(ledger, came, returned, held, airborne, inflow)
 
 

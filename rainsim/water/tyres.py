@@ -11,12 +11,10 @@ from scipy import ndimage
 from rainsim.actors.motion import Motion
 from rainsim.actors.wheels import MOST_WHEELS, REMEDY
 from rainsim.errors import ParameterError
+from rainsim.io.states import AT, NO_THROWS, NO_TRACKS, THROW_COLUMNS
 from rainsim.ledger import Ledger
 from rainsim.numerics.random import mix, subkey
 from rainsim.rain.throws import (
-    AT,
-    COLUMNS,
-    NO_THROWS,
     REMEMBERED,
     SLOWEST,
     column,
@@ -38,7 +36,6 @@ PATCH = 0.12  # m: radius of the patch on which a parcel comes down
 STANDS = 0.05  # m over the bed: what is higher stops drops
 WIND_AT = 1.0  # m: height of the wind that carries drops and mist
 SHOULDER = 1.0  # cells: deviation with which the edges of tracks are softened
-NO_TRACKS = np.zeros((0, 0), np.uint8)
 
 
 class _Car(NamedTuple):
@@ -253,7 +250,7 @@ class Tyres:
         out -= (out @ ahead) * ahead
         length = np.hypot(*out)
         out = out / length if length > 0 else np.array([-ahead[1], ahead[0]])
-        row = np.zeros(len(COLUMNS))
+        row = np.zeros(len(THROW_COLUMNS))
         row[: AT["bow"]] = (
             start, stop, *begin, *end[:2], *out, width, radius, car.covered[k], 0, *wind,
             car.section, depth,

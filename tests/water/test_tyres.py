@@ -18,13 +18,12 @@ from rainsim.config.settings import Config
 from rainsim.drops import Weather
 from rainsim.errors import InputError, ParameterError
 from rainsim.grid import WaterSolver
+from rainsim.io.states import AT, NO_THROWS, read_state, write_state
 from rainsim.particles.spray import lay_clouds, spray_seen
 from rainsim.rain.throws import (
-    AT,
     BOW,
     FILM,
     FLIGHT,
-    NO_THROWS,
     SIDE,
     TREAD,
     Puffs,
@@ -42,7 +41,6 @@ from rainsim.rain.throws import (
 from rainsim.render.renderer import Renderer
 from rainsim.scene.folder import read_scene, write_scene
 from rainsim.scene.types import Camera, GroundFrame
-from rainsim.simulation import read_state, write_state
 from rainsim.terrain.types import Grid
 from rainsim.water.tyres import FASTEST, LEFT, Tyres
 from scenes import BOX_SIZE, moving_scene
