@@ -43,8 +43,8 @@ from rainsim.water.conditions import Rating as Rating
 from rainsim.water.conditions import Stage as Stage
 from rainsim.water.fill_spill_merge import standing_water as standing_water
 from rainsim.water.gauges import Gauges as Gauges
-from rainsim.water.report import WaterReport as WaterReport
 from rainsim.water.series import Series as Series
 from rainsim.water.series import read_series as read_series
+from rainsim.water.water_report import WaterReport as WaterReport
 
 __version__: str

@@ -44,9 +44,9 @@ from rainsim.water.inputs import (
     require_dtype,
 )
 from rainsim.water.paper_flow import PaperFlow
-from rainsim.water.report import WaterReport
 from rainsim.water.series import rain_pieces
 from rainsim.water.sources import DRY_DEPTH, Sources, sum_tiles
+from rainsim.water.water_report import WaterReport
 
 MAX_SPEED = 1000.0  # m/s, no water on the ground is as fast: the run has diverged
 SOURCE_PERIOD = 0.02  # s, rain and losses of shorter steps are booked together

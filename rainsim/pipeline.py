@@ -22,7 +22,7 @@ from rainsim.render.shutter import PathMotion, is_too_fast
 from rainsim.render.sunken import sunken_notes
 from rainsim.render.window_ahead import Windows
 from rainsim.simulation import simulate, widened
-from rainsim.terrain.kept import kept_terrain
+from rainsim.terrain.kept_terrain import kept_terrain
 from rainsim.terrain.path_ground import PathGround, follows_path, path_ground
 from rainsim.terrain.pond import without_images
 from rainsim.terrain.poured import with_water

@@ -23,7 +23,7 @@ from rainsim.terrain.poured import with_standing
 from rainsim.terrain.table import DRAIN
 from rainsim.terrain.types import NO_TOPS
 from rainsim.water.begin import Begin, low_ground
-from rainsim.water.keyframes import moved_water
+from rainsim.water.keyframed import moved_water
 from rainsim.water.on_objects import Objects
 from rainsim.water.puddles import WET, doubt, probability, puddles_of, wet_share
 from rainsim.water.ripples import RippleTile, mean_chord, tile_impacts

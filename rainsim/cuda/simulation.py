@@ -34,7 +34,7 @@ from rainsim.errors import DivergedError
 from rainsim.io.states import NO_DRIPS, NO_IDS, NO_THROWS, NO_TRACKS
 from rainsim.rain.exposure import rain_exposure
 from rainsim.reflection.slope_moments import ripple_moments
-from rainsim.water.keyframes import moved_water
+from rainsim.water.keyframed import moved_water
 from rainsim.water.ripples import LAYERS
 
 

@@ -23,9 +23,9 @@ from rainsim.water.conserving import (
 from rainsim.water.friction import apply_friction
 from rainsim.water.inputs import EDGES
 from rainsim.water.lean import step
+from rainsim.water.moving_tiles import Tiles
 from rainsim.water.rows import tile_peaks
 from rainsim.water.staggered import StaggeredFlow
-from rainsim.water.tiles import Tiles
 
 MAX_STEP = 0.25  # cells that water may cross in a step: four faces then take what a cell holds
 ROUNDING_ROOM = 1 - 1e-6  # of a step, so that float32 factors keep that promise too

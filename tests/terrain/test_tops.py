@@ -20,7 +20,7 @@ from rainsim.render import aov
 from rainsim.render.renderer import Renderer
 from rainsim.scene.view import View, pixel_ray
 from rainsim.simulation import simulate, tops_drawn
-from rainsim.terrain.kept import kept_terrain
+from rainsim.terrain.kept_terrain import kept_terrain
 from rainsim.terrain.tops import find_tops, gaps_in, note_of
 from rainsim.terrain.types import NO_TOPS
 from rainsim.water.top_water import PINNED, RAINS, TopWater, sheet_depth

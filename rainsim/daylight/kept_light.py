@@ -28,7 +28,7 @@ def kept_relight(scene, config, found, white):
     ----------
     scene : Scene
     config : Config
-    found : surface.kept.Found or None
+    found : surface.kept_surface.Found or None
         What the scene's cameras show.
     white : float
         Albedo that a captured linear colour of 1 stands for. It is rounded in steps of ROUNDING, so
