@@ -29,7 +29,7 @@ from rainsim.errors import (
 from rainsim.io.states import digest, read_solver, write_solver
 from rainsim.ledger import Ledger
 from rainsim.water.choose import MAX_COURANT, SCHEMES, choose
-from rainsim.water.conditions import QUIET_FALL, apply_conditions, longest_step, place_all
+from rainsim.water.conditions import apply_conditions, longest_step, place_all
 from rainsim.water.conserving_flow import AccurateFlow, LeanFlow
 from rainsim.water.inputs import (
     EDGES,
@@ -49,6 +49,7 @@ from rainsim.water.sources import DRY_DEPTH, Sources, sum_tiles
 from rainsim.water.water_report import WaterReport
 
 MAX_SPEED = 1000.0  # m/s, no water on the ground is as fast: the run has diverged
+QUIET_FALL = 0.5  # cells that water may fall from rest in the first step that moves it
 SOURCE_PERIOD = 0.02  # s, rain and losses of shorter steps are booked together
 DECIDE_EVERY = 8  # calls of `advance`, between two looks of "auto" at the water
 
@@ -328,11 +329,9 @@ class WaterSolver:
             # On dry ground the wave speed is that of the rain of the step, sqrt(g rain dt).
             rate = self.gravity * self.sources.most_rain()
             dt = min(dt, (self.courant * self.spacing) ** (2 / 3) / rate ** (1 / 3))
-            if not self.flow.moves:
-                dt = min(dt, math.sqrt(QUIET_FALL * self.spacing / self.gravity))
-        if self.conditions:
-            dt = longest_step(self, dt)
-        return dt
+        if not self.flow.moves and (self.sources.rain_sum > 0.0 or self.conditions):
+            dt = min(dt, math.sqrt(QUIET_FALL * self.spacing / self.gravity))
+        return longest_step(self, dt)
 
     def _step(self, dt, last):
         """Advance depth, sources and velocity by `dt` [s]; see the module's docstring."""

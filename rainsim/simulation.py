@@ -147,15 +147,13 @@ def drains_of(terrain):
     return [(int(row), int(column), rate) for row, column in zip(rows, columns, strict=True)]
 
 
-def simulate(terrain, config, progress=None, dtype=np.float32, begin=None):
+def simulate(terrain, config, dtype=np.float32, begin=None):
     """Yield the `SimState` at the time of each frame, from the first on, without end.
 
     Parameters
     ----------
     terrain : Terrain
     config : Config
-    progress : callable, optional
-        progress(stage, done, total) is called before the slow first state.
     dtype : dtype
         Of the water; float64 closes the ledger to rounding.
     begin : Begin, optional
@@ -215,19 +213,15 @@ def simulate(terrain, config, progress=None, dtype=np.float32, begin=None):
             by_keyframes(solver, objects, before, time)
             report = solver.advance(time - before, rain=fine)
         deep, met = np.array(solver.depth, np.float32), _met(hits)
-        ledger = tyres.book(objects.ledger(report, solver), time)
+        flow = np.stack(solver.velocity).astype(np.float32, copy=False)
+        ledger = tyres.book(objects.ledger(report, solver), time).as_dict()
         hits = landed = fine = opened = None  # tens of MB that nobody needs while a frame is drawn
         yield SimState(
-            index, time, deep, _velocity(solver), ripples.slopes(), ripples.size, *met, ledger,
+            index, time, deep, flow, ripples.slopes(), ripples.size, *met, ledger,
             notes if index == first else (), *objects.falling(),
             top_water=objects.top_water(), **tyres.state(deep, time),
         )  # fmt: skip
         index += 1
-
-
-def _velocity(solver):
-    """Return the velocity at cell centres as a state has it."""
-    return np.stack(solver.velocity).astype(np.float32, copy=False)
 
 
 def _filled(solver, terrain, start, exposure, begin):

@@ -298,16 +298,17 @@ class Simulation:
             held, airborne, returned, fine = volumes(drips)
             came += fine
         ledger = self.water.account.ledger(control)
-        return self._objects.with_objects(ledger, came, returned, held, airborne, inflow)
+        own = came, returned, held, airborne, inflow
+        return self._objects.with_objects(ledger, *own).as_dict()
 
 
-def simulate(terrain, config, progress=None):
+def simulate(terrain, config):
     """Yield the `DeviceState` at the time of each frame, from frame 0 on, without end.
 
     Where actors move over the terrain the CPU simulates: its `SimState` is yielded.
     """
     if terrain.footprints:
-        yield from host.simulate(terrain, config, progress)
+        yield from host.simulate(terrain, config)
         return
     run = Simulation(terrain, config)
     while True:

@@ -15,7 +15,6 @@ from rainsim.errors import ParameterError, require_choice
 from rainsim.water.inputs import EDGES
 from rainsim.water.series import Series, series
 
-QUIET_FALL = 0.5  # cells that water may fall from rest in the first step that moves it
 HALVINGS = 30  # of the share that a rating curve leaves: to 1e-9 of it
 
 
@@ -234,8 +233,6 @@ def place_all(conditions, bed, pad, is_open):
 def longest_step(solver, dt):
     """Return the step [s], at most `dt`, that the waves of what comes in allow."""
     start, room = solver.time, solver.courant * solver.spacing
-    if not solver.flow.moves:
-        dt = min(dt, math.sqrt(QUIET_FALL * solver.spacing / solver.gravity))
     for condition in solver.conditions:
         rate = condition.rate(start, start + dt, solver.spacing**2)
         if rate > 0.0:  # as for rain on dry ground

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -12,7 +13,6 @@ from rainsim.actors.motion import Motion
 from rainsim.actors.wheels import MOST_WHEELS, REMEDY
 from rainsim.errors import ParameterError
 from rainsim.io.states import AT, NO_THROWS, NO_TRACKS, THROW_COLUMNS
-from rainsim.ledger import Ledger
 from rainsim.numerics.random import mix, subkey
 from rainsim.rain.throws import (
     REMEMBERED,
@@ -164,20 +164,19 @@ class Tyres:
                      for a, b in zip(low, high, strict=True))  # fmt: skip
 
     def book(self, ledger, time):
-        """Return a ledger (a dict) with the water that tyres have thrown in it.
+        """Return a `Ledger` with the water that tyres have thrown in it.
 
         The solver books what is lifted as drained and what comes down as rain.
         """
         if not self._cars:
             return ledger
-        ledger = dict(ledger)
         hanging = float((mist_left(self._throws, time) * self._own).sum())
-        ledger["drained"] -= self.lifted
-        ledger["rain"] -= self.returned
-        ledger["airborne"] += float(self._landing[:, 4].sum()) + hanging
-        ledger["obstacles"] += self.kept
-        ledger["outflow"] += self.gone + self._mist - hanging
-        return Ledger.from_dict(ledger).as_dict()
+        return replace(
+            ledger, drained=ledger.drained - self.lifted, rain=ledger.rain - self.returned,
+            airborne=ledger.airborne + (float(self._landing[:, 4].sum()) + hanging),
+            obstacles=ledger.obstacles + self.kept,
+            outflow=ledger.outflow + (self.gone + self._mist - hanging),
+        )  # fmt: skip
 
     def _step(self, solver, start, stop, weather):
         """Throw the water that tyres meet in a step, and land water that has flown long enough."""

@@ -212,7 +212,7 @@ def test_the_account_of_thrown_water_closes(dtype, limit):
     tyres, solver, now = rolled(12.0, 2e-3, dtype=dtype)
     seen = []
     for _ in range(24):
-        ledger = tyres.book(solver.advance(0.05).ledger.as_dict(), now)
+        ledger = tyres.book(solver.advance(0.05).ledger, now).as_dict()
         assert abs(ledger["residual"]) < limit
         seen.append(ledger["airborne"])
         tyres.roll(solver, now, now + 0.05, CALM)
